@@ -1,0 +1,8 @@
+"""The one exception that stands for bad input (room: ground).
+
+In: nothing. Out: SemlocError, which the command line prints as one line.
+"""
+
+
+class SemlocError(ValueError):
+    """Bad user input: the message names what was given, what was expected and what to do."""
