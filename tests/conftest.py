@@ -1,0 +1,53 @@
+"""Strict settings for every test: float64, checked shapes, no window, data by environment variable.
+
+SEMLOC_TYPECHECK=0 switches the jaxtyping + beartype import hook off (faster collection while working on one test).
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+if os.environ.get("SEMLOC_TYPECHECK", "1") != "0":
+    import jaxtyping
+
+    jaxtyping.install_import_hook("semloc_jax", "beartype.beartype")
+
+
+def find_data() -> Path:
+    """Folder with the shared drives and maps: SEMLOC_DATA, else shared/data beside the repository."""
+    given = os.environ.get("SEMLOC_DATA")
+    return Path(given) if given else Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of the shared drives and maps; the test is skipped where it is absent."""
+    folder = find_data()
+    if not folder.is_dir():
+        pytest.skip(f"no shared data at {folder}; set SEMLOC_DATA to the folder that holds rendered_road")
+    return folder
+
+
+def _drive(data_dir: Path, name: str) -> Path:
+    if not (data_dir / name).is_dir():
+        pytest.skip(f"no drive {name} in {data_dir}")
+    return data_dir / name
+
+
+@pytest.fixture(scope="session")
+def road_dir(data_dir: Path) -> Path:
+    """The rendered road drive: one front camera, 150 frames."""
+    return _drive(data_dir, "rendered_road")
+
+
+@pytest.fixture(scope="session")
+def garage_dir(data_dir: Path) -> Path:
+    """The rendered garage drive: four fisheye cameras, 60 frames."""
+    return _drive(data_dir, "rendered_garage")

@@ -1,0 +1,280 @@
+"""The house rules as a fast test on the syntax trees: who may import whom, names and length of files."""
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "semloc_jax"
+
+RANK = {
+    "errors": 0,
+    "geometry": 0,
+    "structs": 1,
+    "cameras": 2,
+    "maps": 2,
+    "evaluation": 2,
+    "perception": 3,
+    "residuals": 3,
+    "datasets": 3,
+    "solvers": 4,
+    "localization": 5,
+    "mapping": 5,
+    "viz": 6,
+    "cli": 7,
+}
+# Ground that every room may stand on.
+GROUND = {"errors", "geometry", "structs"}
+# Rooms that may use less than their rank allows.
+ONLY = {"evaluation": GROUND}
+NEVER = {"datasets": {"perception", "solvers", "localization"}, "residuals": {"maps", "perception"}}
+
+PURE_JAX = {"residuals", "solvers", "geometry", "structs"}
+PURE_JAX_CAMERAS = {"base", "pinhole", "fisheye", "cylinder", "bev", "rig"}
+HOST_LIBRARIES = {"cv2", "skimage", "scipy", "matplotlib", "time", "os", "io", "pathlib", "shutil", "tempfile"}
+HOST_EXCEPTIONS = {("semloc_jax.solvers.association", "scipy")}
+HOMES = {
+    "optimistix": {"solvers"},
+    "lineax": {"solvers"},
+    "jaxlie": {"geometry"},
+    "matplotlib": {"viz"},
+    "tyro": {"cli"},
+    "yaml": {"cli", "perception", "datasets", "semloc_jax.cameras.io"},
+    "evo": set(),  # GPL: an outside oracle of the tests only
+    "lanelet2": set(),
+}
+BANNED_NAMES = {"util", "utils", "helper", "helpers", "common", "misc", "manager", "managers"}
+MAX_LINES = 400
+
+
+@dataclass(frozen=True)
+class Import:
+    """One imported module, as a full dotted name, with where it stands."""
+
+    module: str
+    target: str
+    line: int
+    for_types_only: bool
+    at_import: bool
+
+
+def _module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def _is_type_checking(test: ast.expr) -> bool:
+    return (isinstance(test, ast.Name) and test.id == "TYPE_CHECKING") or (
+        isinstance(test, ast.Attribute) and test.attr == "TYPE_CHECKING"
+    )
+
+
+def _targets(node: ast.Import | ast.ImportFrom, module: str, is_package: bool) -> Iterator[str]:
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+        return
+    base = module.split(".")
+    if node.level:
+        base = base[: len(base) - node.level + (1 if is_package else 0)]
+        base += node.module.split(".") if node.module else []
+    else:
+        base = (node.module or "").split(".")
+    # `from semloc_jax.maps import sampling` imports the module `semloc_jax.maps.sampling`.
+    for alias in node.names:
+        full = [*base, alias.name]
+        path = ROOT.joinpath(*full)
+        yield ".".join(full if path.is_dir() or path.with_suffix(".py").is_file() else base)
+
+
+def _walk(node: ast.AST, for_types_only: bool, at_import: bool) -> Iterator[tuple[ast.AST, bool, bool]]:
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and _is_type_checking(child.test):
+            for statement in child.body:
+                yield statement, True, at_import
+                yield from _walk(statement, True, at_import)
+            for statement in child.orelse:
+                yield statement, for_types_only, at_import
+                yield from _walk(statement, for_types_only, at_import)
+            continue
+        inside = at_import and not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        yield child, for_types_only, inside
+        yield from _walk(child, for_types_only, inside)
+
+
+def imports_of(source: str, module: str, is_package: bool = False) -> list[Import]:
+    """Every import of a module, lazy ones inside functions included."""
+    found = []
+    for node, types_only, at_import in _walk(ast.parse(source), False, True):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            for target in _targets(node, module, is_package):
+                found.append(Import(module, target, node.lineno, types_only, at_import))
+    return found
+
+
+def _room(module: str) -> str:
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else ""
+
+
+def _is_pure_jax(module: str) -> bool:
+    parts = module.split(".")
+    return _room(module) in PURE_JAX or (parts[1:2] == ["cameras"] and parts[-1] in PURE_JAX_CAMERAS)
+
+
+def rank_faults(item: Import) -> list[str]:
+    """What the import ranks have against one import; imports for type checkers are bound by them too."""
+    if item.target.split(".")[0] != "semloc_jax":
+        return []
+    here, there = _room(item.module), _room(item.target)
+    place = f"{item.module}:{item.line} imports {item.target}"
+    if not here or here == there:
+        return []
+    if not there:
+        return [] if here == "cli" else [f"{place}: the package's front page is for users, import the room itself"]
+    if there not in RANK or here not in RANK:
+        return [f"{place}: a room without a rank; add it to RANK with the reason"]
+    faults = []
+    if there == "cli":
+        faults.append(f"{place}: nobody imports cli")
+    if RANK[there] > RANK[here] or (RANK[there] == RANK[here] and there not in GROUND):
+        faults.append(f"{place}: rank {RANK[here]} may import lower ranks only, {there} has {RANK[there]}")
+    if there in NEVER.get(here, set()) or (here in ONLY and there not in ONLY[here]):
+        faults.append(f"{place}: {here} must never know {there}")
+    return faults
+
+
+def library_faults(item: Import) -> list[str]:
+    """What the house has against importing one outside library here; imports for type checkers cost nothing."""
+    library = item.target.split(".")[0]
+    if item.for_types_only or library == "semloc_jax":
+        return []
+    place = f"{item.module}:{item.line} imports {item.target}"
+    faults = []
+    if library in HOMES:
+        homes = HOMES[library]
+        if _room(item.module) not in homes and not any(item.module.startswith(h) for h in homes if "." in h):
+            faults.append(f"{place}: {library} belongs in {sorted(homes) or 'the tests'} only")
+    if _is_pure_jax(item.module) and library in HOST_LIBRARIES and (item.module, library) not in HOST_EXCEPTIONS:
+        faults.append(f"{place}: a pure JAX module takes no host library")
+    return faults
+
+
+def _files() -> list[Path]:
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def _all_imports() -> list[Import]:
+    found = []
+    for path in _files():
+        found += imports_of(path.read_text(encoding="utf-8"), _module_name(path), path.name == "__init__.py")
+    return found
+
+
+def test_imports_follow_the_ranks():
+    faults = [fault for item in _all_imports() for fault in rank_faults(item)]
+    assert not faults, "\n".join(faults)
+
+
+def test_libraries_stay_in_their_rooms():
+    faults = [fault for item in _all_imports() for fault in library_faults(item)]
+    assert not faults, "\n".join(faults)
+
+
+def test_pure_jax_modules_open_no_files():
+    faults = []
+    for path in _files():
+        if not _is_pure_jax(_module_name(path)):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "open":
+                faults.append(f"{_module_name(path)}:{node.lineno} opens a file")
+    assert not faults, "\n".join(faults)
+
+
+def test_every_room_has_a_rank():
+    rooms = {p.stem for p in PACKAGE.iterdir() if p.suffix == ".py" or (p / "__init__.py").is_file()} - {"__init__"}
+    assert rooms <= set(RANK) | {"__main__"}, f"rooms without a rank: {sorted(rooms - set(RANK))}"
+
+
+def test_no_import_cycle():
+    """No module reaches itself through imports that run when it is loaded."""
+    modules = {_module_name(path) for path in _files()}
+    edges: dict[str, set[str]] = {module: set() for module in modules}
+    for item in _all_imports():
+        if item.at_import and not item.for_types_only and item.target in modules and item.target != item.module:
+            edges[item.module].add(item.target)
+    state: dict[str, int] = {}
+    trail: list[str] = []
+
+    def visit(module: str) -> None:
+        state[module] = 1
+        trail.append(module)
+        for target in sorted(edges[module]):
+            # A package page that gathers names of its own modules, imported by them, would be a cycle as well.
+            assert state.get(target) != 1, " -> ".join([*trail[trail.index(target) :], target])
+            if target not in state:
+                visit(target)
+        trail.pop()
+        state[module] = 2
+
+    for module in sorted(modules):
+        if module not in state:
+            visit(module)
+
+
+@pytest.mark.parametrize("folder", ["semloc_jax", "tests"])
+def test_no_file_is_too_long_or_named_for_nothing(folder):
+    faults = []
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        num_lines = len(path.read_text(encoding="utf-8").splitlines())
+        if num_lines > MAX_LINES:
+            faults.append(f"{path.relative_to(ROOT)} has {num_lines} lines; split it at {MAX_LINES}")
+        if set(re.split(r"[_.]", path.stem)) & BANNED_NAMES or path.parent.name in BANNED_NAMES:
+            faults.append(f"{path.relative_to(ROOT)}: name the file for the noun it holds")
+    assert not faults, "\n".join(faults)
+
+
+def test_front_page_is_light():
+    """`import semloc_jax` loads neither JAX nor OpenCV nor anything that draws or parses."""
+    heavy = "jax", "numpy", "cv2", "matplotlib", "tyro", "scipy", "semloc_jax.viz", "semloc_jax.cli"
+    code = f"import sys, semloc_jax; print(*[name for name in {heavy!r} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "words"),
+    [
+        ("semloc_jax.residuals.alignment", "from semloc_jax.maps import sampling", "must never know maps"),
+        ("semloc_jax.maps.elements", "def f():\n    import semloc_jax.perception.masks", "lower ranks only"),
+        ("semloc_jax.cameras.base", "from ..maps import elements", "lower ranks only"),
+        ("semloc_jax.evaluation.metrics", "import semloc_jax.solvers", "must never know solvers"),
+        ("semloc_jax.viz.bev", "if TYPE_CHECKING:\n    from semloc_jax.cli import main", "nobody imports cli"),
+        ("semloc_jax.solvers.pose", "import scipy.optimize", "pure JAX"),
+        ("semloc_jax.localization.run", "import matplotlib.pyplot as plt", "belongs in ['viz']"),
+        ("semloc_jax.evaluation.metrics", "import evo", "the tests only"),
+    ],
+)
+def test_the_rules_bite(module, source, words):
+    faults = [fault for item in imports_of(source, module) for fault in rank_faults(item) + library_faults(item)]
+    assert any(words in fault for fault in faults), faults
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("semloc_jax.maps.elements", "import typing\nif typing.TYPE_CHECKING:\n    import matplotlib.figure"),
+        ("semloc_jax.solvers.association", "from scipy.optimize import linear_sum_assignment"),
+        ("semloc_jax.cameras.io", "import yaml"),
+        ("semloc_jax.structs", "from semloc_jax.geometry import lie"),
+    ],
+)
+def test_the_rules_let_pass(module, source):
+    faults = [fault for item in imports_of(source, module) for fault in rank_faults(item) + library_faults(item)]
+    assert faults == []
