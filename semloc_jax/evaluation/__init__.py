@@ -1,0 +1,27 @@
+"""How good a trajectory is: files, errors in the vehicle frame, metrics, reports and the baseline gate."""
+
+from semloc_jax.evaluation.benchmark import Outcome, Verdict, compare, format_verdicts, is_passed
+from semloc_jax.evaluation.metrics import ErrorLimit, Metric, evaluate, metrics_of_errors, pose_errors, within
+from semloc_jax.evaluation.report import format_metrics, read_metrics, write_metrics
+from semloc_jax.evaluation.trajectory import Trajectory, associate, read_trajectory, write_tum
+
+__all__ = [
+    "ErrorLimit",
+    "Metric",
+    "Outcome",
+    "Trajectory",
+    "Verdict",
+    "associate",
+    "compare",
+    "evaluate",
+    "format_metrics",
+    "format_verdicts",
+    "is_passed",
+    "metrics_of_errors",
+    "pose_errors",
+    "read_metrics",
+    "read_trajectory",
+    "within",
+    "write_metrics",
+    "write_tum",
+]

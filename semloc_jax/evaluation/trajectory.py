@@ -1,0 +1,153 @@
+"""Trajectories: vehicle poses over time, their files and their time association (room: evaluation; host).
+
+In: TUM, KITTI or npy files. Out: Trajectory, matched index pairs.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation, Slerp
+
+from semloc_jax.errors import SemlocError
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Vehicle poses in time order.
+
+    Args:
+        time_s: strictly increasing times [s].
+        T_map_base: poses, `base` to `map` [m].
+    """
+
+    time_s: Float[np.ndarray, " n"]
+    T_map_base: Float[np.ndarray, "n 4 4"]
+
+    def __post_init__(self) -> None:
+        if self.time_s.ndim != 1 or self.T_map_base.shape != (len(self.time_s), 4, 4):
+            raise SemlocError(
+                f"trajectory: got time_s {self.time_s.shape} and T_map_base {self.T_map_base.shape}; expected [n] and "
+                "[n 4 4]; give one pose for each time"
+            )
+        if np.any(np.diff(self.time_s) <= 0.0):
+            row = int(np.argmax(np.diff(self.time_s) <= 0.0)) + 1
+            raise SemlocError(
+                f"trajectory: time {self.time_s[row]:.9f} s of pose {row} is not after {self.time_s[row - 1]:.9f} s; "
+                "expected strictly increasing times; sort the poses and drop duplicates"
+            )
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def interpolate(self, time_s: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 4 4"]:
+        """Poses at `time_s` [s]: linear in position, spherical-linear in attitude.
+
+        Raises:
+            SemlocError: a time lies outside the trajectory.
+        """
+        outside = (time_s < self.time_s[0]) | (time_s > self.time_s[-1])
+        if outside.any():
+            raise SemlocError(
+                f"trajectory: time {time_s[outside][0]:.3f} s lies outside {self.time_s[0]:.3f} .. "
+                f"{self.time_s[-1]:.3f} s; ask for times inside the trajectory"
+            )
+        if len(self) == 1:
+            return np.repeat(self.T_map_base, len(time_s), axis=0)
+        T = np.tile(np.eye(4), (len(time_s), 1, 1))
+        T[:, :3, :3] = Slerp(self.time_s, Rotation.from_matrix(self.T_map_base[:, :3, :3]))(time_s).as_matrix()
+        for axis in range(3):
+            T[:, axis, 3] = np.interp(time_s, self.time_s, self.T_map_base[:, axis, 3])
+        return T
+
+
+def associate(
+    time_a_s: Float[np.ndarray, " n"], time_b_s: Float[np.ndarray, " m"], max_difference_s: float = 0.02
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
+    """One-to-one pairs of nearest times, no farther apart than `max_difference_s`, as indices into a and b."""
+    if len(time_a_s) == 0 or len(time_b_s) == 0:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    nearest_b = _nearest(time_a_s, time_b_s)
+    nearest_a = _nearest(time_b_s, time_a_s)
+    index_a = np.arange(len(time_a_s))
+    mutual = nearest_a[nearest_b] == index_a
+    close = np.abs(time_a_s - time_b_s[nearest_b]) <= max_difference_s
+    keep = mutual & close
+    return index_a[keep], nearest_b[keep]
+
+
+def _nearest(query_s: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    right = np.clip(np.searchsorted(times_s, query_s), 1, max(len(times_s) - 1, 1))
+    right = np.minimum(right, len(times_s) - 1)
+    left = np.maximum(right - 1, 0)
+    return np.where(query_s - times_s[left] <= times_s[right] - query_s, left, right)
+
+
+def read_trajectory(path: str | Path) -> Trajectory:
+    """Trajectory of a file, its type guessed from its columns.
+
+    Text with 8 columns is TUM (t x y z qx qy qz qw), with 12 is KITTI (rows of a 3x4 pose; the time is the row number
+    unless `times.txt` lies beside it); npy holds [n 8] TUM rows or [n 4 4] poses (time is the row number).
+
+    Raises:
+        SemlocError: the file is missing, is not numeric or has another number of columns.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise SemlocError(f"trajectory {path}: no such file; expected a TUM, KITTI or npy file")
+    if path.suffix == ".npy":
+        rows = np.load(path).astype(np.float64)
+        if rows.ndim == 3 and rows.shape[1:] == (4, 4):
+            return Trajectory(np.arange(len(rows), dtype=np.float64), rows)
+    else:
+        rows = _read_rows(path)
+    if rows.ndim == 2 and rows.shape[1] == 8:
+        return _from_tum_rows(rows, path)
+    if rows.ndim == 2 and rows.shape[1] == 12:
+        return _from_kitti_rows(rows, path)
+    raise SemlocError(
+        f"trajectory {path}: got an array {rows.shape}; expected 8 columns (TUM), 12 columns (KITTI) or [n 4 4] (npy)"
+    )
+
+
+def write_tum(trajectory: Trajectory, path: str | Path) -> None:
+    """Write `t x y z qx qy qz qw` rows with 9 decimals of time and position."""
+    quaternion = Rotation.from_matrix(trajectory.T_map_base[:, :3, :3]).as_quat()
+    rows = np.column_stack([trajectory.time_s, trajectory.T_map_base[:, :3, 3], quaternion])
+    np.savetxt(path, rows, fmt=["%.9f"] * 4 + ["%.12f"] * 4, header="t[s] x y z[m] qx qy qz qw : base in map")
+
+
+def _read_rows(path: Path) -> np.ndarray:
+    lines = [line.split("#", 1)[0].replace(",", " ").split() for line in path.read_text().splitlines()]
+    lines = [line for line in lines if line]
+    if not lines:
+        raise SemlocError(f"trajectory {path}: holds no pose; expected one pose on each line")
+    try:
+        return np.array(lines, dtype=np.float64)
+    except ValueError as error:
+        raise SemlocError(
+            f"trajectory {path}: not a table of numbers ({error}); expected rows of 8 (TUM) or 12 (KITTI) numbers"
+        ) from error
+
+
+def _from_tum_rows(rows: np.ndarray, path: Path) -> Trajectory:
+    norm = np.linalg.norm(rows[:, 4:], axis=1)
+    if np.any(np.abs(norm - 1.0) > 0.01):
+        row = int(np.argmax(np.abs(norm - 1.0)))
+        raise SemlocError(
+            f"trajectory {path}: the quaternion of pose {row} has norm {norm[row]:.3f}; expected 1 in the order "
+            "qx qy qz qw; check the columns"
+        )
+    T = np.tile(np.eye(4), (len(rows), 1, 1))
+    T[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
+    T[:, :3, 3] = rows[:, 1:4]
+    return Trajectory(rows[:, 0].copy(), T)
+
+
+def _from_kitti_rows(rows: np.ndarray, path: Path) -> Trajectory:
+    T = np.tile(np.eye(4), (len(rows), 1, 1))
+    T[:, :3, :] = rows.reshape(-1, 3, 4)
+    times = path.with_name("times.txt")
+    time_s = np.loadtxt(times, ndmin=1) if times.is_file() else np.arange(len(rows), dtype=np.float64)
+    return Trajectory(time_s, T)
