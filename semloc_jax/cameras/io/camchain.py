@@ -1,0 +1,119 @@
+"""Camchain files: the `drive` layout and Kalibr's (room: cameras; host).
+
+In: cam0, cam1 ... with intrinsics, distortion and T_body_cam (drive), T_cam_imu or T_cn_cnm1 (Kalibr). Out: Rig,
+and back.
+"""
+
+import logging
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+import yaml
+from jaxtyping import Float
+
+from semloc_jax.cameras.base import Camera, as_leaf
+from semloc_jax.cameras.bev import BevCamera
+from semloc_jax.cameras.cylinder import CylindricalCamera
+from semloc_jax.cameras.fisheye import KannalaBrandtCamera
+from semloc_jax.cameras.io.fields import numbers, perspective, required, resolution, rigid
+from semloc_jax.cameras.pinhole import BrownConradyCamera
+from semloc_jax.cameras.rig import Rig
+from semloc_jax.errors import SemlocError
+
+_log = logging.getLogger(__name__)
+_KEY = re.compile(r"cam(\d+)")
+_DISTORTION = {
+    BrownConradyCamera: ("radtan", ("k1", "k2", "p1", "p2", "k3")),
+    KannalaBrandtCamera: ("equidistant", ("k1", "k2", "k3", "k4")),
+}
+_MODEL = {CylindricalCamera: "cylindrical", BevCamera: "bev"}
+_LIMITS = ("max_radius", "max_theta_rad", "max_phi_rad", "max_height_m")
+_HEADER = (
+    "# pixel centres at integer coordinates; T_body_cam maps camera (x right, y down, z forward) to body\n"
+    "# (rear axle on the ground, x forward, y left, z up)\n"
+)
+
+
+def is_camchain(content: Mapping[str, Any]) -> bool:
+    """Whether the content has cam0, cam1 ... as its keys."""
+    return any(_KEY.fullmatch(str(key)) for key in content)
+
+
+def rig_from_camchain(content: Mapping[str, Any], path: Path) -> Rig:
+    """The rig of a camchain; extrinsics from T_body_cam, T_cam_imu (IMU as base) or T_cn_cnm1 (chained)."""
+    keys = sorted((key for key in content if _KEY.fullmatch(str(key))), key=lambda key: int(_KEY.fullmatch(key)[1]))
+    cameras, poses, names = [], [], []
+    for key in keys:
+        entry, where = content[key], f"calibration {path}: {key}"
+        if not isinstance(entry, Mapping):
+            raise SemlocError(f"{where}: given {entry!r}; expected a mapping with intrinsics, resolution ...")
+        cameras.append(_camera(entry, where))
+        poses.append(_pose(entry, poses[-1] if poses else None, where))
+        names.append(str(entry.get("name", key)))
+    return Rig(cameras, np.stack(poses), names)
+
+
+def write_calibration(rig: Rig, path: str | Path) -> None:
+    """Writes the rig as a camchain in the `drive` layout; `read_calibration` gives the same rig back."""
+    content = {f"cam{i}": _entry(rig, i) for i in range(len(rig))}
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+    Path(path).write_text(_HEADER + text, encoding="utf-8")
+
+
+def _camera(entry: Mapping[str, Any], where: str) -> Camera:
+    model = str(entry.get("camera_model", "pinhole")).lower()
+    fx, fy, cx, cy = intrinsics = numbers(required(entry, "intrinsics", where), (4,), f"{where} intrinsics")
+    size = resolution(required(entry, "resolution", where), f"{where} resolution")
+    if model == "pinhole":
+        distortion = str(required(entry, "distortion_model", where))
+        camera = perspective(intrinsics, size, distortion, entry.get("distortion_coeffs", []), where)
+    elif model == "cylindrical":
+        camera = CylindricalCamera(fx, cx, cy, *size, fy=fy)
+    elif model == "bev":
+        camera = BevCamera(1 / fx, cx, cy, *size)
+    else:
+        raise SemlocError(f"{where}: camera_model '{model}' is not supported; expected pinhole, cylindrical or bev")
+    for limit in _LIMITS:
+        if limit in entry and hasattr(camera, limit):
+            value = numbers(entry[limit], (1,), f"{where} {limit}")[0]
+            camera = eqx.tree_at(lambda c, limit=limit: getattr(c, limit), camera, as_leaf(value))
+    return camera
+
+
+def _pose(entry: Mapping[str, Any], previous: np.ndarray | None, where: str) -> Float[np.ndarray, "4 4"]:
+    for key in ("T_body_cam", "T_base_cam"):
+        if key in entry:
+            return rigid(entry[key], f"{where} {key}")
+    if "T_cam_imu" in entry:
+        return _inverse(rigid(entry["T_cam_imu"], f"{where} T_cam_imu"))
+    if "T_cn_cnm1" in entry and previous is not None:
+        return previous @ _inverse(rigid(entry["T_cn_cnm1"], f"{where} T_cn_cnm1"))
+    if previous is not None:
+        raise SemlocError(f"{where}: no pose; expected T_body_cam, T_cam_imu or T_cn_cnm1")
+    _log.warning("%s: no pose; this camera stands for the base frame (add T_body_cam)", where)
+    return np.eye(4)
+
+
+def _inverse(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    inverse = np.eye(4)
+    inverse[:3, :3] = T[:3, :3].T
+    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return inverse
+
+
+def _entry(rig: Rig, index: int) -> dict[str, Any]:
+    camera = rig.cameras[index]
+    entry: dict[str, Any] = {"name": rig.names[index], "camera_model": _MODEL.get(type(camera), "pinhole")}
+    if entry["camera_model"] == "pinhole":
+        model, coefficients = _DISTORTION.get(type(camera), ("none", ()))
+        entry["distortion_model"] = model
+        entry["distortion_coeffs"] = [float(getattr(camera, name)) for name in coefficients]
+    entry["intrinsics"] = [float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
+    entry["resolution"] = list(camera.resolution)
+    entry |= {limit: float(getattr(camera, limit)) for limit in _LIMITS if hasattr(camera, limit)}
+    entry["T_body_cam"] = [[float(value) for value in row] for row in rig.T_base_cam[index]]
+    return entry

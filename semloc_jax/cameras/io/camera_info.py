@@ -1,0 +1,72 @@
+"""ROS CameraInfo: the calibration file and the printed message (room: cameras; host).
+
+In: camera_matrix / K, distortion_coefficients / D, distortion_model, image size. Out: Rig of one camera.
+"""
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.cameras.io.fields import numbers, perspective, required, resolution, rigid
+from semloc_jax.cameras.rig import Rig
+from semloc_jax.errors import SemlocError
+
+_log = logging.getLogger(__name__)
+_MATRIX = ("camera_matrix", "K", "k")
+_DISTORTION = ("distortion_coefficients", "D", "d")
+
+
+def is_camera_info(content: Mapping[str, Any]) -> bool:
+    """Whether the content is a ROS camera calibration."""
+    return "distortion_model" in content and any(key in content for key in _MATRIX)
+
+
+def rig_from_camera_info(content: Mapping[str, Any], path: Path) -> Rig:
+    """The camera of a CameraInfo, with T_base_cam from a key of that name, else identity."""
+    where = f"calibration {path}"
+    K = _data(content, _MATRIX, where)
+    intrinsics = intrinsics_of(numbers(K, (9,), f"{where} camera_matrix"), where)
+    width, height = content.get("image_width", content.get("width")), content.get("image_height", content.get("height"))
+    size = resolution([width, height], f"{where} image_width, image_height")
+    distortion = _data(content, _DISTORTION, where)
+    camera = perspective(intrinsics, size, _model(content, distortion, where), distortion, where)
+    return Rig([camera], pose_of(content, where)[None], [str(content.get("camera_name", path.stem))])
+
+
+def intrinsics_of(K: Float[np.ndarray, " 9"], where: str) -> Float[np.ndarray, " 4"]:
+    """fx fy cx cy of a camera matrix."""
+    if np.abs(K[[1, 3, 6, 7]]).max() > 1e-9 or K[8] != 1:
+        raise SemlocError(f"{where}: camera matrix {K.tolist()}; expected fx 0 cx / 0 fy cy / 0 0 1 (no skew)")
+    return K[[0, 4, 2, 5]]
+
+
+def pose_of(content: Mapping[str, Any], where: str) -> Float[np.ndarray, "4 4"]:
+    """T_base_cam of a file that may hold it under that name."""
+    for key in ("T_base_cam", "T_body_cam"):
+        if content.get(key) is not None:
+            return rigid(content[key], f"{where} {key}")
+    _log.warning("%s: no extrinsics; T_base_cam is the identity (add the key T_base_cam, 4x4)", where)
+    return np.eye(4)
+
+
+def _data(content: Mapping[str, Any], keys: tuple[str, ...], where: str) -> Any:
+    for key in keys:
+        if key in content:
+            return (
+                required(content[key], "data", f"{where} {key}") if isinstance(content[key], Mapping) else content[key]
+            )
+    raise SemlocError(f"{where}: key '{keys[0]}' is missing; add it")
+
+
+def _model(content: Mapping[str, Any], distortion: Any, where: str) -> str:
+    model = str(content["distortion_model"]).strip().lower()
+    if model == "rational_polynomial":
+        raise SemlocError(
+            f"{where}: distortion model 'rational_polynomial' (8 coefficients) is not supported; expected plumb_bob or "
+            "equidistant; calibrate with one of these, or undistort the images first"
+        )
+    return model if len(np.ravel(distortion)) else "none"

@@ -1,0 +1,90 @@
+"""OpenCV FileStorage calibrations, yaml or xml (room: cameras; host).
+
+In: camera_matrix, dist_coeffs, image size under the names that OpenCV's samples use. Out: Rig of one camera.
+"""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from semloc_jax.cameras.io.camera_info import intrinsics_of, pose_of
+from semloc_jax.cameras.io.fields import numbers, perspective, resolution
+from semloc_jax.cameras.rig import Rig
+from semloc_jax.errors import SemlocError
+
+_log = logging.getLogger(__name__)
+_MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K")
+_DISTORTION = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "Distortion_Coefficients", "D")
+_SIZE = ("resolution", "image_size", "imageSize")
+_KEYS = (
+    *_MATRIX,
+    *_DISTORTION,
+    *_SIZE,
+    "image_width",
+    "image_height",
+    "fisheye_model",
+    "distortion_model",
+    "T_base_cam",
+)
+
+
+def is_opencv(path: Path) -> bool:
+    """Whether the file starts as an OpenCV FileStorage does."""
+    head = path.read_bytes()[:256].decode("utf-8", errors="replace")
+    return head.startswith("%YAML:") or "<opencv_storage>" in head
+
+
+def rig_from_opencv(path: Path) -> Rig:
+    """The camera of a FileStorage; four coefficients without a named model are taken as a fisheye, as cv2.fisheye has."""
+    where = f"calibration {path}"
+    content = _load(path, where)
+    intrinsics = intrinsics_of(numbers(_first(content, _MATRIX, where), (9,), f"{where} camera matrix"), where)
+    coefficients = numbers(_first(content, _DISTORTION, where), (0, 4, 5, 8, 12, 14), f"{where} distortion")
+    if "image_width" in content and "image_height" in content:
+        size = resolution([content["image_width"], content["image_height"]], f"{where} image size")
+    else:
+        size = resolution(_first(content, _SIZE, where), f"{where} image size")
+    camera = perspective(intrinsics, size, _model(content, coefficients, where), coefficients, where)
+    return Rig([camera], pose_of(content, where)[None], [path.stem])
+
+
+def _load(path: Path, where: str) -> dict[str, Any]:
+    import cv2
+
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    except (cv2.error, SystemError) as error:
+        raise SemlocError(f"{where}: not readable as an OpenCV FileStorage; check the file") from error
+    nodes = {key: storage.getNode(key) for key in _KEYS}
+    return {key: _value(node) for key, node in nodes.items() if not node.empty()}
+
+
+def _value(node: Any) -> Any:
+    if node.isMap():
+        return node.mat()
+    if node.isSeq():
+        return [node.at(i).real() for i in range(node.size())]
+    return node.string() if node.isString() else node.real()
+
+
+def _first(content: dict[str, Any], keys: tuple[str, ...], where: str) -> Any:
+    for key in keys:
+        if content.get(key) is not None:
+            return content[key]
+    raise SemlocError(f"{where}: none of the keys {', '.join(keys)} is there; add one")
+
+
+def _model(content: dict[str, Any], coefficients: np.ndarray, where: str) -> str:
+    if "distortion_model" in content:
+        return str(content["distortion_model"])
+    if "fisheye_model" in content:
+        return "equidistant" if content["fisheye_model"] else "radtan"
+    if coefficients.size > 5:
+        raise SemlocError(
+            f"{where}: {coefficients.size} distortion coefficients (rational model) are not supported; expected 4 or 5"
+        )
+    if coefficients.size == 4:
+        _log.warning("%s: four distortion coefficients are read as a fisheye (add fisheye_model: 0 for radtan)", where)
+    return {0: "none", 4: "equidistant", 5: "radtan"}[coefficients.size]

@@ -1,0 +1,126 @@
+"""Pinhole cameras without and with Brown-Conrady (radtan) distortion (room: cameras; pure JAX).
+
+In: points `p_cam`. Out: model coordinates = tangents of the angles to the optical axis.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+from numpy.typing import ArrayLike
+
+from semloc_jax.cameras.angle import horner, slope, usable_radius
+from semloc_jax.cameras.base import Camera, Scalar, as_leaf
+
+MIN_DEPTH_M = 1e-2
+"""Points nearer to the plane of the lens are not projected; their pixel is that of the plane at this depth."""
+_LARGEST_RADIUS = 10.0  # tan of 84 deg; no radtan lens sees further
+_NEWTON_STEPS = 12
+
+
+class PinholeCamera(Camera):
+    """Ideal pinhole: u = fx x / z + cx."""
+
+    fx: Scalar
+    fy: Scalar
+    cx: Scalar
+    cy: Scalar
+    width: Scalar
+    height: Scalar
+
+    def __init__(
+        self, fx: ArrayLike, fy: ArrayLike, cx: ArrayLike, cy: ArrayLike, width: ArrayLike, height: ArrayLike
+    ) -> None:
+        """Focal lengths and centre [px], image size [px]."""
+        self.fx, self.fy, self.cx, self.cy = as_leaf(fx), as_leaf(fy), as_leaf(cx), as_leaf(cy)
+        self.width, self.height = as_leaf(width), as_leaf(height)
+
+    def _to_model(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+        inverse_depth = 1 / jnp.maximum(z, MIN_DEPTH_M)
+        return x * inverse_depth, y * inverse_depth, z > MIN_DEPTH_M
+
+    def _from_model(self, xm: Array, ym: Array) -> tuple[Array, Array, Array, Array]:
+        return *_unit(xm, ym), jnp.isfinite(xm + ym)
+
+
+class BrownConradyCamera(Camera):
+    """Pinhole with radial (k1, k2, k3) and tangential (p1, p2) distortion, as OpenCV's k1 k2 p1 p2 k3.
+
+    Beyond `max_radius` (where the radial polynomial is about to turn) the distortion continues linearly and `valid`
+    is False.
+    """
+
+    fx: Scalar
+    fy: Scalar
+    cx: Scalar
+    cy: Scalar
+    width: Scalar
+    height: Scalar
+    k1: Scalar
+    k2: Scalar
+    p1: Scalar
+    p2: Scalar
+    k3: Scalar
+    max_radius: Scalar
+
+    def __init__(
+        self,
+        fx: ArrayLike,
+        fy: ArrayLike,
+        cx: ArrayLike,
+        cy: ArrayLike,
+        width: ArrayLike,
+        height: ArrayLike,
+        k1: ArrayLike = 0.0,
+        k2: ArrayLike = 0.0,
+        p1: ArrayLike = 0.0,
+        p2: ArrayLike = 0.0,
+        k3: ArrayLike = 0.0,
+        max_radius: ArrayLike | None = None,
+    ) -> None:
+        """Focal lengths and centre [px], image size [px], distortion; `max_radius` is found from k1 k2 k3 if None."""
+        self.fx, self.fy, self.cx, self.cy = as_leaf(fx), as_leaf(fy), as_leaf(cx), as_leaf(cy)
+        self.width, self.height = as_leaf(width), as_leaf(height)
+        self.k1, self.k2, self.p1, self.p2, self.k3 = (as_leaf(k) for k in (k1, k2, p1, p2, k3))
+        self.max_radius = as_leaf(usable_radius(self._radial(), _LARGEST_RADIUS) if max_radius is None else max_radius)
+
+    def _radial(self) -> tuple:
+        return 1.0, self.k1, self.k2, self.k3
+
+    def _to_model(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+        inverse_depth = 1 / jnp.maximum(z, MIN_DEPTH_M)
+        x, y = x * inverse_depth, y * inverse_depth
+        xm, ym, inside = self._distort(x, y)
+        return xm, ym, inside & (z > MIN_DEPTH_M)
+
+    def _distort(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
+        s = x * x + y * y
+        limit2 = self.max_radius * self.max_radius
+        inner = jnp.minimum(s, limit2)
+        # w = 1 inside and max_radius / r outside continues radial and tangential terms linearly in r, without branches.
+        w = self.max_radius * jax.lax.rsqrt(jnp.maximum(s, limit2))
+        bend = horner(slope(self._radial()), limit2) - horner(self._radial(), limit2)
+        radial = horner(self._radial(), inner) + (1 - w) * bend
+        tangential = w * (2 - w)
+        xm = x * radial + tangential * (2 * self.p1 * x * y + self.p2 * (s + 2 * x * x))
+        ym = y * radial + tangential * (self.p1 * (s + 2 * y * y) + 2 * self.p2 * x * y)
+        return xm, ym, s < limit2
+
+    def _from_model(self, xm: Array, ym: Array) -> tuple[Array, Array, Array, Array]:
+        def step(_: int, xy: tuple[Array, Array]) -> tuple[Array, Array]:
+            x, y = xy
+            one, zero = jnp.ones_like(x), jnp.zeros_like(x)
+            (fx, fy), (a, c) = jax.jvp(lambda *p: self._distort(*p)[:2], (x, y), (one, zero))
+            _, (b, d) = jax.jvp(lambda *p: self._distort(*p)[:2], (x, y), (zero, one))
+            ex, ey = fx - xm, fy - ym
+            determinant = a * d - b * c
+            return x - (d * ex - b * ey) / determinant, y - (a * ey - c * ex) / determinant
+
+        x, y = jax.lax.fori_loop(0, _NEWTON_STEPS, step, (xm, ym))
+        fx, fy, inside = self._distort(x, y)
+        tolerance = 1e2 * jnp.finfo(xm.dtype).eps * (1 + jnp.abs(xm) + jnp.abs(ym))
+        return *_unit(x, y), inside & (jnp.abs(fx - xm) + jnp.abs(fy - ym) < tolerance)
+
+
+def _unit(x: Array, y: Array) -> tuple[Array, Array, Array]:
+    scale = jax.lax.rsqrt(1 + x * x + y * y)
+    return x * scale, y * scale, scale

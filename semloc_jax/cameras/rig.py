@@ -1,0 +1,76 @@
+"""The cameras of one vehicle and where they sit (room: cameras; pure JAX).
+
+In: cameras and extrinsics. Out: Rig, its selections and groups of one camera model.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from semloc_jax.cameras.base import Camera, stack_cameras
+from semloc_jax.errors import SemlocError
+
+
+class CameraGroup(NamedTuple):
+    """Cameras of one model, stacked for `vmap`."""
+
+    index: tuple[int, ...]
+    """Where they stand in the rig."""
+    camera: Camera
+    """One camera with a leading axis on every leaf."""
+    T_base_cam: Float[Array | np.ndarray, "n 4 4"]
+
+
+class Rig(eqx.Module):
+    """Cameras, their poses T_base_cam [n 4 4] in the base frame (rear axle on the ground), and their names."""
+
+    cameras: tuple[Camera, ...]
+    T_base_cam: Float[Array | np.ndarray, "n 4 4"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(
+        self, cameras: Sequence[Camera], T_base_cam: Float[Array | np.ndarray, "n 4 4"], names: Sequence[str]
+    ) -> None:
+        """Cameras, extrinsics and names, in one order."""
+        self.cameras, self.names = tuple(cameras), tuple(names)
+        self.T_base_cam = T_base_cam if isinstance(T_base_cam, jax.Array) else np.asarray(T_base_cam, dtype=np.float64)
+        if not len(self.cameras) == len(self.names) == len(self.T_base_cam):
+            raise SemlocError(
+                f"rig: given {len(self.cameras)} cameras, {len(self.T_base_cam)} poses and {len(self.names)} names; "
+                "expected one pose and one name for each camera"
+            )
+        if len(set(self.names)) != len(self.names):
+            raise SemlocError(f"rig: given names {list(self.names)}; expected different ones; rename the cameras")
+
+    def __len__(self) -> int:
+        """Number of cameras."""
+        return len(self.cameras)
+
+    def index(self, name: str) -> int:
+        """Where a camera stands in the rig.
+
+        Raises:
+            SemlocError: There is no camera of that name.
+        """
+        if name not in self.names:
+            raise SemlocError(f"camera '{name}': not in the calibration; expected one of {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def select(self, names: Sequence[str]) -> "Rig":
+        """The rig with these cameras only, in this order."""
+        index = [self.index(name) for name in names]
+        return Rig([self.cameras[i] for i in index], self.T_base_cam[np.array(index, dtype=int)], names)
+
+    def groups(self) -> tuple[CameraGroup, ...]:
+        """The cameras grouped by model, each group stacked."""
+        models = dict.fromkeys(type(camera) for camera in self.cameras)
+        groups = []
+        for model in models:
+            index = tuple(i for i, camera in enumerate(self.cameras) if type(camera) is model)
+            camera = stack_cameras([self.cameras[i] for i in index])
+            groups.append(CameraGroup(index, camera, self.T_base_cam[np.array(index)]))
+        return tuple(groups)

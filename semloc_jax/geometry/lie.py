@@ -1,0 +1,147 @@
+"""Rigid motions as 4x4 matrices: the one door to jaxlie (room: geometry; pure JAX).
+
+In: T_a_b [4 4] (maps b to a), tangents xi = (v, omega) with the translation first, right perturbation T @ exp(xi).
+Out: the same, in the float type of the input. All functions take leading batch axes and have finite gradients at zero.
+"""
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+_HIGHEST = jax.lax.Precision.HIGHEST
+_TAYLOR_BELOW_RAD2 = 1e-3
+
+
+def exp(xi: Float[ArrayLike, "*b 6"]) -> Float[Array, "*b 4 4"]:
+    """Rigid motion of a tangent (v, omega) [m, rad]."""
+    xi = _floating(xi)
+    return jaxlie.SE3.exp(xi).as_matrix().astype(xi.dtype)
+
+
+def log(T: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 6"]:
+    """Tangent (v, omega) [m, rad] of a rigid motion; the inverse of `exp` for rotations below 180 deg."""
+    T = _floating(T)
+    return jaxlie.SE3.from_matrix(T).log().astype(T.dtype)
+
+
+def so3_exp(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Rotation matrix of a rotation vector [rad]."""
+    omega = _floating(omega)
+    return jaxlie.SO3.exp(omega).as_matrix().astype(omega.dtype)
+
+
+def so3_log(R: Float[ArrayLike, "*b 3 3"]) -> Float[Array, "*b 3"]:
+    """Rotation vector [rad] of a rotation matrix."""
+    R = _floating(R)
+    return jaxlie.SO3.from_matrix(R).log().astype(R.dtype)
+
+
+def compose(T_a_b: Float[ArrayLike, "*b 4 4"], T_b_c: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 4 4"]:
+    """T_a_c = T_a_b @ T_b_c, in full precision also on accelerators that shorten float32 products."""
+    return jnp.matmul(_floating(T_a_b), _floating(T_b_c), precision=_HIGHEST)
+
+
+def inverse(T_a_b: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 4 4"]:
+    """T_b_a."""
+    T_a_b = _floating(T_a_b)
+    R_b_a = jnp.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    return _from_rotation_translation(R_b_a, -_rotate(R_b_a, T_a_b[..., :3, 3]))
+
+
+def transform(T_a_b: Float[ArrayLike, "*b 4 4"], p_b: Float[ArrayLike, "*n 3"]) -> Float[Array, "*n 3"]:
+    """Points of frame b in frame a; batch axes of T and p broadcast."""
+    T_a_b, p_b = _floating(T_a_b), _floating(p_b)
+    return _rotate(T_a_b[..., :3, :3], p_b) + T_a_b[..., :3, 3]
+
+
+def so3_left_jacobian(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """J_l with exp(omega + d) = exp(J_l d) exp(omega) for small d."""
+    omega = _floating(omega)
+    angle2 = jnp.sum(omega * omega, axis=-1)[..., None, None]
+    small = angle2 < _TAYLOR_BELOW_RAD2
+    safe2 = jnp.where(small, 1.0, angle2)
+    angle = jnp.sqrt(safe2)
+    first = jnp.where(small, 0.5 - angle2 / 24 + angle2**2 / 720, (1 - jnp.cos(angle)) / safe2)
+    second = jnp.where(small, 1 / 6 - angle2 / 120 + angle2**2 / 5040, (angle - jnp.sin(angle)) / (safe2 * angle))
+    W = skew(omega)
+    W2 = omega[..., :, None] * omega[..., None, :] - angle2 * jnp.eye(3, dtype=omega.dtype)
+    return jnp.eye(3, dtype=omega.dtype) + first * W + second * W2
+
+
+def so3_right_jacobian(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """J_r with exp(omega + d) = exp(omega) exp(J_r d) for small d."""
+    return jnp.swapaxes(so3_left_jacobian(omega), -1, -2)
+
+
+def so3_right_jacobian_inverse(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Inverse of `so3_right_jacobian`: the derivative of so3_log under a right perturbation."""
+    omega = _floating(omega)
+    return jaxlie.SO3.exp(omega).jlog().astype(omega.dtype)
+
+
+def se3_right_jacobian_inverse(xi: Float[ArrayLike, "*b 6"]) -> Float[Array, "*b 6 6"]:
+    """d log(exp(xi) exp(d)) / dd at d = 0."""
+    xi = _floating(xi)
+    return jaxlie.SE3.exp(xi).jlog().astype(xi.dtype)
+
+
+def adjoint(T_a_b: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 6 6"]:
+    """Ad with T exp(xi) = exp(Ad xi) T."""
+    T_a_b = _floating(T_a_b)
+    return jaxlie.SE3.from_matrix(T_a_b).adjoint().astype(T_a_b.dtype)
+
+
+def skew(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Matrix W with W p = omega x p."""
+    omega = _floating(omega)
+    x, y, z = omega[..., 0], omega[..., 1], omega[..., 2]
+    zero = jnp.zeros_like(x)
+    rows = [jnp.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
+    return jnp.stack(rows, axis=-2)
+
+
+def se2_to_se3(x: ArrayLike, y: ArrayLike, yaw: ArrayLike, z: ArrayLike = 0.0) -> Float[Array, "*b 4 4"]:
+    """Level pose at (x, y, z) [m] with heading `yaw` [rad] counter-clockwise from x."""
+    x, y, yaw, z = jnp.broadcast_arrays(*(_floating(value) for value in (x, y, yaw, z)))
+    c, s, zero, one = jnp.cos(yaw), jnp.sin(yaw), jnp.zeros_like(yaw), jnp.ones_like(yaw)
+    rows = ((c, -s, zero, x), (s, c, zero, y), (zero, zero, one, z), (zero, zero, zero, one))
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def yaw(T: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b"]:
+    """Heading of the x axis [rad] in (-pi, pi]."""
+    T = _floating(T)
+    return jnp.arctan2(T[..., 1, 0], T[..., 0, 0])
+
+
+def from_quaternion_xyzw(t: Float[ArrayLike, "*b 3"], q: Float[ArrayLike, "*b 4"]) -> Float[Array, "*b 4 4"]:
+    """Rigid motion of a translation [m] and a quaternion (x y z w, normalised here)."""
+    t, q = _floating(t), _floating(q)
+    q = q / jnp.linalg.norm(q, axis=-1, keepdims=True)
+    R = jaxlie.SO3.from_quaternion_xyzw(q).as_matrix().astype(q.dtype)
+    return _from_rotation_translation(R, t)
+
+
+def to_quaternion_xyzw(T: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 4"]:
+    """Unit quaternion (x y z w) with w >= 0 of the rotation of T."""
+    T = _floating(T)
+    q = jaxlie.SO3.from_matrix(T[..., :3, :3]).as_quaternion_xyzw().astype(T.dtype)
+    return jnp.where(q[..., 3:] < 0, -q, q)
+
+
+def _floating(value: ArrayLike) -> Float[Array, "..."]:
+    value = jnp.asarray(value)
+    return value if jnp.issubdtype(value.dtype, jnp.floating) else value.astype(float)
+
+
+def _rotate(R: Array, p: Array) -> Array:
+    # Sums of products instead of a matrix product: it fuses, broadcasts and is exact float32 on every device.
+    return R[..., :, 0] * p[..., 0:1] + R[..., :, 1] * p[..., 1:2] + R[..., :, 2] * p[..., 2:3]
+
+
+def _from_rotation_translation(R: Array, t: Array) -> Array:
+    top = jnp.concatenate([R, t[..., None]], axis=-1)
+    bottom = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 0.0, 1.0], dtype=R.dtype), (*top.shape[:-2], 1, 4))
+    return jnp.concatenate([top, bottom], axis=-2)
