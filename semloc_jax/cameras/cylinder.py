@@ -40,7 +40,7 @@ class CylindricalCamera(Camera):
         fy: ArrayLike | None = None,
         max_phi_rad: ArrayLike = 3.1,
     ) -> None:
-        """Pixels per radian, centre [px], size [px], pixels per unit of elevation tangent (None: f), half view [rad]."""
+        """Pixels per radian, centre [px], size [px], pixels per unit of tangent (None: f), half view [rad]."""
         self.fx, self.fy, self.cx, self.cy = as_leaf(f), as_leaf(f if fy is None else fy), as_leaf(cx), as_leaf(cy)
         self.width, self.height = as_leaf(width), as_leaf(height)
         self.max_phi_rad = as_leaf(max_phi_rad)

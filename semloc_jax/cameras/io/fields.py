@@ -17,6 +17,7 @@ from semloc_jax.cameras.pinhole import BrownConradyCamera, PinholeCamera
 from semloc_jax.errors import SemlocError
 
 _MAX_ROTATION_ERROR = 1e-3
+_ROUNDING = 1e-14
 _MAX_TRANSLATION_M = 50.0
 
 RADTAN = ("radtan", "plumb_bob")
@@ -74,8 +75,9 @@ def rigid(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
         raise SemlocError(f"{where}: determinant -1, an axis is mirrored; expected a right-handed frame: flip one axis")
     if np.abs(T[:3, 3]).max() > _MAX_TRANSLATION_M:
         raise SemlocError(f"{where}: translation {T[:3, 3].tolist()}; expected metres; is it in millimetres?")
-    U, _, Vt = np.linalg.svd(R)
-    T[:3, :3] = U @ Vt
+    if np.abs(R @ R.T - np.eye(3)).max() > _ROUNDING:
+        U, _, Vt = np.linalg.svd(R)
+        T[:3, :3] = U @ Vt
     return T
 
 

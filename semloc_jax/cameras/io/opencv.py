@@ -27,6 +27,7 @@ _KEYS = (
     "fisheye_model",
     "distortion_model",
     "T_base_cam",
+    "T_body_cam",
 )
 
 
@@ -37,7 +38,7 @@ def is_opencv(path: Path) -> bool:
 
 
 def rig_from_opencv(path: Path) -> Rig:
-    """The camera of a FileStorage; four coefficients without a named model are taken as a fisheye, as cv2.fisheye has."""
+    """The camera of a FileStorage; four coefficients without a named model are a fisheye, as cv2.fisheye writes."""
     where = f"calibration {path}"
     content = _load(path, where)
     intrinsics = intrinsics_of(numbers(_first(content, _MATRIX, where), (9,), f"{where} camera matrix"), where)
