@@ -1,0 +1,150 @@
+"""Cost maps: smooth ramps around the boundaries of a semantic mask, coarse to fine (room: perception; host).
+
+In: masks of class ids, one for each camera, and their class table. Out: structs.CostMaps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.perception.class_table import ClassTable
+from semloc_jax.perception.distance import BLOCK_PX, content_boxes, signed_distance
+from semloc_jax.structs import CostMaps
+
+KINDS = ("ramp",)
+
+
+@dataclass(frozen=True)
+class CostMapConfig:
+    """How masks become cost maps; one entry of `ramp_px` and `stride` for each level, coarsest first."""
+
+    ramp_px: tuple[float, ...] = (40.0, 14.0, 8.0, 3.0)
+    """Distance [px of the full mask] at which the ramp of a level saturates."""
+    stride: tuple[int, ...] = (4, 2, 1, 1)
+    """Pixels of the full mask in one pixel of the level: 1, 2, 4, 8 or 16."""
+    blur_px: float = 1.0
+    """Smoothing along the boundary that makes it sub-pixel [px]."""
+    kind: str = "ramp"
+    grow_unusable_px: int = 2
+    """Margin around ego body, dynamic objects and ignored pixels [px]: the outlines they cut are not real."""
+    usable_stride: int = 2
+
+    def __post_init__(self) -> None:
+        if len(self.ramp_px) != len(self.stride) or not self.ramp_px:
+            raise SemlocError(
+                f"cost maps: ramp_px {self.ramp_px} and stride {self.stride} need one entry for each level"
+            )
+        if min(self.ramp_px) <= 0 or self.blur_px < 0 or self.grow_unusable_px < 0:
+            raise SemlocError(
+                f"cost maps: ramp_px must be positive, blur_px and grow_unusable_px not negative; got {self}"
+            )
+        if any(stride not in (1, 2, 4, 8, 16) for stride in (*self.stride, self.usable_stride)):
+            raise SemlocError(f"cost maps: strides must be 1, 2, 4, 8 or 16, got {self.stride}, {self.usable_stride}")
+        if self.kind not in KINDS:
+            raise SemlocError(f"cost maps: unknown kind '{self.kind}'; expected one of {', '.join(KINDS)}")
+
+
+def cost_maps(
+    masks: Sequence[np.ndarray],
+    table: ClassTable,
+    config: CostMapConfig | None = None,
+    channels: Sequence[int] | None = None,
+) -> CostMaps:
+    """Cost maps of one frame: for every camera, channel and level the clipped signed distance to the mask boundary.
+
+    Args:
+        masks: class ids, uint8[h w], one for each camera; smaller masks are padded with unusable pixels.
+        table: the class table of the masks.
+        config: None for the defaults.
+        channels: the channels to fill (those of the local map), None for all; the others stay at +1.
+
+    Returns:
+        CostMaps whose channel axis is that of `table.channels`.
+    """
+    config = config or CostMapConfig()
+    _check_masks(masks)
+    wanted = range(len(table.channels)) if channels is None else sorted(set(channels))
+    height, width = (max(mask.shape[axis] for mask in masks) for axis in (0, 1))
+    shape = (len(masks), len(table.channels))
+    ramps = [_ones((*shape, -(-height // s), -(-width // s))) for s in config.stride]
+    u = config.usable_stride
+    usable = np.zeros((len(masks), -(-height // u), -(-width // u)), bool)
+    for camera, mask in enumerate(masks):
+        padded = _pad_to_blocks(mask)
+        _fill_usable(usable[camera], padded, mask.shape, table, config)
+        present = np.bincount(mask.ravel(), minlength=256) > 0
+        for channel in wanted:
+            ids = [i for i in table.channels[channel].mask_ids if present[i]]
+            if ids:
+                _fill_channel([ramp[camera, channel] for ramp in ramps], _layer(padded, ids), mask.shape, config)
+    return CostMaps(
+        ramps=tuple(jnp.asarray(ramp) for ramp in ramps),
+        ramp_px=tuple(float(ramp) for ramp in config.ramp_px),
+        stride=tuple(config.stride),
+        usable=jnp.asarray(usable),
+        usable_stride=u,
+    )
+
+
+def _fill_channel(out: list[np.ndarray], binary: np.ndarray, shape: tuple[int, int], config: CostMapConfig) -> None:
+    """Write the ramps of one channel of one camera into its levels `out`."""
+    reach = max(config.ramp_px) + 2.0 * config.blur_px + 1.0
+    for rows, columns in content_boxes(binary, reach):
+        distance = signed_distance(binary[rows, columns], config.blur_px)
+        for level, ramp_px, stride in zip(out, config.ramp_px, config.stride, strict=True):
+            size = (distance.shape[1] // stride, distance.shape[0] // stride)
+            coarse = distance if stride == 1 else cv2.resize(distance, size, interpolation=cv2.INTER_AREA)
+            y, x = rows.start // stride, columns.start // stride
+            target = level[y : min(y + size[1], -(-shape[0] // stride)), x : min(x + size[0], -(-shape[1] // stride))]
+            np.multiply(coarse[: target.shape[0], : target.shape[1]], np.float32(1.0 / ramp_px), out=target)
+            np.clip(target, -1.0, 1.0, out=target)
+
+
+def _fill_usable(
+    out: np.ndarray, padded: np.ndarray, shape: tuple[int, int], table: ClassTable, config: CostMapConfig
+) -> None:
+    bad = _layer(padded, table.unusable_ids)
+    if config.grow_unusable_px:
+        size = 2 * config.grow_unusable_px + 1
+        bad = cv2.dilate(bad, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    u = config.usable_stride
+    # A coarse pixel is usable only if all of its pixels are.
+    bad = bad.reshape(bad.shape[0] // u, u, bad.shape[1] // u, u).max(axis=(1, 3))
+    h, w = -(-shape[0] // u), -(-shape[1] // u)
+    out[:h, :w] = bad[:h, :w] == 0
+
+
+def _layer(mask: np.ndarray, ids: Sequence[int]) -> np.ndarray:
+    """255 where the mask holds one of the ids, else 0; uint8[h w]."""
+    lookup = np.zeros(256, np.uint8)
+    lookup[list(ids)] = 255
+    return cv2.LUT(mask, lookup)
+
+
+def _pad_to_blocks(mask: np.ndarray) -> np.ndarray:
+    bottom, right = -mask.shape[0] % BLOCK_PX, -mask.shape[1] % BLOCK_PX
+    return cv2.copyMakeBorder(mask, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
+
+
+def _ones(shape: tuple[int, ...]) -> np.ndarray:
+    """Ones, float32, aligned so that JAX on the CPU takes the memory over without a copy."""
+    size = int(np.prod(shape))
+    raw = np.empty(size * 4 + 64, np.uint8)
+    start = -raw.ctypes.data % 64
+    ones = raw[start : start + size * 4].view(np.float32).reshape(shape)
+    ones.fill(1.0)
+    return ones
+
+
+def _check_masks(masks: Sequence[np.ndarray]) -> None:
+    if isinstance(masks, np.ndarray) or len(masks) == 0:
+        raise SemlocError("cost maps: expected a list with one mask for each camera")
+    for index, mask in enumerate(masks):
+        if mask.dtype != np.uint8 or mask.ndim != 2 or mask.size == 0:
+            raise SemlocError(
+                f"cost maps: mask {index} is {mask.dtype}{list(mask.shape)}, expected class ids uint8[h w]; see read_mask"
+            )
