@@ -7,16 +7,18 @@ pixels (scale, crop, offset, border) lives here once. Every field is an array le
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Self
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
-from numpy.typing import ArrayLike
+from numpy.typing import DTypeLike
 
 Scalar = Float[Array | np.ndarray, "*stack"]
+AnyCamera = TypeVar("AnyCamera", bound="Camera")
 
 
 def as_leaf(value: ArrayLike) -> Scalar:
@@ -79,17 +81,19 @@ class Camera(eqx.Module):
         low = margin_px - 0.5
         return (u >= low) & (v >= low) & (u <= self.width - 1 - low) & (v <= self.height - 1 - low)
 
-    def resized(self, width_px: ArrayLike, height_px: ArrayLike) -> Self:
+    def resized(self: AnyCamera, width_px: ArrayLike, height_px: ArrayLike) -> AnyCamera:
         """The camera of the same view resampled to another size: u -> (u + 0.5) s - 0.5, as cv2.resize does."""
         su, sv = width_px / self.width, height_px / self.height
         cx, cy = (self.cx + 0.5) * su - 0.5, (self.cy + 0.5) * sv - 0.5
         return self._with_pixels(self.fx * su, self.fy * sv, cx, cy, width_px, height_px)
 
-    def cropped(self, left_px: ArrayLike, top_px: ArrayLike, width_px: ArrayLike, height_px: ArrayLike) -> Self:
+    def cropped(
+        self: AnyCamera, left_px: ArrayLike, top_px: ArrayLike, width_px: ArrayLike, height_px: ArrayLike
+    ) -> AnyCamera:
         """The camera of the window [left, left + width) x [top, top + height) of the image."""
         return self._with_pixels(self.fx, self.fy, self.cx - left_px, self.cy - top_px, width_px, height_px)
 
-    def shifted(self, du_px: ArrayLike, dv_px: ArrayLike) -> Self:
+    def shifted(self: AnyCamera, du_px: ArrayLike, dv_px: ArrayLike) -> AnyCamera:
         """The camera whose pixels all move by (du, dv): the offset that a mask made at another size carries."""
         return self._with_pixels(self.fx, self.fy, self.cx + du_px, self.cy + dv_px, self.width, self.height)
 
@@ -98,11 +102,11 @@ class Camera(eqx.Module):
         """Width and height in whole pixels (host only)."""
         return round(float(self.width)), round(float(self.height))
 
-    def astype(self, dtype: np.dtype) -> Self:
+    def astype(self: AnyCamera, dtype: DTypeLike) -> AnyCamera:
         """The camera with every number in one float type."""
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=dtype), self)
 
-    def _with_pixels(self, *values: ArrayLike) -> Self:
+    def _with_pixels(self: AnyCamera, *values: ArrayLike) -> AnyCamera:
         def pixel_fields(camera: Camera) -> tuple:
             return camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
 

@@ -5,8 +5,8 @@ In: points `p_bev` (x right, y backward, z down; origin on the road under the ve
 
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from semloc_jax.cameras.base import Camera, Scalar, as_leaf
 

@@ -5,8 +5,8 @@ In: points `p_cam` in a levelled camera frame. Out: model coordinates = (azimuth
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array
-from numpy.typing import ArrayLike
 
 from semloc_jax.cameras.angle import angle_of
 from semloc_jax.cameras.base import Camera, Scalar, as_leaf

@@ -5,8 +5,8 @@ In: points `p_cam`, also beside and behind the lens. Out: model coordinates = di
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array
-from numpy.typing import ArrayLike
 
 from semloc_jax.cameras.angle import angle_of, horner, slope, usable_radius
 from semloc_jax.cameras.base import Camera, Scalar, as_leaf
@@ -81,7 +81,7 @@ class KannalaBrandtCamera(Camera):
         inverse_target = jax.lax.rsqrt(target2)
         target = target2 * inverse_target
 
-        def step(_: int, theta: Array) -> Array:
+        def step(_: ArrayLike, theta: Array) -> Array:
             inner = jnp.minimum(theta, self.max_theta_rad)
             return theta - (self._distorted(theta) - target) / horner(slope(self._radial()), inner * inner)
 

@@ -5,8 +5,8 @@ In: points `p_cam`. Out: model coordinates = tangents of the angles to the optic
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array
-from numpy.typing import ArrayLike
 
 from semloc_jax.cameras.angle import horner, slope, usable_radius
 from semloc_jax.cameras.base import Camera, Scalar, as_leaf
@@ -106,7 +106,7 @@ class BrownConradyCamera(Camera):
         return xm, ym, s < limit2
 
     def _from_model(self, xm: Array, ym: Array) -> tuple[Array, Array, Array, Array]:
-        def step(_: int, xy: tuple[Array, Array]) -> tuple[Array, Array]:
+        def step(_: ArrayLike, xy: tuple[Array, Array]) -> tuple[Array, Array]:
             x, y = xy
             one, zero = jnp.ones_like(x), jnp.zeros_like(x)
             (fx, fy), (a, c) = jax.jvp(lambda *p: self._distort(*p)[:2], (x, y), (one, zero))

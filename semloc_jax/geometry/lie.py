@@ -7,8 +7,8 @@ Out: the same, in the float type of the input. All functions take leading batch 
 import jax
 import jax.numpy as jnp
 import jaxlie
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 _HIGHEST = jax.lax.Precision.HIGHEST
 _TAYLOR_BELOW_RAD2 = 1e-3

@@ -6,6 +6,8 @@ CameraInfo, OpenCV FileStorage; a folder is read as one file for each camera.
 
 from pathlib import Path
 
+import numpy as np
+
 from semloc_jax.cameras.io.camchain import is_camchain, rig_from_camchain, write_calibration
 from semloc_jax.cameras.io.camera_info import is_camera_info, rig_from_camera_info
 from semloc_jax.cameras.io.fields import load_yaml
@@ -57,4 +59,4 @@ def _read_folder(path: Path) -> Rig:
     rigs = [read_calibration(file) for file in files]
     cameras = [camera for rig in rigs for camera in rig.cameras]
     names = [file.stem if len(rig) == 1 else name for file, rig in zip(files, rigs, strict=True) for name in rig.names]
-    return Rig(cameras, [T for rig in rigs for T in rig.T_base_cam], names)
+    return Rig(cameras, np.concatenate([rig.T_base_cam for rig in rigs]), names)
