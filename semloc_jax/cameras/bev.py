@@ -10,6 +10,8 @@ from jaxtyping import Array, Float
 
 from semloc_jax.cameras.base import Camera, Scalar, as_leaf
 
+Number = float | int
+
 
 class BevCamera(Camera):
     """Top view of the road plane: u = x / metres_per_px + cx, v = y / metres_per_px + cy.
@@ -44,7 +46,7 @@ class BevCamera(Camera):
 
     @classmethod
     def covering(
-        cls, forward_m: float, backward_m: float, left_m: float, right_m: float, metres_per_px: float
+        cls, forward_m: Number, backward_m: Number, left_m: Number, right_m: Number, metres_per_px: Number
     ) -> "BevCamera":
         """The top view that covers the rectangle from `backward_m` behind to `forward_m` ahead of the base frame."""
         width, height = round((left_m + right_m) / metres_per_px), round((forward_m + backward_m) / metres_per_px)
