@@ -174,8 +174,8 @@ def _fit(table: ClassTable, counts: np.ndarray) -> TableReport:
         percent = 100.0 * counts[list(unknown)].sum() / total
         listed = ", ".join(map(str, unknown[:8])) + (", ..." if len(unknown) > 8 else "")
         problems.append(
-            f"the masks hold ids that class table {table.name} does not know: {listed} ({percent:.1f} % of the pixels); "
-            f"choose another table ({', '.join(preset_names())}) or write your own"
+            f"the masks hold ids that class table {table.name} does not know: {listed} "
+            f"({percent:.1f} % of the pixels); choose another table ({', '.join(preset_names())}) or write your own"
         )
     if not any(share.values()):
         listed = ", ".join(map(str, present[:12]))

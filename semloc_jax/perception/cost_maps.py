@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from semloc_jax.errors import SemlocError
@@ -76,16 +76,16 @@ def cost_maps(
     for camera, mask in enumerate(masks):
         padded = _pad_to_blocks(mask)
         _fill_usable(usable[camera], padded, mask.shape, table, config)
-        present = np.bincount(mask.ravel(), minlength=256) > 0
+        layers = cv2.LUT(padded, _layer_numbers(table))
         for channel in wanted:
-            ids = [i for i in table.channels[channel].mask_ids if present[i]]
-            if ids:
-                _fill_channel([ramp[camera, channel] for ramp in ramps], _layer(padded, ids), mask.shape, config)
+            binary = cv2.compare(layers, channel + 1.0, cv2.CMP_EQ)
+            if cv2.countNonZero(binary):
+                _fill_channel([ramp[camera, channel] for ramp in ramps], binary, mask.shape, config)
     return CostMaps(
-        ramps=tuple(jnp.asarray(ramp) for ramp in ramps),
+        ramps=tuple(jax.device_put(ramp) for ramp in ramps),
         ramp_px=tuple(float(ramp) for ramp in config.ramp_px),
         stride=tuple(config.stride),
-        usable=jnp.asarray(usable),
+        usable=jax.device_put(usable),
         usable_stride=u,
     )
 
@@ -107,22 +107,25 @@ def _fill_channel(out: list[np.ndarray], binary: np.ndarray, shape: tuple[int, i
 def _fill_usable(
     out: np.ndarray, padded: np.ndarray, shape: tuple[int, int], table: ClassTable, config: CostMapConfig
 ) -> None:
-    bad = _layer(padded, table.unusable_ids)
+    hidden = np.zeros(256, np.uint8)
+    hidden[list(table.unusable_ids)] = 255
+    bad = cv2.LUT(padded, hidden)
     if config.grow_unusable_px:
         size = 2 * config.grow_unusable_px + 1
         bad = cv2.dilate(bad, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     u = config.usable_stride
-    # A coarse pixel is usable only if all of its pixels are.
-    bad = bad.reshape(bad.shape[0] // u, u, bad.shape[1] // u, u).max(axis=(1, 3))
+    # The mean over the block: a coarse pixel is usable only if all of its pixels are.
+    bad = cv2.resize(bad, (bad.shape[1] // u, bad.shape[0] // u), interpolation=cv2.INTER_AREA)
     h, w = -(-shape[0] // u), -(-shape[1] // u)
     out[:h, :w] = bad[:h, :w] == 0
 
 
-def _layer(mask: np.ndarray, ids: Sequence[int]) -> np.ndarray:
-    """255 where the mask holds one of the ids, else 0; uint8[h w]."""
-    lookup = np.zeros(256, np.uint8)
-    lookup[list(ids)] = 255
-    return cv2.LUT(mask, lookup)
+def _layer_numbers(table: ClassTable) -> np.ndarray:
+    """For each mask id one more than its channel, 0 if it has none; uint8[256]."""
+    numbers = np.zeros(256, np.uint8)
+    for index, channel in enumerate(table.channels):
+        numbers[list(channel.mask_ids)] = index + 1
+    return numbers
 
 
 def _pad_to_blocks(mask: np.ndarray) -> np.ndarray:
@@ -146,5 +149,5 @@ def _check_masks(masks: Sequence[np.ndarray]) -> None:
     for index, mask in enumerate(masks):
         if mask.dtype != np.uint8 or mask.ndim != 2 or mask.size == 0:
             raise SemlocError(
-                f"cost maps: mask {index} is {mask.dtype}{list(mask.shape)}, expected class ids uint8[h w]; see read_mask"
+                f"cost maps: mask {index} is {mask.dtype}{list(mask.shape)}, expected class ids uint8[h w] (read_mask)"
             )
