@@ -1,0 +1,22 @@
+"""The vector map: elements, query by radius, contour sampling, readers (room: maps; host).
+
+In: map files. Out: SemanticMap -> LocalMap -> MapSamples.
+"""
+
+from semloc_jax.maps.elements import GeoOrigin, MapElement
+from semloc_jax.maps.ground import GroundModel, RoadPlane
+from semloc_jax.maps.io import read_map, write_drive_geojson
+from semloc_jax.maps.sampling import sample
+from semloc_jax.maps.semantic_map import LocalMap, SemanticMap
+
+__all__ = [
+    "GeoOrigin",
+    "GroundModel",
+    "LocalMap",
+    "MapElement",
+    "RoadPlane",
+    "SemanticMap",
+    "read_map",
+    "sample",
+    "write_drive_geojson",
+]

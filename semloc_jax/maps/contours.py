@@ -1,0 +1,158 @@
+"""The contours of map elements that a camera can see as the border of a class (room: maps; host).
+
+In: map elements. Out: Contour lines with what their silhouette depends on, and which paint lies over which.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from semloc_jax.maps.curves import as_ring, parallel, without_repeats
+from semloc_jax.maps.elements import PAINT_CLASSES, MapElement
+from semloc_jax.structs import ElementClass, SampleKind
+
+_JOIN_M = 0.05
+"""Ends of two lines of one class and width that are nearer than this belong to one painted line."""
+_JOIN_WIDTH_RATIO = 1.2
+
+
+@dataclass(frozen=True)
+class Contour:
+    """One line on the contour of an element.
+
+    Attributes:
+        line: vertices `[k 3]` in the map frame; what is outside of the element lies to the right of its direction.
+        kind: how the silhouette depends on the place of the camera.
+        offset_m: `offset_m` of the samples at the first and at the last point, linear in between.
+        axis: centre of a box seen from above `[2]`, for CORNER.
+    """
+
+    line: np.ndarray
+    kind: SampleKind = SampleKind.FIXED
+    offset_m: tuple[float, float] = (0.0, 0.0)
+    axis: np.ndarray | None = None
+
+
+def element_contours(element: MapElement, caps: tuple[bool, bool] = (True, True)) -> list[Contour]:
+    """Returns the visible contours of one element, none for logical ones.
+
+    Args:
+        element: any element.
+        caps: whether a painted line is capped at its start and at its end.
+    """
+    if element.is_logical:
+        return []
+    points = without_repeats(element.points, element.closed)
+    label = element.label
+    if label == ElementClass.PILLAR and element.closed:
+        return _box_corners(points, element.height_m)
+    if element.closed:
+        return [Contour(as_ring(_counter_clockwise(points)))] if len(points) >= 3 else []
+    if len(points) < 2:
+        return []
+    if label in (ElementClass.POLE, ElementClass.CONE, ElementClass.PILLAR):
+        return _two_sides(points, element.radius_m, element.radius_top_m)
+    if label == ElementClass.TRAFFIC_LIGHT:
+        return _two_sides(points, 0.5 * element.width_m, 0.5 * element.width_m)
+    if label == ElementClass.GUARDRAIL and element.height_m > 0:
+        return [Contour(points), Contour((points + [0.0, 0.0, element.height_m])[::-1])]
+    if element.width_m > 0 and label != ElementClass.SIGN:
+        return _ribbon(points, element.width_m, caps)
+    return [Contour(points)]
+
+
+def painted_polygon(element: MapElement) -> shapely.Polygon:
+    """Returns the painted surface of an element seen from above; empty if it has none."""
+    points = without_repeats(element.points, element.closed)
+    if element.closed:
+        return shapely.Polygon(points[:, :2]) if len(points) >= 3 else shapely.Polygon()
+    if len(points) < 2 or element.width_m <= 0:
+        return shapely.Polygon()
+    left, right = _sides(points, element.width_m)
+    return shapely.Polygon(np.vstack([right, left[::-1]])[:, :2])
+
+
+def open_ends(elements: Sequence[MapElement]) -> np.ndarray:
+    """Returns for each element whether its painted line ends at its first and at its last point, `bool[n 2]`.
+
+    An end is none if a query cut the line there, or if the line goes on in another element of its class and width.
+    """
+    is_end = np.array([element.true_ends for element in elements], dtype=bool).reshape(-1, 2)
+    rows = [i for i, e in enumerate(elements) if e.is_painted and not e.closed and len(e.points) > 1]
+    if len(rows) < 1:
+        return is_end
+    ends = np.array([point for i in rows for point in (elements[i].points[0], elements[i].points[-1])])
+    places = shapely.points(ends)
+    one, other = shapely.STRtree(places).query(places, predicate="dwithin", distance=_JOIN_M)
+    for a, b in zip(one, other, strict=True):
+        if (
+            a != b
+            and abs(ends[a, 2] - ends[b, 2]) < _JOIN_M
+            and _is_same_paint(elements[rows[a // 2]], elements[rows[b // 2]])
+        ):
+            is_end[rows[a // 2], a % 2] = False
+    return is_end
+
+
+def touching_paint(elements: Sequence[MapElement]) -> list[tuple[int, int, shapely.Polygon]]:
+    """Returns pairs (element, neighbour, polygon of the neighbour) of painted elements of one class that touch or overlap."""
+    rows = [i for i, element in enumerate(elements) if element.is_painted]
+    polygons = np.array([painted_polygon(elements[i]) for i in rows], dtype=object)
+    pairs = []
+    for label in PAINT_CLASSES:
+        chosen = np.array([k for k, i in enumerate(rows) if elements[i].label == label], dtype=np.int64)
+        if len(chosen) < 2:
+            continue
+        shapely.prepare(polygons[chosen])
+        one, other = shapely.STRtree(polygons[chosen]).query(
+            polygons[chosen], predicate="dwithin", distance=0.5 * _JOIN_M
+        )
+        pairs += [
+            (rows[chosen[a]], rows[chosen[b]], polygons[chosen[b]]) for a, b in zip(one, other, strict=True) if a != b
+        ]
+    return pairs
+
+
+def _is_same_paint(one: MapElement, other: MapElement) -> bool:
+    small, large = sorted((one.width_m, other.width_m))
+    return one.label == other.label and large <= _JOIN_WIDTH_RATIO * small
+
+
+def _counter_clockwise(points: np.ndarray) -> np.ndarray:
+    """Returns the outline counter-clockwise seen from above (upright outlines stay as they are)."""
+    x, y = points[:, 0], points[:, 1]
+    return points[::-1] if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) < 0 else points
+
+
+def _sides(points: np.ndarray, width_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the left and the right edge of a line."""
+    is_loop = len(points) > 3 and bool(np.linalg.norm(points[0] - points[-1]) < _JOIN_M)
+    return parallel(points, 0.5 * width_m, is_loop), parallel(points, -0.5 * width_m, is_loop)
+
+
+def _ribbon(points: np.ndarray, width_m: float, caps: tuple[bool, bool]) -> list[Contour]:
+    left, right = _sides(points, width_m)
+    contours = [Contour(right), Contour(left[::-1])]
+    if len(points) > 3 and np.linalg.norm(points[0] - points[-1]) < _JOIN_M:
+        return contours
+    if caps[0]:
+        contours.append(Contour(np.stack([left[0], right[0]])))
+    if caps[1]:
+        contours.append(Contour(np.stack([right[-1], left[-1]])))
+    return contours
+
+
+def _two_sides(points: np.ndarray, radius_m: float, radius_top_m: float) -> list[Contour]:
+    return [Contour(points, SampleKind.ROUND, (sign * radius_m, sign * radius_top_m)) for sign in (1.0, -1.0)]
+
+
+def _box_corners(points: np.ndarray, height_m: float) -> list[Contour]:
+    """Returns the vertical edges of a box whose foot outline is `points` `[k 3]`."""
+    axis = points[:, :2].mean(axis=0)
+    half_diagonal = np.linalg.norm(points[:, :2] - axis, axis=1)
+    return [
+        Contour(np.stack([foot, foot + [0.0, 0.0, height_m]]), SampleKind.CORNER, (half, half), axis)
+        for foot, half in zip(points, half_diagonal, strict=True)
+    ]

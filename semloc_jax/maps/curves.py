@@ -1,0 +1,132 @@
+"""Exact arc-length work on polylines (room: maps; host).
+
+In: `float64[k 3]` vertices. Out: equidistant samples, parallel lines in the road plane, parts inside a circle.
+"""
+
+import numpy as np
+
+_SAME_POINT_M = 1e-6
+_MITRE_LIMIT = 4.0
+"""A corner sharper than about 29 degrees is bevelled, as in most plotters."""
+
+
+def without_repeats(points: np.ndarray, closed: bool = False) -> np.ndarray:
+    """Returns the vertices without consecutive repeats, `[k 3]`; a closed outline loses its repeated last point."""
+    if len(points) < 2:
+        return points
+    keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > _SAME_POINT_M])
+    points = points[keep]
+    if closed and len(points) > 1 and np.linalg.norm(points[0] - points[-1]) <= _SAME_POINT_M:
+        points = points[:-1]
+    return points
+
+
+def as_ring(points: np.ndarray) -> np.ndarray:
+    """Returns the outline with its first point repeated at the end, `[k+1 3]`."""
+    return np.vstack([points, points[:1]])
+
+
+def resample(
+    lines: list[np.ndarray], spacing_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the midpoints of equal pieces of each polyline, as near to `spacing_m` long as divides its length.
+
+    The pieces are measured along the line, so the result does not depend on where the vertices are.
+
+    Args:
+        lines: polylines, each `[k 3]` in any metric frame; those without length give no samples.
+        spacing_m: wished distance between samples.
+
+    Returns:
+        positions `[n 3]`, unit tangents `[n 3]`, the length each sample stands for `[n]`, its line `[n]`, and its place
+        along that line from 0 to 1 `[n]`.
+    """
+    if not lines:
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0)
+    points = np.concatenate(lines)
+    first = np.concatenate([[0], np.cumsum([len(line) for line in lines])])
+    steps = np.diff(points, axis=0)
+    lengths = np.sqrt(np.einsum("ij,ij->i", steps, steps))
+    lengths[first[1:-1] - 1] = 0.0
+    knots = np.concatenate([[0.0], np.cumsum(lengths)])
+    start, total = knots[first[:-1]], knots[first[1:] - 1] - knots[first[:-1]]
+    count = np.where(total > _SAME_POINT_M, np.maximum(np.rint(total / spacing_m), 1.0), 0.0).astype(np.int64)
+    line = np.repeat(np.arange(len(lines)), count)
+    rank = np.arange(len(line)) - np.repeat(np.cumsum(count) - count, count)
+    share = (rank + 0.5) / count[line]
+    at = start[line] + share * total[line]
+    segment = np.clip(np.searchsorted(knots, at, side="right") - 1, first[line], first[line + 1] - 2)
+    inside = (at - knots[segment]) / lengths[segment]
+    tangents = steps[segment] / lengths[segment, None]
+    return points[segment] + inside[:, None] * steps[segment], tangents, total[line] / count[line], line, share
+
+
+def parallel(points: np.ndarray, offset_m: float, is_loop: bool = False) -> np.ndarray:
+    """Returns the line `offset_m` to the left (right where negative) in the road plane, mitred, `[k 3]`.
+
+    Left is z-up cross tangent, so the line keeps the height of its centre line.
+
+    Args:
+        points: vertices, `[k 3]`, k >= 2, without repeats.
+        offset_m: signed distance, positive to the left of the direction of travel.
+        is_loop: the last vertex is the first one; its corner is mitred too.
+    """
+    steps = np.diff(points[:, :2], axis=0)
+    lengths = np.linalg.norm(steps, axis=1, keepdims=True)
+    left = np.stack([-steps[:, 1], steps[:, 0]], axis=1) / np.maximum(lengths, 1e-12)
+    before = np.vstack([left[-1:] if is_loop else left[:1], left])
+    after = np.vstack([left, left[:1] if is_loop else left[-1:]])
+    bisector = before + after
+    size = np.linalg.norm(bisector, axis=1, keepdims=True)
+    bisector = np.where(size > 1e-9, bisector / np.maximum(size, 1e-12), after)
+    stretch = 1.0 / np.maximum(np.sum(bisector * after, axis=1, keepdims=True), 1.0 / _MITRE_LIMIT)
+    shifted = points.copy()
+    shifted[:, :2] += offset_m * stretch * bisector
+    return shifted
+
+
+def clip_to_circle(points: np.ndarray, center: np.ndarray, radius_m: float) -> list[tuple[np.ndarray, bool, bool]]:
+    """Returns the parts of a polyline inside a circle, each with whether it keeps the true start and the true end.
+
+    Args:
+        points: vertices, `[k 3]`.
+        center: circle centre, `[2]`.
+        radius_m: circle radius; height plays no role.
+    """
+    relative = points[:, :2] - center
+    if np.all(np.einsum("ij,ij->i", relative, relative) <= radius_m**2):
+        return [(points, True, True)]
+    parts: list[tuple[np.ndarray, bool, bool]] = []
+    current: list[np.ndarray] = []
+    starts_true = True
+    last = len(points) - 2
+    for index in range(last + 1):
+        span = _inside_span(relative[index], relative[index + 1], radius_m)
+        if span is None:
+            continue
+        enter, leave = span
+        start, step = points[index], points[index + 1] - points[index]
+        if not current:
+            starts_true = index == 0 and enter == 0.0
+            current = [start + enter * step]
+        current.append(start + leave * step)
+        ends_true = index == last and leave == 1.0
+        if leave < 1.0 or index == last:
+            parts.append((np.array(current), starts_true, ends_true))
+            current = []
+    return parts
+
+
+def _inside_span(a: np.ndarray, b: np.ndarray, radius_m: float) -> tuple[float, float] | None:
+    """Returns the share [enter, leave] of the segment a-b `[2]` inside a circle at zero, or None."""
+    step = b - a
+    squared = float(step @ step)
+    if squared == 0.0:
+        return (0.0, 1.0) if float(a @ a) <= radius_m**2 else None
+    middle = -float(a @ step) / squared
+    inside = middle**2 - (float(a @ a) - radius_m**2) / squared
+    if inside <= 0.0:
+        return None
+    half = float(np.sqrt(inside))
+    enter, leave = max(middle - half, 0.0), min(middle + half, 1.0)
+    return (enter, leave) if leave > enter else None

@@ -1,0 +1,102 @@
+"""One element of a semantic vector map and the words for its class and style (room: maps; host).
+
+In: numbers from a reader. Out: MapElement, GeoOrigin; coordinates are in the local `map` frame [m], x east, y north, z up.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.structs import ElementClass
+
+VIRTUAL = "virtual"
+"""Style of a logical line: it guides the road model and is not painted."""
+
+PAINT_CLASSES = frozenset(
+    {
+        ElementClass.LANE_MARKING,
+        ElementClass.STOP_LINE,
+        ElementClass.CROSSWALK,
+        ElementClass.ROAD_MARK,
+        ElementClass.SLOT_LINE,
+    }
+)
+"""Classes that are paint on the road: their points lie on the road surface and their edges are sampled."""
+
+UPRIGHT_CLASSES = frozenset({ElementClass.POLE, ElementClass.TRAFFIC_LIGHT, ElementClass.CONE})
+"""Classes stored as an axis of two points, base first."""
+
+
+@dataclass(frozen=True)
+class GeoOrigin:
+    """Where the local frame of a map sits on the earth: WGS84, ellipsoidal height."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class MapElement:
+    """One thing that can be seen: a line of paint, an area, a pole, a sign, a pillar.
+
+    Attributes:
+        id: name, unique in its map.
+        label: class.
+        points: `float64[k 3]` in the map frame [m]. Painted lines: centre line; areas, signs and pillars: outline without
+            a repeated last point; poles, cones, traffic lights: base and top; curbs and guardrails: foot line.
+        closed: the last point joins the first.
+        width_m: width of a painted line or of a traffic-light box; 0 where unknown or meaningless.
+        radius_m: radius at the base of a pole or cone.
+        radius_top_m: radius at its top.
+        height_m: height of a pillar, guardrail or bump above its points.
+        style: solid, dashed, double ...; `virtual` for logical lines.
+        shape: circle, triangle, rectangle ... of a sign; kind of an arrow.
+        normal: unit `float64[3]` out of the face of a sign, or None.
+        true_ends: whether the first and the last point are real ends (False where a query cut the line).
+        attributes: what else the file said, kept for writing it back.
+    """
+
+    id: str
+    label: ElementClass
+    points: np.ndarray
+    closed: bool = False
+    width_m: float = 0.0
+    radius_m: float = 0.0
+    radius_top_m: float = 0.0
+    height_m: float = 0.0
+    style: str = ""
+    shape: str = ""
+    normal: np.ndarray | None = None
+    true_ends: tuple[bool, bool] = (True, True)
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+            raise SemlocError(f"map element '{self.id}': points of shape {points.shape}; expected [k 3] with k >= 1")
+        points.setflags(write=False)
+        object.__setattr__(self, "points", points)
+
+    @property
+    def is_painted(self) -> bool:
+        """Whether the element is paint on the road that a camera can see."""
+        return self.label in PAINT_CLASSES and self.style != VIRTUAL
+
+    @property
+    def is_logical(self) -> bool:
+        """Whether the element is only an idea (lane boundary, parking slot) without a contour of its own."""
+        return self.style == VIRTUAL or self.label == ElementClass.PARKING_SLOT
+
+    @property
+    def length_m(self) -> float:
+        """Length of the line, or circumference of the outline [m]."""
+        ring = np.vstack([self.points, self.points[:1]]) if self.closed else self.points
+        return float(np.linalg.norm(np.diff(ring, axis=0), axis=1).sum())
+
+    def with_points(self, points: np.ndarray, true_ends: tuple[bool, bool] | None = None) -> "MapElement":
+        """Returns the same element with other `points` `[k 3]`."""
+        return replace(self, points=points, true_ends=self.true_ends if true_ends is None else true_ends)

@@ -1,0 +1,164 @@
+"""GeoJSON features and map elements: the property names both kinds of GeoJSON share (room: maps; host).
+
+In: one parsed feature or one element. Out: the other. Properties: class, width, radius, radius_top, height, style, shape,
+normal (and whatever else stood there, kept as attributes).
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.maps.elements import UPRIGHT_CLASSES, VIRTUAL, MapElement
+from semloc_jax.structs import ElementClass
+
+_LINE, _AREA, _ANY = frozenset({"LineString"}), frozenset({"Polygon"}), frozenset({"LineString", "Polygon"})
+
+FEATURE_CLASSES: dict[str, tuple[ElementClass, str, frozenset[str]]] = {
+    "lane_solid": (ElementClass.LANE_MARKING, "solid", _ANY),
+    "lane_dashed": (ElementClass.LANE_MARKING, "dashed", _ANY),
+    "lane_boundary": (ElementClass.LANE_MARKING, VIRTUAL, _LINE),
+    "stop_line": (ElementClass.STOP_LINE, "", _ANY),
+    "crosswalk": (ElementClass.CROSSWALK, "", _ANY),
+    "arrow": (ElementClass.ROAD_MARK, "", _ANY),
+    "road_mark": (ElementClass.ROAD_MARK, "", _ANY),
+    "slot_line": (ElementClass.SLOT_LINE, "", _ANY),
+    "parking_slot": (ElementClass.PARKING_SLOT, "", _AREA),
+    "speed_bump": (ElementClass.SPEED_BUMP, "", _ANY),
+    "pole": (ElementClass.POLE, "", _LINE),
+    "sign": (ElementClass.SIGN, "", _ANY),
+    "traffic_light": (ElementClass.TRAFFIC_LIGHT, "", _LINE),
+    "pillar": (ElementClass.PILLAR, "", _ANY),
+    "cone": (ElementClass.CONE, "", _LINE),
+    "curb": (ElementClass.CURB, "", _ANY),
+    "guardrail": (ElementClass.GUARDRAIL, "", _LINE),
+}
+"""Class name in the file -> class, default style, geometries allowed."""
+
+_NUMBERS = ("width", "radius", "radius_top", "height")
+ToLocal = Callable[[np.ndarray], np.ndarray]
+
+
+def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal | None = None) -> MapElement | str:
+    """Returns the element of one feature, or the reason why it is skipped (an unknown class).
+
+    Args:
+        feature: parsed GeoJSON feature.
+        index: its place in the file, for messages and missing ids.
+        name: map name for messages.
+        to_local: maps file coordinates `[k 3]` to the map frame; None leaves them.
+
+    Raises:
+        SemlocError: wrong geometry, non-finite coordinates or numbers.
+    """
+    if not isinstance(feature, Mapping) or not isinstance(feature.get("properties"), Mapping):
+        raise SemlocError(f"map {name}: feature {index} has no properties; expected a GeoJSON Feature with a `class`")
+    properties = dict(feature["properties"])
+    where = f"map {name}: feature {feature.get('id', index)}"
+    class_name = str(properties.get("class", "without class"))
+    if class_name not in FEATURE_CLASSES:
+        return class_name
+    label, style, allowed = FEATURE_CLASSES[class_name]
+    points, closed = _coordinates(feature.get("geometry"), allowed, f"{where} ({class_name})")
+    if to_local is not None:
+        points = to_local(points)
+    if label in UPRIGHT_CLASSES and len(points) != 2:
+        raise SemlocError(f"{where} ({class_name}): {len(points)} points; expected two, the base and the top")
+    width, radius, radius_top, height = (_number(properties.get(key), key, where) for key in _NUMBERS)
+    if label == ElementClass.POLE and "radius_top" not in properties:
+        radius_top = radius
+    if label == ElementClass.PILLAR and not closed:
+        radius_top = radius
+    return MapElement(
+        id=str(feature.get("id", f"{class_name}_{index}")),
+        label=label,
+        points=points,
+        closed=closed,
+        width_m=width if not closed else 0.0,
+        radius_m=radius,
+        radius_top_m=radius_top,
+        height_m=height,
+        style=style if style == VIRTUAL else str(properties.get("style", style)),
+        shape=str(properties.get("shape", properties.get("kind", ""))) if label in _SHAPED else "",
+        normal=_normal(properties.get("normal"), where),
+        attributes={**properties, "class": class_name},
+    )
+
+
+def feature_from_element(element: MapElement, to_file: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
+    """Returns the GeoJSON feature of an element; `to_file` maps its points `[k 3]` to file coordinates."""
+    properties = dict(element.attributes)
+    properties["class"] = feature_class(element)
+    values = (element.width_m, element.radius_m, element.radius_top_m, element.height_m)
+    for key, value in zip(_NUMBERS, values, strict=True):
+        if value and key not in properties:
+            properties[key] = value
+    if element.style and element.style != VIRTUAL:
+        properties.setdefault("style", element.style)
+    if element.shape:
+        properties.setdefault("shape", element.shape)
+    if element.normal is not None:
+        properties["normal"] = [float(v) for v in element.normal]
+    coordinates = to_file(element.points).tolist()
+    if element.closed:
+        geometry = {"type": "Polygon", "coordinates": [[*coordinates, coordinates[0]]]}
+    else:
+        geometry = {"type": "LineString", "coordinates": coordinates}
+    return {"type": "Feature", "id": element.id, "properties": properties, "geometry": geometry}
+
+
+def feature_class(element: MapElement) -> str:
+    """Returns the class name of an element in GeoJSON."""
+    known = element.attributes.get("class")
+    if known in FEATURE_CLASSES and FEATURE_CLASSES[known][0] == element.label:
+        return str(known)
+    if element.label == ElementClass.LANE_MARKING:
+        return {VIRTUAL: "lane_boundary", "dashed": "lane_dashed"}.get(element.style, "lane_solid")
+    return element.label.name.lower()
+
+
+_SHAPED = frozenset({ElementClass.SIGN, ElementClass.ROAD_MARK})
+
+
+def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np.ndarray, bool]:
+    """Returns the points `[k 3]` of a geometry (outer ring without its repeated point) and whether it is closed."""
+    kind = geometry.get("type") if isinstance(geometry, Mapping) else None
+    if kind not in allowed:
+        raise SemlocError(f"{where}: geometry {kind}; expected {' or '.join(sorted(allowed))}")
+    closed = kind == "Polygon"
+    try:
+        raw = geometry["coordinates"][0] if closed else geometry["coordinates"]
+        points = np.array([[p[0], p[1], p[2] if len(p) > 2 else 0.0] for p in raw], dtype=np.float64)
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise SemlocError(f"{where}: coordinates cannot be read; expected lists of [x, y, z] numbers") from error
+    if closed and len(points) > 1 and np.array_equal(points[0], points[-1]):
+        points = points[:-1]
+    if len(points) < (3 if closed else 2):
+        raise SemlocError(f"{where}: {len(points)} points; expected at least {3 if closed else 2}")
+    if not np.isfinite(points).all():
+        raise SemlocError(f"{where}: NaN or infinite coordinates; expected finite metres or degrees")
+    return points, closed
+
+
+def _number(value: Any, key: str, where: str) -> float:
+    try:
+        number = float(value) if value is not None else 0.0
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not (np.isfinite(number) and number >= 0.0):
+        raise SemlocError(f"{where}: {key} = {value!r}; expected metres, zero or more")
+    return number
+
+
+def _normal(value: Any, where: str) -> np.ndarray | None:
+    if value is None:
+        return None
+    try:
+        normal = np.array(value, dtype=np.float64)
+        size = float(np.linalg.norm(normal))
+    except (TypeError, ValueError):
+        normal, size = np.zeros(0), 0.0
+    if normal.shape != (3,) or not (np.isfinite(size) and size > 0):
+        raise SemlocError(f"{where}: normal = {value!r}; expected three finite numbers that are not all zero")
+    return normal / size

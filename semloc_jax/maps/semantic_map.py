@@ -1,0 +1,140 @@
+"""The semantic vector map and the part of it around a place (room: maps; host).
+
+In: map elements. Out: SemanticMap, which answers `query` with a LocalMap and knows the road under every place.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import shapely
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.maps.curves import clip_to_circle, without_repeats
+from semloc_jax.maps.elements import UPRIGHT_CLASSES, GeoOrigin, MapElement
+from semloc_jax.maps.ground import GroundModel, RoadPlane
+
+
+@dataclass(frozen=True)
+class LocalMap:
+    """The part of a map within a radius of a place.
+
+    Attributes:
+        elements: elements in the map frame [m]; lines are cut at the radius and say so in `true_ends`.
+        origin_map: `float64[3]` in the map frame: everything that goes to JAX is relative to it.
+        ground: the road surface of the whole map.
+        radius_m: search radius.
+    """
+
+    elements: tuple[MapElement, ...]
+    origin_map: np.ndarray
+    ground: GroundModel
+    radius_m: float = float("inf")
+
+
+@dataclass(frozen=True)
+class SemanticMap:
+    """A vector map in a local metric frame.
+
+    Attributes:
+        elements: every element; ids are unique.
+        origin: WGS84 place of the frame, None where the source did not say.
+        name: where it came from, for messages.
+        skipped: what the reader left out, by reason or class, with counts.
+    """
+
+    elements: tuple[MapElement, ...]
+    origin: GeoOrigin | None = None
+    name: str = "map"
+    skipped: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "elements", tuple(self.elements))
+        for element in self.elements:
+            if not np.isfinite(element.points).all():
+                raise SemlocError(f"map {self.name}: element '{element.id}' has NaN or infinite coordinates; repair it")
+
+    @cached_property
+    def ground(self) -> GroundModel:
+        """The road surface of the map."""
+        return GroundModel.from_elements(self.elements)
+
+    @cached_property
+    def extent(self) -> np.ndarray:
+        """Bounding box in the map frame, `float64[2 3]`: minimum and maximum [m]."""
+        points = np.vstack([element.points for element in self.elements])
+        return np.stack([points.min(axis=0), points.max(axis=0)])
+
+    @cached_property
+    def _tree(self) -> shapely.STRtree:
+        return shapely.STRtree([_plan_geometry(element) for element in self.elements])
+
+    def query(self, center_map: np.ndarray, radius_m: float, heading_rad: float | None = None) -> LocalMap:
+        """Returns the elements that come within `radius_m` of a place, with lines cut at that radius.
+
+        Args:
+            center_map: place in the map frame, `[2]` or `[3]` [m]; without a height the road's is taken.
+            radius_m: search radius in the horizontal plane.
+            heading_rad: where the vehicle looks; if given, elements that lie wholly behind half the radius are left out.
+
+        Raises:
+            SemlocError: the place is not finite, the radius is not positive, or the map is empty.
+        """
+        center = np.asarray(center_map, dtype=np.float64).reshape(-1)
+        if center.size not in (2, 3) or not np.isfinite(center).all() or not radius_m > 0:
+            raise SemlocError(
+                f"map query at {center} within {radius_m} m; expected 2 or 3 finite numbers and radius > 0"
+            )
+        if not self.elements:
+            raise SemlocError(f"map {self.name} has no elements; expected at least one marking, pole or sign")
+        hits = self._tree.query(shapely.Point(center[:2]), predicate="dwithin", distance=radius_m)
+        found: list[MapElement] = []
+        for index in np.sort(hits):
+            found.extend(_clip(self.elements[index], center[:2], radius_m))
+        if heading_rad is not None:
+            found = [element for element in found if _reaches_ahead(element, center[:2], heading_rad, -0.5 * radius_m)]
+        return LocalMap(tuple(found), self._local_origin(center, radius_m), self.ground, radius_m)
+
+    def whole(self) -> LocalMap:
+        """Returns the whole map as a LocalMap with its origin in the middle of the extent."""
+        if not self.elements:
+            raise SemlocError(f"map {self.name} has no elements; expected at least one marking, pole or sign")
+        return LocalMap(self.elements, np.round(self.extent.mean(axis=0)), self.ground)
+
+    def ground_plane(self, center_xy: np.ndarray, radius_m: float = 8.0) -> RoadPlane:
+        """Returns the plane of the road around a place; see `GroundModel.plane`."""
+        return self.ground.plane(center_xy, radius_m)
+
+    def road_pose(self, x: float, y: float, yaw: float) -> np.ndarray:
+        """Returns `T_map_base` `[4 4]` of a vehicle on the road at (x, y) [m] with heading yaw [rad]."""
+        return self.ground.road_pose(x, y, yaw)
+
+    def _local_origin(self, center: np.ndarray, radius_m: float) -> np.ndarray:
+        """Returns whole metres near the centre, `[3]`, so that local coordinates stay exact in decimal files."""
+        if center.size == 3:
+            return np.round(center)
+        near = self.ground.points[np.linalg.norm(self.ground.points[:, :2] - center, axis=1) < radius_m, 2]
+        return np.round(np.append(center, np.median(near) if len(near) else self.extent[:, 2].mean()))
+
+
+def _plan_geometry(element: MapElement) -> shapely.Geometry:
+    """Returns the element seen from above."""
+    xy = element.points[:, :2]
+    if element.closed and len(xy) >= 3:
+        return shapely.Polygon(xy)
+    return shapely.LineString(xy) if len(xy) >= 2 else shapely.Point(xy[0])
+
+
+def _clip(element: MapElement, center: np.ndarray, radius_m: float) -> list[MapElement]:
+    """Returns the parts of a line inside the radius; areas and upright things stay whole."""
+    if element.closed or element.label in UPRIGHT_CLASSES or len(element.points) < 2:
+        return [element]
+    parts = clip_to_circle(without_repeats(element.points), center, radius_m)
+    start, end = element.true_ends
+    return [element.with_points(points, (start and first, end and last)) for points, first, last in parts]
+
+
+def _reaches_ahead(element: MapElement, center: np.ndarray, heading_rad: float, limit_m: float) -> bool:
+    direction = np.array([np.cos(heading_rad), np.sin(heading_rad)])
+    return bool(np.max((element.points[:, :2] - center) @ direction) >= limit_m)
