@@ -1,0 +1,131 @@
+"""Map samples as one place sees them: contours of round things, visibility, uniform density in the image (room:
+residuals; pure JAX).
+
+In: MapSamples, an approximate pose, the rig. Out: ViewSamples, one bucket of fixed capacity for each camera.
+What is decided here depends so weakly on the pose that it is kept while the pose is searched within metres.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from semloc_jax.cameras import Camera, Rig
+from semloc_jax.geometry import lie
+from semloc_jax.structs import MapSamples, SampleKind, ViewSamples
+
+_UP = (0.0, 0.0, 1.0)
+_OUTERMOST = 0.7  # cos 45 deg: of the four corners of a box, two always look further to the side than this
+
+
+class ViewConfig(eqx.Module):
+    """How map samples are chosen for a view. All values are ours; the paper gives none."""
+
+    capacity: int = eqx.field(static=True, default=1024)
+    """Samples kept for each camera."""
+    margin_share: float = eqx.field(static=True, default=0.0)
+    """Share of the image width by which a sample may lie outside the image and still be kept (for wide searches)."""
+    max_range_m: float = eqx.field(static=True, default=60.0)
+    """Samples farther from the camera are left out: they are too small for the mask and hidden too often."""
+    max_ground_range_m: float = eqx.field(static=True, default=60.0)
+    """The same for everything that lies on the ground (seen at a grazing angle)."""
+    min_spacing_px: float = eqx.field(static=True, default=1.5)
+    """Closest spacing of samples along a contour in the image [px]."""
+    metric_exponent: float = eqx.field(static=True, default=0.5)
+    """Weight of a sample is (length in px)^(1-a) (length in m x px_per_m)^a: 0 weighs the image, 1 the world evenly."""
+
+
+GROUND_CLASSES = (0, 1, 2, 3, 4, 5, 6)  # ElementClass values of what is painted on the ground
+PX_PER_M = 20.0
+"""Pixels for each metre of contour in the evenly weighted world: a contour about 40 m away in a usual camera."""
+
+
+def contour_points(
+    samples: MapSamples, center_map: Float[Array, "3"]
+) -> tuple[Float[Array, "n 3"], Bool[Array, " n"]]:
+    """Where the contour of each sample lies when seen from `center_map`, and whether it is a contour from there.
+
+    ROUND: the axis point moved by the radius to the side of the line of sight. CORNER: kept if it is outermost.
+    """
+    sight = samples.center_map - center_map
+    side = jnp.cross(samples.tangent_map, sight)
+    side = side / jnp.maximum(jnp.linalg.norm(side, axis=-1, keepdims=True), 1e-6)
+    is_round = samples.kind == SampleKind.ROUND
+    p_map = samples.p_map + jnp.where(is_round, samples.offset_m, 0.0)[:, None] * side
+    across = jnp.cross(jnp.asarray(_UP, sight.dtype), sight)
+    across = across / jnp.maximum(jnp.linalg.norm(across, axis=-1, keepdims=True), 1e-6)
+    reach = jnp.abs(jnp.sum((samples.p_map - samples.center_map) * across, axis=-1))
+    is_contour = (samples.kind != SampleKind.CORNER) | (reach >= _OUTERMOST * samples.offset_m)
+    return p_map, is_contour
+
+
+def view(
+    samples: MapSamples,
+    T_map_base: Float[Array, "4 4"],
+    rig: Rig,
+    channel_of_label: Int[Array, " label"],
+    config: ViewConfig,
+) -> ViewSamples:
+    """The samples that the rig sees from about `T_map_base`, thinned to uniform density along contours in the image.
+
+    Args:
+        samples: Samples in the map frame relative to the local origin [m].
+        T_map_base: Approximate vehicle pose in that frame.
+        rig: Cameras.
+        channel_of_label: Cost-map channel of each ElementClass; -1 where no mask shows the class.
+        config: Ranges, density, capacity.
+    """
+    buckets = [
+        _camera_view(samples, T_map_base @ jnp.asarray(T_base_cam, T_map_base.dtype), camera, channel_of_label, config)
+        for camera, T_base_cam in zip(rig.cameras, rig.T_base_cam, strict=True)
+    ]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *buckets)
+
+
+def _camera_view(
+    samples: MapSamples, T_map_cam: Array, camera: Camera, channel_of_label: Array, config: ViewConfig
+) -> ViewSamples:
+    p_map, is_contour = contour_points(samples, T_map_cam[:3, 3])
+    length_px, p_cam, in_view = _length_in_image(p_map, samples, T_map_cam, camera, config)
+    channel = jnp.asarray(channel_of_label)[samples.label]
+    on_ground = jnp.isin(samples.label, jnp.asarray(GROUND_CLASSES))
+    reach_m = jnp.where(on_ground, config.max_ground_range_m, config.max_range_m)
+    near = jnp.sum(p_cam * p_cam, axis=-1) < reach_m**2
+    keep = samples.valid & is_contour & in_view & near & (channel >= 0)
+
+    length_px = jnp.where(keep, jnp.minimum(length_px, 50.0), 0.0)
+    chosen, spacing_px = _thin(length_px, keep, config)
+    index = jnp.nonzero(chosen, size=config.capacity, fill_value=0)[0]
+    filled = jnp.arange(config.capacity) < jnp.sum(chosen)
+    shown_px = jnp.maximum(length_px, spacing_px)[index]
+    shown_m = samples.length_m[index] * shown_px / jnp.maximum(length_px[index], 1e-3)
+    weight = shown_px ** (1 - config.metric_exponent) * (shown_m * PX_PER_M) ** config.metric_exponent
+    return ViewSamples(
+        p_map=p_map[index].T,
+        tangent_map=samples.tangent_map[index].T,
+        channel=jnp.where(filled, channel[index], 0),
+        weight=jnp.where(filled, weight, 0.0).astype(p_map.dtype),
+        element=jnp.where(filled, samples.element[index], -1),
+    )
+
+
+def _length_in_image(
+    p_map: Array, samples: MapSamples, T_map_cam: Array, camera: Camera, config: ViewConfig
+) -> tuple[Array, Array, Array]:
+    """Length in the image [px] that each sample stands for, the point in the camera, and whether it is in view."""
+    T_cam_map = lie.inverse(T_map_cam)
+    p_cam = lie.transform(T_cam_map, p_map)
+    direction = lie.transform(T_cam_map.at[:3, 3].set(0.0), samples.tangent_map)
+    (u, v, valid), (du, dv, _) = jax.jvp(camera.project_xyz, tuple(p_cam.T), tuple(direction.T))
+    margin_px = -config.margin_share * jnp.asarray(camera.width, p_map.dtype)
+    return jnp.hypot(du, dv) * samples.length_m, p_cam, valid & camera.in_image(u, v, margin_px)
+
+
+def _thin(length_px: Array, keep: Array, config: ViewConfig) -> tuple[Array, Array]:
+    """Every sample at which the running length in the image passes a multiple of the spacing that fits the capacity."""
+    total_px = jnp.sum(length_px)
+    spacing_px = jnp.maximum(total_px / (0.9 * config.capacity), config.min_spacing_px)
+    # A sample longer than the spacing counts once: the spacing is what is left for the others.
+    running = jnp.cumsum(jnp.minimum(length_px, spacing_px)) / spacing_px
+    before = jnp.concatenate([jnp.zeros(1, running.dtype), running[:-1]])
+    return keep & (jnp.floor(running) > jnp.floor(before)), spacing_px
