@@ -5,7 +5,8 @@ In: MapSamples, an approximate pose, the rig. Out: ViewSamples, one bucket of fi
 What is decided here depends so weakly on the pose that it is kept while the pose is searched within metres.
 """
 
-import equinox as eqx
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -18,20 +19,21 @@ _UP = (0.0, 0.0, 1.0)
 _OUTERMOST = 0.7  # cos 45 deg: of the four corners of a box, two always look further to the side than this
 
 
-class ViewConfig(eqx.Module):
+@dataclass(frozen=True)
+class ViewConfig:
     """How map samples are chosen for a view. All values are ours; the paper gives none."""
 
-    capacity: int = eqx.field(static=True, default=1024)
+    capacity: int = 1024
     """Samples kept for each camera."""
-    margin_share: float = eqx.field(static=True, default=0.0)
+    margin_share: float = 0.0
     """Share of the image width by which a sample may lie outside the image and still be kept (for wide searches)."""
-    max_range_m: float = eqx.field(static=True, default=60.0)
+    max_range_m: float = 60.0
     """Samples farther from the camera are left out: they are too small for the mask and hidden too often."""
-    max_ground_range_m: float = eqx.field(static=True, default=60.0)
+    max_ground_range_m: float = 60.0
     """The same for everything that lies on the ground (seen at a grazing angle)."""
-    min_spacing_px: float = eqx.field(static=True, default=1.5)
+    min_spacing_px: float = 1.5
     """Closest spacing of samples along a contour in the image [px]."""
-    metric_exponent: float = eqx.field(static=True, default=0.5)
+    metric_exponent: float = 0.5
     """Weight of a sample is (length in px)^(1-a) (length in m x px_per_m)^a: 0 weighs the image, 1 the world evenly."""
 
 

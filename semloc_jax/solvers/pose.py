@@ -4,6 +4,8 @@ In: start pose, Evidence, Prior. Out: PoseEstimate with covariance, cost, covera
 Weights and visibility are frozen at the start of every level: a mask that changes under the solver moves the optimum.
 """
 
+from dataclasses import dataclass
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -38,25 +40,26 @@ class Prior(eqx.Module):
     """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) in the vehicle frame; 0 locks a direction."""
 
 
-class AlignConfig(eqx.Module):
+@dataclass(frozen=True)
+class AlignConfig:
     """How one pose is refined. All values are ours."""
 
-    levels: tuple[int, ...] = eqx.field(static=True, default=(0, 1, 2, 3))
+    levels: tuple[int, ...] = (0, 1, 2, 3)
     """Levels of the cost maps that are visited, in this order."""
-    max_steps: int = eqx.field(static=True, default=8)
+    max_steps: int = 8
     """Most evaluations on each level."""
-    tolerance: float = eqx.field(static=True, default=2e-3)
+    tolerance: float = 2e-3
     """A level ends when a step is below this share of the prior's sigma in every direction."""
-    kernel: str = eqx.field(static=True, default="tukey")
-    noise_px: float = eqx.field(static=True, default=1.0)
+    kernel: str = "tukey"
+    noise_px: float = 1.0
     """Standard deviation of a mask boundary [px]."""
-    noise_share: float = eqx.field(static=True, default=0.15)
+    noise_share: float = 0.15
     """On a coarse level the boundary noise counts as at least this share of the ramp: it is only a way to the next."""
-    correlation_px: float = eqx.field(static=True, default=20.0)
+    correlation_px: float = 20.0
     """Length of contour [px] over which the errors of a mask boundary are the same: one independent observation."""
-    border_px: float = eqx.field(static=True, default=2.0)
+    border_px: float = 2.0
     """Samples nearer to the border of the image are not used."""
-    min_visible_px: float = eqx.field(static=True, default=100.0)
+    min_visible_px: float = 100.0
     """Less contour than this on usable pixels is no evidence."""
 
 
