@@ -1,0 +1,135 @@
+"""Sensor logs of a drive: satellite fixes, wheel odometry, inertial data (room: datasets; host).
+
+In: csv files of the drive layout. Out: GnssTrack, WheelOdometry, Imu.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.datasets.tables import read_columns
+from semloc_jax.errors import SemlocError
+
+
+@dataclass(frozen=True)
+class GnssTrack:
+    """Satellite fixes in the map frame.
+
+    Args:
+        time_s: times of the fixes [s]; drop-outs are simply absent.
+        p_enu: positions of the base origin, east north up of the map frame [m].
+        sigma_m: standard deviations the receiver states for east, north, up [m].
+    """
+
+    time_s: Float[np.ndarray, " n"]
+    p_enu: Float[np.ndarray, "n 3"]
+    sigma_m: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
+class WheelOdometry:
+    """Speed and yaw rate of the rear axle.
+
+    Args:
+        time_s: increasing sample times [s].
+        speed_mps: signed speed along base x [m/s].
+        yaw_rate_radps: yaw rate about base z [rad/s].
+    """
+
+    time_s: Float[np.ndarray, " n"]
+    speed_mps: Float[np.ndarray, " n"]
+    yaw_rate_radps: Float[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        if len(self.time_s) < 2 or np.any(np.diff(self.time_s) <= 0.0):
+            raise SemlocError(
+                f"wheel odometry: {len(self.time_s)} samples whose times do not all increase; expected at least 2 "
+                "samples in time order"
+            )
+
+    @cached_property
+    def _path(self) -> Float[np.ndarray, "n 4"]:
+        """x, y, yaw and travelled distance at the sample times; the motion between two samples is an arc."""
+        step_s = np.diff(self.time_s)
+        turn = _mean_of_neighbours(self.yaw_rate_radps) * step_s
+        advance = _mean_of_neighbours(self.speed_mps) * step_s
+        yaw = np.concatenate([[0.0], np.cumsum(turn)])
+        course = yaw[:-1] + 0.5 * turn
+        chord = advance * np.sinc(turn / (2.0 * np.pi))
+        steps = np.column_stack([chord * np.cos(course), chord * np.sin(course), turn, np.abs(advance)])
+        return np.vstack([np.zeros(4), np.cumsum(steps, axis=0)])
+
+    def dead_reckon(self, time_s: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
+        """Planar poses x, y [m], yaw [rad] in the `odom` frame; beyond the log the last speed and yaw rate go on."""
+        return self._at(time_s)[:, :3]
+
+    def distance_m(self, time_s: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Travelled distance since the first sample [m], reversing included."""
+        return self._at(time_s)[:, 3]
+
+    def relative_motion(self, from_s: float, to_s: float) -> Float[np.ndarray, "4 4"]:
+        """T_base(from)_base(to): the planar motion of the vehicle between two times."""
+        start, end = self.dead_reckon(np.array([from_s, to_s]))
+        cos, sin = np.cos(start[2]), np.sin(start[2])
+        dx, dy = end[:2] - start[:2]
+        T = np.eye(4)
+        T[:2, 3] = cos * dx + sin * dy, -sin * dx + cos * dy
+        turn = end[2] - start[2]
+        T[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+        return T
+
+    def _at(self, time_s: np.ndarray) -> np.ndarray:
+        path = np.column_stack([np.interp(time_s, self.time_s, column) for column in self._path.T])
+        nearest = np.clip(time_s, self.time_s[0], self.time_s[-1])
+        beyond_s = time_s - nearest
+        speed = np.interp(nearest, self.time_s, self.speed_mps)
+        turn = np.interp(nearest, self.time_s, self.yaw_rate_radps) * beyond_s
+        course = path[:, 2] + 0.5 * turn
+        advance = speed * beyond_s
+        step = np.column_stack([advance * np.cos(course), advance * np.sin(course), turn, np.abs(speed) * beyond_s])
+        return path + step
+
+
+@dataclass(frozen=True)
+class Imu:
+    """Inertial data in the base frame.
+
+    Args:
+        time_s: sample times [s].
+        gyro_radps: angular rate about base x, y, z [rad/s].
+        accel_mps2: specific force along base x, y, z [m/s^2].
+    """
+
+    time_s: Float[np.ndarray, " n"]
+    gyro_radps: Float[np.ndarray, "n 3"]
+    accel_mps2: Float[np.ndarray, "n 3"]
+
+
+def read_gnss(path: Path) -> GnssTrack:
+    """Fixes of a `gps.csv`; rows without a position are left out."""
+    table = read_columns(path, ("t", "east_m", "north_m", "up_m", "sigma_e", "sigma_n", "sigma_u"))
+    p_enu = np.column_stack([table["east_m"], table["north_m"], table["up_m"]])
+    sigma_m = np.column_stack([table["sigma_e"], table["sigma_n"], table["sigma_u"]])
+    usable = np.isfinite(p_enu).all(axis=1)
+    order = np.argsort(table["t"][usable], kind="stable")
+    return GnssTrack(table["t"][usable][order], p_enu[usable][order], sigma_m[usable][order])
+
+
+def read_wheel_odometry(path: Path) -> WheelOdometry:
+    """Speed and yaw rate of a `wheel_odom.csv`."""
+    table = read_columns(path, ("t", "v_m_s", "yaw_rate_rad_s"))
+    return WheelOdometry(table["t"], table["v_m_s"], table["yaw_rate_rad_s"])
+
+
+def read_imu(path: Path) -> Imu:
+    """Rates and accelerations of an `imu.csv`."""
+    table = read_columns(path, ("t", "gx_rad_s", "gy", "gz", "ax_m_s2", "ay", "az"))
+    gyro = np.column_stack([table["gx_rad_s"], table["gy"], table["gz"]])
+    return Imu(table["t"], gyro, np.column_stack([table["ax_m_s2"], table["ay"], table["az"]]))
+
+
+def _mean_of_neighbours(values: np.ndarray) -> np.ndarray:
+    return 0.5 * (values[1:] + values[:-1])

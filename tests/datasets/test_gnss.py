@@ -1,0 +1,95 @@
+"""The satellite prior: straight, curved, standing, with drop-outs and outliers, against the truth."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.datasets import GnssTrack, WheelOdometry, gnss_prior, read_drive
+from semloc_jax.errors import SemlocError
+
+
+def circle_drive(speed=10.0, yaw_rate=0.2, duration=10.0, jitter=0.0, seed=0):
+    """Wheel odometry and fixes of a circle, and the function that gives the true x, y, heading."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, duration, 0.02)
+    odometry = WheelOdometry(time, np.full(len(time), speed), np.full(len(time), yaw_rate))
+
+    def truth(t):
+        heading = 0.7 + yaw_rate * t
+        radius = speed / yaw_rate
+        return np.array(
+            [50 + radius * (np.sin(heading) - np.sin(0.7)), 20 - radius * (np.cos(heading) - np.cos(0.7)), heading]
+        )
+
+    fix_time = np.arange(0.0, duration, 0.2)
+    p = np.array([[*truth(t)[:2], 3.0] for t in fix_time]) + rng.normal(size=(len(fix_time), 3)) * jitter
+    return odometry, GnssTrack(fix_time, p, np.full(p.shape, 1.3)), truth
+
+
+def heading_error_deg(heading, expected):
+    return np.degrees(abs((heading - expected + np.pi) % (2 * np.pi) - np.pi))
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_clean_fixes_give_the_exact_pose_in_a_curve(causal):
+    odometry, gnss, truth = circle_drive()
+    prior = gnss_prior(gnss, 5.03, odometry, causal=causal)
+    x, y, heading = truth(5.03)
+    np.testing.assert_allclose(prior.p_enu, [x, y, 3.0], atol=1e-4)
+    assert heading_error_deg(prior.heading_rad, heading) < 1e-3
+
+
+def test_without_odometry_the_parabola_follows_the_curve():
+    _, gnss, truth = circle_drive()
+    prior = gnss_prior(gnss, 5.03)
+    assert heading_error_deg(prior.heading_rad, truth(5.03)[2]) < 1.0
+    np.testing.assert_allclose(prior.p_enu[:2], truth(5.03)[:2], atol=0.1)
+
+
+def test_outliers_and_a_drop_out_do_no_harm():
+    odometry, gnss, truth = circle_drive(jitter=0.4)
+    p = gnss.p_enu.copy()
+    p[::6, :2] += [25.0, -12.0]
+    present = (gnss.time_s < 3.0) | (gnss.time_s > 7.0)
+    gnss = GnssTrack(gnss.time_s[present], p[present], gnss.sigma_m[present])
+    prior = gnss_prior(gnss, 5.0, odometry)
+    x, y, heading = truth(5.0)
+    assert np.hypot(prior.p_enu[0] - x, prior.p_enu[1] - y) < 0.5
+    assert heading_error_deg(prior.heading_rad, heading) < 1.5
+
+
+def test_reversing_keeps_the_heading_of_the_vehicle():
+    odometry, gnss, truth = circle_drive(speed=-3.0, yaw_rate=-0.1)
+    prior = gnss_prior(gnss, 5.0, odometry)
+    assert heading_error_deg(prior.heading_rad, truth(5.0)[2]) < 0.01
+
+
+def test_standing_still_says_that_the_heading_is_unknown():
+    time = np.arange(0.0, 5.0, 0.02)
+    odometry = WheelOdometry(time, np.zeros(len(time)), np.zeros(len(time)))
+    gnss = GnssTrack(np.arange(0.0, 5.0, 0.2), np.tile([1.0, 2.0, 3.0], (25, 1)), np.full((25, 3), 1.3))
+    prior = gnss_prior(gnss, 2.5, odometry)
+    assert prior.sigma_heading_rad == pytest.approx(np.pi)
+    np.testing.assert_allclose(prior.p_enu, [1.0, 2.0, 3.0])
+
+
+def test_causal_uses_no_later_fix():
+    odometry, gnss, _ = circle_drive()
+    later = GnssTrack(gnss.time_s, gnss.p_enu + (gnss.time_s > 4.0)[:, None] * 500.0, gnss.sigma_m)
+    before = gnss_prior(gnss, 4.0, odometry, causal=True)
+    np.testing.assert_array_equal(before.p_enu, gnss_prior(later, 4.0, odometry, causal=True).p_enu)
+    with pytest.raises(SemlocError, match="no fix up to time"):
+        gnss_prior(gnss, -1.0, odometry, causal=True)
+
+
+def test_rendered_road_every_frame_within_two_degrees_and_the_receivers_own_bias(road_dir):
+    drive = read_drive(road_dir)
+    headings, sides, ratios = [], [], []
+    for frame in drive.frames:
+        T = drive.truth_at(frame)
+        prior = drive.gnss_prior(frame.time_s)
+        headings.append(heading_error_deg(prior.heading_rad, np.arctan2(T[1, 0], T[0, 0])))
+        sides.append(np.linalg.norm((prior.p_enu - T[:3, 3])[:2]))
+        ratios.append(np.radians(headings[-1]) / prior.sigma_heading_rad)
+    assert np.median(headings) < 0.5 and np.max(headings) < 1.0
+    assert np.max(sides) < 2.5
+    assert np.max(ratios) < 3.0
