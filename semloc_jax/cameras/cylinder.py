@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from semloc_jax.cameras.angle import angle_of
 from semloc_jax.cameras.base import Camera, Scalar, as_leaf
+from semloc_jax.cameras.elementwise import angle_of, at_least
 
 MIN_RADIUS_M = 1e-2
 """Points nearer to the axis of the cylinder are not projected."""
@@ -47,7 +47,7 @@ class CylindricalCamera(Camera):
 
     def _to_model(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         rho2 = x * x + z * z
-        inverse_rho = jax.lax.rsqrt(jnp.maximum(rho2, MIN_RADIUS_M**2))
+        inverse_rho = jax.lax.rsqrt(at_least(rho2, MIN_RADIUS_M**2))
         phi = angle_of(x, z)
         return phi, y * inverse_rho, (jnp.abs(phi) < self.max_phi_rad) & (rho2 > MIN_RADIUS_M**2)
 

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from semloc_jax.cameras.angle import angle_of, horner, slope, usable_radius
 from semloc_jax.cameras.base import Camera, Scalar, as_leaf
+from semloc_jax.cameras.elementwise import angle_of, at_most, horner, slope, usable_radius
 
 LARGEST_THETA_RAD = 2.0
 """Half field of view that is assumed where neither the polynomial nor the caller limits it (115 deg)."""
@@ -65,7 +65,7 @@ class KannalaBrandtCamera(Camera):
         return 1.0, self.k1, self.k2, self.k3, self.k4
 
     def _distorted(self, theta: Array) -> Array:
-        inner = jnp.minimum(theta, self.max_theta_rad)
+        inner = at_most(theta, self.max_theta_rad)
         end_slope = horner(slope(self._radial()), self.max_theta_rad**2)
         return inner * horner(self._radial(), inner * inner) + end_slope * (theta - inner)
 
@@ -82,7 +82,7 @@ class KannalaBrandtCamera(Camera):
         target = target2 * inverse_target
 
         def step(_: ArrayLike, theta: Array) -> Array:
-            inner = jnp.minimum(theta, self.max_theta_rad)
+            inner = at_most(theta, self.max_theta_rad)
             return theta - (self._distorted(theta) - target) / horner(slope(self._radial()), inner * inner)
 
         theta = jax.lax.fori_loop(0, _NEWTON_STEPS, step, jnp.minimum(target, self.max_theta_rad))

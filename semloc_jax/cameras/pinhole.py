@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from semloc_jax.cameras.angle import horner, slope, usable_radius
 from semloc_jax.cameras.base import Camera, Scalar, as_leaf
+from semloc_jax.cameras.elementwise import at_least, at_most, derivative, horner, usable_radius
 
 MIN_DEPTH_M = 1e-2
 """Points nearer to the plane of the lens are not projected; their pixel is that of the plane at this depth."""
@@ -35,7 +35,7 @@ class PinholeCamera(Camera):
         self.width, self.height = as_leaf(width), as_leaf(height)
 
     def _to_model(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-        inverse_depth = 1 / jnp.maximum(z, MIN_DEPTH_M)
+        inverse_depth = 1 / at_least(z, MIN_DEPTH_M)
         return x * inverse_depth, y * inverse_depth, z > MIN_DEPTH_M
 
     def _from_model(self, xm: Array, ym: Array) -> tuple[Array, Array, Array, Array]:
@@ -45,8 +45,8 @@ class PinholeCamera(Camera):
 class BrownConradyCamera(Camera):
     """Pinhole with radial (k1, k2, k3) and tangential (p1, p2) distortion, as OpenCV's k1 k2 p1 p2 k3.
 
-    Beyond `max_radius` (where the radial polynomial is about to turn) the distortion continues linearly and `valid`
-    is False.
+    Beyond `max_radius` (where the radial polynomial is about to turn) the distortion continues monotonically, ever more
+    like a straight line, and `valid` is False.
     """
 
     fx: Scalar
@@ -87,23 +87,23 @@ class BrownConradyCamera(Camera):
         return 1.0, self.k1, self.k2, self.k3
 
     def _to_model(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-        inverse_depth = 1 / jnp.maximum(z, MIN_DEPTH_M)
+        inverse_depth = 1 / at_least(z, MIN_DEPTH_M)
         x, y = x * inverse_depth, y * inverse_depth
         xm, ym, inside = self._distort(x, y)
         return xm, ym, inside & (z > MIN_DEPTH_M)
 
     def _distort(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         s = x * x + y * y
-        limit2 = self.max_radius * self.max_radius
-        inner = jnp.minimum(s, limit2)
-        # w = 1 inside and max_radius / r outside continues radial and tangential terms linearly in r, without branches.
-        w = self.max_radius * jax.lax.rsqrt(jnp.maximum(s, limit2))
-        bend = horner(slope(self._radial()), limit2) - horner(self._radial(), limit2)
-        radial = horner(self._radial(), inner) + (1 - w) * bend
-        tangential = w * (2 - w)
+        limit = self.max_radius * self.max_radius
+        inner = at_most(s, limit)
+        # q is 1 inside and falls as (max_radius / r)^2 outside: it continues both terms once differentiably, the radial
+        # one towards a straight line, the tangential one towards a bound, without a branch.
+        q = limit / at_least(s, limit)
+        radial = horner(self._radial(), inner) + limit * horner(derivative(self._radial()), limit) * (1 - q)
+        tangential = q * (2 - q)
         xm = x * radial + tangential * (2 * self.p1 * x * y + self.p2 * (s + 2 * x * x))
         ym = y * radial + tangential * (self.p1 * (s + 2 * y * y) + 2 * self.p2 * x * y)
-        return xm, ym, s < limit2
+        return xm, ym, s < limit
 
     def _from_model(self, xm: Array, ym: Array) -> tuple[Array, Array, Array, Array]:
         def step(_: ArrayLike, xy: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -1,11 +1,13 @@
-"""Angle of a 2D vector and the range in which a radial polynomial can be inverted (room: cameras; pure JAX).
+"""The few elementwise functions that the camera models are made of (room: cameras; pure JAX).
 
-In: coordinates, polynomial coefficients. Out: angles [rad], the largest usable radius.
+In: coordinates, limits, polynomial coefficients. Out: angles [rad], clamped values, polynomials and where they turn.
+Each is written for one fused loop on CPU: cheap value, cheap derivative, nothing that is not finite.
 """
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array
 
 MIN_SLOPE = 0.05
@@ -46,12 +48,41 @@ def _angle_of_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -
     return angle_of(y, x), (x * scale) * dy - (y * scale) * dx
 
 
+@jax.custom_jvp
+def at_least(value: Array, limit: ArrayLike) -> Array:
+    """max(value, limit) for a constant limit, whose derivative is a plain select (jnp.maximum splits ties)."""
+    return jnp.maximum(value, limit)
+
+
+@at_least.defjvp
+def _at_least_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    value, limit = primals
+    return at_least(value, limit), jnp.where(value > limit, tangents[0], 0)
+
+
+@jax.custom_jvp
+def at_most(value: Array, limit: ArrayLike) -> Array:
+    """min(value, limit) for a constant limit; see `at_least`."""
+    return jnp.minimum(value, limit)
+
+
+@at_most.defjvp
+def _at_most_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    value, limit = primals
+    return at_most(value, limit), jnp.where(value < limit, tangents[0], 0)
+
+
 def horner(coefficients: tuple, s: Array) -> Array:
     """Value of the polynomial with ascending coefficients."""
     value = coefficients[-1]
     for coefficient in coefficients[-2::-1]:
         value = value * s + coefficient
     return value
+
+
+def derivative(coefficients: tuple) -> tuple:
+    """Coefficients of the derivative of a polynomial."""
+    return tuple(power * c for power, c in enumerate(coefficients) if power)
 
 
 def slope(coefficients: tuple) -> tuple:
