@@ -36,7 +36,7 @@ ONLY = {"evaluation": GROUND}
 NEVER = {"datasets": {"perception", "solvers", "localization"}, "residuals": {"maps", "perception"}}
 
 PURE_JAX = {"residuals", "solvers", "geometry", "structs"}
-PURE_JAX_CAMERAS = {"base", "pinhole", "fisheye", "cylinder", "bev", "rig"}
+HOST_CAMERAS = {"io", "calibrate"}
 HOST_LIBRARIES = {"cv2", "skimage", "scipy", "matplotlib", "time", "os", "io", "pathlib", "shutil", "tempfile"}
 HOST_EXCEPTIONS = {("semloc_jax.solvers.association", "scipy")}
 HOMES = {
@@ -124,7 +124,7 @@ def _room(module: str) -> str:
 
 def _is_pure_jax(module: str) -> bool:
     parts = module.split(".")
-    return _room(module) in PURE_JAX or (parts[1:2] == ["cameras"] and parts[-1] in PURE_JAX_CAMERAS)
+    return _room(module) in PURE_JAX or (parts[1:2] == ["cameras"] and not HOST_CAMERAS & set(parts))
 
 
 def rank_faults(item: Import) -> list[str]:

@@ -1,0 +1,120 @@
+"""The `semloc` command: picks the verb, turns exceptions into one line and an exit code (room: cli).
+
+In: the command line. Out: an exit code: 0 done, 1 failed, 2 wrong usage, 3 ran but is lost or missed a gate.
+Nothing heavy is imported before a verb runs, so that `--help` answers at once.
+"""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+OK, FAILED, USAGE, LOST = 0, 1, 2, 3
+INTERRUPTED = 130
+
+VERBS = {
+    "localize": "where was the vehicle in each frame of a drive: trajectory, modes, metrics, pictures",
+    "landscape": "the cost around the pose of one frame, over two of the six directions",
+    "evaluate": "errors of a trajectory against a reference, with an optional gate",
+    "inspect": "what a map holds and what looks wrong in it",
+    "simulate": "write a small rendered drive with exact truth",
+    "demo": "simulate, localize and draw, in less than a minute",
+    "doctor": "check this machine: versions, device, numerical self-tests",
+    "config": "print the configuration with every default filled in",
+}
+
+USAGE_TEXT = """usage: semloc VERB [OPTIONS]
+
+Vision-based semantic localization in a map.
+
+{verbs}
+
+  semloc VERB --help    options of one verb
+  semloc --version      version of the package
+  --debug               (any verb) show the traceback of an error
+
+exit codes: 0 done, 1 failed, 2 wrong usage, 3 ran but is lost or missed a gate
+"""
+
+
+def usage() -> str:
+    """The text of `semloc --help`."""
+    return USAGE_TEXT.format(verbs="\n".join(f"  {name:<11}{text}" for name, text in VERBS.items()))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command line.
+
+    Args:
+        argv: Arguments without the program's name; None takes those of the process.
+
+    Returns:
+        The exit code.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in words
+    words = [word for word in words if word != "--debug"]
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(usage(), end="", file=sys.stdout if words else sys.stderr)
+        return OK if words else USAGE
+    if words[0] == "--version":
+        from semloc_jax import __version__
+
+        print(f"semloc {__version__}")
+        return OK
+    if words[0] not in VERBS:
+        return _refuse(f"semloc: unknown verb '{words[0]}'{_did_you_mean(words[0])}; verbs: {', '.join(VERBS)}")
+    return _run_verb(words[0], words[1:], debug)
+
+
+def _run_verb(name: str, words: list[str], debug: bool) -> int:
+    from semloc_jax.cli.arguments import UsageError, parse
+    from semloc_jax.errors import SemlocError
+
+    verb: ModuleType = importlib.import_module(f"semloc_jax.cli.{name}")
+    try:
+        return verb.run(parse(name, verb, words))
+    except SystemExit as stop:  # `--help` of a verb
+        return int(stop.code or 0)
+    except UsageError as error:
+        return _refuse(f"semloc {name}: {error} (see 'semloc {name} --help')")
+    except BrokenPipeError:  # the reader of our output has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except KeyboardInterrupt:
+        print(f"semloc {name}: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except (SemlocError, OSError) as error:
+        if debug:
+            raise
+        print(f"semloc {name}: {_one_line(error)}", file=sys.stderr)
+        return FAILED
+    except Exception as error:
+        if debug:
+            raise
+        what = f"{type(error).__name__}: {_one_line(error)}"
+        print(
+            f"semloc {name}: internal error: {what}; run again with --debug and report the traceback", file=sys.stderr
+        )
+        return FAILED
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _refuse(text: str) -> int:
+    print(text, file=sys.stderr)
+    return USAGE
+
+
+def _did_you_mean(word: str) -> str:
+    import difflib
+
+    close = difflib.get_close_matches(word, VERBS, n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,171 @@
+"""The map as a camera sees it, drawn on the image or the mask, before and after (room: viz).
+
+In: map samples, a vehicle pose, a camera, an image. Out: contours in pixels, image arrays, a before/after Figure.
+What is drawn are the very contours that the solver compares with the masks, silhouettes of poles included.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from semloc_jax.cameras import Camera
+from semloc_jax.perception.class_table import ClassTable
+from semloc_jax.residuals.view import contour_points
+from semloc_jax.structs import ElementClass, MapSamples
+from semloc_jax.viz.style import COLOURS, class_name, new_figure, rgb
+
+_SHIFT = 4
+"""Lines are drawn in sixteenths of a pixel."""
+_MAX_SEGMENT_PX = 400.0
+"""A longer piece comes from a contour that passes right by the lens: it would only smear."""
+
+
+@dataclass(frozen=True)
+class Contours:
+    """Map contours in one image: short pieces with their class.
+
+    Args:
+        uv: ends of each piece [px], `float[n 2 2]`.
+        label: ElementClass of each piece.
+    """
+
+    uv: np.ndarray
+    label: np.ndarray
+
+    @property
+    def classes(self) -> tuple[ElementClass, ...]:
+        """Classes in view."""
+        return tuple(ElementClass(value) for value in np.unique(self.label))
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One camera of a before/after picture: its image and the contours on the left and on the right."""
+
+    name: str
+    image: np.ndarray
+    before: Contours
+    after: Contours
+
+
+def project_contours(
+    samples: MapSamples,
+    origin_map: np.ndarray,
+    T_map_base: np.ndarray,
+    camera: Camera,
+    T_base_cam: np.ndarray,
+    max_range_m: float = 60.0,
+) -> Contours:
+    """Contours of the map in an image, as seen from a vehicle pose.
+
+    Args:
+        samples: From `maps.sample`, relative to `origin_map`.
+        origin_map: Local origin of the samples in the map frame [m].
+        T_map_base: Vehicle pose in the map frame (not relative to the origin).
+        camera: The camera.
+        T_base_cam: Where it sits on the vehicle.
+        max_range_m: Contours farther from the camera are left out.
+    """
+    T_local_cam = np.asarray(T_map_base, dtype=np.float64) @ np.asarray(T_base_cam, dtype=np.float64)
+    T_local_cam[:3, 3] -= origin_map
+    center = jnp.asarray(T_local_cam[:3, 3], jnp.asarray(samples.p_map).dtype)
+    p_map, is_contour = (np.asarray(part) for part in contour_points(samples, center))
+    near = np.linalg.norm(p_map - T_local_cam[:3, 3], axis=1) < max_range_m
+    keep = np.asarray(samples.valid) & is_contour & near
+    p_map, label = p_map[keep].astype(np.float64), np.asarray(samples.label)[keep]
+    half = 0.5 * np.asarray(samples.length_m)[keep, None] * np.asarray(samples.tangent_map)[keep]
+    ends = np.stack([p_map - half, p_map + half], axis=1)
+    uv_jax, valid = camera.project((ends - T_local_cam[:3, 3]) @ T_local_cam[:3, :3])
+    margin_px = -0.05 * float(camera.width)
+    inside = np.asarray(camera.in_image(uv_jax[..., 0], uv_jax[..., 1], margin_px)).any(axis=1)
+    uv, valid = np.asarray(uv_jax), np.asarray(valid)
+    short = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1) < _MAX_SEGMENT_PX
+    shown = valid.all(axis=1) & inside & short
+    return Contours(uv[shown], label[shown])
+
+
+def draw_contours(
+    image: np.ndarray, contours: Contours, thickness_px: int = 2, colour: str | None = None
+) -> np.ndarray:
+    """A copy of an RGB image with the contours in the colours of their classes, each with a dark rim.
+
+    Args:
+        image: uint8[h w 3], red green blue.
+        contours: From `project_contours`.
+        thickness_px: Width of the lines.
+        colour: One colour `#rrggbb` for all classes.
+    """
+    picture = np.ascontiguousarray(image).copy()
+    fixed = np.round(contours.uv * 2**_SHIFT).astype(np.int32)
+    cv2.polylines(picture, list(fixed), False, (8, 10, 14), thickness_px + 2, cv2.LINE_AA, _SHIFT)
+    for label in contours.classes:
+        pieces = list(fixed[contours.label == label])
+        cv2.polylines(picture, pieces, False, rgb(colour or COLOURS[label]), thickness_px, cv2.LINE_AA, _SHIFT)
+    return picture
+
+
+def mask_picture(mask: np.ndarray, table: ClassTable) -> np.ndarray:
+    """A class-id mask as an RGB image: every channel in the colour of its first class, unusable pixels dark red."""
+    lookup = np.full((256, 3), 58, dtype=np.uint8)
+    for channel in table.channels:
+        # Half as bright as the contours, so that these stay visible on top.
+        lookup[list(channel.mask_ids)] = np.array(rgb(COLOURS[channel.classes[0]])) * 0.55
+    lookup[list(table.unusable_ids)] = (70, 20, 24)
+    return lookup[mask]
+
+
+def dim(image: np.ndarray, brightness: float = 0.6) -> np.ndarray:
+    """A darker copy of an image, so that lines stand out."""
+    return (np.asarray(image, dtype=np.float32) * brightness).astype(np.uint8)
+
+
+def before_after(panels: Sequence[Panel], before_text: str, after_text: str, width_px: int = 760) -> Figure:
+    """Two columns, the start on the left and the result on the right, one row for each camera.
+
+    Args:
+        panels: RGB images with their contours.
+        before_text: What the left column shows, e.g. `prior from GNSS`.
+        after_text: Status and numbers of the result.
+        width_px: Width of one image in the figure.
+    """
+    heights = [panel.image.shape[0] / panel.image.shape[1] for panel in panels]
+    width_in, header_in, legend_in = width_px / 100.0, 0.35, 0.35
+    figure = new_figure(2 * width_in, width_in * sum(heights) + header_in + legend_in, dark=True)
+    grid = figure.subplots(len(panels), 2, squeeze=False, gridspec_kw={"height_ratios": heights})
+    for row, panel in enumerate(panels):
+        for axes, contours in zip(grid[row], (panel.before, panel.after), strict=True):
+            axes.imshow(draw_contours(panel.image, contours), interpolation="antialiased")
+            axes.set_axis_off()
+            _write(axes, panel.name)
+    for axes, text in zip(grid[0], (before_text, after_text), strict=True):
+        axes.set_title(text, color="#e8edf4", fontsize=11, loc="left", pad=6)
+    _legend(figure, panels)
+    return figure
+
+
+def _write(axes, text: str) -> None:
+    box = {"facecolor": "#000000", "alpha": 0.45, "edgecolor": "none", "pad": 2.5}
+    axes.text(0.01, 0.98, text, transform=axes.transAxes, color="#e8edf4", fontsize=9, va="top", bbox=box)
+
+
+def _legend(figure: Figure, panels: Sequence[Panel]) -> None:
+    seen = sorted({label for panel in panels for part in (panel.before, panel.after) for label in part.classes})
+    if not seen:
+        return
+    handles = [Patch(color=COLOURS[label], label=class_name(label)) for label in seen]
+    figure.legend(
+        handles=handles,
+        loc="outside lower left",
+        ncols=len(handles),
+        fontsize=9,
+        frameon=False,
+        labelcolor="#e8edf4",
+        handlelength=0.9,
+        handleheight=0.9,
+        columnspacing=1.4,
+    )

@@ -1,0 +1,78 @@
+"""Errors over time against alert limits (room: viz).
+
+In: estimated and reference trajectories. Out: a Figure.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors
+from semloc_jax.evaluation.trajectory import Trajectory, associate
+from semloc_jax.viz.style import new_figure, plain_axes
+
+ROWS = (("lateral_m", "lateral", "m"), ("longitudinal_m", "longitudinal", "m"), ("heading_deg", "heading", "deg"))
+INSIDE, OUTSIDE, LIMIT = "#1565c0", "#d50000", "#43a047"
+
+
+def errors_over_time(
+    estimate: Trajectory,
+    reference: Trajectory,
+    max_difference_s: float = 0.02,
+    limit: ErrorLimit = ALERT_LIMITS[0],
+    missed_s: Sequence[float] = (),
+) -> Figure:
+    """Signed lateral, longitudinal and heading errors over time, with the band of one alert limit.
+
+    Dots beyond the limit are red, and drawn at the edge with a triangle where they would leave the picture.
+
+    Args:
+        estimate: Estimated poses.
+        reference: True poses.
+        max_difference_s: Poses belong together when their times differ by no more than this.
+        limit: The alert limit.
+        missed_s: Times of frames without a pose, marked at the foot of the figure.
+
+    Raises:
+        SemlocError: no estimate belongs to any reference time.
+    """
+    index_est, index_ref = associate(estimate.time_s, reference.time_s, max_difference_s)
+    if len(index_est) == 0:
+        raise SemlocError(
+            f"errors over time: no two poses are within {max_difference_s} s; expected the same clock; check the times"
+        )
+    errors = pose_errors(estimate.T_map_base[index_est], reference.T_map_base[index_ref])
+    time_s = estimate.time_s[index_est]
+    figure = new_figure(9.0, 5.6)
+    grid = figure.subplots(len(ROWS), 1, sharex=True)
+    for axes, (key, name, unit) in zip(grid, ROWS, strict=True):
+        bound = getattr(limit, key)
+        _draw_row(plain_axes(axes), time_s, errors[key], bound)
+        size = np.abs(errors[key])
+        axes.set_ylabel(f"{name} [{unit}]", fontsize=9)
+        text = f"median {np.median(size):.3f}   p95 {np.percentile(size, 95):.3f}   limit ±{bound:g} {unit}"
+        axes.set_title(text, loc="right", fontsize=8)
+    for time in missed_s:
+        grid[-1].axvline(time, ymax=0.06, color=OUTSIDE, linewidth=1.0)
+    grid[-1].set_xlabel(f"time [s]{'   (red ticks: no pose)' if len(missed_s) else ''}", fontsize=9)
+    return figure
+
+
+def _draw_row(axes, time_s: np.ndarray, error: np.ndarray, bound: float) -> None:
+    # The robust range of what is there, never less than a little more than the limit: one wild pose hides nothing.
+    reach = max(1.3 * bound, 1.5 * float(np.percentile(np.abs(error), 90, method="lower")))
+    axes.axhspan(-bound, bound, color=LIMIT, alpha=0.10, linewidth=0)
+    for side in (-bound, bound):
+        axes.axhline(side, color=LIMIT, linewidth=0.8, linestyle=(0, (4, 3)))
+    axes.axhline(0.0, color="#90a4ae", linewidth=0.6)
+    axes.plot(time_s, np.clip(error, -reach, reach), color=INSIDE, linewidth=0.7, alpha=0.5)
+    outside = np.abs(error) > bound
+    axes.scatter(time_s[~outside], error[~outside], s=9, color=INSIDE, linewidths=0, zorder=3)
+    near = outside & (np.abs(error) <= reach)
+    axes.scatter(time_s[near], error[near], s=12, color=OUTSIDE, linewidths=0, zorder=3)
+    for sign, marker in ((1.0, "^"), (-1.0, "v")):
+        far = sign * error > reach
+        axes.scatter(time_s[far], np.full(far.sum(), sign * 0.96 * reach), s=22, marker=marker, color=OUTSIDE, zorder=3)
+    axes.set_ylim(-reach, reach)
