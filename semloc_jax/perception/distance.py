@@ -11,7 +11,6 @@ import numpy as np
 
 BLOCK_PX = 16
 """Boxes begin and end at multiples of this; every pyramid stride divides it."""
-_LIGHT_BLUR_PX = 0.5
 
 
 def signed_distance(binary: np.ndarray, blur_px: float) -> np.ndarray:
@@ -34,11 +33,10 @@ def signed_distance(binary: np.ndarray, blur_px: float) -> np.ndarray:
         return distance
     smooth = cv2.GaussianBlur(binary, (0, 0), blur_px, borderType=cv2.BORDER_REPLICATE)
     keep, add = (cv2.LUT(smooth, table) for table in _edge_tables(blur_px))
-    thin = _thin(binary)
+    thin = _thin(binary, max(2, round(2.0 * blur_px)))
     if thin is not None:
         keep[thin], add[thin] = 1.0, 0.0
-    distance = cv2.add(cv2.multiply(distance, keep), add)
-    return cv2.GaussianBlur(distance, (0, 0), _LIGHT_BLUR_PX * min(blur_px, 1.0), borderType=cv2.BORDER_REPLICATE)
+    return cv2.add(cv2.multiply(distance, keep), add)
 
 
 def content_boxes(binary: np.ndarray, reach_px: float) -> list[tuple[slice, slice]]:
@@ -64,9 +62,9 @@ def content_boxes(binary: np.ndarray, reach_px: float) -> list[tuple[slice, slic
     return [(slice(y * b, (y + h) * b), slice(x * b, (x + w) * b)) for x, y, w, h, _ in stats[1:]]
 
 
-def _thin(binary: np.ndarray) -> np.ndarray | None:
-    """Where the mask or a gap in it is too thin to survive the smoothing; None if nowhere."""
-    square = np.ones((2, 2), np.uint8)
+def _thin(binary: np.ndarray, size_px: int) -> np.ndarray | None:
+    """Where the mask or a gap in it is too thin (less than `size_px`) to survive the smoothing; None if nowhere."""
+    square = np.ones((size_px, size_px), np.uint8)
     opened = cv2.morphologyEx(binary, cv2.MORPH_OPEN, square)
     closed = cv2.morphologyEx(binary, cv2.MORPH_CLOSE, square, borderType=cv2.BORDER_REPLICATE)
     lost = cv2.compare(opened, closed, cv2.CMP_NE)

@@ -1,0 +1,203 @@
+"""The sub-pixel offset between masks and their images (room: perception; host).
+
+In: images and masks of several frames. Out: MaskOffset, which Camera.shifted takes.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.perception.class_table import ClassTable
+from semloc_jax.perception.distance import signed_distance
+from semloc_jax.structs import ElementClass
+
+_PAINT = {
+    ElementClass.LANE_MARKING,
+    ElementClass.STOP_LINE,
+    ElementClass.CROSSWALK,
+    ElementClass.ROAD_MARK,
+    ElementClass.SLOT_LINE,
+}
+_SHARP = _PAINT | {ElementClass.POLE, ElementClass.SIGN, ElementClass.TRAFFIC_LIGHT, ElementClass.PILLAR}
+"""Classes whose outline is an edge of the image; that of a curb or guardrail often is not."""
+_BLUR_PX = 1.5
+_REACH_PX = 5.0
+_STEP_PX = 0.25
+_POINTS_PER_LAYER = 1500
+_MIN_POINTS = 200
+_TILE_PX = 48
+_MIN_CONTRAST = 2.0
+"""Least gradient of an image edge that counts [grey levels / px]."""
+
+
+class MaskOffset(NamedTuple):
+    """What is at uv in the image is at uv + (du_px, dv_px) in the mask; `camera.shifted(*offset[:2])` sees the mask."""
+
+    du_px: float
+    dv_px: float
+    sigma_du_px: float
+    """Standard error, points of one place counted once [px]."""
+    sigma_dv_px: float
+    num_points: int
+    """Boundary points that found their edge in the image."""
+
+    @property
+    def is_significant(self) -> bool:
+        """True if a direction is off by three standard errors and by what shading and the renderer can feign (0.25 px)."""
+        pairs = ((self.du_px, self.sigma_du_px), (self.dv_px, self.sigma_dv_px))
+        return any(abs(value) > max(0.25, 3.0 * sigma) for value, sigma in pairs)
+
+
+class _Edges(NamedTuple):
+    """Mask boundary points with the image gradient across them."""
+
+    normal: np.ndarray
+    """Outward unit normal of the mask [n 2]."""
+    gradient: np.ndarray
+    """Strength of the image edge at each place of the profile along the normal [n k]."""
+    layer: np.ndarray
+    """Channel index [n]."""
+    cluster: np.ndarray
+    """Number of the image tile and frame [n]."""
+
+
+def estimate_mask_offset(
+    images: Sequence[np.ndarray], masks: Sequence[np.ndarray], table: ClassTable, channels: Sequence[int] | None = None
+) -> MaskOffset:
+    """The offset of masks against images, as networks of reduced resolution leave it, with its standard error.
+
+    Along the normal n of each mask boundary the image edge is found at t; over all points t = e_c - n . (du, dv) is
+    solved robustly, where e_c is the erosion of channel c, which moves opposite sides apart and the offset does not.
+
+    Args:
+        images: uint8[h w] or uint8[h w 3], of the size of the masks; ten frames or more of one camera.
+        masks: class ids, uint8[h w], of the same frames.
+        table: class table of the masks.
+        channels: indices of the channels to use, None for paint, poles, signs, lights and pillars.
+
+    Raises:
+        SemlocError: numbers or sizes differ, or too few mask boundaries have an edge in the image.
+    """
+    if len(images) != len(masks) or len(images) == 0:
+        raise SemlocError(f"mask offset: given {len(images)} images and {len(masks)} masks, expected pairs")
+    sharp = [index for index, channel in enumerate(table.channels) if _SHARP & set(channel.classes)]
+    wanted = sharp if channels is None else channels
+    parts = []
+    for frame, (image, mask) in enumerate(zip(images, masks, strict=True)):
+        if image.shape[:2] != mask.shape:
+            sizes = f"{image.shape[1]}x{image.shape[0]} and {mask.shape[1]}x{mask.shape[0]}"
+            raise SemlocError(f"mask offset: image and mask {frame} have the sizes {sizes} px; resize the masks first")
+        parts += _frame_edges(image, mask, table, wanted, frame)
+    num_found = sum(len(part.layer) for part in parts)
+    if num_found < _MIN_POINTS:
+        raise SemlocError(
+            f"mask offset: only {num_found} mask boundary points to compare with the image, {_MIN_POINTS} are needed; "
+            "give more frames, or frames with paint and poles in view"
+        )
+    return _solve(_Edges(*(np.concatenate(column) for column in zip(*parts, strict=True))))
+
+
+def _frame_edges(image, mask, table: ClassTable, channels: Sequence[int], frame: int) -> list[_Edges]:
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.7)
+    usable = ~np.isin(mask, table.unusable_ids)
+    margin = int(np.ceil(_REACH_PX)) + 2
+    usable[:margin], usable[-margin:], usable[:, :margin], usable[:, -margin:] = False, False, False, False
+    usable = cv2.erode(usable.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
+    rng = np.random.default_rng(frame)
+    parts = []
+    for layer in channels:
+        binary = np.where(np.isin(mask, table.channels[layer].mask_ids), 255, 0).astype(np.uint8)
+        if not binary.any():
+            continue
+        distance = signed_distance(binary, _BLUR_PX)
+        v, u = np.nonzero((np.abs(distance) < 0.5) & (usable > 0))
+        if len(u) > _POINTS_PER_LAYER:
+            chosen = rng.choice(len(u), _POINTS_PER_LAYER, replace=False)
+            u, v = u[chosen], v[chosen]
+        is_paint = bool(_PAINT & set(table.channels[layer].classes))
+        parts += _profiles(grey, distance, u, v, is_paint, layer, frame)
+    return parts
+
+
+def _profiles(grey, distance, u, v, is_paint: bool, layer: int, frame: int) -> list[_Edges]:
+    """Image gradient along the mask normals through the boundary pixels (u, v)."""
+    smooth = cv2.GaussianBlur(np.clip(distance, -4, 4), (0, 0), 1.0)
+    normal = np.stack([smooth[v, u + 1] - smooth[v, u - 1], smooth[v + 1, u] - smooth[v - 1, u]], axis=-1) / 2.0
+    length = np.linalg.norm(normal, axis=-1)
+    # Ridges of thin lines and corners have no normal.
+    good = length > 0.6
+    if not good.any():
+        return []
+    u, v, normal = u[good], v[good], normal[good] / length[good, None]
+    boundary = np.stack([u, v], axis=-1) - distance[v, u][:, None] * normal
+    points = boundary[:, None] + _places()[None, :, None] * normal[:, None]
+    profile = cv2.remap(grey, points.astype(np.float32), None, cv2.INTER_LINEAR)
+    slope = np.gradient(profile, _STEP_PX, axis=1)
+    # Paint is brighter than the road; a pole may be either.
+    strength = np.maximum(-slope, 0.0) if is_paint else np.abs(slope)
+    tile = (v // _TILE_PX) * 4096 + u // _TILE_PX + frame * 4096 * 4096
+    return [_Edges(normal, strength, np.full(len(u), layer), tile)]
+
+
+def _places() -> np.ndarray:
+    return np.arange(-_REACH_PX, _REACH_PX + _STEP_PX / 2, _STEP_PX)
+
+
+def _solve(edges: _Edges) -> MaskOffset:
+    _, layer = np.unique(edges.layer, return_inverse=True)
+    design = np.concatenate([-edges.normal, np.eye(layer.max() + 1)[layer]], axis=1)
+    state = np.zeros(design.shape[1])
+    # The window around the expected edge narrows while the estimate settles.
+    for window_px in (2.5, 2.0, 1.5, 1.2, 1.2, 1.2, 1.2, 1.2):
+        found, good = _edge_position(edges.gradient, design @ state, window_px)
+        state, weight = _robust_fit(design[good], found[good], state)
+    if good.sum() < _MIN_POINTS:
+        raise SemlocError(
+            f"mask offset: only {good.sum()} mask boundary points have an edge in the image, {_MIN_POINTS} are needed; "
+            "check that images and masks belong together"
+        )
+    residual = found[good] - design[good] @ state
+    sigma = _clustered_sigma(design[good], residual, weight, edges.cluster[good])
+    return MaskOffset(float(state[0]), float(state[1]), float(sigma[0]), float(sigma[1]), int(good.sum()))
+
+
+def _edge_position(gradient: np.ndarray, expected: np.ndarray, window_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Place of the image edge on each normal [px], the strongest one near the expected place, and whether it counts."""
+    places = _places()
+    prior = np.exp(-0.5 * ((places - expected[:, None]) / window_px) ** 2)
+    best = np.clip(np.argmax(gradient * prior, axis=1), 1, len(places) - 2)
+    rows = np.arange(len(best))
+    # The peak of the image edge itself, without the pull of the window.
+    for _ in range(4):
+        left, mid, right = gradient[rows, best - 1], gradient[rows, best], gradient[rows, best + 1]
+        best = np.clip(
+            best + (right > mid).astype(int) - ((left > mid) & (left >= right)).astype(int), 1, len(places) - 2
+        )
+    left, mid, right = gradient[rows, best - 1], gradient[rows, best], gradient[rows, best + 1]
+    curvature = left - 2.0 * mid + right
+    offset = 0.5 * (left - right) / np.where(curvature < 0, curvature, -1.0)
+    good = (curvature < 0) & (np.abs(offset) <= 1.0) & (mid > _MIN_CONTRAST)
+    return places[best] + np.clip(offset, -1, 1) * _STEP_PX, good
+
+
+def _robust_fit(design: np.ndarray, target: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    for _ in range(10):
+        residual = target - design @ state
+        scale = max(1.4826 * np.median(np.abs(residual)), 0.1)
+        weight = 1.0 / (1.0 + (residual / scale) ** 2)
+        normal_matrix = design.T @ (weight[:, None] * design) + 1e-6 * np.eye(len(state))
+        state = np.linalg.solve(normal_matrix, design.T @ (weight * target))
+    return state, weight
+
+
+def _clustered_sigma(design: np.ndarray, residual: np.ndarray, weight: np.ndarray, cluster: np.ndarray) -> np.ndarray:
+    """Standard error of each unknown with residuals of one cluster fully correlated (sandwich)."""
+    bread = np.linalg.inv(design.T @ (weight[:, None] * design) + 1e-6 * np.eye(design.shape[1]))
+    _, cluster = np.unique(cluster, return_inverse=True)
+    score = np.zeros((cluster.max() + 1, design.shape[1]))
+    np.add.at(score, cluster, (weight * residual)[:, None] * design)
+    return np.sqrt(np.diag(bread @ (score.T @ score) @ bread))
