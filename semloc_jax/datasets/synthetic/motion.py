@@ -1,0 +1,57 @@
+"""How the simulated vehicle moves: pose at any time (room: datasets; host).
+
+In: path, ground, speed. Out: T_map_base(t).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from semloc_jax.datasets.synthetic.path import PlanePath
+from semloc_jax.datasets.synthetic.surface import Surface
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A drive along a path with gently changing speed; the body pitches and rolls a little on its springs.
+
+    Args:
+        path: line of the rear axle.
+        surface: ground.
+        speed_mps: mean speed.
+        sway_m: amplitude of the lateral wander about the path.
+        tilt_deg: amplitude of pitch and roll on the springs.
+        phase_rad: seeded phases of speed, wander, pitch and roll.
+    """
+
+    path: PlanePath
+    surface: Surface
+    speed_mps: float
+    sway_m: float
+    tilt_deg: float
+    phase_rad: Float[np.ndarray, "4"]
+
+    def travelled_m(self, time_s: float) -> float:
+        """Arc length of the path at a time: the speed swings by 10 % over 6 s."""
+        wave = 2.0 * np.pi / 6.0
+        swing = (np.sin(wave * time_s + self.phase_rad[0]) - np.sin(self.phase_rad[0])) * 0.1 / wave
+        return float(self.speed_mps * (time_s + swing))
+
+    def pose(self, time_s: float) -> Float[np.ndarray, "4 4"]:
+        """T_map_base at a time [s]."""
+        s = self.travelled_m(time_s)
+        wave = 2.0 * np.pi / 45.0
+        lateral = self.sway_m * np.sin(wave * s + self.phase_rad[1])
+        turned = float(np.arctan(self.sway_m * wave * np.cos(wave * s + self.phase_rad[1])))
+        x, y = self.path.at(np.array([s]), np.array([lateral]))[0]
+        T = self.surface.stand(float(x), float(y), float(self.path.heading_at(np.array([s]))[0]) + turned)
+        pitch = self.tilt_deg * np.sin(2.0 * np.pi * 1.3 * time_s + self.phase_rad[2])
+        roll = self.tilt_deg * np.sin(2.0 * np.pi * 0.9 * time_s + self.phase_rad[3])
+        T[:3, :3] = T[:3, :3] @ Rotation.from_euler("yx", [pitch, roll], degrees=True).as_matrix()
+        return T
+
+    def poses(self, time_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
+        """T_map_base at many times."""
+        return np.stack([self.pose(float(t)) for t in time_s])

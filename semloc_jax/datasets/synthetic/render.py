@@ -1,0 +1,131 @@
+"""Inverse ray casting: the class and the colour of every pixel centre (room: datasets; host).
+
+In: a Scene, a camera and its pose. Out: View. A pixel has the class of what its CENTRE ray hits, so that borders of
+masks carry no bias below the pixel grid.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from semloc_jax.cameras import Camera
+from semloc_jax.datasets.synthetic.scene import Scene
+from semloc_jax.datasets.synthetic.solids import Solid
+
+_TILE_PX = 16
+_RANGE_M = 260.0
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera sees.
+
+    Args:
+        class_id: class of each pixel; 0 outside the field of view.
+        range_m: distance along the ray, inf where nothing is hit.
+        normal_map: unit normal of the surface hit, zero where nothing is.
+        color: albedo of solids, blue green red; nan on ground and backdrop, which are coloured by class.
+        ray_map: unit rays in the map frame.
+        in_view: whether the camera model reaches the pixel.
+    """
+
+    class_id: UInt8[np.ndarray, "h w"]
+    range_m: Float[np.ndarray, "h w"]
+    normal_map: Float[np.ndarray, "h w 3"]
+    color: Float[np.ndarray, "h w 3"]
+    ray_map: Float[np.ndarray, "h w 3"]
+    in_view: Bool[np.ndarray, "h w"]
+
+
+class PixelRays:
+    """Rays of all pixel centres of a camera, computed once, and cones around tiles of them for culling."""
+
+    def __init__(self, camera: Camera):
+        """Rays of `camera`."""
+        width, height = camera.resolution
+        u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+        ray, valid = camera.unproject(np.stack([u, v], axis=-1))
+        self.shape = (height, width)
+        self.valid = np.asarray(valid)
+        self.ray_cam = np.asarray(ray, dtype=np.float64).reshape(-1, 3)
+        self.ray_cam /= np.linalg.norm(self.ray_cam, axis=1, keepdims=True)
+        self._tile_pixels = self._tiles()
+        self.tile_axis_cam = np.array([self.ray_cam[pixels].mean(axis=0) for pixels in self._tile_pixels])
+        self.tile_axis_cam /= np.linalg.norm(self.tile_axis_cam, axis=1, keepdims=True)
+        self.tile_angle_rad = np.array(
+            [
+                np.arccos(np.clip(self.ray_cam[pixels] @ axis, -1.0, 1.0)).max()
+                for pixels, axis in zip(self._tile_pixels, self.tile_axis_cam, strict=True)
+            ]
+        )
+
+    def _tiles(self) -> list[np.ndarray]:
+        """Flat indices of the pixels of each tile; tiles without a valid pixel are left out."""
+        height, width = self.shape
+        index = np.arange(height * width).reshape(height, width)
+        tiles = []
+        for top in range(0, height, _TILE_PX):
+            for left in range(0, width, _TILE_PX):
+                rows, columns = slice(top, top + _TILE_PX), slice(left, left + _TILE_PX)
+                pixels = index[rows, columns][self.valid[rows, columns]]
+                if len(pixels):
+                    tiles.append(pixels)
+        return tiles
+
+    def toward(self, direction: np.ndarray, angle_rad: float, tile_axis: np.ndarray) -> np.ndarray:
+        """Flat indices of pixels in tiles that a cone of `angle_rad` around `direction` may touch."""
+        apart = np.arccos(np.clip(tile_axis @ direction, -1.0, 1.0))
+        touched = np.flatnonzero(apart <= angle_rad + self.tile_angle_rad)
+        return np.concatenate([self._tile_pixels[tile] for tile in touched]) if len(touched) else np.zeros(0, dtype=int)
+
+
+def render(
+    scene: Scene, rays: PixelRays, T_map_cam: Float[np.ndarray, "4 4"], ego: Sequence[Solid], time_s: float
+) -> View:
+    """What a camera at `T_map_cam` sees of the scene at a time; `ego` is the own vehicle in the map frame."""
+    origin = T_map_cam[:3, 3]
+    ray = rays.ray_cam @ T_map_cam[:3, :3].T
+    count = len(ray)
+    in_view = rays.valid.ravel()
+    class_id = np.where(in_view, scene.backdrop, 0).astype(np.uint8)
+    distance, normal, color = np.full(count, np.inf), np.zeros((count, 3)), np.full((count, 3), np.nan)
+
+    seeing = np.flatnonzero(in_view)
+    t = scene.surface.hit(origin, ray[seeing], _RANGE_M)
+    hits = seeing[np.isfinite(t)]
+    distance[hits] = t[np.isfinite(t)]
+    xy = origin[:2] + distance[hits, None] * ray[hits, :2]
+    class_id[hits] = scene.ground.class_at(xy)
+    normal[hits] = scene.surface.normal(xy)
+
+    tile_axis = rays.tile_axis_cam @ T_map_cam[:3, :3].T
+    for solid in (*scene.solids, *scene.traffic(time_s), *ego):
+        pixels = _pixels_of(solid, origin, rays, tile_axis)
+        if len(pixels) == 0:
+            continue
+        t, solid_normal = solid.hit(origin, ray[pixels])
+        nearer = t < distance[pixels]
+        chosen = pixels[nearer]
+        distance[chosen], normal[chosen] = t[nearer], solid_normal[nearer]
+        class_id[chosen], color[chosen] = solid.class_id, solid.color
+    height, width = rays.shape
+    return View(
+        class_id=class_id.reshape(height, width),
+        range_m=distance.reshape(height, width),
+        normal_map=normal.reshape(height, width, 3),
+        color=color.reshape(height, width, 3),
+        ray_map=ray.reshape(height, width, 3),
+        in_view=rays.valid,
+    )
+
+
+def _pixels_of(solid: Solid, origin: np.ndarray, rays: PixelRays, tile_axis: np.ndarray) -> np.ndarray:
+    center, radius = solid.bounds
+    away = np.linalg.norm(center - origin)
+    if away > _RANGE_M + radius:
+        return np.zeros(0, dtype=int)
+    if away <= radius:
+        return np.flatnonzero(rays.valid.ravel())
+    return rays.toward((center - origin) / away, float(np.arcsin(radius / away)), tile_axis)
