@@ -16,6 +16,10 @@ from semloc_jax.structs import ElementClass, SampleKind
 _JOIN_M = 0.05
 """Ends of two lines of one class and width that are nearer than this belong to one painted line."""
 _JOIN_WIDTH_RATIO = 1.2
+_HALF_BEAM_M = 0.155
+"""Half of the height of a W-beam (EN 1317, AASHTO M 180: 310-312 mm)."""
+_CONE_FOOT = 0.08
+"""Share of the height of a cone that its square foot plate hides."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +56,14 @@ def element_contours(element: MapElement, caps: tuple[bool, bool] = (True, True)
         return [Contour(as_ring(_counter_clockwise(points)))] if len(points) >= 3 else []
     if len(points) < 2:
         return []
-    if label in (ElementClass.POLE, ElementClass.CONE, ElementClass.PILLAR):
+    if label == ElementClass.CONE:
+        return _cone(points, element.radius_m, element.radius_top_m)
+    if label in (ElementClass.POLE, ElementClass.PILLAR):
         return _two_sides(points, element.radius_m, element.radius_top_m)
     if label == ElementClass.TRAFFIC_LIGHT:
         return _two_sides(points, 0.5 * element.width_m, 0.5 * element.width_m)
     if label == ElementClass.GUARDRAIL and element.height_m > 0:
-        return [Contour(points), Contour((points + [0.0, 0.0, element.height_m])[::-1])]
+        return [Contour(points + [0.0, 0.0, dz]) for dz in (-_HALF_BEAM_M, _HALF_BEAM_M)]
     if element.width_m > 0 and label != ElementClass.SIGN:
         return _ribbon(points, element.width_m, caps)
     return [Contour(points)]
@@ -97,7 +103,7 @@ def open_ends(elements: Sequence[MapElement]) -> np.ndarray:
 
 
 def touching_paint(elements: Sequence[MapElement]) -> list[tuple[int, int, shapely.Polygon]]:
-    """Returns pairs (element, neighbour, polygon of the neighbour) of painted elements of one class that touch or overlap."""
+    """Returns (element, neighbour, polygon of the neighbour) for painted elements of one class that touch."""
     rows = [i for i, element in enumerate(elements) if element.is_painted]
     polygons = np.array([painted_polygon(elements[i]) for i in rows], dtype=object)
     pairs = []
@@ -122,8 +128,8 @@ def _is_same_paint(one: MapElement, other: MapElement) -> bool:
 
 def _counter_clockwise(points: np.ndarray) -> np.ndarray:
     """Returns the outline counter-clockwise seen from above (upright outlines stay as they are)."""
-    x, y = points[:, 0], points[:, 1]
-    return points[::-1] if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) < 0 else points
+    x, y = as_ring(points)[:, :2].T
+    return points[::-1] if x[:-1] @ y[1:] - x[1:] @ y[:-1] < 0 else points
 
 
 def _sides(points: np.ndarray, width_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -146,6 +152,13 @@ def _ribbon(points: np.ndarray, width_m: float, caps: tuple[bool, bool]) -> list
 
 def _two_sides(points: np.ndarray, radius_m: float, radius_top_m: float) -> list[Contour]:
     return [Contour(points, SampleKind.ROUND, (sign * radius_m, sign * radius_top_m)) for sign in (1.0, -1.0)]
+
+
+def _cone(points: np.ndarray, radius_m: float, radius_top_m: float) -> list[Contour]:
+    """Returns both silhouettes of a cone above its foot plate."""
+    base, top = points[0], points[-1]
+    foot = base + _CONE_FOOT * (top - base)
+    return _two_sides(np.stack([foot, top]), radius_m + _CONE_FOOT * (radius_top_m - radius_m), radius_top_m)
 
 
 def _box_corners(points: np.ndarray, height_m: float) -> list[Contour]:

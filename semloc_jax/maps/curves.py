@@ -14,8 +14,10 @@ def without_repeats(points: np.ndarray, closed: bool = False) -> np.ndarray:
     """Returns the vertices without consecutive repeats, `[k 3]`; a closed outline loses its repeated last point."""
     if len(points) < 2:
         return points
-    keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > _SAME_POINT_M])
-    points = points[keep]
+    step = points[1:] - points[:-1]
+    moves = np.einsum("ij,ij->i", step, step) > _SAME_POINT_M**2
+    if not moves.all():
+        points = points[np.concatenate([[True], moves])]
     if closed and len(points) > 1 and np.linalg.norm(points[0] - points[-1]) <= _SAME_POINT_M:
         points = points[:-1]
     return points
@@ -89,44 +91,37 @@ def clip_to_circle(points: np.ndarray, center: np.ndarray, radius_m: float) -> l
     """Returns the parts of a polyline inside a circle, each with whether it keeps the true start and the true end.
 
     Args:
-        points: vertices, `[k 3]`.
+        points: vertices, `[k 3]`, without repeats.
         center: circle centre, `[2]`.
         radius_m: circle radius; height plays no role.
     """
     relative = points[:, :2] - center
     if np.all(np.einsum("ij,ij->i", relative, relative) <= radius_m**2):
         return [(points, True, True)]
-    parts: list[tuple[np.ndarray, bool, bool]] = []
-    current: list[np.ndarray] = []
-    starts_true = True
-    last = len(points) - 2
-    for index in range(last + 1):
-        span = _inside_span(relative[index], relative[index + 1], radius_m)
-        if span is None:
-            continue
-        enter, leave = span
-        start, step = points[index], points[index + 1] - points[index]
-        if not current:
-            starts_true = index == 0 and enter == 0.0
-            current = [start + enter * step]
-        current.append(start + leave * step)
-        ends_true = index == last and leave == 1.0
-        if leave < 1.0 or index == last:
-            parts.append((np.array(current), starts_true, ends_true))
-            current = []
+    enter, leave = _inside_span(relative, radius_m)
+    inside = np.flatnonzero(leave > enter)
+    if len(inside) == 0:
+        return []
+    step = np.diff(points, axis=0)
+    is_break = (np.diff(inside) > 1) | (leave[inside[:-1]] < 1.0) | (enter[inside[1:]] > 0.0)
+    parts = []
+    for run in np.split(inside, np.flatnonzero(is_break) + 1):
+        first, last = run[0], run[-1]
+        start = points[first] + enter[first] * step[first]
+        end = points[last] + leave[last] * step[last]
+        part = without_repeats(np.vstack([start, points[first + 1 : last + 1], end]))
+        parts.append((part, bool(first == 0 and enter[0] == 0.0), bool(last == len(step) - 1 and leave[last] == 1.0)))
     return parts
 
 
-def _inside_span(a: np.ndarray, b: np.ndarray, radius_m: float) -> tuple[float, float] | None:
-    """Returns the share [enter, leave] of the segment a-b `[2]` inside a circle at zero, or None."""
-    step = b - a
-    squared = float(step @ step)
-    if squared == 0.0:
-        return (0.0, 1.0) if float(a @ a) <= radius_m**2 else None
-    middle = -float(a @ step) / squared
-    inside = middle**2 - (float(a @ a) - radius_m**2) / squared
-    if inside <= 0.0:
-        return None
-    half = float(np.sqrt(inside))
-    enter, leave = max(middle - half, 0.0), min(middle + half, 1.0)
-    return (enter, leave) if leave > enter else None
+def _inside_span(relative: np.ndarray, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns where each segment of `relative` `[k 2]` enters and leaves a circle at zero, as shares of it `[k-1]`.
+
+    A segment that does not meet the circle leaves before it enters.
+    """
+    start, step = relative[:-1], np.diff(relative, axis=0)
+    squared = np.maximum(np.einsum("ij,ij->i", step, step), 1e-18)
+    middle = -np.einsum("ij,ij->i", start, step) / squared
+    excess = (np.einsum("ij,ij->i", start, start) - radius_m**2) / squared
+    half = np.sqrt(np.maximum(middle**2 - excess, 0.0))
+    return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)

@@ -1,11 +1,11 @@
 """One element of a semantic vector map and the words for its class and style (room: maps; host).
 
-In: numbers from a reader. Out: MapElement, GeoOrigin; coordinates are in the local `map` frame [m], x east, y north, z up.
+In: numbers from a reader. Out: MapElement, GeoOrigin. Coordinates: local `map` frame [m], x east, y north, z up.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.structs import ElementClass
 
 VIRTUAL = "virtual"
-"""Style of a logical line: it guides the road model and is not painted."""
+"""Style of what is kept but not sampled: lines that are not painted, signs whose height nobody wrote down."""
 
 PAINT_CLASSES = frozenset(
     {
@@ -30,8 +30,7 @@ UPRIGHT_CLASSES = frozenset({ElementClass.POLE, ElementClass.TRAFFIC_LIGHT, Elem
 """Classes stored as an axis of two points, base first."""
 
 
-@dataclass(frozen=True)
-class GeoOrigin:
+class GeoOrigin(NamedTuple):
     """Where the local frame of a map sits on the earth: WGS84, ellipsoidal height."""
 
     lat_deg: float
@@ -46,17 +45,18 @@ class MapElement:
     Attributes:
         id: name, unique in its map.
         label: class.
-        points: `float64[k 3]` in the map frame [m]. Painted lines: centre line; areas, signs and pillars: outline without
-            a repeated last point; poles, cones, traffic lights: base and top; curbs and guardrails: foot line.
+        points: `float64[k 3]` in the map frame [m]. Painted lines: centre line; areas, signs and pillars: outline
+            without a repeated last point; poles, cones, traffic lights: base and top; guardrails: middle of the beam.
         closed: the last point joins the first.
         width_m: width of a painted line or of a traffic-light box; 0 where unknown or meaningless.
         radius_m: radius at the base of a pole or cone.
         radius_top_m: radius at its top.
-        height_m: height of a pillar, guardrail or bump above its points.
+        height_m: height of a pillar or bump above its points; top of a guardrail above the ground.
         style: solid, dashed, double ...; `virtual` for logical lines.
         shape: circle, triangle, rectangle ... of a sign; kind of an arrow.
         normal: unit `float64[3]` out of the face of a sign, or None.
         true_ends: whether the first and the last point are real ends (False where a query cut the line).
+        has_height: whether the heights of the points were given (else they are 0).
         attributes: what else the file said, kept for writing it back.
     """
 
@@ -72,12 +72,13 @@ class MapElement:
     shape: str = ""
     normal: np.ndarray | None = None
     true_ends: tuple[bool, bool] = (True, True)
+    has_height: bool = True
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         points = np.array(self.points, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-            raise SemlocError(f"map element '{self.id}': points of shape {points.shape}; expected [k 3] with k >= 1")
+            raise SemlocError(f"map element '{self.id}': points of shape {points.shape}; expected [k 3], k >= 1")
         points.setflags(write=False)
         object.__setattr__(self, "points", points)
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from semloc_jax.errors import SemlocError
@@ -68,14 +69,15 @@ class GroundModel:
     def from_elements(cls, elements: Iterable[MapElement]) -> "GroundModel":
         """Returns the ground under `elements`: paint, curbs and slots; feet of poles and pillars only without those."""
         elements = list(elements)
+        elements = [e for e in elements if e.has_height] or elements
         points = [_surface_points(e) for e in elements if e.label in PAINT_CLASSES or e.label in _SURFACE_CLASSES]
         if not points:
             points = [_foot_points(e) for e in elements if e.label in UPRIGHT_CLASSES or e.label == ElementClass.PILLAR]
         stacked = np.vstack([np.zeros((0, 3)), *points])
         return cls(stacked[np.isfinite(stacked).all(axis=1)])
 
-    def plane(self, center: np.ndarray, radius_m: float = 8.0) -> RoadPlane:
-        """Returns the plane of the road around a place, by a robust fit that grows its radius until it has enough points.
+    def plane(self, center: ArrayLike, radius_m: float = 8.0) -> RoadPlane:
+        """Returns the plane of the road around a place: a robust fit that looks farther until it has enough points.
 
         Args:
             center: place in the map frame, `[2]` or more [m].
@@ -111,11 +113,12 @@ class GroundModel:
         return pose
 
     def _neighbours(self, center: np.ndarray, radius_m: float) -> tuple[np.ndarray, float]:
-        """Returns ground points around a place, `[n 3]`, enough for both slopes where the map has them, and the radius."""
+        """Returns ground points around a place `[n 3]`, enough for both slopes where possible, and the radius."""
         found = np.zeros((0, 3))
         while self._tree is not None:
             found = self.points[self._tree.query_ball_point(center, radius_m)]
-            if len(found) >= _MIN_POINTS and _spread_m(found[:, :2]) >= _MIN_SPREAD_M or radius_m >= _MAX_RADIUS_M:
+            is_enough = len(found) >= _MIN_POINTS and _spread_m(found[:, :2]) >= _MIN_SPREAD_M
+            if is_enough or radius_m >= _MAX_RADIUS_M:
                 break
             radius_m = min(1.5 * radius_m, _MAX_RADIUS_M)
         if len(found) == 0:
@@ -145,7 +148,7 @@ def _spread_m(xy: np.ndarray) -> float:
 
 
 def _fit_plane(points: np.ndarray, center: np.ndarray, radius_m: float) -> RoadPlane:
-    """Returns the plane through `points` `[n 3]` by Cauchy-weighted least squares, started at the weighted median height."""
+    """Returns the plane through `points` `[n 3]` by Cauchy-weighted least squares from the median height on."""
     offset = points[:, :2] - center
     near = np.exp(-0.5 * np.sum((2.0 * offset / radius_m) ** 2, axis=1))
     design = np.column_stack([np.ones(len(points)), offset])

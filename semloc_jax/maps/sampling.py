@@ -5,10 +5,12 @@ In: a LocalMap. Out: MapSamples, padded to a bucket, relative to `LocalMap.origi
 
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 import shapely
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry import polyline
 from semloc_jax.maps.contours import Contour, element_contours, open_ends, touching_paint
 from semloc_jax.maps.curves import resample
 from semloc_jax.maps.elements import MapElement
@@ -26,9 +28,9 @@ _SAME_LEVEL_M = 0.5
 def sample(local_map: LocalMap, spacing_m: float, capacity: int | None = None) -> MapSamples:
     """Returns samples on the visible contours of the local map, one each `spacing_m` of contour.
 
-    The edges of what is painted are sampled, not centre lines: both sides of a line and its true ends, outlines of areas
-    and signs, both silhouettes of round things, vertical edges of pillars. Edges inside other paint of the class are left
-    out, and so are logical elements.
+    The edges of what is painted are sampled, not centre lines: both sides of a line and its true ends, outlines of
+    areas and signs, both silhouettes of round things, vertical edges of pillars. Edges inside other paint of the class
+    are left out, and so are logical elements.
 
     Args:
         local_map: from `SemanticMap.query`.
@@ -79,8 +81,8 @@ def _is_outermost(
 ) -> np.ndarray:
     """Returns whether each sample lies on the outline of the union of its class's paint, `bool[n]`.
 
-    A sample is inside the union if the place just outside of its own element is painted by a neighbour. Where two elements
-    share the same edge from the same side (doubled entries of a map), the first one keeps it.
+    A sample is inside the union if the place just outside of its own element is painted by a neighbour. Where two
+    elements share an edge and its side (doubled entries of a map), the first one keeps it.
     """
     outward = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
@@ -92,18 +94,20 @@ def _is_outermost(
         hidden = shapely.contains_xy(polygon, outside)
         if neighbour < index:
             hidden |= shapely.contains_xy(polygon, position[rows, :2] - _PROBE_M * outward[rows])
-        keep[rows[hidden]] &= ~_is_level(position[rows[hidden]], elements[neighbour].points)
+        if hidden.any():
+            keep[rows[hidden]] &= ~_is_level(position[rows[hidden]], elements[neighbour].points)
     return keep
 
 
 def _is_level(position: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Returns whether each position `[n 3]` is about as high as the polyline `points` `[k 3]` nearest to it."""
-    start, step = points[:-1], np.diff(points, axis=0)
-    along = np.einsum("nkj,kj->nk", position[:, None, :2] - start[None, :, :2], step[:, :2])
-    along = np.clip(along / np.maximum(np.einsum("kj,kj->k", step[:, :2], step[:, :2]), 1e-12), 0.0, 1.0)
-    foot = start + along[..., None] * step
-    nearest = ((position[:, None, :2] - foot[..., :2]) ** 2).sum(axis=2).argmin(axis=1)
-    return np.abs(position[:, 2] - foot[np.arange(len(position)), nearest, 2]) < _SAME_LEVEL_M
+    """Returns whether each position `[n 3]` is about as high as the line `points` `[k 3]` where it is nearest."""
+    lowest, highest = min(position[:, 2].min(), points[:, 2].min()), max(position[:, 2].max(), points[:, 2].max())
+    if highest - lowest < _SAME_LEVEL_M:
+        return np.ones(len(position), dtype=bool)
+    points = points[np.concatenate([[True], np.any(np.diff(points[:, :2], axis=0) != 0.0, axis=1)])]
+    along = polyline.arc_length(points[:, :2])
+    height = np.interp(polyline.nearest(points[:, :2], position[:, :2]).s_m, along, points[:, 2])
+    return np.abs(position[:, 2] - height) < _SAME_LEVEL_M
 
 
 def _pad(columns: dict[str, np.ndarray], capacity: int | None) -> MapSamples:
@@ -118,4 +122,4 @@ def _pad(columns: dict[str, np.ndarray], capacity: int | None) -> MapSamples:
         fill = -1 if name == "element" else 0
         padded[name] = np.full((capacity, *values.shape[1:]), fill, dtype=values.dtype)
         padded[name][:count] = values
-    return MapSamples(**padded, valid=np.arange(capacity) < count)
+    return MapSamples(**jax.device_put({**padded, "valid": np.arange(capacity) < count}))

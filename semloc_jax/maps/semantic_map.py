@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import clip_to_circle, without_repeats
@@ -70,13 +71,13 @@ class SemanticMap:
     def _tree(self) -> shapely.STRtree:
         return shapely.STRtree([_plan_geometry(element) for element in self.elements])
 
-    def query(self, center_map: np.ndarray, radius_m: float, heading_rad: float | None = None) -> LocalMap:
+    def query(self, center_map: ArrayLike, radius_m: float, heading_rad: float | None = None) -> LocalMap:
         """Returns the elements that come within `radius_m` of a place, with lines cut at that radius.
 
         Args:
             center_map: place in the map frame, `[2]` or `[3]` [m]; without a height the road's is taken.
             radius_m: search radius in the horizontal plane.
-            heading_rad: where the vehicle looks; if given, elements that lie wholly behind half the radius are left out.
+            heading_rad: where the vehicle looks; if given, elements farther behind than half the radius are left out.
 
         Raises:
             SemlocError: the place is not finite, the radius is not positive, or the map is empty.
@@ -102,7 +103,7 @@ class SemanticMap:
             raise SemlocError(f"map {self.name} has no elements; expected at least one marking, pole or sign")
         return LocalMap(self.elements, np.round(self.extent.mean(axis=0)), self.ground)
 
-    def ground_plane(self, center_xy: np.ndarray, radius_m: float = 8.0) -> RoadPlane:
+    def ground_plane(self, center_xy: ArrayLike, radius_m: float = 8.0) -> RoadPlane:
         """Returns the plane of the road around a place; see `GroundModel.plane`."""
         return self.ground.plane(center_xy, radius_m)
 

@@ -4,15 +4,60 @@ In: a path. Out: SemanticMap, whatever the format.
 """
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.maps.io.drive_geojson import map_from_drive_geojson, write_drive_geojson
+from semloc_jax.maps.io.geojson import map_from_geojson, write_geojson
+from semloc_jax.maps.io.lanelet2 import read_lanelet2
+from semloc_jax.maps.io.lanelet2_ways import Lanelet2Style
 from semloc_jax.maps.semantic_map import SemanticMap
 
-__all__ = ["read_map", "write_drive_geojson"]
+__all__ = ["Lanelet2Style", "read_lanelet2", "read_map", "write_drive_geojson", "write_geojson"]
 
 
-def read_map(path: str | Path) -> SemanticMap:
+def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
+    """Returns the map in a file of any known format: drive layout, RFC 7946 GeoJSON, Lanelet2 OSM.
+
+    Args:
+        path: .osm is Lanelet2; .geojson and .json are the drive layout if they have the member `frame`, else RFC 7946.
+        origin: where to put the local frame of a map in latitude and longitude; None lets the reader choose.
+
+    Raises:
+        SemlocError: no such file, no known format, broken content, or nothing in it that can be seen.
+    """
     path = Path(path)
-    return map_from_drive_geojson(json.loads(path.read_text(encoding="utf-8")), path.name)
+    if not path.is_file():
+        raise SemlocError(f"map {path}: no such file; give a .geojson, .json or .osm map")
+    if path.suffix.lower() in (".osm", ".xml"):
+        found = read_lanelet2(path, origin)
+    elif path.suffix.lower() in (".geojson", ".json"):
+        document = _parse_geojson(path)
+        is_drive = isinstance(document.get("frame"), Mapping)
+        found = (
+            map_from_drive_geojson(document, path.name) if is_drive else map_from_geojson(document, path.name, origin)
+        )
+    else:
+        raise SemlocError(f"map {path.name}: unknown type '{path.suffix}'; expected .geojson, .json or .osm")
+    if not any(not element.is_logical for element in found.elements):
+        unknown = ", ".join(f"{count} {name}" for name, count in sorted(found.skipped.items()))
+        raise SemlocError(
+            f"map {path.name}: no element that a camera could see (left out: {unknown or 'nothing'}); "
+            "expected markings, poles or signs with a known `class`"
+        )
+    return found
+
+
+def _parse_geojson(path: Path) -> dict[str, Any]:
+    """Returns the FeatureCollection in a file."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise SemlocError(f"map {path.name}: not valid JSON ({error}); is the file complete?") from error
+    if not isinstance(document, dict) or not isinstance(document.get("features"), list):
+        kind = document.get("type") if isinstance(document, dict) else type(document).__name__
+        raise SemlocError(f"map {path.name}: holds {kind}; expected a GeoJSON FeatureCollection with `features`")
+    return document

@@ -3,15 +3,13 @@
 In: a file whose member `frame` gives the origin. Out: SemanticMap, and the same file back.
 """
 
-import json
-from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import GeoOrigin
-from semloc_jax.maps.io.features import element_from_feature, feature_from_element
+from semloc_jax.maps.io.features import elements_from_features, feature_from_element, write_features
 from semloc_jax.maps.semantic_map import SemanticMap
 
 _FRAME_KIND = "local ENU, metres, x east y north z up"
@@ -25,22 +23,10 @@ def map_from_drive_geojson(document: Mapping[str, Any], name: str) -> SemanticMa
         name: what to call the map in messages.
 
     Raises:
-        SemlocError: a feature has a wrong geometry for its class, NaN coordinates, or the origin is incomplete.
+        SemlocError: a wrong geometry for a class, NaN coordinates, or an origin that is no place on earth.
     """
-    frame = document.get("frame") or {}
-    try:
-        origin = GeoOrigin(*(float(frame[key]) for key in ("origin_lat_deg", "origin_lon_deg", "origin_alt_m")))
-    except (KeyError, TypeError, ValueError):
-        origin = None
-    skipped: Counter[str] = Counter()
-    elements = []
-    for index, feature in enumerate(document.get("features") or []):
-        element = element_from_feature(feature, index, name)
-        if isinstance(element, str):
-            skipped[element] += 1
-        else:
-            elements.append(element)
-    return SemanticMap(tuple(elements), origin, name, dict(skipped))
+    elements, skipped = elements_from_features(document, name)
+    return SemanticMap(elements, _origin(document.get("frame"), name), name, skipped)
 
 
 def write_drive_geojson(semantic_map: SemanticMap, path: str | Path) -> None:
@@ -49,15 +35,18 @@ def write_drive_geojson(semantic_map: SemanticMap, path: str | Path) -> None:
     frame: dict[str, Any] = {"kind": _FRAME_KIND}
     if origin is not None:
         frame |= {"origin_lat_deg": origin.lat_deg, "origin_lon_deg": origin.lon_deg, "origin_alt_m": origin.alt_m}
-    document = {
-        "type": "FeatureCollection",
-        "name": semantic_map.name,
-        "frame": frame,
-        "features": [
-            feature_from_element(element, lambda points: points.round(4)) for element in semantic_map.elements
-        ],
-    }
+    features = [feature_from_element(element, lambda points: points.round(4)) for element in semantic_map.elements]
+    write_features(path, {"name": semantic_map.name, "frame": frame}, features)
+
+
+def _origin(frame: Any, name: str) -> GeoOrigin | None:
+    """Returns the place of the frame; None if the member names none."""
+    if not isinstance(frame, Mapping) or "origin_lat_deg" not in frame:
+        return None
     try:
-        Path(path).write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
-    except OSError as error:
-        raise SemlocError(f"cannot write map {path}: {error.strerror}; give a path in a folder that exists") from error
+        lat, lon, alt = (float(frame.get(f"origin_{key}", 0.0)) for key in ("lat_deg", "lon_deg", "alt_m"))
+    except (TypeError, ValueError):
+        lat = lon = alt = float("nan")
+    if not (abs(lat) <= 90.0 and abs(lon) <= 180.0 and abs(alt) < 1e5):
+        raise SemlocError(f"map {name}: origin {dict(frame)}; expected origin_lat_deg, origin_lon_deg and origin_alt_m")
+    return GeoOrigin(lat, lon, alt)

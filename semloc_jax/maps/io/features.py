@@ -1,10 +1,13 @@
 """GeoJSON features and map elements: the property names both kinds of GeoJSON share (room: maps; host).
 
-In: one parsed feature or one element. Out: the other. Properties: class, width, radius, radius_top, height, style, shape,
-normal (and whatever else stood there, kept as attributes).
+In: one parsed feature or one element. Out: the other. Properties: class; width, radius, radius_top, height [m]; style,
+shape, normal (unit vector, east north up); whatever else stands there is kept as attributes.
 """
 
+import json
+from collections import Counter
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,8 +39,41 @@ FEATURE_CLASSES: dict[str, tuple[ElementClass, str, frozenset[str]]] = {
 }
 """Class name in the file -> class, default style, geometries allowed."""
 
+_CONE_TOP_SHARE = 0.2
+"""Radius at the top of a traffic cone against that at its base, where the file does not say (our assumption)."""
 _NUMBERS = ("width", "radius", "radius_top", "height")
 ToLocal = Callable[[np.ndarray], np.ndarray]
+
+
+def elements_from_features(
+    document: Mapping[str, Any], name: str, to_local: ToLocal | None = None
+) -> tuple[tuple[MapElement, ...], dict[str, int]]:
+    """Returns the elements of a FeatureCollection, and how many features of each unknown class were left out.
+
+    Args:
+        document: parsed GeoJSON.
+        name: map name for messages.
+        to_local: maps file coordinates `[k 3]` to the map frame; None leaves them.
+    """
+    found: list[MapElement] = []
+    skipped: Counter[str] = Counter()
+    for index, feature in enumerate(document["features"]):
+        element = element_from_feature(feature, index, name, to_local)
+        if isinstance(element, str):
+            skipped[element] += 1
+        else:
+            found.append(element)
+    return tuple(found), dict(skipped)
+
+
+def write_features(path: str | Path, members: Mapping[str, Any], features: list[dict[str, Any]]) -> None:
+    """Writes a FeatureCollection with some foreign members, one feature a line so that versions can be compared."""
+    head = json.dumps({"type": "FeatureCollection", **members}, allow_nan=False)
+    lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
+    try:
+        Path(path).write_text(f'{head[:-1]}, "features": [\n{lines}\n]}}\n', encoding="utf-8")
+    except OSError as error:
+        raise SemlocError(f"cannot write map {path}: {error.strerror}; give a path in a folder that exists") from error
 
 
 def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal | None = None) -> MapElement | str:
@@ -60,16 +96,15 @@ def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal 
     if class_name not in FEATURE_CLASSES:
         return class_name
     label, style, allowed = FEATURE_CLASSES[class_name]
-    points, closed = _coordinates(feature.get("geometry"), allowed, f"{where} ({class_name})")
+    points, closed, has_height = _coordinates(feature.get("geometry"), allowed, f"{where} ({class_name})")
     if to_local is not None:
         points = to_local(points)
+        points = points if has_height else points * [1.0, 1.0, 0.0]
     if label in UPRIGHT_CLASSES and len(points) != 2:
         raise SemlocError(f"{where} ({class_name}): {len(points)} points; expected two, the base and the top")
     width, radius, radius_top, height = (_number(properties.get(key), key, where) for key in _NUMBERS)
-    if label == ElementClass.POLE and "radius_top" not in properties:
-        radius_top = radius
-    if label == ElementClass.PILLAR and not closed:
-        radius_top = radius
+    if "radius_top" not in properties:
+        radius_top = _CONE_TOP_SHARE * radius if label == ElementClass.CONE else radius
     return MapElement(
         id=str(feature.get("id", f"{class_name}_{index}")),
         label=label,
@@ -82,6 +117,7 @@ def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal 
         style=style if style == VIRTUAL else str(properties.get("style", style)),
         shape=str(properties.get("shape", properties.get("kind", ""))) if label in _SHAPED else "",
         normal=_normal(properties.get("normal"), where),
+        has_height=has_height,
         attributes={**properties, "class": class_name},
     )
 
@@ -100,7 +136,7 @@ def feature_from_element(element: MapElement, to_file: Callable[[np.ndarray], np
         properties.setdefault("shape", element.shape)
     if element.normal is not None:
         properties["normal"] = [float(v) for v in element.normal]
-    coordinates = to_file(element.points).tolist()
+    coordinates = to_file(element.points)[:, : 3 if element.has_height else 2].tolist()
     if element.closed:
         geometry = {"type": "Polygon", "coordinates": [[*coordinates, coordinates[0]]]}
     else:
@@ -121,15 +157,16 @@ def feature_class(element: MapElement) -> str:
 _SHAPED = frozenset({ElementClass.SIGN, ElementClass.ROAD_MARK})
 
 
-def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np.ndarray, bool]:
-    """Returns the points `[k 3]` of a geometry (outer ring without its repeated point) and whether it is closed."""
+def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np.ndarray, bool, bool]:
+    """Returns the points `[k 3]` of a geometry (outer ring without repeat), whether closed, whether with heights."""
     kind = geometry.get("type") if isinstance(geometry, Mapping) else None
     if kind not in allowed:
         raise SemlocError(f"{where}: geometry {kind}; expected {' or '.join(sorted(allowed))}")
     closed = kind == "Polygon"
     try:
         raw = geometry["coordinates"][0] if closed else geometry["coordinates"]
-        points = np.array([[p[0], p[1], p[2] if len(p) > 2 else 0.0] for p in raw], dtype=np.float64)
+        has_height = all(len(p) > 2 for p in raw)
+        points = np.array([[p[0], p[1], p[2] if has_height else 0.0] for p in raw], dtype=np.float64)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise SemlocError(f"{where}: coordinates cannot be read; expected lists of [x, y, z] numbers") from error
     if closed and len(points) > 1 and np.array_equal(points[0], points[-1]):
@@ -138,7 +175,7 @@ def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np
         raise SemlocError(f"{where}: {len(points)} points; expected at least {3 if closed else 2}")
     if not np.isfinite(points).all():
         raise SemlocError(f"{where}: NaN or infinite coordinates; expected finite metres or degrees")
-    return points, closed
+    return points, closed, has_height
 
 
 def _number(value: Any, key: str, where: str) -> float:
