@@ -69,11 +69,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_verb(name: str, words: list[str], debug: bool) -> int:
-    from semloc_jax.cli.arguments import UsageError, parse
+    from semloc_jax.cli import runtime
+    from semloc_jax.cli.arguments import parse
+    from semloc_jax.cli.config_files import UsageError
     from semloc_jax.errors import SemlocError
 
-    verb: ModuleType = importlib.import_module(f"semloc_jax.cli.{name}")
     try:
+        runtime.prepare_jax()
+        verb: ModuleType = importlib.import_module(f"semloc_jax.cli.{name}")
         return verb.run(parse(name, verb, words))
     except SystemExit as stop:  # `--help` of a verb
         return int(stop.code or 0)

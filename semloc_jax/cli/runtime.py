@@ -30,6 +30,9 @@ def prepare_jax() -> None:
         if is_writable(folder):
             os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
             os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+    # Loading a cached program logs, as an error, that pseudo features (prefer-no-gather) are missing on the very
+    # machine that compiled it. Each kind of processor has its own folder, so a true mismatch cannot occur.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 
 def cpu_features() -> frozenset[str]:

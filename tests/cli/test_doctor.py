@@ -1,0 +1,75 @@
+"""`semloc doctor` and what is set up before JAX: self-tests pass, faulty releases are named, caches never crash."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from semloc_jax.cli import doctor, runtime, selftest
+from semloc_jax.cli.main import FAILED, OK, main
+
+
+def test_this_machine_is_well(capsys):
+    assert main(["doctor"]) == OK
+    said = capsys.readouterr().out
+    assert "WRONG" not in said
+    for word in ("jax ", "device", "compiled sums of 16385 rows, float64", "compiled sums of 32769 rows, float32"):
+        assert word in said
+
+
+@pytest.mark.parametrize(("dtype", "rows"), [(np.float64, 16385), (np.float32, 32769), (np.float64, 16384)])
+def test_compiled_code_agrees_with_numpy_above_the_sizes_of_the_known_fault(dtype, rows):
+    check = selftest.check_compiled_sum(dtype, rows)
+    assert check.is_ok, check.found
+
+
+def test_faulty_releases_of_jax_are_named_with_the_remedy():
+    check = selftest.check_jax_version("0.10.2")
+    assert not check.is_ok
+    assert "silently wrong" in check.found
+    assert "!=0.10.2" in check.remedy
+    assert selftest.check_jax_version("0.10.1").is_ok
+
+
+def test_a_failed_check_is_exit_code_1(monkeypatch, capsys):
+    monkeypatch.setattr(selftest, "run_checks", lambda: [selftest.Check("sums", False, "off by 3", "reinstall it")])
+    assert main(["doctor"]) == FAILED
+    said = capsys.readouterr().out
+    assert "WRONG sums" in said
+    assert "to do: reinstall it" in said
+    assert doctor.EXTRAS["rerun"] == "semloc-jax[viz]"
+
+
+def _environment(code: str, **extra: str) -> list[str]:
+    """Lines printed by a fresh process in which JAX has not been loaded."""
+    drop = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "TF_CPP_MIN_LOG_LEVEL")
+    environment = {key: value for key, value in os.environ.items() if key not in drop} | extra
+    code = f"import os\nfrom semloc_jax.cli import runtime\n{code}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+SHOW = """runtime.prepare_jax()
+print(os.environ.get('XLA_FLAGS', '-'))
+print(os.environ.get('JAX_COMPILATION_CACHE_DIR', '-'))"""
+
+
+def test_the_environment_is_set_before_jax(tmp_path):
+    xla_flags, cache = _environment(SHOW, XDG_CACHE_HOME=str(tmp_path))
+    assert ("avx512f" in runtime.cpu_features()) == ("--xla_cpu_prefer_vector_width=512" in xla_flags)
+    assert cache.startswith(str(tmp_path))
+
+
+def test_what_the_user_has_set_stays(tmp_path):
+    mine = {"XLA_FLAGS": "--xla_cpu_prefer_vector_width=256", "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "mine")}
+    assert _environment(SHOW, **mine) == [mine["XLA_FLAGS"], mine["JAX_COMPILATION_CACHE_DIR"]]
+    other, _ = _environment(SHOW, XLA_FLAGS="--xla_force_host_platform_device_count=1", XDG_CACHE_HOME=str(tmp_path))
+    assert other.startswith("--xla_force_host_platform_device_count=1")
+
+
+def test_a_home_that_cannot_be_written_to_turns_the_cache_off(tmp_path):
+    (tmp_path / "file").write_text("no folder can be made below a file")
+    assert _environment(SHOW, XDG_CACHE_HOME=str(tmp_path / "file"))[1] == "-"

@@ -1,0 +1,55 @@
+"""`semloc evaluate`: known errors come out as numbers, a lost baseline as exit code 3."""
+
+import json
+
+import numpy as np
+import pytest
+
+from semloc_jax.cli.main import FAILED, LOST, OK, main
+from semloc_jax.evaluation import Trajectory, read_metrics, write_tum
+
+
+def _write(path, lateral_m=0.0, start_s=0.0):
+    T = np.tile(np.eye(4), (30, 1, 1))
+    T[:, 0, 3] = np.arange(30)
+    T[:, 1, 3] = lateral_m
+    write_tum(Trajectory(start_s + 0.1 * np.arange(30), T), path)
+    return str(path)
+
+
+@pytest.fixture
+def truth(tmp_path):
+    return _write(tmp_path / "truth.tum")
+
+
+def test_metrics_and_picture_are_written(truth, tmp_path, capsys):
+    estimate = _write(tmp_path / "estimate.tum", lateral_m=0.2)
+    assert main(["evaluate", estimate, truth, "--out", str(tmp_path / "new" / "folder")]) == OK
+    metrics = {m.key: m for m in read_metrics(tmp_path / "new" / "folder" / "metrics.json")}
+    assert metrics["lateral.median"].value == pytest.approx(0.2)
+    assert metrics["lateral.bias"].value == pytest.approx(0.2)
+    assert metrics["inside.local_street"].value == 1.0
+    assert (tmp_path / "new" / "folder" / "errors.png").stat().st_size > 5000
+    assert "0.2000" in capsys.readouterr().out
+
+
+def test_the_gate_ends_with_exit_code_3(truth, tmp_path, capsys):
+    good, bad = _write(tmp_path / "good.tum", 0.05), _write(tmp_path / "bad.tum", 0.4)
+    assert main(["evaluate", good, truth, "--out", str(tmp_path)]) == OK
+    gate = ["--baseline", str(tmp_path / "metrics.json")]
+    assert main(["evaluate", good, truth, *gate]) == OK
+    assert main(["evaluate", bad, truth, *gate]) == LOST
+    said = capsys.readouterr().out
+    assert "worse   lateral.median" in said
+
+
+def test_different_clocks_and_broken_files_are_explained(truth, tmp_path, capsys):
+    late = _write(tmp_path / "late.tum", start_s=50.0)
+    assert main(["evaluate", late, truth]) == FAILED
+    assert "expected the same clock" in capsys.readouterr().err
+    (tmp_path / "words.tum").write_text("this is no trajectory\n")
+    assert main(["evaluate", str(tmp_path / "words.tum"), truth]) == FAILED
+    assert "not a table of numbers" in capsys.readouterr().err
+    (tmp_path / "metrics.json").write_text(json.dumps([1, 2]))
+    assert main(["evaluate", truth, truth, "--baseline", str(tmp_path / "metrics.json")]) == FAILED
+    assert "not a metrics file" in capsys.readouterr().err
