@@ -8,7 +8,7 @@ import numpy as np
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.datasets.synthetic import elements as make
 from semloc_jax.datasets.synthetic.elements import Painter
-from semloc_jax.datasets.synthetic.paint import GroundArea, PaintedGround
+from semloc_jax.datasets.synthetic.paint import GroundArea, PaintedGround, wear_pattern
 from semloc_jax.datasets.synthetic.path import PlanePath, path_from_curvature
 from semloc_jax.datasets.synthetic.scene import Scene, class_name, solid_of
 from semloc_jax.datasets.synthetic.solids import Box, Solid, car, rotation_about_z
@@ -25,7 +25,7 @@ _HEIGHT_M = 3.0
 _PAST_END_M = 12.0
 
 
-def build_garage(rng: np.random.Generator, length_m: float) -> Scene:
+def build_garage(rng: np.random.Generator, length_m: float, wear_share: float) -> Scene:
     """An aisle along x with slots on both sides, which the vehicle drives from x = 0 to x = `length_m`."""
     start, end = -_PAST_END_M, length_m + _PAST_END_M
     straight_s = np.arange(start - 20.0, end + 20.0, 0.05)
@@ -48,7 +48,8 @@ def build_garage(rng: np.random.Generator, length_m: float) -> Scene:
     class_ids = [CLASS_IDS[class_name(element)] for element in painted]
     depth = _AISLE_M + _SLOT_M[1] + 1.5
     floor = np.array([[start - 3.0, -depth], [end + 3.0, -depth], [end + 3.0, depth], [start - 3.0, depth]])
-    ground = PaintedGround(painted, class_ids, [GroundArea(CLASS_IDS["road"], floor)], CLASS_IDS["wall"])
+    areas, worn = [GroundArea(CLASS_IDS["road"], floor)], wear_pattern(wear_share, rng)
+    ground = PaintedGround(painted, class_ids, areas, CLASS_IDS["wall"], worn)
     ego = Box(CLASS_IDS["ego"], (0.3, 0.3, 0.32), np.array([1.4, 0.0, 0.55]), (4.62, 1.86, 0.6), np.eye(3))
     return Scene(
         elements=tuple(elements),

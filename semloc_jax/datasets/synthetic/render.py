@@ -49,7 +49,7 @@ class PixelRays:
         ray, valid = camera.unproject(np.stack([u, v], axis=-1))
         self.shape = (height, width)
         self.valid = np.asarray(valid)
-        self.ray_cam = np.asarray(ray, dtype=np.float64).reshape(-1, 3)
+        self.ray_cam = np.array(ray, dtype=np.float64).reshape(-1, 3)
         self.ray_cam /= np.linalg.norm(self.ray_cam, axis=1, keepdims=True)
         self._tile_pixels = self._tiles()
         self.tile_axis_cam = np.array([self.ray_cam[pixels].mean(axis=0) for pixels in self._tile_pixels])

@@ -10,7 +10,7 @@ import numpy as np
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.datasets.synthetic import elements as make
 from semloc_jax.datasets.synthetic.elements import Painter
-from semloc_jax.datasets.synthetic.paint import GroundArea, PaintedGround
+from semloc_jax.datasets.synthetic.paint import GroundArea, PaintedGround, wear_pattern
 from semloc_jax.datasets.synthetic.path import winding_path
 from semloc_jax.datasets.synthetic.scene import Scene, class_name, solid_of
 from semloc_jax.datasets.synthetic.solids import Ball, Box, Frustum, Solid, car, rotation_about_z
@@ -25,7 +25,7 @@ _JUNCTION_M = 14.0
 _CAR_COLORS = ((0.85, 0.85, 0.85), (0.15, 0.12, 0.1), (0.45, 0.2, 0.12), (0.12, 0.12, 0.5), (0.5, 0.5, 0.48))
 
 
-def build_road(rng: np.random.Generator, length_m: float, speed_mps: float) -> Scene:
+def build_road(rng: np.random.Generator, length_m: float, speed_mps: float, wear_share: float) -> Scene:
     """A road whose right lane the vehicle drives from s = 0 to s = `length_m`.
 
     Lateral offsets d are from the middle of that lane: its lines at -1.75 and 1.75, a second lane to 5.25 (double
@@ -43,7 +43,8 @@ def build_road(rng: np.random.Generator, length_m: float, speed_mps: float) -> S
 
     painted = [element for element in elements if element.is_painted]
     class_ids = [CLASS_IDS[class_name(element)] for element in painted]
-    ground = PaintedGround(painted, class_ids, _areas(painter, start, end), CLASS_IDS["terrain"])
+    areas, worn = _areas(painter, start, end), wear_pattern(wear_share, rng)
+    ground = PaintedGround(painted, class_ids, areas, CLASS_IDS["terrain"], worn)
     solids = [solid for element in elements if (solid := solid_of(element)) is not None]
     solids += _surroundings(painter, rng, start, end)
     cars = _plan_traffic(rng, length_m, speed_mps)

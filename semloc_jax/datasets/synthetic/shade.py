@@ -53,7 +53,7 @@ LIGHTINGS = {
     "noon": Lighting("noon", (0.3, 0.2, 0.93), 0.75, 0.4, 600.0, 0.01),
     "lowsun": Lighting("lowsun", (0.85, 0.4, 0.35), 0.6, 0.3, 400.0, 0.015),
     "night": Lighting("night", (0.1, 0.1, 0.98), 0.12, 0.12, 80.0, 0.025),
-    "garage": Lighting("garage", (0.0, 0.2, 0.98), 0.3, 0.4, 120.0, 0.02),
+    "garage": Lighting("garage", (0.0, 0.2, 0.98), 0.45, 0.6, 120.0, 0.02),
 }
 
 

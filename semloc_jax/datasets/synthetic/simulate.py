@@ -6,7 +6,6 @@ In: kind, seed, folder. Out: Sequence of the drive just written.
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -29,8 +28,6 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory, write_tum
 from semloc_jax.maps import GeoOrigin, SemanticMap, write_drive_geojson
 
-Kind = Literal["road", "garage"]
-
 _ORIGIN = GeoOrigin(48.0712, 11.6523, 512.0)
 _LEAD_IN_S, _LEAD_OUT_S = 3.0, 1.0
 """Sensor logs run before the first and after the last frame."""
@@ -47,6 +44,7 @@ class SimulationConfig:
         width_px: image width; 0 takes 960 (road) or 640 (garage).
         height_px: image height; 0 takes 600 (road) or 480 (garage).
         variants: lightings, in equal parts of the drive; empty takes noon (road) or garage.
+        wear_share: share of the paint that is worn off (labelled as the ground below it).
         has_images: whether colour images are written too.
         sensors: errors of the sensors.
         map_errors: faults of map_with_errors.geojson.
@@ -59,6 +57,7 @@ class SimulationConfig:
     width_px: int = 0
     height_px: int = 0
     variants: tuple[str, ...] = ()
+    wear_share: float = 0.05
     has_images: bool = True
     sensors: SensorErrors = field(default_factory=SensorErrors)
     map_errors: MapErrors = field(default_factory=MapErrors)
@@ -72,7 +71,7 @@ _DEFAULTS = {
 
 
 def simulate(
-    kind: Kind, seed: int, out: str | Path, config: SimulationConfig | None = None, rig: Rig | None = None
+    kind: str, seed: int, out: str | Path, config: SimulationConfig | None = None, rig: Rig | None = None
 ) -> Sequence:
     """Render a seeded drive into the folder `out` and open it.
 
@@ -90,7 +89,10 @@ def simulate(
     rng = np.random.default_rng([seed, sorted(_DEFAULTS).index(kind)])
     duration_s = (config.num_frames - 1) / config.rate_hz
     length_m = config.speed_mps * (duration_s + _LEAD_OUT_S)
-    scene = build_road(rng, length_m, config.speed_mps) if kind == "road" else build_garage(rng, length_m)
+    if kind == "road":
+        scene = build_road(rng, length_m, config.speed_mps, config.wear_share)
+    else:
+        scene = build_garage(rng, length_m, config.wear_share)
     sway_m = 0.15 if kind == "road" else 0.0
     motion = Motion(scene.path, scene.surface, config.speed_mps, sway_m, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
     if rig is None:
