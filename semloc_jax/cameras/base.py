@@ -71,12 +71,9 @@ class Camera(eqx.Module):
 
     def unproject(self, uv: Float[ArrayLike, "*n 2"]) -> tuple[Float[Array, "*n 3"], Bool[Array, "*n"]]:
         """Unit line of sight in the camera frame of each pixel, and whether the model could be inverted there."""
-        uv = jnp.asarray(uv)
-        camera = self.astype(uv.dtype)
-        x, y, z, valid = camera._from_model((uv[..., 0] - camera.cx) / camera.fx, (uv[..., 1] - camera.cy) / camera.fy)
-        return jnp.stack([x, y, z], axis=-1), valid
+        return _unproject(self, jnp.asarray(uv))
 
-    def in_image(self, u: Array, v: Array, margin_px: ArrayLike = 0.0) -> Bool[Array, "..."]:
+    def in_image(self, u: ArrayLike, v: ArrayLike, margin_px: ArrayLike = 0.0) -> Bool[ArrayLike, "*n"]:
         """Whether pixels lie at least `margin_px` inside the border of the image (the border is at -0.5)."""
         low = margin_px - 0.5
         return (u >= low) & (v >= low) & (u <= self.width - 1 - low) & (v <= self.height - 1 - low)
@@ -111,6 +108,14 @@ class Camera(eqx.Module):
             return camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
 
         return eqx.tree_at(pixel_fields, self, tuple(as_leaf(value) for value in values))
+
+
+@jax.jit
+def _unproject(camera: Camera, uv: Float[Array, "*n 2"]) -> tuple[Float[Array, "*n 3"], Bool[Array, "*n"]]:
+    # Compiled, because a loop outside of jit is compiled anew at every call.
+    camera = camera.astype(uv.dtype)
+    x, y, z, valid = camera._from_model((uv[..., 0] - camera.cx) / camera.fx, (uv[..., 1] - camera.cy) / camera.fy)
+    return jnp.stack([x, y, z], axis=-1), valid
 
 
 def stack_cameras(cameras: Sequence[Camera]) -> Camera:

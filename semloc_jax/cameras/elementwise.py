@@ -29,8 +29,9 @@ _TINY = 1e-12
 
 
 @jax.custom_jvp
-def angle_of(y: Array, x: Array) -> Array:
+def angle_of(y: ArrayLike, x: ArrayLike) -> Array:
     """atan2(y, x) with a finite derivative at the origin; a polynomial in float32, the library's in float64."""
+    y, x = jnp.asarray(y), jnp.asarray(x)
     if jnp.result_type(x, y) != jnp.float32:
         return jnp.arctan2(y, x)
     ax, ay = jnp.abs(x), jnp.abs(y)
@@ -41,7 +42,7 @@ def angle_of(y: Array, x: Array) -> Array:
 
 
 @angle_of.defjvp
-def _angle_of_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+def _angle_of_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     y, x = primals
     dy, dx = tangents
     scale = 1 / (x * x + y * y + _TINY)
@@ -49,7 +50,7 @@ def _angle_of_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -
 
 
 @jax.custom_jvp
-def at_least(value: Array, limit: ArrayLike) -> Array:
+def at_least(value: ArrayLike, limit: ArrayLike) -> Array:
     """max(value, limit) for a constant limit, whose derivative is a plain select (jnp.maximum splits ties)."""
     return jnp.maximum(value, limit)
 
@@ -61,7 +62,7 @@ def _at_least_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 
 
 @jax.custom_jvp
-def at_most(value: Array, limit: ArrayLike) -> Array:
+def at_most(value: ArrayLike, limit: ArrayLike) -> Array:
     """min(value, limit) for a constant limit; see `at_least`."""
     return jnp.minimum(value, limit)
 

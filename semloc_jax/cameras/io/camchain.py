@@ -1,7 +1,7 @@
 """Camchain files: the `drive` layout and Kalibr's (room: cameras; host).
 
-In: cam0, cam1 ... with intrinsics, distortion and T_body_cam (drive), T_cam_imu or T_cn_cnm1 (Kalibr). Out: Rig,
-and back.
+In: cam0, cam1 ... with intrinsics, distortion and T_body_cam (drive), T_cam_imu or T_cn_cnm1 (Kalibr), T_imu_cam
+(OpenVINS). Out: Rig, and back.
 """
 
 import logging
@@ -44,7 +44,7 @@ def is_camchain(content: Mapping[str, Any]) -> bool:
 
 
 def rig_from_camchain(content: Mapping[str, Any], path: Path) -> Rig:
-    """The rig of a camchain; extrinsics from T_body_cam, T_cam_imu (IMU as base) or T_cn_cnm1 (chained)."""
+    """The rig of a camchain; extrinsics from T_body_cam, T_imu_cam or T_cam_imu (IMU as base), or chained T_cn_cnm1."""
     keys = sorted((key for key in content if _KEY.fullmatch(str(key))), key=lambda key: int(_KEY.fullmatch(key)[1]))
     cameras, poses, names = [], [], []
     for key in keys:
@@ -85,7 +85,7 @@ def _camera(entry: Mapping[str, Any], where: str) -> Camera:
 
 
 def _pose(entry: Mapping[str, Any], previous: np.ndarray | None, where: str) -> Float[np.ndarray, "4 4"]:
-    for key in ("T_body_cam", "T_base_cam"):
+    for key in ("T_body_cam", "T_base_cam", "T_imu_cam"):
         if key in entry:
             return rigid(entry[key], f"{where} {key}")
     if "T_cam_imu" in entry:

@@ -27,7 +27,9 @@ EQUIDISTANT = ("equidistant", "fisheye", "kannala_brandt")
 def load_yaml(path: Path) -> dict[str, Any]:
     """The mapping at the top of a YAML file."""
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        # Tools built on OpenCV start plain YAML with a directive that YAML itself does not know.
+        content = yaml.safe_load(text.replace("%YAML:", "# %YAML:", 1) if text.startswith("%YAML:") else text)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         mark = getattr(error, "problem_mark", None)
         place = f" line {mark.line + 1}" if mark else ""

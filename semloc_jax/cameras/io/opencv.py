@@ -32,9 +32,9 @@ _KEYS = (
 
 
 def is_opencv(path: Path) -> bool:
-    """Whether the file starts as an OpenCV FileStorage does."""
-    head = path.read_bytes()[:256].decode("utf-8", errors="replace")
-    return head.startswith("%YAML:") or "<opencv_storage>" in head
+    """Whether the file holds matrices as OpenCV's FileStorage writes them."""
+    content = path.read_bytes()
+    return b"!!opencv-matrix" in content or b"<opencv_storage>" in content
 
 
 def rig_from_opencv(path: Path) -> Rig:
