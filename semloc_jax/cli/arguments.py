@@ -39,7 +39,7 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
     prog = f"semloc {verb_name}"
     if any(word in ("-h", "--help") for word in words):
         # The configuration is left out: its class lives in rooms that take a second to import.
-        tyro.cli(verb.Options, prog=prog, args=["--help"])
+        tyro.cli(verb.Options, prog=prog, args=["--help"], config=(tyro.conf.FlagCreatePairsOff,))
     options_type, from_file = verb.Options, []
     known = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(verb.Options)]
     if hasattr(verb, "default_settings"):
@@ -50,7 +50,7 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
         known += flags(settings)
         options_type = dataclasses.make_dataclass(
             verb.Options.__name__,
-            [("settings", Annotated[type(settings), tyro.conf.arg(name="")], dataclasses.field(default=settings))],
+            [("settings", _values_only(type(settings)), dataclasses.field(default=settings))],
             bases=(verb.Options,),
             frozen=True,
             kw_only=True,
@@ -75,8 +75,10 @@ def read_settings(path: str, options_type: type, defaults: Any) -> tuple[Any, li
     for_verb = {key: value for key, value in content.items() if key in option_keys and value is not None}
     for_settings = {key: value for key, value in content.items() if key not in option_keys}
     settings = with_lengths(defaults, for_settings)
-    settings = _run_tyro(type(defaults), list(flatten(for_settings)), f"config {path}", settings)
-    return settings, list(flatten(for_verb))
+    settings = _run_tyro(_values_only(type(defaults)), list(flatten(for_settings)), f"config {path}", settings)
+    switches = [f"--{key.replace('_', '-')}" for key, value in for_verb.items() if value is True]
+    values = {key: value for key, value in for_verb.items() if not isinstance(value, bool)}
+    return settings, [*switches, *flatten(values)]
 
 
 def parse_slice(text: str, option: str = "--frames") -> slice:
@@ -113,17 +115,22 @@ def _config_path(words: Sequence[str]) -> str | None:
     return path
 
 
-def _run_tyro(options_type: type, words: Sequence[str], prog: str, default: Any = None) -> Any:
+def _values_only(settings_type: type) -> Any:
+    """The settings as nameless options whose flags take a value (--lock True), so that files can say the same."""
+    import tyro
+
+    return Annotated[settings_type, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff]
+
+
+def _run_tyro(options_type: Any, words: Sequence[str], prog: str, default: Any = None) -> Any:
     """An instance of the class from the words; what tyro would print in a box becomes one line."""
     import tyro
 
     said = io.StringIO()
-    # Flags take a value (--lock True) everywhere, so that files and command lines say the same.
-    style = (tyro.conf.FlagConversionOff,)
     given = {} if default is None else {"default": default}
     with contextlib.redirect_stderr(said):
         try:
-            return tyro.cli(options_type, prog=prog, args=list(words), config=style, **given)
+            return tyro.cli(options_type, prog=prog, args=list(words), config=(tyro.conf.FlagCreatePairsOff,), **given)
         except SystemExit as stop:
             lines = [line.strip("│ ").strip() for line in said.getvalue().splitlines()]
             lines = [line for line in lines if line and line[0] not in "╭╰"]

@@ -75,7 +75,8 @@ def _run_verb(name: str, words: list[str], debug: bool) -> int:
     from semloc_jax.errors import SemlocError
 
     try:
-        runtime.prepare_jax()
+        if not {"-h", "--help"} & set(words):
+            runtime.prepare_jax()
         verb: ModuleType = importlib.import_module(f"semloc_jax.cli.{name}")
         return verb.run(parse(name, verb, words))
     except SystemExit as stop:  # `--help` of a verb

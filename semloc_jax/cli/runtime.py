@@ -3,12 +3,9 @@
 In: the environment and the processor. Out: XLA flags, a compilation cache, versions and device as text.
 """
 
-import hashlib
-import importlib.metadata
 import os
 import platform
 import sys
-import tempfile
 from pathlib import Path
 
 WIDTH_FLAG = "--xla_cpu_prefer_vector_width"
@@ -49,6 +46,8 @@ def cpu_features() -> frozenset[str]:
 
 def cache_folder() -> Path:
     """Folder of compiled programs: one for each kind of processor, since a home may be shared by several."""
+    import hashlib
+
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
     kind = f"{platform.machine()} {' '.join(sorted(cpu_features()))}"
     return home / "semloc_jax" / f"jax-{hashlib.sha256(kind.encode()).hexdigest()[:12]}"
@@ -56,6 +55,8 @@ def cache_folder() -> Path:
 
 def is_writable(folder: Path) -> bool:
     """Whether files can be written to the folder, which is made if need be."""
+    import tempfile
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -66,6 +67,8 @@ def is_writable(folder: Path) -> bool:
 
 def versions() -> dict[str, str]:
     """Versions of Python, of this package and of the libraries that numbers depend on."""
+    import importlib.metadata
+
     from semloc_jax import __version__
 
     found = {"python": platform.python_version(), "semloc-jax": __version__}

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Options:
     """Render a seeded drive: images, exact masks, masks like a network's, sensors, maps and truth.
 
-    Every value of the simulation is an option too, for example --num-frames 60 --wear-share 0.3 --sensors.gnss-bias-m 2:
+    Every value of the simulation is an option too, e.g. --num-frames 60 --wear-share 0.3 --sensors.gnss-bias-m 2:
     'semloc config simulate' prints them all.
     """
 

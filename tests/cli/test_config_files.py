@@ -40,6 +40,7 @@ class Options:
     """Where."""
     frames: str = ":"
     seed: int = 0
+    strict: bool = False
     config: str | None = None
     out: str | None = None
 
@@ -75,6 +76,12 @@ def test_the_command_line_beats_the_file_and_the_file_the_defaults(config):
     assert (options.seed, options.frames) == (9, "::7")
 
 
+def test_switches_of_a_verb_take_no_value(config):
+    assert _parse("--strict").strict
+    assert _parse(config({"strict": True})).strict
+    assert not _parse(config({"strict": False})).strict
+
+
 def test_lists_of_stages_may_change_their_length(config):
     stages = [{"keep": 1}, {"keep": 2}, {"levels": [3]}]
     options = _parse(config({"search": {"stages": stages}}), "--search.stages.1.keep", "20")
@@ -104,7 +111,7 @@ def test_an_empty_file_changes_nothing(config):
         ({"radius_m": "far"}, "could not convert string to float: 'far'"),
         ({"search": {"lock": "perhaps"}}, "--search.lock"),
         ({"out": "here"}, "unknown key 'out'"),
-        ({"zzz": 1}, "unknown key 'zzz'; keys: radius_m, ramp_px, limit_m, search, frames, seed"),
+        ({"zzz": 1}, "unknown key 'zzz'; keys: radius_m, ramp_px, limit_m, search, frames, seed, strict"),
         ("a: [1,", "not a YAML file"),
         ("- 1\n- 2\n", "holds a list; expected keys and values"),
     ],

@@ -1,0 +1,40 @@
+"""`semloc inspect`: what a map holds and what looks wrong in it (room: cli)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from semloc_jax.cli.main import LOST, OK
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a map holds, how large it is, and what looks wrong in it.
+
+    Reads the drive layout, GeoJSON in degrees (RFC 7946) and Lanelet2.
+    """
+
+    map: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP")]
+    """The map file."""
+    max_defects: int = 20
+    """At most so many defects are spelled out."""
+    strict: bool = False
+    """Exit code 3 when the map has a defect."""
+    picture: Path | None = None
+    """Write the map from above to this PNG file."""
+
+
+def run(options: Options) -> int:
+    """Print the report, draw the map where asked."""
+    from semloc_jax.maps import inspect_map, read_map
+
+    semantic_map = read_map(options.map)
+    report = inspect_map(semantic_map)
+    print(report.to_text(options.max_defects))
+    if options.picture is not None:
+        from semloc_jax import viz
+
+        print(f"picture: {viz.save(viz.map_view(semantic_map.elements, title=semantic_map.name), options.picture)}")
+    return LOST if options.strict and report.defects else OK
