@@ -6,6 +6,7 @@ In: points [n 3], rays. Out: Plane, distances, intersections, in the library (nu
 from typing import NamedTuple
 
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 Points = Float[Array | np.ndarray, "*n 3"]
@@ -49,12 +50,12 @@ def fit_plane(
     return plane
 
 
-def signed_distance(plane: Plane, p: Points) -> Float[Array | np.ndarray, "*n"]:
+def signed_distance(plane: Plane, p: Points) -> Float[ArrayLike, "*n"]:
     """Distance of points from the plane [m], positive on the side of the normal."""
     return ((p - plane.point) * plane.normal).sum(axis=-1)
 
 
-def intersect(plane: Plane, start: Points, ray: Points) -> tuple[Points, Bool[Array | np.ndarray, "*n"]]:
+def intersect(plane: Plane, start: Points, ray: Points) -> tuple[Points, Bool[ArrayLike, "*n"]]:
     """Where rays from `start` meet the plane, and whether they do so ahead of the start."""
     xp = plane.normal.__array_namespace__()
     closing = -(ray * plane.normal).sum(axis=-1)
@@ -76,7 +77,7 @@ def _least_squares(points: Array | np.ndarray, weight: Array | np.ndarray) -> Pl
     return Plane(center, normal, xp.sqrt(xp.maximum(variances[0], xp.zeros_like(variances[0]))))
 
 
-def _weighted_median(values: Array | np.ndarray, weight: Array | np.ndarray) -> Array | np.ndarray:
+def _weighted_median(values: Array | np.ndarray, weight: Array | np.ndarray) -> ArrayLike:
     xp = values.__array_namespace__()
     order = xp.argsort(values)
     below = xp.cumsum(weight[order])
