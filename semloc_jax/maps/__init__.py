@@ -5,18 +5,23 @@ In: map files. Out: SemanticMap -> LocalMap -> MapSamples.
 
 from semloc_jax.maps.elements import GeoOrigin, MapElement
 from semloc_jax.maps.ground import GroundModel, RoadPlane
-from semloc_jax.maps.io import read_map, write_drive_geojson
+from semloc_jax.maps.inspect import MapReport, inspect_map
+from semloc_jax.maps.io import Lanelet2Style, read_map, write_drive_geojson, write_geojson
 from semloc_jax.maps.sampling import sample
 from semloc_jax.maps.semantic_map import LocalMap, SemanticMap
 
 __all__ = [
     "GeoOrigin",
     "GroundModel",
+    "Lanelet2Style",
     "LocalMap",
     "MapElement",
+    "MapReport",
     "RoadPlane",
     "SemanticMap",
+    "inspect_map",
     "read_map",
     "sample",
     "write_drive_geojson",
+    "write_geojson",
 ]

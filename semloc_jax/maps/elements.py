@@ -3,14 +3,18 @@
 In: numbers from a reader. Out: MapElement, GeoOrigin. Coordinates: local `map` frame [m], x east, y north, z up.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Array
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.structs import ElementClass
+
+Place = Sequence[float | int] | np.ndarray | Array
+"""Coordinates of one place, `[2]` or `[3]`."""
 
 VIRTUAL = "virtual"
 """Style of what is kept but not sampled: lines that are not painted, signs whose height nobody wrote down."""

@@ -7,12 +7,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import as_ring, resample, without_repeats
-from semloc_jax.maps.elements import PAINT_CLASSES, UPRIGHT_CLASSES, MapElement
+from semloc_jax.maps.elements import PAINT_CLASSES, UPRIGHT_CLASSES, MapElement, Place
 from semloc_jax.structs import ElementClass
 
 _POINT_SPACING_M = 1.0
@@ -52,7 +51,7 @@ class RoadPlane:
         normal = np.array([-self.slope[0], -self.slope[1], 1.0])
         return normal / np.linalg.norm(normal)
 
-    def height_at(self, xy: np.ndarray) -> np.ndarray:
+    def height_at(self, xy: Place) -> np.ndarray | np.floating:
         """Returns the height of the plane [m] at `xy` `[... 2]` of the map frame."""
         return self.height_m + (np.asarray(xy) - self.center) @ self.slope
 
@@ -76,7 +75,7 @@ class GroundModel:
         stacked = np.vstack([np.zeros((0, 3)), *points])
         return cls(stacked[np.isfinite(stacked).all(axis=1)])
 
-    def plane(self, center: ArrayLike, radius_m: float = 8.0) -> RoadPlane:
+    def plane(self, center: Place, radius_m: float = 8.0) -> RoadPlane:
         """Returns the plane of the road around a place: a robust fit that looks farther until it has enough points.
 
         Args:

@@ -9,11 +9,10 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import clip_to_circle, without_repeats
-from semloc_jax.maps.elements import UPRIGHT_CLASSES, GeoOrigin, MapElement
+from semloc_jax.maps.elements import UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane
 
 
@@ -71,7 +70,7 @@ class SemanticMap:
     def _tree(self) -> shapely.STRtree:
         return shapely.STRtree([_plan_geometry(element) for element in self.elements])
 
-    def query(self, center_map: ArrayLike, radius_m: float, heading_rad: float | None = None) -> LocalMap:
+    def query(self, center_map: Place, radius_m: float, heading_rad: float | None = None) -> LocalMap:
         """Returns the elements that come within `radius_m` of a place, with lines cut at that radius.
 
         Args:
@@ -103,7 +102,7 @@ class SemanticMap:
             raise SemlocError(f"map {self.name} has no elements; expected at least one marking, pole or sign")
         return LocalMap(self.elements, np.round(self.extent.mean(axis=0)), self.ground)
 
-    def ground_plane(self, center_xy: ArrayLike, radius_m: float = 8.0) -> RoadPlane:
+    def ground_plane(self, center_xy: Place, radius_m: float = 8.0) -> RoadPlane:
         """Returns the plane of the road around a place; see `GroundModel.plane`."""
         return self.ground.plane(center_xy, radius_m)
 

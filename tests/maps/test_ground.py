@@ -1,0 +1,87 @@
+"""The road under a vehicle: planes with outliers, thin evidence, and rendered drives against the true pose."""
+
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.maps import GroundModel, MapElement, SemanticMap, read_map
+from semloc_jax.structs import ElementClass
+
+
+def _plane_height(xy, slope=(0.04, -0.02), height=2.0):
+    return height + np.asarray(xy) @ np.array(slope)
+
+
+def _lane(y, name, rng=None, outlier_m=0.0):
+    xy = np.stack([np.linspace(-40, 40, 81), np.full(81, y)], axis=1)
+    noise = rng.normal(0, 0.01, 81) if rng is not None else 0.0
+    z = _plane_height(xy) + noise + outlier_m
+    return MapElement(name, ElementClass.LANE_MARKING, np.column_stack([xy, z]), width_m=0.15)
+
+
+def test_plane_of_noisy_paint_with_a_raised_line():
+    rng = np.random.default_rng(0)
+    lanes = [_lane(y, f"lane{y}", rng) for y in (-3.5, 0.0, 3.5, 7.0)]
+    ground = GroundModel.from_elements([*lanes, _lane(-5.0, "raised", outlier_m=0.5)])
+    plane = ground.plane([1.0, 1.0])
+    assert plane.height_m == pytest.approx(float(_plane_height([1.0, 1.0])), abs=0.01)
+    np.testing.assert_allclose(plane.slope, [0.04, -0.02], atol=0.003)
+    assert 0.003 < plane.rms_m < 0.03
+    assert plane.height_at(np.array([5.0, 2.0])) == pytest.approx(float(_plane_height([5.0, 2.0])), abs=0.02)
+
+
+def test_one_line_gives_its_own_slope_and_no_bank():
+    plane = GroundModel.from_elements([_lane(0.0, "lane")]).plane([0.0, 0.0])
+    assert plane.slope[0] == pytest.approx(0.04, abs=1e-3)
+    assert abs(plane.slope[1]) < 1e-3
+    assert plane.radius_m == 60.0
+
+
+def test_road_pose_keeps_heading_and_stands_on_the_plane():
+    ground = GroundModel.from_elements([_lane(y, f"lane{y}") for y in (-3.5, 0.0, 3.5)])
+    pose = ground.road_pose(3.0, 1.0, 0.7)
+    rotation = pose[:3, :3]
+    np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    assert np.arctan2(rotation[1, 0], rotation[0, 0]) == pytest.approx(0.7, abs=1e-12)
+    np.testing.assert_allclose(rotation[:, 2], np.array([-0.04, 0.02, 1]) / np.linalg.norm([0.04, 0.02, 1]), atol=2e-3)
+    assert pose[2, 3] == pytest.approx(float(_plane_height([3.0, 1.0])), abs=2e-3)
+
+
+def test_feet_of_poles_stand_in_for_missing_paint():
+    poles = [
+        MapElement(f"p{x}{y}", ElementClass.POLE, np.array([[x, y, 0.1 * x], [x, y, 0.1 * x + 5]]), radius_m=0.1)
+        for x in (-5.0, 0.0, 5.0)
+        for y in (-4.0, 4.0)
+    ]
+    plane = GroundModel.from_elements(poles).plane([1.0, 0.0])
+    assert plane.height_m == pytest.approx(0.1, abs=0.02)
+
+
+def test_far_from_the_map_is_an_error():
+    road = SemanticMap((_lane(0.0, "lane"),))
+    with pytest.raises(SemlocError, match="no ground of the map within 60 m"):
+        road.road_pose(500.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("drive", "height_m", "tilt_deg"), [("road_dir", 0.025, 0.4), ("garage_dir", 0.01, 0.2)])
+def test_rendered_drive_stands_on_its_map(drive, height_m, tilt_deg, request):
+    folder = request.getfixturevalue(drive)
+    road = read_map(folder / "map.geojson")
+    poses = np.loadtxt(folder / "poses_body.tum")[::5]
+    road.road_pose(*poses[0, 1:3], 0.0)
+    errors, start = [], time.perf_counter()
+    for row in poses:
+        truth = Rotation.from_quat(row[4:8]).as_matrix()
+        pose = road.road_pose(row[1], row[2], float(np.arctan2(truth[1, 0], truth[0, 0])))
+        tilt = Rotation.from_matrix(truth.T @ pose[:3, :3]).as_rotvec(degrees=True)
+        errors.append([pose[2, 3] - row[3], tilt[0], tilt[1]])
+    per_query_s = (time.perf_counter() - start) / len(poses)
+    worst = np.abs(errors).max(axis=0)
+    # The truth also holds the pitch and roll of the suspension.
+    assert worst[0] < height_m and worst[1] < tilt_deg and worst[2] < tilt_deg
+    assert np.abs(np.median(errors, axis=0))[0] < 0.004
+    assert per_query_s < 0.01  # about 0.6 ms when the machine is idle
