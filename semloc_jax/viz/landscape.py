@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
+from skimage import measure, morphology
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.viz.style import INK, new_figure, plain_axes
@@ -55,30 +56,24 @@ class Minimum:
     cost: float
 
 
-def find_minima(piece: CostSlice, count: int = 5, depth: float = 0.01) -> list[Minimum]:
-    """Local minima of a slice, lowest first, refined between the grid points by a parabola along each direction.
+def find_minima(piece: CostSlice, count: int = 5, depth: float = 0.02) -> list[Minimum]:
+    """Distinct minima of a slice, lowest first, refined between the grid points by a parabola along each direction.
 
     Args:
         piece: The slice.
         count: At most so many.
-        depth: A minimum must lie this much below the median of the slice.
+        depth: To leave a minimum towards a lower one, the cost must rise by at least this much.
     """
-    cost = np.where(np.isfinite(piece.cost), piece.cost, np.inf)
-    if not np.isfinite(cost).any():
+    known = np.isfinite(piece.cost)
+    if not known.any() or np.ptp(piece.cost[known]) <= depth:
         return []
-    padded = np.pad(cost, 1, constant_values=np.inf)
-    na, nb = cost.shape
-    shifts = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
-    neighbours = np.stack([padded[i : i + na, j : j + nb] for i, j in shifts])
-    # A plateau counts once: strictly below the neighbours that come before it.
-    before, after = neighbours[:4], neighbours[4:]
-    ceiling = np.median(cost[np.isfinite(cost)]) - depth
-    is_minimum = (cost < before).all(axis=0) & (cost <= after).all(axis=0) & (cost < ceiling)
-    rows, columns = np.nonzero(is_minimum)
-    order = np.argsort(cost[rows, columns])[:count]
+    cost = np.where(known, piece.cost, piece.cost[known].max() + 2 * depth)
+    basins = measure.label(morphology.h_minima(cost, depth))
+    bottoms = [region.coords[np.argmin(cost[tuple(region.coords.T)])] for region in measure.regionprops(basins)]
+    bottoms.sort(key=lambda place: cost[tuple(place)])
     return [
         Minimum(_refine(piece.offset_a, cost[:, j], i), _refine(piece.offset_b, cost[i, :], j), float(cost[i, j]))
-        for i, j in zip(rows[order].tolist(), columns[order].tolist(), strict=True)
+        for i, j in (place.tolist() for place in bottoms[:count])
     ]
 
 

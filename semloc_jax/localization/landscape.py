@@ -1,0 +1,74 @@
+"""The cost around a pose over two of its six directions, for each class of the masks (room: localization; JAX).
+
+In: evidence of one frame, a pose, offsets. Out: robust costs on a grid, all classes together and each alone.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.geometry import lie
+from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import robust_cost
+from semloc_jax.solvers.pose import AlignConfig, Evidence
+
+DIRECTIONS = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Names of the six directions in the order of the right tangent."""
+
+
+def cost_landscape(
+    T_map_base: Float[np.ndarray | Array, "4 4"],
+    evidence: Evidence,
+    directions: tuple[str, str],
+    offset_a: Float[np.ndarray, " na"],
+    offset_b: Float[np.ndarray, " nb"],
+    level: int,
+    config: AlignConfig,
+    channel: int | None = None,
+) -> Float[np.ndarray, "na nb"]:
+    """Robust cost in [0, 1] of every pose T_map_base exp(a e_i + b e_j): 0 explains all of the map in view, 1 nothing.
+
+    The cost is normalised by what is visible from each pose; where less than `config.min_visible_px` of contour is
+    visible it is NaN.
+
+    Args:
+        T_map_base: Pose in the middle of the grid, relative to the local origin.
+        evidence: What the cameras saw; take views with a margin, since they are kept for the whole grid.
+        directions: Two of `DIRECTIONS`.
+        offset_a, offset_b: Offsets along them [m or rad].
+        level: Level of the cost maps.
+        config: Kernel and limits.
+        channel: Mask channel that is scored alone; None scores all of them.
+
+    Raises:
+        SemlocError: a direction has no such name, or both are the same.
+    """
+    unknown = [name for name in directions if name not in DIRECTIONS]
+    if unknown or directions[0] == directions[1]:
+        raise SemlocError(
+            f"landscape over {', '.join(directions)}; expected two different ones of {', '.join(DIRECTIONS)}"
+        )
+    xi = np.zeros((len(offset_a), len(offset_b), 6), np.float32)
+    xi[..., DIRECTIONS.index(directions[0])] += np.asarray(offset_a, np.float32)[:, None]
+    xi[..., DIRECTIONS.index(directions[1])] += np.asarray(offset_b, np.float32)[None, :]
+    if channel is not None:
+        only = [eqx.tree_at(lambda v: v.weight, v, v.weight * (v.channel == channel)) for v in evidence.views]
+        evidence = eqx.tree_at(lambda e: e.views, evidence, tuple(only))
+    cost = _costs(jnp.asarray(xi.reshape(-1, 6)), jnp.asarray(T_map_base, jnp.float32), evidence, level, config)
+    return np.asarray(cost).reshape(xi.shape[:2])
+
+
+@eqx.filter_jit
+def _costs(xi: Array, T_map_base: Array, evidence: Evidence, level: int, config: AlignConfig) -> Float[Array, " n"]:
+    texture = evidence.textures.level(jnp.asarray(level))
+
+    def one(offset: Array) -> Array:
+        pose, kernel = T_map_base @ lie.exp(offset), KERNELS[config.kernel]
+        cost = robust_cost(pose, evidence.views, texture, evidence.usable, kernel, config.border_px, evidence.always)
+        enough = cost.visible >= config.min_visible_px
+        return jnp.where(enough, cost.summed / jnp.maximum(cost.visible, 1e-6), jnp.nan)
+
+    return jax.lax.map(one, xi, batch_size=min(32, xi.shape[0]))
