@@ -46,7 +46,7 @@ class MaskOffset(NamedTuple):
 
     @property
     def is_significant(self) -> bool:
-        """True if a direction is off by three standard errors and by what shading and the renderer can feign (0.25 px)."""
+        """True if a direction is off by 3 standard errors and by more than shading can feign (0.25 px)."""
         pairs = ((self.du_px, self.sigma_du_px), (self.dv_px, self.sigma_dv_px))
         return any(abs(value) > max(0.25, 3.0 * sigma) for value, sigma in pairs)
 
