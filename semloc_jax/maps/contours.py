@@ -16,8 +16,8 @@ from semloc_jax.structs import ElementClass, SampleKind
 _JOIN_M = 0.05
 """Ends of two lines of one class and width that are nearer than this belong to one painted line."""
 _JOIN_WIDTH_RATIO = 1.2
-_HALF_BEAM_M = 0.155
-"""Half of the height of a W-beam (EN 1317, AASHTO M 180: 310-312 mm)."""
+_HALF_BEAM_M = 0.175
+"""Half of the height of a W-beam (AASHTO M 180: 312 mm), and 2 cm for the depth of its profile seen from above."""
 _CONE_FOOT = 0.08
 """Share of the height of a cone that its square foot plate hides."""
 

@@ -15,12 +15,14 @@ from semloc_jax.maps.contours import Contour, element_contours, open_ends, touch
 from semloc_jax.maps.curves import resample
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.maps.semantic_map import LocalMap
-from semloc_jax.structs import MapSamples, SampleKind
+from semloc_jax.structs import ElementClass, MapSamples, SampleKind
 
 BUCKETS = tuple(256 * 2**k for k in range(13))
 """Capacities that samples are padded to, so that jitted code is compiled a few times only."""
 _PROBE_M = 0.005
 """How far beside an edge the neighbouring paint is looked for: bridges the rounding of coordinates in files."""
+_CARRIER_M = 0.3
+"""A pole nearer than this to the middle of a sign or traffic light is taken to carry it."""
 _SAME_LEVEL_M = 0.5
 """Paint farther apart in height than this (bridges, decks) does not cover other paint."""
 
@@ -45,7 +47,8 @@ def sample(local_map: LocalMap, spacing_m: float, capacity: int | None = None) -
     contours, owner = _all_contours(local_map.elements)
     position, tangent, length, contour, share = resample([c.line for c in contours], spacing_m)
     element = owner[contour]
-    shown = np.flatnonzero(_is_outermost(local_map.elements, element, position, tangent))
+    shown = _is_outermost(local_map.elements, element, position, tangent)
+    shown = np.flatnonzero(shown & ~_is_behind_plate(local_map.elements, element, position))
     position, tangent, length, contour, share = (a[shown] for a in (position, tangent, length, contour, share))
     offset_m = np.array([c.offset_m for c in contours]).reshape(-1, 2)[contour]
     kind = np.array([c.kind for c in contours], dtype=np.int32)[contour]
@@ -97,6 +100,25 @@ def _is_outermost(
         if hidden.any():
             keep[rows[hidden]] &= ~_is_level(position[rows[hidden]], elements[neighbour].points)
     return keep
+
+
+def _is_behind_plate(elements: Sequence[MapElement], element: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Returns whether each sample `[n 3]` lies on a part of a pole that carries a sign or a traffic light."""
+    boxes = [_box(e) for e in elements if e.label in (ElementClass.SIGN, ElementClass.TRAFFIC_LIGHT) and e.has_height]
+    behind = np.zeros(len(element), dtype=bool)
+    rows = np.flatnonzero(np.array([e.label == ElementClass.POLE for e in elements], dtype=bool)[element])
+    if boxes and len(rows):
+        center, lowest, highest = (np.array(part) for part in zip(*boxes, strict=True))
+        near = ((position[rows, None, :2] - center) ** 2).sum(axis=2) < _CARRIER_M**2
+        height = position[rows, None, 2]
+        behind[rows] = (near & (height > lowest) & (height < highest)).any(axis=1)
+    return behind
+
+
+def _box(element: MapElement) -> tuple[np.ndarray, float, float]:
+    """Returns the middle seen from above `[2]`, the lowest and the highest point of a plate."""
+    height = element.points[:, 2]
+    return element.points[:, :2].mean(axis=0), float(height.min()), float(height.max())
 
 
 def _is_level(position: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -161,7 +161,7 @@ def test_signs_lights_cones_guardrails_and_curbs():
     assert columns["length_m"][of[0]].sum() == pytest.approx(1 + 2 * np.hypot(0.5, 1), rel=1e-6)
     assert (np.abs(columns["offset_m"][of[1]]) == np.float32(0.15)).all()
     assert np.abs(columns["offset_m"][of[2]]).max() < 0.15 and position[of[2], 2].min() > 0.05
-    assert set(np.round(position[of[3], 2] - 0.6, 3)) == {-0.155, 0.155}
+    assert set(np.round(position[of[3], 2] - 0.6, 3)) == {-0.175, 0.175}
     assert columns["length_m"][of[4]].sum() == pytest.approx(10.0)
     assert [int(columns["kind"][rows][0]) for rows in of] == [0, 1, 1, 0, 0]
 
@@ -194,3 +194,14 @@ def test_positions_are_exact_far_from_the_map_origin():
     position = np.asarray(samples.p_map, dtype=np.float64)[np.asarray(samples.valid)] + local.origin_map
     outline = painted_polygon(line).boundary
     assert shapely.distance(outline, shapely.points(position[:, :2])).max() < 1e-5
+
+
+def test_the_part_of_a_pole_behind_its_sign_is_left_out():
+    pole = MapElement("p", ElementClass.POLE, np.array([[0, 0, 0], [0, 0, 3.0]]), radius_m=0.04, radius_top_m=0.04)
+    far = MapElement("q", ElementClass.POLE, np.array([[2, 0, 0], [2, 0, 3.0]]), radius_m=0.04, radius_top_m=0.04)
+    plate = np.array([[0.06, -0.35, 2.0], [0.06, 0.35, 2.0], [0.06, 0.35, 2.7], [0.06, -0.35, 2.7]])
+    sign = MapElement("s", ElementClass.SIGN, plate, closed=True)
+    position, columns = _sampled([pole, far, sign], 0.1)
+    height = position[columns["element"] == 0, 2]
+    assert not ((height > 2.0) & (height < 2.7)).any() and len(height) == 2 * 23
+    assert (columns["element"] == 1).sum() == 60

@@ -1,7 +1,8 @@
 """GeoJSON features and map elements: the property names both kinds of GeoJSON share (room: maps; host).
 
 In: one parsed feature or one element. Out: the other. Properties: class; width, radius, radius_top, height [m]; style,
-shape, normal (unit vector, east north up); whatever else stands there is kept as attributes.
+shape, normal (unit vector, east north up), true_ends (whether the first and last point end the paint, default both);
+whatever else stands there is kept as attributes. The classes are the keys of FEATURE_CLASSES.
 """
 
 import json
@@ -104,7 +105,7 @@ def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal 
         raise SemlocError(f"{where} ({class_name}): {len(points)} points; expected two, the base and the top")
     width, radius, radius_top, height = (_number(properties.get(key), key, where) for key in _NUMBERS)
     if "radius_top" not in properties:
-        radius_top = _CONE_TOP_SHARE * radius if label == ElementClass.CONE else radius
+        radius_top = _usual_radius_top(label, radius)
     return MapElement(
         id=str(feature.get("id", f"{class_name}_{index}")),
         label=label,
@@ -117,6 +118,7 @@ def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal 
         style=style if style == VIRTUAL else str(properties.get("style", style)),
         shape=str(properties.get("shape", properties.get("kind", ""))) if label in _SHAPED else "",
         normal=_normal(properties.get("normal"), where),
+        true_ends=_true_ends(properties.get("true_ends"), where),
         has_height=has_height,
         attributes={**properties, "class": class_name},
     )
@@ -127,14 +129,18 @@ def feature_from_element(element: MapElement, to_file: Callable[[np.ndarray], np
     properties = dict(element.attributes)
     properties["class"] = feature_class(element)
     values = (element.width_m, element.radius_m, element.radius_top_m, element.height_m)
-    for key, value in zip(_NUMBERS, values, strict=True):
-        if value and key not in properties:
+    usual = (0.0, 0.0, _usual_radius_top(element.label, element.radius_m), 0.0)
+    for key, value, default in zip(_NUMBERS, values, usual, strict=True):
+        if value != default or (key in properties and not element.closed):
             properties[key] = value
-    if element.style and element.style != VIRTUAL:
-        properties.setdefault("style", element.style)
-    if element.shape:
-        properties.setdefault("shape", element.shape)
-    if element.normal is not None:
+    usual_style = FEATURE_CLASSES[properties["class"]][1]
+    if usual_style != VIRTUAL and ("style" in properties or element.style != usual_style):
+        properties["style"] = element.style
+    if element.true_ends != (True, True):
+        properties["true_ends"] = list(element.true_ends)
+    if element.label in _SHAPED and element.shape != properties.get("kind", ""):
+        properties["shape"] = element.shape
+    if element.normal is not None and not np.allclose(element.normal, properties.get("normal", 0.0), atol=1e-4):
         properties["normal"] = [float(v) for v in element.normal]
     coordinates = to_file(element.points)[:, : 3 if element.has_height else 2].tolist()
     if element.closed:
@@ -147,10 +153,12 @@ def feature_from_element(element: MapElement, to_file: Callable[[np.ndarray], np
 def feature_class(element: MapElement) -> str:
     """Returns the class name of an element in GeoJSON."""
     known = element.attributes.get("class")
-    if known in FEATURE_CLASSES and FEATURE_CLASSES[known][0] == element.label:
+    if element.style == VIRTUAL and element.label == ElementClass.LANE_MARKING:
+        return "lane_boundary"
+    if known in FEATURE_CLASSES and known != "lane_boundary" and FEATURE_CLASSES[known][0] == element.label:
         return str(known)
     if element.label == ElementClass.LANE_MARKING:
-        return {VIRTUAL: "lane_boundary", "dashed": "lane_dashed"}.get(element.style, "lane_solid")
+        return "lane_dashed" if element.style == "dashed" else "lane_solid"
     return element.label.name.lower()
 
 
@@ -178,6 +186,10 @@ def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np
     return points, closed, has_height
 
 
+def _usual_radius_top(label: ElementClass, radius_m: float) -> float:
+    return _CONE_TOP_SHARE * radius_m if label == ElementClass.CONE else radius_m
+
+
 def _number(value: Any, key: str, where: str) -> float:
     try:
         number = float(value) if value is not None else 0.0
@@ -186,6 +198,14 @@ def _number(value: Any, key: str, where: str) -> float:
     if not (np.isfinite(number) and number >= 0.0):
         raise SemlocError(f"{where}: {key} = {value!r}; expected metres, zero or more")
     return number
+
+
+def _true_ends(value: Any, where: str) -> tuple[bool, bool]:
+    if value is None:
+        return (True, True)
+    if not (isinstance(value, list) and len(value) == 2 and all(isinstance(end, bool) for end in value)):
+        raise SemlocError(f"{where}: true_ends = {value!r}; expected two of true and false, for the start and the end")
+    return (value[0], value[1])
 
 
 def _normal(value: Any, where: str) -> np.ndarray | None:

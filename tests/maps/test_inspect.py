@@ -1,0 +1,66 @@
+"""The map report: contents of the rendered maps, and every defect that is put into a map."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.maps import MapElement, SemanticMap, inspect_map, read_map
+from semloc_jax.structs import ElementClass
+
+
+def _lane(points, name="lane", **values) -> MapElement:
+    values = {"width_m": 0.15} | values
+    return MapElement(name, ElementClass.LANE_MARKING, np.array(points, dtype=float), **values)
+
+
+GOOD = _lane([[0, 0, 0], [50, 0, 0]], "good")
+
+
+def test_report_of_a_rendered_map(road_dir):
+    report = inspect_map(read_map(road_dir / "map.geojson"))
+    assert report.defects == () and report.has_origin
+    counts = {row.name: row.count for row in report.classes}
+    assert counts["lane_dashed"] == 67 and counts["lane_boundary"] == 2 and sum(counts.values()) == 167
+    dashes = next(row for row in report.classes if row.name == "lane_dashed")
+    assert dashes.length_m == pytest.approx(67 * 4.0, rel=0.01)
+    # The mapped road is about 415 m long (its lane boundaries).
+    assert report.road_length_m == pytest.approx(415, rel=0.12)
+    text = report.to_text()
+    assert "lane_dashed" in text and "defects: none" in text and max(map(len, text.splitlines())) < 100
+
+
+@pytest.mark.parametrize(
+    ("kind", "bad"),
+    [
+        ("zero length", _lane([[5, 5, 0], [5, 5, 0]])),
+        ("crosses itself", _lane([[0, 5, 0], [10, 5, 0], [10, 9, 0], [5, 1, 0]])),
+        ("duplicate", _lane([[50, 0.01, 0], [0, 0.01, 0]])),
+        ("repeated id", _lane([[0, 9, 0], [50, 9, 0]], "good")),
+        ("missing heights", _lane([[0, 9, 0], [50, 9, 0]], has_height=False)),
+        ("missing size", _lane([[0, 9, 0], [50, 9, 0]], width_m=0.0)),
+        ("missing size", MapElement("p", ElementClass.POLE, np.array([[0, 9, 0], [0, 9, 5.0]]))),
+        ("missing size", MapElement("b", ElementClass.PILLAR, np.eye(3), closed=True)),
+    ],
+)
+def test_each_defect_is_found_once(kind, bad):
+    assert [defect.kind for defect in inspect_map(SemanticMap((GOOD, bad))).defects] == [kind]
+
+
+def test_area_that_crosses_itself():
+    bow = MapElement("x", ElementClass.ROAD_MARK, np.array([[0, 0, 0], [2, 2, 0], [2, 0, 0], [0, 2, 0.0]]), closed=True)
+    assert [defect.kind for defect in inspect_map(SemanticMap((bow,))).defects] == ["crosses itself"]
+
+
+def test_unknown_classes_and_flat_maps_are_told():
+    road = SemanticMap((_lane([[0, 0, 0], [9, 0, 0]], has_height=False),), skipped={"tram": 3})
+    defects = {defect.kind: defect.detail for defect in inspect_map(road).defects}
+    assert defects == {"unknown class": "3 left out", "missing heights": "the map is taken as flat"}
+
+
+def test_long_lists_are_cut_in_the_text():
+    lanes = tuple(_lane([[0, y, 0], [9, y, 0]], f"l{y}", width_m=0.0) for y in range(30))
+    text = inspect_map(SemanticMap(lanes)).to_text(max_defects=5)
+    assert "defects: 30" in text and "... and 25 more" in text and text.count("missing size") == 5
+
+
+def test_empty_map_has_a_report():
+    assert inspect_map(SemanticMap(())).classes == ()
