@@ -33,7 +33,7 @@ class ViewConfig:
     """The same for everything that lies on the ground (seen at a grazing angle)."""
     min_spacing_px: float = 1.5
     """Closest spacing of samples along a contour in the image [px]."""
-    metric_exponent: float = 0.5
+    metric_exponent: float = 0.0
     """Weight of a sample is (length in px)^(1-a) (length in m x px_per_m)^a: 0 weighs the image, 1 the world evenly."""
 
 

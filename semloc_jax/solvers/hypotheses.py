@@ -6,6 +6,7 @@ The search limits accuracy more than the optimum does: everything is scored once
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -16,6 +17,7 @@ from semloc_jax.geometry import lie
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import decimated, robust_cost
 from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, assess, in_chunks, refine, total_weight
+from semloc_jax.solvers.proposals import displaced
 from semloc_jax.structs import PoseEstimate
 
 
@@ -30,8 +32,12 @@ class CullStage:
     """Poses that survive."""
     apart: float
     """Survivors differ by at least this many times (0.5 m, 0.5 m, 1 deg)."""
+    max_steps: int = 8
+    """Most evaluations on each level."""
     keep_every: int = 1
     """Use every k-th sample."""
+    restarts_m: tuple[float, ...] = (0.0,)
+    """Every pose is first repeated at these offsets along the road: broken lines and far poles leave local minima there."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +45,9 @@ class SearchConfig:
     """The schedule of a search. All values are ours."""
 
     stages: tuple[CullStage, ...] = (
-        CullStage(levels=(), score_level=1, keep=48, apart=1.0, keep_every=4),
-        CullStage(levels=(1,), score_level=1, keep=12, apart=0.5),
-        CullStage(levels=(1, 2), score_level=2, keep=6, apart=0.5),
+        CullStage(levels=(0,), score_level=1, keep=64, apart=0.8, max_steps=4, keep_every=4),
+        CullStage(levels=(1, 2), score_level=2, keep=9, apart=0.3),
+        CullStage(levels=(2, 3), score_level=2, keep=6, apart=0.1, restarts_m=(-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)),
     )
     chunk: int = 32
     """Poses side by side on a CPU."""
@@ -122,21 +128,52 @@ def keep_distinct(
     return index, filled
 
 
+@partial(jax.jit, static_argnames=("config", "chunk"))
+def refine_and_score(
+    Ts: Float[Array, "n 4 4"],
+    score_level: Int[Array, ""],
+    evidence: Evidence,
+    prior: Prior,
+    config: AlignConfig,
+    chunk: int,
+    levels: Int[Array, " level"] | None = None,
+) -> tuple[Float[Array, "n 4 4"], Float[Array, " n"]]:
+    """Every pose refined on the given levels (None: left where it is), and its score [nats] on one level.
+
+    The levels are data: stages of a schedule that differ only in them share one compiled function.
+    """
+
+    def one(T: Array) -> tuple[Array, Array]:
+        if levels is not None:
+            T = refine(T, evidence, prior, config, levels)[0]
+        return T, score(T, score_level, evidence, prior, config)
+
+    return in_chunks(one, Ts, chunk)
+
+
+_keep_distinct = jax.jit(keep_distinct, static_argnames=("keep",))
+
+
+@partial(jax.jit, static_argnames=("offsets_m", "multiple"))
+def _restarted(Ts: Float[Array, "n 4 4"], offsets_m: tuple[float, ...], multiple: int) -> Float[Array, "m 4 4"]:
+    """Every pose at every offset along the road, filled up with the first pose to a multiple that compiles once."""
+    along = jnp.zeros((len(offsets_m), 3), Ts.dtype).at[:, 0].set(jnp.asarray(offsets_m, Ts.dtype))
+    spread = jax.vmap(lambda T: displaced(T, along))(Ts).reshape(-1, 4, 4)
+    return jnp.concatenate([spread, jnp.broadcast_to(spread[0], (-len(spread) % multiple, 4, 4))])
+
+
 def cull(
     Ts: Float[Array, "n 4 4"], stage: CullStage, evidence: Evidence, prior: Prior, config: AlignConfig, chunk: int
 ) -> tuple[Float[Array, "keep 4 4"], Float[Array, " keep"]]:
     """The surviving poses of a stage and their scores; an empty slot repeats the best pose with an infinite score."""
     thinned = eqx.tree_at(lambda e: e.views, evidence, decimated(evidence.views, stage.keep_every))
-    levels = dataclasses.replace(config, levels=stage.levels) if stage.levels else None
-
-    def one(T: Array) -> tuple[Array, Array]:
-        if levels is not None:
-            T = refine(T, thinned, prior, levels)[0]
-        return T, score(T, stage.score_level, thinned, prior, config)
-
-    Ts, scores = in_chunks(one, Ts, chunk)
-    index, filled = keep_distinct(Ts, scores, stage.keep, stage.apart)
-    return Ts[jnp.where(filled, index, index[0])], jnp.where(filled, scores[index], jnp.inf)
+    stage_config = dataclasses.replace(config, levels=(), max_steps=stage.max_steps)
+    levels = jnp.asarray(stage.levels) if stage.levels else None
+    starts = _restarted(Ts, stage.restarts_m, 2 * chunk)
+    score_level = jnp.asarray(stage.score_level)
+    poses, scores = refine_and_score(starts, score_level, thinned, prior, stage_config, chunk, levels)
+    index, filled = _keep_distinct(poses, scores, stage.keep, jnp.asarray(stage.apart, Ts.dtype))
+    return poses[jnp.where(filled, index, index[0])], jnp.where(filled, scores[index], jnp.inf)
 
 
 def search(

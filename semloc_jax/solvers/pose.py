@@ -51,11 +51,11 @@ class AlignConfig:
     tolerance: float = 2e-3
     """A level ends when a step is below this share of the prior's sigma in every direction."""
     kernel: str = "tukey"
-    noise_px: float = 1.0
+    noise_px: float = 2.0
     """Standard deviation of a mask boundary [px]."""
     noise_share: float = 0.15
     """On a coarse level the boundary noise counts as at least this share of the ramp: it is only a way to the next."""
-    correlation_px: float = 20.0
+    correlation_px: float = 60.0
     """Length of contour [px] over which the errors of a mask boundary are the same: one independent observation."""
     border_px: float = 2.0
     """Samples nearer to the border of the image are not used."""
@@ -115,16 +115,21 @@ def solve_level(
 
 
 def refine(
-    T_start: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: AlignConfig
+    T_start: Float[Array, "4 4"],
+    evidence: Evidence,
+    prior: Prior,
+    config: AlignConfig,
+    levels: Int[Array, " level"] | None = None,
 ) -> tuple[Float[Array, "4 4"], Int[Array, ""], Bool[Array, ""]]:
-    """Pose after all levels of the configuration, evaluations spent, whether the last level converged."""
+    """Pose after all levels (None: those of the configuration), evaluations spent, whether the last one converged."""
+    levels = jnp.asarray(config.levels) if levels is None else levels
 
     def one_level(T: Array, level: Array) -> tuple[Array, tuple[Array, Array]]:
         T, num_steps, converged = solve_level(T, level, evidence, prior, config)
         return T, (num_steps, converged)
 
     # A loop over levels, not a chain of them: the solver is compiled once.
-    T, (num_steps, converged) = jax.lax.scan(one_level, T_start, jnp.asarray(config.levels))
+    T, (num_steps, converged) = jax.lax.scan(one_level, T_start, levels)
     return T, jnp.sum(num_steps), converged[-1]
 
 

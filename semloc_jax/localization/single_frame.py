@@ -1,0 +1,108 @@
+"""One frame against the map: propose, search, polish where it looks right (room: localization; JAX).
+
+In: map samples, cost maps, prior. Out: Modes, the distinct poses that explain the masks, best first.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from semloc_jax.cameras import Rig
+from semloc_jax.residuals.alignment import Usable, camera_views
+from semloc_jax.residuals.texture import RampTextures, pack
+from semloc_jax.residuals.view import ViewConfig, view
+from semloc_jax.solvers.hypotheses import Modes, SearchConfig, score, search, weigh
+from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, align
+from semloc_jax.solvers.proposals import ProposalKind, propose
+from semloc_jax.structs import CostMaps, MapSamples, PoseEstimate
+
+
+@dataclass(frozen=True)
+class SingleFrameConfig:
+    """How one frame is localized from a wide prior. All values are ours."""
+
+    num_hypotheses: int = 1024
+    proposals: ProposalKind = "lattice"
+    reach: float = 2.5
+    """Half width of the search window in sigmas of the prior."""
+    seed: int = 0
+    """Of the random proposals."""
+    search_view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.15))
+    polish_view: ViewConfig = field(default_factory=ViewConfig)
+    search_align: AlignConfig = field(default_factory=AlignConfig)
+    polish_align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(2, 3), max_steps=10))
+    search: SearchConfig = field(default_factory=SearchConfig)
+    rank_level: int = 2
+    """Level on which the polished modes are ranked."""
+
+
+class FrameInput(NamedTuple):
+    """What stays the same for every pose of a frame."""
+
+    samples: MapSamples
+    """Map samples relative to the local origin."""
+    rig: Rig
+    channel_of_label: Int[Array, " label"]
+    """Cost-map channel of each ElementClass, -1 for none."""
+    textures: RampTextures
+    usable: Usable
+    always: Bool[Array, "2"]
+    """True twice; see `semloc_jax.residuals.fusion_barrier`."""
+
+
+def frame_input(samples: MapSamples, maps: CostMaps, rig: Rig, channel_of_label: Int[Array, " label"]) -> FrameInput:
+    """The input of one frame, packed for the device."""
+    usable = Usable(jnp.asarray(maps.usable), maps.usable_stride)
+    return FrameInput(samples, rig, jnp.asarray(channel_of_label), _pack(maps), usable, jnp.ones(2, bool))
+
+
+_pack = jax.jit(pack)
+
+
+@partial(jax.jit, static_argnames="config")
+def evidence_from(T_map_base: Float[Array, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
+    """The evidence of a frame with the map as it is seen from a pose."""
+    seen = view(frame.samples, T_map_base, frame.rig, frame.channel_of_label, config)
+    return Evidence(camera_views(frame.rig, seen), frame.textures, frame.usable, frame.always)
+
+
+_propose = jax.jit(propose, static_argnames=("kind", "num"))
+
+
+def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -> Modes:
+    """Modes of the pose of one frame, best first.
+
+    Args:
+        frame: Map samples, cost maps, cameras.
+        prior: Prior pose and its sigmas; the plane of its x and y axes is taken as the road.
+        config: Hypotheses, schedule, refinement.
+    """
+    evidence = evidence_from(prior.T_map_base, frame, config.search_view)
+    sigma_xy_yaw = prior.sigma[jnp.array([0, 1, 5])]
+    key = jax.random.key(config.seed)
+    Ts = _propose(config.proposals, config.num_hypotheses, prior.T_map_base, sigma_xy_yaw, config.reach, key)
+    candidates, scores = search(Ts, evidence, prior, config.search_align, config.search)
+    return polish(candidates, scores, frame, prior, config)
+
+
+@partial(jax.jit, static_argnames="config")
+def polish(
+    candidates: Float[Array, "m 4 4"],
+    scores: Float[Array, " m"],
+    frame: FrameInput,
+    prior: Prior,
+    config: SingleFrameConfig,
+) -> Modes:
+    """Each candidate refined with contours, density and visibility as they are from there, and ranked anew."""
+
+    def one(T_map_base: Array) -> tuple[PoseEstimate, Array]:
+        evidence = evidence_from(T_map_base, frame, config.polish_view)
+        estimate = align(T_map_base, evidence, prior, config.polish_align)
+        return estimate, score(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align)
+
+    estimates, polished = jax.lax.map(one, candidates)
+    return weigh(estimates, jnp.where(jnp.isfinite(scores), polished, jnp.inf))
