@@ -1,0 +1,166 @@
+"""Localize frames of a drive one by one: the main job (room: localization; host).
+
+In: a Sequence, a SemanticMap, masks. Out: one LocalizationResult for each frame.
+The same functions serve the command line, notebooks and the library.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from collections.abc import Sequence as Frames
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from semloc_jax.cameras import Rig
+from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.errors import SemlocError
+from semloc_jax.localization.mask_source import MaskSource, mask_source
+from semloc_jax.localization.modes import modes_in_map
+from semloc_jax.localization.priors import PosePrior, PriorSource, RoadSigmas, prior_source
+from semloc_jax.localization.result import LocalizationResult
+from semloc_jax.localization.single_frame import FrameInput, SingleFrameConfig, frame_input, localize_frame
+from semloc_jax.localization.verdict import VerdictConfig, judge
+from semloc_jax.maps import LocalMap, SemanticMap, sample
+from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
+from semloc_jax.structs import SolveStatus
+
+
+@dataclass(frozen=True)
+class LocalizeConfig:
+    """Everything that decides how a frame is localized. All values are ours."""
+
+    search_radius_m: float = 65.0
+    sample_spacing_m: float = 0.25
+    sample_capacity: int = 8192
+    """Most map samples of one frame; the spacing grows where the map holds more."""
+    road: RoadSigmas = field(default_factory=RoadSigmas)
+    cost_maps: CostMapConfig = field(default_factory=CostMapConfig)
+    frame: SingleFrameConfig = field(default_factory=SingleFrameConfig)
+    verdict: VerdictConfig = field(default_factory=VerdictConfig)
+
+
+class FrameLocalizer:
+    """Localizes single frames in one map with one class table; compiled once, then used for every frame.
+
+    Only the channels of the class table that the map has elements for are kept: the others would cost time and say
+    nothing.
+    """
+
+    def __init__(self, semantic_map: SemanticMap, table: ClassTable, config: LocalizeConfig | None = None):
+        """Prepare a map.
+
+        Raises:
+            SemlocError: no class of the map is visible in masks of this table.
+        """
+        self.map, self.table, self.config = semantic_map, table, config or LocalizeConfig()
+        labels = sorted({element.label for element in semantic_map.elements})
+        channels = sorted({table.channel_of(label) for label in labels} - {-1})
+        if not channels:
+            names = ", ".join(label.name for label in labels) or "none"
+            seen = ", ".join(channel.name for channel in table.channels)
+            raise SemlocError(
+                f"map {semantic_map.name}: its classes ({names}) are not in class table {table.name} ({seen}); "
+                "give the table of your masks"
+            )
+        self.shown = replace(table, channels=tuple(table.channels[index] for index in channels))
+        self.channel_of_label = np.asarray(self.shown.channel_by_class, dtype=np.int32)
+
+    def prepare(self, masks: Frames[np.ndarray], rig: Rig, T_map_near: np.ndarray) -> tuple[FrameInput, LocalMap]:
+        """Map samples around a place and cost maps of one frame, ready for the solver."""
+        heading = float(np.arctan2(T_map_near[1, 0], T_map_near[0, 0])) if len(rig) == 1 else None
+        local_map = self.map.query(T_map_near[:3, 3], self.config.search_radius_m, heading)
+        samples = sample_within(local_map, self.config.sample_spacing_m, self.config.sample_capacity)
+        maps = cost_maps(masks, self.shown, self.config.cost_maps)
+        return frame_input(samples, maps, rig, self.channel_of_label), local_map
+
+    def localize(self, frame: Frame, masks: Frames[np.ndarray], prior: PosePrior, rig: Rig | None = None):
+        """The pose of one frame from masks of its cameras.
+
+        Args:
+            frame: The frame (time, id, rig).
+            masks: Class ids uint8[h w], one for each camera of the rig.
+            prior: First guess.
+            rig: Cameras of the masks; None for those of the frame.
+
+        Returns:
+            LocalizationResult; bad evidence is told by its status, never by an exception.
+        """
+        started = time.perf_counter()
+        T_map_prior = prior.on_road(self.map)
+        inputs, local_map = self.prepare(masks, rig or frame.rig, T_map_prior)
+        prepared = time.perf_counter()
+        solver_prior = prior.to_solver(T_map_prior, local_map.origin_map, self.config.road)
+        found = localize_frame(inputs, solver_prior, self.config.frame)
+        verdict = self.config.verdict
+        modes = modes_in_map(found, local_map.origin_map, verdict.merge_m, verdict.merge_deg)
+        times = {"evidence": prepared - started, "solve": time.perf_counter() - prepared}
+        best = modes[0].T_map_base if modes else np.full((4, 4), np.nan)
+        away = np.hypot(*(best - T_map_prior)[:2, 3]) / prior.sigma_xy_m if modes else np.inf
+        status, reasons = judge(SolveStatus(int(found.estimates.status[0])), modes, away, verdict)
+        return LocalizationResult(frame, best, T_map_prior, status, not reasons, reasons, modes, times)
+
+
+def sample_within(local_map: LocalMap, spacing_m: float, capacity: int):
+    """Map samples at the given spacing, or at the smallest multiple of it by sqrt(2) that fits the capacity."""
+    while True:
+        try:
+            return sample(local_map, spacing_m, capacity)
+        except SemlocError:
+            if spacing_m > 4.0:
+                raise
+            spacing_m *= np.sqrt(2.0)
+
+
+def localize_frames(
+    sequence: Sequence,
+    semantic_map: SemanticMap,
+    masks: MaskSource | str,
+    prior: PriorSource | str = "gnss",
+    frames: slice | Frames[Frame] = slice(None),
+    cameras: Frames[str] | None = None,
+    config: LocalizeConfig | None = None,
+    on_frame: Callable[[LocalizationResult], None] | None = None,
+) -> list[LocalizationResult]:
+    """Localize frames of a drive, each on its own; see `iterate_frames`."""
+    results = []
+    for result in iterate_frames(sequence, semantic_map, masks, prior, frames, cameras, config):
+        results.append(result)
+        if on_frame is not None:
+            on_frame(result)
+    return results
+
+
+def iterate_frames(
+    sequence: Sequence,
+    semantic_map: SemanticMap,
+    masks: MaskSource | str,
+    prior: PriorSource | str = "gnss",
+    frames: slice | Frames[Frame] = slice(None),
+    cameras: Frames[str] | None = None,
+    config: LocalizeConfig | None = None,
+) -> Iterator[LocalizationResult]:
+    """One LocalizationResult after another.
+
+    Args:
+        sequence: The drive.
+        semantic_map: The map.
+        masks: Mask folder of the drive, segmenter, or a MaskSource.
+        prior: `gnss`, `truth`, a trajectory file or a PriorSource.
+        frames: Which frames.
+        cameras: Names; None for all.
+        config: None for the defaults.
+
+    Raises:
+        SemlocError: unknown masks or cameras, no prior, a map without classes that the masks show, no frames.
+    """
+    chosen = sequence.frames[frames] if isinstance(frames, slice) else frames
+    if not chosen:
+        raise SemlocError(f"drive {sequence.name}: no frames chosen of {len(sequence)}; check --frames")
+    names = tuple(cameras or sequence.rig.names)
+    sequence.rig.select(names)
+    source = mask_source(masks, sequence, names) if isinstance(masks, str) else masks
+    give_prior = prior_source(prior, sequence) if isinstance(prior, str) else prior
+    localizer = FrameLocalizer(semantic_map, source.table, config)
+    for frame in chosen:
+        rig = source.seen_by(frame.rig.select(names))
+        yield localizer.localize(frame, source.masks(frame), give_prior(frame), rig)
