@@ -115,7 +115,7 @@ def _outline(
     near = cv2.dilate(paint.astype(np.uint8), config.disk(0.25))
     level, inside = view.warp_back(halfway), view.warp_back(near, cv2.INTER_NEAREST)
     mask[(inside > 0) & (paint_brightness(image) > level)] = 1
-    count, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     large = stats[:, cv2.CC_STAT_AREA] >= _MIN_COMPONENT_PX
     large[0] = False
     return np.where(large[label], np.uint8(PAINT_ID), np.uint8(0))

@@ -3,7 +3,9 @@
 In: masks of class ids, one for each camera, and their class table. Out: structs.CostMaps.
 """
 
+import itertools
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -12,7 +14,14 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception.class_table import ClassTable
-from semloc_jax.perception.distance import BLOCK_PX, content_boxes, signed_distance
+from semloc_jax.perception.distance import (
+    BLOCK_PX,
+    coarse_signed_distance,
+    content_boxes,
+    occupied_blocks,
+    refined_signed_distance,
+    signed_distance,
+)
 from semloc_jax.structs import CostMaps
 
 KINDS = ("ramp",)
@@ -24,7 +33,7 @@ class CostMapConfig:
 
     ramp_px: tuple[float, ...] = (40.0, 14.0, 8.0, 3.0)
     """Distance [px of the full mask] at which the ramp of a level saturates."""
-    stride: tuple[int, ...] = (4, 2, 1, 1)
+    stride: tuple[int, ...] = (4, 2, 2, 1)
     """Pixels of the full mask in one pixel of the level: 1, 2, 4, 8 or 16."""
     blur_px: float = 1.0
     """Smoothing along the boundary that makes it sub-pixel [px]."""
@@ -73,14 +82,20 @@ def cost_maps(
     ramps = [_ones((*shape, -(-height // s), -(-width // s))) for s in config.stride]
     u = config.usable_stride
     usable = np.zeros((len(masks), -(-height // u), -(-width // u)), bool)
+    padded = [_pad_to_blocks(mask) for mask in masks]
+    layers = [cv2.LUT(mask, _layer_numbers(table)) for mask in padded]
     for camera, mask in enumerate(masks):
-        padded = _pad_to_blocks(mask)
-        _fill_usable(usable[camera], padded, mask.shape, table, config)
-        layers = cv2.LUT(padded, _layer_numbers(table))
-        for channel in wanted:
-            binary = cv2.compare(layers, channel + 1.0, cv2.CMP_EQ)
-            if cv2.countNonZero(binary):
-                _fill_channel([ramp[camera, channel] for ramp in ramps], binary, mask.shape, config)
+        _fill_usable(usable[camera], padded[camera], mask.shape, table, config)
+
+    def fill(camera: int, channel: int) -> None:
+        binary = cv2.compare(layers[camera], channel + 1.0, cv2.CMP_EQ)
+        if cv2.countNonZero(binary):
+            _fill_channel([ramp[camera, channel] for ramp in ramps], binary, masks[camera].shape, config)
+
+    jobs = list(itertools.product(range(len(masks)), wanted))
+    # OpenCV lets go of the interpreter lock, and every job writes its own planes.
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(fill, *zip(*jobs, strict=True)) if jobs else [])
     return CostMaps(
         ramps=tuple(jax.device_put(ramp) for ramp in ramps),
         ramp_px=tuple(float(ramp) for ramp in config.ramp_px),
@@ -92,16 +107,60 @@ def cost_maps(
 
 def _fill_channel(out: list[np.ndarray], binary: np.ndarray, shape: tuple[int, int], config: CostMapConfig) -> None:
     """Write the ramps of one channel of one camera into its levels `out`."""
-    reach = max(config.ramp_px) + 2.0 * config.blur_px + 1.0
-    for rows, columns in content_boxes(binary, reach):
-        distance = signed_distance(binary[rows, columns], config.blur_px)
-        for level, ramp_px, stride in zip(out, config.ramp_px, config.stride, strict=True):
-            size = (distance.shape[1] // stride, distance.shape[0] // stride)
-            coarse = distance if stride == 1 else cv2.resize(distance, size, interpolation=cv2.INTER_AREA)
-            y, x = rows.start // stride, columns.start // stride
-            target = level[y : min(y + size[1], -(-shape[0] // stride)), x : min(x + size[0], -(-shape[1] // stride))]
-            np.multiply(coarse[: target.shape[0], : target.shape[1]], np.float32(1.0 / ramp_px), out=target)
-            np.clip(target, -1.0, 1.0, out=target)
+    levels = list(zip(out, config.ramp_px, config.stride, strict=True))
+    full, reduced = [level for level in levels if level[2] == 1], [level for level in levels if level[2] > 1]
+    base = min((stride for _, _, stride in reduced), default=1)
+    blocks = occupied_blocks(binary)
+    coarse = np.zeros((binary.shape[0] // base, binary.shape[1] // base), np.float32) if reduced and full else None
+    for rows, columns in content_boxes(blocks, _reach_px(reduced, config)) if reduced else []:
+        distance = coarse_signed_distance(binary[rows, columns], base, config.blur_px)
+        for level, ramp_px, stride in reduced:
+            _write_ramp(level, distance, (rows.start, columns.start), shape, ramp_px, stride, base)
+        if coarse is not None:
+            coarse[_scaled(rows, base), _scaled(columns, base)] = distance
+    # A narrow band at full size; it lies inside the boxes of the reduced levels, whose ramps are wider.
+    for rows, columns in content_boxes(blocks, _reach_px(full, config)) if full else []:
+        part = binary[rows, columns]
+        if coarse is None or config.blur_px == 0 or _reach_px(full, config) > _reach_px(reduced, config):
+            distance = signed_distance(part, config.blur_px)
+        else:
+            distance = refined_signed_distance(
+                part, coarse[_scaled(rows, base), _scaled(columns, base)], config.blur_px
+            )
+        for level, ramp_px, stride in full:
+            _write_ramp(level, distance, (rows.start, columns.start), shape, ramp_px, stride, 1)
+
+
+def _reach_px(levels: list[tuple[np.ndarray, float, int]], config: CostMapConfig) -> float:
+    """How far from the mask the distance of these levels is needed [px]."""
+    return max(ramp_px + stride for _, ramp_px, stride in levels) + 2.0 * config.blur_px
+
+
+def _scaled(span: slice, stride: int) -> slice:
+    return slice(span.start // stride, span.stop // stride)
+
+
+def _write_ramp(
+    level: np.ndarray,
+    distance: np.ndarray,
+    corner: tuple[int, int],
+    shape: tuple[int, int],
+    ramp_px: float,
+    stride: int,
+    base: int,
+) -> None:
+    """Write the box of a distance field with its top-left `corner` (row, column) into one level.
+
+    Args:
+        shape: height and width of the full mask; the field may reach beyond it.
+        base: stride of `distance`.
+    """
+    size = distance.shape[1] * base // stride, distance.shape[0] * base // stride
+    field = distance if stride == base else cv2.resize(distance, size, interpolation=cv2.INTER_AREA)
+    top, left = corner[0] // stride, corner[1] // stride
+    target = level[top : min(top + size[1], -(-shape[0] // stride)), left : min(left + size[0], -(-shape[1] // stride))]
+    np.multiply(field[: target.shape[0], : target.shape[1]], np.float32(1.0 / ramp_px), out=target)
+    np.clip(target, -1.0, 1.0, out=target)
 
 
 def _fill_usable(

@@ -10,7 +10,6 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 
-
 _YELLOW_GAIN = 0.7
 _PIECE_M = 2.5
 
