@@ -8,6 +8,7 @@ from pathlib import Path
 from semloc_jax.datasets.base import Sequence
 from semloc_jax.datasets.drive import is_drive, read_drive
 from semloc_jax.datasets.folder import read_folder
+from semloc_jax.datasets.pandaset import is_pandaset, read_pandaset
 from semloc_jax.errors import SemlocError
 
 
@@ -24,4 +25,6 @@ def open_sequence(path: str | Path) -> Sequence:
         )
     if is_drive(path):
         return read_drive(path)
+    if is_pandaset(path):
+        return read_pandaset(path)
     return read_folder(path)

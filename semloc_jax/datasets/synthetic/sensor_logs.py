@@ -48,7 +48,7 @@ class SensorErrors:
 
 
 def write_sensor_logs(
-    folder: Path, motion: Motion, start_s: float, end_s: float, errors: SensorErrors, origin: GeoOrigin, rng
+    folder: Path, motion: Motion, start_s: float, end_s: float, errors: SensorErrors, origin: GeoOrigin, rng: np.random.Generator
 ) -> dict:
     """Write the three logs of the time from `start_s` to `end_s`; returns the drawn errors for meta.json."""
     scales = {
@@ -69,7 +69,7 @@ def write_sensor_logs(
 
 
 def _write_gnss(
-    path: Path, motion: Motion, time_s: np.ndarray, errors: SensorErrors, bias: np.ndarray, origin: GeoOrigin, rng
+    path: Path, motion: Motion, time_s: np.ndarray, errors: SensorErrors, bias: np.ndarray, origin: GeoOrigin, rng: np.random.Generator
 ) -> None:
     middle = 0.5 * (time_s[0] + time_s[-1])
     is_received = np.abs(time_s - middle) > 0.5 * errors.gnss_dropout_s
