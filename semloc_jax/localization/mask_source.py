@@ -100,9 +100,7 @@ def mask_source(
 
 def _classical(sequence: Sequence, names: tuple[str, ...]) -> MaskSource:
     rig = sequence.rig.select(names)
-    segmenters = {
-        camera: ClassicalPaintSegmenter(rig.cameras[i], rig.T_base_cam[i]) for i, camera in enumerate(names)
-    }
+    segmenters = {camera: ClassicalPaintSegmenter(rig.cameras[i], rig.T_base_cam[i]) for i, camera in enumerate(names)}
 
     def segment(frame: Frame, camera: str) -> np.ndarray:
         return segmenters[camera](frame.image(camera))

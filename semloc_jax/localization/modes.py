@@ -77,9 +77,7 @@ def _mean(cluster: list[Mode]) -> Mode:
     T = best.T_map_base.copy()
     T[:3, 3] += T[:3, :3] @ mean[:3]
     T[:3, :3] = T[:3, :3] @ Rotation.from_rotvec(mean[3:]).as_matrix()
-    return Mode(
-        total, T, spread, best.score, best.cost, best.coverage, best.inlier_ratio, best.weak_direction
-    )
+    return Mode(total, T, spread, best.score, best.cost, best.coverage, best.inlier_ratio, best.weak_direction)
 
 
 def _step(T_from: np.ndarray, T_to: np.ndarray) -> np.ndarray:
@@ -98,7 +96,9 @@ def _normalised(modes: list[Mode]) -> tuple[Mode, ...]:
     total = sum(mode.weight for mode in modes)
     scale = 1.0 / total if total > 0 else 0.0
     scaled = [
-        Mode(m.weight * scale, m.T_map_base, m.covariance, m.score, m.cost, m.coverage, m.inlier_ratio, m.weak_direction)
+        Mode(
+            m.weight * scale, m.T_map_base, m.covariance, m.score, m.cost, m.coverage, m.inlier_ratio, m.weak_direction
+        )
         for m in modes
     ]
     return tuple(sorted(scaled, key=lambda mode: -mode.weight))

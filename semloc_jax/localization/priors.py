@@ -98,7 +98,9 @@ def prior_source(
 
 def _from_gnss(sequence: Sequence, sigma_xy_m: float | None, sigma_heading_deg: float | None) -> PriorSource:
     if sequence.gnss is None:
-        raise SemlocError(f"drive {sequence.name}: has no satellite fixes for --prior gnss; use --prior truth or a TUM file")
+        raise SemlocError(
+            f"drive {sequence.name}: has no satellite fixes for --prior gnss; use --prior truth or a TUM file"
+        )
 
     def from_gnss(frame: Frame) -> PosePrior:
         fix = sequence.gnss_prior(frame.time_s)

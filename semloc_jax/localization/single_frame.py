@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
@@ -16,7 +17,7 @@ from semloc_jax.residuals.alignment import Usable, camera_views
 from semloc_jax.residuals.texture import RampTextures, pack
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.solvers.hypotheses import Modes, SearchConfig, score, search, weigh
-from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, align
+from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, align, assess
 from semloc_jax.solvers.proposals import ProposalKind, propose
 from semloc_jax.structs import CostMaps, MapSamples, PoseEstimate
 
@@ -102,6 +103,9 @@ def polish(
     def one(T_map_base: Array) -> tuple[PoseEstimate, Array]:
         evidence = evidence_from(T_map_base, frame, config.polish_view)
         estimate = align(T_map_base, evidence, prior, config.polish_align)
+        # Every mode is judged on one level, whichever held its pose last.
+        judged = assess(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align)
+        estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, (judged.cost, judged.inlier_ratio))
         return estimate, score(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align)
 
     estimates, polished = jax.lax.map(one, candidates)

@@ -54,7 +54,9 @@ def judge(
         found.append((SolveStatus.POOR_FIT, text))
     if best.weight < config.min_weight:
         away_m = np.hypot(*(modes[1].T_map_base - best.T_map_base)[:2, 3])
-        found.append((SolveStatus.AMBIGUOUS, f"a pose {away_m:.1f} m away holds {modes[1].weight:.0%} of the posterior"))
+        found.append(
+            (SolveStatus.AMBIGUOUS, f"a pose {away_m:.1f} m away holds {modes[1].weight:.0%} of the posterior")
+        )
     for name, sigma, limit, unit in (
         ("lateral", best.sigma_lateral_m, config.max_sigma_lateral_m, "m"),
         ("longitudinal", best.sigma_longitudinal_m, config.max_sigma_longitudinal_m, "m"),

@@ -42,9 +42,7 @@ PX_PER_M = 20.0
 """Pixels for each metre of contour in the evenly weighted world: a contour about 40 m away in a usual camera."""
 
 
-def contour_points(
-    samples: MapSamples, center_map: Float[Array, "3"]
-) -> tuple[Float[Array, "n 3"], Bool[Array, " n"]]:
+def contour_points(samples: MapSamples, center_map: Float[Array, "3"]) -> tuple[Float[Array, "n 3"], Bool[Array, " n"]]:
     """Where the contour of each sample lies when seen from `center_map`, and whether it is a contour from there.
 
     ROUND: the axis point moved by the radius to the side of the line of sight. CORNER: kept if it is outermost.

@@ -145,7 +145,7 @@ def refine_and_score(
 
     def one(T: Array) -> tuple[Array, Array]:
         if levels is not None:
-            T = refine(T, evidence, prior, config, levels)[0]
+            T = refine(T, evidence, prior, config, levels)[0][-1]
         return T, score(T, score_level, evidence, prior, config)
 
     return in_chunks(one, Ts, chunk)

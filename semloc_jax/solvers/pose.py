@@ -57,6 +57,8 @@ class AlignConfig:
     """On a coarse level the boundary noise counts as at least this share of the ramp: it is only a way to the next."""
     correlation_px: float = 60.0
     """Length of contour [px] over which the errors of a mask boundary are the same: one independent observation."""
+    min_inlier_ratio: float = 0.5
+    """A finer level is left again where less than this share of the visible contour lies within its ramp."""
     border_px: float = 2.0
     """Samples nearer to the border of the image are not used."""
     min_visible_px: float = 100.0
@@ -66,9 +68,7 @@ class AlignConfig:
 def visible_views(T_map_base: Float[Array, "4 4"], evidence: Evidence, border_px: float) -> tuple[CameraViews, ...]:
     """The views with the weight of every sample that cannot be seen from `T_map_base` set to zero."""
     return tuple(
-        eqx.tree_at(
-            lambda v: v.weight, view, view.weight * visibility(T_map_base, view, evidence.usable, border_px)
-        )
+        eqx.tree_at(lambda v: v.weight, view, view.weight * visibility(T_map_base, view, evidence.usable, border_px))
         for view in evidence.views
     )
 
@@ -120,23 +120,30 @@ def refine(
     prior: Prior,
     config: AlignConfig,
     levels: Int[Array, " level"] | None = None,
-) -> tuple[Float[Array, "4 4"], Int[Array, ""], Bool[Array, ""]]:
-    """Pose after all levels (None: those of the configuration), evaluations spent, whether the last one converged."""
+) -> tuple[Float[Array, "level 4 4"], Int[Array, " level"], Bool[Array, " level"]]:
+    """Pose after each level (None: those of the configuration), evaluations spent there, and whether it converged."""
     levels = jnp.asarray(config.levels) if levels is None else levels
 
-    def one_level(T: Array, level: Array) -> tuple[Array, tuple[Array, Array]]:
+    def one_level(T: Array, level: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         T, num_steps, converged = solve_level(T, level, evidence, prior, config)
-        return T, (num_steps, converged)
+        return T, (T, num_steps, converged)
 
     # A loop over levels, not a chain of them: the solver is compiled once.
-    T, (num_steps, converged) = jax.lax.scan(one_level, T_start, levels)
-    return T, jnp.sum(num_steps), converged[-1]
+    _, visited = jax.lax.scan(one_level, T_start, levels)
+    return visited
 
 
 def assess(
-    T_map_base: Float[Array, "4 4"], level: int, evidence: Evidence, prior: Prior, config: AlignConfig
+    T_map_base: Float[Array, "4 4"],
+    level: Int[Array, ""] | int,
+    evidence: Evidence,
+    prior: Prior,
+    config: AlignConfig,
 ) -> PoseEstimate:
-    """The pose estimate at a pose that is not moved: cost, coverage, information, covariance on one level."""
+    """The pose estimate at a pose that is not moved: cost, coverage, information, covariance on one level.
+
+    Where the residuals scatter more than `config.noise_px`, the covariance of the evidence grows with them.
+    """
     views = visible_views(T_map_base, evidence, config.border_px)
     problem = level_problem(T_map_base, views, level, evidence, prior, config)
     model = quadratic_model(jnp.zeros(6, T_map_base.dtype), problem)
@@ -144,9 +151,14 @@ def assess(
     kernel = KERNELS[config.kernel]
     visible, everything = total_weight(views), total_weight(evidence.views)
     per_visible = 1 / jnp.maximum(visible, 1e-6)
-    eigenvalues, eigenvectors = jnp.linalg.eigh(model.hessian)
+    held = weight * kernel.weight(r)
+    scatter_px = problem.texture.ramp_px * jnp.sqrt(jnp.sum(held * r * r) / jnp.maximum(jnp.sum(held), 1e-6))
+    excess = jnp.maximum(scatter_px / jnp.maximum(config.noise_px, config.noise_share * problem.texture.ramp_px), 1.0)
+    identity = jnp.eye(6, dtype=T_map_base.dtype)
+    information = (model.hessian - identity) / excess**2 + identity
+    eigenvalues, eigenvectors = jnp.linalg.eigh(information)
     scale = jnp.where(prior.sigma > 0, prior.sigma, 0.0)
-    covariance = scale[:, None] * jnp.linalg.inv(model.hessian) * scale
+    covariance = scale[:, None] * jnp.linalg.inv(information) * scale
     finite = jnp.all(jnp.isfinite(T_map_base)) & jnp.all(jnp.isfinite(model.hessian))
     status = jnp.where(visible < config.min_visible_px, SolveStatus.NO_EVIDENCE, SolveStatus.CONVERGED)
     return PoseEstimate(
@@ -162,9 +174,7 @@ def assess(
     )
 
 
-def align(
-    T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: AlignConfig
-) -> PoseEstimate:
+def align(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: AlignConfig) -> PoseEstimate:
     """The pose that aligns the map with the masks, refined from one start.
 
     Args:
@@ -176,12 +186,20 @@ def align(
     Returns:
         PoseEstimate; `status` says MAX_STEPS, NO_EVIDENCE or NOT_FINITE where it is not CONVERGED.
     """
-    T, num_steps, converged = refine(T_init, evidence, prior, config)
-    sane = jnp.all(jnp.isfinite(T))
-    estimate = assess(jnp.where(sane, T, T_init), config.levels[-1], evidence, prior, config)
-    status = jnp.where((estimate.status == SolveStatus.CONVERGED) & ~converged, SolveStatus.MAX_STEPS, estimate.status)
+    levels = jnp.asarray(config.levels)
+    Ts, num_steps, converged = refine(T_init, evidence, prior, config)
+    sane = jnp.all(jnp.isfinite(Ts))
+    Ts = jnp.where(sane, Ts, T_init)
+    visited = jax.vmap(lambda T, level: assess(T, level, evidence, prior, config))(Ts, levels)
+    # A level finer than the scatter of the boundaries fits noise: the pose is that of the finest level that holds.
+    holds = visited.inlier_ratio >= config.min_inlier_ratio
+    last = jnp.max(jnp.where(holds, jnp.arange(len(levels)), 0))
+    estimate = jax.tree.map(lambda leaf: leaf[last], visited)
+    status = jnp.where(
+        (estimate.status == SolveStatus.CONVERGED) & ~converged[last], SolveStatus.MAX_STEPS, estimate.status
+    )
     status = jnp.where(sane, status, SolveStatus.NOT_FINITE)
-    return eqx.tree_at(lambda e: (e.num_steps, e.status), estimate, (num_steps, status))
+    return eqx.tree_at(lambda e: (e.num_steps, e.status), estimate, (jnp.sum(num_steps), status))
 
 
 def in_chunks(function, Ts: Float[Array, "n 4 4"], chunk: int):
