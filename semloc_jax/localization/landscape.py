@@ -3,14 +3,19 @@
 In: evidence of one frame, a pose, offsets. Out: robust costs on a grid, all classes together and each alone.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
+from semloc_jax.localization.run import FrameLocalizer
+from semloc_jax.localization.single_frame import evidence_from
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import robust_cost
 from semloc_jax.solvers.pose import AlignConfig, Evidence
@@ -59,6 +64,44 @@ def cost_landscape(
         evidence = eqx.tree_at(lambda e: e.views, evidence, tuple(only))
     cost = _costs(jnp.asarray(xi.reshape(-1, 6)), jnp.asarray(T_map_base, jnp.float32), evidence, level, config)
     return np.asarray(cost).reshape(xi.shape[:2])
+
+
+def frame_landscape(
+    localizer: FrameLocalizer,
+    masks: Sequence[np.ndarray],
+    rig: Rig,
+    T_map_base: np.ndarray,
+    directions: tuple[str, str],
+    offset_a: np.ndarray,
+    offset_b: np.ndarray,
+    level: int = 1,
+) -> dict[str, np.ndarray]:
+    """Costs of one frame around a pose: `all` classes together, then each mask channel that is in view alone.
+
+    Args:
+        localizer: Map, class table and configuration.
+        masks: Class ids of every camera of the rig.
+        rig: Cameras of the masks.
+        T_map_base: Pose in the middle, in the map frame.
+        directions, offset_a, offset_b, level: See `cost_landscape`.
+
+    Raises:
+        SemlocError: wrong directions, or a level that the cost maps do not have.
+    """
+    num_levels = len(localizer.config.cost_maps.ramp_px)
+    if not 0 <= level < num_levels:
+        raise SemlocError(f"landscape on level {level}; the cost maps have the levels 0 (coarse) to {num_levels - 1}")
+    inputs, local_map = localizer.prepare(masks, rig, T_map_base)
+    T_local = np.array(T_map_base, dtype=np.float64)
+    T_local[:3, 3] -= local_map.origin_map
+    evidence = evidence_from(jnp.asarray(T_local, jnp.float32), inputs, localizer.config.frame.search_view)
+    config = localizer.config.frame.search_align
+    channels = {"all": None} | {channel.name: index for index, channel in enumerate(localizer.shown.channels)}
+    costs = {
+        name: cost_landscape(T_local, evidence, directions, offset_a, offset_b, level, config, index)
+        for name, index in channels.items()
+    }
+    return {name: cost for name, cost in costs.items() if name == "all" or np.isfinite(cost).any()}
 
 
 @eqx.filter_jit

@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -73,20 +75,26 @@ def project_contours(
     """
     T_local_cam = np.asarray(T_map_base, dtype=np.float64) @ np.asarray(T_base_cam, dtype=np.float64)
     T_local_cam[:3, 3] -= origin_map
-    center = jnp.asarray(T_local_cam[:3, 3], jnp.asarray(samples.p_map).dtype)
-    p_map, is_contour = (np.asarray(part) for part in contour_points(samples, center))
-    near = np.linalg.norm(p_map - T_local_cam[:3, 3], axis=1) < max_range_m
-    keep = np.asarray(samples.valid) & is_contour & near
-    p_map, label = p_map[keep].astype(np.float64), np.asarray(samples.label)[keep]
-    half = 0.5 * np.asarray(samples.length_m)[keep, None] * np.asarray(samples.tangent_map)[keep]
-    ends = np.stack([p_map - half, p_map + half], axis=1)
-    uv_jax, valid = camera.project((ends - T_local_cam[:3, 3]) @ T_local_cam[:3, :3])
-    margin_px = -0.05 * float(camera.width)
-    inside = np.asarray(camera.in_image(uv_jax[..., 0], uv_jax[..., 1], margin_px)).any(axis=1)
-    uv, valid = np.asarray(uv_jax), np.asarray(valid)
-    short = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1) < _MAX_SEGMENT_PX
-    shown = valid.all(axis=1) & inside & short
-    return Contours(uv[shown], label[shown])
+    dtype = jnp.asarray(samples.p_map).dtype
+    uv, shown = (np.asarray(a) for a in _seen(samples, jnp.asarray(T_local_cam, dtype), camera, max_range_m))
+    return Contours(uv[shown].astype(np.float64), np.asarray(samples.label)[shown])
+
+
+@eqx.filter_jit
+def _seen(
+    samples: MapSamples, T_local_cam: Array, camera: Camera, max_range_m: float
+) -> tuple[Float[Array, "n 2 2"], Bool[Array, " n"]]:
+    """Both ends of the piece of contour around each sample [px], and whether it is seen; all samples, so that the shape
+    is that of the bucket and few programs are compiled."""
+    center = T_local_cam[:3, 3]
+    p_map, is_contour = contour_points(samples, center)
+    half = 0.5 * samples.length_m[:, None] * samples.tangent_map
+    ends = jnp.stack([p_map - half, p_map + half], axis=1)
+    uv, valid = camera.project((ends - center) @ T_local_cam[:3, :3])
+    near = jnp.linalg.norm(p_map - center, axis=1) < max_range_m
+    inside = camera.in_image(uv[..., 0], uv[..., 1], -0.05 * camera.width).any(axis=1)
+    short = jnp.linalg.norm(uv[:, 1] - uv[:, 0], axis=1) < _MAX_SEGMENT_PX
+    return uv, samples.valid & is_contour & near & valid.all(axis=1) & inside & short
 
 
 def draw_contours(

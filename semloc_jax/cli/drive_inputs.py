@@ -1,0 +1,78 @@
+"""What the verbs that work on a drive have in common: the drive, its map, masks, cameras and prior (room: cli).
+
+In: options. Out: Inputs, everything opened and resolved.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from semloc_jax.cli.arguments import parse_names
+
+if TYPE_CHECKING:
+    from semloc_jax.datasets import Sequence
+    from semloc_jax.localization import MaskSource
+    from semloc_jax.localization.priors import PriorSource
+    from semloc_jax.maps import SemanticMap
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """Options of every verb that works on a drive."""
+
+    drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]
+    """Folder of the drive; its type is guessed."""
+    map: str | None = None
+    """Map file (.geojson, .osm), or the name of a map of the drive; default: the drive's own."""
+    masks: str | None = None
+    """Mask folder of the drive (sem, sem_net ...) or a segmenter (classical); default: the drive's best masks."""
+    class_table: str | None = None
+    """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
+    cameras: str | None = None
+    """Names of cameras, separated by commas: front,left; default: all."""
+    prior: str | None = None
+    """gnss, truth (plus seeded noise) or a trajectory file; default: gnss where the drive has fixes."""
+    prior_sigma_xy_m: float | None = None
+    """Standard deviation of the prior's position; default: as the source states, else 1."""
+    prior_sigma_yaw_deg: float | None = None
+    """Standard deviation of the prior's heading; default: as the source states, else 3."""
+    seed: int = 0
+    """Of the noise of --prior truth and of random hypotheses."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the options name, opened."""
+
+    drive: "Sequence"
+    map: "SemanticMap"
+    masks: "MaskSource"
+    prior: "PriorSource"
+
+
+def open_inputs(options: DriveOptions) -> Inputs:
+    """Open the drive and the map and resolve what the options leave to them.
+
+    Raises:
+        SemlocError: something is missing or cannot be read.
+    """
+    from semloc_jax.datasets import open_sequence
+    from semloc_jax.errors import SemlocError
+    from semloc_jax.localization import mask_source, prior_source
+    from semloc_jax.localization.mask_source import CLASSICAL
+    from semloc_jax.maps import read_map
+
+    drive = open_sequence(options.drive)
+    map_path = drive.maps.get(options.map or "", options.map or drive.map_path)
+    if map_path is None:
+        raise SemlocError(f"drive {drive.name}: has no map of its own; give --map FILE (.geojson or .osm)")
+    kind = options.prior or ("gnss" if drive.gnss is not None else None)
+    if kind is None:
+        raise SemlocError(f"drive {drive.name}: has no satellite fixes; give --prior truth or --prior FILE.tum")
+    semantic_map = read_map(map_path)
+    prior = prior_source(kind, drive, options.prior_sigma_xy_m, options.prior_sigma_yaw_deg, options.seed)
+    masks = options.masks or (drive.mask_sources[0] if drive.mask_sources else CLASSICAL)
+    source = mask_source(masks, drive, parse_names(options.cameras), options.class_table)
+    return Inputs(drive, semantic_map, source, prior)

@@ -1,0 +1,109 @@
+"""`semloc landscape`: the cost around the pose of one frame, over two of the six directions (room: cli)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from semloc_jax.cli.arguments import parse_names
+from semloc_jax.cli.config_files import UsageError
+from semloc_jax.cli.drive_inputs import DriveOptions, open_inputs
+from semloc_jax.cli.main import OK
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from semloc_jax.localization import LocalizeConfig
+
+METRIC = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Options(DriveOptions):
+    """The cost around the pose of one frame, over two of the six directions, for all classes and for each alone.
+
+    Shows what holds the pose and what does not: a valley is a direction that the class says nothing about, a second
+    basin is a pose that it would confuse with the true one. Writes landscape.png and minima.csv.
+    """
+
+    frame: int = 0
+    """Index of the frame."""
+    over: str = "x,y"
+    """Two of x, y, z (along, left, up), roll, pitch, yaw."""
+    extent: str = "4,2"
+    """Half width along each of the two [m or deg]."""
+    steps: str = "81,61"
+    """Number of poses along each of the two."""
+    level: int = 1
+    """Level of the cost maps: 0 is the coarsest."""
+    around: Literal["truth", "prior"] = "truth"
+    """The pose in the middle; the prior is taken where the drive has no truth."""
+    config: Path | None = None
+    """YAML file with values of the configuration."""
+    out: Path | None = None
+    """Folder for the results; default: results/TIME, to which results/latest points."""
+
+
+def default_settings() -> "LocalizeConfig":
+    """The configuration of `semloc localize`."""
+    from semloc_jax.localization import LocalizeConfig
+
+    return LocalizeConfig()
+
+
+def run(options: Options) -> int:
+    """Compute the costs, draw them, list the minima."""
+    import numpy as np
+
+    from semloc_jax import viz
+    from semloc_jax.cli import results
+    from semloc_jax.errors import SemlocError
+    from semloc_jax.localization import FrameLocalizer
+    from semloc_jax.localization.landscape import frame_landscape
+
+    directions, offsets = _grid(options)
+    inputs = open_inputs(options)
+    if not -len(inputs.drive) <= options.frame < len(inputs.drive):
+        raise SemlocError(f"drive {inputs.drive.name}: no frame {options.frame}; it has {len(inputs.drive)} frames")
+    frame = inputs.drive.frames[options.frame]
+    is_truth = options.around == "truth" and inputs.drive.truth is not None
+    T_map_base = inputs.drive.truth_at(frame) if is_truth else inputs.prior(frame).on_road(inputs.map)
+    localizer = FrameLocalizer(inputs.map, inputs.masks.table, options.settings)
+    rig = inputs.masks.seen_by(frame.rig.select(inputs.masks.cameras))
+    in_si = [o if d in METRIC else np.deg2rad(o) for d, o in zip(directions, offsets, strict=True)]
+    costs = frame_landscape(localizer, inputs.masks.masks(frame), rig, T_map_base, directions, *in_si, options.level)
+    slices = {name: viz.CostSlice(directions, *offsets, cost) for name, cost in costs.items()}
+
+    folder = results.make_folder(options.out)
+    ramp_px = options.settings.cost_maps.ramp_px[options.level]
+    title = f"{inputs.drive.name} frame {frame.id}, masks {inputs.masks.name}, ramp {ramp_px:g} px"
+    truth = (0.0, 0.0) if is_truth else None
+    print(f"picture: {viz.save(viz.landscape(slices, title, truth), folder / 'landscape.png')}")
+    rows = [
+        (name, rank, f"{m.offset_a:.4f}", f"{m.offset_b:.4f}", f"{m.cost:.4f}")
+        for name, piece in slices.items()
+        for rank, m in enumerate(viz.find_minima(piece), start=1)
+    ]
+    results.write_csv(folder / "minima.csv", ("class", "rank", *directions, "cost"), rows)
+    for row in rows:
+        if row[0] == "all":
+            print(f"minimum {row[1]}: {directions[0]} {row[2]}, {directions[1]} {row[3]}, cost {row[4]}")
+    return OK
+
+
+def _grid(options: Options) -> tuple[tuple[str, str], "list[np.ndarray]"]:
+    """The two directions and the offsets along them [m or deg]."""
+    import numpy as np
+
+    from semloc_jax.viz.landscape import DIRECTIONS
+
+    directions = parse_names(options.over) or ()
+    if len(set(directions)) != 2 or not set(directions) <= set(DIRECTIONS):
+        raise UsageError(f"--over '{options.over}': expected two different ones of {', '.join(DIRECTIONS)}, e.g. x,yaw")
+    try:
+        extents = [float(value) for value in options.extent.split(",")]
+        steps = [int(value) for value in options.steps.split(",")]
+    except ValueError as error:
+        raise UsageError(f"--extent or --steps: {error}; expected two numbers such as 4,2") from error
+    if len(extents) != 2 or len(steps) != 2 or min(extents) <= 0 or min(steps) < 3:
+        raise UsageError("--extent, --steps: expected two positive extents and two counts of at least 3")
+    return directions, [np.linspace(-e, e, n) for e, n in zip(extents, steps, strict=True)]
