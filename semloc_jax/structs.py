@@ -111,8 +111,8 @@ class CostMaps(eqx.Module):
     Pixel (u, v) of the full mask lies at ((u + 0.5) / stride[l] - 0.5, (v + 0.5) / stride[l] - 0.5) of level l.
     """
 
-    ramps: tuple[Float[Array, "cam channel h w"], ...]
-    """One array for each level, coarsest first, values in [-1, 1]."""
+    ramps: tuple[Float[Array, "cam channel _h _w"], ...]
+    """One array for each level, coarsest first, values in [-1, 1]; each level has its own size."""
     ramp_px: tuple[float, ...] = eqx.field(static=True)
     stride: tuple[int, ...] = eqx.field(static=True)
     usable: Bool[Array, "cam h w"]
