@@ -43,6 +43,10 @@ FEATURE_CLASSES: dict[str, tuple[ElementClass, str, frozenset[str]]] = {
 _CONE_TOP_SHARE = 0.2
 """Radius at the top of a traffic cone against that at its base, where the file does not say (our assumption)."""
 _NUMBERS = ("width", "radius", "radius_top", "height")
+_FARTHEST_M = 1e8
+"""Beyond any coordinate on the earth in metres, projected grids included."""
+_LARGEST_M = 1e3
+"""Beyond the size of anything that stands or is painted on a road."""
 ToLocal = Callable[[np.ndarray], np.ndarray]
 
 
@@ -70,11 +74,15 @@ def elements_from_features(
 def write_features(path: str | Path, members: Mapping[str, Any], features: list[dict[str, Any]]) -> None:
     """Writes a FeatureCollection with some foreign members, one feature a line so that versions can be compared."""
     head = json.dumps({"type": "FeatureCollection", **members}, allow_nan=False)
-    lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
     try:
+        lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
         Path(path).write_text(f'{head[:-1]}, "features": [\n{lines}\n]}}\n', encoding="utf-8")
     except OSError as error:
         raise SemlocError(f"cannot write map {path}: {error.strerror}; give a path in a folder that exists") from error
+    except ValueError as error:
+        raise SemlocError(
+            f"cannot write map {path}: an attribute is NaN or infinite; JSON has no such numbers"
+        ) from error
 
 
 def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal | None = None) -> MapElement | str:
@@ -168,7 +176,7 @@ _SHAPED = frozenset({ElementClass.SIGN, ElementClass.ROAD_MARK})
 def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np.ndarray, bool, bool]:
     """Returns the points `[k 3]` of a geometry (outer ring without repeat), whether closed, whether with heights."""
     kind = geometry.get("type") if isinstance(geometry, Mapping) else None
-    if kind not in allowed:
+    if not isinstance(kind, str) or kind not in allowed:
         raise SemlocError(f"{where}: geometry {kind}; expected {' or '.join(sorted(allowed))}")
     closed = kind == "Polygon"
     try:
@@ -181,8 +189,8 @@ def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np
         points = points[:-1]
     if len(points) < (3 if closed else 2):
         raise SemlocError(f"{where}: {len(points)} points; expected at least {3 if closed else 2}")
-    if not np.isfinite(points).all():
-        raise SemlocError(f"{where}: NaN or infinite coordinates; expected finite metres or degrees")
+    if not (np.abs(points) < _FARTHEST_M).all():
+        raise SemlocError(f"{where}: NaN, infinite or huge coordinates; expected metres or degrees on the earth")
     return points, closed, has_height
 
 
@@ -195,8 +203,8 @@ def _number(value: Any, key: str, where: str) -> float:
         number = float(value) if value is not None else 0.0
     except (TypeError, ValueError):
         number = float("nan")
-    if not (np.isfinite(number) and number >= 0.0):
-        raise SemlocError(f"{where}: {key} = {value!r}; expected metres, zero or more")
+    if not 0.0 <= number < _LARGEST_M:
+        raise SemlocError(f"{where}: {key} = {str(value)[:40]!r}; expected metres from 0 to {_LARGEST_M:.0f}")
     return number
 
 
@@ -213,9 +221,9 @@ def _normal(value: Any, where: str) -> np.ndarray | None:
         return None
     try:
         normal = np.array(value, dtype=np.float64)
-        size = float(np.linalg.norm(normal))
+        size = float(np.abs(normal).max(initial=0.0))
     except (TypeError, ValueError):
         normal, size = np.zeros(0), 0.0
-    if normal.shape != (3,) or not (np.isfinite(size) and size > 0):
-        raise SemlocError(f"{where}: normal = {value!r}; expected three finite numbers that are not all zero")
-    return normal / size
+    if normal.shape != (3,) or not 0.0 < size < _LARGEST_M:
+        raise SemlocError(f"{where}: normal = {str(value)[:60]}; expected three finite numbers that are not all zero")
+    return normal / np.linalg.norm(normal)

@@ -106,8 +106,8 @@ def _coordinate(item: OsmItem, key: str, name: str) -> float:
         value = float(text)
     except ValueError:
         value = float("inf")
-    if not np.isfinite(value):
-        raise SemlocError(f"map {name}: node {item.attributes['id']} has {key} = '{text}'; expected a finite number")
+    if not abs(value) < 1e8:
+        raise SemlocError(f"map {name}: node {item.attributes['id']} has {key} = '{text}'; expected metres or degrees")
     return value
 
 
