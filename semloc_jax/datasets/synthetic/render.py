@@ -87,29 +87,33 @@ def render(
     """What a camera at `T_map_cam` sees of the scene at a time; `ego` is the own vehicle in the map frame."""
     origin = T_map_cam[:3, 3]
     ray = rays.ray_cam @ T_map_cam[:3, :3].T
-    count = len(ray)
     in_view = rays.valid.ravel()
-    class_id = np.where(in_view, scene.backdrop, 0).astype(np.uint8)
-    distance, normal, color = np.full(count, np.inf), np.zeros((count, 3)), np.full((count, 3), np.nan)
-
+    distance = np.full(len(ray), np.inf)
     seeing = np.flatnonzero(in_view)
-    t = scene.surface.hit(origin, ray[seeing], _RANGE_M)
-    hits = seeing[np.isfinite(t)]
-    distance[hits] = t[np.isfinite(t)]
-    xy = origin[:2] + distance[hits, None] * ray[hits, :2]
-    class_id[hits] = scene.ground.class_at(xy)
-    normal[hits] = scene.surface.normal(xy)
+    distance[seeing] = scene.surface.hit(origin, ray[seeing], _RANGE_M)
 
+    solids = (*scene.solids, *scene.traffic(time_s), *ego)
+    owner = np.full(len(ray), -1)
     tile_axis = rays.tile_axis_cam @ T_map_cam[:3, :3].T
-    for solid in (*scene.solids, *scene.traffic(time_s), *ego):
+    for number, solid in enumerate(solids):
         pixels = _pixels_of(solid, origin, rays, tile_axis)
-        if len(pixels) == 0:
-            continue
-        t, solid_normal = solid.hit(origin, ray[pixels])
+        t = solid.hit(origin, ray[pixels])
         nearer = t < distance[pixels]
-        chosen = pixels[nearer]
-        distance[chosen], normal[chosen] = t[nearer], solid_normal[nearer]
-        class_id[chosen], color[chosen] = solid.class_id, solid.color
+        distance[pixels[nearer]], owner[pixels[nearer]] = t[nearer], number
+
+    class_id = np.where(in_view, scene.backdrop, 0).astype(np.uint8)
+    normal, color = np.zeros((len(ray), 3)), np.full((len(ray), 3), np.nan)
+    ground = np.flatnonzero((owner < 0) & np.isfinite(distance))
+    xy = origin[:2] + distance[ground, None] * ray[ground, :2]
+    class_id[ground] = scene.ground.class_at(xy)
+    normal[ground] = scene.surface.normal(xy)
+    order = np.flatnonzero(owner >= 0)
+    order = order[np.argsort(owner[order], kind="stable")]
+    starts = np.searchsorted(owner[order], np.arange(len(solids) + 1))
+    for solid, first, last in zip(solids, starts[:-1], starts[1:], strict=True):
+        own = order[first:last]
+        class_id[own], color[own] = solid.class_id, solid.color
+        normal[own] = solid.normal_at(origin + distance[own, None] * ray[own], ray[own])
     height, width = rays.shape
     return View(
         class_id=class_id.reshape(height, width),

@@ -48,7 +48,13 @@ class SensorErrors:
 
 
 def write_sensor_logs(
-    folder: Path, motion: Motion, start_s: float, end_s: float, errors: SensorErrors, origin: GeoOrigin, rng: np.random.Generator
+    folder: Path,
+    motion: Motion,
+    start_s: float,
+    end_s: float,
+    errors: SensorErrors,
+    origin: GeoOrigin,
+    rng: np.random.Generator,
 ) -> dict:
     """Write the three logs of the time from `start_s` to `end_s`; returns the drawn errors for meta.json."""
     scales = {
@@ -69,7 +75,13 @@ def write_sensor_logs(
 
 
 def _write_gnss(
-    path: Path, motion: Motion, time_s: np.ndarray, errors: SensorErrors, bias: np.ndarray, origin: GeoOrigin, rng: np.random.Generator
+    path: Path,
+    motion: Motion,
+    time_s: np.ndarray,
+    errors: SensorErrors,
+    bias: np.ndarray,
+    origin: GeoOrigin,
+    rng: np.random.Generator,
 ) -> None:
     middle = 0.5 * (time_s[0] + time_s[-1])
     is_received = np.abs(time_s - middle) > 0.5 * errors.gnss_dropout_s
@@ -102,7 +114,12 @@ def _to_degrees(east_m: float, north_m: float, origin: GeoOrigin) -> tuple[float
 
 
 def _write_wheel(
-    path: Path, motion: Motion, time_s: np.ndarray, errors: SensorErrors, scales: dict[str, float], rng
+    path: Path,
+    motion: Motion,
+    time_s: np.ndarray,
+    errors: SensorErrors,
+    scales: dict[str, float],
+    rng: np.random.Generator,
 ) -> None:
     step = _steps(motion, time_s)
     speed = step[:, 0, 3] / 0.02 * scales["odo_speed_scale"] + errors.speed_noise_mps * rng.normal(size=len(time_s))
@@ -116,7 +133,9 @@ def _write_wheel(
     path.write_text("\n".join(lines) + "\n")
 
 
-def _write_imu(path: Path, motion: Motion, time_s: np.ndarray, biases: dict, rng) -> None:
+def _write_imu(
+    path: Path, motion: Motion, time_s: np.ndarray, biases: dict[str, list[float]], rng: np.random.Generator
+) -> None:
     half = 0.005
     poses = [motion.poses(time_s + offset) for offset in (-half, 0.0, half)]
     turn = np.swapaxes(poses[0][:, :3, :3], 1, 2) @ poses[2][:, :3, :3]

@@ -1,6 +1,6 @@
 """Things that stand on the ground of a simulated scene, and where rays hit them (room: datasets; host).
 
-In: rays. Out: distances and normals; each solid has a class id and a colour.
+In: rays. Out: distances to the first hit, normals there; each solid has a class id and a colour.
 """
 
 from abc import ABC, abstractmethod
@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-Hit = tuple[np.ndarray, np.ndarray]
-"""Distances [n] (inf: missed) and unit normals [n 3]."""
+Points = Float[np.ndarray, "n 3"]
 
 
 @dataclass(frozen=True)
@@ -31,8 +30,12 @@ class Solid(ABC):
         """Centre [3] and radius [m] of a sphere around it."""
 
     @abstractmethod
-    def hit(self, origin: Float[np.ndarray, "3"], ray: Float[np.ndarray, "n 3"]) -> Hit:
-        """First hits of unit rays."""
+    def hit(self, origin: Float[np.ndarray, "3"], ray: Points) -> Float[np.ndarray, " n"]:
+        """Distance along unit rays to the first hit, inf where they miss."""
+
+    @abstractmethod
+    def normal_at(self, point: Points, ray: Points) -> Points:
+        """Unit normals at points of the surface that are hit by `ray`."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Frustum(Solid):
         widest = max(self.radius_m, self.radius_top_m)
         return self.base + [0.0, 0.0, 0.5 * self.height_m], float(np.hypot(0.5 * self.height_m, widest))
 
-    def hit(self, origin: Float[np.ndarray, "3"], ray: Float[np.ndarray, "n 3"]) -> Hit:
+    def hit(self, origin: Float[np.ndarray, "3"], ray: Points) -> Float[np.ndarray, " n"]:
         offset = origin - self.base
         taper = (self.radius_top_m - self.radius_m) / self.height_m
         radius_here = self.radius_m + taper * offset[2]
@@ -62,10 +65,11 @@ class Frustum(Solid):
         t = (-b - np.sqrt(np.maximum(root, 0.0))) / safe_a
         z = offset[2] + t * ray[:, 2]
         seen = (root >= 0.0) & (np.abs(a) > 1e-12) & (t > 0.0) & (z >= 0.0) & (z <= self.height_m)
-        normal = offset + t[:, None] * ray
-        normal[:, 2] = 0.0
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-        return np.where(seen, t, np.inf), normal
+        return np.where(seen, t, np.inf)
+
+    def normal_at(self, point: Points, ray: Points) -> Points:
+        outward = (point - self.base) * [1.0, 1.0, 0.0]
+        return outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
 
 
 @dataclass(frozen=True)
@@ -80,18 +84,23 @@ class Box(Solid):
     def bounds(self) -> tuple[np.ndarray, float]:
         return self.center, 0.5 * float(np.linalg.norm(self.size_m))
 
-    def hit(self, origin: Float[np.ndarray, "3"], ray: Float[np.ndarray, "n 3"]) -> Hit:
+    def hit(self, origin: Float[np.ndarray, "3"], ray: Points) -> Float[np.ndarray, " n"]:
         start = (origin - self.center) @ self.R_map_box
-        direction = ray @ self.R_map_box
-        direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
-        half = 0.5 * np.asarray(self.size_m)
-        near = (-np.sign(direction) * half - start) / direction
-        far = (np.sign(direction) * half - start) / direction
-        axis = np.argmax(near, axis=1)
-        enter, leave = near.max(axis=1), far.min(axis=1)
-        seen = (enter <= leave) & (enter > 0.0)
-        sign = -np.sign(np.take_along_axis(direction, axis[:, None], axis=1))
-        return np.where(seen, enter, np.inf), self.R_map_box.T[axis] * sign
+        enter, leave = np.zeros(len(ray)), np.full(len(ray), np.inf)
+        for axis, half in enumerate(0.5 * np.asarray(self.size_m)):
+            direction = ray @ self.R_map_box[:, axis]
+            direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+            one, other = (-half - start[axis]) / direction, (half - start[axis]) / direction
+            np.maximum(enter, np.minimum(one, other), out=enter)
+            np.minimum(leave, np.maximum(one, other), out=leave)
+        # A ray that starts inside the box enters at zero: it does not see the box.
+        return np.where((enter <= leave) & (enter > 0.0), enter, np.inf)
+
+    def normal_at(self, point: Points, ray: Points) -> Points:
+        local = (point - self.center) @ self.R_map_box / (0.5 * np.asarray(self.size_m))
+        axis = np.argmax(np.abs(local), axis=1)
+        side = np.sign(np.take_along_axis(local, axis[:, None], axis=1))
+        return self.R_map_box.T[axis] * side
 
 
 @dataclass(frozen=True)
@@ -105,22 +114,26 @@ class Plate(Solid):
         center = self.outline.mean(axis=0)
         return center, float(np.linalg.norm(self.outline - center, axis=1).max())
 
-    def hit(self, origin: Float[np.ndarray, "3"], ray: Float[np.ndarray, "n 3"]) -> Hit:
-        center = self.outline.mean(axis=0)
-        edges = np.roll(self.outline, -1, axis=0) - self.outline
-        normal = np.cross(edges[0], edges[1])
-        normal /= np.linalg.norm(normal)
+    def hit(self, origin: Float[np.ndarray, "3"], ray: Points) -> Float[np.ndarray, " n"]:
+        normal = self._normal
         speed = ray @ normal
         speed = np.where(np.abs(speed) < 1e-12, 1e-12, speed)
-        t = ((center - origin) @ normal) / speed
+        t = ((self.outline[0] - origin) @ normal) / speed
         # A point is inside a convex outline when it is on the same side of every edge; the edge normals are dotted
         # with the hit point directly, without building the points.
-        inward = np.cross(normal, edges)
         inside = t > 0.0
-        for vertex, direction in zip(self.outline, inward, strict=True):
-            inside &= (origin - vertex) @ direction + t * (ray @ direction) >= 0.0
-        facing = np.where(speed[:, None] < 0.0, normal, -normal)
-        return np.where(inside, t, np.inf), facing
+        for vertex, edge in zip(self.outline, np.roll(self.outline, -1, axis=0) - self.outline, strict=True):
+            inward = np.cross(normal, edge)
+            inside &= (origin - vertex) @ inward + t * (ray @ inward) >= 0.0
+        return np.where(inside, t, np.inf)
+
+    def normal_at(self, point: Points, ray: Points) -> Points:
+        return -np.sign(ray @ self._normal)[:, None] * self._normal
+
+    @property
+    def _normal(self) -> np.ndarray:
+        normal = np.cross(self.outline[1] - self.outline[0], self.outline[2] - self.outline[1])
+        return normal / np.linalg.norm(normal)
 
 
 @dataclass(frozen=True)
@@ -134,13 +147,15 @@ class Ball(Solid):
     def bounds(self) -> tuple[np.ndarray, float]:
         return self.center, self.radius_m
 
-    def hit(self, origin: Float[np.ndarray, "3"], ray: Float[np.ndarray, "n 3"]) -> Hit:
+    def hit(self, origin: Float[np.ndarray, "3"], ray: Points) -> Float[np.ndarray, " n"]:
         offset = origin - self.center
         b = ray @ offset
         root = b * b - (offset @ offset - self.radius_m**2)
         t = -b - np.sqrt(np.maximum(root, 0.0))
-        normal = (offset + t[:, None] * ray) / self.radius_m
-        return np.where((root >= 0.0) & (t > 0.0), t, np.inf), normal
+        return np.where((root >= 0.0) & (t > 0.0), t, np.inf)
+
+    def normal_at(self, point: Points, ray: Points) -> Points:
+        return (point - self.center) / self.radius_m
 
 
 def rotation_about_z(yaw_rad: float) -> np.ndarray:
