@@ -17,6 +17,8 @@ from semloc_jax.structs import ElementClass
 _POINT_SPACING_M = 1.0
 _MAX_RADIUS_M = 60.0
 _MIN_POINTS = 12
+_LEVEL_M = 1.5
+"""Half of what a parking deck is at least high."""
 _MIN_SPREAD_M = 0.8
 """Root of the smaller principal variance below which the points say too little about one slope."""
 _SLOPE_SIGMA = 0.03
@@ -75,21 +77,24 @@ class GroundModel:
         stacked = np.vstack([np.zeros((0, 3)), *points])
         return cls(stacked[np.isfinite(stacked).all(axis=1)])
 
-    def plane(self, center: Place, radius_m: float = 8.0) -> RoadPlane:
+    def plane(self, center: Place, radius_m: float = 8.0, near_z_m: float | None = None) -> RoadPlane:
         """Returns the plane of the road around a place: a robust fit that looks farther until it has enough points.
 
         Args:
             center: place in the map frame, `[2]` or more [m].
             radius_m: radius to start with; points beyond half of it count less and less.
+            near_z_m: about how high the road is, for maps with decks or bridges; None takes all levels.
 
         Raises:
             SemlocError: the map has no ground points within 60 m of the place.
         """
         center = np.asarray(center, dtype=np.float64)[:2]
-        points, radius_m = self._neighbours(center, radius_m)
+        points, radius_m = self._neighbours(center, radius_m, near_z_m)
         return _fit_plane(points, center, radius_m)
 
-    def road_pose(self, x: float, y: float, yaw: float, radius_m: float = 8.0) -> np.ndarray:
+    def road_pose(
+        self, x: float, y: float, yaw: float, radius_m: float = 8.0, near_z_m: float | None = None
+    ) -> np.ndarray:
         """Returns `T_map_base` `[4 4]` of a vehicle that stands on the road at (x, y) with heading `yaw`.
 
         The origin of base lies on the plane, its z axis is the normal, and the heading of its x axis seen from above is
@@ -100,8 +105,9 @@ class GroundModel:
             y: position in the map frame [m].
             yaw: heading in the map frame, counter-clockwise from x [rad].
             radius_m: see `plane`.
+            near_z_m: see `plane`.
         """
-        plane = self.plane(np.array([x, y]), radius_m)
+        plane = self.plane(np.array([x, y]), radius_m, near_z_m)
         direction = np.array([np.cos(yaw), np.sin(yaw)])
         forward = np.append(direction, plane.slope @ direction)
         forward /= np.linalg.norm(forward)
@@ -111,11 +117,13 @@ class GroundModel:
         pose[:3, 3] = x, y, plane.height_m
         return pose
 
-    def _neighbours(self, center: np.ndarray, radius_m: float) -> tuple[np.ndarray, float]:
+    def _neighbours(self, center: np.ndarray, radius_m: float, near_z_m: float | None) -> tuple[np.ndarray, float]:
         """Returns ground points around a place `[n 3]`, enough for both slopes where possible, and the radius."""
         found = np.zeros((0, 3))
         while self._tree is not None:
             found = self.points[self._tree.query_ball_point(center, radius_m)]
+            if near_z_m is not None:
+                found = found[np.abs(found[:, 2] - near_z_m) < _LEVEL_M]
             is_enough = len(found) >= _MIN_POINTS and _spread_m(found[:, :2]) >= _MIN_SPREAD_M
             if is_enough or radius_m >= _MAX_RADIUS_M:
                 break

@@ -102,13 +102,20 @@ class SemanticMap:
             raise SemlocError(f"map {self.name} has no elements; expected at least one marking, pole or sign")
         return LocalMap(self.elements, np.round(self.extent.mean(axis=0)), self.ground)
 
-    def ground_plane(self, center_xy: Place, radius_m: float = 8.0) -> RoadPlane:
+    def ground_plane(self, center_xy: Place, radius_m: float = 8.0, near_z_m: float | None = None) -> RoadPlane:
         """Returns the plane of the road around a place; see `GroundModel.plane`."""
-        return self.ground.plane(center_xy, radius_m)
+        return self.ground.plane(center_xy, radius_m, near_z_m)
 
-    def road_pose(self, x: float, y: float, yaw: float) -> np.ndarray:
-        """Returns `T_map_base` `[4 4]` of a vehicle on the road at (x, y) [m] with heading yaw [rad]."""
-        return self.ground.road_pose(x, y, yaw)
+    def road_pose(self, x: float, y: float, yaw: float, near_z_m: float | None = None) -> np.ndarray:
+        """Returns `T_map_base` `[4 4]` of a vehicle on the road at (x, y) [m] with heading yaw [rad].
+
+        Args:
+            x: position in the map frame [m].
+            y: position in the map frame [m].
+            yaw: heading [rad].
+            near_z_m: about how high the road is, for maps with decks or bridges; None takes all levels.
+        """
+        return self.ground.road_pose(x, y, yaw, near_z_m=near_z_m)
 
     def _local_origin(self, center: np.ndarray, radius_m: float) -> np.ndarray:
         """Returns whole metres near the centre, `[3]`, so that local coordinates stay exact in decimal files."""

@@ -61,6 +61,17 @@ def test_feet_of_poles_stand_in_for_missing_paint():
     assert plane.height_m == pytest.approx(0.1, abs=0.02)
 
 
+def test_decks_are_told_apart_by_height():
+    decks = [
+        MapElement(f"{level}{y}", ElementClass.SLOT_LINE, np.array([[-9.0, y, level], [9.0, y, level]]), width_m=0.1)
+        for level in (0.0, 3.2, 6.4)
+        for y in (-4.0, 0.0, 4.0)
+    ]
+    garage = SemanticMap(tuple(decks))
+    for level in (0.0, 3.2, 6.4):
+        assert garage.road_pose(0.0, 0.0, 0.0, near_z_m=level + 0.8)[2, 3] == pytest.approx(level, abs=1e-6)
+
+
 def test_far_from_the_map_is_an_error():
     road = SemanticMap((_lane(0.0, "lane"),))
     with pytest.raises(SemlocError, match="no ground of the map within 60 m"):
