@@ -86,6 +86,13 @@ def test_dashes_lie_on_their_line_and_fill_their_share(road, oracle):
     assert painted / total == pytest.approx(style.dash_m / (style.dash_m + style.gap_m), abs=0.04)
 
 
+def test_what_is_assumed_is_written_down(road):
+    for element in road.elements:
+        assumed = element.attributes.get("assumed", [])
+        assert ("dashes" in assumed) == (element.style == "dashed")
+        assert ("width" in assumed) == (element.width_m > 0)
+
+
 def test_regulatory_elements_stay_with_their_ways(road):
     lights = [e for e in road.elements if e.label == ElementClass.TRAFFIC_LIGHT and "regulatory" in e.attributes]
     assert lights

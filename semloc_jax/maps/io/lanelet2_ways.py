@@ -33,11 +33,16 @@ _LINES = {
     "line_thin": ElementClass.LANE_MARKING,
     "line_thick": ElementClass.LANE_MARKING,
 }
+_EDGES = frozenset({"curbstone", "guard_rail", "zebra_marking"})
+"""Line types that are one edge without a width; a zebra marking runs along the ends of its bars."""
 
 
 @dataclass(frozen=True)
 class Lanelet2Style:
-    """Sizes that Lanelet2 leaves open. All are ours, after German practice (RMS); a `width` tag goes first."""
+    """Sizes that Lanelet2 leaves open. All are ours, after German practice (RMS); a `width` tag goes first.
+
+    Elements that rest on them have the attribute `assumed`: a list of "width" and "dashes".
+    """
 
     thin_width_m: float = 0.12
     thick_width_m: float = 0.25
@@ -89,7 +94,9 @@ def elements_from_way(
 def _line(base: MapElement, kind: str, subtype: str, style: Lanelet2Style) -> list[MapElement]:
     """Returns the painted strokes of a line way."""
     width = _number(base.attributes, "width")
-    if kind in ("curbstone", "guard_rail", "zebra_marking"):
+    if width == 0.0 and kind not in _EDGES:
+        base = _assuming(base, "width")
+    if kind in _EDGES:
         return [_of(base, base.label, base.points, style="solid")]
     if kind in ("pedestrian_marking", "bike_marking"):
         return _bars(base, width or style.thin_width_m, style.crossing_dash_m, style.crossing_gap_m)
@@ -119,6 +126,7 @@ def _bars(line: MapElement, width_m: float, dash_m: float, gap_m: float) -> list
     starts = np.arange(0.5 * gap_m, along[-1] - 0.5 * dash_m, dash_m + gap_m)
     if len(starts) == 0:
         starts = np.array([max(0.5 * (along[-1] - dash_m), 0.0)])
+    line = _assuming(line, "dashes")
     bars = []
     for index, start in enumerate(starts):
         end = min(start + dash_m, along[-1])
@@ -128,6 +136,12 @@ def _bars(line: MapElement, width_m: float, dash_m: float, gap_m: float) -> list
         bar = _of(line, line.label, points, name=f"_{index}", width_m=width_m, style="dashed", true_ends=(False, False))
         bars.append(bar)
     return bars
+
+
+def _assuming(element: MapElement, what: str) -> MapElement:
+    """Returns the element with a note of what the file did not say."""
+    assumed = [*element.attributes.get("assumed", []), what]
+    return replace(element, attributes={**element.attributes, "assumed": assumed})
 
 
 def _sign(base: MapElement, height_m: float) -> MapElement:
