@@ -1,17 +1,16 @@
 """Vision-based semantic localization in a map, on JAX.
 
-The whole flow, from files to a pose with a verdict:
+The whole flow, from files to poses with a verdict:
 
     import semloc_jax as sj
 
-    drive = sj.open_sequence("drives/town")                       # frames, masks, calibration, GNSS
-    semantic_map = sj.read_map("drives/town/map.geojson")         # world river: elements ...
-    local = semantic_map.query(center_map, radius_m=60.0)         # ... near the vehicle ...
-    samples = sj.sample(local, spacing_m=0.3)                     # ... as points on the contours
-    evidence = sj.cost_maps(masks, sj.class_table("drive"), sj.CostMapConfig())   # image river: smooth ramps
-    results = sj.localize_drive(drive, semantic_map)              # bridge and road: poses, covariance, status
-    metrics = sj.evaluate(estimate, reference)                    # against the truth, each with its unit
+    drive = sj.open_sequence("drives/town")                    # frames, masks, calibration, GNSS
+    semantic_map = sj.read_map("drives/town/map.geojson")      # world river: elements
+    results = sj.localize_frames(drive, semantic_map, masks="sem_net", prior="gnss")
+    results[0].T_map_base, results[0].localized, results[0].reasons, results[0].modes
 
+and its parts: `semantic_map.query` and `sample` (map to contour points), `cost_maps` (masks to smooth ramps), `align`
+(one pose), `FrameLocalizer` (one frame), `evaluate` (errors with their units).
 Names are loaded on first use, so `import semloc_jax` costs nothing; drawing lives in `semloc_jax.viz`.
 """
 
@@ -27,9 +26,82 @@ _HOME = {
     "CostMaps": "structs",
     "PoseEstimate": "structs",
     "SolveStatus": "structs",
+    "PinholeCamera": "cameras",
+    "BrownConradyCamera": "cameras",
+    "KannalaBrandtCamera": "cameras",
+    "CylindricalCamera": "cameras",
+    "BevCamera": "cameras",
+    "Rig": "cameras",
+    "read_calibration": "cameras",
+    "MapElement": "maps",
+    "SemanticMap": "maps",
+    "read_map": "maps",
+    "inspect_map": "maps",
+    "sample": "maps",
+    "ClassTable": "perception",
+    "load_class_table": "perception",
+    "CostMapConfig": "perception",
+    "cost_maps": "perception",
+    "Sequence": "datasets",
+    "open_sequence": "datasets",
+    "simulate": "datasets.synthetic",
+    "Prior": "solvers.pose",
+    "align": "solvers.pose",
+    "FrameLocalizer": "localization",
+    "LocalizationResult": "localization",
+    "LocalizeConfig": "localization",
+    "PosePrior": "localization",
+    "localize_frames": "localization",
+    "Trajectory": "evaluation",
+    "read_trajectory": "evaluation",
+    "write_tum": "evaluation",
+    "pose_errors": "evaluation",
+    "evaluate": "evaluation",
+    "Metric": "evaluation",
 }
+"""Room of each public name, in the order of the data flow."""
 
-__all__ = ["CostMaps", "ElementClass", "MapSamples", "PoseEstimate", "SemlocError", "SolveStatus", "__version__"]
+__all__ = [
+    "BevCamera",
+    "BrownConradyCamera",
+    "ClassTable",
+    "CostMapConfig",
+    "CostMaps",
+    "CylindricalCamera",
+    "ElementClass",
+    "FrameLocalizer",
+    "KannalaBrandtCamera",
+    "LocalizationResult",
+    "LocalizeConfig",
+    "MapElement",
+    "MapSamples",
+    "Metric",
+    "PinholeCamera",
+    "PoseEstimate",
+    "PosePrior",
+    "Prior",
+    "Rig",
+    "SemanticMap",
+    "SemlocError",
+    "Sequence",
+    "SolveStatus",
+    "Trajectory",
+    "__version__",
+    "align",
+    "cost_maps",
+    "evaluate",
+    "inspect_map",
+    "load_class_table",
+    "localize_frames",
+    "open_sequence",
+    "pose_errors",
+    "read_calibration",
+    "read_map",
+    "read_trajectory",
+    "sample",
+    "simulate",
+    "write_tum",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -51,3 +51,13 @@ def road_dir(data_dir: Path) -> Path:
 def garage_dir(data_dir: Path) -> Path:
     """The rendered garage drive: four fisheye cameras, 60 frames."""
     return _drive(data_dir, "rendered_garage")
+
+
+@pytest.fixture(scope="session")
+def simulated_road(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small simulated road drive: three frames of one front camera, exact and network-like masks, two maps."""
+    from semloc_jax.datasets.synthetic import SimulationConfig, simulate
+
+    folder = tmp_path_factory.mktemp("simulated") / "road"
+    simulate("road", 5, folder, SimulationConfig(num_frames=3, rate_hz=2.0, width_px=480, height_px=300))
+    return folder

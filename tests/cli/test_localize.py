@@ -1,0 +1,185 @@
+"""`semloc localize` on a simulated drive: files, numbers, exit codes, and one line for every bad input."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+
+from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, main
+from semloc_jax.evaluation import Trajectory, pose_errors, read_trajectory, write_tum
+
+SMALL = ["--hypotheses", "256", "--overlays", "1"]
+
+
+def _rows(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def localized(simulated_road, tmp_path_factory):
+    """The results of one run over two of three frames."""
+    out = tmp_path_factory.mktemp("results")
+    words = [
+        "localize",
+        str(simulated_road),
+        "--masks",
+        "sem",
+        "--prior",
+        "gnss",
+        "--frames",
+        "::2",
+        "--cameras",
+        "front",
+    ]
+    assert main([*words, *SMALL, "--out", str(out)]) == OK
+    return out
+
+
+def test_the_trajectory_is_the_truth_to_centimetres(localized, simulated_road):
+    found = read_trajectory(localized / "trajectory.tum")
+    truth = read_trajectory(simulated_road / "poses_body.tum")
+    np.testing.assert_allclose(found.time_s, truth.time_s[::2], atol=1e-9)
+    errors = pose_errors(found.T_map_base, truth.T_map_base[::2])
+    assert np.abs(errors["lateral_m"]).max() < 0.05
+    assert np.abs(errors["longitudinal_m"]).max() < 0.2
+    assert np.abs(errors["heading_deg"]).max() < 0.2
+
+
+def test_every_frame_and_mode_has_its_row(localized):
+    frames = _rows(localized / "frames.csv")
+    assert [row["frame"] for row in frames] == ["000000", "000002"]
+    assert all(row["localized"] == "1" and float(row["coverage"]) > 0.2 for row in frames)
+    assert all(abs(float(row["error_lateral_m"])) < 0.05 for row in frames)
+    modes = _rows(localized / "hypotheses.csv")
+    for frame in frames:
+        own = [row for row in modes if row["frame"] == frame["frame"]]
+        assert [int(row["rank"]) for row in own] == list(range(len(own)))
+        assert sum(float(row["weight"]) for row in own) == pytest.approx(1.0, abs=1e-4)
+        assert (own[0]["x_m"], own[0]["qz"]) == (frame["x_m"], frame["qz"])
+
+
+def test_metrics_and_pictures_are_written(localized):
+    metrics = {m["key"]: m["value"] for m in json.loads((localized / "metrics.json").read_text())["metrics"]}
+    assert metrics["frames.reference"] == 2
+    assert metrics["estimated"] == 1.0
+    assert metrics["lateral.max"] < 0.05
+    assert len(list((localized / "overlays").glob("*.png"))) == 1
+    assert (localized / "errors.png").stat().st_size > 5000
+
+
+def test_the_record_tells_how_and_reads_back(localized, simulated_road, tmp_path):
+    record = yaml.safe_load((localized / "config.yaml").read_text())
+    assert {"command", "time", "versions", "device"} <= set(record["run"])
+    assert record["run"]["versions"]["jax"]
+    assert (record["masks"], record["hypotheses"], record["frames"]) == ("sem", 256, "::2")
+    assert record["frame"]["num_hypotheses"] == 256
+    again = tmp_path / "again"
+    assert (
+        main(["localize", str(simulated_road), "--config", str(localized / "config.yaml"), "--out", str(again)]) == OK
+    )
+    np.testing.assert_allclose(
+        read_trajectory(again / "trajectory.tum").T_map_base,
+        read_trajectory(localized / "trajectory.tum").T_map_base,
+        atol=1e-6,
+    )
+
+
+def test_a_prior_that_is_far_off_ends_lost_with_exit_code_3(simulated_road, tmp_path, capsys):
+    truth = read_trajectory(simulated_road / "poses_body.tum")
+    T = truth.T_map_base.copy()
+    T[:, :3, 3] += 25.0 * T[:, :3, 1]
+    write_tum(Trajectory(truth.time_s, T), tmp_path / "wrong.tum")
+    words = ["--prior", str(tmp_path / "wrong.tum"), "--masks", "sem", "--frames", "0", *SMALL]
+    assert main(["localize", str(simulated_road), *words, "--out", str(tmp_path / "out")]) == LOST
+    assert "localized 0 of 1 frames" in capsys.readouterr().out
+    assert len(read_rows := _rows(tmp_path / "out" / "frames.csv")) == 1
+    assert read_rows[0]["localized"] == "0"
+    assert read_rows[0]["reasons"]
+    metrics = {m["key"]: m["value"] for m in json.loads((tmp_path / "out" / "metrics.json").read_text())["metrics"]}
+    assert metrics["estimated"] == 0.0
+    lines = (tmp_path / "out" / "trajectory.tum").read_text().splitlines()
+    assert all(line.startswith("#") for line in lines)
+
+
+def test_without_a_wish_results_go_to_a_folder_by_time(simulated_road, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["--masks", "sem", "--frames", "0", "--hypotheses", "256", "--overlays", "0"]
+    assert main(["localize", str(simulated_road), *words]) == OK
+    (folder,) = (path for path in (tmp_path / "results").iterdir() if not path.is_symlink())
+    assert (tmp_path / "results" / "latest").resolve() == folder
+    assert (folder / "trajectory.tum").is_file()
+    assert not (folder / "overlays").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["--frames", "a:b"], USAGE, "--frames 'a:b': expected a Python slice"),
+        (["--hypothess", "3"], USAGE, "did you mean '--hypotheses'?"),
+        (["--verdict.max-cots", "3"], USAGE, "did you mean '--verdict.max-cost'?"),
+        (["--hypotheses", "many"], USAGE, "--hypotheses"),
+        (["--frames", "7:9"], FAILED, "no frames chosen of 3"),
+        (["--masks", "semantic"], FAILED, "masks 'semantic': drive road has no such folder; expected one of sem"),
+        (["--cameras", "front,left"], FAILED, "camera 'left': not in the calibration; expected one of front"),
+        (["--map", "nowhere.osm"], FAILED, "map nowhere.osm: no such file"),
+        (["--prior", "nowhere.tum"], FAILED, "prior 'nowhere.tum'"),
+        (["--class-table", "cityscape"], FAILED, "did you mean 'cityscapes'?"),
+        (["--class-table", "lane_paint"], FAILED, "do not fit class table"),
+    ],
+)
+def test_bad_options_are_one_line(simulated_road, tmp_path, capsys, words, code, message):
+    assert main(["localize", str(simulated_road), *words, "--out", str(tmp_path / "out")]) == code
+    said = capsys.readouterr().err
+    assert message in said
+    assert len(said.strip().splitlines()) == 1
+    assert "internal error" not in said
+
+
+def test_a_missing_drive_is_one_line(capsys):
+    assert main(["localize", "no/such/drive"]) == FAILED
+    assert "no such folder" in capsys.readouterr().err
+
+
+@pytest.fixture
+def broken(simulated_road, tmp_path):
+    """A copy of the drive to damage."""
+    return shutil.copytree(simulated_road, tmp_path / "drive")
+
+
+def test_a_truncated_mask_is_one_line(broken, tmp_path, capsys):
+    path = broken / "sem" / "front" / "000001.png"
+    path.write_bytes(path.read_bytes()[:200])
+    words = ["localize", str(broken), "--masks", "sem", "--frames", "1", "--out", str(tmp_path / "out")]
+    assert main(words) == FAILED
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "000001.png" in said
+    assert "internal error" not in said
+
+
+def test_an_empty_map_and_a_map_of_other_classes_are_one_line(broken, tmp_path, capsys):
+    document = json.loads((broken / "map.geojson").read_text())
+    features = document["features"]
+    for chosen, message in (
+        ([], "no element that a camera could see"),
+        ([f for f in features if f["properties"]["class"] == "curb"], "no element"),
+    ):
+        path = tmp_path / "map.geojson"
+        path.write_text(json.dumps(document | {"features": chosen}))
+        assert main(["localize", str(broken), "--map", str(path), "--out", str(tmp_path / "out")]) == FAILED
+        assert message in capsys.readouterr().err
+
+
+def test_a_drive_without_fixes_asks_for_a_prior(broken, tmp_path, capsys):
+    (broken / "gps.csv").unlink()
+    assert main(["localize", str(broken), "--out", str(tmp_path / "out")]) == FAILED
+    assert "give --prior truth or --prior FILE.tum" in capsys.readouterr().err
+
+
+def test_an_output_folder_that_cannot_be_made_is_one_line(simulated_road, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["localize", str(simulated_road), "--out", str(tmp_path / "file" / "out")]) == FAILED
+    assert "give --out a folder that can be written" in capsys.readouterr().err
