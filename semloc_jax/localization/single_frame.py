@@ -17,7 +17,7 @@ from semloc_jax.residuals.alignment import Usable, camera_views
 from semloc_jax.residuals.texture import RampTextures, pack
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.solvers.hypotheses import Modes, SearchConfig, score, search, weigh
-from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, align, assess
+from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, align, assess, total_weight
 from semloc_jax.solvers.proposals import ProposalKind, propose
 from semloc_jax.structs import CostMaps, MapSamples, PoseEstimate
 
@@ -87,7 +87,7 @@ def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -
     key = jax.random.key(config.seed)
     Ts = _propose(config.proposals, config.num_hypotheses, prior.T_map_base, sigma_xy_yaw, config.reach, key)
     candidates, scores = search(Ts, evidence, prior, config.search_align, config.search)
-    return polish(candidates, scores, frame, prior, config)
+    return polish(candidates, scores, frame, prior, config, total_weight(evidence.views))
 
 
 @partial(jax.jit, static_argnames="config")
@@ -97,8 +97,12 @@ def polish(
     frame: FrameInput,
     prior: Prior,
     config: SingleFrameConfig,
+    in_view_px: Float[Array, ""],
 ) -> Modes:
-    """Each candidate refined with contours, density and visibility as they are from there, and ranked anew."""
+    """Each candidate refined with contours, density and visibility as they are from there, and ranked anew.
+
+    The views differ in how much of the map they hold; ranked by one `in_view_px`, more of it in view is no fault.
+    """
 
     def one(T_map_base: Array) -> tuple[PoseEstimate, Array]:
         evidence = evidence_from(T_map_base, frame, config.polish_view)
@@ -106,7 +110,7 @@ def polish(
         # Every mode is judged on one level, whichever held its pose last.
         judged = assess(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align)
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, (judged.cost, judged.inlier_ratio))
-        return estimate, score(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align)
+        return estimate, score(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align, in_view_px)
 
     estimates, polished = jax.lax.map(one, candidates)
     return weigh(estimates, jnp.where(jnp.isfinite(scores), polished, jnp.inf))

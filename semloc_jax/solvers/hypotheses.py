@@ -37,7 +37,7 @@ class CullStage:
     keep_every: int = 1
     """Use every k-th sample."""
     restarts_m: tuple[float, ...] = (0.0,)
-    """Every pose is first repeated at these offsets along the road: broken lines and far poles leave local minima there."""
+    """Every pose is first repeated at these offsets along the road, where dashes and far poles leave local minima."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,21 @@ def score(
     evidence: Evidence,
     prior: Prior,
     config: AlignConfig,
+    in_view_px: Float[Array, ""] | None = None,
 ) -> Float[Array, ""]:
     """Cost of a pose [nats]: visibility-normalised robust cost of the whole view, and prior.
 
     Normalised by what is visible, so that a pose does not gain by hiding the map; scaled by what is in view, so that it
     does not gain by looking away from it.
+
+    Args:
+        T_map_base: Pose relative to the local origin.
+        level: Level of the cost maps.
+        evidence: What the cameras saw.
+        prior: Gaussian prior.
+        config: Kernel and noise.
+        in_view_px: Weighted contour length that the normalised cost is scaled by; one value for all poses that are
+            compared. None takes that of the evidence.
     """
     texture = evidence.textures.level(level)
     cost = robust_cost(
@@ -92,7 +102,8 @@ def score(
     )
     share = cost.summed / jnp.maximum(cost.visible, config.min_visible_px)
     unseen = jnp.maximum(1 - cost.visible / config.min_visible_px, 0.0)
-    nats = total_weight(evidence.views) * KERNELS[config.kernel].worst * evidence_gain(texture.ramp_px, config)
+    in_view_px = total_weight(evidence.views) if in_view_px is None else in_view_px
+    nats = in_view_px * KERNELS[config.kernel].worst * evidence_gain(texture.ramp_px, config)
     return nats * (share + unseen) + prior_cost(T_map_base, prior)
 
 
