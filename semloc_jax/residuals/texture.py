@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
+from numpy.typing import DTypeLike
 
 from semloc_jax.structs import CostMaps
 
@@ -31,7 +32,7 @@ class RampTexture(eqx.Module):
     ramp_px: Float[Array, ""]
     num_channels: int = eqx.field(static=True)
 
-    def image_index(self, camera: Int[Array, "*n"], channel: Int[Array, "*n"]) -> Int[Array, "*n"]:
+    def image_index(self, camera: Int[Array, ""], channel: Int[Array, "*n"]) -> Int[Array, "*n"]:
         """Index of the first texel of a camera's channel."""
         return self.start + (camera * self.num_channels + channel) * (self.height * self.width)
 
@@ -53,7 +54,7 @@ class RampTextures(eqx.Module):
         return RampTexture(self.texels, *(column[index] for column in columns), self.num_channels)
 
 
-def pack(maps: CostMaps, dtype: jnp.dtype = jnp.float32) -> RampTextures:
+def pack(maps: CostMaps, dtype: DTypeLike = jnp.float32) -> RampTextures:
     """The textures of cost maps with values in [-1, 1]; `dtype` is the float type of lookups."""
     sizes = [ramp.size for ramp in maps.ramps]
     return RampTextures(
