@@ -21,11 +21,13 @@ from semloc_jax.datasets.pandaset.reader import (
     FRONT,
     LANE_LINE,
     OTHER_MARK,
+    ROAD,
     SIGN,
     PandaSetSequence,
     read_pandaset,
 )
 from semloc_jax.datasets.pandaset.strips import Sighting, look_for
+from semloc_jax.datasets.pandaset.surface import road_profiles
 from semloc_jax.datasets.pandaset.vectorize import TracedLine, trace_lines, trace_signs
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import MapElement, SemanticMap
@@ -143,6 +145,7 @@ def build_map(sequence: PandaSetSequence, sweeps: slice = slice(None)) -> Semant
                 attributes=attributes,
             )
         )
+    elements += road_profiles(sequence.points.of(ROAD, sweeps), sequence.truth.T_map_base[sweeps])
     return SemanticMap(tuple(elements), sequence.origin, f"{sequence.name} from labelled points")
 
 
