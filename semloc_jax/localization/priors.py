@@ -25,7 +25,7 @@ class RoadSigmas:
     """
 
     height_m: float = 0.03
-    roll_pitch_deg: float = 0.4
+    roll_pitch_deg: float = 0.5
 
 
 @dataclass(frozen=True)

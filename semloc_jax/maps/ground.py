@@ -77,7 +77,7 @@ class GroundModel:
         stacked = np.vstack([np.zeros((0, 3)), *points])
         return cls(stacked[np.isfinite(stacked).all(axis=1)])
 
-    def plane(self, center: Place, radius_m: float = 8.0, near_z_m: float | None = None) -> RoadPlane:
+    def plane(self, center: Place, radius_m: float = 4.0, near_z_m: float | None = None) -> RoadPlane:
         """Returns the plane of the road around a place: a robust fit that looks farther until it has enough points.
 
         Args:
@@ -93,7 +93,7 @@ class GroundModel:
         return _fit_plane(points, center, radius_m)
 
     def road_pose(
-        self, x: float, y: float, yaw: float, radius_m: float = 8.0, near_z_m: float | None = None
+        self, x: float, y: float, yaw: float, radius_m: float = 4.0, near_z_m: float | None = None
     ) -> np.ndarray:
         """Returns `T_map_base` `[4 4]` of a vehicle that stands on the road at (x, y) with heading `yaw`.
 

@@ -102,7 +102,7 @@ class SemanticMap:
             raise SemlocError(f"map {self.name} has no elements; expected at least one marking, pole or sign")
         return LocalMap(self.elements, np.round(self.extent.mean(axis=0)), self.ground)
 
-    def ground_plane(self, center_xy: Place, radius_m: float = 8.0, near_z_m: float | None = None) -> RoadPlane:
+    def ground_plane(self, center_xy: Place, radius_m: float = 4.0, near_z_m: float | None = None) -> RoadPlane:
         """Returns the plane of the road around a place; see `GroundModel.plane`."""
         return self.ground.plane(center_xy, radius_m, near_z_m)
 

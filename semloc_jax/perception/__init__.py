@@ -4,16 +4,39 @@ In: images or mask files. Out: class ids, structs.CostMaps.
 """
 
 from semloc_jax.perception.class_table import Channel, ClassTable, TableReport, load_class_table, preset_names
+from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
+from semloc_jax.perception.edge_maps import boundary_orientation
+from semloc_jax.perception.ground_view import GroundView
+from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
 from semloc_jax.perception.masks import read_mask
+from semloc_jax.perception.paint_candidates import PaintConfig
+from semloc_jax.perception.segmenters import (
+    CallableSegmenter,
+    MaskFolder,
+    OnnxSegmenter,
+    Segmenter,
+    get_segmenter,
+)
 
 __all__ = [
     "Channel",
     "ClassTable",
-    "CostMapConfig",
     "TableReport",
-    "cost_maps",
     "load_class_table",
     "preset_names",
     "read_mask",
+    "MaskOffset",
+    "estimate_mask_offset",
+    "CostMapConfig",
+    "cost_maps",
+    "boundary_orientation",
+    "Segmenter",
+    "MaskFolder",
+    "OnnxSegmenter",
+    "CallableSegmenter",
+    "ClassicalPaintSegmenter",
+    "PaintConfig",
+    "get_segmenter",
+    "GroundView",
 ]

@@ -17,6 +17,8 @@ from semloc_jax.structs import ElementClass
 _PRESETS = Path(__file__).parent / "class_tables"
 UNLABELED_ID = 255
 """Ignored in every mask, whatever the table says."""
+_MAX_SHARE = 0.35
+"""No landmark class covers more of a set of masks."""
 
 
 @dataclass(frozen=True)
@@ -183,6 +185,12 @@ def _fit(table: ClassTable, counts: np.ndarray) -> TableReport:
             f"none of the channels of class table {table.name} occurs in the masks (ids there: {listed}); "
             "choose the table that the masks were made with"
         )
+    for name, part in share.items():
+        if part > _MAX_SHARE:
+            problems.append(
+                f"channel '{name}' of class table {table.name} covers {100.0 * part:.0f} % of the masks; "
+                "landmarks are small, so the ids probably mean something else: choose another table"
+            )
     return TableReport(share, unknown, tuple(problems))
 
 

@@ -49,11 +49,12 @@ class ClassicalPaintSegmenter:
         self._view: GroundView | None = None
         self._size = (0, 0)
 
-    def __call__(self, image: np.ndarray) -> np.ndarray:
+    def __call__(self, image: np.ndarray, frame_id: str = "") -> np.ndarray:
         """Class ids uint8[h w]: 1 paint, 0 the rest, 255 hidden.
 
         Args:
             image: BGR, uint8[h w 3].
+            frame_id: not needed, as no files are read.
 
         Raises:
             SemlocError: the image is not uint8[h w 3] or has not the size of the camera or of `hidden`.
@@ -64,7 +65,7 @@ class ClassicalPaintSegmenter:
             covered = cv2.remap(self.hidden.astype(np.uint8), view.image_uv, None, cv2.INTER_NEAREST)
             visible = visible & (covered == 0)
         candidates = find_candidates(top, visible, self.config)
-        paint = keep_paint(candidates, top, view.foot_uv, self.config)
+        paint = keep_paint(candidates, top, self.config)
         mask = _outline(image, view, candidates, paint, self.config)
         if self.hidden is not None:
             mask[self.hidden] = UNLABELED_ID
@@ -107,11 +108,11 @@ def _outline(
     mask = np.zeros(image.shape[:2], np.uint8)
     if not paint.any():
         return mask
-    weight = paint.astype(np.float32)
+    excess = np.where(paint, np.maximum(candidates.grey - candidates.background, 0.0), np.float32(0))
     sigma = 0.2 / config.metres_per_px
-    total = cv2.GaussianBlur(weight, (0, 0), sigma)
-    bright = cv2.GaussianBlur(weight * candidates.grey, (0, 0), sigma) / np.maximum(total, 1e-6)
-    halfway = 0.5 * (bright + candidates.background)
+    # Mean weighted by the excess itself: the soft rim of a stroke must not darken its paint.
+    total = np.maximum(cv2.GaussianBlur(excess, (0, 0), sigma), 1e-3)
+    halfway = candidates.background + 0.5 * cv2.GaussianBlur(excess * excess, (0, 0), sigma) / total
     near = cv2.dilate(paint.astype(np.uint8), config.disk(0.25))
     level, inside = view.warp_back(halfway), view.warp_back(near, cv2.INTER_NEAREST)
     mask[(inside > 0) & (paint_brightness(image) > level)] = 1

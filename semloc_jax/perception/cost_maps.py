@@ -22,9 +22,10 @@ from semloc_jax.perception.distance import (
     refined_signed_distance,
     signed_distance,
 )
-from semloc_jax.structs import CostMaps
+from semloc_jax.perception.edge_maps import gradient_cost, laplacian_cost
+from semloc_jax.structs import CostMaps, ElementClass
 
-KINDS = ("ramp",)
+KINDS = ("ramp", "gradient", "laplacian", "literature")
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class CostMapConfig:
     blur_px: float = 1.0
     """Smoothing along the boundary that makes it sub-pixel [px]."""
     kind: str = "ramp"
+    """'ramp': signed distance. 'gradient', 'laplacian': unsigned costs of the literature; 'literature': the former for
+    all but signs, the latter for signs."""
     grow_unusable_px: int = 2
     """Margin around ego body, dynamic objects and ignored pixels [px]: the outlines they cut are not real."""
     usable_stride: int = 2
@@ -90,7 +93,12 @@ def cost_maps(
     def fill(camera: int, channel: int) -> None:
         binary = cv2.compare(layers[camera], channel + 1.0, cv2.CMP_EQ)
         if cv2.countNonZero(binary):
-            _fill_channel([ramp[camera, channel] for ramp in ramps], binary, masks[camera].shape, config)
+            planes = [ramp[camera, channel] for ramp in ramps]
+            kind = _kind_of(table, channel, config)
+            if kind == "ramp":
+                _fill_channel(planes, binary, masks[camera].shape, config)
+            else:
+                _fill_edge_costs(planes, binary, masks[camera].shape, kind, config)
 
     jobs = list(itertools.product(range(len(masks)), wanted))
     # OpenCV lets go of the interpreter lock, and every job writes its own planes.
@@ -129,6 +137,22 @@ def _fill_channel(out: list[np.ndarray], binary: np.ndarray, shape: tuple[int, i
             )
         for level, ramp_px, stride in full:
             _write_ramp(level, distance, (rows.start, columns.start), shape, ramp_px, stride, 1)
+
+
+def _kind_of(table: ClassTable, channel: int, config: CostMapConfig) -> str:
+    if config.kind != "literature":
+        return config.kind
+    return "laplacian" if ElementClass.SIGN in table.channels[channel].classes else "gradient"
+
+
+def _fill_edge_costs(
+    out: list[np.ndarray], binary: np.ndarray, shape: tuple[int, int], kind: str, config: CostMapConfig
+) -> None:
+    """Write the unsigned costs of one channel of one camera into its levels `out`."""
+    cost_of = gradient_cost if kind == "gradient" else laplacian_cost
+    for level, ramp_px, stride in zip(out, config.ramp_px, config.stride, strict=True):
+        height, width = -(-shape[0] // stride), -(-shape[1] // stride)
+        level[:height, :width] = cost_of(binary, ramp_px, stride)[:height, :width]
 
 
 def _reach_px(levels: list[tuple[np.ndarray, float, int]], config: CostMapConfig) -> float:

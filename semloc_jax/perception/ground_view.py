@@ -28,8 +28,6 @@ class GroundView:
     """Top-view pixel of each image pixel, float32[h w 2]; far outside above the horizon and beyond the range."""
     level: np.ndarray
     """Halvings of the image after which one of its pixels is about one top-view pixel, int[h_bev w_bev]."""
-    foot_uv: tuple[float, float]
-    """Top-view pixel straight under the camera; it may lie outside the view."""
 
     @classmethod
     def of(
@@ -58,8 +56,7 @@ class GroundView:
         bev_uv[~on_road] = -1e4
         image_uv, visible = _image_pixels(bev, camera, T_base_cam)
         image_uv[~visible] = -1e4
-        foot_u, foot_v = _to_bev(bev, np.asarray(T_base_cam)[:2, 3])
-        return cls(bev, image_uv, visible, bev_uv.astype(np.float32), _level(image_uv), (float(foot_u), float(foot_v)))
+        return cls(bev, image_uv, visible, bev_uv.astype(np.float32), _level(image_uv))
 
     def warp(self, image: np.ndarray) -> np.ndarray:
         """The top view of an image, uint8[h_bev w_bev ...], anti-aliased; 0 where the camera does not see the road."""
@@ -95,14 +92,14 @@ def _road_points(camera: Camera, T_base_cam: np.ndarray, range_m: float) -> tupl
 
 
 def _to_bev(bev: BevCamera, ground: np.ndarray) -> np.ndarray:
-    scale = 1.0 / float(bev.metres_per_px)
+    scale = float(bev.fx)
     return np.stack([-ground[..., 1] * scale + float(bev.cx), -ground[..., 0] * scale + float(bev.cy)], axis=-1)
 
 
 def _image_pixels(bev: BevCamera, camera: Camera, T_base_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     width, height = bev.resolution
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    x, y = (float(bev.cy) - v) * float(bev.metres_per_px), (float(bev.cx) - u) * float(bev.metres_per_px)
+    x, y = (float(bev.cy) - v) / float(bev.fy), (float(bev.cx) - u) / float(bev.fx)
     p_base = np.stack([x, y, np.zeros_like(x)], axis=-1)
     p_cam = (p_base - T_base_cam[:3, 3]) @ T_base_cam[:3, :3]
     uv, valid = (np.array(part) for part in camera.project(p_cam))

@@ -12,8 +12,18 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception.class_table import Channel, ClassTable, TableReport, load_class_table, preset_names
+from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
 
-__all__ = ["Channel", "ClassTable", "TableReport", "load_class_table", "preset_names", "read_mask"]
+__all__ = [
+    "Channel",
+    "ClassTable",
+    "MaskOffset",
+    "TableReport",
+    "estimate_mask_offset",
+    "load_class_table",
+    "preset_names",
+    "read_mask",
+]
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY = 0

@@ -115,10 +115,9 @@ def paint_brightness(image: np.ndarray) -> np.ndarray:
     Args:
         image: BGR, uint8[h w 3].
     """
-    blue = image[..., 0].astype(np.float32)
-    warm = image[..., 1:].mean(axis=-1, dtype=np.float32)
-    yellow = np.minimum(image[..., 1], image[..., 2]).astype(np.float32) - blue
-    return warm + _YELLOW_GAIN * np.maximum(yellow, 0.0)
+    blue, green, red = (np.ascontiguousarray(image[..., i], dtype=np.float32) for i in range(3))
+    yellow = np.minimum(green, red) - blue
+    return 0.5 * (green + red) + _YELLOW_GAIN * np.maximum(yellow, 0.0)
 
 
 def _texture(excess: np.ndarray, visible: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
 """Which bright spots of a top view are paint on a road (room: perception; host).
 
-In: PaintCandidates and the place of the camera. Out: a mask of the spots that look like paint.
+In: PaintCandidates. Out: a mask of the spots that look like paint.
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,6 @@ import numpy as np
 from semloc_jax.perception.paint_candidates import PaintCandidates, PaintConfig
 
 _RING_INNER_M, _RING_OUTER_M = 0.2, 0.8
-_PATH_M = 4.0
-_MAX_DARK_PATH_M = 0.3
 
 
 @dataclass(frozen=True)
@@ -50,38 +48,42 @@ class SpotMeasures:
         return self.ring_share >= 0.5 and even_road and clear and white_or_yellow
 
 
-def keep_paint(
-    candidates: PaintCandidates, top: np.ndarray, foot_uv: tuple[float, float], config: PaintConfig
-) -> np.ndarray:
+def keep_paint(candidates: PaintCandidates, top: np.ndarray, config: PaintConfig) -> np.ndarray:
     """The spots that are paint on the road, bool[h w].
 
     Args:
         top: top view, uint8[h w 3] BGR.
-        foot_uv: top-view pixel under the camera; what stands up on the road is smeared away from it.
     """
     chroma = cv2.cvtColor(top, cv2.COLOR_BGR2LAB)[..., 1:].astype(np.float32) - 128.0
-    smooth = cv2.GaussianBlur(candidates.grey, (0, 0), 0.075 / config.metres_per_px)
     margin = round(_RING_OUTER_M / 2 / config.metres_per_px) + 2
-    kept = np.zeros(candidates.label.shape, bool)
+    accepted, doubtful = set(), []
     for number, box in candidates.boxes.items():
         rows, columns = (slice(max(side.start - margin, 0), side.stop + margin) for side in box)
         spot = candidates.label[rows, columns] == number
         others = (candidates.label[rows, columns] > 0) & ~spot
         free = candidates.visible[rows, columns] & ~others
         measured = measure_spot(spot, free, candidates.grey[rows, columns], chroma[rows, columns], config)
-        if measured is None or measured[0].stroke_m > config.max_width_m or not measured[0].is_paint_on_road:
+        if measured is None or measured.stroke_m > config.max_width_m:
             continue
-        v, u = np.nonzero(spot)
-        points = np.stack([u + columns.start, v + rows.start], axis=-1)
-        if _dark_path_m(smooth, candidates.visible, points, foot_uv, 0.6 * measured[1], config) <= _MAX_DARK_PATH_M:
-            kept[rows, columns] |= spot
-    return kept
+        if measured.is_paint_on_road:
+            accepted.add(number)
+        else:
+            doubtful.append((number, rows, columns))
+    accepted |= {piece[0] for piece in doubtful if _joins_two(candidates.label, piece, accepted)}
+    return np.isin(candidates.label, sorted(accepted)) & (candidates.label > 0)
+
+
+def _joins_two(label: np.ndarray, piece: tuple[int, slice, slice], accepted: set[int]) -> bool:
+    """True for a piece of a line between two good ones: where it crosses the edge of a shadow its ring is uneven."""
+    number, rows, columns = piece
+    around = cv2.dilate((label[rows, columns] == number).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return len(accepted & set(np.unique(label[rows, columns][around]).tolist())) >= 2
 
 
 def measure_spot(
     spot: np.ndarray, free: np.ndarray, grey: np.ndarray, chroma: np.ndarray, config: PaintConfig
-) -> tuple[SpotMeasures, float] | None:
-    """Measures of one spot and the brightness of the road around it; None if no road is seen around it.
+) -> SpotMeasures | None:
+    """Measures of one spot; None if no road is seen around it.
 
     Args:
         spot: the spot, bool[h w].
@@ -103,7 +105,7 @@ def measure_spot(
     padded = cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     spread = np.subtract(*np.percentile(around, [90, 10]))
     tint, paint_tint = np.abs(chroma[ring].mean(axis=0)), chroma[spot].mean(axis=0)
-    measures = SpotMeasures(
+    return SpotMeasures(
         stroke_m=2.0 * config.metres_per_px * float(cv2.distanceTransform(padded, cv2.DIST_L2, 3).max()),
         ring_share=float(ring.sum() / full.sum()),
         contrast=excess / road,
@@ -115,7 +117,6 @@ def measure_spot(
         red_green=float(paint_tint[0]),
         yellow_blue=float(paint_tint[1]),
     )
-    return measures, road
 
 
 def _slope(grey: np.ndarray, ring: np.ndarray) -> np.ndarray:
@@ -139,28 +140,3 @@ def _side_difference(spot: np.ndarray, ring: np.ndarray, grey: np.ndarray) -> fl
     if not (side > 0).any() or not (side < 0).any():
         return 0.0
     return float(abs(np.median(values[side > 0]) - np.median(values[side < 0])))
-
-
-def _dark_path_m(
-    grey: np.ndarray,
-    visible: np.ndarray,
-    points: np.ndarray,
-    foot_uv: tuple[float, float],
-    dark: float,
-    config: PaintConfig,
-) -> float:
-    """Longest dark stretch on the way from a spot to the camera [m]: tyres, bumpers and the shadow under a vehicle."""
-    foot = np.asarray(foot_uv)
-    distance = np.linalg.norm(points - foot, axis=-1)
-    nearest = points[np.argsort(distance)[: max(len(points) // 20, 1)]].mean(axis=0)
-    way = foot - nearest
-    length = np.linalg.norm(way)
-    steps = np.arange(0.15 / config.metres_per_px, min(_PATH_M / config.metres_per_px, length))
-    pixels = np.round(nearest + steps[:, None] * way / max(length, 1e-9)).astype(int)
-    height, width = grey.shape
-    inside = (pixels >= 0).all(axis=-1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
-    u, v = pixels[inside].T
-    is_dark = grey[v, u][visible[v, u]] < dark
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_dark.astype(int), [0]])))
-    runs = edges[1::2] - edges[::2]
-    return config.metres_per_px * float(runs.max(initial=0))
