@@ -147,7 +147,7 @@ def iterate_frames(
         masks: Mask folder of the drive, segmenter, or a MaskSource.
         prior: `gnss`, `truth`, a trajectory file or a PriorSource.
         frames: Which frames.
-        cameras: Names; None for all.
+        cameras: Names, where `masks` is a name; None for all that have such masks.
         config: None for the defaults.
 
     Raises:
@@ -156,11 +156,9 @@ def iterate_frames(
     chosen = sequence.frames[frames] if isinstance(frames, slice) else frames
     if not chosen:
         raise SemlocError(f"drive {sequence.name}: no frames chosen of {len(sequence)}; check --frames")
-    names = tuple(cameras or sequence.rig.names)
-    sequence.rig.select(names)
-    source = mask_source(masks, sequence, names) if isinstance(masks, str) else masks
+    source = mask_source(masks, sequence, cameras) if isinstance(masks, str) else masks
     give_prior = prior_source(prior, sequence) if isinstance(prior, str) else prior
     localizer = FrameLocalizer(semantic_map, source.table, config)
     for frame in chosen:
-        rig = source.seen_by(frame.rig.select(names))
+        rig = source.seen_by(frame.rig.select(source.cameras))
         yield localizer.localize(frame, source.masks(frame), give_prior(frame), rig)
