@@ -59,6 +59,9 @@ class PosePrior:
 
 PriorSource = Callable[[Frame], PosePrior]
 
+_MIN_SIGMA_HEADING_DEG = 1.0
+"""A fit of fixes trusts its heading to tenths of a degree; wheel slip and lever arms are not in it."""
+
 
 def prior_source(
     kind: str,
@@ -105,8 +108,7 @@ def _from_gnss(sequence: Sequence, sigma_xy_m: float | None, sigma_heading_deg: 
     def from_gnss(frame: Frame) -> PosePrior:
         fix = sequence.gnss_prior(frame.time_s)
         xy = sigma_xy_m or float(np.max(fix.sigma_m[:2]))
-        # The fit trusts its heading to tenths of a degree; wheel slip and lever arms are not in it.
-        heading = np.deg2rad(sigma_heading_deg) if sigma_heading_deg else max(fix.sigma_heading_rad, np.deg2rad(2.0))
+        heading = np.deg2rad(sigma_heading_deg) if sigma_heading_deg else max(fix.sigma_heading_rad, np.deg2rad(_MIN_SIGMA_HEADING_DEG))
         return PosePrior(float(fix.p_enu[0]), float(fix.p_enu[1]), float(fix.heading_rad), xy, float(heading))
 
     return from_gnss

@@ -30,6 +30,8 @@ class SingleFrameConfig:
     proposals: ProposalKind = "lattice"
     reach: float = 2.5
     """Half width of the search window in sigmas of the prior."""
+    min_reach_deg: float = 5.0
+    """The search covers at least this heading to both sides, however sure the prior is."""
     seed: int = 0
     """Of the random proposals."""
     search_view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.15))
@@ -84,6 +86,7 @@ def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -
     """
     evidence = evidence_from(prior.T_map_base, frame, config.search_view)
     sigma_xy_yaw = prior.sigma[jnp.array([0, 1, 5])]
+    sigma_xy_yaw = sigma_xy_yaw.at[2].max(jnp.deg2rad(config.min_reach_deg) / config.reach)
     key = jax.random.key(config.seed)
     Ts = _propose(config.proposals, config.num_hypotheses, prior.T_map_base, sigma_xy_yaw, config.reach, key)
     candidates, scores = search(Ts, evidence, prior, config.search_align, config.search)
