@@ -4,6 +4,7 @@ In: v, the signed distance to a mask boundary as a share of the ramp, in [-1, 1]
 Every kernel has rho(0) = 0, weight(0) = 1 and `worst` = rho(1), so that rho / worst is a cost in [0, 1].
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -20,8 +21,9 @@ class Kernel(NamedTuple):
 
 
 def _tukey_rho(v: Array) -> Array:
-    t = jnp.maximum(1 - v * v, 0)
-    return (1 - t * t * t) / 6
+    # Not (1 - (1 - v^2)^3) / 6: in float32 that is 0 below |v| = 2e-4, and its root has no derivative.
+    s = jnp.minimum(v * v, 1)
+    return s * (3 - 3 * s + s * s) / 6
 
 
 def _tukey_weight(v: Array) -> Array:
@@ -38,7 +40,7 @@ KERNELS: dict[str, Kernel] = {
     "cauchy": Kernel(
         lambda v: 0.5 * CAUCHY_SCALE**2 * jnp.log1p((v / CAUCHY_SCALE) ** 2),
         lambda v: 1 / (1 + (v / CAUCHY_SCALE) ** 2),
-        0.5 * CAUCHY_SCALE**2 * 2.495,
+        0.5 * CAUCHY_SCALE**2 * math.log1p(CAUCHY_SCALE**-2),
     ),
     "huber": Kernel(
         lambda v: jnp.where(jnp.abs(v) < HUBER_SCALE, 0.5 * v * v, HUBER_SCALE * (jnp.abs(v) - 0.5 * HUBER_SCALE)),

@@ -177,7 +177,7 @@ class Scene(eqx.Module):
     def evidence(self):
         return Evidence(self.views, self.textures, self.usable, self.always)
 
-    def prior(self, xi=np.zeros(6), sigma=None):
+    def prior(self, xi=(0.0,) * 6, sigma=None):
         """Prior whose centre is off the truth by a right tangent xi."""
         sigma = self.sigma if sigma is None else jnp.asarray(sigma, self.sigma.dtype)
         return Prior(self.moved(xi), sigma)
