@@ -47,7 +47,7 @@ class SurroundView:
         tables, fineness = [], []
         for camera, T_base_cam in zip(rig.cameras, np.asarray(rig.T_base_cam, dtype=np.float64), strict=True):
             uv, valid = (np.array(part) for part in camera.project((p_base - T_base_cam[:3, 3]) @ T_base_cam[:3, :3]))
-            px_per_m = _finest_detail(uv) / float(bev.metres_per_px)
+            px_per_m = _finest_detail(uv) * float(bev.fx)
             seen = valid & np.asarray(camera.in_image(uv[..., 0], uv[..., 1])) & (px_per_m * max_pixel_m > 1.0)
             uv[~seen] = -1e4
             tables.append(uv.astype(np.float32))

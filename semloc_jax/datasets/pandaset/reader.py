@@ -1,7 +1,7 @@
 """PandaSet sequences (room: datasets; host).
 
 In: camera/NAME/{NN.jpg, poses.json, intrinsics.json, timestamps.json}, meta/, annotations/cuboids/,
-semantic_points_per_sweep.npz. Out: PandaSetSequence.
+semantic_points_per_sweep.npz and, where made, masks_twinlite_front/NN.png. Out: PandaSetSequence.
 
 The data set has no vehicle frame: here `base` is on the road, 1.7 m behind the front camera, z along the normal of the
 road, x along the direction of travel, all fixed relative to the front camera. Cameras trigger one after the other, up
@@ -31,6 +31,8 @@ FRONT = "front_camera"
 CAMERAS = (FRONT, "front_left_camera", "front_right_camera", "left_camera", "right_camera", "back_camera")
 ROAD, LANE_LINE, OTHER_MARK, SIGN = 7, 8, 10, 36
 """Classes of the labelled points."""
+MASKS, MASK_TABLE = "masks_twinlite_front", "twinlite"
+"""Folder of masks of the front camera, and the class table of the network that made them."""
 FRONT_CAMERA_X_M = 1.7
 """Front camera ahead of the rear axle; ours, the data set does not state it."""
 _GNSS_SIGMA_M = 0.5
@@ -110,6 +112,8 @@ def read_pandaset(path: str | Path, front_correction: Float[np.ndarray, "4 4"] |
         path=path,
         frames=_frames(path, rig, poses, truth),
         rig=rig,
+        table_name=MASK_TABLE if (path / MASKS).is_dir() else "",
+        mask_sources=(MASKS,) if (path / MASKS).is_dir() else (),
         truth=truth,
         gnss=gnss,
         odometry=odometry,
@@ -126,6 +130,8 @@ def _frames(path: Path, rig: Rig, poses: dict[str, Trajectory], truth: Trajector
         moved = np.stack([_motion(truth, time_s, offsets[camera]) for camera in rig.names])
         frame_rig = Rig(rig.cameras, moved @ np.asarray(rig.T_base_cam), rig.names)
         files = {IMAGE: {camera: path / "camera" / camera / f"{name}.jpg" for camera in rig.names}}
+        if (path / MASKS).is_dir():
+            files[MASKS] = {FRONT: path / MASKS / f"{name}.png"}
         frame = Frame(index, name, time_s, "day", frame_rig, files)
         cuboids = path / "annotations" / "cuboids" / f"{name}.pkl.gz"
         if cuboids.is_file():
