@@ -93,14 +93,14 @@ class MapSamples(eqx.Module):
 class ViewSamples(eqx.Module):
     """What is left of the map samples when they are seen from one place: one bucket for each camera of a rig."""
 
-    p_map: Float[Array, "cam 3 p"]
+    p_map: Float[Array, "*cam 3 p"]
     """Contour points [m], silhouettes applied, in the map frame relative to the local origin; struct of arrays."""
-    tangent_map: Float[Array, "cam 3 p"]
-    channel: Int[Array, "cam p"]
+    tangent_map: Float[Array, "*cam 3 p"]
+    channel: Int[Array, "*cam p"]
     """Index of the cost-map channel that may see the point."""
-    weight: Float[Array, "cam p"]
+    weight: Float[Array, "*cam p"]
     """Weight of the point; 0 for padding."""
-    element: Int[Array, "cam p"]
+    element: Int[Array, "*cam p"]
 
 
 class CostMaps(eqx.Module):

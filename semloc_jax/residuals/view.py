@@ -35,6 +35,10 @@ class ViewConfig:
     """Closest spacing of samples along a contour in the image [px]."""
     metric_exponent: float = 0.0
     """Weight of a sample is (length in px)^(1-a) (length in m x px_per_m)^a: 0 weighs the image, 1 the world evenly."""
+    shared_error: float = 0.1
+    """Variance of an element's place in the map over that of one independent observation of its border."""
+    correlation_px: float = 60.0
+    """Length of contour [px] that is one independent observation; see `AlignConfig.correlation_px`."""
 
 
 GROUND_CLASSES = (0, 1, 2, 3, 4, 5, 6)  # ElementClass values of what is painted on the ground
@@ -100,13 +104,25 @@ def _camera_view(
     shown_px = jnp.maximum(length_px, spacing_px)[index]
     shown_m = samples.length_m[index] * shown_px / jnp.maximum(length_px[index], 1e-3)
     weight = shown_px ** (1 - config.metric_exponent) * (shown_m * PX_PER_M) ** config.metric_exponent
+    weight = jnp.where(filled, weight, 0.0).astype(p_map.dtype)
+    element = jnp.where(filled, samples.element[index], -1)
     return ViewSamples(
         p_map=p_map[index].T,
         tangent_map=samples.tangent_map[index].T,
         channel=jnp.where(filled, channel[index], 0),
-        weight=jnp.where(filled, weight, 0.0).astype(p_map.dtype),
-        element=jnp.where(filled, samples.element[index], -1),
+        weight=_limited_by_element(weight, element, config),
+        element=element,
     )
+
+
+def _limited_by_element(weight: Array, element: Array, config: ViewConfig) -> Array:
+    """The weights with each element's share limited: its place in the map is wrong for all of its samples at once.
+
+    n independent observations (variance s^2) that share an error of variance t^2 hold n / (1 + n t^2 / s^2) of them.
+    """
+    total = jax.ops.segment_sum(weight, jnp.where(element < 0, config.capacity - 1, element), config.capacity)
+    observations = total[jnp.clip(element, 0, config.capacity - 1)] / config.correlation_px
+    return weight / (1 + config.shared_error * observations)
 
 
 def _length_in_image(

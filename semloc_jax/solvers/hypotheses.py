@@ -121,7 +121,7 @@ def prior_cost(T_map_base: Float[Array, "4 4"], prior: Prior) -> Float[Array, ""
 
 
 def keep_distinct(
-    Ts: Float[Array, "n 4 4"], scores: Float[Array, " n"], keep: int, apart: float
+    Ts: Float[Array, "n 4 4"], scores: Float[Array, " n"], keep: int, apart: float | Array
 ) -> tuple[Int[Array, " keep"], Bool[Array, " keep"]]:
     """Indices of the best poses that differ from every better one kept, and whether each slot is filled."""
     xy, yaw = Ts[:, :2, 3], lie.yaw(Ts)

@@ -19,7 +19,7 @@ def propose(
     num: int,
     T_prior: Float[Array, "4 4"],
     sigma_xy_yaw: Float[Array, "3"],
-    reach: float,
+    reach: float | Array,
     key: PRNGKeyArray,
 ) -> Float[Array, "num 4 4"]:
     """Hypotheses around a pose; the first one is the pose itself.
