@@ -76,7 +76,8 @@ class MapSamples(eqx.Module):
     tangent_map: Float[Array, "n 3"]
     """Unit direction of the contour at the sample."""
     offset_m: Float[Array, " n"]
-    """ROUND: signed radius, + is left of the line of sight, - is right. CORNER: half of the box diagonal. Else 0."""
+    """ROUND: signed radius, + is left of the line of sight, - is right. CORNER: the corner is outermost where it lies at
+    least this far to the side of center_map. Else 0."""
     length_m: Float[Array, " n"]
     """Length of contour that the sample stands for [m]."""
     label: Int[Array, " n"]
@@ -86,7 +87,7 @@ class MapSamples(eqx.Module):
     element: Int[Array, " n"]
     """Index of the element in `LocalMap.elements`; -1 for padding."""
     center_map: Float[Array, "n 3"]
-    """CORNER: axis of the box at the height of the sample; else equal to p_map [m]."""
+    """CORNER: a point on the bisector of the corner, on the side of the box; else equal to p_map [m]."""
     valid: Bool[Array, " n"]
 
 

@@ -30,7 +30,7 @@ class Contour:
         line: vertices `[k 3]` in the map frame; what is outside of the element lies to the right of its direction.
         kind: how the silhouette depends on the place of the camera.
         offset_m: `offset_m` of the samples at the first and at the last point, linear in between.
-        axis: centre of a box seen from above `[2]`, for CORNER.
+        axis: point `[2]` on the bisector of a vertical edge, on the side of the box, for CORNER.
     """
 
     line: np.ndarray
@@ -162,10 +162,25 @@ def _cone(points: np.ndarray, radius_m: float, radius_top_m: float) -> list[Cont
 
 
 def _box_corners(points: np.ndarray, height_m: float) -> list[Contour]:
-    """Returns the vertical edges of a box whose foot outline is `points` `[k 3]`."""
-    axis = points[:, :2].mean(axis=0)
-    half_diagonal = np.linalg.norm(points[:, :2] - axis, axis=1)
+    """Returns the vertical edges of a prism whose foot outline is `points` `[k 3]`.
+
+    A camera sees an edge as outermost if exactly one of its two faces is turned to it: with faces +-g off the bisector of
+    the edge, if the line of sight is less than g off the perpendicular of the bisector.
+    """
+    feet = _counter_clockwise(points)
+    reach_m = np.linalg.norm(feet[:, :2] - feet[:, :2].mean(axis=0), axis=1)
+    along = np.roll(feet, -1, axis=0)[:, :2] - feet[:, :2]
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+    bisector = 0.5 * (normal + np.roll(normal, 1, axis=0))
+    cos_g = np.linalg.norm(bisector, axis=1)
+    before = np.roll(along, 1, axis=0)
+    is_convex = before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0] > 0.0
     return [
-        Contour(np.stack([foot, foot + [0.0, 0.0, height_m]]), SampleKind.CORNER, (half, half), axis)
-        for foot, half in zip(points, half_diagonal, strict=True)
+        Contour(
+            np.stack([feet[i], feet[i] + [0.0, 0.0, height_m]]),
+            SampleKind.CORNER,
+            (reach_m[i] * cos_g[i], reach_m[i] * cos_g[i]),
+            feet[i, :2] - reach_m[i] * bisector[i] / cos_g[i],
+        )
+        for i in np.flatnonzero(is_convex)
     ]

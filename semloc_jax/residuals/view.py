@@ -15,9 +15,6 @@ from semloc_jax.cameras import Camera, Rig
 from semloc_jax.geometry import lie
 from semloc_jax.structs import MapSamples, SampleKind, ViewSamples
 
-_UP = (0.0, 0.0, 1.0)
-_OUTERMOST = 0.7  # cos 45 deg: of the four corners of a box, two always look further to the side than this
-
 
 @dataclass(frozen=True)
 class ViewConfig:
@@ -49,17 +46,19 @@ PX_PER_M = 20.0
 def contour_points(samples: MapSamples, center_map: Float[Array, "3"]) -> tuple[Float[Array, "n 3"], Bool[Array, " n"]]:
     """Where the contour of each sample lies when seen from `center_map`, and whether it is a contour from there.
 
-    ROUND: the axis point moved by the radius to the side of the line of sight. CORNER: kept if it is outermost.
+    ROUND: the point where the line of sight touches the cylinder. CORNER: kept if it is outermost, which is where exactly
+    one of its two faces is turned to the camera: the line of sight runs across the bisector of the corner.
     """
-    sight = samples.center_map - center_map
+    sight = samples.p_map - center_map
     side = jnp.cross(samples.tangent_map, sight)
-    side = side / jnp.maximum(jnp.linalg.norm(side, axis=-1, keepdims=True), 1e-6)
-    is_round = samples.kind == SampleKind.ROUND
-    p_map = samples.p_map + jnp.where(is_round, samples.offset_m, 0.0)[:, None] * side
-    across = jnp.cross(jnp.asarray(_UP, sight.dtype), sight)
-    across = across / jnp.maximum(jnp.linalg.norm(across, axis=-1, keepdims=True), 1e-6)
-    reach = jnp.abs(jnp.sum((samples.p_map - samples.center_map) * across, axis=-1))
-    is_contour = (samples.kind != SampleKind.CORNER) | (reach >= _OUTERMOST * samples.offset_m)
+    distance = jnp.maximum(jnp.linalg.norm(side, axis=-1, keepdims=True), 1e-6)
+    side = side / distance
+    radius = jnp.where(samples.kind == SampleKind.ROUND, samples.offset_m, 0.0)[:, None]
+    share = jnp.clip(radius / distance, -0.9, 0.9)
+    to_camera = jnp.cross(samples.tangent_map, side)
+    p_map = samples.p_map + radius * (jnp.sqrt(1 - share * share) * side + share * to_camera)
+    reach = jnp.abs(jnp.sum((samples.p_map - samples.center_map) * side, axis=-1))
+    is_contour = (samples.kind != SampleKind.CORNER) | (reach >= samples.offset_m)
     return p_map, is_contour
 
 

@@ -138,15 +138,17 @@ def test_a_pole_has_two_sides_that_taper_and_no_caps():
     np.testing.assert_allclose(columns["tangent_map"], [[0, 0, 1]] * len(position), atol=1e-6)
 
 
-def test_a_pillar_has_four_vertical_edges_about_its_axis():
+def test_a_pillar_has_four_vertical_edges_with_their_bisectors():
     base = np.array([[1, 1, 0.1], [1.6, 1, 0.1], [1.6, 1.8, 0.1], [1, 1.8, 0.1]])
     pillar = MapElement("pillar", ElementClass.PILLAR, base, closed=True, height_m=2.5)
     position, columns = _sampled([pillar], 0.25)
     assert (columns["kind"] == SampleKind.CORNER).all()
     assert len(position) == 4 * 10
-    np.testing.assert_allclose(columns["offset_m"], 0.5, atol=1e-6)
-    np.testing.assert_allclose(columns["center_map"][:, :2], [[1.3, 1.4]] * 40, atol=1e-6)
-    np.testing.assert_allclose(columns["center_map"][:, 2], position[:, 2], atol=1e-6)
+    inward = columns["center_map"] - position
+    np.testing.assert_allclose(np.abs(inward[:, :2]), 0.5 * np.sqrt(0.5), atol=1e-6)  # 45 deg to both faces
+    assert (inward[:, :2] * ([1.3, 1.4] - position[:, :2]) > 0).all()
+    np.testing.assert_allclose(inward[:, 2], 0.0, atol=1e-6)
+    np.testing.assert_allclose(columns["offset_m"], 0.5 * np.sqrt(0.5), atol=1e-6)
     assert position[:, 2].min() > 0.1 and position[:, 2].max() < 2.6
 
 
