@@ -15,7 +15,6 @@ from semloc_jax.cameras import Camera, Rig
 from semloc_jax.geometry import lie
 from semloc_jax.structs import MapSamples, SampleKind, ViewSamples
 
-
 @dataclass(frozen=True)
 class ViewConfig:
     """How map samples are chosen for a view. All values are ours; the paper gives none."""
@@ -26,8 +25,9 @@ class ViewConfig:
     """Share of the image width by which a sample may lie outside the image and still be kept (for wide searches)."""
     max_range_m: float = 60.0
     """Samples farther from the camera are left out: they are too small for the mask and hidden too often."""
-    max_ground_range_m: float = 60.0
-    """The same for everything that lies on the ground (seen at a grazing angle)."""
+    min_ground_px_per_m: float = 0.6
+    """What lies on the ground is left out where one metre away from the camera is fewer pixels than this: seen at such a
+    grazing angle paint is mostly hidden and its mask is noise (f h / r^2: 42 m for a usual front camera)."""
     min_spacing_px: float = 1.5
     """Closest spacing of samples along a contour in the image [px]."""
     metric_exponent: float = 0.0
@@ -89,12 +89,12 @@ def _camera_view(
     samples: MapSamples, T_map_cam: Array, camera: Camera, channel_of_label: Array, config: ViewConfig
 ) -> ViewSamples:
     p_map, is_contour = contour_points(samples, T_map_cam[:3, 3])
-    length_px, p_cam, in_view = _length_in_image(p_map, samples, T_map_cam, camera, config)
+    length_px, depth_px_per_m, p_cam, in_view = _length_in_image(p_map, samples, T_map_cam, camera, config)
     channel = jnp.asarray(channel_of_label)[samples.label]
     on_ground = jnp.isin(samples.label, jnp.asarray(GROUND_CLASSES))
-    reach_m = jnp.where(on_ground, config.max_ground_range_m, config.max_range_m)
-    near = jnp.sum(p_cam * p_cam, axis=-1) < reach_m**2
-    keep = samples.valid & is_contour & in_view & near & (channel >= 0)
+    near = jnp.sum(p_cam * p_cam, axis=-1) < config.max_range_m**2
+    resolved = ~on_ground | (depth_px_per_m >= config.min_ground_px_per_m)
+    keep = samples.valid & is_contour & in_view & near & resolved & (channel >= 0)
 
     length_px = jnp.where(keep, jnp.minimum(length_px, 50.0), 0.0)
     chosen, spacing_px = _thin(length_px, keep, config)
@@ -126,14 +126,24 @@ def _limited_by_element(weight: Array, element: Array, config: ViewConfig) -> Ar
 
 def _length_in_image(
     p_map: Array, samples: MapSamples, T_map_cam: Array, camera: Camera, config: ViewConfig
-) -> tuple[Array, Array, Array]:
-    """Length in the image [px] that each sample stands for, the point in the camera, and whether it is in view."""
+) -> tuple[Array, Array, Array, Array]:
+    """What the camera makes of each sample.
+
+    Returns:
+        Length in the image that the sample stands for [px], pixels for each metre away from the camera along the ground,
+        the point in the camera frame [m], and whether it is in view.
+    """
     T_cam_map = lie.inverse(T_map_cam)
     p_cam = lie.transform(T_cam_map, p_map)
-    direction = lie.transform(T_cam_map.at[:3, 3].set(0.0), samples.tangent_map)
-    (u, v, valid), (du, dv, _) = jax.jvp(camera.project_xyz, tuple(p_cam.T), tuple(direction.T))
+    rotation = T_cam_map.at[:3, 3].set(0.0)
+    away = (p_map - T_map_cam[:3, 3]) * jnp.asarray([1.0, 1.0, 0.0], p_map.dtype)
+    away = away / jnp.maximum(jnp.linalg.norm(away, axis=-1, keepdims=True), 1e-3)
+    (u, v, valid), push = jax.linearize(camera.project_xyz, *p_cam.T)
+    du, dv, _ = push(*lie.transform(rotation, samples.tangent_map).T)
+    away_u, away_v, _ = push(*lie.transform(rotation, away).T)
     margin_px = -config.margin_share * jnp.asarray(camera.width, p_map.dtype)
-    return jnp.hypot(du, dv) * samples.length_m, p_cam, valid & camera.in_image(u, v, margin_px)
+    in_view = valid & camera.in_image(u, v, margin_px)
+    return jnp.hypot(du, dv) * samples.length_m, jnp.hypot(away_u, away_v), p_cam, in_view
 
 
 def _thin(length_px: Array, keep: Array, config: ViewConfig) -> tuple[Array, Array]:
