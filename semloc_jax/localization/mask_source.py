@@ -1,105 +1,30 @@
-"""Where the masks of a frame come from and how they sit on the image (room: localization; host).
+"""Where the masks of a frame come from (room: localization; host).
 
-In: a Sequence and the name of a mask folder or segmenter. Out: MaskSource: masks, their class table, the rig that sees
-them.
+In: a Sequence and the name of a mask folder or segmenter. Out: MaskSource.
 """
 
 import logging
-from collections.abc import Callable, Mapping
 from collections.abc import Sequence as Frames
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
-import cv2
-import equinox as eqx
 import numpy as np
 
-from semloc_jax.cameras import BevCamera, Rig
 from semloc_jax.datasets import Frame, Sequence
 from semloc_jax.errors import SemlocError
-from semloc_jax.perception import ClassTable, load_class_table
+from semloc_jax.localization.mask_view import MaskSource, TopViewSource, resized
+from semloc_jax.perception import load_class_table
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import estimate_mask_offset
-from semloc_jax.perception.surround import SurroundView, ground_table, top_view
+from semloc_jax.perception.surround import ground_table, top_view
 
 _LOG = logging.getLogger(__name__)
 _OFFSET_FRAMES = 12
-_IGNORED = 255
+_MAX_OFFSET_PX = 3.0
+"""Resizing moves masks by a pixel or two; a larger estimate comes from lines that fix only one direction."""
 CLASSICAL = "classical"
 """Name of the built-in segmenter of road paint for plain images."""
 TOP_VIEW = "ipm:"
 """Before the name of masks: all cameras as one top view of the road (inverse perspective mapping)."""
-
-
-@dataclass(frozen=True)
-class MaskSource:
-    """Masks of some cameras.
-
-    Attributes:
-        name: for messages and records.
-        table: what the ids mean.
-        cameras: names, in the order of the masks.
-        segment: class ids uint8[h w] of one camera of a frame.
-        offset_px: (du, dv) by which a camera's masks are off its images; what is at uv in the image, scaled to the size
-            of the mask, is at uv + offset.
-        size_px: (width, height) of a camera's masks where they are not of the size of its images.
-    """
-
-    name: str
-    table: ClassTable
-    cameras: tuple[str, ...]
-    segment: Callable[[Frame, str], np.ndarray]
-    offset_px: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    size_px: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-
-    def masks(self, frame: Frame) -> list[np.ndarray]:
-        """Class ids of every camera; moving objects that the data set knows are set to 255 (ignored)."""
-        masks = []
-        for camera in self.cameras:
-            mask = self.segment(frame, camera)
-            dynamic = frame.dynamic_mask(camera)
-            masks.append(
-                mask if dynamic is None else np.where(_resized(dynamic, mask), _IGNORED, mask).astype(np.uint8)
-            )
-        return masks
-
-    def seen_by(self, rig: Rig) -> Rig:
-        """The rig that sees the masks of `masks`, one camera for each of them."""
-        return self.camera_rig(rig)
-
-    def camera_rig(self, rig: Rig) -> Rig:
-        """The rig whose pixels are those of the masks of each camera: of their size, moved by their offset."""
-        cameras = []
-        for name, camera in zip(rig.names, rig.cameras, strict=True):
-            scaled = camera.resized(*self.size_px[name]) if name in self.size_px else camera
-            cameras.append(scaled.shifted(*self.offset_px.get(name, (0.0, 0.0))))
-        return eqx.tree_at(lambda r: r.cameras, rig, tuple(cameras))
-
-
-@dataclass(frozen=True)
-class TopViewSource(MaskSource):
-    """Masks of all cameras as one mask: a top view of the road, seen by one BevCamera.
-
-    Attributes:
-        bev: The top view.
-        T_base_bev: Its pose, on the plane of the road.
-    """
-
-    bev: BevCamera | None = None
-    T_base_bev: np.ndarray | None = None
-    _views: dict[bytes, SurroundView] = field(default_factory=dict, repr=False, compare=False)
-
-    def masks(self, frame: Frame) -> list[np.ndarray]:
-        """One mask, 255 where no camera shows the road."""
-        rig = self.camera_rig(frame.rig.select(self.cameras))
-        place = np.asarray(rig.T_base_cam).tobytes()
-        if place not in self._views:
-            self._views.clear()  # cameras that move in the rig get new tables for every frame
-            self._views[place] = SurroundView.of(rig, self.bev, self.T_base_bev)
-        return [self._views[place].stitch(super().masks(frame), self.table.unusable_ids)]
-
-    def seen_by(self, rig: Rig) -> Rig:
-        """The top view alone."""
-        return Rig([self.bev], self.T_base_bev[None], ["top_view"])
 
 
 def mask_source(
@@ -125,7 +50,7 @@ def mask_source(
     if name.startswith(TOP_VIEW):
         return _top_view(mask_source(name.removeprefix(TOP_VIEW), sequence, cameras, table, offset_px), sequence)
     first = sequence.frames[0]
-    names = tuple(cameras or [n for n in sequence.rig.names if name not in first.files or first.has(name, n)])
+    names = tuple(cameras or [n for n in sequence.rig.names if first.has(name, n)] or sequence.rig.names)
     sequence.rig.select(names)
     if name == CLASSICAL:
         return _classical(sequence, names)
@@ -180,16 +105,6 @@ def _sizes(name: str, sequence: Sequence, cameras: Frames[str]) -> dict[str, tup
     return sizes
 
 
-def _resized(picture: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """The picture in the size of another; what is hidden in any part of a pixel is hidden."""
-    if picture.shape[:2] == like.shape[:2]:
-        return picture
-    size = (like.shape[1], like.shape[0])
-    if picture.dtype == bool:
-        return cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.0
-    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-
-
 def _check_table(source: MaskSource, sequence: Sequence) -> None:
     """Refuse a class table that does not fit the masks: it would localize on nonsense.
 
@@ -213,13 +128,18 @@ def _with_offsets(source: MaskSource, sequence: Sequence) -> MaskSource:
         if not frames:
             continue
         masks = [source.segment(frame, camera) for frame in frames]
-        images = [_resized(frame.image(camera), mask) for frame, mask in zip(frames, masks, strict=True)]
+        images = [resized(frame.image(camera), mask) for frame, mask in zip(frames, masks, strict=True)]
         try:
             offset = estimate_mask_offset(images, masks, source.table)
         except SemlocError as error:
             _LOG.warning("masks '%s' of %s: offset against the images not known: %s", source.name, camera, error)
             continue
-        if offset.is_significant:
+        if max(abs(offset.du_px), abs(offset.dv_px)) > _MAX_OFFSET_PX:
+            _LOG.warning(
+                "masks '%s' of %s: estimated (%+.1f, %+.1f) px off the images, not believed; taken as 0",
+                *(source.name, camera, offset.du_px, offset.dv_px),
+            )
+        elif offset.is_significant:
             offsets[camera] = (offset.du_px, offset.dv_px)
             _LOG.info("masks '%s' of %s sit (%+.2f, %+.2f) px off the images", source.name, camera, *offset[:2])
     return replace(source, offset_px=offsets)

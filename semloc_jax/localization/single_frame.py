@@ -10,6 +10,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from semloc_jax.cameras import Rig
@@ -57,7 +58,9 @@ class FrameInput(NamedTuple):
     """True twice; see `semloc_jax.residuals.fusion_barrier`."""
 
 
-def frame_input(samples: MapSamples, maps: CostMaps, rig: Rig, channel_of_label: Int[Array, " label"]) -> FrameInput:
+def frame_input(
+    samples: MapSamples, maps: CostMaps, rig: Rig, channel_of_label: Int[Array | np.ndarray, " label"]
+) -> FrameInput:
     """The input of one frame, packed for the device."""
     usable = Usable(jnp.asarray(maps.usable), maps.usable_stride)
     return FrameInput(samples, rig, jnp.asarray(channel_of_label), _pack(maps), usable, jnp.ones(2, bool))
