@@ -51,7 +51,7 @@ def points_in_camera(
     T_cam_base: Float[Array, "4 4"], T_map_base: Float[Array, "4 4"], p_map: Float[Array, "3 p"]
 ) -> tuple[Array, Array, Array]:
     """Coordinates x, y, z in the camera frame [m] of points in the map frame."""
-    T = T_cam_base @ lie.inverse(T_map_base)
+    T = lie.compose(T_cam_base, lie.inverse(T_map_base))
     x, y, z = p_map
     return tuple(T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3] for k in range(3))
 

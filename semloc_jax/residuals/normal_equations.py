@@ -5,6 +5,7 @@ Residual i depends on point i only, so one reverse pass with the gradient of the
 point for any camera model; the pose enters by the cross product. Nothing of size n x 6 x 6 is ever stored.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -12,15 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from semloc_jax.cameras import Camera
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, points_in_camera
-from semloc_jax.residuals.fusion_barrier import behind_barrier
+from semloc_jax.residuals.fusion_barrier import stored
 from semloc_jax.residuals.robust import Kernel
-from semloc_jax.residuals.texture import RampTexture, Texel, blend, fetch, locate
-
-_I, _J = np.triu_indices(7)
-_FULL = np.zeros((7, 7), np.int32)
-_FULL[_I, _J] = _FULL[_J, _I] = np.arange(28)
+from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
 
 
 class NormalEquations(NamedTuple):
@@ -46,8 +44,7 @@ def normal_equations(
         views: Views of all cameras.
         texture: One level of the cost maps.
         kernel: Robust kernel.
-        always: True twice, as an argument of the compiled function (see `behind_barrier`): one wall for each predicate,
-            since XLA merges nested conditionals on the same one.
+        always: True twice, as an argument of the compiled function (see `stored`).
     """
     augmented, cost = jnp.zeros((7, 7), T_map_base.dtype), jnp.zeros((), T_map_base.dtype)
     for view in views:
@@ -60,31 +57,49 @@ def _one_camera(
     T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel, always: Array
 ) -> tuple[Array, Array]:
     """Augmented matrix [[H g] [g' .]] in the vehicle's tangent, and cost, of one camera."""
+    # What several consumers need is stored: each would compute it again. XLA merges walls on one predicate that follow
+    # each other directly, so they alternate.
+    x, y, z = stored(always[0], *points_in_camera(view.T_cam_base, T_map_base, view.p_map))
+    (uv,) = stored(always[1], jax.lax.complex(*_pixel(view.camera, x, y, z)))
+    texel = locate(texture, uv.real, uv.imag)
+    (taps,) = stored(always[0], fetch(texture, texture.image_index(view.index, view.channel), texel))
+    value, du, dv = blend(texture, taps, texel)
+    root = jnp.sqrt(view.weight * kernel.weight(value))
+    value, slope_uv = stored(always[1], value, jax.lax.complex(root * du, root * dv))
 
-    def points() -> tuple[Array, Array, Array]:
-        return points_in_camera(view.T_cam_base, T_map_base, view.p_map)
+    _, pull = jax.vjp(partial(_pixel, view.camera), x, y, z)
+    ax, ay, az = pull((slope_uv.real, slope_uv.imag))
+    root = jnp.sqrt(view.weight * kernel.weight(value))
+    # Moving the camera by xi moves the point by -v - omega x p, hence the residual by -a.v + (a x p).omega.
+    (linear,) = stored(always[0], _rows(-ax, -ay, -az, root * value))
+    nx, ny, nz, _ = linear
+    angular = _rows(nz * y - ny * z, nx * z - nz * x, ny * x - nx * y)
+    cross = _products(linear, angular)
+    matrix = jnp.block([[_products(linear, linear), cross], [cross.T, _products(angular, angular)]])
+    tangent = jnp.pad(lie.adjoint(view.T_cam_base), ((0, 0), (0, 1)))
+    carry = jnp.concatenate([tangent[:3], jnp.eye(7, dtype=x.dtype)[6:], tangent[3:]])  # rows: v, residual, omega
+    carried = jnp.einsum("ik,ij,jl->kl", carry, matrix, carry, precision=jax.lax.Precision.HIGHEST)
+    return carried, _total(view.weight * kernel.rho(value))
 
-    def after_fetch(taps: Array) -> tuple[Array, Array]:
-        pixel, pull = jax.vjp(lambda *p: view.camera.project_xyz(*p)[:2], *points())
-        value, du, dv = blend(texture, taps, locate(texture, *pixel))
-        slope = pull((du, dv))
-        root = jnp.sqrt(view.weight * kernel.weight(value))
-        parts = (root * slope[0], root * slope[1], root * slope[2], root * value)
-        return behind_barrier(always[1], after_slopes, *parts, view.weight * kernel.rho(value))
 
-    def after_slopes(ax: Array, ay: Array, az: Array, r: Array, rho: Array) -> tuple[Array, Array]:
-        x, y, z = points()
-        # Moving the camera by xi moves the point by -v - omega x p, hence the residual by -a.v + (a x p).omega.
-        rows = jnp.zeros((7, x.shape[-1]), x.dtype)
-        for k, row in enumerate((-ax, -ay, -az, ay * z - az * y, az * x - ax * z, ax * y - ay * x, r)):
-            rows = rows.at[k].set(row)
-        ones = jnp.ones_like(x)
-        # A product with ones sums with vector instructions; a plain sum must keep the order and is scalar.
-        sums = jnp.dot(rows[_I] * rows[_J], ones, precision=jax.lax.Precision.HIGHEST)
-        return sums, jnp.dot(rho, ones, precision=jax.lax.Precision.HIGHEST)
+def _pixel(camera: Camera, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+    return camera.project_xyz(x, y, z)[:2]
 
-    texel: Texel = locate(texture, *view.camera.project_xyz(*points())[:2])
-    taps = fetch(texture, texture.image_index(view.index, view.channel), texel)
-    sums, cost = behind_barrier(always[0], after_fetch, taps)
-    carry = jnp.eye(7, dtype=sums.dtype).at[:6, :6].set(lie.adjoint(view.T_cam_base))
-    return carry.T @ sums[_FULL] @ carry, cost
+
+def _rows(*rows: Array) -> Float[Array, "row p"]:
+    # Row by row in place: a stack is fused into scalar code with a branch for every element.
+    stack = jnp.zeros((len(rows), rows[0].shape[-1]), rows[0].dtype)
+    for k, row in enumerate(rows):
+        stack = stack.at[k].set(row)
+    return stack
+
+
+def _products(a: Float[Array, "m p"], b: Float[Array, "n p"]) -> Float[Array, "m n"]:
+    """a b' as sums of products: a matrix product of this shape (few rows, many columns) is three times slower."""
+    i, j = np.indices((a.shape[0], b.shape[0])).reshape(2, -1)
+    return _total(a[i] * b[j]).reshape(a.shape[0], b.shape[0])
+
+
+def _total(values: Float[Array, "*n p"]) -> Float[Array, "*n"]:
+    """Sum over points: a product with ones sums with vector instructions, a plain sum keeps the order and is scalar."""
+    return jnp.dot(values, jnp.ones(values.shape[-1:], values.dtype), precision=jax.lax.Precision.HIGHEST)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from semloc_jax.residuals.alignment import CameraViews, Usable, points_in_camera, visibility
-from semloc_jax.residuals.fusion_barrier import behind_barrier
+from semloc_jax.residuals.fusion_barrier import stored
 from semloc_jax.residuals.robust import Kernel
 from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
 
@@ -38,17 +38,14 @@ def robust_cost(
     """Summed robust cost and visible weight of a pose on one level of the cost maps."""
 
     def one_camera(view: CameraViews, weight: Array) -> tuple[Array, Array]:
-        def pixel() -> tuple[Array, Array]:
-            return view.camera.project_xyz(*points_in_camera(view.T_cam_base, T_map_base, view.p_map))[:2]
-
-        def after_fetch(taps: Array, weight: Array) -> tuple[Array, Array]:
-            value, _, _ = blend(texture, taps, locate(texture, *pixel()))
-            ones = jnp.ones_like(weight)
-            summed = jnp.dot(weight * kernel.rho(value), ones, precision=jax.lax.Precision.HIGHEST)
-            return summed / kernel.worst, jnp.dot(weight, ones, precision=jax.lax.Precision.HIGHEST)
-
-        taps = fetch(texture, texture.image_index(view.index, view.channel), locate(texture, *pixel()))
-        return behind_barrier(always[0], after_fetch, taps, weight)
+        x, y, z = points_in_camera(view.T_cam_base, T_map_base, view.p_map)
+        (uv,) = stored(always[0], jax.lax.complex(*view.camera.project_xyz(x, y, z)[:2]))
+        texel = locate(texture, uv.real, uv.imag)
+        (taps,) = stored(always[1], fetch(texture, texture.image_index(view.index, view.channel), texel))
+        value, _, _ = blend(texture, taps, texel)
+        ones = jnp.ones_like(weight)
+        summed = jnp.dot(weight * kernel.rho(value), ones, precision=jax.lax.Precision.HIGHEST)
+        return summed / kernel.worst, jnp.dot(weight, ones, precision=jax.lax.Precision.HIGHEST)
 
     summed, visible = jnp.zeros((), T_map_base.dtype), jnp.zeros((), T_map_base.dtype)
     for view in views:

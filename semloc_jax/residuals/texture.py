@@ -76,8 +76,8 @@ def pack(maps: CostMaps, dtype: DTypeLike = jnp.float32) -> RampTextures:
 def _quads(ramp: Float[Array, "cam channel h w"]) -> UInt32[Array, " texel"]:
     """Texels of all images of a level in one row, without the last row and pixel of the last image.
 
-    The right and lower neighbour are taken from the flat array: what wraps around in the last column and row of an image
-    is never the texel of a pixel, since `locate` stays a pixel away from them.
+    The right and lower neighbour are taken from the flat array: what wraps around in the last column and row of an
+    image is never the texel of a pixel, since `locate` stays a pixel away from them.
     """
     width = ramp.shape[3]
     byte = jnp.round((jnp.clip(ramp.reshape(-1), -1, 1) + 1) * _ZERO).astype(jnp.int32)
