@@ -18,7 +18,7 @@ def modes_in_map(found: Modes, origin_map: np.ndarray, merge_m: float, merge_deg
     """The filled modes, in the map frame, best first.
 
     Two solves that ended in the same place count once. Modes nearer than `merge_m` and `merge_deg` are one place whose
-    pose is their weighted mean and whose covariance holds their spread: between dashes the masks cannot tell them apart.
+    pose is their weighted mean and whose covariance holds their spread: the masks cannot tell such modes apart.
     """
     found = jax.tree.map(lambda leaf: np.asarray(leaf, dtype=np.float64), found)
     estimates = found.estimates

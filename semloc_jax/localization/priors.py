@@ -108,7 +108,11 @@ def _from_gnss(sequence: Sequence, sigma_xy_m: float | None, sigma_heading_deg: 
     def from_gnss(frame: Frame) -> PosePrior:
         fix = sequence.gnss_prior(frame.time_s)
         xy = sigma_xy_m or float(np.max(fix.sigma_m[:2]))
-        heading = np.deg2rad(sigma_heading_deg) if sigma_heading_deg else max(fix.sigma_heading_rad, np.deg2rad(_MIN_SIGMA_HEADING_DEG))
+        heading = (
+            np.deg2rad(sigma_heading_deg)
+            if sigma_heading_deg
+            else max(fix.sigma_heading_rad, np.deg2rad(_MIN_SIGMA_HEADING_DEG))
+        )
         return PosePrior(float(fix.p_enu[0]), float(fix.p_enu[1]), float(fix.heading_rad), xy, float(heading))
 
     return from_gnss

@@ -15,6 +15,7 @@ from semloc_jax.cameras import Camera, Rig
 from semloc_jax.geometry import lie
 from semloc_jax.structs import MapSamples, SampleKind, ViewSamples
 
+
 @dataclass(frozen=True)
 class ViewConfig:
     """How map samples are chosen for a view. All values are ours; the paper gives none."""

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import decimated, robust_cost
-from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, assess, in_chunks, refine, total_weight
+from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, in_chunks, refine, total_weight
 from semloc_jax.solvers.proposals import displaced
 from semloc_jax.structs import PoseEstimate
 
