@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from semloc_jax.cli import sweeps
 from semloc_jax.cli.arguments import parse_names
 
 if TYPE_CHECKING:
@@ -25,9 +26,11 @@ class DriveOptions:
     drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]
     """Folder of the drive; its type is guessed."""
     map: str | None = None
-    """Map file (.geojson, .osm), or the name of a map of the drive; default: the drive's own."""
+    """Map file (.geojson, .osm), or the name of a map of the drive, or sweeps:START:STOP:STEP to make it of labelled
+    lidar sweeps (PandaSet); default: the drive's own, else sweeps:::2."""
     masks: str | None = None
-    """Mask folder of the drive (sem, sem_net ...) or a segmenter (classical); default: the drive's best masks."""
+    """Mask folder of the drive (sem, sem_net ...) or a segmenter (classical); ipm: before it (ipm:sem) makes one top
+    view of all cameras; default: the drive's best masks."""
     class_table: str | None = None
     """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
     cameras: str | None = None
@@ -50,6 +53,8 @@ class Inputs:
     map: "SemanticMap"
     masks: "MaskSource"
     prior: "PriorSource"
+    is_map_made: bool = False
+    """Whether the map was made of the drive itself, in no file yet."""
 
 
 def open_inputs(options: DriveOptions) -> Inputs:
@@ -66,13 +71,21 @@ def open_inputs(options: DriveOptions) -> Inputs:
 
     drive = open_sequence(options.drive)
     map_path = drive.maps.get(options.map or "", options.map or drive.map_path)
+    if map_path is None and sweeps.has_sweeps(drive):
+        map_path = sweeps.DEFAULT
+    is_map_made = str(map_path).startswith(sweeps.SWEEPS)
     if map_path is None:
         raise SemlocError(f"drive {drive.name}: has no map of its own; give --map FILE (.geojson or .osm)")
     kind = options.prior or ("gnss" if drive.gnss is not None else None)
     if kind is None:
         raise SemlocError(f"drive {drive.name}: has no satellite fixes; give --prior truth or --prior FILE.tum")
-    semantic_map = read_map(map_path)
+    if is_map_made:
+        drive, semantic_map = sweeps.from_sweeps(drive, map_path)
+    else:
+        semantic_map = read_map(map_path)
     prior = prior_source(kind, drive, options.prior_sigma_xy_m, options.prior_sigma_yaw_deg, options.seed)
-    masks = options.masks or (drive.mask_sources[0] if drive.mask_sources else CLASSICAL)
-    source = mask_source(masks, drive, parse_names(options.cameras), options.class_table)
-    return Inputs(drive, semantic_map, source, prior)
+    # The images of PandaSet show more paint than the masks that come with it, and only its front camera is calibrated.
+    masks = options.masks or (drive.mask_sources[0] if drive.mask_sources and not is_map_made else CLASSICAL)
+    cameras = parse_names(options.cameras) or (drive.rig.names[:1] if is_map_made else None)
+    source = mask_source(masks, drive, cameras, options.class_table)
+    return Inputs(drive, semantic_map, source, prior, is_map_made)

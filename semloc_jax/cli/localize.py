@@ -57,12 +57,15 @@ def run(options: Options) -> int:
 def localize(options: Options, settings: "LocalizeConfig") -> int:
     """Localize, write everything, say how good it is; returns the exit code."""
     from semloc_jax.cli import pictures, results
+    from semloc_jax.maps import write_drive_geojson
 
     logging.basicConfig(format="%(message)s")
     logging.getLogger("semloc_jax").setLevel(logging.INFO)
     chosen = parse_slice(options.frames)
     inputs = open_inputs(options)
     folder = results.make_folder(options.out)
+    if inputs.is_map_made:
+        write_drive_geojson(inputs.map, folder / "map.geojson")
     started = time.perf_counter()
     found = _localize(inputs, chosen, settings)
     wall_s = time.perf_counter() - started

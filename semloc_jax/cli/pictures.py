@@ -35,7 +35,7 @@ def write_overlays(
 def panels(semantic_map: SemanticMap, source: MaskSource, result: LocalizationResult) -> list[Panel]:
     """One panel for each camera: its image, else its mask, with the map as seen from the prior and from the pose."""
     rig = result.frame.rig.select(source.cameras)
-    masks_rig = source.seen_by(rig)
+    masks_rig = source.camera_rig(rig)
     contours = []
     for T_map_base in (result.T_map_prior, result.T_map_base):
         local_map = semantic_map.query(T_map_base[:3, 3], RADIUS_M)

@@ -9,6 +9,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,11 @@ SIGMAS = ("sigma_lateral_m", "sigma_longitudinal_m", "sigma_heading_deg")
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 ERRORS = ("lateral_m", "longitudinal_m", "heading_deg")
 DEFAULT_ROOT = Path("results")
+OF_VARIANT = (
+    *("frames.reference", "frames.estimated", "estimated", "recall.0.3m_0.5m_0.5deg"),
+    *("lateral.median", "longitudinal.median", "heading.median"),
+)
+"""Metrics that are also given for each weather or lighting, where a drive has several."""
 
 
 def make_folder(out: Path | None) -> Path:
@@ -88,26 +94,39 @@ def truth_of(drive: Drive, results: Sequence[LocalizationResult]) -> dict[str, n
 def write_metrics_of(results: Sequence[LocalizationResult], truth: Mapping[str, np.ndarray], folder: Path) -> str:
     """Write metrics.json and errors.png over the frames that have a truth, and return the metrics as a table.
 
-    Shares count frames that were not localized as missed.
+    Shares count frames that were not localized as missed. Where the frames are of several variants, the main metrics of
+    each follow under its name.
     """
     known = sorted((r for r in results if r.frame.id in truth), key=lambda r: r.frame.time_s)
-    reference = Trajectory(
-        np.array([r.frame.time_s for r in known], dtype=np.float64),
-        np.array([truth[r.frame.id] for r in known], dtype=np.float64).reshape(-1, 4, 4),
-    )
-    estimate = localized_trajectory(known)
+    estimate, reference = localized_trajectory(known), _true_trajectory(known, truth)
+    metrics = _metrics(estimate, reference)
     if len(estimate) > 0:
-        metrics = evaluate(estimate, reference, max_difference_s=1e-6)
         missed_s = [r.frame.time_s for r in known if not r.localized]
         save(errors_over_time(estimate, reference, 1e-6, missed_s=missed_s), folder / "errors.png")
-    else:
-        metrics = [
-            Metric("frames.reference", float(len(known)), "frames", "report"),
-            Metric("frames.estimated", 0.0, "frames", "report"),
-            Metric("estimated", 0.0, "share", "higher"),
-        ]
+    said = [format_metrics(metrics)]
+    variants = dict.fromkeys(r.frame.variant for r in known)
+    for variant in variants if len(variants) > 1 else ():
+        own = [r for r in known if r.frame.variant == variant]
+        part = [m for m in _metrics(localized_trajectory(own), _true_trajectory(own, truth)) if m.key in OF_VARIANT]
+        metrics += [replace(m, key=f"{variant}.{m.key}") for m in part]
+        said.append(f"{variant}: " + ", ".join(f"{m.key} {m.value:.3g} {m.unit}" for m in part))
     write_metrics(metrics, folder / "metrics.json")
-    return format_metrics(metrics)
+    return "\n".join(said)
+
+
+def _true_trajectory(known: Sequence[LocalizationResult], truth: Mapping[str, np.ndarray]) -> Trajectory:
+    time_s = np.array([r.frame.time_s for r in known], dtype=np.float64)
+    return Trajectory(time_s, np.array([truth[r.frame.id] for r in known], dtype=np.float64).reshape(-1, 4, 4))
+
+
+def _metrics(estimate: Trajectory, reference: Trajectory) -> list[Metric]:
+    if len(estimate) > 0:
+        return evaluate(estimate, reference, max_difference_s=1e-6)
+    return [
+        Metric("frames.reference", float(len(reference)), "frames", "report"),
+        Metric("frames.estimated", 0.0, "frames", "report"),
+        Metric("estimated", 0.0, "share", "higher"),
+    ]
 
 
 def write_record(folder: Path, settings: Any, options: Mapping[str, Any]) -> None:
