@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from semloc_jax.cameras import Rig
-from semloc_jax.residuals.alignment import Usable, camera_views
+from semloc_jax.residuals.alignment import CameraViews, Usable, camera_views
 from semloc_jax.residuals.texture import RampTextures, pack
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.solvers.hypotheses import Modes, SearchConfig, score, search, weigh
@@ -69,11 +69,22 @@ def frame_input(
 _pack = jax.jit(pack)
 
 
-@partial(jax.jit, static_argnames="config")
 def evidence_from(T_map_base: Float[Array, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
     """The evidence of a frame with the map as it is seen from a pose."""
-    seen = view(frame.samples, T_map_base, frame.rig, frame.channel_of_label, config)
-    return Evidence(camera_views(frame.rig, seen), frame.textures, frame.usable, frame.always)
+    views = _views(T_map_base, frame.samples, frame.rig, frame.channel_of_label, config)
+    return Evidence(views, frame.textures, frame.usable, frame.always)
+
+
+@partial(jax.jit, static_argnames="config")
+def _views(
+    T_map_base: Float[Array, "4 4"],
+    samples: MapSamples,
+    rig: Rig,
+    channel_of_label: Int[Array, " label"],
+    config: ViewConfig,
+) -> tuple[CameraViews, ...]:
+    # The textures stay outside: what passes through a compiled function is copied, 30 MB a camera.
+    return camera_views(rig, view(samples, T_map_base, rig, channel_of_label, config))
 
 
 _propose = jax.jit(propose, static_argnames=("kind", "num"))
