@@ -59,7 +59,7 @@ STATUS_TEXT = {
     SolveStatus.NO_EVIDENCE: "too few map samples fall on usable pixels; check map coverage, masks and the class table",
     SolveStatus.NOT_FINITE: "the start pose or the input holds NaN or infinity",
     SolveStatus.AMBIGUOUS: "a second pose explains the masks about as well; narrow the prior or add cameras",
-    SolveStatus.WEAK_DIRECTION: "one direction of the pose is not held by the evidence; see PoseEstimate.weak_direction",
+    SolveStatus.WEAK_DIRECTION: "one direction of the pose is not held by the evidence; see weak_direction",
     SolveStatus.POOR_FIT: "the best pose explains too little of the map in view; check masks, map and calibration",
     SolveStatus.AT_SEARCH_BORDER: "the best pose lies at the border of the search window; widen the prior",
 }
@@ -76,8 +76,8 @@ class MapSamples(eqx.Module):
     tangent_map: Float[Array, "n 3"]
     """Unit direction of the contour at the sample."""
     offset_m: Float[Array, " n"]
-    """ROUND: signed radius, + is left of the line of sight, - is right. CORNER: the corner is outermost where it lies at
-    least this far to the side of center_map. Else 0."""
+    """ROUND: signed radius, + is left of the line of sight, - is right. CORNER: the corner is outermost where it lies
+    at least this far to the side of center_map. Else 0."""
     length_m: Float[Array, " n"]
     """Length of contour that the sample stands for [m]."""
     label: Int[Array, " n"]
@@ -122,7 +122,7 @@ class CostMaps(eqx.Module):
 
 
 class PoseEstimate(eqx.Module):
-    """A pose with everything that says how far to trust it. Tangent order (vx, vy, vz, wx, wy, wz), right perturbation."""
+    """A pose with all that says how far to trust it. Tangent (vx, vy, vz, wx, wy, wz), right perturbation."""
 
     T_map_base: Float[Array, "*batch 4 4"]
     """Vehicle pose relative to the local origin [m]."""

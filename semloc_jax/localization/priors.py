@@ -30,7 +30,7 @@ class RoadSigmas:
 
 @dataclass(frozen=True)
 class PosePrior:
-    """Horizontal position and heading with standard deviations; height, roll and pitch come from the road of the map."""
+    """Horizontal position and heading with standard deviations; the rest comes from the road of the map."""
 
     x_m: float
     y_m: float

@@ -164,8 +164,8 @@ def _cone(points: np.ndarray, radius_m: float, radius_top_m: float) -> list[Cont
 def _box_corners(points: np.ndarray, height_m: float) -> list[Contour]:
     """Returns the vertical edges of a prism whose foot outline is `points` `[k 3]`.
 
-    A camera sees an edge as outermost if exactly one of its two faces is turned to it: with faces +-g off the bisector of
-    the edge, if the line of sight is less than g off the perpendicular of the bisector.
+    A camera sees an edge as outermost if exactly one of its two faces is turned to it: with faces +-g off the bisector
+    of the edge, if the line of sight is less than g off the perpendicular of the bisector.
     """
     feet = _counter_clockwise(points)
     reach_m = np.linalg.norm(feet[:, :2] - feet[:, :2].mean(axis=0), axis=1)

@@ -27,8 +27,8 @@ class ViewConfig:
     max_range_m: float = 60.0
     """Samples farther from the camera are left out: they are too small for the mask and hidden too often."""
     min_ground_px_per_m: float = 0.6
-    """What lies on the ground is left out where one metre away from the camera is fewer pixels than this: seen at such a
-    grazing angle paint is mostly hidden and its mask is noise (f h / r^2: 42 m for a usual front camera)."""
+    """What lies on the ground is left out where one metre away from the camera is fewer pixels than this: seen at such
+    a grazing angle paint is mostly hidden and its mask is noise (f h / r^2: 42 m for a usual front camera)."""
     min_spacing_px: float = 1.5
     """Closest spacing of samples along a contour in the image [px]."""
     metric_exponent: float = 0.0
@@ -47,8 +47,8 @@ PX_PER_M = 20.0
 def contour_points(samples: MapSamples, center_map: Float[Array, "3"]) -> tuple[Float[Array, "n 3"], Bool[Array, " n"]]:
     """Where the contour of each sample lies when seen from `center_map`, and whether it is a contour from there.
 
-    ROUND: the point where the line of sight touches the cylinder. CORNER: kept if it is outermost, which is where exactly
-    one of its two faces is turned to the camera: the line of sight runs across the bisector of the corner.
+    ROUND: the point where the line of sight touches the cylinder. CORNER: kept if it is outermost, which is where
+    exactly one of its two faces is turned to the camera: the line of sight runs across the bisector of the corner.
     """
     sight = samples.p_map - center_map
     side = jnp.cross(samples.tangent_map, sight)
@@ -131,8 +131,8 @@ def _length_in_image(
     """What the camera makes of each sample.
 
     Returns:
-        Length in the image that the sample stands for [px], pixels for each metre away from the camera along the ground,
-        the point in the camera frame [m], and whether it is in view.
+        Length in the image that the sample stands for [px], pixels for each metre away from the camera along the
+        ground, the point in the camera frame [m], and whether it is in view.
     """
     T_cam_map = lie.inverse(T_map_cam)
     p_cam = lie.transform(T_cam_map, p_map)

@@ -1,7 +1,7 @@
 """Many hypotheses: score, cull, refine, merge into modes (room: solvers; pure JAX).
 
 In: start poses, Evidence, Prior. Out: Modes, the distinct poses that explain the masks, best first, with weights.
-The search limits accuracy more than the optimum does: everything is scored once, few are refined, survivors must differ.
+The search limits accuracy more than the optimum does: everything is scored, few are refined, survivors must differ.
 """
 
 import dataclasses
