@@ -191,7 +191,8 @@ def test_compiled_is_right_beyond_the_sizes_that_have_failed(dtype, num):
     # The sums, against those of parts.
     parts = [fused(part, OFF) for part in parts_of(world, num, 4096)]
     for given, *expected in zip(fused(world, OFF), *parts, strict=True):
-        assert close(given, np.sum(np.asarray(expected, np.float64), axis=0), 1e-10 if dtype == np.float64 else 1e-5)
+        # 2e4 additions in float32 round to some 1e-5; the fault that is looked for loses whole blocks of rows.
+        assert close(given, np.sum(np.asarray(expected, np.float64), axis=0), 1e-10 if dtype == np.float64 else 1e-4)
 
 
 def parts_of(world, num, size):
