@@ -159,7 +159,7 @@ def assess(
     eigenvalues, eigenvectors = jnp.linalg.eigh(information)
     scale = jnp.where(prior.sigma > 0, prior.sigma, 0.0)
     covariance = scale[:, None] * jnp.linalg.inv(information) * scale
-    finite = jnp.all(jnp.isfinite(T_map_base)) & jnp.all(jnp.isfinite(model.hessian))
+    finite = jnp.all(jnp.isfinite(T_map_base)) & jnp.isfinite(model.cost) & jnp.all(jnp.isfinite(model.hessian))
     status = jnp.where(visible < config.min_visible_px, SolveStatus.NO_EVIDENCE, SolveStatus.CONVERGED)
     return PoseEstimate(
         T_map_base=T_map_base,
@@ -184,12 +184,13 @@ def align(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config:
         config: Levels, steps, kernel, noise.
 
     Returns:
-        PoseEstimate; `status` says MAX_STEPS, NO_EVIDENCE or NOT_FINITE where it is not CONVERGED.
+        PoseEstimate; `status` says MAX_STEPS, NO_EVIDENCE or NOT_FINITE where it is not CONVERGED. The pose is finite
+        even then: that of the start, else of the prior, else the identity.
     """
     levels = jnp.asarray(config.levels)
     Ts, num_steps, converged = refine(T_init, evidence, prior, config)
     sane = jnp.all(jnp.isfinite(Ts))
-    Ts = jnp.where(sane, Ts, T_init)
+    Ts = jnp.where(sane, Ts, _first_finite(T_init, prior.T_map_base))
     visited = jax.vmap(lambda T, level: assess(T, level, evidence, prior, config))(Ts, levels)
     # A level finer than the scatter of the boundaries fits noise: the pose is that of the finest level that holds.
     holds = visited.inlier_ratio >= config.min_inlier_ratio
@@ -200,6 +201,14 @@ def align(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config:
     )
     status = jnp.where(sane, status, SolveStatus.NOT_FINITE)
     return eqx.tree_at(lambda e: (e.num_steps, e.status), estimate, (jnp.sum(num_steps), status))
+
+
+def _first_finite(*poses: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+    """The first pose that holds numbers only; the identity where there is none."""
+    chosen = jnp.eye(4, dtype=poses[0].dtype)
+    for T in reversed(poses):
+        chosen = jnp.where(jnp.all(jnp.isfinite(T)), T, chosen)
+    return chosen
 
 
 def in_chunks(function, Ts: Float[Array, "n 4 4"], chunk: int):
