@@ -112,18 +112,11 @@ def sample_within(local_map: LocalMap, spacing_m: float, capacity: int):
 
 
 def localize_frames(
-    sequence: Sequence,
-    semantic_map: SemanticMap,
-    masks: MaskSource | str,
-    prior: PriorSource | str = "gnss",
-    frames: slice | Frames[Frame] = slice(None),
-    cameras: Frames[str] | None = None,
-    config: LocalizeConfig | None = None,
-    on_frame: Callable[[LocalizationResult], None] | None = None,
+    *args, on_frame: Callable[[LocalizationResult], None] | None = None, **options
 ) -> list[LocalizationResult]:
-    """Localize frames of a drive, each on its own; see `iterate_frames`."""
+    """All results of `iterate_frames`, which takes the same arguments; `on_frame` is called with each of them."""
     results = []
-    for result in iterate_frames(sequence, semantic_map, masks, prior, frames, cameras, config):
+    for result in iterate_frames(*args, **options):
         results.append(result)
         if on_frame is not None:
             on_frame(result)
