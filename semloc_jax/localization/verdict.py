@@ -16,9 +16,9 @@ from semloc_jax.structs import STATUS_TEXT, SolveStatus
 class VerdictConfig:
     """Limits beyond which a pose is not called localized. All values are ours."""
 
-    max_cost: float = 0.75
+    max_cost: float = 0.78
     min_coverage: float = 0.2
-    min_inlier_ratio: float = 0.35
+    min_inlier_ratio: float = 0.28
     min_weight: float = 0.6
     """Share of the posterior that the best mode must hold against modes elsewhere."""
     max_sigma_lateral_m: float = 0.25
