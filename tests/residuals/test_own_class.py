@@ -16,7 +16,9 @@ from semloc_jax.residuals.scoring import robust_cost
 from semloc_jax.residuals.texture import pack
 from semloc_jax.structs import ElementClass, ViewSamples
 
-RIG = Rig([PinholeCamera(180.0, 180.0, 119.5, 74.5, 240, 150)], mounted((1.6, 0.0, 1.4), 0.0, 5.0, 0.0)[None], ["front"])
+RIG = Rig(
+    [PinholeCamera(180.0, 180.0, 119.5, 74.5, 240, 150)], mounted((1.6, 0.0, 1.4), 0.0, 5.0, 0.0)[None], ["front"]
+)
 TABLE = load_class_table("drive")
 ROAD, LANE, POLE, SIGN = 1, 10, 20, 21
 
