@@ -52,7 +52,7 @@ def judge(
     if best.cost > config.max_cost or best.inlier_ratio < config.min_inlier_ratio:
         text = f"cost {best.cost:.2f}, {best.inlier_ratio:.0%} of the map in view explained"
         found.append((SolveStatus.POOR_FIT, text))
-    if best.weight < config.min_weight:
+    if best.weight < config.min_weight and len(modes) > 1:
         away_m = np.hypot(*(modes[1].T_map_base - best.T_map_base)[:2, 3])
         found.append(
             (SolveStatus.AMBIGUOUS, f"a pose {away_m:.1f} m away holds {modes[1].weight:.0%} of the posterior")
