@@ -29,8 +29,8 @@ class DriveOptions:
     """Map file (.geojson, .osm), or the name of a map of the drive, or sweeps:START:STOP:STEP to make it of labelled
     lidar sweeps (PandaSet); default: the drive's own, else sweeps:::2."""
     masks: str | None = None
-    """Mask folder of the drive (sem, sem_net ...) or a segmenter (classical); ipm: before it (ipm:sem) makes one top
-    view of all cameras; default: the drive's best masks."""
+    """Mask folder of the drive (sem, sem_net ...) or a segmenter (classical, FILE.onnx); ipm: before it (ipm:sem) makes
+    one top view of all cameras; default: the drive's best masks."""
     class_table: str | None = None
     """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
     cameras: str | None = None

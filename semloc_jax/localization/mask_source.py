@@ -15,6 +15,7 @@ from semloc_jax.localization.mask_view import MaskSource, TopViewSource, resized
 from semloc_jax.perception import load_class_table
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import estimate_mask_offset
+from semloc_jax.perception.segmenters import OnnxSegmenter
 from semloc_jax.perception.surround import ground_table, top_view
 
 _LOG = logging.getLogger(__name__)
@@ -37,8 +38,8 @@ def mask_source(
     """Masks by name.
 
     Args:
-        name: A mask folder of the sequence, or `classical` for the built-in segmenter of road paint; `ipm:` before
-            either makes one top view of the road of all cameras.
+        name: A mask folder of the sequence, a network `FILE.onnx`, or `classical` for the built-in segmenter of road
+            paint; `ipm:` before any of them makes one top view of the road of all cameras.
         sequence: The drive.
         cameras: Names; None for all that have such masks.
         table: Class table, a preset or a YAML file; None for that of the sequence.
@@ -54,8 +55,10 @@ def mask_source(
     sequence.rig.select(names)
     if name == CLASSICAL:
         return _classical(sequence, names)
+    if name.endswith(".onnx"):
+        return _network(name, names, table)
     if name not in sequence.mask_sources:
-        known = ", ".join((*sequence.mask_sources, CLASSICAL))
+        known = ", ".join((*sequence.mask_sources, CLASSICAL, "FILE.onnx"))
         raise SemlocError(f"masks '{name}': drive {sequence.name} has no such folder; expected one of {known}")
     if not (table or sequence.table_name):
         raise SemlocError(f"masks '{name}': no class table is known for {sequence.name}; give --class-table")
@@ -79,6 +82,18 @@ def _classical(sequence: Sequence, names: tuple[str, ...]) -> MaskSource:
         return segmenters[camera](frame.image(camera))
 
     return MaskSource(CLASSICAL, load_class_table("lane_paint"), names, segment)
+
+
+def _network(path: str, names: tuple[str, ...], table: str | None) -> MaskSource:
+    """Masks of a network that runs on the images.
+
+    Raises:
+        SemlocError: the file is missing or no network, or no class table was given.
+    """
+    if not table:
+        raise SemlocError(f"network {path}: what its class ids mean is not known; give --class-table")
+    network = OnnxSegmenter(path)
+    return MaskSource(path, load_class_table(table), names, lambda frame, camera: network(frame.image(camera)))
 
 
 def _top_view(source: MaskSource, sequence: Sequence) -> TopViewSource:
