@@ -1,5 +1,6 @@
 """Masks of a network in an ONNX file: its class table must be given, and it sees the images of the drive."""
 
+import importlib
 from pathlib import Path
 
 import cv2
@@ -38,6 +39,6 @@ def test_a_network_sees_the_images(drive, monkeypatch):
         def __call__(self, image):
             return (image[..., 0] > 127).astype(np.uint8)
 
-    monkeypatch.setattr("semloc_jax.localization.mask_source.OnnxSegmenter", Brightness)
+    monkeypatch.setattr(importlib.import_module("semloc_jax.localization.mask_source"), "OnnxSegmenter", Brightness)
     (mask,) = mask_source("net.onnx", drive, table="lane_paint").masks(drive.frames[0])
     assert mask[:, :24].max() == 0 and mask[:, 24:].min() == 1
