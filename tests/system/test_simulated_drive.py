@@ -1,7 +1,7 @@
 """A simulated drive, localized frame by frame: accuracy, compilations, repeatability, and what bad evidence leads to.
 
-Measured on seeds 7, 8 and 9 with 640 x 400 px: exact masks put 17 of 18 poses within 0.6 cm to the side and 2.1 cm along
-the road, masks like a network's all of them within 1.4 cm and, but for one, 2.2 cm; the bounds are twice that.
+Measured on seeds 7, 8 and 9 with 640 x 400 px: exact masks put 17 of 18 poses within 0.6 cm to the side and 2.1 cm
+along the road, masks like a network's all of them within 1.4 cm and, but for one, 2.2 cm; the bounds are twice that.
 """
 
 from dataclasses import dataclass, replace
