@@ -1,5 +1,6 @@
 """A sample is scored by the mask of its own class only: paint never feels a pole, however near it is in the image."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,9 @@ from semloc_jax.structs import ElementClass, ViewSamples
 RIG = Rig(
     [PinholeCamera(180.0, 180.0, 119.5, 74.5, 240, 150)], mounted((1.6, 0.0, 1.4), 0.0, 5.0, 0.0)[None], ["front"]
 )
+compiled_residual = eqx.filter_jit(alignment_residual)
+compiled_normal_equations = eqx.filter_jit(normal_equations)
+compiled_cost = eqx.filter_jit(robust_cost)
 TABLE = load_class_table("drive")
 ROAD, LANE, POLE, SIGN = 1, 10, 20, 21
 
@@ -46,7 +50,7 @@ def evidence_of(mask_id, background=ROAD):
 
 
 def cost_of(views, textures, usable):
-    cost = robust_cost(jnp.eye(4), views, textures.level(1), usable, KERNELS["tukey"], 2.0, jnp.ones(2, bool))
+    cost = compiled_cost(jnp.eye(4), views, textures.level(1), usable, KERNELS["tukey"], 2.0, jnp.ones(2, bool))
     return float(cost.summed), float(cost.visible)
 
 
@@ -55,9 +59,9 @@ def test_paint_feels_no_mask_of_another_class(mask_id):
     textures, usable = evidence_of(mask_id)
     views = views_of(ElementClass.LANE_MARKING)
     for level in range(4):
-        r, _ = alignment_residual(jnp.eye(4), views, textures.level(level))
+        r, _ = compiled_residual(jnp.eye(4), views, textures.level(level))
         assert np.array_equal(r, np.ones(200))
-    slopes = normal_equations(jnp.eye(4), views, textures.level(0), KERNELS["squared"], jnp.ones(2, bool))
+    slopes = compiled_normal_equations(jnp.eye(4), views, textures.level(0), KERNELS["squared"], jnp.ones(2, bool))
     assert np.array_equal(slopes.hessian, np.zeros((6, 6))) and np.array_equal(slopes.gradient, np.zeros(6))
     summed, visible = cost_of(views, textures, usable)
     assert visible > 100
@@ -66,9 +70,9 @@ def test_paint_feels_no_mask_of_another_class(mask_id):
 
 def test_the_same_samples_feel_the_mask_of_their_own_class():
     textures, usable = evidence_of(POLE)
-    r, _ = alignment_residual(jnp.eye(4), views_of(ElementClass.POLE), textures.level(0))
+    r, _ = compiled_residual(jnp.eye(4), views_of(ElementClass.POLE), textures.level(0))
     assert np.mean(np.abs(r) < 0.9) > 0.5
-    slopes = normal_equations(
+    slopes = compiled_normal_equations(
         jnp.eye(4), views_of(ElementClass.POLE), textures.level(0), KERNELS["squared"], jnp.ones(2, bool)
     )
     assert float(jnp.linalg.norm(slopes.gradient)) > 1.0
@@ -82,8 +86,8 @@ def test_both_kinds_of_lane_paint_are_one_class():
     views = views_of(ElementClass.LANE_MARKING)
     for level in range(4):
         assert np.array_equal(
-            alignment_residual(jnp.eye(4), views, solid.level(level))[0],
-            alignment_residual(jnp.eye(4), views, dashed.level(level))[0],
+            compiled_residual(jnp.eye(4), views, solid.level(level))[0],
+            compiled_residual(jnp.eye(4), views, dashed.level(level))[0],
         )
 
 
@@ -98,12 +102,17 @@ def test_what_lies_behind_moving_things_is_not_visible(hidden_by):
     assert 0.4 * everything < visible < 0.55 * everything
 
 
+@jax.jit
+def squared_and_slope(xi, views, texture):
+    def value(xi):
+        return jnp.sum(alignment_residual(lie.exp(xi), views, texture)[0] ** 2)
+
+    return jax.value_and_grad(value)(xi)
+
+
 def test_masks_of_one_class_all_over_and_nothing_at_all_have_finite_slopes():
     views = views_of(ElementClass.LANE_MARKING)
     for filled in (LANE, ROAD, 255):
         maps = cost_maps([np.full((150, 240), filled, np.uint8)], TABLE)
-        textures = pack(maps, jnp.float64)
-        value, slope = jax.value_and_grad(
-            lambda xi, textures=textures: jnp.sum(alignment_residual(lie.exp(xi), views, textures.level(0))[0] ** 2)
-        )(jnp.zeros(6))
+        value, slope = squared_and_slope(jnp.zeros(6), views, pack(maps, jnp.float64).level(0))
         assert np.isfinite(value) and np.isfinite(slope).all()

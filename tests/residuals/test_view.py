@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from semloc_jax.residuals.view import ViewConfig, contour_points, view
 from semloc_jax.structs import ElementClass, MapSamples, SampleKind
 
 CHANNELS = jnp.arange(len(ElementClass), dtype=jnp.int32)
+seen_by = jax.jit(view, static_argnames="config")
 PLAIN = ViewConfig(capacity=512, shared_error=0.0)
 """Weights as they are in the image, without the limit on the share of an element."""
 CAMERA = PinholeCamera(740.0, 742.0, 478.0, 296.0, 960, 600)
@@ -68,7 +70,7 @@ def test_samples_are_spread_evenly_along_contours_in_the_image(capacity):
     """Raw samples crowd towards the horizon a hundred times denser than in front of the vehicle."""
     samples, origin = road_lines(0.02)
     T = pose(3.0, origin)
-    seen = view(samples, T, RIG, CHANNELS, replace(PLAIN, capacity=capacity))
+    seen = seen_by(samples, T, RIG, CHANNELS, config=replace(PLAIN, capacity=capacity))
     kept = np.asarray(seen.weight[0]) > 0
     uv, depth = pixels(seen.p_map[0].T, T)
     gaps, across = [], np.asarray(seen.p_map[0][1])
@@ -93,7 +95,7 @@ def test_weights_are_pixels_of_contour():
     """In every band of the image the weights add up to the length of the borders that run through it."""
     samples, origin = road_lines(0.02)
     T = pose(3.0, origin)
-    seen = view(samples, T, RIG, CHANNELS, PLAIN)
+    seen = seen_by(samples, T, RIG, CHANNELS, config=PLAIN)
     uv, _ = pixels(seen.p_map[0].T, T)
     bands = ((290, 320), (320, 350), (350, 420), (420, 500), (500, 580))
     x = np.linspace(5.0, 50.0, 20000)
@@ -110,7 +112,7 @@ def test_a_weight_in_metres_favours_what_is_far():
     T = pose(3.0, origin)
     share = []
     for exponent in (0.0, 0.5, 1.0):
-        seen = view(samples, T, RIG, CHANNELS, replace(PLAIN, metric_exponent=exponent))
+        seen = seen_by(samples, T, RIG, CHANNELS, config=replace(PLAIN, metric_exponent=exponent))
         weight = np.asarray(seen.weight[0], np.float64)
         x = np.asarray(seen.p_map[0][0], np.float64) + origin[0]
         share.append(float(np.sum(weight * (x > 20.0)) / np.sum(weight)))
@@ -123,8 +125,8 @@ def test_the_share_of_an_element_is_limited():
     """n observations of variance 1 that share an error of variance e hold n / (1 + n e): a long line counts no more."""
     samples, origin = road_lines(0.02)
     T = pose(3.0, origin)
-    free = view(samples, T, RIG, CHANNELS, PLAIN)
-    limited = view(samples, T, RIG, CHANNELS, replace(PLAIN, shared_error=0.2, correlation_px=50.0))
+    free = seen_by(samples, T, RIG, CHANNELS, config=PLAIN)
+    limited = seen_by(samples, T, RIG, CHANNELS, config=replace(PLAIN, shared_error=0.2, correlation_px=50.0))
     for element in (0, 1):
         total = [
             float(np.sum(np.asarray(v.weight[0]) * (np.asarray(v.element[0]) == element))) for v in (free, limited)
@@ -139,7 +141,9 @@ def test_what_is_far_behind_or_has_no_mask_is_left_out():
         points, np.tile([0.0, 1.0, 0.0], (6, 1)), length_m=np.full(6, 0.5), label=labels, element=np.arange(6)
     )
     samples = MapSamples(**{**vars(samples), "valid": jnp.array([True] * 5 + [False])})
-    seen = view(samples, jnp.eye(4, dtype=jnp.float32), RIG, CHANNELS.at[ElementClass.SIGN].set(-1), ViewConfig(256))
+    seen = seen_by(
+        samples, jnp.eye(4, dtype=jnp.float32), RIG, CHANNELS.at[ElementClass.SIGN].set(-1), config=ViewConfig(256)
+    )
     assert set(np.asarray(seen.element[0])[np.asarray(seen.weight[0]) > 0]) <= {0}
     assert float(seen.weight.sum()) > 0
 
@@ -147,16 +151,18 @@ def test_what_is_far_behind_or_has_no_mask_is_left_out():
 def test_an_empty_map_gives_an_empty_view():
     samples = made(np.zeros((256, 3)), np.zeros((256, 3)))
     samples = MapSamples(**{**vars(samples), "valid": jnp.zeros(256, bool)})
-    seen = view(samples, jnp.eye(4, dtype=jnp.float32), RIG, CHANNELS, ViewConfig(128))
+    seen = seen_by(samples, jnp.eye(4, dtype=jnp.float32), RIG, CHANNELS, config=ViewConfig(128))
     assert float(jnp.abs(seen.weight).max()) == 0.0
     assert np.isfinite(np.asarray(seen.p_map)).all()
 
 
 def test_a_margin_keeps_what_a_wide_search_may_see():
-    samples, origin = road_lines(0.1)
+    samples, origin = road_lines(0.02)
     T = pose(3.0, origin)
-    narrow = view(samples, T, RIG, CHANNELS, replace(PLAIN, capacity=1024, min_spacing_px=3.0))
-    wide = view(samples, T, RIG, CHANNELS, replace(PLAIN, capacity=1024, min_spacing_px=3.0, margin_share=0.3))
+    narrow = seen_by(samples, T, RIG, CHANNELS, config=replace(PLAIN, capacity=1024, min_spacing_px=3.0))
+    wide = seen_by(
+        samples, T, RIG, CHANNELS, config=replace(PLAIN, capacity=1024, min_spacing_px=3.0, margin_share=0.3)
+    )
     uv, _ = pixels(wide.p_map[0].T, T)
     outside = (np.asarray(wide.weight[0]) > 0) & ((uv[:, 1] > 600.0) | (np.abs(uv[:, 0] - 480) > 480.0))
     assert outside.sum() > 10
@@ -167,8 +173,8 @@ def test_a_margin_keeps_what_a_wide_search_may_see():
 def test_a_top_view_sees_metres_evenly():
     """Orthographic: equal spacing on the road is equal spacing in the image, near and far."""
     rig = Rig([BevCamera.covering(30.0, 5.0, 6.0, 6.0, 0.05)], T_base_bev()[None], ["top"])
-    samples, origin = road_lines(0.05)
-    seen = view(samples, pose(10.0, origin), rig, CHANNELS, PLAIN)
+    samples, origin = road_lines(0.02)
+    seen = seen_by(samples, pose(10.0, origin), rig, CHANNELS, config=PLAIN)
     x = np.asarray(seen.p_map[0][0])[np.asarray(seen.weight[0]) > 0] + origin[0]
     counts, _ = np.histogram(x, bins=np.linspace(5.0, 40.0, 8))
     assert counts.min() > 0.85 * counts.max()

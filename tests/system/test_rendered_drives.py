@@ -1,7 +1,7 @@
 """The rendered drives, localized frame by frame against their exact poses.
 
-Measured on every 15th frame of the road (medians): exact masks 0.13 cm to the side, 0.26 cm along; masks like a network
-makes 0.47 cm and 1.6 cm; medians with their sign below 0.1 cm. Garage, every 10th frame: below 0.25 cm with exact masks.
+Measured on every 15th frame of the road (medians): exact masks 0.13 cm to the side, 0.26 cm along; masks like a
+network's 0.47 cm and 1.6 cm; with their sign below 0.1 cm. Garage, every 10th frame: below 0.25 cm with exact masks.
 """
 
 import numpy as np
