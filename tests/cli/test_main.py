@@ -44,7 +44,7 @@ def test_help_takes_no_time(words):
         start = time.perf_counter()
         assert _semloc(*words).returncode == OK
         times.append(time.perf_counter() - start)
-    assert min(times) < 1.0
+    assert min(times) < 2.0
 
 
 def test_version_is_printed(capsys):
