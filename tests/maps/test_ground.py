@@ -26,7 +26,7 @@ def test_plane_of_noisy_paint_with_a_raised_line():
     rng = np.random.default_rng(0)
     lanes = [_lane(y, f"lane{y}", rng) for y in (-3.5, 0.0, 3.5, 7.0)]
     ground = GroundModel.from_elements([*lanes, _lane(-5.0, "raised", outlier_m=0.5)])
-    plane = ground.plane([1.0, 1.0])
+    plane = ground.plane([1.0, 1.0], radius_m=8.0)
     assert plane.height_m == pytest.approx(float(_plane_height([1.0, 1.0])), abs=0.01)
     np.testing.assert_allclose(plane.slope, [0.04, -0.02], atol=0.003)
     assert 0.003 < plane.rms_m < 0.03
