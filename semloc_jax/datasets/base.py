@@ -4,17 +4,18 @@ In: files of a recorded or simulated drive. Out: Sequence: frames, cameras, sens
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets.gnss import GnssPrior, gnss_prior
+from semloc_jax.datasets.pictures import StoredPicture, as_colour, read_picture
 from semloc_jax.datasets.sensors import GnssTrack, Imu, WheelOdometry
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
+from semloc_jax.geometry.geodesy import Geodetic
 
 IMAGE = "rgb"
 """Kind of file that holds the colour images; every other kind is a source of masks."""
@@ -31,7 +32,7 @@ class Frame:
         variant: weather or lighting, empty where unknown.
         rig: cameras of this frame. Where cameras trigger at different times, its extrinsics hold the motion of the
             vehicle between `time_s` and each trigger; else it is the rig of the sequence.
-        files: path for each kind (`rgb`, mask sources) and camera.
+        files: file, or message of a recording, for each kind (`rgb`, mask sources) and camera.
         draw_dynamic: draws the moving objects of a camera, where the data set knows them.
     """
 
@@ -40,16 +41,16 @@ class Frame:
     time_s: float
     variant: str
     rig: Rig
-    files: Mapping[str, Mapping[str, Path]] = field(repr=False)
+    files: Mapping[str, Mapping[str, Path | StoredPicture]] = field(repr=False)
     draw_dynamic: Callable[[str], np.ndarray] | None = field(default=None, repr=False)
 
     def image(self, camera: str) -> np.ndarray:
         """Colour image uint8[h w 3] in OpenCV's order blue green red."""
-        return _read(self.path(IMAGE, camera), cv2.IMREAD_COLOR)
+        return as_colour(read_picture(self.path(IMAGE, camera)))
 
     def mask(self, source: str, camera: str) -> np.ndarray:
         """Class ids uint8[h w] from the given source, e.g. `sem` or `sem_net`."""
-        mask = _read(self.path(source, camera), cv2.IMREAD_UNCHANGED)
+        mask = read_picture(self.path(source, camera))
         if mask.ndim != 2 or mask.dtype != np.uint8:
             raise SemlocError(
                 f"mask {self.path(source, camera)}: got {mask.dtype}{list(mask.shape)}; expected one channel of uint8 "
@@ -67,10 +68,11 @@ class Frame:
 
     def has(self, kind: str, camera: str) -> bool:
         """Whether there is a file of this kind for the camera."""
-        return camera in self.files.get(kind, {}) and self.files[kind][camera].is_file()
+        stored = self.files.get(kind, {}).get(camera)
+        return stored.is_file() if isinstance(stored, Path) else stored is not None
 
-    def path(self, kind: str, camera: str) -> Path:
-        """File of one kind and camera.
+    def path(self, kind: str, camera: str) -> Path | StoredPicture:
+        """File, or message of a recording, of one kind and camera.
 
         Raises:
             SemlocError: the data set has no such kind or camera.
@@ -148,10 +150,17 @@ class Sequence:
             raise SemlocError(f"sequence {self.name}: has no satellite fixes; expected gps.csv; give an initial pose")
         return gnss_prior(self.gnss, time_s, self.odometry, causal)
 
+    def in_map_of(self, origin: Geodetic | None) -> "Sequence":
+        """The sequence with its fixes in the frame of a map that sits at `origin` on the earth.
 
-def _read(path: Path, flags: int) -> np.ndarray:
-    picture = cv2.imread(str(path), flags)
-    if picture is None:
-        state = "cannot be decoded" if path.is_file() else "no such file"
-        raise SemlocError(f"image {path}: {state}; expected a png or jpg")
-    return picture
+        Raises:
+            SemlocError: the fixes are known on the earth only and the map does not say where it is.
+        """
+        if self.gnss is None or self.gnss.origin is None:
+            return self
+        if origin is None:
+            raise SemlocError(
+                f"sequence {self.name}: its fixes are in latitude and longitude and the map does not say where on the "
+                "earth its frame is; give the map an origin, or --prior FILE.tum in the frame of the map"
+            )
+        return replace(self, gnss=self.gnss.seen_from(origin))

@@ -3,7 +3,7 @@
 In: GnssTrack, WheelOdometry, a time. Out: GnssPrior: position and heading with their standard deviations.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -71,7 +71,7 @@ def gnss_prior(
             f"GNSS: no fix {'up to' if causal else 'for'} time {time_s:.3f} s; expected at least one; start later or "
             "give an initial pose"
         )
-    fixes = GnssTrack(gnss.time_s[usable], gnss.p_enu[usable], gnss.sigma_m[usable])
+    fixes = replace(gnss, time_s=gnss.time_s[usable], p_enu=gnss.p_enu[usable], sigma_m=gnss.sigma_m[usable])
     if odometry is None:
         return _prior_from_parabola(fixes, time_s)
     return _prior_from_path(fixes, time_s, odometry, reach_m, window_s)
@@ -86,14 +86,15 @@ def _prior_from_path(
     remoteness = np.maximum(driven_m / reach_m, np.abs(fixes.time_s - time_s) / window_s)
     nearest = np.argsort(remoteness, kind="stable")
     chosen = np.sort(nearest[: max(int(np.sum(remoteness <= 1.0)), 10)])
-    offset = odometry.dead_reckon(fixes.time_s[chosen])[:, :2] - here[:2]
-    cos, sin = np.cos(here[2]), np.sin(here[2])
-    path_base = offset @ np.array([[cos, -sin], [sin, cos]])
+    driven = odometry.dead_reckon(fixes.time_s[chosen])
+    # The path of the antenna: it swings around the base where the vehicle turns.
+    lever = np.stack([_rotate(np.array(fixes.antenna_base[:2]), turn) for turn in driven[:, 2] - here[2]])
+    path_base = _rotate(driven[:, :2] - here[:2], -here[2]) + lever
     weight = 1.0 / (1.0 + remoteness[chosen] ** 2)
     p_enu, sigma_m = fixes.p_enu[chosen], fixes.sigma_m[chosen]
 
     heading, position, weight = _fit_planar_motion(path_base, p_enu[:, :2], weight)
-    height = _weighted_median(p_enu[:, 2], weight)
+    height = _weighted_median(p_enu[:, 2], weight) - fixes.antenna_base[2]
     sigma_heading = _sigma_heading(path_base, p_enu[:, :2], heading, position, weight)
     return GnssPrior(np.append(position, height), np.median(sigma_m, axis=0), heading, sigma_heading)
 
@@ -175,7 +176,8 @@ def _prior_from_parabola(fixes: GnssTrack, time_s: float, half_window_s: float =
     driven = np.outer(tau, velocity)
     heading = float(np.arctan2(velocity[1], velocity[0]))
     sigma = _sigma_heading(_rotate(driven, -heading), p_enu[:, :2], heading, coefficients[0, :2], weight)
-    return GnssPrior(coefficients[0].copy(), np.median(fixes.sigma_m[chosen], axis=0), heading, sigma)
+    lever = np.append(_rotate(np.array(fixes.antenna_base[:2]), heading), fixes.antenna_base[2])
+    return GnssPrior(coefficients[0] - lever, np.median(fixes.sigma_m[chosen], axis=0), heading, sigma)
 
 
 def _rotate(xy: np.ndarray, angle_rad: float) -> np.ndarray:

@@ -3,7 +3,7 @@
 In: csv files of the drive layout. Out: GnssTrack, WheelOdometry, Imu.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from semloc_jax.datasets.tables import read_columns
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.geodesy import Geodetic, enu_from_wgs84, wgs84_from_enu
 
 
 @dataclass(frozen=True)
@@ -20,13 +21,41 @@ class GnssTrack:
 
     Args:
         time_s: times of the fixes [s]; drop-outs are simply absent.
-        p_enu: positions of the base origin, east north up of the map frame [m].
+        p_enu: positions of the antenna, east north up of the map frame [m].
         sigma_m: standard deviations the receiver states for east, north, up [m].
+        antenna_base: where the antenna sits on the vehicle [m].
+        origin: place on the earth of the frame of `p_enu` where that is not the frame of the map yet; see `seen_from`.
     """
 
     time_s: Float[np.ndarray, " n"]
     p_enu: Float[np.ndarray, "n 3"]
     sigma_m: Float[np.ndarray, "n 3"]
+    antenna_base: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    origin: Geodetic | None = None
+
+    @classmethod
+    def from_wgs84(
+        cls,
+        time_s: Float[np.ndarray, " n"],
+        lat_lon_alt: Float[np.ndarray, "n 3"],
+        sigma_m: Float[np.ndarray, "n 3"],
+        antenna_base: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> "GnssTrack":
+        """Fixes in degrees and ellipsoidal height [m], in time order, in the frame of the first of them."""
+        usable = np.isfinite(lat_lon_alt).all(axis=1) & np.isfinite(sigma_m).all(axis=1) & np.isfinite(time_s)
+        order = np.flatnonzero(usable)[np.argsort(time_s[usable], kind="stable")]
+        if not len(order):
+            raise SemlocError("GNSS: no row holds a position; expected latitude and longitude in degrees")
+        origin = tuple(float(value) for value in lat_lon_alt[order[0]])
+        p_enu = enu_from_wgs84(*lat_lon_alt[order].T, origin)
+        return cls(time_s[order], p_enu, sigma_m[order], antenna_base, origin)
+
+    def seen_from(self, origin: Geodetic) -> "GnssTrack":
+        """The fixes in the frame that sits at `origin` on the earth; unchanged where they already are in a map."""
+        if self.origin is None:
+            return self
+        p_enu = enu_from_wgs84(*wgs84_from_enu(self.p_enu, self.origin), tuple(origin))
+        return replace(self, p_enu=p_enu, origin=None)
 
 
 @dataclass(frozen=True)
