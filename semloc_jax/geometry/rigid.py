@@ -1,0 +1,91 @@
+"""Rigid motions on the host: the float64 numpy twin of `lie` for filters and logs (room: geometry; numpy only).
+
+In: T_a_b [4 4], tangents xi = (v, omega), right perturbation T @ exp(xi). Out: the same, always in float64.
+A filter in map coordinates needs float64 whatever JAX is set to, and takes steps too small to be worth a compilation.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+_TAYLOR_BELOW_RAD2 = 1e-4
+_NUM_TERMS = 16
+
+
+def skew(omega: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3 3"]:
+    """Matrix W with W p = omega x p."""
+    W = np.zeros((*omega.shape[:-1], 3, 3))
+    W[..., 2, 1], W[..., 0, 2], W[..., 1, 0] = omega[..., 0], omega[..., 1], omega[..., 2]
+    return W - np.swapaxes(W, -1, -2)
+
+
+def exp(xi: Float[np.ndarray, "*b 6"]) -> Float[np.ndarray, "*b 4 4"]:
+    """Rigid motion of a tangent (v, omega) [m, rad]."""
+    W = skew(xi[..., 3:])
+    W2 = W @ W
+    angle2 = np.sum(xi[..., 3:] ** 2, axis=-1)[..., None, None]
+    small = angle2 < _TAYLOR_BELOW_RAD2
+    safe2 = np.where(small, 1.0, angle2)
+    angle = np.sqrt(safe2)
+    a = np.where(small, 1 - angle2 / 6 + angle2**2 / 120, np.sin(angle) / angle)
+    b = np.where(small, 1 / 2 - angle2 / 24 + angle2**2 / 720, 2 * np.sin(angle / 2) ** 2 / safe2)
+    c = np.where(small, 1 / 6 - angle2 / 120 + angle2**2 / 5040, (angle - np.sin(angle)) / (safe2 * angle))
+    T = np.zeros((*xi.shape[:-1], 4, 4))
+    T[..., :3, :3] = np.eye(3) + a * W + b * W2
+    T[..., :3, 3] = ((np.eye(3) + b * W + c * W2) @ xi[..., :3, None])[..., 0]
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def log(T: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 6"]:
+    """Tangent (v, omega) [m, rad] of a rigid motion; the inverse of `exp` for rotations below 179 deg."""
+    R = T[..., :3, :3]
+    axis = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=-2, axis2=-1)[..., None] - 1.0))
+    omega = axis * np.where(sine < 1e-9, 1.0, angle / np.where(sine < 1e-9, 1.0, sine))
+    W = skew(omega)
+    angle2 = angle[..., None] ** 2
+    small = angle2 < _TAYLOR_BELOW_RAD2
+    safe = np.where(small, 1.0, angle[..., None])
+    curve = np.where(small, 1 / 12 + angle2 / 720, (1 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2)
+    v = ((np.eye(3) - 0.5 * W + curve * (W @ W)) @ T[..., :3, 3:])[..., 0]
+    return np.concatenate([v, omega], axis=-1)
+
+
+def inverse(T_a_b: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 4 4"]:
+    """T_b_a."""
+    T = np.zeros_like(T_a_b)
+    R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    T[..., :3, :3] = R_b_a
+    T[..., :3, 3] = -(R_b_a @ T_a_b[..., :3, 3:])[..., 0]
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def adjoint(T_a_b: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 6 6"]:
+    """Ad with T exp(xi) = exp(Ad xi) T."""
+    R = T_a_b[..., :3, :3]
+    Ad = np.zeros((*T_a_b.shape[:-2], 6, 6))
+    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
+    Ad[..., :3, 3:] = skew(T_a_b[..., :3, 3]) @ R
+    return Ad
+
+
+def right_jacobian(xi: Float[np.ndarray, "*b 6"]) -> Float[np.ndarray, "*b 6 6"]:
+    """J_r with exp(xi + d) = exp(xi) exp(J_r d) for small d: the series in -ad(xi), for rotations below 180 deg."""
+    ad = np.zeros((*xi.shape[:-1], 6, 6))
+    ad[..., :3, :3] = ad[..., 3:, 3:] = skew(xi[..., 3:])
+    ad[..., :3, 3:] = skew(xi[..., :3])
+    identity = np.eye(6)
+    J = np.broadcast_to(identity, ad.shape)
+    for k in range(_NUM_TERMS, 0, -1):
+        J = identity - ad @ J / (k + 1)
+    return J
+
+
+def normalised(T_a_b: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """The rigid motion nearest to a product of many: rounding in the rotation removed."""
+    U, _, Vt = np.linalg.svd(T_a_b[:3, :3])
+    T = T_a_b.copy()
+    T[:3, :3] = U @ Vt
+    return T
