@@ -1,0 +1,128 @@
+"""Find the vehicle: search around fixes, around dead reckoning, or in a whole area, and hand out every answer (room:
+localization; host).
+
+In: one frame and what is known of its place. Out: poses to follow side by side until one of them wins.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.localization.frame_alignment import FrameAligner
+from semloc_jax.localization.fusion import FusedPose, PoseMeasurement
+from semloc_jax.localization.initialization import InitializationConfig, prior_from_fixes, tile_priors
+from semloc_jax.localization.modes import modes_in_map
+from semloc_jax.localization.prediction import MotionLog
+from semloc_jax.localization.priors import PosePrior, RoadSigmas
+from semloc_jax.localization.result import Mode
+from semloc_jax.localization.single_frame import SingleFrameConfig, localize_frame
+from semloc_jax.localization.track_state import Fixes, FrameFeatures
+
+
+@dataclass(frozen=True)
+class Area:
+    """A disc of the map in which the vehicle is, where nothing else is known."""
+
+    x_m: float
+    y_m: float
+    radius_m: float
+
+
+@dataclass(frozen=True)
+class AcquisitionConfig:
+    """How the vehicle is searched for. All values are ours."""
+
+    fixes: InitializationConfig = field(default_factory=InitializationConfig)
+    frame: SingleFrameConfig = field(default_factory=SingleFrameConfig)
+    road: RoadSigmas = field(default_factory=RoadSigmas)
+    every_s: float = 0.3
+    """A search takes longer than a frame: this long is waited after a search that found nothing."""
+    max_tracks: int = 4
+    min_weight: float = 0.02
+    """Answers with less of the posterior are not followed."""
+    merge_m: float = 0.3
+    merge_deg: float = 0.5
+    max_cost: float = 0.75
+    min_inlier_ratio: float = 0.3
+    covariance_inflation: float = 4.0
+    """One frame may have ended in a local minimum: its covariance is taken this many times larger."""
+    min_sigma_m: float = 0.05
+    coasting_inflation: float = 2.0
+    """The window around dead reckoning in units of its sigma, over that of the search."""
+    min_coasting_sigma_m: float = 0.5
+    max_coasting_sigma_m: float = 4.0
+    tile_m: float = 4.0
+    tile_heading_deg: float = 30.0
+
+
+class Acquisition:
+    """Searches of one map."""
+
+    def __init__(self, aligner: FrameAligner, motion: MotionLog, config: AcquisitionConfig):
+        """Take the aligner's map and windows."""
+        self.aligner, self.motion, self.config = aligner, motion, config
+
+    def prior(self, fixes: Fixes, coasting: FusedPose | None, time_s: float) -> PosePrior | None:
+        """Where to search: around dead reckoning while it is surer than the fixes and they do not contradict it."""
+        calibration = coasting.calibration if coasting is not None else None
+        from_fixes = prior_from_fixes(fixes, self.motion, time_s, calibration, self.config.fixes)
+        if coasting is None:
+            return from_fixes
+        around = self._around(coasting)
+        if around is None or from_fixes is None:
+            return around or from_fixes
+        apart_m = np.hypot(around.x_m - from_fixes.x_m, around.y_m - from_fixes.y_m)
+        contradicts = apart_m > 3.0 * np.hypot(around.sigma_xy_m, from_fixes.sigma_xy_m)
+        return from_fixes if contradicts or from_fixes.sigma_xy_m < around.sigma_xy_m else around
+
+    def _around(self, coasting: FusedPose) -> PosePrior | None:
+        config, T = self.config, coasting.T_map_base
+        sigma_m = config.coasting_inflation * float(np.sqrt(np.max(np.diagonal(coasting.covariance)[:2])))
+        if sigma_m > config.max_coasting_sigma_m:
+            return None
+        sigma_rad = config.coasting_inflation * float(np.sqrt(coasting.covariance[5, 5]))
+        least = np.deg2rad(config.fixes.min_sigma_heading_deg)
+        heading = float(np.arctan2(T[1, 0], T[0, 0]))
+        return PosePrior(
+            float(T[0, 3]),
+            float(T[1, 3]),
+            heading,
+            max(sigma_m, config.min_coasting_sigma_m),
+            max(sigma_rad, float(least)),
+        )
+
+    def search(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
+        """Every answer of one frame around a prior that is worth following, best first."""
+        config = self.config
+        try:
+            T_map_prior = prior.on_road(self.aligner.map)
+        except SemlocError:
+            return ()  # no road there: outside of the map
+        window = self.aligner.windows.around(T_map_prior[:3, 3])
+        if not window.local_map.elements:
+            return ()
+        origin = window.local_map.origin_map
+        found = localize_frame(
+            self.aligner.frame_input(frame, window), prior.to_solver(T_map_prior, origin, config.road), config.frame
+        )
+        modes = modes_in_map(found, origin, config.merge_m, config.merge_deg)
+        good = [m for m in modes if m.cost <= config.max_cost and m.inlier_ratio >= config.min_inlier_ratio]
+        return tuple([m for m in good if m.weight >= config.min_weight][: config.max_tracks])
+
+    def search_area(self, frame: FrameFeatures, area: Area) -> tuple[Mode, ...]:
+        """Every answer of one frame anywhere in an area, best first."""
+        config = self.config
+        center = np.array([area.x_m, area.y_m])
+        found: list[Mode] = []
+        for prior in tile_priors(center, area.radius_m, config.tile_m, config.tile_heading_deg):
+            found += self.search(frame, prior)
+        # A cost that leaves out what cannot be seen favours poses that see little: what is explained decides.
+        found.sort(key=lambda mode: mode.cost - mode.coverage * mode.inlier_ratio)
+        return tuple(found[: config.max_tracks])
+
+    def measurement(self, mode: Mode, time_s: float) -> PoseMeasurement:
+        """A mode as the first measurement of a track."""
+        config = self.config
+        floor = np.diag(np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02]) * config.min_sigma_m) ** 2
+        return PoseMeasurement(time_s, mode.T_map_base, config.covariance_inflation * mode.covariance + floor)

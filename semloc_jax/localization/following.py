@@ -1,0 +1,145 @@
+"""One track through one frame: carried on by motion and fixes, held against the masks, corrected (room: localization;
+host).
+
+In: Track, FrameFeatures. Out: the next Track and what the frame said about it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.localization import health
+from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
+from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
+from semloc_jax.localization.health import HealthConfig
+from semloc_jax.localization.prediction import MotionLog
+from semloc_jax.localization.track_state import FrameFeatures, Track
+
+
+@dataclass(frozen=True)
+class FollowConfig:
+    """How tracks are weighed and measurements enter. All values are ours."""
+
+    noise_inflation: float = 1.0
+    """Covariance of a measurement over what the masks say alone."""
+    penalty_share: float = 0.3
+    """Share of the cost of a frame that is new: successive frames see the same map."""
+    penalty_memory: float = 0.9
+    refused_nats: float = 5.0
+    """What a frame costs that the track contradicts."""
+
+
+class View(NamedTuple):
+    """What one frame says about one track."""
+
+    found: Alignment | None
+    is_occluded: bool
+    is_off_map: bool
+    reasons: tuple[str, ...]
+    innovation: Innovation | None = None
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the measured pose was taken."""
+        return self.innovation is not None and self.innovation.accepted
+
+
+def new_track(fusion: Fusion, measurement: PoseMeasurement, penalty: float) -> Track:
+    """A track that begins at a measured pose."""
+    return Track(fusion.start(measurement), np.float64(penalty), np.float64(0), np.float64(0), np.float64(0))
+
+
+def carried(
+    state: Any, fusion: Fusion, motion: MotionLog, fixes: Sequence[GnssMeasurement], to_s: float
+) -> tuple[Any, list[tuple[GnssMeasurement, Innovation, FusedPose]]]:
+    """The state of a fusion at a later time, and how each fix on the way fitted the pose before it.
+
+    Fixes that come too late for their time are left out.
+    """
+    fitted = []
+    for fix in sorted(fixes, key=lambda fix: fix.time_s):
+        if not float(fusion.pose(state).time_s) <= fix.time_s <= to_s:
+            continue
+        state = _moved(state, fusion, motion, fix.time_s)
+        before = fusion.pose(state)
+        state, innovation = fusion.correct_gnss(state, fix)
+        fitted.append((fix, innovation, before))
+    return _moved(state, fusion, motion, to_s), fitted
+
+
+def _moved(state: Any, fusion: Fusion, motion: MotionLog, to_s: float) -> Any:
+    pose = fusion.pose(state)
+    if to_s <= pose.time_s:
+        return state
+    return fusion.predict(state, motion.increment(pose.time_s, to_s, pose.calibration))
+
+
+def conflicts_after(
+    conflicts: np.ndarray, fitted: Sequence[tuple[GnssMeasurement, Innovation, FusedPose]], config: HealthConfig
+) -> np.ndarray:
+    """Number of fixes in a row that contradict the pose, after some more of them."""
+    for fix, innovation, pose in fitted:
+        off_m = float(np.hypot(*(fix.p_map - pose.T_map_base[:3, 3])[:2]))
+        sigma_m = float(np.hypot(np.max(fix.sigma_m[:2]), np.sqrt(np.max(np.diagonal(pose.covariance)[:2]))))
+        is_conflict = not innovation.accepted and off_m > max(config.conflict_m, 5.0 * sigma_m)
+        conflicts = conflicts + 1.0 if is_conflict else np.float64(0.0)
+    return conflicts
+
+
+def seen(
+    track: Track, fusion: Fusion, aligner: FrameAligner, frame: FrameFeatures, trust: np.ndarray, config: HealthConfig
+) -> View:
+    """What the masks of a frame say about a predicted track."""
+    pose = fusion.pose(track.fusion)
+    if aligner.windows.around(pose.T_map_base[:3, 3]).nearest_m(pose.T_map_base[:2, 3]) > config.off_map_m:
+        return View(None, False, True, ("outside of the map",))
+    try:
+        found = aligner.align(frame, pose.T_map_base, pose.covariance, float(track.along_sigma_m), trust)
+    except SemlocError:
+        return View(None, False, True, ("outside of the map: no road there",))
+    is_occluded, reasons = health.frame_problems(found, frame.usable_share, config)
+    return View(found, is_occluded, False, reasons)
+
+
+def corrected(track: Track, view: View, fusion: Fusion, config: FollowConfig) -> tuple[Track, View]:
+    """The track with what the frame measured, unless something speaks against it."""
+    if view.found is None or view.is_occluded:
+        return track, view
+    sigma_along = np.float64(np.sqrt(view.found.measurement.covariance[0, 0]))
+    refused = track._replace(num_refused=track.num_refused + 1.0, along_sigma_m=sigma_along)
+    if view.reasons:
+        return refused, view
+    measured = view.found.measurement
+    measured = measured._replace(covariance=config.noise_inflation * measured.covariance)
+    state, innovation = fusion.correct(track.fusion, measured)
+    view = view._replace(innovation=innovation)
+    if not innovation.accepted:
+        text = f"the measured pose does not fit the prediction (chi2 {innovation.chi2:.0f})"
+        return refused, view._replace(reasons=(text,))
+    zero = np.float64(0.0)
+    return track._replace(
+        fusion=state, num_accepted=track.num_accepted + 1.0, num_refused=zero, along_sigma_m=sigma_along
+    ), view
+
+
+def weighed(tracks: Sequence[Track], views: Sequence[View], config: FollowConfig) -> list[Track]:
+    """The tracks with the cost of this frame in their penalties; the best one has none."""
+    if len(tracks) < 2:
+        return list(tracks)
+    in_view = max((view.found.in_view_px for view in views if view.found is not None), default=0.0)
+    costs = np.array([_nats(view, in_view) for view in views])
+    costs = np.where(np.isfinite(costs), costs - np.min(costs, initial=np.inf, where=np.isfinite(costs)), np.nan)
+    refused = np.array([not view.is_accepted and not view.is_occluded for view in views])
+    added = np.nan_to_num(config.penalty_share * costs, nan=0.0) + config.refused_nats * refused
+    penalty = np.array([float(track.penalty) for track in tracks]) * config.penalty_memory + added
+    penalty -= penalty.min()
+    return [track._replace(penalty=np.float64(value)) for track, value in zip(tracks, penalty, strict=True)]
+
+
+def _nats(view: View, in_view_px: float) -> float:
+    if view.found is None or view.is_occluded:
+        return np.nan
+    return view.found.score * in_view_px / max(view.found.in_view_px, 1.0)

@@ -1,0 +1,192 @@
+"""A frame held against the map from a predicted pose (room: localization; host).
+
+In: FrameFeatures, prediction with covariance, trust in map elements. Out: Alignment: the pose the masks alone measure,
+its covariance, its quality.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.geometry import rigid
+from semloc_jax.localization.fusion import PoseMeasurement
+from semloc_jax.localization.longitudinal import LongitudinalConfig, corrected_along, is_searched
+from semloc_jax.localization.map_window import MapWindow, MapWindows
+from semloc_jax.localization.priors import RoadSigmas
+from semloc_jax.localization.single_frame import FrameInput
+from semloc_jax.localization.track_state import FrameFeatures
+from semloc_jax.localization.tracking_step import ELEMENT_CAPACITY, TrackAlignConfig, TrackedFrame, align_predicted
+from semloc_jax.maps import SemanticMap
+from semloc_jax.solvers.pose import Prior
+from semloc_jax.structs import SolveStatus
+
+
+@dataclass(frozen=True)
+class AlignmentConfig:
+    """How a prediction becomes the prior of a solve, and its answer a measurement. All values are ours."""
+
+    step: TrackAlignConfig = field(default_factory=TrackAlignConfig)
+    longitudinal: LongitudinalConfig = field(default_factory=LongitudinalConfig)
+    road: RoadSigmas = field(default_factory=RoadSigmas)
+    prior_inflation: float = 3.0
+    """The prediction holds the solve with this many times its sigma: what it says is used once, by the fusion."""
+    min_sigma_along_m: float = 0.12
+    min_sigma_across_m: float = 0.08
+    min_sigma_heading_deg: float = 0.3
+    max_sigma_m: float = 2.0
+    max_sigma_heading_deg: float = 5.0
+    min_information: float = 1e-3
+    """Least information of the masks in any direction, in units of the prior's."""
+
+
+class Alignment(NamedTuple):
+    """What the masks of one frame measure."""
+
+    measurement: PoseMeasurement
+    """Pose, with the covariance that the masks and the road alone give it."""
+    status: SolveStatus
+    cost: float
+    coverage: float
+    inlier_ratio: float
+    score: float
+    """Cost of evidence and prior [nats]."""
+    margin: float
+    """Cost of the next best pose elsewhere less that of the best [nats]; infinite where there is none."""
+    in_view_px: float
+    moved_m: float
+    """Correction along the road before the solve [m]."""
+    information_eigenvalues: Float[np.ndarray, "6"]
+    visible_px: Float[np.ndarray, " element"]
+    """Contour seen of each element of the whole map [px]."""
+    missed_px: Float[np.ndarray, " element"]
+
+
+class FrameAligner:
+    """Aligns frames with one map."""
+
+    def __init__(self, semantic_map: SemanticMap, windows: MapWindows, channel_of_label, config: AlignmentConfig):
+        """Prepare a map, its windows and the channels of its labels."""
+        self.map, self.windows, self.config = semantic_map, windows, config
+        self.channel_of_label = jnp.asarray(channel_of_label)
+        self._place = {element.id: index for index, element in enumerate(semantic_map.elements)}
+
+    def frame_input(self, frame: FrameFeatures, window: MapWindow) -> FrameInput:
+        """The frame with the samples of a window."""
+        return FrameInput(window.samples, frame.rig, self.channel_of_label, frame.textures, frame.usable, frame.always)
+
+    def align(
+        self,
+        frame: FrameFeatures,
+        T_map_predicted: Float[np.ndarray, "4 4"],
+        covariance: Float[np.ndarray, "6 6"],
+        last_sigma_along_m: float,
+        trust: Float[np.ndarray, " element"],
+    ) -> Alignment:
+        """The pose of a frame near its prediction.
+
+        Args:
+            frame: Cost maps and cameras.
+            T_map_predicted: Predicted pose.
+            covariance: Its covariance (right tangent).
+            last_sigma_along_m: Sigma along the road that the masks of the last frame gave alone [m].
+            trust: Weight of each element of the whole map.
+
+        Raises:
+            SemlocError: the map has no road near the prediction.
+        """
+        T_start = self.on_road(T_map_predicted)
+        window = self.windows.around(T_start[:3, 3])
+        inputs = self.frame_input(frame, window)
+        origin = window.local_map.origin_map
+        T_local = T_start.copy()
+        T_local[:3, 3] -= origin
+        sigma = self.prior_sigma(covariance)
+        index = np.array([self._place[i] for i in window.element_ids[:ELEMENT_CAPACITY]], dtype=np.int64)
+        local_trust = np.ones(ELEMENT_CAPACITY, np.float32)
+        local_trust[: len(index)] = trust[index]
+        local_trust = jnp.asarray(local_trust)
+        prior = Prior(jnp.asarray(T_local, jnp.float32), jnp.asarray(sigma, jnp.float32))
+        sigma_along = float(np.sqrt(covariance[0, 0]))
+        moved_m, step = 0.0, self.config.step
+        if is_searched(sigma_along, last_sigma_along_m, self.config.longitudinal):
+            T_local, moved_m = corrected_along(
+                T_local, sigma_along, prior, inputs, local_trust, step, self.config.longitudinal
+            )
+        found: TrackedFrame = jax.device_get(
+            align_predicted(jnp.asarray(T_local, jnp.float32), prior, inputs, local_trust, step)
+        )
+        return self._answer(found, frame.time_s, origin, sigma, index, len(trust), moved_m)
+
+    def on_road(self, T_map_base: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        """The pose of a vehicle that stands on the road of the map at the same place with the same heading."""
+        heading = float(np.arctan2(T_map_base[1, 0], T_map_base[0, 0]))
+        return self.map.road_pose(T_map_base[0, 3], T_map_base[1, 3], heading, near_z_m=float(T_map_base[2, 3]))
+
+    def prior_sigma(self, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
+        """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) that hold a solve."""
+        config = self.config
+        predicted = config.prior_inflation * np.sqrt(np.diagonal(covariance))
+        tilt = np.deg2rad(config.road.roll_pitch_deg)
+        along = np.clip(predicted[0], config.min_sigma_along_m, config.max_sigma_m)
+        across = np.clip(predicted[1], config.min_sigma_across_m, config.max_sigma_m)
+        yaw = np.clip(predicted[5], *np.deg2rad([config.min_sigma_heading_deg, config.max_sigma_heading_deg]))
+        return np.array([along, across, config.road.height_m, tilt, tilt, yaw])
+
+    def _answer(
+        self,
+        found: TrackedFrame,
+        time_s: float,
+        origin: np.ndarray,
+        sigma: np.ndarray,
+        index: np.ndarray,
+        num_elements: int,
+        moved_m: float,
+    ) -> Alignment:
+        estimate = found.estimate
+        T = estimate.T_map_base.astype(np.float64)
+        T[:3, 3] += origin
+        visible, missed = np.zeros(num_elements), np.zeros(num_elements)
+        np.add.at(visible, index, found.elements.visible_px[: len(index)].astype(np.float64))
+        np.add.at(missed, index, found.elements.missed_px[: len(index)].astype(np.float64))
+        covariance = masks_covariance(estimate.covariance.astype(np.float64), sigma, self.config.min_information)
+        return Alignment(
+            measurement=PoseMeasurement(time_s, rigid.normalised(T), covariance),
+            status=SolveStatus(int(estimate.status)),
+            cost=float(estimate.cost),
+            coverage=float(estimate.coverage),
+            inlier_ratio=float(estimate.inlier_ratio),
+            score=float(found.score),
+            margin=float(found.second_score - found.score),
+            in_view_px=float(found.in_view_px),
+            moved_m=moved_m,
+            information_eigenvalues=estimate.information_eigenvalues.astype(np.float64),
+            visible_px=visible,
+            missed_px=missed,
+        )
+
+
+_OF_ROAD = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
+"""Directions in which the prior is the road of the map, not the prediction."""
+
+
+def masks_covariance(
+    covariance: Float[np.ndarray, "6 6"], sigma: Float[np.ndarray, "6"], min_information: float
+) -> Float[np.ndarray, "6 6"]:
+    """Covariance that masks and road give a pose whose estimate also used a prediction.
+
+    The information of the prediction is taken off again; a direction that only the prediction held is left with
+    `min_information` of it, so that the fusion hardly listens there.
+
+    Args:
+        covariance: Of the estimate (right tangent).
+        sigma: Standard deviations of the prior of the solve.
+        min_information: Least information of any direction, in units of the prior's.
+    """
+    scaled = np.linalg.inv(covariance / np.outer(sigma, sigma)) - np.diag(1.0 - _OF_ROAD)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    inverse = (vectors / np.maximum(values, min_information)) @ vectors.T
+    return inverse * np.outer(sigma, sigma)

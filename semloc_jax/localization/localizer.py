@@ -1,0 +1,290 @@
+"""Follow a vehicle through a drive: predict, align, judge, fuse; know when lost, find it again (room: localization;
+host).
+
+In: TrackerState, FrameFeatures. Out: the next TrackerState and a TrackResult. `Localizer.step` is pure: what it knows
+is in the state, the map and the motion log.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from semloc_jax.cameras import Rig
+from semloc_jax.datasets import Frame
+from semloc_jax.geometry import rigid
+from semloc_jax.localization import health, map_faults
+from semloc_jax.localization.acquisition import Acquisition, AcquisitionConfig, Area
+from semloc_jax.localization.following import (
+    FollowConfig,
+    View,
+    carried,
+    conflicts_after,
+    corrected,
+    new_track,
+    seen,
+    weighed,
+)
+from semloc_jax.localization.frame_alignment import AlignmentConfig, FrameAligner
+from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement
+from semloc_jax.localization.health import HealthConfig
+from semloc_jax.localization.initialization import no_fixes, with_fix
+from semloc_jax.localization.kalman import KalmanFusion
+from semloc_jax.localization.map_faults import TrustConfig
+from semloc_jax.localization.map_window import MapWindows
+from semloc_jax.localization.prediction import MotionLog
+from semloc_jax.localization.run import FrameLocalizer, LocalizeConfig
+from semloc_jax.localization.single_frame import frame_input
+from semloc_jax.localization.track_state import (
+    FrameFeatures,
+    Track,
+    TrackerState,
+    TrackResult,
+    TrackStatus,
+)
+from semloc_jax.maps import SemanticMap
+from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
+
+
+@dataclass(frozen=True)
+class TrackConfig:
+    """Everything that decides how a drive is followed. All values are ours."""
+
+    search_radius_m: float = 62.0
+    sample_spacing_m: float = 0.25
+    sample_capacity: int = 8192
+    cost_maps: CostMapConfig = field(default_factory=CostMapConfig)
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    acquisition: AcquisitionConfig = field(default_factory=AcquisitionConfig)
+    health: HealthConfig = field(default_factory=HealthConfig)
+    trust: TrustConfig = field(default_factory=TrustConfig)
+    follow: FollowConfig = field(default_factory=FollowConfig)
+    confirm_frames: float = 4.0
+    """Frames that a track must agree with before it is believed."""
+    win_nats: float = 5.0
+    """Tracks that are this much worse than the best one are given up."""
+    drop_refused: float = 6.0
+    """A track that this many frames in a row contradict is given up while others are left."""
+
+
+class Localizer:
+    """Follows a vehicle in one map with one class table."""
+
+    def __init__(
+        self,
+        semantic_map: SemanticMap,
+        table: ClassTable,
+        motion: MotionLog,
+        fusion: Fusion | None = None,
+        config: TrackConfig | None = None,
+        area: Area | None = None,
+    ):
+        """Prepare a map.
+
+        Args:
+            semantic_map: The map.
+            table: What the ids of the masks mean.
+            motion: Wheel and inertial samples; it may grow while the drive goes on.
+            fusion: How measurements become a pose over time; None for the Kalman filter.
+            config: None for the defaults.
+            area: Where the vehicle is, for drives without satellite fixes; searched exhaustively.
+
+        Raises:
+            SemlocError: no class of the map is visible in masks of this table.
+        """
+        self.map, self.motion, self.fusion = semantic_map, motion, fusion or KalmanFusion()
+        self.config, self.area = config or TrackConfig(), area
+        channels = FrameLocalizer(semantic_map, table, LocalizeConfig())
+        self.table, self.channel_of_label = channels.shown, channels.channel_of_label
+        self.windows = MapWindows(
+            semantic_map, self.config.search_radius_m, self.config.sample_spacing_m, self.config.sample_capacity
+        )
+        self.aligner = FrameAligner(semantic_map, self.windows, self.channel_of_label, self.config.alignment)
+        self.acquisition = Acquisition(self.aligner, motion, self.config.acquisition)
+
+    def start(self) -> TrackerState:
+        """The state of a vehicle that may be anywhere."""
+        nothing = np.float64(-np.inf)
+        trust = map_faults.full_trust(len(self.map.elements))
+        status = np.float64(TrackStatus.INITIALIZING)
+        return TrackerState(nothing, status, (), (), nothing, no_fixes(), trust, health.no_counts())
+
+    def features(
+        self, frame: Frame, masks: Sequence[np.ndarray], rig: Rig, fixes: Sequence[GnssMeasurement] = ()
+    ) -> FrameFeatures:
+        """What a frame shows, without the map: the stage that can run ahead of the localization.
+
+        Args:
+            frame: The frame (time, id).
+            masks: Class ids of every camera.
+            rig: Cameras of the masks.
+            fixes: Satellite fixes since the frame before.
+        """
+        maps = cost_maps(masks, self.table, self.config.cost_maps)
+        anywhere = self.windows.around(self.map.extent.mean(axis=0)).samples
+        packed = frame_input(anywhere, maps, rig, self.channel_of_label)
+        usable = float(np.mean(np.asarray(maps.usable)))
+        return FrameFeatures(
+            frame.id, frame.time_s, rig, packed.textures, packed.usable, packed.always, tuple(fixes), usable
+        )
+
+    def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:
+        """The state and the verdict after one more frame."""
+        clock = _Clock()
+        state = self._predicted(state, frame)
+        clock.lap("predict")
+        trust = map_faults.weights(state.trust, self.config.trust)
+        views = [seen(t, self.fusion, self.aligner, frame, trust, self.config.health) for t in state.tracks]
+        clock.lap("align")
+        state, view = self._fused(state, views)
+        clock.lap("fuse")
+        state = self._given_up(state)
+        if not state.tracks:
+            state = self._acquired(state, frame)
+            clock.lap("acquire")
+        return self._judged(state, view, frame, clock)
+
+    def _predicted(self, state: TrackerState, frame: FrameFeatures) -> TrackerState:
+        """Every track at the time of the frame, with the fixes on the way."""
+        fixes, counters = state.fixes, state.counters
+        for fix in frame.fixes:
+            fixes = with_fix(fixes, fix)
+        tracks = []
+        for rank, track in enumerate(state.tracks):
+            carried_on, fitted = carried(track.fusion, self.fusion, self.motion, frame.fixes, frame.time_s)
+            tracks.append(track._replace(fusion=carried_on))
+            if rank == 0:
+                conflicts = conflicts_after(counters.conflicts, fitted, self.config.health)
+                counters = counters._replace(conflicts=conflicts)
+        coasting = tuple(carried(c, self.fusion, self.motion, (), frame.time_s)[0] for c in state.coasting)
+        time_s = np.float64(frame.time_s)
+        return state._replace(time_s=time_s, tracks=tuple(tracks), coasting=coasting, fixes=fixes, counters=counters)
+
+    def _fused(self, state: TrackerState, views: list[View]) -> tuple[TrackerState, View | None]:
+        """Every track corrected and weighed, best first; and what the frame said about the best one."""
+        if not views:
+            return state, None
+        pairs = [corrected(t, v, self.fusion, self.config.follow) for t, v in zip(state.tracks, views, strict=True)]
+        tracks = weighed([t for t, _ in pairs], [v for _, v in pairs], self.config.follow)
+        order = np.argsort([float(t.penalty) for t in tracks], kind="stable")
+        best, view = tracks[order[0]], pairs[order[0]][1]
+        kept = [best]
+        for k in order[1:]:
+            if tracks[k].penalty < self.config.win_nats and not self._is_one_of(tracks[k], kept):
+                kept.append(tracks[k])
+        counters = health.counted(state.counters, view.is_occluded, view.is_accepted)
+        counters = counters._replace(off_map=counters.off_map + 1.0 if view.is_off_map else np.float64(0.0))
+        trust = state.trust
+        if len(kept) == 1 and view.is_accepted:
+            trust = map_faults.updated(trust, view.found.visible_px, view.found.missed_px, self.config.trust)
+        return state._replace(tracks=tuple(kept), counters=counters, trust=trust), view
+
+    def _is_one_of(self, track: Track, kept: list[Track]) -> bool:
+        """Whether a track is where another one is."""
+        T = self.fusion.pose(track.fusion).T_map_base
+        steps = [rigid.log(rigid.inverse(self.fusion.pose(k.fusion).T_map_base) @ T) for k in kept]
+        merge_m, merge_deg = self.config.acquisition.merge_m, self.config.acquisition.merge_deg
+        return any(np.hypot(*s[:2]) < merge_m and abs(np.degrees(s[5])) < merge_deg for s in steps)
+
+    def _given_up(self, state: TrackerState) -> TrackerState:
+        """The state without tracks where the vehicle is lost: the best confirmed one goes on by dead reckoning."""
+        if not state.tracks:
+            return state
+        best = state.tracks[0]
+        is_confirmed = best.num_accepted >= self.config.confirm_frames
+        if is_confirmed and len(state.tracks) == 1:
+            if health.lost_because(state.counters, self.config.health):
+                return state._replace(tracks=(), coasting=(best.fusion,), status=np.float64(TrackStatus.LOST))
+            return state._replace(coasting=())
+        if best.num_refused >= self.config.drop_refused or state.counters.off_map > 0:
+            return state._replace(tracks=())
+        return state
+
+    def _acquired(self, state: TrackerState, frame: FrameFeatures) -> TrackerState:
+        """The state with a track for each answer of a search, where one is due and finds something."""
+        config = self.config.acquisition
+        if frame.time_s < state.searched_s + config.every_s - 1e-6:
+            return state
+        coasting = self.fusion.pose(state.coasting[0]) if state.coasting else None
+        if self.area is not None and coasting is None:
+            modes = self.acquisition.search_area(frame, self.area)
+        else:
+            prior = self.acquisition.prior(state.fixes, coasting, frame.time_s)
+            if prior is None:
+                return state
+            modes = self.acquisition.search(frame, prior)
+        state = state._replace(searched_s=np.float64(frame.time_s))
+        if not modes:
+            return state
+        measured = [self.acquisition.measurement(mode, frame.time_s) for mode in modes]
+        penalties = [modes[0].score - mode.score for mode in modes]
+        tracks = tuple(
+            new_track(self.fusion, m, -self.config.follow.penalty_share * p)
+            for m, p in zip(measured, penalties, strict=True)
+        )
+        return state._replace(tracks=tracks, counters=health.no_counts())
+
+    def _judged(
+        self, state: TrackerState, view: View | None, frame: FrameFeatures, clock: "_Clock"
+    ) -> tuple[TrackerState, TrackResult]:
+        """The status of the frame with its reasons."""
+        config = self.config.health
+        fused = self._output(state)
+        protection = (np.inf, np.inf, np.inf) if fused is None else protection_levels(fused, config)
+        reasons = view.reasons if view is not None else ()
+        if state.tracks:
+            best = state.tracks[0]
+            is_confirmed = bool(best.num_accepted >= self.config.confirm_frames)
+            serious = health.beyond_alert(protection, config)
+            if best.num_refused > config.max_refused or state.counters.conflicts > 1 or state.counters.off_map > 0:
+                serious += reasons or (f"{float(state.counters.conflicts):.0f} satellite fixes contradict the pose",)
+            status = health.status_of(len(state.tracks), is_confirmed, serious)
+            reasons = tuple(dict.fromkeys((*serious, *reasons)))
+        elif state.coasting:
+            status, reasons = TrackStatus.LOST, health.lost_because(state.counters, config) + reasons
+        else:
+            status, reasons = TrackStatus.INITIALIZING, ("no pose yet: nothing to start from",)
+        state = state._replace(status=np.float64(status))
+        found = view.found if view is not None else None
+        return state, TrackResult(
+            frame.frame_id,
+            frame.time_s,
+            status,
+            reasons,
+            fused,
+            protection,
+            found.measurement if found else None,
+            view.is_accepted if view is not None else False,
+            view.innovation.chi2 if view is not None and view.innovation else np.nan,
+            found.cost if found else np.nan,
+            found.coverage if found else np.nan,
+            found.inlier_ratio if found else np.nan,
+            len(state.tracks),
+            clock.times_ms,
+        )
+
+    def _output(self, state: TrackerState) -> FusedPose | None:
+        if state.tracks:
+            return self.fusion.pose(state.tracks[0].fusion)
+        return self.fusion.pose(state.coasting[0]) if state.coasting else None
+
+
+def protection_levels(fused: FusedPose, config: HealthConfig) -> tuple[float, float, float]:
+    """Bounds of the lateral [m], longitudinal [m] and heading [deg] error of a fused pose."""
+    sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), 0.0))
+    k = config.protection_factor
+    return float(k * sigma[1]), float(k * sigma[0]), float(np.degrees(k * sigma[5]))
+
+
+class _Clock:
+    """Time spent by stage."""
+
+    def __init__(self) -> None:
+        self.times_ms: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.times_ms[name] = 1e3 * (now - self._last)
+        self._last = now

@@ -1,0 +1,77 @@
+"""The part of the map around the vehicle, sampled once and kept while the vehicle drives through it (room:
+localization; host).
+
+In: a SemanticMap and a place. Out: MapWindow. Which window belongs to a place depends on the place alone, so that a
+resumed run sees the same samples as an uninterrupted one.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from semloc_jax.localization.run import sample_within
+from semloc_jax.maps import LocalMap, SemanticMap
+from semloc_jax.structs import MapSamples
+
+GRID_M = 10.0
+"""Windows are centred on a grid of this width."""
+_KEPT = 8
+
+
+@dataclass(frozen=True)
+class MapWindow:
+    """Elements and samples around a place.
+
+    Attributes:
+        local_map: Elements, lines cut at the radius.
+        samples: Samples relative to `local_map.origin_map`, of fixed capacity.
+    """
+
+    local_map: LocalMap
+    samples: MapSamples
+
+    @cached_property
+    def element_ids(self) -> tuple[str, ...]:
+        """Id of each element of the local map; the parts of a cut line share theirs."""
+        return tuple(element.id for element in self.local_map.elements)
+
+    @cached_property
+    def _points_xy(self) -> np.ndarray:
+        valid = np.asarray(self.samples.valid)
+        return np.asarray(self.samples.p_map, dtype=np.float64)[valid, :2] + self.local_map.origin_map[:2]
+
+    def nearest_m(self, xy: np.ndarray) -> float:
+        """Horizontal distance from a place of the map frame to the nearest sample [m]; infinite without samples."""
+        if not len(self._points_xy):
+            return float("inf")
+        return float(np.min(np.hypot(*(self._points_xy - xy).T)))
+
+
+class MapWindows:
+    """Windows of one map, the last few kept."""
+
+    def __init__(self, semantic_map: SemanticMap, radius_m: float, spacing_m: float, capacity: int):
+        """Prepare a map.
+
+        Args:
+            semantic_map: The map.
+            radius_m: How far a camera looks; the window reaches farther by half a grid cell.
+            spacing_m: Distance of samples along a contour.
+            capacity: Rows of samples; where the map holds more, the spacing grows.
+        """
+        self.map, self.radius_m, self.spacing_m, self.capacity = semantic_map, radius_m, spacing_m, capacity
+        self._windows: OrderedDict[tuple[int, ...], MapWindow] = OrderedDict()
+
+    def around(self, p_map: np.ndarray) -> MapWindow:
+        """The window of a place of the map frame, `[3]` [m]."""
+        key = tuple(int(k) for k in np.round(p_map / GRID_M))
+        if key not in self._windows:
+            center = np.array(key, dtype=np.float64) * GRID_M
+            local_map = self.map.query(center, self.radius_m + 0.71 * GRID_M)
+            self._windows[key] = MapWindow(local_map, sample_within(local_map, self.spacing_m, self.capacity))
+            while len(self._windows) > _KEPT:
+                self._windows.popitem(last=False)
+        self._windows.move_to_end(key)
+        return self._windows[key]

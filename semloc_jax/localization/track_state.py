@@ -1,0 +1,145 @@
+"""What a localizer knows between two frames, and what it says about each (room: localization; host).
+
+In: nothing. Out: TrackStatus, Track, TrackerState, FrameFeatures, TrackResult. The state is a tuple of arrays: it can
+be written to a file and read back bit for bit.
+"""
+
+import enum
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from semloc_jax.cameras import Rig
+from semloc_jax.localization.fusion import FusedPose, GnssMeasurement, PoseMeasurement
+from semloc_jax.residuals.alignment import Usable
+from semloc_jax.residuals.texture import RampTextures
+
+
+class TrackStatus(enum.IntEnum):
+    """How far a pose may be trusted."""
+
+    INITIALIZING = 0
+    """No pose yet, or several that have not been told apart."""
+    TRACKING = 1
+    """The pose is within the alert limits, at the stated risk."""
+    DEGRADED = 2
+    """The pose is the best guess; it may be outside of the alert limits."""
+    LOST = 3
+    """The pose is dead reckoning from the last good one."""
+
+
+class Track(NamedTuple):
+    """One answer to where the vehicle is."""
+
+    fusion: Any
+    """State of the Fusion."""
+    penalty: Float[np.ndarray, ""]
+    """Cost summed over frames, less that of the best track [nats]; forgets with time."""
+    num_accepted: Float[np.ndarray, ""]
+    """Frames that the track agreed with since it began."""
+    num_refused: Float[np.ndarray, ""]
+    """Frames in a row that contradicted it."""
+    along_sigma_m: Float[np.ndarray, ""]
+    """What the masks of the last frame alone said along the road: one standard deviation [m]."""
+
+
+class Fixes(NamedTuple):
+    """The last satellite fixes, oldest first; unused rows have the time -inf."""
+
+    time_s: Float[np.ndarray, " n"]
+    p_map: Float[np.ndarray, "n 3"]
+    sigma_m: Float[np.ndarray, "n 3"]
+
+
+class ElementTrust(NamedTuple):
+    """What all frames so far say about each element of the map."""
+
+    seen_px: Float[np.ndarray, " element"]
+    """Contour that was looked at, forgetting [px of weight]."""
+    missed_px: Float[np.ndarray, " element"]
+    """Share of it that lay on no boundary, as robust cost [px]."""
+    num_frames: Float[np.ndarray, " element"]
+    """Frames in which it was in view."""
+
+
+class Counters(NamedTuple):
+    """Numbers behind the rules for lost."""
+
+    failures: Float[np.ndarray, ""]
+    """Failed alignments, counted down by good ones."""
+    occluded: Float[np.ndarray, ""]
+    """Frames in a row without usable view of the map."""
+    conflicts: Float[np.ndarray, ""]
+    """Satellite fixes in a row that contradict the pose."""
+    off_map: Float[np.ndarray, ""]
+    """Frames in a row outside of the map."""
+
+
+class TrackerState(NamedTuple):
+    """Everything that a localizer carries from one frame to the next."""
+
+    time_s: Float[np.ndarray, ""]
+    status: Float[np.ndarray, ""]
+    tracks: tuple[Track, ...]
+    """Best first; several only while it is not clear which one is right."""
+    coasting: tuple[Any, ...]
+    """State of the Fusion that goes on by dead reckoning while lost, if any."""
+    searched_s: Float[np.ndarray, ""]
+    """When the vehicle was last searched for."""
+    fixes: Fixes
+    trust: ElementTrust
+    counters: Counters
+
+
+class FrameFeatures(NamedTuple):
+    """One frame without the map: what the feature stage hands to the localization stage."""
+
+    frame_id: str
+    time_s: float
+    rig: Rig
+    textures: RampTextures
+    usable: Usable
+    always: Bool[Any, "2"]
+    fixes: tuple[GnssMeasurement, ...] = ()
+    """Satellite fixes that came in since the frame before."""
+    usable_share: float = 1.0
+    """Share of the pixels that are no moving object, own vehicle or unknown."""
+
+
+@dataclass(frozen=True)
+class TrackResult:
+    """What a localizer says about a frame.
+
+    Attributes:
+        frame_id: name of the frame.
+        time_s: time of the pose [s].
+        status: how far the pose may be trusted.
+        reasons: one sentence for each thing that speaks against it.
+        fused: the pose with its covariance and what was estimated with it; None before there is any.
+        protection: bounds of the lateral [m], longitudinal [m] and heading [deg] error.
+        measured: the pose from this frame's masks alone; None where there was none.
+        accepted: whether the measured pose was taken.
+        chi2: its squared distance to the prediction.
+        cost: robust cost of the masks, 0 .. 1.
+        coverage: share of the map in view on usable pixels.
+        inlier_ratio: share of the visible map within reach of its class.
+        num_tracks: answers that are followed.
+        times_ms: time spent by stage [ms].
+    """
+
+    frame_id: str
+    time_s: float
+    status: TrackStatus
+    reasons: tuple[str, ...] = ()
+    fused: FusedPose | None = None
+    protection: tuple[float, float, float] = (np.inf, np.inf, np.inf)
+    measured: PoseMeasurement | None = None
+    accepted: bool = False
+    chi2: float = np.nan
+    cost: float = np.nan
+    coverage: float = np.nan
+    inlier_ratio: float = np.nan
+    num_tracks: int = 0
+    times_ms: dict[str, float] = field(default_factory=dict)
