@@ -7,7 +7,12 @@ from dataclasses import dataclass
 from semloc_jax.cli import runtime
 from semloc_jax.cli.main import FAILED, OK
 
-EXTRAS = {"rerun": "semloc-jax[viz]", "onnxruntime": "semloc-jax[onnx]"}
+EXTRAS = {
+    "rerun": "semloc-jax[viz]",
+    "onnxruntime": "semloc-jax[onnx]",
+    "rosbags": "semloc-jax[bags]",
+    "pyarrow": "semloc-jax[argoverse]",
+}
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 In: options. Out: Inputs, everything opened and resolved.
 """
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,13 +19,17 @@ if TYPE_CHECKING:
     from semloc_jax.localization.priors import PriorSource
     from semloc_jax.maps import SemanticMap
 
+_LOG = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class DriveOptions:
     """Options of every verb that works on a drive."""
 
     drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]
-    """Folder of the drive; its type is guessed."""
+    """The drive: a folder or a bag (.bag, .db3, .mcap), its type is guessed."""
+    calib: Path | None = None
+    """Calibration file, where the drive has none of its own or another one is to be used."""
     map: str | None = None
     """Map file (.geojson, .osm), or the name of a map of the drive, or sweeps:START:STOP:STEP to make it of labelled
     lidar sweeps (PandaSet); default: the drive's own, else sweeps:::2."""
@@ -69,7 +74,7 @@ def open_inputs(options: DriveOptions) -> Inputs:
     from semloc_jax.localization.mask_source import CLASSICAL
     from semloc_jax.maps import read_map
 
-    drive = open_sequence(options.drive)
+    drive = open_sequence(options.drive, options.calib)
     map_path = drive.maps.get(options.map or "", options.map or drive.map_path)
     if map_path is None and sweeps.has_sweeps(drive):
         map_path = sweeps.DEFAULT
@@ -83,9 +88,29 @@ def open_inputs(options: DriveOptions) -> Inputs:
         drive, semantic_map = sweeps.from_sweeps(drive, map_path)
     else:
         semantic_map = read_map(map_path)
+        if kind == "gnss":
+            drive = drive.in_map_of(semantic_map.origin)
+    _report_overlap(drive, kind)
     prior = prior_source(kind, drive, options.prior_sigma_xy_m, options.prior_sigma_yaw_deg, options.seed)
     # The images of PandaSet show more paint than the masks that come with it, and only its front camera is calibrated.
     masks = options.masks or (drive.mask_sources[0] if drive.mask_sources and not is_map_made else CLASSICAL)
     cameras = parse_names(options.cameras) or (drive.rig.names[:1] if is_map_made else None)
     source = mask_source(masks, drive, cameras, options.class_table)
     return Inputs(drive, semantic_map, source, prior, is_map_made)
+
+
+def _report_overlap(drive: "Sequence", prior: str) -> None:
+    """Log the streams of the drive and what looks wrong with their times.
+
+    Raises:
+        SemlocError: the stream that is to give the prior has no time in common with the frames.
+    """
+    from semloc_jax.datasets import overlap_report
+    from semloc_jax.errors import SemlocError
+
+    report = overlap_report(drive)
+    _LOG.info("%s", report.to_text())
+    for problem in report.problems:
+        _LOG.warning("times: %s", problem)
+    if report.apart({"gnss": "fixes"}.get(prior, prior)):
+        raise SemlocError(f"drive {drive.name}: {report.problems[0]}; check the times, or give another --prior")

@@ -1,30 +1,45 @@
-"""Which data set a folder is (room: datasets; host).
+"""Which kind of recording a path is (room: datasets; host).
 
 In: a path. Out: Sequence.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
+from semloc_jax.datasets.bags import is_bag, read_bag
 from semloc_jax.datasets.base import Sequence
 from semloc_jax.datasets.drive import is_drive, read_drive
 from semloc_jax.datasets.folder import read_folder
 from semloc_jax.datasets.pandaset import is_pandaset, read_pandaset
 from semloc_jax.errors import SemlocError
 
+_KINDS: tuple[tuple[str, Callable[[Path], bool], Callable[..., Sequence]], ...] = (
+    ("drive", is_drive, read_drive),
+    ("bag", is_bag, read_bag),
+    ("PandaSet", is_pandaset, read_pandaset),
+)
+_OWN_CALIBRATION = ("drive", "PandaSet")
 
-def open_sequence(path: str | Path) -> Sequence:
-    """Sequence of a folder whose type is guessed from its files: drive, PandaSet, or plain folder with calibration.
+
+def open_sequence(path: str | Path, calibration: str | Path | None = None) -> Sequence:
+    """Sequence of a recording whose type is guessed from its files; else a folder of images with a calibration.
+
+    Args:
+        path: file or folder.
+        calibration: calibration file instead of what the recording says itself.
 
     Raises:
-        SemlocError: the folder is missing or looks like none of them.
+        SemlocError: there is no such path, or it looks like nothing that is known.
     """
     path = Path(path)
-    if not path.is_dir():
+    if not path.exists():
         raise SemlocError(
-            f"data set {path}: no such folder; expected a drive, a PandaSet sequence or images + calib.yaml"
+            f"data set {path}: no such folder or file; expected one of {', '.join(kind for kind, _, _ in _KINDS)}, or "
+            "images + calib.yaml"
         )
-    if is_drive(path):
-        return read_drive(path)
-    if is_pandaset(path):
-        return read_pandaset(path)
-    return read_folder(path)
+    for kind, fits, read in _KINDS:
+        if fits(path):
+            return read(path) if calibration is None or kind in _OWN_CALIBRATION else read(path, calibration)
+    if not path.is_dir():
+        raise SemlocError(f"data set {path}: unknown type '{path.suffix}'; expected .bag, .db3, .mcap or a folder")
+    return read_folder(path, calibration)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.cameras.base import Camera
 from semloc_jax.cameras.io.fields import numbers, perspective, required, resolution, rigid
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
@@ -28,13 +29,18 @@ def is_camera_info(content: Mapping[str, Any]) -> bool:
 def rig_from_camera_info(content: Mapping[str, Any], path: Path) -> Rig:
     """The camera of a CameraInfo, with T_base_cam from a key of that name, else identity."""
     where = f"calibration {path}"
+    camera = camera_from_info(content, where)
+    return Rig([camera], pose_of(content, where)[None], [str(content.get("camera_name", path.stem))])
+
+
+def camera_from_info(content: Mapping[str, Any], where: str) -> Camera:
+    """The camera of the fields of a CameraInfo."""
     K = _data(content, _MATRIX, where)
     intrinsics = intrinsics_of(numbers(K, (9,), f"{where} camera_matrix"), where)
     width, height = content.get("image_width", content.get("width")), content.get("image_height", content.get("height"))
     size = resolution([width, height], f"{where} image_width, image_height")
     distortion = _data(content, _DISTORTION, where)
-    camera = perspective(intrinsics, size, _model(content, distortion, where), distortion, where)
-    return Rig([camera], pose_of(content, where)[None], [str(content.get("camera_name", path.stem))])
+    return perspective(intrinsics, size, _model(content, distortion, where), distortion, where)
 
 
 def intrinsics_of(K: Float[np.ndarray, " 9"], where: str) -> Float[np.ndarray, " 4"]:
