@@ -6,6 +6,7 @@ In: `float64[k 3]` vertices. Out: equidistant samples, parallel lines in the roa
 import numpy as np
 
 _SAME_POINT_M = 1e-6
+_SIMPLIFY_BLOCK = 512
 _MITRE_LIMIT = 4.0
 """A corner sharper than about 29 degrees is bevelled, as in most plotters."""
 
@@ -85,6 +86,37 @@ def parallel(points: np.ndarray, offset_m: float, is_loop: bool = False) -> np.n
     shifted = points.copy()
     shifted[:, :2] += offset_m * stretch * bisector
     return shifted
+
+
+def simplify(points: np.ndarray, tolerance_m: float) -> np.ndarray:
+    """Returns few vertices of a polyline that keep it within a tolerance in space (Douglas-Peucker), `[m 3]`.
+
+    Every 512th vertex stays, which bounds the time by the number of vertices.
+
+    Args:
+        points: vertices, `[k 3]`; the first and the last one stay.
+        tolerance_m: largest distance of a vertex from the new line.
+    """
+    keep = np.zeros(len(points), dtype=bool)
+    keep[::_SIMPLIFY_BLOCK] = True
+    keep[-1] = True
+    kept = np.flatnonzero(keep)
+    open_spans = list(zip(kept[:-1].tolist(), kept[1:].tolist(), strict=True))
+    while open_spans:
+        first, last = open_spans.pop()
+        if last - first < 2:
+            continue
+        chord = points[last] - points[first]
+        relative = points[first + 1 : last] - points[first]
+        share = np.clip(relative @ chord / max(float(chord @ chord), 1e-18), 0.0, 1.0)
+        gap = relative - share[:, None] * chord
+        away = np.einsum("ij,ij->i", gap, gap)
+        worst = int(np.argmax(away))
+        if away[worst] > tolerance_m**2:
+            middle = first + 1 + worst
+            keep[middle] = True
+            open_spans += [(first, middle), (middle, last)]
+    return points[keep]
 
 
 def clip_to_circle(points: np.ndarray, center: np.ndarray, radius_m: float) -> list[tuple[np.ndarray, bool, bool]]:

@@ -14,9 +14,18 @@ from semloc_jax.maps.io.drive_geojson import map_from_drive_geojson, write_drive
 from semloc_jax.maps.io.geojson import map_from_geojson, write_geojson
 from semloc_jax.maps.io.lanelet2 import read_lanelet2
 from semloc_jax.maps.io.lanelet2_ways import Lanelet2Style
+from semloc_jax.maps.io.opendrive import OpenDriveStyle, read_opendrive
 from semloc_jax.maps.semantic_map import SemanticMap
 
-__all__ = ["Lanelet2Style", "read_lanelet2", "read_map", "write_drive_geojson", "write_geojson"]
+__all__ = [
+    "Lanelet2Style",
+    "OpenDriveStyle",
+    "read_lanelet2",
+    "read_map",
+    "read_opendrive",
+    "write_drive_geojson",
+    "write_geojson",
+]
 
 
 def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
@@ -34,6 +43,8 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
         raise SemlocError(f"map {path}: no such file; give a .geojson, .json or .osm map")
     if path.suffix.lower() in (".osm", ".xml"):
         found = read_lanelet2(path, origin)
+    elif path.suffix.lower() == ".xodr":
+        found = read_opendrive(path, origin)
     elif path.suffix.lower() in (".geojson", ".json"):
         document = _parse_geojson(path)
         is_drive = isinstance(document.get("frame"), Mapping)
