@@ -42,12 +42,14 @@ class SemanticMap:
         origin: WGS84 place of the frame, None where the source did not say.
         name: where it came from, for messages.
         skipped: what the reader left out, by reason or class, with counts.
+        frame: the coordinate system in words, where the format has a name for it.
     """
 
     elements: tuple[MapElement, ...]
     origin: GeoOrigin | None = None
     name: str = "map"
     skipped: Mapping[str, int] = field(default_factory=dict)
+    frame: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "elements", tuple(self.elements))

@@ -10,6 +10,7 @@ from typing import Any
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import GeoOrigin
+from semloc_jax.maps.io.argoverse2 import Argoverse2Style, find_archive, is_argoverse2, map_from_argoverse2
 from semloc_jax.maps.io.drive_geojson import map_from_drive_geojson, write_drive_geojson
 from semloc_jax.maps.io.geojson import map_from_geojson, write_geojson
 from semloc_jax.maps.io.lanelet2 import read_lanelet2
@@ -18,6 +19,7 @@ from semloc_jax.maps.io.opendrive import OpenDriveStyle, read_opendrive
 from semloc_jax.maps.semantic_map import SemanticMap
 
 __all__ = [
+    "Argoverse2Style",
     "Lanelet2Style",
     "OpenDriveStyle",
     "read_lanelet2",
@@ -39,6 +41,8 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
         SemlocError: no such file, no known format, broken content, or nothing in it that can be seen.
     """
     path = Path(path)
+    if path.is_dir():
+        path = find_archive(path) or path
     if not path.is_file():
         raise SemlocError(f"map {path}: no such file; give a .geojson, .json or .osm map")
     if path.suffix.lower() in (".osm", ".xml"):
@@ -46,11 +50,7 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
     elif path.suffix.lower() == ".xodr":
         found = read_opendrive(path, origin)
     elif path.suffix.lower() in (".geojson", ".json"):
-        document = _parse_geojson(path)
-        is_drive = isinstance(document.get("frame"), Mapping)
-        found = (
-            map_from_drive_geojson(document, path.name) if is_drive else map_from_geojson(document, path.name, origin)
-        )
+        found = _map_from_json(_parse_json(path), path.name, origin)
     else:
         raise SemlocError(f"map {path.name}: unknown type '{path.suffix}'; expected .geojson, .json or .osm")
     if not any(not element.is_logical for element in found.elements):
@@ -62,13 +62,20 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
     return found
 
 
-def _parse_geojson(path: Path) -> dict[str, Any]:
-    """Returns the FeatureCollection in a file."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise SemlocError(f"map {path.name}: not valid JSON ({error}); is the file complete?") from error
+def _map_from_json(document: Any, name: str, origin: GeoOrigin | None) -> SemanticMap:
+    """Returns the map in a parsed JSON document: Argoverse 2, the drive layout, or GeoJSON in degrees."""
+    if is_argoverse2(document):
+        return map_from_argoverse2(document, name, origin)
     if not isinstance(document, dict) or not isinstance(document.get("features"), list):
         kind = document.get("type") if isinstance(document, dict) else type(document).__name__
-        raise SemlocError(f"map {path.name}: holds {kind}; expected a GeoJSON FeatureCollection with `features`")
-    return document
+        raise SemlocError(f"map {name}: holds {kind}; expected a GeoJSON FeatureCollection with `features`")
+    if isinstance(document.get("frame"), Mapping):
+        return map_from_drive_geojson(document, name)
+    return map_from_geojson(document, name, origin)
+
+
+def _parse_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise SemlocError(f"map {path.name}: not valid JSON ({error}); is the file complete?") from error

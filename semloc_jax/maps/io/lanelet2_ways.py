@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from semloc_jax.geometry import polyline
 from semloc_jax.maps.curves import parallel, without_repeats
 from semloc_jax.maps.elements import VIRTUAL, MapElement
+from semloc_jax.maps.io.paint import assuming, bars, strokes
 from semloc_jax.structs import ElementClass
 
 LOGICAL_TYPES = frozenset({"virtual", "road_border", "bulb", "light_bulbs"})
@@ -95,53 +95,16 @@ def _line(base: MapElement, kind: str, subtype: str, style: Lanelet2Style) -> li
     """Returns the painted strokes of a line way."""
     width = _number(base.attributes, "width")
     if width == 0.0 and kind not in _EDGES:
-        base = _assuming(base, "width")
+        base = assuming(base, "width")
     if kind in _EDGES:
         return [_of(base, base.label, base.points, style="solid")]
     if kind in ("pedestrian_marking", "bike_marking"):
-        return _bars(base, width or style.thin_width_m, style.crossing_dash_m, style.crossing_gap_m)
+        return bars(base, width or style.thin_width_m, style.crossing_dash_m, style.crossing_gap_m)
     if kind == "stop_line":
         return [_of(base, base.label, base.points, width_m=width or style.stop_line_width_m, style="solid")]
     width = width or (style.thick_width_m if kind == "line_thick" else style.thin_width_m)
-    strokes = [stroke for stroke in subtype.split("_") if stroke in ("solid", "dashed")] or ["solid"]
-    shift = 0.5 * (width + style.double_gap_m)
-    offsets = [0.0] if len(strokes) == 1 else [shift, -shift]
-    found: list[MapElement] = []
-    for side, offset, stroke in zip(("L", "R"), offsets, strokes, strict=False):
-        points = parallel(base.points, offset) if offset else base.points
-        part = _of(base, base.label, points, name=side if offset else "")
-        if stroke == "dashed":
-            found += _bars(part, width, style.dash_m, style.gap_m)
-        else:
-            found.append(_of(part, part.label, part.points, width_m=width, style="solid"))
-    return found
-
-
-def _bars(line: MapElement, width_m: float, dash_m: float, gap_m: float) -> list[MapElement]:
-    """Returns the bars of a dashed line, the first half a gap from its start (a short line has one in its middle).
-
-    Nobody knows where the bars really begin, so they have no true ends: only their long sides are contours.
-    """
-    along = polyline.arc_length(line.points)
-    starts = np.arange(0.5 * gap_m, along[-1] - 0.5 * dash_m, dash_m + gap_m)
-    if len(starts) == 0:
-        starts = np.array([max(0.5 * (along[-1] - dash_m), 0.0)])
-    line = _assuming(line, "dashes")
-    bars = []
-    for index, start in enumerate(starts):
-        end = min(start + dash_m, along[-1])
-        inside = line.points[(along > start) & (along < end)]
-        ends = polyline.interpolate(line.points, np.array([start, end]))
-        points = np.vstack([ends[:1], inside, ends[1:]])
-        bar = _of(line, line.label, points, name=f"_{index}", width_m=width_m, style="dashed", true_ends=(False, False))
-        bars.append(bar)
-    return bars
-
-
-def _assuming(element: MapElement, what: str) -> MapElement:
-    """Returns the element with a note of what the file did not say."""
-    assumed = [*element.attributes.get("assumed", []), what]
-    return replace(element, attributes={**element.attributes, "assumed": assumed})
+    words = [word for word in subtype.split("_") if word in ("solid", "dashed")] or ["solid"]
+    return strokes(base, words, width, style.double_gap_m, style.dash_m, style.gap_m)
 
 
 def _sign(base: MapElement, height_m: float) -> MapElement:
