@@ -18,8 +18,10 @@ class Options:
     You do not need one: every value has a default, and every value is an option of the verb too.
     """
 
-    of: Annotated[tyro.conf.Positional[Literal["localize", "simulate"]], tyro.conf.arg(metavar="VERB")] = "localize"
-    """The verb whose configuration is printed: localize or simulate."""
+    of: Annotated[tyro.conf.Positional[Literal["localize", "track", "simulate"]], tyro.conf.arg(metavar="VERB")] = (
+        "localize"
+    )
+    """The verb whose configuration is printed: localize, track or simulate."""
     config: Path | None = None
     """YAML file over the defaults; wrong keys are refused."""
 

@@ -15,9 +15,12 @@ INTERRUPTED = 130
 
 VERBS = {
     "localize": "where was the vehicle in each frame of a drive: trajectory, modes, metrics, pictures",
+    "track": "follow the vehicle through a whole drive: pose, confidence and status of every frame",
     "landscape": "the cost around the pose of one frame, over two of the six directions",
     "evaluate": "errors of a trajectory against a reference, with an optional gate",
     "inspect": "what a map holds and what looks wrong in it",
+    "check-calib": "what looks wrong in a calibration, and pictures of it: horizon, ground grid, map",
+    "segment": "masks of a drive by a network, with a report of the map classes they can see",
     "simulate": "write a small rendered drive with exact truth",
     "demo": "simulate, localize and draw, in less than a minute",
     "doctor": "check this machine: versions, device, numerical self-tests",
@@ -40,7 +43,7 @@ exit codes: 0 done, 1 failed, 2 wrong usage, 3 ran but is lost or missed a gate
 
 def usage() -> str:
     """The text of `semloc --help`."""
-    return USAGE_TEXT.format(verbs="\n".join(f"  {name:<11}{text}" for name, text in VERBS.items()))
+    return USAGE_TEXT.format(verbs="\n".join(f"  {name:<13}{text}" for name, text in VERBS.items()))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -77,7 +80,7 @@ def _run_verb(name: str, words: list[str], debug: bool) -> int:
     try:
         if not {"-h", "--help"} & set(words):
             runtime.prepare_jax()
-        verb: ModuleType = importlib.import_module(f"semloc_jax.cli.{name}")
+        verb: ModuleType = importlib.import_module(f"semloc_jax.cli.{name.replace('-', '_')}")
         return verb.run(parse(name, verb, words))
     except SystemExit as stop:  # `--help` of a verb
         return int(stop.code or 0)

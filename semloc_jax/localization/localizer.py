@@ -27,13 +27,14 @@ from semloc_jax.localization.following import (
     weighed,
 )
 from semloc_jax.localization.frame_alignment import AlignmentConfig, FrameAligner
-from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement
+from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.initialization import no_fixes, with_fix
 from semloc_jax.localization.kalman import KalmanFusion
 from semloc_jax.localization.map_faults import TrustConfig
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.localization.prediction import MotionLog
+from semloc_jax.localization.priors import PosePrior
 from semloc_jax.localization.run import FrameLocalizer, LocalizeConfig
 from semloc_jax.localization.single_frame import frame_input
 from semloc_jax.localization.track_state import (
@@ -110,8 +111,18 @@ class Localizer:
         status = np.float64(TrackStatus.INITIALIZING)
         return TrackerState(nothing, status, (), (), nothing, no_fixes(), trust, health.no_counts())
 
+    def template(self) -> TrackerState:
+        """A state with one track and one that coasts: the shapes of everything a checkpoint holds."""
+        track = new_track(self.fusion, PoseMeasurement(0.0, np.eye(4), np.eye(6)), 0.0)
+        return self.start()._replace(tracks=(track,), coasting=(track.fusion,))
+
     def features(
-        self, frame: Frame, masks: Sequence[np.ndarray], rig: Rig, fixes: Sequence[GnssMeasurement] = ()
+        self,
+        frame: Frame,
+        masks: Sequence[np.ndarray],
+        rig: Rig,
+        fixes: Sequence[GnssMeasurement] = (),
+        guess: PosePrior | None = None,
     ) -> FrameFeatures:
         """What a frame shows, without the map: the stage that can run ahead of the localization.
 
@@ -120,13 +131,14 @@ class Localizer:
             masks: Class ids of every camera.
             rig: Cameras of the masks.
             fixes: Satellite fixes since the frame before.
+            guess: First guess of the pose, where something else knows it.
         """
         maps = cost_maps(masks, self.table, self.config.cost_maps)
         anywhere = self.windows.around(self.map.extent.mean(axis=0)).samples
         packed = frame_input(anywhere, maps, rig, self.channel_of_label)
         usable = float(np.mean(np.asarray(maps.usable)))
         return FrameFeatures(
-            frame.id, frame.time_s, rig, packed.textures, packed.usable, packed.always, tuple(fixes), usable
+            frame.id, frame.time_s, rig, packed.textures, packed.usable, packed.always, tuple(fixes), usable, guess
         )
 
     def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:
@@ -210,7 +222,7 @@ class Localizer:
         if self.area is not None and coasting is None:
             modes = self.acquisition.search_area(frame, self.area)
         else:
-            prior = self.acquisition.prior(state.fixes, coasting, frame.time_s)
+            prior = self.acquisition.prior(state.fixes, coasting, frame.time_s) or frame.guess
             if prior is None:
                 return state
             modes = self.acquisition.search(frame, prior)

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 
 from semloc_jax.cameras import Rig
 from semloc_jax.localization.fusion import FusedPose, GnssMeasurement, PoseMeasurement
+from semloc_jax.localization.priors import PosePrior
 from semloc_jax.residuals.alignment import Usable
 from semloc_jax.residuals.texture import RampTextures
 
@@ -106,6 +107,8 @@ class FrameFeatures(NamedTuple):
     """Satellite fixes that came in since the frame before."""
     usable_share: float = 1.0
     """Share of the pixels that are no moving object, own vehicle or unknown."""
+    guess: PosePrior | None = None
+    """First guess of the pose, where something else than satellites knows it."""
 
 
 @dataclass(frozen=True)

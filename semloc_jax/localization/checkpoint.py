@@ -1,0 +1,75 @@
+"""The state of a localizer in a file, bit for bit (room: localization; host).
+
+In: TrackerState. Out: an npz file, written whole or not at all; and back.
+"""
+
+import os
+import zipfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.localization.track_state import TrackerState
+
+_META = "next_frame", "is_initialised"
+
+
+class Checkpoint(NamedTuple):
+    """Where a run stands after a frame."""
+
+    state: TrackerState
+    next_frame: int
+    """Place of the next frame in the list of frames."""
+    is_initialised: bool
+    """Whether the vehicle was tracked before."""
+
+
+def save(checkpoint: Checkpoint, path: Path) -> None:
+    """Write a checkpoint; a kill while it is written leaves the one before."""
+    leaves = {name: np.asarray(leaf) for name, leaf in _named(checkpoint.state)}
+    sizes = {"num_tracks": len(checkpoint.state.tracks), "num_coasting": len(checkpoint.state.coasting)}
+    meta = {key: getattr(checkpoint, key) for key in _META}
+    unfinished = path.with_suffix(".part")
+    with unfinished.open("wb") as file:
+        np.savez(file, **leaves, **sizes, **meta)
+    os.replace(unfinished, path)
+
+
+def load(path: Path, template: TrackerState) -> Checkpoint:
+    """A checkpoint as it was saved.
+
+    Args:
+        path: The file.
+        template: A state of the same map and fusion with one track and one coasting state.
+
+    Raises:
+        SemlocError: there is no such file, or it belongs to another map, fusion or version.
+    """
+    try:
+        with np.load(path) as file:
+            content = {name: file[name] for name in file.files}
+        tracks = template.tracks * int(content["num_tracks"])
+        coasting = template.coasting * int(content["num_coasting"])
+        wanted = template._replace(tracks=tracks, coasting=coasting)
+        leaves = [_checked(content[name], leaf, name) for name, leaf in _named(wanted)]
+    except FileNotFoundError as error:
+        raise SemlocError(f"checkpoint {path}: no such file; give --resume the folder of an unfinished run") from error
+    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise SemlocError(
+            f"checkpoint {path}: does not fit ({error}); resume with the map, the fusion and the version of the run"
+        ) from error
+    state = jax.tree.unflatten(jax.tree.structure(wanted), leaves)
+    return Checkpoint(state, int(content["next_frame"]), bool(content["is_initialised"]))
+
+
+def _named(state: TrackerState) -> list[tuple[str, Any]]:
+    return [(jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_flatten_with_path(state)[0]]
+
+
+def _checked(found: np.ndarray, like: Any, name: str) -> np.ndarray:
+    if found.shape != np.shape(like):
+        raise ValueError(f"{name} has shape {found.shape}, expected {np.shape(like)}")
+    return found[()] if found.ndim == 0 else found

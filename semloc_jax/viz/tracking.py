@@ -1,0 +1,101 @@
+"""How a tracked drive went: errors inside their protection levels, status, timing (room: viz).
+
+In: columns of a tracked drive. Out: Figures.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from semloc_jax.localization.track_state import TrackStatus
+from semloc_jax.viz.style import new_figure, plain_axes
+
+STATUS_COLOURS = {
+    TrackStatus.INITIALIZING: "#90a4ae",
+    TrackStatus.TRACKING: "#2e7d32",
+    TrackStatus.DEGRADED: "#f9a825",
+    TrackStatus.LOST: "#c62828",
+}
+ERROR, LEVEL, LIMIT = "#0d47a1", "#90caf9", "#c62828"
+
+
+def tracking_over_time(
+    time_s: np.ndarray,
+    status: Sequence[TrackStatus],
+    errors: dict[str, np.ndarray],
+    protection: dict[str, np.ndarray],
+    limits: dict[str, float],
+) -> Figure:
+    """Errors inside the band of their protection levels, one row a direction, and the status as a strip below.
+
+    Args:
+        time_s: Times of the frames [s].
+        status: Of each frame.
+        errors: Signed errors by direction, e.g. `lateral [m]`; nan where there is no truth.
+        protection: Protection levels by the same names.
+        limits: Alert limits by the same names.
+    """
+    figure = new_figure(10.0, 1.9 * len(errors) + 0.8)
+    rows = figure.subplots(
+        len(errors) + 1, 1, sharex=True, gridspec_kw={"height_ratios": [*(8 for _ in errors), 1]}, squeeze=False
+    )[:, 0]
+    time_s = np.asarray(time_s) - time_s[0]
+    for axes, name in zip(rows, errors, strict=False):
+        _draw_errors(plain_axes(axes), time_s, errors[name], protection[name], limits[name], name)
+    _draw_status(rows[-1], time_s, status)
+    rows[-1].set_xlabel("time [s]", fontsize=9)
+    handles = [Patch(color=colour, label=s.name.lower()) for s, colour in STATUS_COLOURS.items() if s in status]
+    handles.append(Patch(color=LEVEL, label="protection level"))
+    figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False)
+    return figure
+
+
+def _draw_errors(axes: Axes, time_s: np.ndarray, error: np.ndarray, level: np.ndarray, limit: float, name: str) -> None:
+    level = np.where(np.isfinite(level), level, 1e3)
+    axes.fill_between(time_s, -level, level, color=LEVEL, alpha=0.55, linewidth=0)
+    axes.plot(time_s, error, color=ERROR, linewidth=1.1)
+    for side in (-limit, limit):
+        axes.axhline(side, color=LIMIT, linewidth=0.8, linestyle=(0, (4, 3)))
+    shown = np.concatenate([np.abs(error[np.isfinite(error)]), level[level < 3.0 * limit], [0.0]])
+    reach = float(np.clip(1.15 * np.max(shown), 0.3 * limit, 1.3 * limit))
+    axes.set_ylim(-reach, reach)
+    axes.set_ylabel(name, fontsize=9)
+    size = np.abs(error[np.isfinite(error)])
+    if len(size):
+        text = f"mean {size.mean():.3f}   p95 {np.percentile(size, 95):.3f}   max {size.max():.3f}   limit ±{limit:g}"
+        axes.set_title(text, loc="left", fontsize=8)
+
+
+def _draw_status(axes: Axes, time_s: np.ndarray, status: Sequence[TrackStatus]) -> None:
+    step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+    for time, value in zip(time_s, status, strict=True):
+        axes.axvspan(time - 0.5 * step, time + 0.5 * step, color=STATUS_COLOURS[value], linewidth=0)
+    axes.set_yticks([])
+    axes.tick_params(labelsize=8, length=3, width=0.6)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def status_banner(image: np.ndarray, status: TrackStatus, text: str) -> np.ndarray:
+    """The image with a bar below that says status and numbers, coloured by status.
+
+    Args:
+        image: uint8[h w 3], red green blue.
+        status: Colour of the bar.
+        text: What it says.
+    """
+    import cv2
+
+    from semloc_jax.viz.style import rgb
+
+    height = max(image.shape[1] // 24, 24)
+    bar = np.full((height, image.shape[1], 3), 20, np.uint8)
+    bar[:, : height // 2] = rgb(STATUS_COLOURS[status])
+    scale = height / 42.0
+    cv2.putText(
+        bar, text, (height, int(0.68 * height)), cv2.FONT_HERSHEY_SIMPLEX, scale, (235, 240, 245), 1, cv2.LINE_AA
+    )
+    return np.vstack([image, bar])
