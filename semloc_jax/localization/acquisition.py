@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry import rigid
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.fusion import FusedPose, PoseMeasurement
-from semloc_jax.localization.initialization import InitializationConfig, prior_from_fixes, tile_priors
+from semloc_jax.localization.initialization import InitializationConfig, prior_from_fixes, sectors, tile_priors
 from semloc_jax.localization.modes import modes_in_map
 from semloc_jax.localization.prediction import MotionLog
 from semloc_jax.localization.priors import PosePrior, RoadSigmas
@@ -94,6 +95,10 @@ class Acquisition:
 
     def search(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
         """Every answer of one frame around a prior that is worth following, best first."""
+        priors = sectors(prior, self.config.fixes)
+        return self._search(frame, prior) if len(priors) == 1 else self._best_of(frame, priors)
+
+    def _search(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
         config = self.config
         try:
             T_map_prior = prior.on_road(self.aligner.map)
@@ -112,14 +117,25 @@ class Acquisition:
 
     def search_area(self, frame: FrameFeatures, area: Area) -> tuple[Mode, ...]:
         """Every answer of one frame anywhere in an area, best first."""
-        config = self.config
-        center = np.array([area.x_m, area.y_m])
-        found: list[Mode] = []
-        for prior in tile_priors(center, area.radius_m, config.tile_m, config.tile_heading_deg):
-            found += self.search(frame, prior)
+        tiles = tile_priors(
+            np.array([area.x_m, area.y_m]), area.radius_m, self.config.tile_m, self.config.tile_heading_deg
+        )
+        return self._best_of(frame, tiles)
+
+    def _best_of(self, frame: FrameFeatures, priors: list[PosePrior]) -> tuple[Mode, ...]:
+        """The best answers of several searches."""
+        found = [mode for prior in priors for mode in self._search(frame, prior)]
         # A cost that leaves out what cannot be seen favours poses that see little: what is explained decides.
         found.sort(key=lambda mode: mode.cost - mode.coverage * mode.inlier_ratio)
-        return tuple(found[: config.max_tracks])
+        kept: list[Mode] = []
+        for mode in found:
+            if not any(self._is_same(mode, other) for other in kept):
+                kept.append(mode)
+        return tuple(kept[: self.config.max_tracks])
+
+    def _is_same(self, mode: Mode, other: Mode) -> bool:
+        step = rigid.log(rigid.inverse(other.T_map_base) @ mode.T_map_base)
+        return bool(np.hypot(*step[:2]) < self.config.merge_m and abs(np.degrees(step[5])) < self.config.merge_deg)
 
     def measurement(self, mode: Mode, time_s: float) -> PoseMeasurement:
         """A mode as the first measurement of a track."""

@@ -4,7 +4,7 @@ In: satellite fixes and the driven path between them, or an area of the map. Out
 Two valid fixes give position and heading (arXiv 2107.02557); which pose it is, is then decided by the masks.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -30,15 +30,18 @@ class InitializationConfig:
     """Fixes nearer to each other along the path say nothing of the heading."""
     max_sigma_m: float = 10.0
     """Fixes that state more than this are not valid."""
-    max_age_s: float = 1.5
-    """The newest fix may be this old."""
     window_s: float = 20.0
     """Older fixes are not used."""
+    drift_share: float = 0.03
+    """What dead reckoning since the newest fix adds to the sigma, as a share of the way."""
     sigma_inflation: float = 1.5
     """Neighbouring fixes share errors that their stated sigma does not hold."""
     min_sigma_m: float = 1.0
-    max_sigma_heading_deg: float = 20.0
-    """A search covers this heading at most, in sigmas; while the fixes say less it waits for more of them."""
+    max_sigma_heading_deg: float = 60.0
+    """While the fixes say less of the heading than this, more of them are waited for."""
+    sector_sigma_deg: float = 10.0
+    """A search covers a heading of this sigma; where the fixes say less, several sectors are searched."""
+    reach_sigmas: float = 2.0
     min_sigma_heading_deg: float = 2.0
 
 
@@ -71,7 +74,7 @@ def prior_from_fixes(
     """
     valid = (fixes.time_s >= time_s - config.window_s) & (fixes.time_s <= time_s + 1e-6)
     valid &= np.max(fixes.sigma_m[:, :2], axis=1) <= config.max_sigma_m
-    if valid.sum() < config.min_fixes or time_s - fixes.time_s[valid].max() > config.max_age_s:
+    if valid.sum() < config.min_fixes:
         return None
     track = GnssTrack(fixes.time_s[valid], fixes.p_map[valid], fixes.sigma_m[valid])
     path = _driven_path(motion, float(track.time_s[0]), time_s, calibration)
@@ -80,7 +83,9 @@ def prior_from_fixes(
     found = gnss_prior(track, time_s, path, causal=True)
     if np.degrees(found.sigma_heading_rad) > config.max_sigma_heading_deg:
         return None
+    since_m = path.distance_m(np.array([time_s]))[0] - path.distance_m(track.time_s[-1:])[0]
     sigma_m = max(config.sigma_inflation * float(np.max(found.sigma_m[:2])), config.min_sigma_m)
+    sigma_m += config.drift_share * float(since_m)
     heading = max(found.sigma_heading_rad, np.deg2rad(config.min_sigma_heading_deg))
     return PosePrior(float(found.p_enu[0]), float(found.p_enu[1]), found.heading_rad, sigma_m, float(heading))
 
@@ -100,6 +105,16 @@ def _driven_path(motion: MotionLog, from_s: float, to_s: float, calibration: Cal
     knots = np.concatenate([times[:1], middle, times[-1:]])
     pad = (np.concatenate([values[:1], values, values[-1:]]) for values in (speed, rate))
     return WheelOdometry(knots, *pad)
+
+
+def sectors(prior: PosePrior, config: InitializationConfig) -> list[PosePrior]:
+    """The prior as one or several that a search can cover, which differ in heading; the most probable first."""
+    width = np.deg2rad(config.sector_sigma_deg)
+    if prior.sigma_heading_rad <= 1.5 * width:
+        return [prior]
+    num = int(np.ceil(min(config.reach_sigmas * prior.sigma_heading_rad, np.pi) / (2.0 * width)))
+    turns = 2.0 * width * np.array([0.0, *(sign * k for k in range(1, num + 1) for sign in (1.0, -1.0))])
+    return [replace(prior, heading_rad=prior.heading_rad + float(t), sigma_heading_rad=float(width)) for t in turns]
 
 
 def tile_priors(

@@ -230,9 +230,9 @@ class Localizer:
         if not modes:
             return state
         measured = [self.acquisition.measurement(mode, frame.time_s) for mode in modes]
-        penalties = [modes[0].score - mode.score for mode in modes]
+        penalties = [mode.score - modes[0].score for mode in modes]
         tracks = tuple(
-            new_track(self.fusion, m, -self.config.follow.penalty_share * p)
+            new_track(self.fusion, m, self.config.follow.penalty_share * max(p, 0.0))
             for m, p in zip(measured, penalties, strict=True)
         )
         return state._replace(tracks=tracks, counters=health.no_counts())
