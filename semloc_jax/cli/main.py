@@ -23,6 +23,7 @@ VERBS = {
     "segment": "masks of a drive by a network, with a report of the map classes they can see",
     "simulate": "write a small rendered drive with exact truth",
     "demo": "simulate, localize and draw, in less than a minute",
+    "bench": "hypotheses per second of this package and of its peers, side by side, on this machine",
     "doctor": "check this machine: versions, device, numerical self-tests",
     "config": "print the configuration with every default filled in",
 }

@@ -9,7 +9,7 @@ from pathlib import Path
 from semloc_jax.datasets.bags import is_bag, read_bag
 from semloc_jax.datasets.base import Sequence
 from semloc_jax.datasets.drive import is_drive, read_drive
-from semloc_jax.datasets.folder import read_folder
+from semloc_jax.datasets.folder import has_pictures, read_folder
 from semloc_jax.datasets.pandaset import is_pandaset, read_pandaset
 from semloc_jax.errors import SemlocError
 
@@ -43,3 +43,10 @@ def open_sequence(path: str | Path, calibration: str | Path | None = None) -> Se
     if not path.is_dir():
         raise SemlocError(f"data set {path}: unknown type '{path.suffix}'; expected .bag, .db3, .mcap or a folder")
     return read_folder(path, calibration)
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a path is a recording and not a calibration: a folder with pictures, or a file of a known kind."""
+    if any(fits(path) for _, fits, _ in _KINDS):
+        return True
+    return path.is_dir() and has_pictures(path)

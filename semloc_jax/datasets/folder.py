@@ -74,6 +74,11 @@ def read_folder(
     )
 
 
+def has_pictures(path: Path) -> bool:
+    """Whether a folder has a folder of images or masks."""
+    return bool(_kind_folders(path))
+
+
 def _find_calibration(path: Path) -> Path:
     for name in _CALIBRATIONS:
         if (path / name).is_file():
