@@ -4,6 +4,7 @@ In: PoseMeasurement, MotionIncrement, GnssMeasurement. Out: FusedPose. Filter: k
 Every fusion is pure: state in, state out; a state is a tuple of float64 arrays that a npz file holds bit for bit.
 """
 
+from dataclasses import dataclass, field
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxtyping import Float
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
-from semloc_jax.localization.prediction import Calibration, MotionIncrement
+from semloc_jax.localization.prediction import Calibration, MotionIncrement, MotionNoise
 
 State = TypeVar("State")
 _SAME_TIME_S = 1e-3
@@ -57,6 +58,35 @@ class Innovation(NamedTuple):
     chi2: float
     dof: int
     accepted: bool
+
+
+@dataclass(frozen=True)
+class SensorBeliefs:
+    """How far odometer scale, gyroscope and satellites may be off, and how fast that changes; all values are ours."""
+
+    scale_sigma: float = 0.02
+    scale_walk: float = 2e-4
+    """How fast the odometer scale changes [1 per root of s]: pressure and temperature of the tyres."""
+    gyro_bias_sigma_degps: float = 0.2
+    gyro_bias_walk_degps: float = 0.005
+    """[deg/s per root of s]."""
+    gnss_offset_sigma_m: float = 3.0
+    gnss_offset_walk_m: float = 0.15
+    """How fast the slow error of the fixes changes [m per root of s]."""
+    motion: MotionNoise = field(default_factory=MotionNoise)
+    """What the vehicle may do while nothing measures its motion."""
+
+    @property
+    def sigma(self) -> Float[np.ndarray, "4"]:
+        """Standard deviations of scale, gyroscope bias [rad/s], GNSS offset east, north [m] at the start."""
+        offset = self.gnss_offset_sigma_m
+        return np.array([self.scale_sigma, np.deg2rad(self.gyro_bias_sigma_degps), offset, offset])
+
+    @property
+    def walk(self) -> Float[np.ndarray, "4"]:
+        """How fast they change [per root of s]."""
+        offset = self.gnss_offset_walk_m
+        return np.array([self.scale_walk, np.deg2rad(self.gyro_bias_walk_degps), offset, offset])
 
 
 class Fusion(Protocol, Generic[State]):

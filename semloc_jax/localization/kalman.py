@@ -3,7 +3,7 @@
 In: PoseMeasurement, MotionIncrement, GnssMeasurement. Out: FusedPose; the light alternative to the window.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -16,35 +16,25 @@ from semloc_jax.localization.fusion import (
     GnssMeasurement,
     Innovation,
     PoseMeasurement,
+    SensorBeliefs,
     check_same_time,
     normalised_square,
 )
-from semloc_jax.localization.prediction import Calibration, MotionIncrement, MotionQuality
+from semloc_jax.localization.prediction import Calibration, MotionIncrement, MotionQuality, coasted
 
 
 @dataclass(frozen=True)
 class KalmanConfig:
     """What the filter believes about sensors and outliers; all values are ours."""
 
+    sensors: SensorBeliefs = field(default_factory=SensorBeliefs)
     gate_probability: float = 0.999
     """A measurement beyond this quantile of the chi-square distribution is refused."""
-    scale_sigma: float = 0.02
-    scale_walk: float = 2e-4
-    """How fast the odometer scale changes [1 per root of s]: pressure and temperature of the tyres."""
-    gyro_bias_sigma_degps: float = 0.2
-    gyro_bias_walk_degps: float = 0.005
-    """[deg/s per root of s]."""
-    gnss_offset_sigma_m: float = 3.0
-    gnss_offset_walk_m: float = 0.15
-    """How fast the slow error of the fixes changes [m per root of s]."""
     motion_gate_m: float = 1.5
     """A step that differs from the mean motion by more than this, and what `motion_gate_mps2` adds, is refused."""
     motion_gate_mps2: float = 4.0
     motion_memory_s: float = 1.0
     """Time over which the mean motion is taken; it says nothing after twice this time without a measured pose."""
-    unknown_acceleration_mps2: float = 1.5
-    unknown_yaw_acceleration_degps2: float = 6.0
-    """What the vehicle may do while nothing measures its motion."""
 
 
 class KalmanState(NamedTuple):
@@ -76,11 +66,9 @@ class KalmanFusion:
 
     def start(self, measurement: PoseMeasurement) -> KalmanState:
         """State at the first pose, with nominal calibration."""
-        config = self.config
         covariance = np.zeros((10, 10))
         covariance[:6, :6] = measurement.covariance
-        bias, offset = np.deg2rad(config.gyro_bias_sigma_degps), config.gnss_offset_sigma_m
-        covariance[range(6, 10), range(6, 10)] = np.square([config.scale_sigma, bias, offset, offset])
+        covariance[6:, 6:] = np.diag(self.config.sensors.sigma**2)
         T, time_s, zero = measurement.T_map_base.astype(np.float64), np.float64(measurement.time_s), np.float64(0.0)
         return KalmanState(time_s, T, np.float64(1.0), zero, np.zeros(2), covariance, time_s, T, np.full(6, np.nan))
 
@@ -88,18 +76,17 @@ class KalmanFusion:
         """State after the motion; where no sensor knows it, the mean motion goes on."""
         check_same_time("increment", increment.from_s, float(state.time_s))
         step_s = abs(increment.to_s - increment.from_s)
-        motion, noise = increment.corrected(_calibration(state)), increment.covariance
         if increment.quality is MotionQuality.MISSING and np.isfinite(state.mean_twist).all():
-            motion = rigid.exp(state.mean_twist * (increment.to_s - increment.from_s))
-            noise = self._unknown_motion(state, step_s)
+            age_s = float(state.time_s - state.measured_s)
+            memory_s, noise = self.config.motion_memory_s, self.config.sensors.motion
+            increment = coasted(increment, state.mean_twist, age_s, memory_s, noise)
+        motion = increment.corrected(_calibration(state))
         F = np.eye(10)
         F[:6, :6] = rigid.adjoint(rigid.inverse(motion))
         F[:6, 6:8] = increment.jacobian
         Q = np.zeros((10, 10))
-        Q[:6, :6] = noise
-        config = self.config
-        walk = config.scale_walk, np.deg2rad(config.gyro_bias_walk_degps)
-        Q[range(6, 10), range(6, 10)] = np.square([*walk, *[config.gnss_offset_walk_m] * 2]) * step_s
+        Q[:6, :6] = increment.covariance
+        Q[6:, 6:] = np.diag(self.config.sensors.walk**2) * step_s
         return state._replace(
             time_s=np.float64(increment.to_s),
             T_map_base=rigid.normalised(state.T_map_base @ motion),
@@ -155,18 +142,6 @@ class KalmanFusion:
         return corrected._replace(
             measured_s=np.float64(measurement.time_s), T_measured=measurement.T_map_base, mean_twist=mean
         )
-
-    def _unknown_motion(self, state: KalmanState, step_s: float) -> np.ndarray:
-        """Covariance of a step of the mean motion.
-
-        The mean lags behind by its memory; then (acceleration age^2 / 2)^2 in all since the last measured pose.
-        """
-        config = self.config
-        age_s = max(float(state.time_s - state.measured_s), 0.0)
-        grown = 0.25 * ((age_s + step_s) ** 4 - age_s**4) + (config.motion_memory_s * step_s) ** 2
-        acceleration = np.array([1.0, 0.2, 0.2]) * config.unknown_acceleration_mps2
-        turn = np.deg2rad(np.array([0.2, 0.2, 1.0]) * config.unknown_yaw_acceleration_degps2)
-        return np.diag(np.concatenate([acceleration, turn]) ** 2 * grown)
 
 
 def _calibration(state: KalmanState) -> Calibration:

@@ -85,6 +85,28 @@ class MotionNoise:
     unknown_yaw_rate_degps: float = 15.0
 
 
+def coasted(
+    increment: MotionIncrement, twist: Float[np.ndarray, "6"], age_s: float, memory_s: float, noise: MotionNoise
+) -> MotionIncrement:
+    """The increment of a vehicle that goes on as it did: what stands in where nothing measures the motion.
+
+    Args:
+        increment: One of quality MISSING; its times are kept.
+        twist: Mean motion so far [m/s, rad/s].
+        age_s: Time since the pose was last measured, at the start of the increment [s].
+        memory_s: Time by which the mean lags behind [s].
+        noise: What a vehicle may do meanwhile. All increments since the last measured pose add up to what a constant
+            unknown acceleration does.
+    """
+    step_s, age_s = abs(increment.to_s - increment.from_s), max(age_s, 0.0)
+    grown = 0.25 * ((age_s + step_s) ** 4 - age_s**4) + (memory_s * step_s) ** 2
+    acceleration = np.array([1.0, 0.2, 0.2]) * noise.unknown_acceleration_mps2
+    turn = np.deg2rad(np.array([0.2, 0.2, 1.0]) * noise.unknown_yaw_acceleration_degps2)
+    covariance = np.diag(np.concatenate([acceleration, turn]) ** 2 * grown)
+    T_from_to = rigid.exp(twist * (increment.to_s - increment.from_s))
+    return increment._replace(T_from_to=T_from_to, covariance=covariance, jacobian=np.zeros((6, 2)))
+
+
 class _Stream:
     """Samples in time order, however they arrive."""
 

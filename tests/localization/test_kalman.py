@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
-from semloc_jax.localization.fusion import SingleFrameFusion
+from semloc_jax.localization.fusion import SensorBeliefs, SingleFrameFusion
 from semloc_jax.localization.kalman import KalmanConfig, KalmanFusion
 from tests.localization import fusion_drive as drive
 
@@ -28,7 +28,7 @@ def follow(fusion, num, rng=None, scale=1.0, bias=0.0, corrected=lambda k: True)
 def test_straight_drive_is_batch_least_squares():
     """Position and scale of a straight drive against the normal equations of all measurements at once."""
     rng, num = np.random.default_rng(3), 12
-    fusion = KalmanFusion(KalmanConfig(scale_walk=0.0))
+    fusion = KalmanFusion(KalmanConfig(SensorBeliefs(scale_walk=0.0)))
     twist = np.array([1.0, 0, 0, 0, 0, 0])
     states_m = rng.normal(size=num + 1) * drive.POSE_SIGMA[0] + 1.01 * np.arange(num + 1)
     line = lambda x: rigid.exp(np.array([x, 0, 0, 0, 0, 0]))  # noqa: E731
@@ -50,7 +50,7 @@ def test_straight_drive_is_batch_least_squares():
         assert innovation.accepted
     rows.append(unknown[-1])
     values.append(1.0)
-    sigmas.append(KalmanConfig().scale_sigma)
+    sigmas.append(SensorBeliefs().scale_sigma)
     A, b = np.array(rows) / np.array(sigmas)[:, None], np.array(values) / np.array(sigmas)
     batch, covariance = np.linalg.lstsq(A, b)[0], np.linalg.inv(A.T @ A)
     found = fusion.pose(state)
