@@ -14,6 +14,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import clip_to_circle, without_repeats
 from semloc_jax.maps.elements import UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane
+from semloc_jax.structs import ElementClass
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,16 @@ class SemanticMap:
         return GroundModel.from_elements(self.elements)
 
     @cached_property
+    def labels(self) -> frozenset[ElementClass]:
+        """The classes that the map holds."""
+        return frozenset(element.label for element in self.elements)
+
+    @property
+    def is_visible(self) -> bool:
+        """Whether there is anything that a camera could see."""
+        return any(not element.is_logical for element in self.elements)
+
+    @cached_property
     def extent(self) -> np.ndarray:
         """Bounding box in the map frame, `float64[2 3]`: minimum and maximum [m]."""
         points = np.vstack([element.points for element in self.elements])
@@ -70,7 +81,7 @@ class SemanticMap:
 
     @cached_property
     def _tree(self) -> shapely.STRtree:
-        return shapely.STRtree([_plan_geometry(element) for element in self.elements])
+        return shapely.STRtree([plan_geometry(element) for element in self.elements])
 
     def query(self, center_map: Place, radius_m: float, heading_rad: float | None = None) -> LocalMap:
         """Returns the elements that come within `radius_m` of a place, with lines cut at that radius.
@@ -83,19 +94,15 @@ class SemanticMap:
         Raises:
             SemlocError: the place is not finite, the radius is not positive, or the map is empty.
         """
-        center = np.asarray(center_map, dtype=np.float64).reshape(-1)
-        if center.size not in (2, 3) or not np.isfinite(center).all() or not radius_m > 0:
-            raise SemlocError(
-                f"map query at {center} within {radius_m} m; expected 2 or 3 finite numbers and radius > 0"
-            )
+        center = self._checked_center(center_map, radius_m)
         if not self.elements:
             raise SemlocError(f"map {self.name} has no elements; expected at least one marking, pole or sign")
         hits = self._tree.query(shapely.Point(center[:2]), predicate="dwithin", distance=radius_m)
         found: list[MapElement] = []
         for index in np.sort(hits):
-            found.extend(_clip(self.elements[index], center[:2], radius_m))
+            found.extend(clip_element(self.elements[index], center[:2], radius_m))
         if heading_rad is not None:
-            found = [element for element in found if _reaches_ahead(element, center[:2], heading_rad, -0.5 * radius_m)]
+            found = [element for element in found if reaches_ahead(element, center[:2], heading_rad, -0.5 * radius_m)]
         return LocalMap(tuple(found), self._local_origin(center, radius_m), self.ground, radius_m)
 
     def whole(self) -> LocalMap:
@@ -119,6 +126,15 @@ class SemanticMap:
         """
         return self.ground.road_pose(x, y, yaw, near_z_m=near_z_m)
 
+    @staticmethod
+    def _checked_center(center_map: Place, radius_m: float) -> np.ndarray:
+        center = np.asarray(center_map, dtype=np.float64).reshape(-1)
+        if center.size not in (2, 3) or not np.isfinite(center).all() or not radius_m > 0:
+            raise SemlocError(
+                f"map query at {center} within {radius_m} m; expected 2 or 3 finite numbers and radius > 0"
+            )
+        return center
+
     def _local_origin(self, center: np.ndarray, radius_m: float) -> np.ndarray:
         """Returns whole metres near the centre, `[3]`, so that local coordinates stay exact in decimal files."""
         if center.size == 3:
@@ -127,7 +143,7 @@ class SemanticMap:
         return np.round(np.append(center, np.median(near) if len(near) else self.extent[:, 2].mean()))
 
 
-def _plan_geometry(element: MapElement) -> shapely.Geometry:
+def plan_geometry(element: MapElement) -> shapely.Geometry:
     """Returns the element seen from above."""
     xy = element.points[:, :2]
     if element.closed and len(xy) >= 3:
@@ -135,7 +151,7 @@ def _plan_geometry(element: MapElement) -> shapely.Geometry:
     return shapely.LineString(xy) if len(xy) >= 2 else shapely.Point(xy[0])
 
 
-def _clip(element: MapElement, center: np.ndarray, radius_m: float) -> list[MapElement]:
+def clip_element(element: MapElement, center: np.ndarray, radius_m: float) -> list[MapElement]:
     """Returns the parts of a line inside the radius; areas and upright things stay whole."""
     if element.closed or element.label in UPRIGHT_CLASSES or len(element.points) < 2:
         return [element]
@@ -144,6 +160,6 @@ def _clip(element: MapElement, center: np.ndarray, radius_m: float) -> list[MapE
     return [element.with_points(points, (start and first, end and last)) for points, first, last in parts]
 
 
-def _reaches_ahead(element: MapElement, center: np.ndarray, heading_rad: float, limit_m: float) -> bool:
+def reaches_ahead(element: MapElement, center: np.ndarray, heading_rad: float, limit_m: float) -> bool:
     direction = np.array([np.cos(heading_rad), np.sin(heading_rad)])
     return bool(np.max((element.points[:, :2] - center) @ direction) >= limit_m)

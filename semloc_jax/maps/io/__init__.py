@@ -13,6 +13,7 @@ from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.maps.io.argoverse2 import Argoverse2Style, find_archive, is_argoverse2, map_from_argoverse2
 from semloc_jax.maps.io.drive_geojson import map_from_drive_geojson, write_drive_geojson
 from semloc_jax.maps.io.geojson import map_from_geojson, write_geojson
+from semloc_jax.maps.io.geopackage import StoredMap, read_geopackage, write_geopackage
 from semloc_jax.maps.io.lanelet2 import read_lanelet2
 from semloc_jax.maps.io.lanelet2_ways import Lanelet2Style
 from semloc_jax.maps.io.opendrive import OpenDriveStyle, read_opendrive
@@ -22,11 +23,14 @@ __all__ = [
     "Argoverse2Style",
     "Lanelet2Style",
     "OpenDriveStyle",
+    "StoredMap",
+    "read_geopackage",
     "read_lanelet2",
     "read_map",
     "read_opendrive",
     "write_drive_geojson",
     "write_geojson",
+    "write_geopackage",
 ]
 
 
@@ -47,13 +51,15 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
         raise SemlocError(f"map {path}: no such file; give a .geojson, .json or .osm map")
     if path.suffix.lower() in (".osm", ".xml"):
         found = read_lanelet2(path, origin)
+    elif path.suffix.lower() == ".gpkg":
+        found = read_geopackage(path)
     elif path.suffix.lower() == ".xodr":
         found = read_opendrive(path, origin)
     elif path.suffix.lower() in (".geojson", ".json"):
         found = _map_from_json(_parse_json(path), path.name, origin)
     else:
         raise SemlocError(f"map {path.name}: unknown type '{path.suffix}'; expected .geojson, .json or .osm")
-    if not any(not element.is_logical for element in found.elements):
+    if not found.is_visible:
         unknown = ", ".join(f"{count} {name}" for name, count in sorted(found.skipped.items()))
         raise SemlocError(
             f"map {path.name}: no element that a camera could see (left out: {unknown or 'nothing'}); "

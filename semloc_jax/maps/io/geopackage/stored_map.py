@@ -1,0 +1,197 @@
+"""A map that stays in its file: elements are read where they are asked for (room: maps; host).
+
+In: a connection to our own GeoPackage. Out: StoredMap, a SemanticMap whose queries cost what lies around the place.
+"""
+
+import json
+import sqlite3
+from collections import OrderedDict
+from collections.abc import Iterable
+from functools import cached_property
+
+import numpy as np
+import shapely
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.maps.elements import GeoOrigin, MapElement, Place
+from semloc_jax.maps.ground import GroundModel, RoadPlane
+from semloc_jax.maps.io.features import FEATURE_CLASSES
+from semloc_jax.maps.io.geopackage import schema
+from semloc_jax.maps.io.geopackage.geometry import from_blob
+from semloc_jax.maps.semantic_map import LocalMap, SemanticMap, clip_element, plan_geometry, reaches_ahead
+from semloc_jax.structs import ElementClass
+
+_MOST_CACHED = 50_000
+_GROUND_CELL_M = 40.0
+_GROUND_REACH_M = 110.0
+"""Ground points are looked for up to 60 m from a place, which may lie 29 m from the middle of its cell."""
+_MOST_CELLS = 64
+_AT_ONCE = 500
+
+_COLUMNS = (
+    "fid, geom, id, class, style, shape, closed, width, radius, radius_top, height, normal_x, normal_y, normal_z, "
+    "true_start, true_end, has_height, attributes"
+)
+_WITHIN = (
+    f"SELECT id, minx, maxx, miny, maxy FROM {schema.INDEX} WHERE maxx >= ? AND minx <= ? AND maxy >= ? AND miny <= ?"
+)
+
+
+class StoredMap(SemanticMap):
+    """A map in a GeoPackage. What was read stays in memory, up to 50,000 elements, the oldest goes first."""
+
+    def __init__(self, connection: schema.GuardedConnection, file_name: str):
+        members = dict(connection.ask("SELECT key, value FROM semloc_map"))
+        try:
+            origin = json.loads(members["origin"])
+            values = {
+                "name": str(json.loads(members["name"])),
+                "origin": GeoOrigin(*map(float, origin)) if origin is not None else None,
+                "frame": str(json.loads(members["frame"])),
+                "skipped": {str(key): int(count) for key, count in json.loads(members["skipped"]).items()},
+            }
+        except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+            raise SemlocError(f"map {file_name}: its table semloc_map is incomplete ({error})") from error
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+        object.__setattr__(self, "_connection", connection)
+        object.__setattr__(self, "_file_name", file_name)
+        object.__setattr__(self, "_cache", OrderedDict())
+
+    @cached_property
+    def elements(self) -> tuple[MapElement, ...]:
+        """Every element of the file, in its order: reads all of it."""
+        rows = self._ask(f"SELECT {_COLUMNS} FROM elements ORDER BY fid", ())
+        return tuple(_element(row, self._file_name) for row in rows)
+
+    @cached_property
+    def labels(self) -> frozenset[ElementClass]:
+        """The classes that the map holds."""
+        names = [name for (name,) in self._ask("SELECT DISTINCT class FROM elements", ())]
+        return frozenset(FEATURE_CLASSES[name][0] for name in names if name in FEATURE_CLASSES)
+
+    @cached_property
+    def ground(self) -> GroundModel:
+        """The road surface, fitted to the elements around each place that is asked for."""
+        return _StoredGround(self)
+
+    @cached_property
+    def extent(self) -> np.ndarray:
+        """Bounding box in the map frame seen from above, `float64[2 3]`, heights 0 [m]."""
+        query = f"SELECT min(minx), min(miny), 0.0, max(maxx), max(maxy), 0.0 FROM {schema.INDEX}"
+        (row,) = self._ask(query, ())
+        return np.array([value or 0.0 for value in row], dtype=np.float64).reshape(2, 3)
+
+    @property
+    def is_visible(self) -> bool:
+        """Whether there is anything that a camera could see."""
+        query = "SELECT EXISTS (SELECT 1 FROM elements WHERE style != 'virtual' AND class != 'parking_slot')"
+        return bool(self._ask(query, ())[0][0])
+
+    def query(self, center_map: Place, radius_m: float, heading_rad: float | None = None) -> LocalMap:
+        """Returns the elements that come within `radius_m` of a place; see `SemanticMap.query`."""
+        center = self._checked_center(center_map, radius_m)
+        x, y = center[:2]
+        rows = self._ask(_WITHIN, (x - radius_m, x + radius_m, y - radius_m, y + radius_m))
+        boxes = np.array(rows, dtype=np.float64).reshape(-1, 5)
+        boxes = boxes[np.argsort(boxes[:, 0])]
+        items = self._items(boxes[:, 0].astype(np.int64).tolist())
+        near = shapely.dwithin(np.array([item[1] for item in items], dtype=object), shapely.Point(x, y), radius_m)
+        reach = np.maximum(np.abs(boxes[:, 1:3] - x).max(axis=1), 0.0) ** 2
+        reach += np.maximum(np.abs(boxes[:, 3:5] - y).max(axis=1), 0.0) ** 2
+        found: list[MapElement] = []
+        for (element, _), is_near, is_inside in zip(items, near, reach <= radius_m**2, strict=True):
+            if is_near:
+                found += [element] if is_inside else clip_element(element, center[:2], radius_m)
+        if heading_rad is not None:
+            found = [element for element in found if reaches_ahead(element, center[:2], heading_rad, -0.5 * radius_m)]
+        return LocalMap(tuple(found), self._origin_of(found, center), self.ground, radius_m)
+
+    def within(self, center: np.ndarray, radius_m: float) -> list[MapElement]:
+        """Returns the elements whose boxes come within a square about a place `[2]`, uncut."""
+        x, y = center[:2]
+        rows = self._ask(_WITHIN, (x - radius_m, x + radius_m, y - radius_m, y + radius_m))
+        return [element for element, _ in self._items(sorted(int(row[0]) for row in rows))]
+
+    def _items(self, fids: list[int]) -> list[tuple[MapElement, shapely.Geometry]]:
+        """Returns elements and their plan by number, from memory where they were read before."""
+        missing = [fid for fid in fids if fid not in self._cache]
+        for start in range(0, len(missing), _AT_ONCE):
+            some = missing[start : start + _AT_ONCE]
+            marks = ", ".join("?" * len(some))
+            for row in self._ask(f"SELECT {_COLUMNS} FROM elements WHERE fid IN ({marks})", some):
+                element = _element(row, self._file_name)
+                self._cache[row[0]] = (element, plan_geometry(element))
+        lost = [fid for fid in fids if fid not in self._cache]
+        if lost:
+            raise SemlocError(f"map {self._file_name}: its R-tree names element {lost[0]}, which is not there")
+        items = [self._cache[fid] for fid in fids]
+        for fid in fids:
+            self._cache.move_to_end(fid)
+        while len(self._cache) > max(_MOST_CACHED, len(fids)):
+            self._cache.popitem(last=False)
+        return items
+
+    def _origin_of(self, found: list[MapElement], center: np.ndarray) -> np.ndarray:
+        """Returns whole metres near the centre, `[3]`, at the height of what lies around it."""
+        if center.size == 3 or not found:
+            return np.round(np.append(center, 0.0)[:3])
+        return np.round(np.append(center, np.median([element.points[0, 2] for element in found])))
+
+    def _ask(self, query: str, values: Iterable[object]) -> list[tuple]:
+        try:
+            return self._connection.ask(query, values)
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            raise SemlocError(f"map {self._file_name}: cannot be read ({error}); is the file complete?") from error
+
+
+class _StoredGround(GroundModel):
+    """The road surface of a StoredMap: one GroundModel for each cell that was asked for."""
+
+    def __init__(self, stored: StoredMap):
+        super().__init__(np.zeros((0, 3)))
+        self._stored = stored
+        self._cells: OrderedDict[tuple[int, int], GroundModel] = OrderedDict()
+
+    def plane(self, center: Place, radius_m: float = 4.0, near_z_m: float | None = None) -> RoadPlane:
+        """Returns the plane of the road around a place; see `GroundModel.plane`."""
+        cell = tuple(int(v) for v in np.floor(np.asarray(center, dtype=np.float64)[:2] / _GROUND_CELL_M))
+        if cell not in self._cells:
+            middle = (np.array(cell) + 0.5) * _GROUND_CELL_M
+            self._cells[cell] = GroundModel.from_elements(self._stored.within(middle, _GROUND_REACH_M))
+            if len(self._cells) > _MOST_CELLS:
+                self._cells.popitem(last=False)
+        return self._cells[cell].plane(center, radius_m, near_z_m)
+
+
+def _element(row: tuple, name: str) -> MapElement:
+    """Returns the element of one row."""
+    where = f"map {name}: element {row[0]}"
+    class_name = row[3]
+    if class_name not in FEATURE_CLASSES:
+        raise SemlocError(f"{where}: class '{str(class_name)[:40]}'; expected one of {', '.join(FEATURE_CLASSES)}")
+    points, closed, _ = from_blob(row[1], where)
+    try:
+        numbers = [float(value) for value in row[7:11]]
+        normal = None if row[11] is None else np.array(row[11:14], dtype=np.float64)
+        attributes = json.loads(row[17])
+        if not isinstance(attributes, dict) or not np.isfinite(numbers).all() or not np.isfinite(points).all():
+            raise ValueError("numbers that are not finite")
+    except (TypeError, ValueError, RecursionError) as error:
+        raise SemlocError(f"{where}: cannot be read ({error})") from error
+    return MapElement(
+        id=str(row[2]),
+        label=FEATURE_CLASSES[class_name][0],
+        points=points,
+        closed=closed or bool(row[6]),
+        width_m=numbers[0],
+        radius_m=numbers[1],
+        radius_top_m=numbers[2],
+        height_m=numbers[3],
+        style=str(row[4]),
+        shape=str(row[5]),
+        normal=normal,
+        true_ends=(bool(row[14]), bool(row[15])),
+        has_height=bool(row[16]),
+        attributes=attributes,
+    )
