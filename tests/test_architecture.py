@@ -27,6 +27,7 @@ RANK = {
     "localization": 5,
     "mapping": 5,
     "viz": 6,
+    "bench": 6,
     "cli": 7,
 }
 # Ground that every room may stand on.
@@ -40,12 +41,16 @@ HOST_CAMERAS = {"io", "calibrate"}
 HOST_LIBRARIES = {"cv2", "skimage", "scipy", "matplotlib", "time", "os", "io", "pathlib", "shutil", "tempfile"}
 HOST_EXCEPTIONS = {("semloc_jax.solvers.association", "scipy")}
 HOMES = {
-    "optimistix": {"solvers"},
+    "optimistix": {"solvers", "bench"},
     "lineax": {"solvers"},
     "jaxlie": {"geometry"},
     "matplotlib": {"viz"},
     "tyro": {"cli"},
-    "yaml": {"cli", "perception", "datasets", "semloc_jax.cameras.io"},
+    "yaml": {"cli", "perception", "datasets", "semloc_jax.cameras.io", "semloc_jax.maps.io"},
+    # Peers of the benchmark: optional, imported when they are measured.
+    "jaxopt": {"bench"},
+    "gtsam": {"bench"},
+    "torch": {"bench"},
     "evo": set(),  # GPL: an outside oracle of the tests only
     "lanelet2": set(),
 }
