@@ -16,6 +16,7 @@ from semloc_jax.maps.io.geojson import map_from_geojson, write_geojson
 from semloc_jax.maps.io.geopackage import StoredMap, read_geopackage, write_geopackage
 from semloc_jax.maps.io.lanelet2 import read_lanelet2
 from semloc_jax.maps.io.lanelet2_ways import Lanelet2Style
+from semloc_jax.maps.io.lanelet2_writer import write_lanelet2
 from semloc_jax.maps.io.opendrive import OpenDriveStyle, read_opendrive
 from semloc_jax.maps.semantic_map import SemanticMap
 
@@ -31,6 +32,7 @@ __all__ = [
     "write_drive_geojson",
     "write_geojson",
     "write_geopackage",
+    "write_lanelet2",
 ]
 
 

@@ -30,8 +30,9 @@ class OsmItem:
 
 @dataclass
 class OsmFile:
-    """Everything that is not deleted, by id."""
+    """Everything that is not deleted, by id, and the attributes of the root."""
 
+    attributes: dict[str, str] = field(default_factory=dict)
     nodes: dict[str, OsmItem] = field(default_factory=dict)
     ways: dict[str, OsmItem] = field(default_factory=dict)
     relations: dict[str, OsmItem] = field(default_factory=dict)
@@ -53,6 +54,8 @@ class _Target:
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         if not self._saw_root and tag != "osm":
             raise SemlocError(f"map {self._name}: root element <{tag}>; expected <osm>, the format of Lanelet2")
+        if not self._saw_root:
+            self.file.attributes = attributes
         self._saw_root = True
         if tag in self._stores:
             self._item = OsmItem(attributes)
