@@ -163,7 +163,7 @@ def test_a_written_map_is_read_by_the_library_and_comes_back(karlsruhe, tmp_path
     again = read_map(tmp_path / "again.osm")
     assert again.origin == ORIGIN and again.name == road.name
     for one, other in zip(road.elements, again.elements, strict=True):
-        assert np.abs(one.points - other.points).max() < 2e-5, "heights are missing, else it were 2 micrometres"
+        assert np.abs(one.points - other.points).max() < 1e-4, "no heights: a line of sight is cut elsewhere"
         for field in ("id", "label", "style", "width_m", "true_ends", "has_height", "closed", "attributes"):
             assert getattr(one, field) == getattr(other, field), field
     assert len(library.regulatoryElementLayer) == 7, "six traffic lights and a speed limit; priorities need lanelets"
