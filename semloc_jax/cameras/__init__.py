@@ -4,6 +4,7 @@ In: points `p_cam` (z forward, x right, y down) and calibration files. Out: pixe
 pixel is (0, 0)), rays, rigs.
 """
 
+from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.base import Camera, stack_cameras
 from semloc_jax.cameras.bev import BevCamera
 from semloc_jax.cameras.cylinder import CylindricalCamera
@@ -19,6 +20,7 @@ __all__ = [
     "CylindricalCamera",
     "KannalaBrandtCamera",
     "PinholeCamera",
+    "PolynomialFisheyeCamera",
     "Rig",
     "read_calibration",
     "stack_cameras",

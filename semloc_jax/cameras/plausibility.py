@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.base import Camera
 from semloc_jax.cameras.bev import BevCamera
 from semloc_jax.cameras.cylinder import CylindricalCamera
@@ -53,8 +54,10 @@ def implausible(rig: Rig, image_sizes_px: Mapping[str, tuple[int, int]] | None =
     for name, camera, T in zip(rig.names, rig.cameras, np.asarray(rig.T_base_cam, dtype=np.float64), strict=True):
         if isinstance(camera, BevCamera):
             continue
-        texts = [("height", text) for text in _height(T)] + [("axes", text) for text in _axes(T)]
-        texts += [("axes", text) for text in _side(name, T)]
+        texts = [("height", text) for text in _height(T)]
+        if not _is_absent(T):
+            texts += [("axes", text) for text in _axes(T)]
+            texts += [("axes", text) for text in _side(name, T)]
         texts += [("size", text) for text in _size(camera, (image_sizes_px or {}).get(name))]
         texts += [("angles", text) for text in _angles(camera)]
         texts += [("lens", text) for text in _lens(camera)]
@@ -71,12 +74,20 @@ def view_angles_deg(T_base_cam: Float[np.ndarray, "4 4"]) -> tuple[float, float,
     return float(yaw), float(pitch), float(roll)
 
 
+def _is_absent(T: np.ndarray) -> bool:
+    return bool(np.allclose(T, np.eye(4), atol=1e-9))
+
+
 def _height(T: np.ndarray) -> list[str]:
     height = float(T[2, 3])
+    if _is_absent(T):
+        return [
+            "has no place on the vehicle (T_base_cam is the identity); add T_base_cam, camera to rear axle on ground"
+        ]
     if np.allclose(T[:3, 3], 0.0, atol=1e-9):
         return [
             "sits at the origin of the base frame; expected its place above the road (rear axle on the ground is the "
-            "origin); extrinsics are missing, or relative to a camera or an IMU"
+            "origin); are the extrinsics relative to this camera or an IMU?"
         ]
     if height < 0.0:
         return [
@@ -197,7 +208,7 @@ def _lens(camera: Camera) -> list[str]:
     if valid.all():
         turn = [np.arctan2(x, z) for x, _, z in ray]
         view_deg = float(np.degrees((turn[1] - turn[0]) % _FULL_TURN))
-        is_wide = isinstance(camera, KannalaBrandtCamera) or "Fisheye" in type(camera).__name__
+        is_wide = isinstance(camera, KannalaBrandtCamera | PolynomialFisheyeCamera)
         low, high = _FISHEYE_VIEW_DEG if is_wide else _VIEW_DEG
         if not isinstance(camera, CylindricalCamera) and not low <= view_deg <= high:
             found.append(
@@ -220,7 +231,7 @@ def _all_ahead(rig: Rig) -> list[Finding]:
     if len(named) < 2:
         return []
     yaws = [view_angles_deg(np.asarray(rig.T_base_cam[rig.index(name)]))[0] for name in named]
-    if np.abs(yaws).max() > 4.0:
+    if np.abs(yaws).max() > 4.0 or any(_is_absent(np.asarray(T)) for T in rig.T_base_cam):
         return []
     text = (
         f"and {', '.join(named[1:])} all look ahead within {np.abs(yaws).max():.1f} deg; expected different sides: "
@@ -233,7 +244,8 @@ def _same_place(rig: Rig) -> list[Finding]:
     found = []
     for i in range(len(rig)):
         for j in range(i):
-            if np.allclose(rig.T_base_cam[i], rig.T_base_cam[j], atol=1e-6):
+            is_same = np.allclose(rig.T_base_cam[i], rig.T_base_cam[j], atol=1e-6)
+            if is_same and not _is_absent(np.asarray(rig.T_base_cam[i])):
                 text = f"has the very place and direction of {rig.names[j]}; expected its own; are extrinsics missing?"
                 found.append(Finding(rig.names[i], "axes", text))
     return found

@@ -37,7 +37,8 @@ class Options:
     calib: Path | None = None
     """Calibration file to use for the drive."""
     image: Path | None = None
-    """A picture of the (first chosen) camera, where a calibration file is given."""
+    """Picture of the (first chosen) camera, or a folder of pictures with the names of the cameras in theirs, where a
+    calibration is given."""
     cameras: str | None = None
     """Names of cameras, separated by commas; default: all."""
     frame: int = 0
@@ -83,12 +84,21 @@ def _open(options: Options) -> "tuple[Rig, Sequence | None, dict[str, np.ndarray
     if not is_recording(options.path):
         rig = read_calibration(options.calib or options.path)
         rig = rig.select(names) if names else rig
-        images = {} if options.image is None else {rig.names[0]: as_colour(read_picture(options.image))}
-        return rig, None, images
+        pictures = {name: as_colour(read_picture(path)) for name, path in _pictures(options.image, rig).items()}
+        return rig, None, pictures
     drive = open_sequence(options.path, options.calib)
     frame = _frame(drive, options.frame)
     rig = frame.rig.select(names) if names else frame.rig
     return rig, drive, {name: frame.image(name) for name in rig.names if frame.has("rgb", name)}
+
+
+def _pictures(given: Path | None, rig: "Rig") -> dict[str, Path]:
+    """Files by camera: the given one for the first camera, or those of a folder that have a camera in their name."""
+    if given is None or not given.is_dir():
+        return {} if given is None else {rig.names[0]: given}
+    files = sorted(file for file in given.iterdir() if file.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp"))
+    found = {name: next((file for file in files if name.lower() in file.stem.lower()), None) for name in rig.names}
+    return {name: file for name, file in found.items() if file is not None}
 
 
 def _frame(drive: "Sequence", index: int) -> "Frame":

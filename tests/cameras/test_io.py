@@ -16,6 +16,7 @@ from semloc_jax.cameras import (
     CylindricalCamera,
     KannalaBrandtCamera,
     PinholeCamera,
+    PolynomialFisheyeCamera,
     Rig,
     read_calibration,
     write_calibration,
@@ -195,10 +196,11 @@ def test_every_model_survives_a_round_trip(tmp_path):
         KannalaBrandtCamera(196, 196, 320, 240, 640, 480, -0.013, -0.004, 0.001, 0.0, max_theta_rad=1.675),
         CylindricalCamera(150, 480, 120, 960, 400, fy=170, max_phi_rad=1.2),
         BevCamera(0.02, 349.5, 599.5, 700, 900, max_height_m=0.3),
+        PolynomialFisheyeCamera(339.7, 339.7, 643.4, 479.4, 1280, 966, -0.094, 0.142, -0.021, max_theta_rad=1.7),
     ]
-    T = np.tile(np.eye(4), (5, 1, 1))
-    T[:, :3, :3] = Rotation.random(5, random_state=0).as_matrix()
-    assert_round_trip(Rig(cameras, T, ["a", "b", "c", "d", "e"]), tmp_path)
+    T = np.tile(np.eye(4), (6, 1, 1))
+    T[:, :3, :3] = Rotation.random(6, random_state=0).as_matrix()
+    assert_round_trip(Rig(cameras, T, ["a", "b", "c", "d", "e", "f"]), tmp_path)
 
 
 def assert_round_trip(rig, tmp_path):
@@ -260,7 +262,7 @@ BAD_FILES = [
     (DRIVE | {"cam1": DRIVE["cam0"]}, "rename"),
     (changed(CAMERA_INFO, ["image_width"], None), "image_width"),
     (changed(CAMERA_INFO, ["distortion_coefficients"], None), "'distortion_coefficients' is missing"),
-    (changed(CAMERA_INFO, ["distortion_model"], "rational_polynomial"), "8 coefficients"),
+    (changed(CAMERA_INFO, ["distortion_model"], "rational_polynomial"), "given 5 numbers; expected 8"),
     (changed(CAMERA_INFO, ["camera_matrix", "data"], [900.0, 3, 640, 0, 901, 360, 0, 0, 1]), "no skew"),
     (changed(CAMERA_INFO, ["camera_matrix", "data"], [900.0, 0, 640]), "given 3 numbers; expected 9"),
     ("%YAML:1.0\n---\nfoo: 3\n", "match no known layout"),
@@ -286,12 +288,33 @@ def test_missing_files_and_empty_folders(tmp_path):
         read_calibration(tmp_path)
 
 
-def test_eight_opencv_coefficients_are_refused(tmp_path):
-    path = tmp_path / "left.yaml"
+RATIONAL = [0.32, -0.11, 0.0004, -0.0003, -0.006, 0.66, -0.07, -0.02]
+"""As wide-angle cameras are calibrated with CALIB_RATIONAL_MODEL."""
+
+
+def write_opencv(path, coefficients, focal_px=900.0):
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     storage.write("image_size", np.array([1280, 720]))
-    storage.write("K", np.reshape(CAMERA_INFO["camera_matrix"]["data"], (3, 3)))
-    storage.write("D", np.full(8, 0.01))
+    storage.write("K", np.array([[focal_px, 0, 640.5], [0, focal_px, 360.5], [0, 0, 1]]))
+    storage.write("D", np.array(coefficients, dtype=float))
     storage.release()
-    with pytest.raises(SemlocError, match="rational"):
+    return path
+
+
+def test_rational_coefficients_are_followed_to_a_third_of_a_pixel(tmp_path):
+    (camera,) = read_calibration(write_opencv(tmp_path / "left.yaml", RATIONAL)).cameras
+    assert type(camera) is BrownConradyCamera
+    grid = np.stack(np.meshgrid(np.linspace(0, 1279, 24), np.linspace(0, 719, 16)), axis=-1).reshape(-1, 2)
+    ray, valid = (np.asarray(a) for a in camera.unproject(grid))
+    assert valid.all()
+    K = np.array([[900.0, 0, 640.5], [0, 900.0, 360.5], [0, 0, 1]])
+    uv, _ = cv2.projectPoints(ray[:, None], np.zeros(3), np.zeros(3), K, np.array(RATIONAL))
+    assert np.abs(uv[:, 0] - grid).max() < 0.3
+
+
+def test_rational_coefficients_that_cannot_be_followed_are_refused(tmp_path):
+    path = write_opencv(tmp_path / "left.yaml", [-8.0, 10.0, 0.0, 0.0, 2.0, -8.0, 10.0, 3.0], 600.0)
+    with pytest.raises(SemlocError, match=r"rational distortion \(8 coefficients\) is .* px off"):
         read_calibration(path)
+    with pytest.raises(SemlocError, match="thin-prism"):
+        read_calibration(write_opencv(tmp_path / "right.yaml", [*RATIONAL, 0.01, 0.0, 0.0, 0.0]))

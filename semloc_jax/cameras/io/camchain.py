@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
+from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.base import Camera, as_leaf
 from semloc_jax.cameras.bev import BevCamera
 from semloc_jax.cameras.cylinder import CylindricalCamera
@@ -29,6 +30,7 @@ _KEY = re.compile(r"cam(\d+)")
 _DISTORTION = {
     BrownConradyCamera: ("radtan", ("k1", "k2", "p1", "p2", "k3")),
     KannalaBrandtCamera: ("equidistant", ("k1", "k2", "k3", "k4")),
+    PolynomialFisheyeCamera: ("angle_polynomial", ("c2", "c3", "c4")),
 }
 _MODEL = {CylindricalCamera: "cylindrical", BevCamera: "bev"}
 _LIMITS = ("max_radius", "max_theta_rad", "max_phi_rad", "max_height_m")

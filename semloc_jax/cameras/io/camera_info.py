@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.cameras.base import Camera
-from semloc_jax.cameras.io.fields import numbers, perspective, required, resolution, rigid
+from semloc_jax.cameras.io.fields import intrinsics_of, numbers, perspective, required, resolution, rigid
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 
@@ -40,14 +40,7 @@ def camera_from_info(content: Mapping[str, Any], where: str) -> Camera:
     width, height = content.get("image_width", content.get("width")), content.get("image_height", content.get("height"))
     size = resolution([width, height], f"{where} image_width, image_height")
     distortion = _data(content, _DISTORTION, where)
-    return perspective(intrinsics, size, _model(content, distortion, where), distortion, where)
-
-
-def intrinsics_of(K: Float[np.ndarray, " 9"], where: str) -> Float[np.ndarray, " 4"]:
-    """fx fy cx cy of a camera matrix."""
-    if np.abs(K[[1, 3, 6, 7]]).max() > 1e-9 or K[8] != 1:
-        raise SemlocError(f"{where}: camera matrix {K.tolist()}; expected fx 0 cx / 0 fy cy / 0 0 1 (no skew)")
-    return K[[0, 4, 2, 5]]
+    return perspective(intrinsics, size, _model(content, distortion), distortion, where)
 
 
 def pose_of(content: Mapping[str, Any], where: str) -> Float[np.ndarray, "4 4"]:
@@ -68,11 +61,5 @@ def _data(content: Mapping[str, Any], keys: tuple[str, ...], where: str) -> Any:
     raise SemlocError(f"{where}: key '{keys[0]}' is missing; add it")
 
 
-def _model(content: Mapping[str, Any], distortion: Any, where: str) -> str:
-    model = str(content["distortion_model"]).strip().lower()
-    if model == "rational_polynomial":
-        raise SemlocError(
-            f"{where}: distortion model 'rational_polynomial' (8 coefficients) is not supported; expected plumb_bob or "
-            "equidistant; calibrate with one of these, or undistort the images first"
-        )
-    return model if len(np.ravel(distortion)) else "none"
+def _model(content: Mapping[str, Any], distortion: Any) -> str:
+    return str(content["distortion_model"]).strip().lower() if len(np.ravel(distortion)) else "none"

@@ -3,6 +3,7 @@
 In: parsed content and a word that says where it stands. Out: arrays of the right size, or SemlocError.
 """
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,26 +12,43 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
+from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.base import Camera
 from semloc_jax.cameras.fisheye import KannalaBrandtCamera
 from semloc_jax.cameras.pinhole import BrownConradyCamera, PinholeCamera
 from semloc_jax.errors import SemlocError
 
+_log = logging.getLogger(__name__)
+_MAX_FIT_ERROR_PX = 1.0
+_WORD_OF_FIT_ERROR_PX = 0.1
 _MAX_ROTATION_ERROR = 1e-3
 _ROUNDING = 1e-14
 _MAX_TRANSLATION_M = 50.0
 
 RADTAN = ("radtan", "plumb_bob")
+RATIONAL = ("rational_polynomial", "rational")
 EQUIDISTANT = ("equidistant", "fisheye", "kannala_brandt")
 
 
-def load_yaml(path: Path) -> dict[str, Any]:
-    """The mapping at the top of a YAML file."""
+def read_text(path: Path) -> str:
+    """The text of a file.
+
+    Raises:
+        SemlocError: it is no text in UTF-8.
+    """
     try:
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise SemlocError(f"calibration {path}: not readable as text; check the file") from error
+
+
+def load_yaml(path: Path) -> dict[str, Any]:
+    """The mapping at the top of a YAML or JSON file."""
+    text = read_text(path)
+    try:
         # Tools built on OpenCV start plain YAML with a directive that YAML itself does not know.
         content = yaml.safe_load(text.replace("%YAML:", "# %YAML:", 1) if text.startswith("%YAML:") else text)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError, OverflowError) as error:
         mark = getattr(error, "problem_mark", None)
         place = f" line {mark.line + 1}" if mark else ""
         raise SemlocError(f"calibration {path}{place}: not readable as YAML; check the file") from error
@@ -91,6 +109,13 @@ def resolution(value: Any, where: str) -> Float[np.ndarray, " 2"]:
     return size
 
 
+def intrinsics_of(K: Float[np.ndarray, " 9"], where: str) -> Float[np.ndarray, " 4"]:
+    """fx fy cx cy of a camera matrix."""
+    if np.abs(K[[1, 3, 6, 7]]).max() > 1e-9 or K[8] != 1:
+        raise SemlocError(f"{where}: camera matrix {K.tolist()}; expected fx 0 cx / 0 fy cy / 0 0 1 (no skew)")
+    return K[[0, 4, 2, 5]]
+
+
 def perspective(
     intrinsics: Float[np.ndarray, " 4"], size: Float[np.ndarray, " 2"], model: str, coefficients: Any, where: str
 ) -> Camera:
@@ -105,10 +130,67 @@ def perspective(
         return BrownConradyCamera(*intrinsics, *size, k1, k2, p1, p2, *k3)
     if model in EQUIDISTANT:
         return KannalaBrandtCamera(*intrinsics, *size, *numbers(coefficients, (4,), f"{where} (distortion {model})"))
+    if model == "angle_polynomial":
+        c = numbers(coefficients, (3,), f"{where} (distortion {model}: c2 c3 c4)")
+        return PolynomialFisheyeCamera(*intrinsics, *size, *c)
+    if model in RATIONAL:
+        return rational(intrinsics, size, numbers(coefficients, (8, 12, 14), f"{where} (distortion {model})"), where)
     raise SemlocError(
-        f"{where}: distortion model '{model}' is not supported; expected radtan / plumb_bob, equidistant or none; "
-        "calibrate with one of these, or undistort the images first"
+        f"{where}: distortion model '{model}' is not supported; expected radtan / plumb_bob, rational_polynomial, "
+        "equidistant or none; calibrate with one of these, or undistort the images first"
     )
+
+
+def rational(
+    intrinsics: Float[np.ndarray, " 4"], size: Float[np.ndarray, " 2"], coefficients: np.ndarray, where: str
+) -> BrownConradyCamera:
+    """The radtan camera that follows OpenCV's rational model k1 k2 p1 p2 k3 k4 k5 k6 best in its picture.
+
+    A log message tells the largest difference in pixels where it is not exact.
+
+    Raises:
+        SemlocError: it differs by more than a pixel, or the coefficients of thin prisms or tilted sensors are used.
+    """
+    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients[:8]
+    if np.any(coefficients[8:]):
+        raise SemlocError(f"{where}: thin-prism or tilt coefficients are not supported; undistort the images first")
+    fx, fy, cx, cy = intrinsics
+    corner = np.hypot(max(cx, size[0] - 1 - cx) / fx, max(cy, size[1] - 1 - cy) / fy)
+    r = np.linspace(0.0, 6.0, 3000)
+    s = r * r
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        factor = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
+        seen = np.logical_and.accumulate(
+            np.isfinite(factor) & (r * factor <= corner) & np.concatenate([[True], np.diff(r * factor) > 0])
+        )
+    r, s, factor = r[seen], s[seen], factor[seen]
+    if len(r) < 20:
+        raise SemlocError(f"{where}: distortion {coefficients.tolist()} turns close to the centre; check its order")
+    basis = (s[:, None] ** np.arange(1, 4)) * r[:, None]
+    fit = _smallest_maximum(basis, r * (factor - 1.0)) if np.any([k4, k5, k6]) else np.array([k1, k2, k3])
+    error_px = float(max(fx, fy) * np.abs(basis @ fit - r * (factor - 1.0)).max())
+    if error_px > _MAX_FIT_ERROR_PX:
+        raise SemlocError(
+            f"{where}: the rational distortion (8 coefficients) is {error_px:.1f} px off its nearest k1 k2 p1 p2 k3; "
+            "calibrate with plumb_bob or equidistant, or undistort the images first"
+        )
+    if error_px > _WORD_OF_FIT_ERROR_PX:
+        _log.warning("%s: rational distortion read as k1 k2 p1 p2 k3, up to %.2f px off", where, error_px)
+    return BrownConradyCamera(*intrinsics, *size, fit[0], fit[1], p1, p2, fit[2])
+
+
+def _smallest_maximum(basis: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Coefficients whose largest error is about the smallest (Lawson's reweighted least squares)."""
+    weight = np.full(len(target), 1.0 / len(target))
+    for _ in range(60):
+        root = np.sqrt(weight)[:, None]
+        fit = np.linalg.lstsq(basis * root, target * root[:, 0], rcond=None)[0]
+        error = np.abs(basis @ fit - target)
+        if error.max() == 0.0:
+            break
+        weight = weight * error
+        weight /= weight.sum()
+    return fit
 
 
 def _either(counts: tuple[int, ...]) -> str:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from semloc_jax.cameras.io.camera_info import intrinsics_of, pose_of
-from semloc_jax.cameras.io.fields import numbers, perspective, resolution
+from semloc_jax.cameras.io.camera_info import pose_of
+from semloc_jax.cameras.io.fields import intrinsics_of, numbers, perspective, resolution
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 
@@ -83,9 +83,7 @@ def _model(content: dict[str, Any], coefficients: np.ndarray, where: str) -> str
     if "fisheye_model" in content:
         return "equidistant" if content["fisheye_model"] else "radtan"
     if coefficients.size > 5:
-        raise SemlocError(
-            f"{where}: {coefficients.size} distortion coefficients (rational model) are not supported; expected 4 or 5"
-        )
+        return "rational"
     if coefficients.size == 4:
         _log.warning("%s: four distortion coefficients are read as a fisheye (add fisheye_model: 0 for radtan)", where)
     return {0: "none", 4: "equidistant", 5: "radtan"}[coefficients.size]
