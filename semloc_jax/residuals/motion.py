@@ -1,0 +1,129 @@
+"""Factors of vehicle poses over time: measured pose, motion between poses, satellite fix (room: residuals; pure JAX).
+
+In: T_map_base [4 4] of one or two times, what was measured, sqrt_info. Out: whitened residual vectors.
+A residual is zero where the poses agree with the measurement; half its squared norm is the cost in nats.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from semloc_jax.geometry import lie
+from semloc_jax.residuals.robust import CAUCHY_SCALE, KERNELS
+
+
+def pose_residual(
+    T_map_base: Float[Array, "4 4"], T_measured: Float[Array, "4 4"], sqrt_info: Float[Array, "k 6"]
+) -> Float[Array, " k"]:
+    """Whitened difference of a pose from its measurement, in the right tangent of the measurement.
+
+    `sqrt_info` [k 6] holds one row for each independent observation: six for a full pose; three that look at x, y and
+    yaw for a planar one.
+    """
+    return _mul(sqrt_info, lie.log(lie.compose(lie.inverse(T_measured), T_map_base)))
+
+
+def between_residual(
+    T_map_from: Float[Array, "4 4"],
+    T_map_to: Float[Array, "4 4"],
+    T_from_to: Float[Array, "4 4"],
+    sqrt_info: Float[Array, "k 6"],
+) -> Float[Array, " k"]:
+    """Whitened difference of the motion between two poses from the measured one; `sqrt_info` as in `pose_residual`."""
+    return pose_residual(lie.compose(lie.inverse(T_map_from), T_map_to), T_from_to, sqrt_info)
+
+
+def odometry_residual(
+    T_map_from: Float[Array, "4 4"],
+    T_map_to: Float[Array, "4 4"],
+    calibration_change: Float[Array, "2"],
+    T_from_to: Float[Array, "4 4"],
+    jacobian: Float[Array, "6 2"],
+    sqrt_info: Float[Array, "k 6"],
+) -> Float[Array, " k"]:
+    """`between_residual` of odometry whose scale and gyroscope bias are unknowns too.
+
+    Args:
+        T_map_from: Pose at the start.
+        T_map_to: Pose at the end.
+        calibration_change: Odometer scale and gyroscope bias [rad/s] less those that the odometry was made with.
+        T_from_to: Motion that the odometry says.
+        jacobian: Its right tangent by scale and bias.
+        sqrt_info: One row for each independent observation.
+    """
+    corrected = lie.compose(T_from_to, lie.exp(_mul(jacobian, calibration_change)))
+    return between_residual(T_map_from, T_map_to, corrected, sqrt_info)
+
+
+def fix_residual(
+    T_map_base: Float[Array, "4 4"],
+    offset: Float[Array, "2"],
+    p_base: Float[Array, "3"],
+    fix: Float[Array, "2"],
+    sqrt_info: Float[Array, "2"],
+) -> Float[Array, "2"]:
+    """Whitened horizontal difference of a point of the vehicle from a satellite fix that is off by `offset` [m].
+
+    Args:
+        T_map_base: Pose of the vehicle.
+        offset: GNSS-to-map offset, east and north.
+        p_base: The point: antenna, or the way driven since the time of the pose.
+        fix: Position that the receiver gives, east and north.
+        sqrt_info: 1 / standard deviation [1/m]; 0 for no fix.
+    """
+    return (lie.transform(T_map_base, p_base)[:2] + offset - fix) * sqrt_info
+
+
+def pose_linearised(
+    T_map_base: Float[Array, "4 4"], T_measured: Float[Array, "4 4"], sqrt_info: Float[Array, "k 6"]
+) -> tuple[Float[Array, " k"], Float[Array, "k 6"]]:
+    """`pose_residual` and its derivative by the right tangent of the pose."""
+    xi = lie.log(lie.compose(lie.inverse(T_measured), T_map_base))
+    return _mul(sqrt_info, xi), _mul(sqrt_info, lie.se3_right_jacobian_inverse(xi))
+
+
+def odometry_linearised(
+    T_map_from: Float[Array, "4 4"],
+    T_map_to: Float[Array, "4 4"],
+    calibration_change: Float[Array, "2"],
+    T_from_to: Float[Array, "4 4"],
+    jacobian: Float[Array, "6 2"],
+    sqrt_info: Float[Array, "k 6"],
+) -> tuple[Float[Array, " k"], Float[Array, "k 6"], Float[Array, "k 6"], Float[Array, "k 2"]]:
+    """`odometry_residual` and its derivatives by the right tangents of both poses and by the calibration.
+
+    The last one holds to first order in jacobian x calibration_change, as the correction itself does.
+    """
+    T_moved = lie.compose(lie.inverse(T_map_from), T_map_to)
+    correction = lie.exp(_mul(jacobian, calibration_change))
+    r, J_to = pose_linearised(T_moved, lie.compose(T_from_to, correction), sqrt_info)
+    J_from = -_mul(J_to, lie.adjoint(lie.inverse(T_moved)))
+    T_to_measured = lie.compose(lie.inverse(T_moved), lie.compose(T_from_to, correction))
+    return r, J_from, J_to, -_mul(J_to, _mul(lie.adjoint(T_to_measured), jacobian))
+
+
+def fix_linearised(
+    T_map_base: Float[Array, "4 4"],
+    offset: Float[Array, "2"],
+    p_base: Float[Array, "3"],
+    fix: Float[Array, "2"],
+    sqrt_info: Float[Array, "2"],
+) -> tuple[Float[Array, "2"], Float[Array, "2 6"], Float[Array, "2 2"]]:
+    """`fix_residual` and its derivatives by the right tangent of the pose and by the offset."""
+    R = T_map_base[:2, :3]
+    by_pose = jnp.concatenate([R, -_mul(R, lie.skew(p_base))], axis=1)
+    return fix_residual(T_map_base, offset, p_base, fix, sqrt_info), sqrt_info[:, None] * by_pose, jnp.diag(sqrt_info)
+
+
+def robust_cost(r: Float[Array, " k"], threshold: float) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Cauchy cost of a whitened residual, and the root of its weight in reweighted least squares.
+
+    Half the squared norm near zero; beyond `threshold` the cost grows with the logarithm of the norm.
+    """
+    kernel, scale = KERNELS["cauchy"], CAUCHY_SCALE / threshold
+    v = scale * jnp.linalg.norm(r)
+    return kernel.rho(v) / scale**2, jnp.sqrt(kernel.weight(v))
+
+
+def _mul(A: Array, b: Array) -> Array:
+    return jnp.matmul(A, b, precision=jax.lax.Precision.HIGHEST)
