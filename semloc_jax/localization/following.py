@@ -16,6 +16,7 @@ from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.prediction import MotionLog
+from semloc_jax.localization.priors import RoadSigmas
 from semloc_jax.localization.track_state import FrameFeatures, Track
 
 
@@ -30,6 +31,12 @@ class FollowConfig:
     penalty_memory: float = 0.9
     refused_nats: float = 5.0
     """What a frame costs that the track contradicts."""
+    regained: float = 0.5
+    """Contradictions that a frame in agreement makes up for: who was wrong for long is not believed at once."""
+    stance_gain: float = 0.1
+    """What a frame moves the mean of how the vehicle stands on the road."""
+    max_height_m: float = 0.15
+    max_tilt_deg: float = 2.0
 
 
 class View(NamedTuple):
@@ -89,15 +96,35 @@ def conflicts_after(
     return conflicts
 
 
+def stance_after(
+    stance: np.ndarray, measured: np.ndarray, covariance: np.ndarray, road: RoadSigmas, config: FollowConfig
+) -> np.ndarray:
+    """How the vehicle stands on the road, after one more frame: a slow mean, which a weak view hardly moves.
+
+    A loaded boot or a camera that is off by a degree stays for minutes, a pothole does not.
+    """
+    tilt = np.deg2rad(road.roll_pitch_deg)
+    spread = np.array([road.height_m, tilt, tilt]) ** 2
+    gain = config.stance_gain * spread / (spread + np.diagonal(covariance)[2:5])
+    limit = np.array([config.max_height_m, *np.deg2rad([config.max_tilt_deg] * 2)])
+    return np.clip(stance + gain * (measured - stance), -limit, limit)
+
+
 def seen(
-    track: Track, fusion: Fusion, aligner: FrameAligner, frame: FrameFeatures, trust: np.ndarray, config: HealthConfig
+    track: Track,
+    fusion: Fusion,
+    aligner: FrameAligner,
+    frame: FrameFeatures,
+    trust: np.ndarray,
+    stance: np.ndarray,
+    config: HealthConfig,
 ) -> View:
     """What the masks of a frame say about a predicted track."""
     pose = fusion.pose(track.fusion)
     if aligner.windows.around(pose.T_map_base[:3, 3]).nearest_m(pose.T_map_base[:2, 3]) > config.off_map_m:
         return View(None, False, True, ("outside of the map",))
     try:
-        found = aligner.align(frame, pose.T_map_base, pose.covariance, float(track.along_sigma_m), trust)
+        found = aligner.align(frame, pose.T_map_base, pose.covariance, float(track.along_sigma_m), trust, stance)
     except SemlocError:
         return View(None, False, True, ("outside of the map: no road there",))
     is_occluded, reasons = health.frame_problems(found, frame.usable_share, config)
@@ -119,9 +146,11 @@ def corrected(track: Track, view: View, fusion: Fusion, config: FollowConfig) ->
     if not innovation.accepted:
         text = f"the measured pose does not fit the prediction (chi2 {innovation.chi2:.0f})"
         return refused, view._replace(reasons=(text,))
-    zero = np.float64(0.0)
     return track._replace(
-        fusion=state, num_accepted=track.num_accepted + 1.0, num_refused=zero, along_sigma_m=sigma_along
+        fusion=state,
+        num_accepted=track.num_accepted + 1.0,
+        num_refused=np.maximum(track.num_refused - config.regained, 0.0),
+        along_sigma_m=sigma_along,
     ), view
 
 

@@ -63,6 +63,8 @@ class Alignment(NamedTuple):
     visible_px: Float[np.ndarray, " element"]
     """Contour seen of each element of the whole map [px]."""
     missed_px: Float[np.ndarray, " element"]
+    stance: Float[np.ndarray, "3"] = np.zeros(3)
+    """Height [m], roll and pitch [rad] of the vehicle over the road, as measured."""
 
 
 class FrameAligner:
@@ -85,6 +87,7 @@ class FrameAligner:
         covariance: Float[np.ndarray, "6 6"],
         last_sigma_along_m: float,
         trust: Float[np.ndarray, " element"],
+        stance: Float[np.ndarray, "3"],
     ) -> Alignment:
         """The pose of a frame near its prediction.
 
@@ -94,11 +97,13 @@ class FrameAligner:
             covariance: Its covariance (right tangent).
             last_sigma_along_m: Sigma along the road that the masks of the last frame gave alone [m].
             trust: Weight of each element of the whole map.
+            stance: Height [m], roll and pitch [rad] of the vehicle over the road of the map.
 
         Raises:
             SemlocError: the map has no road near the prediction.
         """
-        T_start = self.on_road(T_map_predicted)
+        T_road = self.on_road(T_map_predicted)
+        T_start = T_road @ rigid.exp(np.array([0.0, 0.0, *stance, 0.0]))
         window = self.windows.around(T_start[:3, 3])
         inputs = self.frame_input(frame, window)
         origin = window.local_map.origin_map
@@ -119,7 +124,8 @@ class FrameAligner:
         found: TrackedFrame = jax.device_get(
             align_predicted(jnp.asarray(T_local, jnp.float32), prior, inputs, local_trust, step)
         )
-        return self._answer(found, frame.time_s, origin, sigma, index, len(trust), moved_m)
+        answer = self._answer(found, frame.time_s, origin, sigma, index, len(trust), moved_m)
+        return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ answer.measurement.T_map_base)[2:5])
 
     def on_road(self, T_map_base: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """The pose of a vehicle that stands on the road of the map at the same place with the same heading."""

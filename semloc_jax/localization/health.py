@@ -37,8 +37,10 @@ class HealthConfig:
     """Lost: satellite fixes in a row that contradict the pose."""
     conflict_m: float = 6.0
     """Fixes that are nearer than this, or within five of their sigmas, do not contradict."""
-    max_refused: float = 1.0
-    """Frames in a row that may contradict the prediction while the pose is still called tracked."""
+    max_refused: float = 0.5
+    """Contradictions (frames, less those made up for) up to which the pose is called tracked."""
+    frozen_m: float = 0.3
+    """Masks that stay the same to the last bit over this way are of a camera that has stopped."""
     protection_factor: float = 3.3
     """Half width of a protection level in sigmas."""
     alert_lateral_m: float = 0.29

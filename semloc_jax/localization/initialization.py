@@ -60,6 +60,13 @@ def with_fix(fixes: Fixes, fix: GnssMeasurement) -> Fixes:
     return Fixes(*(column[order] for column in rows))
 
 
+def newest(fixes: Fixes, num: int) -> Fixes:
+    """The buffer without all but the newest fixes: the older ones belong to a place where the vehicle no longer is."""
+    time_s = fixes.time_s.copy()
+    time_s[: max(len(time_s) - num, 0)] = -np.inf
+    return fixes._replace(time_s=time_s)
+
+
 def prior_from_fixes(
     fixes: Fixes, motion: MotionLog, time_s: float, calibration: Calibration, config: InitializationConfig
 ) -> PosePrior | None:

@@ -6,6 +6,7 @@ is in the state, the map and the motion log.
 """
 
 import time
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -24,12 +25,13 @@ from semloc_jax.localization.following import (
     corrected,
     new_track,
     seen,
+    stance_after,
     weighed,
 )
 from semloc_jax.localization.frame_alignment import AlignmentConfig, FrameAligner
 from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.initialization import no_fixes, with_fix
+from semloc_jax.localization.initialization import newest, no_fixes, with_fix
 from semloc_jax.localization.kalman import KalmanFusion
 from semloc_jax.localization.map_faults import TrustConfig
 from semloc_jax.localization.map_window import MapWindows
@@ -109,7 +111,9 @@ class Localizer:
         nothing = np.float64(-np.inf)
         trust = map_faults.full_trust(len(self.map.elements))
         status = np.float64(TrackStatus.INITIALIZING)
-        return TrackerState(nothing, status, (), (), nothing, no_fixes(), trust, health.no_counts())
+        return TrackerState(
+            nothing, status, (), (), nothing, no_fixes(), trust, health.no_counts(), np.zeros(3), nothing, np.float64(0)
+        )
 
     def template(self) -> TrackerState:
         """A state with one track and one that coasts: the shapes of everything a checkpoint holds."""
@@ -137,8 +141,20 @@ class Localizer:
         anywhere = self.windows.around(self.map.extent.mean(axis=0)).samples
         packed = frame_input(anywhere, maps, rig, self.channel_of_label)
         usable = float(np.mean(np.asarray(maps.usable)))
+        digest = 0
+        for mask in masks:
+            digest = zlib.crc32(np.ascontiguousarray(mask), digest)
         return FrameFeatures(
-            frame.id, frame.time_s, rig, packed.textures, packed.usable, packed.always, tuple(fixes), usable, guess
+            frame.id,
+            frame.time_s,
+            rig,
+            packed.textures,
+            packed.usable,
+            packed.always,
+            tuple(fixes),
+            usable,
+            digest,
+            guess,
         )
 
     def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:
@@ -147,12 +163,19 @@ class Localizer:
         state = self._predicted(state, frame)
         clock.lap("predict")
         trust = map_faults.weights(state.trust, self.config.trust)
-        views = [seen(t, self.fusion, self.aligner, frame, trust, self.config.health) for t in state.tracks]
+        if state.driven_m > self.config.health.frozen_m:
+            views = [
+                View(None, True, False, ("the image has not changed while the vehicle moved",)) for _ in state.tracks
+            ]
+        else:
+            views = [
+                seen(t, self.fusion, self.aligner, frame, trust, state.stance, self.config.health) for t in state.tracks
+            ]
         clock.lap("align")
         state, view = self._fused(state, views)
         clock.lap("fuse")
         state = self._given_up(state)
-        if not state.tracks:
+        if not state.tracks and state.driven_m <= self.config.health.frozen_m:
             state = self._acquired(state, frame)
             clock.lap("acquire")
         return self._judged(state, view, frame, clock)
@@ -170,8 +193,19 @@ class Localizer:
                 conflicts = conflicts_after(counters.conflicts, fitted, self.config.health)
                 counters = counters._replace(conflicts=conflicts)
         coasting = tuple(carried(c, self.fusion, self.motion, (), frame.time_s)[0] for c in state.coasting)
-        time_s = np.float64(frame.time_s)
-        return state._replace(time_s=time_s, tracks=tuple(tracks), coasting=coasting, fixes=fixes, counters=counters)
+        driven_m = np.float64(0.0)
+        if np.isfinite(state.time_s) and frame.digest == int(state.digest):
+            motion = self.motion.increment(float(state.time_s), frame.time_s)
+            driven_m = state.driven_m + np.linalg.norm(motion.T_from_to[:3, 3])
+        return state._replace(
+            time_s=np.float64(frame.time_s),
+            tracks=tuple(tracks),
+            coasting=coasting,
+            fixes=fixes,
+            counters=counters,
+            digest=np.float64(frame.digest),
+            driven_m=driven_m,
+        )
 
     def _fused(self, state: TrackerState, views: list[View]) -> tuple[TrackerState, View | None]:
         """Every track corrected and weighed, best first; and what the frame said about the best one."""
@@ -189,7 +223,11 @@ class Localizer:
         counters = counters._replace(off_map=counters.off_map + 1.0 if view.is_off_map else np.float64(0.0))
         trust = state.trust
         if len(kept) == 1 and view.is_accepted:
-            trust = map_faults.updated(trust, view.found.visible_px, view.found.missed_px, self.config.trust)
+            found = view.found
+            trust = map_faults.updated(trust, found.visible_px, found.missed_px, self.config.trust)
+            road, covariance = self.config.alignment.road, found.measurement.covariance
+            stance = stance_after(state.stance, found.stance, covariance, road, self.config.follow)
+            state = state._replace(stance=stance)
         return state._replace(tracks=tuple(kept), counters=counters, trust=trust), view
 
     def _is_one_of(self, track: Track, kept: list[Track]) -> bool:
@@ -207,6 +245,8 @@ class Localizer:
         is_confirmed = best.num_accepted >= self.config.confirm_frames
         if is_confirmed and len(state.tracks) == 1:
             if health.lost_because(state.counters, self.config.health):
+                if state.counters.conflicts >= self.config.health.max_conflicts:
+                    state = state._replace(fixes=newest(state.fixes, int(state.counters.conflicts)))
                 return state._replace(tracks=(), coasting=(best.fusion,), status=np.float64(TrackStatus.LOST))
             return state._replace(coasting=())
         if best.num_refused >= self.config.drop_refused or state.counters.off_map > 0:

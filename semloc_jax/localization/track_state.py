@@ -41,7 +41,7 @@ class Track(NamedTuple):
     num_accepted: Float[np.ndarray, ""]
     """Frames that the track agreed with since it began."""
     num_refused: Float[np.ndarray, ""]
-    """Frames in a row that contradicted it."""
+    """Frames that contradicted it, less what frames in agreement made up for."""
     along_sigma_m: Float[np.ndarray, ""]
     """What the masks of the last frame alone said along the road: one standard deviation [m]."""
 
@@ -92,6 +92,12 @@ class TrackerState(NamedTuple):
     fixes: Fixes
     trust: ElementTrust
     counters: Counters
+    stance: Float[np.ndarray, "3"]
+    """How the vehicle stands on the road of the map: height [m], roll, pitch [rad]; load, and cameras that are off."""
+    digest: Float[np.ndarray, ""]
+    """Checksum of the masks of the last frame."""
+    driven_m: Float[np.ndarray, ""]
+    """Way driven since the masks last changed [m]."""
 
 
 class FrameFeatures(NamedTuple):
@@ -107,6 +113,8 @@ class FrameFeatures(NamedTuple):
     """Satellite fixes that came in since the frame before."""
     usable_share: float = 1.0
     """Share of the pixels that are no moving object, own vehicle or unknown."""
+    digest: int = 0
+    """Checksum of the masks: the same twice while the vehicle moves is a camera that stands still."""
     guess: PosePrior | None = None
     """First guess of the pose, where something else than satellites knows it."""
 
