@@ -97,7 +97,7 @@ def write_ocam(path, c=1.001, d=1e-4, e=-2e-4):
     path.write_text(
         "#polynomial coefficients for the DIRECT mapping function\n\n"
         f"5 {' '.join(map(str, direct))}\n\n#inverse\n\n10 {' '.join(f'{v:.12f}' for v in inverse)}\n\n"
-        f"#center: row and column\n\n483.2 641.7\n\n#affine\n\n{c} {d} {e}\n\n#image size: height and width\n\n966 1280\n"
+        f"#center: row and column\n\n483.2 641.7\n\n#affine\n\n{c} {d} {e}\n\n#image size: height, width\n\n966 1280\n"
     )
     return inverse
 
