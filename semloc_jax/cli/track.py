@@ -116,8 +116,9 @@ def _pipeline(options: Options, inputs: Inputs) -> "Pipeline":
 def _fusion(name: str) -> "Fusion":
     from semloc_jax.localization.fusion import SingleFrameFusion
     from semloc_jax.localization.kalman import KalmanFusion
+    from semloc_jax.localization.window import SlidingWindow
 
-    return SingleFrameFusion() if name == "single" else KalmanFusion()
+    return {"single": SingleFrameFusion, "kalman": KalmanFusion, "window": SlidingWindow}[name]()
 
 
 def _area(text: str | None):
