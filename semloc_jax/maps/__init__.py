@@ -6,7 +6,8 @@ In: map files. Out: SemanticMap -> LocalMap -> MapSamples.
 from semloc_jax.maps.elements import GeoOrigin, MapElement
 from semloc_jax.maps.ground import GroundModel, RoadPlane
 from semloc_jax.maps.inspect import MapReport, inspect_map
-from semloc_jax.maps.io import Lanelet2Style, read_map, write_drive_geojson, write_geojson
+from semloc_jax.maps.io import Lanelet2Style, OpenDriveStyle, read_map, write_drive_geojson, write_geojson, write_map
+from semloc_jax.maps.losses import Losses, compare
 from semloc_jax.maps.sampling import sample
 from semloc_jax.maps.semantic_map import LocalMap, SemanticMap
 
@@ -15,13 +16,17 @@ __all__ = [
     "GroundModel",
     "Lanelet2Style",
     "LocalMap",
+    "Losses",
     "MapElement",
     "MapReport",
+    "OpenDriveStyle",
     "RoadPlane",
     "SemanticMap",
+    "compare",
     "inspect_map",
     "read_map",
     "sample",
     "write_drive_geojson",
     "write_geojson",
+    "write_map",
 ]

@@ -11,10 +11,11 @@ from typing import Any
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.maps.io.argoverse2 import Argoverse2Style, find_archive, is_argoverse2, map_from_argoverse2
+from semloc_jax.maps.io.compact import read_compact, write_compact
 from semloc_jax.maps.io.drive_geojson import map_from_drive_geojson, write_drive_geojson
 from semloc_jax.maps.io.geojson import map_from_geojson, write_geojson
 from semloc_jax.maps.io.geopackage import StoredMap, read_geopackage, write_geopackage
-from semloc_jax.maps.io.lanelet2 import read_lanelet2
+from semloc_jax.maps.io.lanelet2 import left_out_relations, read_lanelet2
 from semloc_jax.maps.io.lanelet2_ways import Lanelet2Style
 from semloc_jax.maps.io.lanelet2_writer import write_lanelet2
 from semloc_jax.maps.io.opendrive import OpenDriveStyle, read_opendrive
@@ -25,22 +26,31 @@ __all__ = [
     "Lanelet2Style",
     "OpenDriveStyle",
     "StoredMap",
+    "WRITTEN_SUFFIXES",
+    "left_out_relations",
+    "read_compact",
     "read_geopackage",
     "read_lanelet2",
     "read_map",
     "read_opendrive",
+    "write_compact",
     "write_drive_geojson",
     "write_geojson",
     "write_geopackage",
     "write_lanelet2",
+    "write_map",
 ]
+
+_READ_SUFFIXES = (".geojson", ".json", ".osm", ".xodr", ".gpkg", ".smap")
 
 
 def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
-    """Returns the map in a file of any known format: drive layout, RFC 7946 GeoJSON, Lanelet2 OSM.
+    """Returns the map in a file of any known format.
 
     Args:
-        path: .osm is Lanelet2; .geojson and .json are the drive layout if they have the member `frame`, else RFC 7946.
+        path: .osm is Lanelet2, .xodr OpenDRIVE, .gpkg GeoPackage, .smap the compact form; .geojson and .json are an
+            Argoverse 2 archive, the drive layout if they have the member `frame`, else RFC 7946; a folder is that of an
+            Argoverse 2 log.
         origin: where to put the local frame of a map in latitude and longitude; None lets the reader choose.
 
     Raises:
@@ -50,17 +60,19 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
     if path.is_dir():
         path = find_archive(path) or path
     if not path.is_file():
-        raise SemlocError(f"map {path}: no such file; give a .geojson, .json or .osm map")
+        raise SemlocError(f"map {path}: no such file; give a {', '.join(_READ_SUFFIXES)} map")
     if path.suffix.lower() in (".osm", ".xml"):
         found = read_lanelet2(path, origin)
     elif path.suffix.lower() == ".gpkg":
         found = read_geopackage(path)
+    elif path.suffix.lower() == ".smap":
+        found = read_compact(path)
     elif path.suffix.lower() == ".xodr":
         found = read_opendrive(path, origin)
     elif path.suffix.lower() in (".geojson", ".json"):
         found = _map_from_json(_parse_json(path), path.name, origin)
     else:
-        raise SemlocError(f"map {path.name}: unknown type '{path.suffix}'; expected .geojson, .json or .osm")
+        raise SemlocError(f"map {path.name}: unknown type '{path.suffix}'; expected {', '.join(_READ_SUFFIXES)}")
     if not found.is_visible:
         unknown = ", ".join(f"{count} {name}" for name, count in sorted(found.skipped.items()))
         raise SemlocError(
@@ -68,6 +80,34 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
             "expected markings, poles or signs with a known `class`"
         )
     return found
+
+
+WRITTEN_SUFFIXES = (".geojson", ".gpkg", ".osm", ".smap")
+
+
+def write_map(semantic_map: SemanticMap, path: str | Path, in_degrees: bool | None = None) -> None:
+    """Writes a map in the format of its suffix: GeoJSON, GeoPackage, Lanelet2 or the compact form.
+
+    Args:
+        semantic_map: the map.
+        path: ends in .geojson, .gpkg, .osm or .smap.
+        in_degrees: GeoJSON after RFC 7946, else the drive layout in metres; None takes degrees where the map has a
+            place on the earth.
+
+    Raises:
+        SemlocError: another suffix, or the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix in (".geojson", ".json"):
+        is_geodetic = semantic_map.origin is not None if in_degrees is None else in_degrees
+        (write_geojson if is_geodetic else write_drive_geojson)(semantic_map, path)
+    elif suffix in _WRITERS:
+        _WRITERS[suffix](semantic_map, path)
+    else:
+        raise SemlocError(f"map {path}: cannot write '{suffix}'; expected {', '.join(WRITTEN_SUFFIXES)}")
+
+
+_WRITERS = {".gpkg": write_geopackage, ".osm": write_lanelet2, ".smap": write_compact}
 
 
 def _map_from_json(document: Any, name: str, origin: GeoOrigin | None) -> SemanticMap:

@@ -26,13 +26,17 @@ def map_from_drive_geojson(document: Mapping[str, Any], name: str) -> SemanticMa
         SemlocError: a wrong geometry for a class, NaN coordinates, or an origin that is no place on earth.
     """
     elements, skipped = elements_from_features(document, name)
-    return SemanticMap(elements, _origin(document.get("frame"), name), name, skipped)
+    frame = document.get("frame")
+    frame_name = frame.get("name", "") if isinstance(frame, Mapping) else ""
+    return SemanticMap(elements, _origin(frame, name), name, skipped, str(frame_name))
 
 
 def write_drive_geojson(semantic_map: SemanticMap, path: str | Path) -> None:
     """Writes a map in the layout of a drive: metres in the local frame, 0.1 mm."""
     origin = semantic_map.origin
     frame: dict[str, Any] = {"kind": _FRAME_KIND}
+    if semantic_map.frame:
+        frame["name"] = semantic_map.frame
     if origin is not None:
         frame |= {"origin_lat_deg": origin.lat_deg, "origin_lon_deg": origin.lon_deg, "origin_alt_m": origin.alt_m}
     features = [feature_from_element(element, lambda points: points.round(4)) for element in semantic_map.elements]

@@ -39,7 +39,7 @@ def map_from_geojson(document: Mapping[str, Any], name: str, origin: GeoOrigin |
         return enu_from_wgs84(lat, lon, alt, origin)
 
     elements, skipped = elements_from_features(document, name, to_local)
-    return SemanticMap(elements, origin, name, skipped)
+    return SemanticMap(elements, origin, name, skipped, str(document.get("frame_name", "")))
 
 
 def write_geojson(semantic_map: SemanticMap, path: str | Path) -> None:
@@ -60,7 +60,9 @@ def write_geojson(semantic_map: SemanticMap, path: str | Path) -> None:
         return np.stack([lon.round(_DECIMALS_DEG), lat.round(_DECIMALS_DEG), alt.round(4)], axis=-1)
 
     features = [feature_from_element(element, to_file) for element in semantic_map.elements]
-    write_features(path, {"name": semantic_map.name, "origin": origin._asdict()}, features)
+    members = {"name": semantic_map.name, "origin": origin._asdict()}
+    members |= {"frame_name": semantic_map.frame} if semantic_map.frame else {}
+    write_features(path, members, features)
 
 
 def _named_origin(document: Mapping[str, Any], name: str) -> GeoOrigin | None:

@@ -85,6 +85,13 @@ def read_lanelet2(path: str | Path, origin: GeoOrigin | None = None, style: Lane
     return SemanticMap(tuple(elements), frame.origin, name, {k: n for k, n in skipped.items() if n}, frame.name)
 
 
+def left_out_relations(path: str | Path) -> dict[str, int]:
+    """Returns how many relations of each type a Lanelet2 file has that a map of what can be seen does not keep."""
+    relations = read_osm(path).relations.values()
+    kinds = Counter(relation.tags.get("type", "without type") for relation in relations)
+    return {kind: count for kind, count in kinds.items() if kind != "regulatory_element"}
+
+
 def _locate(osm: OsmFile, path: Path, origin: GeoOrigin | None) -> _Frame:
     """Returns all nodes that ways use, in the map frame, and where that frame is."""
     used = dict.fromkeys(ref for way in osm.ways.values() for ref in way.references if ref in osm.nodes)
@@ -104,9 +111,9 @@ def _locate(osm: OsmFile, path: Path, origin: GeoOrigin | None) -> _Frame:
     if np.isfinite(local).all():
         points = np.column_stack([local, np.nan_to_num(height)])
         if origin is not None and grid is not None and grid.is_known:
-            return _Frame(_flattened(rows, grid.to_enu(points, origin), has_height), origin, "ENU")
+            return _Frame(_flattened(rows, grid.to_enu(points, origin), has_height), origin, "")
         own = grid.origin if grid is not None else None
-        name = name or (grid.name if grid is not None else "local_x, local_y")
+        name = name or (grid.name if grid is not None else "")
         return _Frame(_Nodes(rows, points, has_height), origin or own, name)
     if not np.isfinite(geodetic).all():
         lost = list(used)[int(np.argmin(np.isfinite(geodetic).all(axis=1)))]
@@ -119,7 +126,7 @@ def _locate(osm: OsmFile, path: Path, origin: GeoOrigin | None) -> _Frame:
         return _Frame(_flattened(rows, points, has_height), grid.origin, grid.name)
     origin = origin or own or _middle(geodetic, height)
     points = enu_from_wgs84(lat, lon, np.where(has_height, height, origin.alt_m), origin)
-    return _Frame(_flattened(rows, points, has_height), origin, name or "ENU")
+    return _Frame(_flattened(rows, points, has_height), origin, name)
 
 
 def _flattened(rows: dict[str, int], points: np.ndarray, has_height: np.ndarray) -> _Nodes:

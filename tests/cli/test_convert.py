@@ -1,0 +1,87 @@
+"""`semloc convert`: every format into every other, and what is lost on the way."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from semloc_jax.cli.main import FAILED, LOST, OK, main
+from semloc_jax.maps import GeoOrigin, MapElement, SemanticMap, compare, read_map, write_drive_geojson
+from semloc_jax.structs import ElementClass
+
+
+@pytest.fixture
+def small_map(tmp_path):
+    line = np.array([[0.0, 0.0, 0.0], [25.0, 0.4, 0.1], [50.0, 0.0, 0.0]])
+    plate = np.array([[9.0, 0.3, 2.0], [9.0, -0.3, 2.0], [9.0, 0.0, 2.5]])
+    elements = (
+        MapElement("line", ElementClass.LANE_MARKING, line, width_m=0.15, style="solid", attributes={"color": "white"}),
+        MapElement("pole", ElementClass.POLE, line[:1] + [[0, 4, 0], [0, 4, 5]], radius_m=0.1, radius_top_m=0.1),
+        MapElement("sign", ElementClass.SIGN, plate, closed=True, shape="triangle", normal=np.array([-1.0, 0.0, 0.0])),
+    )
+    road = SemanticMap(elements, GeoOrigin(48.0, 11.0, 500.0), "small")
+    path = tmp_path / "small.geojson"
+    write_drive_geojson(road, path)
+    return path
+
+
+@pytest.mark.parametrize("pair", [*itertools.product(["geojson", "gpkg", "osm"], repeat=2)], ids=" to ".join)
+def test_from_every_format_to_every_other_within_a_tenth_of_a_millimetre(small_map, tmp_path, capsys, pair):
+    first, second = tmp_path / f"first.{pair[0]}", tmp_path / f"second.{pair[1]}"
+    assert main(["convert", str(small_map), str(first)]) == OK
+    assert main(["convert", str(first), str(second)]) == OK
+    losses = compare(read_map(small_map), read_map(second))
+    assert not losses.lost and not losses.added and losses.shift_m < 2e-4
+    assert losses.changed == {} and losses.notes == ()
+    assert "3 elements" in capsys.readouterr().out
+
+
+def test_an_exact_way_is_called_exact_and_a_lossy_one_is_not(small_map, tmp_path, capsys):
+    assert main(["convert", str(small_map), str(tmp_path / "m.gpkg"), "--strict"]) == OK
+    assert "comes back exactly" in capsys.readouterr().out
+    assert main(["convert", str(small_map), str(tmp_path / "m.smap"), "--strict"]) == LOST
+    said = capsys.readouterr().out
+    assert "ids are not kept" in said and "changed: attributes of 3" in said and "points are exact" in said
+
+
+def test_classes_and_the_layout_of_geojson_can_be_chosen(small_map, tmp_path, capsys):
+    out = tmp_path / "m.geojson"
+    assert main(["convert", str(small_map), str(out), "--only", "pole,sign", "--geojson", "drive"]) == OK
+    assert {e.id for e in read_map(out).elements} == {"pole", "sign"}
+    assert '"frame"' in out.read_text()
+    assert main(["convert", str(small_map), str(out)]) == OK
+    assert '"frame"' not in out.read_text() and '"origin"' in out.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["m.shp"], "cannot write '.shp'; expected .geojson"),
+        (["m.gpkg", "--only", "tram"], "no class 'tram'"),
+        (["m.gpkg", "--only", "cone"], "the map has none of these; it has lane_marking, pole, sign"),
+        (["m.gpkg", "--origin", "500,2"], "expected latitude,longitude"),
+        (["m.gpkg", "--origin", "here"], "expected latitude,longitude"),
+        (["nowhere/m.gpkg"], "cannot write map"),
+        (["nowhere/m.osm"], "cannot write map"),
+        (["nowhere/m.smap"], "cannot write map"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_in_one_line(small_map, tmp_path, capsys, words, message):
+    assert main(["convert", str(small_map), str(tmp_path / words[0]), *words[1:]]) == FAILED
+    said = capsys.readouterr().err
+    assert message in said and len(said.splitlines()) == 1
+
+
+def test_the_map_itself_is_never_overwritten(small_map, capsys):
+    before = small_map.read_bytes()
+    assert main(["convert", str(small_map), str(small_map)]) == FAILED
+    assert small_map.read_bytes() == before
+
+
+def test_lanelets_that_are_left_out_are_named(tmp_path, capsys):
+    nodes = "".join(f"<node id='{i}' lat='48.000{i}' lon='11'><tag k='ele' v='5'/></node>" for i in (1, 2))
+    way = "<way id='9'><nd ref='1'/><nd ref='2'/><tag k='type' v='stop_line'/></way>"
+    lanelet = "<relation id='5'><member type='way' ref='9' role='left'/><tag k='type' v='lanelet'/></relation>"
+    (tmp_path / "m.osm").write_text(f"<osm>{nodes}{way}{lanelet}</osm>")
+    assert main(["convert", str(tmp_path / "m.osm"), str(tmp_path / "m.gpkg")]) == OK
+    assert "left out when the map was read: 1 lanelet relations" in capsys.readouterr().out
