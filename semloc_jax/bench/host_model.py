@@ -102,7 +102,7 @@ def right_jacobian(omega: np.ndarray) -> np.ndarray:
     """J_r with Exp(omega + d) = Exp(omega) Exp(J_r d)."""
     angle = max(np.linalg.norm(omega), 1e-6)
     W = np.cross(np.eye(3), omega / angle)
-    return np.eye(3) + (1 - np.cos(angle)) / angle * W + (1 - np.sin(angle) / angle) * W @ W
+    return np.eye(3) - (1 - np.cos(angle)) / angle * W + (1 - np.sin(angle) / angle) * W @ W
 
 
 def coarse_to_fine(

@@ -6,7 +6,7 @@ A peer lives in one file and imports its library when it is made: whoever lacks 
 
 import importlib
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -28,6 +28,7 @@ class Solved(NamedTuple):
     """CPU time as the peer has measured it, where it runs outside of this process."""
 
 
+@runtime_checkable
 class Peer(Protocol):
     """A solver of the problem."""
 

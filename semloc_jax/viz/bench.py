@@ -85,11 +85,12 @@ def _roofline(axes: Axes, roofline: dict, colours: dict[str, str]) -> None:
     roofs = roofline["roofs"]
     intensity = np.geomspace(0.25, 256.0, 200)
     peak = roofs["matmul_gflops"]
-    for name, style, text in (("cache_gbps", "-", "in cache"), ("stream_gbps", "--", "from memory")):
+    lines = ("cache_gbps", "-", "in cache", "right", 3), ("stream_gbps", "--", "from memory", "left", -9)
+    for name, style, text, side, rise in lines:
         reach = np.minimum(peak, intensity * roofs[name])
         axes.plot(intensity, reach, style, color=INK, linewidth=1.2)
-        place = 0.5, 0.5 * roofs[name]
-        axes.annotate(f"{roofs[name]:.0f} GB/s {text}", place, xytext=(6, -6), **_SMALL, va="top")
+        place = 1.0, roofs[name]
+        axes.annotate(f"{roofs[name]:.0f} GB/s {text}", place, xytext=(rise * -1, rise), **_SMALL, ha=side)
     axes.annotate(f"{peak:.0f} GFLOP/s", (60.0, peak), xytext=(0, 4), **_SMALL)
     here = roofline["flop_a_point"] / roofline["bytes_a_point"]
     texels = roofline["flop_a_point"] * roofs["gather_mps"] * 1e-3
