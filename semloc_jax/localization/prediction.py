@@ -248,11 +248,13 @@ class MotionLog:
         yaw_age = np.where(has_gyro, imu_age, speed_age)
         turn = np.where(has_gyro[:, None], imu[:, :3], wheels[:, 1:] * [0.0, 0.0, 1.0]) * step_s[:, None]
         turn[:, 2] -= calibration.gyro_bias_radps * step_s
+        # A car sways about the road: a roll or pitch rate, once silent, is no rate to go on with.
+        turn[imu_age > 0.0, :2] = 0.0
         driven = wheels[:, 0] * step_s
         distance = calibration.odometer_scale * driven
 
         yaw_density = np.deg2rad(np.where(has_gyro, noise.gyro_density_degps, noise.wheel_yaw_density_degps))
-        tilt_density = np.deg2rad(np.where(has_gyro, noise.tilt_density_degps, noise.tilt_without_gyro_degps))
+        tilt_density = np.deg2rad(np.where(imu_age == 0.0, noise.tilt_density_degps, noise.tilt_without_gyro_degps))
         turn_share = np.where(has_gyro, noise.gyro_turn_share, noise.wheel_turn_share)
         variance = np.zeros((len(step_s), 6))
         side_slip = noise.side_slip_share + noise.side_slip_per_mps2 * np.abs(wheels[:, 0] * turn[:, 2] / step_s)
