@@ -1,12 +1,29 @@
 """Files that people put next to a recording (room: datasets; host).
 
-In: the path of a recording. Out: its calibration and its maps, where they lie in it or beside it.
+In: the path of a recording. Out: its calibration, its maps and its sensor logs, where they lie in it or beside it.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
+
+from semloc_jax.datasets.nmea import is_nmea, read_nmea
+from semloc_jax.datasets.sensors import GnssTrack, Imu, WheelOdometry, read_gnss, read_imu, read_wheel_odometry
+from semloc_jax.evaluation.trajectory import Trajectory, read_trajectory
 
 CALIBRATIONS = ("calib.yaml", "camchain.yaml", "calibration.yaml", "camera_info.yaml", "calib.xml", "calib.json")
 MAPS = ("map.geojson", "map.gpkg", "map.osm", "map.xodr")
+POSES = ("poses_body.tum", "poses.tum", "poses.txt", "poses.npy")
+_FIXES = ("gps.csv", "gnss.csv", "gps.nmea", "gnss.nmea", "nmea.txt", "gps.txt")
+
+
+@dataclass(frozen=True)
+class Logs:
+    """Sensor logs; None where there are none."""
+
+    gnss: GnssTrack | None = None
+    odometry: WheelOdometry | None = None
+    imu: Imu | None = None
+    truth: Trajectory | None = None
 
 
 def calibration_beside(path: Path) -> Path | None:
@@ -22,6 +39,29 @@ def maps_beside(path: Path) -> dict[str, Path]:
             if (place / name).is_file():
                 found.setdefault(name.split(".")[1], place / name)
     return found
+
+
+def logs_beside(path: Path) -> Logs:
+    """Fixes (gps.csv or NMEA), odometry, inertial data and poses in a recording's folder or, of a file, beside it.
+
+    Raises:
+        SemlocError: a log is there and is not what its name says.
+    """
+    folder = path if path.is_dir() else path.parent
+    fixes, wheels, inertial = folder_file(folder, _FIXES), folder / "wheel_odom.csv", folder / "imu.csv"
+    poses = folder_file(folder, POSES)
+    gnss = None if fixes is None else (read_nmea(fixes) if is_nmea(fixes) else read_gnss(fixes))
+    return Logs(
+        gnss=gnss,
+        odometry=read_wheel_odometry(wheels) if wheels.is_file() else None,
+        imu=read_imu(inertial) if inertial.is_file() else None,
+        truth=None if poses is None else read_trajectory(poses),
+    )
+
+
+def folder_file(folder: Path, names: tuple[str, ...]) -> Path | None:
+    """The first of the names that is a file in a folder."""
+    return next((folder / name for name in names if (folder / name).is_file()), None)
 
 
 def _places(path: Path) -> list[Path]:

@@ -13,8 +13,8 @@ from semloc_jax.errors import SemlocError
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _EPOCH_S = (3.0e8, 5.0e9)
 """Times since 1970 lie in here (1979 ... 2128): receivers and cameras are not older, clocks not further off."""
-_STEP_S = (2e-4, 20.0)
-"""Recordings have steps in here; a step of 33 is 33 ms and not half a minute; ours."""
+_STEP_S = (2e-4, 2.5)
+"""Recordings have steps in here: a step of 5 is one of 5 ms; ours."""
 _COLUMN = re.compile(r"(?:^|[_\[( .])(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds)\]?\)?$", re.IGNORECASE)
 _SPELLED = {"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "usec": "us", "nsec": "ns", "nanoseconds": "ns"}
 
@@ -50,21 +50,18 @@ def unit_of_column(column: str) -> str | None:
 def _unit_of_values(values: np.ndarray, where: str) -> str:
     if not len(values):
         return "s"
-    largest = float(np.abs(values).max())
-    for unit, scale in UNITS.items():
-        if _EPOCH_S[0] <= largest * scale <= _EPOCH_S[1]:
-            return unit
-    steps = np.abs(np.diff(np.unique(values)))
-    if not len(steps):
-        return "s"
-    step = float(np.median(steps))
-    for unit, scale in UNITS.items():
-        if _STEP_S[0] <= step * scale <= _STEP_S[1]:
-            return unit
-    raise SemlocError(
-        f"{where}: times {values.min():.6g} ... {values.max():.6g} with steps of {step:.3g}; expected s, ms, us or ns "
-        "of a recording; name the unit in the column, e.g. t_ns"
-    )
+    first, last = float(values.min()), float(values.max())
+    of_clock = [unit for unit, scale in UNITS.items() if _EPOCH_S[0] <= first * scale and last * scale <= _EPOCH_S[1]]
+    steps = np.diff(np.unique(values))
+    step = float(np.median(steps)) if len(steps) else 0.0
+    of_step = [unit for unit, scale in UNITS.items() if _STEP_S[0] <= step * scale <= _STEP_S[1]]
+    both = [unit for unit in of_clock if unit in of_step]
+    if not (both or of_clock or of_step) and len(steps):
+        raise SemlocError(
+            f"{where}: times {first:.6g} ... {last:.6g} with steps of {step:.3g}; expected s, ms, us or ns of a "
+            "recording; name the unit in the column, e.g. t_ns"
+        )
+    return (both or of_clock or of_step or ["s"])[0]
 
 
 def _scaled(values: np.ndarray, unit: str) -> np.ndarray:

@@ -6,17 +6,27 @@ In: a path. Out: Sequence.
 from collections.abc import Callable
 from pathlib import Path
 
+from semloc_jax.datasets.argoverse2 import is_argoverse2_log, read_argoverse2
 from semloc_jax.datasets.bags import is_bag, read_bag
 from semloc_jax.datasets.base import Sequence
 from semloc_jax.datasets.drive import is_drive, read_drive
+from semloc_jax.datasets.euroc import is_euroc, read_euroc
 from semloc_jax.datasets.folder import has_pictures, read_folder
+from semloc_jax.datasets.kitti import is_kitti, read_kitti
+from semloc_jax.datasets.nuscenes import is_nuscenes, read_nuscenes
 from semloc_jax.datasets.pandaset import is_pandaset, read_pandaset
+from semloc_jax.datasets.video import is_video, read_video
 from semloc_jax.errors import SemlocError
 
 _KINDS: tuple[tuple[str, Callable[[Path], bool], Callable[..., Sequence]], ...] = (
     ("drive", is_drive, read_drive),
     ("bag", is_bag, read_bag),
     ("PandaSet", is_pandaset, read_pandaset),
+    ("EuRoC", is_euroc, read_euroc),
+    ("Argoverse 2", is_argoverse2_log, read_argoverse2),
+    ("nuScenes", is_nuscenes, read_nuscenes),
+    ("KITTI", is_kitti, read_kitti),
+    ("video", is_video, read_video),
 )
 _OWN_CALIBRATION = ("drive", "PandaSet")
 
@@ -41,7 +51,10 @@ def open_sequence(path: str | Path, calibration: str | Path | None = None) -> Se
         if fits(path):
             return read(path) if calibration is None or kind in _OWN_CALIBRATION else read(path, calibration)
     if not path.is_dir():
-        raise SemlocError(f"data set {path}: unknown type '{path.suffix}'; expected .bag, .db3, .mcap or a folder")
+        raise SemlocError(
+            f"data set {path}: unknown type '{path.suffix}'; expected .bag, .db3, .mcap, .mp4, "
+            ".avi, .mkv, .mov or a folder"
+        )
     return read_folder(path, calibration)
 
 

@@ -1,7 +1,8 @@
 """A plain folder of images and masks with a calibration (room: datasets; host).
 
 In: images/ (or rgb/) and masks/, each with one folder per camera or, for one camera, the files themselves;
-calib.yaml or any calibration the cameras room reads; optionally times.csv, poses.tum and a map. Out: Sequence.
+calib.yaml or any calibration the cameras room reads; optionally times.csv, timestamps.txt or file names that are times,
+gps.csv or NMEA, wheel_odom.csv, imu.csv, poses.tum and a map. Out: Sequence.
 """
 
 from collections.abc import Mapping
@@ -11,15 +12,17 @@ import numpy as np
 
 from semloc_jax.cameras import Rig, read_calibration
 from semloc_jax.datasets.base import IMAGE, Frame, Sequence
-from semloc_jax.datasets.tables import read_rows
+from semloc_jax.datasets.beside import CALIBRATIONS, MAPS, folder_file, logs_beside
+from semloc_jax.datasets.clock import seconds
+from semloc_jax.datasets.tables import column_names, read_numbers, read_rows
 from semloc_jax.errors import SemlocError
-from semloc_jax.evaluation.trajectory import Trajectory, read_trajectory
+from semloc_jax.evaluation.trajectory import Trajectory
 
 _KIND_OF_FOLDER = {"images": IMAGE, "image": IMAGE, "rgb": IMAGE, "masks": "masks", "labels": "masks", "sem": "sem"}
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
-_CALIBRATIONS = ("calib.yaml", "camchain.yaml", "calibration.yaml", "camera_info.yaml", "calib.xml")
-_POSES = ("poses_body.tum", "poses.tum", "poses.txt", "poses.npy")
-_MAPS = ("map.geojson", "map.osm", "map.gpkg", "map.xodr")
+_TIME = ("t", "time", "timestamp", "t_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us", "timestamp_ns")
+_MIN_STAMP_DIGITS = 9
+"""File names of so many digits are times and no numbers of pictures; ours."""
 
 
 def read_folder(
@@ -27,8 +30,9 @@ def read_folder(
 ) -> Sequence:
     """Sequence of a folder of files.
 
-    Files of different kinds and cameras belong together by their stem. Times come from `times.csv` (columns frame, t)
-    or, where there are as many poses as frames, from the poses; else frames follow each other at `rate_hz`.
+    Files of different kinds and cameras belong together by their stem. Times come from `times.csv` (columns frame, t),
+    from `timestamps.txt` (one for each picture), from file names of nine and more digits or, where there are as many
+    poses as frames, from the poses; else frames follow each other at `rate_hz`.
 
     Args:
         path: folder.
@@ -47,7 +51,8 @@ def read_folder(
     stems = sorted(set.intersection(*(set(files[camera]) for files in by_kind.values() for camera in rig.names)))
     if not stems:
         raise SemlocError(f"folder {path}: no file name is shared by all of {', '.join(by_kind)} and all cameras")
-    truth = next((read_trajectory(path / name) for name in _POSES if (path / name).is_file()), None)
+    logs = logs_beside(path)
+    truth = logs.truth
     times = _frame_times(path, stems, truth, rate_hz)
     if truth is not None and len(truth) == len(stems):
         truth = Trajectory(times, truth.T_map_base)
@@ -69,8 +74,11 @@ def read_folder(
         rig=rig,
         table_name=table_name,
         mask_sources=tuple(kind for kind in by_kind if kind != IMAGE),
-        maps={name.split(".")[1]: path / name for name in _MAPS if (path / name).is_file()},
+        maps={name.split(".")[1]: path / name for name in MAPS if (path / name).is_file()},
         truth=truth,
+        gnss=logs.gnss,
+        odometry=logs.odometry,
+        imu=logs.imu,
     )
 
 
@@ -80,10 +88,12 @@ def has_pictures(path: Path) -> bool:
 
 
 def _find_calibration(path: Path) -> Path:
-    for name in _CALIBRATIONS:
-        if (path / name).is_file():
-            return path / name
-    raise SemlocError(f"folder {path}: no calibration; expected one of {', '.join(_CALIBRATIONS)}; or name one")
+    found = folder_file(path, CALIBRATIONS)
+    if found is None:
+        raise SemlocError(
+            f"folder {path}: no calibration; expected one of {', '.join(CALIBRATIONS)}; or give --calib FILE"
+        )
+    return found
 
 
 def _kind_folders(path: Path) -> list[tuple[Path, str]]:
@@ -109,11 +119,41 @@ def _pictures(folder: Path) -> dict[str, Path]:
 
 def _frame_times(path: Path, stems: list[str], truth: Trajectory | None, rate_hz: float) -> np.ndarray:
     if (path / "times.csv").is_file():
-        time_of = {row["frame"]: float(row["t"]) for row in read_rows(path / "times.csv", ("frame", "t"))}
-        absent = [stem for stem in stems if stem not in time_of]
-        if absent:
-            raise SemlocError(f"folder {path}: times.csv has no row for frame {absent[0]}; expected one for each frame")
-        return np.array([time_of[stem] for stem in stems])
+        return _listed_times(path, stems)
+    if (path / "timestamps.txt").is_file():
+        values = read_numbers(path / "timestamps.txt", None)[:, -1]
+        if len(values) != len(stems):
+            raise SemlocError(
+                f"folder {path}: timestamps.txt has {len(values)} rows for {len(stems)} frames; expected one each"
+            )
+        return seconds(values, f"folder {path}: timestamps.txt")[0]
+    if all(stem.replace(".", "", 1).isdigit() and len(stem.replace(".", "")) >= _MIN_STAMP_DIGITS for stem in stems):
+        whole = all(stem.isdigit() and len(stem) <= 19 for stem in stems)
+        stamps = np.array([int(stem) for stem in stems], dtype=np.int64) if whole else np.array(stems, dtype=np.float64)
+        return seconds(stamps, f"folder {path}: file names")[0]
     if truth is not None and len(truth) == len(stems) and np.ptp(truth.time_s) != len(stems) - 1:
         return truth.time_s
     return np.arange(len(stems)) / rate_hz
+
+
+def _listed_times(path: Path, stems: list[str]) -> np.ndarray:
+    file = path / "times.csv"
+    names = column_names(file, {"time": _TIME, "frame": ("frame", "name", "file", "filename", "image")})
+    if names.keys() != {"time", "frame"}:
+        raise SemlocError(f"table {file}: expected the columns frame and t (or t_ms, t_us, t_ns)")
+    rows = {Path(row[names["frame"]] or "").stem: row[names["time"]] for row in read_rows(file, ())}
+    absent = [stem for stem in stems if stem not in rows]
+    if absent:
+        raise SemlocError(f"folder {path}: times.csv has no row for frame {absent[0]}; expected one for each frame")
+    cells = [(rows[stem] or "").strip() for stem in stems]
+    try:
+        # Whole nanoseconds do not fit the digits of a float64.
+        is_whole = all(cell.isdigit() and len(cell) <= 19 for cell in cells)
+        values = (
+            np.array([int(cell) for cell in cells], dtype=np.int64)
+            if is_whole
+            else np.array([float(cell) for cell in cells])
+        )
+    except (ValueError, OverflowError) as error:
+        raise SemlocError(f"table {file}: {error}; expected a time for each frame") from error
+    return seconds(values, f"table {file}", names["time"])[0]

@@ -134,8 +134,9 @@ def odometry_from_poses(poses: Trajectory) -> WheelOdometry | None:
     turned = np.einsum("nji,njk->nik", T[:-1, :3, :3], T[1:, :3, :3])
     yaw = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
     moved = np.einsum("nji,nj->ni", T[:-1, :3, :3], np.diff(T[:, :3, 3], axis=0))
-    # The chord points half the turn to the side of where the vehicle looked first.
-    speed = (moved[:, 0] * np.cos(0.5 * yaw) + moved[:, 1] * np.sin(0.5 * yaw)) / step_s
+    # The chord points half the turn to the side of where the vehicle looked first, and is shorter than the arc.
+    chord = moved[:, 0] * np.cos(0.5 * yaw) + moved[:, 1] * np.sin(0.5 * yaw)
+    speed = chord / np.sinc(yaw / (2.0 * np.pi)) / step_s
     middle_s = 0.5 * (poses.time_s[1:] + poses.time_s[:-1])
     return WheelOdometry(
         poses.time_s,

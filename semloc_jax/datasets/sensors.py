@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.datasets.tables import read_columns
+from semloc_jax.datasets.clock import seconds
+from semloc_jax.datasets.tables import column_names, find_columns, read_columns
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import Geodetic, enu_from_wgs84, wgs84_from_enu
 
@@ -137,27 +138,63 @@ class Imu:
     accel_mps2: Float[np.ndarray, "n 3"]
 
 
+_TIME = ("t", "time", "timestamp", "t_s", "time_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us")
+_TIME += ("timestamp_ns", "time_ns", "time_us", "time_ms", "stamp", "#timestamp [ns]", "timestamp [ns]")
+_PLACE = {"lat": ("lat_deg", "latitude", "lat"), "lon": ("lon_deg", "longitude", "lon", "lng", "long")}
+_PLACE |= {"alt": ("alt_m", "altitude", "alt", "height", "ele")}
+_SIGMA = ("sigma_e", "sigma_n", "sigma_u")
+_UNKNOWN_SIGMA_M = (3.0, 3.0, 6.0)
+"""A receiver that does not state its accuracy is taken for a plain one; ours."""
+
+
 def read_gnss(path: Path) -> GnssTrack:
-    """Fixes of a `gps.csv`; rows without a position are left out."""
-    table = read_columns(path, ("t", "east_m", "north_m", "up_m", "sigma_e", "sigma_n", "sigma_u"))
+    """Fixes of a `gps.csv`: east, north, up of a map, else latitude, longitude and height in degrees and metres.
+
+    Rows without a position are left out; where no standard deviation is stated, 3 m and 6 m in height are taken.
+    """
+    wanted = {"east": ("east_m",), "north": ("north_m",), "up": ("up_m",), **_PLACE, "time": _TIME}
+    has = column_names(path, wanted)
+    if has and not {"east", "north", "up"} <= has.keys() and {"lat", "lon"} <= has.keys():
+        table = find_columns(path, {"time": _TIME, **_PLACE, **{key: (key,) for key in _SIGMA}}, ("alt", *_SIGMA))
+        time_s, _ = seconds(table["time"], f"table {path}", has["time"])
+        height = table.get("alt", np.zeros(len(time_s)))
+        sigma = [table.get(key, np.full(len(time_s), s)) for key, s in zip(_SIGMA, _UNKNOWN_SIGMA_M, strict=True)]
+        return GnssTrack.from_wgs84(
+            time_s, np.column_stack([table["lat"], table["lon"], height]), np.column_stack(sigma)
+        )
+    table = read_columns(path, ("t", "east_m", "north_m", "up_m", *_SIGMA))
     p_enu = np.column_stack([table["east_m"], table["north_m"], table["up_m"]])
-    sigma_m = np.column_stack([table["sigma_e"], table["sigma_n"], table["sigma_u"]])
+    sigma_m = np.column_stack([table[key] for key in _SIGMA])
     usable = np.isfinite(p_enu).all(axis=1)
     order = np.argsort(table["t"][usable], kind="stable")
     return GnssTrack(table["t"][usable][order], p_enu[usable][order], sigma_m[usable][order])
 
 
 def read_wheel_odometry(path: Path) -> WheelOdometry:
-    """Speed and yaw rate of a `wheel_odom.csv`."""
-    table = read_columns(path, ("t", "v_m_s", "yaw_rate_rad_s"))
-    return WheelOdometry(table["t"], table["v_m_s"], table["yaw_rate_rad_s"])
+    """Speed and yaw rate of a `wheel_odom.csv`; times in s, ms, us or ns."""
+    names = {"time": _TIME, "speed": ("v_m_s", "speed_mps", "speed", "v")}
+    names |= {"rate": ("yaw_rate_rad_s", "yaw_rate_radps", "yaw_rate", "yawrate")}
+    has = column_names(path, names)
+    if not has:
+        table = read_columns(path, ("t", "v_m_s", "yaw_rate_rad_s"))
+        return WheelOdometry(table["t"], table["v_m_s"], table["yaw_rate_rad_s"])
+    table = find_columns(path, names)
+    return WheelOdometry(seconds(table["time"], f"table {path}", has["time"])[0], table["speed"], table["rate"])
 
 
 def read_imu(path: Path) -> Imu:
-    """Rates and accelerations of an `imu.csv`."""
-    table = read_columns(path, ("t", "gx_rad_s", "gy", "gz", "ax_m_s2", "ay", "az"))
-    gyro = np.column_stack([table["gx_rad_s"], table["gy"], table["gz"]])
-    return Imu(table["t"], gyro, np.column_stack([table["ax_m_s2"], table["ay"], table["az"]]))
+    """Rates and accelerations of an `imu.csv`; times in s, ms, us or ns."""
+    names = {
+        "time": _TIME,
+        "gx": ("gx_rad_s", "gx", "wx"),
+        "gy": ("gy", "gy_rad_s", "wy"),
+        "gz": ("gz", "gz_rad_s", "wz"),
+    }
+    names |= {"ax": ("ax_m_s2", "ax"), "ay": ("ay", "ay_m_s2"), "az": ("az", "az_m_s2")}
+    table = find_columns(path, names)
+    time_s, _ = seconds(table["time"], f"table {path}", column_names(path, names)["time"])
+    gyro = np.column_stack([table["gx"], table["gy"], table["gz"]])
+    return Imu(time_s, gyro, np.column_stack([table["ax"], table["ay"], table["az"]]))
 
 
 def _mean_of_neighbours(values: np.ndarray) -> np.ndarray:
