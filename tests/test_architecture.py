@@ -21,6 +21,7 @@ RANK = {
     "maps": 2,
     "evaluation": 2,
     "perception": 3,
+    "native": 2,
     "residuals": 3,
     "datasets": 3,
     "solvers": 4,

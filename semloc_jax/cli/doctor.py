@@ -25,6 +25,8 @@ class Options:
 
 def run(options: Options) -> int:
     """Print what was found, one line each."""
+    from semloc_jax import native
+
     for name, version in runtime.versions().items():
         print(f"      {name:<24}{version}")
     for module, extra in EXTRAS.items():
@@ -32,6 +34,7 @@ def run(options: Options) -> int:
         state = "installed" if is_there else f'not installed (pip install "{extra}")'
         print(f"      {module:<24}{state}")
     print(f"      {'device':<24}{runtime.device()}")
+    print(f"      {'native kernels':<24}{native.status().text}")
     print(f"      {'XLA_FLAGS':<24}{os.environ.get('XLA_FLAGS') or 'not set'}")
     print(
         f"      {'compilation cache':<24}{os.environ.get('JAX_COMPILATION_CACHE_DIR') or 'off: no folder to write to'}"

@@ -15,7 +15,9 @@ from jaxtyping import Array, Bool, Float
 
 from semloc_jax.cameras import Camera
 from semloc_jax.geometry import lie
+from semloc_jax.residuals import kernels
 from semloc_jax.residuals.alignment import CameraViews, points_in_camera
+from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.fusion_barrier import stored
 from semloc_jax.residuals.robust import Kernel
 from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
@@ -36,6 +38,7 @@ def normal_equations(
     texture: RampTexture,
     kernel: Kernel,
     always: Bool[Array, "2"],
+    path: kernels.Path = "auto",
 ) -> NormalEquations:
     """Gradient and Gauss-Newton Hessian of sum_i w_i rho(r_i) by the right tangent xi of T_map_base exp(xi).
 
@@ -45,12 +48,63 @@ def normal_equations(
         texture: One level of the cost maps.
         kernel: Robust kernel.
         always: True twice, as an argument of the compiled function (see `stored`).
+        path: How it is computed; all paths give the same numbers.
+
+    Raises:
+        SemlocError: the path is not possible here.
     """
-    augmented, cost = jnp.zeros((7, 7), T_map_base.dtype), jnp.zeros((), T_map_base.dtype)
+    return chart_equations(Chart.at(T_map_base), views, texture, kernel, always, path)
+
+
+def chart_equations(
+    chart: Chart,
+    views: tuple[CameraViews, ...],
+    texture: RampTexture,
+    kernel: Kernel,
+    always: Bool[Array, "2"],
+    path: kernels.Path = "auto",
+    skip: Bool[Array, ""] | bool = False,
+) -> NormalEquations:
+    """`normal_equations` by the coordinates y of a chart.
+
+    Args:
+        chart: Where the pose is, and its coordinates.
+        views, texture, kernel, always, path: as `normal_equations`.
+        skip: True where the result is not needed: the kernels then compute nothing.
+    """
+    dtype = chart.y.dtype
+    total = NormalEquations(jnp.zeros((6, 6), dtype), jnp.zeros(6, dtype), jnp.zeros((), dtype))
     for view in views:
-        matrices, costs = jax.vmap(lambda v: _one_camera(T_map_base, v, texture, kernel, always))(view)
-        augmented, cost = augmented + jnp.sum(matrices, axis=0), cost + jnp.sum(costs)
-    return NormalEquations(augmented[:6, :6], augmented[:6, 6], cost)
+        chosen = kernels.use(path, view.camera, kernel, dtype)
+        one = partial(_PATHS[chosen], chart, texture=texture, kernel=kernel, always=always, skip=jnp.asarray(skip))
+        parts = jax.vmap(one)(view)
+        total = jax.tree.map(lambda whole, part: whole + jnp.sum(part, axis=0), total, NormalEquations(*parts))
+    return total
+
+
+def _analytic(chart: Chart, view: CameraViews, *, texture: RampTexture, skip: Array, **_: object) -> tuple:
+    points = view.p_map, view.channel, view.weight
+    return kernels.normal_equations(chart, skip, view.camera, view.T_cam_base, points, texture, view.index)
+
+
+def _autodiff(chart: Chart, view: CameraViews, *, texture: RampTexture, **_: object) -> tuple:
+    # What comes out of one loop is computed once: two real arrays travel as one complex array.
+    p_cam = points_in_camera(view.T_cam_base, chart.pose(), view.p_map)
+    (u, v), pull = jax.vjp(partial(_pixel, view.camera), *p_cam)
+    value, slope = kernels.lookup(jax.lax.complex(u, v), view.channel, texture, view.index)
+    ax, ay, az = pull((slope.real, slope.imag))
+    points = view.p_map, view.channel, view.weight
+    return kernels.accumulate(chart, view.T_cam_base, points, jax.lax.complex(ax, ay), az, value)
+
+
+def _xla(chart: Chart, view: CameraViews, *, texture: RampTexture, kernel: Kernel, always: Array, **_: object) -> tuple:
+    matrix, cost = _one_camera(chart.pose(), view, texture, kernel, always)
+    J = chart.jacobian()
+    hessian = jnp.einsum("ki,kl,lj->ij", J, matrix[:6, :6], J, precision=jax.lax.Precision.HIGHEST)
+    return hessian, jnp.einsum("ki,k->i", J, matrix[:6, 6], precision=jax.lax.Precision.HIGHEST), cost
+
+
+_PATHS = {"analytic": _analytic, "autodiff": _autodiff, "xla": _xla}
 
 
 def _one_camera(

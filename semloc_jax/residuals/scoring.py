@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from semloc_jax.residuals import kernels
 from semloc_jax.residuals.alignment import CameraViews, Usable, points_in_camera, visibility
 from semloc_jax.residuals.fusion_barrier import stored
-from semloc_jax.residuals.robust import Kernel
+from semloc_jax.residuals.robust import KERNELS, Kernel
 from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
 
 
@@ -34,25 +35,56 @@ def robust_cost(
     kernel: Kernel,
     border_px: float,
     always: Bool[Array, "2"],
+    path: kernels.Path = "auto",
 ) -> RobustCost:
-    """Summed robust cost and visible weight of a pose on one level of the cost maps."""
+    """Summed robust cost and visible weight of a pose on one level of the cost maps; `path` as `normal_equations`."""
+    summed, visible = jnp.zeros((), T_map_base.dtype), jnp.zeros((), T_map_base.dtype)
+    for view in views:
+        view = eqx.tree_at(lambda v: v.weight, view, visible_weight(T_map_base, view, usable, border_px, path))
+        summed = summed + jnp.sum(_summed(T_map_base, view, texture, kernel, always, path))
+        ones = jnp.ones_like(view.weight[0])
+        visible = visible + jnp.sum(jnp.dot(view.weight, ones, precision=jax.lax.Precision.HIGHEST))
+    return RobustCost(summed, visible)
 
-    def one_camera(view: CameraViews, weight: Array) -> tuple[Array, Array]:
+
+def visible_weight(
+    T_map_base: Float[Array, "4 4"],
+    view: CameraViews,
+    usable: Usable,
+    border_px: float,
+    path: kernels.Path = "auto",
+) -> Float[Array, "cam p"]:
+    """Weight of each sample where it can be seen from a pose, else 0."""
+    if kernels.use(path, view.camera, KERNELS["tukey"], T_map_base.dtype) != "analytic":
+        return view.weight * visibility(T_map_base, view, usable, border_px)
+
+    def one_camera(view: CameraViews) -> Array:
+        points = view.p_map, view.channel, view.weight
+        camera, scale = (view.camera, view.T_cam_base), 1 / usable.stride
+        return kernels.visible_weight(T_map_base, *camera, points, usable.mask, scale, view.index, border_px)
+
+    return jax.vmap(one_camera)(view)
+
+
+def _summed(
+    T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel, always: Array, path: kernels.Path
+) -> Float[Array, " cam"]:
+    """sum_i w_i rho(r_i) / rho(1) of each camera."""
+    native = kernels.use(path, view.camera, kernel, T_map_base.dtype) == "analytic"
+
+    def one_camera(view: CameraViews) -> Array:
+        if native:
+            points = view.p_map, view.channel, view.weight
+            return kernels.robust_cost(T_map_base, view.camera, view.T_cam_base, points, texture, view.index)
         x, y, z = points_in_camera(view.T_cam_base, T_map_base, view.p_map)
         (uv,) = stored(always[0], jax.lax.complex(*view.camera.project_xyz(x, y, z)[:2]))
         texel = locate(texture, uv.real, uv.imag)
         (taps,) = stored(always[1], fetch(texture, texture.image_index(view.index, view.channel), texel))
         value, _, _ = blend(texture, taps, texel)
-        ones = jnp.ones_like(weight)
-        summed = jnp.dot(weight * kernel.rho(value), ones, precision=jax.lax.Precision.HIGHEST)
-        return summed / kernel.worst, jnp.dot(weight, ones, precision=jax.lax.Precision.HIGHEST)
+        ones = jnp.ones_like(view.weight)
+        return jnp.dot(view.weight * kernel.rho(value), ones, precision=jax.lax.Precision.HIGHEST) / kernel.worst
 
-    summed, visible = jnp.zeros((), T_map_base.dtype), jnp.zeros((), T_map_base.dtype)
-    for view in views:
-        weight = view.weight * visibility(T_map_base, view, usable, border_px)
-        sums = jax.vmap(one_camera)(view, weight)
-        summed, visible = summed + jnp.sum(sums[0]), visible + jnp.sum(sums[1])
-    return RobustCost(summed, visible)
+    return jax.vmap(one_camera)(view)
 
 
 def decimated(views: tuple[CameraViews, ...], keep_every: int) -> tuple[CameraViews, ...]:

@@ -99,6 +99,7 @@ def score(
         KERNELS[config.kernel],
         config.border_px,
         evidence.always,
+        config.path,
     )
     share = cost.summed / jnp.maximum(cost.visible, config.min_visible_px)
     unseen = jnp.maximum(1 - cost.visible / config.min_visible_px, 0.0)

@@ -6,21 +6,21 @@ own LM carries the whole Jacobian through the loop and, under vmap, selects over
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from semloc_jax.geometry import lie
-from semloc_jax.residuals.normal_equations import normal_equations
+from semloc_jax.residuals import kernels
+from semloc_jax.residuals.chart import Chart
+from semloc_jax.residuals.kernels import Path
+from semloc_jax.residuals.normal_equations import chart_equations
 from semloc_jax.residuals.robust import KERNELS
-from semloc_jax.solvers.problem import AlignmentProblem, pose_of, prior_offset
+from semloc_jax.solvers.problem import AlignmentProblem, prior_offset
 
 
 class QuadraticModel(eqx.Module):
@@ -36,46 +36,38 @@ class QuadraticModel(eqx.Module):
         return optx.FunctionInfo.EvalGradHessian(self.cost, self.gradient, operator)
 
 
-def quadratic_model(y: Float[Array, "6"], problem: AlignmentProblem) -> QuadraticModel:
-    """Cost, gradient and Gauss-Newton Hessian of half the squared norm of `residual`, fused."""
-    xi = problem.sigma * y
-    evidence = normal_equations(
-        pose_of(y, problem), problem.views, problem.texture, KERNELS[problem.kernel], problem.always
+def quadratic_model(
+    y: Float[Array, "6"], problem: AlignmentProblem, skip: Bool[Array, ""] | bool = False
+) -> QuadraticModel:
+    """Cost, gradient and Gauss-Newton Hessian of half the squared norm of `residual`, fused.
+
+    Where `skip` is True the result is not needed: of a batch, hypotheses that are done cost nothing.
+    """
+    evidence = chart_equations(
+        Chart(problem.T_start, problem.sigma, y),
+        problem.views,
+        problem.texture,
+        KERNELS[problem.kernel],
+        problem.always,
+        problem.path,
+        skip,
     )
-    # d(T exp(xi)) in the right tangent at exp(xi) is J_r(xi) d(xi); then the scale of y.
-    chart = right_jacobian(xi) * problem.sigma
-    hessian = _matmul(_matmul(chart.T, evidence.hessian), chart)
     deviation = y - prior_offset(problem)
     return QuadraticModel(
         problem.gain * evidence.cost + 0.5 * jnp.sum(deviation * deviation),
-        problem.gain * _matmul(evidence.gradient, chart) + deviation,
-        problem.gain * hessian + jnp.eye(6, dtype=y.dtype),
+        problem.gain * evidence.gradient + deviation,
+        problem.gain * evidence.hessian + jnp.eye(6, dtype=y.dtype),
     )
 
 
-def right_jacobian(xi: Float[Array, "6"]) -> Float[Array, "6 6"]:
-    """Right Jacobian of SE(3), sum_k (-ad xi)^k / (k+1)! up to k = 6: float32 precision for rotations up to 0.3 rad.
+def damped_step(model: QuadraticModel, step_size: Float[Array, ""], path: Path = "auto") -> Float[Array, "6"]:
+    """Solution d of (H + I / step_size) d = -g.
 
-    A solve stays that close to its start pose; the truncated series is cheaper than the closed form and has no branch.
-    ad^5 = -2 s ad^3 - s^2 ad with s = |omega|^2 leaves three products of matrices.
+    The matrix is at least the identity, so no pivoting is needed. A library call would be made for each of a batch of
+    problems; Gauss-Jordan elimination, unrolled, vectorises over the batch.
     """
-    W, V = lie.skew(xi[3:]), lie.skew(xi[:3])
-    ad = jnp.block([[W, V], [jnp.zeros_like(W), W]])
-    s, identity = jnp.sum(xi[3:] ** 2), jnp.eye(6, dtype=xi.dtype)
-    ad2 = _matmul(ad, ad)
-    even = identity + _matmul(ad2, (1 / 6 - s * s / 5040) * identity + (1 / 120 - s / 2520) * ad2)
-    return even - _matmul(ad, (1 / 2 - s * s / 720) * identity + (1 / 24 - s / 360) * ad2)
-
-
-_matmul = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
-
-
-def damped_step(model: QuadraticModel, step_size: Float[Array, ""]) -> Float[Array, "6"]:
-    """Solution d of (H + I / step_size) d = -g by Gauss-Jordan elimination.
-
-    The matrix is at least the identity, so no pivoting is needed; unrolled, it vectorises over a batch of problems,
-    where a library call would be made for each.
-    """
+    if kernels.are_used(path, model.gradient.dtype):
+        return kernels.damped_step(model.hessian, model.gradient, step_size)
     num = model.gradient.shape[0]
     damped = model.hessian + jnp.eye(num, dtype=model.hessian.dtype) / step_size
     rows = jnp.concatenate([damped, -model.gradient[:, None]], axis=1)
@@ -118,7 +110,7 @@ class FusedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     def step(self, fn, y, args, options, state, tags):
         """One evaluation: judge the candidate, then propose the next."""
-        candidate = quadratic_model(state.y_eval, args)
+        candidate = quadratic_model(state.y_eval, args, state.converged)
         step_size, accept, _, search = self.search.step(
             state.first_step, y, state.y_eval, state.model.info(), candidate.info(), state.search
         )
@@ -127,7 +119,7 @@ class FusedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         model = _select(accept, candidate, state.model)
         state = FusedLevenbergMarquardtState(
             jnp.array(False),
-            y + damped_step(model, step_size),
+            y + damped_step(model, step_size, args.path),
             model,
             search,
             small & jnp.invert(state.first_step),

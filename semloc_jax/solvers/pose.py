@@ -13,8 +13,10 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual, visibility
+from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual
+from semloc_jax.residuals.kernels import Path
 from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import visible_weight
 from semloc_jax.residuals.texture import RampTextures
 from semloc_jax.solvers.levenberg_marquardt import FusedLevenbergMarquardt, quadratic_model
 from semloc_jax.solvers.problem import AlignmentProblem, pose_of, residual
@@ -51,6 +53,8 @@ class AlignConfig:
     tolerance: float = 2e-3
     """A level ends when a step is below this share of the prior's sigma in every direction."""
     kernel: str = "tukey"
+    path: Path = "auto"
+    """How residuals are evaluated: by native kernels (`analytic`, `autodiff`) or by JAX alone (`xla`)."""
     noise_px: float = 2.0
     """Standard deviation of a mask boundary [px]."""
     noise_share: float = 0.15
@@ -65,12 +69,16 @@ class AlignConfig:
     """Less contour than this on usable pixels is no evidence."""
 
 
-def visible_views(T_map_base: Float[Array, "4 4"], evidence: Evidence, border_px: float) -> tuple[CameraViews, ...]:
+def visible_views(
+    T_map_base: Float[Array, "4 4"], evidence: Evidence, border_px: float, path: Path = "auto"
+) -> tuple[CameraViews, ...]:
     """The views with the weight of every sample that cannot be seen from `T_map_base` set to zero."""
-    return tuple(
-        eqx.tree_at(lambda v: v.weight, view, view.weight * visibility(T_map_base, view, evidence.usable, border_px))
-        for view in evidence.views
-    )
+
+    def seen(view: CameraViews) -> CameraViews:
+        weight = visible_weight(T_map_base, view, evidence.usable, border_px, path)
+        return eqx.tree_at(lambda v: v.weight, view, weight)
+
+    return tuple(seen(view) for view in evidence.views)
 
 
 def total_weight(views: tuple[CameraViews, ...]) -> Float[Array, ""]:
@@ -92,7 +100,15 @@ def level_problem(
     gain = (texture.ramp_px / noise_px) ** 2 / config.correlation_px
     xi_prior = lie.log(lie.inverse(T_start) @ prior.T_map_base)
     return AlignmentProblem(
-        T_start, xi_prior, prior.sigma, views, texture, gain.astype(T_start.dtype), evidence.always, config.kernel
+        T_start,
+        xi_prior,
+        prior.sigma,
+        views,
+        texture,
+        gain.astype(T_start.dtype),
+        evidence.always,
+        config.kernel,
+        config.path,
     )
 
 
@@ -100,7 +116,7 @@ def solve_level(
     T_start: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, prior: Prior, config: AlignConfig
 ) -> tuple[Float[Array, "4 4"], Int[Array, ""], Bool[Array, ""]]:
     """Pose after one level, evaluations spent, and whether it converged."""
-    views = visible_views(T_start, evidence, config.border_px)
+    views = visible_views(T_start, evidence, config.border_px, config.path)
     problem = level_problem(T_start, views, level, evidence, prior, config)
     solution = optx.least_squares(
         residual,
@@ -144,7 +160,7 @@ def assess(
 
     Where the residuals scatter more than `config.noise_px`, the covariance of the evidence grows with them.
     """
-    views = visible_views(T_map_base, evidence, config.border_px)
+    views = visible_views(T_map_base, evidence, config.border_px, config.path)
     problem = level_problem(T_map_base, views, level, evidence, prior, config)
     model = quadratic_model(jnp.zeros(6, T_map_base.dtype), problem)
     r, weight = alignment_residual(T_map_base, views, problem.texture)

@@ -8,8 +8,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, alignment_residual
+from semloc_jax.residuals.chart import Chart
+from semloc_jax.residuals.kernels import Path
 from semloc_jax.residuals.robust import KERNELS, robust_root
 from semloc_jax.residuals.texture import RampTexture
 
@@ -30,11 +31,13 @@ class AlignmentProblem(eqx.Module):
     always: Bool[Array, "2"]
     """True; see `semloc_jax.residuals.fusion_barrier`."""
     kernel: str = eqx.field(static=True, default="tukey")
+    path: Path = eqx.field(static=True, default="auto")
+    """How the evidence is evaluated; see `semloc_jax.residuals.kernels`."""
 
 
 def pose_of(y: Float[Array, "6"], problem: AlignmentProblem) -> Float[Array, "4 4"]:
     """T_map_base of a scaled tangent y."""
-    return problem.T_start @ lie.exp(problem.sigma * y)
+    return Chart(problem.T_start, problem.sigma, y).pose()
 
 
 def prior_offset(problem: AlignmentProblem) -> Float[Array, "6"]:

@@ -9,7 +9,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from semloc_jax.geometry import lie
-from semloc_jax.solvers.levenberg_marquardt import FusedLevenbergMarquardt, right_jacobian
+from semloc_jax.residuals.chart import right_jacobian
+from semloc_jax.solvers.levenberg_marquardt import FusedLevenbergMarquardt
 from semloc_jax.solvers.pose import AlignConfig, level_problem, visible_views
 from semloc_jax.solvers.problem import pose_of, prior_offset, residual
 from tests.contracts.ground_scene import scene

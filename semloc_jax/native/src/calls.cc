@@ -1,0 +1,258 @@
+// XLA custom calls of the alignment. Every operand may be batched by jax.vmap; see semloc_jax/native/calls.py for them.
+#include "alignment.h"
+#include "batch.h"
+
+namespace semloc {
+namespace {
+
+enum class Model : int32_t { kPinhole, kBrownConrady, kKannalaBrandt, kCylindrical, kBev };
+
+// The operands of a call in their order.
+class Operands {
+ public:
+  Operands(ffi::RemainingArgs args, const Batch& batch) : args_(args), batch_(batch) {}
+  template <typename T>
+  Operand<T> take() {
+    return Operand<T>(args_.get<ffi::AnyBuffer>(next_++).value(), batch_);
+  }
+  size_t left() const { return args_.size() - next_; }
+
+ private:
+  ffi::RemainingArgs args_;
+  const Batch& batch_;
+  size_t next_ = 0;
+};
+
+struct PointOperands {
+  Operand<float> p_map;
+  Operand<int32_t> channel;
+  Operand<float> weight;
+  explicit PointOperands(Operands& operands)
+      : p_map(operands.take<float>()), channel(operands.take<int32_t>()), weight(operands.take<float>()) {}
+  Points at(const Batch& batch, int64_t item) const {
+    const float* p = p_map.at(batch, item);
+    const int64_t n = p_map.length;
+    return {p, p + n, p + 2 * n, channel.at(batch, item), weight.at(batch, item), static_cast<int>(n)};
+  }
+};
+
+struct TextureOperands {
+  Operand<uint32_t> texels;
+  Operand<int32_t> start, height, width;
+  Operand<float> stride;
+  Operand<int32_t> camera;
+  int32_t num_channels;
+  TextureOperands(Operands& operands, int32_t num_channels)
+      : texels(operands.take<uint32_t>()), start(operands.take<int32_t>()), height(operands.take<int32_t>()),
+        width(operands.take<int32_t>()), stride(operands.take<float>()), camera(operands.take<int32_t>()),
+        num_channels(num_channels) {}
+  Texture at(const Batch& batch, int64_t item) const {
+    return Texture(texels.at(batch, item), *start.at(batch, item), *height.at(batch, item), *width.at(batch, item),
+                   *stride.at(batch, item), *camera.at(batch, item) * num_channels);
+  }
+};
+
+struct CameraOperands {
+  static constexpr int kMaxLeaves = 16;
+  std::array<Operand<float>, kMaxLeaves> leaf;
+  int count = 0;
+  explicit CameraOperands(Operands& operands) {
+    while (operands.left() && count < kMaxLeaves) leaf[count++] = operands.take<float>();
+  }
+  template <typename Camera>
+  Camera at(const Batch& batch, int64_t item) const {
+    std::array<const float*, kMaxLeaves> pointers{};
+    for (int k = 0; k < count; ++k) pointers[k] = leaf[k].at(batch, item);
+    return Camera(pointers.data());
+  }
+};
+
+// Calls function(camera type tag) for the model.
+template <typename Function>
+void with_model(int32_t model, const Function& function) {
+  switch (static_cast<Model>(model)) {
+    case Model::kPinhole: return function(static_cast<Pinhole*>(nullptr));
+    case Model::kBrownConrady: return function(static_cast<BrownConrady*>(nullptr));
+    case Model::kKannalaBrandt: return function(static_cast<KannalaBrandt*>(nullptr));
+    case Model::kCylindrical: return function(static_cast<Cylindrical*>(nullptr));
+    case Model::kBev: return function(static_cast<Bev*>(nullptr));
+  }
+}
+
+template <typename T>
+T* result(ffi::RemainingRets& rets, size_t index) {
+  return static_cast<T*>(rets.get<ffi::AnyBuffer>(index).value()->untyped_data());
+}
+
+// The chart of a solve and where in it: T_start, sigma, y.
+struct ChartOperands {
+  Operand<float> T_start, sigma, y;
+  explicit ChartOperands(Operands& operands)
+      : T_start(operands.take<float>()), sigma(operands.take<float>()), y(operands.take<float>()) {}
+  struct Place {
+    float T_map_base[12];
+    Dual jacobian;
+    const float* sigma;
+  };
+  Place at(const Batch& batch, int64_t item) const {
+    Place place;
+    place.sigma = sigma.at(batch, item);
+    const float* scaled = y.at(batch, item);
+    float xi[6];
+    for (int k = 0; k < 6; ++k) xi[k] = place.sigma[k] * scaled[k];
+    retract(T_start.at(batch, item), xi, place.T_map_base);
+    place.jacobian = right_jacobian(xi);
+    return place;
+  }
+};
+
+// T_start, sigma, y, skip, T_cam_base, points, texture, camera -> by y: Hessian [6 6], gradient [6]; cost [].
+ffi::Error NormalEquations(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t model,
+                           int32_t num_channels) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(2).value(), 0);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const ChartOperands chart(operands);
+  const auto skip = operands.take<bool>();
+  const auto T_cam_base = operands.take<float>();
+  const PointOperands points(operands);
+  const TextureOperands texture(operands, num_channels);
+  const CameraOperands camera(operands);
+  float *hessian = result<float>(rets, 0), *gradient = result<float>(rets, 1), *cost = result<float>(rets, 2);
+  with_model(model, [&](auto* tag) {
+    using Camera = std::remove_pointer_t<decltype(tag)>;
+    for_each_item(pool, batch.size, points.p_map.length, [&](int64_t item) {
+      cost[item] = 0;
+      std::fill_n(hessian + 36 * item, 36, 0.0f);
+      std::fill_n(gradient + 6 * item, 6, 0.0f);
+      if (*skip.at(batch, item)) return;
+      const auto place = chart.at(batch, item);
+      const float* T = T_cam_base.at(batch, item);
+      const Sums sums = normal_equations(camera.at<Camera>(batch, item), Motion::camera_from_map(T, place.T_map_base),
+                                         points.at(batch, item), texture.at(batch, item));
+      to_chart(sums, T, place.jacobian, place.sigma, hessian + 36 * item, gradient + 6 * item);
+      cost[item] = sums.cost;
+    });
+  });
+  return ffi::Error::Success();
+}
+
+// Hessian [6 6], gradient [6], step size -> solution of (H + I / step size) d = -g [6].
+ffi::Error DampedStep(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(0).value(), 1);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto hessian = operands.take<float>(), gradient = operands.take<float>(), step_size = operands.take<float>();
+  float* step = result<float>(rets, 0);
+  for_each_item(pool, batch.size, 1, [&](int64_t item) {
+    damped_step(hessian.at(batch, item), gradient.at(batch, item), 1.0f / *step_size.at(batch, item), step + 6 * item);
+  });
+  return ffi::Error::Success();
+}
+
+// u + i v, channel, texture -> value [p], its gradient by u + i v [p].
+ffi::Error Lookup(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t num_channels) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(0).value(), 1);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto uv = operands.take<Pair>();
+  const auto channel = operands.take<int32_t>();
+  const TextureOperands texture(operands, num_channels);
+  float* value = result<float>(rets, 0);
+  Pair* slope = result<Pair>(rets, 1);
+  for_each_item(pool, batch.size, uv.length, [&](int64_t item) {
+    lookup(texture.at(batch, item), uv.at(batch, item), channel.at(batch, item), static_cast<int>(uv.length),
+           value + item * uv.length, slope + item * uv.length);
+  });
+  return ffi::Error::Success();
+}
+
+// T_start, sigma, y, T_cam_base, points, d r / d (x + i y), d r / d z, r -> as NormalEquations.
+ffi::Error Accumulate(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(2).value(), 0);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const ChartOperands chart(operands);
+  const auto T_cam_base = operands.take<float>();
+  const PointOperands points(operands);
+  const auto slope_xy = operands.take<Pair>();
+  const auto slope_z = operands.take<float>(), value = operands.take<float>();
+  float *hessian = result<float>(rets, 0), *gradient = result<float>(rets, 1), *cost = result<float>(rets, 2);
+  for_each_item(pool, batch.size, value.length, [&](int64_t item) {
+    const auto place = chart.at(batch, item);
+    const float* T = T_cam_base.at(batch, item);
+    const Sums sums = accumulate(Motion::camera_from_map(T, place.T_map_base), points.at(batch, item),
+                                 slope_xy.at(batch, item), slope_z.at(batch, item), value.at(batch, item));
+    to_chart(sums, T, place.jacobian, place.sigma, hessian + 36 * item, gradient + 6 * item);
+    cost[item] = sums.cost;
+  });
+  return ffi::Error::Success();
+}
+
+// T_map_base, T_cam_base, points, usable [cam h w], its scale, camera's place, margin, camera -> weight [p].
+ffi::Error VisibleWeight(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t model) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(0).value(), 1);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto T_map_base = operands.take<float>();
+  const auto T_cam_base = operands.take<float>();
+  const PointOperands points(operands);
+  const auto usable_dims = args.get<ffi::AnyBuffer>(5).value().dimensions();
+  const auto usable = operands.take<uint8_t>();
+  const auto scale = operands.take<float>();
+  const auto index = operands.take<int32_t>();
+  const auto margin_px = operands.take<float>();
+  const CameraOperands camera(operands);
+  const int width = static_cast<int>(usable_dims.back()), height = static_cast<int>(usable_dims[usable_dims.size() - 2]);
+  float* weight = result<float>(rets, 0);
+  with_model(model, [&](auto* tag) {
+    using Camera = std::remove_pointer_t<decltype(tag)>;
+    for_each_item(pool, batch.size, points.p_map.length, [&](int64_t item) {
+      visible_weight(camera.at<Camera>(batch, item),
+                     Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
+                     points.at(batch, item),
+                     Usable{usable.at(batch, item) + static_cast<int64_t>(*index.at(batch, item)) * height * width, height,
+                            width, *scale.at(batch, item)},
+                     *margin_px.at(batch, item), weight + points.p_map.length * item);
+    });
+  });
+  return ffi::Error::Success();
+}
+
+// T_map_base, T_cam_base, points (weight: visible), texture, camera -> sum of w rho / rho(1) [].
+ffi::Error RobustCost(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t model,
+                      int32_t num_channels) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(0).value(), 0);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto T_map_base = operands.take<float>();
+  const auto T_cam_base = operands.take<float>();
+  const PointOperands points(operands);
+  const TextureOperands texture(operands, num_channels);
+  const CameraOperands camera(operands);
+  float* cost = result<float>(rets, 0);
+  with_model(model, [&](auto* tag) {
+    using Camera = std::remove_pointer_t<decltype(tag)>;
+    for_each_item(pool, batch.size, points.p_map.length, [&](int64_t item) {
+      cost[item] = robust_cost(camera.at<Camera>(batch, item),
+                               Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
+                               points.at(batch, item), texture.at(batch, item));
+    });
+  });
+  return ffi::Error::Success();
+}
+
+}  // namespace
+}  // namespace semloc
+
+#define SEMLOC_CALL(symbol, function, ...)                                                                  \
+  XLA_FFI_DEFINE_HANDLER_SYMBOL(                                                                            \
+      symbol, function,                                                                                     \
+      xla::ffi::Ffi::Bind().Ctx<xla::ffi::ThreadPool>().RemainingArgs().RemainingRets() __VA_ARGS__)
+
+SEMLOC_CALL(semloc_normal_equations, semloc::NormalEquations, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
+SEMLOC_CALL(semloc_damped_step, semloc::DampedStep);
+SEMLOC_CALL(semloc_lookup, semloc::Lookup, .Attr<int32_t>("num_channels"));
+SEMLOC_CALL(semloc_accumulate, semloc::Accumulate);
+SEMLOC_CALL(semloc_visible_weight, semloc::VisibleWeight, .Attr<int32_t>("model"));
+SEMLOC_CALL(semloc_robust_cost, semloc::RobustCost, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));

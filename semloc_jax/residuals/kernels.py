@@ -1,0 +1,191 @@
+"""The hand-written kernels as JAX functions (room: residuals; pure JAX).
+
+In: arrays of one camera. Out: what the functions of the same names in this room return, for Tukey's kernel in float32.
+Each may be vmapped; operands that are the same for the whole batch are not copied. `use` says which way is taken.
+"""
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float, Int
+from numpy.typing import DTypeLike
+
+from semloc_jax import native
+from semloc_jax.cameras import (
+    BevCamera,
+    BrownConradyCamera,
+    Camera,
+    CylindricalCamera,
+    KannalaBrandtCamera,
+    PinholeCamera,
+)
+from semloc_jax.errors import SemlocError
+from semloc_jax.residuals.chart import Chart
+from semloc_jax.residuals.robust import KERNELS, Kernel
+from semloc_jax.residuals.texture import RampTexture
+
+Path = Literal["auto", "analytic", "autodiff", "xla"]
+"""How residuals are evaluated: `analytic`: kernels with the derivative of the camera written out; `autodiff`: kernels
+around JAX's derivative of any camera; `xla`: JAX alone; `auto`: the first of these that is possible."""
+
+MODELS = (PinholeCamera, BrownConradyCamera, KannalaBrandtCamera, CylindricalCamera, BevCamera)
+"""Camera models with an analytic kernel; the index is the number of the model in C++."""
+
+Points = tuple[Float[Array, "3 p"], Int[Array, " p"], Float[Array, " p"]]
+"""Position [m], channel and weight of each sample."""
+
+
+def use(path: Path, camera: Camera, kernel: Kernel, dtype: DTypeLike) -> Path:
+    """The way that is taken for a camera model: `path` itself, or for `auto` the fastest one that is possible.
+
+    Raises:
+        SemlocError: the path was asked for and is not possible here.
+    """
+    if path == "xla":
+        return path
+    why_not = _why_not(kernel, dtype)
+    # A subclass may project otherwise: it counts as unknown.
+    known = type(camera) in MODELS
+    if path == "auto":
+        return "xla" if why_not else "analytic" if known else "autodiff"
+    if not why_not and path == "analytic" and not known:
+        why_not = f"there is no kernel for {type(camera).__name__}"
+    if why_not:
+        raise SemlocError(f"evaluation path '{path}': {why_not}; choose 'auto', which takes what is possible")
+    return path
+
+
+def are_used(path: Path, dtype: DTypeLike) -> bool:
+    """Whether what does not depend on camera or robust function is left to the kernels."""
+    return path != "xla" and not _why_not(KERNELS["tukey"], dtype)
+
+
+def _why_not(kernel: Kernel, dtype: DTypeLike) -> str:
+    if kernel is not KERNELS["tukey"]:
+        return "the kernels know the robust function 'tukey' only"
+    if jnp.dtype(dtype) != jnp.float32:
+        return f"the kernels are for float32, not {jnp.dtype(dtype).name}"
+    if jax.default_backend() != "cpu":
+        return f"the kernels are for CPUs, not {jax.default_backend()}"
+    status = native.status()
+    return "" if status.available else f"native kernels {status.text}"
+
+
+def _model(camera: Camera) -> np.int32:
+    return np.int32(MODELS.index(type(camera)))
+
+
+def _texture(texture: RampTexture, index: Int[Array, ""]) -> tuple[Array, ...]:
+    return texture.texels, texture.start, texture.height, texture.width, texture.stride, index
+
+
+def _call(
+    name: str, shapes: list[tuple[int, ...] | jax.ShapeDtypeStruct], *operands: Array, **attributes: int | np.int32
+) -> list[Array]:
+    results = [jax.ShapeDtypeStruct(shape, jnp.float32) if isinstance(shape, tuple) else shape for shape in shapes]
+    attributes = {key: np.int32(value) for key, value in attributes.items()}
+    return jax.ffi.ffi_call(name, results, vmap_method="expand_dims")(*map(_as_32_bit, operands), **attributes)
+
+
+def _as_32_bit(operand: Array) -> Array:
+    """The operand as the kernels read it: with 64-bit types switched on, indices come as int64."""
+    if jnp.issubdtype(operand.dtype, jnp.signedinteger):
+        return operand.astype(jnp.int32)
+    return operand.astype(jnp.float32) if jnp.issubdtype(operand.dtype, jnp.floating) else operand
+
+
+def normal_equations(
+    chart: Chart,
+    skip: Bool[Array, ""],
+    camera: Camera,
+    T_cam_base: Float[Array, "4 4"],
+    points: Points,
+    texture: RampTexture,
+    index: Int[Array, ""],
+) -> tuple[Float[Array, "6 6"], Float[Array, "6"], Float[Array, ""]]:
+    """Gauss-Newton Hessian and gradient by y, and summed Tukey cost, of one camera.
+
+    Args:
+        chart: Vehicle pose and its coordinates y.
+        skip: True: nothing is computed and zeros are returned.
+        camera: Intrinsics of one of MODELS.
+        T_cam_base: Extrinsics.
+        points: Samples.
+        texture: One level of the cost maps.
+        index: Place of the camera in the cost maps.
+    """
+    operands = (*chart, skip, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
+    numbers = {"model": _model(camera), "num_channels": texture.num_channels}
+    return tuple(_call("semloc_normal_equations", [(6, 6), (6,), ()], *operands, **numbers))
+
+
+def lookup(
+    uv: Complex[Array, " p"], channel: Int[Array, " p"], texture: RampTexture, index: Int[Array, ""]
+) -> tuple[Float[Array, " p"], Complex[Array, " p"]]:
+    """Signed ramp value in [-1, 1] at pixels u + i v and its gradient [1 / px] likewise; not differentiable."""
+    operands, numbers = (uv, channel, *_texture(texture, index)), {"num_channels": texture.num_channels}
+    return tuple(_call("semloc_lookup", [uv.shape, jax.ShapeDtypeStruct(uv.shape, uv.dtype)], *operands, **numbers))
+
+
+def accumulate(
+    chart: Chart,
+    T_cam_base: Float[Array, "4 4"],
+    points: Points,
+    slope_xy: Complex[Array, " p"],
+    slope_z: Float[Array, " p"],
+    value: Float[Array, " p"],
+) -> tuple[Float[Array, "6 6"], Float[Array, "6"], Float[Array, ""]]:
+    """As `normal_equations`, from residuals and their derivative by the point in the camera frame, (x + i y) and z."""
+    operands = (*chart, T_cam_base, *points, slope_xy, slope_z, value)
+    return tuple(_call("semloc_accumulate", [(6, 6), (6,), ()], *operands))
+
+
+def damped_step(
+    hessian: Float[Array, "6 6"], gradient: Float[Array, "6"], step_size: Float[Array, ""]
+) -> Float[Array, "6"]:
+    """Solution d of (H + I / step_size) d = -g by Cholesky factorisation."""
+    return _call("semloc_damped_step", [(6,)], hessian, gradient, step_size)[0]
+
+
+def visible_weight(
+    T_map_base: Float[Array, "4 4"],
+    camera: Camera,
+    T_cam_base: Float[Array, "4 4"],
+    points: Points,
+    usable: Bool[Array, "cam h w"],
+    scale: float,
+    index: Int[Array, ""],
+    margin_px: float,
+) -> Float[Array, " p"]:
+    """Weight of each sample that is in front of the camera, in its image and on a usable pixel; else 0.
+
+    Args:
+        T_map_base: Vehicle pose.
+        camera: Intrinsics of one of MODELS.
+        T_cam_base: Extrinsics.
+        points: Samples.
+        usable: Usable pixels of all cameras.
+        scale: Pixels of `usable` in one pixel of the image.
+        index: Place of the camera in `usable`.
+        margin_px: Samples nearer to the border of the image do not count.
+    """
+    numbers = jnp.float32(scale), index, jnp.float32(margin_px)
+    operands = (T_map_base, T_cam_base, *points, usable, *numbers, *jax.tree.leaves(camera))
+    (weight,) = _call("semloc_visible_weight", [(points[0].shape[-1],)], *operands, model=_model(camera))
+    return weight
+
+
+def robust_cost(
+    T_map_base: Float[Array, "4 4"],
+    camera: Camera,
+    T_cam_base: Float[Array, "4 4"],
+    points: Points,
+    texture: RampTexture,
+    index: Int[Array, ""],
+) -> Float[Array, ""]:
+    """Sum of weight x Tukey cost of one camera, 1 for each sample beyond the ramp; arguments as above."""
+    operands = (T_map_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
+    numbers = {"model": _model(camera), "num_channels": texture.num_channels}
+    return _call("semloc_robust_cost", [()], *operands, **numbers)[0]

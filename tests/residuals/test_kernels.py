@@ -1,0 +1,176 @@
+"""The native kernels give the numbers of pure JAX: for every camera, batched, on several threads, skipped."""
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from semloc_jax import native
+from semloc_jax.cameras import (
+    BevCamera,
+    BrownConradyCamera,
+    Camera,
+    CylindricalCamera,
+    KannalaBrandtCamera,
+    PinholeCamera,
+)
+from semloc_jax.errors import SemlocError
+from semloc_jax.geometry import lie
+from semloc_jax.residuals import kernels
+from semloc_jax.residuals.alignment import CameraViews, Usable
+from semloc_jax.residuals.chart import Chart
+from semloc_jax.residuals.normal_equations import chart_equations
+from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import robust_cost, visible_weight
+from semloc_jax.residuals.texture import pack
+from semloc_jax.structs import CostMaps
+
+pytestmark = pytest.mark.skipif(not native.is_available(), reason=f"native kernels {native.status().text}")
+
+WIDTH, HEIGHT = 320, 240
+CAMERAS = {
+    "pinhole": PinholeCamera(210.0, 205.0, 158.0, 121.0, WIDTH, HEIGHT),
+    "radtan": BrownConradyCamera(210.0, 205.0, 158.0, 121.0, WIDTH, HEIGHT, -0.3, 0.1, 2e-3, -1e-3, -0.02),
+    "fisheye": KannalaBrandtCamera(110.0, 108.0, 158.0, 121.0, WIDTH, HEIGHT, 0.02, -0.01, 0.003, -0.001),
+    "cylinder": CylindricalCamera(90.0, 158.0, 121.0, WIDTH, HEIGHT, max_phi_rad=2.0),
+    "top view": BevCamera(0.05, 158.0, 121.0, WIDTH, HEIGHT),
+}
+
+
+def scene(camera: Camera, seed: int = 0, num: int = 700):
+    """One camera, points all around it (also behind), smooth cost maps of two channels on two levels."""
+    rng = np.random.default_rng(seed)
+    p_cam = rng.normal(size=(3, num)) * np.array([[4.0], [2.0], [6.0]]) + np.array([[0.0], [0.5], [5.0]])
+    p_cam[2] *= 0.05 if isinstance(camera, BevCamera) else 1.0
+    view = CameraViews(
+        camera=jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32)[None], camera),
+        T_cam_base=lie.exp(jnp.asarray(rng.normal(size=6) * 0.3, jnp.float32))[None],
+        p_map=jnp.asarray(p_cam, jnp.float32)[None],
+        channel=jnp.asarray(rng.integers(0, 2, (1, num)), jnp.int32),
+        weight=jnp.asarray(rng.uniform(0.5, 2.0, (1, num)), jnp.float32),
+        index=jnp.zeros(1, jnp.int32),
+    )
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    wave = np.stack([np.sin(columns / 17 + rows / 23), np.cos(columns / 29 - rows / 13)]).astype(np.float32)
+    usable = jnp.asarray(rng.uniform(size=(1, HEIGHT // 2, WIDTH // 2)) > 0.2)
+    wave = jnp.asarray(wave)[None]
+    maps = CostMaps((wave[..., ::2, ::2], wave), (8.0, 3.0), (2, 1), usable, 2)
+    return (view,), jax.jit(pack)(maps), Usable(usable, 2)
+
+
+ALWAYS = np.ones(2, bool)
+
+
+@partial(jax.jit, static_argnames="path")
+def equations(path: str, chart: Chart, views, texture, always):
+    return chart_equations(chart, views, texture, KERNELS["tukey"], always, path)
+
+
+@partial(jax.jit, static_argnames="path")
+def batched_equations(path: str, chart: Chart, views, texture, always):
+    return jax.vmap(lambda y: equations(path, chart._replace(y=y), views, texture, always))(chart.y)
+
+
+def evaluate(path: str, chart: Chart, views, textures, level: int):
+    """Normal equations of one chart or of a batch of charts by y."""
+    function = batched_equations if chart.y.ndim == 2 else equations
+    return function(path, chart, views, textures.level(level), jnp.asarray(ALWAYS))
+
+
+def chart_at(y: np.ndarray) -> Chart:
+    sigma = jnp.asarray([1.0, 0.7, 0.1, 0.02, 0.02, 0.1], jnp.float32)
+    return Chart(
+        lie.exp(jnp.asarray([0.3, -0.2, 0.1, 0.02, 0.01, 0.2], jnp.float32)), sigma, jnp.asarray(y, jnp.float32)
+    )
+
+
+def assert_same(found, expected, tolerance: float) -> None:
+    for one, other in zip(found, expected, strict=True):
+        scale = np.abs(np.asarray(other)).max()
+        np.testing.assert_allclose(one / scale, other / scale, atol=tolerance)
+
+
+@pytest.mark.parametrize("path", ["analytic", "autodiff"])
+@pytest.mark.parametrize("name", CAMERAS)
+def test_normal_equations_are_those_of_jax(name, path):
+    views, textures, _ = scene(CAMERAS[name])
+    ys = np.random.default_rng(1).normal(size=(6, 6)) * 0.4
+    for level in (0, 1):
+        expected = evaluate("xla", chart_at(ys), views, textures, level)
+        assert np.abs(np.asarray(expected.gradient)).max() > 1.0
+        # A pixel that rounding moves across the border of a texel changes the slope of one point of 700.
+        assert_same(evaluate(path, chart_at(ys), views, textures, level), expected, 3e-4)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_visibility_and_cost_are_those_of_jax(name):
+    views, textures, usable = scene(CAMERAS[name])
+    T = chart_at(np.zeros(6)).pose()
+    texture, tukey = textures.level(1), KERNELS["tukey"]
+    weigh = jax.jit(visible_weight, static_argnames=("border_px", "path"))
+    seen = {path: weigh(T, views[0], usable, border_px=2.0, path=path) for path in ("analytic", "xla")}
+    assert 0.02 < np.mean(np.asarray(seen["xla"]) > 0) < 0.9
+    assert np.sum(np.asarray(seen["analytic"]) != np.asarray(seen["xla"])) <= 1
+    cost = jax.jit(
+        lambda always, path: robust_cost(T, views, texture, usable, tukey, 2.0, always, path), static_argnums=1
+    )
+    costs = [cost(ALWAYS, path) for path in ("analytic", "xla")]
+    np.testing.assert_allclose(costs[0], costs[1], rtol=5e-3)
+
+
+def test_a_batch_on_all_threads_is_one_after_another():
+    views, textures, _ = scene(CAMERAS["radtan"])
+    ys = np.random.default_rng(2).normal(size=(257, 6)) * 0.4
+    together = evaluate("analytic", chart_at(ys), views, textures, 1)
+    for k in (0, 100, 256):
+        alone = evaluate("analytic", chart_at(ys[k]), views, textures, 1)
+        for batched, single in zip(together, alone, strict=True):
+            np.testing.assert_array_equal(batched[k], single)
+
+
+def test_what_is_skipped_is_zero_and_the_rest_is_not():
+    views, textures, _ = scene(CAMERAS["pinhole"])
+    chart, always = chart_at(np.zeros(6)), jnp.asarray(ALWAYS)
+
+    def one(skip):
+        return chart_equations(chart, views, textures.level(0), KERNELS["tukey"], always, "analytic", skip)
+
+    found = jax.jit(jax.vmap(one))(jnp.asarray([True, False]))
+    assert all(np.all(np.asarray(part[0]) == 0) for part in found)
+    assert all(np.any(np.asarray(part[1]) != 0) for part in found)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
+def test_no_pose_reads_outside_the_cost_maps(bad):
+    views, textures, usable = scene(CAMERAS["fisheye"])
+    broken = chart_at(np.zeros(6))._replace(T_start=jnp.full((4, 4), bad, jnp.float32))
+    for path in ("analytic", "autodiff"):
+        jax.block_until_ready(evaluate(path, broken, views, textures, 1))
+    assert np.all(np.asarray(visible_weight(broken.T_start, views[0], usable, 2.0, "analytic")) == 0)
+
+
+def test_a_path_that_is_not_possible_is_refused_in_words():
+    class OwnCamera(PinholeCamera):
+        pass
+
+    camera, tukey = OwnCamera(1.0, 1.0, 0.0, 0.0, 1, 1), KERNELS["tukey"]
+    assert kernels.use("auto", camera, tukey, jnp.float32) == "autodiff"
+    assert kernels.use("auto", camera, KERNELS["huber"], jnp.float32) == "xla"
+    with pytest.raises(SemlocError, match="no kernel for OwnCamera"):
+        kernels.use("analytic", camera, tukey, jnp.float32)
+    with pytest.raises(SemlocError, match="float32, not float64"):
+        kernels.use("autodiff", camera, tukey, jnp.float64)
+
+
+def test_damped_step_solves_the_system():
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(20, 6, 6))
+    H, g = (A @ A.transpose(0, 2, 1)).astype(np.float32), rng.normal(size=(20, 6)).astype(np.float32)
+    size = rng.uniform(0.1, 10, 20).astype(np.float32)
+    found = jax.jit(jax.vmap(kernels.damped_step))(H, g, size)
+    expected = np.linalg.solve(H + np.eye(6) / size[:, None, None], -g[..., None])[..., 0]
+    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-4)
+    assert dataclasses.is_dataclass(native.status())
