@@ -1,0 +1,84 @@
+"""Protection levels: their risk, correlated measurements, rivals, alert limits; against draws."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from semloc_jax.evaluation.metrics import ALERT_LIMITS
+from semloc_jax.localization.integrity import (
+    IntegrityConfig,
+    ProtectionLevels,
+    Rival,
+    beyond_alert,
+    is_outlier,
+    overbound_of_correlation,
+    protection_levels,
+)
+
+COVARIANCE = np.diag([0.04, 0.01, 0.02, 0.002, 0.002, 0.003]) ** 2
+WIDE = IntegrityConfig(risk=0.03)
+
+
+def share_beyond(errors, levels):
+    """Share of errors (x, y, yaw [m, rad]) with any direction beyond its level."""
+    bounds = np.array([levels.longitudinal_m, levels.lateral_m, np.radians(levels.heading_deg)])
+    return np.mean((np.abs(errors) > bounds).any(axis=1))
+
+
+def test_levels_are_exceeded_as_often_as_the_risk_says():
+    errors = np.random.default_rng(0).normal(size=(100_000, 3)) * np.sqrt(np.diag(COVARIANCE))[[0, 1, 5]]
+    levels = protection_levels(COVARIANCE, WIDE)
+    assert share_beyond(errors, levels) == pytest.approx(0.03, abs=0.002)
+    assert levels.lateral_m == pytest.approx(0.01 * 2.576, rel=0.01)  # 1 % in two tails
+    assert share_beyond(errors, protection_levels(COVARIANCE, IntegrityConfig(risk=1e-3))) < 2e-3
+    doubled = protection_levels(COVARIANCE, IntegrityConfig(risk=0.03, overbound=2.0))
+    assert np.allclose(doubled, 2.0 * np.array(levels))
+
+
+@pytest.mark.parametrize("way_m", [0.5, 2.0, 20.0])
+def test_overbound_is_the_scatter_of_means_of_correlated_errors(way_m):
+    rng, num = np.random.default_rng(1), 12
+    rho = np.exp(-way_m / 10.0)
+    series = rng.normal(size=(20_000, num))
+    for k in range(1, num):
+        series[:, k] = rho * series[:, k - 1] + np.sqrt(1 - rho**2) * series[:, k]
+    found = series.mean(axis=1).std() * np.sqrt(num)
+    assert overbound_of_correlation(way_m, 10.0, float(num)) == pytest.approx(found, rel=0.02)
+
+
+def test_overbound_ends_at_one_and_at_a_single_measurement():
+    assert overbound_of_correlation(1000.0, 10.0, 8.0) == pytest.approx(1.0)
+    # A vehicle that stands sees one error again and again: the level is that of a single frame.
+    standing = protection_levels(COVARIANCE, WIDE, measured=9.0 * COVARIANCE, way_m=0.0)
+    assert np.allclose(standing, protection_levels(9.0 * COVARIANCE, WIDE))
+    driving = protection_levels(COVARIANCE, WIDE, measured=9.0 * COVARIANCE, way_m=1.0)
+    free = protection_levels(COVARIANCE, WIDE)
+    assert np.all(np.array(free) < driving) and np.all(np.array(driving) < standing)
+    # A measurement better than the fused pose (the first one) is no reason to grow.
+    assert np.allclose(protection_levels(COVARIANCE, WIDE, 0.5 * COVARIANCE, 1.0), free)
+
+
+def test_a_rival_likelier_than_the_risk_is_inside_of_the_levels():
+    """One frame in five is a dash (12 m) ahead: the levels hold at the stated risk; a rare rival is left out."""
+    rng, rival = np.random.default_rng(2), Rival(np.array([12.0, 0, 0, 0, 0, 0]), float(np.log(4.0)))
+    errors = rng.normal(size=(100_000, 3)) * np.sqrt(np.diag(COVARIANCE))[[0, 1, 5]]
+    errors[:, 0] += 12.0 * (rng.random(len(errors)) < 0.2)
+    assert share_beyond(errors, protection_levels(COVARIANCE, WIDE)) > 0.2
+    levels = protection_levels(COVARIANCE, WIDE, rivals=[rival])
+    assert 12.0 < levels.longitudinal_m < 12.2 and share_beyond(errors, levels) <= 0.032
+    rare = protection_levels(COVARIANCE, IntegrityConfig(), rivals=[rival._replace(nats=12.0)])
+    assert rare == protection_levels(COVARIANCE, IntegrityConfig())
+
+
+def test_levels_beyond_the_alert_limits_are_named():
+    street = IntegrityConfig().limit
+    assert street == ALERT_LIMITS[0] and IntegrityConfig(alert_limits="freeway").limit.longitudinal_m == 1.4
+    assert beyond_alert(ProtectionLevels(0.29, 0.2, 0.5), street) == ()
+    reasons = beyond_alert(ProtectionLevels(0.1, 0.41, float("nan")), street)
+    assert reasons[0] == "longitudinal protection level 0.41 m exceeds 0.29 m" and "heading" in reasons[1]
+
+
+def test_outliers_are_what_one_frame_in_a_thousand_exceeds():
+    squares = np.random.default_rng(3).chisquare(6, 50_000)
+    assert np.mean([is_outlier(s, 6, IntegrityConfig()) for s in squares[:2000]]) < 0.004
+    assert is_outlier(chi2.ppf(0.9991, 6), 6, IntegrityConfig()) and is_outlier(np.nan, 6, IntegrityConfig())
