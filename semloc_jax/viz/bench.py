@@ -46,6 +46,19 @@ def benchmark_figure(data: dict) -> Figure:
     return figure
 
 
+def roofline_figure(roofline: dict) -> Figure:
+    """The roofline alone, every path with its name.
+
+    Args:
+        roofline: What `semloc_jax.bench.roofline.as_data` returns.
+    """
+    figure = new_figure(7.5, 5.0)
+    names = [path["path"] for path in roofline["paths"]]
+    colours = {name: (*OURS, *PEERS)[k % (len(OURS) + len(PEERS))] for k, name in enumerate(names)}
+    _roofline(plain_axes(figure.subplots()), roofline, colours, named=True)
+    return figure
+
+
 def _colours(rows: list[dict]) -> dict[str, str]:
     names = list(dict.fromkeys(row["peer"] for row in rows))
     ours = [name for name in names if name.startswith("semloc")]
@@ -80,7 +93,7 @@ def _label(axes: Axes, x: str, y: str, title: str) -> None:
     axes.set_title(title, fontsize=9, color=INK, loc="left")
 
 
-def _roofline(axes: Axes, roofline: dict, colours: dict[str, str]) -> None:
+def _roofline(axes: Axes, roofline: dict, colours: dict[str, str], named: bool = False) -> None:
     """Reached GFLOP/s of counted work over FLOP a byte, below the roofs of the core."""
     roofs = roofline["roofs"]
     intensity = np.geomspace(0.25, 256.0, 200)
@@ -100,7 +113,7 @@ def _roofline(axes: Axes, roofline: dict, colours: dict[str, str]) -> None:
     for path in roofline["paths"]:
         colour = colours.get(path["path"], INK)
         axes.scatter(here, path["gflops"], s=26, color=colour, zorder=4)
-        label = f"{path['evaluation_us']:.3g} us"
+        label = f"{path['evaluation_us']:.3g} us" + (f"  {path['path']}" if named else "")
         axes.annotate(label, (here, path["gflops"]), xytext=(7, 0), **_SMALL | {"color": colour}, va="center")
     _log_scales(axes)
     _label(axes, "FLOP a byte", "GFLOP/s of one core, least work counted", "roofline of an evaluation")
