@@ -5,11 +5,12 @@ The three rules for lost are those of arXiv 2107.02557: outside of the map, too 
 long; satellite fixes that contradict the pose are a fourth.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from semloc_jax.localization.frame_alignment import Alignment
+from semloc_jax.localization.integrity import IntegrityConfig
 from semloc_jax.localization.track_state import Counters, TrackStatus
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
 
@@ -41,11 +42,7 @@ class HealthConfig:
     """Contradictions (frames, less those made up for) up to which the pose is called tracked."""
     frozen_m: float = 0.3
     """Masks that stay the same to the last bit over this way are of a camera that has stopped."""
-    protection_factor: float = 3.3
-    """Half width of a protection level in sigmas."""
-    alert_lateral_m: float = 0.29
-    alert_longitudinal_m: float = 0.29
-    alert_heading_deg: float = 0.5
+    integrity: IntegrityConfig = field(default_factory=IntegrityConfig)
 
 
 def no_counts() -> Counters:
@@ -91,17 +88,6 @@ def counted(counters: Counters, occluded: bool, accepted: bool) -> Counters:
     if occluded:
         return counters._replace(occluded=counters.occluded + 1.0)
     return counters._replace(failures=counters.failures + 1.0)
-
-
-def beyond_alert(protection: tuple[float, float, float], config: HealthConfig) -> tuple[str, ...]:
-    """A reason for each protection level beyond its alert limit."""
-    limits = (config.alert_lateral_m, config.alert_longitudinal_m, config.alert_heading_deg)
-    names = (("lateral", "m"), ("longitudinal", "m"), ("heading", "deg"))
-    return tuple(
-        f"{name} protection level {level:.2f} {unit} exceeds {limit:g} {unit}"
-        for (name, unit), level, limit in zip(names, protection, limits, strict=True)
-        if not level <= limit
-    )
 
 
 def status_of(num_tracks: int, is_confirmed: bool, reasons: tuple[str, ...]) -> TrackStatus:

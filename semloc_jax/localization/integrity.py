@@ -1,9 +1,8 @@
 """Bounds of the error of a pose at a stated risk, and whether they are small enough (room: localization; host).
 
-In: covariance of a pose, rival poses. Out: ProtectionLevels, reasons.
+In: covariance of a pose. Out: ProtectionLevels, reasons.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,9 +25,9 @@ class IntegrityConfig:
     """Probability for each frame that any of the three errors is larger than its level."""
     overbound: float = 1.0
     """Further factor on the standard deviations, for tails that are heavier than those of a Gaussian."""
-    correlation_m: float = 10.0
-    """Way over which the errors of measured poses are the same: the same dashes and poles, with the same errors of the
-    map and of the mask borders, stay in view."""
+    correlation_m: float = 1.0
+    """Way over which the errors of measured poses are the same beyond what their covariance says already: the same
+    dashes and poles, with the same errors of the map and of the mask borders, stay in view."""
     alert_limits: str = ALERT_LIMITS[0].name
     """Name of the alert limits: local_street or freeway."""
     gate_probability: float = 0.999
@@ -48,34 +47,22 @@ class ProtectionLevels(NamedTuple):
     heading_deg: float
 
 
-class Rival(NamedTuple):
-    """Another pose that explains the frame: where, and how much worse."""
-
-    offset: Float[np.ndarray, "6"]
-    """Right tangent from the chosen pose to the other [m, rad]."""
-    nats: float
-    """Log of the odds against it."""
-
-
 def protection_levels(
     covariance: Float[np.ndarray, "6 6"],
     config: IntegrityConfig,
     measured: Float[np.ndarray, "6 6"] | None = None,
     way_m: float = 0.0,
-    rivals: Sequence[Rival] = (),
 ) -> ProtectionLevels:
     """Bounds of the lateral [m], longitudinal [m] and heading [deg] error of a fused pose.
 
     The risk is shared equally by the three directions. Measurements that were taken for independent are not: the sigma
-    grows by `overbound_of_correlation`. A rival pose that is likelier than the risk (a lock on the next dash, the next
-    lane) is inside of the levels: they reach as far as it does, and its own share beyond.
+    grows by `overbound_of_correlation`.
 
     Args:
         covariance: Of the right tangent (x, y, z, roll, pitch, yaw) of the fused pose.
         config: Risk, correlation, overbounding factor.
         measured: Covariance of the pose that the frame measured; None where it measured none.
         way_m: Way from one measured pose to the next [m].
-        rivals: Other poses with their odds.
     """
     variance = np.maximum(np.diagonal(covariance), 0.0)[_DIRECTIONS]
     factor = np.full(3, config.overbound)
@@ -84,13 +71,6 @@ def protection_levels(
         factor *= [overbound_of_correlation(way_m, config.correlation_m, num) for num in num_averaged]
     sigma = factor * np.sqrt(variance)
     levels = norm.isf(config.risk / 6.0) * sigma
-    odds = np.exp(-np.array([max(rival.nats, 0.0) for rival in rivals]))
-    shares = odds / (1.0 + odds.sum())
-    for rival, share in zip(rivals, shares, strict=True):
-        if share > config.risk:
-            # Within the share of the rival the error is its distance and its own scatter.
-            reach = norm.isf(min(config.risk / (6.0 * share), 0.5)) * sigma
-            levels = np.maximum(levels, np.abs(np.asarray(rival.offset)[_DIRECTIONS]) + reach)
     return ProtectionLevels(float(levels[0]), float(levels[1]), float(np.degrees(levels[2])))
 
 

@@ -32,7 +32,7 @@ from semloc_jax.localization.frame_alignment import AlignmentConfig, FrameAligne
 from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
-from semloc_jax.localization.kalman import KalmanFusion
+from semloc_jax.localization.integrity import ProtectionLevels, beyond_alert, protection_levels
 from semloc_jax.localization.map_faults import TrustConfig
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.localization.prediction import MotionLog
@@ -46,6 +46,7 @@ from semloc_jax.localization.track_state import (
     TrackResult,
     TrackStatus,
 )
+from semloc_jax.localization.window import SlidingWindow
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
 
@@ -89,14 +90,14 @@ class Localizer:
             semantic_map: The map.
             table: What the ids of the masks mean.
             motion: Wheel and inertial samples; it may grow while the drive goes on.
-            fusion: How measurements become a pose over time; None for the Kalman filter.
+            fusion: How measurements become a pose over time; None for the sliding window.
             config: None for the defaults.
             area: Where the vehicle is, for drives without satellite fixes; searched exhaustively.
 
         Raises:
             SemlocError: no class of the map is visible in masks of this table.
         """
-        self.map, self.motion, self.fusion = semantic_map, motion, fusion or KalmanFusion()
+        self.map, self.motion, self.fusion = semantic_map, motion, fusion or SlidingWindow()
         self.config, self.area = config or TrackConfig(), area
         channels = FrameLocalizer(semantic_map, table, LocalizeConfig())
         self.table, self.channel_of_label = channels.shown, channels.channel_of_label
@@ -160,6 +161,7 @@ class Localizer:
     def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:
         """The state and the verdict after one more frame."""
         clock = _Clock()
+        way_m = self.motion.way_m(float(state.time_s), frame.time_s) if np.isfinite(state.time_s) else 0.0
         state = self._predicted(state, frame)
         clock.lap("predict")
         trust = map_faults.weights(state.trust, self.config.trust)
@@ -178,7 +180,7 @@ class Localizer:
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
             state = self._acquired(state, frame)
             clock.lap("acquire")
-        return self._judged(state, view, frame, clock)
+        return self._judged(state, view, frame, way_m, clock)
 
     def _predicted(self, state: TrackerState, frame: FrameFeatures) -> TrackerState:
         """Every track at the time of the frame, with the fixes on the way."""
@@ -278,17 +280,20 @@ class Localizer:
         return state._replace(tracks=tracks, counters=health.no_counts())
 
     def _judged(
-        self, state: TrackerState, view: View | None, frame: FrameFeatures, clock: "_Clock"
+        self, state: TrackerState, view: View | None, frame: FrameFeatures, way_m: float, clock: "_Clock"
     ) -> tuple[TrackerState, TrackResult]:
         """The status of the frame with its reasons."""
         config = self.config.health
         fused = self._output(state)
-        protection = (np.inf, np.inf, np.inf) if fused is None else protection_levels(fused, config)
+        measured = view.found.measurement.covariance if view is not None and view.is_accepted else None
+        protection = ProtectionLevels(np.inf, np.inf, np.inf)
+        if fused is not None:
+            protection = protection_levels(fused.covariance, config.integrity, measured, way_m)
         reasons = view.reasons if view is not None else ()
         if state.tracks:
             best = state.tracks[0]
             is_confirmed = bool(best.num_accepted >= self.config.confirm_frames)
-            serious = health.beyond_alert(protection, config)
+            serious = beyond_alert(protection, config.integrity.limit)
             if best.num_refused > config.max_refused or state.counters.conflicts > 1 or state.counters.off_map > 0:
                 serious += reasons or (f"{float(state.counters.conflicts):.0f} satellite fixes contradict the pose",)
             status = health.status_of(len(state.tracks), is_confirmed, serious)
@@ -320,13 +325,6 @@ class Localizer:
         if state.tracks:
             return self.fusion.pose(state.tracks[0].fusion)
         return self.fusion.pose(state.coasting[0]) if state.coasting else None
-
-
-def protection_levels(fused: FusedPose, config: HealthConfig) -> tuple[float, float, float]:
-    """Bounds of the lateral [m], longitudinal [m] and heading [deg] error of a fused pose."""
-    sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), 0.0))
-    k = config.protection_factor
-    return float(k * sigma[1]), float(k * sigma[0]), float(np.degrees(k * sigma[5]))
 
 
 class _Clock:

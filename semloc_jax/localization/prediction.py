@@ -211,6 +211,12 @@ class MotionLog:
         self._wheels.forget(before_s)
         self._imu.forget(before_s)
 
+    def way_m(self, from_s: float, to_s: float) -> float:
+        """About how far the vehicle drove between two times, forth and back added [m]; 0 where no wheel says so."""
+        knots_s = np.array([from_s, *self._wheels.between(from_s, to_s), to_s])
+        wheels, _ = self._wheels.at(0.5 * (knots_s[1:] + knots_s[:-1]), self.max_gap_s)
+        return float(np.abs(wheels[:, 0]) @ np.diff(knots_s)) if to_s > from_s else 0.0
+
     def increment(self, from_s: float, to_s: float, calibration: Calibration | None = None) -> MotionIncrement:
         """The motion between two times; `to_s` may lie before `from_s`.
 

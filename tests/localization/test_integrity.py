@@ -1,4 +1,4 @@
-"""Protection levels: their risk, correlated measurements, rivals, alert limits; against draws."""
+"""Protection levels: their risk, correlated measurements, alert limits; against draws."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.localization.integrity import (
     IntegrityConfig,
     ProtectionLevels,
-    Rival,
     beyond_alert,
     is_outlier,
     overbound_of_correlation,
@@ -56,18 +55,6 @@ def test_overbound_ends_at_one_and_at_a_single_measurement():
     assert np.all(np.array(free) < driving) and np.all(np.array(driving) < standing)
     # A measurement better than the fused pose (the first one) is no reason to grow.
     assert np.allclose(protection_levels(COVARIANCE, WIDE, 0.5 * COVARIANCE, 1.0), free)
-
-
-def test_a_rival_likelier_than_the_risk_is_inside_of_the_levels():
-    """One frame in five is a dash (12 m) ahead: the levels hold at the stated risk; a rare rival is left out."""
-    rng, rival = np.random.default_rng(2), Rival(np.array([12.0, 0, 0, 0, 0, 0]), float(np.log(4.0)))
-    errors = rng.normal(size=(100_000, 3)) * np.sqrt(np.diag(COVARIANCE))[[0, 1, 5]]
-    errors[:, 0] += 12.0 * (rng.random(len(errors)) < 0.2)
-    assert share_beyond(errors, protection_levels(COVARIANCE, WIDE)) > 0.2
-    levels = protection_levels(COVARIANCE, WIDE, rivals=[rival])
-    assert 12.0 < levels.longitudinal_m < 12.2 and share_beyond(errors, levels) <= 0.032
-    rare = protection_levels(COVARIANCE, IntegrityConfig(), rivals=[rival._replace(nats=12.0)])
-    assert rare == protection_levels(COVARIANCE, IntegrityConfig())
 
 
 def test_levels_beyond_the_alert_limits_are_named():

@@ -74,6 +74,14 @@ def test_increments_compose_forth_and_back():
     assert np.array_equal(nothing.T_from_to, np.eye(4)) and not nothing.covariance.any()
 
 
+def test_way_is_the_integral_of_the_speed():
+    log, (x, y, _) = filled(), true_motion(1.0, 1.1)
+    assert log.way_m(1.0, 1.1) == pytest.approx(np.hypot(x, y), rel=1e-4)
+    whole = sum(speed(t) * 0.001 for t in np.arange(0.5, 4.5, 0.001))
+    assert log.way_m(0.5, 4.5) == pytest.approx(whole, rel=1e-3)
+    assert log.way_m(2.0, 2.0) == 0.0 and MotionLog().way_m(0.0, 1.0) == 0.0
+
+
 def test_order_of_arrival_does_not_matter():
     shuffled = np.random.default_rng(1).permutation(len(np.arange(0.0, 2.0, 0.02)) + len(np.arange(0.003, 2.0, 0.01)))
     one, other = filled(2.0).increment(0.2, 1.8), filled(2.0, order=shuffled).increment(0.2, 1.8)
