@@ -4,8 +4,10 @@ In: a Sequence and the name of a mask folder or segmenter. Out: MaskSource.
 """
 
 import logging
+from collections.abc import Callable
 from collections.abc import Sequence as Frames
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from semloc_jax.localization.mask_view import MaskSource, TopViewSource, resized
 from semloc_jax.perception import load_class_table
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import estimate_mask_offset
+from semloc_jax.perception.masks import read_mask
 from semloc_jax.perception.segmenters import OnnxSegmenter
 from semloc_jax.perception.surround import ground_table, top_view
 
@@ -22,6 +25,8 @@ _LOG = logging.getLogger(__name__)
 _OFFSET_FRAMES = 12
 _MAX_OFFSET_PX = 3.0
 """Resizing moves masks by a pixel or two; a larger estimate comes from lines that fix only one direction."""
+RECORD = "segment.yaml"
+"""What `semloc segment` writes beside its masks."""
 CLASSICAL = "classical"
 """Name of the built-in segmenter of road paint for plain images."""
 TOP_VIEW = "ipm:"
@@ -38,8 +43,8 @@ def mask_source(
     """Masks by name.
 
     Args:
-        name: A mask folder of the sequence, a network `FILE.onnx`, or `classical` for the built-in segmenter of road
-            paint; `ipm:` before any of them makes one top view of the road of all cameras.
+        name: A mask folder of the sequence, any folder with CAMERA/FRAME.png, a network `FILE.onnx`, or `classical`
+            for the built-in segmenter of road paint; `ipm:` before any of them makes one top view of the road of all cameras.
         sequence: The drive.
         cameras: Names; None for all that have such masks.
         table: Class table, a preset or a YAML file; None for that of the sequence.
@@ -57,21 +62,49 @@ def mask_source(
         return _classical(sequence, names)
     if name.endswith(".onnx"):
         return _network(name, names, table)
-    if name not in sequence.mask_sources:
-        known = ", ".join((*sequence.mask_sources, CLASSICAL, "FILE.onnx"))
+    if name in sequence.mask_sources:
+        table = table or sequence.table_name
+
+        def read(frame: Frame, camera: str) -> np.ndarray:
+            return frame.mask(name, camera)
+
+    elif Path(name).is_dir():
+        table, read = table or _recorded_table(Path(name)) or sequence.table_name, _from_folder(Path(name), names)
+    else:
+        known = ", ".join((*sequence.mask_sources, CLASSICAL, "FILE.onnx", "a folder CAMERA/FRAME.png"))
         raise SemlocError(f"masks '{name}': drive {sequence.name} has no such folder; expected one of {known}")
-    if not (table or sequence.table_name):
+    if not table:
         raise SemlocError(f"masks '{name}': no class table is known for {sequence.name}; give --class-table")
     source = MaskSource(
         name,
-        load_class_table(table or sequence.table_name),
+        load_class_table(table),
         names,
-        lambda frame, camera: frame.mask(name, camera),
+        read,
         {} if offset_px is None else dict.fromkeys(names, offset_px),
-        _sizes(name, sequence, names),
+        _sizes(read, sequence, names),
     )
     _check_table(source, sequence)
     return source if offset_px is not None else _with_offsets(source, sequence)
+
+
+def _from_folder(folder: Path, names: tuple[str, ...]) -> Callable[[Frame, str], np.ndarray]:
+    """Reads CAMERA/FRAME.png of a folder, or FRAME.png where the drive has one camera only."""
+
+    def read(frame: Frame, camera: str) -> np.ndarray:
+        own = folder / camera / f"{frame.id}.png"
+        return read_mask(own if own.is_file() or len(names) > 1 else folder / f"{frame.id}.png")
+
+    return read
+
+
+def _recorded_table(folder: Path) -> str:
+    """The class table that `semloc segment` has recorded with its masks; empty where there is no record."""
+    path = folder / RECORD
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
+        key, _, value = line.partition(":")
+        if key == "class_table":
+            return value.strip().strip("'\"")
+    return ""
 
 
 def _classical(sequence: Sequence, names: tuple[str, ...]) -> MaskSource:
@@ -110,11 +143,13 @@ def _top_view(source: MaskSource, sequence: Sequence) -> TopViewSource:
     )
 
 
-def _sizes(name: str, sequence: Sequence, cameras: Frames[str]) -> dict[str, tuple[int, int]]:
+def _sizes(
+    read: Callable[[Frame, str], np.ndarray], sequence: Sequence, cameras: Frames[str]
+) -> dict[str, tuple[int, int]]:
     """Width and height of the masks of each camera whose masks are not as large as its images."""
     sizes = {}
     for camera, model in zip(cameras, sequence.rig.select(cameras).cameras, strict=True):
-        height, width = sequence.frames[0].mask(name, camera).shape
+        height, width = read(sequence.frames[0], camera).shape
         if (width, height) != model.resolution:
             sizes[camera] = (width, height)
     return sizes

@@ -1,7 +1,5 @@
 """Segmenters: ids from files, functions and networks arrive at the size of the image, unshifted."""
 
-import struct
-
 import cv2
 import numpy as np
 import pytest
@@ -16,56 +14,9 @@ from semloc_jax.perception import (
     get_segmenter,
 )
 from semloc_jax.perception.segmenters import ids_from_output
+from tests.perception.onnx_files import red_or_blue
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (32, 48, 3), dtype=np.uint8)
-
-
-def field(number, content):
-    """One field of a protocol buffer: bytes, text, a message or an integer."""
-    if isinstance(content, int):
-        return varint(number << 3) + varint(content)
-    content = content.encode() if isinstance(content, str) else content
-    return varint(number << 3 | 2) + varint(len(content)) + content
-
-
-def varint(value):
-    parts = b""
-    while value > 127:
-        parts, value = parts + bytes([value & 127 | 128]), value >> 7
-    return parts + bytes([value])
-
-
-def tensor(name, array):
-    dims = b"".join(field(1, size) for size in array.shape)
-    return dims + field(2, 1) + field(8, name) + field(9, struct.pack(f"<{array.size}f", *array.ravel()))
-
-
-def value_info(name, shape):
-    dims = b"".join(field(1, field(1, size)) for size in shape)
-    return field(1, name) + field(2, field(1, field(1, 1) + field(2, dims)))
-
-
-def write_convolution(path, kernel, bias, in_size, out_size):
-    """An ONNX file with one convolution whose stride brings `in_size` to `out_size`."""
-    stride = in_size[0] // out_size[0]
-
-    def integers(name, values):
-        return field(5, field(1, name) + b"".join(field(8, value) for value in values) + field(20, 7))
-
-    node = b"".join(field(1, name) for name in ("x", "w", "b")) + field(2, "y") + field(4, "Conv")
-    node += integers("kernel_shape", kernel.shape[2:]) + integers("strides", (stride, stride))
-    graph = field(1, node) + field(2, "net") + field(5, tensor("w", kernel)) + field(5, tensor("b", bias))
-    graph += field(11, value_info("x", (1, 3, in_size[1], in_size[0])))
-    graph += field(12, value_info("y", (1, kernel.shape[0], out_size[1], out_size[0])))
-    path.write_bytes(field(1, 8) + field(7, graph) + field(8, field(1, "") + field(2, 13)))
-
-
-def red_or_blue(path, size=(48, 32), reduced=1):
-    """A network with three classes: 0 nothing, 1 red above half, 2 blue above half; red comes first in its input."""
-    kernel = np.zeros((3, 3, reduced, reduced), np.float32)
-    kernel[1, 0], kernel[2, 2] = 1.0 / reduced**2, 1.0 / reduced**2
-    bias = np.array([0.0, -0.5, -0.5], np.float32)
-    write_convolution(path, kernel, bias, size, (size[0] // reduced, size[1] // reduced))
 
 
 def test_onnx_network_sees_rgb_with_its_normalisation(tmp_path):
