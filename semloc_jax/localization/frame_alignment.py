@@ -159,6 +159,7 @@ class FrameAligner:
         np.add.at(visible, index, found.elements.visible_px[: len(index)].astype(np.float64))
         np.add.at(missed, index, found.elements.missed_px[: len(index)].astype(np.float64))
         covariance = masks_covariance(estimate.covariance.astype(np.float64), sigma, self.config.min_information)
+        covariance = covariance + found.spread.astype(np.float64)
         return Alignment(
             measurement=PoseMeasurement(time_s, rigid.normalised(T), covariance),
             status=SolveStatus(int(estimate.status)),

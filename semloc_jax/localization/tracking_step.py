@@ -1,8 +1,8 @@
 """One frame aligned from a predicted pose: a few starts along the road, one view, one compiled function (room:
 localization; JAX).
 
-In: predicted pose and its prior, one frame, the trust in each map element. Out: TrackedFrame: the best pose, the
-second-best, and how well each element of the map is seen.
+In: predicted pose and its prior, one frame, the trust in each map element. Out: TrackedFrame: the best pose, how far
+other answers lie from it, and how well each element of the map is seen.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ from semloc_jax.localization.single_frame import FrameInput
 from semloc_jax.residuals.alignment import CameraViews, alignment_residual, camera_views
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.view import ViewConfig, view
-from semloc_jax.solvers.hypotheses import score
+from semloc_jax.solvers.hypotheses import prior_cost, score
 from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, align, assess, total_weight, visible_views
 from semloc_jax.solvers.proposals import displaced
 from semloc_jax.structs import PoseEstimate
@@ -34,8 +34,10 @@ class TrackAlignConfig:
 
     view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.03))
     align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(1, 2, 3), max_steps=8))
-    starts_m: tuple[float, ...] = (0.0, -0.5, 0.5)
-    """Offsets along the road of the starts: dashes and far poles leave local minima half a metre apart."""
+    starts_m: tuple[float, ...] = (0.0, -0.3, 0.3, -0.6, 0.6)
+    """Offsets along the road of the starts: dashes and far poles leave local minima some decimetres apart."""
+    score_share: float = 0.5
+    """Share of the nats between two local minima that is believed: which of them is right is less sure than that."""
     rank_level: int = 2
     """Level on which the starts are ranked and the elements are judged."""
     apart_m: float = 0.25
@@ -62,7 +64,8 @@ class TrackedFrame(NamedTuple):
     """Cost of evidence and prior of the best [nats]."""
     second_score: Float[Array, ""]
     """The same of the best pose that differs from it; infinite where all starts ended in one place."""
-    T_second: Float[Array, "4 4"]
+    spread: Float[Array, "6 6"]
+    """Second moment of all answers about the best one, in its right tangent, by their share of the posterior."""
     in_view_px: Float[Array, ""]
     """Weighted contour length in view."""
     elements: ElementEvidence
@@ -99,13 +102,31 @@ def align_predicted(
     scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
     best = jnp.argmin(scores)
     chosen = jax.tree.map(lambda leaf: leaf[best], estimates)
-    away = jnp.linalg.norm(estimates.T_map_base[:, :2, 3] - chosen.T_map_base[:2, 3], axis=-1)
-    others = jnp.where(away > config.apart_m, scores, jnp.inf)
-    second = jnp.argmin(others)
+    steps = lie.log(lie.inverse(chosen.T_map_base) @ estimates.T_map_base)
+    others = jnp.where(jnp.hypot(steps[:, 0], steps[:, 1]) > config.apart_m, scores, jnp.inf)
     seen = element_evidence(chosen.T_map_base, evidence, element, config)
     return TrackedFrame(
-        chosen, scores[best], others[second], estimates.T_map_base[second], total_weight(evidence.views), seen
+        estimate=chosen,
+        score=scores[best],
+        second_score=jnp.min(others),
+        spread=_spread(estimates.T_map_base, scores, steps, prior, config.score_share),
+        in_view_px=total_weight(evidence.views),
+        elements=seen,
     )
+
+
+def _spread(
+    Ts: Float[Array, "start 4 4"],
+    scores: Float[Array, " start"],
+    steps: Float[Array, "start 6"],
+    prior: Prior,
+    share: float,
+) -> Float[Array, "6 6"]:
+    """Second moment of the answers about the best one; the prior counts in full, the masks by a share."""
+    held = jax.vmap(prior_cost, (0, None))(Ts, prior)
+    weight = jax.nn.softmax(-jnp.where(jnp.isfinite(scores), share * (scores - held) + held, jnp.inf))
+    finite = jnp.where(jnp.isfinite(steps), steps, 0.0)
+    return jnp.einsum("s,si,sj->ij", weight, finite, finite)
 
 
 @partial(jax.jit, static_argnames="config")
@@ -159,13 +180,3 @@ def element_evidence(
         by_element(weight * kernel.rho(r) / kernel.worst),
         by_element(weight * kernel.weight(r) * r * texture.ramp_px),
     )
-
-
-def evidence_information(estimate_covariance: Float[Array, "6 6"], sigma: Float[Array, "6"]) -> Float[Array, "6 6"]:
-    """Information of the masks alone: that of the estimate less that of the prior (numpy or JAX, float64)."""
-    return jnp.linalg.inv(estimate_covariance) - jnp.diag(1.0 / sigma**2)
-
-
-def relative_to(T_map_base: Float[Array, "4 4"], T_reference: Float[Array, "4 4"]) -> Float[Array, "6"]:
-    """Right tangent from the reference to a pose."""
-    return lie.log(lie.inverse(T_reference) @ T_map_base)
