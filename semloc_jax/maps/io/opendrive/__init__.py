@@ -27,7 +27,7 @@ from semloc_jax.maps.semantic_map import SemanticMap
 __all__ = ["OpenDriveStyle", "Road", "read_opendrive", "read_roads"]
 
 _log = logging.getLogger(__name__)
-_MOST_ELEMENTS = 2_000_000
+_MOST_ELEMENTS = 1_000_000
 _LONGEST_NETWORK_M = 2e7
 
 
@@ -61,7 +61,7 @@ def read_opendrive(
             elements += islice(part, _MOST_ELEMENTS)
         elements += signal_elements(road, style)
         if len(elements) > _MOST_ELEMENTS or length_m > _LONGEST_NETWORK_M:
-            raise SemlocError(f"{where}: more than two million elements or 20,000 km of road; cut it into parts")
+            raise SemlocError(f"{where}: more than a million elements or 20,000 km of road; cut it into parts")
     reference = Georeference.from_header(header, where)
     return _place(_with_own_ids(elements), reference, origin, where, path.name, dict(skipped))
 

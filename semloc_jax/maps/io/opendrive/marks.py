@@ -20,6 +20,7 @@ from semloc_jax.structs import ElementClass
 
 _UNPAINTED = frozenset({"none", "grass", "edge", "botts dots", "custom", ""})
 _SHORTEST_PERIOD_M = 0.05
+_MOST_BARS = 50_000
 _DRIVEN = frozenset(
     "driving entry exit onRamp offRamp connectingRamp slipLane bidirectional bus taxi HOV parking stop biking".split()
 )
@@ -129,14 +130,14 @@ def _paint(
         return
     period = stroke.length + stroke.space
     count = 1 if stroke.once else max(int(np.ceil((end - first) / period)), 0)
+    if count > _MOST_BARS:
+        raise SemlocError(f"{road.where}: {count} dashes in one mark; expected less than {_MOST_BARS}")
+    bars = [(first + k * period, min(first + k * period + stroke.length, end)) for k in range(count)]
+    bars = [(start, stop) for start, stop in bars if stop - start > 1e-2]
     is_known = "dashes" not in stroke.assumed
-    for k in range(count):
-        bar_start, bar_end = first + k * period, min(first + k * period + stroke.length, end)
-        if bar_end - bar_start < 1e-2:
-            continue
-        points = road.border(section, lane.id, bar_start, bar_end, stroke.offset_t)
-        ends = (is_known, is_known)
-        yield MapElement(f"{name}_{k}", ElementClass.LANE_MARKING, points, style="dashed", true_ends=ends, **values)
+    values |= {"style": "dashed", "true_ends": (is_known, is_known)}
+    for k, points in enumerate(road.borders(section, lane.id, bars, stroke.offset_t)):
+        yield MapElement(f"{name}_{k}", ElementClass.LANE_MARKING, points, **values)
 
 
 def _strokes(mark: Element, lane_id: int, where: str, style: OpenDriveStyle) -> list[_Stroke]:

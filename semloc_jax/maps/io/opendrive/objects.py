@@ -193,9 +193,10 @@ def _marking_elements(
 ) -> Iterator[MapElement]:
     """Yields the strokes and bars of the <marking> elements of an object."""
     ids = [corner.get("id", str(i)) for i, corner in enumerate(_corner_records(xml))]
-    rows = {corner: row for row, corner in enumerate(ids)}
-    if kind not in _PAINT:
+    if kind not in _PAINT or not len(corners):
         return
+    # A last corner that repeats the first is not among the corners any more.
+    rows = {corner: row % len(corners) for row, corner in enumerate(ids)}
     for index, marking in enumerate(xml.findall("markings/marking")):
         refs = [rows[r.get("id", "")] for r in marking.findall("cornerReference") if r.get("id", "") in rows]
         line = corners[refs] if len(refs) > 1 else _side(corners, marking.get("side", ""))

@@ -17,6 +17,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _MOST_TURN_RAD = 200.0
 """About thirty full turns in one piece: no road."""
 _LONGEST_M = 1e5
+_MOST_SAMPLES = 1e6
 _TABLE_STEP_M = 0.25
 _CHORD_ERROR_M = 0.0005
 """A line through samples of the reference line stays this close to it."""
@@ -75,8 +76,15 @@ class PlanView:
             heading[rows] = yaw + turn
         return x, y, heading
 
-    def samples(self) -> np.ndarray:
-        """Returns places along the road, ascending, so dense that chords between them follow it, `float64[n]` [m]."""
+    def samples(self, where: str) -> np.ndarray:
+        """Returns places along the road, ascending, so dense that chords between them follow it, `float64[n]` [m].
+
+        Raises:
+            SemlocError: more than any road needs.
+        """
+        count = sum(piece.length / piece.step_m for piece in self.pieces)
+        if count > _MOST_SAMPLES:
+            raise SemlocError(f"{where}: its reference line needs {count:.0f} points; expected less than a million")
         parts = [
             np.linspace(piece.s, piece.s + piece.length, int(np.ceil(piece.length / piece.step_m)) + 1)
             for piece in self.pieces

@@ -18,7 +18,10 @@ _SAME_PLACE_M = 1e-6
 _SIMPLE_M = 0.001
 """Vertices that move a border less than this are left out."""
 _CHORD_ERROR_M = 0.001
-_LONGEST_M = 1e6
+_LONGEST_M = 2e5
+_MOST_PLACES = 300_000
+_MOST_WORK = 500_000_000
+"""Places times the square of the number of lanes: what the borders of one road may cost."""
 _MOST_LANES = 100
 
 
@@ -108,9 +111,7 @@ class Road:
         elevation = Profile.from_records(xml.findall("elevationProfile/elevation"), where)
         banking = Profile.from_records(xml.findall("lateralProfile/superelevation"), where)
         sections = _sections(xml, length, where)
-        knots = [elevation.samples(length, _CHORD_ERROR_M), banking.samples(length, 0.1 * _CHORD_ERROR_M)]
-        knots += [_section_knots(section) for section in sections]
-        places = np.unique(np.concatenate([plan.samples(), *knots]))
+        places = _places(plan, elevation, banking, sections, length, where)
         return cls(
             id=xml.get("id", ""),
             length=length,
@@ -149,21 +150,45 @@ class Road:
         """Returns the direction of the reference line at `s` [rad]."""
         return float(self.plan.at(np.array([s]))[2][0])
 
-    def section_at(self, s: float) -> LaneSection | None:
-        """Returns the lane section at `s`."""
-        found = [section for section in self.sections if section.start <= s + _SAME_PLACE_M]
-        return found[-1] if found else None
+    def borders(
+        self, section: LaneSection, lane_id: int, spans: list[tuple[float, float]], shift_m: float = 0.0
+    ) -> list[np.ndarray]:
+        """Returns the outer border of a lane over each span from start to end, all located at once; see `border`."""
+        parts = [self.between(start, end) for start, end in spans]
+        s = np.concatenate([np.zeros(0), *parts])
+        t = section.border_t(lane_id, s) + shift_m
+        points = self.locate(s, t, section.lift(lane_id, s))
+        cuts = np.cumsum([len(part) for part in parts])[:-1]
+        return [simplify(part, _SIMPLE_M) if len(part) > 2 else part for part in np.split(points, cuts) if len(part)]
 
     def border(self, section: LaneSection, lane_id: int, start: float, end: float, shift_m: float = 0.0) -> np.ndarray:
         """Returns the outer border of a lane from `start` to `end`, moved `shift_m` to the left, `[k 3]` [m]."""
-        s = self.between(start, end)
-        t = section.border_t(lane_id, s) + shift_m
-        return simplify(self.locate(s, t, section.lift(lane_id, s)), _SIMPLE_M)
+        return self.borders(section, lane_id, [(start, end)], shift_m)[0]
 
     def between(self, start: float, end: float) -> np.ndarray:
         """Returns `start`, the dense places between, and `end`."""
         inside = self.places[np.searchsorted(self.places, start + 1e-4) : np.searchsorted(self.places, end - 1e-4)]
         return np.concatenate([[start], inside, [end]])
+
+
+def _places(
+    plan: PlanView, elevation: Profile, banking: Profile, sections: tuple[LaneSection, ...], length: float, where: str
+) -> np.ndarray:
+    """Returns places along a road between which straight lines follow everything on it, ascending.
+
+    Raises:
+        SemlocError: so many that no real road needs them.
+    """
+    found = [plan.samples(where), elevation.samples(length, _CHORD_ERROR_M)]
+    found.append(banking.samples(length, 0.1 * _CHORD_ERROR_M))
+    work = 0
+    for section in sections:
+        found.append(_section_knots(section))
+        count = sum(len(part) for part in found)
+        work += count * len(section.lanes) ** 2
+        if count > _MOST_PLACES or work > _MOST_WORK:
+            raise SemlocError(f"{where}: {count} places on {len(section.lanes)} lanes; expected what a road needs")
+    return np.unique(np.concatenate(found))
 
 
 def _sections(xml: Element, length: float, where: str) -> tuple[LaneSection, ...]:
