@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
-from semloc_jax.bench.ours import config_of, evidence_of
+from semloc_jax.bench.ours import config_of, evidence_of, levels_on_device
 from semloc_jax.bench.peer import Solved
 from semloc_jax.bench.problem import Problem
 from semloc_jax.solvers.pose import level_problem, visible_views
@@ -55,5 +55,5 @@ class VmappedPeer:
 
     def solve(self, Ts_init: np.ndarray, levels: tuple[int, ...]) -> Solved:
         """All starts side by side."""
-        Ts, num_steps = jax.device_get(self._solve(jnp.asarray(Ts_init, jnp.float32), jnp.asarray(levels)))
-        return Solved(Ts, float(np.mean(num_steps)))
+        Ts, num_steps = map(np.asarray, self._solve(Ts_init.astype(np.float32), levels_on_device(levels)))
+        return Solved(Ts, num_steps.sum() / len(Ts))

@@ -12,6 +12,9 @@ Kind = Literal["one", "many", "tracking", "search", "check"]
 HYPOTHESES = (1, 4, 16, 64, 256, 1024, 4096, 16384, 65536)
 POINTS = (128, 512, 2048, 8192, 32768)
 NUM_POINTS = 1000
+OVER_STARTS = ("semloc-analytic", "semloc-xla", "ceres-tiny", "ceres-autodiff")
+OVER_POINTS = (*OVER_STARTS, "optimistix")
+"""Peers with curves; the others would compile for minutes."""
 ENOUGH_S = 15.0
 """A task is not repeated once it has taken so much time in all."""
 
@@ -43,7 +46,7 @@ class Task:
         return self.kind == "check" or self.starts <= entry.largest
 
 
-def tasks(quick: bool, scaling: bool, repeats: int) -> list[Task]:
+def tasks(quick: bool, curves: bool, repeats: int) -> list[Task]:
     """The tasks of a run: a minute's worth, or all; those of the first are among those of the second."""
     if quick:
         others = tuple(entry.name for entry in PEERS if entry.name not in OURS)
@@ -62,8 +65,8 @@ def tasks(quick: bool, scaling: bool, repeats: int) -> list[Task]:
         Task("search", 4096, repeats=repeats),
         Task("check", 256),
     ]
-    if not scaling:
+    if not curves:
         return main
     known = {task.starts for task in main if task.kind == "many"}
-    main += [Task("many", num, repeats=3) for num in HYPOTHESES if num not in known]
-    return main + [Task("many", 64, points, 3) for points in POINTS]
+    main += [Task("many", num, repeats=3, only=OVER_STARTS) for num in HYPOTHESES if num not in known]
+    return main + [Task("many", 64, points, 3, only=OVER_POINTS) for points in POINTS]

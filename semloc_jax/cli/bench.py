@@ -31,8 +31,8 @@ class Options:
     """Write everything that was measured, with machine, versions and command."""
     plot: Path | None = None
     """Write a picture (.png): cost against hypotheses and points, memory, roofline."""
-    scaling: bool = True
-    """Measure the curves too (1 to 65536 hypotheses, 128 to 32768 points); off with --no-scaling."""
+    no_curves: bool = False
+    """Leave the curves out (1 to 65536 hypotheses, 128 to 32768 points)."""
     repeats: int = 5
     """Rounds."""
     core: int | None = None
@@ -57,7 +57,7 @@ def run(options: Options) -> int:
     for path in (options.json, options.plot, options.write_baseline):
         if path is not None and not path.resolve().parent.is_dir():
             raise UsageError(f"{path}: its folder does not exist")
-    todo = tasks.tasks(options.quick, options.scaling, options.repeats)
+    todo = tasks.tasks(options.quick, not options.no_curves, options.repeats)
     with tempfile.TemporaryDirectory() as folder:
         measured, missing = runner.run(names, todo, Path(folder), core, not options.quick, _say)
     found = results.Results(measured)
