@@ -5,7 +5,7 @@ Every fusion is pure: state in, state out; a state is a tuple of float64 arrays 
 """
 
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable, runtime_checkable
+from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -89,7 +89,6 @@ class SensorBeliefs:
         return np.array([self.scale_walk, np.deg2rad(self.gyro_bias_walk_degps), offset, offset])
 
 
-@runtime_checkable
 @runtime_checkable
 class Fusion(Protocol, Generic[State]):
     """What window, filter and single frames have in common."""

@@ -68,7 +68,7 @@ def newest(fixes: Fixes, num: int) -> Fixes:
 
 
 def prior_from_fixes(
-    fixes: Fixes, motion: MotionLog, time_s: float, calibration: Calibration, config: InitializationConfig
+    fixes: Fixes, motion: MotionLog, time_s: float, calibration: Calibration | None, config: InitializationConfig
 ) -> PosePrior | None:
     """Position and heading from the fixes up to a time; None while they say too little.
 
@@ -76,7 +76,7 @@ def prior_from_fixes(
         fixes: Buffer of fixes.
         motion: How the vehicle moved between them.
         time_s: Time of the wanted pose [s].
-        calibration: Of the motion sensors.
+        calibration: Of the motion sensors, where it is known.
         config: Limits.
     """
     valid = (fixes.time_s >= time_s - config.window_s) & (fixes.time_s <= time_s + 1e-6)
@@ -97,7 +97,9 @@ def prior_from_fixes(
     return PosePrior(float(found.p_enu[0]), float(found.p_enu[1]), found.heading_rad, sigma_m, float(heading))
 
 
-def _driven_path(motion: MotionLog, from_s: float, to_s: float, calibration: Calibration) -> WheelOdometry | None:
+def _driven_path(
+    motion: MotionLog, from_s: float, to_s: float, calibration: Calibration | None
+) -> WheelOdometry | None:
     """The motion between two times as speeds and yaw rates at an even pace; None where they are too near."""
     num = int(np.ceil((to_s - from_s) / _PATH_STEP_S))
     if num < 1:
