@@ -14,12 +14,16 @@ from semloc_jax.cli import sweeps
 from semloc_jax.cli.arguments import parse_names
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from semloc_jax.datasets import Sequence
     from semloc_jax.localization import MaskSource
     from semloc_jax.localization.priors import PriorSource
     from semloc_jax.maps import SemanticMap
 
 _LOG = logging.getLogger(__name__)
+_FAR_M = 300.0
+"""Fixes farther outside of a map than this belong to another place; ours."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +38,8 @@ class DriveOptions:
     """Map file (.geojson, .osm), or the name of a map of the drive, or sweeps:START:STOP:STEP to make it of labelled
     lidar sweeps (PandaSet); default: the drive's own, else sweeps:::2."""
     masks: str | None = None
-    """Mask folder of the drive (sem, sem_net ...) or a segmenter (classical, FILE.onnx); ipm: before it (ipm:sem) makes
-    one top view of all cameras; default: the drive's best masks."""
+    """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or a segmenter (classical, FILE.onnx);
+    ipm: before it (ipm:sem) makes one top view of all cameras; default: the drive's best masks."""
     class_table: str | None = None
     """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
     cameras: str | None = None
@@ -88,8 +92,7 @@ def open_inputs(options: DriveOptions) -> Inputs:
         drive, semantic_map = sweeps.from_sweeps(drive, map_path)
     else:
         semantic_map = read_map(map_path)
-        if kind == "gnss":
-            drive = drive.in_map_of(semantic_map.origin)
+        drive = _fixes_in_map(drive, semantic_map, kind)
     _report_overlap(drive, kind)
     prior = prior_source(kind, drive, options.prior_sigma_xy_m, options.prior_sigma_yaw_deg, options.seed)
     # The images of PandaSet show more paint than the masks that come with it, and only its front camera is calibrated.
@@ -97,6 +100,42 @@ def open_inputs(options: DriveOptions) -> Inputs:
     cameras = parse_names(options.cameras) or (drive.rig.names[:1] if is_map_made else None)
     source = mask_source(masks, drive, cameras, options.class_table)
     return Inputs(drive, semantic_map, source, prior, is_map_made)
+
+
+def _fixes_in_map(drive: "Sequence", semantic_map: "SemanticMap", prior: str) -> "Sequence":
+    """The drive with its fixes in the frame of the map; without them where nothing needs them and nobody knows how.
+
+    Raises:
+        SemlocError: the fixes are to give the prior, and the map does not say where it is or is somewhere else.
+    """
+    from dataclasses import replace
+
+    from semloc_jax.errors import SemlocError
+
+    if drive.gnss is None:
+        return drive
+    if prior != "gnss" and drive.gnss.origin is not None and semantic_map.origin is None:
+        _LOG.warning("the fixes are not used: the map does not say where on the earth its frame is")
+        return replace(drive, gnss=None)
+    drive = drive.in_map_of(semantic_map.origin)
+    away_m = _distance_m(drive.gnss.p_enu[:, :2], semantic_map.extent[:, :2])
+    if away_m > _FAR_M:
+        text = (
+            f"drive {drive.name}: its fixes are {away_m / 1e3:.3g} km outside of map {semantic_map.name}; expected the "
+            "same place: another map, another datum or grid, or latitude and longitude exchanged"
+        )
+        if prior == "gnss":
+            raise SemlocError(text)
+        _LOG.warning("%s", text)
+    return drive
+
+
+def _distance_m(xy: "np.ndarray", box: "np.ndarray") -> float:
+    """Smallest distance of points [n 2] to a box [2 2] of minimum and maximum [m]."""
+    import numpy as np
+
+    outside = np.maximum(np.maximum(box[0] - xy, xy - box[1]), 0.0)
+    return float(np.hypot(*outside.T).min())
 
 
 def _report_overlap(drive: "Sequence", prior: str) -> None:

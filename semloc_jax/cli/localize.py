@@ -77,6 +77,8 @@ def localize(options: Options, settings: "LocalizeConfig") -> int:
         print(results.write_metrics_of(found, truth, folder))
     pictures.write_overlays(folder, inputs.map, inputs.masks, found, options.overlays)
     print(_summary(found, wall_s))
+    if (shift := results.shift_text(results.shifts(found))) is not None:
+        print(shift)
     print(f"results: {folder}")
     share = sum(result.localized for result in found) / len(found)
     return OK if share >= options.min_localized_share else LOST

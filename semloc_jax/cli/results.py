@@ -30,6 +30,8 @@ SIGMAS = ("sigma_lateral_m", "sigma_longitudinal_m", "sigma_heading_deg")
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 ERRORS = ("lateral_m", "longitudinal_m", "heading_deg")
 DEFAULT_ROOT = Path("results")
+_MIN_SHIFTED, _CLEAR_SHIFT_M = 5, 0.5
+"""A shift of all poses against their priors is told from so many frames and metres on; ours."""
 OF_VARIANT = (
     *("frames.reference", "frames.estimated", "estimated", "recall.0.3m_0.5m_0.5deg"),
     *("lateral.median", "longitudinal.median", "heading.median"),
@@ -191,3 +193,25 @@ def _pose_cells(T_map_base: np.ndarray) -> list[str]:
 
 def _number(value: Any) -> str:
     return f"{float(value):.6g}" if np.isfinite(value) else ""
+
+
+def shifts(found: Sequence[LocalizationResult]) -> np.ndarray:
+    """How far the localized poses lie from their priors, x and y of the map, `float64[n 2]` [m]."""
+    return np.array([(r.T_map_base - r.T_map_prior)[:2, 3] for r in found if r.localized]).reshape(-1, 2)
+
+
+def shift_text(moved: np.ndarray) -> str | None:
+    """A word on a shift between priors and poses that is the same in every frame; None where there is none.
+
+    A receiver's own bias wanders and is about a metre; a datum that does not fit stays as it is over the whole drive.
+    """
+    if len(moved) < _MIN_SHIFTED:
+        return None
+    shift = np.median(moved, axis=0)
+    spread = float(np.median(np.linalg.norm(moved - shift, axis=1)))
+    if np.hypot(*shift) < max(_CLEAR_SHIFT_M, 2.0 * spread):
+        return None
+    return (
+        f"the poses lie {shift[0]:+.2f} m in x and {shift[1]:+.2f} m in y of the map from their priors, within "
+        f"{spread:.2f} m the same in every frame: the bias of the receiver, or a datum or map origin that does not fit"
+    )

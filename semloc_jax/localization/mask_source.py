@@ -44,7 +44,8 @@ def mask_source(
 
     Args:
         name: A mask folder of the sequence, any folder with CAMERA/FRAME.png, a network `FILE.onnx`, or `classical`
-            for the built-in segmenter of road paint; `ipm:` before any of them makes one top view of the road of all cameras.
+            for the built-in segmenter of road paint; `ipm:` before any of them makes one top view of the road of all
+            cameras.
         sequence: The drive.
         cameras: Names; None for all that have such masks.
         table: Class table, a preset or a YAML file; None for that of the sequence.
