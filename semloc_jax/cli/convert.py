@@ -30,6 +30,8 @@ class Options:
     """Classes to keep, separated by commas: pole,sign,lane_marking."""
     geojson: Literal["auto", "rfc7946", "drive"] = "auto"
     """GeoJSON in degrees or in the metres of the drive layout; auto: degrees where the map has a place on the earth."""
+    heights: Path | None = None
+    """Where elements without heights get them: an .asc grid, the folder of an Argoverse 2 log, a map with heights."""
     resolution_m: float = 0.01
     """Compact form: grid of coordinates, and how far a line may move when vertices are left out."""
     strict: bool = False
@@ -44,7 +46,7 @@ def run(options: Options) -> int:
     if options.out.exists() and options.out.samefile(options.map):
         raise SemlocError(f"{options.out}: is the map to read; give another file to write")
     semantic_map = read_map(options.map, _origin(options.origin))
-    kept = _only(semantic_map, options.only)
+    kept = _with_heights(_only(semantic_map, options.only), options.heights)
     if options.out.suffix.lower() == ".smap":
         write_compact(kept, options.out, options.resolution_m, options.resolution_m)
     else:
@@ -88,6 +90,21 @@ def _only(semantic_map: "SemanticMap", text: str | None) -> "SemanticMap":
     if not elements:
         raise SemlocError(f"--only {text}: the map has none of these; it has {_classes(semantic_map)}")
     return SemanticMap(elements, semantic_map.origin, semantic_map.name, semantic_map.skipped, semantic_map.frame)
+
+
+def _with_heights(semantic_map: "SemanticMap", path: Path | None) -> "SemanticMap":
+    """The map with the heights that it lacked, and a line about them."""
+    from semloc_jax.maps import SemanticMap, read_map
+    from semloc_jax.maps.heights import read_ground_raster, with_heights
+
+    if path is None:
+        return semantic_map
+    is_raster = path.is_dir() or path.suffix.lower() in (".asc", ".npy")
+    surface = read_ground_raster(path) if is_raster else read_map(path, semantic_map.origin).ground
+    lifted = with_heights(semantic_map.elements, surface)
+    missing = sum(not element.has_height for element in semantic_map.elements)
+    print(f"heights: {missing - sum(not e.has_height for e in lifted)} of {missing} elements that lacked them")
+    return SemanticMap(lifted, semantic_map.origin, semantic_map.name, semantic_map.skipped, semantic_map.frame)
 
 
 def _classes(semantic_map: "SemanticMap") -> str:

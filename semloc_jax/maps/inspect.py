@@ -5,30 +5,21 @@ In: SemanticMap. Out: MapReport, which prints itself as text.
 
 import gzip
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 
-from semloc_jax.maps.curves import as_ring
-from semloc_jax.maps.elements import UPRIGHT_CLASSES, MapElement
+from semloc_jax.maps.defects import Defect, find_defects
+from semloc_jax.maps.elements import MapElement
+from semloc_jax.maps.io.compact import compact_bytes
 from semloc_jax.maps.io.features import feature_class, feature_from_element
 from semloc_jax.maps.semantic_map import SemanticMap
-from semloc_jax.structs import ElementClass
 
-_ZERO_LENGTH_M = 1e-3
-_SAME_PLACE_M = 0.05
 _ROAD_REACH_M = 15.0
 """Lines nearer than twice this belong to one road when the length of the road is estimated."""
-_NEEDED_SIZE = {
-    ElementClass.POLE: ("radius_m", "radius"),
-    ElementClass.CONE: ("radius_m", "radius"),
-    ElementClass.TRAFFIC_LIGHT: ("width_m", "width"),
-    ElementClass.GUARDRAIL: ("height_m", "height"),
-    ElementClass.LANE_MARKING: ("width_m", "width"),
-}
 
 
 @dataclass(frozen=True)
@@ -41,15 +32,6 @@ class ClassSummary:
 
 
 @dataclass(frozen=True)
-class Defect:
-    """One thing that is wrong: what, with which element, and the numbers."""
-
-    kind: str
-    element: str
-    detail: str
-
-
-@dataclass(frozen=True)
 class MapReport:
     """Contents, size and defects of a map.
 
@@ -59,6 +41,9 @@ class MapReport:
         extent_m: size of the bounding box along x, y, z of the map frame.
         road_length_m: estimated length of the roads.
         bytes_per_km: size of the gzipped GeoJSON for each kilometre of road.
+        compact_bytes_per_km: size of the compact form at 1 cm for each kilometre of road.
+        frame: coordinate system in words.
+        assumed: elements with a size or a place that the file did not tell, by what it is.
         num_points: vertices.
         defects: everything found.
         has_origin: whether the map knows its place on the earth.
@@ -69,9 +54,12 @@ class MapReport:
     extent_m: np.ndarray
     road_length_m: float
     bytes_per_km: float
+    compact_bytes_per_km: float
     num_points: int
     defects: tuple[Defect, ...]
     has_origin: bool
+    frame: str = ""
+    assumed: Mapping[str, int] = field(default_factory=dict)
 
     def to_text(self, max_defects: int = 20) -> str:
         """Returns the report as lines of text, with at most `max_defects` defects spelled out."""
@@ -79,10 +67,12 @@ class MapReport:
         lines = [
             f"map {self.name}: {sum(row.count for row in self.classes)} elements, {self.num_points} points",
             f"extent {width:.1f} x {depth:.1f} m, height {height:.1f} m",
-            f"about {self.road_length_m / 1000:.2f} km of road, {self.bytes_per_km / 1000:.1f} kB/km gzipped",
-            f"{'with' if self.has_origin else 'without'} a place on the earth",
+            f"about {self.road_length_m / 1000:.2f} km of road, {self.bytes_per_km / 1000:.1f} kB/km as gzipped "
+            f"GeoJSON, {self.compact_bytes_per_km / 1000:.1f} kB/km compact at 1 cm",
+            f"coordinates: {self.frame}",
             f"{'class':<16}{'count':>7}{'length [m]':>12}",
             *(f"{row.name:<16}{row.count:>7}{row.length_m:>12.1f}" for row in self.classes),
+            *(f"assumed: {what} of {count} elements" for what, count in self.assumed.items()),
             f"defects: {len(self.defects) or 'none'}",
             *(f"  {d.kind}: {d.element} ({d.detail})" for d in self.defects[:max_defects]),
         ]
@@ -109,58 +99,21 @@ def inspect_map(semantic_map: SemanticMap) -> MapReport:
         road_length_m=road_length_m,
         bytes_per_km=size / max(road_length_m, 1.0) * 1000.0,
         num_points=sum(len(element.points) for element in elements),
-        defects=tuple(_defects(semantic_map)),
+        defects=tuple(find_defects(semantic_map)),
         has_origin=semantic_map.origin is not None,
+        compact_bytes_per_km=len(compact_bytes(semantic_map)) / max(road_length_m, 1.0) * 1000.0,
+        frame=_frame(semantic_map),
+        assumed=Counter(what for element in elements for what in element.attributes.get("assumed", [])),
     )
 
 
-def _defects(semantic_map: SemanticMap) -> Iterator[Defect]:
-    elements = semantic_map.elements
-    for name, count in semantic_map.skipped.items():
-        yield Defect("unknown class", name, f"{count} left out")
-    has_heights = any(element.has_height for element in elements)
-    seen: set[str] = set()
-    for element in elements:
-        if element.id in seen:
-            yield Defect("repeated id", element.id, element.label.name)
-        seen.add(element.id)
-        if element.length_m < _ZERO_LENGTH_M:
-            yield Defect("zero length", element.id, f"{len(element.points)} points, {element.length_m * 1000:.3f} mm")
-        elif _crosses_itself(element):
-            yield Defect("crosses itself", element.id, f"{element.label.name}, {len(element.points)} points")
-        if has_heights and not element.has_height:
-            yield Defect("missing heights", element.id, "taken as 0")
-        yield from _missing_sizes(element)
-    if elements and not has_heights:
-        yield Defect("missing heights", "all elements", "the map is taken as flat")
-    yield from _duplicates(elements)
-
-
-def _missing_sizes(element: MapElement) -> Iterator[Defect]:
-    field_name, word = _NEEDED_SIZE.get(element.label, ("", ""))
-    if field_name and not element.closed and not element.is_logical and getattr(element, field_name) == 0.0:
-        yield Defect("missing size", element.id, f"{element.label.name} without {word}; its middle is sampled")
-    if element.label == ElementClass.PILLAR and element.height_m == 0.0:
-        yield Defect("missing size", element.id, "PILLAR without height; it is not sampled")
-
-
-def _crosses_itself(element: MapElement) -> bool:
-    """Returns whether a line or area crosses itself seen from above (upright things always would)."""
-    if element.label in UPRIGHT_CLASSES or element.label == ElementClass.SIGN or len(element.points) < 3:
-        return False
-    xy = element.points[:, :2]
-    return not shapely.LineString(as_ring(xy) if element.closed else xy).is_simple
-
-
-def _duplicates(elements: tuple[MapElement, ...]) -> Iterator[Defect]:
-    """Yields pairs of one class with the same middle and the same length."""
-    if not elements:
-        return
-    rows = np.array([[*e.points.mean(axis=0), e.length_m] for e in elements])
-    for one, other in sorted(cKDTree(rows).query_pairs(_SAME_PLACE_M)):
-        if elements[one].label == elements[other].label and elements[one].is_logical == elements[other].is_logical:
-            gap_mm = 1000 * float(np.linalg.norm(rows[one, :3] - rows[other, :3]))
-            yield Defect("duplicate", elements[other].id, f"{gap_mm:.0f} mm from {elements[one].id}")
+def _frame(semantic_map: SemanticMap) -> str:
+    """Returns the coordinate system of a map in words."""
+    origin = semantic_map.origin
+    name = semantic_map.frame or ("local metres" if origin is None else "east, north, up in metres")
+    if origin is None:
+        return f"{name}, place on the earth unknown"
+    return f"{name} about {origin.lat_deg:.6f}, {origin.lon_deg:.6f}, {origin.alt_m:.1f} m (WGS84)"
 
 
 def _road_length_m(elements: tuple[MapElement, ...]) -> float:

@@ -14,6 +14,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import clip_to_circle, without_repeats
 from semloc_jax.maps.elements import UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane
+from semloc_jax.maps.heights import lifted
 from semloc_jax.structs import ElementClass
 
 
@@ -80,11 +81,18 @@ class SemanticMap:
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
     @cached_property
+    def _is_mixed(self) -> bool:
+        """Whether some elements have heights and some have not."""
+        return len({element.has_height for element in self.elements}) == 2
+
+    @cached_property
     def _tree(self) -> shapely.STRtree:
         return shapely.STRtree([plan_geometry(element) for element in self.elements])
 
     def query(self, center_map: Place, radius_m: float, heading_rad: float | None = None) -> LocalMap:
         """Returns the elements that come within `radius_m` of a place, with lines cut at that radius.
+
+        Elements without heights in a map that has some lie on the plane of the road at the place.
 
         Args:
             center_map: place in the map frame, `[2]` or `[3]` [m]; without a height the road's is taken.
@@ -103,6 +111,8 @@ class SemanticMap:
             found.extend(clip_element(self.elements[index], center[:2], radius_m))
         if heading_rad is not None:
             found = [element for element in found if reaches_ahead(element, center[:2], heading_rad, -0.5 * radius_m)]
+        if self._is_mixed:
+            found = [*lifted(found, self.ground, center)]
         return LocalMap(tuple(found), self._local_origin(center, radius_m), self.ground, radius_m)
 
     def whole(self) -> LocalMap:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from semloc_jax.maps import MapElement, SemanticMap, inspect_map, read_map
+from semloc_jax.maps import GeoOrigin, MapElement, SemanticMap, inspect_map, read_map
 from semloc_jax.structs import ElementClass
 
 
@@ -12,7 +12,7 @@ def _lane(points, name="lane", **values) -> MapElement:
     return MapElement(name, ElementClass.LANE_MARKING, np.array(points, dtype=float), **values)
 
 
-GOOD = _lane([[0, 0, 0], [50, 0, 0]], "good")
+GOOD = _lane([[0, 0, 0], [50, 0, 0]], "good", style="solid")
 
 
 def test_report_of_a_rendered_map(road_dir):
@@ -39,10 +39,37 @@ def test_report_of_a_rendered_map(road_dir):
         ("missing size", _lane([[0, 9, 0], [50, 9, 0]], width_m=0.0)),
         ("missing size", MapElement("p", ElementClass.POLE, np.array([[0, 9, 0], [0, 9, 5.0]]))),
         ("missing size", MapElement("b", ElementClass.PILLAR, np.eye(3), closed=True)),
+        ("gap", _lane([[50.3, 0, 0], [90, 0, 0]], style="solid")),
+        ("under ground", MapElement("u", ElementClass.POLE, np.array([[9, 4, -9], [9, 4, -3.0]]), radius_m=0.1)),
     ],
 )
 def test_each_defect_is_found_once(kind, bad):
     assert [defect.kind for defect in inspect_map(SemanticMap((GOOD, bad))).defects] == [kind]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        _lane([[50.02, 0, 0], [90, 0, 0]], style="solid"),  # meets it
+        _lane([[52, 0, 0], [90, 0, 0]], style="solid"),  # is another line
+        _lane([[50.3, 0, 0], [50.3, 40, 0]], style="solid"),  # turns away
+        _lane([[50.3, 0, 0], [90, 0, 0]], style="dashed"),  # has gaps by design
+        _lane([[50.3, 0, 0], [90, 0, 0]], style="solid", width_m=0.3),
+        MapElement("u", ElementClass.POLE, np.array([[9, 4, -1], [9, 4, 5.0]]), radius_m=0.1),
+        MapElement("u", ElementClass.POLE, np.array([[9, 40, -9], [9, 40, -3.0]]), radius_m=0.1),  # below no road
+    ],
+)
+def test_what_only_looks_like_a_gap_or_under_ground(other):
+    assert inspect_map(SemanticMap((GOOD, other))).defects == ()
+
+
+def test_the_coordinate_system_and_what_is_assumed_are_told():
+    line = _lane([[0, 0, 0], [9, 0, 0]], attributes={"assumed": ["width", "dashes"]})
+    text = inspect_map(SemanticMap((line,), frame="MGRS 54SUE")).to_text()
+    assert "coordinates: MGRS 54SUE, place on the earth unknown" in text
+    assert "assumed: width of 1 elements" in text and "kB/km compact at 1 cm" in text
+    placed = inspect_map(SemanticMap((line,), GeoOrigin(48.0, 11.0, 500.0))).to_text()
+    assert "coordinates: east, north, up in metres about 48.000000, 11.000000, 500.0 m (WGS84)" in placed
 
 
 def test_area_that_crosses_itself():

@@ -63,6 +63,24 @@ def write_compact(
     Raises:
         SemlocError: a resolution that is not positive, or the file cannot be written.
     """
+    packed = compact_bytes(semantic_map, resolution_m, thinning_m, labels)
+    try:
+        Path(path).write_bytes(packed)
+    except OSError as error:
+        raise SemlocError(f"cannot write map {path}: {error.strerror}; give a path in a folder that exists") from error
+
+
+def compact_bytes(
+    semantic_map: SemanticMap,
+    resolution_m: float = 0.01,
+    thinning_m: float = 0.01,
+    labels: Collection[ElementClass] | None = None,
+) -> bytes:
+    """Returns the contents of the compact file of a map; see `write_compact`.
+
+    Raises:
+        SemlocError: a resolution that is not positive.
+    """
     if not (0.0 < resolution_m <= 1.0 and 0.0 <= thinning_m <= 1.0):
         raise SemlocError(
             f"compact map with a resolution of {resolution_m} m and a thinning of {thinning_m} m; "
@@ -99,10 +117,7 @@ def write_compact(
     for column in columns:
         packed = _pack(column)
         parts += [np.array([len(column), len(packed)], dtype="<u4").tobytes(), packed]
-    try:
-        Path(path).write_bytes(MAGIC + lzma.compress(b"".join(parts), format=lzma.FORMAT_RAW, filters=_FILTERS))
-    except OSError as error:
-        raise SemlocError(f"cannot write map {path}: {error.strerror}; give a path in a folder that exists") from error
+    return MAGIC + lzma.compress(b"".join(parts), format=lzma.FORMAT_RAW, filters=_FILTERS)
 
 
 def read_compact(path: str | Path) -> SemanticMap:

@@ -15,6 +15,7 @@ import shapely
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane
+from semloc_jax.maps.heights import lifted
 from semloc_jax.maps.io.features import FEATURE_CLASSES
 from semloc_jax.maps.io.geopackage import schema
 from semloc_jax.maps.io.geopackage.geometry import from_blob
@@ -105,6 +106,8 @@ class StoredMap(SemanticMap):
                 found += [element] if is_inside else clip_element(element, center[:2], radius_m)
         if heading_rad is not None:
             found = [element for element in found if reaches_ahead(element, center[:2], heading_rad, -0.5 * radius_m)]
+        if len({element.has_height for element in found}) == 2:
+            found = [*lifted(found, self.ground, center)]
         return LocalMap(tuple(found), self._origin_of(found, center), self.ground, radius_m)
 
     def within(self, center: np.ndarray, radius_m: float) -> list[MapElement]:

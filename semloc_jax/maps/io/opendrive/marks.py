@@ -39,6 +39,8 @@ class OpenDriveStyle:
     stop_line_width_m: float = 0.5
     head_ratio: float = 2.6
     """Height of the head of a traffic light against its width, where the file gives pole and head in one."""
+    pole_radius_m: float = 0.06
+    """Radius of the pole below such a head."""
     tallest_head_m: float = 1.5
     """A traffic light that is taller stands on the ground with its pole."""
 

@@ -82,7 +82,9 @@ def _light(
     if height > style.tallest_head_m and width > 0.0:
         attributes = {**attributes, "assumed": ["head"]}
         foot = top - [0.0, 0.0, min(style.head_ratio * width, 0.5 * height)]
-        yield MapElement(f"{name}_pole", ElementClass.POLE, np.stack([base, foot]), attributes=attributes)
+        told = {**attributes, "assumed": ["head", "radius"]}
+        sizes = {"radius_m": style.pole_radius_m, "radius_top_m": style.pole_radius_m}
+        yield MapElement(f"{name}_pole", ElementClass.POLE, np.stack([base, foot]), attributes=told, **sizes)
     kept = "" if width > 0.0 and height > 0.0 else VIRTUAL
     yield MapElement(
         name, ElementClass.TRAFFIC_LIGHT, np.stack([foot, top]), width_m=width, style=kept, attributes=attributes
