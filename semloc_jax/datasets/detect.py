@@ -28,7 +28,7 @@ _KINDS: tuple[tuple[str, Callable[[Path], bool], Callable[..., Sequence]], ...] 
     ("KITTI", is_kitti, read_kitti),
     ("video", is_video, read_video),
 )
-_OWN_CALIBRATION = ("drive", "PandaSet")
+_OWN_CALIBRATION = ("PandaSet",)
 
 
 def open_sequence(path: str | Path, calibration: str | Path | None = None) -> Sequence:
@@ -49,7 +49,11 @@ def open_sequence(path: str | Path, calibration: str | Path | None = None) -> Se
         )
     for kind, fits, read in _KINDS:
         if fits(path):
-            return read(path) if calibration is None or kind in _OWN_CALIBRATION else read(path, calibration)
+            if calibration is not None and kind in _OWN_CALIBRATION:
+                raise SemlocError(
+                    f"data set {path}: {kind} brings its own calibration; leave --calib {calibration} out"
+                )
+            return read(path) if calibration is None else read(path, calibration)
     if not path.is_dir():
         raise SemlocError(
             f"data set {path}: unknown type '{path.suffix}'; expected .bag, .db3, .mcap, .mp4, "

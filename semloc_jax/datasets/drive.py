@@ -52,8 +52,12 @@ def is_drive(path: Path) -> bool:
     return (path / "frames.csv").is_file() and (path / "calib.yaml").is_file()
 
 
-def read_drive(path: str | Path) -> Sequence:
+def read_drive(path: str | Path, calibration: str | Path | None = None) -> Sequence:
     """Sequence of a drive folder; sensors, poses and maps that are absent stay None.
+
+    Args:
+        path: folder.
+        calibration: calibration file instead of its calib.yaml.
 
     Raises:
         SemlocError: calib.yaml or frames.csv is missing or wrong.
@@ -61,7 +65,7 @@ def read_drive(path: str | Path) -> Sequence:
     path = Path(path)
     if not path.is_dir():
         raise SemlocError(f"drive {path}: no such folder; expected calib.yaml, frames.csv and sem/CAMERA/ID.png")
-    rig = read_calibration(path / "calib.yaml")
+    rig = read_calibration(calibration if calibration is not None else path / "calib.yaml")
     kinds = {kind: suffix for kind in _SUFFIXES if (suffix := _suffix_of(path / kind, _SUFFIXES[kind])) is not None}
     return Sequence(
         name=path.resolve().name,
