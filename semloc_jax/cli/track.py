@@ -1,6 +1,7 @@
 """`semloc track`: follow the vehicle through a whole drive (room: cli)."""
 
 import dataclasses
+import functools
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +15,10 @@ if TYPE_CHECKING:
     from semloc_jax.cli.track_log import TrackTable
     from semloc_jax.localization.checkpoint import Checkpoint
     from semloc_jax.localization.fusion import Fusion
-    from semloc_jax.localization.localizer import TrackConfig
+    from semloc_jax.localization.localizer import Localizer, TrackConfig
     from semloc_jax.localization.pipeline import Pipeline
+    from semloc_jax.localization.prediction import MotionLog
+    from semloc_jax.maps import SemanticMap
 
 CHECKPOINT = "state.npz"
 
@@ -24,8 +27,8 @@ CHECKPOINT = "state.npz"
 class Options(DriveOptions):
     """Follow the vehicle through a drive: initialise, track, know when lost, recover.
 
-    Writes frames.csv (line by line while driving), trajectory.tum, metrics.json, tracking.png, map_changes.csv,
-    config.yaml, overlays/*.png and state.npz, from which --resume goes on after a kill.
+    Writes frames.csv (line by line while driving), trajectory.tum, metrics.json, tracking.png, stanford.png,
+    map_changes.csv, config.yaml, overlays/*.png and state.npz, from which --resume goes on after a kill.
 
     --prior gnss starts from the first satellite fixes; truth or a trajectory file give a first guess where there are
     none. The exit code is 3 when the vehicle is lost at the end, or tracked for less than --min-tracking-share.
@@ -33,12 +36,14 @@ class Options(DriveOptions):
 
     frames: str = ":"
     """Which frames, as a Python slice: ::2, 10:60."""
-    fusion: Literal["window", "kalman", "single"] = "kalman"
+    fusion: Literal["window", "kalman", "single"] = "window"
     """How poses become one over time: sliding-window graph, Kalman filter, or each frame alone."""
     area: str | None = None
     """X,Y,RADIUS in the map: where to search when neither fixes nor a prior are given."""
     no_gnss_after_init: bool = False
     """Use satellite fixes to initialise only."""
+    fault: str | None = None
+    """Disturb the drive: gnss_dropout, black_images, kidnapped ... or all of them, for faults.csv and faults.md."""
     realtime: bool = False
     """Play the drive at its own pace; frames that come too fast are dropped."""
     resume: Path | None = None
@@ -66,7 +71,7 @@ def default_settings() -> "TrackConfig":
 
 def run(options: Options) -> int:
     """Track, write everything, say how good it is; returns the exit code."""
-    from semloc_jax.cli import results
+    from semloc_jax.cli import results, track_faults
     from semloc_jax.cli.track_log import TrackLog, TrackTable
 
     logging.basicConfig(format="%(message)s")
@@ -74,6 +79,10 @@ def run(options: Options) -> int:
     chosen = parse_slice(options.frames)
     inputs = _open(options)
     folder = options.resume or results.make_folder(options.out)
+    if options.fault == track_faults.ALL:
+        return _try_faults(options, inputs, folder)
+    if options.fault is not None:
+        inputs = track_faults.disturbed(inputs, options.fault, options.seed)
     pipeline = _pipeline(options, inputs)
     frames = list(inputs.drive.frames[chosen])
     start = _checkpoint(options, pipeline)
@@ -96,21 +105,31 @@ def _open(options: Options) -> Inputs:
 
 
 def _pipeline(options: Options, inputs: Inputs) -> "Pipeline":
-    from semloc_jax.localization.localizer import Localizer
     from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
     from semloc_jax.localization.prediction import MotionLog
 
     has_guess = options.prior not in (None, "gnss")
-    localizer = Localizer(
-        inputs.map,
-        inputs.masks.table,
-        MotionLog.of_sequence(inputs.drive),
-        _fusion(options.fusion),
-        options.settings,
-        _area(options.area),
-    )
+    localizer = _localizer(options, inputs, inputs.map, MotionLog.of_sequence(inputs.drive))
     config = PipelineConfig(realtime=options.realtime, gnss_after_init=not options.no_gnss_after_init)
     return Pipeline(inputs.drive, inputs.masks, localizer, config, inputs.prior if has_guess else None)
+
+
+def _localizer(options: Options, inputs: Inputs, semantic_map: "SemanticMap", motion: "MotionLog") -> "Localizer":
+    from semloc_jax.localization.localizer import Localizer
+
+    table, area = inputs.masks.table, _area(options.area)
+    return Localizer(semantic_map, table, motion, _fusion(options.fusion), options.settings, area)
+
+
+def _try_faults(options: Options, inputs: Inputs, folder: Path) -> int:
+    """Every fault in turn; the exit code is 3 where a frame is called tracked and is not."""
+    from semloc_jax.cli import results, track_faults
+
+    results.write_record(folder, options.settings, _options_to_keep(options, inputs))
+    make = functools.partial(_localizer, options, inputs)
+    num_false = track_faults.write_matrix(inputs, make, folder, options.seed)
+    print(f"results: {folder}")
+    return LOST if num_false else OK
 
 
 def _fusion(name: str) -> "Fusion":
@@ -177,6 +196,7 @@ def _finish(
     if last is not None:
         _write_map_changes(folder / "map_changes.csv", pipeline, last)
     track_pictures.write_timeline(folder, table)
+    track_pictures.write_stanford(folder, table)
     overlay = track_pictures.Overlay(inputs.map, inputs.masks, table)
     shown = [frame for frame in inputs.drive.frames if frame.id in set(table.frames)]
     track_pictures.write_strip(folder, overlay, shown, options.overlays)

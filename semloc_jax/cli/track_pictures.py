@@ -1,6 +1,6 @@
 """Pictures of a tracked drive (room: cli).
 
-In: the table of a run, the drive, the map. Out: tracking.png, track.mp4, overlays/*.png.
+In: the table of a run, the drive, the map. Out: tracking.png, stanford.png, track.mp4, overlays/*.png.
 """
 
 from pathlib import Path
@@ -16,6 +16,7 @@ from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.localization import MaskSource
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.maps import SemanticMap
+from semloc_jax.viz.integrity import Direction, stanford_diagram
 from semloc_jax.viz.overlay import dim
 from semloc_jax.viz.tracking import status_banner, tracking_over_time
 
@@ -31,6 +32,21 @@ def write_timeline(folder: Path, table: TrackTable) -> Path:
     levels = {name: table.columns[key] for name, key in zip(NAMES, PROTECTION, strict=True)}
     figure = tracking_over_time(table.columns["time_s"], table.status, errors, levels, limits)
     return viz.save(figure, folder / "tracking.png")
+
+
+def write_stanford(folder: Path, table: TrackTable) -> Path | None:
+    """Draw errors against protection levels where the drive has a truth; only frames called TRACKING have a level."""
+    limit = ALERT_LIMITS[0]
+    limits = (limit.lateral_m, limit.longitudinal_m, limit.heading_deg)
+    errors = table.errors(np.ones(len(table), dtype=bool)).values()
+    if not any(np.isfinite(error).any() for error in errors):
+        return None
+    directions = {}
+    for name, error, key, bound in zip(NAMES, errors, PROTECTION, limits, strict=True):
+        word, unit = name.rstrip("]").split(" [")
+        level = np.where(table.is_tracking, table.columns[key], np.inf)
+        directions[word] = Direction(error, level, bound, unit)
+    return viz.save(stanford_diagram(directions), folder / "stanford.png")
 
 
 class Overlay:
