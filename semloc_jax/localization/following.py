@@ -86,8 +86,8 @@ def _moved(state: Any, fusion: Fusion, motion: MotionLog, to_s: float) -> Any:
 
 
 def conflicts_after(
-    conflicts: np.ndarray, fitted: Sequence[tuple[GnssMeasurement, Innovation, FusedPose]], config: HealthConfig
-) -> np.ndarray:
+    conflicts: float, fitted: Sequence[tuple[GnssMeasurement, Innovation, FusedPose]], config: HealthConfig
+) -> float:
     """Number of fixes in a row that contradict the pose, after some more of them."""
     for fix, innovation, pose in fitted:
         off_m = float(np.hypot(*(fix.p_map - pose.T_map_base[:3, 3])[:2]))

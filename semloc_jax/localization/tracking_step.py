@@ -12,7 +12,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from semloc_jax.geometry import lie
 from semloc_jax.localization.single_frame import FrameInput
@@ -137,7 +137,7 @@ def profile_along(
     frame: FrameInput,
     trust: Float[Array, " element"],
     config: TrackAlignConfig,
-    level: Float[Array, ""] | int,
+    level: Int[Array, ""] | int,
 ) -> Float[Array, " n"]:
     """Cost [nats] of the predicted pose moved along the road by each offset; one level, no refinement."""
     evidence, _ = trusted_evidence(T_predicted, frame, trust, config.view)
