@@ -69,7 +69,7 @@ def _named(state: TrackerState) -> list[tuple[str, Any]]:
     return [(jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_flatten_with_path(state)[0]]
 
 
-def _checked(found: np.ndarray, like: Any, name: str) -> np.ndarray:
+def _checked(found: np.ndarray, like: Any, name: str) -> np.ndarray | np.generic:
     if found.shape != np.shape(like):
         raise ValueError(f"{name} has shape {found.shape}, expected {np.shape(like)}")
     return found[()] if found.ndim == 0 else found

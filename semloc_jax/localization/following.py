@@ -15,7 +15,7 @@ from semloc_jax.localization import health
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.prediction import MotionLog
+from semloc_jax.localization.prediction import MotionIncrement, MotionLog, MotionQuality
 from semloc_jax.localization.priors import RoadSigmas
 from semloc_jax.localization.track_state import FrameFeatures, Track
 
@@ -58,6 +58,21 @@ class View(NamedTuple):
 def new_track(fusion: Fusion, measurement: PoseMeasurement, penalty: float) -> Track:
     """A track that begins at a measured pose."""
     return Track(fusion.start(measurement), np.float64(penalty), np.float64(0), np.float64(0), np.float64(0))
+
+
+def rehearse(fusion: Fusion, num_frames: int = 16) -> None:
+    """Let a fusion run for some frames of an invented drive, so that what it compiles is compiled before a real one."""
+    pose = PoseMeasurement(0.0, np.eye(4), 1e-3 * np.eye(6))
+    state = fusion.start(pose)
+    step = np.eye(4)
+    step[0, 3] = 1.0
+    for k in range(num_frames):
+        increment = MotionIncrement(step, 1e-4 * np.eye(6), float(k), float(k + 1), np.zeros((6, 2)), MotionQuality.OK)
+        state = fusion.predict(state, increment)
+        pose = PoseMeasurement(float(k + 1), pose.T_map_base @ step, pose.covariance)
+        state, _ = fusion.correct(state, pose)
+        fix = GnssMeasurement(float(k + 1), pose.T_map_base[:3, 3], np.ones(3))
+        state, _ = fusion.correct_gnss(state, fix)
 
 
 def carried(

@@ -16,6 +16,7 @@ import numpy as np
 from semloc_jax.datasets import Frame
 from semloc_jax.datasets import Sequence as Drive
 from semloc_jax.localization.checkpoint import Checkpoint
+from semloc_jax.localization.following import rehearse
 from semloc_jax.localization.fusion import GnssMeasurement
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.mask_view import MaskSource
@@ -125,6 +126,7 @@ class Pipeline:
             start: Where an earlier run stood; None begins with the first frame.
             on_frame: Called after each frame with where the run stands and what it said.
         """
+        rehearse(self.localizer.fusion)
         at = start or Checkpoint(self.localizer.start(), 0, False)
         state, is_initialised = at.state, at.is_initialised
         begun_s, first_s = time.perf_counter(), 0.0

@@ -1,0 +1,63 @@
+"""States in files: bit for bit, whole or not at all, and refused where they do not fit."""
+
+import jax
+import numpy as np
+import pytest
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.localization import health, map_faults
+from semloc_jax.localization.checkpoint import Checkpoint, load, save
+from semloc_jax.localization.following import new_track
+from semloc_jax.localization.fusion import PoseMeasurement
+from semloc_jax.localization.initialization import no_fixes
+from semloc_jax.localization.kalman import KalmanFusion
+from semloc_jax.localization.track_state import TrackerState
+
+
+def template(num_elements=5, num_tracks=1, seed=None) -> TrackerState:
+    track = new_track(KalmanFusion(), PoseMeasurement(0.0, np.eye(4), np.eye(6)), 0.0)
+    zero = np.float64(0.0)
+    state = TrackerState(
+        zero,
+        zero,
+        (track,) * num_tracks,
+        (track.fusion,),
+        zero,
+        no_fixes(),
+        map_faults.full_trust(num_elements),
+        health.no_counts(),
+        np.zeros(3),
+        zero,
+        zero,
+    )
+    if seed is None:
+        return state
+    rng = np.random.default_rng(seed)
+    return jax.tree.map(
+        lambda leaf: np.float64(rng.normal()) if np.ndim(leaf) == 0 else rng.normal(size=leaf.shape), state
+    )
+
+
+def test_a_state_comes_back_bit_for_bit(tmp_path):
+    state = template(num_tracks=3, seed=1)._replace(coasting=())
+    save(Checkpoint(state, 42, True), tmp_path / "state.npz")
+    found = load(tmp_path / "state.npz", template())
+    assert (found.next_frame, found.is_initialised) == (42, True)
+    assert jax.tree.structure(found.state) == jax.tree.structure(state)
+    for one, two in zip(jax.tree.leaves(state), jax.tree.leaves(found.state), strict=True):
+        assert np.asarray(one).tobytes() == np.asarray(two).tobytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
+
+
+def test_a_state_of_another_map_is_refused(tmp_path):
+    save(Checkpoint(template(num_elements=7), 1, False), tmp_path / "state.npz")
+    with pytest.raises(SemlocError, match=r"does not fit.*expected \(5,\).*resume with the map"):
+        load(tmp_path / "state.npz", template())
+
+
+def test_a_missing_or_torn_file_is_said_in_one_line(tmp_path):
+    with pytest.raises(SemlocError, match="no such file; give --resume"):
+        load(tmp_path / "state.npz", template())
+    (tmp_path / "state.npz").write_bytes(b"PK\x03\x04 torn")
+    with pytest.raises(SemlocError, match="does not fit"):
+        load(tmp_path / "state.npz", template())

@@ -1,0 +1,104 @@
+"""Priors from satellite fixes and the driven path, sectors of heading, tiles of an area."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.localization.fusion import GnssMeasurement
+from semloc_jax.localization.initialization import (
+    NUM_FIXES,
+    InitializationConfig,
+    newest,
+    no_fixes,
+    prior_from_fixes,
+    sectors,
+    tile_priors,
+    with_fix,
+)
+from semloc_jax.localization.prediction import MotionLog
+from semloc_jax.localization.priors import PosePrior
+
+HEADING, SPEED = 0.7, 10.0
+
+
+def straight_log(yaw_rate=0.0):
+    log = MotionLog()
+    for t in np.arange(0.0, 6.0, 0.02):
+        log.add_wheels(float(t), SPEED, yaw_rate)
+    return log
+
+
+def fixes_along(times, noise_m=0.0, sigma_m=1.3, seed=0):
+    rng = np.random.default_rng(seed)
+    fixes = no_fixes()
+    for t in times:
+        p = np.array([100.0, 50.0, 2.0]) + SPEED * t * np.array([np.cos(HEADING), np.sin(HEADING), 0.0])
+        noise = np.append(noise_m * rng.normal(size=2), 0.0)
+        fixes = with_fix(fixes, GnssMeasurement(float(t), p + noise, np.full(3, sigma_m)))
+    return fixes
+
+
+def test_exact_fixes_on_a_straight_road_give_position_and_heading():
+    times = np.arange(0.0, 5.0, 0.2)
+    prior = prior_from_fixes(fixes_along(times), straight_log(), 5.0, None, InitializationConfig())
+    expected = np.array([100.0, 50.0]) + SPEED * 5.0 * np.array([np.cos(HEADING), np.sin(HEADING)])
+    assert np.hypot(prior.x_m - expected[0], prior.y_m - expected[1]) < 0.01
+    assert abs(np.degrees(prior.heading_rad - HEADING)) < 0.1
+    assert prior.sigma_xy_m == pytest.approx(1.5 * 1.3 + 0.03 * 2.0, abs=0.01)  # inflated, and 2 m driven since
+
+
+def test_noisy_fixes_lie_within_what_the_prior_says():
+    times = np.arange(0.0, 5.0, 0.2)
+    off = []
+    for seed in range(20):
+        prior = prior_from_fixes(
+            fixes_along(times, noise_m=1.0, seed=seed), straight_log(), 5.0, None, InitializationConfig()
+        )
+        off.append((prior.heading_rad - HEADING) / prior.sigma_heading_rad)
+    assert np.sqrt(np.mean(np.square(off))) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("times", "sigma_m"), [([1.0], 1.3), ([1.0, 1.05], 1.3), ([0.0, 1.0, 2.0], 30.0)], ids=["one", "near", "vague"]
+)
+def test_too_little_is_no_prior(times, sigma_m):
+    fixes = fixes_along(times, sigma_m=sigma_m)
+    assert prior_from_fixes(fixes, straight_log(), times[-1], None, InitializationConfig()) is None
+
+
+def test_fixes_after_the_frame_are_not_used():
+    fixes = fixes_along([1.0, 2.0, 5.5])
+    now = prior_from_fixes(fixes, straight_log(), 3.0, None, InitializationConfig())
+    without = prior_from_fixes(fixes_along([1.0, 2.0]), straight_log(), 3.0, None, InitializationConfig())
+    assert now == without
+
+
+def test_the_buffer_keeps_order_and_length():
+    fixes = fixes_along([2.0, 1.0, 3.0])
+    assert fixes.time_s[-3:].tolist() == [1.0, 2.0, 3.0]
+    assert len(fixes.time_s) == NUM_FIXES
+    assert np.isfinite(newest(fixes, 2).time_s).sum() == 2
+    assert newest(fixes, 2).time_s[-1] == 3.0
+
+
+def test_sectors_cover_a_vague_heading_and_leave_a_sure_one():
+    config = InitializationConfig()
+    sure = PosePrior(0.0, 0.0, 1.0, 1.0, np.deg2rad(5.0))
+    assert sectors(sure, config) == [sure]
+    found = sectors(PosePrior(0.0, 0.0, 1.0, 1.0, np.deg2rad(40.0)), config)
+    turns = np.degrees([prior.heading_rad - 1.0 for prior in found])
+    reach = 2.5 * config.sector_sigma_deg  # what a search covers to each side
+    for wanted in np.linspace(-80.0, 80.0, 33):  # two sigmas
+        assert np.abs(turns - wanted).min() <= reach
+    assert turns[0] == 0.0
+
+
+def test_tiles_leave_no_hole():
+    tiles = tile_priors(np.array([5.0, -3.0]), 10.0, 4.0, 30.0)
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        radius, angle = 10.0 * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi)
+        place = np.array([5.0, -3.0]) + radius * np.array([np.cos(angle), np.sin(angle)])
+        near = min(tiles, key=lambda tile: np.hypot(tile.x_m - place[0], tile.y_m - place[1]))
+        assert max(abs(near.x_m - place[0]), abs(near.y_m - place[1])) <= 2.5 * near.sigma_xy_m
+    headings = np.unique(np.round(np.degrees([tile.heading_rad for tile in tiles])))
+    assert len(headings) == 12
