@@ -3,7 +3,6 @@
 In: time-stamped samples in any order, with gaps. Out: MotionIncrement: motion, covariance, derivative by calibration.
 """
 
-import bisect
 import enum
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,6 +13,7 @@ from jaxtyping import Float
 from semloc_jax.datasets import Sequence
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
+from semloc_jax.localization.sample_stream import SampleStream
 
 
 class MotionQuality(enum.StrEnum):
@@ -77,6 +77,8 @@ class MotionNoise:
     wheel_yaw_density_degps: float = 0.15
     wheel_turn_share: float = 0.02
     tilt_without_gyro_degps: float = 1.0
+    inertial_acceleration_mps2: float = 0.3
+    """Error of the acceleration that the inertial sensor gives while the wheels are silent: slope and pitch change."""
     unknown_acceleration_mps2: float = 1.5
     """What a vehicle may do while its speed is not measured."""
     unknown_yaw_acceleration_degps2: float = 6.0
@@ -107,49 +109,8 @@ def coasted(
     return increment._replace(T_from_to=T_from_to, covariance=covariance, jacobian=np.zeros((6, 2)))
 
 
-class _Stream:
-    """Samples in time order, however they arrive."""
-
-    def __init__(self, num_columns: int) -> None:
-        self.times: list[float] = []
-        self.rows: list[np.ndarray] = []
-        self.num_columns = num_columns
-
-    def add(self, time_s: float, row: np.ndarray, what: str) -> None:
-        if not (np.isfinite(time_s) and np.isfinite(row).all()):
-            raise SemlocError(f"{what} at {time_s} s: {row} is not finite; leave out samples that are not valid")
-        place = bisect.bisect_left(self.times, time_s)
-        if place < len(self.times) and self.times[place] == time_s:
-            self.rows[place] = row
-            return
-        self.times.insert(place, float(time_s))
-        self.rows.insert(place, row)
-
-    def between(self, from_s: float, to_s: float) -> list[float]:
-        return self.times[bisect.bisect_right(self.times, from_s) : bisect.bisect_left(self.times, to_s)]
-
-    def forget(self, before_s: float) -> None:
-        keep_from = max(bisect.bisect_left(self.times, before_s) - 1, 0)
-        del self.times[:keep_from], self.rows[:keep_from]
-
-    def at(self, time_s: np.ndarray, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Values at increasing times and for how long they have not been measured (0: measured; inf: never were).
-
-        Inside a gap the last value holds: the sample after the gap is not known to a vehicle that drives in it.
-        """
-        first = max(bisect.bisect_right(self.times, time_s[0]) - 1, 0)
-        last = bisect.bisect_right(self.times, time_s[-1]) + 1
-        if not self.times[first:last]:
-            return np.zeros((len(time_s), self.num_columns)), np.full(len(time_s), np.inf)
-        times, rows = np.array(self.times[first:last]), np.array(self.rows[first:last])
-        before = np.searchsorted(times, time_s, side="right") - 1
-        after = np.minimum(before + 1, len(times) - 1)
-        before = np.maximum(before, 0)
-        gap_s, age_s = times[after] - times[before], time_s - times[before]
-        joined = (age_s >= 0.0) & (gap_s > 0.0) & (gap_s <= max_gap_s)
-        share = np.where(joined, age_s / np.where(joined, gap_s, 1.0), 0.0)[:, None]
-        unmeasured_s = np.where(age_s < -max_gap_s, np.inf, np.where(joined | (age_s <= max_gap_s), 0.0, age_s))
-        return (1.0 - share) * rows[before] + share * rows[after], unmeasured_s
+_LEVEL_S = 2.0
+"""Time before a gap of the wheels from which the level of the accelerometer is taken; ours."""
 
 
 class MotionLog:
@@ -163,7 +124,7 @@ class MotionLog:
     def __init__(self, noise: MotionNoise | None = None, max_gap_s: float = 0.15, max_hold_s: float = 5.0) -> None:
         """An empty log; samples closer than `max_gap_s` [s] are joined by straight lines."""
         self.noise, self.max_gap_s, self.max_hold_s = noise or MotionNoise(), max_gap_s, max_hold_s
-        self._wheels, self._imu = _Stream(2), _Stream(6)
+        self._wheels, self._imu = SampleStream(2), SampleStream(6)
 
     @classmethod
     def of_sequence(cls, sequence: Sequence, noise: MotionNoise | None = None) -> "MotionLog":
@@ -211,6 +172,29 @@ class MotionLog:
         self._wheels.forget(before_s)
         self._imu.forget(before_s)
 
+    def _inertial_speed(self, time_s: np.ndarray, gap_s: float) -> np.ndarray | None:
+        """Change of the speed since the wheels fell silent, from the accelerometer [m/s]; None where there is none.
+
+        What the accelerometer shows beside the change of the wheel speed over the last `_LEVEL_S` before that is slope,
+        pitch and bias; it is taken off.
+
+        Args:
+            time_s: Increasing times.
+            gap_s: When the wheels fell silent.
+        """
+        before_s = np.array([gap_s - _LEVEL_S, gap_s])
+        wheels, age_s = self._wheels.at(before_s, self.max_gap_s)
+        knots_s = np.array([*before_s[:1], *self._imu.between(before_s[0], time_s[-1]), time_s[-1]])
+        knots_s = np.unique(np.concatenate([knots_s, [gap_s], time_s]))
+        middle_s = 0.5 * (knots_s[1:] + knots_s[:-1])
+        imu, imu_age = self._imu.at(middle_s, self.max_gap_s)
+        if age_s.any() or imu_age.any() or not imu[:, 3:].any():
+            return None
+        gained = np.concatenate([[0.0], np.cumsum(imu[:, 3] * np.diff(knots_s))])
+        at_gap = np.interp(gap_s, knots_s, gained)
+        level = (at_gap - (wheels[1, 0] - wheels[0, 0])) / _LEVEL_S
+        return np.interp(time_s, knots_s, gained) - at_gap - level * (time_s - gap_s)
+
     def way_m(self, from_s: float, to_s: float) -> float:
         """About how far the vehicle drove between two times, forth and back added [m]; 0 where no wheel says so."""
         knots_s = np.array([from_s, *self._wheels.between(from_s, to_s), to_s])
@@ -256,6 +240,15 @@ class MotionLog:
         turn[:, 2] -= calibration.gyro_bias_radps * step_s
         # A car sways about the road: a roll or pitch rate, once silent, is no rate to go on with.
         turn[imu_age > 0.0, :2] = 0.0
+        acceleration = np.full(len(step_s), noise.unknown_acceleration_mps2)
+        is_silent = (speed_age > 0.0) & np.isfinite(speed_age) & (imu_age == 0.0)
+        begin_s = np.round(middle_s - speed_age, 6)
+        for gap_s in np.unique(begin_s[is_silent]):
+            rows = is_silent & (begin_s == gap_s)
+            gained = self._inertial_speed(middle_s[rows], float(gap_s))
+            if gained is not None:
+                wheels[rows, 0] += gained
+                acceleration[rows] = noise.inertial_acceleration_mps2
         driven = wheels[:, 0] * step_s
         distance = calibration.odometer_scale * driven
 
@@ -267,7 +260,7 @@ class MotionLog:
         for axis, share in enumerate((noise.slip_share, side_slip, noise.heave_share)):
             variance[:, axis] = share**2 * np.abs(distance) * noise.slip_length_m
         variance[:, 0] += noise.speed_density_mps**2 * step_s
-        variance[:, 0] += _growth(noise.unknown_acceleration_mps2, speed_age, step_s)
+        variance[:, 0] += _growth(acceleration, speed_age, step_s)
         variance[:, 3:5] = (tilt_density**2 * step_s)[:, None]
         variance[:, 5] = yaw_density**2 * step_s + turn_share**2 * np.abs(turn[:, 2])
         variance[:, 5] += _growth(np.deg2rad(noise.unknown_yaw_acceleration_degps2), yaw_age, step_s)
@@ -294,7 +287,7 @@ class _Steps(NamedTuple):
     unmeasured_s: float
 
 
-def _growth(acceleration: float, age_s: np.ndarray, step_s: np.ndarray) -> np.ndarray:
+def _growth(acceleration: np.ndarray | float, age_s: np.ndarray, step_s: np.ndarray) -> np.ndarray:
     """Variances that steps add after `age_s` without measurement.
 
     They add up to (acceleration age^2 / 2)^2, what a constant unknown acceleration does: the errors of neighbouring

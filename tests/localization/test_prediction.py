@@ -135,20 +135,40 @@ def test_covariance_is_the_scatter_of_noisy_logs():
     assert np.allclose(spread / stated, np.sqrt(0.95), atol=0.08)
 
 
-def test_a_silent_wheel_is_replaced_by_its_last_speed_with_growing_covariance():
-    """Two seconds without wheels: the gyroscope turns on, the speed of before goes on, 3 sigma hold the truth."""
-    log, full = filled(gap=(2.0, 4.0)), filled()
-    for t in np.arange(2.003, 4.0, 0.01):
-        log.add_imu(t, np.array([0.0, 0.0, yaw_rate(t)]), STILL)
+@pytest.mark.parametrize("gyro_only", [False, True])
+def test_a_silent_wheel_is_replaced_by_its_last_speed_with_growing_covariance(gyro_only):
+    """Two seconds without wheels: the speed of before goes on, the gyroscope turns on; 3 sigma hold the truth."""
+    log, full = filled(imu=False, gap=(2.0, 4.0)), filled()
+    for t in np.arange(0.003, 6.0, 0.01) if gyro_only else ():
+        log.add_imu(t, np.array([0.0, 0.0, yaw_rate(t)]), np.zeros(3))
     x, y, yaw = true_motion(2.0, 4.0)
     increment = log.increment(2.0, 4.0)
     off_m, off_rad = difference(increment.T_from_to, x, y, yaw)
     assert increment.quality is MotionQuality.EXTRAPOLATED and full.increment(2.0, 4.0).quality is MotionQuality.OK
-    assert off_rad < 1e-4 and 0.5 < off_m < 3.0 * np.sqrt(increment.covariance[0, 0])
+    assert 0.5 < off_m < 3.0 * np.sqrt(increment.covariance[0, 0])
+    assert off_rad < (1e-4 if gyro_only else 3.0 * np.sqrt(increment.covariance[5, 5]))
     # (1.5 m/s^2) (2 s)^2 / 2 = 3 m, also as the sum of twenty increments.
     assert np.sqrt(increment.covariance[0, 0]) == pytest.approx(3.0, rel=0.05)
     variance = sum(log.increment(t, t + 0.1).covariance[0, 0] for t in np.arange(2.0, 3.95, 0.1))
     assert np.sqrt(variance) == pytest.approx(3.0, rel=0.05)
+
+
+@pytest.mark.parametrize("tilt_mps2", [0.0, 0.6])
+def test_the_accelerometer_carries_the_speed_over_a_gap_of_the_wheels(tilt_mps2):
+    """A slope or bias of 0.6 m/s^2 is known from before: 2 s without wheels cost centimetres, not 0.7 m."""
+    log = filled(imu=False, gap=(2.0, 4.0))
+    for t in np.arange(0.003, 6.0, 0.01):
+        forward = 1.4 * np.cos(0.7 * t) + tilt_mps2
+        log.add_imu(t, np.array([0.0, 0.0, yaw_rate(t)]), np.array([forward, 0.0, 9.8]))
+    increment = log.increment(2.0, 4.0)
+    off_m, off_rad = difference(increment.T_from_to, *true_motion(2.0, 4.0))
+    assert increment.quality is MotionQuality.EXTRAPOLATED and off_m < 0.06 and off_rad < 1e-4
+    # (0.3 m/s^2) (2 s)^2 / 2 = 0.6 m
+    assert np.sqrt(increment.covariance[0, 0]) == pytest.approx(0.6, rel=0.1)
+    parts = np.eye(4)
+    for t in np.arange(2.0, 3.95, 0.1):
+        parts = parts @ log.increment(t, t + 0.1).T_from_to
+    assert np.allclose(parts, increment.T_from_to, atol=2e-3)
 
 
 def test_all_sensors_silent_is_constant_velocity_then_unknown():
