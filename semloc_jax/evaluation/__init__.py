@@ -1,6 +1,7 @@
 """How good a trajectory is: files, errors in the vehicle frame, metrics, reports and the baseline gate."""
 
 from semloc_jax.evaluation.benchmark import Outcome, Verdict, compare, format_verdicts, is_passed
+from semloc_jax.evaluation.integrity import NeesReport, StanfordCounts, nees, normalised_squares, stanford_counts
 from semloc_jax.evaluation.metrics import ErrorLimit, Metric, evaluate, metrics_of_errors, pose_errors, within
 from semloc_jax.evaluation.report import format_metrics, read_metrics, write_metrics
 from semloc_jax.evaluation.trajectory import Trajectory, associate, read_trajectory, write_tum
@@ -8,7 +9,9 @@ from semloc_jax.evaluation.trajectory import Trajectory, associate, read_traject
 __all__ = [
     "ErrorLimit",
     "Metric",
+    "NeesReport",
     "Outcome",
+    "StanfordCounts",
     "Trajectory",
     "Verdict",
     "associate",
@@ -18,9 +21,12 @@ __all__ = [
     "format_verdicts",
     "is_passed",
     "metrics_of_errors",
+    "nees",
+    "normalised_squares",
     "pose_errors",
     "read_metrics",
     "read_trajectory",
+    "stanford_counts",
     "within",
     "write_metrics",
     "write_tum",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import Metric
@@ -62,7 +62,7 @@ def nees(
         raise SemlocError("nees: no frames with truth and covariance; expected at least one")
     num = float(len(squares)) if num_independent is None else float(num_independent)
     tail = 0.5 * (1.0 - probability)
-    low, high = chi2.ppf([tail, 1.0 - tail], dof * num) / (dof * num)
+    low, high = chdtri(dof * num, [1.0 - tail, tail]) / (dof * num)
     return NeesReport(float(np.mean(squares)) / dof, float(low), float(high), num)
 
 

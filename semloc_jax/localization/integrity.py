@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2, norm
+from scipy.special import ndtri
 
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit
 
@@ -30,8 +30,6 @@ class IntegrityConfig:
     dashes and poles, with the same errors of the map and of the mask borders, stay in view."""
     alert_limits: str = ALERT_LIMITS[0].name
     """Name of the alert limits: local_street or freeway."""
-    gate_probability: float = 0.999
-    """A squared normalised innovation beyond this quantile is an outlier."""
 
     @property
     def limit(self) -> ErrorLimit:
@@ -70,7 +68,7 @@ def protection_levels(
         num_averaged = np.diagonal(measured)[_DIRECTIONS] / np.maximum(variance, 1e-12)
         factor *= [overbound_of_correlation(way_m, config.correlation_m, num) for num in num_averaged]
     sigma = factor * np.sqrt(variance)
-    levels = norm.isf(config.risk / 6.0) * sigma
+    levels = -ndtri(config.risk / 6.0) * sigma
     return ProtectionLevels(float(levels[0]), float(levels[1]), float(np.degrees(levels[2])))
 
 
@@ -83,11 +81,6 @@ def beyond_alert(levels: ProtectionLevels, limit: ErrorLimit) -> tuple[str, ...]
         for (name, unit), level, bound in zip(names, levels, limits, strict=True)
         if not level <= bound
     )
-
-
-def is_outlier(square: float, dof: int, config: IntegrityConfig) -> bool:
-    """Whether a squared normalised innovation fails the chi-square test; nan does."""
-    return not square <= float(chi2.ppf(config.gate_probability, dof))
 
 
 def overbound_of_correlation(way_m: float, correlation_m: float, num_averaged: float) -> float:

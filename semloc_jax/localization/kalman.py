@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.fusion import (
@@ -101,7 +101,7 @@ class KalmanFusion:
         H = np.zeros((6, 10))
         H[:, :6] = np.linalg.inv(rigid.right_jacobian(-difference))
         corrected, square = _update(state, difference, H, measurement.covariance)
-        fits = square <= chi2.ppf(self.config.gate_probability, 6) and self._fits_mean_motion(state, measurement)
+        fits = square <= chdtri(6, 1.0 - self.config.gate_probability) and self._fits_mean_motion(state, measurement)
         if not fits:
             return state, Innovation(square, 6, False)
         return self._with_motion(corrected, state, measurement), Innovation(square, 6, True)
@@ -114,7 +114,7 @@ class KalmanFusion:
         H[:, :3] = state.T_map_base[:2, :3]
         H[:, 8:] = np.eye(2)
         corrected, square = _update(state, difference, H, np.diag(measurement.sigma_m[:2] ** 2))
-        accepted = square <= float(chi2.ppf(self.config.gate_probability, 2))
+        accepted = square <= float(chdtri(2, 1.0 - self.config.gate_probability))
         return (corrected if accepted else state), Innovation(square, 2, accepted)
 
     def pose(self, state: KalmanState) -> FusedPose:

@@ -10,7 +10,7 @@ from functools import cache
 
 import jax
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.fusion import (
@@ -110,7 +110,7 @@ class SlidingWindow:
         predicted = self.pose(state)
         difference = rigid.log(rigid.inverse(predicted.T_map_base) @ measurement.T_map_base)
         square = normalised_square(difference, predicted.covariance + measurement.covariance)
-        if square > chi2.ppf(self.config.gate_probability, 6):
+        if square > chdtri(6, 1.0 - self.config.gate_probability):
             return state, Innovation(square, 6, False)
         state = self._with_new_state(state)
         newest = int(state.num) - 1
@@ -132,7 +132,7 @@ class SlidingWindow:
         difference = measurement.p_map[:2] - T[:2, 3] - state.calibration[2:]
         spread = H @ joint @ H.T + np.diag(measurement.sigma_m[:2] ** 2)
         square = normalised_square(difference, spread)
-        if square > chi2.ppf(self.config.gate_probability, 2):
+        if square > chdtri(2, 1.0 - self.config.gate_probability):
             return state, Innovation(square, 2, False)
         if state.fix_sqrt_info[int(state.num) - 1].any():
             state = self._with_new_state(state)
