@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from semloc_jax.cli.results import OF_VARIANT
+from semloc_jax.cli.results import ERRORS, OF_VARIANT
 from semloc_jax.cli.track_log import NEES, PROTECTION, SIGMAS, TrackTable
 from semloc_jax.datasets import Sequence as Drive
-from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, within, write_metrics
+from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, integrity, within, write_metrics
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, statistics
 from semloc_jax.localization.pipeline import Timing
 from semloc_jax.localization.track_state import TrackStatus
@@ -76,15 +76,29 @@ def integrity_metrics(table: TrackTable) -> list[Metric]:
     false[tracking] = ~within(errors, ALERT_LIMITS[0])
     metrics.append(Metric("tracking.false", float(false.sum()), "frames", "lower"))
     everything = table.errors(known)
-    pairs = list(zip(everything.values(), SIGMAS, PROTECTION, strict=True))
-    in_three = np.mean([np.abs(e) <= 3.0 * table.columns[s][known] for e, s, _ in pairs]) if known.any() else np.nan
-    beyond = np.any([np.abs(e) > table.columns[p][known] for e, _, p in pairs], axis=0)
-    metrics += [
-        Metric("integrity.nees", float(np.mean(table.columns[NEES][known]) / 3.0), "ratio", "report"),
-        Metric("integrity.in_3_sigma", float(in_three), "share", "higher"),
+    for key, sigma, level in zip(ERRORS, SIGMAS, PROTECTION, strict=True):
+        name, limit = key.rsplit("_", 1)[0], getattr(ALERT_LIMITS[0], key)
+        of_sigma, of_level = table.columns[sigma][known], table.columns[level][known]
+        metrics += integrity.integrity_metrics(name, everything[key], of_sigma, of_level, limit, tracking[known])
+    if known.any():
+        metrics += _of_all_directions(table, known)
+    return metrics
+
+
+def _of_all_directions(table: TrackTable, known: np.ndarray) -> list[Metric]:
+    """NEES with its band, share inside of three sigmas and beyond a protection level, over the three directions."""
+    errors = np.column_stack(list(table.errors(known).values()))
+    sigma = np.column_stack([table.columns[key][known] for key in SIGMAS])
+    level = np.column_stack([table.columns[key][known] for key in PROTECTION])
+    report = integrity.nees(table.columns[NEES][known], 3, num_independent=integrity.independent_frames(errors / sigma))
+    beyond = np.any(np.abs(errors) > level, axis=1)
+    return [
+        Metric("integrity.nees", report.mean, "ratio", "report"),
+        Metric("integrity.nees_low", report.low, "ratio", "report"),
+        Metric("integrity.nees_high", report.high, "ratio", "report"),
+        Metric("integrity.in_3_sigma", integrity.sigma_coverage(errors.ravel(), sigma.ravel()), "share", "higher"),
         Metric("integrity.protection_violations", float(np.mean(beyond)), "share", "lower"),
     ]
-    return metrics
 
 
 def summary(table: TrackTable, timing: Timing) -> str:
