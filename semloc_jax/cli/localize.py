@@ -56,7 +56,7 @@ def run(options: Options) -> int:
 
 def localize(options: Options, settings: "LocalizeConfig") -> int:
     """Localize, write everything, say how good it is; returns the exit code."""
-    from semloc_jax.cli import pictures, results
+    from semloc_jax.cli import results
     from semloc_jax.maps import write_drive_geojson
 
     logging.basicConfig(format="%(message)s")
@@ -75,7 +75,10 @@ def localize(options: Options, settings: "LocalizeConfig") -> int:
     results.write_record(folder, settings, _options_to_keep(options, inputs))
     if truth:
         print(results.write_metrics_of(found, truth, folder))
-    pictures.write_overlays(folder, inputs.map, inputs.masks, found, options.overlays)
+    if options.overlays > 0:
+        from semloc_jax.cli import pictures
+
+        pictures.write_overlays(folder, inputs.map, inputs.masks, found, options.overlays)
     print(_summary(found, wall_s))
     if (shift := results.shift_text(results.shifts(found))) is not None:
         print(shift)

@@ -24,7 +24,6 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, pose_errors, write_metrics, write_tum
 from semloc_jax.localization import LocalizationResult
 from semloc_jax.structs import SolveStatus
-from semloc_jax.viz import errors_over_time, save
 
 SIGMAS = ("sigma_lateral_m", "sigma_longitudinal_m", "sigma_heading_deg")
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
@@ -94,7 +93,7 @@ def truth_of(drive: Drive, results: Sequence[LocalizationResult]) -> dict[str, n
 
 
 def write_metrics_of(results: Sequence[LocalizationResult], truth: Mapping[str, np.ndarray], folder: Path) -> str:
-    """Write metrics.json and errors.png over the frames that have a truth, and return the metrics as a table.
+    """Write metrics.json and, of several frames, errors.png over those with a truth; return the metrics as a table.
 
     Shares count frames that were not localized as missed. Where the frames are of several variants, the main metrics of
     each follow under its name.
@@ -102,7 +101,9 @@ def write_metrics_of(results: Sequence[LocalizationResult], truth: Mapping[str, 
     known = sorted((r for r in results if r.frame.id in truth), key=lambda r: r.frame.time_s)
     estimate, reference = localized_trajectory(known), _true_trajectory(known, truth)
     metrics = _metrics(estimate, reference)
-    if len(estimate) > 0:
+    if len(estimate) > 1:
+        from semloc_jax.viz import errors_over_time, save
+
         missed_s = [r.frame.time_s for r in known if not r.localized]
         save(errors_over_time(estimate, reference, 1e-6, missed_s=missed_s), folder / "errors.png")
     said = [format_metrics(metrics)]

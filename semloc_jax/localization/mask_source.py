@@ -14,9 +14,10 @@ import numpy as np
 from semloc_jax.datasets import Frame, Sequence
 from semloc_jax.errors import SemlocError
 from semloc_jax.localization.mask_view import MaskSource, TopViewSource, resized
+from semloc_jax.native.memory import remembered
 from semloc_jax.perception import load_class_table
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
-from semloc_jax.perception.mask_offset import estimate_mask_offset
+from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
 from semloc_jax.perception.masks import read_mask
 from semloc_jax.perception.segmenters import OnnxSegmenter
 from semloc_jax.perception.surround import ground_table, top_view
@@ -178,10 +179,8 @@ def _with_offsets(source: MaskSource, sequence: Sequence) -> MaskSource:
         frames = [frame for frame in _spread(sequence.frames, _OFFSET_FRAMES) if frame.has("rgb", camera)]
         if not frames:
             continue
-        masks = [source.segment(frame, camera) for frame in frames]
-        images = [resized(frame.image(camera), mask) for frame, mask in zip(frames, masks, strict=True)]
         try:
-            offset = estimate_mask_offset(images, masks, source.table)
+            offset = _offset(source, frames, camera)
         except SemlocError as error:
             _LOG.warning("masks '%s' of %s: offset against the images not known: %s", source.name, camera, error)
             continue
@@ -194,6 +193,20 @@ def _with_offsets(source: MaskSource, sequence: Sequence) -> MaskSource:
             offsets[camera] = (offset.du_px, offset.dv_px)
             _LOG.info("masks '%s' of %s sit (%+.2f, %+.2f) px off the images", source.name, camera, *offset[:2])
     return replace(source, offset_px=offsets)
+
+
+def _offset(source: MaskSource, frames: Frames[Frame], camera: str) -> MaskOffset:
+    """The offset from some frames, remembered between processes where the masks are files of the drive."""
+
+    def find() -> MaskOffset:
+        masks = [source.segment(frame, camera) for frame in frames]
+        images = [resized(frame.image(camera), mask) for frame, mask in zip(frames, masks, strict=True)]
+        return estimate_mask_offset(images, masks, source.table)
+
+    if not all(frame.has(source.name, camera) for frame in frames):
+        return find()
+    files = [frame.path(kind, camera) for frame in frames for kind in ("rgb", source.name)]
+    return MaskOffset(*remembered("mask_offset", source.table, files, find))
 
 
 def _spread(frames: Frames[Frame], num: int) -> list[Frame]:

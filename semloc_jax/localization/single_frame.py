@@ -4,7 +4,6 @@ In: map samples, cost maps, prior. Out: Modes, the distinct poses that explain t
 """
 
 from dataclasses import dataclass, field
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,11 +13,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.cameras import Rig
+from semloc_jax.native.programs import stored_program
 from semloc_jax.residuals.alignment import CameraViews, Usable, camera_views
 from semloc_jax.residuals.texture import RampTextures, pack
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.solvers.hypotheses import Modes, SearchConfig, score, search, weigh
-from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, align, assess, total_weight
+from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, align, assess
 from semloc_jax.solvers.proposals import ProposalKind, propose
 from semloc_jax.structs import CostMaps, MapSamples, PoseEstimate
 
@@ -66,7 +66,7 @@ def frame_input(
     return FrameInput(samples, rig, jnp.asarray(channel_of_label), _pack(maps), usable, jnp.ones(2, bool))
 
 
-_pack = jax.jit(pack)
+_pack = stored_program("dtype")(pack)
 
 
 def evidence_from(T_map_base: Float[Array, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
@@ -75,7 +75,7 @@ def evidence_from(T_map_base: Float[Array, "4 4"], frame: FrameInput, config: Vi
     return Evidence(views, frame.textures, frame.usable, frame.always)
 
 
-@partial(jax.jit, static_argnames="config")
+@stored_program("config")
 def _views(
     T_map_base: Float[Array, "4 4"],
     samples: MapSamples,
@@ -87,7 +87,13 @@ def _views(
     return camera_views(rig, view(samples, T_map_base, rig, channel_of_label, config))
 
 
-_propose = jax.jit(propose, static_argnames=("kind", "num"))
+@stored_program("config")
+def _starts(prior: Prior, config: SingleFrameConfig) -> Float[Array, "n 4 4"]:
+    """Start poses of the search in the window around the prior."""
+    sigma_xy_yaw = prior.sigma[np.array([0, 1, 5])]
+    sigma_xy_yaw = sigma_xy_yaw.at[2].max(np.deg2rad(config.min_reach_deg) / config.reach)
+    key = jax.random.key(config.seed)
+    return propose(config.proposals, config.num_hypotheses, prior.T_map_base, sigma_xy_yaw, config.reach, key)
 
 
 def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -> Modes:
@@ -99,15 +105,13 @@ def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -
         config: Hypotheses, schedule, refinement.
     """
     evidence = evidence_from(prior.T_map_base, frame, config.search_view)
-    sigma_xy_yaw = prior.sigma[jnp.array([0, 1, 5])]
-    sigma_xy_yaw = sigma_xy_yaw.at[2].max(jnp.deg2rad(config.min_reach_deg) / config.reach)
-    key = jax.random.key(config.seed)
-    Ts = _propose(config.proposals, config.num_hypotheses, prior.T_map_base, sigma_xy_yaw, config.reach, key)
-    candidates, scores = search(Ts, evidence, prior, config.search_align, config.search)
-    return polish(candidates, scores, frame, prior, config, total_weight(evidence.views))
+    candidates, scores = search(_starts(prior, config), evidence, prior, config.search_align, config.search)
+    # On the host: an operation outside of the stored programs would be compiled in every process.
+    in_view_px = np.float32(sum(np.sum(view.weight) for view in jax.device_get(evidence.views)))
+    return polish(candidates, scores, frame, prior, config, in_view_px)
 
 
-@partial(jax.jit, static_argnames="config")
+@stored_program("config")
 def polish(
     candidates: Float[Array, "m 4 4"],
     scores: Float[Array, " m"],

@@ -112,12 +112,12 @@ def _cache_folder() -> Path:
 def _fingerprint() -> str:
     import jaxlib
 
-    parts = [jaxlib.__version__, " ".join(_FLAGS), platform.machine(), _processor()]
+    parts = [jaxlib.__version__, " ".join(_FLAGS), platform.machine(), processor()]
     parts += [source.read_text() for source in sorted(SOURCES.iterdir())]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
-def _processor() -> str:
+def processor() -> str:
     """Instruction sets: a home may be shared by machines of several kinds."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.geometry import lie
+from semloc_jax.native.programs import stored_program
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import decimated, robust_cost
 from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, in_chunks, refine, total_weight
@@ -140,51 +141,42 @@ def keep_distinct(
     return index, filled
 
 
-@partial(jax.jit, static_argnames=("config", "chunk"))
+@partial(jax.jit, static_argnames=("config", "chunk", "levels"))
 def refine_and_score(
     Ts: Float[Array, "n 4 4"],
-    score_level: Int[Array, ""],
+    score_level: Int[Array, ""] | int,
     evidence: Evidence,
     prior: Prior,
     config: AlignConfig,
     chunk: int,
-    levels: Int[Array, " level"] | None = None,
+    levels: tuple[int, ...] = (),
 ) -> tuple[Float[Array, "n 4 4"], Float[Array, " n"]]:
-    """Every pose refined on the given levels (None: left where it is), and its score [nats] on one level.
-
-    The levels are data: stages of a schedule that differ only in them share one compiled function.
-    """
+    """Every pose refined on the given levels (none: left where it is), and its score [nats] on one level."""
 
     def one(T: Array) -> tuple[Array, Array]:
-        if levels is not None:
-            T = refine(T, evidence, prior, config, levels)[0][-1]
+        if levels:
+            T = refine(T, evidence, prior, config, jnp.asarray(levels))[0][-1]
         return T, score(T, score_level, evidence, prior, config)
 
     return in_chunks(one, Ts, chunk)
 
 
-_keep_distinct = jax.jit(keep_distinct, static_argnames=("keep",))
-
-
-@partial(jax.jit, static_argnames=("offsets_m", "multiple"))
-def _restarted(Ts: Float[Array, "n 4 4"], offsets_m: tuple[float, ...], multiple: int) -> Float[Array, "m 4 4"]:
-    """Every pose at every offset along the road, filled up with the first pose to a multiple that compiles once."""
+def _restarted(Ts: Float[Array, "n 4 4"], offsets_m: tuple[float, ...]) -> Float[Array, "m 4 4"]:
+    """Every pose at every offset along the road."""
     along = jnp.zeros((len(offsets_m), 3), Ts.dtype).at[:, 0].set(jnp.asarray(offsets_m, Ts.dtype))
-    spread = jax.vmap(lambda T: displaced(T, along))(Ts).reshape(-1, 4, 4)
-    return jnp.concatenate([spread, jnp.broadcast_to(spread[0], (-len(spread) % multiple, 4, 4))])
+    return jax.vmap(lambda T: displaced(T, along))(Ts).reshape(-1, 4, 4)
 
 
+@stored_program("stage", "config", "chunk")
 def cull(
     Ts: Float[Array, "n 4 4"], stage: CullStage, evidence: Evidence, prior: Prior, config: AlignConfig, chunk: int
 ) -> tuple[Float[Array, "keep 4 4"], Float[Array, " keep"]]:
     """The surviving poses of a stage and their scores; an empty slot repeats the best pose with an infinite score."""
     thinned = eqx.tree_at(lambda e: e.views, evidence, decimated(evidence.views, stage.keep_every))
     stage_config = dataclasses.replace(config, levels=(), max_steps=stage.max_steps)
-    levels = jnp.asarray(stage.levels) if stage.levels else None
-    starts = _restarted(Ts, stage.restarts_m, 2 * chunk)
-    score_level = jnp.asarray(stage.score_level)
-    poses, scores = refine_and_score(starts, score_level, thinned, prior, stage_config, chunk, levels)
-    index, filled = _keep_distinct(poses, scores, stage.keep, jnp.asarray(stage.apart, Ts.dtype))
+    starts = Ts if stage.restarts_m == (0.0,) else _restarted(Ts, stage.restarts_m)
+    poses, scores = refine_and_score(starts, stage.score_level, thinned, prior, stage_config, chunk, stage.levels)
+    index, filled = keep_distinct(poses, scores, stage.keep, stage.apart)
     return poses[jnp.where(filled, index, index[0])], jnp.where(filled, scores[index], jnp.inf)
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Float
-from skimage.morphology import skeletonize
 
 _CELLS_M = (0.04, 0.12)
 """Rasters: fine where points are dense, coarse for what is left, far from the vehicle."""
@@ -93,6 +92,8 @@ def _straight_line(points: np.ndarray) -> np.ndarray | None:
 
 def _branches(piece: np.ndarray, cell_m: float) -> list[np.ndarray]:
     """Ordered pixels (column, row) of each branch of the skeleton between its junctions."""
+    from skimage.morphology import skeletonize  # slow to import, and most drives are not of this kind
+
     rows, columns = np.flatnonzero(piece.any(axis=1)), np.flatnonzero(piece.any(axis=0))
     top, left = rows[0] - 1, columns[0] - 1
     skeleton = skeletonize(piece[top : rows[-1] + 2, left : columns[-1] + 2]).astype(np.uint8)
