@@ -20,6 +20,7 @@ CALLS = (
     "semloc_normal_equations",
     "semloc_accumulate",
     "semloc_lookup",
+    "semloc_pack",
     "semloc_damped_step",
     "semloc_visible_weight",
     "semloc_robust_cost",

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 from numpy.typing import DTypeLike
 
+from semloc_jax import native
 from semloc_jax.structs import CostMaps
 
 _ZERO = 127.0  # the byte that stands for 0; bytes 0 .. 254 span [-1, 1]
@@ -58,10 +59,7 @@ class RampTextures(eqx.Module):
 def pack(maps: CostMaps, dtype: DTypeLike = jnp.float32) -> RampTextures:
     """The textures of cost maps with values in [-1, 1]; `dtype` is the float type of lookups."""
     starts = np.cumsum([0, *(ramp.size for ramp in maps.ramps)])
-    texels = jnp.zeros(starts[-1], jnp.uint32)
-    for ramp, start in zip(maps.ramps, starts, strict=False):
-        # Written in place: XLA on CPU fuses a concatenation into scalar code, six times slower.
-        texels = jax.lax.dynamic_update_slice(texels, _quads(ramp), (start,))
+    texels = _packed_natively(maps) if _is_native(maps) else _packed(maps, starts)
     return RampTextures(
         texels=texels,
         start=jnp.asarray(starts[:-1], jnp.int32),
@@ -71,6 +69,24 @@ def pack(maps: CostMaps, dtype: DTypeLike = jnp.float32) -> RampTextures:
         ramp_px=jnp.asarray(maps.ramp_px, dtype),
         num_channels=maps.ramps[0].shape[1],
     )
+
+
+def _is_native(maps: CostMaps) -> bool:
+    is_single = all(ramp.dtype == jnp.float32 for ramp in maps.ramps)
+    return is_single and jax.default_backend() == "cpu" and native.is_available()
+
+
+def _packed_natively(maps: CostMaps) -> UInt32[Array, " texel"]:
+    size = sum(ramp.size for ramp in maps.ramps)
+    return jax.ffi.ffi_call("semloc_pack", jax.ShapeDtypeStruct((size,), jnp.uint32))(*maps.ramps)
+
+
+def _packed(maps: CostMaps, starts: np.ndarray) -> UInt32[Array, " texel"]:
+    texels = jnp.zeros(starts[-1], jnp.uint32)
+    for ramp, start in zip(maps.ramps, starts, strict=False):
+        # Written in place: XLA on CPU fuses a concatenation into scalar code, six times slower.
+        texels = jax.lax.dynamic_update_slice(texels, _quads(ramp), (start,))
+    return texels
 
 
 def _quads(ramp: Float[Array, "cam channel h w"]) -> UInt32[Array, " texel"]:

@@ -20,6 +20,7 @@ from semloc_jax.cameras import (
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
 from semloc_jax.residuals import kernels
+from semloc_jax.residuals import texture as texture_module
 from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.normal_equations import chart_equations
@@ -119,6 +120,15 @@ def test_visibility_and_cost_are_those_of_jax(name):
     )
     costs = [cost(ALWAYS, path) for path in ("analytic", "xla")]
     np.testing.assert_allclose(costs[0], costs[1], rtol=5e-3)
+
+
+def test_packed_cost_maps_are_those_of_jax(monkeypatch):
+    rng = np.random.default_rng(4)
+    ramps = tuple(jnp.asarray(rng.uniform(-1.2, 1.2, (2, 3, *shape)), jnp.float32) for shape in ((33, 47), (240, 320)))
+    maps = CostMaps(ramps, (8.0, 3.0), (4, 1), jnp.ones((2, 33, 47), bool), 4)
+    found = jax.jit(pack)(maps).texels
+    monkeypatch.setattr(texture_module, "_is_native", lambda maps: False)
+    np.testing.assert_array_equal(found, jax.jit(lambda maps: pack(maps))(maps).texels)
 
 
 def test_a_batch_on_all_threads_is_one_after_another():

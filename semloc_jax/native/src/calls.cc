@@ -242,6 +242,29 @@ ffi::Error RobustCost(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remain
   return ffi::Error::Success();
 }
 
+// The ramps of each level [cam channel h w] -> texels of all levels, one after another.
+ffi::Error Pack(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets) {
+  constexpr int64_t kPiece = 65536;
+  uint32_t* texels = result<uint32_t>(rets, 0);
+  for (size_t level = 0; level < args.size(); ++level) {
+    const auto ramp = args.get<ffi::AnyBuffer>(level).value();
+    const float* values = static_cast<const float*>(ramp.untyped_data());
+    const int64_t count = ramp.element_count(), width = ramp.dimensions().back();
+    // Without their last row and pixel, which have no neighbours, the texels stay zero.
+    const int64_t num_pieces = (count + kPiece - 1) / kPiece;
+    for_each_item(pool, num_pieces, kPiece, [&](int64_t piece) {
+      const int64_t first = piece * kPiece, last = std::min(first + kPiece, count);
+      const int64_t end = std::max(first, std::min(last, count - width - 1));
+      std::vector<uint8_t> byte(end - first + width + 1);
+      if (end > first) quantise(values + first, end - first + width + 1, byte.data());
+      interleave(byte.data(), width, end - first, texels + first);
+      std::fill(texels + end, texels + last, 0u);
+    });
+    texels += count;
+  }
+  return ffi::Error::Success();
+}
+
 }  // namespace
 }  // namespace semloc
 
@@ -252,6 +275,7 @@ ffi::Error RobustCost(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remain
 
 SEMLOC_CALL(semloc_normal_equations, semloc::NormalEquations, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_damped_step, semloc::DampedStep);
+SEMLOC_CALL(semloc_pack, semloc::Pack);
 SEMLOC_CALL(semloc_lookup, semloc::Lookup, .Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_accumulate, semloc::Accumulate);
 SEMLOC_CALL(semloc_visible_weight, semloc::VisibleWeight, .Attr<int32_t>("model"));

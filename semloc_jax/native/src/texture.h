@@ -50,4 +50,19 @@ SEMLOC_INLINE Sample blend(const Texture& texture, uint32_t quad, float fu, floa
           (bottom - top) * texture.per_px};
 }
 
+// Ramp values as bytes, 127 for 0; values beyond +-1 are clipped, NaN becomes the lowest.
+inline void quantise(const float* ramp, int64_t count, uint8_t* byte) {
+  for (int64_t n = 0; n < count; ++n)
+    byte[n] = static_cast<uint8_t>(static_cast<int32_t>(__builtin_rintf(clamp(ramp[n] + 1.0f, 2.0f) * 127.0f)));
+}
+
+// The four taps of each pixel side by side; neighbours come from the flat array.
+inline void interleave(const uint8_t* byte, int64_t width, int64_t count, uint32_t* texel) {
+  const uint8_t* below = byte + width;
+  for (int64_t n = 0; n < count; ++n) {
+    const uint32_t a = byte[n], b = byte[n + 1], c = below[n], d = below[n + 1];
+    texel[n] = a | b << 8 | c << 16 | d << 24;
+  }
+}
+
 }  // namespace semloc
