@@ -175,8 +175,8 @@ def _size(camera: Camera, image_px: tuple[int, int] | None) -> list[str]:
         )
     if isinstance(camera, CylindricalCamera):
         return found
-    rx, ry = float(camera.cx) / (0.5 * (width - 1)), float(camera.cy) / (0.5 * (height - 1))
-    if abs(rx - 1.0) > 2 * _OFF_CENTRE and abs(ry - 1.0) > 2 * _OFF_CENTRE and abs(rx / ry - 1.0) < 0.15:
+    rx, ry = 2.0 * float(camera.cx) / max(width - 1, 1), 2.0 * float(camera.cy) / max(height - 1, 1)
+    if abs(rx - 1.0) > 2 * _OFF_CENTRE and abs(ry - 1.0) > 2 * _OFF_CENTRE and abs(rx - ry) < 0.15 * max(rx, ry):
         found.append(
             f"principal point ({float(camera.cx):.0f}, {float(camera.cy):.0f}) of {width}x{height} px; it is central "
             f"in pictures of about {width * rx:.0f}x{height * ry:.0f} px: fx fy cx cy belong to another size"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from semloc_jax.cameras import read_calibration
+from semloc_jax.cameras.io.fields import resolution
 from semloc_jax.cameras.io.nuscenes import nuscenes_tables, pose_of, read_rows, rig_of_rows
 from semloc_jax.datasets.base import IMAGE, Sequence
 from semloc_jax.datasets.beside import maps_beside
@@ -55,9 +56,13 @@ def read_nuscenes(path: str | Path, calibration: str | Path | None = None, scene
         raise SemlocError(f"nuScenes {folder}: scene {chosen.get('name')} has no camera pictures in sample_data.json")
     order = sorted(data, key=lambda name: _CAMERAS.index(name) if name in _CAMERAS else len(_CAMERAS))
     first = data[order[0]][0]
-    size = (int(first.get("width") or 1600), int(first.get("height") or 900))
     where = f"nuScenes {path}"
-    rig = read_calibration(calibration) if calibration else rig_of_rows({n: mounted[n] for n in order}, where, size)
+    width, height = resolution([first.get("width") or 1600, first.get("height") or 900], f"{where}: size").tolist()
+    rig = (
+        read_calibration(calibration)
+        if calibration
+        else rig_of_rows({n: mounted[n] for n in order}, where, (int(width), int(height)))
+    )
     truth = _ego_poses(folder, [row for rows in data.values() for row in rows])
     streams = {name: _stream(root, rows, where) for name, rows in data.items()}
     odometry = odometry_from_poses(truth)
@@ -75,15 +80,19 @@ def read_nuscenes(path: str | Path, calibration: str | Path | None = None, scene
 
 def _camera_data(folder: Path, scene: str) -> tuple[dict[str, list[Row]], dict[str, Row]]:
     """Key frames of each camera of a scene, and how it is mounted."""
-    samples = {row.get("token") for row in read_rows(folder / "sample.json") if row.get("scene_token") == scene}
-    sensors = {row.get("token"): row for row in read_rows(folder / "sensor.json")}
-    mounts = {row.get("token"): row for row in read_rows(folder / "calibrated_sensor.json")}
+    samples = {str(row.get("token")) for row in read_rows(folder / "sample.json") if row.get("scene_token") == scene}
+    sensors = {str(row.get("token")): row for row in read_rows(folder / "sensor.json")}
+    mounts = {str(row.get("token")): row for row in read_rows(folder / "calibrated_sensor.json")}
     data: dict[str, list[Row]] = {}
     mounted: dict[str, Row] = {}
     for row in read_rows(folder / "sample_data.json"):
-        mount = mounts.get(row.get("calibrated_sensor_token"))
-        sensor = sensors.get(mount.get("sensor_token"), {}) if mount else {}
-        if sensor.get("modality") != "camera" or row.get("sample_token") not in samples or not row.get("is_key_frame"):
+        mount = mounts.get(str(row.get("calibrated_sensor_token")))
+        sensor = sensors.get(str(mount.get("sensor_token")), {}) if mount else {}
+        if (
+            sensor.get("modality") != "camera"
+            or str(row.get("sample_token")) not in samples
+            or not row.get("is_key_frame")
+        ):
             continue
         channel = str(sensor.get("channel"))
         data.setdefault(channel, []).append(row)
@@ -92,8 +101,8 @@ def _camera_data(folder: Path, scene: str) -> tuple[dict[str, list[Row]], dict[s
 
 
 def _ego_poses(folder: Path, rows: list[Row]) -> Trajectory:
-    wanted = {row.get("ego_pose_token") for row in rows}
-    poses = [row for row in read_rows(folder / "ego_pose.json") if row.get("token") in wanted]
+    wanted = {str(row.get("ego_pose_token")) for row in rows}
+    poses = [row for row in read_rows(folder / "ego_pose.json") if str(row.get("token")) in wanted]
     if not poses:
         raise SemlocError(f"nuScenes {folder}: ego_pose.json has none of the poses of the pictures")
     time_s = _times(poses, f"nuScenes {folder}/ego_pose.json")

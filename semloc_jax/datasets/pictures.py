@@ -11,6 +11,10 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 
+_PNG = b"\x89PNG\r\n\x1a\n"
+_MOST_PIXELS = 2**27
+"""A small file can state any size; no camera has so many pixels."""
+
 
 @runtime_checkable
 class StoredPicture(Protocol):
@@ -40,6 +44,10 @@ def decode_picture(data: np.ndarray, where: str) -> np.ndarray:
     Raises:
         SemlocError: the bytes are damaged or of another format.
     """
+    if data[:8].tobytes() == _PNG and data.size > 24:
+        width, height = (int.from_bytes(data[at : at + 4].tobytes(), "big") for at in (16, 20))
+        if not 0 < width * height <= _MOST_PIXELS:
+            raise SemlocError(f"{where}: states {width}x{height} px; expected the size of an image; write it again")
     try:
         picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     except cv2.error:  # sizes that no memory holds

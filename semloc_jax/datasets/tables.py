@@ -20,7 +20,7 @@ def read_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     """
     if not path.is_file():
         raise SemlocError(f"table {path}: no such file; expected a csv with columns {', '.join(columns)}")
-    with path.open(newline="") as file:
+    with path.open(newline="", errors="replace") as file:
         reader = csv.DictReader(file)
         header = reader.fieldnames or []
         missing = [column for column in columns if column not in header]

@@ -119,7 +119,7 @@ def write_tum(trajectory: Trajectory, path: str | Path) -> None:
 
 
 def _read_rows(path: Path) -> np.ndarray:
-    lines = [line.split("#", 1)[0].replace(",", " ").split() for line in path.read_text().splitlines()]
+    lines = [line.split("#", 1)[0].replace(",", " ").split() for line in path.read_text(errors="replace").splitlines()]
     lines = [line for line in lines if line]
     if not lines:
         raise SemlocError(f"trajectory {path}: holds no pose; expected one pose on each line")

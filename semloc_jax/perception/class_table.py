@@ -120,8 +120,10 @@ def load_class_table(name_or_path: str | Path) -> ClassTable:
         )
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SemlocError(f"class table {path}: not a YAML file: {error}") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f" line {mark.line + 1}" if mark else ""
+        raise SemlocError(f"class table {path}{place}: not a YAML file; check the file") from error
     return parse_class_table(content, str(path))
 
 
@@ -218,7 +220,7 @@ def _check_channels(table: ClassTable) -> None:
 
 def _check_keys(content: object, allowed: tuple[str, ...], needed: tuple[str, ...], where: str) -> None:
     if not isinstance(content, dict):
-        raise SemlocError(f"{where}: expected a mapping with the keys {', '.join(needed)}, got {content!r}")
+        raise SemlocError(f"{where}: expected a mapping with the keys {', '.join(needed)}, got {repr(content)[:80]}")
     for key in content:
         if key not in allowed:
             raise SemlocError(f"{where}: unknown key '{key}'{_hint(str(key), allowed)}; keys: {', '.join(allowed)}")
@@ -229,7 +231,7 @@ def _check_keys(content: object, allowed: tuple[str, ...], needed: tuple[str, ..
 
 def _ids(items: object, ids: Mapping[str, int], where: str) -> tuple[int, ...]:
     if not isinstance(items, list):
-        raise SemlocError(f"{where}: expected a list of mask names or ids, got {items!r}")
+        raise SemlocError(f"{where}: expected a list of mask names or ids, got {repr(items)[:80]}")
     numbers = []
     for item in items:
         if not _is_id(item) and item not in ids:

@@ -27,6 +27,8 @@ __all__ = [
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY = 0
+_MOST_PIXELS = 2**27
+"""A small file can state any size; no camera has so many pixels."""
 _LAYOUTS = {2: "RGB colour", 4: "grey with alpha", 6: "RGB with alpha"}
 
 
@@ -48,7 +50,7 @@ def read_mask(path: str | Path, size_px: tuple[int, int] | None = None) -> np.nd
         raise SemlocError(f"mask {path}: not a PNG file; class ids survive only in a loss-free format, write PNG")
     damaged = SemlocError(f"mask {path}: the file is cut off or damaged ({len(data)} bytes); write it again")
     chunks = _chunks(data)
-    if chunks is None:
+    if chunks is None or len(chunks[0][1]) < 13:
         raise damaged
     depth, layout = chunks[0][1][8:10]
     if layout in _LAYOUTS or depth > 8:
@@ -57,7 +59,13 @@ def read_mask(path: str | Path, size_px: tuple[int, int] | None = None) -> np.nd
             f"mask {path}: given {given}, expected one 8-bit channel of class ids; "
             "a colour picture of the classes is not a mask: map its colours back to ids first"
         )
-    mask = cv2.imdecode(np.frombuffer(_as_grey(chunks), np.uint8), cv2.IMREAD_UNCHANGED)
+    width, height = struct.unpack_from(">II", chunks[0][1])
+    if not 0 < width * height <= _MOST_PIXELS:
+        raise SemlocError(f"mask {path}: states {width}x{height} px; expected the size of an image; write it again")
+    try:
+        mask = cv2.imdecode(np.frombuffer(_as_grey(chunks), np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        mask = None
     if mask is None or mask.ndim != 2:
         raise damaged
     if depth < 8:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras.io.fields import rigid
+from semloc_jax.cameras.io.fields import check_focal, numbers, resolution, rigid
 from semloc_jax.cameras.pinhole import PinholeCamera
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
@@ -37,7 +37,10 @@ def rig_from_argoverse2(path: Path) -> Rig:
     for row, name in enumerate(lenses["sensor_name"]):
         if name not in sensors:
             raise SemlocError(f"{where}: {_EXTRINSICS} lacks sensor '{name}'; expected every camera")
-        cameras.append(PinholeCamera(*(float(lenses[key][row]) for key in need[1:])))
+        values = numbers([lenses[key][row] for key in need[1:]], (6,), f"{where}: {name}")
+        check_focal(values[0], values[1], f"{where}: {name}")
+        resolution(values[4:], f"{where}: {name}")
+        cameras.append(PinholeCamera(*values))
         at = sensors.index(name)
         T = pose_of_row(places, at, f"{where}: {name}")
         T[2, 3] += AXLE_HEIGHT_M

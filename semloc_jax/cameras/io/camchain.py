@@ -20,7 +20,7 @@ from semloc_jax.cameras.base import Camera, as_leaf
 from semloc_jax.cameras.bev import BevCamera
 from semloc_jax.cameras.cylinder import CylindricalCamera
 from semloc_jax.cameras.fisheye import KannalaBrandtCamera
-from semloc_jax.cameras.io.fields import numbers, perspective, required, resolution, rigid
+from semloc_jax.cameras.io.fields import check_focal, numbers, perspective, required, resolution, rigid
 from semloc_jax.cameras.pinhole import BrownConradyCamera
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
@@ -52,7 +52,7 @@ def rig_from_camchain(content: Mapping[str, Any], path: Path) -> Rig:
     for key in keys:
         entry, where = content[key], f"calibration {path}: {key}"
         if not isinstance(entry, Mapping):
-            raise SemlocError(f"{where}: given {entry!r}; expected a mapping with intrinsics, resolution ...")
+            raise SemlocError(f"{where}: given {repr(entry)[:80]}; expected a mapping with intrinsics, resolution ...")
         cameras.append(_camera(entry, where))
         poses.append(_pose(entry, poses[-1] if poses else None, where))
         names.append(str(entry.get("name", key)))
@@ -74,8 +74,10 @@ def _camera(entry: Mapping[str, Any], where: str) -> Camera:
         distortion = str(required(entry, "distortion_model", where))
         camera = perspective(intrinsics, size, distortion, entry.get("distortion_coeffs", []), where)
     elif model == "cylindrical":
+        check_focal(fx, fy, where)
         camera = CylindricalCamera(fx, cx, cy, *size, fy=fy)
     elif model == "bev":
+        check_focal(fx, fy, where)
         camera = BevCamera(1 / fx, cx, cy, *size)
     else:
         raise SemlocError(f"{where}: camera_model '{model}' is not supported; expected pinhole, cylindrical or bev")

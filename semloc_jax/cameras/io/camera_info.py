@@ -62,4 +62,4 @@ def _data(content: Mapping[str, Any], keys: tuple[str, ...], where: str) -> Any:
 
 
 def _model(content: Mapping[str, Any], distortion: Any) -> str:
-    return str(content["distortion_model"]).strip().lower() if len(np.ravel(distortion)) else "none"
+    return str(content["distortion_model"]).strip().lower() if np.size(np.asarray(distortion, dtype=object)) else "none"

@@ -24,10 +24,21 @@ _WORD_OF_FIT_ERROR_PX = 0.1
 _MAX_ROTATION_ERROR = 1e-3
 _ROUNDING = 1e-14
 _MAX_TRANSLATION_M = 50.0
+_LARGEST, _MOST_PIXELS, _FOCAL_PX = 1e9, 65535, (1.0, 1e6)
+_MOST_VALUES = 100_000
+"""A calibration holds some hundred numbers; aliases of YAML can grow a small file without bound."""
 
 RADTAN = ("radtan", "plumb_bob")
 RATIONAL = ("rational_polynomial", "rational")
 EQUIDISTANT = ("equidistant", "fisheye", "kannala_brandt")
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain YAML whose matrices may have the tag that OpenCV gives them."""
+
+
+for _tag in ("opencv-matrix", "opencv-nd-matrix"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", lambda loader, node: loader.construct_mapping(node, deep=True))
 
 
 def read_text(path: Path) -> str:
@@ -47,14 +58,28 @@ def load_yaml(path: Path) -> dict[str, Any]:
     text = read_text(path)
     try:
         # Tools built on OpenCV start plain YAML with a directive that YAML itself does not know.
-        content = yaml.safe_load(text.replace("%YAML:", "# %YAML:", 1) if text.startswith("%YAML:") else text)
+        text = text.replace("%YAML:", "# %YAML:", 1) if text.startswith("%YAML:") else text
+        content = yaml.load(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError, RecursionError, OverflowError) as error:
         mark = getattr(error, "problem_mark", None)
         place = f" line {mark.line + 1}" if mark else ""
         raise SemlocError(f"calibration {path}{place}: not readable as YAML; check the file") from error
     if not isinstance(content, dict):
         raise SemlocError(f"calibration {path}: holds no keys; expected a mapping such as cam0: ...")
+    if _num_values(content, {}) > _MOST_VALUES:
+        raise SemlocError(f"calibration {path}: more than {_MOST_VALUES} values; expected those of a few cameras")
     return content
+
+
+def _num_values(content: Any, known: dict[int, float]) -> float:
+    """Number of values with every alias written out; infinite where content holds itself."""
+    if not isinstance(content, dict | list):
+        return 1.0
+    if id(content) not in known:
+        known[id(content)] = float("inf")
+        parts = content.values() if isinstance(content, dict) else content
+        known[id(content)] = 1.0 + sum(_num_values(part, known) for part in parts)
+    return known[id(content)]
 
 
 def required(entry: Mapping[str, Any], key: str, where: str) -> Any:
@@ -68,12 +93,12 @@ def numbers(value: Any, counts: tuple[int, ...], where: str) -> Float[np.ndarray
     """Finite numbers, flattened, of one of the allowed counts."""
     try:
         array = np.asarray(value, dtype=np.float64).ravel()
-    except (TypeError, ValueError) as error:
-        raise SemlocError(f"{where}: given {value!r}; expected {_either(counts)} numbers") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SemlocError(f"{where}: given {repr(value)[:80]}; expected {_either(counts)} numbers") from error
     if array.size not in counts:
         raise SemlocError(f"{where}: given {array.size} numbers; expected {_either(counts)}")
-    if not np.isfinite(array).all():
-        raise SemlocError(f"{where}: given {array.tolist()}; expected finite numbers; calibrate again")
+    if not (np.abs(array) < _LARGEST).all():
+        raise SemlocError(f"{where}: given {array.tolist()}; expected finite numbers below 1e9; calibrate again")
     return array
 
 
@@ -104,9 +129,19 @@ def rigid(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
 def resolution(value: Any, where: str) -> Float[np.ndarray, " 2"]:
     """Width and height of the image [px]."""
     size = numbers(value, (2,), where)
-    if (size < 1).any() or (size != np.round(size)).any():
+    if (size < 1).any() or (size > _MOST_PIXELS).any() or (size != np.round(size)).any():
         raise SemlocError(f"{where}: given {size.tolist()}; expected width and height in whole pixels")
     return size
+
+
+def check_focal(fx: float, fy: float, where: str) -> None:
+    """Refuses focal lengths that no camera has.
+
+    Raises:
+        SemlocError: they are not positive pixels.
+    """
+    if not all(_FOCAL_PX[0] < f < _FOCAL_PX[1] for f in (fx, fy)):
+        raise SemlocError(f"{where}: focal lengths {fx:g}, {fy:g}; expected positive pixels, 1 to 1e6; calibrate again")
 
 
 def intrinsics_of(K: Float[np.ndarray, " 9"], where: str) -> Float[np.ndarray, " 4"]:
@@ -120,8 +155,7 @@ def perspective(
     intrinsics: Float[np.ndarray, " 4"], size: Float[np.ndarray, " 2"], model: str, coefficients: Any, where: str
 ) -> Camera:
     """The camera of fx fy cx cy [px], image size [px], the name of a distortion model, and its coefficients."""
-    if intrinsics[0] <= 0 or intrinsics[1] <= 0:
-        raise SemlocError(f"{where}: focal lengths {intrinsics[:2].tolist()}; expected positive pixels")
+    check_focal(intrinsics[0], intrinsics[1], where)
     model = model.strip().lower()
     if model in ("none", ""):
         return PinholeCamera(*intrinsics, *size)

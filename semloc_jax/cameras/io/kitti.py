@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from semloc_jax.cameras.io.fields import intrinsics_of, numbers, read_text, rigid
+from semloc_jax.cameras.io.fields import check_focal, intrinsics_of, numbers, read_text, rigid
 from semloc_jax.cameras.pinhole import PinholeCamera
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
@@ -47,8 +47,7 @@ def rig_from_kitti(path: Path, size_px: tuple[int, int] | None = None) -> Rig:
             continue
         P = numbers(content[key], (12,), f"{where} {key}").reshape(3, 4)
         fx, fy, cx, cy = intrinsics_of(P[:, :3].ravel(), f"{where} {key}")
-        if fx <= 0 or fy <= 0:
-            raise SemlocError(f"{where} {key}: focal lengths {fx}, {fy}; expected positive pixels")
+        check_focal(fx, fy, f"{where} {key}")
         size = content.get(f"S_rect_{number:02d}")
         width, height = numbers(size, (2,), f"{where} S_rect") if size else (size_px or _RESOLUTION)
         cameras.append(PinholeCamera(fx, fy, cx, cy, width, height))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras.io.fields import intrinsics_of, numbers, read_text, required
+from semloc_jax.cameras.io.fields import check_focal, intrinsics_of, numbers, read_text, required
 from semloc_jax.cameras.pinhole import PinholeCamera
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
@@ -36,10 +36,10 @@ def rig_from_nuscenes(path: Path) -> Rig:
     folder = nuscenes_tables(path)
     if folder is None:
         raise SemlocError(f"calibration {path}: no calibrated_sensor.json; expected a folder such as v1.0-mini")
-    channels = {row.get("token"): row for row in read_rows(folder / "sensor.json")}
+    channels = {str(row.get("token")): row for row in read_rows(folder / "sensor.json")}
     first: dict[str, Row] = {}
     for row in read_rows(folder / "calibrated_sensor.json"):
-        channel = channels.get(row.get("sensor_token"), {})
+        channel = channels.get(str(row.get("sensor_token")), {})
         if channel.get("modality") == "camera":
             first.setdefault(str(channel.get("channel")), row)
     if not first:
@@ -54,8 +54,7 @@ def rig_of_rows(rows: Mapping[str, Row], where: str, size_px: tuple[int, int] = 
         place = f"{where}: {name}"
         K = numbers(required(row, "camera_intrinsic", place), (9,), f"{place} camera_intrinsic")
         intrinsics = intrinsics_of(K, place)
-        if (intrinsics[:2] <= 0).any():
-            raise SemlocError(f"{place}: focal lengths {intrinsics[:2].tolist()}; expected positive pixels")
+        check_focal(intrinsics[0], intrinsics[1], place)
         cameras.append(PinholeCamera(*intrinsics, *size_px))
         poses.append(pose_of(row, place))
     return Rig(cameras, np.stack(poses), list(rows))

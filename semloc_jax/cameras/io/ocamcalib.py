@@ -12,7 +12,7 @@ import numpy as np
 from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.base import Camera
 from semloc_jax.cameras.fisheye import KannalaBrandtCamera
-from semloc_jax.cameras.io.fields import numbers, read_text, resolution
+from semloc_jax.cameras.io.fields import check_focal, numbers, read_text, resolution
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 
@@ -45,7 +45,8 @@ def rig_from_ocamcalib(path: Path) -> Rig:
     # OCamCalib counts rows down and columns right: u = rho y/r + column, v = c rho x/r + row; d and e are its shear.
     camera, error_px = _fitted(theta, rho, (column, row, width, height), c)
     shear_px = max(abs(d), abs(e)) * float(rho.max())
-    if error_px > _MAX_ERROR_PX:
+    check_focal(float(camera.fx), float(camera.fy), where)
+    if not error_px <= _MAX_ERROR_PX:
         raise SemlocError(
             f"{where}: no fisheye of ours follows its polynomial ({error_px:.1f} px off); expected a smooth lens; "
             "calibrate with Kalibr (equidistant) or cv2.fisheye"

@@ -6,11 +6,12 @@ In: camera_matrix, dist_coeffs, image size under the names that OpenCV's samples
 import logging
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from semloc_jax.cameras.io.camera_info import pose_of
-from semloc_jax.cameras.io.fields import intrinsics_of, numbers, perspective, resolution
+from semloc_jax.cameras.io.fields import intrinsics_of, load_yaml, numbers, perspective, read_text, resolution
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 
@@ -52,22 +53,36 @@ def rig_from_opencv(path: Path) -> Rig:
 
 
 def _load(path: Path, where: str) -> dict[str, Any]:
-    import cv2
-
+    """Values by key; read here, since OpenCV itself ends the whole process on some damaged files."""
+    if path.read_bytes().lstrip().startswith(b"<"):
+        return _load_xml(path, where)
     try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError) as error:
+        content = load_yaml(path)
+    except SemlocError as error:
         raise SemlocError(f"{where}: not readable as an OpenCV FileStorage; check the file") from error
-    nodes = {key: storage.getNode(key) for key in _KEYS}
-    return {key: _value(node) for key, node in nodes.items() if not node.empty()}
+    return {key: _value(value) for key, value in content.items() if key in _KEYS}
 
 
-def _value(node: Any) -> Any:
-    if node.isMap():
-        return node.mat()
-    if node.isSeq():
-        return [node.at(i).real() for i in range(node.size())]
-    return node.string() if node.isString() else node.real()
+def _load_xml(path: Path, where: str) -> dict[str, Any]:
+    text = read_text(path)
+    if "<!" in text.replace("<!--", ""):
+        raise SemlocError(f"{where}: declares entities; expected a plain OpenCV FileStorage")
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise SemlocError(f"{where}: not readable as an OpenCV FileStorage; check the file") from error
+    found = {}
+    for node in root:
+        data = node.find("data")
+        words = ((node if data is None else data).text or "").replace('"', " ").split()
+        if node.tag in _KEYS and words:
+            found[node.tag] = words[0] if len(words) == 1 and data is None else words
+    return found
+
+
+def _value(value: Any) -> Any:
+    """The numbers of a matrix, everything else as it is."""
+    return value.get("data") if isinstance(value, dict) else value
 
 
 def _first(content: dict[str, Any], keys: tuple[str, ...], where: str) -> Any:
@@ -81,7 +96,7 @@ def _model(content: dict[str, Any], coefficients: np.ndarray, where: str) -> str
     if "distortion_model" in content:
         return str(content["distortion_model"])
     if "fisheye_model" in content:
-        return "equidistant" if content["fisheye_model"] else "radtan"
+        return "equidistant" if numbers(content["fisheye_model"], (1,), "fisheye_model")[0] else "radtan"
     if coefficients.size > 5:
         return "rational"
     if coefficients.size == 4:

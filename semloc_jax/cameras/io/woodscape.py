@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
-from semloc_jax.cameras.io.fields import numbers, required, resolution
+from semloc_jax.cameras.io.fields import check_focal, numbers, required, resolution
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 
@@ -33,8 +33,7 @@ def rig_from_woodscape(content: Mapping[str, Any], path: Path) -> Rig:
     k1, k2, k3, k4 = numbers([required(lens, f"k{i}", where) for i in range(1, 5)], (4,), f"{where} k1 ... k4")
     offset = numbers([lens.get("cx_offset"), lens.get("cy_offset")], (2,), f"{where} cx_offset, cy_offset")
     aspect = numbers(lens.get("aspect_ratio", 1.0), (1,), f"{where} aspect_ratio")[0]
-    if k1 <= 0 or aspect <= 0:
-        raise SemlocError(f"{where}: k1 {k1}, aspect_ratio {aspect}; expected positive numbers (pixels per radian)")
+    check_focal(k1, k1 * aspect, f"{where} k1, k1 times aspect_ratio")
     cx, cy = 0.5 * size - 0.5 + offset
     camera = PolynomialFisheyeCamera(k1, k1 * aspect, cx, cy, *size, k2 / k1, k3 / k1, k4 / k1)
     name = str(content.get("name") or path.stem.rsplit("_", 1)[-1])

@@ -1,0 +1,104 @@
+"""Broken recordings: opened, or refused in one line, in bounded time; never another exception.
+
+SEMLOC_FUZZ is the number of broken copies of each file (default 30).
+"""
+
+import os
+import time
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from semloc_jax.datasets import open_sequence, overlap_report, write_bag
+from semloc_jax.datasets.nmea import read_nmea
+from semloc_jax.errors import SemlocError
+from semloc_jax.maps import read_map
+from tests.datasets.test_recordings import nmea_lines, write_euroc, write_kitti, write_nuscenes, write_rig, write_video
+from tests.maps.io.mutations import mutations
+
+COUNT = int(os.environ.get("SEMLOC_FUZZ", "30"))
+MAX_S = 10.0
+
+
+def attempt(read, number):
+    """Run a reader; whatever it refuses must be one line, and nothing may take long."""
+    started = time.perf_counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        try:
+            read()
+        except SemlocError as error:
+            assert "\n" not in str(error) and len(str(error)) < 3000, (number, error)
+    assert time.perf_counter() - started < MAX_S, number
+
+
+def use(path: Path):
+    """What every verb does with a recording before its work starts."""
+    drive = open_sequence(path)
+    overlap_report(drive)
+    for frame in (drive.frames[0], drive.frames[-1]):
+        for kind in frame.files:
+            for camera in drive.rig.names:
+                frame.image(camera) if kind == "rgb" else frame.mask(kind, camera)
+    if drive.gnss is not None:
+        drive.in_map_of((48.0, 11.0, 500.0)).gnss_prior(drive.frames[0].time_s)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """A recording of each kind with the files that are broken in it."""
+    root = tmp_path_factory.mktemp("recordings")
+    euroc = write_euroc(root / "euroc") / "mav0"
+    kitti = write_kitti(root / "kitti")
+    tables = write_nuscenes(root / "nuscenes") / "v1.0-mini"
+    write_rig(root / "video")
+    write_video(root / "video" / "drive.avi")
+    (root / "video" / "drive.csv").write_text("t_ms\n" + "\n".join(str(1000 + 50 * i) for i in range(8)))
+    (root / "video" / "gps.csv").write_text("t_ms,lat,lon,alt\n1000,48.0,11.0,500\n1200,48.00001,11.0,500\n")
+    (root / "video" / "wheel_odom.csv").write_text("t,v_m_s,yaw_rate_rad_s\n0.9,5,0.1\n1.2,5,0.1\n1.5,5,0.1\n")
+    (root / "video" / "poses.tum").write_text("1.0 0 0 0 0 0 0 1\n1.2 1 0 0 0 0 0 1\n1.5 2 0 0 0 0 0 1\n")
+    video = root / "video" / "drive.avi"
+    return {
+        "euroc": (root / "euroc", [euroc / "cam0" / "data.csv", euroc / "cam1" / "sensor.yaml",
+                                   euroc / "imu0" / "data.csv", euroc / "state_groundtruth_estimate0" / "data.csv"]),
+        "kitti": (kitti, [kitti / "times.txt", kitti / "poses.txt", kitti / "calib.txt"]),
+        "nuscenes": (root / "nuscenes", [tables / f"{name}.json" for name in ("sample_data", "ego_pose", "scene")]),
+        "video": (video, [video, *(root / "video" / name for name in
+                                   ("drive.csv", "gps.csv", "wheel_odom.csv", "poses.tum"))]),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["euroc", "kitti", "nuscenes", "video"])
+def test_broken_files_of_recordings(folders, kind):
+    path, files = folders[kind]
+    use(path)
+    for file in files:
+        original = file.read_bytes()
+        for number, content in enumerate(mutations(original, 19, max(COUNT // len(files), 5))):
+            file.write_bytes(content)
+            attempt(lambda: use(path), (file.name, number))
+        file.write_bytes(original)
+
+
+def test_broken_nmea(tmp_path):
+    original = "\n".join(nmea_lines(20)).encode()
+    for number, content in enumerate(mutations(original, 23, 2 * COUNT)):
+        (tmp_path / "log.nmea").write_bytes(content)
+        attempt(lambda: read_nmea(tmp_path / "log.nmea"), number)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap", "sqlite3"])
+def test_broken_bags(simulated_road, tmp_path, kind):
+    pytest.importorskip("rosbags")
+    drive = open_sequence(simulated_road)
+    small = replace(drive, imu=None, frames=drive.frames[:2])
+    name = "drive.bag" if kind == "ros1" else "drive"
+    path = write_bag(small, tmp_path / name, kind, read_map(drive.map_path).origin, compressed=True, clock_offset_s=1e9)
+    file = path if kind == "ros1" else next(f for f in path.iterdir() if f.suffix in (".mcap", ".db3"))
+    use(file)
+    original = file.read_bytes()
+    for number, content in enumerate(mutations(original, 29, COUNT)):
+        file.write_bytes(content)
+        attempt(lambda: use(file), number)
