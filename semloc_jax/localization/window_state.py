@@ -5,7 +5,6 @@ In: poses, increments. Out: WindowState with or without a state, PoseGraph.
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -64,7 +63,7 @@ def sqrt_information(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, 
 
 
 def graph_of(state: WindowState) -> PoseGraph:
-    """The factors of a window as JAX arrays; call it where float64 is enabled."""
+    """The factors of a window."""
     edges, num = len(state.T_edge), int(state.num)
     is_used, is_edge = np.arange(edges + 1) < num, np.arange(edges) < num - 1
     edge_sqrt_info = np.linalg.inv(np.linalg.cholesky(state.edge_covariance))
@@ -88,7 +87,7 @@ def graph_of(state: WindowState) -> PoseGraph:
         "calibration_prior": state.calibration_prior,
         "prior_sqrt_info": state.prior_sqrt_info,
     }
-    return PoseGraph(**{name: jnp.asarray(value) for name, value in fields.items()})
+    return PoseGraph(**fields)
 
 
 def graph_of_oldest(state: WindowState) -> PoseGraph:

@@ -35,34 +35,34 @@ CALIBRATION_UNIT = np.array([0.01, 0.002, 1.0, 1.0])
 class PoseGraph(eqx.Module):
     """Poses and what was measured about them; a factor with `sqrt_info` 0 is not there."""
 
-    T_map_base: Float[Array, "n 4 4"]
+    T_map_base: Float[Array | np.ndarray, "n 4 4"]
     """Start poses; relative to a local origin where the float type is float32."""
-    calibration: Float[Array, "4"]
+    calibration: Float[Array | np.ndarray, "4"]
     """Odometer scale, gyroscope bias [rad/s], GNSS-to-map offset east, north [m]."""
-    used: Bool[Array, " n"]
+    used: Bool[Array | np.ndarray, " n"]
     """False for padding."""
-    T_measured: Float[Array, "n 4 4"]
-    pose_sqrt_info: Float[Array, "n 6 6"]
-    edge_from: Int[Array, " e"]
-    edge_to: Int[Array, " e"]
-    T_edge: Float[Array, "e 4 4"]
+    T_measured: Float[Array | np.ndarray, "n 4 4"]
+    pose_sqrt_info: Float[Array | np.ndarray, "n 6 6"]
+    edge_from: Int[Array | np.ndarray, " e"]
+    edge_to: Int[Array | np.ndarray, " e"]
+    T_edge: Float[Array | np.ndarray, "e 4 4"]
     """T_from_to of every edge."""
-    edge_sqrt_info: Float[Array, "e 6 6"]
-    edge_jacobian: Float[Array, "e 6 2"]
+    edge_sqrt_info: Float[Array | np.ndarray, "e 6 6"]
+    edge_jacobian: Float[Array | np.ndarray, "e 6 2"]
     """Derivative of T_from_to by odometer scale and gyroscope bias; 0 for a loop closure."""
-    edge_calibration: Float[Array, "e 2"]
+    edge_calibration: Float[Array | np.ndarray, "e 2"]
     """Scale and bias that the edge was made with."""
-    edge_robust: Bool[Array, " e"]
+    edge_robust: Bool[Array | np.ndarray, " e"]
     """True for edges that may be wrong, such as loop closures."""
-    p_fix: Float[Array, "n 2"]
-    fix_sqrt_info: Float[Array, "n 2"]
+    p_fix: Float[Array | np.ndarray, "n 2"]
+    fix_sqrt_info: Float[Array | np.ndarray, "n 2"]
     """1 / sigma of east and north [1/m]."""
-    fix_base: Float[Array, "n 3"]
+    fix_base: Float[Array | np.ndarray, "n 3"]
     """The point of the vehicle, in the frame of its pose, that the fix saw."""
-    T_prior: Float[Array, "4 4"]
+    T_prior: Float[Array | np.ndarray, "4 4"]
     """What is known of the first pose and of the calibration beside the factors."""
-    calibration_prior: Float[Array, "4"]
-    prior_sqrt_info: Float[Array, "10 10"]
+    calibration_prior: Float[Array | np.ndarray, "4"]
+    prior_sqrt_info: Float[Array | np.ndarray, "10 10"]
 
 
 class PoseGraphSolution(eqx.Module):
