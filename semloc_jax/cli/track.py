@@ -98,9 +98,15 @@ def run(options: Options) -> int:
 def _open(options: Options) -> Inputs:
     """The drive and the rest; without fixes and without a wish the area, or nothing, says where to start."""
     from semloc_jax.datasets import open_sequence
+    from semloc_jax.errors import SemlocError
 
-    if options.prior is None and open_sequence(options.drive).gnss is None:
-        options = dataclasses.replace(options, prior="truth")
+    if options.prior is None and open_sequence(options.drive, options.calib).gnss is None:
+        if options.area is None:
+            raise SemlocError(
+                f"drive {options.drive}: has no satellite fixes to start from; give --prior truth, --prior FILE.tum or "
+                "--area X,Y,RADIUS"
+            )
+        options = dataclasses.replace(options, prior="truth")  # nothing asks for it: the area says where to start
     return open_inputs(options)
 
 
@@ -203,6 +209,8 @@ def _finish(
     if options.video and len(shown) > 1:
         rate_hz = (len(shown) - 1) / (shown[-1].time_s - shown[0].time_s)
         track_pictures.write_video(folder / "track.mp4", overlay, shown, rate_hz)
+    if options.rrd is not None:
+        track_pictures.write_rrd(options.rrd, inputs.map, inputs.drive, overlay, shown)
     print(track_metrics.summary(table, pipeline.timing))
     print(f"results: {folder}")
     is_lost = not len(table) or table.status[-1] == TrackStatus.LOST

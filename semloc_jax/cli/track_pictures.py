@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 
 from semloc_jax import viz
-from semloc_jax.cli.track_log import PROTECTION, TrackTable
+from semloc_jax.cli.track_log import PROTECTION, SIGMAS, TrackTable
 from semloc_jax.datasets import Frame
+from semloc_jax.datasets import Sequence as Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.localization import MaskSource
@@ -58,6 +59,14 @@ class Overlay:
         self._row = {frame: row for row, frame in enumerate(table.frames)}
         rows = np.flatnonzero(table.has_pose)
         self._pose = dict(zip(rows, table.trajectory().T_map_base, strict=True))
+
+    def row(self, frame: Frame) -> int:
+        """Line of the table of a frame."""
+        return self._row[frame.id]
+
+    def pose(self, row: int) -> np.ndarray | None:
+        """Pose T_map_base of a line; None where it has none."""
+        return self._pose.get(row)
 
     def picture(self, frame: Frame, width_px: int = VIDEO_WIDTH_PX) -> np.ndarray:
         """Image or mask of a frame with the contours of the map and a bar with its status; red green blue."""
@@ -119,3 +128,20 @@ def write_strip(folder: Path, overlay: Overlay, frames: list[Frame], count: int)
     (folder / "overlays").mkdir(exist_ok=True)
     chosen = np.unique(np.linspace(0, len(frames) - 1, count).astype(int))
     return [viz.save(overlay.picture(frames[k]), folder / "overlays" / f"{frames[k].id}.png") for k in chosen]
+
+
+def write_rrd(path: Path, semantic_map: SemanticMap, drive: Drive, overlay: Overlay, frames: list[Frame]) -> Path:
+    """Write the run as a recording for Rerun."""
+    from semloc_jax.viz.recording import Moment, write_recording
+
+    table = overlay.table
+
+    def moment(frame: Frame) -> Moment:
+        row = overlay.row(frame)
+        numbers = {name: float(table.columns[name][row]) for name in (*SIGMAS, *PROTECTION, "cost", "chi2")}
+        has_truth = drive.truth is not None and drive.truth.time_s[0] <= frame.time_s <= drive.truth.time_s[-1]
+        truth = drive.truth_at(frame) if has_truth else None
+        status = f"{table.status[row].name} {table.reasons[row]}".strip()
+        return Moment(frame.time_s, overlay.pose(row), truth, status, numbers, overlay.picture(frame, 640))
+
+    return write_recording(path, semantic_map, (moment(frame) for frame in frames))

@@ -1,0 +1,72 @@
+"""A tracked drive as a recording for the Rerun viewer (room: viz).
+
+In: a map, poses over time with status, images. Out: an .rrd file. Needs the extra `viz`.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.maps import SemanticMap
+from semloc_jax.structs import ElementClass
+from semloc_jax.viz.style import COLOURS, class_name, rgb
+
+
+class Moment(NamedTuple):
+    """What is recorded of one frame."""
+
+    time_s: float
+    T_map_base: np.ndarray | None
+    T_map_true: np.ndarray | None
+    status: str
+    scalars: dict[str, float]
+    """Numbers over time by name: sigmas, errors, protection levels; nan is left out."""
+    image: np.ndarray | None
+    """uint8[h w 3], red green blue."""
+
+
+def write_recording(path: Path, semantic_map: SemanticMap, moments: Iterable[Moment]) -> Path:
+    """Write map, trajectory, images and numbers to an .rrd file and return its path.
+
+    Raises:
+        SemlocError: rerun-sdk is not installed, or the file cannot be written.
+    """
+    try:
+        import rerun as rr
+    except ImportError as error:
+        raise SemlocError(
+            'recording: rerun-sdk is not installed; pip install "semloc-jax[viz]", or leave out --rrd'
+        ) from error
+    if not path.parent.is_dir():
+        raise SemlocError(f"recording {path}: no folder {path.parent}; give --rrd a path in a folder that exists")
+    recording = rr.RecordingStream("semloc_jax")
+    recording.save(path)
+    for label in ElementClass:
+        lines = [_line(element) for element in semantic_map.elements if element.label == label]
+        if lines:
+            strips = rr.LineStrips3D(lines, colors=[rgb(COLOURS[label])])
+            recording.log(f"map/{class_name(label).replace(' ', '_')}", strips, static=True)
+    driven: list[np.ndarray] = []
+    for moment in moments:
+        recording.set_time("time", timestamp=moment.time_s)
+        recording.log("status", rr.TextLog(moment.status))
+        for name, T in (("vehicle", moment.T_map_base), ("truth", moment.T_map_true)):
+            if T is not None:
+                recording.log(name, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), rr.TransformAxes3D(2.0))
+        if moment.T_map_base is not None:
+            driven.append(moment.T_map_base[:3, 3])
+            recording.log("path", rr.LineStrips3D([np.array(driven)]))
+        for name, value in moment.scalars.items():
+            if np.isfinite(value):
+                recording.log(f"numbers/{name}", rr.Scalars(value))
+        if moment.image is not None:
+            recording.log("camera", rr.Image(moment.image).compress(jpeg_quality=75))
+    recording.flush()
+    return path
+
+
+def _line(element) -> np.ndarray:
+    return np.vstack([element.points, element.points[:1]]) if element.closed else element.points
