@@ -15,6 +15,9 @@ from semloc_jax.datasets.tables import column_names, find_columns, read_columns
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import Geodetic, enu_from_wgs84, wgs84_from_enu
 
+_FASTEST_MPS, _HIGHEST_M = 150.0, 1e5
+"""No vehicle is faster, no road is higher."""
+
 
 @dataclass(frozen=True)
 class GnssTrack:
@@ -44,6 +47,7 @@ class GnssTrack:
     ) -> "GnssTrack":
         """Fixes in degrees and ellipsoidal height [m], in time order, in the frame of the first of them."""
         usable = np.isfinite(lat_lon_alt).all(axis=1) & np.isfinite(sigma_m).all(axis=1) & np.isfinite(time_s)
+        usable &= np.abs(lat_lon_alt[:, 2]) < _HIGHEST_M
         order = np.flatnonzero(usable)[np.argsort(time_s[usable], kind="stable")]
         if not len(order):
             raise SemlocError("GNSS: no row holds a position; expected latitude and longitude in degrees")
@@ -74,6 +78,13 @@ class WheelOdometry:
     yaw_rate_radps: Float[np.ndarray, " n"]
 
     def __post_init__(self) -> None:
+        if not np.isfinite([self.time_s, self.speed_mps, self.yaw_rate_radps]).all():
+            raise SemlocError("wheel odometry: a value is NaN or infinite; expected finite numbers; drop such rows")
+        if np.abs(self.speed_mps).max(initial=0.0) > _FASTEST_MPS:
+            raise SemlocError(
+                f"wheel odometry: a speed of {np.abs(self.speed_mps).max():g} m/s; expected that of a vehicle; is it in "
+                "km/h or mm/s?"
+            )
         if len(self.time_s) < 2 or np.any(np.diff(self.time_s) <= 0.0):
             raise SemlocError(
                 f"wheel odometry: {len(self.time_s)} samples whose times do not all increase; expected at least 2 "

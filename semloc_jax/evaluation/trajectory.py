@@ -97,7 +97,10 @@ def read_trajectory(path: str | Path) -> Trajectory:
     if not path.is_file():
         raise SemlocError(f"trajectory {path}: no such file; expected a TUM, KITTI or npy file")
     if path.suffix == ".npy":
-        rows = np.load(path).astype(np.float64)
+        try:
+            rows = np.load(path).astype(np.float64)
+        except (ValueError, EOFError, OSError, TypeError) as error:
+            raise SemlocError(f"trajectory {path}: not readable as npy ({error}); expected [n 8] or [n 4 4]") from error
         if rows.ndim == 3 and rows.shape[1:] == (4, 4):
             return Trajectory(np.arange(len(rows), dtype=np.float64), rows)
     else:
@@ -124,7 +127,10 @@ def _read_rows(path: Path) -> np.ndarray:
     if not lines:
         raise SemlocError(f"trajectory {path}: holds no pose; expected one pose on each line")
     try:
-        return np.array(lines, dtype=np.float64)
+        rows = np.array(lines, dtype=np.float64)
+        if not np.isfinite(rows).all():
+            raise ValueError("a value is NaN or infinite")
+        return rows
     except ValueError as error:
         raise SemlocError(
             f"trajectory {path}: not a table of numbers ({error}); expected rows of 8 (TUM) or 12 (KITTI) numbers"
@@ -149,5 +155,9 @@ def _from_kitti_rows(rows: np.ndarray, path: Path) -> Trajectory:
     T = np.tile(np.eye(4), (len(rows), 1, 1))
     T[:, :3, :] = rows.reshape(-1, 3, 4)
     times = path.with_name("times.txt")
-    time_s = np.loadtxt(times, ndmin=1) if times.is_file() else np.arange(len(rows), dtype=np.float64)
+    time_s = _read_rows(times)[:, 0] if times.is_file() else np.arange(len(rows), dtype=np.float64)
+    if len(time_s) != len(rows):
+        raise SemlocError(
+            f"trajectory {path}: {len(rows)} poses and {len(time_s)} times in times.txt; expected one each; repair one"
+        )
     return Trajectory(time_s, T)

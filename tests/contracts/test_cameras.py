@@ -25,16 +25,13 @@ CAMERAS = {
     "radtan_that_turns": BrownConradyCamera(500.0, 500.0, 480.0, 300.0, 960, 600, -0.3, 0.02),
     "fisheye": KannalaBrandtCamera(*SIDE, -0.013, -0.0042, 0.0011, -0.0002),
     "fisheye_that_turns": KannalaBrandtCamera(303.3, 322.3, 486.5, 323.9, 960, 640, -0.0355, -0.0198, 0.0261, -0.00972),
-    "woodscape": PolynomialFisheyeCamera(
-        339.7, 339.7, 643.4, 479.4, 1280, 968, -31.988 / 339.7, 48.275 / 339.7, -7.201 / 339.7
-    ),
-    "woodscape_that_turns": PolynomialFisheyeCamera(*SIDE, 0.05, -0.09, -0.01),
+    "angle_polynomial": PolynomialFisheyeCamera(*SIDE, 0.05, -0.09, -0.01),
     "cylinder": CylindricalCamera(150.0, 479.5, 120.0, 960, 400, fy=170.0),
     "bev": BevCamera.covering(12.0, 6.0, 7.0, 7.0, 0.02),
 }
 PERSPECTIVE = ["pinhole", "radtan", "radtan_k3", "radtan_that_turns"]
 FISHEYE = ["fisheye", "fisheye_that_turns"]
-WIDE = [*FISHEYE, "woodscape", "woodscape_that_turns"]
+WIDE = [*FISHEYE, "angle_polynomial"]
 BEHIND = [name for name in CAMERAS if name not in ("bev", "cylinder")]
 
 
