@@ -79,9 +79,9 @@ class MotionNoise:
     tilt_without_gyro_degps: float = 1.0
     inertial_acceleration_mps2: float = 0.3
     """Error of the acceleration that the inertial sensor gives while the wheels are silent: slope and pitch change."""
-    unknown_acceleration_mps2: float = 1.5
+    unknown_acceleration_mps2: float = 2.0
     """What a vehicle may do while its speed is not measured."""
-    unknown_yaw_acceleration_degps2: float = 6.0
+    unknown_yaw_acceleration_degps2: float = 8.0
     """What a vehicle may do while its yaw rate is not measured."""
     unknown_speed_mps: float = 15.0
     unknown_yaw_rate_degps: float = 15.0
@@ -118,7 +118,9 @@ class MotionLog:
 
     The translation comes from the wheel speed along base x, the rotation from the gyroscope about all three axes, or
     from the wheels where there is no gyroscope. A sensor that falls silent is replaced by its last value, for at most
-    `max_hold_s`, with a covariance that grows as the vehicle may accelerate.
+    `max_hold_s`, with a covariance that grows as the vehicle may accelerate. Within one increment the error of what is
+    not measured is one and the same; from increment to increment it is taken for new, as the poses of a filter in
+    between take most of it out: without any, three sigmas still hold the worst of 2 s.
     """
 
     def __init__(self, noise: MotionNoise | None = None, max_gap_s: float = 0.15, max_hold_s: float = 5.0) -> None:
@@ -219,15 +221,17 @@ class MotionLog:
         steps = self._steps(np.array([from_s, *sorted(inside), to_s]), calibration)
         if steps.unmeasured_s > self.max_hold_s:
             return self._unknown(from_s, to_s, calibration)
-        T, covariance, jacobian = np.eye(4), np.zeros((6, 6)), np.zeros((6, 2))
+        T, covariance, jacobian = np.eye(4), np.zeros((6, 6)), np.zeros((6, 4))
         motions = rigid.exp(steps.xi)
         back = rigid.adjoint(rigid.inverse(motions))
         for k, motion in enumerate(motions):
             T = T @ motion
             covariance = back[k] @ covariance @ back[k].T + np.diag(steps.variance[k])
             jacobian = back[k] @ jacobian + steps.jacobian[k]
+        # What is not measured is off by one and the same error all the way.
+        covariance += jacobian[:, 2:] @ jacobian[:, 2:].T
         quality = MotionQuality.EXTRAPOLATED if steps.unmeasured_s > 0.0 else MotionQuality.OK
-        return MotionIncrement(T, covariance, from_s, to_s, jacobian, quality, calibration)
+        return MotionIncrement(T, covariance, from_s, to_s, jacobian[:, :2], quality, calibration)
 
     def _steps(self, knots_s: np.ndarray, calibration: Calibration) -> "_Steps":
         """Motions of constant speed and rate between neighbouring samples."""
@@ -260,14 +264,21 @@ class MotionLog:
         for axis, share in enumerate((noise.slip_share, side_slip, noise.heave_share)):
             variance[:, axis] = share**2 * np.abs(distance) * noise.slip_length_m
         variance[:, 0] += noise.speed_density_mps**2 * step_s
-        variance[:, 0] += _growth(acceleration, speed_age, step_s)
         variance[:, 3:5] = (tilt_density**2 * step_s)[:, None]
         variance[:, 5] = yaw_density**2 * step_s + turn_share**2 * np.abs(turn[:, 2])
-        variance[:, 5] += _growth(np.deg2rad(noise.unknown_yaw_acceleration_degps2), yaw_age, step_s)
 
+        speed_error = acceleration * np.where(np.isfinite(speed_age), speed_age, 0.0)
+        yaw_error = np.deg2rad(noise.unknown_yaw_acceleration_degps2) * np.where(np.isfinite(yaw_age), yaw_age, 0.0)
         xi = np.column_stack([distance, np.zeros((len(step_s), 2)), turn])
         chart = rigid.right_jacobian(xi)
-        jacobian = np.stack([chart[:, :, 0] * driven[:, None], -chart[:, :, 5] * step_s[:, None]], axis=-1)
+        along, about = chart[:, :, 0], chart[:, :, 5]
+        columns = (
+            along * driven[:, None],
+            -about * step_s[:, None],
+            along * (speed_error * step_s)[:, None],
+            about * (yaw_error * step_s)[:, None],
+        )
+        jacobian = np.stack(columns, axis=-1)
         return _Steps(xi, variance, jacobian, float(max(speed_age.max(), yaw_age.max())))
 
     def _unknown(self, from_s: float, to_s: float, calibration: Calibration) -> MotionIncrement:
@@ -284,18 +295,8 @@ class _Steps(NamedTuple):
     xi: np.ndarray
     variance: np.ndarray
     jacobian: np.ndarray
+    """By odometer scale and gyroscope bias, and by one sigma of a speed and a yaw rate that are not measured."""
     unmeasured_s: float
-
-
-def _growth(acceleration: np.ndarray | float, age_s: np.ndarray, step_s: np.ndarray) -> np.ndarray:
-    """Variances that steps add after `age_s` without measurement.
-
-    They add up to (acceleration age^2 / 2)^2, what a constant unknown acceleration does: the errors of neighbouring
-    steps are the same error.
-    """
-    held = np.where((age_s > 0.0) & np.isfinite(age_s), age_s, 0.0)
-    variance = 0.25 * acceleration**2 * ((held + 0.5 * step_s) ** 4 - np.maximum(held - 0.5 * step_s, 0.0) ** 4)
-    return np.where(held > 0.0, variance, 0.0)
 
 
 def _reversed(increment: MotionIncrement) -> MotionIncrement:
