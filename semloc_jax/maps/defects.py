@@ -19,6 +19,7 @@ _ZERO_LENGTH_M = 1e-3
 _SAME_PLACE_M = 0.05
 _WIDEST_GAP_M = 0.5
 """Ends of two solid lines that face each other nearer than this were meant to meet."""
+_LONGEST_STEP_M = 2000.0
 _FACING_COS = 0.96
 _GROUND_REACH_M = 10.0
 _UNDER_M = 0.3
@@ -55,6 +56,9 @@ def find_defects(semantic_map: SemanticMap) -> Iterator[Defect]:
             yield Defect("zero length", element.id, f"{len(element.points)} points, {element.length_m * 1000:.3f} mm")
         elif _crosses_itself(element):
             yield Defect("crosses itself", element.id, f"{element.label.name}, {len(element.points)} points")
+        step_m = float(np.linalg.norm(np.diff(element.points, axis=0), axis=1).max(initial=0.0))
+        if step_m > _LONGEST_STEP_M:
+            yield Defect("jump", element.id, f"{step_m / 1000.0:.1f} km from one vertex to the next")
         if has_heights and not element.has_height:
             yield Defect("missing heights", element.id, "taken as 0")
         yield from _missing_sizes(element)

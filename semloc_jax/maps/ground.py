@@ -15,6 +15,7 @@ from semloc_jax.maps.elements import PAINT_CLASSES, UPRIGHT_CLASSES, MapElement,
 from semloc_jax.structs import ElementClass
 
 _POINT_SPACING_M = 1.0
+_MOST_ON_LINE = 20_000
 _MAX_RADIUS_M = 60.0
 _MIN_POINTS = 12
 _LEVEL_M = 1.5
@@ -142,7 +143,9 @@ _SURFACE_CLASSES = frozenset({ElementClass.CURB, ElementClass.PARKING_SLOT})
 def _surface_points(element: MapElement) -> np.ndarray:
     points = without_repeats(element.points, element.closed)
     line = as_ring(points) if element.closed else points
-    return np.vstack([element.points[:1], resample([line], _POINT_SPACING_M)[0]])
+    # A broken coordinate makes a line around the earth: it may not cost more than a long road.
+    spacing_m = max(_POINT_SPACING_M, element.length_m / _MOST_ON_LINE)
+    return np.vstack([element.points[:1], resample([line], spacing_m)[0]])
 
 
 def _foot_points(element: MapElement) -> np.ndarray:

@@ -12,7 +12,7 @@ import shapely
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import clip_to_circle, without_repeats
-from semloc_jax.maps.elements import UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
+from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane
 from semloc_jax.maps.heights import lifted
 from semloc_jax.structs import ElementClass
@@ -56,8 +56,16 @@ class SemanticMap:
     def __post_init__(self) -> None:
         object.__setattr__(self, "elements", tuple(self.elements))
         for element in self.elements:
-            if not np.isfinite(element.points).all():
-                raise SemlocError(f"map {self.name}: element '{element.id}' has NaN or infinite coordinates; repair it")
+            if not (np.abs(element.points) < FARTHEST_M).all():
+                raise SemlocError(
+                    f"map {self.name}: element '{element.id[:60]}' has NaN, infinite or huge coordinates; repair it"
+                )
+            sizes = (element.width_m, element.radius_m, element.radius_top_m, element.height_m)
+            if not (min(sizes) >= 0.0 and max(sizes) < LARGEST_M):
+                raise SemlocError(
+                    f"map {self.name}: element '{element.id[:60]}' has sizes {sizes}; expected 0 to {LARGEST_M:.0f} m"
+                )
+        require_place(self.origin, self.name)
 
     @cached_property
     def ground(self) -> GroundModel:
@@ -151,6 +159,14 @@ class SemanticMap:
             return np.round(center)
         near = self.ground.points[np.linalg.norm(self.ground.points[:, :2] - center, axis=1) < radius_m, 2]
         return np.round(np.append(center, np.median(near) if len(near) else self.extent[:, 2].mean()))
+
+
+def require_place(origin: GeoOrigin | None, name: str) -> None:
+    """Raises where an origin is no place on the earth."""
+    if origin is None:
+        return
+    if not (abs(origin.lat_deg) <= 90.0 and abs(origin.lon_deg) <= 360.0 and abs(origin.alt_m) < 1e5):
+        raise SemlocError(f"map {name}: origin {tuple(origin)}; expected latitude, longitude and height on the earth")
 
 
 def plan_geometry(element: MapElement) -> shapely.Geometry:

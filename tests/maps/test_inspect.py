@@ -39,6 +39,7 @@ def test_report_of_a_rendered_map(road_dir):
         ("missing size", _lane([[0, 9, 0], [50, 9, 0]], width_m=0.0)),
         ("missing size", MapElement("p", ElementClass.POLE, np.array([[0, 9, 0], [0, 9, 5.0]]))),
         ("missing size", MapElement("b", ElementClass.PILLAR, np.eye(3), closed=True)),
+        ("jump", _lane([[0, 9, 0], [50, 9, 0], [1e6, 9, 0]])),
         ("gap", _lane([[50.3, 0, 0], [90, 0, 0]], style="solid")),
         ("under ground", MapElement("u", ElementClass.POLE, np.array([[9, 4, -9], [9, 4, -3.0]]), radius_m=0.1)),
     ],

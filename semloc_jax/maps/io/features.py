@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps.elements import UPRIGHT_CLASSES, VIRTUAL, MapElement
+from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, VIRTUAL, MapElement
 from semloc_jax.structs import ElementClass
 
 _LINE, _AREA, _ANY = frozenset({"LineString"}), frozenset({"Polygon"}), frozenset({"LineString", "Polygon"})
@@ -43,10 +43,6 @@ FEATURE_CLASSES: dict[str, tuple[ElementClass, str, frozenset[str]]] = {
 _CONE_TOP_SHARE = 0.2
 """Radius at the top of a traffic cone against that at its base, where the file does not say (our assumption)."""
 _NUMBERS = ("width", "radius", "radius_top", "height")
-_FARTHEST_M = 1e8
-"""Beyond any coordinate on the earth in metres, projected grids included."""
-_LARGEST_M = 1e3
-"""Beyond the size of anything that stands or is painted on a road."""
 ToLocal = Callable[[np.ndarray], np.ndarray]
 
 
@@ -189,7 +185,7 @@ def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np
         points = points[:-1]
     if len(points) < (3 if closed else 2):
         raise SemlocError(f"{where}: {len(points)} points; expected at least {3 if closed else 2}")
-    if not (np.abs(points) < _FARTHEST_M).all():
+    if not (np.abs(points) < FARTHEST_M).all():
         raise SemlocError(f"{where}: NaN, infinite or huge coordinates; expected metres or degrees on the earth")
     return points, closed, has_height
 
@@ -203,8 +199,8 @@ def _number(value: Any, key: str, where: str) -> float:
         number = float(value) if value is not None else 0.0
     except (TypeError, ValueError):
         number = float("nan")
-    if not 0.0 <= number < _LARGEST_M:
-        raise SemlocError(f"{where}: {key} = {str(value)[:40]!r}; expected metres from 0 to {_LARGEST_M:.0f}")
+    if not 0.0 <= number < LARGEST_M:
+        raise SemlocError(f"{where}: {key} = {str(value)[:40]!r}; expected metres from 0 to {LARGEST_M:.0f}")
     return number
 
 
@@ -224,6 +220,6 @@ def _normal(value: Any, where: str) -> np.ndarray | None:
         size = float(np.abs(normal).max(initial=0.0))
     except (TypeError, ValueError):
         normal, size = np.zeros(0), 0.0
-    if normal.shape != (3,) or not 0.0 < size < _LARGEST_M:
+    if normal.shape != (3,) or not 0.0 < size < LARGEST_M:
         raise SemlocError(f"{where}: normal = {str(value)[:60]}; expected three finite numbers that are not all zero")
     return normal / np.linalg.norm(normal)

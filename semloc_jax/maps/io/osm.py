@@ -95,5 +95,5 @@ def read_osm(path: str | Path) -> OsmFile:
             while chunk := stream.read(_CHUNK_BYTES):
                 parser.feed(chunk)
         return parser.close()
-    except ParseError as error:
+    except (ParseError, ValueError, LookupError) as error:
         raise SemlocError(f"map {path.name}: not well-formed XML ({error}); is the file complete?") from error

@@ -13,13 +13,20 @@ import numpy as np
 import shapely
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps.elements import GeoOrigin, MapElement, Place
+from semloc_jax.maps.elements import FARTHEST_M, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane
 from semloc_jax.maps.heights import lifted
 from semloc_jax.maps.io.features import FEATURE_CLASSES
 from semloc_jax.maps.io.geopackage import schema
 from semloc_jax.maps.io.geopackage.geometry import from_blob
-from semloc_jax.maps.semantic_map import LocalMap, SemanticMap, clip_element, plan_geometry, reaches_ahead
+from semloc_jax.maps.semantic_map import (
+    LocalMap,
+    SemanticMap,
+    clip_element,
+    plan_geometry,
+    reaches_ahead,
+    require_place,
+)
 from semloc_jax.structs import ElementClass
 
 _MOST_CACHED = 50_000
@@ -53,6 +60,7 @@ class StoredMap(SemanticMap):
             }
         except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise SemlocError(f"map {file_name}: its table semloc_map is incomplete ({error})") from error
+        require_place(values["origin"], file_name)
         for key, value in values.items():
             object.__setattr__(self, key, value)
         object.__setattr__(self, "_connection", connection)
@@ -178,8 +186,12 @@ def _element(row: tuple, name: str) -> MapElement:
         numbers = [float(value) for value in row[7:11]]
         normal = None if row[11] is None else np.array(row[11:14], dtype=np.float64)
         attributes = json.loads(row[17])
-        if not isinstance(attributes, dict) or not np.isfinite(numbers).all() or not np.isfinite(points).all():
-            raise ValueError("numbers that are not finite")
+        if (
+            not isinstance(attributes, dict)
+            or not np.isfinite(numbers).all()
+            or not (np.abs(points) < FARTHEST_M).all()
+        ):
+            raise ValueError("numbers that no element has")
     except (TypeError, ValueError, RecursionError) as error:
         raise SemlocError(f"{where}: cannot be read ({error})") from error
     return MapElement(
