@@ -8,8 +8,14 @@ import json
 import os
 import sys
 import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from semloc_jax.bench import machine
+
+if TYPE_CHECKING:
+    from semloc_jax.bench.peer import Peer
+    from semloc_jax.bench.problem import Problem
 
 
 def main(name: str, core: int | None) -> None:
@@ -19,46 +25,39 @@ def main(name: str, core: int | None) -> None:
     os.dup2(2, 1)  # what libraries print must not be taken for an answer
     from semloc_jax.bench.peer import PeerMissing, create
 
+    worker = Worker(lambda: create(name))
     try:
-        peer = create(name)
+        create(name)
     except PeerMissing as missing:
         print(json.dumps({"missing": str(missing)}), file=answers, flush=True)
         return
     print(json.dumps({"ready": name}), file=answers, flush=True)
-    worker = Worker(peer)
     for line in sys.stdin:
         try:
             answer = worker.answer(json.loads(line))
         except Exception as error:  # a peer that cannot do one task may do the next
             answer = {"failed": f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"}
         print(json.dumps(answer), file=answers, flush=True)
-    if hasattr(peer, "close"):
-        peer.close()
+    worker.close()
 
 
 class Worker:
-    """A peer with the problem that it has loaded."""
+    """The peer, one for each problem: whoever compiles for a problem does so once."""
 
-    def __init__(self, peer) -> None:
-        self.peer, self.path, self.problem = peer, None, None
+    def __init__(self, make: "Callable[[], Peer]") -> None:
+        self.make = make
+        self.loaded: dict = {}
+        """Problem and peer by path."""
 
     def answer(self, request: dict) -> dict:
         """CPU and wall time [s], evaluations of a start, share of successes, memory [MiB]."""
-        from pathlib import Path
-
-        from semloc_jax.bench.problem import read_problem
-
         if "pin" in request:
-            machine.pin(request["pin"])
-            if hasattr(self.peer, "process") and self.peer.process is not None:
-                machine.pin(request["pin"], self.peer.process.pid)
+            self._pin(request["pin"])
             return {}
-        if request["problem"] != self.path:
-            self.path, self.problem = request["problem"], read_problem(Path(request["problem"]))
-            self.peer.load(self.problem)
-        process = getattr(self.peer, "process", None)
+        problem, peer = self._of(request["problem"])
+        process = getattr(peer, "process", None)
         pid = "self" if process is None else process.pid
-        calls = self._calls(request["kind"], request["starts"])
+        calls, share = _calls(problem, peer, request["kind"], request["starts"])
         machine.forget_peak(pid)
         before_mib, _ = machine.memory_mib(pid)
         cpu_s, wall_s = time.process_time(), time.perf_counter()
@@ -66,30 +65,58 @@ class Worker:
         cpu_s, wall_s = time.process_time() - cpu_s, time.perf_counter() - wall_s
         if solved[0].cpu_s is not None:
             cpu_s = sum(one.cpu_s for one in solved)
-        if getattr(self.peer, "on_accelerator", False):
+        if getattr(peer, "on_accelerator", False):
             cpu_s = wall_s  # the processor only waits
-        success = [float(ok) for one in solved for ok in self.problem.succeeded(one.Ts_map_base)]
+        success = [float(ok) for one in solved for ok in problem.succeeded(one.Ts_map_base)]
         return {
-            "cpu_s": cpu_s,
-            "wall_s": wall_s,
+            "cpu_s": cpu_s * share,
+            "wall_s": wall_s * share,
             "evaluations": sum(one.evaluations for one in solved) / len(solved),
             "success": sum(success) / len(success),
             "before_mib": before_mib,
             "peak_mib": machine.memory_mib(pid)[1],
         }
 
-    def _calls(self, kind: str, num: int) -> list:
-        """The calls of a task, with their starts ready."""
-        from semloc_jax.bench.problem import FULL_LEVELS, TRACKING_LEVELS
+    def close(self) -> None:
+        """End what the peers have started."""
+        for _, peer in self.loaded.values():
+            if hasattr(peer, "close"):
+                peer.close()
 
-        tracking = kind == "tracking"
-        levels = TRACKING_LEVELS if tracking else FULL_LEVELS
-        Ts = self.problem.starts(num, tracking)
-        if kind == "search":
-            return [lambda: self.peer.search(Ts)]
-        size = {"one": 1, "tracking": 1, "check": 64}.get(kind, num)
-        parts = [Ts[k : k + size] for k in range(0, num, size)]
-        return [lambda part=part: self.peer.solve(part, levels) for part in parts]
+    def _of(self, path: str) -> "tuple[Problem, Peer]":
+        if path not in self.loaded:
+            from pathlib import Path
+
+            from semloc_jax.bench.problem import read_problem
+
+            problem, peer = read_problem(Path(path)), self.make()
+            peer.load(problem)
+            self.loaded[path] = problem, peer
+        return self.loaded[path]
+
+    def _pin(self, core: int | None) -> None:
+        machine.pin(core)
+        for _, peer in self.loaded.values():
+            if getattr(peer, "process", None) is not None:
+                machine.pin(core, peer.process.pid)
+
+
+def _calls(problem: "Problem", peer: "Peer", kind: str, num: int) -> tuple[list, float]:
+    """The calls of a task with their starts ready, and the share of their time that is the task's.
+
+    A call of few starts is too short to be timed alone: so many are made that 64 starts are solved.
+    """
+    from semloc_jax.bench.problem import FULL_LEVELS, TRACKING_LEVELS
+
+    tracking = kind == "tracking"
+    levels = TRACKING_LEVELS if tracking else FULL_LEVELS
+    total = max(num, 64) if kind == "many" else num
+    Ts = problem.starts(total, tracking)
+    if kind == "search":
+        return [lambda: peer.search(Ts)], 1.0
+    size = {"one": 1, "tracking": 1, "check": 64}.get(kind, num)
+    parts = [Ts[k : k + size] for k in range(0, total, size)]
+    return [lambda part=part: peer.solve(part, levels) for part in parts], num / total
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.viz.style import INK, new_figure, plain_axes
 
 OURS = ("#d81b60", "#8e24aa", "#3949ab")
-PEERS = ("#00897b", "#7cb342", "#fb8c00", "#6d4c41", "#546e7a", "#00acc1", "#c0ca33", "#8d6e63")
+PEERS = ("#00897b", "#7cb342", "#fb8c00", "#6d4c41", "#546e7a", "#00acc1", "#c0ca33", "#f06292", "#212121")
 NUM_POINTS = 1000
 _SMALL = {"textcoords": "offset points", "fontsize": 7.5, "color": INK}
 
@@ -113,7 +113,9 @@ def _roofline(axes: Axes, roofline: dict, colours: dict[str, str], named: bool =
     for path in roofline["paths"]:
         colour = colours.get(path["path"], INK)
         axes.scatter(here, path["gflops"], s=26, color=colour, zorder=4)
-        label = f"{path['evaluation_us']:.3g} us" + (f"  {path['path']}" if named else "")
+        us = path["evaluation_us"]
+        label = f"{us:.3g} us" if us < 1000 else f"{us:.0f} us"
+        label += f"  {path['path']}" if named else ""
         axes.annotate(label, (here, path["gflops"]), xytext=(7, 0), **_SMALL | {"color": colour}, va="center")
     _log_scales(axes)
     _label(axes, "FLOP a byte", "GFLOP/s of one core, least work counted", "roofline of an evaluation")
