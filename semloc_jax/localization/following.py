@@ -27,6 +27,10 @@ class FollowConfig:
     noise_inflation: float = 0.4
     """Covariance of a measurement over what the masks say alone: measured errors on rendered drives (road and garage,
     exact map and map with errors) are 0.3 to 0.45 sigma; this keeps the half of it for what frames have in common."""
+    correlation_m: float = 1.0
+    """Way over which the errors of measured poses are the same."""
+    max_shared: float = 30.0
+    """Frames that count as one where the vehicle stands."""
     penalty_share: float = 0.3
     """Share of the cost of a frame that is new: successive frames see the same map."""
     penalty_memory: float = 0.9
@@ -147,8 +151,18 @@ def seen(
     return View(found, is_occluded, False, reasons)
 
 
-def corrected(track: Track, view: View, fusion: Fusion, config: FollowConfig) -> tuple[Track, View]:
-    """The track with what the frame measured, unless something speaks against it."""
+def noise_factor(way_m: float, config: FollowConfig) -> float:
+    """Factor on the covariance of a measured pose, for what it has in common with the frame before.
+
+    Frames along `correlation_m` see the same elements from the same side, with the same errors of map, masks and
+    calibration: together they count as one. A vehicle that stands learns next to nothing.
+    """
+    shared = config.correlation_m / max(way_m, config.correlation_m / config.max_shared)
+    return config.noise_inflation * max(shared, 1.0)
+
+
+def corrected(track: Track, view: View, fusion: Fusion, way_m: float, config: FollowConfig) -> tuple[Track, View]:
+    """The track with what the frame measured `way_m` after the one before, unless something speaks against it."""
     if view.found is None or view.is_occluded:
         return track, view
     sigma_along = np.float64(np.sqrt(view.found.measurement.covariance[0, 0]))
@@ -156,7 +170,7 @@ def corrected(track: Track, view: View, fusion: Fusion, config: FollowConfig) ->
     if view.reasons:
         return refused, view
     measured = view.found.measurement
-    measured = measured._replace(covariance=config.noise_inflation * measured.covariance)
+    measured = measured._replace(covariance=noise_factor(way_m, config) * measured.covariance)
     state, innovation = fusion.correct(track.fusion, measured)
     view = view._replace(innovation=innovation)
     if not innovation.accepted:

@@ -174,7 +174,7 @@ class Localizer:
                 seen(t, self.fusion, self.aligner, frame, trust, state.stance, self.config.health) for t in state.tracks
             ]
         clock.lap("align")
-        state, view = self._fused(state, views)
+        state, view = self._fused(state, views, way_m)
         clock.lap("fuse")
         state = self._given_up(state)
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
@@ -209,11 +209,13 @@ class Localizer:
             driven_m=driven_m,
         )
 
-    def _fused(self, state: TrackerState, views: list[View]) -> tuple[TrackerState, View | None]:
+    def _fused(self, state: TrackerState, views: list[View], way_m: float) -> tuple[TrackerState, View | None]:
         """Every track corrected and weighed, best first; and what the frame said about the best one."""
         if not views:
             return state, None
-        pairs = [corrected(t, v, self.fusion, self.config.follow) for t, v in zip(state.tracks, views, strict=True)]
+        pairs = [
+            corrected(t, v, self.fusion, way_m, self.config.follow) for t, v in zip(state.tracks, views, strict=True)
+        ]
         tracks = weighed([t for t, _ in pairs], [v for _, v in pairs], self.config.follow)
         order = np.argsort([float(t.penalty) for t in tracks], kind="stable")
         best, view = tracks[order[0]], pairs[order[0]][1]
