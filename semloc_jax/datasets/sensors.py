@@ -82,8 +82,8 @@ class WheelOdometry:
             raise SemlocError("wheel odometry: a value is NaN or infinite; expected finite numbers; drop such rows")
         if np.abs(self.speed_mps).max(initial=0.0) > _FASTEST_MPS:
             raise SemlocError(
-                f"wheel odometry: a speed of {np.abs(self.speed_mps).max():g} m/s; expected that of a vehicle; is it in "
-                "km/h or mm/s?"
+                f"wheel odometry: a speed of {np.abs(self.speed_mps).max():g} m/s; expected that of a vehicle; is it "
+                "in km/h or mm/s?"
             )
         if len(self.time_s) < 2 or np.any(np.diff(self.time_s) <= 0.0):
             raise SemlocError(

@@ -206,6 +206,8 @@ def _offset(source: MaskSource, frames: Frames[Frame], camera: str) -> MaskOffse
     if not all(frame.has(source.name, camera) for frame in frames):
         return find()
     files = [frame.path(kind, camera) for frame in frames for kind in ("rgb", source.name)]
+    if not all(isinstance(file, Path) for file in files):  # messages of a bag have no time of change
+        return find()
     return MaskOffset(*remembered("mask_offset", source.table, files, find))
 
 
