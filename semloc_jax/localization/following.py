@@ -36,7 +36,7 @@ class FollowConfig:
     penalty_memory: float = 0.9
     refused_nats: float = 5.0
     """What a frame costs that the track contradicts."""
-    regained: float = 0.5
+    regained: float = 0.25
     """Contradictions that a frame in agreement makes up for: who was wrong for long is not believed at once."""
     stance_gain: float = 0.1
     """What a frame moves the mean of how the vehicle stands on the road."""

@@ -297,7 +297,12 @@ class Localizer:
             is_confirmed = bool(best.num_accepted >= self.config.confirm_frames)
             serious = beyond_alert(protection, config.integrity.limit)
             if best.num_refused > config.max_refused or state.counters.conflicts > 1 or state.counters.off_map > 0:
-                serious += reasons or (f"{float(state.counters.conflicts):.0f} satellite fixes contradict the pose",)
+                conflicts = float(state.counters.conflicts)
+                serious += reasons or (
+                    f"{conflicts:.0f} satellite fixes contradict the pose"
+                    if conflicts
+                    else "frames before contradict it",
+                )
             status = health.status_of(len(state.tracks), is_confirmed, serious)
             reasons = tuple(dict.fromkeys((*serious, *reasons)))
         elif state.coasting:
