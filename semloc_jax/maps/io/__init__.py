@@ -18,12 +18,16 @@ from semloc_jax.maps.io.geopackage import StoredMap, read_geopackage, write_geop
 from semloc_jax.maps.io.lanelet2 import left_out_relations, read_lanelet2
 from semloc_jax.maps.io.lanelet2_ways import Lanelet2Style
 from semloc_jax.maps.io.lanelet2_writer import write_lanelet2
+from semloc_jax.maps.io.ngii import NgiiStyle, is_ngii, read_ngii
+from semloc_jax.maps.io.nuscenes import NuScenesStyle, is_nuscenes, map_from_nuscenes
 from semloc_jax.maps.io.opendrive import OpenDriveStyle, read_opendrive
 from semloc_jax.maps.semantic_map import SemanticMap
 
 __all__ = [
     "Argoverse2Style",
     "Lanelet2Style",
+    "NgiiStyle",
+    "NuScenesStyle",
     "OpenDriveStyle",
     "StoredMap",
     "WRITTEN_SUFFIXES",
@@ -32,6 +36,7 @@ __all__ = [
     "read_geopackage",
     "read_lanelet2",
     "read_map",
+    "read_ngii",
     "read_opendrive",
     "write_compact",
     "write_drive_geojson",
@@ -49,8 +54,8 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
 
     Args:
         path: .osm is Lanelet2, .xodr OpenDRIVE, .gpkg GeoPackage, .smap the compact form; .geojson and .json are an
-            Argoverse 2 archive, the drive layout if they have the member `frame`, else RFC 7946; a folder is that of an
-            Argoverse 2 log.
+            Argoverse 2 archive, a nuScenes map expansion, the drive layout if they have the member `frame`, else RFC
+            7946; a folder is that of an Argoverse 2 log or of NGII shapefiles.
         origin: where to put the local frame of a map in latitude and longitude; None lets the reader choose.
 
     Raises:
@@ -59,9 +64,12 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
     path = Path(path)
     if path.is_dir():
         path = find_archive(path) or path
-    if not path.is_file():
+    is_shapefiles = is_ngii(path)
+    if not path.is_file() and not is_shapefiles:
         raise SemlocError(f"map {path}: no such file; give a {', '.join(_READ_SUFFIXES)} map")
-    if path.suffix.lower() in (".osm", ".xml"):
+    if is_shapefiles:
+        found = read_ngii(path, origin)
+    elif path.suffix.lower() in (".osm", ".xml"):
         found = read_lanelet2(path, origin)
     elif path.suffix.lower() == ".gpkg":
         found = read_geopackage(path)
@@ -114,6 +122,8 @@ def _map_from_json(document: Any, name: str, origin: GeoOrigin | None) -> Semant
     """Returns the map in a parsed JSON document: Argoverse 2, the drive layout, or GeoJSON in degrees."""
     if is_argoverse2(document):
         return map_from_argoverse2(document, name, origin)
+    if is_nuscenes(document):
+        return map_from_nuscenes(document, name)
     if not isinstance(document, dict) or not isinstance(document.get("features"), list):
         kind = document.get("type") if isinstance(document, dict) else type(document).__name__
         raise SemlocError(f"map {name}: holds {kind}; expected a GeoJSON FeatureCollection with `features`")

@@ -1,0 +1,72 @@
+"""nuScenes map expansions, on a small one written by hand after the format's description."""
+
+import json
+
+import numpy as np
+import pytest
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.maps import read_map
+from semloc_jax.maps.io.nuscenes import map_from_nuscenes
+from semloc_jax.structs import ElementClass
+
+
+def _expansion() -> dict:
+    """A divider of 60 m, dashed for 40 m and then double solid; a crosswalk, two stop areas and a light."""
+    places = {"a": (0, 0), "b": (40, 0), "c": (60, 0), "p": (50, -4), "q": (53, -4), "r": (53, 4), "s": (50, 4)}
+    segments = [
+        {"node_token": "a", "segment_type": "SINGLE_DASHED_WHITE"},
+        {"node_token": "b", "segment_type": "DOUBLE_SOLID_YELLOW"},
+        {"node_token": "c", "segment_type": "NIL"},
+    ]
+    return {
+        "version": "1.3",
+        "node": [{"token": token, "x": x, "y": y} for token, (x, y) in places.items()],
+        "line": [{"token": "L", "node_tokens": ["a", "b", "c"]}, {"token": "T", "node_tokens": ["p", "q"]}],
+        "polygon": [{"token": "P", "exterior_node_tokens": ["p", "q", "r", "s"], "holes": []}],
+        "lane_divider": [{"token": "D", "line_token": "L", "lane_divider_segments": segments}],
+        "road_divider": [{"token": "R", "line_token": "L", "road_segment_token": None}],
+        "ped_crossing": [{"token": "X", "polygon_token": "P"}],
+        "stop_line": [
+            {"token": "S", "polygon_token": "P", "stop_line_type": "TRAFFIC_LIGHT"},
+            {"token": "U", "polygon_token": "P", "stop_line_type": "TURN_STOP"},
+        ],
+        "traffic_light": [{"token": "G", "line_token": "T", "traffic_light_type": "VERTICAL"}],
+    }
+
+
+def test_dividers_change_their_type_along_the_way(tmp_path):
+    (tmp_path / "boston.json").write_text(json.dumps(_expansion()))
+    road = read_map(tmp_path / "boston.json")
+    bars = [e for e in road.elements if e.style == "dashed"]
+    assert len(bars) == 4 and all(e.length_m == pytest.approx(3.0) and e.points[:, 0].max() <= 40.0 for e in bars)
+    doubles = [e for e in road.elements if e.style == "solid"]
+    np.testing.assert_allclose([e.points[:, 1].mean() for e in doubles], [0.12, -0.12])
+    assert all(np.allclose(e.points[:, 0], [40.0, 60.0]) for e in doubles)
+    assert all("width" in e.attributes["assumed"] for e in bars + doubles)
+    assert road.frame == "nuScenes map frame" and not any(e.has_height for e in road.elements)
+
+
+def test_areas_and_lights():
+    road = map_from_nuscenes(_expansion(), "boston.json")
+    (crossing,) = [e for e in road.elements if e.label == ElementClass.CROSSWALK]
+    assert crossing.closed and len(crossing.points) == 4
+    stops = {e.id: e.style for e in road.elements if e.label == ElementClass.STOP_LINE}
+    assert stops == {"S": "", "U": "virtual"}, "a turn stop is no paint"
+    (light,) = [e for e in road.elements if e.label == ElementClass.TRAFFIC_LIGHT]
+    assert light.is_logical
+    assert sum(e.attributes.get("layer") == "road_divider" and e.is_logical for e in road.elements) == 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"node": [{"token": "a"}]},
+        {"line": [{"token": "L", "node_tokens": ["nowhere", "a"]}]},
+        {"polygon": 5},
+        {"lane_divider": [{"token": "D", "line_token": "L", "lane_divider_segments": [3]}]},
+    ],
+)
+def test_broken_expansions_are_refused(change):
+    with pytest.raises(SemlocError, match="expected a nuScenes map expansion"):
+        map_from_nuscenes(_expansion() | change, "boston.json")
