@@ -150,7 +150,7 @@ def _line(frame: Frame, result: TrackResult, T_truth: np.ndarray | None) -> dict
     line |= _numbers(SENSORS, [fused.odometer_scale, np.degrees(fused.gyro_bias_radps), offset[0], offset[1]])
     if T_truth is not None:
         errors = pose_errors(T, T_truth)
-        line |= _numbers([f"error_{key}" for key in ERRORS], [errors[key] for key in ERRORS])
+        line |= _numbers([f"error_{key}" for key in ERRORS], [float(errors[key]) for key in ERRORS])
         line[NEES] = f"{_nees(errors, fused.covariance):.6g}"
     return line
 
