@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from semloc_jax.cli.main import FAILED, OK, main
 from semloc_jax.cli.results import shift_text
 from semloc_jax.datasets import open_sequence, write_bag
 from semloc_jax.evaluation import pose_errors, read_trajectory
+from semloc_jax.localization import mask_source
 from semloc_jax.maps import read_map
 
 pytest.importorskip("rosbags")
@@ -37,6 +39,20 @@ def test_a_bag_is_localized_to_centimetres(simulated_road, bag, tmp_path):
     errors = pose_errors(found.T_map_base, truth.T_map_base)
     assert np.abs(errors["lateral_m"]).max() < 0.05
     assert np.abs(errors["longitudinal_m"]).max() < 0.2
+
+
+def test_masks_inside_a_bag_are_those_of_the_folder(simulated_road, bag, tmp_path):
+    """Also where a compilation cache is there, in which offsets of mask files are remembered."""
+    folder = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    try:
+        recorded, drive = open_sequence(bag), open_sequence(simulated_road)
+        ours, theirs = mask_source("sem_net", recorded, table="drive"), mask_source("sem_net", drive)
+    finally:
+        jax.config.update("jax_compilation_cache_dir", folder)
+    assert ours.offset_px == theirs.offset_px
+    for a, b in zip(recorded.frames, drive.frames, strict=True):
+        assert np.array_equal(ours.masks(a)[0], theirs.masks(b)[0])
 
 
 def test_a_map_of_another_place_is_told_before_the_work(simulated_road, bag, tmp_path, capsys):
