@@ -5,6 +5,7 @@ import pytest
 
 from semloc_jax.datasets import GnssTrack, WheelOdometry, gnss_prior, read_drive
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.geodesy import wgs84_from_enu
 
 
 def circle_drive(speed=10.0, yaw_rate=0.2, duration=10.0, jitter=0.0, seed=0):
@@ -43,6 +44,34 @@ def test_without_odometry_the_parabola_follows_the_curve():
     prior = gnss_prior(gnss, 5.03)
     assert heading_error_deg(prior.heading_rad, truth(5.03)[2]) < 1.0
     np.testing.assert_allclose(prior.p_enu[:2], truth(5.03)[:2], atol=0.1)
+
+
+@pytest.mark.parametrize("with_odometry", [True, False])
+def test_an_antenna_on_the_roof_gives_the_base(with_odometry):
+    """The antenna swings around the base in a curve: 1.3 m ahead, 0.4 m to the left, 1.6 m up."""
+    odometry, gnss, truth = circle_drive()
+    poses = np.array([truth(t) for t in gnss.time_s])
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    shift = np.column_stack([1.3 * cos - 0.4 * sin, 1.3 * sin + 0.4 * cos, np.full(len(poses), 1.6)])
+    on_roof = GnssTrack(gnss.time_s, gnss.p_enu + shift, gnss.sigma_m, (1.3, 0.4, 1.6))
+    prior = gnss_prior(on_roof, 5.03, odometry if with_odometry else None)
+    x, y, heading = truth(5.03)
+    np.testing.assert_allclose(prior.p_enu, [x, y, 3.0], atol=1e-3 if with_odometry else 0.25)
+    # Without odometry the path of the antenna is taken for that of the base: it points 1.3 m x 0.02 / m inward.
+    assert heading_error_deg(prior.heading_rad, heading) < (1e-3 if with_odometry else 2.5)
+
+
+def test_fixes_on_the_earth_are_brought_to_the_frame_of_a_map():
+    """Fixes kept around their own first place, and a map whose origin is 3 km away: the same points on the earth."""
+    origin = (48.05, 11.62, 500.0)
+    p_map = np.array([[2400.0, -1800.0, 3.0], [2410.0, -1795.0, 3.2], [2425.0, -1788.0, 3.1]])
+    places = np.stack(wgs84_from_enu(p_map, origin), axis=1)
+    places = np.vstack([places, [[np.nan, 11.0, 500.0]]])  # a row without a fix
+    track = GnssTrack.from_wgs84(np.array([0.2, 0.1, 0.3, 0.4]), places, np.full((4, 3), 1.0))
+    assert track.time_s.tolist() == [0.1, 0.2, 0.3]
+    np.testing.assert_allclose(track.p_enu[0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(track.seen_from(origin).p_enu, p_map[[1, 0, 2]], atol=1e-6)
+    assert track.seen_from(origin).seen_from((0.0, 0.0, 0.0)).origin is None  # a map frame stays one
 
 
 def test_outliers_and_a_drop_out_do_no_harm():
