@@ -76,20 +76,36 @@ def run(options: Options) -> int:
 def _open(options: Options) -> "tuple[Rig, Sequence | None, dict[str, np.ndarray]]":
     """The rig, the drive where there is one, and a picture (blue green red) of each camera that has one."""
     from semloc_jax.cameras import read_calibration
-    from semloc_jax.datasets import open_sequence
     from semloc_jax.datasets.detect import is_recording
     from semloc_jax.datasets.pictures import as_colour, read_picture
 
     names = parse_names(options.cameras)
-    if not is_recording(options.path):
+    drive = _drive(options) if is_recording(options.path) else None
+    if drive is None:
         rig = read_calibration(options.calib or options.path)
         rig = rig.select(names) if names else rig
         pictures = {name: as_colour(read_picture(path)) for name, path in _pictures(options.image, rig).items()}
         return rig, None, pictures
-    drive = open_sequence(options.path, options.calib)
     frame = _frame(drive, options.frame)
     rig = frame.rig.select(names) if names else frame.rig
     return rig, drive, {name: frame.image(name) for name in rig.names if frame.has("rgb", name)}
+
+
+def _drive(options: Options) -> "Sequence | None":
+    """The drive; None, with a word, where it cannot be opened but its calibration can be read."""
+    from semloc_jax.cameras import read_calibration
+    from semloc_jax.datasets import open_sequence
+    from semloc_jax.errors import SemlocError
+
+    try:
+        return open_sequence(options.path, options.calib)
+    except SemlocError as error:
+        try:
+            read_calibration(options.calib or options.path)
+        except SemlocError:
+            raise error from None
+        logging.getLogger(__name__).warning("the calibration alone is checked: %s", error)
+        return None
 
 
 def _pictures(given: Path | None, rig: "Rig") -> dict[str, Path]:

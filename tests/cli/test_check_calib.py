@@ -47,6 +47,17 @@ def test_a_file_alone_and_with_a_picture(simulated_road, tmp_path, capsys):
     assert (tmp_path / "out" / "calib_front.png").is_file()
 
 
+@pytest.mark.data
+def test_a_log_without_pictures_is_checked_by_its_numbers(data_dir, tmp_path, capsys):
+    pytest.importorskip("pyarrow")
+    if not (data_dir / "av2_7fab2350").is_dir():
+        pytest.skip(f"no av2_7fab2350 in {data_dir}")
+    assert main(["check-calib", str(data_dir / "av2_7fab2350"), "--out", str(tmp_path / "out"), "--strict"]) == OK
+    said = capsys.readouterr()
+    assert "ring_side_left: PinholeCamera 2048x1550 px" in said.out and "nothing implausible found" in said.out
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
