@@ -1,0 +1,100 @@
+"""`semloc track` on a simulated drive: files, resuming, exit codes, and one line for bad input."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, main
+from semloc_jax.datasets.synthetic import SimulationConfig, simulate
+from semloc_jax.evaluation import pose_errors, read_trajectory
+
+SMALL = ["--masks", "sem", "--fusion", "kalman", "--overlays", "1", "--acquisition.frame.num-hypotheses", "256"]
+
+
+def rows_of(folder):
+    with (folder / "frames.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def drive_dir(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drives") / "road"
+    simulate("road", 5, folder, SimulationConfig(num_frames=9, rate_hz=5.0, width_px=480, height_px=300))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tracked(drive_dir, tmp_path_factory):
+    out = tmp_path_factory.mktemp("tracked")
+    assert main(["track", str(drive_dir), *SMALL, "--video", "--min-tracking-share", "0.2", "--out", str(out)]) == OK
+    return out
+
+
+def test_the_trajectory_is_the_truth_to_centimetres(tracked, drive_dir):
+    found = read_trajectory(tracked / "trajectory.tum")
+    truth = read_trajectory(drive_dir / "poses_body.tum")
+    errors = pose_errors(found.T_map_base, truth.interpolate(found.time_s))
+    assert len(found) >= 8
+    assert np.abs(errors["lateral_m"][2:]).max() < 0.03
+    assert np.abs(errors["longitudinal_m"][2:]).max() < 0.10
+
+
+def test_every_frame_has_a_row_with_status_and_times(tracked):
+    rows = rows_of(tracked)
+    assert [row["frame"] for row in rows] == [f"{k:06d}" for k in range(9)]
+    assert {row["status"] for row in rows} <= {"INITIALIZING", "TRACKING", "DEGRADED", "LOST"}
+    assert rows[-1]["status"] == "TRACKING"
+    assert all(float(row["align_ms"]) >= 0.0 for row in rows)
+
+
+def test_metrics_and_pictures_are_written(tracked):
+    metrics = {m["key"]: m["value"] for m in json.loads((tracked / "metrics.json").read_text())["metrics"]}
+    assert metrics["tracking.false"] == 0.0
+    assert metrics["status.tracking"] > 0.2
+    assert metrics["lateral.mean"] < 0.03
+    for name in ("tracking.png", "track.mp4", "config.yaml", "map_changes.csv", "state.npz"):
+        assert (tracked / name).stat().st_size > 0, name
+
+
+def test_a_killed_run_goes_on_where_it_stopped(tracked, drive_dir, tmp_path):
+    out = tmp_path / "killed"
+    words = ["track", str(drive_dir), *SMALL, "--min-tracking-share", "0"]
+    assert main([*words, "--frames", ":6", "--out", str(out)]) == OK
+    with (out / "frames.csv").open("a") as file:
+        file.write("000006,torn")  # the line that was being written when the power went
+    assert main([*words, "--resume", str(out)]) == OK
+    whole, resumed = rows_of(tracked), rows_of(out)
+    times = [key for key in whole[0] if key.endswith("_ms")]
+    for one, two in zip(whole, resumed, strict=True):
+        assert {k: v for k, v in one.items() if k not in times} == {k: v for k, v in two.items() if k not in times}
+
+
+def test_a_drive_that_never_tracks_ends_with_3(drive_dir, tmp_path):
+    assert main(["track", str(drive_dir), *SMALL, "--frames", ":1", "--out", str(tmp_path)]) == LOST
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (["--area", "1,2"], USAGE, "expected X,Y,RADIUS"),
+        (["--resume", "nowhere"], FAILED, "no such file; give --resume"),
+        (["--fault", "gremlins"], FAILED, "not known; expected one of"),
+        (["--fusion", "magic"], USAGE, "magic"),
+    ],
+)
+def test_bad_input_is_one_line(drive_dir, tmp_path, monkeypatch, capsys, words, code, text):
+    monkeypatch.chdir(tmp_path)
+    assert main(["track", str(drive_dir), *SMALL, *words]) == code
+    said = capsys.readouterr().err.strip().splitlines()
+    assert text in said[-1]
+
+
+def test_a_drive_without_fixes_says_what_it_needs(drive_dir, tmp_path, capsys):
+    blind = tmp_path / "blind"
+    shutil.copytree(drive_dir, blind)
+    (blind / "gps.csv").unlink()
+    assert main(["track", str(blind), *SMALL, "--out", str(tmp_path / "out")]) == FAILED
+    assert "--area X,Y,RADIUS" in capsys.readouterr().err
