@@ -76,7 +76,6 @@ def _origin(text: str | None) -> "GeoOrigin | None":
 
 def _only(semantic_map: "SemanticMap", text: str | None) -> "SemanticMap":
     """The map with the classes that are wanted."""
-    from semloc_jax.maps import SemanticMap
     from semloc_jax.structs import ElementClass
 
     if text is None:
@@ -89,12 +88,12 @@ def _only(semantic_map: "SemanticMap", text: str | None) -> "SemanticMap":
     elements = tuple(element for element in semantic_map.elements if element.label in labels)
     if not elements:
         raise SemlocError(f"--only {text}: the map has none of these; it has {_classes(semantic_map)}")
-    return SemanticMap(elements, semantic_map.origin, semantic_map.name, semantic_map.skipped, semantic_map.frame)
+    return semantic_map.with_elements(elements)
 
 
 def _with_heights(semantic_map: "SemanticMap", path: Path | None) -> "SemanticMap":
     """The map with the heights that it lacked, and a line about them."""
-    from semloc_jax.maps import SemanticMap, read_map
+    from semloc_jax.maps import read_map
     from semloc_jax.maps.heights import read_ground_raster, with_heights
 
     if path is None:
@@ -104,7 +103,7 @@ def _with_heights(semantic_map: "SemanticMap", path: Path | None) -> "SemanticMa
     lifted = with_heights(semantic_map.elements, surface)
     missing = sum(not element.has_height for element in semantic_map.elements)
     print(f"heights: {missing - sum(not e.has_height for e in lifted)} of {missing} elements that lacked them")
-    return SemanticMap(lifted, semantic_map.origin, semantic_map.name, semantic_map.skipped, semantic_map.frame)
+    return semantic_map.with_elements(lifted)
 
 
 def _classes(semantic_map: "SemanticMap") -> str:

@@ -262,7 +262,7 @@ def _off_map(maker: _Maker) -> FaultyDrive:
     frame = min(maker.drive.frames, key=lambda f: abs(f.time_s - maker.begin_s))
     T = maker.drive.truth_at(frame)
     elements = [part for element in maker.semantic_map.elements if (part := _behind(element, T)) is not None]
-    return maker.made(maker.drive, frame.time_s, maker.end_s, replace(maker.semantic_map, elements=tuple(elements)))
+    return maker.made(maker.drive, frame.time_s, maker.end_s, maker.semantic_map.with_elements(elements))
 
 
 def _behind(element: MapElement, T_map_base: np.ndarray) -> MapElement | None:

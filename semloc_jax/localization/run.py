@@ -53,7 +53,7 @@ class FrameLocalizer:
             SemlocError: no class of the map is visible in masks of this table.
         """
         self.map, self.table, self.config = semantic_map, table, config or LocalizeConfig()
-        labels = sorted({element.label for element in semantic_map.elements})
+        labels = sorted(semantic_map.labels)
         channels = sorted({table.channel_of(label) for label in labels} - {-1})
         if not channels:
             names = ", ".join(label.name for label in labels) or "none"

@@ -3,7 +3,7 @@
 In: map elements. Out: SemanticMap, which answers `query` with a LocalMap and knows the road under every place.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -122,6 +122,10 @@ class SemanticMap:
         if self._is_mixed:
             found = [*lifted(found, self.ground, center)]
         return LocalMap(tuple(found), self._local_origin(center, radius_m), self.ground, radius_m)
+
+    def with_elements(self, elements: Iterable[MapElement]) -> "SemanticMap":
+        """Returns a map in memory with other elements and the same place, name and frame."""
+        return SemanticMap(tuple(elements), self.origin, self.name, self.skipped, self.frame)
 
     def whole(self) -> LocalMap:
         """Returns the whole map as a LocalMap with its origin in the middle of the extent."""

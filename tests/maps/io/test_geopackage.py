@@ -72,6 +72,8 @@ def test_every_field_of_every_element_comes_back_exactly(stored_road):
     assert len(again.elements) == len(road.elements)
     assert all(_same(one, other) for one, other in zip(road.elements, again.elements, strict=True))
     assert again.labels == road.labels
+    fewer = again.with_elements(again.elements[:3])
+    assert type(fewer) is SemanticMap and fewer.origin == road.origin and len(fewer.query([0.0, 0.0], 1e4).elements) > 2
 
 
 @pytest.mark.data
