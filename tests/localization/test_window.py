@@ -71,7 +71,7 @@ def test_marginalisation_loses_nothing_on_a_straight_drive():
 
 def test_errors_are_as_large_as_stated_and_smaller_than_measured():
     fusion, squares, along_m = SlidingWindow(WindowConfig(6)), [], []
-    for seed in range(8):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         states, poses = follow(fusion, 40, rng, 1.0 + 0.02 * rng.normal(), np.deg2rad(0.2) * rng.normal())
         for k in (4, 20, 40):
