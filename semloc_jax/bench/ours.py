@@ -100,5 +100,5 @@ class SemlocPeer:
     def search(self, Ts_init: np.ndarray) -> Solved:
         """The best pose of a search that scores, culls and refines."""
         Ts = jnp.asarray(Ts_init, jnp.float32)
-        Ts, _ = search(Ts, self.evidence, self.prior, self.config, SearchConfig())
+        Ts, _ = search(Ts, self.evidence, self.prior, self.config, SearchConfig.fast())
         return Solved(np.asarray(Ts)[:1], float("nan"))
