@@ -32,7 +32,7 @@ class HealthConfig:
     """Lost (c): occluded frames in a row."""
     max_off_map: float = 4.0
     """Lost (a): frames in a row outside of the map."""
-    off_map_m: float = 25.0
+    off_map_m: float = 10.0
     """Farther from every element than this is outside of the map."""
     max_conflicts: float = 3.0
     """Lost: satellite fixes in a row that contradict the pose."""

@@ -296,7 +296,10 @@ class Localizer:
             best = state.tracks[0]
             is_confirmed = bool(best.num_accepted >= self.config.confirm_frames)
             serious = beyond_alert(protection, config.integrity.limit)
-            if best.num_refused > config.max_refused or state.counters.conflicts > 1 or state.counters.off_map > 0:
+            conflicts = state.counters.conflicts
+            # A fix or a frame may be wrong; a fix and a frame that speak against the pose at once hardly are.
+            is_doubted = conflicts > 1 or (conflicts > 0 and best.num_refused > 0)
+            if best.num_refused > config.max_refused or is_doubted or state.counters.off_map > 0:
                 conflicts = float(state.counters.conflicts)
                 serious += reasons or (
                     f"{conflicts:.0f} satellite fixes contradict the pose"
