@@ -84,6 +84,7 @@ def test_entity_bombs_and_deep_trees_are_refused(tmp_path, name, root):
         {"length": 1.9e5, "shape": '<arc curvature="0.001"/>'},
         {"length": 9.9e4, "shape": '<paramPoly3 aU="0" bU="1" cU="9" dU="9" aV="0" bV="1" cV="-9" dV="9"/>'},
         {"length": 9.9e4, "mark": "broken", "width": 1e-9},
+        {"objects": OBJECTS.replace('v="5"', 'v="9e8"')},
         {"length": 9.9e4, "lateral": '<superelevation s="0" a="0" b="0" c="9" d="9"/>'},
     ],
 )

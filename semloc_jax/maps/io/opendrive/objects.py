@@ -31,7 +31,8 @@ _PAINT = {
 }
 _AREAS = {**_PAINT, "parkingspace": ElementClass.PARKING_SLOT, "speedbump": ElementClass.SPEED_BUMP}
 _PILLARS = frozenset({"pillar", "column"})
-_MOST_COPIES = 100_000
+_MOST_COPIES = 20_000
+_MOST_BARS = 2_000
 _SHORTEST_PERIOD_M = 0.05
 
 
@@ -221,8 +222,8 @@ def _cut(line: np.ndarray, bar: float, space: float, first: float, last: float, 
     if bar <= 0.0 or space <= 0.0:
         starts, bar = np.array([first]), end - first
     else:
-        if period < _SHORTEST_PERIOD_M:
-            raise SemlocError(f"{where}: a marking repeats every {period:g} m; expected at least 5 cm")
+        if period < _SHORTEST_PERIOD_M or (end - first) / period > _MOST_BARS:
+            raise SemlocError(f"{where}: a marking of {end:.0f} m repeats every {period:g} m; expected at least 5 cm")
         starts = np.arange(first, end - 1e-3, period)
     for start in starts:
         stop = min(start + bar, end)
