@@ -91,7 +91,7 @@ def _views(
 def _starts(prior: Prior, config: SingleFrameConfig) -> Float[Array, "n 4 4"]:
     """Start poses of the search in the window around the prior."""
     sigma_xy_yaw = prior.sigma[np.array([0, 1, 5])]
-    sigma_xy_yaw = sigma_xy_yaw.at[2].max(np.deg2rad(config.min_reach_deg) / config.reach)
+    sigma_xy_yaw = sigma_xy_yaw.at[2].max(float(np.deg2rad(config.min_reach_deg)) / config.reach)
     key = jax.random.key(config.seed)
     return propose(config.proposals, config.num_hypotheses, prior.T_map_base, sigma_xy_yaw, config.reach, key)
 

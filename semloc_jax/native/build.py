@@ -27,9 +27,10 @@ CALLS = (
 )
 SWITCH = "SEMLOC_NATIVE"
 """Environment variable; 0 turns the kernels off."""
-_FLAGS = (
-    "-std=c++17 -O3 -march=native -mprefer-vector-width=512 -ffast-math -fno-finite-math-only -fPIC -shared -w"
-).split()
+# The parts of -ffast-math that loops need to be vectorised. The flag itself would make every process that loads the
+# library round subnormal numbers to zero, and would take NaN for a number.
+_ARITHMETIC = "-fno-math-errno -fno-trapping-math -fno-signed-zeros -fassociative-math -freciprocal-math"
+_FLAGS = f"-std=c++17 -O3 -march=native -mprefer-vector-width=512 {_ARITHMETIC} -fPIC -shared -w".split()
 _TIMEOUT_S = 120
 
 

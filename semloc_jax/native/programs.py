@@ -55,7 +55,8 @@ class StoredProgram:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return self.jitted(*args, **kwargs)
         leaves = [_array(leaf) for leaf in leaves]
-        key = (tuple(static.items()), tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        key = (tuple(static.items()), tree, shapes, jax.config.jax_enable_x64)
         if key not in self._programs:
             self._programs[key] = self._obtain(folder, static, tree, leaves)
         program, skeleton = self._programs[key]
@@ -84,7 +85,7 @@ class StoredProgram:
 
     def _fingerprint(self, static: dict, tree: Any, leaves: list) -> str:
         shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
-        parts = (self.__module__, static, str(tree), shapes, _environment())
+        parts = (self.__module__, static, str(tree), shapes, jax.config.jax_enable_x64, _environment())
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
 
 
@@ -109,7 +110,7 @@ def _environment() -> str:
     sources = sorted(path for room in _ROOMS for path in _PACKAGE.glob(room) if path.is_file())
     stats = [(str(path.relative_to(_PACKAGE)), path.stat().st_mtime_ns, path.stat().st_size) for path in sources]
     devices = [str(device) for device in jax.devices()]
-    settings = (os.environ.get("XLA_FLAGS", ""), jax.config.jax_enable_x64, build.is_available(), build.processor())
+    settings = (os.environ.get("XLA_FLAGS", ""), build.is_available(), build.processor())
     return repr((jax.__version__, jaxlib.__version__, devices, settings, stats))
 
 

@@ -120,8 +120,9 @@ def _limited_by_element(weight: Array, element: Array, config: ViewConfig) -> Ar
 
     n independent observations (variance s^2) that share an error of variance t^2 hold n / (1 + n t^2 / s^2) of them.
     """
-    total = jax.ops.segment_sum(weight, jnp.where(element < 0, config.capacity - 1, element), config.capacity)
-    observations = total[jnp.clip(element, 0, config.capacity - 1)] / config.correlation_px
+    # Numbered anew: a dense map has more elements than a view has samples.
+    _, own = jnp.unique(element, return_inverse=True, size=config.capacity)
+    observations = jax.ops.segment_sum(weight, own, config.capacity)[own] / config.correlation_px
     return weight / (1 + config.shared_error * observations)
 
 

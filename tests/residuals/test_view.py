@@ -121,13 +121,16 @@ def test_a_weight_in_metres_favours_what_is_far():
     assert share[2] == pytest.approx((in_reach.max() - 20.0) / np.ptp(in_reach), abs=0.06)
 
 
-def test_the_share_of_an_element_is_limited():
+@pytest.mark.parametrize("first_element", [0, 5000])
+def test_the_share_of_an_element_is_limited(first_element):
     """n observations of variance 1 that share an error of variance e hold n / (1 + n e): a long line counts no more."""
     samples, origin = road_lines(0.02)
+    # A dense map numbers its elements far beyond the capacity of a view.
+    samples = MapSamples(**{**vars(samples), "element": jnp.where(samples.valid, samples.element + first_element, -1)})
     T = pose(3.0, origin)
     free = seen_by(samples, T, RIG, CHANNELS, config=PLAIN)
     limited = seen_by(samples, T, RIG, CHANNELS, config=replace(PLAIN, shared_error=0.2, correlation_px=50.0))
-    for element in (0, 1):
+    for element in (first_element, first_element + 1):
         total = [
             float(np.sum(np.asarray(v.weight[0]) * (np.asarray(v.element[0]) == element))) for v in (free, limited)
         ]
