@@ -46,8 +46,8 @@ class SearchConfig:
     """The schedule of a search. All values are ours."""
 
     stages: tuple[CullStage, ...] = (
-        CullStage(levels=(), score_level=0, keep=128, apart=0.0, keep_every=8),
-        CullStage(levels=(0,), score_level=1, keep=32, apart=0.8, max_steps=4, keep_every=4),
+        CullStage(levels=(), score_level=0, keep=256, apart=0.0, keep_every=4),
+        CullStage(levels=(0,), score_level=1, keep=64, apart=0.8, max_steps=4, keep_every=4),
         CullStage(levels=(1, 2), score_level=2, keep=9, apart=0.3),
         CullStage(levels=(2, 3), score_level=2, keep=6, apart=0.1, restarts_m=(-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)),
     )
