@@ -79,7 +79,7 @@ def lattice(half_width_m: float, half_heading_deg: float, step_m: float, step_de
 
 
 def _plain_views(frame: FrameInput, num_samples: int) -> tuple[CameraViews, ...]:
-    """Some of the map samples, the same for every camera, each with the length that it stands for."""
+    """Some of the map samples, evenly spread, the same and of the same weight for every camera."""
     samples: MapSamples = jax.tree.map(np.asarray, frame.samples)
     channel = np.asarray(frame.channel_of_label)[samples.label]
     usable = np.flatnonzero(samples.valid & (channel >= 0))
