@@ -27,9 +27,13 @@ RANK = {
     "solvers": 4,
     "localization": 5,
     "mapping": 5,
-    "viz": 6,
+    "analysis": 6,
     "bench": 6,
-    "cli": 7,
+    "calibration": 6,
+    "learning": 6,
+    "viz": 7,
+    "explorer": 8,
+    "cli": 9,
 }
 # Ground that every room may stand on.
 GROUND = {"errors", "geometry", "structs"}
