@@ -17,6 +17,7 @@ from semloc_jax.datasets import Frame
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import health, map_faults
 from semloc_jax.localization.acquisition import Acquisition, AcquisitionConfig, Area
+from semloc_jax.localization.clock import CameraTimeLog, ClockConfig, learned, unknown_offset
 from semloc_jax.localization.following import (
     FollowConfig,
     View,
@@ -64,6 +65,7 @@ class TrackConfig:
     health: HealthConfig = field(default_factory=HealthConfig)
     trust: TrustConfig = field(default_factory=TrustConfig)
     follow: FollowConfig = field(default_factory=FollowConfig)
+    clock: ClockConfig = field(default_factory=ClockConfig)
     confirm_frames: float = 4.0
     """Frames that a track must agree with before it is believed."""
     win_nats: float = 5.0
@@ -113,7 +115,8 @@ class Localizer:
         trust = map_faults.full_trust(len(self.map.elements))
         status = np.float64(TrackStatus.INITIALIZING)
         return TrackerState(
-            nothing, status, (), (), nothing, no_fixes(), trust, health.no_counts(), np.zeros(3), nothing, np.float64(0)
+            *(nothing, status, (), (), nothing, no_fixes(), trust, health.no_counts(), np.zeros(3), nothing),
+            *(np.float64(0), unknown_offset(self.config.clock)),
         )
 
     def template(self) -> TrackerState:
@@ -138,7 +141,7 @@ class Localizer:
             fixes: Satellite fixes since the frame before.
             guess: First guess of the pose, where something else knows it.
         """
-        maps = cost_maps(masks, self.table, self.config.cost_maps)
+        maps = cost_maps(masks, self.table, self.config.cost_maps, quantised=True)
         anywhere = self.windows.around(self.map.extent.mean(axis=0)).samples
         packed = frame_input(anywhere, maps, rig, self.channel_of_label)
         usable = float(np.mean(np.asarray(maps.usable)))
@@ -160,9 +163,10 @@ class Localizer:
 
     def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:
         """The state and the verdict after one more frame."""
-        clock = _Clock()
-        way_m = self.motion.way_m(float(state.time_s), frame.time_s) if np.isfinite(state.time_s) else 0.0
-        state = self._predicted(state, frame)
+        clock, before_s = _Clock(), float(state.time_s)
+        motion = CameraTimeLog(self.motion, state.clock)
+        way_m = motion.way_m(before_s, frame.time_s) if np.isfinite(before_s) else 0.0
+        state = self._predicted(state, frame, motion)
         clock.lap("predict")
         trust = map_faults.weights(state.trust, self.config.trust)
         if state.driven_m > self.config.health.frozen_m:
@@ -175,6 +179,11 @@ class Localizer:
             ]
         clock.lap("align")
         state, view = self._fused(state, views, way_m)
+        if len(state.tracks) == 1 and view is not None and view.is_accepted:
+            slope = motion.slope(before_s, frame.time_s)
+            passed_s = frame.time_s - before_s
+            learnt = learned(state.clock, slope, view.difference, view.covariance, passed_s, self.config.clock)
+            state = state._replace(clock=learnt)
         clock.lap("fuse")
         state = self._given_up(state)
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
@@ -182,23 +191,22 @@ class Localizer:
             clock.lap("acquire")
         return self._judged(state, view, frame, way_m, clock)
 
-    def _predicted(self, state: TrackerState, frame: FrameFeatures) -> TrackerState:
+    def _predicted(self, state: TrackerState, frame: FrameFeatures, motion: CameraTimeLog) -> TrackerState:
         """Every track at the time of the frame, with the fixes on the way."""
         fixes, counters = state.fixes, state.counters
         for fix in frame.fixes:
             fixes = with_fix(fixes, fix)
         tracks = []
         for rank, track in enumerate(state.tracks):
-            carried_on, fitted = carried(track.fusion, self.fusion, self.motion, frame.fixes, frame.time_s)
+            carried_on, fitted = carried(track.fusion, self.fusion, motion, frame.fixes, frame.time_s)
             tracks.append(track._replace(fusion=carried_on))
             if rank == 0:
                 conflicts = conflicts_after(counters.conflicts, fitted, self.config.health)
                 counters = counters._replace(conflicts=conflicts)
-        coasting = tuple(carried(c, self.fusion, self.motion, (), frame.time_s)[0] for c in state.coasting)
+        coasting = tuple(carried(c, self.fusion, motion, (), frame.time_s)[0] for c in state.coasting)
         driven_m = np.float64(0.0)
         if np.isfinite(state.time_s) and frame.digest == int(state.digest):
-            motion = self.motion.increment(float(state.time_s), frame.time_s)
-            driven_m = state.driven_m + np.linalg.norm(motion.T_from_to[:3, 3])
+            driven_m = state.driven_m + motion.way_m(float(state.time_s), frame.time_s)
         return state._replace(
             time_s=np.float64(frame.time_s),
             tracks=tuple(tracks),
@@ -328,6 +336,7 @@ class Localizer:
             found.coverage if found else np.nan,
             found.inlier_ratio if found else np.nan,
             len(state.tracks),
+            float(state.clock.offset_s),
             clock.times_ms,
         )
 

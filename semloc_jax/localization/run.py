@@ -70,7 +70,7 @@ class FrameLocalizer:
         heading = float(np.arctan2(T_map_near[1, 0], T_map_near[0, 0])) if len(rig) == 1 else None
         local_map = self.map.query(T_map_near[:3, 3], self.config.search_radius_m, heading)
         samples = sample_within(local_map, self.config.sample_spacing_m, self.config.sample_capacity)
-        maps = cost_maps(masks, self.shown, self.config.cost_maps)
+        maps = cost_maps(masks, self.shown, self.config.cost_maps, quantised=True)
         return frame_input(samples, maps, rig, self.channel_of_label), local_map
 
     def localize(self, frame: Frame, masks: Frames[np.ndarray], prior: PosePrior, rig: Rig | None = None):

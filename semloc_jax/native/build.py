@@ -47,26 +47,36 @@ def is_available() -> bool:
     return status().available
 
 
-@functools.cache
 def status() -> NativeStatus:
     """Builds, loads and registers the kernels on the first call; never raises."""
+    return _loaded()[0]
+
+
+def library() -> ctypes.CDLL | None:
+    """The kernels that are called without XLA; None where there are none."""
+    return _loaded()[1]
+
+
+@functools.cache
+def _loaded() -> tuple[NativeStatus, ctypes.CDLL | None]:
     if os.environ.get(SWITCH, "1") == "0":
-        return NativeStatus(False, f"off: {SWITCH}=0")
+        return NativeStatus(False, f"off: {SWITCH}=0"), None
     try:
-        library, text = _library()
-        _register(ctypes.CDLL(str(library)))
+        path, text = _library_file()
+        loaded = ctypes.CDLL(str(path))
+        _register(loaded)
     except _NotBuilt as reason:
-        return NativeStatus(False, str(reason))
+        return NativeStatus(False, str(reason)), None
     except OSError as error:
-        return NativeStatus(False, f"not loaded: {error}")
-    return NativeStatus(True, text)
+        return NativeStatus(False, f"not loaded: {error}"), None
+    return NativeStatus(True, text), loaded
 
 
 class _NotBuilt(Exception):
     pass
 
 
-def _library() -> tuple[Path, str]:
+def _library_file() -> tuple[Path, str]:
     compiler = os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
     path = _cache_folder() / f"kernels-{_fingerprint()}.so"
     if path.is_file():

@@ -11,18 +11,12 @@ from dataclasses import dataclass
 import cv2
 import jax
 import numpy as np
+from numpy.typing import DTypeLike
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception.class_table import ClassTable
-from semloc_jax.perception.distance import (
-    BLOCK_PX,
-    coarse_signed_distance,
-    content_boxes,
-    occupied_blocks,
-    refined_signed_distance,
-    signed_distance,
-)
-from semloc_jax.perception.edge_maps import gradient_cost, laplacian_cost
+from semloc_jax.perception.distance import BLOCK_PX
+from semloc_jax.perception.ramps import FAR_BYTE, Level, fill_levels
 from semloc_jax.structs import CostMaps, ElementClass
 
 KINDS = ("ramp", "gradient", "laplacian", "literature")
@@ -65,6 +59,7 @@ def cost_maps(
     table: ClassTable,
     config: CostMapConfig | None = None,
     channels: Sequence[int] | None = None,
+    quantised: bool = False,
 ) -> CostMaps:
     """Cost maps of one frame: for every camera, channel and level the clipped signed distance to the mask boundary.
 
@@ -73,6 +68,8 @@ def cost_maps(
         table: the class table of the masks.
         config: None for the defaults.
         channels: the channels to fill (those of the local map), None for all; the others stay at +1.
+        quantised: bytes, as textures hold them; many times faster where there are native kernels, which take the exact
+            distance where OpenCV's is near enough.
 
     Returns:
         CostMaps whose channel axis is that of `table.channels`.
@@ -82,7 +79,8 @@ def cost_maps(
     wanted = range(len(table.channels)) if channels is None else sorted(set(channels))
     height, width = (max(mask.shape[axis] for mask in masks) for axis in (0, 1))
     shape = (len(masks), len(table.channels))
-    ramps = [_ones((*shape, -(-height // s), -(-width // s))) for s in config.stride]
+    dtype = np.uint8 if quantised else np.float32
+    ramps = [_saturated((*shape, -(-height // s), -(-width // s)), dtype) for s in config.stride]
     u = config.usable_stride
     usable = np.zeros((len(masks), -(-height // u), -(-width // u)), bool)
     padded = [_pad_to_blocks(mask) for mask in masks]
@@ -91,14 +89,14 @@ def cost_maps(
         _fill_usable(usable[camera], padded[camera], mask.shape, table, config)
 
     def fill(camera: int, channel: int) -> None:
-        binary = cv2.compare(layers[camera], channel + 1.0, cv2.CMP_EQ)
-        if cv2.countNonZero(binary):
-            planes = [ramp[camera, channel] for ramp in ramps]
-            kind = _kind_of(table, channel, config)
-            if kind == "ramp":
-                _fill_channel(planes, binary, masks[camera].shape, config)
-            else:
-                _fill_edge_costs(planes, binary, masks[camera].shape, kind, config)
+        kind = _kind_of(table, channel, config)
+        levels = [
+            Level(
+                ramp[camera, channel, : -(-masks[camera].shape[0] // s), : -(-masks[camera].shape[1] // s)], ramp_px, s
+            )
+            for ramp, ramp_px, s in zip(ramps, config.ramp_px, config.stride, strict=True)
+        ]
+        fill_levels(levels, layers[camera], channel + 1, kind, config.blur_px)
 
     jobs = list(itertools.product(range(len(masks)), wanted))
     # OpenCV lets go of the interpreter lock, and every job writes its own planes.
@@ -113,78 +111,10 @@ def cost_maps(
     )
 
 
-def _fill_channel(out: list[np.ndarray], binary: np.ndarray, shape: tuple[int, int], config: CostMapConfig) -> None:
-    """Write the ramps of one channel of one camera into its levels `out`."""
-    levels = list(zip(out, config.ramp_px, config.stride, strict=True))
-    full, reduced = [level for level in levels if level[2] == 1], [level for level in levels if level[2] > 1]
-    base = min((stride for _, _, stride in reduced), default=1)
-    blocks = occupied_blocks(binary)
-    coarse = np.zeros((binary.shape[0] // base, binary.shape[1] // base), np.float32) if reduced and full else None
-    for rows, columns in content_boxes(blocks, _reach_px(reduced, config)) if reduced else []:
-        distance = coarse_signed_distance(binary[rows, columns], base, config.blur_px)
-        for level, ramp_px, stride in reduced:
-            _write_ramp(level, distance, (rows.start, columns.start), shape, ramp_px, stride, base)
-        if coarse is not None:
-            coarse[_scaled(rows, base), _scaled(columns, base)] = distance
-    # A narrow band at full size; it lies inside the boxes of the reduced levels, whose ramps are wider.
-    for rows, columns in content_boxes(blocks, _reach_px(full, config)) if full else []:
-        part = binary[rows, columns]
-        if coarse is None or config.blur_px == 0 or _reach_px(full, config) > _reach_px(reduced, config):
-            distance = signed_distance(part, config.blur_px)
-        else:
-            distance = refined_signed_distance(
-                part, coarse[_scaled(rows, base), _scaled(columns, base)], config.blur_px
-            )
-        for level, ramp_px, stride in full:
-            _write_ramp(level, distance, (rows.start, columns.start), shape, ramp_px, stride, 1)
-
-
 def _kind_of(table: ClassTable, channel: int, config: CostMapConfig) -> str:
     if config.kind != "literature":
         return config.kind
     return "laplacian" if ElementClass.SIGN in table.channels[channel].classes else "gradient"
-
-
-def _fill_edge_costs(
-    out: list[np.ndarray], binary: np.ndarray, shape: tuple[int, int], kind: str, config: CostMapConfig
-) -> None:
-    """Write the unsigned costs of one channel of one camera into its levels `out`."""
-    cost_of = gradient_cost if kind == "gradient" else laplacian_cost
-    for level, ramp_px, stride in zip(out, config.ramp_px, config.stride, strict=True):
-        height, width = -(-shape[0] // stride), -(-shape[1] // stride)
-        level[:height, :width] = cost_of(binary, ramp_px, stride)[:height, :width]
-
-
-def _reach_px(levels: list[tuple[np.ndarray, float, int]], config: CostMapConfig) -> float:
-    """How far from the mask the distance of these levels is needed [px]."""
-    return max(ramp_px + stride for _, ramp_px, stride in levels) + 2.0 * config.blur_px
-
-
-def _scaled(span: slice, stride: int) -> slice:
-    return slice(span.start // stride, span.stop // stride)
-
-
-def _write_ramp(
-    level: np.ndarray,
-    distance: np.ndarray,
-    corner: tuple[int, int],
-    shape: tuple[int, int],
-    ramp_px: float,
-    stride: int,
-    base: int,
-) -> None:
-    """Write the box of a distance field with its top-left `corner` (row, column) into one level.
-
-    Args:
-        shape: height and width of the full mask; the field may reach beyond it.
-        base: stride of `distance`.
-    """
-    size = distance.shape[1] * base // stride, distance.shape[0] * base // stride
-    field = distance if stride == base else cv2.resize(distance, size, interpolation=cv2.INTER_AREA)
-    top, left = corner[0] // stride, corner[1] // stride
-    target = level[top : min(top + size[1], -(-shape[0] // stride)), left : min(left + size[0], -(-shape[1] // stride))]
-    np.multiply(field[: target.shape[0], : target.shape[1]], np.float32(1.0 / ramp_px), out=target)
-    np.clip(target, -1.0, 1.0, out=target)
 
 
 def _fill_usable(
@@ -216,14 +146,14 @@ def _pad_to_blocks(mask: np.ndarray) -> np.ndarray:
     return cv2.copyMakeBorder(mask, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
 
 
-def _ones(shape: tuple[int, ...]) -> np.ndarray:
-    """Ones, float32, aligned so that JAX on the CPU takes the memory over without a copy."""
-    size = int(np.prod(shape))
-    raw = np.empty(size * 4 + 64, np.uint8)
+def _saturated(shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
+    """Ramps of empty masks, aligned so that JAX on the CPU takes the memory over without a copy."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    raw = np.empty(size + 64, np.uint8)
     start = -raw.ctypes.data % 64
-    ones = raw[start : start + size * 4].view(np.float32).reshape(shape)
-    ones.fill(1.0)
-    return ones
+    ramps = raw[start : start + size].view(dtype).reshape(shape)
+    ramps.fill(1.0 if ramps.dtype == np.float32 else FAR_BYTE)
+    return ramps
 
 
 def _check_masks(masks: Sequence[np.ndarray]) -> None:

@@ -9,6 +9,8 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 
+from semloc_jax.native.mask_ramps import Smoothing
+
 BLOCK_PX = 16
 """Boxes begin and end at multiples of this; every pyramid stride divides it."""
 _COARSE_BLUR_PX = 0.6
@@ -68,11 +70,25 @@ def coarse_signed_distance(binary: np.ndarray, stride: int, blur_px: float) -> n
     # The quarter rule puts the boundary a little outside.
     distance = _plain_distance(inside, _COARSE_HALF_PX, _COARSE_OUTSET_PX)
     if blur_px > 0:
-        blur = max(blur_px / stride, _COARSE_BLUR_PX)
-        # The mean over a block is itself a smoothing.
-        sigma = float(np.hypot(blur, 0.5 / np.sqrt(3.0)))
+        blur, sigma = _coarse_edge(stride, blur_px)
         distance = _near_edge(distance, share, _thin(inside, blur), blur, sigma)
     return cv2.multiply(distance, float(stride))
+
+
+def edge_at(stride: int, blur_px: float) -> Smoothing:
+    """What turns a mask into a distance near its border, for the native kernel: as in signed_distance at stride 1, as
+    in coarse_signed_distance at a reduced size."""
+    if stride == 1:
+        return Smoothing(blur_px, *_edge_tables(blur_px), _HALF_PX, 0.0)
+    blur, sigma = _coarse_edge(stride, blur_px)
+    return Smoothing(blur, *_edge_tables(sigma), _COARSE_HALF_PX, _COARSE_OUTSET_PX)
+
+
+def _coarse_edge(stride: int, blur_px: float) -> tuple[float, float]:
+    """Smoothing of the covered share and the width of an edge in it [px of the reduced mask]."""
+    blur = max(blur_px / stride, _COARSE_BLUR_PX)
+    # The mean over a block is itself a smoothing.
+    return blur, float(np.hypot(blur, 0.5 / np.sqrt(3.0)))
 
 
 def _plain_distance(inside: np.ndarray, half: float = _HALF_PX, outset: float = 0.0) -> np.ndarray:

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Array, Float, Int, UInt8, UInt32
 from numpy.typing import DTypeLike
 
 from semloc_jax import native
@@ -57,7 +57,7 @@ class RampTextures(eqx.Module):
 
 
 def pack(maps: CostMaps, dtype: DTypeLike = jnp.float32) -> RampTextures:
-    """The textures of cost maps with values in [-1, 1]; `dtype` is the float type of lookups."""
+    """The textures of cost maps; `dtype` is the float type of lookups."""
     starts = np.cumsum([0, *(ramp.size for ramp in maps.ramps)])
     texels = _packed_natively(maps) if _is_native(maps) else _packed(maps, starts)
     return RampTextures(
@@ -72,8 +72,8 @@ def pack(maps: CostMaps, dtype: DTypeLike = jnp.float32) -> RampTextures:
 
 
 def _is_native(maps: CostMaps) -> bool:
-    is_single = all(ramp.dtype == jnp.float32 for ramp in maps.ramps)
-    return is_single and jax.default_backend() == "cpu" and native.is_available()
+    is_known = all(ramp.dtype in (jnp.float32, jnp.uint8) for ramp in maps.ramps)
+    return is_known and jax.default_backend() == "cpu" and native.is_available()
 
 
 def _packed_natively(maps: CostMaps) -> UInt32[Array, " texel"]:
@@ -89,14 +89,16 @@ def _packed(maps: CostMaps, starts: np.ndarray) -> UInt32[Array, " texel"]:
     return texels
 
 
-def _quads(ramp: Float[Array, "cam channel h w"]) -> UInt32[Array, " texel"]:
+def _quads(ramp: Float[Array, "cam channel h w"] | UInt8[Array, "cam channel h w"]) -> UInt32[Array, " texel"]:
     """Texels of all images of a level in one row, without the last row and pixel of the last image.
 
     The right and lower neighbour are taken from the flat array: what wraps around in the last column and row of an
     image is never the texel of a pixel, since `locate` stays a pixel away from them.
     """
     width = ramp.shape[3]
-    byte = jnp.round((jnp.clip(ramp.reshape(-1), -1, 1) + 1) * _ZERO).astype(jnp.int32)
+    flat = ramp.reshape(-1)
+    byte = flat if flat.dtype == jnp.uint8 else jnp.round((jnp.clip(flat, -1, 1) + 1) * _ZERO)
+    byte = byte.astype(jnp.int32)
     quad = byte[: -width - 1] | byte[1:-width] << 8 | byte[width:-1] << 16 | byte[width + 1 :] << 24
     return quad.astype(jnp.uint32)
 

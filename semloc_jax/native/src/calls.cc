@@ -1,6 +1,7 @@
 // XLA custom calls of the alignment. Every operand may be batched by jax.vmap; see semloc_jax/native/calls.py for them.
 #include "alignment.h"
 #include "batch.h"
+#include "ramps.h"
 
 namespace semloc {
 namespace {
@@ -242,22 +243,24 @@ ffi::Error RobustCost(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remain
   return ffi::Error::Success();
 }
 
-// The ramps of each level [cam channel h w] -> texels of all levels, one after another.
+// The ramps of each level [cam channel h w], as float32 or as bytes -> texels of all levels, one after another.
 ffi::Error Pack(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets) {
   constexpr int64_t kPiece = 65536;
   uint32_t* texels = result<uint32_t>(rets, 0);
   for (size_t level = 0; level < args.size(); ++level) {
     const auto ramp = args.get<ffi::AnyBuffer>(level).value();
-    const float* values = static_cast<const float*>(ramp.untyped_data());
+    const bool is_bytes = ramp.element_type() == ffi::DataType::U8;
+    const float* values = is_bytes ? nullptr : static_cast<const float*>(ramp.untyped_data());
+    const uint8_t* bytes = is_bytes ? static_cast<const uint8_t*>(ramp.untyped_data()) : nullptr;
     const int64_t count = ramp.element_count(), width = ramp.dimensions().back();
     // Without their last row and pixel, which have no neighbours, the texels stay zero.
     const int64_t num_pieces = (count + kPiece - 1) / kPiece;
     for_each_item(pool, num_pieces, kPiece, [&](int64_t piece) {
       const int64_t first = piece * kPiece, last = std::min(first + kPiece, count);
       const int64_t end = std::max(first, std::min(last, count - width - 1));
-      std::vector<uint8_t> byte(end - first + width + 1);
-      if (end > first) quantise(values + first, end - first + width + 1, byte.data());
-      interleave(byte.data(), width, end - first, texels + first);
+      std::vector<uint8_t> byte(is_bytes ? 0 : end - first + width + 1);
+      if (!is_bytes && end > first) quantise(values + first, end - first + width + 1, byte.data());
+      interleave(is_bytes ? bytes + first : byte.data(), width, end - first, texels + first);
       std::fill(texels + end, texels + last, 0u);
     });
     texels += count;
@@ -280,3 +283,21 @@ SEMLOC_CALL(semloc_lookup, semloc::Lookup, .Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_accumulate, semloc::Accumulate);
 SEMLOC_CALL(semloc_visible_weight, semloc::VisibleWeight, .Attr<int32_t>("model"));
 SEMLOC_CALL(semloc_robust_cost, semloc::RobustCost, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
+
+// The levels of one channel of one camera whose stride is a multiple of `stride`, from layers uint8[height width], both
+// multiples of every stride. Nothing is written where the value does not occur. level_shape: height,
+// width, bytes from row to row, stride.
+extern "C" void semloc_mask_ramps(const uint8_t* layers, int32_t height, int32_t width, int32_t value, int32_t stride,
+                                  float blur_px, const float* keep, const float* add, float half, float outset,
+                                  int32_t num_levels, uint8_t* const* bytes, const int32_t* level_shape,
+                                  const float* ramp_px) {
+  using namespace semloc;
+  const uint8_t wanted = static_cast<uint8_t>(value);
+  const Box content = box_of(layers, height, width, wanted);
+  if (content.bottom == 0) return;
+  std::vector<Level> levels;
+  for (int n = 0; n < num_levels; ++n)
+    levels.push_back({bytes[n], level_shape[4 * n], level_shape[4 * n + 1], level_shape[4 * n + 2], level_shape[4 * n + 3],
+                      ramp_px[n]});
+  write_levels(layers, height, width, content, wanted, stride, {blur_px, keep, add, half, outset}, levels);
+}
