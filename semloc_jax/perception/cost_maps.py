@@ -4,9 +4,10 @@ In: masks of class ids, one for each camera, and their class table. Out: structs
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import jax
@@ -90,18 +91,14 @@ def cost_maps(
 
     def fill(camera: int, channel: int) -> None:
         kind = _kind_of(table, channel, config)
+        h, w = masks[camera].shape
         levels = [
-            Level(
-                ramp[camera, channel, : -(-masks[camera].shape[0] // s), : -(-masks[camera].shape[1] // s)], ramp_px, s
-            )
+            Level(ramp[camera, channel, : -(-h // s), : -(-w // s)], ramp_px, s)
             for ramp, ramp_px, s in zip(ramps, config.ramp_px, config.stride, strict=True)
         ]
         fill_levels(levels, layers[camera], channel + 1, kind, config.blur_px)
 
-    jobs = list(itertools.product(range(len(masks)), wanted))
-    # OpenCV lets go of the interpreter lock, and every job writes its own planes.
-    with ThreadPoolExecutor() as pool:
-        list(pool.map(fill, *zip(*jobs, strict=True)) if jobs else [])
+    _run_all([partial(fill, *job) for job in itertools.product(range(len(masks)), wanted)], by_thread=not quantised)
     return CostMaps(
         ramps=tuple(jax.device_put(ramp) for ramp in ramps),
         ramp_px=tuple(float(ramp) for ramp in config.ramp_px),
@@ -109,6 +106,17 @@ def cost_maps(
         usable=jax.device_put(usable),
         usable_stride=u,
     )
+
+
+def _run_all(jobs: Sequence[Callable[[], None]], by_thread: bool) -> None:
+    """Run jobs that write planes of their own; OpenCV lets go of the interpreter lock."""
+    if not by_thread:  # each takes less time than a thread to start
+        for job in jobs:
+            job()
+        return
+    with ThreadPoolExecutor() as pool:
+        for done in [pool.submit(job) for job in jobs]:
+            done.result()
 
 
 def _kind_of(table: ClassTable, channel: int, config: CostMapConfig) -> str:
