@@ -1,0 +1,97 @@
+"""How a drive calibrates its own sensors (room: calibration; host).
+
+In: nothing. Out: SelfCalibrationConfig, MountPriors and the other parts of it.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.localization.prediction import MotionNoise
+
+Intrinsics = Literal["none", "focal", "all"]
+"""What of the lenses is unknown: nothing; focal lengths and centre; distortion too."""
+
+
+@dataclass(frozen=True)
+class CalibrationPriors:
+    """How far off the calibration to start from may be: one standard deviation of each. All values are ours.
+
+    A sigma of 0 holds a quantity as it is.
+    """
+
+    mount_m: float = 0.05
+    """Place of a camera along each axis: a tape measure, a changed bracket."""
+    mount_deg: float = 2.0
+    """Direction of a camera about each axis: a screwed bracket, a new windscreen."""
+    focal_share: float = 0.01
+    center_px: float = 5.0
+    distortion: float = 0.02
+    """Each coefficient of the lens polynomial."""
+    odometer_scale: float = 0.02
+    """Tyres: pressure, wear, another size of the same kind."""
+    gyro_bias_degps: float = 0.3
+    gnss_offset_m: float = 3.0
+    stance_m: float = 0.01
+    """Height of the rear axle against the nominal one over the whole drive: load."""
+    stance_deg: float = 0.05
+    """Roll and pitch against the road over the whole drive: load."""
+
+
+@dataclass(frozen=True)
+class FrameFactors:
+    """What holds a frame beside its masks. All values are ours."""
+
+    road_height_m: float = 0.03
+    """Vehicle above the plane of the road in one frame: springs, and the plane itself."""
+    road_tilt_deg: float = 0.5
+    gnss_inflation: float = 3.0
+    """Neighbouring fixes share most of their error: n fixes are worth n over the square of this."""
+    gnss_reach_s: float = 0.3
+    """A fix farther from a frame than this is not used."""
+    reference_m: float = 0.03
+    """Standard deviation of poses from elsewhere, where they are given."""
+    reference_deg: float = 0.05
+    side_slip_share: float = 0.003
+    """Side slip of the rear axle as a share of the way, the same over 5 m; without wheels it is all that is known."""
+
+
+@dataclass(frozen=True)
+class SelfCalibrationConfig:
+    """Everything that decides how a drive calibrates its sensors. All values are ours."""
+
+    num_frames: int = 40
+    """Frames used, spread evenly over the way."""
+    min_spacing_m: float = 0.7
+    """Frames nearer to each other than this say the same."""
+    intrinsics: Intrinsics = "none"
+    ramp_px: tuple[float, ...] = (40.0, 14.0, 8.0, 3.0)
+    """Ramps of the levels of the cost maps, coarsest first."""
+    stride: tuple[int, ...] = (4, 2, 2, 1)
+    max_steps: int = 25
+    """Most evaluations on each level."""
+    tolerance: float = 2e-3
+    """A level ends when a step is below this, in sigmas of the priors and in units of 10 cm and 0.6 deg of poses."""
+    noise_px: float = 2.0
+    noise_share: float = 0.15
+    correlation_px: float = 60.0
+    """These three as in `AlignConfig`: boundary noise and the length over which it is the same."""
+    min_inlier_ratio: float = 0.5
+    """A level with a smaller share of the visible contour within its ramp is left out."""
+    capacity: int = 1024
+    """Map samples of one picture."""
+    observable_ratio: float = 0.35
+    """A direction is observable where the drive leaves less than this share of its prior's sigma."""
+    held_ratio: float = 0.8
+    """It is held by the prior where the drive leaves more than this share; between the two it is weak."""
+    priors: CalibrationPriors = field(default_factory=CalibrationPriors)
+    factors: FrameFactors = field(default_factory=FrameFactors)
+    motion: MotionNoise = field(default_factory=MotionNoise)
+
+    def __post_init__(self) -> None:
+        if len(self.ramp_px) != len(self.stride) or not self.ramp_px:
+            raise SemlocError(
+                f"calibration: ramp_px {self.ramp_px} and stride {self.stride} need one entry for each level"
+            )
+        if self.num_frames < 2:
+            raise SemlocError(f"calibration: num_frames = {self.num_frames}; expected several frames, 40 is usual")

@@ -1,0 +1,148 @@
+"""Frames of a drive to calibrate with, and where the vehicle was in them, roughly (room: calibration; host).
+
+In: a Sequence, a map, masks and a prior. Out: frames spread over the way, start poses that fit the driven way.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+
+from semloc_jax.calibration.config import SelfCalibrationConfig
+from semloc_jax.datasets import Frame
+from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.errors import SemlocError
+from semloc_jax.localization import LocalizationResult, LocalizeConfig, MaskSource, localize_frames
+from semloc_jax.localization.prediction import MotionIncrement, MotionLog, MotionQuality
+from semloc_jax.localization.priors import PriorSource, RoadSigmas
+from semloc_jax.maps import SemanticMap
+from semloc_jax.solvers.pose_graph import GraphConfig, PoseGraph, solve_pose_graph
+
+MIN_FRAMES = 5
+"""Fewer frames say next to nothing about six numbers of a mount."""
+_START_SIGMA = np.array([0.5, 0.5, 0.15, 0.035, 0.035, 0.035])
+"""Of a pose that was found with a wrong calibration [m, rad]; ours."""
+_LOST_FACTOR = 5.0
+"""A pose whose verdict was bad counts with so many times that sigma."""
+
+
+@dataclass(frozen=True)
+class StartPoses:
+    """Frames and where they roughly are.
+
+    Attributes:
+        frames: In time order.
+        T_map_base: float64[n 4 4], map frame.
+        motion: Increment to the next frame, one less than frames; None where there are no wheels.
+    """
+
+    frames: tuple[Frame, ...]
+    T_map_base: np.ndarray
+    motion: tuple[MotionIncrement, ...] | None
+
+
+def choose_frames(drive: Drive, num: int, min_spacing_m: float) -> tuple[Frame, ...]:
+    """At most `num` frames, evenly spread over the driven way; over the time where nothing says how far it was.
+
+    A vehicle that stands for the whole drive gives frames spread over the time: they say little, but that is for the
+    observability to tell.
+
+    Raises:
+        SemlocError: the drive has too few frames.
+    """
+    if len(drive) < MIN_FRAMES:
+        raise SemlocError(
+            f"drive {drive.name}: has {len(drive)} frames; expected at least {MIN_FRAMES} to calibrate with; record a "
+            "longer drive"
+        )
+    time_s = np.array([frame.time_s for frame in drive.frames])
+    way_m = drive.odometry.distance_m(time_s) if drive.odometry is not None else time_s - time_s[0]
+    length_m = way_m[-1] - way_m[0]
+    if drive.odometry is not None:
+        num = max(min(num, int(length_m / min_spacing_m) + 1), min(num, 2 * MIN_FRAMES))
+        way_m = way_m + 1e-6 * (time_s - time_s[0])
+    marks = np.linspace(way_m[0], way_m[-1], num)
+    nearest = np.unique([int(np.argmin(np.abs(way_m - mark))) for mark in marks])
+    if len(nearest) < MIN_FRAMES:
+        nearest = np.unique(np.linspace(0, len(drive) - 1, MIN_FRAMES).astype(int))
+    return tuple(drive.frames[i] for i in nearest)
+
+
+def start_poses(
+    drive: Drive,
+    semantic_map: SemanticMap,
+    masks: MaskSource,
+    prior: PriorSource,
+    config: SelfCalibrationConfig,
+    on_frame: Callable[[LocalizationResult], None] | None = None,
+) -> StartPoses:
+    """Chosen frames localized with the calibration as it is, then made consistent with the driven way.
+
+    The localizer lets the vehicle stand as far off the road as the mount may be wrong: for one camera, a wrong mount
+    and a tilted vehicle look alike.
+    """
+    chosen = choose_frames(drive, config.num_frames, config.min_spacing_m)
+    tilt_deg = float(np.hypot(config.priors.mount_deg, RoadSigmas().roll_pitch_deg))
+    height_m = float(np.hypot(2.0 * config.priors.mount_m, RoadSigmas().height_m))
+    settings = replace(LocalizeConfig(), road=RoadSigmas(height_m, tilt_deg))
+    found = localize_frames(drive, semantic_map, masks, prior, chosen, config=settings, on_frame=on_frame)
+    found = [result for result in found if np.isfinite(result.T_map_base).all()]
+    if len(found) < MIN_FRAMES:
+        raise SemlocError(
+            f"drive {drive.name}: {len(found)} of {len(chosen)} frames could be placed in map {semantic_map.name}; "
+            f"expected at least {MIN_FRAMES}; check masks, map and prior, or correct the calibration by hand first"
+        )
+    frames = tuple(result.frame for result in found)
+    motion = motion_between(drive, frames, config)
+    poses = np.array([result.T_map_base for result in found])
+    is_good = np.array([result.localized for result in found])
+    return StartPoses(frames, poses if motion is None else smoothed(poses, is_good, motion), motion)
+
+
+def motion_between(
+    drive: Drive, frames: Sequence[Frame], config: SelfCalibrationConfig
+) -> tuple[MotionIncrement, ...] | None:
+    """Motion from each frame to the next by wheels and gyroscope; None where there are no wheels."""
+    if drive.odometry is None:
+        return None
+    log = MotionLog.of_sequence(drive, config.motion)
+    steps = zip(frames[:-1], frames[1:], strict=True)
+    found = tuple(log.increment(first.time_s, second.time_s) for first, second in steps)
+    if any(increment.quality is MotionQuality.MISSING for increment in found):
+        return None
+    return found
+
+
+def smoothed(poses: np.ndarray, is_good: np.ndarray, motion: Sequence[MotionIncrement]) -> np.ndarray:
+    """The poses that fit the found ones and the driven way best; a found pose that does not fit hardly counts."""
+    num = len(poses)
+    origin = poses[0, :3, 3].copy()
+    local = poses.copy()
+    local[:, :3, 3] -= origin
+    sigma = _START_SIGMA * np.where(is_good, 1.0, _LOST_FACTOR)[:, None]
+    covariances = np.stack([increment.covariance for increment in motion])
+    graph = PoseGraph(
+        T_map_base=local,
+        calibration=np.array([1.0, 0.0, 0.0, 0.0]),
+        used=np.ones(num, bool),
+        T_measured=local,
+        pose_sqrt_info=np.stack([np.diag(1.0 / row) for row in sigma]),
+        edge_from=np.arange(num - 1),
+        edge_to=np.arange(1, num),
+        T_edge=np.stack([increment.T_from_to for increment in motion]),
+        edge_sqrt_info=np.linalg.inv(np.linalg.cholesky(covariances)),
+        edge_jacobian=np.stack([increment.jacobian for increment in motion]),
+        edge_calibration=np.stack([np.array(increment.calibration) for increment in motion]),
+        edge_robust=np.zeros(num - 1, bool),
+        p_fix=np.zeros((num, 2)),
+        fix_sqrt_info=np.zeros((num, 2)),
+        fix_base=np.zeros((num, 3)),
+        T_prior=local[0],
+        calibration_prior=np.array([1.0, 0.0, 0.0, 0.0]),
+        prior_sqrt_info=np.diag(1.0 / np.array([*[100.0] * 6, 0.02, 0.005, 1.0, 1.0])),
+    )
+    with jax.enable_x64(True):
+        solved = np.array(jax.jit(lambda g: solve_pose_graph(g, GraphConfig(pose_threshold=3.0)).T_map_base)(graph))
+    solved[:, :3, 3] += origin
+    return solved
