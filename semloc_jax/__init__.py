@@ -47,6 +47,8 @@ _HOME = {
     "simulate": "datasets.synthetic",
     "Prior": "solvers.pose",
     "align": "solvers.pose",
+    "align_differentiable": "solvers.implicit",
+    "smooth_scene": "solvers.implicit",
     "FrameLocalizer": "localization",
     "LocalizationResult": "localization",
     "LocalizeConfig": "localization",
@@ -88,6 +90,7 @@ __all__ = [
     "Trajectory",
     "__version__",
     "align",
+    "align_differentiable",
     "cost_maps",
     "evaluate",
     "inspect_map",
@@ -100,6 +103,7 @@ __all__ = [
     "read_trajectory",
     "sample",
     "simulate",
+    "smooth_scene",
     "write_tum",
 ]
 

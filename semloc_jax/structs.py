@@ -51,6 +51,7 @@ class SolveStatus(enum.IntEnum):
     WEAK_DIRECTION = 5
     POOR_FIT = 6
     AT_SEARCH_BORDER = 7
+    SINGULAR = 8
 
 
 STATUS_TEXT = {
@@ -62,6 +63,7 @@ STATUS_TEXT = {
     SolveStatus.WEAK_DIRECTION: "one direction of the pose is not held by the evidence; see weak_direction",
     SolveStatus.POOR_FIT: "the best pose explains too little of the map in view; check masks, map and calibration",
     SolveStatus.AT_SEARCH_BORDER: "the best pose lies at the border of the search window; widen the prior",
+    SolveStatus.SINGULAR: "the cost is flat in one direction at the pose: derivatives of the pose are damped there",
 }
 
 
