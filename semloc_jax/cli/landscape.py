@@ -23,6 +23,8 @@ class Options(DriveOptions):
 
     Shows what holds the pose and what does not: a valley is a direction that the class says nothing about, a second
     basin is a pose that it would confuse with the true one. Writes landscape.png and minima.csv.
+    With --serve it writes nothing: on a page in the browser one drags the pose on the map and sees overlay, residuals,
+    slices of the cost, covariance and the path of the solver from there; Ctrl-C ends it.
     """
 
     frame: int = 0
@@ -37,6 +39,12 @@ class Options(DriveOptions):
     """Level of the cost maps: 0 is the coarsest."""
     around: Literal["truth", "prior"] = "truth"
     """The pose in the middle; the prior is taken where the drive has no truth."""
+    serve: bool = False
+    """Open the explorer, a page on this machine, instead of writing pictures."""
+    port: int = 8765
+    """Port of the explorer; 0 for any free one."""
+    no_browser: bool = False
+    """Do not open the browser, only say the address."""
     config: Path | None = None
     """YAML file with values of the configuration."""
     out: Path | None = None
@@ -51,7 +59,9 @@ def default_settings() -> "LocalizeConfig":
 
 
 def run(options: Options) -> int:
-    """Compute the costs, draw them, list the minima."""
+    """Compute the costs, draw them, list the minima; or serve the explorer."""
+    if options.serve:
+        return _serve(options)
     import numpy as np
 
     from semloc_jax import viz
@@ -87,6 +97,29 @@ def run(options: Options) -> int:
     for row in rows:
         if row[0] == "all":
             print(f"minimum {row[1]}: {directions[0]} {row[2]}, {directions[1]} {row[3]}, cost {row[4]}")
+    return OK
+
+
+def _serve(options: Options) -> int:
+    """The explorer, until it is interrupted."""
+    import functools
+
+    from semloc_jax.explorer import serve
+
+    inputs = open_inputs(options)
+    serve(
+        inputs.drive,
+        inputs.map,
+        inputs.masks,
+        inputs.prior,
+        options.frame,
+        options.settings,
+        options.level,
+        options.around,
+        options.port,
+        not options.no_browser,
+        functools.partial(print, flush=True),
+    )
     return OK
 
 

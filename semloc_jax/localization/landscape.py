@@ -9,13 +9,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
 from semloc_jax.localization.run import FrameLocalizer
 from semloc_jax.localization.single_frame import evidence_from
+from semloc_jax.native.programs import stored_program
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import robust_cost
 from semloc_jax.solvers.pose import AlignConfig, Evidence
@@ -62,7 +63,8 @@ def cost_landscape(
     if channel is not None:
         only = [eqx.tree_at(lambda v: v.weight, v, v.weight * (v.channel == channel)) for v in evidence.views]
         evidence = eqx.tree_at(lambda e: e.views, evidence, tuple(only))
-    cost = _costs(jnp.asarray(xi.reshape(-1, 6)), jnp.asarray(T_map_base, jnp.float32), evidence, level, config)
+    T = jnp.asarray(T_map_base, jnp.float32)
+    cost = costs_around(jnp.asarray(xi.reshape(-1, 6)), T, evidence, np.int32(level), config)
     return np.asarray(cost).reshape(xi.shape[:2])
 
 
@@ -104,9 +106,16 @@ def frame_landscape(
     return {name: cost for name, cost in costs.items() if name == "all" or np.isfinite(cost).any()}
 
 
-@eqx.filter_jit
-def _costs(xi: Array, T_map_base: Array, evidence: Evidence, level: int, config: AlignConfig) -> Float[Array, " n"]:
-    texture = evidence.textures.level(jnp.asarray(level))
+@stored_program("config")
+def costs_around(
+    xi: Float[Array | np.ndarray, "n 6"],
+    T_map_base: Float[Array, "4 4"],
+    evidence: Evidence,
+    level: Int[Array | np.ndarray, ""],
+    config: AlignConfig,
+) -> Float[Array, " n"]:
+    """Robust cost in [0, 1] of the poses T_map_base exp(xi); NaN where too little is visible; see `cost_landscape`."""
+    texture = evidence.textures.level(level)
 
     def one(offset: Array) -> Array:
         pose, kernel = T_map_base @ lie.exp(offset), KERNELS[config.kernel]
