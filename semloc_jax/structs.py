@@ -7,7 +7,7 @@ Every array container is an equinox module (a JAX pytree) of fixed capacity; pad
 import enum
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
 
 class ElementClass(enum.IntEnum):
@@ -90,6 +90,9 @@ class MapSamples(eqx.Module):
     """Index of the element in `LocalMap.elements`; -1 for padding."""
     center_map: Float[Array, "n 3"]
     """CORNER: a point on the bisector of the corner, on the side of the box; else equal to p_map [m]."""
+    height_sigma: Float[Array, "n 3"]
+    """How far the height may be off, one standard deviation: near the vehicle [m]; curvature k [1/m] of a road that is
+    known there alone, k d^2 / 2 at a distance d; tilt [rad] against the vertical of what stands on it."""
     valid: Bool[Array, " n"]
 
 
@@ -114,8 +117,9 @@ class CostMaps(eqx.Module):
     Pixel (u, v) of the full mask lies at ((u + 0.5) / stride[l] - 0.5, (v + 0.5) / stride[l] - 0.5) of level l.
     """
 
-    ramps: tuple[Float[Array, "cam channel _h _w"], ...]
-    """One array for each level, coarsest first, values in [-1, 1]; each level has its own size."""
+    ramps: tuple[Float[Array, "cam channel _h _w"] | UInt8[Array, "cam channel _h _w"], ...]
+    """One array for each level, coarsest first, values in [-1, 1], or bytes 0 .. 254 that span it; each level has its
+    own size."""
     ramp_px: tuple[float, ...] = eqx.field(static=True)
     stride: tuple[int, ...] = eqx.field(static=True)
     usable: Bool[Array, "cam h w"]

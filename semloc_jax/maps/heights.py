@@ -20,9 +20,15 @@ SIGMA = "height_sigma_m"
 """Attribute of an element whose heights came from a ground surface."""
 RASTER_SIGMA_M = 0.05
 """Of a raster whose maker says nothing: about the spread of lidar ground on a road."""
-PLANE_SIGMA_M = 0.03
-PLANE_SLOPE_SIGMA = 0.01
-"""A road leaves the plane under the vehicle by about 1 % of the distance: crests, sags and crossfall."""
+PLANE_SIGMA_M = 0.02
+ROAD_CURVATURE_PER_M = 1.0 / 2000.0
+"""A road leaves the plane under the vehicle like a curve of some 2,000 m radius: by 3, 23 and 63 cm at 10, 30 and 50 m.
+Measured against planes of 15 m radius: 6, 26 and 56 cm on an Argoverse 2 map, 4, 50 and 126 cm in the hills of
+curves_elevation.xodr, 0.3, 5 and 16 cm on the motorway e6mini.xodr."""
+PLANE_TILT_SIGMA = 0.03
+"""Crossfall of 2.5 % and grades of some per cent: in a map without heights what stands is upright to a level road."""
+_SLOPE_SIGMA = 0.01
+"""The slope of a plane fitted to paint of the road beside."""
 _PLANE_RADIUS_M = 15.0
 """The plane under a vehicle is to hold for what the camera sees ahead, so it is fitted to more than the contact."""
 _MOST_CELLS = 50_000_000
@@ -98,7 +104,7 @@ def with_heights(elements: Sequence[MapElement], surface: GroundRaster | GroundM
 def lifted(elements: Sequence[MapElement], ground: GroundModel, center: np.ndarray) -> Sequence[MapElement]:
     """Returns the elements, those without heights on the plane of the road at the vehicle, if there is road near it.
 
-    They still say that they have no heights of their own, so `height_sigmas_m` knows them.
+    They still say that they have no heights of their own, so `height_sigmas` knows them.
 
     Args:
         elements: around the vehicle.
@@ -112,29 +118,21 @@ def lifted(elements: Sequence[MapElement], ground: GroundModel, center: np.ndarr
     return [e if e.has_height else e.with_points(_raised(e.points, _z(e, plane))) for e in elements]
 
 
-def height_sigmas_m(
-    elements: Sequence[MapElement],
-    element: np.ndarray,
-    xy: Float[np.ndarray, "n 2"],
-    vehicle_xy: Float[np.ndarray, "2"],
-) -> Float[np.ndarray, " n"]:
-    """Returns how far the height of each sample may be off: one standard deviation [m].
+def height_sigmas(elements: Sequence[MapElement]) -> Float[np.ndarray, "e 3"]:
+    """Returns how far the heights of each element may be off, one standard deviation: near the vehicle [m], curvature
+    of the road [1/m], tilt against the vertical [rad].
 
-    0 where the map came with heights, the sigma of the surface where they were taken from one, and a sigma that grows
-    with the distance from the vehicle where only the plane under it is known. A point that is `sigma` too high moves by
-    about focal length times sigma over depth pixels in the image.
+    At a distance d it is hypot(sigma, curvature d^2 / 2): 0 where the map came with heights, the sigma of the surface
+    where they were taken from one, and growing where only the plane of the road at the vehicle is known. Where no
+    element has a height, that plane itself is not known, and what stands leans against it.
 
     Args:
         elements: of the local map.
-        element: index of the element of each sample, -1 for padding.
-        xy: places of the samples [m].
-        vehicle_xy: place of the vehicle in the same frame [m].
     """
-    given = np.array([float(e.attributes.get(SIGMA, 0.0)) for e in elements] + [0.0])
-    is_missing = np.array([not e.has_height for e in elements] + [False])
-    away_m = np.linalg.norm(xy - vehicle_xy, axis=1)
-    of_plane = np.hypot(PLANE_SIGMA_M, PLANE_SLOPE_SIGMA * away_m)
-    return np.where(is_missing[element], of_plane, given[element])
+    tilt = 0.0 if any(e.has_height for e in elements) else PLANE_TILT_SIGMA
+    of_plane = (PLANE_SIGMA_M, ROAD_CURVATURE_PER_M, tilt)
+    rows = [(float(e.attributes.get(SIGMA, 0.0)), 0.0, 0.0) if e.has_height else of_plane for e in elements]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 
 def _z(element: MapElement, plane: RoadPlane) -> np.ndarray:
@@ -171,7 +169,7 @@ def _of_model(xy: np.ndarray, model: GroundModel) -> tuple[np.ndarray, float]:
         except SemlocError:
             continue
         heights[rows] = plane.height_at(xy[rows])
-        sigma_m = max(sigma_m, float(np.hypot(plane.rms_m, PLANE_SLOPE_SIGMA * plane.radius_m)))
+        sigma_m = max(sigma_m, float(np.hypot(plane.rms_m, _SLOPE_SIGMA * plane.radius_m)))
     return heights, sigma_m
 
 

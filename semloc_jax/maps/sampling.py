@@ -14,6 +14,7 @@ from semloc_jax.geometry import polyline
 from semloc_jax.maps.contours import Contour, element_contours, open_ends, touching_paint
 from semloc_jax.maps.curves import resample
 from semloc_jax.maps.elements import MapElement
+from semloc_jax.maps.heights import height_sigmas
 from semloc_jax.maps.semantic_map import LocalMap
 from semloc_jax.structs import ElementClass, MapSamples, SampleKind
 
@@ -64,6 +65,7 @@ def sample(local_map: LocalMap, spacing_m: float, capacity: int | None = None) -
         "kind": kind,
         "element": element[shown].astype(np.int32),
         "center_map": (center - local_map.origin_map).astype(np.float32),
+        "height_sigma": height_sigmas(local_map.elements)[element[shown]].astype(np.float32),
     }
     return _pad(columns, capacity)
 

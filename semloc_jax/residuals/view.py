@@ -6,6 +6,7 @@ What is decided here depends so weakly on the pose that it is kept while the pos
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +38,8 @@ class ViewConfig:
     """Variance of an element's place in the map over that of one independent observation of its border."""
     correlation_px: float = 60.0
     """Length of contour [px] that is one independent observation; see `AlignConfig.correlation_px`."""
+    noise_px: float = 2.0
+    """Standard deviation of one independent observation [px]; see `AlignConfig.noise_px`."""
 
 
 GROUND_CLASSES = (0, 1, 2, 3, 4, 5, 6)  # ElementClass values of what is painted on the ground
@@ -80,22 +83,35 @@ def view(
         config: Ranges, density, capacity.
     """
     buckets = [
-        _camera_view(samples, T_map_base @ jnp.asarray(T_base_cam, T_map_base.dtype), camera, channel_of_label, config)
+        _camera_view(
+            samples,
+            T_map_base @ jnp.asarray(T_base_cam, T_map_base.dtype),
+            T_map_base[2, 3],
+            camera,
+            channel_of_label,
+            config,
+        )
         for camera, T_base_cam in zip(rig.cameras, rig.T_base_cam, strict=True)
     ]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *buckets)
 
 
 def _camera_view(
-    samples: MapSamples, T_map_cam: Array, camera: Camera, channel_of_label: Array, config: ViewConfig
+    samples: MapSamples,
+    T_map_cam: Array,
+    ground_z: Array,
+    camera: Camera,
+    channel_of_label: Array,
+    config: ViewConfig,
 ) -> ViewSamples:
     p_map, is_contour = contour_points(samples, T_map_cam[:3, 3])
-    length_px, depth_px_per_m, p_cam, in_view = _length_in_image(p_map, samples, T_map_cam, camera, config)
+    seen = _in_image(p_map, samples, T_map_cam, ground_z, camera, config)
+    p_cam, length_px, depth_px_per_m = seen.p_cam, seen.length_px, seen.depth_px_per_m
     channel = jnp.asarray(channel_of_label)[samples.label]
     on_ground = jnp.isin(samples.label, jnp.asarray(GROUND_CLASSES))
     near = jnp.sum(p_cam * p_cam, axis=-1) < config.max_range_m**2
     resolved = ~on_ground | (depth_px_per_m >= config.min_ground_px_per_m)
-    keep = samples.valid & is_contour & in_view & near & resolved & (channel >= 0)
+    keep = samples.valid & is_contour & seen.in_view & near & resolved & (channel >= 0)
 
     length_px = jnp.where(keep, jnp.minimum(length_px, 50.0), 0.0)
     chosen, spacing_px = _thin(length_px, keep, config)
@@ -104,6 +120,8 @@ def _camera_view(
     shown_px = jnp.maximum(length_px, spacing_px)[index]
     shown_m = samples.length_m[index] * shown_px / jnp.maximum(length_px[index], 1e-3)
     weight = shown_px ** (1 - config.metric_exponent) * (shown_m * PX_PER_M) ** config.metric_exponent
+    # An observation of variance s^2 whose map is off by t^2 on its own counts s^2 / (s^2 + t^2).
+    weight = weight / (1 + (seen.height_px[index] / config.noise_px) ** 2)
     weight = jnp.where(filled, weight, 0.0).astype(p_map.dtype)
     element = jnp.where(filled, samples.element[index], -1)
     return ViewSamples(
@@ -126,26 +144,52 @@ def _limited_by_element(weight: Array, element: Array, config: ViewConfig) -> Ar
     return weight / (1 + config.shared_error * observations)
 
 
-def _length_in_image(
-    p_map: Array, samples: MapSamples, T_map_cam: Array, camera: Camera, config: ViewConfig
-) -> tuple[Array, Array, Array, Array]:
-    """What the camera makes of each sample.
+class _InImage(NamedTuple):
+    """What the camera makes of each sample."""
 
-    Returns:
-        Length in the image that the sample stands for [px], pixels for each metre away from the camera along the
-        ground, the point in the camera frame [m], and whether it is in view.
-    """
+    p_cam: Array
+    """Point in the camera frame [m]."""
+    in_view: Array
+    length_px: Array
+    """Length in the image that the sample stands for."""
+    depth_px_per_m: Array
+    """Pixels for each metre away from the camera along the ground."""
+    height_px: Array
+    """Standard deviation across the contour that comes from a height that is not known."""
+
+
+def _in_image(
+    p_map: Array, samples: MapSamples, T_map_cam: Array, ground_z: Array, camera: Camera, config: ViewConfig
+) -> _InImage:
     T_cam_map = lie.inverse(T_map_cam)
     p_cam = lie.transform(T_cam_map, p_map)
     rotation = T_cam_map.at[:3, 3].set(0.0)
     away = (p_map - T_map_cam[:3, 3]) * jnp.asarray([1.0, 1.0, 0.0], p_map.dtype)
-    away = away / jnp.maximum(jnp.linalg.norm(away, axis=-1, keepdims=True), 1e-3)
+    away_m = jnp.linalg.norm(away, axis=-1)
+    away = away / jnp.maximum(away_m, 1e-3)[:, None]
     (u, v, valid), push = jax.linearize(camera.project_xyz, *p_cam.T)
-    du, dv, _ = push(*lie.transform(rotation, samples.tangent_map).T)
-    away_u, away_v, _ = push(*lie.transform(rotation, away).T)
+
+    def moved_px(direction: Array) -> tuple[Array, Array]:
+        du, dv, _ = push(*jnp.broadcast_to(lie.transform(rotation, direction), p_cam.shape).T)
+        return du, dv
+
+    du, dv = moved_px(samples.tangent_map)
+    along_px = jnp.hypot(du, dv)
+    normal_u, normal_v = dv / jnp.maximum(along_px, 1e-3), -du / jnp.maximum(along_px, 1e-3)
+    away_u, away_v = moved_px(away)
+    side_u, side_v = moved_px(jnp.stack([-away[:, 1], away[:, 0], away[:, 2]], axis=-1))
+    up_u, up_v = moved_px(jnp.asarray([0.0, 0.0, 1.0], p_map.dtype))
+    sigma = samples.height_sigma
+    rise_m = jnp.hypot(sigma[:, 0], 0.5 * sigma[:, 1] * away_m**2)
+    lean_m = sigma[:, 2] * (p_map[:, 2] - ground_z)
+    height_px = jnp.sqrt(
+        (rise_m * (up_u * normal_u + up_v * normal_v)) ** 2
+        + (lean_m * (away_u * normal_u + away_v * normal_v)) ** 2
+        + (lean_m * (side_u * normal_u + side_v * normal_v)) ** 2
+    )
     margin_px = -config.margin_share * jnp.asarray(camera.width, p_map.dtype)
     in_view = valid & camera.in_image(u, v, margin_px)
-    return jnp.hypot(du, dv) * samples.length_m, jnp.hypot(away_u, away_v), p_cam, in_view
+    return _InImage(p_cam, in_view, along_px * samples.length_m, jnp.hypot(away_u, away_v), height_px)
 
 
 def _thin(length_px: Array, keep: Array, config: ViewConfig) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ import pytest
 from semloc_jax.cli.main import OK, main
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import MapElement, SemanticMap, read_map, write_map
-from semloc_jax.maps.heights import GroundRaster, height_sigmas_m, read_ground_raster, with_heights
+from semloc_jax.maps.heights import GroundRaster, height_sigmas, read_ground_raster, with_heights
 from semloc_jax.structs import ElementClass
 
 
@@ -74,16 +74,15 @@ def test_elements_without_heights_lie_on_the_road_at_the_vehicle():
     assert (flat.elements[0].points[:, 2] == 0.0).all()
 
 
-def test_sigmas_grow_with_distance_only_where_heights_are_guessed():
+def test_only_guessed_heights_have_a_sigma_that_grows_with_distance():
     points = np.array([[0.0, 0, 0], [9.0, 0, 0]])
     given = MapElement("a", ElementClass.CURB, points)
     surface = replace(given, attributes={"height_sigma_m": 0.05})
     guessed = replace(given, has_height=False)
-    xy = np.array([[0.0, 0.0], [30.0, 40.0]])
-    for element, expected in ((0, [0.0, 0.0]), (1, [0.05, 0.05]), (2, [0.03, np.hypot(0.03, 0.5)])):
-        sigma = height_sigmas_m((given, surface, guessed), np.full(2, element), xy, np.zeros(2))
-        np.testing.assert_allclose(sigma, expected)
-    assert height_sigmas_m((guessed,), np.array([-1]), xy[:1], np.zeros(2)) == 0.0
+    expected = [[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.02, 0.0005, 0.0]]
+    np.testing.assert_allclose(height_sigmas((given, surface, guessed)), expected)
+    np.testing.assert_allclose(height_sigmas((guessed,)), [[0.02, 0.0005, 0.03]], err_msg="nobody knows what is up")
+    assert height_sigmas(()).shape == (0, 3)
 
 
 def test_an_esri_grid(tmp_path):

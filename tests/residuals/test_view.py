@@ -31,6 +31,7 @@ def made(p_map, tangent, **columns):
         p_map=jnp.asarray(p_map, jnp.float32),
         tangent_map=jnp.asarray(tangent, jnp.float32),
         center_map=jnp.asarray(columns.get("center_map", p_map), jnp.float32),
+        height_sigma=jnp.asarray(columns.get("height_sigma", np.zeros((n, 3))), jnp.float32),
         valid=jnp.ones(n, bool),
         **{k: jnp.asarray(v, jnp.int32 if k in ints else jnp.float32) for k, v in rows.items()},
     )
@@ -242,3 +243,25 @@ def test_of_a_box_the_two_outermost_corners_are_kept(size_m):
         kept = np.asarray(is_contour)[valid]
         wrong += set(corner[kept]) != outermost or not kept[np.isin(corner, list(outermost))].all()
     assert wrong == 0
+
+
+def test_a_sample_of_unknown_height_counts_by_the_noise_of_its_place_in_the_image():
+    """Weight s^2 / (s^2 + t^2) with t found by moving the point: up, and sideways with its height over the road."""
+    tangents = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    points = np.array([[15.0, 1.0, 0.0], [20.0, -2.0, 0.0], [12.0, 3.0, 2.5]])
+    label = np.array([ElementClass.STOP_LINE, ElementClass.LANE_MARKING, ElementClass.POLE])
+    columns = {"length_m": np.array([0.25, 5.0, 0.25]), "label": label, "element": np.arange(3)}
+    sigma = np.array([[0.03, 0.0, 0.0], [0.02, 5e-4, 0.0], [0.0, 0.0, 0.03]])
+    T = jnp.eye(4, dtype=jnp.float32)
+    plain, doubted = (
+        np.asarray(seen_by(made(points, tangents, **columns, **more), T, RIG, CHANNELS, config=PLAIN).weight[0, :3])
+        for more in ({}, {"height_sigma": sigma})
+    )
+    rise_m = np.hypot(sigma[:, 0], 0.5 * sigma[:, 1] * np.linalg.norm(points[:, :2] - [1.6, 0.0], axis=1) ** 2)
+    (uv, _), (along, _) = pixels(points, T), pixels(points + 1e-4 * tangents, T)
+    normal = (along - uv)[:, ::-1] * [1.0, -1.0] / np.linalg.norm(along - uv, axis=1, keepdims=True)
+    square = np.zeros(3)
+    for step, size_m in ((np.eye(3)[2], rise_m), *((np.eye(3)[k], sigma[:, 2] * points[:, 2]) for k in (0, 1))):
+        square += (size_m * np.sum(normal * (pixels(points + 1e-4 * step, T)[0] - uv), axis=1) / 1e-4) ** 2
+    np.testing.assert_allclose(doubted / plain, 1.0 / (1.0 + square / 4.0), rtol=2e-3)
+    assert (doubted / plain < [0.9, 0.9, 0.2]).all()
