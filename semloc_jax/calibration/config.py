@@ -36,6 +36,8 @@ class CalibrationPriors:
     """Height of the rear axle against the nominal one over the whole drive: load."""
     stance_deg: float = 0.05
     """Roll and pitch against the road over the whole drive: load."""
+    mask_px: float = 0.3
+    """All masks against their images, beside the offset that is estimated from both: shading feigns as much."""
 
 
 @dataclass(frozen=True)

@@ -81,9 +81,7 @@ def picture_rows(
     """
     localizer = pictures.localizer
     settings = localizer.config
-    windows = MapWindows(
-        localizer.map, settings.search_radius_m, settings.sample_spacing_m, settings.sample_capacity
-    )
+    windows = MapWindows(localizer.map, settings.search_radius_m, settings.sample_spacing_m, settings.sample_capacity)
     seen = [_seen(windows, rig, T, localizer.channel_of_label, config.capacity, origin_map) for T in T_map_base]
     groups = []
     for group in pictures.rig.groups():
@@ -140,9 +138,7 @@ def _motion_to_picture(pictures: Pictures, frame: int, camera: int) -> np.ndarra
     return np.asarray(own.T_base_cam[own.index(name)], np.float64) @ rigid.inverse(nominal)
 
 
-def level_texture(
-    pictures: Pictures, ramp_px: float, stride: int, finest_stride: int
-) -> tuple[RampTexture, Usable]:
+def level_texture(pictures: Pictures, ramp_px: float, stride: int, finest_stride: int) -> tuple[RampTexture, Usable]:
     """Cost maps of all pictures on one level as one texture, and their usable pixels.
 
     The texture has room for the level of `finest_stride`: of one size, all levels share a compiled solver.

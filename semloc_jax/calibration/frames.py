@@ -5,6 +5,7 @@ In: a Sequence, a map, masks and a prior. Out: frames spread over the way, start
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import jax
 import numpy as np
@@ -107,8 +108,7 @@ def motion_between(
     if drive.odometry is None:
         return None
     log = MotionLog.of_sequence(drive, config.motion)
-    steps = zip(frames[:-1], frames[1:], strict=True)
-    found = tuple(log.increment(first.time_s, second.time_s) for first, second in steps)
+    found = tuple(log.increment(first.time_s, second.time_s) for first, second in pairwise(frames))
     if any(increment.quality is MotionQuality.MISSING for increment in found):
         return None
     return found

@@ -5,14 +5,14 @@ every parameter, and every independent direction with its verdict: observable, w
 """
 
 import enum
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 """Of a mount, along and about the axes of the vehicle."""
-_REASONS = {
+REASONS = {
     "x": "the vehicle's own origin may lie farther ahead or behind: only curves tell it, in which the rear axle must "
     "not move sideways",
     "y": "the vehicle's own origin may lie farther left or right: only curves tell it, in which an outer point drives "
@@ -28,6 +28,8 @@ _REASONS = {
     "stance_height": "a load looks like a mount that moved",
     "stance_roll": "a load looks like a mount that turned",
     "stance_pitch": "a load looks like a mount that turned",
+    "mask_u": "masks that lie beside the images look like a camera that is turned",
+    "mask_v": "masks that lie beside the images look like a camera that is turned",
 }
 _LENS_REASON = "the lens bends too little or too few contours pass there: drive where the picture is full of them"
 _SHOWN = 0.3
@@ -112,6 +114,7 @@ def observe(
     prior_sigmas: np.ndarray,
     observable_ratio: float,
     held_ratio: float,
+    reasons: Mapping[str, str] = REASONS,
 ) -> Observability:
     """What is known of each unknown.
 
@@ -126,6 +129,8 @@ def observe(
         prior_sigmas: All positive.
         observable_ratio: Below this share a direction is observable.
         held_ratio: Above this share it is held by the prior.
+        reasons: What would tell a direction that is not observable, by the name or the last word of the name of what
+            moves most.
     """
 
     def judged(ratio: float) -> Verdict:
@@ -146,7 +151,7 @@ def observe(
     for k in np.argsort(ratios, kind="stable"):
         vector = vectors[:, k] * np.sign(vectors[np.argmax(np.abs(vectors[:, k])), k])
         verdict = judged(ratios[k])
-        reason = "" if verdict is Verdict.OBSERVABLE else _reason(vector, names)
+        reason = "" if verdict is Verdict.OBSERVABLE else _reason(vector, names, reasons)
         directions.append(Direction(float(ratios[k]), vector, verdict, _text(vector, names), reason))
     return Observability(parameters, tuple(directions), prior_sigmas[:, None] * scaled * prior_sigmas)
 
@@ -182,6 +187,6 @@ def _text(vector: np.ndarray, names: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{words[0]} trades with {', '.join(words[1:])}" if words else "many"
 
 
-def _reason(vector: np.ndarray, names: Sequence[str]) -> str:
+def _reason(vector: np.ndarray, names: Sequence[str], reasons: Mapping[str, str]) -> str:
     name = names[int(np.argmax(np.abs(vector)))]
-    return _REASONS.get(name, _REASONS.get(name.rsplit(" ", 1)[-1], _LENS_REASON))
+    return reasons.get(name, reasons.get(name.rsplit(" ", 1)[-1], _LENS_REASON))

@@ -6,14 +6,14 @@ gauge is broken by how a vehicle can move and stand: along its wheels, not sidew
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from semloc_jax.calibration.config import SelfCalibrationConfig
+from semloc_jax.calibration.config import CalibrationPriors, SelfCalibrationConfig
 from semloc_jax.calibration.evidence import (
     Pictures,
     anchors_of,
@@ -36,16 +36,16 @@ from semloc_jax.localization.priors import PriorSource
 from semloc_jax.maps import SemanticMap
 from semloc_jax.solvers.arrow import reduced
 from semloc_jax.solvers.self_calibration import (
-    VEHICLE,
+    COMMON,
     CalibrationProblem,
     CalibrationSolution,
     CalibrationState,
     solve_calibration,
 )
 
-_NOMINAL = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-_VEHICLE_UNITS = {"gyro_bias": "deg/s", "gnss_east": "m", "gnss_north": "m", "stance_height": "m"}
-_VEHICLE_UNITS |= {"stance_roll": "deg", "stance_pitch": "deg"}
+_NOMINAL = np.array([1.0, *[0.0] * 8])
+_UNITS = {"gyro_bias": "deg/s", "gnss_east": "m", "gnss_north": "m", "stance_height": "m"}
+_UNITS |= {"stance_roll": "deg", "stance_pitch": "deg", "mask_u": "px", "mask_v": "px"}
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ class SelfCalibration:
     Attributes:
         rig_before: The calibration to start from, cameras of the masks only.
         rig: The corrected one.
-        vehicle: `VEHICLE` by name: odometer scale (true over measured), gyroscope bias [rad/s], GNSS-to-map offset [m],
-            stance of the vehicle on the road [m, rad].
+        vehicle: `COMMON` by name: odometer scale (true over measured), gyroscope bias [rad/s], GNSS-to-map offset [m],
+            stance of the vehicle on the road [m, rad], what the masks are off beside their estimated offset [px].
         observability: Sigmas and verdicts.
         frames: Those used.
         T_map_base: Their poses, float64[n 4 4], map frame.
@@ -120,6 +120,7 @@ def calibrate_from(
     """`self_calibrate` from start poses that are known already."""
     if len(start.frames) < MIN_FRAMES:
         raise SemlocError(f"calibration: given {len(start.frames)} frames; expected at least {MIN_FRAMES}")
+    masks = with_common_offset(masks)
     pictures = Pictures.of(start.frames, drive.rig, masks, FrameLocalizer(semantic_map, masks.table))
     origin_map = start.T_map_base[:, :3, 3].mean(axis=0)
     log = MotionLog.of_sequence(drive, config.motion) if start.motion is not None else None
@@ -133,7 +134,7 @@ def calibrate_from(
     observability = _observability(information, sigma, solution, pictures.rig, config)
     T_map_base = np.array(solution.state.T_map_base, np.float64)
     T_map_base[:, :3, 3] += origin_map
-    vehicle = dict(zip(VEHICLE, np.asarray(solution.state.vehicle).tolist(), strict=True))
+    vehicle = dict(zip(COMMON, np.asarray(solution.state.common).tolist(), strict=True))
     return SelfCalibration(
         nominal,
         _corrected(nominal, pictures.rig, solution.state, config),
@@ -146,6 +147,14 @@ def calibrate_from(
         bool(solution.converged),
         _notes(drive, start),
     )
+
+
+def with_common_offset(masks: MaskSource) -> MaskSource:
+    """The masks with one offset against the images for all cameras: one network and one resizing made them all."""
+    if not masks.offset_px:
+        return masks
+    common = np.median([masks.offset_px.get(name, (0.0, 0.0)) for name in masks.cameras], axis=0)
+    return replace(masks, offset_px=dict.fromkeys(masks.cameras, (float(common[0]), float(common[1]))))
 
 
 def _coarse_to_fine(
@@ -171,12 +180,8 @@ def _coarse_to_fine(
         noise_px = max(config.noise_px, config.noise_share * ramp_px)
         gain = jnp.asarray((ramp_px / noise_px) ** 2 / config.correlation_px)
         nominal = jnp.asarray(np.asarray(rig.T_base_cam, np.float64))
-        problem = CalibrationProblem(
-            rows, texture, gain, motion, anchors, nominal, jnp.asarray(_NOMINAL), sigma
-        )
-        solution = solve_calibration(
-            problem, state, usable, tolerance=config.tolerance, max_steps=config.max_steps
-        )
+        problem = CalibrationProblem(rows, texture, gain, motion, anchors, nominal, jnp.asarray(_NOMINAL), sigma)
+        solution = solve_calibration(problem, state, usable, tolerance=config.tolerance, max_steps=config.max_steps)
         if best is not None and solution.inlier_ratio < config.min_inlier_ratio:
             break
         best, state = (solution, ramp_px), solution.state
@@ -189,16 +194,23 @@ def _num_intrinsics(rig: Rig, config: SelfCalibrationConfig) -> int:
 
 def _sigmas(rig: Rig, config: SelfCalibrationConfig) -> np.ndarray:
     """Standard deviations of the priors of all shared unknowns, in the order of the solver; 0 for padding."""
-    priors, widest = config.priors, _num_intrinsics(rig, config)
+    priors = config.priors
     mount = [priors.mount_m] * 3 + [np.deg2rad(priors.mount_deg)] * 3
-    lenses = np.zeros((len(rig), widest))
-    for row, camera in zip(lenses, rig.cameras, strict=True):
-        for k, name in enumerate(unknown_fields(camera, config.intrinsics)):
-            focal = priors.focal_share * float(getattr(camera, name)) if name in ("fx", "fy") else 0.0
-            row[k] = focal or (priors.center_px if name in ("cx", "cy") else priors.distortion)
+    lenses = lens_sigmas(rig, tuple(unknown_fields(camera, config.intrinsics) for camera in rig.cameras), priors)
     stance = [priors.stance_m, np.deg2rad(priors.stance_deg), np.deg2rad(priors.stance_deg)]
     vehicle = [priors.odometer_scale, np.deg2rad(priors.gyro_bias_degps), *[priors.gnss_offset_m] * 2, *stance]
-    return np.concatenate([np.tile(mount, len(rig)), lenses.ravel(), vehicle])
+    masks = [priors.mask_px] * 2
+    return np.concatenate([np.tile(mount, len(rig)), lenses.ravel(), vehicle, masks])
+
+
+def lens_sigmas(rig: Rig, fields: tuple[tuple[str, ...], ...], priors: CalibrationPriors) -> np.ndarray:
+    """Standard deviations of the unknown fields of each camera, `float64[c k]`; 0 for padding."""
+    sigma = np.zeros((len(rig), max(len(names) for names in fields)))
+    for row, names, camera in zip(sigma, fields, rig.cameras, strict=True):
+        for k, name in enumerate(names):
+            focal = priors.focal_share * float(getattr(camera, name)) if name in ("fx", "fy") else 0.0
+            row[k] = focal or (priors.center_px if name in ("cx", "cy") else priors.distortion)
+    return sigma
 
 
 def _observability(
@@ -218,7 +230,7 @@ def _observability(
         turn[6 * c : 6 * c + 3, 6 * c : 6 * c + 3] = turn[6 * c + 3 : 6 * c + 6, 6 * c + 3 : 6 * c + 6] = R
         changes[6 * c : 6 * c + 6] = mount_change(before[c], after[c])
     changes[6 * num : (6 + widest) * num] = np.asarray(solution.state.intrinsics).ravel()
-    changes[-len(VEHICLE) :] = np.asarray(solution.state.vehicle) - _NOMINAL
+    changes[-len(COMMON) :] = np.asarray(solution.state.common) - _NOMINAL
     names, units = [], []
     for camera in rig.names:
         names += [f"{camera} {axis}" for axis in AXES]
@@ -228,8 +240,8 @@ def _observability(
         fields += ("",) * (widest - len(fields))
         names += [f"{camera} {name}" for name in fields]
         units += ["px" if name in ("fx", "fy", "cx", "cy") else "" for name in fields]
-    names += VEHICLE
-    units += [_VEHICLE_UNITS.get(name, "") for name in VEHICLE]
+    names += COMMON
+    units += [_UNITS.get(name, "") for name in COMMON]
     in_unit = np.where(["deg" in unit for unit in units], np.rad2deg(1.0), 1.0)
     free = np.flatnonzero(sigma > 0)
     return observe(

@@ -20,6 +20,7 @@ VERBS = {
     "evaluate": "errors of a trajectory against a reference, with an optional gate",
     "inspect": "what a map holds and what looks wrong in it",
     "convert": "write a map in another format, and say what is lost",
+    "calibrate": "cameras, odometer and satellite offset calibrated by a drive, and what it cannot tell",
     "check-calib": "what looks wrong in a calibration, and pictures of it: horizon, ground grid, map",
     "segment": "masks of a drive by a network, with a report of the map classes they can see",
     "simulate": "write a small rendered drive with exact truth",

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from semloc_jax import viz
+from semloc_jax.cameras import Rig
+from semloc_jax.datasets import Frame
 from semloc_jax.localization import LocalizationResult, MaskSource
 from semloc_jax.maps import SemanticMap, sample
 from semloc_jax.viz.overlay import Panel, dim
@@ -48,6 +50,30 @@ def panels(semantic_map: SemanticMap, source: MaskSource, result: LocalizationRe
             image, camera = viz.mask_picture(source.segment(result.frame, name), source.table), masks_rig.cameras[index]
         before, after = (viz.project_contours(*part, camera, rig.T_base_cam[index]) for part in contours)
         found.append(Panel(name, image, before, after))
+    return found
+
+
+def calibration_panels(
+    semantic_map: SemanticMap, source: MaskSource, frame: Frame, T_map_base: np.ndarray, before: Rig, after: Rig
+) -> list[Panel]:
+    """One panel for each camera: the map as seen from one pose with one calibration and with another."""
+    local_map = semantic_map.query(T_map_base[:3, 3], RADIUS_M)
+    samples = sample(local_map, SPACING_M)
+    found = []
+    for name in source.cameras:
+        has_image = frame.has("rgb", name)
+        image = (
+            dim(frame.image(name)[..., ::-1])
+            if has_image
+            else viz.mask_picture(source.segment(frame, name), source.table)
+        )
+        contours = []
+        for rig in (before.select([name]), after.select([name])):
+            camera = (rig if has_image else source.camera_rig(rig)).cameras[0]
+            contours.append(
+                viz.project_contours(samples, local_map.origin_map, T_map_base, camera, np.asarray(rig.T_base_cam[0]))
+            )
+        found.append(Panel(name, image, *contours))
     return found
 
 

@@ -1,8 +1,8 @@
 """Normal equations of the alignment residual for cameras that may sit and see otherwise than assumed (room: residuals;
 pure JAX).
 
-In: views of many frames, one row for each picture. Out: for each row the quadratic model by the camera's own tangent and
-by its intrinsics. From these few numbers follow the derivatives by vehicle pose and mount alike:
+In: views of many frames, one row for each picture. Out: for each row the quadratic model by the camera's own tangent,
+its intrinsics and a shift of its pixels. From these few numbers follow the derivatives by vehicle pose and mount alike:
 T_map_cam = T_map_base exp(xi) T_base_cam exp(e) moves in its own tangent by Ad(T_cam_base) xi + e.
 """
 
@@ -18,7 +18,7 @@ from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
 
 
 class RowEquations(eqx.Module):
-    """Quadratic model of the summed robust cost of each picture, by (camera tangent, intrinsics)."""
+    """Quadratic model of the summed robust cost of each picture, by (camera tangent, intrinsics, shift in u and v)."""
 
     hessian: Float[Array, "row d d"]
     gradient: Float[Array, "row d"]
@@ -64,7 +64,7 @@ def camera_equations(
 def _linearised(
     row: CameraViews, names: tuple[str, ...], num_intrinsics: int, texture: RampTexture
 ) -> tuple[Float[Array, " p"], Float[Array, "d p"]]:
-    """Ramp values of one picture and their derivatives by camera tangent and intrinsics."""
+    """Ramp values of one picture and their derivatives by camera tangent, intrinsics and a shift of all pixels."""
     dtype = row.p_map.dtype
     x, y, z = points_in_camera(row.T_cam_base, jnp.eye(4, dtype=dtype), row.p_map)
     (u, v), pull = jax.vjp(lambda *p: row.camera.project_xyz(*p)[:2], x, y, z)
@@ -84,4 +84,4 @@ def _linearised(
             du, dv = push(unit)
             columns.append(by_u * du + by_v * dv)
     columns += [jnp.zeros_like(r)] * (num_intrinsics - len(names))
-    return r, jnp.stack(columns)
+    return r, jnp.stack([*columns, by_u, by_v])

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from semloc_jax.cameras import Camera
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual, visibility
 from semloc_jax.residuals.camera_equations import camera_equations, with_fields
@@ -21,7 +22,10 @@ from semloc_jax.solvers.arrow import ArrowEquations
 from semloc_jax.solvers.arrow_lm import solve_arrow
 
 VEHICLE = ("odometer_scale", "gyro_bias", "gnss_east", "gnss_north", "stance_height", "stance_roll", "stance_pitch")
-"""Unknowns of the vehicle, behind those of the cameras."""
+MASKS = ("mask_u", "mask_v")
+COMMON = VEHICLE + MASKS
+"""Unknowns that belong to no single camera, behind those that do: of the vehicle, and how far all masks lie off the
+images, since one network and one resizing made them all."""
 _KERNEL = KERNELS["tukey"]
 
 
@@ -33,8 +37,8 @@ class CalibrationState(eqx.Module):
     T_base_cam: Float[Array, "c 4 4"]
     intrinsics: Float[Array, "c k"]
     """Change of the unknown fields of each camera model, padded with zeros."""
-    vehicle: Float[Array, "7"]
-    """`VEHICLE`: odometer scale, gyroscope bias [rad/s], GNSS-to-map offset [m], stance [m, rad]."""
+    common: Float[Array, "9"]
+    """`COMMON`: odometer scale, gyroscope bias [rad/s], GNSS-to-map offset [m], stance [m, rad], mask offset [px]."""
 
 
 class PictureRows(eqx.Module):
@@ -85,9 +89,9 @@ class CalibrationProblem(eqx.Module):
     anchors: Anchors
     T_prior: Float[Array, "c 4 4"]
     """Mounts of the calibration to start from."""
-    vehicle_prior: Float[Array, "7"]
+    common_prior: Float[Array, "9"]
     sigma: Float[Array, " s"]
-    """Of the priors: mounts (6 for each camera, right tangent), intrinsics, vehicle; 0 locks."""
+    """Of the priors: mounts (6 for each camera, right tangent), intrinsics, `COMMON`; 0 locks."""
     edge_threshold: float = eqx.field(static=True, default=5.0)
     fix_threshold: float = eqx.field(static=True, default=2.0)
     road_threshold: float = eqx.field(static=True, default=4.0)
@@ -96,9 +100,12 @@ class CalibrationProblem(eqx.Module):
         """The views of a group with cameras and poses of a state."""
         T_map_then = lie.compose(state.T_map_base[group.frame], group.T_frame_then)
         T_map_cam = lie.compose(T_map_then, state.T_base_cam[group.camera])
-        moved = jax.vmap(lambda camera, change: with_fields(camera, group.names, change))(
-            group.views.camera, state.intrinsics[group.camera]
-        )
+        offset = state.common[-len(MASKS) :]
+
+        def moved_camera(camera: Camera, change: Array) -> Camera:
+            return with_fields(with_fields(camera, group.names, change), ("cx", "cy"), offset)
+
+        moved = jax.vmap(moved_camera)(group.views.camera, state.intrinsics[group.camera])
         return eqx.tree_at(lambda v: (v.camera, v.T_cam_base), group.views, (moved, lie.inverse(T_map_cam)))
 
     def linearise(self, state: CalibrationState) -> ArrowEquations:
@@ -117,9 +124,7 @@ class CalibrationProblem(eqx.Module):
             (total.across * unit, total.shared * unit[:, None] * unit + locked, total.shared_gradient * unit),
         )
 
-    def move(
-        self, state: CalibrationState, poses: Float[Array, "n 6"], shared: Float[Array, " s"]
-    ) -> CalibrationState:
+    def move(self, state: CalibrationState, poses: Float[Array, "n 6"], shared: Float[Array, " s"]) -> CalibrationState:
         """The state after a step in right tangents and in units of the priors."""
         x = shared * self.sigma
         num, width = state.intrinsics.shape
@@ -128,7 +133,7 @@ class CalibrationProblem(eqx.Module):
             lie.compose(state.T_map_base, lie.exp(poses)),
             lie.compose(state.T_base_cam, lie.exp(mounts)),
             state.intrinsics + lenses,
-            state.vehicle + x[-len(VEHICLE) :],
+            state.common + x[-len(COMMON) :],
         )
 
     def residuals(self, state: CalibrationState) -> Float[Array, " m"]:
@@ -159,13 +164,16 @@ class CalibrationProblem(eqx.Module):
         found = camera_equations(self.rows(state, group), group.names, width, self.texture, _KERNEL)
         T_frame_cam = lie.compose(group.T_frame_then, state.T_base_cam[group.camera])
         tangent = lie.adjoint(lie.inverse(T_frame_cam))
-        by_pose = jnp.pad(tangent, ((0, 0), (0, width), (0, 0)))
+        by_pose = jnp.pad(tangent, ((0, 0), (0, width + len(MASKS)), (0, 0)))
         own = jax.nn.one_hot(group.camera, num_cameras, dtype=dtype)
         mounts = jnp.einsum("rc,ij->ricj", own, jnp.eye(6, dtype=dtype)).reshape(len(own), 6, 6 * num_cameras)
-        lenses = jnp.einsum("rc,ij->ricj", own, jnp.eye(width, dtype=dtype)).reshape(len(own), width, width * num_cameras)
-        by_shared = jnp.zeros((len(own), 6 + width, size), dtype)
+        lenses = jnp.einsum("rc,ij->ricj", own, jnp.eye(width, dtype=dtype)).reshape(
+            len(own), width, width * num_cameras
+        )
+        by_shared = jnp.zeros((len(own), 6 + width + len(MASKS), size), dtype)
+        by_shared = by_shared.at[:, 6 + width :, -len(MASKS) :].set(jnp.eye(len(MASKS), dtype=dtype))
         by_shared = by_shared.at[:, :6, : 6 * num_cameras].set(mounts)
-        by_shared = by_shared.at[:, 6:, 6 * num_cameras : (6 + width) * num_cameras].set(lenses)
+        by_shared = by_shared.at[:, 6 : 6 + width, 6 * num_cameras : (6 + width) * num_cameras].set(lenses)
         H, g = self.gain * found.hessian, self.gain * found.gradient
         num = state.T_map_base.shape[0]
 
@@ -185,7 +193,7 @@ class CalibrationProblem(eqx.Module):
     def _motion_terms(self, state: CalibrationState) -> tuple[Array, Array, Array, Array]:
         T = state.T_map_base
         after = jnp.concatenate([T[1:], T[-1:]])
-        change = jnp.broadcast_to(state.vehicle[:2] - self.vehicle_prior[:2], (len(T), 2))
+        change = jnp.broadcast_to(state.common[:2] - self.common_prior[:2], (len(T), 2))
         edges = (self.motion.T_from_to, self.motion.jacobian, self.motion.sqrt_info)
         return jax.vmap(odometry_linearised)(T, after, change, *edges)
 
@@ -213,10 +221,10 @@ class CalibrationProblem(eqx.Module):
     def _anchor_terms(self, state: CalibrationState) -> list[tuple[Array, Array, Array | None]]:
         T, a = state.T_map_base, self.anchors
         fixes = jax.vmap(fix_linearised, in_axes=(0, None, 0, 0, 0))(
-            T, state.vehicle[2:4], a.fix_base, a.p_fix, a.fix_sqrt_info
+            T, state.common[2:4], a.fix_base, a.p_fix, a.fix_sqrt_info
         )
         road = jax.vmap(road_linearised, in_axes=(0, None, 0, 0, 0))(
-            T, state.vehicle[4:7], a.road_point, a.road_normal, a.road_sqrt_info
+            T, state.common[4:7], a.road_point, a.road_normal, a.road_sqrt_info
         )
         reference = jax.vmap(pose_linearised)(T, a.T_reference, a.reference_sqrt_info)
         return [fixes, road, (*reference, None)]
@@ -237,7 +245,7 @@ class CalibrationProblem(eqx.Module):
 
     def _placed(self, J: Float[Array, "n k v"], place: int) -> Float[Array, "n k s"]:
         """Derivatives by unknowns of the vehicle, from the given one on, in the columns of all shared unknowns."""
-        first = self.sigma.shape[0] - len(VEHICLE) + place
+        first = self.sigma.shape[0] - len(COMMON) + place
         return jnp.zeros((*J.shape[:2], self.sigma.shape[0]), J.dtype).at[:, :, first : first + J.shape[2]].set(J)
 
     def _prior_terms(self, state: CalibrationState) -> tuple[Float[Array, " s"], Float[Array, "s s"]]:
@@ -246,7 +254,7 @@ class CalibrationProblem(eqx.Module):
         inverse = jnp.where(free, 1 / jnp.where(free, self.sigma, 1.0), 0.0)
         eye = jnp.broadcast_to(jnp.eye(6, dtype=inverse.dtype), (state.T_base_cam.shape[0], 6, 6))
         off, J = jax.vmap(pose_linearised)(state.T_base_cam, self.T_prior, eye)
-        rest = jnp.concatenate([state.intrinsics.ravel(), state.vehicle - self.vehicle_prior])
+        rest = jnp.concatenate([state.intrinsics.ravel(), state.common - self.common_prior])
         J_mounts = jax.scipy.linalg.block_diag(*J)
         jacobian = jax.scipy.linalg.block_diag(J_mounts, jnp.eye(rest.shape[0], dtype=inverse.dtype))
         return jnp.concatenate([off.ravel(), rest]) * inverse, inverse[:, None] * jacobian

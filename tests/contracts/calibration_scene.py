@@ -7,13 +7,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tests.contracts import ground_scene
-from tests.contracts.ground_scene import T_TRUE
 
 from semloc_jax.geometry import lie
 from semloc_jax.solvers.self_calibration import Anchors, CalibrationProblem, CalibrationState, Motion, PictureRows
+from tests.contracts import ground_scene
+from tests.contracts.ground_scene import T_TRUE
 
-SIGMA_VEHICLE = np.array([0.02, 0.005, 3.0, 3.0, 0.01, 0.001, 0.001])
+SIGMA_COMMON = np.array([0.02, 0.005, 3.0, 3.0, 0.01, 0.001, 0.001, 0.3, 0.3])
 SCALE, BIAS, OFFSET = 1.01, 0.002, np.array([0.8, -0.5])
 STEP_M, STEP_S = 4.0, 0.5
 
@@ -56,13 +56,13 @@ def build(name, turns_rad, fields=(), num=200):
         still = jnp.broadcast_to(jnp.eye(4), (len(row), 4, 4))
         groups.append(PictureRows(views, jnp.asarray(row), jnp.asarray(camera), still, names))
     state = CalibrationState(
-        jnp.asarray(Ts @ np.linalg.inv(_level()) @ _level()),
+        jnp.asarray(Ts),
         jnp.asarray(rig.T_base_cam),
         jnp.zeros((cameras, width)),
-        jnp.asarray(np.array([SCALE, BIAS, *OFFSET, 0.0, 0.0, 0.0])),
+        jnp.asarray(np.array([SCALE, BIAS, *OFFSET, *[0.0] * 5])),
     )
     sigma = np.concatenate(
-        [np.tile([0.05] * 3 + [0.035] * 3, cameras), np.tile(_lens_sigmas(fields, width), cameras), SIGMA_VEHICLE]
+        [np.tile([0.05] * 3 + [0.035] * 3, cameras), np.tile(_lens_sigmas(fields, width), cameras), SIGMA_COMMON]
     )
     texture = scene.textures.level(0)
     problem = CalibrationProblem(
@@ -72,14 +72,10 @@ def build(name, turns_rad, fields=(), num=200):
         _motion(steps),
         _anchors(Ts),
         jnp.asarray(rig.T_base_cam),
-        jnp.asarray(np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])),
+        jnp.asarray(np.array([1.0, *[0.0] * 8])),
         jnp.asarray(sigma),
     )
     return problem, state
-
-
-def _level():
-    return np.eye(4)
 
 
 def _lens_sigmas(fields, width):

@@ -1,0 +1,43 @@
+"""What a drive knows of a calibration, before and after (room: viz).
+
+In: Observability; frames with both calibrations. Out: Figures.
+"""
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from semloc_jax.calibration import Observability, Parameter, Verdict
+from semloc_jax.viz.style import INK, new_figure, plain_axes
+
+_COLOURS = {Verdict.OBSERVABLE: "#00897b", Verdict.WEAK: "#f9a825", Verdict.HELD: "#c62828"}
+_PRIOR = "#b0bec5"
+
+
+def observability_figure(observability: Observability) -> Figure:
+    """Standard deviation of every parameter before (grey) and after the drive (by verdict), one column for each unit."""
+    units = dict.fromkeys(p.unit for p in observability.parameters)
+    columns = [[p for p in observability.parameters if p.unit == unit] for unit in units]
+    height = 1.2 + 0.27 * max(len(column) for column in columns)
+    figure = new_figure(1.0 + 3.2 * len(columns), height)
+    for axes, column in zip(figure.subplots(1, len(columns), squeeze=False)[0], columns, strict=True):
+        _column(plain_axes(axes), column)
+    handles = [Line2D([], [], marker="o", linestyle="", color=_PRIOR, label="before")]
+    handles += [Line2D([], [], marker="o", linestyle="", color=c, label=str(v)) for v, c in _COLOURS.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=9, frameon=False, labelcolor=INK)
+    return figure
+
+
+def _column(axes, parameters: Sequence[Parameter]) -> None:
+    for row, p in enumerate(parameters):
+        axes.plot([p.sigma, p.prior_sigma], [row, row], color=_PRIOR, linewidth=1.2, zorder=1)
+        axes.plot(p.prior_sigma, row, "o", color=_PRIOR, markersize=5)
+        axes.plot(p.sigma, row, "o", color=_COLOURS[p.verdict], markersize=6)
+    axes.set_xscale("log")
+    low = min(min(p.sigma, p.prior_sigma) for p in parameters)
+    high = max(p.prior_sigma for p in parameters)
+    axes.set_xlim(0.5 * low, 2.0 * high)
+    axes.set_yticks(range(len(parameters)), [p.name.replace("_", " ") for p in parameters])
+    axes.set_ylim(len(parameters) - 0.5, -0.5)
+    axes.set_xlabel(f"sigma [{parameters[0].unit}]" if parameters[0].unit else "sigma")
