@@ -38,7 +38,7 @@ class ExplorerServer(ThreadingHTTPServer):
             SemlocError: the port is in use, forbidden, or none at all.
         """
         self.session, self.progress = session, Progress()
-        self._threads: list[threading.Thread] = []
+        self._workers: list[threading.Thread] = []
         if not 0 <= port <= 65535:
             raise SemlocError(f"port {port}: expected a number from 0 (any free one) to 65535")
         try:
@@ -48,6 +48,11 @@ class ExplorerServer(ThreadingHTTPServer):
             raise SemlocError(
                 f"port {port} of this machine: {why}; give another --port, or 0 for any free one"
             ) from error
+
+    def server_activate(self) -> None:
+        """Listen with room for a browser that opens many connections at once."""
+        self.request_queue_size = 32
+        super().server_activate()
 
     def server_bind(self) -> None:
         """Bind without looking up the name of the machine, which may take seconds."""
@@ -61,24 +66,24 @@ class ExplorerServer(ThreadingHTTPServer):
 
     def start(self) -> "ExplorerServer":
         """Answer requests and compile, both in the background."""
-        self._threads = [threading.Thread(target=target, daemon=True) for target in (self.serve_forever, self._warm_up)]
-        for thread in self._threads:
+        self._workers = [threading.Thread(target=target, daemon=True) for target in (self.serve_forever, self._warm_up)]
+        for thread in self._workers:
             thread.start()
         return self
 
     def close(self) -> None:
         """Stop answering, give the port back, and let a compilation under way come to its end."""
         self.progress.stop()
-        if self._threads:
+        if self._workers:
             self.shutdown()
         self.server_close()
-        for thread in self._threads:
+        for thread in self._workers:
             thread.join()
 
     def wait(self) -> None:
         """Return when the server was closed by another thread; an interrupt passes through."""
-        while self._threads and self._threads[0].is_alive():
-            self._threads[0].join(timeout=0.5)
+        while self._workers and self._workers[0].is_alive():
+            self._workers[0].join(timeout=0.5)
 
     def __enter__(self) -> "ExplorerServer":
         return self.start()

@@ -1,0 +1,31 @@
+"""One explorer of a small simulated drive for all tests of this room: it is compiled once."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from semloc_jax.datasets import open_sequence
+from semloc_jax.explorer import ExplorerServer, ExplorerSession
+from semloc_jax.localization import FrameLocalizer, mask_source, prior_source
+from semloc_jax.maps import read_map
+
+
+@pytest.fixture(scope="session")
+def explorer(simulated_road: Path) -> Iterator[ExplorerServer]:
+    """A server that is ready, opened at frame 1 with exact masks."""
+    drive = open_sequence(simulated_road)
+    masks = mask_source("sem", drive)
+    localizer = FrameLocalizer(read_map(drive.map_path), masks.table)
+    session = ExplorerSession(drive, localizer, masks, prior_source("truth", drive), frame=1)
+    session.warm_up()
+    with ExplorerServer(session, 0) as server:
+        server.progress.report("ready", 1, 1)
+        yield server
+
+
+@pytest.fixture
+def session(explorer: ExplorerServer) -> ExplorerSession:
+    """The session of the explorer, at frame 1."""
+    explorer.session.open_frame(1)
+    return explorer.session
