@@ -1,4 +1,4 @@
-"""`semloc calibrate`: mounts, lenses, odometer and satellite offset from a drive, and what it cannot tell (room: cli)."""
+"""`semloc calibrate`: cameras, odometer and satellite offset from a drive, and what it cannot tell (room: cli)."""
 
 import logging
 import time

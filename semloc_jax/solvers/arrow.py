@@ -1,7 +1,8 @@
 """Normal equations of a chain of poses with shared unknowns: a block arrow (room: solvers; pure JAX).
 
 In: blocks of the poses, of neighbours, across, of what is shared. Out: steps, and what the chain leaves of the shared
-part. Cost grows with the number of poses, not with its cube: each pose is eliminated into the next, all into the shared.
+part. Cost grows with the number of poses, not with its cube: each pose is eliminated into the next, all into what is
+shared.
 """
 
 import equinox as eqx

@@ -16,7 +16,7 @@ _PRIOR = "#b0bec5"
 
 
 def observability_figure(observability: Observability) -> Figure:
-    """Standard deviation of every parameter before (grey) and after the drive (by verdict), one column for each unit."""
+    """Sigma of every parameter before (grey) and after the drive (coloured by verdict), one column for each unit."""
     units = dict.fromkeys(p.unit for p in observability.parameters)
     columns = [[p for p in observability.parameters if p.unit == unit] for unit in units]
     height = 1.2 + 0.27 * max(len(column) for column in columns)

@@ -58,12 +58,8 @@ def _camchain(content: dict[str, Any], rig: Rig, source: Path, path: Path) -> Pa
     """The camchain with poses under the keys that they had; leading comments are kept."""
     before = rig_from_camchain(content, source)
     keys = sorted((key for key in content if str(key).startswith("cam")), key=lambda key: int(str(key)[3:]))
-    poses = [
-        np.asarray(
-            (rig if name in rig.names else before).T_base_cam[(rig if name in rig.names else before).index(name)]
-        )
-        for name in before.names
-    ]
+    best = [rig if name in rig.names else before for name in before.names]
+    poses = [np.asarray(own.T_base_cam[own.index(name)]) for own, name in zip(best, before.names, strict=True)]
     for number, (key, name) in enumerate(zip(keys, before.names, strict=True)):
         entry = content[key]
         pose_key = next((k for k in _POSE_KEYS if k in entry), "T_body_cam")
