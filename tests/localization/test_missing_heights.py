@@ -50,7 +50,7 @@ def test_unknown_heights_count_less_where_they_matter(tmp_path, monkeypatch):
     drive = simulate("road", 21, tmp_path, config)
     flat = _flattened(read_map(drive.map_path))
     error, nees = _errors(drive, flat)
-    monkeypatch.setattr(sampling, "height_sigmas", lambda elements: np.zeros((len(elements), 2)))
+    monkeypatch.setattr(sampling, "height_sigmas", lambda elements: np.zeros((len(elements), 3)))
     ignored, ignored_nees = _errors(drive, flat)
     rms, ignored_rms = np.sqrt(np.mean(error**2, axis=0)), np.sqrt(np.mean(ignored**2, axis=0))
     assert (rms < [0.12, 0.025, 0.12]).all()
