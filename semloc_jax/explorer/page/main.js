@@ -8,7 +8,7 @@ import { ClassTable, Moves, drawCertainty, drawReadout } from "./panels.js";
 import { moved, withStanding } from "./pose.js";
 import { SliceView } from "./slice_view.js";
 
-const SLOW_MS = 85, REST_MS = 160, STEP_MS = 45, TOAST_MS = 5000, POLL_MS = 250;
+const SLOW_MS = 60, SLICES_EVERY_MS = 300, REST_MS = 160, STEP_MS = 45, TOAST_MS = 5000, POLL_MS = 250;
 const $ = (id) => document.getElementById(id);
 const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
@@ -18,7 +18,7 @@ const state = (window.explorer = {
   answer: null, solved: null, moving: false, answered: [], errors: [],
   isBusy: () => asking || wanted !== null || solving, carOnScreen: () => map.carOnScreen(),
 });
-let wanted = null, asking = false, restTimer = 0, dragStart = null, lastMs = 0, solving = false;
+let wanted = null, asking = false, restTimer = 0, dragStart = null, lastMs = 0, slicesMs = 0, slicesAt = 0, solving = false;
 
 const cameras = new CameraView($("cameras"), $("residual-legend"));
 const map = new MapView($("map-base"), $("map-top"), dragTo);
@@ -40,15 +40,17 @@ async function pump() {
   while (wanted !== null) {
     let grid = wanted;
     wanted = null;
-    // Where slices take long, every second answer does without them.
-    if (grid === "coarse" && state.moving && lastMs > SLOW_MS && state.answer?.arrays.slice_xy) grid = "none";
     const frame = state.scene.frame, started = performance.now();
+    // Where slices take long, the contours follow the hand at full rate and the slices three times a second.
+    if (grid === "coarse" && state.moving && slicesMs > SLOW_MS && started < slicesAt + SLICES_EVERY_MS) grid = "none";
     try {
       const answer = await evaluate({
         pose: state.pose, level: state.level, channels: [...state.shown], grid, zoom: state.zoom, path: true, prior: "start",
       });
       if (frame !== state.scene.frame || answer.head.frame !== frame) continue;
       lastMs = performance.now() - started;
+      if (grid === "coarse") slicesMs = lastMs;
+      if (grid !== "none") slicesAt = performance.now();
       state.answer = answer;
       draw();
       count(performance.now());
@@ -189,7 +191,7 @@ function show(scene) {
     segments("levels", scene.levels.map(({ ramp_px }, k) => (k ? `${ramp_px} px` : `ramp ${ramp_px} px`)), setLevel);
     classes.open(scene);
   }
-  $("where").textContent = [scene.drive, scene.variant, `masks ${scene.masks}`].filter(Boolean).join(" · ");
+  $("where").textContent = $("where").title = [scene.drive, scene.variant, `masks ${scene.masks}`].filter(Boolean).join(" · ");
   $("frame").value = scene.frame;
   $("to-truth").disabled = !scene.places.truth;
   document.title = `${scene.drive} ${scene.frames[scene.frame]} · semloc explorer`;
