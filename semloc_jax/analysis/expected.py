@@ -1,0 +1,128 @@
+"""How well a place can be known, told from map and cameras alone (room: analysis; JAX).
+
+In: map samples around a place, a pose, cameras. Out: information of the pose and its covariance, without an image.
+Where masks are perfect, the ramp of a class rises across the contour and nowhere else: the gradient of a residual is
+the image normal of its contour over the ramp. The rest is as in `solvers.pose.assess`: the same samples, weights, limits
+for each element and noise of a mask boundary.
+"""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from semloc_jax.cameras import Camera, Rig
+from semloc_jax.geometry import lie
+from semloc_jax.localization.priors import RoadSigmas
+from semloc_jax.residuals.alignment import points_in_camera
+from semloc_jax.residuals.view import ViewConfig, view
+from semloc_jax.solvers.pose import AlignConfig
+from semloc_jax.structs import MapSamples, ViewSamples
+
+
+@dataclass(frozen=True)
+class ExpectedConfig:
+    """What the expected accuracy of a place rests on. All values are ours."""
+
+    view: ViewConfig = field(default_factory=ViewConfig)
+    align: AlignConfig = field(default_factory=AlignConfig)
+    """Noise and correlation of mask boundaries; margin at the border of the image."""
+    road: RoadSigmas = field(default_factory=RoadSigmas)
+    prior_xy_m: float = 1.0
+    """What is known of the position before the image."""
+    prior_heading_deg: float = 3.0
+
+    @property
+    def prior_sigma(self) -> np.ndarray:
+        """Standard deviations of the prior along the tangent, `float64[6]` [m, rad]."""
+        tilt = np.deg2rad(self.road.roll_pitch_deg)
+        xy, heading = self.prior_xy_m, np.deg2rad(self.prior_heading_deg)
+        return np.array([xy, xy, self.road.height_m, tilt, tilt, heading])
+
+
+def contour_rows(
+    T_map_base: Float[Array, "4 4"],
+    T_cam_base: Float[Array, "4 4"],
+    camera: Camera,
+    p_map: Float[Array, "3 p"],
+    tangent_map: Float[Array, "3 p"],
+) -> tuple[Float[Array, "6 p"], Float[Array, " p"], Float[Array, " p"]]:
+    """How far the pose moves each point across its contour in the image, and where that is.
+
+    Args:
+        T_map_base: Vehicle pose.
+        T_cam_base: Camera in the vehicle.
+        camera: Its model.
+        p_map: Contour points [m].
+        tangent_map: Directions of the contour.
+
+    Returns:
+        Derivative of the distance across the contour by the right tangent [px/m, px/rad]; u and v [px].
+    """
+    p_cam = points_in_camera(T_cam_base, T_map_base, p_map)
+    R_cam_map = (T_cam_base @ lie.inverse(T_map_base))[:3, :3]
+    along = R_cam_map @ tangent_map
+
+    def pixel(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        return camera.project_xyz(x, y, z)[:2]
+
+    (u, v), (du, dv) = jax.jvp(pixel, p_cam, tuple(along))
+    length = jnp.sqrt(du * du + dv * dv + 1e-12)
+    across = jax.vjp(pixel, *p_cam)[1]((-dv / length, du / length))
+    g = T_cam_base[:3, :3].T @ jnp.stack(across)
+    p_base = jnp.stack(points_in_camera(jnp.eye(4, dtype=p_map.dtype), T_map_base, p_map))
+    # Moving the vehicle by (v, omega) moves the point in its frame by -v - omega x p.
+    return jnp.concatenate([-g, jnp.cross(g, p_base, axis=0)]), u, v
+
+
+def view_information(
+    T_map_base: Float[Array, "4 4"], rig: Rig, seen: ViewSamples, align: AlignConfig
+) -> tuple[Float[Array, "cam p 6"], Float[Array, "cam p"]]:
+    """Rows a and weights w of what is seen: the expected information is the sum of w a a'.
+
+    Args:
+        T_map_base: Pose relative to the local origin.
+        rig: Cameras.
+        seen: Samples as they are seen from about that pose.
+        align: Noise of mask boundaries.
+    """
+    rows, weights = [], []
+    for index, camera in enumerate(rig.cameras):
+        T_cam_base = lie.inverse(jnp.asarray(rig.T_base_cam[index], T_map_base.dtype))
+        a, u, v = contour_rows(T_map_base, T_cam_base, camera, seen.p_map[index], seen.tangent_map[index])
+        inside = camera.in_image(u, v, align.border_px) & (seen.weight[index] > 0)
+        rows.append(jnp.where(inside, a, 0.0).T)
+        weights.append(jnp.where(inside, seen.weight[index], 0.0) / (align.noise_px**2 * align.correlation_px))
+    return jnp.stack(rows), jnp.stack(weights)
+
+
+def expected_information(
+    samples: MapSamples,
+    T_map_base: Float[Array, "4 4"],
+    rig: Rig,
+    channel_of_label: Int[Array, " label"],
+    config: ExpectedConfig,
+) -> Float[Array, "6 6"]:
+    """The information that one image of perfect masks gives about the right tangent of the pose [1/m, 1/rad]^2."""
+    seen = view(samples, T_map_base, rig, channel_of_label, config.view)
+    rows, weights = view_information(T_map_base, rig, seen, config.align)
+    return jnp.einsum("cpi,cp,cpj->ij", rows, weights, rows)
+
+
+def expected_covariance(information: Float[Array, "*b 6 6"], prior_sigma: Float[Array, "6"]) -> Float[Array, "*b 6 6"]:
+    """Covariance [m, rad]^2 of the pose from the information of the image and the prior's standard deviations."""
+    scale = jnp.asarray(prior_sigma, information.dtype)
+    whitened = scale[:, None] * information * scale + jnp.eye(6, dtype=information.dtype)
+    return scale[:, None] * jnp.linalg.inv(whitened) * scale
+
+
+DIRECTIONS = ("longitudinal", "lateral", "heading")
+TANGENT_OF_DIRECTION = np.array([0, 1, 5])
+
+
+def expected_sigma(covariance: Float[Array, "*b 6 6"]) -> Float[Array, "*b 3"]:
+    """Standard deviation of the longitudinal [m], lateral [m] and heading [rad] error."""
+    index = TANGENT_OF_DIRECTION
+    return jnp.sqrt(covariance[..., index, index])

@@ -1,0 +1,89 @@
+"""Localizability of a road in colours (room: viz).
+
+In: map elements, a Survey. Out: a Figure: the map once for each direction, places coloured by expected sigma.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+
+from semloc_jax.analysis.survey import Survey
+from semloc_jax.maps.elements import MapElement
+from semloc_jax.viz.bev import draw_map
+from semloc_jax.viz.style import new_figure, plain_axes
+
+_LIGHT = "#e8edf4"
+
+
+def survey_view(elements: Sequence[MapElement], survey: Survey, title: str = "") -> Figure:
+    """Four views of the map: expected longitudinal, lateral and heading sigma, and the share of the best second pose.
+
+    Places of weak stretches have a red rim.
+
+    Args:
+        elements: What is drawn below the places.
+        survey: Of its ways.
+        title: Text above the views.
+    """
+    xy = np.concatenate([report.way.Ts_map_base[:, :2, 3] for report in survey.ways])
+    sigma = np.concatenate([report.sigma for report in survey.ways]) * [100.0, 100.0, 1.0]
+    second = 100.0 * np.concatenate([report.ambiguity for report in survey.ways])
+    limits = np.array(list(survey.limits.values())) * [100.0, 100.0, 1.0, 100.0]
+    names = ("longitudinal sigma [cm]", "lateral sigma [cm]", "heading sigma [deg]", "fits elsewhere [%]")
+    low, high = xy.min(axis=0) - 15.0, xy.max(axis=0) + 15.0
+    is_wide = np.ptp([low[0], high[0]]) > 2.0 * np.ptp([low[1], high[1]])
+    rows, columns = (4, 1) if is_wide else (2, 2)
+    shape = (high[1] - low[1]) / (high[0] - low[0])
+    width = 11.0 if is_wide else 12.0
+    figure = new_figure(width, rows * (0.9 + width / columns * 0.85 * float(np.clip(shape, 0.12, 1.2))), dark=True)
+    for axes, name, values, limit in zip(
+        figure.subplots(rows, columns).flat, names, [*sigma.T, second], limits, strict=True
+    ):
+        plain_axes(axes, dark=True)
+        draw_map(axes, elements, 0.4)
+        if name.endswith("[%]"):
+            norm = Normalize(0.0, 100.0)
+        else:
+            norm = LogNorm(max(values.min(), 1e-3), max(values.max(), 1.01 * values.min()))
+        rims = np.where(values > limit, "#ff1744", "none")
+        points = axes.scatter(
+            *xy.T, c=values, cmap="plasma", norm=norm, s=26, edgecolors=rims, linewidths=1.3, zorder=6
+        )
+        bar = figure.colorbar(points, ax=axes, pad=0.01, aspect=14)
+        bar.ax.tick_params(labelsize=8, colors=_LIGHT, which="both")
+        bar.outline.set_visible(False)
+        axes.set_aspect("equal")
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[1], high[1])
+        axes.set_title(f"{name}; red rim: above {limit:g}", fontsize=9, color=_LIGHT)
+    figure.suptitle(title, fontsize=10, color=_LIGHT)
+    return figure
+
+
+def prediction_view(predicted: np.ndarray, measured: np.ndarray, kinds: Sequence[str]) -> Figure:
+    """Measured errors over expected sigmas, one panel for each direction, both axes logarithmic.
+
+    Args:
+        predicted: Longitudinal [m], lateral [m], heading [deg] sigma, `[n 3]`.
+        measured: Root mean square errors, likewise.
+        kinds: Drive of each place, for the legend.
+    """
+    figure = new_figure(12.0, 4.2)
+    names = ("longitudinal [cm]", "lateral [cm]", "heading [deg]")
+    kinds = np.asarray(kinds)
+    for k, (axes, name) in enumerate(zip(figure.subplots(1, 3), names, strict=True)):
+        plain_axes(axes)
+        scale = 1.0 if k == 2 else 100.0
+        for kind in dict.fromkeys(kinds.tolist()):
+            chosen = kinds == kind
+            axes.scatter(scale * predicted[chosen, k], scale * measured[chosen, k], s=14, alpha=0.8, label=kind)
+        ends = scale * np.array([min(predicted[:, k].min(), measured[:, k].min()), predicted[:, k].max()])
+        axes.plot(ends, ends, color="#9aa3ad", linewidth=0.8)
+        r = np.corrcoef(np.log(predicted[:, k]), np.log(measured[:, k]))[0, 1]
+        axes.set(xscale="log", yscale="log", xlabel=f"expected sigma, {name}", title=f"{name}: r = {r:.2f}")
+        if k == 0:
+            axes.set_ylabel("RMS error over seeds of mask noise")
+            axes.legend(fontsize=7, frameon=False)
+    return figure
