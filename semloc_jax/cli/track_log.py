@@ -21,7 +21,7 @@ from semloc_jax.localization.track_state import TrackResult, TrackStatus
 FILE = "frames.csv"
 PROTECTION = ("protection_lateral_m", "protection_longitudinal_m", "protection_heading_deg")
 QUALITY = ("cost", "coverage", "inlier_ratio", "chi2")
-SENSORS = ("odometer_scale", "gyro_bias_degps", "gnss_offset_east_m", "gnss_offset_north_m")
+SENSORS = ("odometer_scale", "gyro_bias_degps", "gnss_offset_east_m", "gnss_offset_north_m", "clock_offset_ms")
 STAGES = ("predict", "align", "fuse", "acquire")
 NEES = "nees"
 COLUMNS = (
@@ -147,7 +147,8 @@ def _line(frame: Frame, result: TrackResult, T_truth: np.ndarray | None) -> dict
     line |= {key: f"{value:.9f}" for key, value in zip(POSE, [*T[:3, 3], *quaternion], strict=True)}
     line |= _numbers(SIGMAS, [sigma[1], sigma[0], np.degrees(sigma[5])]) | _numbers(PROTECTION, result.protection)
     offset = fused.gnss_offset_m
-    line |= _numbers(SENSORS, [fused.odometer_scale, np.degrees(fused.gyro_bias_radps), offset[0], offset[1]])
+    sensors = [fused.odometer_scale, np.degrees(fused.gyro_bias_radps), *offset, 1e3 * result.clock_offset_s]
+    line |= _numbers(SENSORS, sensors)
     if T_truth is not None:
         errors = pose_errors(T, T_truth)
         line |= _numbers([f"error_{key}" for key in ERRORS], [float(errors[key]) for key in ERRORS])

@@ -5,17 +5,20 @@ In: Track, FrameFeatures. Out: the next Track and what the frame said about it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry import rigid
 from semloc_jax.localization import health
+from semloc_jax.localization.clock import CameraTimeLog
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.prediction import MotionIncrement, MotionLog, MotionQuality
+from semloc_jax.localization.noise_scale import NoiseConfig, NoiseScale, marginal, of_a_series
+from semloc_jax.localization.prediction import MotionIncrement, MotionQuality
 from semloc_jax.localization.priors import RoadSigmas
 from semloc_jax.localization.track_state import FrameFeatures, Track
 
@@ -24,13 +27,7 @@ from semloc_jax.localization.track_state import FrameFeatures, Track
 class FollowConfig:
     """How tracks are weighed and measurements enter. All values are ours."""
 
-    noise_inflation: float = 0.4
-    """Covariance of a measurement over what the masks say alone: measured errors on rendered drives (road and garage,
-    exact map and map with errors) are 0.3 to 0.45 sigma; this keeps the half of it for what frames have in common."""
-    correlation_m: float = 1.0
-    """Way over which the errors of measured poses are the same."""
-    max_shared: float = 30.0
-    """Frames that count as one where the vehicle stands."""
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
     penalty_share: float = 0.3
     """Share of the cost of a frame that is new: successive frames see the same map."""
     penalty_memory: float = 0.9
@@ -52,6 +49,10 @@ class View(NamedTuple):
     is_off_map: bool
     reasons: tuple[str, ...]
     innovation: Innovation | None = None
+    difference: np.ndarray | None = None
+    """Measured pose as seen from the predicted one (right tangent), where it was taken."""
+    covariance: np.ndarray | None = None
+    """Of the difference."""
 
     @property
     def is_accepted(self) -> bool:
@@ -80,7 +81,7 @@ def rehearse(fusion: Fusion, num_frames: int = 16) -> None:
 
 
 def carried(
-    state: Any, fusion: Fusion, motion: MotionLog, fixes: Sequence[GnssMeasurement], to_s: float
+    state: Any, fusion: Fusion, motion: CameraTimeLog, fixes: Sequence[GnssMeasurement], to_s: float
 ) -> tuple[Any, list[tuple[GnssMeasurement, Innovation, FusedPose]]]:
     """The state of a fusion at a later time, and how each fix on the way fitted the pose before it.
 
@@ -97,7 +98,7 @@ def carried(
     return _moved(state, fusion, motion, to_s), fitted
 
 
-def _moved(state: Any, fusion: Fusion, motion: MotionLog, to_s: float) -> Any:
+def _moved(state: Any, fusion: Fusion, motion: CameraTimeLog, to_s: float) -> Any:
     pose = fusion.pose(state)
     if to_s <= pose.time_s:
         return state
@@ -151,17 +152,9 @@ def seen(
     return View(found, is_occluded, False, reasons)
 
 
-def noise_factor(way_m: float, config: FollowConfig) -> float:
-    """Factor on the covariance of a measured pose, for what it has in common with the frame before.
-
-    Frames along `correlation_m` see the same elements from the same side, with the same errors of map, masks and
-    calibration: together they count as one. A vehicle that stands learns next to nothing.
-    """
-    shared = config.correlation_m / max(way_m, config.correlation_m / config.max_shared)
-    return config.noise_inflation * max(shared, 1.0)
-
-
-def corrected(track: Track, view: View, fusion: Fusion, way_m: float, config: FollowConfig) -> tuple[Track, View]:
+def corrected(
+    track: Track, view: View, fusion: Fusion, way_m: float, noise: NoiseScale, config: FollowConfig
+) -> tuple[Track, View]:
     """The track with what the frame measured `way_m` after the one before, unless something speaks against it."""
     if view.found is None or view.is_occluded:
         return track, view
@@ -170,9 +163,12 @@ def corrected(track: Track, view: View, fusion: Fusion, way_m: float, config: Fo
     if view.reasons:
         return refused, view
     measured = view.found.measurement
-    measured = measured._replace(covariance=noise_factor(way_m, config) * measured.covariance)
+    predicted, alone = fusion.pose(track.fusion), marginal(measured.covariance, noise, config.noise)
+    measured = measured._replace(covariance=of_a_series(alone, way_m, noise, config.noise))
     state, innovation = fusion.correct(track.fusion, measured)
-    view = view._replace(innovation=innovation)
+    difference = rigid.log(rigid.inverse(predicted.T_map_base) @ measured.T_map_base)
+    covariance = predicted.covariance + measured.covariance
+    view = view._replace(innovation=innovation, difference=difference, covariance=covariance)
     if not innovation.accepted:
         text = f"the measured pose does not fit the prediction (chi2 {innovation.chi2:.0f})"
         return refused, view._replace(reasons=(text,))

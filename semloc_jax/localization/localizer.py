@@ -15,9 +15,9 @@ import numpy as np
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import health, map_faults
+from semloc_jax.localization import clock, health, map_faults, noise_scale
 from semloc_jax.localization.acquisition import Acquisition, AcquisitionConfig, Area
-from semloc_jax.localization.clock import CameraTimeLog, ClockConfig, learned, unknown_offset
+from semloc_jax.localization.clock import CameraTimeLog, ClockConfig, unknown_offset
 from semloc_jax.localization.following import (
     FollowConfig,
     View,
@@ -116,7 +116,7 @@ class Localizer:
         status = np.float64(TrackStatus.INITIALIZING)
         return TrackerState(
             *(nothing, status, (), (), nothing, no_fixes(), trust, health.no_counts(), np.zeros(3), nothing),
-            *(np.float64(0), unknown_offset(self.config.clock)),
+            *(np.float64(0), noise_scale.unknown_noise(), unknown_offset(self.config.clock)),
         )
 
     def template(self) -> TrackerState:
@@ -163,11 +163,11 @@ class Localizer:
 
     def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:
         """The state and the verdict after one more frame."""
-        clock, before_s = _Clock(), float(state.time_s)
+        watch, before_s = _Watch(), float(state.time_s)
         motion = CameraTimeLog(self.motion, state.clock)
         way_m = motion.way_m(before_s, frame.time_s) if np.isfinite(before_s) else 0.0
         state = self._predicted(state, frame, motion)
-        clock.lap("predict")
+        watch.lap("predict")
         trust = map_faults.weights(state.trust, self.config.trust)
         if state.driven_m > self.config.health.frozen_m:
             views = [
@@ -177,19 +177,29 @@ class Localizer:
             views = [
                 seen(t, self.fusion, self.aligner, frame, trust, state.stance, self.config.health) for t in state.tracks
             ]
-        clock.lap("align")
+        watch.lap("align")
         state, view = self._fused(state, views, way_m)
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
-            slope = motion.slope(before_s, frame.time_s)
-            passed_s = frame.time_s - before_s
-            learnt = learned(state.clock, slope, view.difference, view.covariance, passed_s, self.config.clock)
-            state = state._replace(clock=learnt)
-        clock.lap("fuse")
+            state = self._learned(state, view, motion, before_s, way_m)
+        watch.lap("fuse")
         state = self._given_up(state)
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
             state = self._acquired(state, frame)
-            clock.lap("acquire")
-        return self._judged(state, view, frame, way_m, clock)
+            watch.lap("acquire")
+        return self._judged(state, view, frame, watch)
+
+    def _learned(
+        self, state: TrackerState, view: View, motion: CameraTimeLog, before_s: float, way_m: float
+    ) -> TrackerState:
+        """The state with what a frame whose pose was taken says of clock and noise."""
+        now_s, config = float(state.time_s), self.config
+        slope = motion.slope(before_s, now_s)
+        offset = clock.learned(state.clock, slope, view.difference, view.covariance, now_s - before_s, config.clock)
+        fused, measured = self.fusion.pose(state.tracks[0].fusion), view.found.measurement
+        taken_s = max(noise_scale.last_taken_s(state.noise), before_s)
+        step = motion.increment(taken_s, now_s, fused.calibration)
+        noise = noise_scale.learned(state.noise, measured, fused, step, way_m, config.follow.noise)
+        return state._replace(noise=noise, clock=offset)
 
     def _predicted(self, state: TrackerState, frame: FrameFeatures, motion: CameraTimeLog) -> TrackerState:
         """Every track at the time of the frame, with the fixes on the way."""
@@ -222,7 +232,8 @@ class Localizer:
         if not views:
             return state, None
         pairs = [
-            corrected(t, v, self.fusion, way_m, self.config.follow) for t, v in zip(state.tracks, views, strict=True)
+            corrected(t, v, self.fusion, way_m, state.noise, self.config.follow)
+            for t, v in zip(state.tracks, views, strict=True)
         ]
         tracks = weighed([t for t, _ in pairs], [v for _, v in pairs], self.config.follow)
         order = np.argsort([float(t.penalty) for t in tracks], kind="stable")
@@ -287,18 +298,18 @@ class Localizer:
             new_track(self.fusion, m, self.config.follow.penalty_share * max(p, 0.0))
             for m, p in zip(measured, penalties, strict=True)
         )
-        return state._replace(tracks=tracks, counters=health.no_counts())
+        forgotten = noise_scale.without_poses(state.noise)
+        return state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten)
 
     def _judged(
-        self, state: TrackerState, view: View | None, frame: FrameFeatures, way_m: float, clock: "_Clock"
+        self, state: TrackerState, view: View | None, frame: FrameFeatures, watch: "_Watch"
     ) -> tuple[TrackerState, TrackResult]:
         """The status of the frame with its reasons."""
         config = self.config.health
         fused = self._output(state)
-        measured = view.found.measurement.covariance if view is not None and view.is_accepted else None
         protection = ProtectionLevels(np.inf, np.inf, np.inf)
         if fused is not None:
-            protection = protection_levels(fused.covariance, config.integrity, measured, way_m)
+            protection = protection_levels(fused.covariance, config.integrity)
         reasons = view.reasons if view is not None else ()
         if state.tracks:
             best = state.tracks[0]
@@ -337,7 +348,7 @@ class Localizer:
             found.inlier_ratio if found else np.nan,
             len(state.tracks),
             float(state.clock.offset_s),
-            clock.times_ms,
+            watch.times_ms,
         )
 
     def _output(self, state: TrackerState) -> FusedPose | None:
@@ -346,7 +357,7 @@ class Localizer:
         return self.fusion.pose(state.coasting[0]) if state.coasting else None
 
 
-class _Clock:
+class _Watch:
     """Time spent by stage."""
 
     def __init__(self) -> None:

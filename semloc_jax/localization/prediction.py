@@ -203,6 +203,23 @@ class MotionLog:
         wheels, _ = self._wheels.at(0.5 * (knots_s[1:] + knots_s[:-1]), self.max_gap_s)
         return float(np.abs(wheels[:, 0]) @ np.diff(knots_s)) if to_s > from_s else 0.0
 
+    def twist(self, time_s: float, half_s: float, calibration: Calibration | None = None) -> Float[np.ndarray, "6"]:
+        """Mean motion around a time [m/s, rad/s].
+
+        Args:
+            time_s: Middle [s].
+            half_s: The mean is taken over this long before and after [s].
+            calibration: Odometer scale and gyroscope bias to take off; None for 1 and 0.
+        """
+        calibration = calibration or Calibration()
+        times = time_s + half_s * np.linspace(-1.0, 1.0, 5)
+        wheels, speed_age = self._wheels.at(times, self.max_gap_s)
+        imu, imu_age = self._imu.at(times, self.max_gap_s)
+        has_gyro = (imu_age == 0.0) | (imu_age < speed_age)
+        turn = np.where(has_gyro[:, None], imu[:, :3], wheels[:, 1:] * [0.0, 0.0, 1.0]).mean(axis=0)
+        speed = calibration.odometer_scale * wheels[:, 0].mean()
+        return np.array([speed, 0.0, 0.0, turn[0], turn[1], turn[2] - calibration.gyro_bias_radps])
+
     def increment(self, from_s: float, to_s: float, calibration: Calibration | None = None) -> MotionIncrement:
         """The motion between two times; `to_s` may lie before `from_s`.
 

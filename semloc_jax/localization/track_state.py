@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from semloc_jax.cameras import Rig
+from semloc_jax.localization.clock import ClockOffset
 from semloc_jax.localization.fusion import FusedPose, GnssMeasurement, PoseMeasurement
+from semloc_jax.localization.noise_scale import NoiseScale
 from semloc_jax.localization.priors import PosePrior
 from semloc_jax.residuals.alignment import Usable
 from semloc_jax.residuals.texture import RampTextures
@@ -98,6 +100,10 @@ class TrackerState(NamedTuple):
     """Checksum of the masks of the last frame."""
     driven_m: Float[np.ndarray, ""]
     """Way driven since the masks last changed [m]."""
+    noise: NoiseScale
+    """How large the errors of measured poses are."""
+    clock: ClockOffset
+    """Time of the motion sensors less that of the cameras."""
 
 
 class FrameFeatures(NamedTuple):
@@ -137,6 +143,7 @@ class TrackResult:
         coverage: share of the map in view on usable pixels.
         inlier_ratio: share of the visible map within reach of its class.
         num_tracks: answers that are followed.
+        clock_offset_s: time of the motion sensors less that of the cameras [s].
         times_ms: time spent by stage [ms].
     """
 
@@ -153,4 +160,5 @@ class TrackResult:
     coverage: float = np.nan
     inlier_ratio: float = np.nan
     num_tracks: int = 0
+    clock_offset_s: float = 0.0
     times_ms: dict[str, float] = field(default_factory=dict)

@@ -7,10 +7,12 @@ import pytest
 from semloc_jax.errors import SemlocError
 from semloc_jax.localization import health, map_faults
 from semloc_jax.localization.checkpoint import Checkpoint, load, save
+from semloc_jax.localization.clock import ClockConfig, unknown_offset
 from semloc_jax.localization.following import new_track
 from semloc_jax.localization.fusion import PoseMeasurement
 from semloc_jax.localization.initialization import no_fixes
 from semloc_jax.localization.kalman import KalmanFusion
+from semloc_jax.localization.noise_scale import unknown_noise
 from semloc_jax.localization.track_state import TrackerState
 
 
@@ -29,6 +31,8 @@ def template(num_elements=5, num_tracks=1, seed=None) -> TrackerState:
         np.zeros(3),
         zero,
         zero,
+        unknown_noise(),
+        unknown_offset(ClockConfig()),
     )
     if seed is None:
         return state

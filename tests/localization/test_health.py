@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.localization import health, map_faults
-from semloc_jax.localization.following import FollowConfig, View, conflicts_after, noise_factor, stance_after
+from semloc_jax.localization.following import FollowConfig, View, conflicts_after, stance_after
 from semloc_jax.localization.frame_alignment import Alignment, masks_covariance
 from semloc_jax.localization.fusion import FusedPose, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
@@ -154,12 +154,3 @@ def test_one_bad_frame_takes_no_trust():
     config = TrustConfig()
     trust = map_faults.updated(map_faults.full_trust(3), np.full(3, 100.0), np.full(3, 100.0), config)
     np.testing.assert_array_equal(map_faults.weights(trust, config), 1.0)
-
-
-def test_a_vehicle_that_stands_learns_next_to_nothing():
-    config = FollowConfig()
-    driving, standing = noise_factor(2.0, config), noise_factor(0.0, config)
-    assert driving == config.noise_inflation
-    assert standing == pytest.approx(30.0 * driving)
-    # Half a metre a frame: two frames count as one.
-    assert noise_factor(0.5 * config.correlation_m, config) == pytest.approx(2.0 * driving)

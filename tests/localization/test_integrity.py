@@ -1,4 +1,4 @@
-"""Protection levels: their risk, correlated measurements, alert limits; against draws."""
+"""Protection levels: their risk, alert limits; against draws."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,11 @@ from semloc_jax.localization.integrity import (
     IntegrityConfig,
     ProtectionLevels,
     beyond_alert,
-    overbound_of_correlation,
     protection_levels,
 )
 
 COVARIANCE = np.diag([0.04, 0.01, 0.02, 0.002, 0.002, 0.003]) ** 2
-WIDE = IntegrityConfig(risk=0.03)
+WIDE = IntegrityConfig(risk=0.03, overbound=1.0)
 
 
 def share_beyond(errors, levels):
@@ -27,32 +26,9 @@ def test_levels_are_exceeded_as_often_as_the_risk_says():
     levels = protection_levels(COVARIANCE, WIDE)
     assert share_beyond(errors, levels) == pytest.approx(0.03, abs=0.002)
     assert levels.lateral_m == pytest.approx(0.01 * 2.576, rel=0.01)  # 1 % in two tails
-    assert share_beyond(errors, protection_levels(COVARIANCE, IntegrityConfig(risk=1e-3))) < 2e-3
+    assert share_beyond(errors, protection_levels(COVARIANCE, IntegrityConfig(risk=1e-3, overbound=1.0))) < 2e-3
     doubled = protection_levels(COVARIANCE, IntegrityConfig(risk=0.03, overbound=2.0))
     assert np.allclose(doubled, 2.0 * np.array(levels))
-
-
-@pytest.mark.parametrize("way_m", [0.5, 2.0, 20.0])
-def test_overbound_is_the_scatter_of_means_of_correlated_errors(way_m):
-    rng, num = np.random.default_rng(1), 12
-    rho = np.exp(-way_m / 10.0)
-    series = rng.normal(size=(20_000, num))
-    for k in range(1, num):
-        series[:, k] = rho * series[:, k - 1] + np.sqrt(1 - rho**2) * series[:, k]
-    found = series.mean(axis=1).std() * np.sqrt(num)
-    assert overbound_of_correlation(way_m, 10.0, float(num)) == pytest.approx(found, rel=0.02)
-
-
-def test_overbound_ends_at_one_and_at_a_single_measurement():
-    assert overbound_of_correlation(1000.0, 10.0, 8.0) == pytest.approx(1.0)
-    # A vehicle that stands sees one error again and again: the level is that of a single frame.
-    standing = protection_levels(COVARIANCE, WIDE, measured=9.0 * COVARIANCE, way_m=0.0)
-    assert np.allclose(standing, protection_levels(9.0 * COVARIANCE, WIDE))
-    driving = protection_levels(COVARIANCE, WIDE, measured=9.0 * COVARIANCE, way_m=1.0)
-    free = protection_levels(COVARIANCE, WIDE)
-    assert np.all(np.array(free) < driving) and np.all(np.array(driving) < standing)
-    # A measurement better than the fused pose (the first one) is no reason to grow.
-    assert np.allclose(protection_levels(COVARIANCE, WIDE, 0.5 * COVARIANCE, 1.0), free)
 
 
 def test_levels_beyond_the_alert_limits_are_named():
