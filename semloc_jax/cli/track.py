@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from semloc_jax.maps import SemanticMap
 
 CHECKPOINT = "state.npz"
+ALL_FUSIONS = "all"
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,9 @@ class Options(DriveOptions):
 
     frames: str = ":"
     """Which frames, as a Python slice: ::2, 10:60."""
-    fusion: Literal["window", "kalman", "single"] = "window"
-    """How poses become one over time: sliding-window graph, Kalman filter, or each frame alone."""
+    fusion: Literal["window", "dropping", "kalman", "single", "all"] = "window"
+    """How poses become one over time: sliding-window graph, one that drops its oldest state, Kalman filter, each frame
+    alone; or all of them on the same features, for fusions.csv and fusions.md."""
     area: str | None = None
     """X,Y,RADIUS in the map: where to search when neither fixes nor a prior are given."""
     no_gnss_after_init: bool = False
@@ -83,8 +85,10 @@ def run(options: Options) -> int:
         return _try_faults(options, inputs, folder)
     if options.fault is not None:
         inputs = track_faults.disturbed(inputs, options.fault, options.seed)
-    pipeline = _pipeline(options, inputs)
     frames = list(inputs.drive.frames[chosen])
+    if options.fusion == ALL_FUSIONS:
+        return _compare_fusions(options, inputs, frames, folder)
+    pipeline = _pipeline(options, inputs)
     start = _checkpoint(options, pipeline)
     results.write_record(folder, options.settings, _options_to_keep(options, inputs))
     log = TrackLog(folder, inputs.drive, keep=start.next_frame if start else 0)
@@ -138,12 +142,26 @@ def _try_faults(options: Options, inputs: Inputs, folder: Path) -> int:
     return LOST if num_false else OK
 
 
-def _fusion(name: str) -> "Fusion":
-    from semloc_jax.localization.fusion import SingleFrameFusion
-    from semloc_jax.localization.kalman import KalmanFusion
-    from semloc_jax.localization.window import SlidingWindow
+def _compare_fusions(options: Options, inputs: Inputs, frames: list, folder: Path) -> int:
+    """Every fusion on the same features; the exit code is 3 where one calls a frame tracked that is not."""
+    from tqdm import tqdm
 
-    return {"single": SingleFrameFusion, "kalman": KalmanFusion, "window": SlidingWindow}[name]()
+    from semloc_jax.cli import results, track_fusions
+
+    results.write_record(folder, options.settings, _options_to_keep(options, inputs))
+    progress = functools.partial(tqdm, unit="frame", disable=None)
+    chosen = {name: _pipeline(dataclasses.replace(options, fusion=name), inputs) for name in track_fusions.FUSIONS}
+    rows = track_fusions.write_comparison(chosen, frames, folder, progress)
+    print(track_fusions.to_markdown(rows))
+    print(f"results: {folder}")
+    return LOST if any(row.false for row in rows) else OK
+
+
+def _fusion(name: str) -> "Fusion":
+    from semloc_jax.cli.track_fusions import FUSIONS
+
+    # With a matrix of faults there is no table of fusions: the window stands for all.
+    return FUSIONS["window" if name == ALL_FUSIONS else name]()
 
 
 def _area(text: str | None):
