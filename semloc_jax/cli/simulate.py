@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 class Options:
     """Render a seeded drive: images, exact masks, masks like a network's, sensors, maps and truth.
 
+    With --map the drive is on a real map: along its lanes, or along its markings where it knows no lanes. The length
+    and the speed decide the number of frames.
+
     Every value of the simulation is an option too, e.g. --num-frames 60 --wear-share 0.3 --sensors.gnss-bias-m 2:
     'semloc config simulate' prints them all.
     """
@@ -24,7 +27,17 @@ class Options:
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
     """Folder to write; it must be empty or absent."""
     kind: Literal["road", "garage"] = "road"
-    """road: one front camera; garage: four fisheyes."""
+    """road: one front camera; garage: four fisheyes. Without --map."""
+    map: Path | None = None
+    """Drive on this map: Lanelet2, OpenDRIVE, Argoverse 2, GeoJSON ..., whatever 'semloc inspect' reads."""
+    start: str | None = None
+    """With --map: place to start from in metres of the map frame, as X,Y; default: the seed chooses."""
+    heading: float | None = None
+    """With --map: direction to start in [deg], counter-clockwise from x; default: that of the lane."""
+    length_m: float = 150.0
+    """With --map: way to drive."""
+    path: Path | None = None
+    """With --map: the way itself, a TUM trajectory or a csv file with columns x and y."""
     seed: int = 0
     """Everything random follows from it."""
     config: Path | None = None
@@ -40,12 +53,40 @@ def default_settings() -> "SimulationConfig":
 
 def run(options: Options) -> int:
     """Render the drive and say what was written."""
-    from semloc_jax.datasets.synthetic import simulate
+    from semloc_jax.datasets.synthetic import RouteWish, simulate, simulate_on_map
 
     if options.out.exists() and (not options.out.is_dir() or any(options.out.iterdir())):
         raise SemlocError(f"{options.out}: is not an empty folder; give a new one, nothing is overwritten")
-    drive = simulate(options.kind, options.seed, options.out, options.settings)
+    if options.map is not None:
+        wish = RouteWish(_place(options.start), options.heading, options.length_m, options.path)
+        drive = simulate_on_map(options.map, options.seed, options.out, wish, options.settings)
+    else:
+        _refuse_without_map(options)
+        drive = simulate(options.kind, options.seed, options.out, options.settings)
     cameras = ", ".join(drive.rig.names)
     print(f"{options.out}: {len(drive)} frames, cameras {cameras}, maps {', '.join(drive.maps)}")
     print(f"localize it with: semloc localize {options.out} --masks sem_net --frames ::5")
     return OK
+
+
+def _place(text: str | None) -> tuple[float, float] | None:
+    """The place in `X,Y`."""
+    from semloc_jax.cli.config_files import UsageError
+
+    if text is None:
+        return None
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise UsageError(f"--start '{text}': expected X,Y in metres of the map frame, e.g. 12.5,-3") from error
+    if not abs(x) + abs(y) < float("inf"):
+        raise UsageError(f"--start '{text}': expected two finite numbers")
+    return x, y
+
+
+def _refuse_without_map(options: Options) -> None:
+    from semloc_jax.cli.config_files import UsageError
+
+    for name in ("start", "heading", "path"):
+        if getattr(options, name) is not None:
+            raise UsageError(f"--{name} says where to drive on a map; give --map FILE too")

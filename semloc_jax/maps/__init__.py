@@ -6,7 +6,15 @@ In: map files. Out: SemanticMap -> LocalMap -> MapSamples.
 from semloc_jax.maps.elements import GeoOrigin, MapElement
 from semloc_jax.maps.ground import GroundModel, RoadPlane
 from semloc_jax.maps.inspect import MapReport, inspect_map
-from semloc_jax.maps.io import Lanelet2Style, OpenDriveStyle, read_map, write_drive_geojson, write_geojson, write_map
+from semloc_jax.maps.io import (
+    Lanelet2Style,
+    OpenDriveStyle,
+    read_lane_centers,
+    read_map,
+    write_drive_geojson,
+    write_geojson,
+    write_map,
+)
 from semloc_jax.maps.losses import Losses, compare
 from semloc_jax.maps.sampling import sample
 from semloc_jax.maps.semantic_map import LocalMap, SemanticMap
@@ -24,6 +32,7 @@ __all__ = [
     "SemanticMap",
     "compare",
     "inspect_map",
+    "read_lane_centers",
     "read_map",
     "sample",
     "write_drive_geojson",

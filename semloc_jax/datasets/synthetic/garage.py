@@ -8,11 +8,11 @@ import numpy as np
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.datasets.synthetic import elements as make
 from semloc_jax.datasets.synthetic.elements import Painter
-from semloc_jax.datasets.synthetic.paint import GroundArea, PaintedGround, wear_pattern
+from semloc_jax.datasets.synthetic.paint import GroundArea, PaintedGround, painted_shape, wear_pattern
 from semloc_jax.datasets.synthetic.path import PlanePath, path_from_curvature
 from semloc_jax.datasets.synthetic.scene import Scene, class_name, solid_of
 from semloc_jax.datasets.synthetic.solids import Box, Solid, car, rotation_about_z
-from semloc_jax.datasets.synthetic.surface import Surface
+from semloc_jax.datasets.synthetic.surface import Surface, WaveSurface
 from semloc_jax.maps import MapElement
 from semloc_jax.structs import ElementClass
 
@@ -49,7 +49,7 @@ def build_garage(rng: np.random.Generator, length_m: float, wear_share: float) -
     depth = _AISLE_M + _SLOT_M[1] + 1.5
     floor = np.array([[start - 3.0, -depth], [end + 3.0, -depth], [end + 3.0, depth], [start - 3.0, depth]])
     areas, worn = [GroundArea(CLASS_IDS["road"], floor)], wear_pattern(wear_share, rng)
-    ground = PaintedGround(painted, class_ids, areas, CLASS_IDS["wall"], worn)
+    ground = PaintedGround([painted_shape(element) for element in painted], class_ids, areas, CLASS_IDS["wall"], worn)
     ego = Box(CLASS_IDS["ego"], (0.3, 0.3, 0.32), np.array([1.4, 0.0, 0.55]), (4.62, 1.86, 0.6), np.eye(3))
     return Scene(
         elements=tuple(elements),
@@ -66,7 +66,7 @@ def build_garage(rng: np.random.Generator, length_m: float, wear_share: float) -
 def _floor(rng: np.random.Generator) -> Surface:
     slope = np.array([rng.uniform(-0.01, 0.01), rng.uniform(-0.012, 0.012)])
     wave = 2.0 * np.pi / 25.0 * np.array([[1.0, 0.3]])
-    return Surface(slope, np.array([0.02]), wave, rng.uniform(0.0, 2.0 * np.pi, 1))
+    return WaveSurface(slope, np.array([0.02]), wave, rng.uniform(0.0, 2.0 * np.pi, 1))
 
 
 def _driven_path(rng: np.random.Generator, s_m: np.ndarray) -> PlanePath:

@@ -33,25 +33,25 @@ class Motion:
     tilt_deg: float
     phase_rad: Float[np.ndarray, "4"]
 
-    def travelled_m(self, time_s: float) -> float:
-        """Arc length of the path at a time: the speed swings by 10 % over 6 s."""
+    def travelled_m(self, time_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Arc length of the path at times: the speed swings by 10 % over 6 s."""
         wave = 2.0 * np.pi / 6.0
         swing = (np.sin(wave * time_s + self.phase_rad[0]) - np.sin(self.phase_rad[0])) * 0.1 / wave
-        return float(self.speed_mps * (time_s + swing))
+        return self.speed_mps * (time_s + swing)
 
     def pose(self, time_s: float) -> Float[np.ndarray, "4 4"]:
         """T_map_base at a time [s]."""
-        s = self.travelled_m(time_s)
-        wave = 2.0 * np.pi / 45.0
-        lateral = self.sway_m * np.sin(wave * s + self.phase_rad[1])
-        turned = float(np.arctan(self.sway_m * wave * np.cos(wave * s + self.phase_rad[1])))
-        x, y = self.path.at(np.array([s]), np.array([lateral]))[0]
-        T = self.surface.stand(float(x), float(y), float(self.path.heading_at(np.array([s]))[0]) + turned)
-        pitch = self.tilt_deg * np.sin(2.0 * np.pi * 1.3 * time_s + self.phase_rad[2])
-        roll = self.tilt_deg * np.sin(2.0 * np.pi * 0.9 * time_s + self.phase_rad[3])
-        T[:3, :3] = T[:3, :3] @ Rotation.from_euler("yx", [pitch, roll], degrees=True).as_matrix()
-        return T
+        return self.poses(np.array([time_s]))[0]
 
     def poses(self, time_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
         """T_map_base at many times."""
-        return np.stack([self.pose(float(t)) for t in time_s])
+        s = self.travelled_m(time_s)
+        wave = 2.0 * np.pi / 45.0
+        lateral = self.sway_m * np.sin(wave * s + self.phase_rad[1])
+        turned = np.arctan(self.sway_m * wave * np.cos(wave * s + self.phase_rad[1]))
+        T = self.surface.stand(self.path.at(s, lateral), self.path.heading_at(s) + turned)
+        pitch = self.tilt_deg * np.sin(2.0 * np.pi * 1.3 * time_s + self.phase_rad[2])
+        roll = self.tilt_deg * np.sin(2.0 * np.pi * 0.9 * time_s + self.phase_rad[3])
+        tilt = Rotation.from_euler("yx", np.column_stack([pitch, roll]), degrees=True).as_matrix()
+        T[:, :3, :3] = T[:, :3, :3] @ tilt
+        return T

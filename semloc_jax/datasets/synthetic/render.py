@@ -7,6 +7,7 @@ masks carry no bias below the pixel grid.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
@@ -16,6 +17,8 @@ from semloc_jax.datasets.synthetic.solids import Solid
 
 _TILE_PX = 16
 _RANGE_M = 260.0
+_COARSE_PX = 8
+_FREE_SHARE, _FREE_MARGIN_M = 0.97, 0.3
 
 
 @dataclass(frozen=True)
@@ -82,15 +85,30 @@ class PixelRays:
 
 
 def render(
-    scene: Scene, rays: PixelRays, T_map_cam: Float[np.ndarray, "4 4"], ego: Sequence[Solid], time_s: float
+    scene: Scene,
+    rays: PixelRays,
+    T_map_cam: Float[np.ndarray, "4 4"],
+    ego: Sequence[Solid],
+    time_s: float,
+    has_normals: bool = True,
 ) -> View:
-    """What a camera at `T_map_cam` sees of the scene at a time; `ego` is the own vehicle in the map frame."""
+    """What a camera at `T_map_cam` sees of the scene at a time.
+
+    Args:
+        scene: the world.
+        rays: those of the camera.
+        T_map_cam: where it is.
+        ego: the own vehicle in the map frame.
+        time_s: for the traffic.
+        has_normals: whether normals are wanted; only shading needs them.
+    """
     origin = T_map_cam[:3, 3]
     ray = rays.ray_cam @ T_map_cam[:3, :3].T
     in_view = rays.valid.ravel()
     distance = np.full(len(ray), np.inf)
     seeing = np.flatnonzero(in_view)
-    distance[seeing] = scene.surface.hit(origin, ray[seeing], _RANGE_M)
+    free_m = _free_distance(scene, rays, origin, ray)
+    distance[seeing] = scene.surface.hit(origin, ray[seeing], _RANGE_M, free_m[seeing])
 
     solids = (*scene.solids, *scene.traffic(time_s), *ego)
     owner = np.full(len(ray), -1)
@@ -106,14 +124,16 @@ def render(
     ground = np.flatnonzero((owner < 0) & np.isfinite(distance))
     xy = origin[:2] + distance[ground, None] * ray[ground, :2]
     class_id[ground] = scene.ground.class_at(xy)
-    normal[ground] = scene.surface.normal(xy)
+    if has_normals:
+        normal[ground] = scene.surface.normal(xy)
     order = np.flatnonzero(owner >= 0)
     order = order[np.argsort(owner[order], kind="stable")]
     starts = np.searchsorted(owner[order], np.arange(len(solids) + 1))
     for solid, first, last in zip(solids, starts[:-1], starts[1:], strict=True):
         own = order[first:last]
         class_id[own], color[own] = solid.class_id, solid.color
-        normal[own] = solid.normal_at(origin + distance[own, None] * ray[own], ray[own])
+        if has_normals:
+            normal[own] = solid.normal_at(origin + distance[own, None] * ray[own], ray[own])
     height, width = rays.shape
     return View(
         class_id=class_id.reshape(height, width),
@@ -123,6 +143,18 @@ def render(
         ray_map=ray.reshape(height, width, 3),
         in_view=rays.valid,
     )
+
+
+def _free_distance(scene: Scene, rays: PixelRays, origin: np.ndarray, ray: np.ndarray) -> np.ndarray:
+    """How far each ray surely runs above the ground [m]: a little less than the rays of a coarse grid around it."""
+    height, width = rays.shape
+    rows, columns = (np.unique(np.append(np.arange(0, size, _COARSE_PX), size - 1)) for size in rays.shape)
+    coarse = (rows[:, None] * width + columns).ravel()
+    hit = scene.surface.hit(origin, ray[coarse], _RANGE_M).reshape(len(rows), len(columns))
+    hit[~rays.valid.ravel()[coarse].reshape(hit.shape)] = 0.0
+    nearest = cv2.erode(np.minimum(hit, _RANGE_M).astype(np.float32), np.ones((3, 3), dtype=np.uint8))
+    free = np.maximum(_FREE_SHARE * nearest.astype(np.float64) - _FREE_MARGIN_M, 0.0)
+    return free[np.arange(height)[:, None] // _COARSE_PX, np.arange(width) // _COARSE_PX].ravel()
 
 
 def _pixels_of(solid: Solid, origin: np.ndarray, rays: PixelRays, tile_axis: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.datasets.synthetic import elements as make
 from semloc_jax.datasets.synthetic.elements import Painter
-from semloc_jax.datasets.synthetic.paint import GroundArea, PaintedGround, wear_pattern
+from semloc_jax.datasets.synthetic.paint import GroundArea, PaintedGround, painted_shape, wear_pattern
 from semloc_jax.datasets.synthetic.path import winding_path
 from semloc_jax.datasets.synthetic.scene import Scene, class_name, solid_of
 from semloc_jax.datasets.synthetic.solids import Ball, Box, Frustum, Solid, car, rotation_about_z
@@ -44,7 +44,9 @@ def build_road(rng: np.random.Generator, length_m: float, speed_mps: float, wear
     painted = [element for element in elements if element.is_painted]
     class_ids = [CLASS_IDS[class_name(element)] for element in painted]
     areas, worn = _areas(painter, start, end), wear_pattern(wear_share, rng)
-    ground = PaintedGround(painted, class_ids, areas, CLASS_IDS["terrain"], worn)
+    ground = PaintedGround(
+        [painted_shape(element) for element in painted], class_ids, areas, CLASS_IDS["terrain"], worn
+    )
     solids = [solid for element in elements if (solid := solid_of(element)) is not None]
     solids += _surroundings(painter, rng, start, end)
     cars = _plan_traffic(rng, length_m, speed_mps)
@@ -158,5 +160,5 @@ def _car_at(painter: Painter, time_s: float, start_m: float, speed_mps: float, d
     if not painter.path.s_m[0] < s < painter.path.s_m[-1]:
         return []
     base = painter.place(s, d_m)
-    T = painter.surface.stand(float(base[0]), float(base[1]), painter.heading(s))
+    T = painter.surface.stand(base[None, :2], np.array([painter.heading(s)]))[0]
     return car(base, T[:3, :3], CLASS_IDS["vehicle"], color)

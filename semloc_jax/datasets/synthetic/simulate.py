@@ -29,7 +29,7 @@ from semloc_jax.evaluation.trajectory import Trajectory, write_tum
 from semloc_jax.maps import GeoOrigin, SemanticMap, write_drive_geojson
 
 _ORIGIN = GeoOrigin(48.0712, 11.6523, 512.0)
-_LEAD_IN_S, _LEAD_OUT_S = 3.0, 1.0
+LEAD_IN_S, _LEAD_OUT_S = 3.0, 1.0
 """Sensor logs run before the first and after the last frame."""
 
 
@@ -85,10 +85,9 @@ def simulate(
     Raises:
         SemlocError: unknown kind or lighting, no frames.
     """
-    config = _resolved(kind, config or SimulationConfig())
+    config = checked(kind, config or SimulationConfig())
     rng = np.random.default_rng([seed, sorted(_DEFAULTS).index(kind)])
-    duration_s = (config.num_frames - 1) / config.rate_hz
-    length_m = config.speed_mps * (duration_s + _LEAD_OUT_S)
+    length_m = config.speed_mps * ((config.num_frames - 1) / config.rate_hz + _LEAD_OUT_S)
     if kind == "road":
         scene = build_road(rng, length_m, config.speed_mps, config.wear_share)
     else:
@@ -97,40 +96,79 @@ def simulate(
     motion = Motion(scene.path, scene.surface, config.speed_mps, sway_m, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
     if rig is None:
         rig = (front_rig if kind == "road" else surround_rig)(config.width_px, config.height_px)
+    staging = Staging(kind, seed, scene, motion, _ORIGIN, f"{kind} seed {seed}")
+    return write_drive(Path(out), staging, rig, config, rng)
 
-    out = Path(out)
+
+@dataclass(frozen=True)
+class Staging:
+    """A world and how the vehicle moves in it.
+
+    Args:
+        kind: word for meta.json.
+        seed: of the drive, for meta.json.
+        scene: the world.
+        motion: of the vehicle.
+        origin: place of the map frame on the earth; None where the map does not know it.
+        map_name: name of the map.
+        told: what else meta.json says.
+    """
+
+    kind: str
+    seed: int
+    scene: Scene
+    motion: Motion
+    origin: GeoOrigin | None
+    map_name: str
+    told: dict = field(default_factory=dict)
+
+
+def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig, rng: np.random.Generator) -> Sequence:
+    """Render a staged drive into the folder `out` and open it."""
+    scene, motion = staging.scene, staging.motion
     out.mkdir(parents=True, exist_ok=True)
     write_calibration(rig, out / "calib.yaml")
-    _write_maps(out, scene, f"{kind} seed {seed}", config.map_errors, rng)
+    _write_maps(out, staging, config.map_errors, rng)
     # Times count from the first frame; files count from the start of the logs.
     time_s = np.arange(config.num_frames) / config.rate_hz
-    sensors = write_sensor_logs(out, motion, -_LEAD_IN_S, duration_s + _LEAD_OUT_S, config.sensors, _ORIGIN, rng)
+    end_s = time_s[-1] + _LEAD_OUT_S
+    sensors = write_sensor_logs(out, motion, -LEAD_IN_S, end_s, config.sensors, staging.origin or _ORIGIN, rng)
     _write_truth(out, motion, time_s, rig)
     lightings = [LIGHTINGS[config.variants[k * len(config.variants) // len(time_s)]] for k in range(len(time_s))]
     _write_frame_list(out, time_s, lightings)
     _write_pictures(out, scene, motion, rig, time_s, lightings, config, rng)
-    meta = {"classes": CLASS_IDS, "kind": kind, "seed": seed, "variants": list(config.variants), "sensors": sensors}
+    meta = {"classes": CLASS_IDS, "kind": staging.kind, "seed": staging.seed, "variants": list(config.variants)}
+    meta |= {"sensors": sensors, **staging.told}
     (out / "meta.json").write_text(json.dumps(meta, indent=1) + "\n")
     return read_drive(out)
 
 
-def _resolved(kind: str, config: SimulationConfig) -> SimulationConfig:
+def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
+    """The configuration with the defaults of a kind of drive filled in.
+
+    Raises:
+        SemlocError: unknown kind or lighting, no frames, a speed or rate that is not positive.
+    """
     if kind not in _DEFAULTS:
         raise SemlocError(f"simulate: unknown kind '{kind}'; expected one of {', '.join(_DEFAULTS)}")
     if config.num_frames < 1:
         raise SemlocError(f"simulate: num_frames = {config.num_frames}; expected at least 1")
     missing = {key: value for key, value in _DEFAULTS[kind].items() if not getattr(config, key)}
     config = replace(config, **missing)
+    for name in ("rate_hz", "speed_mps", "width_px", "height_px"):
+        if not getattr(config, name) > 0:
+            raise SemlocError(f"simulate: {name} = {getattr(config, name)}; expected a positive number")
     unknown = [name for name in config.variants if name not in LIGHTINGS]
     if unknown:
         raise SemlocError(f"simulate: unknown variant '{unknown[0]}'; expected some of {', '.join(LIGHTINGS)}")
     return config
 
 
-def _write_maps(out: Path, scene: Scene, name: str, errors: MapErrors, rng: np.random.Generator) -> None:
-    write_drive_geojson(SemanticMap(scene.elements, _ORIGIN, f"{name}, exact"), out / "map.geojson")
-    faulty, log = with_errors(scene.elements, errors, rng)
-    write_drive_geojson(SemanticMap(faulty, _ORIGIN, f"{name}, with errors"), out / "map_with_errors.geojson")
+def _write_maps(out: Path, staging: Staging, errors: MapErrors, rng: np.random.Generator) -> None:
+    elements, origin, name = staging.scene.elements, staging.origin, staging.map_name
+    write_drive_geojson(SemanticMap(elements, origin, f"{name}, exact"), out / "map.geojson")
+    faulty, log = with_errors(elements, errors, rng)
+    write_drive_geojson(SemanticMap(faulty, origin, f"{name}, with errors"), out / "map_with_errors.geojson")
     (out / "map_errors_log.json").write_text(json.dumps(log, indent=1) + "\n")
 
 
@@ -165,7 +203,7 @@ def _write_pictures(
         ego = [_carried(box, T_map_base) for box in scene.ego]
         for name, pixel_rays, T_base_cam in zip(rig.names, rays, np.asarray(rig.T_base_cam), strict=True):
             T_map_cam = T_map_base @ T_base_cam
-            view = render(scene, pixel_rays, T_map_cam, ego, time)
+            view = render(scene, pixel_rays, T_map_cam, ego, time, config.has_images)
             cv2.imwrite(str(out / "sem" / name / f"{index:06d}.png"), view.class_id)
             net = degrade(view.class_id, rng, config.degradation)
             cv2.imwrite(str(out / "sem_net" / name / f"{index:06d}.png"), net)

@@ -18,6 +18,7 @@ from semloc_jax.maps.io.geopackage import StoredMap, read_geopackage, write_geop
 from semloc_jax.maps.io.lanelet2 import left_out_relations, read_lanelet2
 from semloc_jax.maps.io.lanelet2_ways import Lanelet2Style
 from semloc_jax.maps.io.lanelet2_writer import write_lanelet2
+from semloc_jax.maps.io.lanes import read_lane_centers
 from semloc_jax.maps.io.ngii import NgiiStyle, is_ngii, read_ngii
 from semloc_jax.maps.io.nuscenes import NuScenesStyle, is_nuscenes, map_from_nuscenes
 from semloc_jax.maps.io.opendrive import OpenDriveStyle, read_opendrive
@@ -34,6 +35,7 @@ __all__ = [
     "left_out_relations",
     "read_compact",
     "read_geopackage",
+    "read_lane_centers",
     "read_lanelet2",
     "read_map",
     "read_ngii",

@@ -32,6 +32,7 @@ _CITIES = {
 """Zero of each city frame: latitude, longitude, and the UTM grid its axes are parallel to (av2-api)."""
 _COLOURS = frozenset({"white", "yellow", "blue"})
 _SAME_M = 0.01
+_CAR_LANES = frozenset({"VEHICLE", "BUS"})
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,15 @@ def drivable_areas(document: Mapping[str, Any], name: str) -> list[np.ndarray]:
     """Returns the outlines of the drivable areas in the city frame, each `float64[k 3]` [m]."""
     areas = _member(document, "drivable_areas", name)
     return [_points(area, "area_boundary", f"map {name}: drivable area {key}") for key, area in areas.items()]
+
+
+def lane_bounds(document: Mapping[str, Any], name: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yields the left and the right boundary of each lane for cars in its direction of travel, `[k 3]` [m]."""
+    for key, lane in _member(document, "lane_segments", name).items():
+        if str(lane.get("lane_type", "VEHICLE")).upper() in _CAR_LANES:
+            where = f"map {name}: lane segment {str(key)[:40]}"
+            left, right = (_points(lane, f"{side}_lane_boundary", where) for side in ("left", "right"))
+            yield left, right
 
 
 def _markings(document: Mapping[str, Any], name: str, style: Argoverse2Style) -> Iterator[MapElement]:

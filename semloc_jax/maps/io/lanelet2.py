@@ -6,6 +6,7 @@ Lanelet2 says which line is dashed, not where its bars are, and seldom how wide 
 
 import logging
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from semloc_jax.maps.io.projector_info import LocalGrid, grid_beside, grid_of_mg
 from semloc_jax.maps.semantic_map import SemanticMap
 
 PLAIN_ROAD = "plain OpenStreetMap roads without markings"
+_DRIVEN = frozenset({"road", "highway", "play_street", "bus_lane", "parking", "emergency_lane"})
+"""Subtypes of lanelets that cars drive on."""
 _log = logging.getLogger(__name__)
 
 
@@ -83,6 +86,38 @@ def read_lanelet2(path: str | Path, origin: GeoOrigin | None = None, style: Lane
         _log.warning("map %s: %d %s", path.name, skipped[PLAIN_ROAD], PLAIN_ROAD)
     name = osm.attributes.get(lanelet2_writer.NAME, path.name)
     return SemanticMap(tuple(elements), frame.origin, name, {k: n for k, n in skipped.items() if n}, frame.name)
+
+
+def lanelet_bounds(path: str | Path, origin: GeoOrigin | None = None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yields the left and the right bound of each lanelet for vehicles, in its direction of travel, `[k 3]` [m].
+
+    Args:
+        path: the .osm file.
+        origin: as for `read_lanelet2`; the bounds lie in the frame of its map.
+    """
+    path = Path(path)
+    osm = read_osm(path)
+    nodes = _locate(osm, path, origin).nodes
+    for relation in osm.relations.values():
+        tags = relation.tags
+        if tags.get("type") != "lanelet" or tags.get("subtype", "road") not in _DRIVEN:
+            continue
+        ways = {role: ref for kind, ref, role in relation.references if kind == "way"}
+        sides = [osm.ways.get(ways.get(role, "")) for role in ("left", "right")]
+        if any(way is None or len(way.references) < 2 for way in sides):
+            continue
+        rows = [_rows(ways[role], way, nodes, path.name) for role, way in zip(("left", "right"), sides, strict=True)]
+        yield _along_traffic(*(nodes.points[row] for row in rows))
+
+
+def _along_traffic(left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns both bounds so that they run the same way and the left one lies to the left: ways run as they like."""
+    same, opposite = (np.linalg.norm(left[[0, -1]] - right[ends], axis=1).sum() for ends in ([0, -1], [-1, 0]))
+    right = right if same <= opposite else right[::-1]
+    ring = np.vstack([right, left[::-1]])[:, :2]
+    x, y = (ring - ring.mean(axis=0)).T
+    is_left = float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) >= 0.0
+    return (left, right) if is_left else (left[::-1], right[::-1])
 
 
 def left_out_relations(path: str | Path) -> dict[str, int]:

@@ -7,6 +7,7 @@ it keeps the metres of the file.
 
 import logging
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -24,7 +25,7 @@ from semloc_jax.maps.io.opendrive.signals import signal_elements
 from semloc_jax.maps.io.xml_stream import stream_elements
 from semloc_jax.maps.semantic_map import SemanticMap
 
-__all__ = ["OpenDriveStyle", "Road", "read_opendrive", "read_roads"]
+__all__ = ["OpenDriveStyle", "Road", "driving_lane_bounds", "read_opendrive", "read_roads"]
 
 _log = logging.getLogger(__name__)
 _MOST_ELEMENTS = 1_000_000
@@ -74,6 +75,25 @@ def read_roads(path: str | Path) -> list[Road]:
     """
     path = Path(path)
     return [Road.from_xml(xml, path.name) for xml in stream_elements(path, "OpenDRIVE", frozenset({"road"}))]
+
+
+def driving_lane_bounds(path: str | Path, origin: GeoOrigin | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yields the left and the right border of each driving lane in its direction of travel, `[k 3]` [m].
+
+    Args:
+        path: the .xodr file.
+        origin: that of its map; None keeps the metres of the file.
+    """
+    path = Path(path)
+    reference: Georeference | None = None
+    if origin is not None:
+        header = next(iter(stream_elements(path, "OpenDRIVE", frozenset({"header"}))), None)
+        reference = Georeference.from_header(header, f"map {path.name}")
+    for road in read_roads(path):
+        for left, right in road.driving_lanes():
+            if reference is not None:
+                left, right = (reference.to_enu(side, origin) for side in (left, right))
+            yield left, right
 
 
 def _place(

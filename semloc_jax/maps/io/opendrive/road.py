@@ -3,6 +3,7 @@
 In: a <road> element. Out: Road, which maps (s, t, h) to the map frame and knows where every lane border runs.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element
 
@@ -23,6 +24,7 @@ _MOST_PLACES = 300_000
 _MOST_WORK = 500_000_000
 """Places times the square of the number of lanes: what the borders of one road may cost."""
 _MOST_LANES = 100
+_CAR_LANES = frozenset({"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional"})
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,18 @@ class Road:
     def border(self, section: LaneSection, lane_id: int, start: float, end: float, shift_m: float = 0.0) -> np.ndarray:
         """Returns the outer border of a lane from `start` to `end`, moved `shift_m` to the left, `[k 3]` [m]."""
         return self.borders(section, lane_id, [(start, end)], shift_m)[0]
+
+    def driving_lanes(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yields the left and the right border of each lane for cars in its direction of travel, `[k 3]` [m]."""
+        for section in self.sections:
+            for lane in section.lanes.values():
+                if lane.id == 0 or lane.kind not in _CAR_LANES:
+                    continue
+                inner = lane.id - int(np.sign(lane.id))
+                near, far = (self.border(section, number, section.start, section.end) for number in (inner, lane.id))
+                left, right = (near, far) if lane.id < 0 else (far, near)
+                # Seen along the road; lanes of the other direction are turned round, which swaps their sides.
+                yield (left, right) if (lane.id < 0) == self.drives_right else (right[::-1], left[::-1])
 
     def between(self, start: float, end: float) -> np.ndarray:
         """Returns `start`, the dense places between, and `end`."""

@@ -1,0 +1,85 @@
+"""A seeded drive on a real map, in the drive layout (room: datasets; host).
+
+In: a map file, a wish where to drive. Out: Sequence of the drive just written.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from semloc_jax.cameras import Rig
+from semloc_jax.datasets.base import Sequence
+from semloc_jax.datasets.synthetic.cameras import front_rig
+from semloc_jax.datasets.synthetic.map_scene import build_map_world
+from semloc_jax.datasets.synthetic.motion import Motion
+from semloc_jax.datasets.synthetic.path import PlanePath
+from semloc_jax.datasets.synthetic.route import RouteWish, drivable, find_route
+from semloc_jax.datasets.synthetic.simulate import LEAD_IN_S, SimulationConfig, Staging, checked, write_drive
+from semloc_jax.errors import SemlocError
+from semloc_jax.maps import read_lane_centers, read_map
+
+_COMFORT_MPS2 = 2.0
+"""Sideways acceleration in the sharpest bend."""
+_SLOWEST_MPS = 3.0
+_SHORTEST_M = 2.0
+
+
+def simulate_on_map(
+    map_path: str | Path,
+    seed: int,
+    out: str | Path,
+    wish: RouteWish | None = None,
+    config: SimulationConfig | None = None,
+    rig: Rig | None = None,
+) -> Sequence:
+    """Render a seeded drive on a map into the folder `out` and open it; one front camera unless `rig` says else.
+
+    The vehicle follows lanes where the map knows them, else its markings. Length and speed decide the number of frames:
+    `num_frames` plays no role, nor do lightings other than the first.
+
+    Args:
+        map_path: a map that `read_map` reads.
+        seed: everything random follows from it, the way too where no start is given.
+        out: folder, made if absent.
+        wish: where to drive.
+        config: size and errors of the drive; its speed is a limit.
+        rig: other cameras.
+
+    Raises:
+        SemlocError: a map without anything to see or to drive along, a start off the map.
+    """
+    wish = wish or RouteWish()
+    config = checked("road", config or SimulationConfig())
+    rng = np.random.default_rng([seed, 2])
+    semantic_map = read_map(map_path)
+    lanes = read_lane_centers(map_path, semantic_map.origin)
+    route = find_route(lanes, semantic_map.elements, wish, rng)
+    length_m = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
+    if length_m < _SHORTEST_M:
+        raise SemlocError(
+            f"simulate: the lane ends {length_m:.1f} m after the start; start earlier or elsewhere, or give --path FILE"
+        )
+    path = drivable(route, (LEAD_IN_S + 1.0) * config.speed_mps + 40.0)
+    speed_mps = min(config.speed_mps, _bend_speed(path, length_m))
+    world = build_map_world(semantic_map, lanes, path, length_m, speed_mps, config.wear_share, rng)
+    motion = Motion(path, world.scene.surface, speed_mps, 0.15, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
+    num_frames = max(1, round(length_m / speed_mps * config.rate_hz))
+    told = {
+        "map": Path(map_path).name,
+        "length_m": round(length_m, 1),
+        "speed_mps": round(speed_mps, 2),
+        "left_out": world.left_out,
+        "map_height_error_m": [round(value, 4) for value in world.height_error_m],
+    }
+    staging = Staging("map", seed, world.scene, motion, semantic_map.origin, semantic_map.name, told)
+    rig = rig or front_rig(config.width_px, config.height_px)
+    return write_drive(Path(out), staging, rig, replace(config, num_frames=num_frames), rng)
+
+
+def _bend_speed(path: PlanePath, length_m: float) -> float:
+    """The speed at which the sharpest bend is still comfortable [m/s]."""
+    s = np.arange(0.0, length_m, 0.5)
+    heading = path.heading_at(s)
+    bend = np.abs(np.gradient(heading, 0.5)).max() if len(s) > 2 else 0.0
+    return max(_SLOWEST_MPS, float(np.sqrt(_COMFORT_MPS2 / max(bend, 1e-6))))
