@@ -1,6 +1,6 @@
 """A proof that a region around a pose holds no second minimum, where it can be given (room: analysis; JAX and host).
 
-In: evidence of one frame, a level of its cost maps, a pose. Out: Certificate: half widths of an inner and of outer boxes.
+In: evidence of one frame, a level of its cost maps, a pose. Out: Certificate: half widths of inner and outer boxes.
 
 What is certified is the evidence cost C of one level, as the solver samples it, with the samples and weights that are
 seen from the minimum, over longitudinal and lateral offset and heading; height, roll and pitch are held. Two claims:

@@ -2,8 +2,8 @@
 
 In: map samples around a place, a pose, cameras. Out: information of the pose and its covariance, without an image.
 Where masks are perfect, the ramp of a class rises across the contour and nowhere else: the gradient of a residual is
-the image normal of its contour over the ramp. The rest is as in `solvers.pose.assess`: the same samples, weights, limits
-for each element and noise of a mask boundary.
+the image normal of its contour over the ramp. The rest is as in `solvers.pose.assess`: the same samples, weights,
+limits for each element and noise of a mask boundary.
 """
 
 from dataclasses import dataclass, field
@@ -111,7 +111,9 @@ def expected_information(
     return jnp.einsum("cpi,cp,cpj->ij", rows, weights, rows)
 
 
-def expected_covariance(information: Float[Array, "*b 6 6"], prior_sigma: Float[Array, "6"]) -> Float[Array, "*b 6 6"]:
+def expected_covariance(
+    information: Float[Array, "*b 6 6"], prior_sigma: Float[Array | np.ndarray, "6"]
+) -> Float[Array, "*b 6 6"]:
     """Covariance [m, rad]^2 of the pose from the information of the image and the prior's standard deviations."""
     scale = jnp.asarray(prior_sigma, information.dtype)
     whitened = scale[:, None] * information * scale + jnp.eye(6, dtype=information.dtype)

@@ -84,7 +84,7 @@ def _by_sample(
 
 
 def greedy_order(
-    information: ElementInformation, cost_bytes: Sequence[float], budget_bytes: float
+    information: ElementInformation, cost_bytes: Sequence[float] | np.ndarray, budget_bytes: float
 ) -> tuple[list[int], list[float]]:
     """Elements in the order in which they are taken, and the summed log-determinant after each.
 
@@ -121,7 +121,9 @@ def greedy_order(
     return taken, values
 
 
-def order_within(order: Sequence[int], cost_bytes: Sequence[float], budget_bytes: float) -> list[int]:
+def order_within(
+    order: Sequence[int] | np.ndarray, cost_bytes: Sequence[float] | np.ndarray, budget_bytes: float
+) -> list[int]:
     """The elements of any order that fit a budget, those that do not fit left out: what a baseline keeps."""
     kept, left = [], budget_bytes
     for element in order:

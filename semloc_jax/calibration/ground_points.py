@@ -134,7 +134,7 @@ def calibrate_on_ground(rig: Rig, pairs: GroundPairs, config: GroundPointConfig 
             jnp.asarray(sigma), config.noise_m, config.smooth_m, fields,
         )  # fmt: skip
         start = GroundState(T_base_cam, jnp.zeros(lenses.shape))
-        before = np.linalg.norm(np.asarray(problem.distances(start)), axis=1)
+        before = np.linalg.norm(np.asarray(eqx.filter_jit(problem.distances)(start)), axis=1)
         states, equations, after = (
             jax.tree.map(np.asarray, part) for part in solve_ground_points(problem, start, jnp.asarray(weights))
         )

@@ -5,7 +5,7 @@ Poses are eliminated at every step; a step is accepted when the cost falls.
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -23,6 +23,7 @@ _FREE_DAMPING = 0.1
 """Below this damping a step is as long as the model wants it."""
 
 
+@runtime_checkable
 class ArrowProblem(Protocol):
     """What can be solved: a cost with poses in a chain and shared unknowns."""
 
