@@ -93,8 +93,3 @@ def random_trial(seed, dtype=np.float64):
     )
     T_prior = T_true @ np.asarray(lie.exp(rng.normal(size=6) * SIGMA * 0.5))
     return Trial(scene, Prior(jnp.asarray(T_prior, dtype), jnp.asarray(SIGMA, dtype)), jnp.asarray(T_true, dtype))
-
-
-def random_trials(seeds, dtype=np.float64):
-    """Trials with a leading axis."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(random_trial(seed, dtype) for seed in seeds))
