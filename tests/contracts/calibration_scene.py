@@ -28,7 +28,7 @@ def path(turns_rad):
     return np.stack(poses), np.stack([*steps, np.eye(4)])
 
 
-def build(name, turns_rad, fields=(), num=200):
+def build(name, turns_rad, fields=(), num=200, level=0):
     """Problem and true state of a rig on a path.
 
     Args:
@@ -36,6 +36,7 @@ def build(name, turns_rad, fields=(), num=200):
         turns_rad: Turn between neighbouring frames.
         fields: Unknown fields of the cameras of each model.
         num: Samples of each picture.
+        level: Of the cost maps: 0 has a ramp of 20 px, 1 of 6 px.
     """
     scene = ground_scene.scene(name, num)
     rig = ground_scene.RIGS[name]
@@ -64,7 +65,7 @@ def build(name, turns_rad, fields=(), num=200):
     sigma = np.concatenate(
         [np.tile([0.05] * 3 + [0.035] * 3, cameras), np.tile(_lens_sigmas(fields, width), cameras), SIGMA_COMMON]
     )
-    texture = scene.textures.level(0)
+    texture = scene.textures.level(level)
     problem = CalibrationProblem(
         tuple(groups),
         texture,
