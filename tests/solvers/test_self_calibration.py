@@ -5,13 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.contracts.calibration_scene import BIAS, OFFSET, SCALE, build
 
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import Usable
 from semloc_jax.residuals.road_contact import road_linearised, road_residual
 from semloc_jax.solvers import arrow
 from semloc_jax.solvers.self_calibration import solve_calibration
+from tests.contracts.calibration_scene import BIAS, OFFSET, SCALE, build
 
 TURNS = (0.25, 0.3, 0.2, -0.25, -0.3, -0.2, 0.1)
 USABLE = Usable(jnp.ones((1, 75, 120), bool), 2)
