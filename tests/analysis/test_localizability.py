@@ -1,0 +1,167 @@
+"""What is expected of a place agrees with what images of it give; second poses; lanes; small maps; bounds."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from semloc_jax.analysis.expected import expected_covariance, expected_sigma
+from semloc_jax.analysis.intervals import Interval, bounds
+from semloc_jax.analysis.lanes import lane_ways
+from semloc_jax.analysis.selection import (
+    ElementInformation,
+    element_information,
+    greedy_order,
+    map_bytes,
+    small_map,
+)
+from semloc_jax.analysis.survey import Way, path_way, survey
+from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets.synthetic.cameras import front_rig, surround_rig
+from semloc_jax.errors import SemlocError
+from semloc_jax.localization.mask_source import mask_source
+from semloc_jax.localization.run import FrameLocalizer
+from semloc_jax.localization.single_frame import evidence_from
+from semloc_jax.maps import MapElement, SemanticMap, read_map, write_drive_geojson
+from semloc_jax.perception import load_class_table
+from semloc_jax.solvers.pose import Prior, assess
+from semloc_jax.structs import ElementClass
+
+TABLE = load_class_table("drive")
+
+
+@pytest.fixture(scope="module")
+def drive(simulated_road):
+    return open_sequence(simulated_road)
+
+
+@pytest.fixture(scope="module")
+def road_map(drive):
+    return read_map(drive.map_path)
+
+
+@pytest.fixture(scope="module")
+def found(drive, road_map):
+    Ts = np.stack([drive.truth_at(frame) for frame in drive.frames])
+    return survey(road_map, drive.rig, TABLE, [Way("drive", Ts, np.arange(len(Ts)) * 5.0)])
+
+
+@pytest.mark.slow
+def test_expected_sigma_is_that_of_exact_masks(drive, road_map, found):
+    """Lateral and heading sigma from the map alone are within 25 % of what the solver states on exact masks.
+
+    Along the road the stairs of real masks look like information to the solver; the map alone does not count them.
+    """
+    source = mask_source("sem", drive, offset_px=(0.0, 0.0))
+    localizer = FrameLocalizer(road_map, source.table)
+    config, ratios = localizer.config.frame, []
+    stated_by_solver = jax.jit(lambda T, evidence, prior: assess(T, 2, evidence, prior, config.polish_align))
+    for row, frame in enumerate(drive.frames):
+        T = drive.truth_at(frame)
+        inputs, local_map = localizer.prepare(source.masks(frame), frame.rig, T)
+        T[:3, 3] -= local_map.origin_map
+        T = jnp.asarray(T, jnp.float32)
+        prior = Prior(T, jnp.asarray(found.config.expected.prior_sigma, jnp.float32))
+        stated = stated_by_solver(T, evidence_from(T, inputs, config.polish_view), prior)
+        sigma = np.asarray(expected_sigma(stated.covariance)) * [1, 1, np.rad2deg(1)]
+        ratios.append(found.ways[0].sigma[row] / sigma)
+    longitudinal, lateral, heading = np.median(ratios, axis=0)
+    assert 0.8 < lateral < 1.25 and 0.8 < heading < 1.25
+    assert 0.8 < longitudinal < 2.0
+
+
+def test_covariance_without_an_image_is_the_prior():
+    sigma = np.array([1.0, 2.0, 0.03, 0.01, 0.01, 0.05])
+    np.testing.assert_allclose(expected_covariance(jnp.zeros((6, 6)), sigma), np.diag(sigma**2), rtol=1e-12)
+
+
+def test_weak_stretches_are_what_is_above_the_limit(found):
+    limit = found.limits["longitudinal"]
+    weak = [s for s in found.weak_stretches() if s.what == "longitudinal"]
+    assert bool(weak) == bool((found.ways[0].sigma[:, 0] > limit).any())
+    assert all(s.worst > limit and s.from_km <= s.to_km for s in weak)
+
+
+def _straight(dash_m: float, gap_m: float, length_m: float = 120.0) -> SemanticMap:
+    """Two solid lines 3.6 m apart or, with gaps, rows of dashes."""
+    starts = np.arange(0.0, length_m, dash_m + gap_m)
+    elements = []
+    for side in (-1.8, 1.8):
+        for k, x in enumerate(starts):
+            line = np.array([[x, side, 0.0], [x + dash_m, side, 0.0]])
+            elements.append(MapElement(f"{side}_{k}", ElementClass.LANE_MARKING, line, width_m=0.15))
+    return SemanticMap(tuple(elements))
+
+
+def test_dashes_fit_one_period_further_on():
+    """On a road with dashes of 3 m each 9 m and nothing else, the pose 9 m away explains the view."""
+    dashes = _straight(3.0, 6.0)
+    way = path_way("middle", np.stack([dashes.road_pose(40.0, 0.0, 0.0)]), 5.0)
+    report = survey(dashes, front_rig(), TABLE, [way]).ways[0]
+    assert abs(abs(report.second_m[0, 0]) - 9.0) < 0.4 and abs(report.second_m[0, 1]) < 0.1
+    assert report.ambiguity[0] > 0.75
+
+
+def test_a_lane_between_solid_lines_is_found_in_its_middle():
+    ways = lane_ways(_straight(119.0, 1.0), 5.0)
+    assert len(ways) == 1
+    np.testing.assert_allclose(ways[0].Ts_map_base[:, 1, 3], 0.0, atol=0.05)
+    assert ways[0].station_m[-1] > 100.0
+
+
+def test_no_lane_is_a_message():
+    pole = MapElement("p", ElementClass.POLE, np.array([[0, 0, 0], [0, 0, 3.0]]), radius_m=0.1)
+    with pytest.raises(SemlocError, match="--path"):
+        lane_ways(SemanticMap((pole,)), 5.0)
+
+
+def test_information_of_the_elements_adds_up(drive, road_map, found):
+    T = found.ways[0].way.Ts_map_base
+    parts = element_information(road_map, drive.rig, TABLE, T)
+    scale = parts.prior_sigma
+    whole = found.ways[0].information * scale[:, None] * scale
+    np.testing.assert_allclose(parts.whitened.sum(axis=1), whole, rtol=2e-3, atol=2e-3 * np.abs(whole).max())
+
+
+def test_greedy_is_within_its_bound_of_the_best_pair():
+    """With equal costs, at least 1 - 1/e of what the best of all pairs gains, and far above a random pair's mean."""
+    rng = np.random.default_rng(3)
+    a = rng.normal(size=(4, 12, 6, 2)) * rng.uniform(0.1, 3.0, (1, 12, 1, 1))
+    information = ElementInformation(a @ np.swapaxes(a, -1, -2), np.ones(6))
+    taken, values = greedy_order(information, np.ones(12), 2.0)
+
+    def value(chosen):
+        return np.linalg.slogdet(np.eye(6) + information.whitened[:, chosen].sum(axis=1))[1].sum()
+
+    pairs = [value([i, j]) for i in range(12) for j in range(i)]
+    assert len(taken) == 2 and values[-1] == pytest.approx(value(taken))
+    assert values[-1] >= (1 - 1 / np.e) * max(pairs) and values[-1] > np.mean(pairs)
+
+
+def test_small_map_keeps_its_share_and_beats_random(drive, road_map, found):
+    places = found.ways[0].way.Ts_map_base
+    small = small_map(road_map, drive.rig, TABLE, places, 0.2)
+    assert map_bytes(small.map, write_drive_geojson) <= 0.2 * map_bytes(road_map, write_drive_geojson)
+    assert np.all(small.sigma < 1.5 * small.sigma_whole)
+    with pytest.raises(SemlocError, match="0.2"):
+        small_map(road_map, drive.rig, TABLE, places, 1.5)
+
+
+@pytest.mark.parametrize("camera", [front_rig().cameras[0], surround_rig().cameras[1]], ids=["radtan", "fisheye"])
+def test_interval_bounds_hold_for_every_camera(camera):
+    """Pixels and their derivatives of 20,000 points lie within the bounds of the boxes that they were drawn from."""
+    rng = np.random.default_rng(0)
+    center = rng.uniform([-5, -2, 2, -1, -1, -1], [5, 2, 30, 1, 1, 1], (200, 6))
+    radius = np.abs(rng.normal(0, 0.1, (200, 6)))
+
+    def pixels(*p):
+        return jax.jvp(lambda *xyz: camera.project_xyz(*xyz)[:2], p[:3], p[3:])
+
+    low, high = (jnp.asarray(end.T) for end in (center - radius, center + radius))
+    held = jax.jit(lambda low, high: bounds(pixels, *map(Interval, low, high)))(low, high)
+    held = jax.tree.leaves(held, is_leaf=lambda part: isinstance(part, Interval))
+    inside = jax.jit(pixels)
+    for _ in range(100):
+        point = center + radius * rng.uniform(-1, 1, center.shape)
+        for interval, value in zip(held, jax.tree.leaves(inside(*map(jnp.asarray, point.T))), strict=True):
+            assert bool(jnp.all((interval.low - 1e-9 <= value) & (value <= interval.high + 1e-9)))
