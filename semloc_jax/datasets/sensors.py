@@ -17,6 +17,8 @@ from semloc_jax.geometry.geodesy import Geodetic, enu_from_wgs84, wgs84_from_enu
 
 _FASTEST_MPS, _HIGHEST_M = 150.0, 1e5
 """No vehicle is faster, no road is higher."""
+_DECIMALS = 4
+"""Of metres, to which fixes are rounded on their way from degrees: one drive is one drive in every format. Ours."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +58,12 @@ class GnssTrack:
         return cls(time_s[order], p_enu, sigma_m[order], antenna_base, origin)
 
     def seen_from(self, origin: Geodetic) -> "GnssTrack":
-        """The fixes in the frame that sits at `origin` on the earth; unchanged where they already are in a map."""
+        """The fixes in the frame that sits at `origin` on the earth, to 0.1 mm; unchanged where they are in a map."""
         if self.origin is None:
             return self
         p_enu = enu_from_wgs84(*wgs84_from_enu(self.p_enu, self.origin), tuple(origin))
-        return replace(self, p_enu=p_enu, origin=None)
+        # Degrees leave some nanometres: enough for a search to take another of two starts that are equally good.
+        return replace(self, p_enu=np.round(p_enu, _DECIMALS), origin=None)
 
 
 @dataclass(frozen=True)
