@@ -82,6 +82,8 @@ def frames_in_step(
     reach_s = _reach_s(first.time_s)
     by_kind = {kind: _partners(by, names, first.time_s, reach_s) for kind, by in ordered.items()}
     names = _in_step(names, by_kind.get(IMAGE) or next(iter(by_kind.values())), where)
+    if not names:
+        raise SemlocError(f"{where}: no camera has both pictures and times; check that the list of times is complete")
     rig = _sized(rig.select(names), ordered, where)
     frames = []
     for index, time_s in enumerate(first.time_s.tolist()):

@@ -1,11 +1,6 @@
-"""Broken calibration files: read, or refused in one line, in bounded time; never another exception.
+"""Broken calibration files: read, or refused in one line, in bounded time; never another exception."""
 
-SEMLOC_FUZZ is the number of broken copies of each file (default 30).
-"""
-
-import os
 import time
-import warnings
 
 import numpy as np
 import pytest
@@ -15,10 +10,7 @@ from semloc_jax.cameras.plausibility import implausible
 from semloc_jax.datasets.synthetic.cameras import front_rig, surround_rig
 from semloc_jax.errors import SemlocError
 from tests.cameras.calibration_files import calibration_files
-from tests.maps.io.mutations import mutations
-
-COUNT = int(os.environ.get("SEMLOC_FUZZ", "30"))
-MAX_S = 10.0
+from tests.maps.io.mutations import COUNTS, LONGEST_S, break_often
 
 
 @pytest.fixture(scope="module")
@@ -32,29 +24,25 @@ def test_the_originals_are_read(originals):
         assert len(read_calibration(path)) >= 1, path
 
 
+@pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize(
     "kind", ["camchain", "camera_info", "opencv", "opencv_xml", "colmap", "kitti", "ocam", "woodscape", "nuscenes"]
 )
-def test_broken_copies_are_read_or_refused(originals, kind, tmp_path):
+def test_broken_copies_are_read_or_refused(originals, kind, count, tmp_path):
     original = originals[kind]
     folder = tmp_path / "copy"
     folder.mkdir()
     for beside in original.parent.iterdir() if kind == "nuscenes" else ():
         (folder / beside.name).write_bytes(beside.read_bytes())
     path = folder / original.name
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a sum that overflows is no failure, what follows from it is
-        for number, content in enumerate(mutations(original.read_bytes(), 7, COUNT)):
-            path.write_bytes(content)
-            started = time.perf_counter()
-            try:
-                rig = read_calibration(path)
-            except SemlocError as error:
-                assert "\n" not in str(error) and len(str(error)) < 2000, (number, error)
-            else:
-                implausible(rig)
-                assert all(np.isfinite([c.fx, c.fy, c.cx, c.cy]).all() for c in rig.cameras), number
-            assert time.perf_counter() - started < MAX_S, number
+
+    def use(content):
+        path.write_bytes(content)
+        rig = read_calibration(path)
+        implausible(rig)
+        assert all(np.isfinite([c.fx, c.fy, c.cx, c.cy]).all() for c in rig.cameras)
+
+    assert break_often(original.read_bytes(), count, use) > 0
 
 
 def test_bombs_and_tricks_are_refused(tmp_path):
@@ -75,4 +63,4 @@ def test_bombs_and_tricks_are_refused(tmp_path):
         started = time.perf_counter()
         with pytest.raises(SemlocError):
             read_calibration(tmp_path / f"{name}.yaml")
-        assert time.perf_counter() - started < MAX_S
+        assert time.perf_counter() - started < LONGEST_S

@@ -61,7 +61,9 @@ def read_geopackage(path: str | Path) -> SemanticMap:
             return StoredMap(connection, path.name)
         return read_foreign(connection, path.name)
     except (sqlite3.Error, UnicodeDecodeError) as error:
-        raise SemlocError(f"map {path.name}: not a readable GeoPackage ({error}); is the file complete?") from error
+        # SQLite quotes a broken schema with its line breaks.
+        why = " ".join(str(error).split())[:160]
+        raise SemlocError(f"map {path.name}: not a readable GeoPackage ({why}); is the file complete?") from error
 
 
 def _fill(connection: sqlite3.Connection, semantic_map: SemanticMap) -> None:

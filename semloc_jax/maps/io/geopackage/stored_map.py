@@ -153,7 +153,8 @@ class StoredMap(SemanticMap):
         try:
             return self._connection.ask(query, values)
         except (sqlite3.Error, UnicodeDecodeError) as error:
-            raise SemlocError(f"map {self._file_name}: cannot be read ({error}); is the file complete?") from error
+            why = " ".join(str(error).split())[:160]
+            raise SemlocError(f"map {self._file_name}: cannot be read ({why}); is the file complete?") from error
 
 
 class _StoredGround(GroundModel):
