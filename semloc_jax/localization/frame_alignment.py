@@ -74,7 +74,6 @@ class FrameAligner:
         """Prepare a map, its windows and the channels of its labels."""
         self.map, self.windows, self.config = semantic_map, windows, config
         self.channel_of_label = jnp.asarray(channel_of_label)
-        self._place = {element.id: index for index, element in enumerate(semantic_map.elements)}
 
     def frame_input(self, frame: FrameFeatures, window: MapWindow) -> FrameInput:
         """The frame with the samples of a window."""
@@ -110,7 +109,7 @@ class FrameAligner:
         T_local = T_start.copy()
         T_local[:3, 3] -= origin
         sigma = self.prior_sigma(covariance)
-        index = np.array([self._place[i] for i in window.element_ids[:ELEMENT_CAPACITY]], dtype=np.int64)
+        index = self.map.rows_of(window.element_ids[:ELEMENT_CAPACITY])
         local_trust = np.ones(ELEMENT_CAPACITY, np.float32)
         local_trust[: len(index)] = trust[index]
         local_trust = jnp.asarray(local_trust)

@@ -112,7 +112,7 @@ class Localizer:
     def start(self) -> TrackerState:
         """The state of a vehicle that may be anywhere."""
         nothing = np.float64(-np.inf)
-        trust = map_faults.full_trust(len(self.map.elements))
+        trust = map_faults.full_trust(self.map.num_elements)
         status = np.float64(TrackStatus.INITIALIZING)
         return TrackerState(
             *(nothing, status, (), (), nothing, no_fixes(), trust, health.no_counts(), np.zeros(3), nothing),

@@ -86,8 +86,8 @@ def map_changes(trust: ElementTrust, semantic_map: SemanticMap, config: TrustCon
     doubtful = np.flatnonzero((share >= config.candidate_share) & (trust.num_frames >= config.candidate_frames))
     found = [
         MapChange(
-            semantic_map.elements[k].id,
-            semantic_map.elements[k].label.name.lower(),
+            semantic_map.element_at(int(k)).id,
+            semantic_map.element_at(int(k)).label.name.lower(),
             float(share[k]),
             int(trust.num_frames[k]),
             float(weight[k]),

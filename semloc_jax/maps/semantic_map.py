@@ -82,6 +82,23 @@ class SemanticMap:
         """Whether there is anything that a camera could see."""
         return any(not element.is_logical for element in self.elements)
 
+    @property
+    def num_elements(self) -> int:
+        """Number of rows that `rows_of` may name."""
+        return len(self.elements)
+
+    @cached_property
+    def _row_of_id(self) -> dict[str, int]:
+        return {element.id: row for row, element in enumerate(self.elements)}
+
+    def rows_of(self, ids: Iterable[str]) -> np.ndarray:
+        """Returns the places in the map of elements that a query found, `int64[k]`."""
+        return np.array([self._row_of_id[key] for key in ids], dtype=np.int64)
+
+    def element_at(self, row: int) -> MapElement:
+        """Returns the element at a place in the map."""
+        return self.elements[row]
+
     @cached_property
     def extent(self) -> np.ndarray:
         """Bounding box in the map frame, `float64[2 3]`: minimum and maximum [m]."""

@@ -126,6 +126,21 @@ def test_a_thousand_kilometres_open_in_a_second_and_answer_in_two_milliseconds(t
     assert thousand_km.stat().st_size < 40e6
 
 
+def test_rows_name_the_elements_of_a_large_map_without_reading_it(thousand_km, monkeypatch):
+    """What a tracker keeps for each element of the map it finds by row."""
+
+    def refuse(self):
+        raise AssertionError("the whole map is read")
+
+    monkeypatch.setattr(StoredMap, "elements", property(refuse))
+    stored = read_map(thousand_km)
+    assert stored.num_elements == 1000 * (2 * 10 + 83 + 20)
+    found = stored.query([5005.0, 4000.0], 50.0).elements
+    rows = stored.rows_of(element.id for element in found)
+    assert [stored.element_at(int(row)).id for row in rows] == [element.id for element in found]
+    assert len(found) > 10 and rows.max() < stored.num_elements
+
+
 def test_a_map_without_a_place_on_the_earth_and_odd_elements(tmp_path):
     point = MapElement("point", ElementClass.SIGN, np.array([[1.0, 2.0, 3.0]]), normal=np.array([0.0, 1.0, 0.0]))
     pair = MapElement("pair", ElementClass.CURB, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), closed=True)

@@ -35,6 +35,7 @@ _GROUND_REACH_M = 110.0
 """Ground points are looked for up to 60 m from a place, which may lie 29 m from the middle of its cell."""
 _MOST_CELLS = 64
 _AT_ONCE = 500
+_HIGHEST_FID = 20_000_000
 
 _COLUMNS = (
     "fid, geom, id, class, style, shape, closed, width, radius, radius_top, height, normal_x, normal_y, normal_z, "
@@ -46,7 +47,10 @@ _WITHIN = (
 
 
 class StoredMap(SemanticMap):
-    """A map in a GeoPackage. What was read stays in memory, up to 50,000 elements, the oldest goes first."""
+    """A map in a GeoPackage. What was read stays in memory, up to 50,000 elements, the oldest goes first.
+
+    Everything but `elements` costs what lies around the places that are asked for, not what the file holds.
+    """
 
     def __init__(self, connection: schema.GuardedConnection, file_name: str):
         members = dict(connection.ask("SELECT key, value FROM semloc_map"))
@@ -66,6 +70,7 @@ class StoredMap(SemanticMap):
         object.__setattr__(self, "_connection", connection)
         object.__setattr__(self, "_file_name", file_name)
         object.__setattr__(self, "_cache", OrderedDict())
+        object.__setattr__(self, "_row_of_id", {})
 
     @cached_property
     def elements(self) -> tuple[MapElement, ...]:
@@ -78,6 +83,25 @@ class StoredMap(SemanticMap):
         """The classes that the map holds."""
         names = [name for (name,) in self._ask("SELECT DISTINCT class FROM elements", ())]
         return frozenset(FEATURE_CLASSES[name][0] for name in names if name in FEATURE_CLASSES)
+
+    @cached_property
+    def num_elements(self) -> int:
+        """Number of rows that `rows_of` may name: the largest number of an element."""
+        first, last = self._ask("SELECT coalesce(min(fid), 1), coalesce(max(fid), 0) FROM elements", ())[0]
+        if first < 1 or last > _HIGHEST_FID:
+            raise SemlocError(
+                f"map {self._file_name}: its elements are numbered from {first} to {last}; expected 1 to "
+                f"{_HIGHEST_FID}: convert it to another .gpkg"
+            )
+        return int(last)
+
+    def rows_of(self, ids: Iterable[str]) -> np.ndarray:
+        """Returns the places in the file of elements that a query found, `int64[k]`."""
+        return np.array([self._row_of_id[key] for key in ids], dtype=np.int64)
+
+    def element_at(self, row: int) -> MapElement:
+        """Returns the element at a place in the file."""
+        return self._items([row + 1])[0][0]
 
     @cached_property
     def ground(self) -> GroundModel:
@@ -133,6 +157,7 @@ class StoredMap(SemanticMap):
             for row in self._ask(f"SELECT {_COLUMNS} FROM elements WHERE fid IN ({marks})", some):
                 element = _element(row, self._file_name)
                 self._cache[row[0]] = (element, plan_geometry(element))
+                self._row_of_id[element.id] = row[0] - 1
         lost = [fid for fid in fids if fid not in self._cache]
         if lost:
             raise SemlocError(f"map {self._file_name}: its R-tree names element {lost[0]}, which is not there")
