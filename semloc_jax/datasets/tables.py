@@ -20,15 +20,20 @@ def read_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     """
     if not path.is_file():
         raise SemlocError(f"table {path}: no such file; expected a csv with columns {', '.join(columns)}")
-    with path.open(newline="", errors="replace") as file:
-        reader = csv.DictReader(file)
-        header = reader.fieldnames or []
-        missing = [column for column in columns if column not in header]
-        if missing:
-            raise SemlocError(
-                f"table {path}: has columns {', '.join(header)}; expected also {', '.join(missing)}; rename or add them"
-            )
-        return list(reader)
+    try:
+        with path.open(newline="", errors="replace") as file:
+            reader = csv.DictReader(file)
+            header = reader.fieldnames or []
+            # Cells beyond the header have no name, and those that a short row lacks are empty.
+            rows = [{key: cell or "" for key, cell in row.items() if key is not None} for row in reader]
+    except csv.Error as error:
+        raise SemlocError(f"table {path}: {error}; expected comma-separated rows") from error
+    missing = [column for column in columns if column not in header]
+    if missing:
+        raise SemlocError(
+            f"table {path}: has columns {', '.join(header)}; expected also {', '.join(missing)}; rename or add them"
+        )
+    return rows
 
 
 def read_columns(path: Path, columns: Sequence[str]) -> dict[str, np.ndarray]:

@@ -68,7 +68,7 @@ def load_yaml(path: Path) -> dict[str, Any]:
         raise SemlocError(f"calibration {path}: holds no keys; expected a mapping such as cam0: ...")
     if _num_values(content, {}) > _MOST_VALUES:
         raise SemlocError(f"calibration {path}: more than {_MOST_VALUES} values; expected those of a few cameras")
-    return content
+    return {str(key): value for key, value in content.items()}
 
 
 def _num_values(content: Any, known: dict[int, float]) -> float:

@@ -54,6 +54,8 @@ def rig_from_kitti(path: Path, size_px: tuple[int, int] | None = None) -> Rig:
         # P = K [I | t] with t the place of camera 0 in this camera.
         poses.append(T_base_cam0 @ _translation(-np.linalg.solve(P[:, :3], P[:, 3])))
         names.append(f"image_{number:02d}" if is_raw else f"image_{number}")
+    if not cameras:
+        raise SemlocError(f"calibration {path}: no projection matrix in it; expected lines such as P2: or P_rect_02:")
     return Rig(cameras, np.stack(poses), names)
 
 
