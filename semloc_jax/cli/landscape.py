@@ -12,6 +12,8 @@ from semloc_jax.cli.main import OK
 if TYPE_CHECKING:
     import numpy as np
 
+    from semloc_jax.cli.drive_inputs import Inputs
+    from semloc_jax.datasets import Frame
     from semloc_jax.localization import LocalizeConfig
 
 METRIC = ("x", "y", "z")
@@ -23,6 +25,7 @@ class Options(DriveOptions):
 
     Shows what holds the pose and what does not: a valley is a direction that the class says nothing about, a second
     basin is a pose that it would confuse with the true one. Writes landscape.png and minima.csv.
+    With --basin it measures from how far away the true pose is found and writes basin.png and basin.csv instead.
     With --serve it writes nothing: on a page in the browser one drags the pose on the map and sees overlay, residuals,
     slices of the cost, covariance and the path of the solver from there; Ctrl-C ends it.
     """
@@ -39,6 +42,12 @@ class Options(DriveOptions):
     """Level of the cost maps: 0 is the coarsest."""
     around: Literal["truth", "prior"] = "truth"
     """The pose in the middle; the prior is taken where the drive has no truth."""
+    basin: bool = False
+    """Measure from where around the true pose a single start finds it, instead of slicing the cost."""
+    starts: int = 512
+    """Starts of the basin, drawn evenly."""
+    window: str = "5,3,10"
+    """Half widths of the window that they are drawn from: longitudinal [m], lateral [m], heading [deg]."""
     serve: bool = False
     """Open the explorer, a page on this machine, instead of writing pictures."""
     port: int = 8765
@@ -62,19 +71,18 @@ def run(options: Options) -> int:
     """Compute the costs, draw them, list the minima; or serve the explorer."""
     if options.serve:
         return _serve(options)
+    if options.basin:
+        return _basin(options)
     import numpy as np
 
     from semloc_jax import viz
     from semloc_jax.cli import results
-    from semloc_jax.errors import SemlocError
     from semloc_jax.localization import FrameLocalizer
     from semloc_jax.localization.landscape import frame_landscape
 
     directions, offsets = _grid(options)
     inputs = open_inputs(options)
-    if not -len(inputs.drive) <= options.frame < len(inputs.drive):
-        raise SemlocError(f"drive {inputs.drive.name}: no frame {options.frame}; it has {len(inputs.drive)} frames")
-    frame = inputs.drive.frames[options.frame]
+    frame = _frame(inputs, options.frame)
     is_truth = options.around == "truth" and inputs.drive.truth is not None
     T_map_base = inputs.drive.truth_at(frame) if is_truth else inputs.prior(frame).on_road(inputs.map)
     localizer = FrameLocalizer(inputs.map, inputs.masks.table, options.settings)
@@ -97,6 +105,56 @@ def run(options: Options) -> int:
     for row in rows:
         if row[0] == "all":
             print(f"minimum {row[1]}: {directions[0]} {row[2]}, {directions[1]} {row[3]}, cost {row[4]}")
+    return OK
+
+
+def _frame(inputs: "Inputs", index: int) -> "Frame":
+    """The frame of an index.
+
+    Raises:
+        SemlocError: there is none.
+    """
+    from semloc_jax.errors import SemlocError
+
+    if not -len(inputs.drive) <= index < len(inputs.drive):
+        raise SemlocError(f"drive {inputs.drive.name}: no frame {index}; it has {len(inputs.drive)} frames")
+    return inputs.drive.frames[index]
+
+
+def _basin(options: Options) -> int:
+    """Where single starts end: measured, written, drawn."""
+    from dataclasses import replace
+
+    from semloc_jax import viz
+    from semloc_jax.cli import results
+    from semloc_jax.localization.basin import BasinConfig, BasinWindow, basin
+    from semloc_jax.localization.one_start import WIDE_COST_MAPS
+    from semloc_jax.viz.basin import basin_on_map
+
+    try:
+        window = BasinWindow(*(float(value) for value in options.window.split(",")))
+    except (TypeError, ValueError) as error:
+        text = f"--window '{options.window}': expected three numbers such as 5,3,10 [m, m, deg]"
+        raise UsageError(text) from error
+    if options.starts < 1 or min(window.longitudinal_m, window.lateral_m, window.heading_deg) <= 0:
+        raise UsageError("--starts, --window: expected at least one start and half widths above 0")
+    inputs = open_inputs(options)
+    frame = _frame(inputs, options.frame)
+    localize = replace(options.settings, cost_maps=WIDE_COST_MAPS)
+    config = BasinConfig(num_starts=options.starts, seed=options.seed, localize=localize)
+    (found,) = basin(inputs.drive, inputs.map, inputs.masks, (window,), (frame,), config)
+
+    folder = results.make_folder(options.out)
+    title = f"{inputs.drive.name} frame {frame.id}, masks {inputs.masks.name}: found from {100 * found.single:.0f} %"
+    figure = basin_on_map(found, 0, inputs.map.elements, inputs.drive.truth_at(frame), title)
+    print(f"picture: {viz.save(figure, folder / 'basin.png')}")
+    columns = ("longitudinal_m", "lateral_m", "heading_deg")
+    names = (*(f"start_{c}" for c in columns), *(f"end_{c}" for c in columns), "score", "success")
+    parts = (*found.start_error[0].T, *found.end_error[0].T, found.score[0])
+    rows = [(*(f"{v:.4f}" for v in row), int(ok)) for *row, ok in zip(*parts, found.success[0], strict=True)]
+    results.write_csv(folder / "basin.csv", names, rows)
+    shares = ", ".join(f"best of {n} {100 * found.best_of(n):.1f} %" for n in (8, 64) if n <= options.starts)
+    print(f"starts within {window}: one finds the pose in {100 * found.single:.1f} %{', ' + shares if shares else ''}")
     return OK
 
 
