@@ -78,8 +78,9 @@ class SelfCalibrationConfig:
     noise_share: float = 0.15
     correlation_px: float = 60.0
     """These three as in `AlignConfig`: boundary noise and the length over which it is the same."""
-    min_inlier_ratio: float = 0.5
-    """A level with a smaller share of the visible contour within its ramp is left out."""
+    min_inlier_ratio: float = 0.35
+    """A level with a smaller share of the visible contour within its ramp is left out. Less than a single frame asks:
+    all frames together tell what is common to them from the scatter of each."""
     capacity: int = 1024
     """Map samples of one picture."""
     observable_ratio: float = 0.35

@@ -177,9 +177,13 @@ def motion_of(start: StartPoses, config: SelfCalibrationConfig) -> Motion:
             sqrt_info[i] = np.linalg.inv(np.linalg.cholesky(step.covariance))
             continue
         way_m = float(np.linalg.norm(start.T_map_base[i + 1, :3, 3] - start.T_map_base[i, :3, 3]))
+        step_s = start.frames[i + 1].time_s - start.frames[i].time_s
         share, noise = config.factors.side_slip_share, config.motion
-        # The tangent of a constant turn has no part sideways; neither rate needs to be known for that.
-        sqrt_info[i, 0, 1] = 1.0 / max(share * np.sqrt(way_m * noise.slip_length_m), 1e-3)
+        # The tangent of a constant turn has no part sideways; neither rate needs to be known for that. That of a turn
+        # which changes at a constant rate a has v a t^3 / 12.
+        slipped_m = share * np.sqrt(way_m * noise.slip_length_m)
+        bent_m = way_m * step_s**2 * np.deg2rad(noise.unknown_yaw_acceleration_degps2) / 12.0
+        sqrt_info[i, 0, 1] = 1.0 / max(np.hypot(slipped_m, bent_m), 1e-3)
         sqrt_info[i, 1, 2] = 1.0 / max(noise.heave_share * np.sqrt(way_m * noise.slip_length_m), 1e-3)
     return Motion(jnp.asarray(T), jnp.asarray(jacobian), jnp.asarray(sqrt_info))
 

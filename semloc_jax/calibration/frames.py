@@ -26,6 +26,9 @@ _START_SIGMA = np.array([0.5, 0.5, 0.15, 0.035, 0.035, 0.035])
 """Of a pose that was found with a wrong calibration [m, rad]; ours."""
 _LOST_FACTOR = 5.0
 """A pose whose verdict was bad counts with so many times that sigma."""
+_STILL = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
+"""Least standard deviation of a motion [m, rad]: wheels that stand know it exactly, and exact motion has no equations;
+ours."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,7 @@ def motion_between(
     found = tuple(log.increment(first.time_s, second.time_s) for first, second in pairwise(frames))
     if any(increment.quality is MotionQuality.MISSING for increment in found):
         return None
-    return found
+    return tuple(step._replace(covariance=step.covariance + np.diag(_STILL**2)) for step in found)
 
 
 def smoothed(poses: np.ndarray, is_good: np.ndarray, motion: Sequence[MotionIncrement]) -> np.ndarray:

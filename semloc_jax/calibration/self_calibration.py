@@ -145,7 +145,7 @@ def calibrate_from(
         float(solution.inlier_ratio),
         level_px,
         bool(solution.converged),
-        _notes(drive, start),
+        _notes(drive, start.motion is not None, T_map_base),
     )
 
 
@@ -287,16 +287,16 @@ def _reference_poses(reference: Trajectory, frames: tuple[Frame, ...]) -> np.nda
     return poses
 
 
-def _notes(drive: Drive, start: StartPoses) -> tuple[str, ...]:
+def _notes(drive: Drive, has_wheels: bool, T_map_base: np.ndarray) -> tuple[str, ...]:
     """What was missing."""
     notes = []
-    if start.motion is None:
+    if not has_wheels:
         notes.append(
             "no wheel odometry: only that the rear axle does not slip sideways ties the poses; the odometer scale stays"
         )
     if drive.gnss is None:
         notes.append("no satellite fixes: the GNSS offset stays")
-    length_m = float(np.linalg.norm(np.diff(start.T_map_base[:, :3, 3], axis=0), axis=1).sum())
+    length_m = float(np.linalg.norm(np.diff(T_map_base[:, :3, 3], axis=0), axis=1).sum())
     if length_m < 10.0:
         notes.append(f"the vehicle moved {length_m:.1f} m only: a drive of 100 m with curves tells much more")
     return tuple(notes)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from semloc_jax.calibration import Observability, Parameter, Verdict
 from semloc_jax.viz.style import INK, new_figure, plain_axes
@@ -35,8 +36,9 @@ def _column(axes, parameters: Sequence[Parameter]) -> None:
         axes.plot(p.prior_sigma, row, "o", color=_PRIOR, markersize=5)
         axes.plot(p.sigma, row, "o", color=_COLOURS[p.verdict], markersize=6)
     axes.set_xscale("log")
-    low = min(min(p.sigma, p.prior_sigma) for p in parameters)
+    axes.xaxis.set_minor_formatter(NullFormatter())  # on little more than a decade they would run into each other
     high = max(p.prior_sigma for p in parameters)
+    low = min(0.1 * high, *(p.sigma for p in parameters))
     axes.set_xlim(0.5 * low, 2.0 * high)
     axes.set_yticks(range(len(parameters)), [p.name.replace("_", " ") for p in parameters])
     axes.set_ylim(len(parameters) - 0.5, -0.5)
