@@ -15,6 +15,7 @@ from semloc_jax.maps.io.compact import read_compact, write_compact
 from semloc_jax.maps.io.drive_geojson import map_from_drive_geojson, write_drive_geojson
 from semloc_jax.maps.io.geojson import map_from_geojson, write_geojson
 from semloc_jax.maps.io.geopackage import StoredMap, read_geopackage, write_geopackage
+from semloc_jax.maps.io.json_stream import JsonFile
 from semloc_jax.maps.io.lanelet2 import left_out_relations, read_lanelet2
 from semloc_jax.maps.io.lanelet2_ways import Lanelet2Style
 from semloc_jax.maps.io.lanelet2_writer import write_lanelet2
@@ -48,6 +49,7 @@ __all__ = [
     "write_map",
 ]
 
+_HEAD_BYTES = 4096
 _READ_SUFFIXES = (".geojson", ".json", ".osm", ".xodr", ".gpkg", ".smap")
 
 
@@ -135,6 +137,12 @@ def _map_from_json(document: Any, name: str, origin: GeoOrigin | None) -> Semant
 
 
 def _parse_json(path: Path) -> Any:
+    """Returns a parsed file, or a JsonFile of a format that is read item by item."""
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    is_large = head.lstrip().startswith(b"{") and b'"FeatureCollection"' not in head
+    if is_large and (is_argoverse2(document := JsonFile(path)) or is_nuscenes(document)):
+        return document
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -62,7 +62,7 @@ def map_from_argoverse2(
     """Returns the map in a parsed archive: painted lane boundaries once each, crosswalks, and unpainted boundaries.
 
     Args:
-        document: the archive.
+        document: the archive, whole or as a JsonFile.
         name: name of its file, which holds the city.
         origin: place of an ENU frame; None keeps the city frame.
         style: widths and dashes that the format leaves open.
@@ -80,13 +80,13 @@ def map_from_argoverse2(
 
 def drivable_areas(document: Mapping[str, Any], name: str) -> list[np.ndarray]:
     """Returns the outlines of the drivable areas in the city frame, each `float64[k 3]` [m]."""
-    areas = _member(document, "drivable_areas", name)
-    return [_points(area, "area_boundary", f"map {name}: drivable area {key}") for key, area in areas.items()]
+    areas = _items(document, "drivable_areas", name)
+    return [_points(area, "area_boundary", f"map {name}: drivable area {key}") for key, area in areas]
 
 
 def lane_bounds(document: Mapping[str, Any], name: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yields the left and the right boundary of each lane for cars in its direction of travel, `[k 3]` [m]."""
-    for key, lane in _member(document, "lane_segments", name).items():
+    for key, lane in _items(document, "lane_segments", name):
         if str(lane.get("lane_type", "VEHICLE")).upper() in _CAR_LANES:
             where = f"map {name}: lane segment {str(key)[:40]}"
             left, right = (_points(lane, f"{side}_lane_boundary", where) for side in ("left", "right"))
@@ -96,7 +96,7 @@ def lane_bounds(document: Mapping[str, Any], name: str) -> Iterator[tuple[np.nda
 def _markings(document: Mapping[str, Any], name: str, style: Argoverse2Style) -> Iterator[MapElement]:
     """Yields each lane boundary once: two neighbouring lanes both list the one between them."""
     seen: set[tuple[int, ...]] = set()
-    for key, lane in _member(document, "lane_segments", name).items():
+    for key, lane in _items(document, "lane_segments", name):
         where = f"map {name}: lane segment {str(key)[:40]}"
         for side in ("left", "right"):
             points = without_repeats(_points(lane, f"{side}_lane_boundary", where))
@@ -126,7 +126,7 @@ def _stroke_words(kind: str) -> list[str]:
 
 
 def _crosswalks(document: Mapping[str, Any], name: str) -> Iterator[MapElement]:
-    for key, crossing in _member(document, "pedestrian_crossings", name).items():
+    for key, crossing in _items(document, "pedestrian_crossings", name):
         where = f"map {name}: pedestrian crossing {str(key)[:40]}"
         one, other = (_points(crossing, edge, where) for edge in ("edge1", "edge2"))
         if np.linalg.norm(one[-1] - other[0]) > np.linalg.norm(one[-1] - other[-1]):
@@ -136,11 +136,13 @@ def _crosswalks(document: Mapping[str, Any], name: str) -> Iterator[MapElement]:
             yield MapElement(f"crosswalk_{key}", ElementClass.CROSSWALK, outline, closed=True)
 
 
-def _member(document: Mapping[str, Any], key: str, name: str) -> Mapping[str, Any]:
-    member = document.get(key, {})
-    if not isinstance(member, Mapping) or not all(isinstance(value, Mapping) for value in member.values()):
-        raise SemlocError(f"map {name}: {key} is no table of objects; expected an Argoverse 2 vector map")
-    return member
+def _items(document: Mapping[str, Any], key: str, name: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yields the name and the content of each thing of a kind, one after another: a city is not held in memory."""
+    table = document.get(key, {})
+    for item_key, item in table.items() if isinstance(table, Mapping) else (("", None),):
+        if not isinstance(item, Mapping):
+            raise SemlocError(f"map {name}: {key} is no table of objects; expected an Argoverse 2 vector map")
+        yield str(item_key), item
 
 
 def _points(item: Mapping[str, Any], key: str, where: str) -> np.ndarray:

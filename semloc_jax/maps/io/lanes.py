@@ -3,7 +3,6 @@
 In: the path of a map. Out: polylines in the frame of `read_map`; none for formats that know paint only.
 """
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 from semloc_jax.maps.curves import without_repeats
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.maps.io.argoverse2 import find_archive, is_argoverse2, lane_bounds
+from semloc_jax.maps.io.json_stream import JsonFile
 from semloc_jax.maps.io.lanelet2 import lanelet_bounds
 from semloc_jax.maps.io.opendrive import driving_lane_bounds
 
@@ -43,7 +43,7 @@ def _bounds(path: Path, origin: GeoOrigin | None) -> Iterator[Bounds]:
         yield from lanelet_bounds(path)
     elif suffix == ".xodr":
         yield from driving_lane_bounds(path, origin)
-    elif suffix == ".json" and is_argoverse2(document := json.loads(path.read_text("utf-8"))):
+    elif suffix == ".json" and is_argoverse2(document := JsonFile(path)):
         yield from lane_bounds(document, path.name)
 
 

@@ -4,7 +4,8 @@ In: a parsed expansion. Out: SemanticMap in the metres of the map's own frame, i
 The format has no heights, no widths and no dashes: see NuScenesStyle. Stop lines and crosswalks are areas.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -21,6 +22,9 @@ from semloc_jax.structs import ElementClass
 _PAINTED_STOPS = frozenset({"STOP_SIGN", "TRAFFIC_LIGHT", "YIELD"})
 """Types of stop line areas that stand for paint; the others are waits at crossings and turns."""
 
+_LINES, _AREAS = ("lane_divider", "road_divider", "traffic_light"), ("ped_crossing", "stop_line")
+"""Layers whose lines and areas are wanted."""
+
 
 @dataclass(frozen=True)
 class NuScenesStyle:
@@ -34,14 +38,15 @@ class NuScenesStyle:
 
 def is_nuscenes(document: Any) -> bool:
     """Returns whether a parsed JSON document is a nuScenes map expansion."""
-    return isinstance(document, Mapping) and "lane_divider" in document and isinstance(document.get("node"), list)
+    nodes = document.get("node") if isinstance(document, Mapping) else None
+    return isinstance(nodes, Collection) and not isinstance(nodes, str | Mapping) and "lane_divider" in document
 
 
 def map_from_nuscenes(document: Mapping[str, Any], name: str, style: NuScenesStyle | None = None) -> SemanticMap:
     """Returns the map in a parsed map expansion: dividers, crosswalks, stop lines, traffic lights.
 
     Args:
-        document: the expansion.
+        document: the expansion, whole or as a JsonFile.
         name: name of its file, for messages.
         style: widths and dashes that the format leaves open.
 
@@ -49,9 +54,9 @@ def map_from_nuscenes(document: Mapping[str, Any], name: str, style: NuScenesSty
         SemlocError: missing or broken parts.
     """
     try:
-        nodes = {node["token"]: (float(node["x"]), float(node["y"]), 0.0) for node in document["node"]}
-        lines = {line["token"]: line["node_tokens"] for line in document.get("line", [])}
-        areas = {area["token"]: area["exterior_node_tokens"] for area in document.get("polygon", [])}
+        nodes = _Nodes(document["node"])
+        lines = _used(document, "line", _LINES, "node_tokens", nodes)
+        areas = _used(document, "polygon", _AREAS, "exterior_node_tokens", nodes)
         elements = [
             *_dividers(document, nodes, lines, style or NuScenesStyle()),
             *_areas(document, "ped_crossing", ElementClass.CROSSWALK, nodes, areas),
@@ -64,21 +69,45 @@ def map_from_nuscenes(document: Mapping[str, Any], name: str, style: NuScenesSty
     return SemanticMap(tuple(elements), None, name, frame="nuScenes map frame")
 
 
-def _points(nodes: Mapping[str, tuple], tokens: Sequence[str]) -> np.ndarray:
-    return np.array([nodes[token] for token in tokens], dtype=np.float64).reshape(-1, 3)
+class _Nodes:
+    """Positions of the nodes, and their places in the table by token."""
+
+    def __init__(self, nodes: Collection[Mapping[str, Any]]):
+        self.rows: dict[str, int] = {}
+        xy = array("d")
+        for node in nodes:
+            self.rows[node["token"]] = len(xy) // 2
+            xy.extend((float(node["x"]), float(node["y"])))
+        self._xy = np.array(xy).reshape(-1, 2)
+
+    def points(self, rows: Sequence[int]) -> np.ndarray:
+        """Returns the positions of nodes, `float64[k 3]`, height 0."""
+        return np.column_stack([self._xy[list(rows)], np.zeros(len(rows))])
+
+
+def _used(
+    document: Mapping[str, Any], table: str, layers: Sequence[str], member: str, nodes: _Nodes
+) -> dict[str, "array[int]"]:
+    """Returns the nodes of each line or area that one of the layers refers to, by token."""
+    wanted = {item[f"{table}_token"] for layer in layers for item in document.get(layer, [])}
+    found = {}
+    for item in document.get(table, []):
+        if item["token"] in wanted:
+            found[item["token"]] = array("q", [nodes.rows[token] for token in item[member]])
+    return found
 
 
 def _dividers(
-    document: Mapping[str, Any], nodes: Mapping[str, tuple], lines: Mapping[str, Any], style: NuScenesStyle
+    document: Mapping[str, Any], nodes: _Nodes, lines: Mapping[str, Sequence[int]], style: NuScenesStyle
 ) -> Iterator[MapElement]:
     """Yields the dividers between lanes and between roads, one element for each run of one type."""
     sizes = (style.width_m, style.double_gap_m, style.dash_m, style.gap_m)
     for layer in ("lane_divider", "road_divider"):
         for divider in document.get(layer, []):
             segments = divider.get(f"{layer}_segments", [])
-            kinds = {segment["node_token"]: str(segment["segment_type"]) for segment in segments}
-            for index, (kind, tokens) in enumerate(_runs(lines[divider["line_token"]], kinds)):
-                points = without_repeats(_points(nodes, tokens))
+            kinds = {nodes.rows.get(segment["node_token"]): str(segment["segment_type"]) for segment in segments}
+            for index, (kind, rows) in enumerate(_runs(lines[divider["line_token"]], kinds)):
+                points = without_repeats(nodes.points(rows))
                 if len(points) < 2:
                     continue
                 told = {"nuscenes": kind, "layer": layer}
@@ -92,10 +121,10 @@ def _dividers(
                     yield MapElement(line.id, line.label, points, style=VIRTUAL, has_height=False, attributes=told)
 
 
-def _runs(tokens: Sequence[str], kinds: Mapping[str, str]) -> list[tuple[str, list[str]]]:
+def _runs(rows: Sequence[int], kinds: Mapping[int | None, str]) -> list[tuple[str, list[int]]]:
     """Returns the runs of one type along a line; a node tells the type of the segment that begins at it."""
-    found: list[tuple[str, list[str]]] = []
-    for start, end in pairwise(tokens):
+    found: list[tuple[str, list[int]]] = []
+    for start, end in pairwise(rows):
         kind = kinds.get(start, "NIL")
         if not found or found[-1][0] != kind:
             found.append((kind, [start]))
@@ -114,12 +143,12 @@ def _areas(
     document: Mapping[str, Any],
     layer: str,
     label: ElementClass,
-    nodes: Mapping[str, tuple],
-    areas: Mapping[str, Any],
+    nodes: _Nodes,
+    areas: Mapping[str, Sequence[int]],
 ) -> Iterator[MapElement]:
     """Yields the areas of a layer; stop areas that stand for no paint are logical."""
     for item in document.get(layer, []):
-        points = without_repeats(_points(nodes, areas[item["polygon_token"]]), closed=True)
+        points = without_repeats(nodes.points(areas[item["polygon_token"]]), closed=True)
         kind = str(item.get("stop_line_type", ""))
         if len(points) > 2:
             style = VIRTUAL if kind and kind not in _PAINTED_STOPS else ""
@@ -129,10 +158,10 @@ def _areas(
             )
 
 
-def _lights(document: Mapping[str, Any], nodes: Mapping[str, tuple], lines: Mapping[str, Any]) -> Iterator[MapElement]:
+def _lights(document: Mapping[str, Any], nodes: _Nodes, lines: Mapping[str, Sequence[int]]) -> Iterator[MapElement]:
     """Yields traffic lights as logical ones: the format tells neither their height nor their size."""
     for item in document.get("traffic_light", []):
-        points = _points(nodes, lines[item["line_token"]])
+        points = nodes.points(lines[item["line_token"]])
         if len(points) >= 2:
             told = {"nuscenes": str(item.get("traffic_light_type", ""))}
             axis = points[[0, -1]]

@@ -11,9 +11,10 @@ from xml.etree.ElementTree import ParseError, XMLParser
 from semloc_jax.errors import SemlocError
 
 _CHUNK_BYTES = 1 << 16
+_OF_NODES = ("id", "lat", "lon", "ele", "local_x", "local_y", "action", "visible")
 
 
-@dataclass
+@dataclass(slots=True)
 class OsmItem:
     """A node, way or relation.
 
@@ -58,7 +59,9 @@ class _Target:
             self.file.attributes = attributes
         self._saw_root = True
         if tag in self._stores:
-            self._item = OsmItem(attributes)
+            # Of the millions of nodes only what says where they are: editors write who drew them, when and how often.
+            kept = {key: attributes[key] for key in _OF_NODES if key in attributes} if tag == "node" else attributes
+            self._item = OsmItem(kept)
         elif self._item is None:
             return
         elif tag == "tag":
