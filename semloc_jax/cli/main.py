@@ -22,6 +22,7 @@ VERBS = {
     "inspect": "what a map holds and what looks wrong in it",
     "convert": "write a map in another format, and say what is lost",
     "calibrate": "cameras, odometer and satellite offset calibrated by a drive, and what it cannot tell",
+    "learn": "class weights, ramp and noise learned through the solve from drives with truth",
     "check-calib": "what looks wrong in a calibration, and pictures of it: horizon, ground grid, map",
     "segment": "masks of a drive by a network, with a report of the map classes they can see",
     "simulate": "write a small rendered drive with exact truth",

@@ -13,8 +13,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.cameras import Camera, Rig
+from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
-from semloc_jax.structs import MapSamples, SampleKind, ViewSamples
+from semloc_jax.structs import ElementClass, MapSamples, SampleKind, ViewSamples
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,15 @@ class ViewConfig:
     """Length of contour [px] that is one independent observation; see `AlignConfig.correlation_px`."""
     noise_px: float = 2.0
     """Standard deviation of one independent observation [px]; see `AlignConfig.noise_px`."""
+    class_weight: tuple[float, ...] = ()
+    """Factor on the weight of each ElementClass, in its order; empty for 1. `semloc learn` finds them."""
+
+    def __post_init__(self) -> None:
+        if len(self.class_weight) not in (0, len(ElementClass)) or any(not w >= 0 for w in self.class_weight):
+            raise SemlocError(
+                f"view: class_weight has {len(self.class_weight)} values {self.class_weight}; expected one that is not "
+                f"negative for each of {', '.join(label.name.lower() for label in ElementClass)}, or none"
+            )
 
 
 GROUND_CLASSES = (0, 1, 2, 3, 4, 5, 6)  # ElementClass values of what is painted on the ground
@@ -124,11 +134,14 @@ def _camera_view(
     weight = weight / (1 + (seen.height_px[index] / config.noise_px) ** 2)
     weight = jnp.where(filled, weight, 0.0).astype(p_map.dtype)
     element = jnp.where(filled, samples.element[index], -1)
+    weight = _limited_by_element(weight, element, config)
+    if config.class_weight:
+        weight = weight * jnp.asarray(config.class_weight, weight.dtype)[samples.label[index]]
     return ViewSamples(
         p_map=p_map[index].T,
         tangent_map=samples.tangent_map[index].T,
         channel=jnp.where(filled, channel[index], 0),
-        weight=_limited_by_element(weight, element, config),
+        weight=weight,
         element=element,
     )
 

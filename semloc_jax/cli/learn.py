@@ -1,0 +1,186 @@
+"""`semloc learn`: class weights, ramp and noise learned through the solve from drives with truth (room: cli)."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from semloc_jax.cli.main import OK
+
+if TYPE_CHECKING:
+    from semloc_jax.cli.drive_inputs import Inputs
+    from semloc_jax.learning import Accuracy, Fit, LearningConfig
+    from semloc_jax.localization.run import LocalizeConfig
+
+LEARNED, LEARNED_TRACK = "learned.yaml", "track_learned.yaml"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Learn from drives with truth what the localizer assumes: a weight for each class of map elements, the finest ramp
+    (where the robust kernel lets go) and the length of contour that is one observation.
+
+    What is minimised is the negative log-likelihood of the true poses, 0.5 e' S^-1 e + 0.5 log det S, with derivatives
+    through the solve: accuracy and honesty of the covariance together. Writes learned.yaml for localize --config,
+    track_learned.yaml for track --config, report.md and report.json with the errors on every drive before and after,
+    and config.yaml.
+
+    Judge it by the drives that are held out. Every value of the configuration is an option too, e.g. --num-frames 30.
+    """
+
+    drives: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DRIVE...")]
+    """Drives to learn from: folders with maps, masks and truth, all with the same classes in their masks."""
+    held_out: tuple[Path, ...] = ()
+    """Drives to judge by only."""
+    masks: str = "sem_net"
+    """Mask folder of every drive: masks like those that will be localized with."""
+    config: Path | None = None
+    """YAML file with values of the configuration."""
+    out: Path | None = None
+    """Folder for the results; default: results/TIME, to which results/latest points."""
+
+
+def default_settings() -> "LearningConfig":
+    """How is learned if nothing is said."""
+    from semloc_jax.learning import LearningConfig
+
+    return LearningConfig()
+
+
+def run(options: Options) -> int:
+    """Learn, judge, write; returns the exit code.
+
+    Raises:
+        UsageError: there is nothing to learn from.
+    """
+    from tqdm import tqdm
+
+    from semloc_jax.cli import results
+    from semloc_jax.cli.config_files import UsageError
+    from semloc_jax.learning import fit, learned_config, learned_track_config, learned_values, training_frames
+    from semloc_jax.localization.localizer import TrackConfig
+
+    if not options.drives:
+        raise UsageError("no drives to learn from; expected DRIVE ..., folders with map, masks and truth")
+    config = options.settings
+    inputs = {path: _open(path, options.masks) for path in (*options.drives, *options.held_out)}
+    table = _common_table(inputs)
+    folder = results.make_folder(options.out)
+    frames = []
+    for number, path in enumerate(tqdm(options.drives, unit="drive", desc="frames", disable=None)):
+        given = inputs[path]
+        own = replace(config, seed=config.seed + number)
+        frames += training_frames(given.drive, given.map, given.masks, own)
+    with tqdm(unit="step", desc="learning", disable=None) as bar:
+
+        def told(loss: float) -> None:
+            bar.update()
+            bar.set_postfix(loss=f"{loss:.3f}")
+
+        found = fit(frames, len(table.channels), config, told)
+    values = learned_values(found.parameters, table, config)
+    learned = learned_config(values, config.localize)
+    rows = [
+        (path, path in options.held_out, *_judged(given, (config.localize, learned), config))
+        for path, given in tqdm(inputs.items(), unit="drive", desc="judging", disable=None)
+    ]
+    _write_learned(folder / LEARNED, config.localize, learned, options)
+    _write_learned(folder / LEARNED_TRACK, TrackConfig(), learned_track_config(values, TrackConfig()), options)
+    results.write_record(folder, config, {"masks": options.masks, "held_out": [str(p) for p in options.held_out]})
+    text = _report(found, rows)
+    (folder / "report.md").write_text(text + "\n", encoding="utf-8")
+    _write_json(folder / "report.json", found, rows)
+    print(text)
+    print(f"use it: semloc localize DRIVE --config {folder / LEARNED}")
+    return OK
+
+
+def _open(path: Path, masks: str) -> "Inputs":
+    from semloc_jax.cli.drive_inputs import DriveOptions, open_inputs
+
+    return open_inputs(DriveOptions(drive=path, masks=masks, prior="truth"))
+
+
+def _common_table(inputs: "dict[Path, Inputs]"):
+    """The class table of all drives.
+
+    Raises:
+        SemlocError: there are several.
+    """
+    from semloc_jax.errors import SemlocError
+
+    tables = {given.masks.table.name: given.masks.table for given in inputs.values()}
+    if len(tables) > 1:
+        raise SemlocError(f"learn: the drives have class tables {', '.join(tables)}; expected one; learn one by one")
+    return next(iter(tables.values()))
+
+
+def _judged(given: "Inputs", settings: "tuple[LocalizeConfig, LocalizeConfig]", config: "LearningConfig"):
+    from semloc_jax.learning import evaluate
+
+    return [evaluate(given.drive, given.map, given.masks, one, config) for one in settings]
+
+
+def changes(before: object, after: object) -> dict:
+    """What differs between two configurations, as YAML holds it."""
+    from semloc_jax.cli.config_files import is_settings, to_plain
+
+    found = {}
+    for name in vars(before):
+        old, new = getattr(before, name), getattr(after, name)
+        if is_settings(old):
+            inner = changes(old, new)
+            if inner:
+                found[name] = inner
+        elif old != new:
+            found[name] = to_plain(new)
+    return found
+
+
+def _write_learned(path: Path, before: object, after: object, options: Options) -> None:
+    import yaml
+
+    from semloc_jax.structs import ElementClass
+
+    order = ", ".join(label.name.lower() for label in ElementClass)
+    head = (
+        f"# Learned from {', '.join(p.name for p in options.drives)} (masks {options.masks}).\n"
+        f"# class_weight in the order {order}.\n"
+    )
+    content = yaml.safe_dump(changes(before, after), sort_keys=False, default_flow_style=None, width=110)
+    path.write_text(head + content, encoding="utf-8")
+
+
+def _report(found: "Fit", rows: "list[tuple[Path, bool, Accuracy, Accuracy]]") -> str:
+    """Errors of every drive before and after as a table."""
+    lines = [
+        f"{found.num_used} of {found.num_frames} frames learned from: mean negative log-likelihood "
+        f"{found.history[0]:.3f} before, {found.history[-1]:.3f} after {len(found.history) - 1} iterations",
+        "",
+        "| drive | | frames | far off | position [cm] | heading [deg] | NEES per direction | neg. log-likelihood |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for path, is_held_out, old, new in rows:
+        lines.append(
+            f"| {path.name} | {'held out' if is_held_out else 'learned from'} | {len(old.error)} "
+            f"| {old.num_far} -> {new.num_far} | {100 * old.position_m:.2f} -> {100 * new.position_m:.2f} "
+            f"| {old.heading_deg:.3f} -> {new.heading_deg:.3f} "
+            f"| {old.nees:.2f} -> {new.nees:.2f} | {old.nll:.2f} -> {new.nll:.2f} |"
+        )
+    return "\n".join(lines)
+
+
+def _write_json(path: Path, found: "Fit", rows: "list[tuple[Path, bool, Accuracy, Accuracy]]") -> None:
+    drives = [
+        {"drive": str(drive), "held_out": is_held_out, "before": _numbers(old), "after": _numbers(new)}
+        for drive, is_held_out, old, new in rows
+    ]
+    content = {"history": list(found.history), "num_used": found.num_used, "drives": drives}
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _numbers(accuracy: "Accuracy") -> dict[str, float]:
+    names = ("position_m", "heading_deg", "nees", "nll", "num_far")
+    return {name: getattr(accuracy, name) for name in names}

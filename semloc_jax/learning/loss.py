@@ -1,0 +1,69 @@
+"""How well an estimated pose foretells the true one (room: learning; pure JAX).
+
+In: Parameters, a TrainingFrame. Out: its negative log-likelihood, differentiable by the parameters.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from semloc_jax.geometry import lie
+from semloc_jax.learning.config import LearningConfig
+from semloc_jax.learning.parameters import Parameters
+from semloc_jax.learning.scenes import TrainingFrame
+from semloc_jax.solvers.implicit import SmoothEstimate, polish
+from semloc_jax.structs import SolveStatus
+
+PLANAR = np.array([0, 1, 5])
+"""Along, across, heading: what is asked of a vehicle; height and tilt are those of the road."""
+
+
+class FrameScore(eqx.Module):
+    """How one frame went."""
+
+    error: Float[Array, "3"]
+    """Estimate less truth along and across [m] and in heading [rad], in the vehicle frame of the truth."""
+    covariance: Float[Array, "3 3"]
+    nll: Float[Array, ""]
+    """Negative log-likelihood of the truth, without the constant."""
+    nees: Float[Array, ""]
+    """Normalised squared error for each of the three: 1 on average where covariances are right."""
+    used: Bool[Array, ""]
+    """Whether the solve ended well and near the truth."""
+
+
+def pose_nll(
+    error: Float[Array, "*b 3"], covariance: Float[Array, "*b 3 3"]
+) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
+    """0.5 e^T S^-1 e + 0.5 log det S, and the normalised squared error for each direction."""
+    root = jnp.linalg.cholesky(covariance)
+    whitened = jax.scipy.linalg.solve_triangular(root, error[..., None], lower=True)[..., 0]
+    squared = jnp.sum(whitened * whitened, axis=-1)
+    log_det = 2 * jnp.sum(jnp.log(jnp.diagonal(root, axis1=-2, axis2=-1)), axis=-1)
+    return 0.5 * squared + 0.5 * log_det, squared / error.shape[-1]
+
+
+def solved(parameters: Parameters, frame: TrainingFrame, config: LearningConfig) -> SmoothEstimate:
+    """The pose of a frame, from the true one: which optimum it is, is for the search; where it lies is learned."""
+    model, nats_per_px = parameters.model(frame.place, config)
+    scene = eqx.tree_at(lambda s: (s.model, s.nats_per_px), frame.scene, (model, nats_per_px))
+    return polish(frame.T_true, scene, frame.prior, config.smooth)
+
+
+def frame_score(parameters: Parameters, frame: TrainingFrame, config: LearningConfig) -> FrameScore:
+    """Error, covariance and likelihood of a frame."""
+    estimate = solved(parameters, frame, config)
+    error = lie.log(lie.compose(lie.inverse(frame.T_true), estimate.T_map_base))[PLANAR]
+    covariance = estimate.covariance[PLANAR][:, PLANAR]
+    nll, nees = pose_nll(error, covariance)
+    near = jnp.hypot(error[0], error[1]) < config.max_error_m
+    used = near & (estimate.status == SolveStatus.CONVERGED) & jnp.isfinite(nll)
+    return FrameScore(error, covariance, nll, nees, used)
+
+
+def frame_loss(parameters: Parameters, frame: TrainingFrame, config: LearningConfig) -> tuple[Array, FrameScore]:
+    """The likelihood of a frame, `used` or not: a frame that comes and goes would be a step in the loss."""
+    score = frame_score(parameters, frame, config)
+    return jnp.where(jnp.isfinite(score.nll), score.nll, 0.0), score

@@ -1,0 +1,50 @@
+"""`semloc learn`: files that localize and track take, a table of drives, one line for what cannot be learned from."""
+
+from dataclasses import replace
+
+import pytest
+import yaml
+
+from semloc_jax.cli import learn, localize, track
+from semloc_jax.cli.arguments import read_settings
+from semloc_jax.cli.main import FAILED, OK, USAGE, main
+from semloc_jax.localization.localizer import TrackConfig
+from semloc_jax.localization.run import LocalizeConfig
+
+
+def test_only_what_differs_is_written():
+    before = LocalizeConfig()
+    after = replace(before, cost_maps=replace(before.cost_maps, ramp_px=(40.0, 14.0, 8.0, 4.5)))
+    assert learn.changes(before, after) == {"cost_maps": {"ramp_px": [40.0, 14.0, 8.0, 4.5]}}
+    assert learn.changes(before, before) == {}
+
+
+def test_nothing_to_learn_from_is_wrong_usage(capsys):
+    assert main(["learn"]) == USAGE
+    assert "no drives to learn from" in capsys.readouterr().err
+
+
+def test_a_drive_without_truth_is_refused(simulated_road, tmp_path, capsys):
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    for file in simulated_road.iterdir():
+        if file.name != "poses_body.tum":
+            (drive / file.name).symlink_to(file)
+    assert main(["learn", str(drive), "--masks", "sem", "--out", str(tmp_path / "out")]) == FAILED
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "truth" in said
+
+
+@pytest.mark.slow
+def test_learned_files_are_taken_by_localize_and_track(simulated_road, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["--masks", "sem", "--num-frames", "2", "--max-iterations", "2", "--out", str(out)]
+    assert main(["learn", str(simulated_road), *words]) == OK
+    assert "| road | learned from | 2 |" in capsys.readouterr().out
+    single, _ = read_settings(str(out / learn.LEARNED), localize.Options, LocalizeConfig())
+    tracking, _ = read_settings(str(out / learn.LEARNED_TRACK), track.Options, TrackConfig())
+    assert single.frame.polish_view.class_weight == tracking.alignment.step.view.class_weight != ()
+    assert single.cost_maps.ramp_px == tracking.cost_maps.ramp_px
+    assert (out / "report.json").is_file()
+    assert yaml.safe_load((out / "config.yaml").read_text())["masks"] == "sem"

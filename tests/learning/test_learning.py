@@ -1,0 +1,108 @@
+"""Learning through the solve: the loss, its gradient, and weights that come back from drives with a known fault."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from scipy.stats import multivariate_normal
+
+from semloc_jax.learning import (
+    LearningConfig,
+    Parameters,
+    TrainingFrame,
+    fit,
+    learned_config,
+    learned_track_config,
+    learned_values,
+    pose_nll,
+)
+from semloc_jax.learning.fit import loss_and_gradient
+from semloc_jax.localization.localizer import TrackConfig
+from semloc_jax.localization.run import LocalizeConfig
+from semloc_jax.perception import CostMapConfig, load_class_table
+from semloc_jax.structs import ElementClass
+from tests.solvers.random_scenes import RAMP_PX, random_trial
+
+CONFIG = LearningConfig(
+    stored_ramp_px=RAMP_PX, localize=LocalizeConfig(cost_maps=CostMapConfig(ramp_px=(7.0,), stride=(2,)))
+)
+
+
+def frames(seeds, spoiled_px=0.0):
+    """Random scenes of two channels; the second one sits beside its place, elsewhere in each of them."""
+    found = []
+    for seed in seeds:
+        trial = random_trial(seed)
+        off = spoiled_px * np.random.default_rng([seed, 7]).normal()
+        moved = jnp.clip(trial.scene.maps.distance_px.at[:, 1].add(off), -RAMP_PX, RAMP_PX)
+        scene = eqx.tree_at(lambda s: s.maps.distance_px, trial.scene, moved)
+        found.append(TrainingFrame(scene, jnp.arange(2, dtype=jnp.int32), trial.prior, trial.T_true))
+    return found
+
+
+def judged(parameters, given):
+    """Mean distance to the truth [m], NEES and negative log-likelihood of the frames."""
+    scores = [loss_and_gradient(parameters, frame, CONFIG)[0][1] for frame in given]
+    distance = [float(jnp.hypot(*score.error[:2])) for score in scores]
+    return np.mean(distance), np.mean([float(s.nees) for s in scores]), np.mean([float(s.nll) for s in scores])
+
+
+def test_the_likelihood_is_that_of_a_normal_distribution():
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(4, 3, 3))
+    S, e = A @ A.transpose(0, 2, 1) + 0.1 * np.eye(3), rng.normal(size=(4, 3))
+    nll, nees = pose_nll(jnp.asarray(e), jnp.asarray(S))
+    expected = [
+        -multivariate_normal(np.zeros(3), cov).logpdf(x) - 1.5 * np.log(2 * np.pi) for x, cov in zip(e, S, strict=True)
+    ]
+    np.testing.assert_allclose(nll, expected, rtol=1e-10)
+    np.testing.assert_allclose(nees, [x @ np.linalg.inv(cov) @ x / 3 for x, cov in zip(e, S, strict=True)], rtol=1e-10)
+
+
+def test_what_is_learned_becomes_a_configuration():
+    table = load_class_table("drive")
+    pole = table.channel_of(ElementClass.POLE)
+    zero, config = Parameters.defaults(len(table.channels)), LearningConfig()
+    nothing = learned_values(zero, table, config)
+    assert nothing == ((1.0,) * len(ElementClass), 3.0, 60.0)
+    learned = learned_values(
+        Parameters(zero.weight.at[pole].set(np.log(2.0)), jnp.log(1.5), jnp.log(0.5)), table, config
+    )
+    weights = np.ones(len(ElementClass))
+    weights[ElementClass.POLE] = 2.0
+    assert learned == (tuple(weights), 4.5, 30.0)
+    found, tracking = learned_config(learned, LocalizeConfig()), learned_track_config(learned, TrackConfig())
+    assert found.cost_maps.ramp_px == tracking.cost_maps.ramp_px == (40.0, 14.0, 8.0, 4.5)
+    assert found.frame.polish_align.correlation_px == tracking.alignment.step.align.correlation_px == 30.0
+    assert found.frame.polish_view.class_weight == tracking.alignment.step.view.class_weight == tuple(weights)
+
+
+@pytest.mark.slow
+def test_the_gradient_through_the_solve_is_that_of_finite_differences():
+    """Of the likelihood by both weights, the ramp and the correlation length, within 0.1 % in three scenes."""
+    flat, back = ravel_pytree(Parameters(jnp.asarray([0.2, -0.3]), jnp.asarray(0.1), jnp.asarray(-0.2)))
+    for frame in frames(range(3), 0.5):
+
+        def loss(x, frame=frame):
+            return float(loss_and_gradient(back(x), frame, CONFIG)[0][0])
+
+        (_, score), gradient = loss_and_gradient(back(flat), frame, CONFIG)
+        assert bool(score.used)
+        numeric = [(loss(flat + step) - loss(flat - step)) / 2e-5 for step in 1e-5 * np.eye(len(flat))]
+        np.testing.assert_allclose(ravel_pytree(gradient)[0], numeric, atol=1e-3 * np.abs(numeric).max())
+
+
+@pytest.mark.slow
+def test_a_class_that_lies_is_found_and_unseen_scenes_get_better():
+    """Masks of one class lie 3 px off, elsewhere in each scene: its weight falls, and with it error and NEES."""
+    found = fit(frames(range(24), 3.0), 2, CONFIG)
+    assert found.num_used > 18
+    assert found.history[-1] < found.history[0] - 0.5
+    honest, lying = np.exp(np.asarray(found.parameters.weight))
+    assert lying < 0.6 * honest
+    unseen = frames(range(100, 124), 3.0)
+    before, after = judged(Parameters.defaults(2), unseen), judged(found.parameters, unseen)
+    assert after[0] < 0.95 * before[0]
+    assert abs(np.log(after[1])) < abs(np.log(before[1]))
+    assert after[2] < before[2] - 0.3
