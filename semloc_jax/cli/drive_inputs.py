@@ -38,8 +38,9 @@ class DriveOptions:
     """Map file (.geojson, .osm), or the name of a map of the drive, or sweeps:START:STOP:STEP to make it of labelled
     lidar sweeps (PandaSet); default: the drive's own, else sweeps:::2."""
     masks: str | None = None
-    """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or a segmenter (classical, FILE.onnx);
-    ipm: before it (ipm:sem) makes one top view of all cameras; default: the drive's best masks."""
+    """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or a segmenter that runs on the images
+    (classical, FILE.onnx with its preset FILE.yaml beside it, or the preset itself; see semloc segment); ipm: before it
+    (ipm:sem) makes one top view of all cameras; default: the drive's best masks."""
     class_table: str | None = None
     """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
     cameras: str | None = None
@@ -75,7 +76,7 @@ def open_inputs(options: DriveOptions) -> Inputs:
     from semloc_jax.datasets import open_sequence
     from semloc_jax.errors import SemlocError
     from semloc_jax.localization import mask_source, prior_source
-    from semloc_jax.localization.mask_source import CLASSICAL
+    from semloc_jax.localization.mask_source import CLASSICAL, is_network
     from semloc_jax.maps import read_map
 
     drive = open_sequence(options.drive, options.calib)
@@ -99,6 +100,8 @@ def open_inputs(options: DriveOptions) -> Inputs:
     masks = options.masks or (drive.mask_sources[0] if drive.mask_sources and not is_map_made else CLASSICAL)
     cameras = parse_names(options.cameras) or (drive.rig.names[:1] if is_map_made else None)
     source = mask_source(masks, drive, cameras, options.class_table)
+    if is_network(masks):
+        _report_visibility(source, drive, semantic_map)
     return Inputs(drive, semantic_map, source, prior, is_map_made)
 
 
@@ -136,6 +139,20 @@ def _distance_m(xy: "np.ndarray", box: "np.ndarray") -> float:
 
     outside = np.maximum(np.maximum(box[0] - xy, xy - box[1]), 0.0)
     return float(np.hypot(*outside.T).min())
+
+
+def _report_visibility(source: "MaskSource", drive: "Sequence", semantic_map: "SemanticMap") -> None:
+    """Log which classes of the map the masks of a network show."""
+    from semloc_jax.localization.mask_source import looked_at
+    from semloc_jax.perception.visibility import visibility
+
+    masks = [source.segment(frame, camera) for frame in looked_at(drive.frames) for camera in source.cameras]
+    rows = [row for row in visibility(source.table, masks) if row.label in semantic_map.labels]
+    shown = [f"{row.label.name.lower()} ({100.0 * row.share:.2g} % of the pixels)" for row in rows if row.is_seen]
+    unseen = [row.label.name.lower() for row in rows if not row.is_seen]
+    _LOG.info("masks '%s' show of the map: %s", source.name, ", ".join(shown) or "nothing")
+    if unseen:
+        _LOG.info("masks '%s' do not show: %s", source.name, ", ".join(unseen))
 
 
 def _report_overlap(drive: "Sequence", prior: str) -> None:

@@ -19,7 +19,7 @@ from semloc_jax.perception import load_class_table
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
 from semloc_jax.perception.masks import read_mask
-from semloc_jax.perception.segmenters import OnnxSegmenter
+from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter, load_network_preset
 from semloc_jax.perception.surround import ground_table, top_view
 
 _LOG = logging.getLogger(__name__)
@@ -44,12 +44,12 @@ def mask_source(
     """Masks by name.
 
     Args:
-        name: A mask folder of the sequence, any folder with CAMERA/FRAME.png, a network `FILE.onnx`, or `classical`
-            for the built-in segmenter of road paint; `ipm:` before any of them makes one top view of the road of all
-            cameras.
+        name: A mask folder of the sequence, any folder with CAMERA/FRAME.png, a network `FILE.onnx` (with its preset
+            FILE.yaml beside it) or its preset `FILE.yaml`, or `classical` for the built-in segmenter of road paint;
+            `ipm:` before any of them makes one top view of the road of all cameras.
         sequence: The drive.
         cameras: Names; None for all that have such masks.
-        table: Class table, a preset or a YAML file; None for that of the sequence.
+        table: Class table, a preset or a YAML file; None for that of the sequence or of the network's preset.
         offset_px: Offset of the masks against the images; None estimates it from both where there are images.
 
     Raises:
@@ -62,8 +62,8 @@ def mask_source(
     sequence.rig.select(names)
     if name == CLASSICAL:
         return _classical(sequence, names)
-    if name.endswith(".onnx"):
-        return _network(name, names, table)
+    if is_network(name):
+        return _network(name, sequence, names, table)
     if name in sequence.mask_sources:
         table = table or sequence.table_name
 
@@ -73,7 +73,7 @@ def mask_source(
     elif Path(name).is_dir():
         table, read = table or _recorded_table(Path(name)) or sequence.table_name, _from_folder(Path(name), names)
     else:
-        known = ", ".join((*sequence.mask_sources, CLASSICAL, "FILE.onnx", "a folder CAMERA/FRAME.png"))
+        known = ", ".join((*sequence.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "a folder CAMERA/FRAME.png"))
         raise SemlocError(f"masks '{name}': drive {sequence.name} has no such folder; expected one of {known}")
     if not table:
         raise SemlocError(f"masks '{name}': no class table is known for {sequence.name}; give --class-table")
@@ -119,16 +119,40 @@ def _classical(sequence: Sequence, names: tuple[str, ...]) -> MaskSource:
     return MaskSource(CLASSICAL, load_class_table("lane_paint"), names, segment)
 
 
-def _network(path: str, names: tuple[str, ...], table: str | None) -> MaskSource:
+def is_network(name: str) -> bool:
+    """Whether masks of this name come from a network that runs on the images."""
+    return Path(name.removeprefix(TOP_VIEW)).suffix.lower() in (".onnx", ".yaml", ".yml")
+
+
+def _network(name: str, sequence: Sequence, names: tuple[str, ...], table: str | None) -> MaskSource:
     """Masks of a network that runs on the images.
 
     Raises:
-        SemlocError: the file is missing or no network, or no class table was given.
+        SemlocError: the file is missing or no network, no class table is known, or it does not fit what comes out.
     """
-    if not table:
-        raise SemlocError(f"network {path}: what its class ids mean is not known; give --class-table")
-    network = OnnxSegmenter(path)
-    return MaskSource(path, load_class_table(table), names, lambda frame, camera: network(frame.image(camera)))
+    preset = _network_preset(Path(name))
+    if not (table or preset.class_table):
+        raise SemlocError(f"network {name}: what its class ids mean is not known; give --class-table")
+    network = NetworkSegmenter(preset)
+    kept: dict[tuple[str, str], np.ndarray] = {}
+
+    def segment(frame: Frame, camera: str) -> np.ndarray:
+        found = kept.get((frame.id, camera))
+        return network(frame.image(camera)) if found is None else found
+
+    source = MaskSource(name, load_class_table(table or preset.class_table), names, segment)
+    # A network takes its time: the masks that are looked at first are not made twice.
+    kept |= {(frame.id, camera): segment(frame, camera) for frame in looked_at(sequence.frames) for camera in names}
+    _check_table(source, sequence)
+    return source
+
+
+def _network_preset(path: Path) -> NetworkPreset:
+    """The preset of a network: the file itself, the one beside the ONNX file, or all defaults."""
+    if path.suffix.lower() != ".onnx":
+        return load_network_preset(path)
+    beside = path.with_suffix(".yaml")
+    return replace(load_network_preset(beside) if beside.is_file() else NetworkPreset(), model=str(path))
 
 
 def _top_view(source: MaskSource, sequence: Sequence) -> TopViewSource:
@@ -163,13 +187,18 @@ def _check_table(source: MaskSource, sequence: Sequence) -> None:
     Raises:
         SemlocError: the table and the masks do not fit.
     """
-    frames = _spread(sequence.frames, 4)
+    frames = looked_at(sequence.frames)
     report = source.table.report(source.segment(frame, camera) for frame in frames for camera in source.cameras)
     if not report.fits:
         raise SemlocError(
             f"masks '{source.name}' do not fit class table {source.table.name}: {report.problems[0]}; "
             "give --class-table, a preset or a YAML file"
         )
+
+
+def looked_at(frames: Frames[Frame]) -> list[Frame]:
+    """The frames whose masks are looked at before the work: a few, spread over the drive."""
+    return _spread(frames, 4)
 
 
 def _with_offsets(source: MaskSource, sequence: Sequence) -> MaskSource:
