@@ -37,6 +37,10 @@ FRONT_CAMERA_X_M = 1.7
 """Front camera ahead of the rear axle; ours, the data set does not state it."""
 _GNSS_SIGMA_M = 0.5
 _MOVING_M = 0.15
+_MOVING_MPS = 1.0
+"""Below this the direction of the velocity is noise; ours."""
+_COURSE_HALF_S = 0.5
+"""Course differences of neighbours, 0.1 s apart, are noise of some degrees per second; ours."""
 _ROAD_UNDER_M = (2.0, 4.0, 12.0)
 """Reach to the right, down and ahead of the front camera in which the road is taken as flat: the width of the car."""
 
@@ -227,12 +231,29 @@ def _gnss(path: Path, truth: Trajectory) -> tuple[GeoOrigin | None, GnssTrack | 
     p_enu = enu + truth.T_map_base[0, :3, 3]
     velocity = np.array([[row["xvel"], row["yvel"]] for row in rows])
     speed = np.linalg.norm(velocity, axis=1)
-    course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
-    # Below 1 m/s the direction of the velocity is noise.
-    yaw_rate = np.where(speed > 1.0, np.gradient(course, time_s), 0.0)
     origin = GeoOrigin(*place[0])
     gnss = GnssTrack(time_s, p_enu, np.full(p_enu.shape, _GNSS_SIGMA_M))
-    return origin, gnss, WheelOdometry(time_s, speed, yaw_rate)
+    return origin, gnss, WheelOdometry(time_s, speed, _course_rate(time_s, velocity))
+
+
+def _course_rate(time_s: np.ndarray, velocity: Float[np.ndarray, "n 2"]) -> np.ndarray:
+    """Rate of the direction of travel [rad/s]: slope of the course over `_COURSE_HALF_S` to both sides.
+
+    The course of a slow vehicle is noise, as 1 / speed: every sample counts by its squared speed, and a standing vehicle
+    does not turn.
+    """
+    course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
+    moving = np.sum(velocity**2, axis=1)
+    rate = np.zeros(len(time_s))
+    for k, now_s in enumerate(time_s):
+        weight = moving * (np.abs(time_s - now_s) <= _COURSE_HALF_S)
+        total = weight.sum()
+        if total < _MOVING_MPS**2 * np.count_nonzero(weight):
+            continue
+        lag = time_s - weight @ time_s / total
+        spread = weight @ lag**2
+        rate[k] = weight @ (lag * course) / spread if spread > 0.0 else 0.0
+    return rate
 
 
 def _json(path: Path) -> list | dict:
