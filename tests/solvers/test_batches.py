@@ -65,6 +65,7 @@ def test_frames_of_other_sizes_are_refused_in_words():
     assert single.T_map_base.shape == (1, 4, 4)
 
 
+@pytest.mark.slow
 def test_two_devices_share_the_starts():
     flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
     done = subprocess.run(

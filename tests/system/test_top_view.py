@@ -16,6 +16,7 @@ def garage(garage_dir):
     return open_sequence(garage_dir)
 
 
+@pytest.mark.slow
 def test_poses_from_the_top_view(garage):
     config = LocalizeConfig(frame=SingleFrameConfig(num_hypotheses=64))
     prior = prior_source("truth", garage, sigma_xy_m=0.2, sigma_heading_deg=1.0)
