@@ -42,6 +42,22 @@ class ProtectionLevels(NamedTuple):
     heading_deg: float
 
 
+def with_map_accuracy(
+    covariance: Float[np.ndarray, "6 6"], map_sigma_m: float, reach_m: float
+) -> Float[np.ndarray, "6 6"]:
+    """Covariance of a pose on the earth, from that of the pose in a map.
+
+    All that is near may be off by the same: no drive in the map can tell, so it is stated by who made the map.
+
+    Args:
+        covariance: Of the right tangent of the pose in the map.
+        map_sigma_m: Standard deviation of the place of what is near, in every direction [m].
+        reach_m: Over this way the map turns by as much as it is off.
+    """
+    sigma = np.array([map_sigma_m, map_sigma_m, map_sigma_m, 0.0, 0.0, map_sigma_m / reach_m])
+    return covariance + np.diag(sigma**2)
+
+
 def protection_levels(covariance: Float[np.ndarray, "6 6"], config: IntegrityConfig) -> ProtectionLevels:
     """Bounds of the lateral [m], longitudinal [m] and heading [deg] error of a fused pose.
 

@@ -33,7 +33,7 @@ from semloc_jax.localization.frame_alignment import AlignmentConfig, FrameAligne
 from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
-from semloc_jax.localization.integrity import ProtectionLevels, beyond_alert, protection_levels
+from semloc_jax.localization.integrity import ProtectionLevels, beyond_alert, protection_levels, with_map_accuracy
 from semloc_jax.localization.map_faults import TrustConfig
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.localization.prediction import MotionLog
@@ -59,6 +59,10 @@ class TrackConfig:
     search_radius_m: float = 62.0
     sample_spacing_m: float = 0.25
     sample_capacity: int = 8192
+    map_sigma_m: float = 0.0
+    """How accurate the map is, as its maker states: joins the covariance of every pose that goes out."""
+    map_reach_m: float = 20.0
+    """Over this way the map turns by as much as it is off."""
     cost_maps: CostMapConfig = field(default_factory=CostMapConfig)
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     acquisition: AcquisitionConfig = field(default_factory=AcquisitionConfig)
@@ -352,9 +356,12 @@ class Localizer:
         )
 
     def _output(self, state: TrackerState) -> FusedPose | None:
-        if state.tracks:
-            return self.fusion.pose(state.tracks[0].fusion)
-        return self.fusion.pose(state.coasting[0]) if state.coasting else None
+        """The pose that goes out; None where there is none."""
+        known = (*(track.fusion for track in state.tracks[:1]), *state.coasting)
+        if not known:
+            return None
+        pose, config = self.fusion.pose(known[0]), self.config
+        return pose._replace(covariance=with_map_accuracy(pose.covariance, config.map_sigma_m, config.map_reach_m))
 
 
 class _Watch:

@@ -29,9 +29,11 @@ class TrustConfig:
     bad_share: float = 0.85
     """From here on an element hardly counts."""
     least_weight: float = 0.05
-    candidate_share: float = 0.75
+    candidate_share: float = 0.7
     """Elements that are missed by more than this are reported."""
     candidate_frames: float = 8.0
+    candidate_px: float = 250.0
+    """An element of which all frames together saw less says little: thin and far paint is missed by any network."""
 
 
 class MapChange(NamedTuple):
@@ -83,7 +85,8 @@ def weights(trust: ElementTrust, config: TrustConfig) -> Float[np.ndarray, " ele
 def map_changes(trust: ElementTrust, semantic_map: SemanticMap, config: TrustConfig) -> list[MapChange]:
     """Elements that the drive contradicts, the clearest first."""
     share, weight = missed_share(trust), weights(trust, config)
-    doubtful = np.flatnonzero((share >= config.candidate_share) & (trust.num_frames >= config.candidate_frames))
+    is_seen = (trust.num_frames >= config.candidate_frames) & (trust.seen_px >= config.candidate_px)
+    doubtful = np.flatnonzero((share >= config.candidate_share) & is_seen)
     found = [
         MapChange(
             semantic_map.element_at(int(k)).id,

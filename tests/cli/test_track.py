@@ -98,3 +98,33 @@ def test_a_drive_without_fixes_says_what_it_needs(drive_dir, tmp_path, capsys):
     (blind / "gps.csv").unlink()
     assert main(["track", str(blind), *SMALL, "--out", str(tmp_path / "out")]) == FAILED
     assert "--area X,Y,RADIUS" in capsys.readouterr().err
+
+
+def test_fixes_are_not_needed_once_the_vehicle_is_tracked(drive_dir, tmp_path):
+    words = ["--no-gnss-after-init", "--out", str(tmp_path), "--min-tracking-share", "0.2"]
+    assert main(["track", str(drive_dir), *SMALL, *words]) == OK
+    last = rows_of(tmp_path)[-1]
+    assert last["status"] == "TRACKING"
+    assert abs(float(last["error_lateral_m"])) < 0.03 and abs(float(last["error_longitudinal_m"])) < 0.10
+
+
+@pytest.mark.slow
+def test_an_area_is_searched_where_there_are_no_fixes(drive_dir, tmp_path):
+    blind = tmp_path / "blind"
+    shutil.copytree(drive_dir, blind)
+    (blind / "gps.csv").unlink()
+    x, y = read_trajectory(drive_dir / "poses_body.tum").T_map_base[0, :2, 3] + [1.5, -2.0]
+    words = [f"--area={x},{y},5", "--out", str(tmp_path / "out"), "--min-tracking-share", "0.2"]
+    assert main(["track", str(blind), *SMALL, *words]) == OK
+    last = rows_of(tmp_path / "out")[-1]
+    assert abs(float(last["error_lateral_m"])) < 0.03 and abs(float(last["error_longitudinal_m"])) < 0.10
+
+
+@pytest.mark.slow
+def test_every_fusion_on_the_same_features(drive_dir, tmp_path):
+    words = ["track", str(drive_dir), *SMALL, "--fusion", "all", "--out", str(tmp_path)]
+    assert main(words) == OK
+    with (tmp_path / "fusions.csv").open() as file:
+        rows = {row["fusion"]: row for row in csv.DictReader(file)}
+    assert set(rows) == {"window", "dropping", "kalman", "single"}
+    assert all(float(row["lateral_mean_m"]) < 0.03 and int(row["false"]) == 0 for row in rows.values())

@@ -9,6 +9,7 @@ from semloc_jax.localization.integrity import (
     ProtectionLevels,
     beyond_alert,
     protection_levels,
+    with_map_accuracy,
 )
 
 COVARIANCE = np.diag([0.04, 0.01, 0.02, 0.002, 0.002, 0.003]) ** 2
@@ -37,3 +38,11 @@ def test_levels_beyond_the_alert_limits_are_named():
     assert beyond_alert(ProtectionLevels(0.29, 0.2, 0.5), street) == ()
     reasons = beyond_alert(ProtectionLevels(0.1, 0.41, float("nan")), street)
     assert reasons[0] == "longitudinal protection level 0.41 m exceeds 0.29 m" and "heading" in reasons[1]
+
+
+def test_the_accuracy_of_the_map_joins_the_pose():
+    found = with_map_accuracy(COVARIANCE, 0.03, 20.0)
+    sigma = np.sqrt(np.diag(found))
+    assert sigma[:2] == pytest.approx([0.05, np.hypot(0.01, 0.03)])
+    assert sigma[5] == pytest.approx(np.hypot(0.003, 0.03 / 20.0))
+    assert np.array_equal(with_map_accuracy(COVARIANCE, 0.0, 20.0), COVARIANCE)
