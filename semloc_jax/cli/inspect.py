@@ -13,7 +13,8 @@ from semloc_jax.cli.main import LOST, OK
 class Options:
     """What a map holds, how large it is, and what looks wrong in it.
 
-    Reads Lanelet2, OpenDRIVE, GeoJSON, GeoPackage, Argoverse 2, nuScenes, NGII shapefiles and the compact form.
+    Reads Lanelet2, OpenDRIVE, GeoJSON, GeoPackage, Argoverse 2, nuScenes, NGII shapefiles, Apollo HD maps in text
+    form and the compact form.
     """
 
     map: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP")]

@@ -10,6 +10,8 @@ from typing import Any
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import GeoOrigin
+from semloc_jax.maps.io import apollo
+from semloc_jax.maps.io.apollo import ApolloStyle, read_apollo
 from semloc_jax.maps.io.argoverse2 import Argoverse2Style, find_archive, is_argoverse2, map_from_argoverse2
 from semloc_jax.maps.io.compact import read_compact, write_compact
 from semloc_jax.maps.io.drive_geojson import map_from_drive_geojson, write_drive_geojson
@@ -26,6 +28,7 @@ from semloc_jax.maps.io.opendrive import OpenDriveStyle, read_opendrive
 from semloc_jax.maps.semantic_map import SemanticMap
 
 __all__ = [
+    "ApolloStyle",
     "Argoverse2Style",
     "Lanelet2Style",
     "NgiiStyle",
@@ -34,6 +37,7 @@ __all__ = [
     "StoredMap",
     "WRITTEN_SUFFIXES",
     "left_out_relations",
+    "read_apollo",
     "read_compact",
     "read_geopackage",
     "read_lane_centers",
@@ -50,16 +54,16 @@ __all__ = [
 ]
 
 _HEAD_BYTES = 4096
-_READ_SUFFIXES = (".geojson", ".json", ".osm", ".xodr", ".gpkg", ".smap")
+_READ_SUFFIXES = (".geojson", ".json", ".osm", ".xodr", ".gpkg", ".smap", ".txt")
 
 
 def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
     """Returns the map in a file of any known format.
 
     Args:
-        path: .osm is Lanelet2, .xodr OpenDRIVE, .gpkg GeoPackage, .smap the compact form; .geojson and .json are an
-            Argoverse 2 archive, a nuScenes map expansion, the drive layout if they have the member `frame`, else RFC
-            7946; a folder is that of an Argoverse 2 log or of NGII shapefiles.
+        path: .osm is Lanelet2, .xodr OpenDRIVE, .gpkg GeoPackage, .smap the compact form, .txt an Apollo HD map;
+            .geojson and .json are an Argoverse 2 archive, a nuScenes map expansion, the drive layout if they have the
+            member `frame`, else RFC 7946; a folder is that of an Argoverse 2 log or of NGII shapefiles.
         origin: where to put the local frame of a map in latitude and longitude; None lets the reader choose.
 
     Raises:
@@ -81,6 +85,8 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
         found = read_compact(path)
     elif path.suffix.lower() == ".xodr":
         found = read_opendrive(path, origin)
+    elif path.suffix.lower() in apollo.SUFFIXES:
+        found = read_apollo(path, origin)
     elif path.suffix.lower() in (".geojson", ".json"):
         found = _map_from_json(_parse_json(path), path.name, origin)
     else:
