@@ -41,7 +41,7 @@ class Options:
 def run(options: Options) -> int:
     """Convert and report."""
     from semloc_jax.maps import compare, read_map
-    from semloc_jax.maps.io import left_out_relations, write_compact, write_map
+    from semloc_jax.maps.io import left_out, write_compact, write_map
 
     if options.out.exists() and options.out.samefile(options.map):
         raise SemlocError(f"{options.out}: is the map to read; give another file to write")
@@ -55,9 +55,10 @@ def run(options: Options) -> int:
     size = options.out.stat().st_size
     print(f"{options.out}: {len(kept.elements)} elements, {size / 1000:.1f} kB")
     print(losses.to_text())
-    for kind, count in left_out_relations(options.map).items() if options.map.suffix.lower() == ".osm" else ():
-        print(f"left out when the map was read: {count} {kind} relations")
-    return LOST if options.strict and not losses.is_exact else OK
+    others = left_out(options.map)
+    for kind, count in others.items():
+        print(f"left out when the map was read: {count} {kind}")
+    return LOST if options.strict and (others or not losses.is_exact) else OK
 
 
 def _origin(text: str | None) -> "GeoOrigin | None":

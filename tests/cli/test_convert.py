@@ -8,6 +8,7 @@ import pytest
 from semloc_jax.cli.main import FAILED, LOST, OK, main
 from semloc_jax.maps import GeoOrigin, MapElement, SemanticMap, compare, read_map, write_drive_geojson
 from semloc_jax.structs import ElementClass
+from tests.maps.io.test_opendrive import PLAIN, ROAD
 
 
 @pytest.fixture
@@ -78,10 +79,47 @@ def test_the_map_itself_is_never_overwritten(small_map, capsys):
     assert small_map.read_bytes() == before
 
 
-def test_lanelets_that_are_left_out_are_named(tmp_path, capsys):
-    nodes = "".join(f"<node id='{i}' lat='48.000{i}' lon='11'><tag k='ele' v='5'/></node>" for i in (1, 2))
-    way = "<way id='9'><nd ref='1'/><nd ref='2'/><tag k='type' v='stop_line'/></way>"
-    lanelet = "<relation id='5'><member type='way' ref='9' role='left'/><tag k='type' v='lanelet'/></relation>"
-    (tmp_path / "m.osm").write_text(f"<osm>{nodes}{way}{lanelet}</osm>")
-    assert main(["convert", str(tmp_path / "m.osm"), str(tmp_path / "m.gpkg")]) == OK
-    assert "left out when the map was read: 1 lanelet relations" in capsys.readouterr().out
+def test_what_is_no_paint_is_named_and_regulatory_elements_come_back(tmp_path, capsys):
+    """Lanelets and areas are lost and named; regulatory elements stay with their ways, to the letter."""
+    nodes = "".join(f"<node id='{i}' lat='48.000{i}' lon='11'><tag k='ele' v='5'/></node>" for i in (1, 2, 3, 4))
+
+    def relation(number, members, **tags):
+        words = "".join(f"<tag k='{key}' v='{value}'/>" for key, value in tags.items())
+        refs = "".join(f"<member type='{kind}' ref='{ref}' role='{role}'/>" for kind, ref, role in members)
+        return f"<relation id='{number}'>{refs}{words}</relation>"
+
+    ways = "<way id='9'><nd ref='1'/><nd ref='2'/><tag k='type' v='stop_line'/></way>"
+    ways += "<way id='8'><nd ref='3'/><nd ref='4'/><tag k='type' v='traffic_light'/><tag k='height' v='1'/></way>"
+    rules = relation(5, [("way", 9, "left"), ("way", 8, "right")], type="lanelet")
+    rules += relation(6, [("way", 9, "outer")], type="multipolygon")
+    rules += relation(70, [("way", 9, "ref_line"), ("way", 8, "refers")], type="regulatory_element",
+                      subtype="traffic_light")  # fmt: skip
+    rules += relation(71, [("relation", 5, "yield"), ("way", 9, "ref_line")], type="regulatory_element",
+                      subtype="right_of_way", fallback="yes")  # fmt: skip
+    rules += relation(72, [("relation", 5, "refers")], type="regulatory_element", subtype="speed_limit")
+    (tmp_path / "m.osm").write_text(f"<osm>{nodes}{ways}{rules}</osm>")
+    assert main(["convert", str(tmp_path / "m.osm"), str(tmp_path / "again.osm"), "--strict"]) == LOST
+    said = capsys.readouterr().out
+    for words in ("1 lanelet relations", "1 multipolygon relations", "1 regulatory elements that name no way",
+                  "1 references of regulatory elements to lanelets", "1 tags of regulatory elements"):  # fmt: skip
+        assert f"left out when the map was read: {words}" in said
+    before, after = read_map(tmp_path / "m.osm"), read_map(tmp_path / "again.osm")
+    rules = {element.id: element.attributes["regulatory"] for element in before.elements}
+    assert rules["9"] == ["traffic_light:70:ref_line", "right_of_way:71:ref_line"]
+    assert {element.id: element.attributes["regulatory"] for element in after.elements} == rules
+    assert compare(before, after).shift_m < 2e-4
+    assert main(["convert", str(tmp_path / "again.osm"), str(tmp_path / "m.gpkg")]) == OK
+    assert {e.id: e.attributes["regulatory"] for e in read_map(tmp_path / "m.gpkg").elements} == rules
+
+
+def test_links_and_references_of_opendrive_are_named(tmp_path, capsys):
+    link = "<link><predecessor elementType='junction' elementId='4'/></link>"
+    more = "<signals><signalReference id='3' s='1' t='0' orientation='+'><validity fromLane='1' toLane='1'/>"
+    text = ROAD.format(**PLAIN).replace("<planView>", link + "<planView>")
+    text = text.replace("</road>", f"{more}</signalReference></signals></road><junction id='4'/>")
+    (tmp_path / "m.xodr").write_text(text)
+    assert main(["convert", str(tmp_path / "m.xodr"), str(tmp_path / "m.gpkg"), "--strict"]) == LOST
+    said = capsys.readouterr().out
+    assert "comes back exactly" in said
+    for words in ("1 links of roads", "1 junctions", "1 references to signals", "1 lanes that a signal"):
+        assert f"left out when the map was read: {words}" in said

@@ -18,10 +18,11 @@ from semloc_jax.maps.io.drive_geojson import map_from_drive_geojson, write_drive
 from semloc_jax.maps.io.geojson import map_from_geojson, write_geojson
 from semloc_jax.maps.io.geopackage import StoredMap, read_geopackage, write_geopackage
 from semloc_jax.maps.io.json_stream import JsonFile
-from semloc_jax.maps.io.lanelet2 import left_out_relations, read_lanelet2
+from semloc_jax.maps.io.lanelet2 import read_lanelet2
 from semloc_jax.maps.io.lanelet2_ways import Lanelet2Style
 from semloc_jax.maps.io.lanelet2_writer import write_lanelet2
 from semloc_jax.maps.io.lanes import read_lane_centers
+from semloc_jax.maps.io.left_out import left_out
 from semloc_jax.maps.io.ngii import NgiiStyle, is_ngii, read_ngii
 from semloc_jax.maps.io.nuscenes import NuScenesStyle, is_nuscenes, map_from_nuscenes
 from semloc_jax.maps.io.opendrive import OpenDriveStyle, read_opendrive
@@ -36,7 +37,7 @@ __all__ = [
     "OpenDriveStyle",
     "StoredMap",
     "WRITTEN_SUFFIXES",
-    "left_out_relations",
+    "left_out",
     "read_apollo",
     "read_compact",
     "read_geopackage",

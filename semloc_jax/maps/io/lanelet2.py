@@ -120,13 +120,6 @@ def _along_traffic(left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.
     return (left, right) if is_left else (left[::-1], right[::-1])
 
 
-def left_out_relations(path: str | Path) -> dict[str, int]:
-    """Returns how many relations of each type a Lanelet2 file has that a map of what can be seen does not keep."""
-    relations = read_osm(path).relations.values()
-    kinds = Counter(relation.tags.get("type", "without type") for relation in relations)
-    return {kind: count for kind, count in kinds.items() if kind != "regulatory_element"}
-
-
 def _locate(osm: OsmFile, path: Path, origin: GeoOrigin | None) -> _Frame:
     """Returns all nodes that ways use, in the map frame, and where that frame is."""
     used = dict.fromkeys(ref for way in osm.ways.values() for ref in way.references if ref in osm.nodes)

@@ -49,7 +49,7 @@ MAP = (
     + f'signal < id < id: "s" > boundary < {points((70, -5), (70, -4.6), z=5.0)} '
     + f"{points((70, -5), (70, -4.6), z=6.0)} >"
     + f" type: MIX_3_VERTICAL stop_line < {curve((55, -3.5), (55, 0))} > >\n"
-    + f'parking_space {{ id {{ id: "p" }} heading: 1.5707963 '
+    + 'parking_space { id { id: "p" } heading: 1.5707963 '
     + f"polygon {{ {points((10, 12), (8, 12), (8, 7), (10, 7))} }} }}"
     + '\nspeed_bump { id { id: "h" } }\noverlap { id { id: "o" } object { id { id: "a" } } }\n'
 )
