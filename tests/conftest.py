@@ -19,6 +19,10 @@ if os.environ.get("SEMLOC_TYPECHECK", "1") != "0":
 
     jaxtyping.install_import_hook("semloc_jax", "beartype.beartype")
 
+from semloc_jax.native.allocator import return_large_blocks  # noqa: E402 - after the hook
+
+return_large_blocks()
+
 
 def find_data() -> Path:
     """Folder with the shared drives and maps: SEMLOC_DATA, else shared/data beside the repository."""

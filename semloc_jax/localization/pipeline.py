@@ -22,6 +22,7 @@ from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.mask_view import MaskSource
 from semloc_jax.localization.priors import PriorSource
 from semloc_jax.localization.track_state import FrameFeatures, TrackResult, TrackStatus
+from semloc_jax.native.allocator import return_large_blocks
 
 _QUEUE = 3
 """Frames that may wait: more would only be older."""
@@ -126,6 +127,7 @@ class Pipeline:
             start: Where an earlier run stood; None begins with the first frame.
             on_frame: Called after each frame with where the run stands and what it said.
         """
+        return_large_blocks()
         rehearse(self.localizer.fusion)
         at = start or Checkpoint(self.localizer.start(), 0, False)
         state, is_initialised = at.state, at.is_initialised

@@ -21,6 +21,7 @@ from semloc_jax.localization.result import LocalizationResult
 from semloc_jax.localization.single_frame import FrameInput, SingleFrameConfig, frame_input, localize_frame
 from semloc_jax.localization.verdict import VerdictConfig, judge
 from semloc_jax.maps import LocalMap, SemanticMap, sample
+from semloc_jax.native.allocator import return_large_blocks
 from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
 from semloc_jax.structs import SolveStatus
 
@@ -146,6 +147,7 @@ def iterate_frames(
     Raises:
         SemlocError: unknown masks or cameras, no prior, a map without classes that the masks show, no frames.
     """
+    return_large_blocks()
     chosen = sequence.frames[frames] if isinstance(frames, slice) else frames
     if not chosen:
         raise SemlocError(f"drive {sequence.name}: no frames chosen of {len(sequence)}; check --frames")
