@@ -3,6 +3,8 @@
 The maps are real ones; a drive has three small frames.
 """
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -11,9 +13,11 @@ import shapely
 from semloc_jax.cli.main import FAILED, USAGE, main
 from semloc_jax.datasets.synthetic import RouteWish, SimulationConfig, simulate_on_map
 from semloc_jax.datasets.synthetic.height_field import surface_through
+from semloc_jax.datasets.synthetic.map_scene import build_map_world
+from semloc_jax.datasets.synthetic.route import drivable, find_route
 from semloc_jax.datasets.synthetic.surface import WaveSurface
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps import read_lane_centers, read_map
+from semloc_jax.maps import MapElement, SemanticMap, read_lane_centers, read_map
 from semloc_jax.structs import ElementClass
 
 MAPS = {
@@ -24,6 +28,7 @@ MAPS = {
     "parking_demo": "maps_opendrive_esmini/resources/xodr/parking_demo.xodr",
 }
 SMALL = SimulationConfig(rate_hz=1.0, width_px=480, height_px=300, wear_share=0.0, has_images=False)
+SEEN = ["--rate-hz", "1", "--width-px", "480", "--height-px", "300", "--has-images", "False"]
 PAINT = {ElementClass.LANE_MARKING, ElementClass.CROSSWALK, ElementClass.STOP_LINE, ElementClass.SLOT_LINE}
 
 
@@ -33,6 +38,11 @@ def map_path(request, data_dir):
     if not path.exists():
         pytest.skip(f"no map {path}")
     return path
+
+
+@cache
+def map_at(path):
+    return read_map(path)
 
 
 def inside_paint(drive, frame, radius_m):
@@ -45,7 +55,7 @@ def inside_paint(drive, frame, radius_m):
     ids = np.append(ids, [drive.class_ids["stop_line"], drive.class_ids["vehicle"]])
     mask = frame.mask("sem", "front")
     found = []
-    for element in read_map(drive.map_path).elements:
+    for element in map_at(drive.map_path).elements:
         if element.label not in PAINT or element.is_logical or element.closed or element.width_m < 0.1:
             continue
         line = shapely.LineString(element.points)
@@ -69,7 +79,7 @@ def test_the_masks_show_the_paint_where_the_map_has_it(map_path, tmp_path):
     assert shown.mean() > 0.97
     # Frames stand on the way that was asked for, and fixes and poses are in the frame of the map.
     place = drive.truth.T_map_base[:, :3, 3]
-    extent = read_map(map_path).extent
+    extent = map_at(map_path).extent
     assert (place[:, :2] > extent[0, :2] - 20.0).all() and (place[:, :2] < extent[1, :2] + 20.0).all()
     assert np.linalg.norm(place[-1] - place[0]) > 8.0
     near = np.abs(drive.gnss.time_s) < 3.0
@@ -80,7 +90,7 @@ def test_the_masks_show_the_paint_where_the_map_has_it(map_path, tmp_path):
 @pytest.mark.parametrize("map_path", ["karlsruhe", "argoverse2", "e6mini"], indirect=True)
 def test_lanes_run_between_their_borders(map_path):
     """Between 1 and 6 m to the left and to the right of the middle of a lane there is a line of the map."""
-    found = read_map(map_path)
+    found = map_at(map_path)
     lines = shapely.STRtree([shapely.LineString(e.points[:, :2]) for e in found.elements if len(e.points) > 1])
     share = []
     for center in read_lane_centers(map_path, found.origin)[:60]:
@@ -126,24 +136,42 @@ def test_rays_end_at_their_first_hit():
     assert np.mean(np.abs(hit[both] - first[both]) < 0.03) > 0.99
 
 
+def test_posts_begin_where_the_ground_ends():
+    """Guide posts of e6mini.xodr stand 20 cm deep: the exact map holds what the masks show."""
+    along = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0]])
+    line = MapElement("line", ElementClass.LANE_MARKING, along, width_m=0.15, style="solid")
+    foot = {"deep": -0.2, "high": 0.1}
+    posts = [
+        MapElement(name, ElementClass.POLE, np.array([[20.0, 5.0, z], [20.0, 5.0, 1.05]])) for name, z in foot.items()
+    ]
+    path = drivable(np.array([[0.0, -1.75], [40.0, -1.75]]), 40.0)
+    semantic_map = SemanticMap((line, *posts), None, "posts")
+    world = build_map_world(semantic_map, [], path, 30.0, 5.0, 0.0, np.random.default_rng(0))
+    built = {element.id: element for element in world.scene.elements}
+    np.testing.assert_allclose(built["deep"].points[:, 2], [0.0, 1.05], atol=1e-9)
+    np.testing.assert_allclose(built["high"].points[:, 2], [0.1, 1.05], atol=1e-9)
+    assert all(built[name].radius_m == built[name].attributes["radius"] > 0.0 for name in foot)
+
+
 def test_what_cannot_be_driven_is_said_in_one_line(tmp_path, capsys, simulated_road):
     """A map without lanes is driven along its markings; starts off it, lengths of zero and paths of nothing are not."""
-    given = ["simulate", str(tmp_path / "drive"), "--map", str(simulated_road / "map.geojson")]
-    small = ["--rate-hz", "1", "--width-px", "160", "--height-px", "100", "--has-images", "False"]
+    for length_m in (0.0, -3.0, float("nan")):
+        with pytest.raises(SemlocError, match="expected metres to drive"):
+            RouteWish(length_m=length_m)
+    with pytest.raises(SemlocError, match="no such file"):
+        find_route([], [], RouteWish(path=tmp_path / "nowhere.csv"), np.random.default_rng(0))
+    given = ["simulate", str(tmp_path / "drive"), "--map", str(simulated_road / "map.geojson"), *SEEN]
     for words, code, message in (
         (["--start", "9000,0"], FAILED, "off the nearest lane"),
-        (["--length-m", "0"], FAILED, "expected metres to drive"),
-        (["--length-m", "nan"], FAILED, "expected metres to drive"),
-        (["--path", "nowhere.csv"], FAILED, "no such file"),
         (["--start", "here"], USAGE, "expected X,Y"),
     ):
-        assert main([*given, *small, *words]) == code
+        assert main([*given, *words]) == code
         error = capsys.readouterr().err
         assert message in error and error.count("\n") == 1
         assert not (tmp_path / "drive").exists()
     assert main(["simulate", str(tmp_path / "x"), "--start", "0,0"]) == USAGE
     assert "give --map" in capsys.readouterr().err
-    assert main([*given, *small, "--length-m", "25"]) == 0
+    assert main([*given, "--length-m", "12"]) == 0
     assert "cameras front" in capsys.readouterr().out
 
 

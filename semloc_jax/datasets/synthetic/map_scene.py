@@ -110,7 +110,7 @@ def build_map_world(
         if element.is_logical:
             elements.append(element)
             continue
-        built = _built(element, reference)
+        built = _built(element, reference, surface)
         if built is None:
             left_out[element.label.name.lower()] += 1
             continue
@@ -178,12 +178,14 @@ def _on_ground(element: MapElement, surface: Surface, low: np.ndarray, high: np.
     return element.with_points(np.column_stack([points[:, :2], height]))
 
 
-def _built(element: MapElement, reference: cKDTree) -> tuple[MapElement, shapely.Geometry | None, list[Solid]] | None:
+def _built(
+    element: MapElement, reference: cKDTree, surface: Surface
+) -> tuple[MapElement, shapely.Geometry | None, list[Solid]] | None:
     """The element as it stands in the world, its paint on the ground and its bodies; None where it has no size."""
     name = _MASK_CLASS.get(element.label) or ("lane_dashed" if element.style == "dashed" else "lane_solid")
     element = replace(element, attributes={**element.attributes, "class": name})
     if element.label in _SOLID_CLASSES:
-        return _standing(element)
+        return _standing(element, surface)
     if element.label == ElementClass.PILLAR:
         return (element, None, _walls(element)) if element.closed and element.height_m > 0.0 else None
     if element.label == ElementClass.GUARDRAIL:
@@ -195,11 +197,13 @@ def _built(element: MapElement, reference: cKDTree) -> tuple[MapElement, shapely
     return None
 
 
-def _standing(element: MapElement) -> tuple[MapElement, None, list[Solid]] | None:
-    """Poles, cones and lights upright on their base; signs as they are."""
+def _standing(element: MapElement, surface: Surface) -> tuple[MapElement, None, list[Solid]] | None:
+    """Poles, cones and lights upright on their base, or on the ground above it; signs as they are."""
     if element.label == ElementClass.SIGN:
         return (element, None, [solid_of(element)]) if element.closed and len(element.points) > 2 else None
-    base, top = element.points[0], element.points[-1]
+    base, top = element.points[0].copy(), element.points[-1]
+    # What the ground hides of a post is no part of what can be seen.
+    base[2] = max(base[2], float(surface.drape(base[None, :2])[0, 2]))
     if top[2] - base[2] < 0.05:
         return None
     if element.label == ElementClass.TRAFFIC_LIGHT:
