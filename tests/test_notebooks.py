@@ -11,6 +11,9 @@ pytest.importorskip("ipykernel")
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+SLOW = {"05_learning_through_the_solver", "06_self_calibration"}
+"""Half a minute and more, most of it compilation."""
+RUN = [pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW else [], id=path.stem) for path in NOTEBOOKS]
 
 
 def code_cells(path):
@@ -28,7 +31,7 @@ def test_stored_without_outputs(path):
     assert "assert" in cells[-1].source
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", RUN)
 def test_runs(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     python_path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))

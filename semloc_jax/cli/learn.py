@@ -1,7 +1,7 @@
 """`semloc learn`: class weights, ramp and noise learned through the solve from drives with truth (room: cli)."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -71,8 +71,7 @@ def run(options: Options) -> int:
     frames = []
     for number, path in enumerate(tqdm(options.drives, unit="drive", desc="frames", disable=None)):
         given = inputs[path]
-        own = replace(config, seed=config.seed + number)
-        frames += training_frames(given.drive, given.map, given.masks, own)
+        frames += training_frames(given.drive, given.map, given.masks, config, number)
     with tqdm(unit="step", desc="learning", disable=None) as bar:
 
         def told(loss: float) -> None:

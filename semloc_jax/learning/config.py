@@ -19,12 +19,15 @@ class LearningConfig:
     sigma_m: float = 0.25
     """Standard deviation of the prior along and across the road: what a tracker knows before it looks."""
     sigma_deg: float = 0.7
+    start_m: float = 0.05
+    """What a search leaves along and across the road: where the judged solves start."""
+    start_deg: float = 0.1
     stored_ramp_px: float = 10.0
     """Ramp of the cost maps that are learned on: the widest kernel that can be learned."""
     stored_stride: int = 2
-    max_error_m: float = 1.0
-    """A frame that ends farther from the truth than this is on another dash or pole: no weight mends that, it is left
-    out."""
+    max_error_m: float = 0.3
+    """A solve that ends farther from the truth than this is on another dash or pole, or sees nothing: no weight nor
+    noise mends that. It is counted, and left out of what is learned and judged."""
     weight_sigma: float = 0.5
     """Standard deviation of the logarithm of a class weight about 1: few frames shall not silence a class."""
     ramp_sigma: float = 0.5

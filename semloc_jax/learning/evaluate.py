@@ -3,27 +3,22 @@
 In: a drive with truth, a LocalizeConfig. Out: Accuracy, from the fast solver as it is used.
 """
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax.datasets import Sequence
 from semloc_jax.geometry import rigid
 from semloc_jax.learning.config import LearningConfig
+from semloc_jax.learning.fast_solve import fast_solves
 from semloc_jax.learning.loss import PLANAR, pose_nll
-from semloc_jax.learning.scenes import prior_sigma
 from semloc_jax.localization import FrameLocalizer, MaskSource
 from semloc_jax.localization.run import LocalizeConfig
-from semloc_jax.localization.single_frame import FrameInput, evidence_from
 from semloc_jax.maps import SemanticMap
-from semloc_jax.residuals.view import ViewConfig
-from semloc_jax.solvers.pose import AlignConfig, Prior, align
-from semloc_jax.structs import PoseEstimate
 
-_LEVELS = (0, 1, 2, 3)
+_JUDGE_SEED = 1000
+"""Priors and starts of the judged solves are others than those that were learned from."""
 
 
 @dataclass(frozen=True)
@@ -78,42 +73,22 @@ class Accuracy:
 
 
 def evaluate(
-    drive: Sequence,
-    semantic_map: SemanticMap,
-    masks: MaskSource,
-    settings: LocalizeConfig,
-    config: LearningConfig,
+    drive: Sequence, semantic_map: SemanticMap, masks: MaskSource, settings: LocalizeConfig, config: LearningConfig
 ) -> Accuracy:
-    """Frames of a drive aligned by the fast solver from priors that are off by seeded errors.
+    """Errors of frames of a drive, as the fast solver finds them.
 
     Args:
         drive: With truth.
         semantic_map: Its map.
         masks: Its masks.
         settings: The configuration that is judged.
-        config: Number of frames, error of the priors, seed; what learning changes is not taken from here.
+        config: Number of frames, errors of priors and starts; what learning changes is not taken from here.
     """
     localizer = FrameLocalizer(semantic_map, masks.table, settings)
-    sigma, rng = prior_sigma(config), np.random.default_rng([config.seed, 1])
-    step = replace(settings.frame.polish_align, levels=_LEVELS[: len(settings.cost_maps.ramp_px)])
-    chosen = np.unique(np.linspace(0, len(drive) - 1, config.num_frames).astype(int))
-    errors, covariances = [], []
-    for index in chosen:
-        frame = drive.frames[index]
-        T_true = drive.truth_at(frame)
-        T_prior = T_true @ rigid.exp(sigma * rng.normal(size=6))
-        rig = masks.seen_by(frame.rig.select(masks.cameras))
-        inputs, local_map = localizer.prepare(masks.masks(frame), rig, T_prior)
-        T_prior[:3, 3] -= local_map.origin_map
-        prior = Prior(jnp.asarray(T_prior, jnp.float32), jnp.asarray(sigma, jnp.float32))
-        found = _aligned(inputs, prior, settings.frame.polish_view, step)
-        T = np.asarray(found.T_map_base, np.float64)
-        T[:3, 3] += local_map.origin_map
-        errors.append(rigid.log(rigid.inverse(T_true) @ T)[PLANAR])
-        covariances.append(np.asarray(found.covariance, np.float64)[np.ix_(PLANAR, PLANAR)])
-    return Accuracy(np.array(errors), np.array(covariances), config.max_error_m)
-
-
-@partial(jax.jit, static_argnames=("seen", "step"))
-def _aligned(inputs: FrameInput, prior: Prior, seen: ViewConfig, step: AlignConfig) -> PoseEstimate:
-    return align(prior.T_map_base, evidence_from(prior.T_map_base, inputs, seen), prior, step)
+    solves = [
+        (solve.T_true, solve.T_found, solve.covariance)
+        for solve in fast_solves(drive, localizer, masks, config, _JUDGE_SEED)
+    ]
+    T_true, T_found, covariance = (np.stack(column) for column in zip(*solves, strict=True))
+    error = rigid.log(rigid.inverse(T_true) @ T_found)[:, PLANAR]
+    return Accuracy(error, covariance[:, PLANAR][:, :, PLANAR], config.max_error_m)

@@ -67,13 +67,14 @@ def fit(
 
     first, back = ravel_pytree(Parameters.defaults(num_channels))
     scores = [loss_and_gradient(back(first), frame, config)[0][1] for frame in frames]
-    used = [frame for frame, score in zip(frames, scores, strict=True) if bool(score.used)]
+    is_used = [_is_near(frame, config) and bool(score.used) for frame, score in zip(frames, scores, strict=True)]
+    used = [frame for frame, is_kept in zip(frames, is_used, strict=True) if is_kept]
     if not used:
         raise SemlocError(
             f"learning: none of {len(frames)} frames ends within {config.max_error_m} m of the truth; check masks, map "
             "and truth"
         )
-    start = float(np.mean([float(score.nll) for score in scores if bool(score.used)]))
+    start = float(np.mean([float(score.nll) for score, is_kept in zip(scores, is_used, strict=True) if is_kept]))
     penalty = jax.jit(jax.value_and_grad(lambda x: 0.5 * jnp.sum(back(x).deviation(config) ** 2)))
 
     def objective(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -97,3 +98,9 @@ def fit(
         options={"maxiter": config.max_iterations, "ftol": 1e-5},  # float32 tells no finer
     )
     return Fit(back(jnp.asarray(found.x, first.dtype)), tuple(history), len(used), len(frames))
+
+
+def _is_near(frame: TrainingFrame, config: LearningConfig) -> bool:
+    """Whether the fast solve ended near the truth."""
+    off = np.asarray(frame.T_start - frame.T_true)[:2, 3]
+    return bool(np.hypot(*off) < config.max_error_m)

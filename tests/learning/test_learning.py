@@ -37,7 +37,7 @@ def frames(seeds, spoiled_px=0.0):
         off = spoiled_px * np.random.default_rng([seed, 7]).normal()
         moved = jnp.clip(trial.scene.maps.distance_px.at[:, 1].add(off), -RAMP_PX, RAMP_PX)
         scene = eqx.tree_at(lambda s: s.maps.distance_px, trial.scene, moved)
-        found.append(TrainingFrame(scene, jnp.arange(2, dtype=jnp.int32), trial.prior, trial.T_true))
+        found.append(TrainingFrame(scene, jnp.arange(2, dtype=jnp.int32), trial.prior, trial.T_true, trial.T_true))
     return found
 
 
