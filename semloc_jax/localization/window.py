@@ -70,6 +70,7 @@ class SlidingWindow:
     def __init__(self, config: WindowConfig | None = None) -> None:
         """A window with the given beliefs; it is compiled at the first correction."""
         self.config = config or WindowConfig()
+        self._last: tuple[WindowState, FusedPose] | None = None
 
     def start(self, measurement: PoseMeasurement) -> WindowState:
         """State at the first pose, with nominal calibration."""
@@ -146,10 +147,13 @@ class SlidingWindow:
 
     def pose(self, state: WindowState) -> FusedPose:
         """Newest pose carried on to the time of the last prediction, its covariance, and the calibration."""
-        T, joint = self._predicted(state)
-        scale, bias = state.calibration[:2]
-        offset = state.calibration[2:]
-        return FusedPose(float(state.now_s), T, joint[:6, :6], float(scale), float(bias), offset)
+        # A step asks for the pose of one and the same state several times.
+        if self._last is None or self._last[0] is not state:
+            T, joint = self._predicted(state)
+            scale, bias = state.calibration[:2]
+            pose = FusedPose(float(state.now_s), T, joint[:6, :6], float(scale), float(bias), state.calibration[2:])
+            self._last = (state, pose)
+        return self._last[1]
 
     def _predicted(self, state: WindowState) -> tuple[np.ndarray, np.ndarray]:
         """Pose now, and its joint covariance with the calibration."""

@@ -42,10 +42,19 @@ class Contour:
 def element_contours(element: MapElement, caps: tuple[bool, bool] = (True, True)) -> list[Contour]:
     """Returns the visible contours of one element, none for logical ones.
 
+    They stay with the element: the window around a vehicle moves on, most of its elements stay.
+
     Args:
         element: any element.
         caps: whether a painted line is capped at its start and at its end.
     """
+    kept = element.__dict__.setdefault("_contours", {})
+    if caps not in kept:
+        kept[caps] = _element_contours(element, caps)
+    return kept[caps]
+
+
+def _element_contours(element: MapElement, caps: tuple[bool, bool]) -> list[Contour]:
     if element.is_logical:
         return []
     points = without_repeats(element.points, element.closed)
@@ -70,7 +79,14 @@ def element_contours(element: MapElement, caps: tuple[bool, bool] = (True, True)
 
 
 def painted_polygon(element: MapElement) -> shapely.Polygon:
-    """Returns the painted surface of an element seen from above; empty if it has none."""
+    """Returns the painted surface of an element seen from above; empty if it has none. It stays with the element."""
+    kept = element.__dict__
+    if "_polygon" not in kept:
+        kept["_polygon"] = _painted_polygon(element)
+    return kept["_polygon"]
+
+
+def _painted_polygon(element: MapElement) -> shapely.Polygon:
     points = without_repeats(element.points, element.closed)
     if element.closed:
         return shapely.Polygon(points[:, :2]) if len(points) >= 3 else shapely.Polygon()
