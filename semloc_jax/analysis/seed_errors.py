@@ -4,9 +4,10 @@ In: a drive with exact masks and truth, its map, a number of seeds. Out: errors 
 One image of a place says little about its sigma; many masks that a network could have made of it say it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -76,36 +77,60 @@ def seed_errors(
     Raises:
         SemlocError: no truth, or no such masks.
     """
-    expected, config = expected or ExpectedConfig(), config or LocalizeConfig()
-    source = mask_source(masks, drive, offset_px=(0.0, 0.0))
-    localizer = FrameLocalizer(semantic_map, source.table, config)
-    sigma = jnp.asarray(expected.prior_sigma, jnp.float32)
     truth, errors = [], []
     for frame in frames:
-        T_true, rig = drive.truth_at(frame), frame.rig.select(source.cameras)
-        shifted = Rig([camera.shifted(_SHIFT_PX, _SHIFT_PX) for camera in rig.cameras], rig.T_base_cam, rig.names)
-        heading = float(np.arctan2(T_true[1, 0], T_true[0, 0]))
-        local_map = semantic_map.query(T_true[:3, 3], config.search_radius_m, heading if len(rig) == 1 else None)
-        samples = sample_within(local_map, config.sample_spacing_m, config.sample_capacity)
-        T_start = semantic_map.road_pose(T_true[0, 3], T_true[1, 3], heading)
-        T_start[:3, 3] -= local_map.origin_map
-        exact, found = source.masks(frame), []
-        for seed in range(num_seeds):
-            noisy = [
-                degrade(mask, np.random.default_rng([seed, frame.index, k]), degradation)
-                for k, mask in enumerate(exact)
-            ]
-            maps = cost_maps(noisy, localizer.shown, config.cost_maps)
-            inputs = frame_input(samples, maps, shifted, localizer.channel_of_label)
-            T = np.array(_refined(jnp.asarray(T_start, jnp.float32), inputs, sigma, config.frame), np.float64)
-            T[:3, 3] += local_map.origin_map
-            found.append(T)
-        found = pose_errors(np.stack(found), np.broadcast_to(T_true, (num_seeds, 4, 4)))
-        errors.append(np.stack([found[key] for key in ("longitudinal_m", "lateral_m", "heading_deg")], axis=1))
+        solves = noisy_solves(drive, semantic_map, frame, num_seeds, masks, degradation, expected, config)
+        found, T_true = np.stack([solve.T_map_base for solve in solves]), drive.truth_at(frame)
+        by_name = pose_errors(found, np.broadcast_to(T_true, found.shape))
+        errors.append(np.stack([by_name[key] for key in ("longitudinal_m", "lateral_m", "heading_deg")], axis=1))
         truth.append(T_true)
         if on_frame is not None:
             on_frame()
     return SeedErrors(np.stack(truth), np.stack(errors))
+
+
+class NoisySolve(NamedTuple):
+    """The pose of one draw of the noise, and what it was found from."""
+
+    T_map_base: Float[np.ndarray, "4 4"]
+    """In the map frame."""
+    T_local: Float[Array, "4 4"]
+    """Relative to the local origin."""
+    inputs: FrameInput
+
+
+def noisy_solves(
+    drive: Drive,
+    semantic_map: SemanticMap,
+    frame: Frame,
+    num_seeds: int,
+    masks: str = "sem",
+    degradation: Degradation | None = None,
+    expected: ExpectedConfig | None = None,
+    config: LocalizeConfig | None = None,
+) -> Iterator[NoisySolve]:
+    """The pose of one frame for one draw of a network's noise after another; see `seed_errors`."""
+    expected, config = expected or ExpectedConfig(), config or LocalizeConfig()
+    source = mask_source(masks, drive, offset_px=(0.0, 0.0))
+    localizer = FrameLocalizer(semantic_map, source.table, config)
+    sigma = jnp.asarray(expected.prior_sigma, jnp.float32)
+    T_true, rig = drive.truth_at(frame), frame.rig.select(source.cameras)
+    shifted = Rig([camera.shifted(_SHIFT_PX, _SHIFT_PX) for camera in rig.cameras], rig.T_base_cam, rig.names)
+    heading = float(np.arctan2(T_true[1, 0], T_true[0, 0]))
+    local_map = semantic_map.query(T_true[:3, 3], config.search_radius_m, heading if len(rig) == 1 else None)
+    samples = sample_within(local_map, config.sample_spacing_m, config.sample_capacity)
+    T_start = semantic_map.road_pose(T_true[0, 3], T_true[1, 3], heading)
+    T_start[:3, 3] -= local_map.origin_map
+    exact = source.masks(frame)
+    for seed in range(num_seeds):
+        rngs = [np.random.default_rng([seed, frame.index, k]) for k in range(len(exact))]
+        noisy = [degrade(mask, rng, degradation) for mask, rng in zip(exact, rngs, strict=True)]
+        maps = cost_maps(noisy, localizer.shown, config.cost_maps)
+        inputs = frame_input(samples, maps, shifted, localizer.channel_of_label)
+        T_local = _refined(jnp.asarray(T_start, jnp.float32), inputs, sigma, config.frame)
+        T = np.array(T_local, np.float64)
+        T[:3, 3] += local_map.origin_map
+        yield NoisySolve(T, T_local, inputs)
 
 
 @partial(jax.jit, static_argnames="config")

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from semloc_jax.analysis.survey import Survey
 from semloc_jax.maps.elements import MapElement
@@ -51,7 +52,11 @@ def survey_view(elements: Sequence[MapElement], survey: Survey, title: str = "")
         points = axes.scatter(
             *xy.T, c=values, cmap="plasma", norm=norm, s=26, edgecolors=rims, linewidths=1.3, zorder=6
         )
-        bar = figure.colorbar(points, ax=axes, pad=0.01, aspect=14)
+        bar = figure.colorbar(points, ax=axes, pad=0.01, aspect=14, shrink=0.8)
+        if isinstance(norm, LogNorm):
+            bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            bar.ax.yaxis.set_minor_formatter(NullFormatter())
+        bar.ax.yaxis.set_major_formatter("{x:g}")
         bar.ax.tick_params(labelsize=8, colors=_LIGHT, which="both")
         bar.outline.set_visible(False)
         axes.set_aspect("equal")
@@ -82,7 +87,8 @@ def prediction_view(predicted: np.ndarray, measured: np.ndarray, kinds: Sequence
         ends = scale * np.array([min(predicted[:, k].min(), measured[:, k].min()), predicted[:, k].max()])
         axes.plot(ends, ends, color="#9aa3ad", linewidth=0.8)
         r = np.corrcoef(np.log(predicted[:, k]), np.log(measured[:, k]))[0, 1]
-        axes.set(xscale="log", yscale="log", xlabel=f"expected sigma, {name}", title=f"{name}: r = {r:.2f}")
+        axes.set(xscale="log", yscale="log", xlabel=f"expected sigma, {name}")
+        axes.set_title(f"{name}: r = {r:.2f}", fontsize=10)
         if k == 0:
             axes.set_ylabel("RMS error over seeds of mask noise")
             axes.legend(fontsize=7, frameon=False)
