@@ -7,6 +7,7 @@ import pytest
 import shapely
 
 from semloc_jax.maps import GeoOrigin, Lanelet2Style, read_map, write_geojson
+from semloc_jax.maps.elements import UPRIGHT_CLASSES
 from semloc_jax.maps.io.lanelet2 import read_lanelet2
 from semloc_jax.structs import ElementClass
 
@@ -172,10 +173,11 @@ def test_areas_slots_and_deleted_ways(tmp_path):
 
 
 def test_a_lanelet2_map_keeps_its_meaning_as_geojson(road, tmp_path):
-    write_geojson(road, tmp_path / "m.geojson")
+    some = road.with_elements([e for i, e in enumerate(road.elements) if i % 20 == 0 or e.label in UPRIGHT_CLASSES])
+    write_geojson(some, tmp_path / "m.geojson")
     again = read_map(tmp_path / "m.geojson")
-    assert len(again.elements) == len(road.elements)
-    for one, other in zip(road.elements, again.elements, strict=True):
+    assert len(again.elements) == len(some.elements) > 100
+    for one, other in zip(some.elements, again.elements, strict=True):
         assert (one.label, one.style, one.true_ends, one.width_m) == (
             other.label,
             other.style,

@@ -94,13 +94,13 @@ def test_nothing_near_is_an_empty_local_map_and_not_an_error():
 
 
 def test_query_time_does_not_grow_with_the_map():
-    small, large = _random_map(500), _random_map(10_000, reach_m=2500.0)
+    small, large = _random_map(150), _random_map(3_000, reach_m=1370.0)
     seconds = []
     for road in (small, large):
         road.query((0.0, 0.0), 60.0)
-        start = time.perf_counter()
+        start = time.process_time()
         for x in np.linspace(-100, 100, 20):
             road.query((x, 0.0, 0.0), 60.0)
-        seconds.append((time.perf_counter() - start) / 20)
+        seconds.append((time.process_time() - start) / 20)
     assert seconds[1] < 10 * seconds[0] + 0.005
     assert seconds[1] < 0.05

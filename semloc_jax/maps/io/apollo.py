@@ -132,6 +132,7 @@ def _painted(line: MapElement, is_fast: bool, style: ApolloStyle) -> list[MapEle
 
 def _once(lines: list[tuple[MapElement, bool]]) -> list[tuple[MapElement, bool]]:
     """Returns the lines without those that run along another one of their kind, which neighbours list as well."""
+    lines = list({_place(line): (line, is_fast) for line, is_fast in reversed(lines)}.values())[::-1]
     shapes = [shapely.LineString(line.points[:, :2]) for line, _ in lines]
     bands = shapely.buffer(np.array(shapes, dtype=object), _SAME_M, quad_segs=2)
     dropped: set[int] = set()
@@ -144,6 +145,12 @@ def _once(lines: list[tuple[MapElement, bool]]) -> list[tuple[MapElement, bool]]
         if one != other and is_alike and other not in dropped and not is_mutual:
             dropped.add(one)
     return [line for index, line in enumerate(lines) if index not in dropped]
+
+
+def _place(line: MapElement) -> tuple[object, ...]:
+    """Returns what lines share that are the same, to a centimetre, in either direction."""
+    cells = np.rint(line.points * 100.0).astype(np.int64)
+    return line.label, line.style, min(cells.tobytes(), cells[::-1].tobytes())
 
 
 def _crosswalk(item: Message, where: str) -> Iterator[MapElement]:
@@ -218,8 +225,7 @@ _READERS = {
 
 def _once_exactly(elements: list[MapElement]) -> list[MapElement]:
     """Returns the elements without repeats: all lights of a crossing list its stop line."""
-    kept = {(e.label, np.rint(e.points * 100.0).astype(np.int64).tobytes()): e for e in reversed(elements)}
-    return list(kept.values())[::-1]
+    return list({_place(element): element for element in reversed(elements)}.values())[::-1]
 
 
 def _with_own_ids(elements: list[MapElement]) -> list[MapElement]:

