@@ -5,6 +5,7 @@ In: a SemanticMap and a place. Out: MapWindow. Which window belongs to a place d
 resumed run sees the same samples as an uninterrupted one.
 """
 
+import threading
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
@@ -63,15 +64,17 @@ class MapWindows:
         """
         self.map, self.radius_m, self.spacing_m, self.capacity = semantic_map, radius_m, spacing_m, capacity
         self._windows: OrderedDict[tuple[int, ...], MapWindow] = OrderedDict()
+        self._lock = threading.Lock()
 
     def around(self, p_map: np.ndarray) -> MapWindow:
-        """The window of a place of the map frame, `[3]` [m]."""
+        """The window of a place of the map frame, `[3]` [m]. Several threads may ask."""
         key = tuple(int(k) for k in np.round(p_map / GRID_M))
-        if key not in self._windows:
-            center = np.array(key, dtype=np.float64) * GRID_M
-            local_map = self.map.query(center, self.radius_m + 0.71 * GRID_M)
-            self._windows[key] = MapWindow(local_map, sample_within(local_map, self.spacing_m, self.capacity))
-            while len(self._windows) > _KEPT:
-                self._windows.popitem(last=False)
-        self._windows.move_to_end(key)
-        return self._windows[key]
+        with self._lock:
+            if key not in self._windows:
+                center = np.array(key, dtype=np.float64) * GRID_M
+                local_map = self.map.query(center, self.radius_m + 0.71 * GRID_M)
+                self._windows[key] = MapWindow(local_map, sample_within(local_map, self.spacing_m, self.capacity))
+                while len(self._windows) > _KEPT:
+                    self._windows.popitem(last=False)
+            self._windows.move_to_end(key)
+            return self._windows[key]
