@@ -11,7 +11,10 @@ from xml.etree.ElementTree import ParseError, XMLParser
 from semloc_jax.errors import SemlocError
 
 _CHUNK_BYTES = 1 << 16
-_OF_NODES = ("id", "lat", "lon", "ele", "local_x", "local_y", "action", "visible")
+_PLACE = ("lat", "lon", "ele", "local_x", "local_y", "mgrs_code")
+_OF_NODES = ("id", *_PLACE, "action", "visible")
+_NONE: list = []
+"""References of every node."""
 
 
 @dataclass(slots=True)
@@ -39,6 +42,15 @@ class OsmFile:
     relations: dict[str, OsmItem] = field(default_factory=dict)
 
 
+def _place(attributes: dict[str, str]) -> OsmItem:
+    """Returns a node with what says where it is, tags and attributes in one table.
+
+    There are millions of nodes, and editors write who drew them, when and how often.
+    """
+    kept = {key: attributes[key] for key in _OF_NODES if key in attributes}
+    return OsmItem(kept, kept, _NONE)
+
+
 class _Target:
     """Receives the elements of the XML stream; keeps no tree."""
 
@@ -59,11 +71,12 @@ class _Target:
             self.file.attributes = attributes
         self._saw_root = True
         if tag in self._stores:
-            # Of the millions of nodes only what says where they are: editors write who drew them, when and how often.
-            kept = {key: attributes[key] for key in _OF_NODES if key in attributes} if tag == "node" else attributes
-            self._item = OsmItem(kept)
+            self._item = _place(attributes) if tag == "node" else OsmItem(attributes)
         elif self._item is None:
             return
+        elif self._item.references is _NONE:
+            if tag == "tag" and attributes.get("k") in _PLACE:
+                self._item.tags[attributes["k"]] = attributes.get("v", "")
         elif tag == "tag":
             self._item.tags[attributes.get("k", "")] = attributes.get("v", "")
         elif tag == "nd":
@@ -75,7 +88,8 @@ class _Target:
         if tag not in self._stores or self._item is None:
             return
         item, self._item = self._item, None
-        if item.attributes.get("action") == "delete" or item.attributes.get("visible") == "false":
+        action, visible = item.attributes.pop("action", ""), item.attributes.pop("visible", "")
+        if action == "delete" or visible == "false":
             return
         if "id" not in item.attributes:
             raise SemlocError(f"map {self._name}: a <{tag}> without id; expected an id on every {tag}")

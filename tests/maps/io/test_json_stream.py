@@ -80,8 +80,10 @@ def test_nodes_of_osm_keep_no_more_than_their_place(tmp_path):
     )
     nodes = (f'<node id="{k}" lat="48.1{k:05d}" lon="11.6{k:05d}" {words}/>' for k in range(2000))
     path = tmp_path / "town.osm"
-    path.write_text("<osm>" + "\n".join(nodes) + "</osm>")
+    odd = "<node id='9999' lat='1' lon='2'><tag k='id' v='x'/><nd ref='1'/></node>"
+    path.write_text("<osm>" + "\n".join(nodes) + odd + "</osm>")
     found = read_osm(path)
+    assert found.nodes.pop("9999").attributes["id"] == "9999" and found.nodes["7"].references == []
     assert len(found.nodes) == 2000
-    assert set(found.nodes["7"].attributes) == {"id", "lat", "lon", "visible"}
-    assert peak_bytes(lambda: read_osm(path)) < 6 * path.stat().st_size
+    assert set(found.nodes["7"].attributes) == {"id", "lat", "lon"}
+    assert peak_bytes(lambda: read_osm(path)) < 5 * path.stat().st_size

@@ -31,7 +31,8 @@ def _network(path):
 
 QUICK = ["circle_300m", "fabriksgatan", "soderleden", "two_plus_one"]
 LONG = "multi_intersections crest-curve curve_r100 curves curves_elevation e6mini e6mini-lht jolengatan".split()
-LONG += "fabriksgatan_traffic_lights straight_500m straight_500m_roadmarks straight_500m_signs striaghtAndCurves tunnels velodrome".split()
+LONG += "straight_500m straight_500m_roadmarks straight_500m_signs striaghtAndCurves tunnels velodrome".split()
+LONG += ["fabriksgatan_traffic_lights"]
 
 
 def _slow(names):
