@@ -34,11 +34,11 @@ def survey_view(elements: Sequence[MapElement], survey: Survey, title: str = "")
     limits = np.array(list(survey.limits.values())) * [100.0, 100.0, 1.0, 100.0]
     names = ("longitudinal sigma [cm]", "lateral sigma [cm]", "heading sigma [deg]", "fits elsewhere [%]")
     low, high = xy.min(axis=0) - 15.0, xy.max(axis=0) + 15.0
-    is_wide = np.ptp([low[0], high[0]]) > 2.0 * np.ptp([low[1], high[1]])
-    rows, columns = (4, 1) if is_wide else (2, 2)
-    shape = (high[1] - low[1]) / (high[0] - low[0])
-    width = 11.0 if is_wide else 12.0
-    figure = new_figure(width, rows * (0.9 + width / columns * 0.85 * float(np.clip(shape, 0.12, 1.2))), dark=True)
+    wide_m, tall_m = high - low
+    rows, columns = (4, 1) if wide_m > 2.0 * tall_m else (1, 4) if tall_m > 1.5 * wide_m else (2, 2)
+    width = {1: 11.0, 2: 12.0, 4: 14.0}[columns]
+    shape = float(np.clip(tall_m / wide_m, 0.12, 2.6))
+    figure = new_figure(width, rows * (0.9 + width / columns * 0.72 * shape), dark=True)
     for axes, name, values, limit in zip(
         figure.subplots(rows, columns).flat, names, [*sigma.T, second], limits, strict=True
     ):
@@ -52,7 +52,7 @@ def survey_view(elements: Sequence[MapElement], survey: Survey, title: str = "")
         points = axes.scatter(
             *xy.T, c=values, cmap="plasma", norm=norm, s=26, edgecolors=rims, linewidths=1.3, zorder=6
         )
-        bar = figure.colorbar(points, ax=axes, pad=0.01, aspect=14, shrink=0.8)
+        bar = figure.colorbar(points, ax=axes, pad=0.01, aspect=30 if columns == 4 else 14, shrink=0.8)
         if isinstance(norm, LogNorm):
             bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             bar.ax.yaxis.set_minor_formatter(NullFormatter())
