@@ -1,4 +1,4 @@
-"""Placement of a camera: the gradient is that of finite differences, and what it finds no grid of placements beats."""
+"""Placement of a camera: the gradient is that of finite differences; what is turned, raised and zoomed."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from semloc_jax.analysis.placement import Placement, PlacementConfig, mean_log_sigma, place_camera, placement_problem
-from semloc_jax.analysis.survey import Way, survey
 from semloc_jax.datasets import open_sequence
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import read_map
@@ -46,25 +45,6 @@ def test_gradient_is_that_of_finite_differences(drive, places):
         step = np.diag([1e-3, 1e-4, 1e-4])
         numeric = [float(value(x + h) - value(x - h)) / (2 * h.sum()) for h in step]
         np.testing.assert_allclose(slope(jnp.asarray(x)), numeric, rtol=1e-3, atol=1e-5)
-
-
-@pytest.mark.slow
-def test_no_grid_of_placements_is_better(drive, places):
-    """The survey itself, not its smooth counterpart, finds the placement within 3 % of the best of 36 on a grid."""
-    semantic_map = read_map(drive.map_path)
-    found = place_camera(semantic_map, drive.rig, TABLE, places)
-    print(found)
-
-    def mean_log(placement):
-        way = Way("places", places, np.arange(len(places)) * 1.0)
-        rig = placement.applied(drive.rig, "front")
-        return float(np.mean(np.log(survey(semantic_map, rig, TABLE, [way]).ways[0].sigma)))
-
-    grid = [Placement(d, h, z) for d in (-8.0, 0.0, 8.0, 16.0) for h in (-0.4, 0.2, 0.8) for z in (0.6, 1.0, 1.7)]
-    best = min(map(mean_log, grid))
-    assert mean_log(found.placement) < best + 0.03
-    assert np.mean(np.log(found.gain)) > 0.1
-    assert found.gain.min() > 0.95
 
 
 def test_a_camera_is_turned_down_raised_and_zoomed(drive):
