@@ -17,7 +17,7 @@ from semloc_jax.datasets.synthetic.map_scene import build_map_world
 from semloc_jax.datasets.synthetic.route import drivable, find_route
 from semloc_jax.datasets.synthetic.surface import WaveSurface
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps import MapElement, SemanticMap, read_lane_centers, read_map
+from semloc_jax.maps import MapElement, SemanticMap, read_lane_centers, read_map, write_drive_geojson
 from semloc_jax.structs import ElementClass
 
 MAPS = {
@@ -153,14 +153,17 @@ def test_posts_begin_where_the_ground_ends():
     assert all(built[name].radius_m == built[name].attributes["radius"] > 0.0 for name in foot)
 
 
-def test_what_cannot_be_driven_is_said_in_one_line(tmp_path, capsys, simulated_road):
+def test_what_cannot_be_driven_is_said_in_one_line(tmp_path, capsys):
     """A map without lanes is driven along its markings; starts off it, lengths of zero and paths of nothing are not."""
     for length_m in (0.0, -3.0, float("nan")):
         with pytest.raises(SemlocError, match="expected metres to drive"):
             RouteWish(length_m=length_m)
     with pytest.raises(SemlocError, match="no such file"):
         find_route([], [], RouteWish(path=tmp_path / "nowhere.csv"), np.random.default_rng(0))
-    given = ["simulate", str(tmp_path / "drive"), "--map", str(simulated_road / "map.geojson"), *SEEN]
+    along = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0]])
+    line = MapElement("line", ElementClass.LANE_MARKING, along, width_m=0.15, style="solid")
+    write_drive_geojson(SemanticMap((line,), None, "line"), tmp_path / "line.geojson")
+    given = ["simulate", str(tmp_path / "drive"), "--map", str(tmp_path / "line.geojson"), *SEEN]
     for words, code, message in (
         (["--start", "9000,0"], FAILED, "off the nearest lane"),
         (["--start", "here"], USAGE, "expected X,Y"),
