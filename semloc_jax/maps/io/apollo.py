@@ -27,6 +27,8 @@ from semloc_jax.structs import ElementClass
 SUFFIXES = (".txt", ".pbtxt", ".prototxt")
 _SAME_M = 0.15
 """Neighbouring lanes both list the boundary between them, drawn up to so much apart; ours."""
+_LONGEST_M = 2e4
+"""Lanes are cut at every crossing; a longer one is a broken number. Ours."""
 _WORDS = {"DOTTED": ["dashed"], "SOLID": ["solid"], "DOUBLE": ["solid", "solid"]}
 _SILENT = frozenset({"header", "junction", "overlap", "road", "pnc_junction"})
 """What holds nothing that can be seen, or only repeats it."""
@@ -91,6 +93,11 @@ def _boundaries(lane: Message, where: str, style: ApolloStyle) -> Iterator[tuple
         points, has_height = _curve(_first(boundary, "curve"), where)
         if len(points) < 2:
             continue
+        length_m = float(polyline.arc_length(points)[-1])
+        if length_m > _LONGEST_M:
+            raise SemlocError(
+                f"{where}: its {side} boundary is {length_m / 1e3:.4g} km long; expected that of one lane"
+            )
         is_virtual = _word(boundary, "virtual") in ("true", "True", "t", "1")
         for index, (kind, part) in enumerate(_stretches(boundary, points, where)):
             told = {"apollo": kind, "lane": name}

@@ -142,6 +142,7 @@ def test_convert_and_inspect_know_the_format(tmp_path, capsys):
         ('lane { left_boundary { curve { segment { line_segment { point { x: "q" y: 1 } } } } } }', "x is 'q'"),
         ("lane { left_boundary { curve { segment { line_segment { point { y: 1 } } } } } }", "x is 'None'"),
         ("\x01", "is the file complete"),
+        (lane("a", boundary("left", 3.5, [(0, "DOTTED_WHITE")]).replace(f"x: {EAST + 100}", "x: 9e7"), ""), "km long"),
     ],
 )
 def test_broken_maps_are_one_line(tmp_path, text, message):
