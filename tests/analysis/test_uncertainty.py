@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 
 from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION, ExpectedConfig
-from semloc_jax.analysis.pose_mixture import laplace_mixture
+from semloc_jax.analysis.pose_mixture import frame_mixture, laplace_mixture
 from semloc_jax.analysis.seed_errors import noisy_solves
 from semloc_jax.analysis.uncertainty import BoundaryResiduals, boundary_residuals, sandwich_covariance
+from semloc_jax.datasets import open_sequence
 from semloc_jax.datasets.synthetic import SimulationConfig, simulate
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import pose_errors
 from semloc_jax.geometry import rigid
-from semloc_jax.localization.run import LocalizeConfig
+from semloc_jax.localization import mask_source
+from semloc_jax.localization.priors import PosePrior
+from semloc_jax.localization.run import FrameLocalizer, LocalizeConfig
 from semloc_jax.maps import read_map
 from semloc_jax.residuals.view import view
 
@@ -124,3 +127,21 @@ def test_moments_and_intervals_are_those_of_samples():
     assert best > mixture.log_density(rigid.exp(np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0]))) + 10.0
     with pytest.raises(SemlocError, match=r"such as 0\.95"):
         mixture.interval(0, 95.0)
+
+
+@pytest.mark.slow
+def test_the_posterior_of_a_frame(simulated_road):
+    """One localized frame: the heaviest mode is at the truth, all weights sum to one, sigmas are centimetres."""
+    drive = open_sequence(simulated_road)
+    frame, source = drive.frames[2], mask_source("sem", drive)
+    masks, rig = source.masks(frame), source.seen_by(frame.rig.select(source.cameras))
+    localizer = FrameLocalizer(read_map(drive.map_path), source.table)
+    T = drive.truth_at(frame)
+    heading = float(np.arctan2(T[1, 0], T[0, 0]))
+    result = localizer.localize(frame, masks, PosePrior(T[0, 3] + 0.5, T[1, 3] - 0.3, heading, 1.0, 0.05), rig)
+    mixture = frame_mixture(localizer, result, masks, rig, ExpectedConfig().prior_sigma)
+    assert mixture.weight.sum() == pytest.approx(1.0)
+    error = pose_errors(mixture.Ts_map_base[:1], T[None])
+    assert abs(error["lateral_m"][0]) < 0.02 and abs(error["longitudinal_m"][0]) < 0.10
+    sigma_m = np.sqrt(np.diag(mixture.covariance[0]))[:2]
+    assert np.all((sigma_m > 1e-4) & (sigma_m < 0.3))
