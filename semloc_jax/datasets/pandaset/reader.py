@@ -239,8 +239,8 @@ def _gnss(path: Path, truth: Trajectory) -> tuple[GeoOrigin | None, GnssTrack | 
 def _course_rate(time_s: np.ndarray, velocity: Float[np.ndarray, "n 2"]) -> np.ndarray:
     """Rate of the direction of travel [rad/s]: slope of the course over `_COURSE_HALF_S` to both sides.
 
-    The course of a slow vehicle is noise, as 1 / speed: every sample counts by its squared speed, and a standing vehicle
-    does not turn.
+    The course of a slow vehicle is noise, as 1 / speed: every sample counts by its squared speed, and a vehicle that
+    stands does not turn.
     """
     course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
     moving = np.sum(velocity**2, axis=1)
