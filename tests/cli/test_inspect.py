@@ -54,7 +54,8 @@ def test_a_defect_is_exit_code_3_when_strict(small_map, capsys):
         ("cut.geojson", '{"type": "FeatureCollection", "features": [', "not valid JSON"),
         ("list.geojson", "[1, 2]", "expected a GeoJSON FeatureCollection"),
         ("none.geojson", json.dumps({"type": "FeatureCollection", "frame": FRAME, "features": []}), "no element"),
-        ("map.txt", "x", "unknown type '.txt'"),
+        ("map.doc", "x", "unknown type '.doc'"),
+        ("map.txt", "x", "not an Apollo map in text form"),
         ("map.osm", "<osm><node", "map"),
     ],
 )

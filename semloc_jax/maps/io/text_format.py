@@ -28,7 +28,7 @@ def stream_fields(path: Path) -> Iterator[tuple[str, Any]]:
     """Yields the name and the value of each field at the top of a file.
 
     Raises:
-        SemlocError: not the text form of a message, or nested deeper than any map.
+        SemlocError: not protobuf text, or nested deeper than any map.
     """
     with path.open("rb") as stream:
         try:
@@ -98,4 +98,4 @@ class _Parser:
             yield text[1:-1].decode("utf-8", "replace") if kind == "text" else text.decode("ascii", "replace")
 
     def _broken(self, why: str) -> SemlocError:
-        return SemlocError(f"{self._where}: not the text form of a message ({why}); is the file complete?")
+        return SemlocError(f"{self._where}: not an Apollo map in text form ({why}); is the file complete?")
