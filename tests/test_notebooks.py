@@ -11,7 +11,7 @@ pytest.importorskip("ipykernel")
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-SLOW = {"05_learning_through_the_solver", "06_self_calibration"}
+SLOW = {"04_tracking", "05_learning_through_the_solver", "06_self_calibration", "08_localizability"}
 """Half a minute and more, most of it compilation."""
 RUN = [pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW else [], id=path.stem) for path in NOTEBOOKS]
 
