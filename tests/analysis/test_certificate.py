@@ -54,14 +54,14 @@ class Scene:
         T_cam_base, pivot = np.asarray(view.T_cam_base[0], np.float64), certificate.pivot[:, None]
         p_pivot = T_base_map[:3, :3] @ p_map + T_base_map[:3, 3:] - pivot
         ramp = np.asarray(self.maps.ramps[level][0], np.float64) / 127.0 - 1.0
-        stride, project = self.maps.stride[level], jax.jit(self.camera.project_xyz)
+        stride, project = self.maps.stride[level], jax.jit(lambda camera, x, y, z: camera.project_xyz(x, y, z))
 
         def cost(q):
             c, s = np.cos(q[2]), np.sin(q[2])
             R_moved = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
             p_base = R_moved @ (p_pivot - np.array([[q[0]], [q[1]], [0.0]])) + pivot
             x, y, z = T_cam_base[:3, :3] @ p_base + T_cam_base[:3, 3:]
-            u, v, _ = (np.asarray(part, np.float64) for part in project(x, y, z))
+            u, v, _ = (np.asarray(part, np.float64) for part in project(self.camera, x, y, z))
             r = np.clip(_bilinear(ramp, channel, (u + 0.5) / stride - 0.5, (v + 0.5) / stride - 0.5), -1.0, 1.0)
             return float(np.sum(weight * (1 - (1 - r * r) ** 3)) / 6.0)
 
