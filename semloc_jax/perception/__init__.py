@@ -11,13 +11,6 @@ from semloc_jax.perception.ground_view import GroundView
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
 from semloc_jax.perception.masks import read_mask
 from semloc_jax.perception.paint_candidates import PaintConfig
-from semloc_jax.perception.segmenters import (
-    CallableSegmenter,
-    MaskFolder,
-    OnnxSegmenter,
-    Segmenter,
-    get_segmenter,
-)
 
 __all__ = [
     "Channel",
@@ -31,12 +24,7 @@ __all__ = [
     "CostMapConfig",
     "cost_maps",
     "boundary_orientation",
-    "Segmenter",
-    "MaskFolder",
-    "OnnxSegmenter",
-    "CallableSegmenter",
     "ClassicalPaintSegmenter",
     "PaintConfig",
-    "get_segmenter",
     "GroundView",
 ]
