@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization.track_state import TrackerState
+from semloc_jax.localization.track_state import ElementTrust, TrackerState
 
 _META = "next_frame", "is_initialised"
 
@@ -55,13 +55,14 @@ def load(path: Path, template: TrackerState) -> Checkpoint:
         coasting = template.coasting * int(content["num_coasting"])
         wanted = template._replace(tracks=tracks, coasting=coasting)
         leaves = [_checked(content[name], leaf, name) for name, leaf in _named(wanted)]
+        state = jax.tree.unflatten(jax.tree.structure(wanted), leaves)
+        _require_same_map(state.trust, template.trust)
     except FileNotFoundError as error:
         raise SemlocError(f"checkpoint {path}: no such file; give --resume the folder of an unfinished run") from error
     except (KeyError, ValueError, zipfile.BadZipFile) as error:
         raise SemlocError(
             f"checkpoint {path}: does not fit ({error}); resume with the map, the fusion and the version of the run"
         ) from error
-    state = jax.tree.unflatten(jax.tree.structure(wanted), leaves)
     return Checkpoint(state, int(content["next_frame"]), bool(content["is_initialised"]))
 
 
@@ -69,7 +70,14 @@ def _named(state: TrackerState) -> list[tuple[str, Any]]:
     return [(jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_flatten_with_path(state)[0]]
 
 
+def _require_same_map(found: ElementTrust, like: ElementTrust) -> None:
+    if found.num_in_map != like.num_in_map:
+        raise ValueError(f"a map of {found.num_in_map:.0f} elements, expected {like.num_in_map:.0f}")
+
+
 def _checked(found: np.ndarray, like: Any, name: str) -> np.ndarray | np.generic:
-    if found.shape != np.shape(like):
+    # A list that starts empty may have grown.
+    is_list = np.shape(like) == (0,) and found.ndim == 1
+    if found.shape != np.shape(like) and not is_list:
         raise ValueError(f"{name} has shape {found.shape}, expected {np.shape(like)}")
     return found[()] if found.ndim == 0 else found

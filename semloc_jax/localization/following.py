@@ -4,7 +4,7 @@ host).
 In: Track, FrameFeatures. Out: the next Track and what the frame said about it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -136,7 +136,7 @@ def seen(
     fusion: Fusion,
     aligner: FrameAligner,
     frame: FrameFeatures,
-    trust: np.ndarray,
+    trust: Callable[[np.ndarray], np.ndarray],
     stance: np.ndarray,
     config: HealthConfig,
 ) -> View:

@@ -4,13 +4,14 @@ In: FrameFeatures, prediction with covariance, trust in map elements. Out: Align
 its covariance, its quality.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.fusion import PoseMeasurement
@@ -61,10 +62,12 @@ class Alignment(NamedTuple):
     """Correction along the road before the solve [m]."""
     information_eigenvalues: Float[np.ndarray, "6"]
     visible_px: Float[np.ndarray, " element"]
-    """Contour seen of each element of the whole map [px]."""
+    """Contour seen of each element around the place [px]."""
     missed_px: Float[np.ndarray, " element"]
     stance: Float[np.ndarray, "3"] = np.zeros(3)
     """Height [m], roll and pitch [rad] of the vehicle over the road, as measured."""
+    rows: Int[np.ndarray, " element"] = np.arange(0)
+    """Which elements of the map these are, ascending."""
 
 
 class FrameAligner:
@@ -85,7 +88,7 @@ class FrameAligner:
         T_map_predicted: Float[np.ndarray, "4 4"],
         covariance: Float[np.ndarray, "6 6"],
         last_sigma_along_m: float,
-        trust: Float[np.ndarray, " element"],
+        trust: Callable[[np.ndarray], np.ndarray],
         stance: Float[np.ndarray, "3"],
     ) -> Alignment:
         """The pose of a frame near its prediction.
@@ -95,7 +98,7 @@ class FrameAligner:
             T_map_predicted: Predicted pose.
             covariance: Its covariance (right tangent).
             last_sigma_along_m: Sigma along the road that the masks of the last frame gave alone [m].
-            trust: Weight of each element of the whole map.
+            trust: Weights of the elements of the map that rows name.
             stance: Height [m], roll and pitch [rad] of the vehicle over the road of the map.
 
         Raises:
@@ -111,7 +114,7 @@ class FrameAligner:
         sigma = self.prior_sigma(covariance)
         index = self.map.rows_of(window.element_ids[:ELEMENT_CAPACITY])
         local_trust = np.ones(ELEMENT_CAPACITY, np.float32)
-        local_trust[: len(index)] = trust[index]
+        local_trust[: len(index)] = trust(index)
         local_trust = jnp.asarray(local_trust)
         prior = Prior(jnp.asarray(T_local, jnp.float32), jnp.asarray(sigma, jnp.float32))
         sigma_along = float(np.sqrt(covariance[0, 0]))
@@ -123,7 +126,7 @@ class FrameAligner:
         found: TrackedFrame = jax.device_get(
             align_predicted(jnp.asarray(T_local, jnp.float32), prior, inputs, local_trust, step)
         )
-        answer = self._answer(found, frame.time_s, origin, sigma, index, len(trust), moved_m)
+        answer = self._answer(found, frame.time_s, origin, sigma, index, moved_m)
         return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ answer.measurement.T_map_base)[2:5])
 
     def on_road(self, T_map_base: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
@@ -148,15 +151,16 @@ class FrameAligner:
         origin: np.ndarray,
         sigma: np.ndarray,
         index: np.ndarray,
-        num_elements: int,
         moved_m: float,
     ) -> Alignment:
         estimate = found.estimate
         T = estimate.T_map_base.astype(np.float64)
         T[:3, 3] += origin
-        visible, missed = np.zeros(num_elements), np.zeros(num_elements)
-        np.add.at(visible, index, found.elements.visible_px[: len(index)].astype(np.float64))
-        np.add.at(missed, index, found.elements.missed_px[: len(index)].astype(np.float64))
+        # The parts of a line that the window cuts belong to one element.
+        rows, part_of = np.unique(index, return_inverse=True)
+        visible, missed = np.zeros(len(rows)), np.zeros(len(rows))
+        np.add.at(visible, part_of, found.elements.visible_px[: len(index)].astype(np.float64))
+        np.add.at(missed, part_of, found.elements.missed_px[: len(index)].astype(np.float64))
         covariance = masks_covariance(estimate.covariance.astype(np.float64), sigma, self.config.min_information)
         covariance = covariance + found.spread.astype(np.float64)
         return Alignment(
@@ -172,6 +176,7 @@ class FrameAligner:
             information_eigenvalues=estimate.information_eigenvalues.astype(np.float64),
             visible_px=visible,
             missed_px=missed,
+            rows=rows,
         )
 
 

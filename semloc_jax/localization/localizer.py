@@ -9,6 +9,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -172,7 +173,7 @@ class Localizer:
         way_m = motion.way_m(before_s, frame.time_s) if np.isfinite(before_s) else 0.0
         state = self._predicted(state, frame, motion)
         watch.lap("predict")
-        trust = map_faults.weights(state.trust, self.config.trust)
+        trust = partial(map_faults.weights, state.trust, self.config.trust)
         if state.driven_m > self.config.health.frozen_m:
             views = [
                 View(None, True, False, ("the image has not changed while the vehicle moved",)) for _ in state.tracks
@@ -251,7 +252,7 @@ class Localizer:
         trust = state.trust
         if len(kept) == 1 and view.is_accepted:
             found = view.found
-            trust = map_faults.updated(trust, found.visible_px, found.missed_px, self.config.trust)
+            trust = map_faults.updated(trust, found.visible_px, found.missed_px, self.config.trust, found.rows)
             road, covariance = self.config.alignment.road, found.measurement.covariance
             stance = stance_after(state.stance, found.stance, covariance, road, self.config.follow)
             state = state._replace(stance=stance)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Num
 
 from semloc_jax.cameras import Rig
 from semloc_jax.localization.clock import ClockOffset
@@ -57,14 +57,18 @@ class Fixes(NamedTuple):
 
 
 class ElementTrust(NamedTuple):
-    """What all frames so far say about each element of the map."""
+    """What all frames so far say about the elements of the map that were in view, by their rows in the map."""
 
+    rows: Num[np.ndarray, " element"]
+    """Place of each in the map, ascending; what is not named was never in view."""
     seen_px: Float[np.ndarray, " element"]
     """Contour that was looked at, forgetting [px of weight]."""
     missed_px: Float[np.ndarray, " element"]
     """Share of it that lay on no boundary, as robust cost [px]."""
     num_frames: Float[np.ndarray, " element"]
     """Frames in which it was in view."""
+    num_in_map: Float[np.ndarray, ""]
+    """Elements of the whole map."""
 
 
 class Counters(NamedTuple):

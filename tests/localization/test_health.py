@@ -150,6 +150,30 @@ def test_an_element_that_every_frame_contradicts_is_reported_and_hardly_counts()
     assert changes[0].missed_share == pytest.approx(0.95)
 
 
+def test_only_elements_that_were_in_view_are_kept_and_the_others_count_in_full():
+    """The same numbers as for a map of three, whatever lies before, between and behind them."""
+    config, rng = TrustConfig(), np.random.default_rng(1)
+    small, large = map_faults.full_trust(3), map_faults.full_trust(1_000_000)
+    rows = np.array([17, 500_000, 999_999])
+    for k in range(12):
+        visible = np.where(rng.random(3) < 0.7, rng.uniform(5.0, 200.0, 3), 0.0)
+        missed = rng.uniform(0.6, 1.0, 3) * visible
+        small = map_faults.updated(small, visible, missed, config)
+        order = rng.permutation(3)
+        chosen = order[: 1 + k % 3]  # who is not named is not in view
+        left_out = np.setdiff1d(order, chosen)
+        large = map_faults.updated(large, visible[chosen], missed[chosen], config, rows[chosen])
+        large = map_faults.updated(large, visible[left_out], missed[left_out], config, rows[left_out])
+    assert large.rows.tolist() == rows.tolist()
+    for name in ("seen_px", "missed_px", "num_frames"):
+        np.testing.assert_array_equal(getattr(large, name), getattr(small, name), err_msg=name)
+    asked = np.array([999_999, 5, 17, 500_000, 500_001])
+    expected = map_faults.weights(small, config)
+    found = map_faults.weights(large, config, asked)
+    np.testing.assert_array_equal(found, [expected[2], 1.0, expected[0], expected[1], 1.0])
+    assert expected.min() < 0.9
+
+
 def test_one_bad_frame_takes_no_trust():
     config = TrustConfig()
     trust = map_faults.updated(map_faults.full_trust(3), np.full(3, 100.0), np.full(3, 100.0), config)
