@@ -95,6 +95,6 @@ def test_missing_file_and_folder(tmp_path):
 
 
 def test_deeply_nested_json_is_refused(tmp_path):
-    (tmp_path / "deep.geojson").write_text("[" * 200_000)
+    (tmp_path / "deep.geojson").write_text('{"type": "FeatureCollection", "features": [' + "[" * 200_000)
     with pytest.raises(SemlocError, match="not valid JSON"):
         read_map(tmp_path / "deep.geojson")

@@ -3,10 +3,8 @@
 In: a path. Out: SemanticMap, whatever the format.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import GeoOrigin
@@ -17,7 +15,7 @@ from semloc_jax.maps.io.compact import read_compact, write_compact
 from semloc_jax.maps.io.drive_geojson import map_from_drive_geojson, write_drive_geojson
 from semloc_jax.maps.io.geojson import map_from_geojson, write_geojson
 from semloc_jax.maps.io.geopackage import StoredMap, read_geopackage, write_geopackage
-from semloc_jax.maps.io.json_stream import JsonFile
+from semloc_jax.maps.io.json_stream import JsonFile, JsonList
 from semloc_jax.maps.io.lanelet2 import read_lanelet2
 from semloc_jax.maps.io.lanelet2_ways import Lanelet2Style
 from semloc_jax.maps.io.lanelet2_writer import write_lanelet2
@@ -89,7 +87,7 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
     elif path.suffix.lower() in apollo.SUFFIXES:
         found = read_apollo(path, origin)
     elif path.suffix.lower() in (".geojson", ".json"):
-        found = _map_from_json(_parse_json(path), path.name, origin)
+        found = _map_from_json(path, origin)
     else:
         raise SemlocError(f"map {path.name}: unknown type '{path.suffix}'; expected {', '.join(_READ_SUFFIXES)}")
     if not found.is_visible:
@@ -129,28 +127,21 @@ def write_map(semantic_map: SemanticMap, path: str | Path, in_degrees: bool | No
 _WRITERS = {".gpkg": write_geopackage, ".osm": write_lanelet2, ".smap": write_compact}
 
 
-def _map_from_json(document: Any, name: str, origin: GeoOrigin | None) -> SemanticMap:
-    """Returns the map in a parsed JSON document: Argoverse 2, the drive layout, or GeoJSON in degrees."""
-    if is_argoverse2(document):
-        return map_from_argoverse2(document, name, origin)
-    if is_nuscenes(document):
-        return map_from_nuscenes(document, name)
-    if not isinstance(document, dict) or not isinstance(document.get("features"), list):
-        kind = document.get("type") if isinstance(document, dict) else type(document).__name__
-        raise SemlocError(f"map {name}: holds {kind}; expected a GeoJSON FeatureCollection with `features`")
-    if isinstance(document.get("frame"), Mapping):
-        return map_from_drive_geojson(document, name)
-    return map_from_geojson(document, name, origin)
-
-
-def _parse_json(path: Path) -> Any:
-    """Returns a parsed file, or a JsonFile of a format that is read item by item."""
+def _map_from_json(path: Path, origin: GeoOrigin | None) -> SemanticMap:
+    """Returns the map in a JSON file, read item by item: Argoverse 2, nuScenes, the drive layout, or GeoJSON."""
     with path.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES)
-    is_large = head.lstrip().startswith(b"{") and b'"FeatureCollection"' not in head
-    if is_large and (is_argoverse2(document := JsonFile(path)) or is_nuscenes(document)):
-        return document
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise SemlocError(f"map {path.name}: not valid JSON ({error}); is the file complete?") from error
+        is_list = stream.read(_HEAD_BYTES).lstrip().startswith(b"[")
+    if is_list:
+        raise SemlocError(f"map {path.name}: holds list; expected a GeoJSON FeatureCollection with `features`")
+    document = JsonFile(path)
+    if is_argoverse2(document):
+        return map_from_argoverse2(document, path.name, origin)
+    if is_nuscenes(document):
+        return map_from_nuscenes(document, path.name)
+    if not isinstance(document.get("features"), JsonList):
+        kind = str(document.get("type"))[:40]
+        raise SemlocError(f"map {path.name}: holds {kind}; expected a GeoJSON FeatureCollection with `features`")
+    members = {key: document[key] if key == "features" else document.whole(key) for key in document}
+    if isinstance(members.get("frame"), Mapping):
+        return map_from_drive_geojson(members, path.name)
+    return map_from_geojson(members, path.name, origin)

@@ -13,7 +13,12 @@ import numpy as np
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import enu_from_wgs84, wgs84_from_enu
 from semloc_jax.maps.elements import GeoOrigin
-from semloc_jax.maps.io.features import elements_from_features, feature_from_element, write_features
+from semloc_jax.maps.io.features import (
+    element_from_feature,
+    elements_from_features,
+    feature_from_element,
+    write_features,
+)
 from semloc_jax.maps.semantic_map import SemanticMap
 
 _DECIMALS_DEG = 9
@@ -77,10 +82,11 @@ def _named_origin(document: Mapping[str, Any], name: str) -> GeoOrigin | None:
 
 def _middle(document: Mapping[str, Any], name: str) -> GeoOrigin:
     """Returns the middle of the first points of all features, rounded to about 1 m, at the median height."""
-    elements, _ = elements_from_features(document, name)
-    if not elements:
+    features = enumerate(document["features"])
+    elements = (element_from_feature(feature, index, name) for index, feature in features)
+    first = np.array([element.points[0].tolist() for element in elements if not isinstance(element, str)])
+    if not len(first):
         return GeoOrigin(0.0, 0.0)
-    first = np.array([element.points[0] for element in elements])
     _require_degrees(first, name)
     lon, lat = 0.5 * (first[:, :2].min(axis=0) + first[:, :2].max(axis=0))
     return GeoOrigin(round(float(lat), 5), round(float(lon), 5), round(float(np.median(first[:, 2])), 1))

@@ -20,6 +20,8 @@ _TOKEN = re.compile(_STRING + rb"|[\[\]{},]", re.DOTALL)
 _TO_BRACKET = re.compile(rb'(?:[^"\[\]{}]++|' + _STRING + rb")*+([\[\]{}])", re.DOTALL)
 _KEY = re.compile(rb'\s*("(?:[^"\\]++|\\.)*+")\s*:', re.DOTALL)
 _START = re.compile(rb"\s*")
+_FILE_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*")
+"""Some programs put a mark of the encoding first."""
 
 
 class JsonFile(Mapping[str, Any]):
@@ -38,7 +40,7 @@ class JsonFile(Mapping[str, Any]):
             except ValueError:  # nothing can be mapped of an empty file
                 self.text = b""
         self._members: dict[str, tuple[int, int]] = {}
-        start = _START.match(self.text).end()
+        start = _FILE_START.match(self.text).end()
         if self.text[start : start + 1] != b"{":
             raise _broken(self.where, "no object at its top")
         end = start
@@ -54,6 +56,10 @@ class JsonFile(Mapping[str, Any]):
         kinds = {b"{": JsonTable, b"[": JsonList}
         kind = kinds.get(self.text[start : start + 1])
         return self.parsed(start, end) if kind is None else kind(self, start)
+
+    def whole(self, key: str) -> Any:
+        """Returns the value of a member, all of it."""
+        return self.parsed(*self._members[key])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._members)

@@ -8,9 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.maps import read_map
+from semloc_jax.maps.io import write_geojson
 from semloc_jax.maps.io.argoverse2 import lane_bounds
 from semloc_jax.maps.io.json_stream import JsonFile, JsonList, JsonTable
 from semloc_jax.maps.io.osm import read_osm
+from tests.maps.io.town import town
 
 WORD = st.text(max_size=6) | st.sampled_from(['"', "\\", "{", "]", ",", ":", '\\"', "a b"])
 VALUE = st.recursive(
@@ -87,3 +90,18 @@ def test_nodes_of_osm_keep_no_more_than_their_place(tmp_path):
     assert len(found.nodes) == 2000
     assert set(found.nodes["7"].attributes) == {"id", "lat", "lon"}
     assert peak_bytes(lambda: read_osm(path)) < 5 * path.stat().st_size
+
+
+def test_a_geojson_is_no_larger_in_memory_than_its_elements(tmp_path):
+    """Features are parsed one by one; what is left is the map. A mark of the encoding at the start does no harm."""
+    path = tmp_path / "town.geojson"
+    write_geojson(town(10), path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text("\ufeff" + text.replace('"origin"', '"made_by"'), encoding="utf-8")
+    tracemalloc.start()
+    found = read_map(path)
+    kept, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(found.elements) == 1230
+    assert peak - kept < 0.3 * path.stat().st_size
+    assert peak_bytes(lambda: json.loads(text)) > path.stat().st_size
