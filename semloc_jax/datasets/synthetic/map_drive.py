@@ -3,6 +3,7 @@
 In: a map file, a wish where to drive. Out: Sequence of the drive just written.
 """
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,12 +18,15 @@ from semloc_jax.datasets.synthetic.path import PlanePath
 from semloc_jax.datasets.synthetic.route import RouteWish, drivable, find_route
 from semloc_jax.datasets.synthetic.simulate import LEAD_IN_S, SimulationConfig, Staging, checked, write_drive
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps import read_lane_centers, read_map
+from semloc_jax.maps import SemanticMap, read_lane_centers, read_map
 
+_log = logging.getLogger(__name__)
 _COMFORT_MPS2 = 2.0
 """Sideways acceleration in the sharpest bend."""
 _SLOWEST_MPS = 3.0
 _SHORTEST_M = 2.0
+_LARGE, _MARGIN_M, _NUM_TRIES = 5000, 400.0, 64
+"""Maps of more elements are looked at only around the way; more than what is built on both sides of it."""
 
 
 def simulate_on_map(
@@ -54,6 +58,12 @@ def simulate_on_map(
     rng = np.random.default_rng([seed, 2])
     semantic_map = read_map(map_path)
     lanes = read_lane_centers(map_path, semantic_map.origin)
+    if not lanes:
+        semantic_map = _surroundings(semantic_map, wish, rng)
+        if wish.path is None:
+            _log.warning(
+                "map %s knows no lanes: the way follows its markings; give yours with --path", semantic_map.name
+            )
     route = find_route(lanes, semantic_map.elements, wish, rng)
     length_m = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
     if length_m < _SHORTEST_M:
@@ -75,6 +85,30 @@ def simulate_on_map(
     staging = Staging("map", seed, world.scene, motion, semantic_map.origin, semantic_map.name, told)
     rig = rig or front_rig(config.width_px, config.height_px)
     return write_drive(Path(out), staging, rig, replace(config, num_frames=num_frames), rng)
+
+
+def _surroundings(semantic_map: SemanticMap, wish: RouteWish, rng: np.random.Generator) -> SemanticMap:
+    """The part of a large map that the drive can reach, all of a small one."""
+    if semantic_map.num_elements <= _LARGE:
+        return semantic_map
+    radius_m, extent = wish.length_m + _MARGIN_M, semantic_map.extent[:, :2]
+    if wish.path is not None:
+        route = find_route((), (), wish, rng)
+        centers = [route.mean(axis=0)]
+    elif wish.start_xy is not None:
+        centers = [np.array(wish.start_xy)]
+    else:
+        centers = list(rng.uniform(*extent, (_NUM_TRIES, 2)))
+    for center in centers:
+        found = semantic_map.query(center, radius_m).elements
+        if found:
+            rows = np.unique(semantic_map.rows_of(element.id for element in found))
+            return semantic_map.with_elements(semantic_map.element_at(int(row)) for row in rows)
+    x, y = centers[0]
+    raise SemlocError(
+        f"simulate: map {semantic_map.name} has nothing within {radius_m:.0f} m of ({x:.0f}, {y:.0f}); give --start "
+        "near its roads: 'semloc inspect' shows its extent"
+    )
 
 
 def _bend_speed(path: PlanePath, length_m: float) -> float:

@@ -34,6 +34,8 @@ _SILENT = frozenset({"header", "junction", "overlap", "road", "pnc_junction"})
 """What holds nothing that can be seen, or only repeats it."""
 _KNOWN = _SILENT | {"lane", "crosswalk", "stop_sign", "signal", "yield", "clear_area", "speed_bump", "parking_space"}
 _KNOWN |= {"rsu", "ad_area", "barrier_gate", "parking_lot", "area"}
+_FOR_VEHICLES = ("", "NONE", "CITY_DRIVING", "PARKING", "2", "5")
+"""Types of lanes, by name and by number, that cars use."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,39 @@ def read_apollo(path: str | Path, origin: GeoOrigin | None = None, style: Apollo
     elements = _with_own_ids([*paint, *_once_exactly(others)])
     moved, origin, frame = placed(elements, projection, origin, path.name)
     return SemanticMap(tuple(moved), origin, path.name, dict(skipped), frame)
+
+
+def lane_bounds(path: Path, origin: GeoOrigin | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yields the left and the right boundary of each lane for vehicles, in the frame of `read_apollo`; twice the
+    central curve where a boundary is missing.
+
+    Args:
+        path: the .txt file.
+        origin: that of the map.
+
+    Raises:
+        SemlocError: broken text.
+    """
+    sides: list[MapElement] = []
+    projection = ""
+    for index, (kind, item) in enumerate(stream_fields(path)):
+        if kind == "header" and isinstance(item, dict):
+            projection = _word(_first(item, "projection"), "proj")
+        if kind != "lane" or not isinstance(item, dict) or _word(item, "type") not in _FOR_VEHICLES:
+            continue
+        where = f"map {path.name}: lane {index}"
+        curves = [_first(_first(item, f"{side}_boundary"), "curve") for side in ("left", "right")]
+        found = [_curve(curve, where) for curve in curves]
+        if min(len(points) for points, _ in found) < 2:
+            found = [_curve(_first(item, "central_curve"), where)] * 2
+        if len(found[0][0]) < 2:
+            continue
+        step = -1 if _word(item, "direction") == "BACKWARD" else 1
+        label = ElementClass.LANE_MARKING
+        sides += [MapElement(where, label, points[::step], has_height=has_height) for points, has_height in found]
+    if sides:
+        moved = [side.points for side in placed(sides, projection, origin, path.name)[0]]
+        yield from zip(moved[::2], moved[1::2], strict=True)
 
 
 def _boundaries(lane: Message, where: str, style: ApolloStyle) -> Iterator[tuple[MapElement, bool]]:

@@ -1,6 +1,7 @@
 """Where vehicles drive: directed centre lines of the lanes that a map format knows (room: maps; host).
 
-In: the path of a map. Out: polylines in the frame of `read_map`; none for formats that know paint only.
+In: the path of a map. Out: polylines in the frame of `read_map`; none for formats that know paint only: GeoJSON,
+GeoPackage, the compact form.
 """
 
 from collections.abc import Iterator
@@ -10,9 +11,12 @@ import numpy as np
 
 from semloc_jax.maps.curves import without_repeats
 from semloc_jax.maps.elements import GeoOrigin
+from semloc_jax.maps.io import apollo
 from semloc_jax.maps.io.argoverse2 import find_archive, is_argoverse2, lane_bounds
 from semloc_jax.maps.io.json_stream import JsonFile
 from semloc_jax.maps.io.lanelet2 import lanelet_bounds
+from semloc_jax.maps.io.ngii import is_ngii, link_lines
+from semloc_jax.maps.io.nuscenes import is_nuscenes, lane_lines
 from semloc_jax.maps.io.opendrive import driving_lane_bounds
 
 _SPACING_M = 0.5
@@ -32,12 +36,14 @@ def read_lane_centers(path: str | Path, origin: GeoOrigin | None) -> list[np.nda
     Raises:
         SemlocError: the file is broken.
     """
-    return [center for bounds in _bounds(Path(path), origin) if len(center := _center(*bounds)) > 1]
+    path = Path(path)
+    if path.is_dir():
+        path = find_archive(path) or path
+    between = (_center(*bounds) for bounds in _bounds(path, origin))
+    return [center for center in (*between, *_drawn(path, origin)) if len(center) > 1]
 
 
 def _bounds(path: Path, origin: GeoOrigin | None) -> Iterator[Bounds]:
-    if path.is_dir():
-        path = find_archive(path) or path
     suffix = path.suffix.lower()
     if suffix in (".osm", ".xml"):
         yield from lanelet_bounds(path)
@@ -45,6 +51,16 @@ def _bounds(path: Path, origin: GeoOrigin | None) -> Iterator[Bounds]:
         yield from driving_lane_bounds(path, origin)
     elif suffix == ".json" and is_argoverse2(document := JsonFile(path)):
         yield from lane_bounds(document, path.name)
+    elif suffix in apollo.SUFFIXES:
+        yield from apollo.lane_bounds(path, origin)
+
+
+def _drawn(path: Path, origin: GeoOrigin | None) -> Iterator[np.ndarray]:
+    """Yields the centre lines of formats that hold them as lines."""
+    if is_ngii(path):
+        yield from link_lines(path, origin)
+    elif path.suffix.lower() == ".json" and is_nuscenes(document := JsonFile(path)):
+        yield from lane_lines(document, path.name)
 
 
 def _center(left: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -81,6 +81,23 @@ def read_ngii(folder: str | Path, origin: GeoOrigin | None = None, style: NgiiSt
     return SemanticMap(moved, origin, folder.name, dict(skipped))
 
 
+def link_lines(folder: Path, origin: GeoOrigin | None) -> Iterator[np.ndarray]:
+    """Yields the driving links, which are the centre lines of lanes in their direction, `float64[k 3]`.
+
+    Args:
+        folder: holds the layer A2_LINK; nothing where it does not.
+        origin: that of the map.
+    """
+    path = _shapefile(folder, "A2_LINK")
+    if path is None or origin is None:
+        return
+    crs, features = _features(path)
+    if not crs:
+        raise SemlocError(f"map {folder.name}: layer A2_LINK has no reference system; expected that of the others")
+    for _, points, _ in features:
+        yield enu_from_projected(np.nan_to_num(points), crs, origin)
+
+
 def _shapefile(folder: Path, layer: str) -> Path | None:
     return next((path for path in sorted(folder.glob("*.[sS][hH][pP]")) if path.stem.upper().startswith(layer)), None)
 

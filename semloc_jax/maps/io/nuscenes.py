@@ -14,7 +14,7 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import without_repeats
-from semloc_jax.maps.elements import VIRTUAL, MapElement
+from semloc_jax.maps.elements import FARTHEST_M, VIRTUAL, MapElement
 from semloc_jax.maps.io.paint import assuming, strokes
 from semloc_jax.maps.semantic_map import SemanticMap
 from semloc_jax.structs import ElementClass
@@ -24,6 +24,8 @@ _PAINTED_STOPS = frozenset({"STOP_SIGN", "TRAFFIC_LIGHT", "YIELD"})
 
 _LINES, _AREAS = ("lane_divider", "road_divider", "traffic_light"), ("ped_crossing", "stop_line")
 """Layers whose lines and areas are wanted."""
+_LONGEST_M = 2e4
+"""A lane that is longer is a broken number; ours."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,46 @@ def _dividers(
                     yield from strokes(assuming(line, "width"), words, *sizes)
                 else:
                     yield MapElement(line.id, line.label, points, style=VIRTUAL, has_height=False, attributes=told)
+
+
+def lane_lines(document: Mapping[str, Any], name: str) -> Iterator[np.ndarray]:
+    """Yields the centre lines of lanes and of their ways through crossings, `float64[k 3]`, in the frame of the map.
+
+    A line is a chain of Dubins paths: three parts each, of one radius, to the left, straight on or to the right.
+
+    Args:
+        document: the expansion, whole or as a JsonFile.
+        name: name of its file, for messages.
+
+    Raises:
+        SemlocError: a path that is none.
+    """
+    paths = document.get("arcline_path_3", {})
+    for token, chain in paths.items() if isinstance(paths, Mapping) else ():
+        try:
+            places = [_dubins(path) for path in chain]
+        except (KeyError, TypeError, ValueError) as error:
+            what = f"{type(error).__name__} {str(error)[:60]}"
+            raise SemlocError(f"map {name}: lane {str(token)[:40]} cannot be read ({what})") from error
+        if places:
+            yield without_repeats(np.vstack(places))
+
+
+def _dubins(path: Mapping[str, Any]) -> np.ndarray:
+    """Returns places at most 0.5 m apart along one path, `float64[k 3]`, height 0."""
+    x, y, heading = (float(value) for value in path["start_pose"])
+    radius_m, lengths_m = float(path["radius"]), [float(value) for value in path["segment_length"]]
+    if not (radius_m > 0.0 and min(lengths_m) >= 0.0 and sum(lengths_m) < _LONGEST_M and abs(x) + abs(y) < FARTHEST_M):
+        raise ValueError(f"radius {radius_m:g}, lengths {lengths_m}")
+    places = [np.array([[x, y, 0.0]])]
+    for turn, length_m in zip(path["shape"], lengths_m, strict=True):
+        bend = {"L": 1.0, "S": 0.0, "R": -1.0}[turn] / radius_m
+        s = np.linspace(0.0, length_m, int(2.0 * length_m) + 2)[1:]
+        # The chord of an arc: sin(a) / a of its length, half-way between the headings of its ends.
+        chord, course = s * np.sinc(0.5 * bend * s / np.pi), heading + 0.5 * bend * s
+        places.append(np.column_stack([x + chord * np.cos(course), y + chord * np.sin(course), np.zeros(len(s))]))
+        (x, y, _), heading = places[-1][-1], heading + bend * length_m
+    return np.vstack(places)
 
 
 def _runs(rows: Sequence[int], kinds: Mapping[int | None, str]) -> list[tuple[str, list[int]]]:

@@ -9,7 +9,7 @@ import pytest
 from semloc_jax.cli.main import OK, main
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import enu_from_wgs84
-from semloc_jax.maps import GeoOrigin, read_map
+from semloc_jax.maps import GeoOrigin, read_lane_centers, read_map
 from semloc_jax.maps.io.text_format import stream_fields
 from semloc_jax.structs import ElementClass
 from tests.maps.io.mutations import COUNTS, break_often
@@ -176,3 +176,16 @@ def test_fields_of_any_form_are_read_in_linear_time(tmp_path):
 
     small = cpu_s(500)
     assert cpu_s(2000) < 10.0 * small
+
+
+def test_lanes_run_half_way_between_their_boundaries_in_their_direction(tmp_path, road):
+    walk = lane("w", "type: SIDEWALK " + boundary("left", 9.0, DIVIDER), boundary("right", 7.0, DIVIDER))
+    back = lane("d", "direction: BACKWARD " + boundary("left", 40.0, DIVIDER), boundary("right", 36.0, DIVIDER))
+    only = f'lane {{ id {{ id: "e" }} central_curve {{ {curve((0, 60), (100, 60))} }} }}\n'
+    path = write(tmp_path, UTM, MAP + walk + back + only)
+    a, b, c, d, e = read_lane_centers(path, road.origin)
+    for found, y in ((a, 1.75), (b, -1.725), (c, 18.0), (e, 60.0)):
+        np.testing.assert_allclose(found[0, :2], expected(road, 0, y), atol=1e-3)
+        np.testing.assert_allclose(found[-1, :2], expected(road, 100, y), atol=1e-3)
+    np.testing.assert_allclose(d[0, :2], expected(road, 100, 38.0), atol=1e-3)
+    np.testing.assert_allclose(d[-1, :2], expected(road, 0, 38.0), atol=1e-3)

@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps import read_map
+from semloc_jax.maps import read_lane_centers, read_map
 from semloc_jax.structs import ElementClass
 
 pyogrio = pytest.importorskip("pyogrio")
@@ -69,3 +69,12 @@ def test_layers_in_two_systems_and_broken_ones_are_refused(folder):
     (folder / "C4_SPEEDBUMP.shp").write_bytes(b"nothing")
     with pytest.raises(SemlocError, match="cannot be read|expected one"):
         read_map(folder)
+
+
+def test_driving_links_are_the_lanes(folder):
+    road = read_map(folder)
+    assert read_lane_centers(folder, road.origin) == []
+    _write(folder, "A2_LINK", [_line(0, 40, 1.5), _line(40, 0, 4.5)], ID=["m", "n"])
+    there, back = read_lane_centers(folder, road.origin)
+    np.testing.assert_allclose(there[-1] - there[0], [40.0, 0.0, 0.0], atol=0.01)
+    np.testing.assert_allclose(back[-1] - there[0], [0.0, 3.0, 0.0], atol=0.01)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps import read_map
+from semloc_jax.maps import read_lane_centers, read_map
 from semloc_jax.maps.io.nuscenes import map_from_nuscenes
 from semloc_jax.structs import ElementClass
 
@@ -70,3 +70,22 @@ def test_areas_and_lights():
 def test_broken_expansions_are_refused(change):
     with pytest.raises(SemlocError, match="expected a nuScenes map expansion"):
         map_from_nuscenes(_expansion() | change, "boston.json")
+
+
+def test_lanes_are_chains_of_arcs(tmp_path):
+    """A quarter circle to the left of 10 m radius, 20 m straight on, 5 m to the right; held against their own ends."""
+    quarter = 0.5 * np.pi * 10.0
+    path = {"start_pose": [1.0, 2.0, 0.0], "radius": 10.0, "shape": "LSR", "segment_length": [quarter, 20.0, 5.0]}
+    document = _expansion() | {"arcline_path_3": {"lane": [path]}}
+    (tmp_path / "boston.json").write_text(json.dumps(document))
+    (line,) = read_lane_centers(tmp_path / "boston.json", None)
+    ends = np.array([1.0, 2.0]), np.array([11.0, 12.0]), np.array([11.0, 32.0])
+    turned = [10.0 * (1.0 - np.cos(0.5)), 10.0 * np.sin(0.5)]
+    for end in (*ends, ends[-1] + turned):
+        assert np.linalg.norm(line[:, :2] - end, axis=1).min() < 1e-9
+    np.testing.assert_allclose(line[-1, :2], ends[-1] + turned, atol=1e-9)
+    assert np.linalg.norm(np.diff(line, axis=0), axis=1).max() <= 0.5
+    path["radius"] = float("nan")
+    (tmp_path / "boston.json").write_text(json.dumps(document))
+    with pytest.raises(SemlocError, match="lane lane cannot be read"):
+        read_lane_centers(tmp_path / "boston.json", None)
