@@ -68,7 +68,7 @@ def simulate_on_map(
     length_m = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
     if length_m < _SHORTEST_M:
         raise SemlocError(
-            f"simulate: the lane ends {length_m:.1f} m after the start; start earlier or elsewhere, or give --path FILE"
+            f"the lane ends {length_m:.1f} m after the start; start earlier or elsewhere, or give --path FILE"
         )
     path = drivable(route, (LEAD_IN_S + 1.0) * config.speed_mps + 40.0)
     speed_mps = min(config.speed_mps, _bend_speed(path, length_m))
@@ -106,7 +106,7 @@ def _surroundings(semantic_map: SemanticMap, wish: RouteWish, rng: np.random.Gen
             return semantic_map.with_elements(semantic_map.element_at(int(row)) for row in rows)
     x, y = centers[0]
     raise SemlocError(
-        f"simulate: map {semantic_map.name} has nothing within {radius_m:.0f} m of ({x:.0f}, {y:.0f}); give --start "
+        f"map {semantic_map.name} has nothing within {radius_m:.0f} m of ({x:.0f}, {y:.0f}); give --start "
         "near its roads: 'semloc inspect' shows its extent"
     )
 

@@ -122,7 +122,7 @@ def build_map_world(
             class_ids.append(CLASS_IDS[str(true.attributes["class"])])
     if not any(not element.is_logical for element in elements):
         raise SemlocError(
-            f"simulate: map {semantic_map.name} has nothing to see within {_REACH_M:.0f} m of the way; start elsewhere"
+            f"map {semantic_map.name} has nothing to see within {_REACH_M:.0f} m of the way; start elsewhere"
         )
     areas = [GroundArea(CLASS_IDS["road"], outline) for outline in _road_outlines(lines, way, region)]
     ground = PaintedGround(shapes, class_ids, areas, CLASS_IDS["terrain"], wear_pattern(wear_share, rng))

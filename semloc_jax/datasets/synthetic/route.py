@@ -55,7 +55,7 @@ class RouteWish:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.length_m) and self.length_m > 0.0):
-            raise SemlocError(f"simulate: length_m = {self.length_m:g}; expected metres to drive, more than 0")
+            raise SemlocError(f"length_m = {self.length_m:g}; expected metres to drive, more than 0")
 
 
 def find_route(
@@ -76,7 +76,7 @@ def find_route(
         return _cut(_read_path(wish.path), wish.length_m)
     lanes = [np.asarray(lane)[:, :2] for lane in lanes] or _beside_markings(elements)
     if not lanes:
-        raise SemlocError("simulate: the map has no lanes and no lines to drive along; give the way with --path FILE")
+        raise SemlocError("the map has no lanes and no lines to drive along; give the way with --path FILE")
     if wish.start_xy is not None:
         first, begin = _nearest_lane(lanes, np.array(wish.start_xy), wish.heading_deg)
         return _follow(lanes, first, begin, wish.length_m)
@@ -160,7 +160,7 @@ def _nearest_lane(lanes: Sequence[np.ndarray], start: np.ndarray, heading_deg: f
     distance, number, begin_m = min(found)
     if distance > _FARTHEST_START_M:
         raise SemlocError(
-            f"simulate: start ({start[0]:g}, {start[1]:g}) is {distance:.0f} m off the nearest lane; expected a place "
+            f"start ({start[0]:g}, {start[1]:g}) is {distance:.0f} m off the nearest lane; expected a place "
             f"within {_FARTHEST_START_M:.0f} m of one, in metres of the map frame: 'semloc inspect' shows its extent"
         )
     return number, begin_m
@@ -200,16 +200,14 @@ def _next_bar(line: np.ndarray, others: Sequence[np.ndarray]) -> int | None:
 
 def _read_path(path: Path) -> np.ndarray:
     if not path.is_file():
-        raise SemlocError(f"simulate: path {path}: no such file; expected a TUM trajectory or a csv with columns x, y")
+        raise SemlocError(f"path {path}: no such file; expected a TUM trajectory or a csv with columns x, y")
     if path.suffix.lower() == ".csv":
         table = read_columns(path, ("x", "y"))
         places = np.column_stack([table["x"], table["y"]])
     else:
         places = read_trajectory(path).T_map_base[:, :2, 3]
     if not np.isfinite(places).all() or len(places) < 2 or np.ptp(places, axis=0).max() < 1.0:
-        raise SemlocError(
-            f"simulate: path {path}: {len(places)} places; expected two or more finite ones, metres apart"
-        )
+        raise SemlocError(f"path {path}: {len(places)} places; expected two or more finite ones, metres apart")
     return places
 
 

@@ -150,17 +150,17 @@ def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
         SemlocError: unknown kind or lighting, no frames, a speed or rate that is not positive.
     """
     if kind not in _DEFAULTS:
-        raise SemlocError(f"simulate: unknown kind '{kind}'; expected one of {', '.join(_DEFAULTS)}")
+        raise SemlocError(f"unknown kind '{kind}'; expected one of {', '.join(_DEFAULTS)}")
     if config.num_frames < 1:
-        raise SemlocError(f"simulate: num_frames = {config.num_frames}; expected at least 1")
+        raise SemlocError(f"num_frames = {config.num_frames}; expected at least 1")
     missing = {key: value for key, value in _DEFAULTS[kind].items() if not getattr(config, key)}
     config = replace(config, **missing)
     for name in ("rate_hz", "speed_mps", "width_px", "height_px"):
         if not getattr(config, name) > 0:
-            raise SemlocError(f"simulate: {name} = {getattr(config, name)}; expected a positive number")
+            raise SemlocError(f"{name} = {getattr(config, name)}; expected a positive number")
     unknown = [name for name in config.variants if name not in LIGHTINGS]
     if unknown:
-        raise SemlocError(f"simulate: unknown variant '{unknown[0]}'; expected some of {', '.join(LIGHTINGS)}")
+        raise SemlocError(f"unknown variant '{unknown[0]}'; expected some of {', '.join(LIGHTINGS)}")
     return config
 
 
