@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.cameras import Rig
+from semloc_jax.localization.along_road import AlongRoadConfig, RoadPosterior, along_road, widened
 from semloc_jax.native.programs import stored_program
 from semloc_jax.residuals.alignment import CameraViews, Usable, camera_views
 from semloc_jax.residuals.texture import RampTextures, pack
@@ -35,11 +36,12 @@ class SingleFrameConfig:
     """The search covers at least this heading to both sides, however sure the prior is."""
     seed: int = 0
     """Of the random proposals."""
-    search_view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.15))
-    polish_view: ViewConfig = field(default_factory=ViewConfig)
+    search_view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.15, most_alone=3.0))
+    polish_view: ViewConfig = field(default_factory=lambda: ViewConfig(most_alone=3.0))
     search_align: AlignConfig = field(default_factory=AlignConfig)
     polish_align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(2, 3), max_steps=10))
     search: SearchConfig = field(default_factory=SearchConfig)
+    along_road: AlongRoadConfig = field(default_factory=AlongRoadConfig)
     rank_level: int = 2
     """Level on which the polished modes are ranked."""
 
@@ -106,21 +108,23 @@ def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -
     """
     evidence = evidence_from(prior.T_map_base, frame, config.search_view)
     candidates, scores = search(_starts(prior, config), evidence, prior, config.search_align, config.search)
+    road = along_road(candidates, evidence, prior, config.search_align, config.along_road, config.search.chunk)
     # On the host: an operation outside of the stored programs would be compiled in every process.
     in_view_px = np.float32(sum(np.sum(view.weight) for view in jax.device_get(evidence.views)))
-    return polish(candidates, scores, frame, prior, config, in_view_px)
+    return polish(candidates, scores, road, frame, prior, config, in_view_px)
 
 
 @stored_program("config")
 def polish(
     candidates: Float[Array, "m 4 4"],
     scores: Float[Array, " m"],
+    road: RoadPosterior,
     frame: FrameInput,
     prior: Prior,
     config: SingleFrameConfig,
     in_view_px: Float[Array, ""],
 ) -> Modes:
-    """Each candidate refined with contours, density and visibility as they are from there, and ranked anew.
+    """Each candidate, of the search and along the road, refined with the view as it is from there, and ranked anew.
 
     The views differ in how much of the map they hold; ranked by one `in_view_px`, more of it in view is no fault.
     """
@@ -130,8 +134,10 @@ def polish(
         estimate = align(T_map_base, evidence, prior, config.polish_align)
         # Every mode is judged on one level, whichever held its pose last.
         judged = assess(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align)
-        estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, (judged.cost, judged.inlier_ratio))
+        measured = (judged.cost, judged.inlier_ratio, widened(estimate.covariance, road.spread))
+        estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio, e.covariance), estimate, measured)
         return estimate, score(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align, in_view_px)
 
+    candidates, scores = jnp.concatenate([candidates, road.Ts_map_base]), jnp.concatenate([scores, road.scores])
     estimates, polished = jax.lax.map(one, candidates)
     return weigh(estimates, jnp.where(jnp.isfinite(scores), polished, jnp.inf))

@@ -41,6 +41,10 @@ class ViewConfig:
     """Length of contour [px] that is one independent observation; see `AlignConfig.correlation_px`."""
     noise_px: float = 2.0
     """Standard deviation of one independent observation [px]; see `AlignConfig.noise_px`."""
+    most_alone: float = 1.0
+    """An edge shorter than `correlation_px` is still one observation of its own: its samples weigh more by the ratio of
+    both, up to this. Ends of dashes, 10 px long, say how far along the road a single frame is; 1 weighs by length only,
+    enough for who gathers them over a drive."""
     class_weight: tuple[float, ...] = ()
     """Factor on the weight of each ElementClass, in its order; empty for 1. `semloc learn` finds them."""
 
@@ -130,6 +134,8 @@ def _camera_view(
     shown_px = jnp.maximum(length_px, spacing_px)[index]
     shown_m = samples.length_m[index] * shown_px / jnp.maximum(length_px[index], 1e-3)
     weight = shown_px ** (1 - config.metric_exponent) * (shown_m * PX_PER_M) ** config.metric_exponent
+    if config.most_alone > 1:
+        weight = weight * _alone(samples, length_px, config)[index]
     # An observation of variance s^2 whose map is off by t^2 on its own counts s^2 / (s^2 + t^2).
     weight = weight / (1 + (seen.height_px[index] / config.noise_px) ** 2)
     weight = jnp.where(filled, weight, 0.0).astype(p_map.dtype)
@@ -144,6 +150,15 @@ def _camera_view(
         weight=weight,
         element=element,
     )
+
+
+def _alone(samples: MapSamples, length_px: Array, config: ViewConfig) -> Array:
+    """How much more each sample weighs because its straight edge is shorter than one independent observation."""
+    turned = jnp.sum(samples.tangent_map[1:] * samples.tangent_map[:-1], axis=-1) < 0.7
+    starts = jnp.concatenate([jnp.zeros(1, bool), turned | (samples.element[1:] != samples.element[:-1])])
+    edge = jnp.cumsum(starts)
+    edge_px = jax.ops.segment_sum(length_px, edge, len(edge))[edge]
+    return jnp.clip(config.correlation_px / jnp.maximum(edge_px, 1.0), 1.0, config.most_alone)
 
 
 def _limited_by_element(weight: Array, element: Array, config: ViewConfig) -> Array:

@@ -265,3 +265,32 @@ def test_a_sample_of_unknown_height_counts_by_the_noise_of_its_place_in_the_imag
         square += (size_m * np.sum(normal * (pixels(points + 1e-4 * step, T)[0] - uv), axis=1) / 1e-4) ** 2
     np.testing.assert_allclose(doubted / plain, 1.0 / (1.0 + square / 4.0), rtol=2e-3)
     assert (doubted / plain < [0.9, 0.9, 0.2]).all()
+
+
+def test_ends_of_dashes_count_as_observations_of_their_own():
+    """Each end, some pixels long, weighs like one independent observation, or `most_alone` times its length."""
+    dashes = [
+        MapElement(f"dash {x}", ElementClass.LANE_MARKING, np.array([[x, 0.3, 0.0], [x + 3.0, 0.3, 0.0]]), width_m=0.25)
+        for x in (9.0, 14.0)
+    ]
+    local = SemanticMap(tuple(dashes)).query(np.array([20.0, 0.0, 0.0]), 90.0)
+    samples, T = sample(local, 0.05), pose(3.0, local.origin_map)
+    plain, alone = (
+        seen_by(samples, T, RIG, CHANNELS, config=replace(PLAIN, correlation_px=60.0, most_alone=most))
+        for most in (1.0, 3.0)
+    )
+    np.testing.assert_array_equal(plain.p_map, alone.p_map)
+    weight, more = (np.asarray(v.weight[0], np.float64) for v in (plain, alone))
+    is_end = np.abs(np.asarray(plain.tangent_map[0][1])) > 0.9
+    at_x = np.asarray(plain.p_map[0][0], np.float64) + local.origin_map[0]
+    gains = []
+    for x in (9.0, 12.0, 14.0, 17.0):
+        end = is_end & (weight > 0) & (np.abs(at_x - x) < 0.05)
+        gains.append(more[end].sum() / weight[end].sum())
+        assert gains[-1] == pytest.approx(np.clip(60.0 / weight[end].sum(), 1.0, 3.0), rel=1e-4)
+    # Fewer pixels with distance, so a higher gain, until the limit.
+    assert gains[0] < gains[1] < gains[2] and gains[3] == pytest.approx(3.0)
+    # The sides of the near dash are longer than one independent observation and gain nothing.
+    side = ~is_end & (weight > 0) & (at_x < 12.0)
+    assert weight[side].sum() > 120.0
+    np.testing.assert_allclose(more[side], weight[side], rtol=1e-5)
