@@ -16,7 +16,7 @@ from semloc_jax.cli.arguments import parse_names
 if TYPE_CHECKING:
     import numpy as np
 
-    from semloc_jax.datasets import Sequence
+    from semloc_jax.datasets import Frame, Sequence
     from semloc_jax.localization import MaskSource
     from semloc_jax.localization.priors import PriorSource
     from semloc_jax.maps import SemanticMap
@@ -65,6 +65,18 @@ class Inputs:
     prior: "PriorSource"
     is_map_made: bool = False
     """Whether the map was made of the drive itself, in no file yet."""
+
+    def frame(self, index: int) -> "Frame":
+        """The frame of an index; negative ones count from the end.
+
+        Raises:
+            SemlocError: there is none.
+        """
+        from semloc_jax.errors import SemlocError
+
+        if not -len(self.drive) <= index < len(self.drive):
+            raise SemlocError(f"drive {self.drive.name}: no frame {index}; it has {len(self.drive)} frames")
+        return self.drive.frames[index]
 
 
 def open_inputs(options: DriveOptions) -> Inputs:

@@ -12,8 +12,6 @@ from semloc_jax.cli.main import OK
 if TYPE_CHECKING:
     import numpy as np
 
-    from semloc_jax.cli.drive_inputs import Inputs
-    from semloc_jax.datasets import Frame
     from semloc_jax.localization import LocalizeConfig
 
 METRIC = ("x", "y", "z")
@@ -82,7 +80,7 @@ def run(options: Options) -> int:
 
     directions, offsets = _grid(options)
     inputs = open_inputs(options)
-    frame = _frame(inputs, options.frame)
+    frame = inputs.frame(options.frame)
     is_truth = options.around == "truth" and inputs.drive.truth is not None
     T_map_base = inputs.drive.truth_at(frame) if is_truth else inputs.prior(frame).on_road(inputs.map)
     localizer = FrameLocalizer(inputs.map, inputs.masks.table, options.settings)
@@ -108,19 +106,6 @@ def run(options: Options) -> int:
     return OK
 
 
-def _frame(inputs: "Inputs", index: int) -> "Frame":
-    """The frame of an index.
-
-    Raises:
-        SemlocError: there is none.
-    """
-    from semloc_jax.errors import SemlocError
-
-    if not -len(inputs.drive) <= index < len(inputs.drive):
-        raise SemlocError(f"drive {inputs.drive.name}: no frame {index}; it has {len(inputs.drive)} frames")
-    return inputs.drive.frames[index]
-
-
 def _basin(options: Options) -> int:
     """Where single starts end: measured, written, drawn."""
     from dataclasses import replace
@@ -139,7 +124,7 @@ def _basin(options: Options) -> int:
     if options.starts < 1 or min(window.longitudinal_m, window.lateral_m, window.heading_deg) <= 0:
         raise UsageError("--starts, --window: expected at least one start and half widths above 0")
     inputs = open_inputs(options)
-    frame = _frame(inputs, options.frame)
+    frame = inputs.frame(options.frame)
     localize = replace(options.settings, cost_maps=WIDE_COST_MAPS)
     config = BasinConfig(num_starts=options.starts, seed=options.seed, localize=localize)
     (found,) = basin(inputs.drive, inputs.map, inputs.masks, (window,), (frame,), config)

@@ -13,7 +13,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.localization import LocalizationResult, MaskSource
 from semloc_jax.maps import SemanticMap, sample
-from semloc_jax.viz.overlay import Panel, dim
+from semloc_jax.viz.overlay import Contours, Panel, dim
 
 RADIUS_M, SPACING_M = 65.0, 0.25
 
@@ -50,6 +50,25 @@ def panels(semantic_map: SemanticMap, source: MaskSource, result: LocalizationRe
             image, camera = viz.mask_picture(source.segment(result.frame, name), source.table), masks_rig.cameras[index]
         before, after = (viz.project_contours(*part, camera, rig.T_base_cam[index]) for part in contours)
         found.append(Panel(name, image, before, after))
+    return found
+
+
+def element_panels(
+    semantic_map: SemanticMap, source: MaskSource, frame: Frame, T_map_base: np.ndarray
+) -> list[tuple[str, np.ndarray, dict[str, Contours]]]:
+    """Name of each camera, its image, else its mask, and the contours of each map element in it by the element's id."""
+    local_map = semantic_map.query(T_map_base[:3, 3], RADIUS_M)
+    samples = sample(local_map, SPACING_M)
+    rig = frame.rig.select(source.cameras)
+    masks_rig, found = source.camera_rig(rig), []
+    for index, name in enumerate(rig.names):
+        if frame.has("rgb", name):
+            image, camera = dim(frame.image(name)[..., ::-1]), rig.cameras[index]
+        else:
+            image, camera = viz.mask_picture(source.segment(frame, name), source.table), masks_rig.cameras[index]
+        seen = viz.project_contours(samples, local_map.origin_map, T_map_base, camera, rig.T_base_cam[index])
+        ids = np.array([local_map.elements[row].id for row in seen.element], dtype=object)
+        found.append((name, image, {key: Contours(seen.uv[ids == key], seen.label[ids == key]) for key in set(ids)}))
     return found
 
 

@@ -49,8 +49,27 @@ def cost_expansion(T_map_base: Float[Array, "4 4"], scene: SmoothScene) -> CostE
     )
 
 
-def _expansion(T_map_base: Array, view: CameraViews, scene: SmoothScene) -> CostExpansion:
-    p_one = jnp.concatenate([view.p_map, jnp.ones_like(view.p_map[:1])])
+class SampleExpansion(NamedTuple):
+    """The cost of every sample of one camera to second order, by its coordinates x, y, z in the camera."""
+
+    penalty: Float[Array, " p"]
+    """Nats for each independent observation that the sample stands for."""
+    weight: Float[Array, " p"]
+    """Independent observations, with visibility."""
+    gradient: Float[Array, "3 p"]
+    """Weights held."""
+    hessian: Float[Array, "3 3 p"]
+    """Derivative of the gradient (first index), weights following the place of the sample."""
+    information: Float[Array, "3 3 p"]
+    """What is left of the curvature in Gauss-Newton's approximation, with the weight of the kernel."""
+    distance_px: Float[Array, " p"]
+    """Signed distance to the boundary of its own channel."""
+    pull: Float[Array, " p"]
+    """Weight of the kernel: 1 on the boundary, 0 where it has let go."""
+
+
+def sample_expansion(T_map_base: Float[Array, "4 4"], view: CameraViews, scene: SmoothScene) -> SampleExpansion:
+    """The cost of each sample of one camera to second order; `cost_expansion` is their sum."""
     p_cam = jnp.stack(points_in_camera(view.T_cam_base, T_map_base, view.p_map))
     (u, v, valid), slopes = _slopes(view, p_cam)
     patch = distance_patch(u, v, view, scene.maps)
@@ -60,10 +79,12 @@ def _expansion(T_map_base: Array, view: CameraViews, scene: SmoothScene) -> Cost
     first = [cubic_value(patch, *order) / (stride * reach_px) for order in ((1, 0), (0, 1))]
     second = [cubic_value(patch, *order) / (stride * stride * reach_px) for order in ((2, 0), (1, 1), (0, 2))]
 
-    push, curve = gain * _rho_slope(ratio), gain * _rho_curvature(ratio)
+    held = KERNELS["tukey"].weight(ratio)
+    push, curve = gain * ratio * held, gain * _rho_curvature(ratio)
     by_uv = [push * first[0], push * first[1]]
     twice_uv = [curve * first[i] * first[j] + push * second[i + j] for i, j in ((0, 0), (0, 1), (1, 1))]
     by_p = [by_uv[0] * slopes[0][k] + by_uv[1] * slopes[1][k] for k in range(3)]
+    rise = [first[0] * slopes[0][k] + first[1] * slopes[1][k] for k in range(3)]
 
     share, *fade = seen_share(u, v, view, scene.usable, scene.border)
     fade_by_p = [fade[0] * slopes[0][k] + fade[1] * slopes[1][k] for k in range(3)]
@@ -76,14 +97,27 @@ def _expansion(T_map_base: Array, view: CameraViews, scene: SmoothScene) -> Cost
         evidence = twice_uv[0] * ui * uj + twice_uv[1] * (ui * vj + vi * uj) + twice_uv[2] * vi * vj + bent[j][i]
         return weight * evidence + full * by_p[i] * fade_by_p[j]
 
-    gradient = jnp.einsum("ip,kp->ik", weight * jnp.stack(by_p), p_one, precision=_HIGHEST)
-    matrices = jnp.stack([twice(i, j) for i in range(3) for j in range(3)])
-    rows = (matrices[:, None] * p_one[None]).reshape(36, -1)
+    return SampleExpansion(
+        gain * KERNELS["tukey"].rho(ratio),
+        weight,
+        weight * jnp.stack(by_p),
+        jnp.stack([jnp.stack([twice(i, j) for j in range(3)]) for i in range(3)]),
+        weight * gain * held * jnp.stack([jnp.stack([a * b for b in rise]) for a in rise]),
+        reach_px * ratio,
+        held,
+    )
+
+
+def _expansion(T_map_base: Array, view: CameraViews, scene: SmoothScene) -> CostExpansion:
+    p_one = jnp.concatenate([view.p_map, jnp.ones_like(view.p_map[:1])])
+    samples = sample_expansion(T_map_base, view, scene)
+    gradient = jnp.einsum("ip,kp->ik", samples.gradient, p_one, precision=_HIGHEST)
+    rows = (samples.hessian.reshape(9, 1, -1) * p_one[None]).reshape(36, -1)
     hessian = jnp.matmul(rows, p_one.T, precision=_HIGHEST).reshape(3, 3, 4, 4).transpose(0, 2, 1, 3)
     R = view.T_cam_base[:3, :3]
     gradient = jnp.einsum("ia,ik->ak", R, gradient, precision=_HIGHEST)
     hessian = jnp.einsum("ia,ikjl,jb->akbl", R, hessian, R, precision=_HIGHEST)
-    return CostExpansion(gain * KERNELS["tukey"].rho(ratio), weight, gradient, hessian)
+    return CostExpansion(samples.penalty, samples.weight, gradient, hessian)
 
 
 def _slopes(view: CameraViews, p_cam: Array) -> tuple:
@@ -106,10 +140,6 @@ def _camera_curvature(view: CameraViews, p_cam: Array, by_uv: list[Array]) -> li
     _, push = jax.linearize(gradient, x, y, z)
     one, zero = jnp.ones_like(x), jnp.zeros_like(x)
     return [push(*(one if k == j else zero for k in range(3))) for j in range(3)]
-
-
-def _rho_slope(v: Array) -> Array:
-    return v * KERNELS["tukey"].weight(v)
 
 
 def _rho_curvature(v: Array) -> Array:

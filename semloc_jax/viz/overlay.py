@@ -34,10 +34,12 @@ class Contours:
     Args:
         uv: ends of each piece [px], `float[n 2 2]`.
         label: ElementClass of each piece.
+        element: its place in the local map, where that is known.
     """
 
     uv: np.ndarray
     label: np.ndarray
+    element: np.ndarray | None = None
 
     @property
     def classes(self) -> tuple[ElementClass, ...]:
@@ -77,7 +79,7 @@ def project_contours(
     T_local_cam[:3, 3] -= origin_map
     dtype = jnp.asarray(samples.p_map).dtype
     uv, shown = (np.asarray(a) for a in _seen(samples, jnp.asarray(T_local_cam, dtype), camera, max_range_m))
-    return Contours(uv[shown].astype(np.float64), np.asarray(samples.label)[shown])
+    return Contours(uv[shown].astype(np.float64), *(np.asarray(a)[shown] for a in (samples.label, samples.element)))
 
 
 @eqx.filter_jit
