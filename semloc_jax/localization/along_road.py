@@ -70,7 +70,8 @@ def along_road(
         chunk: Poses side by side.
     """
     moves = jnp.zeros((config.num_offsets, 3), candidates.dtype)
-    moves = moves.at[:, 0].set(jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets))
+    offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=candidates.dtype)
+    moves = moves.at[:, 0].set(offsets_m)
     held = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
     short = dataclasses.replace(align, max_steps=config.max_steps)
 
