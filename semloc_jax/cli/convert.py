@@ -89,6 +89,11 @@ def _only(semantic_map: "SemanticMap", text: str | None) -> "SemanticMap":
     elements = tuple(element for element in semantic_map.elements if element.label in labels)
     if not elements:
         raise SemlocError(f"--only {text}: the map has none of these; it has {_classes(semantic_map)}")
+    if all(element.is_logical for element in elements):
+        raise SemlocError(
+            f"--only {text}: none of these {len(elements)} elements has a size that a camera could see; keep others "
+            f"too: the map has {_classes(semantic_map)}"
+        )
     return semantic_map.with_elements(elements)
 
 

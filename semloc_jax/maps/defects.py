@@ -60,7 +60,7 @@ def find_defects(semantic_map: SemanticMap) -> Iterator[Defect]:
         if step_m > _LONGEST_STEP_M:
             yield Defect("jump", element.id, f"{step_m / 1000.0:.1f} km from one vertex to the next")
         if has_heights and not element.has_height:
-            yield Defect("missing heights", element.id, "taken as 0")
+            yield Defect("missing heights", element.id, "taken from the road around it")
         yield from _missing_sizes(element)
     if elements and not has_heights:
         yield Defect("missing heights", "all elements", "the map is taken as flat")

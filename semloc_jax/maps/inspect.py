@@ -6,7 +6,7 @@ In: SemanticMap. Out: MapReport, which prints itself as text.
 import gzip
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -74,11 +74,25 @@ class MapReport:
             *(f"{row.name:<16}{row.count:>7}{row.length_m:>12.1f}" for row in self.classes),
             *(f"assumed: {what} of {count} elements" for what, count in self.assumed.items()),
             f"defects: {len(self.defects) or 'none'}",
-            *(f"  {d.kind}: {d.element} ({d.detail})" for d in self.defects[:max_defects]),
+            *self._spelled_out(max_defects),
         ]
-        if len(self.defects) > max_defects:
-            lines.append(f"  ... and {len(self.defects) - max_defects} more")
         return "\n".join(lines)
+
+    def _spelled_out(self, max_defects: int) -> Iterator[str]:
+        """Yields lines about defects; a kind that is everywhere leaves room for the others."""
+        kinds: dict[str, list[Defect]] = {}
+        for defect in self.defects:
+            kinds.setdefault(defect.kind, []).append(defect)
+        left = max_defects
+        by_size = sorted(kinds.values(), key=len)
+        shown = {}
+        for index, found in enumerate(by_size):
+            shown[found[0].kind] = min(len(found), left // (len(by_size) - index))
+            left -= shown[found[0].kind]
+        for kind, found in kinds.items():
+            yield from (f"  {kind}: {defect.element} ({defect.detail})" for defect in found[: shown[kind]])
+            if len(found) > shown[kind]:
+                yield f"  ... and {len(found) - shown[kind]} more: {kind}"
 
 
 def inspect_map(semantic_map: SemanticMap) -> MapReport:

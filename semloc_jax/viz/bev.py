@@ -59,6 +59,17 @@ def draw_vehicle(axes: Axes, T_map_base: np.ndarray, colour: str, fill: bool = T
     axes.fill(*outline.T, facecolor=colour if fill else "none", edgecolor=colour, alpha=alpha, linewidth=1.2, zorder=5)
 
 
+def _size_in(elements: Sequence[MapElement]) -> tuple[float, float]:
+    """Width and height of a figure that elements fill from above, square without any [inch]."""
+    if not elements:
+        return 8.0, 8.4
+    points = np.vstack([element.points[:, :2] for element in elements])
+    width, height = np.maximum(np.ptp(points, axis=0), 1.0)
+    scale = 9.0 / max(width, height)
+    # Labels and legend need some room, whatever the shape.
+    return max(scale * width, 4.5) + 0.8, max(scale * height, 2.0) + 1.6
+
+
 def map_view(
     elements: Sequence[MapElement],
     estimate: np.ndarray | None = None,
@@ -81,7 +92,7 @@ def map_view(
         radius_m: Half of the side of the view.
         title: Text above the view.
     """
-    figure = new_figure(8.0, 8.4, dark=True)
+    figure = new_figure(*_size_in(elements if center is None else ()), dark=True)
     axes = plain_axes(figure.add_subplot(), dark=True)
     drawn = draw_map(axes, elements)
     total = max((weight for weight, _ in hypotheses), default=1.0) or 1.0

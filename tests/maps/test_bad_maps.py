@@ -89,8 +89,8 @@ def test_bad_map_gives_one_line(name, tmp_path):
 
 
 def test_missing_file_and_folder(tmp_path):
-    for path in (tmp_path / "no.geojson", tmp_path):
-        with pytest.raises(SemlocError, match="no such file"):
+    for path, why in ((tmp_path / "no.geojson", "no such file"), (tmp_path, "a folder without a map")):
+        with pytest.raises(SemlocError, match=why):
             read_map(path)
 
 

@@ -87,7 +87,10 @@ def test_unknown_classes_and_flat_maps_are_told():
 def test_long_lists_are_cut_in_the_text():
     lanes = tuple(_lane([[0, y, 0], [9, y, 0]], f"l{y}", width_m=0.0) for y in range(30))
     text = inspect_map(SemanticMap(lanes)).to_text(max_defects=5)
-    assert "defects: 30" in text and "... and 25 more" in text and text.count("missing size") == 5
+    assert "defects: 30" in text and "... and 25 more" in text and text.count("missing size: ") == 5
+    crossing = _lane([[0, 5, 0], [10, 5, 0], [10, 9, 0], [5, 1, 0]])
+    text = inspect_map(SemanticMap((*lanes, crossing))).to_text(max_defects=5)
+    assert text.count("missing size: ") == 4 and text.count("crosses itself: ") == 1, "no kind hides another"
 
 
 def test_empty_map_has_a_report():

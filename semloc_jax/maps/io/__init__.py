@@ -62,16 +62,19 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
     Args:
         path: .osm is Lanelet2, .xodr OpenDRIVE, .gpkg GeoPackage, .smap the compact form, .txt an Apollo HD map;
             .geojson and .json are an Argoverse 2 archive, a nuScenes map expansion, the drive layout if they have the
-            member `frame`, else RFC 7946; a folder is that of an Argoverse 2 log or of NGII shapefiles.
+            member `frame`, else RFC 7946; a folder is that of an Argoverse 2 log, of NGII shapefiles or of a drive.
         origin: where to put the local frame of a map in latitude and longitude; None lets the reader choose.
 
     Raises:
         SemlocError: no such file, no known format, broken content, or nothing in it that can be seen.
     """
-    path = Path(path)
-    if path.is_dir():
-        path = find_archive(path) or path
+    path = _map_in(Path(path))
     is_shapefiles = is_ngii(path)
+    if path.is_dir() and not is_shapefiles:
+        raise SemlocError(
+            f"map {path}: a folder without a map; expected that of an Argoverse 2 log, of NGII shapefiles or of a "
+            "drive with map.geojson, or give the map file itself"
+        )
     if not path.is_file() and not is_shapefiles:
         raise SemlocError(f"map {path}: no such file; give a {', '.join(_READ_SUFFIXES)} map")
     if is_shapefiles:
@@ -97,6 +100,14 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
             "expected markings, poles or signs with a known `class`"
         )
     return found
+
+
+def _map_in(path: Path) -> Path:
+    """Returns the file of the map where a folder holds one, else what was given."""
+    if not path.is_dir():
+        return path
+    drive = path / "map.geojson"
+    return find_archive(path) or (drive if drive.is_file() else path)
 
 
 WRITTEN_SUFFIXES = (".geojson", ".gpkg", ".osm", ".smap")
