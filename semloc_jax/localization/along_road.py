@@ -1,6 +1,6 @@
 """How far along the road the masks leave a frame open (room: localization; JAX).
 
-In: the poses of a search. Out: RoadPosterior: poses at other places along the road, each aligned in all else, and
+In: the best pose of a search. Out: RoadPosterior: poses at other places along the road, each aligned in all else, and
 the spread of the posterior over them.
 Dashes and far stripes leave a flat and rugged valley along the road, in which a search keeps one local minimum after
 another of the same place. Curvature at any of them says nothing about the length of the valley: that is measured.
@@ -52,7 +52,7 @@ class RoadPosterior(NamedTuple):
 
 @stored_program("align", "config", "chunk")
 def along_road(
-    candidates: Float[Array, "m 4 4"],
+    T_map_base: Float[Array, "4 4"],
     evidence: Evidence,
     prior: Prior,
     align: AlignConfig,
@@ -62,15 +62,15 @@ def along_road(
     """The posterior over places along the road through the best pose of a search.
 
     Args:
-        candidates: Poses of the search relative to the local origin, best first.
-        evidence: What the cameras saw.
+        T_map_base: The best pose of a search, relative to the local origin.
+        evidence: What the cameras saw, with the map as it is seen from there.
         prior: Gaussian prior.
         align: Kernel and noise.
         config: Offsets and level.
         chunk: Poses side by side.
     """
-    moves = jnp.zeros((config.num_offsets, 3), candidates.dtype)
-    offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=candidates.dtype)
+    moves = jnp.zeros((config.num_offsets, 3), T_map_base.dtype)
+    offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=T_map_base.dtype)
     moves = moves.at[:, 0].set(offsets_m)
     held = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
     short = dataclasses.replace(align, max_steps=config.max_steps)
@@ -79,7 +79,7 @@ def along_road(
         T = refine(T, evidence, held, short, jnp.asarray((config.level,)))[0][-1]
         return T, score(T, config.level, evidence, prior, align)
 
-    Ts, scores = in_chunks(one, displaced(candidates[0], moves), chunk)
+    Ts, scores = in_chunks(one, displaced(T_map_base, moves), chunk)
     scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
     index, filled = keep_distinct(Ts, scores, config.keep, config.apart)
     away = lie.log(lie.inverse(Ts[index[0]]) @ Ts)

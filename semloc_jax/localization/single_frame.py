@@ -36,7 +36,7 @@ class SingleFrameConfig:
     """The search covers at least this heading to both sides, however sure the prior is."""
     seed: int = 0
     """Of the random proposals."""
-    search_view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.15, most_alone=3.0))
+    search_view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.15))
     polish_view: ViewConfig = field(default_factory=lambda: ViewConfig(most_alone=3.0))
     search_align: AlignConfig = field(default_factory=AlignConfig)
     polish_align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(2, 3), max_steps=10))
@@ -108,8 +108,10 @@ def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -
     """
     evidence = evidence_from(prior.T_map_base, frame, config.search_view)
     candidates, scores = search(_starts(prior, config), evidence, prior, config.search_align, config.search)
-    road = along_road(candidates, evidence, prior, config.search_align, config.along_road, config.search.chunk)
     # On the host: an operation outside of the stored programs would be compiled in every process.
+    best = np.asarray(candidates)[0]
+    closer = evidence_from(best, frame, config.polish_view)
+    road = along_road(best, closer, prior, config.search_align, config.along_road, config.search.chunk)
     in_view_px = np.float32(sum(np.sum(view.weight) for view in jax.device_get(evidence.views)))
     return polish(candidates, scores, road, frame, prior, config, in_view_px)
 
