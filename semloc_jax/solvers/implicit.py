@@ -260,12 +260,14 @@ def _newton(
         old = state.point
         new = _evaluate(lie.compose(old.T, lie.exp(prior.sigma * state.step)), scene, prior)
         # With the weights of the old place: hiding samples is no progress. At the limit of the float type the cost no
-        # longer tells, but the force does.
+        # longer tells, but the force does; only there: beyond the reach of every sample it is calm, too.
+        before = _evidence(old.weights, old.penalties) + old.prior_cost
         change = _evidence(old.weights, jax.tree.map(jnp.subtract, new.penalties, old.penalties))
-        falls = change + new.prior_cost - old.prior_cost < 0
+        change = change + new.prior_cost - old.prior_cost
         calmer = jnp.max(jnp.abs(new.force)) < 0.5 * jnp.max(jnp.abs(old.force))
+        calmer &= change < 30 * np.finfo(dtype).eps * before
         finite = jnp.all(jnp.isfinite(new.force)) & jnp.all(jnp.isfinite(new.jacobian))
-        accept = ((falls | calmer) & finite) | (state.num_steps == 0)
+        accept = (((change < 0) | calmer) & finite) | (state.num_steps == 0)
         point = jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, old)
         eased = jnp.where(state.damping > 0.02, 0.1 * state.damping, 0.0)
         damping = jnp.where(accept, eased, jnp.maximum(10 * state.damping, 1.0))
