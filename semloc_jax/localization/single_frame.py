@@ -71,7 +71,7 @@ def frame_input(
 _pack = stored_program("dtype")(pack)
 
 
-def evidence_from(T_map_base: Float[Array, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
+def evidence_from(T_map_base: Float[Array | np.ndarray, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
     """The evidence of a frame with the map as it is seen from a pose."""
     views = _views(T_map_base, frame.samples, frame.rig, frame.channel_of_label, config)
     return Evidence(views, frame.textures, frame.usable, frame.always)
@@ -109,7 +109,7 @@ def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -
     evidence = evidence_from(prior.T_map_base, frame, config.search_view)
     candidates, scores = search(_starts(prior, config), evidence, prior, config.search_align, config.search)
     # On the host: an operation outside of the stored programs would be compiled in every process.
-    best = np.asarray(candidates)[0]
+    best = jnp.asarray(np.asarray(candidates)[0])
     closer = evidence_from(best, frame, config.polish_view)
     road = along_road(best, closer, prior, config.search_align, config.along_road, config.search.chunk)
     in_view_px = np.float32(sum(np.sum(view.weight) for view in jax.device_get(evidence.views)))
