@@ -4,6 +4,7 @@ SEMLOC_TYPECHECK=0 switches the jaxtyping + beartype import hook off (faster col
 """
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,13 @@ def road_dir(data_dir: Path) -> Path:
 def garage_dir(data_dir: Path) -> Path:
     """The rendered garage drive: four fisheye cameras, 60 frames."""
     return _drive(data_dir, "rendered_garage")
+
+
+@pytest.fixture(scope="module")
+def single_precision() -> Iterator[None]:
+    """float32, as everything runs for a user: with it go the programs that other tests and notebooks have compiled."""
+    with jax.enable_x64(False):
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -30,7 +30,7 @@ class Run:
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
+def drive(single_precision, tmp_path_factory):
     config = SimulationConfig(num_frames=6, rate_hz=2.0, width_px=640, height_px=400, has_images=False)
     return simulate("road", 8, tmp_path_factory.mktemp("drive"), config)
 
