@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.analysis.changed_view import Group, cast, resolve
 from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION
 from semloc_jax.analysis.explanation import Explanation, Holder
-from semloc_jax.analysis.influence import PRIOR_PARTS, Balance, balance, influence
+from semloc_jax.analysis.influence import PRIOR_PARTS, Balance, balance, influence, unsettled
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
@@ -73,7 +73,7 @@ def explain_frame(
     config = config or ExplainConfig()
     if not np.isfinite(result.T_map_base).all():
         raise SemlocError(f"frame {result.frame.id}: has no pose to explain ({'; '.join(result.reasons) or 'lost'})")
-    look = _Look.of(localizer, result, masks, prior, rig)
+    look = Look.of(localizer, result, masks, prior, rig)
     found, level = look.optimum(config.max_drift_m)
     sigma, holders = look.holders(found, level, config, look.elements_alone())
     _, classes = look.holders(found, level, config, look.classes_together())
@@ -90,7 +90,7 @@ _MIN_CAPACITY = 32
 
 
 @dataclass(frozen=True)
-class _Look:
+class Look:
     """One frame as it is seen from its pose; poses are relative to the local origin.
 
     Attributes:
@@ -119,7 +119,7 @@ class _Look:
         masks: Sequence[np.ndarray],
         prior: PosePrior,
         rig: Rig,
-    ) -> "_Look":
+    ) -> "Look":
         settings, T_prior = localizer.config, result.T_map_prior
         heading = float(np.arctan2(T_prior[1, 0], T_prior[0, 0])) if len(rig) == 1 else None
         local_map = localizer.map.query(T_prior[:3, 3], settings.search_radius_m, heading)
@@ -165,20 +165,18 @@ class _Look:
     def optimum(self, max_drift_m: float) -> tuple[Balance, int]:
         """The optimum on the finest level that holds the pose, as `solvers.pose.align` chooses it; and the level.
 
-        Raises:
-            SemlocError: there is none near the pose.
+        Where there is none near the pose, the pose itself on the coarsest level, with Gauss-Newton's curvature.
         """
+        coarsest = self.align.levels[0]
         for level in reversed(self.align.levels):
             scene = smooth_scene(self.evidence, self.maps, self.align, level)
             found = balance(self.T_found, scene, self.prior, self.holder, self.capacity)
             drift_m = np.hypot(*(found.T_map_base - self.T_found)[:2, 3])
             inlier_ratio = found.terms.inlier.sum() / max(found.terms.weight.sum(), 1e-9)
-            if drift_m <= max_drift_m and inlier_ratio >= self.align.min_inlier_ratio:
+            holds = inlier_ratio >= self.align.min_inlier_ratio or level == coarsest
+            if found.is_exact and drift_m <= max_drift_m and holds:
                 return found, level
-        raise SemlocError(
-            f"pose at {np.round(self.T_found[:2, 3] + self.local_map.origin_map[:2], 2)}: no optimum of the cost "
-            f"within {max_drift_m} m of it; expected a pose that the masks hold"
-        )
+        return unsettled(self.T_found, scene, self.prior, self.holder, self.capacity), coarsest
 
     def elements_alone(self) -> "list[Group]":
         """Every element, and both parts of the prior."""

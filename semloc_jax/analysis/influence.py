@@ -8,6 +8,7 @@ function says d(xi) / d(eta_h) = -(dF/dxi)^-1 (dF_h/deta_h). Who moves everythin
 6x6 matrices sum to the identity.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -185,15 +186,8 @@ def balance(
         num_elements: Capacity of elements.
         max_steps: Most evaluations.
     """
-    dtype = scene.nats_per_px.dtype
-    none, sigma = jnp.zeros(num_elements, dtype), np.asarray(prior.sigma, np.float64)
-    tolerance = float(np.finfo(dtype).eps) ** (2 / 3)
-
-    def at(T: np.ndarray) -> HolderTerms:
-        found = jax.device_get(holder_terms(jnp.asarray(T, dtype), scene, holder, none))
-        both = (found, prior_terms(T, prior))
-        return jax.tree.map(lambda *parts: np.concatenate([np.asarray(part, np.float64) for part in parts]), *both)
-
+    sigma, at = np.asarray(prior.sigma, np.float64), _evaluated(scene, prior, holder, num_elements)
+    tolerance = float(np.finfo(scene.nats_per_px.dtype).eps) ** (2 / 3)
     T, damping = np.asarray(T_start, np.float64), 0.0
     terms = at(T)
     for _ in range(max_steps):
@@ -214,6 +208,32 @@ def balance(
     force, J = _scaled(terms, sigma)
     is_minimum = np.linalg.eigvalsh(0.5 * (J + J.T))[0] > 0
     return Balance(T, terms, bool(is_minimum and np.abs(np.linalg.solve(J, force)).max() < 30 * tolerance))
+
+
+def unsettled(
+    T_map_base: Float[np.ndarray, "4 4"],
+    scene: SmoothScene,
+    prior: Prior,
+    holder: tuple[Int[Array, "cam p"], ...],
+    num_elements: int,
+) -> Balance:
+    """A pose that is no optimum, with terms in Gauss-Newton's approximation; arguments as `balance`."""
+    terms = _evaluated(scene, prior, holder, num_elements)(np.asarray(T_map_base, np.float64))
+    return Balance(T_map_base, terms._replace(by_pose=terms.information, by_motion=-terms.information), False)
+
+
+def _evaluated(
+    scene: SmoothScene, prior: Prior, holder: tuple[Int[Array, "cam p"], ...], num_elements: int
+) -> Callable[[np.ndarray], HolderTerms]:
+    """The terms of elements and prior as a function of the pose, in float64."""
+    dtype = scene.nats_per_px.dtype
+    none = jnp.zeros(num_elements, dtype)
+
+    def at(T: np.ndarray) -> HolderTerms:
+        both = (jax.device_get(holder_terms(jnp.asarray(T, dtype), scene, holder, none)), prior_terms(T, prior))
+        return jax.tree.map(lambda *parts: np.concatenate([np.asarray(part, np.float64) for part in parts]), *both)
+
+    return at
 
 
 def _scaled(terms: HolderTerms, sigma: Float[np.ndarray, "6"]) -> tuple[np.ndarray, np.ndarray]:

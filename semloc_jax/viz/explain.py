@@ -27,7 +27,6 @@ _LIGHT, _FAINT = "#e8edf4", "#4a5462"
 _HEAT = LinearSegmentedColormap.from_list("share", ["#3d5a80", "#2ec4b6", "#ffd166", "#ff7b54", "#ff2e63"])
 """From what hardly holds the pose to what holds it; all of it legible on asphalt."""
 _SHIFT = 4
-_ARROW = "#ffffff"
 _NAMES = ("longitudinal", "lateral", "heading")
 _PRIOR_COLOURS = {"prior": "#ffb300", "road": "#8d99ae"}
 
@@ -73,7 +72,7 @@ def explained_image(
         if len(panels) > 1:
             axes.set_title(name, color=_LIGHT, fontsize=9, loc="left", pad=3)
     figure.suptitle(title, color=_LIGHT, fontsize=11, x=0.01, ha="left")
-    _colour_bar(figure, list(grid.flat), norm, "bottom")
+    _colour_bar(figure, list(grid.flat), norm)
     return figure
 
 
@@ -90,7 +89,8 @@ def _name_elements(axes: Axes, shown: Sequence[tuple[Holder, np.ndarray]], pictu
     taken: list[tuple[float, float]] = []
     for holder, uv in sorted(shown, key=lambda pair: pair[1][..., 1].mean()):
         u, v = np.median(uv.reshape(-1, 2), axis=0)
-        text_u = float(np.clip(u + 0.05 * width, 0.02 * width, 0.80 * width))
+        side = 1.0 if u < 0.55 * width else -1.0
+        text_u = float(np.clip(u + side * 0.05 * width, 0.02 * width, 0.98 * width))
         text_v = float(np.clip(v - 0.05 * height, 0.05 * height, 0.93 * height))
         while any(abs(text_u - a) < 0.2 * width and abs(text_v - b) < 0.062 * height for a, b in taken):
             text_v += 0.064 * height
@@ -101,6 +101,7 @@ def _name_elements(axes: Axes, shown: Sequence[tuple[Holder, np.ndarray]], pictu
             (text_u, text_v),
             color=_LIGHT,
             fontsize=8.5,
+            ha="left" if side > 0 else "right",
             bbox={"facecolor": "#10141a", "alpha": 0.72, "edgecolor": "none", "pad": 2.5},
             arrowprops={"arrowstyle": "-", "color": _LIGHT, "linewidth": 0.7, "alpha": 0.8},
             annotation_clip=True,
@@ -132,7 +133,7 @@ def explained_map(
         num_arrows: How many arrows, the longest ones.
         ahead_m: What is farther away is left out.
     """
-    figure = new_figure(11.0, 8.6, dark=True)
+    figure = new_figure(11.6, 8.4, dark=True)
     above, bars = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.75, 1.0)})
     norm, strength = share_norm(explanation), {holder.id: 100.0 * holder.strength for holder in explanation.elements}
     plain_axes(above, dark=True)
@@ -142,9 +143,9 @@ def explained_map(
     for element, points in sorted(placed, key=lambda pair: strength.get(pair[0].id, -1.0)):
         colour = _HEAT(norm(strength[element.id])) if element.id in strength else _FAINT
         _draw_from_above(above, element, points, colour, element.id in strength)
-    above.fill(*(VEHICLE_M @ _ahead_is_up()[:2, :2].T).T, facecolor="#ffffff", alpha=0.95, zorder=6)
+    above.fill(*(VEHICLE_M @ _ahead_is_up()[:2, :2].T).T, facecolor="#ffffff", alpha=0.6, zorder=6)
+    _set_limits(above, explanation, T_up_map, ahead_m)
     enlarged = _draw_arrows(above, explanation, T_up_map, num_arrows)
-    _frame(above, explanation, T_up_map, ahead_m)
     shift_cm = 100.0 * explanation.shift_m
     above.set_title(
         f"arrow: where the car goes if the element is wrong by {shift_cm:g} cm; 1 cm is {enlarged / 100:g} m long",
@@ -154,7 +155,7 @@ def explained_map(
     )
     above.set_xlabel("to the right [m]")
     above.set_ylabel("ahead [m]")
-    _colour_bar(figure, [above], norm, "bottom")
+    _colour_bar(figure, [above, bars], norm)
     _draw_bars(plain_axes(bars, dark=True), explanation)
     figure.suptitle(title, color=_LIGHT, fontsize=11, x=0.01, ha="left")
     return figure
@@ -192,28 +193,46 @@ def _draw_arrows(axes: Axes, explanation: Explanation, T_up_map: np.ndarray, cou
         return 100.0
     enlarged = 10.0 ** np.floor(np.log10(9.0 / longest_m)) * np.array([1.0, 2.0, 5.0])
     enlarged = float(enlarged[enlarged <= 9.0 / longest_m][-1])
-    taken: list[np.ndarray] = []
-    for holder in movers:
-        start = (T_up_map[:3, :3] @ holder.middle_map + T_up_map[:3, 3])[:2]
+    (_, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    starts = [(T_up_map[:3, :3] @ holder.middle_map + T_up_map[:3, 3])[:2] for holder in movers]
+    height = _spread([start[1] for start in starts], 0.045 * (top - bottom), bottom, top)
+    for holder, start, place in zip(movers, starts, height, strict=True):
         step = enlarged * (_ahead_is_up()[:2, :2] @ holder.shifted[:2])
         axes.annotate(
             "",
             start + step,
             start,
-            arrowprops={"arrowstyle": "-|>", "color": _ARROW, "linewidth": 1.6, "mutation_scale": 11, "shrinkB": 0},
+            arrowprops={"arrowstyle": "-|>", "color": _LIGHT, "linewidth": 1.6, "mutation_scale": 11, "shrinkB": 0},
             zorder=8,
         )
-        place = start + np.array([1.2, -0.3])
-        while any(abs(place[1] - other[1]) < 1.9 and abs(place[0] - other[0]) < 14.0 for other in taken):
-            place = place + np.array([0.0, 1.9])
-        taken.append(place)
-        moved_cm = 100.0 * np.hypot(*holder.shifted[:2])
-        box = {"facecolor": "#10141a", "alpha": 0.65, "edgecolor": "none", "pad": 1.5}
-        axes.text(*place, f"{holder.id[:20]}  {moved_cm:.1f} cm", color=_LIGHT, fontsize=8, zorder=9, bbox=box)
+        # Names stand beside the view: in it they would lie on what they name.
+        axes.annotate(
+            f"{holder.id[:20]}  {100.0 * np.hypot(*holder.shifted[:2]):.1f} cm",
+            start,
+            (right, place),
+            color=_LIGHT,
+            fontsize=8,
+            va="center",
+            arrowprops={"arrowstyle": "-", "color": _LIGHT, "linewidth": 0.5, "alpha": 0.45},
+            zorder=7,
+        )
     return enlarged
 
 
-def _frame(axes: Axes, explanation: Explanation, T_up_map: np.ndarray, ahead_m: float) -> None:
+def _spread(heights: Sequence[float], least: float, bottom: float, top: float) -> np.ndarray:
+    """The heights moved apart to at least `least` and kept inside of the view, in their order."""
+    order = np.argsort(heights)
+    placed = np.asarray(heights, np.float64)[order]
+    for k in range(1, len(placed)):
+        placed[k] = max(placed[k], placed[k - 1] + least)
+    placed -= max(placed[-1] - (top - least), 0.0)
+    placed += max(bottom + least - placed[0], 0.0)
+    spread = np.empty_like(placed)
+    spread[order] = placed
+    return spread
+
+
+def _set_limits(axes: Axes, explanation: Explanation, T_up_map: np.ndarray, ahead_m: float) -> None:
     """Limits of the view: the vehicle and all that holds it."""
     middles = np.array([holder.middle_map for holder in explanation.elements] or [explanation.T_map_base[:3, 3]])
     seen = (middles @ T_up_map[:3, :3].T + T_up_map[:3, 3])[:, :2]
@@ -230,9 +249,7 @@ def _draw_bars(axes: Axes, explanation: Explanation) -> None:
     """What each direction is held by, class by class, and how well."""
     groups = [(class_name(holder.label), COLOURS[holder.label], holder.share) for holder in explanation.classes]
     rest = [holder for holder in explanation.holders if not holder.is_element]
-    groups += [
-        ({"prior": "prior"}.get(h.id, "height and tilt of the road"), _PRIOR_COLOURS[h.id], h.share) for h in rest
-    ]
+    groups += [({"prior": "prior"}.get(h.id, "height, tilt of road"), _PRIOR_COLOURS[h.id], h.share) for h in rest]
     bottom = np.zeros(3)
     for _, colour, share in groups:
         axes.bar(range(3), 100.0 * share, 0.62, bottom, color=colour, edgecolor="#161a21", linewidth=0.8)
@@ -250,9 +267,8 @@ def _draw_bars(axes: Axes, explanation: Explanation) -> None:
     handles = [Patch(color=colour, label=name) for name, colour, share in groups if share.max() > 0.004]
     axes.legend(
         handles=handles[::-1],
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.09),
-        ncols=2,
+        loc="center left",
+        bbox_to_anchor=(1.0, 0.5),
         fontsize=8,
         frameon=False,
         labelcolor=_LIGHT,
@@ -261,9 +277,9 @@ def _draw_bars(axes: Axes, explanation: Explanation) -> None:
     )
 
 
-def _colour_bar(figure: Figure, axes: list[Axes], norm: PowerNorm, where: str) -> None:
+def _colour_bar(figure: Figure, axes: list[Axes], norm: PowerNorm) -> None:
     bar = figure.colorbar(
-        ScalarMappable(norm, _HEAT), ax=axes, location=where, aspect=60, fraction=0.03, pad=0.015, shrink=0.6
+        ScalarMappable(norm, _HEAT), ax=axes, location="bottom", aspect=60, fraction=0.03, pad=0.015, shrink=0.6
     )
     bar.set_label("share of what holds the pose, mean of the three directions [%]", color=_LIGHT, fontsize=8)
     bar.ax.tick_params(labelsize=8, colors=_LIGHT)
