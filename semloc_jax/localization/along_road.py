@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 
 from semloc_jax.geometry import lie
 from semloc_jax.native.programs import stored_program
-from semloc_jax.solvers.hypotheses import keep_distinct, score
-from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, in_chunks, refine
+from semloc_jax.solvers.hypotheses import keep_distinct, prior_cost, score
+from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, in_chunks, refine, scatter_px
 from semloc_jax.solvers.proposals import displaced
 
 
@@ -32,6 +32,9 @@ class AlongRoadConfig:
     level: int = 2
     """Level of the cost maps: its ramp is four times the noise of a boundary, so that the cost tells how wrong a place
     is; on a finer one everything beyond the next pixels is equally wrong."""
+    least_noise: float = 0.7
+    """The noise of the boundaries is taken from their scatter in this frame, but as no less than this share of what is
+    assumed (`AlignConfig.noise_px`): that they all lie well does not say that their common error is small."""
     max_steps: int = 5
     keep: int = 2
     """Poses that are handed on to the last refinement."""
@@ -83,7 +86,9 @@ def along_road(
     scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
     index, filled = keep_distinct(Ts, scores, config.keep, config.apart)
     away = lie.log(lie.inverse(Ts[index[0]]) @ Ts)
-    share = jax.nn.softmax(-scores)
+    noise = jnp.maximum(scatter_px(Ts[index[0]], config.level, evidence, align) / align.noise_px, config.least_noise)
+    guessed = jax.vmap(prior_cost, (0, None))(Ts, prior)
+    share = jax.nn.softmax(-((scores - guessed) / noise**2 + guessed))
     spread = jnp.einsum("k,ki,kj->ij", share, away, away)
     spread = jnp.where(jnp.all(jnp.isfinite(spread)), spread, 0.0)
     return RoadPosterior(Ts[index], jnp.where(filled, scores[index], jnp.inf), spread)

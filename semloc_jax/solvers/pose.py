@@ -149,6 +149,21 @@ def refine(
     return visited
 
 
+def _held_rms(r: Float[Array, " n"], weight: Float[Array, " n"], config: AlignConfig) -> Float[Array, ""]:
+    """Root mean square of the ramp values that the robust kernel holds on to."""
+    held = weight * KERNELS[config.kernel].weight(r)
+    return jnp.sqrt(jnp.sum(held * r * r) / jnp.maximum(jnp.sum(held), 1e-6))
+
+
+def scatter_px(
+    T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
+) -> Float[Array, ""]:
+    """How far the contours that the kernel holds on to lie from the boundaries of their class [px RMS]."""
+    views = visible_views(T_map_base, evidence, config.border_px, config.path)
+    texture = evidence.textures.level(level)
+    return texture.ramp_px * _held_rms(*alignment_residual(T_map_base, views, texture), config)
+
+
 def assess(
     T_map_base: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
@@ -165,11 +180,11 @@ def assess(
     model = quadratic_model(jnp.zeros(6, T_map_base.dtype), problem)
     r, weight = alignment_residual(T_map_base, views, problem.texture)
     kernel = KERNELS[config.kernel]
+    ramp_px = problem.texture.ramp_px
     visible, everything = total_weight(views), total_weight(evidence.views)
     per_visible = 1 / jnp.maximum(visible, 1e-6)
-    held = weight * kernel.weight(r)
-    scatter_px = problem.texture.ramp_px * jnp.sqrt(jnp.sum(held * r * r) / jnp.maximum(jnp.sum(held), 1e-6))
-    excess = jnp.maximum(scatter_px / jnp.maximum(config.noise_px, config.noise_share * problem.texture.ramp_px), 1.0)
+    scatter_px = ramp_px * _held_rms(r, weight, config)
+    excess = jnp.maximum(scatter_px / jnp.maximum(config.noise_px, config.noise_share * ramp_px), 1.0)
     identity = jnp.eye(6, dtype=T_map_base.dtype)
     information = (model.hessian - identity) / excess**2 + identity
     eigenvalues, eigenvectors = jnp.linalg.eigh(information)

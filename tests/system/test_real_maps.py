@@ -12,6 +12,7 @@ from semloc_jax.datasets.synthetic import RouteWish, SimulationConfig, simulate_
 from semloc_jax.evaluation import pose_errors
 from semloc_jax.localization import localize_frames
 from semloc_jax.maps import read_map
+from semloc_jax.structs import SolveStatus
 
 MAPS = {
     "karlsruhe": "maps_lanelet2_karlsruhe/lanelet2_maps/res/mapping_example.osm",
@@ -30,14 +31,17 @@ def test_a_drive_on_a_real_map_is_localized(name, data_dir, tmp_path):
     drive = simulate_on_map(path, 0, tmp_path / "drive", RouteWish(length_m=66.0), config)
     results = localize_frames(drive, read_map(drive.map_path), "sem", "gnss")
     assert len(results) == 6
-    assert all(result.localized for result in results), [result.reasons for result in results]
-    truth = np.stack([drive.truth_at(result.frame) for result in results])
-    found = pose_errors(np.stack([result.T_map_base for result in results]), truth)
+    # Where no end of a dash is near, a frame says that it does not know how far along it is.
+    sure = [result for result in results if result.localized]
+    assert len(sure) >= 5, [result.reasons for result in results]
+    assert all(result.status == SolveStatus.WEAK_DIRECTION for result in results if not result.localized)
+    truth = np.stack([drive.truth_at(result.frame) for result in sure])
+    found = pose_errors(np.stack([result.T_map_base for result in sure]), truth)
     assert np.median(np.abs(found["lateral_m"])) < 0.015
     assert np.abs(found["lateral_m"]).max() < 0.04
     assert np.abs(found["heading_deg"]).max() < 0.25
     assert np.abs(found["longitudinal_m"]).max() < 0.5
     # No pose is surer of itself than it may be.
     for error, sigma in (("lateral_m", "sigma_lateral_m"), ("longitudinal_m", "sigma_longitudinal_m")):
-        stated = np.array([getattr(result.modes[0], sigma) for result in results])
+        stated = np.array([getattr(result.modes[0], sigma) for result in sure])
         assert np.abs(found[error] / stated).max() < 3.5
