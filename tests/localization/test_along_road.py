@@ -105,7 +105,9 @@ def test_the_spread_is_that_of_the_posterior_on_a_grid(at_m):
         locked = eqx.tree_at(lambda p: p.sigma, locked, locked.sigma.at[2:5].set(0.0))
         T_true = jnp.eye(4).at[:3, 3].set(jnp.asarray([X_TRUE, 0.0, 0.0] - local_map.origin_map, jnp.float32))
         evidence = evidence_from(T_true, frame, config.search_view)
-        road = along_road(T_true, evidence, locked, config.search_align, AlongRoadConfig(), 32)
+        # The noise that is assumed, not that of this frame: its masks are exact.
+        assumed = AlongRoadConfig(least_noise=1.0)
+        road = along_road(T_true, evidence, locked, config.search_align, assumed, 32)
         x, y, yaw = (np.linspace(-r, r, n) for r, n in ((2.0, 81), (0.12, 13), (np.radians(0.8), 13)))
         moves = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), axis=-1).reshape(-1, 3)
         cost = jax.lax.map(
