@@ -11,7 +11,12 @@ import pytest
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-import jax
+from semloc_jax.cli.runtime import prepare_jax
+
+# The flags and the cache of the command line: what it, the notebooks and the test processes compile is compiled once.
+prepare_jax()
+
+import jax  # noqa: E402 - reads its environment now
 
 jax.config.update("jax_enable_x64", True)
 
