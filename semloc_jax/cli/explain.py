@@ -56,7 +56,8 @@ def default_settings() -> "LocalizeConfig":
 
 def run(options: Options) -> int:
     """Explain one frame, or many."""
-    if not 0 < options.shift_cm <= 100 or options.check < 0 or options.top < 1 or (options.every or 1) < 1:
+    every = 1 if options.every is None else options.every
+    if not 0 < options.shift_cm <= 100 or options.check < 0 or min(options.top, every) < 1:
         raise UsageError("--shift-cm: expected 0 to 100; --check: 0 or more; --top, --every: 1 or more")
     frame = dataclasses.replace(options.settings.frame, seed=options.seed)
     settings = dataclasses.replace(options.settings, frame=frame)
