@@ -14,16 +14,24 @@ from semloc_jax.viz.style import INK, new_figure, plain_axes
 
 _COLOURS = {Verdict.OBSERVABLE: "#00897b", Verdict.WEAK: "#f9a825", Verdict.HELD: "#c62828"}
 _PRIOR = "#b0bec5"
+_FEW = 4
 
 
 def observability_figure(observability: Observability) -> Figure:
-    """Sigma of every parameter before (grey) and after the drive (coloured by verdict), one column for each unit."""
+    """Sigma of every parameter before (grey) and after the drive (coloured by verdict), one panel for each unit.
+
+    Units of few parameters share a column.
+    """
     units = dict.fromkeys(p.unit for p in observability.parameters)
-    columns = [[p for p in observability.parameters if p.unit == unit] for unit in units]
-    height = 1.2 + 0.27 * max(len(column) for column in columns)
-    figure = new_figure(1.0 + 3.2 * len(columns), height)
-    for axes, column in zip(figure.subplots(1, len(columns), squeeze=False)[0], columns, strict=True):
-        _column(plain_axes(axes), column)
+    panels = [[p for p in observability.parameters if p.unit == unit] for unit in units]
+    tall, short = [p for p in panels if len(p) > _FEW], [p for p in panels if len(p) <= _FEW]
+    columns = len(tall) + bool(short)
+    height = 1.2 + max([0.27 * len(panel) for panel in tall] + [sum(0.7 + 0.27 * len(panel) for panel in short)])
+    figure = new_figure(1.0 + 3.6 * columns, height)
+    grid = figure.add_gridspec(max(len(short), 1), columns, height_ratios=[len(p) + 1 for p in short] or None)
+    places = [grid[:, k] for k in range(len(tall))] + [grid[k, columns - 1] for k in range(len(short))]
+    for place, panel in zip(places, tall + short, strict=True):
+        _column(plain_axes(figure.add_subplot(place)), panel)
     handles = [Line2D([], [], marker="o", linestyle="", color=_PRIOR, label="before")]
     handles += [Line2D([], [], marker="o", linestyle="", color=c, label=str(v)) for v, c in _COLOURS.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=9, frameon=False, labelcolor=INK)
