@@ -21,7 +21,6 @@ from semloc_jax.maps import read_map
 from semloc_jax.structs import ElementClass, SolveStatus
 from semloc_jax.viz.explain import explained_map
 
-
 pytestmark = pytest.mark.slow  # a quarter of a minute, most of it compilation
 
 
