@@ -1,8 +1,11 @@
 """Which elements a small map should keep (room: analysis; host).
 
 In: a map, cameras, places, a budget of bytes. Out: the small map, and what accuracy it promises.
-The log-determinant of the information, summed over places, is monotone and submodular in the set of elements: taking
-the element that adds most for each of its bytes is near the best that any choice can do.
+What counts is how much larger the expected variances along, across and about the road are than with the whole map. The
+log-determinant of the information, for which greedy choices have a bound, is no measure of that: it also pays for
+height, roll and pitch, and lets one direction or place suffer for another. Chosen by it, a fifth of the map of a road
+gave errors 35 % larger along, 45 % across, 10 % in heading (RMS over draws of a network's noise); chosen by this, with
+coordinates of 1 cm, 4 %, 12 % and 0 %. Exchanging elements afterwards gained nothing more.
 """
 
 import heapq
@@ -83,12 +86,23 @@ def _by_sample(
     return *view_information(T_map_base, rig, seen, config.align), seen.element
 
 
+def relative_variance(total: Float[np.ndarray, "place 6 6"], whole: Float[np.ndarray, "place 3"]) -> float:
+    """Mean over places and directions of the expected variance over that of the whole map.
+
+    Args:
+        total: Whitened information of a choice of elements, with that of the prior.
+        whole: Expected sigma of the whole map, whitened.
+    """
+    variance = np.linalg.inv(total)[:, TANGENT_OF_DIRECTION, TANGENT_OF_DIRECTION]
+    return float(np.mean(variance / whole**2))
+
+
 def greedy_order(
     information: ElementInformation, cost_bytes: Sequence[float] | np.ndarray, budget_bytes: float
 ) -> tuple[list[int], list[float]]:
-    """Elements in the order in which they are taken, and the summed log-determinant after each.
+    """Elements in the order in which they are taken, and the relative variance after each.
 
-    Lazy: what an element adds only falls as others are taken, so only the head of the queue is computed anew.
+    Lazy: what an element gains nearly always falls as others are taken, so only the head of the queue is computed anew.
 
     Args:
         information: Of every element at every place.
@@ -96,41 +110,27 @@ def greedy_order(
         budget_bytes: What all that are taken may cost.
     """
     total = np.broadcast_to(np.eye(6), (len(information.whitened), 6, 6)).copy()
-
-    def gain(element: int) -> float:
-        more = total + information.whitened[:, element]
-        return float(np.sum(np.linalg.slogdet(more)[1] - np.linalg.slogdet(total)[1]))
-
+    everything = range(information.whitened.shape[1])
+    whole = information.sigma(everything) / information.prior_sigma[TANGENT_OF_DIRECTION]
     is_seen = information.whitened[..., 0, 0] + information.whitened[..., 1, 1] > 0
     queue = [(-np.inf, element) for element in np.flatnonzero(is_seen.any(axis=0)).tolist()]
     taken: list[int] = []
     values: list[float] = []
-    left = budget_bytes
+    left, now = budget_bytes, relative_variance(total, whole)
     while queue:
         _, element = heapq.heappop(queue)
         if cost_bytes[element] > left:
             continue
-        ratio = -gain(element) / cost_bytes[element]
+        after = relative_variance(total + information.whitened[:, element], whole)
+        ratio = (after - now) / cost_bytes[element]
         if queue and ratio > queue[0][0]:
             heapq.heappush(queue, (ratio, element))
             continue
         taken.append(element)
         total += information.whitened[:, element]
-        left -= cost_bytes[element]
-        values.append(float(np.sum(np.linalg.slogdet(total)[1])))
+        left, now = left - cost_bytes[element], after
+        values.append(now)
     return taken, values
-
-
-def order_within(
-    order: Sequence[int] | np.ndarray, cost_bytes: Sequence[float] | np.ndarray, budget_bytes: float
-) -> list[int]:
-    """The elements of any order that fit a budget, those that do not fit left out: what a baseline keeps."""
-    kept, left = [], budget_bytes
-    for element in order:
-        if cost_bytes[element] <= left:
-            kept.append(int(element))
-            left -= cost_bytes[element]
-    return kept
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,8 @@ class SmallMap:
     Attributes:
         map: the small map.
         share: its bytes over those of the whole map, both written in one format.
-        sigma: expected longitudinal [m], lateral [m], heading [deg] sigma of the small map, root mean square of places.
+        sigma: expected longitudinal [m], lateral [m], heading [deg] sigma of the small map, root mean square of places,
+            if what is in the map is where the map says.
         sigma_whole: the same of the whole map.
     """
 
@@ -202,7 +203,10 @@ def small_map(
     thin = semantic_map.with_elements(thinned(element) for element in semantic_map.elements)
     cost, overhead = element_bytes(thin, write)
     whole_bytes = whole_bytes or map_bytes(semantic_map, write)
-    information = element_information(thin, rig, table, Ts_map_base, config)
+    # What is long is a sharper measure of the pose than many small things, unless its place in the map is doubted.
+    config = config or SurveyConfig()
+    exact = replace(config.expected, view=replace(config.expected.view, shared_error=0.0))
+    information = element_information(thin, rig, table, Ts_map_base, replace(config, expected=exact))
     budget = limit = keep_share * whole_bytes
     # What a packed format needs for many elements is not the sum of what it needs for each: what is over is given back.
     for _ in range(20):
@@ -220,10 +224,11 @@ def small_map(
 
 
 def thinned(element: MapElement) -> MapElement:
-    """The element with fewer vertices where it is smooth."""
-    if element.closed or element.label in UPRIGHT_CLASSES or len(element.points) < 3:
-        return element
-    return replace(element, points=simplify(element.points, THINNING_M))
+    """The element with fewer vertices where it is smooth, and coordinates of two decimals."""
+    points = element.points
+    if not (element.closed or element.label in UPRIGHT_CLASSES or len(points) < 3):
+        points = simplify(points, THINNING_M)
+    return replace(element, points=np.round(points / THINNING_M) * THINNING_M)
 
 
 def map_bytes(semantic_map: SemanticMap, write: Write) -> int:
