@@ -25,7 +25,8 @@ class Options:
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
     """The file to write; its suffix is the format."""
     origin: str | None = None
-    """Place of the local frame: latitude,longitude,height in degrees and metres."""
+    """Place of the local frame: latitude,longitude,height in degrees and metres. A map that does not know its place gets
+    it: its zero lies there, x points east, y north."""
     only: str | None = None
     """Classes to keep, separated by commas: pole,sign,lane_marking."""
     geojson: Literal["auto", "rfc7946", "drive"] = "auto"
@@ -45,7 +46,10 @@ def run(options: Options) -> int:
 
     if options.out.exists() and options.out.samefile(options.map):
         raise SemlocError(f"{options.out}: is the map to read; give another file to write")
-    semantic_map = read_map(options.map, _origin(options.origin))
+    origin = _origin(options.origin)
+    semantic_map = read_map(options.map, origin)
+    if origin is not None and semantic_map.origin is None:
+        semantic_map = _at(semantic_map, origin)
     kept = _with_heights(_only(semantic_map, options.only), options.heights)
     if options.out.suffix.lower() == ".smap":
         write_compact(kept, options.out, options.resolution_m, options.resolution_m)
@@ -73,6 +77,16 @@ def _origin(text: str | None) -> "GeoOrigin | None":
     if not (abs(origin.lat_deg) <= 90.0 and abs(origin.lon_deg) <= 180.0 and abs(origin.alt_m) < 1e5):
         raise SemlocError(f"--origin {text}; expected latitude,longitude or latitude,longitude,height")
     return origin
+
+
+def _at(semantic_map: "SemanticMap", origin: "GeoOrigin") -> "SemanticMap":
+    """The map with its zero at a place on the earth, and a line about it."""
+    from semloc_jax.maps import SemanticMap
+
+    place = ", ".join(f"{value:g}" for value in origin)
+    print(f"place on the earth: unknown until now, put at {place}; x is taken as east, y as north")
+    told = (semantic_map.name, semantic_map.skipped, semantic_map.frame)
+    return SemanticMap(semantic_map.elements, origin, *told)
 
 
 def _only(semantic_map: "SemanticMap", text: str | None) -> "SemanticMap":

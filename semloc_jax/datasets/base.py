@@ -161,6 +161,7 @@ class Sequence:
         if origin is None:
             raise SemlocError(
                 f"sequence {self.name}: its fixes are in latitude and longitude and the map does not say where on the "
-                "earth its frame is; give the map an origin, or --prior FILE.tum in the frame of the map"
+                "earth its frame is; give it a place (semloc convert MAP OUT.gpkg --origin LAT,LON,HEIGHT), or --prior "
+                "FILE.tum in the frame of the map"
             )
         return replace(self, gnss=self.gnss.seen_from(origin))

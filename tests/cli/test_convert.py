@@ -123,3 +123,14 @@ def test_links_and_references_of_opendrive_are_named(tmp_path, capsys):
     assert "comes back exactly" in said
     for words in ("1 links of roads", "1 junctions", "1 references to signals", "1 lanes that a signal"):
         assert f"left out when the map was read: {words}" in said
+
+
+def test_a_map_of_nowhere_is_put_on_the_earth(small_map, tmp_path, capsys):
+    nowhere, placed = tmp_path / "nowhere.geojson", tmp_path / "placed.gpkg"
+    road = read_map(small_map)
+    write_drive_geojson(SemanticMap(road.elements, None, "nowhere"), nowhere)
+    assert main(["convert", str(nowhere), str(placed), "--origin", "57.7,12,3"]) == OK
+    assert "place on the earth: unknown until now, put at 57.7, 12, 3" in capsys.readouterr().out
+    found = read_map(placed)
+    assert found.origin == GeoOrigin(57.7, 12.0, 3.0)
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(found.elements, road.elements, strict=True))
