@@ -7,12 +7,15 @@ limits for each element and noise of a mask boundary.
 """
 
 from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from semloc_jax.analysis.boundary_noise import BoundaryNoise
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.geometry import lie
 from semloc_jax.localization.priors import RoadSigmas
@@ -29,6 +32,8 @@ class ExpectedConfig:
     view: ViewConfig = field(default_factory=ViewConfig)
     align: AlignConfig = field(default_factory=AlignConfig)
     """Noise and correlation of mask boundaries; margin at the border of the image."""
+    noise: BoundaryNoise = field(default_factory=BoundaryNoise)
+    """How boundaries of real masks are displaced."""
     road: RoadSigmas = field(default_factory=RoadSigmas)
     prior_xy_m: float = 1.0
     """What is known of the position before the image."""
@@ -48,7 +53,7 @@ def contour_rows(
     camera: Camera,
     p_map: Float[Array, "3 p"],
     tangent_map: Float[Array, "3 p"],
-) -> tuple[Float[Array, "6 p"], Float[Array, " p"], Float[Array, " p"]]:
+) -> tuple[Float[Array, "6 p"], Float[Array, "2 p"], Float[Array, "2 p"]]:
     """How far the pose moves each point across its contour in the image, and where that is.
 
     Args:
@@ -59,7 +64,7 @@ def contour_rows(
         tangent_map: Directions of the contour.
 
     Returns:
-        Derivative of the distance across the contour by the right tangent [px/m, px/rad]; u and v [px].
+        Derivative of the distance across the contour by the right tangent [px/m, px/rad]; pixels; unit normals.
     """
     p_cam = points_in_camera(T_cam_base, T_map_base, p_map)
     R_cam_map = (T_cam_base @ lie.inverse(T_map_base))[:3, :3]
@@ -70,11 +75,24 @@ def contour_rows(
 
     (u, v), (du, dv) = jax.jvp(pixel, p_cam, tuple(along))
     length = jnp.sqrt(du * du + dv * dv + 1e-12)
-    across = jax.vjp(pixel, *p_cam)[1]((-dv / length, du / length))
+    normal = jnp.stack([-dv, du]) / length
+    return image_rows(T_map_base, T_cam_base, camera, p_map, normal), jnp.stack([u, v]), normal
+
+
+def image_rows(
+    T_map_base: Float[Array, "4 4"],
+    T_cam_base: Float[Array, "4 4"],
+    camera: Camera,
+    p_map: Float[Array, "3 p"],
+    direction: Float[Array, "2 p"],
+) -> Float[Array, "6 p"]:
+    """Derivative of each point's place along a direction of the image by the right tangent [px/m, px/rad]."""
+    p_cam = points_in_camera(T_cam_base, T_map_base, p_map)
+    across = jax.vjp(lambda *p: camera.project_xyz(*p)[:2], *p_cam)[1](tuple(direction))
     g = T_cam_base[:3, :3].T @ jnp.stack(across)
     p_base = jnp.stack(points_in_camera(jnp.eye(4, dtype=p_map.dtype), T_map_base, p_map))
     # Moving the vehicle by (v, omega) moves the point in its frame by -v - omega x p.
-    return jnp.concatenate([-g, jnp.cross(g, p_base, axis=0)]), u, v
+    return jnp.concatenate([-g, jnp.cross(g, p_base, axis=0)])
 
 
 def view_information(
@@ -88,36 +106,75 @@ def view_information(
         seen: Samples as they are seen from about that pose.
         align: Noise of mask boundaries.
     """
-    rows, weights = [], []
+    found = _contours(T_map_base, rig, seen, align)
+    return found.row, found.weight
+
+
+class _Contours(NamedTuple):
+    """The contours in view, one row of arrays for each camera."""
+
+    row: Float[Array, "cam p 6"]
+    weight: Float[Array, "cam p"]
+    uv: Float[Array, "cam p 2"]
+    normal: Float[Array, "cam p 2"]
+
+
+def _contours(T_map_base: Array, rig: Rig, seen: ViewSamples, align: AlignConfig) -> _Contours:
+    parts = []
     for index, camera in enumerate(rig.cameras):
         T_cam_base = lie.inverse(jnp.asarray(rig.T_base_cam[index], T_map_base.dtype))
-        a, u, v = contour_rows(T_map_base, T_cam_base, camera, seen.p_map[index], seen.tangent_map[index])
-        inside = camera.in_image(u, v, align.border_px) & (seen.weight[index] > 0)
-        rows.append(jnp.where(inside, a, 0.0).T)
-        weights.append(jnp.where(inside, seen.weight[index], 0.0) / (align.noise_px**2 * align.correlation_px))
-    return jnp.stack(rows), jnp.stack(weights)
-
-
-def expected_information(
-    samples: MapSamples,
-    T_map_base: Float[Array, "4 4"],
-    rig: Rig,
-    channel_of_label: Int[Array, " label"],
-    config: ExpectedConfig,
-) -> Float[Array, "6 6"]:
-    """The information that one image of perfect masks gives about the right tangent of the pose [1/m, 1/rad]^2."""
-    seen = view(samples, T_map_base, rig, channel_of_label, config.view)
-    rows, weights = view_information(T_map_base, rig, seen, config.align)
-    return jnp.einsum("cpi,cp,cpj->ij", rows, weights, rows)
+        a, uv, normal = contour_rows(T_map_base, T_cam_base, camera, seen.p_map[index], seen.tangent_map[index])
+        inside = camera.in_image(*uv, align.border_px) & (seen.weight[index] > 0)
+        weight = jnp.where(inside, seen.weight[index], 0.0) / (align.noise_px**2 * align.correlation_px)
+        parts.append((jnp.where(inside, a, 0.0).T, weight, uv.T, normal.T))
+    return _Contours(*(jnp.stack(column) for column in zip(*parts, strict=True)))
 
 
 def expected_covariance(
     information: Float[Array, "*b 6 6"], prior_sigma: Float[Array | np.ndarray, "6"]
 ) -> Float[Array, "*b 6 6"]:
-    """Covariance [m, rad]^2 of the pose from the information of the image and the prior's standard deviations."""
+    """Covariance [m, rad]^2 of the pose from the information of the image and the prior's standard deviations.
+
+    As the solver states it: careful, and enough to compare cameras or maps. How far poses of masks with a network's
+    faults really scatter is what `expected_scatter` says.
+    """
     scale = jnp.asarray(prior_sigma, information.dtype)
     whitened = scale[:, None] * information * scale + jnp.eye(6, dtype=information.dtype)
     return scale[:, None] * jnp.linalg.inv(whitened) * scale
+
+
+def expected_scatter(
+    samples: MapSamples,
+    T_map_base: Float[Array, "4 4"],
+    rig: Rig,
+    channel_of_label: Int[Array, " label"],
+    config: ExpectedConfig,
+) -> tuple[Float[Array, "6 6"], Float[Array, "6 6"]]:
+    """Covariance [m, rad]^2 of the poses that masks with a network's faults give, and the information of perfect masks.
+
+    The sandwich of `analysis.uncertainty`, with what is believed of masks in place of residuals. The information is
+    about the right tangent of the pose [1/m, 1/rad]^2.
+    """
+    noise, dtype = config.noise, T_map_base.dtype
+    seen = view(samples, T_map_base, rig, channel_of_label, config.view)
+    found = _contours(T_map_base, rig, seen, config.align)
+    information = jnp.einsum("cpi,cp,cpj->ij", found.row, found.weight, found.row)
+    sigma = np.asarray(config.prior_sigma)
+    score = jax.vmap(partial(_score_covariance, noise=noise))(found, seen.element)
+    scale = jnp.asarray(sigma, dtype)
+    meat = scale[:, None] * jnp.sum(score, axis=0) * scale + jnp.asarray(noise.road_scatter(sigma), dtype)
+    inverse = jnp.linalg.inv(noise.efficiency * scale[:, None] * information * scale + jnp.eye(6, dtype=dtype))
+    return scale[:, None] * (inverse @ meat @ inverse) * scale, information
+
+
+def _score_covariance(found: _Contours, element: Int[Array, " p"], noise: BoundaryNoise) -> Float[Array, "6 6"]:
+    """Covariance of the gradient of the cost of one camera."""
+    across = found.weight[:, None] * found.row
+    apart = jnp.linalg.norm(found.uv[:, None] - found.uv[None], axis=-1)
+    facing = jnp.where(element[:, None] == element, jnp.maximum(found.normal @ found.normal.T, 0.0), 0.0)
+    terms = zip(noise.edge_px2, noise.length_px, strict=True)
+    shared = facing * sum(variance * jnp.exp(-apart / length) for variance, length in terms)
+    return noise.own_px2 * (across.T @ across) + across.T @ shared @ across
 
 
 DIRECTIONS = ("longitudinal", "lateral", "heading")

@@ -213,13 +213,13 @@ def _exact_sigma(
 def _smooth_information(
     samples: MapSamples, T: Array, camera: Camera, T_base_cam: Array, channel_of_label: Array, config: PlacementConfig
 ) -> Float[Array, "6 6"]:
-    """Information of one camera, as `expected_information`, with every switch replaced by a fade."""
+    """Information of one camera, as in `expected_scatter`, with every switch replaced by a fade."""
     view, align = config.survey.expected.view, config.survey.expected.align
     T_map_cam = T @ T_base_cam
     T_cam_base = lie.inverse(T_base_cam)
     # Which side of a pole or a box is its contour does not depend on pitch, and hardly on height.
     p_map, is_contour = jax.lax.stop_gradient(contour_points(samples, T_map_cam[:3, 3]))
-    a, u, v = contour_rows(T, T_cam_base, camera, p_map.T, samples.tangent_map.T)
+    a, (u, v), _ = contour_rows(T, T_cam_base, camera, p_map.T, samples.tangent_map.T)
     weight, valid = _length_px(samples, p_map, T_map_cam, camera, view.min_ground_px_per_m)
     range_m = jnp.linalg.norm(p_map - T_map_cam[:3, 3], axis=-1)
     near = smooth_step((view.max_range_m + 2.0 - range_m) / 4.0)[0]

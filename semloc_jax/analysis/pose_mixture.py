@@ -13,13 +13,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp, ndtr
 
-from semloc_jax.analysis.uncertainty import SandwichConfig, boundary_residuals, sandwich_covariance
+from semloc_jax.analysis.uncertainty import SandwichConfig, pose_residuals, sandwich_covariance
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.result import LocalizationResult
 from semloc_jax.localization.run import FrameLocalizer
-from semloc_jax.residuals.view import view
 
 
 @dataclass(frozen=True)
@@ -137,14 +136,11 @@ def frame_mixture(
     """
     inputs, local_map = localizer.prepare(masks, rig, result.T_map_prior)
     settings = localizer.config.frame
-    texture = inputs.textures.level(settings.polish_align.levels[-1])
     covariances = []
     for mode in result.modes:
         T = mode.T_map_base.copy()
         T[:3, 3] -= local_map.origin_map
-        T = jnp.asarray(T, jnp.float32)
-        seen = view(inputs.samples, T, inputs.rig, inputs.channel_of_label, settings.polish_view)
-        residuals = boundary_residuals(T, inputs.rig, seen, texture, inputs.usable, settings.polish_align)
+        residuals = pose_residuals(jnp.asarray(T, jnp.float32), inputs, settings)
         covariances.append(sandwich_covariance(residuals, prior_sigma, config).covariance)
     if not covariances:
         raise SemlocError(f"frame {result.frame.id}: no pose explains the masks, so there is no posterior")

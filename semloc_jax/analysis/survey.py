@@ -16,8 +16,7 @@ from semloc_jax.analysis.ambiguity import AmbiguityConfig, second_pose
 from semloc_jax.analysis.expected import (
     DIRECTIONS,
     ExpectedConfig,
-    expected_covariance,
-    expected_information,
+    expected_scatter,
     expected_sigma,
 )
 from semloc_jax.cameras import Rig
@@ -221,10 +220,9 @@ def _place(
     config: SurveyConfig,
 ) -> tuple[Array, Array, Array, Array]:
     """Sigmas [m, m, rad], ambiguity, place of the second pose, information."""
-    information = expected_information(samples, T_map_base, rig, channel_of_label, config.expected)
-    sigma = expected_sigma(expected_covariance(information, jnp.asarray(config.expected.prior_sigma, jnp.float32)))
+    covariance, information = expected_scatter(samples, T_map_base, rig, channel_of_label, config.expected)
     second = second_pose(samples, T_map_base, rig, channel_of_label, config.ambiguity)
-    return sigma, second.share, second.shift_m, information
+    return expected_sigma(covariance), second.share, second.shift_m, information
 
 
 def _stretches(report: WayReport, what: str, values: np.ndarray, limit: float) -> list[WeakStretch]:

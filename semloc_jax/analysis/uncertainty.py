@@ -1,14 +1,14 @@
 """The covariance of a pose whose residuals are correlated (room: analysis; JAX and host).
 
-In: the evidence of one frame at its optimum. Out: sandwich covariance H^-1 M H^-1 with H the curvature of the robust
-cost and M the covariance of its gradient.
-Mask boundaries are displaced by a smooth field D(u, v): neighbours along one element are wrong together, both sides of
-a stripe move the same way, and what displaces the whole image displaces every element. A residual is n . D with n the
-normal of its contour: residuals i and j have the covariance (n_i . n_j) sum_k s_k exp(-d_ij / l_k). The variances s_k
-are found in the residuals themselves by their variogram, corrected for what the fit of the pose has taken out of them.
+In: the evidence of one frame at its optimum. Out: sandwich covariance H^-1 (M + P) H^-1.
+H is the curvature of the robust cost: with ideal contours, since the stairs of masks hold a pose only until the next
+stair, and with the slope that the ramps really have. M is the covariance of the gradient: with the gradients that the
+ramps really have, whose stairs pull along a contour as well as across it, and with the correlation of displaced
+boundaries, found in the residuals themselves and corrected for what the fit of the pose has taken out of them.
+P is what the road under the vehicle adds where the prior holds the pose.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -17,48 +17,53 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.optimize import nnls
 
-from semloc_jax.analysis.expected import contour_rows
+from semloc_jax.analysis.boundary_noise import BoundaryNoise
+from semloc_jax.analysis.expected import contour_rows, image_rows
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
+from semloc_jax.localization.single_frame import FrameInput, SingleFrameConfig
 from semloc_jax.native.programs import stored_program
 from semloc_jax.residuals.alignment import Usable, visibility
 from semloc_jax.residuals.alignment import camera_views as group_views
-from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.texture import RampTexture, lookup
+from semloc_jax.residuals.view import view
 from semloc_jax.solvers.pose import AlignConfig
 from semloc_jax.structs import ViewSamples
 
 
 @dataclass(frozen=True)
 class SandwichConfig:
-    """What is known of displaced boundaries before a frame is looked at. All values are ours."""
+    """What is known before a frame is looked at, and how much it weighs. All values are ours."""
 
-    length_px: tuple[float, ...] = (6.0, 20.0, 60.0, 200.0)
-    """Lengths l_k over which the field changes."""
-    variance_px2: tuple[float, ...] = (0.20, 0.005, 0.02, 0.002, 0.002)
-    """Variances of a boundary: of its own pixel, then s_k; of masks as `datasets.synthetic.degrade` makes them. Their
-    ratios count: the level is that of the frame."""
+    noise: BoundaryNoise = field(default_factory=BoundaryNoise)
+    """The ratios of its variances count: the level is that of the frame. Its efficiency is not used."""
     believed: float = 1.0
     """How much these weigh against the variogram of one frame: each is known to 1 / sqrt(believed) of itself."""
-    least_efficiency: float = 0.3
+    least_efficiency: float = 0.2
     """The curvature of the robust cost is at least this share of its Gauss-Newton matrix."""
-    bin_px: tuple[float, ...] = (0.5, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)
-    """Limits of the distances of the variogram; farther pairs are its last bin."""
+    freedom: float = 16.0
+    """H and M are estimates themselves, as of so many independent pulls: the covariance grows as Student's does."""
+    bin_px: tuple[float, ...] = (8.0, 22.0, 55.0, 140.0)
+    """Limits of the distances along an edge of the variogram; farther pairs are its last bin."""
 
 
 class BoundaryResiduals(NamedTuple):
     """Every boundary sample of one frame at its optimum, for one camera after the other."""
 
     slope: Float[Array, "n 6"]
-    """Derivative of the distance across the contour by the right tangent [px/m, px/rad]."""
-    distance_px: Float[Array, " n"]
-    """From the contour of the map to the mask boundary, along the normal."""
+    """Derivative of the distance out of an ideal mask by the right tangent [px/m, px/rad]."""
+    gradient: Float[Array, "n 6"]
+    """The same of the ramp as it is."""
+    rise: Float[Array, " n"]
+    """How much the ramp rises for each pixel out of the mask; 1 where it is ideal."""
     ramp: Float[Array, " n"]
-    """The same as a share of the ramp, in [-1, 1]."""
+    """Signed distance from the mask boundary to the contour of the map as a share of the ramp, outside positive."""
+    ramp_px: Float[Array, " n"]
     weight: Float[Array, " n"]
     """Independent observations over their variance [1/px^2]; 0 where nothing is seen."""
     uv: Float[Array, "n 2"]
     normal: Float[Array, "n 2"]
+    """Unit normal of the contour, out of the mask."""
     camera: Int[Array, " n"]
     element: Int[Array, " n"]
 
@@ -89,27 +94,38 @@ def boundary_residuals(
     for k, camera in enumerate(rig.cameras):
         camera = camera.astype(T_map_base.dtype)
         T_cam_base = lie.inverse(jnp.asarray(rig.T_base_cam[k], T_map_base.dtype))
-        slope, u, v = contour_rows(T_map_base, T_cam_base, camera, samples.p_map[k], samples.tangent_map[k])
-        normal = _normal(T_map_base, T_cam_base, camera, samples.p_map[k], samples.tangent_map[k])
+        slope, (u, v), normal = contour_rows(T_map_base, T_cam_base, camera, samples.p_map[k], samples.tangent_map[k])
         image = texture.image_index(jnp.asarray(k), samples.channel[k])
-        ramp, rise = jax.jvp(lambda u, v, image=image: lookup(texture, image, u, v), (u, v), tuple(normal))
+        ramp, pull = jax.vjp(lambda u, v, image=image: lookup(texture, image, u, v), u, v)
+        steep = texture.ramp_px * jnp.stack(pull(jnp.ones_like(ramp)))
+        rise = jnp.sum(steep * normal, axis=0)
+        out = jnp.where(rise >= 0, 1.0, -1.0)
         weight = jnp.where(seen[k], samples.weight[k], 0.0) / (align.noise_px**2 * align.correlation_px)
-        signed = jnp.where(rise >= 0, ramp, -ramp)
-        number = jnp.full(u.shape, k)
-        uv = jnp.stack([u, v], axis=-1)
-        row = (slope.T, texture.ramp_px * signed, signed, weight, uv, normal.T, number, samples.element[k])
+        gradient = image_rows(T_map_base, T_cam_base, camera, samples.p_map[k], steep)
+        row = (out * slope).T, gradient.T, out * rise, ramp, jnp.full(u.shape, texture.ramp_px), weight
+        row += jnp.stack([u, v], axis=-1), (out * normal).T, jnp.full(u.shape, k), samples.element[k]
         parts.append(row)
     return BoundaryResiduals(*(jnp.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _normal(T_map_base: Array, T_cam_base: Array, camera, p_map: Array, tangent_map: Array) -> Float[Array, "2 p"]:
-    """Unit normal of each contour in the image, the one that `contour_rows` measures along."""
-    T_cam_map = T_cam_base @ lie.inverse(T_map_base)
-    points = tuple(T_cam_map[:3, :3] @ p_map + T_cam_map[:3, 3:])
-    along = tuple(T_cam_map[:3, :3] @ tangent_map)
-    _, (du, dv) = jax.jvp(lambda *p: camera.project_xyz(*p)[:2], points, along)
-    length = jnp.sqrt(du * du + dv * dv + 1e-12)
-    return jnp.stack([-dv / length, du / length])
+def pose_residuals(T_map_base: Float[Array, "4 4"], inputs: FrameInput, config: SingleFrameConfig) -> BoundaryResiduals:
+    """The residuals of a frame at a pose that was found in it, on the finest level that held the pose.
+
+    Args:
+        T_map_base: Pose relative to the local origin.
+        inputs: Map samples, cost maps, cameras.
+        config: How the pose was found.
+    """
+    align = config.polish_align
+    seen = view(inputs.samples, T_map_base, inputs.rig, inputs.channel_of_label, config.polish_view)
+    for level in reversed(align.levels):
+        texture = inputs.textures.level(level)
+        found = boundary_residuals(T_map_base, inputs.rig, seen, texture, inputs.usable, align)
+        weight = np.asarray(found.weight, np.float64)
+        # As in solvers.pose: a level with fewer inliers was left again.
+        if np.sum(weight * (np.abs(found.ramp) < 0.95)) >= align.min_inlier_ratio * np.sum(weight):
+            break
+    return found
 
 
 class Sandwich(NamedTuple):
@@ -118,7 +134,7 @@ class Sandwich(NamedTuple):
     Attributes:
         covariance: of the right tangent [m, rad], residual correlation taken into account.
         naive: inverse of the information that the solver assumes, one observation each `correlation_px`.
-        variance_px2: of a boundary: of its own pixel, then by length; see `SandwichConfig`.
+        variance_px2: of a boundary: of its own pixel, by length along its edge, thickness; see `BoundaryNoise`.
     """
 
     covariance: Float[np.ndarray, "6 6"]
@@ -132,14 +148,15 @@ def sandwich_covariance(
     """The covariance of a pose from the residuals at its optimum.
 
     Args:
-        residuals: Of `boundary_residuals`.
+        residuals: Of `pose_residuals`.
         prior_sigma: Standard deviations of the prior (x, y, z [m], roll, pitch, yaw [rad]).
         config: None for the defaults.
     """
-    config = config or SandwichConfig()
-    model = _Model.of(residuals, np.asarray(prior_sigma, np.float64), config)
-    variance = fitted_variances(*model.variogram(), config)
-    return model.sandwich(variance)
+    config, sigma = config or SandwichConfig(), np.asarray(prior_sigma, np.float64)
+    if not np.any(np.asarray(residuals.weight) > 0):
+        return Sandwich(np.diag(sigma**2), np.diag(sigma**2), config.noise.variance_px2)
+    model = _Model(residuals, sigma, config)
+    return model.sandwich(fitted_variances(*model.variogram(), config))
 
 
 def fitted_variances(
@@ -156,77 +173,114 @@ def fitted_variances(
         spread: Standard deviation of each sum.
         config: Beliefs.
     """
-    belief = np.array(config.variance_px2)
-    belief = belief * max(found[0] / (design[0] @ belief), 1e-3)
-    rows = design / spread[:, None]
+    belief = config.noise.variance_px2
+    belief = belief * max(found[0] / max(design[0] @ belief, 1e-12), 1e-3)
     sure = np.sqrt(config.believed) / belief
-    everything = np.concatenate([rows, np.diag(sure)])
-    return nnls(everything, np.concatenate([found / spread, sure * belief]))[0]
+    rows = np.concatenate([design / spread[:, None], np.diag(sure)])
+    return nnls(rows, np.concatenate([found / spread, sure * belief]))[0]
 
 
-@dataclass(frozen=True)
+class _Block(NamedTuple):
+    """The samples of one element in one camera."""
+
+    index: np.ndarray
+    bins: np.ndarray
+    pair: np.ndarray
+    """Weight of each pair in the variogram; pairs that face different ways count nothing."""
+    parts: tuple[np.ndarray, ...]
+    """Covariance of their displacements for a variance of 1, of their own and for each length."""
+
+
 class _Model:
     """Matrices of one frame, whitened by the prior."""
 
-    rows: np.ndarray
-    score: np.ndarray
-    weight: np.ndarray
-    inverse: np.ndarray
-    naive: np.ndarray
-    parts: tuple[np.ndarray, ...]
-    """Covariance of the residuals for a variance of 1, for each component."""
-    moved: np.ndarray
-    fit: np.ndarray
-    bins: np.ndarray
-    cosine: np.ndarray
-    sigma: np.ndarray
-    num_bins: int
-
-    @classmethod
-    def of(cls, residuals: BoundaryResiduals, sigma: np.ndarray, config: SandwichConfig) -> "_Model":
-        given = [np.asarray(leaf) for leaf in residuals]
-        used = given[3] > 0
-        slope, distance, ramp, weight, uv, normal, camera, _ = (leaf[used] for leaf in given)
-        rows, weight = slope.astype(np.float64) * sigma, weight.astype(np.float64)
-        held = np.asarray(KERNELS["tukey"].weight(jnp.asarray(ramp)), np.float64)
-        bent = (1 - ramp.astype(np.float64) ** 2) * (1 - 5 * ramp.astype(np.float64) ** 2)
-        efficiency = max(np.sum(weight * bent) / max(np.sum(weight * held), 1e-12), config.least_efficiency)
-        information = (rows.T * (weight * held)) @ rows
-        inverse = np.linalg.inv(efficiency * information + np.eye(6))
-        naive = np.linalg.inv(information + np.eye(6))
-        apart = np.linalg.norm(uv[:, None] - uv[None], axis=-1)
-        same = camera[:, None] == camera
-        cosine = np.where(same, normal @ normal.T, 0.0)
-        parts = (np.eye(len(uv)), *(cosine * np.exp(-apart / length) for length in config.length_px))
-        bins = np.digitize(apart, config.bin_px)
-        np.fill_diagonal(bins, 0)
+    def __init__(self, residuals: BoundaryResiduals, sigma: np.ndarray, config: SandwichConfig):
+        given = BoundaryResiduals(*(np.asarray(leaf) for leaf in residuals))
+        given = BoundaryResiduals(*(leaf[given.weight > 0] for leaf in given))
+        ramp, self.weight, rise = (leaf.astype(np.float64) for leaf in (given.ramp, given.weight, given.rise))
+        # Tukey's kernel, as `residuals.robust` has it: weight, and the derivative of weight times residual.
+        inside = np.maximum(1 - ramp**2, 0.0)
+        held, bent = inside**2, inside * (1 - 5 * ramp**2)
+        slope, gradient = given.slope * sigma, given.gradient * sigma
+        information = (slope.T * (self.weight * held)) @ slope
+        curved = np.sum(self.weight * bent * rise**2) / max(np.sum(self.weight * held), 1e-12)
+        self.naive = np.linalg.inv(information + np.eye(6))
+        self.inverse = np.linalg.inv(max(curved, config.least_efficiency) * information + np.eye(6))
+        self.scatter, self.sigma = config.noise.road_scatter(sigma), sigma
+        self.unsure = config.freedom / (config.freedom - 2.0)
+        self.pulled, self.score = held * ramp * given.ramp_px, gradient * self.weight[:, None]
         # An error e moves the pose by fit @ e, which leaves e - moved @ (fit @ e) in the residuals.
-        moved, fit = bent[:, None] * rows, inverse @ (rows.T * weight)
-        score = held * distance.astype(np.float64)
-        return cls(rows, score, weight, inverse, naive, parts, moved, fit, bins, cosine, sigma, len(config.bin_px) + 1)
+        self.fit, self.moved = self.inverse @ self.score.T, bent[:, None] * gradient
+        self.in_camera = given.camera[:, None] == np.unique(given.camera)
+        self.blocks = [_block(index, given, self.weight, config) for index in _elements(given)]
+
+    def _spread_to_pose(self) -> list[np.ndarray]:
+        """Covariance of every residual with the pose, `[n 6]`, for a variance of 1 of each component."""
+        columns = []
+        for blocks in self._by_part():
+            column = np.empty_like(self.moved)
+            for block, part in blocks:
+                column[block.index] = part @ self.fit[:, block.index].T
+            columns.append(column)
+        return [*columns, self.in_camera @ (self.in_camera.T @ self.fit.T)]
 
     def variogram(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Sums of products of residuals by distance, what each component would give, and their spread."""
-        pair = self.weight[:, None] * self.weight * self.cosine
-        flat, label = pair.ravel(), self.bins.ravel()
+        """Sums of products of residuals by distance along an edge, what each component would give, and their spread.
 
-        def summed(matrix: np.ndarray) -> np.ndarray:
-            return np.bincount(label, flat * matrix.ravel(), self.num_bins)
+        The last sum is over all pairs of a camera: it tells of the thickness of the masks.
+        """
+        with_pose = self._spread_to_pose()
+        of_pose = [self.fit @ column for column in with_pose]
+        num_bins = 2 + max(block.bins.max() for block in self.blocks)
+        found, squares, design = np.zeros(num_bins), np.zeros(num_bins), np.zeros((num_bins, len(with_pose)))
+        for index, bins, pair, parts in self.blocks:
+            moved, pulled = self.moved[index], self.pulled[index]
+            found += np.bincount(bins.ravel(), (pair * np.outer(pulled, pulled)).ravel(), num_bins)
+            squares += np.bincount(bins.ravel(), (pair**2).ravel(), num_bins)
+            for k, part in enumerate((*parts, np.ones_like(pair))):
+                taken = moved @ with_pose[k][index].T
+                left = part - taken - taken.T + moved @ of_pose[k] @ moved.T
+                design[:, k] += np.bincount(bins.ravel(), (pair * left).ravel(), num_bins)
+        for inside in self.in_camera.T:
+            weight = self.weight * inside
+            moved = self.moved.T @ weight
+            found[-1] += (weight @ self.pulled) ** 2
+            squares[-1] += (weight @ weight) ** 2
+            sums = [sum(weight[b.index] @ part @ weight[b.index] for b, part in blocks) for blocks in self._by_part()]
+            for k, whole in enumerate((*sums, np.sum(weight) ** 2)):
+                design[-1, k] += whole - 2 * moved @ (with_pose[k].T @ weight) + moved @ of_pose[k] @ moved
+        scale = np.average(self.pulled**2, weights=self.weight)
+        return found, design, np.maximum(scale * np.sqrt(squares), 1e-9)
 
-        design = []
-        for part in self.parts:
-            left = part - self.moved @ (self.fit @ part)
-            design.append(summed(left - (left @ self.fit.T) @ self.moved.T))
-        found = summed(np.outer(self.score, self.score))
-        scale = np.average(self.score**2, weights=self.weight)
-        spread = scale * np.sqrt(np.bincount(label, flat**2, self.num_bins)) + 1e-12
-        return found, np.stack(design, axis=1), np.maximum(spread, 1e-3 * spread.max())
+    def _by_part(self) -> list[list[tuple[_Block, np.ndarray]]]:
+        """Blocks with their covariances, for one component after the other."""
+        return [[(b, b.parts[k]) for b in self.blocks] for k in range(len(self.blocks[0].parts))]
 
     def sandwich(self, variance: np.ndarray) -> Sandwich:
         """The covariance with these variances."""
-        pull = self.rows * self.weight[:, None]
-        meat = sum(s * (pull.T @ part @ pull) for s, part in zip(variance, self.parts, strict=True))
-        # The road under the vehicle scatters as the prior says.
-        meat = meat + np.eye(6)
-        scale = np.outer(self.sigma, self.sigma)
-        return Sandwich(scale * (self.inverse @ meat @ self.inverse), scale * self.naive, variance)
+        meat = self.scatter.copy()
+        for s, blocks in zip(variance, self._by_part(), strict=False):
+            meat += s * sum(self.score[b.index].T @ part @ self.score[b.index] for b, part in blocks)
+        by_camera = self.in_camera.T @ self.score
+        meat += variance[-1] * by_camera.T @ by_camera
+        covariance, scale = self.unsure * (self.inverse @ meat @ self.inverse), np.outer(self.sigma, self.sigma)
+        return Sandwich(scale * covariance, scale * self.naive, variance)
+
+
+def _elements(given: BoundaryResiduals) -> list[np.ndarray]:
+    """Indices of the samples of each element in each camera."""
+    _, number = np.unique(np.stack([given.camera, given.element]), axis=1, return_inverse=True)
+    order = np.argsort(number.ravel(), kind="stable")
+    return [part for part in np.split(order, np.cumsum(np.bincount(number.ravel()))[:-1]) if len(part)]
+
+
+def _block(index: np.ndarray, given: BoundaryResiduals, weight: np.ndarray, config: SandwichConfig) -> _Block:
+    uv, normal = given.uv[index].astype(np.float64), given.normal[index].astype(np.float64)
+    apart = np.linalg.norm(uv[:, None] - uv[None], axis=-1)
+    facing = np.maximum(normal @ normal.T, 0.0)
+    bins = 1 + np.digitize(apart, config.bin_px)
+    pair = np.outer(weight[index], weight[index]) * (facing > 0.5)
+    np.fill_diagonal(bins, 0)
+    np.fill_diagonal(pair, weight[index])
+    parts = (np.eye(len(index)), *(facing * np.exp(-apart / length) for length in config.noise.length_px))
+    return _Block(index, bins, pair, parts)

@@ -29,7 +29,7 @@ class Direction(NamedTuple):
 def stanford_diagram(directions: Mapping[str, Direction]) -> Figure:
     """A Stanford diagram for each direction, side by side.
 
-    Points under the diagonal are frames whose protection level bounds the error; left of the vertical alert limit the
+    Points above the diagonal are frames whose protection level bounds the error; left of the vertical alert limit the
     frame was usable; the field below the limit in level and beyond it in error is hazardous.
 
     Args:
