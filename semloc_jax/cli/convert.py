@@ -25,8 +25,8 @@ class Options:
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
     """The file to write; its suffix is the format."""
     origin: str | None = None
-    """Place of the local frame: latitude,longitude,height in degrees and metres. A map that does not know its place gets
-    it: its zero lies there, x points east, y north."""
+    """Place of the local frame: latitude,longitude,height in degrees and metres. A map that does not know its place
+    gets it: its zero lies there, x points east, y north."""
     only: str | None = None
     """Classes to keep, separated by commas: pole,sign,lane_marking."""
     geojson: Literal["auto", "rfc7946", "drive"] = "auto"

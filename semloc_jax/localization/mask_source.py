@@ -15,7 +15,7 @@ from semloc_jax.datasets import Frame, Sequence
 from semloc_jax.errors import SemlocError
 from semloc_jax.localization.mask_view import MaskSource, TopViewSource, resized
 from semloc_jax.native.memory import remembered
-from semloc_jax.perception import load_class_table
+from semloc_jax.perception import load_class_table, preset_names
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
 from semloc_jax.perception.masks import read_mask
@@ -76,7 +76,10 @@ def mask_source(
         known = ", ".join((*sequence.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "a folder CAMERA/FRAME.png"))
         raise SemlocError(f"masks '{name}': drive {sequence.name} has no such folder; expected one of {known}")
     if not table:
-        raise SemlocError(f"masks '{name}': no class table is known for {sequence.name}; give --class-table")
+        raise SemlocError(
+            f"masks '{name}': no class table is known for {sequence.name}; give --class-table "
+            f"{', '.join(preset_names())} or a YAML file"
+        )
     source = MaskSource(
         name,
         load_class_table(table),
