@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Literal
 
 from semloc_jax.cli.arguments import parse_names
 from semloc_jax.cli.config_files import UsageError
-from semloc_jax.cli.drive_inputs import DriveOptions, open_inputs
+from semloc_jax.cli.drive_inputs import DriveOptions, Inputs, open_inputs
 from semloc_jax.cli.main import OK
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from semloc_jax.datasets import Frame
     from semloc_jax.localization import LocalizeConfig
 
 METRIC = ("x", "y", "z")
@@ -46,6 +47,8 @@ class Options(DriveOptions):
     """Starts of the basin, drawn evenly."""
     window: str = "5,3,10"
     """Half widths of the window that they are drawn from: longitudinal [m], lateral [m], heading [deg]."""
+    prove: bool = False
+    """With --basin: also prove by interval bounds within which region no other pose fits as well; a minute."""
     serve: bool = False
     """Open the explorer, a page on this machine, instead of writing pictures."""
     port: int = 8765
@@ -140,7 +143,33 @@ def _basin(options: Options) -> int:
     results.write_csv(folder / "basin.csv", names, rows)
     shares = ", ".join(f"best of {n} {100 * found.best_of(n):.1f} %" for n in (8, 64) if n <= options.starts)
     print(f"starts within {window}: one finds the pose in {100 * found.single:.1f} %{', ' + shares if shares else ''}")
+    if options.prove:
+        _prove(inputs, frame, localize, folder)
     return OK
+
+
+def _prove(inputs: Inputs, frame: "Frame", config: "LocalizeConfig", folder: Path) -> None:
+    """Regions without a pose as good as the minimum on each level of the cost maps down to 20 px: said and written."""
+    from semloc_jax.analysis.certificate import CertificateConfig
+    from semloc_jax.analysis.frame_certificate import certify_frame
+    from semloc_jax.cli import results
+    from semloc_jax.localization import FrameLocalizer
+
+    localizer = FrameLocalizer(inputs.map, inputs.masks.table, config)
+    masks, rig = inputs.masks.masks(frame), inputs.masks.seen_by(frame.rig.select(inputs.masks.cameras))
+    T_map_base, rows = inputs.drive.truth_at(frame), []
+    for level, ramp_px in enumerate(config.cost_maps.ramp_px):
+        if ramp_px < 20.0:
+            break
+        region = certify_frame(localizer, masks, rig, T_map_base, CertificateConfig(level), ("higher",)).higher
+        if region is None:
+            print(f"ramp of {ramp_px:g} px: nothing could be proven")
+        else:
+            print(f"ramp of {ramp_px:g} px: no pose as good as the minimum within {region}")
+            rows.append((ramp_px, *(f"{value:.4f}" for value in (*region.outer, *region.inner))))
+    columns = ("longitudinal_m", "lateral_m", "heading_deg")
+    names = ("ramp_px", *(f"{box}_{c}" for box in ("outer", "inner") for c in columns))
+    results.write_csv(folder / "proof.csv", names, rows)
 
 
 def _serve(options: Options) -> int:

@@ -54,3 +54,17 @@ def test_the_basin_of_a_frame_is_drawn_and_written(simulated_road, tmp_path, cap
     assert max(abs(float(row["start_lateral_m"])) for row in rows) > 0.7
     assert (out / "basin.png").stat().st_size > 10000
     assert "one finds the pose in" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_region_without_a_pose_as_good_is_proven_and_written(simulated_road, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["--masks", "sem", "--frame", "0", "--basin", "--starts", "8", "--prove", "--out", str(out)]
+    assert main(["landscape", str(simulated_road), *words]) == OK
+    with (out / "proof.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    widest = rows[0]
+    assert float(widest["ramp_px"]) == 160.0
+    assert float(widest["outer_longitudinal_m"]) > 2.0 and float(widest["outer_lateral_m"]) > 0.5
+    assert all(float(row["outer_lateral_m"]) > float(row["inner_lateral_m"]) for row in rows)
+    assert "ramp of 160 px: no pose as good as the minimum within ±" in capsys.readouterr().out

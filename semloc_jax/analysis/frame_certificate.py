@@ -1,0 +1,42 @@
+"""The certificate of a frame from its masks (room: analysis; host).
+
+In: map and configuration, masks, cameras, a pose. Out: Certificate.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.analysis.certificate import CLAIMS, Certificate, CertificateConfig, Claim, certify
+from semloc_jax.cameras import Rig
+from semloc_jax.localization import FrameLocalizer
+from semloc_jax.localization.single_frame import evidence_from
+from semloc_jax.solvers.pose import AlignConfig
+
+
+def certify_frame(
+    localizer: FrameLocalizer,
+    masks: Sequence[np.ndarray],
+    rig: Rig,
+    T_map_base: Float[np.ndarray, "4 4"],
+    config: CertificateConfig | None = None,
+    claims: Sequence[Claim] = CLAIMS,
+) -> Certificate:
+    """The certificate of the minimum that the masks of a frame have near a pose.
+
+    Args:
+        localizer: Map and configuration; its cost maps have the level that is certified.
+        masks: Of each camera.
+        rig: Cameras as the masks show them.
+        T_map_base: Pose in the map frame.
+        config: None for the defaults.
+        claims: What to prove.
+    """
+    inputs, local_map = localizer.prepare(masks, rig, T_map_base)
+    T = np.array(T_map_base, np.float64)
+    T[:3, 3] -= local_map.origin_map
+    start = jnp.asarray(T, jnp.float32)
+    evidence = evidence_from(start, inputs, localizer.config.frame.search_view)
+    return certify(start, evidence, AlignConfig(), config, claims)
