@@ -1,4 +1,4 @@
-"""`semloc learn`: class weights, ramp and noise learned through the solve from drives with truth (room: cli)."""
+"""`semloc learn`: class weights, ramp, tilt and noise learned through the solve from drives with truth (room: cli)."""
 
 import json
 from dataclasses import dataclass
@@ -15,25 +15,32 @@ if TYPE_CHECKING:
     from semloc_jax.localization.run import LocalizeConfig
 
 LEARNED, LEARNED_TRACK = "learned.yaml", "track_learned.yaml"
+_COLUMNS = (("position_m", 100, 2), ("p95_m", 100, 1), ("heading_deg", 1, 3), ("nees", 1, 2), ("nees_median", 1, 2))
+"""Of the report: name, factor, digits."""
 
 
 @dataclass(frozen=True)
 class Options:
     """Learn from drives with truth what the localizer assumes: a weight for each class of map elements, the finest ramp
-    (where the robust kernel lets go) and the length of contour that is one observation.
+    (where the robust kernel lets go), how far the vehicle tilts against the road, and the length of contour that is one
+    observation.
 
-    What is minimised is the negative log-likelihood of the true poses, 0.5 e' S^-1 e + 0.5 log det S, with derivatives
-    through the solve: accuracy and honesty of the covariance together. Writes learned.yaml for localize --config,
-    track_learned.yaml for track --config, report.md and report.json with the errors on every drive before and after,
-    and config.yaml.
+    What is minimised is the negative log-likelihood of the true poses, with derivatives through the solve: accuracy and
+    honesty of the covariance together. Drives for validation decide when to stop and how wide the covariance is. Writes
+    learned.yaml for localize --config, track_learned.yaml for track --config, report.md and report.json with the errors
+    on every drive before and after, and config.yaml.
 
     Judge it by the drives that are held out. Every value of the configuration is an option too, e.g. --num-frames 30.
     """
 
     drives: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DRIVE...")]
     """Drives to learn from: folders with maps, masks and truth, all with the same classes in their masks."""
+    validation: tuple[Path, ...] = ()
+    """Drives that say when to stop, and how wide the covariance is; default: those that are learned from."""
     held_out: tuple[Path, ...] = ()
     """Drives to judge by only."""
+    maps: tuple[str, ...] = ()
+    """Names of maps of every drive (exact, errors): each drive is taken once with each of them; default: its own."""
     masks: str = "sem_net"
     """Mask folder of every drive: masks like those that will be localized with."""
     config: Path | None = None
@@ -59,35 +66,47 @@ def run(options: Options) -> int:
 
     from semloc_jax.cli import results
     from semloc_jax.cli.config_files import UsageError
-    from semloc_jax.learning import fit, learned_config, learned_track_config, learned_values, training_frames
+    from semloc_jax.learning import (
+        calibrated,
+        fit,
+        learned_config,
+        learned_track_config,
+        learned_values,
+        training_frames,
+    )
     from semloc_jax.localization.localizer import TrackConfig
 
     if not options.drives:
         raise UsageError("no drives to learn from; expected DRIVE ..., folders with map, masks and truth")
     config = options.settings
-    inputs = {path: _open(path, options.masks) for path in (*options.drives, *options.held_out)}
+    every = (*options.drives, *options.validation, *options.held_out)
+    inputs = {(path, name): _open(path, options.masks, name) for path in every for name in options.maps or (None,)}
     table = _common_table(inputs)
     folder = results.make_folder(options.out)
-    frames = []
-    for number, path in enumerate(tqdm(options.drives, unit="drive", desc="frames", disable=None)):
-        given = inputs[path]
-        frames += training_frames(given.drive, given.map, given.masks, config, number)
+    frames, validation = [], []
+    for number, ((path, _), given) in enumerate(tqdm(inputs.items(), unit="drive", desc="frames", disable=None)):
+        if path not in options.held_out:
+            kept = validation if path in options.validation else frames
+            kept += training_frames(given.drive, given.map, given.masks, config, number)
     with tqdm(unit="step", desc="learning", disable=None) as bar:
 
         def told(loss: float) -> None:
             bar.update()
             bar.set_postfix(loss=f"{loss:.3f}")
 
-        found = fit(frames, len(table.channels), config, told)
-    values = learned_values(found.parameters, table, config)
+        found = fit(frames, len(table.channels), config, validation, told)
+    asked = options.validation or options.drives
+    drives = [(given.drive, given.map, given.masks) for (path, _), given in inputs.items() if path in asked]
+    values = calibrated(learned_values(found.parameters, table, config), drives, config)
     learned = learned_config(values, config.localize)
     rows = [
-        (path, path in options.held_out, *_judged(given, (config.localize, learned), config))
-        for path, given in tqdm(inputs.items(), unit="drive", desc="judging", disable=None)
+        (_name(path, name), _role(path, options), *_judged(given, (config.localize, learned), config))
+        for (path, name), given in tqdm(inputs.items(), unit="drive", desc="judging", disable=None)
     ]
     _write_learned(folder / LEARNED, config.localize, learned, options)
     _write_learned(folder / LEARNED_TRACK, TrackConfig(), learned_track_config(values, TrackConfig()), options)
-    results.write_record(folder, config, {"masks": options.masks, "held_out": [str(p) for p in options.held_out]})
+    others = {"validation": [str(p) for p in options.validation], "held_out": [str(p) for p in options.held_out]}
+    results.write_record(folder, config, {"masks": options.masks, "maps": list(options.maps)} | others)
     text = _report(found, rows)
     (folder / "report.md").write_text(text + "\n", encoding="utf-8")
     _write_json(folder / "report.json", found, rows)
@@ -96,13 +115,23 @@ def run(options: Options) -> int:
     return OK
 
 
-def _open(path: Path, masks: str) -> "Inputs":
+def _open(path: Path, masks: str, name: str | None) -> "Inputs":
     from semloc_jax.cli.drive_inputs import DriveOptions, open_inputs
 
-    return open_inputs(DriveOptions(drive=path, masks=masks, prior="truth"))
+    return open_inputs(DriveOptions(drive=path, masks=masks, prior="truth", map=name))
 
 
-def _common_table(inputs: "dict[Path, Inputs]"):
+def _name(path: Path, name: str | None) -> str:
+    return path.name if name is None else f"{path.name}, map {name}"
+
+
+def _role(path: Path, options: Options) -> str:
+    if path in options.held_out:
+        return "held out"
+    return "validation" if path in options.validation else "learned from"
+
+
+def _common_table(inputs: "dict[tuple[Path, str | None], Inputs]"):
     """The class table of all drives.
 
     Raises:
@@ -152,34 +181,33 @@ def _write_learned(path: Path, before: object, after: object, options: Options) 
     path.write_text(head + content, encoding="utf-8")
 
 
-def _report(found: "Fit", rows: "list[tuple[Path, bool, Accuracy, Accuracy]]") -> str:
+def _report(found: "Fit", rows: "list[tuple[str, str, Accuracy, Accuracy]]") -> str:
     """Errors of every drive before and after as a table."""
     lines = [
-        f"{found.num_used} of {found.num_frames} frames learned from: mean negative log-likelihood "
-        f"{found.history[0]:.3f} before, {found.history[-1]:.3f} after {len(found.history) - 1} iterations",
+        f"{found.num_used} of {found.num_frames} frames learned from: loss {found.history[0]:.3f} before, "
+        f"{min(found.history):.3f} after",
         "",
-        "| drive | | frames | far off | position [cm] | heading [deg] | NEES per direction | neg. log-likelihood |",
-        "|---|---|---|---|---|---|---|---|",
+        "| drive | | frames | far off | position, mean [cm] | p95 [cm] | heading [deg] | NEES per direction "
+        "| median | within 1 / 2 sigma [%] |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for path, is_held_out, old, new in rows:
-        lines.append(
-            f"| {path.name} | {'held out' if is_held_out else 'learned from'} | {len(old.error)} "
-            f"| {old.num_far} -> {new.num_far} | {100 * old.position_m:.2f} -> {100 * new.position_m:.2f} "
-            f"| {old.heading_deg:.3f} -> {new.heading_deg:.3f} "
-            f"| {old.nees:.2f} -> {new.nees:.2f} | {old.nll:.2f} -> {new.nll:.2f} |"
-        )
+    for name, role, old, new in rows:
+        changes = [f"{old.num_far} -> {new.num_far}"]
+        for value, scale, digits in _COLUMNS:
+            changes.append(f"{scale * getattr(old, value):.{digits}f} -> {scale * getattr(new, value):.{digits}f}")
+        inside = [f"{100 * one.within(1):.0f} / {100 * one.within(2):.0f}" for one in (old, new)]
+        lines.append(f"| {name} | {role} | {len(old.error)} | {' | '.join([*changes, ' -> '.join(inside)])} |")
     return "\n".join(lines)
 
 
-def _write_json(path: Path, found: "Fit", rows: "list[tuple[Path, bool, Accuracy, Accuracy]]") -> None:
+def _write_json(path: Path, found: "Fit", rows: "list[tuple[str, str, Accuracy, Accuracy]]") -> None:
     drives = [
-        {"drive": str(drive), "held_out": is_held_out, "before": _numbers(old), "after": _numbers(new)}
-        for drive, is_held_out, old, new in rows
+        {"drive": name, "role": role, "before": _numbers(old), "after": _numbers(new)} for name, role, old, new in rows
     ]
     content = {"history": list(found.history), "num_used": found.num_used, "drives": drives}
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def _numbers(accuracy: "Accuracy") -> dict[str, float]:
-    names = ("position_m", "heading_deg", "nees", "nll", "num_far")
-    return {name: getattr(accuracy, name) for name in names}
+    names = ("position_m", "p95_m", "heading_deg", "nees", "nees_median", "nll", "num_far")
+    return {name: getattr(accuracy, name) for name in names} | {"within": [accuracy.within(k) for k in (1, 2, 3)]}

@@ -1,11 +1,12 @@
 """Weights, kernel and noise of the localizer learned through its own solve (room: learning)."""
 
+from semloc_jax.learning.calibrate import calibrated
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.evaluate import Accuracy, evaluate
 from semloc_jax.learning.fit import Fit, fit
 from semloc_jax.learning.loss import pose_nll
 from semloc_jax.learning.parameters import Learned, Parameters, learned_config, learned_track_config, learned_values
-from semloc_jax.learning.scenes import TrainingFrame, training_frames
+from semloc_jax.learning.scenes import TrainingFrame, training_frame, training_frames
 
 __all__ = [
     "Accuracy",
@@ -14,11 +15,13 @@ __all__ = [
     "LearningConfig",
     "Parameters",
     "TrainingFrame",
+    "calibrated",
     "evaluate",
     "fit",
     "learned_config",
     "learned_track_config",
     "learned_values",
     "pose_nll",
+    "training_frame",
     "training_frames",
 ]

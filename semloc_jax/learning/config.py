@@ -16,33 +16,48 @@ class LearningConfig:
 
     num_frames: int = 16
     """Frames of each drive, spread evenly over it."""
-    sigma_m: float = 0.25
-    """Standard deviation of the prior along and across the road: what a tracker knows before it looks."""
-    sigma_deg: float = 0.7
-    start_m: float = 0.05
-    """What a search leaves along and across the road: where the judged solves start."""
-    start_deg: float = 0.1
+    sigma_m: float = 1.0
+    """Standard deviation of the prior along and across the road, as a satellite fix has it."""
+    sigma_deg: float = 3.0
     stored_ramp_px: float = 10.0
     """Ramp of the cost maps that are learned on: the widest kernel that can be learned."""
     stored_stride: int = 2
     max_error_m: float = 0.3
-    """A solve that ends farther from the truth than this is on another dash or pole, or sees nothing: no weight nor
+    """A frame that ends farther from the truth than this is on another dash or pole, or sees nothing: no weight nor
     noise mends that. It is counted, and left out of what is learned and judged."""
     weight_sigma: float = 0.5
     """Standard deviation of the logarithm of a class weight about 1: few frames shall not silence a class."""
     ramp_sigma: float = 0.5
     """Of the logarithm of the ramp about its default."""
+    tilt_sigma: float = 0.5
+    """Of the logarithm of the tilt against the road about its default."""
     correlation_sigma: float = 1.0
     """Of the logarithm of the correlation length about its default."""
-    max_iterations: int = 25
+    independent_share: float = 0.1
+    """Share of the frames that count against those standard deviations: those of a drive share its road and map."""
+    tail_dof: float = 4.0
+    """Degrees of freedom of the Student distribution that errors are taken from while weights and ramp are learned: few
+    frames that end beside their place shall not outweigh all others."""
+    max_gradient: float = 3.0
+    """Longest gradient of one frame [nats], by the logarithms that are learned."""
+    num_steps: int = 80
+    """Of Adam."""
+    batch: int = 40
+    """Frames of one step."""
+    rate: float = 0.05
+    """Of Adam at its begin; it falls to zero."""
+    num_calibrations: int = 2
+    """Times that the drives for validation are searched to find how wide the covariance has to be; 0 leaves it as wide
+    as single solves need it."""
+    judge_every: int = 10
+    """Steps after which the frames for validation are asked; the best answer is kept."""
     seed: int = 0
-    """Of the priors' errors."""
+    """Of the priors' errors and of the batches."""
     localize: LocalizeConfig = field(default_factory=LocalizeConfig)
     """The configuration to start from."""
     smooth: SmoothConfig = field(default_factory=SmoothConfig)
 
     def __post_init__(self) -> None:
-        if self.num_frames < 1 or self.max_iterations < 1:
-            raise SemlocError(
-                f"learning: num_frames = {self.num_frames}, max_iterations = {self.max_iterations}; expected at least 1"
-            )
+        for name in ("num_frames", "num_steps", "batch", "judge_every"):
+            if getattr(self, name) < 1:
+                raise SemlocError(f"learning: {name} = {getattr(self, name)}; expected at least 1")

@@ -1,6 +1,6 @@
 """How accurate and how honest a configuration is on a drive (room: learning; host).
 
-In: a drive with truth, a LocalizeConfig. Out: Accuracy, from the fast solver as it is used.
+In: a drive with truth, a LocalizeConfig. Out: Accuracy, from the search as it is used.
 """
 
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ import numpy as np
 from semloc_jax.datasets import Sequence
 from semloc_jax.geometry import rigid
 from semloc_jax.learning.config import LearningConfig
-from semloc_jax.learning.fast_solve import fast_solves
+from semloc_jax.learning.localized import localized_frames
 from semloc_jax.learning.loss import PLANAR, pose_nll
 from semloc_jax.localization import FrameLocalizer, MaskSource
 from semloc_jax.localization.run import LocalizeConfig
 from semloc_jax.maps import SemanticMap
 
 _JUDGE_SEED = 1000
-"""Priors and starts of the judged solves are others than those that were learned from."""
+"""Priors of the judged frames are others than those that were learned from."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,11 @@ class Accuracy:
         return float(np.hypot(self.error[:, 0], self.error[:, 1])[self.is_near].mean())
 
     @property
+    def p95_m(self) -> float:
+        """Distance to the truth that 95 % of the frames do not exceed."""
+        return float(np.percentile(np.hypot(self.error[:, 0], self.error[:, 1])[self.is_near], 95))
+
+    @property
     def heading_deg(self) -> float:
         """Mean absolute error in heading."""
         return float(np.degrees(np.abs(self.error[self.is_near, 2])).mean())
@@ -60,6 +65,17 @@ class Accuracy:
     def nees(self) -> float:
         """Mean normalised squared error for each direction: 1 where covariances are right."""
         return float(np.mean(self._likelihood()[1]))
+
+    @property
+    def nees_median(self) -> float:
+        """Median of the same: 0.79 where covariances are right, whatever a few frames say."""
+        return float(np.median(self._likelihood()[1]))
+
+    def within(self, sigmas: float) -> float:
+        """Share of the errors along, across and in heading within so many of their standard deviations."""
+        near = self.is_near
+        sigma = np.sqrt(np.diagonal(self.covariance[near], axis1=1, axis2=2))
+        return float(np.mean(np.abs(self.error[near]) < sigmas * sigma))
 
     @property
     def nll(self) -> float:
@@ -75,20 +91,20 @@ class Accuracy:
 def evaluate(
     drive: Sequence, semantic_map: SemanticMap, masks: MaskSource, settings: LocalizeConfig, config: LearningConfig
 ) -> Accuracy:
-    """Errors of frames of a drive, as the fast solver finds them.
+    """Errors of frames of a drive, as the localizer finds them.
 
     Args:
         drive: With truth.
         semantic_map: Its map.
         masks: Its masks.
         settings: The configuration that is judged.
-        config: Number of frames, errors of priors and starts; what learning changes is not taken from here.
+        config: Number of frames, errors of priors; what learning changes is not taken from here.
     """
     localizer = FrameLocalizer(semantic_map, masks.table, settings)
-    solves = [
-        (solve.T_true, solve.T_found, solve.covariance)
-        for solve in fast_solves(drive, localizer, masks, config, _JUDGE_SEED)
+    found = [
+        (frame.T_true, frame.result.T_map_base, frame.result.modes[0].covariance)
+        for frame in localized_frames(drive, localizer, masks, config, _JUDGE_SEED)
     ]
-    T_true, T_found, covariance = (np.stack(column) for column in zip(*solves, strict=True))
+    T_true, T_found, covariance = (np.stack(column) for column in zip(*found, strict=True))
     error = rigid.log(rigid.inverse(T_true) @ T_found)[:, PLANAR]
     return Accuracy(error, covariance[:, PLANAR][:, :, PLANAR], config.max_error_m)

@@ -25,7 +25,7 @@ class Fit:
 
     Attributes:
         parameters: The best.
-        history: Mean negative log-likelihood after each iteration, that of the defaults first.
+        history: Mean loss of the frames for validation each time they were asked, that of the defaults first.
         num_used: Frames that were learned from.
         num_frames: Frames that were given.
     """
@@ -48,59 +48,66 @@ def fit(
     frames: Sequence[TrainingFrame],
     num_channels: int,
     config: LearningConfig,
+    validation: Sequence[TrainingFrame] = (),
     on_step: Callable[[float], None] | None = None,
 ) -> Fit:
-    """Parameters that minimise the mean negative log-likelihood of the true poses, held by their priors.
+    """Parameters that make the true poses likely, held by their priors; Adam on batches, stopped by other frames.
 
-    Which frames count is decided once, by the defaults.
+    Which frames count is decided once, by what the search found with the defaults.
 
     Args:
-        frames: Of all drives.
+        frames: Of all drives to learn from.
         num_channels: Of their common class table.
-        config: Priors, iterations.
-        on_step: Called with the loss of each evaluation.
+        config: Priors, steps.
+        validation: Frames that tell which step was the best; none for those that are learned from.
+        on_step: Called with the loss of each batch.
 
     Raises:
         SemlocError: no frame ends near the truth.
     """
-    from scipy.optimize import minimize
-
-    first, back = ravel_pytree(Parameters.defaults(num_channels))
-    scores = [loss_and_gradient(back(first), frame, config)[0][1] for frame in frames]
-    is_used = [_is_near(frame, config) and bool(score.used) for frame, score in zip(frames, scores, strict=True)]
-    used = [frame for frame, is_kept in zip(frames, is_used, strict=True) if is_kept]
+    used = [frame for frame in frames if _is_near(frame, config)]
     if not used:
         raise SemlocError(
             f"learning: none of {len(frames)} frames ends within {config.max_error_m} m of the truth; check masks, map "
             "and truth"
         )
-    start = float(np.mean([float(score.nll) for score, is_kept in zip(scores, is_used, strict=True) if is_kept]))
-    penalty = jax.jit(jax.value_and_grad(lambda x: 0.5 * jnp.sum(back(x).deviation(config) ** 2)))
+    judges = [frame for frame in validation if _is_near(frame, config)] or used
+    x, back = ravel_pytree(Parameters.defaults(num_channels))
+    dtype, x = x.dtype, np.asarray(x, np.float64)
+    num_independent = max(config.independent_share * len(used), 1.0)
+    pull = jax.jit(jax.grad(lambda x: 0.5 * jnp.sum(back(x).deviation(config) ** 2) / num_independent))
 
-    def objective(x: np.ndarray) -> tuple[float, np.ndarray]:
-        parameters = back(jnp.asarray(x, first.dtype))
-        value, gradient = (np.asarray(part, np.float64) for part in penalty(jnp.asarray(x, first.dtype)))
-        for frame in used:
+    def losses(x: np.ndarray, asked: Sequence[TrainingFrame]) -> tuple[float, np.ndarray]:
+        """Mean loss, and the mean of the clipped gradients."""
+        parameters, values, slopes = back(jnp.asarray(x, dtype)), [], []
+        for frame in asked:
             (loss, _), slope = loss_and_gradient(parameters, frame, config)
-            value, gradient = value + float(loss), gradient + np.asarray(ravel_pytree(slope)[0], np.float64)
-        value, gradient = value / len(used), gradient / len(used)
-        if on_step is not None:
-            on_step(float(value))
-        return float(value), gradient
+            slope = np.asarray(ravel_pytree(slope)[0], np.float64)
+            size = np.linalg.norm(slope)
+            slope = slope * min(1.0, config.max_gradient / max(size, 1e-9)) if np.isfinite(size) else np.zeros_like(x)
+            values.append(float(loss))
+            slopes.append(slope)
+        return float(np.mean(values)), np.mean(slopes, axis=0)
 
-    history = [start]
-    found = minimize(
-        objective,
-        np.asarray(first, np.float64),
-        jac=True,
-        method="L-BFGS-B",
-        callback=lambda intermediate_result: history.append(float(intermediate_result.fun)),
-        options={"maxiter": config.max_iterations, "ftol": 1e-5},  # float32 tells no finer
-    )
-    return Fit(back(jnp.asarray(found.x, first.dtype)), tuple(history), len(used), len(frames))
+    rng = np.random.default_rng(config.seed)
+    history, best = [losses(x, judges)[0]], x
+    first, second = np.zeros_like(x), np.zeros_like(x)
+    for step in range(1, config.num_steps + 1):
+        drawn = rng.choice(len(used), min(config.batch, len(used)), replace=False)
+        value, gradient = losses(x, [used[k] for k in drawn])
+        gradient = gradient + np.asarray(pull(jnp.asarray(x, dtype)), np.float64)
+        first, second = 0.9 * first + 0.1 * gradient, 0.99 * second + 0.01 * gradient**2
+        rate = config.rate * 0.5 * (1 + np.cos(np.pi * (step - 1) / config.num_steps))
+        x = x - rate * first / (1 - 0.9**step) / (np.sqrt(second / (1 - 0.99**step)) + 1e-8)
+        if on_step is not None:
+            on_step(value)
+        if step % config.judge_every == 0 or step == config.num_steps:
+            history.append(losses(x, judges)[0])
+            best = x if history[-1] == min(history) else best
+    return Fit(back(jnp.asarray(best, dtype)), tuple(history), len(used), len(frames))
 
 
 def _is_near(frame: TrainingFrame, config: LearningConfig) -> bool:
-    """Whether the fast solve ended near the truth."""
+    """Whether the search ended near the truth."""
     off = np.asarray(frame.T_start - frame.T_true)[:2, 3]
     return bool(np.hypot(*off) < config.max_error_m)

@@ -50,7 +50,7 @@ def solved(parameters: Parameters, frame: TrainingFrame, config: LearningConfig)
     learned."""
     model, nats_per_px = parameters.model(frame.place, config)
     scene = eqx.tree_at(lambda s: (s.model, s.nats_per_px), frame.scene, (model, nats_per_px))
-    return polish(frame.T_start, scene, frame.prior, config.smooth)
+    return polish(frame.T_start, scene, parameters.road(frame.prior), config.smooth)
 
 
 def frame_score(parameters: Parameters, frame: TrainingFrame, config: LearningConfig) -> FrameScore:
@@ -63,7 +63,17 @@ def frame_score(parameters: Parameters, frame: TrainingFrame, config: LearningCo
     return FrameScore(error, covariance, nll, nees, used)
 
 
+def heavy_tailed_nll(score: FrameScore, dof: float) -> Array:
+    """0.5 (n + d) log(1 + e^T S^-1 e / n) + 0.5 log det S: Student's distribution of n degrees of freedom in d = 3
+    directions, without the constant. With many degrees of freedom it is the normal one."""
+    num = score.error.shape[-1]
+    squared = num * score.nees
+    half_log_det = score.nll - 0.5 * squared
+    return 0.5 * (dof + num) * jnp.log1p(squared / dof) + half_log_det
+
+
 def frame_loss(parameters: Parameters, frame: TrainingFrame, config: LearningConfig) -> tuple[Array, FrameScore]:
-    """The likelihood of a frame, `used` or not: a frame that comes and goes would be a step in the loss."""
+    """The heavy-tailed likelihood of a frame, `used` or not: one that comes and goes would be a step in the loss."""
     score = frame_score(parameters, frame, config)
-    return jnp.where(jnp.isfinite(score.nll), score.nll, 0.0), score
+    loss = heavy_tailed_nll(score, config.tail_dof)
+    return jnp.where(jnp.isfinite(loss), loss, 0.0), score

@@ -1,6 +1,6 @@
 """What is learned, as unconstrained numbers, and as a configuration (room: learning; JAX and host).
 
-In: class weights, ramp and correlation length. Out: the model of the smooth cost; configurations.
+In: class weights, ramp, tilt and correlation length. Out: the model of the smooth cost; configurations.
 """
 
 from dataclasses import replace
@@ -16,6 +16,7 @@ from semloc_jax.localization.localizer import TrackConfig
 from semloc_jax.localization.run import LocalizeConfig
 from semloc_jax.perception import ClassTable
 from semloc_jax.residuals.smooth import ChannelModel
+from semloc_jax.solvers.pose import Prior
 from semloc_jax.structs import ElementClass
 
 
@@ -26,17 +27,24 @@ class Parameters(eqx.Module):
     """Of each channel of the class table."""
     ramp: Float[Array, ""]
     """Of the finest ramp, where the robust kernel saturates."""
+    tilt: Float[Array, ""]
+    """Of the standard deviation of roll and pitch against the road: a tilt that the solver makes up moves the place
+    along the road."""
     correlation: Float[Array, ""]
     """Of the length of contour that is one independent observation."""
 
     @classmethod
     def defaults(cls, num_channels: int) -> "Parameters":
         """Nothing learned yet."""
-        return cls(jnp.zeros(num_channels), jnp.zeros(()), jnp.zeros(()))
+        return cls(jnp.zeros(num_channels), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
 
     def deviation(self, config: LearningConfig) -> Float[Array, " n"]:
         """Deviations from the defaults in units of their standard deviations."""
-        rest = [self.ramp / config.ramp_sigma, self.correlation / config.correlation_sigma]
+        rest = [
+            self.ramp / config.ramp_sigma,
+            self.tilt / config.tilt_sigma,
+            self.correlation / config.correlation_sigma,
+        ]
         return jnp.concatenate([self.weight / config.weight_sigma, jnp.stack(rest)])
 
     def model(self, place: Int[Array, " channel"], config: LearningConfig) -> tuple[ChannelModel, Float[Array, ""]]:
@@ -53,12 +61,17 @@ class Parameters(eqx.Module):
         model = ChannelModel(weight, ramp_px * ones, ones, align.noise_px * ones)
         return model, jnp.exp(-self.correlation) / align.correlation_px
 
+    def road(self, prior: Prior) -> Prior:
+        """The prior of a frame with what was learned of roll and pitch."""
+        return eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[3:5].multiply(jnp.exp(self.tilt)))
+
 
 class Learned(NamedTuple):
     """What was learned, as a configuration holds it."""
 
     class_weight: tuple[float, ...]
     ramp_px: float
+    roll_pitch_deg: float
     correlation_px: float
 
 
@@ -72,7 +85,9 @@ def learned_values(parameters: Parameters, table: ClassTable, config: LearningCo
     ramp_px = config.localize.cost_maps.ramp_px[-1] * float(np.exp(parameters.ramp))
     correlation_px = config.localize.frame.polish_align.correlation_px * float(np.exp(parameters.correlation))
     weights = tuple(round(float(value), 3) for value in factor)
-    return Learned(weights, round(min(ramp_px, 0.95 * config.stored_ramp_px), 3), round(correlation_px, 2))
+    ramp_px = round(min(ramp_px, 0.95 * config.stored_ramp_px), 3)
+    roll_pitch_deg = config.localize.road.roll_pitch_deg * float(np.exp(parameters.tilt))
+    return Learned(weights, ramp_px, round(roll_pitch_deg, 3), round(correlation_px, 2))
 
 
 def learned_config(learned: Learned, old: LocalizeConfig) -> LocalizeConfig:
@@ -80,6 +95,7 @@ def learned_config(learned: Learned, old: LocalizeConfig) -> LocalizeConfig:
     frame, weights = old.frame, learned.class_weight
     return replace(
         old,
+        road=replace(old.road, roll_pitch_deg=learned.roll_pitch_deg),
         cost_maps=replace(old.cost_maps, ramp_px=(*old.cost_maps.ramp_px[:-1], learned.ramp_px)),
         frame=replace(
             frame,

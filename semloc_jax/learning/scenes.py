@@ -6,13 +6,15 @@ In: a Sequence with truth, its map and masks. Out: TrainingFrames of fixed shape
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
-from semloc_jax.datasets import Sequence
+from semloc_jax.datasets import Frame, Sequence
 from semloc_jax.learning.config import LearningConfig
-from semloc_jax.learning.fast_solve import FastSolve, fast_solves, prior_sigma
+from semloc_jax.learning.localized import localized_frames
 from semloc_jax.learning.parameters import Parameters
 from semloc_jax.localization import FrameLocalizer, MaskSource
+from semloc_jax.localization.priors import PosePrior
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import CostMapConfig, cost_maps
 from semloc_jax.residuals.alignment import Usable, camera_views
@@ -30,7 +32,7 @@ class TrainingFrame(eqx.Module):
     """Place of each channel of the scene in the class table."""
     prior: Prior
     T_start: Float[Array, "4 4"]
-    """Where the fast solve ended; which optimum is meant."""
+    """What the search found; which optimum is meant."""
     T_true: Float[Array, "4 4"]
     """True pose relative to the local origin."""
 
@@ -44,36 +46,64 @@ def training_frames(
         SemlocError: the drive has no truth.
     """
     localizer = FrameLocalizer(semantic_map, masks.table, config.localize)
-    solves = fast_solves(drive, localizer, masks, config, seed)
-    return [_training_frame(solve, localizer, masks, config) for solve in solves]
+    return [
+        training_frame(found.result.frame, found.prior, found.T_true, found.result.T_map_base, localizer, masks, config)
+        for found in localized_frames(drive, localizer, masks, config, seed)
+    ]
 
 
 _view = jax.jit(view, static_argnames="config")
 
 
-def _training_frame(
-    solve: FastSolve, localizer: FrameLocalizer, masks: MaskSource, config: LearningConfig
+def training_frame(
+    frame: Frame,
+    prior: PosePrior,
+    T_true: Float[np.ndarray, "4 4"],
+    T_near: Float[np.ndarray, "4 4"],
+    localizer: FrameLocalizer,
+    masks: MaskSource,
+    config: LearningConfig,
 ) -> TrainingFrame:
-    """The smooth scene of a frame as it is seen from where the fast solve ended."""
-    frame, dtype = localizer.config.frame, jnp.zeros(()).dtype
+    """One frame with the map as it is seen from near the pose.
+
+    Args:
+        frame: The frame.
+        prior: What is known of its pose beforehand.
+        T_true: Its true T_map_base.
+        T_near: Where solves start: what a search found, or the truth where the optimum is not at issue.
+        localizer: Of the map, with the configuration to start from.
+        masks: Of the drive.
+        config: Ramp and stride that are stored.
+    """
+    dtype = jnp.zeros(()).dtype
 
     def cast(leaf: Array) -> Array:
         return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
-    near = jnp.asarray(solve.T_found, jnp.float32)
-    seen = _view(solve.inputs.samples, near, solve.rig, localizer.channel_of_label, frame.polish_view)
+    rig, seen_masks = masks.seen_by(frame.rig.select(masks.cameras)), masks.masks(frame)
+    T_prior = prior.on_road(localizer.map)
+    inputs, local_map = localizer.prepare(seen_masks, rig, T_prior)
+
+    def local(T: np.ndarray) -> np.ndarray:
+        T = np.array(T)
+        T[:3, 3] -= local_map.origin_map
+        return T
+
+    single, T_start = localizer.config.frame, local(T_near)
+    near = jnp.asarray(T_start, jnp.float32)
+    seen = _view(inputs.samples, near, rig, localizer.channel_of_label, single.polish_view)
     stored = CostMapConfig((config.stored_ramp_px,), (config.stored_stride,))
-    maps = cost_maps(masks.masks(solve.frame), localizer.shown, stored)
+    maps = cost_maps(seen_masks, localizer.shown, stored)
     names = [channel.name for channel in localizer.shown.channels]
     place = jnp.asarray([masks.table.channel_index(name) for name in names], jnp.int32)
     model, nats_per_px = Parameters.defaults(len(masks.table.channels)).model(place, config)
     scene = SmoothScene(
-        jax.tree.map(cast, camera_views(solve.rig, seen)),
+        jax.tree.map(cast, camera_views(rig, seen)),
         jax.tree.map(cast, distance_maps(maps)),
         Usable(jnp.asarray(maps.usable), maps.usable_stride),
         model,
         nats_per_px,
-        SmoothBorder(frame.polish_align.border_px),
+        SmoothBorder(single.polish_align.border_px),
     )
-    prior = Prior(jnp.asarray(solve.T_prior, dtype), jnp.asarray(prior_sigma(config), dtype))
-    return TrainingFrame(scene, place, prior, jnp.asarray(solve.T_found, dtype), jnp.asarray(solve.T_true, dtype))
+    known = jax.tree.map(cast, prior.to_solver(T_prior, local_map.origin_map, localizer.config.road))
+    return TrainingFrame(scene, place, known, jnp.asarray(T_start, dtype), jnp.asarray(local(T_true), dtype))

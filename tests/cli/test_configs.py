@@ -20,8 +20,8 @@ def _leaves(content, prefix=()):
             yield (*prefix, key), value
 
 
-def test_the_four_places_are_there():
-    assert [path.stem for path in CONFIGS] == ["garage", "highway", "surround", "urban"]
+def test_the_four_places_and_what_was_learned_are_there():
+    assert [path.stem for path in CONFIGS] == ["garage", "highway", "learned", "surround", "urban"]
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)

@@ -45,7 +45,7 @@ def test_a_drive_without_truth_is_refused(simulated_road, tmp_path, capsys):
 def test_learned_files_are_taken_by_localize_and_track(simulated_road, tmp_path):
     """In a process of its own: what other tests compiled in float64 does not go with what runs in float32."""
     out = tmp_path / "out"
-    words = ["--masks", "sem", "--num-frames", "2", "--max-iterations", "2", "--out", str(out)]
+    words = ["--masks", "sem", "--num-frames", "2", "--num-steps", "2", "--out", str(out)]
     command = [sys.executable, "-m", "semloc_jax.cli.main", "learn", str(simulated_road), *words]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == OK, done.stderr

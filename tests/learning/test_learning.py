@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, multivariate_t
 
 from semloc_jax.learning import (
     LearningConfig,
@@ -17,7 +17,9 @@ from semloc_jax.learning import (
     learned_values,
     pose_nll,
 )
+from semloc_jax.learning.calibrate import _where_zero
 from semloc_jax.learning.fit import loss_and_gradient
+from semloc_jax.learning.loss import FrameScore, heavy_tailed_nll
 from semloc_jax.localization.localizer import TrackConfig
 from semloc_jax.localization.run import LocalizeConfig
 from semloc_jax.perception import CostMapConfig, load_class_table
@@ -60,28 +62,53 @@ def test_the_likelihood_is_that_of_a_normal_distribution():
     np.testing.assert_allclose(nees, [x @ np.linalg.inv(cov) @ x / 3 for x, cov in zip(e, S, strict=True)], rtol=1e-10)
 
 
+def test_the_heavy_tailed_likelihood_is_that_of_students_distribution():
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(3, 3))
+    S, e = A @ A.T + 0.1 * np.eye(3), rng.normal(size=(2, 3))
+    pairs = [(e[0], S), (e[1], S), (e[0], 9 * S)]
+    found = []
+    for x, cov in pairs:
+        error, covariance = jnp.asarray(x), jnp.asarray(cov)
+        score = FrameScore(error, covariance, *pose_nll(error, covariance), jnp.asarray(True))
+        found.append(float(heavy_tailed_nll(score, 4.0)))
+    expected = [-multivariate_t(np.zeros(3), cov, df=4.0).logpdf(x) for x, cov in pairs]
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-10)
+
+
 def test_what_is_learned_becomes_a_configuration():
     table = load_class_table("drive")
     pole = table.channel_of(ElementClass.POLE)
     zero, config = Parameters.defaults(len(table.channels)), LearningConfig()
     nothing = learned_values(zero, table, config)
-    assert nothing == ((1.0,) * len(ElementClass), 3.0, 60.0)
-    learned = learned_values(
-        Parameters(zero.weight.at[pole].set(np.log(2.0)), jnp.log(1.5), jnp.log(0.5)), table, config
-    )
+    assert nothing == ((1.0,) * len(ElementClass), 3.0, 0.5, 60.0)
+    changed = Parameters(zero.weight.at[pole].set(np.log(2.0)), jnp.log(1.5), jnp.log(0.4), jnp.log(0.5))
+    learned = learned_values(changed, table, config)
     weights = np.ones(len(ElementClass))
     weights[ElementClass.POLE] = 2.0
-    assert learned == (tuple(weights), 4.5, 30.0)
+    assert learned == (tuple(weights), 4.5, 0.2, 30.0)
     found, tracking = learned_config(learned, LocalizeConfig()), learned_track_config(learned, TrackConfig())
     assert found.cost_maps.ramp_px == tracking.cost_maps.ramp_px == (40.0, 14.0, 8.0, 4.5)
+    assert found.road.roll_pitch_deg == 0.2
     assert found.frame.polish_align.correlation_px == tracking.alignment.step.align.correlation_px == 30.0
     assert found.frame.polish_view.class_weight == tracking.alignment.step.view.class_weight == tuple(weights)
 
 
+def test_the_width_of_the_covariance_is_found_by_secants():
+    """NEES that goes with the length to the power -1.3: right after the second trial, near it after the first."""
+    x = np.log(60.0)
+    tried = [(x, np.log(0.4))]
+    near = _where_zero(tried)
+    exact = x + np.log(0.4) / 1.3
+    assert abs(near - exact) < 0.15
+    tried.append((near, -1.3 * (near - exact)))
+    assert abs(_where_zero(tried) - exact) < 1e-9
+
+
 @pytest.mark.slow
 def test_the_gradient_through_the_solve_is_that_of_finite_differences():
-    """Of the likelihood by both weights, the ramp and the correlation length, within 0.1 % in three scenes."""
-    flat, back = ravel_pytree(Parameters(jnp.asarray([0.2, -0.3]), jnp.asarray(0.1), jnp.asarray(-0.2)))
+    """Of the loss by both weights, ramp, tilt and correlation length, within 0.1 % in three scenes."""
+    flat, back = ravel_pytree(Parameters(jnp.asarray([0.2, -0.3]), *map(jnp.asarray, (0.1, -0.4, -0.2))))
     for frame in frames(range(3), 0.5):
 
         def loss(x, frame=frame):
