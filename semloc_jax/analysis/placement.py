@@ -5,7 +5,6 @@ The expected information of `analysis.expected` as a smooth function of the plac
 fades instead of switching, so that its gradient says where to turn the camera.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
@@ -204,9 +203,9 @@ def _placement(x: Array | np.ndarray) -> Placement:
 
 
 def _exact_sigma(
-    semantic_map: SemanticMap, rig: Rig, table: ClassTable, Ts: Sequence[np.ndarray], config: PlacementConfig
+    semantic_map: SemanticMap, rig: Rig, table: ClassTable, Ts: Float[np.ndarray, "n 4 4"], config: PlacementConfig
 ) -> Float[np.ndarray, "n 3"]:
-    way = Way("places", np.asarray(Ts), np.arange(len(Ts), dtype=float))
+    way = Way("places", Ts, np.arange(len(Ts), dtype=float))
     return survey(semantic_map, rig, table, [way], config.survey).ways[0].sigma
 
 

@@ -8,15 +8,16 @@ import pytest
 from semloc_jax.analysis.expected import expected_covariance, expected_sigma
 from semloc_jax.analysis.intervals import Interval, bounds
 from semloc_jax.analysis.lanes import lane_ways
+from semloc_jax.analysis.seed_errors import seed_errors
 from semloc_jax.analysis.selection import (
     ElementInformation,
     element_information,
     greedy_order,
-    map_bytes,
     small_map,
 )
 from semloc_jax.analysis.survey import Way, path_way, survey
 from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets.synthetic import SimulationConfig, simulate
 from semloc_jax.datasets.synthetic.cameras import front_rig, surround_rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.localization.mask_source import mask_source
@@ -47,12 +48,13 @@ def found(drive, road_map):
 
 
 @pytest.mark.slow
-def test_expected_sigma_is_that_of_exact_masks(drive, road_map, found):
-    """Lateral and heading sigma from the map alone are within 25 % of what the solver states on exact masks.
+def test_expected_information_is_that_of_exact_masks(drive, road_map, found):
+    """Lateral and heading sigma of the information from the map alone are within 25 % of the solver's on exact masks.
 
     Along the road the stairs of real masks look like information to the solver; the map alone does not count them.
     """
-    source = mask_source("sem", drive, offset_px=(0.0, 0.0))
+    source, report = mask_source("sem", drive, offset_px=(0.0, 0.0)), found.ways[0]
+    expected = expected_sigma(expected_covariance(report.information, found.config.expected.prior_sigma))
     localizer = FrameLocalizer(road_map, source.table)
     config, ratios = localizer.config.frame, []
     stated_by_solver = jax.jit(lambda T, evidence, prior: assess(T, 2, evidence, prior, config.polish_align))
@@ -63,8 +65,7 @@ def test_expected_sigma_is_that_of_exact_masks(drive, road_map, found):
         T = jnp.asarray(T, jnp.float32)
         prior = Prior(T, jnp.asarray(found.config.expected.prior_sigma, jnp.float32))
         stated = stated_by_solver(T, evidence_from(T, inputs, config.polish_view), prior)
-        sigma = np.asarray(expected_sigma(stated.covariance)) * [1, 1, np.rad2deg(1)]
-        ratios.append(found.ways[0].sigma[row] / sigma)
+        ratios.append(expected[row] / expected_sigma(stated.covariance))
     longitudinal, lateral, heading = np.median(ratios, axis=0)
     assert 0.8 < lateral < 1.25 and 0.8 < heading < 1.25
     assert 0.8 < longitudinal < 2.0
@@ -123,28 +124,54 @@ def test_information_of_the_elements_adds_up(drive, road_map, found):
     np.testing.assert_allclose(parts.whitened.sum(axis=1), whole, rtol=2e-3, atol=2e-3 * np.abs(whole).max())
 
 
-def test_greedy_is_within_its_bound_of_the_best_pair():
-    """With equal costs, at least 1 - 1/e of what the best of all pairs gains, and far above a random pair's mean."""
+def test_greedy_is_near_the_best_pair():
+    """With equal costs the two that are taken gain at least 95 % of what the best of all pairs gains."""
     rng = np.random.default_rng(3)
     a = rng.normal(size=(4, 12, 6, 2)) * rng.uniform(0.1, 3.0, (1, 12, 1, 1))
     information = ElementInformation(a @ np.swapaxes(a, -1, -2), np.ones(6))
     taken, values = greedy_order(information, np.ones(12), 2.0)
+    whole = information.sigma(range(12))
 
     def value(chosen):
-        return np.linalg.slogdet(np.eye(6) + information.whitened[:, chosen].sum(axis=1))[1].sum()
+        return np.mean((information.sigma(chosen) / whole) ** 2)
 
     pairs = [value([i, j]) for i in range(12) for j in range(i)]
     assert len(taken) == 2 and values[-1] == pytest.approx(value(taken))
-    assert values[-1] >= (1 - 1 / np.e) * max(pairs) and values[-1] > np.mean(pairs)
+    assert value([]) - values[-1] >= 0.95 * (value([]) - min(pairs)) and values[-1] < 0.7 * np.mean(pairs)
 
 
-def test_small_map_keeps_its_share_and_beats_random(drive, road_map, found):
+def test_small_map_keeps_its_share(drive, road_map, found, tmp_path):
+    """Bytes are those of the file that is written, and no point of the small map lies 2 cm off the whole one."""
     places = found.ways[0].way.Ts_map_base
     small = small_map(road_map, drive.rig, TABLE, places, 0.2)
-    assert map_bytes(small.map, write_drive_geojson) <= 0.2 * map_bytes(road_map, write_drive_geojson)
-    assert np.all(small.sigma < 1.5 * small.sigma_whole)
+    write_drive_geojson(small.map, tmp_path / "small.geojson")
+    write_drive_geojson(road_map, tmp_path / "whole.geojson")
+    size, whole = ((tmp_path / f"{name}.geojson").stat().st_size for name in ("small", "whole"))
+    assert size == pytest.approx(small.share * whole) and size <= 0.2 * whole
+    assert np.all(small.sigma < 1.2 * small.sigma_whole)
+    by_id = {element.id: element.points for element in road_map.elements}
+    for element in small.map.elements:
+        away = np.linalg.norm(element.points[:, None] - by_id[element.id], axis=-1).min(axis=1)
+        assert away.max() < 0.01
     with pytest.raises(SemlocError, match="0.2"):
         small_map(road_map, drive.rig, TABLE, places, 1.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [22, 33])
+def test_a_fifth_of_a_map_gives_nearly_its_accuracy(tmp_path, seed):
+    """On a road no figure was chosen on, poses of masks with a network's noise lose at most 20 % of their accuracy.
+
+    Mean over the three directions at most 10 %: root mean square over 12 places and 6 draws of the noise each.
+    """
+    size = SimulationConfig(num_frames=12, rate_hz=1.0, width_px=640, height_px=400, has_images=False)
+    drive = simulate("road", seed, tmp_path / "road", size)
+    whole, places = read_map(drive.map_path), np.stack([drive.truth_at(frame) for frame in drive.frames])
+    small = small_map(whole, drive.rig, TABLE, places, 0.2)
+    rms = [np.sqrt(np.mean(seed_errors(drive, m, drive.frames, 6).error ** 2, axis=(0, 1))) for m in (whole, small.map)]
+    loss = rms[1] / rms[0] - 1
+    print(f"seed {seed}: {small}; measured loss {np.round(100 * loss)} %")
+    assert loss.max() < 0.2 and loss.mean() < 0.1
 
 
 @pytest.mark.parametrize("camera", [front_rig().cameras[0], surround_rig().cameras[1]], ids=["radtan", "fisheye"])
