@@ -40,8 +40,8 @@ class SandwichConfig:
     believed: float = 1.0
     """How much these weigh against the variogram of one frame: each is known to 1 / sqrt(believed) of itself."""
     least_efficiency: float = 0.2
-    """The curvature of the robust cost is at least this share of its Gauss-Newton matrix."""
-    freedom: float = 16.0
+    """The curvature of the robust cost is in every direction at least this share of its Gauss-Newton matrix."""
+    freedom: float = 8.0
     """H and M are estimates themselves, as of so many independent pulls: the covariance grows as Student's does."""
     bin_px: tuple[float, ...] = (8.0, 22.0, 55.0, 140.0)
     """Limits of the distances along an edge of the variogram; farther pairs are its last bin."""
@@ -203,9 +203,10 @@ class _Model:
         held, bent = inside**2, inside * (1 - 5 * ramp**2)
         slope, gradient = given.slope * sigma, given.gradient * sigma
         information = (slope.T * (self.weight * held)) @ slope
-        curved = np.sum(self.weight * bent * rise**2) / max(np.sum(self.weight * held), 1e-12)
+        curvature = (slope.T * (self.weight * bent * rise**2)) @ slope
         self.naive = np.linalg.inv(information + np.eye(6))
-        self.inverse = np.linalg.inv(max(curved, config.least_efficiency) * information + np.eye(6))
+        curvature = _at_least(curvature, information, config.least_efficiency)
+        self.inverse = np.linalg.inv(curvature + np.eye(6))
         self.scatter, self.sigma = config.noise.road_scatter(sigma), sigma
         self.unsure = config.freedom / (config.freedom - 2.0)
         self.pulled, self.score = held * ramp * given.ramp_px, gradient * self.weight[:, None]
@@ -265,6 +266,15 @@ class _Model:
         meat += variance[-1] * by_camera.T @ by_camera
         covariance, scale = self.unsure * (self.inverse @ meat @ self.inverse), np.outer(self.sigma, self.sigma)
         return Sandwich(scale * covariance, scale * self.naive, variance)
+
+
+def _at_least(curvature: np.ndarray, information: np.ndarray, share: float) -> np.ndarray:
+    """The curvature, raised to a share of the information in every direction where it is less."""
+    root = np.linalg.cholesky(information + 1e-9 * np.trace(information) * np.eye(6))
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ curvature @ inverse.T)
+    held = root @ vectors
+    return (held * np.maximum(values, share)) @ held.T
 
 
 def _elements(given: BoundaryResiduals) -> list[np.ndarray]:
