@@ -12,7 +12,7 @@ pytest.importorskip("ipykernel")
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 SLOW = {"01_cost_landscape", "04_tracking", "05_learning_through_the_solver", "06_self_calibration"}
-SLOW |= {"08_localizability", "09_roofline", "10_explain_the_pose"}
+SLOW |= {"07_uncertainty_and_integrity", "08_localizability", "09_roofline", "10_explain_the_pose"}
 """Half a minute and more, most of it compilation; the roofline measures, which wants a machine of its own."""
 RUN = [pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW else [], id=path.stem) for path in NOTEBOOKS]
 
