@@ -221,13 +221,13 @@ def _record(frame_id: str, found: "Explanation", checks: "Sequence[Check]") -> d
 def table(found: "Explanation", top: int) -> str:
     """The strongest holders, all classes and the prior, one line each."""
     shift = f"{100 * found.shift_m:g} cm wrong"
-    head = f"{'':32}{'share [%]':>17}  {'if ' + shift + ': solver':^24} {'derivative':^16} {'if missing':^16} linear"
-    units = f"{'element':24}{'points':>8}{'lon':>6}{'lat':>6}{'head':>6}  {'lon':>7}{'lat':>7} cm{'head':>7}°"
+    head = f"{'':42}{'share [%]':>17}  {'if ' + shift + ': solver':^24} {'derivative':^16} {'if missing':^16} linear"
+    units = f"{'element':34}{'points':>8}{'lon':>6}{'lat':>6}{'head':>6}  {'lon':>7}{'lat':>7} cm{'head':>7}°"
     units += f"{'lon':>7}{'lat':>7} cm{'lon':>7}{'lat':>7} cm up to"
     lines = [head, units, *(_line(holder) for holder in found.elements[:top])]
     if len(found.elements) > top:
         rest = sum(holder.share for holder in found.elements[top:])
-        lines.append(f"{f'... {len(found.elements) - top} more':32}" + "".join(f"{100 * s:6.1f}" for s in rest))
+        lines.append(f"{f'... {len(found.elements) - top} more':42}" + "".join(f"{100 * s:6.1f}" for s in rest))
     lines += ["", *(_line(holder, " in all") for holder in found.classes)]
     lines += [_line(holder) for holder in found.holders if not holder.is_element]
     lon, lat, heading = _in_units(found.sigma)
@@ -246,9 +246,11 @@ def table(found: "Explanation", top: int) -> str:
 
 def _line(holder: "Holder", more: str = "") -> str:
     shifted, linear, removed = (_in_units(part) for part in (holder.shifted, holder.linear, holder.removed))
-    name = (holder.label.name.lower() if more else holder.id)[: 23 - len(more)] + more
+    name = holder.id + more
+    if holder.is_element and not more:
+        name = f"{holder.label.name.lower():15}{holder.id}"
     to = f"{100 * holder.linear_to_m:7.1f}" if holder.is_element else ""
-    text = f"{name:24}{holder.num_samples or '':>8}" + "".join(f"{100 * share:6.1f}" for share in holder.share)
+    text = f"{name[:33]:34}{holder.num_samples or '':>8}" + "".join(f"{100 * share:6.1f}" for share in holder.share)
     text += f"  {100 * shifted[0]:+7.1f}{100 * shifted[1]:+7.1f}{shifted[2]:+11.2f}"
     text += f" {100 * linear[0]:+6.1f}{100 * linear[1]:+7.1f}"
     return f"{text}   {100 * removed[0]:+7.1f}{100 * removed[1]:+7.1f}   {to}"
