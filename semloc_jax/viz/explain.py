@@ -92,9 +92,11 @@ def _name_elements(axes: Axes, shown: Sequence[tuple[Holder, np.ndarray]], pictu
         side = 1.0 if u < 0.55 * width else -1.0
         text_u = float(np.clip(u + side * 0.05 * width, 0.02 * width, 0.98 * width))
         text_v = float(np.clip(v - 0.05 * height, 0.05 * height, 0.93 * height))
-        while any(abs(text_u - a) < 0.2 * width and abs(text_v - b) < 0.062 * height for a, b in taken):
-            text_v += 0.064 * height
-        taken.append((text_u, text_v))
+        # Names are a fifth of the image wide.
+        left = text_u if side > 0 else text_u - 0.2 * width
+        while any(abs(left - a) < 0.2 * width and abs(text_v - b) < 0.055 * height for a, b in taken):
+            text_v += 0.01 * height
+        taken.append((left, text_v))
         axes.annotate(
             f"{holder.id[:24]}  {_strongest(holder)}",
             (u, v),
