@@ -84,10 +84,14 @@ def prediction_view(predicted: np.ndarray, measured: np.ndarray, kinds: Sequence
         for kind in dict.fromkeys(kinds.tolist()):
             chosen = kinds == kind
             axes.scatter(scale * predicted[chosen, k], scale * measured[chosen, k], s=14, alpha=0.8, label=kind)
-        ends = scale * np.array([min(predicted[:, k].min(), measured[:, k].min()), predicted[:, k].max()])
+        ends = scale * np.array([f([f(predicted[:, k]), f(measured[:, k])]) for f in (np.min, np.max)])
         axes.plot(ends, ends, color="#9aa3ad", linewidth=0.8)
         r = np.corrcoef(np.log(predicted[:, k]), np.log(measured[:, k]))[0, 1]
         axes.set(xscale="log", yscale="log", xlabel=f"expected sigma, {name}")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())
         axes.set_title(f"{name}: r = {r:.2f}", fontsize=10)
         if k == 0:
             axes.set_ylabel("RMS error over seeds of mask noise")
