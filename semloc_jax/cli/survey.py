@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from semloc_jax.cli.main import OK
+from semloc_jax.cli.survey_placement import Ranges, write_placement
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 class Options:
     """Expected accuracy along a road, from a map and a calibration alone: no image is needed.
 
-    Writes places.csv, places.geojson, weak.csv, survey.png and config.yaml; with --keep also a small map.
+    Writes places.csv, places.geojson, weak.csv, survey.png and config.yaml; with --keep also a small map, with --place
+    where a camera should look.
     """
 
     map: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP")]
@@ -38,6 +40,16 @@ class Options:
     """What masks will show: a preset or a YAML file."""
     keep: float | None = None
     """Also write a map with this share of the bytes that holds the pose best, e.g. 0.2."""
+    place: str | None = None
+    """Also say how this camera should be turned, raised and zoomed to know its place best, e.g. front."""
+    place_down_deg: tuple[float, float] = (-10.0, 25.0)
+    """How far it may be turned downwards from how it is mounted; equal ends hold it."""
+    place_rise_m: tuple[float, float] = (-0.5, 0.8)
+    """How far it may be mounted higher."""
+    place_zoom: tuple[float, float] = (0.6, 2.0)
+    """Its focal length against the given one: below 1 the view is wider."""
+    place_count: int = 12
+    """Number of places that it is judged by, spread evenly over all ways."""
     config: Path | None = None
     """YAML file with values of the configuration."""
     out: Path | None = None
@@ -68,6 +80,8 @@ def run(options: Options) -> int:
     semantic_map, rig = read_map(options.map), read_calibration(options.camera)
     names = parse_names(options.cameras)
     rig = rig.select(names) if names else rig
+    if options.place is not None:
+        rig.index(options.place)
     table = load_class_table(options.class_table)
     ways = _ways(options, semantic_map)
     with tqdm(total=sum(len(way.station_m) for way in ways), desc="places", unit="place") as bar:
@@ -78,7 +92,7 @@ def run(options: Options) -> int:
     rows = [(s.way, f"{s.from_km:.3f}", f"{s.to_km:.3f}", s.what, f"{s.worst:.4f}") for s in weak]
     results.write_csv(folder / "weak.csv", ("way", "from_km", "to_km", "what", "worst"), rows)
     figure = survey_view(semantic_map.elements, found, f"{semantic_map.name}, cameras {', '.join(rig.names)}")
-    record = {key: getattr(options, key) for key in ("spacing_m", "class_table", "cameras", "keep")}
+    record = {key: getattr(options, key) for key in ("spacing_m", "class_table", "cameras", "keep", "place")}
     results.write_record(folder, options.settings, record)
     print(f"picture: {viz.save(figure, folder / 'survey.png')}")
     sigma = np.concatenate([report.sigma for report in found.ways])
@@ -88,6 +102,12 @@ def run(options: Options) -> int:
         print(f"weak: {stretch}")
     if options.keep is not None:
         _write_small_map(options, semantic_map, rig, ways, folder)
+    if options.place is not None:
+        places = np.concatenate([way.Ts_map_base for way in ways])
+        chosen = places[np.unique(np.linspace(0, len(places) - 1, max(options.place_count, 1)).astype(int))]
+        ranges = Ranges(options.place_down_deg, options.place_rise_m, options.place_zoom)
+        road = (semantic_map, rig, table, chosen, options.settings)
+        print(write_placement(options.place, ranges, *road, options.camera, folder))
     return OK
 
 

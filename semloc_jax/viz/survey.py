@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
+from semloc_jax.analysis.placement import PlacementReport
 from semloc_jax.analysis.survey import Survey
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.viz.bev import draw_map
@@ -96,4 +97,26 @@ def prediction_view(predicted: np.ndarray, measured: np.ndarray, kinds: Sequence
         if k == 0:
             axes.set_ylabel("RMS error over seeds of mask noise")
             axes.legend(fontsize=7, frameon=False)
+    return figure
+
+
+def placement_view(report: PlacementReport, camera: str) -> Figure:
+    """Expected sigma of each place as the camera is mounted and as it would be placed, one panel for each direction."""
+    figure = new_figure(11.0, 3.6)
+    names, scales, units = ("longitudinal", "lateral", "heading"), (100.0, 100.0, 1.0), ("cm", "cm", "deg")
+    places = np.arange(1, len(report.sigma_before) + 1)
+    for k, axes in enumerate(figure.subplots(1, 3)):
+        plain_axes(axes)
+        before, after = scales[k] * report.sigma_before[:, k], scales[k] * report.sigma_after[:, k]
+        axes.vlines(places, before, after, color="#cfd8dc", linewidth=1.4, zorder=1)
+        axes.plot(places, before, "o", color="#9aa3ad", markersize=5, label="as mounted")
+        axes.plot(places, after, "o", color="#1565c0", markersize=5, label="placed")
+        axes.set_ylim(0.0, 1.12 * max(before.max(), after.max()))
+        axes.set_xlabel("place along the way")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_title(f"{names[k]} sigma [{units[k]}]: {report.gain[k]:.2f} times smaller", fontsize=10)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    p = report.placement
+    changes = f"{p.down_deg:+.1f}° down, {p.rise_m:+.2f} m higher, focal length x {p.zoom:.2f}"
+    figure.suptitle(f"camera {camera}: {changes}", fontsize=11)
     return figure
