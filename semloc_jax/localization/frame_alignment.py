@@ -35,9 +35,9 @@ class AlignmentConfig:
     road: RoadSigmas = field(default_factory=RoadSigmas)
     prior_inflation: float = 3.0
     """The prediction holds the solve with this many times its sigma: what it says is used once, by the fusion."""
-    min_sigma_along_m: float = 0.5
-    """Along the road, where few ends of dashes hold the pose, a sure prediction would hold it instead, frame after frame,
-    and its error would pass for a measurement."""
+    min_sigma_along_m: float = 0.25
+    """As far as a solve finds its way. Along the road, where few ends of dashes hold the pose, a surer prediction would
+    hold it instead, frame after frame, and its error would pass for a measurement."""
     min_sigma_across_m: float = 0.08
     min_sigma_heading_deg: float = 0.3
     max_sigma_m: float = 2.0
