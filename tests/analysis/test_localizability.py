@@ -54,7 +54,7 @@ def test_expected_information_is_that_of_exact_masks(drive, road_map, found):
     Along the road the stairs of real masks look like information to the solver; the map alone does not count them.
     """
     source, report = mask_source("sem", drive, offset_px=(0.0, 0.0)), found.ways[0]
-    expected = expected_sigma(expected_covariance(report.information, found.config.expected.prior_sigma))
+    expected = expected_sigma(expected_covariance(jnp.asarray(report.information), found.config.expected.prior_sigma))
     localizer = FrameLocalizer(road_map, source.table)
     config, ratios = localizer.config.frame, []
     stated_by_solver = jax.jit(lambda T, evidence, prior: assess(T, 2, evidence, prior, config.polish_align))
