@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.optimize import nnls
+from scipy.stats import t as student
 
 from semloc_jax.analysis.boundary_noise import BoundaryNoise
 from semloc_jax.analysis.expected import contour_rows, image_rows
@@ -43,6 +44,9 @@ class SandwichConfig:
     """The curvature of the robust cost is in every direction at least this share of its Gauss-Newton matrix."""
     freedom: float = 8.0
     """H and M are estimates themselves, as of so many independent pulls: the covariance grows as Student's does."""
+    tail_freedom: float = 4.0
+    """Errors are Student's with so many degrees of freedom: in some frames more masks are wrong than their residuals
+    tell. See `error_bound`."""
     bin_px: tuple[float, ...] = (8.0, 22.0, 55.0, 140.0)
     """Limits of the distances along an edge of the variogram; farther pairs are its last bin."""
 
@@ -157,6 +161,21 @@ def sandwich_covariance(
         return Sandwich(np.diag(sigma**2), np.diag(sigma**2), config.noise.variance_px2)
     model = _Model(residuals, sigma, config)
     return model.sandwich(fitted_variances(*model.variogram(), config))
+
+
+def error_bound(
+    covariance: Float[np.ndarray, "6 6"], share: float, config: SandwichConfig | None = None
+) -> Float[np.ndarray, "6"]:
+    """Half widths [m, rad] of the intervals that hold a share of the errors, direction by direction.
+
+    Args:
+        covariance: Of `sandwich_covariance`.
+        share: Of the errors, above 0 and below 1.
+        config: Of the same call; None for the defaults.
+    """
+    config = config or SandwichConfig()
+    scale = np.sqrt(np.diag(covariance) * (config.freedom - 2.0) / config.freedom)
+    return scale * student.ppf(0.5 + 0.5 * share, config.tail_freedom)
 
 
 def fitted_variances(
