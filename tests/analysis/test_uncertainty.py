@@ -98,7 +98,7 @@ DRIVES = (
     ("garage", 75, surround_rig(480, 360), (("map", None, 3),)),
     ("road", 76, surround_rig(480, 360), (("map", None, 3),)),
 )
-"""Kind, seed, cameras; then map, quality of the masks and draws for each frame. All choices were made on other seeds."""
+"""Kind, seed, cameras; then map, quality of the masks and draws for each frame. Choices were made on other seeds."""
 
 
 @pytest.fixture(scope="module")
