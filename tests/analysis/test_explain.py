@@ -10,16 +10,12 @@ from semloc_jax import viz
 from semloc_jax.analysis.explain import ExplainConfig, explain_frame
 from semloc_jax.analysis.explain_drive import element_roles, is_irreplaceable
 from semloc_jax.analysis.influence import PRIOR_PARTS
-from semloc_jax.datasets import open_sequence
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import mask_source
-from semloc_jax.localization.priors import PosePrior
 from semloc_jax.localization.result import LocalizationResult
-from semloc_jax.localization.run import FrameLocalizer
-from semloc_jax.maps import read_map
 from semloc_jax.structs import ElementClass, SolveStatus
 from semloc_jax.viz.explain import explained_map
+from tests.analysis.frame_to_explain import frame_to_explain
 
 pytestmark = pytest.mark.slow  # a quarter of a minute, most of it compilation
 
@@ -34,14 +30,8 @@ def single_precision():
 @pytest.fixture(scope="module")
 def made(simulated_road):
     """One frame at its true pose, and what explains it; no search, which would take half a minute to compile."""
-    drive = open_sequence(simulated_road)
-    frame, source = drive.frames[1], mask_source("sem", drive)
-    localizer = FrameLocalizer(read_map(drive.map_path), source.table)
-    T = drive.truth_at(frame)
-    prior = PosePrior(T[0, 3], T[1, 3], float(np.arctan2(T[1, 0], T[0, 0])), 0.5, 0.03)
-    result = LocalizationResult(frame, T, prior.on_road(localizer.map), SolveStatus.CONVERGED, True)
-    given = (localizer, result, source.masks(frame), prior, source.seen_by(frame.rig.select(source.cameras)))
-    return SimpleNamespace(given=given, found=explain_frame(*given), map=localizer.map)
+    given = frame_to_explain(simulated_road)
+    return SimpleNamespace(given=given, found=explain_frame(*given), map=given[0].map)
 
 
 def test_shares_add_up_and_who_moves_everything_moves_the_pose(made):

@@ -9,15 +9,9 @@ import pytest
 from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION
 from semloc_jax.analysis.explain import Look, explain_frame
 from semloc_jax.analysis.influence import balance, influence
-from semloc_jax.datasets import open_sequence
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import mask_source
-from semloc_jax.localization.priors import PosePrior
-from semloc_jax.localization.result import LocalizationResult
-from semloc_jax.localization.run import FrameLocalizer
-from semloc_jax.maps import read_map
 from semloc_jax.solvers.implicit import SmoothConfig, polish, smooth_scene
-from semloc_jax.structs import SolveStatus
+from tests.analysis.frame_to_explain import frame_to_explain
 from tests.solvers.random_scenes import SIGMA, random_trial
 
 HOLDER = np.concatenate([np.where(np.arange(40) % 2, 1, 0), 2 + np.arange(50) // 25])[None]
@@ -74,13 +68,7 @@ def test_and_of_the_other_solver_in_a_hundred_scenes():
 @pytest.mark.slow
 def test_so_are_those_of_a_frame(simulated_road):
     """The four strongest elements moved by 10 um along x, y and z of the map: within 1 % of what is said of them."""
-    drive = open_sequence(simulated_road)
-    frame, source = drive.frames[1], mask_source("sem", drive)
-    localizer = FrameLocalizer(read_map(drive.map_path), source.table)
-    T = drive.truth_at(frame)
-    prior = PosePrior(T[0, 3], T[1, 3], float(np.arctan2(T[1, 0], T[0, 0])), 0.5, 0.03)
-    result = LocalizationResult(frame, T, prior.on_road(localizer.map), SolveStatus.CONVERGED, True)
-    given = (localizer, result, source.masks(frame), prior, source.seen_by(frame.rig.select(source.cameras)))
+    given = frame_to_explain(simulated_road)
     look, found = Look.of(*given), explain_frame(*given)
     assert found.is_exact
     level = look.maps.ramp_px.index(found.ramp_px)

@@ -1,7 +1,7 @@
 """A drive followed from its first satellite fixes on: accuracy, status, repeatability, resuming, speed.
 
-Measured on rendered_road with masks like a network's: mean 0.33 cm to the side, 0.80 cm along, 0.013 deg; with the map
-with errors 0.55 cm, 1.07 cm, 0.019 deg; garage 0.18 cm, 0.25 cm, max 0.8 cm. The bounds of the slow tests are those of
+Measured on rendered_road with masks like a network's: mean 0.40 cm to the side, 0.97 cm along, 0.012 deg; with the map
+with errors 0.56 cm, 0.98 cm, 0.018 deg; garage 0.20 cm, 0.25 cm, max 0.8 cm. The bounds of the slow tests are those of
 the specification.
 """
 
