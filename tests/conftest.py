@@ -11,7 +11,7 @@ import pytest
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from semloc_jax.cli.runtime import prepare_jax
+from semloc_jax.runtime.prepare import prepare_jax
 
 # The flags and the cache of the command line: what it, the notebooks and the test processes compile is compiled once.
 prepare_jax()
@@ -25,7 +25,7 @@ if os.environ.get("SEMLOC_TYPECHECK", "1") != "0":
 
     jaxtyping.install_import_hook("semloc_jax", "beartype.beartype")
 
-from semloc_jax.native.allocator import return_large_blocks  # noqa: E402 - after the hook
+from semloc_jax.runtime.allocator import return_large_blocks  # noqa: E402 - after the hook
 
 return_large_blocks()
 
@@ -73,7 +73,7 @@ def single_precision() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def simulated_road(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small simulated road drive: three frames of one front camera, exact and network-like masks, two maps."""
-    from semloc_jax.datasets.synthetic import SimulationConfig, simulate
+    from semloc_jax.simulation import SimulationConfig, simulate
 
     folder = tmp_path_factory.mktemp("simulated") / "road"
     simulate("road", 5, folder, SimulationConfig(num_frames=3, rate_hz=2.0, width_px=480, height_px=300))

@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, solve_level, visible_views
 from semloc_jax.analysis.intervals import Interval, bounds
 from semloc_jax.analysis.ramp_bounds import RampBounds, ramp_bounds
 from semloc_jax.errors import SemlocError
@@ -33,7 +34,6 @@ from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.texture import RampTexture, lookup
-from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, solve_level, visible_views
 
 Claim = Literal["falls", "higher"]
 CLAIMS: tuple[Claim, ...] = ("falls", "higher")

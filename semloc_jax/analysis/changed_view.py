@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align
 from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION
 from semloc_jax.analysis.influence import OF_PART, PRIOR_PARTS
 from semloc_jax.geometry import rigid
-from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, align
 from semloc_jax.structs import ElementClass
 
 _LOOSE = 100.0

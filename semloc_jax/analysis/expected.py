@@ -2,7 +2,7 @@
 
 In: map samples around a place, a pose, cameras. Out: information of the pose and its covariance, without an image.
 Where masks are perfect, the ramp of a class rises across the contour and nowhere else: the gradient of a residual is
-the image normal of its contour over the ramp. The rest is as in `solvers.pose.assess`: the same samples, weights,
+the image normal of its contour over the ramp. The rest is as in `alignment.pose.assess`: the same samples, weights,
 limits for each element and noise of a mask boundary.
 """
 
@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from semloc_jax.alignment.pose import AlignConfig
+from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.analysis.boundary_noise import BoundaryNoise
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.geometry import lie
-from semloc_jax.localization.priors import RoadSigmas
 from semloc_jax.residuals.alignment import points_in_camera
 from semloc_jax.residuals.view import ViewConfig, view
-from semloc_jax.solvers.pose import AlignConfig
 from semloc_jax.structs import MapSamples, ViewSamples
 
 

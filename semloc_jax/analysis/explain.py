@@ -16,6 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, sample_within
+from semloc_jax.alignment.implicit import smooth_scene
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior
+from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.alignment.single_frame import frame_input
 from semloc_jax.analysis.changed_view import Group, cast, resolve
 from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION
 from semloc_jax.analysis.explanation import Explanation, Holder
@@ -23,16 +29,10 @@ from semloc_jax.analysis.influence import PRIOR_PARTS, Balance, balance, influen
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
-from semloc_jax.localization.priors import PosePrior
-from semloc_jax.localization.result import LocalizationResult
-from semloc_jax.localization.run import FrameLocalizer, sample_within
-from semloc_jax.localization.single_frame import frame_input
 from semloc_jax.maps import LocalMap
 from semloc_jax.perception import cost_maps
 from semloc_jax.residuals.alignment import Usable, camera_views
 from semloc_jax.residuals.view import view
-from semloc_jax.solvers.implicit import smooth_scene
-from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior
 from semloc_jax.structs import CostMaps, ElementClass
 
 LETS_GO = 5**-0.5
@@ -163,7 +163,7 @@ class Look:
         return max(_MIN_CAPACITY, 1 << (len(self.ids) - 1).bit_length())
 
     def optimum(self, max_drift_m: float) -> tuple[Balance, int]:
-        """The optimum on the finest level that holds the pose, as `solvers.pose.align` chooses it; and the level.
+        """The optimum on the finest level that holds the pose, as `alignment.pose.align` chooses it; and the level.
 
         Where there is none near the pose, the pose itself on the coarsest level, with Gauss-Newton's curvature.
         """
@@ -204,7 +204,7 @@ class Look:
         ramp_px = self.maps.ramp_px[level]
         noise_px = max(self.align.noise_px, self.align.noise_share * ramp_px)
         scatter_px = np.sqrt(terms.square_px2.sum() / max(terms.pulling.sum(), 1e-9))
-        # As `solvers.pose.assess` has it: residuals that scatter more than the model says hold less.
+        # As `alignment.pose.assess` has it: residuals that scatter more than the model says hold less.
         told = influence(terms, np.asarray(self.prior.sigma, np.float64), max(float(scatter_px) / noise_px, 1.0))
         R = found.T_map_base[:3, :3]
         rows = TANGENT_OF_DIRECTION

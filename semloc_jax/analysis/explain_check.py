@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION
 from semloc_jax.analysis.explanation import Explanation, Holder
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import rigid
-from semloc_jax.localization.priors import PosePrior
-from semloc_jax.localization.result import LocalizationResult
-from semloc_jax.localization.run import FrameLocalizer
 from semloc_jax.maps import MapElement
 
 

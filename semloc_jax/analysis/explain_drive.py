@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
+from semloc_jax.alignment.pose_prior import PriorSource
+from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.analysis.explain import ExplainConfig, explain_frame
 from semloc_jax.analysis.explanation import Explanation, Holder
 from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization import FrameLocalizer, LocalizationResult, LocalizeConfig, MaskSource
-from semloc_jax.localization.priors import PriorSource
+from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.maps import SemanticMap
 from semloc_jax.structs import ElementClass
 

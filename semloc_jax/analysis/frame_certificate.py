@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.pose import AlignConfig
+from semloc_jax.alignment.single_frame import evidence_from
 from semloc_jax.analysis.certificate import CLAIMS, Certificate, CertificateConfig, Claim, certify
 from semloc_jax.cameras import Rig
-from semloc_jax.localization import FrameLocalizer
-from semloc_jax.localization.single_frame import evidence_from
-from semloc_jax.solvers.pose import AlignConfig
 
 
 def certify_frame(

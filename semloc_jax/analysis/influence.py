@@ -16,11 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from semloc_jax.alignment.pose import Prior
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.alignment import points_in_camera
 from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.residuals.smooth_curvature import sample_expansion
-from semloc_jax.solvers.pose import Prior
 
 PRIOR_PARTS = ("prior", "road")
 """Holders that are no map elements: position and heading of the prior; height and tilt of the road of the map."""
@@ -30,7 +30,7 @@ _GENERATORS = np.zeros((6, 4, 4))
 _GENERATORS[[0, 1, 2], [0, 1, 2], 3] = 1.0
 _GENERATORS[[3, 4, 5], [2, 0, 1], [1, 2, 0]], _GENERATORS[[3, 4, 5], [1, 2, 0], [2, 0, 1]] = 1.0, -1.0
 _INSIDE = (1 - 0.95**2) ** 2
-"""Weight of the kernel at 0.95 of its reach: less is no inlier, as in `solvers.pose.assess`."""
+"""Weight of the kernel at 0.95 of its reach: less is no inlier, as in `alignment.pose.assess`."""
 
 
 class HolderTerms(NamedTuple):
@@ -126,7 +126,7 @@ def _moves(p: Float[Array, "3 p"]) -> tuple[Float[Array, "6 3 p"], Float[Array, 
 def prior_terms(T_map_base: Float[np.ndarray, "4 4"], prior: Prior) -> HolderTerms:
     """The terms of both parts of the prior (`PRIOR_PARTS`), which have no samples.
 
-    The deviation is measured as in `solvers.implicit`: translation and axis-times-sine of T_prior^-1 T.
+    The deviation is measured as in `alignment.implicit`: translation and axis-times-sine of T_prior^-1 T.
     """
     sigma = np.asarray(prior.sigma, np.float64)
     precision = np.where(sigma > 0, 1 / np.where(sigma > 0, sigma, 1.0), 0.0) ** 2
@@ -174,7 +174,7 @@ def balance(
     num_elements: int,
     max_steps: int = 20,
 ) -> Balance:
-    """The optimum of the smooth cost near a pose: what `solvers.implicit.polish` finds.
+    """The optimum of the smooth cost near a pose: what `alignment.implicit.polish` finds.
 
     Newton's method on the host, so that a frame is explained with one compiled program.
 
@@ -270,8 +270,8 @@ def influence(
     Args:
         terms: Of `balance`.
         sigma: Standard deviations of the prior; 0 locks a direction.
-        noise_excess: How many times more the residuals scatter than the model says; see `solvers.pose.assess`.
-        singular_below: Curvature below which derivatives are damped, as in `solvers.implicit`.
+        noise_excess: How many times more the residuals scatter than the model says; see `alignment.pose.assess`.
+        singular_below: Curvature below which derivatives are damped, as in `alignment.implicit`.
     """
     _, J = _scaled(terms, sigma)
     U, s, Vt = np.linalg.svd(J)

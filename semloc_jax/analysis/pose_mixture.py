@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp, ndtr
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.analysis.uncertainty import SandwichConfig, pose_residuals, sandwich_covariance
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
-from semloc_jax.localization.result import LocalizationResult
-from semloc_jax.localization.run import FrameLocalizer
 
 
 @dataclass(frozen=True)

@@ -14,18 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig, sample_within
+from semloc_jax.alignment.pose import Prior, align
+from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, frame_input
 from semloc_jax.analysis.expected import ExpectedConfig
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.datasets import Sequence as Drive
-from semloc_jax.datasets.synthetic.degrade import Degradation, degrade
 from semloc_jax.evaluation.metrics import pose_errors
-from semloc_jax.localization.mask_source import mask_source
-from semloc_jax.localization.run import FrameLocalizer, LocalizeConfig, sample_within
-from semloc_jax.localization.single_frame import FrameInput, SingleFrameConfig, evidence_from, frame_input
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import cost_maps
-from semloc_jax.solvers.pose import Prior, align
+from semloc_jax.simulation.degrade import Degradation, degrade
 
 _SHIFT_PX = 0.5
 """What `degrade` moves masks by, as halving and doubling an image does."""

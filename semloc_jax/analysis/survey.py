@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, sample_within
 from semloc_jax.analysis.ambiguity import AmbiguityConfig, second_pose
 from semloc_jax.analysis.expected import (
     DIRECTIONS,
@@ -21,7 +22,6 @@ from semloc_jax.analysis.expected import (
 )
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization.run import FrameLocalizer, sample_within
 from semloc_jax.maps import LocalMap, SemanticMap
 from semloc_jax.perception import ClassTable
 from semloc_jax.structs import MapSamples

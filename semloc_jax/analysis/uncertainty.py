@@ -18,17 +18,17 @@ from jaxtyping import Array, Float, Int
 from scipy.optimize import nnls
 from scipy.stats import t as student
 
+from semloc_jax.alignment.pose import AlignConfig
+from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig
 from semloc_jax.analysis.boundary_noise import BoundaryNoise
 from semloc_jax.analysis.expected import contour_rows, image_rows
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
-from semloc_jax.localization.single_frame import FrameInput, SingleFrameConfig
-from semloc_jax.native.programs import stored_program
 from semloc_jax.residuals.alignment import Usable, visibility
 from semloc_jax.residuals.alignment import camera_views as group_views
 from semloc_jax.residuals.texture import RampTexture, lookup
 from semloc_jax.residuals.view import view
-from semloc_jax.solvers.pose import AlignConfig
+from semloc_jax.runtime.programs import stored_program
 from semloc_jax.structs import ViewSamples
 
 
@@ -126,7 +126,7 @@ def pose_residuals(T_map_base: Float[Array, "4 4"], inputs: FrameInput, config: 
         texture = inputs.textures.level(level)
         found = boundary_residuals(T_map_base, inputs.rig, seen, texture, inputs.usable, align)
         weight = np.asarray(found.weight, np.float64)
-        # As in solvers.pose: a level with fewer inliers was left again.
+        # As in alignment.pose: a level with fewer inliers was left again.
         if np.sum(weight * (np.abs(found.ramp) < 0.95)) >= align.min_inlier_ratio * np.sum(weight):
             break
     return found

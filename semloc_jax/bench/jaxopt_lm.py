@@ -8,8 +8,8 @@ import warnings
 import jax
 import jax.numpy as jnp
 
+from semloc_jax.alignment.problem import residual
 from semloc_jax.bench.optimistix_lm import VmappedPeer
-from semloc_jax.solvers.problem import residual
 
 
 def create(_: str) -> VmappedPeer:

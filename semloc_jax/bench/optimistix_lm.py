@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
+from semloc_jax.alignment.pose import level_problem, visible_views
+from semloc_jax.alignment.problem import pose_of, residual
 from semloc_jax.bench.ours import config_of, evidence_of, levels_on_device
 from semloc_jax.bench.peer import Solved
 from semloc_jax.bench.problem import Problem
-from semloc_jax.solvers.pose import level_problem, visible_views
-from semloc_jax.solvers.problem import pose_of, residual
 
 RTOL = 1e-3
 """Its test also bounds the change of the cost; at this share of the cost that bound is not the tighter one."""

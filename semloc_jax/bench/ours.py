@@ -1,7 +1,7 @@
 """semloc_jax itself as a line of the benchmark, one for each path of evaluation (room: bench).
 
 In: a Problem. Out: poses from full solves, from a tracking solve and from a search that culls.
-Only public entry points are used: `solvers.pose.refine` in chunks and `solvers.hypotheses.search`.
+Only public entry points are used: `alignment.pose.refine` in chunks and `alignment.hypotheses.search`.
 """
 
 from functools import cache, partial
@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax import native
+from semloc_jax.alignment.hypotheses import SearchConfig, search
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine
 from semloc_jax.bench.peer import PeerMissing, Solved
 from semloc_jax.bench.problem import CORRELATION_PX, NOISE_PX, NOISE_SHARE, SIGMA, Problem
 from semloc_jax.cameras import PinholeCamera, stack_cameras
 from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.texture import pack
-from semloc_jax.solvers.hypotheses import SearchConfig, search
-from semloc_jax.solvers.pose import AlignConfig, Evidence, Prior, in_chunks, refine
 from semloc_jax.structs import CostMaps
 
 BUCKET = 128

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
+from semloc_jax.alignment.pose import level_problem, visible_views
+from semloc_jax.alignment.problem import pose_of, residual
 from semloc_jax.bench.host_model import coarse_to_fine
 from semloc_jax.bench.ours import config_of, evidence_of
 from semloc_jax.bench.peer import Solved
 from semloc_jax.bench.problem import Problem
-from semloc_jax.solvers.pose import level_problem, visible_views
-from semloc_jax.solvers.problem import pose_of, residual
 
 SHIFT = np.full(6, 10.0)
 """scipy scales xtol and its difference steps by the unknown; far from zero both are what they say."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization.prediction import MotionNoise
+from semloc_jax.fusion.prediction import MotionNoise
 
 Intrinsics = Literal["none", "focal", "all"]
 """What of the lenses is unknown: nothing; focal lengths and centre; distortion too."""

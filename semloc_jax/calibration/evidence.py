@@ -12,20 +12,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.calibration.config import Intrinsics, SelfCalibrationConfig
+from semloc_jax.calibration.drive_problem import Anchors, Motion, PictureRows
 from semloc_jax.calibration.frames import StartPoses
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.datasets import Frame, GnssTrack
+from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import FrameLocalizer, MaskSource
+from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.map_window import MapWindows
-from semloc_jax.localization.prediction import MotionLog
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import CostMapConfig, cost_maps
 from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.texture import RampTexture, pack
 from semloc_jax.residuals.view import ViewConfig, view
-from semloc_jax.solvers.self_calibration import Anchors, Motion, PictureRows
 from semloc_jax.structs import ViewSamples
 
 _FOCAL = ("fx", "fy", "cx", "cy")

@@ -10,15 +10,18 @@ from itertools import pairwise
 import jax
 import numpy as np
 
+from semloc_jax.alignment.frame_localizer import LocalizeConfig
+from semloc_jax.alignment.pose_prior import PriorSource, RoadSigmas
+from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.calibration.config import SelfCalibrationConfig
 from semloc_jax.datasets import Frame
 from semloc_jax.datasets import Sequence as Drive
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization import LocalizationResult, LocalizeConfig, MaskSource, localize_frames
-from semloc_jax.localization.prediction import MotionIncrement, MotionLog, MotionQuality
-from semloc_jax.localization.priors import PriorSource, RoadSigmas
+from semloc_jax.fusion.pose_graph import GraphConfig, PoseGraph, solve_pose_graph
+from semloc_jax.fusion.prediction import MotionIncrement, MotionLog, MotionQuality
+from semloc_jax.inputs.mask_source import MaskSource
+from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import SemanticMap
-from semloc_jax.solvers.pose_graph import GraphConfig, PoseGraph, solve_pose_graph
 
 MIN_FRAMES = 5
 """Fewer frames say next to nothing about six numbers of a mount."""

@@ -15,11 +15,11 @@ import numpy as np
 
 from semloc_jax.calibration.config import CalibrationPriors, Intrinsics
 from semloc_jax.calibration.evidence import unknown_fields
+from semloc_jax.calibration.ground_problem import GroundPointProblem, GroundState, solve_ground_points
 from semloc_jax.calibration.observability import AXES, Observability, observe
 from semloc_jax.calibration.self_calibration import lens_sigmas, mount_change
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
-from semloc_jax.solvers.ground_points import GroundPointProblem, GroundState, solve_ground_points
 
 _REASON = "points of the ground tell the cameras against each other only: a drive, or a survey, tells the vehicle"
 _COLUMNS = ("camera_a", "u_a", "v_a", "camera_b", "u_b", "v_b")

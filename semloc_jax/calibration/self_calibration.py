@@ -13,7 +13,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.pose_prior import PriorSource
+from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.calibration.config import CalibrationPriors, SelfCalibrationConfig
+from semloc_jax.calibration.drive_problem import (
+    COMMON,
+    CalibrationProblem,
+    CalibrationSolution,
+    CalibrationState,
+    solve_calibration,
+)
 from semloc_jax.calibration.evidence import (
     Pictures,
     anchors_of,
@@ -29,19 +39,11 @@ from semloc_jax.datasets import Frame
 from semloc_jax.datasets import Sequence as Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory
-from semloc_jax.localization import FrameLocalizer, LocalizationResult, MaskSource
-from semloc_jax.localization.mask_view import TopViewSource
-from semloc_jax.localization.prediction import MotionLog
-from semloc_jax.localization.priors import PriorSource
+from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.inputs.mask_source import MaskSource
+from semloc_jax.inputs.mask_view import TopViewSource
 from semloc_jax.maps import SemanticMap
 from semloc_jax.solvers.arrow import reduced
-from semloc_jax.solvers.self_calibration import (
-    COMMON,
-    CalibrationProblem,
-    CalibrationSolution,
-    CalibrationState,
-    solve_calibration,
-)
 
 _NOMINAL = np.array([1.0, *[0.0] * 8])
 _UNITS = {"gyro_bias": "deg/s", "gnss_east": "m", "gnss_north": "m", "stance_height": "m"}

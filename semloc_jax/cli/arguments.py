@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import Annotated, Any
 
-from semloc_jax.cli.config_files import UsageError, check_keys, flags, flatten, read_yaml, suggestion, with_lengths
+from semloc_jax.errors import UsageError
+from semloc_jax.inputs.config_files import check_keys, flags, flatten, read_yaml, suggestion, with_lengths
 
 NOT_IN_FILES = ("config", "out")
 """Options that a configuration file cannot hold."""
@@ -79,30 +80,6 @@ def read_settings(path: str, options_type: type, defaults: Any) -> tuple[Any, li
     switches = [f"--{key.replace('_', '-')}" for key, value in for_verb.items() if value is True]
     values = {key: value for key, value in for_verb.items() if not isinstance(value, bool)}
     return settings, [*switches, *flatten(values)]
-
-
-def parse_slice(text: str, option: str = "--frames") -> slice:
-    """A Python slice such as `::5`, `10:20` or `-3:`; a single number selects one frame.
-
-    Raises:
-        UsageError: The text is not a slice.
-    """
-    parts = text.strip().removeprefix("[").removesuffix("]").split(":")
-    try:
-        numbers = [int(part) if part.strip() else None for part in parts]
-        if len(numbers) == 1 and numbers[0] is not None:
-            return slice(numbers[0], numbers[0] + 1 or None)
-        if len(numbers) in (2, 3) and (len(numbers) == 2 or numbers[2] != 0):
-            return slice(*numbers)
-    except ValueError:
-        pass
-    raise UsageError(f"{option} '{text}': expected a Python slice such as ::5, 10:20 or -3:, or one number")
-
-
-def parse_names(text: str | None) -> tuple[str, ...] | None:
-    """Names of a comma-separated list; None where nothing was given."""
-    names = tuple(name.strip() for name in (text or "").split(",") if name.strip())
-    return names or None
 
 
 def _config_path(words: Sequence[str]) -> str | None:

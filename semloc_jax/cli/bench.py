@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from semloc_jax.cli.arguments import parse_names
-from semloc_jax.cli.config_files import UsageError
 from semloc_jax.cli.main import LOST, OK
+from semloc_jax.errors import UsageError
+from semloc_jax.inputs.choices import parse_names
 
 if TYPE_CHECKING:
     from semloc_jax.bench.results import Results

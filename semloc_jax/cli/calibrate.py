@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from semloc_jax.cli.drive_inputs import DriveOptions, Inputs, open_inputs
+from semloc_jax.cli.drive_options import DriveOptions
 from semloc_jax.cli.main import OK
+from semloc_jax.inputs.drive_inputs import Inputs, open_inputs
 
 if TYPE_CHECKING:
     from semloc_jax.calibration import SelfCalibration, SelfCalibrationConfig
@@ -51,7 +52,7 @@ def default_settings() -> "SelfCalibrationConfig":
 def run(options: Options) -> int:
     """Calibrate, write everything, say what is known; returns the exit code."""
     from semloc_jax.calibration.report import report_text, write_report
-    from semloc_jax.cli import results
+    from semloc_jax.reports import results
 
     logging.basicConfig(format="%(message)s")
     logging.getLogger("semloc_jax").setLevel(logging.INFO)
@@ -130,7 +131,7 @@ def _write_pictures(folder: Path, inputs: Inputs, result: "SelfCalibration", cou
     import numpy as np
 
     from semloc_jax import viz
-    from semloc_jax.cli.pictures import calibration_panels
+    from semloc_jax.reports.pictures import calibration_panels
     from semloc_jax.viz.self_calibration import observability_figure
 
     viz.save(observability_figure(result.observability), folder / "observability.png")
@@ -148,7 +149,7 @@ def _on_ground(options: Options) -> int:
     from semloc_jax.calibration.ground_points import GroundPointConfig, calibrate_on_ground, read_ground_pairs
     from semloc_jax.calibration.report import ground_text, write_ground_report
     from semloc_jax.cameras import read_calibration
-    from semloc_jax.cli import results
+    from semloc_jax.reports import results
 
     source = _source(options)
     pairs = read_ground_pairs(options.ground_points)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from semloc_jax.cli.arguments import parse_names
 from semloc_jax.cli.main import LOST, OK
+from semloc_jax.inputs.choices import parse_names
 
 if TYPE_CHECKING:
     import numpy as np
@@ -144,7 +144,7 @@ def _draw(options: Options, rig: "Rig", drive: "Sequence | None", images: dict, 
     import numpy as np
 
     from semloc_jax import viz
-    from semloc_jax.cli import results
+    from semloc_jax.reports import results
     from semloc_jax.viz import calibration
 
     local_map, T_map_base = _map_around(options, drive)

@@ -31,7 +31,7 @@ def run(options: Options) -> int:
     import yaml
 
     from semloc_jax.cli.arguments import read_settings
-    from semloc_jax.cli.config_files import to_plain
+    from semloc_jax.inputs.config_files import to_plain
 
     verb = importlib.import_module(f"semloc_jax.cli.{options.of}")
     settings = verb.default_settings()

@@ -26,8 +26,8 @@ class Options:
 
 def run(options: Options) -> int:
     """Simulate, localize, tell where the pictures are."""
-    from semloc_jax.cli import results
-    from semloc_jax.datasets.synthetic import SimulationConfig, simulate
+    from semloc_jax.reports import results
+    from semloc_jax.simulation import SimulationConfig, simulate
 
     started = time.perf_counter()
     folder = results.make_folder(options.out)

@@ -4,8 +4,8 @@ import importlib.util
 import os
 from dataclasses import dataclass
 
-from semloc_jax.cli import runtime
 from semloc_jax.cli.main import FAILED, OK
+from semloc_jax.runtime import prepare as runtime
 
 EXTRAS = {
     "rerun": "semloc-jax[viz]",
@@ -40,7 +40,7 @@ def run(options: Options) -> int:
         f"      {'compilation cache':<24}{os.environ.get('JAX_COMPILATION_CACHE_DIR') or 'off: no folder to write to'}"
     )
 
-    from semloc_jax.cli.selftest import run_checks
+    from semloc_jax.bench.selftest import run_checks
 
     checks = run_checks()
     for check in checks:

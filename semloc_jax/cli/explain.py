@@ -5,19 +5,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from semloc_jax.cli.config_files import UsageError
-from semloc_jax.cli.drive_inputs import DriveOptions, Inputs, open_inputs
+from semloc_jax.cli.drive_options import DriveOptions
 from semloc_jax.cli.main import LOST, OK
+from semloc_jax.errors import UsageError
+from semloc_jax.inputs.drive_inputs import Inputs, open_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import numpy as np
 
+    from semloc_jax.alignment.frame_localizer import LocalizeConfig
     from semloc_jax.analysis.explain_check import Check
     from semloc_jax.analysis.explain_drive import ElementRole
     from semloc_jax.analysis.explanation import Explanation, Holder
-    from semloc_jax.localization import LocalizeConfig
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Options(DriveOptions):
 
 def default_settings() -> "LocalizeConfig":
     """The configuration of `semloc localize`."""
-    from semloc_jax.localization import LocalizeConfig
+    from semloc_jax.alignment.frame_localizer import LocalizeConfig
 
     return LocalizeConfig()
 
@@ -68,10 +69,10 @@ def _frame(options: Options, settings: "LocalizeConfig") -> int:
     import json
 
     from semloc_jax import viz
+    from semloc_jax.alignment.frame_localizer import FrameLocalizer
     from semloc_jax.analysis.explain import ExplainConfig, explain_frame
     from semloc_jax.analysis.explain_check import leave_one_out
-    from semloc_jax.cli import pictures, results
-    from semloc_jax.localization import FrameLocalizer
+    from semloc_jax.reports import pictures, results
     from semloc_jax.viz.explain import explained_image, explained_map
 
     inputs = open_inputs(options)
@@ -114,7 +115,7 @@ def _drive(options: Options, settings: "LocalizeConfig") -> int:
 
     from semloc_jax.analysis.explain import ExplainConfig
     from semloc_jax.analysis.explain_drive import element_roles, explain_frames
-    from semloc_jax.cli import results
+    from semloc_jax.reports import results
 
     inputs = open_inputs(options)
     frames = inputs.drive.frames[:: options.every]

@@ -4,16 +4,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from semloc_jax.cli.arguments import parse_names
-from semloc_jax.cli.config_files import UsageError
-from semloc_jax.cli.drive_inputs import DriveOptions, Inputs, open_inputs
+from semloc_jax.cli.drive_options import DriveOptions
 from semloc_jax.cli.main import OK
+from semloc_jax.errors import UsageError
+from semloc_jax.inputs.choices import parse_names
+from semloc_jax.inputs.drive_inputs import Inputs, open_inputs
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from semloc_jax.alignment.frame_localizer import LocalizeConfig
     from semloc_jax.datasets import Frame
-    from semloc_jax.localization import LocalizeConfig
 
 METRIC = ("x", "y", "z")
 
@@ -63,7 +64,7 @@ class Options(DriveOptions):
 
 def default_settings() -> "LocalizeConfig":
     """The configuration of `semloc localize`."""
-    from semloc_jax.localization import LocalizeConfig
+    from semloc_jax.alignment.frame_localizer import LocalizeConfig
 
     return LocalizeConfig()
 
@@ -77,9 +78,9 @@ def run(options: Options) -> int:
     import numpy as np
 
     from semloc_jax import viz
-    from semloc_jax.cli import results
-    from semloc_jax.localization import FrameLocalizer
-    from semloc_jax.localization.landscape import frame_landscape
+    from semloc_jax.alignment.frame_localizer import FrameLocalizer
+    from semloc_jax.analysis.landscape import frame_landscape
+    from semloc_jax.reports import results
 
     directions, offsets = _grid(options)
     inputs = open_inputs(options)
@@ -114,9 +115,9 @@ def _basin(options: Options) -> int:
     from dataclasses import replace
 
     from semloc_jax import viz
-    from semloc_jax.cli import results
-    from semloc_jax.localization.basin import BasinConfig, BasinWindow, basin
-    from semloc_jax.localization.one_start import WIDE_COST_MAPS
+    from semloc_jax.alignment.one_start import WIDE_COST_MAPS
+    from semloc_jax.analysis.basin import BasinConfig, BasinWindow, basin
+    from semloc_jax.reports import results
     from semloc_jax.viz.basin import basin_on_map
 
     try:
@@ -150,10 +151,10 @@ def _basin(options: Options) -> int:
 
 def _prove(inputs: Inputs, frame: "Frame", config: "LocalizeConfig", folder: Path) -> None:
     """Regions without a pose as good as the minimum on each level of the cost maps down to 20 px: said and written."""
+    from semloc_jax.alignment.frame_localizer import FrameLocalizer
     from semloc_jax.analysis.certificate import CertificateConfig
     from semloc_jax.analysis.frame_certificate import certify_frame
-    from semloc_jax.cli import results
-    from semloc_jax.localization import FrameLocalizer
+    from semloc_jax.reports import results
 
     localizer = FrameLocalizer(inputs.map, inputs.masks.table, config)
     masks, rig = inputs.masks.masks(frame), inputs.masks.seen_by(frame.rig.select(inputs.masks.cameras))

@@ -10,9 +10,9 @@ import tyro
 from semloc_jax.cli.main import OK
 
 if TYPE_CHECKING:
-    from semloc_jax.cli.drive_inputs import Inputs
+    from semloc_jax.alignment.frame_localizer import LocalizeConfig
+    from semloc_jax.inputs.drive_inputs import Inputs
     from semloc_jax.learning import Accuracy, Fit, LearningConfig
-    from semloc_jax.localization.run import LocalizeConfig
 
 LEARNED, LEARNED_TRACK = "learned.yaml", "track_learned.yaml"
 _COLUMNS = (("position_m", 100, 2), ("p95_m", 100, 1), ("heading_deg", 1, 3), ("nees", 1, 2), ("nees_median", 1, 2))
@@ -64,8 +64,7 @@ def run(options: Options) -> int:
     """
     from tqdm import tqdm
 
-    from semloc_jax.cli import results
-    from semloc_jax.cli.config_files import UsageError
+    from semloc_jax.errors import UsageError
     from semloc_jax.learning import (
         calibrated,
         fit,
@@ -75,6 +74,7 @@ def run(options: Options) -> int:
         training_frames,
     )
     from semloc_jax.localization.localizer import TrackConfig
+    from semloc_jax.reports import results
 
     if not options.drives:
         raise UsageError("no drives to learn from; expected DRIVE ..., folders with map, masks and truth")
@@ -116,9 +116,9 @@ def run(options: Options) -> int:
 
 
 def _open(path: Path, masks: str, name: str | None) -> "Inputs":
-    from semloc_jax.cli.drive_inputs import DriveOptions, open_inputs
+    from semloc_jax.inputs.drive_inputs import InputOptions, open_inputs
 
-    return open_inputs(DriveOptions(drive=path, masks=masks, prior="truth", map=name))
+    return open_inputs(InputOptions(drive=path, masks=masks, prior="truth", map=name))
 
 
 def _name(path: Path, name: str | None) -> str:
@@ -153,7 +153,7 @@ def _judged(given: "Inputs", settings: "tuple[LocalizeConfig, LocalizeConfig]", 
 
 def changes(before: object, after: object) -> dict:
     """What differs between two configurations, as YAML holds it."""
-    from semloc_jax.cli.config_files import is_settings, to_plain
+    from semloc_jax.inputs.config_files import is_settings, to_plain
 
     found = {}
     for name in vars(before):

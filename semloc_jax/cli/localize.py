@@ -7,14 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from semloc_jax.cli.arguments import parse_slice
-from semloc_jax.cli.drive_inputs import DriveOptions, Inputs, open_inputs
+from semloc_jax.cli.drive_options import DriveOptions
 from semloc_jax.cli.main import LOST, OK
+from semloc_jax.inputs.choices import parse_slice
+from semloc_jax.inputs.drive_inputs import Inputs, open_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from semloc_jax.localization import LocalizationResult, LocalizeConfig
+    from semloc_jax.alignment.frame_localizer import LocalizeConfig
+    from semloc_jax.alignment.result import LocalizationResult
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Options(DriveOptions):
 
 def default_settings() -> "LocalizeConfig":
     """How a frame is localized if nothing is said."""
-    from semloc_jax.localization import LocalizeConfig
+    from semloc_jax.alignment.frame_localizer import LocalizeConfig
 
     return LocalizeConfig()
 
@@ -56,8 +58,8 @@ def run(options: Options) -> int:
 
 def localize(options: Options, settings: "LocalizeConfig") -> int:
     """Localize, write everything, say how good it is; returns the exit code."""
-    from semloc_jax.cli import results
     from semloc_jax.maps import write_drive_geojson
+    from semloc_jax.reports import results
 
     logging.basicConfig(format="%(message)s")
     logging.getLogger("semloc_jax").setLevel(logging.INFO)
@@ -76,7 +78,7 @@ def localize(options: Options, settings: "LocalizeConfig") -> int:
     if truth:
         print(results.write_metrics_of(found, truth, folder))
     if options.overlays > 0:
-        from semloc_jax.cli import pictures
+        from semloc_jax.reports import pictures
 
         pictures.write_overlays(folder, inputs.map, inputs.masks, found, options.overlays)
     print(_summary(found, wall_s))
@@ -98,7 +100,7 @@ def _localize(inputs: Inputs, chosen: slice, settings: "LocalizeConfig") -> "lis
     """One result for each frame, with a progress bar on a terminal."""
     from tqdm import tqdm
 
-    from semloc_jax.localization import localize_frames
+    from semloc_jax.localization.frame_by_frame import localize_frames
 
     with tqdm(total=len(inputs.drive.frames[chosen]), unit="frame", disable=None) as bar:
         return localize_frames(

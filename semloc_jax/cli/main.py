@@ -78,10 +78,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_verb(name: str, words: list[str], debug: bool) -> int:
-    from semloc_jax.cli import runtime
     from semloc_jax.cli.arguments import parse
-    from semloc_jax.cli.config_files import UsageError
-    from semloc_jax.errors import SemlocError
+    from semloc_jax.errors import SemlocError, UsageError
+    from semloc_jax.runtime import prepare as runtime
 
     try:
         if not {"-h", "--help"} & set(words):

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from semloc_jax.cli.arguments import parse_names, parse_slice
-from semloc_jax.cli.config_files import UsageError
 from semloc_jax.cli.main import LOST, OK
+from semloc_jax.errors import UsageError
+from semloc_jax.inputs.choices import parse_names, parse_slice
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -147,7 +147,7 @@ def _claim(folder: Path, preset: "NetworkPreset", overwrite: bool) -> None:
     import yaml
 
     from semloc_jax.errors import SemlocError
-    from semloc_jax.localization.mask_source import RECORD
+    from semloc_jax.inputs.mask_source import RECORD
 
     with Path(preset.model).open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()

@@ -10,7 +10,7 @@ from semloc_jax.cli.main import OK
 from semloc_jax.errors import SemlocError
 
 if TYPE_CHECKING:
-    from semloc_jax.datasets.synthetic import SimulationConfig
+    from semloc_jax.simulation import SimulationConfig
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,14 @@ class Options:
 
 def default_settings() -> "SimulationConfig":
     """What a drive is like if nothing is said."""
-    from semloc_jax.datasets.synthetic import SimulationConfig
+    from semloc_jax.simulation import SimulationConfig
 
     return SimulationConfig()
 
 
 def run(options: Options) -> int:
     """Render the drive and say what was written."""
-    from semloc_jax.datasets.synthetic import RouteWish, simulate, simulate_on_map
+    from semloc_jax.simulation import RouteWish, simulate, simulate_on_map
 
     if options.out.exists() and (not options.out.is_dir() or any(options.out.iterdir())):
         raise SemlocError(f"{options.out}: is not an empty folder; give a new one, nothing is overwritten")
@@ -71,7 +71,7 @@ def run(options: Options) -> int:
 
 def _place(text: str | None) -> tuple[float, float] | None:
     """The place in `X,Y`."""
-    from semloc_jax.cli.config_files import UsageError
+    from semloc_jax.errors import UsageError
 
     if text is None:
         return None
@@ -85,7 +85,7 @@ def _place(text: str | None) -> tuple[float, float] | None:
 
 
 def _refuse_without_map(options: Options) -> None:
-    from semloc_jax.cli.config_files import UsageError
+    from semloc_jax.errors import UsageError
 
     for name in ("start", "heading", "path"):
         if getattr(options, name) is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from semloc_jax.cli.main import OK
-from semloc_jax.cli.survey_placement import Ranges, write_placement
+from semloc_jax.reports.survey_placement import Ranges, write_placement
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,10 +71,10 @@ def run(options: Options) -> int:
     from semloc_jax import viz
     from semloc_jax.analysis.survey import survey
     from semloc_jax.cameras.io import read_calibration
-    from semloc_jax.cli import results
-    from semloc_jax.cli.arguments import parse_names
+    from semloc_jax.inputs.choices import parse_names
     from semloc_jax.maps import read_map
     from semloc_jax.perception import load_class_table
+    from semloc_jax.reports import results
     from semloc_jax.viz.survey import survey_view
 
     semantic_map, rig = read_map(options.map), read_calibration(options.camera)
@@ -129,8 +129,8 @@ COLUMNS = (
 
 def _write_places(found: "Survey", semantic_map: "SemanticMap", folder: Path) -> None:
     """Write places.csv, and places.geojson in degrees where the map has a place on the earth, else in metres."""
-    from semloc_jax.cli import results
     from semloc_jax.geometry.geodesy import wgs84_from_enu
+    from semloc_jax.reports import results
 
     rows, features = [], []
     for report in found.ways:

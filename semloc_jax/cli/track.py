@@ -7,18 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from semloc_jax.cli.arguments import parse_slice
-from semloc_jax.cli.drive_inputs import DriveOptions, Inputs, open_inputs
+from semloc_jax.cli.drive_options import DriveOptions
 from semloc_jax.cli.main import LOST, OK
+from semloc_jax.inputs.choices import parse_slice
+from semloc_jax.inputs.drive_inputs import Inputs, open_inputs
 
 if TYPE_CHECKING:
-    from semloc_jax.cli.track_log import TrackTable
+    from semloc_jax.fusion.measurements import Fusion
+    from semloc_jax.fusion.prediction import MotionLog
     from semloc_jax.localization.checkpoint import Checkpoint
-    from semloc_jax.localization.fusion import Fusion
     from semloc_jax.localization.localizer import Localizer, TrackConfig
     from semloc_jax.localization.pipeline import Pipeline
-    from semloc_jax.localization.prediction import MotionLog
     from semloc_jax.maps import SemanticMap
+    from semloc_jax.reports.track_log import TrackTable
 
 CHECKPOINT = "state.npz"
 ALL_FUSIONS = "all"
@@ -73,8 +74,8 @@ def default_settings() -> "TrackConfig":
 
 def run(options: Options) -> int:
     """Track, write everything, say how good it is; returns the exit code."""
-    from semloc_jax.cli import results, track_faults
-    from semloc_jax.cli.track_log import TrackLog, TrackTable
+    from semloc_jax.reports import results, track_faults
+    from semloc_jax.reports.track_log import TrackLog, TrackTable
 
     logging.basicConfig(format="%(message)s")
     logging.getLogger("semloc_jax").setLevel(logging.INFO)
@@ -115,8 +116,8 @@ def _open(options: Options) -> Inputs:
 
 
 def _pipeline(options: Options, inputs: Inputs) -> "Pipeline":
+    from semloc_jax.fusion.prediction import MotionLog
     from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
-    from semloc_jax.localization.prediction import MotionLog
 
     has_guess = options.prior not in (None, "gnss")
     localizer = _localizer(options, inputs, inputs.map, MotionLog.of_sequence(inputs.drive))
@@ -133,7 +134,7 @@ def _localizer(options: Options, inputs: Inputs, semantic_map: "SemanticMap", mo
 
 def _try_faults(options: Options, inputs: Inputs, folder: Path) -> int:
     """Every fault in turn; the exit code is 3 where a frame is called tracked and is not."""
-    from semloc_jax.cli import results, track_faults
+    from semloc_jax.reports import results, track_faults
 
     results.write_record(folder, options.settings, _options_to_keep(options, inputs))
     make = functools.partial(_localizer, options, inputs)
@@ -146,7 +147,7 @@ def _compare_fusions(options: Options, inputs: Inputs, frames: list, folder: Pat
     """Every fusion on the same features; the exit code is 3 where one calls a frame tracked that is not."""
     from tqdm import tqdm
 
-    from semloc_jax.cli import results, track_fusions
+    from semloc_jax.reports import results, track_fusions
 
     results.write_record(folder, options.settings, _options_to_keep(options, inputs))
     progress = functools.partial(tqdm, unit="frame", disable=None)
@@ -158,14 +159,14 @@ def _compare_fusions(options: Options, inputs: Inputs, frames: list, folder: Pat
 
 
 def _fusion(name: str) -> "Fusion":
-    from semloc_jax.cli.track_fusions import FUSIONS
+    from semloc_jax.reports.track_fusions import FUSIONS
 
     # With a matrix of faults there is no table of fusions: the window stands for all.
     return FUSIONS["window" if name == ALL_FUSIONS else name]()
 
 
 def _area(text: str | None):
-    from semloc_jax.cli.config_files import UsageError
+    from semloc_jax.errors import UsageError
     from semloc_jax.localization.acquisition import Area
 
     if text is None:
@@ -211,9 +212,9 @@ def _finish(
     options: Options, inputs: Inputs, pipeline: "Pipeline", table: "TrackTable", last: "Checkpoint | None", folder: Path
 ) -> int:
     """Write what follows from the table, print a summary, and return the exit code."""
-    from semloc_jax.cli import track_metrics, track_pictures
     from semloc_jax.evaluation import write_tum
     from semloc_jax.localization.track_state import TrackStatus
+    from semloc_jax.reports import track_metrics, track_pictures
 
     write_tum(table.trajectory(), folder / "trajectory.tum")
     print(track_metrics.write_track_metrics(folder, table, inputs.drive, pipeline.timing))
@@ -236,8 +237,8 @@ def _finish(
 
 
 def _write_map_changes(path: Path, pipeline: "Pipeline", last: "Checkpoint") -> None:
-    from semloc_jax.cli.results import write_csv
     from semloc_jax.localization.map_faults import MapChange, map_changes
+    from semloc_jax.reports.results import write_csv
 
     localizer = pipeline.localizer
     write_csv(path, MapChange._fields, map_changes(last.state.trust, localizer.map, localizer.config.trust))

@@ -4,7 +4,6 @@ from semloc_jax.datasets.bags import read_bag, write_bag
 from semloc_jax.datasets.base import Frame, Sequence
 from semloc_jax.datasets.detect import open_sequence
 from semloc_jax.datasets.drive import read_drive
-from semloc_jax.datasets.faults import FAULTS, FaultyDrive, with_fault
 from semloc_jax.datasets.folder import read_folder
 from semloc_jax.datasets.gnss import GnssPrior, gnss_prior
 from semloc_jax.datasets.overlap import OverlapReport, overlap_report
@@ -12,8 +11,6 @@ from semloc_jax.datasets.pandaset import PandaSetSequence, read_pandaset
 from semloc_jax.datasets.sensors import GnssTrack, Imu, WheelOdometry
 
 __all__ = [
-    "FAULTS",
-    "FaultyDrive",
     "Frame",
     "GnssPrior",
     "GnssTrack",
@@ -29,6 +26,5 @@ __all__ = [
     "read_drive",
     "read_folder",
     "read_pandaset",
-    "with_fault",
     "write_bag",
 ]

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from semloc_jax.localization.landscape import DIRECTIONS
-from semloc_jax.localization.probe import Descent, Leg, PoseProbe
+from semloc_jax.analysis.landscape import DIRECTIONS
+from semloc_jax.analysis.probe import Descent, Leg, PoseProbe
 from semloc_jax.structs import STATUS_TEXT, PoseEstimate, SolveStatus
 
 DEG = np.array([1.0, 1.0, 1.0, *[180.0 / np.pi] * 3])

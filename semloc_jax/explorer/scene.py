@@ -11,8 +11,8 @@ import numpy as np
 
 from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization import MaskSource
-from semloc_jax.localization.mask_view import TopViewSource
+from semloc_jax.inputs.mask_source import MaskSource
+from semloc_jax.inputs.mask_view import TopViewSource
 from semloc_jax.maps.contours import painted_polygon
 from semloc_jax.maps.elements import UPRIGHT_CLASSES, MapElement
 from semloc_jax.perception import ClassTable

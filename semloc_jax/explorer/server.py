@@ -13,12 +13,15 @@ from collections.abc import Callable
 from http.server import ThreadingHTTPServer
 from socketserver import TCPServer
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
+from semloc_jax.alignment.pose_prior import PriorSource
 from semloc_jax.datasets import Sequence
 from semloc_jax.errors import SemlocError
 from semloc_jax.explorer.handler import ExplorerHandler, Progress
 from semloc_jax.explorer.session import ExplorerSession
-from semloc_jax.localization import FrameLocalizer, LocalizeConfig, MaskSource, mask_source, prior_source
-from semloc_jax.localization.priors import PriorSource
+from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import MaskSource
+from semloc_jax.inputs.priors import prior_source
 from semloc_jax.maps import SemanticMap
 
 HOST, PORT = "127.0.0.1", 8765

@@ -14,6 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig, sample_within
+from semloc_jax.alignment.pose import Evidence, Prior
+from semloc_jax.alignment.pose_prior import PosePrior, PriorSource
+from semloc_jax.alignment.single_frame import FrameInput
+from semloc_jax.analysis.landscape import costs_around
+from semloc_jax.analysis.probe import descend, probe, seen_from
 from semloc_jax.datasets import Sequence
 from semloc_jax.errors import SemlocError
 from semloc_jax.explorer import scene
@@ -21,14 +27,8 @@ from semloc_jax.explorer.answers import path_of, sample_arrays, summary
 from semloc_jax.explorer.messages import PoseQuery
 from semloc_jax.explorer.placement import Placement
 from semloc_jax.explorer.slices import SliceGrid, slice_grid
-from semloc_jax.localization import FrameLocalizer, LocalizeConfig, MaskSource, PosePrior
-from semloc_jax.localization.landscape import costs_around
-from semloc_jax.localization.priors import PriorSource
-from semloc_jax.localization.probe import descend, probe, seen_from
-from semloc_jax.localization.run import sample_within
-from semloc_jax.localization.single_frame import FrameInput
+from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.maps import LocalMap
-from semloc_jax.solvers.pose import Evidence, Prior
 
 ANCHOR_REACH_M, ANCHOR_REACH_DEG = 8.0, 22.5
 """The map samples around the anchor serve poses this near; farther away they are taken around a cell of twice the

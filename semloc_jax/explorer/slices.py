@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from semloc_jax.localization.landscape import DIRECTIONS
+from semloc_jax.analysis.landscape import DIRECTIONS
 
 SLICES = (("x", "y"), ("x", "yaw"))
 CURVE_POINTS = 41

@@ -8,10 +8,10 @@ from collections.abc import Sequence as Several
 import numpy as np
 
 from semloc_jax.datasets import Sequence
+from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.evaluate import evaluate
 from semloc_jax.learning.parameters import Learned, learned_config
-from semloc_jax.localization import MaskSource
 from semloc_jax.maps import SemanticMap
 
 _SLOPE = -1.1

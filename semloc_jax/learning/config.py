@@ -5,9 +5,9 @@ In: nothing. Out: LearningConfig.
 
 from dataclasses import dataclass, field
 
+from semloc_jax.alignment.frame_localizer import LocalizeConfig
+from semloc_jax.alignment.implicit import SmoothConfig
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization.run import LocalizeConfig
-from semloc_jax.solvers.implicit import SmoothConfig
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.datasets import Sequence
 from semloc_jax.geometry import rigid
+from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.localized import localized_frames
 from semloc_jax.learning.loss import PLANAR, pose_nll
-from semloc_jax.localization import FrameLocalizer, MaskSource
-from semloc_jax.localization.run import LocalizeConfig
 from semloc_jax.maps import SemanticMap
 
 _JUDGE_SEED = 1000

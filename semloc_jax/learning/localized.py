@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.datasets import Sequence
 from semloc_jax.errors import SemlocError
+from semloc_jax.inputs.mask_source import MaskSource
+from semloc_jax.inputs.priors import prior_source
 from semloc_jax.learning.config import LearningConfig
-from semloc_jax.localization import FrameLocalizer, MaskSource
-from semloc_jax.localization.priors import PosePrior, prior_source
-from semloc_jax.localization.result import LocalizationResult
 
 
 @dataclass(frozen=True)

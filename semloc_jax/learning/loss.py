@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from semloc_jax.alignment.implicit import SmoothEstimate, polish
 from semloc_jax.geometry import lie
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.parameters import Parameters
 from semloc_jax.learning.scenes import TrainingFrame
-from semloc_jax.solvers.implicit import SmoothEstimate, polish
 from semloc_jax.structs import SolveStatus
 
 PLANAR = np.array([0, 1, 5])

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from semloc_jax.alignment.frame_localizer import LocalizeConfig
+from semloc_jax.alignment.pose import Prior
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.localization.localizer import TrackConfig
-from semloc_jax.localization.run import LocalizeConfig
 from semloc_jax.perception import ClassTable
 from semloc_jax.residuals.smooth import ChannelModel
-from semloc_jax.solvers.pose import Prior
 from semloc_jax.structs import ElementClass
 
 

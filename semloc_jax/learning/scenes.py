@@ -9,18 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.pose import Prior
+from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.localized import localized_frames
 from semloc_jax.learning.parameters import Parameters
-from semloc_jax.localization import FrameLocalizer, MaskSource
-from semloc_jax.localization.priors import PosePrior
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import CostMapConfig, cost_maps
 from semloc_jax.residuals.alignment import Usable, camera_views
 from semloc_jax.residuals.smooth import SmoothBorder, SmoothScene, distance_maps
 from semloc_jax.residuals.view import view
-from semloc_jax.solvers.pose import Prior
 
 
 class TrainingFrame(eqx.Module):

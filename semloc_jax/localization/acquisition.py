@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from semloc_jax.alignment.modes import modes_in_map
+from semloc_jax.alignment.pose_prior import PosePrior, RoadSigmas
+from semloc_jax.alignment.result import Mode
+from semloc_jax.alignment.single_frame import SingleFrameConfig, localize_frame
 from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.measurements import FusedPose, PoseMeasurement
+from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.frame_alignment import FrameAligner
-from semloc_jax.localization.fusion import FusedPose, PoseMeasurement
 from semloc_jax.localization.initialization import InitializationConfig, prior_from_fixes, sectors, tile_priors
-from semloc_jax.localization.modes import modes_in_map
-from semloc_jax.localization.prediction import MotionLog
-from semloc_jax.localization.priors import PosePrior, RoadSigmas
-from semloc_jax.localization.result import Mode
-from semloc_jax.localization.single_frame import SingleFrameConfig, localize_frame
 from semloc_jax.localization.track_state import Fixes, FrameFeatures
 
 

@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.clock import CameraTimeLog
+from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
+from semloc_jax.fusion.noise_scale import NoiseConfig, NoiseScale, marginal, of_a_series
+from semloc_jax.fusion.prediction import MotionIncrement, MotionQuality
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import health
-from semloc_jax.localization.clock import CameraTimeLog
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
-from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.noise_scale import NoiseConfig, NoiseScale, marginal, of_a_series
-from semloc_jax.localization.prediction import MotionIncrement, MotionQuality
-from semloc_jax.localization.priors import RoadSigmas
 from semloc_jax.localization.track_state import FrameFeatures, Track
 
 

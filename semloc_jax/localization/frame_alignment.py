@@ -13,16 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from semloc_jax.alignment.longitudinal import LongitudinalConfig, corrected_along, is_searched
+from semloc_jax.alignment.pose import Prior
+from semloc_jax.alignment.pose_prior import RoadSigmas
+from semloc_jax.alignment.single_frame import FrameInput
+from semloc_jax.alignment.tracking_step import ELEMENT_CAPACITY, TrackAlignConfig, TrackedFrame, align_predicted
+from semloc_jax.fusion.measurements import PoseMeasurement
 from semloc_jax.geometry import rigid
-from semloc_jax.localization.fusion import PoseMeasurement
-from semloc_jax.localization.longitudinal import LongitudinalConfig, corrected_along, is_searched
 from semloc_jax.localization.map_window import MapWindow, MapWindows
-from semloc_jax.localization.priors import RoadSigmas
-from semloc_jax.localization.single_frame import FrameInput
 from semloc_jax.localization.track_state import FrameFeatures
-from semloc_jax.localization.tracking_step import ELEMENT_CAPACITY, TrackAlignConfig, TrackedFrame, align_predicted
 from semloc_jax.maps import SemanticMap
-from semloc_jax.solvers.pose import Prior
 from semloc_jax.structs import SolveStatus
 
 

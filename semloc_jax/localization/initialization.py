@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.datasets.gnss import gnss_prior
 from semloc_jax.datasets.sensors import GnssTrack, WheelOdometry
-from semloc_jax.localization.fusion import GnssMeasurement
-from semloc_jax.localization.prediction import Calibration, MotionLog
-from semloc_jax.localization.priors import PosePrior
+from semloc_jax.fusion.measurements import GnssMeasurement
+from semloc_jax.fusion.prediction import Calibration, MotionLog
 from semloc_jax.localization.track_state import Fixes
 
 NUM_FIXES = 64

@@ -13,12 +13,19 @@ from functools import partial
 
 import numpy as np
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
+from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.single_frame import frame_input
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
+from semloc_jax.fusion import clock, noise_scale
+from semloc_jax.fusion.clock import CameraTimeLog, ClockConfig, unknown_offset
+from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
+from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.fusion.window import SlidingWindow
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import clock, health, map_faults, noise_scale
+from semloc_jax.localization import health, map_faults
 from semloc_jax.localization.acquisition import Acquisition, AcquisitionConfig, Area
-from semloc_jax.localization.clock import CameraTimeLog, ClockConfig, unknown_offset
 from semloc_jax.localization.following import (
     FollowConfig,
     View,
@@ -31,16 +38,11 @@ from semloc_jax.localization.following import (
     weighed,
 )
 from semloc_jax.localization.frame_alignment import AlignmentConfig, FrameAligner
-from semloc_jax.localization.fusion import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
 from semloc_jax.localization.integrity import ProtectionLevels, beyond_alert, protection_levels, with_map_accuracy
 from semloc_jax.localization.map_faults import TrustConfig
 from semloc_jax.localization.map_window import MapWindows
-from semloc_jax.localization.prediction import MotionLog
-from semloc_jax.localization.priors import PosePrior
-from semloc_jax.localization.run import FrameLocalizer, LocalizeConfig
-from semloc_jax.localization.single_frame import frame_input
 from semloc_jax.localization.track_state import (
     FrameFeatures,
     Track,
@@ -48,7 +50,6 @@ from semloc_jax.localization.track_state import (
     TrackResult,
     TrackStatus,
 )
-from semloc_jax.localization.window import SlidingWindow
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
 

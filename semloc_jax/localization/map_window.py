@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from semloc_jax.localization.run import sample_within
+from semloc_jax.alignment.frame_localizer import sample_within
 from semloc_jax.maps import LocalMap, SemanticMap
 from semloc_jax.structs import MapSamples
 

@@ -13,16 +13,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from semloc_jax.alignment.pose_prior import PriorSource
 from semloc_jax.datasets import Frame
 from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.fusion.measurements import GnssMeasurement
+from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.localization.checkpoint import Checkpoint
 from semloc_jax.localization.following import rehearse
-from semloc_jax.localization.fusion import GnssMeasurement
 from semloc_jax.localization.localizer import Localizer
-from semloc_jax.localization.mask_view import MaskSource
-from semloc_jax.localization.priors import PriorSource
 from semloc_jax.localization.track_state import FrameFeatures, TrackResult, TrackStatus
-from semloc_jax.native.allocator import return_large_blocks
+from semloc_jax.runtime.allocator import return_large_blocks
 
 _QUEUE = 3
 """Frames that may wait: more would only be older."""

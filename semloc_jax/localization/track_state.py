@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Num
 
+from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.cameras import Rig
-from semloc_jax.localization.clock import ClockOffset
-from semloc_jax.localization.fusion import FusedPose, GnssMeasurement, PoseMeasurement
-from semloc_jax.localization.noise_scale import NoiseScale
-from semloc_jax.localization.priors import PosePrior
+from semloc_jax.fusion.clock import ClockOffset
+from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, PoseMeasurement
+from semloc_jax.fusion.noise_scale import NoiseScale
 from semloc_jax.residuals.alignment import Usable
 from semloc_jax.residuals.texture import RampTextures
 

@@ -12,8 +12,8 @@ from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from semloc_jax.analysis.basin import Basin
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization.basin import Basin
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.viz.bev import draw_map, draw_vehicle
 from semloc_jax.viz.style import INK, REFERENCE, new_figure, plain_axes
@@ -28,7 +28,7 @@ def basin_view(basins: Sequence[Basin]) -> Figure:
     The panel on the right shows how often the best scored of several starts finds the pose.
 
     Args:
-        basins: From `localization.basin.basin`.
+        basins: From `analysis.basin.basin`.
 
     Raises:
         SemlocError: no basins.

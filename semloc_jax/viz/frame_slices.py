@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.analysis.landscape import frame_landscape
 from semloc_jax.cameras import Rig
-from semloc_jax.localization import FrameLocalizer
-from semloc_jax.localization.landscape import frame_landscape
 from semloc_jax.viz.landscape import DIRECTIONS, CostSlice
 
 

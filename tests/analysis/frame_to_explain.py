@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.datasets import open_sequence
-from semloc_jax.localization import FrameLocalizer, mask_source
-from semloc_jax.localization.priors import PosePrior
-from semloc_jax.localization.result import LocalizationResult
+from semloc_jax.inputs import mask_source
 from semloc_jax.maps import read_map
 from semloc_jax.structs import SolveStatus
 

@@ -5,19 +5,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
+from semloc_jax.alignment.one_start import WIDE_COST_MAPS
+from semloc_jax.alignment.pose import AlignConfig
+from semloc_jax.alignment.single_frame import evidence_from
 from semloc_jax.analysis.certificate import CLAIMS, CertificateConfig, certify, plane_problem
 from semloc_jax.analysis.intervals import Interval
 from semloc_jax.analysis.ramp_bounds import ramp_bounds
 from semloc_jax.datasets import open_sequence
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization.mask_source import mask_source
-from semloc_jax.localization.one_start import WIDE_COST_MAPS
-from semloc_jax.localization.run import FrameLocalizer, LocalizeConfig
-from semloc_jax.localization.single_frame import evidence_from
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import read_map
 from semloc_jax.perception import cost_maps
 from semloc_jax.residuals.texture import lookup, pack
-from semloc_jax.solvers.pose import AlignConfig
 from semloc_jax.structs import CostMaps
 
 ALIGN = AlignConfig()

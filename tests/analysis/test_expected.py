@@ -6,9 +6,9 @@ import pytest
 from semloc_jax.analysis.boundary_noise import BoundaryNoise
 from semloc_jax.analysis.seed_errors import seed_errors
 from semloc_jax.analysis.survey import Way, survey
-from semloc_jax.datasets.synthetic import SimulationConfig, simulate
 from semloc_jax.maps import read_map
 from semloc_jax.perception import load_class_table
+from semloc_jax.simulation import SimulationConfig, simulate
 
 
 def test_a_vehicle_scatters_no_more_than_the_prior_says():

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from semloc_jax import viz
+from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.analysis.explain import ExplainConfig, explain_frame
 from semloc_jax.analysis.explain_drive import element_roles, is_irreplaceable
 from semloc_jax.analysis.influence import PRIOR_PARTS
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
-from semloc_jax.localization.result import LocalizationResult
 from semloc_jax.structs import ElementClass, SolveStatus
 from semloc_jax.viz.explain import explained_map
 from tests.analysis.frame_to_explain import frame_to_explain

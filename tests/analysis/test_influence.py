@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from semloc_jax.alignment.implicit import SmoothConfig, polish, smooth_scene
 from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION
 from semloc_jax.analysis.explain import Look, explain_frame
 from semloc_jax.analysis.influence import balance, influence
 from semloc_jax.geometry import rigid
-from semloc_jax.solvers.implicit import SmoothConfig, polish, smooth_scene
+from tests.alignment.random_scenes import SIGMA, random_trial
 from tests.analysis.frame_to_explain import frame_to_explain
-from tests.solvers.random_scenes import SIGMA, random_trial
 
 HOLDER = np.concatenate([np.where(np.arange(40) % 2, 1, 0), 2 + np.arange(50) // 25])[None]
 """Both sides of the lane and both halves of the blob of a random scene."""
@@ -58,7 +58,7 @@ def test_derivatives_are_those_of_solving_again():
 
 @pytest.mark.slow
 def test_and_of_the_other_solver_in_a_hundred_scenes():
-    """Where `solvers.implicit.polish` solves again."""
+    """Where `alignment.implicit.polish` solves again."""
     solve = jax.jit(lambda T, scene, prior: polish(T, scene, prior, SmoothConfig()).T_map_base)
     worst = largest_difference(range(100), solve)
     print(f"largest of 500 differences: {worst:.1e}")

@@ -5,6 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.pose import Prior, assess
+from semloc_jax.alignment.single_frame import evidence_from
 from semloc_jax.analysis.expected import expected_covariance, expected_sigma
 from semloc_jax.analysis.intervals import Interval, bounds
 from semloc_jax.analysis.lanes import lane_ways
@@ -17,15 +20,12 @@ from semloc_jax.analysis.selection import (
 )
 from semloc_jax.analysis.survey import Way, path_way, survey
 from semloc_jax.datasets import open_sequence
-from semloc_jax.datasets.synthetic import SimulationConfig, simulate
-from semloc_jax.datasets.synthetic.cameras import front_rig, surround_rig
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization.mask_source import mask_source
-from semloc_jax.localization.run import FrameLocalizer
-from semloc_jax.localization.single_frame import evidence_from
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import MapElement, SemanticMap, read_map, write_drive_geojson
 from semloc_jax.perception import load_class_table
-from semloc_jax.solvers.pose import Prior, assess
+from semloc_jax.simulation import SimulationConfig, simulate
+from semloc_jax.simulation.cameras import front_rig, surround_rig
 from semloc_jax.structs import ElementClass
 
 TABLE = load_class_table("drive")

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
+from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.analysis.boundary_noise import BoundaryNoise
 from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION, ExpectedConfig
 from semloc_jax.analysis.pose_mixture import frame_mixture, laplace_mixture
@@ -15,16 +17,14 @@ from semloc_jax.analysis.uncertainty import (
     sandwich_covariance,
 )
 from semloc_jax.datasets import open_sequence
-from semloc_jax.datasets.synthetic import SimulationConfig, simulate
-from semloc_jax.datasets.synthetic.cameras import front_rig, surround_rig
-from semloc_jax.datasets.synthetic.degrade import Degradation
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import pose_errors
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import mask_source
-from semloc_jax.localization.priors import PosePrior
-from semloc_jax.localization.run import FrameLocalizer, LocalizeConfig
+from semloc_jax.inputs import mask_source
 from semloc_jax.maps import read_map
+from semloc_jax.simulation import SimulationConfig, simulate
+from semloc_jax.simulation.cameras import front_rig, surround_rig
+from semloc_jax.simulation.degrade import Degradation
 
 SHARES = (0.68, 0.95, 0.997)
 Z = {0.68: 0.9945, 0.95: 1.96, 0.997: 2.9677}

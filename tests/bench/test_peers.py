@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 
+from semloc_jax.alignment.pose import level_problem, visible_views
+from semloc_jax.alignment.problem import pose_of, residual
 from semloc_jax.bench.host_model import LevelModel, right_jacobian, tangent
 from semloc_jax.bench.ours import config_of, evidence_of
 from semloc_jax.bench.peer import PEERS, PeerMissing, create
 from semloc_jax.bench.problem import SIGMA, displacement, make_problem, rotation
-from semloc_jax.solvers.pose import level_problem, visible_views
-from semloc_jax.solvers.problem import pose_of, residual
 
 LEVELS = (1, 3)
 OFF = np.array([[0.3, -0.2, 0.03, 0.004, -0.003, 0.01], [-0.25, 0.15, -0.02, -0.003, 0.004, -0.012]])

@@ -11,10 +11,11 @@ from semloc_jax.calibration.frames import StartPoses, motion_between
 from semloc_jax.calibration.self_calibration import calibrate_from, mount_change
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import open_sequence
-from semloc_jax.datasets.synthetic import SimulationConfig, simulate
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization import mask_source, prior_source
+from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.priors import prior_source
 from semloc_jax.maps import read_map
+from semloc_jax.simulation import SimulationConfig, simulate
 
 CONFIG = SelfCalibrationConfig(capacity=512, ramp_px=(14.0, 3.0), stride=(2, 1))
 TURN_DEG, SHIFT_M = np.array([1.0, -1.0, 1.5]), np.array([0.03, 0.03, 0.026])

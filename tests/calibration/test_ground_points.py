@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.calibration.ground_points import GroundPairs, calibrate_on_ground, read_ground_pairs
 from semloc_jax.calibration.observability import Verdict
 from semloc_jax.cameras import Rig, read_calibration
-from semloc_jax.datasets.synthetic.cameras import surround_rig
 from semloc_jax.errors import SemlocError
+from semloc_jax.simulation.cameras import surround_rig
 
 
 def simulated(num=15):

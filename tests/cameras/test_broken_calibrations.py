@@ -7,8 +7,8 @@ import pytest
 
 from semloc_jax.cameras import read_calibration
 from semloc_jax.cameras.plausibility import implausible
-from semloc_jax.datasets.synthetic.cameras import front_rig, surround_rig
 from semloc_jax.errors import SemlocError
+from semloc_jax.simulation.cameras import front_rig, surround_rig
 from tests.cameras.calibration_files import calibration_files
 from tests.maps.io.mutations import COUNTS, LONGEST_S, break_often
 

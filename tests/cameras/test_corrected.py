@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.cameras import Rig, read_calibration, write_calibration
 from semloc_jax.cameras.io.corrected import write_corrected
-from semloc_jax.datasets.synthetic.cameras import surround_rig
+from semloc_jax.simulation.cameras import surround_rig
 
 MOVE = np.eye(4)
 MOVE[:3, :3] = Rotation.from_rotvec([0.01, -0.02, 0.03]).as_matrix()

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.cameras import KannalaBrandtCamera, PinholeCamera, Rig, read_calibration
 from semloc_jax.cameras.plausibility import implausible, view_angles_deg
-from semloc_jax.datasets.synthetic.cameras import front_rig, mounted, surround_rig
+from semloc_jax.simulation.cameras import front_rig, mounted, surround_rig
 
 FROM_VEHICLE = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 

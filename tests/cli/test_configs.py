@@ -7,7 +7,7 @@ import yaml
 
 from semloc_jax.cli import localize
 from semloc_jax.cli.arguments import read_settings
-from semloc_jax.cli.config_files import to_plain
+from semloc_jax.inputs.config_files import to_plain
 
 CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs").glob("*.yaml"))
 

@@ -7,8 +7,10 @@ import sys
 import numpy as np
 import pytest
 
-from semloc_jax.cli import doctor, runtime, selftest
+from semloc_jax.bench import selftest
+from semloc_jax.cli import doctor
 from semloc_jax.cli.main import FAILED, OK, main
+from semloc_jax.runtime import prepare as runtime
 
 
 def test_this_machine_is_well(capsys):

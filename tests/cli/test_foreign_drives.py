@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from semloc_jax.cli.main import FAILED, OK, main
-from semloc_jax.cli.results import shift_text
 from semloc_jax.datasets import open_sequence, write_bag
 from semloc_jax.evaluation import pose_errors, read_trajectory
-from semloc_jax.localization import mask_source
+from semloc_jax.inputs import mask_source
 from semloc_jax.maps import read_map
+from semloc_jax.reports.results import shift_text
 
 pytest.importorskip("rosbags")
 CLOCK_S = 1.7e9

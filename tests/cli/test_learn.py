@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.cli import learn, localize, track
 from semloc_jax.cli.arguments import read_settings
 from semloc_jax.cli.main import FAILED, OK, USAGE, main
 from semloc_jax.localization.localizer import TrackConfig
-from semloc_jax.localization.run import LocalizeConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 

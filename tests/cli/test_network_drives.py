@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from semloc_jax.cli.drive_inputs import DriveOptions, open_inputs
 from semloc_jax.cli.main import OK, main
 from semloc_jax.datasets import open_sequence
 from semloc_jax.evaluation import pose_errors, read_trajectory
+from semloc_jax.inputs.drive_inputs import InputOptions, open_inputs
 from tests.perception.onnx_files import red_or_blue
 
 pytest.importorskip("onnxruntime")
@@ -44,7 +44,7 @@ def coloured(simulated_road, tmp_path_factory):
 
 def test_the_classes_that_the_masks_show_are_told(coloured, caplog):
     with caplog.at_level(logging.INFO):
-        inputs = open_inputs(DriveOptions(coloured / "drive", masks=str(coloured / "net.onnx")))
+        inputs = open_inputs(InputOptions(coloured / "drive", masks=str(coloured / "net.onnx")))
     said = " ".join(record.getMessage() for record in caplog.records)
     assert "show of the map: lane_marking (" in said
     assert "do not show: " in said and "sign" in said.split("do not show: ")[1]

@@ -10,7 +10,7 @@ import yaml
 
 from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, main
 from semloc_jax.datasets import open_sequence
-from semloc_jax.localization import mask_source
+from semloc_jax.inputs import mask_source
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.perception.onnx_files import red_or_blue

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, main
-from semloc_jax.datasets.synthetic import SimulationConfig, simulate
 from semloc_jax.evaluation import pose_errors, read_trajectory
+from semloc_jax.simulation import SimulationConfig, simulate
 
 SMALL = ["--masks", "sem", "--fusion", "kalman", "--overlays", "1", "--acquisition.frame.num-hypotheses", "256"]
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from semloc_jax.cli.drive_inputs import Inputs
+from semloc_jax.analysis import fault_matrix
+from semloc_jax.analysis.fault_matrix import FaultOutcome
 from semloc_jax.cli.main import FAILED, main
-from semloc_jax.cli.track_faults import write_matrix
 from semloc_jax.errors import SemlocError
-from semloc_jax.localization import fault_matrix
-from semloc_jax.localization.fault_matrix import FaultOutcome
+from semloc_jax.inputs.drive_inputs import Inputs
+from semloc_jax.reports.track_faults import write_matrix
 
 
 def test_an_unknown_fault_is_one_line(simulated_road, tmp_path, capsys):

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from semloc_jax.calibration.drive_problem import Anchors, CalibrationProblem, CalibrationState, Motion, PictureRows
 from semloc_jax.geometry import lie
-from semloc_jax.solvers.self_calibration import Anchors, CalibrationProblem, CalibrationState, Motion, PictureRows
 from tests.contracts import ground_scene
 from tests.contracts.ground_scene import T_TRUE
 

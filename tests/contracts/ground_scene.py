@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from semloc_jax.alignment.pose import Evidence, Prior
 from semloc_jax.cameras import (
     BevCamera,
     BrownConradyCamera,
@@ -20,11 +21,10 @@ from semloc_jax.cameras import (
     Rig,
 )
 from semloc_jax.cameras.bev import T_base_bev
-from semloc_jax.datasets.synthetic.cameras import mounted
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, Usable, camera_views
 from semloc_jax.residuals.texture import RampTextures, pack
-from semloc_jax.solvers.pose import Evidence, Prior
+from semloc_jax.simulation.cameras import mounted
 from semloc_jax.structs import CostMaps, ViewSamples
 
 FRONT = (186.0, 186.4, 118.7, 72.9, 240, 150)

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from semloc_jax.alignment.levenberg_marquardt import quadratic_model
+from semloc_jax.alignment.pose import AlignConfig, Prior, level_problem
+from semloc_jax.alignment.problem import residual
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import alignment_residual, camera_views, points_in_camera
 from semloc_jax.residuals.normal_equations import normal_equations
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import decimated, robust_cost
-from semloc_jax.solvers.levenberg_marquardt import quadratic_model
-from semloc_jax.solvers.pose import AlignConfig, Prior, level_problem
-from semloc_jax.solvers.problem import residual
 from tests.contracts.ground_scene import RIGS, STRIDE, samples_of, scene
 
 NUM = 400

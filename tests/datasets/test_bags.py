@@ -245,7 +245,8 @@ def test_pictures_of_another_size_scale_the_camera(drive, tmp_path, caplog):
 @pytest.mark.slow
 @pytest.mark.data
 def test_the_bag_is_localized_as_the_folder_is(road_dir, tmp_path):
-    from semloc_jax.localization import localize_frames, mask_source
+    from semloc_jax.inputs import mask_source
+    from semloc_jax.localization.frame_by_frame import localize_frames
 
     drive = open_sequence(road_dir)
     semantic_map = read_map(drive.map_path)

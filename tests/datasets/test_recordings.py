@@ -12,10 +12,10 @@ from semloc_jax.cameras import PinholeCamera, Rig, write_calibration
 from semloc_jax.datasets import open_sequence
 from semloc_jax.datasets.in_step import odometry_from_poses
 from semloc_jax.datasets.nmea import read_nmea
-from semloc_jax.datasets.synthetic.cameras import mounted
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory
 from semloc_jax.geometry.geodesy import enu_from_wgs84
+from semloc_jax.simulation.cameras import mounted
 
 START_NS = 1_403_636_579_763_555_584
 STEP_NS = 50_000_000

@@ -5,9 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.datasets import open_sequence
 from semloc_jax.explorer import ExplorerServer, ExplorerSession
-from semloc_jax.localization import FrameLocalizer, mask_source, prior_source
+from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.priors import prior_source
 from semloc_jax.maps import read_map
 
 

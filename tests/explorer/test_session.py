@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
+from semloc_jax.analysis.landscape import frame_landscape
 from semloc_jax.errors import SemlocError
 from semloc_jax.explorer import Placement
 from semloc_jax.explorer.messages import PoseQuery
-from semloc_jax.localization.landscape import frame_landscape
 
 
 def _query(session, level=1, **changes):

@@ -9,6 +9,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from scipy.stats import multivariate_normal, multivariate_t
 
+from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.learning import (
     LearningConfig,
     Parameters,
@@ -23,10 +24,9 @@ from semloc_jax.learning.calibrate import _where_zero
 from semloc_jax.learning.fit import loss_and_gradient
 from semloc_jax.learning.loss import FrameScore, heavy_tailed_nll
 from semloc_jax.localization.localizer import TrackConfig
-from semloc_jax.localization.run import LocalizeConfig
 from semloc_jax.perception import CostMapConfig, load_class_table
 from semloc_jax.structs import ElementClass
-from tests.solvers.random_scenes import RAMP_PX, random_trial
+from tests.alignment.random_scenes import RAMP_PX, random_trial
 
 CONFIG = LearningConfig(
     stored_ramp_px=RAMP_PX, localize=LocalizeConfig(cost_maps=CostMapConfig(ramp_px=(7.0,), stride=(2,)))

@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.clock import ClockConfig, unknown_offset
+from semloc_jax.fusion.kalman import KalmanFusion
+from semloc_jax.fusion.measurements import PoseMeasurement
+from semloc_jax.fusion.noise_scale import unknown_noise
 from semloc_jax.localization import health, map_faults
 from semloc_jax.localization.checkpoint import Checkpoint, load, save
-from semloc_jax.localization.clock import ClockConfig, unknown_offset
 from semloc_jax.localization.following import new_track
-from semloc_jax.localization.fusion import PoseMeasurement
 from semloc_jax.localization.initialization import no_fixes
-from semloc_jax.localization.kalman import KalmanFusion
 from semloc_jax.localization.map_faults import TrustConfig
-from semloc_jax.localization.noise_scale import unknown_noise
 from semloc_jax.localization.track_state import TrackerState
 
 

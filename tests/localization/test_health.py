@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from semloc_jax.alignment.longitudinal import LongitudinalConfig, is_searched
+from semloc_jax.alignment.pose_prior import RoadSigmas
+from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.localization import health, map_faults
 from semloc_jax.localization.following import FollowConfig, View, conflicts_after, stance_after
 from semloc_jax.localization.frame_alignment import Alignment, masks_covariance
-from semloc_jax.localization.fusion import FusedPose, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.longitudinal import LongitudinalConfig, is_searched
 from semloc_jax.localization.map_faults import TrustConfig
-from semloc_jax.localization.priors import RoadSigmas
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.structs import ElementClass, SolveStatus

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from semloc_jax.localization.fusion import GnssMeasurement
+from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.fusion.measurements import GnssMeasurement
+from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.localization.initialization import (
     NUM_FIXES,
     InitializationConfig,
@@ -14,8 +16,6 @@ from semloc_jax.localization.initialization import (
     tile_priors,
     with_fix,
 )
-from semloc_jax.localization.prediction import MotionLog
-from semloc_jax.localization.priors import PosePrior
 
 HEADING, SPEED = 0.7, 10.0
 

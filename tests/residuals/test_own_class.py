@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from semloc_jax.cameras import PinholeCamera, Rig
-from semloc_jax.datasets.synthetic.cameras import mounted
 from semloc_jax.geometry import lie
 from semloc_jax.perception import cost_maps, load_class_table
 from semloc_jax.residuals.alignment import Usable, alignment_residual, camera_views
@@ -15,6 +14,7 @@ from semloc_jax.residuals.normal_equations import normal_equations
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import robust_cost
 from semloc_jax.residuals.texture import pack
+from semloc_jax.simulation.cameras import mounted
 from semloc_jax.structs import ElementClass, ViewSamples
 
 RIG = Rig(

@@ -9,9 +9,9 @@ import pytest
 
 from semloc_jax.cameras import BevCamera, PinholeCamera, Rig
 from semloc_jax.cameras.bev import T_base_bev
-from semloc_jax.datasets.synthetic.cameras import mounted
 from semloc_jax.maps import MapElement, SemanticMap, sample
 from semloc_jax.residuals.view import ViewConfig, contour_points, view
+from semloc_jax.simulation.cameras import mounted
 from semloc_jax.structs import ElementClass, MapSamples, SampleKind
 
 CHANNELS = jnp.arange(len(ElementClass), dtype=jnp.int32)

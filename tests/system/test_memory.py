@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from semloc_jax.datasets.synthetic import SimulationConfig, simulate
-from semloc_jax.localization import mask_source
+from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.inputs import mask_source
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.pipeline import Pipeline
-from semloc_jax.localization.prediction import MotionLog
 from semloc_jax.maps import read_map
+from semloc_jax.simulation import SimulationConfig, simulate
 
 NUM_FRAMES = int(os.environ.get("SEMLOC_SOAK_FRAMES", "600"))
 STATUS = Path("/proc/self/statm")

@@ -8,10 +8,10 @@ masks on seed 0, 4 frames a second: Karlsruhe within 1.7 cm to the side, 27 cm a
 import numpy as np
 import pytest
 
-from semloc_jax.datasets.synthetic import RouteWish, SimulationConfig, simulate_on_map
 from semloc_jax.evaluation import pose_errors
-from semloc_jax.localization import localize_frames
+from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import read_map
+from semloc_jax.simulation import RouteWish, SimulationConfig, simulate_on_map
 from semloc_jax.structs import SolveStatus
 
 MAPS = {

@@ -9,7 +9,8 @@ import pytest
 
 from semloc_jax.datasets import open_sequence
 from semloc_jax.evaluation import pose_errors
-from semloc_jax.localization import localize_frames, prior_source
+from semloc_jax.inputs.priors import prior_source
+from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import read_map
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]

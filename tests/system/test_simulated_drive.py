@@ -10,11 +10,15 @@ import jax
 import numpy as np
 import pytest
 
-from semloc_jax.datasets.synthetic import SimulationConfig, simulate
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import pose_errors
-from semloc_jax.localization import FrameLocalizer, LocalizationResult, localize_frames, mask_source, prior_source
+from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.priors import prior_source
+from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import read_map
+from semloc_jax.simulation import SimulationConfig, simulate
 from semloc_jax.structs import SolveStatus
 
 COMPILED = "/jax/core/compile/backend_compile_duration"

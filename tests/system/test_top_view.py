@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from semloc_jax.alignment.frame_localizer import LocalizeConfig
+from semloc_jax.alignment.single_frame import SingleFrameConfig
 from semloc_jax.datasets import open_sequence
 from semloc_jax.evaluation import pose_errors
-from semloc_jax.localization import LocalizeConfig, localize_frames, mask_source
-from semloc_jax.localization.priors import prior_source
-from semloc_jax.localization.single_frame import SingleFrameConfig
+from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.priors import prior_source
+from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import read_map
 
 

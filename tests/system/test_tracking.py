@@ -11,18 +11,18 @@ import jax
 import numpy as np
 import pytest
 
+from semloc_jax.alignment.single_frame import SingleFrameConfig
 from semloc_jax.datasets import open_sequence
-from semloc_jax.datasets.synthetic import SimulationConfig, simulate
 from semloc_jax.evaluation import pose_errors
-from semloc_jax.localization import mask_source
+from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.inputs import mask_source
 from semloc_jax.localization.acquisition import AcquisitionConfig
 from semloc_jax.localization.checkpoint import load, save
 from semloc_jax.localization.localizer import Localizer, TrackConfig
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
-from semloc_jax.localization.prediction import MotionLog
-from semloc_jax.localization.single_frame import SingleFrameConfig
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
 from semloc_jax.maps import read_map
+from semloc_jax.simulation import SimulationConfig, simulate
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
 NUM_FRAMES = 14

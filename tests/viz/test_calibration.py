@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.cameras import CylindricalCamera, PinholeCamera, Rig
-from semloc_jax.datasets.synthetic.cameras import front_rig, mounted, surround_rig
+from semloc_jax.simulation.cameras import front_rig, mounted, surround_rig
 from semloc_jax.viz.calibration import calibration_figure, draw_calibration, top_view_figure, undistorted
 from semloc_jax.viz.style import to_image
 

@@ -1,0 +1,1 @@
+"""One frame: masks and a map become poses with a verdict (room)."""

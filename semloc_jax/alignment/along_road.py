@@ -1,0 +1,100 @@
+"""How far along the road the masks leave a frame open (room: alignment; JAX).
+
+In: the best pose of a search. Out: RoadPosterior: poses at other places along the road, each aligned in all else, and
+the spread of the posterior over them.
+Dashes and far stripes leave a flat and rugged valley along the road, in which a search keeps one local minimum after
+another of the same place. Curvature at any of them says nothing about the length of the valley: that is measured.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from semloc_jax.alignment.hypotheses import keep_distinct, prior_cost, score
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine, scatter_px
+from semloc_jax.alignment.proposals import displaced
+from semloc_jax.geometry import lie
+from semloc_jax.runtime.programs import stored_program
+
+
+@dataclass(frozen=True)
+class AlongRoadConfig:
+    """Where the valley is measured. All values are ours."""
+
+    reach_m: float = 2.0
+    """To both sides. A pose whose posterior reaches farther is not sure enough to be used anyway."""
+    num_offsets: int = 41
+    level: int = 2
+    """Level of the cost maps: its ramp is four times the noise of a boundary, so that the cost tells how wrong a place
+    is; on a finer one everything beyond the next pixels is equally wrong."""
+    least_noise: float = 0.7
+    """The noise of the boundaries is taken from their scatter in this frame, but as no less than this share of what is
+    assumed (`AlignConfig.noise_px`): that they all lie well does not say that their common error is small."""
+    max_steps: int = 5
+    keep: int = 2
+    """Poses that are handed on to the last refinement."""
+    apart: float = 0.6
+    """They differ by at least this many times (0.5 m, 0.5 m, 1 deg)."""
+
+
+class RoadPosterior(NamedTuple):
+    """The posterior along the road."""
+
+    Ts_map_base: Float[Array, "keep 4 4"]
+    """The best poses that differ, relative to the local origin."""
+    scores: Float[Array, " keep"]
+    """Their costs [nats]; infinite: empty slot."""
+    spread: Float[Array, "6 6"]
+    """Second moment about the best pose, in its right tangent [m, rad]."""
+
+
+@stored_program("align", "config", "chunk")
+def along_road(
+    T_map_base: Float[Array, "4 4"],
+    evidence: Evidence,
+    prior: Prior,
+    align: AlignConfig,
+    config: AlongRoadConfig,
+    chunk: int,
+) -> RoadPosterior:
+    """The posterior over places along the road through the best pose of a search.
+
+    Args:
+        T_map_base: The best pose of a search, relative to the local origin.
+        evidence: What the cameras saw, with the map as it is seen from there.
+        prior: Gaussian prior.
+        align: Kernel and noise.
+        config: Offsets and level.
+        chunk: Poses side by side.
+    """
+    moves = jnp.zeros((config.num_offsets, 3), T_map_base.dtype)
+    offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=T_map_base.dtype)
+    moves = moves.at[:, 0].set(offsets_m)
+    held = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
+    short = dataclasses.replace(align, max_steps=config.max_steps)
+
+    def one(T: Array) -> tuple[Array, Array]:
+        T = refine(T, evidence, held, short, jnp.asarray((config.level,)))[0][-1]
+        return T, score(T, config.level, evidence, prior, align)
+
+    Ts, scores = in_chunks(one, displaced(T_map_base, moves), chunk)
+    scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
+    index, filled = keep_distinct(Ts, scores, config.keep, config.apart)
+    away = lie.log(lie.inverse(Ts[index[0]]) @ Ts)
+    noise = jnp.maximum(scatter_px(Ts[index[0]], config.level, evidence, align) / align.noise_px, config.least_noise)
+    guessed = jax.vmap(prior_cost, (0, None))(Ts, prior)
+    share = jax.nn.softmax(-((scores - guessed) / noise**2 + guessed))
+    spread = jnp.einsum("k,ki,kj->ij", share, away, away)
+    spread = jnp.where(jnp.all(jnp.isfinite(spread)), spread, 0.0)
+    return RoadPosterior(Ts[index], jnp.where(filled, scores[index], jnp.inf), spread)
+
+
+def widened(covariance: Float[Array, "6 6"], spread: Float[Array, "6 6"]) -> Float[Array, "6 6"]:
+    """The covariance with as much of the spread added that it is no surer along the road than the posterior is."""
+    known = covariance[0, 0] / jnp.maximum(spread[0, 0], 1e-12)
+    return covariance + jnp.maximum(1.0 - known, 0.0) * spread

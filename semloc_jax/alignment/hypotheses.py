@@ -1,0 +1,219 @@
+"""Many hypotheses: score, cull, refine, merge into modes (room: alignment; pure JAX).
+
+In: start poses, Evidence, Prior. Out: Modes, the distinct poses that explain the masks, best first, with weights.
+The search limits accuracy more than the optimum does: everything is scored, few are refined, survivors must differ.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine, total_weight
+from semloc_jax.alignment.proposals import displaced
+from semloc_jax.geometry import lie
+from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import decimated, robust_cost
+from semloc_jax.runtime.programs import stored_program
+from semloc_jax.structs import PoseEstimate
+
+
+@dataclass(frozen=True)
+class CullStage:
+    """Refine on some levels, score on one, keep the best that differ."""
+
+    levels: tuple[int, ...]
+    """Levels of the cost maps on which the poses are refined first; none: they are only scored."""
+    score_level: int
+    keep: int
+    """Poses that survive."""
+    apart: float
+    """Survivors differ by at least this many times (0.5 m, 0.5 m, 1 deg)."""
+    max_steps: int = 8
+    """Most evaluations on each level."""
+    keep_every: int = 1
+    """Use every k-th sample."""
+    restarts_m: tuple[float, ...] = (0.0,)
+    """Every pose is first repeated at these offsets along the road, where dashes and far poles leave local minima."""
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """The schedule of a search. All values are ours."""
+
+    stages: tuple[CullStage, ...] = (
+        CullStage(levels=(), score_level=0, keep=256, apart=0.0, keep_every=4),
+        CullStage(levels=(0,), score_level=1, keep=64, apart=0.8, max_steps=4, keep_every=4),
+        CullStage(levels=(1, 2), score_level=2, keep=9, apart=0.3),
+        CullStage(levels=(2, 3), score_level=2, keep=6, apart=0.1, restarts_m=(-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)),
+    )
+    chunk: int = 32
+    """Poses side by side on a CPU."""
+
+    @classmethod
+    def fast(cls) -> "SearchConfig":
+        """A third of the work, for clear masks or where many searches are made: fewer survivors and restarts."""
+        return cls(
+            stages=(
+                CullStage(levels=(), score_level=0, keep=128, apart=0.0, keep_every=8),
+                CullStage(levels=(0,), score_level=1, keep=24, apart=0.5, max_steps=4, keep_every=4),
+                CullStage(levels=(1, 2), score_level=2, keep=6, apart=0.3, max_steps=6, keep_every=2),
+                CullStage(levels=(2, 3), score_level=2, keep=4, apart=0.1, max_steps=6, restarts_m=(-0.3, 0.0, 0.3)),
+            )
+        )
+
+
+class Modes(eqx.Module):
+    """Distinct poses, best first."""
+
+    estimates: PoseEstimate
+    """Leading axis: modes."""
+    score: Float[Array, " mode"]
+    """Cost of evidence and prior [nats]; infinite for padding."""
+    weight: Float[Array, " mode"]
+    """Posterior weight of the mode (Laplace: exp(-score) sqrt(det covariance)), sums to 1."""
+
+
+_APART_XY_M = 0.5
+_APART_YAW_RAD = 0.01745
+
+
+def score(
+    T_map_base: Float[Array, "4 4"],
+    level: Int[Array, ""] | int,
+    evidence: Evidence,
+    prior: Prior,
+    config: AlignConfig,
+    in_view_px: Float[Array, ""] | None = None,
+) -> Float[Array, ""]:
+    """Cost of a pose [nats]: visibility-normalised robust cost of the whole view, and prior.
+
+    Normalised by what is visible, so that a pose does not gain by hiding the map; scaled by what is in view, so that it
+    does not gain by looking away from it.
+
+    Args:
+        T_map_base: Pose relative to the local origin.
+        level: Level of the cost maps.
+        evidence: What the cameras saw.
+        prior: Gaussian prior.
+        config: Kernel and noise.
+        in_view_px: Weighted contour length that the normalised cost is scaled by; one value for all poses that are
+            compared. None takes that of the evidence.
+    """
+    texture = evidence.textures.level(level)
+    cost = robust_cost(
+        T_map_base,
+        evidence.views,
+        texture,
+        evidence.usable,
+        KERNELS[config.kernel],
+        config.border_px,
+        evidence.always,
+        config.path,
+    )
+    share = cost.summed / jnp.maximum(cost.visible, config.min_visible_px)
+    unseen = jnp.maximum(1 - cost.visible / config.min_visible_px, 0.0)
+    in_view_px = total_weight(evidence.views) if in_view_px is None else in_view_px
+    nats = in_view_px * KERNELS[config.kernel].worst * evidence_gain(texture.ramp_px, config)
+    return nats * (share + unseen) + prior_cost(T_map_base, prior)
+
+
+def evidence_gain(ramp_px: Float[Array, ""], config: AlignConfig) -> Float[Array, ""]:
+    """Nats for each unit of weight x rho."""
+    noise_px = jnp.maximum(config.noise_px, config.noise_share * ramp_px)
+    return (ramp_px / noise_px) ** 2 / config.correlation_px
+
+
+def prior_cost(T_map_base: Float[Array, "4 4"], prior: Prior) -> Float[Array, ""]:
+    """Half the squared deviation from the prior, in sigmas; locked directions do not count."""
+    xi = lie.log(lie.inverse(prior.T_map_base) @ T_map_base)
+    free = prior.sigma > 0
+    return 0.5 * jnp.sum(jnp.where(free, xi / jnp.where(free, prior.sigma, 1.0), 0.0) ** 2)
+
+
+def keep_distinct(
+    Ts: Float[Array, "n 4 4"], scores: Float[Array, " n"], keep: int, apart: float | Array
+) -> tuple[Int[Array, " keep"], Bool[Array, " keep"]]:
+    """Indices of the best poses that differ from every better one kept, and whether each slot is filled."""
+    xy, yaw = Ts[:, :2, 3], lie.yaw(Ts)
+    sane = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
+    if isinstance(apart, float) and apart == 0:
+        best, index = jax.lax.top_k(-sane, min(keep, Ts.shape[0]))
+        return index, jnp.isfinite(best)
+
+    def pick(remaining: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
+        best = jnp.argmin(remaining)
+        turn = jnp.mod(yaw - yaw[best] + jnp.pi, 2 * jnp.pi) - jnp.pi
+        distance2 = jnp.sum((xy - xy[best]) ** 2, axis=-1) / _APART_XY_M**2 + (turn / _APART_YAW_RAD) ** 2
+        filled = jnp.isfinite(remaining[best])
+        near = (distance2 < apart**2).at[best].set(True)
+        return jnp.where(near, jnp.inf, remaining), (best, filled)
+
+    _, (index, filled) = jax.lax.scan(pick, sane, length=min(keep, Ts.shape[0]))
+    return index, filled
+
+
+@partial(jax.jit, static_argnames=("config", "chunk", "levels"))
+def refine_and_score(
+    Ts: Float[Array, "n 4 4"],
+    score_level: Int[Array, ""] | int,
+    evidence: Evidence,
+    prior: Prior,
+    config: AlignConfig,
+    chunk: int,
+    levels: tuple[int, ...] = (),
+) -> tuple[Float[Array, "n 4 4"], Float[Array, " n"]]:
+    """Every pose refined on the given levels (none: left where it is), and its score [nats] on one level."""
+
+    def one(T: Array) -> tuple[Array, Array]:
+        if levels:
+            T = refine(T, evidence, prior, config, jnp.asarray(levels))[0][-1]
+        return T, score(T, score_level, evidence, prior, config)
+
+    return in_chunks(one, Ts, chunk)
+
+
+def _restarted(Ts: Float[Array, "n 4 4"], offsets_m: tuple[float, ...]) -> Float[Array, "m 4 4"]:
+    """Every pose at every offset along the road."""
+    along = jnp.zeros((len(offsets_m), 3), Ts.dtype).at[:, 0].set(jnp.asarray(offsets_m, Ts.dtype))
+    return jax.vmap(lambda T: displaced(T, along))(Ts).reshape(-1, 4, 4)
+
+
+@stored_program("stage", "config", "chunk")
+def cull(
+    Ts: Float[Array, "n 4 4"], stage: CullStage, evidence: Evidence, prior: Prior, config: AlignConfig, chunk: int
+) -> tuple[Float[Array, "keep 4 4"], Float[Array, " keep"]]:
+    """The surviving poses of a stage and their scores; an empty slot repeats the best pose with an infinite score."""
+    thinned = eqx.tree_at(lambda e: e.views, evidence, decimated(evidence.views, stage.keep_every))
+    stage_config = dataclasses.replace(config, levels=(), max_steps=stage.max_steps)
+    starts = Ts if stage.restarts_m == (0.0,) else _restarted(Ts, stage.restarts_m)
+    poses, scores = refine_and_score(starts, stage.score_level, thinned, prior, stage_config, chunk, stage.levels)
+    index, filled = keep_distinct(poses, scores, stage.keep, stage.apart)
+    return poses[jnp.where(filled, index, index[0])], jnp.where(filled, scores[index], jnp.inf)
+
+
+def search(
+    Ts_init: Float[Array, "n 4 4"], evidence: Evidence, prior: Prior, config: AlignConfig, schedule: SearchConfig
+) -> tuple[Float[Array, "m 4 4"], Float[Array, " m"]]:
+    """Candidate poses after all stages of the schedule, best first, and their scores [nats] (infinite: empty slot)."""
+    Ts, scores = Ts_init, jnp.zeros(Ts_init.shape[0], Ts_init.dtype)
+    for stage in schedule.stages:
+        Ts, scores = cull(Ts, stage, evidence, prior, config, schedule.chunk)
+    return Ts, scores
+
+
+def weigh(estimates: PoseEstimate, scores: Float[Array, " m"]) -> Modes:
+    """Modes sorted by score, weighted by their share of the posterior (Laplace approximation)."""
+    order = jnp.argsort(scores)
+    estimates, scores = jax.tree.map(lambda leaf: leaf[order], estimates), scores[order]
+    # Locked directions have no width: the identity stands in for them in the determinant.
+    width = estimates.covariance + jnp.eye(6) * (jnp.diagonal(estimates.covariance, axis1=1, axis2=2) <= 0)[:, None, :]
+    log_weight = -scores + 0.5 * jnp.linalg.slogdet(width)[1]
+    log_weight = jnp.where(jnp.isfinite(scores) & jnp.isfinite(log_weight), log_weight, -jnp.inf)
+    any_left = jnp.any(jnp.isfinite(log_weight))
+    weight = jnp.where(any_left, jax.nn.softmax(jnp.where(any_left, log_weight, 0.0)), 0.0)
+    return Modes(estimates, scores, weight)

@@ -1,0 +1,104 @@
+"""From the solver's modes to modes in the map frame (room: alignment; host).
+
+In: solvers.Modes, local origin. Out: Mode list; poses that belong together are merged by their moments.
+"""
+
+import jax
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from semloc_jax.alignment.hypotheses import Modes
+from semloc_jax.alignment.result import Mode
+
+_SAME_M = 0.03
+_SAME_RAD = np.deg2rad(0.1)
+
+
+def modes_in_map(found: Modes, origin_map: np.ndarray, merge_m: float, merge_deg: float) -> tuple[Mode, ...]:
+    """The filled modes, in the map frame, best first.
+
+    Two solves that ended in the same place count once. Modes nearer than `merge_m` and `merge_deg` are one place whose
+    pose is their weighted mean and whose covariance holds their spread: the masks cannot tell such modes apart.
+    """
+    found = jax.tree.map(lambda leaf: np.asarray(leaf, dtype=np.float64), found)
+    estimates = found.estimates
+    modes: list[Mode] = []
+    for i in np.argsort(found.score, kind="stable"):
+        if not np.isfinite(found.score[i]) or not np.isfinite(estimates.T_map_base[i]).all():
+            continue
+        T = orthonormal(estimates.T_map_base[i])
+        T[:3, 3] += origin_map
+        if any(_near(T, mode.T_map_base, _SAME_M, _SAME_RAD) for mode in modes):
+            continue
+        modes.append(
+            Mode(
+                weight=float(found.weight[i]),
+                T_map_base=T,
+                covariance=estimates.covariance[i],
+                score=float(found.score[i]),
+                cost=float(estimates.cost[i]),
+                coverage=float(estimates.coverage[i]),
+                inlier_ratio=float(estimates.inlier_ratio[i]),
+                weak_direction=estimates.weak_direction[i],
+            )
+        )
+    return _normalised(_merged(modes, merge_m, np.deg2rad(merge_deg)))
+
+
+def orthonormal(T: np.ndarray) -> np.ndarray:
+    """The rigid motion nearest to a float32 one, in float64."""
+    T = T.copy()
+    u, _, vt = np.linalg.svd(T[:3, :3])
+    T[:3, :3] = u @ vt
+    return T
+
+
+def _merged(modes: list[Mode], merge_m: float, merge_rad: float) -> list[Mode]:
+    """Clusters around the best modes, each one replaced by its weighted mean."""
+    clusters: list[list[Mode]] = []
+    for mode in modes:
+        home = next((c for c in clusters if _near(mode.T_map_base, c[0].T_map_base, merge_m, merge_rad)), None)
+        if home is None:
+            clusters.append([mode])
+        else:
+            home.append(mode)
+    return [_mean(cluster) for cluster in clusters]
+
+
+def _mean(cluster: list[Mode]) -> Mode:
+    best = cluster[0]
+    total = sum(mode.weight for mode in cluster)
+    if len(cluster) == 1 or total <= 0:
+        return best
+    shares = np.array([mode.weight / total for mode in cluster])
+    steps = np.array([_step(best.T_map_base, mode.T_map_base) for mode in cluster])
+    mean = shares @ steps
+    spread = sum(s * (m.covariance + np.outer(d, d)) for s, m, d in zip(shares, cluster, steps - mean, strict=True))
+    T = best.T_map_base.copy()
+    T[:3, 3] += T[:3, :3] @ mean[:3]
+    T[:3, :3] = T[:3, :3] @ Rotation.from_rotvec(mean[3:]).as_matrix()
+    return Mode(total, T, spread, best.score, best.cost, best.coverage, best.inlier_ratio, best.weak_direction)
+
+
+def _step(T_from: np.ndarray, T_to: np.ndarray) -> np.ndarray:
+    """Small motion between two poses (translation [m], rotation vector [rad]) in the frame of the first."""
+    T = np.linalg.inv(T_from) @ T_to
+    return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+
+
+def _near(T_a: np.ndarray, T_b: np.ndarray, distance_m: float, angle_rad: float) -> bool:
+    step = _step(T_a, T_b)
+    return bool(np.hypot(*step[:2]) < distance_m and np.linalg.norm(step[3:]) < angle_rad)
+
+
+def _normalised(modes: list[Mode]) -> tuple[Mode, ...]:
+    """Sorted by weight, weights summing to 1."""
+    total = sum(mode.weight for mode in modes)
+    scale = 1.0 / total if total > 0 else 0.0
+    scaled = [
+        Mode(
+            m.weight * scale, m.T_map_base, m.covariance, m.score, m.cost, m.coverage, m.inlier_ratio, m.weak_direction
+        )
+        for m in modes
+    ]
+    return tuple(sorted(scaled, key=lambda mode: -mode.weight))

@@ -1,0 +1,256 @@
+"""One pose, coarse to fine: Levenberg-Marquardt on each level of the cost maps (room: alignment; pure JAX).
+
+In: start pose, Evidence, Prior. Out: PoseEstimate with covariance, cost, coverage, weak direction and status.
+Weights and visibility are frozen at the start of every level: a mask that changes under the solver moves the optimum.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+from semloc_jax.alignment.levenberg_marquardt import FusedLevenbergMarquardt, quadratic_model
+from semloc_jax.alignment.problem import AlignmentProblem, pose_of, residual
+from semloc_jax.geometry import lie
+from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual
+from semloc_jax.residuals.kernels import Path
+from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import visible_weight
+from semloc_jax.residuals.texture import RampTextures
+from semloc_jax.structs import PoseEstimate, SolveStatus
+
+
+class Evidence(eqx.Module):
+    """What the cameras saw: views of the map, textures of all levels (coarsest first), usable pixels."""
+
+    views: tuple[CameraViews, ...]
+    textures: RampTextures
+    usable: Usable
+    always: Bool[Array, "2"]
+    """True; see `semloc_jax.residuals.fusion_barrier`."""
+
+
+class Prior(eqx.Module):
+    """Gaussian prior on the vehicle pose, in its right tangent."""
+
+    T_map_base: Float[Array, "4 4"]
+    """Centre, relative to the local origin."""
+    sigma: Float[Array, "6"]
+    """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) in the vehicle frame; 0 locks a direction."""
+
+
+@dataclass(frozen=True)
+class AlignConfig:
+    """How one pose is refined. All values are ours."""
+
+    levels: tuple[int, ...] = (0, 1, 2, 3)
+    """Levels of the cost maps that are visited, in this order."""
+    max_steps: int = 8
+    """Most evaluations on each level."""
+    tolerance: float = 2e-3
+    """A level ends when a step is below this share of the prior's sigma in every direction."""
+    kernel: str = "tukey"
+    path: Path = "auto"
+    """How residuals are evaluated: by native kernels (`analytic`, `autodiff`) or by JAX alone (`xla`)."""
+    noise_px: float = 2.0
+    """Standard deviation of a mask boundary [px]."""
+    noise_share: float = 0.15
+    """On a coarse level the boundary noise counts as at least this share of the ramp: it is only a way to the next."""
+    correlation_px: float = 60.0
+    """Length of contour [px] over which the errors of a mask boundary are the same: one independent observation."""
+    min_inlier_ratio: float = 0.5
+    """A finer level is left again where less than this share of the visible contour lies within its ramp."""
+    border_px: float = 2.0
+    """Samples nearer to the border of the image are not used."""
+    min_visible_px: float = 100.0
+    """Less contour than this on usable pixels is no evidence."""
+
+
+def visible_views(
+    T_map_base: Float[Array, "4 4"], evidence: Evidence, border_px: float, path: Path = "auto"
+) -> tuple[CameraViews, ...]:
+    """The views with the weight of every sample that cannot be seen from `T_map_base` set to zero."""
+
+    def seen(view: CameraViews) -> CameraViews:
+        weight = visible_weight(T_map_base, view, evidence.usable, border_px, path)
+        return eqx.tree_at(lambda v: v.weight, view, weight)
+
+    return tuple(seen(view) for view in evidence.views)
+
+
+def total_weight(views: tuple[CameraViews, ...]) -> Float[Array, ""]:
+    """Weighted contour length of the views [px]."""
+    return sum(jnp.sum(view.weight) for view in views)
+
+
+def level_problem(
+    T_start: Float[Array, "4 4"],
+    views: tuple[CameraViews, ...],
+    level: Int[Array, ""] | int,
+    evidence: Evidence,
+    prior: Prior,
+    config: AlignConfig,
+) -> AlignmentProblem:
+    """The problem of one level with its chart at `T_start`."""
+    texture = evidence.textures.level(level)
+    noise_px = jnp.maximum(config.noise_px, config.noise_share * texture.ramp_px)
+    gain = (texture.ramp_px / noise_px) ** 2 / config.correlation_px
+    xi_prior = lie.log(lie.inverse(T_start) @ prior.T_map_base)
+    return AlignmentProblem(
+        T_start,
+        xi_prior,
+        prior.sigma,
+        views,
+        texture,
+        gain.astype(T_start.dtype),
+        evidence.always,
+        config.kernel,
+        config.path,
+    )
+
+
+def solve_level(
+    T_start: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, prior: Prior, config: AlignConfig
+) -> tuple[Float[Array, "4 4"], Int[Array, ""], Bool[Array, ""]]:
+    """Pose after one level, evaluations spent, and whether it converged."""
+    views = visible_views(T_start, evidence, config.border_px, config.path)
+    problem = level_problem(T_start, views, level, evidence, prior, config)
+    solution = optx.least_squares(
+        residual,
+        FusedLevenbergMarquardt(atol=config.tolerance),
+        jnp.zeros(6, T_start.dtype),
+        args=problem,
+        max_steps=config.max_steps,
+        throw=False,
+    )
+    T = pose_of(solution.value, problem)
+    return T, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
+
+
+def refine(
+    T_start: Float[Array, "4 4"],
+    evidence: Evidence,
+    prior: Prior,
+    config: AlignConfig,
+    levels: Int[Array, " level"] | None = None,
+) -> tuple[Float[Array, "level 4 4"], Int[Array, " level"], Bool[Array, " level"]]:
+    """Pose after each level (None: those of the configuration), evaluations spent there, and whether it converged."""
+    levels = jnp.asarray(config.levels) if levels is None else levels
+
+    def one_level(T: Array, level: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+        T, num_steps, converged = solve_level(T, level, evidence, prior, config)
+        return T, (T, num_steps, converged)
+
+    # A loop over levels, not a chain of them: the solver is compiled once.
+    _, visited = jax.lax.scan(one_level, T_start, levels)
+    return visited
+
+
+def _held_rms(r: Float[Array, " n"], weight: Float[Array, " n"], config: AlignConfig) -> Float[Array, ""]:
+    """Root mean square of the ramp values that the robust kernel holds on to."""
+    held = weight * KERNELS[config.kernel].weight(r)
+    return jnp.sqrt(jnp.sum(held * r * r) / jnp.maximum(jnp.sum(held), 1e-6))
+
+
+def scatter_px(
+    T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
+) -> Float[Array, ""]:
+    """How far the contours that the kernel holds on to lie from the boundaries of their class [px RMS]."""
+    views = visible_views(T_map_base, evidence, config.border_px, config.path)
+    texture = evidence.textures.level(level)
+    return texture.ramp_px * _held_rms(*alignment_residual(T_map_base, views, texture), config)
+
+
+def assess(
+    T_map_base: Float[Array, "4 4"],
+    level: Int[Array, ""] | int,
+    evidence: Evidence,
+    prior: Prior,
+    config: AlignConfig,
+) -> PoseEstimate:
+    """The pose estimate at a pose that is not moved: cost, coverage, information, covariance on one level.
+
+    Where the residuals scatter more than `config.noise_px`, the covariance of the evidence grows with them.
+    """
+    views = visible_views(T_map_base, evidence, config.border_px, config.path)
+    problem = level_problem(T_map_base, views, level, evidence, prior, config)
+    model = quadratic_model(jnp.zeros(6, T_map_base.dtype), problem)
+    r, weight = alignment_residual(T_map_base, views, problem.texture)
+    kernel = KERNELS[config.kernel]
+    ramp_px = problem.texture.ramp_px
+    visible, everything = total_weight(views), total_weight(evidence.views)
+    per_visible = 1 / jnp.maximum(visible, 1e-6)
+    scatter_px = ramp_px * _held_rms(r, weight, config)
+    excess = jnp.maximum(scatter_px / jnp.maximum(config.noise_px, config.noise_share * ramp_px), 1.0)
+    identity = jnp.eye(6, dtype=T_map_base.dtype)
+    information = (model.hessian - identity) / excess**2 + identity
+    eigenvalues, eigenvectors = jnp.linalg.eigh(information)
+    scale = jnp.where(prior.sigma > 0, prior.sigma, 0.0)
+    covariance = scale[:, None] * jnp.linalg.inv(information) * scale
+    finite = jnp.all(jnp.isfinite(T_map_base)) & jnp.isfinite(model.cost) & jnp.all(jnp.isfinite(model.hessian))
+    status = jnp.where(visible < config.min_visible_px, SolveStatus.NO_EVIDENCE, SolveStatus.CONVERGED)
+    return PoseEstimate(
+        T_map_base=T_map_base,
+        covariance=covariance,
+        cost=jnp.where(visible > 0, jnp.sum(weight * kernel.rho(r)) * per_visible / kernel.worst, 1.0),
+        coverage=visible / jnp.maximum(everything, 1e-6),
+        inlier_ratio=jnp.sum(weight * (jnp.abs(r) < 0.95)) * per_visible,
+        information_eigenvalues=eigenvalues,
+        weak_direction=eigenvectors[:, 0],
+        num_steps=jnp.asarray(0),
+        status=jnp.where(finite, status, SolveStatus.NOT_FINITE),
+    )
+
+
+def align(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: AlignConfig) -> PoseEstimate:
+    """The pose that aligns the map with the masks, refined from one start.
+
+    Args:
+        T_init: Start pose T_map_base relative to the local origin.
+        evidence: Views, textures and usable pixels.
+        prior: Gaussian prior; its sigmas are also the scale of the damping. A sigma of 0 locks a direction.
+        config: Levels, steps, kernel, noise.
+
+    Returns:
+        PoseEstimate; `status` says MAX_STEPS, NO_EVIDENCE or NOT_FINITE where it is not CONVERGED. The pose is finite
+        even then: that of the start, else of the prior, else the identity.
+    """
+    levels = jnp.asarray(config.levels)
+    Ts, num_steps, converged = refine(T_init, evidence, prior, config)
+    sane = jnp.all(jnp.isfinite(Ts))
+    Ts = jnp.where(sane, Ts, _first_finite(T_init, prior.T_map_base))
+    visited = jax.vmap(lambda T, level: assess(T, level, evidence, prior, config))(Ts, levels)
+    # A level finer than the scatter of the boundaries fits noise: the pose is that of the finest level that holds.
+    holds = visited.inlier_ratio >= config.min_inlier_ratio
+    last = jnp.max(jnp.where(holds, jnp.arange(len(levels)), 0))
+    estimate = jax.tree.map(lambda leaf: leaf[last], visited)
+    status = jnp.where(
+        (estimate.status == SolveStatus.CONVERGED) & ~converged[last], SolveStatus.MAX_STEPS, estimate.status
+    )
+    status = jnp.where(sane, status, SolveStatus.NOT_FINITE)
+    return eqx.tree_at(lambda e: (e.num_steps, e.status), estimate, (jnp.sum(num_steps), status))
+
+
+def _first_finite(*poses: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+    """The first pose that holds numbers only; the identity where there is none."""
+    chosen = jnp.eye(4, dtype=poses[0].dtype)
+    for T in reversed(poses):
+        chosen = jnp.where(jnp.all(jnp.isfinite(T)), T, chosen)
+    return chosen
+
+
+def in_chunks(function, Ts: Float[Array, "n 4 4"], chunk: int):
+    """function over n poses, `chunk` of them side by side: on CPU what a chunk touches stays in the cache."""
+    if jax.default_backend() != "cpu":
+        chunk = max(chunk, 1024)
+    return jax.lax.map(function, Ts, batch_size=min(chunk, Ts.shape[0]))
+
+
+def align_many(
+    Ts_init: Float[Array, "n 4 4"], evidence: Evidence, prior: Prior, config: AlignConfig, chunk: int = 32
+) -> PoseEstimate:
+    """`align` from every start; all leaves of the estimate have a leading axis."""
+    return in_chunks(lambda T: align(T, evidence, prior, config), Ts_init, chunk)

@@ -1,0 +1,76 @@
+"""What a localization of one frame hands out (room: alignment; host).
+
+In: Modes of the solver in local float32 coordinates. Out: LocalizationResult in the map frame, float64.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from semloc_jax.datasets import Frame
+from semloc_jax.structs import SolveStatus
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One pose that explains the masks.
+
+    Attributes:
+        weight: share of the posterior, all modes sum to 1.
+        T_map_base: vehicle pose in the map frame.
+        covariance: of its right tangent (x, y, z [m], roll, pitch, yaw [rad]).
+        score: cost of evidence and prior [nats].
+        cost: visibility-normalised robust cost, 0 .. 1.
+        coverage: share of the map contour in view that falls on usable pixels.
+        inlier_ratio: share of the visible contour within reach of a boundary of its class.
+        weak_direction: direction of the tangent that the evidence holds least.
+    """
+
+    weight: float
+    T_map_base: np.ndarray
+    covariance: np.ndarray
+    score: float
+    cost: float
+    coverage: float
+    inlier_ratio: float
+    weak_direction: np.ndarray
+
+    @property
+    def sigma_longitudinal_m(self) -> float:
+        """Standard deviation along x of the vehicle [m]."""
+        return float(np.sqrt(max(self.covariance[0, 0], 0.0)))
+
+    @property
+    def sigma_lateral_m(self) -> float:
+        """Standard deviation along y of the vehicle [m]."""
+        return float(np.sqrt(max(self.covariance[1, 1], 0.0)))
+
+    @property
+    def sigma_heading_deg(self) -> float:
+        """Standard deviation of the heading [deg]."""
+        return float(np.degrees(np.sqrt(max(self.covariance[5, 5], 0.0))))
+
+
+@dataclass(frozen=True)
+class LocalizationResult:
+    """The pose of one frame, or why there is none.
+
+    Attributes:
+        frame: the frame.
+        T_map_base: best pose in the map frame; NaN where there is none.
+        T_map_prior: the pose that the search started around.
+        status: how the solve ended.
+        localized: whether the pose may be used.
+        reasons: one sentence for each thing that speaks against the pose.
+        modes: distinct poses, best first.
+        times: seconds spent by stage.
+    """
+
+    frame: Frame
+    T_map_base: np.ndarray
+    T_map_prior: np.ndarray
+    status: SolveStatus
+    localized: bool
+    reasons: tuple[str, ...] = ()
+    modes: tuple[Mode, ...] = ()
+    times: dict[str, float] = field(default_factory=dict)

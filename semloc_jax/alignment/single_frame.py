@@ -1,0 +1,145 @@
+"""One frame against the map: propose, search, polish where it looks right (room: alignment; JAX).
+
+In: map samples, cost maps, prior. Out: Modes, the distinct poses that explain the masks, best first.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from semloc_jax.alignment.along_road import AlongRoadConfig, RoadPosterior, along_road, widened
+from semloc_jax.alignment.hypotheses import Modes, SearchConfig, score, search, weigh
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align, assess
+from semloc_jax.alignment.proposals import ProposalKind, propose
+from semloc_jax.cameras import Rig
+from semloc_jax.residuals.alignment import CameraViews, Usable, camera_views
+from semloc_jax.residuals.texture import RampTextures, pack
+from semloc_jax.residuals.view import ViewConfig, view
+from semloc_jax.runtime.programs import stored_program
+from semloc_jax.structs import CostMaps, MapSamples, PoseEstimate
+
+
+@dataclass(frozen=True)
+class SingleFrameConfig:
+    """How one frame is localized from a wide prior. All values are ours."""
+
+    num_hypotheses: int = 1024
+    proposals: ProposalKind = "lattice"
+    reach: float = 2.5
+    """Half width of the search window in sigmas of the prior."""
+    min_reach_deg: float = 5.0
+    """The search covers at least this heading to both sides, however sure the prior is."""
+    seed: int = 0
+    """Of the random proposals."""
+    search_view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.15))
+    polish_view: ViewConfig = field(default_factory=lambda: ViewConfig(most_alone=3.0))
+    search_align: AlignConfig = field(default_factory=AlignConfig)
+    polish_align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(2, 3), max_steps=10))
+    search: SearchConfig = field(default_factory=SearchConfig)
+    along_road: AlongRoadConfig = field(default_factory=AlongRoadConfig)
+    rank_level: int = 2
+    """Level on which the polished modes are ranked."""
+
+
+class FrameInput(NamedTuple):
+    """What stays the same for every pose of a frame."""
+
+    samples: MapSamples
+    """Map samples relative to the local origin."""
+    rig: Rig
+    channel_of_label: Int[Array, " label"]
+    """Cost-map channel of each ElementClass, -1 for none."""
+    textures: RampTextures
+    usable: Usable
+    always: Bool[Array, "2"]
+    """True twice; see `semloc_jax.residuals.fusion_barrier`."""
+
+
+def frame_input(
+    samples: MapSamples, maps: CostMaps, rig: Rig, channel_of_label: Int[Array | np.ndarray, " label"]
+) -> FrameInput:
+    """The input of one frame, packed for the device."""
+    usable = Usable(jnp.asarray(maps.usable), maps.usable_stride)
+    return FrameInput(samples, rig, jnp.asarray(channel_of_label), _pack(maps), usable, jnp.ones(2, bool))
+
+
+_pack = stored_program("dtype")(pack)
+
+
+def evidence_from(T_map_base: Float[Array | np.ndarray, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
+    """The evidence of a frame with the map as it is seen from a pose."""
+    views = _views(T_map_base, frame.samples, frame.rig, frame.channel_of_label, config)
+    return Evidence(views, frame.textures, frame.usable, frame.always)
+
+
+@stored_program("config")
+def _views(
+    T_map_base: Float[Array, "4 4"],
+    samples: MapSamples,
+    rig: Rig,
+    channel_of_label: Int[Array, " label"],
+    config: ViewConfig,
+) -> tuple[CameraViews, ...]:
+    # The textures stay outside: what passes through a compiled function is copied, 30 MB a camera.
+    return camera_views(rig, view(samples, T_map_base, rig, channel_of_label, config))
+
+
+@stored_program("config")
+def _starts(prior: Prior, config: SingleFrameConfig) -> Float[Array, "n 4 4"]:
+    """Start poses of the search in the window around the prior."""
+    sigma_xy_yaw = prior.sigma[np.array([0, 1, 5])]
+    sigma_xy_yaw = sigma_xy_yaw.at[2].max(float(np.deg2rad(config.min_reach_deg)) / config.reach)
+    key = jax.random.key(config.seed)
+    return propose(config.proposals, config.num_hypotheses, prior.T_map_base, sigma_xy_yaw, config.reach, key)
+
+
+def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -> Modes:
+    """Modes of the pose of one frame, best first.
+
+    Args:
+        frame: Map samples, cost maps, cameras.
+        prior: Prior pose and its sigmas; the plane of its x and y axes is taken as the road.
+        config: Hypotheses, schedule, refinement.
+    """
+    evidence = evidence_from(prior.T_map_base, frame, config.search_view)
+    candidates, scores = search(_starts(prior, config), evidence, prior, config.search_align, config.search)
+    # On the host: an operation outside of the stored programs would be compiled in every process.
+    best = jnp.asarray(np.asarray(candidates)[0])
+    closer = evidence_from(best, frame, config.polish_view)
+    road = along_road(best, closer, prior, config.search_align, config.along_road, config.search.chunk)
+    in_view_px = np.float32(sum(np.sum(view.weight) for view in jax.device_get(evidence.views)))
+    return polish(candidates, scores, road, frame, prior, config, in_view_px)
+
+
+@stored_program("config")
+def polish(
+    candidates: Float[Array, "m 4 4"],
+    scores: Float[Array, " m"],
+    road: RoadPosterior,
+    frame: FrameInput,
+    prior: Prior,
+    config: SingleFrameConfig,
+    in_view_px: Float[Array, ""],
+) -> Modes:
+    """Each candidate, of the search and along the road, refined with the view as it is from there, and ranked anew.
+
+    The views differ in how much of the map they hold; ranked by one `in_view_px`, more of it in view is no fault.
+    """
+
+    def one(T_map_base: Array) -> tuple[PoseEstimate, Array]:
+        evidence = evidence_from(T_map_base, frame, config.polish_view)
+        estimate = align(T_map_base, evidence, prior, config.polish_align)
+        # Every mode is judged on one level, whichever held its pose last.
+        judged = assess(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align)
+        measured = (judged.cost, judged.inlier_ratio, widened(estimate.covariance, road.spread))
+        estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio, e.covariance), estimate, measured)
+        return estimate, score(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align, in_view_px)
+
+    candidates, scores = jnp.concatenate([candidates, road.Ts_map_base]), jnp.concatenate([scores, road.scores])
+    estimates, polished = jax.lax.map(one, candidates)
+    return weigh(estimates, jnp.where(jnp.isfinite(scores), polished, jnp.inf))

@@ -1,0 +1,182 @@
+"""One frame aligned from a predicted pose: a few starts along the road, one view, one compiled function (room:
+localization; JAX).
+
+In: predicted pose and its prior, one frame, the trust in each map element. Out: TrackedFrame: the best pose, how far
+other answers lie from it, and how well each element of the map is seen.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from semloc_jax.alignment.hypotheses import prior_cost, score
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align, assess, total_weight, visible_views
+from semloc_jax.alignment.proposals import displaced
+from semloc_jax.alignment.single_frame import FrameInput
+from semloc_jax.geometry import lie
+from semloc_jax.residuals.alignment import CameraViews, alignment_residual, camera_views
+from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.view import ViewConfig, view
+from semloc_jax.structs import PoseEstimate
+
+ELEMENT_CAPACITY = 2048
+"""Elements of a local map that statistics are kept for; the rest is used with full trust."""
+
+
+@dataclass(frozen=True)
+class TrackAlignConfig:
+    """How a frame is aligned from a prediction. All values are ours."""
+
+    view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.03))
+    align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(1, 2, 3), max_steps=8))
+    starts_m: tuple[float, ...] = (0.0, -0.3, 0.3, -0.6, 0.6)
+    """Offsets along the road of the starts: dashes and far poles leave local minima some decimetres apart."""
+    score_share: float = 0.5
+    """Share of the nats between two local minima that is believed: which of them is right is less sure than that."""
+    rank_level: int = 2
+    """Level on which the starts are ranked and the elements are judged."""
+    apart_m: float = 0.25
+    """Poses farther apart than this count as different answers."""
+
+
+class ElementEvidence(NamedTuple):
+    """How the frame sees each element of the local map, by index; zero where it is not in view."""
+
+    visible_px: Float[Array, " element"]
+    """Contour on usable pixels [px of weight]."""
+    missed_px: Float[Array, " element"]
+    """Robust cost of it: between 0 (all of it lies on a boundary of its class) and visible_px (none does)."""
+    offset_px: Float[Array, " element"]
+    """Weighted sum of signed distances of the part within reach [px^2]."""
+
+
+class TrackedFrame(NamedTuple):
+    """The answer of one frame."""
+
+    estimate: PoseEstimate
+    """Pose and quality of the best start, relative to the local origin."""
+    score: Float[Array, ""]
+    """Cost of evidence and prior of the best [nats]."""
+    second_score: Float[Array, ""]
+    """The same of the best pose that differs from it; infinite where all starts ended in one place."""
+    spread: Float[Array, "6 6"]
+    """Second moment of all answers about the best one, in its right tangent, by their share of the posterior."""
+    in_view_px: Float[Array, ""]
+    """Weighted contour length in view."""
+    elements: ElementEvidence
+
+
+@partial(jax.jit, static_argnames="config")
+def align_predicted(
+    T_predicted: Float[Array, "4 4"],
+    prior: Prior,
+    frame: FrameInput,
+    trust: Float[Array, " element"],
+    config: TrackAlignConfig,
+) -> TrackedFrame:
+    """The pose of a frame near a prediction.
+
+    Args:
+        T_predicted: Where the vehicle should be, relative to the local origin; the map is seen from there.
+        prior: What holds directions that the masks do not.
+        frame: Samples, cost maps, cameras.
+        trust: Weight of each map element, 1 for those nothing speaks against.
+        config: View, levels, starts.
+    """
+    evidence, element = trusted_evidence(T_predicted, frame, trust, config.view)
+    along = jnp.zeros((len(config.starts_m), 3), T_predicted.dtype)
+    starts = displaced(T_predicted, along.at[:, 0].set(jnp.asarray(config.starts_m, T_predicted.dtype)))
+
+    def one(T_start: Array) -> tuple[PoseEstimate, Array]:
+        estimate = align(T_start, evidence, prior, config.align)
+        judged = assess(estimate.T_map_base, config.rank_level, evidence, prior, config.align)
+        estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, (judged.cost, judged.inlier_ratio))
+        return estimate, score(estimate.T_map_base, config.rank_level, evidence, prior, config.align)
+
+    estimates, scores = jax.lax.map(one, starts)
+    scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
+    best = jnp.argmin(scores)
+    chosen = jax.tree.map(lambda leaf: leaf[best], estimates)
+    steps = lie.log(lie.inverse(chosen.T_map_base) @ estimates.T_map_base)
+    others = jnp.where(jnp.hypot(steps[:, 0], steps[:, 1]) > config.apart_m, scores, jnp.inf)
+    seen = element_evidence(chosen.T_map_base, evidence, element, config)
+    return TrackedFrame(
+        estimate=chosen,
+        score=scores[best],
+        second_score=jnp.min(others),
+        spread=_spread(estimates.T_map_base, scores, steps, prior, config.score_share),
+        in_view_px=total_weight(evidence.views),
+        elements=seen,
+    )
+
+
+def _spread(
+    Ts: Float[Array, "start 4 4"],
+    scores: Float[Array, " start"],
+    steps: Float[Array, "start 6"],
+    prior: Prior,
+    share: float,
+) -> Float[Array, "6 6"]:
+    """Second moment of the answers about the best one; the prior counts in full, the masks by a share."""
+    held = jax.vmap(prior_cost, (0, None))(Ts, prior)
+    weight = jax.nn.softmax(-jnp.where(jnp.isfinite(scores), share * (scores - held) + held, jnp.inf))
+    finite = jnp.where(jnp.isfinite(steps), steps, 0.0)
+    return jnp.einsum("s,si,sj->ij", weight, finite, finite)
+
+
+@partial(jax.jit, static_argnames="config")
+def profile_along(
+    T_predicted: Float[Array, "4 4"],
+    offsets_m: Float[Array, " n"],
+    prior: Prior,
+    frame: FrameInput,
+    trust: Float[Array, " element"],
+    config: TrackAlignConfig,
+    level: Int[Array, ""] | int,
+) -> Float[Array, " n"]:
+    """Cost [nats] of the predicted pose moved along the road by each offset; one level, no refinement."""
+    evidence, _ = trusted_evidence(T_predicted, frame, trust, config.view)
+    moves = jnp.zeros((offsets_m.shape[0], 3), T_predicted.dtype).at[:, 0].set(offsets_m.astype(T_predicted.dtype))
+    moved = displaced(T_predicted, moves)
+    return jax.lax.map(lambda T: score(T, level, evidence, prior, config.align), moved)
+
+
+def trusted_evidence(
+    T_map_base: Float[Array, "4 4"], frame: FrameInput, trust: Float[Array, " element"], config: ViewConfig
+) -> tuple[Evidence, tuple[Array, ...]]:
+    """The evidence of a frame as seen from a pose, each element weighted by its trust; and the element of each sample
+    of each group of cameras, in the order of the views."""
+    samples = view(frame.samples, T_map_base, frame.rig, frame.channel_of_label, config)
+    known = (samples.element >= 0) & (samples.element < trust.shape[0])
+    index = jnp.clip(samples.element, 0, trust.shape[0] - 1)
+    weight = samples.weight * jnp.where(known, trust[index], 1.0).astype(samples.weight.dtype)
+    samples = eqx.tree_at(lambda s: s.weight, samples, weight)
+    views: tuple[CameraViews, ...] = camera_views(frame.rig, samples)
+    element = tuple(jnp.where(known, samples.element, -1)[v.index] for v in views)
+    return Evidence(views, frame.textures, frame.usable, frame.always), element
+
+
+def element_evidence(
+    T_map_base: Float[Array, "4 4"], evidence: Evidence, element: tuple[Array, ...], config: TrackAlignConfig
+) -> ElementEvidence:
+    """How a pose explains each element, from the level of `config.rank_level`."""
+    texture = evidence.textures.level(config.rank_level)
+    kernel = KERNELS[config.align.kernel]
+    views = visible_views(T_map_base, evidence, config.align.border_px)
+    r, weight = alignment_residual(T_map_base, views, texture)
+    owner = jnp.concatenate([part.reshape(-1) for part in element])
+    owner = jnp.where(owner >= 0, owner, ELEMENT_CAPACITY)
+
+    def by_element(values: Array) -> Array:
+        return jax.ops.segment_sum(values, owner, ELEMENT_CAPACITY + 1)[:-1]
+
+    return ElementEvidence(
+        by_element(weight),
+        by_element(weight * kernel.rho(r) / kernel.worst),
+        by_element(weight * kernel.weight(r) * r * texture.ramp_px),
+    )

@@ -1,0 +1,1 @@
+"""Motion, measured poses and satellite fixes become one pose over time (room)."""

@@ -1,0 +1,214 @@
+"""How large the errors of measured poses are, and over what way they stay the same, told by the drive itself (room:
+localization; host).
+
+In: measured poses, the motion between them. Out: NoiseScale, the covariance that a measured pose enters a fusion with.
+Measured poses are compared along the driven path: with the one before and with one some frames back. Errors that are
+independent differ as much from frame to frame as over many frames (their variogram is flat); errors that stay the same
+for a while differ less between neighbours. The first says how large errors are, the second over what way they hold.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.fusion.measurements import FusedPose, PoseMeasurement
+from semloc_jax.fusion.prediction import MotionIncrement
+from semloc_jax.geometry import rigid
+
+DIRECTIONS = [0, 1, 5]
+"""Forward, left and heading in a tangent."""
+LAG = 8
+"""Frames between the poses that tell how large the errors are; ours."""
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """How the errors of measured poses are learned. All values are ours."""
+
+    share: float = 0.4
+    """Variance of a measured pose over that of the noise model, before the drive says more."""
+    believed_frames: float = 10.0
+    """What the noise model is worth, in frames."""
+    memory_frames: float = 40.0
+    min_factor: float = 0.15
+    max_factor: float = 20.0
+    most: float = 9.0
+    """A squared normalised difference counts as no more than this: outliers are not noise."""
+    correlation_m: float = 1.0
+    """Way over which the errors of measured poses are the same, before the drive says more."""
+    min_correlation_m: float = 0.3
+    max_correlation_m: float = 8.0
+    min_way_m: float = 0.1
+    """A vehicle that hardly moves says nothing of a way."""
+    standing_m: float = 0.03
+    """Frames nearer to each other than this are as one."""
+    scale_sigma: float = 0.004
+    """What an odometer scale that was learned is still off by."""
+    gyro_bias_sigma_degps: float = 0.02
+
+
+class Passed(NamedTuple):
+    """The last measured poses, newest last; those not there yet have the time -inf."""
+
+    time_s: Float[np.ndarray, " n"]
+    T_measured: Float[np.ndarray, "n 4 4"]
+    variance: Float[np.ndarray, "n 3"]
+    """Of the noise model: forward, left, heading."""
+    T_fused: Float[np.ndarray, "n 4 4"]
+    heading_variance: Float[np.ndarray, " n"]
+    """Of the fused pose [rad^2]."""
+    T_path: Float[np.ndarray, "n 4 4"]
+    """Dead reckoning from anywhere."""
+    path_variance: Float[np.ndarray, "n 3"]
+    """Of dead reckoning, summed up: forward, left, heading."""
+
+
+class NoiseScale(NamedTuple):
+    """What the drive says of the errors of measured poses; sums that forget."""
+
+    near: Float[np.ndarray, "3"]
+    """Squared differences of neighbouring poses over what was expected: forward, left, heading."""
+    far: Float[np.ndarray, "3"]
+    """The same of poses some frames apart."""
+    num_frames: Float[np.ndarray, ""]
+    way_m: Float[np.ndarray, ""]
+    """Way between neighbours."""
+    passed: Passed
+
+
+def unknown_noise() -> NoiseScale:
+    """What is known before driving."""
+    zero, poses = np.float64(0.0), np.tile(np.eye(4), (LAG, 1, 1))
+    return NoiseScale(
+        np.zeros(3), np.zeros(3), zero, zero,
+        Passed(
+            np.full(LAG, -np.inf), poses, np.ones((LAG, 3)), poses.copy(), np.zeros(LAG), poses.copy(),
+            np.zeros((LAG, 3)),
+        ),
+    )  # fmt: skip
+
+
+def without_poses(noise: NoiseScale) -> NoiseScale:
+    """The same where the vehicle was found anew: the poses before belong to another path."""
+    return noise._replace(passed=noise.passed._replace(time_s=np.full(LAG, -np.inf)))
+
+
+def factors(noise: NoiseScale, config: NoiseConfig) -> Float[np.ndarray, "3"]:
+    """Factors on the variance of the noise model, forward, left and heading: 1 before the drive says more."""
+    found = (noise.far + config.believed_frames) / (noise.num_frames + config.believed_frames)
+    return np.clip(found, config.min_factor, config.max_factor)
+
+
+def correlation_m(noise: NoiseScale, config: NoiseConfig) -> Float[np.ndarray, "3"]:
+    """Way over which the errors forward, left and of heading are the same [m]."""
+    if noise.num_frames == 0.0:
+        return np.full(3, config.correlation_m)
+    step_m = float(noise.way_m / noise.num_frames)
+    believed = config.believed_frames
+    differing = 1.0 - np.exp(-step_m / config.correlation_m)
+    # Neighbours with correlation rho differ by 1 - rho of what independent poses differ by.
+    rho = 1.0 - (noise.near + believed * differing) / (noise.far + believed)
+    length_m = -step_m / np.log(np.clip(rho, 1e-3, 0.999))
+    return np.clip(length_m, config.min_correlation_m, config.max_correlation_m)
+
+
+def marginal(covariance: Float[np.ndarray, "6 6"], noise: NoiseScale, config: NoiseConfig) -> Float[np.ndarray, "6 6"]:
+    """Covariance of one measured pose alone.
+
+    Args:
+        covariance: As the noise model has it.
+        noise: What the drive says.
+        config: Beliefs.
+    """
+    return config.share * _scaled(covariance, factors(noise, config))
+
+
+def of_a_series(
+    covariance: Float[np.ndarray, "6 6"], way_m: float, noise: NoiseScale, config: NoiseConfig
+) -> Float[np.ndarray, "6 6"]:
+    """Covariance by which a filter may take a measured pose for independent of the one `way_m` before.
+
+    The mean of many errors with correlation exp(-way / length) between neighbours has (1 + rho) / (1 - rho) times the
+    variance that independent ones would have. A vehicle that stands learns next to nothing.
+
+    Args:
+        covariance: Of the measured pose alone, see `marginal`.
+        way_m: Way since the pose before [m].
+        noise: What the drive says.
+        config: Beliefs.
+    """
+    rho = np.exp(-max(way_m, config.standing_m) / correlation_m(noise, config))
+    return _scaled(covariance, (1.0 + rho) / (1.0 - rho))
+
+
+def _scaled(covariance: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """A covariance whose variances forward, left and of heading are multiplied; the others by the mean factor."""
+    sigma = np.full(6, np.sqrt(np.mean(factor)))
+    sigma[DIRECTIONS] = np.sqrt(factor)
+    return covariance * np.outer(sigma, sigma)
+
+
+def learned(
+    noise: NoiseScale,
+    measurement: PoseMeasurement,
+    fused: FusedPose,
+    step: MotionIncrement,
+    way_m: float,
+    config: NoiseConfig,
+) -> NoiseScale:
+    """What is known after one more frame whose pose was taken.
+
+    Args:
+        noise: Before.
+        measurement: The pose, with the covariance that the noise model gives it.
+        fused: The pose of the fusion after it.
+        step: Motion since the last pose that was taken.
+        way_m: Way since the frame before [m].
+        config: Beliefs.
+    """
+    passed = noise.passed
+    newest = Passed(
+        np.float64(measurement.time_s),
+        measurement.T_map_base,
+        config.share * np.diagonal(measurement.covariance)[DIRECTIONS],
+        fused.T_map_base,
+        fused.covariance[5, 5],
+        rigid.normalised(passed.T_path[-1] @ step.T_from_to),
+        passed.path_variance[-1] + np.diagonal(step.covariance)[DIRECTIONS],
+    )
+    there = np.flatnonzero(np.isfinite(passed.time_s))
+    if len(there) and way_m >= config.min_way_m:
+        oldest, last = (Passed(*(column[k] for column in passed)) for k in (there[0], -1))
+        keep = np.exp(-1.0 / config.memory_frames)
+        noise = noise._replace(
+            near=keep * noise.near + _squares(last, newest, config),
+            far=keep * noise.far + _squares(oldest, newest, config),
+            num_frames=keep * noise.num_frames + 1.0,
+            way_m=keep * noise.way_m + way_m,
+        )
+    rows = [np.append(old[1:], [new], axis=0) for old, new in zip(passed, newest, strict=True)]
+    return noise._replace(passed=Passed(*rows))
+
+
+def last_taken_s(noise: NoiseScale) -> float:
+    """Time of the last pose that was taken [s]; -inf where there is none."""
+    return float(noise.passed.time_s[-1])
+
+
+def _squares(then: Passed, now: Passed, config: NoiseConfig) -> np.ndarray:
+    """Squared differences of the errors of two measured poses, over what the noise model and the path between expect.
+
+    Both are seen from one path: that of the motion, laid through the fused pose at the earlier one.
+    """
+    step = rigid.inverse(then.T_path) @ now.T_path
+    late = rigid.log(rigid.inverse(then.T_fused @ step) @ now.T_measured)
+    early = rigid.log(rigid.inverse(then.T_fused) @ then.T_measured)
+    way_m, turned = step[0, 3], np.deg2rad(config.gyro_bias_sigma_degps) * (now.time_s - then.time_s)
+    spread = now.path_variance - then.path_variance
+    # The path is as wrong to the side as its heading is.
+    across = way_m**2 * (then.heading_variance + spread[2] / 3.0 + turned**2 / 4.0)
+    spread = spread + np.array([(config.scale_sigma * way_m) ** 2, across, turned**2])
+    square = (late - early)[DIRECTIONS] ** 2 / (now.variance + then.variance + spread)
+    return np.minimum(square, config.most)

@@ -1,0 +1,241 @@
+"""Sliding-window fusion: the last poses solved together, older ones kept as a prior (room: fusion; host).
+
+In: PoseMeasurement, MotionIncrement, GnssMeasurement. Out: FusedPose.
+System A.5: a prior pose factor for every well-tracked frame, odometry between neighbours. When the window is full, a
+vehicle that stands drops its second newest state, one that drives gives up the oldest, by marginalisation.
+"""
+
+from dataclasses import dataclass, field
+from functools import cache
+
+import jax
+import numpy as np
+from scipy.special import chdtri
+
+from semloc_jax.fusion.measurements import (
+    FusedPose,
+    GnssMeasurement,
+    Innovation,
+    PoseMeasurement,
+    SensorBeliefs,
+    check_same_time,
+    normalised_square,
+)
+from semloc_jax.fusion.pose_graph import GraphConfig, PoseGraph, linearise, marginal, solve_pose_graph
+from semloc_jax.fusion.prediction import MotionIncrement, MotionQuality, coasted
+from semloc_jax.fusion.window_state import (
+    BY_EDGE,
+    BY_STATE,
+    WindowState,
+    at_calibration,
+    chained,
+    graph_of,
+    graph_of_oldest,
+    motion_of,
+    open_motion,
+    replaced,
+    sqrt_information,
+    still,
+    with_open,
+    without_newest,
+)
+from semloc_jax.geometry import rigid
+
+_VAGUE = 100.0
+"""Standard deviation that stands for nothing known [m, rad]; ours."""
+
+
+@dataclass(frozen=True)
+class WindowConfig:
+    """How the window is kept and solved; all values are ours but the rule for a vehicle that stands."""
+
+    num_states: int = 10
+    sensors: SensorBeliefs = field(default_factory=SensorBeliefs)
+    graph: GraphConfig = field(default_factory=GraphConfig)
+    gate_probability: float = 0.999
+    """A measurement beyond this quantile of the chi-square distribution is refused."""
+    standing_m: float = 0.03
+    """A step shorter than this adds nothing to the window: its errors are those of the frame before."""
+    marginalise: bool = True
+    """False drops the oldest state with all that it knew: for comparison."""
+
+
+class SlidingWindow:
+    """Fixed-lag smoother over the last poses, one calibration, and what is left of everything before.
+
+    A measured pose or fix that fails the chi-square test against the predicted pose is refused; one that passes is
+    still held by a robust kernel, so that later frames can outvote it.
+    """
+
+    def __init__(self, config: WindowConfig | None = None) -> None:
+        """A window with the given beliefs; it is compiled at the first correction."""
+        self.config = config or WindowConfig()
+        self._last: tuple[WindowState, FusedPose] | None = None
+
+    def start(self, measurement: PoseMeasurement) -> WindowState:
+        """State at the first pose, with nominal calibration."""
+        num, edges = self.config.num_states, self.config.num_states - 1
+        sigma = self.config.sensors.sigma
+        covariance = np.zeros((10, 10))
+        covariance[:6, :6], covariance[6:, 6:] = measurement.covariance, np.diag(sigma**2)
+        prior_sqrt_info = np.zeros((10, 10))
+        prior_sqrt_info[6:, 6:] = np.diag(1.0 / sigma)
+        calibration = np.array([1.0, 0.0, 0.0, 0.0])
+        poses = np.tile(measurement.T_map_base.astype(np.float64), (num, 1, 1))
+        pose_sqrt_info = np.zeros((num, 6, 6))
+        pose_sqrt_info[0] = sqrt_information(measurement.covariance)
+        return WindowState(
+            np.int64(1), np.full(num, float(measurement.time_s)), poses, calibration, covariance,
+            poses.copy(), pose_sqrt_info,
+            np.tile(np.eye(4), (edges, 1, 1)), np.tile(np.eye(6), (edges, 1, 1)), np.zeros((edges, 6, 2)),
+            np.tile(calibration[:2], (edges, 1)),
+            np.zeros((num, 2)), np.zeros((num, 2)), np.zeros((num, 3)),
+            poses[0], calibration, prior_sqrt_info, np.float64(measurement.time_s), *still(calibration[:2]),
+        )  # fmt: skip
+
+    def predict(self, state: WindowState, increment: MotionIncrement) -> WindowState:
+        """State after the motion; the poses of the window stay as they are."""
+        check_same_time("increment", increment.from_s, float(state.now_s))
+        if increment.quality is MotionQuality.MISSING and state.num > 1:
+            newest = int(state.num) - 1
+            step_s = state.time_s[newest] - state.time_s[newest - 1]
+            step = rigid.inverse(state.T_map_base[newest - 1]) @ state.T_map_base[newest]
+            age_s, noise = float(state.now_s - state.time_s[newest]), self.config.sensors.motion
+            increment = coasted(increment, rigid.log(step) / step_s, age_s, float(step_s), noise)
+        motion = chained(open_motion(state), motion_of(increment))
+        return with_open(state, motion)._replace(now_s=np.float64(increment.to_s))
+
+    def correct(self, state: WindowState, measurement: PoseMeasurement) -> tuple[WindowState, Innovation]:
+        """State with a measured pose, unless the chi-square test refuses it."""
+        check_same_time("pose", measurement.time_s, float(state.now_s))
+        predicted = self.pose(state)
+        difference = rigid.log(rigid.inverse(predicted.T_map_base) @ measurement.T_map_base)
+        square = normalised_square(difference, predicted.covariance + measurement.covariance)
+        if square > chdtri(6, 1.0 - self.config.gate_probability):
+            return state, Innovation(square, 6, False)
+        state = self._with_new_state(state)
+        newest = int(state.num) - 1
+        state = state._replace(
+            T_measured=replaced(state.T_measured, newest, measurement.T_map_base),
+            pose_sqrt_info=replaced(state.pose_sqrt_info, newest, sqrt_information(measurement.covariance)),
+        )
+        return self._solved(state), Innovation(square, 6, True)
+
+    def correct_gnss(self, state: WindowState, measurement: GnssMeasurement) -> tuple[WindowState, Innovation]:
+        """State with a satellite fix, unless the chi-square test refuses it.
+
+        The fix joins the newest state, seen from there along the motion since; a second one opens a state of its own.
+        """
+        check_same_time("fix", measurement.time_s, float(state.now_s))
+        T, joint = self._predicted(state)
+        H = np.zeros((2, 10))
+        H[:, :3], H[:, 8:] = T[:2, :3], np.eye(2)
+        difference = measurement.p_map[:2] - T[:2, 3] - state.calibration[2:]
+        spread = H @ joint @ H.T + np.diag(measurement.sigma_m[:2] ** 2)
+        square = normalised_square(difference, spread)
+        if square > chdtri(2, 1.0 - self.config.gate_probability):
+            return state, Innovation(square, 2, False)
+        if state.fix_sqrt_info[int(state.num) - 1].any():
+            state = self._with_new_state(state)
+        newest = int(state.num) - 1
+        state = state._replace(
+            p_fix=replaced(state.p_fix, newest, measurement.p_map[:2]),
+            fix_sqrt_info=replaced(state.fix_sqrt_info, newest, 1.0 / measurement.sigma_m[:2]),
+            fix_base=replaced(state.fix_base, newest, at_calibration(open_motion(state), state.calibration)[:3, 3]),
+        )
+        return self._solved(state), Innovation(square, 2, True)
+
+    def pose(self, state: WindowState) -> FusedPose:
+        """Newest pose carried on to the time of the last prediction, its covariance, and the calibration."""
+        # A step asks for the pose of one and the same state several times.
+        if self._last is None or self._last[0] is not state:
+            T, joint = self._predicted(state)
+            scale, bias = state.calibration[:2]
+            pose = FusedPose(float(state.now_s), T, joint[:6, :6], float(scale), float(bias), state.calibration[2:])
+            self._last = (state, pose)
+        return self._last[1]
+
+    def _predicted(self, state: WindowState) -> tuple[np.ndarray, np.ndarray]:
+        """Pose now, and its joint covariance with the calibration."""
+        motion = at_calibration(open_motion(state), state.calibration)
+        F = np.eye(10)
+        F[:6, :6] = rigid.adjoint(rigid.inverse(motion))
+        F[:6, 6:8] = state.open_jacobian
+        joint = F @ state.covariance @ F.T
+        joint[:6, :6] += state.open_covariance
+        walked_s = float(state.now_s - state.time_s[int(state.num) - 1])
+        joint[6:, 6:] += np.diag(self.config.sensors.walk**2) * abs(walked_s)
+        return rigid.normalised(state.T_map_base[int(state.num) - 1] @ motion), joint
+
+    def _with_new_state(self, state: WindowState) -> WindowState:
+        """The window with one more state, at the predicted pose; itself where nothing was predicted since the last."""
+        newest = int(state.num) - 1
+        if state.now_s == state.time_s[newest]:
+            return state
+        T, _ = self._predicted(state)
+        if newest + 1 == self.config.num_states:
+            is_standing = float(np.linalg.norm(state.T_open[:3, 3])) < self.config.standing_m
+            state = without_newest(state) if is_standing else self._without_oldest(state)
+        num, motion = int(state.num), open_motion(state)
+        return with_open(state, still(state.calibration[:2]))._replace(
+            num=np.int64(num + 1),
+            time_s=replaced(state.time_s, num, state.now_s),
+            T_map_base=replaced(state.T_map_base, num, T),
+            pose_sqrt_info=replaced(state.pose_sqrt_info, num, np.zeros((6, 6))),
+            fix_sqrt_info=replaced(state.fix_sqrt_info, num, np.zeros(2)),
+            T_edge=replaced(state.T_edge, num - 1, motion.T),
+            edge_covariance=replaced(state.edge_covariance, num - 1, motion.covariance),
+            edge_jacobian=replaced(state.edge_jacobian, num - 1, motion.jacobian),
+            edge_calibration=replaced(state.edge_calibration, num - 1, motion.calibration),
+        )
+
+    def _without_oldest(self, state: WindowState) -> WindowState:
+        """The window one state later; what the oldest one knew stays as a prior of the next and the calibration."""
+        if self.config.marginalise:
+            with jax.enable_x64(True):
+                equations = _compiled_oldest(self.config.graph)(graph_of_oldest(state))
+            covariance = np.linalg.inv(np.asarray(equations.information))
+            step = -covariance @ np.asarray(equations.gradient)
+            passed_s = float(state.time_s[1] - state.time_s[0])
+            covariance[6:, 6:] += np.diag(self.config.sensors.walk**2) * passed_s
+            state = state._replace(
+                T_prior=state.T_map_base[1] @ rigid.exp(step[:6]),
+                calibration_prior=state.calibration + step[6:],
+                prior_sqrt_info=sqrt_information(covariance),
+            )
+        else:
+            # So vague that it only keeps the equations regular.
+            sqrt_info = state.prior_sqrt_info.copy()
+            sqrt_info[:6] = np.eye(6, 10) / _VAGUE
+            state = state._replace(T_prior=state.T_map_base[1], prior_sqrt_info=sqrt_info)
+        moved = {name: np.roll(getattr(state, name), -1, axis=0) for name in BY_STATE + BY_EDGE}
+        return state._replace(num=np.int64(state.num - 1), **moved)
+
+    def _solved(self, state: WindowState) -> WindowState:
+        with jax.enable_x64(True):
+            solution = _compiled_solve(self.config.graph)(graph_of(state))
+        unknowns = 6 * self.config.num_states + 4
+        newest = 6 * (int(state.num) - 1)
+        wanted = np.eye(unknowns)[:, [*range(newest, newest + 6), *range(unknowns - 4, unknowns)]]
+        covariance = wanted.T @ np.linalg.solve(np.asarray(solution.equations.information), wanted)
+        return state._replace(
+            T_map_base=np.array(solution.T_map_base),
+            calibration=np.array(solution.calibration),
+            covariance=0.5 * (covariance + covariance.T),
+        )
+
+
+@cache
+def _compiled_solve(config: GraphConfig):
+    return jax.jit(lambda graph: solve_pose_graph(graph, config))
+
+
+@cache
+def _compiled_oldest(config: GraphConfig):
+    """What the factors of the oldest state say of the next state and the calibration."""
+
+    def oldest(graph: PoseGraph):
+        equations = linearise(graph.T_map_base, graph.calibration, graph, config)
+        return marginal(equations, np.arange(6), np.arange(6, 16))
+
+    return jax.jit(oldest)

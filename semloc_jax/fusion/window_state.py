@@ -1,0 +1,154 @@
+"""State of the sliding window as fixed arrays, and the graph that they are (room: fusion; host).
+
+In: poses, increments. Out: WindowState with or without a state, PoseGraph.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from semloc_jax.fusion.pose_graph import PoseGraph
+from semloc_jax.fusion.prediction import MotionIncrement
+from semloc_jax.geometry import rigid
+
+
+class Motion(NamedTuple):
+    """Motion between two states: transform, covariance, derivative by scale and bias, the scale and bias taken."""
+
+    T: Float[np.ndarray, "*e 4 4"]
+    covariance: Float[np.ndarray, "*e 6 6"]
+    jacobian: Float[np.ndarray, "*e 6 2"]
+    calibration: Float[np.ndarray, "*e 2"]
+
+
+class WindowState(NamedTuple):
+    """State of `SlidingWindow`: fixed arrays; states beyond `num` and factors with information 0 are not there."""
+
+    num: Int[np.ndarray, ""]
+    time_s: Float[np.ndarray, " n"]
+    T_map_base: Float[np.ndarray, "n 4 4"]
+    calibration: Float[np.ndarray, "4"]
+    """Odometer scale, gyroscope bias [rad/s], GNSS offset east, north [m]."""
+    covariance: Float[np.ndarray, "10 10"]
+    """Of the newest pose (right tangent) and the calibration."""
+    T_measured: Float[np.ndarray, "n 4 4"]
+    pose_sqrt_info: Float[np.ndarray, "n 6 6"]
+    T_edge: Float[np.ndarray, "e 4 4"]
+    edge_covariance: Float[np.ndarray, "e 6 6"]
+    edge_jacobian: Float[np.ndarray, "e 6 2"]
+    edge_calibration: Float[np.ndarray, "e 2"]
+    p_fix: Float[np.ndarray, "n 2"]
+    fix_sqrt_info: Float[np.ndarray, "n 2"]
+    fix_base: Float[np.ndarray, "n 3"]
+    T_prior: Float[np.ndarray, "4 4"]
+    calibration_prior: Float[np.ndarray, "4"]
+    prior_sqrt_info: Float[np.ndarray, "10 10"]
+    now_s: Float[np.ndarray, ""]
+    """Time up to which the vehicle was predicted beyond the newest state."""
+    T_open: Float[np.ndarray, "4 4"]
+    open_covariance: Float[np.ndarray, "6 6"]
+    open_jacobian: Float[np.ndarray, "6 2"]
+    open_calibration: Float[np.ndarray, "2"]
+
+
+BY_STATE = ("time_s", "T_map_base", "T_measured", "pose_sqrt_info", "p_fix", "fix_sqrt_info", "fix_base")
+BY_EDGE = ("T_edge", "edge_covariance", "edge_jacobian", "edge_calibration")
+
+
+def sqrt_information(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """R with R^T R = covariance^-1: whitens a difference of this covariance."""
+    scale = np.sqrt(np.diag(covariance))
+    return np.linalg.inv(np.linalg.cholesky(covariance / np.outer(scale, scale))) / scale
+
+
+def graph_of(state: WindowState) -> PoseGraph:
+    """The factors of a window."""
+    edges, num = len(state.T_edge), int(state.num)
+    is_used, is_edge = np.arange(edges + 1) < num, np.arange(edges) < num - 1
+    edge_sqrt_info = np.linalg.inv(np.linalg.cholesky(state.edge_covariance))
+    fields = {
+        "T_map_base": state.T_map_base,
+        "calibration": state.calibration,
+        "used": is_used,
+        "T_measured": state.T_measured,
+        "pose_sqrt_info": np.where(is_used[:, None, None], state.pose_sqrt_info, 0.0),
+        "edge_from": np.arange(edges),
+        "edge_to": np.arange(1, edges + 1),
+        "T_edge": state.T_edge,
+        "edge_sqrt_info": np.where(is_edge[:, None, None], edge_sqrt_info, 0.0),
+        "edge_jacobian": state.edge_jacobian,
+        "edge_calibration": state.edge_calibration,
+        "edge_robust": np.zeros(edges, bool),
+        "p_fix": state.p_fix,
+        "fix_sqrt_info": np.where(is_used[:, None], state.fix_sqrt_info, 0.0),
+        "fix_base": state.fix_base,
+        "T_prior": state.T_prior,
+        "calibration_prior": state.calibration_prior,
+        "prior_sqrt_info": state.prior_sqrt_info,
+    }
+    return PoseGraph(**fields)
+
+
+def graph_of_oldest(state: WindowState) -> PoseGraph:
+    """What the oldest state, its measurement and the motion to the next one say: a graph of two poses."""
+    short = {name: getattr(state, name)[:2] for name in BY_STATE} | {name: getattr(state, name)[:1] for name in BY_EDGE}
+    alone = np.array([1.0, 0.0])
+    short["pose_sqrt_info"] = short["pose_sqrt_info"] * alone[:, None, None]
+    short["fix_sqrt_info"] = short["fix_sqrt_info"] * alone[:, None]
+    return graph_of(state._replace(num=np.int64(2), **short))
+
+
+def without_newest(state: WindowState) -> WindowState:
+    """The window without its newest state: the motion to it and since it become one."""
+    last = int(state.num) - 2
+    before = Motion(*(getattr(state, name)[last] for name in BY_EDGE))
+    since = open_motion(state)
+    return with_open(state, chained(before, since))._replace(num=np.int64(state.num - 1))
+
+
+def chained(first: Motion, second: Motion) -> Motion:
+    """One motion after the other, with the calibration of the first."""
+    step = at_calibration(second, first.calibration)
+    Ad = rigid.adjoint(rigid.inverse(step))
+    covariance = Ad @ first.covariance @ Ad.T + second.covariance
+    jacobian = Ad @ first.jacobian + second.jacobian
+    return Motion(rigid.normalised(first.T @ step), covariance, jacobian, first.calibration)
+
+
+def motion_of(increment: MotionIncrement) -> Motion:
+    """The motion of one increment."""
+    calibration = np.array(increment.calibration)
+    return Motion(increment.T_from_to, increment.covariance, increment.jacobian, calibration)
+
+
+def still(calibration: np.ndarray) -> Motion:
+    """No motion yet."""
+    return Motion(np.eye(4), np.zeros((6, 6)), np.zeros((6, 2)), calibration)
+
+
+def open_motion(state: WindowState) -> Motion:
+    """Motion since the newest state."""
+    return Motion(state.T_open, state.open_covariance, state.open_jacobian, state.open_calibration)
+
+
+def with_open(state: WindowState, motion: Motion) -> WindowState:
+    """The state with another motion since its newest state."""
+    return state._replace(
+        T_open=motion.T,
+        open_covariance=motion.covariance,
+        open_jacobian=motion.jacobian,
+        open_calibration=motion.calibration,
+    )
+
+
+def at_calibration(motion: Motion, calibration: np.ndarray) -> np.ndarray:
+    """Transform of a motion with other scale and bias, to first order."""
+    return motion.T @ rigid.exp(motion.jacobian @ (calibration[:2] - motion.calibration))
+
+
+def replaced(array: np.ndarray, index: int, value: np.ndarray | np.floating) -> np.ndarray:
+    """A copy with one entry changed."""
+    changed = array.copy()
+    changed[index] = value
+    return changed

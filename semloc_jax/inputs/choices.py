@@ -1,0 +1,30 @@
+"""Choices of frames and names as a person writes them (room: inputs; host).
+
+In: text such as `::5` or `front,left`. Out: slices, names.
+"""
+
+from semloc_jax.errors import UsageError
+
+
+def parse_slice(text: str, option: str = "--frames") -> slice:
+    """A Python slice such as `::5`, `10:20` or `-3:`; a single number selects one frame.
+
+    Raises:
+        UsageError: The text is not a slice.
+    """
+    parts = text.strip().removeprefix("[").removesuffix("]").split(":")
+    try:
+        numbers = [int(part) if part.strip() else None for part in parts]
+        if len(numbers) == 1 and numbers[0] is not None:
+            return slice(numbers[0], numbers[0] + 1 or None)
+        if len(numbers) in (2, 3) and (len(numbers) == 2 or numbers[2] != 0):
+            return slice(*numbers)
+    except ValueError:
+        pass
+    raise UsageError(f"{option} '{text}': expected a Python slice such as ::5, 10:20 or -3:, or one number")
+
+
+def parse_names(text: str | None) -> tuple[str, ...] | None:
+    """Names of a comma-separated list; None where nothing was given."""
+    names = tuple(name.strip() for name in (text or "").split(",") if name.strip())
+    return names or None

@@ -1,0 +1,248 @@
+"""Where the masks of a frame come from (room: inputs; host).
+
+In: a Sequence and the name of a mask folder or segmenter. Out: MaskSource.
+"""
+
+import logging
+from collections.abc import Callable
+from collections.abc import Sequence as Frames
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.errors import SemlocError
+from semloc_jax.inputs.mask_view import MaskSource, TopViewSource, resized
+from semloc_jax.perception import load_class_table, preset_names
+from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
+from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
+from semloc_jax.perception.masks import read_mask
+from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter, load_network_preset
+from semloc_jax.perception.surround import ground_table, top_view
+from semloc_jax.runtime.memory import remembered
+
+_LOG = logging.getLogger(__name__)
+_OFFSET_FRAMES = 12
+_MAX_OFFSET_PX = 3.0
+"""Resizing moves masks by a pixel or two; a larger estimate comes from lines that fix only one direction."""
+RECORD = "segment.yaml"
+"""What `semloc segment` writes beside its masks."""
+CLASSICAL = "classical"
+"""Name of the built-in segmenter of road paint for plain images."""
+TOP_VIEW = "ipm:"
+"""Before the name of masks: all cameras as one top view of the road (inverse perspective mapping)."""
+
+
+def mask_source(
+    name: str,
+    sequence: Sequence,
+    cameras: Frames[str] | None = None,
+    table: str | None = None,
+    offset_px: tuple[float, float] | None = None,
+) -> MaskSource:
+    """Masks by name.
+
+    Args:
+        name: A mask folder of the sequence, any folder with CAMERA/FRAME.png, a network `FILE.onnx` (with its preset
+            FILE.yaml beside it) or its preset `FILE.yaml`, or `classical` for the built-in segmenter of road paint;
+            `ipm:` before any of them makes one top view of the road of all cameras.
+        sequence: The drive.
+        cameras: Names; None for all that have such masks.
+        table: Class table, a preset or a YAML file; None for that of the sequence or of the network's preset.
+        offset_px: Offset of the masks against the images; None estimates it from both where there are images.
+
+    Raises:
+        SemlocError: there are no such masks, or no class table is known.
+    """
+    if name.startswith(TOP_VIEW):
+        return _top_view(mask_source(name.removeprefix(TOP_VIEW), sequence, cameras, table, offset_px), sequence)
+    first = sequence.frames[0]
+    names = tuple(cameras or [n for n in sequence.rig.names if first.has(name, n)] or sequence.rig.names)
+    sequence.rig.select(names)
+    if name == CLASSICAL:
+        return _classical(sequence, names)
+    if is_network(name):
+        return _network(name, sequence, names, table)
+    if name in sequence.mask_sources:
+        table = table or sequence.table_name
+
+        def read(frame: Frame, camera: str) -> np.ndarray:
+            return frame.mask(name, camera)
+
+    elif Path(name).is_dir():
+        table, read = table or _recorded_table(Path(name)) or sequence.table_name, _from_folder(Path(name), names)
+    else:
+        known = ", ".join((*sequence.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "a folder CAMERA/FRAME.png"))
+        raise SemlocError(f"masks '{name}': drive {sequence.name} has no such folder; expected one of {known}")
+    if not table:
+        raise SemlocError(
+            f"masks '{name}': no class table is known for {sequence.name}; give --class-table "
+            f"{', '.join(preset_names())} or a YAML file"
+        )
+    source = MaskSource(
+        name,
+        load_class_table(table),
+        names,
+        read,
+        {} if offset_px is None else dict.fromkeys(names, offset_px),
+        _sizes(read, sequence, names),
+    )
+    _check_table(source, sequence)
+    return source if offset_px is not None else _with_offsets(source, sequence)
+
+
+def _from_folder(folder: Path, names: tuple[str, ...]) -> Callable[[Frame, str], np.ndarray]:
+    """Reads CAMERA/FRAME.png of a folder, or FRAME.png where the drive has one camera only."""
+
+    def read(frame: Frame, camera: str) -> np.ndarray:
+        own = folder / camera / f"{frame.id}.png"
+        return read_mask(own if own.is_file() or len(names) > 1 else folder / f"{frame.id}.png")
+
+    return read
+
+
+def _recorded_table(folder: Path) -> str:
+    """The class table that `semloc segment` has recorded with its masks; empty where there is no record."""
+    path = folder / RECORD
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
+        key, _, value = line.partition(":")
+        if key == "class_table":
+            return value.strip().strip("'\"")
+    return ""
+
+
+def _classical(sequence: Sequence, names: tuple[str, ...]) -> MaskSource:
+    rig = sequence.rig.select(names)
+    segmenters = {camera: ClassicalPaintSegmenter(rig.cameras[i], rig.T_base_cam[i]) for i, camera in enumerate(names)}
+
+    def segment(frame: Frame, camera: str) -> np.ndarray:
+        return segmenters[camera](frame.image(camera))
+
+    return MaskSource(CLASSICAL, load_class_table("lane_paint"), names, segment)
+
+
+def is_network(name: str) -> bool:
+    """Whether masks of this name come from a network that runs on the images."""
+    return Path(name.removeprefix(TOP_VIEW)).suffix.lower() in (".onnx", ".yaml", ".yml")
+
+
+def _network(name: str, sequence: Sequence, names: tuple[str, ...], table: str | None) -> MaskSource:
+    """Masks of a network that runs on the images.
+
+    Raises:
+        SemlocError: the file is missing or no network, no class table is known, or it does not fit what comes out.
+    """
+    preset = _network_preset(Path(name))
+    if not (table or preset.class_table):
+        raise SemlocError(f"network {name}: what its class ids mean is not known; give --class-table")
+    network = NetworkSegmenter(preset)
+    kept: dict[tuple[str, str], np.ndarray] = {}
+
+    def segment(frame: Frame, camera: str) -> np.ndarray:
+        found = kept.get((frame.id, camera))
+        return network(frame.image(camera)) if found is None else found
+
+    source = MaskSource(name, load_class_table(table or preset.class_table), names, segment)
+    # A network takes its time: the masks that are looked at first are not made twice.
+    kept |= {(frame.id, camera): segment(frame, camera) for frame in looked_at(sequence.frames) for camera in names}
+    _check_table(source, sequence)
+    return source
+
+
+def _network_preset(path: Path) -> NetworkPreset:
+    """The preset of a network: the file itself, the one beside the ONNX file, or all defaults."""
+    if path.suffix.lower() != ".onnx":
+        return load_network_preset(path)
+    beside = path.with_suffix(".yaml")
+    return replace(load_network_preset(beside) if beside.is_file() else NetworkPreset(), model=str(path))
+
+
+def _top_view(source: MaskSource, sequence: Sequence) -> TopViewSource:
+    """The source as a top view of what its cameras see."""
+    rig = sequence.rig.select(source.cameras)
+    return TopViewSource(
+        TOP_VIEW + source.name,
+        ground_table(source.table),
+        source.cameras,
+        source.segment,
+        source.offset_px,
+        source.size_px,
+        *top_view(rig),
+    )
+
+
+def _sizes(
+    read: Callable[[Frame, str], np.ndarray], sequence: Sequence, cameras: Frames[str]
+) -> dict[str, tuple[int, int]]:
+    """Width and height of the masks of each camera whose masks are not as large as its images."""
+    sizes = {}
+    for camera, model in zip(cameras, sequence.rig.select(cameras).cameras, strict=True):
+        height, width = read(sequence.frames[0], camera).shape
+        if (width, height) != model.resolution:
+            sizes[camera] = (width, height)
+    return sizes
+
+
+def _check_table(source: MaskSource, sequence: Sequence) -> None:
+    """Refuse a class table that does not fit the masks: it would localize on nonsense.
+
+    Raises:
+        SemlocError: the table and the masks do not fit.
+    """
+    frames = looked_at(sequence.frames)
+    report = source.table.report(source.segment(frame, camera) for frame in frames for camera in source.cameras)
+    if not report.fits:
+        raise SemlocError(
+            f"masks '{source.name}' do not fit class table {source.table.name}: {report.problems[0]}; "
+            "give --class-table, a preset or a YAML file"
+        )
+
+
+def looked_at(frames: Frames[Frame]) -> list[Frame]:
+    """The frames whose masks are looked at before the work: a few, spread over the drive."""
+    return _spread(frames, 4)
+
+
+def _with_offsets(source: MaskSource, sequence: Sequence) -> MaskSource:
+    """The source with the offset of each camera's masks where it is significant; see `estimate_mask_offset`."""
+    offsets = {}
+    for camera in source.cameras:
+        frames = [frame for frame in _spread(sequence.frames, _OFFSET_FRAMES) if frame.has("rgb", camera)]
+        if not frames:
+            continue
+        try:
+            offset = _offset(source, frames, camera)
+        except SemlocError as error:
+            _LOG.warning("masks '%s' of %s: offset against the images not known: %s", source.name, camera, error)
+            continue
+        if max(abs(offset.du_px), abs(offset.dv_px)) > _MAX_OFFSET_PX:
+            _LOG.warning(
+                "masks '%s' of %s: estimated (%+.1f, %+.1f) px off the images, not believed; taken as 0",
+                *(source.name, camera, offset.du_px, offset.dv_px),
+            )
+        elif offset.is_significant:
+            offsets[camera] = (offset.du_px, offset.dv_px)
+            _LOG.info("masks '%s' of %s sit (%+.2f, %+.2f) px off the images", source.name, camera, *offset[:2])
+    return replace(source, offset_px=offsets)
+
+
+def _offset(source: MaskSource, frames: Frames[Frame], camera: str) -> MaskOffset:
+    """The offset from some frames, remembered between processes where the masks are files of the drive."""
+
+    def find() -> MaskOffset:
+        masks = [source.segment(frame, camera) for frame in frames]
+        images = [resized(frame.image(camera), mask) for frame, mask in zip(frames, masks, strict=True)]
+        return estimate_mask_offset(images, masks, source.table)
+
+    if not all(frame.has(source.name, camera) for frame in frames):
+        return find()
+    files = [frame.path(kind, camera) for frame in frames for kind in ("rgb", source.name)]
+    if not all(isinstance(file, Path) for file in files):  # messages of a bag have no time of change
+        return find()
+    return MaskOffset(*remembered("mask_offset", source.table, files, find))
+
+
+def _spread(frames: Frames[Frame], num: int) -> list[Frame]:
+    """At most `num` frames, evenly spread."""
+    return [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, num).astype(int))]

@@ -1,0 +1,65 @@
+"""Localize frames of a drive one by one: the main job (room: localization; host).
+
+In: a Sequence, a SemanticMap, masks. Out: one LocalizationResult for each frame.
+The same functions serve the command line, notebooks and the library.
+"""
+
+from collections.abc import Callable, Iterator
+from collections.abc import Sequence as Frames
+
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
+from semloc_jax.alignment.pose_prior import PriorSource
+from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.errors import SemlocError
+from semloc_jax.inputs.mask_source import MaskSource, mask_source
+from semloc_jax.inputs.priors import prior_source
+from semloc_jax.maps import SemanticMap
+from semloc_jax.runtime.allocator import return_large_blocks
+
+
+def localize_frames(
+    *args, on_frame: Callable[[LocalizationResult], None] | None = None, **options
+) -> list[LocalizationResult]:
+    """All results of `iterate_frames`, which takes the same arguments; `on_frame` is called with each of them."""
+    results = []
+    for result in iterate_frames(*args, **options):
+        results.append(result)
+        if on_frame is not None:
+            on_frame(result)
+    return results
+
+
+def iterate_frames(
+    sequence: Sequence,
+    semantic_map: SemanticMap,
+    masks: MaskSource | str,
+    prior: PriorSource | str = "gnss",
+    frames: slice | Frames[Frame] = slice(None),
+    cameras: Frames[str] | None = None,
+    config: LocalizeConfig | None = None,
+) -> Iterator[LocalizationResult]:
+    """One LocalizationResult after another.
+
+    Args:
+        sequence: The drive.
+        semantic_map: The map.
+        masks: Mask folder of the drive, segmenter, or a MaskSource.
+        prior: `gnss`, `truth`, a trajectory file or a PriorSource.
+        frames: Which frames.
+        cameras: Names, where `masks` is a name; None for all that have such masks.
+        config: None for the defaults.
+
+    Raises:
+        SemlocError: unknown masks or cameras, no prior, a map without classes that the masks show, no frames.
+    """
+    return_large_blocks()
+    chosen = sequence.frames[frames] if isinstance(frames, slice) else frames
+    if not chosen:
+        raise SemlocError(f"drive {sequence.name}: no frames chosen of {len(sequence)}; check --frames")
+    source = mask_source(masks, sequence, cameras) if isinstance(masks, str) else masks
+    give_prior = prior_source(prior, sequence) if isinstance(prior, str) else prior
+    localizer = FrameLocalizer(semantic_map, source.table, config)
+    for frame in chosen:
+        rig = source.seen_by(frame.rig.select(source.cameras))
+        yield localizer.localize(frame, source.masks(frame), give_prior(frame), rig)

@@ -1,0 +1,57 @@
+"""`semloc track --fault`: a drive with something wrong, or all faults one after another (room: reports).
+
+In: opened inputs, the name of a fault. Out: inputs with the fault; faults.csv and faults.md.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from semloc_jax.inputs.drive_inputs import Inputs
+
+if TYPE_CHECKING:
+    from semloc_jax.fusion.prediction import MotionLog
+    from semloc_jax.localization.localizer import Localizer
+    from semloc_jax.maps import SemanticMap
+
+ALL = "all"
+
+
+def disturbed(inputs: Inputs, name: str, seed: int) -> Inputs:
+    """The inputs with a fault in the drive or in the map.
+
+    Raises:
+        SemlocError: there is no such fault, or it does not fit the drive.
+    """
+    from semloc_jax.simulation.faults import with_fault
+
+    fault = with_fault(name, inputs.drive, inputs.map, seed)
+    return dataclasses.replace(inputs, drive=fault.drive, map=fault.semantic_map)
+
+
+def write_matrix(
+    inputs: Inputs, make_localizer: "Callable[[SemanticMap, MotionLog], Localizer]", folder: Path, seed: int
+) -> int:
+    """Run every fault that the drive allows, write faults.csv and faults.md, and return the false-confident frames."""
+    from tqdm import tqdm
+
+    from semloc_jax.analysis.fault_matrix import FaultOutcome, fault_matrix, to_markdown
+    from semloc_jax.errors import SemlocError
+    from semloc_jax.reports.results import write_csv
+    from semloc_jax.simulation.faults import FAULTS
+
+    columns = [field.name for field in dataclasses.fields(FaultOutcome)]
+    outcomes: list[FaultOutcome] = []
+    for name in tqdm(FAULTS, unit="fault", disable=None):
+        try:
+            outcomes += fault_matrix([name], inputs.drive, inputs.map, inputs.masks, make_localizer, seed)
+        except SemlocError as error:
+            print(f"left out: {error}")
+            continue
+        # After each fault: a matrix takes minutes.
+        write_csv(folder / "faults.csv", columns, [dataclasses.astuple(outcome) for outcome in outcomes])
+    table = to_markdown(outcomes)
+    (folder / "faults.md").write_text(table + "\n", encoding="utf-8")
+    print(table)
+    return sum(outcome.false_confident for outcome in outcomes)

@@ -1,0 +1,120 @@
+"""Numbers of a tracked drive (room: reports).
+
+In: the table of a run, its timing, the drive. Out: metrics.json and a summary.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, integrity, within, write_metrics
+from semloc_jax.evaluation.metrics import ALERT_LIMITS, statistics
+from semloc_jax.localization.pipeline import Timing
+from semloc_jax.localization.track_state import TrackStatus
+from semloc_jax.reports.results import ERRORS, OF_VARIANT
+from semloc_jax.reports.track_log import NEES, PROTECTION, SIGMAS, TrackTable
+
+_SAME_S = 1e-6
+
+
+def write_track_metrics(folder: Path, table: TrackTable, drive: Drive, timing: Timing) -> str:
+    """Write metrics.json and return it as a table; errors only where the drive has a truth."""
+    metrics = [*status_metrics(table), *timing_metrics(timing)]
+    said = []
+    reference = _reference(drive, table)
+    if len(reference) and table.has_pose.any():
+        errors = evaluate(table.trajectory(), reference, _SAME_S)
+        said.append(format_metrics(errors))
+        metrics = [*errors, *integrity_metrics(table), *metrics]
+        variants = list(dict.fromkeys(table.variants))
+        for variant in variants if len(variants) > 1 else ():
+            rows = np.array([name == variant for name in table.variants])
+            if (rows & table.has_pose).any():
+                own = Trajectory(reference.time_s[rows], reference.T_map_base[rows])
+                part = [m for m in evaluate(table.trajectory(rows), own, _SAME_S) if m.key in _OF_VARIANT]
+                metrics += [Metric(f"{variant}.{m.key}", m.value, m.unit, m.direction, m.tolerance) for m in part]
+    write_metrics(metrics, folder / "metrics.json")
+    said.append(
+        format_metrics([m for m in metrics if m.key.split(".")[0] in ("status", "tracking", "integrity", "time")])
+    )
+    return "\n".join(said)
+
+
+_OF_VARIANT = (*OF_VARIANT, "lateral.mean", "longitudinal.mean", "heading.mean", "lateral.p95", "longitudinal.p95")
+
+
+def status_metrics(table: TrackTable) -> list[Metric]:
+    """Share of frames of each status."""
+    num = max(len(table), 1)
+    return [
+        Metric(f"status.{s.name.lower()}", sum(x == s for x in table.status) / num, "share", "report")
+        for s in TrackStatus
+    ]
+
+
+def timing_metrics(timing: Timing) -> list[Metric]:
+    """Times of the stages, and how much faster than the drive the run was."""
+    metrics = [Metric(f"time.{key}", value, "ms", "report") for key, value in timing.stages_ms().items()]
+    metrics.append(Metric("time.realtime_factor", timing.realtime_factor, "ratio", "report"))
+    return [*metrics, Metric("time.dropped", float(timing.num_dropped), "frames", "report")]
+
+
+def integrity_metrics(table: TrackTable) -> list[Metric]:
+    """Whether what was said about the errors is true: of frames called TRACKING, of sigmas and protection levels."""
+    known = table.has_pose & np.isfinite(table.columns[NEES])
+    tracking = known & table.is_tracking
+    errors = table.errors(tracking)
+    metrics = []
+    if tracking.any():
+        for name, unit in (("lateral", "m"), ("longitudinal", "m"), ("heading", "deg")):
+            metrics += [
+                Metric(f"tracking.{m.key}", m.value, m.unit, m.direction, m.tolerance)
+                for m in statistics(name, errors[f"{name}_{unit}"], unit)
+            ]
+    false = tracking.copy()
+    false[tracking] = ~within(errors, ALERT_LIMITS[0])
+    metrics.append(Metric("tracking.false", float(false.sum()), "frames", "lower"))
+    everything = table.errors(known)
+    for key, sigma, level in zip(ERRORS, SIGMAS, PROTECTION, strict=True):
+        name, limit = key.rsplit("_", 1)[0], getattr(ALERT_LIMITS[0], key)
+        of_sigma, of_level = table.columns[sigma][known], table.columns[level][known]
+        metrics += integrity.integrity_metrics(name, everything[key], of_sigma, of_level, limit, tracking[known])
+    if known.any():
+        metrics += _of_all_directions(table, known)
+    return metrics
+
+
+def _of_all_directions(table: TrackTable, known: np.ndarray) -> list[Metric]:
+    """NEES with its band, share inside of three sigmas and beyond a protection level, over the three directions."""
+    errors = np.column_stack(list(table.errors(known).values()))
+    sigma = np.column_stack([table.columns[key][known] for key in SIGMAS])
+    level = np.column_stack([table.columns[key][known] for key in PROTECTION])
+    report = integrity.nees(table.columns[NEES][known], 3, num_independent=integrity.independent_frames(errors / sigma))
+    beyond = np.any(np.abs(errors) > level, axis=1)
+    return [
+        Metric("integrity.nees", report.mean, "ratio", "report"),
+        Metric("integrity.nees_low", report.low, "ratio", "report"),
+        Metric("integrity.nees_high", report.high, "ratio", "report"),
+        Metric("integrity.in_3_sigma", integrity.sigma_coverage(errors.ravel(), sigma.ravel()), "share", "higher"),
+        Metric("integrity.protection_violations", float(np.mean(beyond)), "share", "lower"),
+    ]
+
+
+def summary(table: TrackTable, timing: Timing) -> str:
+    """One or two lines for people."""
+    counts = {s: sum(x == s for x in table.status) for s in TrackStatus}
+    said = ", ".join(f"{s.name} {count}" for s, count in counts.items() if count)
+    stages = timing.stages_ms()
+    speed = f"real-time factor {timing.realtime_factor:.1f}, {stages['localize.mean']:.0f} ms a frame to localize"
+    dropped = f", {timing.num_dropped} frames dropped" if timing.num_dropped else ""
+    return f"{len(table)} frames: {said}\n{speed} (p99 {stages['localize.p99']:.0f} ms){dropped}"
+
+
+def _reference(drive: Drive, table: TrackTable) -> Trajectory:
+    """True poses of all frames of the table."""
+    time_s = table.columns["time_s"]
+    truth = drive.truth
+    if truth is None or time_s[0] < truth.time_s[0] or time_s[-1] > truth.time_s[-1]:
+        return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+    return Trajectory(time_s, truth.interpolate(time_s))

@@ -1,0 +1,147 @@
+"""Pictures of a tracked drive (room: reports).
+
+In: the table of a run, the drive, the map. Out: tracking.png, stanford.png, track.mp4, overlays/*.png.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from semloc_jax import viz
+from semloc_jax.datasets import Frame
+from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation.metrics import ALERT_LIMITS
+from semloc_jax.inputs.mask_source import MaskSource
+from semloc_jax.localization.map_window import MapWindows
+from semloc_jax.maps import SemanticMap
+from semloc_jax.reports.track_log import PROTECTION, SIGMAS, TrackTable
+from semloc_jax.viz.integrity import Direction, stanford_diagram
+from semloc_jax.viz.overlay import dim
+from semloc_jax.viz.tracking import status_banner, tracking_over_time
+
+VIDEO_WIDTH_PX = 960
+NAMES = ("lateral [m]", "longitudinal [m]", "heading [deg]")
+
+
+def write_timeline(folder: Path, table: TrackTable) -> Path:
+    """Draw errors, protection levels and status over time."""
+    limit = ALERT_LIMITS[0]
+    limits = dict(zip(NAMES, (limit.lateral_m, limit.longitudinal_m, limit.heading_deg), strict=True))
+    errors = dict(zip(NAMES, table.errors(np.ones(len(table), dtype=bool)).values(), strict=True))
+    levels = {name: table.columns[key] for name, key in zip(NAMES, PROTECTION, strict=True)}
+    figure = tracking_over_time(table.columns["time_s"], table.status, errors, levels, limits)
+    return viz.save(figure, folder / "tracking.png")
+
+
+def write_stanford(folder: Path, table: TrackTable) -> Path | None:
+    """Draw errors against protection levels where the drive has a truth; only frames called TRACKING have a level."""
+    limit = ALERT_LIMITS[0]
+    limits = (limit.lateral_m, limit.longitudinal_m, limit.heading_deg)
+    errors = table.errors(np.ones(len(table), dtype=bool)).values()
+    if not any(np.isfinite(error).any() for error in errors):
+        return None
+    directions = {}
+    for name, error, key, bound in zip(NAMES, errors, PROTECTION, limits, strict=True):
+        word, unit = name.rstrip("]").split(" [")
+        level = np.where(table.is_tracking, table.columns[key], np.inf)
+        directions[word] = Direction(error, level, bound, unit)
+    return viz.save(stanford_diagram(directions), folder / "stanford.png")
+
+
+class Overlay:
+    """Draws the map into the images of a drive as seen from the poses of a run."""
+
+    def __init__(self, semantic_map: SemanticMap, source: MaskSource, table: TrackTable):
+        """Prepare the map; pictures are of the first camera."""
+        self.windows, self.source, self.table = MapWindows(semantic_map, 62.0, 0.25, 8192), source, table
+        self._row = {frame: row for row, frame in enumerate(table.frames)}
+        rows = np.flatnonzero(table.has_pose)
+        self._pose = dict(zip(rows, table.trajectory().T_map_base, strict=True))
+
+    def row(self, frame: Frame) -> int:
+        """Line of the table of a frame."""
+        return self._row[frame.id]
+
+    def pose(self, row: int) -> np.ndarray | None:
+        """Pose T_map_base of a line; None where it has none."""
+        return self._pose.get(row)
+
+    def picture(self, frame: Frame, width_px: int = VIDEO_WIDTH_PX) -> np.ndarray:
+        """Image or mask of a frame with the contours of the map and a bar with its status; red green blue."""
+        row = self._row[frame.id]
+        name = self.source.cameras[0]
+        rig = frame.rig.select(self.source.cameras)
+        if frame.has("rgb", name):
+            image, camera = dim(frame.image(name)[..., ::-1], 0.75), rig.cameras[0]
+        else:
+            mask = self.source.segment(frame, name)
+            image, camera = viz.mask_picture(mask, self.source.table), self.source.camera_rig(rig).cameras[0]
+        if row in self._pose:
+            T = self._pose[row]
+            window = self.windows.around(T[:3, 3])
+            origin = window.local_map.origin_map
+            contours = viz.project_contours(window.samples, origin, T, camera, rig.T_base_cam[0])
+            image = viz.draw_contours(image, contours)
+        height_px = 2 * round(0.5 * image.shape[0] * width_px / image.shape[1])
+        image = cv2.resize(np.ascontiguousarray(image), (width_px, height_px), interpolation=cv2.INTER_AREA)
+        return status_banner(image, self.table.status[row], self._text(frame, row))
+
+    def _text(self, frame: Frame, row: int) -> str:
+        columns = self.table.columns
+        sigma = (
+            f"sigma {100 * columns['sigma_lateral_m'][row]:.1f} / {100 * columns['sigma_longitudinal_m'][row]:.1f} cm"
+        )
+        text = f"{frame.id}  {self.table.status[row].name}  {sigma}"
+        if np.isfinite(columns["error_lateral_m"][row]):
+            across, along = columns["error_lateral_m"][row], columns["error_longitudinal_m"][row]
+            text += f"  error {100 * across:+.1f} / {100 * along:+.1f} cm"
+        reasons = self.table.reasons[row]
+        return text + (f"  {reasons}" if reasons else "")
+
+
+def write_video(path: Path, overlay: Overlay, frames: list[Frame], rate_hz: float) -> Path:
+    """Write all frames as a film.
+
+    Raises:
+        SemlocError: this OpenCV cannot write films.
+    """
+    writer = None
+    for frame in frames:
+        picture = overlay.picture(frame)
+        if writer is None:
+            size = picture.shape[1], picture.shape[0]
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), rate_hz, size)
+            if not writer.isOpened():
+                raise SemlocError(f"video {path}: OpenCV cannot write mp4 here; leave out --video")
+        writer.write(picture[..., ::-1])
+    if writer is not None:
+        writer.release()
+    return path
+
+
+def write_strip(folder: Path, overlay: Overlay, frames: list[Frame], count: int) -> list[Path]:
+    """Write `count` pictures, spread over the drive."""
+    if count < 1 or not frames:
+        return []
+    (folder / "overlays").mkdir(exist_ok=True)
+    chosen = np.unique(np.linspace(0, len(frames) - 1, count).astype(int))
+    return [viz.save(overlay.picture(frames[k]), folder / "overlays" / f"{frames[k].id}.png") for k in chosen]
+
+
+def write_rrd(path: Path, semantic_map: SemanticMap, drive: Drive, overlay: Overlay, frames: list[Frame]) -> Path:
+    """Write the run as a recording for Rerun."""
+    from semloc_jax.viz.recording import Moment, write_recording
+
+    table = overlay.table
+
+    def moment(frame: Frame) -> Moment:
+        row = overlay.row(frame)
+        numbers = {name: float(table.columns[name][row]) for name in (*SIGMAS, *PROTECTION, "cost", "chi2")}
+        has_truth = drive.truth is not None and drive.truth.time_s[0] <= frame.time_s <= drive.truth.time_s[-1]
+        truth = drive.truth_at(frame) if has_truth else None
+        status = f"{table.status[row].name} {table.reasons[row]}".strip()
+        return Moment(frame.time_s, overlay.pose(row), truth, status, numbers, overlay.picture(frame, 640))
+
+    return write_recording(path, semantic_map, (moment(frame) for frame in frames))

@@ -1,0 +1,1 @@
+"""What JAX runs on: environment, compiled programs on disk, memory (room)."""

@@ -1,0 +1,172 @@
+"""Compiled programs kept on disk: a new process starts without tracing and compiling (room: runtime; host).
+
+In: a function of arrays and static configuration. Out: the same function, whose program is loaded where one was stored.
+JAX's own compilation cache saves compiling only; tracing and lowering take most of the start of a warm process.
+"""
+
+import functools
+import hashlib
+import inspect
+import logging
+import os
+import pickle
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from semloc_jax.native import build
+
+_PACKAGE = Path(__file__).parents[1]
+_SOURCES = ("*.py", "native/src/*")
+"""What a program may be traced from: any room of the package, so that no room can be forgotten."""
+_MOST_FILES = 256
+_log = logging.getLogger(__name__)
+
+
+def stored_program(*static_argnames: str) -> Callable[[Callable], "StoredProgram"]:
+    """Decorator: `jax.jit` whose programs outlive the process, where JAX has a compilation cache on disk."""
+    return lambda function: StoredProgram(function, static_argnames)
+
+
+class StoredProgram:
+    """A jitted function with programs on disk. Inside another traced function it is an ordinary jitted function."""
+
+    def __init__(self, function: Callable, static_argnames: tuple[str, ...]) -> None:
+        """Static arguments must be hashable and have a repr that tells them apart (frozen dataclasses do)."""
+        functools.update_wrapper(self, function)
+        self.static_argnames = static_argnames
+        self.jitted = jax.jit(function, static_argnames=static_argnames)
+        self._signature = inspect.signature(function)
+        self._programs: dict[tuple, tuple[Callable, Any]] = {}
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """The result of the function."""
+        folder = _folder()
+        if folder is None:
+            return self.jitted(*args, **kwargs)
+        bound = self._signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        static = {name: bound.arguments.pop(name) for name in self.static_argnames}
+        leaves, tree = jax.tree.flatten(dict(bound.arguments))
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return self.jitted(*args, **kwargs)
+        leaves = [_array(leaf) for leaf in leaves]
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        key = (tuple(static.items()), tree, shapes, jax.config.jax_enable_x64)
+        if key not in self._programs:
+            self._programs[key] = self._obtain(folder, static, tree, leaves)
+        program, skeleton = self._programs[key]
+        return jax.tree.unflatten(jax.tree.structure(skeleton), program(*leaves))
+
+    def _obtain(self, folder: Path, static: dict, tree: Any, leaves: list) -> tuple[Callable, Any]:
+        """The program, from disk or compiled and written there, and the structure of its result."""
+        name = f"{self.__name__}_{self._fingerprint(static, tree, leaves)}"
+        path = folder / f"{name}.bin"
+        loaded = _load(path, leaves)
+        if loaded is not None:
+            return loaded
+
+        skeletons = []
+
+        def flat(*flat_leaves: jax.Array) -> tuple:
+            result = self.__wrapped__(**jax.tree.unflatten(tree, flat_leaves), **static)
+            skeletons.append(jax.tree.map(lambda _: 0, result))
+            return tuple(jax.tree.leaves(result))
+
+        flat.__name__ = name
+        compiled = _compile_afresh(flat, leaves)
+        skeleton = skeletons[-1]
+        _store(path, compiled, skeleton)
+        return compiled, skeleton
+
+    def _fingerprint(self, static: dict, tree: Any, leaves: list) -> str:
+        shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
+        parts = (self.__module__, static, str(tree), shapes, jax.config.jax_enable_x64, _environment())
+        return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
+
+
+def _array(leaf: Any) -> Any:
+    """Arrays and numbers of the host in the type that JAX gives them."""
+    if isinstance(leaf, jax.Array):
+        return leaf
+    leaf = np.asarray(leaf)
+    return leaf.astype(jax.dtypes.canonicalize_dtype(leaf.dtype), copy=False)
+
+
+def _folder() -> Path | None:
+    cache = jax.config.jax_compilation_cache_dir
+    return Path(cache) / "programs" if cache else None
+
+
+@functools.cache
+def _environment() -> str:
+    """All that a program depends on besides its arguments: versions, flags, devices, the sources of this package."""
+    import jaxlib
+
+    sources = hashlib.sha256()
+    for path in sorted(path for pattern in _SOURCES for path in _PACKAGE.rglob(pattern)):
+        sources.update(f"{path.relative_to(_PACKAGE)} {path.stat().st_size}\n".encode())
+        sources.update(path.read_bytes())
+    devices = [str(device) for device in jax.devices()]
+    settings = (os.environ.get("XLA_FLAGS", ""), build.is_available(), build.processor())
+    return repr((jax.__version__, jaxlib.__version__, devices, settings, sources.hexdigest()))
+
+
+def _compile_afresh(function: Callable, leaves: list) -> Callable:
+    """The compiled function, which JAX's cache neither gives nor keeps: what came from there cannot be stored."""
+    limit = jax.config.jax_persistent_cache_min_compile_time_secs
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", float("inf"))
+    try:
+        return jax.jit(function).lower(*leaves).compile()
+    finally:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", limit)
+
+
+def _load(path: Path, leaves: list) -> tuple[Callable, Any] | None:
+    from jax.experimental import serialize_executable
+
+    try:
+        payload, skeleton = pickle.loads(path.read_bytes())
+        _prepare_linear_algebra()
+        in_tree = jax.tree.structure(((0,) * len(leaves), {}))
+        out_tree = jax.tree.structure((0,) * len(jax.tree.leaves(skeleton)))
+        program = serialize_executable.deserialize_and_load(payload, in_tree, out_tree)
+        program(*leaves)  # a program that lacks a part says so only when it runs
+        return program, skeleton
+    except FileNotFoundError:
+        return None
+    except Exception as error:  # whatever is wrong with a stored program, it can be made anew
+        _log.debug("program %s: not loaded (%s); compiled anew", path, error)
+        return None
+
+
+@functools.cache
+def _prepare_linear_algebra() -> None:
+    """Let JAX fill in the addresses of LAPACK, which it does when it lowers a program that calls it, not when it loads
+    one: the call would jump to address zero."""
+    jax.jit(jax.numpy.linalg.eigvalsh).lower(np.eye(2, dtype=np.float32))
+
+
+def _store(path: Path, compiled: Any, skeleton: Any) -> None:
+    from jax.experimental import serialize_executable
+
+    try:
+        payload, _, _ = serialize_executable.serialize(compiled)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, partial = tempfile.mkstemp(dir=path.parent)
+        with os.fdopen(handle, "wb") as file:
+            file.write(pickle.dumps((payload, skeleton)))
+        os.replace(partial, path)
+        _forget_oldest(path.parent)
+    except Exception as error:  # a platform that cannot store programs, a full or read-only disk
+        _log.debug("program %s: not stored (%s)", path, error)
+
+
+def _forget_oldest(folder: Path) -> None:
+    files = sorted(folder.glob("*.bin"), key=lambda path: path.stat().st_mtime)
+    for path in files[:-_MOST_FILES]:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,19 @@
+"""Seeded drives, made from nothing or on a map: exact masks, masks like a network's, images, sensors, maps, truth."""
+
+from semloc_jax.simulation.degrade import Degradation, degrade
+from semloc_jax.simulation.map_drive import simulate_on_map
+from semloc_jax.simulation.map_errors import MapErrors
+from semloc_jax.simulation.route import RouteWish
+from semloc_jax.simulation.sensor_logs import SensorErrors
+from semloc_jax.simulation.simulate import SimulationConfig, simulate
+
+__all__ = [
+    "Degradation",
+    "MapErrors",
+    "RouteWish",
+    "SensorErrors",
+    "SimulationConfig",
+    "degrade",
+    "simulate",
+    "simulate_on_map",
+]

@@ -1,0 +1,160 @@
+"""Sensor logs of a simulated drive with stated errors (room: simulation; host).
+
+In: the true motion. Out: rows of gps.csv, wheel_odom.csv and imu.csv.
+"""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from semloc_jax.maps import GeoOrigin
+from semloc_jax.simulation.motion import Motion
+
+_GRAVITY_MPS2 = 9.80665
+_EARTH_RADIUS_M = 6_378_137.0
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """Errors of the sensors; the defaults are ours, of a consumer receiver and a production car.
+
+    Args:
+        gnss_bias_m: standard deviation of the error that all fixes of a drive share.
+        gnss_walk_m: standard deviation of the slowly changing error (correlated over 10 s).
+        gnss_noise_m: standard deviation of the independent error of each fix.
+        gnss_outlier_share: share of fixes that are 5-12 m off.
+        gnss_dropout_s: length of the gap without fixes; placed in the middle of the log.
+        speed_scale: standard deviation of the scale error of the wheel speed.
+        yaw_scale: standard deviation of the scale error of the yaw rate.
+        speed_noise_mps: standard deviation of the speed.
+        yaw_rate_noise_radps: standard deviation of the yaw rate.
+        gyro_bias_radps: standard deviation of the gyroscope bias.
+        accel_bias_mps2: standard deviation of the accelerometer bias.
+    """
+
+    gnss_bias_m: float = 1.0
+    gnss_walk_m: float = 0.4
+    gnss_noise_m: float = 0.3
+    gnss_outlier_share: float = 0.04
+    gnss_dropout_s: float = 1.5
+    speed_scale: float = 0.008
+    yaw_scale: float = 0.01
+    speed_noise_mps: float = 0.03
+    yaw_rate_noise_radps: float = 0.004
+    gyro_bias_radps: float = 0.001
+    accel_bias_mps2: float = 0.05
+
+
+def write_sensor_logs(
+    folder: Path,
+    motion: Motion,
+    start_s: float,
+    end_s: float,
+    errors: SensorErrors,
+    origin: GeoOrigin,
+    rng: np.random.Generator,
+) -> dict:
+    """Write the three logs of the time from `start_s` to `end_s`; returns the drawn errors for meta.json."""
+    scales = {
+        "odo_speed_scale": 1.0 + errors.speed_scale * rng.normal(),
+        "odo_yaw_scale": 1.0 + errors.yaw_scale * rng.normal(),
+    }
+    biases = {
+        "gps_bias": (errors.gnss_bias_m * rng.normal(size=3) * [1.0, 1.0, 1.5]).tolist(),
+        "gyro_bias": (errors.gyro_bias_radps * rng.normal(size=3)).tolist(),
+        "acc_bias": (errors.accel_bias_mps2 * rng.normal(size=3)).tolist(),
+    }
+    _write_gnss(
+        folder / "gps.csv", motion, np.arange(start_s, end_s, 0.2), errors, np.array(biases["gps_bias"]), origin, rng
+    )
+    _write_wheel(folder / "wheel_odom.csv", motion, np.arange(start_s, end_s, 0.02), errors, scales, rng)
+    _write_imu(folder / "imu.csv", motion, np.arange(start_s, end_s, 0.01), biases, rng)
+    return {**scales, **biases, "errors": asdict(errors), "gps_antenna": "body origin"}
+
+
+def _write_gnss(
+    path: Path,
+    motion: Motion,
+    time_s: np.ndarray,
+    errors: SensorErrors,
+    bias: np.ndarray,
+    origin: GeoOrigin,
+    rng: np.random.Generator,
+) -> None:
+    middle = 0.5 * (time_s[0] + time_s[-1])
+    is_received = np.abs(time_s - middle) > 0.5 * errors.gnss_dropout_s
+    decay = np.exp(-0.2 / 10.0)
+    walk = np.zeros((len(time_s), 3))
+    walk[0] = rng.normal(size=3)
+    for k in range(1, len(time_s)):
+        walk[k] = decay * walk[k - 1] + np.sqrt(1.0 - decay**2) * rng.normal(size=3)
+    p = motion.poses(time_s)[:, :3, 3] + bias + errors.gnss_walk_m * walk
+    p += errors.gnss_noise_m * rng.normal(size=p.shape)
+    direction = rng.uniform(0.0, 2.0 * np.pi, len(time_s))
+    size = np.where(rng.random(len(time_s)) < errors.gnss_outlier_share, rng.uniform(5.0, 12.0, len(time_s)), 0.0)
+    p[:, :2] += size[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
+    stated = np.sqrt(errors.gnss_bias_m**2 + errors.gnss_walk_m**2 + errors.gnss_noise_m**2)
+    lines = ["t,lat_deg,lon_deg,alt_m,east_m,north_m,up_m,sigma_e,sigma_n,sigma_u"]
+    for t, (east, north, up), received in zip(time_s, p, is_received, strict=True):
+        if received:
+            lat, lon = _to_degrees(east, north, origin)
+            lines.append(
+                f"{t:.3f},{lat:.9f},{lon:.9f},{origin.alt_m + up:.3f},{east:.3f},{north:.3f},{up:.3f},"
+                f"{stated:.2f},{stated:.2f},{1.5 * stated:.2f}"
+            )
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _to_degrees(east_m: float, north_m: float, origin: GeoOrigin) -> tuple[float, float]:
+    """Latitude and longitude on a sphere: within centimetres over the few hundred metres of a simulated drive."""
+    lat = origin.lat_deg + np.degrees(north_m / _EARTH_RADIUS_M)
+    return lat, origin.lon_deg + np.degrees(east_m / (_EARTH_RADIUS_M * np.cos(np.radians(origin.lat_deg))))
+
+
+def _write_wheel(
+    path: Path,
+    motion: Motion,
+    time_s: np.ndarray,
+    errors: SensorErrors,
+    scales: dict[str, float],
+    rng: np.random.Generator,
+) -> None:
+    step = _steps(motion, time_s)
+    speed = step[:, 0, 3] / 0.02 * scales["odo_speed_scale"] + errors.speed_noise_mps * rng.normal(size=len(time_s))
+    yaw_rate = np.arctan2(step[:, 1, 0], step[:, 0, 0]) / 0.02 * scales["odo_yaw_scale"]
+    yaw_rate = yaw_rate + errors.yaw_rate_noise_radps * rng.normal(size=len(time_s))
+    lines = ["t,v_m_s,yaw_rate_rad_s,v_left,v_right"]
+    lines += [
+        f"{t:.5f},{v:.5f},{w:.5f},{v - 0.8 * w:.5f},{v + 0.8 * w:.5f}"
+        for t, v, w in zip(time_s, speed, yaw_rate, strict=True)
+    ]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _write_imu(
+    path: Path, motion: Motion, time_s: np.ndarray, biases: dict[str, list[float]], rng: np.random.Generator
+) -> None:
+    half = 0.005
+    poses = [motion.poses(time_s + offset) for offset in (-half, 0.0, half)]
+    turn = np.swapaxes(poses[0][:, :3, :3], 1, 2) @ poses[2][:, :3, :3]
+    gyro = Rotation.from_matrix(turn).as_rotvec() / (2.0 * half) + biases["gyro_bias"]
+    gyro += 0.002 * rng.normal(size=gyro.shape)
+    # A wider stencil for the second derivative keeps rounding and the knots of the path out of it.
+    wide = 0.1
+    before, after = motion.poses(time_s - wide)[:, :3, 3], motion.poses(time_s + wide)[:, :3, 3]
+    accel_map = (before - 2.0 * poses[1][:, :3, 3] + after) / wide**2 + [0.0, 0.0, _GRAVITY_MPS2]
+    accel = np.einsum("nji,nj->ni", poses[1][:, :3, :3], accel_map) + biases["acc_bias"]
+    accel += 0.03 * rng.normal(size=accel.shape)
+    lines = ["t,gx_rad_s,gy,gz,ax_m_s2,ay,az"]
+    lines += [
+        f"{t:.5f}," + ",".join(f"{value:.5f}" for value in (*w, *a))
+        for t, w, a in zip(time_s, gyro, accel, strict=True)
+    ]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _steps(motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    """T_base(t - 10 ms)_base(t + 10 ms) for each time."""
+    return np.linalg.inv(motion.poses(time_s - 0.01)) @ motion.poses(time_s + 0.01)

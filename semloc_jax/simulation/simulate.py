@@ -1,0 +1,218 @@
+"""A whole simulated drive on disk, in the drive layout (room: simulation; host).
+
+In: kind, seed, folder. Out: Sequence of the drive just written.
+"""
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from semloc_jax.cameras import Rig, write_calibration
+from semloc_jax.datasets.base import Sequence
+from semloc_jax.datasets.drive import CLASS_IDS, read_drive
+from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation.trajectory import Trajectory, write_tum
+from semloc_jax.maps import GeoOrigin, SemanticMap, write_drive_geojson
+from semloc_jax.simulation.cameras import front_rig, surround_rig
+from semloc_jax.simulation.degrade import Degradation, degrade
+from semloc_jax.simulation.garage import build_garage
+from semloc_jax.simulation.map_errors import MapErrors, with_errors
+from semloc_jax.simulation.motion import Motion
+from semloc_jax.simulation.render import PixelRays, render
+from semloc_jax.simulation.road import build_road
+from semloc_jax.simulation.scene import Scene
+from semloc_jax.simulation.sensor_logs import SensorErrors, write_sensor_logs
+from semloc_jax.simulation.shade import LIGHTINGS, Lighting, shade
+from semloc_jax.simulation.solids import Box
+
+_ORIGIN = GeoOrigin(48.0712, 11.6523, 512.0)
+LEAD_IN_S, _LEAD_OUT_S = 3.0, 1.0
+"""Sensor logs run before the first and after the last frame."""
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """What a simulated drive is like.
+
+    Args:
+        num_frames: frames to render.
+        rate_hz: frames per second; 0 takes 10 (road) or 5 (garage).
+        speed_mps: mean speed; 0 takes 11 (road) or 2.2 (garage).
+        width_px: image width; 0 takes 960 (road) or 640 (garage).
+        height_px: image height; 0 takes 600 (road) or 480 (garage).
+        variants: lightings, in equal parts of the drive; empty takes noon (road) or garage.
+        wear_share: share of the paint that is worn off (labelled as the ground below it).
+        has_images: whether colour images are written too.
+        sensors: errors of the sensors.
+        map_errors: faults of map_with_errors.geojson.
+        degradation: how bad the network's masks are.
+    """
+
+    num_frames: int = 30
+    rate_hz: float = 0.0
+    speed_mps: float = 0.0
+    width_px: int = 0
+    height_px: int = 0
+    variants: tuple[str, ...] = ()
+    wear_share: float = 0.05
+    has_images: bool = True
+    sensors: SensorErrors = field(default_factory=SensorErrors)
+    map_errors: MapErrors = field(default_factory=MapErrors)
+    degradation: Degradation = field(default_factory=Degradation)
+
+
+_DEFAULTS = {
+    "road": {"rate_hz": 10.0, "speed_mps": 11.0, "width_px": 960, "height_px": 600, "variants": ("noon",)},
+    "garage": {"rate_hz": 5.0, "speed_mps": 2.2, "width_px": 640, "height_px": 480, "variants": ("garage",)},
+}
+
+
+def simulate(
+    kind: str, seed: int, out: str | Path, config: SimulationConfig | None = None, rig: Rig | None = None
+) -> Sequence:
+    """Render a seeded drive into the folder `out` and open it.
+
+    Args:
+        kind: `road` (one front camera) or `garage` (four fisheyes).
+        seed: everything random follows from it.
+        out: folder, made if absent.
+        config: size and errors of the drive.
+        rig: other cameras; width and height of `config` then play no role.
+
+    Raises:
+        SemlocError: unknown kind or lighting, no frames.
+    """
+    config = checked(kind, config or SimulationConfig())
+    rng = np.random.default_rng([seed, sorted(_DEFAULTS).index(kind)])
+    length_m = config.speed_mps * ((config.num_frames - 1) / config.rate_hz + _LEAD_OUT_S)
+    if kind == "road":
+        scene = build_road(rng, length_m, config.speed_mps, config.wear_share)
+    else:
+        scene = build_garage(rng, length_m, config.wear_share)
+    sway_m = 0.15 if kind == "road" else 0.0
+    motion = Motion(scene.path, scene.surface, config.speed_mps, sway_m, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
+    if rig is None:
+        rig = (front_rig if kind == "road" else surround_rig)(config.width_px, config.height_px)
+    staging = Staging(kind, seed, scene, motion, _ORIGIN, f"{kind} seed {seed}")
+    return write_drive(Path(out), staging, rig, config, rng)
+
+
+@dataclass(frozen=True)
+class Staging:
+    """A world and how the vehicle moves in it.
+
+    Args:
+        kind: word for meta.json.
+        seed: of the drive, for meta.json.
+        scene: the world.
+        motion: of the vehicle.
+        origin: place of the map frame on the earth; None where the map does not know it.
+        map_name: name of the map.
+        told: what else meta.json says.
+    """
+
+    kind: str
+    seed: int
+    scene: Scene
+    motion: Motion
+    origin: GeoOrigin | None
+    map_name: str
+    told: dict = field(default_factory=dict)
+
+
+def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig, rng: np.random.Generator) -> Sequence:
+    """Render a staged drive into the folder `out` and open it."""
+    scene, motion = staging.scene, staging.motion
+    out.mkdir(parents=True, exist_ok=True)
+    write_calibration(rig, out / "calib.yaml")
+    _write_maps(out, staging, config.map_errors, rng)
+    # Times count from the first frame; files count from the start of the logs.
+    time_s = np.arange(config.num_frames) / config.rate_hz
+    end_s = time_s[-1] + _LEAD_OUT_S
+    sensors = write_sensor_logs(out, motion, -LEAD_IN_S, end_s, config.sensors, staging.origin or _ORIGIN, rng)
+    _write_truth(out, motion, time_s, rig)
+    lightings = [LIGHTINGS[config.variants[k * len(config.variants) // len(time_s)]] for k in range(len(time_s))]
+    _write_frame_list(out, time_s, lightings)
+    _write_pictures(out, scene, motion, rig, time_s, lightings, config, rng)
+    meta = {"classes": CLASS_IDS, "kind": staging.kind, "seed": staging.seed, "variants": list(config.variants)}
+    meta |= {"sensors": sensors, **staging.told}
+    (out / "meta.json").write_text(json.dumps(meta, indent=1) + "\n")
+    return read_drive(out)
+
+
+def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
+    """The configuration with the defaults of a kind of drive filled in.
+
+    Raises:
+        SemlocError: unknown kind or lighting, no frames, a speed or rate that is not positive.
+    """
+    if kind not in _DEFAULTS:
+        raise SemlocError(f"unknown kind '{kind}'; expected one of {', '.join(_DEFAULTS)}")
+    if config.num_frames < 1:
+        raise SemlocError(f"num_frames = {config.num_frames}; expected at least 1")
+    missing = {key: value for key, value in _DEFAULTS[kind].items() if not getattr(config, key)}
+    config = replace(config, **missing)
+    for name in ("rate_hz", "speed_mps", "width_px", "height_px"):
+        if not getattr(config, name) > 0:
+            raise SemlocError(f"{name} = {getattr(config, name)}; expected a positive number")
+    unknown = [name for name in config.variants if name not in LIGHTINGS]
+    if unknown:
+        raise SemlocError(f"unknown variant '{unknown[0]}'; expected some of {', '.join(LIGHTINGS)}")
+    return config
+
+
+def _write_maps(out: Path, staging: Staging, errors: MapErrors, rng: np.random.Generator) -> None:
+    elements, origin, name = staging.scene.elements, staging.origin, staging.map_name
+    write_drive_geojson(SemanticMap(elements, origin, f"{name}, exact"), out / "map.geojson")
+    faulty, log = with_errors(elements, errors, rng)
+    write_drive_geojson(SemanticMap(faulty, origin, f"{name}, with errors"), out / "map_with_errors.geojson")
+    (out / "map_errors_log.json").write_text(json.dumps(log, indent=1) + "\n")
+
+
+def _write_truth(out: Path, motion: Motion, time_s: np.ndarray, rig: Rig) -> None:
+    T_map_base = motion.poses(time_s)
+    write_tum(Trajectory(time_s, T_map_base), out / "poses_body.tum")
+    for name, T_base_cam in zip(rig.names, np.asarray(rig.T_base_cam), strict=True):
+        write_tum(Trajectory(time_s, T_map_base @ T_base_cam), out / f"poses_cam_{name}.tum")
+
+
+def _write_frame_list(out: Path, time_s: np.ndarray, lightings: list[Lighting]) -> None:
+    rows = [f"{k:06d},{t:.6f},{light.name}" for k, (t, light) in enumerate(zip(time_s, lightings, strict=True))]
+    (out / "frames.csv").write_text("\n".join(["frame,t,variant", *rows]) + "\n")
+
+
+def _write_pictures(
+    out: Path,
+    scene: Scene,
+    motion: Motion,
+    rig: Rig,
+    time_s: np.ndarray,
+    lightings: list[Lighting],
+    config: SimulationConfig,
+    rng: np.random.Generator,
+) -> None:
+    rays = [PixelRays(camera) for camera in rig.cameras]
+    for kind in ("sem", "sem_net", *(("rgb",) if config.has_images else ())):
+        for name in rig.names:
+            (out / kind / name).mkdir(parents=True, exist_ok=True)
+    for index, (time, lighting) in enumerate(zip(time_s.tolist(), lightings, strict=True)):
+        T_map_base = motion.pose(time)
+        ego = [_carried(box, T_map_base) for box in scene.ego]
+        for name, pixel_rays, T_base_cam in zip(rig.names, rays, np.asarray(rig.T_base_cam), strict=True):
+            T_map_cam = T_map_base @ T_base_cam
+            view = render(scene, pixel_rays, T_map_cam, ego, time, config.has_images)
+            cv2.imwrite(str(out / "sem" / name / f"{index:06d}.png"), view.class_id)
+            net = degrade(view.class_id, rng, config.degradation)
+            cv2.imwrite(str(out / "sem_net" / name / f"{index:06d}.png"), net)
+            if config.has_images:
+                image = shade(view, T_map_cam[:3, 3], lighting, rng)
+                cv2.imwrite(str(out / "rgb" / name / f"{index:06d}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 90])
+
+
+def _carried(box: Box, T_map_base: np.ndarray) -> Box:
+    """A box of the base frame in the map frame."""
+    R = T_map_base[:3, :3]
+    return replace(box, center=R @ box.center + T_map_base[:3, 3], R_map_box=R @ box.R_map_box)

@@ -1,0 +1,116 @@
+"""When a pose may be used: every limit speaks for itself, in a sentence with its number."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semloc_jax.alignment.result import Mode
+from semloc_jax.alignment.verdict import VerdictConfig, judge
+from semloc_jax.structs import STATUS_TEXT, SolveStatus
+
+LIMITS = VerdictConfig(
+    max_cost=0.75,
+    min_coverage=0.2,
+    min_inlier_ratio=0.35,
+    min_weight=0.6,
+    max_sigma_lateral_m=0.25,
+    max_sigma_longitudinal_m=0.5,
+    max_sigma_heading_deg=0.5,
+    max_prior_sigmas=4.0,
+)
+GOOD = Mode(
+    weight=1.0,
+    T_map_base=np.eye(4),
+    covariance=np.diag(np.array([0.1, 0.02, 0.01, 0.001, 0.001, 0.001]) ** 2),
+    score=3.0,
+    cost=0.2,
+    coverage=0.8,
+    inlier_ratio=0.9,
+    weak_direction=np.eye(6)[0],
+)
+
+
+def verdict(*modes, status=SolveStatus.CONVERGED, away=1.0):
+    return judge(status, tuple(modes), away, LIMITS)
+
+
+def with_sigma(index, sigma):
+    covariance = GOOD.covariance.copy()
+    covariance[index, index] = sigma**2
+    return replace(GOOD, covariance=covariance)
+
+
+def far(weight):
+    T = np.eye(4)
+    T[:2, 3] = 3.0, 4.0
+    return replace(GOOD, weight=weight, T_map_base=T)
+
+
+def test_a_good_pose_has_no_reason_against_it():
+    assert verdict(GOOD) == (SolveStatus.CONVERGED, ())
+    assert verdict(GOOD, status=SolveStatus.MAX_STEPS) == (SolveStatus.MAX_STEPS, ())
+
+
+@pytest.mark.parametrize(
+    ("mode", "status", "says"),
+    [
+        (replace(GOOD, coverage=0.19), SolveStatus.NO_EVIDENCE, "19%"),
+        (replace(GOOD, cost=0.76), SolveStatus.POOR_FIT, "cost 0.76"),
+        (replace(GOOD, inlier_ratio=0.34), SolveStatus.POOR_FIT, "34%"),
+        (with_sigma(1, 0.26), SolveStatus.WEAK_DIRECTION, "lateral sigma 0.26 m exceeds 0.25 m"),
+        (with_sigma(0, 0.51), SolveStatus.WEAK_DIRECTION, "longitudinal sigma 0.51 m exceeds 0.5 m"),
+        (with_sigma(5, np.radians(0.6)), SolveStatus.WEAK_DIRECTION, "heading sigma 0.60 deg exceeds 0.5 deg"),
+        (with_sigma(1, np.nan), SolveStatus.WEAK_DIRECTION, "lateral sigma nan"),
+    ],
+)
+def test_each_limit_is_a_reason(mode, status, says):
+    given, reasons = verdict(mode)
+    assert given == status
+    assert len(reasons) == 1 and says in reasons[0]
+
+
+def test_just_inside_of_every_limit_is_good():
+    covariance = np.diag(np.array([0.499, 0.249, 0, 0, 0, np.radians(0.499)]) ** 2)
+    edge = replace(GOOD, cost=0.75, coverage=0.2, inlier_ratio=0.35, weight=0.6, covariance=covariance)
+    assert verdict(edge, far(0.4), away=4.0) == (SolveStatus.CONVERGED, ())
+
+
+def test_a_second_place_makes_it_ambiguous():
+    status, reasons = verdict(replace(GOOD, weight=0.55), far(0.45))
+    assert status == SolveStatus.AMBIGUOUS
+    assert reasons == ("a pose 5.0 m away holds 45% of the posterior",)
+
+
+def test_a_pose_far_from_the_prior_was_found_at_the_border():
+    status, reasons = verdict(GOOD, away=4.3)
+    assert status == SolveStatus.AT_SEARCH_BORDER
+    assert reasons == ("4.3 sigmas from the prior",)
+
+
+def test_all_reasons_are_told_and_the_first_names_the_status():
+    status, reasons = verdict(replace(with_sigma(1, 1.0), coverage=0.1, cost=0.9), away=9.0)
+    assert status == SolveStatus.NO_EVIDENCE
+    assert len(reasons) == 4
+
+
+@pytest.mark.parametrize("status", [SolveStatus.NO_EVIDENCE, SolveStatus.NOT_FINITE])
+def test_a_failed_solve_is_never_localized(status):
+    assert verdict(GOOD, status=status) == (status, (STATUS_TEXT[status],))
+
+
+def test_no_mode_at_all():
+    assert verdict() == (SolveStatus.NO_EVIDENCE, (STATUS_TEXT[SolveStatus.NO_EVIDENCE],))
+    assert verdict(status=SolveStatus.NOT_FINITE)[0] == SolveStatus.NOT_FINITE
+
+
+def test_one_mode_without_any_weight_is_judged_by_the_rest():
+    """Weights vanish where a covariance is singular; there is no second mode to name."""
+    status, reasons = verdict(replace(with_sigma(0, np.nan), weight=0.0))
+    assert status == SolveStatus.WEAK_DIRECTION
+    assert len(reasons) == 1
+
+
+def test_every_status_has_its_sentence():
+    assert set(STATUS_TEXT) == set(SolveStatus)
+    assert all(len(text) > 20 for text in STATUS_TEXT.values())

@@ -1,0 +1,62 @@
+"""A winding drive with known errors, as poses, motion increments and fixes: what every fusion is tried on."""
+
+import numpy as np
+
+from semloc_jax.fusion.measurements import GnssMeasurement, PoseMeasurement
+from semloc_jax.fusion.prediction import Calibration, MotionIncrement, MotionQuality
+from semloc_jax.geometry import rigid
+
+STEP_S = 0.1
+POSE_SIGMA = np.array([0.10, 0.03, 0.02, 0.002, 0.002, 0.001])
+MOTION_SIGMA = np.array([0.01, 0.005, 0.005, 0.0005, 0.0005, 0.0003])
+START = rigid.exp(np.array([300.0, -200.0, 10.0, 0.01, -0.02, 1.0]))
+
+
+def true_twist(k):
+    """Motion of step k: (v, omega) x 0.1 s."""
+    return STEP_S * np.array([10.0 + np.sin(0.2 * k), 0.0, 0.0, 0.01, -0.01, 0.2 * np.sin(0.1 * k)])
+
+
+def true_poses(num, start=START):
+    poses = [start]
+    for k in range(num):
+        poses.append(poses[-1] @ rigid.exp(true_twist(k)))
+    return poses
+
+
+def increment(k, rng=None, calibration=None, scale=1.0, bias=0.0, twist=None):
+    """Increment of step k as sensors with errors and an assumed calibration give it, noise included."""
+    calibration = calibration or Calibration()
+    twist = (true_twist(k) if twist is None else twist).copy()
+    driven = twist[0] / scale
+    twist[0] = driven * calibration.odometer_scale
+    twist[5] += STEP_S * (bias - calibration.gyro_bias_radps)
+    chart = rigid.right_jacobian(twist)
+    jacobian = np.column_stack([chart[:, 0] * driven, -chart[:, 5] * STEP_S])
+    noise = rng.normal(size=6) * MOTION_SIGMA if rng is not None else np.zeros(6)
+    T = rigid.exp(twist) @ rigid.exp(-noise)
+    return MotionIncrement(
+        T, np.diag(MOTION_SIGMA**2), k * STEP_S, (k + 1) * STEP_S, jacobian, MotionQuality.OK, calibration
+    )
+
+
+def missing(k):
+    covariance = np.diag(np.array([1.5, 0.2, 0.2, 0.002, 0.002, 0.03]) ** 2)
+    jacobian = np.zeros((6, 2))
+    return MotionIncrement(np.eye(4), covariance, k * STEP_S, (k + 1) * STEP_S, jacobian, MotionQuality.MISSING)
+
+
+def measured(k, T, rng=None, sigma=POSE_SIGMA):
+    """Pose measurement at step k around T."""
+    noise = rng.normal(size=6) * sigma if rng is not None else np.zeros(6)
+    return PoseMeasurement(k * STEP_S, T @ rigid.exp(noise), np.diag(sigma**2))
+
+
+def fix(k, T, offset=(0.0, 0.0), rng=None, sigma=0.5):
+    noise = rng.normal(size=3) * sigma if rng is not None else np.zeros(3)
+    return GnssMeasurement(k * STEP_S, T[:3, 3] + [*offset, 0.0] + noise, np.full(3, sigma))
+
+
+def error(T_estimate, T_true):
+    """Right tangent from estimate to truth."""
+    return rigid.log(rigid.inverse(T_estimate) @ T_true)

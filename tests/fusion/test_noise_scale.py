@@ -1,0 +1,82 @@
+"""How large the errors of measured poses are and how long they hold, learned from series with known errors."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.fusion.kalman import KalmanFusion
+from semloc_jax.fusion.measurements import PoseMeasurement
+from semloc_jax.fusion.noise_scale import (
+    DIRECTIONS,
+    NoiseConfig,
+    correlation_m,
+    factors,
+    learned,
+    marginal,
+    of_a_series,
+    unknown_noise,
+    without_poses,
+)
+from semloc_jax.geometry import rigid
+from tests.fusion.fusion_drive import STEP_S, error, increment, true_poses
+
+MODEL = np.diag([0.10, 0.03, 0.02, 0.002, 0.002, 0.003]) ** 2
+CONFIG = NoiseConfig(share=1.0)
+
+
+def driven(scale, length_m, num=500, seed=0):
+    """A filter on a drive of about a metre a frame whose measured poses are off by `scale` sigmas of the noise model,
+    the same over `length_m`: what was learned, and the normalised squared errors of the fused poses."""
+    rng, poses = np.random.default_rng(seed), true_poses(num)
+    rho = np.exp(-1.0 / length_m) if length_m > 0 else 0.0
+    fusion, noise, off = KalmanFusion(), unknown_noise(), rng.normal(size=6)
+    state, squares = None, []
+    for k, T in enumerate(poses):
+        off = rho * off + np.sqrt(1.0 - rho**2) * rng.normal(size=6)
+        measurement = PoseMeasurement(k * STEP_S, T @ rigid.exp(scale * off * np.sqrt(np.diag(MODEL))), MODEL)
+        if state is None:
+            state = fusion.start(measurement)
+            continue
+        step = increment(k - 1, rng)
+        state = fusion.predict(state, step)
+        alone = marginal(MODEL, noise, CONFIG)
+        state, _ = fusion.correct(state, measurement._replace(covariance=of_a_series(alone, 1.0, noise, CONFIG)))
+        fused = fusion.pose(state)
+        noise = learned(noise, measurement, fused, step, 1.0, CONFIG)
+        e = error(fused.T_map_base, T)[DIRECTIONS]
+        squares.append(e @ np.linalg.solve(fused.covariance[np.ix_(DIRECTIONS, DIRECTIONS)], e) / 3.0)
+    return noise, np.array(squares[100:])
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_errors_other_than_the_noise_model_are_found(scale):
+    noise, squares = driven(scale, 0.0)
+    # The noise model itself counts as some frames.
+    believed, seen = CONFIG.believed_frames, CONFIG.memory_frames
+    expected = (believed + seen * scale**2) / (believed + seen)
+    assert factors(noise, CONFIG) == pytest.approx(expected, rel=0.45)
+    assert correlation_m(noise, CONFIG).max() < 1.0
+    assert 0.5 < squares.mean() < 1.6
+
+
+def test_errors_that_stay_the_same_for_metres_are_found_and_do_not_make_a_filter_too_sure():
+    noise, squares = driven(1.0, 3.0)
+    assert 1.5 < np.median(correlation_m(noise, CONFIG)) < 6.0
+    assert 0.4 < squares.mean() < 2.0
+    # A filter that takes them for independent is too sure.
+    assert of_a_series(MODEL, 1.0, noise, CONFIG)[0, 0] > 2.0 * MODEL[0, 0]
+
+
+def test_a_vehicle_that_stands_learns_next_to_nothing():
+    noise = unknown_noise()
+    standing, driving = (of_a_series(MODEL, way_m, noise, CONFIG)[0, 0] / MODEL[0, 0] for way_m in (0.0, 5.0))
+    assert standing > 60.0
+    assert driving == pytest.approx(1.0, abs=0.02)
+
+
+def test_poses_of_another_path_are_not_compared():
+    noise, _ = driven(1.0, 0.0, num=20)
+    far, T = without_poses(noise), rigid.exp(np.array([50.0, 0, 0, 0, 0, 0]))
+    again = learned(far, PoseMeasurement(9.0, T, MODEL), KalmanFusion().pose(KalmanFusion().start(
+        PoseMeasurement(9.0, T, MODEL))), increment(0), 1.0, CONFIG)  # fmt: skip
+    assert np.array_equal(again.far, noise.far)
+    assert np.array_equal(factors(again, CONFIG), factors(noise, CONFIG))

@@ -1,0 +1,46 @@
+"""Masks that are smaller than their images, and moved, are seen by a camera to which the same points project."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.cameras import PinholeCamera, Rig
+from semloc_jax.datasets import Frame, open_sequence
+from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import MaskSource
+from semloc_jax.perception import load_class_table
+
+RIG = Rig([PinholeCamera(800.0, 800.0, 639.5, 359.5, 1280, 720)], np.eye(4)[None], ["front"])
+
+
+def small(frame, camera):
+    return np.ones((180, 320), np.uint8)
+
+
+def test_the_camera_of_small_masks_sees_the_same_points():
+    source = MaskSource(
+        "net", load_class_table("lane_paint"), ("front",), small, {"front": (0.5, -1.0)}, {"front": (320, 180)}
+    )
+    (camera,) = source.seen_by(RIG).cameras
+    assert camera.resolution == (320, 180)
+    p_cam = np.array([[1.0, 0.5, 4.0], [-3.0, 1.0, 9.0]])
+    uv = 800.0 * p_cam[:, :2] / p_cam[:, 2:] + [639.5, 359.5]
+    np.testing.assert_allclose(np.asarray(camera.project(p_cam)[0]), (uv + 0.5) / 4 - 0.5 + [0.5, -1.0], atol=1e-9)
+
+
+def test_moving_objects_are_drawn_in_the_size_of_the_masks():
+    dynamic = np.zeros((720, 1280), bool)
+    dynamic[401, 800] = True
+    frame = Frame(0, "0", 0.0, "", RIG, {}, lambda camera: dynamic)
+    (mask,) = MaskSource("net", load_class_table("lane_paint"), ("front",), small).masks(frame)
+    assert np.argwhere(mask == 255).tolist() == [[100, 200]]
+
+
+def test_masks_of_one_camera_leave_the_others_out(data_dir):
+    folder = data_dir / "pandaset_002"
+    if not folder.is_dir():
+        pytest.skip(f"no pandaset_002 in {data_dir}")
+    drive = open_sequence(folder)
+    source = mask_source("masks_twinlite_front", drive, offset_px=(0.0, 0.0))
+    assert source.cameras == ("front_camera",)
+    assert source.seen_by(drive.rig.select(source.cameras)).cameras[0].resolution == (640, 360)
+    assert source.masks(drive.frames[50])[0].shape == (360, 640)
