@@ -98,8 +98,13 @@ def _array(leaf: Any) -> Any:
 
 
 def _folder() -> Path | None:
+    """Where programs are kept; None where JAX keeps nothing, or where SEMLOC_PROGRAMS=0 switches it off.
+
+    Whoever edits the package is better off without: every edit makes all programs anew, and JAX's own cache knows which
+    of them did change.
+    """
     cache = jax.config.jax_compilation_cache_dir
-    return Path(cache) / "programs" if cache else None
+    return Path(cache) / "programs" if cache and os.environ.get("SEMLOC_PROGRAMS") != "0" else None
 
 
 @functools.cache
