@@ -4,7 +4,7 @@ The whole flow, from files to poses with a verdict:
 
     import semloc_jax as sj
 
-    drive = sj.open_sequence("drives/town")                    # frames, masks, calibration, GNSS
+    drive = sj.open_drive("drives/town")                    # frames, masks, calibration, GNSS
     semantic_map = sj.read_map("drives/town/map.geojson")      # world river: elements
     results = sj.localize_frames(drive, semantic_map, masks="sem_net", prior="gnss")
     results[0].T_map_base, results[0].localized, results[0].reasons, results[0].modes
@@ -42,8 +42,8 @@ _HOME = {
     "load_class_table": "perception",
     "CostMapConfig": "perception",
     "cost_maps": "perception",
-    "Sequence": "datasets",
-    "open_sequence": "datasets",
+    "Drive": "datasets",
+    "open_drive": "datasets",
     "simulate": "simulation",
     "Prior": "alignment.pose",
     "align": "alignment.pose",
@@ -85,7 +85,7 @@ __all__ = [
     "Rig",
     "SemanticMap",
     "SemlocError",
-    "Sequence",
+    "Drive",
     "SolveStatus",
     "Trajectory",
     "__version__",
@@ -96,7 +96,7 @@ __all__ = [
     "inspect_map",
     "load_class_table",
     "localize_frames",
-    "open_sequence",
+    "open_drive",
     "pose_errors",
     "read_calibration",
     "read_map",

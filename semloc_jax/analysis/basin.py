@@ -3,7 +3,7 @@
 In: frames with truth, a map, masks, windows. Out: one Basin for each window, and a table of them.
 """
 
-from collections.abc import Sequence as Frames
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from math import comb
@@ -18,7 +18,7 @@ from semloc_jax.alignment.hypotheses import score
 from semloc_jax.alignment.one_start import WIDE_COST_MAPS, Look, OneStartConfig, from_one_start
 from semloc_jax.alignment.pose import Prior, in_chunks, total_weight
 from semloc_jax.alignment.single_frame import FrameInput, evidence_from
-from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import pose_errors
 from semloc_jax.inputs.mask_source import MaskSource, mask_source
@@ -112,11 +112,11 @@ class Basin:
 
 
 def basin(
-    sequence: Sequence,
+    drive: Drive,
     semantic_map: SemanticMap,
     masks: MaskSource | str,
-    windows: Frames[BasinWindow] = WINDOWS,
-    frames: slice | Frames[Frame] = slice(None, None, 10),
+    windows: Sequence[BasinWindow] = WINDOWS,
+    frames: slice | Sequence[Frame] = slice(None, None, 10),
     config: BasinConfig | None = None,
 ) -> tuple[Basin, ...]:
     """From how far away the true pose is found, for each window.
@@ -125,7 +125,7 @@ def basin(
     the map is seen as from there, and the prior is centred on the start and as wide as the window.
 
     Args:
-        sequence: A drive with truth.
+        drive: A drive with truth.
         semantic_map: Its map.
         masks: Mask folder, segmenter or MaskSource.
         windows: Where the starts are drawn from.
@@ -136,14 +136,14 @@ def basin(
         SemlocError: no frames, no truth, unknown masks.
     """
     config = config or BasinConfig()
-    chosen = sequence.frames[frames] if isinstance(frames, slice) else tuple(frames)
+    chosen = drive.frames[frames] if isinstance(frames, slice) else tuple(frames)
     if not chosen or not windows:
-        raise SemlocError(f"basin of {sequence.name}: no frames or no windows chosen; expected at least one of each")
-    source = mask_source(masks, sequence) if isinstance(masks, str) else masks
+        raise SemlocError(f"basin of {drive.name}: no frames or no windows chosen; expected at least one of each")
+    source = mask_source(masks, drive) if isinstance(masks, str) else masks
     localizer = FrameLocalizer(semantic_map, source.table, config.localize)
     parts: list[list[tuple[np.ndarray, ...]]] = [[] for _ in windows]
     for frame in chosen:
-        T_true = sequence.truth_at(frame)
+        T_true = drive.truth_at(frame)
         rig = source.seen_by(frame.rig.select(source.cameras))
         inputs, local_map = localizer.prepare(source.masks(frame), rig, T_true)
         for window, part in zip(windows, parts, strict=True):
@@ -153,7 +153,7 @@ def basin(
     return tuple(_gathered(window, part, config) for window, part in zip(windows, parts, strict=True))
 
 
-def basin_table(basins: Frames[Basin], counts: Frames[int] = (8, 64)) -> str:
+def basin_table(basins: Sequence[Basin], counts: Sequence[int] = (8, 64)) -> str:
     """A table in Markdown: one row for each window, success of one start and of the best of some."""
     head = ["starts drawn from", "one start", *(f"best of {count}" for count in counts)]
     rows = [[str(b.window), *(f"{100 * share:.1f} %" for share in (b.single, *map(b.best_of, counts)))] for b in basins]
@@ -165,7 +165,7 @@ def draw_starts(
     window: BasinWindow,
     semantic_map: SemanticMap,
     num: int,
-    seed: int | Frames[int],
+    seed: int | Sequence[int],
 ) -> Float[np.ndarray, "num 4 4"]:
     """Poses on the road of the map, evenly drawn from a window around a pose; all in the map frame."""
     draw = np.random.default_rng(seed).uniform(-1.0, 1.0, (num, 3))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.datasets import Drive
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors, within
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.inputs.mask_view import MaskSource
@@ -116,7 +116,7 @@ def fault_matrix(
     """
     for name in names:
         fault = with_fault(name, drive, semantic_map, seed)
-        localizer = make_localizer(fault.semantic_map, MotionLog.of_sequence(fault.drive))
+        localizer = make_localizer(fault.semantic_map, MotionLog.of_drive(fault.drive))
         pipeline = Pipeline(fault.drive, source, localizer, PipelineConfig())
         yield judge_fault(fault, list(pipeline.run(fault.drive.frames)))
 

@@ -19,8 +19,7 @@ from semloc_jax.alignment.pose import Prior, align
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, frame_input
 from semloc_jax.analysis.expected import ExpectedConfig
 from semloc_jax.cameras import Rig
-from semloc_jax.datasets import Frame
-from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.evaluation.metrics import pose_errors
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import SemanticMap

@@ -1,6 +1,6 @@
 """Frames of a drive to calibrate with, and where the vehicle was in them, roughly (room: calibration; host).
 
-In: a Sequence, a map, masks and a prior. Out: frames spread over the way, start poses that fit the driven way.
+In: a Drive, a map, masks and a prior. Out: frames spread over the way, start poses that fit the driven way.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +14,7 @@ from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.alignment.pose_prior import PriorSource, RoadSigmas
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.calibration.config import SelfCalibrationConfig
-from semloc_jax.datasets import Frame
-from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.pose_graph import GraphConfig, PoseGraph, solve_pose_graph
 from semloc_jax.fusion.prediction import MotionIncrement, MotionLog, MotionQuality
@@ -113,7 +112,7 @@ def motion_between(
     """Motion from each frame to the next by wheels and gyroscope; None where there are no wheels."""
     if drive.odometry is None:
         return None
-    log = MotionLog.of_sequence(drive, config.motion)
+    log = MotionLog.of_drive(drive, config.motion)
     found = tuple(log.increment(first.time_s, second.time_s) for first, second in pairwise(frames))
     if any(increment.quality is MotionQuality.MISSING for increment in found):
         return None

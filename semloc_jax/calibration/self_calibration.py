@@ -1,6 +1,6 @@
 """Cameras, odometer and satellite offset of a vehicle from one of its drives (room: calibration; host).
 
-In: a Sequence with a wrong calibration, a SemanticMap, masks. Out: SelfCalibration: the corrected rig and vehicle, and
+In: a Drive with a wrong calibration, a SemanticMap, masks. Out: SelfCalibration: the corrected rig and vehicle, and
 what of it the drive could tell. What a mount is off by, vision alone takes for a vehicle that stands elsewhere; the
 gauge is broken by how a vehicle can move and stand: along its wheels, not sideways, on the road.
 """
@@ -35,8 +35,7 @@ from semloc_jax.calibration.evidence import (
 from semloc_jax.calibration.frames import MIN_FRAMES, StartPoses, start_poses
 from semloc_jax.calibration.observability import AXES, Observability, observe
 from semloc_jax.cameras import Rig
-from semloc_jax.datasets import Frame
-from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory
 from semloc_jax.fusion.prediction import MotionLog
@@ -125,7 +124,7 @@ def calibrate_from(
     masks = with_common_offset(masks)
     pictures = Pictures.of(start.frames, drive.rig, masks, FrameLocalizer(semantic_map, masks.table))
     origin_map = start.T_map_base[:, :3, 3].mean(axis=0)
-    log = MotionLog.of_sequence(drive, config.motion) if start.motion is not None else None
+    log = MotionLog.of_drive(drive, config.motion) if start.motion is not None else None
     poses = None if reference is None else _reference_poses(reference, start.frames)
     with jax.enable_x64(True):
         anchors = anchors_of(start, semantic_map, drive.gnss, log, poses, origin_map, config)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from semloc_jax.cameras import Rig
-    from semloc_jax.datasets import Frame, Sequence
+    from semloc_jax.datasets import Drive, Frame
     from semloc_jax.maps import LocalMap
 
 _MAP_RADIUS_M = 60.0
@@ -73,7 +73,7 @@ def run(options: Options) -> int:
     return LOST if options.strict and findings else OK
 
 
-def _open(options: Options) -> "tuple[Rig, Sequence | None, dict[str, np.ndarray]]":
+def _open(options: Options) -> "tuple[Rig, Drive | None, dict[str, np.ndarray]]":
     """The rig, the drive where there is one, and a picture (blue green red) of each camera that has one."""
     from semloc_jax.cameras import read_calibration
     from semloc_jax.datasets.detect import is_recording
@@ -91,14 +91,14 @@ def _open(options: Options) -> "tuple[Rig, Sequence | None, dict[str, np.ndarray
     return rig, drive, {name: frame.image(name) for name in rig.names if frame.has("rgb", name)}
 
 
-def _drive(options: Options) -> "Sequence | None":
+def _drive(options: Options) -> "Drive | None":
     """The drive; None, with a word, where it cannot be opened but its calibration can be read."""
     from semloc_jax.cameras import read_calibration
-    from semloc_jax.datasets import open_sequence
+    from semloc_jax.datasets import open_drive
     from semloc_jax.errors import SemlocError
 
     try:
-        return open_sequence(options.path, options.calib)
+        return open_drive(options.path, options.calib)
     except SemlocError as error:
         try:
             read_calibration(options.calib or options.path)
@@ -117,7 +117,7 @@ def _pictures(given: Path | None, rig: "Rig") -> dict[str, Path]:
     return {name: file for name, file in found.items() if file is not None}
 
 
-def _frame(drive: "Sequence", index: int) -> "Frame":
+def _frame(drive: "Drive", index: int) -> "Frame":
     from semloc_jax.errors import SemlocError
 
     if not -len(drive) <= index < len(drive):
@@ -140,7 +140,7 @@ def _line(rig: "Rig", name: str) -> str:
     )
 
 
-def _draw(options: Options, rig: "Rig", drive: "Sequence | None", images: dict, findings: list) -> None:
+def _draw(options: Options, rig: "Rig", drive: "Drive | None", images: dict, findings: list) -> None:
     import numpy as np
 
     from semloc_jax import viz
@@ -164,7 +164,7 @@ def _draw(options: Options, rig: "Rig", drive: "Sequence | None", images: dict, 
     print(f"picture: {viz.save(top, folder / 'calib_top_view.png')}")
 
 
-def _map_around(options: Options, drive: "Sequence | None") -> "tuple[LocalMap | None, np.ndarray | None]":
+def _map_around(options: Options, drive: "Drive | None") -> "tuple[LocalMap | None, np.ndarray | None]":
     """The map around the vehicle and its pose, where both are known."""
     from semloc_jax.maps import read_map
 
@@ -180,7 +180,7 @@ def _map_around(options: Options, drive: "Sequence | None") -> "tuple[LocalMap |
     return semantic_map.query(T[:3, 3], _MAP_RADIUS_M), T
 
 
-def _pose(options: Options, drive: "Sequence", frame: "Frame", semantic_map) -> "np.ndarray | None":
+def _pose(options: Options, drive: "Drive", frame: "Frame", semantic_map) -> "np.ndarray | None":
     import numpy as np
 
     from semloc_jax.evaluation import read_trajectory

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from semloc_jax.datasets import Frame, Sequence
+    from semloc_jax.datasets import Drive, Frame
     from semloc_jax.perception import ClassTable
     from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 
@@ -72,7 +72,7 @@ class Options:
 
 def run(options: Options) -> int:
     """Segment what is missing, tell what the masks can see."""
-    from semloc_jax.datasets import open_sequence
+    from semloc_jax.datasets import open_drive
     from semloc_jax.errors import SemlocError
     from semloc_jax.perception import load_class_table
     from semloc_jax.perception.network import NetworkSegmenter
@@ -83,7 +83,7 @@ def run(options: Options) -> int:
     if not preset.class_table:
         raise SemlocError(f"network {preset.model}: what its class ids mean is not known; give --class-table")
     table = load_class_table(preset.class_table)
-    drive = open_sequence(options.drive, options.calib)
+    drive = open_drive(options.drive, options.calib)
     frames = drive.frames[chosen]
     if not frames:
         raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames")
@@ -123,7 +123,7 @@ def _pair(text: str, option: str) -> tuple[int, int]:
     return int(parts[0]), int(parts[1])
 
 
-def _cameras(options: Options, drive: "Sequence") -> tuple[str, ...]:
+def _cameras(options: Options, drive: "Drive") -> tuple[str, ...]:
     from semloc_jax.errors import SemlocError
 
     first = drive.frames[0]
@@ -223,7 +223,7 @@ def _write(mask: "np.ndarray", path: Path) -> None:
 
 
 def _report(
-    options: Options, drive: "Sequence", table: "ClassTable", folder: Path, frames: tuple, cameras: tuple[str, ...]
+    options: Options, drive: "Drive", table: "ClassTable", folder: Path, frames: tuple, cameras: tuple[str, ...]
 ) -> str:
     import numpy as np
 

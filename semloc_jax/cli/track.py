@@ -102,10 +102,10 @@ def run(options: Options) -> int:
 
 def _open(options: Options) -> Inputs:
     """The drive and the rest; without fixes and without a wish the area, or nothing, says where to start."""
-    from semloc_jax.datasets import open_sequence
+    from semloc_jax.datasets import open_drive
     from semloc_jax.errors import SemlocError
 
-    if options.prior is None and open_sequence(options.drive, options.calib).gnss is None:
+    if options.prior is None and open_drive(options.drive, options.calib).gnss is None:
         if options.area is None:
             raise SemlocError(
                 f"drive {options.drive}: has no satellite fixes to start from; give --prior truth, --prior FILE.tum or "
@@ -120,7 +120,7 @@ def _pipeline(options: Options, inputs: Inputs) -> "Pipeline":
     from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 
     has_guess = options.prior not in (None, "gnss")
-    localizer = _localizer(options, inputs, inputs.map, MotionLog.of_sequence(inputs.drive))
+    localizer = _localizer(options, inputs, inputs.map, MotionLog.of_drive(inputs.drive))
     config = PipelineConfig(realtime=options.realtime, gnss_after_init=not options.no_gnss_after_init)
     return Pipeline(inputs.drive, inputs.masks, localizer, config, inputs.prior if has_guess else None)
 

@@ -1,6 +1,6 @@
 """Logs of the Argoverse 2 sensor data set (room: datasets; host).
 
-In: calibration/, city_SE3_egovehicle.feather, sensors/cameras/NAME/TIMESTAMP_NS.jpg. Out: Sequence in the city frame.
+In: calibration/, city_SE3_egovehicle.feather, sensors/cameras/NAME/TIMESTAMP_NS.jpg. Out: Drive in the city frame.
 The base is the vehicle frame of the data set, lowered from the rear axle to the road.
 """
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from semloc_jax.cameras import read_calibration
 from semloc_jax.cameras.io.argoverse2 import AXLE_HEIGHT_M, is_argoverse2, pose_of_row, read_feather
-from semloc_jax.datasets.base import IMAGE, Sequence
+from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import maps_beside
 from semloc_jax.datasets.clock import seconds
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step, odometry_from_poses
@@ -25,8 +25,8 @@ def is_argoverse2_log(path: Path) -> bool:
     return path.is_dir() and is_argoverse2(path) and (path / _POSES).is_file()
 
 
-def read_argoverse2(path: str | Path, calibration: str | Path | None = None) -> Sequence:
-    """Sequence of a log; its poses are the truth, and their motion takes the place of odometry.
+def read_argoverse2(path: str | Path, calibration: str | Path | None = None) -> Drive:
+    """Drive of a log; its poses are the truth, and their motion takes the place of odometry.
 
     Raises:
         SemlocError: pyarrow is missing, or files are missing or damaged.
@@ -40,7 +40,7 @@ def read_argoverse2(path: str | Path, calibration: str | Path | None = None) -> 
     rig, frames = frames_in_step({IMAGE: streams}, rig, odometry, f"Argoverse 2 {path}")
     own_map = next(iter(sorted((path / "map").glob("log_map_archive_*.json"))), None)
     maps = {} if own_map is None else {"argoverse2": own_map}
-    return Sequence(
+    return Drive(
         name=path.resolve().name,
         path=path,
         frames=frames,

@@ -1,6 +1,6 @@
 """What every data set looks like from outside (room: datasets; host).
 
-In: files of a recorded or simulated drive. Out: Sequence: frames, cameras, sensors, maps and truth behind one face.
+In: files of a recorded or simulated drive. Out: Drive: frames, cameras, sensors, maps and truth behind one face.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,12 +26,12 @@ class Frame:
     """What the cameras saw at one time; files are read when asked for.
 
     Args:
-        index: place in the sequence.
+        index: place in the drive.
         id: name of its files.
         time_s: time of the vehicle pose [s], mid exposure.
         variant: weather or lighting, empty where unknown.
         rig: cameras of this frame. Where cameras trigger at different times, its extrinsics hold the motion of the
-            vehicle between `time_s` and each trigger; else it is the rig of the sequence.
+            vehicle between `time_s` and each trigger; else it is the rig of the drive.
         files: file, or message of a recording, for each kind (`rgb`, mask sources) and camera.
         draw_dynamic: draws the moving objects of a camera, where the data set knows them.
     """
@@ -86,7 +86,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Sequence:
+class Drive:
     """One drive.
 
     Args:
@@ -134,24 +134,24 @@ class Sequence:
         """True T_map_base [4 4] of a frame.
 
         Raises:
-            SemlocError: the sequence has no truth at that time.
+            SemlocError: the drive has no truth at that time.
         """
         if self.truth is None:
-            raise SemlocError(f"sequence {self.name}: has no reference poses; expected a file poses_body.tum")
+            raise SemlocError(f"drive {self.name}: has no reference poses; expected a file poses_body.tum")
         return self.truth.interpolate(np.array([frame.time_s]))[0]
 
     def gnss_prior(self, time_s: float, causal: bool = False) -> GnssPrior:
         """First guess of the pose from the fixes; see `datasets.gnss.gnss_prior`.
 
         Raises:
-            SemlocError: the sequence has no fixes.
+            SemlocError: the drive has no fixes.
         """
         if self.gnss is None:
-            raise SemlocError(f"sequence {self.name}: has no satellite fixes; expected gps.csv; give an initial pose")
+            raise SemlocError(f"drive {self.name}: has no satellite fixes; expected gps.csv; give an initial pose")
         return gnss_prior(self.gnss, time_s, self.odometry, causal)
 
-    def in_map_of(self, origin: Geodetic | None) -> "Sequence":
-        """The sequence with its fixes in the frame of a map that sits at `origin` on the earth.
+    def in_map_of(self, origin: Geodetic | None) -> "Drive":
+        """The drive with its fixes in the frame of a map that sits at `origin` on the earth.
 
         Raises:
             SemlocError: the fixes are known on the earth only and the map does not say where it is.
@@ -160,7 +160,7 @@ class Sequence:
             return self
         if origin is None:
             raise SemlocError(
-                f"sequence {self.name}: its fixes are in latitude and longitude and the map does not say where on the "
+                f"drive {self.name}: its fixes are in latitude and longitude and the map does not say where on the "
                 "earth its frame is; give it a place (semloc convert MAP OUT.gpkg --origin LAT,LON,HEIGHT), or --prior "
                 "FILE.tum in the frame of the map"
             )

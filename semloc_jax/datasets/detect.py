@@ -1,6 +1,6 @@
 """Which kind of recording a path is (room: datasets; host).
 
-In: a path. Out: Sequence.
+In: a path. Out: Drive.
 """
 
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from semloc_jax.datasets.argoverse2 import is_argoverse2_log, read_argoverse2
 from semloc_jax.datasets.bags import is_bag, read_bag
-from semloc_jax.datasets.base import Sequence
+from semloc_jax.datasets.base import Drive
 from semloc_jax.datasets.drive import is_drive, read_drive
 from semloc_jax.datasets.euroc import is_euroc, read_euroc
 from semloc_jax.datasets.folder import has_pictures, read_folder
@@ -18,7 +18,7 @@ from semloc_jax.datasets.pandaset import is_pandaset, read_pandaset
 from semloc_jax.datasets.video import is_video, read_video
 from semloc_jax.errors import SemlocError
 
-_KINDS: tuple[tuple[str, Callable[[Path], bool], Callable[..., Sequence]], ...] = (
+_KINDS: tuple[tuple[str, Callable[[Path], bool], Callable[..., Drive]], ...] = (
     ("drive", is_drive, read_drive),
     ("bag", is_bag, read_bag),
     ("PandaSet", is_pandaset, read_pandaset),
@@ -31,8 +31,8 @@ _KINDS: tuple[tuple[str, Callable[[Path], bool], Callable[..., Sequence]], ...] 
 _OWN_CALIBRATION = ("PandaSet",)
 
 
-def open_sequence(path: str | Path, calibration: str | Path | None = None) -> Sequence:
-    """Sequence of a recording whose type is guessed from its files; else a folder of images with a calibration.
+def open_drive(path: str | Path, calibration: str | Path | None = None) -> Drive:
+    """Drive of a recording whose type is guessed from its files; else a folder of images with a calibration.
 
     Args:
         path: file or folder.

@@ -1,6 +1,6 @@
 """The package's own drive layout (room: datasets; host).
 
-In: a folder with calib.yaml, frames.csv, rgb/ sem/ sem_net/ CAMERA/ID.*, sensor logs, poses and maps. Out: Sequence.
+In: a folder with calib.yaml, frames.csv, rgb/ sem/ sem_net/ CAMERA/ID.*, sensor logs, poses and maps. Out: Drive.
 """
 
 import json
@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from semloc_jax.cameras import Rig, read_calibration
-from semloc_jax.datasets.base import IMAGE, Frame, Sequence
+from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.datasets.sensors import read_gnss, read_imu, read_wheel_odometry
 from semloc_jax.datasets.tables import read_rows
 from semloc_jax.errors import SemlocError
@@ -52,8 +52,8 @@ def is_drive(path: Path) -> bool:
     return (path / "frames.csv").is_file() and (path / "calib.yaml").is_file()
 
 
-def read_drive(path: str | Path, calibration: str | Path | None = None) -> Sequence:
-    """Sequence of a drive folder; sensors, poses and maps that are absent stay None.
+def read_drive(path: str | Path, calibration: str | Path | None = None) -> Drive:
+    """Drive of a drive folder; sensors, poses and maps that are absent stay None.
 
     Args:
         path: folder.
@@ -67,7 +67,7 @@ def read_drive(path: str | Path, calibration: str | Path | None = None) -> Seque
         raise SemlocError(f"drive {path}: no such folder; expected calib.yaml, frames.csv and sem/CAMERA/ID.png")
     rig = read_calibration(calibration if calibration is not None else path / "calib.yaml")
     kinds = {kind: suffix for kind in _SUFFIXES if (suffix := _suffix_of(path / kind, _SUFFIXES[kind])) is not None}
-    return Sequence(
+    return Drive(
         name=path.resolve().name,
         path=path,
         frames=_read_frames(path, rig, kinds),

@@ -1,7 +1,7 @@
 """EuRoC / ASL folders (room: datasets; host).
 
 In: [mav0/]cam0, cam1 ... each with sensor.yaml, data.csv, data/; imu0/data.csv; state_groundtruth_estimate0/data.csv.
-Out: Sequence. The body of the format (its IMU) stands for the base.
+Out: Drive. The body of the format (its IMU) stands for the base.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.cameras import Rig, read_calibration
 from semloc_jax.cameras.io.fields import load_yaml, numbers, perspective, required, resolution, rigid
-from semloc_jax.datasets.base import IMAGE, Sequence
+from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import maps_beside
 from semloc_jax.datasets.clock import seconds
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step
@@ -31,8 +31,8 @@ def is_euroc(path: Path) -> bool:
     return any((root / name / "data.csv").is_file() for name in ("cam0", "cam1"))
 
 
-def read_euroc(path: str | Path, calibration: str | Path | None = None) -> Sequence:
-    """Sequence of a folder in the ASL layout.
+def read_euroc(path: str | Path, calibration: str | Path | None = None) -> Drive:
+    """Drive of a folder in the ASL layout.
 
     Its poses are those of the body in sensor.yaml, an IMU: give --calib with T_base_cam where the ground matters.
 
@@ -45,7 +45,7 @@ def read_euroc(path: str | Path, calibration: str | Path | None = None) -> Seque
     streams = {name: _pictures(root / name) for name in cameras}
     rig = read_calibration(calibration) if calibration is not None else _rig(root, cameras)
     rig, frames = frames_in_step({IMAGE: streams}, rig, None, f"EuRoC {path}")
-    return Sequence(
+    return Drive(
         name=path.resolve().name,
         path=path,
         frames=frames,

@@ -2,7 +2,7 @@
 
 In: images/ (or rgb/) and masks/, each with one folder per camera or, for one camera, the files themselves;
 calib.yaml or any calibration the cameras room reads; optionally times.csv, timestamps.txt or file names that are times,
-gps.csv or NMEA, wheel_odom.csv, imu.csv, poses.tum and a map. Out: Sequence.
+gps.csv or NMEA, wheel_odom.csv, imu.csv, poses.tum and a map. Out: Drive.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from semloc_jax.cameras import Rig, read_calibration
-from semloc_jax.datasets.base import IMAGE, Frame, Sequence
+from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.datasets.beside import CALIBRATIONS, MAPS, folder_file, logs_beside
 from semloc_jax.datasets.clock import seconds
 from semloc_jax.datasets.tables import column_names, read_numbers, read_rows
@@ -27,8 +27,8 @@ _MIN_STAMP_DIGITS = 9
 
 def read_folder(
     path: str | Path, calibration: str | Path | None = None, table_name: str = "", rate_hz: float = 10.0
-) -> Sequence:
-    """Sequence of a folder of files.
+) -> Drive:
+    """Drive of a folder of files.
 
     Files of different kinds and cameras belong together by their stem. Times come from `times.csv` (columns frame, t),
     from `timestamps.txt` (one for each picture), from file names of nine and more digits or, where there are as many
@@ -67,7 +67,7 @@ def read_folder(
         )
         for index, stem in enumerate(stems)
     )
-    return Sequence(
+    return Drive(
         name=path.resolve().name,
         path=path,
         frames=frames,

@@ -1,7 +1,7 @@
 """KITTI sequences, odometry and raw (room: datasets; host).
 
 In: image_0 ... image_3 with calib.txt and times.txt (odometry), or image_00 ... image_03/data with timestamps.txt,
-oxts/ and calib_cam_to_cam.txt in the folder or above it (raw). Out: Sequence.
+oxts/ and calib_cam_to_cam.txt in the folder or above it (raw). Out: Drive.
 """
 
 from datetime import UTC, datetime
@@ -11,7 +11,7 @@ import numpy as np
 
 from semloc_jax.cameras import Rig, read_calibration
 from semloc_jax.cameras.io.kitti import rig_from_kitti
-from semloc_jax.datasets.base import IMAGE, Sequence
+from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import maps_beside
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step
 from semloc_jax.datasets.pictures import read_picture
@@ -36,8 +36,8 @@ def is_kitti(path: Path) -> bool:
     )
 
 
-def read_kitti(path: str | Path, calibration: str | Path | None = None) -> Sequence:
-    """Sequence of a folder of the odometry benchmark (00 ... 21) or a raw drive (..._sync).
+def read_kitti(path: str | Path, calibration: str | Path | None = None) -> Drive:
+    """Drive of a folder of the odometry benchmark (00 ... 21) or a raw drive (..._sync).
 
     The truth of the odometry benchmark (poses.txt in the folder) is that of the base in the frame of its first pose.
 
@@ -53,7 +53,7 @@ def read_kitti(path: str | Path, calibration: str | Path | None = None) -> Seque
     gnss, odometry, imu = _oxts(path / "oxts") if (path / "oxts" / "data").is_dir() else (None, None, None)
     rig, frames = frames_in_step({IMAGE: streams}, rig, odometry, f"KITTI {path}")
     times = streams[names[0]].time_s
-    return Sequence(
+    return Drive(
         name=path.resolve().name,
         path=path,
         frames=frames,

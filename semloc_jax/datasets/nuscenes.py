@@ -1,6 +1,6 @@
 """Scenes of nuScenes and of data sets in its layout (room: datasets; host).
 
-In: a folder with v1.0-... tables and samples/ (sweeps/). Out: Sequence of one scene, in the frame of its map.
+In: a folder with v1.0-... tables and samples/ (sweeps/). Out: Drive of one scene, in the frame of its map.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ import numpy as np
 from semloc_jax.cameras import read_calibration
 from semloc_jax.cameras.io.fields import resolution
 from semloc_jax.cameras.io.nuscenes import nuscenes_tables, pose_of, read_rows, rig_of_rows
-from semloc_jax.datasets.base import IMAGE, Sequence
+from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import maps_beside
 from semloc_jax.datasets.clock import seconds
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step, odometry_from_poses
@@ -30,8 +30,8 @@ def is_nuscenes(path: Path) -> bool:
     return folder is not None and (folder / "sample_data.json").is_file()
 
 
-def read_nuscenes(path: str | Path, calibration: str | Path | None = None, scene: str | None = None) -> Sequence:
-    """Sequence of one scene: key frames of the cameras, ego poses as truth, their motion as odometry.
+def read_nuscenes(path: str | Path, calibration: str | Path | None = None, scene: str | None = None) -> Drive:
+    """Drive of one scene: key frames of the cameras, ego poses as truth, their motion as odometry.
 
     Args:
         path: folder with the tables and samples/.
@@ -67,7 +67,7 @@ def read_nuscenes(path: str | Path, calibration: str | Path | None = None, scene
     streams = {name: _stream(root, rows, where) for name, rows in data.items()}
     odometry = odometry_from_poses(truth)
     rig, frames = frames_in_step({IMAGE: streams}, rig, odometry, where)
-    return Sequence(
+    return Drive(
         name=str(chosen.get("name")),
         path=path,
         frames=frames,

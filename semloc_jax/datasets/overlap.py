@@ -1,13 +1,13 @@
 """Do the streams of a recording belong together: rates, gaps, common time (room: datasets; host).
 
-In: Sequence. Out: OverlapReport, to be read before work starts.
+In: Drive. Out: OverlapReport, to be read before work starts.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from semloc_jax.datasets.base import Sequence
+from semloc_jax.datasets.base import Drive
 
 _MIN_COVERED = 0.9
 """A sensor that is there for fewer of the frames than this share is worth a word; ours."""
@@ -59,10 +59,10 @@ class OverlapReport:
         return any(span.name == name and span.covered == 0.0 for span in self.spans)
 
 
-def overlap_report(sequence: Sequence) -> OverlapReport:
-    """Spans of the frames and of every sensor of a sequence, and what looks wrong with them."""
-    frames_s = np.array([frame.time_s for frame in sequence.frames])
-    sensors = {"fixes": sequence.gnss, "odometry": sequence.odometry, "imu": sequence.imu, "truth": sequence.truth}
+def overlap_report(drive: Drive) -> OverlapReport:
+    """Spans of the frames and of every sensor of a drive, and what looks wrong with them."""
+    frames_s = np.array([frame.time_s for frame in drive.frames])
+    sensors = {"fixes": drive.gnss, "odometry": drive.odometry, "imu": drive.imu, "truth": drive.truth}
     spans = [_span("frames", frames_s, frames_s)]
     spans += [_span(name, sensor.time_s, frames_s) for name, sensor in sensors.items() if sensor is not None]
     return OverlapReport(tuple(spans), tuple(_problems(spans)))

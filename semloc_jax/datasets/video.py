@@ -1,7 +1,7 @@
 """A video with a csv of times (room: datasets; host).
 
 In: drive.mp4 (avi, mkv, mov) with drive.csv or times.csv (column t, one row for each picture) and a calibration beside
-it; gps.csv or gps.nmea, wheel_odom.csv, imu.csv and poses.tum where they lie there. Out: Sequence.
+it; gps.csv or gps.nmea, wheel_odom.csv, imu.csv and poses.tum where they lie there. Out: Drive.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from semloc_jax.cameras import read_calibration
-from semloc_jax.datasets.base import IMAGE, Sequence
+from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import calibration_beside, logs_beside, maps_beside
 from semloc_jax.datasets.clock import seconds
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step
@@ -78,8 +78,8 @@ def is_video(path: Path) -> bool:
     return path.suffix.lower() in _SUFFIXES and path.is_file()
 
 
-def read_video(path: str | Path, calibration: str | Path | None = None) -> Sequence:
-    """Sequence of a video of one camera, with what lies beside it.
+def read_video(path: str | Path, calibration: str | Path | None = None) -> Drive:
+    """Drive of a video of one camera, with what lies beside it.
 
     Times are those of the csv, one for each picture; without a csv pictures follow each other at the rate of the video
     from 0 s on.
@@ -100,7 +100,7 @@ def read_video(path: str | Path, calibration: str | Path | None = None) -> Seque
     stream = PictureStream(_times(video), pictures, tuple(f"{index:06d}" for index in range(video.num_frames)))
     logs = logs_beside(path)
     rig, frames = frames_in_step({IMAGE: {rig.names[0]: stream}}, rig, logs.odometry, f"video {path}")
-    return Sequence(
+    return Drive(
         name=path.stem,
         path=path,
         frames=frames,

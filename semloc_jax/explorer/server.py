@@ -15,12 +15,11 @@ from socketserver import TCPServer
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.pose_prior import PriorSource
-from semloc_jax.datasets import Sequence
+from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.explorer.handler import ExplorerHandler, Progress
 from semloc_jax.explorer.session import ExplorerSession
-from semloc_jax.inputs import mask_source
-from semloc_jax.inputs.mask_source import MaskSource
+from semloc_jax.inputs.mask_source import MaskSource, mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.maps import SemanticMap
 
@@ -109,7 +108,7 @@ class ExplorerServer(ThreadingHTTPServer):
 
 
 def serve(
-    drive: Sequence,
+    drive: Drive,
     semantic_map: SemanticMap,
     masks: MaskSource | str,
     prior: PriorSource | str = "gnss",

@@ -20,7 +20,7 @@ from semloc_jax.alignment.pose_prior import PosePrior, PriorSource
 from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.analysis.landscape import costs_around
 from semloc_jax.analysis.probe import descend, probe, seen_from
-from semloc_jax.datasets import Sequence
+from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.explorer import scene
 from semloc_jax.explorer.answers import path_of, sample_arrays, summary
@@ -59,7 +59,7 @@ class ExplorerSession:
 
     def __init__(
         self,
-        drive: Sequence,
+        drive: Drive,
         localizer: FrameLocalizer,
         masks: MaskSource,
         prior: PriorSource,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.datasets import Sequence
+from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.sample_stream import SampleStream
 from semloc_jax.geometry import rigid
@@ -129,17 +129,17 @@ class MotionLog:
         self._wheels, self._imu = SampleStream(2), SampleStream(6)
 
     @classmethod
-    def of_sequence(cls, sequence: Sequence, noise: MotionNoise | None = None) -> "MotionLog":
+    def of_drive(cls, drive: Drive, noise: MotionNoise | None = None) -> "MotionLog":
         """The log of a whole drive; empty where the drive has neither odometry nor inertial data."""
         log = cls(noise)
-        if sequence.odometry is not None:
-            odometry = sequence.odometry
+        if drive.odometry is not None:
+            odometry = drive.odometry
             log._wheels.times = [float(t) for t in odometry.time_s]
             log._wheels.rows = list(np.column_stack([odometry.speed_mps, odometry.yaw_rate_radps]))
-        if sequence.imu is not None:
-            order = np.argsort(sequence.imu.time_s, kind="stable")
-            log._imu.times = [float(t) for t in sequence.imu.time_s[order]]
-            log._imu.rows = list(np.column_stack([sequence.imu.gyro_radps, sequence.imu.accel_mps2])[order])
+        if drive.imu is not None:
+            order = np.argsort(drive.imu.time_s, kind="stable")
+            log._imu.times = [float(t) for t in drive.imu.time_s[order]]
+            log._imu.rows = list(np.column_stack([drive.imu.gyro_radps, drive.imu.accel_mps2])[order])
         return log
 
     def add_wheels(self, time_s: float, speed_mps: float, yaw_rate_radps: float) -> None:

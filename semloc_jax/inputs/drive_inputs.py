@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from semloc_jax.alignment.pose_prior import PriorSource
-    from semloc_jax.datasets import Frame, Sequence
+    from semloc_jax.datasets import Drive, Frame
     from semloc_jax.inputs.mask_source import MaskSource
     from semloc_jax.maps import SemanticMap
 
@@ -57,7 +57,7 @@ class InputOptions:
 class Inputs:
     """What the options name, opened."""
 
-    drive: "Sequence"
+    drive: "Drive"
     map: "SemanticMap"
     masks: "MaskSource"
     prior: "PriorSource"
@@ -83,14 +83,13 @@ def open_inputs(options: InputOptions) -> Inputs:
     Raises:
         SemlocError: something is missing or cannot be read.
     """
-    from semloc_jax.datasets import open_sequence
+    from semloc_jax.datasets import open_drive
     from semloc_jax.errors import SemlocError
-    from semloc_jax.inputs import mask_source
-    from semloc_jax.inputs.mask_source import CLASSICAL, is_network
+    from semloc_jax.inputs.mask_source import CLASSICAL, is_network, mask_source
     from semloc_jax.inputs.priors import prior_source
     from semloc_jax.maps import read_map
 
-    drive = open_sequence(options.drive, options.calib)
+    drive = open_drive(options.drive, options.calib)
     map_path = drive.maps.get(options.map or "", options.map or drive.map_path)
     if map_path is None and sweeps.has_sweeps(drive):
         map_path = sweeps.DEFAULT
@@ -116,7 +115,7 @@ def open_inputs(options: InputOptions) -> Inputs:
     return Inputs(drive, semantic_map, source, prior, is_map_made)
 
 
-def _fixes_in_map(drive: "Sequence", semantic_map: "SemanticMap", prior: str) -> "Sequence":
+def _fixes_in_map(drive: "Drive", semantic_map: "SemanticMap", prior: str) -> "Drive":
     """The drive with its fixes in the frame of the map; without them where nothing needs them and nobody knows how.
 
     Raises:
@@ -152,7 +151,7 @@ def _distance_m(xy: "np.ndarray", box: "np.ndarray") -> float:
     return float(np.hypot(*outside.T).min())
 
 
-def _report_visibility(source: "MaskSource", drive: "Sequence", semantic_map: "SemanticMap") -> None:
+def _report_visibility(source: "MaskSource", drive: "Drive", semantic_map: "SemanticMap") -> None:
     """Log which classes of the map the masks of a network show."""
     from semloc_jax.inputs.mask_source import looked_at
     from semloc_jax.perception.visibility import visibility
@@ -166,7 +165,7 @@ def _report_visibility(source: "MaskSource", drive: "Sequence", semantic_map: "S
         _LOG.info("masks '%s' do not show: %s", source.name, ", ".join(unseen))
 
 
-def _report_overlap(drive: "Sequence", prior: str) -> None:
+def _report_overlap(drive: "Drive", prior: str) -> None:
     """Log the streams of the drive and what looks wrong with their times.
 
     Raises:

@@ -1,17 +1,16 @@
 """Where the masks of a frame come from (room: inputs; host).
 
-In: a Sequence and the name of a mask folder or segmenter. Out: MaskSource.
+In: a Drive and the name of a mask folder or segmenter. Out: MaskSource.
 """
 
 import logging
-from collections.abc import Callable
-from collections.abc import Sequence as Frames
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource, TopViewSource, resized
 from semloc_jax.perception import load_class_table, preset_names
@@ -36,48 +35,48 @@ TOP_VIEW = "ipm:"
 
 def mask_source(
     name: str,
-    sequence: Sequence,
-    cameras: Frames[str] | None = None,
+    drive: Drive,
+    cameras: Sequence[str] | None = None,
     table: str | None = None,
     offset_px: tuple[float, float] | None = None,
 ) -> MaskSource:
     """Masks by name.
 
     Args:
-        name: A mask folder of the sequence, any folder with CAMERA/FRAME.png, a network `FILE.onnx` (with its preset
+        name: A mask folder of the drive, any folder with CAMERA/FRAME.png, a network `FILE.onnx` (with its preset
             FILE.yaml beside it) or its preset `FILE.yaml`, or `classical` for the built-in segmenter of road paint;
             `ipm:` before any of them makes one top view of the road of all cameras.
-        sequence: The drive.
+        drive: The drive.
         cameras: Names; None for all that have such masks.
-        table: Class table, a preset or a YAML file; None for that of the sequence or of the network's preset.
+        table: Class table, a preset or a YAML file; None for that of the drive or of the network's preset.
         offset_px: Offset of the masks against the images; None estimates it from both where there are images.
 
     Raises:
         SemlocError: there are no such masks, or no class table is known.
     """
     if name.startswith(TOP_VIEW):
-        return _top_view(mask_source(name.removeprefix(TOP_VIEW), sequence, cameras, table, offset_px), sequence)
-    first = sequence.frames[0]
-    names = tuple(cameras or [n for n in sequence.rig.names if first.has(name, n)] or sequence.rig.names)
-    sequence.rig.select(names)
+        return _top_view(mask_source(name.removeprefix(TOP_VIEW), drive, cameras, table, offset_px), drive)
+    first = drive.frames[0]
+    names = tuple(cameras or [n for n in drive.rig.names if first.has(name, n)] or drive.rig.names)
+    drive.rig.select(names)
     if name == CLASSICAL:
-        return _classical(sequence, names)
+        return _classical(drive, names)
     if is_network(name):
-        return _network(name, sequence, names, table)
-    if name in sequence.mask_sources:
-        table = table or sequence.table_name
+        return _network(name, drive, names, table)
+    if name in drive.mask_sources:
+        table = table or drive.table_name
 
         def read(frame: Frame, camera: str) -> np.ndarray:
             return frame.mask(name, camera)
 
     elif Path(name).is_dir():
-        table, read = table or _recorded_table(Path(name)) or sequence.table_name, _from_folder(Path(name), names)
+        table, read = table or _recorded_table(Path(name)) or drive.table_name, _from_folder(Path(name), names)
     else:
-        known = ", ".join((*sequence.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "a folder CAMERA/FRAME.png"))
-        raise SemlocError(f"masks '{name}': drive {sequence.name} has no such folder; expected one of {known}")
+        known = ", ".join((*drive.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "a folder CAMERA/FRAME.png"))
+        raise SemlocError(f"masks '{name}': drive {drive.name} has no such folder; expected one of {known}")
     if not table:
         raise SemlocError(
-            f"masks '{name}': no class table is known for {sequence.name}; give --class-table "
+            f"masks '{name}': no class table is known for {drive.name}; give --class-table "
             f"{', '.join(preset_names())} or a YAML file"
         )
     source = MaskSource(
@@ -86,10 +85,10 @@ def mask_source(
         names,
         read,
         {} if offset_px is None else dict.fromkeys(names, offset_px),
-        _sizes(read, sequence, names),
+        _sizes(read, drive, names),
     )
-    _check_table(source, sequence)
-    return source if offset_px is not None else _with_offsets(source, sequence)
+    _check_table(source, drive)
+    return source if offset_px is not None else _with_offsets(source, drive)
 
 
 def _from_folder(folder: Path, names: tuple[str, ...]) -> Callable[[Frame, str], np.ndarray]:
@@ -112,8 +111,8 @@ def _recorded_table(folder: Path) -> str:
     return ""
 
 
-def _classical(sequence: Sequence, names: tuple[str, ...]) -> MaskSource:
-    rig = sequence.rig.select(names)
+def _classical(drive: Drive, names: tuple[str, ...]) -> MaskSource:
+    rig = drive.rig.select(names)
     segmenters = {camera: ClassicalPaintSegmenter(rig.cameras[i], rig.T_base_cam[i]) for i, camera in enumerate(names)}
 
     def segment(frame: Frame, camera: str) -> np.ndarray:
@@ -127,7 +126,7 @@ def is_network(name: str) -> bool:
     return Path(name.removeprefix(TOP_VIEW)).suffix.lower() in (".onnx", ".yaml", ".yml")
 
 
-def _network(name: str, sequence: Sequence, names: tuple[str, ...], table: str | None) -> MaskSource:
+def _network(name: str, drive: Drive, names: tuple[str, ...], table: str | None) -> MaskSource:
     """Masks of a network that runs on the images.
 
     Raises:
@@ -145,8 +144,8 @@ def _network(name: str, sequence: Sequence, names: tuple[str, ...], table: str |
 
     source = MaskSource(name, load_class_table(table or preset.class_table), names, segment)
     # A network takes its time: the masks that are looked at first are not made twice.
-    kept |= {(frame.id, camera): segment(frame, camera) for frame in looked_at(sequence.frames) for camera in names}
-    _check_table(source, sequence)
+    kept |= {(frame.id, camera): segment(frame, camera) for frame in looked_at(drive.frames) for camera in names}
+    _check_table(source, drive)
     return source
 
 
@@ -158,9 +157,9 @@ def _network_preset(path: Path) -> NetworkPreset:
     return replace(load_network_preset(beside) if beside.is_file() else NetworkPreset(), model=str(path))
 
 
-def _top_view(source: MaskSource, sequence: Sequence) -> TopViewSource:
+def _top_view(source: MaskSource, drive: Drive) -> TopViewSource:
     """The source as a top view of what its cameras see."""
-    rig = sequence.rig.select(source.cameras)
+    rig = drive.rig.select(source.cameras)
     return TopViewSource(
         TOP_VIEW + source.name,
         ground_table(source.table),
@@ -173,24 +172,24 @@ def _top_view(source: MaskSource, sequence: Sequence) -> TopViewSource:
 
 
 def _sizes(
-    read: Callable[[Frame, str], np.ndarray], sequence: Sequence, cameras: Frames[str]
+    read: Callable[[Frame, str], np.ndarray], drive: Drive, cameras: Sequence[str]
 ) -> dict[str, tuple[int, int]]:
     """Width and height of the masks of each camera whose masks are not as large as its images."""
     sizes = {}
-    for camera, model in zip(cameras, sequence.rig.select(cameras).cameras, strict=True):
-        height, width = read(sequence.frames[0], camera).shape
+    for camera, model in zip(cameras, drive.rig.select(cameras).cameras, strict=True):
+        height, width = read(drive.frames[0], camera).shape
         if (width, height) != model.resolution:
             sizes[camera] = (width, height)
     return sizes
 
 
-def _check_table(source: MaskSource, sequence: Sequence) -> None:
+def _check_table(source: MaskSource, drive: Drive) -> None:
     """Refuse a class table that does not fit the masks: it would localize on nonsense.
 
     Raises:
         SemlocError: the table and the masks do not fit.
     """
-    frames = looked_at(sequence.frames)
+    frames = looked_at(drive.frames)
     report = source.table.report(source.segment(frame, camera) for frame in frames for camera in source.cameras)
     if not report.fits:
         raise SemlocError(
@@ -199,16 +198,16 @@ def _check_table(source: MaskSource, sequence: Sequence) -> None:
         )
 
 
-def looked_at(frames: Frames[Frame]) -> list[Frame]:
+def looked_at(frames: Sequence[Frame]) -> list[Frame]:
     """The frames whose masks are looked at before the work: a few, spread over the drive."""
     return _spread(frames, 4)
 
 
-def _with_offsets(source: MaskSource, sequence: Sequence) -> MaskSource:
+def _with_offsets(source: MaskSource, drive: Drive) -> MaskSource:
     """The source with the offset of each camera's masks where it is significant; see `estimate_mask_offset`."""
     offsets = {}
     for camera in source.cameras:
-        frames = [frame for frame in _spread(sequence.frames, _OFFSET_FRAMES) if frame.has("rgb", camera)]
+        frames = [frame for frame in _spread(drive.frames, _OFFSET_FRAMES) if frame.has("rgb", camera)]
         if not frames:
             continue
         try:
@@ -227,7 +226,7 @@ def _with_offsets(source: MaskSource, sequence: Sequence) -> MaskSource:
     return replace(source, offset_px=offsets)
 
 
-def _offset(source: MaskSource, frames: Frames[Frame], camera: str) -> MaskOffset:
+def _offset(source: MaskSource, frames: Sequence[Frame], camera: str) -> MaskOffset:
     """The offset from some frames, remembered between processes where the masks are files of the drive."""
 
     def find() -> MaskOffset:
@@ -243,6 +242,6 @@ def _offset(source: MaskSource, frames: Frames[Frame], camera: str) -> MaskOffse
     return MaskOffset(*remembered("mask_offset", source.table, files, find))
 
 
-def _spread(frames: Frames[Frame], num: int) -> list[Frame]:
+def _spread(frames: Sequence[Frame], num: int) -> list[Frame]:
     """At most `num` frames, evenly spread."""
     return [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, num).astype(int))]

@@ -1,6 +1,6 @@
 """First guesses of the vehicle pose: from satellites, from truth plus noise, from a file (room: inputs; host).
 
-In: a Sequence, a map, the kind of prior. Out: PosePrior for each frame.
+In: a Drive, a map, the kind of prior. Out: PosePrior for each frame.
 """
 
 from pathlib import Path
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from semloc_jax.alignment.pose_prior import PosePrior, PriorSource
-from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import read_trajectory
 
@@ -18,7 +18,7 @@ _MIN_SIGMA_HEADING_DEG = 1.0
 
 def prior_source(
     kind: str,
-    sequence: Sequence,
+    drive: Drive,
     sigma_xy_m: float | None = None,
     sigma_heading_deg: float | None = None,
     seed: int = 0,
@@ -28,18 +28,18 @@ def prior_source(
     Args:
         kind: `gnss` (position and heading from the fixes), `truth` (reference plus seeded Gaussian noise of the stated
             sigmas) or the path of a trajectory file.
-        sequence: The drive.
+        drive: The drive.
         sigma_xy_m: Standard deviation of the position [m]; None for what the source states, or 1 m.
         sigma_heading_deg: Standard deviation of the heading [deg]; None for what the source states, or 3 deg.
         seed: Of the noise on the truth.
 
     Raises:
-        SemlocError: the sequence has no such prior, or there is no such file.
+        SemlocError: the drive has no such prior, or there is no such file.
     """
     if kind == "gnss":
-        return _from_gnss(sequence, sigma_xy_m, sigma_heading_deg)
+        return _from_gnss(drive, sigma_xy_m, sigma_heading_deg)
     if kind == "truth":
-        return _from_truth(sequence, sigma_xy_m or 1.0, np.deg2rad(sigma_heading_deg or 3.0), seed)
+        return _from_truth(drive, sigma_xy_m or 1.0, np.deg2rad(sigma_heading_deg or 3.0), seed)
     if not Path(kind).is_file():
         raise SemlocError(f"prior '{kind}': neither gnss nor truth nor a trajectory file; give one of these")
     trajectory = read_trajectory(kind)
@@ -52,14 +52,14 @@ def prior_source(
     return from_file
 
 
-def _from_gnss(sequence: Sequence, sigma_xy_m: float | None, sigma_heading_deg: float | None) -> PriorSource:
-    if sequence.gnss is None:
+def _from_gnss(drive: Drive, sigma_xy_m: float | None, sigma_heading_deg: float | None) -> PriorSource:
+    if drive.gnss is None:
         raise SemlocError(
-            f"drive {sequence.name}: has no satellite fixes for --prior gnss; use --prior truth or a TUM file"
+            f"drive {drive.name}: has no satellite fixes for --prior gnss; use --prior truth or a TUM file"
         )
 
     def from_gnss(frame: Frame) -> PosePrior:
-        fix = sequence.gnss_prior(frame.time_s)
+        fix = drive.gnss_prior(frame.time_s)
         xy = sigma_xy_m or float(np.max(fix.sigma_m[:2]))
         heading = (
             np.deg2rad(sigma_heading_deg)
@@ -71,9 +71,9 @@ def _from_gnss(sequence: Sequence, sigma_xy_m: float | None, sigma_heading_deg: 
     return from_gnss
 
 
-def _from_truth(sequence: Sequence, sigma_xy_m: float, sigma_rad: float, seed: int) -> PriorSource:
+def _from_truth(drive: Drive, sigma_xy_m: float, sigma_rad: float, seed: int) -> PriorSource:
     def from_truth(frame: Frame) -> PosePrior:
-        T = sequence.truth_at(frame)
+        T = drive.truth_at(frame)
         # One generator for each frame: the noise of a frame does not depend on which frames are run.
         noise = np.random.default_rng((seed, frame.index)).normal(size=3) * (sigma_xy_m, sigma_xy_m, sigma_rad)
         xy = T[:2, 3] + T[:2, :2] @ noise[:2]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from semloc_jax.inputs.choices import parse_slice
 
 if TYPE_CHECKING:
-    from semloc_jax.datasets import Sequence
+    from semloc_jax.datasets import Drive
     from semloc_jax.maps import SemanticMap
 
 SWEEPS = "sweeps:"
@@ -19,14 +19,14 @@ MAP_SWEEP, OTHER_SWEEP = "map_sweep", "other_sweep"
 """Variants of frames: those that the map was made of, and those that show how good it is."""
 
 
-def has_sweeps(drive: "Sequence") -> bool:
+def has_sweeps(drive: "Drive") -> bool:
     """Whether a map can be made of the drive itself."""
-    from semloc_jax.datasets import PandaSetSequence
+    from semloc_jax.datasets import PandaSetDrive
 
-    return isinstance(drive, PandaSetSequence)
+    return isinstance(drive, PandaSetDrive)
 
 
-def from_sweeps(drive: "Sequence", text: str) -> "tuple[Sequence, SemanticMap]":
+def from_sweeps(drive: "Drive", text: str) -> "tuple[Drive, SemanticMap]":
     """The drive, calibrated on the sweeps and with its frames told apart by variant, and the map made of the sweeps.
 
     Raises:

@@ -3,11 +3,11 @@
 In: what was learned, drives with truth. Out: the same with the correlation length at which the NEES is 1.
 """
 
-from collections.abc import Sequence as Several
+from collections.abc import Sequence
 
 import numpy as np
 
-from semloc_jax.datasets import Sequence
+from semloc_jax.datasets import Drive
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.evaluate import evaluate
@@ -20,7 +20,7 @@ and weights of modes that are merged sharpen with it. Ours, measured."""
 
 
 def calibrated(
-    learned: Learned, drives: Several[tuple[Sequence, SemanticMap, MaskSource]], config: LearningConfig
+    learned: Learned, drives: Sequence[tuple[Drive, SemanticMap, MaskSource]], config: LearningConfig
 ) -> Learned:
     """What was learned, with the correlation length at which the mean NEES of the search on the drives is 1.
 
@@ -44,7 +44,7 @@ def calibrated(
     return learned._replace(correlation_px=round(length_px, 2))
 
 
-def _where_zero(tried: Several[tuple[float, float]]) -> float:
+def _where_zero(tried: Sequence[tuple[float, float]]) -> float:
     """Where the line through the last two points is zero; with the expected slope where they do not tell one."""
     (x, y), slope = tried[-1], _SLOPE
     if len(tried) > 1 and abs(x - tried[-2][0]) > 0.1:

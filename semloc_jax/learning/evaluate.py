@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
-from semloc_jax.datasets import Sequence
+from semloc_jax.datasets import Drive
 from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.learning.config import LearningConfig
@@ -89,7 +89,7 @@ class Accuracy:
 
 
 def evaluate(
-    drive: Sequence, semantic_map: SemanticMap, masks: MaskSource, settings: LocalizeConfig, config: LearningConfig
+    drive: Drive, semantic_map: SemanticMap, masks: MaskSource, settings: LocalizeConfig, config: LearningConfig
 ) -> Accuracy:
     """Errors of frames of a drive, as the localizer finds them.
 

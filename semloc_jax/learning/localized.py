@@ -11,7 +11,7 @@ import numpy as np
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import LocalizationResult
-from semloc_jax.datasets import Sequence
+from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.inputs.priors import prior_source
@@ -34,7 +34,7 @@ class LocalizedFrame:
 
 
 def localized_frames(
-    drive: Sequence, localizer: FrameLocalizer, masks: MaskSource, config: LearningConfig, seed: int
+    drive: Drive, localizer: FrameLocalizer, masks: MaskSource, config: LearningConfig, seed: int
 ) -> Iterator[LocalizedFrame]:
     """Frames spread evenly over a drive, each one searched from a prior that is off by seeded errors.
 

@@ -1,6 +1,6 @@
 """Frames of drives with truth, ready to be solved and judged (room: learning; host).
 
-In: a Sequence with truth, its map and masks. Out: TrainingFrames of fixed shapes.
+In: a Drive with truth, its map and masks. Out: TrainingFrames of fixed shapes.
 """
 
 import equinox as eqx
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.alignment.pose_prior import PosePrior
-from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.localized import localized_frames
@@ -39,7 +39,7 @@ class TrainingFrame(eqx.Module):
 
 
 def training_frames(
-    drive: Sequence, semantic_map: SemanticMap, masks: MaskSource, config: LearningConfig, seed: int = 0
+    drive: Drive, semantic_map: SemanticMap, masks: MaskSource, config: LearningConfig, seed: int = 0
 ) -> list[TrainingFrame]:
     """Frames spread evenly over a drive; `seed` draws the errors of their priors.
 

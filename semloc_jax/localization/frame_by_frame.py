@@ -1,16 +1,15 @@
 """Localize frames of a drive one by one: the main job (room: localization; host).
 
-In: a Sequence, a SemanticMap, masks. Out: one LocalizationResult for each frame.
+In: a Drive, a SemanticMap, masks. Out: one LocalizationResult for each frame.
 The same functions serve the command line, notebooks and the library.
 """
 
-from collections.abc import Callable, Iterator
-from collections.abc import Sequence as Frames
+from collections.abc import Callable, Iterator, Sequence
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.pose_prior import PriorSource
 from semloc_jax.alignment.result import LocalizationResult
-from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_source import MaskSource, mask_source
 from semloc_jax.inputs.priors import prior_source
@@ -31,18 +30,18 @@ def localize_frames(
 
 
 def iterate_frames(
-    sequence: Sequence,
+    drive: Drive,
     semantic_map: SemanticMap,
     masks: MaskSource | str,
     prior: PriorSource | str = "gnss",
-    frames: slice | Frames[Frame] = slice(None),
-    cameras: Frames[str] | None = None,
+    frames: slice | Sequence[Frame] = slice(None),
+    cameras: Sequence[str] | None = None,
     config: LocalizeConfig | None = None,
 ) -> Iterator[LocalizationResult]:
     """One LocalizationResult after another.
 
     Args:
-        sequence: The drive.
+        drive: The drive.
         semantic_map: The map.
         masks: Mask folder of the drive, segmenter, or a MaskSource.
         prior: `gnss`, `truth`, a trajectory file or a PriorSource.
@@ -54,11 +53,11 @@ def iterate_frames(
         SemlocError: unknown masks or cameras, no prior, a map without classes that the masks show, no frames.
     """
     return_large_blocks()
-    chosen = sequence.frames[frames] if isinstance(frames, slice) else frames
+    chosen = drive.frames[frames] if isinstance(frames, slice) else frames
     if not chosen:
-        raise SemlocError(f"drive {sequence.name}: no frames chosen of {len(sequence)}; check --frames")
-    source = mask_source(masks, sequence, cameras) if isinstance(masks, str) else masks
-    give_prior = prior_source(prior, sequence) if isinstance(prior, str) else prior
+        raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames")
+    source = mask_source(masks, drive, cameras) if isinstance(masks, str) else masks
+    give_prior = prior_source(prior, drive) if isinstance(prior, str) else prior
     localizer = FrameLocalizer(semantic_map, source.table, config)
     for frame in chosen:
         rig = source.seen_by(frame.rig.select(source.cameras))

@@ -1,6 +1,6 @@
 """Run a localizer through a drive: features of the next frames while this one is localized (room: localization; host).
 
-In: a Sequence, masks, a Localizer. Out: one TrackResult for each frame, and how fast it went.
+In: a Drive, masks, a Localizer. Out: one TrackResult for each frame, and how fast it went.
 Two threads and one bounded queue. Offline the queue holds the reader back, and the results are those of a plain loop;
 in real-time playback frames come when they came, and a frame for which there is no room is dropped.
 """
@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from semloc_jax.alignment.pose_prior import PriorSource
-from semloc_jax.datasets import Frame
-from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.fusion.measurements import GnssMeasurement
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.localization.checkpoint import Checkpoint

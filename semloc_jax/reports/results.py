@@ -18,7 +18,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.alignment.result import LocalizationResult
-from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, pose_errors, write_metrics, write_tum
 from semloc_jax.inputs.config_files import RECORD_KEY, to_plain

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.datasets import Frame
-from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.evaluation import Trajectory, pose_errors
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
 from semloc_jax.reports.results import ERRORS, POSE, SIGMAS

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, integrity, within, write_metrics
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, statistics
 from semloc_jax.localization.pipeline import Timing

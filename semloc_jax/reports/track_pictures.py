@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 
 from semloc_jax import viz
-from semloc_jax.datasets import Frame
-from semloc_jax.datasets import Sequence as Drive
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.inputs.mask_source import MaskSource

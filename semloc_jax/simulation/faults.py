@@ -1,6 +1,6 @@
 """Drives on which something goes wrong, by name: what a localizer must notice and survive (room: simulation; host).
 
-In: a Sequence, the map it is localized in, the name of a fault. Out: FaultyDrive. What is drawn at random is seeded.
+In: a Drive, the map it is localized in, the name of a fault. Out: FaultyDrive. What is drawn at random is seeded.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from semloc_jax.cameras import Rig
-from semloc_jax.datasets.base import Frame, Sequence
+from semloc_jax.datasets.base import Drive, Frame
 from semloc_jax.datasets.sensors import GnssTrack, Imu, WheelOdometry
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
@@ -56,14 +56,14 @@ class FaultyDrive:
 
     Args:
         name: of the fault.
-        drive: the sequence with the fault in it.
+        drive: the drive with the fault in it.
         semantic_map: the map to localize in.
         from_s: begin of the fault in the time of the drive [s].
         to_s: its end; that of the drive for one that lasts [s].
     """
 
     name: str
-    drive: Sequence
+    drive: Drive
     semantic_map: SemanticMap
     from_s: float
     to_s: float
@@ -86,7 +86,7 @@ class MaskedFrame(Frame):
 
 
 def with_fault(
-    name: str, drive: Sequence, semantic_map: SemanticMap, seed: int = 0, sizes: FaultSizes | None = None
+    name: str, drive: Drive, semantic_map: SemanticMap, seed: int = 0, sizes: FaultSizes | None = None
 ) -> FaultyDrive:
     """The drive with one fault.
 
@@ -108,7 +108,7 @@ def with_fault(
 @dataclass(frozen=True)
 class _Maker:
     name: str
-    drive: Sequence
+    drive: Drive
     semantic_map: SemanticMap
     sizes: FaultSizes
     rng: np.random.Generator
@@ -122,7 +122,7 @@ class _Maker:
     def end_s(self) -> float:
         return self.drive.frames[-1].time_s
 
-    def made(self, drive: Sequence, from_s: float, to_s: float, semantic_map: SemanticMap | None = None) -> FaultyDrive:
+    def made(self, drive: Drive, from_s: float, to_s: float, semantic_map: SemanticMap | None = None) -> FaultyDrive:
         return FaultyDrive(self.name, drive, semantic_map or self.semantic_map, from_s, min(to_s, self.end_s))
 
     @property

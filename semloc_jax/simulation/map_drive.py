@@ -1,6 +1,6 @@
 """A seeded drive on a real map, in the drive layout (room: simulation; host).
 
-In: a map file, a wish where to drive. Out: Sequence of the drive just written.
+In: a map file, a wish where to drive. Out: Drive of the drive just written.
 """
 
 import logging
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from semloc_jax.cameras import Rig
-from semloc_jax.datasets.base import Sequence
+from semloc_jax.datasets.base import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import SemanticMap, read_lane_centers, read_map
 from semloc_jax.simulation.cameras import front_rig
@@ -36,7 +36,7 @@ def simulate_on_map(
     wish: RouteWish | None = None,
     config: SimulationConfig | None = None,
     rig: Rig | None = None,
-) -> Sequence:
+) -> Drive:
     """Render a seeded drive on a map into the folder `out` and open it; one front camera unless `rig` says else.
 
     The vehicle follows lanes where the map knows them, else its markings. Length and speed decide the number of frames:

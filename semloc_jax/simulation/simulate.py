@@ -1,6 +1,6 @@
 """A whole simulated drive on disk, in the drive layout (room: simulation; host).
 
-In: kind, seed, folder. Out: Sequence of the drive just written.
+In: kind, seed, folder. Out: Drive of the drive just written.
 """
 
 import json
@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from semloc_jax.cameras import Rig, write_calibration
-from semloc_jax.datasets.base import Sequence
+from semloc_jax.datasets.base import Drive
 from semloc_jax.datasets.drive import CLASS_IDS, read_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory, write_tum
@@ -72,7 +72,7 @@ _DEFAULTS = {
 
 def simulate(
     kind: str, seed: int, out: str | Path, config: SimulationConfig | None = None, rig: Rig | None = None
-) -> Sequence:
+) -> Drive:
     """Render a seeded drive into the folder `out` and open it.
 
     Args:
@@ -123,7 +123,7 @@ class Staging:
     told: dict = field(default_factory=dict)
 
 
-def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig, rng: np.random.Generator) -> Sequence:
+def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig, rng: np.random.Generator) -> Drive:
     """Render a staged drive into the folder `out` and open it."""
     scene, motion = staging.scene, staging.motion
     out.mkdir(parents=True, exist_ok=True)

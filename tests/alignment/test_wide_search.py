@@ -10,8 +10,8 @@ import pytest
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig, sample_within
 from semloc_jax.alignment.single_frame import frame_input
 from semloc_jax.alignment.wide_search import WideSearchConfig, lattice, wide_search
-from semloc_jax.datasets import open_sequence
-from semloc_jax.inputs import mask_source
+from semloc_jax.datasets import open_drive
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import read_map
 from semloc_jax.perception import cost_maps
 
@@ -30,7 +30,7 @@ def test_the_lattice_is_even_and_starts_in_the_middle():
 
 @pytest.mark.data
 def test_the_true_place_is_among_sixteen(road_dir):
-    drive = open_sequence(road_dir)
+    drive = open_drive(road_dir)
     semantic_map, source = read_map(drive.map_path), mask_source("sem", drive, offset_px=(0.0, 0.0))
     config = LocalizeConfig()
     localizer, rng = FrameLocalizer(semantic_map, source.table, config), np.random.default_rng(0)

@@ -7,15 +7,15 @@ import numpy as np
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import LocalizationResult
-from semloc_jax.datasets import open_sequence
-from semloc_jax.inputs import mask_source
+from semloc_jax.datasets import open_drive
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import read_map
 from semloc_jax.structs import SolveStatus
 
 
 def frame_to_explain(simulated_road: Path) -> tuple:
     """Localizer, result, masks, prior and cameras of the second frame of a drive with exact masks."""
-    drive = open_sequence(simulated_road)
+    drive = open_drive(simulated_road)
     frame, source = drive.frames[1], mask_source("sem", drive)
     localizer = FrameLocalizer(read_map(drive.map_path), source.table)
     T = drive.truth_at(frame)

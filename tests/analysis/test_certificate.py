@@ -12,7 +12,7 @@ from semloc_jax.alignment.single_frame import evidence_from
 from semloc_jax.analysis.certificate import CLAIMS, CertificateConfig, certify, plane_problem
 from semloc_jax.analysis.intervals import Interval
 from semloc_jax.analysis.ramp_bounds import ramp_bounds
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import read_map
@@ -28,7 +28,7 @@ class Scene:
     """One frame of the simulated road: evidence for the certificate, and its cost once more in plain numpy."""
 
     def __init__(self, folder, masks: str, index: int):
-        drive = open_sequence(folder)
+        drive = open_drive(folder)
         source = mask_source(masks, drive, offset_px=(0.0, 0.0))
         localizer = FrameLocalizer(read_map(drive.map_path), source.table, WIDE)
         frame = drive.frames[index]

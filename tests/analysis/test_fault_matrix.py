@@ -7,7 +7,7 @@ import pytest
 
 from semloc_jax.analysis.fault_matrix import judge_fault, to_markdown
 from semloc_jax.cameras import PinholeCamera, Rig
-from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.evaluation import Trajectory
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
@@ -29,7 +29,7 @@ def run(status, errors, from_s, to_s):
     poses = np.array([along(0.0, yaw=np.pi / 2) @ along(float(k)) for k in range(num)])
     rig = Rig([PinholeCamera(10.0, 10.0, 5.0, 5.0, 10, 10)], np.eye(4)[None], ["front"])
     frames = tuple(Frame(k, f"{k:03d}", float(time_s[k]), "", rig, {}) for k in range(num))
-    drive = Sequence("made", Path("."), frames, rig, truth=Trajectory(time_s, poses))
+    drive = Drive("made", Path("."), frames, rig, truth=Trajectory(time_s, poses))
     results = []
     for k, (state, off) in enumerate(zip(status, errors, strict=True)):
         fused = (

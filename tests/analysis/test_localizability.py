@@ -19,7 +19,7 @@ from semloc_jax.analysis.selection import (
     small_map,
 )
 from semloc_jax.analysis.survey import Way, path_way, survey
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import MapElement, SemanticMap, read_map, write_drive_geojson
@@ -33,7 +33,7 @@ TABLE = load_class_table("drive")
 
 @pytest.fixture(scope="module")
 def drive(simulated_road):
-    return open_sequence(simulated_road)
+    return open_drive(simulated_road)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.analysis.placement import Placement, PlacementConfig, mean_log_sigma, place_camera, placement_problem
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import read_map
 from semloc_jax.perception import load_class_table
@@ -17,7 +17,7 @@ CONFIG = PlacementConfig()
 
 @pytest.fixture(scope="module")
 def drive(simulated_road):
-    return open_sequence(simulated_road)
+    return open_drive(simulated_road)
 
 
 @pytest.fixture(scope="module")

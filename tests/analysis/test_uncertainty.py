@@ -16,11 +16,11 @@ from semloc_jax.analysis.uncertainty import (
     pose_residuals,
     sandwich_covariance,
 )
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import pose_errors
 from semloc_jax.geometry import rigid
-from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import read_map
 from semloc_jax.simulation import SimulationConfig, simulate
 from semloc_jax.simulation.cameras import front_rig, surround_rig
@@ -184,7 +184,7 @@ def test_moments_and_intervals_are_those_of_samples():
 @pytest.mark.slow
 def test_the_posterior_of_a_frame(simulated_road):
     """One localized frame: the heaviest mode is at the truth, all weights sum to one, sigmas are centimetres."""
-    drive = open_sequence(simulated_road)
+    drive = open_drive(simulated_road)
     frame, source = drive.frames[2], mask_source("sem", drive)
     masks, rig = source.masks(frame), source.seen_by(frame.rig.select(source.cameras))
     localizer = FrameLocalizer(read_map(drive.map_path), source.table)

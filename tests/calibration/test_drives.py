@@ -10,9 +10,9 @@ from semloc_jax.calibration import SelfCalibrationConfig, Verdict, self_calibrat
 from semloc_jax.calibration.frames import StartPoses, motion_between
 from semloc_jax.calibration.self_calibration import calibrate_from, mount_change
 from semloc_jax.cameras import Rig
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError
-from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.maps import read_map
 from semloc_jax.simulation import SimulationConfig, simulate
@@ -96,7 +96,7 @@ def test_a_standing_vehicle_is_told_that_it_has_to_move(drive):
 
 
 def test_too_few_frames_are_refused(simulated_road):
-    short = open_sequence(simulated_road)
+    short = open_drive(simulated_road)
     masks, prior = mask_source("sem", short), prior_source("truth", short)
     with pytest.raises(SemlocError, match="has 3 frames; expected at least 5 to calibrate with; record a longer drive"):
         self_calibrate(short, read_map(short.map_path), masks, prior)

@@ -49,9 +49,9 @@ def test_drives_raise_no_word(data_dir, name):
 
 @pytest.mark.data
 def test_six_real_cameras_raise_no_word(data_dir):
-    from semloc_jax.datasets import open_sequence
+    from semloc_jax.datasets import open_drive
 
-    assert implausible(open_sequence(data_dir / "pandaset_002").rig) == []
+    assert implausible(open_drive(data_dir / "pandaset_002").rig) == []
 
 
 @pytest.mark.parametrize("yaw", [0.0, 90.0, -135.0])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from semloc_jax.cli.main import FAILED, OK, main
-from semloc_jax.datasets import open_sequence, write_bag
+from semloc_jax.datasets import open_drive, write_bag
 from semloc_jax.evaluation import pose_errors, read_trajectory
-from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import read_map
 from semloc_jax.reports.results import shift_text
 
@@ -20,7 +20,7 @@ CLOCK_S = 1.7e9
 
 @pytest.fixture(scope="module")
 def bag(simulated_road, tmp_path_factory):
-    drive = open_sequence(simulated_road)
+    drive = open_drive(simulated_road)
     path = tmp_path_factory.mktemp("bag") / "drive"
     return write_bag(drive, path, "mcap", read_map(drive.map_path).origin, compressed=True, clock_offset_s=CLOCK_S)
 
@@ -46,7 +46,7 @@ def test_masks_inside_a_bag_are_those_of_the_folder(simulated_road, bag, tmp_pat
     folder = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     try:
-        recorded, drive = open_sequence(bag), open_sequence(simulated_road)
+        recorded, drive = open_drive(bag), open_drive(simulated_road)
         ours, theirs = mask_source("sem_net", recorded, table="drive"), mask_source("sem_net", drive)
     finally:
         jax.config.update("jax_compilation_cache_dir", folder)
@@ -65,7 +65,7 @@ def test_a_map_of_another_place_is_told_before_the_work(simulated_road, bag, tmp
 
 
 def test_fixes_of_another_time_are_told_before_the_work(simulated_road, tmp_path, capsys):
-    drive = open_sequence(simulated_road)
+    drive = open_drive(simulated_road)
     late = replace(drive, gnss=replace(drive.gnss, time_s=drive.gnss.time_s + 3600.0))
     origin = read_map(drive.map_path).origin
     bag = write_bag(late, tmp_path / "late", "mcap", origin, compressed=True, clock_offset_s=CLOCK_S)

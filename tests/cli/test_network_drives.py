@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from semloc_jax.cli.main import OK, main
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.evaluation import pose_errors, read_trajectory
 from semloc_jax.inputs.drive_inputs import InputOptions, open_inputs
 from tests.perception.onnx_files import red_or_blue
@@ -29,7 +29,7 @@ def coloured(simulated_road, tmp_path_factory):
     """The simulated drive with images that show lanes red and poles blue, and a network that knows these colours."""
     folder = tmp_path_factory.mktemp("coloured")
     drive = shutil.copytree(simulated_road, folder / "drive")
-    for frame in open_sequence(simulated_road).frames:
+    for frame in open_drive(simulated_road).frames:
         mask = frame.mask("sem", "front")
         image = np.zeros((*mask.shape, 3), np.uint8)
         image[np.isin(mask, LANES), 2], image[mask == POLE, 0] = 255, 255
@@ -49,7 +49,7 @@ def test_the_classes_that_the_masks_show_are_told(coloured, caplog):
     assert "show of the map: lane_marking (" in said
     assert "do not show: " in said and "sign" in said.split("do not show: ")[1]
     frame = inputs.drive.frames[1]
-    exact = open_sequence(coloured / "drive").frames[1].mask("sem", "front")
+    exact = open_drive(coloured / "drive").frames[1].mask("sem", "front")
     assert np.array_equal(inputs.masks.masks(frame)[0] == 1, np.isin(exact, LANES))
 
 

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, main
-from semloc_jax.datasets import open_sequence
-from semloc_jax.inputs import mask_source
+from semloc_jax.datasets import open_drive
+from semloc_jax.inputs.mask_source import mask_source
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.perception.onnx_files import red_or_blue
@@ -54,7 +54,7 @@ def test_masks_are_made_once_and_go_on(simulated_road, preset, tmp_path, capsys)
 def test_masks_of_a_folder_are_used_with_their_table(simulated_road, preset, tmp_path):
     out = tmp_path / "masks"
     assert segment(simulated_road, preset, out) == OK
-    drive = open_sequence(simulated_road)
+    drive = open_drive(simulated_road)
     for frame in drive.frames:  # the colours of a street are not red or blue enough for a test of the table
         cv2.imwrite(str(out / "front" / f"{frame.id}.png"), np.uint8(frame.mask("sem", "front") == 10))
     source = mask_source(str(out), drive)

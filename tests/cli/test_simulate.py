@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from semloc_jax.cli.main import FAILED, OK, USAGE, main
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 
 SMALL = ["--num-frames", "2", "--width-px", "160", "--height-px", "100"]
 
@@ -13,7 +13,7 @@ def test_a_drive_is_written_and_opens_again(tmp_path, capsys):
     out = tmp_path / "drive"
     assert main(["simulate", str(out), "--seed", "3", *SMALL]) == OK
     assert "2 frames, cameras front" in capsys.readouterr().out
-    drive = open_sequence(out)
+    drive = open_drive(out)
     assert len(drive) == 2
     assert drive.frames[0].mask("sem_net", "front").shape == (100, 160)
     assert drive.truth is not None

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.cameras import KannalaBrandtCamera, write_calibration
-from semloc_jax.datasets import open_sequence, read_bag, write_bag
+from semloc_jax.datasets import open_drive, read_bag, write_bag
 from semloc_jax.datasets.bags.frames import FrameTree
 from semloc_jax.datasets.bags.images import picture_of
 from semloc_jax.datasets.bags.logs import gnss_from_fixes, imu_from_messages, odometry_from_twists
@@ -27,7 +27,7 @@ CLOCK_S = 1.7e9
 
 @pytest.fixture(scope="module")
 def drive(simulated_road):
-    return open_sequence(simulated_road)
+    return open_drive(simulated_road)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def bags(drive, origin, tmp_path_factory):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_drive_written_as_a_bag_comes_back_the_same(drive, origin, bags, kind):
-    found = open_sequence(bags[kind]).in_map_of(origin)
+    found = open_drive(bags[kind]).in_map_of(origin)
     assert found.rig.names == drive.rig.names
     np.testing.assert_allclose(found.rig.T_base_cam, drive.rig.T_base_cam, atol=1e-12)
     ours, theirs = found.rig.cameras[0], drive.rig.cameras[0]
@@ -65,7 +65,7 @@ def test_a_drive_written_as_a_bag_comes_back_the_same(drive, origin, bags, kind)
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_sensors_survive_the_bag(drive, origin, bags, kind):
-    found = open_sequence(bags[kind]).in_map_of(origin)
+    found = open_drive(bags[kind]).in_map_of(origin)
     np.testing.assert_allclose(found.gnss.p_enu, drive.gnss.p_enu, atol=1e-6)  # um, through degrees and back
     np.testing.assert_allclose(found.gnss.sigma_m, drive.gnss.sigma_m, rtol=1e-12)
     np.testing.assert_allclose(found.odometry.speed_mps, drive.odometry.speed_mps)
@@ -78,7 +78,7 @@ def test_sensors_survive_the_bag(drive, origin, bags, kind):
 
 
 def test_four_cameras_keep_their_places(garage_dir, tmp_path):
-    drive = open_sequence(garage_dir)
+    drive = open_drive(garage_dir)
     bag = write_bag(only_images(drive), tmp_path / "bag", frames=drive.frames[:2], compressed=True)
     found = read_bag(bag)
     assert sorted(found.rig.names) == sorted(drive.rig.names)
@@ -92,7 +92,7 @@ def test_four_cameras_keep_their_places(garage_dir, tmp_path):
 def test_antennas_imus_and_axles_are_moved_to_the_base(tmp_path, drive, origin):
     """Sensors in frames of their own: tf tells where they are, and the readings are those of the base."""
     path = write_bag(replace(drive, odometry=None, imu=None), tmp_path / "bag", "mcap", origin, clock_offset_s=CLOCK_S)
-    store = open_sequence(path)
+    store = open_drive(path)
     assert store.odometry is None
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("z", 90, degrees=True).as_matrix()
@@ -200,17 +200,17 @@ def test_without_tf_a_calibration_beside_the_bag_is_used(drive, tmp_path, monkey
     with pytest.raises(
         SemlocError, match=r"tf does not link 'front_optical_frame' .* with a base .* give --calib FILE"
     ):
-        open_sequence(bag)
+        open_drive(bag)
     write_calibration(drive.rig, tmp_path / "calib.yaml")
-    assert open_sequence(bag).rig.names == ("front",)
+    assert open_drive(bag).rig.names == ("front",)
     (tmp_path / "calib.yaml").rename(tmp_path / "other.yaml")
-    assert open_sequence(bag, tmp_path / "other.yaml").rig.names == ("front",)
+    assert open_drive(bag, tmp_path / "other.yaml").rig.names == ("front",)
 
 
 def test_a_missing_library_names_the_extra(bags, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(SemlocError, match=r'pip install "semloc-jax\[bags\]"'):
-        open_sequence(bags["mcap"])
+        open_drive(bags["mcap"])
 
 
 @pytest.mark.parametrize("kind", ["ros1", "mcap"])
@@ -219,12 +219,12 @@ def test_a_bag_cut_off_is_one_line(bags, kind, tmp_path):
     damaged = tmp_path / source.name
     damaged.write_bytes(source.read_bytes()[: source.stat().st_size // 2])
     with pytest.raises(SemlocError, match=r"bag .*: (cannot be opened|damaged|no image topic|the CameraInfo|no )"):
-        for frame in open_sequence(damaged).frames:
+        for frame in open_drive(damaged).frames:
             frame.image("front")
 
 
 def test_fixes_need_to_know_where_the_map_is(bags):
-    found = open_sequence(bags["mcap"])
+    found = open_drive(bags["mcap"])
     assert found.gnss.origin is not None
     with pytest.raises(SemlocError, match="the map does not say where on the earth"):
         found.in_map_of(None)
@@ -245,13 +245,13 @@ def test_pictures_of_another_size_scale_the_camera(drive, tmp_path, caplog):
 @pytest.mark.slow
 @pytest.mark.data
 def test_the_bag_is_localized_as_the_folder_is(road_dir, tmp_path):
-    from semloc_jax.inputs import mask_source
+    from semloc_jax.inputs.mask_source import mask_source
     from semloc_jax.localization.frame_by_frame import localize_frames
 
-    drive = open_sequence(road_dir)
+    drive = open_drive(road_dir)
     semantic_map = read_map(drive.map_path)
     bag = write_bag(drive, tmp_path / "bag", "mcap", semantic_map.origin, drive.frames[10:13], compressed=True)
-    found = open_sequence(bag).in_map_of(semantic_map.origin)
+    found = open_drive(bag).in_map_of(semantic_map.origin)
     ours = localize_frames(found, semantic_map, mask_source("sem", found, table="drive"))
     theirs = localize_frames(drive, semantic_map, "sem", frames=slice(10, 13))
     assert all(result.localized for result in ours)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from semloc_jax.datasets import open_sequence, overlap_report, write_bag
+from semloc_jax.datasets import open_drive, overlap_report, write_bag
 from semloc_jax.datasets.nmea import read_nmea
 from semloc_jax.maps import read_map
 from tests.datasets.test_recordings import nmea_lines, write_euroc, write_kitti, write_nuscenes, write_rig, write_video
@@ -14,7 +14,7 @@ from tests.maps.io.mutations import COUNTS, break_often
 
 def use(path: Path):
     """What every verb does with a recording before its work starts."""
-    drive = open_sequence(path)
+    drive = open_drive(path)
     overlap_report(drive)
     for frame in (drive.frames[0], drive.frames[-1]):
         for kind in frame.files:
@@ -74,7 +74,7 @@ def test_broken_nmea(tmp_path, count):
 @pytest.mark.parametrize("kind", ["ros1", "mcap", "sqlite3"])
 def test_broken_bags(simulated_road, tmp_path, kind, count):
     pytest.importorskip("rosbags")
-    drive = open_sequence(simulated_road)
+    drive = open_drive(simulated_road)
     small = replace(drive, imu=None, frames=drive.frames[:2])
     name = "drive.bag" if kind == "ros1" else "drive"
     path = write_bag(small, tmp_path / name, kind, read_map(drive.map_path).origin, compressed=True, clock_offset_s=1e9)

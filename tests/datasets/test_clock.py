@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semloc_jax.datasets import open_sequence, overlap_report
+from semloc_jax.datasets import open_drive, overlap_report
 from semloc_jax.datasets.clock import seconds, unit_of_column
 from semloc_jax.errors import SemlocError
 
@@ -43,7 +43,7 @@ def test_what_is_no_time_is_refused():
 
 
 def test_streams_of_a_drive_belong_together(simulated_road):
-    report = overlap_report(open_sequence(simulated_road))
+    report = overlap_report(open_drive(simulated_road))
     assert report.problems == ()
     assert {span.name for span in report.spans} == {"frames", "fixes", "odometry", "imu", "truth"}
     assert all(span.covered == 1.0 for span in report.spans)
@@ -53,7 +53,7 @@ def test_streams_of_a_drive_belong_together(simulated_road):
 
 
 def test_streams_apart_and_gaps_are_named(simulated_road):
-    drive = open_sequence(simulated_road)
+    drive = open_drive(simulated_road)
     late = replace(drive, gnss=replace(drive.gnss, time_s=drive.gnss.time_s + 1e6))
     (problem,) = overlap_report(late).problems
     assert "have no time in common" in problem and "other clocks, other units, or another drive" in problem

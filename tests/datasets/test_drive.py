@@ -5,12 +5,12 @@ import shutil
 import numpy as np
 import pytest
 
-from semloc_jax.datasets import WheelOdometry, open_sequence, read_drive
+from semloc_jax.datasets import WheelOdometry, open_drive, read_drive
 from semloc_jax.errors import SemlocError
 
 
 def test_rendered_road_is_read_whole(road_dir):
-    drive = open_sequence(road_dir)
+    drive = open_drive(road_dir)
     assert len(drive) == 150
     assert drive.variants == ("noon", "lowsun", "nightwet")
     assert drive.mask_sources == ("sem", "sem_net")
@@ -35,7 +35,7 @@ def test_wheel_odometry_follows_the_truth_over_one_second(road_dir):
 
 
 def test_garage_has_four_cameras(garage_dir):
-    drive = open_sequence(garage_dir)
+    drive = open_drive(garage_dir)
     assert drive.rig.names == ("front", "left", "rear", "right")
     assert [mask.shape for mask in drive.frames[0].masks("sem_net")] == [(480, 640)] * 4
 
@@ -65,7 +65,7 @@ def make_bare_drive(road_dir, folder, num_frames=2):
 
 def test_a_drive_of_masks_only_opens(road_dir, tmp_path):
     make_bare_drive(road_dir, tmp_path)
-    drive = open_sequence(tmp_path)
+    drive = open_drive(tmp_path)
     assert drive.mask_sources == ("sem",)
     assert drive.truth is None and drive.gnss is None and drive.map_path is None
     with pytest.raises(SemlocError, match="no satellite fixes"):
@@ -80,13 +80,13 @@ def test_wrong_files_are_named(road_dir, tmp_path):
     make_bare_drive(road_dir, tmp_path)
     (tmp_path / "gps.csv").write_text("t,east\n1,2\n")
     with pytest.raises(SemlocError, match="gps.csv: has columns t, east; expected also east_m"):
-        open_sequence(tmp_path)
+        open_drive(tmp_path)
     (tmp_path / "gps.csv").unlink()
     (tmp_path / "sem" / "front" / "000000.png").write_bytes(b"x")
     with pytest.raises(SemlocError, match="cannot be decoded"):
-        open_sequence(tmp_path).frames[0].mask("sem", "front")
+        open_drive(tmp_path).frames[0].mask("sem", "front")
     with pytest.raises(SemlocError, match="no such folder"):
-        open_sequence(tmp_path / "none")
+        open_drive(tmp_path / "none")
 
 
 def test_plain_folder_with_one_camera(road_dir, tmp_path):
@@ -95,9 +95,9 @@ def test_plain_folder_with_one_camera(road_dir, tmp_path):
     shutil.move(tmp_path / "sem" / "front", tmp_path / "masks")
     shutil.rmtree(tmp_path / "sem")
     (tmp_path / "times.csv").write_text("frame,t\n000000,5.0\n000001,5.1\n000002,5.2\n")
-    sequence = open_sequence(tmp_path)
-    assert [frame.time_s for frame in sequence.frames] == [5.0, 5.1, 5.2]
-    assert sequence.frames[1].mask("masks", "front").shape == (600, 960)
+    drive = open_drive(tmp_path)
+    assert [frame.time_s for frame in drive.frames] == [5.0, 5.1, 5.2]
+    assert drive.frames[1].mask("masks", "front").shape == (600, 960)
     shutil.copytree(tmp_path / "masks", tmp_path / "images")
     (tmp_path / "images" / "000001.png").unlink()
-    assert [frame.id for frame in open_sequence(tmp_path).frames] == ["000000", "000002"]
+    assert [frame.id for frame in open_drive(tmp_path).frames] == ["000000", "000002"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.datasets.pandaset import build_map, calibrated
 from semloc_jax.datasets.pandaset.cuboids import read_cuboids
 from semloc_jax.datasets.pandaset.reader import CAMERAS, FRONT, LANE_LINE, _camera_poses
@@ -30,7 +30,7 @@ def folder(data_dir):
 
 @pytest.fixture(scope="module")
 def drive(folder):
-    return open_sequence(folder)
+    return open_drive(folder)
 
 
 def test_six_cameras_and_all_frames(drive):
@@ -170,4 +170,4 @@ def test_wrong_folders_are_named(tmp_path, drive):
     (tmp_path / "camera" / FRONT).mkdir(parents=True)
     (tmp_path / "camera" / FRONT / "poses.json").write_text("[]")
     with pytest.raises(SemlocError, match=r"timestamps.json: no such file"):
-        open_sequence(tmp_path)
+        open_drive(tmp_path)

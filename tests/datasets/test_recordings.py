@@ -9,7 +9,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.cameras import PinholeCamera, Rig, write_calibration
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.datasets.in_step import odometry_from_poses
 from semloc_jax.datasets.nmea import read_nmea
 from semloc_jax.errors import SemlocError
@@ -83,7 +83,7 @@ def write_euroc(folder, num=4):
 
 
 def test_euroc(tmp_path):
-    drive = open_sequence(write_euroc(tmp_path / "MH_01"))
+    drive = open_drive(write_euroc(tmp_path / "MH_01"))
     assert drive.rig.names == ("cam0", "cam1")
     assert_pictures(drive, "cam1", 4)
     assert drive.frames[1].time_s == pytest.approx((START_NS + STEP_NS) / 1e9, abs=3e-7)
@@ -99,11 +99,11 @@ def test_euroc_names_what_is_wrong(tmp_path):
     csv = folder / "mav0" / "cam0" / "data.csv"
     csv.write_text(csv.read_text().replace(str(START_NS), "1403636579.76"))
     with pytest.raises(SemlocError, match=r"time '1403636579\.76'; expected whole nanoseconds"):
-        open_sequence(folder)
+        open_drive(folder)
     folder = write_euroc(tmp_path / "b")
     (folder / "mav0" / "cam1" / "sensor.yaml").unlink()
     with pytest.raises(SemlocError, match=r"no sensor\.yaml"):
-        open_sequence(folder)
+        open_drive(folder)
 
 
 # ---------------------------------------------------------------- KITTI
@@ -127,7 +127,7 @@ def write_kitti(folder, num=4):
 
 
 def test_kitti_odometry(tmp_path):
-    drive = open_sequence(write_kitti(tmp_path / "00"))
+    drive = open_drive(write_kitti(tmp_path / "00"))
     assert drive.rig.names == ("image_2", "image_0")
     assert drive.rig.cameras[0].resolution == (64, 48)
     assert_pictures(drive, "image_2", 4)
@@ -136,7 +136,7 @@ def test_kitti_odometry(tmp_path):
     np.testing.assert_allclose(drive.truth_at(drive.frames[3])[:3, 3], [2.7, 0.0, 0.0], atol=1e-9)
     (tmp_path / "00" / "times.txt").write_text("0.0\n0.1\n")
     with pytest.raises(SemlocError, match="4 pictures and 2 times"):
-        open_sequence(tmp_path / "00")
+        open_drive(tmp_path / "00")
 
 
 def test_kitti_raw(tmp_path):
@@ -154,7 +154,7 @@ def test_kitti_raw(tmp_path):
     text = "calib_time: 09-Jan-2012 13:57:47\n" + kitti_line("S_rect_02", [64, 48])
     text += kitti_line("R_rect_00", np.eye(3)) + kitti_line("P_rect_02", K @ np.eye(3, 4))
     (tmp_path / "2011_09_26" / "calib_cam_to_cam.txt").write_text(text)
-    drive = open_sequence(folder)
+    drive = open_drive(folder)
     assert drive.rig.names == ("image_02",)
     assert drive.frames[0].time_s == pytest.approx(1317042145.964389, abs=1e-6)
     np.testing.assert_allclose(drive.odometry.speed_mps, [9.5, 10.5, 11.5])
@@ -203,7 +203,7 @@ def write_av2(folder, num=5):
 
 def test_argoverse2(tmp_path):
     folder, T = write_av2(tmp_path / "log")
-    drive = open_sequence(folder)
+    drive = open_drive(folder)
     assert drive.rig.names == ("ring_front_center", "ring_side_left")
     assert_pictures(drive, "ring_side_left", 5)
     np.testing.assert_allclose(drive.truth_at(drive.frames[1])[:3, 3], T[1, :3, 3] - [0, 0, 0.33], atol=1e-6)
@@ -259,7 +259,7 @@ def write_nuscenes(folder):
 
 
 def test_nuscenes(tmp_path):
-    drive = open_sequence(write_nuscenes(tmp_path / "nuscenes"))
+    drive = open_drive(write_nuscenes(tmp_path / "nuscenes"))
     assert drive.name == "scene-0061" and drive.rig.names == ("CAM_FRONT",)
     assert_pictures(drive, "CAM_FRONT", 3)
     assert drive.frames[1].time_s == pytest.approx(1532402927.5, abs=1e-6)
@@ -277,7 +277,7 @@ def test_nuscenes_refuses_paths_that_leave_the_data_set(tmp_path):
     table = folder / "v1.0-mini" / "sample_data.json"
     table.write_text(table.read_text().replace("samples/CAM_FRONT/s1_1.jpg", "../../etc/passwd"))
     with pytest.raises(SemlocError, match="leaves the data set"):
-        open_sequence(folder)
+        open_drive(folder)
 
 
 # ---------------------------------------------------------------- video, folder, NMEA
@@ -302,7 +302,7 @@ def test_video_with_times(tmp_path):
     write_video(tmp_path / "drive.avi")
     (tmp_path / "drive.csv").write_text("t_ms\n" + "\n".join(str(1000 + 50 * i) for i in range(8)))
     (tmp_path / "gps.csv").write_text("t_ms,latitude,longitude,altitude\n1000,48.0,11.0,500\n1200,48.00001,11.0,500\n")
-    drive = open_sequence(tmp_path / "drive.avi")
+    drive = open_drive(tmp_path / "drive.avi")
     assert [frame.time_s for frame in drive.frames] == pytest.approx(1.0 + 0.05 * np.arange(8))
     np.testing.assert_allclose(drive.gnss.time_s, [1.0, 1.2])
     np.testing.assert_allclose(drive.gnss.p_enu[1], [0.0, 1.112, 0.0], atol=1e-3)
@@ -310,12 +310,12 @@ def test_video_with_times(tmp_path):
         assert drive.frames[number].image("front").mean() == pytest.approx(40 + 20 * number, abs=3.0)
     (tmp_path / "drive.csv").write_text("t\n0.0\n0.1\n")
     with pytest.raises(SemlocError, match=r"2 times for 8 pictures .* were pictures dropped\?"):
-        open_sequence(tmp_path / "drive.avi")
+        open_drive(tmp_path / "drive.avi")
     (tmp_path / "drive.csv").unlink()
-    assert open_sequence(tmp_path / "drive.avi").frames[4].time_s == pytest.approx(0.2)
+    assert open_drive(tmp_path / "drive.avi").frames[4].time_s == pytest.approx(0.2)
     (tmp_path / "broken.mp4").write_bytes(b"\0" * 500)
     with pytest.raises(SemlocError, match=r"broken\.mp4: cannot be decoded"):
-        open_sequence(tmp_path / "broken.mp4")
+        open_drive(tmp_path / "broken.mp4")
 
 
 @pytest.mark.parametrize("how", ["names", "timestamps.txt", "times.csv"])
@@ -329,7 +329,7 @@ def test_folder_with_times_in_nanoseconds(tmp_path, how):
     elif how == "times.csv":
         rows = [f"{name}.png,{stamp}" for name, stamp in zip(names, stamps, strict=True)]
         (tmp_path / how).write_text("filename,timestamp_ns\n" + "\n".join(rows))
-    drive = open_sequence(tmp_path)
+    drive = open_drive(tmp_path)
     np.testing.assert_allclose([f.time_s for f in drive.frames], np.array(stamps) / 1e9, rtol=0, atol=3e-7)
     assert_pictures(drive, "front", 4)
 
@@ -381,7 +381,7 @@ def test_nmea_takes_the_clock_of_the_logger_and_drops_what_is_damaged(tmp_path):
 
 def test_unknown_paths_are_one_line(tmp_path):
     with pytest.raises(SemlocError, match="no such folder or file; expected one of drive, bag, PandaSet, EuRoC"):
-        open_sequence(tmp_path / "none")
+        open_drive(tmp_path / "none")
     (tmp_path / "drive.rar").write_bytes(b"x")
     with pytest.raises(SemlocError, match=r"unknown type '\.rar'"):
-        open_sequence(tmp_path / "drive.rar")
+        open_drive(tmp_path / "drive.rar")

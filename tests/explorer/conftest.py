@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.explorer import ExplorerServer, ExplorerSession
-from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.maps import read_map
 
@@ -16,7 +16,7 @@ from semloc_jax.maps import read_map
 @pytest.fixture(scope="session")
 def explorer(simulated_road: Path) -> Iterator[ExplorerServer]:
     """A server that is ready, opened at frame 1 with exact masks."""
-    drive = open_sequence(simulated_road)
+    drive = open_drive(simulated_road)
     masks = mask_source("sem", drive)
     localizer = FrameLocalizer(read_map(drive.map_path), masks.table)
     session = ExplorerSession(drive, localizer, masks, prior_source("truth", drive), frame=1)

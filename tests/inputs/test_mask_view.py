@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from semloc_jax.cameras import PinholeCamera, Rig
-from semloc_jax.datasets import Frame, open_sequence
-from semloc_jax.inputs import mask_source
-from semloc_jax.inputs.mask_source import MaskSource
+from semloc_jax.datasets import Frame, open_drive
+from semloc_jax.inputs.mask_source import MaskSource, mask_source
 from semloc_jax.perception import load_class_table
 
 RIG = Rig([PinholeCamera(800.0, 800.0, 639.5, 359.5, 1280, 720)], np.eye(4)[None], ["front"])
@@ -39,7 +38,7 @@ def test_masks_of_one_camera_leave_the_others_out(data_dir):
     folder = data_dir / "pandaset_002"
     if not folder.is_dir():
         pytest.skip(f"no pandaset_002 in {data_dir}")
-    drive = open_sequence(folder)
+    drive = open_drive(folder)
     source = mask_source("masks_twinlite_front", drive, offset_px=(0.0, 0.0))
     assert source.cameras == ("front_camera",)
     assert source.seen_by(drive.rig.select(source.cameras)).cameras[0].resolution == (640, 360)

@@ -6,9 +6,9 @@ import pytest
 import yaml
 
 from semloc_jax.cameras import PinholeCamera, Rig
-from semloc_jax.datasets import Frame, Sequence
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
-from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import mask_source
 from tests.perception.onnx_files import red_or_blue
 
 pytest.importorskip("onnxruntime")
@@ -28,7 +28,7 @@ def drive(tmp_path):
     image[:, 46:, 2] = 255
     cv2.imwrite(str(tmp_path / "0.png"), image)
     frame = Frame(0, "0", 0.0, "", RIG, {"rgb": {"front": tmp_path / "0.png"}})
-    return Sequence("one", tmp_path, (frame,), RIG)
+    return Drive("one", tmp_path, (frame,), RIG)
 
 
 @pytest.fixture

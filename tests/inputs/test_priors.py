@@ -8,7 +8,7 @@ import pytest
 
 from semloc_jax.alignment.pose_prior import PosePrior, RoadSigmas
 from semloc_jax.cameras import PinholeCamera, Rig
-from semloc_jax.datasets import Frame, GnssTrack, Sequence
+from semloc_jax.datasets import Drive, Frame, GnssTrack
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory, write_tum
 from semloc_jax.inputs.priors import prior_source
@@ -33,7 +33,7 @@ def drive():
     frames = tuple(Frame(k, f"{k:06d}", float(t), "", RIG, {}) for k, t in enumerate(time_s))
     path = truth(time_s)
     gnss = GnssTrack(time_s[::2], path.T_map_base[::2, :3, 3], np.full((200, 3), 1.7))
-    return Sequence("straight", Path("."), frames, RIG, truth=path, gnss=gnss)
+    return Drive("straight", Path("."), frames, RIG, truth=path, gnss=gnss)
 
 
 def errors(drive, source):

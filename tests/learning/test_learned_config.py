@@ -10,7 +10,7 @@ import semloc_jax as sj
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.cli import localize
 from semloc_jax.cli.arguments import read_settings
-from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.learning import LearningConfig, evaluate
 from semloc_jax.simulation import SimulationConfig
 from semloc_jax.structs import ElementClass

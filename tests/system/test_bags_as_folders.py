@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.cli.main import LOST, OK, main
-from semloc_jax.datasets import open_sequence, write_bag
+from semloc_jax.datasets import open_drive, write_bag
 from semloc_jax.evaluation import read_trajectory
 from semloc_jax.maps import read_map
 
@@ -28,7 +28,7 @@ def drives(road_dir, tmp_path_factory):
             (folder / path.name).symlink_to(path)
     lines = (road_dir / "frames.csv").read_text().splitlines()[: NUM_FRAMES + 1]
     (folder / "frames.csv").write_text("\n".join(lines) + "\n")
-    drive = open_sequence(folder)
+    drive = open_drive(folder)
     origin = read_map(drive.map_path).origin
     return {
         "folder": folder,

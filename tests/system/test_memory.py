@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from semloc_jax.fusion.prediction import MotionLog
-from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.pipeline import Pipeline
 from semloc_jax.maps import read_map
@@ -31,7 +31,7 @@ def test_memory_is_flat(tmp_path):
     config = SimulationConfig(num_frames=30, rate_hz=5.0, width_px=480, height_px=300, has_images=False)
     drive = simulate("road", 8, tmp_path, config)
     source = mask_source("sem", drive, offset_px=(0.0, 0.0))
-    localizer = Localizer(read_map(drive.map_path), source.table, MotionLog.of_sequence(drive))
+    localizer = Localizer(read_map(drive.map_path), source.table, MotionLog.of_drive(drive))
 
     def drive_once() -> None:
         assert len(list(Pipeline(drive, source, localizer).run(drive.frames))) == len(drive.frames)

@@ -7,7 +7,7 @@ network's 0.47 cm and 1.6 cm; with their sign below 0.1 cm. Garage, every 10th f
 import numpy as np
 import pytest
 
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.evaluation import pose_errors
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.localization.frame_by_frame import localize_frames
@@ -26,7 +26,7 @@ def poses_of(drive, masks, prior, every):
 
 @pytest.fixture(scope="module")
 def road(road_dir):
-    drive = open_sequence(road_dir)
+    drive = open_drive(road_dir)
     return {masks: poses_of(drive, masks, "gnss", 15) for masks in ("sem", "sem_net")}
 
 
@@ -48,7 +48,7 @@ def test_errors_to_the_side_have_no_bias(road, masks):
 
 
 def test_four_fisheyes_find_the_pose_from_a_metre_and_five_degrees(garage_dir):
-    drive = open_sequence(garage_dir)
+    drive = open_drive(garage_dir)
     prior = prior_source("truth", drive, sigma_xy_m=1.0, sigma_heading_deg=5.0)
     found, recall = poses_of(drive, "sem", prior, 10)
     assert recall == 1.0

@@ -14,7 +14,7 @@ from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import pose_errors
-from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import read_map

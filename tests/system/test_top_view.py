@@ -5,9 +5,9 @@ import pytest
 
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.alignment.single_frame import SingleFrameConfig
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.evaluation import pose_errors
-from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import read_map
@@ -15,7 +15,7 @@ from semloc_jax.maps import read_map
 
 @pytest.fixture(scope="module")
 def garage(garage_dir):
-    return open_sequence(garage_dir)
+    return open_drive(garage_dir)
 
 
 @pytest.mark.slow

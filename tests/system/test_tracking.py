@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from semloc_jax.alignment.single_frame import SingleFrameConfig
-from semloc_jax.datasets import open_sequence
+from semloc_jax.datasets import open_drive
 from semloc_jax.evaluation import pose_errors
 from semloc_jax.fusion.prediction import MotionLog
-from semloc_jax.inputs import mask_source
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.localization.acquisition import AcquisitionConfig
 from semloc_jax.localization.checkpoint import load, save
 from semloc_jax.localization.localizer import Localizer, TrackConfig
@@ -37,7 +37,7 @@ class Run:
 
 def pipeline_of(drive, semantic_map, masks, config=None, **options) -> Pipeline:
     source = mask_source(masks, drive, offset_px=(0.0, 0.0)) if isinstance(masks, str) else masks
-    localizer = Localizer(semantic_map, source.table, MotionLog.of_sequence(drive), config=config)
+    localizer = Localizer(semantic_map, source.table, MotionLog.of_drive(drive), config=config)
     return Pipeline(drive, source, localizer, PipelineConfig(**options))
 
 
@@ -153,7 +153,7 @@ FIGURES = {"map.geojson": (1.2, 4.0, 0.05, 3.0, 12.0), "map_with_errors.geojson"
 @pytest.mark.slow
 @pytest.mark.parametrize("map_file", FIGURES)
 def test_the_rendered_road_within_its_figures(road_dir, map_file):
-    drive = open_sequence(road_dir)
+    drive = open_drive(road_dir)
     pipeline = pipeline_of(drive, read_map(road_dir / map_file), mask_source("sem_net", drive))
     results = run(pipeline, drive.frames).results
     found = errors_of(drive, results)
@@ -177,7 +177,7 @@ def test_the_rendered_road_within_its_figures(road_dir, map_file):
 @pytest.mark.data
 @pytest.mark.slow
 def test_the_garage_without_fixes_after_the_entrance_within_centimetres(garage_dir):
-    drive = open_sequence(garage_dir)
+    drive = open_drive(garage_dir)
     pipeline = pipeline_of(drive, read_map(drive.map_path), mask_source("sem_net", drive))
     found = errors_of(drive, run(pipeline, drive.frames).results)
     horizontal_cm = 100 * np.hypot(found["lateral_m"], found["longitudinal_m"])

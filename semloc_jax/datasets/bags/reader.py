@@ -1,7 +1,7 @@
 """Bags to sequences (room: datasets; host).
 
 In: a ROS 1 .bag, a ROS 2 bag folder, .db3 or .mcap; images raw and compressed, CameraInfo, NavSatFix, Imu, Odometry,
-TwistStamped, tf. Out: Sequence, whose pictures are read from the bag when asked for.
+TwistStamped, tf. Out: Drive, whose pictures are read from the bag when asked for.
 """
 
 import logging
@@ -18,7 +18,7 @@ from semloc_jax.datasets.bags.frames import BASE_FRAMES, MAP_FRAMES, FrameTree, 
 from semloc_jax.datasets.bags.images import COMPRESSED, RAW, BagPicture
 from semloc_jax.datasets.bags.store import BagStore
 from semloc_jax.datasets.bags.topics import CameraTopics, camera_topics
-from semloc_jax.datasets.base import IMAGE, Sequence
+from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import calibration_beside, maps_beside
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step
 from semloc_jax.datasets.sensors import WheelOdometry
@@ -39,8 +39,8 @@ def is_bag(path: Path) -> bool:
     return path.suffix in _SUFFIXES and path.is_file()
 
 
-def read_bag(path: str | Path, calibration: str | Path | None = None, base_frame: str | None = None) -> Sequence:
-    """Sequence of a bag.
+def read_bag(path: str | Path, calibration: str | Path | None = None, base_frame: str | None = None) -> Drive:
+    """Drive of a bag.
 
     Cameras are named by the part of their namespace in which they differ; topics whose name says sem, seg, mask or
     label hold masks. The path of the base frame in the frame `map`, where tf tells it, is the truth.
@@ -68,7 +68,7 @@ def read_bag(path: str | Path, calibration: str | Path | None = None, base_frame
     odometry = None if twist is None else _odometry(messages[twist], tree, base, f"bag {path}: {twist}")
     fixes, inertial = _busiest(store, messages, (FIX,)), _busiest(store, messages, (IMU,))
     rig, frames = frames_in_step(streams, rig, odometry, f"bag {path}")
-    return Sequence(
+    return Drive(
         name=path.resolve().stem,
         path=path,
         frames=frames,

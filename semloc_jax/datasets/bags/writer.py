@@ -1,10 +1,9 @@
 """Sequences to bags, for tools that read nothing else and for tests (room: datasets; host).
 
-In: Sequence. Out: a ROS 1 .bag or the folder of a ROS 2 bag (sqlite3 or mcap).
+In: Drive. Out: a ROS 1 .bag or the folder of a ROS 2 bag (sqlite3 or mcap).
 """
 
-from collections.abc import Iterable
-from collections.abc import Sequence as Items
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.cameras import BrownConradyCamera, Camera, KannalaBrandtCamera, PinholeCamera
 from semloc_jax.datasets.bags.store import rosbags_module
-from semloc_jax.datasets.base import IMAGE, Frame, Sequence
+from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import Geodetic, wgs84_from_enu
 
@@ -27,21 +26,21 @@ _DISTORTION = {
 
 
 def write_bag(
-    sequence: Sequence,
+    drive: Drive,
     path: str | Path,
     storage: Literal["sqlite3", "mcap", "ros1"] = "mcap",
     origin: Geodetic | None = None,
-    frames: Items[Frame] | None = None,
+    frames: Sequence[Frame] | None = None,
     compressed: bool = False,
     clock_offset_s: float = 0.0,
 ) -> Path:
-    """Writes images, masks, calibration and sensors of a sequence as a bag and returns its path.
+    """Writes images, masks, calibration and sensors of a drive as a bag and returns its path.
 
     Topics: /CAMERA/image_raw (or image_raw/compressed), /CAMERA/KIND for masks, /CAMERA/camera_info, /gnss/fix,
     /odom (twist), /imu, /tf_static (base_link to cameras) and, where there is a truth, /tf (map to base_link).
 
     Args:
-        sequence: the drive.
+        drive: the drive.
         path: .bag file for ros1, else a folder that does not exist yet.
         storage: sqlite3, mcap or ros1.
         origin: place on the earth of the frame of the fixes; needed where they are in the frame of a map.
@@ -57,10 +56,10 @@ def write_bag(
         raise SemlocError(f"bag {path}: is there already; give a new name")
     scribe = _Scribe(path, storage, clock_offset_s)
     with scribe.writer:
-        _write_calibration(scribe, sequence)
-        for frame in sequence.frames if frames is None else frames:
+        _write_calibration(scribe, drive)
+        for frame in drive.frames if frames is None else frames:
             _write_frame(scribe, frame, compressed)
-        _write_sensors(scribe, sequence, origin)
+        _write_sensors(scribe, drive, origin)
         scribe.flush()
     return path
 
@@ -132,10 +131,10 @@ class _Scribe:
             self.writer.write(self._connections[topic], time_ns, raw)
 
 
-def _write_calibration(scribe: _Scribe, sequence: Sequence) -> None:
-    start_s = sequence.frames[0].time_s
+def _write_calibration(scribe: _Scribe, drive: Drive) -> None:
+    start_s = drive.frames[0].time_s
     links = []
-    for name, camera, T in zip(sequence.rig.names, sequence.rig.cameras, sequence.rig.T_base_cam, strict=True):
+    for name, camera, T in zip(drive.rig.names, drive.rig.cameras, drive.rig.T_base_cam, strict=True):
         scribe.put(f"/{name}/camera_info", start_s, "sensor_msgs/msg/CameraInfo", _camera_info(scribe, camera, name))
         links.append(scribe.transform(start_s, BASE, _optical(name), np.asarray(T)))
     scribe.put("/tf_static", start_s, TRANSFORMS, scribe.make(TRANSFORMS, transforms=links))
@@ -200,12 +199,12 @@ def _write_frame(scribe: _Scribe, frame: Frame, compressed: bool) -> None:
                 scribe.put(topic, frame.time_s, "sensor_msgs/msg/Image", message)
 
 
-def _write_sensors(scribe: _Scribe, sequence: Sequence, origin: Geodetic | None) -> None:
-    if sequence.gnss is not None:
-        _write_fixes(scribe, sequence, origin)
-    if sequence.odometry is not None:
+def _write_sensors(scribe: _Scribe, drive: Drive, origin: Geodetic | None) -> None:
+    if drive.gnss is not None:
+        _write_fixes(scribe, drive, origin)
+    if drive.odometry is not None:
         for time_s, speed, rate in zip(
-            sequence.odometry.time_s, sequence.odometry.speed_mps, sequence.odometry.yaw_rate_radps, strict=True
+            drive.odometry.time_s, drive.odometry.speed_mps, drive.odometry.yaw_rate_radps, strict=True
         ):
             twist = scribe.make(
                 "geometry_msgs/msg/Twist",
@@ -214,24 +213,22 @@ def _write_sensors(scribe: _Scribe, sequence: Sequence, origin: Geodetic | None)
             )
             kind = "geometry_msgs/msg/TwistStamped"
             scribe.put("/odom", time_s, kind, scribe.make(kind, header=scribe.header(time_s, BASE), twist=twist))
-    if sequence.imu is not None:
-        for time_s, gyro, accel in zip(
-            sequence.imu.time_s, sequence.imu.gyro_radps, sequence.imu.accel_mps2, strict=True
-        ):
+    if drive.imu is not None:
+        for time_s, gyro, accel in zip(drive.imu.time_s, drive.imu.gyro_radps, drive.imu.accel_mps2, strict=True):
             scribe.put("/imu", time_s, "sensor_msgs/msg/Imu", _imu(scribe, time_s, gyro, accel))
-    if sequence.truth is not None:
-        for time_s, T in zip(sequence.truth.time_s, sequence.truth.T_map_base, strict=True):
+    if drive.truth is not None:
+        for time_s, T in zip(drive.truth.time_s, drive.truth.T_map_base, strict=True):
             link = scribe.transform(time_s, "map", BASE, T)
             scribe.put("/tf", time_s, TRANSFORMS, scribe.make(TRANSFORMS, transforms=[link]))
 
 
-def _write_fixes(scribe: _Scribe, sequence: Sequence, origin: Geodetic | None) -> None:
-    place = sequence.gnss.origin or origin
+def _write_fixes(scribe: _Scribe, drive: Drive, origin: Geodetic | None) -> None:
+    place = drive.gnss.origin or origin
     if place is None:
         raise SemlocError("bag: the fixes are in the frame of a map; give the origin of the map on the earth")
-    lat, lon, alt = wgs84_from_enu(sequence.gnss.p_enu, tuple(place))
+    lat, lon, alt = wgs84_from_enu(drive.gnss.p_enu, tuple(place))
     status = scribe.make("sensor_msgs/msg/NavSatStatus", status=0, service=1)
-    for index, time_s in enumerate(sequence.gnss.time_s):
+    for index, time_s in enumerate(drive.gnss.time_s):
         message = scribe.make(
             "sensor_msgs/msg/NavSatFix",
             header=scribe.header(time_s, BASE),
@@ -239,7 +236,7 @@ def _write_fixes(scribe: _Scribe, sequence: Sequence, origin: Geodetic | None) -
             latitude=float(lat[index]),
             longitude=float(lon[index]),
             altitude=float(alt[index]),
-            position_covariance=np.diag(sequence.gnss.sigma_m[index] ** 2).ravel(),
+            position_covariance=np.diag(drive.gnss.sigma_m[index] ** 2).ravel(),
             position_covariance_type=2,
         )
         scribe.put("/gnss/fix", time_s, "sensor_msgs/msg/NavSatFix", message)

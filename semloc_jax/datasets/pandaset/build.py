@@ -23,7 +23,7 @@ from semloc_jax.datasets.pandaset.reader import (
     OTHER_MARK,
     ROAD,
     SIGN,
-    PandaSetSequence,
+    PandaSetDrive,
     read_pandaset,
 )
 from semloc_jax.datasets.pandaset.strips import Sighting, look_for
@@ -53,7 +53,7 @@ class _Piece:
     ends: np.ndarray
 
 
-def calibrated(sequence: PandaSetSequence, sweeps: slice = slice(None)) -> PandaSetSequence:
+def calibrated(drive: PandaSetDrive, sweeps: slice = slice(None)) -> PandaSetDrive:
     """The sequence with the direction of its front camera corrected by the paint in the images of `sweeps`.
 
     A camera that looks down by theta more than stated shows paint theta (r^2 + h^2) / h too far ahead at range r; one
@@ -63,22 +63,22 @@ def calibrated(sequence: PandaSetSequence, sweeps: slice = slice(None)) -> Panda
     Raises:
         SemlocError: fewer than two dashes are seen at different ranges.
     """
-    dashes = [line for line in trace_lines(sequence.points.of(LANE_LINE, sweeps)) if line.is_isolated]
+    dashes = [line for line in trace_lines(drive.points.of(LANE_LINE, sweeps)) if line.is_isolated]
     ends = [line.points for line in dashes]
-    sightings = look_for(ends, [True] * len(ends), _looks(sequence, sweeps), FRONT)
+    sightings = look_for(ends, [True] * len(ends), _looks(drive, sweeps), FRONT)
     sightings = [s for s in sightings if np.isfinite(s.left_m) and abs(s.away) > 0.9]
     lines = sorted({s.line for s in sightings})
     if len(lines) < 2 or len(sightings) < 6:
         raise SemlocError(
-            f"PandaSet {sequence.name}: {len(lines)} dashes are seen by {FRONT} in the sweeps given; expected two or "
+            f"PandaSet {drive.name}: {len(lines)} dashes are seen by {FRONT} in the sweeps given; expected two or "
             "more; use more sweeps"
         )
-    index = sequence.rig.index(FRONT)
-    height_m, focal_px = float(sequence.rig.T_base_cam[index, 2, 3]), float(sequence.rig.cameras[index].fy)
+    index = drive.rig.index(FRONT)
+    height_m, focal_px = float(drive.rig.T_base_cam[index, 2, 3]), float(drive.rig.cameras[index].fy)
     theta, psi = _turn_of_camera(sightings, lines, height_m, focal_px)
     correction = np.eye(4)
     correction[:3, :3] = Rotation.from_rotvec([-theta, -psi, 0.0]).as_matrix()
-    return read_pandaset(sequence.path, correction)
+    return read_pandaset(drive.path, correction)
 
 
 def _turn_of_camera(
@@ -104,7 +104,7 @@ def _turn_of_camera(
     return float(found[0]), float(found[1])
 
 
-def build_map(sequence: PandaSetSequence, sweeps: slice = slice(None)) -> SemanticMap:
+def build_map(drive: PandaSetDrive, sweeps: slice = slice(None)) -> SemanticMap:
     """Lane lines, other marks and signs of the given sweeps.
 
     Dashes have real ends; pieces of long lines have none, because labels end where the lidar does. Paint that at least
@@ -119,20 +119,20 @@ def build_map(sequence: PandaSetSequence, sweeps: slice = slice(None)) -> Semant
         (LANE_LINE, ElementClass.LANE_MARKING, "lane"),
         (OTHER_MARK, ElementClass.ROAD_MARK, "mark"),
     ):
-        lines = trace_lines(sequence.points.of(class_id, sweeps))
+        lines = trace_lines(drive.points.of(class_id, sweeps))
         pieces = [piece for index, line in enumerate(lines) for piece in _pieces(index, line)]
         dashes = [line.points for line in lines if line.is_isolated]
         strokes = [piece.ends for piece in pieces] + dashes
         has_ends = [False] * len(pieces) + [True] * len(dashes)
         looks: list[list[Sighting]] = [[] for _ in strokes]
-        for sighting in look_for(strokes, has_ends, _looks(sequence, sweeps), FRONT):
+        for sighting in look_for(strokes, has_ends, _looks(drive, sweeps), FRONT):
             looks[sighting.line].append(sighting)
         whole = iter(looks[len(pieces) :])
         for number, line in enumerate(lines):
             own = [k for k, piece in enumerate(pieces) if piece.line == number]
             drawn = _drawn_to_paint([pieces[k] for k in own], [looks[k] for k in own])
             elements += _elements_of(drawn, line, label, f"{name}_{number}", next(whole) if line.is_isolated else [])
-    for number, (outline, normal) in enumerate(trace_signs(sequence.points.of(SIGN, sweeps))):
+    for number, (outline, normal) in enumerate(trace_signs(drive.points.of(SIGN, sweeps))):
         attributes = {"class": "sign", "shape": "rectangle"}
         elements.append(
             MapElement(
@@ -145,15 +145,15 @@ def build_map(sequence: PandaSetSequence, sweeps: slice = slice(None)) -> Semant
                 attributes=attributes,
             )
         )
-    elements += road_profiles(sequence.points.of(ROAD, sweeps), sequence.truth.T_map_base[sweeps])
-    return SemanticMap(tuple(elements), sequence.origin, f"{sequence.name} from labelled points")
+    elements += road_profiles(drive.points.of(ROAD, sweeps), drive.truth.T_map_base[sweeps])
+    return SemanticMap(tuple(elements), drive.origin, f"{drive.name} from labelled points")
 
 
-def _looks(sequence: PandaSetSequence, sweeps: slice) -> Iterator[tuple[Frame, object, np.ndarray]]:
+def _looks(drive: PandaSetDrive, sweeps: slice) -> Iterator[tuple[Frame, object, np.ndarray]]:
     """Frames of the sweeps that differ in place, with the front camera and its pose."""
     last = None
-    for frame in sequence.frames[sweeps]:
-        place = sequence.truth_at(frame)
+    for frame in drive.frames[sweeps]:
+        place = drive.truth_at(frame)
         if last is not None and np.linalg.norm(place[:3, 3] - last) < _LOOK_EVERY_M:
             continue
         last = place[:3, 3]

@@ -1,11 +1,11 @@
 """PandaSet sequences (room: datasets; host).
 
 In: camera/NAME/{NN.jpg, poses.json, intrinsics.json, timestamps.json}, meta/, annotations/cuboids/,
-semantic_points_per_sweep.npz and, where made, masks_twinlite_front/NN.png. Out: PandaSetSequence.
+semantic_points_per_sweep.npz and, where made, masks_twinlite_front/NN.png. Out: PandaSetDrive.
 
 The data set has no vehicle frame: here `base` is on the road, 1.7 m behind the front camera, z along the normal of the
 road, x along the direction of travel, all fixed relative to the front camera. Cameras trigger one after the other, up
-to 50 ms apart; `Sequence.rig` holds their constant places and `Frame.rig` the places with the motion in between.
+to 50 ms apart; `Drive.rig` holds their constant places and `Frame.rig` the places with the motion in between.
 """
 
 import json
@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.cameras import PinholeCamera, Rig
-from semloc_jax.datasets.base import IMAGE, Frame, Sequence
+from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.datasets.pandaset.cuboids import draw_cuboids, read_cuboids
 from semloc_jax.datasets.sensors import GnssTrack, WheelOdometry
 from semloc_jax.errors import SemlocError
@@ -70,7 +70,7 @@ class LabelledPoints:
 
 
 @dataclass(frozen=True)
-class PandaSetSequence(Sequence):
+class PandaSetDrive(Drive):
     """A PandaSet drive with its labelled points; the map is made by `build_map`.
 
     Args:
@@ -87,7 +87,7 @@ def is_pandaset(path: Path) -> bool:
     return (path / "camera" / FRONT / "poses.json").is_file()
 
 
-def read_pandaset(path: str | Path, front_correction: Float[np.ndarray, "4 4"] | None = None) -> PandaSetSequence:
+def read_pandaset(path: str | Path, front_correction: Float[np.ndarray, "4 4"] | None = None) -> PandaSetDrive:
     """A PandaSet sequence.
 
     Args:
@@ -111,7 +111,7 @@ def read_pandaset(path: str | Path, front_correction: Float[np.ndarray, "4 4"] |
         T_base_cam[names.index(FRONT)] = T_base_cam[names.index(FRONT)] @ front_correction
     rig = Rig([_camera(path / "camera" / name) for name in names], T_base_cam, names)
     origin, gnss, odometry = _gnss(path, truth)
-    return PandaSetSequence(
+    return PandaSetDrive(
         name=path.resolve().name,
         path=path,
         frames=_frames(path, rig, poses, truth),
