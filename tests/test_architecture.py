@@ -17,6 +17,7 @@ RANK = {
     "errors": 0,
     "structs": 0,
     "geometry": 0,
+    "storage": 0,
     "native": 1,
     "solvers": 1,
     "runtime": 2,
@@ -41,7 +42,7 @@ RANK = {
     "cli": 10,
 }
 # Ground that every room may stand on.
-GROUND = {"errors", "geometry", "structs"}
+GROUND = {"errors", "geometry", "storage", "structs"}
 # Rooms that may use less than their rank allows.
 ONLY = {"evaluation": GROUND}
 NEVER = {"datasets": {"perception", "solvers", "localization"}, "residuals": {"maps", "perception"}}

@@ -4,7 +4,6 @@ In: a Problem. Out: poses, and the CPU time that the program has measured of its
 """
 
 import hashlib
-import os
 import shutil
 import subprocess
 import tempfile
@@ -14,6 +13,8 @@ import numpy as np
 
 from semloc_jax.bench.peer import PeerMissing, Solved
 from semloc_jax.bench.problem import Problem, to_binary
+from semloc_jax.storage import private_folder
+from semloc_jax.storage.sealed import home_folder
 
 SOURCE = Path(__file__).resolve().parents[2] / "tests" / "ceres"
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-I/usr/include/eigen3")
@@ -40,11 +41,11 @@ def build() -> Path:
     version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
     state = hashlib.sha256(b"".join(path.read_bytes() for path in sources) + " ".join(FLAGS).encode())
     state.update(version.encode() + _processor().encode())
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-    program = home / "semloc_jax" / f"ceres-{state.hexdigest()[:12]}" / "ceres_bench"
+    program = home_folder() / f"ceres-{state.hexdigest()[:12]}" / "ceres_bench"
+    if not private_folder(program.parent):
+        raise PeerMissing(f"{program.parent} cannot be made a folder of this user alone; remove it")
     if program.is_file():
         return program
-    program.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=program.parent) as folder:
         made = Path(folder) / program.name
         command = [compiler, *FLAGS, str(SOURCE / "bench.cpp"), "-o", str(made), *LIBRARIES]

@@ -1,19 +1,25 @@
 """Build and load the kernels (room: native; host).
 
 In: C++ sources, the system's compiler. Out: custom calls registered with JAX, or the reason why there are none.
-The library is built once for each version of the sources and of jaxlib and each kind of processor, and kept.
+The library is built once for each version of the sources and of jaxlib and each kind of processor, and kept behind this
+user's seal: what is loaded are the bytes that were checked.
 """
 
 import ctypes
 import functools
 import hashlib
+import logging
 import os
 import platform
+import shlex
 import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+
+from semloc_jax.storage import private_folder, read_sealed, write_sealed
+from semloc_jax.storage.sealed import home_folder
 
 SOURCES = Path(__file__).parent / "src"
 CALLS = (
@@ -32,6 +38,7 @@ SWITCH = "SEMLOC_NATIVE"
 _ARITHMETIC = "-fno-math-errno -fno-trapping-math -fno-signed-zeros -fassociative-math -freciprocal-math"
 _FLAGS = f"-std=c++17 -O3 -march=native -mprefer-vector-width=512 {_ARITHMETIC} -fPIC -shared -w".split()
 _TIMEOUT_S = 120
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -62,10 +69,12 @@ def _loaded() -> tuple[NativeStatus, ctypes.CDLL | None]:
     if os.environ.get(SWITCH, "1") == "0":
         return NativeStatus(False, f"off: {SWITCH}=0"), None
     try:
-        path, text = _library_file()
-        loaded = ctypes.CDLL(str(path))
+        content, text = _library_content()
+        loaded = _loaded_library(content)
         _register(loaded)
     except _NotBuilt as reason:
+        if os.environ.get("CXX"):  # whoever names a compiler wants the kernels
+            _log.warning("kernels: %s; pure JAX is used", reason)
         return NativeStatus(False, str(reason)), None
     except OSError as error:
         return NativeStatus(False, f"not loaded: {error}"), None
@@ -76,38 +85,52 @@ class _NotBuilt(Exception):
     pass
 
 
-def _library_file() -> tuple[Path, str]:
-    compiler = os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
-    path = _cache_folder() / f"kernels-{_fingerprint()}.so"
-    if path.is_file():
-        return path, f"loaded from {path}"
-    if compiler is None:
+def _library_content() -> tuple[bytes, str]:
+    """The library and where it comes from."""
+    path = _cache_folder() / f"kernels-{_fingerprint()}.bin"
+    content = read_sealed(path)
+    if content is not None:
+        return content, f"loaded from {path}"
+    command = compiler()
+    if command is None:
         raise _NotBuilt("not built: no C++ compiler found (Debian: apt-get install g++); pure JAX is used")
-    _compile(compiler, path)
-    return path, f"built with {compiler}"
+    content = _compiled(command)
+    if not write_sealed(path, content):
+        _log.debug("kernels: not kept in %s; the next process builds them anew", path.parent)
+    return content, f"built with {' '.join(command)}"
 
 
-def _compile(compiler: str, path: Path) -> None:
+def compiler() -> list[str] | None:
+    """Words of the command of the C++ compiler: CXX, which may have several (`ccache g++`), else what is found."""
+    words = shlex.split(os.environ.get("CXX", ""))
+    found = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
+    return words or ([found] if found else None)
+
+
+def _compiled(command: list[str]) -> bytes:
     import jax.ffi
 
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, partial = tempfile.mkstemp(dir=path.parent, suffix=".so")
-    except OSError as error:
-        raise _NotBuilt(f"not built: cannot write to {path.parent} ({error.strerror})") from error
-    os.close(handle)
-    command = [compiler, *_FLAGS, f"-I{jax.ffi.include_dir()}", str(SOURCES / "calls.cc"), "-o", partial]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
-        if done.returncode != 0:
-            first = next((line for line in done.stderr.splitlines() if "error" in line), "no message")
-            raise _NotBuilt(f"not built: {compiler} failed ({first.strip()})")
-        # Renamed when complete: processes that start together never load half a file.
-        os.replace(partial, path)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise _NotBuilt(f"not built: {compiler}: {error}") from error
-    finally:
-        Path(partial).unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory(prefix="semloc-kernels-") as folder:
+        made = Path(folder) / "kernels.so"
+        words = [*command, *_FLAGS, f"-I{jax.ffi.include_dir()}", str(SOURCES / "calls.cc"), "-o", str(made)]
+        try:
+            done = subprocess.run(words, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
+            if done.returncode != 0:
+                first = next((line for line in done.stderr.splitlines() if "error" in line), "no message")
+                raise _NotBuilt(f"not built: {' '.join(command)} failed ({first.strip()})")
+            return made.read_bytes()
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise _NotBuilt(f"not built: {' '.join(command)}: {error}") from error
+
+
+def _loaded_library(content: bytes) -> ctypes.CDLL:
+    """The library, loaded from a file of its own that no other process knows; the file goes once it is loaded."""
+    home = _cache_folder()  # /tmp may forbid programs
+    place = home if private_folder(home) else None
+    with tempfile.TemporaryDirectory(prefix="kernels-", dir=place, ignore_cleanup_errors=True) as folder:
+        path = Path(folder) / "kernels.so"
+        path.write_bytes(content)
+        return ctypes.CDLL(str(path))
 
 
 def _register(library: ctypes.CDLL) -> None:
@@ -118,7 +141,7 @@ def _register(library: ctypes.CDLL) -> None:
 
 
 def _cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "semloc_jax" / "native"
+    return home_folder() / "native"
 
 
 def _fingerprint() -> str:

@@ -5,13 +5,13 @@ In: what a result depends on, a function that finds it. Out: the result, from di
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import jax
+
+from semloc_jax.storage import write_text
 
 
 def remembered(kind: str, depends_on: object, files: Iterable[Path], find: Callable[[], Any]) -> Any:
@@ -38,10 +38,7 @@ def remembered(kind: str, depends_on: object, files: Iterable[Path], find: Calla
     result = find()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, partial = tempfile.mkstemp(dir=path.parent)
-        with os.fdopen(handle, "w") as file:
-            json.dump(result, file)
-        os.replace(partial, path)
+        write_text(path, json.dumps(result))
     except OSError:
         pass  # nothing is lost but time
     return result

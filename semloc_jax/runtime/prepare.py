@@ -8,6 +8,8 @@ import platform
 import sys
 from pathlib import Path
 
+from semloc_jax.storage.sealed import home_folder, others_can_write, private_folder
+
 WIDTH_FLAG = "--xla_cpu_prefer_vector_width"
 LIBRARIES = (
     "semloc-jax",
@@ -15,6 +17,7 @@ LIBRARIES = (
     "jaxlib",
     "equinox",
     "optimistix",
+    "lineax",
     "jaxlie",
     "numpy",
     "scipy",
@@ -26,16 +29,25 @@ LIBRARIES = (
 def prepare_jax() -> None:
     """Set the environment for JAX: wide vectors where the processor has them, and a compilation cache.
 
-    Whatever the user has set stays as it is. Does nothing once JAX is loaded, which reads these only then.
+    Whatever the user has set stays as it is, but for a cache that other users can write to: what JAX loads from it
+    runs. Does nothing once JAX is loaded, which reads these only then.
     """
     if "jax" in sys.modules:
         return
     flags = os.environ.get("XLA_FLAGS", "")
     if WIDTH_FLAG not in flags and "avx512f" in cpu_features():
         os.environ["XLA_FLAGS"] = f"{flags} {WIDTH_FLAG}=512".strip()
+    given = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if given and others_can_write(Path(given)):
+        print(
+            f"JAX_COMPILATION_CACHE_DIR {given}: other users can write to it, and compiled programs are code; "
+            f"{cache_folder()} is used instead",
+            file=sys.stderr,
+        )
+        del os.environ["JAX_COMPILATION_CACHE_DIR"]
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         folder = cache_folder()
-        if is_writable(folder):
+        if private_folder(folder) and is_writable(folder):
             os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
             os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
     # Loading a cached program logs, as an error, that pseudo features (prefer-no-gather) are missing on the very
@@ -59,9 +71,8 @@ def cache_folder() -> Path:
     """Folder of compiled programs: one for each kind of processor, since a home may be shared by several."""
     import hashlib
 
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
     kind = f"{platform.machine()} {' '.join(sorted(cpu_features()))}"
-    return home / "semloc_jax" / f"jax-{hashlib.sha256(kind.encode()).hexdigest()[:12]}"
+    return home_folder() / f"jax-{hashlib.sha256(kind.encode()).hexdigest()[:12]}"
 
 
 def is_writable(folder: Path) -> bool:

@@ -2,6 +2,7 @@
 
 In: a function of arrays and static configuration. Out: the same function, whose program is loaded where one was stored.
 JAX's own compilation cache saves compiling only; tracing and lowering take most of the start of a warm process.
+A stored program is code: it is loaded only from a private folder and behind this user's seal (`storage.sealed`).
 """
 
 import functools
@@ -10,7 +11,6 @@ import inspect
 import logging
 import os
 import pickle
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ import jax
 import numpy as np
 
 from semloc_jax.native import build
+from semloc_jax.runtime.prepare import versions
+from semloc_jax.storage import read_sealed, write_sealed
 
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = ("*.py", "native/src/*")
@@ -110,15 +112,13 @@ def _folder() -> Path | None:
 @functools.cache
 def _environment() -> str:
     """All that a program depends on besides its arguments: versions, flags, devices, the sources of this package."""
-    import jaxlib
-
     sources = hashlib.sha256()
     for path in sorted(path for pattern in _SOURCES for path in _PACKAGE.rglob(pattern)):
         sources.update(f"{path.relative_to(_PACKAGE)} {path.stat().st_size}\n".encode())
         sources.update(path.read_bytes())
     devices = [str(device) for device in jax.devices()]
     settings = (os.environ.get("XLA_FLAGS", ""), build.is_available(), build.processor())
-    return repr((jax.__version__, jaxlib.__version__, devices, settings, sources.hexdigest()))
+    return repr((sorted(versions().items()), devices, settings, sources.hexdigest()))
 
 
 def _compile_afresh(function: Callable, leaves: list) -> Callable:
@@ -134,16 +134,18 @@ def _compile_afresh(function: Callable, leaves: list) -> Callable:
 def _load(path: Path, leaves: list) -> tuple[Callable, Any] | None:
     from jax.experimental import serialize_executable
 
+    content = read_sealed(path)
+    if content is None:
+        return None
     try:
-        payload, skeleton = pickle.loads(path.read_bytes())
+        # Both pickles, this one and that in the payload, were written by `_store`: the seal says so.
+        payload, skeleton = pickle.loads(content)
         _prepare_linear_algebra()
         in_tree = jax.tree.structure(((0,) * len(leaves), {}))
         out_tree = jax.tree.structure((0,) * len(jax.tree.leaves(skeleton)))
         program = serialize_executable.deserialize_and_load(payload, in_tree, out_tree)
         program(*leaves)  # a program that lacks a part says so only when it runs
         return program, skeleton
-    except FileNotFoundError:
-        return None
     except Exception as error:  # whatever is wrong with a stored program, it can be made anew
         _log.debug("program %s: not loaded (%s); compiled anew", path, error)
         return None
@@ -161,11 +163,7 @@ def _store(path: Path, compiled: Any, skeleton: Any) -> None:
 
     try:
         payload, _, _ = serialize_executable.serialize(compiled)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, partial = tempfile.mkstemp(dir=path.parent)
-        with os.fdopen(handle, "wb") as file:
-            file.write(pickle.dumps((payload, skeleton)))
-        os.replace(partial, path)
+        write_sealed(path, pickle.dumps((payload, skeleton)))
         _forget_oldest(path.parent)
     except Exception as error:  # a platform that cannot store programs, a full or read-only disk
         _log.debug("program %s: not stored (%s)", path, error)

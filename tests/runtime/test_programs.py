@@ -1,5 +1,7 @@
 """A stored program gives the numbers of the compiled function, in the process that made it and in the next one."""
 
+import os
+import pickle
 import subprocess
 import sys
 from typing import NamedTuple
@@ -9,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.runtime import programs
+from semloc_jax.runtime import prepare, programs
 
 SCRIPT = """
 import sys, time
@@ -39,7 +41,8 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "programs"
 
 
-def test_the_next_process_does_not_trace(tmp_path):
+def test_the_next_process_does_not_trace(tmp_path, monkeypatch):
+    monkeypatch.delenv("SEMLOC_PROGRAMS", raising=False)
     command = [sys.executable, "-c", SCRIPT, str(tmp_path)]
     first, second = (subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2))
     assert first.split() == ["traced", "1.0", "4.0", "9.0"]
@@ -82,3 +85,55 @@ def test_inside_another_function_it_is_traced_as_usual(cache):
     assert jax.jit(lambda value: scaled(value, scale=3.0) + 1)(2.0) == 7
     assert jax.grad(lambda value: scaled(value, scale=3.0))(2.0) == 3
     assert not cache.exists()
+
+
+class Command:
+    """Unpickled, it runs a command."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
+
+
+def test_a_planted_program_is_not_run(cache, tmp_path, caplog):
+    def product(values):
+        return jnp.prod(values)
+
+    programs.stored_program()(product)(np.arange(1.0, 5.0))
+    (path,) = cache.iterdir()
+    path.write_bytes(pickle.dumps((Command(tmp_path / "ran"), 0)))
+    assert programs.stored_program()(product)(np.arange(1.0, 5.0)) == 24
+    assert not (tmp_path / "ran").exists()
+    assert caplog.text.count("made anew") == 1
+    assert cache.stat().st_mode & 0o777 == 0o700
+
+
+def test_the_key_knows_every_library_that_traces(monkeypatch):
+    programs._environment.cache_clear()
+    before = programs._environment()
+    for name in ("optimistix", "lineax", "equinox", "jaxlie", "jax", "jaxlib"):
+        others = {**prepare.versions(), name: "0.0.0"}
+        monkeypatch.setattr(programs, "versions", lambda others=others: others)
+        programs._environment.cache_clear()
+        assert name in before and programs._environment() != before
+    programs._environment.cache_clear()
+
+
+def test_a_cache_that_others_write_to_is_not_used(tmp_path):
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o777)
+    script = (
+        "import os; from semloc_jax.runtime.prepare import prepare_jax; prepare_jax(); "
+        "print(os.environ['JAX_COMPILATION_CACHE_DIR'])"
+    )
+    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(shared), "XDG_CACHE_HOME": str(tmp_path / "home")}
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert str(tmp_path / "home") in done.stdout
+    assert "other users can write" in done.stderr and done.stderr.count("\n") == 1
+    shared.chmod(0o755)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(shared) and done.stderr == ""

@@ -1,0 +1,31 @@
+"""Files, taken from anybody and left to anybody (room: ground; host): the one door to the disk.
+
+In: paths and names as given. Out: places inside the output folder, files that are whole, content within limits.
+Readers take their limits from here, writers their paths, whole files and claims, caches their sealed entries.
+"""
+
+from semloc_jax.storage.claims import claim, release_claims
+from semloc_jax.storage.limits import decompressed, json_document, require_room
+from semloc_jax.storage.output import file_name, is_plain_name, output_path
+from semloc_jax.storage.sealed import others_can_write, private_folder, read_sealed, write_sealed
+from semloc_jax.storage.writing import append_line, whole_lines, write_bytes, write_text, writing
+
+__all__ = [
+    "append_line",
+    "claim",
+    "decompressed",
+    "file_name",
+    "is_plain_name",
+    "json_document",
+    "others_can_write",
+    "output_path",
+    "private_folder",
+    "read_sealed",
+    "release_claims",
+    "require_room",
+    "whole_lines",
+    "write_bytes",
+    "write_sealed",
+    "write_text",
+    "writing",
+]

@@ -1,0 +1,68 @@
+"""Files that are old or new, never half (room: ground; host).
+
+In: content. Out: the file, renamed into place when it is whole; or lines, each on disk before the next begins.
+"""
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+
+@contextlib.contextmanager
+def writing(path: str | Path) -> Iterator[Path]:
+    """A path beside `path` to write to; it becomes `path` where the block ends without an error, else it goes.
+
+    The temporary file keeps the suffix, by which many writers know the format. The mode is that of the file that is
+    replaced, else what the umask of the process leaves. A link is followed: the file it names is replaced.
+    """
+    path = Path(path)
+    target = path.resolve() if path.is_symlink() else path
+    handle, name = tempfile.mkstemp(prefix=f".{target.stem[:60]}-", suffix=target.suffix, dir=target.parent)
+    os.close(handle)
+    partial = Path(name)
+    try:
+        yield partial
+        partial.chmod(_mode(target))
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a whole file."""
+    with writing(path) as partial:
+        partial.write_bytes(content)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a whole text file in UTF-8, with the line ends as they are."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def append_line(path: Path, line: str) -> None:
+    """Add one line to a file; it is with the system when this returns, so that a kill cannot take it back."""
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    try:
+        os.write(handle, line.encode("utf-8") + b"\n")
+    finally:
+        os.close(handle)
+
+
+def whole_lines(path: Path) -> list[str]:
+    """Lines of a file that grew line by line; a last one without its end was cut by a kill and is left out."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return []
+    return content[: content.rfind(b"\n") + 1].decode("utf-8", "replace").splitlines()
+
+
+def _mode(path: Path) -> int:
+    try:
+        return path.stat().st_mode & 0o777
+    except OSError:
+        mask = os.umask(0)
+        os.umask(mask)
+        return 0o666 & ~mask
