@@ -34,12 +34,12 @@ class AlongRoadConfig:
     is; on a finer one everything beyond the next pixels is equally wrong."""
     least_noise: float = 0.7
     """The noise of the boundaries is taken from their scatter in this frame, but as no less than this share of what is
-    assumed (`AlignConfig.noise_px`): that they all lie well does not say that their common error is small."""
+    assumed (`NoiseModel.noise_px`): that they all lie well does not say that their common error is small."""
     max_steps: int = 5
     keep: int = 2
     """Poses that are handed on to the last refinement."""
     apart: float = 0.6
-    """They differ by at least this many times (0.5 m, 0.5 m, 1 deg)."""
+    """They are at least this many units apart; see `alignment.same_pose`."""
 
 
 class RoadPosterior(NamedTuple):
@@ -86,7 +86,9 @@ def along_road(
     scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
     index, filled = keep_distinct(Ts, scores, config.keep, config.apart)
     away = lie.log(lie.inverse(Ts[index[0]]) @ Ts)
-    noise = jnp.maximum(scatter_px(Ts[index[0]], config.level, evidence, align) / align.noise_px, config.least_noise)
+    noise = jnp.maximum(
+        scatter_px(Ts[index[0]], config.level, evidence, align) / align.noise.noise_px, config.least_noise
+    )
     guessed = jax.vmap(prior_cost, (0, None))(Ts, prior)
     share = jax.nn.softmax(-((scores - guessed) / noise**2 + guessed))
     spread = jnp.einsum("k,ki,kj->ij", share, away, away)

@@ -12,6 +12,7 @@ import numpy as np
 from semloc_jax.alignment.modes import modes_in_map
 from semloc_jax.alignment.pose_prior import PosePrior, RoadSigmas
 from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.alignment.same_pose import ONE_PLACE
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, frame_input, localize_frame
 from semloc_jax.alignment.verdict import VerdictConfig, judge
 from semloc_jax.cameras import Rig
@@ -89,7 +90,7 @@ class FrameLocalizer:
         solver_prior = prior.to_solver(T_map_prior, local_map.origin_map, self.config.road)
         found = localize_frame(inputs, solver_prior, self.config.frame)
         verdict = self.config.verdict
-        modes = modes_in_map(found, local_map.origin_map, verdict.merge_m, verdict.merge_deg)
+        modes = modes_in_map(found, local_map.origin_map, ONE_PLACE)
         times = {"evidence": prepared - started, "solve": time.perf_counter() - prepared}
         best = modes[0].T_map_base if modes else np.full((4, 4), np.nan)
         away = np.hypot(*(best - T_map_prior)[:2, 3]) / prior.sigma_xy_m if modes else np.inf

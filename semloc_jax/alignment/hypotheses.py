@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine, total_weight
 from semloc_jax.alignment.proposals import displaced
+from semloc_jax.alignment.same_pose import units_apart
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import decimated, robust_cost
@@ -32,7 +33,7 @@ class CullStage:
     keep: int
     """Poses that survive."""
     apart: float
-    """Survivors differ by at least this many times (0.5 m, 0.5 m, 1 deg)."""
+    """Survivors are at least this many units apart; see `alignment.same_pose`."""
     max_steps: int = 8
     """Most evaluations on each level."""
     keep_every: int = 1
@@ -78,10 +79,6 @@ class Modes(eqx.Module):
     """Posterior weight of the mode (Laplace: exp(-score) sqrt(det covariance)), sums to 1."""
 
 
-_APART_XY_M = 0.5
-_APART_YAW_RAD = 0.01745
-
-
 def score(
     T_map_base: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
@@ -118,14 +115,8 @@ def score(
     share = cost.summed / jnp.maximum(cost.visible, config.min_visible_px)
     unseen = jnp.maximum(1 - cost.visible / config.min_visible_px, 0.0)
     in_view_px = total_weight(evidence.views) if in_view_px is None else in_view_px
-    nats = in_view_px * KERNELS[config.kernel].worst * evidence_gain(texture.ramp_px, config)
+    nats = in_view_px * KERNELS[config.kernel].worst * config.noise.gain(texture.ramp_px)
     return nats * (share + unseen) + prior_cost(T_map_base, prior)
-
-
-def evidence_gain(ramp_px: Float[Array, ""], config: AlignConfig) -> Float[Array, ""]:
-    """Nats for each unit of weight x rho."""
-    noise_px = jnp.maximum(config.noise_px, config.noise_share * ramp_px)
-    return (ramp_px / noise_px) ** 2 / config.correlation_px
 
 
 def prior_cost(T_map_base: Float[Array, "4 4"], prior: Prior) -> Float[Array, ""]:
@@ -139,7 +130,6 @@ def keep_distinct(
     Ts: Float[Array, "n 4 4"], scores: Float[Array, " n"], keep: int, apart: float | Array
 ) -> tuple[Int[Array, " keep"], Bool[Array, " keep"]]:
     """Indices of the best poses that differ from every better one kept, and whether each slot is filled."""
-    xy, yaw = Ts[:, :2, 3], lie.yaw(Ts)
     sane = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
     if isinstance(apart, float) and apart == 0:
         best, index = jax.lax.top_k(-sane, min(keep, Ts.shape[0]))
@@ -147,10 +137,8 @@ def keep_distinct(
 
     def pick(remaining: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
         best = jnp.argmin(remaining)
-        turn = jnp.mod(yaw - yaw[best] + jnp.pi, 2 * jnp.pi) - jnp.pi
-        distance2 = jnp.sum((xy - xy[best]) ** 2, axis=-1) / _APART_XY_M**2 + (turn / _APART_YAW_RAD) ** 2
         filled = jnp.isfinite(remaining[best])
-        near = (distance2 < apart**2).at[best].set(True)
+        near = (units_apart(Ts, Ts[best]) < apart).at[best].set(True)
         return jnp.where(near, jnp.inf, remaining), (best, filled)
 
     _, (index, filled) = jax.lax.scan(pick, sane, length=min(keep, Ts.shape[0]))

@@ -27,6 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align
 from semloc_jax.geometry import lie
+from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.smooth import (
     ChannelModel,
@@ -109,7 +110,7 @@ def smooth_scene(
         jax.tree.map(lambda leaf: leaf.astype(dtype), distance_maps(maps, level)),
         evidence.usable,
         model,
-        jnp.asarray(1 / config.correlation_px, dtype),
+        jnp.asarray(config.noise.observations_per_px, dtype),
         SmoothBorder(config.border_px),
     )
 
@@ -118,7 +119,7 @@ def standard_model(maps: CostMaps, config: AlignConfig, level: int = -1, dtype=j
     """The model of every channel that the fast solve assumes at one level."""
     ones = jnp.ones(maps.ramps[level].shape[1], dtype)
     ramp_px = maps.ramp_px[level]
-    return ChannelModel(ones, ramp_px * ones, ones, max(config.noise_px, config.noise_share * ramp_px) * ones)
+    return ChannelModel(ones, ramp_px * ones, ones, config.noise.floor_px(ramp_px) * ones)
 
 
 def align_differentiable(
@@ -332,7 +333,7 @@ def _estimate(
     for view, weight, distance in zip(scene.views, weights, distances, strict=True):
         v = distance / (model.ramp_px * model.kernel_scale)[view.channel]
         cost = cost + jnp.sum(weight * KERNELS["tukey"].rho(v)) / KERNELS["tukey"].worst
-        inlier = inlier + jnp.sum(weight * (jnp.abs(v) < 0.95))
+        inlier = inlier + jnp.sum(weight * is_inlier(v))
     per_seen = 1 / jnp.maximum(seen, 1e-9)
     exact = remainder < 30 * _tolerance(T.dtype)
     status = jnp.where(curvature < config.singular_below, SolveStatus.SINGULAR, SolveStatus.CONVERGED)

@@ -9,15 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.alignment.hypotheses import Modes
 from semloc_jax.alignment.result import Mode
-
-_SAME_M = 0.03
-_SAME_RAD = np.deg2rad(0.1)
+from semloc_jax.alignment.same_pose import ONE_OPTIMUM, units_apart
 
 
-def modes_in_map(found: Modes, origin_map: np.ndarray, merge_m: float, merge_deg: float) -> tuple[Mode, ...]:
+def modes_in_map(found: Modes, origin_map: np.ndarray, apart: float) -> tuple[Mode, ...]:
     """The filled modes, in the map frame, best first.
 
-    Two solves that ended in the same place count once. Modes nearer than `merge_m` and `merge_deg` are one place whose
+    Solves that ended in one optimum count once. Modes nearer than `apart` units (see `same_pose`) are one place whose
     pose is their weighted mean and whose covariance holds their spread: the masks cannot tell such modes apart.
     """
     found = jax.tree.map(lambda leaf: np.asarray(leaf, dtype=np.float64), found)
@@ -28,7 +26,7 @@ def modes_in_map(found: Modes, origin_map: np.ndarray, merge_m: float, merge_deg
             continue
         T = orthonormal(estimates.T_map_base[i])
         T[:3, 3] += origin_map
-        if any(_near(T, mode.T_map_base, _SAME_M, _SAME_RAD) for mode in modes):
+        if any(units_apart(T, mode.T_map_base) < ONE_OPTIMUM for mode in modes):
             continue
         modes.append(
             Mode(
@@ -42,7 +40,7 @@ def modes_in_map(found: Modes, origin_map: np.ndarray, merge_m: float, merge_deg
                 weak_direction=estimates.weak_direction[i],
             )
         )
-    return _normalised(_merged(modes, merge_m, np.deg2rad(merge_deg)))
+    return _normalised(_merged(modes, apart))
 
 
 def orthonormal(T: np.ndarray) -> np.ndarray:
@@ -53,11 +51,11 @@ def orthonormal(T: np.ndarray) -> np.ndarray:
     return T
 
 
-def _merged(modes: list[Mode], merge_m: float, merge_rad: float) -> list[Mode]:
+def _merged(modes: list[Mode], apart: float) -> list[Mode]:
     """Clusters around the best modes, each one replaced by its weighted mean."""
     clusters: list[list[Mode]] = []
     for mode in modes:
-        home = next((c for c in clusters if _near(mode.T_map_base, c[0].T_map_base, merge_m, merge_rad)), None)
+        home = next((c for c in clusters if units_apart(mode.T_map_base, c[0].T_map_base) < apart), None)
         if home is None:
             clusters.append([mode])
         else:
@@ -84,11 +82,6 @@ def _step(T_from: np.ndarray, T_to: np.ndarray) -> np.ndarray:
     """Small motion between two poses (translation [m], rotation vector [rad]) in the frame of the first."""
     T = np.linalg.inv(T_from) @ T_to
     return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
-
-
-def _near(T_a: np.ndarray, T_b: np.ndarray, distance_m: float, angle_rad: float) -> bool:
-    step = _step(T_a, T_b)
-    return bool(np.hypot(*step[:2]) < distance_m and np.linalg.norm(step[3:]) < angle_rad)
 
 
 def _normalised(modes: list[Mode]) -> tuple[Mode, ...]:

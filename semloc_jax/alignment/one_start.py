@@ -69,7 +69,8 @@ def from_one_start(
         evidence = evidence_from(T, frame, config.view)
         balanced = balance_classes(evidence.views, evidence.textures.num_channels, look.class_balance)
         evidence = eqx.tree_at(lambda e: e.views, evidence, balanced)
-        align = replace(config.align, levels=look.levels, max_steps=look.max_steps, noise_share=look.noise_share)
+        noise = replace(config.align.noise, ramp_share=look.noise_share)
+        align = replace(config.align, levels=look.levels, max_steps=look.max_steps, noise=noise)
         T = refine(T, evidence, prior, align)[0][-1]
     return T
 

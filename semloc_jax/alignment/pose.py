@@ -4,7 +4,7 @@ In: start pose, Evidence, Prior. Out: PoseEstimate with covariance, cost, covera
 Weights and visibility are frozen at the start of every level: a mask that changes under the solver moves the optimum.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import equinox as eqx
 import jax
@@ -12,11 +12,13 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
+from semloc_jax.alignment.level_choice import MIN_INLIER_RATIO, finest_held
 from semloc_jax.alignment.levenberg_marquardt import FusedLevenbergMarquardt, quadratic_model
 from semloc_jax.alignment.problem import AlignmentProblem, pose_of, residual
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual
 from semloc_jax.residuals.kernels import Path
+from semloc_jax.residuals.noise import NoiseModel, is_inlier
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import visible_weight
 from semloc_jax.residuals.texture import RampTextures
@@ -55,14 +57,9 @@ class AlignConfig:
     kernel: str = "tukey"
     path: Path = "auto"
     """How residuals are evaluated: by native kernels (`analytic`, `autodiff`) or by JAX alone (`xla`)."""
-    noise_px: float = 2.0
-    """Standard deviation of a mask boundary [px]."""
-    noise_share: float = 0.15
-    """On a coarse level the boundary noise counts as at least this share of the ramp: it is only a way to the next."""
-    correlation_px: float = 60.0
-    """Length of contour [px] over which the errors of a mask boundary are the same: one independent observation."""
-    min_inlier_ratio: float = 0.5
-    """A finer level is left again where less than this share of the visible contour lies within its ramp."""
+    noise: NoiseModel = field(default_factory=NoiseModel)
+    min_inlier_ratio: float = MIN_INLIER_RATIO
+    """Share of the visible contour within the ramp that a finer level needs to hold the pose."""
     border_px: float = 2.0
     """Samples nearer to the border of the image are not used."""
     min_visible_px: float = 100.0
@@ -96,8 +93,7 @@ def level_problem(
 ) -> AlignmentProblem:
     """The problem of one level with its chart at `T_start`."""
     texture = evidence.textures.level(level)
-    noise_px = jnp.maximum(config.noise_px, config.noise_share * texture.ramp_px)
-    gain = (texture.ramp_px / noise_px) ** 2 / config.correlation_px
+    gain = config.noise.gain(texture.ramp_px)
     xi_prior = lie.log(lie.inverse(T_start) @ prior.T_map_base)
     return AlignmentProblem(
         T_start,
@@ -173,7 +169,7 @@ def assess(
 ) -> PoseEstimate:
     """The pose estimate at a pose that is not moved: cost, coverage, information, covariance on one level.
 
-    Where the residuals scatter more than `config.noise_px`, the covariance of the evidence grows with them.
+    Where the residuals scatter more than `config.noise` has it, the covariance of the evidence grows with them.
     """
     views = visible_views(T_map_base, evidence, config.border_px, config.path)
     problem = level_problem(T_map_base, views, level, evidence, prior, config)
@@ -184,7 +180,7 @@ def assess(
     visible, everything = total_weight(views), total_weight(evidence.views)
     per_visible = 1 / jnp.maximum(visible, 1e-6)
     scatter_px = ramp_px * _held_rms(r, weight, config)
-    excess = jnp.maximum(scatter_px / jnp.maximum(config.noise_px, config.noise_share * ramp_px), 1.0)
+    excess = config.noise.excess(scatter_px, ramp_px)
     identity = jnp.eye(6, dtype=T_map_base.dtype)
     information = (model.hessian - identity) / excess**2 + identity
     eigenvalues, eigenvectors = jnp.linalg.eigh(information)
@@ -197,7 +193,7 @@ def assess(
         covariance=covariance,
         cost=jnp.where(visible > 0, jnp.sum(weight * kernel.rho(r)) * per_visible / kernel.worst, 1.0),
         coverage=visible / jnp.maximum(everything, 1e-6),
-        inlier_ratio=jnp.sum(weight * (jnp.abs(r) < 0.95)) * per_visible,
+        inlier_ratio=jnp.sum(weight * is_inlier(r)) * per_visible,
         information_eigenvalues=eigenvalues,
         weak_direction=eigenvectors[:, 0],
         num_steps=jnp.asarray(0),
@@ -223,9 +219,7 @@ def align(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config:
     sane = jnp.all(jnp.isfinite(Ts))
     Ts = jnp.where(sane, Ts, _first_finite(T_init, prior.T_map_base))
     visited = jax.vmap(lambda T, level: assess(T, level, evidence, prior, config))(Ts, levels)
-    # A level finer than the scatter of the boundaries fits noise: the pose is that of the finest level that holds.
-    holds = visited.inlier_ratio >= config.min_inlier_ratio
-    last = jnp.max(jnp.where(holds, jnp.arange(len(levels)), 0))
+    last = finest_held(visited.inlier_ratio, config.min_inlier_ratio)
     estimate = jax.tree.map(lambda leaf: leaf[last], visited)
     status = jnp.where(
         (estimate.status == SolveStatus.CONVERGED) & ~converged[last], SolveStatus.MAX_STEPS, estimate.status

@@ -40,8 +40,6 @@ class TrackAlignConfig:
     """Share of the nats between two local minima that is believed: which of them is right is less sure than that."""
     rank_level: int = 2
     """Level on which the starts are ranked and the elements are judged."""
-    apart_m: float = 0.25
-    """Poses farther apart than this count as different answers."""
 
 
 class ElementEvidence(NamedTuple):
@@ -62,8 +60,6 @@ class TrackedFrame(NamedTuple):
     """Pose and quality of the best start, relative to the local origin."""
     score: Float[Array, ""]
     """Cost of evidence and prior of the best [nats]."""
-    second_score: Float[Array, ""]
-    """The same of the best pose that differs from it; infinite where all starts ended in one place."""
     spread: Float[Array, "6 6"]
     """Second moment of all answers about the best one, in its right tangent, by their share of the posterior."""
     in_view_px: Float[Array, ""]
@@ -103,12 +99,10 @@ def align_predicted(
     best = jnp.argmin(scores)
     chosen = jax.tree.map(lambda leaf: leaf[best], estimates)
     steps = lie.log(lie.inverse(chosen.T_map_base) @ estimates.T_map_base)
-    others = jnp.where(jnp.hypot(steps[:, 0], steps[:, 1]) > config.apart_m, scores, jnp.inf)
     seen = element_evidence(chosen.T_map_base, evidence, element, config)
     return TrackedFrame(
         estimate=chosen,
         score=scores[best],
-        second_score=jnp.min(others),
         spread=_spread(estimates.T_map_base, scores, steps, prior, config.score_share),
         in_view_px=total_weight(evidence.views),
         elements=seen,

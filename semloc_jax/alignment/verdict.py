@@ -26,9 +26,6 @@ class VerdictConfig:
     max_sigma_heading_deg: float = 0.5
     max_prior_sigmas: float = 4.0
     """A pose farther from the prior than this was found at the border of the search."""
-    merge_m: float = 0.6
-    merge_deg: float = 1.0
-    """Modes nearer than this are one place: their mean is the pose, their spread is in its covariance."""
 
 
 def judge(

@@ -125,7 +125,7 @@ def _contours(T_map_base: Array, rig: Rig, seen: ViewSamples, align: AlignConfig
         T_cam_base = lie.inverse(jnp.asarray(rig.T_base_cam[index], T_map_base.dtype))
         a, uv, normal = contour_rows(T_map_base, T_cam_base, camera, seen.p_map[index], seen.tangent_map[index])
         inside = camera.in_image(*uv, align.border_px) & (seen.weight[index] > 0)
-        weight = jnp.where(inside, seen.weight[index], 0.0) / (align.noise_px**2 * align.correlation_px)
+        weight = jnp.where(inside, seen.weight[index], 0.0) * align.noise.information_per_px
         parts.append((jnp.where(inside, a, 0.0).T, weight, uv.T, normal.T))
     return _Contours(*(jnp.stack(column) for column in zip(*parts, strict=True)))
 

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, sample_within
 from semloc_jax.alignment.implicit import smooth_scene
+from semloc_jax.alignment.level_choice import holds
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import LocalizationResult
@@ -173,8 +174,8 @@ class Look:
             found = balance(self.T_found, scene, self.prior, self.holder, self.capacity)
             drift_m = np.hypot(*(found.T_map_base - self.T_found)[:2, 3])
             inlier_ratio = found.terms.inlier.sum() / max(found.terms.weight.sum(), 1e-9)
-            holds = inlier_ratio >= self.align.min_inlier_ratio or level == coarsest
-            if found.is_exact and drift_m <= max_drift_m and holds:
+            is_held = holds(inlier_ratio, self.align.min_inlier_ratio) or level == coarsest
+            if found.is_exact and drift_m <= max_drift_m and is_held:
                 return found, level
         return unsettled(self.T_found, scene, self.prior, self.holder, self.capacity), coarsest
 
@@ -202,10 +203,11 @@ class Look:
         terms = jax.tree.map(lambda leaf: leaf[used], found.terms)
         terms = jax.tree.map(lambda leaf: np.stack([leaf[list(g.rows)].sum(axis=0) for g in groups]), terms)
         ramp_px = self.maps.ramp_px[level]
-        noise_px = max(self.align.noise_px, self.align.noise_share * ramp_px)
+        noise_px = self.align.noise.floor_px(ramp_px)
         scatter_px = np.sqrt(terms.square_px2.sum() / max(terms.pulling.sum(), 1e-9))
-        # As `alignment.pose.assess` has it: residuals that scatter more than the model says hold less.
-        told = influence(terms, np.asarray(self.prior.sigma, np.float64), max(float(scatter_px) / noise_px, 1.0))
+        told = influence(
+            terms, np.asarray(self.prior.sigma, np.float64), self.align.noise.excess(float(scatter_px), ramp_px)
+        )
         R = found.T_map_base[:3, :3]
         rows = TANGENT_OF_DIRECTION
         by_shift = told.motion[:, rows, :3] @ R.T

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.alignment import points_in_camera
+from semloc_jax.residuals.noise import INLIER_REACH
 from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.residuals.smooth_curvature import sample_expansion
 
@@ -29,8 +30,8 @@ OF_PART = np.array([[1, 1, 0, 0, 0, 1], [0, 0, 1, 1, 1, 0]], bool)
 _GENERATORS = np.zeros((6, 4, 4))
 _GENERATORS[[0, 1, 2], [0, 1, 2], 3] = 1.0
 _GENERATORS[[3, 4, 5], [2, 0, 1], [1, 2, 0]], _GENERATORS[[3, 4, 5], [1, 2, 0], [2, 0, 1]] = 1.0, -1.0
-_INSIDE = (1 - 0.95**2) ** 2
-"""Weight of the kernel at 0.95 of its reach: less is no inlier, as in `alignment.pose.assess`."""
+_INSIDE = (1 - INLIER_REACH**2) ** 2
+"""Weight of the kernel at the limit of an inlier."""
 
 
 class HolderTerms(NamedTuple):

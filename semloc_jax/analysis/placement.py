@@ -225,10 +225,12 @@ def _smooth_information(
     shown = _inside(u, camera.width, config.fade_px) * _inside(v, camera.height, config.fade_px)
     known = samples.valid & is_contour & valid & (jnp.asarray(channel_of_label)[samples.label] >= 0)
     weight = jnp.where(known, weight * near * shown, 0.0)
-    observations = jax.ops.segment_sum(weight, jnp.maximum(samples.element, 0), len(weight)) / view.correlation_px
+    observations = (
+        jax.ops.segment_sum(weight, jnp.maximum(samples.element, 0), len(weight)) * view.noise.observations_per_px
+    )
     weight = weight / (1 + view.shared_error * observations[jnp.maximum(samples.element, 0)])
     a = jnp.where(known, a, 0.0)
-    return jnp.einsum("ip,p,jp->ij", a, weight, a) / (align.noise_px**2 * align.correlation_px)
+    return jnp.einsum("ip,p,jp->ij", a, weight, a) * align.noise.information_per_px
 
 
 def _inside(w: Array, size: Array, fade_px: float) -> Array:

@@ -14,12 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from semloc_jax.alignment.level_choice import finest_held
 from semloc_jax.alignment.levenberg_marquardt import quadratic_model
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, assess, level_problem, visible_views
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig
 from semloc_jax.alignment.trace import LevelPath, trace_level
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, alignment_residual, camera_views, points_in_camera
+from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.runtime.programs import stored_program
@@ -183,7 +185,7 @@ def _projected(T_map_base: Array, group: CameraViews, tangent_map: Array) -> tup
 def _fit_of_channels(drawn: ImageSamples, ramp_px: Array, num_channels: int, config: AlignConfig) -> ChannelFit:
     kernel = KERNELS[config.kernel]
     r, weight = drawn.residual, drawn.weight
-    within = weight * (jnp.abs(r) < 0.95)
+    within = weight * is_inlier(r)
 
     def summed(value: Array) -> Array:
         return jax.ops.segment_sum(value.reshape(-1), drawn.channel.reshape(-1), num_channels)
@@ -235,8 +237,8 @@ def descend(
 def _judged(legs: list[Leg], polish: AlignConfig) -> Descent:
     """The descent with the leg that counts, as `align` picks it."""
     first = len(legs) - len(polish.levels)
-    holds = [k for k in range(first, len(legs)) if legs[k].path.estimate.inlier_ratio >= polish.min_inlier_ratio]
-    last = max(holds, default=first)
+    inlier_ratio = np.array([leg.path.estimate.inlier_ratio for leg in legs[first:]])
+    last = first + int(finest_held(inlier_ratio, polish.min_inlier_ratio))
     status = SolveStatus(int(legs[last].path.estimate.status))
     if status == SolveStatus.CONVERGED and not legs[last].path.converged:
         status = SolveStatus.MAX_STEPS

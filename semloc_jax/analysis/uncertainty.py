@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from scipy.optimize import nnls
 from scipy.stats import t as student
 
+from semloc_jax.alignment.level_choice import holds
 from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig
 from semloc_jax.analysis.boundary_noise import BoundaryNoise
@@ -26,6 +27,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import Usable, visibility
 from semloc_jax.residuals.alignment import camera_views as group_views
+from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.texture import RampTexture, lookup
 from semloc_jax.residuals.view import view
 from semloc_jax.runtime.programs import stored_program
@@ -104,7 +106,7 @@ def boundary_residuals(
         steep = texture.ramp_px * jnp.stack(pull(jnp.ones_like(ramp)))
         rise = jnp.sum(steep * normal, axis=0)
         out = jnp.where(rise >= 0, 1.0, -1.0)
-        weight = jnp.where(seen[k], samples.weight[k], 0.0) / (align.noise_px**2 * align.correlation_px)
+        weight = jnp.where(seen[k], samples.weight[k], 0.0) * align.noise.information_per_px
         gradient = image_rows(T_map_base, T_cam_base, camera, samples.p_map[k], steep)
         row = (out * slope).T, gradient.T, out * rise, ramp, jnp.full(u.shape, texture.ramp_px), weight
         row += jnp.stack([u, v], axis=-1), (out * normal).T, jnp.full(u.shape, k), samples.element[k]
@@ -126,8 +128,7 @@ def pose_residuals(T_map_base: Float[Array, "4 4"], inputs: FrameInput, config: 
         texture = inputs.textures.level(level)
         found = boundary_residuals(T_map_base, inputs.rig, seen, texture, inputs.usable, align)
         weight = np.asarray(found.weight, np.float64)
-        # As in alignment.pose: a level with fewer inliers was left again.
-        if np.sum(weight * (np.abs(found.ramp) < 0.95)) >= align.min_inlier_ratio * np.sum(weight):
+        if holds(np.sum(weight * is_inlier(found.ramp)), align.min_inlier_ratio * np.sum(weight)):
             break
     return found
 

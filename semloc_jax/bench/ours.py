@@ -14,7 +14,7 @@ from semloc_jax import native
 from semloc_jax.alignment.hypotheses import SearchConfig, search
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine
 from semloc_jax.bench.peer import PeerMissing, Solved
-from semloc_jax.bench.problem import CORRELATION_PX, NOISE_PX, NOISE_SHARE, SIGMA, Problem
+from semloc_jax.bench.problem import NOISE, SIGMA, Problem
 from semloc_jax.cameras import PinholeCamera, stack_cameras
 from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.texture import pack
@@ -39,9 +39,7 @@ def create(path: str) -> "SemlocPeer":
 
 def config_of(path: str) -> AlignConfig:
     """The configuration that all lines share, by one path of evaluation."""
-    return AlignConfig(
-        max_steps=10, noise_px=NOISE_PX, noise_share=NOISE_SHARE, correlation_px=CORRELATION_PX, path=path
-    )
+    return AlignConfig(max_steps=10, noise=NOISE, path=path)
 
 
 def evidence_of(problem: Problem) -> tuple[Evidence, Prior]:

@@ -14,11 +14,12 @@ from semloc_jax.bench import scene
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
 from semloc_jax.perception.distance import signed_distance
+from semloc_jax.residuals.noise import NoiseModel
 
 RAMP_PX, STRIDE = (40.0, 14.0, 8.0, 3.0), (4, 2, 2, 1)
 FULL_LEVELS, TRACKING_LEVELS = (0, 1, 3), (2, 3)
 """Levels of a solve from a wide prior and of one that follows the last frame."""
-NOISE_PX, NOISE_SHARE, CORRELATION_PX = 2.0, 0.15, 60.0
+NOISE = NoiseModel(noise_px=2.0, correlation_px=60.0, ramp_share=0.15)
 START_RANGE = np.array([4.0, 2.0, 0.1, np.deg2rad(0.5), np.deg2rad(0.5), np.deg2rad(5.0)])
 TRACKING_RANGE = np.array([0.15, 0.05, 0.01, np.deg2rad(0.05), np.deg2rad(0.05), np.deg2rad(0.15)])
 SIGMA = np.array([4.0, 2.0, 0.2, np.deg2rad(1.0), np.deg2rad(1.0), np.deg2rad(5.0)])
@@ -58,7 +59,7 @@ class Problem:
     @property
     def gains(self) -> tuple[float, ...]:
         """Nats for each unit of weight x rho, by level."""
-        return tuple((ramp / max(NOISE_PX, NOISE_SHARE * ramp)) ** 2 / CORRELATION_PX for ramp in self.ramp_px)
+        return tuple(NOISE.gain(ramp) for ramp in self.ramp_px)
 
     def starts(self, num: int, tracking: bool = False) -> np.ndarray:
         """The first `num` start poses, float64[num 4 4], drawn evenly around the truth."""

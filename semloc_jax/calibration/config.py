@@ -8,6 +8,7 @@ from typing import Literal
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.prediction import MotionNoise
+from semloc_jax.residuals.noise import NoiseModel
 
 Intrinsics = Literal["none", "focal", "all"]
 """What of the lenses is unknown: nothing; focal lengths and centre; distortion too."""
@@ -76,10 +77,7 @@ class SelfCalibrationConfig:
     """Most evaluations on each level."""
     tolerance: float = 2e-3
     """A level ends when a step is below this, in sigmas of the priors and in units of 10 cm and 0.6 deg of poses."""
-    noise_px: float = 2.0
-    noise_share: float = 0.15
-    correlation_px: float = 60.0
-    """These three as in `AlignConfig`: boundary noise and the length over which it is the same."""
+    noise: NoiseModel = field(default_factory=NoiseModel)
     min_inlier_ratio: float = 0.35
     """A level with a smaller share of the visible contour within its ramp is left out. Less than a single frame asks:
     all frames together tell what is common to them from the scatter of each."""

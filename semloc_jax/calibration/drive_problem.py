@@ -15,6 +15,7 @@ from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual, visibility
 from semloc_jax.residuals.camera_equations import camera_equations, with_fields
 from semloc_jax.residuals.motion import fix_linearised, odometry_linearised, pose_linearised, robust_cost
+from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.road_contact import road_linearised
 from semloc_jax.residuals.robust import KERNELS, robust_root
 from semloc_jax.residuals.texture import RampTexture
@@ -308,7 +309,7 @@ def solve_calibration(
     for group in seen.pictures:
         rows = seen.rows(state, group)
         r, weight = alignment_residual(jnp.eye(4, dtype=rows.p_map.dtype), (rows,), seen.texture)
-        held, everything = held + jnp.sum(weight * (jnp.abs(r) < 0.95)), everything + jnp.sum(weight)
+        held, everything = held + jnp.sum(weight * is_inlier(r)), everything + jnp.sum(weight)
     return CalibrationSolution(state, equations, held / jnp.maximum(everything, 1e-6), num_steps, converged)
 
 

@@ -83,7 +83,8 @@ def picture_rows(
     localizer = pictures.localizer
     settings = localizer.config
     windows = MapWindows(localizer.map, settings.search_radius_m, settings.sample_spacing_m, settings.sample_capacity)
-    seen = [_seen(windows, rig, T, localizer.channel_of_label, config.capacity, origin_map) for T in T_map_base]
+    how = ViewConfig(capacity=config.capacity, margin_share=_MARGIN_SHARE, noise=config.noise)
+    seen = [_seen(windows, rig, T, localizer.channel_of_label, how, origin_map) for T in T_map_base]
     groups = []
     for group in pictures.rig.groups():
         places = [(i, c) for i in range(len(seen)) for c in group.index]
@@ -113,13 +114,17 @@ def _picked(seen: list, frame: np.ndarray) -> list:
 
 
 def _seen(
-    windows: MapWindows, rig: Rig, T: np.ndarray, channel_of_label: np.ndarray, capacity: int, origin_map: np.ndarray
+    windows: MapWindows,
+    rig: Rig,
+    T: np.ndarray,
+    channel_of_label: np.ndarray,
+    config: ViewConfig,
+    origin_map: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points relative to the origin, channels and weights of each camera, `[cam 3 p]`, `[cam p]`, `[cam p]`."""
     window = windows.around(T[:3, 3])
     T_local = T.copy()
     T_local[:3, 3] -= window.local_map.origin_map
-    config = ViewConfig(capacity=capacity, margin_share=_MARGIN_SHARE)
     samples = _views(window.samples, jnp.asarray(T_local, jnp.float32), rig, jnp.asarray(channel_of_label), config)
     shift = window.local_map.origin_map - origin_map
     p_map = np.asarray(samples.p_map, np.float64) + shift[:, None]

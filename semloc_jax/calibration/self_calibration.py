@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.level_choice import holds
 from semloc_jax.alignment.pose_prior import PriorSource
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.calibration.config import CalibrationPriors, SelfCalibrationConfig
@@ -178,12 +179,11 @@ def _coarse_to_fine(
         T_map_base[:, :3, 3] += origin_map
         moved = eqx.tree_at(lambda r: r.T_base_cam, rig, np.asarray(state.T_base_cam))
         rows = picture_rows(pictures, moved, T_map_base, origin_map, config)
-        noise_px = max(config.noise_px, config.noise_share * ramp_px)
-        gain = jnp.asarray((ramp_px / noise_px) ** 2 / config.correlation_px)
+        gain = jnp.asarray(config.noise.gain(ramp_px))
         nominal = jnp.asarray(np.asarray(rig.T_base_cam, np.float64))
         problem = CalibrationProblem(rows, texture, gain, motion, anchors, nominal, jnp.asarray(_NOMINAL), sigma)
         solution = solve_calibration(problem, state, usable, tolerance=config.tolerance, max_steps=config.max_steps)
-        if best is not None and solution.inlier_ratio < config.min_inlier_ratio:
+        if best is not None and not holds(solution.inlier_ratio, config.min_inlier_ratio):
             break
         best, state = (solution, ramp_px), solution.state
     return best

@@ -58,8 +58,8 @@ class Parameters(eqx.Module):
         weight = jnp.exp(self.weight[place])
         ones = jnp.ones_like(weight)
         ramp_px = jnp.minimum(maps.ramp_px[-1] * jnp.exp(self.ramp), 0.95 * config.stored_ramp_px)
-        model = ChannelModel(weight, ramp_px * ones, ones, align.noise_px * ones)
-        return model, jnp.exp(-self.correlation) / align.correlation_px
+        model = ChannelModel(weight, ramp_px * ones, ones, align.noise.noise_px * ones)
+        return model, jnp.exp(-self.correlation) * align.noise.observations_per_px
 
     def road(self, prior: Prior) -> Prior:
         """The prior of a frame with what was learned of roll and pitch."""
@@ -83,7 +83,7 @@ def learned_values(parameters: Parameters, table: ClassTable, config: LearningCo
         if channel >= 0:
             factor[label] = np.exp(float(parameters.weight[channel]))
     ramp_px = config.localize.cost_maps.ramp_px[-1] * float(np.exp(parameters.ramp))
-    correlation_px = config.localize.frame.polish_align.correlation_px * float(np.exp(parameters.correlation))
+    correlation_px = config.localize.frame.polish_align.noise.correlation_px * float(np.exp(parameters.correlation))
     weights = tuple(round(float(value), 3) for value in factor)
     ramp_px = round(min(ramp_px, 0.95 * config.stored_ramp_px), 3)
     roll_pitch_deg = config.localize.road.roll_pitch_deg * float(np.exp(parameters.tilt))
@@ -101,7 +101,9 @@ def learned_config(learned: Learned, old: LocalizeConfig) -> LocalizeConfig:
             frame,
             search_view=replace(frame.search_view, class_weight=weights),
             polish_view=replace(frame.polish_view, class_weight=weights),
-            polish_align=replace(frame.polish_align, correlation_px=learned.correlation_px),
+            polish_align=replace(
+                frame.polish_align, noise=replace(frame.polish_align.noise, correlation_px=learned.correlation_px)
+            ),
         ),
     )
 
@@ -112,7 +114,7 @@ def learned_track_config(learned: Learned, old: TrackConfig) -> TrackConfig:
     step = replace(
         step,
         view=replace(step.view, class_weight=learned.class_weight),
-        align=replace(step.align, correlation_px=learned.correlation_px),
+        align=replace(step.align, noise=replace(step.align.noise, correlation_px=learned.correlation_px)),
     )
     return replace(
         old,

@@ -11,11 +11,11 @@ import numpy as np
 from semloc_jax.alignment.modes import modes_in_map
 from semloc_jax.alignment.pose_prior import PosePrior, RoadSigmas
 from semloc_jax.alignment.result import Mode
+from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
 from semloc_jax.alignment.single_frame import SingleFrameConfig, localize_frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import FusedPose, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
-from semloc_jax.geometry import rigid
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import InitializationConfig, prior_from_fixes, sectors, tile_priors
 from semloc_jax.localization.track_state import Fixes, FrameFeatures
@@ -42,8 +42,6 @@ class AcquisitionConfig:
     max_tracks: int = 4
     min_weight: float = 0.02
     """Answers with less of the posterior are not followed."""
-    merge_m: float = 0.3
-    merge_deg: float = 0.5
     max_cost: float = 0.75
     min_inlier_ratio: float = 0.3
     covariance_inflation: float = 4.0
@@ -111,7 +109,7 @@ class Acquisition:
         found = localize_frame(
             self.aligner.frame_input(frame, window), prior.to_solver(T_map_prior, origin, config.road), config.frame
         )
-        modes = modes_in_map(found, origin, config.merge_m, config.merge_deg)
+        modes = modes_in_map(found, origin, ONE_TRACK)
         good = [m for m in modes if m.cost <= config.max_cost and m.inlier_ratio >= config.min_inlier_ratio]
         return tuple([m for m in good if m.weight >= config.min_weight][: config.max_tracks])
 
@@ -129,13 +127,9 @@ class Acquisition:
         found.sort(key=lambda mode: mode.cost - mode.coverage * mode.inlier_ratio)
         kept: list[Mode] = []
         for mode in found:
-            if not any(self._is_same(mode, other) for other in kept):
+            if not any(units_apart(mode.T_map_base, other.T_map_base) < ONE_TRACK for other in kept):
                 kept.append(mode)
         return tuple(kept[: self.config.max_tracks])
-
-    def _is_same(self, mode: Mode, other: Mode) -> bool:
-        step = rigid.log(rigid.inverse(other.T_map_base) @ mode.T_map_base)
-        return bool(np.hypot(*step[:2]) < self.config.merge_m and abs(np.degrees(step[5])) < self.config.merge_deg)
 
     def measurement(self, mode: Mode, time_s: float) -> PoseMeasurement:
         """A mode as the first measurement of a track."""

@@ -57,8 +57,6 @@ class Alignment(NamedTuple):
     inlier_ratio: float
     score: float
     """Cost of evidence and prior [nats]."""
-    margin: float
-    """Cost of the next best pose elsewhere less that of the best [nats]; infinite where there is none."""
     in_view_px: float
     moved_m: float
     """Correction along the road before the solve [m]."""
@@ -172,7 +170,6 @@ class FrameAligner:
             coverage=float(estimate.coverage),
             inlier_ratio=float(estimate.inlier_ratio),
             score=float(found.score),
-            margin=float(found.second_score - found.score),
             in_view_px=float(found.in_view_px),
             moved_m=moved_m,
             information_eigenvalues=estimate.information_eigenvalues.astype(np.float64),

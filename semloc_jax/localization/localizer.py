@@ -15,6 +15,7 @@ import numpy as np
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
 from semloc_jax.alignment.single_frame import frame_input
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
@@ -23,7 +24,6 @@ from semloc_jax.fusion.clock import CameraTimeLog, ClockConfig, unknown_offset
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
-from semloc_jax.geometry import rigid
 from semloc_jax.localization import health, map_faults
 from semloc_jax.localization.acquisition import Acquisition, AcquisitionConfig, Area
 from semloc_jax.localization.following import (
@@ -262,9 +262,7 @@ class Localizer:
     def _is_one_of(self, track: Track, kept: list[Track]) -> bool:
         """Whether a track is where another one is."""
         T = self.fusion.pose(track.fusion).T_map_base
-        steps = [rigid.log(rigid.inverse(self.fusion.pose(k.fusion).T_map_base) @ T) for k in kept]
-        merge_m, merge_deg = self.config.acquisition.merge_m, self.config.acquisition.merge_deg
-        return any(np.hypot(*s[:2]) < merge_m and abs(np.degrees(s[5])) < merge_deg for s in steps)
+        return any(units_apart(T, self.fusion.pose(k.fusion).T_map_base) < ONE_TRACK for k in kept)
 
     def _given_up(self, state: TrackerState) -> TrackerState:
         """The state without tracks where the vehicle is lost: the best confirmed one goes on by dead reckoning."""

@@ -5,7 +5,7 @@ In: MapSamples, an approximate pose, the rig. Out: ViewSamples, one bucket of fi
 What is decided here depends so weakly on the pose that it is kept while the pose is searched within metres.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
+from semloc_jax.residuals.noise import NoiseModel
 from semloc_jax.structs import ElementClass, MapSamples, SampleKind, ViewSamples
 
 
@@ -37,14 +38,12 @@ class ViewConfig:
     """Weight of a sample is (length in px)^(1-a) (length in m x px_per_m)^a: 0 weighs the image, 1 the world evenly."""
     shared_error: float = 0.1
     """Variance of an element's place in the map over that of one independent observation of its border."""
-    correlation_px: float = 60.0
-    """Length of contour [px] that is one independent observation; see `AlignConfig.correlation_px`."""
-    noise_px: float = 2.0
-    """Standard deviation of one independent observation [px]; see `AlignConfig.noise_px`."""
+    noise: NoiseModel = field(default_factory=NoiseModel)
+    """How long one independent observation of a border is, and how far off."""
     most_alone: float = 1.0
-    """An edge shorter than `correlation_px` is still one observation of its own: its samples weigh more by the ratio of
-    both, up to this. Ends of dashes, 10 px long, say how far along the road a single frame is; 1 weighs by length only,
-    enough for who gathers them over a drive."""
+    """An edge shorter than `noise.correlation_px` is still one observation: its samples weigh more by the ratio of the
+    two, up to this factor. Ends of dashes, 10 px long, tell where along the road a single frame is. A factor of 1
+    weighs by length only, which is enough where many frames are fused."""
     class_weight: tuple[float, ...] = ()
     """Factor on the weight of each ElementClass, in its order; empty for 1. `semloc learn` finds them."""
 
@@ -137,7 +136,7 @@ def _camera_view(
     if config.most_alone > 1:
         weight = weight * _alone(samples, length_px, config)[index]
     # An observation of variance s^2 whose map is off by t^2 on its own counts s^2 / (s^2 + t^2).
-    weight = weight / (1 + (seen.height_px[index] / config.noise_px) ** 2)
+    weight = weight / (1 + (seen.height_px[index] / config.noise.noise_px) ** 2)
     weight = jnp.where(filled, weight, 0.0).astype(p_map.dtype)
     element = jnp.where(filled, samples.element[index], -1)
     weight = _limited_by_element(weight, element, config)
@@ -158,7 +157,7 @@ def _alone(samples: MapSamples, length_px: Array, config: ViewConfig) -> Array:
     starts = jnp.concatenate([jnp.zeros(1, bool), turned | (samples.element[1:] != samples.element[:-1])])
     edge = jnp.cumsum(starts)
     edge_px = jax.ops.segment_sum(length_px, edge, len(edge))[edge]
-    return jnp.clip(config.correlation_px / jnp.maximum(edge_px, 1.0), 1.0, config.most_alone)
+    return jnp.clip(config.noise.correlation_px / jnp.maximum(edge_px, 1.0), 1.0, config.most_alone)
 
 
 def _limited_by_element(weight: Array, element: Array, config: ViewConfig) -> Array:
@@ -168,7 +167,7 @@ def _limited_by_element(weight: Array, element: Array, config: ViewConfig) -> Ar
     """
     # Numbered anew: a dense map has more elements than a view has samples.
     _, own = jnp.unique(element, return_inverse=True, size=config.capacity)
-    observations = jax.ops.segment_sum(weight, own, config.capacity)[own] / config.correlation_px
+    observations = jax.ops.segment_sum(weight, own, config.capacity)[own] / config.noise.correlation_px
     return weight / (1 + config.shared_error * observations)
 
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.hypotheses import CullStage, cull, evidence_gain, keep_distinct, prior_cost, score, weigh
+from semloc_jax.alignment.hypotheses import CullStage, cull, keep_distinct, prior_cost, score, weigh
 from semloc_jax.alignment.pose import AlignConfig, Prior
 from semloc_jax.alignment.proposals import propose
 from semloc_jax.geometry import lie
@@ -101,15 +101,6 @@ def test_prior_costs_half_the_squared_sigmas():
     assert float(prior_cost(T @ lie.exp(xi), Prior(T, sigma))) == pytest.approx(expected, rel=1e-9)
     locked = 0.5 * ((0.3 / 0.5) ** 2 + (0.2 / 0.5) ** 2)
     assert float(prior_cost(T @ lie.exp(xi), Prior(T, sigma.at[2:].set(0.0)))) == pytest.approx(locked, rel=1e-9)
-
-
-def test_gain_counts_independent_observations():
-    """60 px of contour off by one noise sigma cost half a nat, as one observation should."""
-    config = AlignConfig(noise_px=2.0, noise_share=0.15, correlation_px=60.0)
-    fine = jnp.array(8.0)
-    assert float(60.0 * 0.5 * (2.0 / fine) ** 2 * evidence_gain(fine, config)) == pytest.approx(0.5)
-    coarse = jnp.array(40.0)
-    assert float(60.0 * 0.5 * (6.0 / coarse) ** 2 * evidence_gain(coarse, config)) == pytest.approx(0.5)
 
 
 @pytest.fixture(scope="module")

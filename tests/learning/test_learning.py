@@ -92,7 +92,7 @@ def test_what_is_learned_becomes_a_configuration():
     found, tracking = learned_config(learned, LocalizeConfig()), learned_track_config(learned, TrackConfig())
     assert found.cost_maps.ramp_px == tracking.cost_maps.ramp_px == (40.0, 14.0, 8.0, 4.5)
     assert found.road.roll_pitch_deg == 0.2
-    assert found.frame.polish_align.correlation_px == tracking.alignment.step.align.correlation_px == 30.0
+    assert found.frame.polish_align.noise.correlation_px == tracking.alignment.step.align.noise.correlation_px == 30.0
     assert found.frame.polish_view.class_weight == tracking.alignment.step.view.class_weight == tuple(weights)
 
 

@@ -10,6 +10,7 @@ import pytest
 from semloc_jax.cameras import BevCamera, PinholeCamera, Rig
 from semloc_jax.cameras.bev import T_base_bev
 from semloc_jax.maps import MapElement, SemanticMap, sample
+from semloc_jax.residuals.noise import NoiseModel
 from semloc_jax.residuals.view import ViewConfig, contour_points, view
 from semloc_jax.simulation.cameras import mounted
 from semloc_jax.structs import ElementClass, MapSamples, SampleKind
@@ -130,7 +131,8 @@ def test_the_share_of_an_element_is_limited(first_element):
     samples = MapSamples(**{**vars(samples), "element": jnp.where(samples.valid, samples.element + first_element, -1)})
     T = pose(3.0, origin)
     free = seen_by(samples, T, RIG, CHANNELS, config=PLAIN)
-    limited = seen_by(samples, T, RIG, CHANNELS, config=replace(PLAIN, shared_error=0.2, correlation_px=50.0))
+    shared = replace(PLAIN, shared_error=0.2, noise=NoiseModel(correlation_px=50.0))
+    limited = seen_by(samples, T, RIG, CHANNELS, config=shared)
     for element in (first_element, first_element + 1):
         total = [
             float(np.sum(np.asarray(v.weight[0]) * (np.asarray(v.element[0]) == element))) for v in (free, limited)
@@ -275,10 +277,7 @@ def test_ends_of_dashes_count_as_observations_of_their_own():
     ]
     local = SemanticMap(tuple(dashes)).query(np.array([20.0, 0.0, 0.0]), 90.0)
     samples, T = sample(local, 0.05), pose(3.0, local.origin_map)
-    plain, alone = (
-        seen_by(samples, T, RIG, CHANNELS, config=replace(PLAIN, correlation_px=60.0, most_alone=most))
-        for most in (1.0, 3.0)
-    )
+    plain, alone = (seen_by(samples, T, RIG, CHANNELS, config=replace(PLAIN, most_alone=most)) for most in (1.0, 3.0))
     np.testing.assert_array_equal(plain.p_map, alone.p_map)
     weight, more = (np.asarray(v.weight[0], np.float64) for v in (plain, alone))
     is_end = np.abs(np.asarray(plain.tangent_map[0][1])) > 0.9
