@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 
 UNIT_M, UNIT_DEG = 0.5, 1.0
 """One unit is half a metre on the ground or one degree of heading: about as far as the basin of a solve reaches."""
-ONE_OPTIMUM = 0.06
-"""Solves that end nearer to each other than this (3 cm, 0.06 deg) found one optimum; it counts once. Ours."""
+ONE_OPTIMUM = 0.1
+"""Solves that end nearer to each other than this (5 cm, 0.1 deg) found one optimum; it counts once. Ours."""
 ONE_TRACK = 0.6
 """Answers of a search that are farther apart (0.3 m, 0.6 deg) are followed as tracks of their own. Ours."""
 ONE_PLACE = 1.2
