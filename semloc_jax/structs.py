@@ -70,7 +70,7 @@ STATUS_TEXT = {
 class MapSamples(eqx.Module):
     """Points on the contours of map elements, independent of any camera.
 
-    Positions are in the `map` frame relative to `LocalMap.origin_map` (float32 stays exact to well below 1 mm).
+    Positions are in the local frame `LocalMap.frame` (float32 stays exact to well below 1 mm).
     """
 
     p_map: Float[Array, "n 3"]

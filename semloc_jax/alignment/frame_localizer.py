@@ -87,10 +87,10 @@ class FrameLocalizer:
         T_map_prior = prior.on_road(self.map)
         inputs, local_map = self.prepare(masks, rig or frame.rig, T_map_prior)
         prepared = time.perf_counter()
-        solver_prior = prior.to_solver(T_map_prior, local_map.origin_map, self.config.road)
+        solver_prior = prior.to_solver(T_map_prior, local_map.frame, self.config.road)
         found = localize_frame(inputs, solver_prior, self.config.frame)
         verdict = self.config.verdict
-        modes = modes_in_map(found, local_map.origin_map, ONE_PLACE)
+        modes = modes_in_map(found, local_map.frame, ONE_PLACE)
         times = {"evidence": prepared - started, "solve": time.perf_counter() - prepared}
         best = modes[0].T_map_base if modes else np.full((4, 4), np.nan)
         away = np.hypot(*(best - T_map_prior)[:2, 3]) / prior.sigma_xy_m if modes else np.inf

@@ -1,6 +1,6 @@
 """From the solver's modes to modes in the map frame (room: alignment; host).
 
-In: solvers.Modes, local origin. Out: Mode list; poses that belong together are merged by their moments.
+In: hypotheses.Modes, their local frame. Out: Mode list; poses that belong together are merged by their moments.
 """
 
 import jax
@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.alignment.hypotheses import Modes
 from semloc_jax.alignment.result import Mode
 from semloc_jax.alignment.same_pose import ONE_OPTIMUM, units_apart
+from semloc_jax.geometry.local_frame import LocalFrame
 
 
-def modes_in_map(found: Modes, origin_map: np.ndarray, apart: float) -> tuple[Mode, ...]:
+def modes_in_map(found: Modes, frame: LocalFrame, apart: float) -> tuple[Mode, ...]:
     """The filled modes, in the map frame, best first.
 
     Solves that ended in one optimum count once. Modes nearer than `apart` units (see `same_pose`) are one place whose
@@ -24,8 +25,7 @@ def modes_in_map(found: Modes, origin_map: np.ndarray, apart: float) -> tuple[Mo
     for i in np.argsort(found.score, kind="stable"):
         if not np.isfinite(found.score[i]) or not np.isfinite(estimates.T_map_base[i]).all():
             continue
-        T = orthonormal(estimates.T_map_base[i])
-        T[:3, 3] += origin_map
+        T = frame.to_map(orthonormal(estimates.T_map_base[i]))
         if any(units_apart(T, mode.T_map_base) < ONE_OPTIMUM for mode in modes):
             continue
         modes.append(

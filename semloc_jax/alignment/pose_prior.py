@@ -12,6 +12,7 @@ import numpy as np
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import SemanticMap
 
 
@@ -46,13 +47,11 @@ class PosePrior:
             raise SemlocError(f"prior pose {self}: NaN or infinite; expected finite numbers")
         return semantic_map.road_pose(self.x_m, self.y_m, self.heading_rad)
 
-    def to_solver(self, T_map_base: np.ndarray, origin_map: np.ndarray, road: RoadSigmas) -> Prior:
-        """The Gaussian prior of the solver around `T_map_base`, relative to the local origin."""
-        T = np.array(T_map_base, dtype=np.float64)
-        T[:3, 3] -= origin_map
+    def to_solver(self, T_map_base: np.ndarray, frame: LocalFrame, road: RoadSigmas) -> Prior:
+        """The Gaussian prior of the solver around `T_map_base`, in a local frame."""
         tilt = np.deg2rad(road.roll_pitch_deg)
         sigma = [self.sigma_xy_m, self.sigma_xy_m, road.height_m, tilt, tilt, self.sigma_heading_rad]
-        return Prior(jnp.asarray(T, jnp.float32), jnp.asarray(sigma, jnp.float32))
+        return Prior(jnp.asarray(frame.from_map(T_map_base)), jnp.asarray(sigma, jnp.float32))
 
 
 PriorSource = Callable[[Frame], PosePrior]

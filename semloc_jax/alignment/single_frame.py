@@ -90,7 +90,7 @@ def _views(
 
 
 @stored_program("config")
-def _starts(prior: Prior, config: SingleFrameConfig) -> Float[Array, "n 4 4"]:
+def search_starts(prior: Prior, config: SingleFrameConfig) -> Float[Array, "n 4 4"]:
     """Start poses of the search in the window around the prior."""
     sigma_xy_yaw = prior.sigma[np.array([0, 1, 5])]
     sigma_xy_yaw = sigma_xy_yaw.at[2].max(float(np.deg2rad(config.min_reach_deg)) / config.reach)
@@ -107,7 +107,7 @@ def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -
         config: Hypotheses, schedule, refinement.
     """
     evidence = evidence_from(prior.T_map_base, frame, config.search_view)
-    candidates, scores = search(_starts(prior, config), evidence, prior, config.search_align, config.search)
+    candidates, scores = search(search_starts(prior, config), evidence, prior, config.search_align, config.search)
     # On the host: an operation outside of the stored programs would be compiled in every process.
     best = jnp.asarray(np.asarray(candidates)[0])
     closer = evidence_from(best, frame, config.polish_view)

@@ -21,6 +21,7 @@ from semloc_jax.alignment.single_frame import FrameInput, evidence_from
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import pose_errors
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.mask_source import MaskSource, mask_source
 from semloc_jax.maps import SemanticMap
 from semloc_jax.residuals.view import ViewConfig
@@ -148,7 +149,7 @@ def basin(
         inputs, local_map = localizer.prepare(source.masks(frame), rig, T_true)
         for window, part in zip(windows, parts, strict=True):
             Ts_start = draw_starts(T_true, window, semantic_map, config.num_starts, (config.seed, frame.index))
-            Ts_end, scores = _solve_all(Ts_start, inputs, local_map.origin_map, window, config)
+            Ts_end, scores = _solve_all(Ts_start, inputs, local_map.frame, window, config)
             part.append((_errors(Ts_start, T_true), _errors(Ts_end, T_true), scores))
     return tuple(_gathered(window, part, config) for window, part in zip(windows, parts, strict=True))
 
@@ -177,18 +178,14 @@ def draw_starts(
 
 
 def _solve_all(
-    Ts_start: np.ndarray, inputs: FrameInput, origin_map: np.ndarray, window: BasinWindow, config: BasinConfig
+    Ts_start: np.ndarray, inputs: FrameInput, local: LocalFrame, window: BasinWindow, config: BasinConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where every start ends, in the map frame, and its score."""
-    local = Ts_start.copy()
-    local[:, :3, 3] -= origin_map
     road = config.localize.road
     tilt, heading = np.deg2rad(road.roll_pitch_deg), np.deg2rad(window.heading_deg)
     sigma = np.array([window.longitudinal_m, window.lateral_m, road.height_m, tilt, tilt, heading], np.float32)
-    ends, scores = _solve(jnp.asarray(local, jnp.float32), inputs, jnp.asarray(sigma), config)
-    Ts_end = np.array(ends, dtype=np.float64)
-    Ts_end[:, :3, 3] += origin_map
-    return Ts_end, np.asarray(scores, dtype=np.float64)
+    ends, scores = _solve(jnp.asarray(local.from_map(Ts_start)), inputs, jnp.asarray(sigma), config)
+    return local.to_map(ends), np.asarray(scores, dtype=np.float64)
 
 
 @partial(jax.jit, static_argnames="config")

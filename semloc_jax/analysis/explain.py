@@ -78,8 +78,7 @@ def explain_frame(
     found, level = look.optimum(config.max_drift_m)
     sigma, holders = look.holders(found, level, config, look.elements_alone())
     _, classes = look.holders(found, level, config, look.classes_together())
-    T = found.T_map_base.copy()
-    T[:3, 3] += look.local_map.origin_map
+    T = look.local_map.frame.to_map(found.T_map_base)
     offset = rigid.log(rigid.inverse(result.T_map_base) @ T)[TANGENT_OF_DIRECTION]
     classes = [holder for holder in classes if holder.is_element]
     ranked = (tuple(sorted(some, key=lambda holder: -holder.strength)) for some in (holders, classes))
@@ -127,15 +126,14 @@ class Look:
         samples = sample_within(local_map, settings.sample_spacing_m, settings.sample_capacity)
         maps = cost_maps(masks, localizer.shown, settings.cost_maps)
         inputs = frame_input(samples, maps, rig, localizer.channel_of_label)
-        T_found = result.T_map_base.copy()
-        T_found[:3, 3] -= local_map.origin_map
+        T_found = local_map.frame.from_map(result.T_map_base, np.float64)
         to_dtype = partial(cast, dtype=jnp.zeros(()).dtype)
         near = jnp.asarray(T_found, jnp.float32)
         seen = _view(samples, near, rig, inputs.channel_of_label, settings.frame.polish_view)
         views = camera_views(rig, jax.tree.map(to_dtype, seen))
         usable = Usable(inputs.usable.mask, inputs.usable.stride)
         evidence = Evidence(views, inputs.textures, usable, inputs.always)
-        solver_prior = jax.tree.map(to_dtype, prior.to_solver(T_prior, local_map.origin_map, settings.road))
+        solver_prior = jax.tree.map(to_dtype, prior.to_solver(T_prior, local_map.frame, settings.road))
         rows = np.asarray(seen.element)
         shown = np.unique(rows[(rows >= 0) & (np.asarray(seen.weight) > 0)])
         # A line that was cut at the search radius is one element in several parts.
@@ -183,7 +181,7 @@ class Look:
         """Every element, and both parts of the prior."""
         num = len(self.ids)
         groups = [Group(self.ids[k], self.labels[k], self.middles[k], (k,)) for k in range(num)]
-        here = self.T_found[:3, 3] + self.local_map.origin_map
+        here = self.local_map.frame.to_map(self.T_found[:3, 3])
         return groups + [Group(name, None, here, (num + k,)) for k, name in enumerate(PRIOR_PARTS)]
 
     def classes_together(self) -> "list[Group]":
@@ -220,7 +218,7 @@ class Look:
             seen, pulling = terms.weight[k], max(terms.pulling[k], 1e-9)
             along = R.T @ worst[k]
             px_per_m = noise_px * np.sqrt(max(along @ terms.information[k, :3, :3] @ along, 1e-12) / pulling)
-            away = found.T_map_base[:3, 3] + self.local_map.origin_map - group.middle_map
+            away = self.local_map.frame.to_map(found.T_map_base[:3, 3]) - group.middle_map
             turn = np.concatenate([R.T @ np.cross([0.0, 0.0, 1.0], away), R.T @ [0.0, 0.0, 1.0]])
             holders.append(
                 Holder(

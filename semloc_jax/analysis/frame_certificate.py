@@ -35,8 +35,6 @@ def certify_frame(
         claims: What to prove.
     """
     inputs, local_map = localizer.prepare(masks, rig, T_map_base)
-    T = np.array(T_map_base, np.float64)
-    T[:3, 3] -= local_map.origin_map
-    start = jnp.asarray(T, jnp.float32)
+    start = jnp.asarray(local_map.frame.from_map(T_map_base))
     evidence = evidence_from(start, inputs, localizer.config.frame.search_view)
     return certify(start, evidence, AlignConfig(), config, claims)

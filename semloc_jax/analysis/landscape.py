@@ -94,13 +94,12 @@ def frame_landscape(
     if not 0 <= level < num_levels:
         raise SemlocError(f"landscape on level {level}; the cost maps have the levels 0 (coarse) to {num_levels - 1}")
     inputs, local_map = localizer.prepare(masks, rig, T_map_base)
-    T_local = np.array(T_map_base, dtype=np.float64)
-    T_local[:3, 3] -= local_map.origin_map
-    evidence = evidence_from(jnp.asarray(T_local, jnp.float32), inputs, localizer.config.frame.search_view)
+    T_local_base = local_map.frame.from_map(T_map_base, np.float64)
+    evidence = evidence_from(jnp.asarray(T_local_base, jnp.float32), inputs, localizer.config.frame.search_view)
     config = localizer.config.frame.search_align
     channels = {"all": None} | {channel.name: index for index, channel in enumerate(localizer.shown.channels)}
     costs = {
-        name: cost_landscape(T_local, evidence, directions, offset_a, offset_b, level, config, index)
+        name: cost_landscape(T_local_base, evidence, directions, offset_a, offset_b, level, config, index)
         for name, index in channels.items()
     }
     return {name: cost for name, cost in costs.items() if name == "all" or np.isfinite(cost).any()}

@@ -138,9 +138,8 @@ def frame_mixture(
     settings = localizer.config.frame
     covariances = []
     for mode in result.modes:
-        T = mode.T_map_base.copy()
-        T[:3, 3] -= local_map.origin_map
-        residuals = pose_residuals(jnp.asarray(T, jnp.float32), inputs, settings)
+        T_local_base = jnp.asarray(local_map.frame.from_map(mode.T_map_base))
+        residuals = pose_residuals(T_local_base, inputs, settings)
         covariances.append(sandwich_covariance(residuals, prior_sigma, config).covariance)
     if not covariances:
         raise SemlocError(f"frame {result.frame.id}: no pose explains the masks, so there is no posterior")

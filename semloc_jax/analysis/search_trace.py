@@ -5,16 +5,13 @@ In: what `FrameLocalizer.localize` takes. Out: the hypotheses that each stage le
 
 from collections.abc import Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.hypotheses import cull, refine_and_score
 from semloc_jax.alignment.pose_prior import PosePrior
-from semloc_jax.alignment.proposals import propose
-from semloc_jax.alignment.single_frame import evidence_from
+from semloc_jax.alignment.single_frame import evidence_from, search_starts
 from semloc_jax.cameras import Rig
 
 
@@ -34,11 +31,9 @@ def trace_search(
     config = localizer.config.frame
     T_map_prior = prior.on_road(localizer.map)
     inputs, local_map = localizer.prepare(masks, rig, T_map_prior)
-    around = prior.to_solver(T_map_prior, local_map.origin_map, localizer.config.road)
+    around = prior.to_solver(T_map_prior, local_map.frame, localizer.config.road)
     evidence = evidence_from(around.T_map_base, inputs, config.search_view)
-    sigma = around.sigma[jnp.array([0, 1, 5])]
-    key = jax.random.key(config.seed)
-    Ts = propose(config.proposals, config.num_hypotheses, around.T_map_base, sigma, config.reach, key)
+    Ts = search_starts(around, config)
     first = config.search.stages[0]
     level, align, chunk = jnp.asarray(first.score_level), config.search_align, config.search.chunk
     found = {f"{len(Ts)} proposals": refine_and_score(Ts, level, evidence, around, align, chunk)}
@@ -46,11 +41,6 @@ def trace_search(
         Ts, scores = cull(Ts, stage, evidence, around, align, chunk)
         left = int(np.isfinite(scores).sum())
         ramps = ", ".join(f"{localizer.config.cost_maps.ramp_px[index]:g}" for index in stage.levels)
-        found[f"stage {number}: ramps {ramps} px, {left} left"] = Ts, scores
-    return {name: (_in_map(Ts, local_map.origin_map), np.asarray(scores)) for name, (Ts, scores) in found.items()}
-
-
-def _in_map(Ts: Array, origin_map: np.ndarray) -> np.ndarray:
-    Ts_map = np.array(Ts, dtype=np.float64)
-    Ts_map[:, :3, 3] += origin_map
-    return Ts_map
+        done = f"refined on ramps of {ramps} px" if ramps else "scored"
+        found[f"stage {number}: {done}, {left} left"] = Ts, scores
+    return {name: (local_map.frame.to_map(Ts), np.asarray(scores)) for name, (Ts, scores) in found.items()}

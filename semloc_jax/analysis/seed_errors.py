@@ -119,17 +119,15 @@ def noisy_solves(
     local_map = semantic_map.query(T_true[:3, 3], config.search_radius_m, heading if len(rig) == 1 else None)
     samples = sample_within(local_map, config.sample_spacing_m, config.sample_capacity)
     T_start = semantic_map.road_pose(T_true[0, 3], T_true[1, 3], heading)
-    T_start[:3, 3] -= local_map.origin_map
+    T_local_start = jnp.asarray(local_map.frame.from_map(T_start))
     exact = source.masks(frame)
     for seed in range(num_seeds):
         rngs = [np.random.default_rng([seed, frame.index, k]) for k in range(len(exact))]
         noisy = [degrade(mask, rng, degradation) for mask, rng in zip(exact, rngs, strict=True)]
         maps = cost_maps(noisy, localizer.shown, config.cost_maps)
         inputs = frame_input(samples, maps, shifted, localizer.channel_of_label)
-        T_local = _refined(jnp.asarray(T_start, jnp.float32), inputs, sigma, config.frame)
-        T = np.array(T_local, np.float64)
-        T[:3, 3] += local_map.origin_map
-        yield NoisySolve(T, T_local, inputs)
+        T_local = _refined(T_local_start, inputs, sigma, config.frame)
+        yield NoisySolve(local_map.frame.to_map(T_local), T_local, inputs)
 
 
 @partial(jax.jit, static_argnames="config")

@@ -184,10 +184,9 @@ class PlaceViewer:
     def samples(
         self, local_map: LocalMap, T_map_base: Float[np.ndarray, "4 4"]
     ) -> tuple[MapSamples, Float[np.ndarray, "4 4"]]:
-        """Samples of a local map, and the pose relative to their origin in their float type."""
-        T = np.array(T_map_base, dtype=np.float64)
-        T[:3, 3] -= local_map.origin_map
-        return sample_within(local_map, self.config.sample_spacing_m, self.config.sample_capacity), T.astype(np.float32)
+        """Samples of a local map, and the pose in their frame and float type."""
+        samples = sample_within(local_map, self.config.sample_spacing_m, self.config.sample_capacity)
+        return samples, local_map.frame.from_map(T_map_base)
 
     @staticmethod
     def rig(rig: Rig) -> Rig:

@@ -20,6 +20,7 @@ from semloc_jax.cameras import Camera, Rig
 from semloc_jax.datasets import Frame, GnssTrack
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.geometry import rigid
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.maps import SemanticMap
@@ -69,7 +70,7 @@ def unknown_fields(camera: Camera, intrinsics: Intrinsics) -> tuple[str, ...]:
 
 
 def picture_rows(
-    pictures: Pictures, rig: Rig, T_map_base: np.ndarray, origin_map: np.ndarray, config: SelfCalibrationConfig
+    pictures: Pictures, rig: Rig, T_map_base: np.ndarray, local: LocalFrame, config: SelfCalibrationConfig
 ) -> tuple[PictureRows, ...]:
     """What each picture shows of the map, seen with the rig's mounts and lenses from the given poses.
 
@@ -77,14 +78,14 @@ def picture_rows(
         pictures: Frames and masks.
         rig: Cameras in pixels of the masks, with the best mounts so far.
         T_map_base: float64[n 4 4], map frame.
-        origin_map: What all positions are relative to.
+        local: Frame of all positions.
         config: Capacity, unknown intrinsics.
     """
     localizer = pictures.localizer
     settings = localizer.config
     windows = MapWindows(localizer.map, settings.search_radius_m, settings.sample_spacing_m, settings.sample_capacity)
     how = ViewConfig(capacity=config.capacity, margin_share=_MARGIN_SHARE, noise=config.noise)
-    seen = [_seen(windows, rig, T, localizer.channel_of_label, how, origin_map) for T in T_map_base]
+    seen = [_seen(windows, rig, T, localizer.channel_of_label, how, local) for T in T_map_base]
     groups = []
     for group in pictures.rig.groups():
         places = [(i, c) for i in range(len(seen)) for c in group.index]
@@ -119,14 +120,13 @@ def _seen(
     T: np.ndarray,
     channel_of_label: np.ndarray,
     config: ViewConfig,
-    origin_map: np.ndarray,
+    local: LocalFrame,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points relative to the origin, channels and weights of each camera, `[cam 3 p]`, `[cam p]`, `[cam p]`."""
+    """Points in the local frame, channels and weights of each camera, `[cam 3 p]`, `[cam p]`, `[cam p]`."""
     window = windows.around(T[:3, 3])
-    T_local = T.copy()
-    T_local[:3, 3] -= window.local_map.origin_map
-    samples = _views(window.samples, jnp.asarray(T_local, jnp.float32), rig, jnp.asarray(channel_of_label), config)
-    shift = window.local_map.origin_map - origin_map
+    near = window.local_map.frame
+    samples = _views(window.samples, jnp.asarray(near.from_map(T)), rig, jnp.asarray(channel_of_label), config)
+    shift = local.from_map(near.origin_map, np.float64)
     p_map = np.asarray(samples.p_map, np.float64) + shift[:, None]
     return p_map, np.asarray(samples.channel), np.asarray(samples.weight, np.float64)
 
@@ -200,7 +200,7 @@ def anchors_of(
     gnss: GnssTrack | None,
     log: MotionLog | None,
     reference: np.ndarray | None,
-    origin_map: np.ndarray,
+    local: LocalFrame,
     config: SelfCalibrationConfig,
 ) -> Anchors:
     """Fixes, road and reference poses of the frames.
@@ -211,7 +211,7 @@ def anchors_of(
         gnss: Fixes in the map frame.
         log: Carries a frame to the time of a fix; None where there are no wheels.
         reference: Poses from elsewhere, float64[n 4 4], map frame; NaN where unknown.
-        origin_map: What all positions are relative to.
+        local: Frame of all positions.
         config: Standard deviations.
     """
     num, factors = len(start.frames), config.factors
@@ -231,11 +231,11 @@ def anchors_of(
             if log is None and abs(gnss.time_s[fix] - frame.time_s) > 0.02:
                 continue
             fix_base[i] = carried[:3, :3] @ np.array(gnss.antenna_base) + carried[:3, 3]
-            p_fix[i] = gnss.p_enu[fix, :2] - origin_map[:2]
+            p_fix[i] = local.from_map(gnss.p_enu[fix, :2], np.float64)
             fix_info[i] = 1.0 / (factors.gnss_inflation * gnss.sigma_m[fix, :2])
     road_info = np.tile(1.0 / np.array([factors.road_height_m] + 2 * [np.deg2rad(factors.road_tilt_deg)]), (num, 1))
-    T_reference[:, :3, 3] -= origin_map
-    arrays = (fix_base, p_fix, fix_info, point - origin_map, normal, road_info, T_reference, reference_info)
+    point, T_reference = local.from_map(point, np.float64), local.from_map(T_reference, np.float64)
+    arrays = (fix_base, p_fix, fix_info, point, normal, road_info, T_reference, reference_info)
     return Anchors(*(jnp.asarray(array) for array in arrays))
 
 

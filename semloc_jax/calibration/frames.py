@@ -18,6 +18,7 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.pose_graph import GraphConfig, PoseGraph, solve_pose_graph
 from semloc_jax.fusion.prediction import MotionIncrement, MotionLog, MotionQuality
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import SemanticMap
@@ -122,9 +123,8 @@ def motion_between(
 def smoothed(poses: np.ndarray, is_good: np.ndarray, motion: Sequence[MotionIncrement]) -> np.ndarray:
     """The poses that fit the found ones and the driven way best; a found pose that does not fit hardly counts."""
     num = len(poses)
-    origin = poses[0, :3, 3].copy()
-    local = poses.copy()
-    local[:, :3, 3] -= origin
+    frame = LocalFrame(poses[0, :3, 3])
+    local = frame.from_map(poses, np.float64)
     sigma = _START_SIGMA * np.where(is_good, 1.0, _LOST_FACTOR)[:, None]
     covariances = np.stack([increment.covariance for increment in motion])
     graph = PoseGraph(
@@ -149,5 +149,4 @@ def smoothed(poses: np.ndarray, is_good: np.ndarray, motion: Sequence[MotionIncr
     )
     with jax.enable_x64(True):
         solved = np.array(jax.jit(lambda g: solve_pose_graph(g, GraphConfig(pose_threshold=3.0)).T_map_base)(graph))
-    solved[:, :3, 3] += origin
-    return solved
+    return frame.to_map(solved)

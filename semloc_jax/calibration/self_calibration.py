@@ -40,6 +40,7 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory
 from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.inputs.mask_view import TopViewSource
 from semloc_jax.maps import SemanticMap
@@ -124,18 +125,17 @@ def calibrate_from(
         raise SemlocError(f"calibration: given {len(start.frames)} frames; expected at least {MIN_FRAMES}")
     masks = with_common_offset(masks)
     pictures = Pictures.of(start.frames, drive.rig, masks, FrameLocalizer(semantic_map, masks.table))
-    origin_map = start.T_map_base[:, :3, 3].mean(axis=0)
+    local = LocalFrame(start.T_map_base[:, :3, 3].mean(axis=0))
     log = MotionLog.of_drive(drive, config.motion) if start.motion is not None else None
     poses = None if reference is None else _reference_poses(reference, start.frames)
     with jax.enable_x64(True):
-        anchors = anchors_of(start, semantic_map, drive.gnss, log, poses, origin_map, config)
-        solution, level_px = _coarse_to_fine(pictures, start, anchors, origin_map, config)
+        anchors = anchors_of(start, semantic_map, drive.gnss, log, poses, local, config)
+        solution, level_px = _coarse_to_fine(pictures, start, anchors, local, config)
         sigma = _sigmas(pictures.rig, config)
         information = np.asarray(reduced(solution.equations)[0])
     nominal = drive.rig.select(masks.cameras)
     observability = _observability(information, sigma, solution, pictures.rig, config)
-    T_map_base = np.array(solution.state.T_map_base, np.float64)
-    T_map_base[:, :3, 3] += origin_map
+    T_map_base = local.to_map(solution.state.T_map_base)
     vehicle = dict(zip(COMMON, np.asarray(solution.state.common).tolist(), strict=True))
     return SelfCalibration(
         nominal,
@@ -160,14 +160,12 @@ def with_common_offset(masks: MaskSource) -> MaskSource:
 
 
 def _coarse_to_fine(
-    pictures: Pictures, start: StartPoses, anchors, origin_map: np.ndarray, config: SelfCalibrationConfig
+    pictures: Pictures, start: StartPoses, anchors, local: LocalFrame, config: SelfCalibrationConfig
 ) -> tuple[CalibrationSolution, float]:
     """The solution of the finest level that the masks hold, and its ramp."""
     rig, widest = pictures.rig, _num_intrinsics(pictures.rig, config)
-    T_local = start.T_map_base.copy()
-    T_local[:, :3, 3] -= origin_map
     state = CalibrationState(
-        jnp.asarray(T_local),
+        jnp.asarray(local.from_map(start.T_map_base, np.float64)),
         jnp.asarray(np.asarray(rig.T_base_cam, np.float64)),
         jnp.zeros((len(rig), widest)),
         jnp.asarray(_NOMINAL),
@@ -175,10 +173,9 @@ def _coarse_to_fine(
     motion, sigma, best = motion_of(start, config), jnp.asarray(_sigmas(rig, config)), None
     for ramp_px, stride in zip(config.ramp_px, config.stride, strict=True):
         texture, usable = level_texture(pictures, ramp_px, stride, min(config.stride))
-        T_map_base = np.array(state.T_map_base)
-        T_map_base[:, :3, 3] += origin_map
+        T_map_base = local.to_map(state.T_map_base)
         moved = eqx.tree_at(lambda r: r.T_base_cam, rig, np.asarray(state.T_base_cam))
-        rows = picture_rows(pictures, moved, T_map_base, origin_map, config)
+        rows = picture_rows(pictures, moved, T_map_base, local, config)
         gain = jnp.asarray(config.noise.gain(ramp_px))
         nominal = jnp.asarray(np.asarray(rig.T_base_cam, np.float64))
         problem = CalibrationProblem(rows, texture, gain, motion, anchors, nominal, jnp.asarray(_NOMINAL), sigma)

@@ -15,10 +15,13 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from semloc_jax.alignment.frame_localizer import LocalizeConfig
+    from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
+    from semloc_jax.alignment.pose_prior import PosePrior
+    from semloc_jax.alignment.result import LocalizationResult
     from semloc_jax.analysis.explain_check import Check
     from semloc_jax.analysis.explain_drive import ElementRole
     from semloc_jax.analysis.explanation import Explanation, Holder
+    from semloc_jax.cameras import Rig
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,11 @@ class Options(DriveOptions):
     """Localize again with each of so many of the strongest elements moved, and left out, and print what happened."""
     top: int = 12
     """Number of elements that are printed."""
+    posterior: bool = False
+    """Print all modes of the pose and the 95 % intervals of their mixture; residual correlation taken into account."""
+    scatter: int = 0
+    """Solve the frame with so many draws of a network's noise on its exact masks, and print how far the pose scatters;
+    the drive needs truth."""
     every: int | None = None
     """Explain every K-th frame of the drive instead of one."""
     config: Path | None = None
@@ -58,8 +66,8 @@ def default_settings() -> "LocalizeConfig":
 def run(options: Options) -> int:
     """Explain one frame, or many."""
     every = 1 if options.every is None else options.every
-    if not 0 < options.shift_cm <= 100 or options.check < 0 or min(options.top, every) < 1:
-        raise UsageError("--shift-cm: expected 0 to 100; --check: 0 or more; --top, --every: 1 or more")
+    if not 0 < options.shift_cm <= 100 or min(options.check, options.scatter) < 0 or min(options.top, every) < 1:
+        raise UsageError("--shift-cm: expected 0 to 100; --check, --scatter: 0 or more; --top, --every: 1 or more")
     frame = dataclasses.replace(options.settings.frame, seed=options.seed)
     settings = dataclasses.replace(options.settings, frame=frame)
     return _frame(options, settings) if options.every is None else _drive(options, settings)
@@ -89,6 +97,10 @@ def _frame(options: Options, settings: "LocalizeConfig") -> int:
         return LOST
     found = explain_frame(localizer, result, *given, ExplainConfig(options.shift_cm / 100.0))
     print(table(found, options.top))
+    if options.posterior:
+        print(_posterior(localizer, result, *given))
+    if options.scatter:
+        print(_scatter(options, settings, inputs))
     checks = []
     if options.check:
         from tqdm import tqdm
@@ -108,6 +120,31 @@ def _frame(options: Options, settings: "LocalizeConfig") -> int:
     print(f"picture: {viz.save(explained_map(around, found, title), folder / 'explain_map.png')}")
     print(f"results: {folder}")
     return OK
+
+
+def _posterior(
+    localizer: "FrameLocalizer",
+    result: "LocalizationResult",
+    masks: "Sequence[np.ndarray]",
+    prior: "PosePrior",
+    rig: "Rig",
+) -> str:
+    import numpy as np
+
+    from semloc_jax.analysis.pose_mixture import frame_mixture
+    from semloc_jax.geometry.local_frame import LocalFrame
+    from semloc_jax.reports.pose_posterior import posterior_text
+
+    sigma = prior.to_solver(result.T_map_prior, LocalFrame(result.T_map_prior[:3, 3]), localizer.config.road).sigma
+    return posterior_text(frame_mixture(localizer, result, masks, rig, np.asarray(sigma, np.float64)))
+
+
+def _scatter(options: Options, settings: "LocalizeConfig", inputs: Inputs) -> str:
+    from semloc_jax.analysis.seed_errors import seed_errors
+    from semloc_jax.reports.pose_posterior import scatter_text
+
+    frames, masks = [inputs.frame(options.frame)], inputs.masks.name
+    return scatter_text(seed_errors(inputs.drive, inputs.map, frames, options.scatter, masks, config=settings))
 
 
 def _drive(options: Options, settings: "LocalizeConfig") -> int:

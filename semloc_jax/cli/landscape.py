@@ -1,5 +1,6 @@
 """`semloc landscape`: the cost around the pose of one frame, over two of the six directions (room: cli)."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -11,12 +12,8 @@ from semloc_jax.inputs.choices import parse_names
 from semloc_jax.inputs.drive_inputs import Inputs, open_inputs
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from semloc_jax.alignment.frame_localizer import LocalizeConfig
     from semloc_jax.datasets import Frame
-
-METRIC = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -26,6 +23,7 @@ class Options(DriveOptions):
     Shows what holds the pose and what does not: a valley is a direction that the class says nothing about, a second
     basin is a pose that it would confuse with the true one. Writes landscape.png and minima.csv.
     With --basin it measures from how far away the true pose is found and writes basin.png and basin.csv instead.
+    With --search it draws instead which hypotheses each stage of the search from the prior leaves: search.png.
     With --serve it writes nothing: on a page in the browser one drags the pose on the map and sees overlay, residuals,
     slices of the cost, covariance and the path of the solver from there; Ctrl-C ends it.
     """
@@ -50,6 +48,8 @@ class Options(DriveOptions):
     """Half widths of the window that they are drawn from: longitudinal [m], lateral [m], heading [deg]."""
     prove: bool = False
     """With --basin: also prove by interval bounds within which region no other pose fits as well; a minute."""
+    search: bool = False
+    """Draw the hypotheses that each stage of the search leaves, instead of slicing the cost."""
     serve: bool = False
     """Open the explorer, a page on this machine, instead of writing pictures."""
     port: int = 8765
@@ -75,23 +75,22 @@ def run(options: Options) -> int:
         return _serve(options)
     if options.basin:
         return _basin(options)
-    import numpy as np
-
+    if options.search:
+        return _search(options)
     from semloc_jax import viz
     from semloc_jax.alignment.frame_localizer import FrameLocalizer
-    from semloc_jax.analysis.landscape import frame_landscape
     from semloc_jax.reports import results
+    from semloc_jax.viz.frame_slices import frame_slices
 
-    directions, offsets = _grid(options)
+    directions, extents, steps = _grid(options)
     inputs = open_inputs(options)
     frame = inputs.frame(options.frame)
     is_truth = options.around == "truth" and inputs.drive.truth is not None
     T_map_base = inputs.drive.truth_at(frame) if is_truth else inputs.prior(frame).on_road(inputs.map)
     localizer = FrameLocalizer(inputs.map, inputs.masks.table, options.settings)
     rig = inputs.masks.seen_by(frame.rig.select(inputs.masks.cameras))
-    in_si = [o if d in METRIC else np.deg2rad(o) for d, o in zip(directions, offsets, strict=True)]
-    costs = frame_landscape(localizer, inputs.masks.masks(frame), rig, T_map_base, directions, *in_si, options.level)
-    slices = {name: viz.CostSlice(directions, *offsets, cost) for name, cost in costs.items()}
+    around = (localizer, inputs.masks.masks(frame), rig, T_map_base)
+    slices = frame_slices(*around, directions, extents, options.level, steps)
 
     folder = results.make_folder(options.out)
     ramp_px = options.settings.cost_maps.ramp_px[options.level]
@@ -173,6 +172,32 @@ def _prove(inputs: Inputs, frame: "Frame", config: "LocalizeConfig", folder: Pat
     results.write_csv(folder / "proof.csv", names, rows)
 
 
+def _search(options: Options) -> int:
+    """The hypotheses of the search from the prior, stage by stage, around the true pose or else around the prior."""
+    from semloc_jax import viz
+    from semloc_jax.alignment.frame_localizer import FrameLocalizer
+    from semloc_jax.analysis.search_trace import trace_search
+    from semloc_jax.reports import results
+    from semloc_jax.viz.search import search_stages
+
+    inputs = open_inputs(options)
+    frame = inputs.frame(options.frame)
+    prior, settings = inputs.prior(frame), options.settings
+    localizer = FrameLocalizer(inputs.map, inputs.masks.table, settings)
+    rig = inputs.masks.seen_by(frame.rig.select(inputs.masks.cameras))
+    stages = trace_search(localizer, inputs.masks.masks(frame), rig, prior)
+    has_truth = inputs.drive.truth is not None
+    T_map_middle = inputs.drive.truth_at(frame) if has_truth else prior.on_road(inputs.map)
+    away_m = math.hypot(prior.x_m - T_map_middle[0, 3], prior.y_m - T_map_middle[1, 3])
+    reach_m = away_m + settings.frame.reach * prior.sigma_xy_m
+    figure = search_stages(inputs.map.elements, stages, T_map_middle, (reach_m, reach_m))
+    folder = results.make_folder(options.out)
+    print(f"picture: {viz.save(figure, folder / 'search.png')}")
+    for name in stages:
+        print(name)
+    return OK
+
+
 def _serve(options: Options) -> int:
     """The explorer, until it is interrupted."""
     import functools
@@ -196,20 +221,18 @@ def _serve(options: Options) -> int:
     return OK
 
 
-def _grid(options: Options) -> tuple[tuple[str, str], "list[np.ndarray]"]:
-    """The two directions and the offsets along them [m or deg]."""
-    import numpy as np
-
+def _grid(options: Options) -> tuple[tuple[str, str], tuple[float, float], tuple[int, int]]:
+    """The two directions, the half widths [m or deg] and the numbers of poses along them."""
     from semloc_jax.viz.landscape import DIRECTIONS
 
     directions = parse_names(options.over) or ()
     if len(set(directions)) != 2 or not set(directions) <= set(DIRECTIONS):
         raise UsageError(f"--over '{options.over}': expected two different ones of {', '.join(DIRECTIONS)}, e.g. x,yaw")
     try:
-        extents = [float(value) for value in options.extent.split(",")]
-        steps = [int(value) for value in options.steps.split(",")]
+        extents = tuple(float(value) for value in options.extent.split(","))
+        steps = tuple(int(value) for value in options.steps.split(","))
     except ValueError as error:
         raise UsageError(f"--extent or --steps: {error}; expected two numbers such as 4,2") from error
     if len(extents) != 2 or len(steps) != 2 or min(extents) <= 0 or min(steps) < 3:
         raise UsageError("--extent, --steps: expected two positive extents and two counts of at least 3")
-    return directions, [np.linspace(-e, e, n) for e, n in zip(extents, steps, strict=True)]
+    return directions, extents, steps

@@ -1,5 +1,6 @@
 """How good a trajectory is: files, errors in the vehicle frame, metrics, reports and the baseline gate."""
 
+from semloc_jax.evaluation.align import Alignment, aligned
 from semloc_jax.evaluation.benchmark import Outcome, Verdict, compare, format_verdicts, is_passed
 from semloc_jax.evaluation.integrity import NeesReport, StanfordCounts, nees, normalised_squares, stanford_counts
 from semloc_jax.evaluation.metrics import ErrorLimit, Metric, evaluate, metrics_of_errors, pose_errors, within
@@ -7,6 +8,7 @@ from semloc_jax.evaluation.report import format_metrics, read_metrics, write_met
 from semloc_jax.evaluation.trajectory import Trajectory, associate, read_trajectory, write_tum
 
 __all__ = [
+    "Alignment",
     "ErrorLimit",
     "Metric",
     "NeesReport",
@@ -14,6 +16,7 @@ __all__ = [
     "StanfordCounts",
     "Trajectory",
     "Verdict",
+    "aligned",
     "associate",
     "compare",
     "evaluate",

@@ -10,6 +10,7 @@ import numpy as np
 
 from semloc_jax.analysis.landscape import DIRECTIONS
 from semloc_jax.analysis.probe import Descent, Leg, PoseProbe
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.structs import STATUS_TEXT, PoseEstimate, SolveStatus
 
 DEG = np.array([1.0, 1.0, 1.0, *[180.0 / np.pi] * 3])
@@ -52,12 +53,11 @@ def sample_arrays(found: PoseProbe) -> dict[str, np.ndarray]:
     }
 
 
-def path_of(descent: Descent, origin_map: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
+def path_of(descent: Descent, local: LocalFrame) -> tuple[np.ndarray, dict[str, Any]]:
     """The pose a solve ends at in the map frame, and its steps as plain data."""
-    steps = [step for leg in descent.legs for step in _steps(leg, origin_map)]
+    steps = [step for leg in descent.legs for step in _steps(leg, local)]
     estimate = descent.estimate
-    T_map_end = np.array(estimate.T_map_base, dtype=np.float64)
-    T_map_end[:3, 3] += origin_map
+    T_map_end = local.to_map(estimate.T_map_base)
     sigma = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 0.0)) * DEG
     return T_map_end, {
         "steps": steps,
@@ -75,7 +75,7 @@ def _covariance(estimate: PoseEstimate) -> np.ndarray:
     return np.asarray(estimate.covariance, dtype=np.float64) * DEG[:, None] * DEG
 
 
-def _steps(leg: Leg, origin_map: np.ndarray) -> list[dict[str, Any]]:
+def _steps(leg: Leg, local: LocalFrame) -> list[dict[str, Any]]:
     steps, path = [], leg.path
     for k in np.flatnonzero(path.valid):
         held, tried = (np.asarray(T[k], dtype=np.float64) for T in (path.T_held, path.T_tried))
@@ -85,8 +85,8 @@ def _steps(leg: Leg, origin_map: np.ndarray) -> list[dict[str, Any]]:
                 "level": leg.level,
                 "accepted": bool(path.accepted[k]),
                 "cost": float(path.cost[k]),
-                "xy": np.round(held[:2, 3] + origin_map[:2], 4),
-                "tried_xy": np.round(tried[:2, 3] + origin_map[:2], 4),
+                "xy": np.round(local.to_map(held)[:2, 3], 4),
+                "tried_xy": np.round(local.to_map(tried)[:2, 3], 4),
                 "yaw_deg": np.rad2deg(np.arctan2(held[1, 0], held[0, 0])),
                 "xi": np.round(path.xi_held[k] * DEG, 5),
             }

@@ -27,6 +27,7 @@ from semloc_jax.explorer.answers import path_of, sample_arrays, summary
 from semloc_jax.explorer.messages import PoseQuery
 from semloc_jax.explorer.placement import Placement
 from semloc_jax.explorer.slices import SliceGrid, slice_grid
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.maps import LocalMap
 
@@ -51,7 +52,7 @@ class OpenFrame:
     T_map_truth: np.ndarray | None
     prior: PosePrior
     cells: dict[tuple, tuple[FrameInput, np.ndarray]]
-    """Map samples and their origin around other places, by cell."""
+    """Map samples and their local frame around other places, by cell."""
 
 
 class ExplorerSession:
@@ -222,13 +223,13 @@ class ExplorerSession:
         inputs, local_map = self.localizer.prepare(masks, rig, anchor)
         return OpenFrame(index, masks, inputs, local_map, anchor, truth, prior, {})
 
-    def _near(self, query: PoseQuery) -> tuple[FrameInput, np.ndarray]:
-        """The input with map samples around the pose, and the origin they are relative to."""
+    def _near(self, query: PoseQuery) -> tuple[FrameInput, LocalFrame]:
+        """The input with map samples around the pose, and the frame that they are in."""
         frame, place = self.frame, query.placement
         x, y, yaw = (float(value) for value in (*frame.T_map_anchor[:2, 3], _heading_deg(frame.T_map_anchor)))
         turned = (place.yaw_deg - yaw + 180.0) % 360.0 - 180.0
         if np.hypot(place.x_m - x, place.y_m - y) <= ANCHOR_REACH_M and abs(turned) <= ANCHOR_REACH_DEG:
-            return frame.inputs, frame.local_map.origin_map
+            return frame.inputs, frame.local_map.frame
         size, turn = 2 * ANCHOR_REACH_M, 2 * ANCHOR_REACH_DEG
         cell = round(place.x_m / size), round(place.y_m / size), round(place.yaw_deg / turn) % round(360 / turn)
         if cell not in frame.cells:
@@ -239,17 +240,12 @@ class ExplorerSession:
             samples = sample_within(local_map, self.config.sample_spacing_m, self.config.sample_capacity)
             while len(frame.cells) >= _MOST_CELLS:
                 frame.cells.pop(next(iter(frame.cells)))
-            frame.cells[cell] = frame.inputs._replace(samples=samples), local_map.origin_map
+            frame.cells[cell] = frame.inputs._replace(samples=samples), local_map.frame
         return frame.cells[cell]
 
-    def _local(self, T_map: np.ndarray, origin_map: np.ndarray) -> jax.Array:
-        T = np.array(T_map, dtype=np.float64)
-        T[:3, 3] -= origin_map
-        return jnp.asarray(T, jnp.float32)
-
     def _seen(self, query: PoseQuery) -> tuple:
-        inputs, origin_map = self._near(query)
-        T = self._local(query.placement.pose(self.localizer.map), origin_map)
+        inputs, local = self._near(query)
+        T = jnp.asarray(local.from_map(query.placement.pose(self.localizer.map)))
         views, samples = seen_from(T, inputs, self._shown(query), self.config.frame.search_view)
         return T, Evidence(views, inputs.textures, inputs.usable, inputs.always), samples
 
@@ -258,15 +254,15 @@ class ExplorerSession:
 
     def _prior_of(self, query: PoseQuery) -> Prior:
         """The solver's prior: the drive's, or one as wide around the pose set on the road."""
-        _, origin_map = self._near(query)
+        _, local = self._near(query)
         prior, semantic_map = self.frame.prior, self.localizer.map
         is_drive = query.prior == "drive"
         T = prior.on_road(semantic_map) if is_drive else query.placement.on_road().pose(semantic_map)
-        return prior.to_solver(T, origin_map, self.config.road)
+        return prior.to_solver(T, local, self.config.road)
 
     def _probe(self, query: PoseQuery, T: jax.Array, evidence: Evidence, samples: Any) -> Any:
         truth, prior = self.frame.T_map_truth, self._prior_of(query)
-        T_truth = T if truth is None else self._local(truth, self._near(query)[1])
+        T_truth = T if truth is None else jnp.asarray(self._near(query)[1].from_map(truth))
         level, config = np.int32(query.level), self.config.frame.search_align
         return probe(T, level, evidence, samples, prior, T_truth, config)
 
@@ -280,8 +276,8 @@ class ExplorerSession:
         return np.stack(jax.device_get([costs_around(xi, T, evidence, level, config) for xi in grid.chunks(_BATCH)]))
 
     def _descend(self, query: PoseQuery) -> Any:
-        inputs, origin_map = self._near(query)
-        T = self._local(query.placement.pose(self.localizer.map), origin_map)
+        inputs, local = self._near(query)
+        T = jnp.asarray(local.from_map(query.placement.pose(self.localizer.map)))
         return descend(T, inputs, self._shown(query), self._prior_of(query), self.config.frame)
 
 

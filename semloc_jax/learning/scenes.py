@@ -86,9 +86,7 @@ def training_frame(
     inputs, local_map = localizer.prepare(seen_masks, rig, T_prior)
 
     def local(T: np.ndarray) -> np.ndarray:
-        T = np.array(T)
-        T[:3, 3] -= local_map.origin_map
-        return T
+        return local_map.frame.from_map(T, np.float64)
 
     single, T_start = localizer.config.frame, local(T_near)
     near = jnp.asarray(T_start, jnp.float32)
@@ -106,5 +104,5 @@ def training_frame(
         nats_per_px,
         SmoothBorder(single.polish_align.border_px),
     )
-    known = jax.tree.map(cast, prior.to_solver(T_prior, local_map.origin_map, localizer.config.road))
+    known = jax.tree.map(cast, prior.to_solver(T_prior, local_map.frame, localizer.config.road))
     return TrainingFrame(scene, place, known, jnp.asarray(T_start, dtype), jnp.asarray(local(T_true), dtype))

@@ -105,11 +105,11 @@ class Acquisition:
         window = self.aligner.windows.around(T_map_prior[:3, 3])
         if not window.local_map.elements:
             return ()
-        origin = window.local_map.origin_map
+        local = window.local_map.frame
         found = localize_frame(
-            self.aligner.frame_input(frame, window), prior.to_solver(T_map_prior, origin, config.road), config.frame
+            self.aligner.frame_input(frame, window), prior.to_solver(T_map_prior, local, config.road), config.frame
         )
-        modes = modes_in_map(found, origin, ONE_TRACK)
+        modes = modes_in_map(found, local, ONE_TRACK)
         good = [m for m in modes if m.cost <= config.max_cost and m.inlier_ratio >= config.min_inlier_ratio]
         return tuple([m for m in good if m.weight >= config.min_weight][: config.max_tracks])
 

@@ -20,6 +20,7 @@ from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.alignment.tracking_step import ELEMENT_CAPACITY, TrackAlignConfig, TrackedFrame, align_predicted
 from semloc_jax.fusion.measurements import PoseMeasurement
 from semloc_jax.geometry import rigid
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.localization.map_window import MapWindow, MapWindows
 from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.maps import SemanticMap
@@ -108,25 +109,24 @@ class FrameAligner:
         T_start = T_road @ rigid.exp(np.array([0.0, 0.0, *stance, 0.0]))
         window = self.windows.around(T_start[:3, 3])
         inputs = self.frame_input(frame, window)
-        origin = window.local_map.origin_map
-        T_local = T_start.copy()
-        T_local[:3, 3] -= origin
+        local = window.local_map.frame
+        T_local_base = local.from_map(T_start, np.float64)
         sigma = self.prior_sigma(covariance)
         index = self.map.rows_of(window.element_ids[:ELEMENT_CAPACITY])
         local_trust = np.ones(ELEMENT_CAPACITY, np.float32)
         local_trust[: len(index)] = trust(index)
         local_trust = jnp.asarray(local_trust)
-        prior = Prior(jnp.asarray(T_local, jnp.float32), jnp.asarray(sigma, jnp.float32))
+        prior = Prior(jnp.asarray(T_local_base, jnp.float32), jnp.asarray(sigma, jnp.float32))
         sigma_along = float(np.sqrt(covariance[0, 0]))
         moved_m, step = 0.0, self.config.step
         if is_searched(sigma_along, last_sigma_along_m, self.config.longitudinal):
-            T_local, moved_m = corrected_along(
-                T_local, sigma_along, prior, inputs, local_trust, step, self.config.longitudinal
+            T_local_base, moved_m = corrected_along(
+                T_local_base, sigma_along, prior, inputs, local_trust, step, self.config.longitudinal
             )
         found: TrackedFrame = jax.device_get(
-            align_predicted(jnp.asarray(T_local, jnp.float32), prior, inputs, local_trust, step)
+            align_predicted(jnp.asarray(T_local_base, jnp.float32), prior, inputs, local_trust, step)
         )
-        answer = self._answer(found, frame.time_s, origin, sigma, index, moved_m)
+        answer = self._answer(found, frame.time_s, local, sigma, index, moved_m)
         return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ answer.measurement.T_map_base)[2:5])
 
     def on_road(self, T_map_base: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
@@ -148,14 +148,13 @@ class FrameAligner:
         self,
         found: TrackedFrame,
         time_s: float,
-        origin: np.ndarray,
+        local: LocalFrame,
         sigma: np.ndarray,
         index: np.ndarray,
         moved_m: float,
     ) -> Alignment:
         estimate = found.estimate
-        T = estimate.T_map_base.astype(np.float64)
-        T[:3, 3] += origin
+        T = local.to_map(estimate.T_map_base)
         # The parts of a line that the window cuts belong to one element.
         rows, part_of = np.unique(index, return_inverse=True)
         visible, missed = np.zeros(len(rows)), np.zeros(len(rows))

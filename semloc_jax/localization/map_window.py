@@ -27,7 +27,7 @@ class MapWindow:
 
     Attributes:
         local_map: Elements, lines cut at the radius.
-        samples: Samples relative to `local_map.origin_map`, of fixed capacity.
+        samples: Samples in `local_map.frame`, of fixed capacity.
     """
 
     local_map: LocalMap
@@ -41,7 +41,7 @@ class MapWindow:
     @cached_property
     def _points_xy(self) -> np.ndarray:
         valid = np.asarray(self.samples.valid)
-        return np.asarray(self.samples.p_map, dtype=np.float64)[valid, :2] + self.local_map.origin_map[:2]
+        return self.local_map.frame.to_map(np.asarray(self.samples.p_map)[valid, :2])
 
     def nearest_m(self, xy: np.ndarray) -> float:
         """Horizontal distance from a place of the map frame to the nearest sample [m]; infinite without samples."""

@@ -1,6 +1,6 @@
 """Sampling of the contours that a camera can see at fixed intervals (room: maps; host).
 
-In: a LocalMap. Out: MapSamples, padded to a bucket, relative to `LocalMap.origin_map`.
+In: a LocalMap. Out: MapSamples, padded to a bucket, in the local frame `LocalMap.frame`.
 """
 
 from collections.abc import Sequence
@@ -57,14 +57,14 @@ def sample(local_map: LocalMap, spacing_m: float, capacity: int | None = None) -
     boxed = kind == SampleKind.CORNER
     center[boxed, :2] = [contours[c].axis for c in contour[boxed]] or np.zeros((0, 2))
     columns = {
-        "p_map": (position - local_map.origin_map).astype(np.float32),
+        "p_map": local_map.frame.from_map(position),
         "tangent_map": tangent.astype(np.float32),
         "offset_m": ((1.0 - share) * offset_m[:, 0] + share * offset_m[:, 1]).astype(np.float32),
         "length_m": length.astype(np.float32),
         "label": np.array([e.label for e in local_map.elements], dtype=np.int32)[element[shown]],
         "kind": kind,
         "element": element[shown].astype(np.int32),
-        "center_map": (center - local_map.origin_map).astype(np.float32),
+        "center_map": local_map.frame.from_map(center),
         "height_sigma": height_sigmas(local_map.elements)[element[shown]].astype(np.float32),
     }
     return _pad(columns, capacity)

@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps.curves import clip_to_circle, without_repeats
 from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane
@@ -24,7 +25,7 @@ class LocalMap:
 
     Attributes:
         elements: elements in the map frame [m]; lines are cut at the radius and say so in `true_ends`.
-        origin_map: `float64[3]` in the map frame: everything that goes to JAX is relative to it.
+        origin_map: `float64[3]` in the map frame: origin of `frame`, in which everything goes to JAX.
         ground: the road surface of the whole map.
         radius_m: search radius.
     """
@@ -33,6 +34,11 @@ class LocalMap:
     origin_map: np.ndarray
     ground: GroundModel
     radius_m: float = float("inf")
+
+    @cached_property
+    def frame(self) -> LocalFrame:
+        """Moves poses and points between the map and what goes to JAX."""
+        return LocalFrame(self.origin_map)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ In: images or mask files. Out: class ids, structs.CostMaps.
 from semloc_jax.perception.class_table import Channel, ClassTable, TableReport, load_class_table, preset_names
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
-from semloc_jax.perception.edge_maps import boundary_orientation
 from semloc_jax.perception.ground_view import GroundView
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
 from semloc_jax.perception.masks import read_mask
@@ -23,7 +22,6 @@ __all__ = [
     "estimate_mask_offset",
     "CostMapConfig",
     "cost_maps",
-    "boundary_orientation",
     "ClassicalPaintSegmenter",
     "PaintConfig",
     "GroundView",

@@ -1,12 +1,10 @@
-"""The cost maps of the literature, and the direction of mask boundaries (room: perception; host).
+"""The cost maps of the literature (room: perception; host).
 
-In: one binary layer of a mask. Out: unsigned costs, 0 on the boundary and 1 far from it; cos / sin of twice the angle.
+In: one binary layer of a mask. Out: unsigned costs, 0 on the boundary and 1 far from it.
 """
 
 import cv2
 import numpy as np
-
-from semloc_jax.perception.distance import signed_distance
 
 
 def gradient_cost(binary: np.ndarray, ramp_px: float, stride: int) -> np.ndarray:
@@ -38,27 +36,6 @@ def laplacian_cost(binary: np.ndarray, ramp_px: float, stride: int) -> np.ndarra
     # The Laplacian answers on both sides of the boundary, so the edge is already two pixels wide.
     band = cv2.dilate(np.minimum(edge, 255).astype(np.uint8), _ellipse(max(radius / 2 - 1, 0)))
     return _smooth_cost(band, radius)
-
-
-def boundary_orientation(binary: np.ndarray, reach_px: float = 4.0) -> np.ndarray:
-    """Direction of the nearest mask boundary as (cos 2a, sin 2a), float32[2 h w]; 0 beyond `reach_px`.
-
-    The angle a of the tangent is measured from u to v; doubling it makes both senses of a line equal. The length is
-    the certainty: it shrinks at corners and between the sides of a thin line it stays 1.
-
-    Args:
-        binary: uint8[h w], 0 outside, 255 inside.
-        reach_px: how far from the boundary the direction is given [px].
-    """
-    distance = signed_distance(binary, 1.0)
-    du, dv = (cv2.Sobel(distance, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1)))
-    norm = np.maximum(du * du + dv * dv, 1e-6)
-    # The tangent is the normal turned by 90 deg, which changes the sign of both.
-    double = np.stack([(dv * dv - du * du) / norm, -2.0 * du * dv / norm])
-    near = (np.abs(distance) <= reach_px) & (norm > 0.1)
-    double = np.stack([cv2.GaussianBlur(np.where(near, part, np.float32(0)), (0, 0), 1.0) for part in double])
-    weight = cv2.GaussianBlur(near.astype(np.float32), (0, 0), 1.0)
-    return np.where(near, double / np.maximum(weight, 1e-6), np.float32(0)).astype(np.float32)
 
 
 def _reduced(binary: np.ndarray, stride: int) -> np.ndarray:

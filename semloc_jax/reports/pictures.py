@@ -42,7 +42,7 @@ def panels(semantic_map: SemanticMap, source: MaskSource, result: LocalizationRe
     contours = []
     for T_map_base in (result.T_map_prior, result.T_map_base):
         local_map = semantic_map.query(T_map_base[:3, 3], RADIUS_M)
-        contours.append((sample(local_map, SPACING_M), local_map.origin_map, T_map_base))
+        contours.append((sample(local_map, SPACING_M), local_map.frame, T_map_base))
     found = []
     for index, name in enumerate(rig.names):
         if result.frame.has("rgb", name):
@@ -67,7 +67,7 @@ def element_panels(
             image, camera = dim(frame.image(name)[..., ::-1]), rig.cameras[index]
         else:
             image, camera = viz.mask_picture(source.segment(frame, name), source.table), masks_rig.cameras[index]
-        seen = viz.project_contours(samples, local_map.origin_map, T_map_base, camera, rig.T_base_cam[index])
+        seen = viz.project_contours(samples, local_map.frame, T_map_base, camera, rig.T_base_cam[index])
         ids = np.array([local_map.elements[row].id for row in seen.element], dtype=object)
         found.append((name, image, {key: Contours(seen.uv[ids == key], seen.label[ids == key]) for key in set(ids)}))
     return found
@@ -91,7 +91,7 @@ def calibration_panels(
         for rig in (before.select([name]), after.select([name])):
             camera = (rig if has_image else source.camera_rig(rig)).cameras[0]
             contours.append(
-                viz.project_contours(samples, local_map.origin_map, T_map_base, camera, np.asarray(rig.T_base_cam[0]))
+                viz.project_contours(samples, local_map.frame, T_map_base, camera, np.asarray(rig.T_base_cam[0]))
             )
         found.append(Panel(name, image, *contours))
     return found

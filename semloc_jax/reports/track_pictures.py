@@ -80,8 +80,8 @@ class Overlay:
         if row in self._pose:
             T = self._pose[row]
             window = self.windows.around(T[:3, 3])
-            origin = window.local_map.origin_map
-            contours = viz.project_contours(window.samples, origin, T, camera, rig.T_base_cam[0])
+            local = window.local_map.frame
+            contours = viz.project_contours(window.samples, local, T, camera, rig.T_base_cam[0])
             image = viz.draw_contours(image, contours)
         height_px = 2 * round(0.5 * image.shape[0] * width_px / image.shape[1])
         image = cv2.resize(np.ascontiguousarray(image), (width_px, height_px), interpolation=cv2.INTER_AREA)

@@ -52,7 +52,7 @@ def draw_calibration(
     thick = max(1, round(image.shape[1] / 900))
     picture = np.ascontiguousarray(image).copy()
     if local_map is not None and T_map_base is not None:
-        contours = project_contours(sample(local_map, _SPACING_M), local_map.origin_map, T_map_base, camera, T_base_cam)
+        contours = project_contours(sample(local_map, _SPACING_M), local_map.frame, T_map_base, camera, T_base_cam)
         picture = draw_contours(picture, contours, 2 * thick)
     x, y = _grid(T_base_cam, _view_deg(camera) > _FISHEYE_DEG)
     azimuth = np.radians(np.arange(-180.0, 180.5, 0.5))

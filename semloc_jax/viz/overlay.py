@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from semloc_jax.cameras import Camera
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.residuals.view import contour_points
 from semloc_jax.structs import ElementClass, MapSamples
@@ -59,7 +60,7 @@ class Panel:
 
 def project_contours(
     samples: MapSamples,
-    origin_map: np.ndarray,
+    local: LocalFrame,
     T_map_base: np.ndarray,
     camera: Camera,
     T_base_cam: np.ndarray,
@@ -68,15 +69,15 @@ def project_contours(
     """Contours of the map in an image, as seen from a vehicle pose.
 
     Args:
-        samples: From `maps.sample`, relative to `origin_map`.
-        origin_map: Local origin of the samples in the map frame [m].
-        T_map_base: Vehicle pose in the map frame (not relative to the origin).
+        samples: From `maps.sample`, in that local frame.
+        local: Frame of the samples; `LocalMap.frame`.
+        T_map_base: Vehicle pose in the map frame.
         camera: The camera.
         T_base_cam: Where it sits on the vehicle.
         max_range_m: Contours farther from the camera are left out.
     """
-    T_local_cam = np.asarray(T_map_base, dtype=np.float64) @ np.asarray(T_base_cam, dtype=np.float64)
-    T_local_cam[:3, 3] -= origin_map
+    T_map_cam = np.asarray(T_map_base, dtype=np.float64) @ np.asarray(T_base_cam, dtype=np.float64)
+    T_local_cam = local.from_map(T_map_cam, np.float64)
     dtype = jnp.asarray(samples.p_map).dtype
     uv, shown = (np.asarray(a) for a in _seen(samples, jnp.asarray(T_local_cam, dtype), camera, max_range_m))
     return Contours(uv[shown].astype(np.float64), *(np.asarray(a)[shown] for a in (samples.label, samples.element)))

@@ -101,10 +101,10 @@ def test_the_spread_is_that_of_the_posterior_on_a_grid(at_m):
     with jax.enable_x64(False):
         T_prior = prior.on_road(semantic_map)
         frame, local_map = localizer.prepare([drawn(semantic_map)], RIG, T_prior)
-        locked = prior.to_solver(T_prior, local_map.origin_map, localizer.config.road)
+        locked = prior.to_solver(T_prior, local_map.frame, localizer.config.road)
         # Height, roll and pitch stay where they are: a grid of six dimensions would have too many places.
         locked = eqx.tree_at(lambda p: p.sigma, locked, locked.sigma.at[2:5].set(0.0))
-        T_true = jnp.eye(4).at[:3, 3].set(jnp.asarray([X_TRUE, 0.0, 0.0] - local_map.origin_map, jnp.float32))
+        T_true = jnp.eye(4).at[:3, 3].set(local_map.frame.from_map(np.array([X_TRUE, 0.0, 0.0])))
         evidence = evidence_from(T_true, frame, config.search_view)
         # The noise that is assumed, not that of this frame: its masks are exact.
         assumed = AlongRoadConfig(least_noise=1.0)

@@ -34,8 +34,7 @@ class Scene:
         frame = drive.frames[index]
         T = drive.truth_at(frame)
         inputs, local_map = localizer.prepare(source.masks(frame), source.seen_by(frame.rig), T)
-        T[:3, 3] -= local_map.origin_map
-        self.T_true, self.camera = jnp.asarray(T, jnp.float32), frame.rig.cameras[0]
+        self.T_true, self.camera = jnp.asarray(local_map.frame.from_map(T)), frame.rig.cameras[0]
         self.evidence = evidence_from(self.T_true, inputs, localizer.config.frame.search_view)
         self.maps = cost_maps(source.masks(frame), localizer.shown, localizer.config.cost_maps, quantised=True)
 

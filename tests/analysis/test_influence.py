@@ -80,8 +80,7 @@ def test_so_are_those_of_a_frame(simulated_road):
         changed = eqx.tree_at(lambda s: [view.p_map for view in s.views], scene, moved)
         return balance(T_local, changed, look.prior, look.holder, look.capacity).T_map_base
 
-    T_local = found.T_map_base.copy()
-    T_local[:3, 3] -= look.local_map.origin_map
+    T_local = look.local_map.frame.from_map(found.T_map_base, np.float64)
     for holder in found.elements[:4]:
         row, finite = look.ids.index(holder.id), []
         for axis in np.eye(3):

@@ -61,8 +61,7 @@ def test_expected_information_is_that_of_exact_masks(drive, road_map, found):
     for row, frame in enumerate(drive.frames):
         T = drive.truth_at(frame)
         inputs, local_map = localizer.prepare(source.masks(frame), frame.rig, T)
-        T[:3, 3] -= local_map.origin_map
-        T = jnp.asarray(T, jnp.float32)
+        T = jnp.asarray(local_map.frame.from_map(T))
         prior = Prior(T, jnp.asarray(found.config.expected.prior_sigma, jnp.float32))
         stated = stated_by_solver(T, evidence_from(T, inputs, config.polish_view), prior)
         ratios.append(expected[row] / expected_sigma(stated.covariance))

@@ -43,6 +43,25 @@ def test_the_gate_ends_with_exit_code_3(truth, tmp_path, capsys):
     assert "worse   lateral.median" in said
 
 
+@pytest.mark.parametrize(("align", "is_left"), [("none", True), ("se2", False), ("se3", False)])
+def test_one_motion_is_taken_out_where_asked(truth, tmp_path, capsys, align, is_left):
+    """An S-shaped way turned by 20 deg and moved by 30 m: only the aligned errors vanish."""
+    time_s = 0.1 * np.arange(30)
+    T = np.tile(np.eye(4), (30, 1, 1))
+    T[:, :3, 3] = np.stack([np.arange(30.0), np.sin(0.3 * np.arange(30)), 0.2 * np.cos(0.5 * np.arange(30))], axis=1)
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(0.35), -np.sin(0.35)], [np.sin(0.35), np.cos(0.35)]]
+    turn[:2, 3] = 30.0, -4.0
+    write_tum(Trajectory(time_s, T), tmp_path / "true.tum")
+    write_tum(Trajectory(time_s, turn @ T), tmp_path / "own.tum")
+    words = [str(tmp_path / "own.tum"), str(tmp_path / "true.tum"), "--align", align, "--out", str(tmp_path)]
+    assert main(["evaluate", *words]) == OK
+    metrics = {m.key: m.value for m in read_metrics(tmp_path / "metrics.json")}
+    assert (metrics["translation.max"] > 10.0) == is_left
+    assert is_left or (metrics["translation.max"] < 1e-6 and metrics["heading.max"] < 1e-6)
+    assert ("turned by 20.0535 deg" in capsys.readouterr().out) != is_left
+
+
 def test_different_clocks_and_broken_files_are_explained(truth, tmp_path, capsys):
     late = _write(tmp_path / "late.tum", start_s=50.0)
     assert main(["evaluate", late, truth]) == FAILED

@@ -25,10 +25,25 @@ def test_what_cannot_be_asked_is_refused(simulated_road, tmp_path, capsys, words
 @pytest.mark.slow
 def test_a_frame_is_explained_and_checked(simulated_road, tmp_path, capsys):
     out = tmp_path / "out"
-    words = ["--masks", "sem", "--frame", "1", "--shift-cm", "3", "--check", "2", "--out", str(out)]
-    assert main(["explain", str(simulated_road), *words]) == OK
+    words = [
+        "--masks",
+        "sem",
+        "--frame",
+        "1",
+        "--shift-cm",
+        "3",
+        "--check",
+        "2",
+        "--posterior",
+        "--scatter",
+        "2",
+        "--out",
+        str(out),
+    ]
+    assert main(["explain", str(simulated_road), *words, "--out", str(out)]) == OK
     said = capsys.readouterr().out
     assert "most missed:" in said and "in all" in said and "localized again with" in said
+    assert "95 % interval of lateral: -" in said and "2 draws of a network's noise: RMS error" in said
     with (out / "explain.csv").open() as file:
         rows = list(csv.DictReader(file))
     record = json.loads((out / "explain.json").read_text())

@@ -68,3 +68,14 @@ def test_a_region_without_a_pose_as_good_is_proven_and_written(simulated_road, t
     assert float(widest["outer_longitudinal_m"]) > 2.0 and float(widest["outer_lateral_m"]) > 0.5
     assert all(float(row["outer_lateral_m"]) > float(row["inner_lateral_m"]) for row in rows)
     assert "ramp of 160 px: no pose as good as the minimum within ±" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_stages_of_the_search_are_drawn(simulated_road, tmp_path, capsys):
+    """Every stage leaves fewer hypotheses; the picture shows them."""
+    out = tmp_path / "out"
+    assert main(["landscape", str(simulated_road), "--masks", "sem", "--search", "--out", str(out)]) == OK
+    said = capsys.readouterr().out
+    left = [int(line.split()[-2]) for line in said.splitlines() if line.startswith("stage ")]
+    assert "1024 proposals" in said and len(left) == 4 and left == sorted(left, reverse=True)
+    assert (out / "search.png").stat().st_size > 10000

@@ -11,6 +11,7 @@ from semloc_jax.cameras import PinholeCamera, Rig
 from semloc_jax.datasets import Drive, Frame, GnssTrack
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory, write_tum
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.structs import ElementClass
@@ -110,7 +111,7 @@ def test_a_prior_stands_on_the_road_of_the_map(sloping_map):
 def test_the_solvers_prior_is_local_and_holds_the_road(sloping_map):
     prior = PosePrior(1.0, 0.5, 0.0, 1.2, 0.05)
     T, origin = prior.on_road(sloping_map), np.array([0.5, 0.5, 7.0])
-    solver = prior.to_solver(T, origin, RoadSigmas(0.03, 0.5))
+    solver = prior.to_solver(T, LocalFrame(origin), RoadSigmas(0.03, 0.5))
     assert solver.T_map_base.dtype == np.float32
     np.testing.assert_allclose(solver.T_map_base[:3, 3], T[:3, 3] - origin, atol=1e-6)
     tilt = np.radians(0.5)

@@ -14,7 +14,6 @@ from semloc_jax.perception import (
     Channel,
     ClassTable,
     CostMapConfig,
-    boundary_orientation,
     cost_maps,
     load_class_table,
     read_mask,
@@ -222,20 +221,6 @@ def test_literature_takes_the_laplacian_for_signs_and_the_gradient_for_the_rest(
     for kind, channel in (("laplacian", sign), ("gradient", lane)):
         alone = cost_maps([mask], DRIVE, CostMapConfig(kind=kind))
         np.testing.assert_array_equal(both.ramps[1][0, channel], alone.ramps[1][0, channel])
-
-
-@pytest.mark.parametrize("angle_deg", [0.0, 20.0, 45.0, 90.0, 130.0])
-def test_orientation_is_the_direction_of_the_boundary(angle_deg):
-    angle = np.deg2rad(angle_deg)
-    tangent = np.array([np.cos(angle), np.sin(angle)])
-    mask = rendered(lambda u, v: np.abs((v - 56) * tangent[0] - (u - 68) * tangent[1]) < 6, HEIGHT, WIDTH)
-    field = boundary_orientation(mask * np.uint8(255))
-    along = np.round([68, 56] + np.linspace(-30, 30, 61)[:, None] * tangent).astype(int)
-    edge = along + np.round(6 * np.array([-tangent[1], tangent[0]])).astype(int)
-    cos2, sin2 = field[:, edge[:, 1], edge[:, 0]]
-    error = np.rad2deg(np.angle(np.exp(1j * (np.arctan2(sin2, cos2) - 2 * angle)))) / 2
-    assert abs(error.mean()) < 1.5 and np.sqrt(np.mean(error**2)) < 4.0
-    assert (field[:, 0, 0] == 0).all() or angle_deg == 130.0
 
 
 def test_inputs_that_cannot_work_are_named():

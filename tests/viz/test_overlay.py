@@ -41,7 +41,7 @@ def _pose(offset=(0.0, 0.0, 0.0)) -> np.ndarray:
 @pytest.fixture(scope="module")
 def contours():
     local = _scene().query(PLACE, 50.0)
-    return viz.project_contours(sample(local, 0.25), local.origin_map, _pose(), CAMERA, T_BASE_CAM)
+    return viz.project_contours(sample(local, 0.25), local.frame, _pose(), CAMERA, T_BASE_CAM)
 
 
 def test_contours_lie_where_the_pinhole_formula_puts_them(contours):
@@ -82,7 +82,7 @@ def test_the_image_itself_is_not_drawn_on(contours):
 
 def test_a_move_to_the_left_shifts_the_map_to_the_right(contours):
     local = _scene().query(PLACE, 50.0)
-    moved = viz.project_contours(sample(local, 0.25), local.origin_map, _pose((0.0, 0.5, 0.0)), CAMERA, T_BASE_CAM)
+    moved = viz.project_contours(sample(local, 0.25), local.frame, _pose((0.0, 0.5, 0.0)), CAMERA, T_BASE_CAM)
     pole = moved.uv[moved.label == ElementClass.POLE][..., 0].mean()
     assert pole - contours.uv[contours.label == ElementClass.POLE][..., 0].mean() == pytest.approx(20.0, abs=0.5)
 
@@ -90,7 +90,7 @@ def test_a_move_to_the_left_shifts_the_map_to_the_right(contours):
 def test_nothing_behind_the_camera_is_drawn():
     local = _scene().query(PLACE, 50.0)
     turned = _pose() @ np.diag([-1.0, -1.0, 1.0, 1.0])
-    seen = viz.project_contours(sample(local, 0.25), local.origin_map, turned, CAMERA, T_BASE_CAM)
+    seen = viz.project_contours(sample(local, 0.25), local.frame, turned, CAMERA, T_BASE_CAM)
     assert len(seen.uv) == 0
 
 
