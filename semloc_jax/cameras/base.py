@@ -32,6 +32,21 @@ class Camera(eqx.Module):
     `valid` of a projection says that the point is in front of the lens and inside the field of view in which the model
     can be inverted; whether the pixel lies in the image is the separate question `in_image`.
     Where `valid` is False the pixel and its gradient are still finite.
+
+    A new model is one file with a subclass and one row in `cameras.models.MODELS`. The contract
+    (`tests/contracts/test_cameras.py`, add an example to CAMERAS there) holds it to this:
+
+    - The first fields are fx fy cx cy [px] and width height [px]. Every field is an array leaf (`as_leaf`). The
+      constructor takes fx fy cx cy width height and the coefficients of its row in this order, or the class overrides
+      `of_numbers`. Limits of the view have a default.
+    - A lens that can see beyond 90 deg from its axis has the field `max_theta_rad`: half its field of view. Any other
+      model that cannot be inverted everywhere has a limit of its own, such as `max_radius`.
+    - Beyond the limit `valid` is False and the pixel never folds back: it keeps moving outward, with a continuous
+      slope. A model that turned there would show what is behind the vehicle in the middle of the image.
+    - Points behind a lens are not `valid`. Values and derivatives are finite for every point, in float32 too: at the
+      centre of the lens, on the axis, behind it.
+    - `project(unproject(uv))` is `uv` wherever `unproject` is valid.
+    - What `write_calibration` writes is read back as a camera with the same pixels, to 1e-6 px.
     """
 
     fx: eqx.AbstractVar[Scalar]
@@ -48,6 +63,11 @@ class Camera(eqx.Module):
     @abstractmethod
     def _from_model(self, xm: Array, ym: Array) -> tuple[Array, Array, Array, Array]:
         """Line of sight (x, y, z) and validity of model coordinates; elementwise."""
+
+    @classmethod
+    def of_numbers(cls: type[AnyCamera], pixels: Sequence[ArrayLike], coefficients: Sequence[ArrayLike]) -> AnyCamera:
+        """The camera of fx fy cx cy width height [px] and the coefficients of its row in `cameras.models`."""
+        return cls(*pixels, *coefficients)
 
     def project_xyz(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array, Array]:
         """Pixels of points given by coordinate: the elementwise kernel, in the float type of the points.

@@ -3,6 +3,8 @@
 In: points `p_bev` (x right, y backward, z down; origin on the road under the vehicle). Out: pixels of the top view.
 """
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -43,6 +45,12 @@ class BevCamera(Camera):
         self.fx = self.fy = as_leaf(1 / metres_per_px)
         self.cx, self.cy, self.width, self.height = as_leaf(cx), as_leaf(cy), as_leaf(width), as_leaf(height)
         self.max_height_m = as_leaf(max_height_m)
+
+    @classmethod
+    def of_numbers(cls, pixels: Sequence[ArrayLike], coefficients: Sequence[ArrayLike]) -> "BevCamera":
+        """The camera of fx fy [px/m], cx cy width height [px]; a resized one may have pixels that are not square."""
+        fx, _, *centre_and_size = pixels
+        return cls(1 / as_leaf(fx), *centre_and_size, *coefficients)._with_pixels(*pixels)
 
     @classmethod
     def covering(

@@ -3,6 +3,8 @@
 In: points `p_cam` in a levelled camera frame. Out: model coordinates = (azimuth [rad], tangent of the elevation).
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -44,6 +46,12 @@ class CylindricalCamera(Camera):
         self.fx, self.fy, self.cx, self.cy = as_leaf(f), as_leaf(f if fy is None else fy), as_leaf(cx), as_leaf(cy)
         self.width, self.height = as_leaf(width), as_leaf(height)
         self.max_phi_rad = as_leaf(max_phi_rad)
+
+    @classmethod
+    def of_numbers(cls, pixels: Sequence[ArrayLike], coefficients: Sequence[ArrayLike]) -> "CylindricalCamera":
+        """The camera of fx fy cx cy width height [px]."""
+        fx, fy, *centre_and_size = pixels
+        return cls(fx, *centre_and_size, *coefficients, fy=fy)
 
     def _to_model(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         rho2 = x * x + z * z

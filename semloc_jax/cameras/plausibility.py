@@ -9,11 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.base import Camera
 from semloc_jax.cameras.bev import BevCamera
 from semloc_jax.cameras.cylinder import CylindricalCamera
-from semloc_jax.cameras.fisheye import KannalaBrandtCamera
 from semloc_jax.cameras.rig import Rig
 
 _HEIGHT_M = (0.15, 4.5)
@@ -208,7 +206,7 @@ def _lens(camera: Camera) -> list[str]:
     if valid.all():
         turn = [np.arctan2(x, z) for x, _, z in ray]
         view_deg = float(np.degrees((turn[1] - turn[0]) % _FULL_TURN))
-        is_wide = isinstance(camera, KannalaBrandtCamera | PolynomialFisheyeCamera)
+        is_wide = hasattr(camera, "max_theta_rad")
         low, high = _FISHEYE_VIEW_DEG if is_wide else _VIEW_DEG
         if not isinstance(camera, CylindricalCamera) and not low <= view_deg <= high:
             found.append(

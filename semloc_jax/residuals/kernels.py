@@ -13,14 +13,8 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from numpy.typing import DTypeLike
 
 from semloc_jax import native
-from semloc_jax.cameras import (
-    BevCamera,
-    BrownConradyCamera,
-    Camera,
-    CylindricalCamera,
-    KannalaBrandtCamera,
-    PinholeCamera,
-)
+from semloc_jax.cameras import Camera
+from semloc_jax.cameras.models import kernel_of
 from semloc_jax.errors import SemlocError
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.robust import KERNELS, Kernel
@@ -29,9 +23,6 @@ from semloc_jax.residuals.texture import RampTexture
 Path = Literal["auto", "analytic", "autodiff", "xla"]
 """How residuals are evaluated: `analytic`: kernels with the derivative of the camera written out; `autodiff`: kernels
 around JAX's derivative of any camera; `xla`: JAX alone; `auto`: the first of these that is possible."""
-
-MODELS = (PinholeCamera, BrownConradyCamera, KannalaBrandtCamera, CylindricalCamera, BevCamera)
-"""Camera models with an analytic kernel; the index is the number of the model in C++."""
 
 Points = tuple[Float[Array, "3 p"], Int[Array, " p"], Float[Array, " p"]]
 """Position [m], channel and weight of each sample."""
@@ -46,8 +37,7 @@ def use(path: Path, camera: Camera, kernel: Kernel, dtype: DTypeLike) -> Path:
     if path == "xla":
         return path
     why_not = _why_not(kernel, dtype)
-    # A subclass may project otherwise: it counts as unknown.
-    known = type(camera) in MODELS
+    known = kernel_of(camera) is not None
     if path == "auto":
         return "xla" if why_not else "analytic" if known else "autodiff"
     if not why_not and path == "analytic" and not known:
@@ -74,7 +64,7 @@ def _why_not(kernel: Kernel, dtype: DTypeLike) -> str:
 
 
 def _model(camera: Camera) -> np.int32:
-    return np.int32(MODELS.index(type(camera)))
+    return np.int32(kernel_of(camera))
 
 
 def _texture(texture: RampTexture, index: Int[Array, ""]) -> tuple[Array, ...]:
@@ -110,7 +100,7 @@ def normal_equations(
     Args:
         chart: Vehicle pose and its coordinates y.
         skip: True: nothing is computed and zeros are returned.
-        camera: Intrinsics of one of MODELS.
+        camera: Intrinsics of a model with a kernel (`cameras.models`).
         T_cam_base: Extrinsics.
         points: Samples.
         texture: One level of the cost maps.
@@ -163,7 +153,7 @@ def visible_weight(
 
     Args:
         T_map_base: Vehicle pose.
-        camera: Intrinsics of one of MODELS.
+        camera: Intrinsics of a model with a kernel (`cameras.models`).
         T_cam_base: Extrinsics.
         points: Samples.
         usable: Usable pixels of all cameras.

@@ -15,25 +15,14 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
-from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.base import Camera, as_leaf
-from semloc_jax.cameras.bev import BevCamera
-from semloc_jax.cameras.cylinder import CylindricalCamera
-from semloc_jax.cameras.fisheye import KannalaBrandtCamera
-from semloc_jax.cameras.io.fields import check_focal, numbers, perspective, required, resolution, rigid
-from semloc_jax.cameras.pinhole import BrownConradyCamera
+from semloc_jax.cameras.io.fields import camera_of, numbers, perspective, required, resolution, rigid
+from semloc_jax.cameras.models import MODELS, model_of
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 
 _log = logging.getLogger(__name__)
 _KEY = re.compile(r"cam(\d+)")
-_DISTORTION = {
-    BrownConradyCamera: ("radtan", ("k1", "k2", "p1", "p2", "k3")),
-    KannalaBrandtCamera: ("equidistant", ("k1", "k2", "k3", "k4")),
-    PolynomialFisheyeCamera: ("angle_polynomial", ("c2", "c3", "c4")),
-}
-_MODEL = {CylindricalCamera: "cylindrical", BevCamera: "bev"}
-_LIMITS = ("max_radius", "max_theta_rad", "max_phi_rad", "max_height_m")
 _HEADER = (
     "# pixel centres at integer coordinates; T_body_cam maps camera (x right, y down, z forward) to body\n"
     "# (rear axle on the ground, x forward, y left, z up)\n"
@@ -60,29 +49,28 @@ def rig_from_camchain(content: Mapping[str, Any], path: Path) -> Rig:
 
 
 def write_calibration(rig: Rig, path: str | Path) -> None:
-    """Writes the rig as a camchain in the `drive` layout; `read_calibration` gives the same rig back."""
+    """Writes the rig as a camchain in the `drive` layout; `read_calibration` gives the same rig back.
+
+    Raises:
+        SemlocError: a camera whose model has no row in `cameras.models`.
+    """
     content = {f"cam{i}": _entry(rig, i) for i in range(len(rig))}
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
     Path(path).write_text(_HEADER + text, encoding="utf-8")
 
 
 def _camera(entry: Mapping[str, Any], where: str) -> Camera:
-    model = str(entry.get("camera_model", "pinhole")).lower()
-    fx, fy, cx, cy = intrinsics = numbers(required(entry, "intrinsics", where), (4,), f"{where} intrinsics")
+    projection = str(entry.get("camera_model", "pinhole")).strip().lower()
+    intrinsics = numbers(required(entry, "intrinsics", where), (4,), f"{where} intrinsics")
     size = resolution(required(entry, "resolution", where), f"{where} resolution")
-    if model == "pinhole":
-        distortion = str(required(entry, "distortion_model", where))
-        camera = perspective(intrinsics, size, distortion, entry.get("distortion_coeffs", []), where)
-    elif model == "cylindrical":
-        check_focal(fx, fy, where)
-        camera = CylindricalCamera(fx, cx, cy, *size, fy=fy)
-    elif model == "bev":
-        check_focal(fx, fy, where)
-        camera = BevCamera(1 / fx, cx, cy, *size)
+    coefficients = entry.get("distortion_coeffs", [])
+    if projection == "pinhole":
+        camera = perspective(intrinsics, size, str(required(entry, "distortion_model", where)), coefficients, where)
     else:
-        raise SemlocError(f"{where}: camera_model '{model}' is not supported; expected pinhole, cylindrical or bev")
-    for limit in _LIMITS:
-        if limit in entry and hasattr(camera, limit):
+        camera = camera_of(projection, str(entry.get("distortion_model", "")), intrinsics, size, coefficients, where)
+    model = model_of(camera)
+    for limit in model.limits if model else ():
+        if limit in entry:
             value = numbers(entry[limit], (1,), f"{where} {limit}")[0]
             camera = eqx.tree_at(lambda c, limit=limit: getattr(c, limit), camera, as_leaf(value))
     return camera
@@ -111,13 +99,18 @@ def _inverse(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
 
 def _entry(rig: Rig, index: int) -> dict[str, Any]:
     camera = rig.cameras[index]
-    entry: dict[str, Any] = {"name": rig.names[index], "camera_model": _MODEL.get(type(camera), "pinhole")}
-    if entry["camera_model"] == "pinhole":
-        model, coefficients = _DISTORTION.get(type(camera), ("none", ()))
-        entry["distortion_model"] = model
-        entry["distortion_coeffs"] = [float(getattr(camera, name)) for name in coefficients]
+    model = model_of(camera)
+    if model is None:
+        raise SemlocError(
+            f"camera {rig.names[index]}: a calibration file has no name for {type(camera).__name__}; expected one of "
+            f"{', '.join(known.camera.__name__ for known in MODELS)}; add a row to cameras.models.MODELS"
+        )
+    entry: dict[str, Any] = {"name": rig.names[index], "camera_model": model.projection}
+    if model.distortion:
+        entry["distortion_model"] = model.distortion[0]
+        entry["distortion_coeffs"] = [float(getattr(camera, name)) for name in model.coefficients]
     entry["intrinsics"] = [float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
     entry["resolution"] = list(camera.resolution)
-    entry |= {limit: float(getattr(camera, limit)) for limit in _LIMITS if hasattr(camera, limit)}
+    entry |= {limit: float(getattr(camera, limit)) for limit in model.limits}
     entry["T_body_cam"] = [[float(value) for value in row] for row in rig.T_base_cam[index]]
     return entry

@@ -16,14 +16,10 @@ from semloc_jax.cameras.base import Camera
 from semloc_jax.cameras.io.camchain import is_camchain, rig_from_camchain, write_calibration
 from semloc_jax.cameras.io.fields import load_yaml
 from semloc_jax.cameras.io.woodscape import is_woodscape, rig_from_woodscape
+from semloc_jax.cameras.models import model_of
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 
-_COEFFICIENTS = {
-    "BrownConradyCamera": ("k1", "k2", "p1", "p2", "k3"),
-    "KannalaBrandtCamera": ("k1", "k2", "k3", "k4"),
-    "PolynomialFisheyeCamera": ("c2", "c3", "c4"),
-}
 _POSE_KEYS = ("T_body_cam", "T_base_cam", "T_imu_cam", "T_cam_imu", "T_cn_cnm1")
 
 
@@ -87,7 +83,8 @@ def _write_lens(entry: dict[str, Any], before: Camera, after: Camera) -> None:
     focal = ("fx", "fy", "cx", "cy")
     if _changed(before, after, focal):
         entry["intrinsics"] = [float(getattr(after, name)) for name in focal]
-    names = _COEFFICIENTS.get(type(after).__name__, ())
+    model = model_of(after)
+    names = () if model is None else model.coefficients
     if names and _changed(before, after, names):
         values = [float(getattr(after, name)) for name in names]
         given = len(entry.get("distortion_coeffs", []))

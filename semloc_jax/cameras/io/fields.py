@@ -12,10 +12,9 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
-from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.base import Camera
-from semloc_jax.cameras.fisheye import KannalaBrandtCamera
-from semloc_jax.cameras.pinhole import BrownConradyCamera, PinholeCamera
+from semloc_jax.cameras.models import distortions, find_model, projections
+from semloc_jax.cameras.pinhole import BrownConradyCamera
 from semloc_jax.errors import SemlocError
 
 _log = logging.getLogger(__name__)
@@ -28,9 +27,7 @@ _LARGEST, _MOST_PIXELS, _FOCAL_PX = 1e9, 65535, (1.0, 1e6)
 _MOST_VALUES = 100_000
 """A calibration holds some hundred numbers; aliases of YAML can grow a small file without bound."""
 
-RADTAN = ("radtan", "plumb_bob")
 RATIONAL = ("rational_polynomial", "rational")
-EQUIDISTANT = ("equidistant", "fisheye", "kannala_brandt")
 
 
 class _Loader(yaml.SafeLoader):
@@ -155,24 +152,38 @@ def perspective(
     intrinsics: Float[np.ndarray, " 4"], size: Float[np.ndarray, " 2"], model: str, coefficients: Any, where: str
 ) -> Camera:
     """The camera of fx fy cx cy [px], image size [px], the name of a distortion model, and its coefficients."""
-    check_focal(intrinsics[0], intrinsics[1], where)
-    model = model.strip().lower()
-    if model in ("none", ""):
-        return PinholeCamera(*intrinsics, *size)
-    if model in RADTAN:
-        k1, k2, p1, p2, *k3 = numbers(coefficients, (4, 5), f"{where} (distortion {model}: k1 k2 p1 p2 [k3])")
-        return BrownConradyCamera(*intrinsics, *size, k1, k2, p1, p2, *k3)
-    if model in EQUIDISTANT:
-        return KannalaBrandtCamera(*intrinsics, *size, *numbers(coefficients, (4,), f"{where} (distortion {model})"))
-    if model == "angle_polynomial":
-        c = numbers(coefficients, (3,), f"{where} (distortion {model}: c2 c3 c4)")
-        return PolynomialFisheyeCamera(*intrinsics, *size, *c)
-    if model in RATIONAL:
+    if model.strip().lower() in RATIONAL:
+        check_focal(intrinsics[0], intrinsics[1], where)
         return rational(intrinsics, size, numbers(coefficients, (8, 12, 14), f"{where} (distortion {model})"), where)
-    raise SemlocError(
-        f"{where}: distortion model '{model}' is not supported; expected radtan / plumb_bob, rational_polynomial, "
-        "equidistant or none; calibrate with one of these, or undistort the images first"
-    )
+    return camera_of("pinhole", model, intrinsics, size, coefficients, where)
+
+
+def camera_of(
+    projection: str,
+    distortion: str,
+    intrinsics: Float[np.ndarray, " 4"],
+    size: Float[np.ndarray, " 2"],
+    coefficients: Any,
+    where: str,
+) -> Camera:
+    """The camera of the names and numbers of a file, by the table of models.
+
+    Raises:
+        SemlocError: no such model, no such number of coefficients, focal lengths that no camera has.
+    """
+    check_focal(intrinsics[0], intrinsics[1], where)
+    model = find_model(projection, distortion)
+    if model is None and projection not in projections():
+        expected = ", ".join(projections())
+        raise SemlocError(f"{where}: camera_model '{projection}' is not supported; expected one of {expected}")
+    if model is None:
+        raise SemlocError(
+            f"{where}: distortion model '{distortion}' is not supported; expected one of {', '.join(distortions())}, "
+            f"{RATIONAL[0]}; calibrate with one of these, or undistort the images first"
+        )
+    names = " ".join(model.coefficients)
+    given = numbers(coefficients, model.counts, f"{where} (distortion {distortion}: {names})") if names else ()
+    return model.camera.of_numbers((*intrinsics, *size), tuple(given))
 
 
 def rational(

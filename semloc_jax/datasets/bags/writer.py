@@ -11,18 +11,14 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import BrownConradyCamera, Camera, KannalaBrandtCamera, PinholeCamera
+from semloc_jax.cameras import Camera
+from semloc_jax.cameras.models import model_of
 from semloc_jax.datasets.bags.store import rosbags_module
 from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import Geodetic, wgs84_from_enu
 
 BASE, TRANSFORMS = "base_link", "tf2_msgs/msg/TFMessage"
-_DISTORTION = {
-    PinholeCamera: ("plumb_bob", ()),
-    BrownConradyCamera: ("plumb_bob", ("k1", "k2", "p1", "p2", "k3")),
-    KannalaBrandtCamera: ("equidistant", ("k1", "k2", "k3", "k4")),
-}
 
 
 def write_bag(
@@ -141,11 +137,11 @@ def _write_calibration(scribe: _Scribe, drive: Drive) -> None:
 
 
 def _camera_info(scribe: _Scribe, camera: Camera, name: str) -> Any:
-    if type(camera) not in _DISTORTION:
+    model = model_of(camera)
+    if model is None or not model.ros:
         raise SemlocError(f"bag: camera {name} is a {type(camera).__name__}; expected pinhole, radtan or equidistant")
-    model, coefficients = _DISTORTION[type(camera)]
     K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=np.float64)
-    D = np.array([float(getattr(camera, key)) for key in coefficients] or [0.0] * 5)
+    D = np.array([float(getattr(camera, key)) for key in model.coefficients] or [0.0] * 5)
     fields = {"d": D, "k": K.ravel(), "r": np.eye(3).ravel(), "p": np.hstack([K, np.zeros((3, 1))]).ravel()}
     if scribe.is_ros1:
         fields = {key.upper(): value for key, value in fields.items()}
@@ -158,7 +154,7 @@ def _camera_info(scribe: _Scribe, camera: Camera, name: str) -> Any:
         header=scribe.header(0.0, _optical(name)),
         width=width,
         height=height,
-        distortion_model=model,
+        distortion_model=model.ros,
         binning_x=0,
         binning_y=0,
         roi=region,
