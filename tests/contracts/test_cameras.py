@@ -145,9 +145,7 @@ def test_a_model_without_a_row_is_refused(tmp_path):
         """May project as it likes."""
 
     rig = Rig([OwnCamera(*FRONT, -0.118, 0.042)], np.eye(4)[None], ["own"])
-    with pytest.raises(
-        SemlocError, match=r"own: .* no name for OwnCamera; expected one of PinholeCamera, .*row"
-    ):
+    with pytest.raises(SemlocError, match=r"own: .* no name for OwnCamera; expected one of PinholeCamera, .*row"):
         write_calibration(rig, tmp_path / "calib.yaml")
     assert not (tmp_path / "calib.yaml").exists()
 
