@@ -43,8 +43,11 @@ class Rig(eqx.Module):
                 f"rig: given {len(self.cameras)} cameras, {len(self.T_base_cam)} poses and {len(self.names)} names; "
                 "expected one pose and one name for each camera"
             )
-        if len(set(self.names)) != len(self.names):
-            raise SemlocError(f"rig: given names {list(self.names)}; expected different ones; rename the cameras")
+        # Names become folders, and many file systems do not tell capital from small letters.
+        if len({name.casefold() for name in self.names}) != len(self.names):
+            raise SemlocError(
+                f"rig: given names {list(self.names)}; expected names that differ by more than case; rename the cameras"
+            )
 
     def __len__(self) -> int:
         """Number of cameras."""

@@ -10,6 +10,7 @@ from semloc_jax.datasets.argoverse2 import is_argoverse2_log, read_argoverse2
 from semloc_jax.datasets.bags import is_bag, read_bag
 from semloc_jax.datasets.base import Drive
 from semloc_jax.datasets.drive import is_drive, read_drive
+from semloc_jax.datasets.entry import checked
 from semloc_jax.datasets.euroc import is_euroc, read_euroc
 from semloc_jax.datasets.folder import has_pictures, read_folder
 from semloc_jax.datasets.kitti import is_kitti, read_kitti
@@ -17,6 +18,7 @@ from semloc_jax.datasets.nuscenes import is_nuscenes, read_nuscenes
 from semloc_jax.datasets.pandaset import is_pandaset, read_pandaset
 from semloc_jax.datasets.video import is_video, read_video
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage import reading
 
 _KINDS: tuple[tuple[str, Callable[[Path], bool], Callable[..., Drive]], ...] = (
     ("drive", is_drive, read_drive),
@@ -39,7 +41,7 @@ def open_drive(path: str | Path, calibration: str | Path | None = None) -> Drive
         calibration: calibration file instead of what the recording says itself.
 
     Raises:
-        SemlocError: there is no such path, or it looks like nothing that is known.
+        SemlocError: there is no such path, it looks like nothing that is known, or a sensor has the wrong unit.
     """
     path = Path(path)
     if not path.exists():
@@ -53,13 +55,15 @@ def open_drive(path: str | Path, calibration: str | Path | None = None) -> Drive
                 raise SemlocError(
                     f"data set {path}: {kind} brings its own calibration; leave --calib {calibration} out"
                 )
-            return read(path) if calibration is None else read(path, calibration)
+            with reading(f"{kind} {path}"):
+                return checked(read(path) if calibration is None else read(path, calibration))
     if not path.is_dir():
         raise SemlocError(
             f"data set {path}: unknown type '{path.suffix}'; expected .bag, .db3, .mcap, .mp4, "
             ".avi, .mkv, .mov or a folder"
         )
-    return read_folder(path, calibration)
+    with reading(f"folder {path}"):
+        return checked(read_folder(path, calibration))
 
 
 def is_recording(path: Path) -> bool:

@@ -3,7 +3,6 @@
 In: a folder with calib.yaml, frames.csv, rgb/ sem/ sem_net/ CAMERA/ID.*, sensor logs, poses and maps. Out: Drive.
 """
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from semloc_jax.datasets.sensors import read_gnss, read_imu, read_wheel_odometry
 from semloc_jax.datasets.tables import read_rows
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import read_trajectory
+from semloc_jax.storage import json_document
 
 TABLE_NAME = "drive"
 CLASS_IDS = {
@@ -108,9 +108,11 @@ def _suffix_of(folder: Path, suffixes: Iterable[str]) -> str | None:
 def _class_ids(meta: Path) -> dict[str, int]:
     if not meta.is_file():
         return dict(CLASS_IDS)
-    try:
-        return {str(name): int(value) for name, value in json.loads(meta.read_text())["classes"].items()}
-    except (json.JSONDecodeError, KeyError, AttributeError, ValueError) as error:
+    classes = json_document(meta.read_bytes(), f"drive file {meta}").get("classes")
+    is_table = isinstance(classes, dict) and all(type(value) is int and 0 <= value < 256 for value in classes.values())
+    if not is_table:
         raise SemlocError(
-            f'drive file {meta}: no class ids ({error!r}); expected {{"classes": {{"road": 1, ...}}}}'
-        ) from error
+            f'drive file {meta}: no class ids ({str(classes)[:60]}); expected {{"classes": {{"road": 1, ...}}}}, '
+            "each id a whole number from 0 to 255"
+        )
+    return dict(classes)

@@ -39,6 +39,17 @@ class GnssTrack:
     antenna_base: tuple[float, float, float] = (0.0, 0.0, 0.0)
     origin: Geodetic | None = None
 
+    def __post_init__(self) -> None:
+        if not np.isfinite(np.column_stack([self.time_s, self.p_enu])).all():
+            raise SemlocError("GNSS: a time or position is NaN or infinite; expected finite numbers; drop such rows")
+        wrong = ~((self.sigma_m > 0.0) & (self.sigma_m < _HIGHEST_M)).all(axis=1)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise SemlocError(
+                f"GNSS: the fix at {self.time_s[row]:.3f} s states standard deviations {self.sigma_m[row].tolist()} m; "
+                "expected positive ones; leave the cell empty where they are not known"
+            )
+
     @classmethod
     def from_wgs84(
         cls,
@@ -48,7 +59,8 @@ class GnssTrack:
         antenna_base: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> "GnssTrack":
         """Fixes in degrees and ellipsoidal height [m], in time order, in the frame of the first of them."""
-        usable = np.isfinite(lat_lon_alt).all(axis=1) & np.isfinite(sigma_m).all(axis=1) & np.isfinite(time_s)
+        sigma_m = _known_sigma(sigma_m)
+        usable = np.isfinite(lat_lon_alt).all(axis=1) & np.isfinite(time_s)
         usable &= np.abs(lat_lon_alt[:, 2]) < _HIGHEST_M
         order = np.flatnonzero(usable)[np.argsort(time_s[usable], kind="stable")]
         if not len(order):
@@ -151,6 +163,17 @@ class Imu:
     gyro_radps: Float[np.ndarray, "n 3"]
     accel_mps2: Float[np.ndarray, "n 3"]
 
+    def __post_init__(self) -> None:
+        wrong = ~np.isfinite(np.column_stack([self.time_s, self.gyro_radps, self.accel_mps2])).all(axis=1)
+        if wrong.any():
+            raise SemlocError(
+                f"imu: row {int(np.argmax(wrong)) + 1} holds NaN or an infinite number; expected finite numbers; drop "
+                "such rows"
+            )
+        if np.any(np.diff(self.time_s) <= 0.0):
+            row = int(np.argmax(np.diff(self.time_s) <= 0.0)) + 2
+            raise SemlocError(f"imu: row {row} is not later than that before; expected time order; sort the rows")
+
 
 _TIME = ("t", "time", "timestamp", "t_s", "time_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us")
 _TIME += ("timestamp_ns", "time_ns", "time_us", "time_ms", "stamp", "#timestamp [ns]", "timestamp [ns]")
@@ -178,10 +201,15 @@ def read_gnss(path: Path) -> GnssTrack:
         )
     table = read_columns(path, ("t", "east_m", "north_m", "up_m", *_SIGMA))
     p_enu = np.column_stack([table["east_m"], table["north_m"], table["up_m"]])
-    sigma_m = np.column_stack([table[key] for key in _SIGMA])
-    usable = np.isfinite(p_enu).all(axis=1)
+    sigma_m = _known_sigma(np.column_stack([table[key] for key in _SIGMA]))
+    usable = np.isfinite(p_enu).all(axis=1) & np.isfinite(table["t"])
     order = np.argsort(table["t"][usable], kind="stable")
     return GnssTrack(table["t"][usable][order], p_enu[usable][order], sigma_m[usable][order])
+
+
+def _known_sigma(sigma_m: np.ndarray) -> np.ndarray:
+    """The standard deviations, those of a plain receiver where a cell is empty."""
+    return np.where(np.isnan(sigma_m), _UNKNOWN_SIGMA_M, sigma_m)
 
 
 def read_wheel_odometry(path: Path) -> WheelOdometry:

@@ -12,6 +12,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from semloc_jax.errors import SemlocError
 
+_UPRIGHT = 0.97
+"""Mean upward part of base z of anything that drives on roads; ours."""
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -98,8 +101,11 @@ def read_trajectory(path: str | Path) -> Trajectory:
         raise SemlocError(f"trajectory {path}: no such file; expected a TUM, KITTI or npy file")
     if path.suffix == ".npy":
         try:
-            rows = np.load(path).astype(np.float64)
-        except (ValueError, EOFError, OSError, TypeError) as error:
+            # Mapped, a header that claims more than the file holds is refused before memory is taken for it.
+            rows = np.array(np.load(path, mmap_mode="r"), dtype=np.float64)
+            if not np.isfinite(rows).all():
+                raise ValueError("a value is NaN or infinite")
+        except (ValueError, EOFError, OSError, TypeError, OverflowError) as error:
             raise SemlocError(f"trajectory {path}: not readable as npy ({error}); expected [n 8] or [n 4 4]") from error
         if rows.ndim == 3 and rows.shape[1:] == (4, 4):
             return Trajectory(np.arange(len(rows), dtype=np.float64), rows)
@@ -145,10 +151,20 @@ def _from_tum_rows(rows: np.ndarray, path: Path) -> Trajectory:
             f"trajectory {path}: the quaternion of pose {row} has norm {norm[row]:.3f}; expected 1 in the order "
             "qx qy qz qw; check the columns"
         )
+    if _upright(rows[:, 4:]) < _UPRIGHT <= _upright(rows[:, [5, 6, 7, 4]]):
+        raise SemlocError(
+            f"trajectory {path}: read as qx qy qz qw the vehicle leans, read as qw qx qy qz it stands on its wheels; "
+            "expected qx qy qz qw; put qw last"
+        )
     T = np.tile(np.eye(4), (len(rows), 1, 1))
     T[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
     T[:, :3, 3] = rows[:, 1:4]
     return Trajectory(rows[:, 0].copy(), T)
+
+
+def _upright(quaternion_xyzw: np.ndarray) -> float:
+    """Mean of the upward part of base z over poses: 1 on a plain, 0.98 on a slope of 11 degrees."""
+    return float(np.mean(Rotation.from_quat(quaternion_xyzw).as_matrix()[:, 2, 2]))
 
 
 def _from_kitti_rows(rows: np.ndarray, path: Path) -> Trajectory:

@@ -33,6 +33,12 @@ class GnssMeasurement(NamedTuple):
     p_map: Float[np.ndarray, "3"]
     sigma_m: Float[np.ndarray, "3"]
 
+    @property
+    def is_usable(self) -> bool:
+        """Whether every number is finite and the receiver states some doubt."""
+        is_finite = np.isfinite([self.time_s, *self.p_map, *self.sigma_m]).all()
+        return bool(is_finite and (np.asarray(self.sigma_m) > 0.0).all())
+
 
 class FusedPose(NamedTuple):
     """Best pose at a time, with what was learned about the sensors."""

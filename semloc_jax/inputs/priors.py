@@ -34,8 +34,10 @@ def prior_source(
         seed: Of the noise on the truth.
 
     Raises:
-        SemlocError: the drive has no such prior, or there is no such file.
+        SemlocError: the drive has no such prior, there is no such file, or a sigma is not positive.
     """
+    _require_sigma("position", sigma_xy_m, "m")
+    _require_sigma("heading", sigma_heading_deg, "deg")
     if kind == "gnss":
         return _from_gnss(drive, sigma_xy_m, sigma_heading_deg)
     if kind == "truth":
@@ -50,6 +52,14 @@ def prior_source(
         return PosePrior(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0]), sigma_xy_m or 1.0, sigma_rad)
 
     return from_file
+
+
+def _require_sigma(what: str, sigma: float | None, unit: str) -> None:
+    if sigma is not None and not (np.isfinite(sigma) and sigma > 0.0):
+        raise SemlocError(
+            f"prior: standard deviation of the {what} {sigma} {unit}; expected a positive number; leave the option out "
+            "for that of the source"
+        )
 
 
 def _from_gnss(drive: Drive, sigma_xy_m: float | None, sigma_heading_deg: float | None) -> PriorSource:

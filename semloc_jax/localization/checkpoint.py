@@ -3,8 +3,6 @@
 In: TrackerState. Out: an npz file, written whole or not at all; and back.
 """
 
-import os
-import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +11,7 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.localization.track_state import ElementTrust, TrackerState
+from semloc_jax.storage import npz_arrays, writing
 
 _META = "next_frame", "is_initialised"
 
@@ -32,10 +31,8 @@ def save(checkpoint: Checkpoint, path: Path) -> None:
     leaves = {name: np.asarray(leaf) for name, leaf in _named(checkpoint.state)}
     sizes = {"num_tracks": len(checkpoint.state.tracks), "num_coasting": len(checkpoint.state.coasting)}
     meta = {key: getattr(checkpoint, key) for key in _META}
-    unfinished = path.with_suffix(".part")
-    with unfinished.open("wb") as file:
+    with writing(path) as partial, partial.open("wb") as file:
         np.savez(file, **leaves, **sizes, **meta)
-    os.replace(unfinished, path)
 
 
 def load(path: Path, template: TrackerState) -> Checkpoint:
@@ -49,8 +46,7 @@ def load(path: Path, template: TrackerState) -> Checkpoint:
         SemlocError: there is no such file, or it belongs to another map, fusion or version.
     """
     try:
-        with np.load(path) as file:
-            content = {name: file[name] for name in file.files}
+        content = npz_arrays(path, f"checkpoint {path}")
         tracks = template.tracks * int(content["num_tracks"])
         coasting = template.coasting * int(content["num_coasting"])
         wanted = template._replace(tracks=tracks, coasting=coasting)
@@ -59,7 +55,7 @@ def load(path: Path, template: TrackerState) -> Checkpoint:
         _require_same_map(state.trust, template.trust)
     except FileNotFoundError as error:
         raise SemlocError(f"checkpoint {path}: no such file; give --resume the folder of an unfinished run") from error
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError) as error:
         raise SemlocError(
             f"checkpoint {path}: does not fit ({error}); resume with the map, the fusion and the version of the run"
         ) from error

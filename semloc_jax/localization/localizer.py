@@ -168,7 +168,15 @@ class Localizer:
         )
 
     def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:
-        """The state and the verdict after one more frame."""
+        """The state and the verdict after one more frame.
+
+        A frame that does not come after the one before costs itself only: the state stays, and the result has no pose
+        but the reason. Fixes without a finite place or a positive standard deviation are left out.
+        """
+        unusable = _unusable(state, frame)
+        if unusable is not None:
+            return state, _passed_over(state, frame, unusable)
+        frame = frame._replace(fixes=tuple(fix for fix in frame.fixes if fix.is_usable))
         watch, before_s = _Watch(), float(state.time_s)
         motion = CameraTimeLog(self.motion, state.clock)
         way_m = motion.way_m(before_s, frame.time_s) if np.isfinite(before_s) else 0.0
@@ -362,6 +370,22 @@ class Localizer:
             return None
         pose, config = self.fusion.pose(known[0]), self.config
         return pose._replace(covariance=with_map_accuracy(pose.covariance, config.map_sigma_m, config.map_reach_m))
+
+
+def _unusable(state: TrackerState, frame: FrameFeatures) -> str | None:
+    """Why a frame cannot follow the state; None where it can."""
+    if not np.isfinite(frame.time_s):
+        return f"the frame has the time {frame.time_s}"
+    if frame.time_s <= state.time_s:
+        return f"the frame of {frame.time_s:.3f} s comes after that of {float(state.time_s):.3f} s"
+    return None
+
+
+def _passed_over(state: TrackerState, frame: FrameFeatures, reason: str) -> TrackResult:
+    """The result of a frame that was not looked at: never TRACKING, since it has no pose."""
+    status = TrackStatus(int(state.status))
+    status = TrackStatus.DEGRADED if status == TrackStatus.TRACKING else status
+    return TrackResult(frame.frame_id, frame.time_s, status, (reason,), num_tracks=len(state.tracks))
 
 
 class _Watch:

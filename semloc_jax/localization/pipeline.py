@@ -122,7 +122,7 @@ class Pipeline:
         """One TrackResult after another.
 
         Args:
-            frames: In time order.
+            frames: In time order; one that is not costs itself only, see `Localizer.step`.
             start: Where an earlier run stood; None begins with the first frame.
             on_frame: Called after each frame with where the run stands and what it said.
         """
@@ -148,7 +148,8 @@ class Pipeline:
 
     def _fed(self, frames: Sequence[Frame], first: int) -> Iterator[tuple[int, FrameFeatures]]:
         """Place and features of each frame, in order."""
-        before_s = [-np.inf, *(frame.time_s for frame in frames)]
+        # A frame that comes late or without a time does not bring fixes back that were there before.
+        before_s = np.fmax.accumulate([-np.inf, *(frame.time_s for frame in frames)]).tolist()
         if self.config.realtime:
             self._warm_up(frames[first : first + _WARM_UP], before_s[first])
         if not (self.config.threads or self.config.realtime):
@@ -191,7 +192,7 @@ class Pipeline:
                         self.timing.num_dropped += 1
                         continue
                 waiting.put((index, self.features(frames[index], taken_s)))
-                taken_s = frames[index].time_s
+                taken_s = before_s[index + 1]
                 if stop.is_set():
                     return
         except BaseException as error:

@@ -175,7 +175,7 @@ def _of_model(xy: np.ndarray, model: GroundModel) -> tuple[np.ndarray, float]:
 
 def _argoverse2(path: Path) -> GroundRaster:
     """Returns the raster of a log; its file beside it maps city coordinates to cells."""
-    heights = np.load(path, allow_pickle=False)
+    heights = np.load(path, mmap_mode="r")  # a size that the file does not have takes no memory
     if heights.ndim != 2 or heights.size > _MOST_CELLS:
         raise ValueError(f"an array of shape {heights.shape}; expected rows and columns of heights")
     (sim2,) = path.parent.glob("*img_Sim2_city.json")

@@ -4,8 +4,15 @@ In: compressed bytes, JSON text, numbers of rows that a file asks for. Out: the 
 taken.
 """
 
+import contextlib
 import json
+import math
+import pickle
+import struct
+import zipfile
 import zlib
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from semloc_jax.errors import SemlocError
@@ -47,6 +54,35 @@ def decompressed(content: bytes, where: str, most_bytes: int = MOST_UNPACKED_BYT
     return bytes(found)
 
 
+def npz_arrays(path: Path, where: str, most_bytes: int = MOST_UNPACKED_BYTES) -> dict[str, Any]:
+    """The arrays of an npz file by name; what each states as its size is checked before memory is taken for it.
+
+    Raises:
+        SemlocError: no npz file, larger than `most_bytes`, or an array that states more than is there.
+    """
+    import numpy as np
+
+    found = {}
+    with reading(where), zipfile.ZipFile(path) as archive:
+        members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+        require_room(sum(m.file_size for m in members), most_bytes, where, "bytes", "get the file anew")
+        for member in members:
+            with archive.open(member) as stream:
+                version = np.lib.format.read_magic(stream)
+                read_header = {(1, 0): np.lib.format.read_array_header_1_0}.get(
+                    version, np.lib.format.read_array_header_2_0
+                )
+                shape, is_fortran, dtype = read_header(stream)
+                if dtype.hasobject:
+                    raise ValueError("an array of objects")
+                size = math.prod(shape) * dtype.itemsize
+                require_room(size, member.file_size, f"{where}: {member.filename}", "bytes", "get the file anew")
+                flat = np.frombuffer(stream.read(size), dtype)
+                name = member.filename.removesuffix(".npy")
+                found[name] = flat.reshape(shape, order="F" if is_fortran else "C").copy()
+    return found
+
+
 def json_document(text: str | bytes, where: str, kind: type = dict) -> Any:
     """The JSON of a file, whose outermost value is of the kind (dict or list).
 
@@ -71,3 +107,29 @@ def require_room(count: float, most: float, where: str, what: str, remedy: str) 
     """
     if not count <= most:
         raise SemlocError(f"{where}: asks for {count:.3g} {what}; expected at most {most:.3g}; {remedy}")
+
+
+_UNFORESEEN = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, NotImplementedError),
+    *(OSError, RecursionError, TypeError, ValueError),
+    *(pickle.PickleError, struct.error, zipfile.BadZipFile, zlib.error),
+)
+
+
+@contextlib.contextmanager
+def reading(where: str) -> Iterator[None]:
+    """Whatever a damaged file makes a reader stumble over becomes one sentence that names the file.
+
+    Raises:
+        SemlocError: the block raised an error of values, types or the system.
+    """
+    try:
+        yield
+    except (SemlocError, FileNotFoundError, PermissionError):  # these name themselves
+        raise
+    except _UNFORESEEN as error:
+        said = " ".join(str(error).split())[:120]
+        raise SemlocError(
+            f"{where}: its content is not what such a file holds ({type(error).__name__}: {said}); get the file anew, "
+            "or see --debug"
+        ) from error

@@ -3,7 +3,6 @@
 In: annotations/cuboids/NN.pkl.gz. Out: Cuboids, bool masks of what may move.
 """
 
-import gzip
 import io
 import pickle
 from collections.abc import Mapping
@@ -17,6 +16,7 @@ from jaxtyping import Bool, Float
 from semloc_jax.cameras import Camera
 from semloc_jax.datasets.pandaset.projection import project
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage import decompressed
 
 MOVABLE = (
     "Car",
@@ -40,6 +40,8 @@ MOVABLE = (
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 _NEAR_M = 0.5
+_MOST_BYTES = 64 << 20
+"""Of an unpacked table; one of a hundred boxes has 20 kB."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,9 @@ def read_cuboids(path: Path) -> Cuboids:
         table = _read_table(path)
         column = [[float(v) for v in table[name]] for name in _NUMBERS]
         labels = tuple(str(label) for label in table["label"])
-    except (OSError, EOFError, pickle.UnpicklingError, KeyError, ValueError, IndexError, AttributeError) as error:
+    except SemlocError:
+        raise
+    except Exception as error:  # a damaged pickle stumbles over anything
         raise SemlocError(
             f"cuboids {path}: cannot be read ({error}); expected annotations/cuboids of PandaSet"
         ) from error
@@ -172,7 +176,7 @@ class _TableUnpickler(pickle.Unpickler):
 
 def _read_table(path: Path) -> dict[str, np.ndarray]:
     """Columns of a pickled pandas table: blocks of one type each, with the columns they hold."""
-    frame = _TableUnpickler(io.BytesIO(gzip.decompress(path.read_bytes()))).load()
+    frame = _TableUnpickler(io.BytesIO(decompressed(path.read_bytes(), f"cuboids {path}", _MOST_BYTES))).load()
     manager = frame.state["_data"] if "_data" in frame.state else frame.state["_mgr"]
     content = manager.state[3]["0.14.1"]
     names = [str(name) for name in content["axes"][0].arguments[0]["data"]]

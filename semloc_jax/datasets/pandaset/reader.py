@@ -26,6 +26,7 @@ from semloc_jax.evaluation.trajectory import Trajectory
 from semloc_jax.geometry.geodesy import enu_from_wgs84
 from semloc_jax.geometry.plane import fit_plane
 from semloc_jax.maps import GeoOrigin
+from semloc_jax.storage import npz_arrays
 
 FRONT = "front_camera"
 CAMERAS = (FRONT, "front_left_camera", "front_right_camera", "left_camera", "right_camera", "back_camera")
@@ -215,7 +216,7 @@ def _labelled_points(path: Path) -> LabelledPoints:
         raise SemlocError(
             f"PandaSet {path}: no such file; expected labelled points [x y z intensity sensor class sweep]"
         )
-    data = np.load(path)["data"]
+    data = npz_arrays(path, f"PandaSet {path}")["data"]
     integers = data[:, 4:].astype(np.int64)
     return LabelledPoints(data[:, :3].astype(np.float64), data[:, 3].astype(np.float64), *integers.T)
 
