@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 from semloc_jax.errors import UsageError
 from semloc_jax.inputs.config_files import check_keys, flags, flatten, read_yaml, suggestion, with_lengths
+from semloc_jax.inputs.settings_check import require_plausible
 
 NOT_IN_FILES = ("config", "out")
 """Options that a configuration file cannot hold."""
@@ -60,7 +61,9 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
         flag = word.split("=", 1)[0].replace("_", "-")
         if re.match(r"--[a-zA-Z]", flag) and flag not in known:
             raise UsageError(f"unknown option '{flag}'{suggestion(flag, known)}")
-    return _run_tyro(options_type, [*from_file, *words], prog)
+    found = _run_tyro(options_type, [*from_file, *words], prog)
+    require_plausible(found, "--")
+    return found
 
 
 def read_settings(path: str, options_type: type, defaults: Any) -> tuple[Any, list[str]]:

@@ -3,6 +3,7 @@
 In: HTTP requests. Out: files of the page, pictures, JSON, packed arrays; a sentence and a 4xx code for bad requests.
 """
 
+import hmac
 import json
 import threading
 import traceback
@@ -17,6 +18,7 @@ from semloc_jax.explorer.messages import packed, read_frame_index, read_query, t
 
 MAX_BODY_BYTES = 16384
 """Larger than any question of the page by a factor of ten."""
+_MOST_DIGITS = 20
 _TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
@@ -93,7 +95,7 @@ class ExplorerHandler(BaseHTTPRequestHandler):
     def _answer(self, act: Any) -> None:
         try:
             self._check_sender()
-            code, kind, body = 200, *act(unquote(urlsplit(self.path).path))
+            code, kind, body = 200, *act(self._own_path())
         except _Refused as refusal:
             code, kind, body = refusal.code, _JSON, to_json({"error": str(refusal)})
         except SemlocError as error:
@@ -111,6 +113,7 @@ class ExplorerHandler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("Content-Security-Policy", _POLICY)
+        self.send_header("Referrer-Policy", "no-referrer")
         if self.close_connection:
             self.send_header("Connection", "close")
         self.end_headers()
@@ -125,6 +128,13 @@ class ExplorerHandler(BaseHTTPRequestHandler):
         origin = self.headers.get("Origin")
         if origin is not None and origin not in [f"http://{name}" for name in own]:
             raise _Refused(403, f"a page of {origin[:60]} may not ask; open http://{own[0]}/ itself")
+
+    def _own_path(self) -> str:
+        """The path behind the token, which only who has seen the address knows: other users of this machine do not."""
+        _, given, rest = f"{unquote(urlsplit(self.path).path)}//".split("/", 2)
+        if not hmac.compare_digest(given.encode(), self.server.token.encode()):
+            raise _Refused(403, "the address lacks its token; open the address that semloc has printed")
+        return "/" + rest.removesuffix("/").removesuffix("/")
 
     def _get(self, path: str) -> tuple[str, bytes]:
         if path == "/api/progress":
@@ -162,7 +172,7 @@ class ExplorerHandler(BaseHTTPRequestHandler):
         kind = _TYPES.get(PurePosixPath(name).suffix)
         found = files("semloc_jax.explorer") / "page" / name
         if kind is None or "/" in name or "\\" in name or not found.is_file():
-            raise _Refused(404, f"no page {name[:60]}; open http://127.0.0.1:{self.server.server_port}/")
+            raise _Refused(404, f"no page {name[:60]}; open {self.server.url}")
         return kind, found.read_bytes()
 
     def _content(self) -> Any:
@@ -172,9 +182,11 @@ class ExplorerHandler(BaseHTTPRequestHandler):
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit()):
             raise _Refused(400, "no Content-Length; expected the number of bytes of the JSON text")
-        if int(length[:12]) > MAX_BODY_BYTES:
-            raise _Refused(413, f"{length[:12]} bytes; expected at most {MAX_BODY_BYTES}")
+        # One number is checked and read by: digits that were cut or padded would be two.
+        num_bytes = int(length) if len(length) <= _MOST_DIGITS else MAX_BODY_BYTES + 1
+        if num_bytes > MAX_BODY_BYTES:
+            raise _Refused(413, f"{length[:_MOST_DIGITS]} bytes; expected at most {MAX_BODY_BYTES}")
         try:
-            return json.loads(self.rfile.read(int(length)))
+            return json.loads(self.rfile.read(num_bytes))
         except (ValueError, RecursionError) as error:
             raise _Refused(400, f"the request is not JSON: {error}") from error

@@ -1,11 +1,13 @@
 """The page and its numbers over HTTP, for this machine alone (room: explorer; host).
 
-In: ExplorerSession. Out: ExplorerServer: page, pictures, JSON and packed arrays at http://127.0.0.1:PORT/.
-Only programs on this machine can connect, and of web pages only our own: Host and Origin of every request are checked.
+In: ExplorerSession. Out: ExplorerServer: page, pictures, JSON and packed arrays at http://127.0.0.1:PORT/TOKEN/.
+Only programs on this machine can connect, of web pages only our own (Host and Origin of every request are checked), and
+of users only those that know the address, which holds a token.
 """
 
 import errno
 import os
+import secrets
 import sys
 import threading
 import webbrowser
@@ -40,6 +42,7 @@ class ExplorerServer(ThreadingHTTPServer):
             SemlocError: the port is in use, forbidden, or none at all.
         """
         self.session, self.progress = session, Progress()
+        self.token = secrets.token_urlsafe(18)
         self._workers: list[threading.Thread] = []
         if not 0 <= port <= 65535:
             raise SemlocError(f"port {port}: expected a number from 0 (any free one) to 65535")
@@ -63,8 +66,8 @@ class ExplorerServer(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """Address of the page."""
-        return f"http://{HOST}:{self.server_port}/"
+        """Address of the page; who knows it may look."""
+        return f"http://{HOST}:{self.server_port}/{self.token}/"
 
     def start(self) -> "ExplorerServer":
         """Answer requests and compile, both in the background."""

@@ -29,7 +29,7 @@ def read_yaml(path: str) -> dict[str, Any]:
         raise UsageError(f"config {path}: no such file; expected a YAML file, 'semloc config' prints one")
     try:
         content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise UsageError(f"config {path}: not a YAML file: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict | None):
         raise UsageError(f"config {path}: holds a {type(content).__name__}; expected keys and values")

@@ -24,7 +24,7 @@ from semloc_jax.fusion.clock import CameraTimeLog, ClockConfig, unknown_offset
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
-from semloc_jax.localization import health, map_faults
+from semloc_jax.localization import health, map_faults, passed_over
 from semloc_jax.localization.acquisition import Acquisition, AcquisitionConfig, Area
 from semloc_jax.localization.following import (
     FollowConfig,
@@ -173,9 +173,9 @@ class Localizer:
         A frame that does not come after the one before costs itself only: the state stays, and the result has no pose
         but the reason. Fixes without a finite place or a positive standard deviation are left out.
         """
-        unusable = _unusable(state, frame)
+        unusable = passed_over.because(state, frame)
         if unusable is not None:
-            return state, _passed_over(state, frame, unusable)
+            return state, passed_over.result(state, frame, unusable)
         frame = frame._replace(fixes=tuple(fix for fix in frame.fixes if fix.is_usable))
         watch, before_s = _Watch(), float(state.time_s)
         motion = CameraTimeLog(self.motion, state.clock)
@@ -370,22 +370,6 @@ class Localizer:
             return None
         pose, config = self.fusion.pose(known[0]), self.config
         return pose._replace(covariance=with_map_accuracy(pose.covariance, config.map_sigma_m, config.map_reach_m))
-
-
-def _unusable(state: TrackerState, frame: FrameFeatures) -> str | None:
-    """Why a frame cannot follow the state; None where it can."""
-    if not np.isfinite(frame.time_s):
-        return f"the frame has the time {frame.time_s}"
-    if frame.time_s <= state.time_s:
-        return f"the frame of {frame.time_s:.3f} s comes after that of {float(state.time_s):.3f} s"
-    return None
-
-
-def _passed_over(state: TrackerState, frame: FrameFeatures, reason: str) -> TrackResult:
-    """The result of a frame that was not looked at: never TRACKING, since it has no pose."""
-    status = TrackStatus(int(state.status))
-    status = TrackStatus.DEGRADED if status == TrackStatus.TRACKING else status
-    return TrackResult(frame.frame_id, frame.time_s, status, (reason,), num_tracks=len(state.tracks))
 
 
 class _Watch:

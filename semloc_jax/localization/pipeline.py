@@ -108,7 +108,7 @@ class Pipeline:
         started = time.perf_counter()
         rig = self.source.seen_by(frame.rig.select(self.source.cameras))
         fixes = self.fixes(before_s, frame.time_s)
-        guess = self.guess(frame) if self.guess is not None else None
+        guess = self.guess(frame) if self.guess is not None and np.isfinite(frame.time_s) else None
         features = self.localizer.features(frame, self.source.masks(frame), rig, fixes, guess)
         self.timing.feature_ms.append(1e3 * (time.perf_counter() - started))
         return features

@@ -5,10 +5,27 @@ In: `float64[k 3]` vertices. Out: equidistant samples, parallel lines in the roa
 
 import numpy as np
 
+from semloc_jax.errors import SemlocError
+
 _SAME_POINT_M = 1e-6
 _SIMPLIFY_BLOCK = 512
 _MITRE_LIMIT = 4.0
 """A corner sharper than about 29 degrees is bevelled, as in most plotters."""
+
+MOST_SAMPLES = 4_000_000
+"""Of one call; a query of 65 m holds some thousand."""
+
+
+class TooManySamples(SemlocError):
+    """Lines that are too long for their spacing, known before memory is taken.
+
+    Attributes:
+        line: place of the longest line in the list.
+    """
+
+    def __init__(self, line: int, length_m: float) -> None:
+        super().__init__(f"line {line} is {length_m / 1e3:.4g} km long; expected lines around a vehicle")
+        self.line = line
 
 
 def without_repeats(points: np.ndarray, closed: bool = False) -> np.ndarray:
@@ -43,6 +60,9 @@ def resample(
     Returns:
         positions `[n 3]`, unit tangents `[n 3]`, the length each sample stands for `[n]`, its line `[n]`, and its place
         along that line from 0 to 1 `[n]`.
+
+    Raises:
+        TooManySamples: more than four million.
     """
     if not lines:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0)
@@ -53,7 +73,10 @@ def resample(
     lengths[first[1:-1] - 1] = 0.0
     knots = np.concatenate([[0.0], np.cumsum(lengths)])
     start, total = knots[first[:-1]], knots[first[1:] - 1] - knots[first[:-1]]
-    count = np.where(total > _SAME_POINT_M, np.maximum(np.rint(total / spacing_m), 1.0), 0.0).astype(np.int64)
+    wished = np.where(total > _SAME_POINT_M, np.maximum(np.rint(total / spacing_m), 1.0), 0.0)
+    if not wished.sum() <= MOST_SAMPLES:
+        raise TooManySamples(int(np.argmax(wished)), float(total.max()))
+    count = wished.astype(np.int64)
     line = np.repeat(np.arange(len(lines)), count)
     rank = np.arange(len(line)) - np.repeat(np.cumsum(count) - count, count)
     share = (rank + 0.5) / count[line]

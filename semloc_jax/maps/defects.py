@@ -46,6 +46,8 @@ def find_defects(semantic_map: SemanticMap) -> Iterator[Defect]:
     elements = semantic_map.elements
     for name, count in semantic_map.skipped.items():
         yield Defect("unknown class", name, f"{count} left out")
+    for name, fault in semantic_map.faulty.items():
+        yield Defect("left out", name, fault)
     has_heights = any(element.has_height for element in elements)
     seen: set[str] = set()
     for element in elements:

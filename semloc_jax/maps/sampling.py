@@ -12,7 +12,7 @@ import shapely
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import polyline
 from semloc_jax.maps.contours import Contour, element_contours, open_ends, touching_paint
-from semloc_jax.maps.curves import resample
+from semloc_jax.maps.curves import TooManySamples, resample
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.maps.heights import height_sigmas
 from semloc_jax.maps.semantic_map import LocalMap
@@ -46,7 +46,11 @@ def sample(local_map: LocalMap, spacing_m: float, capacity: int | None = None) -
     if not (np.isfinite(spacing_m) and spacing_m > 0):
         raise SemlocError(f"sample spacing {spacing_m} m; expected a positive number such as 0.25")
     contours, owner = _all_contours(local_map.elements)
-    position, tangent, length, contour, share = resample([c.line for c in contours], spacing_m)
+    try:
+        position, tangent, length, contour, share = resample([c.line for c in contours], spacing_m)
+    except TooManySamples as error:
+        name = local_map.elements[owner[error.line]].id
+        raise SemlocError(f"map element '{name[:60]}': {error}; repair it, or give a larger sample spacing") from error
     element = owner[contour]
     shown = _is_outermost(local_map.elements, element, position, tangent)
     shown = np.flatnonzero(shown & ~_is_behind_plate(local_map.elements, element, position))

@@ -51,6 +51,7 @@ class SemanticMap:
         name: where it came from, for messages.
         skipped: what the reader left out, by reason or class, with counts.
         frame: the coordinate system in words, where the format has a name for it.
+        faulty: elements that the reader left out because they cannot be meant: what is wrong, by their id.
     """
 
     elements: tuple[MapElement, ...]
@@ -58,6 +59,7 @@ class SemanticMap:
     name: str = "map"
     skipped: Mapping[str, int] = field(default_factory=dict)
     frame: str = ""
+    faulty: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "elements", tuple(self.elements))
@@ -148,7 +150,7 @@ class SemanticMap:
 
     def with_elements(self, elements: Iterable[MapElement]) -> "SemanticMap":
         """Returns a map in memory with other elements and the same place, name and frame."""
-        return SemanticMap(tuple(elements), self.origin, self.name, self.skipped, self.frame)
+        return SemanticMap(tuple(elements), self.origin, self.name, self.skipped, self.frame, self.faulty)
 
     def whole(self) -> LocalMap:
         """Returns the whole map as a LocalMap with its origin in the middle of the extent."""

@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage import reading
 from semloc_jax.structs import ElementClass
 
 _PRESETS = Path(__file__).parent / "class_tables"
@@ -124,7 +125,8 @@ def load_class_table(name_or_path: str | Path) -> ClassTable:
         mark = getattr(error, "problem_mark", None)
         place = f" line {mark.line + 1}" if mark else ""
         raise SemlocError(f"class table {path}{place}: not a YAML file; check the file") from error
-    return parse_class_table(content, str(path))
+    with reading(f"class table {path}"):
+        return parse_class_table(content, str(path))
 
 
 def preset_names() -> tuple[str, ...]:

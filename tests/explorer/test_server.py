@@ -17,7 +17,7 @@ def _ask(server, method, path, body=None, headers=None):
     """Code, content type and body of the answer."""
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=60)
     try:
-        connection.request(method, path, body, headers or {})
+        connection.request(method, f"/{server.token}{path}", body, headers or {})
         answer = connection.getresponse()
         return answer.status, answer.headers.get_content_type(), answer.read()
     finally:
@@ -86,7 +86,7 @@ def test_other_pages_and_rebound_names_are_refused(explorer, headers, words):
 
 def test_the_server_listens_on_this_machine_only(explorer):
     assert explorer.server_address[0] == "127.0.0.1"
-    own = {"Origin": explorer.url.rstrip("/"), "Host": f"localhost:{explorer.server_port}"}
+    own = {"Origin": f"http://127.0.0.1:{explorer.server_port}", "Host": f"localhost:{explorer.server_port}"}
     assert _ask(explorer, "GET", "/api/progress", None, own)[0] == 200
 
 
@@ -117,14 +117,28 @@ def test_bad_requests_get_a_sentence(explorer, method, path, body, headers, code
 
 
 def test_a_length_that_is_none_is_refused(explorer):
-    for length in ("-5", "many", "1e3", "9" * 30):
+    for length in ("-5", "many", "1e3", "9" * 30, "0" * 12 + "300000000", "0" * 30 + "9"):
         connection = http.client.HTTPConnection("127.0.0.1", explorer.server_port, timeout=10)
-        connection.putrequest("POST", "/api/frame")
+        connection.putrequest("POST", f"/{explorer.token}/api/frame")
         connection.putheader("Content-Type", "application/json")
         connection.putheader("Content-Length", length)
         connection.endheaders()
         assert connection.getresponse().status in (400, 413)
         connection.close()
+
+
+@pytest.mark.parametrize("path", ["/", "/api/scene", "/x/api/scene", "//api/scene", "/main.js", "/%00/", "", "*"])
+def test_without_the_token_nothing_is_shown(explorer, path):
+    connection = http.client.HTTPConnection("127.0.0.1", explorer.server_port, timeout=10)
+    connection.request("GET", path or "/?")
+    answer = connection.getresponse()
+    assert answer.status == 403 and b"lacks its token" in answer.read()
+    connection.close()
+
+
+def test_every_server_has_its_own_token(explorer):
+    with ExplorerServer(explorer.session, 0) as other:
+        assert other.token != explorer.token and len(other.token) >= 24 and other.token in other.url
 
 
 def test_nothing_is_computed_before_everything_is_compiled(explorer):

@@ -22,6 +22,7 @@ from semloc_jax.cameras.io.opencv import is_opencv, rig_from_opencv
 from semloc_jax.cameras.io.woodscape import is_woodscape, rig_from_woodscape
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage import reading
 
 __all__ = ["read_calibration", "write_calibration"]
 
@@ -55,6 +56,12 @@ def read_calibration(path: str | Path) -> Rig:
         raise SemlocError(f"calibration {path}: no such file; expected a calibration yaml")
     if path.stat().st_size > _MAX_BYTES:
         raise SemlocError(f"calibration {path}: {path.stat().st_size / 1e6:.0f} MB; expected a small text file")
+    with reading(f"calibration {path}"):
+        return _read_file(path)
+
+
+def _read_file(path: Path) -> Rig:
+    """The cameras of one file."""
     for fits, read in _TEXTS:
         if fits(path):
             return read(path)

@@ -11,7 +11,7 @@ export async function postJson(path, content) {
 }
 
 export async function evaluate(query) {
-  return unpacked(await (await post("/api/evaluate", query)).arrayBuffer());
+  return unpacked(await (await post("api/evaluate", query)).arrayBuffer());
 }
 
 async function post(path, content) {

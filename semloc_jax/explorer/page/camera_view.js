@@ -32,7 +32,7 @@ export class CameraView {
   show(kind) {
     for (const { image, camera } of this.figures) {
       const shown = camera.pictures.includes(kind) ? kind : camera.pictures[0];
-      image.src = `/api/picture/${this.scene.frame}/${shown}/${encodeURIComponent(camera.name)}`;
+      image.src = `api/picture/${this.scene.frame}/${shown}/${encodeURIComponent(camera.name)}`;
     }
   }
 

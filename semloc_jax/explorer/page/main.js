@@ -159,7 +159,7 @@ function setPicture(kind) {
 async function openFrame(index) {
   if (index < 0 || index >= state.scene.frames.length) return;
   try {
-    show(await postJson("/api/frame", { index }));
+    show(await postJson("api/frame", { index }));
   } catch (error) {
     tell(error.message);
   }
@@ -266,7 +266,7 @@ function listen() {
 // Wait for the compiler, telling how far it is.
 async function ready() {
   for (;;) {
-    const { text, done, of, ready: isReady, error } = await getJson("/api/progress");
+    const { text, done, of, ready: isReady, error } = await getJson("api/progress");
     if (error) throw new Error(error);
     if (isReady) return;
     $("loading-text").textContent = `compiling: ${text} (${done + 1} of ${of})`;
@@ -279,7 +279,7 @@ async function start() {
   try {
     await ready();
     listen();
-    show(await getJson("/api/scene"));
+    show(await getJson("api/scene"));
     $("loading").classList.add("done");
   } catch (error) {
     $("loading").classList.add("failed");

@@ -18,6 +18,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import simplify
 from semloc_jax.maps.elements import UPRIGHT_CLASSES, GeoOrigin, MapElement
 from semloc_jax.maps.semantic_map import SemanticMap
+from semloc_jax.storage import write_bytes
 from semloc_jax.structs import ElementClass
 
 MAGIC = b"SMAP\x01"
@@ -65,7 +66,7 @@ def write_compact(
     """
     packed = compact_bytes(semantic_map, resolution_m, thinning_m, labels)
     try:
-        Path(path).write_bytes(packed)
+        write_bytes(path, packed)
     except OSError as error:
         raise SemlocError(f"cannot write map {path}: {error.strerror}; give a path in a folder that exists") from error
 

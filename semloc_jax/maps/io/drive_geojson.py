@@ -23,12 +23,12 @@ def map_from_drive_geojson(document: Mapping[str, Any], name: str) -> SemanticMa
         name: what to call the map in messages.
 
     Raises:
-        SemlocError: a wrong geometry for a class, NaN coordinates, or an origin that is no place on earth.
+        SemlocError: an origin that is no place on earth.
     """
-    elements, skipped = elements_from_features(document, name)
+    elements, skipped, faulty = elements_from_features(document, name)
     frame = document.get("frame")
     frame_name = frame.get("name", "") if isinstance(frame, Mapping) else ""
-    return SemanticMap(elements, _origin(frame, name), name, skipped, str(frame_name))
+    return SemanticMap(elements, _origin(frame, name), name, skipped, str(frame_name), faulty)
 
 
 def write_drive_geojson(semantic_map: SemanticMap, path: str | Path) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, VIRTUAL, MapElement
+from semloc_jax.storage import write_text
 from semloc_jax.structs import ElementClass
 
 _LINE, _AREA, _ANY = frozenset({"LineString"}), frozenset({"Polygon"}), frozenset({"LineString", "Polygon"})
@@ -48,8 +49,9 @@ ToLocal = Callable[[np.ndarray], np.ndarray]
 
 def elements_from_features(
     document: Mapping[str, Any], name: str, to_local: ToLocal | None = None
-) -> tuple[tuple[MapElement, ...], dict[str, int]]:
-    """Returns the elements of a FeatureCollection, and how many features of each unknown class were left out.
+) -> tuple[tuple[MapElement, ...], dict[str, int], dict[str, str]]:
+    """Returns the elements of a FeatureCollection, how many features of each unknown class were left out, and what is
+    wrong with each feature that cannot be read, by its id.
 
     Args:
         document: parsed GeoJSON.
@@ -58,13 +60,23 @@ def elements_from_features(
     """
     found: list[MapElement] = []
     skipped: Counter[str] = Counter()
+    faulty: dict[str, str] = {}
     for index, feature in enumerate(document["features"]):
-        element = element_from_feature(feature, index, name, to_local)
+        try:
+            element = element_from_feature(feature, index, name, to_local)
+        except SemlocError as error:
+            faulty[feature_id(feature, index)] = str(error)
+            continue
         if isinstance(element, str):
             skipped[element] += 1
         else:
             found.append(element)
-    return tuple(found), dict(skipped)
+    return tuple(found), dict(skipped), faulty
+
+
+def feature_id(feature: Any, index: int) -> str:
+    """Returns the id of a feature, its place in the file where it has none."""
+    return str(feature.get("id", index) if isinstance(feature, Mapping) else index)
 
 
 def write_features(path: str | Path, members: Mapping[str, Any], features: list[dict[str, Any]]) -> None:
@@ -72,7 +84,7 @@ def write_features(path: str | Path, members: Mapping[str, Any], features: list[
     head = json.dumps({"type": "FeatureCollection", **members}, allow_nan=False)
     try:
         lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
-        Path(path).write_text(f'{head[:-1]}, "features": [\n{lines}\n]}}\n', encoding="utf-8")
+        write_text(path, f'{head[:-1]}, "features": [\n{lines}\n]}}\n')
     except OSError as error:
         raise SemlocError(f"cannot write map {path}: {error.strerror}; give a path in a folder that exists") from error
     except ValueError as error:

@@ -14,7 +14,7 @@ from semloc_jax.maps.io.argoverse2 import find_archive, is_argoverse2, map_from_
 from semloc_jax.maps.io.compact import read_compact, write_compact
 from semloc_jax.maps.io.drive_geojson import map_from_drive_geojson, write_drive_geojson
 from semloc_jax.maps.io.geojson import map_from_geojson, write_geojson
-from semloc_jax.maps.io.geopackage import read_geopackage, write_geopackage
+from semloc_jax.maps.io.geopackage import StoredMap, read_geopackage, write_geopackage
 from semloc_jax.maps.io.json_stream import JsonFile, JsonList
 from semloc_jax.maps.io.lanelet2 import read_lanelet2
 from semloc_jax.maps.io.lanelet2_writer import write_lanelet2
@@ -22,6 +22,8 @@ from semloc_jax.maps.io.ngii import is_ngii, read_ngii
 from semloc_jax.maps.io.nuscenes import is_nuscenes, map_from_nuscenes
 from semloc_jax.maps.io.opendrive import read_opendrive
 from semloc_jax.maps.semantic_map import SemanticMap
+from semloc_jax.maps.soundness import sound
+from semloc_jax.storage import reading
 
 _HEAD_BYTES = 4096
 
@@ -121,9 +123,14 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
         SemlocError: no such file, no known format, broken content, or nothing in it that can be seen.
     """
     path = _map_in(Path(path))
-    found = _reader(path)(path, origin)
+    read = _reader(path)
+    with reading(f"map {path.name}"):
+        found = read(path, origin)
+    if not isinstance(found, StoredMap):  # which looks at its elements when it reads them
+        found = sound(found)
     if not found.is_visible:
         unknown = ", ".join(f"{count} {name}" for name, count in sorted(found.skipped.items()))
+        unknown = "; ".join(filter(None, [unknown, *list(found.faulty.values())[:1]]))
         raise SemlocError(
             f"map {path.name}: no element that a camera could see (left out: {unknown or 'nothing'}); "
             "expected markings, poles or signs with a known `class`"

@@ -4,7 +4,8 @@ In: a FeatureCollection with the property names of `features`. Out: SemanticMap 
 The foreign member `origin` {lat_deg, lon_deg, alt_m} fixes the frame; without it the middle of the features is taken.
 """
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,8 @@ def map_from_geojson(document: Mapping[str, Any], name: str, origin: GeoOrigin |
         lon, lat, alt = lon_lat_alt.T
         return enu_from_wgs84(lat, lon, alt, origin)
 
-    elements, skipped = elements_from_features(document, name, to_local)
-    return SemanticMap(elements, origin, name, skipped, str(document.get("frame_name", "")))
+    elements, skipped, faulty = elements_from_features(document, name, to_local)
+    return SemanticMap(elements, origin, name, skipped, str(document.get("frame_name", "")), faulty)
 
 
 def write_geojson(semantic_map: SemanticMap, path: str | Path) -> None:
@@ -82,14 +83,21 @@ def _named_origin(document: Mapping[str, Any], name: str) -> GeoOrigin | None:
 
 def _middle(document: Mapping[str, Any], name: str) -> GeoOrigin:
     """Returns the middle of the first points of all features, rounded to about 1 m, at the median height."""
-    features = enumerate(document["features"])
-    elements = (element_from_feature(feature, index, name) for index, feature in features)
-    first = np.array([element.points[0].tolist() for element in elements if not isinstance(element, str)])
+    first = np.array([*_first_points(document, name)])
     if not len(first):
         return GeoOrigin(0.0, 0.0)
     _require_degrees(first, name)
     lon, lat = 0.5 * (first[:, :2].min(axis=0) + first[:, :2].max(axis=0))
     return GeoOrigin(round(float(lat), 5), round(float(lon), 5), round(float(np.median(first[:, 2])), 1))
+
+
+def _first_points(document: Mapping[str, Any], name: str) -> Iterator[list[float]]:
+    """Yields the first point of each feature that can be read."""
+    for index, feature in enumerate(document["features"]):
+        with contextlib.suppress(SemlocError):
+            element = element_from_feature(feature, index, name)
+            if not isinstance(element, str):
+                yield element.points[0].tolist()
 
 
 def _require_degrees(lon_lat_alt: np.ndarray, name: str) -> None:

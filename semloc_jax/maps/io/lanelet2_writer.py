@@ -16,6 +16,7 @@ from semloc_jax.geometry.geodesy import wgs84_from_enu
 from semloc_jax.maps.elements import VIRTUAL, GeoOrigin, MapElement
 from semloc_jax.maps.io import lanelet2_exact
 from semloc_jax.maps.semantic_map import SemanticMap
+from semloc_jax.storage import writing
 from semloc_jax.structs import ElementClass
 
 ORIGIN, NAME, FRAME = "semloc_origin", "semloc_name", "semloc_frame"
@@ -50,7 +51,7 @@ def write_lanelet2(semantic_map: SemanticMap, path: str | Path) -> None:
         SemlocError: the file cannot be written, or an attribute has no form in JSON.
     """
     try:
-        with Path(path).open("w", encoding="utf-8") as stream:
+        with writing(path) as partial, partial.open("w", encoding="utf-8") as stream:
             stream.writelines(_lines(semantic_map))
     except OSError as error:
         raise SemlocError(f"cannot write map {path}: {error.strerror}; give a path in a folder that exists") from error

@@ -4,6 +4,7 @@ In: a SemanticMap or a path. Out: the file, or a StoredMap, which reads elements
 The layer `elements` keeps every field of an element exactly; other programs show it like any other layer.
 """
 
+import contextlib
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator
@@ -19,6 +20,7 @@ from semloc_jax.maps.io.geopackage.foreign import read_foreign
 from semloc_jax.maps.io.geopackage.geometry import to_blob
 from semloc_jax.maps.io.geopackage.stored_map import StoredMap
 from semloc_jax.maps.semantic_map import SemanticMap
+from semloc_jax.storage import writing
 
 __all__ = ["StoredMap", "read_geopackage", "write_geopackage"]
 
@@ -29,23 +31,13 @@ def write_geopackage(semantic_map: SemanticMap, path: str | Path) -> None:
     Raises:
         SemlocError: the file cannot be written, or an attribute has no form in JSON.
     """
-    path = Path(path)
-    part = path.with_name(path.name + ".part")
     try:
-        part.unlink(missing_ok=True)
-        connection = schema.create(part)
-        try:
+        with writing(path) as partial, contextlib.closing(schema.create(partial)) as connection:
             _fill(connection, semantic_map)
-        finally:
-            connection.close()
-        part.replace(path)
     except (OSError, sqlite3.Error) as error:
         raise SemlocError(f"cannot write map {path}: {error}; give a path in a folder that exists") from error
     except (TypeError, ValueError) as error:
         raise SemlocError(f"cannot write map {path}: an attribute has no form in JSON ({error})") from error
-    finally:
-        if part.parent.is_dir():
-            part.unlink(missing_ok=True)
 
 
 def read_geopackage(path: str | Path) -> SemanticMap:

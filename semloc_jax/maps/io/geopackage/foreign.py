@@ -14,7 +14,7 @@ import numpy as np
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import enu_from_projected, enu_from_wgs84
 from semloc_jax.maps.elements import GeoOrigin, MapElement
-from semloc_jax.maps.io.features import element_from_feature
+from semloc_jax.maps.io.features import element_from_feature, feature_id
 from semloc_jax.maps.io.geopackage import schema
 from semloc_jax.maps.io.geopackage.geometry import from_blob
 from semloc_jax.maps.semantic_map import SemanticMap
@@ -38,6 +38,7 @@ def read_foreign(connection: schema.GuardedConnection, name: str) -> SemanticMap
     origin: GeoOrigin | None = None
     elements: list[MapElement] = []
     skipped: Counter[str] = Counter()
+    faulty: dict[str, str] = {}
     for table, column, srs_id, organization, code in layers:
         where = f"map {name}: layer {str(table)[:40]}"
         if not connection.is_table(table):
@@ -49,12 +50,16 @@ def read_foreign(connection: schema.GuardedConnection, name: str) -> SemanticMap
         to_local = _to_local(crs, origin)
         for index, (properties, points, closed, has_height) in enumerate(features):
             feature = _feature(properties, points, closed, has_height)
-            element = element_from_feature(feature, index, f"{name}: layer {table}", to_local)
+            try:
+                element = element_from_feature(feature, index, f"{name}: layer {table}", to_local)
+            except SemlocError as error:
+                faulty[f"{table} {feature_id(feature, index)}"] = str(error)
+                continue
             if isinstance(element, str):
                 skipped[element] += 1
             else:
                 elements.append(element)
-    return SemanticMap(tuple(elements), origin, name, dict(skipped))
+    return SemanticMap(tuple(elements), origin, name, dict(skipped), faulty=faulty)
 
 
 def _features(connection: schema.GuardedConnection, table: str, column: str, where: str) -> Iterator[Any]:

@@ -3,8 +3,9 @@
 In: an open connection of sqlite3. Out: an empty GeoPackage 1.3 with an R-tree, or one line that says what is broken.
 """
 
+import itertools
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from semloc_jax.errors import SemlocError
@@ -121,6 +122,11 @@ class GuardedConnection(sqlite3.Connection):
         """Returns all rows of a query, at most five million."""
         self._steps = 0
         return self.execute(query, tuple(values)).fetchmany(_MOST_ROWS)
+
+    def walk(self, query: str, values: Iterable[object] = ()) -> Iterator[tuple]:
+        """Yields the rows of a query one by one, at most five million."""
+        self._steps = 0
+        yield from itertools.islice(self.execute(query, tuple(values)), _MOST_ROWS)
 
     def is_table(self, name: str) -> bool:
         """Returns whether `name` is a real table: a view could hide anything."""

@@ -6,7 +6,7 @@ In: a connection to our own GeoPackage. Out: StoredMap, a SemanticMap whose quer
 import json
 import sqlite3
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,7 @@ from semloc_jax.maps.semantic_map import (
     reaches_ahead,
     require_place,
 )
+from semloc_jax.maps.soundness import fault_of, tell
 from semloc_jax.structs import ElementClass
 
 _MOST_CACHED = 50_000
@@ -71,12 +72,13 @@ class StoredMap(SemanticMap):
         object.__setattr__(self, "_file_name", file_name)
         object.__setattr__(self, "_cache", OrderedDict())
         object.__setattr__(self, "_row_of_id", {})
+        object.__setattr__(self, "faulty", {})
 
     @cached_property
     def elements(self) -> tuple[MapElement, ...]:
-        """Every element of the file, in its order: reads all of it."""
-        rows = self._ask(f"SELECT {_COLUMNS} FROM elements ORDER BY fid", ())
-        return tuple(_element(row, self._file_name) for row in rows)
+        """Every element of the file that is none of `faulty`, in its order: reads all of it."""
+        cursor = self._rows(f"SELECT {_COLUMNS} FROM elements ORDER BY fid", ())
+        return tuple(element for row in cursor if (element := self._sound(row)) is not None)
 
     @cached_property
     def labels(self) -> frozenset[ElementClass]:
@@ -101,7 +103,10 @@ class StoredMap(SemanticMap):
 
     def element_at(self, row: int) -> MapElement:
         """Returns the element at a place in the file."""
-        return self._items([row + 1])[0][0]
+        item = self._items([row + 1])[0]
+        if item is None:
+            raise SemlocError(f"map {self._file_name}: element {row + 1} is left out; see `faulty`")
+        return item[0]
 
     @cached_property
     def ground(self) -> GroundModel:
@@ -129,6 +134,8 @@ class StoredMap(SemanticMap):
         boxes = np.array(rows, dtype=np.float64).reshape(-1, 5)
         boxes = boxes[np.argsort(boxes[:, 0])]
         items = self._items(boxes[:, 0].astype(np.int64).tolist())
+        boxes = boxes[np.array([item is not None for item in items], dtype=bool)]
+        items = [item for item in items if item is not None]
         near = shapely.dwithin(np.array([item[1] for item in items], dtype=object), shapely.Point(x, y), radius_m)
         reach = np.maximum(np.abs(boxes[:, 1:3] - x).max(axis=1), 0.0) ** 2
         reach += np.maximum(np.abs(boxes[:, 3:5] - y).max(axis=1), 0.0) ** 2
@@ -146,18 +153,19 @@ class StoredMap(SemanticMap):
         """Returns the elements whose boxes come within a square about a place `[2]`, uncut."""
         x, y = center[:2]
         rows = self._ask(_WITHIN, (x - radius_m, x + radius_m, y - radius_m, y + radius_m))
-        return [element for element, _ in self._items(sorted(int(row[0]) for row in rows))]
+        return [item[0] for item in self._items(sorted(int(row[0]) for row in rows)) if item is not None]
 
-    def _items(self, fids: list[int]) -> list[tuple[MapElement, shapely.Geometry]]:
-        """Returns elements and their plan by number, from memory where they were read before."""
+    def _items(self, fids: list[int]) -> list[tuple[MapElement, shapely.Geometry] | None]:
+        """Returns elements and their plan by number, from memory where they were read before; None for faulty ones."""
         missing = [fid for fid in fids if fid not in self._cache]
         for start in range(0, len(missing), _AT_ONCE):
             some = missing[start : start + _AT_ONCE]
             marks = ", ".join("?" * len(some))
             for row in self._ask(f"SELECT {_COLUMNS} FROM elements WHERE fid IN ({marks})", some):
-                element = _element(row, self._file_name)
-                self._cache[row[0]] = (element, plan_geometry(element))
-                self._row_of_id[element.id] = row[0] - 1
+                element = self._sound(row)
+                self._cache[row[0]] = None if element is None else (element, plan_geometry(element))
+                if element is not None:
+                    self._row_of_id[element.id] = row[0] - 1
         lost = [fid for fid in fids if fid not in self._cache]
         if lost:
             raise SemlocError(f"map {self._file_name}: its R-tree names element {lost[0]}, which is not there")
@@ -168,6 +176,17 @@ class StoredMap(SemanticMap):
             self._cache.popitem(last=False)
         return items
 
+    def _sound(self, row: tuple) -> MapElement | None:
+        """Returns the element of a row; None, with one line of notice, where it cannot be meant."""
+        element = _element(row, self._file_name)
+        fault = fault_of(element)
+        if fault is None:
+            return element
+        if element.id not in self.faulty:
+            self.faulty[element.id] = fault
+            tell({element.id: fault}, self._file_name)
+        return None
+
     def _origin_of(self, found: list[MapElement], center: np.ndarray) -> np.ndarray:
         """Returns whole metres near the centre, `[3]`, at the height of what lies around it."""
         if center.size == 3 or not found:
@@ -175,8 +194,11 @@ class StoredMap(SemanticMap):
         return np.round(np.append(center, np.median([element.points[0, 2] for element in found])))
 
     def _ask(self, query: str, values: Iterable[object]) -> list[tuple]:
+        return list(self._rows(query, values))
+
+    def _rows(self, query: str, values: Iterable[object]) -> Iterator[tuple]:
         try:
-            return self._connection.ask(query, values)
+            yield from self._connection.walk(query, values)
         except (sqlite3.Error, UnicodeDecodeError) as error:
             why = " ".join(str(error).split())[:160]
             raise SemlocError(f"map {self._file_name}: cannot be read ({why}); is the file complete?") from error

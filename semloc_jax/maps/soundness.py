@@ -1,0 +1,58 @@
+"""Elements that cannot be meant, found when a map is read (room: maps; host).
+
+In: an element, or a map as its reader made it. Out: what is wrong; the map without such elements, each named.
+One corner 4,000 km away makes every query hold a contour around the earth; the rest of the map is as good as before.
+"""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from semloc_jax.maps.elements import LARGEST_M, UPRIGHT_CLASSES, MapElement
+from semloc_jax.maps.semantic_map import SemanticMap
+from semloc_jax.structs import ElementClass
+
+_LONGEST_STEP_M = 20_000.0
+"""From one vertex of a line to the next; longer than any straight road; ours."""
+_WHOLE = UPRIGHT_CLASSES | {
+    *(ElementClass.CROSSWALK, ElementClass.SIGN, ElementClass.ROAD_MARK, ElementClass.PARKING_SLOT),
+    *(ElementClass.PILLAR, ElementClass.SPEED_BUMP),
+}
+"""Classes of things that no query cuts."""
+_MOST_TOLD = 5
+_log = logging.getLogger(__name__)
+
+
+def fault_of(element: MapElement) -> str | None:
+    """What is wrong with an element on its own; None where nothing is."""
+    points = element.points
+    if element.closed or element.label in _WHOLE:
+        size_m = float(np.ptp(points, axis=0).max())
+        if size_m > LARGEST_M:
+            return f"{element.label.name} of {len(points)} points is {size_m / 1e3:.4g} km across"
+    elif len(points) > 1:
+        step_m = float(np.abs(np.diff(points, axis=0)).max())
+        if step_m > _LONGEST_STEP_M:
+            return f"{element.label.name} jumps {step_m / 1e3:.4g} km from one vertex to the next"
+    return None
+
+
+def sound(semantic_map: SemanticMap) -> SemanticMap:
+    """The map without faulty elements, which `faulty` names; the first of them are logged."""
+    found = {element.id: fault for element in semantic_map.elements if (fault := fault_of(element)) is not None}
+    faulty = {**semantic_map.faulty, **found}
+    tell(faulty, semantic_map.name)
+    if not found:
+        return semantic_map
+    kept = tuple(element for element in semantic_map.elements if fault_of(element) is None)
+    return replace(semantic_map, elements=kept, faulty=faulty)
+
+
+def tell(faulty: Mapping[str, str], name: str) -> None:
+    """Log what was left out of a map, element by element."""
+    for key, fault in list(faulty.items())[:_MOST_TOLD]:
+        _log.warning("map %s: element '%s' is left out: %s", name, key[:60], fault)
+    if len(faulty) > _MOST_TOLD:
+        _log.warning("map %s: and %d more elements like these", name, len(faulty) - _MOST_TOLD)

@@ -1,0 +1,61 @@
+"""A frame or a fix that cannot be used costs itself only: the frames around it are as without it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from semloc_jax.datasets import GnssTrack, open_drive
+from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.measurements import GnssMeasurement
+from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.inputs.mask_source import mask_source
+from semloc_jax.inputs.priors import prior_source
+from semloc_jax.localization.localizer import Localizer
+from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
+from semloc_jax.localization.track_state import TrackStatus
+from semloc_jax.maps import read_map
+
+pytestmark = pytest.mark.usefixtures("single_precision")
+
+
+@pytest.fixture(scope="module")
+def pipeline(simulated_road):
+    drive = open_drive(simulated_road)
+    masks = mask_source("sem", drive)
+    localizer = Localizer(read_map(drive.map_path), masks.table, MotionLog.of_drive(drive))
+    return Pipeline(drive, masks, localizer, PipelineConfig(threads=False), prior_source("truth", drive))
+
+
+def _poses(results):
+    return [result.fused.T_map_base for result in results if result.fused is not None]
+
+
+def test_frames_out_of_order_cost_themselves_only(pipeline):
+    one, two, three = pipeline.drive.frames
+    in_order = list(pipeline.run([one, two, three]))
+    timeless = dataclasses.replace(two, time_s=float("nan"), id="timeless")
+    mixed = list(pipeline.run([one, two, two, one, timeless, three]))
+    said = [(result.frame_id, result.reasons) for result in mixed if result.fused is None]
+    assert [name for name, _ in said] == [two.id, one.id, "timeless"]
+    assert [reasons[0].split(" that of")[0] for _, reasons in said] == [
+        f"the frame of {two.time_s:.3f} s comes after",
+        f"the frame of {one.time_s:.3f} s comes after",
+        "the frame has the time nan",
+    ]
+    assert TrackStatus.TRACKING not in [result.status for result in mixed if result.fused is None]
+    np.testing.assert_array_equal(_poses(mixed), _poses(in_order))
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, -1.0, np.nan])
+def test_fixes_that_state_no_doubt_are_left_out(pipeline, sigma_m):
+    frame = pipeline.drive.frames[0]
+    localizer, start = pipeline.localizer, pipeline.localizer.start()
+    features = pipeline.features(frame, -np.inf)._replace(fixes=())
+    bad = GnssMeasurement(frame.time_s, np.zeros(3), np.full(3, sigma_m))
+    state, _ = localizer.step(start, features._replace(fixes=(bad,)))
+    without, _ = localizer.step(start, features)
+    np.testing.assert_array_equal(state.fixes.time_s, without.fixes.time_s)
+    if not np.isnan(sigma_m):
+        with pytest.raises(SemlocError, match="expected positive"):
+            GnssTrack(np.zeros(1), np.zeros((1, 3)), np.full((1, 3), sigma_m))
