@@ -10,30 +10,24 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from semloc_jax.alignment.modes import modes_in_map
-from semloc_jax.alignment.pose_prior import PosePrior, RoadSigmas
+from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.alignment.same_pose import ONE_PLACE
-from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, frame_input, localize_frame
+from semloc_jax.alignment.scene import SceneConfig
+from semloc_jax.alignment.single_frame import FrameInput, frame_input, localize_frame
 from semloc_jax.alignment.verdict import VerdictConfig, judge
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import LocalMap, SemanticMap, sample
-from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
+from semloc_jax.perception import ClassTable, cost_maps
 from semloc_jax.structs import SolveStatus
 
 
 @dataclass(frozen=True)
-class LocalizeConfig:
-    """Everything that decides how a frame is localized. All values are ours."""
+class LocalizeConfig(SceneConfig):
+    """Everything that decides how a frame is localized: the scene, and when a pose may be used."""
 
-    search_radius_m: float = 65.0
-    sample_spacing_m: float = 0.25
-    sample_capacity: int = 8192
-    """Most map samples of one frame; the spacing grows where the map holds more."""
-    road: RoadSigmas = field(default_factory=RoadSigmas)
-    cost_maps: CostMapConfig = field(default_factory=CostMapConfig)
-    frame: SingleFrameConfig = field(default_factory=SingleFrameConfig)
     verdict: VerdictConfig = field(default_factory=VerdictConfig)
 
 

@@ -5,7 +5,7 @@ No image is needed: perfect masks have their boundaries where the contours are, 
 to the nearest contour of the class.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import points_in_camera
@@ -61,11 +62,12 @@ def second_pose(
     rig: Rig,
     channel_of_label: Int[Array, " label"],
     config: AmbiguityConfig,
+    scene: SceneConfig,
 ) -> SecondPose:
     """The best explanation of the view from `T_map_base` at least `apart_m` away that is no flank of a better one."""
     ahead, left = config.grid()
     shifts = np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1)
-    share = explained_share(samples, T_map_base, rig, channel_of_label, shifts.reshape(-1, 2), config)
+    share = explained_share(samples, T_map_base, rig, channel_of_label, shifts.reshape(-1, 2), config, scene)
     share = share.reshape(shifts.shape[:2])
     border = jnp.pad(share, 1, mode="edge")
     beside = jnp.stack([border[2:, 1:-1], border[:-2, 1:-1], border[1:-1, 2:], border[1:-1, :-2]])
@@ -81,6 +83,7 @@ def explained_share(
     channel_of_label: Int[Array, " label"],
     shifts: Float[Array | np.ndarray, "n 2"],
     config: AmbiguityConfig,
+    scene: SceneConfig,
 ) -> Float[Array, " n"]:
     """Share of the map in view from each shifted pose that the masks of the unshifted pose explain, in [0, 1].
 
@@ -91,9 +94,11 @@ def explained_share(
         channel_of_label: Cost-map channel of each ElementClass.
         shifts: Longitudinal and lateral shift of the other poses [m].
         config: Ramp and number of samples.
+        scene: What cameras see of the map.
     """
     # With a margin: from a shifted pose other parts of the map are in view.
-    near = view(samples, T_map_base, rig, channel_of_label, ViewConfig(capacity=config.capacity, margin_share=0.3))
+    wide = replace(scene.view_of(ViewConfig(margin_share=0.3)), capacity=config.capacity)
+    near = view(samples, T_map_base, rig, channel_of_label, wide)
     here = [_contour(T_map_base, rig, index, near) for index in range(len(rig))]
     visible = [rig.cameras[i].in_image(*here[i][0]) & (near.weight[i] > 0) for i in range(len(rig))]
 

@@ -4,8 +4,8 @@ In: frames with truth, a map, masks, windows. Out: one Basin for each window, an
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from math import comb
 
 import jax
@@ -64,6 +64,12 @@ class BasinConfig:
     """Level of the cost maps on which the ends are scored, seen as from the end."""
     chunk: int = 32
     """Starts side by side on a CPU."""
+
+    @cached_property
+    def start(self) -> OneStartConfig:
+        """How a pose is found from one start in the scene."""
+        base, scene = self.one_start, self.localize
+        return replace(base, view=scene.view_of(base.view), align=scene.align_of(base.align))
 
 
 PLAIN = BasinConfig(
@@ -192,14 +198,14 @@ def _solve_all(
 def _solve(
     Ts_start: Float[Array, "n 4 4"], inputs: FrameInput, sigma: Float[Array, "6"], config: BasinConfig
 ) -> tuple[Float[Array, "n 4 4"], Float[Array, " n"]]:
-    align, end_view = config.one_start.align, ViewConfig()
+    align, end_view = config.start.align, config.localize.view_of(ViewConfig())
     # One length of map in view for all: the ends are compared by the share of it that they explain.
     in_view_px = total_weight(evidence_from(Ts_start[0], inputs, end_view).views)
     # Where in the window a pose lies says nothing about it: position and heading take no part in the score.
     road_sigma = sigma.at[jnp.array([0, 1, 5])].set(0.0)
 
     def one(T_start: Array) -> tuple[Array, Array]:
-        T_end = from_one_start(T_start, sigma, inputs, config.one_start)
+        T_end = from_one_start(T_start, sigma, inputs, config.start)
         seen = evidence_from(T_end, inputs, end_view)
         return T_end, score(T_end, config.rank_level, seen, Prior(T_start, road_sigma), align, in_view_px)
 

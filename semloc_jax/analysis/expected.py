@@ -6,8 +6,8 @@ the image normal of its contour over the ramp. The rest is as in `alignment.pose
 limits for each element and noise of a mask boundary.
 """
 
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import jax
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.pose import AlignConfig
-from semloc_jax.alignment.pose_prior import RoadSigmas
+from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.analysis.boundary_noise import BoundaryNoise
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.geometry import lie
@@ -29,22 +29,34 @@ from semloc_jax.structs import MapSamples, ViewSamples
 class ExpectedConfig:
     """What the expected accuracy of a place rests on. All values are ours."""
 
-    view: ViewConfig = field(default_factory=ViewConfig)
-    align: AlignConfig = field(default_factory=AlignConfig)
-    """Noise and correlation of mask boundaries; margin at the border of the image."""
-    noise: BoundaryNoise = field(default_factory=BoundaryNoise)
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    """View, noise of mask boundaries, road."""
+    boundary: BoundaryNoise = field(default_factory=BoundaryNoise)
     """How boundaries of real masks are displaced."""
-    road: RoadSigmas = field(default_factory=RoadSigmas)
+    shared_error: float | None = None
+    """As `ViewConfig.shared_error`; None for its default."""
     prior_xy_m: float = 1.0
     """What is known of the position before the image."""
     prior_heading_deg: float = 3.0
 
+    @cached_property
+    def view(self) -> ViewConfig:
+        """How the map is seen from a place."""
+        found = self.scene.view_of(ViewConfig())
+        return found if self.shared_error is None else replace(found, shared_error=self.shared_error)
+
+    @cached_property
+    def align(self) -> AlignConfig:
+        """Noise of mask boundaries; margin at the border of the image."""
+        return self.scene.align_of(AlignConfig())
+
     @property
     def prior_sigma(self) -> np.ndarray:
         """Standard deviations of the prior along the tangent, `float64[6]` [m, rad]."""
-        tilt = np.deg2rad(self.road.roll_pitch_deg)
+        road = self.scene.road
+        tilt = np.deg2rad(road.roll_pitch_deg)
         xy, heading = self.prior_xy_m, np.deg2rad(self.prior_heading_deg)
-        return np.array([xy, xy, self.road.height_m, tilt, tilt, heading])
+        return np.array([xy, xy, road.height_m, tilt, tilt, heading])
 
 
 def contour_rows(
@@ -155,7 +167,7 @@ def expected_scatter(
     The sandwich of `analysis.uncertainty`, with what is believed of masks in place of residuals. The information is
     about the right tangent of the pose [1/m, 1/rad]^2.
     """
-    noise, dtype = config.noise, T_map_base.dtype
+    noise, dtype = config.boundary, T_map_base.dtype
     seen = view(samples, T_map_base, rig, channel_of_label, config.view)
     found = _contours(T_map_base, rig, seen, config.align)
     information = jnp.einsum("cpi,cp,cpj->ij", found.row, found.weight, found.row)

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
-from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.single_frame import evidence_from
 from semloc_jax.analysis.certificate import CLAIMS, Certificate, CertificateConfig, Claim, certify
 from semloc_jax.cameras import Rig
@@ -37,4 +36,4 @@ def certify_frame(
     inputs, local_map = localizer.prepare(masks, rig, T_map_base)
     start = jnp.asarray(local_map.frame.from_map(T_map_base))
     evidence = evidence_from(start, inputs, localizer.config.frame.search_view)
-    return certify(start, evidence, AlignConfig(), config, claims)
+    return certify(start, evidence, localizer.config.frame.search_align, config, claims)

@@ -59,17 +59,19 @@ def element_information(
     table: ClassTable,
     Ts_map_base: Float[np.ndarray, "n 4 4"],
     config: SurveyConfig | None = None,
+    shared_error: float | None = None,
 ) -> ElementInformation:
-    """The information of every element of a map, in its order, at every place."""
+    """The information of every element of a map, in its order, at every place; `shared_error` as in `ViewConfig`."""
     config = config or SurveyConfig()
+    expected = replace(config.expected, shared_error=shared_error)
     viewer = PlaceViewer(semantic_map, table, config)
     row_of_id = {element.id: row for row, element in enumerate(semantic_map.elements)}
-    sigma = config.expected.prior_sigma
+    sigma = expected.prior_sigma
     total = np.zeros((len(Ts_map_base), len(semantic_map.elements), 6, 6))
     for place, T_map_base in enumerate(Ts_map_base):
         local_map = viewer.local_map(T_map_base)
         samples, T = viewer.samples(local_map, T_map_base)
-        parts = jax.device_get(_by_sample(samples, T, viewer.rig(rig), viewer.channel_of_label, config.expected))
+        parts = jax.device_get(_by_sample(samples, T, viewer.rig(rig), viewer.channel_of_label, expected))
         rows, weights, element = (part.reshape(-1, *part.shape[2:]) for part in parts)
         row_of_local = np.array([row_of_id[e.id] for e in local_map.elements])
         used = weights > 0
@@ -205,8 +207,7 @@ def small_map(
     whole_bytes = whole_bytes or map_bytes(semantic_map, write)
     # What is long is a sharper measure of the pose than many small things, unless its place in the map is doubted.
     config = config or SurveyConfig()
-    exact = replace(config.expected, view=replace(config.expected.view, shared_error=0.0))
-    information = element_information(thin, rig, table, Ts_map_base, replace(config, expected=exact))
+    information = element_information(thin, rig, table, Ts_map_base, config, shared_error=0.0)
     budget = limit = keep_share * whole_bytes
     # What a packed format needs for many elements is not the sum of what it needs for each: what is over is given back.
     for _ in range(20):

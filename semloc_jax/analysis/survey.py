@@ -5,7 +5,8 @@ In: a map, cameras, places along a way. Out: Survey: expected sigmas, ambiguity 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, sample_within
+from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.analysis.ambiguity import AmbiguityConfig, second_pose
+from semloc_jax.analysis.boundary_noise import BoundaryNoise
 from semloc_jax.analysis.expected import (
     DIRECTIONS,
     ExpectedConfig,
@@ -31,17 +34,23 @@ from semloc_jax.structs import MapSamples
 class SurveyConfig:
     """How a road is surveyed. All values are ours."""
 
-    expected: ExpectedConfig = field(default_factory=ExpectedConfig)
+    SECTION: ClassVar[str] = "survey"
+    """Where a configuration file holds all of this but the scene."""
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    boundary: BoundaryNoise = field(default_factory=BoundaryNoise)
+    """How boundaries of real masks are displaced."""
     ambiguity: AmbiguityConfig = field(default_factory=AmbiguityConfig)
-    search_radius_m: float = 65.0
-    sample_spacing_m: float = 0.25
-    sample_capacity: int = 8192
     weak_longitudinal_m: float = 0.1
     """A stretch is weak where the expected sigma is above this; a third of the alert limit of a local street."""
     weak_lateral_m: float = 0.1
     weak_heading_deg: float = 0.17
     weak_ambiguity: float = 0.6
     """... or where a second pose explains more than this share of the view."""
+
+    @cached_property
+    def expected(self) -> ExpectedConfig:
+        """What the expected accuracy of a place rests on."""
+        return ExpectedConfig(self.scene, self.boundary)
 
 
 @dataclass(frozen=True)
@@ -179,13 +188,14 @@ class PlaceViewer:
 
     def local_map(self, T_map_base: Float[np.ndarray, "4 4"]) -> LocalMap:
         """The map around a place."""
-        return self.map.query(T_map_base[:3, 3], self.config.search_radius_m)
+        return self.map.query(T_map_base[:3, 3], self.config.scene.search_radius_m)
 
     def samples(
         self, local_map: LocalMap, T_map_base: Float[np.ndarray, "4 4"]
     ) -> tuple[MapSamples, Float[np.ndarray, "4 4"]]:
         """Samples of a local map, and the pose in their frame and float type."""
-        samples = sample_within(local_map, self.config.sample_spacing_m, self.config.sample_capacity)
+        scene = self.config.scene
+        samples = sample_within(local_map, scene.sample_spacing_m, scene.sample_capacity)
         return samples, local_map.frame.from_map(T_map_base)
 
     @staticmethod
@@ -220,7 +230,7 @@ def _place(
 ) -> tuple[Array, Array, Array, Array]:
     """Sigmas [m, m, rad], ambiguity, place of the second pose, information."""
     covariance, information = expected_scatter(samples, T_map_base, rig, channel_of_label, config.expected)
-    second = second_pose(samples, T_map_base, rig, channel_of_label, config.ambiguity)
+    second = second_pose(samples, T_map_base, rig, channel_of_label, config.ambiguity, config.scene)
     return expected_sigma(covariance), second.share, second.shift_m, information
 
 

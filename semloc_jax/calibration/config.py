@@ -4,11 +4,11 @@ In: nothing. Out: SelfCalibrationConfig, MountPriors and the other parts of it.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
+from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.prediction import MotionNoise
-from semloc_jax.residuals.noise import NoiseModel
 
 Intrinsics = Literal["none", "focal", "all"]
 """What of the lenses is unknown: nothing; focal lengths and centre; distortion too."""
@@ -45,9 +45,6 @@ class CalibrationPriors:
 class FrameFactors:
     """What holds a frame beside its masks. All values are ours."""
 
-    road_height_m: float = 0.03
-    """Vehicle above the plane of the road in one frame: springs, and the plane itself."""
-    road_tilt_deg: float = 0.5
     gnss_inflation: float = 3.0
     """Neighbouring fixes share most of their error: n fixes are worth n over the square of this."""
     gnss_reach_s: float = 0.3
@@ -63,26 +60,26 @@ class FrameFactors:
 class SelfCalibrationConfig:
     """Everything that decides how a drive calibrates its sensors. All values are ours."""
 
+    SECTION: ClassVar[str] = "calibrate"
+    """Where a configuration file holds all of this but the scene."""
+    scene: LocalizeConfig = field(default_factory=LocalizeConfig)
     num_frames: int = 40
     """Frames used, spread evenly over the way."""
     min_spacing_m: float = 0.7
     """Frames nearer to each other than this say the same."""
     intrinsics: Intrinsics = "none"
-    ramp_px: tuple[float, ...] = (40.0, 14.0, 8.0, 3.0)
-    """Ramps of the levels of the cost maps, coarsest first. The last decides: what is hidden pulls as far as it
-    reaches. Four fisheyes with masks of a network are 0.06 deg off with 3 px, 0.07 with 6, 0.09 with 8. Masks that are
-    too thin on both sides of a line (by 0.2 to 0.4 px) turn no camera: estimated as well, they only added noise."""
-    stride: tuple[int, ...] = (4, 2, 2, 1)
+    levels: tuple[int, ...] = (0, 1, 2, 3)
+    """Levels of the cost maps of the scene, coarsest first. The ramp of the last decides: what is hidden pulls as far
+    as it reaches. Four fisheyes with masks of a network are 0.06 deg off with 3 px, 0.07 with 6, 0.09 with 8. Masks
+    that are too thin on both sides of a line (by 0.2 to 0.4 px) turn no camera: estimated as well, they only added
+    noise."""
     max_steps: int = 25
     """Most evaluations on each level."""
     tolerance: float = 2e-3
     """A level ends when a step is below this, in sigmas of the priors and in units of 10 cm and 0.6 deg of poses."""
-    noise: NoiseModel = field(default_factory=NoiseModel)
     min_inlier_ratio: float = 0.35
     """A level with a smaller share of the visible contour within its ramp is left out. Less than a single frame asks:
     all frames together tell what is common to them from the scatter of each."""
-    capacity: int = 1024
-    """Map samples of one picture."""
     observable_ratio: float = 0.35
     """A direction is observable where the drive leaves less than this share of its prior's sigma."""
     held_ratio: float = 0.8
@@ -92,9 +89,8 @@ class SelfCalibrationConfig:
     motion: MotionNoise = field(default_factory=MotionNoise)
 
     def __post_init__(self) -> None:
-        if len(self.ramp_px) != len(self.stride) or not self.ramp_px:
-            raise SemlocError(
-                f"calibration: ramp_px {self.ramp_px} and stride {self.stride} need one entry for each level"
-            )
+        num = len(self.scene.cost_maps.ramp_px)
+        if not self.levels or not set(self.levels) <= set(range(num)):
+            raise SemlocError(f"calibration: levels {self.levels}; expected some of 0 ... {num - 1}, coarsest first")
         if self.num_frames < 2:
             raise SemlocError(f"calibration: num_frames = {self.num_frames}; expected several frames, 40 is usual")

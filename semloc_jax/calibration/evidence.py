@@ -5,7 +5,7 @@ Everything is float64 relative to one origin: the way of a whole drive and tenth
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -24,7 +24,7 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.maps import SemanticMap
-from semloc_jax.perception import CostMapConfig, cost_maps
+from semloc_jax.perception import cost_maps
 from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.texture import RampTexture, pack
 from semloc_jax.residuals.view import ViewConfig, view
@@ -79,12 +79,12 @@ def picture_rows(
         rig: Cameras in pixels of the masks, with the best mounts so far.
         T_map_base: float64[n 4 4], map frame.
         local: Frame of all positions.
-        config: Capacity, unknown intrinsics.
+        config: Scene, unknown intrinsics.
     """
     localizer = pictures.localizer
     settings = localizer.config
     windows = MapWindows(localizer.map, settings.search_radius_m, settings.sample_spacing_m, settings.sample_capacity)
-    how = ViewConfig(capacity=config.capacity, margin_share=_MARGIN_SHARE, noise=config.noise)
+    how = config.scene.view_of(ViewConfig(margin_share=_MARGIN_SHARE))
     seen = [_seen(windows, rig, T, localizer.channel_of_label, how, local) for T in T_map_base]
     groups = []
     for group in pictures.rig.groups():
@@ -149,7 +149,7 @@ def level_texture(pictures: Pictures, ramp_px: float, stride: int, finest_stride
 
     The texture has room for the level of `finest_stride`: of one size, all levels share a compiled solver.
     """
-    config = CostMapConfig(ramp_px=(ramp_px,), stride=(stride,))
+    config = replace(pictures.localizer.config.cost_maps, ramp_px=(ramp_px,), stride=(stride,))
     table, num = pictures.localizer.shown, len(pictures.rig) * len(pictures.localizer.shown.channels)
     shape = [max(mask.shape[axis] for masks in pictures.masks for mask in masks) for axis in (0, 1)]
     size, most = (num * (-(-shape[0] // s)) * (-(-shape[1] // s)) for s in (stride, finest_stride))
@@ -233,7 +233,8 @@ def anchors_of(
             fix_base[i] = carried[:3, :3] @ np.array(gnss.antenna_base) + carried[:3, 3]
             p_fix[i] = local.from_map(gnss.p_enu[fix, :2], np.float64)
             fix_info[i] = 1.0 / (factors.gnss_inflation * gnss.sigma_m[fix, :2])
-    road_info = np.tile(1.0 / np.array([factors.road_height_m] + 2 * [np.deg2rad(factors.road_tilt_deg)]), (num, 1))
+    road = config.scene.road
+    road_info = np.tile(1.0 / np.array([road.height_m] + 2 * [np.deg2rad(road.roll_pitch_deg)]), (num, 1))
     point, T_reference = local.from_map(point, np.float64), local.from_map(T_reference, np.float64)
     arrays = (fix_base, p_fix, fix_info, point, normal, road_info, T_reference, reference_info)
     return Anchors(*(jnp.asarray(array) for array in arrays))

@@ -10,7 +10,6 @@ from itertools import pairwise
 import jax
 import numpy as np
 
-from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.alignment.pose_prior import PriorSource, RoadSigmas
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.calibration.config import SelfCalibrationConfig
@@ -90,9 +89,9 @@ def start_poses(
     and a tilted vehicle look alike.
     """
     chosen = choose_frames(drive, config.num_frames, config.min_spacing_m)
-    tilt_deg = float(np.hypot(config.priors.mount_deg, RoadSigmas().roll_pitch_deg))
-    height_m = float(np.hypot(2.0 * config.priors.mount_m, RoadSigmas().height_m))
-    settings = replace(LocalizeConfig(), road=RoadSigmas(height_m, tilt_deg))
+    tilt_deg = float(np.hypot(config.priors.mount_deg, config.scene.road.roll_pitch_deg))
+    height_m = float(np.hypot(2.0 * config.priors.mount_m, config.scene.road.height_m))
+    settings = replace(config.scene, road=RoadSigmas(height_m, tilt_deg))
     found = localize_frames(drive, semantic_map, masks, prior, chosen, config=settings, on_frame=on_frame)
     found = [result for result in found if np.isfinite(result.T_map_base).all()]
     if len(found) < MIN_FRAMES:

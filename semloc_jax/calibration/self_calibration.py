@@ -124,7 +124,7 @@ def calibrate_from(
     if len(start.frames) < MIN_FRAMES:
         raise SemlocError(f"calibration: given {len(start.frames)} frames; expected at least {MIN_FRAMES}")
     masks = with_common_offset(masks)
-    pictures = Pictures.of(start.frames, drive.rig, masks, FrameLocalizer(semantic_map, masks.table))
+    pictures = Pictures.of(start.frames, drive.rig, masks, FrameLocalizer(semantic_map, masks.table, config.scene))
     local = LocalFrame(start.T_map_base[:, :3, 3].mean(axis=0))
     log = MotionLog.of_drive(drive, config.motion) if start.motion is not None else None
     poses = None if reference is None else _reference_poses(reference, start.frames)
@@ -171,12 +171,14 @@ def _coarse_to_fine(
         jnp.asarray(_NOMINAL),
     )
     motion, sigma, best = motion_of(start, config), jnp.asarray(_sigmas(rig, config)), None
-    for ramp_px, stride in zip(config.ramp_px, config.stride, strict=True):
-        texture, usable = level_texture(pictures, ramp_px, stride, min(config.stride))
+    maps = config.scene.cost_maps
+    strides = [maps.stride[level] for level in config.levels]
+    for ramp_px, stride in zip([maps.ramp_px[level] for level in config.levels], strides, strict=True):
+        texture, usable = level_texture(pictures, ramp_px, stride, min(strides))
         T_map_base = local.to_map(state.T_map_base)
         moved = eqx.tree_at(lambda r: r.T_base_cam, rig, np.asarray(state.T_base_cam))
         rows = picture_rows(pictures, moved, T_map_base, local, config)
-        gain = jnp.asarray(config.noise.gain(ramp_px))
+        gain = jnp.asarray(config.scene.noise.gain(ramp_px))
         nominal = jnp.asarray(np.asarray(rig.T_base_cam, np.float64))
         problem = CalibrationProblem(rows, texture, gain, motion, anchors, nominal, jnp.asarray(_NOMINAL), sigma)
         solution = solve_calibration(problem, state, usable, tolerance=config.tolerance, max_steps=config.max_steps)

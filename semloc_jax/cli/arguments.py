@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import Annotated, Any
 
+from semloc_jax.cli.shared_config import assembled, flat, is_shared, own_part
 from semloc_jax.errors import UsageError
 from semloc_jax.inputs.config_files import check_keys, flags, flatten, read_yaml, suggestion, with_lengths
 from semloc_jax.inputs.settings_check import require_plausible
@@ -49,10 +50,11 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
         path = _config_path(words)
         if path is not None:
             settings, from_file = read_settings(path, verb.Options, settings)
-        known += flags(settings)
+        values = flat(settings)
+        known += flags(values)
         options_type = dataclasses.make_dataclass(
             verb.Options.__name__,
-            [("settings", _values_only(type(settings)), dataclasses.field(default=settings))],
+            [("settings", _values_only(type(values)), dataclasses.field(default=values))],
             bases=(verb.Options,),
             frozen=True,
             kw_only=True,
@@ -61,9 +63,11 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
         flag = word.split("=", 1)[0].replace("_", "-")
         if re.match(r"--[a-zA-Z]", flag) and flag not in known:
             raise UsageError(f"unknown option '{flag}'{suggestion(flag, known)}")
-    found = _run_tyro(options_type, [*from_file, *words], prog)
-    require_plausible(found, "--")
-    return found
+    options = _run_tyro(options_type, [*from_file, *words], prog)
+    require_plausible(options, "--")
+    if hasattr(verb, "default_settings"):
+        options = dataclasses.replace(options, settings=assembled(settings, options.settings))
+    return options
 
 
 def read_settings(path: str, options_type: type, defaults: Any) -> tuple[Any, list[str]]:
@@ -75,14 +79,19 @@ def read_settings(path: str, options_type: type, defaults: Any) -> tuple[Any, li
     content = read_yaml(path)
     optional = [f.name for f in dataclasses.fields(options_type) if f.default is not dataclasses.MISSING]
     option_keys = [name for name in optional if name not in NOT_IN_FILES]
-    check_keys(content, defaults, f"config {path}", option_keys)
+    if is_shared(defaults):
+        content = own_part(content, defaults, option_keys, f"config {path}")
+    else:
+        check_keys(content, defaults, f"config {path}", option_keys)
+    values = flat(defaults)
     for_verb = {key: value for key, value in content.items() if key in option_keys and value is not None}
     for_settings = {key: value for key, value in content.items() if key not in option_keys}
-    settings = with_lengths(defaults, for_settings)
-    settings = _run_tyro(_values_only(type(defaults)), list(flatten(for_settings)), f"config {path}", settings)
+    values = with_lengths(values, for_settings)
+    values = _run_tyro(_values_only(type(values)), list(flatten(for_settings)), f"config {path}", values)
+    settings = assembled(defaults, values)
     switches = [f"--{key.replace('_', '-')}" for key, value in for_verb.items() if value is True]
-    values = {key: value for key, value in for_verb.items() if not isinstance(value, bool)}
-    return settings, [*switches, *flatten(values)]
+    others = {key: value for key, value in for_verb.items() if not isinstance(value, bool)}
+    return settings, [*switches, *flatten(others)]
 
 
 def _config_path(words: Sequence[str]) -> str | None:

@@ -68,8 +68,8 @@ def run(options: Options) -> int:
     every = 1 if options.every is None else options.every
     if not 0 < options.shift_cm <= 100 or min(options.check, options.scatter) < 0 or min(options.top, every) < 1:
         raise UsageError("--shift-cm: expected 0 to 100; --check, --scatter: 0 or more; --top, --every: 1 or more")
-    frame = dataclasses.replace(options.settings.frame, seed=options.seed)
-    settings = dataclasses.replace(options.settings, frame=frame)
+    search = dataclasses.replace(options.settings.search, seed=options.seed)
+    settings = dataclasses.replace(options.settings, search=search)
     return _frame(options, settings) if options.every is None else _drive(options, settings)
 
 

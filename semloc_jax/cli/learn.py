@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from semloc_jax.inputs.drive_inputs import Inputs
     from semloc_jax.learning import Accuracy, Fit, LearningConfig
 
-LEARNED, LEARNED_TRACK = "learned.yaml", "track_learned.yaml"
+LEARNED = "learned.yaml"
 _COLUMNS = (("position_m", 100, 2), ("p95_m", 100, 1), ("heading_deg", 1, 3), ("nees", 1, 2), ("nees_median", 1, 2))
 """Of the report: name, factor, digits."""
 
@@ -27,8 +27,8 @@ class Options:
 
     What is minimised is the negative log-likelihood of the true poses, with derivatives through the solve: accuracy and
     honesty of the covariance together. Drives for validation decide when to stop and how wide the covariance is. Writes
-    learned.yaml for localize --config, track_learned.yaml for track --config, report.md and report.json with the errors
-    on every drive before and after, and config.yaml.
+    learned.yaml, which every verb takes as its --config, report.md and report.json with the errors on every drive
+    before and after, and config.yaml.
 
     Judge it by the drives that are held out. Every value of the configuration is an option too, e.g. --num-frames 30.
     """
@@ -69,11 +69,9 @@ def run(options: Options) -> int:
         calibrated,
         fit,
         learned_config,
-        learned_track_config,
         learned_values,
         training_frames,
     )
-    from semloc_jax.localization.localizer import TrackConfig
     from semloc_jax.reports import results
 
     if not options.drives:
@@ -98,13 +96,12 @@ def run(options: Options) -> int:
     asked = options.validation or options.drives
     drives = [(given.drive, given.map, given.masks) for (path, _), given in inputs.items() if path in asked]
     values = calibrated(learned_values(found.parameters, table, config), drives, config)
-    learned = learned_config(values, config.localize)
+    learned = learned_config(values, config.scene)
     rows = [
-        (_name(path, name), _role(path, options), *_judged(given, (config.localize, learned), config))
+        (_name(path, name), _role(path, options), *_judged(given, (config.scene, learned), config))
         for (path, name), given in tqdm(inputs.items(), unit="drive", desc="judging", disable=None)
     ]
-    _write_learned(folder / LEARNED, config.localize, learned, options)
-    _write_learned(folder / LEARNED_TRACK, TrackConfig(), learned_track_config(values, TrackConfig()), options)
+    _write_learned(folder / LEARNED, config.scene, learned, options)
     others = {"validation": [str(p) for p in options.validation], "held_out": [str(p) for p in options.held_out]}
     results.write_record(folder, config, {"masks": options.masks, "maps": list(options.maps)} | others)
     text = _report(found, rows)
@@ -156,7 +153,7 @@ def changes(before: object, after: object) -> dict:
     from semloc_jax.inputs.config_files import is_settings, to_plain
 
     found = {}
-    for name in vars(before):
+    for name in to_plain(before):
         old, new = getattr(before, name), getattr(after, name)
         if is_settings(old):
             inner = changes(old, new)

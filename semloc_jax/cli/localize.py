@@ -91,9 +91,9 @@ def localize(options: Options, settings: "LocalizeConfig") -> int:
 
 def _settings(options: Options, settings: "LocalizeConfig") -> "LocalizeConfig":
     """The configuration with what the verb's own options say about it."""
-    num = settings.frame.num_hypotheses if options.hypotheses is None else options.hypotheses
-    frame = dataclasses.replace(settings.frame, num_hypotheses=num, seed=options.seed)
-    return dataclasses.replace(settings, frame=frame)
+    num = settings.search.num_hypotheses if options.hypotheses is None else options.hypotheses
+    search = dataclasses.replace(settings.search, num_hypotheses=num, seed=options.seed)
+    return dataclasses.replace(settings, search=search)
 
 
 def _localize(inputs: Inputs, chosen: slice, settings: "LocalizeConfig") -> "list[LocalizationResult]":

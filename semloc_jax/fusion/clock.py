@@ -31,6 +31,10 @@ class ClockConfig:
     """A difference beyond this squared normalised length says nothing of the clock."""
 
 
+BELIEFS = ClockConfig()
+"""What is believed where nobody says otherwise; no drive asked for other values."""
+
+
 class ClockOffset(NamedTuple):
     """Time of the motion sensors less that of the cameras [s], and its variance [s^2]."""
 

@@ -49,6 +49,10 @@ class NoiseConfig:
     gyro_bias_sigma_degps: float = 0.02
 
 
+BELIEFS = NoiseConfig()
+"""What is believed where nobody says otherwise; no drive asked for other values."""
+
+
 class Passed(NamedTuple):
     """The last measured poses, newest last; those not there yet have the time -inf."""
 

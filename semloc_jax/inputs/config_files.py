@@ -118,6 +118,34 @@ def to_plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
+SCENE = "scene"
+"""Field of the settings of a verb whose fields stand at the top level of a file."""
+
+
+def section_of(settings: Any) -> str | None:
+    """Name of the section of a file that holds the settings of a verb; None where they stand at the top level."""
+    return getattr(type(settings), "SECTION", None)
+
+
+def own_fields(settings: Any) -> dict[str, Any]:
+    """What a verb has to say besides the scene, by name."""
+    return {name: getattr(settings, name) for name in _names(settings) if name != SCENE}
+
+
+def flat_fields(settings: Any) -> dict[str, Any]:
+    """Settings as options of a command line: the fields of the scene and those of the verb side by side."""
+    if section_of(settings) is None:
+        return {name: getattr(settings, name) for name in _names(settings)}
+    return flat_fields(getattr(settings, SCENE)) | own_fields(settings)
+
+
+def to_file(settings: Any) -> dict[str, Any]:
+    """Settings as a configuration file holds them: the scene at the top level, the rest in the section of the verb."""
+    if section_of(settings) is None:
+        return to_plain(settings)
+    return to_plain(getattr(settings, SCENE)) | {section_of(settings): to_plain(own_fields(settings))}
+
+
 def suggestion(word: str, known: Sequence[str]) -> str:
     """`; did you mean '...'?` where a known word is close, else nothing."""
     close = difflib.get_close_matches(word, known, n=1)

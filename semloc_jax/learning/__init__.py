@@ -5,7 +5,7 @@ from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.evaluate import Accuracy, evaluate
 from semloc_jax.learning.fit import Fit, fit
 from semloc_jax.learning.loss import pose_nll
-from semloc_jax.learning.parameters import Learned, Parameters, learned_config, learned_track_config, learned_values
+from semloc_jax.learning.parameters import Learned, Parameters, learned_config, learned_values
 from semloc_jax.learning.scenes import TrainingFrame, training_frame, training_frames
 
 __all__ = [
@@ -19,7 +19,6 @@ __all__ = [
     "evaluate",
     "fit",
     "learned_config",
-    "learned_track_config",
     "learned_values",
     "pose_nll",
     "training_frame",

@@ -36,7 +36,7 @@ def calibrated(
     tried: list[tuple[float, float]] = []
     length_px = learned.correlation_px
     for _ in range(config.num_calibrations):
-        settings = learned_config(learned._replace(correlation_px=length_px), config.localize)
+        settings = learned_config(learned._replace(correlation_px=length_px), config.scene)
         found = [evaluate(*drive, settings, config) for drive in drives]
         nees = sum(one.nees * np.sum(one.is_near) for one in found) / sum(np.sum(one.is_near) for one in found)
         tried.append((np.log(length_px), np.log(nees)))

@@ -4,9 +4,9 @@ In: nothing. Out: LearningConfig.
 """
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
-from semloc_jax.alignment.implicit import SmoothConfig
 from semloc_jax.errors import SemlocError
 
 
@@ -14,6 +14,10 @@ from semloc_jax.errors import SemlocError
 class LearningConfig:
     """Everything that decides what is learned. All values are ours."""
 
+    SECTION: ClassVar[str] = "learn"
+    """Where a configuration file holds all of this but the scene."""
+    scene: LocalizeConfig = field(default_factory=LocalizeConfig)
+    """The configuration to start from."""
     num_frames: int = 16
     """Frames of each drive, spread evenly over it."""
     sigma_m: float = 1.0
@@ -53,9 +57,6 @@ class LearningConfig:
     """Steps after which the frames for validation are asked; the best answer is kept."""
     seed: int = 0
     """Of the priors' errors and of the batches."""
-    localize: LocalizeConfig = field(default_factory=LocalizeConfig)
-    """The configuration to start from."""
-    smooth: SmoothConfig = field(default_factory=SmoothConfig)
 
     def __post_init__(self) -> None:
         for name in ("num_frames", "num_steps", "batch", "judge_every"):

@@ -9,12 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from semloc_jax.alignment.implicit import SmoothEstimate, polish
+from semloc_jax.alignment.implicit import SmoothConfig, SmoothEstimate, polish
 from semloc_jax.geometry import lie
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.parameters import Parameters
 from semloc_jax.learning.scenes import TrainingFrame
 from semloc_jax.structs import SolveStatus
+
+_POLISH = SmoothConfig()
+"""How exact a solve is before its derivative is taken; learning never needed it otherwise."""
 
 PLANAR = np.array([0, 1, 5])
 """Along, across, heading: what is asked of a vehicle; height and tilt are those of the road."""
@@ -50,7 +53,7 @@ def solved(parameters: Parameters, frame: TrainingFrame, config: LearningConfig)
     learned."""
     model, nats_per_px = parameters.model(frame.place, config)
     scene = eqx.tree_at(lambda s: (s.model, s.nats_per_px), frame.scene, (model, nats_per_px))
-    return polish(frame.T_start, scene, parameters.road(frame.prior), config.smooth)
+    return polish(frame.T_start, scene, parameters.road(frame.prior), _POLISH)
 
 
 def frame_score(parameters: Parameters, frame: TrainingFrame, config: LearningConfig) -> FrameScore:

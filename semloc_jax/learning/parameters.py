@@ -14,7 +14,6 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.learning.config import LearningConfig
-from semloc_jax.localization.localizer import TrackConfig
 from semloc_jax.perception import ClassTable
 from semloc_jax.residuals.smooth import ChannelModel
 from semloc_jax.structs import ElementClass
@@ -54,7 +53,7 @@ class Parameters(eqx.Module):
             place: Place of each of its channels in the class table.
             config: Defaults.
         """
-        align, maps = config.localize.frame.polish_align, config.localize.cost_maps
+        align, maps = config.scene.frame.polish_align, config.scene.cost_maps
         weight = jnp.exp(self.weight[place])
         ones = jnp.ones_like(weight)
         ramp_px = jnp.minimum(maps.ramp_px[-1] * jnp.exp(self.ramp), 0.95 * config.stored_ramp_px)
@@ -82,42 +81,20 @@ def learned_values(parameters: Parameters, table: ClassTable, config: LearningCo
         channel = table.channel_of(label)
         if channel >= 0:
             factor[label] = np.exp(float(parameters.weight[channel]))
-    ramp_px = config.localize.cost_maps.ramp_px[-1] * float(np.exp(parameters.ramp))
-    correlation_px = config.localize.frame.polish_align.noise.correlation_px * float(np.exp(parameters.correlation))
+    ramp_px = config.scene.cost_maps.ramp_px[-1] * float(np.exp(parameters.ramp))
+    correlation_px = config.scene.noise.correlation_px * float(np.exp(parameters.correlation))
     weights = tuple(round(float(value), 3) for value in factor)
     ramp_px = round(min(ramp_px, 0.95 * config.stored_ramp_px), 3)
-    roll_pitch_deg = config.localize.road.roll_pitch_deg * float(np.exp(parameters.tilt))
+    roll_pitch_deg = config.scene.road.roll_pitch_deg * float(np.exp(parameters.tilt))
     return Learned(weights, ramp_px, round(roll_pitch_deg, 3), round(correlation_px, 2))
 
 
 def learned_config(learned: Learned, old: LocalizeConfig) -> LocalizeConfig:
-    """The configuration of single frames with what was learned."""
-    frame, weights = old.frame, learned.class_weight
+    """The configuration with what was learned; its scene serves every verb."""
     return replace(
         old,
         road=replace(old.road, roll_pitch_deg=learned.roll_pitch_deg),
         cost_maps=replace(old.cost_maps, ramp_px=(*old.cost_maps.ramp_px[:-1], learned.ramp_px)),
-        frame=replace(
-            frame,
-            search_view=replace(frame.search_view, class_weight=weights),
-            polish_view=replace(frame.polish_view, class_weight=weights),
-            polish_align=replace(
-                frame.polish_align, noise=replace(frame.polish_align.noise, correlation_px=learned.correlation_px)
-            ),
-        ),
-    )
-
-
-def learned_track_config(learned: Learned, old: TrackConfig) -> TrackConfig:
-    """The configuration of tracking with what was learned."""
-    step = old.alignment.step
-    step = replace(
-        step,
-        view=replace(step.view, class_weight=learned.class_weight),
-        align=replace(step.align, noise=replace(step.align.noise, correlation_px=learned.correlation_px)),
-    )
-    return replace(
-        old,
-        cost_maps=replace(old.cost_maps, ramp_px=(*old.cost_maps.ramp_px[:-1], learned.ramp_px)),
-        alignment=replace(old.alignment, step=step),
+        view=replace(old.view, class_weight=learned.class_weight),
+        noise=replace(old.noise, correlation_px=learned.correlation_px),
     )

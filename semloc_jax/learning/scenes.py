@@ -46,7 +46,7 @@ def training_frames(
     Raises:
         SemlocError: the drive has no truth.
     """
-    localizer = FrameLocalizer(semantic_map, masks.table, config.localize)
+    localizer = FrameLocalizer(semantic_map, masks.table, config.scene)
     return [
         training_frame(found.result.frame, found.prior, found.T_true, found.result.T_map_base, localizer, masks, config)
         for found in localized_frames(drive, localizer, masks, config, seed)

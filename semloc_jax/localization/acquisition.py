@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from semloc_jax.alignment.modes import modes_in_map
-from semloc_jax.alignment.pose_prior import PosePrior, RoadSigmas
+from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import Mode
 from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
-from semloc_jax.alignment.single_frame import SingleFrameConfig, localize_frame
+from semloc_jax.alignment.single_frame import localize_frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import FusedPose, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
@@ -35,8 +35,6 @@ class AcquisitionConfig:
     """How the vehicle is searched for. All values are ours."""
 
     fixes: InitializationConfig = field(default_factory=InitializationConfig)
-    frame: SingleFrameConfig = field(default_factory=SingleFrameConfig)
-    road: RoadSigmas = field(default_factory=RoadSigmas)
     every_s: float = 0.3
     """A search takes longer than a frame: this long is waited after a search that found nothing."""
     max_tracks: int = 4
@@ -97,7 +95,7 @@ class Acquisition:
         return self._search(frame, prior) if len(priors) == 1 else self._best_of(frame, priors)
 
     def _search(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
-        config = self.config
+        config, scene = self.config, self.aligner.scene
         try:
             T_map_prior = prior.on_road(self.aligner.map)
         except SemlocError:
@@ -107,7 +105,7 @@ class Acquisition:
             return ()
         local = window.local_map.frame
         found = localize_frame(
-            self.aligner.frame_input(frame, window), prior.to_solver(T_map_prior, local, config.road), config.frame
+            self.aligner.frame_input(frame, window), prior.to_solver(T_map_prior, local, scene.road), scene.frame
         )
         modes = modes_in_map(found, local, ONE_TRACK)
         good = [m for m in modes if m.cost <= config.max_cost and m.inlier_ratio >= config.min_inlier_ratio]

@@ -5,7 +5,7 @@ In: Track, FrameFeatures. Out: the next Track and what the frame said about it.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.clock import CameraTimeLog
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
-from semloc_jax.fusion.noise_scale import NoiseConfig, NoiseScale, marginal, of_a_series
+from semloc_jax.fusion.noise_scale import BELIEFS, NoiseScale, marginal, of_a_series
 from semloc_jax.fusion.prediction import MotionIncrement, MotionQuality
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import health
@@ -27,7 +27,6 @@ from semloc_jax.localization.track_state import FrameFeatures, Track
 class FollowConfig:
     """How tracks are weighed and measurements enter. All values are ours."""
 
-    noise: NoiseConfig = field(default_factory=NoiseConfig)
     penalty_share: float = 0.3
     """Share of the cost of a frame that is new: successive frames see the same map."""
     penalty_memory: float = 0.9
@@ -163,8 +162,8 @@ def corrected(
     if view.reasons:
         return refused, view
     measured = view.found.measurement
-    predicted, alone = fusion.pose(track.fusion), marginal(measured.covariance, noise, config.noise)
-    measured = measured._replace(covariance=of_a_series(alone, way_m, noise, config.noise))
+    predicted, alone = fusion.pose(track.fusion), marginal(measured.covariance, noise, BELIEFS)
+    measured = measured._replace(covariance=of_a_series(alone, way_m, noise, BELIEFS))
     state, innovation = fusion.correct(track.fusion, measured)
     difference = rigid.log(rigid.inverse(predicted.T_map_base) @ measured.T_map_base)
     covariance = predicted.covariance + measured.covariance

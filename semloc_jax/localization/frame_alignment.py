@@ -5,7 +5,7 @@ its covariance, its quality.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from semloc_jax.alignment.longitudinal import LongitudinalConfig, corrected_along, is_searched
 from semloc_jax.alignment.pose import Prior
-from semloc_jax.alignment.pose_prior import RoadSigmas
+from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.alignment.tracking_step import ELEMENT_CAPACITY, TrackAlignConfig, TrackedFrame, align_predicted
 from semloc_jax.fusion.measurements import PoseMeasurement
@@ -26,14 +26,14 @@ from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.maps import SemanticMap
 from semloc_jax.structs import SolveStatus
 
+_LONGITUDINAL = LongitudinalConfig()
+"""No drive asked for another search along the road: its values have stood since they were measured."""
+
 
 @dataclass(frozen=True)
 class AlignmentConfig:
     """How a prediction becomes the prior of a solve, and its answer a measurement. All values are ours."""
 
-    step: TrackAlignConfig = field(default_factory=TrackAlignConfig)
-    longitudinal: LongitudinalConfig = field(default_factory=LongitudinalConfig)
-    road: RoadSigmas = field(default_factory=RoadSigmas)
     prior_inflation: float = 3.0
     """The prediction holds the solve with this many times its sigma: what it says is used once, by the fusion."""
     min_sigma_along_m: float = 0.25
@@ -74,9 +74,18 @@ class Alignment(NamedTuple):
 class FrameAligner:
     """Aligns frames with one map."""
 
-    def __init__(self, semantic_map: SemanticMap, windows: MapWindows, channel_of_label, config: AlignmentConfig):
+    def __init__(
+        self,
+        semantic_map: SemanticMap,
+        windows: MapWindows,
+        channel_of_label,
+        scene: SceneConfig,
+        config: AlignmentConfig,
+    ):
         """Prepare a map, its windows and the channels of its labels."""
-        self.map, self.windows, self.config = semantic_map, windows, config
+        self.map, self.windows, self.scene, self.config = semantic_map, windows, scene, config
+        base = TrackAlignConfig()
+        self.step = replace(base, view=scene.view_of(base.view), align=scene.align_of(base.align))
         self.channel_of_label = jnp.asarray(channel_of_label)
 
     def frame_input(self, frame: FrameFeatures, window: MapWindow) -> FrameInput:
@@ -118,13 +127,13 @@ class FrameAligner:
         local_trust = jnp.asarray(local_trust)
         prior = Prior(jnp.asarray(T_local_base, jnp.float32), jnp.asarray(sigma, jnp.float32))
         sigma_along = float(np.sqrt(covariance[0, 0]))
-        moved_m, step = 0.0, self.config.step
-        if is_searched(sigma_along, last_sigma_along_m, self.config.longitudinal):
+        moved_m = 0.0
+        if is_searched(sigma_along, last_sigma_along_m, _LONGITUDINAL):
             T_local_base, moved_m = corrected_along(
-                T_local_base, sigma_along, prior, inputs, local_trust, step, self.config.longitudinal
+                T_local_base, sigma_along, prior, inputs, local_trust, self.step, _LONGITUDINAL
             )
         found: TrackedFrame = jax.device_get(
-            align_predicted(jnp.asarray(T_local_base, jnp.float32), prior, inputs, local_trust, step)
+            align_predicted(jnp.asarray(T_local_base, jnp.float32), prior, inputs, local_trust, self.step)
         )
         answer = self._answer(found, frame.time_s, local, sigma, index, moved_m)
         return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ answer.measurement.T_map_base)[2:5])
@@ -136,13 +145,13 @@ class FrameAligner:
 
     def prior_sigma(self, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
         """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) that hold a solve."""
-        config = self.config
+        config, road = self.config, self.scene.road
         predicted = config.prior_inflation * np.sqrt(np.diagonal(covariance))
-        tilt = np.deg2rad(config.road.roll_pitch_deg)
+        tilt = np.deg2rad(road.roll_pitch_deg)
         along = np.clip(predicted[0], config.min_sigma_along_m, config.max_sigma_m)
         across = np.clip(predicted[1], config.min_sigma_across_m, config.max_sigma_m)
         yaw = np.clip(predicted[5], *np.deg2rad([config.min_sigma_heading_deg, config.max_sigma_heading_deg]))
-        return np.array([along, across, config.road.height_m, tilt, tilt, yaw])
+        return np.array([along, across, road.height_m, tilt, tilt, yaw])
 
     def _answer(
         self,

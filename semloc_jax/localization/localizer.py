@@ -10,17 +10,19 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
+from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.alignment.single_frame import frame_input
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.fusion import clock, noise_scale
-from semloc_jax.fusion.clock import CameraTimeLog, ClockConfig, unknown_offset
+from semloc_jax.fusion.clock import CameraTimeLog, unknown_offset
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
@@ -51,27 +53,25 @@ from semloc_jax.localization.track_state import (
     TrackStatus,
 )
 from semloc_jax.maps import SemanticMap
-from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
+from semloc_jax.perception import ClassTable, cost_maps
 
 
 @dataclass(frozen=True)
 class TrackConfig:
     """Everything that decides how a drive is followed. All values are ours."""
 
-    search_radius_m: float = 62.0
-    sample_spacing_m: float = 0.25
-    sample_capacity: int = 8192
+    SECTION: ClassVar[str] = "track"
+    """Where a configuration file holds all of this but the scene."""
+    scene: SceneConfig = field(default_factory=SceneConfig)
     map_sigma_m: float = 0.0
     """How accurate the map is, as its maker states: joins the covariance of every pose that goes out."""
     map_reach_m: float = 20.0
     """Over this way the map turns by as much as it is off."""
-    cost_maps: CostMapConfig = field(default_factory=CostMapConfig)
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     acquisition: AcquisitionConfig = field(default_factory=AcquisitionConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
     trust: TrustConfig = field(default_factory=TrustConfig)
     follow: FollowConfig = field(default_factory=FollowConfig)
-    clock: ClockConfig = field(default_factory=ClockConfig)
     confirm_frames: float = 4.0
     """Frames that a track must agree with before it is believed."""
     win_nats: float = 5.0
@@ -109,10 +109,9 @@ class Localizer:
         self.config, self.area = config or TrackConfig(), area
         channels = FrameLocalizer(semantic_map, table, LocalizeConfig())
         self.table, self.channel_of_label = channels.shown, channels.channel_of_label
-        self.windows = MapWindows(
-            semantic_map, self.config.search_radius_m, self.config.sample_spacing_m, self.config.sample_capacity
-        )
-        self.aligner = FrameAligner(semantic_map, self.windows, self.channel_of_label, self.config.alignment)
+        scene = self.config.scene
+        self.windows = MapWindows(semantic_map, scene.search_radius_m, scene.sample_spacing_m, scene.sample_capacity)
+        self.aligner = FrameAligner(semantic_map, self.windows, self.channel_of_label, scene, self.config.alignment)
         self.acquisition = Acquisition(self.aligner, motion, self.config.acquisition)
 
     def start(self) -> TrackerState:
@@ -122,7 +121,7 @@ class Localizer:
         status = np.float64(TrackStatus.INITIALIZING)
         return TrackerState(
             *(nothing, status, (), (), nothing, no_fixes(), trust, health.no_counts(), np.zeros(3), nothing),
-            *(np.float64(0), noise_scale.unknown_noise(), unknown_offset(self.config.clock)),
+            *(np.float64(0), noise_scale.unknown_noise(), unknown_offset(clock.BELIEFS)),
         )
 
     def template(self) -> TrackerState:
@@ -147,7 +146,7 @@ class Localizer:
             fixes: Satellite fixes since the frame before.
             guess: First guess of the pose, where something else knows it.
         """
-        maps = cost_maps(masks, self.table, self.config.cost_maps, quantised=True)
+        maps = cost_maps(masks, self.table, self.config.scene.cost_maps, quantised=True)
         anywhere = self.windows.around(self.map.extent.mean(axis=0)).samples
         packed = frame_input(anywhere, maps, rig, self.channel_of_label)
         usable = float(np.mean(np.asarray(maps.usable)))
@@ -206,13 +205,13 @@ class Localizer:
         self, state: TrackerState, view: View, motion: CameraTimeLog, before_s: float, way_m: float
     ) -> TrackerState:
         """The state with what a frame whose pose was taken says of clock and noise."""
-        now_s, config = float(state.time_s), self.config
+        now_s = float(state.time_s)
         slope = motion.slope(before_s, now_s)
-        offset = clock.learned(state.clock, slope, view.difference, view.covariance, now_s - before_s, config.clock)
+        offset = clock.learned(state.clock, slope, view.difference, view.covariance, now_s - before_s, clock.BELIEFS)
         fused, measured = self.fusion.pose(state.tracks[0].fusion), view.found.measurement
         taken_s = max(noise_scale.last_taken_s(state.noise), before_s)
         step = motion.increment(taken_s, now_s, fused.calibration)
-        noise = noise_scale.learned(state.noise, measured, fused, step, way_m, config.follow.noise)
+        noise = noise_scale.learned(state.noise, measured, fused, step, way_m, noise_scale.BELIEFS)
         return state._replace(noise=noise, clock=offset)
 
     def _predicted(self, state: TrackerState, frame: FrameFeatures, motion: CameraTimeLog) -> TrackerState:
@@ -262,7 +261,7 @@ class Localizer:
         if len(kept) == 1 and view.is_accepted:
             found = view.found
             trust = map_faults.updated(trust, found.visible_px, found.missed_px, self.config.trust, found.rows)
-            road, covariance = self.config.alignment.road, found.measurement.covariance
+            road, covariance = self.config.scene.road, found.measurement.covariance
             stance = stance_after(state.stance, found.stance, covariance, road, self.config.follow)
             state = state._replace(stance=stance)
         return state._replace(tracks=tuple(kept), counters=counters, trust=trust), view

@@ -21,7 +21,7 @@ from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, pose_errors, write_metrics, write_tum
-from semloc_jax.inputs.config_files import RECORD_KEY, to_plain
+from semloc_jax.inputs.config_files import RECORD_KEY, to_file, to_plain
 from semloc_jax.runtime import prepare as runtime
 from semloc_jax.structs import SolveStatus
 
@@ -146,7 +146,7 @@ def write_record(folder: Path, settings: Any, options: Mapping[str, Any]) -> Non
         "versions": runtime.versions(),
         "device": runtime.device(),
     }
-    content = {RECORD_KEY: record, **to_plain(dict(options)), **to_plain(settings)}
+    content = {RECORD_KEY: record, **to_plain(dict(options)), **to_file(settings)}
     (folder / "config.yaml").write_text(yaml.safe_dump(content, sort_keys=False, width=120), encoding="utf-8")
 
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from semloc_jax.alignment.frame_localizer import LocalizeConfig
+from semloc_jax.alignment.scene import ViewLimits
 from semloc_jax.calibration import SelfCalibrationConfig, Verdict, self_calibrate
 from semloc_jax.calibration.frames import StartPoses, motion_between
 from semloc_jax.calibration.self_calibration import calibrate_from, mount_change
@@ -17,7 +19,7 @@ from semloc_jax.inputs.priors import prior_source
 from semloc_jax.maps import read_map
 from semloc_jax.simulation import SimulationConfig, simulate
 
-CONFIG = SelfCalibrationConfig(capacity=512, ramp_px=(14.0, 3.0), stride=(2, 1))
+CONFIG = SelfCalibrationConfig(LocalizeConfig(view=ViewLimits(capacity=512)), levels=(1, 3))
 TURN_DEG, SHIFT_M = np.array([1.0, -1.0, 1.5]), np.array([0.03, 0.03, 0.026])
 
 

@@ -51,8 +51,8 @@ def test_learned_files_are_taken_by_localize_and_track(simulated_road, tmp_path)
     assert done.returncode == OK, done.stderr
     assert "| road | learned from | 2 |" in done.stdout
     single, _ = read_settings(str(out / learn.LEARNED), localize.Options, LocalizeConfig())
-    tracking, _ = read_settings(str(out / learn.LEARNED_TRACK), track.Options, TrackConfig())
-    assert single.frame.polish_view.class_weight == tracking.alignment.step.view.class_weight != ()
-    assert single.cost_maps.ramp_px == tracking.cost_maps.ramp_px
+    tracking, _ = read_settings(str(out / learn.LEARNED), track.Options, TrackConfig())
+    assert single.view.class_weight == tracking.scene.view.class_weight != ()
+    assert single.cost_maps.ramp_px == tracking.scene.cost_maps.ramp_px
     assert (out / "report.json").is_file()
     assert yaml.safe_load((out / "config.yaml").read_text())["masks"] == "sem"

@@ -11,7 +11,7 @@ from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, main
 from semloc_jax.evaluation import pose_errors, read_trajectory
 from semloc_jax.simulation import SimulationConfig, simulate
 
-SMALL = ["--masks", "sem", "--fusion", "kalman", "--overlays", "1", "--acquisition.frame.num-hypotheses", "256"]
+SMALL = ["--masks", "sem", "--fusion", "kalman", "--overlays", "1", "--search.num-hypotheses", "256"]
 
 
 def rows_of(folder):

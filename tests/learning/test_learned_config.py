@@ -29,7 +29,7 @@ def test_the_shipped_file_says_where_it_comes_from_and_is_taken():
     weights = settings.frame.polish_view.class_weight
     assert weights == settings.frame.search_view.class_weight
     assert len(weights) == len(ElementClass)
-    assert settings.frame.polish_align.noise.correlation_px != LocalizeConfig().frame.polish_align.noise.correlation_px
+    assert settings.noise.correlation_px != LocalizeConfig().noise.correlation_px
     assert settings.verdict == LocalizeConfig().verdict
 
 

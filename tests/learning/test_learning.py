@@ -16,20 +16,18 @@ from semloc_jax.learning import (
     TrainingFrame,
     fit,
     learned_config,
-    learned_track_config,
     learned_values,
     pose_nll,
 )
 from semloc_jax.learning.calibrate import _where_zero
 from semloc_jax.learning.fit import loss_and_gradient
 from semloc_jax.learning.loss import FrameScore, heavy_tailed_nll
-from semloc_jax.localization.localizer import TrackConfig
 from semloc_jax.perception import CostMapConfig, load_class_table
 from semloc_jax.structs import ElementClass
 from tests.alignment.random_scenes import RAMP_PX, random_trial
 
 CONFIG = LearningConfig(
-    stored_ramp_px=RAMP_PX, localize=LocalizeConfig(cost_maps=CostMapConfig(ramp_px=(7.0,), stride=(2,)))
+    stored_ramp_px=RAMP_PX, scene=LocalizeConfig(cost_maps=CostMapConfig(ramp_px=(7.0,), stride=(2,)))
 )
 
 
@@ -89,11 +87,11 @@ def test_what_is_learned_becomes_a_configuration():
     weights = np.ones(len(ElementClass))
     weights[ElementClass.POLE] = 2.0
     assert learned == (tuple(weights), 4.5, 0.2, 30.0)
-    found, tracking = learned_config(learned, LocalizeConfig()), learned_track_config(learned, TrackConfig())
-    assert found.cost_maps.ramp_px == tracking.cost_maps.ramp_px == (40.0, 14.0, 8.0, 4.5)
+    found = learned_config(learned, LocalizeConfig())
+    assert found.cost_maps.ramp_px == (40.0, 14.0, 8.0, 4.5)
     assert found.road.roll_pitch_deg == 0.2
-    assert found.frame.polish_align.noise.correlation_px == tracking.alignment.step.align.noise.correlation_px == 30.0
-    assert found.frame.polish_view.class_weight == tracking.alignment.step.view.class_weight == tuple(weights)
+    assert found.frame.search_align.noise.correlation_px == found.frame.polish_align.noise.correlation_px == 30.0
+    assert found.frame.search_view.class_weight == found.frame.polish_view.class_weight == tuple(weights)
 
 
 def test_the_width_of_the_covariance_is_found_by_secants():

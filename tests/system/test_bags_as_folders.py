@@ -14,7 +14,7 @@ pytest.importorskip("rosbags")
 NUM_FRAMES = 15
 COMMON = ["--masks", "sem_net", "--class-table", "drive", "--overlays", "0", "--seed", "3"]
 LOCALIZE = ["localize", "--frames", "::7", "--hypotheses", "256"]
-TRACK = ["track", "--fusion", "kalman", "--acquisition.frame.num-hypotheses", "256"]
+TRACK = ["track", "--fusion", "kalman", "--search.num-hypotheses", "256"]
 
 
 @pytest.fixture(scope="module")

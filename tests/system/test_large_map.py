@@ -13,7 +13,7 @@ from tests.maps.io.town import town
 
 AWAY_M = np.array([0.0, 5000.0, 0.0])
 WORDS = ["--masks", "sem_net", "--fusion", "kalman", "--frames", ":15", "--overlays", "1", "--min-tracking-share", "0"]
-WORDS += ["--acquisition.frame.num-hypotheses", "256"]
+WORDS += ["--search.num-hypotheses", "256"]
 
 
 def write_among_others(small: SemanticMap, path, num_km: int) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
-from semloc_jax.alignment.single_frame import SingleFrameConfig
+from semloc_jax.alignment.scene import FrameSearch
 from semloc_jax.datasets import open_drive
 from semloc_jax.evaluation import pose_errors
 from semloc_jax.inputs.mask_source import mask_source
@@ -20,7 +20,7 @@ def garage(garage_dir):
 
 @pytest.mark.slow
 def test_poses_from_the_top_view(garage):
-    config = LocalizeConfig(frame=SingleFrameConfig(num_hypotheses=64))
+    config = LocalizeConfig(search=FrameSearch(num_hypotheses=64))
     prior = prior_source("truth", garage, sigma_xy_m=0.2, sigma_heading_deg=1.0)
     found = localize_frames(garage, read_map(garage.map_path), "ipm:sem", prior, garage.frames[12:31:18], config=config)
     assert len(found) == 2

@@ -11,12 +11,11 @@ import jax
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.single_frame import SingleFrameConfig
+from semloc_jax.alignment.scene import FrameSearch, SceneConfig
 from semloc_jax.datasets import open_drive
 from semloc_jax.evaluation import pose_errors
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.inputs.mask_source import mask_source
-from semloc_jax.localization.acquisition import AcquisitionConfig
 from semloc_jax.localization.checkpoint import load, save
 from semloc_jax.localization.localizer import Localizer, TrackConfig
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
@@ -74,7 +73,7 @@ def drive(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def config():
-    return TrackConfig(acquisition=AcquisitionConfig(frame=SingleFrameConfig(num_hypotheses=256)))
+    return TrackConfig(SceneConfig(search=FrameSearch(num_hypotheses=256)))
 
 
 @pytest.fixture(scope="module")

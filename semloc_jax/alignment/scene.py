@@ -1,0 +1,102 @@
+"""What a scene is like, said once for every verb (room: alignment; host).
+
+In: nothing. Out: SceneConfig: map query, cost maps, noise, road, view, search; from it the settings of compiled solves.
+Localization, tracking, explanations, calibration, learning and surveys all take their scene from here: what is set in
+one file reaches all of them.
+"""
+
+import dataclasses
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar
+
+from semloc_jax.alignment.pose import AlignConfig
+from semloc_jax.alignment.pose_prior import RoadSigmas
+from semloc_jax.alignment.proposals import ProposalKind
+from semloc_jax.alignment.single_frame import SingleFrameConfig
+from semloc_jax.perception import CostMapConfig
+from semloc_jax.residuals.noise import NoiseModel
+from semloc_jax.residuals.view import ViewConfig
+
+
+@dataclass(frozen=True)
+class ViewLimits:
+    """What of the map a camera is taken to see. All values are ours."""
+
+    capacity: int = 1024
+    """Map samples kept for each camera."""
+    max_range_m: float = 60.0
+    """Samples farther from the camera are left out: they are too small for the mask and hidden too often."""
+    class_weight: tuple[float, ...] = ()
+    """Factor on the weight of each ElementClass, in its order; empty for 1. `semloc learn` finds them."""
+
+
+@dataclass(frozen=True)
+class FrameSearch:
+    """How widely one frame is searched. All values are ours."""
+
+    num_hypotheses: int = 1024
+    proposals: ProposalKind = "lattice"
+    reach: float = 2.5
+    """Half width of the search window in sigmas of the prior."""
+    min_reach_deg: float = 5.0
+    """The search covers at least this heading to both sides, however sure the prior is."""
+    capacity: int = 1024
+    """Map samples of each camera while many hypotheses are compared."""
+    seed: int = 0
+    """Of the random proposals."""
+
+
+@dataclass(frozen=True)
+class SceneConfig:
+    """Everything that describes a scene, whatever is done in it. All values are ours."""
+
+    SECTION: ClassVar[str | None] = None
+    """Where a configuration file holds all of this: at its top level."""
+    search_radius_m: float = 65.0
+    """The map is asked for what lies within this distance: the range of a view and the reach of a search."""
+    sample_spacing_m: float = 0.25
+    sample_capacity: int = 8192
+    """Most map samples of one frame; the spacing grows where the map holds more."""
+    road: RoadSigmas = field(default_factory=RoadSigmas)
+    cost_maps: CostMapConfig = field(default_factory=CostMapConfig)
+    noise: NoiseModel = field(default_factory=NoiseModel)
+    view: ViewLimits = field(default_factory=ViewLimits)
+    search: FrameSearch = field(default_factory=FrameSearch)
+    kernel: str = AlignConfig.kernel
+    """Robust function of the contours; see `residuals.robust`."""
+
+    def __post_init__(self) -> None:
+        self.view_of(ViewConfig())  # refuses class weights that do not fit the classes
+
+    def view_of(self, base: ViewConfig) -> ViewConfig:
+        """A view with what the scene says of it; margins and densities are those of the base."""
+        limits = self.view
+        return dataclasses.replace(
+            base,
+            capacity=limits.capacity,
+            max_range_m=limits.max_range_m,
+            class_weight=limits.class_weight,
+            noise=self.noise,
+        )
+
+    def align_of(self, base: AlignConfig) -> AlignConfig:
+        """A refinement with what the scene says of it; levels, steps and limits are those of the base."""
+        return dataclasses.replace(base, kernel=self.kernel, noise=self.noise)
+
+    @cached_property
+    def frame(self) -> SingleFrameConfig:
+        """How one frame is localized from a wide prior in this scene."""
+        base, search = SingleFrameConfig(), self.search
+        return dataclasses.replace(
+            base,
+            num_hypotheses=search.num_hypotheses,
+            proposals=search.proposals,
+            reach=search.reach,
+            min_reach_deg=search.min_reach_deg,
+            seed=search.seed,
+            search_view=dataclasses.replace(self.view_of(base.search_view), capacity=search.capacity),
+            polish_view=self.view_of(base.polish_view),
+            search_align=self.align_of(base.search_align),
+            polish_align=self.align_of(base.polish_align),
+        )
