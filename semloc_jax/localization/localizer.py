@@ -55,6 +55,10 @@ from semloc_jax.localization.track_state import (
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable, cost_maps
 
+_SEARCH_REACH_M = 3.0
+"""What a search needs of the map beyond the view of its prior. A tracked vehicle is known better than that, and the
+window around it has a margin of its own: less map is less work in every frame."""
+
 
 @dataclass(frozen=True)
 class TrackConfig:
@@ -110,7 +114,8 @@ class Localizer:
         channels = FrameLocalizer(semantic_map, table, LocalizeConfig())
         self.table, self.channel_of_label = channels.shown, channels.channel_of_label
         scene = self.config.scene
-        self.windows = MapWindows(semantic_map, scene.search_radius_m, scene.sample_spacing_m, scene.sample_capacity)
+        radius_m = scene.search_radius_m - _SEARCH_REACH_M
+        self.windows = MapWindows(semantic_map, radius_m, scene.sample_spacing_m, scene.sample_capacity)
         self.aligner = FrameAligner(semantic_map, self.windows, self.channel_of_label, scene, self.config.alignment)
         self.acquisition = Acquisition(self.aligner, motion, self.config.acquisition)
 
