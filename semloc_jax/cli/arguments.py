@@ -64,9 +64,9 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
         if re.match(r"--[a-zA-Z]", flag) and flag not in known:
             raise UsageError(f"unknown option '{flag}'{suggestion(flag, known)}")
     options = _run_tyro(options_type, [*from_file, *words], prog)
-    require_plausible(options, "--")
     if hasattr(verb, "default_settings"):
         options = dataclasses.replace(options, settings=assembled(settings, options.settings))
+    require_plausible(options, "--")
     return options
 
 

@@ -37,12 +37,12 @@ def require_plausible(settings: Any, where: str = "") -> None:
             raise UsageError(f"{where}{option} {value}: expected {fault}")
 
 
-def _numbers(settings: Any, prefix: str) -> Iterator[tuple[str, float, Any]]:
+def _numbers(settings: Any, prefix: str) -> Iterator[tuple[str, float | int, Any]]:
     """Name with its path, value and default of every number."""
     for item in dataclasses.fields(settings):
         value, name = getattr(settings, item.name), prefix + item.name
         if dataclasses.is_dataclass(value):
-            yield from _numbers(value, "" if name == "settings" else f"{name}.")
+            yield from _numbers(value, "" if name in ("settings", "scene") else f"{name}.")
         elif isinstance(value, (int, float)) and not isinstance(value, bool):
             yield name, value, item.default
         elif isinstance(value, tuple):
@@ -50,7 +50,7 @@ def _numbers(settings: Any, prefix: str) -> Iterator[tuple[str, float, Any]]:
             yield from ((name, v, None) for v in numbers)
 
 
-def _fault(name: str, value: float, default: Any) -> str | None:
+def _fault(name: str, value: float | int, default: Any) -> str | None:
     """What was expected instead of a number; None where it may be meant. A default is always meant."""
     if isinstance(default, (int, float)) and value == default:
         return None
