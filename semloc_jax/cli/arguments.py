@@ -15,6 +15,7 @@ from typing import Annotated, Any
 from semloc_jax.cli.shared_config import assembled, flat, is_shared, own_part
 from semloc_jax.errors import UsageError
 from semloc_jax.inputs.config_files import check_keys, flags, flatten, read_yaml, suggestion, with_lengths
+from semloc_jax.inputs.paths import pinned_options
 from semloc_jax.inputs.settings_check import require_plausible
 
 NOT_IN_FILES = ("config", "out")
@@ -31,7 +32,8 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
         words: The command line after the verb.
 
     Returns:
-        An instance of `Options`, with the attribute `settings` where the verb has a configuration.
+        An instance of `Options`, with the attribute `settings` where the verb has a configuration. Paths through the
+        link results/latest name the run that it points to now.
 
     Raises:
         UsageError: An option, a key or a value is wrong.
@@ -67,7 +69,7 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
     if hasattr(verb, "default_settings"):
         options = dataclasses.replace(options, settings=assembled(settings, options.settings))
     require_plausible(options, "--")
-    return options
+    return pinned_options(options)
 
 
 def read_settings(path: str, options_type: type, defaults: Any) -> tuple[Any, list[str]]:

@@ -8,9 +8,10 @@ import tyro
 
 from semloc_jax.cli.main import LOST, OK
 from semloc_jax.errors import SemlocError
+from semloc_jax.inputs.choices import parse_names
 
 if TYPE_CHECKING:
-    from semloc_jax.maps import GeoOrigin, SemanticMap
+    from semloc_jax.maps import GeoOrigin
 
 
 @dataclass(frozen=True)
@@ -40,29 +41,15 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Convert and report."""
-    from semloc_jax.maps import compare, read_map
-    from semloc_jax.maps.io import left_out, write_compact, write_map
+    """Convert and print what was lost."""
+    from semloc_jax.maps.conversion import Conversion, convert
 
-    if options.out.exists() and options.out.samefile(options.map):
-        raise SemlocError(f"{options.out}: is the map to read; give another file to write")
-    origin = _origin(options.origin)
-    semantic_map = read_map(options.map, origin)
-    if origin is not None and semantic_map.origin is None:
-        semantic_map = _at(semantic_map, origin)
-    kept = _with_heights(_only(semantic_map, options.only), options.heights)
-    if options.out.suffix.lower() == ".smap":
-        write_compact(kept, options.out, options.resolution_m, options.resolution_m)
-    else:
-        write_map(kept, options.out, {"auto": None, "rfc7946": True, "drive": False}[options.geojson])
-    losses = compare(kept, read_map(options.out))
-    size = options.out.stat().st_size
-    print(f"{options.out}: {len(kept.elements)} elements, {size / 1000:.1f} kB")
-    print(losses.to_text())
-    others = left_out(options.map)
-    for kind, count in others.items():
-        print(f"left out when the map was read: {count} {kind}")
-    return LOST if options.strict and (others or not losses.is_exact) else OK
+    in_degrees = {"auto": None, "rfc7946": True, "drive": False}[options.geojson]
+    only = parse_names(options.only) or ()
+    wanted = Conversion(_origin(options.origin), only, in_degrees, options.heights, options.resolution_m)
+    converted = convert(options.map, options.out, wanted)
+    print(converted.to_text())
+    return OK if converted.is_lossless or not options.strict else LOST
 
 
 def _origin(text: str | None) -> "GeoOrigin | None":
@@ -77,54 +64,3 @@ def _origin(text: str | None) -> "GeoOrigin | None":
     if not (abs(origin.lat_deg) <= 90.0 and abs(origin.lon_deg) <= 180.0 and abs(origin.alt_m) < 1e5):
         raise SemlocError(f"--origin {text}; expected latitude,longitude or latitude,longitude,height")
     return origin
-
-
-def _at(semantic_map: "SemanticMap", origin: "GeoOrigin") -> "SemanticMap":
-    """The map with its zero at a place on the earth, and a line about it."""
-    from semloc_jax.maps import SemanticMap
-
-    place = ", ".join(f"{value:g}" for value in origin)
-    print(f"place on the earth: unknown until now, put at {place}; x is taken as east, y as north")
-    told = (semantic_map.name, semantic_map.skipped, semantic_map.frame)
-    return SemanticMap(semantic_map.elements, origin, *told)
-
-
-def _only(semantic_map: "SemanticMap", text: str | None) -> "SemanticMap":
-    """The map with the classes that are wanted."""
-    from semloc_jax.structs import ElementClass
-
-    if text is None:
-        return semantic_map
-    names = {label.name.lower(): label for label in ElementClass}
-    unknown = [word for word in text.split(",") if word.strip().lower() not in names]
-    if unknown:
-        raise SemlocError(f"--only {text}: no class '{unknown[0]}'; expected of {', '.join(names)}")
-    labels = {names[word.strip().lower()] for word in text.split(",")}
-    elements = tuple(element for element in semantic_map.elements if element.label in labels)
-    if not elements:
-        raise SemlocError(f"--only {text}: the map has none of these; it has {_classes(semantic_map)}")
-    if all(element.is_logical for element in elements):
-        raise SemlocError(
-            f"--only {text}: none of these {len(elements)} elements has a size that a camera could see; keep others "
-            f"too: the map has {_classes(semantic_map)}"
-        )
-    return semantic_map.with_elements(elements)
-
-
-def _with_heights(semantic_map: "SemanticMap", path: Path | None) -> "SemanticMap":
-    """The map with the heights that it lacked, and a line about them."""
-    from semloc_jax.maps import read_map
-    from semloc_jax.maps.heights import read_ground_raster, with_heights
-
-    if path is None:
-        return semantic_map
-    is_raster = path.is_dir() or path.suffix.lower() in (".asc", ".npy")
-    surface = read_ground_raster(path) if is_raster else read_map(path, semantic_map.origin).ground
-    lifted = with_heights(semantic_map.elements, surface)
-    missing = sum(not element.has_height for element in semantic_map.elements)
-    print(f"heights: {missing - sum(not e.has_height for e in lifted)} of {missing} elements that lacked them")
-    return semantic_map.with_elements(lifted)
-
-
-def _classes(semantic_map: "SemanticMap") -> str:
-    return ", ".join(sorted(label.name.lower() for label in semantic_map.labels)) or "nothing"

@@ -26,16 +26,23 @@ class Options:
 
 def run(options: Options) -> int:
     """Simulate, localize, tell where the pictures are."""
-    from semloc_jax.reports import results
+    from semloc_jax.reports.folder import make_folder
     from semloc_jax.simulation import SimulationConfig, simulate
 
     started = time.perf_counter()
-    folder = results.make_folder(options.out)
+    folder = make_folder(options.out)
     config = SimulationConfig(num_frames=options.frames, rate_hz=2.0, width_px=WIDTH_PX, height_px=HEIGHT_PX)
     drive = simulate("road", options.seed, folder / "drive", config)
     print(f"simulated {len(drive)} frames in {time.perf_counter() - started:.1f} s: {folder / 'drive'}", flush=True)
-    wanted = localize.Options(drive.path, masks="sem_net", seed=options.seed, overlays=1, out=folder)
-    code = localize.localize(wanted, localize.default_settings())
+    code = localize.run(_Localize(drive.path, masks="sem_net", seed=options.seed, overlays=1, out=folder))
     print(f"picture: {next((folder / 'overlays').glob('*.png'), 'none')}")
     print(f"whole demo: {time.perf_counter() - started:.1f} s")
     return code
+
+
+class _Localize(localize.Options):
+    """The options of localize with its default configuration."""
+
+    @property
+    def settings(self):
+        return localize.default_settings()

@@ -112,6 +112,14 @@ def _run_verb(name: str, words: list[str], debug: bool) -> int:
         return FAILED
 
 
+def log_to_console() -> None:
+    """Show what the package logs, as plain lines."""
+    import logging
+
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger("semloc_jax").setLevel(logging.INFO)
+
+
 def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from semloc_jax.inputs import sweeps
 from semloc_jax.inputs.choices import parse_names
+from semloc_jax.inputs.paths import pinned_options
 
 if TYPE_CHECKING:
     import numpy as np
@@ -89,6 +90,7 @@ def open_inputs(options: InputOptions) -> Inputs:
     from semloc_jax.inputs.priors import prior_source
     from semloc_jax.maps import read_map
 
+    options = pinned_options(options)
     drive = open_drive(options.drive, options.calib)
     map_path = drive.maps.get(options.map or "", options.map or drive.map_path)
     if map_path is None and sweeps.has_sweeps(drive):

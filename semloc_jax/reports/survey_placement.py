@@ -64,7 +64,7 @@ def write_placement(
 
 
 def _write_table(report: "PlacementReport", places: "np.ndarray", folder: Path) -> None:
-    from semloc_jax.reports import results
+    from semloc_jax.reports.tables import write_csv
 
     directions = ("longitudinal_m", "lateral_m", "heading_deg")
     header = ("x_m", "y_m", *(f"sigma_{what}_{when}" for when in ("before", "after") for what in directions))
@@ -72,4 +72,4 @@ def _write_table(report: "PlacementReport", places: "np.ndarray", folder: Path) 
         tuple(round(float(value), 5) for value in (*place[:2, 3], *before, *after))
         for place, before, after in zip(places, report.sigma_before, report.sigma_after, strict=True)
     ]
-    results.write_csv(folder / "placement.csv", header, rows)
+    write_csv(folder / "placement.csv", header, rows)

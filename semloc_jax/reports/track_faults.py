@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from semloc_jax.localization.localizer import Localizer
     from semloc_jax.maps import SemanticMap
 
-ALL = "all"
-
 
 def disturbed(inputs: Inputs, name: str, seed: int) -> Inputs:
     """The inputs with a fault in the drive or in the map.
@@ -32,26 +30,30 @@ def disturbed(inputs: Inputs, name: str, seed: int) -> Inputs:
 
 def write_matrix(
     inputs: Inputs, make_localizer: "Callable[[SemanticMap, MotionLog], Localizer]", folder: Path, seed: int
-) -> int:
-    """Run every fault that the drive allows, write faults.csv and faults.md, and return the false-confident frames."""
+) -> tuple[str, int]:
+    """Run every fault that the drive allows and write faults.csv and faults.md.
+
+    Returns:
+        The table, and the number of frames that were called TRACKING beyond an alert limit.
+    """
     from tqdm import tqdm
 
     from semloc_jax.analysis.fault_matrix import FaultOutcome, fault_matrix, to_markdown
     from semloc_jax.errors import SemlocError
-    from semloc_jax.reports.results import write_csv
+    from semloc_jax.reports.tables import write_csv
     from semloc_jax.simulation.faults import FAULTS
 
     columns = [field.name for field in dataclasses.fields(FaultOutcome)]
     outcomes: list[FaultOutcome] = []
+    left_out: list[str] = []
     for name in tqdm(FAULTS, unit="fault", disable=None):
         try:
             outcomes += fault_matrix([name], inputs.drive, inputs.map, inputs.masks, make_localizer, seed)
         except SemlocError as error:
-            print(f"left out: {error}")
+            left_out.append(f"left out: {error}")
             continue
         # After each fault: a matrix takes minutes.
         write_csv(folder / "faults.csv", columns, [dataclasses.astuple(outcome) for outcome in outcomes])
     table = to_markdown(outcomes)
     (folder / "faults.md").write_text(table + "\n", encoding="utf-8")
-    print(table)
-    return sum(outcome.false_confident for outcome in outcomes)
+    return "\n".join([*left_out, table]), sum(outcome.false_confident for outcome in outcomes)

@@ -17,14 +17,13 @@ from semloc_jax.fusion.measurements import Fusion, SingleFrameFusion
 from semloc_jax.fusion.window import SlidingWindow, WindowConfig
 from semloc_jax.localization.following import rehearse
 from semloc_jax.localization.track_state import TrackStatus
-from semloc_jax.reports.results import write_csv
+from semloc_jax.reports.tables import write_csv
 from semloc_jax.reports.track_log import TrackLog, TrackTable
 from semloc_jax.reports.track_metrics import integrity_metrics
 
 if TYPE_CHECKING:
     from semloc_jax.localization.pipeline import Pipeline
 
-ALL = "all"
 FUSIONS: dict[str, Callable[[], Fusion]] = {
     "window": SlidingWindow,
     "dropping": lambda: SlidingWindow(WindowConfig(marginalise=False)),

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.evaluation import Trajectory, pose_errors
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
-from semloc_jax.reports.results import ERRORS, POSE, SIGMAS
+from semloc_jax.reports.tables import ERRORS, POSE, SIGMAS
 
 FILE = "frames.csv"
 PROTECTION = ("protection_lateral_m", "protection_longitudinal_m", "protection_heading_deg")

@@ -12,7 +12,8 @@ from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, 
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, statistics
 from semloc_jax.localization.pipeline import Timing
 from semloc_jax.localization.track_state import TrackStatus
-from semloc_jax.reports.results import ERRORS, OF_VARIANT
+from semloc_jax.reports.metrics import OF_VARIANT
+from semloc_jax.reports.tables import ERRORS
 from semloc_jax.reports.track_log import NEES, PROTECTION, SIGMAS, TrackTable
 
 _SAME_S = 1e-6

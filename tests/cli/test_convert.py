@@ -130,7 +130,7 @@ def test_a_map_of_nowhere_is_put_on_the_earth(small_map, tmp_path, capsys):
     road = read_map(small_map)
     write_drive_geojson(SemanticMap(road.elements, None, "nowhere"), nowhere)
     assert main(["convert", str(nowhere), str(placed), "--origin", "57.7,12,3"]) == OK
-    assert "place on the earth: unknown until now, put at 57.7, 12, 3" in capsys.readouterr().out
+    assert "place on the earth: unknown until now, set to 57.7, 12, 3" in capsys.readouterr().out
     found = read_map(placed)
     assert found.origin == GeoOrigin(57.7, 12.0, 3.0)
     assert all(np.array_equal(a.points, b.points) for a, b in zip(found.elements, road.elements, strict=True))

@@ -12,7 +12,7 @@ from semloc_jax.datasets import open_drive, write_bag
 from semloc_jax.evaluation import pose_errors, read_trajectory
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import read_map
-from semloc_jax.reports.results import shift_text
+from semloc_jax.reports.metrics import shift_text
 
 pytest.importorskip("rosbags")
 CLOCK_S = 1.7e9

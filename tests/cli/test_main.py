@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -11,11 +10,8 @@ from semloc_jax.cli.main import FAILED, OK, USAGE, VERBS, main
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = "jax", "numpy", "cv2", "matplotlib", "scipy", "yaml", "equinox"
-
-
-def _semloc(*words: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "semloc_jax.cli.main", *words]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, stdin=subprocess.DEVNULL, check=False)
+MOST_MODULES = {"--help": 90, "VERB --help": 400}
+"""Modules that help may load, with those of Python itself; `import numpy` alone loads 150, JAX 1,000 more."""
 
 
 def test_help_names_every_verb_and_exit_code(capsys):
@@ -29,22 +25,13 @@ def test_help_names_every_verb_and_exit_code(capsys):
 def test_help_imports_nothing_heavy(words):
     code = (
         f"import sys\nfrom semloc_jax.cli.main import main\ncode = main({words!r})\n"
-        f"print('LOADED', *[n for n in {HEAVY!r} if n in sys.modules])\nsys.exit(code)"
+        f"print('LOADED', *[n for n in {HEAVY!r} if n in sys.modules])\nprint(len(sys.modules))\nsys.exit(code)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == OK, done.stderr
-    assert done.stdout.splitlines()[-1] == "LOADED"
-
-
-@pytest.mark.parametrize("words", [("--help",), ("localize", "--help")])
-def test_help_takes_no_time(words):
-    # 0.03 s and 0.2 s on an idle core; the bound leaves room for a busy machine.
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        assert _semloc(*words).returncode == OK
-        times.append(time.perf_counter() - start)
-    assert min(times) < 2.0
+    loaded, count = done.stdout.splitlines()[-2:]
+    assert loaded == "LOADED"
+    assert int(count) <= MOST_MODULES["VERB --help" if len(words) > 1 else "--help"]
 
 
 def test_version_is_printed(capsys):

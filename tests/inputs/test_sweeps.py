@@ -12,7 +12,7 @@ from semloc_jax.cli.main import FAILED, USAGE, main
 from semloc_jax.datasets import Frame
 from semloc_jax.inputs import sweeps
 from semloc_jax.inputs.drive_inputs import open_inputs
-from semloc_jax.reports import results
+from semloc_jax.reports import metrics
 from semloc_jax.structs import ElementClass, SolveStatus
 
 
@@ -62,7 +62,7 @@ def test_metrics_of_each_variant_are_apart(tmp_path):
         T[1, 3] = 0.1 if index % 2 == 0 else 0.3
         found.append(LocalizationResult(frame, T, T, SolveStatus.CONVERGED, index != 5, (), (), {}))
         truth[frame.id] = np.eye(4)
-    said = results.write_metrics_of(found, truth, tmp_path)
+    said = metrics.write_metrics_of(found, truth, tmp_path)
     assert "even: frames.reference 3 frames" in said
     written = (tmp_path / "metrics.json").read_text()
     values = {m["key"]: m["value"] for m in json.loads(written)["metrics"]}

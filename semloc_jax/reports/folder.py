@@ -1,0 +1,61 @@
+"""The folder of a run and the record of how it came about (room: reports; host).
+
+In: a wish, the configuration, the options. Out: a folder, config.yaml.
+"""
+
+import shlex
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.inputs.config_files import RECORD_KEY, to_file, to_plain
+from semloc_jax.inputs.paths import LATEST
+from semloc_jax.runtime import prepare as runtime
+
+DEFAULT_ROOT = Path("results")
+
+
+def make_folder(out: Path | None) -> Path:
+    """The folder for a run; without a wish `results/<time>`, to which the link `results/latest` points.
+
+    Raises:
+        SemlocError: the folder cannot be made.
+    """
+    folder = out or DEFAULT_ROOT / time.strftime("%Y-%m-%d_%H-%M-%S")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SemlocError(
+            f"output folder {folder}: {error.strerror}; give --out a folder that can be written"
+        ) from error
+    if out is None:
+        latest = DEFAULT_ROOT / LATEST
+        try:
+            latest.unlink(missing_ok=True)
+            latest.symlink_to(folder.name, target_is_directory=True)
+        except OSError:  # file systems without links: the folder is named by its time anyway
+            pass
+    return folder
+
+
+def write_record(folder: Path, settings: Any, options: Mapping[str, Any]) -> None:
+    """Write config.yaml: the resolved configuration, which can be read back, and how the run came about.
+
+    Args:
+        folder: Where to write.
+        settings: The configuration.
+        options: Options of the verb that a configuration file may hold too.
+    """
+    record = {
+        "command": shlex.join(["semloc", *sys.argv[1:]]),
+        "time": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "versions": runtime.versions(),
+        "device": runtime.device(),
+    }
+    content = {RECORD_KEY: record, **to_plain(dict(options)), **to_file(settings)}
+    (folder / "config.yaml").write_text(yaml.safe_dump(content, sort_keys=False, width=120), encoding="utf-8")

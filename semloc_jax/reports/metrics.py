@@ -1,0 +1,93 @@
+"""Errors of a run against the truth (room: reports; host).
+
+In: localization results, truth. Out: metrics.json, errors.png, text.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.datasets import Drive
+from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, write_metrics
+from semloc_jax.reports.tables import localized_trajectory
+
+_MIN_SHIFTED, _CLEAR_SHIFT_M = 5, 0.5
+"""A common shift of the poses against their priors is reported from so many frames and metres on; ours."""
+OF_VARIANT = (
+    *("frames.reference", "frames.estimated", "estimated", "recall.0.3m_0.5m_0.5deg"),
+    *("lateral.median", "longitudinal.median", "heading.median"),
+)
+"""Metrics that are also given for each weather or lighting, where a drive has several."""
+
+
+def truth_of(drive: Drive, results: Sequence[LocalizationResult]) -> dict[str, np.ndarray]:
+    """True poses T_map_base by frame id, of the frames that lie inside the reference trajectory."""
+    if drive.truth is None:
+        return {}
+    first, last = drive.truth.time_s[0], drive.truth.time_s[-1]
+    return {r.frame.id: drive.truth_at(r.frame) for r in results if first <= r.frame.time_s <= last}
+
+
+def write_metrics_of(results: Sequence[LocalizationResult], truth: Mapping[str, np.ndarray], folder: Path) -> str:
+    """Write metrics.json and, of several frames, errors.png over those with a truth; return the metrics as a table.
+
+    Shares count frames that were not localized as missed. Where the frames are of several variants, the main metrics of
+    each follow under its name.
+    """
+    known = sorted((r for r in results if r.frame.id in truth), key=lambda r: r.frame.time_s)
+    estimate, reference = localized_trajectory(known), _true_trajectory(known, truth)
+    metrics = _metrics(estimate, reference)
+    if len(estimate) > 1:
+        from semloc_jax.viz import errors_over_time, save
+
+        missed_s = [r.frame.time_s for r in known if not r.localized]
+        save(errors_over_time(estimate, reference, 1e-6, missed_s=missed_s), folder / "errors.png")
+    said = [format_metrics(metrics)]
+    variants = dict.fromkeys(r.frame.variant for r in known)
+    for variant in variants if len(variants) > 1 else ():
+        own = [r for r in known if r.frame.variant == variant]
+        part = [m for m in _metrics(localized_trajectory(own), _true_trajectory(own, truth)) if m.key in OF_VARIANT]
+        metrics += [replace(m, key=f"{variant}.{m.key}") for m in part]
+        said.append(f"{variant}: " + ", ".join(f"{m.key} {m.value:.3g} {m.unit}" for m in part))
+    write_metrics(metrics, folder / "metrics.json")
+    return "\n".join(said)
+
+
+def _true_trajectory(known: Sequence[LocalizationResult], truth: Mapping[str, np.ndarray]) -> Trajectory:
+    time_s = np.array([r.frame.time_s for r in known], dtype=np.float64)
+    return Trajectory(time_s, np.array([truth[r.frame.id] for r in known], dtype=np.float64).reshape(-1, 4, 4))
+
+
+def _metrics(estimate: Trajectory, reference: Trajectory) -> list[Metric]:
+    if len(estimate) > 0:
+        return evaluate(estimate, reference, max_difference_s=1e-6)
+    return [
+        Metric("frames.reference", float(len(reference)), "frames", "report"),
+        Metric("frames.estimated", 0.0, "frames", "report"),
+        Metric("estimated", 0.0, "share", "higher"),
+    ]
+
+
+def shifts(found: Sequence[LocalizationResult]) -> np.ndarray:
+    """How far the localized poses lie from their priors, x and y of the map, `float64[n 2]` [m]."""
+    return np.array([(r.T_map_base - r.T_map_prior)[:2, 3] for r in found if r.localized]).reshape(-1, 2)
+
+
+def shift_text(moved: np.ndarray) -> str | None:
+    """A word on a shift between priors and poses that is the same in every frame; None where there is none.
+
+    A receiver's own bias wanders and is about a metre; a datum that does not fit stays as it is over the whole drive.
+    """
+    if len(moved) < _MIN_SHIFTED:
+        return None
+    shift = np.median(moved, axis=0)
+    spread = float(np.median(np.linalg.norm(moved - shift, axis=1)))
+    if np.hypot(*shift) < max(_CLEAR_SHIFT_M, 2.0 * spread):
+        return None
+    return (
+        f"the poses lie {shift[0]:+.2f} m in x and {shift[1]:+.2f} m in y of the map from their priors, within "
+        f"{spread:.2f} m the same in every frame: the bias of the receiver, or a datum or map origin that does not fit"
+    )
