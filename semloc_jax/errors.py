@@ -1,4 +1,4 @@
-"""The one exception that stands for bad input (room: ground).
+"""The exception for bad input (room: ground).
 
 In: nothing. Out: SemlocError, which the command line prints as one line.
 """

@@ -27,7 +27,7 @@ _PIECE_PX = 4.0
 
 @dataclass(frozen=True)
 class AmbiguityConfig:
-    """Where second poses are looked for. All values are ours."""
+    """Where second poses are looked for. All values are our choice."""
 
     longitudinal_m: float = 15.0
     lateral_m: float = 4.0

@@ -48,7 +48,7 @@ WINDOWS = (BasinWindow(1.0, 1.0, 2.0), BasinWindow(2.0, 2.0, 5.0), BasinWindow(5
 
 @dataclass(frozen=True)
 class BasinConfig:
-    """How a basin is measured. All values are ours."""
+    """How a basin is measured. All values are our choice."""
 
     num_starts: int = 64
     """Starts in each frame."""
@@ -128,7 +128,7 @@ def basin(
 ) -> tuple[Basin, ...]:
     """From how far away the true pose is found, for each window.
 
-    A start knows no more than a vehicle would: height, roll and pitch are those of the road of the map where it stands,
+    A start uses what a vehicle knows: height, roll and pitch are those of the road of the map at its place,
     the map is seen as from there, and the prior is centred on the start and as wide as the window.
 
     Args:

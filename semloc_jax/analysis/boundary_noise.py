@@ -1,6 +1,6 @@
 """How mask boundaries are displaced, and which displacements belong together (room: analysis; host).
 
-In: nothing but what is believed. Out: BoundaryNoise.
+In: prior values. Out: BoundaryNoise.
 Measured at true poses on simulated drives (degraded masks, pinhole and fisheye, 640x400 to 960x600): neighbours on
 one edge of one element are wrong together, mostly over 10 px, a little along the whole line; the opposite edge of a
 stripe and other elements know nothing of it; and all masks are too thin or too thick by the same.
@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 @dataclass(frozen=True)
 class BoundaryNoise:
-    """What is known of displaced boundaries before a frame is looked at. All values are ours."""
+    """Prior values for displaced boundaries, before a frame is seen. All values are our choice."""
 
     own_px2: float = 0.12
     """Variance of a boundary pixel that no other pixel shares."""

@@ -41,7 +41,7 @@ CLAIMS: tuple[Claim, ...] = ("falls", "higher")
 
 @dataclass(frozen=True)
 class CertificateConfig:
-    """How a certificate is sought. All values are ours."""
+    """How a certificate is computed. All values are our choice."""
 
     level: int = 0
     """Level of the cost maps: the coarsest has the widest region."""
@@ -67,7 +67,7 @@ class Region:
     outer: tuple[float, ...]
 
     def __str__(self) -> str:
-        """Both boxes in words."""
+        """Both boxes as text."""
         inner, outer = ("±{:.2f} m along, ±{:.2f} m across, ±{:.2f}°".format(*box) for box in (self.inner, self.outer))
         return f"{outer} but for {inner}"
 
@@ -93,7 +93,7 @@ class Certificate:
     level: int
 
     def __str__(self) -> str:
-        """Both claims in words."""
+        """Both claims as text."""
         falls, higher = ("not proven" if region is None else str(region) for region in (self.falls, self.higher))
         return f"no second minimum: {falls}; no pose as good: {higher}"
 

@@ -40,7 +40,7 @@ class Group:
 
 
 def cast(leaf: Array | np.ndarray, dtype: np.dtype) -> Array | np.ndarray:
-    """The leaf in another float type; what is no float stays as it is."""
+    """The leaf in another float type; other leaves are unchanged."""
     return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
 

@@ -27,7 +27,7 @@ from semloc_jax.structs import MapSamples, ViewSamples
 
 @dataclass(frozen=True)
 class ExpectedConfig:
-    """What the expected accuracy of a place rests on. All values are ours."""
+    """What the expected accuracy of a place rests on. All values are our choice."""
 
     scene: SceneConfig = field(default_factory=SceneConfig)
     """View, noise of mask boundaries, road."""

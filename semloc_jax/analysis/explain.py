@@ -42,7 +42,7 @@ LETS_GO = 5**-0.5
 
 @dataclass(frozen=True)
 class ExplainConfig:
-    """What is asked of every element. All values are ours."""
+    """How elements are changed. All values are our choice."""
 
     shift_m: float = 0.10
     """How far an element is taken to be wrong."""

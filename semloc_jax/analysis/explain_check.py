@@ -25,7 +25,7 @@ class Check:
     """What `localize` says in a changed map; NaN where it finds no pose.
 
     Attributes:
-        holder: what was changed, with what was foretold.
+        holder: the element that was changed, with the prediction.
         shifted: longitudinal, lateral [m] and heading [rad] by which the pose moved with the element shifted.
         removed: the same with the element left out.
         is_localized: whether both poses may be used.

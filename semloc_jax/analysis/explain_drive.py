@@ -20,7 +20,7 @@ from semloc_jax.maps import SemanticMap
 from semloc_jax.structs import ElementClass
 
 IRREPLACEABLE = 2.0
-"""Nothing stands in for an element without which the sigma of a direction grows by this factor; ours."""
+"""An element is irreplaceable if the sigma of a direction grows by this factor without it; our choice."""
 
 
 @dataclass(frozen=True)

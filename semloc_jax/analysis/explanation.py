@@ -22,7 +22,7 @@ class Holder:
         label: class; None for parts of the prior.
         middle_map: where it is [m].
         num_samples: points of its contour in view.
-        observations: independent observations that they stand for, the limit of an element taken into account.
+        observations: number of independent observations they are worth, after the limit for one element.
         pull: what the robust kernel leaves of them, 0 .. 1.
         residual_px: mean distance of the mask boundary from what pulls.
         share: of the variance of each direction that comes from it; all elements and parts of the prior sum to 1.
@@ -33,7 +33,7 @@ class Holder:
             road.
         linear_to_m: a shift along it up to which the kernel holds on to what it pulls.
         linear: what a shift by `shift_m` along it does to each direction by the derivative.
-        shifted: the same as the solver answers it, which lets go of what is too far off.
+        shifted: the same by the solver, whose robust kernel rejects what is too far off.
         removed: what leaving it out does, as the solver answers it.
     """
 

@@ -1,7 +1,7 @@
 """A localizer on drives with faults: what went wrong, whether it was noticed, how fast it was over (room: analysis;
 host).
 
-In: FaultyDrive, the results of a run on it. Out: FaultOutcome; a table for people.
+In: FaultyDrive, the results of a run on it. Out: FaultOutcome; a Markdown table.
 """
 
 from collections.abc import Callable, Iterator, Sequence

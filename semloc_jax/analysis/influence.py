@@ -293,5 +293,5 @@ def influence(
 
 
 def _times(without: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Scaled sigmas; what is locked has none, however little else holds the pose."""
+    """Scaled sigmas; 0 for locked directions."""
     return np.where(scale > 0, without * np.where(scale > 0, scale, 1.0), 0.0)

@@ -2,7 +2,7 @@
 
 In: a function of arrays, intervals of its arguments. Out: intervals that hold every value it can take.
 The function is traced once and its operations are carried out on lower and upper bounds, so that every camera model
-has rigorous bounds without a line of its own. Rounding is not directed: who uses the bounds adds a margin.
+has rigorous bounds without a line of its own. Rounding is not directed: the caller adds a margin to the bounds.
 """
 
 from collections.abc import Callable

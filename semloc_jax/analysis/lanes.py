@@ -1,8 +1,8 @@
 """The ways that a map's lanes make, where no path is given (room: analysis; host).
 
 In: a SemanticMap. Out: Ways along the middle of its lanes, one place each some metres.
-A walk starts between two lines that are a lane apart and goes on as long as a line is beside it; gaps between dashes
-are no end. Maps say little about who drives where: ways follow the direction in which their lines are stored.
+A walk starts between two lines that are a lane apart and continues while a line is beside it; gaps between dashes
+do not end it. Maps seldom state the direction of travel: ways follow the direction in which their lines are stored.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ BESIDE = frozenset({ElementClass.LANE_MARKING, ElementClass.CURB})
 
 @dataclass(frozen=True)
 class LaneConfig:
-    """What counts as a lane. All values are ours."""
+    """What counts as a lane. All values are our choice."""
 
     min_width_m: float = 2.4
     max_width_m: float = 5.0

@@ -53,7 +53,7 @@ class Placement(NamedTuple):
 
 @dataclass(frozen=True)
 class PlacementConfig:
-    """What may be changed, and how smooth the gradient is. All values are ours."""
+    """What may be changed, and how smooth the gradient is. All values are our choice."""
 
     survey: SurveyConfig = field(default_factory=SurveyConfig)
     down_deg: tuple[float, float] = (-10.0, 25.0)

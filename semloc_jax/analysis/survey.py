@@ -32,7 +32,7 @@ from semloc_jax.structs import MapSamples
 
 @dataclass(frozen=True)
 class SurveyConfig:
-    """How a road is surveyed. All values are ours."""
+    """How a road is surveyed. All values are our choice."""
 
     SECTION: ClassVar[str] = "survey"
     """Where a configuration file holds all of this but the scene."""

@@ -36,7 +36,7 @@ from semloc_jax.structs import ViewSamples
 
 @dataclass(frozen=True)
 class SandwichConfig:
-    """What is known before a frame is looked at, and how much it weighs. All values are ours."""
+    """Prior values before a frame is seen, and their weight. All values are our choice."""
 
     noise: BoundaryNoise = field(default_factory=BoundaryNoise)
     """The ratios of its variances count: the level is that of the frame. Its efficiency is not used."""

@@ -1,7 +1,8 @@
-"""What the benchmark asks of a solver, and the list of solvers (room: bench; host).
+"""The interface of a solver in the benchmark, and the list of solvers (room: bench; host).
 
 In: the name of a peer. Out: an object that solves from start poses, or the reason why it is not here.
-A peer lives in one file and imports its library when it is made: whoever lacks the library benchmarks without it.
+A peer lives in one file and imports its library when it is made, so that the benchmark runs without the peers whose
+library is missing.
 """
 
 import importlib

@@ -1,7 +1,7 @@
 """What the measurements say: ratios with their spread, the table, the JSON file, the gate (room: bench; host).
 
 In: Measurements of a run. Out: text, plain data, Metrics for `evaluation.benchmark`.
-Times depend on the machine and on who else uses it; the gate looks at ratios of one run and at success rates only.
+Times depend on the machine and its load; the gate compares ratios within one run and success rates only.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from semloc_jax.evaluation import Metric
 
 BASELINE = Path(__file__).with_name("baseline.json")
 TOLERANCE = 0.3
-"""A ratio may fall to so much less than its baseline's; ours. Repeats on one machine agree within a few percent, but
+"""A ratio may be lower than its baseline by this share; our choice. Repeats on one machine agree within a few percent;
 compilers, JAX versions and processors move the ratios of programs by more."""
 SUCCESS_TOLERANCE = 0.03
 DOUBT = 0.1

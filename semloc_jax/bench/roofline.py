@@ -28,7 +28,7 @@ FLOP_A_POINT = {
     "21 + 6 + 1 sums of products": 56,
     "rotation of the row, amortised": 24,
 }
-"""Fewest operations that we know of, counted by hand; a fused multiply-add is two."""
+"""The smallest number of operations we found, counted by hand; a fused multiply-add is two."""
 BYTES_A_POINT = 3 * 4 + 4 + 4 + 4
 """Point, class, weight and one packed texel of four taps."""
 

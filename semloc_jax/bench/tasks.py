@@ -21,7 +21,7 @@ ENOUGH_S = 15.0
 
 @dataclass(frozen=True)
 class Task:
-    """One thing that a peer is asked to do."""
+    """One task for a peer."""
 
     kind: Kind
     """one: full solves, a start in each call. many: full solves, all starts in one call. tracking: solves from near on

@@ -1,4 +1,4 @@
-"""The process of one peer, pinned to one core: does one task when it is told to, and tells what it took (room: bench).
+"""The process of one peer, pinned to one core: runs one task at a time and reports its cost (room: bench).
 
 usage: python -m semloc_jax.bench.worker PEER CORE
 In: one JSON object in each line of the standard input. Out: one JSON object for each.
@@ -42,7 +42,7 @@ def main(name: str, core: int | None) -> None:
 
 
 class Worker:
-    """The peer, one for each problem: whoever compiles for a problem does so once."""
+    """The peer, one for each problem, so that it compiles once for each problem."""
 
     def __init__(self, make: "Callable[[], Peer]") -> None:
         self.make = make

@@ -1,6 +1,6 @@
 """What looks wrong in a calibration, before anything is localized with it (room: cameras; host).
 
-In: Rig and the sizes of its pictures. Out: findings in words. All limits are ours: they fit cars, vans and trucks.
+In: Rig and the sizes of its pictures. Out: findings as text. All limits are our choice: they fit cars, vans and trucks.
 """
 
 from collections.abc import Mapping

@@ -19,7 +19,7 @@ class CameraGroup(NamedTuple):
     """Cameras of one model, stacked for `vmap`."""
 
     index: tuple[int, ...]
-    """Where they stand in the rig."""
+    """Their indices in the rig."""
     camera: Camera
     """One camera with a leading axis on every leaf."""
     T_base_cam: Float[Array | np.ndarray, "n 4 4"]

@@ -20,15 +20,15 @@ class Options(DriveOptions):
     calibration.json (odometer scale, gyroscope bias, GNSS offset, directions that are not observable), trajectory.tum,
     observability.png, overlays/*.png and config.yaml.
 
-    What a drive cannot tell stays at its prior and is named. With --ground-points DRIVE is a calibration: its cameras
-    are calibrated against each other, without drive and map.
+    What the drive does not constrain stays at its prior and is listed. With --ground-points DRIVE is a calibration: its
+    cameras are calibrated against each other, without drive and map.
 
     Every value of the configuration is an option too, e.g. --priors.mount-deg 1 or --intrinsics focal.
     """
 
     reference: str | None = None
-    """Poses of the vehicle from elsewhere: truth, or a trajectory file in the frame of the map. They tell where on the
-    vehicle the cameras sit, which a drive alone hardly can."""
+    """Poses of the vehicle from elsewhere: truth, or a trajectory file in the frame of the map. They give the position
+    of the cameras on the vehicle, which a drive alone hardly constrains."""
     ground_points: Path | None = None
     """Table camera_a,u_a,v_a,camera_b,u_b,v_b: pixels of the same ground point in two cameras."""
     overlays: int = 4
@@ -40,7 +40,7 @@ class Options(DriveOptions):
 
 
 def default_settings() -> "SelfCalibrationConfig":
-    """How a drive is calibrated if nothing is said."""
+    """The default configuration of a calibration."""
     from semloc_jax.calibration import SelfCalibrationConfig
 
     return SelfCalibrationConfig()

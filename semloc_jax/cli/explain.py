@@ -21,8 +21,8 @@ class Options(DriveOptions):
     Writes explain.csv and explain.json (every element in view, every class, the prior), explain.png (the elements in
     the image, coloured and named by their share), explain_map.png (from above, with arrows to where the vehicle goes)
     and config.yaml. Exit code 3 where the frame cannot be localized.
-    With --every K it asks every K-th frame instead and writes drive.csv: which elements hold the drive, and which of
-    them nothing can stand in for.
+    With --every K it explains every K-th frame instead and writes drive.csv: which elements hold the drive, and which
+    of them are irreplaceable.
     """
 
     frame: int = 0

@@ -22,7 +22,7 @@ class Options(DriveOptions):
     metrics.json where the drive has a truth, config.yaml (resolved; reads back with --config) and overlays/*.png.
 
     Every value of the configuration is an option too, e.g. --verdict.max-cost 0.6: 'semloc config' prints them all.
-    The exit code is 3 when fewer frames were localized than --min-localized-share asks for.
+    The exit code is 3 when the share of localized frames is below --min-localized-share.
     """
 
     frames: str = ":"
@@ -40,7 +40,7 @@ class Options(DriveOptions):
 
 
 def default_settings() -> "LocalizeConfig":
-    """How a frame is localized if nothing is said."""
+    """The default configuration of single frames."""
     from semloc_jax.alignment.frame_localizer import LocalizeConfig
 
     return LocalizeConfig()

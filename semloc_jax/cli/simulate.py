@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Options:
     """Render a seeded drive: images, exact masks, masks like a network's, sensors, maps and truth.
 
-    With --map the drive is on a real map: along its lanes, or along its markings where it knows no lanes. The length
+    With --map the drive is on a real map: along its lanes, or along its markings where it has no lanes. The length
     and the speed decide the number of frames.
 
     Every value of the simulation is an option too, e.g. --num-frames 60 --wear-share 0.3 --sensors.gnss-bias-m 2:
@@ -45,7 +45,7 @@ class Options:
 
 
 def default_settings() -> "SimulationConfig":
-    """What a drive is like if nothing is said."""
+    """The default configuration of a simulation."""
     from semloc_jax.simulation import SimulationConfig
 
     return SimulationConfig()

@@ -30,14 +30,14 @@ class Options(DriveOptions):
     frames: str = ":"
     """Which frames, as a Python slice: ::2, 10:60."""
     fusion: Literal["window", "dropping", "kalman", "single", "all"] = "window"
-    """How poses become one over time: sliding-window graph, one that drops its oldest state, Kalman filter, each frame
-    alone; or all of them on the same features, for fusions.csv and fusions.md."""
+    """How poses are fused over time: sliding-window graph, one that drops its oldest state, Kalman filter, none (each
+    frame alone); or all of them on the same features, for fusions.csv and fusions.md."""
     area: str | None = None
     """X,Y,RADIUS in the map: where to search when neither fixes nor a prior are given."""
     no_gnss_after_init: bool = False
     """Use satellite fixes to initialise only."""
     fault: str | None = None
-    """Disturb the drive: gnss_dropout, black_images, kidnapped ... or all of them, for faults.csv and faults.md."""
+    """Inject a fault: gnss_dropout, black_images, kidnapped ... or all in turn, for faults.csv and faults.md."""
     realtime: bool = False
     """Play the drive at its own pace; frames that come too fast are dropped."""
     resume: Path | None = None
@@ -57,7 +57,7 @@ class Options(DriveOptions):
 
 
 def default_settings() -> "TrackConfig":
-    """How a drive is followed if nothing is said."""
+    """The default configuration of the tracker."""
     from semloc_jax.localization.localizer import TrackConfig
 
     return TrackConfig()
@@ -88,7 +88,7 @@ def run(options: Options) -> int:
 def _plan(options: Options, area: "Area | None") -> "TrackPlan":
     from semloc_jax.reports.track import TrackPlan
 
-    # A table of faults has no table of fusions: the window stands for all.
+    # A table of faults is made with one fusion, the window.
     return TrackPlan(
         options.settings,
         "window" if options.fusion == ALL else options.fusion,

@@ -23,7 +23,7 @@ IMAGE = "rgb"
 
 @dataclass(frozen=True)
 class Frame:
-    """What the cameras saw at one time; files are read when asked for.
+    """The images and masks of one time; files are read on first use.
 
     Args:
         index: place in the drive.

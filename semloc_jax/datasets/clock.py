@@ -14,7 +14,7 @@ UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _EPOCH_S = (3.0e8, 5.0e9)
 """Times since 1970 lie in here (1979 ... 2128): receivers and cameras are not older, clocks not further off."""
 _STEP_S = (2e-4, 2.5)
-"""Recordings have steps in here: a step of 5 is one of 5 ms; ours."""
+"""Sampling intervals of recordings lie in this range: an interval of 5 means 5 ms; our choice."""
 _COLUMN = re.compile(r"(?:^|[_\[( .])(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds)\]?\)?$", re.IGNORECASE)
 _SPELLED = {"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "usec": "us", "nsec": "ns", "nanoseconds": "ns"}
 

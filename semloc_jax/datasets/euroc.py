@@ -1,7 +1,7 @@
 """EuRoC / ASL folders (room: datasets; host).
 
 In: [mav0/]cam0, cam1 ... each with sensor.yaml, data.csv, data/; imu0/data.csv; state_groundtruth_estimate0/data.csv.
-Out: Drive. The body of the format (its IMU) stands for the base.
+Out: Drive. The body of the format (its IMU) is used as the base.
 """
 
 from collections.abc import Mapping

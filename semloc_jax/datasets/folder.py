@@ -22,7 +22,7 @@ _KIND_OF_FOLDER = {"images": IMAGE, "image": IMAGE, "rgb": IMAGE, "masks": "mask
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _TIME = ("t", "time", "timestamp", "t_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us", "timestamp_ns")
 _MIN_STAMP_DIGITS = 9
-"""File names of so many digits are times and no numbers of pictures; ours."""
+"""File names with this many digits are times, not numbers of pictures; our choice."""
 
 
 def read_folder(

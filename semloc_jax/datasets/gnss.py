@@ -12,15 +12,15 @@ from semloc_jax.datasets.sensors import GnssTrack, WheelOdometry
 from semloc_jax.errors import SemlocError
 
 _JITTER_M = 1.0
-"""Scale of the robust fit: fixes jitter by this much from one to the next; ours."""
+"""Scale of the robust fit: fixes jitter by this much from one to the next; our choice."""
 _OUTLIER_M = 3.0
 _MIN_JITTER_M = 0.3
-"""A few fixes may agree by chance; they are not trusted beyond this."""
+"""A few fixes may agree by chance; the heading is never stated more accurate than this."""
 _MIN_SPREAD_M = 0.3
 """Below this spread of the fixes along the path their direction says nothing."""
 _MIN_SIGMA_HEADING_RAD = np.deg2rad(0.5)
 _CORRELATION_INFLATION = 3.0
-"""Neighbouring fixes share most of their error; n fixes are worth about n / 9; ours, measured on a rendered drive."""
+"""Neighbouring fixes share most of their error: n fixes are worth about n / 9. Measured on a rendered drive."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ _SAME_TIME_S = 1e-3
 _MIN_SHARE = 0.5
 """A camera that has a picture for fewer frames than this share is left out."""
 _MAX_WAIT_S = 0.1
-"""Pictures farther apart belong to no common frame, however slow the cameras are; ours."""
+"""Pictures farther apart in time never belong to one frame, however slow the cameras are; our choice."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from semloc_jax.evaluation.trajectory import Trajectory, read_trajectory
 _ODOMETRY, _RAW = ("image_2", "image_3", "image_0", "image_1"), ("image_02", "image_03", "image_00", "image_01")
 """Colour cameras first."""
 _OXTS_SIGMA_M = (0.5, 0.5, 1.0)
-"""The OXTS works with RTK where it can; ours."""
+"""The OXTS works with RTK where it can; our choice."""
 _ANTENNA_BASE = (0.05, 0.0, 0.93)
 """The OXTS box, to which its fixes refer: from the published drawing of the car."""
 

@@ -15,7 +15,7 @@ from semloc_jax.errors import SemlocError
 
 _SENTENCE = re.compile(r"^(?P<before>[^$]*)\$(?P<body>[A-Z]{2}(?:GGA|RMC|ZDA),[^*\s]*)(?:\*(?P<sum>[0-9A-Fa-f]{2}))?")
 _ERROR_M = {1: 2.5, 2: 1.0, 3: 1.0, 4: 0.02, 5: 0.25, 6: 10.0, 9: 1.0}
-"""Horizontal error for a dilution of one by quality of the fix: plain, differential, RTK fixed and float; ours."""
+"""Horizontal error [m] at a dilution of one, by quality of the fix (plain, differential, RTK ...); our choice."""
 _HEIGHT_FACTOR = 2.0
 _DAY_S = 86400.0
 _MAX_BYTES = 2_000_000_000

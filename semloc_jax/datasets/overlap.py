@@ -10,9 +10,9 @@ import numpy as np
 from semloc_jax.datasets.base import Drive
 
 _MIN_COVERED = 0.9
-"""A sensor that is there for fewer of the frames than this share is worth a word; ours."""
+"""A sensor that covers less than this share of the frames is reported; our choice."""
 _LONG_GAP = 10.0
-"""Gaps longer than this many periods are worth a word; ours."""
+"""Gaps longer than this many periods are reported; our choice."""
 _MIN_GAP_S = 1.0
 
 

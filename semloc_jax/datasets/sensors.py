@@ -18,7 +18,7 @@ from semloc_jax.geometry.geodesy import Geodetic, enu_from_wgs84, wgs84_from_enu
 _FASTEST_MPS, _HIGHEST_M = 150.0, 1e5
 """No vehicle is faster, no road is higher."""
 _DECIMALS = 4
-"""Of metres, to which fixes are rounded on their way from degrees: one drive is one drive in every format. Ours."""
+"""Decimals of metres that fixes from degrees keep, so that a drive is the same in every format; our choice."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class GnssTrack:
         if self.origin is None:
             return self
         p_enu = enu_from_wgs84(*wgs84_from_enu(self.p_enu, self.origin), tuple(origin))
-        # Degrees leave some nanometres: enough for a search to take another of two starts that are equally good.
+        # Degrees leave errors of nanometres, with which a search can choose another of two equally good starts.
         return replace(self, p_enu=np.round(p_enu, _DECIMALS), origin=None)
 
 
@@ -119,7 +119,7 @@ class WheelOdometry:
         return np.vstack([np.zeros(4), np.cumsum(steps, axis=0)])
 
     def dead_reckon(self, time_s: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
-        """Planar poses x, y [m], yaw [rad] in the `odom` frame; beyond the log the last speed and yaw rate go on."""
+        """Planar poses x, y [m], yaw [rad] in the `odom` frame; beyond the log the last speed and yaw rate continue."""
         return self._at(time_s)[:, :3]
 
     def distance_m(self, time_s: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
@@ -181,7 +181,7 @@ _PLACE = {"lat": ("lat_deg", "latitude", "lat"), "lon": ("lon_deg", "longitude",
 _PLACE |= {"alt": ("alt_m", "altitude", "alt", "height", "ele")}
 _SIGMA = ("sigma_e", "sigma_n", "sigma_u")
 _UNKNOWN_SIGMA_M = (3.0, 3.0, 6.0)
-"""A receiver that does not state its accuracy is taken for a plain one; ours."""
+"""Accuracy assumed of a receiver that does not state one; our choice."""
 
 
 def read_gnss(path: Path) -> GnssTrack:

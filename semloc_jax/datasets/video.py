@@ -60,7 +60,7 @@ class Video:
 
 @dataclass(frozen=True)
 class VideoPicture:
-    """One picture of a video, decoded when asked for."""
+    """One picture of a video, decoded on first use."""
 
     video: Video
     index: int

@@ -69,7 +69,7 @@ def nees(
 def independent_frames(errors: Float[np.ndarray, "n k"]) -> float:
     """How many independent frames a series of correlated errors is worth: n / (1 + 2 sum of autocorrelations).
 
-    The sum ends where the autocorrelation, the mean over the columns, first falls below 0.05 (ours).
+    The sum ends where the autocorrelation, the mean over the columns, first falls below 0.05 (our choice).
     """
     num = len(errors)
     scale = np.sqrt(np.mean(errors**2, axis=0))

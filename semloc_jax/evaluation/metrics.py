@@ -17,7 +17,7 @@ Direction = Literal["lower", "higher", "report"]
 Errors = dict[str, np.ndarray]
 
 TOLERANCE = {"m": 0.01, "deg": 0.02, "share": 0.02}
-"""How much worse than its baseline a metric may become, by unit; ours."""
+"""How much worse than its baseline a metric may become, by unit; our choice."""
 
 
 @dataclass(frozen=True)

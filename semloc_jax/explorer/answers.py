@@ -1,4 +1,4 @@
-"""What the page is told about a pose (room: explorer; host).
+"""What the page shows about a pose (room: explorer; host).
 
 In: PoseProbe, costs, Descent, all on the host. Out: plain numbers in m, deg and px, and compact arrays.
 """

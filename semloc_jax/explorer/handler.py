@@ -46,7 +46,7 @@ class Progress:
         """Note the next part.
 
         Raises:
-            InterruptedError: nobody waits for it any more.
+            InterruptedError: the client no longer waits for the answer.
         """
         with self._lock:
             if self._stopped:

@@ -21,7 +21,7 @@ MIN_ZOOM, MAX_ZOOM = 1 / 16, 16.0
 
 @dataclass(frozen=True)
 class PoseQuery:
-    """One pose that the page asks about."""
+    """One pose that the page requests."""
 
     placement: Placement
     level: int

@@ -1,4 +1,4 @@
-"""A vehicle pose as one moves it by hand: a place on the road, and how it stands off the road (room: explorer).
+"""A vehicle pose that the user drags: a place on the road, and the offsets from the road (room: explorer).
 
 In: a pose or six numbers. Out: Placement, T_map_base.
 """

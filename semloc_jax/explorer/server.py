@@ -106,7 +106,7 @@ class ExplorerServer(ThreadingHTTPServer):
             self.session.warm_up(self.progress.report)
         except InterruptedError:
             pass
-        except Exception as error:  # told on the page; the thread has nobody else to tell
+        except Exception as error:  # shown on the page; nothing else waits for this thread
             self.progress.fail(f"{type(error).__name__}: {' '.join(str(error).split())}")
 
 
@@ -136,7 +136,7 @@ def serve(
         around: `truth` or `prior`: where the vehicle stands at first.
         port: Port on this machine; 0 takes any free one.
         open_browser: Whether to show the page in the browser of this machine.
-        announce: Is told the address, and the end.
+        announce: Called with the address, and at the end.
 
     Raises:
         SemlocError: the frame cannot be read, or the port cannot be had.

@@ -113,7 +113,7 @@ class ExplorerSession:
                 self.frame = self._open(index)
 
     def warm_up(self, report: Callable[[str, int, int], None] = lambda *_: None) -> None:
-        """Compile everything; `report` is told what is under way, its number and how many there are."""
+        """Compile everything; `report` is called with the current step, its number and their count."""
         query = PoseQuery(self.start(), 0, self.channel_names)
         parts: tuple[tuple[str, Callable[[], object]], ...] = (
             ("view of the map", lambda: self._seen(query)),

@@ -1,4 +1,4 @@
-"""Choices of frames and names as a person writes them (room: inputs; host).
+"""Choices of frames and names as typed by a user (room: inputs; host).
 
 In: text such as `::5` or `front,left`. Out: slices, names.
 """

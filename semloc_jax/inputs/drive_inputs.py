@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 _FAR_M = 300.0
-"""Fixes farther outside of a map than this belong to another place; ours."""
+"""Fixes farther outside of a map than this belong to another place; our choice."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def open_inputs(options: InputOptions) -> Inputs:
 
 
 def _fixes_in_map(drive: "Drive", semantic_map: "SemanticMap", prior: str) -> "Drive":
-    """The drive with its fixes in the frame of the map; without them where nothing needs them and nobody knows how.
+    """The drive with its fixes in the frame of the map; without them where they are neither needed nor convertible.
 
     Raises:
         SemlocError: the fixes are to give the prior, and the map does not say where it is or is somewhere else.

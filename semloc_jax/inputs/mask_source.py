@@ -217,7 +217,7 @@ def _with_offsets(source: MaskSource, drive: Drive) -> MaskSource:
             continue
         if max(abs(offset.du_px), abs(offset.dv_px)) > _MAX_OFFSET_PX:
             _LOG.warning(
-                "masks '%s' of %s: estimated (%+.1f, %+.1f) px off the images, not believed; taken as 0",
+                "masks '%s' of %s: estimated (%+.1f, %+.1f) px off the images, implausible; taken as 0",
                 *(source.name, camera, offset.du_px, offset.dv_px),
             )
         elif offset.is_significant:

@@ -18,7 +18,10 @@ def pinned(path: Path) -> Path:
 
     A path that does not exist, and one without links, stay as given.
     """
-    if not path.exists():
+    try:
+        if not path.exists():
+            return path
+    except OSError:  # too long for the file system: the reader says what is wrong with it
         return path
     parent = path.parent.resolve()
     fixed = parent / path.name
@@ -45,8 +48,9 @@ def _pinned_value(value: Any) -> Any:
     if isinstance(value, Path):
         return pinned(value)
     # A text without a separator is a name (gnss, sem_net), not a path.
-    if isinstance(value, str) and "/" in value and "\n" not in value and len(value) < 4096:
-        return str(pinned(Path(value))) if pinned(Path(value)) != Path(value) else value
+    if isinstance(value, str) and "/" in value:
+        fixed = pinned(Path(value))
+        return value if fixed == Path(value) else str(fixed)
     if isinstance(value, tuple):
         return tuple(_pinned_value(item) for item in value)
     return value

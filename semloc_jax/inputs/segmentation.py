@@ -104,7 +104,7 @@ def _claim(folder: Path, preset: NetworkPreset, overwrite: bool) -> None:
     with Path(preset.model).open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     settings = {key: list(v) if isinstance(v, tuple) else v for key, v in dataclasses.asdict(preset).items()}
-    # How the work is cut in batches and by what it is run changes no mask beyond rounding.
+    # Batch size and backend change masks by rounding only.
     record = {"model_sha256": digest} | {key: v for key, v in settings.items() if key not in ("batch", "backend")}
     path = folder / RECORD
     if path.is_file() and not overwrite:

@@ -12,7 +12,7 @@ from semloc_jax.errors import SemlocError
 
 @dataclass(frozen=True)
 class LearningConfig:
-    """Everything that decides what is learned. All values are ours."""
+    """Everything that decides what is learned. All values are our choice."""
 
     SECTION: ClassVar[str] = "learn"
     """Where a configuration file holds all of this but the scene."""
@@ -54,7 +54,7 @@ class LearningConfig:
     """Times that the drives for validation are searched to find how wide the covariance has to be; 0 leaves it as wide
     as single solves need it."""
     judge_every: int = 10
-    """Steps after which the frames for validation are asked; the best answer is kept."""
+    """Steps between evaluations on the frames for validation; the best parameters are kept."""
     seed: int = 0
     """Of the priors' errors and of the batches."""
 

@@ -23,7 +23,7 @@ _JUDGE_SEED = 1000
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Errors of the frames of a drive and what the solver said about them.
+    """Errors of the frames of a drive, and the covariances that the solver stated.
 
     Attributes:
         error: float64[n 3], along and across [m] and in heading [rad].

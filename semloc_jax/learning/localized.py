@@ -1,4 +1,4 @@
-"""Frames of a drive localized as they are in use (room: learning; host).
+"""Frames of a drive, localized as in operation (room: learning; host).
 
 In: a drive with truth, a FrameLocalizer. Out: LocalizedFrame: the result, what it was found from, and the truth.
 """
@@ -23,7 +23,7 @@ class LocalizedFrame:
     """One frame.
 
     Attributes:
-        prior: What the search was told.
+        prior: The prior of the search.
         result: What it found; at least one mode.
         T_true: True T_map_base in the map, float64.
     """

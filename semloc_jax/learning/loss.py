@@ -20,7 +20,7 @@ _POLISH = SmoothConfig()
 """How exact a solve is before its derivative is taken; learning never needed it otherwise."""
 
 PLANAR = np.array([0, 1, 5])
-"""Along, across, heading: what is asked of a vehicle; height and tilt are those of the road."""
+"""Longitudinal, lateral, heading: the directions that count for a vehicle; height and tilt follow from the road."""
 
 
 class FrameScore(eqx.Module):

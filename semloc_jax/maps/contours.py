@@ -42,7 +42,7 @@ class Contour:
 def element_contours(element: MapElement, caps: tuple[bool, bool] = (True, True)) -> list[Contour]:
     """Returns the visible contours of one element, none for logical ones.
 
-    They stay with the element: the window around a vehicle moves on, most of its elements stay.
+    The result is cached with the element: most elements stay in view while the window around the vehicle moves.
 
     Args:
         element: any element.
@@ -79,7 +79,7 @@ def _element_contours(element: MapElement, caps: tuple[bool, bool]) -> list[Cont
 
 
 def painted_polygon(element: MapElement) -> shapely.Polygon:
-    """Returns the painted surface of an element seen from above; empty if it has none. It stays with the element."""
+    """Returns the painted surface of an element seen from above, cached with the element; empty if it has none."""
     kept = element.__dict__
     if "_polygon" not in kept:
         kept["_polygon"] = _painted_polygon(element)
@@ -99,7 +99,7 @@ def _painted_polygon(element: MapElement) -> shapely.Polygon:
 def open_ends(elements: Sequence[MapElement]) -> np.ndarray:
     """Returns for each element whether its painted line ends at its first and at its last point, `bool[n 2]`.
 
-    An end is none if a query cut the line there, or if the line goes on in another element of its class and width.
+    It does not end where a query cut it, or where another element of its class and width continues it.
     """
     is_end = np.array([element.true_ends for element in elements], dtype=bool).reshape(-1, 2)
     rows = [i for i, e in enumerate(elements) if e.is_painted and not e.closed and len(e.points) > 1]

@@ -42,7 +42,7 @@ class Converted:
         map: What was written.
         losses: How the written file differs from it.
         left_out: Number of things of each kind in the source that a map of visible elements does not keep.
-        notes: What was done on the way, for people.
+        notes: What was done on the way, as text.
         path: The written file.
     """
 
@@ -58,7 +58,7 @@ class Converted:
         return self.losses.is_exact and not self.left_out
 
     def to_text(self) -> str:
-        """The report for people."""
+        """The report as text."""
         size_kb = self.path.stat().st_size / 1000
         lines = [*self.notes, f"{self.path}: {len(self.map.elements)} elements, {size_kb:.1f} kB"]
         others = [f"left out when the map was read: {count} {kind}" for kind, count in self.left_out.items()]

@@ -80,7 +80,7 @@ def _missing_sizes(element: MapElement) -> Iterator[Defect]:
 
 
 def _crosses_itself(element: MapElement) -> bool:
-    """Returns whether a line or area crosses itself seen from above (upright things always would)."""
+    """Returns whether a line or area crosses itself seen from above (upright things always do)."""
     if element.label in UPRIGHT_CLASSES or element.label == ElementClass.SIGN or len(element.points) < 3:
         return False
     xy = element.points[:, :2]

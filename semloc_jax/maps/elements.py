@@ -23,7 +23,7 @@ LARGEST_M = 1e3
 """Beyond the size of anything that stands or is painted on a road."""
 
 VIRTUAL = "virtual"
-"""Style of what is kept but not sampled: lines that are not painted, signs whose height nobody wrote down."""
+"""Style of what is kept but not sampled: lines that are not painted, signs of unknown height."""
 
 PAINT_CLASSES = frozenset(
     {
@@ -67,7 +67,7 @@ class MapElement:
         normal: unit `float64[3]` out of the face of a sign, or None.
         true_ends: whether the first and the last point are real ends (False where a query cut the line).
         has_height: whether the heights of the points were given (else they are 0).
-        attributes: what else the file said, kept for writing it back.
+        attributes: other properties of the file, kept for writing it back.
     """
 
     id: str
@@ -99,7 +99,7 @@ class MapElement:
 
     @property
     def is_logical(self) -> bool:
-        """Whether the element is only an idea (lane boundary, parking slot) without a contour of its own."""
+        """Whether the element is logical (lane boundary, parking slot): it has no contour of its own."""
         return self.style == VIRTUAL or self.label == ElementClass.PARKING_SLOT
 
     @property

@@ -119,7 +119,7 @@ class GroundModel:
         return pose
 
     def _neighbours(self, center: np.ndarray, radius_m: float, near_z_m: float | None) -> tuple[np.ndarray, float]:
-        """Returns ground points around a place `[n 3]`, enough for both slopes where possible, and the radius."""
+        """Returns the ground points around a place `[n 3]`, and the radius with enough of them for both slopes."""
         found = np.zeros((0, 3))
         while self._tree is not None:
             found = self.points[self._tree.query_ball_point(center, radius_m)]

@@ -1,7 +1,7 @@
 """Heights for elements that came without: from a ground surface, or from the plane of the road (room: maps; host).
 
 In: a map, a raster of ground heights or a map that has them. Out: the map with heights, and how far each may be off.
-Sigmas are one standard deviation of the height above the true road [m]; those without a source are ours.
+Sigmas are one standard deviation of the height above the true road [m]; those without a source are our choice.
 """
 
 import json

@@ -43,7 +43,7 @@ class MapReport:
         bytes_per_km: size of the gzipped GeoJSON for each kilometre of road.
         compact_bytes_per_km: size of the compact form at 1 cm for each kilometre of road.
         frame: coordinate system in words.
-        assumed: elements with a size or a place that the file did not tell, by what it is.
+        assumed: number of elements for each size or position that the file does not state.
         num_points: vertices.
         defects: everything found.
         has_origin: whether the map knows its place on the earth.
@@ -79,7 +79,7 @@ class MapReport:
         return "\n".join(lines)
 
     def _spelled_out(self, max_defects: int) -> Iterator[str]:
-        """Yields lines about defects; a kind that is everywhere leaves room for the others."""
+        """Yields lines about defects; a frequent kind does not crowd out the others."""
         kinds: dict[str, list[Defect]] = {}
         for defect in self.defects:
             kinds.setdefault(defect.kind, []).append(defect)

@@ -1,4 +1,4 @@
-"""What became of a map on its way through a file format (room: maps; host).
+"""What a map loses when it is written to a file and read again (room: maps; host).
 
 In: the map before and after. Out: Losses, which prints itself as text; it compares maps, so it knows no format.
 """
@@ -17,7 +17,7 @@ _WORDS = ("style", "shape", "closed", "true_ends", "has_height")
 _SAME_M = 1e-9
 _AT_ONCE = 256
 _FARTHEST_M = 5.0
-"""An element that has no like this near has been lost."""
+"""An element without a counterpart within this distance is lost."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Losses:
         added: elements that were not there before, by class.
         shift_m: largest distance of a vertex from the outline it belonged to, either way.
         changed: elements in which a field changed, by field; sizes with the largest change in metres.
-        notes: what else is not as it was, in words.
+        notes: other differences, as text.
     """
 
     lost: dict[str, int]

@@ -24,8 +24,8 @@ class LocalMap:
     """The part of a map within a radius of a place.
 
     Attributes:
-        elements: elements in the map frame [m]; lines are cut at the radius and say so in `true_ends`.
-        origin_map: `float64[3]` in the map frame: origin of `frame`, in which everything goes to JAX.
+        elements: elements in the map frame [m]; lines are cut at the radius; `true_ends` marks the cuts.
+        origin_map: `float64[3]` in the map frame: origin of `frame`, the frame of all that goes to JAX.
         ground: the road surface of the whole map.
         radius_m: search radius.
     """
@@ -47,7 +47,7 @@ class SemanticMap:
 
     Attributes:
         elements: every element; ids are unique.
-        origin: WGS84 place of the frame, None where the source did not say.
+        origin: WGS84 place of the frame, None where the source does not state it.
         name: where it came from, for messages.
         skipped: what the reader left out, by reason or class, with counts.
         frame: the coordinate system in words, where the format has a name for it.
@@ -100,11 +100,11 @@ class SemanticMap:
         return {element.id: row for row, element in enumerate(self.elements)}
 
     def rows_of(self, ids: Iterable[str]) -> np.ndarray:
-        """Returns the places in the map of elements that a query found, `int64[k]`."""
+        """Returns the row of each element that a query found, `int64[k]`."""
         return np.array([self._row_of_id[key] for key in ids], dtype=np.int64)
 
     def element_at(self, row: int) -> MapElement:
-        """Returns the element at a place in the map."""
+        """Returns the element of a row."""
         return self.elements[row]
 
     @cached_property

@@ -109,7 +109,7 @@ def cost_maps(
 
 
 def _run_all(jobs: Sequence[Callable[[], None]], by_thread: bool) -> None:
-    """Run jobs that write planes of their own; OpenCV lets go of the interpreter lock."""
+    """Run jobs that each write their own planes; OpenCV releases the interpreter lock."""
     if not by_thread:  # each takes less time than a thread to start
         for job in jobs:
             job()

@@ -69,7 +69,7 @@ def read_mask(path: str | Path, size_px: tuple[int, int] | None = None) -> np.nd
     if mask is None or mask.ndim != 2:
         raise damaged
     if depth < 8:
-        # The decoder stretches 1, 2 and 4 bit values to 0...255; ids must stay as they are.
+        # The decoder stretches 1, 2 and 4 bit values to 0...255; ids must not change.
         mask //= 255 // (2**depth - 1)
     if size_px is not None and mask.shape[::-1] != tuple(size_px):
         given = f"{mask.shape[1]}x{mask.shape[0]}"

@@ -67,7 +67,7 @@ class NetworkPreset:
 
 @dataclass(frozen=True)
 class _Tile:
-    """Part of an image that goes into the network, and the part of it that is believed; (left, top, right, bottom)."""
+    """Part of an image that goes into the network, and the part of it whose mask is used; left, top, right, bottom."""
 
     seen: tuple[int, int, int, int]
     kept: tuple[int, int, int, int]
@@ -161,7 +161,7 @@ class NetworkSegmenter:
         if output.shape[:1] != (len(batch),) or output.ndim not in (3, 4):
             raise SemlocError(
                 f"network {self.preset.model}: returned {list(output.shape)} for {len(batch)} images; expected scores "
-                "[b classes h w] or ids [b h w]; name the right --output"
+                "[b classes h w] or ids [b h w]; name the right `output` in the preset"
             )
         if output.ndim == 4 and self.preset.channels_last:
             output = output.transpose(0, 3, 1, 2)

@@ -57,7 +57,7 @@ class SurroundView:
     def stitch(self, masks: Sequence[np.ndarray], hidden_ids: Sequence[int] = ()) -> np.ndarray:
         """Class ids of the top view, uint8[h w].
 
-        Where the finest camera sees something that hides the road, the next one is asked.
+        Where an object hides the road from the finest camera, the next one is used.
 
         Args:
             masks: Class ids uint8[h w] of every camera, in the order of the rig.

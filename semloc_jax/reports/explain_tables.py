@@ -63,8 +63,8 @@ def _irreplaceable(holder: Holder, found: Explanation) -> str | None:
 
 
 def check_table(checks: Sequence[Check]) -> str:
-    """What was foretold and what happened, one line for each element."""
-    head = f"{'localized again with':24}{'moved: foretold':>18}{'found':>16}{'left out: foretold':>20}{'found':>16}"
+    """What was predicted and what happened, one line for each element."""
+    head = f"{'localized again with':24}{'moved: predicted':>18}{'found':>16}{'left out: predicted':>20}{'found':>16}"
     lines = [f"{head}   [lon lat cm]"]
     for check in checks:
         parts = (check.holder.shifted, check.shifted, check.holder.removed, check.removed)

@@ -1,6 +1,6 @@
 """The folder of a run and the record of how it came about (room: reports; host).
 
-In: a wish, the configuration, the options. Out: a folder, config.yaml.
+In: a path or None, the configuration, the options. Out: a folder, config.yaml.
 """
 
 import shlex
@@ -21,7 +21,7 @@ DEFAULT_ROOT = Path("results")
 
 
 def make_folder(out: Path | None) -> Path:
-    """The folder for a run; without a wish `results/<time>`, to which the link `results/latest` points.
+    """The folder for a run: the given one, else `results/<time>`, to which the link `results/latest` then points.
 
     Raises:
         SemlocError: the folder cannot be made.

@@ -15,7 +15,7 @@ from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, 
 from semloc_jax.reports.tables import localized_trajectory
 
 _MIN_SHIFTED, _CLEAR_SHIFT_M = 5, 0.5
-"""A common shift of the poses against their priors is reported from so many frames and metres on; ours."""
+"""A common shift of the poses against their priors is reported from so many frames and metres on; our choice."""
 OF_VARIANT = (
     *("frames.reference", "frames.estimated", "estimated", "recall.0.3m_0.5m_0.5deg"),
     *("lateral.median", "longitudinal.median", "heading.median"),
@@ -77,9 +77,9 @@ def shifts(found: Sequence[LocalizationResult]) -> np.ndarray:
 
 
 def shift_text(moved: np.ndarray) -> str | None:
-    """A word on a shift between priors and poses that is the same in every frame; None where there is none.
+    """A sentence on a shift between priors and poses that is the same in every frame; None where there is none.
 
-    A receiver's own bias wanders and is about a metre; a datum that does not fit stays as it is over the whole drive.
+    The bias of a receiver drifts and is about a metre; the shift of a wrong datum is constant over the whole drive.
     """
     if len(moved) < _MIN_SHIFTED:
         return None

@@ -30,12 +30,12 @@ FUSIONS: dict[str, Callable[[], Fusion]] = {
     "kalman": KalmanFusion,
     "single": SingleFrameFusion,
 }
-"""Fusions by name; `dropping` is a window that forgets its oldest state instead of keeping it as a prior."""
+"""Fusions by name; `dropping` is a window that drops its oldest state instead of marginalising it."""
 
 
 @dataclass(frozen=True)
 class FusionRow:
-    """One way to fuse: errors of all frames with a pose, whether its sigmas are right, what it is called."""
+    """One way to fuse: errors of all frames with a pose, consistency of its sigmas, share of frames called TRACKING."""
 
     fusion: str
     lateral_mean_m: float
@@ -54,7 +54,7 @@ class FusionRow:
 def write_comparison(
     pipelines: "dict[str, Pipeline]", frames: Sequence[Frame], folder: Path, progress: Callable
 ) -> list[FusionRow]:
-    """Drive every localizer through the same frames, write what each says, and return the rows of the table.
+    """Run every tracker through the same frames, write the results of each, and return the rows of the table.
 
     Args:
         pipelines: By fusion; they share drive and masks, each has its own localizer.
@@ -110,7 +110,7 @@ def _row(name: str, table: TrackTable) -> FusionRow:
 
 
 def to_markdown(rows: Sequence[FusionRow]) -> str:
-    """The rows as a table for a front page."""
+    """The rows as a Markdown table."""
     lines = [
         "| fusion | lateral mean / p95 [cm] | longitudinal [cm] | heading [deg] | within 3 sigma | NEES | TRACKING | "
         "false | fusing [ms] |",

@@ -62,7 +62,7 @@ def timing_metrics(timing: Timing) -> list[Metric]:
 
 
 def integrity_metrics(table: TrackTable) -> list[Metric]:
-    """Whether what was said about the errors is true: of frames called TRACKING, of sigmas and protection levels."""
+    """Consistency: errors of frames called TRACKING, of sigmas and of protection levels."""
     known = table.has_pose & np.isfinite(table.columns[NEES])
     tracking = known & table.is_tracking
     errors = table.errors(tracking)
@@ -103,7 +103,7 @@ def _of_all_directions(table: TrackTable, known: np.ndarray) -> list[Metric]:
 
 
 def summary(table: TrackTable, timing: Timing) -> str:
-    """One or two lines for people."""
+    """A summary in one or two lines."""
     counts = {s: sum(x == s for x in table.status) for s in TrackStatus}
     said = ", ".join(f"{s.name} {count}" for s, count in counts.items() if count)
     stages = timing.stages_ms()

@@ -31,7 +31,7 @@ _THIN = ("lane_solid", "lane_dashed", "stop_line", "crosswalk", "arrow", "slot_l
 
 @dataclass(frozen=True)
 class Degradation:
-    """How bad the masks are; the defaults are ours, after the look of segmentation networks on road scenes.
+    """How bad the masks are; the defaults are our choice, modelled on segmentation networks in road scenes.
 
     Args:
         wobble_px: standard deviation of the displacement of borders.

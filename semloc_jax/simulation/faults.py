@@ -23,7 +23,7 @@ Log = TypeVar("Log", GnssTrack, WheelOdometry, Imu, Trajectory)
 
 @dataclass(frozen=True)
 class FaultSizes:
-    """How bad the faults are; the figures are those of the specification, the places in time are ours.
+    """How bad the faults are; the figures are those of the specification, the times are our choice.
 
     Args:
         begin_share: share of the drive after which a passing fault begins.

@@ -100,7 +100,7 @@ _PENALTIES = (
     ((1, 0), 1, 20.0 * _TILT),
     ((0, 1), 1, 20.0 * _TILT),
 )
-"""Differences along x and y, the derivative they stand for, and how large it usually is."""
+"""Differences along x and y, the derivative they approximate, and its usual size."""
 
 
 def _plane(plane: np.ndarray) -> Surface:

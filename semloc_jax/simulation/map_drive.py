@@ -1,6 +1,6 @@
 """A seeded drive on a real map, in the drive layout (room: simulation; host).
 
-In: a map file, a wish where to drive. Out: Drive of the drive just written.
+In: a map file, where to drive. Out: Drive of the drive just written.
 """
 
 import logging
@@ -62,7 +62,7 @@ def simulate_on_map(
         semantic_map = _surroundings(semantic_map, wish, rng)
         if wish.path is None:
             _log.warning(
-                "map %s knows no lanes: the way follows its markings; give yours with --path", semantic_map.name
+                "map %s has no lanes: the way follows its markings; give another with --path", semantic_map.name
             )
     route = find_route(lanes, semantic_map.elements, wish, rng)
     length_m = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())

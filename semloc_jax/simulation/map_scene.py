@@ -152,7 +152,7 @@ def _road_points(elements: Sequence[MapElement], lanes: Sequence[np.ndarray], wa
     for place in way:
         around = points[tree.query_ball_point(place, 4.0), 2]
         if len(around):
-            # Go on at the level where the way was before.
+            # Stay on the level of the way so far.
             height = float(around[np.argmin(np.abs(around - height))] if height is not None else np.median(around))
         heights.append(height)
     known = np.array([np.nan if h is None else h for h in heights])
@@ -198,7 +198,7 @@ def _built(
 
 
 def _standing(element: MapElement, surface: Surface) -> tuple[MapElement, None, list[Solid]] | None:
-    """Poles, cones and lights upright on their base, or on the ground above it; signs as they are."""
+    """Poles, cones and lights upright on their base, or on the ground above it; signs unchanged."""
     if element.label == ElementClass.SIGN:
         return (element, None, [solid_of(element)]) if element.closed and len(element.points) > 2 else None
     base, top = element.points[0].copy(), element.points[-1]

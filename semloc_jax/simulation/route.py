@@ -1,6 +1,6 @@
 """A way to drive on a real map: along its lanes, along its markings, or as given (room: simulation; host).
 
-In: centre lines of lanes, map elements, a wish. Out: PlanePath.
+In: centre lines of lanes, map elements, where to drive. Out: PlanePath.
 """
 
 from collections.abc import Sequence
@@ -103,7 +103,7 @@ def drivable(route: Float[np.ndarray, "n 2"], margin_m: float) -> PlanePath:
 
 
 def _straight(route: np.ndarray, length_m: float) -> np.ndarray:
-    """Places that go on straight past the end of a route."""
+    """Places straight ahead beyond the end of a route."""
     back = route[max(len(route) - 7, 0)]
     direction = (route[-1] - back) / np.linalg.norm(route[-1] - back)
     return route[-1] + np.arange(_STEP_M, length_m + _STEP_M, _STEP_M)[:, None] * direction
@@ -155,7 +155,7 @@ def _nearest_lane(lanes: Sequence[np.ndarray], start: np.ndarray, heading_deg: f
         if heading_deg is not None:
             here = _course(places[max(nearest - 1, 0) : nearest + 2])
             away[nearest] += 5.0 * abs(np.angle(np.exp(1j * (here - np.radians(heading_deg)))))
-        # At the end of a lane the one that goes on is as near.
+        # At the end of a lane its successor is equally near.
         found.append((away[nearest] + (1e-3 if nearest > len(places) - 4 else 0.0), number, nearest * _STEP_M))
     distance, number, begin_m = min(found)
     if distance > _FARTHEST_START_M:
@@ -186,7 +186,7 @@ def _beside_markings(elements: Sequence[MapElement]) -> list[np.ndarray]:
 
 
 def _next_bar(line: np.ndarray, others: Sequence[np.ndarray]) -> int | None:
-    """Which of the other lines goes on where this one ends."""
+    """Which of the other lines continues this one."""
     if not others:
         return None
     step = np.array([other[0] for other in others]) - line[-1]

@@ -18,7 +18,7 @@ _EARTH_RADIUS_M = 6_378_137.0
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Errors of the sensors; the defaults are ours, of a consumer receiver and a production car.
+    """Errors of the sensors; the defaults are our choice, for a consumer receiver and a production car.
 
     Args:
         gnss_bias_m: standard deviation of the error that all fixes of a drive share.

@@ -106,7 +106,7 @@ class Surface(ABC):
 
 
 def _step(above: np.ndarray, before: np.ndarray, last: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """How far to go from here [m]: as far as is safe, or along the secant where that is short."""
+    """Step along the ray [m]: the safe distance, or the secant step where that is short."""
     safe = above / rate
     fall = before - above
     secant = np.where(np.abs(fall) > 1e-15, above * last / np.where(fall == 0.0, 1.0, fall), np.inf)

@@ -111,7 +111,7 @@ def _name_elements(axes: Axes, shown: Sequence[tuple[Holder, np.ndarray]], pictu
 
 
 def _strongest(holder: Holder) -> str:
-    """The direction that an element holds most, in words."""
+    """The direction that an element constrains most, as text."""
     k = int(np.argmax(holder.share))
     return f"{100.0 * holder.share[k]:.0f} % of {_NAMES[k]}"
 

@@ -86,7 +86,7 @@ def _pose(entry: Mapping[str, Any], previous: np.ndarray | None, where: str) -> 
         return previous @ _inverse(rigid(entry["T_cn_cnm1"], f"{where} T_cn_cnm1"))
     if previous is not None:
         raise SemlocError(f"{where}: no pose; expected T_body_cam, T_cam_imu or T_cn_cnm1")
-    _log.warning("%s: no pose; this camera stands for the base frame (add T_body_cam)", where)
+    _log.warning("%s: no pose; this camera is taken as the base frame (add T_body_cam)", where)
     return np.eye(4)
 
 

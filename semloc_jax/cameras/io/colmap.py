@@ -1,6 +1,6 @@
 """COLMAP cameras.txt (room: cameras; host).
 
-In: lines `CAMERA_ID MODEL WIDTH HEIGHT PARAMS`. Out: Rig; COLMAP knows no vehicle, so every pose is the identity.
+In: lines `CAMERA_ID MODEL WIDTH HEIGHT PARAMS`. Out: Rig; COLMAP has no vehicle frame, so every pose is the identity.
 """
 
 import logging
@@ -45,7 +45,7 @@ def rig_from_colmap(path: Path) -> Rig:
         where = f"calibration {path}: camera {number}"
         cameras.append(_camera(model, rest, where))
         names.append(f"cam{number}")
-    _log.warning("calibration %s: COLMAP knows no vehicle; every T_base_cam is the identity (write a camchain)", path)
+    _log.warning("calibration %s: COLMAP has no vehicle; every T_base_cam is the identity (write a camchain)", path)
     return Rig(cameras, np.tile(np.eye(4), (len(cameras), 1, 1)), names)
 
 

@@ -26,7 +26,7 @@ _POSE_KEYS = ("T_body_cam", "T_base_cam", "T_imu_cam", "T_cam_imu", "T_cn_cnm1")
 def write_corrected(rig: Rig, source: str | Path, folder: str | Path) -> tuple[Path, ...]:
     """The files written: calib.yaml of a camchain, one json for each camera of WoodScape, each with the keys it had.
 
-    Cameras that the rig does not hold stay as they are. Any other layout becomes a calib.yaml in the `drive` layout.
+    Cameras that are not in the rig stay unchanged. Any other layout becomes a calib.yaml in the `drive` layout.
 
     Args:
         rig: Corrected cameras, named as in the source.

@@ -1,6 +1,6 @@
 """Checked fields of calibration files (room: cameras; host).
 
-In: parsed content and a word that says where it stands. Out: arrays of the right size, or SemlocError.
+In: parsed content and its place in the file, for messages. Out: arrays of the right size, or SemlocError.
 """
 
 import logging

@@ -1,7 +1,7 @@
 """OCamCalib (Scaramuzza) calibrations (room: cameras; host).
 
 In: calib_results.txt: polynomial, inverse polynomial, centre (row, column), affine c d e, size (height width).
-Out: Rig of one fisheye fitted to the inverse polynomial; what the fit leaves is told in pixels.
+Out: Rig of one fisheye fitted to the inverse polynomial; a message states the error of the fit in pixels.
 """
 
 import logging
@@ -33,7 +33,7 @@ def is_ocamcalib(path: Path) -> bool:
 
 
 def rig_from_ocamcalib(path: Path) -> Rig:
-    """The camera, named by the file; OCamCalib knows no vehicle, so that T_base_cam is the identity."""
+    """The camera, named by the file; OCamCalib has no vehicle frame, so T_base_cam is the identity."""
     where, lines = f"calibration {path}", _lines(path)
     inverse = _polynomial(lines[1], f"{where} inverse polynomial")
     row, column = numbers(lines[2], (2,), f"{where} centre")
@@ -48,7 +48,7 @@ def rig_from_ocamcalib(path: Path) -> Rig:
     check_focal(float(camera.fx), float(camera.fy), where)
     if not error_px <= _MAX_ERROR_PX:
         raise SemlocError(
-            f"{where}: no fisheye of ours follows its polynomial ({error_px:.1f} px off); expected a smooth lens; "
+            f"{where}: no fisheye model here fits its polynomial ({error_px:.1f} px off); expected a smooth lens; "
             "calibrate with Kalibr (equidistant) or cv2.fisheye"
         )
     if max(error_px, shear_px) > _WORD_OF_ERROR_PX:

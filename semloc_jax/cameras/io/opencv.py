@@ -81,7 +81,7 @@ def _load_xml(path: Path, where: str) -> dict[str, Any]:
 
 
 def _value(value: Any) -> Any:
-    """The numbers of a matrix, everything else as it is."""
+    """The numbers of a matrix, everything else unchanged."""
     return value.get("data") if isinstance(value, dict) else value
 
 

@@ -54,7 +54,7 @@ _TO_BGR = {
 
 @dataclass(frozen=True)
 class BagPicture:
-    """One image message, read when asked for."""
+    """One image message, read on first use."""
 
     store: BagStore
     topic: str
@@ -79,7 +79,7 @@ def picture_of(message: Any, where: str) -> np.ndarray:
     """The picture of a raw image message.
 
     Raises:
-        SemlocError: an encoding that is not known, or fewer bytes than the size asks for.
+        SemlocError: an encoding that is not known, or fewer bytes than the size requires.
     """
     channels = _CHANNELS.get(message.encoding)
     if channels is None:

@@ -15,7 +15,7 @@ from semloc_jax.errors import SemlocError
 
 _LOG = logging.getLogger(__name__)
 _UNKNOWN_SIGMA_M = 3.0
-"""A receiver that does not state its accuracy is taken for a plain one; ours."""
+"""Accuracy assumed of a receiver that does not state one; our choice."""
 _UNKNOWN, _NO_FIX = 0, -1
 
 Messages = list[tuple[float, Any]]

@@ -1,7 +1,7 @@
 """Bags to sequences (room: datasets; host).
 
 In: a ROS 1 .bag, a ROS 2 bag folder, .db3 or .mcap; images raw and compressed, CameraInfo, NavSatFix, Imu, Odometry,
-TwistStamped, tf. Out: Drive, whose pictures are read from the bag when asked for.
+TwistStamped, tf. Out: Drive, whose pictures are read from the bag on first use.
 """
 
 import logging

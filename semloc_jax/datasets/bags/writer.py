@@ -42,7 +42,7 @@ def write_bag(
         origin: place on the earth of the frame of the fixes; needed where they are in the frame of a map.
         frames: which; None for all.
         compressed: images as jpg files (the files of the drive themselves where they are jpg) and masks as png.
-        clock_offset_s: added to every time; ROS knows no times before zero [s].
+        clock_offset_s: added to every time; ROS has no times before zero [s].
 
     Raises:
         SemlocError: rosbags is missing, the path exists, a camera has no ROS model, or a time is negative.

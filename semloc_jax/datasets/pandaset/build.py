@@ -57,8 +57,8 @@ def calibrated(drive: PandaSetDrive, sweeps: slice = slice(None)) -> PandaSetDri
     """The sequence with the direction of its front camera corrected by the paint in the images of `sweeps`.
 
     A camera that looks down by theta more than stated shows paint theta (r^2 + h^2) / h too far ahead at range r; one
-    that looks left by psi more shows it psi r too far to the right. Both are told from errors of the labels, which are
-    fixed for each dash, by the change with the range.
+    that looks left by psi more shows it psi r too far to the right. Errors of the labels are
+    constant for each dash; the change with the range separates them.
 
     Raises:
         SemlocError: fewer than two dashes are seen at different ranges.

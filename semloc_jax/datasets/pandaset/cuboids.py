@@ -136,7 +136,7 @@ _NUMBERS = (
 
 
 class _Part:
-    """Stands for a pandas class: keeps what the pickle hands to it."""
+    """Replaces a pandas class: keeps what the pickle passes to it."""
 
     def __init__(self, *arguments: object):
         self.arguments = arguments

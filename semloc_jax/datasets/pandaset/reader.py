@@ -35,13 +35,13 @@ ROAD, LANE_LINE, OTHER_MARK, SIGN = 7, 8, 10, 36
 MASKS, MASK_TABLE = "masks_twinlite_front", "twinlite"
 """Folder of masks of the front camera, and the class table of the network that made them."""
 FRONT_CAMERA_X_M = 1.7
-"""Front camera ahead of the rear axle; ours, the data set does not state it."""
+"""Front camera ahead of the rear axle; our choice, the data set does not state it."""
 _GNSS_SIGMA_M = 0.5
 _MOVING_M = 0.15
 _MOVING_MPS = 1.0
-"""Below this the direction of the velocity is noise; ours."""
+"""Below this the direction of the velocity is noise; our choice."""
 _COURSE_HALF_S = 0.5
-"""Course differences of neighbours, 0.1 s apart, are noise of some degrees per second; ours."""
+"""Course differences of neighbours, 0.1 s apart, are noise of some degrees per second; our choice."""
 _ROAD_UNDER_M = (2.0, 4.0, 12.0)
 """Reach to the right, down and ahead of the front camera in which the road is taken as flat: the width of the car."""
 
@@ -155,7 +155,7 @@ def _drawing(cuboids: Path, rig: Rig, T_map_base: np.ndarray) -> Callable[[str],
 
 
 def _motion(truth: Trajectory, time_s: float, offset_s: float) -> np.ndarray:
-    """T_base(time)_base(time + offset); beyond the ends of the log the motion goes on as it was."""
+    """T_base(time)_base(time + offset); beyond the ends of the log the motion continues unchanged."""
     if not truth.time_s[0] <= time_s + offset_s <= truth.time_s[-1]:
         return np.linalg.inv(_motion(truth, time_s, -offset_s))
     start, end = truth.interpolate(np.array([time_s, time_s + offset_s]))

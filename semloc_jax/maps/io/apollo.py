@@ -1,8 +1,8 @@
 """Apollo HD maps in the text form of their protocol buffers: base_map.txt (room: maps; host).
 
 In: the .txt file. Out: SemanticMap of lane boundaries, stop lines, crosswalks, traffic lights, stop signs and parking
-spaces, in the ENU frame of its origin where the header tells the grid, else in the metres of the file.
-The format tells kinds of paint, but neither widths nor dashes: see ApolloStyle.
+spaces, in the ENU frame of its origin where the header names the grid, else in the metres of the file.
+The format states kinds of paint, but neither widths nor dashes: see ApolloStyle.
 """
 
 from collections import Counter
@@ -26,12 +26,12 @@ from semloc_jax.structs import ElementClass
 
 SUFFIXES = (".txt", ".pbtxt", ".prototxt")
 _SAME_M = 0.15
-"""Neighbouring lanes both list the boundary between them, drawn up to so much apart; ours."""
+"""Two neighbouring lanes both list the boundary between them, up to this far apart; our choice."""
 _LONGEST_M = 2e4
-"""Lanes are cut at every crossing; a longer one is a broken number. Ours."""
+"""Lanes end at every crossing; a longer one has a corrupt coordinate. Our choice."""
 _WORDS = {"DOTTED": ["dashed"], "SOLID": ["solid"], "DOUBLE": ["solid", "solid"]}
 _SILENT = frozenset({"header", "junction", "overlap", "road", "pnc_junction"})
-"""What holds nothing that can be seen, or only repeats it."""
+"""Fields without visible elements, or that repeat them."""
 _KNOWN = _SILENT | {"lane", "crosswalk", "stop_sign", "signal", "yield", "clear_area", "speed_bump", "parking_space"}
 _KNOWN |= {"rsu", "ad_area", "barrier_gate", "parking_lot", "area"}
 _FOR_VEHICLES = ("", "NONE", "CITY_DRIVING", "PARKING", "2", "5")
@@ -40,7 +40,7 @@ _FOR_VEHICLES = ("", "NONE", "CITY_DRIVING", "PARKING", "2", "5")
 
 @dataclass(frozen=True)
 class ApolloStyle:
-    """Sizes that the format leaves open, after Chinese practice (GB 5768.3); all are ours."""
+    """Sizes that the format leaves open, after Chinese practice (GB 5768.3); all are our choice."""
 
     width_m: float = 0.15
     double_gap_m: float = 0.15
@@ -57,7 +57,7 @@ def read_apollo(path: str | Path, origin: GeoOrigin | None = None, style: Apollo
 
     Args:
         path: the .txt file.
-        origin: place of the local frame, for files whose header tells the grid; None takes the middle of the map.
+        origin: place of the local frame, for files whose header names the grid; None takes the middle of the map.
         style: widths and dashes that the format leaves open.
 
     Raises:
@@ -223,7 +223,7 @@ def _sign(item: Message, where: str) -> Iterator[MapElement]:
     yield from _stop_lines(item, where)
     if "location" in item:
         points, has_height = _points({"point": item["location"][:1]}, where)
-        told = {"apollo": "stop_sign"}  # neither size nor height of the plate are told
+        told = {"apollo": "stop_sign"}  # the file states neither size nor height of the plate
         yield MapElement(
             _name(item, where), ElementClass.SIGN, points, style=VIRTUAL, has_height=has_height, attributes=told
         )
@@ -292,7 +292,7 @@ def _points(message: Message, where: str) -> tuple[np.ndarray, bool]:
     """Returns a list of points as `float64[k 3]`, and whether all have heights."""
     items = message.get("point", [])
     if not all(isinstance(item, dict) for item in items):
-        raise SemlocError(f"{where}: a point that is no message; expected point {{ x: 1.0 y: 2.0 }}")
+        raise SemlocError(f"{where}: a point cannot be read; expected point {{ x: 1.0 y: 2.0 }}")
     rows = [[_number(item, key, where, 0.0 if key == "z" else None) for key in "xyz"] for item in items]
     has_height = bool(items) and all("z" in item for item in items)
     return np.array(rows, dtype=np.float64).reshape(-1, 3), has_height

@@ -1,7 +1,7 @@
 """Where an Apollo HD map lies on the earth (room: maps; host).
 
 In: elements in the metres of the file and the PROJ text of its header. Out: the elements in an ENU frame.
-Headers are not always true: the first public maps name a grid about their own middle and hold UTM coordinates.
+Headers can be wrong: the first public maps name a grid about their own middle but hold UTM coordinates.
 """
 
 import logging
@@ -15,7 +15,7 @@ from semloc_jax.maps.elements import GeoOrigin, MapElement
 
 _log = logging.getLogger(__name__)
 _NEAR_DEG = 2.0
-"""A grid about a place is true for coordinates whose middle comes to lie so near to it; ours."""
+"""A grid about a place is accepted if the middle of the coordinates lies within this distance of it; our choice."""
 
 
 def placed(
@@ -37,14 +37,14 @@ def placed(
     grid = _true_grid(text, middle, name) if text and elements else None
     if grid is None:
         if origin is not None:
-            raise SemlocError(f"map {name}: its header tells no grid that fits, so it cannot be put at an origin")
+            raise SemlocError(f"map {name}: its header names no grid that fits, so it cannot be placed at an origin")
         return elements, None, "metres of the file"
     crs, (lat, lon) = grid
     origin = origin or GeoOrigin(round(lat, 5), round(lon, 5), round(float(middle[2]), 1))
     heights = [e.has_height for e in elements]
     points = np.vstack([e.points for e in elements])
     bounds = np.cumsum([len(e.points) for e in elements])[:-1]
-    # What has no height lies at that of the origin, so that it comes to 0.
+    # Points without a height get that of the origin, which becomes 0.
     lifted = np.repeat(np.where(heights, 0.0, origin.alt_m), [len(e.points) for e in elements])
     moved = enu_from_projected(points + np.column_stack([np.zeros((len(points), 2)), lifted]), crs, origin)
     flat = np.repeat(heights, [len(e.points) for e in elements])

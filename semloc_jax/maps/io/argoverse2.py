@@ -1,7 +1,7 @@
 """Argoverse 2 vector maps: `log_map_archive_*.json` (room: maps; host).
 
 In: the archive, its `map` folder or the folder of a log. Out: SemanticMap in the city frame, in which the poses of the
-logs are given, or in the ENU frame of an origin; and the drivable areas. The format tells kinds of marks, but neither
+logs are given, or in the ENU frame of an origin; and the drivable areas. The format states kinds of marks, but neither
 widths nor dashes: see Argoverse2Style.
 """
 
@@ -37,7 +37,7 @@ _CAR_LANES = frozenset({"VEHICLE", "BUS"})
 
 @dataclass(frozen=True)
 class Argoverse2Style:
-    """Sizes that the format leaves open, after American practice (MUTCD: 10 ft bars, 30 ft gaps); all are ours."""
+    """Sizes that the format leaves open, after American practice (MUTCD: 10 ft bars, 30 ft gaps); our choice."""
 
     width_m: float = 0.12
     double_gap_m: float = 0.12

@@ -1,7 +1,7 @@
 """Large JSON files, one item at a time (room: maps; host).
 
 In: a path. Out: JsonFile, a mapping of the members at the top; tables and lists in it are parsed item by item while one
-walks through them, and forgotten again. The file is mapped into memory, not read: what is not asked for costs nothing
+walks through them, and forgotten again. The file is mapped into memory, not read: what is not read costs nothing
 but one look for its end.
 """
 

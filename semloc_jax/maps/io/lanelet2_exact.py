@@ -56,7 +56,7 @@ def from_tag(text: str, drawn: np.ndarray, has_height: bool, where: str) -> MapE
         where: what to say before messages.
 
     Raises:
-        SemlocError: the tag was changed by hand or cut.
+        SemlocError: the tag was edited or truncated.
     """
     try:
         members = json.loads(text)

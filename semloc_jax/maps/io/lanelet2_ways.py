@@ -39,7 +39,7 @@ _EDGES = frozenset({"curbstone", "guard_rail", "zebra_marking"})
 
 @dataclass(frozen=True)
 class Lanelet2Style:
-    """Sizes that Lanelet2 leaves open. All are ours, after German practice (RMS); a `width` tag goes first.
+    """Sizes that Lanelet2 leaves open. All are our choice, after German practice (RMS); a `width` tag has precedence.
 
     Elements that rest on them have the attribute `assumed`: a list of "width" and "dashes".
     """

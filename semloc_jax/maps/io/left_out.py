@@ -1,6 +1,6 @@
-"""What a map file holds beyond what can be seen: lanes, areas, links, references (room: maps; host).
+"""What a map file holds besides visible elements: lanes, areas, links, references (room: maps; host).
 
-In: the path of a map. Out: counts in words, for the loss report of a conversion; formats without topology give none.
+In: the path of a map. Out: counts by kind, for the loss report of a conversion; none for formats without topology.
 """
 
 from collections import Counter
@@ -33,7 +33,7 @@ _OF_APOLLO = {
 
 
 def left_out(path: str | Path) -> dict[str, int]:
-    """Returns how many things of each kind a file holds that a map of what can be seen does not keep.
+    """Returns the number of things of each kind in a file that a map of visible elements does not keep.
 
     Raises:
         SemlocError: the file is broken.
@@ -54,7 +54,7 @@ def left_out(path: str | Path) -> dict[str, int]:
 
 
 def _of_lanelet2(osm: OsmFile) -> dict[str, int]:
-    """Regulatory elements live on as an attribute of the ways that they name; what they name beyond is lost."""
+    """Regulatory elements are kept as an attribute of the ways that they name; their other references are lost."""
     found: Counter[str] = Counter()
     for relation in osm.relations.values():
         kind = relation.tags.get("type", "without type")

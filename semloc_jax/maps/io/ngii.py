@@ -30,7 +30,7 @@ _COLOURS = {"1": "yellow", "2": "white", "3": "blue"}
 
 @dataclass(frozen=True)
 class NgiiStyle:
-    """Sizes that the format leaves open, after Korean practice for towns; all are ours."""
+    """Sizes that the format leaves open, after Korean practice for towns; all are our choice."""
 
     width_m: float = 0.15
     stop_line_width_m: float = 0.45
@@ -155,7 +155,7 @@ def _elements(
         yield MapElement(name, ElementClass.SPEED_BUMP, points, closed=True, **base)
     elif layer in ("C1_TRAFFICLIGHT", "C6_POSTPOINT"):
         label = ElementClass.POLE if layer == "C6_POSTPOINT" else ElementClass.TRAFFIC_LIGHT
-        # A point tells where, not how high: it is kept and not sampled.
+        # A point has a position but no height: it is kept and not sampled.
         yield MapElement(name, label, points[:1] + np.array([[0.0] * 3, [0.0, 0.0, 1.0]]), style=VIRTUAL, **base)
 
 

@@ -20,17 +20,17 @@ from semloc_jax.maps.semantic_map import SemanticMap
 from semloc_jax.structs import ElementClass
 
 _PAINTED_STOPS = frozenset({"STOP_SIGN", "TRAFFIC_LIGHT", "YIELD"})
-"""Types of stop line areas that stand for paint; the others are waits at crossings and turns."""
+"""Types of stop line areas that are painted; the others mark where to wait at crossings and turns."""
 
 _LINES, _AREAS = ("lane_divider", "road_divider", "traffic_light"), ("ped_crossing", "stop_line")
 """Layers whose lines and areas are wanted."""
 _LONGEST_M = 2e4
-"""A lane that is longer is a broken number; ours."""
+"""A longer lane has a corrupt coordinate; our choice."""
 
 
 @dataclass(frozen=True)
 class NuScenesStyle:
-    """Sizes that the format leaves open, for Boston and Singapore alike; all are ours."""
+    """Sizes that the format leaves open, for Boston and Singapore alike; all are our choice."""
 
     width_m: float = 0.12
     double_gap_m: float = 0.12
@@ -133,7 +133,7 @@ def lane_lines(document: Mapping[str, Any], name: str) -> Iterator[np.ndarray]:
         name: name of its file, for messages.
 
     Raises:
-        SemlocError: a path that is none.
+        SemlocError: a malformed path.
     """
     paths = document.get("arcline_path_3", {})
     for token, chain in paths.items() if isinstance(paths, Mapping) else ():
@@ -164,7 +164,7 @@ def _dubins(path: Mapping[str, Any]) -> np.ndarray:
 
 
 def _runs(rows: Sequence[int], kinds: Mapping[int | None, str]) -> list[tuple[str, list[int]]]:
-    """Returns the runs of one type along a line; a node tells the type of the segment that begins at it."""
+    """Returns the runs of one type along a line; a node states the type of the segment that starts at it."""
     found: list[tuple[str, list[int]]] = []
     for start, end in pairwise(rows):
         kind = kinds.get(start, "NIL")
@@ -188,7 +188,7 @@ def _areas(
     nodes: _Nodes,
     areas: Mapping[str, Sequence[int]],
 ) -> Iterator[MapElement]:
-    """Yields the areas of a layer; stop areas that stand for no paint are logical."""
+    """Yields the areas of a layer; stop areas without paint are logical."""
     for item in document.get(layer, []):
         points = without_repeats(nodes.points(areas[item["polygon_token"]]), closed=True)
         kind = str(item.get("stop_line_type", ""))
@@ -201,7 +201,7 @@ def _areas(
 
 
 def _lights(document: Mapping[str, Any], nodes: _Nodes, lines: Mapping[str, Sequence[int]]) -> Iterator[MapElement]:
-    """Yields traffic lights as logical ones: the format tells neither their height nor their size."""
+    """Yields traffic lights as logical ones: the format states neither their height nor their size."""
     for item in document.get("traffic_light", []):
         points = nodes.points(lines[item["line_token"]])
         if len(points) >= 2:

@@ -43,9 +43,9 @@ class OsmFile:
 
 
 def _place(attributes: dict[str, str]) -> OsmItem:
-    """Returns a node with what says where it is, tags and attributes in one table.
+    """Returns a node with its position, tags and attributes in one table.
 
-    There are millions of nodes, and editors write who drew them, when and how often.
+    There are millions of nodes; the author, time and version that editors write are dropped.
     """
     kept = {key: attributes[key] for key in _OF_NODES if key in attributes}
     return OsmItem(kept, kept, _NONE)

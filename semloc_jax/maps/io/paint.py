@@ -1,6 +1,6 @@
 """Paint that a map names but does not draw: bars of dashed lines, strokes of double lines (room: maps; host).
 
-In: a line and sizes. Out: map elements that say in `assumed` what nobody wrote down.
+In: a line and sizes. Out: map elements; `assumed` names the sizes that the map does not state.
 """
 
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ def strokes(
 def bars(line: MapElement, width_m: float, dash_m: float, gap_m: float) -> list[MapElement]:
     """Returns the bars of a dashed line, the first half a gap from its start (a short line has one in its middle).
 
-    Nobody knows where the bars really begin, so they have no true ends: only their long sides are contours.
+    The true start of each bar is unknown, so bars have no true ends: only their long sides are contours.
     """
     along = polyline.arc_length(line.points)
     starts = np.arange(0.5 * gap_m, along[-1] - 0.5 * dash_m, dash_m + gap_m)
@@ -61,6 +61,6 @@ def bars(line: MapElement, width_m: float, dash_m: float, gap_m: float) -> list[
 
 
 def assuming(element: MapElement, what: str) -> MapElement:
-    """Returns the element with a note of what the file did not say."""
+    """Returns the element with a note of what the file does not state."""
     assumed = [*element.attributes.get("assumed", []), what]
     return replace(element, attributes={**element.attributes, "assumed": assumed})

@@ -1,6 +1,6 @@
 """Where the local metres of an Autoware map lie on the earth: map_projector_info.yaml, MGRS squares (room: maps; host).
 
-In: the file beside a map, or the MGRS code of a node. Out: LocalGrid, the grid that local_x and local_y count in.
+In: the file beside a map, or the MGRS code of a node. Out: LocalGrid, the grid of local_x and local_y.
 """
 
 import re
@@ -28,7 +28,7 @@ class LocalGrid:
     """The frame of local_x, local_y.
 
     Attributes:
-        name: in words.
+        name: as text.
         crs: grid whose axes it has; empty where it is an ENU frame or unknown.
         zero: grid coordinates of its origin, `float64[3]` [m].
         origin: place of an ENU frame (LocalCartesian), else None.

@@ -1,7 +1,7 @@
 """Text form of protocol buffers, one field at the top at a time, without a schema (room: maps; host).
 
 In: a path. Out: names and values of the fields; messages are dicts of lists, since any field may be repeated.
-The file is mapped into memory and looked at once.
+The file is mapped into memory and read once.
 """
 
 import mmap

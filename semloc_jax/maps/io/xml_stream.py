@@ -1,6 +1,6 @@
 """Pieces of a large XML file, one complete element at a time (room: maps; host).
 
-In: a path and the names of the elements that are wanted. Out: those elements; what was handed out is forgotten.
+In: a path and the names of the elements that are wanted. Out: those elements; each is released after use.
 Document types, and with them entity bombs, are refused; so is nesting that no map has.
 """
 
@@ -63,7 +63,7 @@ def stream_elements(path: Path, root: str, wanted: frozenset[str]) -> Iterator[E
     Args:
         path: the file.
         root: name that the root element must have.
-        wanted: names of the elements to hand out.
+        wanted: names of the elements to yield.
 
     Raises:
         SemlocError: not well-formed, another root, a document type, or nested too deeply.
@@ -88,7 +88,7 @@ def number(element: Element, key: str, where: str, default: float | None = 0.0, 
     Args:
         element: XML element.
         key: name of the attribute.
-        where: what to say before the message.
+        where: prefix of the message.
         default: value where the attribute is absent or empty; None requires it.
         limit: largest magnitude allowed.
 

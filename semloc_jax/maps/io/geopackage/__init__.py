@@ -1,6 +1,6 @@
 """GeoPackage, the native store of maps: written and read whole, or asked place by place (room: maps; host).
 
-In: a SemanticMap or a path. Out: the file, or a StoredMap, which reads elements where they are asked for.
+In: a SemanticMap or a path. Out: the file, or a StoredMap, which reads the elements of a query.
 The layer `elements` keeps every field of an element exactly; other programs show it like any other layer.
 """
 

@@ -43,7 +43,7 @@ def from_blob(blob: bytes, where: str) -> tuple[np.ndarray, bool, bool]:
 
 
 def _own_form(blob: bytes) -> tuple[np.ndarray, bool, bool] | None:
-    """Returns what `to_blob` wrote; None if it was somebody else."""
+    """Returns what `to_blob` wrote; None if another program wrote it."""
     kind = int.from_bytes(blob[9:13], "little")
     start = {_POINT: 13, _LINE: 17, _POLYGON: 21}.get(kind)
     if start is None or (len(blob) - start) % 24 or len(blob) == start:

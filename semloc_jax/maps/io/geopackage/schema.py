@@ -108,7 +108,7 @@ def finish(connection: sqlite3.Connection, name: str, box: tuple[float, ...], or
 
 
 class GuardedConnection(sqlite3.Connection):
-    """A connection that asks with a bound on work: a broken or hostile file costs seconds, not hours."""
+    """A connection with a limit on the work of a query: a broken or hostile file costs seconds, not hours."""
 
     def guard(self) -> None:
         """Sets the bounds; call it once."""
@@ -138,7 +138,7 @@ class GuardedConnection(sqlite3.Connection):
 
 
 def connect(path: Path) -> GuardedConnection:
-    """Returns a read-only connection to a GeoPackage that nobody has to trust.
+    """Returns a read-only connection to a GeoPackage, safe for untrusted files.
 
     Raises:
         SemlocError: not a database.

@@ -1,4 +1,4 @@
-"""A map that stays in its file: elements are read where they are asked for (room: maps; host).
+"""A map that stays in its file: a query reads its elements only (room: maps; host).
 
 In: a connection to our own GeoPackage. Out: StoredMap, a SemanticMap whose queries cost what lies around the place.
 """
@@ -50,7 +50,7 @@ _WITHIN = (
 class StoredMap(SemanticMap):
     """A map in a GeoPackage. What was read stays in memory, up to 50,000 elements, the oldest goes first.
 
-    Everything but `elements` costs what lies around the places that are asked for, not what the file holds.
+    The cost of everything but `elements` grows with what lies around the queried places, not with the file.
     """
 
     def __init__(self, connection: schema.GuardedConnection, file_name: str):
@@ -110,7 +110,7 @@ class StoredMap(SemanticMap):
 
     @cached_property
     def ground(self) -> GroundModel:
-        """The road surface, fitted to the elements around each place that is asked for."""
+        """The road surface, fitted to the elements around each queried place."""
         return _StoredGround(self)
 
     @cached_property
@@ -205,7 +205,7 @@ class StoredMap(SemanticMap):
 
 
 class _StoredGround(GroundModel):
-    """The road surface of a StoredMap: one GroundModel for each cell that was asked for."""
+    """The road surface of a StoredMap: one GroundModel for each queried cell."""
 
     def __init__(self, stored: StoredMap):
         super().__init__(np.zeros((0, 3)))

@@ -104,7 +104,7 @@ def _place(
     name: str,
     skipped: dict[str, int],
 ) -> SemanticMap:
-    """Returns the map in the ENU frame of an origin, or as it is where its place on the earth is unknown."""
+    """Returns the map in the ENU frame of an origin; unchanged where its place on the earth is unknown."""
     if origin is not None:
         reference.require(where)
     stacked = np.vstack([np.zeros((0, 3)), *(element.points for element in elements)])

@@ -79,7 +79,7 @@ class Georeference:
         return GeoOrigin(round(float(lat), 5), round(float(lon), 5), round(float(middle[2]), 1))
 
     def require(self, where: str) -> None:
-        """Raises where the file has no grid, for a user who asked for a place on the earth."""
+        """Raises where an origin was given and the file has no grid."""
         if not self.crs:
             raise SemlocError(f"{where}: has no geoReference, so it cannot be put at an origin; leave the origin out")
 

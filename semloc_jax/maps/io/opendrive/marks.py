@@ -28,7 +28,7 @@ _DRIVEN = frozenset(
 
 @dataclass(frozen=True)
 class OpenDriveStyle:
-    """Sizes that an OpenDRIVE file may leave open. All are ours; elements that rest on them say so in `assumed`."""
+    """Sizes that an OpenDRIVE file may leave open. All are our choice; `assumed` marks the elements that use them."""
 
     standard_width_m: float = 0.12
     bold_width_m: float = 0.25
