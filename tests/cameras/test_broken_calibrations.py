@@ -1,7 +1,5 @@
 """Broken calibration files: read, or refused in one line, in bounded time; never another exception."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from semloc_jax.cameras.plausibility import implausible
 from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.cameras import front_rig, surround_rig
 from tests.cameras.calibration_files import calibration_files
-from tests.maps.io.mutations import COUNTS, LONGEST_S, break_often
+from tests.maps.io.mutations import COUNTS, break_often, stops_hangs
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +58,5 @@ def test_bombs_and_tricks_are_refused(tmp_path):
         f'<?xml version="1.0"?><!DOCTYPE x [<!ENTITY e0 "9">{entities}]><opencv_storage><K>&e9;</K></opencv_storage>'
     )
     for name in ("bomb", "deep", "long", "tag", "big", "xml"):
-        started = time.perf_counter()
-        with pytest.raises(SemlocError):
+        with stops_hangs(), pytest.raises(SemlocError):
             read_calibration(tmp_path / f"{name}.yaml")
-        assert time.perf_counter() - started < LONGEST_S

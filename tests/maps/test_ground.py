@@ -1,7 +1,5 @@
 """The road under a vehicle: planes with outliers, thin evidence, and rendered drives against the true pose."""
 
-import time
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -83,16 +81,13 @@ def test_rendered_drive_stands_on_its_map(drive, height_m, tilt_deg, request):
     folder = request.getfixturevalue(drive)
     road = read_map(folder / "map.geojson")
     poses = np.loadtxt(folder / "poses_body.tum")[::5]
-    road.road_pose(*poses[0, 1:3], 0.0)
-    errors, start = [], time.process_time()
+    errors = []
     for row in poses:
         truth = Rotation.from_quat(row[4:8]).as_matrix()
         pose = road.road_pose(row[1], row[2], float(np.arctan2(truth[1, 0], truth[0, 0])))
         tilt = Rotation.from_matrix(truth.T @ pose[:3, :3]).as_rotvec(degrees=True)
         errors.append([pose[2, 3] - row[3], tilt[0], tilt[1]])
-    per_query_s = (time.process_time() - start) / len(poses)
     worst = np.abs(errors).max(axis=0)
     # The truth also holds the pitch and roll of the suspension.
     assert worst[0] < height_m and worst[1] < tilt_deg and worst[2] < tilt_deg
     assert np.abs(np.median(errors, axis=0))[0] < 0.004
-    assert per_query_s < 0.01  # about 0.6 ms when the machine is idle

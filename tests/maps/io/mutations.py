@@ -64,7 +64,7 @@ def break_often(original: bytes, count: int, use: Callable[[bytes], None]) -> in
     def attempt(edits):
         nonlocal num_refused
         content = _edited(original, edits, places)
-        with _patience(), warnings.catch_warnings():
+        with stops_hangs(), warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a sum that overflows is no failure
             try:
                 use(content)
@@ -101,7 +101,7 @@ def _edited(original: bytes, edits: list[tuple], places: list[tuple[int, int]]) 
 
 
 @contextmanager
-def _patience() -> Iterator[None]:
+def stops_hangs() -> Iterator[None]:
     """Ends what takes longer than 10 s of processor time, so that a hang is a failure and not a hang."""
 
     def give_up(*_: object) -> None:

@@ -11,39 +11,26 @@ import pytest
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import MapElement, SemanticMap, read_map
 from semloc_jax.maps.io.geopackage import StoredMap, write_geopackage
+from semloc_jax.maps.io.geopackage.schema import GuardedConnection
 from semloc_jax.structs import ElementClass
+from tests.counting import num_calls
 from tests.maps.io.town import town
 
 ROOT = Path(__file__).parents[3]
 
 
-MEASURE = """
-import sys, time
-import numpy as np
-from semloc_jax.maps import read_map
+def _counted(monkeypatch) -> list[tuple[str, int]]:
+    """Every query that a GeoPackage is asked from now on, with the number of rows that it gives."""
+    asked: list[tuple[str, int]] = []
+    ask = GuardedConnection.ask
 
-def cpu_ms(work):
-    start = time.process_time()
-    work()
-    return 1000.0 * (time.process_time() - start)
+    def counted(self, query, values=()):
+        rows = ask(self, query, values)
+        asked.append((query, len(rows)))
+        return rows
 
-path, radius_m, places = sys.argv[1], float(sys.argv[2]), np.array(eval(sys.argv[3]))
-opened = cpu_ms(lambda: read_map(path))
-town = read_map(path)
-town.query(places[0], radius_m)
-cold = np.median([cpu_ms(lambda: town.query(place, radius_m)) for place in places])
-# The quietest of three rounds: whoever else runs on the machine takes its caches.
-warm = min(np.median([cpu_ms(lambda: town.query(place, radius_m)) for place in places]) for _ in range(3))
-print(opened, cold, warm)
-"""
-
-
-def _measure(path, radius_m: float, places) -> tuple[float, float, float]:
-    """CPU milliseconds to open a map, to ask places for the first time, and again; without the tests' type checks."""
-    words = [sys.executable, "-c", MEASURE, str(path), str(radius_m), repr([list(map(float, p)) for p in places])]
-    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT)
-    opened, cold, warm = map(float, done.stdout.split())
-    return opened, cold, warm
+    monkeypatch.setattr(GuardedConnection, "ask", counted)
+    return asked
 
 
 def _same(one: MapElement, other: MapElement) -> bool:
@@ -92,11 +79,17 @@ def test_queries_and_ground_are_those_of_the_map_in_memory(stored_road):
 
 
 @pytest.mark.data
-def test_queries_along_a_drive_take_less_than_two_milliseconds(stored_road):
+def test_a_place_is_read_from_the_file_once(stored_road, monkeypatch):
     road, path = stored_road
     places = [e.points[0, :2] for e in road.elements[:: len(road.elements) // 40]]
-    _, _, warm = _measure(path, 50.0, places)
-    assert warm < 2.0
+    asked = _counted(monkeypatch)
+    stored = read_map(path)
+    for _ in range(2):
+        asked.clear()
+        for place in places:
+            stored.query(place, 50.0)
+    # The second time only the R-tree is asked, once for each place.
+    assert len(asked) == len(places) and not any("FROM elements" in query for query, _ in asked)
 
 
 @pytest.mark.data
@@ -118,15 +111,32 @@ def large_map(tmp_path_factory, request):
     return path, request.param
 
 
-def test_a_large_map_opens_in_a_second_and_answers_in_two_milliseconds(large_map):
+def test_a_large_map_is_opened_without_its_elements_and_read_around_the_places_only(large_map, monkeypatch):
     path, num_km = large_map
     rows = num_km // 32
     places = [np.array([1000.0 * (7 * i % 31) + 10.0 * i, 400.0 * (i % rows)]) for i in range(60)]
-    assert len(read_map(path).query(places[3], 100.0).elements) > 20
-    opened, cold, warm = _measure(path, 100.0, places)
-    assert opened < 1000.0 and warm < 2.0
-    assert cold < 3.0, "from the file; 1.4 ms where nobody else runs"
+    asked = _counted(monkeypatch)
+    town = read_map(path)
+    assert sum(num_rows for _, num_rows in asked) < 100, "opening reads tables of the file, no element"
+    for place in places:
+        asked.clear()
+        found = town.query(place, 100.0).elements
+        # The square around the place holds a little more than the circle.
+        assert sum(num_rows for query, num_rows in asked if "FROM elements" in query) <= 2 * len(found) + 20
+    assert len(found) > 20
     assert path.stat().st_size < 40e3 * num_km
+
+
+def test_the_work_of_a_query_does_not_grow_with_the_file(tmp_path):
+    """Eight times the road in the file: the same calls for the same place."""
+    calls = []
+    for num_km in (8, 64):
+        path = tmp_path / f"{num_km}.gpkg"
+        write_geopackage(town(num_km), path)
+        stored = read_map(path)
+        stored.query([500.0, 0.0], 100.0)
+        calls.append(num_calls(lambda stored=stored: stored.query([500.0, 0.0], 100.0)))
+    assert calls[1] < 1.2 * calls[0]
 
 
 def test_rows_name_the_elements_of_a_large_map_without_reading_it(large_map, monkeypatch):
