@@ -2,8 +2,10 @@
 
 import os
 import pickle
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -11,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import semloc_jax
 from semloc_jax.runtime import prepare, programs
 
 SCRIPT = """
@@ -27,6 +30,22 @@ def spectrum(matrix, offset, power):
 
 found = spectrum(jnp.diag(jnp.array([3.0, 1.0, 2.0])), offset=0.0, power=2)
 print(*(round(float(value), 4) for value in found["values"]))
+"""
+
+
+OF_ANOTHER_ROOM = """
+import sys
+import jax
+jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+import jax.numpy as jnp
+from semloc_jax.analysis.edited import weighted
+from semloc_jax.runtime.programs import stored_program
+
+@stored_program()
+def total(values):
+    return jnp.sum(weighted(values))
+
+print(float(total(jnp.arange(4.0))))
 """
 
 
@@ -47,6 +66,41 @@ def test_the_next_process_does_not_trace(tmp_path, monkeypatch):
     first, second = (subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2))
     assert first.split() == ["traced", "1.0", "4.0", "9.0"]
     assert second.split() == ["1.0", "4.0", "9.0"]
+
+
+@pytest.fixture
+def copied_package(tmp_path):
+    """A copy of the package that may be edited."""
+    folder = tmp_path / "copy" / "semloc_jax"
+    shutil.copytree(Path(semloc_jax.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
+    return folder
+
+
+def test_an_edited_function_of_another_room_does_not_run_its_old_program(copied_package, tmp_path):
+    """Weights times 5 once changed nothing: the room of the function was not in the fingerprint."""
+    command = [sys.executable, "-c", OF_ANOTHER_ROOM, str(tmp_path / "cache")]
+    environment = {**os.environ, "PYTHONPATH": str(copied_package.parent), "SEMLOC_PROGRAMS": "1"}
+    found = []
+    for weight in ("1.0", "5.0"):
+        edited = copied_package / "analysis" / "edited.py"
+        edited.write_text(f"def weighted(values):\n    return {weight} * values\n", encoding="utf-8")
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment, cwd=tmp_path)
+        found.append(float(done.stdout))
+        assert len(list((tmp_path / "cache" / "programs").glob("total_*.bin"))) == len(found)
+    assert found == [6.0, 30.0]
+
+
+def test_every_room_is_in_the_fingerprint(copied_package, monkeypatch):
+    """One character more in any source, C++ included, and no stored program fits any more."""
+    monkeypatch.setattr(programs, "_PACKAGE", copied_package)
+    rooms = {path.relative_to(copied_package).parts[0]: path for path in sorted(copied_package.rglob("*.py"))}
+    kernels = sorted((copied_package / "native" / "src").iterdir())
+    assert len(rooms) > 20 and kernels
+    seen = {programs._environment.__wrapped__()}
+    for path in (*rooms.values(), *kernels):
+        path.write_bytes(path.read_bytes() + b"\n")
+        seen.add(programs._environment.__wrapped__())
+    assert len(seen) == 1 + len(rooms) + len(kernels)
 
 
 def test_results_keep_their_structure_and_shapes_their_programs(cache):
