@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from semloc_jax.alignment.hypotheses import keep_distinct, prior_cost, score
+from semloc_jax.alignment.level_choice import telling
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine, scatter_px
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.geometry import lie
@@ -30,8 +31,8 @@ class AlongRoadConfig:
     """To both sides. A pose whose posterior reaches farther is not sure enough to be used anyway."""
     num_offsets: int = 41
     level: int = 2
-    """Level of the cost maps: its ramp is four times the noise of a boundary, so that the cost tells how wrong a place
-    is; on a finer one everything beyond the next pixels is equally wrong."""
+    """Coarsest level of the cost maps on which places are compared; in fine masks it is a finer one, see
+    `level_choice.telling`."""
     least_noise: float = 0.7
     """The noise of the boundaries is taken from their scatter in this frame, but as no less than this share of what is
     assumed (`NoiseModel.noise_px`): that they all lie well does not say that their common error is small."""
@@ -78,17 +79,18 @@ def along_road(
     held = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
     short = dataclasses.replace(align, max_steps=config.max_steps)
 
+    level = telling(evidence.textures.ramp_px, align.noise.noise_px * evidence.grain, config.level)
+
     def one(T: Array) -> tuple[Array, Array]:
-        T = refine(T, evidence, held, short, jnp.asarray((config.level,)))[0][-1]
-        return T, score(T, config.level, evidence, prior, align)
+        T = refine(T, evidence, held, short, level[None])[0][-1]
+        return T, score(T, level, evidence, prior, align)
 
     Ts, scores = in_chunks(one, displaced(T_map_base, moves), chunk)
     scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
     index, filled = keep_distinct(Ts, scores, config.keep, config.apart)
     away = lie.log(lie.inverse(Ts[index[0]]) @ Ts)
-    noise = jnp.maximum(
-        scatter_px(Ts[index[0]], config.level, evidence, align) / align.noise.noise_px, config.least_noise
-    )
+    assumed_px = align.noise.floor_px(evidence.textures.level(level).ramp_px, evidence.grain)
+    noise = jnp.maximum(scatter_px(Ts[index[0]], level, evidence, align) / assumed_px, config.least_noise)
     guessed = jax.vmap(prior_cost, (0, None))(Ts, prior)
     share = jax.nn.softmax(-((scores - guessed) / noise**2 + guessed))
     spread = jnp.einsum("k,ki,kj->ij", share, away, away)

@@ -6,11 +6,12 @@ In: a SemanticMap, masks, cameras, a PosePrior. Out: LocalizationResult.
 import time
 from collections.abc import Sequence as Frames
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from semloc_jax.alignment.modes import modes_in_map
-from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.pose_prior import PosePrior, levelled
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.alignment.same_pose import ONE_PLACE
 from semloc_jax.alignment.scene import SceneConfig
@@ -81,8 +82,10 @@ class FrameLocalizer:
         T_map_prior = prior.on_road(self.map)
         inputs, local_map = self.prepare(masks, rig or frame.rig, T_map_prior)
         prepared = time.perf_counter()
-        solver_prior = prior.to_solver(T_map_prior, local_map.frame, self.config.road)
-        found = localize_frame(inputs, solver_prior, self.config.frame)
+        spread = self.map.road_spread(T_map_prior)
+        solver_prior = prior.to_solver(T_map_prior, local_map.frame, self.config.road, spread)
+        on_road = partial(levelled, semantic_map=self.map, frame=local_map.frame, road=self.config.road)
+        found = localize_frame(inputs, solver_prior, self.config.frame, on_road)
         verdict = self.config.verdict
         modes = modes_in_map(found, local_map.frame, ONE_PLACE)
         times = {"evidence": prepared - started, "solve": time.perf_counter() - prepared}

@@ -115,7 +115,7 @@ def score(
     share = cost.summed / jnp.maximum(cost.visible, config.min_visible_px)
     unseen = jnp.maximum(1 - cost.visible / config.min_visible_px, 0.0)
     in_view_px = total_weight(evidence.views) if in_view_px is None else in_view_px
-    nats = in_view_px * KERNELS[config.kernel].worst * config.noise.gain(texture.ramp_px)
+    nats = in_view_px * KERNELS[config.kernel].worst * config.noise.gain(texture.ramp_px, evidence.grain)
     return nats * (share + unseen) + prior_cost(T_map_base, prior)
 
 

@@ -21,6 +21,20 @@ def holds(inlier_ratio: float | Float[Array, "*n"] | Float[np.ndarray, "*n"], le
     return inlier_ratio >= least
 
 
+def telling(ramp_px: Float[Array, " level"], noise_px: float | Float[Array, ""], least: int) -> Int[Array, ""]:
+    """Index of the level whose cost tells best how wrong a place is: the finest one that reaches over four times the
+    noise of the boundaries. On a finer one everything beyond the next pixels is equally wrong, on a coarser one what is
+    seen clearly hardly differs from what is not.
+
+    Args:
+        ramp_px: Ramp of each level, coarsest first.
+        noise_px: Standard deviation of a boundary.
+        least: The coarsest level that is taken.
+    """
+    reaches = ramp_px >= 4.0 * noise_px * (1.0 - 1e-3)
+    return jnp.maximum(jnp.max(jnp.where(reaches, jnp.arange(len(ramp_px)), 0)), least)
+
+
 def finest_held(
     inlier_ratio: Float[Array, " level"] | Float[np.ndarray, " level"], least: float
 ) -> Int[Array, ""] | np.integer:

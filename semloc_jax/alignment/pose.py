@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
@@ -25,6 +26,11 @@ from semloc_jax.residuals.texture import RampTextures
 from semloc_jax.structs import PoseEstimate, SolveStatus
 
 
+def usual_grain() -> Float[np.ndarray, ""]:
+    """The grain of masks that the noise model was made for."""
+    return np.ones((), np.float32)
+
+
 class Evidence(eqx.Module):
     """What the cameras saw: views of the map, textures of all levels (coarsest first), usable pixels."""
 
@@ -33,6 +39,8 @@ class Evidence(eqx.Module):
     usable: Usable
     always: Bool[Array, "2"]
     """True; see `semloc_jax.residuals.fusion_barrier`."""
+    grain: Float[Array | np.ndarray, ""] = eqx.field(default_factory=usual_grain)
+    """Of the masks, see `NoiseModel.grain`."""
 
 
 class Prior(eqx.Module):
@@ -93,7 +101,7 @@ def level_problem(
 ) -> AlignmentProblem:
     """The problem of one level with its chart at `T_start`."""
     texture = evidence.textures.level(level)
-    gain = config.noise.gain(texture.ramp_px)
+    gain = config.noise.gain(texture.ramp_px, evidence.grain)
     xi_prior = lie.log(lie.inverse(T_start) @ prior.T_map_base)
     return AlignmentProblem(
         T_start,
@@ -160,6 +168,21 @@ def scatter_px(
     return texture.ramp_px * _held_rms(*alignment_residual(T_map_base, views, texture), config)
 
 
+def typical_px(
+    T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
+) -> Float[Array, ""]:
+    """How far a contour within reach typically lies from the boundary of its class [px]: 1.48 times the median of the
+    distances, the standard deviation of a Gaussian. The noise of the model where nothing is within reach."""
+    views = visible_views(T_map_base, evidence, config.border_px, config.path)
+    texture = evidence.textures.level(level)
+    r, weight = alignment_residual(T_map_base, views, texture)
+    weight = jnp.where(is_inlier(r), weight, 0.0)
+    order = jnp.argsort(jnp.abs(r))
+    running = jnp.cumsum(weight[order])
+    middle = jnp.abs(r)[order][jnp.searchsorted(running, 0.5 * running[-1])]
+    return jnp.where(running[-1] > 0.0, 1.4826 * texture.ramp_px * middle, config.noise.noise_px)
+
+
 def assess(
     T_map_base: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
@@ -180,7 +203,7 @@ def assess(
     visible, everything = total_weight(views), total_weight(evidence.views)
     per_visible = 1 / jnp.maximum(visible, 1e-6)
     scatter_px = ramp_px * _held_rms(r, weight, config)
-    excess = config.noise.excess(scatter_px, ramp_px)
+    excess = config.noise.excess(scatter_px, ramp_px, evidence.grain)
     identity = jnp.eye(6, dtype=T_map_base.dtype)
     information = (model.hessian - identity) / excess**2 + identity
     eigenvalues, eigenvectors = jnp.linalg.eigh(information)

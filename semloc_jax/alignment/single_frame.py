@@ -3,6 +3,7 @@
 In: map samples, cost maps, prior. Out: Modes, the distinct poses that explain the masks, best first.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -14,7 +15,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.along_road import AlongRoadConfig, RoadPosterior, along_road, widened
 from semloc_jax.alignment.hypotheses import Modes, SearchConfig, score, search, weigh
-from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align, assess
+from semloc_jax.alignment.level_choice import telling
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align, assess, typical_px, usual_grain
 from semloc_jax.alignment.proposals import ProposalKind, propose
 from semloc_jax.cameras import Rig
 from semloc_jax.residuals.alignment import CameraViews, Usable, camera_views
@@ -39,11 +41,11 @@ class SingleFrameConfig:
     search_view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.15))
     polish_view: ViewConfig = field(default_factory=lambda: ViewConfig(most_alone=3.0))
     search_align: AlignConfig = field(default_factory=AlignConfig)
-    polish_align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(2, 3), max_steps=10))
+    polish_align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(2, 3), max_steps=20))
     search: SearchConfig = field(default_factory=SearchConfig)
     along_road: AlongRoadConfig = field(default_factory=AlongRoadConfig)
     rank_level: int = 2
-    """Level on which the polished modes are ranked."""
+    """Coarsest level on which the polished modes are ranked; a finer one in fine masks."""
 
 
 class FrameInput(NamedTuple):
@@ -58,6 +60,8 @@ class FrameInput(NamedTuple):
     usable: Usable
     always: Bool[Array, "2"]
     """True twice; see `semloc_jax.residuals.fusion_barrier`."""
+    grain: Float[Array | np.ndarray, ""] = usual_grain()
+    """Of the masks, see `NoiseModel.grain`."""
 
 
 def frame_input(
@@ -73,8 +77,8 @@ _pack = stored_program("dtype")(pack)
 
 def evidence_from(T_map_base: Float[Array | np.ndarray, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
     """The evidence of a frame with the map as it is seen from a pose."""
-    views = _views(T_map_base, frame.samples, frame.rig, frame.channel_of_label, config)
-    return Evidence(views, frame.textures, frame.usable, frame.always)
+    views = _views(T_map_base, frame.samples, frame.rig, frame.channel_of_label, frame.grain, config)
+    return Evidence(views, frame.textures, frame.usable, frame.always, frame.grain)
 
 
 @stored_program("config")
@@ -83,10 +87,11 @@ def _views(
     samples: MapSamples,
     rig: Rig,
     channel_of_label: Int[Array, " label"],
+    grain: Float[Array | np.ndarray, ""],
     config: ViewConfig,
 ) -> tuple[CameraViews, ...]:
     # The textures stay outside: what passes through a compiled function is copied, 30 MB a camera.
-    return camera_views(rig, view(samples, T_map_base, rig, channel_of_label, config))
+    return camera_views(rig, view(samples, T_map_base, rig, channel_of_label, config, grain))
 
 
 @stored_program("config")
@@ -98,22 +103,49 @@ def search_starts(prior: Prior, config: SingleFrameConfig) -> Float[Array, "n 4 
     return propose(config.proposals, config.num_hypotheses, prior.T_map_base, sigma_xy_yaw, config.reach, key)
 
 
-def localize_frame(frame: FrameInput, prior: Prior, config: SingleFrameConfig) -> Modes:
+def localize_frame(
+    frame: FrameInput,
+    prior: Prior,
+    config: SingleFrameConfig,
+    on_road: Callable[[Float[np.ndarray, "4 4"], Prior], tuple[Float[np.ndarray, "4 4"], Prior]] | None = None,
+) -> Modes:
     """Modes of the pose of one frame, best first.
 
     Args:
         frame: Map samples, cost maps, cameras.
         prior: Prior pose and its sigmas; the plane of its x and y axes is taken as the road.
         config: Hypotheses, schedule, refinement.
+        on_road: A pose and the prior with height, roll and pitch of the road at that pose: a crowned road leans the
+            other way a lane aside. None keeps both as they are.
     """
     evidence = evidence_from(prior.T_map_base, frame, config.search_view)
     candidates, scores = search(search_starts(prior, config), evidence, prior, config.search_align, config.search)
     # On the host: an operation outside of the stored programs would be compiled in every process.
-    best = jnp.asarray(np.asarray(candidates)[0])
+    best = np.asarray(candidates)[0]
+    if on_road is not None:
+        best, prior = on_road(best, prior)
+    best, grain = sharpest(jnp.asarray(best), frame, prior, config)
+    frame = frame._replace(grain=grain)
     closer = evidence_from(best, frame, config.polish_view)
     road = along_road(best, closer, prior, config.search_align, config.along_road, config.search.chunk)
-    in_view_px = np.float32(sum(np.sum(view.weight) for view in jax.device_get(evidence.views)))
+    around = evidence_from(prior.T_map_base, frame, config.search_view).views
+    in_view_px = np.float32(sum(np.sum(view.weight) for view in jax.device_get(around)))
     return polish(candidates, scores, road, frame, prior, config, in_view_px)
+
+
+@stored_program("config")
+def sharpest(
+    T_map_base: Float[Array, "4 4"], frame: FrameInput, prior: Prior, config: SingleFrameConfig
+) -> tuple[Float[Array, "4 4"], Float[Array, ""]]:
+    """The best pose of a search refined as in the finest masks, and the grain that the masks turn out to have.
+
+    In the finest masks the prior hardly pulls: how far the boundaries lie off then is theirs, not the prior's.
+    """
+    align_config = config.polish_align
+    finest = frame._replace(grain=align_config.noise.grain(jnp.zeros((), T_map_base.dtype)))
+    evidence = evidence_from(T_map_base, finest, config.polish_view)
+    T = align(T_map_base, evidence, prior, align_config).T_map_base
+    return T, align_config.noise.grain(typical_px(T, config.rank_level, evidence, align_config))
 
 
 @stored_program("config")
@@ -131,14 +163,17 @@ def polish(
     The views differ in how much of the map they hold; ranked by one `in_view_px`, more of it in view is no fault.
     """
 
+    noise_px = config.polish_align.noise.noise_px * frame.grain
+    level = telling(frame.textures.ramp_px, noise_px, config.rank_level)
+
     def one(T_map_base: Array) -> tuple[PoseEstimate, Array]:
         evidence = evidence_from(T_map_base, frame, config.polish_view)
         estimate = align(T_map_base, evidence, prior, config.polish_align)
         # Every mode is judged on one level, whichever held its pose last.
-        judged = assess(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align)
+        judged = assess(estimate.T_map_base, level, evidence, prior, config.polish_align)
         measured = (judged.cost, judged.inlier_ratio, widened(estimate.covariance, road.spread))
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio, e.covariance), estimate, measured)
-        return estimate, score(estimate.T_map_base, config.rank_level, evidence, prior, config.polish_align, in_view_px)
+        return estimate, score(estimate.T_map_base, level, evidence, prior, config.polish_align, in_view_px)
 
     candidates, scores = jnp.concatenate([candidates, road.Ts_map_base]), jnp.concatenate([scores, road.scores])
     estimates, polished = jax.lax.map(one, candidates)

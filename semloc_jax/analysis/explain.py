@@ -133,7 +133,8 @@ class Look:
         views = camera_views(rig, jax.tree.map(to_dtype, seen))
         usable = Usable(inputs.usable.mask, inputs.usable.stride)
         evidence = Evidence(views, inputs.textures, usable, inputs.always)
-        solver_prior = jax.tree.map(to_dtype, prior.to_solver(T_prior, local_map.frame, settings.road))
+        spread = localizer.map.road_spread(T_prior)
+        solver_prior = jax.tree.map(to_dtype, prior.to_solver(T_prior, local_map.frame, settings.road, spread))
         rows = np.asarray(seen.element)
         shown = np.unique(rows[(rows >= 0) & (np.asarray(seen.weight) > 0)])
         # A line that was cut at the search radius is one element in several parts.

@@ -31,7 +31,8 @@ def trace_search(
     config = localizer.config.frame
     T_map_prior = prior.on_road(localizer.map)
     inputs, local_map = localizer.prepare(masks, rig, T_map_prior)
-    around = prior.to_solver(T_map_prior, local_map.frame, localizer.config.road)
+    spread = localizer.map.road_spread(T_map_prior)
+    around = prior.to_solver(T_map_prior, local_map.frame, localizer.config.road, spread)
     evidence = evidence_from(around.T_map_base, inputs, config.search_view)
     Ts = search_starts(around, config)
     first = config.search.stages[0]

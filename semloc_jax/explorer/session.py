@@ -258,7 +258,7 @@ class ExplorerSession:
         prior, semantic_map = self.frame.prior, self.localizer.map
         is_drive = query.prior == "drive"
         T = prior.on_road(semantic_map) if is_drive else query.placement.on_road().pose(semantic_map)
-        return prior.to_solver(T, local, self.config.road)
+        return prior.to_solver(T, local, self.config.road, semantic_map.road_spread(T))
 
     def _probe(self, query: PoseQuery, T: jax.Array, evidence: Evidence, samples: Any) -> Any:
         truth, prior = self.frame.T_map_truth, self._prior_of(query)

@@ -104,5 +104,6 @@ def training_frame(
         nats_per_px,
         SmoothBorder(single.polish_align.border_px),
     )
-    known = jax.tree.map(cast, prior.to_solver(T_prior, local_map.frame, localizer.config.road))
+    spread = localizer.map.road_spread(T_prior)
+    known = jax.tree.map(cast, prior.to_solver(T_prior, local_map.frame, localizer.config.road, spread))
     return TrainingFrame(scene, place, known, jnp.asarray(T_start, dtype), jnp.asarray(local(T_true), dtype))

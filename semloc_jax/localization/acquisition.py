@@ -5,11 +5,12 @@ In: one frame and what is known of its place. Out: poses to follow side by side 
 """
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from semloc_jax.alignment.modes import modes_in_map
-from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.pose_prior import PosePrior, levelled
 from semloc_jax.alignment.result import Mode
 from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
 from semloc_jax.alignment.single_frame import localize_frame
@@ -105,7 +106,10 @@ class Acquisition:
             return ()
         local = window.local_map.frame
         found = localize_frame(
-            self.aligner.frame_input(frame, window), prior.to_solver(T_map_prior, local, scene.road), scene.frame
+            self.aligner.frame_input(frame, window),
+            prior.to_solver(T_map_prior, local, scene.road, self.aligner.map.road_spread(T_map_prior)),
+            scene.frame,
+            partial(levelled, semantic_map=self.aligner.map, frame=local, road=scene.road),
         )
         modes = modes_in_map(found, local, ONE_TRACK)
         good = [m for m in modes if m.cost <= config.max_cost and m.inlier_ratio >= config.min_inlier_ratio]

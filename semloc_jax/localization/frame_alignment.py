@@ -23,7 +23,7 @@ from semloc_jax.geometry import rigid
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.localization.map_window import MapWindow, MapWindows
 from semloc_jax.localization.track_state import FrameFeatures
-from semloc_jax.maps import SemanticMap
+from semloc_jax.maps import RoadSpread, SemanticMap
 from semloc_jax.structs import SolveStatus
 
 _LONGITUDINAL = LongitudinalConfig()
@@ -120,7 +120,7 @@ class FrameAligner:
         inputs = self.frame_input(frame, window)
         local = window.local_map.frame
         T_local_base = local.from_map(T_start, np.float64)
-        sigma = self.prior_sigma(covariance)
+        sigma = self.prior_sigma(covariance, self.map.road_spread(T_road))
         index = self.map.rows_of(window.element_ids[:ELEMENT_CAPACITY])
         local_trust = np.ones(ELEMENT_CAPACITY, np.float32)
         local_trust[: len(index)] = trust(index)
@@ -143,15 +143,14 @@ class FrameAligner:
         heading = float(np.arctan2(T_map_base[1, 0], T_map_base[0, 0]))
         return self.map.road_pose(T_map_base[0, 3], T_map_base[1, 3], heading, near_z_m=float(T_map_base[2, 3]))
 
-    def prior_sigma(self, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
-        """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) that hold a solve."""
-        config, road = self.config, self.scene.road
+    def prior_sigma(self, covariance: Float[np.ndarray, "6 6"], spread: RoadSpread) -> Float[np.ndarray, "6"]:
+        """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) that hold a solve on a road of this spread."""
+        config = self.config
         predicted = config.prior_inflation * np.sqrt(np.diagonal(covariance))
-        tilt = np.deg2rad(road.roll_pitch_deg)
         along = np.clip(predicted[0], config.min_sigma_along_m, config.max_sigma_m)
         across = np.clip(predicted[1], config.min_sigma_across_m, config.max_sigma_m)
         yaw = np.clip(predicted[5], *np.deg2rad([config.min_sigma_heading_deg, config.max_sigma_heading_deg]))
-        return np.array([along, across, road.height_m, tilt, tilt, yaw])
+        return np.array([along, across, *self.scene.road.on(spread), yaw])
 
     def _answer(
         self,

@@ -4,7 +4,7 @@ In: map files. Out: SemanticMap -> LocalMap -> MapSamples.
 """
 
 from semloc_jax.maps.elements import GeoOrigin, MapElement
-from semloc_jax.maps.ground import GroundModel, RoadPlane
+from semloc_jax.maps.ground import GroundModel, RoadPlane, RoadSpread
 from semloc_jax.maps.inspect import MapReport, inspect_map
 from semloc_jax.maps.io import (
     Lanelet2Style,
@@ -29,6 +29,7 @@ __all__ = [
     "MapReport",
     "OpenDriveStyle",
     "RoadPlane",
+    "RoadSpread",
     "SemanticMap",
     "compare",
     "inspect_map",

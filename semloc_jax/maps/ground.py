@@ -5,6 +5,7 @@ In: map elements. Out: GroundModel, which gives a RoadPlane or a vehicle pose on
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,10 +23,16 @@ _LEVEL_M = 1.5
 """Half of what a parking deck is at least high."""
 _MIN_SPREAD_M = 0.8
 """Root of the smaller principal variance below which the points say too little about one slope."""
+_MIN_SIDE_M = 1.0
+"""Points nearer to the middle of the vehicle say little of the slope across it: about the half of its track."""
 _SLOPE_SIGMA = 0.03
 """Prior of a slope (3 %): decides only where the points lie on one line."""
 _NOISE_M = 0.02
 _NUM_ROBUST_STEPS = 6
+_MOST_STRETCH = 2.5
+"""A road goes on ahead: this many radii, before the other side counts. Beyond 10 m floors bend."""
+_WIDER = 2.5
+"""Radius of what is called the whole road, in those of the surface under a vehicle."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,14 @@ class RoadPlane:
         return self.height_m + (np.asarray(xy) - self.center) @ self.slope
 
 
+class RoadSpread(NamedTuple):
+    """How far the road is from a plane around a vehicle: what its stand may be off the plane under it."""
+
+    height_m: float = 0.0
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+
+
 class GroundModel:
     """Points of the road surface with a spatial index."""
 
@@ -78,20 +93,30 @@ class GroundModel:
         stacked = np.vstack([np.zeros((0, 3)), *points])
         return cls(stacked[np.isfinite(stacked).all(axis=1)])
 
-    def plane(self, center: Place, radius_m: float = 4.0, near_z_m: float | None = None) -> RoadPlane:
+    def plane(
+        self,
+        center: Place,
+        radius_m: float = 4.0,
+        near_z_m: float | None = None,
+        heading_rad: float | None = None,
+    ) -> RoadPlane:
         """Returns the plane of the road around a place: a robust fit that looks farther until it has enough points.
+
+        A road is crowned: its other side slopes the other way. Where the heading is known, the fit looks farther along
+        the road first, so that in the gap between two dashes it is still that of the side the vehicle is on.
 
         Args:
             center: place in the map frame, `[2]` or more [m].
             radius_m: radius to start with; points beyond half of it count less and less.
             near_z_m: about how high the road is, for maps with decks or bridges; None takes all levels.
+            heading_rad: direction of the road; None looks equally far in all directions.
 
         Raises:
             SemlocError: the map has no ground points within 60 m of the place.
         """
         center = np.asarray(center, dtype=np.float64)[:2]
-        points, radius_m = self._neighbours(center, radius_m, near_z_m)
-        return _fit_plane(points, center, radius_m)
+        points, radius_m, stretch = self._neighbours(center, radius_m, near_z_m, heading_rad)
+        return _fit_plane(points, center, radius_m, _scaling(heading_rad, stretch))
 
     def road_pose(
         self, x: float, y: float, yaw: float, radius_m: float = 4.0, near_z_m: float | None = None
@@ -108,7 +133,7 @@ class GroundModel:
             radius_m: see `plane`.
             near_z_m: see `plane`.
         """
-        plane = self.plane(np.array([x, y]), radius_m, near_z_m)
+        plane = self.plane(np.array([x, y]), radius_m, near_z_m, yaw)
         direction = np.array([np.cos(yaw), np.sin(yaw)])
         forward = np.append(direction, plane.slope @ direction)
         forward /= np.linalg.norm(forward)
@@ -118,23 +143,60 @@ class GroundModel:
         pose[:3, 3] = x, y, plane.height_m
         return pose
 
-    def _neighbours(self, center: np.ndarray, radius_m: float, near_z_m: float | None) -> tuple[np.ndarray, float]:
-        """Returns the ground points around a place `[n 3]`, and the radius with enough of them for both slopes."""
-        found = np.zeros((0, 3))
+    def road_spread(self, x: float, y: float, yaw: float, near_z_m: float | None = None) -> RoadSpread:
+        """Returns how far the surface under a vehicle at (x, y) with heading `yaw` differs from the road as a whole.
+
+        Zero on a plane. On a crowned road the slope across differs by as much as the road bends from side to side,
+        which is what the few lines of a map leave open of the slope between them. Arguments as `road_pose`.
+        """
+        center = np.array([x, y])
+        own = self.plane(center, near_z_m=near_z_m, heading_rad=yaw)
+        whole = self.plane(center, min(_WIDER * own.radius_m, _MAX_RADIUS_M), near_z_m)
+        forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+        differs = np.abs([whole.height_m - own.height_m, *((whole.slope - own.slope) @ np.stack([left, forward]).T)])
+        return RoadSpread(*map(float, differs))
+
+    def _neighbours(
+        self, center: np.ndarray, radius_m: float, near_z_m: float | None, heading_rad: float | None
+    ) -> tuple[np.ndarray, float, float]:
+        """Returns ground points around a place `[n 3]`, enough for both slopes where possible, the radius, and how many
+        times it they reach along the heading."""
+        found, stretch = np.zeros((0, 3)), 1.0
         while self._tree is not None:
-            found = self.points[self._tree.query_ball_point(center, radius_m)]
+            found = self.points[self._tree.query_ball_point(center, stretch * radius_m)]
             if near_z_m is not None:
                 found = found[np.abs(found[:, 2] - near_z_m) < _LEVEL_M]
+            away = (found[:, :2] - center) @ _scaling(heading_rad, stretch)
+            found, away = (rows[np.sum(away**2, axis=1) <= radius_m**2] for rows in (found, away))
             is_enough = len(found) >= _MIN_POINTS and _spread_m(found[:, :2]) >= _MIN_SPREAD_M
+            # Far along, with one side in view only or near the middle, the slope across would be that of a few bumps.
+            is_enough &= stretch == 1.0 or _has_both_sides(found[:, :2] - center, heading_rad)
             if is_enough or radius_m >= _MAX_RADIUS_M:
                 break
-            radius_m = min(1.5 * radius_m, _MAX_RADIUS_M)
+            if heading_rad is not None and stretch < _MOST_STRETCH:
+                stretch = min(1.25 * stretch, _MOST_STRETCH)
+            else:
+                radius_m, stretch = min(1.5 * radius_m, _MAX_RADIUS_M), 1.0
         if len(found) == 0:
             raise SemlocError(
                 f"no ground of the map within {_MAX_RADIUS_M:.0f} m of ({center[0]:.1f}, {center[1]:.1f}); "
                 "expected paint, curbs or pole feet there: check the start position and the map"
             )
-        return found, radius_m
+        return found, radius_m, stretch
+
+
+def _has_both_sides(offset: np.ndarray, heading_rad: float | None) -> bool:
+    """Returns whether enough of the offsets `[n 2]` lie well to the left of a heading and to its right."""
+    left_m = offset @ np.array([-np.sin(heading_rad), np.cos(heading_rad)])
+    return bool(min(np.sum(left_m > _MIN_SIDE_M), np.sum(left_m < -_MIN_SIDE_M)) >= _MIN_POINTS // 3)
+
+
+def _scaling(heading_rad: float | None, stretch: float) -> np.ndarray:
+    """Matrix `[2 2]` by which rows of offsets are shortened along the heading and kept across it."""
+    if heading_rad is None or stretch == 1.0:
+        return np.eye(2)
+    forward = np.array([np.cos(heading_rad), np.sin(heading_rad)])
+    return np.eye(2) - (1.0 - 1.0 / stretch) * np.outer(forward, forward)
 
 
 _SURFACE_CLASSES = frozenset({ElementClass.CURB, ElementClass.PARKING_SLOT})
@@ -157,10 +219,10 @@ def _spread_m(xy: np.ndarray) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(xy.T))[0], 0.0)))
 
 
-def _fit_plane(points: np.ndarray, center: np.ndarray, radius_m: float) -> RoadPlane:
+def _fit_plane(points: np.ndarray, center: np.ndarray, radius_m: float, scaling: np.ndarray) -> RoadPlane:
     """Returns the plane through `points` `[n 3]` by Cauchy-weighted least squares from the median height on."""
     offset = points[:, :2] - center
-    near = np.exp(-0.5 * np.sum((2.0 * offset / radius_m) ** 2, axis=1))
+    near = np.exp(-0.5 * np.sum((2.0 * (offset @ scaling) / radius_m) ** 2, axis=1))
     design = np.column_stack([np.ones(len(points)), offset])
     prior = np.diag([0.0, 1.0, 1.0]) * (_NOISE_M / _SLOPE_SIGMA) ** 2
     plane = np.array([np.median(points[:, 2]), 0.0, 0.0])

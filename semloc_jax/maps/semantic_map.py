@@ -14,7 +14,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps.curves import clip_to_circle, without_repeats
 from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
-from semloc_jax.maps.ground import GroundModel, RoadPlane
+from semloc_jax.maps.ground import GroundModel, RoadPlane, RoadSpread
 from semloc_jax.maps.heights import lifted
 from semloc_jax.structs import ElementClass
 
@@ -172,6 +172,11 @@ class SemanticMap:
             near_z_m: about how high the road is, for maps with decks or bridges; None takes all levels.
         """
         return self.ground.road_pose(x, y, yaw, near_z_m=near_z_m)
+
+    def road_spread(self, T_map_base: np.ndarray) -> RoadSpread:
+        """Returns how far the road is from a plane around a vehicle; see `GroundModel.road_spread`."""
+        x, y, z = (float(value) for value in T_map_base[:3, 3])
+        return self.ground.road_spread(x, y, float(np.arctan2(T_map_base[1, 0], T_map_base[0, 0])), near_z_m=z)
 
     @staticmethod
     def _checked_center(center_map: Place, radius_m: float) -> np.ndarray:

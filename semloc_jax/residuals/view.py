@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.cameras import Camera, Rig
@@ -85,6 +86,7 @@ def view(
     rig: Rig,
     channel_of_label: Int[Array, " label"],
     config: ViewConfig,
+    grain: Float[Array | np.ndarray, ""] | float = 1.0,
 ) -> ViewSamples:
     """The samples that the rig sees from about `T_map_base`, thinned to uniform density along contours in the image.
 
@@ -94,6 +96,7 @@ def view(
         rig: Cameras.
         channel_of_label: Cost-map channel of each ElementClass; -1 where no mask shows the class.
         config: Ranges, density, capacity.
+        grain: Of the masks, see `NoiseModel.grain`.
     """
     buckets = [
         _camera_view(
@@ -103,6 +106,7 @@ def view(
             camera,
             channel_of_label,
             config,
+            grain,
         )
         for camera, T_base_cam in zip(rig.cameras, rig.T_base_cam, strict=True)
     ]
@@ -116,6 +120,7 @@ def _camera_view(
     camera: Camera,
     channel_of_label: Array,
     config: ViewConfig,
+    grain: Array | np.ndarray | float,
 ) -> ViewSamples:
     p_map, is_contour = contour_points(samples, T_map_cam[:3, 3])
     seen = _in_image(p_map, samples, T_map_cam, ground_z, camera, config)
@@ -134,12 +139,12 @@ def _camera_view(
     shown_m = samples.length_m[index] * shown_px / jnp.maximum(length_px[index], 1e-3)
     weight = shown_px ** (1 - config.metric_exponent) * (shown_m * PX_PER_M) ** config.metric_exponent
     if config.most_alone > 1:
-        weight = weight * _alone(samples, length_px, config)[index]
+        weight = weight * _alone(samples, length_px, config, grain)[index]
     # An observation of variance s^2 whose map is off by t^2 on its own counts s^2 / (s^2 + t^2).
-    weight = weight / (1 + (seen.height_px[index] / config.noise.noise_px) ** 2)
+    weight = weight / (1 + (seen.height_px[index] / (config.noise.noise_px * grain)) ** 2)
     weight = jnp.where(filled, weight, 0.0).astype(p_map.dtype)
     element = jnp.where(filled, samples.element[index], -1)
-    weight = _limited_by_element(weight, element, config)
+    weight = _limited_by_element(weight, element, config, grain)
     if config.class_weight:
         weight = weight * jnp.asarray(config.class_weight, weight.dtype)[samples.label[index]]
     return ViewSamples(
@@ -151,23 +156,23 @@ def _camera_view(
     )
 
 
-def _alone(samples: MapSamples, length_px: Array, config: ViewConfig) -> Array:
+def _alone(samples: MapSamples, length_px: Array, config: ViewConfig, grain: Array | np.ndarray | float) -> Array:
     """How much more each sample weighs because its straight edge is shorter than one independent observation."""
     turned = jnp.sum(samples.tangent_map[1:] * samples.tangent_map[:-1], axis=-1) < 0.7
     starts = jnp.concatenate([jnp.zeros(1, bool), turned | (samples.element[1:] != samples.element[:-1])])
     edge = jnp.cumsum(starts)
     edge_px = jax.ops.segment_sum(length_px, edge, len(edge))[edge]
-    return jnp.clip(config.noise.correlation_px / jnp.maximum(edge_px, 1.0), 1.0, config.most_alone)
+    return jnp.clip(config.noise.correlation_px * grain / jnp.maximum(edge_px, 1.0), 1.0, config.most_alone)
 
 
-def _limited_by_element(weight: Array, element: Array, config: ViewConfig) -> Array:
+def _limited_by_element(weight: Array, element: Array, config: ViewConfig, grain: Array | np.ndarray | float) -> Array:
     """The weights with each element's share limited: its place in the map is wrong for all of its samples at once.
 
     n independent observations (variance s^2) that share an error of variance t^2 hold n / (1 + n t^2 / s^2) of them.
     """
     # Numbered anew: a dense map has more elements than a view has samples.
     _, own = jnp.unique(element, return_inverse=True, size=config.capacity)
-    observations = jax.ops.segment_sum(weight, own, config.capacity)[own] / config.noise.correlation_px
+    observations = jax.ops.segment_sum(weight, own, config.capacity)[own] / (config.noise.correlation_px * grain)
     return weight / (1 + config.shared_error * observations)
 
 

@@ -38,6 +38,41 @@ def test_one_line_gives_its_own_slope_and_no_bank():
     assert plane.radius_m == 60.0
 
 
+def _crowned_road(slope=0.025, gap_m=8.0):
+    """Edge lines at +-3.5 m, dashes of 4 m on the crown, which falls by `slope` to both sides; along x."""
+    x = np.linspace(-60.0, 60.0, 121)
+    lines = [(f"edge{y}", x, y) for y in (-3.5, 3.5)]
+    lines += [(f"dash{s}", np.linspace(s, s + 4.0, 5), 0.0) for s in np.arange(-58.0, 54.0, 4.0 + gap_m)]
+    return [
+        MapElement(
+            name,
+            ElementClass.LANE_MARKING,
+            np.column_stack([along, np.full(len(along), y), np.full(len(along), -slope * abs(y))]),
+            width_m=0.12,
+        )
+        for name, along, y in lines
+    ]
+
+
+@pytest.mark.parametrize("x_m", [0.0, 4.0, 8.0, 10.0])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_vehicle_on_a_crowned_road_leans_to_its_own_side(x_m, side):
+    ground = GroundModel.from_elements(_crowned_road())
+    heading = 0.0 if side < 0 else np.pi  # keeps to the right
+    pose = ground.road_pose(x_m, 1.75 * side, heading)
+    roll_deg = np.degrees(np.arctan2(pose[2, 1], pose[2, 2]))
+    assert roll_deg == pytest.approx(np.degrees(np.arctan(0.025)), abs=0.15)  # 1.43 deg
+    assert pose[2, 3] == pytest.approx(-0.025 * 1.75, abs=0.005)
+
+
+def test_the_spread_of_a_road_is_its_crown():
+    spread = GroundModel.from_elements(_crowned_road()).road_spread(6.0, -1.75, 0.0)
+    assert np.degrees(spread.roll_rad) == pytest.approx(1.43, abs=0.5)
+    assert abs(np.degrees(spread.pitch_rad)) < 0.05
+    flat = GroundModel.from_elements([_lane(y, f"lane{y}") for y in (-3.5, 0.0, 3.5)]).road_spread(6.0, -1.75, 0.3)
+    np.testing.assert_allclose(flat, 0.0, atol=2e-3)
+
+
 def test_road_pose_keeps_heading_and_stands_on_the_plane():
     ground = GroundModel.from_elements([_lane(y, f"lane{y}") for y in (-3.5, 0.0, 3.5)])
     pose = ground.road_pose(3.0, 1.0, 0.7)

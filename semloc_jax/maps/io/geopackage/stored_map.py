@@ -212,7 +212,13 @@ class _StoredGround(GroundModel):
         self._stored = stored
         self._cells: OrderedDict[tuple[int, int], GroundModel] = OrderedDict()
 
-    def plane(self, center: Place, radius_m: float = 4.0, near_z_m: float | None = None) -> RoadPlane:
+    def plane(
+        self,
+        center: Place,
+        radius_m: float = 4.0,
+        near_z_m: float | None = None,
+        heading_rad: float | None = None,
+    ) -> RoadPlane:
         """Returns the plane of the road around a place; see `GroundModel.plane`."""
         cell = tuple(int(v) for v in np.floor(np.asarray(center, dtype=np.float64)[:2] / _GROUND_CELL_M))
         if cell not in self._cells:
@@ -220,7 +226,7 @@ class _StoredGround(GroundModel):
             self._cells[cell] = GroundModel.from_elements(self._stored.within(middle, _GROUND_REACH_M))
             if len(self._cells) > _MOST_CELLS:
                 self._cells.popitem(last=False)
-        return self._cells[cell].plane(center, radius_m, near_z_m)
+        return self._cells[cell].plane(center, radius_m, near_z_m, heading_rad)
 
 
 def _element(row: tuple, name: str) -> MapElement:
