@@ -23,8 +23,9 @@ from semloc_jax.runtime.memory import remembered
 
 _LOG = logging.getLogger(__name__)
 _OFFSET_FRAMES = 12
-_MAX_OFFSET_PX = 3.0
-"""Resizing moves masks by a pixel or two; a larger estimate comes from lines that fix only one direction."""
+_MAX_OFFSET_PX = 2.0
+"""Masks made at a fourth of the resolution and resized by their corners lie 1.5 px off; a larger estimate comes from
+lines that fix only one direction."""
 RECORD = "segment.yaml"
 """What `semloc segment` writes beside its masks."""
 CLASSICAL = "classical"
@@ -239,7 +240,7 @@ def _offset(source: MaskSource, frames: Sequence[Frame], camera: str) -> MaskOff
     files = [frame.path(kind, camera) for frame in frames for kind in ("rgb", source.name)]
     if not all(isinstance(file, Path) for file in files):  # messages of a bag have no time of change
         return find()
-    return MaskOffset(*remembered("mask_offset", source.table, files, find))
+    return MaskOffset(*remembered("mask_offset_of_groups", source.table, files, find))
 
 
 def _spread(frames: Sequence[Frame], num: int) -> list[Frame]:

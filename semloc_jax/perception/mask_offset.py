@@ -29,6 +29,10 @@ _STEP_PX = 0.25
 _POINTS_PER_LAYER = 1500
 _MIN_POINTS = 200
 _TILE_PX = 48
+_NUM_GROUPS = 4
+_MOST_DISAGREEMENT_PX = 0.5
+"""Groups of frames of one network differ by up to 0.46 px, those with chance edges beside thin paint by 2."""
+_MIN_GROUP_POINTS = 20
 _MIN_CONTRAST = 2.0
 """Least gradient of an image edge that counts [grey levels / px]."""
 
@@ -43,10 +47,16 @@ class MaskOffset(NamedTuple):
     sigma_dv_px: float
     num_points: int
     """Boundary points that found their edge in the image."""
+    disagreement_px: float
+    """Farthest that one of some groups of frames, each on its own, is from the whole [px]; infinite where one group
+    says nothing."""
 
     @property
     def is_significant(self) -> bool:
-        """True if a direction is off by 3 standard errors and by more than shading can feign (0.25 px)."""
+        """True if a direction is off by 3 standard errors and by more than shading can feign (0.25 px), and all groups
+        of frames say so: what makes masks lie off is in every frame, grass beside a line is not."""
+        if self.disagreement_px > _MOST_DISAGREEMENT_PX:
+            return False
         pairs = ((self.du_px, self.sigma_du_px), (self.dv_px, self.sigma_dv_px))
         return any(abs(value) > max(0.25, 3.0 * sigma) for value, sigma in pairs)
 
@@ -85,19 +95,32 @@ def estimate_mask_offset(
         raise SemlocError(f"mask offset: given {len(images)} images and {len(masks)} masks, expected pairs")
     sharp = [index for index, channel in enumerate(table.channels) if _SHARP & set(channel.classes)]
     wanted = sharp if channels is None else channels
-    parts = []
+    groups: list[list[_Edges]] = [[] for _ in range(min(_NUM_GROUPS, max(len(images), 2)))]
     for frame, (image, mask) in enumerate(zip(images, masks, strict=True)):
         if image.shape[:2] != mask.shape:
             sizes = f"{image.shape[1]}x{image.shape[0]} and {mask.shape[1]}x{mask.shape[0]}"
             raise SemlocError(f"mask offset: image and mask {frame} have the sizes {sizes} px; resize the masks first")
-        parts += _frame_edges(image, mask, table, wanted, frame)
+        groups[frame % len(groups)] += _frame_edges(image, mask, table, wanted, frame)
+    parts = [part for group in groups for part in group]
     num_found = sum(len(part.layer) for part in parts)
     if num_found < _MIN_POINTS:
         raise SemlocError(
             f"mask offset: only {num_found} mask boundary points to compare with the image, {_MIN_POINTS} are needed; "
             "give more frames, or frames with paint and poles in view"
         )
-    return _solve(_Edges(*(np.concatenate(column) for column in zip(*parts, strict=True))))
+    whole = _solve(parts, _MIN_POINTS)
+    return whole._replace(disagreement_px=max(_distance_px(group, whole) for group in groups))
+
+
+def _distance_px(parts: list["_Edges"], whole: MaskOffset) -> float:
+    """How far the offset that some frames say on their own is from that of all [px]; infinite where they say none."""
+    if sum(len(part.layer) for part in parts) < _MIN_GROUP_POINTS:
+        return np.inf
+    try:
+        alone = _solve(parts, _MIN_GROUP_POINTS)
+    except SemlocError:
+        return np.inf
+    return float(np.hypot(alone.du_px - whole.du_px, alone.dv_px - whole.dv_px))
 
 
 def _frame_edges(image, mask, table: ClassTable, channels: Sequence[int], frame: int) -> list[_Edges]:
@@ -147,7 +170,8 @@ def _places() -> np.ndarray:
     return np.arange(-_REACH_PX, _REACH_PX + _STEP_PX / 2, _STEP_PX)
 
 
-def _solve(edges: _Edges) -> MaskOffset:
+def _solve(parts: list[_Edges], min_points: int) -> MaskOffset:
+    edges = _Edges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     _, layer = np.unique(edges.layer, return_inverse=True)
     design = np.concatenate([-edges.normal, np.eye(layer.max() + 1)[layer]], axis=1)
     state = np.zeros(design.shape[1])
@@ -155,14 +179,14 @@ def _solve(edges: _Edges) -> MaskOffset:
     for window_px in (2.5, 2.0, 1.5, 1.2, 1.2, 1.2, 1.2, 1.2):
         found, good = _edge_position(edges.gradient, design @ state, window_px)
         state, weight = _robust_fit(design[good], found[good], state)
-    if good.sum() < _MIN_POINTS:
+    if good.sum() < min_points:
         raise SemlocError(
-            f"mask offset: only {good.sum()} mask boundary points have an edge in the image, {_MIN_POINTS} are needed; "
+            f"mask offset: only {good.sum()} mask boundary points have an edge in the image, {min_points} are needed; "
             "check that images and masks belong together"
         )
     residual = found[good] - design[good] @ state
     sigma = _clustered_sigma(design[good], residual, weight, edges.cluster[good])
-    return MaskOffset(float(state[0]), float(state[1]), float(sigma[0]), float(sigma[1]), int(good.sum()))
+    return MaskOffset(float(state[0]), float(state[1]), float(sigma[0]), float(sigma[1]), int(good.sum()), np.inf)
 
 
 def _edge_position(gradient: np.ndarray, expected: np.ndarray, window_px: float) -> tuple[np.ndarray, np.ndarray]:

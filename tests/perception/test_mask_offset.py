@@ -43,6 +43,22 @@ def test_a_known_shift_is_found_apart_from_erosion(shift, wider_px):
     assert offset.is_significant == (shift != (0.0, 0.0))
 
 
+def test_frames_that_say_different_offsets_do_not_count():
+    # What lies off in some frames only is an edge beside the paint, not the way the masks were made.
+    shifts = [(0.0, 0.0), (0.0, 0.0), (1.6, 1.5), (1.6, 1.5)] * 2
+    masks = [np.where(bars(seed, shift) >= 0.5, 10, 1).astype(np.uint8) for seed, shift in enumerate(shifts)]
+    offset = estimate_mask_offset(images(8), masks, DRIVE)
+    assert offset.disagreement_px > 0.7
+    assert not offset.is_significant
+
+
+def test_one_frame_alone_is_not_believed():
+    mask = np.where(bars(0, (1.0, 0.0)) >= 0.5, 10, 1).astype(np.uint8)
+    offset = estimate_mask_offset(images(1), [mask], DRIVE)
+    assert offset.du_px == pytest.approx(1.0, abs=0.1)
+    assert not offset.is_significant
+
+
 def test_dark_poles_before_a_bright_sky_serve_too():
     masks = [np.where(bars(seed, (0.5, 0.3)) >= 0.5, 20, 6).astype(np.uint8) for seed in range(8)]
     offset = estimate_mask_offset(images(8, contrast=-60), masks, DRIVE)
