@@ -4,7 +4,7 @@ In: start pose, SmoothScene, Prior. Out: SmoothEstimate, whose pose and covarian
 
 Contract
 - `align_differentiable(T_init, scene, prior, config, textures)` runs the fast `align` where textures are given, then
-  `polish`, Newton's method on the smooth cost down to the precision of the float type.
+  `smooth_optimum`, Newton's method on the smooth cost down to the precision of the float type.
 - The derivative is that of the implicit function F(y, theta) = 0, F the force (gradient of the cost by the pose):
   dy = -J^-1 (dF/dtheta) dtheta with J = dF/dy. J is the full Hessian. The Gauss-Newton matrix leaves out the curvature
   of kernel and boundary, which is no small part of it: derivatives would be wrong by tens of per cent.
@@ -148,10 +148,12 @@ def align_differentiable(
         views, usable, start_prior = jax.lax.stop_gradient((scene.views, scene.usable, prior))
         evidence = Evidence(views, textures[0], usable, textures[1])
         T_start = align(jax.lax.stop_gradient(T_init), evidence, start_prior, config.align).T_map_base
-    return polish(T_start, scene, prior, config)
+    return smooth_optimum(T_start, scene, prior, config)
 
 
-def polish(T_start: Float[Array, "4 4"], scene: SmoothScene, prior: Prior, config: SmoothConfig) -> SmoothEstimate:
+def smooth_optimum(
+    T_start: Float[Array, "4 4"], scene: SmoothScene, prior: Prior, config: SmoothConfig
+) -> SmoothEstimate:
     """The optimum of the smooth cost near a start pose, as `align_differentiable`."""
     given = (T_start, prior, scene.views, scene.model, scene.nats_per_px)
     sane = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(given)]))

@@ -16,9 +16,9 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.problem import AlignmentProblem, prior_offset
-from semloc_jax.residuals import kernels
+from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.chart import Chart
-from semloc_jax.residuals.kernels import Path
+from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.normal_equations import chart_equations
 from semloc_jax.residuals.robust import KERNELS
 
@@ -66,8 +66,8 @@ def damped_step(model: QuadraticModel, step_size: Float[Array, ""], path: Path =
     The matrix is at least the identity, so no pivoting is needed. A library call would be made for each of a batch of
     problems; Gauss-Jordan elimination, unrolled, vectorises over the batch.
     """
-    if kernels.are_used(path, model.gradient.dtype):
-        return kernels.damped_step(model.hessian, model.gradient, step_size)
+    if native_kernels.are_used(path, model.gradient.dtype):
+        return native_kernels.damped_step(model.hessian, model.gradient, step_size)
     num = model.gradient.shape[0]
     damped = model.hessian + jnp.eye(num, dtype=model.hessian.dtype) / step_size
     rows = jnp.concatenate([damped, -model.gradient[:, None]], axis=1)

@@ -25,7 +25,7 @@ WIDE_COST_MAPS = CostMapConfig(ramp_px=(160.0, 80.0, 40.0, 20.0, 14.0, 8.0, 3.0)
 
 
 @dataclass(frozen=True)
-class Look:
+class LookConfig:
     """One look at the map from where the pose is, and a descent from there."""
 
     levels: tuple[int, ...]
@@ -42,10 +42,10 @@ class Look:
 class OneStartConfig:
     """How a pose is found from one start. All values are ours; levels are those of `WIDE_COST_MAPS`."""
 
-    looks: tuple[Look, ...] = (
-        Look((0, 1, 2, 3), noise_share=1.0, class_balance=1.0),
-        Look((0, 1, 2, 3), noise_share=0.5, class_balance=1.0),
-        Look((2, 3, 4, 5, 6), noise_share=0.15, class_balance=0.5),
+    looks: tuple[LookConfig, ...] = (
+        LookConfig((0, 1, 2, 3), noise_share=1.0, class_balance=1.0),
+        LookConfig((0, 1, 2, 3), noise_share=0.5, class_balance=1.0),
+        LookConfig((2, 3, 4, 5, 6), noise_share=0.15, class_balance=0.5),
     )
     view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.3, metric_exponent=1.0))
     """How the map is seen: with a margin, since the truth looks elsewhere, and evenly by length in the world."""

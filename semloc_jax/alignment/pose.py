@@ -18,7 +18,7 @@ from semloc_jax.alignment.levenberg_marquardt import FusedLevenbergMarquardt, qu
 from semloc_jax.alignment.problem import AlignmentProblem, pose_of, residual
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual
-from semloc_jax.residuals.kernels import Path
+from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel, is_inlier
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import visible_weight

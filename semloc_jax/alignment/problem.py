@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from semloc_jax.residuals.alignment import CameraViews, alignment_residual
 from semloc_jax.residuals.chart import Chart
-from semloc_jax.residuals.kernels import Path
+from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.robust import KERNELS, robust_root
 from semloc_jax.residuals.texture import RampTexture
 
@@ -32,7 +32,7 @@ class AlignmentProblem(eqx.Module):
     """True; see `semloc_jax.residuals.fusion_barrier`."""
     kernel: str = eqx.field(static=True, default="tukey")
     path: Path = eqx.field(static=True, default="auto")
-    """How the evidence is evaluated; see `semloc_jax.residuals.kernels`."""
+    """How the evidence is evaluated; see `semloc_jax.residuals.native_kernels`."""
 
 
 def pose_of(y: Float[Array, "6"], problem: AlignmentProblem) -> Float[Array, "4 4"]:

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.hypotheses import score
-from semloc_jax.alignment.one_start import WIDE_COST_MAPS, Look, OneStartConfig, from_one_start
+from semloc_jax.alignment.one_start import WIDE_COST_MAPS, LookConfig, OneStartConfig, from_one_start
 from semloc_jax.alignment.pose import Prior, in_chunks, total_weight
 from semloc_jax.alignment.single_frame import FrameInput, evidence_from
 from semloc_jax.datasets import Drive, Frame
@@ -73,7 +73,7 @@ class BasinConfig:
 
 
 PLAIN = BasinConfig(
-    one_start=OneStartConfig((Look((0, 1, 2, 3), 0.15, max_steps=8),), ViewConfig(margin_share=0.15)),
+    one_start=OneStartConfig((LookConfig((0, 1, 2, 3), 0.15, max_steps=8),), ViewConfig(margin_share=0.15)),
     localize=LocalizeConfig(),
     rank_level=2,
 )

@@ -74,7 +74,7 @@ def explain_frame(
     config = config or ExplainConfig()
     if not np.isfinite(result.T_map_base).all():
         raise SemlocError(f"frame {result.frame.id}: has no pose to explain ({'; '.join(result.reasons) or 'lost'})")
-    look = Look.of(localizer, result, masks, prior, rig)
+    look = SeenFrame.of(localizer, result, masks, prior, rig)
     found, level = look.optimum(config.max_drift_m)
     sigma, holders = look.holders(found, level, config, look.elements_alone())
     _, classes = look.holders(found, level, config, look.classes_together())
@@ -90,7 +90,7 @@ _MIN_CAPACITY = 32
 
 
 @dataclass(frozen=True)
-class Look:
+class SeenFrame:
     """One frame as it is seen from its pose; poses are relative to the local origin.
 
     Attributes:
@@ -119,7 +119,7 @@ class Look:
         masks: Sequence[np.ndarray],
         prior: PosePrior,
         rig: Rig,
-    ) -> "Look":
+    ) -> "SeenFrame":
         settings, T_prior = localizer.config, result.T_map_prior
         heading = float(np.arctan2(T_prior[1, 0], T_prior[0, 0])) if len(rig) == 1 else None
         local_map = localizer.map.query(T_prior[:3, 3], settings.search_radius_m, heading)

@@ -1,6 +1,6 @@
 """Whether an explanation is true: the whole localization again, in a map that was changed (room: analysis; host).
 
-In: an Explanation, and what it was made of. Out: Check: what moving and leaving out an element really did to the pose.
+In: an Explanation, and what it was made of. Out: ElementEffect: what moving and leaving out an element did to the pose.
 """
 
 import copy
@@ -21,7 +21,7 @@ from semloc_jax.maps import MapElement
 
 
 @dataclass(frozen=True)
-class Check:
+class ElementEffect:
     """What `localize` says in a changed map; NaN where it finds no pose.
 
     Attributes:
@@ -45,8 +45,8 @@ def leave_one_out(
     rig: Rig,
     explanation: Explanation,
     count: int,
-) -> Iterator[Check]:
-    """One Check after another for the strongest elements of a frame.
+) -> Iterator[ElementEffect]:
+    """The effect of each change, one after another, for the strongest elements of a frame.
 
     Args:
         localizer: What localized the frame.
@@ -66,7 +66,7 @@ def leave_one_out(
             T = again.T_map_base
             known = np.isfinite(T).all()
             moved.append(rigid.log(rigid.inverse(result.T_map_base) @ T) if known else np.full(6, np.nan))
-        yield Check(holder, *(xi[TANGENT_OF_DIRECTION] for xi in moved), all(found))
+        yield ElementEffect(holder, *(xi[TANGENT_OF_DIRECTION] for xi in moved), all(found))
 
 
 def _in_changed_map(localizer: FrameLocalizer, id: str, change) -> FrameLocalizer:

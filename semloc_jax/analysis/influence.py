@@ -175,7 +175,7 @@ def balance(
     num_elements: int,
     max_steps: int = 20,
 ) -> Balance:
-    """The optimum of the smooth cost near a pose: what `alignment.implicit.polish` finds.
+    """The optimum of the smooth cost near a pose: what `alignment.implicit.smooth_optimum` finds.
 
     Newton's method on the host, so that a frame is explained with one compiled program.
 

@@ -28,7 +28,7 @@ from semloc_jax.residuals.view import GROUND_CLASSES, contour_points
 from semloc_jax.structs import MapSamples
 
 
-class Placement(NamedTuple):
+class CameraPlacement(NamedTuple):
     """How a camera is changed against the calibration that was given."""
 
     down_deg: Float[Array, ""] | float = 0.0
@@ -79,7 +79,7 @@ class PlacementReport:
         num_evaluations: of the gradient.
     """
 
-    placement: Placement
+    placement: CameraPlacement
     rig: Rig
     sigma_before: Float[np.ndarray, "n 3"]
     sigma_after: Float[np.ndarray, "n 3"]
@@ -125,7 +125,7 @@ def placement_problem(
 
 @partial(jax.jit, static_argnames=("name", "config"))
 def mean_log_sigma(
-    placement: Placement, problem: PlacementProblem, name: str, config: PlacementConfig
+    placement: CameraPlacement, problem: PlacementProblem, name: str, config: PlacementConfig
 ) -> Float[Array, ""]:
     """Mean over places and directions of the logarithm of the expected sigma; smooth in the placement.
 
@@ -192,14 +192,14 @@ def place_camera(
     found = [minimize(objective, x, jac=True, bounds=ends, method="L-BFGS-B", options=options) for x in begins]
     best = min(found, key=lambda end: end.fun)
     down_deg, rise_m, zoom = (float(value) for value in _placement(best.x * unit))
-    placement = Placement(down_deg, rise_m, zoom)
+    placement = CameraPlacement(down_deg, rise_m, zoom)
     placed = placement.applied(rig, name)
     before, after = (_exact_sigma(semantic_map, cameras, table, Ts_map_base, config) for cameras in (rig, placed))
     return PlacementReport(placement, placed, before, after, sum(end.nfev for end in found))
 
 
-def _placement(x: Array | np.ndarray) -> Placement:
-    return Placement(x[0], x[1], jnp.exp(x[2]))
+def _placement(x: Array | np.ndarray) -> CameraPlacement:
+    return CameraPlacement(x[0], x[1], jnp.exp(x[2]))
 
 
 def _exact_sigma(

@@ -36,7 +36,7 @@ _SHOWN = 0.3
 """Components of a direction below this are not named."""
 
 
-class Verdict(enum.StrEnum):
+class Knowledge(enum.StrEnum):
     """How much a drive says about a direction."""
 
     OBSERVABLE = "observable"
@@ -62,11 +62,11 @@ class Parameter:
     change: float
     sigma: float
     prior_sigma: float
-    verdict: Verdict
+    verdict: Knowledge
 
 
 @dataclass(frozen=True)
-class Direction:
+class CalibrationDirection:
     """One independent direction of all unknowns, scaled by their priors.
 
     Attributes:
@@ -79,7 +79,7 @@ class Direction:
 
     ratio: float
     vector: np.ndarray
-    verdict: Verdict
+    verdict: Knowledge
     text: str
     reason: str
 
@@ -89,7 +89,7 @@ class Observability:
     """Parameters, directions (best known first) and the joint covariance of the parameters in their units."""
 
     parameters: tuple[Parameter, ...]
-    directions: tuple[Direction, ...]
+    directions: tuple[CalibrationDirection, ...]
     covariance: np.ndarray
 
     def parameter(self, name: str) -> Parameter:
@@ -98,9 +98,9 @@ class Observability:
 
     def observable_part(self, values: np.ndarray) -> np.ndarray:
         """What of a vector of parameters (in their units) lies in the observable directions."""
-        return self._part(values, Verdict.OBSERVABLE)
+        return self._part(values, Knowledge.OBSERVABLE)
 
-    def _part(self, values: np.ndarray, verdict: Verdict) -> np.ndarray:
+    def _part(self, values: np.ndarray, verdict: Knowledge) -> np.ndarray:
         unit = np.array([parameter.prior_sigma for parameter in self.parameters])
         kept = np.array([d.vector for d in self.directions if d.verdict is verdict]).reshape(-1, len(unit))
         return unit * (kept.T @ (kept @ (values / unit)))
@@ -133,10 +133,10 @@ def observe(
             moves most.
     """
 
-    def judged(ratio: float) -> Verdict:
+    def judged(ratio: float) -> Knowledge:
         if ratio <= observable_ratio:
-            return Verdict.OBSERVABLE
-        return Verdict.HELD if ratio >= held_ratio else Verdict.WEAK
+            return Knowledge.OBSERVABLE
+        return Knowledge.HELD if ratio >= held_ratio else Knowledge.WEAK
 
     size = len(names)
     values, vectors = np.linalg.eigh(0.5 * (information + information.T) - np.eye(size))
@@ -151,8 +151,8 @@ def observe(
     for k in np.argsort(ratios, kind="stable"):
         vector = vectors[:, k] * np.sign(vectors[np.argmax(np.abs(vectors[:, k])), k])
         verdict = judged(ratios[k])
-        reason = "" if verdict is Verdict.OBSERVABLE else _reason(vector, names, reasons)
-        directions.append(Direction(float(ratios[k]), vector, verdict, _text(vector, names), reason))
+        reason = "" if verdict is Knowledge.OBSERVABLE else _reason(vector, names, reasons)
+        directions.append(CalibrationDirection(float(ratios[k]), vector, verdict, _text(vector, names), reason))
     return Observability(parameters, tuple(directions), prior_sigmas[:, None] * scaled * prior_sigmas)
 
 
@@ -162,7 +162,7 @@ def to_text(observability: Observability) -> str:
     for p in observability.parameters:
         unit = f" {p.unit}" if p.unit else ""
         lines.append(f"{p.name:<22}{p.change:>+11.4f}{p.sigma:>10.4f}{p.prior_sigma:>10.4f}{unit:<6}{p.verdict}")
-    hidden = [d for d in observability.directions if d.verdict is not Verdict.OBSERVABLE]
+    hidden = [d for d in observability.directions if d.verdict is not Knowledge.OBSERVABLE]
     num = len(observability.directions) - len(hidden)
     lines.append(f"{num} of {len(observability.directions)} independent directions are observable")
     lines += [f"- {d.verdict} ({d.ratio:.0%} of the prior's sigma left): {d.text}; {d.reason}" for d in hidden]

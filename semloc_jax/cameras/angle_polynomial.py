@@ -3,21 +3,16 @@
 In: points `p_cam`, also beside and behind the lens. Out: model coordinates = distorted angle x direction.
 """
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from semloc_jax.cameras.base import Camera, Scalar, as_leaf
-from semloc_jax.cameras.elementwise import MIN_SLOPE, angle_of, at_most, derivative, horner
-from semloc_jax.cameras.fisheye import LARGEST_THETA_RAD
-
-_TINY_M2 = 1e-12  # (1 um)^2: keeps direction and derivative finite on the axis
-_NEWTON_STEPS = 14
+from semloc_jax.cameras.base import Scalar, as_leaf
+from semloc_jax.cameras.elementwise import MIN_SLOPE, derivative, horner
+from semloc_jax.cameras.radial import LARGEST_THETA_RAD, RadialCamera
 
 
-class PolynomialFisheyeCamera(Camera):
+class PolynomialFisheyeCamera(RadialCamera):
     """Fisheye: theta_d = theta (1 + c2 theta + c3 theta^2 + c4 theta^3), u = fx theta_d x / r + cx.
 
     theta is the angle to the optical axis, r the distance from it. WoodScape writes rho = k1 theta + k2 theta^2 + ...
@@ -56,38 +51,17 @@ class PolynomialFisheyeCamera(Camera):
         self.width, self.height = as_leaf(width), as_leaf(height)
         self.c2, self.c3, self.c4 = (as_leaf(c) for c in (c2, c3, c4))
         if max_theta_rad is None:
-            max_theta_rad = _usable_angle(self._slope())
+            max_theta_rad = _usable_angle(derivative(self._polynomial()))
         self.max_theta_rad = as_leaf(max_theta_rad)
 
-    def _slope(self) -> tuple:
-        return derivative((0.0, 1.0, self.c2, self.c3, self.c4))
+    def _polynomial(self) -> tuple:
+        return 0.0, 1.0, self.c2, self.c3, self.c4
 
-    def _distorted(self, theta: Array) -> Array:
-        inner = at_most(theta, self.max_theta_rad)
-        end_slope = horner(self._slope(), self.max_theta_rad)
-        return inner * horner((1.0, self.c2, self.c3, self.c4), inner) + end_slope * (theta - inner)
+    def _radius(self, theta: Array) -> Array:
+        return horner(self._polynomial(), theta)
 
-    def _to_model(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-        r2 = x * x + y * y + _TINY_M2
-        inverse_r = jax.lax.rsqrt(r2)
-        theta = angle_of(r2 * inverse_r, z)
-        scale = self._distorted(theta) * inverse_r
-        return x * scale, y * scale, theta < self.max_theta_rad
-
-    def _from_model(self, xm: Array, ym: Array) -> tuple[Array, Array, Array, Array]:
-        target2 = xm * xm + ym * ym + _TINY_M2
-        inverse_target = jax.lax.rsqrt(target2)
-        target = target2 * inverse_target
-
-        def step(_: ArrayLike, theta: Array) -> Array:
-            inner = at_most(theta, self.max_theta_rad)
-            return theta - (self._distorted(theta) - target) / horner(self._slope(), inner)
-
-        theta = jax.lax.fori_loop(0, _NEWTON_STEPS, step, jnp.minimum(target, self.max_theta_rad))
-        error = jnp.abs(self._distorted(theta) - target)
-        valid = (error < 1e2 * jnp.finfo(xm.dtype).eps) & (theta < self.max_theta_rad)
-        scale = jnp.sin(theta) * inverse_target
-        return xm * scale, ym * scale, jnp.cos(theta), valid
+    def _slope(self, theta: Array) -> Array:
+        return horner(derivative(self._polynomial()), theta)
 
 
 def _usable_angle(slope: tuple) -> float:

@@ -39,7 +39,8 @@ class Camera(eqx.Module):
     - The first fields are fx fy cx cy [px] and width height [px]. Every field is an array leaf (`as_leaf`). The
       constructor takes fx fy cx cy width height and the coefficients of its row in this order, or the class overrides
       `of_numbers`. Limits of the view have a default.
-    - A lens that can see beyond 90 deg from its axis has the field `max_theta_rad`: half its field of view. Any other
+    - A lens that can see beyond 90 deg from its axis has the field `max_theta_rad`: half its field of view. Where it
+      is symmetric about the axis, `RadialCamera` does the rest: the subclass gives the radius for an angle. Any other
       model that cannot be inverted everywhere has a limit of its own, such as `max_radius`.
     - Beyond the limit `valid` is False and the pixel never folds back: it keeps moving outward, with a continuous
       slope. A model that turned there would show what is behind the vehicle in the middle of the image.

@@ -158,7 +158,7 @@ class ExplorerHandler(BaseHTTPRequestHandler):
             session.open_frame(read_frame_index(content, len(session.drive)))
             return _JSON, to_json(session.scene())
         query = read_query(content, session.num_levels, session.channel_names)
-        return _PACKED, packed(*session.evaluate(query))
+        return _PACKED, packed(*session.answer(query))
 
     def _picture(self, words: list[str]) -> bytes:
         num_frames = len(self.server.session.drive)

@@ -120,7 +120,7 @@ class ExplorerSession:
             ("slices of the cost", lambda: self._costs(query, self._grid(query), *self._seen(query)[:2])),
             ("residuals and covariance", lambda: self._probe(query, *self._seen(query))),
             ("solver", lambda: self._descend(query)),
-            ("first answer", lambda: self.evaluate(query)),
+            ("first answer", lambda: self.answer(query)),
         )
         for number, (text, part) in enumerate(parts):
             report(text, number, len(parts))
@@ -189,7 +189,7 @@ class ExplorerSession:
             masks = self.frame.masks if index == self.frame.index else self.masks.masks(frame)
         return scene.camera_picture(kind, camera, frame, masks[names.index(camera)], self.masks)
 
-    def evaluate(self, query: PoseQuery) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def answer(self, query: PoseQuery) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Numbers and arrays of one pose.
 
         Raises:

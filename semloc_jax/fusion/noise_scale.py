@@ -118,7 +118,9 @@ def correlation_m(noise: NoiseScale, config: NoiseConfig) -> Float[np.ndarray, "
     return np.clip(length_m, config.min_correlation_m, config.max_correlation_m)
 
 
-def marginal(covariance: Float[np.ndarray, "6 6"], noise: NoiseScale, config: NoiseConfig) -> Float[np.ndarray, "6 6"]:
+def of_one_pose(
+    covariance: Float[np.ndarray, "6 6"], noise: NoiseScale, config: NoiseConfig
+) -> Float[np.ndarray, "6 6"]:
     """Covariance of one measured pose alone.
 
     Args:
@@ -138,7 +140,7 @@ def of_a_series(
     variance that independent ones would have. A vehicle that stands learns next to nothing.
 
     Args:
-        covariance: Of the measured pose alone, see `marginal`.
+        covariance: Of the measured pose alone, see `of_one_pose`.
         way_m: Way since the pose before [m].
         noise: What the drive says.
         config: Beliefs.

@@ -1,8 +1,8 @@
 """Weights, kernel and noise of the localizer learned through its own solve (room: learning)."""
 
+from semloc_jax.learning.accuracy import Accuracy, localizer_accuracy
 from semloc_jax.learning.calibrate import calibrated
 from semloc_jax.learning.config import LearningConfig
-from semloc_jax.learning.evaluate import Accuracy, evaluate
 from semloc_jax.learning.fit import Fit, fit
 from semloc_jax.learning.loss import pose_nll
 from semloc_jax.learning.parameters import Learned, Parameters, learned_config, learned_values
@@ -16,7 +16,7 @@ __all__ = [
     "Parameters",
     "TrainingFrame",
     "calibrated",
-    "evaluate",
+    "localizer_accuracy",
     "fit",
     "learned_config",
     "learned_values",

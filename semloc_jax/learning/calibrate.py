@@ -9,8 +9,8 @@ import numpy as np
 
 from semloc_jax.datasets import Drive
 from semloc_jax.inputs.mask_source import MaskSource
+from semloc_jax.learning.accuracy import localizer_accuracy
 from semloc_jax.learning.config import LearningConfig
-from semloc_jax.learning.evaluate import evaluate
 from semloc_jax.learning.parameters import Learned, learned_config
 from semloc_jax.maps import SemanticMap
 
@@ -37,7 +37,7 @@ def calibrated(
     length_px = learned.correlation_px
     for _ in range(config.num_calibrations):
         settings = learned_config(learned._replace(correlation_px=length_px), config.scene)
-        found = [evaluate(*drive, settings, config) for drive in drives]
+        found = [localizer_accuracy(*drive, settings, config) for drive in drives]
         nees = sum(one.nees * np.sum(one.is_near) for one in found) / sum(np.sum(one.is_near) for one in found)
         tried.append((np.log(length_px), np.log(nees)))
         length_px = float(np.exp(_where_zero(tried)))

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from semloc_jax.alignment.implicit import SmoothConfig, SmoothEstimate, polish
+from semloc_jax.alignment.implicit import SmoothConfig, SmoothEstimate, smooth_optimum
 from semloc_jax.geometry import lie
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.parameters import Parameters
@@ -53,7 +53,7 @@ def solved(parameters: Parameters, frame: TrainingFrame, config: LearningConfig)
     learned."""
     model, nats_per_px = parameters.model(frame.place, config)
     scene = eqx.tree_at(lambda s: (s.model, s.nats_per_px), frame.scene, (model, nats_per_px))
-    return polish(frame.T_start, scene, parameters.road(frame.prior), _POLISH)
+    return smooth_optimum(frame.T_start, scene, parameters.road(frame.prior), _POLISH)
 
 
 def frame_score(parameters: Parameters, frame: TrainingFrame, config: LearningConfig) -> FrameScore:

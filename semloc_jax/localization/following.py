@@ -14,7 +14,7 @@ from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.clock import CameraTimeLog
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
-from semloc_jax.fusion.noise_scale import BELIEFS, NoiseScale, marginal, of_a_series
+from semloc_jax.fusion.noise_scale import BELIEFS, NoiseScale, of_a_series, of_one_pose
 from semloc_jax.fusion.prediction import MotionIncrement, MotionQuality
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import health
@@ -40,7 +40,7 @@ class FollowConfig:
     max_tilt_deg: float = 2.0
 
 
-class View(NamedTuple):
+class FrameReport(NamedTuple):
     """What one frame says about one track."""
 
     found: Alignment | None
@@ -138,22 +138,22 @@ def seen(
     trust: Callable[[np.ndarray], np.ndarray],
     stance: np.ndarray,
     config: HealthConfig,
-) -> View:
+) -> FrameReport:
     """What the masks of a frame say about a predicted track."""
     pose = fusion.pose(track.fusion)
     if aligner.windows.around(pose.T_map_base[:3, 3]).nearest_m(pose.T_map_base[:2, 3]) > config.off_map_m:
-        return View(None, False, True, ("outside of the map",))
+        return FrameReport(None, False, True, ("outside of the map",))
     try:
         found = aligner.align(frame, pose.T_map_base, pose.covariance, float(track.along_sigma_m), trust, stance)
     except SemlocError:
-        return View(None, False, True, ("outside of the map: no road there",))
+        return FrameReport(None, False, True, ("outside of the map: no road there",))
     is_occluded, reasons = health.frame_problems(found, frame.usable_share, config)
-    return View(found, is_occluded, False, reasons)
+    return FrameReport(found, is_occluded, False, reasons)
 
 
 def corrected(
-    track: Track, view: View, fusion: Fusion, way_m: float, noise: NoiseScale, config: FollowConfig
-) -> tuple[Track, View]:
+    track: Track, view: FrameReport, fusion: Fusion, way_m: float, noise: NoiseScale, config: FollowConfig
+) -> tuple[Track, FrameReport]:
     """The track with what the frame measured `way_m` after the one before, unless something speaks against it."""
     if view.found is None or view.is_occluded:
         return track, view
@@ -162,7 +162,7 @@ def corrected(
     if view.reasons:
         return refused, view
     measured = view.found.measurement
-    predicted, alone = fusion.pose(track.fusion), marginal(measured.covariance, noise, BELIEFS)
+    predicted, alone = fusion.pose(track.fusion), of_one_pose(measured.covariance, noise, BELIEFS)
     measured = measured._replace(covariance=of_a_series(alone, way_m, noise, BELIEFS))
     state, innovation = fusion.correct(track.fusion, measured)
     difference = rigid.log(rigid.inverse(predicted.T_map_base) @ measured.T_map_base)
@@ -179,7 +179,7 @@ def corrected(
     ), view
 
 
-def weighed(tracks: Sequence[Track], views: Sequence[View], config: FollowConfig) -> list[Track]:
+def weighed(tracks: Sequence[Track], views: Sequence[FrameReport], config: FollowConfig) -> list[Track]:
     """The tracks with the cost of this frame in their penalties; the best one has none."""
     if len(tracks) < 2:
         return list(tracks)
@@ -193,7 +193,7 @@ def weighed(tracks: Sequence[Track], views: Sequence[View], config: FollowConfig
     return [track._replace(penalty=np.float64(value)) for track, value in zip(tracks, penalty, strict=True)]
 
 
-def _nats(view: View, in_view_px: float) -> float:
+def _nats(view: FrameReport, in_view_px: float) -> float:
     if view.found is None or view.is_occluded:
         return np.nan
     return view.found.score * in_view_px / max(view.found.in_view_px, 1.0)

@@ -30,7 +30,7 @@ from semloc_jax.localization import health, map_faults, passed_over
 from semloc_jax.localization.acquisition import Acquisition, AcquisitionConfig, Area
 from semloc_jax.localization.following import (
     FollowConfig,
-    View,
+    FrameReport,
     carried,
     conflicts_after,
     corrected,
@@ -189,7 +189,8 @@ class Localizer:
         trust = partial(map_faults.weights, state.trust, self.config.trust)
         if state.driven_m > self.config.health.frozen_m:
             views = [
-                View(None, True, False, ("the image has not changed while the vehicle moved",)) for _ in state.tracks
+                FrameReport(None, True, False, ("the image has not changed while the vehicle moved",))
+                for _ in state.tracks
             ]
         else:
             views = [
@@ -207,7 +208,7 @@ class Localizer:
         return self._judged(state, view, frame, watch)
 
     def _learned(
-        self, state: TrackerState, view: View, motion: CameraTimeLog, before_s: float, way_m: float
+        self, state: TrackerState, view: FrameReport, motion: CameraTimeLog, before_s: float, way_m: float
     ) -> TrackerState:
         """The state with what a frame whose pose was taken says of clock and noise."""
         now_s = float(state.time_s)
@@ -245,7 +246,9 @@ class Localizer:
             driven_m=driven_m,
         )
 
-    def _fused(self, state: TrackerState, views: list[View], way_m: float) -> tuple[TrackerState, View | None]:
+    def _fused(
+        self, state: TrackerState, views: list[FrameReport], way_m: float
+    ) -> tuple[TrackerState, FrameReport | None]:
         """Every track corrected and weighed, best first; and what the frame said about the best one."""
         if not views:
             return state, None
@@ -318,7 +321,7 @@ class Localizer:
         return state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten)
 
     def _judged(
-        self, state: TrackerState, view: View | None, frame: FrameFeatures, watch: "_Watch"
+        self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, watch: "_Watch"
     ) -> tuple[TrackerState, TrackResult]:
         """The status of the frame with its reasons."""
         config = self.config.health

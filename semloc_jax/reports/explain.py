@@ -16,7 +16,7 @@ from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.analysis.explain import ExplainConfig, explain_frame
-from semloc_jax.analysis.explain_check import Check, leave_one_out
+from semloc_jax.analysis.explain_check import ElementEffect, leave_one_out
 from semloc_jax.analysis.explain_drive import element_roles, explain_frames
 from semloc_jax.analysis.explanation import Explanation
 from semloc_jax.analysis.pose_mixture import frame_mixture
@@ -119,7 +119,7 @@ def _posterior(
     return posterior_text(frame_mixture(localizer, result, masks, rig, np.asarray(sigma, np.float64)))
 
 
-def _write_files(folder: Path, result: LocalizationResult, found: Explanation, checks: Sequence[Check]) -> None:
+def _write_files(folder: Path, result: LocalizationResult, found: Explanation, checks: Sequence[ElementEffect]) -> None:
     write_csv(folder / "explain.csv", COLUMNS, [holder_row(holder) for holder in (*found.holders, *found.classes)])
     record = explanation_record(result.frame.id, found, checks)
     (folder / "explain.json").write_text(json.dumps(record, indent=1), encoding="utf-8")

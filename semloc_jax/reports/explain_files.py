@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from semloc_jax.analysis.explain_check import Check
+from semloc_jax.analysis.explain_check import ElementEffect
 from semloc_jax.analysis.explain_drive import ElementRole
 from semloc_jax.analysis.explanation import Explanation, Holder
 
@@ -51,7 +51,7 @@ def holder_row(holder: Holder) -> list:
     ]
 
 
-def explanation_record(frame_id: str, found: Explanation, checks: Sequence[Check]) -> dict:
+def explanation_record(frame_id: str, found: Explanation, checks: Sequence[ElementEffect]) -> dict:
     """What explain.json holds: everything of explain.csv, derivatives, checks."""
 
     def holders(some: Sequence[Holder]) -> list[dict]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from semloc_jax.analysis.explain_check import Check
+from semloc_jax.analysis.explain_check import ElementEffect
 from semloc_jax.analysis.explain_drive import ElementRole, is_irreplaceable
 from semloc_jax.analysis.explanation import Explanation, Holder
 from semloc_jax.reports.explain_files import DIRECTIONS, in_units
@@ -62,7 +62,7 @@ def _irreplaceable(holder: Holder, found: Explanation) -> str | None:
     return f"{holder.id}: without it the {name} sigma grows from {scale * with_it:.2g} to {scale * without:.2g} {unit}"
 
 
-def check_table(checks: Sequence[Check]) -> str:
+def check_table(checks: Sequence[ElementEffect]) -> str:
     """What was predicted and what happened, one line for each element."""
     head = f"{'localized again with':24}{'moved: predicted':>18}{'found':>16}{'left out: predicted':>20}{'found':>16}"
     lines = [f"{head}   [lon lat cm]"]

@@ -20,7 +20,6 @@ from semloc_jax.learning import (
     Fit,
     LearningConfig,
     calibrated,
-    evaluate,
     fit,
     learned_config,
     learned_values,
@@ -144,7 +143,7 @@ def _fit(inputs: Mapping[Key, Inputs], drives: LearningDrives, table: ClassTable
 
 
 def _judged(given: Inputs, settings: tuple[LocalizeConfig, LocalizeConfig], config: LearningConfig) -> list[Accuracy]:
-    return [evaluate(given.drive, given.map, given.masks, one, config) for one in settings]
+    return [localizer_accuracy(given.drive, given.map, given.masks, one, config) for one in settings]
 
 
 def changes(before: object, after: object) -> dict[str, Any]:

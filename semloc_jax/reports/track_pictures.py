@@ -16,7 +16,7 @@ from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.maps import SemanticMap
 from semloc_jax.reports.track_log import PROTECTION, SIGMAS, TrackTable
-from semloc_jax.viz.integrity import Direction, stanford_diagram
+from semloc_jax.viz.integrity import IntegrityErrors, stanford_diagram
 from semloc_jax.viz.overlay import dim
 from semloc_jax.viz.tracking import status_banner, tracking_over_time
 
@@ -45,7 +45,7 @@ def write_stanford(folder: Path, table: TrackTable) -> Path | None:
     for name, error, key, bound in zip(NAMES, errors, PROTECTION, limits, strict=True):
         word, unit = name.rstrip("]").split(" [")
         level = np.where(table.is_tracking, table.columns[key], np.inf)
-        directions[word] = Direction(error, level, bound, unit)
+        directions[word] = IntegrityErrors(error, level, bound, unit)
     return viz.save(stanford_diagram(directions), folder / "stanford.png")
 
 

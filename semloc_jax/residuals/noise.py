@@ -84,6 +84,6 @@ def _at_least(value: Pixels, least: Pixels) -> Pixels:
     return np.maximum(value, least) if np.ndim(value) else float(max(value, least))
 
 
-def is_inlier(ramp_value: Float[Array, " n"] | Float[np.ndarray, " n"]) -> Bool[Array, " n"] | Bool[np.ndarray, " n"]:
+def is_inlier(ramp_value: Float[Array, "*n"] | Float[np.ndarray, "*n"]) -> Bool[Array, "*n"] | Bool[np.ndarray, "*n"]:
     """Whether each contour lies within reach of a boundary of its class, from its signed ramp value in [-1, 1]."""
     return abs(ramp_value) < INLIER_REACH

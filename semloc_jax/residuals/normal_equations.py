@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from semloc_jax.cameras import Camera
 from semloc_jax.geometry import lie
-from semloc_jax.residuals import kernels
+from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.alignment import CameraViews, points_in_camera
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.fusion_barrier import stored
@@ -38,7 +38,7 @@ def normal_equations(
     texture: RampTexture,
     kernel: Kernel,
     always: Bool[Array, "2"],
-    path: kernels.Path = "auto",
+    path: native_kernels.Path = "auto",
 ) -> NormalEquations:
     """Gradient and Gauss-Newton Hessian of sum_i w_i rho(r_i) by the right tangent xi of T_map_base exp(xi).
 
@@ -62,7 +62,7 @@ def chart_equations(
     texture: RampTexture,
     kernel: Kernel,
     always: Bool[Array, "2"],
-    path: kernels.Path = "auto",
+    path: native_kernels.Path = "auto",
     skip: Bool[Array, ""] | bool = False,
 ) -> NormalEquations:
     """`normal_equations` by the coordinates y of a chart.
@@ -75,7 +75,7 @@ def chart_equations(
     dtype = chart.y.dtype
     total = NormalEquations(jnp.zeros((6, 6), dtype), jnp.zeros(6, dtype), jnp.zeros((), dtype))
     for view in views:
-        chosen = kernels.use(path, view.camera, kernel, dtype)
+        chosen = native_kernels.use(path, view.camera, kernel, dtype)
         one = partial(_PATHS[chosen], chart, texture=texture, kernel=kernel, always=always, skip=jnp.asarray(skip))
         parts = jax.vmap(one)(view)
         total = jax.tree.map(lambda whole, part: whole + jnp.sum(part, axis=0), total, NormalEquations(*parts))
@@ -84,17 +84,17 @@ def chart_equations(
 
 def _analytic(chart: Chart, view: CameraViews, *, texture: RampTexture, skip: Array, **_: object) -> tuple:
     points = view.p_map, view.channel, view.weight
-    return kernels.normal_equations(chart, skip, view.camera, view.T_cam_base, points, texture, view.index)
+    return native_kernels.normal_equations(chart, skip, view.camera, view.T_cam_base, points, texture, view.index)
 
 
 def _autodiff(chart: Chart, view: CameraViews, *, texture: RampTexture, **_: object) -> tuple:
     # What comes out of one loop is computed once: two real arrays travel as one complex array.
     p_cam = points_in_camera(view.T_cam_base, chart.pose(), view.p_map)
     (u, v), pull = jax.vjp(partial(_pixel, view.camera), *p_cam)
-    value, slope = kernels.lookup(jax.lax.complex(u, v), view.channel, texture, view.index)
+    value, slope = native_kernels.lookup(jax.lax.complex(u, v), view.channel, texture, view.index)
     ax, ay, az = pull((slope.real, slope.imag))
     points = view.p_map, view.channel, view.weight
-    return kernels.accumulate(chart, view.T_cam_base, points, jax.lax.complex(ax, ay), az, value)
+    return native_kernels.accumulate(chart, view.T_cam_base, points, jax.lax.complex(ax, ay), az, value)
 
 
 def _xla(chart: Chart, view: CameraViews, *, texture: RampTexture, kernel: Kernel, always: Array, **_: object) -> tuple:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from semloc_jax.residuals import kernels
+from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.alignment import CameraViews, Usable, points_in_camera, visibility
 from semloc_jax.residuals.fusion_barrier import stored
 from semloc_jax.residuals.robust import KERNELS, Kernel
@@ -35,7 +35,7 @@ def robust_cost(
     kernel: Kernel,
     border_px: float,
     always: Bool[Array, "2"],
-    path: kernels.Path = "auto",
+    path: native_kernels.Path = "auto",
 ) -> RobustCost:
     """Summed robust cost and visible weight of a pose on one level of the cost maps; `path` as `normal_equations`."""
     summed, visible = jnp.zeros((), T_map_base.dtype), jnp.zeros((), T_map_base.dtype)
@@ -52,30 +52,30 @@ def visible_weight(
     view: CameraViews,
     usable: Usable,
     border_px: float,
-    path: kernels.Path = "auto",
+    path: native_kernels.Path = "auto",
 ) -> Float[Array, "cam p"]:
     """Weight of each sample where it can be seen from a pose, else 0."""
-    if kernels.use(path, view.camera, KERNELS["tukey"], T_map_base.dtype) != "analytic":
+    if native_kernels.use(path, view.camera, KERNELS["tukey"], T_map_base.dtype) != "analytic":
         return view.weight * visibility(T_map_base, view, usable, border_px)
 
     def one_camera(view: CameraViews) -> Array:
         points = view.p_map, view.channel, view.weight
         camera, scale = (view.camera, view.T_cam_base), 1 / usable.stride
-        return kernels.visible_weight(T_map_base, *camera, points, usable.mask, scale, view.index, border_px)
+        return native_kernels.visible_weight(T_map_base, *camera, points, usable.mask, scale, view.index, border_px)
 
     return jax.vmap(one_camera)(view)
 
 
 def _summed(
-    T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel, always: Array, path: kernels.Path
+    T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel, always: Array, path: native_kernels.Path
 ) -> Float[Array, " cam"]:
     """sum_i w_i rho(r_i) / rho(1) of each camera."""
-    native = kernels.use(path, view.camera, kernel, T_map_base.dtype) == "analytic"
+    native = native_kernels.use(path, view.camera, kernel, T_map_base.dtype) == "analytic"
 
     def one_camera(view: CameraViews) -> Array:
         if native:
             points = view.p_map, view.channel, view.weight
-            return kernels.robust_cost(T_map_base, view.camera, view.T_cam_base, points, texture, view.index)
+            return native_kernels.robust_cost(T_map_base, view.camera, view.T_cam_base, points, texture, view.index)
         x, y, z = points_in_camera(view.T_cam_base, T_map_base, view.p_map)
         (uv,) = stored(always[0], jax.lax.complex(*view.camera.project_xyz(x, y, z)[:2]))
         texel = locate(texture, uv.real, uv.imag)

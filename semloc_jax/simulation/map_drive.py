@@ -15,7 +15,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.maps import SemanticMap, read_lane_centers, read_map
 from semloc_jax.simulation.cameras import front_rig
 from semloc_jax.simulation.map_scene import build_map_world
-from semloc_jax.simulation.motion import Motion
+from semloc_jax.simulation.motion import VehicleMotion
 from semloc_jax.simulation.path import PlanePath
 from semloc_jax.simulation.route import RouteWish, drivable, find_route
 from semloc_jax.simulation.simulate import LEAD_IN_S, SimulationConfig, Staging, checked, write_drive
@@ -73,7 +73,7 @@ def simulate_on_map(
     path = drivable(route, (LEAD_IN_S + 1.0) * config.speed_mps + 40.0)
     speed_mps = min(config.speed_mps, _bend_speed(path, length_m))
     world = build_map_world(semantic_map, lanes, path, length_m, speed_mps, config.wear_share, rng)
-    motion = Motion(path, world.scene.surface, speed_mps, 0.15, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
+    motion = VehicleMotion(path, world.scene.surface, speed_mps, 0.15, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
     num_frames = max(1, round(length_m / speed_mps * config.rate_hz))
     told = {
         "map": Path(map_path).name,

@@ -14,7 +14,7 @@ from semloc_jax.simulation.surface import Surface
 
 
 @dataclass(frozen=True)
-class Motion:
+class VehicleMotion:
     """A drive along a path with gently changing speed; the body pitches and rolls a little on its springs.
 
     Args:

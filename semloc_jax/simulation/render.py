@@ -1,6 +1,6 @@
 """Inverse ray casting: the class and the colour of every pixel centre (room: simulation; host).
 
-In: a Scene, a camera and its pose. Out: View. A pixel has the class of what its CENTRE ray hits, so that borders of
+In: a Scene, a camera and its pose. Out: RenderedView. A pixel has the class of what its CENTRE ray hits: borders of
 masks carry no bias below the pixel grid.
 """
 
@@ -22,7 +22,7 @@ _FREE_SHARE, _FREE_MARGIN_M = 0.97, 0.3
 
 
 @dataclass(frozen=True)
-class View:
+class RenderedView:
     """What one camera sees.
 
     Args:
@@ -91,7 +91,7 @@ def render(
     ego: Sequence[Solid],
     time_s: float,
     has_normals: bool = True,
-) -> View:
+) -> RenderedView:
     """What a camera at `T_map_cam` sees of the scene at a time.
 
     Args:
@@ -135,7 +135,7 @@ def render(
         if has_normals:
             normal[own] = solid.normal_at(origin + distance[own, None] * ray[own], ray[own])
     height, width = rays.shape
-    return View(
+    return RenderedView(
         class_id=class_id.reshape(height, width),
         range_m=distance.reshape(height, width),
         normal_map=normal.reshape(height, width, 3),

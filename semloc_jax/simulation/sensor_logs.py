@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.maps import GeoOrigin
-from semloc_jax.simulation.motion import Motion
+from semloc_jax.simulation.motion import VehicleMotion
 
 _GRAVITY_MPS2 = 9.80665
 _EARTH_RADIUS_M = 6_378_137.0
@@ -49,7 +49,7 @@ class SensorErrors:
 
 def write_sensor_logs(
     folder: Path,
-    motion: Motion,
+    motion: VehicleMotion,
     start_s: float,
     end_s: float,
     errors: SensorErrors,
@@ -76,7 +76,7 @@ def write_sensor_logs(
 
 def _write_gnss(
     path: Path,
-    motion: Motion,
+    motion: VehicleMotion,
     time_s: np.ndarray,
     errors: SensorErrors,
     bias: np.ndarray,
@@ -115,7 +115,7 @@ def _to_degrees(east_m: float, north_m: float, origin: GeoOrigin) -> tuple[float
 
 def _write_wheel(
     path: Path,
-    motion: Motion,
+    motion: VehicleMotion,
     time_s: np.ndarray,
     errors: SensorErrors,
     scales: dict[str, float],
@@ -134,7 +134,7 @@ def _write_wheel(
 
 
 def _write_imu(
-    path: Path, motion: Motion, time_s: np.ndarray, biases: dict[str, list[float]], rng: np.random.Generator
+    path: Path, motion: VehicleMotion, time_s: np.ndarray, biases: dict[str, list[float]], rng: np.random.Generator
 ) -> None:
     half = 0.005
     poses = [motion.poses(time_s + offset) for offset in (-half, 0.0, half)]
@@ -155,6 +155,6 @@ def _write_imu(
     path.write_text("\n".join(lines) + "\n")
 
 
-def _steps(motion: Motion, time_s: np.ndarray) -> np.ndarray:
+def _steps(motion: VehicleMotion, time_s: np.ndarray) -> np.ndarray:
     """T_base(t - 10 ms)_base(t + 10 ms) for each time."""
     return np.linalg.inv(motion.poses(time_s - 0.01)) @ motion.poses(time_s + 0.01)

@@ -1,6 +1,6 @@
 """Simple shaded colour images of a rendered view (room: simulation; host).
 
-In: View, lighting. Out: uint8 image. Not photographs: enough contrast, texture and noise for classical segmenters.
+In: RenderedView, lighting. Out: uint8 image: no photograph, but enough contrast and texture for classical segmenters.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from semloc_jax.datasets.drive import CLASS_IDS
-from semloc_jax.simulation.render import View
+from semloc_jax.simulation.render import RenderedView
 
 _ALBEDO = {
     "road": (0.24, 0.24, 0.24),
@@ -58,7 +58,7 @@ LIGHTINGS = {
 
 
 def shade(
-    view: View, origin_map: Float[np.ndarray, "3"], lighting: Lighting, rng: np.random.Generator
+    view: RenderedView, origin_map: Float[np.ndarray, "3"], lighting: Lighting, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Blue-green-red image of a view from `origin_map`."""
     table = np.full((256, 3), 0.3)
@@ -78,7 +78,7 @@ def shade(
     return np.round(255.0 * np.clip(image, 0.0, 1.0) ** 0.8).astype(np.uint8)
 
 
-def _backdrop(view: View, lighting: Lighting, table: np.ndarray) -> np.ndarray:
+def _backdrop(view: RenderedView, lighting: Lighting, table: np.ndarray) -> np.ndarray:
     """Sky or ceiling: brighter towards the horizon."""
     rise = np.clip(view.ray_map[..., 2:3], 0.0, 1.0)
     return table[view.class_id] * (lighting.sun + lighting.ambient) * (1.0 - 0.35 * rise)

@@ -20,7 +20,7 @@ from semloc_jax.simulation.cameras import front_rig, surround_rig
 from semloc_jax.simulation.degrade import Degradation, degrade
 from semloc_jax.simulation.garage import build_garage
 from semloc_jax.simulation.map_errors import MapErrors, with_errors
-from semloc_jax.simulation.motion import Motion
+from semloc_jax.simulation.motion import VehicleMotion
 from semloc_jax.simulation.render import PixelRays, render
 from semloc_jax.simulation.road import build_road
 from semloc_jax.simulation.scene import Scene
@@ -93,7 +93,7 @@ def simulate(
     else:
         scene = build_garage(rng, length_m, config.wear_share)
     sway_m = 0.15 if kind == "road" else 0.0
-    motion = Motion(scene.path, scene.surface, config.speed_mps, sway_m, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
+    motion = VehicleMotion(scene.path, scene.surface, config.speed_mps, sway_m, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
     if rig is None:
         rig = (front_rig if kind == "road" else surround_rig)(config.width_px, config.height_px)
     staging = Staging(kind, seed, scene, motion, _ORIGIN, f"{kind} seed {seed}")
@@ -117,7 +117,7 @@ class Staging:
     kind: str
     seed: int
     scene: Scene
-    motion: Motion
+    motion: VehicleMotion
     origin: GeoOrigin | None
     map_name: str
     told: dict = field(default_factory=dict)
@@ -172,7 +172,7 @@ def _write_maps(out: Path, staging: Staging, errors: MapErrors, rng: np.random.G
     (out / "map_errors_log.json").write_text(json.dumps(log, indent=1) + "\n")
 
 
-def _write_truth(out: Path, motion: Motion, time_s: np.ndarray, rig: Rig) -> None:
+def _write_truth(out: Path, motion: VehicleMotion, time_s: np.ndarray, rig: Rig) -> None:
     T_map_base = motion.poses(time_s)
     write_tum(Trajectory(time_s, T_map_base), out / "poses_body.tum")
     for name, T_base_cam in zip(rig.names, np.asarray(rig.T_base_cam), strict=True):
@@ -187,7 +187,7 @@ def _write_frame_list(out: Path, time_s: np.ndarray, lightings: list[Lighting]) 
 def _write_pictures(
     out: Path,
     scene: Scene,
-    motion: Motion,
+    motion: VehicleMotion,
     rig: Rig,
     time_s: np.ndarray,
     lightings: list[Lighting],

@@ -17,7 +17,7 @@ from semloc_jax.viz.style import INK, new_figure, plain_axes
 _FINE, _SAFE, _WRONG, _HAZARD = "#2e7d32", "#90a4ae", "#ff8f00", "#d50000"
 
 
-class Direction(NamedTuple):
+class IntegrityErrors(NamedTuple):
     """Errors, protection levels and the alert limit of one direction, in one unit."""
 
     error: Float[np.ndarray, " n"]
@@ -26,7 +26,7 @@ class Direction(NamedTuple):
     unit: str
 
 
-def stanford_diagram(directions: Mapping[str, Direction]) -> Figure:
+def stanford_diagram(directions: Mapping[str, IntegrityErrors]) -> Figure:
     """A Stanford diagram for each direction, side by side.
 
     Points above the diagonal are frames whose protection level bounds the error; left of the vertical alert limit the
@@ -42,7 +42,7 @@ def stanford_diagram(directions: Mapping[str, Direction]) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, name: str, direction: Direction) -> None:
+def _draw(axes: Axes, name: str, direction: IntegrityErrors) -> None:
     limit, unit = direction.limit, direction.unit
     size = np.abs(direction.error)
     known = np.isfinite(size) & ~np.isnan(direction.level)

@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from semloc_jax.calibration import Observability, Parameter, Verdict
+from semloc_jax.calibration import Knowledge, Observability, Parameter
 from semloc_jax.viz.style import INK, new_figure, plain_axes
 
-_COLOURS = {Verdict.OBSERVABLE: "#00897b", Verdict.WEAK: "#f9a825", Verdict.HELD: "#c62828"}
+_COLOURS = {Knowledge.OBSERVABLE: "#00897b", Knowledge.WEAK: "#f9a825", Knowledge.HELD: "#c62828"}
 _PRIOR = "#b0bec5"
 _FEW = 4
 

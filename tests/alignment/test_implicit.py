@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.implicit import SmoothConfig, align_differentiable, polish, smooth_scene
+from semloc_jax.alignment.implicit import SmoothConfig, align_differentiable, smooth_optimum, smooth_scene
 from semloc_jax.alignment.pose import AlignConfig, align
 from semloc_jax.geometry import lie
 from semloc_jax.structs import SolveStatus
@@ -51,7 +51,7 @@ def changed(trial, amounts, seed):
 
 def solve(trial, amounts, seed=0):
     trial = changed(trial, amounts, seed)
-    return polish(jax.lax.stop_gradient(trial.prior.T_map_base), trial.scene, trial.prior, CONFIG)
+    return smooth_optimum(jax.lax.stop_gradient(trial.prior.T_map_base), trial.scene, trial.prior, CONFIG)
 
 
 def tangents(trial, amounts):

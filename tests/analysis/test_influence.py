@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.implicit import SmoothConfig, polish, smooth_scene
+from semloc_jax.alignment.implicit import SmoothConfig, smooth_optimum, smooth_scene
 from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION
-from semloc_jax.analysis.explain import Look, explain_frame
+from semloc_jax.analysis.explain import SeenFrame, explain_frame
 from semloc_jax.analysis.influence import balance, influence
 from semloc_jax.geometry import rigid
 from tests.alignment.random_scenes import SIGMA, random_trial
@@ -58,8 +58,8 @@ def test_derivatives_are_those_of_solving_again():
 
 @pytest.mark.slow
 def test_and_of_the_other_solver_in_a_hundred_scenes():
-    """Where `alignment.implicit.polish` solves again."""
-    solve = jax.jit(lambda T, scene, prior: polish(T, scene, prior, SmoothConfig()).T_map_base)
+    """Where `alignment.implicit.smooth_optimum` solves again."""
+    solve = jax.jit(lambda T, scene, prior: smooth_optimum(T, scene, prior, SmoothConfig()).T_map_base)
     worst = largest_difference(range(100), solve)
     print(f"largest of 500 differences: {worst:.1e}")
     assert worst < 0.01
@@ -69,7 +69,7 @@ def test_and_of_the_other_solver_in_a_hundred_scenes():
 def test_so_are_those_of_a_frame(simulated_road):
     """The four strongest elements moved by 10 um along x, y and z of the map: within 1 % of what is said of them."""
     given = frame_to_explain(simulated_road)
-    look, found = Look.of(*given), explain_frame(*given)
+    look, found = SeenFrame.of(*given), explain_frame(*given)
     assert found.is_exact
     level = look.maps.ramp_px.index(found.ramp_px)
     scene = smooth_scene(look.evidence, look.maps, look.align, level)

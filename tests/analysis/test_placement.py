@@ -1,11 +1,17 @@
-"""Placement of a camera: the gradient is that of finite differences; what is turned, raised and zoomed."""
+"""CameraPlacement of a camera: the gradient is that of finite differences; what is turned, raised and zoomed."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.analysis.placement import Placement, PlacementConfig, mean_log_sigma, place_camera, placement_problem
+from semloc_jax.analysis.placement import (
+    CameraPlacement,
+    PlacementConfig,
+    mean_log_sigma,
+    place_camera,
+    placement_problem,
+)
 from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import read_map
@@ -38,7 +44,7 @@ def test_gradient_is_that_of_finite_differences(drive, places):
     problem = _in_float64(placement_problem(read_map(drive.map_path), drive.rig, TABLE, places[:1], CONFIG))
 
     def value(x):
-        return mean_log_sigma(Placement(*x), problem, "front", CONFIG)
+        return mean_log_sigma(CameraPlacement(*x), problem, "front", CONFIG)
 
     slope = jax.jit(jax.grad(value))
     for x in (np.array([0.0, 0.0, 1.0]), np.array([4.0, 0.2, 0.8])):
@@ -48,7 +54,7 @@ def test_gradient_is_that_of_finite_differences(drive, places):
 
 
 def test_a_camera_is_turned_down_raised_and_zoomed(drive):
-    rig = Placement(10.0, 0.3, 2.0).applied(drive.rig, "front")
+    rig = CameraPlacement(10.0, 0.3, 2.0).applied(drive.rig, "front")
     before, after = np.asarray(drive.rig.T_base_cam[0]), np.asarray(rig.T_base_cam[0])
     down_deg = np.rad2deg(np.arcsin(before[2, 2]) - np.arcsin(after[2, 2]))
     assert down_deg == pytest.approx(10.0, abs=0.01)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.alignment.scene import ViewLimits
-from semloc_jax.calibration import SelfCalibrationConfig, Verdict, self_calibrate
+from semloc_jax.calibration import Knowledge, SelfCalibrationConfig, self_calibrate
 from semloc_jax.calibration.frames import StartPoses, motion_between
 from semloc_jax.calibration.self_calibration import calibrate_from, mount_change
 from semloc_jax.cameras import Rig
@@ -58,7 +58,12 @@ def test_a_turned_camera_comes_back_and_where_it_sits_is_named_unobservable(driv
     assert np.abs(np.degrees(off[3:])).max() < 0.1
     assert abs(off[2]) < 0.02
     verdicts = {name: found.observability.parameter(f"front {name}").verdict for name in ("x", "y", "pitch", "yaw")}
-    assert verdicts == {"x": Verdict.HELD, "y": Verdict.HELD, "pitch": Verdict.OBSERVABLE, "yaw": Verdict.OBSERVABLE}
+    assert verdicts == {
+        "x": Knowledge.HELD,
+        "y": Knowledge.HELD,
+        "pitch": Knowledge.OBSERVABLE,
+        "yaw": Knowledge.OBSERVABLE,
+    }
     scale, sigma = found.vehicle["odometer_scale"], found.observability.parameter("odometer_scale").sigma
     assert abs(scale - 1.0) > 5 * sigma  # the wheels of the simulation are off, and it is seen
 
@@ -72,7 +77,7 @@ def test_without_wheels_the_mount_is_found_and_the_scale_stays(drive):
     assert abs(np.degrees(off[5])) < 3 * yaw.sigma < 0.6
     assert np.abs(np.degrees(off[3:5])).max() < 0.15
     assert found.vehicle["odometer_scale"] == pytest.approx(1.0, abs=1e-9)
-    assert found.observability.parameter("odometer_scale").verdict is Verdict.HELD
+    assert found.observability.parameter("odometer_scale").verdict is Knowledge.HELD
     assert [note for note in found.notes if note.startswith("no wheel odometry: ")]
 
 
@@ -92,7 +97,7 @@ def test_a_standing_vehicle_is_told_that_it_has_to_move(drive):
         gnss=None,
     )
     found = calibrated(standing)
-    assert found.observability.parameter("front yaw").verdict is not Verdict.OBSERVABLE
+    assert found.observability.parameter("front yaw").verdict is not Knowledge.OBSERVABLE
     assert "no satellite fixes: the GNSS offset stays" in found.notes
     assert any("moved 0.0 m only" in note for note in found.notes)
 

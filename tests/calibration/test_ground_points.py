@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.calibration.ground_points import GroundPairs, calibrate_on_ground, read_ground_pairs
-from semloc_jax.calibration.observability import Verdict
+from semloc_jax.calibration.observability import Knowledge
 from semloc_jax.cameras import Rig, read_calibration
 from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.cameras import surround_rig
@@ -42,7 +42,7 @@ def test_simulated_cameras_agree_again_and_their_gauge_is_named():
     assert found.before_m > 0.08
     assert found.after_m < 0.004
     assert max(found.held_out_m) < 0.01
-    held = [d for d in found.observability.directions if d.verdict is Verdict.HELD]
+    held = [d for d in found.observability.directions if d.verdict is Knowledge.HELD]
     assert len(held) >= 3  # the vehicle's own x, y and heading
     assert all("vehicle" in d.reason for d in held)
 

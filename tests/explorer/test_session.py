@@ -28,7 +28,7 @@ def _off(placement, forward_m=0.0, left_m=0.0, yaw_deg=0.0):
 
 @pytest.mark.parametrize("level", [0, 2])
 def test_slices_are_those_of_the_landscape(session, level):
-    head, arrays = session.evaluate(_query(session, level, with_path=False))
+    head, arrays = session.answer(_query(session, level, with_path=False))
     frame = session.frame
     rig = session.masks.seen_by(session.drive.frames[1].rig.select(session.masks.cameras))
     x, y = (np.linspace(-1, 1, head["side"]) * head["extent"][name] for name in ("x", "y"))
@@ -44,7 +44,7 @@ def test_slices_are_those_of_the_landscape(session, level):
 
 
 def test_curves_and_slices_cross_where_they_should(session):
-    head, arrays = session.evaluate(_query(session, with_path=False))
+    head, arrays = session.answer(_query(session, with_path=False))
     middle, half = head["side"] // 2, arrays["curves"].shape[1] // 2
     for row, along in ((0, arrays["slice_xy"][:, middle]), (1, arrays["slice_xy"][middle])):
         assert arrays["curves"][row, [0, half, -1]] == pytest.approx(along[[0, middle, -1]], abs=1e-5)
@@ -55,7 +55,7 @@ def test_residuals_are_the_distances_to_the_borders_of_the_masks(session):
     """By OpenCV's distance transform of the mask of each class, at the pixels that the page draws."""
     level = 1
     placement = _off(session.start(), 0.2, 0.1, 0.3)
-    head, arrays = session.evaluate(PoseQuery(placement, level, session.channel_names, "none", with_path=False))
+    head, arrays = session.answer(PoseQuery(placement, level, session.channel_names, "none", with_path=False))
     assert "slice_xy" not in arrays and "side" not in head
     ramp_px = session.config.cost_maps.ramp_px[level]
     mask, checked = session.frame.masks[0], 0
@@ -80,7 +80,7 @@ def test_residuals_are_the_distances_to_the_borders_of_the_masks(session):
 
 def test_a_solve_ends_at_the_truth_and_its_path_says_so(session):
     start = _off(session.start(), 0.8, -0.4, 1.0)
-    head, _ = session.evaluate(replace(_query(session), placement=start))
+    head, _ = session.answer(replace(_query(session), placement=start))
     assert np.hypot(*head["to_truth"][:2]) == pytest.approx(np.hypot(0.8, 0.4), abs=0.02)
     path = head["path"]
     end, truth = path["end"], session.start()
@@ -102,7 +102,7 @@ def test_a_solve_ends_at_the_truth_and_its_path_says_so(session):
 
 def test_a_class_that_is_switched_off_does_not_count(session):
     only = replace(_query(session), channels=("lane_marking",), with_path=False)
-    head, arrays = session.evaluate(only)
+    head, arrays = session.answer(only)
     index = session.channel_names.index("lane_marking")
     assert (arrays["in_view"][arrays["channel"] != index] == 0).all()
     assert (arrays["in_view"][arrays["channel"] == index] > 0).sum() > 50
@@ -115,10 +115,10 @@ def test_a_class_that_is_switched_off_does_not_count(session):
 
 def test_answers_do_not_depend_on_what_was_asked_before(session):
     far = replace(_query(session), placement=_off(session.start(), -18.0, 0.5))
-    first = session.evaluate(far)[0]["cost"]
+    first = session.answer(far)[0]["cost"]
     for distance_m in (0.0, 9.0, -30.0):
-        session.evaluate(replace(far, placement=_off(session.start(), distance_m)))
-    assert session.evaluate(far)[0]["cost"] == pytest.approx(first, abs=1e-6)
+        session.answer(replace(far, placement=_off(session.start(), distance_m)))
+    assert session.answer(far)[0]["cost"] == pytest.approx(first, abs=1e-6)
     assert len(session.frame.cells) >= 2
 
 
@@ -127,6 +127,6 @@ def test_other_frames_and_places_without_road(session):
     session.open_frame(2)
     assert session.scene()["frame"] == 2
     assert np.hypot(session.start().x_m - at_one.x_m, session.start().y_m - at_one.y_m) > 1.0
-    assert session.evaluate(_query(session))[0]["cost"] < 0.3
+    assert session.answer(_query(session))[0]["cost"] < 0.3
     with pytest.raises(SemlocError, match="no ground of the map within 60 m"):
-        session.evaluate(replace(_query(session), placement=Placement(5e4, 0.0, 0.0)))
+        session.answer(replace(_query(session), placement=Placement(5e4, 0.0, 0.0)))

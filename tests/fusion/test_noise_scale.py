@@ -11,8 +11,8 @@ from semloc_jax.fusion.noise_scale import (
     correlation_m,
     factors,
     learned,
-    marginal,
     of_a_series,
+    of_one_pose,
     unknown_noise,
     without_poses,
 )
@@ -38,7 +38,7 @@ def driven(scale, length_m, num=500, seed=0):
             continue
         step = increment(k - 1, rng)
         state = fusion.predict(state, step)
-        alone = marginal(MODEL, noise, CONFIG)
+        alone = of_one_pose(MODEL, noise, CONFIG)
         state, _ = fusion.correct(state, measurement._replace(covariance=of_a_series(alone, 1.0, noise, CONFIG)))
         fused = fusion.pose(state)
         noise = learned(noise, measurement, fused, step, 1.0, CONFIG)

@@ -11,7 +11,7 @@ from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.cli import localize
 from semloc_jax.cli.arguments import read_settings
 from semloc_jax.inputs.mask_source import mask_source
-from semloc_jax.learning import LearningConfig, evaluate
+from semloc_jax.learning import LearningConfig, localizer_accuracy
 from semloc_jax.simulation import SimulationConfig
 from semloc_jax.structs import ElementClass
 
@@ -42,7 +42,7 @@ def test_it_is_more_accurate_and_more_honest_on_drives_that_were_held_out(tmp_pa
         drive = sj.simulate("road", seed, tmp_path / str(seed), size)
         semantic_map, masks = sj.read_map(drive.map_path), mask_source("sem_net", drive)
         found = [
-            evaluate(drive, semantic_map, masks, settings, LearningConfig(num_frames=12))
+            localizer_accuracy(drive, semantic_map, masks, settings, LearningConfig(num_frames=12))
             for settings in (LocalizeConfig(), learned())
         ]
         assert [one.num_far for one in found] == [0, 0]

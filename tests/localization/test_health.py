@@ -7,7 +7,7 @@ from semloc_jax.alignment.longitudinal import LongitudinalConfig, is_searched
 from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.localization import health, map_faults
-from semloc_jax.localization.following import FollowConfig, View, conflicts_after, stance_after
+from semloc_jax.localization.following import FollowConfig, FrameReport, conflicts_after, stance_after
 from semloc_jax.localization.frame_alignment import Alignment, masks_covariance
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.map_faults import TrustConfig
@@ -87,7 +87,7 @@ def test_status_follows_tracks_and_reasons():
 
 
 def test_a_view_without_innovation_is_not_accepted():
-    assert not View(None, True, False, ("occluded",)).is_accepted
+    assert not FrameReport(None, True, False, ("occluded",)).is_accepted
 
 
 def test_the_masks_share_of_an_estimate_is_what_the_prediction_did_not_bring():

@@ -2,19 +2,21 @@
 
 import numpy as np
 
-from semloc_jax.viz.integrity import Direction, stanford_diagram
+from semloc_jax.viz.integrity import IntegrityErrors, stanford_diagram
 from semloc_jax.viz.style import to_image
 
 
 def diagram(error, level):
-    return stanford_diagram({"lateral": Direction(np.array(error), np.array(level), 0.29, "m")})
+    return stanford_diagram({"lateral": IntegrityErrors(np.array(error), np.array(level), 0.29, "m")})
 
 
 def test_titles_state_the_counts_of_each_direction():
     figure = stanford_diagram(
         {
-            "lateral": Direction(np.array([0.01, -0.02, 0.4, np.nan]), np.array([0.1, 0.5, 0.2, np.nan]), 0.29, "m"),
-            "heading": Direction(np.zeros(3), np.full(3, 0.2), 0.5, "deg"),
+            "lateral": IntegrityErrors(
+                np.array([0.01, -0.02, 0.4, np.nan]), np.array([0.1, 0.5, 0.2, np.nan]), 0.29, "m"
+            ),
+            "heading": IntegrityErrors(np.zeros(3), np.full(3, 0.2), 0.5, "deg"),
         }
     )
     lateral, heading = figure.axes

@@ -108,6 +108,7 @@ def _entry(rig: Rig, index: int) -> dict[str, Any]:
     entry: dict[str, Any] = {"name": rig.names[index], "camera_model": model.projection}
     if model.distortion:
         entry["distortion_model"] = model.distortion[0]
+    if model.distortion or model.coefficients:
         entry["distortion_coeffs"] = [float(getattr(camera, name)) for name in model.coefficients]
     entry["intrinsics"] = [float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
     entry["resolution"] = list(camera.resolution)

@@ -88,7 +88,7 @@ class Accuracy:
         return np.asarray(nll), np.asarray(nees)
 
 
-def evaluate(
+def localizer_accuracy(
     drive: Drive, semantic_map: SemanticMap, masks: MaskSource, settings: LocalizeConfig, config: LearningConfig
 ) -> Accuracy:
     """Errors of frames of a drive, as the localizer finds them.

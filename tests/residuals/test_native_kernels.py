@@ -19,7 +19,7 @@ from semloc_jax.cameras import (
 )
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
-from semloc_jax.residuals import kernels
+from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals import texture as texture_module
 from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.chart import Chart
@@ -167,12 +167,12 @@ def test_a_path_that_is_not_possible_is_refused_in_words():
         pass
 
     camera, tukey = OwnCamera(1.0, 1.0, 0.0, 0.0, 1, 1), KERNELS["tukey"]
-    assert kernels.use("auto", camera, tukey, jnp.float32) == "autodiff"
-    assert kernels.use("auto", camera, KERNELS["huber"], jnp.float32) == "xla"
+    assert native_kernels.use("auto", camera, tukey, jnp.float32) == "autodiff"
+    assert native_kernels.use("auto", camera, KERNELS["huber"], jnp.float32) == "xla"
     with pytest.raises(SemlocError, match="no kernel for OwnCamera"):
-        kernels.use("analytic", camera, tukey, jnp.float32)
+        native_kernels.use("analytic", camera, tukey, jnp.float32)
     with pytest.raises(SemlocError, match="float32, not float64"):
-        kernels.use("autodiff", camera, tukey, jnp.float64)
+        native_kernels.use("autodiff", camera, tukey, jnp.float64)
 
 
 def test_damped_step_solves_the_system():
@@ -180,7 +180,7 @@ def test_damped_step_solves_the_system():
     A = rng.normal(size=(20, 6, 6))
     H, g = (A @ A.transpose(0, 2, 1)).astype(np.float32), rng.normal(size=(20, 6)).astype(np.float32)
     size = rng.uniform(0.1, 10, 20).astype(np.float32)
-    found = jax.jit(jax.vmap(kernels.damped_step))(H, g, size)
+    found = jax.jit(jax.vmap(native_kernels.damped_step))(H, g, size)
     expected = np.linalg.solve(H + np.eye(6) / size[:, None, None], -g[..., None])[..., 0]
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-4)
     assert dataclasses.is_dataclass(native.status())

@@ -14,7 +14,7 @@ from numpy.typing import DTypeLike
 
 from semloc_jax import native
 from semloc_jax.cameras import Camera
-from semloc_jax.cameras.models import kernel_of
+from semloc_jax.cameras.models import native_number_of
 from semloc_jax.errors import SemlocError
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.robust import KERNELS, Kernel
@@ -37,7 +37,7 @@ def use(path: Path, camera: Camera, kernel: Kernel, dtype: DTypeLike) -> Path:
     if path == "xla":
         return path
     why_not = _why_not(kernel, dtype)
-    known = kernel_of(camera) is not None
+    known = native_number_of(camera) is not None
     if path == "auto":
         return "xla" if why_not else "analytic" if known else "autodiff"
     if not why_not and path == "analytic" and not known:
@@ -64,7 +64,7 @@ def _why_not(kernel: Kernel, dtype: DTypeLike) -> str:
 
 
 def _model(camera: Camera) -> np.int32:
-    return np.int32(kernel_of(camera))
+    return np.int32(native_number_of(camera))
 
 
 def _texture(texture: RampTexture, index: Int[Array, ""]) -> tuple[Array, ...]:
