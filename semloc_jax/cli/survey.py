@@ -60,14 +60,14 @@ def default_settings() -> "SurveyConfig":
 
 def run(options: Options) -> int:
     """Survey, print the expected accuracy and the weak stretches."""
-    from semloc_jax.reports.survey import Placement, Ranges, open_road, report_survey
+    from semloc_jax.reports.survey import PlacementWish, Ranges, open_road, report_survey
 
     what = (parse_names(options.cameras), options.class_table, options.path, options.spacing_m)
     road = open_road(options.map, options.camera, *what)
     placement = None
     if options.place is not None:
         ranges = Ranges(options.place_down_deg, options.place_rise_m, options.place_zoom)
-        placement = Placement(options.place, ranges, options.place_count)
+        placement = PlacementWish(options.place, ranges, options.place_count)
     kept = {key: getattr(options, key) for key in ("spacing_m", "class_table", "cameras", "keep", "place")}
     print(report_survey(road, options.settings, options.keep, placement, options.out, kept))
     return OK

@@ -78,7 +78,7 @@ def run(options: Options) -> int:
     frames = list(inputs.drive.frames[chosen])
     if options.fusion == ALL:
         return _print_table(track.report_fusions(inputs, plan, frames, options.resume or options.out, kept))
-    pictures = track.Pictures(options.overlays, options.video, options.rrd)
+    pictures = track.TrackPictures(options.overlays, options.video, options.rrd)
     report = track.report_track(inputs, plan, frames, options.out, pictures, options.resume, kept)
     print(report.text)
     print(f"results: {report.folder}")

@@ -23,6 +23,7 @@ from semloc_jax.learning import (
     fit,
     learned_config,
     learned_values,
+    localizer_accuracy,
     training_frames,
 )
 from semloc_jax.perception import ClassTable

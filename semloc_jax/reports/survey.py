@@ -32,7 +32,7 @@ COLUMNS = (
 )
 
 
-class Road(NamedTuple):
+class SurveyRoad(NamedTuple):
     """What is surveyed.
 
     Args:
@@ -52,7 +52,7 @@ class Road(NamedTuple):
     ways: tuple[Way, ...]
 
 
-class Placement(NamedTuple):
+class PlacementWish(NamedTuple):
     """Which camera is to be placed, within which ranges, judged by how many places."""
 
     camera: str
@@ -67,7 +67,7 @@ def open_road(
     class_table: str = "drive",
     path: Path | None = None,
     spacing_m: float = 5.0,
-) -> Road:
+) -> SurveyRoad:
     """The map, the cameras and the places of a survey.
 
     Args:
@@ -84,14 +84,14 @@ def open_road(
         ways = lane_ways(semantic_map, spacing_m)
     else:
         ways = (path_way(path.stem, read_trajectory(path).T_map_base, spacing_m),)
-    return Road(map_path, semantic_map, calibration, rig, load_class_table(class_table), ways)
+    return SurveyRoad(map_path, semantic_map, calibration, rig, load_class_table(class_table), ways)
 
 
 def report_survey(
-    road: Road,
+    road: SurveyRoad,
     settings: SurveyConfig | None = None,
     keep: float | None = None,
-    placement: Placement | None = None,
+    placement: PlacementWish | None = None,
     out: Path | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> str:
@@ -158,7 +158,7 @@ def _write_places(found: Survey, semantic_map: SemanticMap, folder: Path) -> Non
     (folder / "places.geojson").write_text(text, encoding="utf-8")
 
 
-def _write_small_map(road: Road, places: np.ndarray, keep: float, settings: SurveyConfig, folder: Path) -> str:
+def _write_small_map(road: SurveyRoad, places: np.ndarray, keep: float, settings: SurveyConfig, folder: Path) -> str:
     write, suffix = _format(road.map_path)
     size = road.map_path.stat().st_size if road.map_path.is_file() else None
     small = small_map(road.map, road.rig, road.table, places, keep, write, size, settings)
@@ -177,7 +177,9 @@ def _format(path: Path) -> tuple[Callable[[SemanticMap, Path], None], str]:
     return write_drive_geojson, ".geojson"
 
 
-def _write_placement(road: Road, places: np.ndarray, placement: Placement, settings: SurveyConfig, folder: Path) -> str:
+def _write_placement(
+    road: SurveyRoad, places: np.ndarray, placement: PlacementWish, settings: SurveyConfig, folder: Path
+) -> str:
     spread = np.linspace(0, len(places) - 1, max(placement.num_places, 1)).astype(int)
     given = (road.map, road.rig, road.table, places[np.unique(spread)], settings)
     return write_placement(placement.camera, placement.ranges, *given, road.calibration, folder)

@@ -66,7 +66,7 @@ class TrackPlan:
         return Pipeline(inputs.drive, inputs.masks, localizer, config, inputs.prior if self.has_guess else None)
 
 
-class Pictures(NamedTuple):
+class TrackPictures(NamedTuple):
     """What is drawn.
 
     Args:
@@ -117,7 +117,7 @@ def report_track(
     plan: TrackPlan,
     frames: Sequence[Frame],
     out: Path | None = None,
-    pictures: Pictures | None = None,
+    pictures: TrackPictures | None = None,
     resume: Path | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> TrackReport:
@@ -148,7 +148,7 @@ def report_track(
         localizer = pipeline.localizer
         changes = map_changes(last.state.trust, localizer.map, localizer.config.trust)
         write_csv(folder / "map_changes.csv", MapChange._fields, changes)
-    _draw(folder, inputs, table, pictures or Pictures())
+    _draw(folder, inputs, table, pictures or TrackPictures())
     is_lost = not len(table) or table.status[-1] == TrackStatus.LOST
     share = float(table.is_tracking.mean()) if len(table) else 0.0
     return TrackReport(folder, f"{text}\n{track_metrics.summary(table, pipeline.timing)}", share, is_lost)
@@ -174,7 +174,7 @@ def _drive(
     return last
 
 
-def _draw(folder: Path, inputs: Inputs, table: TrackTable, wanted: Pictures) -> None:
+def _draw(folder: Path, inputs: Inputs, table: TrackTable, wanted: TrackPictures) -> None:
     track_pictures.write_timeline(folder, table)
     track_pictures.write_stanford(folder, table)
     overlay = track_pictures.Overlay(inputs.map, inputs.masks, table)
