@@ -73,8 +73,8 @@ def test_without_words_the_defaults_hold():
 
 def test_the_command_line_beats_the_file_and_the_file_the_defaults(config):
     content = {"radius_m": 30, "ramp_px": [1, 2, 3], "search": {"kernel": "cauchy"}, "seed": 4, "frames": "::7"}
-    options = _parse(config(content), "--radius-m", "-5", "--seed", "9", "--search.lock", "True")
-    assert options.settings == Settings(-5.0, (1.0, 2.0, 3.0), None, Search(kernel="cauchy", lock=True))
+    options = _parse(config(content), "--radius-m", "5", "--seed", "9", "--search.lock", "True")
+    assert options.settings == Settings(5.0, (1.0, 2.0, 3.0), None, Search(kernel="cauchy", lock=True))
     assert (options.seed, options.frames) == (9, "::7")
 
 
