@@ -4,7 +4,7 @@ In: streams of pictures with their own times, a rig, the motion of the vehicle. 
 """
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -87,11 +87,7 @@ def frames_in_step(
     rig = _sized(rig.select(names), ordered, where)
     frames = []
     for index, time_s in enumerate(first.time_s.tolist()):
-        found = {
-            kind: {name: (ordered[kind][name], int(by[name][index])) for name in names if name in by}
-            for kind, by in by_kind.items()
-        }
-        complete = {k: by for k, by in found.items() if len(by) == len(names) and all(at >= 0 for _, at in by.values())}
+        complete = _complete_kinds(ordered, by_kind, names, index)
         if (IMAGE in by_kind and IMAGE not in complete) or not complete:
             continue
         files = {kind: {name: s.pictures[at] for name, (s, at) in by.items()} for kind, by in complete.items()}
@@ -105,6 +101,20 @@ def frames_in_step(
             f"{where}: no frame has pictures of all of {', '.join(names)}; check the times of the cameras"
         )
     return rig, tuple(frames)
+
+
+def _complete_kinds(
+    streams: Mapping[str, Mapping[str, PictureStream]],
+    partners: Mapping[str, Mapping[str, np.ndarray]],
+    names: Sequence[str],
+    index: int,
+) -> dict[str, dict[str, tuple[PictureStream, int]]]:
+    """Stream and row of the picture of a frame, by kind and camera; only kinds with a picture of every camera."""
+    found = {
+        kind: {name: (streams[kind][name], int(by[name][index])) for name in names if name in by}
+        for kind, by in partners.items()
+    }
+    return {k: by for k, by in found.items() if len(by) == len(names) and all(at >= 0 for _, at in by.values())}
 
 
 def fitted(camera: Camera, size_px: tuple[int, int], where: str) -> Camera:

@@ -64,17 +64,8 @@ def mask_source(
         return _classical(drive, names)
     if is_network(name):
         return _network(name, drive, names, table)
-    if name in drive.mask_sources:
-        table = table or drive.table_name
-
-        def read(frame: Frame, camera: str) -> np.ndarray:
-            return frame.mask(name, camera)
-
-    elif Path(name).is_dir():
-        table, read = table or _recorded_table(Path(name)) or drive.table_name, _from_folder(Path(name), names)
-    else:
-        known = ", ".join((*drive.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "a folder CAMERA/FRAME.png"))
-        raise SemlocError(f"masks '{name}': drive {drive.name} has no such folder; expected one of {known}")
+    read, own_table = _files(name, drive, names)
+    table = table or own_table
     if not table:
         raise SemlocError(
             f"masks '{name}': no class table is known for {drive.name}; give --class-table "
@@ -90,6 +81,16 @@ def mask_source(
     )
     _check_table(source, drive)
     return source if offset_px is not None else _with_offsets(source, drive)
+
+
+def _files(name: str, drive: Drive, cameras: tuple[str, ...]) -> tuple[Callable[[Frame, str], np.ndarray], str | None]:
+    """What reads the masks of a folder, and their class table where it is known."""
+    if name in drive.mask_sources:
+        return (lambda frame, camera: frame.mask(name, camera)), drive.table_name
+    if Path(name).is_dir():
+        return _from_folder(Path(name), cameras), _recorded_table(Path(name)) or drive.table_name
+    known = ", ".join((*drive.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "a folder CAMERA/FRAME.png"))
+    raise SemlocError(f"masks '{name}': drive {drive.name} has no such folder; expected one of {known}")
 
 
 def _from_folder(folder: Path, names: tuple[str, ...]) -> Callable[[Frame, str], np.ndarray]:

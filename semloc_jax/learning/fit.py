@@ -77,17 +77,8 @@ def fit(
     num_independent = max(config.independent_share * len(used), 1.0)
     pull = jax.jit(jax.grad(lambda x: 0.5 * jnp.sum(back(x).deviation(config) ** 2) / num_independent))
 
-    def losses(x: np.ndarray, asked: Sequence[TrainingFrame]) -> tuple[float, np.ndarray]:
-        """Mean loss, and the mean of the clipped gradients."""
-        parameters, values, slopes = back(jnp.asarray(x, dtype)), [], []
-        for frame in asked:
-            (loss, _), slope = loss_and_gradient(parameters, frame, config)
-            slope = np.asarray(ravel_pytree(slope)[0], np.float64)
-            size = np.linalg.norm(slope)
-            slope = slope * min(1.0, config.max_gradient / max(size, 1e-9)) if np.isfinite(size) else np.zeros_like(x)
-            values.append(float(loss))
-            slopes.append(slope)
-        return float(np.mean(values)), np.mean(slopes, axis=0)
+    def losses(x: np.ndarray, batch: Sequence[TrainingFrame]) -> tuple[float, np.ndarray]:
+        return _mean_loss(back(jnp.asarray(x, dtype)), batch, config)
 
     rng = np.random.default_rng(config.seed)
     history, best = [losses(x, judges)[0]], x
@@ -105,6 +96,21 @@ def fit(
             history.append(losses(x, judges)[0])
             best = x if history[-1] == min(history) else best
     return Fit(back(jnp.asarray(best, dtype)), tuple(history), len(used), len(frames))
+
+
+def _mean_loss(
+    parameters: Parameters, frames: Sequence[TrainingFrame], config: LearningConfig
+) -> tuple[float, np.ndarray]:
+    """Mean loss of the frames, and the mean of their clipped gradients."""
+    values, slopes = [], []
+    for frame in frames:
+        (loss, _), slope = loss_and_gradient(parameters, frame, config)
+        slope = np.asarray(ravel_pytree(slope)[0], np.float64)
+        size = np.linalg.norm(slope)
+        slope = slope * min(1.0, config.max_gradient / max(size, 1e-9)) if np.isfinite(size) else np.zeros_like(slope)
+        values.append(float(loss))
+        slopes.append(slope)
+    return float(np.mean(values)), np.mean(slopes, axis=0)
 
 
 def _is_near(frame: TrainingFrame, config: LearningConfig) -> bool:

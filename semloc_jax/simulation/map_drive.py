@@ -64,13 +64,7 @@ def simulate_on_map(
             _log.warning(
                 "map %s has no lanes: the way follows its markings; give another with --path", semantic_map.name
             )
-    route = find_route(lanes, semantic_map.elements, wish, rng)
-    length_m = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
-    if length_m < _SHORTEST_M:
-        raise SemlocError(
-            f"the lane ends {length_m:.1f} m after the start; start earlier or elsewhere, or give --path FILE"
-        )
-    path = drivable(route, (LEAD_IN_S + 1.0) * config.speed_mps + 40.0)
+    path, length_m = _drivable_path(find_route(lanes, semantic_map.elements, wish, rng), config)
     speed_mps = min(config.speed_mps, _bend_speed(path, length_m))
     world = build_map_world(semantic_map, lanes, path, length_m, speed_mps, config.wear_share, rng)
     motion = VehicleMotion(path, world.scene.surface, speed_mps, 0.15, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
@@ -85,6 +79,20 @@ def simulate_on_map(
     staging = Staging("map", seed, world.scene, motion, semantic_map.origin, semantic_map.name, told)
     rig = rig or front_rig(config.width_px, config.height_px)
     return write_drive(Path(out), staging, rig, replace(config, num_frames=num_frames), rng)
+
+
+def _drivable_path(route: np.ndarray, config: SimulationConfig) -> tuple[PlanePath, float]:
+    """The route as a path with room before and after it, and its length [m].
+
+    Raises:
+        SemlocError: the route is too short.
+    """
+    length_m = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
+    if length_m < _SHORTEST_M:
+        raise SemlocError(
+            f"the lane ends {length_m:.1f} m after the start; start earlier or elsewhere, or give --path FILE"
+        )
+    return drivable(route, (LEAD_IN_S + 1.0) * config.speed_mps + 40.0), length_m
 
 
 def _surroundings(semantic_map: SemanticMap, wish: RouteWish, rng: np.random.Generator) -> SemanticMap:

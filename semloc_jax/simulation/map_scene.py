@@ -7,6 +7,7 @@ Sizes come from the elements. What a map has without a size gets one here, and t
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -102,37 +103,53 @@ def build_map_world(
     surface = surface_through(road, low, high)
     off = road[:, 2] - surface.height(road[:, 0], road[:, 1])
 
-    left_out: Counter[str] = Counter()
     reference = cKDTree(np.vstack([*(lane[:, :2] for lane in lines), way]))
-    elements, shapes, class_ids, solids = [], [], [], []
     region = shapely.box(*low, *high)
-    for element in (_on_ground(e, surface, low, high) for e in near):
-        if element.is_logical:
-            elements.append(element)
-            continue
-        built = _built(element, reference, surface)
-        if built is None:
-            left_out[element.label.name.lower()] += 1
-            continue
-        true, shape, own_solids = built
-        elements.append(true)
-        solids += own_solids
-        if shape is not None:
-            shapes.append(shapely.intersection(shape, region))
-            class_ids.append(CLASS_IDS[str(true.attributes["class"])])
-    if not any(not element.is_logical for element in elements):
+    built = _build_all([_on_ground(e, surface, low, high) for e in near], reference, surface, region)
+    if all(element.is_logical for element in built.elements):
         raise SemlocError(
             f"map {semantic_map.name} has nothing to see within {_REACH_M:.0f} m of the way; start elsewhere"
         )
     areas = [GroundArea(CLASS_IDS["road"], outline) for outline in _road_outlines(lines, way, region)]
-    ground = PaintedGround(shapes, class_ids, areas, CLASS_IDS["terrain"], wear_pattern(wear_share, rng))
+    paint = (built.shapes, built.class_ids)
+    ground = PaintedGround(*paint, areas, CLASS_IDS["terrain"], wear_pattern(wear_share, rng))
     gap_m, color = rng.uniform(18.0, 30.0), tuple(rng.uniform(0.1, 0.8, 3))
 
     def traffic(time_s: float) -> Sequence[Solid]:
         return _car_ahead(path, surface, gap_m + speed_mps * time_s, color)
 
-    scene = Scene(tuple(elements), surface, ground, tuple(solids), traffic, path, CLASS_IDS["sky"])
-    return MapWorld(scene, dict(left_out), (float(np.sqrt(np.mean(off**2))), float(np.abs(off).max())))
+    scene = Scene(tuple(built.elements), surface, ground, tuple(built.solids), traffic, path, CLASS_IDS["sky"])
+    return MapWorld(scene, dict(built.left_out), (float(np.sqrt(np.mean(off**2))), float(np.abs(off).max())))
+
+
+class _Built(NamedTuple):
+    """What is built of the elements of a map: paint by shape and class, solids, and what cannot be built."""
+
+    elements: list[MapElement]
+    shapes: list[shapely.Geometry]
+    class_ids: list[int]
+    solids: list[Solid]
+    left_out: Counter[str]
+
+
+def _build_all(near: Sequence[MapElement], reference: cKDTree, surface: Surface, region: shapely.Geometry) -> _Built:
+    """The elements as paint inside a region and as solids; logical ones are kept as they are."""
+    found = _Built([], [], [], [], Counter())
+    for element in near:
+        if element.is_logical:
+            found.elements.append(element)
+            continue
+        built = _built(element, reference, surface)
+        if built is None:
+            found.left_out[element.label.name.lower()] += 1
+            continue
+        true, shape, own_solids = built
+        found.elements.append(true)
+        found.solids.extend(own_solids)
+        if shape is not None:
+            found.shapes.append(shapely.intersection(shape, region))
+            found.class_ids.append(CLASS_IDS[str(true.attributes["class"])])
+    return found
 
 
 def _meets(element: MapElement, low: np.ndarray, high: np.ndarray) -> bool:

@@ -104,22 +104,9 @@ def render(
     """
     origin = T_map_cam[:3, 3]
     ray = rays.ray_cam @ T_map_cam[:3, :3].T
-    in_view = rays.valid.ravel()
-    distance = np.full(len(ray), np.inf)
-    seeing = np.flatnonzero(in_view)
-    free_m = _free_distance(scene, rays, origin, ray)
-    distance[seeing] = scene.surface.hit(origin, ray[seeing], _RANGE_M, free_m[seeing])
-
     solids = (*scene.solids, *scene.traffic(time_s), *ego)
-    owner = np.full(len(ray), -1)
-    tile_axis = rays.tile_axis_cam @ T_map_cam[:3, :3].T
-    for number, solid in enumerate(solids):
-        pixels = _pixels_of(solid, origin, rays, tile_axis)
-        t = solid.hit(origin, ray[pixels])
-        nearer = t < distance[pixels]
-        distance[pixels[nearer]], owner[pixels[nearer]] = t[nearer], number
-
-    class_id = np.where(in_view, scene.backdrop, 0).astype(np.uint8)
+    distance, owner = _nearest_hits(scene, solids, rays, T_map_cam, ray)
+    class_id = np.where(rays.valid.ravel(), scene.backdrop, 0).astype(np.uint8)
     normal, color = np.zeros((len(ray), 3)), np.full((len(ray), 3), np.nan)
     ground = np.flatnonzero((owner < 0) & np.isfinite(distance))
     xy = origin[:2] + distance[ground, None] * ray[ground, :2]
@@ -143,6 +130,24 @@ def render(
         ray_map=ray.reshape(height, width, 3),
         in_view=rays.valid,
     )
+
+
+def _nearest_hits(
+    scene: Scene, solids: Sequence[Solid], rays: PixelRays, T_map_cam: np.ndarray, ray: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance along each ray [m], inf for the backdrop, and the number of the solid that it hits, -1 for others."""
+    origin = T_map_cam[:3, 3]
+    distance, owner = np.full(len(ray), np.inf), np.full(len(ray), -1)
+    seeing = np.flatnonzero(rays.valid.ravel())
+    free_m = _free_distance(scene, rays, origin, ray)
+    distance[seeing] = scene.surface.hit(origin, ray[seeing], _RANGE_M, free_m[seeing])
+    tile_axis = rays.tile_axis_cam @ T_map_cam[:3, :3].T
+    for number, solid in enumerate(solids):
+        pixels = _pixels_of(solid, origin, rays, tile_axis)
+        t = solid.hit(origin, ray[pixels])
+        nearer = t < distance[pixels]
+        distance[pixels[nearer]], owner[pixels[nearer]] = t[nearer], number
+    return distance, owner
 
 
 def _free_distance(scene: Scene, rays: PixelRays, origin: np.ndarray, ray: np.ndarray) -> np.ndarray:

@@ -37,7 +37,6 @@ def lens_scene():
     return problem, moved(problem, state, 0, np.array([0.05, 0.05, 0.02, 0.003, 0.003, 0.005]), 0.2)
 
 
-@pytest.mark.slow
 def test_gradient_is_that_of_the_residuals_by_finite_differences(lens_scene):
     problem, state = lens_scene
     num, size = len(state.T_map_base), len(problem.sigma)
@@ -55,7 +54,6 @@ def test_gradient_is_that_of_the_residuals_by_finite_differences(lens_scene):
     np.testing.assert_allclose(gradient, numeric, atol=2e-5 * np.abs(numeric).max())
 
 
-@pytest.mark.slow
 def test_eliminating_the_chain_gives_the_dense_step(lens_scene):
     problem, state = lens_scene
     equations = linearised(problem, state)
@@ -97,7 +95,6 @@ def test_a_turned_mount_odometer_scale_and_offset_are_found():
     np.testing.assert_allclose(found.common[2:4], OFFSET / (1 + 1 / (fixes * 0.3**2 * 3.0**2)), atol=0.005)
 
 
-@pytest.mark.slow
 def test_a_locked_unknown_stays(lens_scene):
     problem, state = lens_scene
     problem = eqx.tree_at(lambda p: p.sigma, problem, problem.sigma.at[:6].set(0.0))
