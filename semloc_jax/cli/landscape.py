@@ -23,7 +23,7 @@ class Options(DriveOptions):
     Shows what holds the pose and what does not: a valley is a direction that the class says nothing about, a second
     basin is a pose that it would confuse with the true one. Writes landscape.png and minima.csv.
     With --basin it measures from how far away the true pose is found and writes basin.png and basin.csv instead.
-    With --search it draws instead which hypotheses each stage of the search from the prior leaves: search.png.
+    With --stages it draws instead which hypotheses each stage of the search from the prior leaves: search.png.
     With --serve it writes nothing: on a page in the browser one drags the pose on the map and sees overlay, residuals,
     slices of the cost, covariance and the path of the solver from there; Ctrl-C ends it.
     """
@@ -48,7 +48,7 @@ class Options(DriveOptions):
     """Half widths of the window that they are drawn from: longitudinal [m], lateral [m], heading [deg]."""
     prove: bool = False
     """With --basin: also prove by interval bounds within which region no other pose fits as well; a minute."""
-    search: bool = False
+    stages: bool = False
     """Draw the hypotheses that each stage of the search leaves, instead of slicing the cost."""
     serve: bool = False
     """Open the explorer, a page on this machine, instead of writing pictures."""
@@ -80,7 +80,7 @@ def run(options: Options) -> int:
         inputs = open_inputs(options)
         sampling = (options.starts, options.seed, options.prove)
         report = report_basin(inputs, options.frame, window, options.settings, *sampling, options.out)
-    elif options.search:
+    elif options.stages:
         report = report_search(open_inputs(options), options.frame, options.settings, options.out)
     else:
         grid = _grid(options)

@@ -74,7 +74,7 @@ def test_a_region_without_a_pose_as_good_is_proven_and_written(simulated_road, t
 def test_the_stages_of_the_search_are_drawn(simulated_road, tmp_path, capsys):
     """Every stage leaves fewer hypotheses; the picture shows them."""
     out = tmp_path / "out"
-    assert main(["landscape", str(simulated_road), "--masks", "sem", "--search", "--out", str(out)]) == OK
+    assert main(["landscape", str(simulated_road), "--masks", "sem", "--stages", "--out", str(out)]) == OK
     said = capsys.readouterr().out
     left = [int(line.split()[-2]) for line in said.splitlines() if line.startswith("stage ")]
     assert "1024 proposals" in said and len(left) == 4 and left == sorted(left, reverse=True)

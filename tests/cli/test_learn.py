@@ -9,10 +9,11 @@ import pytest
 import yaml
 
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
-from semloc_jax.cli import learn, localize, track
+from semloc_jax.cli import localize, track
 from semloc_jax.cli.arguments import read_settings
 from semloc_jax.cli.main import FAILED, OK, USAGE, main
 from semloc_jax.localization.localizer import TrackConfig
+from semloc_jax.reports.learning import LEARNED, changes
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -20,8 +21,8 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_only_what_differs_is_written():
     before = LocalizeConfig()
     after = replace(before, cost_maps=replace(before.cost_maps, ramp_px=(40.0, 14.0, 8.0, 4.5)))
-    assert learn.changes(before, after) == {"cost_maps": {"ramp_px": [40.0, 14.0, 8.0, 4.5]}}
-    assert learn.changes(before, before) == {}
+    assert changes(before, after) == {"cost_maps": {"ramp_px": [40.0, 14.0, 8.0, 4.5]}}
+    assert changes(before, before) == {}
 
 
 def test_nothing_to_learn_from_is_wrong_usage(capsys):
@@ -50,8 +51,8 @@ def test_learned_files_are_taken_by_localize_and_track(simulated_road, tmp_path)
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == OK, done.stderr
     assert "| road | learned from | 2 |" in done.stdout
-    single, _ = read_settings(str(out / learn.LEARNED), localize.Options, LocalizeConfig())
-    tracking, _ = read_settings(str(out / learn.LEARNED), track.Options, TrackConfig())
+    single, _ = read_settings(str(out / LEARNED), localize.Options, LocalizeConfig())
+    tracking, _ = read_settings(str(out / LEARNED), track.Options, TrackConfig())
     assert single.view.class_weight == tracking.scene.view.class_weight != ()
     assert single.cost_maps.ramp_px == tracking.scene.cost_maps.ramp_px
     assert (out / "report.json").is_file()

@@ -76,7 +76,7 @@ def test_the_record_tells_how_and_reads_back(localized, simulated_road, tmp_path
     assert {"command", "time", "versions", "device"} <= set(record["run"])
     assert record["run"]["versions"]["jax"]
     assert (record["masks"], record["hypotheses"], record["frames"]) == ("sem", 256, "::2")
-    assert record["frame"]["num_hypotheses"] == 256
+    assert record["search"]["num_hypotheses"] == 256
     again = tmp_path / "again"
     assert (
         main(["localize", str(simulated_road), "--config", str(localized / "config.yaml"), "--out", str(again)]) == OK
