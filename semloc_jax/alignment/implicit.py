@@ -40,6 +40,7 @@ from semloc_jax.residuals.smooth import (
 )
 from semloc_jax.residuals.smooth_curvature import cost_expansion
 from semloc_jax.residuals.texture import RampTextures
+from semloc_jax.solvers.implicit import damped_inverse, implicit_step
 from semloc_jax.structs import CostMaps, PoseEstimate, SolveStatus
 
 _HIGHEST = jax.lax.Precision.HIGHEST
@@ -160,10 +161,8 @@ def smooth_optimum(
     T_start, prior, views, model, nats_per_px = jax.tree.map(_numbers, given)
     scene = SmoothScene(views, scene.maps, scene.usable, _positive(model), nats_per_px, scene.border)
     point, num_steps = _newton(*jax.lax.stop_gradient((T_start, scene, prior)), config)
-    inverse, curvature = _damped_inverse(point.jacobian, config.singular_below)
-    # A Newton step of length zero whose derivative by theta is that of the implicit function.
-    force = _force(point.T, scene, prior)
-    step = -inverse @ (force - jax.lax.stop_gradient(force))
+    inverse, curvature = damped_inverse(point.jacobian, config.singular_below)
+    step = implicit_step(inverse, _force(point.T, scene, prior))
     T = lie.compose(point.T, lie.exp(jax.lax.stop_gradient(prior.sigma) * step))
     remainder = jnp.max(jnp.abs(inverse @ point.force))
     sane &= jnp.isfinite(remainder) & jnp.all(jnp.isfinite(T))
@@ -301,12 +300,6 @@ def _step(point: _Point, damping: Array) -> Float[Array, "6"]:
 
 def _finite(matrix: Array) -> Array:
     return jnp.where(jnp.all(jnp.isfinite(matrix)), matrix, jnp.eye(6, dtype=matrix.dtype))
-
-
-def _damped_inverse(matrix: Float[Array, "6 6"], least: float) -> tuple[Float[Array, "6 6"], Float[Array, ""]]:
-    """The inverse with singular values of at least `least`, and the smallest singular value."""
-    U, s, Vt = jnp.linalg.svd(_finite(matrix))
-    return (Vt.T / jnp.maximum(s, least)) @ U.T, s[-1]
 
 
 def _estimate(

@@ -10,12 +10,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.level_choice import MIN_INLIER_RATIO, finest_held
-from semloc_jax.alignment.levenberg_marquardt import FusedLevenbergMarquardt, quadratic_model
-from semloc_jax.alignment.problem import AlignmentProblem, pose_of, residual
+from semloc_jax.alignment.problem import POSE_DAMPING, AlignmentProblem, pose_of, quadratic_model
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual
 from semloc_jax.residuals.native_kernels import Path
@@ -23,6 +21,8 @@ from semloc_jax.residuals.noise import NoiseModel, is_inlier
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import visible_weight
 from semloc_jax.residuals.texture import RampTextures
+from semloc_jax.solvers.front import solve
+from semloc_jax.solvers.levenberg_marquardt import SolveConfig
 from semloc_jax.structs import PoseEstimate, SolveStatus
 
 
@@ -122,16 +122,13 @@ def solve_level(
     """Pose after one level, evaluations spent, and whether it converged."""
     views = visible_views(T_start, evidence, config.border_px, config.path)
     problem = level_problem(T_start, views, level, evidence, prior, config)
-    solution = optx.least_squares(
-        residual,
-        FusedLevenbergMarquardt(atol=config.tolerance),
-        jnp.zeros(6, T_start.dtype),
-        args=problem,
-        max_steps=config.max_steps,
-        throw=False,
-    )
-    T = pose_of(solution.value, problem)
-    return T, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
+    solution = solve(problem, jnp.zeros(6, T_start.dtype), solve_config(config))
+    return pose_of(solution.value, problem), solution.num_steps, solution.converged
+
+
+def solve_config(config: AlignConfig) -> SolveConfig:
+    """When the solve of one level ends, and how it is damped."""
+    return SolveConfig(config.tolerance, config.max_steps, damping=POSE_DAMPING)
 
 
 def refine(

@@ -1,18 +1,27 @@
 """One alignment problem as data: chart, prior, evidence (room: alignment; pure JAX).
 
-In: start pose, prior, views, texture, weights. Out: AlignmentProblem and `residual`, the one function of (y, problem).
+In: start pose, prior, views, texture, weights. Out: AlignmentProblem, its residual and its fused normal equations.
 The unknown y is the right tangent of the start pose in units of the prior's sigmas: T_map_base = T_start exp(sigma y).
 """
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.alignment import CameraViews, alignment_residual
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.native_kernels import Path
+from semloc_jax.residuals.normal_equations import chart_equations
 from semloc_jax.residuals.robust import KERNELS, robust_root
 from semloc_jax.residuals.texture import RampTexture
+from semloc_jax.solvers.levenberg_marquardt import Damping
+from semloc_jax.solvers.problem import Step
+
+POSE_DAMPING = Damping(first=1.0, good_fall=0.99, ease=1 / 3.5, press=4.0)
+"""In sigmas of the prior. The first steps of a single pose must not leave the ramps, so the damping starts at the prior
+and is eased slowly (constants of Gould, Orban, Sartenaer, Toint, Sensitivity of trust-region algorithms, 2005)."""
 
 
 class AlignmentProblem(eqx.Module):
@@ -33,6 +42,28 @@ class AlignmentProblem(eqx.Module):
     kernel: str = eqx.field(static=True, default="tukey")
     path: Path = eqx.field(static=True, default="auto")
     """How the evidence is evaluated; see `semloc_jax.residuals.native_kernels`."""
+
+    def linearise(self, value: Float[Array, "6"], skip: Bool[Array, ""]) -> "QuadraticModel":
+        """Fused normal equations at y. Of a batch of hypotheses, those that are done cost nothing."""
+        return quadratic_model(value, self, skip)
+
+    def step(self, equations: "QuadraticModel", damping: Float[Array, ""]) -> Step:
+        """The damped step; the unit of every coordinate is a sigma of the prior."""
+        d = damped_step(equations, 1 / damping, self.path)
+        change = jnp.sum(d * (equations.gradient + 0.5 * (equations.hessian @ d)))
+        return Step(d, change, jnp.max(jnp.abs(d)))
+
+    def retract(self, value: Float[Array, "6"], tangent: Float[Array, "6"]) -> Float[Array, "6"]:
+        """y after a step: the chart is flat."""
+        return value + tangent
+
+
+class QuadraticModel(eqx.Module):
+    """Cost [nats], gradient and Hessian by y."""
+
+    cost: Float[Array, ""]
+    gradient: Float[Array, "6"]
+    hessian: Float[Array, "6 6"]
 
 
 def pose_of(y: Float[Array, "6"], problem: AlignmentProblem) -> Float[Array, "4 4"]:
@@ -55,3 +86,44 @@ def residual(y: Float[Array, "6"], problem: AlignmentProblem) -> Float[Array, " 
     r, weight = alignment_residual(pose_of(y, problem), problem.views, problem.texture)
     evidence = jnp.sqrt(problem.gain * weight) * robust_root(r, KERNELS[problem.kernel])
     return jnp.concatenate([evidence, y - prior_offset(problem)])
+
+
+def quadratic_model(
+    y: Float[Array, "6"], problem: AlignmentProblem, skip: Bool[Array, ""] | bool = False
+) -> QuadraticModel:
+    """Cost, gradient and Gauss-Newton Hessian of half the squared norm of `residual`, fused.
+
+    Where `skip` is True the result is not needed: of a batch, hypotheses that are done cost nothing.
+    """
+    evidence = chart_equations(
+        Chart(problem.T_start, problem.sigma, y),
+        problem.views,
+        problem.texture,
+        KERNELS[problem.kernel],
+        problem.always,
+        problem.path,
+        skip,
+    )
+    deviation = y - prior_offset(problem)
+    return QuadraticModel(
+        problem.gain * evidence.cost + 0.5 * jnp.sum(deviation * deviation),
+        problem.gain * evidence.gradient + deviation,
+        problem.gain * evidence.hessian + jnp.eye(6, dtype=y.dtype),
+    )
+
+
+def damped_step(model: QuadraticModel, step_size: Float[Array, ""], path: Path = "auto") -> Float[Array, "6"]:
+    """Solution d of (H + I / step_size) d = -g.
+
+    The matrix is at least the identity, so no pivoting is needed. A library call would be made for each of a batch of
+    problems; Gauss-Jordan elimination, unrolled, vectorises over the batch.
+    """
+    if native_kernels.are_used(path, model.gradient.dtype):
+        return native_kernels.damped_step(model.hessian, model.gradient, step_size)
+    num = model.gradient.shape[0]
+    damped = model.hessian + jnp.eye(num, dtype=model.hessian.dtype) / step_size
+    rows = jnp.concatenate([damped, -model.gradient[:, None]], axis=1)
+    for k in range(num):
+        pivot = rows[k] / rows[k, k]
+        rows = jnp.where((np.arange(num) == k)[:, None], pivot, rows - rows[:, k : k + 1] * pivot)
+    return rows[:, num]

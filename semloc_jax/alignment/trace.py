@@ -9,12 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from semloc_jax.alignment.levenberg_marquardt import FusedLevenbergMarquardt
-from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, assess, level_problem, visible_views
+from semloc_jax.alignment.pose import (
+    AlignConfig,
+    Evidence,
+    Prior,
+    assess,
+    level_problem,
+    solve_config,
+    visible_views,
+)
 from semloc_jax.alignment.problem import pose_of
 from semloc_jax.geometry import lie
 from semloc_jax.runtime.programs import stored_program
-from semloc_jax.structs import PoseEstimate
+from semloc_jax.solvers.levenberg_marquardt import Iterate, advance, begin
+from semloc_jax.structs import PoseEstimate, SolveStatus
 
 
 class LevelPath(eqx.Module):
@@ -59,22 +67,18 @@ def trace_level(
     """
     views = visible_views(T_start, evidence, config.border_px, config.path)
     problem = level_problem(T_start, views, level, evidence, prior, config)
-    solver = FusedLevenbergMarquardt(atol=config.tolerance)
-    y_start = jnp.zeros(6, T_start.dtype)
+    rule = solve_config(config)
 
-    def step(carry: tuple, number: Array) -> tuple[tuple, tuple[Array, ...]]:
-        y, state = carry
-        stepped = solver.step(None, y, problem, {}, state, frozenset())[:2]
-        valid = ~state.converged & (number < max_steps)
-        y_next, state_next = jax.tree.map(lambda new, old: jnp.where(valid, new, old), stepped, carry)
-        accepted = valid & (state_next.num_accepted > state.num_accepted)
-        return (y_next, state_next), (state.y_eval, y_next, state_next.model.cost, accepted, valid)
+    def step(state: Iterate, number: Array) -> tuple[Iterate, tuple[Array, ...]]:
+        valid = ~state.ended & (number < max_steps)
+        after = jax.tree.map(lambda new, old: jnp.where(valid, new, old), advance(problem, state, rule), state)
+        accepted = valid & (after.num_accepted > state.num_accepted)
+        return after, (state.candidate, after.value, after.equations.cost, accepted, valid)
 
-    state = solver.init(None, y_start, problem, {}, None, None, frozenset())
-    (y_end, state), (tried, held, cost, accepted, valid) = jax.lax.scan(
-        step, (y_start, state), jnp.arange(config.max_steps)
-    )
+    start = begin(problem, jnp.zeros(6, T_start.dtype), rule)
+    end, (tried, held, cost, accepted, valid) = jax.lax.scan(step, start, jnp.arange(config.max_steps))
     T_tried, T_held = (jax.vmap(lambda y: pose_of(y, problem))(y) for y in (tried, held))
     xi_held = lie.log(lie.inverse(T_origin) @ T_held)
-    estimate = assess(pose_of(y_end, problem), level, evidence, prior, config)
-    return LevelPath(T_tried, T_held, xi_held, cost, accepted, valid, state.converged, estimate)
+    estimate = assess(pose_of(end.value, problem), level, evidence, prior, config)
+    converged = end.status == SolveStatus.CONVERGED
+    return LevelPath(T_tried, T_held, xi_held, cost, accepted, valid, converged, estimate)

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.level_choice import finest_held
-from semloc_jax.alignment.levenberg_marquardt import quadratic_model
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, assess, level_problem, visible_views
+from semloc_jax.alignment.problem import quadratic_model
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig
 from semloc_jax.alignment.trace import LevelPath, trace_level
 from semloc_jax.geometry import lie

@@ -20,13 +20,18 @@ from semloc_jax.residuals.road_contact import road_linearised
 from semloc_jax.residuals.robust import KERNELS, robust_root
 from semloc_jax.residuals.texture import RampTexture
 from semloc_jax.solvers.arrow import ArrowEquations
-from semloc_jax.solvers.arrow_lm import solve_arrow
+from semloc_jax.solvers.factors import POSE
+from semloc_jax.solvers.front import solve
+from semloc_jax.solvers.levenberg_marquardt import SolveConfig
+from semloc_jax.solvers.problem import Step
 
 VEHICLE = ("odometer_scale", "gyro_bias", "gnss_east", "gnss_north", "stance_height", "stance_roll", "stance_pitch")
 MASKS = ("mask_u", "mask_v")
 COMMON = VEHICLE + MASKS
 """Unknowns that belong to no single camera, behind those that do: of the vehicle, and how far all masks lie off the
 images, since one network and one resizing made them all."""
+MIN_GAIN_NATS = 3e-3
+"""A calibration solve ends when a step gains less: it then moved everything by a small share of its sigma."""
 _KERNEL = KERNELS["tukey"]
 
 
@@ -80,7 +85,7 @@ class Anchors(eqx.Module):
 
 
 class CalibrationProblem(eqx.Module):
-    """The cost of one level of the cost maps; see `ArrowProblem`."""
+    """The cost of one level of the cost maps; see `semloc_jax.solvers.Problem`."""
 
     pictures: tuple[PictureRows, ...]
     texture: RampTexture
@@ -109,9 +114,9 @@ class CalibrationProblem(eqx.Module):
         moved = jax.vmap(moved_camera)(group.views.camera, state.intrinsics[group.camera])
         return eqx.tree_at(lambda v: (v.camera, v.T_cam_base), group.views, (moved, lie.inverse(T_map_cam)))
 
-    def linearise(self, state: CalibrationState) -> ArrowEquations:
+    def linearise(self, value: CalibrationState, skip: Bool[Array, ""]) -> ArrowEquations:
         """Normal equations at a state; shared unknowns in units of their priors, locked ones as identity."""
-        total = self._priors(state)
+        state, total = value, self._priors(value)
         for group in self.pictures:
             total = _added(total, self._pictures(state, group))
         for part in (self._motion(state), *self._anchors(state)):
@@ -125,8 +130,16 @@ class CalibrationProblem(eqx.Module):
             (total.across * unit, total.shared * unit[:, None] * unit + locked, total.shared_gradient * unit),
         )
 
-    def move(self, state: CalibrationState, poses: Float[Array, "n 6"], shared: Float[Array, " s"]) -> CalibrationState:
+    def step(self, equations: ArrowEquations, damping: Float[Array, ""]) -> Step:
+        """The damped step: poses in metres and radians, shared unknowns in units of their priors."""
+        units = jnp.asarray(POSE.units, equations.cost.dtype)
+        return equations.step(damping, units, jnp.ones_like(equations.shared_gradient))
+
+    def retract(
+        self, value: CalibrationState, tangent: tuple[Float[Array, "n 6"], Float[Array, " s"]]
+    ) -> CalibrationState:
         """The state after a step in right tangents and in units of the priors."""
+        state, (poses, shared) = value, tangent
         x = shared * self.sigma
         num, width = state.intrinsics.shape
         mounts, lenses = x[: 6 * num].reshape(num, 6), x[6 * num : (6 + width) * num].reshape(num, width)
@@ -211,11 +224,11 @@ class CalibrationProblem(eqx.Module):
 
         return ArrowEquations(
             jnp.sum(cost[:-1]),
-            start.pose.at[-1].set(0.0) + later(end.pose),
+            start.link.at[-1].set(0.0) + later(end.link),
             jnp.einsum("nki,nkj->nij", J_from, J_to).at[-1].set(0.0),
             start.across.at[-1].set(0.0) + later(end.across),
             start.shared,
-            start.pose_gradient.at[-1].set(0.0) + later(end.pose_gradient),
+            start.link_gradient.at[-1].set(0.0) + later(end.link_gradient),
             start.shared_gradient,
         )
 
@@ -304,13 +317,15 @@ def solve_calibration(
     Visibility is frozen at the start: a mask that changes under the solver moves the optimum.
     """
     seen = visible(problem, start, usable, border_px)
-    state, equations, num_steps, converged = solve_arrow(seen, start, tolerance, max_steps)
+    solution = solve(seen, start, SolveConfig(tolerance, max_steps, MIN_GAIN_NATS))
+    state = solution.value
     held, everything = jnp.zeros((), seen.sigma.dtype), jnp.zeros((), seen.sigma.dtype)
     for group in seen.pictures:
         rows = seen.rows(state, group)
         r, weight = alignment_residual(jnp.eye(4, dtype=rows.p_map.dtype), (rows,), seen.texture)
         held, everything = held + jnp.sum(weight * is_inlier(r)), everything + jnp.sum(weight)
-    return CalibrationSolution(state, equations, held / jnp.maximum(everything, 1e-6), num_steps, converged)
+    inlier_ratio = held / jnp.maximum(everything, 1e-6)
+    return CalibrationSolution(state, solution.equations, inlier_ratio, solution.num_steps, solution.converged)
 
 
 def _added(a: ArrowEquations, b: ArrowEquations) -> ArrowEquations:

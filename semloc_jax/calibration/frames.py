@@ -15,17 +15,21 @@ from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.calibration.config import SelfCalibrationConfig
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
-from semloc_jax.fusion.pose_graph import GraphConfig, PoseGraph, solve_pose_graph
+from semloc_jax.fusion.pose_factors import GraphConfig, measured_poses, odometry, pose_graph, prior, values_of
 from semloc_jax.fusion.prediction import MotionIncrement, MotionLog, MotionQuality
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import SemanticMap
+from semloc_jax.solvers.front import Arrow, solve
+from semloc_jax.solvers.graph import FactorGraph, Values
 
 MIN_FRAMES = 5
 """Fewer frames say next to nothing about six numbers of a mount."""
 _START_SIGMA = np.array([0.5, 0.5, 0.15, 0.035, 0.035, 0.035])
 """Of a pose that was found with a wrong calibration [m, rad]; ours."""
+_START_THRESHOLD = 3.0
+"""Norm of a whitened pose difference (6 numbers) beyond which its pull grows no more; ours."""
 _LOST_FACTOR = 5.0
 """A pose whose verdict was bad counts with so many times that sigma."""
 _STILL = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
@@ -126,26 +130,25 @@ def smoothed(poses: np.ndarray, is_good: np.ndarray, motion: Sequence[MotionIncr
     local = frame.from_map(poses, np.float64)
     sigma = _START_SIGMA * np.where(is_good, 1.0, _LOST_FACTOR)[:, None]
     covariances = np.stack([increment.covariance for increment in motion])
-    graph = PoseGraph(
-        T_map_base=local,
-        calibration=np.array([1.0, 0.0, 0.0, 0.0]),
-        used=np.ones(num, bool),
-        T_measured=local,
-        pose_sqrt_info=np.stack([np.diag(1.0 / row) for row in sigma]),
-        edge_from=np.arange(num - 1),
-        edge_to=np.arange(1, num),
-        T_edge=np.stack([increment.T_from_to for increment in motion]),
-        edge_sqrt_info=np.linalg.inv(np.linalg.cholesky(covariances)),
-        edge_jacobian=np.stack([increment.jacobian for increment in motion]),
-        edge_calibration=np.stack([np.array(increment.calibration) for increment in motion]),
-        edge_robust=np.zeros(num - 1, bool),
-        p_fix=np.zeros((num, 2)),
-        fix_sqrt_info=np.zeros((num, 2)),
-        fix_base=np.zeros((num, 3)),
-        T_prior=local[0],
-        calibration_prior=np.array([1.0, 0.0, 0.0, 0.0]),
-        prior_sqrt_info=np.diag(1.0 / np.array([*[100.0] * 6, 0.02, 0.005, 1.0, 1.0])),
+    start, calibration = np.arange(num - 1), np.array([1.0, 0.0, 0.0, 0.0])
+    factors = (
+        measured_poses(local, np.stack([np.diag(1.0 / row) for row in sigma]), _START_THRESHOLD),
+        odometry(
+            start,
+            start + 1,
+            np.stack([increment.T_from_to for increment in motion]),
+            np.stack([increment.jacobian for increment in motion]),
+            np.stack([np.array(increment.calibration) for increment in motion]),
+            np.linalg.inv(np.linalg.cholesky(covariances)),
+        ),
+        prior(local[0], calibration, np.diag(1.0 / np.array([*[100.0] * 6, 0.02, 0.005, 1.0, 1.0]))),
     )
+    graph = pose_graph(np.ones(num, bool), factors)
     with jax.enable_x64(True):
-        solved = np.array(jax.jit(lambda g: solve_pose_graph(g, GraphConfig(pose_threshold=3.0)).T_map_base)(graph))
+        solved = np.array(_smoothed(graph, values_of(local, calibration))["pose"])
     return frame.to_map(solved)
+
+
+@jax.jit
+def _smoothed(graph: FactorGraph, values: Values) -> Values:
+    return solve(graph, values, GraphConfig().solve, Arrow(("pose",))).value

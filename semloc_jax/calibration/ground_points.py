@@ -146,7 +146,7 @@ def calibrate_on_ground(rig: Rig, pairs: GroundPairs, config: GroundPointConfig 
         tuple(float(after[k + 1][fold == k].mean()) for k in range(config.num_folds)),
         tuple(float(before[fold == k].mean()) for k in range(config.num_folds)),
         after[0],
-        _observability(rig, corrected, equations.shared[0], states.intrinsics[0], sigma, fields, config),
+        _observability(rig, corrected, equations.information[0], states.intrinsics[0], sigma, fields, config),
     )
 
 

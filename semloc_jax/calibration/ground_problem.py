@@ -7,13 +7,16 @@ same place. Minimises the sum of distances, as a mean distance is what is report
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from semloc_jax.calibration.drive_problem import MIN_GAIN_NATS
 from semloc_jax.cameras import Camera
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.camera_equations import with_fields
-from semloc_jax.solvers.arrow import ArrowEquations
-from semloc_jax.solvers.arrow_lm import solve_arrow
+from semloc_jax.solvers.dense import DenseEquations
+from semloc_jax.solvers.front import solve
+from semloc_jax.solvers.levenberg_marquardt import SolveConfig
+from semloc_jax.solvers.problem import Step
 
 _LOWEST = 1e-3
 """A line of sight is taken to dip at least this much: one above the horizon meets the ground nowhere."""
@@ -27,7 +30,7 @@ class GroundState(eqx.Module):
 
 
 class GroundPointProblem(eqx.Module):
-    """Sum of the distances between what two cameras take for the same point of the ground; see `ArrowProblem`."""
+    """Sum of the distances between what two cameras take for the same point of the ground; a `Problem`."""
 
     cameras: tuple[Camera, ...]
     camera: Int[Array, "p 2"]
@@ -58,13 +61,13 @@ class GroundPointProblem(eqx.Module):
             points = jnp.where((self.camera == index)[..., None], own, points)
         return points[:, 0] - points[:, 1]
 
-    def linearise(self, state: GroundState) -> ArrowEquations:
-        """Normal equations at a state, in units of the priors; without poses."""
+    def linearise(self, value: GroundState, skip: Bool[Array, ""]) -> DenseEquations:
+        """Normal equations at a state, in units of the priors."""
         free = self.sigma > 0
         unit = jnp.where(free, self.sigma, 0.0)
 
         def moved(x: Array) -> tuple[Array, Array]:
-            there = self._at(state, x)
+            there = self._at(value, x)
             return self.distances(there), self._deviation(there)
 
         zero = jnp.zeros_like(unit)
@@ -75,15 +78,15 @@ class GroundPointProblem(eqx.Module):
         g = jnp.einsum("pki,p,pk->i", J, pull, d) + J_off.T @ off
         cost = jnp.sum(self.weight * (length - self.smooth_m)) / self.noise_m + 0.5 * jnp.sum(off * off)
         locked = jnp.diag(jnp.where(free, 0.0, 1.0)).astype(unit.dtype)
-        none = jnp.zeros((0, 6, 6), unit.dtype)
-        H = H * unit[:, None] * unit + locked
-        return ArrowEquations(
-            cost, none, none, jnp.zeros((0, 6, len(unit)), unit.dtype), H, jnp.zeros((0, 6), unit.dtype), g * unit
-        )
+        return DenseEquations(cost, g * unit, H * unit[:, None] * unit + locked)
 
-    def move(self, state: GroundState, poses: Float[Array, "0 6"], shared: Float[Array, " s"]) -> GroundState:
+    def step(self, equations: DenseEquations, damping: Float[Array, ""]) -> Step:
+        """The damped step in units of the priors."""
+        return equations.step(damping, jnp.ones_like(equations.gradient))
+
+    def retract(self, value: GroundState, tangent: Float[Array, " s"]) -> GroundState:
         """The state after a step in units of the priors."""
-        return self._at(state, shared * self.sigma)
+        return self._at(value, tangent * self.sigma)
 
     def residuals(self, state: GroundState) -> Float[Array, " m"]:
         """Residuals whose half squared norm is the cost."""
@@ -107,12 +110,12 @@ class GroundPointProblem(eqx.Module):
 @eqx.filter_jit
 def solve_ground_points(
     problem: GroundPointProblem, start: GroundState, weights: Float[Array, "fold p"], max_steps: int = 100
-) -> tuple[GroundState, ArrowEquations, Array]:
+) -> tuple[GroundState, DenseEquations, Array]:
     """Best states, normal equations there and distances [fold p] of all points, for each row of weights."""
 
-    def one(weight: Array) -> tuple[GroundState, ArrowEquations, Array]:
+    def one(weight: Array) -> tuple[GroundState, DenseEquations, Array]:
         own = eqx.tree_at(lambda p: p.weight, problem, weight)
-        state, equations, _, _ = solve_arrow(own, start, 1e-4, max_steps)
-        return state, equations, jnp.linalg.norm(own.distances(state), axis=1)
+        solution = solve(own, start, SolveConfig(1e-4, max_steps, min_gain_nats=MIN_GAIN_NATS))
+        return solution.value, solution.equations, jnp.linalg.norm(own.distances(solution.value), axis=1)
 
     return jax.lax.map(one, weights)

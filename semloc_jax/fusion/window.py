@@ -6,9 +6,10 @@ vehicle that stands drops its second newest state, one that drives gives up the 
 """
 
 from dataclasses import dataclass, field
-from functools import cache
+from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtri
 
@@ -21,7 +22,7 @@ from semloc_jax.fusion.measurements import (
     check_same_time,
     normalised_square,
 )
-from semloc_jax.fusion.pose_graph import GraphConfig, PoseGraph, linearise, marginal, solve_pose_graph
+from semloc_jax.fusion.pose_factors import GraphConfig, calibration_of
 from semloc_jax.fusion.prediction import MotionIncrement, MotionQuality, coasted
 from semloc_jax.fusion.window_state import (
     BY_EDGE,
@@ -40,6 +41,10 @@ from semloc_jax.fusion.window_state import (
     without_newest,
 )
 from semloc_jax.geometry import rigid
+from semloc_jax.solvers.dense import DenseEquations, DenseProblem, marginal
+from semloc_jax.solvers.front import solve
+from semloc_jax.solvers.graph import FactorGraph, Values
+from semloc_jax.solvers.problem import Solution
 
 _VAGUE = 100.0
 """Standard deviation that stands for nothing known [m, rad]; ours."""
@@ -193,7 +198,7 @@ class SlidingWindow:
         """The window one state later; what the oldest one knew stays as a prior of the next and the calibration."""
         if self.config.marginalise:
             with jax.enable_x64(True):
-                equations = _compiled_oldest(self.config.graph)(graph_of_oldest(state))
+                equations = _known_by_oldest(*graph_of_oldest(state, self.config.graph))
             covariance = np.linalg.inv(np.asarray(equations.information))
             step = -covariance @ np.asarray(equations.gradient)
             passed_s = float(state.time_s[1] - state.time_s[0])
@@ -213,29 +218,25 @@ class SlidingWindow:
 
     def _solved(self, state: WindowState) -> WindowState:
         with jax.enable_x64(True):
-            solution = _compiled_solve(self.config.graph)(graph_of(state))
+            solution = _solved(*graph_of(state, self.config.graph), self.config.graph)
         unknowns = 6 * self.config.num_states + 4
         newest = 6 * (int(state.num) - 1)
         wanted = np.eye(unknowns)[:, [*range(newest, newest + 6), *range(unknowns - 4, unknowns)]]
         covariance = wanted.T @ np.linalg.solve(np.asarray(solution.equations.information), wanted)
         return state._replace(
-            T_map_base=np.array(solution.T_map_base),
-            calibration=np.array(solution.calibration),
+            T_map_base=np.array(solution.value["pose"]),
+            calibration=np.array(calibration_of(solution.value)),
             covariance=0.5 * (covariance + covariance.T),
         )
 
 
-@cache
-def _compiled_solve(config: GraphConfig):
-    return jax.jit(lambda graph: solve_pose_graph(graph, config))
+@partial(jax.jit, static_argnames="config")
+def _solved(graph: FactorGraph, values: Values, config: GraphConfig) -> Solution:
+    return solve(graph, values, config.solve)
 
 
-@cache
-def _compiled_oldest(config: GraphConfig):
+@jax.jit
+def _known_by_oldest(graph: FactorGraph, values: Values) -> DenseEquations:
     """What the factors of the oldest state say of the next state and the calibration."""
-
-    def oldest(graph: PoseGraph):
-        equations = linearise(graph.T_map_base, graph.calibration, graph, config)
-        return marginal(equations, np.arange(6), np.arange(6, 16))
-
-    return jax.jit(oldest)
+    equations = DenseProblem(graph).linearise(values, jnp.asarray(False))
+    return marginal(equations, np.arange(6), np.arange(6, 16))

@@ -1,6 +1,6 @@
 """State of the sliding window as fixed arrays, and the graph that they are (room: fusion; host).
 
-In: poses, increments. Out: WindowState with or without a state, PoseGraph.
+In: poses, increments. Out: WindowState with or without a state, its FactorGraph and values.
 """
 
 from typing import NamedTuple
@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from semloc_jax.fusion.pose_graph import PoseGraph
+from semloc_jax.fusion.pose_factors import GraphConfig, fixes, measured_poses, odometry, pose_graph, prior, values_of
 from semloc_jax.fusion.prediction import MotionIncrement
 from semloc_jax.geometry import rigid
+from semloc_jax.solvers.graph import FactorGraph, Values
 
 
 class Motion(NamedTuple):
@@ -62,41 +63,42 @@ def sqrt_information(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, 
     return np.linalg.inv(np.linalg.cholesky(covariance / np.outer(scale, scale))) / scale
 
 
-def graph_of(state: WindowState) -> PoseGraph:
-    """The factors of a window."""
+def graph_of(state: WindowState, config: GraphConfig) -> tuple[FactorGraph, Values]:
+    """The factors of a window, and its values."""
     edges, num = len(state.T_edge), int(state.num)
     is_used, is_edge = np.arange(edges + 1) < num, np.arange(edges) < num - 1
     edge_sqrt_info = np.linalg.inv(np.linalg.cholesky(state.edge_covariance))
-    fields = {
-        "T_map_base": state.T_map_base,
-        "calibration": state.calibration,
-        "used": is_used,
-        "T_measured": state.T_measured,
-        "pose_sqrt_info": np.where(is_used[:, None, None], state.pose_sqrt_info, 0.0),
-        "edge_from": np.arange(edges),
-        "edge_to": np.arange(1, edges + 1),
-        "T_edge": state.T_edge,
-        "edge_sqrt_info": np.where(is_edge[:, None, None], edge_sqrt_info, 0.0),
-        "edge_jacobian": state.edge_jacobian,
-        "edge_calibration": state.edge_calibration,
-        "edge_robust": np.zeros(edges, bool),
-        "p_fix": state.p_fix,
-        "fix_sqrt_info": np.where(is_used[:, None], state.fix_sqrt_info, 0.0),
-        "fix_base": state.fix_base,
-        "T_prior": state.T_prior,
-        "calibration_prior": state.calibration_prior,
-        "prior_sqrt_info": state.prior_sqrt_info,
-    }
-    return PoseGraph(**fields)
+    start = np.arange(edges)
+    factors = (
+        measured_poses(
+            state.T_measured, np.where(is_used[:, None, None], state.pose_sqrt_info, 0.0), config.pose_threshold
+        ),
+        odometry(
+            start,
+            start + 1,
+            state.T_edge,
+            state.edge_jacobian,
+            state.edge_calibration,
+            np.where(is_edge[:, None, None], edge_sqrt_info, 0.0),
+        ),
+        fixes(
+            state.p_fix,
+            state.fix_base,
+            np.where(is_used[:, None], state.fix_sqrt_info, 0.0),
+            config.fix_threshold,
+        ),
+        prior(state.T_prior, state.calibration_prior, state.prior_sqrt_info),
+    )
+    return pose_graph(is_used, factors), values_of(state.T_map_base, state.calibration)
 
 
-def graph_of_oldest(state: WindowState) -> PoseGraph:
+def graph_of_oldest(state: WindowState, config: GraphConfig) -> tuple[FactorGraph, Values]:
     """What the oldest state, its measurement and the motion to the next one say: a graph of two poses."""
     short = {name: getattr(state, name)[:2] for name in BY_STATE} | {name: getattr(state, name)[:1] for name in BY_EDGE}
     alone = np.array([1.0, 0.0])
     short["pose_sqrt_info"] = short["pose_sqrt_info"] * alone[:, None, None]
     short["fix_sqrt_info"] = short["fix_sqrt_info"] * alone[:, None]
-    return graph_of(state._replace(num=np.int64(2), **short))
+    return graph_of(state._replace(num=np.int64(2), **short), config)
 
 
 def without_newest(state: WindowState) -> WindowState:

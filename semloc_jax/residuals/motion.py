@@ -4,6 +4,9 @@ In: T_map_base [4 4] of one or two times, what was measured, sqrt_info. Out: whi
 A residual is zero where the poses agree with the measurement; half its squared norm is the cost in nats.
 """
 
+from collections.abc import Callable
+from functools import cache, partial
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -82,6 +85,18 @@ def pose_linearised(
     return _mul(sqrt_info, xi), _mul(sqrt_info, lie.se3_right_jacobian_inverse(xi))
 
 
+def between_linearised(
+    T_map_from: Float[Array, "4 4"],
+    T_map_to: Float[Array, "4 4"],
+    T_from_to: Float[Array, "4 4"],
+    sqrt_info: Float[Array, "k 6"],
+) -> tuple[Float[Array, " k"], Float[Array, "k 6"], Float[Array, "k 6"]]:
+    """`between_residual` and its derivatives by the right tangents of both poses."""
+    T_moved = lie.compose(lie.inverse(T_map_from), T_map_to)
+    r, J_to = pose_linearised(T_moved, T_from_to, sqrt_info)
+    return r, -_mul(J_to, lie.adjoint(lie.inverse(T_moved))), J_to
+
+
 def odometry_linearised(
     T_map_from: Float[Array, "4 4"],
     T_map_to: Float[Array, "4 4"],
@@ -123,6 +138,12 @@ def robust_cost(r: Float[Array, " k"], threshold: float) -> tuple[Float[Array, "
     kernel, scale = KERNELS["cauchy"], CAUCHY_SCALE / threshold
     v = scale * jnp.linalg.norm(r)
     return kernel.rho(v) / scale**2, jnp.sqrt(kernel.weight(v))
+
+
+@cache
+def cauchy(threshold: float) -> Callable[[Array], tuple[Array, Array]]:
+    """`robust_cost` of one threshold; the same function object for the same threshold, so that it may be static."""
+    return partial(robust_cost, threshold=threshold)
 
 
 def _mul(A: Array, b: Array) -> Array:

@@ -1,4 +1,5 @@
-"""From residuals to poses: one pose, many hypotheses, modes (room: solvers; pure JAX).
+"""Least squares that knows no residual: one Levenberg-Marquardt, problems, structures, GNC (room: solvers; pure JAX).
 
-In: evidence and a prior. Out: PoseEstimate, Modes. Optimistix and lineax are used here only.
+In: variables and factors. Out: Solution with the normal equations at the optimum. A sparse problem is factorised by
+scipy on the host.
 """

@@ -8,9 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.levenberg_marquardt import quadratic_model
 from semloc_jax.alignment.pose import AlignConfig, Prior, level_problem
-from semloc_jax.alignment.problem import residual
+from semloc_jax.alignment.problem import quadratic_model, residual
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import alignment_residual, camera_views, points_in_camera
 from semloc_jax.residuals.normal_equations import normal_equations

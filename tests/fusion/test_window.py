@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from semloc_jax.fusion.measurements import SensorBeliefs
-from semloc_jax.fusion.pose_graph import GraphConfig
+from semloc_jax.fusion.pose_factors import GraphConfig
 from semloc_jax.fusion.window import SlidingWindow, WindowConfig
 from semloc_jax.geometry import rigid
 from tests.fusion import fusion_drive as drive
