@@ -157,10 +157,10 @@ class ArrowProblem(eqx.Module):
             else:
                 across = across.at[:, here[block.rows], there[block.columns]].add(self._columns(block))
         g = self.graph.gradients(local)
-        held = np.concatenate([self.graph.held(family.name) for family in links], axis=1)
+        held = jnp.concatenate([jnp.asarray(self.graph.held(family.name)) for family in links], axis=1)
         return ArrowEquations(
             cost=sum(jnp.sum(part.cost) for part in local),
-            link=link + jnp.eye(size, dtype=dtype) * held[:, None, :],
+            link=link + jnp.eye(size, dtype=dtype) * held[:, None, :].astype(dtype),
             next=after,
             across=across,
             shared=dense_hessian(self.graph, local, shared) if shared else jnp.zeros((0, 0), dtype),

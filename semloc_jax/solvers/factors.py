@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from semloc_jax.geometry import lie
@@ -22,18 +23,18 @@ class Kind(NamedTuple):
 
     size: int
     """Coordinates of the tangent."""
-    retract: Callable[[Array, Array], Array]
+    retract: Callable[[ArrayLike, ArrayLike], Array]
     """(value, tangent) -> value, for any leading axes."""
     units: tuple[float, ...]
     """Scale of the damping along each coordinate."""
 
 
-def _moved_pose(T: Float[Array, "*n 4 4"], xi: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
+def _moved_pose(T: Float[ArrayLike, "*n 4 4"], xi: Float[ArrayLike, "*n 6"]) -> Float[Array, "*n 4 4"]:
     return lie.compose(T, lie.exp(xi))
 
 
-def _moved_vector(x: Float[Array, "*n d"], step: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
-    return x + step
+def _moved_vector(x: Float[ArrayLike, "*n d"], step: Float[ArrayLike, "*n d"]) -> Float[Array, "*n d"]:
+    return jnp.asarray(x) + jnp.asarray(step)
 
 
 POSE = Kind(6, _moved_pose, (0.5, 0.5, 0.5, 0.05, 0.05, 0.05))

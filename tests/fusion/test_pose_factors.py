@@ -128,7 +128,7 @@ def test_normal_equations_are_the_derivatives_of_the_residuals():
 
     step = 1e-6
     J = np.array([(residuals(x0 + step * d) - residuals(x0 - step * d)) / (2 * step) for d in np.eye(len(x0))]).T
-    equations = jax.jit(lambda graph, values: DenseProblem(graph).linearise(values, False))(graph, values)
+    equations = jax.jit(lambda graph, values: DenseProblem(graph).linearise(values, jnp.asarray(False)))(graph, values)
     scale = np.sqrt(np.diag(J.T @ J))
     assert np.allclose(equations.information / np.outer(scale, scale), (J.T @ J) / np.outer(scale, scale), atol=1e-6)
     assert np.allclose(equations.gradient / scale, J.T @ residuals(x0) / scale, atol=1e-5)

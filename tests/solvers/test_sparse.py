@@ -88,7 +88,7 @@ def test_landmarks_first_or_not_is_the_dense_solution(first):
 
 
 def test_what_is_not_seen_stays():
-    graph, start = with_landmarks(20)
+    graph, start = with_landmarks(24)
     found = solve(graph, start, EXACT, Sparse(("landmark",)))
     lost = ~graph.free["landmark"][:, 0]
     assert lost.any()
@@ -105,7 +105,7 @@ def test_a_graph_that_hangs_free_stays_finite():
 
 
 def test_refusals_say_what_was_expected():
-    graph, _ = with_landmarks(20)
+    graph, _ = with_landmarks(24)
     with pytest.raises(SemlocError, match="two variables that go first"):
         SparseProblem(graph, ("pose",))
     same = drives.motions(np.array([[3, 3]]), np.eye(4)[None])
