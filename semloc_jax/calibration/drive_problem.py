@@ -85,7 +85,7 @@ class Anchors(eqx.Module):
 
 
 class CalibrationProblem(eqx.Module):
-    """The cost of one level of the cost maps; see `semloc_jax.solvers.Problem`."""
+    """The cost of one level of the cost maps; see `LeastSquaresProblem`."""
 
     pictures: tuple[PictureRows, ...]
     texture: RampTexture

@@ -30,7 +30,7 @@ class GroundState(eqx.Module):
 
 
 class GroundPointProblem(eqx.Module):
-    """Sum of the distances between what two cameras take for the same point of the ground; a `Problem`."""
+    """Sum of the distances between what two cameras take for the same point of the ground; a `LeastSquaresProblem`."""
 
     cameras: tuple[Camera, ...]
     camera: Int[Array, "p 2"]

@@ -127,7 +127,7 @@ def _solve_chain(D: Float[Array, "n d d"], B: Float[Array, "n d d"], R: Float[Ar
 
 
 class ArrowProblem(eqx.Module):
-    """A factor graph with normal equations of arrow shape; see `Problem`.
+    """A factor graph with normal equations of arrow shape; see `LeastSquaresProblem`.
 
     Variables of equal place in the families of the chain are one link, such as the pose, velocity and bias of one time.
     No factor binds two links but a link (first) and the next one (second).

@@ -73,7 +73,7 @@ def dense_hessian(graph: FactorGraph, local: list[Local], families: Sequence[Fam
 
 
 class DenseProblem(eqx.Module):
-    """A factor graph with dense normal equations; see `Problem`."""
+    """A factor graph with dense normal equations; see `LeastSquaresProblem`."""
 
     graph: FactorGraph
 

@@ -12,7 +12,7 @@ from semloc_jax.solvers.arrow import ArrowProblem, arrow_problem
 from semloc_jax.solvers.dense import DenseProblem
 from semloc_jax.solvers.graph import FactorGraph, Values
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig, levenberg_marquardt, levenberg_marquardt_on_host
-from semloc_jax.solvers.problem import Problem, Solution
+from semloc_jax.solvers.problem import LeastSquaresProblem, Solution
 from semloc_jax.solvers.sparse import SparseProblem
 
 
@@ -48,7 +48,7 @@ def structured(graph: FactorGraph, structure: Structure) -> DenseProblem | Arrow
 
 
 def solve(
-    problem: FactorGraph | Problem,
+    problem: FactorGraph | LeastSquaresProblem,
     start: Values | Any,
     config: SolveConfig | None = None,
     structure: Structure | None = None,

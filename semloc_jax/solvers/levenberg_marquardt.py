@@ -1,6 +1,6 @@
 """The one Levenberg-Marquardt loop (room: solvers; pure JAX).
 
-In: a Problem and a start. Out: Solution, or the state of the loop after each step.
+In: a LeastSquaresProblem and a start. Out: Solution, or the state of the loop after each step.
 Madsen, Nielsen, Tingleff, Methods for Non-Linear Least Squares Problems, 2004, ch. 3.2. A step is judged by the fall of
 the cost as a share of what the quadratic model promised; refused steps are repeated shorter.
 """
@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from semloc_jax.solvers.problem import Problem, Solution, Step
+from semloc_jax.solvers.problem import LeastSquaresProblem, Solution, Step
 from semloc_jax.structs import SolveStatus
 
 _LEAST_FALL = 0.01
@@ -74,7 +74,7 @@ class Iterate(eqx.Module):
         return self.status != SolveStatus.MAX_STEPS
 
 
-def begin(problem: Problem, start: Any, config: SolveConfig) -> Iterate:
+def begin(problem: LeastSquaresProblem, start: Any, config: SolveConfig) -> Iterate:
     """State before the first evaluation, which is at the start."""
     start, is_going = jax.tree.map(jnp.asarray, start), jnp.asarray(False)
     shapes = eqx.filter_eval_shape(problem.linearise, start, is_going)
@@ -111,19 +111,19 @@ def judged(state: Iterate, equations: Any, config: SolveConfig) -> Iterate:
     )
 
 
-def proposed(problem: Problem, state: Iterate, step: Step) -> Iterate:
+def proposed(problem: LeastSquaresProblem, state: Iterate, step: Step) -> Iterate:
     """The state with the candidate that a `Step` leads to."""
     candidate = problem.retract(state.value, step.tangent)
     return eqx.tree_at(lambda s: (s.candidate, s.change, s.length), state, (candidate, step.change, step.length))
 
 
-def advance(problem: Problem, state: Iterate, config: SolveConfig) -> Iterate:
+def advance(problem: LeastSquaresProblem, state: Iterate, config: SolveConfig) -> Iterate:
     """One evaluation: judge the candidate, then propose the next."""
     state = judged(state, problem.linearise(state.candidate, state.ended), config)
     return proposed(problem, state, problem.step(state.equations, state.damping))
 
 
-def levenberg_marquardt(problem: Problem, start: Any, config: SolveConfig) -> Solution:
+def levenberg_marquardt(problem: LeastSquaresProblem, start: Any, config: SolveConfig) -> Solution:
     """The best value near a start; may be jitted and vmapped. Reverse-mode derivatives: see `solvers.implicit`."""
 
     def is_going(state: Iterate) -> Bool[Array, ""]:
@@ -133,7 +133,7 @@ def levenberg_marquardt(problem: Problem, start: Any, config: SolveConfig) -> So
     return Solution(end.value, end.equations, end.num_steps, end.status)
 
 
-def levenberg_marquardt_on_host(problem: Problem, start: Any, config: SolveConfig) -> Solution:
+def levenberg_marquardt_on_host(problem: LeastSquaresProblem, start: Any, config: SolveConfig) -> Solution:
     """The same loop, led by the host, for a problem whose steps JAX cannot take (sparse factorisation); not inside jit.
 
     The problem compiles its own methods.

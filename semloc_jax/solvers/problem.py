@@ -1,6 +1,6 @@
 """What Levenberg-Marquardt asks of a problem, and what it returns (room: solvers; pure JAX).
 
-In: nothing. Out: the protocols Problem and Equations; Step, Solution.
+In: nothing. Out: the protocols LeastSquaresProblem and Equations; Step, Solution.
 Cost is half the squared norm of the whitened residuals [nats].
 """
 
@@ -16,7 +16,7 @@ class Step(NamedTuple):
     """A damped step of the quadratic model."""
 
     tangent: Any
-    """What `Problem.retract` takes."""
+    """What `LeastSquaresProblem.retract` takes."""
     change: Float[Array, ""]
     """Change of the cost that the quadratic model predicts [nats]; never positive where the step is the minimum."""
     length: Float[Array, ""]
@@ -30,7 +30,7 @@ class Equations(Protocol):
 
 
 @runtime_checkable
-class Problem(Protocol):
+class LeastSquaresProblem(Protocol):
     """A cost over values on a manifold."""
 
     def linearise(self, value: Any, skip: Bool[Array, ""]) -> Any:
