@@ -50,7 +50,10 @@ class SparsePattern(NamedTuple):
 
 
 class SparseProblem:
-    """A factor graph with sparse normal equations; see `LeastSquaresProblem`. Its steps are taken by the host: not inside jit."""
+    """A factor graph with sparse normal equations; see `LeastSquaresProblem`.
+
+    Its steps are taken by the host: not inside jit.
+    """
 
     def __init__(self, graph: FactorGraph, first: tuple[str, ...] = ()) -> None:
         """Analyse the graph: order of elimination, place of every block.
