@@ -15,6 +15,7 @@ from semloc_jax.calibration.observability import Observability, to_text
 from semloc_jax.calibration.self_calibration import SelfCalibration
 from semloc_jax.cameras.io.corrected import write_corrected
 from semloc_jax.evaluation import Trajectory, write_tum
+from semloc_jax.storage import write_text, writing
 
 
 def report_text(result: SelfCalibration) -> str:
@@ -54,7 +55,7 @@ def write_report(result: SelfCalibration, source: Path, folder: Path) -> tuple[P
     """Write the corrected calibration in the layout of `source`, tables and text; returns the calibration files."""
     files = write_corrected(result.rig, source, folder)
     _write_observability(result.observability, folder)
-    (folder / "report.txt").write_text(report_text(result) + "\n", encoding="utf-8")
+    write_text(folder / "report.txt", report_text(result) + "\n")
     content = {
         "vehicle": result.vehicle,
         "inlier_ratio": result.inlier_ratio,
@@ -62,7 +63,7 @@ def write_report(result: SelfCalibration, source: Path, folder: Path) -> tuple[P
         "notes": list(result.notes),
         "not_observable": _hidden(result.observability),
     }
-    (folder / "calibration.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_text(folder / "calibration.json", json.dumps(content, indent=1) + "\n")
     time_s = np.array([frame.time_s for frame in result.frames])
     write_tum(Trajectory(time_s, result.T_map_base), folder / "trajectory.tum")
     return files
@@ -72,7 +73,7 @@ def write_ground_report(result: GroundCalibration, source: Path, folder: Path) -
     """`write_report` of a ground-point calibration."""
     files = write_corrected(result.rig, source, folder)
     _write_observability(result.observability, folder)
-    (folder / "report.txt").write_text(ground_text(result) + "\n", encoding="utf-8")
+    write_text(folder / "report.txt", ground_text(result) + "\n")
     content = {
         "before_m": result.before_m,
         "after_m": result.after_m,
@@ -80,7 +81,7 @@ def write_ground_report(result: GroundCalibration, source: Path, folder: Path) -
         "held_out_m": list(result.held_out_m),
         "not_observable": _hidden(result.observability),
     }
-    (folder / "calibration.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_text(folder / "calibration.json", json.dumps(content, indent=1) + "\n")
     return files
 
 
@@ -93,7 +94,10 @@ def _hidden(observability: Observability) -> list[dict[str, object]]:
 
 
 def _write_observability(observability: Observability, folder: Path) -> None:
-    with (folder / "observability.csv").open("w", newline="", encoding="utf-8") as file:
+    with (
+        writing(folder / "observability.csv") as partial,
+        partial.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.writer(file)
         writer.writerow(("parameter", "unit", "change", "sigma", "prior_sigma", "verdict"))
         for p in observability.parameters:

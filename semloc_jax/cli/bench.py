@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from semloc_jax.cli.main import LOST, OK
 from semloc_jax.errors import UsageError
 from semloc_jax.inputs.choices import parse_names
+from semloc_jax.storage import write_text
 
 if TYPE_CHECKING:
     from semloc_jax.bench.results import Results
@@ -80,7 +81,7 @@ def _write(options: Options, found: "Results", data: dict) -> None:
     from semloc_jax.bench.results import metrics
 
     if options.json is not None:
-        options.json.write_text(json.dumps(data, indent=1) + "\n")
+        write_text(options.json, json.dumps(data, indent=1) + "\n")
     if options.write_baseline is not None:
         from semloc_jax.evaluation import write_metrics
 

@@ -19,7 +19,8 @@ class Options(DriveOptions):
     """Localize frames of a drive in a map, each on its own, and judge every pose.
 
     Writes trajectory.tum (localized frames), frames.csv (every frame with its status), hypotheses.csv (every mode),
-    metrics.json where the drive has a truth, config.yaml (resolved; reads back with --config) and overlays/*.png.
+    results.jsonl (line by line, for --resume after a kill), metrics.json where the drive has a truth, config.yaml
+    (resolved; reads back with --config) and overlays/*.png.
 
     Every value of the configuration is an option too, e.g. --verdict.max-cost 0.6: 'semloc config' prints them all.
     The exit code is 3 when the share of localized frames is below --min-localized-share.
@@ -35,6 +36,8 @@ class Options(DriveOptions):
     """Number of before/after pictures, spread over the frames; 0 for none."""
     config: Path | None = None
     """YAML file with values of the configuration."""
+    resume: Path | None = None
+    """Folder of a run that was killed: go on where it stopped."""
     out: Path | None = None
     """Folder for the results; default: results/TIME, to which results/latest points."""
 
@@ -54,7 +57,9 @@ def run(options: Options) -> int:
     chosen = parse_slice(options.frames)
     inputs = open_inputs(options)
     settings = configured(options, options.settings)
-    report = report_frames(inputs, chosen, settings, options.out, options.overlays, options.kept(inputs))
+    report = report_frames(
+        inputs, chosen, settings, options.out, options.overlays, options.kept(inputs), options.resume
+    )
     print(report.text)
     print(f"results: {report.folder}")
     return OK if report.localized_share >= options.min_localized_share else LOST

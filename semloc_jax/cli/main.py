@@ -81,6 +81,7 @@ def _run_verb(name: str, words: list[str], debug: bool) -> int:
     from semloc_jax.cli.arguments import parse
     from semloc_jax.errors import SemlocError, UsageError
     from semloc_jax.runtime import prepare as runtime
+    from semloc_jax.storage import release_claims
 
     try:
         if not {"-h", "--help"} & set(words):
@@ -110,6 +111,8 @@ def _run_verb(name: str, words: list[str], debug: bool) -> int:
             f"semloc {name}: internal error: {what}; run again with --debug and report the traceback", file=sys.stderr
         )
         return FAILED
+    finally:
+        release_claims()
 
 
 def log_to_console() -> None:

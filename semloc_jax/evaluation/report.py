@@ -11,6 +11,7 @@ from pathlib import Path
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import Metric
+from semloc_jax.storage import write_text
 
 _STATISTICS = ("median", "mean", "rmse", "p95", "max", "bias")
 
@@ -48,7 +49,7 @@ def _format_value(metric: Metric) -> str:
 def write_metrics(metrics: Sequence[Metric], path: str | Path) -> None:
     """Write metrics as JSON; the file also serves as a baseline for `benchmark.compare`."""
     rows = [asdict(metric) | {"value": None if math.isnan(metric.value) else metric.value} for metric in metrics]
-    Path(path).write_text(json.dumps({"metrics": rows}, indent=1) + "\n")
+    write_text(path, json.dumps({"metrics": rows}, indent=1) + "\n")
 
 
 def read_metrics(path: str | Path) -> list[Metric]:

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage import npy_array, writing
 
 _UPRIGHT = 0.97
 """Mean upward part of base z of anything that drives on roads; ours."""
@@ -100,13 +101,12 @@ def read_trajectory(path: str | Path) -> Trajectory:
     if not path.is_file():
         raise SemlocError(f"trajectory {path}: no such file; expected a TUM, KITTI or npy file")
     if path.suffix == ".npy":
-        try:
-            # Mapped, a header that claims more than the file holds is refused before memory is taken for it.
-            rows = np.array(np.load(path, mmap_mode="r"), dtype=np.float64)
-            if not np.isfinite(rows).all():
-                raise ValueError("a value is NaN or infinite")
-        except (ValueError, EOFError, OSError, TypeError, OverflowError) as error:
-            raise SemlocError(f"trajectory {path}: not readable as npy ({error}); expected [n 8] or [n 4 4]") from error
+        rows = npy_array(path, f"trajectory {path}")
+        if rows.dtype.kind not in "fiu" or not np.isfinite(rows).all():
+            raise SemlocError(
+                f"trajectory {path}: not readable as npy ({rows.dtype}); expected [n 8] or [n 4 4] numbers"
+            )
+        rows = rows.astype(np.float64)
         if rows.ndim == 3 and rows.shape[1:] == (4, 4):
             return Trajectory(np.arange(len(rows), dtype=np.float64), rows)
     else:
@@ -124,7 +124,8 @@ def write_tum(trajectory: Trajectory, path: str | Path) -> None:
     """Write `t x y z qx qy qz qw` rows with 9 decimals of time and position."""
     quaternion = Rotation.from_matrix(trajectory.T_map_base[:, :3, :3]).as_quat()
     rows = np.column_stack([trajectory.time_s, trajectory.T_map_base[:, :3, 3], quaternion])
-    np.savetxt(path, rows, fmt=["%.9f"] * 4 + ["%.12f"] * 4, header="t[s] x y z[m] qx qy qz qw : base in map")
+    with writing(path) as partial:
+        np.savetxt(partial, rows, fmt=["%.9f"] * 4 + ["%.12f"] * 4, header="t[s] x y z[m] qx qy qz qw : base in map")
 
 
 def _read_rows(path: Path) -> np.ndarray:

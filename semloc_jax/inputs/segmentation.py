@@ -23,6 +23,7 @@ from semloc_jax.maps import read_map
 from semloc_jax.perception import ClassTable, load_class_table, read_mask
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 from semloc_jax.perception.visibility import visibility, visibility_text
+from semloc_jax.storage import claim, output_path, write_text, writing
 
 _LOG = logging.getLogger(__name__)
 _REPORTED = 200
@@ -106,6 +107,11 @@ def _claim(folder: Path, preset: NetworkPreset, overwrite: bool) -> None:
     settings = {key: list(v) if isinstance(v, tuple) else v for key, v in dataclasses.asdict(preset).items()}
     # Batch size and backend change masks by rounding only.
     record = {"model_sha256": digest} | {key: v for key, v in settings.items() if key not in ("batch", "backend")}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        claim(folder)
+    except OSError as error:
+        raise SemlocError(f"masks {folder}: cannot be written ({error.strerror}); give another --out") from error
     path = folder / RECORD
     if path.is_file() and not overwrite:
         made = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -117,8 +123,7 @@ def _claim(folder: Path, preset: NetworkPreset, overwrite: bool) -> None:
             )
         return
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        path.write_text(yaml.safe_dump(record, sort_keys=False), encoding="utf-8")
+        write_text(path, yaml.safe_dump(record, sort_keys=False))
     except OSError as error:
         raise SemlocError(f"masks {folder}: cannot be written ({error.strerror}); give another --out") from error
 
@@ -157,11 +162,9 @@ def _image(frame: Frame, camera: str) -> np.ndarray | None:
 
 def _write(mask: np.ndarray, path: Path) -> None:
     """Write a mask so that an interruption leaves no half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part.png")
-    if not cv2.imwrite(str(part), mask):
-        raise SemlocError(f"mask {path}: cannot be written; is the disk full?")
-    part.replace(path)
+    with writing(path) as partial:
+        if not cv2.imwrite(str(partial), mask):
+            raise SemlocError(f"mask {path}: cannot be written; is the disk full?")
 
 
 def _report(paths: Sequence[Path], table: ClassTable, map_path: Path | None) -> str:
@@ -178,7 +181,7 @@ def _report(paths: Sequence[Path], table: ClassTable, map_path: Path | None) -> 
 
 
 def _mask_path(folder: Path, camera: str, frame: Frame) -> Path:
-    return folder / camera / f"{frame.id}.png"
+    return output_path(folder, camera, frame.id, suffix=".png")
 
 
 def _batches(items: Sequence, size: int) -> Iterator[Sequence]:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.maps.ground import GroundModel, RoadPlane
+from semloc_jax.storage import npy_array
 
 SIGMA = "height_sigma_m"
 """Attribute of an element whose heights came from a ground surface."""
@@ -175,7 +176,7 @@ def _of_model(xy: np.ndarray, model: GroundModel) -> tuple[np.ndarray, float]:
 
 def _argoverse2(path: Path) -> GroundRaster:
     """Returns the raster of a log; its file beside it maps city coordinates to cells."""
-    heights = np.load(path, mmap_mode="r")  # a size that the file does not have takes no memory
+    heights = npy_array(path, f"ground heights {path.name}")
     if heights.ndim != 2 or heights.size > _MOST_CELLS:
         raise ValueError(f"an array of shape {heights.shape}; expected rows and columns of heights")
     (sim2,) = path.parent.glob("*img_Sim2_city.json")

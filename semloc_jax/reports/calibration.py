@@ -21,6 +21,7 @@ from semloc_jax.evaluation import Trajectory, read_trajectory
 from semloc_jax.inputs.drive_inputs import Inputs
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.pictures import calibration_panels
+from semloc_jax.storage import output_path
 from semloc_jax.viz.self_calibration import observability_figure
 
 
@@ -95,9 +96,8 @@ def _write_pictures(folder: Path, inputs: Inputs, result: SelfCalibration, count
     viz.save(observability_figure(result.observability), folder / "observability.png")
     if count < 1:
         return
-    (folder / "overlays").mkdir(exist_ok=True)
     for index in np.unique(np.linspace(0, len(result.frames) - 1, count).astype(int)):
         frame, T_map_base = result.frames[index], result.T_map_base[index]
         panels = calibration_panels(inputs.map, inputs.masks, frame, T_map_base, result.rig_before, result.rig)
         figure = viz.before_after(panels, "before: calibration as given", "after: calibrated by the drive")
-        viz.save(figure, folder / "overlays" / f"{frame.id}.png")
+        viz.save(figure, output_path(folder, "overlays", frame.id, suffix=".png"))

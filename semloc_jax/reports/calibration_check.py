@@ -20,6 +20,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import read_trajectory
 from semloc_jax.maps import LocalMap, SemanticMap, read_map
 from semloc_jax.reports.folder import make_folder
+from semloc_jax.storage import output_path
 from semloc_jax.viz import calibration as drawing
 
 _LOG = logging.getLogger(__name__)
@@ -146,7 +147,7 @@ def _draw(
         # Pictures of another size are drawn as they would look with the calibration scaled to them.
         scaled = camera if size == camera.resolution else camera.resized(*size)
         figure = drawing.calibration_figure(name, rgb[name], scaled, T, local_map, T_map_base, texts)
-        paths.append(viz.save(figure, folder / f"calib_{name}.png"))
+        paths.append(viz.save(figure, output_path(folder, f"calib_{name}", suffix=".png")))
         fitting.append(scaled)
     top = drawing.top_view_figure(rgb, type(shown)(fitting, shown.T_base_cam, shown.names))
     return [*paths, viz.save(top, folder / "calib_top_view.png")]

@@ -30,6 +30,7 @@ from semloc_jax.reports.explain_tables import check_table, role_table, table
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.pose_posterior import posterior_text, scatter_text
 from semloc_jax.reports.tables import write_csv
+from semloc_jax.storage import write_text
 from semloc_jax.viz.explain import explained_image, explained_map
 
 
@@ -122,7 +123,7 @@ def _posterior(
 def _write_files(folder: Path, result: LocalizationResult, found: Explanation, checks: Sequence[ElementEffect]) -> None:
     write_csv(folder / "explain.csv", COLUMNS, [holder_row(holder) for holder in (*found.holders, *found.classes)])
     record = explanation_record(result.frame.id, found, checks)
-    (folder / "explain.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+    write_text(folder / "explain.json", json.dumps(record, indent=1))
 
 
 def _write_pictures(folder: Path, inputs: Inputs, result: LocalizationResult, found: Explanation) -> list[Path]:

@@ -16,19 +16,32 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.config_files import RECORD_KEY, to_file, to_plain
 from semloc_jax.inputs.paths import LATEST
 from semloc_jax.runtime import prepare as runtime
+from semloc_jax.storage import claim, write_text
 
 DEFAULT_ROOT = Path("results")
 
 
-def make_folder(out: Path | None) -> Path:
+def make_folder(out: Path | None, resume: Path | None = None) -> Path:
     """The folder for a run: the given one, else `results/<time>`, to which the link `results/latest` then points.
 
+    It is this run's until the verb ends.
+
+    Args:
+        out: the given one.
+        resume: that of an unfinished run, which must be there; goes before `out`.
+
     Raises:
-        SemlocError: the folder cannot be made.
+        SemlocError: the folder cannot be made, or another run writes to it.
     """
+    if resume is not None:
+        if not resume.is_dir():
+            raise SemlocError(f"--resume {resume}: no such folder; give that of an unfinished run")
+        claim(resume)
+        return resume
     folder = out or DEFAULT_ROOT / time.strftime("%Y-%m-%d_%H-%M-%S")
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        claim(folder)
     except OSError as error:
         raise SemlocError(
             f"output folder {folder}: {error.strerror}; give --out a folder that can be written"
@@ -58,4 +71,4 @@ def write_record(folder: Path, settings: Any, options: Mapping[str, Any]) -> Non
         "device": runtime.device(),
     }
     content = {RECORD_KEY: record, **to_plain(dict(options)), **to_file(settings)}
-    (folder / "config.yaml").write_text(yaml.safe_dump(content, sort_keys=False, width=120), encoding="utf-8")
+    write_text(folder / "config.yaml", yaml.safe_dump(content, sort_keys=False, width=120))

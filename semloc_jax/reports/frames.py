@@ -4,7 +4,7 @@ In: opened inputs, a configuration. Out: the results, and a folder with trajecto
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,10 +13,11 @@ from tqdm import tqdm
 
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.datasets import Frame
 from semloc_jax.inputs.drive_inputs import Inputs
-from semloc_jax.localization.frame_by_frame import localize_frames
+from semloc_jax.localization import frame_by_frame
 from semloc_jax.maps import write_drive_geojson
-from semloc_jax.reports import pictures
+from semloc_jax.reports import localize_log, pictures, run_inputs
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.metrics import shift_text, shifts, truth_of, write_metrics_of
 from semloc_jax.reports.tables import write_tables
@@ -51,6 +52,7 @@ def report_frames(
     out: Path | None = None,
     num_overlays: int = 6,
     options: Mapping[str, Any] | None = None,
+    resume: Path | None = None,
 ) -> FramesReport:
     """Localize frames one by one and write everything about them.
 
@@ -61,13 +63,25 @@ def report_frames(
         out: Folder to write; None for a new one in results/.
         num_overlays: Number of before/after pictures, spread over the frames.
         options: What config.yaml keeps besides the configuration.
+        resume: Folder of a run that was killed, to go on with.
     """
     settings = settings or LocalizeConfig()
-    folder = make_folder(out)
+    frames = inputs.drive.frames[chosen]
+    folder = make_folder(out, resume)
+    run_inputs.begun(folder, run_inputs.fingerprint(inputs, settings, options or {}), is_resumed=resume is not None)
     if inputs.is_map_made:
         write_drive_geojson(inputs.map, folder / "map.geojson")
     started = time.perf_counter()
-    found = _localize(inputs, chosen, settings)
+    if resume is None:
+        localize_log.begin(folder)
+    found = localize_log.read(folder, frames)
+    try:
+        for result in _rest(inputs, frames, settings, found):
+            localize_log.append(folder, result)
+            found.append(result)
+    except KeyboardInterrupt:
+        write_tables(found, truth_of(inputs.drive, found), folder)
+        raise
     wall_s = time.perf_counter() - started
     truth = truth_of(inputs.drive, found)
     write_tables(found, truth, folder)
@@ -81,19 +95,19 @@ def report_frames(
     return FramesReport(found, folder, "\n".join(lines))
 
 
-def _localize(inputs: Inputs, chosen: slice, settings: LocalizeConfig) -> list[LocalizationResult]:
-    """One result for each frame, with a progress bar on a terminal."""
-    with tqdm(total=len(inputs.drive.frames[chosen]), unit="frame", disable=None) as bar:
-        return localize_frames(
-            inputs.drive,
-            inputs.map,
-            inputs.masks,
-            inputs.prior,
-            chosen,
-            inputs.masks.cameras,
-            settings,
-            on_frame=lambda result: bar.update(),
-        )
+def _rest(
+    inputs: Inputs, frames: Sequence[Frame], settings: LocalizeConfig, found: Sequence[LocalizationResult]
+) -> Iterator[LocalizationResult]:
+    """Results of the frames that have none yet, with a progress bar on a terminal."""
+    done = {result.frame.id for result in found}
+    left = [frame for frame in frames if frame.id not in done]
+    if done and not left:
+        return
+    with tqdm(total=len(frames), initial=len(done), unit="frame", disable=None) as bar:
+        parts = inputs.drive, inputs.map, inputs.masks, inputs.prior
+        for result in frame_by_frame.iterate_frames(*parts, left, inputs.masks.cameras, settings):
+            bar.update()
+            yield result
 
 
 def summary(found: Sequence[LocalizationResult], wall_s: float) -> str:

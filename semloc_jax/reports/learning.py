@@ -28,6 +28,7 @@ from semloc_jax.learning import (
 )
 from semloc_jax.perception import ClassTable
 from semloc_jax.reports.folder import make_folder, write_record
+from semloc_jax.storage import write_text
 from semloc_jax.structs import ElementClass
 
 LEARNED = "learned.yaml"
@@ -107,7 +108,7 @@ def report_learning(
     others = {"validation": [str(p) for p in drives.validation], "held_out": [str(p) for p in drives.held_out]}
     write_record(folder, config, {"masks": drives.masks, "maps": list(drives.maps)} | others)
     text = table_of(found, rows)
-    (folder / "report.md").write_text(text + "\n", encoding="utf-8")
+    write_text(folder / "report.md", text + "\n")
     _write_json(folder / "report.json", found, rows)
     return LearningReport(folder, text)
 
@@ -168,7 +169,7 @@ def _write_learned(path: Path, before: object, after: object, drives: LearningDr
         f"# class_weight in the order {order}.\n"
     )
     content = yaml.safe_dump(changes(before, after), sort_keys=False, default_flow_style=None, width=110)
-    path.write_text(head + content, encoding="utf-8")
+    write_text(path, head + content)
 
 
 def table_of(found: Fit, rows: Sequence[Row]) -> str:
@@ -196,7 +197,7 @@ def _write_json(path: Path, found: Fit, rows: Sequence[Row]) -> None:
         for row in rows
     ]
     content = {"history": list(found.history), "num_used": found.num_used, "drives": drives}
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(content, indent=1) + "\n")
 
 
 def _numbers(accuracy: Accuracy) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.maps import SemanticMap, sample
+from semloc_jax.storage import output_path
 from semloc_jax.viz.overlay import Contours, Panel, dim
 
 RADIUS_M, SPACING_M = 65.0, 0.25
@@ -26,12 +27,11 @@ def write_overlays(
     shown = [r for r in found if np.isfinite(r.T_map_base).all()]
     if not shown or count < 1:
         return []
-    (folder / "overlays").mkdir(exist_ok=True)
     paths = []
     for index in np.unique(np.linspace(0, len(shown) - 1, count).astype(int)):
         result = shown[index]
         figure = viz.before_after(panels(semantic_map, source, result), "before: prior", verdict_text(result))
-        paths.append(viz.save(figure, folder / "overlays" / f"{result.frame.id}.png"))
+        paths.append(viz.save(figure, output_path(folder, "overlays", result.frame.id, suffix=".png")))
     return paths
 
 

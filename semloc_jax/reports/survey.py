@@ -24,6 +24,7 @@ from semloc_jax.perception import ClassTable, load_class_table
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.survey_placement import Ranges, write_placement
 from semloc_jax.reports.tables import write_csv
+from semloc_jax.storage import write_text
 from semloc_jax.viz.survey import survey_view
 
 COLUMNS = (
@@ -155,7 +156,7 @@ def _write_places(found: Survey, semantic_map: SemanticMap, folder: Path) -> Non
             features.append({"type": "Feature", "properties": properties, "geometry": geometry})
     write_csv(folder / "places.csv", COLUMNS, rows)
     text = json.dumps({"type": "FeatureCollection", "features": features})
-    (folder / "places.geojson").write_text(text, encoding="utf-8")
+    write_text(folder / "places.geojson", text)
 
 
 def _write_small_map(road: SurveyRoad, places: np.ndarray, keep: float, settings: SurveyConfig, folder: Path) -> str:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.evaluation import Trajectory, pose_errors, write_tum
+from semloc_jax.storage import writing
 from semloc_jax.structs import SolveStatus
 
 SIGMAS = ("sigma_lateral_m", "sigma_longitudinal_m", "sigma_heading_deg")
@@ -45,7 +46,7 @@ def write_tables(results: Sequence[LocalizationResult], truth: Mapping[str, np.n
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a table."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with writing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows(rows)

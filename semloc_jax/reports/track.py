@@ -24,7 +24,7 @@ from semloc_jax.localization.map_faults import MapChange, map_changes
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.maps import SemanticMap
-from semloc_jax.reports import track_faults, track_fusions, track_metrics, track_pictures
+from semloc_jax.reports import run_inputs, track_faults, track_fusions, track_log, track_metrics, track_pictures
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.reports.track_fusions import FUSIONS
@@ -132,9 +132,15 @@ def report_track(
         resume: Folder of a run that was killed, to go on with.
         options: What config.yaml keeps besides the configuration.
     """
-    folder = resume or make_folder(out)
+    if not frames:
+        raise SemlocError(f"drive {inputs.drive.name}: no frames chosen of {len(inputs.drive)}; check --frames")
+    folder = make_folder(out, resume)
+    parts = run_inputs.fingerprint(inputs, (plan.settings, plan.area), options or {})
+    run_inputs.begun(folder, parts, is_resumed=resume is not None)
     pipeline = plan.pipeline(inputs)
-    start = None if resume is None else checkpoint.load(resume / CHECKPOINT, pipeline.localizer.template())
+    start = _start(folder, frames, pipeline, plan) if resume is not None else None
+    if start is None:
+        (folder / CHECKPOINT).unlink(missing_ok=True)  # the state of an earlier run is none of this one
     write_record(folder, plan.settings, options or {})
     log = TrackLog(folder, inputs.drive, keep=start.next_frame if start else 0)
     try:
@@ -152,6 +158,26 @@ def report_track(
     is_lost = not len(table) or table.status[-1] == TrackStatus.LOST
     share = float(table.is_tracking.mean()) if len(table) else 0.0
     return TrackReport(folder, f"{text}\n{track_metrics.summary(table, pipeline.timing)}", share, is_lost)
+
+
+def _start(folder: Path, frames: Sequence[Frame], pipeline: Pipeline, plan: TrackPlan) -> Checkpoint | None:
+    """Where a run that is resumed stood; None where it was killed before its first frame was done.
+
+    Raises:
+        SemlocError: the state, the table and the frames do not belong together.
+    """
+    path = folder / CHECKPOINT
+    if not path.is_file():
+        return None
+    found = checkpoint.load(path, pipeline.localizer.template())
+    if found.next_frame > len(frames):
+        raise SemlocError(
+            f"--resume {folder}: {found.next_frame} frames are done and the drive has {len(frames)}; resume with the "
+            "drive of the run"
+        )
+    if not plan.realtime:  # which drops frames
+        track_log.require_lines(folder, frames[: found.next_frame], f"--resume {folder}")
+    return found
 
 
 def _drive(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from semloc_jax.inputs.drive_inputs import Inputs
+from semloc_jax.storage import write_text
 
 if TYPE_CHECKING:
     from semloc_jax.fusion.prediction import MotionLog
@@ -55,5 +56,5 @@ def write_matrix(
         # After each fault: a matrix takes minutes.
         write_csv(folder / "faults.csv", columns, [dataclasses.astuple(outcome) for outcome in outcomes])
     table = to_markdown(outcomes)
-    (folder / "faults.md").write_text(table + "\n", encoding="utf-8")
+    write_text(folder / "faults.md", table + "\n")
     return "\n".join([*left_out, table]), sum(outcome.false_confident for outcome in outcomes)

@@ -20,6 +20,7 @@ from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.reports.track_log import TrackLog, TrackTable
 from semloc_jax.reports.track_metrics import integrity_metrics
+from semloc_jax.storage import write_text
 
 if TYPE_CHECKING:
     from semloc_jax.localization.pipeline import Pipeline
@@ -89,7 +90,7 @@ def write_comparison(
         rows.append(_row(name, TrackTable.read(folder / name)))
     columns = [field.name for field in fields(FusionRow)]
     write_csv(folder / "fusions.csv", columns, [list(asdict(row).values()) for row in rows])
-    (folder / "fusions.md").write_text(to_markdown(rows) + "\n", encoding="utf-8")
+    write_text(folder / "fusions.md", to_markdown(rows) + "\n")
     return rows
 
 

@@ -13,9 +13,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.datasets import Drive, Frame
+from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, pose_errors
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
 from semloc_jax.reports.tables import ERRORS, POSE, SIGMAS
+from semloc_jax.storage import writing
 
 FILE = "frames.csv"
 PROTECTION = ("protection_lateral_m", "protection_longitudinal_m", "protection_heading_deg")
@@ -44,11 +46,12 @@ class TrackLog:
         """
         path = folder / FILE
         kept = read_lines(path)[:keep] if keep and path.is_file() else []
-        self.drive, self._file = drive, path.open("w", newline="", encoding="utf-8")
+        with writing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, COLUMNS)
+            writer.writeheader()
+            writer.writerows(kept)
+        self.drive, self._file = drive, path.open("a", newline="", encoding="utf-8")
         self._writer = csv.DictWriter(self._file, COLUMNS)
-        self._writer.writeheader()
-        self._writer.writerows(kept)
-        self._file.flush()
 
     def append(self, frame: Frame, result: TrackResult) -> None:
         """Write the line of a frame."""
@@ -70,6 +73,24 @@ def read_lines(path: Path) -> list[dict[str, str]]:
     """The lines of a table as text by column."""
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+def require_lines(folder: Path, frames: Sequence[Frame], where: str) -> None:
+    """Check that the table of an unfinished run begins with these frames, in this order and without a hole.
+
+    Raises:
+        SemlocError: it does not.
+    """
+    path = folder / FILE
+    lines = read_lines(path)[: len(frames)] if path.is_file() else []
+    found = [(line["frame"], line["time_s"]) for line in lines]
+    wanted = [(frame.id, f"{frame.time_s:.9f}") for frame in frames]
+    if found != wanted:
+        place = next((k for k, (a, b) in enumerate(zip(found, wanted, strict=False)) if a != b), len(found))
+        raise SemlocError(
+            f"{where}: line {place + 1} of {FILE} is not that of frame {' at '.join(wanted[place])} s; expected one "
+            f"line for each of the {len(wanted)} frames that the state has seen; begin anew with another --out"
+        )
 
 
 @dataclass(frozen=True)

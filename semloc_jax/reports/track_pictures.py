@@ -16,6 +16,7 @@ from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.maps import SemanticMap
 from semloc_jax.reports.track_log import PROTECTION, SIGMAS, TrackTable
+from semloc_jax.storage import output_path
 from semloc_jax.viz.integrity import IntegrityErrors, stanford_diagram
 from semloc_jax.viz.overlay import dim
 from semloc_jax.viz.tracking import status_banner, tracking_over_time
@@ -124,9 +125,9 @@ def write_strip(folder: Path, overlay: Overlay, frames: list[Frame], count: int)
     """Write `count` pictures, spread over the drive."""
     if count < 1 or not frames:
         return []
-    (folder / "overlays").mkdir(exist_ok=True)
     chosen = np.unique(np.linspace(0, len(frames) - 1, count).astype(int))
-    return [viz.save(overlay.picture(frames[k]), folder / "overlays" / f"{frames[k].id}.png") for k in chosen]
+    shown = [frames[k] for k in chosen]
+    return [viz.save(overlay.picture(f), output_path(folder, "overlays", f.id, suffix=".png")) for f in shown]
 
 
 def write_rrd(path: Path, semantic_map: SemanticMap, drive: Drive, overlay: Overlay, frames: list[Frame]) -> Path:

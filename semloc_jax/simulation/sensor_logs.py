@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.maps import GeoOrigin
 from semloc_jax.simulation.motion import VehicleMotion
+from semloc_jax.storage import write_text
 
 _GRAVITY_MPS2 = 9.80665
 _EARTH_RADIUS_M = 6_378_137.0
@@ -104,7 +105,7 @@ def _write_gnss(
                 f"{t:.3f},{lat:.9f},{lon:.9f},{origin.alt_m + up:.3f},{east:.3f},{north:.3f},{up:.3f},"
                 f"{stated:.2f},{stated:.2f},{1.5 * stated:.2f}"
             )
-    path.write_text("\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _to_degrees(east_m: float, north_m: float, origin: GeoOrigin) -> tuple[float, float]:
@@ -130,7 +131,7 @@ def _write_wheel(
         f"{t:.5f},{v:.5f},{w:.5f},{v - 0.8 * w:.5f},{v + 0.8 * w:.5f}"
         for t, v, w in zip(time_s, speed, yaw_rate, strict=True)
     ]
-    path.write_text("\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _write_imu(
@@ -152,7 +153,7 @@ def _write_imu(
         f"{t:.5f}," + ",".join(f"{value:.5f}" for value in (*w, *a))
         for t, w, a in zip(time_s, gyro, accel, strict=True)
     ]
-    path.write_text("\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _steps(motion: VehicleMotion, time_s: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ In: kind, seed, folder. Out: Drive of the drive just written.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from semloc_jax.simulation.scene import Scene
 from semloc_jax.simulation.sensor_logs import SensorErrors, write_sensor_logs
 from semloc_jax.simulation.shade import LIGHTINGS, Lighting, shade
 from semloc_jax.simulation.solids import Box
+from semloc_jax.storage import claim, write_text, writing
 
 _ORIGIN = GeoOrigin(48.0712, 11.6523, 512.0)
 LEAD_IN_S, _LEAD_OUT_S = 3.0, 1.0
@@ -127,6 +129,9 @@ def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig,
     """Render a staged drive into the folder `out` and open it."""
     scene, motion = staging.scene, staging.motion
     out.mkdir(parents=True, exist_ok=True)
+    claim(out)
+    # The list of frames makes a drive of a folder: it goes first and comes back when everything is there.
+    (out / "frames.csv").unlink(missing_ok=True)
     write_calibration(rig, out / "calib.yaml")
     _write_maps(out, staging, config.map_errors, rng)
     # Times count from the first frame; files count from the start of the logs.
@@ -135,11 +140,11 @@ def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig,
     sensors = write_sensor_logs(out, motion, -LEAD_IN_S, end_s, config.sensors, staging.origin or _ORIGIN, rng)
     _write_truth(out, motion, time_s, rig)
     lightings = [LIGHTINGS[config.variants[k * len(config.variants) // len(time_s)]] for k in range(len(time_s))]
-    _write_frame_list(out, time_s, lightings)
     _write_pictures(out, scene, motion, rig, time_s, lightings, config, rng)
     meta = {"classes": CLASS_IDS, "kind": staging.kind, "seed": staging.seed, "variants": list(config.variants)}
     meta |= {"sensors": sensors, **staging.told}
-    (out / "meta.json").write_text(json.dumps(meta, indent=1) + "\n")
+    write_text(out / "meta.json", json.dumps(meta, indent=1) + "\n")
+    _write_frame_list(out, time_s, lightings)
     return read_drive(out)
 
 
@@ -169,7 +174,7 @@ def _write_maps(out: Path, staging: Staging, errors: MapErrors, rng: np.random.G
     write_drive_geojson(SemanticMap(elements, origin, f"{name}, exact"), out / "map.geojson")
     faulty, log = with_errors(elements, errors, rng)
     write_drive_geojson(SemanticMap(faulty, origin, f"{name}, with errors"), out / "map_with_errors.geojson")
-    (out / "map_errors_log.json").write_text(json.dumps(log, indent=1) + "\n")
+    write_text(out / "map_errors_log.json", json.dumps(log, indent=1) + "\n")
 
 
 def _write_truth(out: Path, motion: VehicleMotion, time_s: np.ndarray, rig: Rig) -> None:
@@ -181,7 +186,7 @@ def _write_truth(out: Path, motion: VehicleMotion, time_s: np.ndarray, rig: Rig)
 
 def _write_frame_list(out: Path, time_s: np.ndarray, lightings: list[Lighting]) -> None:
     rows = [f"{k:06d},{t:.6f},{light.name}" for k, (t, light) in enumerate(zip(time_s, lightings, strict=True))]
-    (out / "frames.csv").write_text("\n".join(["frame,t,variant", *rows]) + "\n")
+    write_text(out / "frames.csv", "\n".join(["frame,t,variant", *rows]) + "\n")
 
 
 def _write_pictures(
@@ -204,12 +209,18 @@ def _write_pictures(
         for name, pixel_rays, T_base_cam in zip(rig.names, rays, np.asarray(rig.T_base_cam), strict=True):
             T_map_cam = T_map_base @ T_base_cam
             view = render(scene, pixel_rays, T_map_cam, ego, time, config.has_images)
-            cv2.imwrite(str(out / "sem" / name / f"{index:06d}.png"), view.class_id)
+            _write_picture(out / "sem" / name / f"{index:06d}.png", view.class_id)
             net = degrade(view.class_id, rng, config.degradation)
-            cv2.imwrite(str(out / "sem_net" / name / f"{index:06d}.png"), net)
+            _write_picture(out / "sem_net" / name / f"{index:06d}.png", net)
             if config.has_images:
                 image = shade(view, T_map_cam[:3, 3], lighting, rng)
-                cv2.imwrite(str(out / "rgb" / name / f"{index:06d}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 90])
+                _write_picture(out / "rgb" / name / f"{index:06d}.jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])
+
+
+def _write_picture(path: Path, picture: np.ndarray, parameters: Sequence[int] = ()) -> None:
+    with writing(path) as partial:
+        if not cv2.imwrite(str(partial), picture, list(parameters)):
+            raise SemlocError(f"picture {path}: cannot be written; is the disk full?")
 
 
 def _carried(box: Box, T_map_base: np.ndarray) -> Box:

@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage import writing
 from semloc_jax.structs import ElementClass
 
 COLOURS: dict[ElementClass, str] = {
@@ -90,6 +91,13 @@ def save(picture: Figure | np.ndarray, path: str | Path) -> Path:
         SemlocError: the file cannot be written.
     """
     path = Path(path)
-    if not path.parent.is_dir() or not cv2.imwrite(str(path), to_image(picture)[..., ::-1]):
-        raise SemlocError(f"picture {path}: cannot be written; give a path ending in .png in a folder that exists")
+    try:
+        with writing(path) as partial:
+            is_written = cv2.imwrite(str(partial), to_image(picture)[..., ::-1])
+            if not is_written:
+                raise OSError
+    except (OSError, cv2.error) as error:
+        raise SemlocError(
+            f"picture {path}: cannot be written; give a path ending in .png in a folder that exists"
+        ) from error
     return path

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, main
+from semloc_jax.cli.main import FAILED, INTERRUPTED, LOST, OK, USAGE, main
 from semloc_jax.evaluation import Trajectory, pose_errors, read_trajectory, write_tum
 
 SMALL = ["--hypotheses", "256", "--overlays", "1"]
@@ -60,6 +60,50 @@ def test_every_frame_and_mode_has_its_row(localized):
         assert [int(row["rank"]) for row in own] == list(range(len(own)))
         assert sum(float(row["weight"]) for row in own) == pytest.approx(1.0, abs=1e-4)
         assert (own[0]["x_m"], own[0]["qz"]) == (frame["x_m"], frame["qz"])
+
+
+RESUMED = ["--masks", "sem", "--prior", "gnss", "--frames", "::2", "--cameras", "front", *SMALL]
+
+
+def test_a_killed_run_goes_on_where_it_stopped(localized, simulated_road, tmp_path):
+    out = shutil.copytree(localized, tmp_path / "killed")
+    lines = (localized / "results.jsonl").read_text().splitlines(keepends=True)
+    (out / "results.jsonl").write_text(lines[0] + lines[1][:100])  # the line that was being written
+    (out / "frames.csv").unlink()
+    assert main(["localize", str(simulated_road), *RESUMED, "--resume", str(out)]) == OK
+    for name in ("frames.csv", "hypotheses.csv"):
+        whole, resumed = _rows(localized / name), _rows(out / name)
+        assert [{**row, "time_ms": ""} for row in whole] == [{**row, "time_ms": ""} for row in resumed]
+    assert (out / "trajectory.tum").read_bytes() == (localized / "trajectory.tum").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--masks", "sem_net"], "began with other masks"),
+        (["--seed", "3"], "began with other settings, options"),
+        (["--verdict.max-cost", "0.5"], "began with other settings"),
+        (["--map", "errors"], "began with other map"),
+        (["--frames", "1:"], "frame 000000, which is not chosen; give the --frames of the run"),
+    ],
+)
+def test_a_run_is_resumed_with_the_same_only(localized, simulated_road, tmp_path, capsys, words, text):
+    out = shutil.copytree(localized, tmp_path / "killed")
+    assert main(["localize", str(simulated_road), *RESUMED, *words, "--resume", str(out)]) == FAILED
+    assert text in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_an_interrupt_leaves_what_was_found(simulated_road, tmp_path, monkeypatch):
+    from semloc_jax.localization import frame_by_frame
+
+    def interrupted(*args):
+        yield next(iterate(*args))
+        raise KeyboardInterrupt
+
+    iterate = frame_by_frame.iterate_frames
+    monkeypatch.setattr(frame_by_frame, "iterate_frames", interrupted)
+    assert main(["localize", str(simulated_road), *RESUMED, "--out", str(tmp_path)]) == INTERRUPTED
+    assert [row["frame"] for row in _rows(tmp_path / "frames.csv")] == ["000000"]
 
 
 def test_metrics_and_pictures_are_written(localized):

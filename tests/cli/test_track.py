@@ -72,6 +72,27 @@ def test_a_killed_run_goes_on_where_it_stopped(tracked, drive_dir, tmp_path):
         assert {k: v for k, v in one.items() if k not in times} == {k: v for k, v in two.items() if k not in times}
 
 
+@pytest.mark.parametrize(
+    ("change", "words", "text"),
+    [
+        (lambda out: None, ["--masks", "sem_net"], "began with other masks"),
+        (lambda out: None, ["--fusion", "single"], "began with other options"),
+        (lambda out: _shorten(out / "frames.csv", 4), [], "line 4 of frames.csv is not that of frame 000003"),
+        (lambda out: (out / "inputs.json").unlink(), [], "has no inputs.json"),
+        (lambda out: None, ["--frames", ":5"], "9 frames are done and the drive has 5"),
+    ],
+)
+def test_a_run_is_resumed_with_the_same_only(tracked, drive_dir, tmp_path, capsys, change, words, text):
+    out = shutil.copytree(tracked, tmp_path / "killed")
+    change(out)
+    assert main(["track", str(drive_dir), *SMALL, *words, "--resume", str(out)]) == FAILED
+    assert text in capsys.readouterr().err.splitlines()[-1]
+
+
+def _shorten(path, num_lines):
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:num_lines]))
+
+
 def test_a_drive_that_never_tracks_ends_with_3(drive_dir, tmp_path):
     assert main(["track", str(drive_dir), *SMALL, "--frames", ":1", "--out", str(tmp_path)]) == LOST
 
@@ -80,7 +101,7 @@ def test_a_drive_that_never_tracks_ends_with_3(drive_dir, tmp_path):
     ("words", "code", "text"),
     [
         (["--area", "1,2"], USAGE, "expected X,Y,RADIUS"),
-        (["--resume", "nowhere"], FAILED, "no such file; give --resume"),
+        (["--resume", "nowhere"], FAILED, "no such folder; give that of an unfinished run"),
         (["--fault", "gremlins"], FAILED, "not known; expected one of"),
         (["--fusion", "magic"], USAGE, "magic"),
     ],

@@ -20,6 +20,7 @@ from semloc_jax.cameras.io.fields import camera_of, numbers, perspective, requir
 from semloc_jax.cameras.models import MODELS, model_of
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage import write_text
 
 _log = logging.getLogger(__name__)
 _KEY = re.compile(r"cam(\d+)")
@@ -56,7 +57,7 @@ def write_calibration(rig: Rig, path: str | Path) -> None:
     """
     content = {f"cam{i}": _entry(rig, i) for i in range(len(rig))}
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
-    Path(path).write_text(_HEADER + text, encoding="utf-8")
+    write_text(path, _HEADER + text)
 
 
 def _camera(entry: Mapping[str, Any], where: str) -> Camera:

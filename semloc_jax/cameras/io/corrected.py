@@ -19,6 +19,7 @@ from semloc_jax.cameras.io.woodscape import is_woodscape, rig_from_woodscape
 from semloc_jax.cameras.models import model_of
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage import write_text
 
 _POSE_KEYS = ("T_body_cam", "T_base_cam", "T_imu_cam", "T_cam_imu", "T_cn_cnm1")
 
@@ -70,7 +71,7 @@ def _camchain(content: dict[str, Any], rig: Rig, source: Path, path: Path) -> Pa
     lines = source.read_text(encoding="utf-8").splitlines()
     comments = [line for line in lines[: _first_content(lines)] if line.startswith("#")]
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
-    path.write_text("\n".join([*comments, text]), encoding="utf-8")
+    write_text(path, "\n".join([*comments, text]))
     return path
 
 
@@ -114,5 +115,5 @@ def _woodscape(content: dict[str, Any], rig: Rig, source: Path, path: Path) -> P
         width, height = camera.resolution
         lens["cx_offset"] = float(camera.cx) - 0.5 * width + 0.5
         lens["cy_offset"] = float(camera.cy) - 0.5 * height + 0.5
-    path.write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(content, indent=4) + "\n")
     return path
