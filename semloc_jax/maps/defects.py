@@ -54,8 +54,9 @@ def find_defects(semantic_map: SemanticMap) -> Iterator[Defect]:
         if element.id in seen:
             yield Defect("repeated id", element.id, element.label.name)
         seen.add(element.id)
-        if element.length_m < _ZERO_LENGTH_M:
-            yield Defect("zero length", element.id, f"{len(element.points)} points, {element.length_m * 1000:.3f} mm")
+        length_m = element.length_m
+        if length_m < _ZERO_LENGTH_M:
+            yield Defect("zero length", element.id, f"{len(element.points)} points, {length_m * 1000:.3f} mm")
         elif _crosses_itself(element):
             yield Defect("crosses itself", element.id, f"{element.label.name}, {len(element.points)} points")
         step_m = float(np.linalg.norm(np.diff(element.points, axis=0), axis=1).max(initial=0.0))

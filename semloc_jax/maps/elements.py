@@ -106,7 +106,8 @@ class MapElement:
     def length_m(self) -> float:
         """Length of the line, or circumference of the outline [m]."""
         ring = np.vstack([self.points, self.points[:1]]) if self.closed else self.points
-        return float(np.linalg.norm(np.diff(ring, axis=0), axis=1).sum())
+        step = ring[1:] - ring[:-1]
+        return float(np.sqrt(np.einsum("ij,ij->i", step, step)).sum())
 
     def with_points(self, points: np.ndarray, true_ends: tuple[bool, bool] | None = None) -> "MapElement":
         """Returns the same element with other `points` `[k 3]`."""
