@@ -5,9 +5,6 @@ from collections import defaultdict
 
 from tests.test_architecture import _files, _module_name
 
-TWO_MEANINGS = {"Motion", "NormalEquations"}
-"""Still to be told apart, with the solvers that hold them."""
-
 
 def test_no_two_classes_have_one_name():
     homes = defaultdict(list)
@@ -16,5 +13,5 @@ def test_no_two_classes_have_one_name():
             is_command = _module_name(path).startswith("semloc_jax.cli.")  # the Options of each verb
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and not is_command:
                 homes[node.name].append(_module_name(path))
-    twice = {name: where for name, where in homes.items() if len(where) > 1 and name not in TWO_MEANINGS}
+    twice = {name: where for name, where in homes.items() if len(where) > 1}
     assert not twice, f"one name for different things: {twice}; name each for what it is"

@@ -14,7 +14,7 @@ from semloc_jax.cameras import Camera
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual, visibility
 from semloc_jax.residuals.camera_equations import camera_equations, with_fields
-from semloc_jax.residuals.motion import fix_linearised, odometry_linearised, pose_linearised, robust_cost
+from semloc_jax.residuals.motion import cauchy_cost, fix_linearised, odometry_linearised, pose_linearised
 from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.road_contact import road_linearised
 from semloc_jax.residuals.robust import KERNELS, robust_root
@@ -61,7 +61,7 @@ class PictureRows(eqx.Module):
     """Fields of the model that are unknown."""
 
 
-class Motion(eqx.Module):
+class DriveMotion(eqx.Module):
     """From frame i to frame i + 1; the last row has no information."""
 
     T_from_to: Float[Array, "n 4 4"]
@@ -91,7 +91,7 @@ class CalibrationProblem(eqx.Module):
     texture: RampTexture
     gain: Float[Array, ""]
     """Nats for each unit of weight x rho."""
-    motion: Motion
+    motion: DriveMotion
     anchors: Anchors
     T_prior: Float[Array, "c 4 4"]
     """Mounts of the calibration to start from."""
@@ -158,7 +158,7 @@ class CalibrationProblem(eqx.Module):
             r, weight = alignment_residual(jnp.eye(4, dtype=rows.p_map.dtype), (rows,), self.texture)
             parts.append(jnp.sqrt(self.gain * weight) * robust_root(r, _KERNEL))
         for r, threshold in self._factors(state):
-            cost = jax.vmap(lambda row, t=threshold: robust_cost(row, t)[0])(r) if threshold else 0.5 * r.ravel() ** 2
+            cost = jax.vmap(lambda row, t=threshold: cauchy_cost(row, t)[0])(r) if threshold else 0.5 * r.ravel() ** 2
             parts.append(jnp.sqrt(2 * cost))
         return jnp.concatenate([*parts, self._prior_terms(state)[0]])
 
@@ -213,7 +213,7 @@ class CalibrationProblem(eqx.Module):
 
     def _motion(self, state: CalibrationState) -> ArrowEquations:
         r, J_from, J_to, J_vehicle = self._motion_terms(state)
-        cost, root = jax.vmap(robust_cost, in_axes=(0, None))(r, self.edge_threshold)
+        cost, root = jax.vmap(cauchy_cost, in_axes=(0, None))(r, self.edge_threshold)
         r, (J_from, J_to, J_vehicle) = r * root[:, None], (J * root[:, None, None] for J in (J_from, J_to, J_vehicle))
         J_shared = self._placed(J_vehicle, 0)
         start, end = _products(J_from, J_shared, r), _products(J_to, J_shared, r)
@@ -249,7 +249,7 @@ class CalibrationProblem(eqx.Module):
         for (r, J, J_vehicle), threshold, place in zip(self._anchor_terms(state), thresholds, places, strict=True):
             cost, root = 0.5 * jnp.sum(r * r, axis=1), jnp.ones(len(r), r.dtype)
             if threshold:
-                cost, root = jax.vmap(robust_cost, in_axes=(0, None))(r, threshold)
+                cost, root = jax.vmap(cauchy_cost, in_axes=(0, None))(r, threshold)
             if J_vehicle is None:
                 J_vehicle = jnp.zeros((*r.shape, 1), r.dtype)
             J, J_shared = J * root[:, None, None], self._placed(J_vehicle * root[:, None, None], place)

@@ -14,7 +14,7 @@ import numpy as np
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.calibration.config import Intrinsics, SelfCalibrationConfig
-from semloc_jax.calibration.drive_problem import Anchors, Motion, PictureRows
+from semloc_jax.calibration.drive_problem import Anchors, DriveMotion, PictureRows
 from semloc_jax.calibration.frames import StartPoses
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.datasets import Frame, GnssTrack
@@ -172,7 +172,7 @@ def level_texture(pictures: Pictures, ramp_px: float, stride: int, finest_stride
     return texture, Usable(jnp.asarray(np.concatenate(usable)), config.usable_stride)
 
 
-def motion_of(start: StartPoses, config: SelfCalibrationConfig) -> Motion:
+def motion_of(start: StartPoses, config: SelfCalibrationConfig) -> DriveMotion:
     """Motion between the frames by wheels; without them, that the rear axle does not slip sideways or lift off."""
     num = len(start.frames)
     T, jacobian, sqrt_info = np.tile(np.eye(4), (num, 1, 1)), np.zeros((num, 6, 2)), np.zeros((num, 6, 6))
@@ -191,7 +191,7 @@ def motion_of(start: StartPoses, config: SelfCalibrationConfig) -> Motion:
         bent_m = way_m * step_s**2 * np.deg2rad(noise.unknown_yaw_acceleration_degps2) / 12.0
         sqrt_info[i, 0, 1] = 1.0 / max(np.hypot(slipped_m, bent_m), 1e-3)
         sqrt_info[i, 1, 2] = 1.0 / max(noise.heave_share * np.sqrt(way_m * noise.slip_length_m), 1e-3)
-    return Motion(jnp.asarray(T), jnp.asarray(jacobian), jnp.asarray(sqrt_info))
+    return DriveMotion(jnp.asarray(T), jnp.asarray(jacobian), jnp.asarray(sqrt_info))
 
 
 def anchors_of(

@@ -130,7 +130,7 @@ def fix_linearised(
     return fix_residual(T_map_base, offset, p_base, fix, sqrt_info), sqrt_info[:, None] * by_pose, jnp.diag(sqrt_info)
 
 
-def robust_cost(r: Float[Array, " k"], threshold: float) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def cauchy_cost(r: Float[Array, " k"], threshold: float) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Cauchy cost of a whitened residual, and the root of its weight in reweighted least squares.
 
     Half the squared norm near zero; beyond `threshold` the cost grows with the logarithm of the norm.
@@ -142,8 +142,8 @@ def robust_cost(r: Float[Array, " k"], threshold: float) -> tuple[Float[Array, "
 
 @cache
 def cauchy(threshold: float) -> Callable[[Array], tuple[Array, Array]]:
-    """`robust_cost` of one threshold; the same function object for the same threshold, so that it may be static."""
-    return partial(robust_cost, threshold=threshold)
+    """`cauchy_cost` of one threshold; the same function object for the same threshold, so that it may be static."""
+    return partial(cauchy_cost, threshold=threshold)
 
 
 def _mul(A: Array, b: Array) -> Array:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from semloc_jax.calibration.drive_problem import Anchors, CalibrationProblem, CalibrationState, Motion, PictureRows
+from semloc_jax.calibration.drive_problem import Anchors, CalibrationProblem, CalibrationState, DriveMotion, PictureRows
 from semloc_jax.geometry import lie
 from tests.contracts import ground_scene
 from tests.contracts.ground_scene import T_TRUE
@@ -93,7 +93,7 @@ def _motion(steps):
         jacobian[i, 0, 0], jacobian[i, 5, 1] = STEP_M, -STEP_S
         said[i] = steps[i] @ np.linalg.inv(lie.exp(jacobian[i] @ np.array([SCALE - 1.0, BIAS])))
         sqrt_info[i] = np.diag(1.0 / np.array([0.03, 0.012, 0.04, 0.004, 0.004, 0.001]))
-    return Motion(jnp.asarray(said), jnp.asarray(jacobian), jnp.asarray(sqrt_info))
+    return DriveMotion(jnp.asarray(said), jnp.asarray(jacobian), jnp.asarray(sqrt_info))
 
 
 def _anchors(Ts):

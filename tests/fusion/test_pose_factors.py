@@ -18,7 +18,7 @@ from semloc_jax.fusion.pose_factors import (
     values_of,
 )
 from semloc_jax.geometry import rigid
-from semloc_jax.residuals.motion import cauchy, robust_cost
+from semloc_jax.residuals.motion import cauchy, cauchy_cost
 from semloc_jax.solvers.dense import DenseEquations, DenseProblem, marginal
 from semloc_jax.solvers.front import Arrow, Dense, solve
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
@@ -170,9 +170,9 @@ def test_a_chain_solved_as_an_arrow_is_the_dense_solution():
 def test_robust_cost_is_quadratic_near_zero_and_logarithmic_far_away():
     for size in (0.01, 2.0, 40.0):
         r = size * jnp.array([0.6, -0.8, 0.0])
-        cost, weight = robust_cost(r, 3.0)
+        cost, weight = cauchy_cost(r, 3.0)
         assert float(cost) == pytest.approx(4.5 * np.log1p((size / 3.0) ** 2), rel=1e-6)
-        gradient = jax.grad(lambda q: robust_cost(q, 3.0)[0])(r)
+        gradient = jax.grad(lambda q: cauchy_cost(q, 3.0)[0])(r)
         assert np.allclose(gradient, weight**2 * r, atol=1e-9)
 
 
