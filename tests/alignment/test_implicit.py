@@ -1,6 +1,6 @@
 """Derivatives of a solution: those of the implicit function are those of solving twice, whatever they are by."""
 
-import time
+import re
 from functools import cache, partial
 
 import equinox as eqx
@@ -194,8 +194,8 @@ def test_what_is_no_number_is_told_and_nothing_becomes_nan():
 
 
 @pytest.mark.slow
-def test_the_polish_stays_where_the_fast_solve_ends_and_a_gradient_costs_no_more_than_three_of_them():
-    """A thousand samples of one camera in float32: half a centimetre, 0.05 deg; the time is that of the processor."""
+def test_the_polish_stays_where_the_fast_solve_ends_and_a_gradient_adds_no_loop_to_it():
+    """A thousand samples of one camera in float32: half a centimetre, 0.05 deg; the derivative is one linear solve."""
     world = scene("radtan", 1000, dtype=np.float32)
     world = eqx.tree_at(lambda w: w.views[0].weight, world, 10 * world.views[0].weight)
     coarse_to_fine = AlignConfig(levels=(0, 1), max_steps=15)
@@ -217,14 +217,9 @@ def test_the_polish_stays_where_the_fast_solve_ends_and_a_gradient_costs_no_more
     assert moved[:3].max() < 0.005
     assert np.degrees(moved[3:].max()) < 0.05
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
-    assert _cpu_s(loss, inexact) < 3 * _cpu_s(pose, inexact)
+    assert _num_loops(loss, inexact) == _num_loops(pose, inexact) > 0
 
 
-def _cpu_s(function, argument):
-    """Median processor time of a call."""
-    times = []
-    for _ in range(15):
-        begun = time.process_time()
-        jax.block_until_ready(function(argument))
-        times.append(time.process_time() - begun)
-    return np.median(times)
+def _num_loops(function, argument):
+    """Loops in the program of a function."""
+    return len(re.findall(r"= (?:while|scan)\[", str(jax.make_jaxpr(function)(argument))))
