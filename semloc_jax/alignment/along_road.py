@@ -28,7 +28,7 @@ class AlongRoadConfig:
     """Where the valley is measured. All values are ours."""
 
     reach_m: float = 2.0
-    """To both sides. A pose whose posterior reaches farther is not sure enough to be used anyway."""
+    """To both sides. A pose whose posterior reaches farther is too uncertain to be used anyway."""
     num_offsets: int = 41
     level: int = 2
     """Coarsest level of the cost maps on which places are compared; in fine masks it is a finer one, see
@@ -67,7 +67,7 @@ def along_road(
 
     Args:
         T_map_base: The best pose of a search, relative to the local origin.
-        evidence: What the cameras saw, with the map as it is seen from there.
+        evidence: What the cameras saw, with the map as seen from there.
         prior: Gaussian prior.
         align: Kernel and noise.
         config: Offsets and level.
@@ -99,6 +99,6 @@ def along_road(
 
 
 def widened(covariance: Float[Array, "6 6"], spread: Float[Array, "6 6"]) -> Float[Array, "6 6"]:
-    """The covariance with as much of the spread added that it is no surer along the road than the posterior is."""
+    """The covariance with as much of the spread added that its longitudinal sigma is at least that of the posterior."""
     known = covariance[0, 0] / jnp.maximum(spread[0, 0], 1e-12)
     return covariance + jnp.maximum(1.0 - known, 0.0) * spread

@@ -76,7 +76,7 @@ class FrameLocalizer:
             rig: Cameras of the masks; None for those of the frame.
 
         Returns:
-            LocalizationResult; bad evidence is told by its status, never by an exception.
+            LocalizationResult; bad evidence gives a status, never an exception.
         """
         started = time.perf_counter()
         T_map_prior = prior.on_road(self.map)

@@ -262,7 +262,7 @@ def _newton(
         old = state.point
         new = _evaluate(lie.compose(old.T, lie.exp(prior.sigma * state.step)), scene, prior)
         # With the weights of the old place: hiding samples is no progress. At the limit of the float type the cost no
-        # longer tells, but the force does; only there: beyond the reach of every sample it is calm, too.
+        # longer changes but the gradient does. Only there, since the gradient also vanishes beyond every ramp.
         before = _evidence(old.weights, old.penalties) + old.prior_cost
         change = _evidence(old.weights, jax.tree.map(jnp.subtract, new.penalties, old.penalties))
         change = change + new.prior_cost - old.prior_cost

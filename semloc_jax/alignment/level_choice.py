@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 MIN_INLIER_RATIO = 0.5
-"""A finer level is left again where less than this share of the visible contour lies within its ramp. Ours."""
+"""A finer level is rejected where less than this share of the visible contour lies within its ramp; our choice."""
 
 
 def holds(inlier_ratio: float | Float[Array, "*n"] | Float[np.ndarray, "*n"], least: float):

@@ -1,4 +1,4 @@
-"""Where along the road, when the masks hardly say (room: alignment; host and JAX).
+"""Where along the road, when the masks hardly constrain it (room: alignment; host and JAX).
 
 In: a predicted pose whose longitudinal position is less sure than a solve can bridge. Out: the pose moved along the
 road. Whether to search is decided by information, not by a rule about the scene: by how far the prediction may be off
@@ -21,9 +21,9 @@ class LongitudinalConfig:
     """When and how the position along the road is searched first. All values are ours."""
 
     basin_m: float = 0.25
-    """A solve finds its way from this far; where three sigmas of the prediction reach farther, it is searched."""
+    """The basin of a solve along the road; where three sigmas of the prediction reach farther, the road is searched."""
     weak_sigma_m: float = 0.15
-    """Where the last masks alone held the position along the road no better than this, it is searched."""
+    """The road is searched where the sigma of the last masks alone was larger than this."""
     reach_sigmas: float = 3.0
     max_reach_m: float = 8.0
     num_offsets: int = 65

@@ -1,4 +1,4 @@
-"""What a localization of one frame hands out (room: alignment; host).
+"""The result of localizing one frame (room: alignment; host).
 
 In: Modes of the solver in local float32 coordinates. Out: LocalizationResult in the map frame, float64.
 """

@@ -1,7 +1,6 @@
-"""Whether two poses are the same: one distance, one unit, and how many units apart is another pose for whom (room:
-alignment; pure JAX, and arrays of the host as they are).
+"""Whether two poses are the same: one distance, and the limit of each use of it (room: alignment; pure JAX).
 
-In: poses T_map_base. Out: their distance, a number without unit.
+In: poses T_map_base. Out: their distance, a number without unit; numpy arrays stay numpy.
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""What a scene is like, said once for every verb (room: alignment; host).
+"""The configuration of a scene, set once for every verb (room: alignment; host).
 
 In: nothing. Out: SceneConfig: map query, cost maps, noise, road, view, search; from it the settings of compiled solves.
 Localization, tracking, explanations, calibration, learning and surveys all take their scene from here: what is set in
@@ -21,7 +21,7 @@ from semloc_jax.residuals.view import ViewConfig
 
 @dataclass(frozen=True)
 class ViewLimits:
-    """What of the map a camera is taken to see. All values are ours."""
+    """Which part of the map a camera is assumed to see. All values are our choice."""
 
     capacity: int = 1024
     """Map samples kept for each camera."""
@@ -40,7 +40,7 @@ class FrameSearch:
     reach: float = 2.5
     """Half width of the search window in sigmas of the prior."""
     min_reach_deg: float = 5.0
-    """The search covers at least this heading to both sides, however sure the prior is."""
+    """The search covers at least this heading to both sides, however small the sigma of the prior."""
     capacity: int = 1024
     """Map samples of each camera while many hypotheses are compared."""
     seed: int = 0
@@ -49,12 +49,12 @@ class FrameSearch:
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """Everything that describes a scene, whatever is done in it. All values are ours."""
+    """Everything that describes a scene, whatever the task. All values are our choice."""
 
     SECTION: ClassVar[str | None] = None
     """Where a configuration file holds all of this: at its top level."""
     search_radius_m: float = 65.0
-    """The map is asked for what lies within this distance: the range of a view and the reach of a search."""
+    """Radius of the map query: the range of a view plus the reach of a search."""
     sample_spacing_m: float = 0.25
     sample_capacity: int = 8192
     """Most map samples of one frame; the spacing grows where the map holds more."""
@@ -70,7 +70,7 @@ class SceneConfig:
         self.view_of(ViewConfig())  # refuses class weights that do not fit the classes
 
     def view_of(self, base: ViewConfig) -> ViewConfig:
-        """A view with what the scene says of it; margins and densities are those of the base."""
+        """A view with the values of the scene; margins and densities are those of the base."""
         limits = self.view
         return dataclasses.replace(
             base,
@@ -81,7 +81,7 @@ class SceneConfig:
         )
 
     def align_of(self, base: AlignConfig) -> AlignConfig:
-        """A refinement with what the scene says of it; levels, steps and limits are those of the base."""
+        """A refinement with the values of the scene; levels, steps and limits are those of the base."""
         return dataclasses.replace(base, kernel=self.kernel, noise=self.noise)
 
     @cached_property

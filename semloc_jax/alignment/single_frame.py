@@ -35,7 +35,7 @@ class SingleFrameConfig:
     reach: float = 2.5
     """Half width of the search window in sigmas of the prior."""
     min_reach_deg: float = 5.0
-    """The search covers at least this heading to both sides, however sure the prior is."""
+    """The search covers at least this heading to both sides, however small the sigma of the prior."""
     seed: int = 0
     """Of the random proposals."""
     search_view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.15))

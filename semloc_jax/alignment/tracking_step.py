@@ -37,7 +37,7 @@ class TrackAlignConfig:
     starts_m: tuple[float, ...] = (0.0, -0.3, 0.3, -0.6, 0.6)
     """Offsets along the road of the starts: dashes and far poles leave local minima some decimetres apart."""
     score_share: float = 0.5
-    """Share of the nats between two local minima that is believed: which of them is right is less sure than that."""
+    """Factor on the cost difference between two local minima [nats]: it overstates which of them is right."""
     rank_level: int = 2
     """Level on which the starts are ranked and the elements are judged."""
 

@@ -1,7 +1,7 @@
 """Whether a pose may be used (room: alignment; host).
 
-In: modes of a frame. Out: SolveStatus and reasons. No single number tells a good pose from a bad one: cost, coverage,
-separation of modes and information speak together.
+In: modes of a frame. Out: SolveStatus and reasons. No single number separates good poses from bad ones: cost, coverage,
+separation of modes and information decide together.
 """
 
 from dataclasses import dataclass

@@ -18,7 +18,7 @@ Intrinsics = Literal["none", "focal", "all"]
 class CalibrationPriors:
     """How far off the calibration to start from may be: one standard deviation of each. All values are ours.
 
-    A sigma of 0 holds a quantity as it is.
+    A sigma of 0 keeps a quantity fixed.
     """
 
     mount_m: float = 0.05
@@ -43,7 +43,7 @@ class CalibrationPriors:
 
 @dataclass(frozen=True)
 class FrameFactors:
-    """What holds a frame beside its masks. All values are ours."""
+    """What constrains a frame besides its masks. All values are ours."""
 
     gnss_inflation: float = 3.0
     """Neighbouring fixes share most of their error: n fixes are worth n over the square of this."""
@@ -78,8 +78,8 @@ class SelfCalibrationConfig:
     tolerance: float = 2e-3
     """A level ends when a step is below this, in sigmas of the priors and in units of 10 cm and 0.6 deg of poses."""
     min_inlier_ratio: float = 0.35
-    """A level with a smaller share of the visible contour within its ramp is left out. Less than a single frame asks:
-    all frames together tell what is common to them from the scatter of each."""
+    """A level with a smaller share of the visible contour within its ramp is left out. Less than a single
+    frame needs: the scatter of single frames averages out."""
     observable_ratio: float = 0.35
     """A direction is observable where the drive leaves less than this share of its prior's sigma."""
     held_ratio: float = 0.8

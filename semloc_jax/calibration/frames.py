@@ -55,8 +55,8 @@ class StartPoses:
 def choose_frames(drive: Drive, num: int, min_spacing_m: float) -> tuple[Frame, ...]:
     """At most `num` frames, evenly spread over the driven way; over the time where nothing says how far it was.
 
-    A vehicle that stands for the whole drive gives frames spread over the time: they say little, but that is for the
-    observability to tell.
+    A vehicle that stands for the whole drive gives frames spread over the time: they carry little
+    information, which the observability shows.
 
     Raises:
         SemlocError: the drive has too few frames.

@@ -108,7 +108,7 @@ def read_ground_pairs(path: str | Path) -> GroundPairs:
 def calibrate_on_ground(rig: Rig, pairs: GroundPairs, config: GroundPointConfig | None = None) -> GroundCalibration:
     """Mounts (and lenses) under which neighbouring cameras see the same ground at the same place.
 
-    Only the cameras against each other are told so; where the vehicle's own frame lies among them the priors say.
+    This constrains the cameras relative to each other; their pose relative to the vehicle comes from the priors.
 
     Args:
         rig: The calibration to start from.

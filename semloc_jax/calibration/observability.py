@@ -157,7 +157,7 @@ def observe(
 
 
 def to_text(observability: Observability) -> str:
-    """The tables of parameters and of what is not observable, for people."""
+    """The tables of parameters and of what is not observable, as text."""
     lines = [f"{'parameter':<22}{'change':>11}{'sigma':>10}{'prior':>10}  verdict"]
     for p in observability.parameters:
         unit = f" {p.unit}" if p.unit else ""

@@ -19,7 +19,7 @@ from semloc_jax.storage import write_text, writing
 
 
 def report_text(result: SelfCalibration) -> str:
-    """The result for people: sigmas, verdicts, vehicle, what was missing."""
+    """The result as text: sigmas, verdicts, vehicle, what was missing."""
     v, seen = result.vehicle, result.observability
     bias = np.rad2deg(v["gyro_bias"])
     lines = [
@@ -38,7 +38,7 @@ def report_text(result: SelfCalibration) -> str:
 
 
 def ground_text(result: GroundCalibration) -> str:
-    """The result of a ground-point calibration for people."""
+    """The result of a ground-point calibration as text."""
     held, held_before = np.mean(result.held_out_m), np.mean(result.held_out_before_m)
     folds = ", ".join(f"{value:.3f}" for value in result.held_out_m)
     return "\n".join(

@@ -20,7 +20,7 @@ _HALF_S = 0.05
 
 @dataclass(frozen=True)
 class ClockConfig:
-    """What is believed of the clocks. All values are ours."""
+    """Prior values of the clocks. All values are our choice."""
 
     sigma_s: float = 0.02
     """Standard deviation of the offset before anything is known: half an exposure interval and a driver's queue."""
@@ -28,11 +28,11 @@ class ClockConfig:
     """How fast it changes [s per root of s]."""
     max_offset_s: float = 0.2
     gate: float = 25.0
-    """A difference beyond this squared normalised length says nothing of the clock."""
+    """A difference beyond this squared normalised length is an outlier."""
 
 
 BELIEFS = ClockConfig()
-"""What is believed where nobody says otherwise; no drive asked for other values."""
+"""The default values; no drive needed others."""
 
 
 class ClockOffset(NamedTuple):

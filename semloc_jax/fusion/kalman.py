@@ -25,7 +25,7 @@ from semloc_jax.geometry import rigid
 
 @dataclass(frozen=True)
 class KalmanConfig:
-    """What the filter believes about sensors and outliers; all values are ours."""
+    """Noise of the sensors and limits of outliers; all values are our choice."""
 
     sensors: SensorBeliefs = field(default_factory=SensorBeliefs)
     gate_probability: float = 0.999
@@ -73,7 +73,7 @@ class KalmanFusion:
         return KalmanState(time_s, T, np.float64(1.0), zero, np.zeros(2), covariance, time_s, T, np.full(6, np.nan))
 
     def predict(self, state: KalmanState, increment: MotionIncrement) -> KalmanState:
-        """State after the motion; where no sensor knows it, the mean motion goes on."""
+        """State after the motion; where no sensor measures it, the mean motion continues."""
         check_same_time("increment", increment.from_s, float(state.time_s))
         step_s = abs(increment.to_s - increment.from_s)
         if increment.quality is MotionQuality.MISSING and np.isfinite(state.mean_twist).all():

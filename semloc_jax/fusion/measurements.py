@@ -136,7 +136,7 @@ class SingleFrameFusion:
         return SingleFrameState(np.float64(measurement.time_s), measurement.T_map_base, measurement.covariance)
 
     def predict(self, state: SingleFrameState, increment: MotionIncrement) -> SingleFrameState:
-        """State carried on by the odometry as it is."""
+        """State propagated by the odometry alone."""
         check_same_time("increment", increment.from_s, float(state.time_s))
         Ad = rigid.adjoint(rigid.inverse(increment.T_from_to))
         covariance = Ad @ state.covariance @ Ad.T + increment.covariance

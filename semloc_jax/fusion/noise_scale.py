@@ -20,7 +20,7 @@ from semloc_jax.geometry import rigid
 DIRECTIONS = [0, 1, 5]
 """Forward, left and heading in a tangent."""
 LAG = 8
-"""Frames between the poses that tell how large the errors are; ours."""
+"""Frames between the poses from which the size of the errors is learned; our choice."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ class NoiseConfig:
     standing_m: float = 0.03
     """Frames nearer to each other than this are as one."""
     scale_sigma: float = 0.004
-    """What an odometer scale that was learned is still off by."""
+    """Error that remains in a learned odometer scale."""
     gyro_bias_sigma_degps: float = 0.02
 
 
 BELIEFS = NoiseConfig()
-"""What is believed where nobody says otherwise; no drive asked for other values."""
+"""The default values; no drive needed others."""
 
 
 class Passed(NamedTuple):

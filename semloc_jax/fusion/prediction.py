@@ -90,7 +90,7 @@ class MotionNoise:
 def coasted(
     increment: MotionIncrement, twist: Float[np.ndarray, "6"], age_s: float, memory_s: float, noise: MotionNoise
 ) -> MotionIncrement:
-    """The increment of a vehicle that goes on as it did: what stands in where nothing measures the motion.
+    """The increment of constant motion, for times when no sensor measures the motion.
 
     Args:
         increment: One of quality MISSING; its times are kept.
@@ -175,7 +175,7 @@ class MotionLog:
         self._imu.forget(before_s)
 
     def _inertial_speed(self, time_s: np.ndarray, gap_s: float) -> np.ndarray | None:
-        """Change of the speed since the wheels fell silent, from the accelerometer [m/s]; None where there is none.
+        """Change of speed since the last wheel sample, from the accelerometer [m/s]; None without one.
 
         What the accelerometer shows beside the change of the wheel speed over the last `_LEVEL_S` before that is slope,
         pitch and bias; it is taken off.
@@ -259,7 +259,7 @@ class MotionLog:
         yaw_age = np.where(has_gyro, imu_age, speed_age)
         turn = np.where(has_gyro[:, None], imu[:, :3], wheels[:, 1:] * [0.0, 0.0, 1.0]) * step_s[:, None]
         turn[:, 2] -= calibration.gyro_bias_radps * step_s
-        # A car sways about the road: a roll or pitch rate, once silent, is no rate to go on with.
+        # A car rolls and pitches about the road: the last roll or pitch rate must not be extrapolated.
         turn[imu_age > 0.0, :2] = 0.0
         acceleration = np.full(len(step_s), noise.unknown_acceleration_mps2)
         is_silent = (speed_age > 0.0) & np.isfinite(speed_age) & (imu_age == 0.0)

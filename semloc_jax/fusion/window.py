@@ -47,7 +47,7 @@ from semloc_jax.solvers.graph import FactorGraph, Values
 from semloc_jax.solvers.problem import Solution
 
 _VAGUE = 100.0
-"""Standard deviation that stands for nothing known [m, rad]; ours."""
+"""Standard deviation of an unknown quantity [m, rad]; our choice."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class SlidingWindow:
 
     def pose(self, state: WindowState) -> FusedPose:
         """Newest pose carried on to the time of the last prediction, its covariance, and the calibration."""
-        # A step asks for the pose of one and the same state several times.
+        # A step needs the pose of the same state several times.
         if self._last is None or self._last[0] is not state:
             T, joint = self._predicted(state)
             scale, bias = state.calibration[:2]

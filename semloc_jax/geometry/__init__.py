@@ -1,4 +1,4 @@
 """Ground floor: rigid motions, geodesy, polylines, planes, similarity fits (room: geometry).
 
-In: arrays. Out: arrays. Knows nothing of cameras, maps or vehicles.
+In: arrays. Out: arrays. It does not depend on cameras, maps or vehicles.
 """

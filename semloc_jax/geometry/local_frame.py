@@ -43,7 +43,7 @@ class LocalFrame:
     def to_map(self, local: Any) -> np.ndarray:
         """Poses T_map_base `[* 4 4]` of T_local_base, or points p_map `[* 3]` (`[* 2]`: x and y) of p_local [m].
 
-        The result is float64. The rotation stays as it is: one that was found in float32 is a rotation to 1e-7 only.
+        The result is float64. The rotation is unchanged: one that was computed in float32 is a rotation to 1e-7 only.
         """
         return self._moved(local, self.origin_map)
 

@@ -1,4 +1,4 @@
-"""Find the vehicle: search around fixes, around dead reckoning, or in a whole area, and hand out every answer (room:
+"""Find the vehicle: search around fixes, around dead reckoning, or in a whole area, and return every answer (room:
 localization; host).
 
 In: one frame and what is known of its place. Out: poses to follow side by side until one of them wins.

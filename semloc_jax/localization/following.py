@@ -1,7 +1,7 @@
 """One track through one frame: carried on by motion and fixes, held against the masks, corrected (room: localization;
 host).
 
-In: Track, FrameFeatures. Out: the next Track and what the frame said about it.
+In: Track, FrameFeatures. Out: the next Track and the result of the frame for it.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,17 +31,17 @@ class FollowConfig:
     """Share of the cost of a frame that is new: successive frames see the same map."""
     penalty_memory: float = 0.9
     refused_nats: float = 5.0
-    """What a frame costs that the track contradicts."""
+    """Cost of a frame that contradicts the track."""
     regained: float = 0.25
-    """Contradictions that a frame in agreement makes up for: who was wrong for long is not believed at once."""
+    """Contradictions that one agreeing frame cancels: after many of them a track needs several frames to recover."""
     stance_gain: float = 0.1
-    """What a frame moves the mean of how the vehicle stands on the road."""
+    """Weight of a new frame in the mean stance of the vehicle on the road."""
     max_height_m: float = 0.15
     max_tilt_deg: float = 2.0
 
 
 class FrameReport(NamedTuple):
-    """What one frame says about one track."""
+    """The result of one frame for one track."""
 
     found: Alignment | None
     is_occluded: bool

@@ -27,7 +27,7 @@ from semloc_jax.maps import RoadSpread, SemanticMap
 from semloc_jax.structs import SolveStatus
 
 _LONGITUDINAL = LongitudinalConfig()
-"""No drive asked for another search along the road: its values have stood since they were measured."""
+"""The search along the road; no drive needed other values."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class AlignmentConfig:
     """How a prediction becomes the prior of a solve, and its answer a measurement. All values are ours."""
 
     prior_inflation: float = 3.0
-    """The prediction holds the solve with this many times its sigma: what it says is used once, by the fusion."""
+    """Factor on the sigma of the prediction in the prior of a solve: the fusion alone uses the prediction fully."""
     min_sigma_along_m: float = 0.25
-    """As far as a solve finds its way. Along the road, where few ends of dashes hold the pose, a surer prediction would
-    hold it instead, frame after frame, and its error would pass for a measurement."""
+    """The basin of a solve. Along the road, where few ends of dashes hold the pose, a tighter prediction would hold it
+    instead, and its error would count as a measurement in every frame."""
     min_sigma_across_m: float = 0.08
     min_sigma_heading_deg: float = 0.3
     max_sigma_m: float = 2.0

@@ -39,9 +39,9 @@ class HealthConfig:
     conflict_m: float = 6.0
     """Fixes that are nearer than this, or within five of their sigmas, do not contradict."""
     max_refused: float = 0.5
-    """Contradictions (frames, less those made up for) up to which the pose is called tracked."""
+    """Contradictions (frames, less those that agreeing frames cancelled) up to which the pose is called tracked."""
     frozen_m: float = 0.3
-    """Masks that stay the same to the last bit over this way are of a camera that has stopped."""
+    """Masks that are identical over this way come from a camera that has stopped."""
     integrity: IntegrityConfig = field(default_factory=IntegrityConfig)
 
 

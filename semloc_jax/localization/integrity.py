@@ -47,12 +47,12 @@ def with_map_accuracy(
 ) -> Float[np.ndarray, "6 6"]:
     """Covariance of a pose on the earth, from that of the pose in a map.
 
-    All that is near may be off by the same: no drive in the map can tell, so it is stated by who made the map.
+    All that is near may be off by the same vector. A drive cannot measure it, so the maker of the map states it.
 
     Args:
         covariance: Of the right tangent of the pose in the map.
         map_sigma_m: Standard deviation of the place of what is near, in every direction [m].
-        reach_m: Over this way the map turns by as much as it is off.
+        reach_m: Distance over which the error of the map changes by its own size; gives the heading error.
     """
     sigma = np.array([map_sigma_m, map_sigma_m, map_sigma_m, 0.0, 0.0, map_sigma_m / reach_m])
     return covariance + np.diag(sigma**2)

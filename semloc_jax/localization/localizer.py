@@ -70,14 +70,14 @@ class TrackConfig:
     map_sigma_m: float = 0.0
     """How accurate the map is, as its maker states: joins the covariance of every pose that goes out."""
     map_reach_m: float = 20.0
-    """Over this way the map turns by as much as it is off."""
+    """Distance over which the position error of the map changes by its own size: the heading error is their ratio."""
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     acquisition: AcquisitionConfig = field(default_factory=AcquisitionConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
     trust: TrustConfig = field(default_factory=TrustConfig)
     follow: FollowConfig = field(default_factory=FollowConfig)
     confirm_frames: float = 4.0
-    """Frames that a track must agree with before it is believed."""
+    """Frames that must agree with a track before it is confirmed."""
     win_nats: float = 5.0
     """Tracks that are this much worse than the best one are given up."""
     drop_refused: float = 6.0
@@ -101,7 +101,7 @@ class Localizer:
         Args:
             semantic_map: The map.
             table: What the ids of the masks mean.
-            motion: Wheel and inertial samples; it may grow while the drive goes on.
+            motion: Wheel and inertial samples; it may grow during the drive.
             fusion: How measurements become a pose over time; None for the sliding window.
             config: None for the defaults.
             area: Where the vehicle is, for drives without satellite fixes; searched exhaustively.
@@ -249,7 +249,7 @@ class Localizer:
     def _fused(
         self, state: TrackerState, views: list[FrameReport], way_m: float
     ) -> tuple[TrackerState, FrameReport | None]:
-        """Every track corrected and weighed, best first; and what the frame said about the best one."""
+        """Every track corrected and weighed, best first; and the result of the frame for the best one."""
         if not views:
             return state, None
         pairs = [
@@ -280,7 +280,7 @@ class Localizer:
         return any(units_apart(T, self.fusion.pose(k.fusion).T_map_base) < ONE_TRACK for k in kept)
 
     def _given_up(self, state: TrackerState) -> TrackerState:
-        """The state without tracks where the vehicle is lost: the best confirmed one goes on by dead reckoning."""
+        """The state without tracks where the vehicle is lost: the best confirmed one continues by dead reckoning."""
         if not state.tracks:
             return state
         best = state.tracks[0]

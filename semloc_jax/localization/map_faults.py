@@ -17,7 +17,7 @@ from semloc_jax.maps import SemanticMap
 
 @dataclass(frozen=True)
 class TrustConfig:
-    """When an element is no longer believed. All values are ours."""
+    """When an element of the map is no longer trusted. All values are our choice."""
 
     memory: float = 0.97
     """What a frame leaves of the frames before it."""
@@ -105,7 +105,7 @@ def weights(
     Args:
         trust: What the drive says so far.
         config: What counts against an element.
-        rows: Elements of the map that are asked for, in any order; None: all of them.
+        rows: Rows of the wanted elements, in any order; None: all of them.
     """
     rows = np.arange(int(trust.num_in_map)) if rows is None else rows
     found = np.ones(len(rows))

@@ -124,7 +124,7 @@ class Pipeline:
         Args:
             frames: In time order; one that is not costs itself only, see `Localizer.step`.
             start: Where an earlier run stood; None begins with the first frame.
-            on_frame: Called after each frame with where the run stands and what it said.
+            on_frame: Called after each frame with the checkpoint and the result.
         """
         return_large_blocks()
         rehearse(self.localizer.fusion)

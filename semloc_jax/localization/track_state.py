@@ -43,9 +43,9 @@ class Track(NamedTuple):
     num_accepted: Float[np.ndarray, ""]
     """Frames that the track agreed with since it began."""
     num_refused: Float[np.ndarray, ""]
-    """Frames that contradicted it, less what frames in agreement made up for."""
+    """Frames that contradicted it, less those that agreeing frames cancelled."""
     along_sigma_m: Float[np.ndarray, ""]
-    """What the masks of the last frame alone said along the road: one standard deviation [m]."""
+    """Longitudinal standard deviation by the masks of the last frame alone [m]."""
 
 
 class Fixes(NamedTuple):
@@ -92,7 +92,7 @@ class TrackerState(NamedTuple):
     tracks: tuple[Track, ...]
     """Best first; several only while it is not clear which one is right."""
     coasting: tuple[Any, ...]
-    """State of the Fusion that goes on by dead reckoning while lost, if any."""
+    """State of the Fusion that continues by dead reckoning while lost, if any."""
     searched_s: Float[np.ndarray, ""]
     """When the vehicle was last searched for."""
     fixes: Fixes

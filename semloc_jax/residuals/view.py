@@ -140,7 +140,7 @@ def _camera_view(
     weight = shown_px ** (1 - config.metric_exponent) * (shown_m * PX_PER_M) ** config.metric_exponent
     if config.most_alone > 1:
         weight = weight * _alone(samples, length_px, config, grain)[index]
-    # An observation of variance s^2 whose map is off by t^2 on its own counts s^2 / (s^2 + t^2).
+    # An observation of variance s^2 with an independent map error of variance t^2 has the weight s^2 / (s^2 + t^2).
     weight = weight / (1 + (seen.height_px[index] / (config.noise.noise_px * grain)) ** 2)
     weight = jnp.where(filled, weight, 0.0).astype(p_map.dtype)
     element = jnp.where(filled, samples.element[index], -1)
