@@ -17,6 +17,8 @@ Names are loaded on first use, so `import semloc_jax` costs nothing; drawing liv
 import importlib
 from typing import Any
 
+from semloc_jax import host as _host
+
 __version__ = "0.1.0"
 
 _HOME = {
@@ -32,7 +34,7 @@ _HOME = {
     "CylindricalCamera": "cameras",
     "BevCamera": "cameras",
     "Rig": "cameras",
-    "read_calibration": "cameras",
+    "read_calibration": "cameras.io",
     "MapElement": "maps",
     "SemanticMap": "maps",
     "read_map": "maps",
@@ -106,6 +108,13 @@ __all__ = [
     "smooth_scene",
     "write_tum",
 ]
+
+
+# Pure JAX rooms know no host: here they are told how kernels are built and where compiled programs are kept.
+_host.offer(
+    native=lambda: importlib.import_module("semloc_jax.native.build").status(),
+    programs=lambda: importlib.import_module("semloc_jax.runtime.programs"),
+)
 
 
 def __getattr__(name: str) -> Any:

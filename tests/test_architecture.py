@@ -15,6 +15,7 @@ PACKAGE = ROOT / "semloc_jax"
 
 RANK = {
     "errors": 0,
+    "host": 0,
     "structs": 0,
     "geometry": 0,
     "storage": 0,
@@ -42,18 +43,24 @@ RANK = {
     "cli": 10,
 }
 # Ground that every room may stand on.
-GROUND = {"errors", "geometry", "storage", "structs"}
+GROUND = {"errors", "host", "geometry", "storage", "structs"}
 # Rooms that may use less than their rank allows.
 ONLY = {"evaluation": GROUND}
 NEVER = {"datasets": {"perception", "solvers", "localization"}, "residuals": {"maps", "perception"}}
 
 PURE_JAX = {"residuals", "solvers", "geometry", "structs"}
-HOST_CAMERAS = {"io", "calibrate"}
+HOST_CAMERAS = {"io"}
 HOST_LIBRARIES = {"cv2", "skimage", "scipy", "matplotlib", "time", "os", "io", "pathlib", "shutil", "tempfile"}
+HOST_LIBRARIES |= {"pickle", "subprocess", "ctypes", "yaml", "socket", "urllib"}
 HOST_EXCEPTIONS = {
     # Sparse factorisation has no counterpart in JAX.
     ("semloc_jax.solvers.sparse", "scipy"),
 }
+PURE_LABEL = re.compile(r"\(room:[^)]*pure\s+JAX")
+LABELLED = {"alignment"}
+"""Rooms whose modules are pure where the first lines of their docstring say so."""
+DOOR = "semloc_jax"
+"""The front page tells pure rooms, which know no host, where kernels and stored programs come from (`host.offer`)."""
 HOMES = {
     "optimistix": {"solvers", "bench"},
     "lineax": {"solvers"},
@@ -214,6 +221,98 @@ def test_pure_jax_modules_open_no_files():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "open":
                 faults.append(f"{_module_name(path)}:{node.lineno} opens a file")
     assert not faults, "\n".join(faults)
+
+
+def _reached(items: list[Import], modules: set[str]) -> tuple[dict[str, set[str]], dict[str, set[str]]]:
+    """Modules and outside libraries that each module imports itself; it runs the pages of its packages as well."""
+    ours: dict[str, set[str]] = {module: set() for module in modules}
+    libraries: dict[str, set[str]] = {module: set() for module in modules}
+    for item in items:
+        if item.for_types_only or item.module not in modules:
+            continue
+        library = item.target.split(".")[0]
+        if library != "semloc_jax":
+            libraries[item.module] |= {library} - {name for module, name in HOST_EXCEPTIONS if module == item.module}
+            continue
+        parts = item.target.split(".")
+        ours[item.module] |= {".".join(parts[:k]) for k in range(2, len(parts) + 1)} & modules
+    for module in modules:
+        parts = module.split(".")
+        ours[module] |= {".".join(parts[:k]) for k in range(2, len(parts))} & modules
+        ours[module] -= {module, DOOR}
+    return ours, libraries
+
+
+def host_faults(items: list[Import], modules: set[str], pure: set[str]) -> list[str]:
+    """Ways from a pure JAX module to files, processes or pictures, over any number of imports, lazy ones included."""
+    ours, libraries = _reached(items, modules)
+    faults = []
+    for module in sorted(pure):
+        came_from: dict[str, str | None] = {module: None}
+        waiting = [module]
+        while waiting:
+            here = waiting.pop(0)
+            if libraries[here] & HOST_LIBRARIES:
+                trail = [here]
+                while (before := came_from[trail[-1]]) is not None:
+                    trail.append(before)
+                faults.append(
+                    f"{' -> '.join(reversed(trail))} -> {', '.join(sorted(libraries[here] & HOST_LIBRARIES))}"
+                )
+                break
+            for target in sorted(ours[here] - set(came_from)):
+                came_from[target] = here
+                waiting.append(target)
+    return faults
+
+
+def _pure_modules() -> set[str]:
+    found = set()
+    for path in _files():
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        module = _module_name(path)
+        if _is_pure_jax(module) or (_room(module) in LABELLED and PURE_LABEL.search(text)):
+            found.add(module)
+    return found
+
+
+def test_pure_jax_reaches_no_host_through_anything():
+    faults = host_faults(_all_imports(), {_module_name(path) for path in _files()}, _pure_modules())
+    assert not faults, "\n".join(faults)
+
+
+def test_one_frame_is_pure_jax_but_for_its_doors():
+    """The label of a docstring is what the rule goes by: these must carry it."""
+    names = ("pose", "problem", "hypotheses", "implicit", "proposals", "level_choice", "same_pose", "along_road")
+    assert {f"semloc_jax.alignment.{name}" for name in names} <= _pure_modules()
+
+
+def test_a_way_to_the_host_is_found_over_other_modules():
+    modules = {"semloc_jax.residuals.a", "semloc_jax.maps", "semloc_jax.maps.b", "semloc_jax.maps.c"}
+    items = [
+        *imports_of("import semloc_jax.maps.b", "semloc_jax.residuals.a"),
+        *imports_of("def f():\n    import semloc_jax.maps.c", "semloc_jax.maps.b"),
+        *imports_of("import pickle", "semloc_jax.maps.c"),
+    ]
+    (fault,) = host_faults(items, modules, {"semloc_jax.residuals.a"})
+    assert fault == "semloc_jax.residuals.a -> semloc_jax.maps.b -> semloc_jax.maps.c -> pickle"
+    page = imports_of("import tempfile", "semloc_jax.maps", is_package=True)
+    (fault,) = host_faults([items[0], *page], modules, {"semloc_jax.residuals.a"})
+    assert fault == "semloc_jax.residuals.a -> semloc_jax.maps -> tempfile"
+    typed = imports_of("if TYPE_CHECKING:\n    import pickle", "semloc_jax.residuals.a")
+    assert host_faults(typed, modules, {"semloc_jax.residuals.a"}) == []
+
+
+def test_the_rules_name_only_what_exists():
+    rooms = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
+    named = {*RANK, *GROUND, *ONLY, *NEVER, *PURE_JAX, *(name for names in NEVER.values() for name in names)}
+    named |= {home for homes in HOMES.values() for home in homes if "." not in home}
+    assert named <= rooms, f"rules for rooms that are not there: {sorted(named - rooms)}"
+    dotted = {home for homes in HOMES.values() for home in homes if "." in home}
+    dotted |= {f"semloc_jax.cameras.{name}" for name in HOST_CAMERAS}
+    dotted |= {module for module, _ in HOST_EXCEPTIONS}
+    modules = {_module_name(path) for path in _files()}
+    assert dotted <= modules, f"rules for modules that are not there: {sorted(dotted - modules)}"
 
 
 def test_every_room_has_a_rank():

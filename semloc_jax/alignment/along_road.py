@@ -1,4 +1,4 @@
-"""How far along the road the masks leave a frame open (room: alignment; JAX).
+"""How far along the road the masks leave a frame open (room: alignment; pure JAX).
 
 In: the best pose of a search. Out: RoadPosterior: poses at other places along the road, each aligned in all else, and
 the spread of the posterior over them.
@@ -20,7 +20,7 @@ from semloc_jax.alignment.level_choice import telling
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine, scatter_px
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.geometry import lie
-from semloc_jax.runtime.programs import stored_program
+from semloc_jax.runtime.stored_program import stored_program
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from semloc_jax.alignment.same_pose import units_apart
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import decimated, robust_cost
-from semloc_jax.runtime.programs import stored_program
+from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import PoseEstimate
 
 
@@ -109,7 +109,6 @@ def score(
         evidence.usable,
         KERNELS[config.kernel],
         config.border_px,
-        evidence.always,
         config.path,
     )
     share = cost.summed / jnp.maximum(cost.visible, config.min_visible_px)

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align
 from semloc_jax.geometry import lie
@@ -128,7 +128,7 @@ def align_differentiable(
     scene: SmoothScene,
     prior: Prior,
     config: SmoothConfig | None = None,
-    textures: tuple[RampTextures, Bool[Array, "2"]] | None = None,
+    textures: RampTextures | None = None,
 ) -> SmoothEstimate:
     """The pose that aligns the map with the masks, differentiable by everything in `scene` and `prior`.
 
@@ -137,8 +137,8 @@ def align_differentiable(
         scene: Views, distances, usable pixels and model; see `smooth_scene`.
         prior: Gaussian prior. A sigma of 0 locks a direction.
         config: None for the defaults.
-        textures: Textures and run-time truth of the evidence (`evidence.textures, evidence.always`) for the fast solve
-            from T_init; None where T_init is near the optimum already.
+        textures: Textures of the evidence for the fast solve from T_init; None where T_init is near the optimum
+            already.
 
     Returns:
         SmoothEstimate; `status` says NOT_FINITE, NO_EVIDENCE, MAX_STEPS or SINGULAR where it is not CONVERGED.
@@ -147,7 +147,7 @@ def align_differentiable(
     T_start = T_init
     if textures is not None:
         views, usable, start_prior = jax.lax.stop_gradient((scene.views, scene.usable, prior))
-        evidence = Evidence(views, textures[0], usable, textures[1])
+        evidence = Evidence(views, textures, usable)
         T_start = align(jax.lax.stop_gradient(T_init), evidence, start_prior, config.align).T_map_base
     return smooth_optimum(T_start, scene, prior, config)
 

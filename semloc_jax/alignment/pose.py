@@ -37,8 +37,6 @@ class Evidence(eqx.Module):
     views: tuple[CameraViews, ...]
     textures: RampTextures
     usable: Usable
-    always: Bool[Array, "2"]
-    """True; see `semloc_jax.residuals.fusion_barrier`."""
     grain: Float[Array | np.ndarray, ""] = eqx.field(default_factory=usual_grain)
     """Of the masks, see `NoiseModel.grain`."""
 
@@ -110,7 +108,6 @@ def level_problem(
         views,
         texture,
         gain.astype(T_start.dtype),
-        evidence.always,
         config.kernel,
         config.path,
     )

@@ -37,8 +37,6 @@ class AlignmentProblem(eqx.Module):
     texture: RampTexture
     gain: Float[Array, ""]
     """Independent observations for each unit of sample weight x (ramp / boundary noise)^2: turns rho into nats."""
-    always: Bool[Array, "2"]
-    """True; see `semloc_jax.residuals.fusion_barrier`."""
     kernel: str = eqx.field(static=True, default="tukey")
     path: Path = eqx.field(static=True, default="auto")
     """How the evidence is evaluated; see `semloc_jax.residuals.native_kernels`."""
@@ -100,7 +98,6 @@ def quadratic_model(
         problem.views,
         problem.texture,
         KERNELS[problem.kernel],
-        problem.always,
         problem.path,
         skip,
     )

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.along_road import AlongRoadConfig, RoadPosterior, along_road, widened
 from semloc_jax.alignment.hypotheses import Modes, SearchConfig, score, search, weigh
@@ -22,7 +22,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.residuals.alignment import CameraViews, Usable, camera_views
 from semloc_jax.residuals.texture import RampTextures, pack
 from semloc_jax.residuals.view import ViewConfig, view
-from semloc_jax.runtime.programs import stored_program
+from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import CostMaps, MapSamples, PoseEstimate
 
 
@@ -58,18 +58,27 @@ class FrameInput(NamedTuple):
     """Cost-map channel of each ElementClass, -1 for none."""
     textures: RampTextures
     usable: Usable
-    always: Bool[Array, "2"]
-    """True twice; see `semloc_jax.residuals.fusion_barrier`."""
     grain: Float[Array | np.ndarray, ""] = usual_grain()
     """Of the masks, see `NoiseModel.grain`."""
+
+
+class ImageInput(NamedTuple):
+    """What the masks of a frame say, whatever map it is held against."""
+
+    textures: RampTextures
+    usable: Usable
+
+
+def image_input(maps: CostMaps) -> ImageInput:
+    """The masks of one frame, packed for the device."""
+    return ImageInput(_pack(maps), Usable(jnp.asarray(maps.usable), maps.usable_stride))
 
 
 def frame_input(
     samples: MapSamples, maps: CostMaps, rig: Rig, channel_of_label: Int[Array | np.ndarray, " label"]
 ) -> FrameInput:
     """The input of one frame, packed for the device."""
-    usable = Usable(jnp.asarray(maps.usable), maps.usable_stride)
-    return FrameInput(samples, rig, jnp.asarray(channel_of_label), _pack(maps), usable, jnp.ones(2, bool))
+    return FrameInput(samples, rig, jnp.asarray(channel_of_label), *image_input(maps))
 
 
 _pack = stored_program("dtype")(pack)
@@ -78,7 +87,7 @@ _pack = stored_program("dtype")(pack)
 def evidence_from(T_map_base: Float[Array | np.ndarray, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
     """The evidence of a frame with the map as it is seen from a pose."""
     views = _views(T_map_base, frame.samples, frame.rig, frame.channel_of_label, frame.grain, config)
-    return Evidence(views, frame.textures, frame.usable, frame.always, frame.grain)
+    return Evidence(views, frame.textures, frame.usable, frame.grain)
 
 
 @stored_program("config")

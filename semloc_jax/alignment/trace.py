@@ -20,7 +20,7 @@ from semloc_jax.alignment.pose import (
 )
 from semloc_jax.alignment.problem import pose_of
 from semloc_jax.geometry import lie
-from semloc_jax.runtime.programs import stored_program
+from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.solvers.levenberg_marquardt import Iterate, advance, begin
 from semloc_jax.structs import PoseEstimate, SolveStatus
 

@@ -152,7 +152,7 @@ def trusted_evidence(
     samples = eqx.tree_at(lambda s: s.weight, samples, weight)
     views: tuple[CameraViews, ...] = camera_views(frame.rig, samples)
     element = tuple(jnp.where(known, samples.element, -1)[v.index] for v in views)
-    return Evidence(views, frame.textures, frame.usable, frame.always), element
+    return Evidence(views, frame.textures, frame.usable), element
 
 
 def element_evidence(
@@ -161,7 +161,7 @@ def element_evidence(
     """How a pose explains each element, from the level of `config.rank_level`."""
     texture = evidence.textures.level(config.rank_level)
     kernel = KERNELS[config.align.kernel]
-    views = visible_views(T_map_base, evidence, config.align.border_px)
+    views = visible_views(T_map_base, evidence, config.align.border_px, config.align.path)
     r, weight = alignment_residual(T_map_base, views, texture)
     owner = jnp.concatenate([part.reshape(-1) for part in element])
     owner = jnp.where(owner >= 0, owner, ELEMENT_CAPACITY)

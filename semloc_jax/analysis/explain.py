@@ -132,7 +132,7 @@ class SeenFrame:
         seen = _view(samples, near, rig, inputs.channel_of_label, settings.frame.polish_view)
         views = camera_views(rig, jax.tree.map(to_dtype, seen))
         usable = Usable(inputs.usable.mask, inputs.usable.stride)
-        evidence = Evidence(views, inputs.textures, usable, inputs.always)
+        evidence = Evidence(views, inputs.textures, usable)
         spread = localizer.map.road_spread(T_prior)
         solver_prior = jax.tree.map(to_dtype, prior.to_solver(T_prior, local_map.frame, settings.road, spread))
         rows = np.asarray(seen.element)

@@ -19,7 +19,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import robust_cost
-from semloc_jax.runtime.programs import stored_program
+from semloc_jax.runtime.stored_program import stored_program
 
 DIRECTIONS = ("x", "y", "z", "roll", "pitch", "yaw")
 """Names of the six directions in the order of the right tangent."""
@@ -118,7 +118,7 @@ def costs_around(
 
     def one(offset: Array) -> Array:
         pose, kernel = T_map_base @ lie.exp(offset), KERNELS[config.kernel]
-        cost = robust_cost(pose, evidence.views, texture, evidence.usable, kernel, config.border_px, evidence.always)
+        cost = robust_cost(pose, evidence.views, texture, evidence.usable, kernel, config.border_px, config.path)
         enough = cost.visible >= config.min_visible_px
         return jnp.where(enough, cost.summed / jnp.maximum(cost.visible, 1e-6), jnp.nan)
 

@@ -24,7 +24,7 @@ from semloc_jax.residuals.alignment import CameraViews, alignment_residual, came
 from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.view import ViewConfig, view
-from semloc_jax.runtime.programs import stored_program
+from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import PoseEstimate, SolveStatus, ViewSamples
 
 
@@ -224,7 +224,7 @@ def descend(
         ("fine", config.polish_view, config.polish_align),
     ):
         views, _ = seen_from(T, frame, shown, look)
-        evidence = Evidence(views, frame.textures, frame.usable, frame.always)
+        evidence = Evidence(views, frame.textures, frame.usable)
         # One program for both stages, where they differ in levels and steps only.
         settings = replace(align, levels=(), max_steps=most)
         for level in align.levels:

@@ -30,7 +30,7 @@ from semloc_jax.residuals.alignment import camera_views as group_views
 from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.texture import RampTexture, lookup
 from semloc_jax.residuals.view import view
-from semloc_jax.runtime.programs import stored_program
+from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import ViewSamples
 
 

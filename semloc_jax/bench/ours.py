@@ -58,7 +58,7 @@ def evidence_of(problem: Problem) -> tuple[Evidence, Prior]:
     width, height = problem.size
     usable = jnp.ones((1, height // 2, width // 2), bool)
     maps = CostMaps(tuple(jnp.asarray(i[None]) for i in problem.images), problem.ramp_px, problem.stride, usable, 2)
-    evidence = Evidence((views,), pack(maps), Usable(usable, 2), jnp.ones(2, bool))
+    evidence = Evidence((views,), pack(maps), Usable(usable, 2))
     return evidence, Prior(jnp.asarray(problem.T_prior, jnp.float32), jnp.asarray(SIGMA, jnp.float32))
 
 

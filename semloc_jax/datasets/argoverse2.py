@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from semloc_jax.cameras import read_calibration
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.io.argoverse2 import AXLE_HEIGHT_M, is_argoverse2, pose_of_row, read_feather
 from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import maps_beside

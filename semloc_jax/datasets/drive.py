@@ -6,7 +6,8 @@ In: a folder with calib.yaml, frames.csv, rgb/ sem/ sem_net/ CAMERA/ID.*, sensor
 from collections.abc import Iterable
 from pathlib import Path
 
-from semloc_jax.cameras import Rig, read_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.datasets.sensors import read_gnss, read_imu, read_wheel_odometry
 from semloc_jax.datasets.tables import read_rows

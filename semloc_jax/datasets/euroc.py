@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import Rig, read_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.io.fields import load_yaml, numbers, perspective, required, resolution, rigid
 from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import maps_beside

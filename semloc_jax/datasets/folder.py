@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from semloc_jax.cameras import Rig, read_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.datasets.beside import CALIBRATIONS, MAPS, folder_file, logs_beside
 from semloc_jax.datasets.clock import seconds

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from semloc_jax.cameras import Rig, read_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.io.kitti import rig_from_kitti
 from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import maps_beside

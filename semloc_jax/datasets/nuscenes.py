@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from semloc_jax.cameras import read_calibration
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.io.fields import resolution
 from semloc_jax.cameras.io.nuscenes import nuscenes_tables, pose_of, read_rows, rig_of_rows
 from semloc_jax.datasets.base import IMAGE, Drive

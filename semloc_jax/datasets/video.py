@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from semloc_jax.cameras import read_calibration
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import calibration_beside, logs_beside, maps_beside
 from semloc_jax.datasets.clock import seconds

@@ -247,7 +247,7 @@ class ExplorerSession:
         inputs, local = self._near(query)
         T = jnp.asarray(local.from_map(query.placement.pose(self.localizer.map)))
         views, samples = seen_from(T, inputs, self._shown(query), self.config.frame.search_view)
-        return T, Evidence(views, inputs.textures, inputs.usable, inputs.always), samples
+        return T, Evidence(views, inputs.textures, inputs.usable), samples
 
     def _shown(self, query: PoseQuery) -> np.ndarray:
         return np.array([name in query.channels for name in self.channel_names], np.float32)

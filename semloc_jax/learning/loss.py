@@ -1,4 +1,4 @@
-"""How well an estimated pose foretells the true one (room: learning; pure JAX).
+"""How well an estimated pose foretells the true one (room: learning; JAX).
 
 In: Parameters, a TrainingFrame. Out: its negative log-likelihood, differentiable by the parameters.
 """

@@ -90,7 +90,7 @@ class FrameAligner:
 
     def frame_input(self, frame: FrameFeatures, window: MapWindow) -> FrameInput:
         """The frame with the samples of a window."""
-        return FrameInput(window.samples, frame.rig, self.channel_of_label, frame.textures, frame.usable, frame.always)
+        return FrameInput(window.samples, frame.rig, self.channel_of_label, *frame.image)
 
     def align(
         self,

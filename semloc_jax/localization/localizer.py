@@ -18,7 +18,7 @@ from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
 from semloc_jax.alignment.scene import SceneConfig
-from semloc_jax.alignment.single_frame import frame_input
+from semloc_jax.alignment.single_frame import image_input
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.fusion import clock, noise_scale
@@ -152,23 +152,19 @@ class Localizer:
             guess: First guess of the pose, where something else knows it.
         """
         maps = cost_maps(masks, self.table, self.config.scene.cost_maps, quantised=True)
-        anywhere = self.windows.around(self.map.extent.mean(axis=0)).samples
-        packed = frame_input(anywhere, maps, rig, self.channel_of_label)
         usable = float(np.mean(np.asarray(maps.usable)))
         digest = 0
         for mask in masks:
             digest = zlib.crc32(np.ascontiguousarray(mask), digest)
         return FrameFeatures(
-            frame.id,
-            frame.time_s,
-            rig,
-            packed.textures,
-            packed.usable,
-            packed.always,
-            tuple(fixes),
-            usable,
-            digest,
-            guess,
+            frame_id=frame.id,
+            time_s=frame.time_s,
+            rig=rig,
+            image=image_input(maps),
+            fixes=tuple(fixes),
+            usable_share=usable,
+            digest=digest,
+            guess=guess,
         )
 
     def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:

@@ -9,15 +9,14 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Num
+from jaxtyping import Float, Num
 
 from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.single_frame import ImageInput
 from semloc_jax.cameras import Rig
 from semloc_jax.fusion.clock import ClockOffset
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.noise_scale import NoiseScale
-from semloc_jax.residuals.alignment import Usable
-from semloc_jax.residuals.texture import RampTextures
 
 
 class TrackStatus(enum.IntEnum):
@@ -116,9 +115,7 @@ class FrameFeatures(NamedTuple):
     frame_id: str
     time_s: float
     rig: Rig
-    textures: RampTextures
-    usable: Usable
-    always: Bool[Any, "2"]
+    image: ImageInput
     fixes: tuple[GnssMeasurement, ...] = ()
     """Satellite fixes that came in since the frame before."""
     usable_share: float = 1.0

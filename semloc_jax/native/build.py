@@ -15,9 +15,9 @@ import shlex
 import shutil
 import subprocess
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 
+from semloc_jax.host import NativeStatus
 from semloc_jax.storage import private_folder, read_sealed, write_sealed
 from semloc_jax.storage.sealed import home_folder
 
@@ -39,14 +39,6 @@ _ARITHMETIC = "-fno-math-errno -fno-trapping-math -fno-signed-zeros -fassociativ
 _FLAGS = f"-std=c++17 -O3 -march=native -mprefer-vector-width=512 {_ARITHMETIC} -fPIC -shared -w".split()
 _TIMEOUT_S = 120
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class NativeStatus:
-    """Whether the kernels are in use, and why not."""
-
-    available: bool
-    text: str
 
 
 def is_available() -> bool:

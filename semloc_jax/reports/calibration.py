@@ -15,7 +15,7 @@ from semloc_jax import viz
 from semloc_jax.calibration import SelfCalibration, SelfCalibrationConfig, self_calibrate
 from semloc_jax.calibration.ground_points import GroundPointConfig, calibrate_on_ground, read_ground_pairs
 from semloc_jax.calibration.report import ground_text, report_text, write_ground_report, write_report
-from semloc_jax.cameras import read_calibration
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, read_trajectory
 from semloc_jax.inputs.drive_inputs import Inputs

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from semloc_jax import viz
-from semloc_jax.cameras import Rig, read_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.plausibility import Finding, implausible, view_angles_deg
 from semloc_jax.datasets import Drive, Frame, open_drive
 from semloc_jax.datasets.detect import is_recording

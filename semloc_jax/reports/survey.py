@@ -15,7 +15,8 @@ from semloc_jax import viz
 from semloc_jax.analysis.lanes import lane_ways
 from semloc_jax.analysis.selection import small_map
 from semloc_jax.analysis.survey import Survey, SurveyConfig, Way, path_way, survey
-from semloc_jax.cameras import Rig, read_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.evaluation import read_trajectory
 from semloc_jax.geometry.geodesy import wgs84_from_enu
 from semloc_jax.maps import SemanticMap, read_map

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 from numpy.typing import DTypeLike
 
-from semloc_jax import native
 from semloc_jax.cameras import Camera
 from semloc_jax.cameras.models import native_number_of
 from semloc_jax.errors import SemlocError
+from semloc_jax.host import native_status
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.robust import KERNELS, Kernel
 from semloc_jax.residuals.texture import RampTexture
@@ -59,7 +59,7 @@ def _why_not(kernel: Kernel, dtype: DTypeLike) -> str:
         return f"the kernels are for float32, not {jnp.dtype(dtype).name}"
     if jax.default_backend() != "cpu":
         return f"the kernels are for CPUs, not {jax.default_backend()}"
-    status = native.status()
+    status = native_status()
     return "" if status.available else f"native kernels {status.text}"
 
 

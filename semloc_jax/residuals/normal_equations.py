@@ -18,7 +18,7 @@ from semloc_jax.geometry import lie
 from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.alignment import CameraViews, points_in_camera
 from semloc_jax.residuals.chart import Chart
-from semloc_jax.residuals.fusion_barrier import stored
+from semloc_jax.residuals.fusion_barrier import Walls, stored
 from semloc_jax.residuals.robust import Kernel
 from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
 
@@ -37,7 +37,6 @@ def normal_equations(
     views: tuple[CameraViews, ...],
     texture: RampTexture,
     kernel: Kernel,
-    always: Bool[Array, "2"],
     path: native_kernels.Path = "auto",
 ) -> NormalEquations:
     """Gradient and Gauss-Newton Hessian of sum_i w_i rho(r_i) by the right tangent xi of T_map_base exp(xi).
@@ -47,13 +46,12 @@ def normal_equations(
         views: Views of all cameras.
         texture: One level of the cost maps.
         kernel: Robust kernel.
-        always: True twice, as an argument of the compiled function (see `stored`).
         path: How it is computed; all paths give the same numbers.
 
     Raises:
         SemlocError: the path is not possible here.
     """
-    return chart_equations(Chart.at(T_map_base), views, texture, kernel, always, path)
+    return chart_equations(Chart.at(T_map_base), views, texture, kernel, path)
 
 
 def chart_equations(
@@ -61,7 +59,6 @@ def chart_equations(
     views: tuple[CameraViews, ...],
     texture: RampTexture,
     kernel: Kernel,
-    always: Bool[Array, "2"],
     path: native_kernels.Path = "auto",
     skip: Bool[Array, ""] | bool = False,
 ) -> NormalEquations:
@@ -69,14 +66,14 @@ def chart_equations(
 
     Args:
         chart: Where the pose is, and its coordinates.
-        views, texture, kernel, always, path: as `normal_equations`.
+        views, texture, kernel, path: as `normal_equations`.
         skip: True where the result is not needed: the kernels then compute nothing.
     """
     dtype = chart.y.dtype
     total = NormalEquations(jnp.zeros((6, 6), dtype), jnp.zeros(6, dtype), jnp.zeros((), dtype))
     for view in views:
         chosen = native_kernels.use(path, view.camera, kernel, dtype)
-        one = partial(_PATHS[chosen], chart, texture=texture, kernel=kernel, always=always, skip=jnp.asarray(skip))
+        one = partial(_PATHS[chosen], chart, texture=texture, kernel=kernel, skip=jnp.asarray(skip))
         parts = jax.vmap(one)(view)
         total = jax.tree.map(lambda whole, part: whole + jnp.sum(part, axis=0), total, NormalEquations(*parts))
     return total
@@ -97,8 +94,8 @@ def _autodiff(chart: Chart, view: CameraViews, *, texture: RampTexture, **_: obj
     return native_kernels.accumulate(chart, view.T_cam_base, points, jax.lax.complex(ax, ay), az, value)
 
 
-def _xla(chart: Chart, view: CameraViews, *, texture: RampTexture, kernel: Kernel, always: Array, **_: object) -> tuple:
-    matrix, cost = _one_camera(chart.pose(), view, texture, kernel, always)
+def _xla(chart: Chart, view: CameraViews, *, texture: RampTexture, kernel: Kernel, **_: object) -> tuple:
+    matrix, cost = _one_camera(chart.pose(), view, texture, kernel)
     J = chart.jacobian()
     hessian = jnp.einsum("ki,kl,lj->ij", J, matrix[:6, :6], J, precision=jax.lax.Precision.HIGHEST)
     return hessian, jnp.einsum("ki,k->i", J, matrix[:6, 6], precision=jax.lax.Precision.HIGHEST), cost
@@ -107,25 +104,23 @@ def _xla(chart: Chart, view: CameraViews, *, texture: RampTexture, kernel: Kerne
 _PATHS = {"analytic": _analytic, "autodiff": _autodiff, "xla": _xla}
 
 
-def _one_camera(
-    T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel, always: Array
-) -> tuple[Array, Array]:
+def _one_camera(T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel) -> tuple[Array, Array]:
     """Augmented matrix [[H g] [g' .]] in the vehicle's tangent, and cost, of one camera."""
-    # What several consumers need is stored: each would compute it again. XLA merges walls on one predicate that follow
-    # each other directly, so they alternate.
-    x, y, z = stored(always[0], *points_in_camera(view.T_cam_base, T_map_base, view.p_map))
-    (uv,) = stored(always[1], jax.lax.complex(*_pixel(view.camera, x, y, z)))
+    # What several consumers need is stored: each would compute it again.
+    walls = Walls.of(texture)
+    x, y, z = stored(walls.odd, *points_in_camera(view.T_cam_base, T_map_base, view.p_map))
+    (uv,) = stored(walls.even, jax.lax.complex(*_pixel(view.camera, x, y, z)))
     texel = locate(texture, uv.real, uv.imag)
-    (taps,) = stored(always[0], fetch(texture, texture.image_index(view.index, view.channel), texel))
+    (taps,) = stored(walls.odd, fetch(texture, texture.image_index(view.index, view.channel), texel))
     value, du, dv = blend(texture, taps, texel)
     root = jnp.sqrt(view.weight * kernel.weight(value))
-    value, slope_uv = stored(always[1], value, jax.lax.complex(root * du, root * dv))
+    value, slope_uv = stored(walls.even, value, jax.lax.complex(root * du, root * dv))
 
     _, pull = jax.vjp(partial(_pixel, view.camera), x, y, z)
     ax, ay, az = pull((slope_uv.real, slope_uv.imag))
     root = jnp.sqrt(view.weight * kernel.weight(value))
     # Moving the camera by xi moves the point by -v - omega x p, hence the residual by -a.v + (a x p).omega.
-    (linear,) = stored(always[0], _rows(-ax, -ay, -az, root * value))
+    (linear,) = stored(walls.odd, _rows(-ax, -ay, -az, root * value))
     nx, ny, nz, _ = linear
     angular = _rows(nz * y - ny * z, nx * z - nz * x, ny * x - nx * y)
     cross = _products(linear, angular)

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.alignment import CameraViews, Usable, points_in_camera, visibility
-from semloc_jax.residuals.fusion_barrier import stored
+from semloc_jax.residuals.fusion_barrier import Walls, stored
 from semloc_jax.residuals.robust import KERNELS, Kernel
 from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
 
@@ -34,14 +34,13 @@ def robust_cost(
     usable: Usable,
     kernel: Kernel,
     border_px: float,
-    always: Bool[Array, "2"],
     path: native_kernels.Path = "auto",
 ) -> RobustCost:
     """Summed robust cost and visible weight of a pose on one level of the cost maps; `path` as `normal_equations`."""
     summed, visible = jnp.zeros((), T_map_base.dtype), jnp.zeros((), T_map_base.dtype)
     for view in views:
         view = eqx.tree_at(lambda v: v.weight, view, visible_weight(T_map_base, view, usable, border_px, path))
-        summed = summed + jnp.sum(_summed(T_map_base, view, texture, kernel, always, path))
+        summed = summed + jnp.sum(_summed(T_map_base, view, texture, kernel, path))
         ones = jnp.ones_like(view.weight[0])
         visible = visible + jnp.sum(jnp.dot(view.weight, ones, precision=jax.lax.Precision.HIGHEST))
     return RobustCost(summed, visible)
@@ -67,7 +66,7 @@ def visible_weight(
 
 
 def _summed(
-    T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel, always: Array, path: native_kernels.Path
+    T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel, path: native_kernels.Path
 ) -> Float[Array, " cam"]:
     """sum_i w_i rho(r_i) / rho(1) of each camera."""
     native = native_kernels.use(path, view.camera, kernel, T_map_base.dtype) == "analytic"
@@ -77,9 +76,10 @@ def _summed(
             points = view.p_map, view.channel, view.weight
             return native_kernels.robust_cost(T_map_base, view.camera, view.T_cam_base, points, texture, view.index)
         x, y, z = points_in_camera(view.T_cam_base, T_map_base, view.p_map)
-        (uv,) = stored(always[0], jax.lax.complex(*view.camera.project_xyz(x, y, z)[:2]))
+        walls = Walls.of(texture)
+        (uv,) = stored(walls.odd, jax.lax.complex(*view.camera.project_xyz(x, y, z)[:2]))
         texel = locate(texture, uv.real, uv.imag)
-        (taps,) = stored(always[1], fetch(texture, texture.image_index(view.index, view.channel), texel))
+        (taps,) = stored(walls.even, fetch(texture, texture.image_index(view.index, view.channel), texel))
         value, _, _ = blend(texture, taps, texel)
         ones = jnp.ones_like(view.weight)
         return jnp.dot(view.weight * kernel.rho(value), ones, precision=jax.lax.Precision.HIGHEST) / kernel.worst

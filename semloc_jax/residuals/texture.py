@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt8, UInt32
 from numpy.typing import DTypeLike
 
-from semloc_jax import native
+from semloc_jax.host import native_status
 from semloc_jax.structs import CostMaps
 
 _ZERO = 127.0  # the byte that stands for 0; bytes 0 .. 254 span [-1, 1]
@@ -73,7 +73,7 @@ def pack(maps: CostMaps, dtype: DTypeLike = jnp.float32) -> RampTextures:
 
 def _is_native(maps: CostMaps) -> bool:
     is_known = all(ramp.dtype in (jnp.float32, jnp.uint8) for ramp in maps.ramps)
-    return is_known and jax.default_backend() == "cpu" and native.is_available()
+    return is_known and jax.default_backend() == "cpu" and native_status().available
 
 
 def _packed_natively(maps: CostMaps) -> UInt32[Array, " texel"]:

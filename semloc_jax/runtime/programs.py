@@ -1,13 +1,12 @@
 """Compiled programs kept on disk: a new process starts without tracing and compiling (room: runtime; host).
 
-In: a function of arrays and static configuration. Out: the same function, whose program is loaded where one was stored.
+In: a `StoredProgram` and its arguments. Out: its compiled program, loaded where one was stored.
 JAX's own compilation cache saves compiling only; tracing and lowering take most of the start of a warm process.
 A stored program is code: it is loaded only from a private folder and behind this user's seal (`storage.sealed`).
 """
 
 import functools
 import hashlib
-import inspect
 import logging
 import os
 import pickle
@@ -20,6 +19,7 @@ import numpy as np
 
 from semloc_jax.native import build
 from semloc_jax.runtime.prepare import versions
+from semloc_jax.runtime.stored_program import StoredProgram
 from semloc_jax.storage import read_sealed, write_sealed
 
 _PACKAGE = Path(__file__).parents[1]
@@ -29,74 +29,37 @@ _MOST_FILES = 256
 _log = logging.getLogger(__name__)
 
 
-def stored_program(*static_argnames: str) -> Callable[[Callable], "StoredProgram"]:
-    """Decorator: `jax.jit` whose programs outlive the process, where JAX has a compilation cache on disk."""
-    return lambda function: StoredProgram(function, static_argnames)
+def is_open() -> bool:
+    """Whether programs are kept: JAX has a compilation cache on disk and nobody switched them off."""
+    return _folder() is not None
 
 
-class StoredProgram:
-    """A jitted function with programs on disk. Inside another traced function it is an ordinary jitted function."""
+def obtain(program: StoredProgram, static: dict, tree: Any, leaves: list) -> tuple[Callable, Any]:
+    """The program for some arguments, from disk or compiled and written there, and the structure of its result."""
+    name = f"{program.__name__}_{_fingerprint(program, static, tree, leaves)}"
+    path = _folder() / f"{name}.bin"
+    loaded = _load(path, leaves)
+    if loaded is not None:
+        return loaded
 
-    def __init__(self, function: Callable, static_argnames: tuple[str, ...]) -> None:
-        """Static arguments must be hashable and have a repr that tells them apart (frozen dataclasses do)."""
-        functools.update_wrapper(self, function)
-        self.static_argnames = static_argnames
-        self.jitted = jax.jit(function, static_argnames=static_argnames)
-        self._signature = inspect.signature(function)
-        self._programs: dict[tuple, tuple[Callable, Any]] = {}
+    skeletons = []
 
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """The result of the function."""
-        folder = _folder()
-        if folder is None:
-            return self.jitted(*args, **kwargs)
-        bound = self._signature.bind(*args, **kwargs)
-        bound.apply_defaults()
-        static = {name: bound.arguments.pop(name) for name in self.static_argnames}
-        leaves, tree = jax.tree.flatten(dict(bound.arguments))
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-            return self.jitted(*args, **kwargs)
-        leaves = [_array(leaf) for leaf in leaves]
-        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
-        key = (tuple(static.items()), tree, shapes, jax.config.jax_enable_x64)
-        if key not in self._programs:
-            self._programs[key] = self._obtain(folder, static, tree, leaves)
-        program, skeleton = self._programs[key]
-        return jax.tree.unflatten(jax.tree.structure(skeleton), program(*leaves))
+    def flat(*flat_leaves: jax.Array) -> tuple:
+        result = program.__wrapped__(**jax.tree.unflatten(tree, flat_leaves), **static)
+        skeletons.append(jax.tree.map(lambda _: 0, result))
+        return tuple(jax.tree.leaves(result))
 
-    def _obtain(self, folder: Path, static: dict, tree: Any, leaves: list) -> tuple[Callable, Any]:
-        """The program, from disk or compiled and written there, and the structure of its result."""
-        name = f"{self.__name__}_{self._fingerprint(static, tree, leaves)}"
-        path = folder / f"{name}.bin"
-        loaded = _load(path, leaves)
-        if loaded is not None:
-            return loaded
-
-        skeletons = []
-
-        def flat(*flat_leaves: jax.Array) -> tuple:
-            result = self.__wrapped__(**jax.tree.unflatten(tree, flat_leaves), **static)
-            skeletons.append(jax.tree.map(lambda _: 0, result))
-            return tuple(jax.tree.leaves(result))
-
-        flat.__name__ = name
-        compiled = _compile_afresh(flat, leaves)
-        skeleton = skeletons[-1]
-        _store(path, compiled, skeleton)
-        return compiled, skeleton
-
-    def _fingerprint(self, static: dict, tree: Any, leaves: list) -> str:
-        shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
-        parts = (self.__module__, static, str(tree), shapes, jax.config.jax_enable_x64, _environment())
-        return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
+    flat.__name__ = name
+    compiled = _compile_afresh(flat, leaves)
+    skeleton = skeletons[-1]
+    _store(path, compiled, skeleton)
+    return compiled, skeleton
 
 
-def _array(leaf: Any) -> Any:
-    """Arrays and numbers of the host in the type that JAX gives them."""
-    if isinstance(leaf, jax.Array):
-        return leaf
-    leaf = np.asarray(leaf)
-    return leaf.astype(jax.dtypes.canonicalize_dtype(leaf.dtype), copy=False)
+def _fingerprint(program: StoredProgram, static: dict, tree: Any, leaves: list) -> str:
+    shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
+    parts = (program.__module__, static, str(tree), shapes, jax.config.jax_enable_x64, _environment())
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
 
 
 def _folder() -> Path | None:

@@ -11,7 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from semloc_jax.cameras import Rig, write_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import write_calibration
 from semloc_jax.datasets.base import Drive
 from semloc_jax.datasets.drive import CLASS_IDS, read_drive
 from semloc_jax.errors import SemlocError

@@ -201,7 +201,7 @@ def test_the_polish_stays_where_the_fast_solve_ends_and_a_gradient_adds_no_loop_
     coarse_to_fine = AlignConfig(levels=(0, 1), max_steps=15)
     config, off = SmoothConfig(align=coarse_to_fine), (0.2, -0.15, 0.01, 0.003, -0.002, 0.02)
     given = smooth_scene(world.evidence, cost_maps_of("radtan"), coarse_to_fine)
-    prior, start, textures = world.prior(off), world.moved(off), (world.textures, world.always)
+    prior, start, textures = world.prior(off), world.moved(off), world.textures
 
     def forward(views):
         scene = eqx.tree_at(lambda s: s.views, given, views)

@@ -215,7 +215,7 @@ def test_ignored_pixels_are_not_evidence():
     """With half of the image unusable, coverage halves and the pose stays right."""
     world = world_of("radtan")
     mask = world.usable.mask.at[:, :, :60].set(False)
-    evidence = Evidence(world.views, world.textures, Usable(mask, world.usable.stride), world.always)
+    evidence = Evidence(world.views, world.textures, Usable(mask, world.usable.stride))
     estimate = solve(world.moved(0.5 * OFF), evidence, world.prior(), config=LEVELS)
     whole = solve(world.moved(0.5 * OFF), world.evidence, world.prior(), config=LEVELS)
     assert 0.2 < float(estimate.coverage) < 0.8 < float(whole.coverage)

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.calibration.ground_points import GroundPairs, calibrate_on_ground, read_ground_pairs
 from semloc_jax.calibration.observability import Knowledge
-from semloc_jax.cameras import Rig, read_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.cameras import surround_rig
 

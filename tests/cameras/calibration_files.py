@@ -8,7 +8,8 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import Rig, write_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import write_calibration
 
 COLMAP = """# Camera list
 1 SIMPLE_PINHOLE 640 480 500.0 320.0 240.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from semloc_jax.cameras import read_calibration
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.plausibility import implausible
 from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.cameras import front_rig, surround_rig

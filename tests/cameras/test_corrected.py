@@ -8,7 +8,8 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import Rig, read_calibration, write_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import read_calibration, write_calibration
 from semloc_jax.cameras.io.corrected import write_corrected
 from semloc_jax.simulation.cameras import surround_rig
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import KannalaBrandtCamera, PinholeCamera, Rig, read_calibration
+from semloc_jax.cameras import KannalaBrandtCamera, PinholeCamera, Rig
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.plausibility import implausible, view_angles_deg
 from semloc_jax.simulation.cameras import front_rig, mounted, surround_rig
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import KannalaBrandtCamera, PinholeCamera, Rig, read_calibration
+from semloc_jax.cameras import KannalaBrandtCamera, PinholeCamera, Rig
 from semloc_jax.cameras.bev import T_base_bev
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.errors import SemlocError
 
 PINHOLE = PinholeCamera(700, 700, 480, 300, 960, 600)

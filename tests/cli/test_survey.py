@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from semloc_jax.cameras import read_calibration
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cli.main import FAILED, OK, main
 
 

@@ -169,13 +169,12 @@ class Scene(eqx.Module):
     views: tuple[CameraViews, ...]
     textures: RampTextures
     usable: Usable
-    always: jax.Array
     T_true: jax.Array
     sigma: jax.Array
 
     @property
     def evidence(self):
-        return Evidence(self.views, self.textures, self.usable, self.always)
+        return Evidence(self.views, self.textures, self.usable)
 
     def prior(self, xi=(0.0,) * 6, sigma=None):
         """Prior whose centre is off the truth by a right tangent xi."""
@@ -194,7 +193,6 @@ def scene(name, num=400, dtype=np.float64, samples=None):
         camera_views(RIGS[name], samples_of(name, num, dtype=dtype) if samples is None else samples),
         pack(maps, dtype),
         Usable(maps.usable, maps.usable_stride),
-        jnp.ones(2, bool),
         jnp.asarray(T_TRUE, dtype),
         jnp.asarray(SIGMA, dtype),
     )

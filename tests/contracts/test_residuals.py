@@ -65,7 +65,7 @@ def jacobian(world, xi):
 
 
 def fused(world, xi, kernel=TUKEY):
-    return compiled_normal_equations(world.moved(xi), world.views, world.textures.level(1), kernel, world.always)
+    return compiled_normal_equations(world.moved(xi), world.views, world.textures.level(1), kernel)
 
 
 def pixels(world, xi):
@@ -235,7 +235,7 @@ def test_the_score_is_the_kernel_over_what_is_visible(rig_name):
     texture = world.textures.level(1)
 
     def cost_of(views):
-        return compiled_cost(world.moved(OFF), views, texture, world.usable, TUKEY, 2.0, world.always)
+        return compiled_cost(world.moved(OFF), views, texture, world.usable, TUKEY, 2.0)
 
     cost = cost_of(world.views)
     r, weight = at(world, OFF)
@@ -252,8 +252,7 @@ def test_every_other_sample_scores_about_the_same():
     world = world_of("mixed")
     texture = world.textures.level(1)
     whole, half = (
-        compiled_cost(world.moved(OFF), decimated(world.views, k), texture, world.usable, TUKEY, 2.0, world.always)
-        for k in (1, 2)
+        compiled_cost(world.moved(OFF), decimated(world.views, k), texture, world.usable, TUKEY, 2.0) for k in (1, 2)
     )
     assert float(half.visible) == pytest.approx(float(whole.visible), rel=0.05)
     assert float(half.summed) == pytest.approx(float(whole.summed), rel=0.1)

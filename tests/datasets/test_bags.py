@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import KannalaBrandtCamera, write_calibration
+from semloc_jax.cameras import KannalaBrandtCamera
+from semloc_jax.cameras.io import write_calibration
 from semloc_jax.datasets import open_drive, read_bag, write_bag
 from semloc_jax.datasets.bags.frames import FrameTree
 from semloc_jax.datasets.bags.images import picture_of

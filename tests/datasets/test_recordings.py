@@ -8,7 +8,8 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import PinholeCamera, Rig, write_calibration
+from semloc_jax.cameras import PinholeCamera, Rig
+from semloc_jax.cameras.io import write_calibration
 from semloc_jax.datasets import open_drive
 from semloc_jax.datasets.in_step import odometry_from_poses
 from semloc_jax.datasets.nmea import read_nmea

@@ -62,23 +62,20 @@ def scene(camera: Camera, seed: int = 0, num: int = 700):
     return (view,), jax.jit(pack)(maps), Usable(usable, 2)
 
 
-ALWAYS = np.ones(2, bool)
+@partial(jax.jit, static_argnames="path")
+def equations(path: str, chart: Chart, views, texture):
+    return chart_equations(chart, views, texture, KERNELS["tukey"], path)
 
 
 @partial(jax.jit, static_argnames="path")
-def equations(path: str, chart: Chart, views, texture, always):
-    return chart_equations(chart, views, texture, KERNELS["tukey"], always, path)
-
-
-@partial(jax.jit, static_argnames="path")
-def batched_equations(path: str, chart: Chart, views, texture, always):
-    return jax.vmap(lambda y: equations(path, chart._replace(y=y), views, texture, always))(chart.y)
+def batched_equations(path: str, chart: Chart, views, texture):
+    return jax.vmap(lambda y: equations(path, chart._replace(y=y), views, texture))(chart.y)
 
 
 def evaluate(path: str, chart: Chart, views, textures, level: int):
     """Normal equations of one chart or of a batch of charts by y."""
     function = batched_equations if chart.y.ndim == 2 else equations
-    return function(path, chart, views, textures.level(level), jnp.asarray(ALWAYS))
+    return function(path, chart, views, textures.level(level))
 
 
 def chart_at(y: np.ndarray) -> Chart:
@@ -115,10 +112,8 @@ def test_visibility_and_cost_are_those_of_jax(name):
     seen = {path: weigh(T, views[0], usable, border_px=2.0, path=path) for path in ("analytic", "xla")}
     assert 0.02 < np.mean(np.asarray(seen["xla"]) > 0) < 0.9
     assert np.sum(np.asarray(seen["analytic"]) != np.asarray(seen["xla"])) <= 1
-    cost = jax.jit(
-        lambda always, path: robust_cost(T, views, texture, usable, tukey, 2.0, always, path), static_argnums=1
-    )
-    costs = [cost(ALWAYS, path) for path in ("analytic", "xla")]
+    cost = jax.jit(lambda texture, path: robust_cost(T, views, texture, usable, tukey, 2.0, path), static_argnums=1)
+    costs = [cost(texture, path) for path in ("analytic", "xla")]
     np.testing.assert_allclose(costs[0], costs[1], rtol=5e-3)
 
 
@@ -143,10 +138,10 @@ def test_a_batch_on_all_threads_is_one_after_another():
 
 def test_what_is_skipped_is_zero_and_the_rest_is_not():
     views, textures, _ = scene(CAMERAS["pinhole"])
-    chart, always = chart_at(np.zeros(6)), jnp.asarray(ALWAYS)
+    chart = chart_at(np.zeros(6))
 
     def one(skip):
-        return chart_equations(chart, views, textures.level(0), KERNELS["tukey"], always, "analytic", skip)
+        return chart_equations(chart, views, textures.level(0), KERNELS["tukey"], "analytic", skip)
 
     found = jax.jit(jax.vmap(one))(jnp.asarray([True, False]))
     assert all(np.all(np.asarray(part[0]) == 0) for part in found)

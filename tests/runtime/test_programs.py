@@ -15,13 +15,14 @@ import pytest
 
 import semloc_jax
 from semloc_jax.runtime import prepare, programs
+from semloc_jax.runtime.stored_program import stored_program
 
 SCRIPT = """
 import sys, time
 import jax
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 import jax.numpy as jnp
-from semloc_jax.runtime.programs import stored_program
+from semloc_jax.runtime.stored_program import stored_program
 
 @stored_program("power")
 def spectrum(matrix, offset, power):
@@ -39,7 +40,7 @@ import jax
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 import jax.numpy as jnp
 from semloc_jax.analysis.edited import weighted
-from semloc_jax.runtime.programs import stored_program
+from semloc_jax.runtime.stored_program import stored_program
 
 @stored_program()
 def total(values):
@@ -106,7 +107,7 @@ def test_every_room_is_in_the_fingerprint(copied_package, monkeypatch):
 def test_results_keep_their_structure_and_shapes_their_programs(cache):
     calls = []
 
-    @programs.stored_program()
+    @stored_program()
     def summed(values: jax.Array) -> Pair:
         calls.append(values.shape)
         return Pair(jnp.sum(values), 2 * values)
@@ -124,15 +125,15 @@ def test_a_broken_file_is_made_anew(cache):
     def product(values):
         return jnp.prod(values)
 
-    programs.stored_program()(product)(np.arange(1.0, 5.0))
+    stored_program()(product)(np.arange(1.0, 5.0))
     (path,) = cache.iterdir()
     path.write_bytes(path.read_bytes()[:100])
-    assert programs.stored_program()(product)(np.arange(1.0, 5.0)) == 24
+    assert stored_program()(product)(np.arange(1.0, 5.0)) == 24
     assert path.stat().st_size > 100
 
 
 def test_inside_another_function_it_is_traced_as_usual(cache):
-    @programs.stored_program("scale")
+    @stored_program("scale")
     def scaled(value, scale):
         return scale * value
 
@@ -155,10 +156,10 @@ def test_a_planted_program_is_not_run(cache, tmp_path, caplog):
     def product(values):
         return jnp.prod(values)
 
-    programs.stored_program()(product)(np.arange(1.0, 5.0))
+    stored_program()(product)(np.arange(1.0, 5.0))
     (path,) = cache.iterdir()
     path.write_bytes(pickle.dumps((Command(tmp_path / "ran"), 0)))
-    assert programs.stored_program()(product)(np.arange(1.0, 5.0)) == 24
+    assert stored_program()(product)(np.arange(1.0, 5.0)) == 24
     assert not (tmp_path / "ran").exists()
     assert caplog.text.count("made anew") == 1
     assert cache.stat().st_mode & 0o777 == 0o700

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from semloc_jax.cameras import Rig, read_calibration
+from semloc_jax.cameras import Rig
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets.bags import logs
 from semloc_jax.datasets.bags.frames import BASE_FRAMES, MAP_FRAMES, FrameTree, clean
 from semloc_jax.datasets.bags.images import COMPRESSED, RAW, BagPicture

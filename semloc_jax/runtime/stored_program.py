@@ -1,0 +1,59 @@
+"""Functions whose compiled programs may outlive the process (room: runtime; pure JAX).
+
+In: a function of arrays and static configuration. Out: the same function, jitted; where the host keeps programs
+(`runtime.programs`), it is neither traced nor compiled a second time.
+"""
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from semloc_jax.host import program_store
+
+
+def stored_program(*static_argnames: str) -> Callable[[Callable], "StoredProgram"]:
+    """Decorator: `jax.jit` whose programs outlive the process, where JAX has a compilation cache on disk."""
+    return lambda function: StoredProgram(function, static_argnames)
+
+
+class StoredProgram:
+    """A jitted function with programs on disk. Inside another traced function it is an ordinary jitted function."""
+
+    def __init__(self, function: Callable, static_argnames: tuple[str, ...]) -> None:
+        """Static arguments must be hashable and have a repr that tells them apart (frozen dataclasses do)."""
+        functools.update_wrapper(self, function)
+        self.static_argnames = static_argnames
+        self.jitted = jax.jit(function, static_argnames=static_argnames)
+        self._signature = inspect.signature(function)
+        self._programs: dict[tuple, tuple[Callable, Any]] = {}
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """The result of the function."""
+        store = program_store()
+        if store is None or not store.is_open():
+            return self.jitted(*args, **kwargs)
+        bound = self._signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        static = {name: bound.arguments.pop(name) for name in self.static_argnames}
+        leaves, tree = jax.tree.flatten(dict(bound.arguments))
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return self.jitted(*args, **kwargs)
+        leaves = [_array(leaf) for leaf in leaves]
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        key = (tuple(static.items()), tree, shapes, jax.config.jax_enable_x64)
+        if key not in self._programs:
+            self._programs[key] = store.obtain(self, static, tree, leaves)
+        program, skeleton = self._programs[key]
+        return jax.tree.unflatten(jax.tree.structure(skeleton), program(*leaves))
+
+
+def _array(leaf: Any) -> Any:
+    """Arrays and numbers of the host in the type that JAX gives them."""
+    if isinstance(leaf, jax.Array):
+        return leaf
+    leaf = np.asarray(leaf)
+    return leaf.astype(jax.dtypes.canonicalize_dtype(leaf.dtype), copy=False)
