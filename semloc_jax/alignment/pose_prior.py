@@ -91,13 +91,13 @@ def levelled(
         spread = semantic_map.road_spread(T)
     except SemlocError:
         return T_local_found, prior
-    T_local = frame.from_map(T, np.float64)
+    T_local_base = frame.from_map(T, np.float64)
     planar = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-    back = rigid.log(rigid.inverse(T_local) @ np.asarray(prior.T_map_base, np.float64)) * planar
+    back = rigid.log(rigid.inverse(T_local_base) @ np.asarray(prior.T_map_base, np.float64)) * planar
     sigma = np.asarray(prior.sigma, np.float64).copy()
     sigma[2:5] = road.on(spread)
-    around = Prior(jnp.asarray(T_local @ rigid.exp(back), jnp.float32), jnp.asarray(sigma, jnp.float32))
-    return T_local.astype(np.float32), around
+    around = Prior(jnp.asarray(T_local_base @ rigid.exp(back), jnp.float32), jnp.asarray(sigma, jnp.float32))
+    return T_local_base.astype(np.float32), around
 
 
 PriorSource = Callable[[Frame], PosePrior]

@@ -93,7 +93,7 @@ class NoisySolve(NamedTuple):
 
     T_map_base: Float[np.ndarray, "4 4"]
     """In the map frame."""
-    T_local: Float[Array, "4 4"]
+    T_local_base: Float[Array, "4 4"]
     """Relative to the local origin."""
     inputs: FrameInput
 
@@ -126,8 +126,8 @@ def noisy_solves(
         noisy = [degrade(mask, rng, degradation) for mask, rng in zip(exact, rngs, strict=True)]
         maps = cost_maps(noisy, localizer.shown, config.cost_maps)
         inputs = frame_input(samples, maps, shifted, localizer.channel_of_label)
-        T_local = _refined(T_local_start, inputs, sigma, config.frame)
-        yield NoisySolve(local_map.frame.to_map(T_local), T_local, inputs)
+        T_local_base = _refined(T_local_start, inputs, sigma, config.frame)
+        yield NoisySolve(local_map.frame.to_map(T_local_base), T_local_base, inputs)
 
 
 @partial(jax.jit, static_argnames="config")

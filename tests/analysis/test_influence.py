@@ -78,9 +78,9 @@ def test_so_are_those_of_a_frame(simulated_road):
         is_own = [(element == row)[:, None] for element in look.holder]
         moved = [view.p_map + own * step[:, None] for view, own in zip(scene.views, is_own, strict=True)]
         changed = eqx.tree_at(lambda s: [view.p_map for view in s.views], scene, moved)
-        return balance(T_local, changed, look.prior, look.holder, look.capacity).T_map_base
+        return balance(T_local_base, changed, look.prior, look.holder, look.capacity).T_map_base
 
-    T_local = look.local_map.frame.from_map(found.T_map_base, np.float64)
+    T_local_base = look.local_map.frame.from_map(found.T_map_base, np.float64)
     for holder in found.elements[:4]:
         row, finite = look.ids.index(holder.id), []
         for axis in np.eye(3):

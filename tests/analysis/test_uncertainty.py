@@ -113,7 +113,7 @@ def scenes(tmp_path_factory):
             for frame in drive.frames:
                 T_true = drive.truth_at(frame)
                 for solve in noisy_solves(drive, drive_map, frame, num, degradation=quality):
-                    found = sandwich_covariance(pose_residuals(solve.T_local, solve.inputs, settings), prior)
+                    found = sandwich_covariance(pose_residuals(solve.T_local_base, solve.inputs, settings), prior)
                     sigma, naive = (np.sqrt(np.diag(C)) for C in (found.covariance, found.naive))
                     error = np.abs(rigid.log(rigid.inverse(T_true) @ solve.T_map_base))
                     bounds = [error_bound(found.covariance, share) for share in SHARES]
