@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from semloc_jax.cameras import read_calibration
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.plausibility import implausible, view_angles_deg
 from semloc_jax.cli.arguments import flat
 from semloc_jax.cli.main import VERBS
