@@ -63,7 +63,7 @@ DOOR = "semloc_jax"
 """The front page tells pure rooms, which know no host, where kernels and stored programs come from (`host.offer`)."""
 HOMES = {
     "optimistix": {"solvers", "bench"},
-    "lineax": {"solvers"},
+    "lineax": {"solvers", "bench"},
     "jaxlie": {"geometry"},
     "matplotlib": {"viz"},
     "tyro": {"cli"},

@@ -126,18 +126,3 @@ class Factors(eqx.Module):
         if self.weight is not None:
             cost, root = self.weight * cost, jnp.sqrt(jnp.asarray(self.weight)) * root
         return cost, root
-
-
-class QuadraticFactors(eqx.Module):
-    """A family of factors whose normal equations are computed as one, such as all pixels of a picture."""
-
-    model: Callable[..., tuple[Array, Array, Array]] = eqx.field(static=True)
-    """(values ..., data ...) of all factors -> cost [f], gradient [f k], Hessian [f k k] by the tangents."""
-    on: tuple[str, ...] = eqx.field(static=True)
-    keys: tuple[Int[Array | np.ndarray, " f"], ...]
-    data: tuple[Any, ...]
-
-    def local(self, values: dict[str, Array | np.ndarray], kinds: dict[str, Kind]) -> Local:
-        """Cost, gradient and Gauss-Newton Hessian of every factor."""
-        variables = (values[name][key] for name, key in zip(self.on, self.keys, strict=True))
-        return Local(*self.model(*variables, *self.data))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from semloc_jax.solvers.factors import Factors, Kind, Local, QuadraticFactors
+from semloc_jax.solvers.factors import Factors, Kind, Local
 
 Values = dict[str, Array | np.ndarray]
 Steps = dict[str, Array | np.ndarray]
@@ -42,7 +42,7 @@ class FactorGraph(eqx.Module):
 
     families: tuple[Family, ...] = eqx.field(static=True)
     """Every family of variables; their order is that of the unknowns."""
-    factors: tuple[Factors | QuadraticFactors, ...]
+    factors: tuple[Factors, ...]
     free: dict[str, Bool[Array | np.ndarray, "n d"]] = eqx.field(default_factory=dict)
     """False for coordinates that stay where they are; families that are not named are free."""
 
@@ -71,7 +71,7 @@ class FactorGraph(eqx.Module):
             found.append(local)
         return found
 
-    def spans(self, factors: Factors | QuadraticFactors) -> list[slice]:
+    def spans(self, factors: Factors) -> list[slice]:
         """Where the coordinates of each variable of a factor stand in its local equations."""
         sizes = [self.family(name).kind.size for name in factors.on]
         return [slice(end - size, end) for size, end in zip(sizes, np.cumsum(sizes).tolist(), strict=True)]
