@@ -6,11 +6,13 @@ In: SemanticMap. Out: MapReport, which prints itself as text.
 import gzip
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 import shapely
+from skimage import measure
 
 from semloc_jax.maps.defects import Defect, find_defects
 from semloc_jax.maps.elements import MapElement
@@ -20,6 +22,7 @@ from semloc_jax.maps.semantic_map import SemanticMap
 
 _STRETCH, _STRETCHES = 1000, 10
 """Elements of a stretch, and stretches, that stand for a map that has more; ours."""
+_CELL_M, _MOST_CELLS = 2.5, 2.0e7
 _ROAD_REACH_M = 15.0
 """Lines nearer than twice this belong to one road when the length of the road is estimated."""
 
@@ -149,10 +152,27 @@ def _frame(semantic_map: SemanticMap) -> str:
     return f"{name} about {origin.lat_deg:.6f}, {origin.lon_deg:.6f}, {origin.alt_m:.1f} m (WGS84)"
 
 
+def road_length_on_grid_m(elements: Sequence[MapElement]) -> float:
+    """Returns the same estimate from a picture of the map, whose cost grows with the area and not with the elements."""
+    lines = [e.points[:, :2] for e in elements]
+    low = np.min([line.min(axis=0) for line in lines], axis=0) - 2.0 * _ROAD_REACH_M
+    high = np.max([line.max(axis=0) for line in lines], axis=0) + 2.0 * _ROAD_REACH_M
+    cell_m = max(_CELL_M, float(np.sqrt(np.prod(high - low) / _MOST_CELLS)))
+    width, height = (np.ceil((high - low) / cell_m).astype(int) + 1).tolist()
+    free = np.ones((height, width), dtype=np.uint8)
+    cv2.polylines(free, [np.rint((line - low) / cell_m).astype(np.int32) for line in lines], False, 0)
+    around = cv2.distanceTransform(free, cv2.DIST_L2, 5) < _ROAD_REACH_M / cell_m
+    parts = cv2.connectedComponents(around.astype(np.uint8))[0] - 1
+    outline_m = cell_m * float(measure.perimeter_crofton(around, directions=4))
+    return max(0.5 * outline_m - parts * np.pi * _ROAD_REACH_M, 0.0)
+
+
 def _road_length_m(elements: tuple[MapElement, ...]) -> float:
     """Returns the length of the roads, estimated as half of the outline of everything within 15 m of an element."""
     if not elements:
         return 0.0
+    if len(elements) > _STRETCH * _STRETCHES:
+        return road_length_on_grid_m(elements)
     lines = [shapely.LineString(e.points[:, :2]) if len(e.points) > 1 else shapely.Point(e.points[0]) for e in elements]
     around = shapely.unary_union(shapely.buffer(np.array(lines, dtype=object), _ROAD_REACH_M, quad_segs=4))
     parts = len(shapely.get_parts(around))

@@ -35,8 +35,8 @@ def test_a_limit_that_limits_nothing_is_refused(field, value, words):
 @pytest.mark.parametrize("count", [0, -5, 1_000_000_000])
 def test_numbers_of_hypotheses_have_both_limits(count):
     settings = LocalizeConfig()
-    settings = dataclasses.replace(settings, frame=dataclasses.replace(settings.frame, num_hypotheses=count))
-    with pytest.raises(UsageError, match=r"frame\.num-hypotheses .*: expected at (least 1|most)"):
+    settings = dataclasses.replace(settings, search=dataclasses.replace(settings.search, num_hypotheses=count))
+    with pytest.raises(UsageError, match=r"search\.num-hypotheses .*: expected at (least 1|most)"):
         require_plausible(settings, "--")
 
 
