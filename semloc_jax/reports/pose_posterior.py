@@ -11,16 +11,21 @@ if TYPE_CHECKING:
     from semloc_jax.analysis.pose_mixture import PoseMixture
     from semloc_jax.analysis.seed_errors import SeedErrors
 
-_DIRECTIONS = (("longitudinal", 0, 100.0, "cm"), ("lateral", 1, 100.0, "cm"), ("heading", 5, 180.0 / np.pi, "deg"))
+_DIRECTIONS = (
+    ("longitudinal", 0, 100.0, 1, "cm"),
+    ("lateral", 1, 100.0, 1, "cm"),
+    ("heading", 5, 180.0 / np.pi, 2, "deg"),
+)
+"""Name, coordinate of the tangent, factor, digits, unit."""
 
 
 def posterior_text(mixture: "PoseMixture", probability: float = 0.95) -> str:
     """The modes of a pose with their weights, and the interval of each direction about the first one."""
     weights = " ".join(f"{weight:.3f}" for weight in mixture.weight if weight >= 5e-4)
     lines = [f"posterior: {len(mixture.weight)} modes, weights {weights}"]
-    for name, direction, scale, unit in _DIRECTIONS:
+    for name, direction, scale, digits, unit in _DIRECTIONS:
         low, high = (scale * end for end in mixture.interval(direction, probability))
-        lines.append(f"{100 * probability:.0f} % interval of {name}: {low:+.1f} to {high:+.1f} {unit}")
+        lines.append(f"{100 * probability:.0f} % interval of {name}: {low:+.{digits}f} to {high:+.{digits}f} {unit}")
     return "\n".join(lines)
 
 
