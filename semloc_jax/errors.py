@@ -1,7 +1,26 @@
-"""The exception for bad input (room: ground).
+"""The one exception that stands for bad input, and what to install where a library is missing (room: ground).
 
-In: nothing. Out: SemlocError, which the command line prints as one line.
+In: nothing. Out: SemlocError, which the command line prints as one line; `install_command`.
 """
+
+import sys
+
+EXTRAS = {
+    "viz": "rerun-sdk>=0.23",
+    "onnx": "onnxruntime>=1.19",
+    "bags": "rosbags>=0.10.9",
+    "argoverse": "pyarrow>=17",
+    "gis": "pyogrio>=0.10",
+}
+"""What each extra of this package installs, as in pyproject.toml."""
+
+
+def install_command(extra: str) -> str:
+    """The command that installs what an extra of this package needs.
+
+    It names the library, not this package: it works from every folder, however this package was installed.
+    """
+    return f'{sys.executable or "python"} -m pip install "{EXTRAS[extra]}"'
 
 
 class SemlocError(ValueError):

@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from semloc_jax.alignment.hypotheses import Modes
 from semloc_jax.alignment.modes import modes_in_map
 from semloc_jax.alignment.pose_prior import PosePrior, levelled
 from semloc_jax.alignment.result import LocalizationResult
@@ -20,6 +21,7 @@ from semloc_jax.alignment.verdict import VerdictConfig, judge
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import LocalMap, SemanticMap, sample
 from semloc_jax.perception import ClassTable, cost_maps
 from semloc_jax.structs import SolveStatus
@@ -66,11 +68,13 @@ class FrameLocalizer:
         maps = cost_maps(masks, self.shown, self.config.cost_maps, quantised=True)
         return frame_input(samples, maps, rig, self.channel_of_label), local_map
 
-    def localize(self, frame: Frame, masks: Frames[np.ndarray], prior: PosePrior, rig: Rig | None = None):
+    def localize(
+        self, frame: Frame | None, masks: Frames[np.ndarray], prior: PosePrior, rig: Rig | None = None
+    ) -> LocalizationResult:
         """The pose of one frame from masks of its cameras.
 
         Args:
-            frame: The frame (time, id, rig).
+            frame: The frame (time, id, rig); None where masks came as arrays, with their rig.
             masks: Class ids uint8[h w], one for each camera of the rig.
             prior: First guess.
             rig: Cameras of the masks; None for those of the frame.
@@ -86,11 +90,32 @@ class FrameLocalizer:
         solver_prior = prior.to_solver(T_map_prior, local_map.frame, self.config.road, spread)
         on_road = partial(levelled, semantic_map=self.map, frame=local_map.frame, road=self.config.road)
         found = localize_frame(inputs, solver_prior, self.config.frame, on_road)
-        verdict = self.config.verdict
-        modes = modes_in_map(found, local_map.frame, ONE_PLACE)
         times = {"evidence": prepared - started, "solve": time.perf_counter() - prepared}
+        return self.judged(frame, found, T_map_prior, local_map.frame, prior.sigma_xy_m, times)
+
+    def judged(
+        self,
+        frame: Frame | None,
+        found: Modes,
+        T_map_prior: np.ndarray,
+        local: LocalFrame,
+        sigma_xy_m: float,
+        times: dict[str, float],
+    ) -> LocalizationResult:
+        """The result of a frame from the modes of the solver, with the verdict on it.
+
+        Args:
+            frame: The frame; None where the masks came as arrays.
+            found: Modes relative to the local origin.
+            T_map_prior: First guess in the map frame.
+            local: Frame of the solver.
+            sigma_xy_m: Horizontal standard deviation of the first guess.
+            times: Seconds spent by stage.
+        """
+        verdict = self.config.verdict
+        modes = modes_in_map(found, local, ONE_PLACE)
         best = modes[0].T_map_base if modes else np.full((4, 4), np.nan)
-        away = np.hypot(*(best - T_map_prior)[:2, 3]) / prior.sigma_xy_m if modes else np.inf
+        away = np.hypot(*(best - T_map_prior)[:2, 3]) / sigma_xy_m if modes else np.inf
         status, reasons = judge(SolveStatus(int(found.estimates.status[0])), modes, away, verdict)
         return LocalizationResult(frame, best, T_map_prior, status, not reasons, reasons, modes, times)
 

@@ -183,7 +183,7 @@ def cull(
     return poses[jnp.where(filled, index, index[0])], jnp.where(filled, scores[index], jnp.inf)
 
 
-def search(
+def search_from(
     Ts_init: Float[Array, "n 4 4"], evidence: Evidence, prior: Prior, config: AlignConfig, schedule: SearchConfig
 ) -> tuple[Float[Array, "m 4 4"], Float[Array, " m"]]:
     """Candidate poses after all stages of the schedule, best first, and their scores [nats] (infinite: empty slot)."""

@@ -3,7 +3,7 @@
 In: start pose, SmoothScene, Prior. Out: SmoothEstimate, whose pose and covariance have derivatives by every float leaf.
 
 Contract
-- `align_differentiable(T_init, scene, prior, config, textures)` runs the fast `align` where textures are given, then
+- `align_differentiable(T_init, scene, prior, config, textures)` runs the fast solve where textures are given, then
   `smooth_optimum`, Newton's method on the smooth cost down to the precision of the float type.
 - The derivative is that of the implicit function F(y, theta) = 0, F the force (gradient of the cost by the pose):
   dy = -J^-1 (dF/dtheta) dtheta with J = dF/dy. J is the full Hessian. The Gauss-Newton matrix leaves out the curvature
@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align_one
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.robust import KERNELS
@@ -103,6 +103,11 @@ def smooth_scene(
         config: Noise and correlation, as in the fast solve.
         level: Level on which the pose is made exact.
         model: None for what the fast solve assumes at this level.
+
+    >>> maps = sj.cost_maps([mask], localizer.shown)
+    >>> scene = sj.smooth_scene(evidence, maps, sj.AlignConfig(), level=2)
+    >>> scene.maps.distance_px.shape, scene.maps.stride
+    ((1, 2, 200, 320), 2)
     """
     dtype = evidence.views[0].p_map.dtype
     model = standard_model(maps, config, level, dtype) if model is None else model
@@ -142,13 +147,18 @@ def align_differentiable(
 
     Returns:
         SmoothEstimate; `status` says NOT_FINITE, NO_EVIDENCE, MAX_STEPS or SINGULAR where it is not CONVERGED.
+
+    >>> scene, prior, T_start, origin_map = sj.differentiable_scene(mask, rig, street, T_near, classes=classes)
+    >>> estimate = sj.align_differentiable(T_start, scene, prior)
+    >>> estimate.tangent().shape, sj.SolveStatus(int(estimate.status)).name
+    ((6,), 'CONVERGED')
     """
     config = config or SmoothConfig()
     T_start = T_init
     if textures is not None:
         views, usable, start_prior = jax.lax.stop_gradient((scene.views, scene.usable, prior))
         evidence = Evidence(views, textures, usable)
-        T_start = align(jax.lax.stop_gradient(T_init), evidence, start_prior, config.align).T_map_base
+        T_start = align_one(jax.lax.stop_gradient(T_init), evidence, start_prior, config.align).T_map_base
     return smooth_optimum(T_start, scene, prior, config)
 
 

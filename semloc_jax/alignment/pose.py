@@ -16,6 +16,7 @@ from semloc_jax.alignment.level_choice import MIN_INLIER_RATIO, finest_held
 from semloc_jax.alignment.problem import POSE_DAMPING, AlignmentProblem, pose_of, quadratic_model
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual
+from semloc_jax.residuals.forward_only import forward_only
 from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel, is_inlier
 from semloc_jax.residuals.robust import KERNELS
@@ -137,6 +138,9 @@ def refine(
 ) -> tuple[Float[Array, "level 4 4"], Int[Array, " level"], Bool[Array, " level"]]:
     """Pose after each level (None: those of the configuration), evaluations spent there, and whether it converged."""
     levels = jnp.asarray(config.levels) if levels is None else levels
+    T_start, evidence, prior = forward_only(
+        "the fast solve (align_one, align_many, search)", (T_start, evidence, prior)
+    )
 
     def one_level(T: Array, level: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         T, num_steps, converged = solve_level(T, level, evidence, prior, config)
@@ -218,7 +222,7 @@ def assess(
     )
 
 
-def align(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: AlignConfig) -> PoseEstimate:
+def align_one(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: AlignConfig) -> PoseEstimate:
     """The pose that aligns the map with the masks, refined from one start.
 
     Args:
@@ -230,6 +234,12 @@ def align(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config:
     Returns:
         PoseEstimate; `status` says MAX_STEPS, NO_EVIDENCE or NOT_FINITE where it is not CONVERGED. The pose is finite
         even then: that of the start, else of the prior, else the identity.
+
+    >>> prior = sj.Prior(jnp.asarray(T_local), jnp.asarray([1, 1, 0.03, 0.01, 0.01, 0.05], jnp.float32))
+    >>> solve = jax.jit(sj.align_one, static_argnames="config")
+    >>> estimate = solve(prior.T_map_base, evidence, prior, sj.AlignConfig())
+    >>> sj.SolveStatus(int(estimate.status)).name, estimate.covariance.shape
+    ('CONVERGED', (6, 6))
     """
     levels = jnp.asarray(config.levels)
     Ts, num_steps, converged = refine(T_init, evidence, prior, config)
@@ -263,5 +273,11 @@ def in_chunks(function, Ts: Float[Array, "n 4 4"], chunk: int):
 def align_many(
     Ts_init: Float[Array, "n 4 4"], evidence: Evidence, prior: Prior, config: AlignConfig, chunk: int = 32
 ) -> PoseEstimate:
-    """`align` from every start; all leaves of the estimate have a leading axis."""
-    return in_chunks(lambda T: align(T, evidence, prior, config), Ts_init, chunk)
+    """`align_one` from every start; all leaves of the estimate have a leading axis.
+
+    >>> starts = prior.T_map_base + jnp.zeros((2, 1, 1))
+    >>> solve = jax.jit(sj.align_many, static_argnames=("config", "chunk"))
+    >>> solve(starts, evidence, prior, sj.AlignConfig()).T_map_base.shape
+    (2, 4, 4)
+    """
+    return in_chunks(lambda T: align_one(T, evidence, prior, config), Ts_init, chunk)

@@ -56,7 +56,7 @@ class LocalizationResult:
     """The pose of one frame, or why there is none.
 
     Attributes:
-        frame: the frame.
+        frame: the frame; None where masks came as arrays.
         T_map_base: best pose in the map frame; NaN where there is none.
         T_map_prior: the pose that the search started around.
         status: how the solve ended.
@@ -66,7 +66,7 @@ class LocalizationResult:
         times: seconds spent by stage.
     """
 
-    frame: Frame
+    frame: Frame | None
     T_map_base: np.ndarray
     T_map_prior: np.ndarray
     status: SolveStatus
@@ -74,3 +74,8 @@ class LocalizationResult:
     reasons: tuple[str, ...] = ()
     modes: tuple[Mode, ...] = ()
     times: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance `[6 6]` of the right tangent of the best pose (x, y, z [m], roll, pitch, yaw [rad]); else NaN."""
+        return self.modes[0].covariance if self.modes else np.full((6, 6), np.nan)

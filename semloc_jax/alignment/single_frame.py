@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.along_road import AlongRoadConfig, RoadPosterior, along_road, widened
-from semloc_jax.alignment.hypotheses import Modes, SearchConfig, score, search, weigh
+from semloc_jax.alignment.hypotheses import Modes, SearchConfig, score, search_from, weigh
 from semloc_jax.alignment.level_choice import telling
-from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align, assess, typical_px, usual_grain
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align_one, assess, typical_px, usual_grain
 from semloc_jax.alignment.proposals import ProposalKind, propose
 from semloc_jax.cameras import Rig
 from semloc_jax.residuals.alignment import CameraViews, Usable, camera_views
@@ -85,7 +85,16 @@ _pack = stored_program("dtype")(pack)
 
 
 def evidence_from(T_map_base: Float[Array | np.ndarray, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
-    """The evidence of a frame with the map as it is seen from a pose."""
+    """The evidence of a frame with the map as it is seen from a pose.
+
+    >>> localizer = sj.FrameLocalizer(street, sj.load_class_table("drive"))
+    >>> T_near = sj.planar_pose(2.2, 0.0)
+    >>> frame, local_map = localizer.prepare([mask], rig, T_near)
+    >>> T_local = local_map.frame.from_map(T_near)  # what goes to JAX is relative to a place near the vehicle
+    >>> evidence = sj.evidence_from(T_local, frame, localizer.config.frame.polish_view)
+    >>> evidence.views[0].p_map.shape
+    (1, 3, 1024)
+    """
     views = _views(T_map_base, frame.samples, frame.rig, frame.channel_of_label, frame.grain, config)
     return Evidence(views, frame.textures, frame.usable, frame.grain)
 
@@ -128,7 +137,7 @@ def localize_frame(
             other way a lane aside. None keeps both as they are.
     """
     evidence = evidence_from(prior.T_map_base, frame, config.search_view)
-    candidates, scores = search(search_starts(prior, config), evidence, prior, config.search_align, config.search)
+    candidates, scores = search_from(search_starts(prior, config), evidence, prior, config.search_align, config.search)
     # On the host: an operation outside of the stored programs would be compiled in every process.
     best = np.asarray(candidates)[0]
     if on_road is not None:
@@ -177,7 +186,7 @@ def polish(
 
     def one(T_map_base: Array) -> tuple[PoseEstimate, Array]:
         evidence = evidence_from(T_map_base, frame, config.polish_view)
-        estimate = align(T_map_base, evidence, prior, config.polish_align)
+        estimate = align_one(T_map_base, evidence, prior, config.polish_align)
         # Every mode is judged on one level, whichever held its pose last.
         judged = assess(estimate.T_map_base, level, evidence, prior, config.polish_align)
         measured = (judged.cost, judged.inlier_ratio, widened(estimate.covariance, road.spread))

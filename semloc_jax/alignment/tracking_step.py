@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.hypotheses import prior_cost, score
-from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align, assess, total_weight, visible_views
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align_one, assess, total_weight, visible_views
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.geometry import lie
@@ -89,7 +89,7 @@ def align_predicted(
     starts = displaced(T_predicted, along.at[:, 0].set(jnp.asarray(config.starts_m, T_predicted.dtype)))
 
     def one(T_start: Array) -> tuple[PoseEstimate, Array]:
-        estimate = align(T_start, evidence, prior, config.align)
+        estimate = align_one(T_start, evidence, prior, config.align)
         judged = assess(estimate.T_map_base, config.rank_level, evidence, prior, config.align)
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, (judged.cost, judged.inlier_ratio))
         return estimate, score(estimate.T_map_base, config.rank_level, evidence, prior, config.align)

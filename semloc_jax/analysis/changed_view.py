@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align_one
 from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION
 from semloc_jax.analysis.influence import OF_PART, PRIOR_PARTS
 from semloc_jax.geometry import rigid
@@ -79,7 +79,7 @@ def _solve(
             views.append(eqx.tree_at(lambda v: (v.p_map, v.weight), part, (p_map, weight)))
         changed = eqx.tree_at(lambda e: e.views, evidence, tuple(views))
         T_prior = prior.T_map_base.at[:3, 3].add(jnp.where(lane.is_prior, lane.shift_map, 0.0))
-        return align(T_start, changed, Prior(T_prior, lane.sigma), config).T_map_base
+        return align_one(T_start, changed, Prior(T_prior, lane.sigma), config).T_map_base
 
     return jax.lax.map(one, lanes)
 

@@ -163,7 +163,7 @@ class SeenFrame:
         return max(_MIN_CAPACITY, 1 << (len(self.ids) - 1).bit_length())
 
     def optimum(self, max_drift_m: float) -> tuple[Balance, int]:
-        """The optimum on the finest level that holds the pose, as `alignment.pose.align` chooses it; and the level.
+        """The optimum on the finest level that holds the pose, as `alignment.pose.align_one` chooses it; and the level.
 
         Where there is none near the pose, the pose itself on the coarsest level, with Gauss-Newton's curvature.
         """

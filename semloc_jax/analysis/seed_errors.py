@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig, sample_within
-from semloc_jax.alignment.pose import Prior, align
+from semloc_jax.alignment.pose import Prior, align_one
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, frame_input
 from semloc_jax.analysis.expected import ExpectedConfig
 from semloc_jax.cameras import Rig
@@ -139,6 +139,6 @@ def _refined(
 
     def again(T: Array, _: None) -> tuple[Array, None]:
         evidence = evidence_from(T, inputs, config.polish_view)
-        return align(T, evidence, prior, config.polish_align).T_map_base, None
+        return align_one(T, evidence, prior, config.polish_align).T_map_base, None
 
     return jax.lax.scan(again, T_start, None, length=2)[0]

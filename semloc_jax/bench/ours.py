@@ -1,7 +1,7 @@
 """semloc_jax itself as a line of the benchmark, one for each path of evaluation (room: bench).
 
 In: a Problem. Out: poses from full solves, from a tracking solve and from a search that culls.
-Only public entry points are used: `alignment.pose.refine` in chunks and `alignment.hypotheses.search`.
+Only public entry points are used: `alignment.pose.refine` in chunks and `alignment.hypotheses.search_from`.
 """
 
 from functools import cache, partial
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax import native
-from semloc_jax.alignment.hypotheses import SearchConfig, search
+from semloc_jax.alignment.hypotheses import SearchConfig, search_from
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine
 from semloc_jax.bench.peer import PeerMissing, Solved
 from semloc_jax.bench.problem import NOISE, SIGMA, Problem
@@ -98,5 +98,5 @@ class SemlocPeer:
     def search(self, Ts_init: np.ndarray) -> Solved:
         """The best pose of a search that scores, culls and refines."""
         Ts = jnp.asarray(Ts_init, jnp.float32)
-        Ts, _ = search(Ts, self.evidence, self.prior, self.config, SearchConfig.fast())
+        Ts, _ = search_from(Ts, self.evidence, self.prior, self.config, SearchConfig.fast())
         return Solved(np.asarray(Ts)[:1], float("nan"))

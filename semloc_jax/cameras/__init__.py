@@ -9,6 +9,7 @@ from semloc_jax.cameras.base import Camera, stack_cameras
 from semloc_jax.cameras.bev import BevCamera
 from semloc_jax.cameras.cylinder import CylindricalCamera
 from semloc_jax.cameras.fisheye import KannalaBrandtCamera
+from semloc_jax.cameras.mounting import mounted
 from semloc_jax.cameras.pinhole import BrownConradyCamera, PinholeCamera
 from semloc_jax.cameras.rig import Rig
 
@@ -21,5 +22,6 @@ __all__ = [
     "PinholeCamera",
     "PolynomialFisheyeCamera",
     "Rig",
+    "mounted",
     "stack_cameras",
 ]

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -33,10 +34,12 @@ class Rig(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
-        self, cameras: Sequence[Camera], T_base_cam: Float[Array | np.ndarray, "n 4 4"], names: Sequence[str]
+        self, cameras: Sequence[Camera], T_base_cam: Float[Array | np.ndarray, "n 4 4"] | Sequence, names: Sequence[str]
     ) -> None:
         """Cameras, extrinsics and names, in one order."""
         self.cameras, self.names = tuple(cameras), tuple(names)
+        if not isinstance(T_base_cam, jax.Array) and any(isinstance(T, jax.Array) for T in T_base_cam):
+            T_base_cam = jnp.stack([jnp.asarray(T) for T in T_base_cam])
         self.T_base_cam = T_base_cam if isinstance(T_base_cam, jax.Array) else np.asarray(T_base_cam, dtype=np.float64)
         if not len(self.cameras) == len(self.names) == len(self.T_base_cam):
             raise SemlocError(

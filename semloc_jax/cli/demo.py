@@ -1,12 +1,9 @@
-"""`semloc demo`: simulate, localize and draw, in less than a minute (room: cli)."""
+"""`semloc demo`: simulate, localize and draw (room: cli)."""
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from semloc_jax.cli import localize
-
-WIDTH_PX, HEIGHT_PX = 640, 400
+from semloc_jax.cli.main import LOST, OK
 
 
 @dataclass(frozen=True)
@@ -20,29 +17,20 @@ class Options:
     """Number of frames."""
     seed: int = 0
     """Another seed is another road."""
+    open: bool = False
+    """Show the first picture when it is done."""
     out: Path | None = None
     """Folder for the drive and the results; default: results/TIME, to which results/latest points."""
 
 
 def run(options: Options) -> int:
-    """Simulate, localize, tell where the pictures are."""
-    from semloc_jax.reports.folder import make_folder
-    from semloc_jax.simulation import SimulationConfig, simulate
+    """Simulate, localize, say how good it is, where the pictures are and what comes next."""
+    from semloc_jax.reports.demo import report_demo
 
-    started = time.perf_counter()
-    folder = make_folder(options.out)
-    config = SimulationConfig(num_frames=options.frames, rate_hz=2.0, width_px=WIDTH_PX, height_px=HEIGHT_PX)
-    drive = simulate("road", options.seed, folder / "drive", config)
-    print(f"simulated {len(drive)} frames in {time.perf_counter() - started:.1f} s: {folder / 'drive'}", flush=True)
-    code = localize.run(_Localize(drive.path, masks="sem_net", seed=options.seed, overlays=1, out=folder))
-    print(f"picture: {next((folder / 'overlays').glob('*.png'), 'none')}")
-    print(f"whole demo: {time.perf_counter() - started:.1f} s")
-    return code
+    demo = report_demo(options.frames, options.seed, options.out)
+    print(demo.text)
+    if options.open and demo.pictures:
+        import webbrowser
 
-
-class _Localize(localize.Options):
-    """The options of localize with its default configuration."""
-
-    @property
-    def settings(self):
-        return localize.default_settings()
+        webbrowser.open(demo.pictures[0].as_uri())
+    return OK if demo.num_localized else LOST

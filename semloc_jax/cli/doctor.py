@@ -5,14 +5,11 @@ import os
 from dataclasses import dataclass
 
 from semloc_jax.cli.main import FAILED, OK
+from semloc_jax.errors import install_command
 from semloc_jax.runtime import prepare as runtime
 
-EXTRAS = {
-    "rerun": "semloc-jax[viz]",
-    "onnxruntime": "semloc-jax[onnx]",
-    "rosbags": "semloc-jax[bags]",
-    "pyarrow": "semloc-jax[argoverse]",
-}
+MODULES = {"rerun": "viz", "onnxruntime": "onnx", "rosbags": "bags", "pyarrow": "argoverse", "pyogrio": "gis"}
+"""Libraries that are not required, and the extra that brings each."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +26,9 @@ def run(options: Options) -> int:
 
     for name, version in runtime.versions().items():
         print(f"      {name:<24}{version}")
-    for module, extra in EXTRAS.items():
+    for module, extra in MODULES.items():
         is_there = importlib.util.find_spec(module) is not None
-        state = "installed" if is_there else f'not installed (pip install "{extra}")'
+        state = "installed" if is_there else f"not installed ({install_command(extra)})"
         print(f"      {module:<24}{state}")
     print(f"      {'device':<24}{runtime.device()}")
     print(f"      {'native kernels':<24}{native.status().text}")

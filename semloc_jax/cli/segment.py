@@ -23,7 +23,7 @@ class Options:
     interrupted run goes on where it stopped. `semloc localize DRIVE --masks OUT` uses the masks.
 
     How images are prepared can be written to a preset (YAML): model, class_table, width_px, height_px, letterbox,
-    tiles, overlap, mean, std, value_range, swap_red_blue, channels_last, threshold, output, backend, batch.
+    tiles, overlap, mean, std, value_range, swap_red_blue, channels_last, threshold, output, bits, backend, batch.
 
     The exit code is 3 when images could not be read; the others are done.
     """
@@ -44,6 +44,8 @@ class Options:
     """Columns and rows in which images are cut, e.g. 2x1; default: one piece."""
     batch: int | None = None
     """Images (or tiles) that go through the network at once."""
+    output: str | None = None
+    """Name of the output that holds the classes, where the network has several."""
     backend: Literal["auto", "onnxruntime", "opencv"] | None = None
     """What runs the network; default: onnxruntime where it is installed."""
     calib: Path | None = None
@@ -76,9 +78,14 @@ def run(options: Options) -> int:
 
 def _preset(options: Options) -> "NetworkPreset":
     """The preset with what the options say over it."""
-    from semloc_jax.perception.network import NetworkPreset, load_network_preset
+    from semloc_jax.perception.network import KNOWN, NetworkPreset, load_network_preset
 
-    preset = load_network_preset(options.preset) if options.preset is not None else NetworkPreset()
+    preset = NetworkPreset()
+    if options.preset is not None:
+        preset = load_network_preset(options.preset)
+    elif options.class_table in KNOWN:
+        preset = KNOWN[options.class_table]
+        print(f"images as {options.class_table} takes them ({preset.width_px}x{preset.height_px}); --preset for others")
     given: dict = {"model": str(options.model)} if options.model is not None else {}
     if not (given or preset.model):
         raise UsageError("no network; give --model FILE.onnx, or a --preset with the key model")
@@ -86,7 +93,7 @@ def _preset(options: Options) -> "NetworkPreset":
         given |= dict(zip(("width_px", "height_px"), _pair(options.size, "--size"), strict=True))
     if options.tiles is not None:
         given["tiles"] = _pair(options.tiles, "--tiles")
-    for key in ("class_table", "batch", "backend"):
+    for key in ("class_table", "output", "batch", "backend"):
         if getattr(options, key) is not None:
             given[key] = getattr(options, key)
     return replace(preset, **given, **({"letterbox": False} if options.stretch else {}))

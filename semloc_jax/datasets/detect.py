@@ -42,6 +42,10 @@ def open_drive(path: str | Path, calibration: str | Path | None = None) -> Drive
 
     Raises:
         SemlocError: there is no such path, it looks like nothing that is known, or a sensor has the wrong unit.
+
+    >>> drive = sj.open_drive(folder)
+    >>> len(drive), drive.rig.names, drive.mask_sources, drive.map_path.name
+    (3, ('front',), ('sem', 'sem_net'), 'map.geojson')
     """
     path = Path(path)
     if not path.exists():

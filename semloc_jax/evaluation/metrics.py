@@ -76,6 +76,10 @@ def pose_errors(T_est: Float[np.ndarray, "*batch 4 4"], T_ref: Float[np.ndarray,
     Returns:
         `longitudinal_m` (+ ahead of the truth), `lateral_m` (+ to its left), `height_m` (+ above), `heading_deg`
         (+ turned left), `pitch_deg` (+ nose down), `roll_deg` (+ left side up); angles are intrinsic z-y-x.
+
+    >>> errors = sj.pose_errors(sj.planar_pose(2.3, 0.1), sj.planar_pose(2.0, 0.0))
+    >>> errors["longitudinal_m"].round(3), errors["lateral_m"].round(3)
+    (np.float64(0.3), np.float64(0.1))
     """
     R_ref = T_ref[..., :3, :3]
     offset_map = T_est[..., :3, 3] - T_ref[..., :3, 3]
@@ -130,6 +134,10 @@ def evaluate(estimate: Trajectory, reference: Trajectory, max_difference_s: floa
 
     Raises:
         SemlocError: no estimate belongs to any reference time.
+
+    >>> metrics = {metric.key: metric.value for metric in sj.evaluate(drive.truth, drive.truth)}
+    >>> float(metrics["lateral.max"])
+    0.0
     """
     finite = np.isfinite(estimate.T_map_base).all(axis=(1, 2))
     index_est, index_ref = associate(estimate.time_s[finite], reference.time_s, max_difference_s)

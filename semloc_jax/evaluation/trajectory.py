@@ -96,6 +96,10 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
     Raises:
         SemlocError: the file is missing, is not numeric or has another number of columns.
+
+    >>> truth = sj.read_trajectory(folder / "poses_body.tum")
+    >>> truth.interpolate(truth.time_s[:1]).shape
+    (1, 4, 4)
     """
     path = Path(path)
     if not path.is_file():
@@ -121,7 +125,12 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
 
 def write_tum(trajectory: Trajectory, path: str | Path) -> None:
-    """Write `t x y z qx qy qz qw` rows with 9 decimals of time and position."""
+    """Write `t x y z qx qy qz qw` rows with 9 decimals of time and position.
+
+    >>> sj.write_tum(drive.truth, tmp / "poses.tum")
+    >>> len(sj.read_trajectory(tmp / "poses.tum")) == len(drive.truth)
+    True
+    """
     quaternion = Rotation.from_matrix(trajectory.T_map_base[:, :3, :3]).as_quat()
     rows = np.column_stack([trajectory.time_s, trajectory.T_map_base[:, :3, 3], quaternion])
     with writing(path) as partial:

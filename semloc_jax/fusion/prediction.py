@@ -197,6 +197,11 @@ class MotionLog:
         level = (at_gap - (wheels[1, 0] - wheels[0, 0])) / _LEVEL_S
         return np.interp(time_s, knots_s, gained) - at_gap - level * (time_s - gap_s)
 
+    def is_silent(self, from_s: float, to_s: float) -> bool:
+        """Whether no wheel speed was measured between two times: nothing says how far the vehicle drove."""
+        _, age_s = self._wheels.at(np.linspace(from_s, to_s, 9), self.max_gap_s)
+        return bool((age_s > 0.0).all())
+
     def way_m(self, from_s: float, to_s: float) -> float:
         """About how far the vehicle drove between two times, forth and back added [m]; 0 where no wheel says so."""
         knots_s = np.array([from_s, *self._wheels.between(from_s, to_s), to_s])

@@ -52,6 +52,18 @@ def log(T: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 6"]:
     return np.concatenate([v, omega], axis=-1)
 
 
+def planar_pose(
+    x_m: float | int, y_m: float | int, heading_rad: float | int = 0, z_m: float | int = 0
+) -> Float[np.ndarray, "4 4"]:
+    """T_map_base of a vehicle that stands level at (x, y, z) [m] and looks along a heading, counter-clockwise from x.
+
+    >>> sj.planar_pose(12.0, 3.0, np.pi / 2) @ [1.0, 0.0, 0.0, 1.0]  # 1 m ahead of the vehicle, in the map
+    array([12.,  4.,  0.,  1.])
+    """
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    return np.array([[c, -s, 0.0, x_m], [s, c, 0.0, y_m], [0.0, 0.0, 1.0, z_m], [0.0, 0.0, 0.0, 1.0]])
+
+
 def inverse(T_a_b: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 4 4"]:
     """T_b_a."""
     T = np.zeros_like(T_a_b)

@@ -54,6 +54,10 @@ def mask_source(
 
     Raises:
         SemlocError: there are no such masks, or no class table is known.
+
+    >>> masks = sj.mask_source("sem", drive)
+    >>> masks.masks(drive.frames[0])[0].shape, masks.table.name
+    ((300, 480), 'drive')
     """
     if name.startswith(TOP_VIEW):
         return _top_view(mask_source(name.removeprefix(TOP_VIEW), drive, cameras, table, offset_px), drive)

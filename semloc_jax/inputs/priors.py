@@ -35,6 +35,10 @@ def prior_source(
 
     Raises:
         SemlocError: the drive has no such prior, there is no such file, or a sigma is not positive.
+
+    >>> prior = sj.prior_source("truth", drive, sigma_xy_m=0.5)
+    >>> prior(drive.frames[0]).sigma_xy_m
+    0.5
     """
     _require_sigma("position", sigma_xy_m, "m")
     _require_sigma("heading", sigma_heading_deg, "deg")

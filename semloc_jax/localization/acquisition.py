@@ -18,7 +18,13 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import FusedPose, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.localization.frame_alignment import FrameAligner
-from semloc_jax.localization.initialization import InitializationConfig, prior_from_fixes, sectors, tile_priors
+from semloc_jax.localization.initialization import (
+    InitializationConfig,
+    prior_from_fixes,
+    sectors,
+    tile_priors,
+    why_no_prior,
+)
 from semloc_jax.localization.track_state import Fixes, FrameFeatures
 
 
@@ -73,6 +79,10 @@ class Acquisition:
         apart_m = np.hypot(around.x_m - from_fixes.x_m, around.y_m - from_fixes.y_m)
         contradicts = apart_m > 3.0 * np.hypot(around.sigma_xy_m, from_fixes.sigma_xy_m)
         return from_fixes if contradicts or from_fixes.sigma_xy_m < around.sigma_xy_m else around
+
+    def why_not(self, fixes: Fixes, time_s: float) -> str:
+        """Why a search around the fixes cannot start, and what would help; empty where it can."""
+        return why_no_prior(fixes, self.motion, time_s, None, self.config.fixes)
 
     def _around(self, coasting: FusedPose) -> PosePrior | None:
         config, T = self.config, coasting.T_map_base

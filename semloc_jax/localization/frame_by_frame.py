@@ -18,11 +18,30 @@ from semloc_jax.runtime.allocator import return_large_blocks
 
 
 def localize_frames(
-    *args, on_frame: Callable[[LocalizationResult], None] | None = None, **options
+    drive: Drive,
+    semantic_map: SemanticMap,
+    masks: MaskSource | str,
+    prior: PriorSource | str = "gnss",
+    frames: slice | Sequence[Frame] = slice(None),
+    cameras: Sequence[str] | None = None,
+    config: LocalizeConfig | None = None,
+    on_frame: Callable[[LocalizationResult], None] | None = None,
 ) -> list[LocalizationResult]:
-    """All results of `iterate_frames`, which takes the same arguments; `on_frame` is called with each of them."""
+    """One LocalizationResult for each frame of a drive, each localized on its own.
+
+    Args:
+        drive, semantic_map, masks, prior, frames, cameras, config: as `iterate_frames`.
+        on_frame: Called with each result as soon as it is there.
+
+    Raises:
+        SemlocError: as `iterate_frames`.
+
+    >>> results = sj.localize_frames(drive, semantic_map, masks="sem", frames=slice(0, 1))
+    >>> results[0].frame.id, results[0].localized
+    ('000000', True)
+    """
     results = []
-    for result in iterate_frames(*args, **options):
+    for result in iterate_frames(drive, semantic_map, masks, prior, frames, cameras, config):
         results.append(result)
         if on_frame is not None:
             on_frame(result)
@@ -51,6 +70,10 @@ def iterate_frames(
 
     Raises:
         SemlocError: unknown masks or cameras, no prior, a map without classes that the masks show, no frames.
+
+    >>> for result in sj.iterate_frames(drive, semantic_map, masks="sem", prior="truth", frames=slice(0, 1)):
+    ...     print(result.frame.id, result.status.name)
+    000000 CONVERGED
     """
     return_large_blocks()
     chosen = drive.frames[frames] if isinstance(frames, slice) else frames

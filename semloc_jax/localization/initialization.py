@@ -19,6 +19,7 @@ from semloc_jax.localization.track_state import Fixes
 
 NUM_FIXES = 64
 _PATH_STEP_S = 0.1
+_HELP = "give --prior FILE.tum, or --area X,Y,RADIUS to search every heading there"
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ class InitializationConfig:
     """Older fixes are not used."""
     drift_share: float = 0.03
     """What dead reckoning since the newest fix adds to the sigma, as a share of the way."""
+    drift_share_without_path: float = 0.5
+    """The same where no wheel and no gyroscope says how the vehicle moved since."""
     sigma_inflation: float = 1.5
     """Neighbouring fixes share errors that their stated sigma does not hold."""
     min_sigma_m: float = 1.0
@@ -70,7 +73,10 @@ def newest(fixes: Fixes, num: int) -> Fixes:
 def prior_from_fixes(
     fixes: Fixes, motion: MotionLog, time_s: float, calibration: Calibration | None, config: InitializationConfig
 ) -> PosePrior | None:
-    """Position and heading from the fixes up to a time; None while they say too little.
+    """Position and heading from the fixes up to a time; None while they say too little (see `why_no_prior`).
+
+    With wheels or a gyroscope the driven path is laid onto the fixes. Without any, the fixes alone give the direction
+    of travel, which is taken for the heading.
 
     Args:
         fixes: Buffer of fixes.
@@ -79,28 +85,72 @@ def prior_from_fixes(
         calibration: Of the motion sensors, where it is known.
         config: Limits.
     """
-    valid = (fixes.time_s >= time_s - config.window_s) & (fixes.time_s <= time_s + 1e-6)
-    valid &= np.max(fixes.sigma_m[:, :2], axis=1) <= config.max_sigma_m
+    found = _from_fixes(fixes, motion, time_s, calibration, config)
+    return found if isinstance(found, PosePrior) else None
+
+
+def why_no_prior(
+    fixes: Fixes, motion: MotionLog, time_s: float, calibration: Calibration | None, config: InitializationConfig
+) -> str:
+    """What the fixes lack, and what would help, in one sentence; empty where they give a prior."""
+    found = _from_fixes(fixes, motion, time_s, calibration, config)
+    return found if isinstance(found, str) else ""
+
+
+def _from_fixes(
+    fixes: Fixes, motion: MotionLog, time_s: float, calibration: Calibration | None, config: InitializationConfig
+) -> PosePrior | str:
+    """The prior, or why there is none."""
+    recent = (fixes.time_s >= time_s - config.window_s) & (fixes.time_s <= time_s + 1e-6)
+    valid = recent & (np.max(fixes.sigma_m[:, :2], axis=1) <= config.max_sigma_m)
+    if not recent.any():
+        return f"no satellite fix in the last {config.window_s:.0f} s; {_HELP}"
+    if not valid.any():
+        best_m = float(np.min(np.max(fixes.sigma_m[recent, :2], axis=1)))
+        return f"satellite fixes state a sigma of {best_m:.0f} m or more, not {config.max_sigma_m:.0f} m; {_HELP}"
     if valid.sum() < config.min_fixes:
-        return None
+        return f"{valid.sum()} valid satellite fix so far; {config.min_fixes} are needed"
     track = GnssTrack(fixes.time_s[valid], fixes.p_map[valid], fixes.sigma_m[valid])
-    path = _driven_path(motion, float(track.time_s[0]), time_s, calibration)
-    if path is None or path.distance_m(np.array([time_s]))[0] < config.min_travel_m:
-        return None
+    path = (
+        None if motion.is_silent(float(track.time_s[0]), time_s) else _driven_path(motion, track, time_s, calibration)
+    )
+    way_m = _way_of_fixes(track) if path is None else float(path.distance_m(np.array([time_s]))[0])
+    if way_m < config.min_travel_m:
+        return (
+            f"the vehicle has moved {way_m:.1f} m: satellite fixes do not give the heading of one that stands; {_HELP}"
+        )
     found = gnss_prior(track, time_s, path, causal=True)
     if np.degrees(found.sigma_heading_rad) > config.max_sigma_heading_deg:
-        return None
-    since_m = path.distance_m(np.array([time_s]))[0] - path.distance_m(track.time_s[-1:])[0]
+        return (
+            f"satellite fixes give the heading to {np.degrees(found.sigma_heading_rad):.0f} deg so far, not to "
+            f"{config.max_sigma_heading_deg:.0f} deg; it needs more way, wheel odometry (wheel_odom.csv) or --prior"
+        )
+    since_m = _since_m(track, path, time_s, way_m)
     sigma_m = max(config.sigma_inflation * float(np.max(found.sigma_m[:2])), config.min_sigma_m)
-    sigma_m += config.drift_share * float(since_m)
+    sigma_m += (config.drift_share if path is not None else config.drift_share_without_path) * since_m
     heading = max(found.sigma_heading_rad, np.deg2rad(config.min_sigma_heading_deg))
     return PosePrior(float(found.p_enu[0]), float(found.p_enu[1]), found.heading_rad, sigma_m, float(heading))
 
 
+def _way_of_fixes(track: GnssTrack) -> float:
+    """Distance of the farthest fix to the first, less what their errors may make of a vehicle that stands [m]."""
+    apart_m = np.linalg.norm(track.p_enu[:, :2] - track.p_enu[0, :2], axis=1)
+    return max(float(apart_m.max() - 2.0 * np.median(track.sigma_m[:, :2])), 0.0)
+
+
+def _since_m(track: GnssTrack, path: WheelOdometry | None, time_s: float, way_m: float) -> float:
+    """Way since the newest fix [m]; at the mean speed of the fixes where nothing measures it."""
+    if path is not None:
+        return float(path.distance_m(np.array([time_s]))[0] - path.distance_m(track.time_s[-1:])[0])
+    driven_s = max(float(track.time_s[-1] - track.time_s[0]), 1e-3)
+    return way_m / driven_s * (time_s - float(track.time_s[-1]))
+
+
 def _driven_path(
-    motion: MotionLog, from_s: float, to_s: float, calibration: Calibration | None
+    motion: MotionLog, track: GnssTrack, to_s: float, calibration: Calibration | None
 ) -> WheelOdometry | None:
-    """The motion between two times as speeds and yaw rates at an even pace; None where they are too near."""
+    """The motion from the first fix to a time as speeds and yaw rates at an even pace; None where they are too near."""
+    from_s = float(track.time_s[0])
     num = int(np.ceil((to_s - from_s) / _PATH_STEP_S))
     if num < 1:
         return None

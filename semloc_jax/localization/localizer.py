@@ -345,7 +345,7 @@ class Localizer:
         elif state.coasting:
             status, reasons = TrackStatus.LOST, health.lost_because(state.counters, config) + reasons
         else:
-            status, reasons = TrackStatus.INITIALIZING, ("no pose yet: nothing to start from",)
+            status, reasons = TrackStatus.INITIALIZING, (f"no pose yet: {self._why_no_start(state, frame)}",)
         state = state._replace(status=np.float64(status))
         found = view.found if view is not None else None
         return state, TrackResult(
@@ -365,6 +365,14 @@ class Localizer:
             float(state.clock.offset_s),
             watch.times_ms,
         )
+
+    def _why_no_start(self, state: TrackerState, frame: FrameFeatures) -> str:
+        """What keeps the vehicle from being found, and what would help."""
+        why = self.acquisition.why_not(state.fixes, frame.time_s) if frame.guess is None and self.area is None else ""
+        found_none = (
+            "a search around where it should be found no pose that explains the masks; is the map, its place or "
+        )
+        return why or found_none + "the class table another? 'semloc check-calib' shows it"
 
     def _output(self, state: TrackerState) -> FusedPose | None:
         """The pose that goes out; None where there is none."""

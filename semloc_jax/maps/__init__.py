@@ -4,6 +4,7 @@ In: map files. Out: SemanticMap -> LocalMap -> MapSamples.
 """
 
 from semloc_jax.maps.elements import GeoOrigin, MapElement
+from semloc_jax.maps.from_arrays import map_from_arrays
 from semloc_jax.maps.ground import GroundModel, RoadPlane, RoadSpread
 from semloc_jax.maps.inspect import MapReport, inspect_map
 from semloc_jax.maps.io import (
@@ -33,6 +34,7 @@ __all__ = [
     "SemanticMap",
     "compare",
     "inspect_map",
+    "map_from_arrays",
     "read_lane_centers",
     "read_map",
     "sample",

@@ -3,6 +3,7 @@
 In: numbers from a reader. Out: MapElement, GeoOrigin. Coordinates: local `map` frame [m], x east, y north, z up.
 """
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -40,6 +41,23 @@ UPRIGHT_CLASSES = frozenset({ElementClass.POLE, ElementClass.TRAFFIC_LIGHT, Elem
 """Classes stored as an axis of two points, base first."""
 
 
+def element_class(name: ElementClass | str | int, where: str) -> ElementClass:
+    """The class of that name or number.
+
+    Raises:
+        SemlocError: there is none.
+    """
+    if isinstance(name, ElementClass):
+        return name
+    try:
+        return ElementClass(name) if isinstance(name, int | np.integer) else ElementClass[str(name).upper()]
+    except (KeyError, ValueError):
+        names = [label.name.lower() for label in ElementClass]
+        close = difflib.get_close_matches(str(name).lower(), names, n=1)
+        hint = f"did you mean '{close[0]}'? " if close else ""
+        raise SemlocError(f"{where}: unknown class {name!r}; {hint}expected one of {', '.join(names)}") from None
+
+
 class GeoOrigin(NamedTuple):
     """Where the local frame of a map sits on the earth: WGS84, ellipsoidal height."""
 
@@ -54,7 +72,7 @@ class MapElement:
 
     Attributes:
         id: name, unique in its map.
-        label: class.
+        label: class; a name such as "pole" becomes its ElementClass.
         points: `float64[k 3]` in the map frame [m]. Painted lines: centre line; areas, signs and pillars: outline
             without a repeated last point; poles, cones, traffic lights: base and top; guardrails: middle of the beam.
         closed: the last point joins the first.
@@ -71,8 +89,8 @@ class MapElement:
     """
 
     id: str
-    label: ElementClass
-    points: np.ndarray
+    label: ElementClass | str
+    points: np.ndarray | Sequence
     closed: bool = False
     width_m: float = 0.0
     radius_m: float = 0.0
@@ -86,6 +104,7 @@ class MapElement:
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "label", element_class(self.label, f"map element '{self.id}'"))
         points = np.array(self.points, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
             raise SemlocError(f"map element '{self.id}': points of shape {points.shape}; expected [k 3], k >= 1")

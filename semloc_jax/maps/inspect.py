@@ -101,7 +101,12 @@ class MapReport:
 
 
 def inspect_map(semantic_map: SemanticMap) -> MapReport:
-    """Returns contents, size and defects of a map."""
+    """Returns contents, size and defects of a map.
+
+    >>> report = sj.inspect_map(street)
+    >>> report.num_points, report.classes[0].name
+    (6, 'lane_solid')
+    """
     elements = semantic_map.elements
     groups: dict[str, list[MapElement]] = {}
     for element in elements:

@@ -73,6 +73,11 @@ class SemanticMap:
                 raise SemlocError(
                     f"map {self.name}: element '{element.id[:60]}' has sizes {sizes}; expected 0 to {LARGEST_M:.0f} m"
                 )
+        if len(self._row_of_id) < len(self.elements):
+            repeated = next(e.id for row, e in enumerate(self.elements) if self._row_of_id[e.id] != row)
+            raise SemlocError(
+                f"map {self.name}: two elements have the id '{repeated[:60]}'; expected different ids; rename one"
+            )
         require_place(self.origin, self.name)
 
     @cached_property

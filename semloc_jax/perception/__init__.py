@@ -3,7 +3,7 @@
 In: images or mask files. Out: class ids, structs.CostMaps.
 """
 
-from semloc_jax.perception.class_table import Channel, ClassTable, TableReport, load_class_table, preset_names
+from semloc_jax.perception.class_table import Channel, ClassTable, TableReport, load_class_table, preset_names, table_of
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
 from semloc_jax.perception.ground_view import GroundView
@@ -17,6 +17,7 @@ __all__ = [
     "TableReport",
     "load_class_table",
     "preset_names",
+    "table_of",
     "read_mask",
     "MaskOffset",
     "estimate_mask_offset",

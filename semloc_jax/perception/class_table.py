@@ -111,6 +111,10 @@ def load_class_table(name_or_path: str | Path) -> ClassTable:
 
     Raises:
         SemlocError: no such preset or file, or the file does not follow the layout.
+
+    >>> table = sj.load_class_table("mapillary")
+    >>> [channel.name for channel in table.channels][:3]
+    ['lane_marking', 'crosswalk', 'pole']
     """
     text = str(name_or_path)
     path = _PRESETS / f"{text}.yaml" if text in preset_names() else Path(text)
@@ -127,6 +131,30 @@ def load_class_table(name_or_path: str | Path) -> ClassTable:
         raise SemlocError(f"class table {path}{place}: not a YAML file; check the file") from error
     with reading(f"class table {path}"):
         return parse_class_table(content, str(path))
+
+
+def table_of(classes: Mapping, name: str = "classes") -> ClassTable:
+    """The class table of {mask id: class or classes of the map}; other ids are background, 255 is ignored.
+
+    Ids with the same classes are one channel.
+
+    Raises:
+        SemlocError: no ids, an id that is none, an unknown class, or a class that two different lists hold.
+    """
+    if not isinstance(classes, Mapping) or not classes:
+        raise SemlocError(f"{name}: given {repr(classes)[:80]}; expected {{mask id: map class}}, e.g. {{1: 'pole'}}")
+    by_classes: dict[tuple[ElementClass, ...], list[int]] = {}
+    for number, labels in classes.items():
+        if not _is_id(number) or number == UNLABELED_ID:
+            raise SemlocError(f"{name}: mask id {number!r}; expected a whole number 0 ... 254")
+        listed = labels if isinstance(labels, tuple | list | set | frozenset) else (labels,)
+        known = {label if isinstance(label, ElementClass) else _element_class(label, name) for label in listed}
+        key = tuple(sorted(known))
+        by_classes.setdefault(key, []).append(number)
+    channels = [
+        Channel("+".join(label.name.lower() for label in key), tuple(ids), key) for key, ids in by_classes.items()
+    ]
+    return ClassTable(name, tuple(channels))
 
 
 def preset_names() -> tuple[str, ...]:

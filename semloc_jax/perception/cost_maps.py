@@ -74,6 +74,10 @@ def cost_maps(
 
     Returns:
         CostMaps whose channel axis is that of `table.channels`.
+
+    >>> maps = sj.cost_maps([mask], sj.load_class_table("drive"))
+    >>> [level.shape for level in maps.ramps][-1]
+    (1, 13, 400, 640)
     """
     config = config or CostMapConfig()
     _check_masks(masks)

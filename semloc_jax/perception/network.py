@@ -34,7 +34,8 @@ class NetworkPreset:
         swap_red_blue: the network takes red green blue.
         channels_last: the network takes [b h w 3].
         threshold: score from which a network with one score says 1.
-        output: name of the output; empty for the first.
+        output: name of the output; several, separated by commas, with `bits`; empty where the file has no other.
+        bits: what each output adds to the id where it says 1: networks with one output for each class (TwinLite).
         backend: auto, onnxruntime or opencv.
         batch: images (or tiles) that go in at once.
     """
@@ -53,6 +54,7 @@ class NetworkPreset:
     channels_last: bool = False
     threshold: float = 0.5
     output: str = ""
+    bits: tuple[int, ...] = ()
     backend: str = "auto"
     batch: int = 1
 
@@ -63,6 +65,15 @@ class NetworkPreset:
                 f"network preset: size {sizes[:2]}, tiles {self.tiles}, overlap {self.overlap}, std {self.std}, batch "
                 f"{self.batch}; expected sizes >= 0, tiles and batch >= 1, overlap below 0.5 and std above 0"
             )
+
+
+KNOWN = {
+    # https://github.com/chequanghuy/TwinLiteNet: 640x360, red green blue, 0 ... 1; drivable area, then lane lines.
+    "twinlite": NetworkPreset(
+        class_table="twinlite", width_px=640, height_px=360, letterbox=False, mean=(0, 0, 0), std=(1, 1, 1), bits=(2, 1)
+    ),
+}
+"""Presets of networks that have a class table of their own, by its name."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +121,9 @@ class NetworkSegmenter:
         if not preset.model:
             raise SemlocError("network preset: names no model; expected the path of an ONNX file")
         self.preset = preset
-        self.backend: Backend = load_backend(preset.model, preset.backend, preset.output, preset.channels_last)
+        self.backend: Backend = load_backend(
+            preset.model, preset.backend, preset.output, preset.channels_last, len(preset.bits) or 1
+        )
         stated, given = self.backend.input_size_px, (preset.width_px, preset.height_px)
         if stated is not None and min(given) > 0 and given != stated:
             raise SemlocError(
@@ -157,11 +170,21 @@ class NetworkSegmenter:
         blobs, moves = zip(*(self._blob(part, size_px) for part in parts), strict=True)
         missing = self.batch - len(blobs) if self.backend.batch else 0
         batch = np.stack([*blobs, *[blobs[-1]] * missing])
-        output = self.backend.run(batch.transpose(0, 2, 3, 1) if self.preset.channels_last else batch)
-        if output.shape[:1] != (len(batch),) or output.ndim not in (3, 4):
+        outputs = self.backend.run(batch.transpose(0, 2, 3, 1) if self.preset.channels_last else batch)
+        found = [self._ids(output, parts, size_px, moves, len(batch)) for output in outputs]
+        if not self.preset.bits:
+            return found[0]
+        pairs = [list(zip(self.preset.bits, layers, strict=True)) for layers in zip(*found, strict=True)]
+        return [sum(np.uint8(bit) * (ids == 1) for bit, ids in layers).astype(np.uint8) for layers in pairs]
+
+    def _ids(
+        self, output: np.ndarray, parts: Sequence[np.ndarray], size_px: tuple[int, int], moves: Sequence, num: int
+    ) -> list[np.ndarray]:
+        """Class ids of each part from one output of the network."""
+        if output.shape[:1] != (num,) or output.ndim not in (3, 4):
             raise SemlocError(
-                f"network {self.preset.model}: returned {list(output.shape)} for {len(batch)} images; expected scores "
-                "[b classes h w] or ids [b h w]; name the right `output` in the preset"
+                f"network {self.preset.model}: returned {list(output.shape)} for {num} images; expected scores "
+                "[b classes h w] or ids [b h w]; name the right --output, or `output` in the preset"
             )
         if output.ndim == 4 and self.preset.channels_last:
             output = output.transpose(0, 3, 1, 2)
@@ -276,8 +299,8 @@ def _value(key: Any, given: Any, defaults: dict[str, Any], where: str) -> Any:
     default = defaults[key]
     try:
         if isinstance(default, tuple):
-            values = tuple(type(default[0])(item) for item in given)
-            if len(values) != len(default):
+            values = tuple((type(default[0]) if default else int)(item) for item in given)
+            if default and len(values) != len(default):
                 raise ValueError(f"{len(values)} values")
             return values
         if isinstance(default, bool) != isinstance(given, bool) or isinstance(default, str) != isinstance(given, str):

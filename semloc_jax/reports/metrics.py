@@ -44,7 +44,8 @@ def write_metrics_of(results: Sequence[LocalizationResult], truth: Mapping[str, 
         from semloc_jax.viz import errors_over_time, save
 
         missed_s = [r.frame.time_s for r in known if not r.localized]
-        save(errors_over_time(estimate, reference, 1e-6, missed_s=missed_s), folder / "errors.png")
+        prior = Trajectory(np.array([r.frame.time_s for r in known]), np.array([r.T_map_prior for r in known]))
+        save(errors_over_time(estimate, reference, 1e-6, missed_s=missed_s, prior=prior), folder / "errors.png")
     said = [format_metrics(metrics)]
     variants = dict.fromkeys(r.frame.variant for r in known)
     for variant in variants if len(variants) > 1 else ():

@@ -3,6 +3,7 @@
 In: the table of a run, its timing, the drive. Out: metrics.json and a summary.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from semloc_jax.reports.tables import ERRORS
 from semloc_jax.reports.track_log import NEES, PROTECTION, SIGMAS, TrackTable
 
 _SAME_S = 1e-6
+_MOST_REASONS = 3
 
 
 def write_track_metrics(folder: Path, table: TrackTable, drive: Drive, timing: Timing) -> str:
@@ -109,7 +111,20 @@ def summary(table: TrackTable, timing: Timing) -> str:
     stages = timing.stages_ms()
     speed = f"real-time factor {timing.realtime_factor:.1f}, {stages['localize.mean']:.0f} ms a frame to localize"
     dropped = f", {timing.num_dropped} frames dropped" if timing.num_dropped else ""
-    return f"{len(table)} frames: {said}\n{speed} (p99 {stages['localize.p99']:.0f} ms){dropped}"
+    lines = [f"{len(table)} frames: {said}", f"{speed} (p99 {stages['localize.p99']:.0f} ms){dropped}"]
+    lines += [f"not tracked, {count} frames: {reason}" for reason, count in _commonest_reasons(table)]
+    return "\n".join(lines)
+
+
+def _commonest_reasons(table: TrackTable) -> list[tuple[str, int]]:
+    """What frames that are not tracked complain of most, numbers aside, as the newest of them says it, with counts."""
+    said: dict[str, tuple[str, int]] = {}
+    for status, text in zip(table.status, table.reasons, strict=True):
+        if status == TrackStatus.TRACKING or not text:
+            continue
+        kind = re.sub(r"[-+0-9.]+", "#", text)
+        said[kind] = (text, said.get(kind, ("", 0))[1] + 1)
+    return sorted(said.values(), key=lambda item: -item[1])[:_MOST_REASONS]
 
 
 def _reference(drive: Drive, table: TrackTable) -> Trajectory:

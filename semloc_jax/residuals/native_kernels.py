@@ -17,6 +17,7 @@ from semloc_jax.cameras.models import native_number_of
 from semloc_jax.errors import SemlocError
 from semloc_jax.host import native_status
 from semloc_jax.residuals.chart import Chart
+from semloc_jax.residuals.forward_only import forward_only
 from semloc_jax.residuals.robust import KERNELS, Kernel
 from semloc_jax.residuals.texture import RampTexture
 
@@ -76,6 +77,7 @@ def _call(
 ) -> list[Array]:
     results = [jax.ShapeDtypeStruct(shape, jnp.float32) if isinstance(shape, tuple) else shape for shape in shapes]
     attributes = {key: np.int32(value) for key, value in attributes.items()}
+    operands = forward_only(f"the native kernel {name}", operands)
     return jax.ffi.ffi_call(name, results, vmap_method="expand_dims")(*map(_as_32_bit, operands), **attributes)
 
 

@@ -61,7 +61,10 @@ class SmoothScene(eqx.Module):
 
 def distance_maps(maps: CostMaps, level: int = -1) -> DistanceMaps:
     """The signed distances of one level of the cost maps; they end where its ramp ends."""
-    return DistanceMaps(maps.ramps[level] * maps.ramp_px[level], maps.stride[level])
+    ramp = maps.ramps[level]
+    if ramp.dtype == jnp.uint8:  # bytes 0 .. 254 span [-1, 1]
+        ramp = ramp.astype(jnp.float32) / 127.0 - 1.0
+    return DistanceMaps(ramp * maps.ramp_px[level], maps.stride[level])
 
 
 class CubicPatch(NamedTuple):

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int, UInt8, UInt32
 from numpy.typing import DTypeLike
 
 from semloc_jax.host import native_status
+from semloc_jax.residuals.forward_only import forward_only
 from semloc_jax.structs import CostMaps
 
 _ZERO = 127.0  # the byte that stands for 0; bytes 0 .. 254 span [-1, 1]
@@ -58,6 +59,7 @@ class RampTextures(eqx.Module):
 
 def pack(maps: CostMaps, dtype: DTypeLike = jnp.float32) -> RampTextures:
     """The textures of cost maps; `dtype` is the float type of lookups."""
+    maps = forward_only("pack (cost maps as textures of one byte a pixel)", maps)
     starts = np.cumsum([0, *(ramp.size for ramp in maps.ramps)])
     texels = _packed_natively(maps) if _is_native(maps) else _packed(maps, starts)
     return RampTextures(

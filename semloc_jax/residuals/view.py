@@ -97,10 +97,16 @@ def view(
         channel_of_label: Cost-map channel of each ElementClass; -1 where no mask shows the class.
         config: Ranges, density, capacity.
         grain: Of the masks, see `NoiseModel.grain`.
+
+    Which samples are kept, their weights and the silhouettes of round things are constants to a derivative: they stay
+    as they are while the pose is solved. The points themselves are differentiable by `samples.p_map`.
     """
+    points = samples.p_map
+    samples, T_map_base, rig = jax.lax.stop_gradient((samples, T_map_base, rig))
     buckets = [
         _camera_view(
             samples,
+            points,
             T_map_base @ jnp.asarray(T_base_cam, T_map_base.dtype),
             T_map_base[2, 3],
             camera,
@@ -115,6 +121,7 @@ def view(
 
 def _camera_view(
     samples: MapSamples,
+    points: Array,
     T_map_cam: Array,
     ground_z: Array,
     camera: Camera,
@@ -148,7 +155,7 @@ def _camera_view(
     if config.class_weight:
         weight = weight * jnp.asarray(config.class_weight, weight.dtype)[samples.label[index]]
     return ViewSamples(
-        p_map=p_map[index].T,
+        p_map=(p_map + (points - samples.p_map))[index].T,
         tangent_map=samples.tangent_map[index].T,
         channel=jnp.where(filled, channel[index], 0),
         weight=weight,

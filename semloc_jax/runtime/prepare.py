@@ -11,6 +11,8 @@ from pathlib import Path
 from semloc_jax.storage.sealed import home_folder, others_can_write, private_folder
 
 WIDTH_FLAG = "--xla_cpu_prefer_vector_width"
+LEAST_COMPILE_S = 0.2
+"""Programs that compile faster than this are not worth a file."""
 LIBRARIES = (
     "semloc-jax",
     "jax",
@@ -27,12 +29,14 @@ LIBRARIES = (
 
 
 def prepare_jax() -> None:
-    """Set the environment for JAX: wide vectors where the processor has them, and a compilation cache.
+    """Set JAX up: wide vectors where the processor has them, and a compilation cache in the user's cache folder.
 
-    Whatever the user has set stays as it is, but for a cache that other users can write to: what JAX loads from it
-    runs. Does nothing once JAX is loaded, which reads these only then.
+    The command line calls this first, and so does the first use of a public name. Whatever the user has set stays as it
+    is, but for a cache that other users can write to: what JAX loads from it runs. SEMLOC_CACHE=0 in the environment
+    leaves the cache off. Where JAX is imported already, only the cache can still be set.
     """
     if "jax" in sys.modules:
+        _set_cache_of_loaded_jax()
         return
     flags = os.environ.get("XLA_FLAGS", "")
     if WIDTH_FLAG not in flags and "avx512f" in cpu_features():
@@ -45,14 +49,34 @@ def prepare_jax() -> None:
             file=sys.stderr,
         )
         del os.environ["JAX_COMPILATION_CACHE_DIR"]
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        folder = cache_folder()
-        if private_folder(folder) and is_writable(folder):
-            os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
-            os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+    if (folder := _own_cache()) is not None:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(LEAST_COMPILE_S))
     # Loading a cached program logs, as an error, that pseudo features (prefer-no-gather) are missing on the very
     # machine that compiled it. Each kind of processor has its own folder, so a true mismatch cannot occur.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+
+def _set_cache_of_loaded_jax() -> None:
+    """The compilation cache of a JAX that was imported without one, which has read the environment already."""
+    import jax
+
+    if jax.config.jax_compilation_cache_dir or (folder := _own_cache()) is None:
+        return
+    from jax.experimental.compilation_cache import compilation_cache
+
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_COMPILE_S)
+    compilation_cache.reset_cache()  # what was compiled before has settled that there is none
+
+
+def _own_cache() -> Path | None:
+    """The cache folder of this package; None where the user has chosen, wants none, or the disk refuses."""
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ or os.environ.get("SEMLOC_CACHE") == "0":
+        return None
+    folder = cache_folder()
+    return folder if private_folder(folder) and is_writable(folder) else None
 
 
 def cpu_features() -> frozenset[str]:

@@ -3,6 +3,7 @@
 from semloc_jax.simulation.degrade import Degradation, degrade
 from semloc_jax.simulation.map_drive import simulate_on_map
 from semloc_jax.simulation.map_errors import MapErrors
+from semloc_jax.simulation.map_masks import render_masks
 from semloc_jax.simulation.route import RouteWish
 from semloc_jax.simulation.sensor_logs import SensorErrors
 from semloc_jax.simulation.simulate import SimulationConfig, simulate
@@ -14,6 +15,7 @@ __all__ = [
     "SensorErrors",
     "SimulationConfig",
     "degrade",
+    "render_masks",
     "simulate",
     "simulate_on_map",
 ]

@@ -4,12 +4,8 @@ In: an image size. Out: Rig.
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import BrownConradyCamera, KannalaBrandtCamera, Rig
-
-_R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""A camera that looks along base x, upright."""
+from semloc_jax.cameras import BrownConradyCamera, KannalaBrandtCamera, Rig, mounted
 
 
 def front_rig(width_px: int = 960, height_px: int = 600) -> Rig:
@@ -48,12 +44,3 @@ def surround_rig(width_px: int = 640, height_px: int = 480) -> Rig:
         cameras.append(camera)
         poses.append(mounted(position, yaw, down, roll))
     return Rig(cameras, np.stack(poses), list(places))
-
-
-def mounted(position_m: tuple[float, float, float], yaw_deg: float, down_deg: float, roll_deg: float) -> np.ndarray:
-    """T_base_cam [4 4] of a camera that looks `yaw_deg` to the left and `down_deg` below the horizon."""
-    T = np.eye(4)
-    turn = Rotation.from_euler("ZYX", [yaw_deg, down_deg, roll_deg], degrees=True).as_matrix()
-    T[:3, :3] = turn @ _R_BODY_CAM
-    T[:3, 3] = position_m
-    return T

@@ -52,6 +52,11 @@ def simulate_on_map(
 
     Raises:
         SemlocError: a map without anything to see or to drive along, a start off the map.
+
+    >>> small = sj.SimulationConfig(width_px=96, height_px=60, rate_hz=1.0)
+    >>> drive_there = sj.simulate_on_map(folder / "map.geojson", 0, tmp / "there", config=small)
+    >>> len(drive_there) > 0
+    True
     """
     wish = wish or RouteWish()
     config = checked("road", config or SimulationConfig())

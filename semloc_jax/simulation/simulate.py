@@ -87,6 +87,10 @@ def simulate(
 
     Raises:
         SemlocError: unknown kind or lighting, no frames.
+
+    >>> small = sj.SimulationConfig(num_frames=1, width_px=96, height_px=60)
+    >>> len(sj.simulate("road", 3, tmp / "road", small))
+    1
     """
     config = checked(kind, config or SimulationConfig())
     rng = np.random.default_rng([seed, sorted(_DEFAULTS).index(kind)])

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semloc_jax.errors import SemlocError
+from semloc_jax.errors import SemlocError, install_command
 from semloc_jax.maps import SemanticMap
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz.style import COLOURS, class_name, rgb
@@ -38,7 +38,7 @@ def write_recording(path: Path, semantic_map: SemanticMap, moments: Iterable[Mom
         import rerun as rr
     except ImportError as error:
         raise SemlocError(
-            'recording: rerun-sdk is not installed; pip install "semloc-jax[viz]", or leave out --rrd'
+            f"recording: rerun-sdk is not installed; run: {install_command('viz')}, or leave out --rrd"
         ) from error
     if not path.parent.is_dir():
         raise SemlocError(f"recording {path}: no folder {path.parent}; give --rrd a path in a folder that exists")

@@ -14,7 +14,7 @@ from semloc_jax.evaluation.trajectory import Trajectory, associate
 from semloc_jax.viz.style import new_figure, plain_axes
 
 ROWS = (("lateral_m", "lateral", "m"), ("longitudinal_m", "longitudinal", "m"), ("heading_deg", "heading", "deg"))
-INSIDE, OUTSIDE, LIMIT = "#1565c0", "#d50000", "#43a047"
+INSIDE, OUTSIDE, LIMIT, GUESS = "#1565c0", "#d50000", "#43a047", "#90a4ae"
 
 
 def errors_over_time(
@@ -23,6 +23,7 @@ def errors_over_time(
     max_difference_s: float = 0.02,
     limit: ErrorLimit = ALERT_LIMITS[0],
     missed_s: Sequence[float] = (),
+    prior: Trajectory | None = None,
 ) -> Figure:
     """Signed lateral, longitudinal and heading errors over time, with the band of one alert limit.
 
@@ -34,6 +35,7 @@ def errors_over_time(
         max_difference_s: Poses belong together when their times differ by no more than this.
         limit: The alert limit.
         missed_s: Times of frames without a pose, marked at the foot of the figure.
+        prior: First guesses, drawn in grey.
 
     Raises:
         SemlocError: no estimate belongs to any reference time.
@@ -45,11 +47,17 @@ def errors_over_time(
         )
     errors = pose_errors(estimate.T_map_base[index_est], reference.T_map_base[index_ref])
     time_s = estimate.time_s[index_est]
+    guesses = _errors_of(prior, reference, max_difference_s)
     figure = new_figure(9.0, 5.6)
     grid = figure.subplots(len(ROWS), 1, sharex=True)
     for axes, (key, name, unit) in zip(grid, ROWS, strict=True):
         bound = getattr(limit, key)
         _draw_row(plain_axes(axes), time_s, errors[key], bound)
+        if guesses is not None:
+            _draw_guesses(axes, guesses[0], guesses[1][key])
+            axes.set_title(
+                f"grey: first guesses, median {np.median(np.abs(guesses[1][key])):.3g} {unit}", loc="left", fontsize=8
+            )
         size = np.abs(errors[key])
         axes.set_ylabel(f"{name} [{unit}]", fontsize=9)
         text = f"median {np.median(size):.3f}   p95 {np.percentile(size, 95):.3f}   limit ±{bound:g} {unit}"
@@ -58,6 +66,24 @@ def errors_over_time(
         grid[-1].axvline(time, ymax=0.06, color=OUTSIDE, linewidth=1.0)
     grid[-1].set_xlabel(f"time [s]{'   (red ticks: no pose)' if len(missed_s) else ''}", fontsize=9)
     return figure
+
+
+def _errors_of(prior: Trajectory | None, reference: Trajectory, max_difference_s: float):
+    """Times and errors of the first guesses; None without any."""
+    if prior is None or len(prior) == 0:
+        return None
+    index, index_ref = associate(prior.time_s, reference.time_s, max_difference_s)
+    return prior.time_s[index], pose_errors(prior.T_map_base[index], reference.T_map_base[index_ref])
+
+
+def _draw_guesses(axes, time_s: np.ndarray, error: np.ndarray) -> None:
+    """First guesses inside of the range of the row; a triangle at its edge for those beyond."""
+    reach = axes.get_ylim()[1]
+    inside = np.abs(error) <= reach
+    axes.scatter(time_s[inside], error[inside], s=10, marker="x", color=GUESS, linewidths=0.8, zorder=2)
+    for sign, marker in ((1.0, "^"), (-1.0, "v")):
+        far = sign * error > reach
+        axes.scatter(time_s[far], np.full(far.sum(), sign * 0.9 * reach), s=18, marker=marker, color=GUESS, zorder=2)
 
 
 def _draw_row(axes, time_s: np.ndarray, error: np.ndarray, bound: float) -> None:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.hypotheses import SearchConfig, refine_and_score, search
+from semloc_jax.alignment.hypotheses import SearchConfig, refine_and_score, search_from
 from semloc_jax.bench.ours import config_of, evidence_of
 from semloc_jax.bench.problem import make_problem
 
@@ -27,7 +27,7 @@ def test_the_best_hypothesis_survives():
         problem = make_problem(num_points=512, seed=seed)
         evidence, prior = evidence_of(problem)
         Ts = jnp.asarray(problem.starts(NUM_STARTS), jnp.float32)
-        culled = np.asarray(search(Ts, evidence, prior, config, schedule)[0][0])
+        culled = np.asarray(search_from(Ts, evidence, prior, config, schedule)[0][0])
         reference = np.asarray(full(Ts, evidence, prior, config=config))
         found = problem.errors(np.stack([culled, reference]).astype(np.float64))[0]
         # The same optimum, or a better one: restarts along the road may find what no start has found.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.alignment.implicit import SmoothConfig, align_differentiable, smooth_optimum, smooth_scene
-from semloc_jax.alignment.pose import AlignConfig, align
+from semloc_jax.alignment.pose import AlignConfig, align_one
 from semloc_jax.geometry import lie
 from semloc_jax.structs import SolveStatus
 from tests.alignment.random_scenes import NUM, RIG, SIGMA, STRIDE, WIDTH, random_trial
@@ -212,7 +212,7 @@ def test_the_polish_stays_where_the_fast_solve_ends_and_a_gradient_adds_no_loop_
     loss = jax.jit(jax.grad(lambda views: jnp.sum(forward(eqx.combine(views, rest)).tangent() / prior.sigma)))
     estimate, gradient = pose(inexact), loss(inexact)
     assert SolveStatus(int(estimate.status)) == SolveStatus.CONVERGED
-    fast = jax.jit(partial(align, config=coarse_to_fine))(start, world.evidence, prior)
+    fast = jax.jit(partial(align_one, config=coarse_to_fine))(start, world.evidence, prior)
     moved = np.abs(np.asarray(lie.log(lie.inverse(fast.T_map_base) @ estimate.T_map_base)))
     assert moved[:3].max() < 0.005
     assert np.degrees(moved[3:].max()) < 0.05

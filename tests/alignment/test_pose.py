@@ -13,8 +13,8 @@ from semloc_jax.alignment.pose import (
     AlignConfig,
     Evidence,
     Prior,
-    align,
     align_many,
+    align_one,
     assess,
     level_problem,
     visible_views,
@@ -37,7 +37,7 @@ def world_of(name, dtype=np.float32):
     return eqx.tree_at(lambda w: [v.weight for v in w.views], world, [20 * v.weight for v in world.views])
 
 
-solve = jax.jit(align, static_argnames="config")
+solve = jax.jit(align_one, static_argnames="config")
 
 
 def error(estimate, world):

@@ -3,6 +3,8 @@
 import os
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import pytest
 from semloc_jax.bench import selftest
 from semloc_jax.cli import doctor
 from semloc_jax.cli.main import FAILED, OK, main
+from semloc_jax.errors import EXTRAS, install_command
 from semloc_jax.runtime import prepare as runtime
 
 
@@ -41,14 +44,27 @@ def test_a_failed_check_is_exit_code_1(monkeypatch, capsys):
     said = capsys.readouterr().out
     assert "WRONG sums" in said
     assert "to do: reinstall it" in said
-    assert doctor.EXTRAS["rerun"] == "semloc-jax[viz]"
+
+
+def test_what_is_printed_to_install_works_from_every_folder(monkeypatch, capsys):
+    """The package is on no index: 'semloc-jax[bags]' finds nothing; the library itself is found."""
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    for extra, requirement in EXTRAS.items():
+        assert project["optional-dependencies"][extra] == [requirement]
+        assert install_command(extra) == f'{sys.executable} -m pip install "{requirement}"'
+    monkeypatch.setattr(selftest, "run_checks", lambda: [])
+    monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda name: None)
+    main(["doctor"])
+    said = capsys.readouterr().out
+    assert "semloc-jax[" not in said
+    assert all(install_command(extra) in said for extra in EXTRAS)
 
 
 def _environment(code: str, **extra: str) -> list[str]:
     """Lines printed by a fresh process in which JAX has not been loaded."""
     drop = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "TF_CPP_MIN_LOG_LEVEL")
     environment = {key: value for key, value in os.environ.items() if key not in drop} | extra
-    code = f"import os\nfrom semloc_jax.cli import runtime\n{code}"
+    code = f"import os\nfrom semloc_jax.runtime import prepare as runtime\n{code}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
@@ -75,3 +91,30 @@ def test_what_the_user_has_set_stays(tmp_path):
 def test_a_home_that_cannot_be_written_to_turns_the_cache_off(tmp_path):
     (tmp_path / "file").write_text("no folder can be made below a file")
     assert _environment(SHOW, XDG_CACHE_HOME=str(tmp_path / "file"))[1] == "-"
+
+
+API = """{first}
+import semloc_jax as sj
+sj.Rig
+import jax
+print(jax.config.jax_compilation_cache_dir or '-')"""
+
+
+@pytest.mark.parametrize("first", ["", "import jax", "import jax; jax.jit(lambda x: x + 1)(1.0)"])
+def test_the_python_api_has_the_cache_too_whether_jax_is_imported_or_not(tmp_path, first):
+    assert _environment(API.format(first=first), XDG_CACHE_HOME=str(tmp_path))[-1].startswith(str(tmp_path))
+
+
+def test_one_variable_switches_the_cache_off(tmp_path):
+    for code in (SHOW, API.format(first="import jax")):
+        assert _environment(code, XDG_CACHE_HOME=str(tmp_path), SEMLOC_CACHE="0")[-1] == "-"
+
+
+def test_a_cache_set_late_is_written_to(tmp_path):
+    code = """import jax, semloc_jax as sj
+jax.jit(lambda x: x + 1)(1.0)
+sj.Rig
+jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)
+jax.jit(lambda x: x * 3)(1.0)
+print(len(list(__import__('pathlib').Path(jax.config.jax_compilation_cache_dir).iterdir())))"""
+    assert int(_environment(code, XDG_CACHE_HOME=str(tmp_path))[-1]) > 0

@@ -210,7 +210,7 @@ def test_without_tf_a_calibration_beside_the_bag_is_used(drive, tmp_path, monkey
 
 def test_a_missing_library_names_the_extra(bags, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(SemlocError, match=r'pip install "semloc-jax\[bags\]"'):
+    with pytest.raises(SemlocError, match=r'pip install "rosbags'):
         open_drive(bags["mcap"])
 
 

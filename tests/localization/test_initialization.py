@@ -14,6 +14,7 @@ from semloc_jax.localization.initialization import (
     prior_from_fixes,
     sectors,
     tile_priors,
+    why_no_prior,
     with_fix,
 )
 
@@ -102,3 +103,42 @@ def test_tiles_leave_no_hole():
         assert max(abs(near.x_m - place[0]), abs(near.y_m - place[1])) <= 2.5 * near.sigma_xy_m
     headings = np.unique(np.round(np.degrees([tile.heading_rad for tile in tiles])))
     assert len(headings) == 12
+
+
+def test_fixes_alone_start_a_vehicle_without_wheels():
+    """Images, masks and satellites: the direction of travel is the heading, as surely as the fixes tell."""
+    off = []
+    for seed in range(20):
+        fixes = fixes_along(np.arange(0.0, 5.0, 0.2), noise_m=0.3, seed=seed)
+        prior = prior_from_fixes(fixes, MotionLog(), 5.0, None, InitializationConfig())
+        expected = np.array([100.0, 50.0]) + SPEED * 5.0 * np.array([np.cos(HEADING), np.sin(HEADING)])
+        assert np.hypot(prior.x_m - expected[0], prior.y_m - expected[1]) < 2.0 * prior.sigma_xy_m
+        off.append((prior.heading_rad - HEADING) / prior.sigma_heading_rad)
+    assert np.sqrt(np.mean(np.square(off))) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("times", "speed", "sigma_m", "told"),
+    [
+        ([], SPEED, 1.3, "no satellite fix in the last 20 s; give --prior"),
+        ([1.0], SPEED, 1.3, "1 valid satellite fix so far; 2 are needed"),
+        ([0.0, 1.0, 2.0], SPEED, 30.0, "state a sigma of 30 m or more, not 10 m"),
+        (np.arange(0.0, 5.0, 0.2), 0.0, 1.3, "do not give the heading of one that stands; give --prior"),
+    ],
+)
+@pytest.mark.parametrize("with_wheels", [True, False])
+def test_why_there_is_no_start_is_told_with_what_would_help(times, speed, sigma_m, told, with_wheels):
+    fixes, log = no_fixes(), MotionLog()
+    for t in times:
+        p = np.array([100.0 + speed * t, 50.0, 2.0])
+        fixes = with_fix(fixes, GnssMeasurement(float(t), p, np.full(3, sigma_m)))
+    for t in np.arange(0.0, 6.0, 0.02) if with_wheels else ():
+        log.add_wheels(float(t), speed, 0.0)
+    assert told in why_no_prior(fixes, log, 5.0, None, InitializationConfig())
+    assert prior_from_fixes(fixes, log, 5.0, None, InitializationConfig()) is None
+
+
+def test_a_prior_has_nothing_to_complain_of():
+    fixes = fixes_along(np.arange(0.0, 5.0, 0.2))
+    for log in (straight_log(), MotionLog()):
+        assert why_no_prior(fixes, log, 5.0, None, InitializationConfig()) == ""

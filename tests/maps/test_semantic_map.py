@@ -101,3 +101,17 @@ def test_the_work_of_a_query_does_not_grow_with_the_map():
         num_found = sum(len(road.query(place, 60.0).elements) for place in places)
         calls.append(num_calls(lambda road=road, places=places: [road.query(p, 60.0) for p in places]) / num_found)
     assert calls[1] < 1.5 * calls[0]
+
+
+def test_a_class_by_its_name_is_the_class_and_another_word_is_refused():
+    pole = [[0.0, 0, 0], [0, 0, 5]]
+    assert MapElement("a", "pole", pole).label is ElementClass.POLE
+    assert SemanticMap((MapElement("a", "pole", pole, radius_m=0.1),)).labels == {ElementClass.POLE}
+    with pytest.raises(SemlocError, match="unknown class 'poles'; did you mean 'pole'"):
+        MapElement("a", "poles", pole)
+
+
+def test_two_elements_of_one_id_are_refused():
+    pole = MapElement("a", ElementClass.POLE, [[0.0, 0, 0], [0, 0, 5]])
+    with pytest.raises(SemlocError, match="two elements have the id 'a'"):
+        SemanticMap((pole, pole))

@@ -15,6 +15,7 @@ from semloc_jax.cameras.io.camchain import is_camchain, rig_from_camchain, write
 from semloc_jax.cameras.io.camera_info import is_camera_info, rig_from_camera_info
 from semloc_jax.cameras.io.colmap import is_colmap, rig_from_colmap
 from semloc_jax.cameras.io.fields import load_yaml
+from semloc_jax.cameras.io.from_matrix import camera_from_K
 from semloc_jax.cameras.io.kitti import is_kitti, rig_from_kitti
 from semloc_jax.cameras.io.nuscenes import nuscenes_tables, rig_from_nuscenes
 from semloc_jax.cameras.io.ocamcalib import is_ocamcalib, rig_from_ocamcalib
@@ -24,7 +25,7 @@ from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import reading
 
-__all__ = ["read_calibration", "write_calibration"]
+__all__ = ["camera_from_K", "read_calibration", "write_calibration"]
 
 _SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".txt")
 _TEXTS: tuple[tuple[Callable[[Path], bool], Callable[[Path], Rig]], ...] = (
@@ -48,6 +49,10 @@ def read_calibration(path: str | Path) -> Rig:
 
     Raises:
         SemlocError: Missing file or key, wrong sizes, numbers that are not finite, poses that are not rigid.
+
+    >>> front = sj.read_calibration(folder / "calib.yaml")
+    >>> front.names, front.cameras[0].resolution, front.T_base_cam.shape
+    (('front',), (480, 300), (1, 4, 4))
     """
     path = Path(path)
     if path.is_dir():

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.cameras.io.fields import check_focal, numbers, resolution, rigid
 from semloc_jax.cameras.pinhole import PinholeCamera
 from semloc_jax.cameras.rig import Rig
-from semloc_jax.errors import SemlocError
+from semloc_jax.errors import SemlocError, install_command
 
 AXLE_HEIGHT_M = 0.33
 """Rear axle above the road: lidar points of the road beside the car lie 0.33 to 0.35 m below it (log 7fab2350)."""
@@ -70,7 +70,7 @@ def read_feather(path: Path) -> dict[str, list]:
         from pyarrow import ArrowException, feather
     except ImportError as error:
         raise SemlocError(
-            f'{path.name}: the library pyarrow is not installed; pip install "semloc-jax[argoverse]"'
+            f"{path.name}: the library pyarrow is not installed; run: {install_command('argoverse')}"
         ) from error
     if not path.is_file():
         raise SemlocError(f"{path}: no such file; expected the folder of one Argoverse 2 log")

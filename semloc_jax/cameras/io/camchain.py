@@ -54,6 +54,10 @@ def write_calibration(rig: Rig, path: str | Path) -> None:
 
     Raises:
         SemlocError: a camera whose model has no row in `cameras.models`.
+
+    >>> sj.write_calibration(drive.rig, tmp / "calib.yaml")
+    >>> sj.read_calibration(tmp / "calib.yaml").names
+    ('front',)
     """
     content = {f"cam{i}": _entry(rig, i) for i in range(len(rig))}
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)

@@ -10,10 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from semloc_jax.errors import SemlocError
+from semloc_jax.errors import SemlocError, install_command
 
 _LOG = logging.getLogger(__name__)
-EXTRA = 'pip install "semloc-jax[bags]"'
 
 
 def rosbags_module() -> Any:
@@ -26,7 +25,7 @@ def rosbags_module() -> Any:
         import rosbags.highlevel
         import rosbags.typesys
     except ImportError as error:
-        raise SemlocError(f"bag: the library rosbags is not installed; {EXTRA}") from error
+        raise SemlocError(f"bag: the library rosbags is not installed; run: {install_command('bags')}") from error
     return rosbags
 
 

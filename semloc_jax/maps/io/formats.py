@@ -121,6 +121,10 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
 
     Raises:
         SemlocError: no such file, no known format, broken content, or nothing in it that can be seen.
+
+    >>> semantic_map = sj.read_map(folder / "map.geojson")
+    >>> semantic_map.num_elements > 20, sj.ElementClass.LANE_MARKING in semantic_map.labels
+    (True, True)
     """
     path = _map_in(Path(path))
     read = _reader(path)
@@ -174,6 +178,10 @@ def write_map(semantic_map: SemanticMap, path: str | Path, in_degrees: bool | No
 
     Raises:
         SemlocError: another suffix, or the file cannot be written.
+
+    >>> sj.write_map(street, tmp / "street.osm")
+    >>> sj.read_map(tmp / "street.osm").num_elements
+    3
     """
     path = Path(path)
     write = next((row.write for row in FORMATS.values() if row.write and path.suffix.lower() in row.suffixes), None)

@@ -78,3 +78,34 @@ def test_driving_links_are_the_lanes(folder):
     there, back = read_lane_centers(folder, road.origin)
     np.testing.assert_allclose(there[-1] - there[0], [40.0, 0.0, 0.0], atol=0.01)
     np.testing.assert_allclose(back[-1] - there[0], [0.0, 3.0, 0.0], atol=0.01)
+
+
+def test_a_map_in_degrees_is_the_map_in_metres(folder, tmp_path_factory):
+    """Widths and dashes are metres: a line of 40 m has five bars, not one of three degrees."""
+    in_degrees = tmp_path_factory.mktemp("degrees")
+    pyproj = pytest.importorskip("pyproj")
+    to_degrees = pyproj.Transformer.from_crs("EPSG:5186", "EPSG:4326", always_xy=True).transform
+
+    def moved(shape):
+        def one(p):
+            return np.column_stack([*to_degrees(p[:, 0], p[:, 1]), p[:, 2]])
+
+        return shapely.transform(shape, one, include_z=True)
+
+    lines = [_line(0, 40, 0), _line(0, 40, 3), _line(38, 38.1, 0), _line(0, 40, 6)]
+    values = {"ID": ["a", "b", "c", "d"], "Kind": ["501", "503", "530", "501"], "Type": ["121", "212", "211", "114"]}
+    _write(in_degrees, "B2_SURFACELINEMARK", [moved(line) for line in lines], crs="EPSG:4326", **values)
+    road, same = read_map(in_degrees), read_map(folder)
+    bars = {e.id: e for e in road.elements if e.id.startswith("b_")}
+    assert len(bars) == 5 and all(e.length_m == pytest.approx(3.0, abs=1e-3) for e in bars.values())
+    assert np.abs(road.extent[1] - road.extent[0])[:2].max() < 50.0
+    for key in ("aL", "b_0", "c"):
+        mine, other = ({e.id: e for e in m.elements}[key].points for m in (road, same))
+        assert np.linalg.norm(mine[-1] - mine[0]) == pytest.approx(np.linalg.norm(other[-1] - other[0]), abs=2e-3)
+
+
+def test_layers_that_are_not_read_are_counted(folder):
+    _write(folder, "C3_VEHICLEPROTECTIONSAFETY", [_line(0, 40, 9), _line(0, 40, 12)], ID=["h", "i"], Type=["1", "2"])
+    road = read_map(folder)
+    assert road.skipped["layer C3_VEHICLEPROTECTIONSAFETY"] == 2
+    assert road.skipped["C6_POSTPOINT: kept, but no contour (points without a height)"] == 1

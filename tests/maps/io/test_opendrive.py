@@ -255,3 +255,39 @@ def test_numbers_that_no_road_has_are_refused(tmp_path, values, message):
     with pytest.raises(SemlocError) as caught:
         read_opendrive(_write(tmp_path, **values))
     assert message in str(caught.value) and "road 1" in str(caught.value)
+
+
+BROKEN_END = """<OpenDRIVE><header><geoReference>EPSG:25832</geoReference></header>
+<road id="1" length="{length}" junction="-1"><planView>
+<geometry s="0" x="696000" y="5346700" hdg="4.4" length="500"><line/></geometry>
+<geometry s="{s}" x="{x}" y="{y}" hdg="0.65" length="{last}"><line/></geometry></planView>
+<lanes><laneSection s="0"><center><lane id="0" type="none"><roadMark sOffset="0" type="solid" width="0.15"/></lane>
+</center></laneSection></lanes></road></OpenDRIVE>"""
+
+
+def _road_with_a_jump(tmp_path, last):
+    path = tmp_path / "road.xodr"
+    path.write_text(BROKEN_END.format(length=500 + last, s=500, x=-47.2, y=0.7, last=last))
+    return path
+
+
+def test_a_broken_last_geometry_moves_nothing_but_is_left_out_and_told(tmp_path, caplog):
+    road_map = read_map(_road_with_a_jump(tmp_path, 57.0))
+    assert road_map.origin.lat_deg == pytest.approx(48.24, abs=0.05)  # Munich, not the Sahara
+    assert np.abs(road_map.extent).max() < 300.0
+    assert "jumps by 5391 km at s = 500 m; the last 57 m of the road are left out" in caplog.text
+
+
+def test_a_jump_before_most_of_the_road_is_refused(tmp_path):
+    with pytest.raises(SemlocError, match="road 1: its reference line jumps by 5391 km at s = 500 m, before most"):
+        read_map(_road_with_a_jump(tmp_path, 600.0))
+
+
+@pytest.mark.data
+def test_a_real_road_with_a_broken_last_geometry_is_the_one_without_it(data_dir):
+    folder = data_dir / "providentia_a9_s40"
+    if not folder.is_dir():
+        pytest.skip(f"no providentia_a9_s40 in {data_dir}")
+    broken, clean = (read_map(folder / f"highway_north{end}.xodr") for end in ("", "_without_last_geometry"))
+    assert np.abs(np.subtract(broken.origin, clean.origin)).max() < 1e-3
+    assert np.abs(broken.extent - clean.extent).max() < 60.0

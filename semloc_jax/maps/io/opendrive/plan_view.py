@@ -4,6 +4,7 @@ In: the <planView> of a road. Out: PlanView, which gives position and heading at
 Clothoids are integrated with Gauss-Legendre nodes on pieces that turn less than half a radian, exact to nanometres.
 """
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
@@ -13,6 +14,7 @@ import numpy as np
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.io.xml_stream import number, numbers
 
+_log = logging.getLogger(__name__)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _MOST_TURN_RAD = 200.0
 """About thirty full turns in one piece: no road."""
@@ -21,6 +23,8 @@ _MOST_SAMPLES = 1e6
 _TABLE_STEP_M = 0.25
 _CHORD_ERROR_M = 0.0005
 """A line through samples of the reference line stays this close to it."""
+_FARTHEST_JUMP_M = 1000.0
+"""A piece that starts this far from the end of the one before belongs to no road; ours."""
 _STEPS_M = (0.05, 2.0)
 
 Local = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -53,12 +57,12 @@ class PlanView:
         """Returns the reference line in a <planView>.
 
         Raises:
-            SemlocError: no geometry, an unknown one, or numbers that no road has.
+            SemlocError: no geometry, an unknown one, numbers that no road has, or a jump that parts the road in two.
         """
         records = [] if plan_view is None else plan_view.findall("geometry")
         if not records:
             raise SemlocError(f"{where}: no <geometry> in its <planView>; expected at least one")
-        pieces = sorted((_piece(record, where) for record in records), key=lambda piece: piece.s)
+        pieces = _connected(sorted((_piece(record, where) for record in records), key=lambda piece: piece.s), where)
         return cls(tuple(pieces), pieces[-1].s + pieces[-1].length)
 
     def at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -90,6 +94,31 @@ class PlanView:
             for piece in self.pieces
         ]
         return np.unique(np.concatenate(parts))
+
+
+def _connected(pieces: list[_Piece], where: str) -> list[_Piece]:
+    """Returns the pieces up to the first that starts far from where the road has come to; what is left out is logged.
+
+    Files exist whose last geometry lies at the origin of the grid, thousands of kilometres away.
+    """
+    for index in range(1, len(pieces)):
+        before, piece = pieces[index - 1], pieces[index]
+        end = PlanView((before,), before.s + before.length).at(np.array([before.s + before.length]))
+        jump_m = float(np.hypot(end[0][0] - piece.start[0], end[1][0] - piece.start[1]))
+        if jump_m <= _FARTHEST_JUMP_M:
+            continue
+        kept_m, left_m = piece.s - pieces[0].s, pieces[-1].s + pieces[-1].length - piece.s
+        if left_m > kept_m:
+            raise SemlocError(
+                f"{where}: its reference line jumps by {1e-3 * jump_m:.0f} km at s = {piece.s:.0f} m, before most of "
+                "the road; expected pieces that join; repair the <planView>"
+            )
+        _log.warning(
+            "%s: its reference line jumps by %.0f km at s = %.0f m; the last %.0f m of the road are left out",
+            *(where, 1e-3 * jump_m, piece.s, left_m),
+        )
+        return pieces[:index]
+    return pieces
 
 
 def _piece(record: Element, where: str) -> _Piece:
