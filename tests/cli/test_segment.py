@@ -13,7 +13,7 @@ from semloc_jax.datasets import open_drive
 from semloc_jax.inputs.mask_source import mask_source
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from tests.perception.onnx_files import red_or_blue
+from tests.perception.onnx_files import red_and_blue_apart, red_or_blue
 
 PRESET = {"mean": [0, 0, 0], "std": [1, 1, 1], "class_table": "table.yaml", "model": "net.onnx"}
 TABLE = """name: colours
@@ -95,3 +95,21 @@ def test_bad_options_are_one_line(simulated_road, capsys, words, code, message):
     assert main(["segment", str(simulated_road), *words]) == code
     said = capsys.readouterr().err.strip()
     assert message in said and len(said.splitlines()) == 1
+
+
+def test_twinlite_needs_nothing_but_its_file_and_its_table(simulated_road, tmp_path, capsys):
+    """Its input, its normalisation and its two outputs are known: no preset to write, and no masks of zeros."""
+    model = red_and_blue_apart(tmp_path / "twinlite.onnx")
+    words = ["--model", str(model), "--class-table", "twinlite", "--frames", "0", "--out", str(tmp_path / "masks")]
+    assert main(["segment", str(simulated_road), *words]) == OK
+    assert "images as twinlite takes them (640x360)" in capsys.readouterr().out
+    mask = cv2.imread(str(tmp_path / "masks" / "front" / "000000.png"), cv2.IMREAD_UNCHANGED)
+    assert mask.any() and mask.max() <= 3
+
+
+def test_the_output_of_a_network_can_be_named(simulated_road, tmp_path, capsys):
+    model = red_and_blue_apart(tmp_path / "net.onnx")
+    words = ["--model", str(model), "--class-table", "lane_paint", "--frames", "0", "--out", str(tmp_path / "masks")]
+    assert main(["segment", str(simulated_road), *words]) == FAILED
+    assert "--output NAME" in capsys.readouterr().err
+    assert main(["segment", str(simulated_road), *words, "--output", "ll"]) == OK

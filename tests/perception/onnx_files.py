@@ -55,3 +55,20 @@ def red_or_blue(path, size=(48, 32), reduced=1, batch=1):
     bias = np.array([0.0, -0.5, -0.5], np.float32)
     out_size = (size[0] // reduced, size[1] // reduced) if size else None
     return write_convolution(path, kernel, bias, size, out_size, batch)
+
+
+def red_and_blue_apart(path, size=(640, 360)):
+    """A network with two outputs of two classes each, as TwinLite: `da` says 1 where it is red, `ll` where blue."""
+    nodes, weights, outputs = b"", b"", b""
+    for name, channel in (("da", 0), ("ll", 2)):
+        kernel = np.zeros((2, 3, 1, 1), np.float32)
+        kernel[1, channel] = 1.0
+        node = b"".join(field(1, part) for part in ("x", f"w_{name}", f"b_{name}")) + field(2, name) + field(4, "Conv")
+        node += field(5, field(1, "kernel_shape") + field(8, 1) + field(8, 1) + field(20, 7))
+        nodes += field(1, node)
+        weights += field(5, tensor(f"w_{name}", kernel))
+        weights += field(5, tensor(f"b_{name}", np.array([0.0, -0.5], np.float32)))
+        outputs += field(12, value_info(name, (1, 2, size[1], size[0])))
+    graph = nodes + field(2, "net") + weights + field(11, value_info("x", (1, 3, size[1], size[0]))) + outputs
+    path.write_bytes(field(1, 8) + field(7, graph) + field(8, field(1, "") + field(2, 13)))
+    return path

@@ -8,10 +8,11 @@ import pytest
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception import load_class_table
-from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter, load_network_preset
+from semloc_jax.perception.network import KNOWN, NetworkPreset, NetworkSegmenter, load_network_preset
+from semloc_jax.perception.onnx_header import read_onnx_header
 from semloc_jax.perception.visibility import visibility, visibility_text
 from semloc_jax.structs import ElementClass
-from tests.perception.onnx_files import red_or_blue
+from tests.perception.onnx_files import red_and_blue_apart, red_or_blue
 
 PLAIN = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}
 HAS_RUNTIME = importlib.util.find_spec("onnxruntime") is not None
@@ -146,3 +147,47 @@ def test_what_masks_can_see_of_a_map():
     text = visibility_text(rows.values(), "cityscapes", {ElementClass.POLE: 7, ElementClass.LANE_MARKING: 90})
     assert "lane_marking    not in the table" in text and text.splitlines()[-1].endswith("of this map: pole")
     assert "curb" not in text
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_network_with_an_output_for_each_class_gives_their_bits(tmp_path, backend):
+    """TwinLite: drivable area and lane lines apart, 0 ... 1 without mean; ids of the class table `twinlite`."""
+    model = red_and_blue_apart(tmp_path / "twinlite.onnx")
+    preset = dataclasses.replace(KNOWN["twinlite"], model=str(model), backend=backend)
+    image = np.zeros((360, 640, 3), np.uint8)
+    image[:180, :, 2] = 255  # red above: drivable
+    image[:, 320:, 0] = 255  # blue to the right: lane line
+    mask = NetworkSegmenter(preset)(image)
+    assert [int(mask[v, u]) for v, u in ((90, 160), (90, 480), (270, 160), (270, 480))] == [2, 3, 0, 1]
+    assert set(np.unique(mask)) <= load_class_table("twinlite").id_names.keys()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_one_of_several_outputs_has_to_be_named(tmp_path, backend):
+    model = red_and_blue_apart(tmp_path / "net.onnx")
+    with pytest.raises(
+        SemlocError, match=r"2 outputs \(da, ll\), 1 expected; name what holds the classes: --output NAME"
+    ):
+        NetworkSegmenter(NetworkPreset(model=str(model), backend=backend))
+    with pytest.raises(SemlocError, match="no output 'lines'; expected one of da, ll"):
+        NetworkSegmenter(NetworkPreset(model=str(model), backend=backend, output="lines"))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_every_backend_takes_the_size_that_the_file_states(tmp_path, backend):
+    segmenter = NetworkSegmenter(
+        NetworkPreset(model=str(red_or_blue(tmp_path / "net.onnx", size=(96, 64))), backend=backend)
+    )
+    assert (segmenter.size_px, segmenter.backend.batch) == ((96, 64), 1)
+    free = NetworkSegmenter(
+        NetworkPreset(model=str(red_or_blue(tmp_path / "free.onnx", size=None, batch=None)), backend=backend)
+    )
+    assert (free.size_px, free.backend.batch) == (None, None)
+
+
+def test_a_file_that_is_no_network_has_no_header(tmp_path):
+    whole = red_or_blue(tmp_path / "net.onnx").read_bytes()
+    for name, content in (("empty", b""), ("text", b"not a network"), ("cut", whole[: len(whole) // 2])):
+        (tmp_path / name).write_bytes(content)
+        header = read_onnx_header(tmp_path / name)
+        assert header is None or header.inputs == () or header.outputs == ()
