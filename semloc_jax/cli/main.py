@@ -20,6 +20,7 @@ VERBS = {
     "explain": "which map elements hold the pose of a frame, and how far it moves where one of them is wrong",
     "survey": "how well a road can be localized on, from map and camera alone, and the small map that is enough",
     "evaluate": "errors of a trajectory against a reference, with an optional gate",
+    "init": "look at your own recording: what is there, what is missing, templates, the next command",
     "inspect": "what a map holds and what looks wrong in it",
     "convert": "write a map in another format, and say what is lost",
     "calibrate": "cameras, odometer and satellite offset calibrated by a drive, and what it cannot tell",

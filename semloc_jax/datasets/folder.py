@@ -5,6 +5,7 @@ calib.yaml or any calibration the cameras room reads; optionally times.csv, time
 gps.csv or NMEA, wheel_odom.csv, imu.csv, poses.tum and a map. Out: Drive.
 """
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,9 +17,11 @@ from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.datasets.beside import CALIBRATIONS, MAPS, folder_file, logs_beside
 from semloc_jax.datasets.clock import seconds
 from semloc_jax.datasets.tables import column_names, read_numbers, read_rows
+from semloc_jax.datasets.templates import COLUMNS
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
 
+_log = logging.getLogger(__name__)
 _KIND_OF_FOLDER = {"images": IMAGE, "image": IMAGE, "rgb": IMAGE, "masks": "masks", "labels": "masks", "sem": "sem"}
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _TIME = ("t", "time", "timestamp", "t_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us", "timestamp_ns")
@@ -51,7 +54,11 @@ def read_folder(
         raise SemlocError(f"folder {path}: no images; expected a folder images/ or masks/ with png or jpg files")
     stems = sorted(set.intersection(*(set(files[camera]) for files in by_kind.values() for camera in rig.names)))
     if not stems:
-        raise SemlocError(f"folder {path}: no file name is shared by all of {', '.join(by_kind)} and all cameras")
+        raise SemlocError(
+            f"folder {path}: no file name is shared by all of {', '.join(by_kind)} and all cameras: "
+            f"{_names_of(by_kind)}; expected the same name for an image and its mask, e.g. images/front/000.png and "
+            "masks/front/000.png"
+        )
     logs = logs_beside(path)
     truth = logs.truth
     times = _frame_times(path, stems, truth, rate_hz)
@@ -92,7 +99,8 @@ def _find_calibration(path: Path) -> Path:
     found = folder_file(path, CALIBRATIONS)
     if found is None:
         raise SemlocError(
-            f"folder {path}: no calibration; expected one of {', '.join(CALIBRATIONS)}; or give --calib FILE"
+            f"folder {path}: no calibration; expected one of {', '.join(CALIBRATIONS)}; give --calib FILE, or let "
+            f"'semloc init {path}' write one to fill in"
         )
     return found
 
@@ -104,14 +112,43 @@ def _kind_folders(path: Path) -> list[tuple[Path, str]]:
 def _files_of(folder: Path, rig: Rig) -> Mapping[str, Mapping[str, Path]]:
     """Files by camera and stem; a folder without camera folders belongs to the only camera of the rig."""
     if len(rig) == 1 and not (folder / rig.names[0]).is_dir():
-        return {rig.names[0]: _pictures(folder)}
+        return {rig.names[0]: _of_only_camera(folder, rig.names[0])}
     missing = [camera for camera in rig.names if not (folder / camera).is_dir()]
     if missing:
         raise SemlocError(
             f"folder {folder}: no folder for camera {', '.join(missing)}; expected one for each camera of the "
-            f"calibration: {', '.join(rig.names)}"
+            f"calibration: {', '.join(rig.names)}; there are {', '.join(_camera_folders(folder)) or 'none'}: rename "
+            "the folders, or the cameras of the calibration by the key 'name'"
         )
     return {camera: _pictures(folder / camera) for camera in rig.names}
+
+
+def _of_only_camera(folder: Path, name: str) -> dict[str, Path]:
+    """Pictures of the only camera: in the folder itself, or in the one folder in it, whatever its name."""
+    pictures, folders = _pictures(folder), _camera_folders(folder)
+    if pictures or not folders:
+        return pictures
+    if len(folders) > 1:
+        raise SemlocError(
+            f"folder {folder}: has folders of the cameras {', '.join(folders)}, and the calibration knows '{name}' "
+            "alone; expected one folder of that name; rename it, or the camera by the key 'name' of the calibration"
+        )
+    _log.warning("folder %s: its one folder '%s' is taken for the one camera '%s'", folder, folders[0], name)
+    return _pictures(folder / folders[0])
+
+
+def _camera_folders(folder: Path) -> list[str]:
+    return sorted(place.name for place in folder.iterdir() if place.is_dir())
+
+
+def _names_of(by_kind: Mapping[str, Mapping[str, Mapping[str, Path]]]) -> str:
+    """How many files there are of each kind and camera, and what the first is called."""
+    said = []
+    for kind, cameras in by_kind.items():
+        for camera, files in cameras.items():
+            first = f" ({next(iter(files.values())).name} ...)" if files else ""
+            said.append(f"{len(files)} {kind} of {camera}{first}")
+    return ", ".join(said)
 
 
 def _pictures(folder: Path) -> dict[str, Path]:
@@ -134,6 +171,10 @@ def _frame_times(path: Path, stems: list[str], truth: Trajectory | None, rate_hz
         return seconds(stamps, f"folder {path}: file names")[0]
     if truth is not None and len(truth) == len(stems) and np.ptp(truth.time_s) != len(stems) - 1:
         return truth.time_s
+    _log.warning(
+        "folder %s: nothing states times; frames are taken to be %g s apart. Write times.csv: %s",
+        *(path, 1.0 / rate_hz, COLUMNS["times.csv"].strip().replace("\n", " | ")),
+    )
     return np.arange(len(stems)) / rate_hz
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from semloc_jax.datasets.clock import seconds
 from semloc_jax.datasets.tables import column_names, find_columns, read_columns
+from semloc_jax.datasets.templates import GNSS_COLUMNS
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import Geodetic, enu_from_wgs84, wgs84_from_enu
 
@@ -199,6 +200,8 @@ def read_gnss(path: Path) -> GnssTrack:
         return GnssTrack.from_wgs84(
             time_s, np.column_stack([table["lat"], table["lon"], height]), np.column_stack(sigma)
         )
+    if has and not {"east", "north", "up"} <= has.keys():
+        raise SemlocError(f"table {path}: no position in its columns; expected {GNSS_COLUMNS}")
     table = read_columns(path, ("t", "east_m", "north_m", "up_m", *_SIGMA))
     p_enu = np.column_stack([table["east_m"], table["north_m"], table["up_m"]])
     sigma_m = _known_sigma(np.column_stack([table[key] for key in _SIGMA]))

@@ -124,8 +124,13 @@ def read_trajectory(path: str | Path) -> Trajectory:
     )
 
 
-def write_tum(trajectory: Trajectory, path: str | Path) -> None:
+def write_tum(trajectory: Trajectory, path: str | Path, what: str = "base") -> None:
     """Write `t x y z qx qy qz qw` rows with 9 decimals of time and position.
+
+    Args:
+        trajectory: Poses T_map_what.
+        path: The file.
+        what: Whose poses they are, for the header.
 
     >>> sj.write_tum(drive.truth, tmp / "poses.tum")
     >>> len(sj.read_trajectory(tmp / "poses.tum")) == len(drive.truth)
@@ -133,8 +138,9 @@ def write_tum(trajectory: Trajectory, path: str | Path) -> None:
     """
     quaternion = Rotation.from_matrix(trajectory.T_map_base[:, :3, :3]).as_quat()
     rows = np.column_stack([trajectory.time_s, trajectory.T_map_base[:, :3, 3], quaternion])
+    header = f"t[s] x y z[m] qx qy qz qw : {what} in map"
     with writing(path) as partial:
-        np.savetxt(partial, rows, fmt=["%.9f"] * 4 + ["%.12f"] * 4, header="t[s] x y z[m] qx qy qz qw : base in map")
+        np.savetxt(partial, rows, fmt=["%.9f"] * 4 + ["%.12f"] * 4, header=header)
 
 
 def _read_rows(path: Path) -> np.ndarray:

@@ -87,7 +87,7 @@ def open_inputs(options: InputOptions) -> Inputs:
     from semloc_jax.datasets import open_drive
     from semloc_jax.errors import SemlocError
     from semloc_jax.inputs.mask_source import CLASSICAL, is_network, mask_source
-    from semloc_jax.inputs.priors import prior_source
+    from semloc_jax.inputs.priors import other_priors, prior_source
     from semloc_jax.maps import read_map
 
     options = pinned_options(options)
@@ -100,7 +100,7 @@ def open_inputs(options: InputOptions) -> Inputs:
         raise SemlocError(f"drive {drive.name}: has no map of its own; give --map FILE (.geojson or .osm)")
     kind = options.prior or ("gnss" if drive.gnss is not None else None)
     if kind is None:
-        raise SemlocError(f"drive {drive.name}: has no satellite fixes; give --prior truth or --prior FILE.tum")
+        raise SemlocError(f"drive {drive.name}: has no satellite fixes; give {other_priors(drive)}")
     if is_map_made:
         drive, semantic_map = sweeps.from_sweeps(drive, map_path)
     else:

@@ -58,6 +58,11 @@ def prior_source(
     return from_file
 
 
+def other_priors(drive: Drive) -> str:
+    """What may be given where there are no satellite fixes; the truth only where the drive has one."""
+    return "--prior truth or --prior FILE.tum" if drive.truth is not None else "--prior FILE.tum"
+
+
 def _require_sigma(what: str, sigma: float | None, unit: str) -> None:
     if sigma is not None and not (np.isfinite(sigma) and sigma > 0.0):
         raise SemlocError(
@@ -68,9 +73,7 @@ def _require_sigma(what: str, sigma: float | None, unit: str) -> None:
 
 def _from_gnss(drive: Drive, sigma_xy_m: float | None, sigma_heading_deg: float | None) -> PriorSource:
     if drive.gnss is None:
-        raise SemlocError(
-            f"drive {drive.name}: has no satellite fixes for --prior gnss; use --prior truth or a TUM file"
-        )
+        raise SemlocError(f"drive {drive.name}: has no satellite fixes for --prior gnss; give {other_priors(drive)}")
 
     def from_gnss(frame: Frame) -> PosePrior:
         fix = drive.gnss_prior(frame.time_s)

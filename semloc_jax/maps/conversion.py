@@ -55,7 +55,7 @@ class Converted:
     @property
     def is_lossless(self) -> bool:
         """Whether nothing was lost."""
-        return self.losses.is_exact and not self.left_out
+        return self.losses.is_lossless and not self.left_out
 
     def to_text(self) -> str:
         """The report as text."""

@@ -15,6 +15,8 @@ from semloc_jax.maps.semantic_map import SemanticMap
 _SIZES = ("width_m", "radius_m", "radius_top_m", "height_m")
 _WORDS = ("style", "shape", "closed", "true_ends", "has_height")
 _SAME_M = 1e-9
+_UNSEEN_M = 1e-4
+"""Points that move by less than this count as kept."""
 _AT_ONCE = 256
 _FARTHEST_M = 5.0
 """An element without a counterpart within this distance is lost."""
@@ -42,6 +44,11 @@ class Losses:
     def is_exact(self) -> bool:
         """Whether nothing was lost, points to within a nanometre."""
         return not (self.lost or self.added or self.changed or self.notes) and self.shift_m <= _SAME_M
+
+    @property
+    def is_lossless(self) -> bool:
+        """Whether nothing was lost, points to within what no map is made to: degrees in a file are rounded."""
+        return not (self.lost or self.added or self.changed or self.notes) and self.shift_m <= _UNSEEN_M
 
     def to_text(self) -> str:
         """Returns the differences as lines of text."""

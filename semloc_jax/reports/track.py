@@ -16,6 +16,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import write_tum
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.inputs.drive_inputs import InputOptions, Inputs, open_inputs
+from semloc_jax.inputs.priors import other_priors
 from semloc_jax.localization import checkpoint
 from semloc_jax.localization.acquisition import Area
 from semloc_jax.localization.checkpoint import Checkpoint
@@ -102,10 +103,10 @@ def open_tracked(options: InputOptions, has_area: bool = False) -> Inputs:
     Raises:
         SemlocError: nothing says where to start, or something cannot be read.
     """
-    if options.prior is None and open_drive(options.drive, options.calib).gnss is None:
+    if options.prior is None and (drive := open_drive(options.drive, options.calib)).gnss is None:
         if not has_area:
             raise SemlocError(
-                f"drive {options.drive}: has no satellite fixes to start from; give --prior truth, --prior FILE.tum or "
+                f"drive {options.drive}: has no satellite fixes to start from; give {other_priors(drive)}, or "
                 "--area X,Y,RADIUS"
             )
         options = replace(options, prior="truth")  # never asked: the area says where to start

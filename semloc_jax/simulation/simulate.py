@@ -186,7 +186,7 @@ def _write_truth(out: Path, motion: VehicleMotion, time_s: np.ndarray, rig: Rig)
     T_map_base = motion.poses(time_s)
     write_tum(Trajectory(time_s, T_map_base), out / "poses_body.tum")
     for name, T_base_cam in zip(rig.names, np.asarray(rig.T_base_cam), strict=True):
-        write_tum(Trajectory(time_s, T_map_base @ T_base_cam), out / f"poses_cam_{name}.tum")
+        write_tum(Trajectory(time_s, T_map_base @ T_base_cam), out / f"poses_cam_{name}.tum", f"camera {name}")
 
 
 def _write_frame_list(out: Path, time_s: np.ndarray, lightings: list[Lighting]) -> None:

@@ -45,6 +45,12 @@ def test_an_exact_way_is_called_exact_and_a_lossy_one_is_not(small_map, tmp_path
     assert "ids are not kept" in said and "changed: attributes of 3" in said and "points are exact" in said
 
 
+def test_what_the_rounding_of_degrees_moves_is_no_loss(small_map, tmp_path, capsys):
+    """Lanelet2 holds latitude and longitude: points come back within micrometres."""
+    assert main(["convert", str(small_map), str(tmp_path / "m.osm"), "--strict"]) == OK
+    assert "points move by at most" in capsys.readouterr().out
+
+
 def test_classes_and_the_layout_of_geojson_can_be_chosen(small_map, tmp_path, capsys):
     out = tmp_path / "m.geojson"
     assert main(["convert", str(small_map), str(out), "--only", "pole,sign", "--geojson", "drive"]) == OK

@@ -83,3 +83,10 @@ def test_bad_files_say_what_is_wrong(tmp_path, content, says):
 def test_missing_file_is_named(tmp_path):
     with pytest.raises(SemlocError, match="no such file"):
         read_trajectory(tmp_path / "none.tum")
+
+
+def test_the_header_says_whose_poses_they_are(tmp_path):
+    poses = Trajectory(np.array([0.0]), np.eye(4)[None])
+    for what in ("base", "camera front"):
+        write_tum(poses, tmp_path / "poses.tum", what)
+        assert (tmp_path / "poses.tum").read_text().splitlines()[0].endswith(f": {what} in map")

@@ -84,6 +84,10 @@ def test_a_trajectory_file_is_a_prior(drive, tmp_path):
 def test_what_is_missing_is_said(drive):
     with pytest.raises(SemlocError, match="no satellite fixes"):
         prior_source("gnss", replace(drive, gnss=None))
+    with pytest.raises(SemlocError, match=r"for --prior gnss; give --prior truth or --prior FILE\.tum"):
+        prior_source("gnss", replace(drive, gnss=None))
+    with pytest.raises(SemlocError, match=r"for --prior gnss; give --prior FILE\.tum"):  # not a truth that is not there
+        prior_source("gnss", replace(drive, gnss=None, truth=None))
     with pytest.raises(SemlocError, match="neither gnss nor truth"):
         prior_source("nowhere.tum", drive)
     with pytest.raises(SemlocError, match="no reference poses"):

@@ -1,0 +1,129 @@
+"""A stranger's folder: what is there, what is missing, templates that nobody can use by mistake, the next command."""
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from semloc_jax.cli.main import FAILED, OK, main
+from semloc_jax.datasets import open_drive
+from semloc_jax.errors import SemlocError
+from semloc_jax.inputs.first_look import first_look
+from semloc_jax.perception import load_class_table
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Images and masks of one camera in folders called `front`; nothing else."""
+    for kind, pixel in (("images", (90, 90, 90)), ("masks", 0)):
+        (tmp_path / "mine" / kind / "front").mkdir(parents=True)
+        for name in ("000", "001"):
+            image = np.full((40, 64, 3) if kind == "images" else (40, 64), pixel, np.uint8)
+            cv2.imwrite(str(tmp_path / "mine" / kind / "front" / f"{name}.png"), image)
+    return tmp_path / "mine"
+
+
+def _filled_in(text):
+    numbers = {
+        "FX": "60.0",
+        "FY": "60.0",
+        "CX": "31.5",
+        "CY": "19.5",
+        "K1": "0.0",
+        "K2": "0.0",
+        "P1": "0.0",
+        "P2": "0.0",
+    }
+    numbers |= {"X_FORWARD": "1.6", "Y_LEFT": "0.0", "Z_UP": "1.4"}
+    for word, number in numbers.items():
+        text = text.replace(word, number)
+    return text
+
+
+def test_a_bare_folder_gets_templates_and_the_next_command(folder, capsys):
+    assert main(["init", str(folder)]) == OK
+    said = capsys.readouterr().out
+    assert "camera front: 2 pictures of 64x40 px" in said
+    for name in ("calibration", "gps.csv", "wheel_odom.csv", "times.csv", "map"):
+        assert f"missing  {name}" in said
+    assert "Columns: t,lat_deg,lon_deg,alt_m" in said and "Columns: t,v_m_s,yaw_rate_rad_s" in said
+    assert said.strip().splitlines()[-1].startswith(f"next: fill in {folder / 'calib.yaml'}, then: semloc check-calib")
+
+
+def test_templates_are_no_data_until_they_are_filled_in(folder):
+    first_look(folder)
+    with pytest.raises(SemlocError, match="calib.yaml"):
+        open_drive(folder)
+    with pytest.raises(SemlocError, match="'ids' must map names to numbers"):
+        load_class_table(folder / "classes.yaml")
+    calib, classes = folder / "calib.yaml", folder / "classes.yaml"
+    calib.write_text(_filled_in(calib.read_text()))
+    text = classes.read_text()
+    for word, number in (("LANE_ID", "1"), ("POLE_ID", "2"), ("CAR_ID", "3")):
+        text = text.replace(word, number)
+    classes.write_text(text)
+    drive = open_drive(folder)
+    assert drive.rig.names == ("front",) and drive.rig.cameras[0].resolution == (64, 40)
+    np.testing.assert_allclose(drive.rig.T_base_cam[0] @ [0.0, 0.0, 1.0, 1.0], [2.6, 0.0, 1.4, 1.0])  # looks ahead
+    assert len(load_class_table(classes).channels) == 2
+    look = first_look(folder)
+    assert look.written == () and any("2 frames in all" in line for line in look.found)
+    assert look.command.startswith(f"semloc localize {folder} --map MAP --masks masks --class-table")
+
+
+def test_what_is_there_is_never_overwritten(folder):
+    (folder / "calib.yaml").write_text("mine: 1\n")
+    first_look(folder)
+    assert (folder / "calib.yaml").read_text() == "mine: 1\n"
+
+
+def test_a_drive_with_a_layout_of_its_own_is_told(simulated_road, capsys):
+    assert main(["init", str(simulated_road)]) == OK
+    said = capsys.readouterr().out
+    assert "3 frames of front" in said and "satellite fixes" in said and "--masks sem" in said
+
+
+def test_nothing_there_is_one_line(tmp_path, capsys):
+    assert main(["init", str(tmp_path / "nowhere")]) == FAILED
+    assert "no such folder or file" in capsys.readouterr().err
+
+
+def _with_calibration(folder, *names):
+    first_look(folder)
+    content = yaml.safe_load(_filled_in((folder / "calib.yaml").read_text()))
+    entries = {f"cam{i}": {**content["cam0"], "name": name} for i, name in enumerate(names)}
+    (folder / "calib.yaml").write_text(yaml.safe_dump(entries))
+
+
+def test_the_one_camera_of_a_kalibr_file_is_the_one_folder(folder, caplog):
+    """`cam0` against `front`: there is nothing else that it could be."""
+    _with_calibration(folder, "cam0")
+    drive = open_drive(folder)
+    assert len(drive) == 2 and drive.frames[0].image("cam0").shape == (40, 64, 3)
+    assert "its one folder 'front' is taken for the one camera 'cam0'" in caplog.text
+    assert "nothing states times; frames are taken to be 0.1 s apart. Write times.csv: frame,t" in caplog.text
+
+
+def test_names_that_do_not_fit_are_explained(folder):
+    _with_calibration(folder, "cam0", "cam1")
+    with pytest.raises(SemlocError, match=r"no folder for camera cam0, cam1; .*; there are front: rename the folders"):
+        open_drive(folder)
+    _with_calibration(folder, "cam0")
+    (folder / "images" / "left").mkdir()
+    with pytest.raises(SemlocError, match=r"of the cameras front, left, and the calibration knows 'cam0' alone"):
+        open_drive(folder)
+
+
+def test_file_names_that_do_not_fit_are_shown(folder):
+    _with_calibration(folder, "front")
+    for file in (folder / "masks" / "front").iterdir():
+        file.rename(file.with_name(f"mask_{file.name}"))
+    with pytest.raises(SemlocError, match=r"2 rgb of front \(000\.png \.\.\.\), 2 masks of front \(mask_000\.png"):
+        open_drive(folder)
+
+
+def test_columns_of_fixes_that_are_missing_are_named_in_both_forms(folder):
+    _with_calibration(folder, "front")
+    (folder / "gps.csv").write_text("t,x,y\n0.0,1.0,2.0\n")
+    with pytest.raises(SemlocError, match=r"expected t, lat_deg, lon_deg, alt_m .* or t, east_m, north_m"):
+        open_drive(folder)
