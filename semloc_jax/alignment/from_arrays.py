@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.hypotheses import Modes, score, weigh
-from semloc_jax.alignment.implicit import SmoothConfig, SmoothEstimate, polish, smooth_scene
+from semloc_jax.alignment.implicit import SmoothConfig, SmoothEstimate, smooth_optimum, smooth_scene
 from semloc_jax.alignment.pose import Prior, align_one
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import LocalizationResult
@@ -102,7 +102,7 @@ def align(
     if differentiable:
         _require_fine(given.local.origin_map)
         scene = _scene(given)
-        return _in_map(polish(scene.T_start, scene.scene, scene.prior, _smooth(given)), given.local.origin_map)
+        return _in_map(smooth_optimum(scene.T_start, scene.scene, scene.prior, _smooth(given)), given.local.origin_map)
     found = _aligned(given.prior, given.frame, given.localizer.config.frame)
     return given.localizer.judged(None, found, given.T_map_prior, given.local, _sigma_xy_m(given.prior), {})
 

@@ -162,7 +162,7 @@ def sharpest(
     align_config = config.polish_align
     finest = frame._replace(grain=align_config.noise.grain(jnp.zeros((), T_map_base.dtype)))
     evidence = evidence_from(T_map_base, finest, config.polish_view)
-    T = align(T_map_base, evidence, prior, align_config).T_map_base
+    T = align_one(T_map_base, evidence, prior, align_config).T_map_base
     return T, align_config.noise.grain(typical_px(T, config.rank_level, evidence, align_config))
 
 

@@ -85,7 +85,7 @@ def test_what_has_no_derivative_says_so_and_names_what_has():
         return pack(maps).ramp_px[0]
 
     def kernel(T):
-        from semloc_jax.residuals.kernels import damped_step
+        from semloc_jax.residuals.native_kernels import damped_step
 
         return damped_step(jnp.eye(6), T[0, 3] * jnp.ones(6), jnp.ones(()))[0]
 
