@@ -45,7 +45,7 @@ def sample(local_map: LocalMap, spacing_m: float, capacity: int | None = None) -
 
     >>> samples = sj.sample(street.query([0.0, 0.0], 50.0), spacing_m=0.25)
     >>> int(samples.valid.sum()), samples.p_map.shape
-    (692, (1024, 3))
+    (516, (1024, 3))
     """
     if not (np.isfinite(spacing_m) and spacing_m > 0):
         raise SemlocError(f"sample spacing {spacing_m} m; expected a positive number such as 0.25")
