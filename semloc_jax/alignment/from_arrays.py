@@ -27,7 +27,7 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps, load_class_table, table_of
 from semloc_jax.residuals.smooth import SmoothScene
-from semloc_jax.runtime.programs import stored_program
+from semloc_jax.runtime.stored_program import stored_program
 
 START_SIGMA = (1.0, 1.0, 0.03, *np.deg2rad((0.5, 0.5, 3.0)).tolist())
 """How far a first guess may be off, one sigma in the vehicle frame: x, y, z [m], roll, pitch, yaw [rad]."""

@@ -6,7 +6,7 @@ In: a folder, bag or video. Out: FirstLook, and templates of what is missing bes
 from dataclasses import dataclass
 from pathlib import Path
 
-from semloc_jax.cameras import read_calibration
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets import open_drive
 from semloc_jax.datasets.beside import CALIBRATIONS, calibration_beside, maps_beside
 from semloc_jax.datasets.drive import is_drive
