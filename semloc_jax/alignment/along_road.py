@@ -61,7 +61,7 @@ def along_road(
     prior: Prior,
     align: AlignConfig,
     config: AlongRoadConfig,
-    chunk: int,
+    chunk: int | None,
 ) -> RoadPosterior:
     """The posterior over places along the road through the best pose of a search.
 
@@ -71,7 +71,7 @@ def along_road(
         prior: Gaussian prior.
         align: Kernel and noise.
         config: Offsets and level.
-        chunk: Poses side by side.
+        chunk: Poses side by side; None for what suits the device.
     """
     moves = jnp.zeros((config.num_offsets, 3), T_map_base.dtype)
     offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=T_map_base.dtype)

@@ -52,8 +52,8 @@ class SearchConfig:
         CullStage(levels=(1, 2), score_level=2, keep=9, apart=0.3),
         CullStage(levels=(2, 3), score_level=2, keep=6, apart=0.1, restarts_m=(-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)),
     )
-    chunk: int = 32
-    """Poses side by side on a CPU."""
+    chunk: int | None = None
+    """Poses side by side; None for what suits the device."""
 
     @classmethod
     def fast(cls) -> "SearchConfig":
@@ -151,7 +151,7 @@ def refine_and_score(
     evidence: Evidence,
     prior: Prior,
     config: AlignConfig,
-    chunk: int,
+    chunk: int | None,
     levels: tuple[int, ...] = (),
 ) -> tuple[Float[Array, "n 4 4"], Float[Array, " n"]]:
     """Every pose refined on the given levels (none: left where it is), and its score [nats] on one level."""
@@ -172,7 +172,12 @@ def _restarted(Ts: Float[Array, "n 4 4"], offsets_m: tuple[float, ...]) -> Float
 
 @stored_program("stage", "config", "chunk")
 def cull(
-    Ts: Float[Array, "n 4 4"], stage: CullStage, evidence: Evidence, prior: Prior, config: AlignConfig, chunk: int
+    Ts: Float[Array, "n 4 4"],
+    stage: CullStage,
+    evidence: Evidence,
+    prior: Prior,
+    config: AlignConfig,
+    chunk: int | None,
 ) -> tuple[Float[Array, "keep 4 4"], Float[Array, " keep"]]:
     """The surviving poses of a stage and their scores; an empty slot repeats the best pose with an infinite score."""
     thinned = eqx.tree_at(lambda e: e.views, evidence, decimated(evidence.views, stage.keep_every))

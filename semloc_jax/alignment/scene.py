@@ -15,6 +15,7 @@ from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.alignment.proposals import ProposalKind
 from semloc_jax.alignment.single_frame import SingleFrameConfig
 from semloc_jax.perception import CostMapConfig
+from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel
 from semloc_jax.residuals.view import ViewConfig
 
@@ -65,6 +66,9 @@ class SceneConfig:
     search: FrameSearch = field(default_factory=FrameSearch)
     kernel: str = AlignConfig.kernel
     """Robust function of the contours; see `residuals.robust`."""
+    backend: Path = AlignConfig.path
+    """How residuals are evaluated: by native kernels (analytic, autodiff) or by JAX alone (xla); auto takes the fastest
+    that is possible."""
 
     def __post_init__(self) -> None:
         self.view_of(ViewConfig())  # refuses class weights that do not fit the classes
@@ -82,7 +86,7 @@ class SceneConfig:
 
     def align_of(self, base: AlignConfig) -> AlignConfig:
         """A refinement with the values of the scene; levels, steps and limits are those of the base."""
-        return dataclasses.replace(base, kernel=self.kernel, noise=self.noise)
+        return dataclasses.replace(base, kernel=self.kernel, path=self.backend, noise=self.noise)
 
     @cached_property
     def frame(self) -> SingleFrameConfig:

@@ -62,8 +62,8 @@ class BasinConfig:
     """Map query, sampling, cost maps and road."""
     rank_level: int = 5
     """Level of the cost maps on which the ends are scored, seen as from the end."""
-    chunk: int = 32
-    """Starts side by side on a CPU."""
+    chunk: int | None = None
+    """Starts side by side; None for what suits the device."""
 
     @cached_property
     def start(self) -> OneStartConfig:

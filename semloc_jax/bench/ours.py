@@ -80,7 +80,7 @@ def _refined(Ts, levels, evidence, prior, config, chunk):
 class SemlocPeer:
     """Full solves and searches of the package."""
 
-    def __init__(self, config: AlignConfig, chunk: int = 32) -> None:
+    def __init__(self, config: AlignConfig, chunk: int | None = None) -> None:
         self.config, self.chunk = config, chunk
         self.on_accelerator = jax.default_backend() != "cpu"
 

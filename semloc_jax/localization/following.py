@@ -61,7 +61,13 @@ class FrameReport(NamedTuple):
 
 def new_track(fusion: Fusion, measurement: PoseMeasurement, penalty: float) -> Track:
     """A track that begins at a measured pose."""
-    return Track(fusion.start(measurement), np.float64(penalty), np.float64(0), np.float64(0), np.float64(0))
+    return Track(
+        fusion=fusion.start(measurement),
+        penalty=np.float64(penalty),
+        num_accepted=np.int64(0),
+        num_refused=np.float64(0.0),
+        along_sigma_m=np.float64(0.0),
+    )
 
 
 def rehearse(fusion: Fusion, num_frames: int = 16) -> None:
@@ -112,7 +118,7 @@ def conflicts_after(
         off_m = float(np.hypot(*(fix.p_map - pose.T_map_base[:3, 3])[:2]))
         sigma_m = float(np.hypot(np.max(fix.sigma_m[:2]), np.sqrt(np.max(np.diagonal(pose.covariance)[:2]))))
         is_conflict = not innovation.accepted and off_m > max(config.conflict_m, 5.0 * sigma_m)
-        conflicts = conflicts + 1.0 if is_conflict else np.float64(0.0)
+        conflicts = conflicts + 1 if is_conflict else np.int64(0)
     return conflicts
 
 
@@ -173,7 +179,7 @@ def corrected(
         return refused, view._replace(reasons=(text,))
     return track._replace(
         fusion=state,
-        num_accepted=track.num_accepted + 1.0,
+        num_accepted=track.num_accepted + 1,
         num_refused=np.maximum(track.num_refused - config.regained, 0.0),
         along_sigma_m=sigma_along,
     ), view

@@ -47,7 +47,7 @@ class HealthConfig:
 
 def no_counts() -> Counters:
     """Counters at the start."""
-    return Counters(*(np.float64(0.0) for _ in Counters._fields))
+    return Counters(failures=np.float64(0.0), occluded=np.int64(0), conflicts=np.int64(0), off_map=np.int64(0))
 
 
 def frame_problems(found: Alignment, usable_share: float, config: HealthConfig) -> tuple[bool, tuple[str, ...]]:
@@ -84,9 +84,9 @@ def lost_because(counters: Counters, config: HealthConfig) -> tuple[str, ...]:
 def counted(counters: Counters, occluded: bool, accepted: bool) -> Counters:
     """Counters after a frame."""
     if accepted:
-        return counters._replace(failures=np.maximum(counters.failures - 0.5, 0.0), occluded=np.float64(0.0))
+        return counters._replace(failures=np.maximum(counters.failures - 0.5, 0.0), occluded=np.int64(0))
     if occluded:
-        return counters._replace(occluded=counters.occluded + 1.0)
+        return counters._replace(occluded=counters.occluded + 1)
     return counters._replace(failures=counters.failures + 1.0)
 
 

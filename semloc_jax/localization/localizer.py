@@ -121,12 +121,20 @@ class Localizer:
 
     def start(self) -> TrackerState:
         """The state of a vehicle that may be anywhere."""
-        nothing = np.float64(-np.inf)
-        trust = map_faults.full_trust(self.map.num_elements)
-        status = np.float64(TrackStatus.INITIALIZING)
         return TrackerState(
-            *(nothing, status, (), (), nothing, no_fixes(), trust, health.no_counts(), np.zeros(3), nothing),
-            *(np.float64(0), noise_scale.unknown_noise(), unknown_offset(clock.BELIEFS)),
+            time_s=np.float64(-np.inf),
+            status=np.int64(TrackStatus.INITIALIZING),
+            tracks=(),
+            coasting=(),
+            searched_s=np.float64(-np.inf),
+            fixes=no_fixes(),
+            trust=map_faults.full_trust(self.map.num_elements),
+            counters=health.no_counts(),
+            stance=np.zeros(3),
+            digest=np.uint32(0),
+            driven_m=np.float64(0.0),
+            noise=noise_scale.unknown_noise(),
+            clock=unknown_offset(clock.BELIEFS),
         )
 
     def template(self) -> TrackerState:
@@ -238,7 +246,7 @@ class Localizer:
             coasting=coasting,
             fixes=fixes,
             counters=counters,
-            digest=np.float64(frame.digest),
+            digest=np.uint32(frame.digest),
             driven_m=driven_m,
         )
 
@@ -260,7 +268,7 @@ class Localizer:
             if tracks[k].penalty < self.config.win_nats and not self._is_one_of(tracks[k], kept):
                 kept.append(tracks[k])
         counters = health.counted(state.counters, view.is_occluded, view.is_accepted)
-        counters = counters._replace(off_map=counters.off_map + 1.0 if view.is_off_map else np.float64(0.0))
+        counters = counters._replace(off_map=counters.off_map + 1 if view.is_off_map else np.int64(0))
         trust = state.trust
         if len(kept) == 1 and view.is_accepted:
             found = view.found
@@ -285,7 +293,7 @@ class Localizer:
             if health.lost_because(state.counters, self.config.health):
                 if state.counters.conflicts >= self.config.health.max_conflicts:
                     state = state._replace(fixes=newest(state.fixes, int(state.counters.conflicts)))
-                return state._replace(tracks=(), coasting=(best.fusion,), status=np.float64(TrackStatus.LOST))
+                return state._replace(tracks=(), coasting=(best.fusion,), status=np.int64(TrackStatus.LOST))
             return state._replace(coasting=())
         if best.num_refused >= self.config.drop_refused or state.counters.off_map > 0:
             return state._replace(tracks=())
@@ -346,7 +354,7 @@ class Localizer:
             status, reasons = TrackStatus.LOST, health.lost_because(state.counters, config) + reasons
         else:
             status, reasons = TrackStatus.INITIALIZING, (f"no pose yet: {self._why_no_start(state, frame)}",)
-        state = state._replace(status=np.float64(status))
+        state = state._replace(status=np.int64(status))
         found = view.found if view is not None else None
         return state, TrackResult(
             frame.frame_id,

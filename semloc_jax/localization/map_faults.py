@@ -49,7 +49,7 @@ class MapChange(NamedTuple):
 
 def full_trust(num_elements: int) -> ElementTrust:
     """Nothing seen yet of a map of so many elements."""
-    return ElementTrust(np.zeros(0, np.int64), *(np.zeros(0) for _ in range(3)), np.float64(num_elements))
+    return ElementTrust(np.zeros(0, np.int64), *(np.zeros(0) for _ in range(3)), np.int64(num_elements))
 
 
 def updated(

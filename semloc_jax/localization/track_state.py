@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Num
+from jaxtyping import Float, Int, Num, UInt32
 
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.single_frame import ImageInput
@@ -39,7 +39,7 @@ class Track(NamedTuple):
     """State of the Fusion."""
     penalty: Float[np.ndarray, ""]
     """Cost summed over frames, less that of the best track [nats]; forgets with time."""
-    num_accepted: Float[np.ndarray, ""]
+    num_accepted: Int[np.ndarray, ""]
     """Frames that the track agreed with since it began."""
     num_refused: Float[np.ndarray, ""]
     """Frames that contradicted it, less those that agreeing frames cancelled."""
@@ -66,7 +66,7 @@ class ElementTrust(NamedTuple):
     """Share of it that lay on no boundary, as robust cost [px]."""
     num_frames: Float[np.ndarray, " element"]
     """Frames in which it was in view."""
-    num_in_map: Float[np.ndarray, ""]
+    num_in_map: Int[np.ndarray, ""]
     """Elements of the whole map."""
 
 
@@ -75,11 +75,11 @@ class Counters(NamedTuple):
 
     failures: Float[np.ndarray, ""]
     """Failed alignments, counted down by good ones."""
-    occluded: Float[np.ndarray, ""]
+    occluded: Int[np.ndarray, ""]
     """Frames in a row without usable view of the map."""
-    conflicts: Float[np.ndarray, ""]
+    conflicts: Int[np.ndarray, ""]
     """Satellite fixes in a row that contradict the pose."""
-    off_map: Float[np.ndarray, ""]
+    off_map: Int[np.ndarray, ""]
     """Frames in a row outside of the map."""
 
 
@@ -87,7 +87,8 @@ class TrackerState(NamedTuple):
     """Everything that a localizer carries from one frame to the next."""
 
     time_s: Float[np.ndarray, ""]
-    status: Float[np.ndarray, ""]
+    status: Int[np.ndarray, ""]
+    """A TrackStatus."""
     tracks: tuple[Track, ...]
     """Best first; several only while it is not clear which one is right."""
     coasting: tuple[Any, ...]
@@ -99,7 +100,7 @@ class TrackerState(NamedTuple):
     counters: Counters
     stance: Float[np.ndarray, "3"]
     """How the vehicle stands on the road of the map: height [m], roll, pitch [rad]; load, and cameras that are off."""
-    digest: Float[np.ndarray, ""]
+    digest: UInt32[np.ndarray, ""]
     """Checksum of the masks of the last frame."""
     driven_m: Float[np.ndarray, ""]
     """Way driven since the masks last changed [m]."""

@@ -83,6 +83,13 @@ def test_one_word_of_noise_reaches_every_verb_and_every_solve_of_it(verb, config
     assert [part.noise for part in parts] == [noise] * len(parts)
 
 
+@pytest.mark.parametrize("verb", VERBS)
+def test_the_backend_that_was_asked_for_is_that_of_every_solve(verb, config):
+    scene = scene_of(settings_of(verb, config({"backend": "xla"}))[0])
+    solves = scene.frame.search_align, scene.frame.polish_align, scene.align_of(TrackAlignConfig().align)
+    assert [solve.path for solve in solves] == ["xla"] * 3
+
+
 def test_surveys_and_basins_see_the_same_noise(config):
     path = config({"noise": {"noise_px": 1.25}})
     survey, localize = settings_of("survey", path)[0], settings_of("landscape", path)[0]

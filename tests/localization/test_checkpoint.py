@@ -19,28 +19,32 @@ from semloc_jax.localization.track_state import TrackerState
 
 def template(num_elements=5, num_tracks=1, seed=None) -> TrackerState:
     track = new_track(KalmanFusion(), PoseMeasurement(0.0, np.eye(4), np.eye(6)), 0.0)
-    zero = np.float64(0.0)
     state = TrackerState(
-        zero,
-        zero,
-        (track,) * num_tracks,
-        (track.fusion,),
-        zero,
-        no_fixes(),
-        map_faults.full_trust(num_elements),
-        health.no_counts(),
-        np.zeros(3),
-        zero,
-        zero,
-        unknown_noise(),
-        unknown_offset(ClockConfig()),
+        time_s=np.float64(0.0),
+        status=np.int64(0),
+        tracks=(track,) * num_tracks,
+        coasting=(track.fusion,),
+        searched_s=np.float64(0.0),
+        fixes=no_fixes(),
+        trust=map_faults.full_trust(num_elements),
+        counters=health.no_counts(),
+        stance=np.zeros(3),
+        digest=np.uint32(0),
+        driven_m=np.float64(0.0),
+        noise=unknown_noise(),
+        clock=unknown_offset(ClockConfig()),
     )
     if seed is None:
         return state
     rng = np.random.default_rng(seed)
-    state = jax.tree.map(
-        lambda leaf: np.float64(rng.normal()) if np.ndim(leaf) == 0 else rng.normal(size=leaf.shape), state
-    )
+
+    def drawn(leaf):
+        if np.issubdtype(np.asarray(leaf).dtype, np.integer):
+            return rng.integers(0, 2**31, size=np.shape(leaf)).astype(np.asarray(leaf).dtype)[()]
+        return np.float64(rng.normal()) if np.ndim(leaf) == 0 else rng.normal(size=leaf.shape)
+
+    # Types survive as well: a checksum of 32 bits, counts and a status are no floats.
+    state = jax.tree.map(drawn, state)._replace(digest=np.uint32(0xFFFFFFFE))
     seen = np.array([0, 3]), *rng.uniform(20.0, 90.0, size=(2, 2))
     return state._replace(
         trust=map_faults.updated(map_faults.full_trust(num_elements), *seen[1:], TrustConfig(), seen[0])
@@ -54,6 +58,7 @@ def test_a_state_comes_back_bit_for_bit(tmp_path):
     assert (found.next_frame, found.is_initialised) == (42, True)
     assert jax.tree.structure(found.state) == jax.tree.structure(state)
     for one, two in zip(jax.tree.leaves(state), jax.tree.leaves(found.state), strict=True):
+        assert np.asarray(one).dtype == np.asarray(two).dtype
         assert np.asarray(one).tobytes() == np.asarray(two).tobytes()
     assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
 
