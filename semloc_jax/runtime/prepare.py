@@ -45,7 +45,7 @@ def prepare_jax() -> None:
     if given and others_can_write(Path(given)):
         print(
             f"JAX_COMPILATION_CACHE_DIR {given}: other users can write to it, and compiled programs are code; "
-            f"{cache_folder()} is used instead",
+            f"{cache_folder()} is used instead (chmod go-w makes the folder yours alone)",
             file=sys.stderr,
         )
         del os.environ["JAX_COMPILATION_CACHE_DIR"]
