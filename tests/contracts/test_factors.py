@@ -1,0 +1,112 @@
+"""What every residual of poses over time promises: derivatives that are finite differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses, odometry, prior
+from semloc_jax.geometry import rigid
+from semloc_jax.residuals import motion, road_contact
+from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
+from semloc_jax.solvers.factors import POSE, Factors, vector
+
+RNG = np.random.default_rng(5)
+KINDS = {
+    "pose": POSE,
+    "odometer": ODOMETER,
+    "gnss": GNSS,
+    "stance": vector(0.1, 0.01, 0.01),
+    "velocity": vector(1.0, 1.0, 1.0),
+    "bias": vector(0.01, 0.01, 0.01, 0.1, 0.1, 0.1),
+}
+GRAVITY = jnp.array([0.0, 0.0, -9.81])
+STEP_S, SAMPLES = 0.01, 20
+
+
+def near(scale=0.3):
+    return rigid.exp(RNG.normal(size=6) * scale)
+
+
+def info(rows):
+    return RNG.normal(size=(1, rows, rows))
+
+
+def inertial(T_from, v_from, bias, T_to, v_to, factor, sqrt_info):
+    """`imu_residual` of two times as one function of five variables."""
+    states = InertialState(T_from, v_from), InertialState(T_to, v_to)
+    return imu_residual(*states, bias, GRAVITY, factor, sqrt_info)
+
+
+def samples(num):
+    """Turning and pushed: angular rate and specific force of one interval."""
+    t = STEP_S * np.arange(SAMPLES) + 0.3 * num
+    gyro = np.stack([0.02 * np.sin(t), 0.03 * np.cos(t), 0.3 + 0.1 * np.sin(2 * t)], axis=1)
+    accel = np.stack([0.5 * np.cos(t), 0.8 * np.sin(t), 9.81 + 0.1 * np.sin(3 * t)], axis=1)
+    return jnp.asarray(gyro), jnp.asarray(accel), jnp.full(SAMPLES, STEP_S)
+
+
+def interval(num):
+    return preintegrate(*samples(num), jnp.zeros(6))
+
+
+def stacked(parts):
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
+
+
+ZERO, ONE = np.zeros(1, int), np.ones(1, int)
+PAIR = ZERO, ONE
+FACTORS = {
+    "measured pose": measured_poses(np.stack([near(), near()]), RNG.normal(size=(2, 6, 6)), 1e6),
+    "motion": Factors(
+        motion.between_residual, ("pose", "pose"), PAIR, (near()[None],), info(6), linearised=motion.between_linearised
+    ),
+    "odometry": odometry(ZERO, ONE, near()[None], RNG.normal(size=(1, 6, 2)), np.array([[1.0, 0.0]]), info(6)),
+    "satellite fix": fixes(RNG.normal(size=(2, 2)), RNG.normal(size=(2, 3)), RNG.normal(size=(2, 2)), 1e6),
+    "prior": prior(near(), np.array([1.0, 0.0, 0.5, -0.5]), RNG.normal(size=(10, 10))),
+    "road": Factors(
+        road_contact.road_residual,
+        ("pose", "stance"),
+        (ZERO, ZERO),
+        (RNG.normal(size=(1, 3)), np.array([[0.0, 0.6, 0.8]])),
+        RNG.normal(size=(1, 3)),
+        linearised=road_contact.road_linearised,
+    ),
+    "inertial": Factors(
+        inertial,
+        ("pose", "velocity", "bias", "pose", "velocity"),
+        (ZERO, ZERO, ZERO, ONE, ONE),
+        (stacked([interval(0)]),),
+        info(9),
+    ),
+}
+VALUES = {
+    "pose": jnp.asarray(np.stack([near(), near()])),
+    "odometer": jnp.array([[1.0, 0.0]]),
+    "gnss": jnp.array([[0.3, -0.2]]),
+    "stance": jnp.array([[0.05, 0.01, -0.02]]),
+    "velocity": jnp.asarray(RNG.normal(size=(2, 3))),
+    "bias": jnp.asarray(0.01 * RNG.normal(size=(1, 6))),
+}
+
+
+@pytest.mark.parametrize("name", FACTORS)
+def test_gradients_and_hessians_are_finite_differences(name):
+    """Of the residuals, by the retraction of every variable; analytic derivatives and automatic ones alike."""
+    factors = FACTORS[name]
+    sizes = [KINDS[family].size for family in factors.on]
+    first = [VALUES[family][key[0]] for family, key in zip(factors.on, factors.keys, strict=True)]
+    rest = jax.tree.map(lambda leaf: leaf[0], (factors.data, factors.sqrt_info))
+
+    @jax.jit
+    def residual(x):
+        steps = jnp.split(x, np.cumsum(sizes)[:-1])
+        moved = [KINDS[f].retract(value, s) for f, value, s in zip(factors.on, first, steps, strict=True)]
+        return factors.residual(*moved, *rest[0], rest[1])
+
+    zero, step = np.zeros(sum(sizes)), 1e-6
+    J = np.array([(residual(step * d) - residual(-step * d)) / (2 * step) for d in np.eye(len(zero))]).T
+    local = jax.jit(lambda values: factors.local(values, KINDS))(VALUES)
+    scale = np.abs(J).max()
+    np.testing.assert_allclose(local.gradient[0], J.T @ residual(zero), atol=2e-7 * scale * (1 + scale))
+    np.testing.assert_allclose(local.hessian[0], J.T @ J, atol=2e-7 * scale * (1 + scale))
