@@ -10,7 +10,7 @@ from semloc_jax.inputs.choices import parse_slice
 
 if TYPE_CHECKING:
     from semloc_jax.localization.acquisition import Area
-    from semloc_jax.localization.localizer import TrackConfig
+    from semloc_jax.localization.track_config import TrackConfig
     from semloc_jax.reports.track import TrackPlan
 
 ALL = "all"
@@ -58,7 +58,7 @@ class Options(DriveOptions):
 
 def default_settings() -> "TrackConfig":
     """The default configuration of the tracker."""
-    from semloc_jax.localization.localizer import TrackConfig
+    from semloc_jax.localization.track_config import TrackConfig
 
     return TrackConfig()
 

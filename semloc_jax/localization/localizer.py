@@ -8,16 +8,13 @@ is in the state, the map and the motion log.
 import time
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar
 
 import numpy as np
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
-from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.alignment.single_frame import image_input
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
@@ -27,9 +24,8 @@ from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, P
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
 from semloc_jax.localization import health, map_faults, passed_over
-from semloc_jax.localization.acquisition import Acquisition, AcquisitionConfig, Area
+from semloc_jax.localization.acquisition import Acquisition, Area
 from semloc_jax.localization.following import (
-    FollowConfig,
     FrameReport,
     carried,
     conflicts_after,
@@ -39,12 +35,11 @@ from semloc_jax.localization.following import (
     stance_after,
     weighed,
 )
-from semloc_jax.localization.frame_alignment import AlignmentConfig, FrameAligner
-from semloc_jax.localization.health import HealthConfig
+from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
 from semloc_jax.localization.integrity import ProtectionLevels, beyond_alert, protection_levels, with_map_accuracy
-from semloc_jax.localization.map_faults import TrustConfig
 from semloc_jax.localization.map_window import MapWindows
+from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import (
     FrameFeatures,
     Track,
@@ -58,30 +53,6 @@ from semloc_jax.perception import ClassTable, cost_maps
 _SEARCH_REACH_M = 3.0
 """What a search needs of the map beyond the view of its prior. A tracked vehicle is known better than that, and the
 window around it has a margin of its own: less map is less work in every frame."""
-
-
-@dataclass(frozen=True)
-class TrackConfig:
-    """Everything that decides how a drive is followed. All values are ours."""
-
-    SECTION: ClassVar[str] = "track"
-    """Where a configuration file holds all of this but the scene."""
-    scene: SceneConfig = field(default_factory=SceneConfig)
-    map_sigma_m: float = 0.0
-    """How accurate the map is, as its maker states: joins the covariance of every pose that goes out."""
-    map_reach_m: float = 20.0
-    """Distance over which the position error of the map changes by its own size: the heading error is their ratio."""
-    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
-    acquisition: AcquisitionConfig = field(default_factory=AcquisitionConfig)
-    health: HealthConfig = field(default_factory=HealthConfig)
-    trust: TrustConfig = field(default_factory=TrustConfig)
-    follow: FollowConfig = field(default_factory=FollowConfig)
-    confirm_frames: float = 4.0
-    """Frames that must agree with a track before it is confirmed."""
-    win_nats: float = 5.0
-    """Tracks that are this much worse than the best one are given up."""
-    drop_refused: float = 6.0
-    """A track that this many frames in a row contradict is given up while others are left."""
 
 
 class Localizer:
