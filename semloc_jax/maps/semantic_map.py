@@ -12,6 +12,7 @@ import shapely
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.local_frame import LocalFrame
+from semloc_jax.maps.assumed_dashes import joined_dashes
 from semloc_jax.maps.curves import clip_to_circle, without_repeats
 from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane, RoadSpread
@@ -149,6 +150,7 @@ class SemanticMap:
             found.extend(clip_element(self.elements[index], center[:2], radius_m))
         if heading_rad is not None:
             found = [element for element in found if reaches_ahead(element, center[:2], heading_rad, -0.5 * radius_m)]
+        found = joined_dashes(found)
         if self._is_mixed:
             found = [*lifted(found, self.ground, center)]
         return LocalMap(tuple(found), self._local_origin(center, radius_m), self.ground, radius_m)

@@ -200,7 +200,9 @@ def _built(
 ) -> tuple[MapElement, shapely.Geometry | None, list[Solid]] | None:
     """The element as it stands in the world, its paint on the ground and its bodies; None where it has no size."""
     name = _MASK_CLASS.get(element.label) or ("lane_dashed" if element.style == "dashed" else "lane_solid")
-    element = replace(element, attributes={**element.attributes, "class": name})
+    # What a reader assumed is what is built: in this world it is known.
+    told = {key: value for key, value in element.attributes.items() if key != "assumed"}
+    element = replace(element, attributes={**told, "class": name})
     if element.label in _SOLID_CLASSES:
         return _standing(element, surface)
     if element.label == ElementClass.PILLAR:

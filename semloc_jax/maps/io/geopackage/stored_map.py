@@ -13,6 +13,7 @@ import numpy as np
 import shapely
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.maps.assumed_dashes import joined_dashes
 from semloc_jax.maps.elements import FARTHEST_M, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane
 from semloc_jax.maps.heights import lifted
@@ -145,6 +146,7 @@ class StoredMap(SemanticMap):
                 found += [element] if is_inside else clip_element(element, center[:2], radius_m)
         if heading_rad is not None:
             found = [element for element in found if reaches_ahead(element, center[:2], heading_rad, -0.5 * radius_m)]
+        found = joined_dashes(found)
         if len({element.has_height for element in found}) == 2:
             found = [*lifted(found, self.ground, center)]
         return LocalMap(tuple(found), self._origin_of(found, center), self.ground, radius_m)
