@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from semloc_jax.cli.drive_options import DriveOptions
 from semloc_jax.cli.main import LOST, OK, log_to_console
 from semloc_jax.inputs.choices import parse_slice
-from semloc_jax.inputs.drive_inputs import open_inputs
+from semloc_jax.inputs.drive_inputs import Inputs, open_inputs
 
 if TYPE_CHECKING:
     from semloc_jax.alignment.frame_localizer import LocalizeConfig
@@ -34,6 +34,9 @@ class Options(DriveOptions):
     """Exit code 3 below this share of localized frames."""
     overlays: int = 6
     """Number of before/after pictures, spread over the frames; 0 for none."""
+    fault: str | None = None
+    """Inject a fault: fixes_left:2, focal, lines_repainted ... or all in turn, for faults.csv and faults.md, worst
+    first. The exit code then is 3 where a frame was localized at a wrong place."""
     config: Path | None = None
     """YAML file with values of the configuration."""
     resume: Path | None = None
@@ -57,12 +60,35 @@ def run(options: Options) -> int:
     chosen = parse_slice(options.frames)
     inputs = open_inputs(options)
     settings = configured(options, options.settings)
+    if options.fault is not None:
+        return _faults(options, inputs, chosen, settings)
     report = report_frames(
         inputs, chosen, settings, options.out, options.overlays, options.kept(inputs), options.resume
     )
     print(report.text)
     print(f"results: {report.folder}")
     return OK if report.localized_share >= options.min_localized_share else LOST
+
+
+def _faults(options: Options, inputs: Inputs, chosen: slice, settings: "LocalizeConfig") -> int:
+    from semloc_jax.inputs.priors import prior_source
+    from semloc_jax.reports.frame_faults import report_frame_faults
+
+    kind = options.prior or "gnss"
+    sigmas = options.prior_sigma_xy_m, options.prior_sigma_yaw_deg
+    folder, table, false = report_frame_faults(
+        inputs,
+        options.fault,
+        lambda drive: prior_source(kind, drive, *sigmas, options.seed),
+        chosen,
+        settings,
+        options.out,
+        options.kept(inputs),
+        options.seed,
+    )
+    print(table)
+    print(f"results: {folder}")
+    return OK if false == 0 else LOST
 
 
 def configured(options: Options, settings: "LocalizeConfig") -> "LocalizeConfig":

@@ -4,85 +4,22 @@ In: a Drive, the map it is localized in, the name of a fault. Out: FaultyDrive. 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import fields, replace
 from typing import TypeVar
 
 import numpy as np
 
 from semloc_jax.cameras import Rig
-from semloc_jax.datasets.base import Drive, Frame
+from semloc_jax.datasets.base import Drive
 from semloc_jax.datasets.sensors import GnssTrack, Imu, WheelOdometry
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
 from semloc_jax.maps import MapElement, SemanticMap
+from semloc_jax.simulation.faulty_drive import FaultSizes, FaultyDrive, Maker, MaskChange, seen_through
+from semloc_jax.simulation.standing_faults import STANDING, standing_fault
 
-MaskChange = Callable[[np.ndarray], np.ndarray]
 Log = TypeVar("Log", GnssTrack, WheelOdometry, Imu, Trajectory)
-
-
-@dataclass(frozen=True)
-class FaultSizes:
-    """How bad the faults are; the figures are those of the specification, the times are our choice.
-
-    Args:
-        begin_share: share of the drive after which a passing fault begins.
-        short_s: how long the images are black or occluded, or the masks of another class table [s].
-        odometry_s: how long the wheels are silent [s].
-        dropout_s: how long no fixes come [s].
-        outlier_share: share of the fixes that are wrong.
-        outlier_m: by how much [m].
-        fixes_until_s: how long fixes come before they stop for good [s].
-        clock_s: how late the clock of wheels, inertial sensor and receiver is against the cameras [s].
-        pitch_deg: by how much the calibration of the first camera looks too far up [deg].
-        jump_m: how far the vehicle is carried away [m].
-    """
-
-    begin_share: float = 0.45
-    short_s: float = 3.0
-    odometry_s: float = 2.0
-    dropout_s: float = 5.0
-    outlier_share: float = 0.05
-    outlier_m: float = 20.0
-    fixes_until_s: float = 2.0
-    clock_s: float = 0.05
-    pitch_deg: float = 1.0
-    jump_m: float = 30.0
-
-
-@dataclass(frozen=True)
-class FaultyDrive:
-    """A drive with a fault.
-
-    Args:
-        name: of the fault.
-        drive: the drive with the fault in it.
-        semantic_map: the map to localize in.
-        from_s: begin of the fault in the time of the drive [s].
-        to_s: its end; that of the drive for one that lasts [s].
-    """
-
-    name: str
-    drive: Drive
-    semantic_map: SemanticMap
-    from_s: float
-    to_s: float
-
-
-@dataclass(frozen=True)
-class MaskedFrame(Frame):
-    """A frame whose masks and images pass through a change."""
-
-    change_mask: MaskChange = lambda mask: mask
-    change_image: MaskChange = lambda image: image
-
-    def image(self, camera: str) -> np.ndarray:
-        """Changed colour image."""
-        return self.change_image(super().image(camera))
-
-    def mask(self, source: str, camera: str) -> np.ndarray:
-        """Changed class ids."""
-        return self.change_mask(super().mask(source, camera))
+_USUAL_SEVERITY = 2
 
 
 def with_fault(
@@ -91,7 +28,7 @@ def with_fault(
     """The drive with one fault.
 
     Args:
-        name: One of `FAULTS`.
+        name: One of `FAULTS`, or of `STANDING` with its severity of 1 to 3: focal:3.
         drive: The drive as it was.
         semantic_map: The map it is localized in.
         seed: Of what is drawn at random.
@@ -100,55 +37,26 @@ def with_fault(
     Raises:
         SemlocError: there is no such fault, or the drive has not what it takes away.
     """
-    if name not in FAULTS:
-        raise SemlocError(f"fault '{name}': not known; expected one of {', '.join(FAULTS)}")
-    return FAULTS[name](_Maker(name, drive, semantic_map, sizes or FaultSizes(), np.random.default_rng(seed)))
+    own, _, severity = name.partition(":")
+    if own not in FAULTS and own not in STANDING:
+        raise SemlocError(f"fault '{name}': not known; expected one of {', '.join([*FAULTS, *STANDING])}")
+    maker = Maker(name, drive, semantic_map, sizes or FaultSizes(), np.random.default_rng(seed))
+    if own in STANDING:
+        return standing_fault(maker, own, int(severity) if severity.isdigit() else _USUAL_SEVERITY)
+    return FAULTS[own](maker)
 
 
-@dataclass(frozen=True)
-class _Maker:
-    name: str
-    drive: Drive
-    semantic_map: SemanticMap
-    sizes: FaultSizes
-    rng: np.random.Generator
-
-    @cached_property
-    def begin_s(self) -> float:
-        first, last = self.drive.frames[0].time_s, self.drive.frames[-1].time_s
-        return first + self.sizes.begin_share * (last - first)
-
-    @property
-    def end_s(self) -> float:
-        return self.drive.frames[-1].time_s
-
-    def made(self, drive: Drive, from_s: float, to_s: float, semantic_map: SemanticMap | None = None) -> FaultyDrive:
-        return FaultyDrive(self.name, drive, semantic_map or self.semantic_map, from_s, min(to_s, self.end_s))
-
-    @property
-    def gnss(self) -> GnssTrack:
-        if self.drive.gnss is None:
-            raise SemlocError(f"fault '{self.name}': drive {self.drive.name} has no satellite fixes to disturb")
-        return self.drive.gnss
-
-    @property
-    def odometry(self) -> WheelOdometry:
-        if self.drive.odometry is None:
-            raise SemlocError(f"fault '{self.name}': drive {self.drive.name} has no wheel odometry to disturb")
-        return self.drive.odometry
-
-
-def _none(maker: _Maker) -> FaultyDrive:
+def _none(maker: Maker) -> FaultyDrive:
     return maker.made(maker.drive, maker.begin_s, maker.begin_s)
 
 
-def _gnss_dropout(maker: _Maker) -> FaultyDrive:
+def _gnss_dropout(maker: Maker) -> FaultyDrive:
     end_s = maker.begin_s + maker.sizes.dropout_s
     is_kept = (maker.gnss.time_s < maker.begin_s) | (maker.gnss.time_s >= end_s)
     return maker.made(replace(maker.drive, gnss=_rows(maker.gnss, is_kept)), maker.begin_s, end_s)
 
 
-def _gnss_outliers(maker: _Maker) -> FaultyDrive:
+def _gnss_outliers(maker: Maker) -> FaultyDrive:
     fixes, sizes = maker.gnss, maker.sizes
     is_wrong = maker.rng.random(len(fixes.time_s)) < sizes.outlier_share
     angle = maker.rng.uniform(0.0, 2.0 * np.pi, len(fixes.time_s))
@@ -157,24 +65,24 @@ def _gnss_outliers(maker: _Maker) -> FaultyDrive:
     return maker.made(drive, maker.drive.frames[0].time_s, maker.end_s)
 
 
-def _no_gnss_after_start(maker: _Maker) -> FaultyDrive:
+def _no_gnss_after_start(maker: Maker) -> FaultyDrive:
     from_s = maker.drive.frames[0].time_s + maker.sizes.fixes_until_s
     return maker.made(replace(maker.drive, gnss=_rows(maker.gnss, maker.gnss.time_s < from_s)), from_s, maker.end_s)
 
 
-def _black_images(maker: _Maker) -> FaultyDrive:
+def _black_images(maker: Maker) -> FaultyDrive:
     # A network that sees nothing says everywhere what it says most.
     return _seen_through(
         maker, lambda mask: np.full_like(mask, np.bincount(mask.ravel()).argmax()), lambda image: np.zeros_like(image)
     )
 
 
-def _occlusion(maker: _Maker) -> FaultyDrive:
+def _occlusion(maker: Maker) -> FaultyDrive:
     blocked = maker.drive.class_ids.get("vehicle", 255)
     return _seen_through(maker, lambda mask: np.full_like(mask, blocked), lambda image: np.full_like(image, 90))
 
 
-def _wrong_class_table(maker: _Maker) -> FaultyDrive:
+def _wrong_class_table(maker: Maker) -> FaultyDrive:
     if not maker.drive.class_ids:
         raise SemlocError(f"fault '{maker.name}': drive {maker.drive.name} does not state its class ids")
     other = np.full(256, 255, np.uint8)
@@ -190,13 +98,13 @@ _CITYSCAPES = {
 """Train ids of Cityscapes, where paint is road."""
 
 
-def _no_odometry(maker: _Maker) -> FaultyDrive:
+def _no_odometry(maker: Maker) -> FaultyDrive:
     odometry, end_s = maker.odometry, maker.begin_s + maker.sizes.odometry_s
     is_kept = (odometry.time_s < maker.begin_s) | (odometry.time_s >= end_s)
     return maker.made(replace(maker.drive, odometry=_rows(odometry, is_kept)), maker.begin_s, end_s)
 
 
-def _time_offset(maker: _Maker) -> FaultyDrive:
+def _time_offset(maker: Maker) -> FaultyDrive:
     # The truth is that of the exposures: what a frame is off by is what the sensors make of it.
     late = {
         name: replace(log, time_s=log.time_s + maker.sizes.clock_s)
@@ -206,7 +114,7 @@ def _time_offset(maker: _Maker) -> FaultyDrive:
     return maker.made(replace(maker.drive, **late), maker.drive.frames[0].time_s, maker.end_s)
 
 
-def _camera_pitch(maker: _Maker) -> FaultyDrive:
+def _camera_pitch(maker: Maker) -> FaultyDrive:
     angle = np.deg2rad(maker.sizes.pitch_deg)
     turn = np.eye(4)
     turn[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
@@ -223,7 +131,7 @@ def _camera_pitch(maker: _Maker) -> FaultyDrive:
     return maker.made(replace(maker.drive, rig=rig, frames=frames), frames[0].time_s, maker.end_s)
 
 
-def _kidnapped(maker: _Maker) -> FaultyDrive:
+def _kidnapped(maker: Maker) -> FaultyDrive:
     """A stretch of the way is cut out of frames, sensors and truth, and the clock is set back by the time it took."""
     odometry, from_s = maker.odometry, maker.begin_s
     times = np.array([frame.time_s for frame in maker.drive.frames])
@@ -257,7 +165,7 @@ def _without(log: Log, from_s: float, to_s: float) -> Log:
     return replace(kept, time_s=np.where(kept.time_s >= to_s - 1e-9, kept.time_s - (to_s - from_s), kept.time_s))
 
 
-def _off_map(maker: _Maker) -> FaultyDrive:
+def _off_map(maker: Maker) -> FaultyDrive:
     """The map ends where the vehicle is when the fault begins: a plane across its way."""
     frame = min(maker.drive.frames, key=lambda f: abs(f.time_s - maker.begin_s))
     T = maker.drive.truth_at(frame)
@@ -276,20 +184,15 @@ def _behind(element: MapElement, T_map_base: np.ndarray) -> MapElement | None:
     return replace(element, points=element.points[is_behind])
 
 
-def _seen_through(maker: _Maker, change_mask: MaskChange, change_image: MaskChange) -> FaultyDrive:
+def _seen_through(maker: Maker, change_mask: MaskChange, change_image: MaskChange) -> FaultyDrive:
     """The drive with other masks and images for a short time."""
     end_s = maker.begin_s + maker.sizes.short_s
+    changed = seen_through(maker.drive.frames, change_mask, change_image)
     frames = tuple(
-        MaskedFrame(**_values(frame), change_mask=change_mask, change_image=change_image)
-        if maker.begin_s <= frame.time_s < end_s
-        else frame
-        for frame in maker.drive.frames
+        new if maker.begin_s <= old.time_s < end_s else old
+        for new, old in zip(changed, maker.drive.frames, strict=True)
     )
     return maker.made(replace(maker.drive, frames=frames), maker.begin_s, end_s)
-
-
-def _values(frame: Frame) -> dict:
-    return {field.name: getattr(frame, field.name) for field in fields(frame)}
 
 
 def _rows(log: Log, is_kept: np.ndarray) -> Log:
@@ -298,7 +201,7 @@ def _rows(log: Log, is_kept: np.ndarray) -> Log:
     return replace(log, **{name: rows[is_kept] for name, rows in columns.items() if isinstance(rows, np.ndarray)})
 
 
-FAULTS: dict[str, Callable[[_Maker], FaultyDrive]] = {
+FAULTS: dict[str, Callable[[Maker], FaultyDrive]] = {
     "none": _none,
     "gnss_dropout": _gnss_dropout,
     "gnss_outliers": _gnss_outliers,

@@ -13,6 +13,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, write_tum
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.simulation.faults import FAULTS, FaultSizes, with_fault
+from semloc_jax.simulation.standing_faults import STANDING
 from semloc_jax.structs import ElementClass
 
 CALIB = """
@@ -164,3 +165,54 @@ def test_unknown_faults_and_missing_sensors_are_told(drive, road):
         with_fault("gnss_outliers", replace(drive, gnss=None), road)
     with pytest.raises(SemlocError, match="goes on for"):
         with_fault("kidnapped", drive, road, sizes=FaultSizes(jump_m=300.0))
+
+
+@pytest.mark.parametrize("name", sorted(set(STANDING) - {"dashes_along", "other_masks", "masks_mirrored"}))
+def test_every_standing_fault_grows_with_its_severity_or_says_what_it_needs(name, drive, road):
+    """Something of the drive or the map is other than before, for all of its time, the same for the same seed."""
+    for severity in (1, 2, 3):
+        fault = with_fault(f"{name}:{severity}", drive, road)
+        assert (fault.name, fault.from_s, fault.to_s) == (f"{name}:{severity}", 0.0, 20.0)
+        assert _told_apart(fault) != _told_apart(with_fault("none", drive, road))
+        assert _told_apart(fault) == _told_apart(with_fault(f"{name}:{severity}", drive, road))
+
+
+def _told_apart(fault):
+    """What a fault may change, as text: map, calibration, fixes, masks of three frames."""
+    masks = [frame.mask("sem", "front").tobytes() for frame in fault.drive.frames[:3]]
+    elements = [(e.id, e.points.round(6).tolist()) for e in fault.semantic_map.elements]
+    camera = [float(getattr(fault.drive.rig.cameras[0], key)) for key in ("fx", "fy", "cx", "cy")]
+    gnss = fault.drive.gnss
+    return repr(
+        (elements, camera, fault.drive.rig.T_base_cam.tolist(), gnss.p_enu.tolist(), gnss.sigma_m.tolist(), masks)
+    )
+
+
+def test_fixes_move_to_the_left_of_the_way_by_the_size(drive, road):
+    fault = with_fault("fixes_left:2", drive, road)
+    np.testing.assert_allclose(fault.drive.gnss.p_enu - drive.gnss.p_enu, [[0.0, 3.5, 0.0]] * len(drive.gnss.time_s))
+    sure = with_fault("fixes_too_sure:2", drive, road).drive.gnss
+    assert np.hypot(*(sure.p_enu - drive.gnss.p_enu)[0, :2]) == pytest.approx(2.0)
+    assert (sure.sigma_m == 0.1).all()
+
+
+def test_repainted_lines_move_and_what_stands_stays(drive):
+    def line(name, label):
+        return MapElement(name, label, np.array([[5.0, 2.0, 0.0], [9.0, 2.0, 0.0]]), width_m=0.1)
+
+    given = SemanticMap((line("line", ElementClass.LANE_MARKING), line("post", ElementClass.POLE)))
+    moved = with_fault("lines_repainted:3", drive, given).semantic_map.elements
+    assert moved[0].points[:, 1] == pytest.approx([3.0, 3.0])
+    assert moved[1].points[:, 1] == pytest.approx([2.0, 2.0])
+
+
+def test_a_yawed_calibration_looks_to_the_left(drive, road):
+    rig = with_fault("camera_yaw:3", drive, road).drive.rig
+    ahead = rig.T_base_cam[0, :3, 2]
+    assert np.degrees(np.arctan2(ahead[1], ahead[0])) == pytest.approx(2.0)
+    np.testing.assert_allclose(rig.T_base_cam[0, :3, 3], drive.rig.T_base_cam[0, :3, 3])
+
+
+def test_a_severity_that_is_none_is_refused(drive, road):
+    with pytest.raises(SemlocError, match="severity 4; expected 1 to 3"):
+        with_fault("focal:4", drive, road)

@@ -1,0 +1,146 @@
+"""Single frames in a hostile world: which faults make a localizer sure of a wrong place (room: analysis; host).
+
+In: a drive, its map, masks and priors, names of faults. Out: FrameFaultOutcome of each; a table for people.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from semloc_jax.alignment.frame_localizer import LocalizeConfig
+from semloc_jax.alignment.pose_prior import PriorSource
+from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.datasets import Drive
+from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors, within
+from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.localization.frame_by_frame import localize_frames
+from semloc_jax.maps import SemanticMap
+from semloc_jax.simulation.faults import with_fault
+from semloc_jax.simulation.standing_faults import NUM_SEVERITIES, STANDING
+
+MakePrior = Callable[[Drive], PriorSource]
+NO_FAULT = "none"
+
+
+@dataclass(frozen=True)
+class FrameFaultOutcome:
+    """One row of the hostile suite.
+
+    Args:
+        fault: its name.
+        severity: 1, 2 or 3; 0 without a fault.
+        size: of the fault, with its unit.
+        frames: number of frames.
+        right: frames whose best pose is right, localized or not.
+        localized: frames called localized.
+        false: of them those beyond an alert limit.
+        refused_right: frames that are right and not called localized.
+        max_lateral_m: largest error of a frame called localized [m].
+        max_longitudinal_m: the same along the vehicle [m].
+        max_heading_deg: the same of the heading [deg].
+    """
+
+    fault: str
+    severity: int
+    size: str
+    frames: int
+    right: int
+    localized: int
+    false: int
+    refused_right: int
+    max_lateral_m: float
+    max_longitudinal_m: float
+    max_heading_deg: float
+
+
+def fault_names() -> tuple[str, ...]:
+    """All faults of single frames with all their severities, what they are compared with first."""
+    return (NO_FAULT, *(f"{name}:{severity + 1}" for name in STANDING for severity in range(NUM_SEVERITIES)))
+
+
+def frame_fault(
+    name: str,
+    drive: Drive,
+    semantic_map: SemanticMap,
+    source: MaskSource,
+    make_prior: MakePrior,
+    chosen: slice,
+    config: LocalizeConfig,
+    seed: int = 0,
+    limit: ErrorLimit = ALERT_LIMITS[0],
+) -> FrameFaultOutcome:
+    """What single frames make of one fault.
+
+    Args:
+        name: One of `fault_names()`.
+        drive: With truth.
+        semantic_map: The map.
+        source: Masks.
+        make_prior: The prior of a drive; that of the faulty one is asked for.
+        chosen: Which frames.
+        config: Of the localizer.
+        seed: Of the fault.
+        limit: Beyond it a frame called localized is false.
+
+    Raises:
+        SemlocError: the fault is not known or does not fit the drive, or the drive has no truth.
+    """
+    if drive.truth is None:
+        raise SemlocError(f"drive {drive.name}: has no truth; faults are judged against one")
+    fault = with_fault(name, drive, semantic_map, seed)
+    prior = make_prior(fault.drive)
+    found = localize_frames(
+        fault.drive, fault.semantic_map, source, prior, fault.drive.frames[chosen], source.cameras, config
+    )
+    return judge_frames(name, found, [drive.truth_at(result.frame) for result in found], limit)
+
+
+def judge_frames(
+    name: str, found: Sequence[LocalizationResult], truth: Sequence[np.ndarray], limit: ErrorLimit
+) -> FrameFaultOutcome:
+    """The row of a fault from the results of its frames and their true poses T_map_base."""
+    own, _, severity = name.partition(":")
+    poses = np.array([r.T_map_base if np.isfinite(r.T_map_base).all() else np.eye(4) for r in found])
+    errors = {key: np.abs(value) for key, value in pose_errors(poses, np.array(truth)).items()}
+    is_right = within(errors, limit) & np.array([np.isfinite(r.T_map_base).all() for r in found])
+    localized = np.array([r.localized for r in found], dtype=bool)
+
+    def largest(key: str) -> float:
+        return float(np.max(errors[key], initial=0.0, where=localized))
+
+    size = f"{STANDING[own].sizes[int(severity) - 1]:g} {STANDING[own].unit}" if own in STANDING else ""
+    return FrameFaultOutcome(
+        fault=own,
+        severity=int(severity or 0),
+        size=size,
+        frames=len(found),
+        right=int(is_right.sum()),
+        localized=int(localized.sum()),
+        false=int((localized & ~is_right).sum()),
+        refused_right=int((is_right & ~localized).sum()),
+        max_lateral_m=largest("lateral_m"),
+        max_longitudinal_m=largest("longitudinal_m"),
+        max_heading_deg=largest("heading_deg"),
+    )
+
+
+def worst_first(outcomes: Sequence[FrameFaultOutcome]) -> list[FrameFaultOutcome]:
+    """The outcomes with the most false frames first; without a fault at the top."""
+    return sorted(outcomes, key=lambda o: (o.fault != NO_FAULT, -o.false, o.localized, o.fault, o.severity))
+
+
+def to_markdown(outcomes: Sequence[FrameFaultOutcome]) -> str:
+    """The suite as a table, worst first."""
+    return "\n".join(_lines(worst_first(outcomes)))
+
+
+def _lines(outcomes: Sequence[FrameFaultOutcome]) -> Iterator[str]:
+    yield "| fault | size | localized | false | right but refused | largest error localized (lateral, along, heading) |"
+    yield "|---|---|---|---|---|---|"
+    for o in outcomes:
+        errors = f"{o.max_lateral_m:.2f} m, {o.max_longitudinal_m:.2f} m, {o.max_heading_deg:.2f} deg"
+        yield (
+            f"| {o.fault} | {o.size or '-'} | {o.localized} of {o.frames} | {o.false} | {o.refused_right} | {errors} |"
+        )
