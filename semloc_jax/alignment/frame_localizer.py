@@ -6,17 +6,19 @@ In: a SemanticMap, masks, cameras, a PosePrior. Out: LocalizationResult.
 import time
 from collections.abc import Sequence as Frames
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
+from semloc_jax.alignment.complete_modes import ModeFinder
 from semloc_jax.alignment.hypotheses import Modes
+from semloc_jax.alignment.mode_search import CompleteModesConfig, FrameImage, half_window_m
 from semloc_jax.alignment.modes import modes_in_map
-from semloc_jax.alignment.pose_prior import PosePrior, levelled
-from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.result import FoundModes, LocalizationResult
+from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import ONE_PLACE
 from semloc_jax.alignment.scene import SceneConfig
-from semloc_jax.alignment.single_frame import FrameInput, frame_input, localize_frame
+from semloc_jax.alignment.single_frame import FrameInput, frame_input
 from semloc_jax.alignment.verdict import VerdictConfig, judge
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
@@ -24,13 +26,20 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import LocalMap, SemanticMap, sample
 from semloc_jax.perception import ClassTable, cost_maps
+from semloc_jax.perception.border_distance import border_distances, pixel_unit
 from semloc_jax.structs import SolveStatus
+
+_MOST_MORE_M = 40.0
+"""The map is queried no farther than this beyond the usual radius, however wide the prior is."""
+_REACH_PX = 60.0
+"""Distances to mask borders are kept up to this, in pixels of an image of usual size."""
 
 
 @dataclass(frozen=True)
 class LocalizeConfig(SceneConfig):
     """Everything that decides how a frame is localized: the scene, and when a pose may be used."""
 
+    modes: CompleteModesConfig = field(default_factory=CompleteModesConfig)
     verdict: VerdictConfig = field(default_factory=VerdictConfig)
 
 
@@ -60,10 +69,19 @@ class FrameLocalizer:
         self.shown = replace(table, channels=tuple(table.channels[index] for index in channels))
         self.channel_of_label = np.asarray(self.shown.channel_by_class, dtype=np.int32)
 
-    def prepare(self, masks: Frames[np.ndarray], rig: Rig, T_map_near: np.ndarray) -> tuple[FrameInput, LocalMap]:
-        """Map samples around a place and cost maps of one frame, ready for the solver."""
+    def prepare(
+        self, masks: Frames[np.ndarray], rig: Rig, T_map_near: np.ndarray, more_m: float = 0.0
+    ) -> tuple[FrameInput, LocalMap]:
+        """Map samples around a place and cost maps of one frame, ready for the solver.
+
+        Args:
+            masks: Class ids, one mask for each camera.
+            rig: Cameras of the masks.
+            T_map_near: The place.
+            more_m: How much farther than usual the map is needed, because the vehicle may stand elsewhere [m].
+        """
         heading = float(np.arctan2(T_map_near[1, 0], T_map_near[0, 0])) if len(rig) == 1 else None
-        local_map = self.map.query(T_map_near[:3, 3], self.config.search_radius_m, heading)
+        local_map = self.map.query(T_map_near[:3, 3], self.config.search_radius_m + more_m, heading)
         samples = sample_within(local_map, self.config.sample_spacing_m, self.config.sample_capacity)
         maps = cost_maps(masks, self.shown, self.config.cost_maps, quantised=True)
         return frame_input(samples, maps, rig, self.channel_of_label), local_map
@@ -84,14 +102,13 @@ class FrameLocalizer:
         """
         started = time.perf_counter()
         T_map_prior = prior.on_road(self.map)
-        inputs, local_map = self.prepare(masks, rig or frame.rig, T_map_prior)
+        more_m = min(max(self.config.modes.window_sigmas * (prior.sigma_xy_m - 1.0), 0.0), _MOST_MORE_M)
+        inputs, local_map = self.prepare(masks, rig or frame.rig, T_map_prior, more_m)
+        finder = self.mode_finder(masks, inputs, prior, T_map_prior, local_map.frame)
         prepared = time.perf_counter()
-        spread = self.map.road_spread(T_map_prior)
-        solver_prior = prior.to_solver(T_map_prior, local_map.frame, self.config.road, spread)
-        on_road = partial(levelled, semantic_map=self.map, frame=local_map.frame, road=self.config.road)
-        found = localize_frame(inputs, solver_prior, self.config.frame, on_road)
+        found = finder.find()
         times = {"evidence": prepared - started, "solve": time.perf_counter() - prepared}
-        return self.judged(frame, found, T_map_prior, local_map.frame, prior.sigma_xy_m, times)
+        return self._result(frame, found, T_map_prior, prior.sigma_xy_m, times)
 
     def judged(
         self,
@@ -112,12 +129,41 @@ class FrameLocalizer:
             sigma_xy_m: Horizontal standard deviation of the first guess.
             times: Seconds spent by stage.
         """
-        verdict = self.config.verdict
         modes = modes_in_map(found, local, ONE_PLACE)
-        best = modes[0].T_map_base if modes else np.full((4, 4), np.nan)
-        away = np.hypot(*(best - T_map_prior)[:2, 3]) / sigma_xy_m if modes else np.inf
-        status, reasons = judge(SolveStatus(int(found.estimates.status[0])), modes, away, verdict)
-        return LocalizationResult(frame, best, T_map_prior, status, not reasons, reasons, modes, times)
+        places = FoundModes(modes, SolveStatus(int(found.estimates.status[0])), None)
+        return self._result(frame, places, T_map_prior, sigma_xy_m, times)
+
+    def _result(
+        self,
+        frame: Frame | None,
+        found: FoundModes,
+        T_map_prior: np.ndarray,
+        sigma_xy_m: float,
+        times: dict[str, float],
+    ) -> LocalizationResult:
+        best = found.modes[0].T_map_base if found.modes else np.full((4, 4), np.nan)
+        status, reasons = judge(found, T_map_prior, sigma_xy_m, self.config.verdict)
+        return LocalizationResult(frame, best, T_map_prior, status, not reasons, reasons, found.modes, times)
+
+    def mode_finder(
+        self,
+        masks: Frames[np.ndarray],
+        inputs: FrameInput,
+        prior: PosePrior,
+        T_map_prior: np.ndarray,
+        frame: LocalFrame,
+    ) -> ModeFinder:
+        """What finds the places of a frame; arguments as `localize` has them, with what `prepare` has made."""
+        unit_px = pixel_unit([mask.shape for mask in masks])
+        stride = self.config.cost_maps.usable_stride
+        borders = border_distances(masks, self.shown, _REACH_PX * unit_px, stride, self.config.cost_maps.blur_px)
+        size = max(mask.shape[1] for mask in masks), max(mask.shape[0] for mask in masks)
+        half_m = half_window_m(prior.sigma_xy_m, self.config.modes)
+        road = RoadPatch.around(self.map, T_map_prior, frame, half_m)
+        spread = self.map.road_spread(T_map_prior)
+        solver_prior = prior.to_solver(T_map_prior, frame, self.config.road, spread)
+        image = FrameImage(borders, size, unit_px)
+        return ModeFinder(inputs, image, solver_prior, road, frame, self.config.modes, self.config.frame)
 
 
 def sample_within(local_map: LocalMap, spacing_m: float, capacity: int):

@@ -12,6 +12,28 @@ from semloc_jax.structs import SolveStatus
 
 
 @dataclass(frozen=True)
+class ModeEvidence:
+    """What the masks hold for a pose against seeing the map elsewhere.
+
+    Attributes:
+        nats: evidence of all pieces of map in view.
+        nats_per_piece: the same for one full piece.
+        explained: share of the pieces that lie on borders of their class.
+        border_offset_px: how far the map lies outside of the borders of its masks, in the class seen most; in pixels of
+            an image of usual size. Masks that are thinner than the paint show it, and a pose between two lines.
+        log_prior: log density of the prior there, up to a constant of the frame [nats].
+        status: how its last solve ended.
+    """
+
+    nats: float
+    nats_per_piece: float
+    explained: float
+    border_offset_px: float
+    log_prior: float
+    status: SolveStatus
+
+
+@dataclass(frozen=True)
 class Mode:
     """One pose that explains the masks.
 
@@ -24,6 +46,7 @@ class Mode:
         coverage: share of the map contour in view that falls on usable pixels.
         inlier_ratio: share of the visible contour within reach of a boundary of its class.
         weak_direction: direction of the tangent that the evidence holds least.
+        evidence: what the masks hold for it; None where nobody asked.
     """
 
     weight: float
@@ -34,6 +57,7 @@ class Mode:
     coverage: float
     inlier_ratio: float
     weak_direction: np.ndarray
+    evidence: ModeEvidence | None = None
 
     @property
     def sigma_longitudinal_m(self) -> float:
@@ -49,6 +73,21 @@ class Mode:
     def sigma_heading_deg(self) -> float:
         """Standard deviation of the heading [deg]."""
         return float(np.degrees(np.sqrt(max(self.covariance[5, 5], 0.0))))
+
+
+@dataclass(frozen=True)
+class FoundModes:
+    """The places that explain a frame.
+
+    Attributes:
+        modes: distinct poses in the map frame, best first.
+        status: how the solve of the best one ended.
+        confirmed: number of other starts whose solves ended at the best one; None where none was tried.
+    """
+
+    modes: tuple[Mode, ...]
+    status: SolveStatus
+    confirmed: int | None = 0
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,12 @@ In: modes of a frame. Out: SolveStatus and reasons. No single number separates g
 separation of modes and information decide together.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from semloc_jax.alignment.result import Mode
+from semloc_jax.alignment.result import FoundModes, Mode
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
 
 
@@ -16,51 +17,105 @@ from semloc_jax.structs import STATUS_TEXT, SolveStatus
 class VerdictConfig:
     """Limits beyond which a pose is not called localized. All values are ours."""
 
-    max_cost: float = 0.78
+    max_cost: float = 0.9
+    min_inlier_ratio: float = 0.15
+    """Weak: traffic may hide most of the paint in view, and the next two limits ask for what is left."""
     min_coverage: float = 0.2
-    min_inlier_ratio: float = 0.28
-    min_weight: float = 0.6
+    min_explained: float = 0.35
+    """Share of the pieces of map in view that must lie on borders of their class."""
+    min_nats_per_piece: float = 0.5
+    """Evidence of one piece of map against seeing the map elsewhere."""
+    min_weight: float = 0.9
     """Share of the posterior that the best mode must hold against modes elsewhere."""
+    max_border_offset_px: float = 2.5
+    """Borders of the map farther outside or inside of those of the masks do not say where along the road; in pixels of
+    an image of usual size."""
+    min_confirmed: int = 1
+    """Other starts whose solves must end at the pose."""
     max_sigma_lateral_m: float = 0.25
     max_sigma_longitudinal_m: float = 0.5
     max_sigma_heading_deg: float = 0.5
+    max_prior_share: float = 0.8
+    least_prior_m: float = 0.5
+    """A sigma along the road of more than this share of the prior's (taken as at least so wide) is the prior's own."""
     max_prior_sigmas: float = 4.0
     """A pose farther from the prior than this was found at the border of the search."""
 
 
 def judge(
-    status: SolveStatus, modes: tuple[Mode, ...], prior_sigmas: float, config: VerdictConfig
+    found: FoundModes, T_map_prior: np.ndarray, sigma_xy_m: float, config: VerdictConfig
 ) -> tuple[SolveStatus, tuple[str, ...]]:
     """The status of the best mode and every reason not to trust it; no reason means localized.
 
     Args:
-        status: How the solve of the best mode ended.
-        modes: Distinct modes, best first.
-        prior_sigmas: Horizontal distance of the best mode to the prior, in its sigmas.
+        found: Distinct modes, best first, and how the solve of the best ended.
+        T_map_prior: The pose that the search started around.
+        sigma_xy_m: Standard deviation that the prior states for its position [m].
         config: Limits.
     """
+    status, modes = found.status, found.modes
     if not modes or status in (SolveStatus.NO_EVIDENCE, SolveStatus.NOT_FINITE):
         status = status if status != SolveStatus.CONVERGED else SolveStatus.NO_EVIDENCE
         return status, (STATUS_TEXT[status],)
-    best = modes[0]
-    found: list[tuple[SolveStatus, str]] = []
+    reasons = [*_fit(modes[0], config), *_rivals(modes, config), *_directions(modes[0], sigma_xy_m, config)]
+    if status == SolveStatus.MAX_STEPS:
+        reasons.append((status, "no solve of this place converged"))
+    elif found.confirmed is not None and found.confirmed < config.min_confirmed:
+        reasons.append((SolveStatus.MAX_STEPS, "no second start found the same pose"))
+    prior_sigmas = float(np.hypot(*(modes[0].T_map_base - T_map_prior)[:2, 3])) / sigma_xy_m
+    if prior_sigmas > config.max_prior_sigmas:
+        text = f"{prior_sigmas:.1f} sigmas from the prior, which states {sigma_xy_m:.2g} m: one of both is wrong"
+        reasons.append((SolveStatus.AT_SEARCH_BORDER, text))
+    return (reasons[0][0] if reasons else status), tuple(text for _, text in reasons)
+
+
+Reasons = Iterator[tuple[SolveStatus, str]]
+
+
+def _fit(best: Mode, config: VerdictConfig) -> Reasons:
+    """Whether the masks show the map at all."""
     if best.coverage < config.min_coverage:
-        found.append((SolveStatus.NO_EVIDENCE, f"only {best.coverage:.0%} of the map in view falls on usable pixels"))
+        yield SolveStatus.NO_EVIDENCE, f"only {best.coverage:.0%} of the map in view falls on usable pixels"
     if best.cost > config.max_cost or best.inlier_ratio < config.min_inlier_ratio:
         text = f"cost {best.cost:.2f}, {best.inlier_ratio:.0%} of the map in view explained"
-        found.append((SolveStatus.POOR_FIT, text))
-    if best.weight < config.min_weight and len(modes) > 1:
-        away_m = np.hypot(*(modes[1].T_map_base - best.T_map_base)[:2, 3])
-        found.append(
-            (SolveStatus.AMBIGUOUS, f"a pose {away_m:.1f} m away holds {modes[1].weight:.0%} of the posterior")
+        yield SolveStatus.POOR_FIT, text
+    evidence = best.evidence
+    if evidence is None:
+        return
+    if evidence.explained < config.min_explained or evidence.nats_per_piece < config.min_nats_per_piece:
+        text = (
+            f"{evidence.explained:.0%} of the map in view on borders of the masks, {evidence.nats_per_piece:.2f} nats"
         )
+        yield SolveStatus.POOR_FIT, f"{text} a piece"
+
+
+def _rivals(modes: tuple[Mode, ...], config: VerdictConfig) -> Reasons:
+    """Whether another place explains the frame about as well, and where it is."""
+    best = modes[0]
+    if best.weight >= config.min_weight or len(modes) < 2:
+        return
+    rival = modes[1]
+    ahead_m, left_m = ((rival.T_map_base - best.T_map_base)[:3, 3] @ best.T_map_base[:3, :2]).tolist()
+    text = f"a pose {ahead_m:+.1f} m ahead and {left_m:+.1f} m to the left holds {rival.weight:.0%} of the posterior"
+    if best.evidence is not None and rival.evidence is not None:
+        text += f" ({rival.evidence.nats - best.evidence.nats:+.1f} nats of the masks)"
+    yield SolveStatus.AMBIGUOUS, text
+
+
+def _directions(best: Mode, sigma_xy_m: float, config: VerdictConfig) -> Reasons:
+    """Whether every direction is held, and by the masks."""
     for name, sigma, limit, unit in (
         ("lateral", best.sigma_lateral_m, config.max_sigma_lateral_m, "m"),
         ("longitudinal", best.sigma_longitudinal_m, config.max_sigma_longitudinal_m, "m"),
         ("heading", best.sigma_heading_deg, config.max_sigma_heading_deg, "deg"),
     ):
         if not sigma <= limit:
-            found.append((SolveStatus.WEAK_DIRECTION, f"{name} sigma {sigma:.2f} {unit} exceeds {limit:g} {unit}"))
-    if prior_sigmas > config.max_prior_sigmas:
-        found.append((SolveStatus.AT_SEARCH_BORDER, f"{prior_sigmas:.1f} sigmas from the prior"))
-    return (found[0][0] if found else status), tuple(text for _, text in found)
+            yield SolveStatus.WEAK_DIRECTION, f"{name} sigma {sigma:.2f} {unit} exceeds {limit:g} {unit}"
+    held_m = config.max_prior_share * max(sigma_xy_m, config.least_prior_m)
+    if held_m < best.sigma_longitudinal_m <= config.max_sigma_longitudinal_m:
+        text = f"longitudinal sigma {best.sigma_longitudinal_m:.2f} m is about that of the prior, {sigma_xy_m:.2f} m"
+        yield SolveStatus.WEAK_DIRECTION, f"{text}: the masks do not hold it"
+    offset_px = best.evidence.border_offset_px if best.evidence is not None else 0.0
+    if abs(offset_px) > config.max_border_offset_px:
+        text = f"the map lies {offset_px:+.1f} px outside of the borders of its masks"
+        yield SolveStatus.WEAK_DIRECTION, f"{text}: the place along the road is not held"

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from semloc_jax.alignment.result import LocalizationResult, Mode
+from semloc_jax.alignment.result import LocalizationResult, Mode, ModeEvidence
 from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import append_line, reading, whole_lines, write_text
@@ -19,6 +19,7 @@ from semloc_jax.structs import SolveStatus
 FILE = "results.jsonl"
 _ARRAYS = ("T_map_base", "covariance", "weak_direction")
 _NUMBERS = ("weight", "score", "cost", "coverage", "inlier_ratio")
+_EVIDENCE = ("nats", "nats_per_piece", "explained", "border_offset_px", "log_prior")
 
 
 def begin(folder: Path) -> None:
@@ -56,13 +57,23 @@ def read(folder: Path, frames: Sequence[Frame]) -> list[LocalizationResult]:
 
 def _mode_line(mode: Mode) -> dict[str, Any]:
     arrays = {name: np.asarray(getattr(mode, name), dtype=np.float64).tolist() for name in _ARRAYS}
-    return arrays | {name: float(getattr(mode, name)) for name in _NUMBERS}
+    evidence = None
+    if mode.evidence is not None:
+        evidence = {name: float(getattr(mode.evidence, name)) for name in _EVIDENCE}
+        evidence["status"] = mode.evidence.status.name
+    return arrays | {name: float(getattr(mode, name)) for name in _NUMBERS} | {"evidence": evidence}
+
+
+def _mode(line: dict[str, Any]) -> Mode:
+    evidence = line["evidence"]
+    if evidence is not None:
+        evidence = ModeEvidence(**evidence | {"status": SolveStatus[evidence["status"]]})
+    arrays = {name: np.array(line[name]) for name in _ARRAYS}
+    return Mode(**arrays, **{name: line[name] for name in _NUMBERS}, evidence=evidence)
 
 
 def _result(line: dict[str, Any], by_id: dict[str, Frame]) -> LocalizationResult:
-    modes = [
-        Mode(**{n: np.array(mode[n]) for n in _ARRAYS}, **{n: mode[n] for n in _NUMBERS}) for mode in line["modes"]
-    ]
+    modes = [_mode(mode) for mode in line["modes"]]
     frame = by_id.get(line["frame"])
     if frame is None:
         raise SemlocError(f"holds a result of frame {line['frame']}, which is not chosen; give the --frames of the run")

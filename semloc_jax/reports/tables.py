@@ -17,6 +17,7 @@ from semloc_jax.storage import writing
 from semloc_jax.structs import SolveStatus
 
 SIGMAS = ("sigma_lateral_m", "sigma_longitudinal_m", "sigma_heading_deg")
+EVIDENCE = ("nats", "nats_per_piece", "explained", "border_offset_px", "log_prior")
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 ERRORS = ("lateral_m", "longitudinal_m", "heading_deg")
 
@@ -40,7 +41,7 @@ def write_tables(results: Sequence[LocalizationResult], truth: Mapping[str, np.n
     error_columns = [f"error_{key}" for key in ERRORS] if truth else []
     columns = ["frame", "time_s", "localized", "status", "reasons", *POSE, "cost", "coverage", *SIGMAS, "time_ms"]
     write_csv(folder / "frames.csv", [*columns, *error_columns], (_frame_row(r, truth) for r in results))
-    columns = ["frame", "rank", "weight", *POSE, "cost", "coverage", *SIGMAS]
+    columns = ["frame", "rank", "weight", *POSE, "cost", "coverage", *SIGMAS, *EVIDENCE]
     write_csv(folder / "hypotheses.csv", columns, (row for r in results for row in _mode_rows(r)))
 
 
@@ -76,7 +77,8 @@ def _frame_row(result: LocalizationResult, truth: Mapping[str, np.ndarray]) -> l
 def _mode_rows(result: LocalizationResult) -> Iterable[list[Any]]:
     for rank, mode in enumerate(result.modes):
         quality = [_number(getattr(mode, key)) for key in ("cost", "coverage", *SIGMAS)]
-        yield [result.frame.id, rank, _number(mode.weight), *_pose_cells(mode.T_map_base), *quality]
+        evidence = [_number(getattr(mode.evidence, key, np.nan)) for key in EVIDENCE]
+        yield [result.frame.id, rank, _number(mode.weight), *_pose_cells(mode.T_map_base), *quality, *evidence]
 
 
 def _pose_cells(T_map_base: np.ndarray) -> list[str]:

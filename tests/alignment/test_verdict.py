@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.result import Mode
+from semloc_jax.alignment.result import FoundModes, Mode, ModeEvidence
 from semloc_jax.alignment.verdict import VerdictConfig, judge
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
 
@@ -19,6 +19,7 @@ LIMITS = VerdictConfig(
     max_sigma_heading_deg=0.5,
     max_prior_sigmas=4.0,
 )
+SEEN = ModeEvidence(60.0, 1.5, 0.8, 0.5, -1.0, SolveStatus.CONVERGED)
 GOOD = Mode(
     weight=1.0,
     T_map_base=np.eye(4),
@@ -28,17 +29,25 @@ GOOD = Mode(
     coverage=0.8,
     inlier_ratio=0.9,
     weak_direction=np.eye(6)[0],
+    evidence=SEEN,
 )
 
 
-def verdict(*modes, status=SolveStatus.CONVERGED, away=1.0):
-    return judge(status, tuple(modes), away, LIMITS)
+def verdict(*modes, status=SolveStatus.CONVERGED, away=1.0, sigma_m=2.0, confirmed=3):
+    """The verdict with a prior `away` sigmas to the side of the best mode."""
+    T_prior = np.eye(4)
+    T_prior[1, 3] = away * sigma_m
+    return judge(FoundModes(tuple(modes), status, confirmed), T_prior, sigma_m, LIMITS)
 
 
 def with_sigma(index, sigma):
     covariance = GOOD.covariance.copy()
     covariance[index, index] = sigma**2
     return replace(GOOD, covariance=covariance)
+
+
+def seen(**values):
+    return replace(GOOD, evidence=replace(SEEN, **values))
 
 
 def far(weight):
@@ -49,7 +58,6 @@ def far(weight):
 
 def test_a_good_pose_has_no_reason_against_it():
     assert verdict(GOOD) == (SolveStatus.CONVERGED, ())
-    assert verdict(GOOD, status=SolveStatus.MAX_STEPS) == (SolveStatus.MAX_STEPS, ())
 
 
 @pytest.mark.parametrize(
@@ -58,6 +66,9 @@ def test_a_good_pose_has_no_reason_against_it():
         (replace(GOOD, coverage=0.19), SolveStatus.NO_EVIDENCE, "19%"),
         (replace(GOOD, cost=0.76), SolveStatus.POOR_FIT, "cost 0.76"),
         (replace(GOOD, inlier_ratio=0.34), SolveStatus.POOR_FIT, "34%"),
+        (seen(explained=0.34), SolveStatus.POOR_FIT, "34% of the map"),
+        (seen(nats_per_piece=0.49), SolveStatus.POOR_FIT, "0.49 nats a piece"),
+        (seen(border_offset_px=-2.6), SolveStatus.WEAK_DIRECTION, "-2.6 px"),
         (with_sigma(1, 0.26), SolveStatus.WEAK_DIRECTION, "lateral sigma 0.26 m exceeds 0.25 m"),
         (with_sigma(0, 0.51), SolveStatus.WEAK_DIRECTION, "longitudinal sigma 0.51 m exceeds 0.5 m"),
         (with_sigma(5, np.radians(0.6)), SolveStatus.WEAK_DIRECTION, "heading sigma 0.60 deg exceeds 0.5 deg"),
@@ -79,13 +90,31 @@ def test_just_inside_of_every_limit_is_good():
 def test_a_second_place_makes_it_ambiguous():
     status, reasons = verdict(replace(GOOD, weight=0.55), far(0.45))
     assert status == SolveStatus.AMBIGUOUS
-    assert reasons == ("a pose 5.0 m away holds 45% of the posterior",)
+    said = "a pose +3.0 m ahead and +4.0 m to the left holds 45% of the posterior (+0.0 nats of the masks)"
+    assert reasons == (said,)
+
+
+@pytest.mark.parametrize(
+    ("status", "confirmed", "says"),
+    [(SolveStatus.MAX_STEPS, 3, "no solve of this place converged"), (SolveStatus.CONVERGED, 0, "no second start")],
+)
+def test_a_pose_that_no_other_start_finds_is_not_used(status, confirmed, says):
+    given, reasons = verdict(GOOD, status=status, confirmed=confirmed)
+    assert given == SolveStatus.MAX_STEPS
+    assert len(reasons) == 1 and says in reasons[0]
+
+
+def test_a_sigma_along_the_road_that_is_the_priors_own_is_told():
+    status, reasons = verdict(with_sigma(0, 0.45), sigma_m=0.3)
+    assert status == SolveStatus.WEAK_DIRECTION
+    assert reasons == ("longitudinal sigma 0.45 m is about that of the prior, 0.30 m: the masks do not hold it",)
+    assert verdict(with_sigma(0, 0.45), sigma_m=1.0)[0] == SolveStatus.CONVERGED
 
 
 def test_a_pose_far_from_the_prior_was_found_at_the_border():
     status, reasons = verdict(GOOD, away=4.3)
     assert status == SolveStatus.AT_SEARCH_BORDER
-    assert reasons == ("4.3 sigmas from the prior",)
+    assert reasons == ("4.3 sigmas from the prior, which states 2 m: one of both is wrong",)
 
 
 def test_all_reasons_are_told_and_the_first_names_the_status():

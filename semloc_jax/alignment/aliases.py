@@ -1,0 +1,103 @@
+"""Where else the map looks as it does here: its own periods along and across the road (room: alignment; host).
+
+In: map samples around a pose. Out: shifts of the pose (forward, left [m]) at which the map repeats itself.
+Dashes, posts and slots come back after their period, lanes after their width: a pose that is right up to a period
+explains the masks nearly as well, and a search that never looked there cannot know that it has chosen.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class AliasConfig:
+    """How far and how finely the map is compared with itself. All values are ours."""
+
+    cell_m: float = 0.25
+    along_m: float = 40.0
+    """Largest shift along the road."""
+    least_reach_m: float = 20.0
+    """Shifts up to this are looked at, however sure the prior is: a period of freeway dashes."""
+    across_m: float = 8.0
+    """Largest shift across it."""
+    least_along_m: float = 1.5
+    least_across_m: float = 1.5
+    """A smaller shift is the same place, which a solve finds by itself."""
+    num_along: int = 8
+    num_across: int = 4
+    least_share: float = 0.15
+    """Peaks lower than this share of the agreement at no shift are none."""
+    lanes_m: tuple[float, ...] = (3.0, 3.5)
+    """Shifts to both sides that are tried on every road."""
+
+
+def alias_shifts(
+    points_xy: np.ndarray,
+    tangents_xy: np.ndarray,
+    channel: np.ndarray,
+    length_m: np.ndarray,
+    T_map_base: np.ndarray,
+    config: AliasConfig,
+) -> np.ndarray:
+    """Shifts (forward, left [m]) in the vehicle frame at which the map repeats itself, strongest first, float[k 2].
+
+    Args:
+        points_xy: float[n 2], samples of the map in view [m].
+        tangents_xy: float[n 2], directions of their contours; their common one is the direction of the road.
+        channel: int[n], classes that masks tell apart.
+        length_m: float[n], length of contour that each sample stands for.
+        T_map_base: float[4 4], the pose.
+        config: Reach and resolution.
+    """
+    if len(points_xy) == 0:
+        return np.zeros((0, 2))
+    road = road_direction(tangents_xy, length_m, T_map_base[:2, 0])
+    frame = np.array([[road[0], road[1]], [-road[1], road[0]]])
+    overlap = _overlap(points_xy @ frame.T, channel, length_m, config)
+    num = round(config.along_m / config.cell_m), round(config.across_m / config.cell_m)
+    # A band of half a metre: lines are not quite straight.
+    band = round(0.5 / config.cell_m)
+    along = overlap[:, num[1] - band : num[1] + band + 1].max(axis=1)
+    across = overlap[num[0] - band : num[0] + band + 1].max(axis=0)
+    whole = max(float(overlap[num[0], num[1]]), 1e-9)
+    shifts = [(s, 0.0) for s in _peaks(along / whole, config, config.least_along_m, config.num_along)]
+    shifts += [(0.0, s) for s in _peaks(across / whole, config, config.least_across_m, config.num_across)]
+    shifts += [(0.0, side * lane) for lane in config.lanes_m for side in (-1.0, 1.0)]
+    vehicle = T_map_base[:2, :2].T @ frame.T
+    return np.asarray(shifts) @ vehicle.T
+
+
+def road_direction(tangents_xy: np.ndarray, length_m: np.ndarray, ahead_xy: np.ndarray) -> np.ndarray:
+    """Common direction of contours, float[2] of unit length, to the side that `ahead_xy` looks to."""
+    scatter = (tangents_xy * length_m[:, None]).T @ tangents_xy
+    values, vectors = np.linalg.eigh(scatter)
+    road = vectors[:, -1] if values[-1] > 1.2 * values[0] else ahead_xy / max(np.linalg.norm(ahead_xy), 1e-9)
+    return road if road @ ahead_xy >= 0 else -road
+
+
+def _overlap(points: np.ndarray, channel: np.ndarray, length_m: np.ndarray, config: AliasConfig) -> np.ndarray:
+    """How much contour falls on contour of its class at each shift, float[2a+1 2b+1], by FFT of the plan view."""
+    cell = np.floor((points - points.min(axis=0)) / config.cell_m).astype(int)
+    reach = round(config.along_m / config.cell_m), round(config.across_m / config.cell_m)
+    size = tuple(int(cell[:, axis].max()) + 1 + reach[axis] for axis in (0, 1))
+    total = np.zeros((2 * reach[0] + 1, 2 * reach[1] + 1))
+    for own in np.unique(channel):
+        rows = channel == own
+        plan = np.zeros(size, np.float32)
+        np.add.at(plan, tuple(cell[rows].T), length_m[rows])
+        spectrum = np.fft.rfft2(plan)
+        repeated = np.fft.irfft2(np.abs(spectrum) ** 2, s=size)
+        total += repeated[np.ix_(np.arange(-reach[0], reach[0] + 1), np.arange(-reach[1], reach[1] + 1))]
+    return total
+
+
+def _peaks(profile: np.ndarray, config: AliasConfig, least_m: float, most: int) -> list[float]:
+    """Shifts [m] of the highest local maxima, those near no shift left out."""
+    middle = len(profile) // 2
+    inner = profile[1:-1]
+    is_peak = (inner >= profile[:-2]) & (inner > profile[2:]) & (inner > config.least_share)
+    shifts_m = (np.flatnonzero(is_peak) + 1 - middle) * config.cell_m
+    shifts_m = shifts_m[np.abs(shifts_m) >= least_m]
+    height = profile[np.round(shifts_m / config.cell_m).astype(int) + middle]
+    return [float(shift) for shift in shifts_m[np.argsort(-height, kind="stable")][:most]]

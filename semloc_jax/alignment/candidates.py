@@ -1,0 +1,233 @@
+"""Candidates for the pose of a frame: a wide first look, and solves that nothing pulls (room: alignment; JAX).
+
+In: the frame, a window, poses to start from. Out: poses that differ, and what a solve makes of each.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from semloc_jax.alignment.evidence_null import EvidenceNull
+from semloc_jax.alignment.hypotheses import score
+from semloc_jax.alignment.level_choice import telling
+from semloc_jax.alignment.observed import CoarseSamples, ObserveConfig, Observed, coarse_evidence
+from semloc_jax.alignment.pose import AlignConfig, Prior, align_one, assess
+from semloc_jax.alignment.proposals import rank1_lattice
+from semloc_jax.alignment.road_patch import RoadPatch
+from semloc_jax.alignment.same_pose import units_apart
+from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from
+from semloc_jax.perception.border_distance import BorderDistances
+from semloc_jax.runtime.stored_program import stored_program
+from semloc_jax.structs import MapSamples, PoseEstimate
+
+BATCH = 16
+"""Poses that are solved or observed in one call: one program serves any number."""
+COARSE_BATCH = 2048
+COARSE_SAMPLES = 768
+
+
+class Solved(NamedTuple):
+    """What solves make of their starts."""
+
+    estimates: PoseEstimate
+    score: Float[Array, " n"]
+    """Ramp cost and prior [nats]."""
+
+    def rows(self, index: np.ndarray) -> "Solved":
+        """Some of them."""
+        return jax.tree.map(lambda leaf: leaf[index], self)
+
+
+@stored_program("config", "align_config")
+def solve_batch(
+    Ts_start: Float[Array, "n 4 4"],
+    Ts_road: Float[Array, "n 4 4"],
+    sigma: Float[Array, "6"],
+    frame: FrameInput,
+    in_view_px: Float[Array, ""],
+    config: SingleFrameConfig,
+    align_config: AlignConfig,
+) -> Solved:
+    """Each start refined with the map as it is seen from there.
+
+    Args:
+        Ts_start: Starts relative to the local origin.
+        Ts_road: Centres of their priors: the same places on the plane of the road.
+        sigma: Of the priors (x, y, z [m], roll, pitch, yaw [rad]); wide along the road, so that they do not pull.
+        frame: Map samples, cost maps, cameras.
+        in_view_px: Length of contour that costs are scaled by.
+        config: View and level on which costs are compared.
+        align_config: Levels and steps.
+    """
+
+    noise_px = align_config.noise.noise_px * frame.grain
+    level = telling(frame.textures.ramp_px, noise_px, config.rank_level)
+
+    def one(poses: tuple[Array, Array]) -> Solved:
+        T_start, T_road = poses
+        prior = Prior(T_road, sigma)
+        evidence = evidence_from(T_start, frame, config.polish_view)
+        estimate = align_one(T_start, evidence, prior, align_config)
+        judged = assess(estimate.T_map_base, level, evidence, prior, align_config)
+        measured = (judged.cost, judged.inlier_ratio)
+        estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, measured)
+        return Solved(estimate, score(estimate.T_map_base, level, evidence, prior, align_config, in_view_px))
+
+    return jax.lax.map(one, (Ts_start, Ts_road))
+
+
+def solve_all(
+    Ts_start: np.ndarray,
+    road: RoadPatch,
+    sigma: np.ndarray,
+    frame: FrameInput,
+    in_view_px: float,
+    config: SingleFrameConfig,
+    align_config: AlignConfig,
+) -> Solved:
+    """`solve_batch` of any number of starts, on the host; the centres of their priors stand on the road."""
+    parts = []
+    for first in range(0, len(Ts_start), BATCH):
+        Ts = filled(Ts_start[first : first + BATCH], BATCH)
+        own = solve_batch(
+            jnp.asarray(Ts, jnp.float32),
+            jnp.asarray(road.place(Ts), jnp.float32),
+            jnp.asarray(sigma, jnp.float32),
+            frame,
+            np.float32(in_view_px),
+            config,
+            align_config,
+        )
+        parts.append(jax.device_get(own))
+    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    return joined.rows(np.arange(len(Ts_start)))
+
+
+def filled(Ts: np.ndarray, size: int) -> np.ndarray:
+    """Poses with the first repeated up to a size."""
+    return np.concatenate([Ts, np.repeat(Ts[:1], size - len(Ts), axis=0)])
+
+
+def planar(x_m: np.ndarray, y_m: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
+    """Motions in the plane, float64[n 4 4]."""
+    x_m, y_m, heading_rad = np.broadcast_arrays(
+        *(np.asarray(value, dtype=np.float64) for value in (x_m, y_m, heading_rad))
+    )
+    T = np.tile(np.eye(4), (len(x_m), 1, 1))
+    T[:, 0, 0] = T[:, 1, 1] = np.cos(heading_rad)
+    T[:, 1, 0] = np.sin(heading_rad)
+    T[:, 0, 1] = -T[:, 1, 0]
+    T[:, 0, 3], T[:, 1, 3] = x_m, y_m
+    return T
+
+
+def lattice_in_window(num: int, T_prior: np.ndarray, half_xy_m: float, half_heading_rad: float) -> np.ndarray:
+    """Poses that fill a window, denser in its middle where a prior puts them, the prior first, float64[num 4 4]."""
+    unit = 2.0 * np.asarray(rank1_lattice(num, np.float32), dtype=np.float64) - 1.0
+    unit[0] = 0.0
+    xy = half_xy_m * np.sign(unit[:, :2]) * np.abs(unit[:, :2]) ** 1.5
+    return T_prior @ planar(xy[:, 0], xy[:, 1], half_heading_rad * unit[:, 2])
+
+
+def null_poses(num: int, T_prior: np.ndarray, seed: int) -> np.ndarray:
+    """Random poses that are wrong, 3 to 25 m away and turned by up to 25 deg, float64[num 4 4]."""
+    random = np.random.default_rng(seed)
+    away_m, angle = random.uniform(3.0, 25.0, num), random.uniform(0.0, 2.0 * np.pi, num)
+    turn = np.deg2rad(random.uniform(-25.0, 25.0, num))
+    return T_prior @ planar(away_m * np.cos(angle), away_m * np.sin(angle), turn)
+
+
+def coarse_samples(observed: Observed, samples: MapSamples, channel: np.ndarray, unit_px: float) -> CoarseSamples:
+    """Samples that stand for equal lengths of contour in the images of the poses they were observed from.
+
+    Args:
+        observed: from some poses that span the window.
+        samples: the map.
+        channel: of each sample.
+        unit_px: pixels of this image that stand for one of a usual one.
+    """
+    length_px = np.minimum(observed.length_px.max(axis=(0, 1)), 50.0 * unit_px)
+    total = float(length_px.sum())
+    p_map = np.zeros((3, COARSE_SAMPLES), np.float32)
+    chosen_channel, weight = np.zeros(COARSE_SAMPLES, np.int32), np.zeros(COARSE_SAMPLES, np.float32)
+    if total > 0:
+        places = (np.arange(COARSE_SAMPLES) + 0.5) * total / COARSE_SAMPLES
+        index = np.minimum(np.searchsorted(np.cumsum(length_px), places), len(length_px) - 1)
+        p_map, chosen_channel = np.asarray(samples.p_map)[index].T, np.maximum(channel, 0)[index]
+        # A coarse sample is a piece of a piece: it counts for its length, at most in full.
+        weight[:] = min(total / COARSE_SAMPLES / (30.0 * unit_px), 1.0)
+    return CoarseSamples(p_map.astype(np.float32), chosen_channel.astype(np.int32), weight)
+
+
+def coarse_gain(null: EvidenceNull, borders: BorderDistances, usable: np.ndarray, scale_px: float) -> np.ndarray:
+    """Nats of one observation by pixel, at twice the stride of the distances, float32[cam channel h w].
+
+    Args:
+        null: of the frame.
+        borders: distances to mask borders.
+        usable: bool[cam h w], at the stride of the distances.
+        scale_px: of the distances of what is seen: that of the search, not of the masks.
+    """
+    table = null.log_ratio(np.full(null.num_channels, scale_px))
+    gain = np.log(1.0 - null.config.rate + null.config.rate * np.exp(table))
+    byte = (np.abs(borders.signed_px[:, : null.num_channels, ::2, ::2]) * (255.0 / borders.reach_px)).astype(np.uint8)
+    bins = np.digitize(np.arange(256) * borders.reach_px / 255.0, null.edges_px)
+    field = np.stack([gain[c].astype(np.float32)[bins][byte[:, c]] for c in range(null.num_channels)], axis=1)
+    rows, columns = field.shape[2:]
+    hidden = ~usable[:, ::2, ::2][:, :rows, :columns]
+    field *= ~hidden[:, None]
+    return field
+
+
+def coarse_search(
+    Ts: np.ndarray, samples: CoarseSamples, frame: FrameInput, gain: np.ndarray, stride: int, config: ObserveConfig
+) -> np.ndarray:
+    """Nats of every pose at a first look, float64[n]; n is a multiple of COARSE_BATCH."""
+    gain, stride = jnp.asarray(gain), np.float32(stride)
+    parts = [
+        np.asarray(
+            coarse_evidence(
+                jnp.asarray(Ts[first : first + COARSE_BATCH], jnp.float32), samples, frame.rig, gain, stride, config
+            )
+        )
+        for first in range(0, len(Ts), COARSE_BATCH)
+    ]
+    return np.concatenate(parts).astype(np.float64)
+
+
+def apart(Ts: np.ndarray, value: np.ndarray, keep: int, units: float) -> np.ndarray:
+    """Rows of the poses of highest value that are so many units from every better one kept, int[k]."""
+    left = np.where(np.isfinite(value), value, -np.inf).astype(np.float64)
+    kept = []
+    while len(kept) < keep and np.isfinite(left[best := int(np.argmax(left))]):
+        kept.append(best)
+        near = units_apart(Ts, Ts[best]) < units
+        near[best] = True
+        left[near] = -np.inf
+    return np.asarray(kept, dtype=int)
+
+
+def wide_sigma(sigma: np.ndarray, least_xy_m: float, least_heading_rad: float) -> np.ndarray:
+    """Sigmas of a prior that does not pull a solve: at least so wide in the plane, float64[6]."""
+    wide = np.array(sigma, dtype=np.float64)
+    wide[:2], wide[5] = np.maximum(wide[:2], least_xy_m), max(wide[5], least_heading_rad)
+    return wide
+
+
+def thinned(samples: MapSamples, channel_of_label: np.ndarray, capacity: int) -> MapSamples:
+    """Every k-th sample that masks can show, in a fixed capacity; each stands for k times its length."""
+    host = jax.tree.map(np.asarray, samples)
+    rows = np.flatnonzero(host.valid & (channel_of_label[host.label] >= 0))
+    every = max(-(-len(rows) // capacity), 1)
+    rows = rows[::every]
+    size = np.zeros(capacity, int)
+    size[: len(rows)] = rows
+    kept: MapSamples = jax.tree.map(lambda leaf: leaf[size], host)
+    valid = np.arange(capacity) < len(rows)
+    length_m = (kept.length_m * every).astype(np.float32)
+    values = {name: getattr(kept, name) for name in MapSamples.__dataclass_fields__}
+    return jax.device_put(MapSamples(**{**values, "valid": valid, "length_m": length_m}))

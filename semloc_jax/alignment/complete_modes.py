@@ -1,0 +1,340 @@
+"""All places that explain a frame, with probabilities (room: alignment; host).
+
+In: one frame, its prior, distances to mask borders. Out: FoundModes: modes best first, what speaks for each of them.
+Search and ranking go by evidence with a null; places at which the map repeats itself are proposed, solved and weighed
+like all others; the ramp cost is what the solves descend on, no more.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from semloc_jax.alignment.aliases import alias_shifts, road_direction
+from semloc_jax.alignment.along_road import along_road, widened
+from semloc_jax.alignment.candidates import (
+    BATCH,
+    COARSE_BATCH,
+    Solved,
+    apart,
+    coarse_gain,
+    coarse_samples,
+    coarse_search,
+    filled,
+    lattice_in_window,
+    null_poses,
+    planar,
+    solve_all,
+    thinned,
+    wide_sigma,
+)
+from semloc_jax.alignment.evidence_null import EvidenceNull, Pieces, PoseEvidence, Rates, best_rates
+from semloc_jax.alignment.hypotheses import search_from, weigh
+from semloc_jax.alignment.mode_search import ALIAS_SIGMAS, CompleteModesConfig, FrameImage, half_window_m
+from semloc_jax.alignment.modes import modes_in_map
+from semloc_jax.alignment.observed import Borders, ObserveConfig, Observed, observe
+from semloc_jax.alignment.pose import AlignConfig, Prior
+from semloc_jax.alignment.posterior import Ridges, log_prior, ridges, spread, temper
+from semloc_jax.alignment.result import FoundModes, ModeEvidence
+from semloc_jax.alignment.road_patch import RoadPatch
+from semloc_jax.alignment.same_pose import ONE_PLACE, ONE_TRACK, units_apart
+from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, search_starts, sharpest
+from semloc_jax.geometry.local_frame import LocalFrame
+from semloc_jax.structs import SolveStatus
+
+
+class ModeFinder:
+    """The places of one frame."""
+
+    def __init__(
+        self,
+        frame: FrameInput,
+        image: FrameImage,
+        prior: Prior,
+        road: RoadPatch,
+        local: LocalFrame,
+        config: CompleteModesConfig,
+        frame_config: SingleFrameConfig,
+    ):
+        """Prepare a frame: what its masks look like from poses that are wrong.
+
+        Args:
+            frame: Map samples, cost maps, cameras.
+            image: What is known of its masks beyond the cost maps.
+            prior: Prior pose and sigmas, relative to the local origin.
+            road: The road within `half_window_m` of it.
+            local: The local frame.
+            config: Constants.
+            frame_config: Views, levels and the search by ramps.
+        """
+        self.frame, self.borders, self.image_size, self.unit_px = frame, image.borders, image.size, image.unit_px
+        self.prior, self.road, self.local, self.config, self.frame_config = prior, road, local, config, frame_config
+        align = frame_config.polish_align
+        self.align = replace(align, levels=config.levels, max_steps=config.max_steps)
+        self.final_align = replace(align, max_steps=config.final_max_steps, tolerance=config.final_tolerance)
+        self.T_prior = np.asarray(prior.T_map_base, dtype=np.float64)
+        self.sigma = np.asarray(prior.sigma, dtype=np.float64)
+        self.samples = thinned(frame.samples, np.asarray(frame.channel_of_label), config.num_samples)
+        self.channel = np.asarray(frame.channel_of_label)[np.asarray(self.samples.label)]
+        view = frame_config.search_view
+        self.observe_config = ObserveConfig(view.max_range_m, view.min_ground_px_per_m, 48.0 * self.unit_px)
+        self.fields = Borders(
+            jnp.asarray(self.borders.signed_px),
+            np.float32(self.borders.stride),
+            frame.usable.mask,
+            np.float32(frame.usable.stride),
+        )
+        self.half_xy_m = half_window_m(float(self.sigma[0]), config)
+        least_rad = np.deg2rad(frame_config.min_reach_deg)
+        self.half_heading_rad = max(config.window_heading_sigmas * float(self.sigma[5]), least_rad)
+        corners = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5, 0), (-0.5, 0), (0, 0)]) * self.half_xy_m
+        spanning = self.T_prior @ planar(corners[:, 0], corners[:, 1], 0.0)
+        wrong = null_poses(4 * BATCH - len(corners), self.T_prior, frame_config.seed)
+        seen = self.observed(self.road.place(np.concatenate([spanning, wrong])))
+        self.spanning = jax.tree.map(lambda leaf: leaf[: len(corners)], seen)
+        self.null = EvidenceNull(
+            jax.tree.map(lambda leaf: leaf[len(corners) :], seen),
+            self.channel,
+            np.maximum(np.asarray(self.samples.element), 0),
+            self.unit_px,
+            config.null,
+        )
+
+    def observed(self, Ts: np.ndarray) -> Observed:
+        """What each pose sees, on the host."""
+        parts = []
+        for first in range(0, len(Ts), BATCH):
+            own = filled(Ts[first : first + BATCH], BATCH)
+            seen = observe(
+                jnp.asarray(own, jnp.float32),
+                self.samples,
+                self.frame.rig,
+                self.frame.channel_of_label,
+                self.fields,
+                self.observe_config,
+            )
+            parts.append(jax.device_get(seen))
+        joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        return jax.tree.map(lambda leaf: leaf[: len(Ts)], joined)
+
+    def log_prior(self, Ts: np.ndarray) -> np.ndarray:
+        """Log prior of each pose."""
+        return log_prior(Ts, self.T_prior, max(float(self.sigma[0]), 1e-3), max(float(self.sigma[5]), 1e-4))
+
+    def coarse(self) -> np.ndarray:
+        """Poses of a wide first look that differ, best first."""
+        config = self.config
+        sigma_m = float(self.sigma[0])
+        batches = 1 if sigma_m <= 1.0 else 2 if sigma_m <= 5.0 else 12
+        Ts = lattice_in_window(batches * COARSE_BATCH, self.T_prior, self.half_xy_m, self.half_heading_rad)
+        Ts = self.road.place(Ts)
+        samples = coarse_samples(self.spanning, self.samples, self.channel, self.unit_px)
+        usable = np.asarray(self.frame.usable.mask)
+        gain = coarse_gain(self.null, self.borders, usable, config.coarse_scale_px * self.unit_px)
+        nats = coarse_search(Ts, samples, self.frame, gain, 2 * self.borders.stride, self.observe_config)
+        return Ts[apart(Ts, nats + self.log_prior(Ts), config.num_coarse, config.apart)]
+
+    def by_ramps(self) -> tuple[np.ndarray, float]:
+        """Poses of the search by ramp costs, and the length of contour in view [px]."""
+        evidence = evidence_from(self.prior.T_map_base, self.frame, self.frame_config.search_view)
+        config = self.frame_config
+        first = search_starts(self.prior, config)
+        Ts, scores = search_from(first, evidence, self.prior, config.search_align, config.search)
+        in_view_px = float(sum(np.sum(view.weight) for view in jax.device_get(evidence.views)))
+        return np.asarray(Ts, dtype=np.float64)[np.isfinite(np.asarray(scores))], in_view_px
+
+    def solve(self, Ts: np.ndarray, in_view_px: float, align: AlignConfig, frame: FrameInput) -> Solved:
+        """Every start refined by a prior that does not pull."""
+        sigma = wide_sigma(self.sigma, self.config.least_sigma_m, np.deg2rad(self.config.least_sigma_deg))
+        return solve_all(Ts, self.road, sigma, frame, in_view_px, self.frame_config, align)
+
+    def pieces(self, Ts: np.ndarray) -> Pieces:
+        """The pieces of map that each pose sees."""
+        return self.null.pieces(self.observed(Ts), self.image_size, self.observe_config.cell_px)
+
+    def evidence(self, Ts: np.ndarray, rates: Rates | None = None) -> tuple[PoseEvidence, Rates]:
+        """Evidence of poses, with rates of the frame as the best of them has it where none are given."""
+        return self._evidence_of(Ts, self.pieces(Ts), rates)
+
+    def _evidence_of(self, Ts: np.ndarray, pieces: Pieces, rates: Rates | None) -> tuple[PoseEvidence, Rates]:
+        if rates is None:
+            prior = self.log_prior(Ts)
+            first = self.null.evidence(pieces, self.null.start_rates()).nats + prior
+            rates = best_rates(self.null, pieces, prior, np.argsort(-first, kind="stable")[:6])
+        return self.null.evidence(pieces, rates), rates
+
+    def ridges(self, Ts: np.ndarray, found: PoseEvidence, status: np.ndarray) -> Ridges:
+        """Places among poses; solves that saw nothing are none."""
+        bad = np.isin(status, (SolveStatus.NO_EVIDENCE, SolveStatus.NOT_FINITE))
+        nats = np.where(bad[:, None], np.nan, found.block_nats)
+        return ridges(Ts, nats, self.log_prior(Ts), self.config.posterior)
+
+    def find(self) -> FoundModes:
+        """All places, best first."""
+        ramps, in_view_px = self.by_ramps()
+        solved = self.solve(np.concatenate([self.coarse(), ramps]), in_view_px, self.align, self.frame)
+        Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
+        found, rates = self.evidence(Ts)
+        first = self.ridges(Ts, found, np.asarray(solved.estimates.status))
+        leaders = Ts[first.best[:2]] if len(first.best) else self.T_prior[None]
+        shifted = [self.aliases(T) for T in leaders]
+        more = self.solve(np.concatenate(shifted), in_view_px, self.align, self.frame)
+        joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), solved, more)
+        Ts = np.asarray(joined.estimates.T_map_base, dtype=np.float64)
+        found, rates = self.evidence(Ts)
+        places = self.ridges(Ts, found, np.asarray(joined.estimates.status))
+        return self.finished(joined, places, rates, in_view_px)
+
+    def _alias_reach_m(self) -> float:
+        """How far along the road the map is compared with itself: no farther than the prior can be wrong [m]."""
+        aliases = self.config.aliases
+        reach_m = np.clip(ALIAS_SIGMAS * self.sigma[0], min(aliases.least_reach_m, aliases.along_m), aliases.along_m)
+        return float(np.ceil(reach_m))
+
+    def aliases(self, T_map_base: np.ndarray) -> np.ndarray:
+        """Poses at which the map looks as it does from this one."""
+        samples = jax.tree.map(np.asarray, self.samples)
+        rows = samples.valid & (self.channel >= 0)
+        rows &= np.hypot(*(samples.p_map[:, :2] - T_map_base[:2, 3]).T) < self.observe_config.max_range_m
+        shifts = alias_shifts(
+            samples.p_map[rows, :2].astype(np.float64),
+            samples.tangent_map[rows, :2].astype(np.float64),
+            self.channel[rows],
+            samples.length_m[rows].astype(np.float64),
+            T_map_base,
+            replace(self.config.aliases, along_m=self._alias_reach_m()),
+        )
+        moved = T_map_base @ planar(shifts[:, 0], shifts[:, 1], 0.0)
+        return np.concatenate([T_map_base[None], self.road.place(moved)])
+
+    def finished(
+        self,
+        solved: Solved,
+        places: Ridges,
+        rates: Rates,
+        in_view_px: float,
+    ) -> FoundModes:
+        """The best places solved to the end, weighed and brought into the map frame."""
+        config = self.config
+        Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
+        if not len(places.best):
+            return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
+        best = Ts[places.best[0]]
+        own = np.flatnonzero((places.home == 0) & (places.log_weight > -config.within_nats))
+        own = own[apart(Ts[own], places.log_weight[own], config.num_final, 0.3)]
+        restarts = best @ self._along_weak(np.asarray(solved.estimates.covariance[places.best[0]], dtype=np.float64))
+        sigma = wide_sigma(self.sigma, config.least_sigma_m, np.deg2rad(config.least_sigma_deg))
+        centre = Prior(jnp.asarray(self.road.place(best[None])[0], jnp.float32), jnp.asarray(sigma, jnp.float32))
+        _, grain = sharpest(jnp.asarray(best, jnp.float32), self.frame, centre, self.frame_config)
+        frame = self.frame._replace(grain=grain)
+        closer = evidence_from(jnp.asarray(best, jnp.float32), frame, self.frame_config.polish_view)
+        road = jax.device_get(
+            along_road(
+                jnp.asarray(best, jnp.float32),
+                closer,
+                centre,
+                self.frame_config.search_align,
+                self.frame_config.along_road,
+                self.frame_config.search.chunk,
+            )
+        )
+        beside = np.asarray(road.Ts_map_base, dtype=np.float64)[np.isfinite(road.scores)]
+        others = Ts[places.best[1 : config.num_final + 1]]
+        solved = self.solve(np.concatenate([Ts[own], beside, restarts, others]), in_view_px, self.final_align, frame)
+        Ts_end = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
+        pieces = self.pieces(Ts_end)
+        found, rates = self._evidence_of(Ts_end, pieces, rates)
+        last = self.ridges(Ts_end, found, np.asarray(solved.estimates.status))
+        if not len(last.best):
+            return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
+        return self._in_map(solved, Ts_end, (pieces, found), last, rates, road.spread)
+
+    def _in_map(
+        self,
+        solved: Solved,
+        Ts: np.ndarray,
+        seen: tuple[Pieces, PoseEvidence],
+        places: Ridges,
+        rates: Rates,
+        road_spread: np.ndarray,
+    ) -> FoundModes:
+        config = self.config
+        members = np.flatnonzero((places.home == 0) & (places.log_weight > -config.within_nats))
+        # Evidence and ramp cost know the same masks by other means: neither alone decides between neighbours.
+        held = places.log_weight[members] - np.asarray(solved.score, dtype=np.float64)[members]
+        converged = np.asarray(solved.estimates.status)[members] == SolveStatus.CONVERGED
+        chosen = int(members[np.argmax(np.where(converged | ~converged.any(), held, -np.inf))])
+        near = units_apart(Ts[members], Ts[chosen]) < ONE_PLACE
+        modes = []
+        for place, leader in enumerate(places.best):
+            rows, nats = (members[near], -held[near]) if place == 0 else (np.array([leader]), np.zeros(1))
+            estimates = jax.tree.map(lambda leaf, rows=rows: jnp.asarray(leaf[rows]), solved.estimates)
+            local = modes_in_map(weigh(estimates, jnp.asarray(nats, jnp.float32)), self.local, ONE_PLACE)
+            if not local:
+                continue
+            covariance, row = local[0].covariance, int(leader)
+            if place == 0:
+                wider = widened(jnp.asarray(covariance, jnp.float32), jnp.asarray(road_spread))
+                moments = spread(Ts[chosen], Ts[members], held)
+                moments[0, 0] = max(moments[0, 0], self._along_variance_m2(Ts[chosen], rates))
+                covariance, row = _at_least(np.asarray(wider), moments), chosen
+            evidence = self._mode_evidence(Ts[row], row, seen, rates, int(solved.estimates.status[row]))
+            weight = float(places.probability[place])
+            modes.append(replace(local[0], weight=weight, covariance=covariance, evidence=evidence))
+        confirmed = int((units_apart(Ts, Ts[chosen]) < ONE_TRACK).sum()) - 1
+        return FoundModes(tuple(modes), SolveStatus(int(solved.estimates.status[chosen])), confirmed)
+
+    def _along_variance_m2(self, T_map_base: np.ndarray, rates: Rates) -> float:
+        """Second moment of the evidence alone over places along the road through a pose [m^2].
+
+        Solves end at local minima, dashes or not; where the sides of lines are all there is, the evidence is flat
+        between them, and only the prior would say where the vehicle is.
+        """
+        config = self.config
+        samples = jax.tree.map(np.asarray, self.samples)
+        rows = samples.valid & (self.channel >= 0)
+        tangents, length_m = samples.tangent_map[rows, :2].astype(np.float64), samples.length_m[rows]
+        road = road_direction(tangents, length_m.astype(np.float64), T_map_base[:2, 0])
+        offsets_m = np.append(np.linspace(-config.along_m, config.along_m, config.num_along - 1), 0.0)
+        Ts = np.tile(T_map_base, (len(offsets_m), 1, 1))
+        Ts[:, :2, 3] += offsets_m[:, None] * road
+        # Height and tilt as the solve has them against the road.
+        Ts = self.road.place(Ts) @ (np.linalg.inv(self.road.place(T_map_base[None])[0]) @ T_map_base)
+        found, _ = self.evidence(Ts, rates)
+        tempered = temper(found.block_nats, len(Ts) - 1, config.posterior)
+        log_weight = -tempered * (found.nats[-1] - found.nats)
+        share = np.exp(log_weight - log_weight.max())
+        return float((share * offsets_m**2).sum() / share.sum())
+
+    def _along_weak(self, covariance: np.ndarray) -> np.ndarray:
+        """Motions along the direction of the plane that a pose is held least in, float64[k 4 4]."""
+        config = self.config
+        plane = np.array((0, 1, 5))
+        scale = np.array((1.0, 1.0, config.lever_m))
+        values, vectors = np.linalg.eigh(covariance[np.ix_(plane, plane)] * np.outer(scale, scale))
+        step_m = float(np.clip(1.5 * np.sqrt(max(values[-1], 0.0)), *config.restart_step_m))
+        moves = np.outer(config.restarts, step_m * vectors[:, -1] / scale)
+        return planar(moves[:, 0], moves[:, 1], moves[:, 2])
+
+    def _mode_evidence(
+        self, T: np.ndarray, row: int, seen: tuple[Pieces, PoseEvidence], rates: Rates, status: int
+    ) -> ModeEvidence:
+        pieces, found = seen
+        offset_px = self.null.border_offset_px(pieces.of_pose(row), rates) / self.unit_px
+        return ModeEvidence(
+            nats=float(found.nats[row]),
+            nats_per_piece=float(found.nats[row] / max(found.observations[row], 1e-9)),
+            explained=float(found.explained[row]),
+            border_offset_px=offset_px,
+            log_prior=float(self.log_prior(T[None])[0]),
+            status=SolveStatus(status),
+        )
+
+
+def _at_least(covariance: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """The covariance, no surer along x, y and heading than the spread of the place."""
+    out = np.array(covariance, dtype=np.float64)
+    for axis, row in zip((0, 1, 5), range(3), strict=True):
+        out[axis, axis] = max(out[axis, axis], spread[row, row])
+    return out

@@ -1,0 +1,302 @@
+"""Evidence with a null: what the masks hold for a pose against seeing the map elsewhere (room: alignment; host).
+
+In: Observed of several poses. Out: nats, explained share and border offset of every pose; rates estimated of the frame.
+The samples of one element in one cell of the image are one observation, a piece. Each piece was either seen, and its
+samples lie near the border of a mask, or it was not (worn, hidden, not there), and they lie where samples of a random
+pose lie. A map that is not matched costs log(1 - P); a mask that is not matched costs nothing: poses that see different
+amounts of map can be compared.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erf
+
+from semloc_jax.alignment.observed import CELL_COLUMNS, Observed
+
+RANGE_EDGES_M = (15.0, 25.0, 40.0)
+"""Beyond each of them the rate of detection is another one."""
+
+
+@dataclass(frozen=True)
+class NullConfig:
+    """Constants of the likelihood, in pixels of an image of usual size (`perception.border_distance.pixel_unit`)."""
+
+    edges_px: tuple[float, ...] = (1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 13.0, 20.0, 30.0, 45.0)
+    """Between them the distances of the null are counted."""
+    observation_px: float = 30.0
+    """Length of contour that makes one full observation."""
+    least_px: float = 6.0
+    """Shorter pieces say nothing."""
+    least_observation: float = 0.2
+    uniform: float = 0.03
+    """Share of the null that is the same everywhere."""
+    narrow: float = 0.75
+    """Share of seen samples that lie within one scale; the others within `wide` scales."""
+    wide: float = 2.5
+    floor: float = 1e-4
+    """Least probability of a seen sample in any bin."""
+    most_nats: float = 6.0
+    """Of one observation."""
+    scale_px: tuple[float, float] = (1.0, 6.0)
+    """Smallest and largest scale."""
+    rate: float = 0.6
+    rate_strength: float = 6.0
+    """Prior of the rates of detection: mean, and the number of observations that it counts."""
+    rounds: int = 5
+    matched_nats: float = 0.3
+    """A piece with more counts as explained."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What the frame says about its own masks.
+
+    Attributes:
+        scale_px: of the distances of seen samples, for each channel.
+        detection: probability that a piece is seen, float[channel range].
+    """
+
+    scale_px: np.ndarray
+    detection: np.ndarray
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The pieces of several poses; all arrays have one row for each piece, or for each sample of them.
+
+    Attributes:
+        num_poses: number of poses.
+        pose, channel, range_bin: of each piece.
+        block: coarse part of the image that each piece lies in.
+        observations: how much each piece counts.
+        sample_piece, sample_px, sample_weight: piece, signed distance and length of each sample.
+        sample_bin: bin of its distance.
+    """
+
+    num_poses: int
+    pose: np.ndarray
+    channel: np.ndarray
+    range_bin: np.ndarray
+    block: np.ndarray
+    observations: np.ndarray
+    sample_piece: np.ndarray
+    sample_px: np.ndarray
+    sample_weight: np.ndarray
+    sample_bin: np.ndarray
+
+    def of_pose(self, index: int) -> "Pieces":
+        """The pieces of one pose alone."""
+        kept = self.pose == index
+        number = np.cumsum(kept) - 1
+        own = kept[self.sample_piece]
+        rows = {name: getattr(self, name)[kept] for name in ("channel", "range_bin", "block", "observations")}
+        samples = {name: getattr(self, name)[own] for name in ("sample_px", "sample_weight", "sample_bin")}
+        pose = np.zeros(int(kept.sum()), int)
+        return Pieces(1, pose=pose, sample_piece=number[self.sample_piece[own]], **rows, **samples)
+
+
+@dataclass(frozen=True)
+class PoseEvidence:
+    """What the masks hold for each pose.
+
+    Attributes:
+        nats: float[n].
+        observations: float[n], number of full pieces in view.
+        explained: float[n], share of them that is matched.
+        block_nats: float[n block], the same nats by part of the image.
+    """
+
+    nats: np.ndarray
+    observations: np.ndarray
+    explained: np.ndarray
+    block_nats: np.ndarray
+
+
+_LEAST_SAMPLES = 8
+"""Of fewer samples no offset is told."""
+NUM_BLOCKS = (8, 6)
+"""Columns and rows of the parts of an image whose evidence is taken as independent."""
+
+
+class EvidenceNull:
+    """The likelihood of one frame: null from random poses, rates from the best poses."""
+
+    def __init__(self, null: Observed, channel: np.ndarray, element: np.ndarray, unit_px: float, config: NullConfig):
+        """Learn where samples lie when the pose is wrong.
+
+        Args:
+            null: Observed from random poses.
+            channel, element: of each sample, int[p].
+            unit_px: pixels of this image that stand for one of a usual one.
+            config: Constants.
+        """
+        self.config = config
+        self.unit_px = unit_px
+        self.edges_px = unit_px * np.asarray(config.edges_px)
+        self.channel, self.element = np.maximum(channel, 0), element
+        self.num_channels = int(self.channel.max(initial=0)) + 1
+        self.null = self._histogram(null)
+
+    @property
+    def num_bins(self) -> int:
+        """Number of bins of distance."""
+        return len(self.edges_px) + 1
+
+    def _histogram(self, observed: Observed) -> np.ndarray:
+        rows = observed.length_px > 0
+        bins = np.digitize(np.abs(observed.signed_px[rows]), self.edges_px)
+        channel = np.broadcast_to(self.channel, rows.shape)[rows]
+        weight = np.minimum(observed.length_px[rows], 50.0)
+        size = self.num_channels * self.num_bins
+        counts = np.bincount(channel * self.num_bins + bins, weight, size).reshape(-1, self.num_bins)
+        total = counts.sum(axis=1, keepdims=True)
+        share = np.where(total > 0, counts / np.maximum(total, 1e-9), 1.0 / self.num_bins)
+        return (1.0 - self.config.uniform) * share + self.config.uniform / self.num_bins
+
+    def pieces(self, observed: Observed, image_size: tuple[int, int], cell_px: float) -> Pieces:
+        """The samples of every pose gathered by element and cell of the image.
+
+        Args:
+            observed: of n poses.
+            image_size: width and height of the largest mask [px].
+            cell_px: size of the cells.
+        """
+        shape = observed.length_px.shape
+        pose, camera, sample = np.nonzero(observed.length_px > 0)
+        rows = (pose, camera, sample)
+        cell = observed.cell[rows].astype(np.int64)
+        num_elements = int(self.element.max(initial=0)) + 1
+        most_cells = int(cell.max(initial=0)) + 1
+        key = ((pose * shape[1] + camera) * num_elements + self.element[sample]) * most_cells + cell
+        # Neighbours of a contour fall together: runs first, then what is left is short enough to be sorted.
+        starts = np.flatnonzero(np.diff(key, prepend=-1))
+        run = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(key)))
+        _, first, of_run = np.unique(key[starts], return_index=True, return_inverse=True)
+        piece, first = of_run[run], starts[first]
+        weight = np.minimum(observed.length_px[rows], 50.0).astype(np.float64)
+        length_px = np.bincount(piece, weight, len(first)) / self.unit_px
+        range_m = np.bincount(piece, weight * observed.range_m[rows], len(first)) / np.maximum(
+            length_px * self.unit_px, 1e-9
+        )
+        config = self.config
+        counted = np.clip(length_px / config.observation_px, config.least_observation, 1.0)
+        signed = observed.signed_px[rows].astype(np.float64)
+        column, row = cell[first] % CELL_COLUMNS, cell[first] // CELL_COLUMNS
+        across, down = (
+            np.minimum((count * cell_px * axis / max(size, 1)).astype(int), count - 1)
+            for count, axis, size in zip(NUM_BLOCKS, (column, row), image_size, strict=True)
+        )
+        return Pieces(
+            num_poses=shape[0],
+            pose=pose[first],
+            channel=self.channel[sample[first]],
+            range_bin=np.digitize(range_m, RANGE_EDGES_M),
+            block=(camera[first] * NUM_BLOCKS[1] + down) * NUM_BLOCKS[0] + across,
+            observations=np.where(length_px < config.least_px, 0.0, counted),
+            sample_piece=piece,
+            sample_px=signed,
+            sample_weight=weight,
+            sample_bin=np.digitize(np.abs(signed), self.edges_px),
+        )
+
+    def seen(self, scale_px: np.ndarray) -> np.ndarray:
+        """Probability of each bin of distance for seen samples, float[channel bin]."""
+        config = self.config
+        edges = np.concatenate([[0.0], self.edges_px, [np.inf]])
+        scaled = edges / (np.sqrt(2.0) * np.asarray(scale_px)[:, None])
+        narrow, wide = np.diff(erf(scaled), axis=1), np.diff(erf(scaled / config.wide), axis=1)
+        return config.narrow * narrow + (1.0 - config.narrow) * wide + config.floor
+
+    def log_ratio(self, scale_px: np.ndarray) -> np.ndarray:
+        """Nats of one observation at each distance, float[channel bin]."""
+        ratio = np.log(self.seen(scale_px) / self.null)
+        return np.clip(ratio, -self.config.most_nats, self.config.most_nats)
+
+    def match(self, pieces: Pieces, rates: Rates) -> np.ndarray:
+        """Nats for each piece that it was seen rather than not, had it to be one of both alone."""
+        table = self.log_ratio(rates.scale_px)
+        nats = table[pieces.channel[pieces.sample_piece], pieces.sample_bin]
+        num = len(pieces.channel)
+        total = np.bincount(pieces.sample_piece, pieces.sample_weight, num)
+        return np.bincount(pieces.sample_piece, pieces.sample_weight * nats, num) / np.maximum(total, 1e-9)
+
+    def evidence(self, pieces: Pieces, rates: Rates) -> PoseEvidence:
+        """What the masks hold for every pose."""
+        match = self.match(pieces, rates)
+        detection = rates.detection[pieces.channel, pieces.range_bin]
+        nats = pieces.observations * np.log(1.0 - detection + detection * np.exp(match))
+        num, blocks = pieces.num_poses, int(pieces.block.max(initial=0)) + 1
+        observations = np.bincount(pieces.pose, pieces.observations, num)
+        matched = np.bincount(pieces.pose, pieces.observations * (match > self.config.matched_nats), num)
+        by_block = np.bincount(pieces.pose * blocks + pieces.block, nats, num * blocks).reshape(num, blocks)
+        return PoseEvidence(by_block.sum(axis=1), observations, matched / np.maximum(observations, 1e-9), by_block)
+
+    def start_rates(self) -> Rates:
+        """Rates before anything is known of the frame."""
+        config = self.config
+        scale_px = np.full(self.num_channels, self.unit_px * 2.5)
+        return Rates(scale_px, np.full((self.num_channels, len(RANGE_EDGES_M) + 1), config.rate))
+
+    def fit(self, pieces: Pieces) -> Rates:
+        """Rates with which the pieces of one pose are likeliest: expectation-maximisation with a prior."""
+        config, rates = self.config, self.start_rates()
+        low, high = (self.unit_px * limit for limit in config.scale_px)
+        for _ in range(config.rounds):
+            odds = rates.detection[pieces.channel, pieces.range_bin] * np.exp(self.match(pieces, rates))
+            seen = odds / (1.0 - rates.detection[pieces.channel, pieces.range_bin] + odds)
+            held = (pieces.observations * seen)[pieces.sample_piece] * pieces.sample_weight
+            channel = pieces.channel[pieces.sample_piece]
+            precision, share = self._within_scale(pieces, rates.scale_px[channel])
+            squared = np.bincount(channel, held * precision * pieces.sample_px**2, self.num_channels)
+            total = np.bincount(channel, held * share, self.num_channels)
+            scale_px = np.sqrt(squared / np.maximum(total, 1e-9))
+            scale_px = np.where(total > 0, np.clip(scale_px, low, high), rates.scale_px)
+            key = pieces.channel * rates.detection.shape[1] + pieces.range_bin
+            size, shape = rates.detection.size, rates.detection.shape
+            hits = np.bincount(key, pieces.observations * seen, size).reshape(shape)
+            tries = np.bincount(key, pieces.observations, size).reshape(shape)
+            prior = config.rate_strength
+            rates = Rates(scale_px, (prior * config.rate + hits) / (prior + tries))
+        return rates
+
+    def _within_scale(self, pieces: Pieces, scale_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """For each sample the weight of its square and of itself in the scale: narrow, wide or stray."""
+        config = self.config
+        scaled = pieces.sample_px / scale_px
+        narrow = config.narrow * np.exp(-0.5 * scaled**2) / scale_px
+        wide = (1.0 - config.narrow) * np.exp(-0.5 * (scaled / config.wide) ** 2) / (config.wide * scale_px)
+        total = narrow + wide + config.floor / self.unit_px
+        return (narrow + wide / config.wide**2) / total, (narrow + wide) / total
+
+    def border_offset_px(self, pieces: Pieces, rates: Rates) -> float:
+        """How far matched pieces of a pose lie outside of their masks, in the class with most of them [px]; NaN: none.
+
+        Not part of the evidence, where it would be an excuse: masks thinner than the paint of the map show it, and so
+        does a pose between two lines.
+        """
+        matched = self.match(pieces, rates) > self.config.matched_nats
+        counts = np.bincount(pieces.channel[matched], pieces.observations[matched], self.num_channels)
+        channel = int(np.argmax(counts))
+        own = (matched & (pieces.channel == channel))[pieces.sample_piece]
+        # What is far from any border lies outside of the masks, which are thin: no offset of theirs.
+        own &= np.abs(pieces.sample_px) < 3.0 * rates.scale_px[channel]
+        if own.sum() < _LEAST_SAMPLES:
+            return float("nan")
+        order = np.argsort(pieces.sample_px[own])
+        weight = np.cumsum(pieces.sample_weight[own][order])
+        return float(pieces.sample_px[own][order][np.searchsorted(weight, 0.5 * weight[-1])])
+
+
+def best_rates(null: EvidenceNull, pieces: Pieces, log_prior: np.ndarray, candidates: np.ndarray) -> Rates:
+    """The rates of that candidate under whose own fit evidence and prior together are highest.
+
+    A fit at one wrong winner would confirm itself.
+    """
+    best, best_nats = null.start_rates(), -np.inf
+    for index in candidates:
+        rates = null.fit(pieces.of_pose(int(index)))
+        nats = float(np.max(null.evidence(pieces, rates).nats + log_prior))
+        if nats > best_nats:
+            best, best_nats = rates, nats
+    return best

@@ -1,0 +1,68 @@
+"""How far every pixel lies from the border of each class of its mask (room: perception; host).
+
+In: masks of class ids, their class table. Out: BorderDistances, one signed field for each camera and channel.
+Cost maps saturate within a few pixels, as a solver needs it; a null model needs the distance much farther out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from semloc_jax.perception.class_table import ClassTable
+from semloc_jax.perception.distance import BLOCK_PX, coarse_signed_distance
+
+
+@dataclass(frozen=True)
+class BorderDistances:
+    """Signed distance of every pixel to the border of its class: negative inside of the mask.
+
+    Attributes:
+        signed_px: float32[cam channel h w] in pixels of the full mask, clipped at `reach_px`.
+        stride: pixels of the full mask in one of the field.
+        reach_px: farther than this all is one.
+    """
+
+    signed_px: np.ndarray
+    stride: int
+    reach_px: float
+
+
+def border_distances(
+    masks: Sequence[np.ndarray], table: ClassTable, reach_px: float, stride: int = 2, blur_px: float = 1.0
+) -> BorderDistances:
+    """The distances of one frame.
+
+    Args:
+        masks: class ids, uint8[h w], one for each camera.
+        table: the class table of the masks; its channels are those of the fields.
+        reach_px: distance at which the fields saturate [px of the full mask].
+        stride: 1, 2, 4, 8 or 16.
+        blur_px: smoothing along the border [px].
+    """
+    height, width = (-(-max(mask.shape[axis] for mask in masks) // stride) for axis in (0, 1))
+    fields = np.full((len(masks), len(table.channels), height, width), reach_px, np.float32)
+    for camera, mask in enumerate(masks):
+        bottom, right = (-size % BLOCK_PX for size in mask.shape)
+        padded = cv2.copyMakeBorder(mask, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
+        for index, channel in enumerate(table.channels):
+            inside = np.zeros(256, np.uint8)
+            inside[list(channel.mask_ids)] = 255
+            binary = cv2.LUT(padded, inside)
+            if not cv2.countNonZero(binary):
+                continue
+            distance = coarse_signed_distance(binary, stride, blur_px)
+            rows, columns = -(-mask.shape[0] // stride), -(-mask.shape[1] // stride)
+            fields[camera, index, :rows, :columns] = np.clip(distance[:rows, :columns], -reach_px, reach_px)
+    return BorderDistances(fields, stride, reach_px)
+
+
+def pixel_unit(shapes: Sequence[tuple[int, ...]]) -> float:
+    """How many pixels of these masks (height, width) stand for one of a usual image; 1 for 550 px on a side and more.
+
+    Borders are blurred by about as many pixels in all images that are large enough; small ones are made of larger ones,
+    and their borders are sharper by the same ratio.
+    """
+    side_px = max(float(np.sqrt(shape[0] * shape[1])) for shape in shapes)
+    return float(np.clip(side_px / 550.0, 0.3, 1.0))

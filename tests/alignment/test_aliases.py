@@ -1,0 +1,56 @@
+"""Periods of a map are found where they were painted."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.alignment.aliases import AliasConfig, alias_shifts, road_direction
+from semloc_jax.alignment.candidates import planar
+
+
+def road(period_m, heading_rad, length_m=160.0, lane_m=3.75):
+    """Samples of dashed and solid lines along a straight road through the origin: points, tangents, channel, length."""
+    along = np.arange(-0.5 * length_m, 0.5 * length_m, 0.25)
+    dashed = along[np.mod(along, period_m) < period_m / 3.0]
+    rows = [np.column_stack([dashed, np.full(len(dashed), side)]) for side in (-0.5 * lane_m, 0.5 * lane_m)]
+    rows += [np.column_stack([along, np.full(len(along), side)]) for side in (-1.5 * lane_m, 1.5 * lane_m)]
+    points = np.vstack(rows)
+    turn = np.array([[np.cos(heading_rad), -np.sin(heading_rad)], [np.sin(heading_rad), np.cos(heading_rad)]])
+    tangents = np.tile(turn[:, 0], (len(points), 1))
+    return points @ turn.T, tangents, np.zeros(len(points), int), np.full(len(points), 0.25)
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 37.0])
+@pytest.mark.parametrize("period_m", [18.0, 9.0])
+def test_dashes_come_back_after_their_period(period_m, heading_deg):
+    heading = np.deg2rad(heading_deg)
+    T = planar(np.zeros(1), np.zeros(1), np.array([heading]))[0]
+    shifts = alias_shifts(*road(period_m, heading), T, AliasConfig(along_m=20.0))
+    along = shifts[np.abs(shifts[:, 1]) < 0.3, 0]
+    for side in (-1.0, 1.0):
+        assert np.abs(along - side * period_m).min() < 0.3
+
+
+def test_shifts_are_those_of_the_vehicle_not_of_the_road():
+    """A vehicle turned by 30 deg against the road finds the period where the road runs."""
+    turn = np.deg2rad(30.0)
+    T = planar(np.zeros(1), np.zeros(1), np.array([turn]))[0]
+    shifts = alias_shifts(*road(18.0, 0.0), T, AliasConfig(along_m=20.0))
+    expected = 18.0 * np.array([np.cos(turn), -np.sin(turn)])
+    assert np.linalg.norm(shifts - expected, axis=1).min() < 0.3
+
+
+def test_lanes_are_proposed_from_the_lines():
+    T = np.eye(4)
+    shifts = alias_shifts(*road(18.0, 0.0), T, AliasConfig(along_m=20.0))
+    across = shifts[np.abs(shifts[:, 0]) < 0.3, 1]
+    assert np.abs(across - 3.75).min() < 0.3 and np.abs(across + 3.75).min() < 0.3
+
+
+def test_no_map_has_no_aliases():
+    empty = np.zeros((0, 2))
+    assert alias_shifts(empty, empty, np.zeros(0, int), np.zeros(0), np.eye(4), AliasConfig()).shape == (0, 2)
+
+
+def test_the_road_runs_to_the_side_that_the_vehicle_looks_to():
+    tangents = np.array([[1.0, 0.0], [-1.0, 0.0], [0.99, 0.1]])
+    assert road_direction(tangents, np.ones(3), np.array([-1.0, 0.0]))[0] < -0.99
