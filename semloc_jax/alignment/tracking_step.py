@@ -15,7 +15,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.hypotheses import prior_cost, score
-from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align_one, assess, total_weight, visible_views
+from semloc_jax.alignment.level_choice import telling
+from semloc_jax.alignment.pose import (
+    AlignConfig,
+    Evidence,
+    Prior,
+    align_one,
+    assess,
+    total_weight,
+    typical_px,
+    visible_views,
+)
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.geometry import lie
@@ -39,7 +49,7 @@ class TrackAlignConfig:
     score_share: float = 0.5
     """Factor on the cost difference between two local minima [nats]: it overstates which of them is right."""
     rank_level: int = 2
-    """Level on which the starts are ranked and the elements are judged."""
+    """Level on which the elements are judged, and the coarsest one on which the starts are ranked."""
 
 
 class ElementEvidence(NamedTuple):
@@ -65,6 +75,8 @@ class TrackedFrame(NamedTuple):
     in_view_px: Float[Array, ""]
     """Weighted contour length in view."""
     elements: ElementEvidence
+    typical_px: Float[Array, ""]
+    """How far the contours within reach lie from the boundaries of their class; see `pose.typical_px`."""
 
 
 @partial(jax.jit, static_argnames="config")
@@ -88,11 +100,13 @@ def align_predicted(
     along = jnp.zeros((len(config.starts_m), 3), T_predicted.dtype)
     starts = displaced(T_predicted, along.at[:, 0].set(jnp.asarray(config.starts_m, T_predicted.dtype)))
 
+    level = telling(frame.textures.ramp_px, config.align.noise.noise_px * frame.grain, config.rank_level)
+
     def one(T_start: Array) -> tuple[PoseEstimate, Array]:
         estimate = align_one(T_start, evidence, prior, config.align)
-        judged = assess(estimate.T_map_base, config.rank_level, evidence, prior, config.align)
+        judged = assess(estimate.T_map_base, level, evidence, prior, config.align)
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, (judged.cost, judged.inlier_ratio))
-        return estimate, score(estimate.T_map_base, config.rank_level, evidence, prior, config.align)
+        return estimate, score(estimate.T_map_base, level, evidence, prior, config.align)
 
     estimates, scores = jax.lax.map(one, starts)
     scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
@@ -106,6 +120,7 @@ def align_predicted(
         spread=_spread(estimates.T_map_base, scores, steps, prior, config.score_share),
         in_view_px=total_weight(evidence.views),
         elements=seen,
+        typical_px=typical_px(chosen.T_map_base, config.rank_level, evidence, config.align),
     )
 
 
@@ -145,14 +160,14 @@ def trusted_evidence(
 ) -> tuple[Evidence, tuple[Array, ...]]:
     """The evidence of a frame as seen from a pose, each element weighted by its trust; and the element of each sample
     of each group of cameras, in the order of the views."""
-    samples = view(frame.samples, T_map_base, frame.rig, frame.channel_of_label, config)
+    samples = view(frame.samples, T_map_base, frame.rig, frame.channel_of_label, config, frame.grain)
     known = (samples.element >= 0) & (samples.element < trust.shape[0])
     index = jnp.clip(samples.element, 0, trust.shape[0] - 1)
     weight = samples.weight * jnp.where(known, trust[index], 1.0).astype(samples.weight.dtype)
     samples = eqx.tree_at(lambda s: s.weight, samples, weight)
     views: tuple[CameraViews, ...] = camera_views(frame.rig, samples)
     element = tuple(jnp.where(known, samples.element, -1)[v.index] for v in views)
-    return Evidence(views, frame.textures, frame.usable), element
+    return Evidence(views, frame.textures, frame.usable, frame.grain), element
 
 
 def element_evidence(

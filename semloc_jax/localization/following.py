@@ -36,6 +36,8 @@ class FollowConfig:
     """Contradictions that one agreeing frame cancels: after many of them a track needs several frames to recover."""
     stance_gain: float = 0.1
     """Weight of a new frame in the mean stance of the vehicle on the road."""
+    grain_gain: float = 0.1
+    """Weight of a new frame in the mean grain of the masks."""
     max_height_m: float = 0.15
     max_tilt_deg: float = 2.0
 
@@ -143,6 +145,7 @@ def seen(
     frame: FrameFeatures,
     trust: Callable[[np.ndarray], np.ndarray],
     stance: np.ndarray,
+    grain: np.ndarray,
     config: HealthConfig,
 ) -> FrameReport:
     """What the masks of a frame say about a predicted track."""
@@ -150,7 +153,7 @@ def seen(
     if aligner.windows.around(pose.T_map_base[:3, 3]).nearest_m(pose.T_map_base[:2, 3]) > config.off_map_m:
         return FrameReport(None, False, True, ("outside of the map",))
     try:
-        found = aligner.align(frame, pose.T_map_base, pose.covariance, float(track.along_sigma_m), trust, stance)
+        found = aligner.align(frame, pose.T_map_base, pose.covariance, float(track.along_sigma_m), trust, stance, grain)
     except SemlocError:
         return FrameReport(None, False, True, ("outside of the map: no road there",))
     is_occluded, reasons = health.frame_problems(found, frame.usable_share, config)
@@ -197,6 +200,12 @@ def weighed(tracks: Sequence[Track], views: Sequence[FrameReport], config: Follo
     penalty = np.array([float(track.penalty) for track in tracks]) * config.penalty_memory + added
     penalty -= penalty.min()
     return [track._replace(penalty=np.float64(value)) for track, value in zip(tracks, penalty, strict=True)]
+
+
+def grain_after(grain: np.ndarray, measured: float, num_frames: float, config: FollowConfig) -> np.ndarray:
+    """The grain of the masks after one more frame: a mean of the first frames, later a slow one."""
+    gain = max(config.grain_gain, 1.0 / (1.0 + num_frames))
+    return np.asarray(grain + gain * (measured - grain), np.float32)
 
 
 def _nats(view: FrameReport, in_view_px: float) -> float:

@@ -17,7 +17,13 @@ from semloc_jax.alignment.longitudinal import LongitudinalConfig, corrected_alon
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.alignment.single_frame import FrameInput
-from semloc_jax.alignment.tracking_step import ELEMENT_CAPACITY, TrackAlignConfig, TrackedFrame, align_predicted
+from semloc_jax.alignment.tracking_step import (
+    ELEMENT_CAPACITY,
+    TrackAlignConfig,
+    TrackedFrame,
+    align_predicted,
+    profile_along,
+)
 from semloc_jax.fusion.measurements import PoseMeasurement
 from semloc_jax.geometry import rigid
 from semloc_jax.geometry.local_frame import LocalFrame
@@ -28,6 +34,10 @@ from semloc_jax.structs import SolveStatus
 
 _LONGITUDINAL = LongitudinalConfig()
 """The search along the road; no drive needed other values."""
+
+
+_FREE = 1e3
+"""Factor on a sigma of the prior that leaves a direction free."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +75,8 @@ class Alignment(NamedTuple):
     visible_px: Float[np.ndarray, " element"]
     """Contour seen of each element around the place [px]."""
     missed_px: Float[np.ndarray, " element"]
+    grain: float = 1.0
+    """Of the masks of this frame alone, see `NoiseModel.grain`."""
     stance: Float[np.ndarray, "3"] = np.zeros(3)
     """Height [m], roll and pitch [rad] of the vehicle over the road, as measured."""
     rows: Int[np.ndarray, " element"] = np.arange(0)
@@ -100,6 +112,7 @@ class FrameAligner:
         last_sigma_along_m: float,
         trust: Callable[[np.ndarray], np.ndarray],
         stance: Float[np.ndarray, "3"],
+        grain: Float[np.ndarray, ""],
     ) -> Alignment:
         """The pose of a frame near its prediction.
 
@@ -110,21 +123,14 @@ class FrameAligner:
             last_sigma_along_m: Sigma along the road that the masks of the last frame gave alone [m].
             trust: Weights of the elements of the map that rows name.
             stance: Height [m], roll and pitch [rad] of the vehicle over the road of the map.
+            grain: Of the masks, see `NoiseModel.grain`.
 
         Raises:
             SemlocError: the map has no road near the prediction.
         """
-        T_road = self.on_road(T_map_predicted)
-        T_start = T_road @ rigid.exp(np.array([0.0, 0.0, *stance, 0.0]))
-        window = self.windows.around(T_start[:3, 3])
-        inputs = self.frame_input(frame, window)
-        local = window.local_map.frame
-        T_local_base = local.from_map(T_start, np.float64)
-        sigma = self.prior_sigma(covariance, self.map.road_spread(T_road))
-        index = self.map.rows_of(window.element_ids[:ELEMENT_CAPACITY])
-        local_trust = np.ones(ELEMENT_CAPACITY, np.float32)
-        local_trust[: len(index)] = trust(index)
-        local_trust = jnp.asarray(local_trust)
+        T_road, local, inputs, T_local_base, sigma, index, local_trust = self._prepared(
+            frame, T_map_predicted, covariance, trust, stance, grain
+        )
         prior = Prior(jnp.asarray(T_local_base, jnp.float32), jnp.asarray(sigma, jnp.float32))
         sigma_along = float(np.sqrt(covariance[0, 0]))
         moved_m = 0.0
@@ -137,6 +143,37 @@ class FrameAligner:
         )
         answer = self._answer(found, frame.time_s, local, sigma, index, moved_m)
         return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ answer.measurement.T_map_base)[2:5])
+
+    def costs_along(
+        self,
+        frame: FrameFeatures,
+        T_map_base: Float[np.ndarray, "4 4"],
+        offsets_m: Float[np.ndarray, " n"],
+        trust: Callable[[np.ndarray], np.ndarray],
+        stance: Float[np.ndarray, "3"],
+        grain: Float[np.ndarray, ""],
+    ) -> Float[np.ndarray, " n"]:
+        """Cost [nats] of the masks at a pose moved along the road, not refined; arguments as `align`."""
+        _, _, inputs, T_local_base, sigma, _, local_trust = self._prepared(
+            frame, T_map_base, np.eye(6), trust, stance, grain
+        )
+        T = jnp.asarray(T_local_base, jnp.float32)
+        prior = Prior(T, jnp.asarray(sigma * np.array([_FREE, 1.0, 1.0, 1.0, 1.0, 1.0]), jnp.float32))
+        offsets, level = jnp.asarray(offsets_m, jnp.float32), jnp.asarray(self.step.rank_level)
+        return np.asarray(profile_along(T, offsets, prior, inputs, local_trust, self.step, level))
+
+    def _prepared(self, frame, T_map_predicted, covariance, trust, stance, grain) -> tuple:
+        """The road pose, local frame, input, start, sigmas of the prior, rows of the elements and their trust."""
+        T_road = self.on_road(T_map_predicted)
+        T_start = T_road @ rigid.exp(np.array([0.0, 0.0, *stance, 0.0]))
+        window = self.windows.around(T_start[:3, 3])
+        inputs = self.frame_input(frame, window)._replace(grain=jnp.asarray(grain, jnp.float32))
+        local = window.local_map.frame
+        sigma = self.prior_sigma(covariance, self.map.road_spread(T_road))
+        index = self.map.rows_of(window.element_ids[:ELEMENT_CAPACITY])
+        local_trust = np.ones(ELEMENT_CAPACITY, np.float32)
+        local_trust[: len(index)] = trust(index)
+        return T_road, local, inputs, local.from_map(T_start, np.float64), sigma, index, jnp.asarray(local_trust)
 
     def on_road(self, T_map_base: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """The pose of a vehicle that stands on the road of the map at the same place with the same heading."""
@@ -183,6 +220,7 @@ class FrameAligner:
             visible_px=visible,
             missed_px=missed,
             rows=rows,
+            grain=float(self.step.align.noise.grain(float(found.typical_px))),
         )
 
 

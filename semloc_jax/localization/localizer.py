@@ -23,13 +23,14 @@ from semloc_jax.fusion.clock import CameraTimeLog, unknown_offset
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
-from semloc_jax.localization import health, map_faults, passed_over
+from semloc_jax.localization import health, map_faults, passed_over, phase, rivals
 from semloc_jax.localization.acquisition import Acquisition, Area
 from semloc_jax.localization.following import (
     FrameReport,
     carried,
     conflicts_after,
     corrected,
+    grain_after,
     new_track,
     seen,
     stance_after,
@@ -169,13 +170,16 @@ class Localizer:
             ]
         else:
             views = [
-                seen(t, self.fusion, self.aligner, frame, trust, state.stance, self.config.health) for t in state.tracks
+                seen(t, self.fusion, self.aligner, frame, trust, state.stance, state.grain, self.config.health)
+                for t in state.tracks
             ]
         watch.lap("align")
         state, view = self._fused(state, views, way_m)
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
             state = self._learned(state, view, motion, before_s, way_m)
         watch.lap("fuse")
+        known = (trust, state.stance, state.grain)
+        state = rivals.joined(state, view, frame, known, self.fusion, self.aligner, self.config.health)
         state = self._given_up(state)
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
             state = self._acquired(state, frame)
@@ -232,21 +236,24 @@ class Localizer:
             for t, v in zip(state.tracks, views, strict=True)
         ]
         tracks = weighed([t for t, _ in pairs], [v for _, v in pairs], self.config.follow)
-        order = np.argsort([float(t.penalty) for t in tracks], kind="stable")
+        total = [float(t.penalty) + phase.nats_against(self.fusion.pose(t.fusion), state.fixes) for t in tracks]
+        order = np.argsort(total, kind="stable")
         best, view = tracks[order[0]], pairs[order[0]][1]
         kept = [best]
         for k in order[1:]:
-            if tracks[k].penalty < self.config.win_nats and not self._is_one_of(tracks[k], kept):
+            if total[k] - total[order[0]] < self.config.win_nats and not self._is_one_of(tracks[k], kept):
                 kept.append(tracks[k])
-        counters = health.counted(state.counters, view.is_occluded, view.is_accepted)
+        counters, trust = health.counted(state.counters, view.is_occluded, view.is_accepted), state.trust
         counters = counters._replace(off_map=counters.off_map + 1 if view.is_off_map else np.int64(0))
-        trust = state.trust
         if len(kept) == 1 and view.is_accepted:
             found = view.found
             trust = map_faults.updated(trust, found.visible_px, found.missed_px, self.config.trust, found.rows)
             road, covariance = self.config.scene.road, found.measurement.covariance
             stance = stance_after(state.stance, found.stance, covariance, road, self.config.follow)
             state = state._replace(stance=stance)
+        if view.is_accepted:
+            grain = grain_after(state.grain, view.found.grain, float(best.num_accepted), self.config.follow)
+            state = state._replace(grain=grain)
         return state._replace(tracks=tuple(kept), counters=counters, trust=trust), view
 
     def _is_one_of(self, track: Track, kept: list[Track]) -> bool:
@@ -319,6 +326,7 @@ class Localizer:
                     if conflicts
                     else "frames before contradict it",
                 )
+            serious += phase.doubts(fused, state.fixes)
             status = health.status_of(len(state.tracks), is_confirmed, serious)
             reasons = tuple(dict.fromkeys((*serious, *reasons)))
         elif state.coasting:

@@ -108,6 +108,8 @@ class TrackerState(NamedTuple):
     """How large the errors of measured poses are."""
     clock: ClockOffset
     """Time of the motion sensors less that of the cameras."""
+    grain: Float[np.ndarray, ""] = np.ones((), np.float32)
+    """Of the masks so far, see `NoiseModel.grain`."""
 
 
 class FrameFeatures(NamedTuple):

@@ -59,14 +59,20 @@ def _draw_errors(axes: Axes, time_s: np.ndarray, error: np.ndarray, level: np.nd
     axes.plot(time_s, error, color=ERROR, linewidth=1.1)
     for side in (-limit, limit):
         axes.axhline(side, color=LIMIT, linewidth=0.8, linestyle=(0, (4, 3)))
-    shown = np.concatenate([np.abs(error[np.isfinite(error)]), level[level < 3.0 * limit], [0.0]])
-    reach = float(np.clip(1.15 * np.max(shown), 0.3 * limit, 1.3 * limit))
+    reach = _reach(error, level, limit)
     axes.set_ylim(-reach, reach)
     axes.set_ylabel(name, fontsize=9)
     size = np.abs(error[np.isfinite(error)])
     if len(size):
         text = f"mean {size.mean():.3f}   p95 {np.percentile(size, 95):.3f}   max {size.max():.3f}   limit ±{limit:g}"
         axes.set_title(text, loc="left", fontsize=8)
+
+
+def _reach(error: np.ndarray, level: np.ndarray, limit: float) -> float:
+    """Half height of the axes: the whole curve and the limits are inside, whatever the levels are."""
+    largest = np.max(np.abs(error[np.isfinite(error)]), initial=0.0)
+    level = np.max(level[level < 1.5 * limit], initial=0.0)
+    return 1.15 * float(max(largest, level, limit))
 
 
 def _draw_status(axes: Axes, time_s: np.ndarray, status: Sequence[TrackStatus]) -> None:

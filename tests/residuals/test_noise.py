@@ -47,3 +47,16 @@ def test_inliers_are_within_reach():
 def test_impossible_noise_is_refused(wrong):
     with pytest.raises(SemlocError, match="above 0"):
         NoiseModel(**wrong)
+
+
+@pytest.mark.parametrize(("scatter_px", "grain"), [(0.05, 0.2), (0.4, 0.3), (1.0, 0.75), (1.6, 1.0), (5.0, 1.0)])
+def test_the_grain_of_masks_follows_their_scatter_and_never_exceeds_the_model(scatter_px, grain):
+    assert NoiseModel().grain(scatter_px) == pytest.approx(grain)
+    assert float(NoiseModel().grain(jnp.asarray(scatter_px))) == pytest.approx(grain)
+
+
+def test_fine_masks_hold_more_by_the_cube_of_their_grain():
+    # Half the noise is four times the information of an observation, half the correlation twice the observations.
+    model, ramp_px = NoiseModel(), 3.0
+    assert model.gain(ramp_px, 0.5) == pytest.approx(8.0 * model.gain(ramp_px, 1.0))
+    assert model.of_grain(0.5).gain(ramp_px) == pytest.approx(model.gain(ramp_px, 0.5))

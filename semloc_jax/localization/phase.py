@@ -1,0 +1,44 @@
+"""Whether a track stands on the right period of the markings (room: localization; host).
+
+In: FusedPose of a track, the last satellite fixes. Out: nats that speak against it, a sentence where they are many.
+A pose that is a period of dashes off fits every frame: what gives way is what the fusion is free to move, the offset of
+the satellites and the scale of the odometer. Both are held against what is known of them.
+"""
+
+import numpy as np
+
+from semloc_jax.fusion.measurements import FusedPose, SensorBeliefs
+from semloc_jax.localization.track_state import Fixes
+
+_SIGMA_INFLATION = 1.5
+"""Neighbouring fixes share errors that their stated sigma does not hold; as for a search around them."""
+_LEAST_SIGMA_M = 1.0
+_DOUBTED_NATS = 8.0
+"""Four standard deviations. Ours."""
+_BELIEFS = SensorBeliefs()
+
+
+def nats_against(pose: FusedPose, fixes: Fixes) -> float:
+    """Returns what it costs to believe the calibration that a track needs to stand where it is [nats]."""
+    scale = (pose.odometer_scale - 1.0) / _BELIEFS.scale_sigma
+    return 0.5 * (_offset_sigmas(pose, fixes) ** 2 + scale**2)
+
+
+def doubts(pose: FusedPose, fixes: Fixes) -> tuple[str, ...]:
+    """Returns a sentence where the calibration is hardly to be believed, and what it points to."""
+    if nats_against(pose, fixes) < _DOUBTED_NATS:
+        return ()
+    off_m = float(np.hypot(*pose.gnss_offset_m))
+    return (
+        f"the pose needs satellites that are {off_m:.1f} m off and an odometer scale of {pose.odometer_scale:.3f}: "
+        "it may be a period of the markings away",
+    )
+
+
+def _offset_sigmas(pose: FusedPose, fixes: Fixes) -> float:
+    """Returns how far the satellites are believed to be off, in standard deviations of their slow error."""
+    there = np.isfinite(fixes.time_s)
+    if not there.any():
+        return 0.0
+    stated_m = float(np.median(np.max(fixes.sigma_m[there, :2], axis=1)))
+    return float(np.hypot(*pose.gnss_offset_m)) / max(_SIGMA_INFLATION * stated_m, _LEAST_SIGMA_M)

@@ -1,0 +1,134 @@
+"""Other places along the road that explain a frame better than a track does (room: localization; host).
+
+In: a track, one frame, satellite fixes. Out: tracks that begin at such places.
+Dashes repeat: a track a period off, or half of one, follows the road as well as the right one, and no solve leaves its
+valley. So a frame is held against the map at all places within reach of the satellites, and where one fits clearly
+better, it is followed beside the track until frames, odometry and fixes have decided.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
+from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.measurements import Fusion
+from semloc_jax.geometry import rigid
+from semloc_jax.localization import health
+from semloc_jax.localization.following import FrameReport, new_track
+from semloc_jax.localization.frame_alignment import FrameAligner
+from semloc_jax.localization.health import HealthConfig
+from semloc_jax.localization.track_state import FrameFeatures, Track, TrackerState
+
+Known = tuple[Callable[[np.ndarray], np.ndarray], np.ndarray, np.ndarray]
+"""Trust in map elements, stance of the vehicle, grain of the masks; see `FrameAligner.align`."""
+
+
+@dataclass(frozen=True)
+class RivalConfig:
+    """Where other places are looked for, and which count. All values are ours."""
+
+    every_s: float = 0.5
+    reach_m: float = 14.0
+    """To both sides: a period of dashes is 6 to 18 m, and fixes are metres off."""
+    step_m: float = 0.25
+    apart_m: float = 1.0
+    """Nearer to the track than this is the track itself."""
+    most: int = 2
+    max_tracks: int = 4
+    """While as many tracks are followed, no more are begun."""
+    min_nats: float = 5.0
+    """Nats by which a frame speaks for the other place."""
+    inflation: float = 4.0
+    """The variance of one frame, which may have ended in a local minimum, is taken this many times larger."""
+    min_sigma_m: float = 0.05
+
+
+_CONFIG = RivalConfig()
+
+
+def joined(
+    state: TrackerState,
+    view: FrameReport | None,
+    frame: FrameFeatures,
+    known: Known,
+    fusion: Fusion,
+    aligner: FrameAligner,
+    config: HealthConfig,
+) -> TrackerState:
+    """Returns the state with tracks at other places along the road, where it is time to look for them.
+
+    Args:
+        state: After the frame.
+        view: What the frame said about the best track.
+        frame: The frame.
+        known: What is known beside the pose.
+        fusion: What tracks are made of.
+        aligner: The map.
+        config: When a frame shows nothing.
+    """
+    too_early = frame.time_s < state.searched_s + _CONFIG.every_s - 1e-6
+    if too_early or view is None or not view.is_accepted or len(state.tracks) >= _CONFIG.max_tracks:
+        return state
+    found, kept = view.found, list(state.tracks)
+    for rival in rivals(kept[0], found.score, found.in_view_px, fusion, aligner, frame, known, config):
+        T = fusion.pose(rival.fusion).T_map_base
+        if all(units_apart(T, fusion.pose(track.fusion).T_map_base) >= ONE_TRACK for track in kept):
+            kept.append(rival)
+    return state._replace(tracks=tuple(kept), searched_s=np.float64(frame.time_s))
+
+
+def rivals(
+    track: Track,
+    score: float,
+    in_view_px: float,
+    fusion: Fusion,
+    aligner: FrameAligner,
+    frame: FrameFeatures,
+    known: Known,
+    config: HealthConfig,
+) -> list[Track]:
+    """Returns a track for each place along the road that explains the frame clearly better; best first.
+
+    Args:
+        track: The track, at the time of the frame.
+        score: Cost of the frame there [nats].
+        in_view_px: Contour in view that the cost was scaled by.
+        fusion: What tracks are made of.
+        aligner: The map.
+        frame: The frame.
+        known: What is known beside the pose.
+        config: When a frame shows nothing.
+    """
+    T = fusion.pose(track.fusion).T_map_base
+    num = round(_CONFIG.reach_m / _CONFIG.step_m)
+    offsets = _CONFIG.step_m * np.arange(-num, num + 1)
+    try:
+        costs = aligner.costs_along(frame, T, offsets, *known)
+    except SemlocError:
+        return []
+    found = []
+    for offset_m in offsets[_valleys(costs, offsets)][: _CONFIG.most]:
+        moved = T @ rigid.exp(np.array([offset_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        spread = np.diag([0.5, 0.1, 0.05, 0.01, 0.01, 0.01]) ** 2
+        try:
+            answer = aligner.align(frame, moved, spread, _CONFIG.step_m, *known)
+        except SemlocError:
+            continue
+        is_occluded, reasons = health.frame_problems(answer, frame.usable_share, config)
+        gain = score - answer.score * in_view_px / max(answer.in_view_px, 1.0)
+        away_m = np.hypot(*(answer.measurement.T_map_base - T)[:2, 3])
+        if is_occluded or reasons or gain < _CONFIG.min_nats or away_m < _CONFIG.apart_m:
+            continue
+        floor = np.diag(np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02]) * _CONFIG.min_sigma_m) ** 2
+        covariance = _CONFIG.inflation * answer.measurement.covariance + floor
+        found.append((gain, new_track(fusion, answer.measurement._replace(covariance=covariance), 0.0)))
+    return [rival for _, rival in sorted(found, key=lambda pair: -pair[0])]
+
+
+def _valleys(costs: np.ndarray, offsets_m: np.ndarray) -> np.ndarray:
+    """Returns the indices of the local minima away from the middle, lowest first."""
+    lower = np.r_[True, costs[1:] < costs[:-1]] & np.r_[costs[:-1] <= costs[1:], True]
+    index = np.flatnonzero(lower & (np.abs(offsets_m) > _CONFIG.apart_m) & np.isfinite(costs))
+    return index[np.argsort(costs[index])]

@@ -1,0 +1,47 @@
+"""The right period of the markings: satellites and odometer speak against a track that needs them to be wrong."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement
+from semloc_jax.localization import phase
+from semloc_jax.localization.initialization import no_fixes, with_fix
+from semloc_jax.localization.rivals import _valleys
+
+
+def fixes(sigma_m: float):
+    found = no_fixes()
+    for k in range(8):
+        found = with_fix(found, GnssMeasurement(0.2 * k, np.array([2.0 * k, 0.0, 0.0]), np.full(3, sigma_m)))
+    return found
+
+
+def pose(off_m: float, scale: float = 1.0) -> FusedPose:
+    return FusedPose(1.6, np.eye(4), np.eye(6), scale, 0.0, np.array([0.6, 0.8]) * off_m)
+
+
+def test_a_period_of_12_m_is_no_offset_of_satellites_that_state_1_3_m():
+    right, wrong = (phase.nats_against(pose(off), fixes(1.3)) for off in (1.0, 12.0))
+    assert right < 0.2
+    assert wrong - right > 15.0  # (12 m / 1.95 m)^2 / 2 = 18.9 nats
+    assert phase.doubts(pose(1.0), fixes(1.3)) == ()
+    assert "12.0 m off" in phase.doubts(pose(12.0), fixes(1.3))[0]
+
+
+def test_poor_satellites_do_not_tell_a_period():
+    assert phase.nats_against(pose(12.0), fixes(8.0)) == pytest.approx(0.5, abs=0.01)
+    assert phase.doubts(pose(12.0), fixes(8.0)) == ()
+
+
+def test_without_fixes_only_the_odometer_speaks():
+    assert phase.nats_against(pose(50.0), no_fixes()) == 0.0
+    # 10 % of the way at a belief of 2 %.
+    assert phase.nats_against(pose(0.0, scale=0.9), no_fixes()) == pytest.approx(12.5)
+
+
+def test_valleys_away_from_the_track_are_found_lowest_first():
+    offsets = np.arange(-14.0, 14.01, 0.25)
+    costs = 10.0 - 3.0 * np.exp(-(offsets**2)) - 6.0 * np.exp(-((offsets - 6.0) ** 2)) - np.exp(-((offsets + 9.0) ** 2))
+    found = offsets[_valleys(costs, offsets)]
+    np.testing.assert_allclose(found[:2], [6.0, -9.0])
+    assert (np.abs(found) > 1.0).all()
