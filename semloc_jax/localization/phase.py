@@ -13,8 +13,8 @@ from semloc_jax.localization.track_state import Fixes
 _SIGMA_INFLATION = 1.5
 """Neighbouring fixes share errors that their stated sigma does not hold; as for a search around them."""
 _LEAST_SIGMA_M = 1.0
-_DOUBTED_NATS = 8.0
-"""Four standard deviations. Ours."""
+_DOUBTED_NATS = 3.0
+"""Two and a half standard deviations, one place in a hundred. Ours."""
 _BELIEFS = SensorBeliefs()
 
 

@@ -15,11 +15,11 @@ from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import Fusion
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import health
+from semloc_jax.localization import health, phase
 from semloc_jax.localization.following import FrameReport, new_track
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.track_state import FrameFeatures, Track, TrackerState
+from semloc_jax.localization.track_state import Fixes, FrameFeatures, Track, TrackerState
 
 Known = tuple[Callable[[np.ndarray], np.ndarray], np.ndarray, np.ndarray]
 """Trust in map elements, stance of the vehicle, grain of the masks; see `FrameAligner.align`."""
@@ -38,8 +38,8 @@ class RivalConfig:
     most: int = 2
     max_tracks: int = 4
     """While as many tracks are followed, no more are begun."""
-    min_nats: float = 5.0
-    """Nats by which a frame speaks for the other place."""
+    min_nats: float = 2.5
+    """Nats by which a frame and the satellites speak for the other place."""
     inflation: float = 4.0
     """The variance of one frame, which may have ended in a local minimum, is taken this many times larger."""
     min_sigma_m: float = 0.05
@@ -72,7 +72,8 @@ def joined(
     if too_early or view is None or not view.is_accepted or len(state.tracks) >= _CONFIG.max_tracks:
         return state
     found, kept = view.found, list(state.tracks)
-    for rival in rivals(kept[0], found.score, found.in_view_px, fusion, aligner, frame, known, config):
+    seen = found.score, found.in_view_px
+    for rival in rivals(kept[0], seen, state.fixes, fusion, aligner, frame, known, config):
         T = fusion.pose(rival.fusion).T_map_base
         if all(units_apart(T, fusion.pose(track.fusion).T_map_base) >= ONE_TRACK for track in kept):
             kept.append(rival)
@@ -81,8 +82,8 @@ def joined(
 
 def rivals(
     track: Track,
-    score: float,
-    in_view_px: float,
+    seen: tuple[float, float],
+    fixes: Fixes,
     fusion: Fusion,
     aligner: FrameAligner,
     frame: FrameFeatures,
@@ -93,15 +94,16 @@ def rivals(
 
     Args:
         track: The track, at the time of the frame.
-        score: Cost of the frame there [nats].
-        in_view_px: Contour in view that the cost was scaled by.
+        seen: Cost of the frame there [nats], and the contour in view that it was scaled by [px].
+        fixes: The last satellite fixes: what they are off by at either place counts, too.
         fusion: What tracks are made of.
         aligner: The map.
         frame: The frame.
         known: What is known beside the pose.
         config: When a frame shows nothing.
     """
-    T = fusion.pose(track.fusion).T_map_base
+    pose, (score, in_view_px) = fusion.pose(track.fusion), seen
+    T = pose.T_map_base
     num = round(_CONFIG.reach_m / _CONFIG.step_m)
     offsets = _CONFIG.step_m * np.arange(-num, num + 1)
     try:
@@ -117,8 +119,11 @@ def rivals(
         except SemlocError:
             continue
         is_occluded, reasons = health.frame_problems(answer, frame.usable_share, config)
+        moved_m = (answer.measurement.T_map_base - T)[:2, 3]
+        there = pose._replace(gnss_offset_m=pose.gnss_offset_m - moved_m)
         gain = score - answer.score * in_view_px / max(answer.in_view_px, 1.0)
-        away_m = np.hypot(*(answer.measurement.T_map_base - T)[:2, 3])
+        gain += phase.nats_against(pose, fixes) - phase.nats_against(there, fixes)
+        away_m = np.hypot(*moved_m)
         if is_occluded or reasons or gain < _CONFIG.min_nats or away_m < _CONFIG.apart_m:
             continue
         floor = np.diag(np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02]) * _CONFIG.min_sigma_m) ** 2
