@@ -6,7 +6,7 @@ In: Track, FrameFeatures. Out: the next Track and the result of the frame for it
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsInt
 
 import numpy as np
 
@@ -113,15 +113,16 @@ def _moved(state: Any, fusion: Fusion, motion: CameraTimeLog, to_s: float) -> An
 
 
 def conflicts_after(
-    conflicts: float, fitted: Sequence[tuple[GnssMeasurement, Innovation, FusedPose]], config: HealthConfig
-) -> float:
+    conflicts: SupportsInt, fitted: Sequence[tuple[GnssMeasurement, Innovation, FusedPose]], config: HealthConfig
+) -> np.int64:
     """Number of fixes in a row that contradict the pose, after some more of them."""
+    in_a_row = int(conflicts)
     for fix, innovation, pose in fitted:
         off_m = float(np.hypot(*(fix.p_map - pose.T_map_base[:3, 3])[:2]))
         sigma_m = float(np.hypot(np.max(fix.sigma_m[:2]), np.sqrt(np.max(np.diagonal(pose.covariance)[:2]))))
         is_conflict = not innovation.accepted and off_m > max(config.conflict_m, 5.0 * sigma_m)
-        conflicts = conflicts + 1 if is_conflict else np.int64(0)
-    return conflicts
+        in_a_row = in_a_row + 1 if is_conflict else 0
+    return np.int64(in_a_row)
 
 
 def stance_after(

@@ -3,6 +3,7 @@
 In: map elements. Out: SemanticMap, which answers `query` with a LocalMap and knows the road under every place.
 """
 
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,6 +19,8 @@ from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, Geo
 from semloc_jax.maps.ground import GroundModel, RoadPlane, RoadSpread
 from semloc_jax.maps.heights import lifted
 from semloc_jax.structs import ElementClass
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -76,8 +79,11 @@ class SemanticMap:
                 )
         if len(self._row_of_id) < len(self.elements):
             repeated = next(e.id for row, e in enumerate(self.elements) if self._row_of_id[e.id] != row)
-            raise SemlocError(
-                f"map {self.name}: two elements have the id '{repeated[:60]}'; expected different ids; rename one"
+            # Such files exist, and `inspect` is there to say what is wrong with them.
+            _LOG.warning(
+                "map %s: two elements have the id '%s'; answers by id name the last one; rename one",
+                self.name,
+                repeated[:60],
             )
         require_place(self.origin, self.name)
 

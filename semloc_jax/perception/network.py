@@ -70,7 +70,13 @@ class NetworkPreset:
 KNOWN = {
     # https://github.com/chequanghuy/TwinLiteNet: 640x360, red green blue, 0 ... 1; drivable area, then lane lines.
     "twinlite": NetworkPreset(
-        class_table="twinlite", width_px=640, height_px=360, letterbox=False, mean=(0, 0, 0), std=(1, 1, 1), bits=(2, 1)
+        class_table="twinlite",
+        width_px=640,
+        height_px=360,
+        letterbox=False,
+        mean=(0.0, 0.0, 0.0),
+        std=(1.0, 1.0, 1.0),
+        bits=(2, 1),
     ),
 }
 """Presets of networks that have a class table of their own, by its name."""

@@ -6,6 +6,7 @@ import pytest
 
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.alignment.verdict import VerdictConfig
+from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError, UsageError
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.inputs.settings_check import require_plausible
@@ -48,6 +49,6 @@ def test_rates_are_positive(rate_hz):
 
 @pytest.mark.parametrize("sigma", [0.0, -1.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("name", ["sigma_xy_m", "sigma_heading_deg"])
-def test_zero_is_no_default_of_a_sigma(sigma, name):
+def test_zero_is_no_default_of_a_sigma(simulated_road, sigma, name):
     with pytest.raises(SemlocError, match="expected a positive number"):
-        prior_source("truth", None, **{name: sigma})
+        prior_source("truth", open_drive(simulated_road), **{name: sigma})

@@ -71,12 +71,12 @@ def fix_at(x_m, accepted):
 
 def test_three_fixes_elsewhere_contradict_one_outlier_does_not():
     config = HealthConfig()
-    outlier = conflicts_after(0.0, [fix_at(20.0, False), fix_at(1.0, True), fix_at(20.0, False)], config)
-    assert outlier == 1.0
-    carried_off = conflicts_after(0.0, [fix_at(30.0, False)] * 3, config)
-    counters = health.no_counts()._replace(conflicts=np.float64(carried_off))
+    outlier = conflicts_after(0, [fix_at(20.0, False), fix_at(1.0, True), fix_at(20.0, False)], config)
+    assert outlier == 1
+    carried_off = conflicts_after(0, [fix_at(30.0, False)] * 3, config)
+    counters = health.no_counts()._replace(conflicts=carried_off)
     assert health.lost_because(counters, config) == ("3 satellite fixes in a row contradict the pose",)
-    assert conflicts_after(0.0, [fix_at(4.0, False)] * 3, config) == 0.0  # metres are what fixes are off by
+    assert conflicts_after(0, [fix_at(4.0, False)] * 3, config) == 0.0  # metres are what fixes are off by
 
 
 def test_status_follows_tracks_and_reasons():

@@ -116,7 +116,7 @@ def test_a_header_that_names_another_grid_is_not_believed(tmp_path, road, caplog
         np.testing.assert_allclose(one.points, other.points, atol=1e-6)
     kept = read_map(write(tmp_path, "+proj=utm +zone=99"))
     assert kept.origin is None and kept.extent[0, 0] > 5e5
-    with pytest.raises(SemlocError, match="cannot be put at an origin"):
+    with pytest.raises(SemlocError, match="cannot be placed at an origin"):
         read_map(write(tmp_path, ""), GeoOrigin(37.4, -122.0))
 
 

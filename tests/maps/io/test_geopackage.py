@@ -22,14 +22,17 @@ ROOT = Path(__file__).parents[3]
 def _counted(monkeypatch) -> list[tuple[str, int]]:
     """Every query that a GeoPackage is asked from now on, with the number of rows that it gives."""
     asked: list[tuple[str, int]] = []
-    ask = GuardedConnection.ask
 
-    def counted(self, query, values=()):
-        rows = ask(self, query, values)
-        asked.append((query, len(rows)))
-        return rows
+    def counted(read):
+        def rows_of(self, query, values=()):
+            rows = list(read(self, query, values))
+            asked.append((query, len(rows)))
+            return rows
 
-    monkeypatch.setattr(GuardedConnection, "ask", counted)
+        return rows_of
+
+    for name in ("ask", "walk"):
+        monkeypatch.setattr(GuardedConnection, name, counted(getattr(GuardedConnection, name)))
     return asked
 
 
