@@ -112,7 +112,7 @@ def filled(Ts: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([Ts, np.repeat(Ts[:1], size - len(Ts), axis=0)])
 
 
-def planar(x_m: np.ndarray, y_m: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
+def planar(x_m: np.ndarray, y_m: np.ndarray, heading_rad: np.ndarray | float) -> np.ndarray:
     """Motions in the plane, float64[n 4 4]."""
     x_m, y_m, heading_rad = np.broadcast_arrays(
         *(np.asarray(value, dtype=np.float64) for value in (x_m, y_m, heading_rad))
@@ -127,7 +127,7 @@ def planar(x_m: np.ndarray, y_m: np.ndarray, heading_rad: np.ndarray) -> np.ndar
 
 def lattice_in_window(num: int, T_prior: np.ndarray, half_xy_m: float, half_heading_rad: float) -> np.ndarray:
     """Poses that fill a window, denser in its middle where a prior puts them, the prior first, float64[num 4 4]."""
-    unit = 2.0 * np.asarray(rank1_lattice(num, np.float32), dtype=np.float64) - 1.0
+    unit = 2.0 * np.asarray(rank1_lattice(num, np.dtype(np.float32)), dtype=np.float64) - 1.0
     unit[0] = 0.0
     xy = half_xy_m * np.sign(unit[:, :2]) * np.abs(unit[:, :2]) ** 1.5
     return T_prior @ planar(xy[:, 0], xy[:, 1], half_heading_rad * unit[:, 2])
@@ -230,4 +230,4 @@ def thinned(samples: MapSamples, channel_of_label: np.ndarray, capacity: int) ->
     valid = np.arange(capacity) < len(rows)
     length_m = (kept.length_m * every).astype(np.float32)
     values = {name: getattr(kept, name) for name in MapSamples.__dataclass_fields__}
-    return jax.device_put(MapSamples(**{**values, "valid": valid, "length_m": length_m}))
+    return MapSamples(**jax.device_put({**values, "valid": valid, "length_m": length_m}))
