@@ -30,14 +30,14 @@ COARSE_BATCH = 2048
 COARSE_SAMPLES = 768
 
 
-class Solved(NamedTuple):
+class SolvedPoses(NamedTuple):
     """What solves make of their starts."""
 
     estimates: PoseEstimate
     score: Float[Array, " n"]
     """Ramp cost and prior [nats]."""
 
-    def rows(self, index: np.ndarray) -> "Solved":
+    def rows(self, index: np.ndarray) -> "SolvedPoses":
         """Some of them."""
         return jax.tree.map(lambda leaf: leaf[index], self)
 
@@ -51,7 +51,7 @@ def solve_batch(
     in_view_px: Float[Array, ""],
     config: SingleFrameConfig,
     align_config: AlignConfig,
-) -> Solved:
+) -> SolvedPoses:
     """Each start refined with the map as it is seen from there.
 
     Args:
@@ -67,7 +67,7 @@ def solve_batch(
     noise_px = align_config.noise.noise_px * frame.grain
     level = telling(frame.textures.ramp_px, noise_px, config.rank_level)
 
-    def one(poses: tuple[Array, Array]) -> Solved:
+    def one(poses: tuple[Array, Array]) -> SolvedPoses:
         T_start, T_road = poses
         prior = Prior(T_road, sigma)
         evidence = evidence_from(T_start, frame, config.polish_view)
@@ -75,7 +75,7 @@ def solve_batch(
         judged = assess(estimate.T_map_base, level, evidence, prior, align_config)
         measured = (judged.cost, judged.inlier_ratio)
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, measured)
-        return Solved(estimate, score(estimate.T_map_base, level, evidence, prior, align_config, in_view_px))
+        return SolvedPoses(estimate, score(estimate.T_map_base, level, evidence, prior, align_config, in_view_px))
 
     return jax.lax.map(one, (Ts_start, Ts_road))
 
@@ -88,7 +88,7 @@ def solve_all(
     in_view_px: float,
     config: SingleFrameConfig,
     align_config: AlignConfig,
-) -> Solved:
+) -> SolvedPoses:
     """`solve_batch` of any number of starts, on the host; the centres of their priors stand on the road."""
     parts = []
     for first in range(0, len(Ts_start), BATCH):

@@ -16,7 +16,7 @@ from semloc_jax.alignment.along_road import along_road, widened
 from semloc_jax.alignment.candidates import (
     BATCH,
     COARSE_BATCH,
-    Solved,
+    SolvedPoses,
     apart,
     coarse_gain,
     coarse_samples,
@@ -144,7 +144,7 @@ class ModeFinder:
         in_view_px = float(sum(np.sum(view.weight) for view in jax.device_get(evidence.views)))
         return np.asarray(Ts, dtype=np.float64)[np.isfinite(np.asarray(scores))], in_view_px
 
-    def solve(self, Ts: np.ndarray, in_view_px: float, align: AlignConfig, frame: FrameInput) -> Solved:
+    def solve(self, Ts: np.ndarray, in_view_px: float, align: AlignConfig, frame: FrameInput) -> SolvedPoses:
         """Every start refined by a prior that does not pull."""
         sigma = wide_sigma(self.sigma, self.config.least_sigma_m, np.deg2rad(self.config.least_sigma_deg))
         return solve_all(Ts, self.road, sigma, frame, in_view_px, self.frame_config, align)
@@ -210,7 +210,7 @@ class ModeFinder:
 
     def finished(
         self,
-        solved: Solved,
+        solved: SolvedPoses,
         places: Ridges,
         rates: Rates,
         in_view_px: float,
@@ -252,7 +252,7 @@ class ModeFinder:
 
     def _in_map(
         self,
-        solved: Solved,
+        solved: SolvedPoses,
         Ts: np.ndarray,
         seen: tuple[Pieces, PoseEvidence],
         places: Ridges,

@@ -169,16 +169,14 @@ class Localizer:
                 for _ in state.tracks
             ]
         else:
-            views = [
-                seen(t, self.fusion, self.aligner, frame, trust, state.stance, state.grain, self.config.health)
-                for t in state.tracks
-            ]
+            known = (trust, state.stance, np.asarray(state.grain))
+            views = [seen(t, self.fusion, self.aligner, frame, *known, self.config.health) for t in state.tracks]
         watch.lap("align")
         state, view = self._fused(state, views, way_m)
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
             state = self._learned(state, view, motion, before_s, way_m)
         watch.lap("fuse")
-        known = (trust, state.stance, state.grain)
+        known = (trust, state.stance, np.asarray(state.grain))
         state = rivals.joined(state, view, frame, known, self.fusion, self.aligner, self.config.health)
         state = self._given_up(state)
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:

@@ -96,7 +96,7 @@ def test_gradients_and_hessians_are_finite_differences(name):
     factors = FACTORS[name]
     sizes = [KINDS[family].size for family in factors.on]
     first = [VALUES[family][key[0]] for family, key in zip(factors.on, factors.keys, strict=True)]
-    rest = jax.tree.map(lambda leaf: leaf[0], (factors.data, factors.sqrt_info))
+    rest = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), (factors.data, factors.sqrt_info))
 
     @jax.jit
     def residual(x):
