@@ -6,6 +6,7 @@ In: a SemanticMap, masks, cameras, a PosePrior. Out: LocalizationResult.
 import time
 from collections.abc import Sequence as Frames
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -39,7 +40,8 @@ _REACH_PX = 60.0
 class LocalizeConfig(SceneConfig):
     """Everything that decides how a frame is localized: the scene, and when a pose may be used."""
 
-    modes: CompleteModesConfig = field(default_factory=CompleteModesConfig)
+    modes: ClassVar[CompleteModesConfig] = CompleteModesConfig()
+    """Of the search for every mode: constants, each with its reason where it stands, and no settings."""
     verdict: VerdictConfig = field(default_factory=VerdictConfig)
 
 

@@ -13,8 +13,8 @@ from semloc_jax.cameras import (
     KannalaBrandtCamera,
     PinholeCamera,
     PolynomialFisheyeCamera,
-    read_calibration,
 )
+from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.plausibility import implausible
 from semloc_jax.errors import SemlocError
 

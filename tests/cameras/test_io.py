@@ -18,9 +18,8 @@ from semloc_jax.cameras import (
     PinholeCamera,
     PolynomialFisheyeCamera,
     Rig,
-    read_calibration,
-    write_calibration,
 )
+from semloc_jax.cameras.io import read_calibration, write_calibration
 from semloc_jax.errors import SemlocError
 
 T_CAM_IMU = np.eye(4)

@@ -15,11 +15,10 @@ from semloc_jax.cameras import (
     PinholeCamera,
     PolynomialFisheyeCamera,
     Rig,
-    read_calibration,
     stack_cameras,
-    write_calibration,
 )
 from semloc_jax.cameras.base import as_leaf
+from semloc_jax.cameras.io import read_calibration, write_calibration
 from semloc_jax.cameras.models import MODELS, model_of
 from semloc_jax.errors import SemlocError
 
