@@ -2,12 +2,13 @@
 
 import csv
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.analysis.explain_check import ElementEffect
 from semloc_jax.analysis.explain_drive import element_roles
 from semloc_jax.analysis.explanation import Explanation, Holder
 from semloc_jax.cli.main import LOST, OK, main
@@ -64,7 +65,7 @@ def test_the_table_names_the_strongest_the_most_missed_and_the_irreplaceable(fou
 
 def test_checks_and_roles_are_one_line_each(found):
     moved = np.array([0.03, 0.0, 0.0])
-    checks = [SimpleNamespace(holder=found.holders[0], shifted=moved, removed=moved, is_localized=False)]
+    checks = [ElementEffect(found.holders[0], moved, moved, False)]
     (line,) = check_table(checks).split("\n")[1:]
     assert line.startswith("lamp_7") and "+2.0  -0.5" in line and "+3.0  +0.0" in line
     assert line.endswith("no longer localized")
@@ -74,8 +75,7 @@ def test_checks_and_roles_are_one_line_each(found):
 
 def test_the_verb_writes_every_holder_and_both_pictures(simulated_road, tmp_path, monkeypatch, capsys, found):
     def localized(self, frame, masks, prior, rig):
-        T = np.eye(4)
-        return SimpleNamespace(frame=frame, localized=True, T_map_base=T, T_map_prior=T, reasons=())
+        return LocalizationResult(frame, np.eye(4), np.eye(4), SolveStatus.CONVERGED, True, (), (), {})
 
     monkeypatch.setattr(FrameLocalizer, "localize", localized)
     monkeypatch.setattr(explain, "explain_frame", lambda *args: found)
@@ -95,8 +95,8 @@ def test_the_verb_writes_every_holder_and_both_pictures(simulated_road, tmp_path
 
 def test_a_frame_without_a_pose_writes_nothing(simulated_road, tmp_path, monkeypatch, capsys):
     def lost(self, frame, masks, prior, rig):
-        status = SolveStatus.POOR_FIT
-        return SimpleNamespace(frame=frame, localized=False, status=status, reasons=("cost 0.9 above 0.75",))
+        reasons = ("cost 0.9 above 0.75",)
+        return LocalizationResult(frame, np.eye(4), np.eye(4), SolveStatus.POOR_FIT, False, reasons, (), {})
 
     monkeypatch.setattr(FrameLocalizer, "localize", lost)
     words = ["explain", str(simulated_road), "--masks", "sem", "--out", str(tmp_path / "out")]
