@@ -143,7 +143,7 @@ class FrameLocalizer:
         sigma_xy_m: float,
         times: dict[str, float],
     ) -> LocalizationResult:
-        best = found.modes[0].T_map_base if found.modes else np.full((4, 4), np.nan)
+        best = found.modes[0].T_map_base if found.modes else T_map_prior
         status, reasons = judge(found, T_map_prior, sigma_xy_m, self.config.verdict)
         return LocalizationResult(frame, best, T_map_prior, status, not reasons, reasons, found.modes, times)
 

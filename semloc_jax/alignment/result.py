@@ -96,7 +96,7 @@ class LocalizationResult:
 
     Attributes:
         frame: the frame; None where masks came as arrays.
-        T_map_base: best pose in the map frame; NaN where there is none.
+        T_map_base: best pose in the map frame; the prior where there is none.
         T_map_prior: the pose that the search started around.
         status: how the solve ended.
         localized: whether the pose may be used.
