@@ -17,7 +17,7 @@ RECORD_KEY = "run"
 """Top-level key of a saved config.yaml that tells how it came about; it is not read back."""
 
 
-def read_yaml(path: str) -> dict[str, Any]:
+def read_yaml(path: str | Path) -> dict[str, Any]:
     """Keys and values of a configuration file, without the record of the run that wrote it.
 
     Raises:

@@ -250,7 +250,7 @@ class Localizer:
             stance = stance_after(state.stance, found.stance, covariance, road, self.config.follow)
             state = state._replace(stance=stance)
         if view.is_accepted:
-            grain = grain_after(state.grain, view.found.grain, float(best.num_accepted), self.config.follow)
+            grain = grain_after(np.asarray(state.grain), view.found.grain, float(best.num_accepted), self.config.follow)
             state = state._replace(grain=grain)
         return state._replace(tracks=tuple(kept), counters=counters, trust=trust), view
 

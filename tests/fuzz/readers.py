@@ -17,7 +17,7 @@ from semloc_jax.inputs.config_files import read_yaml
 from semloc_jax.maps import SemanticMap, read_map
 from semloc_jax.maps.heights import read_ground_raster
 from semloc_jax.maps.io import left_out, write_map
-from semloc_jax.perception import load_class_table
+from semloc_jax.perception import class_table, load_class_table
 from semloc_jax.perception.network import load_network_preset
 from semloc_jax.storage import npz_arrays
 
@@ -89,7 +89,7 @@ def readers(simulated: Path, data: Path | None, place: Path) -> Iterator[Reader]
         (place / name).write_text(text)
         yield Reader(name, place / name, read)
     table = place / "table.yaml"
-    shutil.copy(Path(load_class_table.__code__.co_filename).parent / "class_tables" / "drive.yaml", table)
+    shutil.copy(Path(class_table.__file__).parent / "class_tables" / "drive.yaml", table)
     yield Reader("class table", table, load_class_table)
     np.save(place / "poses.npy", np.tile(np.eye(4), (5, 1, 1)))
     yield Reader("poses.npy", place / "poses.npy", read_trajectory)
