@@ -34,7 +34,7 @@ The same pose as a differentiable function of cameras, extrinsics, prior; here b
 The names, in the order of the data flow
     cameras      camera_from_K, mounted, Rig, read_calibration, write_calibration, PinholeCamera, ...
     map          read_map, map_from_arrays, write_map, inspect_map, SemanticMap, MapElement, sample
-    masks        load_class_table, ClassTable, mask_source, cost_maps, render_masks
+    masks        load_class_table, ClassTable, Channel, mask_source, cost_maps, render_masks
     drives       open_drive, Drive, Frame, simulate, simulate_on_map
     first guess  planar_pose, PosePrior, prior_source
     one frame    align, search, localize_frames, iterate_frames, FrameLocalizer, LocalizeConfig, LocalizationResult
@@ -52,9 +52,9 @@ JAX_COMPILATION_CACHE_DIR names another folder.
 """
 
 import importlib
-from typing import Any
 
 from semloc_jax import host as _host
+from semloc_jax.door import door
 
 __version__ = "0.1.0"
 
@@ -73,7 +73,7 @@ _ROOMS = {
     ),
     "cameras.io": ("camera_from_K", "read_calibration", "write_calibration"),
     "maps": ("SemanticMap", "MapElement", "map_from_arrays", "read_map", "write_map", "inspect_map", "sample"),
-    "perception": ("ClassTable", "load_class_table", "CostMapConfig", "cost_maps"),
+    "perception": ("ClassTable", "Channel", "load_class_table", "CostMapConfig", "cost_maps"),
     "datasets": ("Drive", "Frame", "open_drive"),
     "inputs.mask_source": ("mask_source",),
     "inputs.mask_view": ("MaskSource",),
@@ -101,11 +101,6 @@ _ROOMS = {
 }
 """The public names of each module, in the order of the data flow."""
 
-_HOME = {name: module for module, names in _ROOMS.items() for name in names}
-
-__all__ = [*_HOME, "__version__"]
-
-
 # Pure JAX rooms know no host: here they are told how kernels are built and where compiled programs are kept.
 _host.offer(
     native=lambda: importlib.import_module("semloc_jax.native.build").status(),
@@ -113,16 +108,11 @@ _host.offer(
 )
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'semloc_jax' has no attribute {name!r}; its names are {', '.join(__all__)}")
+def _prepared() -> None:
     from semloc_jax.runtime.prepare import prepare_jax
 
     prepare_jax()
-    value = getattr(importlib.import_module(f"semloc_jax.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
 
 
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__, _names = door(__name__, _ROOMS, before_loading=_prepared)
+__all__ = [*_names, "__version__"]

@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "semloc_jax"
 
 RANK = {
+    "door": 0,
     "errors": 0,
     "host": 0,
     "structs": 0,
@@ -43,7 +44,7 @@ RANK = {
     "cli": 10,
 }
 # Ground that every room may stand on.
-GROUND = {"errors", "host", "geometry", "storage", "structs"}
+GROUND = {"door", "errors", "host", "geometry", "storage", "structs"}
 # Rooms that may use less than their rank allows.
 ONLY = {"evaluation": GROUND}
 NEVER = {"datasets": {"perception", "solvers", "localization"}, "residuals": {"maps", "perception"}}

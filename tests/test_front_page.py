@@ -1,6 +1,8 @@
 """The public names: all there, loaded on first use, with a helpful refusal of the rest."""
 
 import importlib
+from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -13,13 +15,25 @@ def test_every_public_name_is_there(name):
 
 
 def test_all_and_homes_agree():
-    assert set(semloc_jax.__all__) == {*semloc_jax._HOME, "__version__"}
-    assert set(dir(semloc_jax)) >= set(semloc_jax.__all__)
+    names = [name for shown in semloc_jax._ROOMS.values() for name in shown]
+    assert len(set(names)) == len(names)
+    assert semloc_jax.__all__ == [*names, "__version__"]
+    assert set(dir(semloc_jax)) >= set(names)
 
 
 def test_names_are_those_of_their_rooms():
-    for name, home in semloc_jax._HOME.items():
-        assert getattr(semloc_jax, name) is getattr(importlib.import_module(f"semloc_jax.{home}"), name)
+    for home, names in semloc_jax._ROOMS.items():
+        for name in names:
+            assert getattr(semloc_jax, name) is getattr(importlib.import_module(f"semloc_jax.{home}"), name)
+
+
+@pytest.mark.parametrize("room", [path.parent.name for path in Path(semloc_jax.__file__).parent.glob("*/__init__.py")])
+def test_every_name_at_the_door_of_a_room_is_there(room):
+    loaded = importlib.import_module(f"semloc_jax.{room}")
+    for name in getattr(loaded, "__all__", ()):
+        value = getattr(loaded, name)
+        assert value is not None
+        assert not isinstance(value, ModuleType), f"{name} of {room} is hidden by a module of the same name"
 
 
 def test_unknown_name_is_refused():

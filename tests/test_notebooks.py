@@ -1,6 +1,7 @@
 """Every notebook runs from its first to its last cell, asserts included, and is stored without outputs."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,20 @@ def test_stored_without_outputs(path):
     cells = code_cells(path)
     assert not [cell.source for cell in cells if cell.outputs or cell.execution_count is not None]
     assert "assert" in cells[-1].source
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_cells_fit_on_a_screen(path):
+    lengths = {cell.source.splitlines()[0]: len([line for line in cell.source.splitlines() if line.strip()])
+               for cell in code_cells(path)}  # fmt: skip
+    assert not {first: length for first, length in lengths.items() if length > 15}
+
+
+def test_notebooks_use_the_doors_of_few_rooms():
+    sources = "\n".join(cell.source for path in NOTEBOOKS for cell in code_cells(path))
+    used = set(re.findall(r"^(?:from|import) (semloc_jax\S*)", sources, re.MULTILINE))
+    assert not [name for name in used if name.count(".") > 1], "a name behind the door of a room"
+    assert len(used) <= 12
 
 
 @pytest.mark.parametrize("path", RUN)

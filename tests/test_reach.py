@@ -18,7 +18,7 @@ _BY_NAME = re.compile(r'"(semloc_jax(?:\.\w+)+)"')
 
 def _doors() -> set[str]:
     """Modules that a user reaches by a word: verbs, public names, peers of the benchmark."""
-    rooms = [*(f"cli.{verb.replace('-', '_')}" for verb in VERBS), *semloc_jax._HOME.values()]
+    rooms = [*(f"cli.{verb.replace('-', '_')}" for verb in VERBS), *semloc_jax._ROOMS]
     peers = [f"bench.{peer.module}" for peer in PEERS]
     return {"semloc_jax", "semloc_jax.cli.main", *(f"semloc_jax.{name}" for name in (*rooms, *peers))}
 

@@ -55,7 +55,7 @@ class RoadPosterior(NamedTuple):
 
 
 @stored_program("align", "config", "chunk")
-def along_road(
+def weighed_along_road(
     T_map_base: Float[Array, "4 4"],
     evidence: Evidence,
     prior: Prior,

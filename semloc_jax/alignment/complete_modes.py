@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax.alignment.aliases import alias_shifts, road_direction
-from semloc_jax.alignment.along_road import along_road, widened
+from semloc_jax.alignment.along_road import weighed_along_road, widened
 from semloc_jax.alignment.candidates import (
     BATCH,
     COARSE_BATCH,
@@ -230,7 +230,7 @@ class ModeFinder:
         frame = self.frame._replace(grain=grain)
         closer = evidence_from(jnp.asarray(best, jnp.float32), frame, self.frame_config.polish_view)
         road = jax.device_get(
-            along_road(
+            weighed_along_road(
                 jnp.asarray(best, jnp.float32),
                 closer,
                 centre,

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from semloc_jax.alignment.along_road import AlongRoadConfig, RoadPosterior, along_road, widened
+from semloc_jax.alignment.along_road import AlongRoadConfig, RoadPosterior, weighed_along_road, widened
 from semloc_jax.alignment.hypotheses import Modes, SearchConfig, score, search_from, weigh
 from semloc_jax.alignment.level_choice import telling
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align_one, assess, typical_px, usual_grain
@@ -145,7 +145,7 @@ def localize_frame(
     best, grain = sharpest(jnp.asarray(best), frame, prior, config)
     frame = frame._replace(grain=grain)
     closer = evidence_from(best, frame, config.polish_view)
-    road = along_road(best, closer, prior, config.search_align, config.along_road, config.search.chunk)
+    road = weighed_along_road(best, closer, prior, config.search_align, config.along_road, config.search.chunk)
     around = evidence_from(prior.T_map_base, frame, config.search_view).views
     in_view_px = np.float32(sum(np.sum(view.weight) for view in jax.device_get(around)))
     return polish(candidates, scores, road, frame, prior, config, in_view_px)

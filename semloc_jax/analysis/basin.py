@@ -118,7 +118,7 @@ class Basin:
         return float(np.mean(ranked @ chance))
 
 
-def basin(
+def basins_of(
     drive: Drive,
     semantic_map: SemanticMap,
     masks: MaskSource | str,

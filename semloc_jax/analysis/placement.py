@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from scipy.optimize import minimize
 
 from semloc_jax.analysis.expected import contour_rows, expected_covariance, expected_sigma
-from semloc_jax.analysis.survey import PlaceViewer, SurveyConfig, Way, survey
+from semloc_jax.analysis.survey import PlaceViewer, SurveyConfig, Way, survey_ways
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
@@ -206,7 +206,7 @@ def _exact_sigma(
     semantic_map: SemanticMap, rig: Rig, table: ClassTable, Ts: Float[np.ndarray, "n 4 4"], config: PlacementConfig
 ) -> Float[np.ndarray, "n 3"]:
     way = Way("places", Ts, np.arange(len(Ts), dtype=float))
-    return survey(semantic_map, rig, table, [way], config.survey).ways[0].sigma
+    return survey_ways(semantic_map, rig, table, [way], config.survey).ways[0].sigma
 
 
 def _smooth_information(

@@ -48,7 +48,7 @@ class SeedErrors:
         return np.sqrt(np.mean(self.error**2, axis=1))
 
 
-def seed_errors(
+def errors_by_seed(
     drive: Drive,
     semantic_map: SemanticMap,
     frames: Sequence[Frame],
@@ -108,7 +108,7 @@ def noisy_solves(
     expected: ExpectedConfig | None = None,
     config: LocalizeConfig | None = None,
 ) -> Iterator[NoisySolve]:
-    """The pose of one frame for one draw of a network's noise after another; see `seed_errors`."""
+    """The pose of one frame for one draw of a network's noise after another; see `errors_by_seed`."""
     expected, config = expected or ExpectedConfig(), config or LocalizeConfig()
     source = mask_source(masks, drive, offset_px=(0.0, 0.0))
     localizer = FrameLocalizer(semantic_map, source.table, config)

@@ -135,7 +135,7 @@ class Survey:
         return tuple(found)
 
 
-def survey(
+def survey_ways(
     semantic_map: SemanticMap,
     rig: Rig,
     table: ClassTable,

@@ -37,6 +37,11 @@ def create(path: str) -> "SemlocPeer":
     return SemlocPeer(config_of(path))
 
 
+def paths() -> tuple[str, ...]:
+    """The paths of evaluation that are here, the fastest last."""
+    return ("xla", "autodiff", "analytic") if native.is_available() else ("xla",)
+
+
 def config_of(path: str) -> AlignConfig:
     """The configuration that all lines share, by one path of evaluation."""
     return AlignConfig(max_steps=10, noise=NOISE, path=path)

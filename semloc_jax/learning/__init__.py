@@ -4,7 +4,7 @@ from semloc_jax.learning.accuracy import Accuracy, localizer_accuracy
 from semloc_jax.learning.calibrate import calibrated
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.fit import Fit, fit
-from semloc_jax.learning.loss import pose_nll
+from semloc_jax.learning.loss import frame_loss, pose_nll
 from semloc_jax.learning.parameters import Learned, Parameters, learned_config, learned_values
 from semloc_jax.learning.scenes import TrainingFrame, training_frame, training_frames
 
@@ -18,6 +18,7 @@ __all__ = [
     "calibrated",
     "localizer_accuracy",
     "fit",
+    "frame_loss",
     "learned_config",
     "learned_values",
     "pose_nll",

@@ -1,1 +1,14 @@
 """The folder of a run: tables, metrics and pictures, for the command line and notebooks alike (room)."""
+
+from semloc_jax.door import door
+
+__getattr__, __dir__, __all__ = door(
+    __name__,
+    {
+        "pictures": (
+            "calibration_panels",
+            "element_panels",
+        ),
+        "explain_tables": ("explained_elements",),
+    },
+)

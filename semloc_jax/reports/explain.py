@@ -20,13 +20,13 @@ from semloc_jax.analysis.explain_check import ElementEffect, leave_one_out
 from semloc_jax.analysis.explain_drive import element_roles, explain_frames
 from semloc_jax.analysis.explanation import Explanation
 from semloc_jax.analysis.pose_mixture import frame_mixture
-from semloc_jax.analysis.seed_errors import seed_errors
+from semloc_jax.analysis.seed_errors import errors_by_seed
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.drive_inputs import Inputs
 from semloc_jax.reports import pictures
 from semloc_jax.reports.explain_files import COLUMNS, ROLE_COLUMNS, explanation_record, holder_row, role_row
-from semloc_jax.reports.explain_tables import check_table, role_table, table
+from semloc_jax.reports.explain_tables import check_table, explained_elements, role_table
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.pose_posterior import posterior_text, scatter_text
 from semloc_jax.reports.tables import write_csv
@@ -95,12 +95,12 @@ def report_explanation(
         text = f"frame {frame.id} is not localized: {reasons}; give another --frame or --masks"
         return ExplainReport((), None, text)
     found = explain_frame(localizer, result, *given, ExplainConfig(shift_m))
-    lines = [table(found, num_listed)]
+    lines = [explained_elements(found, num_listed)]
     if extras.has_posterior:
         lines.append(_posterior(localizer, result, *given))
     if extras.num_draws:
         drawn = (inputs.drive, inputs.map, [frame], extras.num_draws, inputs.masks.name)
-        lines.append(scatter_text(seed_errors(*drawn, config=settings)))
+        lines.append(scatter_text(errors_by_seed(*drawn, config=settings)))
     count = min(extras.num_checks, len(found.elements))
     steps = leave_one_out(localizer, result, *given, found, count) if count else ()
     checks = list(tqdm(steps, total=count, unit="element", disable=None if count else True))

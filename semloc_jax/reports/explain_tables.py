@@ -13,7 +13,7 @@ from semloc_jax.analysis.explanation import Explanation, Holder
 from semloc_jax.reports.explain_files import DIRECTIONS, in_units
 
 
-def table(found: Explanation, top: int) -> str:
+def explained_elements(found: Explanation, top: int) -> str:
     """The strongest holders, all classes and the prior, one line each."""
     shift = f"{100 * found.shift_m:g} cm wrong"
     head = f"{'':42}{'share [%]':>17}  {'if ' + shift + ': solver':^24} {'derivative':^16} {'if missing':^16} linear"

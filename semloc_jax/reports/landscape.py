@@ -12,7 +12,7 @@ from typing import NamedTuple
 from semloc_jax import viz
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.one_start import WIDE_COST_MAPS
-from semloc_jax.analysis.basin import Basin, BasinConfig, BasinWindow, basin
+from semloc_jax.analysis.basin import Basin, BasinConfig, BasinWindow, basins_of
 from semloc_jax.analysis.certificate import CertificateConfig
 from semloc_jax.analysis.frame_certificate import certify_frame
 from semloc_jax.analysis.search_trace import trace_search
@@ -21,7 +21,7 @@ from semloc_jax.inputs.drive_inputs import Inputs
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz.basin import basin_on_map
-from semloc_jax.viz.frame_slices import frame_slices
+from semloc_jax.viz.frame_slices import slices_of_frame
 from semloc_jax.viz.search import search_stages
 
 _ERRORS = ("longitudinal_m", "lateral_m", "heading_deg")
@@ -70,7 +70,7 @@ def report_landscape(
     T_map_base = inputs.drive.truth_at(frame) if is_truth else inputs.prior(frame).on_road(inputs.map)
     localizer = FrameLocalizer(inputs.map, inputs.masks.table, settings)
     given = (*_seen(inputs, frame), T_map_base, grid.directions, grid.extents, level, grid.steps)
-    slices = frame_slices(localizer, *given)
+    slices = slices_of_frame(localizer, *given)
     folder = make_folder(out)
     ramp_px = settings.cost_maps.ramp_px[level]
     title = f"{inputs.drive.name} frame {frame.id}, masks {inputs.masks.name}, ramp {ramp_px:g} px"
@@ -111,7 +111,7 @@ def report_basin(
     frame = inputs.frame(index)
     localize = replace(settings or LocalizeConfig(), cost_maps=WIDE_COST_MAPS)
     config = BasinConfig(num_starts=num_starts, seed=seed, localize=localize)
-    (found,) = basin(inputs.drive, inputs.map, inputs.masks, (window,), (frame,), config)
+    (found,) = basins_of(inputs.drive, inputs.map, inputs.masks, (window,), (frame,), config)
     folder = make_folder(out)
     title = f"{inputs.drive.name} frame {frame.id}, masks {inputs.masks.name}: found from {100 * found.single:.0f} %"
     figure = basin_on_map(found, 0, inputs.map.elements, inputs.drive.truth_at(frame), title)

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from semloc_jax import viz
 from semloc_jax.analysis.lanes import lane_ways
 from semloc_jax.analysis.selection import small_map
-from semloc_jax.analysis.survey import Survey, SurveyConfig, Way, path_way, survey
+from semloc_jax.analysis.survey import Survey, SurveyConfig, Way, path_way, survey_ways
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.evaluation import read_trajectory
@@ -112,7 +112,7 @@ def report_survey(
         road.rig.index(placement.camera)
     with tqdm(total=sum(len(way.station_m) for way in road.ways), desc="places", unit="place", disable=None) as bar:
         given = (road.map, road.rig, road.table, road.ways, settings)
-        found = survey(*given, lambda: bar.update(1) and None)
+        found = survey_ways(*given, lambda: bar.update(1) and None)
     folder = make_folder(out)
     _write_places(found, road.map, folder)
     weak = found.weak_stretches()

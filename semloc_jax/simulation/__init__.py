@@ -1,6 +1,7 @@
 """Seeded drives, made from nothing or on a map: exact masks, masks like a network's, images, sensors, maps, truth."""
 
 from semloc_jax.simulation.degrade import Degradation, degrade
+from semloc_jax.simulation.faults import FaultSizes, with_fault
 from semloc_jax.simulation.map_drive import simulate_on_map
 from semloc_jax.simulation.map_errors import MapErrors
 from semloc_jax.simulation.map_masks import render_masks
@@ -10,6 +11,7 @@ from semloc_jax.simulation.simulate import SimulationConfig, simulate
 
 __all__ = [
     "Degradation",
+    "FaultSizes",
     "MapErrors",
     "RouteWish",
     "SensorErrors",
@@ -18,4 +20,5 @@ __all__ = [
     "render_masks",
     "simulate",
     "simulate_on_map",
+    "with_fault",
 ]

@@ -13,7 +13,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.viz.landscape import DIRECTIONS, CostSlice
 
 
-def frame_slices(
+def slices_of_frame(
     localizer: FrameLocalizer,
     masks: Sequence[np.ndarray],
     rig: Rig,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.along_road import AlongRoadConfig, along_road, widened
+from semloc_jax.alignment.along_road import AlongRoadConfig, weighed_along_road, widened
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.hypotheses import score
 from semloc_jax.alignment.pose_prior import PosePrior
@@ -108,7 +108,7 @@ def test_the_spread_is_that_of_the_posterior_on_a_grid(at_m):
         evidence = evidence_from(T_true, frame, config.search_view)
         # The noise that is assumed, not that of this frame: its masks are exact.
         assumed = AlongRoadConfig(least_noise=1.0)
-        road = along_road(T_true, evidence, locked, config.search_align, assumed, 32)
+        road = weighed_along_road(T_true, evidence, locked, config.search_align, assumed, 32)
         x, y, yaw = (np.linspace(-r, r, n) for r, n in ((2.0, 81), (0.12, 13), (np.radians(0.8), 13)))
         moves = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), axis=-1).reshape(-1, 3)
         cost = jax.lax.map(

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from semloc_jax.analysis.basin import Basin, BasinConfig, BasinWindow, basin, basin_table, draw_starts
+from semloc_jax.analysis.basin import Basin, BasinConfig, BasinWindow, basin_table, basins_of, draw_starts
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import pose_errors
 from semloc_jax.inputs.mask_source import mask_source
@@ -26,7 +26,7 @@ def drive(tmp_path_factory):
 def basins(drive):
     source = mask_source("sem", drive, offset_px=(0.0, 0.0))
     config = BasinConfig(num_starts=16)
-    return basin(drive, read_map(drive.map_path), source, (NEAR, FAR), slice(None), config)
+    return basins_of(drive, read_map(drive.map_path), source, (NEAR, FAR), slice(None), config)
 
 
 def _made_up(success, score) -> Basin:
@@ -89,4 +89,4 @@ def test_table(basins):
 
 def test_no_frames_are_refused(drive):
     with pytest.raises(SemlocError, match="no frames or no windows"):
-        basin(drive, read_map(drive.map_path), "sem", frames=slice(0, 0))
+        basins_of(drive, read_map(drive.map_path), "sem", frames=slice(0, 0))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from semloc_jax.analysis.boundary_noise import BoundaryNoise
-from semloc_jax.analysis.seed_errors import seed_errors
-from semloc_jax.analysis.survey import Way, survey
+from semloc_jax.analysis.seed_errors import errors_by_seed
+from semloc_jax.analysis.survey import Way, survey_ways
 from semloc_jax.maps import read_map
 from semloc_jax.perception import load_class_table
 from semloc_jax.simulation import SimulationConfig, simulate
@@ -28,9 +28,9 @@ def test_sigmas_of_a_survey_are_the_scatter_of_poses(tmp_path):
         few = SimulationConfig(num_frames=10, rate_hz=1.0, width_px=640, height_px=400, has_images=False)
         drive = simulate("road", seed, tmp_path / str(seed), few)
         road_map = read_map(drive.map_path)
-        found = seed_errors(drive, road_map, drive.frames, 12)
+        found = errors_by_seed(drive, road_map, drive.frames, 12)
         way = Way("drive", found.Ts_map_base, np.arange(len(drive.frames), dtype=float))
-        predicted.append(survey(road_map, drive.rig, load_class_table("drive"), [way]).ways[0].sigma)
+        predicted.append(survey_ways(road_map, drive.rig, load_class_table("drive"), [way]).ways[0].sigma)
         measured.append(found.rms)
     predicted, measured = np.log(np.concatenate(predicted)), np.log(np.concatenate(measured))
     correlation = [float(np.corrcoef(predicted[:, k], measured[:, k])[0, 1]) for k in range(3)]

@@ -11,14 +11,14 @@ from semloc_jax.alignment.single_frame import evidence_from
 from semloc_jax.analysis.expected import expected_covariance, expected_sigma
 from semloc_jax.analysis.intervals import Interval, bounds
 from semloc_jax.analysis.lanes import lane_ways
-from semloc_jax.analysis.seed_errors import seed_errors
+from semloc_jax.analysis.seed_errors import errors_by_seed
 from semloc_jax.analysis.selection import (
     ElementInformation,
     element_information,
     greedy_order,
     small_map,
 )
-from semloc_jax.analysis.survey import Way, path_way, survey
+from semloc_jax.analysis.survey import Way, path_way, survey_ways
 from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_source import mask_source
@@ -44,7 +44,7 @@ def road_map(drive):
 @pytest.fixture(scope="module")
 def found(drive, road_map):
     Ts = np.stack([drive.truth_at(frame) for frame in drive.frames])
-    return survey(road_map, drive.rig, TABLE, [Way("drive", Ts, np.arange(len(Ts)) * 5.0)])
+    return survey_ways(road_map, drive.rig, TABLE, [Way("drive", Ts, np.arange(len(Ts)) * 5.0)])
 
 
 @pytest.mark.slow
@@ -97,7 +97,7 @@ def test_dashes_fit_one_period_further_on():
     """On a road with dashes of 3 m each 9 m and nothing else, the pose 9 m away explains the view."""
     dashes = _straight(3.0, 6.0)
     way = path_way("middle", np.stack([dashes.road_pose(40.0, 0.0, 0.0)]), 5.0)
-    report = survey(dashes, front_rig(), TABLE, [way]).ways[0]
+    report = survey_ways(dashes, front_rig(), TABLE, [way]).ways[0]
     assert abs(abs(report.second_m[0, 0]) - 9.0) < 0.4 and abs(report.second_m[0, 1]) < 0.1
     assert report.ambiguity[0] > 0.75
 
@@ -167,7 +167,9 @@ def test_a_fifth_of_a_map_gives_nearly_its_accuracy(tmp_path, seed):
     drive = simulate("road", seed, tmp_path / "road", size)
     whole, places = read_map(drive.map_path), np.stack([drive.truth_at(frame) for frame in drive.frames])
     small = small_map(whole, drive.rig, TABLE, places, 0.2)
-    rms = [np.sqrt(np.mean(seed_errors(drive, m, drive.frames, 6).error ** 2, axis=(0, 1))) for m in (whole, small.map)]
+    rms = [
+        np.sqrt(np.mean(errors_by_seed(drive, m, drive.frames, 6).error ** 2, axis=(0, 1))) for m in (whole, small.map)
+    ]
     loss = rms[1] / rms[0] - 1
     print(f"seed {seed}: {small}; measured loss {np.round(100 * loss)} %")
     assert loss.max() < 0.2 and loss.mean() < 0.1

@@ -13,7 +13,7 @@ from semloc_jax.analysis.explain_drive import element_roles
 from semloc_jax.analysis.explanation import Explanation, Holder
 from semloc_jax.cli.main import LOST, OK, main
 from semloc_jax.reports import explain
-from semloc_jax.reports.explain_tables import check_table, role_table, table
+from semloc_jax.reports.explain_tables import check_table, explained_elements, role_table
 from semloc_jax.structs import ElementClass, SolveStatus
 
 SIGMA = np.array([0.05, 0.02, np.radians(0.1)])
@@ -51,7 +51,7 @@ def found():
 
 
 def test_the_table_names_the_strongest_the_most_missed_and_the_irreplaceable(found):
-    lines = table(found, 1).split("\n")
+    lines = explained_elements(found, 1).split("\n")
     assert "lamp_7" in lines[2] and "60.0" in lines[2]
     # 4 cm and 1 cm by the derivative, half of it by the solver, 6 cm up to where the kernel holds.
     assert [f"{value:+.1f}" for value in (2.0, -0.5, 4.0, -1.0)] == lines[2].split()[6:8] + lines[2].split()[9:11]
