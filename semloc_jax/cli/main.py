@@ -27,6 +27,7 @@ VERBS = {
     "learn": "class weights, ramp and noise learned through the solve from drives with truth",
     "check-calib": "what looks wrong in a calibration, and pictures of it: horizon, ground grid, map",
     "segment": "masks of a drive by a network, with a report of the map classes they can see",
+    "data": "make the drives that the tables of figures name, from their seeds",
     "simulate": "write a small rendered drive with exact truth",
     "demo": "simulate, localize and draw, in less than a minute",
     "bench": "hypotheses per second of this package and of its peers, side by side, on this machine",
