@@ -27,10 +27,9 @@ def localize_frames(
     config: LocalizeConfig | None = None,
     on_frame: Callable[[LocalizationResult], None] | None = None,
 ) -> list[LocalizationResult]:
-    """One LocalizationResult for each frame of a drive, each localized on its own.
+    """One LocalizationResult for each frame of a drive, each localized on its own; for the rest see `iterate_frames`.
 
     Args:
-        drive, semantic_map, masks, prior, frames, cameras, config: as `iterate_frames`.
         on_frame: Called with each result as soon as it is there.
 
     Raises:

@@ -31,7 +31,7 @@ def camera_from_K(
     """The camera of a camera matrix.
 
     Args:
-        K: [[fx 0 cx] [0 fy cy] [0 0 1]] in pixels; the centre of the top-left pixel is (0, 0), as in OpenCV.
+        K: `[[fx 0 cx] [0 fy cy] [0 0 1]]` in pixels; the centre of the top-left pixel is (0, 0), as in OpenCV.
         size: Width and height of the image [px].
         distortion: None for none; k1 k2 p1 p2 [k3] as OpenCV's `calibrateCamera` prints them (8, 12 or 14 numbers: its
             rational model); k1 k2 k3 k4 of a fisheye with `model="equidistant"`.
