@@ -269,10 +269,14 @@ idle below. Ours, measured."""
 
 
 def in_chunks(function, Ts: Float[Array, "n 4 4"], chunk: int | None):
-    """function over n poses, `chunk` of them side by side; None for what suits the device."""
+    """function over n poses, at most `chunk` of them side by side; None for what suits the device."""
     if chunk is None:
         chunk = CHUNK_ON_CPU if jax.default_backend() == "cpu" else CHUNK_ELSEWHERE
-    return jax.lax.map(function, Ts, batch_size=min(chunk, Ts.shape[0]))
+    num = Ts.shape[0]
+    size = -(-num // -(-num // chunk))
+    # Chunks of one size: a smaller last one would be a second program, which takes as long to compile as the first.
+    filled = jnp.concatenate([Ts, jnp.broadcast_to(Ts[:1], (-num % size, *Ts.shape[1:]))])
+    return jax.tree.map(lambda leaf: leaf[:num], jax.lax.map(function, filled, batch_size=size))
 
 
 def align_many(
