@@ -297,8 +297,9 @@ class ModeFinder:
     ) -> FoundModes:
         config = self.config
         members = np.flatnonzero((places.home == 0) & (places.log_weight > -config.within_nats))
-        # Evidence and ramp cost know the same masks by other means: neither alone decides between neighbours.
-        held = places.log_weight[members] - np.asarray(solved.score, dtype=np.float64)[members]
+        # Evidence and ramp cost know the same masks by other means: neither alone decides between neighbours, and their
+        # sum would count every border twice.
+        held = 0.5 * (places.log_weight[members] - np.asarray(solved.score, dtype=np.float64)[members])
         converged = np.asarray(solved.estimates.status)[members] == SolveStatus.CONVERGED
         chosen = int(members[np.argmax(np.where(converged | ~converged.any(), held, -np.inf))])
         near = units_apart(Ts[members], Ts[chosen]) < ONE_PLACE
@@ -343,13 +344,21 @@ class ModeFinder:
         return float((share * offsets_m**2).sum() / share.sum())
 
     def _along_weak(self, covariance: np.ndarray) -> np.ndarray:
-        """Motions along the direction of the plane that a pose is held least in, float64[k 4 4]."""
+        """Motions along the two directions of the plane that a pose is held least in, float64[k 4 4].
+
+        One of them is the road as a rule; the other one is a valley of place and heading, in which solves stop early.
+        """
         config = self.config
         plane = np.array((0, 1, 5))
         scale = np.array((1.0, 1.0, config.lever_m))
         values, vectors = np.linalg.eigh(covariance[np.ix_(plane, plane)] * np.outer(scale, scale))
-        step_m = float(np.clip(1.5 * np.sqrt(max(values[-1], 0.0)), *config.restart_step_m))
-        moves = np.outer(config.restarts, step_m * vectors[:, -1] / scale)
+        steps_m = np.clip(1.5 * np.sqrt(np.maximum(values[1:], 0.0)), *config.restart_step_m)
+        moves = np.vstack(
+            [
+                np.outer(config.restarts, step_m * axis / scale)
+                for step_m, axis in zip(steps_m, vectors.T[1:], strict=True)
+            ]
+        )
         return planar(moves[:, 0], moves[:, 1], moves[:, 2])
 
     def _mode_evidence(

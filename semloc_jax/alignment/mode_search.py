@@ -52,8 +52,8 @@ class CompleteModesConfig:
     final_max_steps: int = 40
     final_tolerance: float = 5e-3
     """Of the last solve, which visits the levels of the polish: it must converge."""
-    restarts: tuple[int, ...] = (-3, -2, -1, 1, 2, 3)
-    """Second starts: steps along the direction that the best pose is held least in."""
+    restarts: tuple[int, ...] = (-3, -1, 1, 3)
+    """Second starts: steps along each of the two directions that the best pose is held least in."""
     restart_step_m: tuple[float, float] = (0.1, 0.3)
     """Least and largest step, where heading counts as the shift that it makes `lever_m` ahead."""
     lever_m: float = 25.0
