@@ -174,6 +174,15 @@ def test_folder_with_times_in_nanoseconds(tmp_path, how):
     assert_pictures(drive, "front", 4)
 
 
+def test_frames_listed_out_of_order_are_taken_by_time(tmp_path, caplog):
+    write_rig(tmp_path)
+    write_images(tmp_path / "images", [f"{k:03d}.png" for k in range(4)])
+    (tmp_path / "times.csv").write_text("frame,t\n000.png,1.0\n001.png,1.3\n002.png,1.2\n003.png,1.4\n")
+    drive = open_drive(tmp_path)
+    assert [frame.id for frame in drive.frames] == ["000", "002", "001", "003"]
+    assert "frame '001' is listed before an earlier one" in caplog.text
+
+
 def test_nmea_over_midnight(tmp_path):
     (tmp_path / "log.nmea").write_text("\n".join([*nmea_lines(), "$GPGGA,garbage", "$GPGSV,3,1,11*7F"]))
     gnss = read_nmea(tmp_path / "log.nmea")
