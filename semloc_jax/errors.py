@@ -3,6 +3,7 @@
 In: nothing. Out: SemlocError, which the command line prints as one line; `install_command`.
 """
 
+import re
 import sys
 
 EXTRAS = {
@@ -24,7 +25,15 @@ def install_command(extra: str) -> str:
 
 
 class SemlocError(ValueError):
-    """Bad user input: the message names what was given, what was expected and what to do."""
+    """Bad user input: the message names what was given, what was expected and what to do.
+
+    It is one line of plain text: what parsers say over several lines is joined, and control characters that a file has
+    brought in cannot move the cursor of a terminal.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        one_line = re.sub(r"\s*[\r\n]\s*", " ", str(message))
+        super().__init__(re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "?", one_line))
 
 
 class UsageError(Exception):

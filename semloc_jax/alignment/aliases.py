@@ -8,6 +8,7 @@ explains the masks nearly as well, and a search that never looked there cannot k
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import irfft2, next_fast_len, rfft2
 
 
 @dataclass(frozen=True)
@@ -80,14 +81,14 @@ def _overlap(points: np.ndarray, channel: np.ndarray, length_m: np.ndarray, conf
     """How much contour falls on contour of its class at each shift, float[2a+1 2b+1], by FFT of the plan view."""
     cell = np.floor((points - points.min(axis=0)) / config.cell_m).astype(int)
     reach = round(config.along_m / config.cell_m), round(config.across_m / config.cell_m)
-    size = tuple(int(cell[:, axis].max()) + 1 + reach[axis] for axis in (0, 1))
+    size = tuple(next_fast_len(int(cell[:, axis].max()) + 1 + reach[axis], True) for axis in (0, 1))
     total = np.zeros((2 * reach[0] + 1, 2 * reach[1] + 1))
     for own in np.unique(channel):
         rows = channel == own
         plan = np.zeros(size, np.float32)
         np.add.at(plan, tuple(cell[rows].T), length_m[rows])
-        spectrum = np.fft.rfft2(plan)
-        repeated = np.fft.irfft2(np.abs(spectrum) ** 2, s=size)
+        spectrum = rfft2(plan)
+        repeated = irfft2(spectrum.real**2 + spectrum.imag**2, s=size)
         total += repeated[np.ix_(np.arange(-reach[0], reach[0] + 1), np.arange(-reach[1], reach[1] + 1))]
     return total
 

@@ -54,6 +54,43 @@ class RoadPosterior(NamedTuple):
     """Second moment about the best pose, in its right tangent [m, rad]."""
 
 
+class Places(NamedTuple):
+    """Poses along the road through one of them, each solved in all other directions."""
+
+    Ts_map_base: Float[Array, "n 4 4"]
+    scores: Float[Array, " n"]
+    """Their costs [nats]; infinite where there is none."""
+    noise: Float[Array, ""]
+    """Scatter of the boundaries in this frame over what is assumed: costs of the masks are worth 1 / noise^2."""
+
+
+def places_along(
+    T_map_base: Float[Array, "4 4"],
+    evidence: Evidence,
+    prior: Prior,
+    align: AlignConfig,
+    config: AlongRoadConfig,
+    chunk: int | None,
+) -> Places:
+    """Poses along the road; arguments as `weighed_along_road`. A prior along it is in their costs, but holds none."""
+    moves = jnp.zeros((config.num_offsets, 3), T_map_base.dtype)
+    offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=T_map_base.dtype)
+    moves = moves.at[:, 0].set(offsets_m)
+    held = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
+    short = dataclasses.replace(align, max_steps=config.max_steps)
+    level = telling(evidence.textures.ramp_px, align.noise.noise_px * evidence.grain, config.level)
+
+    def one(T: Array) -> tuple[Array, Array]:
+        T = refine(T, evidence, held, short, level[None])[0][-1]
+        return T, score(T, level, evidence, prior, align)
+
+    Ts, scores = in_chunks(one, displaced(T_map_base, moves), chunk)
+    scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
+    assumed_px = align.noise.floor_px(evidence.textures.level(level).ramp_px, evidence.grain)
+    best_px = scatter_px(Ts[jnp.argmin(scores)], level, evidence, align)
+    return Places(Ts, scores, jnp.maximum(best_px / assumed_px, config.least_noise))
+
+
 @stored_program("align", "config", "chunk")
 def weighed_along_road(
     T_map_base: Float[Array, "4 4"],
@@ -73,24 +110,9 @@ def weighed_along_road(
         config: Offsets and level.
         chunk: Poses side by side; None for what suits the device.
     """
-    moves = jnp.zeros((config.num_offsets, 3), T_map_base.dtype)
-    offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=T_map_base.dtype)
-    moves = moves.at[:, 0].set(offsets_m)
-    held = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
-    short = dataclasses.replace(align, max_steps=config.max_steps)
-
-    level = telling(evidence.textures.ramp_px, align.noise.noise_px * evidence.grain, config.level)
-
-    def one(T: Array) -> tuple[Array, Array]:
-        T = refine(T, evidence, held, short, level[None])[0][-1]
-        return T, score(T, level, evidence, prior, align)
-
-    Ts, scores = in_chunks(one, displaced(T_map_base, moves), chunk)
-    scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
+    Ts, scores, noise = places_along(T_map_base, evidence, prior, align, config, chunk)
     index, filled = keep_distinct(Ts, scores, config.keep, config.apart)
     away = lie.log(lie.inverse(Ts[index[0]]) @ Ts)
-    assumed_px = align.noise.floor_px(evidence.textures.level(level).ramp_px, evidence.grain)
-    noise = jnp.maximum(scatter_px(Ts[index[0]], level, evidence, align) / assumed_px, config.least_noise)
     guessed = jax.vmap(prior_cost, (0, None))(Ts, prior)
     share = jax.nn.softmax(-((scores - guessed) / noise**2 + guessed))
     spread = jnp.einsum("k,ki,kj->ij", share, away, away)

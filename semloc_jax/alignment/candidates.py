@@ -3,20 +3,22 @@
 In: the frame, a window, poses to start from. Out: poses that differ, and what a solve makes of each.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.evidence_null import EvidenceNull
+from semloc_jax.alignment.filled_rows import map_filled
 from semloc_jax.alignment.hypotheses import score
 from semloc_jax.alignment.level_choice import telling
 from semloc_jax.alignment.observed import CoarseSamples, ObserveConfig, Observed, coarse_evidence
 from semloc_jax.alignment.pose import AlignConfig, Prior, align_one, assess
-from semloc_jax.alignment.proposals import rank1_lattice
+from semloc_jax.alignment.proposals import LATTICE_STEPS
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import units_apart
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from
@@ -24,10 +26,14 @@ from semloc_jax.perception.border_distance import BorderDistances
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import MapSamples, PoseEstimate
 
-BATCH = 16
-"""Poses that are solved or observed in one call: one program serves any number."""
-COARSE_BATCH = 2048
-COARSE_SAMPLES = 768
+BATCH = 64
+"""Most poses that are solved or observed in one call; of fewer, only those asked for cost time."""
+COARSE_BATCH, CLOSER_BATCH = 2048, 512
+"""Poses of the first look, and of a closer one at the best of them, in one call."""
+COARSE_SAMPLES, COARSE_EVERY = 768, 4
+"""Samples of the closer look; the first one takes every so many of them."""
+_CLOSER_SHARE = 8
+"""One pose in so many is looked at closer."""
 
 
 class SolvedPoses(NamedTuple):
@@ -46,6 +52,7 @@ class SolvedPoses(NamedTuple):
 def solve_batch(
     Ts_start: Float[Array, "n 4 4"],
     Ts_road: Float[Array, "n 4 4"],
+    num: Int[Array, ""],
     sigma: Float[Array, "6"],
     frame: FrameInput,
     in_view_px: Float[Array, ""],
@@ -57,6 +64,7 @@ def solve_batch(
     Args:
         Ts_start: Starts relative to the local origin.
         Ts_road: Centres of their priors: the same places on the plane of the road.
+        num: How many of them are asked for; the others stay zero.
         sigma: Of the priors (x, y, z [m], roll, pitch, yaw [rad]); wide along the road, so that they do not pull.
         frame: Map samples, cost maps, cameras.
         in_view_px: Length of contour that costs are scaled by.
@@ -77,7 +85,7 @@ def solve_batch(
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, measured)
         return SolvedPoses(estimate, score(estimate.T_map_base, level, evidence, prior, align_config, in_view_px))
 
-    return jax.lax.map(one, (Ts_start, Ts_road))
+    return map_filled(one, (Ts_start, Ts_road), num)
 
 
 def solve_all(
@@ -92,17 +100,19 @@ def solve_all(
     """`solve_batch` of any number of starts, on the host; the centres of their priors stand on the road."""
     parts = []
     for first in range(0, len(Ts_start), BATCH):
-        Ts = filled(Ts_start[first : first + BATCH], BATCH)
-        own = solve_batch(
+        own = Ts_start[first : first + BATCH]
+        Ts = filled(own, BATCH)
+        solved = solve_batch(
             jnp.asarray(Ts, jnp.float32),
             jnp.asarray(road.place(Ts), jnp.float32),
+            np.int32(len(own)),
             jnp.asarray(sigma, jnp.float32),
             frame,
             np.float32(in_view_px),
             config,
             align_config,
         )
-        parts.append(jax.device_get(own))
+        parts.append(jax.device_get(solved))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     return joined.rows(np.arange(len(Ts_start)))
 
@@ -127,7 +137,8 @@ def planar(x_m: np.ndarray, y_m: np.ndarray, heading_rad: np.ndarray | float) ->
 
 def lattice_in_window(num: int, T_prior: np.ndarray, half_xy_m: float, half_heading_rad: float) -> np.ndarray:
     """Poses that fill a window, denser in its middle where a prior puts them, the prior first, float64[num 4 4]."""
-    unit = 2.0 * np.asarray(rank1_lattice(num, np.dtype(np.float32)), dtype=np.float64) - 1.0
+    # On the host: the number of poses follows the prior, and JAX would compile for each.
+    unit = 2.0 * np.mod(0.5 + np.outer(np.arange(num), LATTICE_STEPS), 1.0) - 1.0
     unit[0] = 0.0
     xy = half_xy_m * np.sign(unit[:, :2]) * np.abs(unit[:, :2]) ** 1.5
     return T_prior @ planar(xy[:, 0], xy[:, 1], half_heading_rad * unit[:, 2])
@@ -184,31 +195,70 @@ def coarse_gain(null: EvidenceNull, borders: BorderDistances, usable: np.ndarray
 
 
 def coarse_search(
-    Ts: np.ndarray, samples: CoarseSamples, frame: FrameInput, gain: np.ndarray, stride: int, config: ObserveConfig
-) -> np.ndarray:
-    """Nats of every pose at a first look, float64[n]; n is a multiple of COARSE_BATCH."""
+    Ts: np.ndarray,
+    samples: CoarseSamples,
+    frame: FrameInput,
+    gain: np.ndarray,
+    stride: int,
+    log_prior: np.ndarray,
+    config: ObserveConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The poses that are best at a first look and their nats at a closer one, with the prior: int[k], float[k].
+
+    A quarter of the samples tells which poses are worth all of them.
+
+    Args:
+        Ts: Poses relative to the local origin; their number is a multiple of COARSE_BATCH.
+        samples: Of the closer look.
+        frame: Cameras.
+        gain: See `coarse_gain`.
+        stride: Pixels of the full mask in one of `gain`.
+        log_prior: Of each pose, float[n].
+        config: Range and border.
+    """
     gain, stride = jnp.asarray(gain), np.float32(stride)
-    parts = [
-        np.asarray(
-            coarse_evidence(
-                jnp.asarray(Ts[first : first + COARSE_BATCH], jnp.float32), samples, frame.rig, gain, stride, config
-            )
-        )
-        for first in range(0, len(Ts), COARSE_BATCH)
-    ]
-    return np.concatenate(parts).astype(np.float64)
+    few = CoarseSamples(*(leaf[..., ::COARSE_EVERY] for leaf in samples))
+    few = few._replace(weight=few.weight * COARSE_EVERY)
+
+    def nats(rows: np.ndarray, samples: CoarseSamples, batch: int) -> np.ndarray:
+        parts = [
+            np.asarray(coarse_evidence(jnp.asarray(own, jnp.float32), samples, frame.rig, gain, stride, config))
+            for own in np.split(Ts[rows], len(rows) // batch)
+        ]
+        return np.concatenate(parts).astype(np.float64) + log_prior[rows]
+
+    first = nats(np.arange(len(Ts)), few, COARSE_BATCH)
+    num_closer = max(len(Ts) // _CLOSER_SHARE // CLOSER_BATCH, 1) * CLOSER_BATCH
+    best = np.argsort(-first, kind="stable")[:num_closer]
+    return best, nats(best, samples, CLOSER_BATCH)
 
 
 def apart(Ts: np.ndarray, value: np.ndarray, keep: int, units: float) -> np.ndarray:
     """Rows of the poses of highest value that are so many units from every better one kept, int[k]."""
+    return spread_out(value, keep, lambda best: units_apart(Ts, Ts[best]) < units)
+
+
+def spread_out(value: np.ndarray, keep: int, is_near: Callable[[int], np.ndarray]) -> np.ndarray:
+    """Rows of highest value, none of them near a better one kept, int[k].
+
+    Args:
+        value: float[n]; what is not finite is never kept.
+        keep: Most rows.
+        is_near: Which rows are near the given one, bool[n].
+    """
     left = np.where(np.isfinite(value), value, -np.inf).astype(np.float64)
     kept = []
     while len(kept) < keep and np.isfinite(left[best := int(np.argmax(left))]):
         kept.append(best)
-        near = units_apart(Ts, Ts[best]) < units
-        near[best] = True
-        left[near] = -np.inf
+        left[is_near(best)] = -np.inf
+        left[best] = -np.inf
     return np.asarray(kept, dtype=int)
+
+
+def not_near(Ts: np.ndarray, others: np.ndarray, units: float) -> np.ndarray:
+    """The poses that are so many units from every one of the others, float64[k 4 4]."""
+    near = units_apart(Ts[:, None], others[None]) < units
+    return Ts[~near.any(axis=1)]
 
 
 def wide_sigma(sigma: np.ndarray, least_xy_m: float, least_heading_rad: float) -> np.ndarray:

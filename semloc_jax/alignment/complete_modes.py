@@ -23,25 +23,32 @@ from semloc_jax.alignment.candidates import (
     coarse_search,
     filled,
     lattice_in_window,
+    not_near,
     null_poses,
     planar,
     solve_all,
+    spread_out,
     thinned,
     wide_sigma,
 )
 from semloc_jax.alignment.evidence_null import EvidenceNull, Pieces, PoseEvidence, Rates, best_rates
-from semloc_jax.alignment.hypotheses import search_from, weigh
+from semloc_jax.alignment.hypotheses import Modes, search_from, weigh
 from semloc_jax.alignment.mode_search import ALIAS_SIGMAS, CompleteModesConfig, FrameImage, half_window_m
 from semloc_jax.alignment.modes import modes_in_map
 from semloc_jax.alignment.observed import Borders, ObserveConfig, Observed, observe
-from semloc_jax.alignment.pose import AlignConfig, Prior
-from semloc_jax.alignment.posterior import Ridges, log_prior, ridges, spread, temper
+from semloc_jax.alignment.pose import Prior, total_weight
+from semloc_jax.alignment.posterior import Ridges, log_prior, ridges, same_ridge, spread, temper
 from semloc_jax.alignment.result import FoundModes, ModeEvidence
 from semloc_jax.alignment.road_patch import RoadPatch
-from semloc_jax.alignment.same_pose import ONE_PLACE, ONE_TRACK, units_apart
+from semloc_jax.alignment.same_pose import ONE_OPTIMUM, ONE_PLACE, ONE_TRACK, units_apart
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, search_starts, sharpest
 from semloc_jax.geometry.local_frame import LocalFrame
-from semloc_jax.structs import SolveStatus
+from semloc_jax.runtime.stored_program import stored_program
+from semloc_jax.structs import MapSamples, PoseEstimate, SolveStatus
+
+_weigh = stored_program()(weigh)
+_widened = stored_program()(widened)
+_total_weight = stored_program()(total_weight)
 
 
 class ModeFinder:
@@ -75,6 +82,8 @@ class ModeFinder:
         self.final_align = replace(align, max_steps=config.final_max_steps, tolerance=config.final_tolerance)
         self.T_prior = np.asarray(prior.T_map_base, dtype=np.float64)
         self.sigma = np.asarray(prior.sigma, dtype=np.float64)
+        # The prior of a solve must not pull.
+        self.wide_sigma = wide_sigma(self.sigma, config.least_sigma_m, np.deg2rad(config.least_sigma_deg))
         self.samples = thinned(frame.samples, np.asarray(frame.channel_of_label), config.num_samples)
         self.channel = np.asarray(frame.channel_of_label)[np.asarray(self.samples.label)]
         view = frame_config.search_view
@@ -90,33 +99,34 @@ class ModeFinder:
         self.half_heading_rad = max(config.window_heading_sigmas * float(self.sigma[5]), least_rad)
         corners = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5, 0), (-0.5, 0), (0, 0)]) * self.half_xy_m
         spanning = self.T_prior @ planar(corners[:, 0], corners[:, 1], 0.0)
-        wrong = null_poses(4 * BATCH - len(corners), self.T_prior, frame_config.seed)
-        seen = self.observed(self.road.place(np.concatenate([spanning, wrong])))
-        self.spanning = jax.tree.map(lambda leaf: leaf[: len(corners)], seen)
+        wrong = null_poses(BATCH - len(corners), self.T_prior, frame_config.seed)
+        self.spanning = self.observed(self.road.place(spanning))
+        few = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[:: config.null_every], self.samples))
         self.null = EvidenceNull(
-            jax.tree.map(lambda leaf: leaf[len(corners) :], seen),
+            self.observed(self.road.place(wrong), few),
             self.channel,
             np.maximum(np.asarray(self.samples.element), 0),
             self.unit_px,
             config.null,
+            config.null_every,
         )
 
-    def observed(self, Ts: np.ndarray) -> Observed:
-        """What each pose sees, on the host."""
-        parts = []
+    def observed(self, Ts: np.ndarray, samples: MapSamples | None = None) -> Observed:
+        """What each pose sees of all samples that evidence is counted of, or of others, on the host."""
+        samples, parts = self.samples if samples is None else samples, []
         for first in range(0, len(Ts), BATCH):
-            own = filled(Ts[first : first + BATCH], BATCH)
+            own = Ts[first : first + BATCH]
             seen = observe(
-                jnp.asarray(own, jnp.float32),
-                self.samples,
+                jnp.asarray(filled(own, BATCH), jnp.float32),
+                np.int32(len(own)),
+                samples,
                 self.frame.rig,
                 self.frame.channel_of_label,
                 self.fields,
                 self.observe_config,
             )
-            parts.append(jax.device_get(seen))
-        joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-        return jax.tree.map(lambda leaf: leaf[: len(Ts)], joined)
+            parts.append(jax.tree.map(lambda leaf, own=own: np.asarray(leaf)[: len(own)], seen))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     def log_prior(self, Ts: np.ndarray) -> np.ndarray:
         """Log prior of each pose."""
@@ -132,22 +142,40 @@ class ModeFinder:
         samples = coarse_samples(self.spanning, self.samples, self.channel, self.unit_px)
         usable = np.asarray(self.frame.usable.mask)
         gain = coarse_gain(self.null, self.borders, usable, config.coarse_scale_px * self.unit_px)
-        nats = coarse_search(Ts, samples, self.frame, gain, 2 * self.borders.stride, self.observe_config)
-        return Ts[apart(Ts, nats + self.log_prior(Ts), config.num_coarse, config.apart)]
+        best, nats = coarse_search(
+            Ts, samples, self.frame, gain, 2 * self.borders.stride, self.log_prior(Ts), self.observe_config
+        )
+        Ts = Ts[best]
+        num_ridges = config.num_ridges * (1 if sigma_m <= 5.0 else 2)
+        ridges = spread_out(nats, num_ridges, lambda row: same_ridge(Ts[row], Ts, config.posterior))
+        return Ts[np.union1d(apart(Ts, nats, config.num_coarse, config.apart), ridges)]
 
     def by_ramps(self) -> tuple[np.ndarray, float]:
         """Poses of the search by ramp costs, and the length of contour in view [px]."""
         evidence = evidence_from(self.prior.T_map_base, self.frame, self.frame_config.search_view)
         config = self.frame_config
-        first = search_starts(self.prior, config)
-        Ts, scores = search_from(first, evidence, self.prior, config.search_align, config.search)
-        in_view_px = float(sum(np.sum(view.weight) for view in jax.device_get(evidence.views)))
-        return np.asarray(Ts, dtype=np.float64)[np.isfinite(np.asarray(scores))], in_view_px
+        # Its later stages refine, which the solves of all candidates do as well.
+        search = replace(config.search, stages=config.search.stages[:2])
+        Ts, scores = search_from(search_starts(self.prior, config), evidence, self.prior, config.search_align, search)
+        Ts = np.asarray(Ts, dtype=np.float64)
+        chosen = apart(Ts, -np.asarray(scores, dtype=np.float64), self.config.num_ramps, self.config.apart)
+        return Ts[chosen], float(_total_weight(evidence.views))
 
-    def solve(self, Ts: np.ndarray, in_view_px: float, align: AlignConfig, frame: FrameInput) -> SolvedPoses:
-        """Every start refined by a prior that does not pull."""
-        sigma = wide_sigma(self.sigma, self.config.least_sigma_m, np.deg2rad(self.config.least_sigma_deg))
-        return solve_all(Ts, self.road, sigma, frame, in_view_px, self.frame_config, align)
+    def candidates(self, Ts: np.ndarray, in_view_px: float) -> SolvedPoses:
+        """Every start refined with few samples; of solves that end at one optimum the best."""
+        frame = self.frame._replace(samples=self.samples)
+        view = replace(self.frame_config.polish_view, capacity=self.config.view_samples)
+        found = solve_all(
+            Ts,
+            self.road,
+            self.wide_sigma,
+            frame,
+            in_view_px,
+            replace(self.frame_config, polish_view=view),
+            self.align,
+        )
+        ends = np.asarray(found.estimates.T_map_base, dtype=np.float64)
+        return found.rows(apart(ends, -found.score.astype(np.float64), len(ends), ONE_OPTIMUM))
 
     def pieces(self, Ts: np.ndarray) -> Pieces:
         """The pieces of map that each pose sees."""
@@ -173,18 +201,25 @@ class ModeFinder:
     def find(self) -> FoundModes:
         """All places, best first."""
         ramps, in_view_px = self.by_ramps()
-        solved = self.solve(np.concatenate([self.coarse(), ramps]), in_view_px, self.align, self.frame)
+        solved = self.candidates(np.concatenate([self.coarse(), ramps]), in_view_px)
         Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
-        found, rates = self.evidence(Ts)
+        seen = self.observed(Ts)
+        found, rates = self._evidence_of(Ts, self.null.pieces(seen, self.image_size, self.observe_config.cell_px), None)
         first = self.ridges(Ts, found, np.asarray(solved.estimates.status))
         leaders = Ts[first.best[:2]] if len(first.best) else self.T_prior[None]
-        shifted = [self.aliases(T) for T in leaders]
-        more = self.solve(np.concatenate(shifted), in_view_px, self.align, self.frame)
-        joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), solved, more)
-        Ts = np.asarray(joined.estimates.T_map_base, dtype=np.float64)
-        found, rates = self.evidence(Ts)
-        places = self.ridges(Ts, found, np.asarray(joined.estimates.status))
-        return self.finished(joined, places, rates, in_view_px)
+        # A solve from beside a place that was found ends there.
+        shifted = not_near(np.concatenate([self.aliases(T) for T in leaders]), Ts, ONE_TRACK)
+        if len(shifted):
+            more = self.candidates(shifted, in_view_px)
+            also = self.observed(np.asarray(more.estimates.T_map_base, dtype=np.float64))
+            solved, seen = (
+                jax.tree.map(lambda *leaves: np.concatenate(leaves), *pair) for pair in ((solved, more), (seen, also))
+            )
+            Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
+        pieces = self.null.pieces(seen, self.image_size, self.observe_config.cell_px)
+        found, rates = self._evidence_of(Ts, pieces, None)
+        places = self.ridges(Ts, found, np.asarray(solved.estimates.status))
+        return self.finished(solved, places, rates, in_view_px)
 
     def _alias_reach_m(self) -> float:
         """How far along the road the map is compared with itself: no farther than the prior can be wrong [m]."""
@@ -206,7 +241,7 @@ class ModeFinder:
             replace(self.config.aliases, along_m=self._alias_reach_m()),
         )
         moved = T_map_base @ planar(shifts[:, 0], shifts[:, 1], 0.0)
-        return np.concatenate([T_map_base[None], self.road.place(moved)])
+        return self.road.place(moved)
 
     def finished(
         self,
@@ -224,8 +259,8 @@ class ModeFinder:
         own = np.flatnonzero((places.home == 0) & (places.log_weight > -config.within_nats))
         own = own[apart(Ts[own], places.log_weight[own], config.num_final, 0.3)]
         restarts = best @ self._along_weak(np.asarray(solved.estimates.covariance[places.best[0]], dtype=np.float64))
-        sigma = wide_sigma(self.sigma, config.least_sigma_m, np.deg2rad(config.least_sigma_deg))
-        centre = Prior(jnp.asarray(self.road.place(best[None])[0], jnp.float32), jnp.asarray(sigma, jnp.float32))
+        centre = jnp.asarray(self.road.place(best[None])[0], jnp.float32)
+        centre = Prior(centre, jnp.asarray(self.wide_sigma, jnp.float32))
         _, grain = sharpest(jnp.asarray(best, jnp.float32), self.frame, centre, self.frame_config)
         frame = self.frame._replace(grain=grain)
         closer = evidence_from(jnp.asarray(best, jnp.float32), frame, self.frame_config.polish_view)
@@ -241,7 +276,8 @@ class ModeFinder:
         )
         beside = np.asarray(road.Ts_map_base, dtype=np.float64)[np.isfinite(road.scores)]
         others = Ts[places.best[1 : config.num_final + 1]]
-        solved = self.solve(np.concatenate([Ts[own], beside, restarts, others]), in_view_px, self.final_align, frame)
+        starts = np.concatenate([Ts[own], beside, restarts, others])
+        solved = solve_all(starts, self.road, self.wide_sigma, frame, in_view_px, self.frame_config, self.final_align)
         Ts_end = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
         pieces = self.pieces(Ts_end)
         found, rates = self._evidence_of(Ts_end, pieces, rates)
@@ -261,21 +297,21 @@ class ModeFinder:
     ) -> FoundModes:
         config = self.config
         members = np.flatnonzero((places.home == 0) & (places.log_weight > -config.within_nats))
-        # Evidence and ramp cost know the same masks by other means: neither alone decides between neighbours.
-        held = places.log_weight[members] - np.asarray(solved.score, dtype=np.float64)[members]
+        # Evidence and ramp cost know the same masks by other means: neither alone decides between neighbours, and their
+        # sum would count every border twice.
+        held = 0.5 * (places.log_weight[members] - np.asarray(solved.score, dtype=np.float64)[members])
         converged = np.asarray(solved.estimates.status)[members] == SolveStatus.CONVERGED
         chosen = int(members[np.argmax(np.where(converged | ~converged.any(), held, -np.inf))])
         near = units_apart(Ts[members], Ts[chosen]) < ONE_PLACE
         modes = []
         for place, leader in enumerate(places.best):
             rows, nats = (members[near], -held[near]) if place == 0 else (np.array([leader]), np.zeros(1))
-            estimates = jax.tree.map(lambda leaf, rows=rows: jnp.asarray(leaf[rows]), solved.estimates)
-            local = modes_in_map(weigh(estimates, jnp.asarray(nats, jnp.float32)), self.local, ONE_PLACE)
+            local = modes_in_map(_weighed(solved.estimates, rows, nats), self.local, ONE_PLACE)
             if not local:
                 continue
             covariance, row = local[0].covariance, int(leader)
             if place == 0:
-                wider = widened(jnp.asarray(covariance, jnp.float32), jnp.asarray(road_spread))
+                wider = _widened(covariance.astype(np.float32), road_spread)
                 moments = spread(Ts[chosen], Ts[members], held)
                 moments[0, 0] = max(moments[0, 0], self._along_variance_m2(Ts[chosen], rates))
                 covariance, row = _at_least(np.asarray(wider), moments), chosen
@@ -308,13 +344,21 @@ class ModeFinder:
         return float((share * offsets_m**2).sum() / share.sum())
 
     def _along_weak(self, covariance: np.ndarray) -> np.ndarray:
-        """Motions along the direction of the plane that a pose is held least in, float64[k 4 4]."""
+        """Motions along the two directions of the plane that a pose is held least in, float64[k 4 4].
+
+        One of them is the road as a rule; the other one is a valley of place and heading, in which solves stop early.
+        """
         config = self.config
         plane = np.array((0, 1, 5))
         scale = np.array((1.0, 1.0, config.lever_m))
         values, vectors = np.linalg.eigh(covariance[np.ix_(plane, plane)] * np.outer(scale, scale))
-        step_m = float(np.clip(1.5 * np.sqrt(max(values[-1], 0.0)), *config.restart_step_m))
-        moves = np.outer(config.restarts, step_m * vectors[:, -1] / scale)
+        steps_m = np.clip(1.5 * np.sqrt(np.maximum(values[1:], 0.0)), *config.restart_step_m)
+        moves = np.vstack(
+            [
+                np.outer(config.restarts, step_m * axis / scale)
+                for step_m, axis in zip(steps_m, vectors.T[1:], strict=True)
+            ]
+        )
         return planar(moves[:, 0], moves[:, 1], moves[:, 2])
 
     def _mode_evidence(
@@ -330,6 +374,15 @@ class ModeFinder:
             log_prior=float(self.log_prior(T[None])[0]),
             status=SolveStatus(status),
         )
+
+
+def _weighed(estimates: PoseEstimate, rows: np.ndarray, nats: np.ndarray) -> Modes:
+    """Some estimates weighed against each other; padded, so that any number of them is served by one program."""
+    padded = np.full(-(-len(rows) // BATCH) * BATCH, rows[0])
+    padded[: len(rows)] = rows
+    scores = np.full(len(padded), np.inf, np.float32)
+    scores[: len(rows)] = nats
+    return jax.device_get(_weigh(jax.tree.map(lambda leaf: leaf[padded], estimates), scores))
 
 
 def _at_least(covariance: np.ndarray, spread: np.ndarray) -> np.ndarray:

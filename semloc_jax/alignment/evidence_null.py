@@ -122,11 +122,19 @@ NUM_BLOCKS = (8, 6)
 class EvidenceNull:
     """The likelihood of one frame: null from random poses, rates from the best poses."""
 
-    def __init__(self, null: Observed, channel: np.ndarray, element: np.ndarray, unit_px: float, config: NullConfig):
+    def __init__(
+        self,
+        null: Observed,
+        channel: np.ndarray,
+        element: np.ndarray,
+        unit_px: float,
+        config: NullConfig,
+        null_every: int = 1,
+    ):
         """Learn where samples lie when the pose is wrong.
 
         Args:
-            null: Observed from random poses.
+            null: Observed from random poses, of every `null_every`-th sample.
             channel, element: of each sample, int[p].
             unit_px: pixels of this image that stand for one of a usual one.
             config: Constants.
@@ -136,17 +144,17 @@ class EvidenceNull:
         self.edges_px = unit_px * np.asarray(config.edges_px)
         self.channel, self.element = np.maximum(channel, 0), element
         self.num_channels = int(self.channel.max(initial=0)) + 1
-        self.null = self._histogram(null)
+        self.null = self._histogram(null, self.channel[::null_every])
 
     @property
     def num_bins(self) -> int:
         """Number of bins of distance."""
         return len(self.edges_px) + 1
 
-    def _histogram(self, observed: Observed) -> np.ndarray:
+    def _histogram(self, observed: Observed, channels: np.ndarray) -> np.ndarray:
         rows = observed.length_px > 0
         bins = np.digitize(np.abs(observed.signed_px[rows]), self.edges_px)
-        channel = np.broadcast_to(self.channel, rows.shape)[rows]
+        channel = np.broadcast_to(channels, rows.shape)[rows]
         weight = np.minimum(observed.length_px[rows], 50.0)
         size = self.num_channels * self.num_bins
         counts = np.bincount(channel * self.num_bins + bins, weight, size).reshape(-1, self.num_bins)

@@ -28,10 +28,19 @@ class CompleteModesConfig:
     window_heading_sigmas: float = 3.0
     """Half width of the search in sigmas of the prior, and its least."""
     coarse_scale_px: float = 14.0
-    num_coarse: int = 24
+    null_every: int = 4
+    """Of every so many samples the null is counted: 56 poses give more of them than it needs."""
+    num_coarse: int = 16
     """Places of the first look that are solved."""
     apart: float = 1.4
     """Places of the first look are at least this many units apart; see `alignment.same_pose`."""
+    num_ridges: int = 16
+    """As many more that are ridges of their own (`PosteriorConfig`), else the places along one line would take all;
+    twice as many in a wide window."""
+    num_ramps: int = 8
+    """Places of the search by ramps that are solved."""
+    view_samples: int = 512
+    """Samples that candidates are solved with; the last solves have all."""
     num_final: int = 4
     """Poses of the best place, and other places, that are solved to the end."""
     least_sigma_m: float = 1.0
@@ -43,8 +52,8 @@ class CompleteModesConfig:
     final_max_steps: int = 40
     final_tolerance: float = 5e-3
     """Of the last solve, which visits the levels of the polish: it must converge."""
-    restarts: tuple[int, ...] = (-3, -2, -1, 1, 2, 3)
-    """Second starts: steps along the direction that the best pose is held least in."""
+    restarts: tuple[int, ...] = (-3, -1, 1, 3)
+    """Second starts: steps along each of the two directions that the best pose is held least in."""
     restart_step_m: tuple[float, float] = (0.1, 0.3)
     """Least and largest step, where heading counts as the shift that it makes `lever_m` ahead."""
     lever_m: float = 25.0

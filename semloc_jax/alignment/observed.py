@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from semloc_jax.alignment.filled_rows import map_filled
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.view import GROUND_CLASSES, contour_points
@@ -55,26 +56,26 @@ class Observed(NamedTuple):
     range_m: Float[Array, "n cam p"]
 
 
-@stored_program("config", "chunk")
+@stored_program("config")
 def observe(
     Ts_map_base: Float[Array, "n 4 4"],
+    num: Int[Array, ""],
     samples: MapSamples,
     rig: Rig,
     channel_of_label: Int[Array, " label"],
     borders: Borders,
     config: ObserveConfig,
-    chunk: int = 4,
 ) -> Observed:
     """What every pose sees.
 
     Args:
         Ts_map_base: Poses relative to the local origin.
+        num: How many of them are asked for; what the others see stays zero.
         samples: Map samples.
         rig: Cameras.
         channel_of_label: Mask channel of each ElementClass; -1 where no mask shows the class.
         borders: Distances to mask borders, one field for each camera and channel.
         config: What counts as seen.
-        chunk: Poses side by side.
     """
     channel = channel_of_label[samples.label]
 
@@ -87,7 +88,7 @@ def observe(
             parts.append(_one_camera(T_map_cam, samples, channel, camera, fields, borders, config))
         return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
 
-    return jax.lax.map(one, Ts_map_base, batch_size=chunk)
+    return map_filled(one, Ts_map_base, num)
 
 
 def _one_camera(
@@ -106,7 +107,7 @@ def _one_camera(
 
     def moved_px(direction: Array) -> Array:
         du, dv, _ = push(*(T_cam_map[:3, :3] @ direction.T))
-        return jnp.hypot(du, dv)
+        return jnp.sqrt(du * du + dv * dv)
 
     away = (p_map - T_map_cam[:3, 3]) * jnp.asarray([1.0, 1.0, 0.0], p_map.dtype)
     away = away / jnp.maximum(jnp.linalg.norm(away, axis=-1, keepdims=True), 1e-3)
@@ -131,7 +132,9 @@ def _one_camera(
     flat = distance.reshape(-1)
     a, b, c, d = (flat.at[first + step].get(mode="promise_in_bounds") for step in (0, 1, width, width + 1))
     top, bottom = a + fu * (b - a), c + fu * (d - c)
-    cell = jnp.where(seen, jnp.nan_to_num(v) // config.cell_px * CELL_COLUMNS + jnp.nan_to_num(u) // config.cell_px, 0)
+    # Not `//`: XLA calls a library function for each remainder, which costs as much as all the rest.
+    down, across = (jnp.floor(jnp.nan_to_num(w) * (1.0 / config.cell_px)) for w in (v, u))
+    cell = jnp.where(seen, down * CELL_COLUMNS + across, 0)
     return Observed(
         top + fv * (bottom - top),
         jnp.where(seen, length_px, 0.0),

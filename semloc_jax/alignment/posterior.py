@@ -86,13 +86,10 @@ def ridges(Ts: np.ndarray, block_nats: np.ndarray, prior: np.ndarray, config: Po
         log_weight = _against(best, nats, block_nats, prior, valid, config)
     home, leaders = np.full(len(Ts), -1), []
     for index in np.argsort(-log_weight, kind="stable"):
-        if not valid[index]:
+        if not valid[index] or home[index] >= 0:
             continue
-        place = next((k for k, lead in enumerate(leaders) if _same(Ts[lead], Ts[index], config)), None)
-        if place is None:
-            leaders.append(int(index))
-            place = len(leaders) - 1
-        home[index] = place
+        home[valid & (home < 0) & same_ridge(Ts[index], Ts, config)] = len(leaders)
+        leaders.append(int(index))
     leaders = np.asarray(leaders)
     weight = np.exp(log_weight[leaders] - log_weight[leaders].max())
     return Ridges(leaders, weight / weight.sum(), home, log_weight)
@@ -113,11 +110,12 @@ def _differences(T_from: np.ndarray, Ts: np.ndarray) -> tuple[np.ndarray, np.nda
     return away, np.mod(turn + np.pi, 2.0 * np.pi) - np.pi
 
 
-def _same(T_a: np.ndarray, T_b: np.ndarray, config: PosteriorConfig) -> bool:
-    away, turn = _differences(T_a, T_b[None])
-    here_m, ahead_m = abs(away[0, 1]), abs(away[0, 1] + config.lever_m * turn[0])
-    near = here_m < config.across_m or (ahead_m < config.across_m and here_m < 2.0 * config.across_m)
-    return bool(near and abs(away[0, 0]) < config.along_m and abs(np.degrees(turn[0])) < config.heading_deg)
+def same_ridge(T: np.ndarray, Ts: np.ndarray, config: PosteriorConfig) -> np.ndarray:
+    """Which poses are one place with another, bool[n]."""
+    away, turn = _differences(T, Ts)
+    here_m, ahead_m = np.abs(away[:, 1]), np.abs(away[:, 1] + config.lever_m * turn)
+    near = (here_m < config.across_m) | ((ahead_m < config.across_m) & (here_m < 2.0 * config.across_m))
+    return near & (np.abs(away[:, 0]) < config.along_m) & (np.abs(np.degrees(turn)) < config.heading_deg)
 
 
 def spread(T_centre: np.ndarray, Ts: np.ndarray, log_weight: np.ndarray) -> np.ndarray:

@@ -47,8 +47,12 @@ def displaced(T_map_base: Float[Array, "4 4"], xy_yaw: Float[Array, "n 3"]) -> F
     return T_map_base @ lie.se2_to_se3(xy_yaw[:, 0], xy_yaw[:, 1], xy_yaw[:, 2])
 
 
+_G = 1.2207440846057596
+LATTICE_STEPS = (1 / _G, 1 / _G**2, 1 / _G**3)
+"""Powers of 1/g, g^4 = g + 1 (Roberts' R3 sequence)."""
+
+
 def rank1_lattice(num: int, dtype: jnp.dtype) -> Float[Array, "num 3"]:
-    """Low-discrepancy points in the unit cube: multiples of the powers of 1/g, g^4 = g + 1 (Roberts' R3 sequence)."""
-    g = 1.2207440846057596
+    """Low-discrepancy points in the unit cube: multiples of LATTICE_STEPS."""
     index = jnp.arange(num, dtype=dtype)[:, None]
-    return jnp.mod(0.5 + index * jnp.asarray([1 / g, 1 / g**2, 1 / g**3], dtype), 1.0)
+    return jnp.mod(0.5 + index * jnp.asarray(LATTICE_STEPS, dtype), 1.0)

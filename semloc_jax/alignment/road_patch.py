@@ -13,23 +13,26 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import SemanticMap
 
-_LEAST_STEP_M, _MOST_STEPS = 4.0, 3
-"""Planes are fitted on a grid with at least this step, to so many steps to each side."""
+_LEAST_STEPS_M, _MOST_STEPS = (4.0, 1.0), (3, 4)
+"""Planes are fitted on a grid with at least these steps along and across the road, to so many steps to each side: a
+crown lies within a metre, along the road little changes."""
 
 
 @dataclass(frozen=True)
 class RoadPatch:
-    """Planes of the road on a square grid, relative to the local origin.
+    """Planes of the road on a grid along a heading, relative to the local origin.
 
     Attributes:
-        first_xy: corner of the grid, float64[2] [m].
-        step_m: distance of its nodes.
-        height_m: of the road at each node, float64[k k].
-        slope: rise per metre towards x and y, float64[k k 2].
+        center_xy: middle of the grid, float64[2] [m].
+        axes: rows: along and across the road, float64[2 2].
+        step_m: distance of the nodes along and across, float64[2].
+        height_m: of the road at each node, float64[i j].
+        slope: rise per metre towards x and y, float64[i j 2].
     """
 
-    first_xy: np.ndarray
-    step_m: float
+    center_xy: np.ndarray
+    axes: np.ndarray
+    step_m: np.ndarray
     height_m: np.ndarray
     slope: np.ndarray
 
@@ -43,22 +46,20 @@ class RoadPatch:
             frame: the local frame.
             half_m: half width of the patch.
         """
-        steps = int(np.clip(np.ceil(half_m / _LEAST_STEP_M), 1, _MOST_STEPS))
-        step_m = half_m / steps
-        offsets = np.arange(-steps, steps + 1) * step_m
-        height_m, slope = np.zeros((len(offsets),) * 2), np.zeros((len(offsets), len(offsets), 2))
+        steps = np.clip(np.ceil(half_m / np.array(_LEAST_STEPS_M)), 1, _MOST_STEPS).astype(int)
         heading_rad = float(np.arctan2(T_map_base[1, 0], T_map_base[0, 0]))
+        axes = np.array([[np.cos(heading_rad), np.sin(heading_rad)], [-np.sin(heading_rad), np.cos(heading_rad)]])
+        height_m, slope = np.zeros(2 * steps + 1), np.zeros((*(2 * steps + 1), 2))
         own_slope = -T_map_base[:2, 2] / T_map_base[2, 2]
-        for i, x in enumerate(offsets):
-            for j, y in enumerate(offsets):
-                xy = T_map_base[:2, 3] + (x, y)
-                try:
-                    T = semantic_map.road_pose(*xy, heading_rad)
-                    height_m[i, j], slope[i, j] = T[2, 3], -T[:2, 2] / T[2, 2]
-                except SemlocError:
-                    height_m[i, j], slope[i, j] = T_map_base[2, 3] + own_slope @ (x, y), own_slope
-        first_xy = frame.from_map(T_map_base[:2, 3] + offsets[0], np.float64)
-        return cls(first_xy, step_m, height_m - frame.origin_map[2], slope)
+        for node in np.ndindex(*height_m.shape):
+            away = (np.array(node) / steps - 1.0) * half_m @ axes
+            try:
+                T = semantic_map.road_pose(*(T_map_base[:2, 3] + away), heading_rad)
+                height_m[node], slope[node] = T[2, 3], -T[:2, 2] / T[2, 2]
+            except SemlocError:
+                height_m[node], slope[node] = T_map_base[2, 3] + own_slope @ away, own_slope
+        center_xy = frame.from_map(T_map_base[:2, 3], np.float64)
+        return cls(center_xy, axes, half_m / steps, height_m - frame.origin_map[2], slope)
 
     def place(self, Ts: np.ndarray) -> np.ndarray:
         """The poses with their x, y and heading kept and the rest from the road there, float64[n 4 4]."""
@@ -77,8 +78,8 @@ class RoadPatch:
 
     def _at(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Height float64[n] and slope float64[n 2], blended from the planes of the four nodes around."""
-        last = len(self.height_m) - 1
-        grid = np.clip((xy - self.first_xy) / self.step_m, 0.0, last - 1e-9)
+        last = np.array(self.height_m.shape) - 1
+        grid = np.clip((xy - self.center_xy) @ self.axes.T / self.step_m + 0.5 * last, 0.0, last - 1e-9)
         cell = grid.astype(int)
         share = grid - cell
         height_m, slope = np.zeros(len(xy)), np.zeros((len(xy), 2))
@@ -86,7 +87,7 @@ class RoadPatch:
             for dj in (0, 1):
                 i, j = cell[:, 0] + di, cell[:, 1] + dj
                 weight = np.abs(1 - di - share[:, 0]) * np.abs(1 - dj - share[:, 1])
-                node_xy = self.first_xy + self.step_m * np.column_stack([i, j])
+                node_xy = self.center_xy + (np.column_stack([i, j]) - 0.5 * last) * self.step_m @ self.axes
                 rise_m = (self.slope[i, j] * (xy - node_xy)).sum(axis=1)
                 height_m += weight * (self.height_m[i, j] + rise_m)
                 slope += weight[:, None] * self.slope[i, j]

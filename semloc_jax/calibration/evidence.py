@@ -179,7 +179,8 @@ def motion_of(start: StartPoses, config: SelfCalibrationConfig) -> DriveMotion:
     for i in range(num - 1):
         if start.motion is not None:
             step = start.motion[i]
-            T[i], jacobian[i] = step.T_from_to, step.jacobian
+            # The direction of travel is no unknown here: it defines the mount of the cameras about the vertical.
+            T[i], jacobian[i] = step.T_from_to, step.jacobian[:, :2]
             sqrt_info[i] = np.linalg.inv(np.linalg.cholesky(step.covariance))
             continue
         way_m = float(np.linalg.norm(start.T_map_base[i + 1, :3, 3] - start.T_map_base[i, :3, 3]))

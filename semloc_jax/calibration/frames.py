@@ -130,7 +130,7 @@ def smoothed(poses: np.ndarray, is_good: np.ndarray, motion: Sequence[MotionIncr
     local = frame.from_map(poses, np.float64)
     sigma = _START_SIGMA * np.where(is_good, 1.0, _LOST_FACTOR)[:, None]
     covariances = np.stack([increment.covariance for increment in motion])
-    start, calibration = np.arange(num - 1), np.array([1.0, 0.0, 0.0, 0.0])
+    start, calibration = np.arange(num - 1), np.array([1.0, 0.0, 0.0, 0.0, 0.0])
     factors = (
         measured_poses(local, np.stack([np.diag(1.0 / row) for row in sigma]), _START_THRESHOLD),
         odometry(
@@ -141,7 +141,7 @@ def smoothed(poses: np.ndarray, is_good: np.ndarray, motion: Sequence[MotionIncr
             np.stack([np.array(increment.calibration) for increment in motion]),
             np.linalg.inv(np.linalg.cholesky(covariances)),
         ),
-        prior(local[0], calibration, np.diag(1.0 / np.array([*[100.0] * 6, 0.02, 0.005, 1.0, 1.0]))),
+        prior(local[0], calibration, np.diag(1.0 / np.array([*[100.0] * 6, 0.02, 0.005, 0.005, 1.0, 1.0]))),
     )
     graph = pose_graph(np.ones(num, bool), factors)
     with jax.enable_x64(True):

@@ -20,6 +20,7 @@ from semloc_jax.calibration.observability import AXES, Observability, observe
 from semloc_jax.calibration.self_calibration import lens_sigmas, mount_change
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage import reading
 
 _REASON = "points of the ground tell the cameras against each other only: a drive, or a survey, tells the vehicle"
 _COLUMNS = ("camera_a", "u_a", "v_a", "camera_b", "u_b", "v_b")
@@ -93,13 +94,15 @@ def read_ground_pairs(path: str | Path) -> GroundPairs:
     path = Path(path)
     if not path.is_file():
         raise SemlocError(f"ground points {path}: no such file; expected a csv with columns {', '.join(_COLUMNS)}")
-    with path.open(newline="", encoding="utf-8") as file:
+    with reading(f"ground points {path}"), path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     missing = [name for name in _COLUMNS if not rows or rows[0].get(name) is None]
     if missing:
         raise SemlocError(f"ground points {path}: no column {missing[0]}; expected {', '.join(_COLUMNS)}")
     try:
         uv = [[[float(row[f"{axis}_{side}"]) for axis in "uv"] for side in "ab"] for row in rows]
+        if not np.isfinite(uv).all():
+            raise ValueError("a pixel is NaN or infinite")
     except (TypeError, ValueError) as error:
         raise SemlocError(f"ground points {path}: {error}; expected pixels as numbers") from error
     return GroundPairs(tuple((row["camera_a"], row["camera_b"]) for row in rows), np.array(uv))

@@ -26,8 +26,9 @@ class Options:
 
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
     """Folder to write; it must be empty or absent."""
-    kind: Literal["road", "garage"] = "road"
-    """road: one front camera; garage: four fisheyes. Without --map."""
+    kind: Literal["road", "country", "garage"] = "road"
+    """road: one front camera in a town; country: the same on a crowned road of two lanes with lines, dashes and posts
+    only; garage: four fisheyes. Without --map."""
     map: Path | None = None
     """Drive on this map: Lanelet2, OpenDRIVE, Argoverse 2, GeoJSON ..., whatever 'semloc inspect' reads."""
     start: str | None = None

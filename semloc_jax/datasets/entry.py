@@ -56,7 +56,8 @@ def checked(drive: Drive) -> Drive:
 
 
 def usable_frames(frames: Sequence[Frame], where: str) -> tuple[Frame, ...]:
-    """The frames with a name and a time of their own; each other one costs itself only, and one line of notice.
+    """The frames with a name and a time of their own, in the order of time; each other one costs itself only, and one
+    line of notice.
 
     Raises:
         SemlocError: none is left.
@@ -76,7 +77,11 @@ def usable_frames(frames: Sequence[Frame], where: str) -> tuple[Frame, ...]:
         _LOG.warning("%s: and %d more frames like these", where, len(reasons) - 5)
     if not kept:
         raise SemlocError(f"{reasons[0] if reasons else where + ': has no frame'}; no other is left; repair the list")
-    return tuple(kept)
+    in_order = sorted(kept, key=lambda frame: frame.time_s)
+    if in_order != kept:
+        first = next(frame for frame, other in zip(kept, in_order, strict=True) if frame is not other)
+        _LOG.warning("%s: frame %r is listed before an earlier one; frames are taken by time", where, first.id[:60])
+    return tuple(in_order)
 
 
 def _reason(frame: Frame, copies: Counter, times: Counter) -> str | None:

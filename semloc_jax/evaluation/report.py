@@ -62,9 +62,9 @@ def read_metrics(path: str | Path) -> list[Metric]:
     if not path.is_file():
         raise SemlocError(f"metrics {path}: no such file; expected a metrics.json; write one with write_metrics")
     try:
-        rows = json.loads(path.read_text())["metrics"]
+        rows = json.loads(path.read_bytes())["metrics"]
         return [Metric(**(row | {"value": math.nan if row["value"] is None else float(row["value"])})) for row in rows]
-    except (json.JSONDecodeError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise SemlocError(
             f'metrics {path}: not a metrics file ({error!r}); expected {{"metrics": [{{"key", "value", "unit", '
             '"direction", "tolerance"}]}'

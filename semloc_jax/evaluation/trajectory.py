@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import npy_array, writing
 
+_LARGEST_SKEW = 0.01
+"""Of the products of the rows of a rotation matrix: files hold six digits; ours."""
 _UPRIGHT = 0.97
 """Mean upward part of base z of anything that drives on roads; ours."""
 
@@ -112,6 +114,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
             )
         rows = rows.astype(np.float64)
         if rows.ndim == 3 and rows.shape[1:] == (4, 4):
+            _require_rotations(rows, path)
             return Trajectory(np.arange(len(rows), dtype=np.float64), rows)
     else:
         rows = _read_rows(path)
@@ -183,9 +186,21 @@ def _upright(quaternion_xyzw: np.ndarray) -> float:
     return float(np.mean(Rotation.from_quat(quaternion_xyzw).as_matrix()[:, 2, 2]))
 
 
+def _require_rotations(T: np.ndarray, path: Path) -> None:
+    R = np.clip(T[:, :3, :3], -2.0, 2.0)
+    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    off = np.where(np.linalg.det(R) > 0.0, off, 2.0)
+    if off.max(initial=0.0) > _LARGEST_SKEW:
+        raise SemlocError(
+            f"trajectory {path}: the matrix of pose {int(np.argmax(off))} is no rotation; expected three rows of "
+            "orthogonal unit vectors; check the columns"
+        )
+
+
 def _from_kitti_rows(rows: np.ndarray, path: Path) -> Trajectory:
     T = np.tile(np.eye(4), (len(rows), 1, 1))
     T[:, :3, :] = rows.reshape(-1, 3, 4)
+    _require_rotations(T, path)
     times = path.with_name("times.txt")
     time_s = _read_rows(times)[:, 0] if times.is_file() else np.arange(len(rows), dtype=np.float64)
     if len(time_s) != len(rows):

@@ -38,14 +38,15 @@ class KalmanConfig:
 
 
 class KalmanState(NamedTuple):
-    """State of `KalmanFusion`; the error is (right tangent of the pose, scale, gyro bias, GNSS offset)."""
+    """State of `KalmanFusion`; the error is (right tangent of the pose, scale, gyro bias, travel, GNSS offset)."""
 
     time_s: Float[np.ndarray, ""]
     T_map_base: Float[np.ndarray, "4 4"]
     odometer_scale: Float[np.ndarray, ""]
     gyro_bias_radps: Float[np.ndarray, ""]
+    travel_rad: Float[np.ndarray, ""]
     gnss_offset_m: Float[np.ndarray, "2"]
-    covariance: Float[np.ndarray, "10 10"]
+    covariance: Float[np.ndarray, "11 11"]
     measured_s: Float[np.ndarray, ""]
     """Time of the last accepted pose measurement."""
     T_measured: Float[np.ndarray, "4 4"]
@@ -66,11 +67,12 @@ class KalmanFusion:
 
     def start(self, measurement: PoseMeasurement) -> KalmanState:
         """State at the first pose, with nominal calibration."""
-        covariance = np.zeros((10, 10))
+        covariance = np.zeros((11, 11))
         covariance[:6, :6] = measurement.covariance
         covariance[6:, 6:] = np.diag(self.config.sensors.sigma**2)
         T, time_s, zero = measurement.T_map_base.astype(np.float64), np.float64(measurement.time_s), np.float64(0.0)
-        return KalmanState(time_s, T, np.float64(1.0), zero, np.zeros(2), covariance, time_s, T, np.full(6, np.nan))
+        nominal = (np.float64(1.0), zero, zero, np.zeros(2))
+        return KalmanState(time_s, T, *nominal, covariance, time_s, T, np.full(6, np.nan))
 
     def predict(self, state: KalmanState, increment: MotionIncrement) -> KalmanState:
         """State after the motion; where no sensor measures it, the mean motion continues."""
@@ -81,10 +83,10 @@ class KalmanFusion:
             memory_s, noise = self.config.motion_memory_s, self.config.sensors.motion
             increment = coasted(increment, state.mean_twist, age_s, memory_s, noise)
         motion = increment.corrected(_calibration(state))
-        F = np.eye(10)
+        F = np.eye(11)
         F[:6, :6] = rigid.adjoint(rigid.inverse(motion))
-        F[:6, 6:8] = increment.jacobian
-        Q = np.zeros((10, 10))
+        F[:6, 6:9] = increment.jacobian
+        Q = np.zeros((11, 11))
         Q[:6, :6] = increment.covariance
         Q[6:, 6:] = np.diag(self.config.sensors.walk**2) * step_s
         return state._replace(
@@ -98,7 +100,7 @@ class KalmanFusion:
         check_same_time("pose", measurement.time_s, float(state.time_s))
         difference = rigid.log(rigid.inverse(state.T_map_base) @ measurement.T_map_base)
         # log(exp(-e) exp(difference)) = difference - J e for a small error e of the state.
-        H = np.zeros((6, 10))
+        H = np.zeros((6, 11))
         H[:, :6] = np.linalg.inv(rigid.right_jacobian(-difference))
         corrected, square = _update(state, difference, H, measurement.covariance)
         fits = square <= chdtri(6, 1.0 - self.config.gate_probability) and self._fits_mean_motion(state, measurement)
@@ -110,18 +112,18 @@ class KalmanFusion:
         """State with a satellite fix, unless the chi-square test refuses it."""
         check_same_time("fix", measurement.time_s, float(state.time_s))
         difference = measurement.p_map[:2] - state.T_map_base[:2, 3] - state.gnss_offset_m
-        H = np.zeros((2, 10))
+        H = np.zeros((2, 11))
         H[:, :3] = state.T_map_base[:2, :3]
-        H[:, 8:] = np.eye(2)
+        H[:, 9:] = np.eye(2)
         corrected, square = _update(state, difference, H, np.diag(measurement.sigma_m[:2] ** 2))
         accepted = square <= float(chdtri(2, 1.0 - self.config.gate_probability))
         return (corrected if accepted else state), Innovation(square, 2, accepted)
 
     def pose(self, state: KalmanState) -> FusedPose:
         """Pose, covariance and calibration of a state."""
-        scale, bias = _calibration(state)
-        offset = state.gnss_offset_m
-        return FusedPose(float(state.time_s), state.T_map_base, state.covariance[:6, :6], scale, bias, offset)
+        found = _calibration(state)
+        sensors = found.odometer_scale, found.gyro_bias_radps, state.gnss_offset_m, found.travel_rad
+        return FusedPose(float(state.time_s), state.T_map_base, state.covariance[:6, :6], *sensors)
 
     def _fits_mean_motion(self, state: KalmanState, measurement: PoseMeasurement) -> bool:
         since_s = measurement.time_s - float(state.measured_s)
@@ -145,7 +147,7 @@ class KalmanFusion:
 
 
 def _calibration(state: KalmanState) -> Calibration:
-    return Calibration(float(state.odometer_scale), float(state.gyro_bias_radps))
+    return Calibration(float(state.odometer_scale), float(state.gyro_bias_radps), float(state.travel_rad))
 
 
 def _update(state: KalmanState, difference: np.ndarray, H: np.ndarray, R: np.ndarray) -> tuple[KalmanState, float]:
@@ -159,7 +161,8 @@ def _update(state: KalmanState, difference: np.ndarray, H: np.ndarray, R: np.nda
         T_map_base=rigid.normalised(state.T_map_base @ rigid.exp(step[:6])),
         odometer_scale=state.odometer_scale + step[6],
         gyro_bias_radps=state.gyro_bias_radps + step[7],
-        gnss_offset_m=state.gnss_offset_m + step[8:],
+        travel_rad=state.travel_rad + step[8],
+        gnss_offset_m=state.gnss_offset_m + step[9:],
         covariance=_symmetric(rest @ P @ rest.T + gain @ R @ gain.T),
     )
     return corrected, normalised_square(difference, S)

@@ -51,11 +51,13 @@ class FusedPose(NamedTuple):
     gyro_bias_radps: float
     gnss_offset_m: Float[np.ndarray, "2"]
     """What satellite fixes are off by in the map frame, east and north."""
+    travel_rad: float = 0.0
+    """Direction of travel against base x, positive to the left."""
 
     @property
     def calibration(self) -> Calibration:
         """What the next motion increment takes off."""
-        return Calibration(self.odometer_scale, self.gyro_bias_radps)
+        return Calibration(self.odometer_scale, self.gyro_bias_radps, self.travel_rad)
 
 
 class Innovation(NamedTuple):
@@ -68,7 +70,8 @@ class Innovation(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorBeliefs:
-    """How far odometer scale, gyroscope and satellites may be off, and how fast that changes; all values are ours."""
+    """How far odometer scale, gyroscope, mount and satellites may be off, and how fast that changes. All values are
+    ours."""
 
     scale_sigma: float = 0.02
     scale_walk: float = 2e-4
@@ -76,6 +79,10 @@ class SensorBeliefs:
     gyro_bias_sigma_degps: float = 0.2
     gyro_bias_walk_degps: float = 0.005
     """[deg/s per root of s]."""
+    travel_sigma_deg: float = 0.3
+    """Direction of travel against base x: tolerance of a mount, toe and thrust angle of the axle."""
+    travel_walk_deg: float = 0.003
+    """[deg per root of s]: load and crossfall change it slowly."""
     gnss_offset_sigma_m: float = 3.0
     gnss_offset_walk_m: float = 0.15
     """How fast the slow error of the fixes changes [m per root of s]."""
@@ -83,16 +90,17 @@ class SensorBeliefs:
     """What the vehicle may do while nothing measures its motion."""
 
     @property
-    def sigma(self) -> Float[np.ndarray, "4"]:
-        """Standard deviations of scale, gyroscope bias [rad/s], GNSS offset east, north [m] at the start."""
-        offset = self.gnss_offset_sigma_m
-        return np.array([self.scale_sigma, np.deg2rad(self.gyro_bias_sigma_degps), offset, offset])
+    def sigma(self) -> Float[np.ndarray, "5"]:
+        """Standard deviations of scale, gyroscope bias [rad/s], direction of travel [rad], GNSS offset east, north [m]
+        at the start."""
+        angles = np.deg2rad([self.gyro_bias_sigma_degps, self.travel_sigma_deg])
+        return np.array([self.scale_sigma, *angles, *[self.gnss_offset_sigma_m] * 2])
 
     @property
-    def walk(self) -> Float[np.ndarray, "4"]:
+    def walk(self) -> Float[np.ndarray, "5"]:
         """How fast they change [per root of s]."""
-        offset = self.gnss_offset_walk_m
-        return np.array([self.scale_walk, np.deg2rad(self.gyro_bias_walk_degps), offset, offset])
+        angles = np.deg2rad([self.gyro_bias_walk_degps, self.travel_walk_deg])
+        return np.array([self.scale_walk, *angles, *[self.gnss_offset_walk_m] * 2])
 
 
 @runtime_checkable

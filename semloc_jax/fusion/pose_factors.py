@@ -1,8 +1,8 @@
 """What is known of vehicle poses over time, as factors (room: fusion; pure JAX).
 
 In: measured poses, odometry, satellite fixes, a prior. Out: families of factors for a `FactorGraph`.
-Its variables are the poses T_map_base ("pose"), odometer scale and gyroscope bias [rad/s] ("odometer"), and the
-GNSS-to-map offset east, north [m] ("gnss"). Where they span more than some metres, use float64.
+Its variables are the poses T_map_base ("pose"), odometer scale, gyroscope bias [rad/s] and direction of travel [rad]
+("odometer"), and the GNSS-to-map offset east, north [m] ("gnss"). Where they span more than some metres, use float64.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from semloc_jax.solvers.factors import POSE, Factors, vector
 from semloc_jax.solvers.graph import FactorGraph, Family, Values
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
 
-ODOMETER = vector(0.05, 0.01)
+ODOMETER = vector(0.05, 0.01, 0.01)
 GNSS = vector(5.0, 5.0)
 
 
@@ -51,13 +51,13 @@ def families(num: int) -> tuple[Family, ...]:
     return Family("pose", POSE, num), Family("odometer", ODOMETER, 1), Family("gnss", GNSS, 1)
 
 
-def values_of(Ts_map_base: Float[np.ndarray, "n 4 4"], calibration: Float[np.ndarray, "4"]) -> Values:
-    """Values of the variables; calibration: scale, bias [rad/s], offset east, north [m]."""
-    return {"pose": Ts_map_base, "odometer": calibration[None, :2], "gnss": calibration[None, 2:]}
+def values_of(Ts_map_base: Float[np.ndarray, "n 4 4"], calibration: Float[np.ndarray, "5"]) -> Values:
+    """Values of the variables; calibration: scale, bias [rad/s], travel [rad], offset east, north [m]."""
+    return {"pose": Ts_map_base, "odometer": calibration[None, :3], "gnss": calibration[None, 3:]}
 
 
-def calibration_of(values: Values) -> Float[Array, "4"]:
-    """Scale, bias [rad/s], offset east, north [m]."""
+def calibration_of(values: Values) -> Float[Array, "5"]:
+    """Scale, bias [rad/s], travel [rad], offset east, north [m]."""
     return jnp.concatenate([values["odometer"][0], values["gnss"][0]])
 
 
@@ -80,8 +80,8 @@ def odometry(
     start: Int[np.ndarray, " e"],
     end: Int[np.ndarray, " e"],
     T_start_end: Float[np.ndarray, "e 4 4"],
-    jacobian: Float[np.ndarray, "e 6 2"],
-    made_with: Float[np.ndarray, "e 2"],
+    jacobian: Float[np.ndarray, "e 6 3"],
+    made_with: Float[np.ndarray, "e 3"],
     sqrt_info: Float[np.ndarray, "e 6 6"],
 ) -> Factors:
     """Motion between two poses by wheels and gyroscope.
@@ -89,8 +89,8 @@ def odometry(
     Args:
         start, end: The poses.
         T_start_end: The motion.
-        jacobian: Its right tangent by odometer scale and gyroscope bias.
-        made_with: Scale and bias [rad/s] that it was made with.
+        jacobian: Derivative of its right tangent by scale, bias and direction of travel.
+        made_with: Scale, bias [rad/s] and direction of travel [rad] that it was made with.
         sqrt_info: 0 where there is no motion.
     """
     return Factors(
@@ -116,7 +116,7 @@ def fixes(
 
 
 def prior(
-    T_prior: Float[np.ndarray, "4 4"], calibration: Float[np.ndarray, "4"], sqrt_info: Float[np.ndarray, "10 10"]
+    T_prior: Float[np.ndarray, "4 4"], calibration: Float[np.ndarray, "5"], sqrt_info: Float[np.ndarray, "11 11"]
 ) -> Factors:
     """What is known of the first pose and of the calibration together, beside the other factors."""
     keys = (np.zeros(1, int),) * 3
@@ -140,7 +140,7 @@ def _prior_residual(T, odometer, offset, T_prior, calibration, sqrt_info) -> Flo
 def _prior_linearised(T, odometer, offset, T_prior, calibration, sqrt_info) -> tuple[Array, ...]:
     _, J = pose_linearised(T, T_prior, jnp.eye(6, dtype=T.dtype))
     r = _prior_residual(T, odometer, offset, T_prior, calibration, sqrt_info)
-    return r, _mul(sqrt_info[:, :6], J), sqrt_info[:, 6:8], sqrt_info[:, 8:]
+    return r, _mul(sqrt_info[:, :6], J), sqrt_info[:, 6:9], sqrt_info[:, 9:]
 
 
 def _mul(A: Array, b: Array) -> Array:

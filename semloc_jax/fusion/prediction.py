@@ -32,6 +32,9 @@ class Calibration(NamedTuple):
 
     odometer_scale: float = 1.0
     gyro_bias_radps: float = 0.0
+    travel_rad: float = 0.0
+    """Direction of travel against base x, positive to the left: what defines the base frame (cameras, an inertial unit)
+    is never mounted exactly along the way the rear axle rolls."""
 
 
 class MotionIncrement(NamedTuple):
@@ -39,14 +42,14 @@ class MotionIncrement(NamedTuple):
 
     T_from_to: Float[np.ndarray, "4 4"]
     covariance: Float[np.ndarray, "6 6"]
-    """Of the right tangent [m, rad]; the errors of scale and bias are not in it but in `jacobian`."""
+    """Of the right tangent [m, rad]; the errors of the calibration are not in it but in `jacobian`."""
     from_s: float
     to_s: float
-    jacobian: Float[np.ndarray, "6 2"]
-    """Derivative of the right tangent by d = (odometer scale, gyro bias [rad/s])."""
+    jacobian: Float[np.ndarray, "6 3"]
+    """Derivative of the right tangent by d = (odometer scale, gyro bias [rad/s], direction of travel [rad])."""
     quality: MotionQuality
     calibration: Calibration = Calibration()
-    """What was taken for scale and bias: where `jacobian` holds."""
+    """What was taken for it: where `jacobian` holds."""
 
     def corrected(self, calibration: Calibration) -> Float[np.ndarray, "4 4"]:
         """T_from_to for another calibration, to first order."""
@@ -106,7 +109,7 @@ def coasted(
     turn = np.deg2rad(np.array([0.2, 0.2, 1.0]) * noise.unknown_yaw_acceleration_degps2)
     covariance = np.diag(np.concatenate([acceleration, turn]) ** 2 * grown)
     T_from_to = rigid.exp(twist * (increment.to_s - increment.from_s))
-    return increment._replace(T_from_to=T_from_to, covariance=covariance, jacobian=np.zeros((6, 2)))
+    return increment._replace(T_from_to=T_from_to, covariance=covariance, jacobian=np.zeros((6, 3)))
 
 
 _LEVEL_S = 2.0
@@ -116,11 +119,11 @@ _LEVEL_S = 2.0
 class MotionLog:
     """Buffer of wheel and inertial samples that says how the vehicle moved between any two times.
 
-    The translation comes from the wheel speed along base x, the rotation from the gyroscope about all three axes, or
-    from the wheels where there is no gyroscope. A sensor that falls silent is replaced by its last value, for at most
-    `max_hold_s`, with a covariance that grows as the vehicle may accelerate. Within one increment the error of what is
-    not measured is one and the same; from increment to increment it is taken for new, as the poses of a filter in
-    between take most of it out: without any, three sigmas still hold the worst of 2 s.
+    The translation comes from the wheel speed along the direction of travel, the rotation from the gyroscope about all
+    three axes, or from the wheels where there is no gyroscope. A sensor that falls silent is replaced by its last
+    value, for at most `max_hold_s`, with a covariance that grows as the vehicle may accelerate. Within one increment
+    the error of what is not measured is one and the same; from increment to increment it is taken for new, as the poses
+    of a filter in between take most of it out: without any, three sigmas still hold the worst of 2 s.
     """
 
     def __init__(self, noise: MotionNoise | None = None, max_gap_s: float = 0.15, max_hold_s: float = 5.0) -> None:
@@ -214,7 +217,7 @@ class MotionLog:
         Args:
             time_s: Middle [s].
             half_s: The mean is taken over this long before and after [s].
-            calibration: Odometer scale and gyroscope bias to take off; None for 1 and 0.
+            calibration: What to take off; None for nothing.
         """
         calibration = calibration or Calibration()
         times = time_s + half_s * np.linspace(-1.0, 1.0, 5)
@@ -223,7 +226,8 @@ class MotionLog:
         has_gyro = (imu_age == 0.0) | (imu_age < speed_age)
         turn = np.where(has_gyro[:, None], imu[:, :3], wheels[:, 1:] * [0.0, 0.0, 1.0]).mean(axis=0)
         speed = calibration.odometer_scale * wheels[:, 0].mean()
-        return np.array([speed, 0.0, 0.0, turn[0], turn[1], turn[2] - calibration.gyro_bias_radps])
+        ahead, left = np.cos(calibration.travel_rad), np.sin(calibration.travel_rad)
+        return np.array([speed * ahead, speed * left, 0.0, turn[0], turn[1], turn[2] - calibration.gyro_bias_radps])
 
     def increment(self, from_s: float, to_s: float, calibration: Calibration | None = None) -> MotionIncrement:
         """The motion between two times; `to_s` may lie before `from_s`.
@@ -231,19 +235,19 @@ class MotionLog:
         Args:
             from_s: Start [s].
             to_s: End [s].
-            calibration: Odometer scale and gyroscope bias to take off; None for 1 and 0.
+            calibration: What to take off; None for nothing.
         """
         calibration = calibration or Calibration()
         if to_s == from_s:
             quality = MotionQuality.OK
-            return MotionIncrement(np.eye(4), np.zeros((6, 6)), from_s, to_s, np.zeros((6, 2)), quality, calibration)
+            return MotionIncrement(np.eye(4), np.zeros((6, 6)), from_s, to_s, np.zeros((6, 3)), quality, calibration)
         if to_s < from_s:
             return _reversed(self.increment(to_s, from_s, calibration))
         inside = {*self._wheels.between(from_s, to_s), *self._imu.between(from_s, to_s)}
         steps = self._steps(np.array([from_s, *sorted(inside), to_s]), calibration)
         if steps.unmeasured_s > self.max_hold_s:
             return self._unknown(from_s, to_s, calibration)
-        T, covariance, jacobian = np.eye(4), np.zeros((6, 6)), np.zeros((6, 4))
+        T, covariance, jacobian = np.eye(4), np.zeros((6, 6)), np.zeros((6, 5))
         motions = rigid.exp(steps.xi)
         back = rigid.adjoint(rigid.inverse(motions))
         for k, motion in enumerate(motions):
@@ -251,9 +255,9 @@ class MotionLog:
             covariance = back[k] @ covariance @ back[k].T + np.diag(steps.variance[k])
             jacobian = back[k] @ jacobian + steps.jacobian[k]
         # What is not measured is off by one and the same error all the way.
-        covariance += jacobian[:, 2:] @ jacobian[:, 2:].T
+        covariance += jacobian[:, 3:] @ jacobian[:, 3:].T
         quality = MotionQuality.EXTRAPOLATED if steps.unmeasured_s > 0.0 else MotionQuality.OK
-        return MotionIncrement(T, covariance, from_s, to_s, jacobian[:, :2], quality, calibration)
+        return MotionIncrement(T, covariance, from_s, to_s, jacobian[:, :3], quality, calibration)
 
     def _steps(self, knots_s: np.ndarray, calibration: Calibration) -> "_Steps":
         """Motions of constant speed and rate between neighbouring samples."""
@@ -291,12 +295,15 @@ class MotionLog:
 
         speed_error = acceleration * np.where(np.isfinite(speed_age), speed_age, 0.0)
         yaw_error = np.deg2rad(noise.unknown_yaw_acceleration_degps2) * np.where(np.isfinite(yaw_age), yaw_age, 0.0)
-        xi = np.column_stack([distance, np.zeros((len(step_s), 2)), turn])
+        ahead, left = np.cos(calibration.travel_rad), np.sin(calibration.travel_rad)
+        xi = np.column_stack([distance * ahead, distance * left, np.zeros(len(step_s)), turn])
         chart = rigid.right_jacobian(xi)
-        along, about = chart[:, :, 0], chart[:, :, 5]
+        along, about = ahead * chart[:, :, 0] + left * chart[:, :, 1], chart[:, :, 5]
+        across = ahead * chart[:, :, 1] - left * chart[:, :, 0]
         columns = (
             along * driven[:, None],
             -about * step_s[:, None],
+            across * distance[:, None],
             along * (speed_error * step_s)[:, None],
             about * (yaw_error * step_s)[:, None],
         )
@@ -309,7 +316,7 @@ class MotionLog:
         tilt, turn = np.deg2rad(noise.tilt_without_gyro_degps), np.deg2rad(noise.unknown_yaw_rate_degps)
         along, across = noise.unknown_speed_mps, 0.1 * noise.unknown_speed_mps
         sigma = np.array([along, across, across, tilt, tilt, turn]) * (to_s - from_s)
-        jacobian = np.zeros((6, 2))
+        jacobian = np.zeros((6, 3))
         return MotionIncrement(np.eye(4), np.diag(sigma**2), from_s, to_s, jacobian, MotionQuality.MISSING, calibration)
 
 
@@ -317,7 +324,7 @@ class _Steps(NamedTuple):
     xi: np.ndarray
     variance: np.ndarray
     jacobian: np.ndarray
-    """By odometer scale and gyroscope bias, and by one sigma of a speed and a yaw rate that are not measured."""
+    """By the calibration, and by one sigma of a speed and a yaw rate that are not measured."""
     unmeasured_s: float
 
 

@@ -81,21 +81,21 @@ class SlidingWindow:
         """State at the first pose, with nominal calibration."""
         num, edges = self.config.num_states, self.config.num_states - 1
         sigma = self.config.sensors.sigma
-        covariance = np.zeros((10, 10))
+        covariance = np.zeros((11, 11))
         covariance[:6, :6], covariance[6:, 6:] = measurement.covariance, np.diag(sigma**2)
-        prior_sqrt_info = np.zeros((10, 10))
+        prior_sqrt_info = np.zeros((11, 11))
         prior_sqrt_info[6:, 6:] = np.diag(1.0 / sigma)
-        calibration = np.array([1.0, 0.0, 0.0, 0.0])
+        calibration = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
         poses = np.tile(measurement.T_map_base.astype(np.float64), (num, 1, 1))
         pose_sqrt_info = np.zeros((num, 6, 6))
         pose_sqrt_info[0] = sqrt_information(measurement.covariance)
         return WindowState(
             np.int64(1), np.full(num, float(measurement.time_s)), poses, calibration, covariance,
             poses.copy(), pose_sqrt_info,
-            np.tile(np.eye(4), (edges, 1, 1)), np.tile(np.eye(6), (edges, 1, 1)), np.zeros((edges, 6, 2)),
-            np.tile(calibration[:2], (edges, 1)),
+            np.tile(np.eye(4), (edges, 1, 1)), np.tile(np.eye(6), (edges, 1, 1)), np.zeros((edges, 6, 3)),
+            np.tile(calibration[:3], (edges, 1)),
             np.zeros((num, 2)), np.zeros((num, 2)), np.zeros((num, 3)),
-            poses[0], calibration, prior_sqrt_info, np.float64(measurement.time_s), *still(calibration[:2]),
+            poses[0], calibration, prior_sqrt_info, np.float64(measurement.time_s), *still(calibration[:3]),
         )  # fmt: skip
 
     def predict(self, state: WindowState, increment: MotionIncrement) -> WindowState:
@@ -133,9 +133,9 @@ class SlidingWindow:
         """
         check_same_time("fix", measurement.time_s, float(state.now_s))
         T, joint = self._predicted(state)
-        H = np.zeros((2, 10))
-        H[:, :3], H[:, 8:] = T[:2, :3], np.eye(2)
-        difference = measurement.p_map[:2] - T[:2, 3] - state.calibration[2:]
+        H = np.zeros((2, 11))
+        H[:, :3], H[:, 9:] = T[:2, :3], np.eye(2)
+        difference = measurement.p_map[:2] - T[:2, 3] - state.calibration[3:]
         spread = H @ joint @ H.T + np.diag(measurement.sigma_m[:2] ** 2)
         square = normalised_square(difference, spread)
         if square > chdtri(2, 1.0 - self.config.gate_probability):
@@ -155,17 +155,18 @@ class SlidingWindow:
         # A step needs the pose of the same state several times.
         if self._last is None or self._last[0] is not state:
             T, joint = self._predicted(state)
-            scale, bias = state.calibration[:2]
-            pose = FusedPose(float(state.now_s), T, joint[:6, :6], float(scale), float(bias), state.calibration[2:])
+            scale, bias, travel = (float(value) for value in state.calibration[:3])
+            offset = state.calibration[3:]
+            pose = FusedPose(float(state.now_s), T, joint[:6, :6], scale, bias, offset, travel)
             self._last = (state, pose)
         return self._last[1]
 
     def _predicted(self, state: WindowState) -> tuple[np.ndarray, np.ndarray]:
         """Pose now, and its joint covariance with the calibration."""
         motion = at_calibration(open_motion(state), state.calibration)
-        F = np.eye(10)
+        F = np.eye(11)
         F[:6, :6] = rigid.adjoint(rigid.inverse(motion))
-        F[:6, 6:8] = state.open_jacobian
+        F[:6, 6:9] = state.open_jacobian
         joint = F @ state.covariance @ F.T
         joint[:6, :6] += state.open_covariance
         walked_s = float(state.now_s - state.time_s[int(state.num) - 1])
@@ -182,7 +183,7 @@ class SlidingWindow:
             is_standing = float(np.linalg.norm(state.T_open[:3, 3])) < self.config.standing_m
             state = without_newest(state) if is_standing else self._without_oldest(state)
         num, motion = int(state.num), open_motion(state)
-        return with_open(state, still(state.calibration[:2]))._replace(
+        return with_open(state, still(state.calibration[:3]))._replace(
             num=np.int64(num + 1),
             time_s=replaced(state.time_s, num, state.now_s),
             T_map_base=replaced(state.T_map_base, num, T),
@@ -211,7 +212,7 @@ class SlidingWindow:
         else:
             # So vague that it only keeps the equations regular.
             sqrt_info = state.prior_sqrt_info.copy()
-            sqrt_info[:6] = np.eye(6, 10) / _VAGUE
+            sqrt_info[:6] = np.eye(6, 11) / _VAGUE
             state = state._replace(T_prior=state.T_map_base[1], prior_sqrt_info=sqrt_info)
         moved = {name: np.roll(getattr(state, name), -1, axis=0) for name in BY_STATE + BY_EDGE}
         return state._replace(num=np.int64(state.num - 1), **moved)
@@ -219,9 +220,9 @@ class SlidingWindow:
     def _solved(self, state: WindowState) -> WindowState:
         with jax.enable_x64(True):
             solution = _solved(*graph_of(state, self.config.graph), self.config.graph)
-        unknowns = 6 * self.config.num_states + 4
+        unknowns = 6 * self.config.num_states + 5
         newest = 6 * (int(state.num) - 1)
-        wanted = np.eye(unknowns)[:, [*range(newest, newest + 6), *range(unknowns - 4, unknowns)]]
+        wanted = np.eye(unknowns)[:, [*range(newest, newest + 6), *range(unknowns - 5, unknowns)]]
         covariance = wanted.T @ np.linalg.solve(np.asarray(solution.equations.information), wanted)
         return state._replace(
             T_map_base=np.array(solution.value["pose"]),
@@ -239,4 +240,4 @@ def _solved(graph: FactorGraph, values: Values, config: GraphConfig) -> Solution
 def _known_by_oldest(graph: FactorGraph, values: Values) -> DenseEquations:
     """What the factors of the oldest state say of the next state and the calibration."""
     equations = DenseProblem(graph).linearise(values, jnp.asarray(False))
-    return marginal(equations, np.arange(6), np.arange(6, 16))
+    return marginal(equations, np.arange(6), np.arange(6, 17))

@@ -15,12 +15,12 @@ from semloc_jax.solvers.graph import FactorGraph, Values
 
 
 class Motion(NamedTuple):
-    """Motion between two states: transform, covariance, derivative by scale and bias, the scale and bias taken."""
+    """Motion between two states: transform, covariance, derivative by scale, bias and travel, those taken."""
 
     T: Float[np.ndarray, "*e 4 4"]
     covariance: Float[np.ndarray, "*e 6 6"]
-    jacobian: Float[np.ndarray, "*e 6 2"]
-    calibration: Float[np.ndarray, "*e 2"]
+    jacobian: Float[np.ndarray, "*e 6 3"]
+    calibration: Float[np.ndarray, "*e 3"]
 
 
 class WindowState(NamedTuple):
@@ -29,28 +29,28 @@ class WindowState(NamedTuple):
     num: Int[np.ndarray, ""]
     time_s: Float[np.ndarray, " n"]
     T_map_base: Float[np.ndarray, "n 4 4"]
-    calibration: Float[np.ndarray, "4"]
-    """Odometer scale, gyroscope bias [rad/s], GNSS offset east, north [m]."""
-    covariance: Float[np.ndarray, "10 10"]
+    calibration: Float[np.ndarray, "5"]
+    """Odometer scale, gyroscope bias [rad/s], direction of travel [rad], GNSS offset east, north [m]."""
+    covariance: Float[np.ndarray, "11 11"]
     """Of the newest pose (right tangent) and the calibration."""
     T_measured: Float[np.ndarray, "n 4 4"]
     pose_sqrt_info: Float[np.ndarray, "n 6 6"]
     T_edge: Float[np.ndarray, "e 4 4"]
     edge_covariance: Float[np.ndarray, "e 6 6"]
-    edge_jacobian: Float[np.ndarray, "e 6 2"]
-    edge_calibration: Float[np.ndarray, "e 2"]
+    edge_jacobian: Float[np.ndarray, "e 6 3"]
+    edge_calibration: Float[np.ndarray, "e 3"]
     p_fix: Float[np.ndarray, "n 2"]
     fix_sqrt_info: Float[np.ndarray, "n 2"]
     fix_base: Float[np.ndarray, "n 3"]
     T_prior: Float[np.ndarray, "4 4"]
-    calibration_prior: Float[np.ndarray, "4"]
-    prior_sqrt_info: Float[np.ndarray, "10 10"]
+    calibration_prior: Float[np.ndarray, "5"]
+    prior_sqrt_info: Float[np.ndarray, "11 11"]
     now_s: Float[np.ndarray, ""]
     """Time up to which the vehicle was predicted beyond the newest state."""
     T_open: Float[np.ndarray, "4 4"]
     open_covariance: Float[np.ndarray, "6 6"]
-    open_jacobian: Float[np.ndarray, "6 2"]
-    open_calibration: Float[np.ndarray, "2"]
+    open_jacobian: Float[np.ndarray, "6 3"]
+    open_calibration: Float[np.ndarray, "3"]
 
 
 BY_STATE = ("time_s", "T_map_base", "T_measured", "pose_sqrt_info", "p_fix", "fix_sqrt_info", "fix_base")
@@ -126,7 +126,7 @@ def motion_of(increment: MotionIncrement) -> Motion:
 
 def still(calibration: np.ndarray) -> Motion:
     """No motion yet."""
-    return Motion(np.eye(4), np.zeros((6, 6)), np.zeros((6, 2)), calibration)
+    return Motion(np.eye(4), np.zeros((6, 6)), np.zeros((6, 3)), calibration)
 
 
 def open_motion(state: WindowState) -> Motion:
@@ -145,8 +145,8 @@ def with_open(state: WindowState, motion: Motion) -> WindowState:
 
 
 def at_calibration(motion: Motion, calibration: np.ndarray) -> np.ndarray:
-    """Transform of a motion with other scale and bias, to first order."""
-    return motion.T @ rigid.exp(motion.jacobian @ (calibration[:2] - motion.calibration))
+    """Transform of a motion with another calibration, to first order."""
+    return motion.T @ rigid.exp(motion.jacobian @ (calibration[:3] - motion.calibration))
 
 
 def replaced(array: np.ndarray, index: int, value: np.ndarray | np.floating) -> np.ndarray:

@@ -79,7 +79,7 @@ def rehearse(fusion: Fusion, num_frames: int = 16) -> None:
     step = np.eye(4)
     step[0, 3] = 1.0
     for k in range(num_frames):
-        increment = MotionIncrement(step, 1e-4 * np.eye(6), float(k), float(k + 1), np.zeros((6, 2)), MotionQuality.OK)
+        increment = MotionIncrement(step, 1e-4 * np.eye(6), float(k), float(k + 1), np.zeros((6, 3)), MotionQuality.OK)
         state = fusion.predict(state, increment)
         pose = PoseMeasurement(float(k + 1), pose.T_map_base @ step, pose.covariance)
         state, _ = fusion.correct(state, pose)

@@ -207,6 +207,9 @@ class FrameAligner:
         np.add.at(missed, part_of, found.elements.missed_px[: len(index)].astype(np.float64))
         covariance = masks_covariance(estimate.covariance.astype(np.float64), sigma, self.config.min_information)
         covariance = covariance + found.spread.astype(np.float64)
+        # No surer along the road than the valley that the pose lies in is long.
+        valley = found.valley.astype(np.float64)
+        covariance += max(1.0 - covariance[0, 0] / max(valley[0, 0], 1e-12), 0.0) * valley
         return Alignment(
             measurement=PoseMeasurement(time_s, rigid.normalised(T), covariance),
             status=SolveStatus(int(estimate.status)),

@@ -42,6 +42,11 @@ class InitializationConfig:
     min_sigma_m: float = 1.0
     max_sigma_heading_deg: float = 60.0
     """While the fixes say less of the heading than this, more of them are waited for."""
+    wide_sigma_heading_deg: float = 30.0
+    soon_s: float = 0.5
+    soon_m: float = 3.0
+    """Where the fixes say less than that, but the vehicle has driven so far in so short a time and they keep coming,
+    the next ones are waited for: a frame that is held against every heading finds a wrong place along the road."""
     sector_sigma_deg: float = 10.0
     """A search covers a heading of this sigma; where the fixes say less, several sectors are searched."""
     reach_sigmas: float = 2.0
@@ -125,6 +130,10 @@ def _from_fixes(
             f"satellite fixes give the heading to {np.degrees(found.sigma_heading_rad):.0f} deg so far, not to "
             f"{config.max_sigma_heading_deg:.0f} deg; it needs more way, wheel odometry (wheel_odom.csv) or --prior"
         )
+    driven_m = 0.0 if path is None else motion.way_m(time_s - config.soon_s, time_s)
+    is_soon_known = time_s - float(track.time_s[-1]) < config.soon_s and driven_m > config.soon_m
+    if is_soon_known and np.degrees(found.sigma_heading_rad) > config.wide_sigma_heading_deg:
+        return f"satellite fixes give the heading to {np.degrees(found.sigma_heading_rad):.0f} deg; more come at once"
     since_m = _since_m(track, path, time_s, way_m)
     sigma_m = max(config.sigma_inflation * float(np.max(found.sigma_m[:2])), config.min_sigma_m)
     sigma_m += (config.drift_share if path is not None else config.drift_share_without_path) * since_m

@@ -38,8 +38,6 @@ class RivalConfig:
     most: int = 2
     max_tracks: int = 4
     """While as many tracks are followed, no more are begun."""
-    min_nats: float = 2.5
-    """Nats by which a frame and the satellites speak for the other place."""
     inflation: float = 4.0
     """The variance of one frame, which may have ended in a local minimum, is taken this many times larger."""
     min_sigma_m: float = 0.05
@@ -124,7 +122,7 @@ def rivals(
         gain = score - answer.score * in_view_px / max(answer.in_view_px, 1.0)
         gain += phase.nats_against(pose, fixes) - phase.nats_against(there, fixes)
         away_m = np.hypot(*moved_m)
-        if is_occluded or reasons or gain < _CONFIG.min_nats or away_m < _CONFIG.apart_m:
+        if is_occluded or reasons or gain < phase.EVEN_NATS or away_m < _CONFIG.apart_m:
             continue
         floor = np.diag(np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02]) * _CONFIG.min_sigma_m) ** 2
         covariance = _CONFIG.inflation * answer.measurement.covariance + floor

@@ -14,6 +14,8 @@ from semloc_jax.maps.losses import Losses, compare
 from semloc_jax.maps.semantic_map import SemanticMap
 from semloc_jax.structs import ElementClass
 
+_MOST_TOLD = 5
+
 
 @dataclass(frozen=True)
 class Conversion:
@@ -42,8 +44,9 @@ class Converted:
         map: What was written.
         losses: How the written file differs from it.
         left_out: Number of things of each kind in the source that a map of visible elements does not keep.
-        notes: What was done on the way, as text.
         path: The written file.
+        notes: What was done on the way, as text.
+        faulty: What is wrong with each element of the source that was left out, by id.
     """
 
     map: SemanticMap
@@ -51,17 +54,21 @@ class Converted:
     left_out: dict[str, int]
     path: Path
     notes: list[str] = field(default_factory=list)
+    faulty: dict[str, str] = field(default_factory=dict)
 
     @property
     def is_lossless(self) -> bool:
         """Whether nothing was lost."""
-        return self.losses.is_lossless and not self.left_out
+        return self.losses.is_lossless and not self.left_out and not self.faulty
 
     def to_text(self) -> str:
         """The report as text."""
         size_kb = self.path.stat().st_size / 1000
         lines = [*self.notes, f"{self.path}: {len(self.map.elements)} elements, {size_kb:.1f} kB"]
         others = [f"left out when the map was read: {count} {kind}" for kind, count in self.left_out.items()]
+        others += [f"left out: {name[:60]} ({fault})" for name, fault in list(self.faulty.items())[:_MOST_TOLD]]
+        if len(self.faulty) > _MOST_TOLD:
+            others.append(f"left out: {len(self.faulty) - _MOST_TOLD} more elements that cannot be meant")
         return "\n".join([*lines, self.losses.to_text(), *others])
 
 
@@ -75,7 +82,7 @@ def convert(source: Path, target: Path, wanted: Conversion | None = None) -> Con
     if target.exists() and target.samefile(source):
         raise SemlocError(f"{target}: is the map to read; give another file to write")
     notes: list[str] = []
-    semantic_map = read_map(source, wanted.origin)
+    semantic_map = given = read_map(source, wanted.origin)
     if wanted.origin is not None and semantic_map.origin is None:
         semantic_map = _at(semantic_map, wanted.origin, notes)
     kept = _with_heights(_only(semantic_map, wanted.only), wanted.heights, notes)
@@ -83,7 +90,9 @@ def convert(source: Path, target: Path, wanted: Conversion | None = None) -> Con
         write_compact(kept, target, wanted.resolution_m, wanted.resolution_m)
     else:
         write_map(kept, target, wanted.in_degrees)
-    return Converted(kept, compare(kept, read_map(target)), left_out(source), target, notes)
+    losses = compare(kept, read_map(target))
+    # A map that stays in its file has looked at its elements only now.
+    return Converted(kept, losses, left_out(source), target, notes, dict(given.faulty))
 
 
 def _at(semantic_map: SemanticMap, origin: GeoOrigin, notes: list[str]) -> SemanticMap:

@@ -21,18 +21,20 @@ _MAX_RADIUS_M = 60.0
 _MIN_POINTS = 12
 _LEVEL_M = 1.5
 """Half of what a parking deck is at least high."""
-_MIN_SPREAD_M = 0.8
-"""Root of the smaller principal variance below which the points say too little about one slope."""
-_MIN_SIDE_M = 1.0
-"""Points nearer to the middle of the vehicle say little of the slope across it: about the half of its track."""
+_MIN_SPREAD_M = 1.1
+"""Root of the smaller principal variance below which the points say too little about one slope: that of the two lines
+of a narrow lane."""
 _SLOPE_SIGMA = 0.03
 """Prior of a slope (3 %): decides only where the points lie on one line."""
 _NOISE_M = 0.02
 _NUM_ROBUST_STEPS = 6
-_MOST_STRETCH = 2.5
-"""A road goes on ahead: this many radii, before the other side counts. Beyond 10 m floors bend."""
-_WIDER = 2.5
-"""Radius of what is called the whole road, in those of the surface under a vehicle."""
+_ALONG, _ACROSS = 2.5, 0.6
+"""Where the direction of the road is known, a fit reaches along and, at first, across by so many radii: far enough
+along to hold a dash of either side, no farther across than to the lines beside the lane. Beyond 10 m floors bend."""
+_WHOLE_M = 10.0
+"""Radius of what is called the whole road."""
+_BESIDE_M = 1.5
+"""How far beside a vehicle the slope is looked at to see how much the road bends: about half a lane."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +104,9 @@ class GroundModel:
     ) -> RoadPlane:
         """Returns the plane of the road around a place: a robust fit that looks farther until it has enough points.
 
-        A road is crowned: its other side slopes the other way. Where the heading is known, the fit looks farther along
-        the road first, so that in the gap between two dashes it is still that of the side the vehicle is on.
+        A road is crowned: its other side slopes the other way. Where the heading is known, the fit looks along the road
+        and only as far across as it must to see paint on both sides of the vehicle, so that it is the side the vehicle
+        is on, between two dashes, too.
 
         Args:
             center: place in the map frame, `[2]` or more [m].
@@ -147,21 +150,26 @@ class GroundModel:
         """Returns how far the surface under a vehicle at (x, y) with heading `yaw` differs from the road as a whole.
 
         Zero on a plane. On a crowned road the slope across differs by as much as the road bends from side to side,
-        which is what the few lines of a map leave open of the slope between them. Arguments as `road_pose`.
+        which is what the few lines of a map leave open of the slope between them; on the crown itself, where the plane
+        is that of neither side, by half the bend between both. Arguments as `road_pose`.
         """
         center = np.array([x, y])
-        own = self.plane(center, near_z_m=near_z_m, heading_rad=yaw)
-        whole = self.plane(center, min(_WIDER * own.radius_m, _MAX_RADIUS_M), near_z_m)
         forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+        own = self.plane(center, near_z_m=near_z_m, heading_rad=yaw)
+        whole = self.plane(center, _WHOLE_M, near_z_m)
+        beside = [self.plane(center + d * left, near_z_m=near_z_m, heading_rad=yaw) for d in (-_BESIDE_M, _BESIDE_M)]
+        bend = max(abs((side.slope - own.slope) @ left) for side in beside)
         differs = np.abs([whole.height_m - own.height_m, *((whole.slope - own.slope) @ np.stack([left, forward]).T)])
-        return RoadSpread(*map(float, differs))
+        return RoadSpread(float(differs[0]), max(float(differs[1]), 0.5 * float(bend)), float(differs[2]))
 
     def _neighbours(
         self, center: np.ndarray, radius_m: float, near_z_m: float | None, heading_rad: float | None
     ) -> tuple[np.ndarray, float, float]:
         """Returns ground points around a place `[n 3]`, enough for both slopes where possible, the radius, and how many
         times it they reach along the heading."""
-        found, stretch = np.zeros((0, 3)), 1.0
+        found, stretch, along_m = np.zeros((0, 3)), 1.0, _ALONG * radius_m
+        if heading_rad is not None:
+            radius_m, stretch = _ACROSS * radius_m, _ALONG / _ACROSS
         while self._tree is not None:
             found = self.points[self._tree.query_ball_point(center, stretch * radius_m)]
             if near_z_m is not None:
@@ -169,26 +177,16 @@ class GroundModel:
             away = (found[:, :2] - center) @ _scaling(heading_rad, stretch)
             found, away = (rows[np.sum(away**2, axis=1) <= radius_m**2] for rows in (found, away))
             is_enough = len(found) >= _MIN_POINTS and _spread_m(found[:, :2]) >= _MIN_SPREAD_M
-            # Far along, with one side in view only or near the middle, the slope across would be that of a few bumps.
-            is_enough &= stretch == 1.0 or _has_both_sides(found[:, :2] - center, heading_rad)
             if is_enough or radius_m >= _MAX_RADIUS_M:
                 break
-            if heading_rad is not None and stretch < _MOST_STRETCH:
-                stretch = min(1.25 * stretch, _MOST_STRETCH)
-            else:
-                radius_m, stretch = min(1.5 * radius_m, _MAX_RADIUS_M), 1.0
+            radius_m = min(1.25 * radius_m, _MAX_RADIUS_M)
+            stretch = max(along_m / radius_m, 1.0) if heading_rad is not None else 1.0
         if len(found) == 0:
             raise SemlocError(
                 f"no ground of the map within {_MAX_RADIUS_M:.0f} m of ({center[0]:.1f}, {center[1]:.1f}); "
                 "expected paint, curbs or pole feet there: check the start position and the map"
             )
         return found, radius_m, stretch
-
-
-def _has_both_sides(offset: np.ndarray, heading_rad: float | None) -> bool:
-    """Returns whether enough of the offsets `[n 2]` lie well to the left of a heading and to its right."""
-    left_m = offset @ np.array([-np.sin(heading_rad), np.cos(heading_rad)])
-    return bool(min(np.sum(left_m > _MIN_SIDE_M), np.sum(left_m < -_MIN_SIDE_M)) >= _MIN_POINTS // 3)
 
 
 def _scaling(heading_rad: float | None, stretch: float) -> np.ndarray:

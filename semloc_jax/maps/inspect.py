@@ -5,24 +5,23 @@ In: SemanticMap. Out: MapReport, which prints itself as text.
 
 import gzip
 import json
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 import shapely
-from skimage import measure
 
+from semloc_jax.maps.columns import Columns
 from semloc_jax.maps.defects import Defect, find_defects
-from semloc_jax.maps.elements import MapElement
+from semloc_jax.maps.elements import GeoOrigin, MapElement
 from semloc_jax.maps.io.compact import compact_bytes
-from semloc_jax.maps.io.features import feature_class, feature_from_element
+from semloc_jax.maps.io.features import feature_from_element
 from semloc_jax.maps.semantic_map import SemanticMap
 
 _STRETCH, _STRETCHES = 1000, 10
 """Elements of a stretch, and stretches, that stand for a map that has more; ours."""
-_CELL_M, _MOST_CELLS = 2.5, 2.0e7
+_CELL_M, _MOST_CELLS, _STRIP_PX = 2.5, 1.0e7, 256
 _ROAD_REACH_M = 15.0
 """Lines nearer than twice this belong to one road when the length of the road is estimated."""
 
@@ -107,45 +106,50 @@ def inspect_map(semantic_map: SemanticMap) -> MapReport:
     >>> report.num_points, report.classes[0].name
     (6, 'lane_solid')
     """
-    elements = semantic_map.elements
-    groups: dict[str, list[MapElement]] = {}
-    for element in elements:
-        groups.setdefault(feature_class(element), []).append(element)
-    classes = tuple(
-        ClassSummary(name, len(group), sum(element.length_m for element in group)) for name, group in groups.items()
-    )
-    road_length_m = _road_length_m(elements)
-    size, compact_size = _sizes(semantic_map)
+    part: list[MapElement] = []
+    columns = Columns.of(_noting(semantic_map, part))
+    length_m = np.bincount(columns.name, weights=columns.length_m, minlength=len(columns.names))
+    count = np.bincount(columns.name, minlength=len(columns.names))
+    rows = zip(columns.names, count.tolist(), length_m.tolist(), strict=True)
+    road_length_m = _road_length_m(columns)
+    size, compact_size = _sizes(part, len(columns), semantic_map.origin)
     return MapReport(
         name=semantic_map.name,
-        classes=classes,
-        extent_m=np.diff(semantic_map.extent, axis=0)[0] if elements else np.zeros(3),
+        classes=tuple(ClassSummary(*row) for row in rows),
+        extent_m=np.diff(columns.extent, axis=0)[0],
         road_length_m=road_length_m,
         bytes_per_km=size / max(road_length_m, 1.0) * 1000.0,
-        num_points=sum(len(element.points) for element in elements),
-        defects=tuple(find_defects(semantic_map)),
+        num_points=len(columns.points),
+        defects=tuple(find_defects(columns, semantic_map.skipped, semantic_map.faulty)),
         has_origin=semantic_map.origin is not None,
         compact_bytes_per_km=compact_size / max(road_length_m, 1.0) * 1000.0,
         frame=_frame(semantic_map),
-        assumed=Counter(what for element in elements for what in element.attributes.get("assumed", [])),
+        assumed=columns.assumed,
     )
 
 
-def _sizes(semantic_map: SemanticMap) -> tuple[float, float]:
-    """Returns the bytes of a map as gzipped GeoJSON and in the compact form.
+def _noting(semantic_map: SemanticMap, part: list[MapElement]) -> Iterator[MapElement]:
+    """Yields the elements of a map one by one and notes those that stand for the size of all.
 
-    Of a large map some stretches of its list are packed and stand for all of it: what lies together there lies together
-    on the road, so they are packed about as well as the whole.
+    Of a large map these are some stretches of its list: what lies together there lies together on the road, so they are
+    packed about as well as the whole.
     """
-    elements = semantic_map.elements
-    starts = np.linspace(0, max(len(elements) - _STRETCH, 0), _STRETCHES).astype(int)
-    part = (
-        elements if len(elements) <= _STRETCH * _STRETCHES else [e for s in starts for e in elements[s : s + _STRETCH]]
-    )
+    num = semantic_map.num_elements
+    starts = np.linspace(0, max(num - _STRETCH, 0), _STRETCHES).astype(int)
+    is_small = num <= _STRETCH * _STRETCHES
+    for row, element in enumerate(semantic_map.walk()):
+        start = starts[max(np.searchsorted(starts, row, "right") - 1, 0)] if not is_small else 0
+        if is_small or row - start < _STRETCH:
+            part.append(element)
+        yield element
+
+
+def _sizes(part: Sequence[MapElement], num_elements: int, origin: GeoOrigin | None) -> tuple[float, float]:
+    """Returns the bytes of a map as gzipped GeoJSON and in the compact form, from elements that stand for all."""
     text = json.dumps([feature_from_element(element, lambda points: points.round(3)) for element in part]).encode()
-    share = len(part) / max(len(elements), 1)
-    packed = compact_bytes(SemanticMap(tuple(part), semantic_map.origin))
-    return len(gzip.compress(text)) / max(share, 1e-9), len(packed) / max(share, 1e-9)
+    times = num_elements / max(len(part), 1)
+    packed = compact_bytes(SemanticMap(tuple(part), origin))
+    return len(gzip.compress(text)) * times, len(packed) * times
 
 
 def _frame(semantic_map: SemanticMap) -> str:
@@ -157,28 +161,49 @@ def _frame(semantic_map: SemanticMap) -> str:
     return f"{name} about {origin.lat_deg:.6f}, {origin.lon_deg:.6f}, {origin.alt_m:.1f} m (WGS84)"
 
 
-def road_length_on_grid_m(elements: Sequence[MapElement]) -> float:
+def road_length_on_grid_m(columns: Columns) -> float:
     """Returns the same estimate from a picture of the map, whose cost grows with the area and not with the elements."""
-    lines = [e.points[:, :2] for e in elements]
-    low = np.min([line.min(axis=0) for line in lines], axis=0) - 2.0 * _ROAD_REACH_M
-    high = np.max([line.max(axis=0) for line in lines], axis=0) + 2.0 * _ROAD_REACH_M
+    low = columns.extent[0, :2] - 2.0 * _ROAD_REACH_M
+    high = columns.extent[1, :2] + 2.0 * _ROAD_REACH_M
     cell_m = max(_CELL_M, float(np.sqrt(np.prod(high - low) / _MOST_CELLS)))
     width, height = (np.ceil((high - low) / cell_m).astype(int) + 1).tolist()
     free = np.ones((height, width), dtype=np.uint8)
-    cv2.polylines(free, [np.rint((line - low) / cell_m).astype(np.int32) for line in lines], False, 0)
-    around = cv2.distanceTransform(free, cv2.DIST_L2, 5) < _ROAD_REACH_M / cell_m
-    parts = cv2.connectedComponents(around.astype(np.uint8))[0] - 1
-    outline_m = cell_m * float(measure.perimeter_crofton(around, directions=4))
-    return max(0.5 * outline_m - parts * np.pi * _ROAD_REACH_M, 0.0)
+    pixels = np.rint((columns.points[:, :2] - low) / cell_m).astype(np.int32)
+    cv2.polylines(free, np.split(pixels, columns.start[1:-1]), False, 0)
+    around = (cv2.distanceTransform(free, cv2.DIST_L2, 5) < _ROAD_REACH_M / cell_m).astype(np.uint8)
+    parts = cv2.connectedComponents(around)[0] - 1
+    return max(0.5 * cell_m * _outline_px(around) - parts * np.pi * _ROAD_REACH_M, 0.0)
 
 
-def _road_length_m(elements: tuple[MapElement, ...]) -> float:
+def _outline_px(picture: np.ndarray) -> float:
+    """Returns the length of the outlines in a picture of 0 and 1 `[h w]`, after Crofton in four directions, in pixels.
+
+    Strip by strip: a picture of the map has some million pixels, and skimage needs nine times as many bytes.
+    """
+    padded = np.pad(picture, 1)
+    crossings = np.zeros(4)
+    for top in range(0, len(padded), _STRIP_PX):
+        strip = padded[top : top + _STRIP_PX + 1]
+        steps = (
+            strip[:-1, 1:] != strip[:-1, :-1],
+            strip[1:, :-1] != strip[:-1, :-1],
+            strip[1:, 1:] != strip[:-1, :-1],
+            strip[1:, :-1] != strip[:-1, 1:],
+        )
+        crossings += [np.count_nonzero(step) for step in steps]
+    return float(np.pi / 8.0 * (crossings[0] + crossings[1] + (crossings[2] + crossings[3]) / np.sqrt(2.0)))
+
+
+def _road_length_m(columns: Columns) -> float:
     """Returns the length of the roads, estimated as half of the outline of everything within 15 m of an element."""
-    if not elements:
+    if not len(columns):
         return 0.0
-    if len(elements) > _STRETCH * _STRETCHES:
-        return road_length_on_grid_m(elements)
-    lines = [shapely.LineString(e.points[:, :2]) if len(e.points) > 1 else shapely.Point(e.points[0]) for e in elements]
+    if len(columns) > _STRETCH * _STRETCHES:
+        return road_length_on_grid_m(columns)
+    lines = [
+        shapely.LineString(xy) if len(xy) > 1 else shapely.Point(xy[0])
+        for xy in np.split(columns.points[:, :2], columns.start[1:-1])
+    ]
     around = shapely.unary_union(shapely.buffer(np.array(lines, dtype=object), _ROAD_REACH_M, quad_segs=4))
     parts = len(shapely.get_parts(around))
     return max(0.5 * around.length - parts * np.pi * _ROAD_REACH_M, 0.0)

@@ -4,7 +4,7 @@ In: map elements. Out: SemanticMap, which answers `query` with a LocalMap and kn
 """
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -96,6 +96,10 @@ class SemanticMap:
     def labels(self) -> frozenset[ElementClass]:
         """The classes that the map holds."""
         return frozenset(element.label for element in self.elements)
+
+    def walk(self) -> Iterator[MapElement]:
+        """Yields every element in its order; a map that stays in its file does not keep them."""
+        return iter(self.elements)
 
     @property
     def is_visible(self) -> bool:

@@ -16,6 +16,8 @@ from semloc_jax.structs import ElementClass
 
 _LONGEST_STEP_M = 20_000.0
 """From one vertex of a line to the next; longer than any straight road; ours."""
+_LONGEST_LINE_M = 200_000.0
+"""Of one line; longer than any road without a crossing; ours."""
 _WHOLE = UPRIGHT_CLASSES | {
     *(ElementClass.CROSSWALK, ElementClass.SIGN, ElementClass.ROAD_MARK, ElementClass.PARKING_SLOT),
     *(ElementClass.PILLAR, ElementClass.SPEED_BUMP),
@@ -36,6 +38,8 @@ def fault_of(element: MapElement) -> str | None:
         step_m = float(np.abs(np.diff(points, axis=0)).max())
         if step_m > _LONGEST_STEP_M:
             return f"{element.label.name} jumps {step_m / 1e3:.4g} km from one vertex to the next"
+        if len(points) * step_m > _LONGEST_LINE_M and element.length_m > _LONGEST_LINE_M:
+            return f"{element.label.name} of {len(points)} points is {element.length_m / 1e3:.4g} km long"
     return None
 
 

@@ -52,10 +52,25 @@ def border_distances(
             binary = cv2.LUT(padded, inside)
             if not cv2.countNonZero(binary):
                 continue
-            distance = coarse_signed_distance(binary, stride, blur_px)
-            rows, columns = -(-mask.shape[0] // stride), -(-mask.shape[1] // stride)
-            fields[camera, index, :rows, :columns] = np.clip(distance[:rows, :columns], -reach_px, reach_px)
+            box = _within_reach(binary, reach_px)
+            distance = coarse_signed_distance(np.ascontiguousarray(binary[box]), stride, blur_px)
+            top, left = (side.start // stride for side in box)
+            rows, columns = -(-mask.shape[0] // stride) - top, -(-mask.shape[1] // stride) - left
+            near = np.clip(distance[:rows, :columns], -reach_px, reach_px)
+            fields[camera, index, top : top + len(near), left : left + near.shape[1]] = near
     return BorderDistances(fields, stride, reach_px)
+
+
+def _within_reach(binary: np.ndarray, reach_px: float) -> tuple[slice, slice]:
+    """The part of a layer, at multiples of BLOCK_PX, outside of which every pixel is farther from it than the reach."""
+    x, y, width, height = cv2.boundingRect(binary)
+    # Two pixels more: the smoothing moves a border by a share of one.
+    beyond = reach_px + 2.0
+    rows, columns = (
+        slice(max(int((first - beyond) // BLOCK_PX), 0) * BLOCK_PX, -int(-(last + beyond) // BLOCK_PX) * BLOCK_PX)
+        for first, last in ((y, y + height), (x, x + width))
+    )
+    return slice(rows.start, min(rows.stop, binary.shape[0])), slice(columns.start, min(columns.stop, binary.shape[1]))
 
 
 def pixel_unit(shapes: Sequence[tuple[int, ...]]) -> float:

@@ -22,7 +22,10 @@ from semloc_jax.storage import writing
 FILE = "frames.csv"
 PROTECTION = ("protection_lateral_m", "protection_longitudinal_m", "protection_heading_deg")
 QUALITY = ("cost", "coverage", "inlier_ratio", "chi2")
-SENSORS = ("odometer_scale", "gyro_bias_degps", "gnss_offset_east_m", "gnss_offset_north_m", "clock_offset_ms")
+SENSORS = (
+    *("odometer_scale", "gyro_bias_degps", "travel_deg", "gnss_offset_east_m", "gnss_offset_north_m"),
+    "clock_offset_ms",
+)
 STAGES = ("predict", "align", "fuse", "acquire")
 NEES = "nees"
 COLUMNS = (
@@ -167,7 +170,8 @@ def _line(frame: Frame, result: TrackResult, T_truth: np.ndarray | None) -> dict
     line |= {key: f"{value:.9f}" for key, value in zip(POSE, [*T[:3, 3], *quaternion], strict=True)}
     line |= _numbers(SIGMAS, [sigma[1], sigma[0], np.degrees(sigma[5])]) | _numbers(PROTECTION, result.protection)
     offset = fused.gnss_offset_m
-    sensors = [fused.odometer_scale, np.degrees(fused.gyro_bias_radps), *offset, 1e3 * result.clock_offset_s]
+    angles = np.degrees([fused.gyro_bias_radps, fused.travel_rad])
+    sensors = [fused.odometer_scale, *angles, *offset, 1e3 * result.clock_offset_s]
     line |= _numbers(SENSORS, sensors)
     if T_truth is not None:
         errors = pose_errors(T, T_truth)

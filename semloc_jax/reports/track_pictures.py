@@ -16,7 +16,7 @@ from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.maps import SemanticMap
 from semloc_jax.reports.track_log import PROTECTION, SIGMAS, TrackTable
-from semloc_jax.storage import output_path
+from semloc_jax.storage import output_path, writing
 from semloc_jax.viz.integrity import IntegrityErrors, stanford_diagram
 from semloc_jax.viz.overlay import dim
 from semloc_jax.viz.tracking import status_banner, tracking_over_time
@@ -102,22 +102,25 @@ class Overlay:
 
 
 def write_video(path: Path, overlay: Overlay, frames: list[Frame], rate_hz: float) -> Path:
-    """Write all frames as a film.
+    """Write all frames as a film, which takes its place when it is whole.
 
     Raises:
-        SemlocError: this OpenCV cannot write films.
+        SemlocError: no frame, or this OpenCV cannot write films.
     """
-    writer = None
-    for frame in frames:
-        picture = overlay.picture(frame)
-        if writer is None:
-            size = picture.shape[1], picture.shape[0]
-            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), rate_hz, size)
+    if not frames:
+        raise SemlocError(f"video {path}: no frame to show; leave out --video")
+    first = overlay.picture(frames[0])
+    size_px = first.shape[1], first.shape[0]
+    with writing(path) as partial:
+        writer = cv2.VideoWriter(str(partial), cv2.VideoWriter_fourcc(*"mp4v"), rate_hz, size_px)
+        try:
             if not writer.isOpened():
                 raise SemlocError(f"video {path}: OpenCV cannot write mp4 here; leave out --video")
-        writer.write(picture[..., ::-1])
-    if writer is not None:
-        writer.release()
+            writer.write(first[..., ::-1])
+            for frame in frames[1:]:
+                writer.write(overlay.picture(frame)[..., ::-1])
+        finally:
+            writer.release()
     return path
 
 

@@ -39,19 +39,19 @@ def between_residual(
 def odometry_residual(
     T_map_from: Float[Array, "4 4"],
     T_map_to: Float[Array, "4 4"],
-    calibration_change: Float[Array, "2"],
+    calibration_change: Float[Array, " c"],
     T_from_to: Float[Array, "4 4"],
-    jacobian: Float[Array, "6 2"],
+    jacobian: Float[Array, "6 c"],
     sqrt_info: Float[Array, "k 6"],
 ) -> Float[Array, " k"]:
-    """`between_residual` of odometry whose scale and gyroscope bias are unknowns too.
+    """`between_residual` of odometry whose calibration (scale, gyroscope bias, ...) is unknown too.
 
     Args:
         T_map_from: Pose at the start.
         T_map_to: Pose at the end.
-        calibration_change: Odometer scale and gyroscope bias [rad/s] less those that the odometry was made with.
+        calibration_change: The calibration less the one that the odometry was made with.
         T_from_to: Motion that the odometry says.
-        jacobian: Its right tangent by scale and bias.
+        jacobian: Derivative of its right tangent by the calibration.
         sqrt_info: One row for each independent observation.
     """
     corrected = lie.compose(T_from_to, lie.exp(_mul(jacobian, calibration_change)))
@@ -100,11 +100,11 @@ def between_linearised(
 def odometry_linearised(
     T_map_from: Float[Array, "4 4"],
     T_map_to: Float[Array, "4 4"],
-    calibration_change: Float[Array, "2"],
+    calibration_change: Float[Array, " c"],
     T_from_to: Float[Array, "4 4"],
-    jacobian: Float[Array, "6 2"],
+    jacobian: Float[Array, "6 c"],
     sqrt_info: Float[Array, "k 6"],
-) -> tuple[Float[Array, " k"], Float[Array, "k 6"], Float[Array, "k 6"], Float[Array, "k 2"]]:
+) -> tuple[Float[Array, " k"], Float[Array, "k 6"], Float[Array, "k 6"], Float[Array, "k c"]]:
     """`odometry_residual` and its derivatives by the right tangents of both poses and by the calibration.
 
     The last one holds to first order in jacobian x calibration_change, as the correction itself does.

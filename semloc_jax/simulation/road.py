@@ -10,6 +10,7 @@ import numpy as np
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.maps import MapElement
 from semloc_jax.simulation import elements as make
+from semloc_jax.simulation.crown import CrownedSurface
 from semloc_jax.simulation.elements import Painter
 from semloc_jax.simulation.paint import GroundArea, PaintedGround, painted_shape, wear_pattern
 from semloc_jax.simulation.path import winding_path
@@ -25,15 +26,20 @@ _JUNCTION_M = 14.0
 _CAR_COLORS = ((0.85, 0.85, 0.85), (0.15, 0.12, 0.1), (0.45, 0.2, 0.12), (0.12, 0.12, 0.5), (0.5, 0.5, 0.48))
 
 
-def build_road(rng: np.random.Generator, length_m: float, speed_mps: float, wear_share: float) -> Scene:
+def build_road(
+    rng: np.random.Generator, length_m: float, speed_mps: float, wear_share: float, crown: float = 0.0
+) -> Scene:
     """A road whose right lane the vehicle drives from s = 0 to s = `length_m`.
 
     Lateral offsets d are from the middle of that lane: its lines at -1.75 and 1.75, a second lane to 5.25 (double
-    centre line), two oncoming lanes to 12.25.
+    centre line), two oncoming lanes to 12.25. With a `crown` the road falls by that share to both sides of its middle.
     """
     start, end = -_BEHIND_M, length_m + _AHEAD_M
     path = winding_path(rng, start - 60.0, end + 60.0, start_heading_rad=rng.uniform(-np.pi, np.pi))
-    painter = Painter(path, rolling_surface(rng))
+    surface = rolling_surface(rng)
+    if crown:
+        surface = CrownedSurface.along(surface, path, 1.5 * LANE_M, crown, 2.0 * LANE_M + 0.5)
+    painter = Painter(path, surface)
     junctions = np.arange(rng.uniform(22.0, 40.0), end - 20.0, rng.uniform(75.0, 95.0)).tolist()
 
     elements = _lane_lines(painter, start, end, junctions)

@@ -19,6 +19,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory, write_tum
 from semloc_jax.maps import GeoOrigin, SemanticMap, write_drive_geojson
 from semloc_jax.simulation.cameras import front_rig, surround_rig
+from semloc_jax.simulation.country import build_country_road
 from semloc_jax.simulation.degrade import Degradation, degrade
 from semloc_jax.simulation.garage import build_garage
 from semloc_jax.simulation.map_errors import MapErrors, with_errors
@@ -42,12 +43,14 @@ class SimulationConfig:
 
     Args:
         num_frames: frames to render.
-        rate_hz: frames per second; 0 takes 10 (road) or 5 (garage).
-        speed_mps: mean speed; 0 takes 11 (road) or 2.2 (garage).
-        width_px: image width; 0 takes 960 (road) or 640 (garage).
-        height_px: image height; 0 takes 600 (road) or 480 (garage).
+        rate_hz: frames per second; 0 takes 10 (road, country) or 5 (garage).
+        speed_mps: mean speed; 0 takes 11 (road), 14 (country) or 2.2 (garage).
+        width_px: image width; 0 takes 960 (road, country) or 640 (garage).
+        height_px: image height; 0 takes 600 (road, country) or 480 (garage).
         variants: lightings, in equal parts of the drive; empty takes noon (road) or garage.
         wear_share: share of the paint that is worn off (labelled as the ground below it).
+        crown: share by which a road falls to both sides of its crown; 0 takes 0 (road) or 0.02 (country). A crowned
+            road leans into its bends, too.
         has_images: whether colour images are written too.
         sensors: errors of the sensors.
         map_errors: faults of map_with_errors.geojson.
@@ -61,6 +64,7 @@ class SimulationConfig:
     height_px: int = 0
     variants: tuple[str, ...] = ()
     wear_share: float = 0.05
+    crown: float = 0.0
     has_images: bool = True
     sensors: SensorErrors = field(default_factory=SensorErrors)
     map_errors: MapErrors = field(default_factory=MapErrors)
@@ -69,8 +73,18 @@ class SimulationConfig:
 
 _DEFAULTS = {
     "road": {"rate_hz": 10.0, "speed_mps": 11.0, "width_px": 960, "height_px": 600, "variants": ("noon",)},
+    "country": {
+        "rate_hz": 10.0,
+        "speed_mps": 14.0,
+        "width_px": 960,
+        "height_px": 600,
+        "variants": ("noon",),
+        "crown": 0.02,
+    },
     "garage": {"rate_hz": 5.0, "speed_mps": 2.2, "width_px": 640, "height_px": 480, "variants": ("garage",)},
 }
+_STREAM = {"garage": 0, "road": 1, "country": 3}
+"""Of random numbers, by kind; 2 is that of drives on maps."""
 
 
 def simulate(
@@ -79,7 +93,7 @@ def simulate(
     """Render a seeded drive into the folder `out` and open it.
 
     Args:
-        kind: `road` (one front camera) or `garage` (four fisheyes).
+        kind: `road` or `country` (one front camera), or `garage` (four fisheyes).
         seed: everything random follows from it.
         out: folder, made if absent.
         config: size and errors of the drive.
@@ -93,16 +107,18 @@ def simulate(
     1
     """
     config = checked(kind, config or SimulationConfig())
-    rng = np.random.default_rng([seed, sorted(_DEFAULTS).index(kind)])
+    rng = np.random.default_rng([seed, _STREAM[kind]])
     length_m = config.speed_mps * ((config.num_frames - 1) / config.rate_hz + _LEAD_OUT_S)
     if kind == "road":
-        scene = build_road(rng, length_m, config.speed_mps, config.wear_share)
+        scene = build_road(rng, length_m, config.speed_mps, config.wear_share, config.crown)
+    elif kind == "country":
+        scene = build_country_road(rng, length_m, config.wear_share, config.crown)
     else:
         scene = build_garage(rng, length_m, config.wear_share)
-    sway_m = 0.15 if kind == "road" else 0.0
+    sway_m = 0.0 if kind == "garage" else 0.15
     motion = VehicleMotion(scene.path, scene.surface, config.speed_mps, sway_m, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
     if rig is None:
-        rig = (front_rig if kind == "road" else surround_rig)(config.width_px, config.height_px)
+        rig = (surround_rig if kind == "garage" else front_rig)(config.width_px, config.height_px)
     staging = Staging(kind, seed, scene, motion, _ORIGIN, f"{kind} seed {seed}")
     return write_drive(Path(out), staging, rig, config, rng)
 
@@ -168,6 +184,8 @@ def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
     for name in ("rate_hz", "speed_mps", "width_px", "height_px"):
         if not getattr(config, name) > 0:
             raise SemlocError(f"{name} = {getattr(config, name)}; expected a positive number")
+    if not 0.0 <= config.crown <= 0.1:
+        raise SemlocError(f"crown = {config.crown:g}; expected the fall of a road, 0 to 0.1: 0.02 is usual")
     unknown = [name for name in config.variants if name not in LIGHTINGS]
     if unknown:
         raise SemlocError(f"unknown variant '{unknown[0]}'; expected some of {', '.join(LIGHTINGS)}")

@@ -8,7 +8,7 @@ from semloc_jax.storage.claims import claim, release_claims
 from semloc_jax.storage.limits import decompressed, json_document, npy_array, npz_arrays, reading, require_room
 from semloc_jax.storage.output import file_name, is_plain_name, output_path
 from semloc_jax.storage.sealed import others_can_write, private_folder, read_sealed, write_sealed
-from semloc_jax.storage.writing import append_line, whole_lines, write_bytes, write_text, writing
+from semloc_jax.storage.writing import append_line, making, whole_lines, write_bytes, write_text, writing
 
 __all__ = [
     "append_line",
@@ -17,6 +17,7 @@ __all__ = [
     "file_name",
     "is_plain_name",
     "json_document",
+    "making",
     "npy_array",
     "npz_arrays",
     "others_can_write",

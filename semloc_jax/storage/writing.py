@@ -5,6 +5,7 @@ In: content. Out: the file, renamed into place when it is whole; or lines, each 
 
 import contextlib
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +29,21 @@ def writing(path: str | Path) -> Iterator[Path]:
         os.replace(partial, target)
     finally:
         partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def making(path: str | Path) -> Iterator[Path]:
+    """A path that is free, of the same name, in a hidden folder beside `path`; what was made there moves to `path`.
+
+    For what writes a folder, insists on a new file or notes its own name in it. `path` must be free.
+    """
+    path = Path(path)
+    hidden = Path(tempfile.mkdtemp(prefix=f".{path.stem[:60]}-", dir=path.parent))
+    try:
+        yield hidden / path.name
+        os.rename(hidden / path.name, path)
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:

@@ -5,12 +5,13 @@ In: a map, poses over time with status, images. Out: an .rrd file. Needs the ext
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from semloc_jax.errors import SemlocError, install_command
 from semloc_jax.maps import SemanticMap
+from semloc_jax.storage import writing
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz.style import COLOURS, class_name, rgb
 
@@ -29,7 +30,7 @@ class Moment(NamedTuple):
 
 
 def write_recording(path: Path, semantic_map: SemanticMap, moments: Iterable[Moment]) -> Path:
-    """Write map, trajectory, images and numbers to an .rrd file and return its path.
+    """Write map, trajectory, images and numbers to an .rrd file, which takes its place when it is whole.
 
     Raises:
         SemlocError: rerun-sdk is not installed, or the file cannot be written.
@@ -42,8 +43,20 @@ def write_recording(path: Path, semantic_map: SemanticMap, moments: Iterable[Mom
         ) from error
     if not path.parent.is_dir():
         raise SemlocError(f"recording {path}: no folder {path.parent}; give --rrd a path in a folder that exists")
-    recording = rr.RecordingStream("semloc_jax")
-    recording.save(path)
+    with writing(path) as partial:
+        recording = rr.RecordingStream("semloc_jax")
+        recording.save(partial)
+        try:
+            _log(recording, semantic_map, moments)
+            recording.flush()
+        finally:
+            recording.disconnect()
+    return path
+
+
+def _log(recording: Any, semantic_map: SemanticMap, moments: Iterable[Moment]) -> None:
+    import rerun as rr
+
     for label in ElementClass:
         lines = [_line(element) for element in semantic_map.elements if element.label == label]
         if lines:
@@ -64,8 +77,6 @@ def write_recording(path: Path, semantic_map: SemanticMap, moments: Iterable[Mom
                 recording.log(f"numbers/{name}", rr.Scalars(value))
         if moment.image is not None:
             recording.log("camera", rr.Image(moment.image).compress(jpeg_quality=75))
-    recording.flush()
-    return path
 
 
 def _line(element) -> np.ndarray:

@@ -1,6 +1,7 @@
 """`semloc convert`: every format into every other, and what is lost on the way."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -43,6 +44,18 @@ def test_an_exact_way_is_called_exact_and_a_lossy_one_is_not(small_map, tmp_path
     assert main(["convert", str(small_map), str(tmp_path / "m.smap"), "--strict"]) == LOST
     said = capsys.readouterr().out
     assert "ids are not kept" in said and "changed: attributes of 3" in said and "points are exact" in said
+
+
+def test_an_element_that_cannot_be_meant_is_named_and_is_a_loss(small_map, tmp_path, capsys):
+    content = json.loads(small_map.read_text())
+    line = next(item for item in content["features"] if item["geometry"]["type"] == "LineString")
+    far = json.loads(json.dumps(line))
+    far["id"], far["properties"]["id"], far["geometry"]["coordinates"][1][0] = "far", "far", 4.0e6
+    content["features"].append(far)
+    (tmp_path / "far.geojson").write_text(json.dumps(content))
+    assert main(["convert", str(tmp_path / "far.geojson"), str(tmp_path / "m.gpkg")]) == OK
+    assert "left out: far (" in capsys.readouterr().out
+    assert main(["convert", str(tmp_path / "far.geojson"), str(tmp_path / "m.gpkg"), "--strict"]) == LOST
 
 
 def test_what_the_rounding_of_degrees_moves_is_no_loss(small_map, tmp_path, capsys):

@@ -61,9 +61,9 @@ FACTORS = {
     "motion": Factors(
         motion.between_residual, ("pose", "pose"), PAIR, (near()[None],), info(6), linearised=motion.between_linearised
     ),
-    "odometry": odometry(ZERO, ONE, near()[None], RNG.normal(size=(1, 6, 2)), np.array([[1.0, 0.0]]), info(6)),
+    "odometry": odometry(ZERO, ONE, near()[None], RNG.normal(size=(1, 6, 3)), np.array([[1.0, 0.0, 0.0]]), info(6)),
     "satellite fix": fixes(RNG.normal(size=(2, 2)), RNG.normal(size=(2, 3)), RNG.normal(size=(2, 2)), 1e6),
-    "prior": prior(near(), np.array([1.0, 0.0, 0.5, -0.5]), RNG.normal(size=(10, 10))),
+    "prior": prior(near(), np.array([1.0, 0.0, 0.0, 0.5, -0.5]), RNG.normal(size=(11, 11))),
     "road": Factors(
         road_contact.road_residual,
         ("pose", "stance"),
@@ -82,7 +82,7 @@ FACTORS = {
 }
 VALUES = {
     "pose": jnp.asarray(np.stack([near(), near()])),
-    "odometer": jnp.array([[1.0, 0.0]]),
+    "odometer": jnp.array([[1.0, 0.0, 0.0]]),
     "gnss": jnp.array([[0.3, -0.2]]),
     "stance": jnp.array([[0.05, 0.01, -0.02]]),
     "velocity": jnp.asarray(RNG.normal(size=(2, 3))),

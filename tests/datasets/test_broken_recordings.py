@@ -8,7 +8,7 @@ import pytest
 from semloc_jax.datasets import open_drive, overlap_report, write_bag
 from semloc_jax.datasets.nmea import read_nmea
 from semloc_jax.maps import read_map
-from tests.datasets.test_recordings import nmea_lines, write_euroc, write_kitti, write_nuscenes, write_rig, write_video
+from tests.datasets.layouts import nmea_lines, write_euroc, write_kitti, write_nuscenes, write_rig, write_video
 from tests.maps.io.mutations import COUNTS, break_often
 
 

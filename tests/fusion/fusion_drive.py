@@ -17,11 +17,17 @@ def true_twist(k):
     return STEP_S * np.array([10.0 + np.sin(0.2 * k), 0.0, 0.0, 0.01, -0.01, 0.2 * np.sin(0.1 * k)])
 
 
-def true_poses(num, start=START):
+def true_poses(num, start=START, travel=0.0):
+    """Poses of a vehicle that moves in the direction `travel` [rad] against its x axis."""
     poses = [start]
     for k in range(num):
-        poses.append(poses[-1] @ rigid.exp(true_twist(k)))
+        poses.append(poses[-1] @ rigid.exp(along(travel) * true_twist(k)[0] + true_twist(k) * [0, 1, 1, 1, 1, 1]))
     return poses
+
+
+def along(travel):
+    """Tangent of one metre of motion in a direction."""
+    return np.array([np.cos(travel), np.sin(travel), 0.0, 0.0, 0.0, 0.0])
 
 
 def increment(k, rng=None, calibration=None, scale=1.0, bias=0.0, twist=None):
@@ -29,10 +35,12 @@ def increment(k, rng=None, calibration=None, scale=1.0, bias=0.0, twist=None):
     calibration = calibration or Calibration()
     twist = (true_twist(k) if twist is None else twist).copy()
     driven = twist[0] / scale
-    twist[0] = driven * calibration.odometer_scale
+    ahead, across = along(calibration.travel_rad), along(calibration.travel_rad + np.pi / 2)
+    twist = twist * [0, 1, 1, 1, 1, 1] + driven * calibration.odometer_scale * ahead
     twist[5] += STEP_S * (bias - calibration.gyro_bias_radps)
     chart = rigid.right_jacobian(twist)
-    jacobian = np.column_stack([chart[:, 0] * driven, -chart[:, 5] * STEP_S])
+    columns = chart @ ahead * driven, -chart[:, 5] * STEP_S, chart @ across * driven * calibration.odometer_scale
+    jacobian = np.column_stack(columns)
     noise = rng.normal(size=6) * MOTION_SIGMA if rng is not None else np.zeros(6)
     T = rigid.exp(twist) @ rigid.exp(-noise)
     return MotionIncrement(
@@ -42,7 +50,7 @@ def increment(k, rng=None, calibration=None, scale=1.0, bias=0.0, twist=None):
 
 def missing(k):
     covariance = np.diag(np.array([1.5, 0.2, 0.2, 0.002, 0.002, 0.03]) ** 2)
-    jacobian = np.zeros((6, 2))
+    jacobian = np.zeros((6, 3))
     return MotionIncrement(np.eye(4), covariance, k * STEP_S, (k + 1) * STEP_S, jacobian, MotionQuality.MISSING)
 
 

@@ -28,8 +28,8 @@ EXACT = SolveConfig(tolerance=1e-7, max_steps=30)
 NO_KERNEL = 1e6
 POSE_SIGMA = np.array([0.10, 0.05, 0.05, 0.01, 0.01, 0.005])
 EDGE_SIGMA = np.array([0.02, 0.01, 0.01, 0.002, 0.002, 0.001])
-NOMINAL = np.array([1.0, 0.0, 0.0, 0.0])
-UNKNOWNS = 6 * NUM + 4
+NOMINAL = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+UNKNOWNS = 6 * NUM + 5
 
 
 def true_poses():
@@ -50,15 +50,15 @@ def make(seed=0, loop=None, calibrated=False, num_used=NUM, edges_robust=False):
     if loop is not None:
         edges[-1] = edges[-1] @ loop
     measured = np.array([T @ rigid.exp(rng.normal(size=6) * POSE_SIGMA) for T in poses])
-    jacobian = np.zeros((NUM, 6, 2))
+    jacobian = np.zeros((NUM, 6, 3))
     if calibrated:
-        jacobian[:-1, 0, 0], jacobian[:-1, 5, 1] = 2.0, -0.2
+        jacobian[:-1, 0, 0], jacobian[:-1, 5, 1], jacobian[:-1, 1, 2] = 2.0, -0.2, 2.0
     p_fix = np.array([T[:2, 3] for T in poses]) + [2.0, -1.0] + 0.3 * rng.normal(size=(NUM, 2))
     T_prior = poses[0] @ rigid.exp(rng.normal(size=6) * POSE_SIGMA)
     used, edge_used = np.arange(NUM) < num_used, end < num_used
-    prior_sqrt_info = np.diag([*np.zeros(6), 50.0, 300.0, 0.3, 0.3]) + 0.1 * np.eye(10, k=2) * calibrated
+    prior_sqrt_info = np.diag([*np.zeros(6), 50.0, 300.0, 200.0, 0.3, 0.3]) + 0.1 * np.eye(11, k=2) * calibrated
     edge_info = np.diag(1 / EDGE_SIGMA) * edge_used[:, None, None]
-    moved = odometry(start, end, np.array(edges), jacobian, np.tile([1.0, 0.0], (NUM, 1)), edge_info)
+    moved = odometry(start, end, np.array(edges), jacobian, np.tile([1.0, 0.0, 0.0], (NUM, 1)), edge_info)
     factors = (
         measured_poses(measured, np.diag(1 / POSE_SIGMA) * used[:, None, None], NO_KERNEL),
         replace(moved, robust=cauchy(3.0)) if edges_robust else moved,
@@ -69,7 +69,7 @@ def make(seed=0, loop=None, calibrated=False, num_used=NUM, edges_robust=False):
 
 
 def moved(x, graph, values):
-    steps = {"pose": x[:-4].reshape(-1, 6), "odometer": x[None, -4:-2], "gnss": x[None, -2:]}
+    steps = {"pose": x[:-5].reshape(-1, 6), "odometer": x[None, -5:-2], "gnss": x[None, -2:]}
     return graph.retract(values, steps)
 
 
@@ -163,7 +163,7 @@ def test_a_chain_solved_as_an_arrow_is_the_dense_solution():
     for name in values:
         np.testing.assert_allclose(arrow.value[name], dense.value[name], atol=1e-8)
     covariance = np.asarray(dense.equations.covariance())
-    wanted = np.r_[12:18, 30:34]
+    wanted = np.r_[12:18, 30:35]
     np.testing.assert_allclose(arrow.equations.covariance(2), covariance[np.ix_(wanted, wanted)], atol=1e-10)
 
 

@@ -97,15 +97,15 @@ def test_left_and_right_wheels_are_speed_and_yaw_rate():
 
 
 @pytest.mark.parametrize("backwards", [False, True])
-def test_derivative_by_scale_and_bias_is_that_of_finite_differences(backwards):
-    log, at, step = filled(scale=1.02, bias=0.004), Calibration(1.01, 0.002), 1e-5
+def test_derivative_by_the_calibration_is_that_of_finite_differences(backwards):
+    log, at, step = filled(scale=1.02, bias=0.004), Calibration(1.01, 0.002, 0.03), 1e-5
     from_s, to_s = (3.0, 1.0) if backwards else (1.0, 3.0)
     increment = log.increment(from_s, to_s, at)
-    for k in range(2):
-        d = step * np.eye(2)[k]
+    for k in range(3):
+        d = step * np.eye(3)[k]
         plus, minus = (log.increment(from_s, to_s, Calibration(*(at + sign * d))).T_from_to for sign in (1.0, -1.0))
         assert np.allclose(rigid.log(rigid.inverse(minus) @ plus) / (2 * step), increment.jacobian[:, k], atol=1e-5)
-    true = Calibration(1.02, 0.004)
+    true = Calibration(1.02, 0.004, 0.032)
     assert np.allclose(increment.corrected(true), log.increment(from_s, to_s, true).T_from_to, atol=2e-3)
 
 

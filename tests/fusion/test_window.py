@@ -142,6 +142,20 @@ def test_sensors_and_offset_of_the_fixes_are_learned_and_carry_the_pose():
     assert not innovation.accepted and same is state
 
 
+def test_a_body_that_travels_askew_is_no_heading_error():
+    """0.5 deg between base x and the way: poses of 0.06 deg are kept, not turned into the way; the state is found."""
+    travel, fusion = np.deg2rad(0.5), SlidingWindow(WindowConfig(6))
+    rng, poses = np.random.default_rng(4), drive.true_poses(120, travel=travel)
+    state, off_deg = fusion.start(drive.measured(0, poses[0], rng)), []
+    for k in range(120):
+        state = fusion.predict(state, drive.increment(k, rng, fusion.pose(state).calibration))
+        state, innovation = fusion.correct(state, drive.measured(k + 1, poses[k + 1], rng))
+        assert innovation.accepted
+        off_deg.append(np.degrees(drive.error(fusion.pose(state).T_map_base, poses[k + 1])[5]))
+    assert abs(np.mean(off_deg[60:])) < 0.02
+    assert fusion.pose(state).travel_rad == pytest.approx(travel, abs=np.deg2rad(0.05))
+
+
 def test_between_frames_the_pose_follows_the_odometry():
     fusion = SlidingWindow(WindowConfig(6))
     states, poses = follow(fusion, 10)

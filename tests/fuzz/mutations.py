@@ -5,6 +5,7 @@ import json
 import random
 import re
 import sqlite3
+import struct
 import tempfile
 import zipfile
 from collections.abc import Callable
@@ -160,6 +161,57 @@ def _npz(content: bytes, rng: random.Random) -> bytes:
     return made.getvalue()
 
 
+def _binary(content: bytes, rng: random.Random) -> bytes:
+    """A number in its binary form where another was: counts, lengths, coordinates."""
+    form = rng.choice(("<d", "<d", ">d", "<f", "<I", ">I", "<Q", "<H"))
+    odd = (0, -1, 1e308, 4e6, float("nan"), float("inf"), 1e-320) if form[1] in "df" else (0, 1, 0x7F, 0xFFFF)
+    value = rng.choice(odd)
+    if form == "<f" and abs(value) > 1e38:
+        value = float("inf")
+    if form[1] in "IQ" and rng.random() < 0.5:
+        value = rng.choice((2**31 - 1, 2**31, 2**32 - 1))
+    part = struct.pack(form, value)
+    start = rng.randrange(max(1, (len(content) - len(part)) // 4)) * 4
+    return content[:start] + part + content[start + len(part) :]
+
+
+def _feather(content: bytes, rng: random.Random) -> bytes:
+    """One value, or the type or name of a column of an Arrow table."""
+    import pyarrow as pa
+    from pyarrow import feather
+
+    table = feather.read_table(BytesIO(content)).to_pydict()
+    name = rng.choice(list(table))
+    kind = rng.randrange(5)
+    if kind == 0:
+        del table[name]
+    elif kind == 1:
+        table[rng.choice(ODD_TEXTS)] = table.pop(name)
+    elif kind == 2:
+        table[name] = [str(value) for value in table[name]]
+    elif kind == 3:
+        table = {key: values[: rng.randrange(2)] for key, values in table.items()}
+    else:
+        row = rng.randrange(len(table[name]))
+        is_text = isinstance(table[name][row], str)
+        odd = rng.choice(ODD_TEXTS) if is_text else rng.choice((None, 0, -1, 10**12, 1e308, float("nan")))
+        table[name][row] = type(table[name][row])(odd) if odd is not None and odd == odd else odd
+    made = BytesIO()
+    feather.write_feather(pa.table(table), made)
+    return made.getvalue()
+
+
+def _yaml(content: bytes, rng: random.Random) -> bytes:
+    import yaml
+
+    if rng.random() < 0.4:
+        return _text(content, rng)
+    text = content.decode()
+    head = "%YAML:1.0\n---\n" if text.startswith("%YAML:1.0") else ""
+    values = json.dumps(yaml.safe_load(text.removeprefix(head)))
+    return head.encode() + _json(values.encode(), rng)
+
+
 STRUCTURED: dict[str, Callable[[bytes, random.Random], bytes]] = {
     ".json": _json,
     ".geojson": _json,
@@ -170,4 +222,15 @@ STRUCTURED: dict[str, Callable[[bytes, random.Random], bytes]] = {
     ".db3": _sqlite,
     ".gz": _gzip,
     ".npz": _npz,
+    ".npy": _binary,
+    ".shp": _binary,
+    ".shx": _binary,
+    ".dbf": _text,
+    ".bag": _binary,
+    ".mcap": _binary,
+    ".avi": _binary,
+    ".png": _binary,
+    ".onnx": _binary,
+    ".feather": _feather,
+    ".yaml": _yaml,
 }

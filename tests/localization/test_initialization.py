@@ -142,3 +142,17 @@ def test_a_prior_has_nothing_to_complain_of():
     fixes = fixes_along(np.arange(0.0, 5.0, 0.2))
     for log in (straight_log(), MotionLog()):
         assert why_no_prior(fixes, log, 5.0, None, InitializationConfig()) == ""
+
+
+def test_a_fast_vehicle_waits_for_the_heading_while_fixes_keep_coming():
+    """After 4 m of way the heading is vague, and the next fix comes within half a second; a second later none came."""
+    fixes, config = fixes_along((0.0, 0.2, 0.4)), InitializationConfig(wide_sigma_heading_deg=10.0)
+    assert prior_from_fixes(fixes, straight_log(), 0.4, None, config) is None
+    assert "more come at once" in why_no_prior(fixes, straight_log(), 0.4, None, config)
+    late = prior_from_fixes(fixes, straight_log(), 1.4, None, config)
+    assert 10.0 < np.degrees(late.sigma_heading_rad) < 60.0
+    # One that hardly moves learns little by waiting.
+    slow = MotionLog()
+    for t in np.arange(0.0, 6.0, 0.02):
+        slow.add_wheels(float(t), 3.0, 0.0)
+    assert "more come at once" not in why_no_prior(fixes, slow, 0.4, None, config)

@@ -28,6 +28,16 @@ def test_a_period_of_12_m_is_no_offset_of_satellites_that_state_1_3_m():
     assert "12.0 m off" in phase.doubts(pose(12.0), fixes(1.3))[0]
 
 
+@pytest.mark.parametrize(("away_m", "doubted"), [(0.0, (0.0, 0.01)), (6.0, (0.7, 0.95)), (12.0, (0.99, 1.0))])
+def test_how_often_a_track_a_period_away_is_doubted(away_m, doubted):
+    """Fixes whose slow error is as large as they state, 1.3 m in both directions."""
+    slow_m = 1.3 * np.random.default_rng(0).normal(size=(500, 2)) + [away_m, 0.0]
+    there = [pose(0.0)._replace(gnss_offset_m=off_m) for off_m in slow_m]
+    known = fixes(1.3)
+    share = np.mean([bool(phase.doubts(one, known)) for one in there])
+    assert doubted[0] <= share <= doubted[1]
+
+
 def test_poor_satellites_do_not_tell_a_period():
     assert phase.nats_against(pose(12.0), fixes(8.0)) == pytest.approx(0.5, abs=0.01)
     assert phase.doubts(pose(12.0), fixes(8.0)) == ()

@@ -65,6 +65,19 @@ def test_a_vehicle_on_a_crowned_road_leans_to_its_own_side(x_m, side):
     assert pose[2, 3] == pytest.approx(-0.025 * 1.75, abs=0.005)
 
 
+@pytest.mark.parametrize("y_m", [-0.4, -1.0, -2.5, -3.1])
+def test_anywhere_in_its_lane_a_vehicle_stands_within_what_the_crown_leaves_open(y_m):
+    """Beside the crown and beside the edge, with a lane of few points on one side: never the plane of both sides for
+    sure. One plane for both was off by 1.4 deg there, and said 0.1 deg."""
+    ground = GroundModel.from_elements(_crowned_road())
+    for x_m in (0.0, 4.0, 8.0, 10.0):
+        pose, spread = ground.road_pose(x_m, y_m, 0.0), ground.road_spread(x_m, y_m, 0.0)
+        off_deg = np.degrees(np.arctan2(pose[2, 1], pose[2, 2]) - np.arctan(0.025))
+        assert abs(off_deg) < 1.5 * np.degrees(spread.roll_rad)
+        assert abs(off_deg) < 0.3 or y_m > -0.5
+        assert 0.6 < np.degrees(spread.roll_rad) < 2.5
+
+
 def test_the_spread_of_a_road_is_its_crown():
     spread = GroundModel.from_elements(_crowned_road()).road_spread(6.0, -1.75, 0.0)
     assert np.degrees(spread.roll_rad) == pytest.approx(1.43, abs=0.5)

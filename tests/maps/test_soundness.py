@@ -10,8 +10,10 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.maps import SemanticMap, inspect_map, read_map, sample
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.maps.io import write_map
+from semloc_jax.maps.io.paint import strokes
 from semloc_jax.maps.soundness import fault_of
 from semloc_jax.structs import ElementClass
+from tests.counting import num_calls
 
 AWAY_M = 4.0e6
 
@@ -44,6 +46,14 @@ def test_what_is_large_and_true_stays():
     assert fault_of(_line(step_m=2000.0)) is None
     assert fault_of(_crosswalk(8.0)) is None
     assert "jumps 4000 km" in fault_of(_line(step_m=AWAY_M))
+    way = np.array([[19_000.0 * (k % 2), 0.0, 0.0] for k in range(40)])
+    assert "of 40 points is 741 km long" in fault_of(MapElement("zigzag", ElementClass.CURB, way))
+
+
+def test_a_line_that_cannot_be_meant_is_not_cut_into_dashes():
+    """Half a million bars would be made before the map is looked at."""
+    assert num_calls(lambda: strokes(_line(step_m=AWAY_M), ["dashed", "dashed"], 0.12, 0.1, 3.0, 6.0)) < 1000
+    assert [fault_of(e) is None for e in strokes(_line(step_m=AWAY_M), ["dashed"], 0.12, 0.1, 3.0, 6.0)] == [False]
 
 
 @pytest.mark.parametrize(

@@ -37,3 +37,17 @@ def test_cameras_of_other_sizes_are_filled_up():
 )
 def test_small_images_have_small_pixels(shape, unit):
     assert pixel_unit([shape]) == pytest.approx(unit, abs=0.01)
+
+
+def test_what_is_left_out_around_a_small_shape_is_beyond_reach():
+    """A shape amid a large mask: the same distances as where a second shape makes all of the mask count."""
+    table = load_class_table("lane_paint")
+    alone = np.zeros((256, 384), np.uint8)
+    alone[100:110, 200:230] = table.channels[0].mask_ids[0]
+    both = alone.copy()
+    both[:4, :4] = both[-4:, -4:] = table.channels[0].mask_ids[0]
+    found, whole = (border_distances([mask], table, reach_px=30.0).signed_px[0, 0] for mask in (alone, both))
+    middle = slice(20, 108), slice(60, 150)
+    assert np.array_equal(found[middle], whole[middle])
+    assert (found[:18, :18] == 30.0).all() and (found[-18:, -18:] == 30.0).all()
+    assert found.min() < -2.0

@@ -18,6 +18,7 @@ from semloc_jax.storage import (
     file_name,
     is_plain_name,
     json_document,
+    making,
     output_path,
     release_claims,
     require_room,
@@ -87,6 +88,21 @@ def test_a_file_is_old_until_the_new_one_is_whole(tmp_path):
     assert path.read_text() == "new"
     assert path.stat().st_mode & 0o777 == 0o640
     assert [p.name for p in tmp_path.iterdir()] == ["map.geojson"]
+
+
+@pytest.mark.parametrize("name", ["drive", "drive.bag"])
+def test_what_is_made_apart_is_there_whole_or_not_at_all(tmp_path, name):
+    path = tmp_path / name
+    with pytest.raises(RuntimeError), making(path) as partial:
+        assert partial.name == name and not partial.exists()
+        partial.mkdir()
+        raise RuntimeError("full")
+    assert list(tmp_path.iterdir()) == []
+    with making(path) as partial:
+        partial.mkdir()
+        (partial / "a").write_text("1")
+        assert not path.exists()
+    assert (path / "a").read_text() == "1" and list(tmp_path.iterdir()) == [path]
 
 
 def test_a_new_file_has_the_mode_of_any_other(tmp_path):

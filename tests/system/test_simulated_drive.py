@@ -103,9 +103,6 @@ def test_the_stated_sigma_is_not_far_from_the_error(drive, exact, like_a_network
         assert np.median(stated) < 0.1
 
 
-@pytest.mark.xfail(
-    reason="the search for every mode compiles again where a frame has more candidates: fixed sizes are missing"
-)
 def test_everything_is_compiled_with_the_first_frame(exact, like_a_network):
     """One capacity of map samples and one size of images: the frames after it, of other masks too, compile nothing."""
     assert exact.compilations[1:] == [0] * 5

@@ -17,6 +17,7 @@ from semloc_jax.datasets.bags.store import rosbags_module
 from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import Geodetic, wgs84_from_enu
+from semloc_jax.storage import making
 
 BASE, TRANSFORMS = "base_link", "tf2_msgs/msg/TFMessage"
 
@@ -30,7 +31,7 @@ def write_bag(
     compressed: bool = False,
     clock_offset_s: float = 0.0,
 ) -> Path:
-    """Writes images, masks, calibration and sensors of a drive as a bag and returns its path.
+    """Writes images, masks, calibration and sensors of a drive as a bag, which takes its place when it is whole.
 
     Topics: /CAMERA/image_raw (or image_raw/compressed), /CAMERA/KIND for masks, /CAMERA/camera_info, /gnss/fix,
     /odom (twist), /imu, /tf_static (base_link to cameras) and, where there is a truth, /tf (map to base_link).
@@ -50,13 +51,14 @@ def write_bag(
     path = Path(path)
     if path.exists():
         raise SemlocError(f"bag {path}: is there already; give a new name")
-    scribe = _Scribe(path, storage, clock_offset_s)
-    with scribe.writer:
-        _write_calibration(scribe, drive)
-        for frame in drive.frames if frames is None else frames:
-            _write_frame(scribe, frame, compressed)
-        _write_sensors(scribe, drive, origin)
-        scribe.flush()
+    with making(path) as partial:
+        scribe = _Scribe(partial, storage, clock_offset_s)
+        with scribe.writer:
+            _write_calibration(scribe, drive)
+            for frame in drive.frames if frames is None else frames:
+                _write_frame(scribe, frame, compressed)
+            _write_sensors(scribe, drive, origin)
+            scribe.flush()
     return path
 
 

@@ -7,7 +7,7 @@ whatever else stands there is kept as attributes. The classes are the keys of FE
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,8 @@ FEATURE_CLASSES: dict[str, tuple[ElementClass, str, frozenset[str]]] = {
 _CONE_TOP_SHARE = 0.2
 """Radius at the top of a traffic cone against that at its base, where the file does not say (our assumption)."""
 _NUMBERS = ("width", "radius", "radius_top", "height")
+_AT_ONCE = 64
+"""Elements whose points are moved together."""
 ToLocal = Callable[[np.ndarray], np.ndarray]
 
 
@@ -59,19 +61,42 @@ def elements_from_features(
         to_local: maps file coordinates `[k 3]` to the map frame; None leaves them.
     """
     found: list[MapElement] = []
+    waiting: list[MapElement] = []
     skipped: Counter[str] = Counter()
     faulty: dict[str, str] = {}
     for index, feature in enumerate(document["features"]):
         try:
-            element = element_from_feature(feature, index, name, to_local)
+            element = element_from_feature(feature, index, name)
         except SemlocError as error:
             faulty[feature_id(feature, index)] = str(error)
             continue
         if isinstance(element, str):
             skipped[element] += 1
         else:
-            found.append(element)
-    return tuple(found), dict(skipped), faulty
+            waiting.append(element)
+        if len(waiting) == _AT_ONCE:
+            found += _moved(waiting, to_local, faulty)
+            waiting = []
+    return (*found, *_moved(waiting, to_local, faulty)), dict(skipped), faulty
+
+
+def _moved(elements: list[MapElement], to_local: ToLocal | None, faulty: dict[str, str]) -> Iterator[MapElement]:
+    """Yields elements in the map frame, all moved at once; where one cannot be, one by one, and `faulty` names it."""
+    if to_local is None or not elements:
+        yield from elements
+        return
+    try:
+        points = to_local(np.concatenate([element.points for element in elements]))
+    except SemlocError as error:
+        if len(elements) == 1:
+            faulty[elements[0].id] = str(error)
+            return
+        for element in elements:
+            yield from _moved([element], to_local, faulty)
+        return
+    ends = np.cumsum([len(element.points) for element in elements])
+    for element, own in zip(elements, np.split(points, ends[:-1]), strict=True):
+        yield element.with_points(own if element.has_height else own * [1.0, 1.0, 0.0])
 
 
 def feature_id(feature: Any, index: int) -> str:

@@ -17,7 +17,13 @@ from semloc_jax.errors import SemlocError
 _DEEPEST = 64
 _STRING = rb'"(?:[^"\\]++|\\.)*+(?:"|\Z)'
 _TOKEN = re.compile(_STRING + rb"|[\[\]{},]", re.DOTALL)
-_TO_BRACKET = re.compile(rb'(?:[^"\[\]{}]++|' + _STRING + rb")*+([\[\]{}])", re.DOTALL)
+_PLAIN = rb'[^"\[\]{}]'
+_POINTS = rb"\[(?:" + _PLAIN + rb"++|\[" + _PLAIN + rb"*+\])*+\]"
+_LEAF = rb"\{(?:" + _PLAIN + rb"++|" + _STRING + rb")*+\}"
+_TO_BRACKET = re.compile(
+    rb"(?:" + rb"|".join((_PLAIN + rb"++", _STRING, _POINTS, _LEAF)) + rb")*+([\[\]{}])", re.DOTALL
+)
+"""Lists of points and objects that hold no other are passed in one step: a map has few other brackets."""
 _KEY = re.compile(rb'\s*("(?:[^"\\]++|\\.)*+")\s*:', re.DOTALL)
 _START = re.compile(rb"\s*")
 _FILE_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*")
@@ -157,7 +163,7 @@ def _parts(text: mmap.mmap | bytes, start: int, where: str) -> Iterator[tuple[in
 
 def _after(text: mmap.mmap | bytes, start: int, where: str) -> int:
     """Returns the place after the bracket that closes the one at `start`."""
-    depth, position = 0, start
+    depth, position = 1, start + 1
     while True:
         found = _TO_BRACKET.match(text, position)
         if found is None:

@@ -11,6 +11,7 @@ import numpy as np
 from semloc_jax.geometry import polyline
 from semloc_jax.maps.curves import parallel
 from semloc_jax.maps.elements import MapElement
+from semloc_jax.maps.soundness import fault_of
 
 
 def strokes(
@@ -44,6 +45,8 @@ def bars(line: MapElement, width_m: float, dash_m: float, gap_m: float) -> list[
 
     The true start of each bar is unknown, so bars have no true ends: only their long sides are contours.
     """
+    if fault_of(line) is not None:  # the reader of maps leaves it out by its name; its bars would be without number
+        return [line]
     along = polyline.arc_length(line.points)
     starts = np.arange(0.5 * gap_m, along[-1] - 0.5 * dash_m, dash_m + gap_m)
     if len(starts) == 0:

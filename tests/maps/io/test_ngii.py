@@ -7,38 +7,14 @@ import shapely
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import read_lane_centers, read_map
 from semloc_jax.structs import ElementClass
+from tests.maps.io.ngii_files import box, line, write_layer, write_ngii
 
 pyogrio = pytest.importorskip("pyogrio")
-EAST, NORTH = 200_000.0, 550_000.0
-"""A place on the central meridian of EPSG:5186, Seoul's grid, where its scale is 1."""
-
-
-def _write(folder, layer: str, shapes, crs="EPSG:5186", **fields):
-    names, values = list(fields), [np.array(v, dtype=object) for v in fields.values()]
-    kind = f"{shapes[0].geom_type} Z"
-    blobs = shapely.to_wkb(np.array(shapes, dtype=object), output_dimension=3)
-    pyogrio.raw.write(
-        folder / f"{layer}.shp", blobs, values, names, driver="ESRI Shapefile", geometry_type=kind, crs=crs
-    )
-
-
-def _line(x0, x1, y, z=30.0):
-    return shapely.LineString([(EAST + x0, NORTH + y, z), (EAST + x1, NORTH + y, z)])
-
-
-def _box(x, y, z=30.0):
-    corners = [(0, 0), (1, 0), (1, 3), (0, 3)]
-    return shapely.Polygon([(EAST + x + dx, NORTH + y + dy, z) for dx, dy in corners])
 
 
 @pytest.fixture
 def folder(tmp_path):
-    lines = [_line(0, 40, 0), _line(0, 40, 3), _line(38, 38.1, 0), _line(0, 40, 6)]
-    values = {"ID": ["a", "b", "c", "d"], "Kind": ["501", "503", "530", "501"], "Type": ["121", "212", "211", "114"]}
-    _write(tmp_path, "B2_SURFACELINEMARK", lines, **values)
-    _write(tmp_path, "B3_SURFACEMARK", [_box(10, 1), _box(20, 1)], ID=["e", "f"], Kind=["5371", "5321"])
-    _write(tmp_path, "C6_POSTPOINT", [shapely.Point(EAST, NORTH, 30.0)], ID=["g"], Type=["1"])
-    return tmp_path
+    return write_ngii(tmp_path)
 
 
 def test_marks_of_every_type(folder):
@@ -63,7 +39,7 @@ def test_the_grid_becomes_metres_of_the_earth(folder):
 
 
 def test_layers_in_two_systems_and_broken_ones_are_refused(folder):
-    _write(folder, "C4_SPEEDBUMP", [_box(0, 0)], crs="EPSG:32652", ID=["z"])
+    write_layer(folder, "C4_SPEEDBUMP", [box(0, 0)], crs="EPSG:32652", ID=["z"])
     with pytest.raises(SemlocError, match="expected one for all"):
         read_map(folder)
     (folder / "C4_SPEEDBUMP.shp").write_bytes(b"nothing")
@@ -74,7 +50,7 @@ def test_layers_in_two_systems_and_broken_ones_are_refused(folder):
 def test_driving_links_are_the_lanes(folder):
     road = read_map(folder)
     assert read_lane_centers(folder, road.origin) == []
-    _write(folder, "A2_LINK", [_line(0, 40, 1.5), _line(40, 0, 4.5)], ID=["m", "n"])
+    write_layer(folder, "A2_LINK", [line(0, 40, 1.5), line(40, 0, 4.5)], ID=["m", "n"])
     there, back = read_lane_centers(folder, road.origin)
     np.testing.assert_allclose(there[-1] - there[0], [40.0, 0.0, 0.0], atol=0.01)
     np.testing.assert_allclose(back[-1] - there[0], [0.0, 3.0, 0.0], atol=0.01)
@@ -92,9 +68,9 @@ def test_a_map_in_degrees_is_the_map_in_metres(folder, tmp_path_factory):
 
         return shapely.transform(shape, one, include_z=True)
 
-    lines = [_line(0, 40, 0), _line(0, 40, 3), _line(38, 38.1, 0), _line(0, 40, 6)]
+    lines = [line(0, 40, 0), line(0, 40, 3), line(38, 38.1, 0), line(0, 40, 6)]
     values = {"ID": ["a", "b", "c", "d"], "Kind": ["501", "503", "530", "501"], "Type": ["121", "212", "211", "114"]}
-    _write(in_degrees, "B2_SURFACELINEMARK", [moved(line) for line in lines], crs="EPSG:4326", **values)
+    write_layer(in_degrees, "B2_SURFACELINEMARK", [moved(line) for line in lines], crs="EPSG:4326", **values)
     road, same = read_map(in_degrees), read_map(folder)
     bars = {e.id: e for e in road.elements if e.id.startswith("b_")}
     assert len(bars) == 5 and all(e.length_m == pytest.approx(3.0, abs=1e-3) for e in bars.values())
@@ -105,7 +81,7 @@ def test_a_map_in_degrees_is_the_map_in_metres(folder, tmp_path_factory):
 
 
 def test_layers_that_are_not_read_are_counted(folder):
-    _write(folder, "C3_VEHICLEPROTECTIONSAFETY", [_line(0, 40, 9), _line(0, 40, 12)], ID=["h", "i"], Type=["1", "2"])
+    write_layer(folder, "C3_VEHICLEPROTECTIONSAFETY", [line(0, 40, 9), line(0, 40, 12)], ID=["h", "i"], Type=["1", "2"])
     road = read_map(folder)
     assert road.skipped["layer C3_VEHICLEPROTECTIONSAFETY"] == 2
     assert road.skipped["C6_POSTPOINT: kept, but no contour (points without a height)"] == 1

@@ -9,34 +9,11 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.maps import read_lane_centers, read_map
 from semloc_jax.maps.io.nuscenes import map_from_nuscenes
 from semloc_jax.structs import ElementClass
-
-
-def _expansion() -> dict:
-    """A divider of 60 m, dashed for 40 m and then double solid; a crosswalk, two stop areas and a light."""
-    places = {"a": (0, 0), "b": (40, 0), "c": (60, 0), "p": (50, -4), "q": (53, -4), "r": (53, 4), "s": (50, 4)}
-    segments = [
-        {"node_token": "a", "segment_type": "SINGLE_DASHED_WHITE"},
-        {"node_token": "b", "segment_type": "DOUBLE_SOLID_YELLOW"},
-        {"node_token": "c", "segment_type": "NIL"},
-    ]
-    return {
-        "version": "1.3",
-        "node": [{"token": token, "x": x, "y": y} for token, (x, y) in places.items()],
-        "line": [{"token": "L", "node_tokens": ["a", "b", "c"]}, {"token": "T", "node_tokens": ["p", "q"]}],
-        "polygon": [{"token": "P", "exterior_node_tokens": ["p", "q", "r", "s"], "holes": []}],
-        "lane_divider": [{"token": "D", "line_token": "L", "lane_divider_segments": segments}],
-        "road_divider": [{"token": "R", "line_token": "L", "road_segment_token": None}],
-        "ped_crossing": [{"token": "X", "polygon_token": "P"}],
-        "stop_line": [
-            {"token": "S", "polygon_token": "P", "stop_line_type": "TRAFFIC_LIGHT"},
-            {"token": "U", "polygon_token": "P", "stop_line_type": "TURN_STOP"},
-        ],
-        "traffic_light": [{"token": "G", "line_token": "T", "traffic_light_type": "VERTICAL"}],
-    }
+from tests.maps.io.nuscenes_file import expansion
 
 
 def test_dividers_change_their_type_along_the_way(tmp_path):
-    (tmp_path / "boston.json").write_text(json.dumps(_expansion()))
+    (tmp_path / "boston.json").write_text(json.dumps(expansion()))
     road = read_map(tmp_path / "boston.json")
     bars = [e for e in road.elements if e.style == "dashed"]
     assert len(bars) == 4 and all(e.length_m == pytest.approx(3.0) and e.points[:, 0].max() <= 40.0 for e in bars)
@@ -48,7 +25,7 @@ def test_dividers_change_their_type_along_the_way(tmp_path):
 
 
 def test_areas_and_lights():
-    road = map_from_nuscenes(_expansion(), "boston.json")
+    road = map_from_nuscenes(expansion(), "boston.json")
     (crossing,) = [e for e in road.elements if e.label == ElementClass.CROSSWALK]
     assert crossing.closed and len(crossing.points) == 4
     stops = {e.id: e.style for e in road.elements if e.label == ElementClass.STOP_LINE}
@@ -69,14 +46,14 @@ def test_areas_and_lights():
 )
 def test_broken_expansions_are_refused(change):
     with pytest.raises(SemlocError, match="expected a nuScenes map expansion"):
-        map_from_nuscenes(_expansion() | change, "boston.json")
+        map_from_nuscenes(expansion() | change, "boston.json")
 
 
 def test_lanes_are_chains_of_arcs(tmp_path):
     """A quarter circle to the left of 10 m radius, 20 m straight on, 5 m to the right; held against their own ends."""
     quarter = 0.5 * np.pi * 10.0
     path = {"start_pose": [1.0, 2.0, 0.0], "radius": 10.0, "shape": "LSR", "segment_length": [quarter, 20.0, 5.0]}
-    document = _expansion() | {"arcline_path_3": {"lane": [path]}}
+    document = expansion() | {"arcline_path_3": {"lane": [path]}}
     (tmp_path / "boston.json").write_text(json.dumps(document))
     (line,) = read_lane_centers(tmp_path / "boston.json", None)
     ends = np.array([1.0, 2.0]), np.array([11.0, 12.0]), np.array([11.0, 32.0])

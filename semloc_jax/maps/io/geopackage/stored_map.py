@@ -78,8 +78,12 @@ class StoredMap(SemanticMap):
     @cached_property
     def elements(self) -> tuple[MapElement, ...]:
         """Every element of the file that is none of `faulty`, in its order: reads all of it."""
+        return tuple(self.walk())
+
+    def walk(self) -> Iterator[MapElement]:
+        """Yields every element that is none of `faulty`, in the order of the file, and keeps none."""
         cursor = self._rows(f"SELECT {_COLUMNS} FROM elements ORDER BY fid", ())
-        return tuple(element for row in cursor if (element := self._sound(row)) is not None)
+        yield from (element for row in cursor if (element := self._sound(row)) is not None)
 
     @cached_property
     def labels(self) -> frozenset[ElementClass]:
