@@ -1,7 +1,9 @@
 """A frame or a fix that cannot be used costs itself only: the frames around it are as without it."""
 
 import dataclasses
+import gc
 
+import jax
 import numpy as np
 import pytest
 
@@ -45,6 +47,33 @@ def test_frames_out_of_order_cost_themselves_only(pipeline):
     ]
     assert TrackStatus.TRACKING not in [result.status for result in mixed if result.fused is None]
     np.testing.assert_array_equal(_poses(mixed), _poses(in_order))
+
+
+def test_a_new_localizer_compiles_nothing_and_leaves_nothing_behind(pipeline):
+    """Programs belong to shapes and settings, not to the object that runs them."""
+    frames, count = pipeline.drive.frames, [0]
+
+    def on_event(name: str, duration_s: float, **_) -> None:
+        count[0] += name == "/jax/core/compile/backend_compile_duration"
+
+    def another() -> int:
+        drive = pipeline.drive
+        localizer = Localizer(read_map(drive.map_path), pipeline.localizer.table, MotionLog.of_drive(drive))
+        guess = prior_source("truth", drive)
+        list(Pipeline(drive, mask_source("sem", drive), localizer, PipelineConfig(threads=False), guess).run(frames))
+        del localizer
+        gc.collect()
+        return len(jax.live_arrays())
+
+    list(pipeline.run(frames))
+    held = another()
+    jax.monitoring.register_event_duration_secs_listener(on_event)
+    try:
+        assert another() <= held and count[0] == 0
+        jax.jit(lambda x: x + 1.0)(0.0)
+        assert count[0] == 1  # it is heard
+    finally:
+        jax.monitoring.unregister_event_duration_listener(on_event)
 
 
 @pytest.mark.parametrize("sigma_m", [0.0, -1.0, np.nan])
