@@ -46,13 +46,12 @@ def localized(folder, width_px: int, height_px: int) -> tuple[np.ndarray, np.nda
 @pytest.mark.slow
 @pytest.mark.parametrize(("width_px", "height_px"), [(400, 160), (640, 256), (960, 384)])
 def test_single_frames_are_as_good_as_their_evidence_and_never_falsely_accepted(tmp_path, width_px, height_px):
-    """Across within 1.5 times the bound that the noise model puts on the masks; accepted frames within 0.5 m across and
-    1 m along. Along the road a frame between two dashes is held by its posts alone, so nothing is asked there but that
-    it says so."""
+    """Across and along within 1.5 times the bound that the noise model puts on the masks (measured: 0.1 and 1.0 times
+    at 400 px, 0.07 and 0.6 at 640 px, 8 of 8 accepted); what is accepted is within 0.5 m across and 1 m along."""
     accepted, errors, bounds = localized(tmp_path, width_px, height_px)
     is_false = accepted & ((np.abs(errors[:, 0]) > 0.5) | (np.abs(errors[:, 1]) > 1.0))
     rms, bound = np.sqrt(np.mean(errors[accepted] ** 2, axis=0)), np.sqrt(np.mean(bounds[accepted] ** 2, axis=0))
     print(f"{width_px} px: {accepted.sum()} of {len(accepted)} accepted, rms {rms}, bound {bound} m")
     assert not is_false.any()
     assert accepted.sum() >= len(accepted) // 2
-    assert rms[0] < 1.5 * bound[0]
+    assert (rms < 1.5 * bound).all()
