@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.evidence_null import EvidenceNull
 from semloc_jax.alignment.filled_rows import map_filled
@@ -52,7 +52,9 @@ class SolvedPoses(NamedTuple):
 def solve_batch(
     Ts_start: Float[Array, "n 4 4"],
     Ts_road: Float[Array, "n 4 4"],
+    part: Int[Array, " n"],
     num: Int[Array, ""],
+    parts: Bool[Array, "part p"],
     sigma: Float[Array, "6"],
     frame: FrameInput,
     in_view_px: Float[Array, ""],
@@ -64,7 +66,9 @@ def solve_batch(
     Args:
         Ts_start: Starts relative to the local origin.
         Ts_road: Centres of their priors: the same places on the plane of the road.
+        part: Row of `parts` that each is solved with.
         num: How many of them are asked for; the others stay zero.
+        parts: Which samples count.
         sigma: Of the priors (x, y, z [m], roll, pitch, yaw [rad]); wide along the road, so that they do not pull.
         frame: Map samples, cost maps, cameras.
         in_view_px: Length of contour that costs are scaled by.
@@ -75,17 +79,18 @@ def solve_batch(
     noise_px = align_config.noise.noise_px * frame.grain
     level = telling(frame.textures.ramp_px, noise_px, config.rank_level)
 
-    def one(poses: tuple[Array, Array]) -> SolvedPoses:
-        T_start, T_road = poses
+    def one(row: tuple[Array, Array, Array]) -> SolvedPoses:
+        T_start, T_road, part = row
         prior = Prior(T_road, sigma)
-        evidence = evidence_from(T_start, frame, config.polish_view)
+        shown = eqx.tree_at(lambda s: s.valid, frame.samples, frame.samples.valid & parts[part])
+        evidence = evidence_from(T_start, frame._replace(samples=shown), config.polish_view)
         estimate = align_one(T_start, evidence, prior, align_config)
         judged = assess(estimate.T_map_base, level, evidence, prior, align_config)
         measured = (judged.cost, judged.inlier_ratio)
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, measured)
         return SolvedPoses(estimate, score(estimate.T_map_base, level, evidence, prior, align_config, in_view_px))
 
-    return map_filled(one, (Ts_start, Ts_road), num)
+    return map_filled(one, (Ts_start, Ts_road, part), num)
 
 
 def solve_all(
@@ -96,24 +101,30 @@ def solve_all(
     in_view_px: float,
     config: SingleFrameConfig,
     align_config: AlignConfig,
+    parts: np.ndarray,
+    part: np.ndarray | None = None,
 ) -> SolvedPoses:
-    """`solve_batch` of any number of starts, on the host; the centres of their priors stand on the road."""
-    parts = []
+    """`solve_batch` of any number of starts, on the host; the centres of their priors stand on the road, and without
+    `part` the first of the parts is solved."""
+    part = np.zeros(len(Ts_start), int) if part is None else part
+    found = []
     for first in range(0, len(Ts_start), BATCH):
         own = Ts_start[first : first + BATCH]
         Ts = filled(own, BATCH)
         solved = solve_batch(
             jnp.asarray(Ts, jnp.float32),
             jnp.asarray(road.place(Ts), jnp.float32),
+            np.resize(part[first : first + BATCH], BATCH).astype(np.int32),
             np.int32(len(own)),
+            parts,
             jnp.asarray(sigma, jnp.float32),
             frame,
             np.float32(in_view_px),
             config,
             align_config,
         )
-        parts.append(jax.device_get(solved))
-    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        found.append(jax.device_get(solved))
+    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
     return joined.rows(np.arange(len(Ts_start)))
 
 

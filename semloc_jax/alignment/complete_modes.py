@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from semloc_jax.alignment.agreement import disagreement, halves
 from semloc_jax.alignment.aliases import alias_shifts, road_direction
 from semloc_jax.alignment.along_road import weighed_along_road, widened
 from semloc_jax.alignment.candidates import (
@@ -32,9 +33,9 @@ from semloc_jax.alignment.candidates import (
     wide_sigma,
 )
 from semloc_jax.alignment.evidence_null import EvidenceNull, Pieces, PoseEvidence, Rates, best_rates
-from semloc_jax.alignment.hypotheses import Modes, search_from, weigh
+from semloc_jax.alignment.hypotheses import search_from
 from semloc_jax.alignment.mode_search import ALIAS_SIGMAS, CompleteModesConfig, FrameImage, half_window_m
-from semloc_jax.alignment.modes import modes_in_map
+from semloc_jax.alignment.modes import modes_in_map, weighed
 from semloc_jax.alignment.observed import Borders, ObserveConfig, Observed, observe
 from semloc_jax.alignment.pose import Prior, total_weight
 from semloc_jax.alignment.posterior import Ridges, log_prior, ridges, same_ridge, spread, temper
@@ -44,11 +45,14 @@ from semloc_jax.alignment.same_pose import ONE_OPTIMUM, ONE_PLACE, ONE_TRACK, un
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, search_starts, sharpest
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.runtime.stored_program import stored_program
-from semloc_jax.structs import MapSamples, PoseEstimate, SolveStatus
+from semloc_jax.structs import MapSamples, SolveStatus
 
-_weigh = stored_program()(weigh)
 _widened = stored_program()(widened)
 _total_weight = stored_program()(total_weight)
+
+
+PLANE = (0, 1, 5)
+"""Forward, left and heading among the coordinates of a tangent."""
 
 
 class ModeFinder:
@@ -86,6 +90,7 @@ class ModeFinder:
         self.wide_sigma = wide_sigma(self.sigma, config.least_sigma_m, np.deg2rad(config.least_sigma_deg))
         self.samples = thinned(frame.samples, np.asarray(frame.channel_of_label), config.num_samples)
         self.channel = np.asarray(frame.channel_of_label)[np.asarray(self.samples.label)]
+        self.parts = halves(np.asarray(self.samples.element), config.agreement)
         view = frame_config.search_view
         self.observe_config = ObserveConfig(view.max_range_m, view.min_ground_px_per_m, 48.0 * self.unit_px)
         self.fields = Borders(
@@ -163,19 +168,16 @@ class ModeFinder:
 
     def candidates(self, Ts: np.ndarray, in_view_px: float) -> SolvedPoses:
         """Every start refined with few samples; of solves that end at one optimum the best."""
-        frame = self.frame._replace(samples=self.samples)
-        view = replace(self.frame_config.polish_view, capacity=self.config.view_samples)
-        found = solve_all(
-            Ts,
-            self.road,
-            self.wide_sigma,
-            frame,
-            in_view_px,
-            replace(self.frame_config, polish_view=view),
-            self.align,
-        )
+        found = self.solved_with_few(Ts, in_view_px)
         ends = np.asarray(found.estimates.T_map_base, dtype=np.float64)
         return found.rows(apart(ends, -found.score.astype(np.float64), len(ends), ONE_OPTIMUM))
+
+    def solved_with_few(self, Ts: np.ndarray, in_view_px: float, part: np.ndarray | None = None) -> SolvedPoses:
+        """Every start refined with few samples, each with its part of the map."""
+        frame = self.frame._replace(samples=self.samples)
+        view = replace(self.frame_config.polish_view, capacity=self.config.view_samples)
+        config = replace(self.frame_config, polish_view=view)
+        return solve_all(Ts, self.road, self.wide_sigma, frame, in_view_px, config, self.align, self.parts, part)
 
     def pieces(self, Ts: np.ndarray) -> Pieces:
         """The pieces of map that each pose sees."""
@@ -277,14 +279,17 @@ class ModeFinder:
         beside = np.asarray(road.Ts_map_base, dtype=np.float64)[np.isfinite(road.scores)]
         others = Ts[places.best[1 : config.num_final + 1]]
         starts = np.concatenate([Ts[own], beside, restarts, others])
-        solved = solve_all(starts, self.road, self.wide_sigma, frame, in_view_px, self.frame_config, self.final_align)
+        whole = np.ones((1, len(frame.samples.label)), bool)
+        solved = solve_all(
+            starts, self.road, self.wide_sigma, frame, in_view_px, self.frame_config, self.final_align, whole
+        )
         Ts_end = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
         pieces = self.pieces(Ts_end)
         found, rates = self._evidence_of(Ts_end, pieces, rates)
         last = self.ridges(Ts_end, found, np.asarray(solved.estimates.status))
         if not len(last.best):
             return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
-        return self._in_map(solved, Ts_end, (pieces, found), last, rates, road.spread)
+        return self._in_map(solved, Ts_end, (pieces, found), last, rates, road.spread, in_view_px)
 
     def _in_map(
         self,
@@ -294,6 +299,7 @@ class ModeFinder:
         places: Ridges,
         rates: Rates,
         road_spread: np.ndarray,
+        in_view_px: float,
     ) -> FoundModes:
         config = self.config
         members = np.flatnonzero((places.home == 0) & (places.log_weight > -config.within_nats))
@@ -306,7 +312,7 @@ class ModeFinder:
         modes = []
         for place, leader in enumerate(places.best):
             rows, nats = (members[near], -held[near]) if place == 0 else (np.array([leader]), np.zeros(1))
-            local = modes_in_map(_weighed(solved.estimates, rows, nats), self.local, ONE_PLACE)
+            local = modes_in_map(weighed(solved.estimates, rows, nats), self.local, ONE_PLACE)
             if not local:
                 continue
             covariance, row = local[0].covariance, int(leader)
@@ -314,12 +320,23 @@ class ModeFinder:
                 wider = _widened(covariance.astype(np.float32), road_spread)
                 moments = spread(Ts[chosen], Ts[members], held)
                 moments[0, 0] = max(moments[0, 0], self._along_variance_m2(Ts[chosen], rates))
-                covariance, row = _at_least(np.asarray(wider), moments), chosen
+                known = np.maximum(moments.diagonal(), np.asarray(wider).diagonal()[np.array(PLANE)])
+                known = np.maximum(known, self.disagreement(Ts[chosen], in_view_px, known))
+                covariance, row = np.array(wider, dtype=np.float64), chosen
+                covariance[PLANE, PLANE] = known
             evidence = self._mode_evidence(Ts[row], row, seen, rates, int(solved.estimates.status[row]))
             weight = float(places.probability[place])
             modes.append(replace(local[0], weight=weight, covariance=covariance, evidence=evidence))
         confirmed = int((units_apart(Ts, Ts[chosen]) < ONE_TRACK).sum()) - 1
         return FoundModes(tuple(modes), SolveStatus(int(solved.estimates.status[chosen])), confirmed)
+
+    def disagreement(self, T_map_base: np.ndarray, in_view_px: float, variance: np.ndarray) -> np.ndarray:
+        """Variance of the best pose by those of halves of the map; see `alignment.agreement.disagreement`."""
+        # All of it once more as well, with as few samples: like is compared with like.
+        part = np.arange(len(self.parts))
+        solved = self.solved_with_few(np.repeat(T_map_base[None], len(part), axis=0), in_view_px, part)
+        Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
+        return disagreement(Ts[0], Ts[1:], variance)
 
     def _along_variance_m2(self, T_map_base: np.ndarray, rates: Rates) -> float:
         """Second moment of the evidence alone over places along the road through a pose [m^2].
@@ -349,7 +366,7 @@ class ModeFinder:
         One of them is the road as a rule; the other one is a valley of place and heading, in which solves stop early.
         """
         config = self.config
-        plane = np.array((0, 1, 5))
+        plane = np.array(PLANE)
         scale = np.array((1.0, 1.0, config.lever_m))
         values, vectors = np.linalg.eigh(covariance[np.ix_(plane, plane)] * np.outer(scale, scale))
         steps_m = np.clip(1.5 * np.sqrt(np.maximum(values[1:], 0.0)), *config.restart_step_m)
@@ -374,20 +391,3 @@ class ModeFinder:
             log_prior=float(self.log_prior(T[None])[0]),
             status=SolveStatus(status),
         )
-
-
-def _weighed(estimates: PoseEstimate, rows: np.ndarray, nats: np.ndarray) -> Modes:
-    """Some estimates weighed against each other; padded, so that any number of them is served by one program."""
-    padded = np.full(-(-len(rows) // BATCH) * BATCH, rows[0])
-    padded[: len(rows)] = rows
-    scores = np.full(len(padded), np.inf, np.float32)
-    scores[: len(rows)] = nats
-    return jax.device_get(_weigh(jax.tree.map(lambda leaf: leaf[padded], estimates), scores))
-
-
-def _at_least(covariance: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """The covariance, no surer along x, y and heading than the spread of the place."""
-    out = np.array(covariance, dtype=np.float64)
-    for axis, row in zip((0, 1, 5), range(3), strict=True):
-        out[axis, axis] = max(out[axis, axis], spread[row, row])
-    return out

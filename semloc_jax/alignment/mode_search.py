@@ -5,6 +5,7 @@ In: nothing. Out: CompleteModesConfig; FrameImage, what a frame gives to it beyo
 
 from dataclasses import dataclass, field
 
+from semloc_jax.alignment.agreement import AgreementConfig
 from semloc_jax.alignment.aliases import AliasConfig
 from semloc_jax.alignment.evidence_null import NullConfig
 from semloc_jax.alignment.posterior import PosteriorConfig
@@ -21,6 +22,7 @@ class CompleteModesConfig:
     null: NullConfig = field(default_factory=NullConfig)
     posterior: PosteriorConfig = field(default_factory=PosteriorConfig)
     aliases: AliasConfig = field(default_factory=AliasConfig)
+    agreement: AgreementConfig = field(default_factory=AgreementConfig)
     num_samples: int = 2048
     """Map samples of which evidence is counted."""
     window_sigmas: float = 4.0

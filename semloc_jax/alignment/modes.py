@@ -7,10 +7,24 @@ import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.alignment.hypotheses import Modes
+from semloc_jax.alignment.hypotheses import Modes, weigh
 from semloc_jax.alignment.result import Mode
 from semloc_jax.alignment.same_pose import ONE_OPTIMUM, units_apart
 from semloc_jax.geometry.local_frame import LocalFrame
+from semloc_jax.runtime.stored_program import stored_program
+from semloc_jax.structs import PoseEstimate
+
+_weigh = stored_program()(weigh)
+_SIZE = 64
+
+
+def weighed(estimates: PoseEstimate, rows: np.ndarray, nats: np.ndarray) -> Modes:
+    """Some estimates weighed against each other by their cost [nats]; padded, so that one program serves any number."""
+    padded = np.full(-(-len(rows) // _SIZE) * _SIZE, rows[0])
+    padded[: len(rows)] = rows
+    scores = np.full(len(padded), np.inf, np.float32)
+    scores[: len(rows)] = nats
+    return jax.device_get(_weigh(jax.tree.map(lambda leaf: leaf[padded], estimates), scores))
 
 
 def modes_in_map(found: Modes, frame: LocalFrame, apart: float) -> tuple[Mode, ...]:

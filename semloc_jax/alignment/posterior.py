@@ -46,7 +46,7 @@ class Ridges:
 
 def log_prior(Ts: np.ndarray, T_prior: np.ndarray, sigma_xy_m: float, sigma_heading_rad: float) -> np.ndarray:
     """Log density of Student's t around the prior, up to a constant, float[n]."""
-    away, turn = _differences(T_prior, Ts)
+    away, turn = differences(T_prior, Ts)
     squared = (away**2).sum(axis=1) / sigma_xy_m**2 + (turn / sigma_heading_rad) ** 2
     return -0.5 * (PRIOR_FREEDOM + 3.0) * np.log1p(squared / PRIOR_FREEDOM)
 
@@ -103,7 +103,7 @@ def _against(
     return np.where(valid, weight, -np.inf)
 
 
-def _differences(T_from: np.ndarray, Ts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def differences(T_from: np.ndarray, Ts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(forward, left) [m] in the frame of `T_from` and turn [rad] of each pose."""
     away = (Ts[:, :3, 3] - T_from[:3, 3]) @ T_from[:3, :2]
     turn = np.arctan2(Ts[:, 1, 0], Ts[:, 0, 0]) - np.arctan2(T_from[1, 0], T_from[0, 0])
@@ -112,7 +112,7 @@ def _differences(T_from: np.ndarray, Ts: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def same_ridge(T: np.ndarray, Ts: np.ndarray, config: PosteriorConfig) -> np.ndarray:
     """Which poses are one place with another, bool[n]."""
-    away, turn = _differences(T, Ts)
+    away, turn = differences(T, Ts)
     here_m, ahead_m = np.abs(away[:, 1]), np.abs(away[:, 1] + config.lever_m * turn)
     near = (here_m < config.across_m) | ((ahead_m < config.across_m) & (here_m < 2.0 * config.across_m))
     return near & (np.abs(away[:, 0]) < config.along_m) & (np.abs(np.degrees(turn)) < config.heading_deg)
@@ -120,7 +120,7 @@ def same_ridge(T: np.ndarray, Ts: np.ndarray, config: PosteriorConfig) -> np.nda
 
 def spread(T_centre: np.ndarray, Ts: np.ndarray, log_weight: np.ndarray) -> np.ndarray:
     """Second moment of weighted poses about one of them, float[3 3] (forward, left [m], heading [rad])."""
-    away, turn = _differences(T_centre, Ts)
+    away, turn = differences(T_centre, Ts)
     share = np.exp(log_weight - log_weight.max())
     steps = np.column_stack([away, turn])
     return (steps * (share / share.sum())[:, None]).T @ steps
