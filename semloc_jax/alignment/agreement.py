@@ -16,7 +16,7 @@ from semloc_jax.alignment.posterior import differences
 class AgreementConfig:
     """How the halves are made. All values are ours."""
 
-    num_splits: int = 5
+    num_splits: int = 8
     """Of the elements into two halves, at random."""
     seed: int = 0
 
@@ -38,7 +38,7 @@ def disagreement(T_map_base: np.ndarray, Ts_half: np.ndarray, variance: np.ndarr
 
     The halves of a mean scatter about it as it does about the truth (the delete-half jackknife). An estimate that drops
     outliers, and was searched for where most elements agree, is less sure: by how much the halves scatter more than
-    its residuals promise, to the side and in heading alike, that much more is taken again. One half in ten may end in
+    its residuals promise, to the side and in heading alike, that much more is taken again. A half may end in
     another basin by chance: the largest deviation along each axis is left out.
 
     Args:
