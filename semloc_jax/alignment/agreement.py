@@ -37,8 +37,8 @@ def disagreement(T_map_base: np.ndarray, Ts_half: np.ndarray, variance: np.ndarr
     """Variance of a pose as the halves have it, float[3] (forward, left [m^2], heading [rad^2]).
 
     The halves of a mean scatter about it as it does about the truth (the delete-half jackknife). An estimate that drops
-    outliers, and was searched for where most elements agree, is less sure: by how much the halves scatter more than
-    its residuals promise, to the side and in heading alike, that much more is taken again. A half may end in
+    outliers, and was searched for where most elements agree, is less sure of its place: by how much the halves scatter
+    more than its residuals promise, to the side and in heading alike, that much more is taken again. A half may end in
     another basin by chance: the largest deviation along each axis is left out.
 
     Args:
@@ -48,4 +48,5 @@ def disagreement(T_map_base: np.ndarray, Ts_half: np.ndarray, variance: np.ndarr
     """
     away, turn = differences(T_map_base, Ts_half)
     found = np.sort(np.column_stack([away, turn]) ** 2, axis=0)[:-1].mean(axis=0)
-    return found * max(float((found / np.maximum(variance, 1e-12))[1:].min()), 1.0)
+    again = max(float((found / np.maximum(variance, 1e-12))[1:].min()), 1.0)
+    return found * np.array([again, again, 1.0])

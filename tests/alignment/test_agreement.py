@@ -48,6 +48,6 @@ def test_axes_are_those_of_the_vehicle():
 def test_halves_that_scatter_more_than_promised_take_that_much_again():
     T, Ts = np.eye(4), planar(np.array([0.1, -0.1]), np.array([0.2, -0.2]), np.array([0.01, -0.01]))
     found = np.array([0.01, 0.04, 1e-4])
-    assert disagreement(T, Ts, found / [1.0, 9.0, 4.0]) == pytest.approx(4.0 * found)
+    assert disagreement(T, Ts, found / [1.0, 9.0, 4.0]) == pytest.approx(found * [4.0, 4.0, 1.0])
     # Only to the side: a lever of the heading, not a contradiction.
     assert disagreement(T, Ts, found / [1.0, 9.0, 0.5]) == pytest.approx(found)
