@@ -112,7 +112,7 @@ def _verbs(material: Path, out: Path) -> dict[str, list[str]]:
     small, search = ["--masks", "sem", "--overlays", "2"], ["--acquisition.search.num-hypotheses", "256"]
     size = ["--num-frames", "3", "--width-px", "240", "--height-px", "150"]
     return {
-        "simulate": ["simulate", "road", *size, *to],
+        "simulate": ["simulate", str(out), *size],
         "convert": ["convert", f"{drive}/map.geojson", str(out / "map.gpkg")],
         "segment": ["segment", drive, "--preset", str(material / "preset.yaml"), *to],
         "localize": ["localize", drive, "--hypotheses", "256", *small, *to],
