@@ -20,10 +20,11 @@ from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import ONE_PLACE
 from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.alignment.single_frame import FrameInput, frame_input
-from semloc_jax.alignment.verdict import VerdictConfig, judge
+from semloc_jax.alignment.verdict import VerdictConfig, directions_held, judge
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation.held import held_text
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import LocalMap, SemanticMap, sample
 from semloc_jax.perception import ClassTable, cost_maps
@@ -145,7 +146,9 @@ class FrameLocalizer:
     ) -> LocalizationResult:
         best = found.modes[0].T_map_base if found.modes else T_map_prior
         status, reasons = judge(found, T_map_prior, sigma_xy_m, self.config.verdict)
-        return LocalizationResult(frame, best, T_map_prior, status, not reasons, reasons, found.modes, times)
+        held, bounds = directions_held(found, T_map_prior, sigma_xy_m, self.config.verdict)
+        told = (*reasons, *filter(None, [held_text(bounds, held)]))
+        return LocalizationResult(frame, best, T_map_prior, status, not reasons, told, found.modes, times, held)
 
     def mode_finder(
         self,

@@ -103,6 +103,7 @@ class LocalizationResult:
         reasons: one sentence for each thing that speaks against the pose.
         modes: distinct poses, best first.
         times: seconds spent by stage.
+        held: which of across, along and heading the masks hold, though the pose as a whole may not be used.
     """
 
     frame: Frame | None
@@ -113,6 +114,7 @@ class LocalizationResult:
     reasons: tuple[str, ...] = ()
     modes: tuple[Mode, ...] = ()
     times: dict[str, float] = field(default_factory=dict)
+    held: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> np.ndarray:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from semloc_jax.alignment.result import FoundModes, Mode
+from semloc_jax.evaluation.held import held_directions
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
 
 
@@ -57,19 +58,64 @@ def judge(
     if not modes or status in (SolveStatus.NO_EVIDENCE, SolveStatus.NOT_FINITE):
         status = status if status != SolveStatus.CONVERGED else SolveStatus.NO_EVIDENCE
         return status, (STATUS_TEXT[status],)
-    reasons = [*_fit(modes[0], config), *_rivals(modes, config), *_directions(modes[0], sigma_xy_m, config)]
-    if status == SolveStatus.MAX_STEPS:
-        reasons.append((status, "no solve of this place converged"))
-    elif found.confirmed is not None and found.confirmed < config.min_confirmed:
-        reasons.append((SolveStatus.MAX_STEPS, "no second start found the same pose"))
-    prior_sigmas = float(np.hypot(*(modes[0].T_map_base - T_map_prior)[:2, 3])) / sigma_xy_m
-    if prior_sigmas > config.max_prior_sigmas:
-        text = f"{prior_sigmas:.1f} sigmas from the prior, which states {sigma_xy_m:.2g} m: one of both is wrong"
-        reasons.append((SolveStatus.AT_SEARCH_BORDER, text))
+    reasons = list(_against(found, T_map_prior, sigma_xy_m, config))
     return (reasons[0][0] if reasons else status), tuple(text for _, text in reasons)
 
 
+def directions_held(
+    found: FoundModes, T_map_prior: np.ndarray, sigma_xy_m: float, config: VerdictConfig
+) -> tuple[tuple[str, ...], tuple[float, float, float]]:
+    """The directions that the masks of a frame hold, though it may not be localized, and the bounds they hold it to.
+
+    Nothing is held where the masks do not show the map, where no second start confirms the pose and at the border of
+    the search. A rival adds its distance in each direction: two places along one line hold the place across it.
+
+    Args:
+        found: Distinct modes, best first, and how the solve of the best ended.
+        T_map_prior: The pose that the search started around.
+        sigma_xy_m: Standard deviation that the prior states for its position [m].
+        config: Limits.
+
+    Returns:
+        Names of directions and lateral [m], longitudinal [m], heading [deg]; infinite where nothing is known.
+    """
+    limits = (config.max_sigma_lateral_m, config.max_sigma_longitudinal_m, config.max_sigma_heading_deg)
+    doubts = {SolveStatus.POOR_FIT, SolveStatus.NO_EVIDENCE, SolveStatus.MAX_STEPS, SolveStatus.AT_SEARCH_BORDER}
+    modes = found.modes
+    if not modes or found.status in (SolveStatus.NO_EVIDENCE, SolveStatus.NOT_FINITE):
+        return (), (np.inf, np.inf, np.inf)
+    if not doubts.isdisjoint(status for status, _ in _against(found, T_map_prior, sigma_xy_m, config)):
+        return (), (np.inf, np.inf, np.inf)
+    best = modes[0]
+    bounds = np.array([best.sigma_lateral_m, best.sigma_longitudinal_m, best.sigma_heading_deg])
+    for rival in modes[1:] if best.weight < config.min_weight else ():
+        if rival.weight > 0.5 * (1.0 - config.min_weight):
+            step = np.linalg.inv(best.T_map_base) @ rival.T_map_base
+            turn_deg = np.degrees(np.arctan2(step[1, 0], step[0, 0]))
+            bounds = np.maximum(bounds, np.abs([step[1, 3], step[0, 3], turn_deg]))
+    is_open = _is_held_by_prior(best, sigma_xy_m, config) or _is_beside_borders(best, config)
+    lateral_m, along_m, heading_deg = bounds.tolist()
+    told = (lateral_m, along_m, heading_deg)
+    return held_directions(told, limits, ("along",) if is_open else ()), told
+
+
 Reasons = Iterator[tuple[SolveStatus, str]]
+
+
+def _against(found: FoundModes, T_map_prior: np.ndarray, sigma_xy_m: float, config: VerdictConfig) -> Reasons:
+    """Every reason against the best mode."""
+    modes = found.modes
+    yield from _fit(modes[0], config)
+    yield from _rivals(modes, config)
+    yield from _directions(modes[0], sigma_xy_m, config)
+    if found.status == SolveStatus.MAX_STEPS:
+        yield found.status, "no solve of this place converged"
+    elif found.confirmed is not None and found.confirmed < config.min_confirmed:
+        yield SolveStatus.MAX_STEPS, "no second start found the same pose"
+    prior_sigmas = float(np.hypot(*(modes[0].T_map_base - T_map_prior)[:2, 3])) / sigma_xy_m
+    if prior_sigmas > config.max_prior_sigmas:
+        text = f"{prior_sigmas:.1f} sigmas from the prior, which states {sigma_xy_m:.2g} m: one of both is wrong"
+        yield SolveStatus.AT_SEARCH_BORDER, text
 
 
 def _fit(best: Mode, config: VerdictConfig) -> Reasons:
@@ -111,11 +157,20 @@ def _directions(best: Mode, sigma_xy_m: float, config: VerdictConfig) -> Reasons
     ):
         if not sigma <= limit:
             yield SolveStatus.WEAK_DIRECTION, f"{name} sigma {sigma:.2f} {unit} exceeds {limit:g} {unit}"
-    held_m = config.max_prior_share * max(sigma_xy_m, config.least_prior_m)
-    if held_m < best.sigma_longitudinal_m <= config.max_sigma_longitudinal_m:
+    if _is_held_by_prior(best, sigma_xy_m, config):
         text = f"longitudinal sigma {best.sigma_longitudinal_m:.2f} m is about that of the prior, {sigma_xy_m:.2f} m"
         yield SolveStatus.WEAK_DIRECTION, f"{text}: the masks do not hold it"
-    offset_px = best.evidence.border_offset_px if best.evidence is not None else 0.0
-    if abs(offset_px) > config.max_border_offset_px:
-        text = f"the map lies {offset_px:+.1f} px outside of the borders of its masks"
+    if _is_beside_borders(best, config):
+        text = f"the map lies {best.evidence.border_offset_px:+.1f} px outside of the borders of its masks"
         yield SolveStatus.WEAK_DIRECTION, f"{text}: the place along the road is not held"
+
+
+def _is_held_by_prior(best: Mode, sigma_xy_m: float, config: VerdictConfig) -> bool:
+    """Whether the place along the road is about as well known as before the frame."""
+    held_m = config.max_prior_share * max(sigma_xy_m, config.least_prior_m)
+    return held_m < best.sigma_longitudinal_m <= config.max_sigma_longitudinal_m
+
+
+def _is_beside_borders(best: Mode, config: VerdictConfig) -> bool:
+    """Whether the map lies beside the borders of its masks: then they do not say where along the road."""
+    return best.evidence is not None and abs(best.evidence.border_offset_px) > config.max_border_offset_px

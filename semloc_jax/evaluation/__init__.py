@@ -2,6 +2,7 @@
 
 from semloc_jax.evaluation.align import Alignment, aligned
 from semloc_jax.evaluation.benchmark import Outcome, Verdict, compare, format_verdicts, is_passed
+from semloc_jax.evaluation.held import held_directions, held_text
 from semloc_jax.evaluation.integrity import NeesReport, StanfordCounts, nees, normalised_squares, stanford_counts
 from semloc_jax.evaluation.metrics import ErrorLimit, Metric, evaluate, metrics_of_errors, pose_errors, within
 from semloc_jax.evaluation.report import format_metrics, read_metrics, write_metrics
@@ -22,6 +23,8 @@ __all__ = [
     "evaluate",
     "format_metrics",
     "format_verdicts",
+    "held_directions",
+    "held_text",
     "is_passed",
     "metrics_of_errors",
     "nees",

@@ -124,7 +124,9 @@ def _classical(drive: Drive, names: tuple[str, ...]) -> MaskSource:
     def segment(frame: Frame, camera: str) -> np.ndarray:
         return segmenters[camera](frame.image(camera))
 
-    return MaskSource(CLASSICAL, load_class_table("lane_paint"), names, segment)
+    # A table with posts says that all posts are found: only where uprights stand along the columns of the image.
+    shows_posts = any(segmenter.shows_posts for segmenter in segmenters.values())
+    return MaskSource(CLASSICAL, load_class_table("classical" if shows_posts else "lane_paint"), names, segment)
 
 
 def is_network(name: str) -> bool:

@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from semloc_jax.evaluation.held import held_directions
+from semloc_jax.evaluation.metrics import ErrorLimit
 from semloc_jax.localization.frame_alignment import Alignment
-from semloc_jax.localization.integrity import IntegrityConfig
+from semloc_jax.localization.integrity import IntegrityConfig, ProtectionLevels
 from semloc_jax.localization.track_state import Counters, TrackStatus
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
 
@@ -88,6 +90,12 @@ def counted(counters: Counters, occluded: bool, accepted: bool) -> Counters:
     if occluded:
         return counters._replace(occluded=counters.occluded + 1)
     return counters._replace(failures=counters.failures + 1.0)
+
+
+def held_of(protection: ProtectionLevels, limit: ErrorLimit, may_be_elsewhere: bool) -> tuple[str, ...]:
+    """The directions within their alert limits; a period of the markings away is elsewhere along the road only."""
+    limits = (limit.lateral_m, limit.longitudinal_m, limit.heading_deg)
+    return held_directions(protection, limits, ("along",) if may_be_elsewhere else ())
 
 
 def status_of(num_tracks: int, is_confirmed: bool, reasons: tuple[str, ...]) -> TrackStatus:

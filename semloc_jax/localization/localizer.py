@@ -18,6 +18,7 @@ from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
 from semloc_jax.alignment.single_frame import image_input
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
+from semloc_jax.evaluation.held import held_text
 from semloc_jax.fusion import clock, noise_scale
 from semloc_jax.fusion.clock import CameraTimeLog, unknown_offset
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
@@ -309,7 +310,7 @@ class Localizer:
         protection = ProtectionLevels(np.inf, np.inf, np.inf)
         if fused is not None:
             protection = protection_levels(fused.covariance, config.integrity)
-        reasons = view.reasons if view is not None else ()
+        reasons, held = view.reasons if view is not None else (), ()
         if state.tracks:
             best = state.tracks[0]
             is_confirmed = bool(best.num_accepted >= self.config.confirm_frames)
@@ -324,9 +325,14 @@ class Localizer:
                     if conflicts
                     else "frames before contradict it",
                 )
-            serious += phase.doubts(fused, state.fixes)
+            is_contradicted = len(serious) > len(beyond_alert(protection, config.integrity.limit))
+            other_place = phase.doubts(fused, state.fixes)
+            serious += other_place
             status = health.status_of(len(state.tracks), is_confirmed, serious)
-            reasons = tuple(dict.fromkeys((*serious, *reasons)))
+            if status != TrackStatus.INITIALIZING and not is_contradicted:
+                held = health.held_of(protection, config.integrity.limit, bool(other_place))
+            told = filter(None, [held_text(protection, held)])
+            reasons = tuple(dict.fromkeys((*serious, *reasons, *told)))
         elif state.coasting:
             status, reasons = TrackStatus.LOST, health.lost_because(state.counters, config) + reasons
         else:
@@ -349,6 +355,7 @@ class Localizer:
             len(state.tracks),
             float(state.clock.offset_s),
             watch.times_ms,
+            held,
         )
 
     def _why_no_start(self, state: TrackerState, frame: FrameFeatures) -> str:

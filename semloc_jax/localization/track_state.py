@@ -149,6 +149,7 @@ class TrackResult:
         num_tracks: answers that are followed.
         clock_offset_s: time of the motion sensors less that of the cameras [s].
         times_ms: time spent by stage [ms].
+        held: which of across, along and heading are within their limits, though the pose as a whole may not be.
     """
 
     frame_id: str
@@ -166,3 +167,4 @@ class TrackResult:
     num_tracks: int = 0
     clock_offset_s: float = 0.0
     times_ms: dict[str, float] = field(default_factory=dict)
+    held: tuple[str, ...] = ()

@@ -1,7 +1,10 @@
-"""A segmenter for road paint that needs no network (room: perception; host).
+"""A segmenter for road paint and white posts that needs no network (room: perception; host).
 
-In: an image and, if known, its camera above the road. Out: class ids of the table `lane_paint` (1 is paint).
+In: an image and, if known, its camera above the road. Out: class ids of the table `classical`.
 """
+
+from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -9,21 +12,37 @@ import numpy as np
 from semloc_jax.cameras import Camera, PinholeCamera
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception.class_table import UNLABELED_ID
+from semloc_jax.perception.classical_posts import find_posts
 from semloc_jax.perception.ground_view import GroundView
 from semloc_jax.perception.paint_candidates import PaintCandidates, PaintConfig, find_candidates, paint_brightness
+from semloc_jax.perception.paint_choice import ALONG, TopView, choose_paint, sharp_points
+from semloc_jax.perception.paint_drawing import draw_strokes
 from semloc_jax.perception.paint_filter import keep_paint
+from semloc_jax.perception.paint_profiles import THIN, WIDE, lookup, ridge_profiles
+from semloc_jax.perception.paint_strokes import Stroke, find_strokes
 
-PAINT_ID = 1
+PAINT_ID, POST_ID = 1, 2
+_UNSEEN = 400.0
+"""Brightness beyond the picture: no stroke has contrast against it."""
+_CLEAR_PX = 1
+_SHARP_TO_SOFT = 2.0
+"""Ridges with two sharp edges in a spot of paint, for each with a soft one: sun through leaves has soft edges."""
+_BLINDING = 250.0
+_BLIND_M = 0.5
+"""Ground that is white over this size shows no paint."""
+_LEAN = 0.15
+"""Largest tangent of an upright against the columns of an image in which posts are looked for."""
 _MIN_COMPONENT_PX = 6
 _GUESSED_HORIZON, _GUESSED_HEIGHT_M, _GUESSED_VIEW_DEG = 0.57, 1.4, 60.0
 
 
 class ClassicalPaintSegmenter:
-    """Lane lines, stop lines, crosswalk bars, arrows and letters of a plain image: image (BGR) -> class ids.
+    """Lane lines, stop lines, crosswalk bars, arrows, letters and posts of a plain image: image (BGR) -> class ids.
 
-    The image is warped to the road plane, where all paint has the same size in any direction and any camera. Spots
-    brighter than the road and narrower than a stroke are kept where the road around them is even and grey; their
-    outline is then drawn in the image itself, halfway between the brightness of paint and road.
+    The image is warped to the road plane, where all paint has the same size in any direction and any camera. Strokes
+    are ridges with two sharp edges, an even width and a contrast to the road on both sides; they are drawn between
+    these edges. Other spots that are narrower than a stroke (letters, heads of arrows) are kept where the road around
+    them is even and grey; their outline lies halfway between the brightness of paint and road.
     """
 
     def __init__(
@@ -47,10 +66,11 @@ class ClassicalPaintSegmenter:
         self.hidden = None if hidden is None else np.asarray(hidden, bool)
         self._camera, self._T_base_cam = camera, T_base_cam
         self._view: GroundView | None = None
+        self._pose: tuple[Camera, np.ndarray] | None = None
         self._size = (0, 0)
 
     def __call__(self, image: np.ndarray, frame_id: str = "") -> np.ndarray:
-        """Class ids uint8[h w]: 1 paint, 0 the rest, 255 hidden.
+        """Class ids uint8[h w]: 1 paint, 2 white posts, 255 hidden or overexposed road, 0 the rest.
 
         Args:
             image: BGR, uint8[h w 3].
@@ -64,12 +84,23 @@ class ClassicalPaintSegmenter:
         if self.hidden is not None:
             covered = cv2.remap(self.hidden.astype(np.uint8), view.image_uv, None, cv2.INTER_NEAREST)
             visible = visible & (covered == 0)
-        candidates = find_candidates(top, visible, self.config)
-        paint = keep_paint(candidates, top, self.config)
-        mask = _outline(image, view, candidates, paint, self.config)
+        pose = self._pose[1]
+        colours = TopView.of(top, view, pose)
+        strokes, sharp = _strokes(image, top, visible, colours, self.config)
+        drawn = draw_strokes(strokes, view)
+        mask = _beside(_spots(image, view, top, visible, sharp, self.config), drawn)
+        mask[drawn] = PAINT_ID
+        mask[(mask == 0) & _overexposed(top, view, self.config)] = UNLABELED_ID
+        if self.shows_posts:
+            mask[find_posts(image, view)] = POST_ID
         if self.hidden is not None:
             mask[self.hidden] = UNLABELED_ID
         return mask
+
+    @property
+    def shows_posts(self) -> bool:
+        """Whether uprights stand along the columns of the image, so that posts are looked for; False before a guess."""
+        return self._camera is not None and _is_upright(self._camera, np.asarray(self._T_base_cam))
 
     def _view_for(self, image: np.ndarray) -> GroundView:
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
@@ -85,6 +116,7 @@ class ClassicalPaintSegmenter:
         if self._view is None or self._size != size:
             pose = (self._camera, self._T_base_cam) if self._camera is not None else guess_forward_camera(*size)
             self._view = GroundView.of(*pose, self.config.metres_per_px, self.config.range_m)
+            self._pose = pose[0], np.asarray(pose[1])
             self._size = size
         return self._view
 
@@ -99,6 +131,73 @@ def guess_forward_camera(width_px: int, height_px: int) -> tuple[PinholeCamera, 
     T_base_cam[:3, :3] = np.stack([[0, -1, 0], down, forward], axis=1)
     T_base_cam[2, 3] = _GUESSED_HEIGHT_M
     return camera, T_base_cam
+
+
+def _brightness_at(grey: np.ndarray, view: GroundView, at: np.ndarray) -> np.ndarray:
+    """Brightness of the image at places of the top view, float32[...]; as of nothing dark beyond the picture."""
+    uv = np.stack([lookup(np.ascontiguousarray(view.image_uv[..., i]), at) for i in (0, 1)], axis=-1)
+    return np.where(uv.min(axis=-1) < 0.0, np.float32(_UNSEEN), lookup(grey, uv))
+
+
+def _strokes(
+    image: np.ndarray, top: np.ndarray, visible: np.ndarray, colours: TopView, config: PaintConfig
+) -> tuple[list[Stroke], np.ndarray]:
+    """Strokes of paint, and the ridges of the top view: 1 with two sharp edges, -1 others, 0 none, int8[h w]."""
+    grey = np.where(visible, paint_brightness(top), np.float32(_UNSEEN))
+    fine = partial(_brightness_at, paint_brightness(image), colours.view)
+    strokes, sharp = [], np.zeros(visible.shape, np.int8)
+    for scale in (THIN, WIDE):
+        bright = ridge_profiles(grey, visible, scale, config.metres_per_px)
+        ridges = sharp_points(bright, colours)
+        for points, sign in ((bright, -1), (ridges, 1)):
+            u, v = points.uv[points.contrast > ALONG.min_contrast].astype(int).T
+            sharp[v, u] = sign
+        strokes += choose_paint(
+            find_strokes(fine, grey.shape, ridges, scale.max_half_width_m, config.metres_per_px), colours
+        )
+    return strokes, sharp
+
+
+def _spots(
+    image: np.ndarray, view: GroundView, top: np.ndarray, visible: np.ndarray, edges: np.ndarray, config: PaintConfig
+) -> np.ndarray:
+    """Paint of any shape on an even road, uint8[h w]."""
+    candidates = find_candidates(top, visible, config)
+    sharp, soft = (
+        np.bincount(candidates.label[edges == sign], minlength=candidates.label.max() + 1) for sign in (1, -1)
+    )
+    boxes = {number: box for number, box in candidates.boxes.items() if sharp[number] >= _SHARP_TO_SOFT * soft[number]}
+    candidates = replace(candidates, boxes=boxes)
+    return _outline(image, view, candidates, keep_paint(candidates, top, config), config)
+
+
+def _beside(spots: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+    """The spots off the strokes: their outline is coarser than that of a stroke."""
+    size = 2 * _CLEAR_PX + 1
+    spots[cv2.dilate(drawn.astype(np.uint8), np.ones((size, size), np.uint8)) > 0] = 0
+    return spots
+
+
+def _overexposed(top: np.ndarray, view: GroundView, config: PaintConfig) -> np.ndarray:
+    """Road so bright that white paint cannot be told from it, bool[h w] of the image."""
+    size = max(round(_BLIND_M / config.metres_per_px), 1)
+    white = (top.min(axis=2) >= _BLINDING).astype(np.uint8)
+    wide = cv2.morphologyEx(white, cv2.MORPH_OPEN, np.ones((size, size), np.uint8))
+    return view.warp_back(wide, cv2.INTER_NEAREST) > 0
+
+
+def _is_upright(camera: Camera, T_base_cam: np.ndarray) -> bool:
+    """Whether a post 10 m ahead of a camera stands along a column of its image, in the middle and at both sides."""
+    width, height = camera.resolution
+    for share in (0.2, 0.5, 0.8):
+        ray = np.asarray(camera.unproject(np.array([share * width, 0.5 * height]))[0], np.float64)
+        place = T_base_cam[:3, :3] @ ray * 10.0 + T_base_cam[:3, 3]
+        ends = np.array([[place[0], place[1], z] for z in (0.0, 1.0)])
+        uv, valid = camera.project((ends - T_base_cam[:3, 3]) @ T_base_cam[:3, :3])
+        step = np.asarray(uv[1] - uv[0])
+        if not bool(np.all(valid)) or abs(step[0]) > _LEAN * abs(step[1]):
+            return False
+    return True
 
 
 def _outline(

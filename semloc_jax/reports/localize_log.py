@@ -38,6 +38,7 @@ def append(folder: Path, result: LocalizationResult) -> None:
         "localized": bool(result.localized),
         "reasons": list(result.reasons),
         "modes": [_mode_line(mode) for mode in result.modes],
+        "held": list(result.held),
         "times": {name: float(seconds) for name, seconds in result.times.items()},
     }
     append_line(folder / FILE, json.dumps(line))
@@ -91,4 +92,5 @@ def _result(line: dict[str, Any], by_id: dict[str, Frame]) -> LocalizationResult
         reasons=tuple(line["reasons"]),
         modes=tuple(modes),
         times=line["times"],
+        held=tuple(line["held"]),
     )

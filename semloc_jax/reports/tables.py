@@ -39,7 +39,19 @@ def write_tables(results: Sequence[LocalizationResult], truth: Mapping[str, np.n
     """
     write_tum(localized_trajectory(results), folder / "trajectory.tum")
     error_columns = [f"error_{key}" for key in ERRORS] if truth else []
-    columns = ["frame", "time_s", "localized", "status", "reasons", *POSE, "cost", "coverage", *SIGMAS, "time_ms"]
+    columns = [
+        "frame",
+        "time_s",
+        "localized",
+        "status",
+        "held",
+        "reasons",
+        *POSE,
+        "cost",
+        "coverage",
+        *SIGMAS,
+        "time_ms",
+    ]
     write_csv(folder / "frames.csv", [*columns, *error_columns], (_frame_row(r, truth) for r in results))
     columns = ["frame", "rank", "weight", *POSE, "cost", "coverage", *SIGMAS, *EVIDENCE]
     write_csv(folder / "hypotheses.csv", columns, (row for r in results for row in _mode_rows(r)))
@@ -61,6 +73,7 @@ def _frame_row(result: LocalizationResult, truth: Mapping[str, np.ndarray]) -> l
         f"{result.frame.time_s:.9f}",
         int(result.localized),
         SolveStatus(result.status).name,
+        " ".join(result.held),
         "; ".join(result.reasons),
         *_pose_cells(result.T_map_base),
         *quality,

@@ -29,7 +29,7 @@ SENSORS = (
 STAGES = ("predict", "align", "fuse", "acquire")
 NEES = "nees"
 COLUMNS = (
-    *("frame", "time_s", "variant", "status", "reasons", *POSE, *SIGMAS, *PROTECTION),
+    *("frame", "time_s", "variant", "status", "held", "reasons", *POSE, *SIGMAS, *PROTECTION),
     *("accepted", "num_tracks", *QUALITY, *SENSORS, *(f"{stage}_ms" for stage in STAGES)),
     *(f"error_{key}" for key in ERRORS),
     NEES,
@@ -110,7 +110,7 @@ class TrackTable:
     def read(cls, folder: Path) -> "TrackTable":
         """The table of a run."""
         lines = read_lines(folder / FILE)
-        text = ("frame", "variant", "status", "reasons")
+        text = ("frame", "variant", "status", "held", "reasons")
         numbers = {
             name: np.array([float(line[name] or "nan") for line in lines]) for name in COLUMNS if name not in text
         }
@@ -156,6 +156,7 @@ def _line(frame: Frame, result: TrackResult, T_truth: np.ndarray | None) -> dict
         "time_s": f"{frame.time_s:.9f}",
         "variant": frame.variant,
         "status": result.status.name,
+        "held": " ".join(result.held),
         "reasons": "; ".join(result.reasons),
         "accepted": int(result.accepted),
         "num_tracks": result.num_tracks,

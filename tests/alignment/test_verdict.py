@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from semloc_jax.alignment.result import FoundModes, Mode, ModeEvidence
-from semloc_jax.alignment.verdict import VerdictConfig, judge
+from semloc_jax.alignment.verdict import VerdictConfig, directions_held, judge
+from semloc_jax.evaluation import held_text
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
 
 LIMITS = VerdictConfig(
@@ -143,3 +144,29 @@ def test_one_mode_without_any_weight_is_judged_by_the_rest():
 def test_every_status_has_its_sentence():
     assert set(STATUS_TEXT) == set(SolveStatus)
     assert all(len(text) > 20 for text in STATUS_TEXT.values())
+
+
+def held(*modes, sigma_m=2.0, confirmed=3):
+    found = FoundModes(tuple(modes), SolveStatus.CONVERGED, confirmed)
+    return directions_held(found, np.eye(4), sigma_m, LIMITS)[0]
+
+
+def test_across_is_held_where_only_the_place_along_the_road_is_open():
+    assert held(GOOD) == ("across", "along", "heading")
+    assert held(with_sigma(0, 1.5)) == ("across", "heading")
+    assert held(seen(border_offset_px=4.0)) == ("across", "heading")
+    ahead = far(0.45)
+    ahead.T_map_base[1, 3] = 0.0
+    assert held(replace(GOOD, weight=0.55), ahead) == ("across", "heading")
+
+
+def test_nothing_is_held_where_the_masks_do_not_show_the_map_or_nothing_confirms_it():
+    assert held(replace(GOOD, cost=0.9)) == ()
+    assert held(GOOD, confirmed=0) == ()
+    assert held() == ()
+
+
+def test_what_is_open_is_told_with_what_would_help():
+    text = held_text((0.08, 1.4, 0.2), ("across", "heading"))
+    assert text.startswith("across held to 0.08 m, heading held to 0.20 deg, along open: signs, posts")
+    assert held_text((0.1, 0.2, 0.1), ("across", "along", "heading")) == held_text((9.0, 9.0, 9.0), ()) == ""

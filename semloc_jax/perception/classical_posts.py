@@ -1,0 +1,128 @@
+"""White delineator posts that stand beside a road, without a network (room: perception; host).
+
+In: an image and the ground view of its camera. Out: upright bright bars of the width and height of such posts.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from semloc_jax.perception.ground_view import GroundView
+from semloc_jax.perception.paint_candidates import paint_brightness
+from semloc_jax.perception.paint_profiles import log_brightness
+
+_WIDTHS_PX = (1, 2, 3, 5, 8, 12)
+
+
+@dataclass(frozen=True)
+class PostConfig:
+    """What a post is like; metres at the place where its foot meets the road plane."""
+
+    min_width_m: float = 0.06
+    max_width_m: float = 0.25
+    min_height_m: float = 0.45
+    max_height_m: float = 1.5
+    min_contrast: float = 0.35
+    """Of the darker side's difference of log brightness."""
+    gap_m: float = 0.35
+    """The black band with the reflector cuts the white in two."""
+
+
+def find_posts(image: np.ndarray, view: GroundView, config: PostConfig | None = None) -> np.ndarray:
+    """Pixels of posts, bool[h w].
+
+    Verticals must be upright in the image within some degrees, as they are for cameras that look ahead.
+
+    Args:
+        image: BGR, uint8[h w 3].
+        view: ground view of the camera.
+        config: None for the defaults.
+    """
+    config = config or PostConfig()
+    level = log_brightness(paint_brightness(image))
+    out = np.zeros(level.shape, bool)
+    lateral_m = _metres_per_column(view)
+    for width in _WIDTHS_PX:
+        # A post of this many pixels in width stands where a pixel is this large.
+        near = (lateral_m * (width + 1) >= config.min_width_m) & (lateral_m * width <= config.max_width_m)
+        if near.any():
+            bars = _upright_bars(level, width, config.min_contrast)
+            _draw_posts(out, bars, level, lateral_m, config)
+    return out
+
+
+def _metres_per_column(view: GroundView) -> np.ndarray:
+    """Metres on the road that one pixel spans sideways, 0 where it sees no road within the range; float[h w]."""
+    right = np.roll(view.bev_uv, -1, axis=1)
+    step = np.linalg.norm(right - view.bev_uv, axis=-1) / float(view.bev.fx)
+    known = (view.bev_uv[..., 0] > -1e3) & (right[..., 0] > -1e3)
+    known[:, -1] = False
+    return np.where(known, step, 0.0)
+
+
+def _upright_bars(level: np.ndarray, width: int, min_contrast: float) -> np.ndarray:
+    """Pixels in the middle of bars that are brighter than both sides, uint8[h w]."""
+    mean = cv2.blur(level, (width, 1), borderType=cv2.BORDER_REPLICATE)
+    padded = cv2.copyMakeBorder(mean, 0, 0, width + 1, width + 1, cv2.BORDER_REPLICATE)
+    left, right = padded[:, : level.shape[1]], padded[:, 2 * (width + 1) :]
+    bars = (mean - np.maximum(left, right) > min_contrast).astype(np.uint8)
+    return cv2.morphologyEx(bars, cv2.MORPH_OPEN, np.ones((max(2 * width, 3), 1), np.uint8))
+
+
+def _draw_posts(
+    out: np.ndarray, bars: np.ndarray, level: np.ndarray, lateral_m: np.ndarray, config: PostConfig
+) -> None:
+    """Adds the posts among bars to `out`."""
+    count, _, stats, _ = cv2.connectedComponentsWithStats(bars, connectivity=8)
+    boxes = stats[1:count, :4]
+    boxes = boxes[np.argsort(-(boxes[:, 1] + boxes[:, 3]), kind="stable")]
+    columns = np.arange(out.shape[1])
+    used = np.zeros(len(boxes), bool)
+    for number, box in enumerate(boxes):
+        foot = min(int(box[1] + box[3]), level.shape[0] - 1)
+        scale = float(lateral_m[foot, min(int(box[0] + box[2] // 2), level.shape[1] - 1)])
+        # No bar of three times its height reaches the least height: nothing that is joined to it helps.
+        if used[number] or scale <= 0.0 or 3 * box[3] * scale < config.min_height_m:
+            continue
+        above = number + np.flatnonzero(_stand_above(boxes[number:], box, config.gap_m / scale))
+        used[above] = True
+        whole = _around(boxes[np.append(above, number)])
+        edges = _edges(level, whole)
+        if edges is None or whole[3] < 4:
+            continue
+        height_m, width_m = whole[3] * scale, (edges[1] - edges[0]) * scale
+        is_high = config.min_height_m <= height_m <= config.max_height_m
+        if is_high and config.min_width_m <= width_m <= config.max_width_m:
+            out[whole[1] : whole[1] + whole[3], (columns > edges[0]) & (columns < edges[1])] = True
+
+
+def _stand_above(boxes: np.ndarray, box: np.ndarray, gap_px: float) -> np.ndarray:
+    """Which boxes (u, v, width, height) begin above another by no more than a gap, in the same columns."""
+    gap = box[1] - (boxes[:, 1] + boxes[:, 3])
+    beside = np.abs(boxes[:, 0] + 0.5 * boxes[:, 2] - box[0] - 0.5 * box[2])
+    return (gap >= 0) & (gap <= gap_px) & (beside <= 1.5)
+
+
+def _around(boxes: np.ndarray) -> tuple[int, int, int, int]:
+    """The box around boxes."""
+    low, high = boxes[:, :2].min(axis=0), (boxes[:, :2] + boxes[:, 2:]).max(axis=0)
+    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+
+
+def _edges(level: np.ndarray, box: tuple[int, int, int, int]) -> tuple[float, float] | None:
+    """Columns of the left and right border from the mean profile over the rows of a bar; None where one is missing."""
+    u, v, width, height = box
+    margin = width + 4
+    first, last = max(u - margin, 0), min(u + width + margin, level.shape[1])
+    profile = np.median(np.exp(level[v : v + height, first:last]), axis=0)
+    peak = int(np.argmax(profile[u - first : u - first + width])) + u - first
+    borders = []
+    for side in (profile[peak::-1], profile[peak:]):
+        half = 0.5 * (side[0] + side[: width + 4].min())
+        below = np.flatnonzero(side < half)
+        if not len(below):
+            return None
+        at = int(below[0])
+        borders.append(at - 1 + float((side[at - 1] - half) / max(side[at - 1] - side[at], 1e-6)))
+    return first + peak - borders[0], first + peak + borders[1]

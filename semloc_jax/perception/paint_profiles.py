@@ -1,0 +1,210 @@
+"""Profiles across bright ridges of a top view: two edges, a width, a contrast on each side (room: perception; host).
+
+In: the top view of one image. Out: RidgeProfiles, one row for each point of a ridge, of paint and of much else.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+
+_DARK = 10.0
+"""Added to brightness before the logarithm: noise of dark pixels must not count as contrast."""
+_ALONG_M = (-0.3, -0.15, 0.0, 0.15, 0.3)
+"""Profiles are means over these places along the stroke."""
+MIN_CONTRAST = 0.08
+"""Least difference of log brightness between a stroke and the road on either side."""
+_CORE_M = 0.025
+_FLANK_M = (0.04, 0.2)
+"""The road beside a stroke is looked at between these distances from its edge."""
+_STRIP_M = 0.075
+"""The darkest strip of this width counts there: beside an edge line a bright verge may begin soon."""
+
+
+Brightness = Callable[[np.ndarray], np.ndarray]
+"""Brightness, float32[...], at places of the top view, float[... 2] in its pixels."""
+
+
+@dataclass(frozen=True)
+class RidgeScale:
+    """Strokes of one range of widths."""
+
+    sigma_m: float
+    """Of the smoothing under which the ridge is found."""
+    max_half_width_m: float
+    min_strength: float
+    """Least curvature across the ridge, in the logarithm of brightness, times sigma squared."""
+
+
+THIN = RidgeScale(0.06, 0.16, 0.012)
+"""Lane lines."""
+WIDE = RidgeScale(0.18, 0.36, 0.03)
+"""Stop lines, bars of crosswalks, stems of arrows."""
+
+
+@dataclass(frozen=True)
+class RidgeProfiles:
+    """Points of ridges; all arrays [n]. Lengths in metres, contrasts as differences of log brightness."""
+
+    uv: np.ndarray
+    """Place in the top view [px], float[n 2]."""
+    normal: np.ndarray
+    """Unit vector across the stroke in the top view, float[n 2]."""
+    left_m: np.ndarray
+    """Distance of the left edge along the normal, negative."""
+    right_m: np.ndarray
+    contrast_left: np.ndarray
+    contrast_right: np.ndarray
+    rise_m: np.ndarray
+    """Distance over which the softer edge falls from three to one quarter: paint is as sharp as the picture."""
+
+    @property
+    def width_m(self) -> np.ndarray:
+        """Distance between both edges."""
+        return self.right_m - self.left_m
+
+    @property
+    def contrast(self) -> np.ndarray:
+        """The smaller of both sides: an edge between two surfaces has none."""
+        return np.minimum(self.contrast_left, self.contrast_right)
+
+    def at(self, keep: np.ndarray) -> "RidgeProfiles":
+        """Some of the points, by mask or by index."""
+        return RidgeProfiles(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+
+
+def log_brightness(grey: np.ndarray) -> np.ndarray:
+    """Logarithm of brightness: a shadow shifts it, the contrast of paint and road stays."""
+    return np.log(grey + np.float32(_DARK))
+
+
+def ridge_profiles(grey: np.ndarray, visible: np.ndarray, scale: RidgeScale, metres_per_px: float) -> RidgeProfiles:
+    """All ridges of one scale with their profiles.
+
+    Args:
+        grey: brightness of the top view, float32[h w].
+        visible: what the camera sees of the road, bool[h w].
+        scale: widths to look for.
+        metres_per_px: size of a pixel of the top view.
+    """
+    uv, normal = _ridge_points(log_brightness(grey), visible, scale, metres_per_px)
+    # Most ridges are grass and gravel: one look at both sides settles them.
+    beside_m = scale.max_half_width_m + 0.5 * sum(_FLANK_M)
+    look = _sampled(partial(lookup, grey), uv, normal, np.array([-beside_m, 0.0, beside_m]), metres_per_px)
+    stands_out = _contrast(look[:, 1], np.maximum(look[:, 0], look[:, 2])) > 0.5 * MIN_CONTRAST
+    uv, normal = uv[stands_out], normal[stands_out]
+    return measure_profiles(partial(lookup, grey), uv, normal, scale.max_half_width_m, metres_per_px)
+
+
+def measure_profiles(
+    brightness: Brightness,
+    uv: np.ndarray,
+    normal: np.ndarray,
+    max_half_width_m: float,
+    metres_per_px: float,
+    step_m: float = 0.025,
+) -> RidgeProfiles:
+    """Edges and contrasts of strokes whose centres and directions are known.
+
+    The edges lie halfway between the brightness of the stroke and that of the road beside it.
+
+    Args:
+        brightness: float32[...] at places of the top view, float[... 2] in pixels.
+        uv: places [px], float[n 2].
+        normal: unit vectors across, float[n 2].
+        max_half_width_m: edges are looked for up to here.
+        metres_per_px: size of a pixel of the top view.
+        step_m: distance of the samples across.
+    """
+    reach = max_half_width_m + _FLANK_M[1]
+    half, core = round(reach / step_m), round(_CORE_M / step_m)
+    across = np.arange(-half, half + 1) * step_m
+    profile = _sampled(brightness, uv, normal, across, metres_per_px)
+    middle = profile[:, half - core : half + core + 1].mean(axis=1)
+    left, contrast_left, rise_left = _side(profile[:, half::-1], middle, max_half_width_m, step_m)
+    right, contrast_right, rise_right = _side(profile[:, half:], middle, max_half_width_m, step_m)
+    return RidgeProfiles(uv, normal, -left, right, contrast_left, contrast_right, np.maximum(rise_left, rise_right))
+
+
+def _side(outward: np.ndarray, middle: np.ndarray, max_half_width_m: float, step_m: float) -> tuple[np.ndarray, ...]:
+    """Distance of the edge [m], contrast to the road beyond it and softness [m]; profiles start in the middle.
+
+    Light adds up in a pixel, so the edge lies halfway between the brightnesses, not between their logarithms.
+    """
+    inner, outer = (round(distance / step_m) for distance in _FLANK_M)
+    strip = round(_STRIP_M / step_m)
+    flank = outward[:, : round(max_half_width_m / step_m) + outer].min(axis=1)
+    # Twice: the lowest level finds the road, the level of the road the edge.
+    for _ in range(2):
+        edge = _crossing(outward, middle, flank, 0.5)
+        at = np.minimum(np.round(edge).astype(int)[:, None] + np.arange(inner, outer + 1), outward.shape[1] - 1)
+        beside = np.cumsum(np.take_along_axis(outward, at, axis=1), axis=1)
+        flank = (beside[:, strip:] - beside[:, :-strip]).min(axis=1) / strip
+    high, low = (_crossing(outward, middle, flank, share) for share in (0.75, 0.25))
+    return edge * step_m, _contrast(middle, flank), (low - high) * step_m
+
+
+def _contrast(middle: np.ndarray, flank: np.ndarray) -> np.ndarray:
+    """Difference of log brightness."""
+    return np.log((np.maximum(middle, 0.0) + _DARK) / (np.maximum(flank, 0.0) + _DARK))
+
+
+def _crossing(outward: np.ndarray, middle: np.ndarray, flank: np.ndarray, share: float) -> np.ndarray:
+    """Step at which profiles first fall below a share of the way from the flank to the middle."""
+    rows = np.arange(len(outward))
+    limit = flank + share * (middle - flank)
+    below = outward < limit[:, None]
+    below[:, 0] = False
+    first = np.where(below.any(axis=1), below.argmax(axis=1), outward.shape[1] - 1)
+    before, after = outward[rows, np.maximum(first - 1, 0)], outward[rows, first]
+    return first - 1 + np.clip((before - limit) / np.maximum(before - after, 1e-6), 0.0, 1.0)
+
+
+def _sampled(
+    brightness: Brightness, uv: np.ndarray, normal: np.ndarray, across_m: np.ndarray, metres_per_px: float
+) -> np.ndarray:
+    """Mean brightness along the strokes at distances across them, float32[n k]."""
+    if not len(uv):
+        return np.zeros((0, len(across_m)), np.float32)
+    along = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
+    offset = normal[:, None] * (across_m / metres_per_px)[None, :, None]
+    total = np.zeros((len(uv), len(across_m)), np.float32)
+    for distance in _ALONG_M:
+        at = (uv + along * (distance / metres_per_px))[:, None] + offset
+        total += brightness(at)
+    return total / len(_ALONG_M)
+
+
+def lookup(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Values between pixels, float32 of the shape of `at` without its last axis."""
+    u, v = (at[..., i].astype(np.float32).ravel() for i in (0, 1))
+    width = 16384  # OpenCV remaps into pictures of less than 32768 pixels a side
+    missing = -len(u) % width
+    u, v = (np.pad(part, (0, missing)).reshape(-1, width) for part in (u, v))
+    rows = [
+        cv2.remap(values, u[i : i + width], v[i : i + width], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for i in range(0, len(u), width)
+    ]
+    return np.concatenate(rows).ravel()[: at[..., 0].size].reshape(at.shape[:-1])
+
+
+def _ridge_points(
+    level: np.ndarray, visible: np.ndarray, scale: RidgeScale, metres_per_px: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places [px] where the curvature across is largest, and the directions across."""
+    sigma = scale.sigma_m / metres_per_px
+    smooth = cv2.GaussianBlur(level, (0, 0), sigma)
+    uu, vv, uv = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (0, 2), (1, 1)))
+    uu, vv, uv = uu / 4, vv / 4, uv / 4
+    root = np.sqrt(0.25 * (uu - vv) ** 2 + uv * uv)
+    strength = (root - 0.5 * (uu + vv)) * np.float32(sigma**2)
+    angle = 0.5 * np.arctan2(2 * uv, uu - vv) + np.pi / 2
+    inner = cv2.erode(visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    v, u = np.nonzero(inner & (strength > scale.min_strength))
+    normal = np.stack([np.cos(angle[v, u]), np.sin(angle[v, u])], axis=-1)
+    at = np.stack([u, v], axis=-1).astype(np.float64)
+    own = strength[v, u]
+    peak = (own >= lookup(strength, at + normal)) & (own > lookup(strength, at - normal))
+    return at[peak], normal[peak]
