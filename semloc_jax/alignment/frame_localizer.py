@@ -62,6 +62,7 @@ class FrameLocalizer:
         self.map, self.table, self.config = semantic_map, table, config or LocalizeConfig()
         labels = sorted(semantic_map.labels)
         channels = sorted({table.channel_of(label) for label in labels} - {-1})
+        self.not_shown = tuple(label for label in labels if table.channel_of(label) < 0)
         if not channels:
             names = ", ".join(label.name for label in labels) or "none"
             seen = ", ".join(channel.name for channel in table.channels)
@@ -148,6 +149,9 @@ class FrameLocalizer:
         status, reasons = judge(found, T_map_prior, sigma_xy_m, self.config.verdict)
         held, bounds = directions_held(found, T_map_prior, sigma_xy_m, self.config.verdict)
         told = (*reasons, *filter(None, [held_text(bounds, held)]))
+        if status == SolveStatus.NO_EVIDENCE and self.not_shown:
+            names = ", ".join(label.name.lower() for label in self.not_shown)
+            told += (f"the map also has {names}, which masks of table {self.table.name} never show: others would help",)
         return LocalizationResult(frame, best, T_map_prior, status, not reasons, told, found.modes, times, held)
 
     def mode_finder(
