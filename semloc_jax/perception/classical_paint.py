@@ -133,9 +133,9 @@ def guess_forward_camera(width_px: int, height_px: int) -> tuple[PinholeCamera, 
     return camera, T_base_cam
 
 
-def _brightness_at(grey: np.ndarray, view: GroundView, at: np.ndarray) -> np.ndarray:
+def _brightness_at(grey: np.ndarray, image_u: np.ndarray, image_v: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Brightness of the image at places of the top view, float32[...]; as of nothing dark beyond the picture."""
-    uv = np.stack([lookup(np.ascontiguousarray(view.image_uv[..., i]), at) for i in (0, 1)], axis=-1)
+    uv = np.stack([lookup(image_u, at), lookup(image_v, at)], axis=-1)
     return np.where(uv.min(axis=-1) < 0.0, np.float32(_UNSEEN), lookup(grey, uv))
 
 
@@ -144,7 +144,8 @@ def _strokes(
 ) -> tuple[list[Stroke], np.ndarray]:
     """Strokes of paint, and the ridges of the top view: 1 with two sharp edges, -1 others, 0 none, int8[h w]."""
     grey = np.where(visible, paint_brightness(top), np.float32(_UNSEEN))
-    fine = partial(_brightness_at, paint_brightness(image), colours.view)
+    columns = np.ascontiguousarray(np.moveaxis(colours.view.image_uv, -1, 0))
+    fine = partial(_brightness_at, paint_brightness(image), *columns)
     strokes, sharp = [], np.zeros(visible.shape, np.int8)
     for scale in (THIN, WIDE):
         bright = ridge_profiles(grey, visible, scale, config.metres_per_px)

@@ -181,13 +181,12 @@ def lookup(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Values between pixels, float32 of the shape of `at` without its last axis."""
     u, v = (at[..., i].astype(np.float32).ravel() for i in (0, 1))
     width = 16384  # OpenCV remaps into pictures of less than 32768 pixels a side
-    missing = -len(u) % width
-    u, v = (np.pad(part, (0, missing)).reshape(-1, width) for part in (u, v))
     rows = [
-        cv2.remap(values, u[i : i + width], v[i : i + width], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        cv2.remap(values, u[None, i : i + width], v[None, i : i + width], cv2.INTER_LINEAR,
+                  borderMode=cv2.BORDER_REPLICATE)[0]
         for i in range(0, len(u), width)
-    ]
-    return np.concatenate(rows).ravel()[: at[..., 0].size].reshape(at.shape[:-1])
+    ]  # fmt: skip
+    return np.concatenate(rows or [u]).reshape(at.shape[:-1])
 
 
 def _ridge_points(
