@@ -117,9 +117,9 @@ def search(
     sigma: np.ndarray | jax.Array | Sequence = START_SIGMA,
     config: LocalizeConfig | None = None,
 ) -> LocalizationResult:
-    """All poses around a first guess that explain the masks, best first, with a verdict: what `semloc localize` does.
+    """All poses around a first guess that explain the masks, best first, with a verdict.
 
-    Arguments as `align`. The window reaches 2.5 sigmas of the first guess; along the road the covariance is measured
+    Arguments as `align`. With a `PosePrior` this is what `semloc localize` does. The window reaches 2.5 sigmas of the first guess; along the road the covariance is measured
     from how far the masks leave the pose open.
 
     Returns:
