@@ -119,8 +119,8 @@ def search(
 ) -> LocalizationResult:
     """All poses around a first guess that explain the masks, best first, with a verdict.
 
-    Arguments as `align`. With a `PosePrior` this is what `semloc localize` does. The window reaches 2.5 sigmas of the first guess; along the road the covariance is measured
-    from how far the masks leave the pose open.
+    Arguments as `align`. With a `PosePrior` this is what `semloc localize` does. The window reaches 2.5 sigmas of the
+    first guess; along the road the covariance is measured from how far the masks leave the pose open.
 
     Returns:
         LocalizationResult with all its `modes`.
