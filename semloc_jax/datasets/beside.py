@@ -13,7 +13,7 @@ from semloc_jax.evaluation.trajectory import Trajectory, read_trajectory
 CALIBRATIONS = ("calib.yaml", "camchain.yaml", "calibration.yaml", "camera_info.yaml", "calib.xml", "calib.json")
 MAPS = ("map.geojson", "map.gpkg", "map.osm", "map.xodr")
 POSES = ("poses_body.tum", "poses.tum", "poses.txt", "poses.npy")
-_FIXES = ("gps.csv", "gnss.csv", "gps.nmea", "gnss.nmea", "nmea.txt", "gps.txt")
+FIXES = ("gps.csv", "gnss.csv", "gps.nmea", "gnss.nmea", "nmea.txt", "gps.txt")
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def logs_beside(path: Path) -> Logs:
         SemlocError: a log is there and is not what its name says.
     """
     folder = path if path.is_dir() else path.parent
-    fixes, wheels, inertial = folder_file(folder, _FIXES), folder / "wheel_odom.csv", folder / "imu.csv"
+    fixes, wheels, inertial = folder_file(folder, FIXES), folder / "wheel_odom.csv", folder / "imu.csv"
     poses = folder_file(folder, POSES)
     gnss = None if fixes is None else (read_nmea(fixes) if is_nmea(fixes) else read_gnss(fixes))
     return Logs(

@@ -23,15 +23,14 @@ _CAMERA = """cam{index}:
   name: {name}                 # the name of its folder: images/{name}/, masks/{name}/
   camera_model: pinhole
   intrinsics: [FX, FY, CX, CY]  # pixels; the centre of the top-left pixel is (0, 0)
-  distortion_model: radtan      # radtan: k1 k2 p1 p2 of OpenCV; equidistant: k1 k2 k3 k4 of a fisheye; none
+  distortion_model: radtan      # radtan: k1 k2 p1 p2 [k3] of OpenCV; equidistant: k1 k2 k3 k4 of a fisheye; none
   distortion_coeffs: [K1, K2, P1, P2]
   resolution: [{width}, {height}]
-  T_body_cam:                   # camera (x right, y down, z forward) to vehicle (rear axle on the ground, x forward,
-    # y left, z up). This one looks straight ahead; the last column is where the lens is [m], measured with a rule
-    - [0.0, 0.0, 1.0, X_FORWARD]
-    - [-1.0, 0.0, 0.0, Y_LEFT]
-    - [0.0, -1.0, 0.0, Z_UP]
-    - [0.0, 0.0, 0.0, 1.0]
+  mounted:                      # or T_body_cam, 4x4: camera (x right, y down, z forward) to vehicle (x forward, y left)
+    position_m: [X_FORWARD, Y_LEFT, Z_UP]  # the lens from the rear axle on the ground, measured with a rule
+    yaw_deg: 0.0                # 0 looks ahead, 90 to the left, -90 to the right, 180 back
+    down_deg: 0.0               # tilt towards the road; check-calib draws the horizon where this puts it
+    roll_deg: 0.0
 """
 
 CLASSES = """# What the ids in the masks mean; semloc ... --class-table classes.yaml

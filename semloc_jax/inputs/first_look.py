@@ -6,9 +6,11 @@ In: a folder, bag or video. Out: FirstLook, and templates of what is missing bes
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets import open_drive
-from semloc_jax.datasets.beside import CALIBRATIONS, calibration_beside, maps_beside
+from semloc_jax.datasets.beside import CALIBRATIONS, FIXES, calibration_beside, folder_file, maps_beside
 from semloc_jax.datasets.drive import is_drive
 from semloc_jax.datasets.folder import has_pictures
 from semloc_jax.datasets.pictures import read_picture
@@ -18,6 +20,10 @@ from semloc_jax.perception import preset_names
 
 _IMAGES, _MASKS = ("images", "image", "rgb"), ("masks", "labels", "sem")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+_MAPS = (".osm", ".xodr", ".gpkg", ".geojson", ".smap")
+_CALIBRATIONS = (".yaml", ".yml", ".xml")
+_MOST_IDS = 40
+"""More ids than a class table has: photographs, or colours instead of ids."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +64,27 @@ def first_look(path: str | Path) -> FirstLook:
         try:
             return _of_drive(path)  # a data set with a layout of its own
         except SemlocError as error:
-            return FirstLook((), (f"pictures: {error}",), (), f"semloc init {path}  (once images/ is there)")
+            return _without_pictures(path, error)
     return _of_folder(path) if path.is_dir() else _of_file(path)
+
+
+def _without_pictures(path: Path, error: SemlocError) -> FirstLook:
+    """A folder without images/: its pictures may lie in folders of other names."""
+    own = [(folder, _pictures(folder)) for folder in sorted(path.iterdir()) if folder.is_dir()]
+    own = [(folder, files) for folder, files in own if files]
+    if not own:
+        return FirstLook((), (f"pictures: {error}",), (), f"semloc init {path}  (once images/ is there)")
+    names = ["masks" if _holds_ids(read_picture(files[0])) else "images" for _, files in own]
+    found = [
+        f"{folder.name}/: {len(files)} {'pictures of ids' if name == 'masks' else 'photographs'}"
+        for (folder, files), name in zip(own, names, strict=True)
+    ]
+    missing = "images/: photographs are looked for in images/, masks in masks/ (with a folder for each camera in them)"
+    free = [n for n in names if names.count(n) == 1]
+    moves = [f"mv {folder} {path / name}" for (folder, _), name in zip(own, names, strict=True) if name in free] or [
+        f"mkdir {path / 'images'}, move a folder for each camera there"
+    ]
+    return FirstLook(tuple(found), (missing,), (), "; ".join([*moves, f"semloc init {path}"]))
 
 
 def _of_file(path: Path) -> FirstLook:
@@ -81,7 +106,7 @@ def _of_folder(path: Path) -> FirstLook:
     for name, (count, size) in cameras.items():
         found.append(f"camera {name}: {count} pictures" + (f" of {size[0]}x{size[1]} px" if size else ""))
     if next((name for name in CALIBRATIONS if (path / name).is_file()), None) is None:
-        missing.append("calibration: intrinsics and place of each camera")
+        missing.append("calibration: intrinsics and place of each camera" + _other_calibrations(path))
         written += _write(path / "calib.yaml", calibration_template(list(cameras), [s for _, s in cameras.values()]))
     else:
         found.append(_calibration_line(path, missing))
@@ -90,7 +115,8 @@ def _of_folder(path: Path) -> FirstLook:
             "masks/: semloc segment makes them with a network; --masks classical finds road paint without one"
         )
     else:
-        found.append(f"masks in {masks.name}/: --class-table {', '.join(preset_names())}, or your own classes.yaml")
+        tables = ", ".join(preset_names())
+        found.append(f"masks in {masks.name}/{_ids(masks)}: --class-table {tables}, or your own classes.yaml")
         written += _write(path / "classes.yaml", CLASSES)
     for name, use in (
         ("times.csv", "time of each frame; else file names, else 10 Hz is assumed"),
@@ -99,13 +125,43 @@ def _of_folder(path: Path) -> FirstLook:
         ("imu.csv", "turns between frames"),
     ):
         example = COLUMNS[name].split("\n")
-        here = (path / name).is_file()
-        (found if here else missing).append(
-            name if here else f"{name}: {use}. Columns: {example[0]}  e.g. {example[1]}"
+        here = folder_file(path, FIXES if name == "gps.csv" else (name,))
+        (missing if here is None else found).append(
+            f"{name}: {use}. Columns: {example[0]}  e.g. {example[1]}" if here is None else here.name
         )
     maps = maps_beside(path)
-    (found if maps else missing).append(f"map {next(iter(maps.values())).name}" if maps else "map: give --map FILE")
-    return FirstLook(tuple(found), tuple(missing), tuple(written), _next(path, written, masks, bool(maps)))
+    others = [file for file in sorted(path.iterdir()) if file.suffix.lower() in _MAPS]
+    given = "" if maps else f" --map {others[0] if len(others) == 1 else 'MAP'}"
+    absent = "map: give --map FILE" + (f"; here: {', '.join(file.name for file in others)}" if others else "")
+    (found if maps else missing).append(f"map {next(iter(maps.values())).name}" if maps else absent)
+    return FirstLook(tuple(found), tuple(missing), tuple(written), _next(path, written, masks, given))
+
+
+def _other_calibrations(path: Path) -> str:
+    """Calibrations under names that are not looked for: they hold the numbers, as a rule without the mounting."""
+    readable = []
+    for file in sorted(path.iterdir()):
+        if file.suffix.lower() in _CALIBRATIONS and file.name != "classes.yaml":
+            try:
+                read_calibration(file)
+            except SemlocError:
+                continue
+            readable.append(file.name)
+    return f"; intrinsics are in {', '.join(readable)}" if readable else ""
+
+
+def _ids(masks: Path) -> str:
+    """The ids in the first and the last mask, for the class table."""
+    files = _pictures(masks) or [file for folder in sorted(masks.iterdir()) for file in _pictures(folder)]
+    try:
+        ids = sorted({int(value) for file in files[:1] + files[-1:] for value in np.unique(read_picture(file))})
+    except SemlocError:
+        return ""
+    return f" with ids {' '.join(map(str, ids))}" if 0 < len(ids) <= _MOST_IDS else ""
+
+
+def _holds_ids(picture: np.ndarray) -> bool:
+    return picture.ndim == 2 and len(np.unique(picture)) <= _MOST_IDS
 
 
 def _calibration_line(path: Path, missing: list[str]) -> str:
@@ -119,8 +175,7 @@ def _calibration_line(path: Path, missing: list[str]) -> str:
         return f"calibration {calibration.name}"
 
 
-def _next(path: Path, written: list[Path], masks: Path | None, has_map: bool) -> str:
-    road = "" if has_map else " --map MAP"
+def _next(path: Path, written: list[Path], masks: Path | None, road: str) -> str:
     if any(file.name == "calib.yaml" for file in written):
         return f"fill in {path / 'calib.yaml'}, then: semloc check-calib {path}{road} --out check"
     if masks is None:
@@ -147,10 +202,16 @@ def _cameras(path: Path) -> dict[str, tuple[int, tuple[int, int] | None]]:
     folders = sorted(place for place in top.iterdir() if place.is_dir()) or [top]
     found = {}
     for folder in folders:
-        files = sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES)
+        files = _pictures(folder)
         size = read_picture(files[0]).shape[1::-1] if files else None
         found["front" if folder == top else folder.name] = (len(files), size)
     return found
+
+
+def _pictures(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES)
 
 
 def _write(path: Path, text: str) -> tuple[Path, ...]:

@@ -175,4 +175,8 @@ def _pose(check: CalibrationCheck, drive: Drive, frame: Frame, semantic_map: Sem
     if drive.gnss is None or (drive.gnss.origin is not None and semantic_map.origin is None):
         return None
     fix = drive.in_map_of(semantic_map.origin).gnss_prior(frame.time_s)
+    _LOG.warning(
+        "the map is drawn where the satellite fixes put the vehicle: it may lie metres beside the picture; judge the "
+        "calibration by the horizon and the grid, or give --poses FILE.tum of a first run of semloc localize"
+    )
     return semantic_map.road_pose(float(fix.p_enu[0]), float(fix.p_enu[1]), fix.heading_rad)

@@ -49,6 +49,18 @@ def test_camchains_keep_their_keys(tmp_path, key):
     assert after["cam1"]["intrinsics"] == content["cam1"]["intrinsics"]
 
 
+def test_a_mounting_becomes_the_matrix_that_was_found(tmp_path):
+    write_calibration(surround_rig(), tmp_path / "calib.yaml")
+    content = yaml.safe_load((tmp_path / "calib.yaml").read_text())
+    del content["cam0"]["T_body_cam"]
+    content["cam0"]["mounted"] = {"position_m": [1.6, 0.0, 1.4], "down_deg": 3.0}
+    (tmp_path / "calib.yaml").write_text(yaml.safe_dump(content))
+    better = corrected(read_calibration(tmp_path))
+    (path,) = write_corrected(better, tmp_path, tmp_path / "out")
+    assert "mounted" not in yaml.safe_load(path.read_text())["cam0"]
+    np.testing.assert_allclose(read_calibration(path).T_base_cam, better.T_base_cam, atol=1e-12)
+
+
 def test_cameras_that_were_not_calibrated_stay(tmp_path):
     write_calibration(surround_rig(), tmp_path / "calib.yaml")
     rig = read_calibration(tmp_path)

@@ -18,6 +18,7 @@ from semloc_jax.cameras import (
     PinholeCamera,
     PolynomialFisheyeCamera,
     Rig,
+    mounted,
 )
 from semloc_jax.cameras.io import read_calibration, write_calibration
 from semloc_jax.errors import SemlocError
@@ -94,6 +95,18 @@ def test_drive_layout(write):
     assert numbers_of(camera, "k1", "k2", "p1", "p2", "k3") == [-0.118, 0.042, 0.0006, -0.0004, 0.0]
     assert camera.resolution == (960, 600)
     assert np.array_equal(rig.T_base_cam[0], DRIVE["cam0"]["T_body_cam"])
+
+
+def with_mounting(value):
+    content = changed(DRIVE, ["cam0", "T_body_cam"], None)
+    content["cam0"]["mounted"] = value
+    return content
+
+
+def test_a_camera_mounted_by_rule_and_level(write):
+    value = {"position_m": [1.62, 0.04, 1.43], "down_deg": 3.0, "roll_deg": 0.5}
+    rig = read_calibration(write(with_mounting(value)))
+    np.testing.assert_allclose(rig.T_base_cam[0], mounted((1.62, 0.04, 1.43), down_deg=3.0, roll_deg=0.5), atol=1e-12)
 
 
 def test_kalibr_poses_are_inverted_and_chained(write):
@@ -257,6 +270,10 @@ BAD_FILES = [
     (changed(DRIVE, ["cam0", "T_body_cam"], T_NAN.tolist()), "finite"),
     (changed(DRIVE, ["cam0", "T_body_cam"], np.array(DRIVE["cam0"]["T_body_cam"]).T.tolist()), "transposed"),
     (changed(DRIVE, ["cam0", "T_body_cam"], np.eye(3).tolist()), "given 9 numbers; expected 16 or 12"),
+    (with_mounting([1.6, 0.0, 1.4]), "expected position_m: [x, y, z] and yaw_deg, down_deg, roll_deg"),
+    (with_mounting({"position_m": [1.6, 0.0, 1.4], "pitch_deg": 3.0}), "expected position_m"),
+    (with_mounting({"down_deg": 3.0}), "'position_m' is missing"),
+    (with_mounting({"position_m": [1620.0, 40.0, 1430.0]}), "millimetres"),
     (changed(KALIBR, ["cam1", "T_cn_cnm1"], None), "no pose"),
     (DRIVE | {"cam1": DRIVE["cam0"]}, "rename"),
     (changed(CAMERA_INFO, ["image_width"], None), "image_width"),

@@ -20,6 +20,18 @@ def test_a_drive_gives_pictures_and_no_warning(simulated_road, tmp_path, capsys)
     assert (tmp_path / "calib_top_view.png").is_file()
 
 
+def test_a_map_drawn_from_satellite_fixes_is_said_to_be(simulated_road, tmp_path, caplog):
+    drive = shutil.copytree(simulated_road, tmp_path / "drive")
+    assert main(["check-calib", str(drive), "--out", str(tmp_path / "truth")]) == OK
+    assert "satellite fixes" not in caplog.text
+    poses = (drive / "poses_body.tum").rename(tmp_path / "kept.tum")
+    assert main(["check-calib", str(drive), "--out", str(tmp_path / "fixes")]) == OK
+    assert "the map is drawn where the satellite fixes put the vehicle" in caplog.text
+    caplog.clear()
+    assert main(["check-calib", str(drive), "--poses", str(poses), "--out", str(tmp_path / "given")]) == OK
+    assert "satellite fixes" not in caplog.text
+
+
 @pytest.fixture
 def wrong(simulated_road, tmp_path):
     """A drive whose camera stands under the ground."""

@@ -71,6 +71,41 @@ def test_templates_are_no_data_until_they_are_filled_in(folder):
     assert look.command.startswith(f"semloc localize {folder} --map MAP --masks masks --class-table")
 
 
+def test_folders_of_other_names_are_told_with_how_to_rename_them(folder):
+    (folder / "images").rename(folder / "photos")
+    (folder / "masks").rename(folder / "seg")
+    for name in ("photos", "seg"):
+        for file in (folder / name / "front").iterdir():
+            file.rename(folder / name / file.name)
+        (folder / name / "front").rmdir()
+    look = first_look(folder)
+    assert look.found == ("photos/: 2 photographs", "seg/: 2 pictures of ids")
+    moves = f"mv {folder / 'photos'} {folder / 'images'}; mv {folder / 'seg'} {folder / 'masks'}"
+    assert look.command == f"{moves}; semloc init {folder}"
+    grey = np.arange(40 * 64, dtype=np.uint8).reshape(40, 64)
+    cv2.imwrite(str(folder / "photos" / "000.png"), grey)
+    assert first_look(folder).found == look.found  # a camera without colour takes photographs too
+    cv2.imwrite(str(folder / "seg" / "000.png"), grey)
+    assert "mv" not in first_look(folder).command  # two of a kind: which is which is the owner's to say
+
+
+def test_files_of_other_names_are_named(folder):
+    """What a person has lying there: gnss.csv is read, a map and intrinsics of another name can be given."""
+    (folder / "gnss.csv").write_text("timestamp,latitude,longitude\n0.0,48.0,11.0\n")
+    (folder / "town.osm").write_text("<osm/>")
+    (folder / "camera.yaml").write_text(
+        "%YAML:1.0\n---\nimage_width: 64\nimage_height: 40\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n"
+        "   dt: d\n   data: [60., 0., 31.5, 0., 60., 19.5, 0., 0., 1.]\ndistortion_coefficients: !!opencv-matrix\n"
+        "   rows: 1\n   cols: 5\n   dt: d\n   data: [0., 0., 0., 0., 0.]\n"
+    )
+    look = first_look(folder)
+    assert "gnss.csv" in look.found and not any(line.startswith("gps.csv") for line in look.missing)
+    assert "calibration: intrinsics and place of each camera; intrinsics are in camera.yaml" in look.missing
+    assert "map: give --map FILE; here: town.osm" in look.missing
+    assert f"--map {folder / 'town.osm'}" in look.command
+    assert any("masks in masks/ with ids 0: --class-table" in line for line in look.found)
+
+
 def test_what_is_there_is_never_overwritten(folder):
     (folder / "calib.yaml").write_text("mine: 1\n")
     first_look(folder)

@@ -1,7 +1,7 @@
 """Camchain files: the `drive` layout and Kalibr's (room: cameras; host).
 
-In: cam0, cam1 ... with intrinsics, distortion and T_body_cam (drive), T_cam_imu or T_cn_cnm1 (Kalibr), T_imu_cam
-(OpenVINS). Out: Rig, and back.
+In: cam0, cam1 ... with intrinsics, distortion and T_body_cam or angles under `mounted` (drive), T_cam_imu or T_cn_cnm1
+(Kalibr), T_imu_cam (OpenVINS). Out: Rig, and back.
 """
 
 import logging
@@ -18,12 +18,14 @@ from jaxtyping import Float
 from semloc_jax.cameras.base import Camera, as_leaf
 from semloc_jax.cameras.io.fields import camera_of, numbers, perspective, required, resolution, rigid
 from semloc_jax.cameras.models import MODELS, model_of
+from semloc_jax.cameras.mounting import mounted
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import write_text
 
 _log = logging.getLogger(__name__)
 _KEY = re.compile(r"cam(\d+)")
+_ANGLES = ("yaw_deg", "down_deg", "roll_deg")
 _HEADER = (
     "# pixel centres at integer coordinates; T_body_cam maps camera (x right, y down, z forward) to body\n"
     "# (rear axle on the ground, x forward, y left, z up)\n"
@@ -36,7 +38,7 @@ def is_camchain(content: Mapping[str, Any]) -> bool:
 
 
 def rig_from_camchain(content: Mapping[str, Any], path: Path) -> Rig:
-    """The rig of a camchain; extrinsics from T_body_cam, T_imu_cam or T_cam_imu (IMU as base), or chained T_cn_cnm1."""
+    """The rig of a camchain; poses from T_body_cam, `mounted`, T_imu_cam or T_cam_imu (IMU as base), or T_cn_cnm1."""
     keys = sorted((key for key in content if _KEY.fullmatch(str(key))), key=lambda key: int(_KEY.fullmatch(key)[1]))
     cameras, poses, names = [], [], []
     for key in keys:
@@ -85,14 +87,25 @@ def _pose(entry: Mapping[str, Any], previous: np.ndarray | None, where: str) -> 
     for key in ("T_body_cam", "T_base_cam", "T_imu_cam"):
         if key in entry:
             return rigid(entry[key], f"{where} {key}")
+    if "mounted" in entry:
+        return _mounted(entry["mounted"], f"{where} mounted")
     if "T_cam_imu" in entry:
         return _inverse(rigid(entry["T_cam_imu"], f"{where} T_cam_imu"))
     if "T_cn_cnm1" in entry and previous is not None:
         return previous @ _inverse(rigid(entry["T_cn_cnm1"], f"{where} T_cn_cnm1"))
     if previous is not None:
-        raise SemlocError(f"{where}: no pose; expected T_body_cam, T_cam_imu or T_cn_cnm1")
-    _log.warning("%s: no pose; this camera is taken as the base frame (add T_body_cam)", where)
+        raise SemlocError(f"{where}: no pose; expected T_body_cam, mounted, T_cam_imu or T_cn_cnm1")
+    _log.warning("%s: no pose; this camera is taken as the base frame (add T_body_cam or mounted)", where)
     return np.eye(4)
+
+
+def _mounted(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
+    """The pose of a camera measured with a rule and a level: position_m, and degrees that may be left out."""
+    if not isinstance(value, Mapping) or not set(value) <= {"position_m", *_ANGLES}:
+        raise SemlocError(f"{where}: given {repr(value)[:80]}; expected position_m: [x, y, z] and {', '.join(_ANGLES)}")
+    position_m = numbers(required(value, "position_m", where), (3,), f"{where} position_m")
+    angles_deg = [numbers(value.get(name, 0.0), (1,), f"{where} {name}")[0] for name in _ANGLES]
+    return rigid(mounted(position_m.tolist(), *angles_deg), where)
 
 
 def _inverse(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

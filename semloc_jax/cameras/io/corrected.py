@@ -65,6 +65,7 @@ def _camchain(content: dict[str, Any], rig: Rig, source: Path, path: Path) -> Pa
             T = np.linalg.inv(T)
         elif pose_key == "T_cn_cnm1":
             T = np.linalg.inv(T) @ poses[number - 1]
+        entry.pop("mounted", None)  # angles of a level do not hold what a calibration finds
         entry[pose_key] = [[float(value) for value in row] for row in T]
         if name in rig.names:
             _write_lens(entry, before.cameras[number], rig.cameras[rig.index(name)])
