@@ -34,6 +34,7 @@ RANK = {
     "inputs": 5,
     "fusion": 5,
     "localization": 6,
+    "mapping": 6,
     "bench": 6,
     "calibration": 7,
     "learning": 7,
