@@ -3,6 +3,7 @@
 In: map files. Out: SemanticMap -> LocalMap -> MapSamples.
 """
 
+from semloc_jax.maps.beliefs import Belief, BeliefMap
 from semloc_jax.maps.elements import GeoOrigin, MapElement
 from semloc_jax.maps.from_arrays import map_from_arrays
 from semloc_jax.maps.ground import GroundModel, RoadPlane, RoadSpread
@@ -21,6 +22,8 @@ from semloc_jax.maps.sampling import sample
 from semloc_jax.maps.semantic_map import LocalMap, SemanticMap
 
 __all__ = [
+    "Belief",
+    "BeliefMap",
     "GeoOrigin",
     "GroundModel",
     "Lanelet2Style",
