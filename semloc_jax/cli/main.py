@@ -19,7 +19,7 @@ VERBS = {
     "landscape": "the cost around the pose of one frame, over two of the six directions",
     "explain": "which map elements hold the pose of a frame, and how far it moves where one of them is wrong",
     "survey": "how well a road can be localized on, from map and camera alone, and the small map that is enough",
-    "evaluate": "errors of a trajectory against a reference, with an optional gate",
+    "evaluate": "errors of a trajectory or a map against a reference, with an optional gate",
     "init": "look at your own recording: what is there, what is missing, templates, the next command",
     "inspect": "what a map holds and what looks wrong in it",
     "convert": "write a map in another format, and say what is lost",

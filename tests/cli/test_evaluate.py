@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from semloc_jax.cli.main import FAILED, LOST, OK, main
+from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, main
 from semloc_jax.evaluation import Trajectory, read_metrics, write_tum
 
 
@@ -72,3 +72,24 @@ def test_different_clocks_and_broken_files_are_explained(truth, tmp_path, capsys
     (tmp_path / "metrics.json").write_text(json.dumps([1, 2]))
     assert main(["evaluate", truth, truth, "--baseline", str(tmp_path / "metrics.json")]) == FAILED
     assert "not a metrics file" in capsys.readouterr().err
+
+
+def test_two_maps_are_compared(tmp_path, capsys):
+    from semloc_jax.maps import MapElement, SemanticMap, write_map
+
+    lines = [[[10.0 * k, 0.0, 0.0], [10.0 * k + 4.0, 0.0, 0.0]] for k in range(4)]
+    for name, shift in (("made.gpkg", 0.05), ("true.geojson", 0.0)):
+        dashes = [
+            MapElement(f"d{k}", "lane_marking", np.add(line, [0.0, shift, 0.0]), width_m=0.15, style="dashed")
+            for k, line in enumerate(lines)
+        ]
+        write_map(SemanticMap(tuple(dashes)), tmp_path / name)
+    words = ["evaluate", str(tmp_path / "made.gpkg"), str(tmp_path / "true.geojson"), "--out", str(tmp_path / "out")]
+    assert main(words) == OK
+    metrics = {m.key: m.value for m in read_metrics(tmp_path / "out" / "metrics.json")}
+    assert metrics["map.dash.f1"] == 1.0
+    assert metrics["map.dash.rms_across"] == pytest.approx(0.05)
+    assert (tmp_path / "out" / "maps.png").stat().st_size > 5000
+    assert main([*words, "--align", "se2", "--baseline", str(tmp_path / "out" / "metrics.json")]) == OK
+    assert "moved by [ 0.   -0.05] m" in capsys.readouterr().out
+    assert main([*words, "--align", "se3"]) == USAGE

@@ -1,0 +1,94 @@
+"""Two maps of one place over each other, and a map with how sure it is of its elements (room: viz).
+
+In: map elements, their beliefs, poses. Out: a Figure, x east and y north, in metres.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from semloc_jax.maps.beliefs import Belief
+from semloc_jax.maps.contours import painted_polygon
+from semloc_jax.maps.elements import MapElement
+from semloc_jax.viz.bev import draw_map
+from semloc_jax.viz.style import ESTIMATE, REFERENCE, new_figure, plain_axes
+
+MADE = "#ff4fa3"
+_SIGMAS_M = (0.003, 0.3)
+"""Range of the colours of sigmas [m]."""
+
+
+def maps_over_each_other(made: Sequence[MapElement], reference: Sequence[MapElement], title: str = "") -> Figure:
+    """Outlines of a made map over those of a reference.
+
+    Args:
+        made: elements of the made map, in the frame of the reference.
+        reference: elements of the reference.
+        title: text above the picture.
+    """
+    figure = new_figure(*_size_in([*made, *reference]), dark=True)
+    axes = plain_axes(figure.add_subplot(), dark=True)
+    for elements, colour, width in ((reference, REFERENCE, 2.2), (made, MADE, 0.9)):
+        axes.add_collection(LineCollection([_outline(e) for e in elements], colors=colour, linewidths=width, alpha=0.9))
+        posts = [e.points[0, :2] for e in elements if not e.closed and np.ptp(e.points[:, :2], axis=0).max() < 0.02]
+        if posts:
+            axes.scatter(*np.array(posts).T, s=10 * width, facecolors="none", edgecolors=colour, linewidths=width)
+    handles = [Line2D([], [], color=REFERENCE, label="reference"), Line2D([], [], color=MADE, label="made")]
+    axes.legend(handles=handles, fontsize=8, frameon=False, labelcolor="#e8edf4")
+    return _finished(figure, axes, title)
+
+
+def sigmas_from_above(
+    elements: Sequence[MapElement], beliefs: Mapping[str, Belief], poses: np.ndarray, title: str = ""
+) -> Figure:
+    """A map from above; the colour of each element says how far it may be off across, one standard deviation.
+
+    Args:
+        elements: elements of the map.
+        beliefs: by id.
+        poses: T_map_base `[n 4 4]` of the drive that made it.
+        title: text above the picture.
+    """
+    figure = new_figure(*_size_in(elements), dark=True)
+    axes = plain_axes(figure.add_subplot(), dark=True)
+    colours = ScalarMappable(LogNorm(*_SIGMAS_M, clip=True), "turbo")
+    sigma_m = np.array([beliefs[element.id].sigma_across_m for element in elements])
+    draw_map(axes, [element for element in elements if element.is_logical], linewidth=0.4)
+    shown = [(_outline(e), s) for e, s in zip(elements, sigma_m, strict=True) if not e.is_logical]
+    lines = LineCollection([line for line, _ in shown], colors=colours.to_rgba([s for _, s in shown]), linewidths=1.4)
+    axes.add_collection(lines)
+    axes.plot(poses[:, 0, 3], poses[:, 1, 3], color=ESTIMATE, linewidth=0.8, alpha=0.7)
+    bar = figure.colorbar(colours, ax=axes, shrink=0.6)
+    bar.set_label("sigma across [m]", color="#c9d1dc", fontsize=9)
+    bar.ax.tick_params(colors="#c9d1dc", labelsize=8)
+    return _finished(figure, axes, title)
+
+
+def _outline(element: MapElement) -> np.ndarray:
+    """The rim of an element from above, `[k 2]`."""
+    if element.is_painted and not element.closed and element.width_m > 0.0:
+        return np.asarray(painted_polygon(element).exterior.coords)
+    xy = element.points[:, :2]
+    return np.vstack([xy, xy[:1]]) if element.closed else xy
+
+
+def _size_in(elements: Sequence[MapElement]) -> tuple[float, float]:
+    if not elements:
+        return 8.0, 6.0
+    points = np.vstack([element.points[:, :2] for element in elements])
+    width, height = np.maximum(np.ptp(points, axis=0), 1.0)
+    scale = 16.0 / max(width, height)
+    return max(scale * width, 6.0) + 1.0, max(scale * height, 4.0) + 0.8
+
+
+def _finished(figure: Figure, axes: Axes, title: str) -> Figure:
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+    axes.set(xlabel="x east [m]", ylabel="y north [m]", title=title)
+    return figure
