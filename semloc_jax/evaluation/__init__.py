@@ -4,7 +4,7 @@ from semloc_jax.evaluation.align import Alignment, aligned
 from semloc_jax.evaluation.benchmark import Outcome, Verdict, compare, format_verdicts, is_passed
 from semloc_jax.evaluation.held import held_directions, held_text
 from semloc_jax.evaluation.integrity import NeesReport, StanfordCounts, nees, normalised_squares, stanford_counts
-from semloc_jax.evaluation.map_comparison import ClassComparison, MapComparison, Tolerance, compare_maps
+from semloc_jax.evaluation.map_comparison import ClassComparison, MapComparison, MapTolerance, compare_maps
 from semloc_jax.evaluation.metrics import ErrorLimit, Metric, evaluate, metrics_of_errors, pose_errors, within
 from semloc_jax.evaluation.report import format_metrics, read_metrics, write_metrics
 from semloc_jax.evaluation.trajectory import Trajectory, associate, read_trajectory, write_tum
@@ -18,7 +18,7 @@ __all__ = [
     "NeesReport",
     "Outcome",
     "StanfordCounts",
-    "Tolerance",
+    "MapTolerance",
     "Trajectory",
     "Verdict",
     "aligned",

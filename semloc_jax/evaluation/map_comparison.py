@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from semloc_jax.evaluation.map_shapes import (
     POSTS,
     STEP_M,
-    Element,
+    Comparable,
     LinePlaces,
     Thing,
     is_line,
@@ -38,7 +38,7 @@ _HUBER_M = 0.05
 
 
 @dataclass(frozen=True)
-class Tolerance:
+class MapTolerance:
     """When an element of a made map counts as found.
 
     Args:
@@ -148,10 +148,10 @@ class MapComparison:
 
 
 def compare_maps(
-    made: Iterable[Element],
-    reference: Iterable[Element],
+    made: Iterable[Comparable],
+    reference: Iterable[Comparable],
     alignment: MapAlignment = "none",
-    tolerance: Tolerance | None = None,
+    tolerance: MapTolerance | None = None,
     seen: Seen | None = None,
     T_reference_made: Float[np.ndarray, "4 4"] | None = None,
 ) -> MapComparison:
@@ -165,7 +165,7 @@ def compare_maps(
         seen: which places of the reference were looked at; None for all.
         T_reference_made: a first guess of the motion, for maps in frames of their own; None: within two metres.
     """
-    tolerance = tolerance or Tolerance()
+    tolerance = tolerance or MapTolerance()
     guess = np.eye(4) if T_reference_made is None else np.asarray(T_reference_made, dtype=np.float64)
     ours, theirs = _Side.of(made), _Side.of(reference)
     moved = ours.moved(guess)
@@ -198,7 +198,7 @@ class _Side:
     things: dict[str, list[Thing]]
 
     @classmethod
-    def of(cls, elements: Iterable[Element]) -> "_Side":
+    def of(cls, elements: Iterable[Comparable]) -> "_Side":
         lines, things = {}, {}
         for name, group in kinds(elements).items():
             if long := [element for element in group if is_line(element)]:
@@ -232,7 +232,7 @@ def _key_places(thing: Thing) -> Float[np.ndarray, "k 2"]:
 
 
 def _compare_lines(
-    name: str, made: LinePlaces, shown: LinePlaces, reference: LinePlaces, tolerance: Tolerance
+    name: str, made: LinePlaces, shown: LinePlaces, reference: LinePlaces, tolerance: MapTolerance
 ) -> ClassComparison:
     """Precision against the whole reference, recall over what was looked at."""
     across_m, is_right = _feet(made, reference, tolerance)
@@ -248,7 +248,7 @@ def _compare_lines(
     )
 
 
-def _feet(places: LinePlaces, lines: LinePlaces, tolerance: Tolerance) -> tuple[np.ndarray, np.ndarray]:
+def _feet(places: LinePlaces, lines: LinePlaces, tolerance: MapTolerance) -> tuple[np.ndarray, np.ndarray]:
     """Signed distance of places across the nearest line, and whether it is within tolerance."""
     if not len(places.points) or not len(lines.points):
         return np.zeros(len(places.points)), np.zeros(len(places.points), dtype=bool)
@@ -262,7 +262,7 @@ def _feet(places: LinePlaces, lines: LinePlaces, tolerance: Tolerance) -> tuple[
 
 
 def _compare_things(
-    name: str, made: Sequence[Thing], reference: Sequence[Thing], looked: Sequence[bool], tolerance: Tolerance
+    name: str, made: Sequence[Thing], reference: Sequence[Thing], looked: Sequence[bool], tolerance: MapTolerance
 ) -> ClassComparison:
     pairs = _pairs(made, reference, tolerance.moved_m)
     errors = {(i, j): _errors(name, made[i], reference[j]) for i, j in pairs}
@@ -325,7 +325,7 @@ def _corner_errors(made: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return min((np.linalg.norm(order - reference, axis=1) for order in orders), key=lambda d: float(d.max()))
 
 
-def _is_right(name: str, error: tuple[np.ndarray, np.ndarray], tolerance: Tolerance) -> bool:
+def _is_right(name: str, error: tuple[np.ndarray, np.ndarray], tolerance: MapTolerance) -> bool:
     across_m, along_m = (np.abs(part).max(initial=0.0) for part in error)
     return bool(across_m <= tolerance.across_m and along_m <= tolerance.along_m)
 

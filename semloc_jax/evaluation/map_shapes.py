@@ -28,7 +28,7 @@ POSTS = frozenset(
 
 
 @runtime_checkable
-class Element(Protocol):
+class Comparable(Protocol):
     """What an element of a map must show to be compared."""
 
     @property
@@ -88,12 +88,12 @@ class LinePlaces:
     along: Float[np.ndarray, "n 2"]
 
 
-def kinds(elements: Iterable[Element]) -> dict[str, list[Element]]:
+def kinds(elements: Iterable[Comparable]) -> dict[str, list[Comparable]]:
     """Elements by the name under which they are compared: the class; lane markings as `line` and `dash`.
 
     Logical lines are left out; parking slots stay.
     """
-    found: dict[str, list[Element]] = {}
+    found: dict[str, list[Comparable]] = {}
     for element in elements:
         if element.style == VIRTUAL and element.label != ElementClass.PARKING_SLOT:
             continue
@@ -101,14 +101,14 @@ def kinds(elements: Iterable[Element]) -> dict[str, list[Element]]:
     return found
 
 
-def kind_of(element: Element) -> str:
+def kind_of(element: Comparable) -> str:
     """The name under which an element is compared."""
     if element.label == ElementClass.LANE_MARKING:
         return "line" if is_line(element) else "dash"
     return element.label.name.lower()
 
 
-def is_line(element: Element) -> bool:
+def is_line(element: Comparable) -> bool:
     """Whether an element is compared by the metre, not as one thing."""
     if element.closed or len(element.points) < 2:
         return False
@@ -120,7 +120,7 @@ def is_line(element: Element) -> bool:
     return element.style in _UNBROKEN or float(polyline.arc_length(xy)[-1]) > LONGEST_THING_M
 
 
-def line_places(elements: Iterable[Element]) -> LinePlaces:
+def line_places(elements: Iterable[Comparable]) -> LinePlaces:
     """Places on lines."""
     points, along = [np.zeros((0, 2))], [np.zeros((0, 2))]
     for element in elements:
@@ -135,7 +135,7 @@ def line_places(elements: Iterable[Element]) -> LinePlaces:
     return LinePlaces(np.concatenate(points), np.concatenate(along))
 
 
-def thing_of(element: Element) -> Thing:
+def thing_of(element: Comparable) -> Thing:
     """An element as one thing."""
     xy = np.asarray(element.points, dtype=np.float64)[:, :2]
     if element.label in POSTS:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semloc_jax.evaluation import Tolerance, compare_maps
+from semloc_jax.evaluation import MapTolerance, compare_maps
 from semloc_jax.geometry.rigid import planar_pose
 from semloc_jax.maps import MapElement
 from semloc_jax.structs import ElementClass
@@ -71,7 +71,7 @@ def test_what_moved_is_missing_or_was_added():
 def test_tolerances_are_limits():
     shifted = [replace(e, points=e.points + [0.0, 0.09, 0.0]) for e in TOWN if e.id.startswith("dash")]
     assert compare_maps(shifted, TOWN).classes["dash"].f1 == 1.0
-    assert compare_maps(shifted, TOWN, tolerance=Tolerance(across_m=0.08)).classes["dash"].f1 == 0.0
+    assert compare_maps(shifted, TOWN, tolerance=MapTolerance(across_m=0.08)).classes["dash"].f1 == 0.0
 
 
 def test_one_motion_in_the_plane_is_taken_out():
