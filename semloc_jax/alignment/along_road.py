@@ -75,7 +75,7 @@ def places_along(
     """Poses along the road; arguments as `weighed_along_road`. A prior along it is in their costs, but holds none."""
     moves = jnp.zeros((config.num_offsets, 3), T_map_base.dtype)
     offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=T_map_base.dtype)
-    moves = moves.at[:, 0].set(offsets_m)
+    moves = moves.at[:, 0].set(jnp.where(prior.sigma[0] > 0, offsets_m, 0.0))  # a locked direction stays locked
     held = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
     short = dataclasses.replace(align, max_steps=config.max_steps)
     level = telling(evidence.textures.ramp_px, align.noise.noise_px * evidence.grain, config.level)

@@ -15,12 +15,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
-from semloc_jax.alignment.hypotheses import Modes, score, weigh
+from semloc_jax.alignment.hypotheses import Modes
 from semloc_jax.alignment.implicit import SmoothConfig, SmoothEstimate, smooth_optimum, smooth_scene
 from semloc_jax.alignment.pose import Prior, align_one
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import LocalizationResult
-from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, localize_frame
+from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, localize_frame, settle
 from semloc_jax.cameras import Camera, Rig, mounted
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.local_frame import LocalFrame
@@ -66,6 +66,8 @@ def align(
 ) -> LocalizationResult | SmoothEstimate:
     """The pose that aligns the map with the masks, refined from one first guess.
 
+    Along the road the covariance is measured from how far the masks leave the pose open, up to 2 m to both sides.
+
     Args:
         masks: Class ids uint8[h w], one mask or one for each camera, of the size of its camera.
         cameras: A Rig; or one Camera, whose own pose is found then: base is in its lens, x along the line of sight,
@@ -103,7 +105,7 @@ def align(
         _require_fine(given.local.origin_map)
         scene = _scene(given)
         return _in_map(smooth_optimum(scene.T_start, scene.scene, scene.prior, _smooth(given)), given.local.origin_map)
-    found = _aligned(given.prior, given.frame, given.localizer.config.frame)
+    found = _settled(given)
     return given.localizer.judged(None, found, given.T_map_prior, given.local, _sigma_xy_m(given.prior), {})
 
 
@@ -271,25 +273,35 @@ def _sigma_xy_m(prior: Prior) -> float:
 
 
 @stored_program("config")
-def _aligned(prior: Prior, frame: FrameInput, config: SingleFrameConfig) -> Modes:
-    """The one mode that the fast solve finds from the prior."""
+def _aligned(prior: Prior, frame: FrameInput, config: SingleFrameConfig) -> Float[Array, "4 4"]:
+    """The pose that the fast solve finds from the prior."""
 
     def seen_anew(T: Array, _: None) -> tuple[Array, None]:
         evidence = evidence_from(T, frame, config.polish_view)
         return align_one(T, evidence, prior, config.search_align).T_map_base, None
 
-    T, _ = jax.lax.scan(seen_anew, prior.T_map_base, length=_NUM_VIEWS - 1)
-    evidence = evidence_from(T, frame, config.polish_view)
-    estimate = align_one(T, evidence, prior, config.search_align)
-    nats = score(estimate.T_map_base, config.rank_level, evidence, prior, config.search_align)
-    return weigh(jax.tree.map(lambda leaf: leaf[None], estimate), nats[None])
+    return jax.lax.scan(seen_anew, prior.T_map_base, length=_NUM_VIEWS)[0]
+
+
+def _settled(given: _Arrays) -> Modes:
+    """What the pose of the fast solve becomes once the places along the road through it are weighed.
+
+    Curvature at one optimum says nothing of a valley with several: a pose that nothing holds along the road would pass
+    for a sure one.
+    """
+    config = given.localizer.config.frame
+    T = np.asarray(_aligned(given.prior, given.frame, config))
+    num = config.search.stages[-1].keep  # as many as a search hands on: the two share their programs
+    scores = np.full(num, np.inf, np.float32)
+    scores[0] = 0.0
+    return settle(np.repeat(T[None], num, 0), scores, given.frame, given.prior, config)
 
 
 def _scene(given: _Arrays) -> DifferentiableScene:
     """The smooth scene around where the fast solve ends."""
     config = given.localizer.config
     values = jax.lax.stop_gradient((given.prior, given.frame))
-    T_start = _aligned(*values, config.frame).estimates.T_map_base[0]
+    T_start = _aligned(*values, config.frame)
     evidence = evidence_from(T_start, given.frame, config.frame.polish_view)
     level = config.frame.rank_level
     stored = CostMapConfig((config.cost_maps.ramp_px[level],), (config.cost_maps.stride[level],))

@@ -121,11 +121,14 @@ def search_starts(prior: Prior, config: SingleFrameConfig) -> Float[Array, "n 4 
     return propose(config.proposals, config.num_hypotheses, prior.T_map_base, sigma_xy_yaw, config.reach, key)
 
 
+OnRoad = Callable[[Float[np.ndarray, "4 4"], Prior], tuple[Float[np.ndarray, "4 4"], Prior]]
+
+
 def localize_frame(
     frame: FrameInput,
     prior: Prior,
     config: SingleFrameConfig,
-    on_road: Callable[[Float[np.ndarray, "4 4"], Prior], tuple[Float[np.ndarray, "4 4"], Prior]] | None = None,
+    on_road: OnRoad | None = None,
 ) -> Modes:
     """Modes of the pose of one frame, best first.
 
@@ -138,6 +141,27 @@ def localize_frame(
     """
     evidence = evidence_from(prior.T_map_base, frame, config.search_view)
     candidates, scores = search_from(search_starts(prior, config), evidence, prior, config.search_align, config.search)
+    return settle(candidates, scores, frame, prior, config, on_road)
+
+
+def settle(
+    candidates: Float[Array | np.ndarray, "m 4 4"],
+    scores: Float[Array | np.ndarray, " m"],
+    frame: FrameInput,
+    prior: Prior,
+    config: SingleFrameConfig,
+    on_road: OnRoad | None = None,
+) -> Modes:
+    """Modes from candidate poses: places along the road through the best are weighed, and all refined and ranked.
+
+    Args:
+        candidates: Poses relative to the local origin, best first.
+        scores: Their costs [nats]; infinite: empty slot.
+        frame: As `localize_frame`.
+        prior: As `localize_frame`.
+        config: As `localize_frame`.
+        on_road: As `localize_frame`.
+    """
     # On the host: an operation outside of the stored programs would be compiled in every process.
     best = np.asarray(candidates)[0]
     if on_road is not None:

@@ -45,6 +45,16 @@ def test_a_camera_alone_is_found_where_it_is(street, rig, mask):
     assert np.isfinite(found.covariance).all() and found.T_map_base.dtype == np.float64
 
 
+def test_a_place_along_two_lines_is_not_told_for_sure(street, rig):
+    """Lines alone do not say where along them: the pose says so instead of a sigma of centimetres."""
+    lines = sj.map_from_arrays(LINES[:2])
+    found = sj.align(sj.render_masks(lines, rig, TRUTH)[0], rig, lines, GUESS, classes=CLASSES)
+    sigma = np.sqrt(np.diagonal(found.covariance))
+    assert sj.SolveStatus(found.status) == sj.SolveStatus.WEAK_DIRECTION and "across" in found.held
+    assert "along" not in found.held and sigma[0] > 0.5 and sigma[1] < 0.05
+    assert abs(found.T_map_base[0, 3] - TRUTH[0, 3]) < 3.0 * sigma[0]
+
+
 @jax.jit
 def slopes(scene, prior, T_start):
     """Derivatives of all six directions at once by every number of scene and prior."""
