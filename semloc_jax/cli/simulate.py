@@ -1,6 +1,6 @@
 """`semloc simulate`: write a small rendered drive with exact truth (room: cli)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -20,12 +20,15 @@ class Options:
     With --map the drive is on a real map: along its lanes, or along its markings where it has no lanes. The length
     and the speed decide the number of frames.
 
+    --epoch K is the same world later, with elements removed, moved, added and repainted (changes.json lists them);
+    --drive D is another drive of the same world: other traffic, sensor errors, mounting and mask errors.
+
     Every value of the simulation is an option too, e.g. --num-frames 60 --wear-share 0.3 --sensors.gnss-bias-m 2:
     'semloc config simulate' prints them all.
     """
 
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
-    """Folder to write; it must be empty or absent."""
+    """Folder to write: empty, absent, or with the same drive that was interrupted, which is then finished."""
     kind: Literal["road", "country", "garage"] = "road"
     """road: one front camera in a town; country: the same on a crowned road of two lanes with lines, dashes and posts
     only; garage: four fisheyes. Without --map."""
@@ -41,6 +44,10 @@ class Options:
     """With --map: the way itself, a TUM trajectory or a csv file with columns x and y."""
     seed: int = 0
     """Everything random follows from it."""
+    rig: Path | None = None
+    """Other cameras: a calibration file (calib.yaml of a drive, Kalibr, ROS ...)."""
+    masks_only: bool = False
+    """No images: a fraction of the time, and all that masks need."""
     config: Path | None = None
     """YAML file with values of the simulation."""
 
@@ -54,16 +61,20 @@ def default_settings() -> "SimulationConfig":
 
 def run(options: Options) -> int:
     """Render the drive and say what was written."""
-    from semloc_jax.simulation import RouteWish, simulate, simulate_on_map
+    from semloc_jax.cameras.io import read_calibration
+    from semloc_jax.simulation import RouteWish, is_begun, simulate, simulate_on_map
 
-    if options.out.exists() and (not options.out.is_dir() or any(options.out.iterdir())):
+    is_empty = not options.out.exists() or (options.out.is_dir() and not any(options.out.iterdir()))
+    if not is_empty and not is_begun(options.out):
         raise SemlocError(f"{options.out}: is not an empty folder; give a new one, nothing is overwritten")
+    rig = None if options.rig is None else read_calibration(options.rig)
+    settings = replace(options.settings, has_images=False) if options.masks_only else options.settings
     if options.map is not None:
         wish = RouteWish(_place(options.start), options.heading, options.length_m, options.path)
-        drive = simulate_on_map(options.map, options.seed, options.out, wish, options.settings)
+        drive = simulate_on_map(options.map, options.seed, options.out, wish, settings, rig)
     else:
         _refuse_without_map(options)
-        drive = simulate(options.kind, options.seed, options.out, options.settings)
+        drive = simulate(options.kind, options.seed, options.out, settings, rig)
     cameras = ", ".join(drive.rig.names)
     print(f"{options.out}: {len(drive)} frames, cameras {cameras}, maps {', '.join(drive.maps)}")
     print(f"localize it with: semloc localize {options.out} --masks sem_net --frames ::5")

@@ -7,7 +7,7 @@ from semloc_jax.simulation.map_errors import MapErrors
 from semloc_jax.simulation.map_masks import render_masks
 from semloc_jax.simulation.route import RouteWish
 from semloc_jax.simulation.sensor_logs import SensorErrors
-from semloc_jax.simulation.simulate import SimulationConfig, simulate
+from semloc_jax.simulation.simulate import SimulationConfig, is_begun, simulate
 
 __all__ = [
     "Degradation",
@@ -17,6 +17,7 @@ __all__ = [
     "SensorErrors",
     "SimulationConfig",
     "degrade",
+    "is_begun",
     "render_masks",
     "simulate",
     "simulate_on_map",

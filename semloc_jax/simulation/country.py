@@ -1,7 +1,7 @@
 """A simulated country road: two lanes, edge lines, dashes, delineator posts, a crown, and nothing else to go by (room:
 simulation; host).
 
-In: a random generator, the length to drive. Out: Scene.
+In: a random generator, the length to drive. Out: World.
 """
 
 import numpy as np
@@ -11,9 +11,9 @@ from semloc_jax.maps import MapElement
 from semloc_jax.simulation import elements as make
 from semloc_jax.simulation.crown import CrownedSurface
 from semloc_jax.simulation.elements import Painter
-from semloc_jax.simulation.paint import GroundArea, PaintedGround, painted_shape, wear_pattern
+from semloc_jax.simulation.paint import GroundArea, wear_pattern
 from semloc_jax.simulation.path import winding_path
-from semloc_jax.simulation.scene import Scene, class_name, solid_of
+from semloc_jax.simulation.scene import World
 from semloc_jax.simulation.solids import Ball, Frustum, Solid
 from semloc_jax.simulation.surface import rolling_surface
 
@@ -29,7 +29,7 @@ def build_country_road(
     wear_share: float,
     crown: float,
     dash_and_gap_m: tuple[float, float] = (4.0, 8.0),
-) -> Scene:
+) -> World:
     """A road of two lanes whose right one the vehicle drives from s = 0 to s = `length_m`.
 
     Lateral offsets d are from the middle of that lane: the right edge line at -1.5, the dashes on the crown at 1.5, the
@@ -52,14 +52,11 @@ def build_country_road(
         *painter.dashes("dash", 0.5 * LANE_M, start + rng.uniform(0.0, sum(dash_and_gap_m)), end, *dash_and_gap_m),
         *_posts(painter, rng, start, end),
     ]
-    painted = [element for element in elements if element.is_painted]
-    class_ids = [CLASS_IDS[class_name(element)] for element in painted]
-    areas = [_asphalt(painter, start, end)]
+    areas = (_asphalt(painter, start, end),)
     worn = wear_pattern(wear_share, rng)
-    shown = PaintedGround([painted_shape(element) for element in painted], class_ids, areas, CLASS_IDS["terrain"], worn)
-    solids = [solid for element in elements if (solid := solid_of(element)) is not None]
-    solids += _trees(painter, rng, start, end)
-    return Scene(tuple(elements), painter.surface, shown, tuple(solids), lambda time_s: (), path, CLASS_IDS["sky"])
+    trees = tuple(_trees(painter, rng, start, end))
+    rest, sky = CLASS_IDS["terrain"], CLASS_IDS["sky"]
+    return World(tuple(elements), painter.surface, areas, rest, worn, trees, lambda time_s: (), path, sky)
 
 
 def _posts(painter: Painter, rng: np.random.Generator, start: float, end: float) -> list[MapElement]:

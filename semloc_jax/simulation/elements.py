@@ -3,9 +3,10 @@
 In: places in the plane. Out: MapElement with the properties a drive map states.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from semloc_jax.maps import MapElement
 from semloc_jax.simulation.path import PlanePath
@@ -136,6 +137,15 @@ def pillar(name: str, footprint: np.ndarray, height_m: float) -> MapElement:
     size = float(np.linalg.norm(footprint[1] - footprint[0]))
     attributes = {"class": "pillar", "height": height_m, "size": size}
     return MapElement(name, ElementClass.PILLAR, footprint, closed=True, height_m=height_m, attributes=attributes)
+
+
+def shifted(element: MapElement, shift: Float[np.ndarray, "*k 3"]) -> MapElement:
+    """The element moved by `shift` [m], one for all of its points or one for each; its stated centre with the first."""
+    attributes = dict(element.attributes)
+    if "center" in attributes:
+        first = np.atleast_2d(shift)[0]
+        attributes["center"] = [float(a + b) for a, b in zip(attributes["center"], first, strict=True)]
+    return replace(element, points=element.points + shift, attributes=attributes)
 
 
 def _divided(corners: np.ndarray) -> np.ndarray:

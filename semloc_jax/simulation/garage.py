@@ -1,7 +1,9 @@
 """A simulated parking garage: slots, pillars, cones, parked cars, one aisle (room: simulation; host).
 
-In: a random generator, the length to drive. Out: Scene.
+In: a random generator, the length to drive. Out: World.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,9 +11,9 @@ from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.maps import MapElement
 from semloc_jax.simulation import elements as make
 from semloc_jax.simulation.elements import Painter
-from semloc_jax.simulation.paint import GroundArea, PaintedGround, painted_shape, wear_pattern
+from semloc_jax.simulation.paint import GroundArea, wear_pattern
 from semloc_jax.simulation.path import PlanePath, path_from_curvature
-from semloc_jax.simulation.scene import Scene, class_name, solid_of
+from semloc_jax.simulation.scene import World
 from semloc_jax.simulation.solids import Box, Solid, car, rotation_about_z
 from semloc_jax.simulation.surface import Surface, WaveSurface
 from semloc_jax.structs import ElementClass
@@ -25,8 +27,13 @@ _HEIGHT_M = 3.0
 _PAST_END_M = 12.0
 
 
-def build_garage(rng: np.random.Generator, length_m: float, wear_share: float) -> Scene:
-    """An aisle along x with slots on both sides, which the vehicle drives from x = 0 to x = `length_m`."""
+def build_garage(
+    rng: np.random.Generator, length_m: float, wear_share: float, traffic_rng: np.random.Generator | None = None
+) -> World:
+    """An aisle along x with slots on both sides, which the vehicle drives from x = 0 to x = `length_m`.
+
+    With a `traffic_rng` other cars are parked there, and the line driven is another.
+    """
     start, end = -_PAST_END_M, length_m + _PAST_END_M
     straight_s = np.arange(start - 20.0, end + 20.0, 0.05)
     aisle = path_from_curvature(straight_s, np.zeros_like(straight_s), 0.0)
@@ -41,23 +48,26 @@ def build_garage(rng: np.random.Generator, length_m: float, wear_share: float) -
         elements += _pillars(painter, row, side, columns)
         solids += _parked_cars(painter, rng, side, columns, occupied[row])
     elements += _aisle(painter, rng, start, end)
+    worn, driven = wear_pattern(wear_share, rng), _driven_path(rng, straight_s)
+    if traffic_rng is not None:
+        occupied = traffic_rng.random(occupied.shape) < 0.5
+        elements = [_slot_now(element, occupied) for element in elements]
+        rows = zip((1.0, -1.0), occupied, strict=True)
+        solids = [s for side, row in rows for s in _parked_cars(painter, traffic_rng, side, columns, row)]
+        driven = _driven_path(traffic_rng, straight_s)
 
-    solids += [solid for element in elements if (solid := solid_of(element)) is not None]
-    solids += [_pillar_body(element) for element in elements if element.label == ElementClass.PILLAR]
-    painted = [element for element in elements if element.is_painted or element.label == ElementClass.SPEED_BUMP]
-    class_ids = [CLASS_IDS[class_name(element)] for element in painted]
     depth = _AISLE_M + _SLOT_M[1] + 1.5
     floor = np.array([[start - 3.0, -depth], [end + 3.0, -depth], [end + 3.0, depth], [start - 3.0, depth]])
-    areas, worn = [GroundArea(CLASS_IDS["road"], floor)], wear_pattern(wear_share, rng)
-    ground = PaintedGround([painted_shape(element) for element in painted], class_ids, areas, CLASS_IDS["wall"], worn)
     ego = Box(CLASS_IDS["ego"], (0.3, 0.3, 0.32), np.array([1.4, 0.0, 0.55]), (4.62, 1.86, 0.6), np.eye(3))
-    return Scene(
+    return World(
         elements=tuple(elements),
         surface=painter.surface,
-        ground=ground,
-        solids=tuple(solids),
+        areas=(GroundArea(CLASS_IDS["road"], floor),),
+        rest=CLASS_IDS["wall"],
+        worn=worn,
+        bodies=tuple(solids),
         traffic=lambda time_s: (),
-        path=_driven_path(rng, straight_s),
+        path=driven,
         backdrop=CLASS_IDS["wall"],
         ego=(ego,),
     )
@@ -100,6 +110,14 @@ def _slots(painter: Painter, row: int, side: float, columns: list[float], occupi
     return elements
 
 
+def _slot_now(element: MapElement, occupied: np.ndarray) -> MapElement:
+    """A slot with the state of another day; other elements as they are."""
+    if element.label != ElementClass.PARKING_SLOT:
+        return element
+    row, number = (int(part) for part in element.id.split("_")[1:])
+    return replace(element, attributes={**element.attributes, "occupied": bool(occupied[row, number])})
+
+
 def _pillars(painter: Painter, row: int, side: float, columns: list[float]) -> list[MapElement]:
     """A pillar behind every third bar."""
     elements = []
@@ -109,19 +127,6 @@ def _pillars(painter: Painter, row: int, side: float, columns: list[float]) -> l
         xy = np.array([[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]])
         elements.append(make.pillar(f"pillar_{row}_{k}", painter.surface.drape(xy), _HEIGHT_M))
     return elements
-
-
-def _pillar_body(element: MapElement) -> Box:
-    """The pillar from below its lowest corner to its top."""
-    center = element.points.mean(axis=0)
-    size = float(element.attributes["size"])
-    return Box(
-        CLASS_IDS["pillar"],
-        (0.6, 0.62, 0.62),
-        center + [0.0, 0.0, 0.5 * element.height_m - 0.25],
-        (size, size, element.height_m + 0.5),
-        np.eye(3),
-    )
 
 
 def _aisle(painter: Painter, rng: np.random.Generator, start: float, end: float) -> list[MapElement]:

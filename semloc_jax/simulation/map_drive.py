@@ -19,6 +19,7 @@ from semloc_jax.simulation.motion import VehicleMotion
 from semloc_jax.simulation.path import PlanePath
 from semloc_jax.simulation.route import RouteWish, drivable, find_route
 from semloc_jax.simulation.simulate import LEAD_IN_S, SimulationConfig, Staging, checked, write_drive
+from semloc_jax.simulation.variation import variation
 
 _log = logging.getLogger(__name__)
 _COMFORT_MPS2 = 2.0
@@ -60,7 +61,10 @@ def simulate_on_map(
     """
     wish = wish or RouteWish()
     config = checked("road", config or SimulationConfig())
+    if config.epoch:
+        raise SemlocError(f"epoch = {config.epoch}: a map of yours has no other epochs; expected 0")
     rng = np.random.default_rng([seed, 2])
+    own = variation([seed, 2], config.drive, rng, has_own_pictures=False)
     semantic_map = read_map(map_path)
     lanes = read_lane_centers(map_path, semantic_map.origin)
     if not lanes:
@@ -71,8 +75,8 @@ def simulate_on_map(
             )
     path, length_m = _drivable_path(find_route(lanes, semantic_map.elements, wish, rng), config)
     speed_mps = min(config.speed_mps, _bend_speed(path, length_m))
-    world = build_map_world(semantic_map, lanes, path, length_m, speed_mps, config.wear_share, rng)
-    motion = VehicleMotion(path, world.scene.surface, speed_mps, 0.15, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
+    world = build_map_world(semantic_map, lanes, path, length_m, speed_mps, config.wear_share, rng, own.rng)
+    motion = VehicleMotion(path, world.scene.surface, speed_mps, 0.15, 0.15, own.rng.uniform(0.0, 2.0 * np.pi, 4))
     num_frames = max(1, round(length_m / speed_mps * config.rate_hz))
     told = {
         "map": Path(map_path).name,
@@ -83,7 +87,7 @@ def simulate_on_map(
     }
     staging = Staging("map", seed, world.scene, motion, semantic_map.origin, semantic_map.name, told)
     rig = rig or front_rig(config.width_px, config.height_px)
-    return write_drive(Path(out), staging, rig, replace(config, num_frames=num_frames), rng)
+    return write_drive(Path(out), staging, rig, replace(config, num_frames=num_frames), own)
 
 
 def _drivable_path(route: np.ndarray, config: SimulationConfig) -> tuple[PlanePath, float]:

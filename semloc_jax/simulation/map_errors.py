@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from semloc_jax.maps import MapElement
+from semloc_jax.simulation.elements import shifted
 
 
 @dataclass(frozen=True)
@@ -39,19 +40,12 @@ def with_errors(
             continue
         if fate < errors.missing_share + errors.moved_share:
             shift = np.append(errors.moved_sigma_m * rng.normal(size=2), 0.0)
-            element = _shifted(element, shift, element.id)
+            element = shifted(element, shift)
             log.append({"id": element.id, "change": "moved", "dx": float(shift[0]), "dy": float(shift[1])})
         faulty.append(element)
     for number in range(round(errors.phantom_share * len(elements))):
         source = elements[int(rng.integers(len(elements)))]
         shift = np.append(rng.uniform(1.0, 4.0, 2) * rng.choice([-1.0, 1.0], 2), 0.0)
-        faulty.append(_shifted(source, shift, f"phantom_{number}"))
+        faulty.append(replace(shifted(source, shift), id=f"phantom_{number}"))
         log.append({"id": f"phantom_{number}", "change": "phantom", "dx": float(shift[0]), "dy": float(shift[1])})
     return tuple(faulty), log
-
-
-def _shifted(element: MapElement, shift: np.ndarray, name: str) -> MapElement:
-    attributes = dict(element.attributes)
-    if "center" in attributes:
-        attributes["center"] = [float(a + b) for a, b in zip(attributes["center"], shift, strict=True)]
-    return replace(element, id=name, points=element.points + shift, attributes=attributes)

@@ -88,6 +88,7 @@ def build_map_world(
     speed_mps: float,
     wear_share: float,
     rng: np.random.Generator,
+    traffic_rng: np.random.Generator | None = None,
 ) -> MapWorld:
     """The world around a way on a map.
 
@@ -113,7 +114,8 @@ def build_map_world(
     areas = [GroundArea(CLASS_IDS["road"], outline) for outline in _road_outlines(lines, way, region)]
     paint = (built.shapes, built.class_ids)
     ground = PaintedGround(*paint, areas, CLASS_IDS["terrain"], wear_pattern(wear_share, rng))
-    gap_m, color = rng.uniform(18.0, 30.0), tuple(rng.uniform(0.1, 0.8, 3))
+    of_traffic = traffic_rng or rng
+    gap_m, color = of_traffic.uniform(18.0, 30.0), tuple(of_traffic.uniform(0.1, 0.8, 3))
 
     def traffic(time_s: float) -> Sequence[Solid]:
         return _car_ahead(path, surface, gap_m + speed_mps * time_s, color)

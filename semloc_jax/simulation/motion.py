@@ -3,6 +3,7 @@
 In: path, ground, speed. Out: T_map_base(t).
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +14,20 @@ from semloc_jax.simulation.path import PlanePath
 from semloc_jax.simulation.surface import Surface
 
 
+class Motion(ABC):
+    """Where the vehicle is at any time."""
+
+    @abstractmethod
+    def poses(self, time_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
+        """T_map_base at times [s]; time 0 is that of the first frame."""
+
+    def pose(self, time_s: float) -> Float[np.ndarray, "4 4"]:
+        """T_map_base at a time [s]."""
+        return self.poses(np.array([time_s]))[0]
+
+
 @dataclass(frozen=True)
-class VehicleMotion:
+class VehicleMotion(Motion):
     """A drive along a path with gently changing speed; the body pitches and rolls a little on its springs.
 
     Args:
@@ -39,12 +52,7 @@ class VehicleMotion:
         swing = (np.sin(wave * time_s + self.phase_rad[0]) - np.sin(self.phase_rad[0])) * 0.1 / wave
         return self.speed_mps * (time_s + swing)
 
-    def pose(self, time_s: float) -> Float[np.ndarray, "4 4"]:
-        """T_map_base at a time [s]."""
-        return self.poses(np.array([time_s]))[0]
-
     def poses(self, time_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
-        """T_map_base at many times."""
         s = self.travelled_m(time_s)
         wave = 2.0 * np.pi / 45.0
         lateral = self.sway_m * np.sin(wave * s + self.phase_rad[1])

@@ -1,6 +1,6 @@
 """A simulated road: four lanes, junctions, lamps, signs, houses, trees and traffic (room: simulation; host).
 
-In: a random generator, the length to drive. Out: Scene.
+In: a random generator, the length to drive. Out: World.
 """
 
 from collections.abc import Sequence
@@ -12,9 +12,9 @@ from semloc_jax.maps import MapElement
 from semloc_jax.simulation import elements as make
 from semloc_jax.simulation.crown import CrownedSurface
 from semloc_jax.simulation.elements import Painter
-from semloc_jax.simulation.paint import GroundArea, PaintedGround, painted_shape, wear_pattern
+from semloc_jax.simulation.paint import GroundArea, wear_pattern
 from semloc_jax.simulation.path import winding_path
-from semloc_jax.simulation.scene import Scene, class_name, solid_of
+from semloc_jax.simulation.scene import World
 from semloc_jax.simulation.solids import Ball, Box, Frustum, Solid, car, rotation_about_z
 from semloc_jax.simulation.surface import rolling_surface
 from semloc_jax.structs import ElementClass
@@ -27,12 +27,18 @@ _CAR_COLORS = ((0.85, 0.85, 0.85), (0.15, 0.12, 0.1), (0.45, 0.2, 0.12), (0.12, 
 
 
 def build_road(
-    rng: np.random.Generator, length_m: float, speed_mps: float, wear_share: float, crown: float = 0.0
-) -> Scene:
+    rng: np.random.Generator,
+    length_m: float,
+    speed_mps: float,
+    wear_share: float,
+    crown: float = 0.0,
+    traffic_rng: np.random.Generator | None = None,
+) -> World:
     """A road whose right lane the vehicle drives from s = 0 to s = `length_m`.
 
     Lateral offsets d are from the middle of that lane: its lines at -1.75 and 1.75, a second lane to 5.25 (double
     centre line), two oncoming lanes to 12.25. With a `crown` the road falls by that share to both sides of its middle.
+    Traffic follows from `traffic_rng`, from `rng` unless it is given.
     """
     start, end = -_BEHIND_M, length_m + _AHEAD_M
     path = winding_path(rng, start - 60.0, end + 60.0, start_heading_rad=rng.uniform(-np.pi, np.pi))
@@ -47,20 +53,15 @@ def build_road(
         elements += _junction(painter, number, s)
     elements += _roadside(painter, rng, start, end, junctions)
 
-    painted = [element for element in elements if element.is_painted]
-    class_ids = [CLASS_IDS[class_name(element)] for element in painted]
     areas, worn = _areas(painter, start, end), wear_pattern(wear_share, rng)
-    ground = PaintedGround(
-        [painted_shape(element) for element in painted], class_ids, areas, CLASS_IDS["terrain"], worn
-    )
-    solids = [solid for element in elements if (solid := solid_of(element)) is not None]
-    solids += _surroundings(painter, rng, start, end)
-    cars = _plan_traffic(rng, length_m, speed_mps)
+    bodies = _surroundings(painter, rng, start, end)
+    cars = _plan_traffic(traffic_rng or rng, length_m, speed_mps)
 
     def traffic(time_s: float) -> Sequence[Solid]:
         return [solid for plan in cars for solid in _car_at(painter, time_s, *plan)]
 
-    return Scene(tuple(elements), painter.surface, ground, tuple(solids), traffic, path, CLASS_IDS["sky"])
+    rest, sky = CLASS_IDS["terrain"], CLASS_IDS["sky"]
+    return World(tuple(elements), surface, tuple(areas), rest, worn, tuple(bodies), traffic, path, sky)
 
 
 def _lane_lines(painter: Painter, start: float, end: float, junctions: list[float]) -> list[MapElement]:

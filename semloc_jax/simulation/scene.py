@@ -1,18 +1,20 @@
 """A simulated world: ground, paint, solids, traffic and the path of the vehicle (room: simulation; host).
 
-In: a layout (road or garage). Out: Scene, ready to be rendered from any pose.
+In: a layout (road, garage ...). Out: World, and the Scene of it, ready to be rendered from any pose.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
+from jaxtyping import Bool
 
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.maps import MapElement
-from semloc_jax.simulation.paint import PaintedGround
+from semloc_jax.simulation.paint import GroundArea, PaintedGround, painted_shape
 from semloc_jax.simulation.path import PlanePath
-from semloc_jax.simulation.solids import Frustum, Plate, Solid
+from semloc_jax.simulation.solids import Box, Frustum, Plate, Solid
 from semloc_jax.simulation.surface import Surface
 from semloc_jax.structs import ElementClass
 
@@ -20,6 +22,7 @@ GREY = (0.55, 0.56, 0.55)
 SIGN_COLOR = (0.25, 0.2, 0.75)
 LIGHT_COLOR = (0.12, 0.14, 0.12)
 CONE_COLOR = (0.1, 0.35, 0.95)
+PILLAR_COLOR = (0.6, 0.62, 0.62)
 
 
 @dataclass(frozen=True)
@@ -47,13 +50,54 @@ class Scene:
     ego: tuple[Solid, ...] = ()
 
 
+@dataclass(frozen=True)
+class World:
+    """A world as a builder lays it out: its map may still change before it is painted and rendered.
+
+    Args:
+        elements: the true map.
+        surface: height of the ground.
+        areas: stretches of ground, later ones over earlier ones.
+        rest: class id of the ground beyond them.
+        worn: repeating pattern of places where paint is gone, one cell 3 cm wide; None for none.
+        bodies: what stands still and is no element of the map.
+        traffic: what moves, by time [s].
+        path: line the rear axle follows.
+        backdrop: class id of rays that hit nothing.
+        ego: body of the vehicle in the base frame.
+    """
+
+    elements: tuple[MapElement, ...]
+    surface: Surface
+    areas: tuple[GroundArea, ...]
+    rest: int
+    worn: Bool[np.ndarray, "n n"] | None
+    bodies: tuple[Solid, ...]
+    traffic: Callable[[float], Sequence[Solid]]
+    path: PlanePath
+    backdrop: int
+    ego: tuple[Solid, ...] = ()
+
+    def scene(self) -> Scene:
+        """The world painted, ready to be rendered."""
+        painted = [e for e in self.elements if e.is_painted or e.label == ElementClass.SPEED_BUMP]
+        shapes: list[shapely.Geometry] = [painted_shape(element) for element in painted]
+        class_ids = [CLASS_IDS[class_name(element)] for element in painted]
+        ground = PaintedGround(shapes, class_ids, self.areas, self.rest, self.worn)
+        solids = [solid for element in self.elements if (solid := solid_of(element)) is not None]
+        solids += self.bodies
+        return Scene(
+            self.elements, self.surface, ground, tuple(solids), self.traffic, self.path, self.backdrop, self.ego
+        )
+
+
 def class_name(element: MapElement) -> str:
     """Name of the class of an element in masks and map files of the drive layout."""
     return str(element.attributes["class"])
 
 
 def solid_of(element: MapElement) -> Solid | None:
-    """The body of an upright round or flat element; None for paint and pillars."""
+    """The body of an upright element; None for paint."""
     class_id = CLASS_IDS.get(class_name(element), 0)
     if element.label in (ElementClass.POLE, ElementClass.CONE):
         color = CONE_COLOR if element.label == ElementClass.CONE else GREY
@@ -62,7 +106,16 @@ def solid_of(element: MapElement) -> Solid | None:
         return _frustum(element, class_id, LIGHT_COLOR, 0.5 * element.width_m, 0.5 * element.width_m)
     if element.label == ElementClass.SIGN:
         return Plate(class_id, SIGN_COLOR, np.asarray(element.points))
+    if element.label == ElementClass.PILLAR:
+        return _pillar(element, class_id)
     return None
+
+
+def _pillar(element: MapElement, class_id: int) -> Box:
+    """The pillar from below its lowest corner to its top."""
+    center, size = element.points.mean(axis=0), float(element.attributes["size"])
+    middle = center + [0.0, 0.0, 0.5 * element.height_m - 0.25]
+    return Box(class_id, PILLAR_COLOR, middle, (size, size, element.height_m + 0.5), np.eye(3))
 
 
 def _frustum(element: MapElement, class_id: int, color: tuple, radius_m: float, radius_top_m: float) -> Frustum:

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from semloc_jax.errors import SemlocError
 from semloc_jax.maps import GeoOrigin
-from semloc_jax.simulation.motion import VehicleMotion
+from semloc_jax.simulation.motion import Motion
 from semloc_jax.storage import write_text
 
 _GRAVITY_MPS2 = 9.80665
 _EARTH_RADIUS_M = 6_378_137.0
+_LARGEST_OFFSET_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -48,42 +50,84 @@ class SensorErrors:
     accel_bias_mps2: float = 0.05
 
 
+@dataclass(frozen=True)
+class SensorPlan:
+    """What is logged besides the errors.
+
+    Args:
+        errors: of the sensors.
+        imu_rate_hz: rows of imu.csv in a second.
+        imu_offset_s: how far the clock of the IMU is ahead: it stamps time t with t + offset.
+        gps_bias_m: horizontal length of the error that all fixes of the drive share; None draws it.
+        has_gnss: whether there is a receiver; none under a roof.
+    """
+
+    errors: SensorErrors
+    imu_rate_hz: float = 100.0
+    imu_offset_s: float = 0.0
+    gps_bias_m: float | None = None
+    has_gnss: bool = True
+
+    def __post_init__(self) -> None:
+        if not 10.0 <= self.imu_rate_hz <= 2000.0:
+            raise SemlocError(f"imu_rate_hz = {self.imu_rate_hz:g}; expected 10 to 2000 rows in a second")
+        if not abs(self.imu_offset_s) <= _LARGEST_OFFSET_S:
+            raise SemlocError(f"imu_offset_s = {self.imu_offset_s:g}; expected at most {_LARGEST_OFFSET_S:g} s")
+        if self.gps_bias_m is not None and not 0.0 <= self.gps_bias_m <= 1000.0:
+            raise SemlocError(f"gps_bias_m = {self.gps_bias_m:g}; expected metres from 0 to 1000")
+
+
 def write_sensor_logs(
     folder: Path,
-    motion: VehicleMotion,
+    motion: Motion,
     start_s: float,
     end_s: float,
-    errors: SensorErrors,
+    plan: SensorPlan,
     origin: GeoOrigin,
     rng: np.random.Generator,
 ) -> dict:
-    """Write the three logs of the time from `start_s` to `end_s`; returns the drawn errors for meta.json."""
+    """Write the logs of the time from `start_s` to `end_s`; returns the drawn errors for meta.json."""
+    errors = plan.errors
     scales = {
         "odo_speed_scale": 1.0 + errors.speed_scale * rng.normal(),
         "odo_yaw_scale": 1.0 + errors.yaw_scale * rng.normal(),
     }
     biases = {
-        "gps_bias": (errors.gnss_bias_m * rng.normal(size=3) * [1.0, 1.0, 1.5]).tolist(),
+        "gps_bias": _fix_bias(plan, rng).tolist(),
         "gyro_bias": (errors.gyro_bias_radps * rng.normal(size=3)).tolist(),
         "acc_bias": (errors.accel_bias_mps2 * rng.normal(size=3)).tolist(),
     }
-    _write_gnss(
-        folder / "gps.csv", motion, np.arange(start_s, end_s, 0.2), errors, np.array(biases["gps_bias"]), origin, rng
-    )
+    told: dict = {**scales, **biases, "errors": asdict(errors), "gps_antenna": "body origin"}
+    if plan.has_gnss:
+        middle, half = 0.5 * (start_s + end_s), 0.5 * errors.gnss_dropout_s
+        told["gps_dropout"] = [middle - half, middle + half]
+        times = np.arange(start_s, end_s, 0.2)
+        _write_gnss(folder / "gps.csv", motion, times, plan, np.array(biases["gps_bias"]), origin, rng)
+    else:
+        told |= {"gps_bias": None, "gps_dropout": None}
     _write_wheel(folder / "wheel_odom.csv", motion, np.arange(start_s, end_s, 0.02), errors, scales, rng)
-    _write_imu(folder / "imu.csv", motion, np.arange(start_s, end_s, 0.01), biases, rng)
-    return {**scales, **biases, "errors": asdict(errors), "gps_antenna": "body origin"}
+    step_s = 1.0 / plan.imu_rate_hz
+    _write_imu(folder / "imu.csv", motion, np.arange(start_s, end_s, step_s), plan.imu_offset_s, biases, rng)
+    return told | {"imu_rate_hz": plan.imu_rate_hz, "imu_offset_s": plan.imu_offset_s}
+
+
+def _fix_bias(plan: SensorPlan, rng: np.random.Generator) -> np.ndarray:
+    """The error [3] that all fixes share [m]: drawn, or of the stated length in a drawn direction."""
+    drawn = rng.normal(size=3)
+    size_m = plan.errors.gnss_bias_m if plan.gps_bias_m is None else plan.gps_bias_m / np.hypot(*drawn[:2])
+    return size_m * drawn * [1.0, 1.0, 1.5]
 
 
 def _write_gnss(
     path: Path,
-    motion: VehicleMotion,
+    motion: Motion,
     time_s: np.ndarray,
-    errors: SensorErrors,
+    plan: SensorPlan,
     bias: np.ndarray,
     origin: GeoOrigin,
     rng: np.random.Generator,
 ) -> None:
+    errors = plan.errors
     middle = 0.5 * (time_s[0] + time_s[-1])
     is_received = np.abs(time_s - middle) > 0.5 * errors.gnss_dropout_s
     decay = np.exp(-0.2 / 10.0)
@@ -96,7 +140,8 @@ def _write_gnss(
     direction = rng.uniform(0.0, 2.0 * np.pi, len(time_s))
     size = np.where(rng.random(len(time_s)) < errors.gnss_outlier_share, rng.uniform(5.0, 12.0, len(time_s)), 0.0)
     p[:, :2] += size[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
-    stated = np.sqrt(errors.gnss_bias_m**2 + errors.gnss_walk_m**2 + errors.gnss_noise_m**2)
+    bias_m = errors.gnss_bias_m if plan.gps_bias_m is None else plan.gps_bias_m
+    stated = np.sqrt(bias_m**2 + errors.gnss_walk_m**2 + errors.gnss_noise_m**2)
     lines = ["t,lat_deg,lon_deg,alt_m,east_m,north_m,up_m,sigma_e,sigma_n,sigma_u"]
     for t, (east, north, up), received in zip(time_s, p, is_received, strict=True):
         if received:
@@ -116,7 +161,7 @@ def _to_degrees(east_m: float, north_m: float, origin: GeoOrigin) -> tuple[float
 
 def _write_wheel(
     path: Path,
-    motion: VehicleMotion,
+    motion: Motion,
     time_s: np.ndarray,
     errors: SensorErrors,
     scales: dict[str, float],
@@ -135,7 +180,12 @@ def _write_wheel(
 
 
 def _write_imu(
-    path: Path, motion: VehicleMotion, time_s: np.ndarray, biases: dict[str, list[float]], rng: np.random.Generator
+    path: Path,
+    motion: Motion,
+    time_s: np.ndarray,
+    offset_s: float,
+    biases: dict[str, list[float]],
+    rng: np.random.Generator,
 ) -> None:
     half = 0.005
     poses = [motion.poses(time_s + offset) for offset in (-half, 0.0, half)]
@@ -151,11 +201,11 @@ def _write_imu(
     lines = ["t,gx_rad_s,gy,gz,ax_m_s2,ay,az"]
     lines += [
         f"{t:.5f}," + ",".join(f"{value:.5f}" for value in (*w, *a))
-        for t, w, a in zip(time_s, gyro, accel, strict=True)
+        for t, w, a in zip(time_s + offset_s, gyro, accel, strict=True)
     ]
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _steps(motion: VehicleMotion, time_s: np.ndarray) -> np.ndarray:
+def _steps(motion: Motion, time_s: np.ndarray) -> np.ndarray:
     """T_base(t - 10 ms)_base(t + 10 ms) for each time."""
     return np.linalg.inv(motion.poses(time_s - 0.01)) @ motion.poses(time_s + 0.01)

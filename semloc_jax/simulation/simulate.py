@@ -4,11 +4,10 @@ In: kind, seed, folder. Out: Drive of the drive just written.
 """
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import cv2
+import jax
 import numpy as np
 
 from semloc_jax.cameras import Rig
@@ -20,21 +19,25 @@ from semloc_jax.evaluation.trajectory import Trajectory, write_tum
 from semloc_jax.maps import GeoOrigin, SemanticMap, write_drive_geojson
 from semloc_jax.simulation.cameras import front_rig, surround_rig
 from semloc_jax.simulation.country import build_country_road
-from semloc_jax.simulation.degrade import Degradation, degrade
+from semloc_jax.simulation.degrade import Degradation
+from semloc_jax.simulation.epochs import at_epoch
 from semloc_jax.simulation.garage import build_garage
 from semloc_jax.simulation.map_errors import MapErrors, with_errors
-from semloc_jax.simulation.motion import VehicleMotion
-from semloc_jax.simulation.render import PixelRays, render
+from semloc_jax.simulation.motion import Motion, VehicleMotion
+from semloc_jax.simulation.pictures import PictureSettings, write_pictures
 from semloc_jax.simulation.road import build_road
-from semloc_jax.simulation.scene import Scene
-from semloc_jax.simulation.sensor_logs import SensorErrors, write_sensor_logs
-from semloc_jax.simulation.shade import LIGHTINGS, Lighting, shade
-from semloc_jax.simulation.solids import Box
-from semloc_jax.storage import claim, write_text, writing
+from semloc_jax.simulation.scene import Scene, World
+from semloc_jax.simulation.sensor_logs import SensorErrors, SensorPlan, write_sensor_logs
+from semloc_jax.simulation.shade import LIGHTINGS, Lighting
+from semloc_jax.simulation.variation import Variation, variation
+from semloc_jax.storage import claim, write_text
 
 _ORIGIN = GeoOrigin(48.0712, 11.6523, 512.0)
 LEAD_IN_S, _LEAD_OUT_S = 3.0, 1.0
 """Sensor logs run before the first and after the last frame."""
+UNFINISHED = "unfinished.json"
+"""Stands in the folder of a drive until all of it is there, and says what it follows from."""
+_USUAL_FRAMES, _MOST_EPOCHS = 30, 1000
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class SimulationConfig:
     """What a simulated drive is like.
 
     Args:
-        num_frames: frames to render.
+        num_frames: frames to render; None takes 30.
         rate_hz: frames per second; 0 takes 10 (road, country) or 5 (garage).
         speed_mps: mean speed; 0 takes 11 (road), 14 (country) or 2.2 (garage).
         width_px: image width; 0 takes 960 (road, country) or 640 (garage).
@@ -51,13 +54,18 @@ class SimulationConfig:
         wear_share: share of the paint that is worn off (labelled as the ground below it).
         crown: share by which a road falls to both sides of its crown; 0 takes 0 (road) or 0.02 (country). A crowned
             road leans into its bends, too.
-        has_images: whether colour images are written too.
+        has_images: whether colour images are written too; masks alone take a fraction of the time.
+        epoch: state of the world: each epoch removes, moves, adds and repaints elements (changes.json).
+        drive: number of a drive through the same world: other traffic, sensors, mounting and masks.
+        imu_rate_hz: rows of imu.csv in a second.
+        imu_offset_s: how far the clock of the IMU is ahead: it stamps time t with t + offset.
+        gps_bias_m: horizontal length of the error that all fixes share; None draws it from sensors.gnss_bias_m.
         sensors: errors of the sensors.
         map_errors: faults of map_with_errors.geojson.
         degradation: how bad the network's masks are.
     """
 
-    num_frames: int = 30
+    num_frames: int | None = None
     rate_hz: float = 0.0
     speed_mps: float = 0.0
     width_px: int = 0
@@ -66,6 +74,11 @@ class SimulationConfig:
     wear_share: float = 0.05
     crown: float = 0.0
     has_images: bool = True
+    epoch: int = 0
+    drive: int = 0
+    imu_rate_hz: float = 100.0
+    imu_offset_s: float = 0.0
+    gps_bias_m: float | None = None
     sensors: SensorErrors = field(default_factory=SensorErrors)
     map_errors: MapErrors = field(default_factory=MapErrors)
     degradation: Degradation = field(default_factory=Degradation)
@@ -85,6 +98,8 @@ _DEFAULTS = {
 }
 _STREAM = {"garage": 0, "road": 1, "country": 3}
 """Of random numbers, by kind; 2 is that of drives on maps."""
+_EPOCHS = 10
+"""Keeps the random numbers of changes apart from all others."""
 
 
 def simulate(
@@ -107,20 +122,29 @@ def simulate(
     1
     """
     config = checked(kind, config or SimulationConfig())
-    rng = np.random.default_rng([seed, _STREAM[kind]])
-    length_m = config.speed_mps * ((config.num_frames - 1) / config.rate_hz + _LEAD_OUT_S)
-    if kind == "road":
-        scene = build_road(rng, length_m, config.speed_mps, config.wear_share, config.crown)
-    elif kind == "country":
-        scene = build_country_road(rng, length_m, config.wear_share, config.crown)
-    else:
-        scene = build_garage(rng, length_m, config.wear_share)
+    key = [seed, _STREAM[kind]]
+    rng = np.random.default_rng(key)
+    own = variation(key, config.drive, rng, has_own_pictures=False)
+    world = _built(kind, config, rng, None if own.is_first else own.rng)
+    world, changes = at_epoch(world, [*key, _EPOCHS], config.epoch)
     sway_m = 0.0 if kind == "garage" else 0.15
-    motion = VehicleMotion(scene.path, scene.surface, config.speed_mps, sway_m, 0.15, rng.uniform(0.0, 2.0 * np.pi, 4))
+    phases = own.rng.uniform(0.0, 2.0 * np.pi, 4)
+    motion = VehicleMotion(world.path, world.surface, own.speed(config.speed_mps), sway_m, 0.15, phases)
     if rig is None:
         rig = (surround_rig if kind == "garage" else front_rig)(config.width_px, config.height_px)
-    staging = Staging(kind, seed, scene, motion, _ORIGIN, f"{kind} seed {seed}")
-    return write_drive(Path(out), staging, rig, config, rng)
+    told = {"epoch": config.epoch, "drive": config.drive}
+    staging = Staging(kind, seed, world.scene(), motion, _ORIGIN, f"{kind} seed {seed}", told, changes)
+    return write_drive(Path(out), staging, rig, config, own)
+
+
+def _built(kind: str, config: SimulationConfig, rng: np.random.Generator, own: np.random.Generator | None) -> World:
+    """The world of a kind at epoch 0, with the traffic of `own`."""
+    length_m = config.speed_mps * ((_num_frames(config) - 1) / config.rate_hz + _LEAD_OUT_S)
+    if kind == "road":
+        return build_road(rng, length_m, config.speed_mps, config.wear_share, config.crown, own)
+    if kind == "country":
+        return build_country_road(rng, length_m, config.wear_share, config.crown)
+    return build_garage(rng, length_m, config.wear_share, own)
 
 
 @dataclass(frozen=True)
@@ -135,55 +159,87 @@ class Staging:
         origin: place of the map frame on the earth; None where the map does not know it.
         map_name: name of the map.
         told: what else meta.json says.
+        changes: content of changes.json.
     """
 
     kind: str
     seed: int
     scene: Scene
-    motion: VehicleMotion
+    motion: Motion
     origin: GeoOrigin | None
     map_name: str
     told: dict = field(default_factory=dict)
+    changes: dict = field(default_factory=lambda: {"epoch": 0, "since_epoch_0": [], "since_previous": []})
 
 
-def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig, rng: np.random.Generator) -> Drive:
-    """Render a staged drive into the folder `out` and open it."""
-    scene, motion = staging.scene, staging.motion
+def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig, own: Variation) -> Drive:
+    """Render a staged drive into the folder `out` and open it; what an interrupted run of it left there is used."""
+    motion, rng = staging.motion, own.rng
     out.mkdir(parents=True, exist_ok=True)
     claim(out)
+    rig = own.mounted(rig)
+    recipe = _recipe(staging, config, rig)
+    if is_begun(out) and not is_begun(out, recipe):
+        raise SemlocError(f"{out}: holds the beginning of another drive; give a new folder, nothing is overwritten")
+    keeps = own.is_restartable and is_begun(out)
     # The list of frames makes a drive of a folder: it goes first and comes back when everything is there.
     (out / "frames.csv").unlink(missing_ok=True)
+    write_text(out / UNFINISHED, recipe)
     write_calibration(rig, out / "calib.yaml")
     _write_maps(out, staging, config.map_errors, rng)
     # Times count from the first frame; files count from the start of the logs.
-    time_s = np.arange(config.num_frames) / config.rate_hz
+    time_s = np.arange(_num_frames(config)) / config.rate_hz
     end_s = time_s[-1] + _LEAD_OUT_S
-    sensors = write_sensor_logs(out, motion, -LEAD_IN_S, end_s, config.sensors, staging.origin or _ORIGIN, rng)
+    plan = SensorPlan(config.sensors, config.imu_rate_hz, config.imu_offset_s, config.gps_bias_m)
+    sensors = write_sensor_logs(out, motion, -LEAD_IN_S, end_s, plan, staging.origin or _ORIGIN, rng)
     _write_truth(out, motion, time_s, rig)
     lightings = [LIGHTINGS[config.variants[k * len(config.variants) // len(time_s)]] for k in range(len(time_s))]
-    _write_pictures(out, scene, motion, rig, time_s, lightings, config, rng)
+    settings = PictureSettings(config.has_images, own.degradation(config.degradation), own.of_picture, keeps)
+    write_pictures(out, staging.scene, motion, rig, time_s, lightings, settings)
     meta = {"classes": CLASS_IDS, "kind": staging.kind, "seed": staging.seed, "variants": list(config.variants)}
     meta |= {"sensors": sensors, **staging.told}
     write_text(out / "meta.json", json.dumps(meta, indent=1) + "\n")
     _write_frame_list(out, time_s, lightings)
+    (out / UNFINISHED).unlink()
     return read_drive(out)
+
+
+def _recipe(staging: Staging, config: SimulationConfig, rig: Rig) -> str:
+    """What a drive follows from, as text."""
+    cameras = [np.asarray(value).tolist() for value in jax.tree.leaves(rig)]
+    made = {"kind": staging.kind, "seed": staging.seed, "map": staging.map_name, **staging.told}
+    made |= {"config": repr(config), "cameras": cameras, "names": rig.names}
+    return json.dumps(made, indent=1) + "\n"
+
+
+def is_begun(out: Path, recipe: str | None = None) -> bool:
+    """Whether an interrupted simulation lies in a folder, that of a recipe if one is given."""
+    place = out / UNFINISHED
+    return place.is_file() and (recipe is None or place.read_text() == recipe)
+
+
+def _num_frames(config: SimulationConfig) -> int:
+    return _USUAL_FRAMES if config.num_frames is None else config.num_frames
 
 
 def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
     """The configuration with the defaults of a kind of drive filled in.
 
     Raises:
-        SemlocError: unknown kind or lighting, no frames, a speed or rate that is not positive.
+        SemlocError: unknown kind or lighting, no frames, a speed or rate that is not positive, an impossible epoch.
     """
     if kind not in _DEFAULTS:
         raise SemlocError(f"unknown kind '{kind}'; expected one of {', '.join(_DEFAULTS)}")
-    if config.num_frames < 1:
+    if config.num_frames is not None and config.num_frames < 1:
         raise SemlocError(f"num_frames = {config.num_frames}; expected at least 1")
     missing = {key: value for key, value in _DEFAULTS[kind].items() if not getattr(config, key)}
     config = replace(config, **missing)
     for name in ("rate_hz", "speed_mps", "width_px", "height_px"):
         if not getattr(config, name) > 0:
             raise SemlocError(f"{name} = {getattr(config, name)}; expected a positive number")
+    for name in ("epoch", "drive"):
+        if not 0 <= getattr(config, name) <= _MOST_EPOCHS:
+            raise SemlocError(f"{name} = {getattr(config, name)}; expected 0 to {_MOST_EPOCHS}")
     if not 0.0 <= config.crown <= 0.1:
         raise SemlocError(f"crown = {config.crown:g}; expected the fall of a road, 0 to 0.1: 0.02 is usual")
     unknown = [name for name in config.variants if name not in LIGHTINGS]
@@ -198,9 +254,11 @@ def _write_maps(out: Path, staging: Staging, errors: MapErrors, rng: np.random.G
     faulty, log = with_errors(elements, errors, rng)
     write_drive_geojson(SemanticMap(faulty, origin, f"{name}, with errors"), out / "map_with_errors.geojson")
     write_text(out / "map_errors_log.json", json.dumps(log, indent=1) + "\n")
+    write_text(out / "changes.json", json.dumps(staging.changes, indent=1) + "\n")
+    write_text(out / "element_ids.json", json.dumps(["none", *(element.id for element in elements)]) + "\n")
 
 
-def _write_truth(out: Path, motion: VehicleMotion, time_s: np.ndarray, rig: Rig) -> None:
+def _write_truth(out: Path, motion: Motion, time_s: np.ndarray, rig: Rig) -> None:
     T_map_base = motion.poses(time_s)
     write_tum(Trajectory(time_s, T_map_base), out / "poses_body.tum")
     for name, T_base_cam in zip(rig.names, np.asarray(rig.T_base_cam), strict=True):
@@ -210,43 +268,3 @@ def _write_truth(out: Path, motion: VehicleMotion, time_s: np.ndarray, rig: Rig)
 def _write_frame_list(out: Path, time_s: np.ndarray, lightings: list[Lighting]) -> None:
     rows = [f"{k:06d},{t:.6f},{light.name}" for k, (t, light) in enumerate(zip(time_s, lightings, strict=True))]
     write_text(out / "frames.csv", "\n".join(["frame,t,variant", *rows]) + "\n")
-
-
-def _write_pictures(
-    out: Path,
-    scene: Scene,
-    motion: VehicleMotion,
-    rig: Rig,
-    time_s: np.ndarray,
-    lightings: list[Lighting],
-    config: SimulationConfig,
-    rng: np.random.Generator,
-) -> None:
-    rays = [PixelRays(camera) for camera in rig.cameras]
-    for kind in ("sem", "sem_net", *(("rgb",) if config.has_images else ())):
-        for name in rig.names:
-            (out / kind / name).mkdir(parents=True, exist_ok=True)
-    for index, (time, lighting) in enumerate(zip(time_s.tolist(), lightings, strict=True)):
-        T_map_base = motion.pose(time)
-        ego = [_carried(box, T_map_base) for box in scene.ego]
-        for name, pixel_rays, T_base_cam in zip(rig.names, rays, np.asarray(rig.T_base_cam), strict=True):
-            T_map_cam = T_map_base @ T_base_cam
-            view = render(scene, pixel_rays, T_map_cam, ego, time, config.has_images)
-            _write_picture(out / "sem" / name / f"{index:06d}.png", view.class_id)
-            net = degrade(view.class_id, rng, config.degradation)
-            _write_picture(out / "sem_net" / name / f"{index:06d}.png", net)
-            if config.has_images:
-                image = shade(view, T_map_cam[:3, 3], lighting, rng)
-                _write_picture(out / "rgb" / name / f"{index:06d}.jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])
-
-
-def _write_picture(path: Path, picture: np.ndarray, parameters: Sequence[int] = ()) -> None:
-    with writing(path) as partial:
-        if not cv2.imwrite(str(partial), picture, list(parameters)):
-            raise SemlocError(f"picture {path}: cannot be written; is the disk full?")
-
-
-def _carried(box: Box, T_map_base: np.ndarray) -> Box:
-    """A box of the base frame in the map frame."""
-    R = T_map_base[:3, :3]
-    return replace(box, center=R @ box.center + T_map_base[:3, 3], R_map_box=R @ box.R_map_box)

@@ -26,7 +26,7 @@ def test_a_configuration_reads_back(tmp_path, capsys):
     assert main(["config", "simulate"]) == OK
     printed = capsys.readouterr().out
     content = yaml.safe_load(printed)
-    assert content["num_frames"] == 30
+    assert content["sensors"]["gnss_bias_m"] == 1.0
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump(content | {"num_frames": 7}))
     assert main(["config", "simulate", "--config", str(path)]) == OK

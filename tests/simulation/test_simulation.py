@@ -241,7 +241,7 @@ def test_each_picture_is_rendered_once(tmp_path, monkeypatch):
         rendered.append(args)
         return render(*args)
 
-    module = sys.modules["semloc_jax.simulation.simulate"]
+    module = sys.modules["semloc_jax.simulation.pictures"]
     monkeypatch.setattr(module, "render", counted)
     simulate("road", 1, tmp_path, SimulationConfig(num_frames=2, width_px=64, height_px=40))
     assert len(rendered) == 2

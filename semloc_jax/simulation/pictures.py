@@ -1,0 +1,86 @@
+"""Masks and images of a simulated drive on disk (room: simulation; host).
+
+In: a Scene, the motion through it, cameras. Out: sem/, sem_net/ and rgb/ of the drive layout.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.cameras import Rig
+from semloc_jax.errors import SemlocError
+from semloc_jax.simulation.degrade import Degradation, degrade
+from semloc_jax.simulation.motion import Motion
+from semloc_jax.simulation.render import PixelRays, render
+from semloc_jax.simulation.scene import Scene
+from semloc_jax.simulation.shade import Lighting, shade
+from semloc_jax.simulation.solids import Box
+from semloc_jax.simulation.variation import PictureRandom
+from semloc_jax.storage import writing
+
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """What is drawn of each frame.
+
+    Args:
+        has_images: whether colour images are drawn too.
+        degradation: how bad the network's masks are.
+        random: random numbers of a frame and a camera.
+        keeps: whether pictures that are there already stay; they come from the same recipe.
+    """
+
+    has_images: bool
+    degradation: Degradation
+    random: PictureRandom
+    keeps: bool
+
+
+def write_pictures(
+    out: Path,
+    scene: Scene,
+    motion: Motion,
+    rig: Rig,
+    time_s: Float[np.ndarray, " n"],
+    lightings: Sequence[Lighting],
+    settings: PictureSettings,
+) -> None:
+    """Draw all frames into `out`, each picture whole or not at all."""
+    rays = [PixelRays(camera) for camera in rig.cameras]
+    sources = ("sem", "sem_net", *(("rgb",) if settings.has_images else ()))
+    for source in sources:
+        for name in rig.names:
+            (out / source / name).mkdir(parents=True, exist_ok=True)
+    for index, (time, lighting) in enumerate(zip(time_s.tolist(), lightings, strict=True)):
+        T_map_base = motion.pose(time)
+        ego = [_carried(box, T_map_base) for box in scene.ego]
+        for number, (name, T_base_cam) in enumerate(zip(rig.names, np.asarray(rig.T_base_cam), strict=True)):
+            places = {source: out / source / name / f"{index:06d}{_SUFFIX[source]}" for source in sources}
+            if settings.keeps and all(place.is_file() for place in places.values()):
+                continue
+            rng, T_map_cam = settings.random(index, number), T_map_base @ T_base_cam
+            view = render(scene, rays[number], T_map_cam, ego, time, settings.has_images)
+            _write_picture(places["sem"], view.class_id)
+            _write_picture(places["sem_net"], degrade(view.class_id, rng, settings.degradation))
+            if settings.has_images:
+                image = shade(view, T_map_cam[:3, 3], lighting, rng)
+                _write_picture(places["rgb"], image, [cv2.IMWRITE_JPEG_QUALITY, 90])
+
+
+_SUFFIX = {"sem": ".png", "sem_net": ".png", "rgb": ".jpg"}
+
+
+def _write_picture(path: Path, picture: np.ndarray, parameters: Sequence[int] = ()) -> None:
+    with writing(path) as partial:
+        if not cv2.imwrite(str(partial), picture, list(parameters)):
+            raise SemlocError(f"picture {path}: cannot be written; is the disk full?")
+
+
+def _carried(box: Box, T_map_base: np.ndarray) -> Box:
+    """A box of the base frame in the map frame."""
+    R = T_map_base[:3, :3]
+    return replace(box, center=R @ box.center + T_map_base[:3, 3], R_map_box=R @ box.R_map_box)
