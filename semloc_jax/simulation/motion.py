@@ -14,7 +14,7 @@ from semloc_jax.simulation.path import PlanePath
 from semloc_jax.simulation.surface import Surface
 
 
-class Motion(ABC):
+class TrueMotion(ABC):
     """Where the vehicle is at any time."""
 
     @abstractmethod
@@ -27,7 +27,7 @@ class Motion(ABC):
 
 
 @dataclass(frozen=True)
-class VehicleMotion(Motion):
+class VehicleMotion(TrueMotion):
     """A drive along a path with gently changing speed; the body pitches and rolls a little on its springs.
 
     Args:

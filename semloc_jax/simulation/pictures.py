@@ -14,7 +14,7 @@ from jaxtyping import Float
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.degrade import Degradation, degrade
-from semloc_jax.simulation.motion import Motion
+from semloc_jax.simulation.motion import TrueMotion
 from semloc_jax.simulation.render import PixelRays, render
 from semloc_jax.simulation.scene import Scene
 from semloc_jax.simulation.shade import Lighting, shade
@@ -43,7 +43,7 @@ class PictureSettings:
 def write_pictures(
     out: Path,
     scene: Scene,
-    motion: Motion,
+    motion: TrueMotion,
     rig: Rig,
     time_s: Float[np.ndarray, " n"],
     lightings: Sequence[Lighting],

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import GeoOrigin
-from semloc_jax.simulation.motion import Motion
+from semloc_jax.simulation.motion import TrueMotion
 from semloc_jax.storage import write_text
 
 _GRAVITY_MPS2 = 9.80665
@@ -79,7 +79,7 @@ class SensorPlan:
 
 def write_sensor_logs(
     folder: Path,
-    motion: Motion,
+    motion: TrueMotion,
     start_s: float,
     end_s: float,
     plan: SensorPlan,
@@ -120,7 +120,7 @@ def _fix_bias(plan: SensorPlan, rng: np.random.Generator) -> np.ndarray:
 
 def _write_gnss(
     path: Path,
-    motion: Motion,
+    motion: TrueMotion,
     time_s: np.ndarray,
     plan: SensorPlan,
     bias: np.ndarray,
@@ -161,7 +161,7 @@ def _to_degrees(east_m: float, north_m: float, origin: GeoOrigin) -> tuple[float
 
 def _write_wheel(
     path: Path,
-    motion: Motion,
+    motion: TrueMotion,
     time_s: np.ndarray,
     errors: SensorErrors,
     scales: dict[str, float],
@@ -181,7 +181,7 @@ def _write_wheel(
 
 def _write_imu(
     path: Path,
-    motion: Motion,
+    motion: TrueMotion,
     time_s: np.ndarray,
     offset_s: float,
     biases: dict[str, list[float]],
@@ -206,6 +206,6 @@ def _write_imu(
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _steps(motion: Motion, time_s: np.ndarray) -> np.ndarray:
+def _steps(motion: TrueMotion, time_s: np.ndarray) -> np.ndarray:
     """T_base(t - 10 ms)_base(t + 10 ms) for each time."""
     return np.linalg.inv(motion.poses(time_s - 0.01)) @ motion.poses(time_s + 0.01)

@@ -23,7 +23,7 @@ from semloc_jax.simulation.degrade import Degradation
 from semloc_jax.simulation.epochs import at_epoch
 from semloc_jax.simulation.garage import build_garage
 from semloc_jax.simulation.map_errors import MapErrors, with_errors
-from semloc_jax.simulation.motion import Motion, VehicleMotion
+from semloc_jax.simulation.motion import TrueMotion, VehicleMotion
 from semloc_jax.simulation.pictures import PictureSettings, write_pictures
 from semloc_jax.simulation.road import build_road
 from semloc_jax.simulation.scene import Scene, World
@@ -165,7 +165,7 @@ class Staging:
     kind: str
     seed: int
     scene: Scene
-    motion: Motion
+    motion: TrueMotion
     origin: GeoOrigin | None
     map_name: str
     told: dict = field(default_factory=dict)
@@ -258,7 +258,7 @@ def _write_maps(out: Path, staging: Staging, errors: MapErrors, rng: np.random.G
     write_text(out / "element_ids.json", json.dumps(["none", *(element.id for element in elements)]) + "\n")
 
 
-def _write_truth(out: Path, motion: Motion, time_s: np.ndarray, rig: Rig) -> None:
+def _write_truth(out: Path, motion: TrueMotion, time_s: np.ndarray, rig: Rig) -> None:
     T_map_base = motion.poses(time_s)
     write_tum(Trajectory(time_s, T_map_base), out / "poses_body.tum")
     for name, T_base_cam in zip(rig.names, np.asarray(rig.T_base_cam), strict=True):
