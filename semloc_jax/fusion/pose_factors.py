@@ -13,9 +13,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.residuals.motion import (
+    between_linearised,
+    between_residual,
     cauchy,
     fix_linearised,
     fix_residual,
+    level_linearised,
+    level_residual,
     odometry_linearised,
     odometry_residual,
     pose_linearised,
@@ -108,11 +112,34 @@ def fixes(
     p_base: Float[np.ndarray, "n 3"],
     sqrt_info: Float[np.ndarray, "n 2"],
     threshold: float,
+    poses: Int[np.ndarray, " n"] | None = None,
 ) -> Factors:
-    """A satellite fix of every pose, of the point `p_base` of the vehicle; `sqrt_info` 0 where there is none."""
-    keys = (np.arange(len(p_fix)), np.zeros(len(p_fix), int))
+    """Satellite fixes of the point `p_base` of the vehicle; `sqrt_info` 0 where there is none.
+
+    `poses`: which pose each one is of; None for one of every pose of the graph.
+    """
+    keys = (np.arange(len(p_fix)) if poses is None else poses, np.zeros(len(p_fix), int))
     data, robust = (p_base, p_fix), cauchy(threshold)
     return Factors(fix_residual, ("pose", "gnss"), keys, data, sqrt_info, robust=robust, linearised=fix_linearised)
+
+
+def verticals(
+    poses: Int[np.ndarray, " n"], up_base: Float[np.ndarray, "n 3"], sqrt_info: Float[np.ndarray, "n 2"]
+) -> Factors:
+    """The direction against gravity that was measured in poses; the map is level."""
+    return Factors(level_residual, ("pose",), (poses,), (up_base,), sqrt_info, linearised=level_linearised)
+
+
+def motions(
+    start: Int[np.ndarray, " e"],
+    end: Int[np.ndarray, " e"],
+    Ts_start_end: Float[np.ndarray, "e 4 4"],
+    sqrt_info: Float[np.ndarray, "e 6 6"],
+) -> Factors:
+    """Motion between any two poses, such as a loop."""
+    return Factors(
+        between_residual, ("pose", "pose"), (start, end), (Ts_start_end,), sqrt_info, linearised=between_linearised
+    )
 
 
 def prior(

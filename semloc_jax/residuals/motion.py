@@ -77,6 +77,19 @@ def fix_residual(
     return (lie.transform(T_map_base, p_base)[:2] + offset - fix) * sqrt_info
 
 
+def level_residual(
+    T_map_base: Float[Array, "4 4"], up_base: Float[Array, "3"], sqrt_info: Float[Array, "2"]
+) -> Float[Array, "2"]:
+    """Whitened difference of the vertical of the map, seen from the vehicle, from the measured one: pitch and roll.
+
+    Args:
+        T_map_base: Pose in a map whose z is up.
+        up_base: Unit direction against gravity.
+        sqrt_info: 1 / standard deviation of each of its first two coordinates [1/rad]; 0 where nothing was measured.
+    """
+    return (T_map_base[2, :2] - up_base[:2]) * sqrt_info
+
+
 def pose_linearised(
     T_map_base: Float[Array, "4 4"], T_measured: Float[Array, "4 4"], sqrt_info: Float[Array, "k 6"]
 ) -> tuple[Float[Array, " k"], Float[Array, "k 6"]]:
@@ -128,6 +141,15 @@ def fix_linearised(
     R = T_map_base[:2, :3]
     by_pose = jnp.concatenate([R, -_mul(R, lie.skew(p_base))], axis=1)
     return fix_residual(T_map_base, offset, p_base, fix, sqrt_info), sqrt_info[:, None] * by_pose, jnp.diag(sqrt_info)
+
+
+def level_linearised(
+    T_map_base: Float[Array, "4 4"], up_base: Float[Array, "3"], sqrt_info: Float[Array, "2"]
+) -> tuple[Float[Array, "2"], Float[Array, "2 6"]]:
+    """`level_residual` and its derivative by the right tangent of the pose."""
+    by_turn = lie.skew(T_map_base[2, :3])[:2]
+    J = sqrt_info[:, None] * jnp.concatenate([jnp.zeros_like(by_turn), by_turn], axis=1)
+    return level_residual(T_map_base, up_base, sqrt_info), J
 
 
 def cauchy_cost(r: Float[Array, " k"], threshold: float) -> tuple[Float[Array, ""], Float[Array, ""]]:

@@ -62,7 +62,7 @@ def solve_robustly(
     weights = {place: np.ones(graph.factors[place].sqrt_info.shape[0]) for place in doubtful}
     solution = solve(problem.of(_weighted(graph, weights)), start, config.solve)
     costs = _costs(graph, solution.value, doubtful)
-    worst = max(float(cost.max(initial=0.0)) for cost in costs.values())
+    worst = max((float(cost.max(initial=0.0)) for cost in costs.values()), default=0.0)
     # Convex at first: the worst factor still counts.
     control = config.limit_nats / max(2 * worst - config.limit_nats, 1e-12)
     num_rounds = 0

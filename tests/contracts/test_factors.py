@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses, odometry, prior
+from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses, motions, odometry, prior, verticals
 from semloc_jax.geometry import rigid
-from semloc_jax.residuals import motion, road_contact
+from semloc_jax.residuals import road_contact
 from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
 from semloc_jax.solvers.factors import POSE, Factors, vector
 
@@ -58,9 +58,8 @@ ZERO, ONE = np.zeros(1, int), np.ones(1, int)
 PAIR = ZERO, ONE
 FACTORS = {
     "measured pose": measured_poses(np.stack([near(), near()]), RNG.normal(size=(2, 6, 6)), 1e6),
-    "motion": Factors(
-        motion.between_residual, ("pose", "pose"), PAIR, (near()[None],), info(6), linearised=motion.between_linearised
-    ),
+    "motion": motions(ZERO, ONE, near()[None], info(6)),
+    "vertical": verticals(ZERO, np.array([[0.1, -0.2, 0.97]]), RNG.normal(size=(1, 2))),
     "odometry": odometry(ZERO, ONE, near()[None], RNG.normal(size=(1, 6, 3)), np.array([[1.0, 0.0, 0.0]]), info(6)),
     "satellite fix": fixes(RNG.normal(size=(2, 2)), RNG.normal(size=(2, 3)), RNG.normal(size=(2, 2)), 1e6),
     "prior": prior(near(), np.array([1.0, 0.0, 0.0, 0.5, -0.5]), RNG.normal(size=(11, 11))),
