@@ -1,0 +1,93 @@
+"""`semloc map`: a map of a drive from its masks and odometry, without any other map (room: cli)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from semloc_jax.cli.main import OK, log_to_console
+
+if TYPE_CHECKING:
+    from semloc_jax.mapping.mapper import MapConfig
+
+
+@dataclass(frozen=True)
+class Options:
+    """Make a map of a drive from its masks, wheels and gyroscope, with a sigma and an existence for every element.
+
+    Writes map.gpkg and map.geojson (open with every verb), trajectory.tum (T_map_base of every frame), elements.csv,
+    config.yaml (resolved; reads back with --config), map.png, overlays/*.png, and metrics.json: against the poses and
+    the map of the drive, where it has them, after one motion in the plane.
+
+    Every value of the configuration is an option too, e.g. --min-seen 5: 'semloc map --help' prints the verb's own.
+    """
+
+    drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]
+    """The drive: a folder or a bag (.bag, .db3, .mcap), its type is guessed."""
+    calib: Path | None = None
+    """Calibration file, where the drive has none of its own or another one is to be used."""
+    masks: str | None = None
+    """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or a segmenter that runs on the images
+    (classical, FILE.onnx); default: the drive's best masks."""
+    class_table: str | None = None
+    """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
+    cameras: str | None = None
+    """Names of cameras, separated by commas: front,left; default: all."""
+    frames: str = ":"
+    """Which frames look at the road, as a Python slice: ::2, 100:200; the way is that of the whole drive."""
+    start: str | None = None
+    """What fixes the frame of the map: gnss (their common offset stays in the map), truth or a trajectory file (pose of
+    the first frame), identity (the first frame); default: gnss where the drive has fixes, else identity."""
+    no_gnss: bool = False
+    """Leave satellite fixes out: the default of --start then is identity."""
+    overlays: int = 4
+    """Number of frames with the map drawn into their images; 0 for none."""
+    config: Path | None = None
+    """YAML file with values of the configuration."""
+    out: Path | None = None
+    """Folder for the results; default: results/TIME, to which results/latest points."""
+
+
+NOT_KEPT = ("drive", "config", "out", "settings")
+
+
+def default_settings() -> "MapConfig":
+    """The default configuration of a map."""
+    from semloc_jax.mapping.mapper import MapConfig
+
+    return MapConfig()
+
+
+def run(options: Options) -> int:
+    """Make the map, print how good it is."""
+    import dataclasses
+
+    from semloc_jax.datasets import open_drive
+    from semloc_jax.errors import SemlocError, UsageError
+    from semloc_jax.inputs.choices import parse_names, parse_slice
+    from semloc_jax.inputs.mask_source import CLASSICAL, TOP_VIEW, mask_source
+    from semloc_jax.reports.mapping import report_map
+
+    log_to_console()
+    chosen = parse_slice(options.frames)
+    if options.no_gnss and options.start == "gnss":
+        raise UsageError("--start gnss with --no-gnss: choose one of them")
+    drive = open_drive(options.drive, options.calib)
+    if options.no_gnss:
+        drive = dataclasses.replace(drive, gnss=None)
+    name = options.masks or (drive.mask_sources[0] if drive.mask_sources else CLASSICAL)
+    if name.startswith(TOP_VIEW):
+        raise UsageError(f"--masks {name}: a map is made from the masks of cameras; give {name[len(TOP_VIEW) :]}")
+    masks = mask_source(name, drive, parse_names(options.cameras), options.class_table)
+    frames = drive.frames[chosen]
+    if not frames:
+        raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames {options.frames}")
+    given = {field.name: getattr(options, field.name) for field in dataclasses.fields(Options)}
+    kept = {k: v for k, v in given.items() if k not in NOT_KEPT and v is not None and v is not False}
+    kept |= {"masks": masks.name, "cameras": ",".join(masks.cameras)}
+    settings = options.settings
+    report = report_map(drive, masks, frames, settings, options.start, options.out, options.overlays, kept)
+    print(report.text)
+    print(f"results: {report.folder}")
+    return OK

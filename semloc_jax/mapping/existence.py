@@ -1,0 +1,214 @@
+"""How often each element was seen and missed, and what that says about it (room: mapping; host).
+
+In: elements, the looks of a drive. Out: Belief of each: existence from visible misses, covariance from the cameras.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from semloc_jax.geometry import polyline
+from semloc_jax.mapping.looking import Look
+from semloc_jax.maps import Belief, MapElement
+from semloc_jax.structs import ElementClass
+
+_LINE_STEP_M = 0.25
+_AREA_STEP_M = 0.15
+_MOST_LOGIT = 15.0
+
+
+@dataclass(frozen=True)
+class ExistenceConfig:
+    """When a look says something about an element, and how sure a border in a mask is. All values are ours.
+
+    Args:
+        min_px_per_m: looks at coarser scale say nothing.
+        min_places: places of an element that must be visible, or all of a smaller one's half.
+        seen_share: share of the visible places with its paint from which it counts as seen.
+        missed_share: share up to which it counts as missed.
+        prior_logit: existence before anything was seen.
+        most_per_look: no look says more: the looks of one pass repeat their mistakes.
+        border_px: standard deviation of a border in a mask.
+        pitch_deg: of the camera against the road.
+        height_m: of the road against its plane.
+        floor_m: no element is better known than this.
+    """
+
+    min_px_per_m: float = 8.0
+    min_places: int = 6
+    seen_share: float = 0.5
+    missed_share: float = 0.2
+    prior_logit: float = -2.0
+    most_per_look: float = 1.5
+    border_px: float = 1.5
+    pitch_deg: float = 0.3
+    height_m: float = 0.05
+    floor_m: float = 0.005
+
+
+class Counting:
+    """Counts looks at elements over a drive."""
+
+    def __init__(
+        self,
+        elements: Sequence[MapElement],
+        planes_of: dict[ElementClass, tuple[int, ...]],
+        plane_of_id: np.ndarray,
+        config: ExistenceConfig | None = None,
+    ):
+        self.elements = elements
+        self.config = config or ExistenceConfig()
+        self._plane_of_id = plane_of_id
+        places = [_places(element) for element in elements]
+        self._xy = np.concatenate([np.zeros((0, 2)), *places])
+        self._owner = np.repeat(np.arange(len(elements)), [len(p) for p in places])
+        self._num_places = np.bincount(self._owner, minlength=len(elements))
+        self._tree = cKDTree(self._xy) if len(self._xy) else None
+        self._wanted = np.zeros((len(elements), int(plane_of_id.max()) + 2), dtype=bool)
+        for k, element in enumerate(elements):
+            self._wanted[k, list(planes_of[element.label])] = True
+        n = len(elements)
+        self.num_seen, self.num_missed = np.zeros(n, int), np.zeros(n, int)
+        self.first_s, self.last_s = np.full(n, np.inf), np.full(n, -np.inf)
+        self._information = np.zeros((n, 2, 2))
+
+    def add(self, looks: Sequence[Look], time_s: float) -> None:
+        """Counts one frame.
+
+        Args:
+            looks: one of each camera.
+            time_s: when.
+        """
+        if self._tree is None or not looks:
+            return
+        n = len(self.elements)
+        near = np.array(self._tree.query_ball_point(looks[0].T_map_base[:2, 3], 20.0), dtype=np.int64)
+        if not len(near):
+            return
+        shown, hits = np.zeros(n), np.zeros(n)
+        gained = np.zeros((n, 2, 2))
+        for look in looks:
+            row = look.rows_of(self._xy[near])
+            usable = row >= 0
+            usable[usable] = ~look.hidden[row[usable]] & (
+                look.table.coarse_px_per_m[row[usable]] >= self.config.min_px_per_m
+            )
+            if not usable.any():
+                continue
+            row, places = row[usable], near[usable]
+            owner = self._owner[places]
+            shown += np.bincount(owner, minlength=n)
+            hits += np.bincount(owner, self._wanted[owner, self._plane_of_id[look.ids[row]]], minlength=n)
+            gained += self._gained(look, row, places, owner)
+        enough = shown >= np.minimum(self.config.min_places, 0.5 * self._num_places)
+        enough &= shown > 0
+        share = np.divide(hits, shown, out=np.zeros(n), where=shown > 0)
+        seen = enough & (share >= self.config.seen_share)
+        self.num_seen += seen
+        self.num_missed += enough & (share <= self.config.missed_share)
+        self.first_s[seen] = np.minimum(self.first_s[seen], time_s)
+        self.last_s[seen] = np.maximum(self.last_s[seen], time_s)
+        self._information[seen] += gained[seen]
+
+    def _gained(self, look: Look, row: np.ndarray, places: np.ndarray, owner: np.ndarray) -> np.ndarray:
+        """What one look tells about the place of each element, `[n 2 2]` [1/m^2]: less along the line of sight."""
+        n, c = len(self.elements), self.config
+        count = np.maximum(np.bincount(owner, minlength=n), 1)
+        camera = look.T_map_base[:2, :2] @ look.table.camera_base[:2] + look.T_map_base[:2, 3]
+        offset = self._xy[places] - camera
+        mean = np.stack([np.bincount(owner, offset[:, k], n) for k in (0, 1)], axis=1) / count[:, None]
+        coarse = np.bincount(owner, look.table.coarse_px_per_m[row], n) / count
+        fine = np.bincount(owner, look.table.fine_px_per_m[row], n) / count
+        d_m = np.maximum(np.linalg.norm(mean, axis=1), 1e-3)
+        z_m = float(look.table.camera_base[2])
+        tilt = (d_m**2 + z_m**2) / z_m * np.deg2rad(c.pitch_deg)
+        along = (c.border_px / np.maximum(coarse, 1e-3)) ** 2 + tilt**2 + (d_m / z_m * c.height_m) ** 2
+        across = (c.border_px / np.maximum(fine, 1e-3)) ** 2 + (d_m * np.deg2rad(c.pitch_deg)) ** 2
+        ray = mean / d_m[:, None]
+        side = np.stack([-ray[:, 1], ray[:, 0]], axis=1)
+        both = ray[:, :, None] * ray[:, None] / along[:, None, None]
+        both = both + side[:, :, None] * side[:, None] / across[:, None, None]
+        return both * (np.bincount(owner, minlength=n) > 0)[:, None, None]
+
+    def detection_rates(self) -> dict[ElementClass, float]:
+        """Share of the visible looks at elements that were seen five times at least which show them, by class."""
+        labels = np.array([int(element.label) for element in self.elements])
+        sure = self.num_seen >= 5
+        rates = {}
+        for label in sorted({element.label for element in self.elements}):
+            own = (labels == int(label)) & sure
+            looks = int((self.num_seen + self.num_missed)[own].sum())
+            # One look of either kind is taken for granted: few looks prove neither 0 nor 1.
+            rates[label] = (int(self.num_seen[own].sum()) + 1) / (looks + 2)
+        return rates
+
+    def beliefs(self, false_rates: dict[ElementClass, float], provenance: str) -> list[Belief]:
+        """The belief in each element.
+
+        Args:
+            false_rates: share of the looks at bare road that show paint of a class.
+            provenance: name of the drive.
+        """
+        detected, found = self.detection_rates(), []
+        for k, element in enumerate(self.elements):
+            p_d = float(np.clip(detected[element.label], 0.05, 0.99))
+            p_f = float(np.clip(false_rates.get(element.label, 0.01), 1e-3, 0.5 * p_d))
+            most = self.config.most_per_look
+            logit = self.config.prior_logit + self.num_seen[k] * min(np.log(p_d / p_f), most)
+            logit += self.num_missed[k] * max(np.log((1.0 - p_d) / (1.0 - p_f)), -most)
+            across_m, along_m = self._sigmas(k, element)
+            is_seen = np.isfinite(self.first_s[k])
+            found.append(
+                Belief(
+                    across_m,
+                    along_m,
+                    float(np.clip(logit, -_MOST_LOGIT, _MOST_LOGIT)),
+                    int(self.num_seen[k]),
+                    int(self.num_missed[k]),
+                    float(self.first_s[k]) if is_seen else None,
+                    float(self.last_s[k]) if is_seen else None,
+                    provenance,
+                )
+            )
+        return found
+
+    def _sigmas(self, k: int, element: MapElement) -> tuple[float, float]:
+        """Standard deviation across and along an element [m]."""
+        xy = element.points[:, :2]
+        edges = np.diff(np.vstack([xy, xy[:1]]) if element.closed else xy, axis=0)
+        along = edges[np.linalg.norm(edges, axis=1).argmax()] if element.closed else xy[-1] - xy[0]
+        along = along / max(float(np.linalg.norm(along)), 1e-9)
+        # One metre where nothing was seen: such an element does not stay.
+        covariance = np.linalg.inv(self._information[k] + np.eye(2))
+        across = np.array([-along[1], along[0]])
+        floor = self.config.floor_m
+        return float(np.hypot(np.sqrt(across @ covariance @ across), floor)), float(
+            np.hypot(np.sqrt(along @ covariance @ along), floor)
+        )
+
+
+def _places(element: MapElement) -> Float[np.ndarray, "k 2"]:
+    """Places inside the paint of an element [m]."""
+    xy = element.points[:, :2]
+    if not element.closed:
+        length_m = float(polyline.arc_length(xy)[-1])
+        num = max(round(length_m / _LINE_STEP_M), 3)
+        return polyline.interpolate(xy, (np.arange(num) + 0.5) * length_m / num)
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    axes = [np.arange(low[k] + 0.5 * _AREA_STEP_M, high[k], _AREA_STEP_M) for k in (0, 1)]
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    inside = grid[_inside(grid, xy)]
+    return inside if len(inside) else xy.mean(axis=0)[None]
+
+
+def _inside(points: np.ndarray, ring: np.ndarray) -> np.ndarray:
+    """Whether points lie inside a ring: an odd number of its edges is crossed on the way to the east."""
+    start, end = ring, np.roll(ring, -1, axis=0)
+    y = points[:, 1:2]
+    spans = (start[:, 1] > y) != (end[:, 1] > y)
+    rise = np.where(np.abs(end[:, 1] - start[:, 1]) > 1e-12, end[:, 1] - start[:, 1], 1.0)
+    x = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
+    return (spans & (points[:, 0:1] < x)).sum(axis=1) % 2 == 1

@@ -1,0 +1,162 @@
+"""A map from a drive: look, gather, draw lines, count, keep what is there (room: mapping; host).
+
+In: a drive, its masks, poses of its frames. Out: MadeMap: a BeliefMap and what was looked at.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+
+from semloc_jax.datasets import Drive, Frame
+from semloc_jax.errors import SemlocError
+from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.existence import Counting, ExistenceConfig
+from semloc_jax.mapping.looking import Gatherer, LookConfig, Looker
+from semloc_jax.mapping.vectorize import VectorConfig, elements_of
+from semloc_jax.maps import BeliefMap, SemanticMap
+from semloc_jax.maps.elements import GeoOrigin
+from semloc_jax.structs import ElementClass
+
+Progress = Callable[[Iterable, str], Iterable]
+"""Shows how far an iteration over frames has come; takes what it is about."""
+
+_BARE_SHARE = 0.2
+"""Cells with a smaller share of paint are bare road."""
+_STILL_M = 0.05
+"""A vehicle that has not moved sees the same mistakes again."""
+
+
+@dataclass(frozen=True)
+class MapConfig:
+    """How a map is made. All values are ours.
+
+    Args:
+        look: how the road is looked at.
+        vector: what becomes an element.
+        existence: what counts as seen and missed.
+        min_seen: frames that must have seen an element.
+    """
+
+    look: LookConfig = field(default_factory=LookConfig)
+    vector: VectorConfig = field(default_factory=VectorConfig)
+    existence: ExistenceConfig = field(default_factory=ExistenceConfig)
+    min_seen: int = 3
+
+
+@dataclass(frozen=True)
+class MadeMap:
+    """A map that a drive made.
+
+    Attributes:
+        belief_map: elements with their beliefs.
+        rejected: elements that were born and did not stay, with their beliefs.
+        detection_rates: share of visible looks that show an element, by class.
+        false_rates: share of looks at bare road that show paint, by class.
+        gatherer: what was looked at.
+    """
+
+    belief_map: BeliefMap
+    rejected: BeliefMap
+    detection_rates: dict[ElementClass, float]
+    false_rates: dict[ElementClass, float]
+    gatherer: Gatherer
+
+    def seen(self, xy_map: Float[np.ndarray, "n 2"], num_looks: int) -> Bool[np.ndarray, " n"]:
+        """Whether places of the map [m] were looked at in at least so many frames."""
+        return self.gatherer.paint.seen(xy_map, num_looks)
+
+
+def make_map(
+    drive: Drive,
+    masks: MaskSource,
+    frames: Sequence[Frame],
+    Ts_map_base: Float[np.ndarray, "n 4 4"],
+    config: MapConfig | None = None,
+    origin: GeoOrigin | None = None,
+    progress: Progress = lambda items, _: items,
+) -> MadeMap:
+    """Make a map along given poses.
+
+    Args:
+        drive: the drive.
+        masks: what its cameras see.
+        frames: in time order.
+        Ts_map_base: pose of each frame; z of the base frame is 0 on the road.
+        config: None for the defaults.
+        origin: place of the map frame on the earth, where known.
+        progress: shows how far it has come.
+
+    Raises:
+        SemlocError: no frames, poses that are not finite, masks without paint, or nothing that stays.
+    """
+    config = config or MapConfig()
+    if not len(frames) or len(frames) != len(Ts_map_base) or not np.isfinite(Ts_map_base).all():
+        raise SemlocError(
+            f"drive {drive.name}: {len(frames)} frames and {len(Ts_map_base)} poses; expected at least one frame and a "
+            "finite pose for each"
+        )
+    looker = Looker(drive, masks, config.look)
+    gatherer = Gatherer(masks.table, config.look.cell_m)
+    moving = _moving(Ts_map_base)
+    for index in progress(moving, "looking"):
+        for look in looker.looks(frames[index], index, Ts_map_base):
+            gatherer.add(look)
+    elements = elements_of(gatherer.paint, gatherer.layers, road_height(Ts_map_base), config.vector)
+    counting = Counting(
+        elements, {layer.label: layer.planes for layer in gatherer.layers}, gatherer.layer_of_id, config.existence
+    )
+    for index in progress(moving, "counting"):
+        counting.add(list(looker.looks(frames[index], index, Ts_map_base)), frames[index].time_s)
+    false_rates = _false_rates(gatherer)
+    beliefs = counting.beliefs(false_rates, drive.name)
+    stays = [b.existence_logit > 0.0 and b.num_seen >= config.min_seen for b in beliefs]
+    if not any(stays):
+        raise SemlocError(
+            f"drive {drive.name}: none of {len(elements)} candidates was seen in {config.min_seen} frames; check that "
+            f"masks '{masks.name}' show paint near the vehicle and that the cameras are where the calibration says"
+        )
+
+    def chosen(wanted: bool) -> BeliefMap:
+        kept = [(e, b) for e, b, stay in zip(elements, beliefs, stays, strict=True) if stay is wanted]
+        semantic_map = SemanticMap(tuple(e for e, _ in kept), origin, drive.name)
+        return BeliefMap(semantic_map, {e.id: b for e, b in kept})
+
+    return MadeMap(chosen(True), chosen(False), counting.detection_rates(), false_rates, gatherer)
+
+
+def road_height(Ts_map_base: Float[np.ndarray, "n 4 4"]) -> Callable[[Float[np.ndarray, "n 2"]], np.ndarray]:
+    """Height of the road [m] at places of the map: that of the plane of the vehicle when it was nearest."""
+    tree = cKDTree(Ts_map_base[:, :2, 3])
+
+    def height_of(xy_map: Float[np.ndarray, "n 2"]) -> np.ndarray:
+        # The mean of a few neighbours takes the sway of the springs out.
+        k = min(9, len(Ts_map_base))
+        T = Ts_map_base[tree.query(xy_map, k=[*range(1, k + 1)])[1]]
+        normal = T[..., :3, 2]
+        offset = xy_map[:, None] - T[..., :2, 3]
+        return (T[..., 2, 3] - (normal[..., :2] * offset).sum(axis=-1) / normal[..., 2]).mean(axis=1)
+
+    return height_of
+
+
+def _moving(Ts_map_base: np.ndarray) -> list[int]:
+    """Frames in which the vehicle has moved on since the last one that counts."""
+    chosen = [0]
+    for index in range(1, len(Ts_map_base)):
+        if np.linalg.norm(Ts_map_base[index, :2, 3] - Ts_map_base[chosen[-1], :2, 3]) >= _STILL_M:
+            chosen.append(index)
+    return chosen
+
+
+def _false_rates(gatherer: Gatherer) -> dict[ElementClass, float]:
+    """Share of the looks at bare road that show paint of each class."""
+    weight = gatherer.paint.plane(0)
+    rates = {}
+    for layer in gatherer.layers:
+        shows = sum(gatherer.paint.plane(2 + plane) for plane in layer.planes)
+        bare = (weight > 0) & (shows < _BARE_SHARE * weight)
+        rates[layer.label] = float(shows[bare].sum() / max(float(weight[bare].sum()), 1e-9))
+    return rates

@@ -1,0 +1,99 @@
+"""Rectangles and outlines of patches of paint in a picture of the road from above (room: mapping; host).
+
+In: share of looks that show paint, by cell. Out: corners, to a fraction of a cell.
+"""
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from skimage.measure import find_contours
+
+_MARGIN = 6
+_FILLED = 0.6
+"""A patch that fills less of its rectangle is none."""
+_CORNER = 1.6
+"""Points of an outline that are less off the line between their neighbours [cells] are left out."""
+_RIM = 3
+"""Cells around a patch whose soft rim belongs to it."""
+
+
+def find_rectangles(
+    share: Float[np.ndarray, "h w"], looked: Bool[np.ndarray, "h w"], smallest: float
+) -> list[Float[np.ndarray, "4 2"]]:
+    """Corners x, y [cells] of every rectangular patch.
+
+    Args:
+        share: paint by cell, 0 to 1.
+        looked: cells that were seen often enough.
+        smallest: area [cells] below which paint is noise.
+    """
+    found = []
+    for origin, soft, own in _patches(share, looked, smallest):
+        box = _rectangle(soft, own)
+        if box is not None:
+            found.append(box + origin)
+    return found
+
+
+def find_outlines(
+    share: Float[np.ndarray, "h w"], looked: Bool[np.ndarray, "h w"], smallest: float
+) -> list[Float[np.ndarray, "k 2"]]:
+    """Outline x, y [cells] of every patch, without a repeated last point; arguments as for `find_rectangles`."""
+    found = []
+    for origin, soft, _ in _patches(share, looked, smallest):
+        rims = find_contours(soft, 0.5)
+        if not rims:
+            continue
+        rim = max(rims, key=len)[:, ::-1]
+        corners = cv2.approxPolyDP(rim[:-1].astype(np.float32), _CORNER, True)[:, 0].astype(np.float64)
+        if len(corners) >= 3:
+            found.append(corners + origin)
+    return found
+
+
+def _patches(
+    share: np.ndarray, looked: np.ndarray, smallest: float
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yields the origin of each patch, its soft picture without its neighbours, and its cells."""
+    paint = ((share > 0.5) & looked).astype(np.uint8)
+    # A patch that a stray line of missing pixels cuts in two is one.
+    paint = cv2.morphologyEx(paint, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    num, labels, stats, _ = cv2.connectedComponentsWithStats(paint, connectivity=8)
+    for index in range(1, num):
+        x, y, width, height, area = (int(v) for v in stats[index])
+        if area < smallest:
+            continue
+        top, left = max(y - _MARGIN, 0), max(x - _MARGIN, 0)
+        box = slice(top, y + height + _MARGIN), slice(left, x + width + _MARGIN)
+        own = labels[box] == index
+        rim = cv2.dilate(own.astype(np.uint8), np.ones((2 * _RIM + 1, 2 * _RIM + 1), np.uint8)) > 0
+        other = (labels[box] > 0) & ~own
+        yield np.array([left, top], float), np.where(rim & ~other, np.maximum(share[box], own * 0.51), 0.0), own
+
+
+def _rectangle(soft: np.ndarray, own: np.ndarray) -> np.ndarray | None:
+    """Corners of the rectangle whose sides hold the soft paint: direction from the cells, sizes from its sums."""
+    rows, columns = np.nonzero(own)
+    centre, size, angle = cv2.minAreaRect(np.stack([columns, rows], axis=1).astype(np.float32))
+    if len(rows) < _FILLED * max(size[0] + 1, 1) * max(size[1] + 1, 1):
+        return None
+    turn = np.deg2rad(angle)
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    yy, xx = np.nonzero(soft > 0.02)
+    weight = soft[yy, xx]
+    middle = np.array(centre)
+    for _ in range(3):
+        at = (np.stack([xx, yy], axis=1) - middle) @ axes.T
+        lengths, offsets = [], []
+        for k in (0, 1):
+            # Away from the corners, where the other side is cut by them.
+            inner = np.abs(at[:, 1 - k]) < 0.35 * size[1 - k]
+            span = max(0.7 * size[1 - k], 1.0)
+            lengths.append(float(weight[inner].sum()) / span)
+            offsets.append(float((weight[inner] * at[inner, k]).sum() / max(weight[inner].sum(), 1e-9)))
+        size = (max(lengths[0], 1.0), max(lengths[1], 1.0))
+        middle = middle + np.array(offsets) @ axes
+    half = 0.5 * np.array(size)
+    return middle + (np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half) @ axes

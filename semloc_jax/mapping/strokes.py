@@ -1,0 +1,230 @@
+"""Strokes of paint followed along their middle through a picture of the road from above (room: mapping; host).
+
+In: share of looks that show paint, by cell. Out: Stroke: middle, width and ends, to a fraction of a cell.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import map_coordinates
+
+_STEP = 4
+"""Cells from one place of a stroke to the next: 10 cm at 2.5 cm."""
+_ALONG = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+_HALF_SHARE = 0.5
+_BACK = 14
+"""Places whose straight line gives the direction of the next step."""
+
+
+@dataclass(frozen=True)
+class StrokeLimits:
+    """What counts as a stroke, in cells.
+
+    Args:
+        widest: a wider profile is a junction with other paint; its middle does not count.
+        reach: how far to either side of the middle paint is looked at.
+        bridged: longest gap that is passed over.
+        smallest: area below which paint is noise.
+    """
+
+    widest: float = 14.0
+    reach: float = 12.0
+    bridged: float = 16.0
+    smallest: float = 40.0
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """One stroke, in cells of the picture.
+
+    Attributes:
+        middle: `float64[k 2]` x, y along the stroke; the ends are those of the paint.
+        width: typical width.
+        is_end: whether paint ends at the first and at the last point where the road goes on bare, and was seen.
+    """
+
+    middle: Float[np.ndarray, "k 2"]
+    width: float
+    is_end: tuple[bool, bool]
+
+    @property
+    def length(self) -> float:
+        """Length from end to end."""
+        return float(np.linalg.norm(np.diff(self.middle, axis=0), axis=1).sum())
+
+
+def find_strokes(
+    share: Float[np.ndarray, "h w"], looked: Bool[np.ndarray, "h w"], limits: StrokeLimits | None = None
+) -> list[Stroke]:
+    """Follow every stroke in a picture.
+
+    Args:
+        share: paint by cell, 0 to 1.
+        looked: cells that were seen often enough.
+        limits: what counts as a stroke.
+    """
+    limits = limits or StrokeLimits()
+    free = ((share > _HALF_SHARE) & looked).astype(np.uint8)
+    num, labels, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=8)
+    found = []
+    for index in range(1, num):
+        x, y, width, height, area = (int(v) for v in stats[index])
+        if area < limits.smallest:
+            continue
+        margin = int(limits.bridged) + int(limits.reach) + 8
+        top, left = max(y - margin, 0), max(x - margin, 0)
+        box = slice(top, y + height + margin), slice(left, x + width + margin)
+        own = labels[box] == index
+        # Paint already taken by a stroke that bridged a gap is not followed again.
+        own &= free[box] > 0
+        found += _strokes_of(share[box], looked[box], own, free[box], np.array([left, top], float), limits)
+    return found
+
+
+def _strokes_of(
+    share: np.ndarray,
+    looked: np.ndarray,
+    own: np.ndarray,
+    free: np.ndarray,
+    origin: np.ndarray,
+    limits: StrokeLimits,
+) -> list[Stroke]:
+    """The strokes of one patch of connected paint; what they cover is taken out of `free`."""
+    found = []
+    for _ in range(200):
+        if own.sum() < limits.smallest:
+            break
+        depth = cv2.distanceTransform(own.astype(np.uint8), cv2.DIST_L2, 3)
+        seed = np.array(np.unravel_index(int(depth.argmax()), depth.shape), dtype=float)[::-1]
+        stroke = _followed(share, looked, own, seed, limits)
+        taken = np.zeros(own.shape, np.uint8)
+        if stroke is None:
+            cv2.circle(taken, tuple(np.rint(seed).astype(int).tolist()), int(limits.reach), 1, -1)
+        else:
+            line = np.rint(stroke.middle * 8).astype(np.int32)[None]
+            cv2.polylines(taken, line, False, 1, max(int(stroke.width + 5), 3), cv2.LINE_8, 3)
+            found.append(Stroke(stroke.middle + origin, stroke.width, stroke.is_end))
+        own &= taken == 0
+        free[taken > 0] = 0
+    return found
+
+
+def _followed(
+    share: np.ndarray, looked: np.ndarray, own: np.ndarray, seed: np.ndarray, limits: StrokeLimits
+) -> Stroke | None:
+    direction = _direction(own, seed)
+    if direction is None:
+        return None
+    first = _profile(share, seed, direction, limits)
+    if first is None:
+        return None
+    ways = []
+    for sign in (1.0, -1.0):
+        ways.append(_one_way(share, looked, seed + first[0] * _normal(direction), sign * direction, limits))
+    middle = np.vstack([ways[1][0][::-1], ways[0][0][1:]])
+    middle = middle[np.append(True, np.linalg.norm(np.diff(middle, axis=0), axis=1) > 1e-3)]
+    widths = np.concatenate([ways[0][1], ways[1][1]])
+    if len(middle) < 2 or not len(widths):
+        return None
+    return Stroke(middle, float(np.median(widths)), (ways[1][2], ways[0][2]))
+
+
+def _direction(own: np.ndarray, seed: np.ndarray) -> np.ndarray | None:
+    """Main direction of the paint around a place."""
+    r = 30
+    x, y = np.rint(seed).astype(int)
+    rows, columns = np.nonzero(own[max(y - r, 0) : y + r, max(x - r, 0) : x + r])
+    if len(rows) < 8:
+        return None
+    near = np.stack([columns, rows], axis=1) - np.mean([columns, rows], axis=1)
+    values, vectors = np.linalg.eigh(near.T @ near)
+    return vectors[:, 1] if values[1] > 1.5 * values[0] else None
+
+
+def _normal(direction: np.ndarray) -> np.ndarray:
+    return np.array([-direction[1], direction[0]])
+
+
+def _profile(
+    share: np.ndarray, place: np.ndarray, direction: np.ndarray, limits: StrokeLimits
+) -> tuple[float, float] | None:
+    """Offset of the middle of the paint across a place, and its width; None where there is none near the middle."""
+    offsets = np.arange(-limits.reach, limits.reach + 0.25, 0.5)
+    at = place + offsets[:, None, None] * _normal(direction) + _ALONG[None, :, None] * direction
+    across = _looked_up(share, at).mean(axis=1)
+    near = np.abs(offsets) < 0.34 * limits.reach
+    peak = across[near].max()
+    if peak < 0.4:
+        return None
+    paint = across > 0.5 * peak
+    centre = int(np.flatnonzero(near)[across[near].argmax()])
+    low = centre - int(np.argmin(paint[centre::-1])) + 1 if not paint[: centre + 1].all() else 0
+    high = centre + int(np.argmin(paint[centre:])) if not paint[centre:].all() else len(paint)
+    # The soft rims belong to the paint: half of it would be cut off at the threshold.
+    low, high = max(low - 3, 0), min(high + 3, len(paint))
+    weight = across[low:high]
+    return float((weight * offsets[low:high]).sum() / weight.sum()), float(0.5 * weight.sum() / max(peak, 0.8))
+
+
+def _one_way(
+    share: np.ndarray, looked: np.ndarray, start: np.ndarray, direction: np.ndarray, limits: StrokeLimits
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Places from a start to the end of the paint, widths there, and whether bare road was seen behind the end."""
+    places, widths = [start], []
+    at, gap = start, 0.0
+    height, width = share.shape
+    while True:
+        at = at + _STEP * direction
+        if not (2 < at[0] < width - 3 and 2 < at[1] < height - 3):
+            break
+        found = _profile(share, at, direction, limits)
+        if found is None:
+            gap += _STEP
+            if gap > limits.bridged:
+                break
+            continue
+        gap = 0.0
+        offset, wide = found
+        if wide <= limits.widest:
+            at = at + float(np.clip(offset, -1.5, 1.5)) * _normal(direction)
+            widths.append(wide)
+            places.append(at)
+        recent = np.array(places[-_BACK:])
+        if len(recent) >= 4:
+            direction = _straight(recent, direction)
+    end, is_end = _end(share, looked, places[-1], direction, limits)
+    return np.vstack([*places, end]), np.array(widths), is_end
+
+
+def _straight(places: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    near = places - places.mean(axis=0)
+    found = np.linalg.eigh(near.T @ near)[1][:, 1]
+    return found if found @ direction > 0 else -found
+
+
+def _end(
+    share: np.ndarray, looked: np.ndarray, last: np.ndarray, direction: np.ndarray, limits: StrokeLimits
+) -> tuple[np.ndarray, bool]:
+    """Where paint falls below half, past the last place, and whether the road behind was looked at."""
+    s = np.arange(-2.0 * _STEP, limits.bridged + 0.25, 0.5)
+    offsets = np.array([-1.5, -0.5, 0.5, 1.5])
+    at = last + s[:, None, None] * direction + offsets[None, :, None] * _normal(direction)
+    along = _looked_up(share, at).mean(axis=1)
+    top = max(float(along[:8].max()), 0.5)
+    below = np.flatnonzero((along < 0.5 * top) & (s > -_STEP))
+    if not len(below):
+        return last, False
+    k = max(int(below[0]), 1)
+    step = along[k - 1] - along[k]
+    part = np.clip((along[k - 1] - 0.5 * top) / step, 0.0, 1.0) if step > 1e-6 else 0.0
+    end = s[k - 1] + 0.5 * part
+    behind = last + (end + 8.0) * direction
+    seen = _looked_up(looked.astype(np.float32), behind[None, None])[0, 0] > 0.5
+    return last + end * direction, bool(seen)
+
+
+def _looked_up(share: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    flat = xy.reshape(-1, 2)
+    return map_coordinates(share, [flat[:, 1], flat[:, 0]], order=1, mode="constant").reshape(xy.shape[:-1])

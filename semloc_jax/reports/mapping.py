@@ -1,0 +1,188 @@
+"""The report of a map made from a drive: what `semloc map` writes (room: reports; host).
+
+In: a drive, its masks, how the map is made. Out: map, trajectory, tables, metrics and pictures in a folder.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from semloc_jax.datasets import Drive, Frame
+from semloc_jax.evaluation import (
+    MapComparison,
+    Metric,
+    Trajectory,
+    aligned,
+    compare_maps,
+    evaluate,
+    format_metrics,
+    write_metrics,
+    write_tum,
+)
+from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.chain import drive_chain
+from semloc_jax.mapping.gauge import map_from_odom
+from semloc_jax.mapping.mapper import MadeMap, MapConfig, make_map
+from semloc_jax.maps import read_map, write_drive_geojson, write_map
+from semloc_jax.maps.elements import GeoOrigin
+from semloc_jax.reports.folder import make_folder, write_record
+from semloc_jax.reports.pictures import element_panels
+from semloc_jax.reports.tables import write_csv
+from semloc_jax.storage import output_path
+from semloc_jax.viz import draw_contours, maps_over_each_other, save, sigmas_from_above
+
+_NUM_SEEN = 5
+"""An element of the reference counts where it was looked at in so many frames."""
+
+
+class MapReport(NamedTuple):
+    """A map that was made.
+
+    Args:
+        folder: where everything was written.
+        text: summary for people.
+        num_elements: elements of the map.
+    """
+
+    folder: Path
+    text: str
+    num_elements: int
+
+
+def report_map(
+    drive: Drive,
+    masks: MaskSource,
+    frames: Sequence[Frame],
+    settings: MapConfig,
+    start: str | None = None,
+    out: Path | None = None,
+    num_overlays: int = 4,
+    options: Mapping[str, Any] | None = None,
+) -> MapReport:
+    """Make a map of a drive and write everything about it.
+
+    Args:
+        drive: the drive.
+        masks: what its cameras see.
+        frames: those that look, in time order.
+        settings: how the map is made.
+        start: what fixes the frame of the map; see `mapping.gauge.map_from_odom`.
+        out: folder to write; None for a new one in results/.
+        num_overlays: pictures of the map over images.
+        options: what config.yaml keeps besides the configuration.
+
+    Raises:
+        SemlocError: no wheel odometry, nothing that fixes the frame as asked, or no map came out.
+    """
+    chain = drive_chain(drive)
+    T_map_odom, gauge = map_from_odom(drive, chain.times_s, chain.Ts_odom_base, start)
+    Ts_map_base = T_map_odom @ chain.Ts_odom_base
+    folder = make_folder(out)
+    write_record(folder, settings, options or {})
+    looking = [frame.index for frame in frames]
+    origin = drive.gnss.origin if gauge == "gnss" and drive.gnss is not None else None
+    made = make_map(
+        drive,
+        masks,
+        frames,
+        Ts_map_base[looking],
+        settings,
+        GeoOrigin(*origin) if origin is not None else None,
+        lambda items, name: tqdm(items, desc=name, unit="frame"),
+    )
+    trajectory = Trajectory(chain.times_s, Ts_map_base)
+    write_map(made.belief_map.as_map(), folder / "map.gpkg")
+    write_drive_geojson(made.belief_map.as_map(), folder / "map.geojson")
+    write_tum(trajectory, folder / "trajectory.tum")
+    write_elements(made, folder / "elements.csv")
+    metrics, comparison = _judged(drive, made, trajectory, folder)
+    write_metrics(metrics, folder / "metrics.json")
+    _draw(drive, masks, frames, made, Ts_map_base, num_overlays, folder)
+    return MapReport(folder, _text(made, gauge, metrics, comparison), made.belief_map.map.num_elements)
+
+
+def write_elements(made: MadeMap, path: Path) -> None:
+    """elements.csv: every element that stayed."""
+    beliefs = made.belief_map.beliefs
+    rows = []
+    for element in made.belief_map.map.elements:
+        b = beliefs[element.id]
+        name = element.label.name.lower()
+        sigma_m = float(np.hypot(b.sigma_across_m, b.sigma_along_m))
+        rows.append((element.id, name, b.num_seen, b.num_missed, round(b.existence, 6), sigma_m))
+        rows[-1] += (b.sigma_across_m, b.sigma_along_m)
+    head = ("id", "class", "num_seen", "num_missed", "existence", "sigma_m", "sigma_across_m", "sigma_along_m")
+    write_csv(path, head, rows)
+
+
+def _judged(
+    drive: Drive, made: MadeMap, trajectory: Trajectory, folder: Path
+) -> tuple[list[Metric], MapComparison | None]:
+    """The map and the trajectory against those of the drive, where it has them, after one motion in the plane each."""
+    metrics: list[Metric] = []
+    guess = np.eye(4)
+    if drive.truth is not None:
+        moved, guess = aligned(trajectory, drive.truth, "se2")
+        metrics = evaluate(moved, drive.truth)
+    if drive.map_path is None or drive.truth is None:
+        return metrics, None
+    reference = read_map(drive.map_path)
+
+    def seen(xy_reference: np.ndarray) -> np.ndarray:
+        back = np.linalg.inv(comparison_motion)
+        return made.seen(xy_reference @ back[:2, :2].T + back[:2, 3], _NUM_SEEN)
+
+    ours = made.belief_map.map.elements
+    comparison_motion = compare_maps(ours, reference.elements, "se2", T_reference_made=guess).T_reference_made
+    comparison = compare_maps(ours, reference.elements, "none", seen=seen, T_reference_made=comparison_motion)
+    moved = [e.with_points(e.points @ comparison_motion[:3, :3].T + comparison_motion[:3, 3]) for e in ours]
+    extent = np.stack([e.points.mean(axis=0)[:2] for e in moved])
+    low, high = extent.min(axis=0) - 20.0, extent.max(axis=0) + 20.0
+    near = [e for e in reference.elements if not e.is_logical and _within(e.points[:, :2], low, high)]
+    save(maps_over_each_other([e for e in moved if not e.is_logical], near, drive.name), folder / "against_truth.png")
+    return [*metrics, *comparison.metrics()], comparison
+
+
+def _within(xy: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    return bool(((xy >= low) & (xy <= high)).all(axis=1).any())
+
+
+def _draw(
+    drive: Drive,
+    masks: MaskSource,
+    frames: Sequence[Frame],
+    made: MadeMap,
+    Ts_map_base: np.ndarray,
+    num_overlays: int,
+    folder: Path,
+) -> None:
+    belief_map = made.belief_map
+    picture = sigmas_from_above(belief_map.map.elements, belief_map.beliefs, Ts_map_base, drive.name)
+    save(picture, folder / "map.png")
+    for index in np.unique(np.linspace(0, len(frames) - 1, num_overlays).astype(int)) if num_overlays else ():
+        frame = frames[index]
+        for name, image, contours in element_panels(belief_map.map, masks, frame, Ts_map_base[frame.index]):
+            for part in contours.values():
+                image = draw_contours(image, part)
+            save(image, output_path(folder, "overlays", f"{frame.id}_{name}", suffix=".png"))
+
+
+def _text(made: MadeMap, gauge: str, metrics: list[Metric], comparison: MapComparison | None) -> str:
+    counts: dict[str, int] = {}
+    for element in made.belief_map.map.elements:
+        name = element.label.name.lower()
+        counts[name] = counts.get(name, 0) + 1
+    lines = [f"map: {', '.join(f'{count} {name}' for name, count in counts.items())}"]
+    lines.append(f"frame of the map: {gauge}; {len(made.rejected.beliefs)} candidates did not stay")
+    rates = [f"{label.name.lower()} {100 * rate:.0f} %" for label, rate in made.detection_rates.items()]
+    lines.append(f"shown by a visible look: {', '.join(rates)}")
+    if metrics:
+        poses = [m for m in metrics if not m.key.startswith("map.")]
+        lines += ["", "trajectory against the truth, after one motion in the plane:", format_metrics(poses)]
+    if comparison is not None:
+        title = f"map against that of the drive where it was seen in {_NUM_SEEN} frames, after one motion in the plane:"
+        lines += ["", title, comparison.to_text()]
+    return "\n".join(lines)
