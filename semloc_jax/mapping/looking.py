@@ -27,7 +27,7 @@ _VEHICLE_CELL_M = 0.1
 
 
 @dataclass(frozen=True)
-class LookConfig:
+class RoadLookConfig:
     """How the road is looked at. All values are ours.
 
     Args:
@@ -78,9 +78,9 @@ class Look:
 class Looker:
     """Looks at the road with all cameras of a drive; the tables of the cameras are made once."""
 
-    def __init__(self, drive: Drive, masks: MaskSource, config: LookConfig | None = None):
+    def __init__(self, drive: Drive, masks: MaskSource, config: RoadLookConfig | None = None):
         self.masks = masks
-        self.config = config or LookConfig()
+        self.config = config or RoadLookConfig()
         rig = masks.seen_by(drive.rig.select(masks.cameras))
         poses = np.asarray(rig.T_base_cam, dtype=np.float64)
         self.tables = [

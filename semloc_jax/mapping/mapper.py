@@ -14,7 +14,7 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.existence import Counting, ExistenceConfig
-from semloc_jax.mapping.looking import Gatherer, LookConfig, Looker
+from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
 from semloc_jax.maps import BeliefMap, SemanticMap
 from semloc_jax.maps.elements import GeoOrigin
@@ -40,7 +40,7 @@ class MapConfig:
         min_seen: frames that must have seen an element.
     """
 
-    look: LookConfig = field(default_factory=LookConfig)
+    look: RoadLookConfig = field(default_factory=RoadLookConfig)
     vector: VectorConfig = field(default_factory=VectorConfig)
     existence: ExistenceConfig = field(default_factory=ExistenceConfig)
     min_seen: int = 3

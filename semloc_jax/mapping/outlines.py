@@ -15,6 +15,8 @@ _FILLED = 0.6
 """A patch that fills less of its rectangle is none."""
 _CORNER = 1.6
 """Points of an outline that are less off the line between their neighbours [cells] are left out."""
+_KNOWN = 0.98
+"""Share of a patch and its rim that must have been looked at."""
 _RIM = 3
 """Cells around a patch whose soft rim belongs to it."""
 
@@ -61,6 +63,8 @@ def _patches(
     # A patch that a stray line of missing pixels cuts in two is one.
     paint = cv2.morphologyEx(paint, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     num, labels, stats, _ = cv2.connectedComponentsWithStats(paint, connectivity=8)
+    # Single cells between the places of a look are no gap.
+    known = cv2.morphologyEx(looked.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)) > 0
     for index in range(1, num):
         x, y, width, height, area = (int(v) for v in stats[index])
         if area < smallest:
@@ -69,6 +73,9 @@ def _patches(
         box = slice(top, y + height + _MARGIN), slice(left, x + width + _MARGIN)
         own = labels[box] == index
         rim = cv2.dilate(own.astype(np.uint8), np.ones((2 * _RIM + 1, 2 * _RIM + 1), np.uint8)) > 0
+        # A patch that goes on where nobody looked has no outline yet.
+        if not known[box][rim].mean() > _KNOWN:
+            continue
         other = (labels[box] > 0) & ~own
         yield np.array([left, top], float), np.where(rim & ~other, np.maximum(share[box], own * 0.51), 0.0), own
 

@@ -1,6 +1,6 @@
 """Strokes of paint followed along their middle through a picture of the road from above (room: mapping; host).
 
-In: share of looks that show paint, by cell. Out: Stroke: middle, width and ends, to a fraction of a cell.
+In: share of looks that show paint, by cell. Out: PaintTrace: middle, width and ends, to a fraction of a cell.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _BACK = 14
 
 
 @dataclass(frozen=True)
-class StrokeLimits:
+class TraceLimits:
     """What counts as a stroke, in cells.
 
     Args:
@@ -36,7 +36,7 @@ class StrokeLimits:
 
 
 @dataclass(frozen=True)
-class Stroke:
+class PaintTrace:
     """One stroke, in cells of the picture.
 
     Attributes:
@@ -56,8 +56,8 @@ class Stroke:
 
 
 def find_strokes(
-    share: Float[np.ndarray, "h w"], looked: Bool[np.ndarray, "h w"], limits: StrokeLimits | None = None
-) -> list[Stroke]:
+    share: Float[np.ndarray, "h w"], looked: Bool[np.ndarray, "h w"], limits: TraceLimits | None = None
+) -> list[PaintTrace]:
     """Follow every stroke in a picture.
 
     Args:
@@ -65,7 +65,7 @@ def find_strokes(
         looked: cells that were seen often enough.
         limits: what counts as a stroke.
     """
-    limits = limits or StrokeLimits()
+    limits = limits or TraceLimits()
     free = ((share > _HALF_SHARE) & looked).astype(np.uint8)
     num, labels, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=8)
     found = []
@@ -89,8 +89,8 @@ def _strokes_of(
     own: np.ndarray,
     free: np.ndarray,
     origin: np.ndarray,
-    limits: StrokeLimits,
-) -> list[Stroke]:
+    limits: TraceLimits,
+) -> list[PaintTrace]:
     """The strokes of one patch of connected paint; what they cover is taken out of `free`."""
     found = []
     for _ in range(200):
@@ -105,15 +105,15 @@ def _strokes_of(
         else:
             line = np.rint(stroke.middle * 8).astype(np.int32)[None]
             cv2.polylines(taken, line, False, 1, max(int(stroke.width + 5), 3), cv2.LINE_8, 3)
-            found.append(Stroke(stroke.middle + origin, stroke.width, stroke.is_end))
+            found.append(PaintTrace(stroke.middle + origin, stroke.width, stroke.is_end))
         own &= taken == 0
         free[taken > 0] = 0
     return found
 
 
 def _followed(
-    share: np.ndarray, looked: np.ndarray, own: np.ndarray, seed: np.ndarray, limits: StrokeLimits
-) -> Stroke | None:
+    share: np.ndarray, looked: np.ndarray, own: np.ndarray, seed: np.ndarray, limits: TraceLimits
+) -> PaintTrace | None:
     direction = _direction(own, seed)
     if direction is None:
         return None
@@ -128,7 +128,7 @@ def _followed(
     widths = np.concatenate([ways[0][1], ways[1][1]])
     if len(middle) < 2 or not len(widths):
         return None
-    return Stroke(middle, float(np.median(widths)), (ways[1][2], ways[0][2]))
+    return PaintTrace(middle, float(np.median(widths)), (ways[1][2], ways[0][2]))
 
 
 def _direction(own: np.ndarray, seed: np.ndarray) -> np.ndarray | None:
@@ -148,7 +148,7 @@ def _normal(direction: np.ndarray) -> np.ndarray:
 
 
 def _profile(
-    share: np.ndarray, place: np.ndarray, direction: np.ndarray, limits: StrokeLimits
+    share: np.ndarray, place: np.ndarray, direction: np.ndarray, limits: TraceLimits
 ) -> tuple[float, float] | None:
     """Offset of the middle of the paint across a place, and its width; None where there is none near the middle."""
     offsets = np.arange(-limits.reach, limits.reach + 0.25, 0.5)
@@ -169,7 +169,7 @@ def _profile(
 
 
 def _one_way(
-    share: np.ndarray, looked: np.ndarray, start: np.ndarray, direction: np.ndarray, limits: StrokeLimits
+    share: np.ndarray, looked: np.ndarray, start: np.ndarray, direction: np.ndarray, limits: TraceLimits
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Places from a start to the end of the paint, widths there, and whether bare road was seen behind the end."""
     places, widths = [start], []
@@ -205,7 +205,7 @@ def _straight(places: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 def _end(
-    share: np.ndarray, looked: np.ndarray, last: np.ndarray, direction: np.ndarray, limits: StrokeLimits
+    share: np.ndarray, looked: np.ndarray, last: np.ndarray, direction: np.ndarray, limits: TraceLimits
 ) -> tuple[np.ndarray, bool]:
     """Where paint falls below half, past the last place, and whether the road behind was looked at."""
     s = np.arange(-2.0 * _STEP, limits.bridged + 0.25, 0.5)

@@ -14,7 +14,7 @@ from scipy.signal import savgol_filter
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.mapping.outlines import find_outlines, find_rectangles
-from semloc_jax.mapping.strokes import Stroke, StrokeLimits, find_strokes
+from semloc_jax.mapping.strokes import PaintTrace, TraceLimits, find_strokes
 from semloc_jax.maps import MapElement
 from semloc_jax.structs import ElementClass
 
@@ -135,7 +135,7 @@ def _lines(
     config: VectorConfig,
 ) -> list[MapElement]:
     cell_m = to_map.cell_m
-    limits = StrokeLimits(widest=config.widest_line_m / cell_m, smallest=config.min_area_m2 / cell_m**2)
+    limits = TraceLimits(widest=config.widest_line_m / cell_m, smallest=config.min_area_m2 / cell_m**2)
     strokes = find_strokes(share, looked, limits)
     if layer.label == ElementClass.SLOT_LINE:
         long = [s for s in strokes if s.length * cell_m >= config.shortest_line_m]
@@ -145,7 +145,7 @@ def _lines(
         length_m = stroke.length * cell_m
         vote = _vote(dashed, share, stroke)
         is_dash = length_m <= config.longest_dash_m and (vote > _SOLID_VOTE if layer.says_style else True)
-        if is_dash and length_m >= config.shortest_line_m:
+        if is_dash and length_m >= config.shortest_line_m and all(stroke.is_end):
             found.append(_line(layer.label, _straightened(stroke, cell_m), stroke, "dashed", to_map))
         elif not is_dash:
             solid.append(stroke)
@@ -155,13 +155,13 @@ def _lines(
     return found
 
 
-def _line(label: ElementClass, middle: np.ndarray, stroke: Stroke, style: str, to_map: _ToMap) -> MapElement:
+def _line(label: ElementClass, middle: np.ndarray, stroke: PaintTrace, style: str, to_map: _ToMap) -> MapElement:
     return MapElement(
         "", label, to_map(middle), width_m=stroke.width * to_map.cell_m, style=style, true_ends=stroke.is_end
     )
 
 
-def _vote(dashed: np.ndarray | None, share: np.ndarray, stroke: Stroke) -> float:
+def _vote(dashed: np.ndarray | None, share: np.ndarray, stroke: PaintTrace) -> float:
     """Share of the paint along a stroke that the masks call broken."""
     if dashed is None:
         return 0.0
@@ -169,7 +169,7 @@ def _vote(dashed: np.ndarray | None, share: np.ndarray, stroke: Stroke) -> float
     return float(dashed[y, x].sum() / max(share[y, x].sum(), 1e-6))
 
 
-def _straightened(stroke: Stroke, cell_m: float) -> np.ndarray:
+def _straightened(stroke: PaintTrace, cell_m: float) -> np.ndarray:
     """The middle of a short stroke as a gentle arc, a point every metre."""
     inner = stroke.middle[1:-1] if len(stroke.middle) > 4 else stroke.middle
     start, end = stroke.middle[0], stroke.middle[-1]
@@ -187,7 +187,7 @@ def _straightened(stroke: Stroke, cell_m: float) -> np.ndarray:
     return start + s[:, None] * axis + fit(s)[:, None] * normal
 
 
-def _smoothed(stroke: Stroke, cell_m: float) -> np.ndarray:
+def _smoothed(stroke: PaintTrace, cell_m: float) -> np.ndarray:
     """The middle of a long stroke, smoothed over two metres, a point every metre."""
     length = stroke.length
     num = max(round(length * cell_m / 0.1), 2)
@@ -199,7 +199,7 @@ def _smoothed(stroke: Stroke, cell_m: float) -> np.ndarray:
     return np.vstack([even[:-1:step], even[-1:]]) if len(even) > 2 else even
 
 
-def _joined(strokes: list[Stroke], cell_m: float, config: VectorConfig) -> list[Stroke]:
+def _joined(strokes: list[PaintTrace], cell_m: float, config: VectorConfig) -> list[PaintTrace]:
     """Pieces of one solid line put together, shortest gaps first: each end of a piece is joined once at most."""
     pieces = dict(enumerate(strokes))
     while True:
@@ -216,10 +216,10 @@ def _joined(strokes: list[Stroke], cell_m: float, config: VectorConfig) -> list[
         # The ends of the gap are where the masks are least sure of the middle.
         middle = np.vstack([first[:-1], second[1:]]) if min(len(first), len(second)) > 2 else np.vstack([first, second])
         middle = middle[np.append(True, np.linalg.norm(np.diff(middle, axis=0), axis=1) > 1e-3)]
-        pieces[i] = Stroke(middle, width, ends)
+        pieces[i] = PaintTrace(middle, width, ends)
 
 
-def _gaps(pieces: dict[int, Stroke], cell_m: float, config: VectorConfig) -> list[tuple[float, int, int, int, int]]:
+def _gaps(pieces: dict[int, PaintTrace], cell_m: float, config: VectorConfig) -> list[tuple[float, int, int, int, int]]:
     keys = list(pieces)
     ends = {(k, e): _end_of(pieces[k], e) for k in keys for e in (0, 1)}
     found = []
@@ -233,7 +233,7 @@ def _gaps(pieces: dict[int, Stroke], cell_m: float, config: VectorConfig) -> lis
     return found
 
 
-def _end_of(stroke: Stroke, end: int) -> tuple[np.ndarray, np.ndarray]:
+def _end_of(stroke: PaintTrace, end: int) -> tuple[np.ndarray, np.ndarray]:
     """The place of an end and the direction in which the stroke leaves it."""
     line = stroke.middle if end else stroke.middle[::-1]
     back = line[-min(len(line), 20)]

@@ -24,7 +24,7 @@ from semloc_jax.evaluation import (
 )
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import drive_chain
-from semloc_jax.mapping.gauge import map_from_odom
+from semloc_jax.mapping.gauge import GNSS, tied_way
 from semloc_jax.mapping.mapper import MadeMap, MapConfig, make_map
 from semloc_jax.maps import read_map, write_drive_geojson, write_map
 from semloc_jax.maps.elements import GeoOrigin
@@ -38,7 +38,7 @@ _NUM_SEEN = 5
 """An element of the reference counts where it was looked at in so many frames."""
 
 
-class MapReport(NamedTuple):
+class MadeMapReport(NamedTuple):
     """A map that was made.
 
     Args:
@@ -61,7 +61,7 @@ def report_map(
     out: Path | None = None,
     num_overlays: int = 4,
     options: Mapping[str, Any] | None = None,
-) -> MapReport:
+) -> MadeMapReport:
     """Make a map of a drive and write everything about it.
 
     Args:
@@ -69,7 +69,7 @@ def report_map(
         masks: what its cameras see.
         frames: those that look, in time order.
         settings: how the map is made.
-        start: what fixes the frame of the map; see `mapping.gauge.map_from_odom`.
+        start: what fixes the frame of the map; see `mapping.gauge.tied_way`.
         out: folder to write; None for a new one in results/.
         num_overlays: pictures of the map over images.
         options: what config.yaml keeps besides the configuration.
@@ -78,12 +78,11 @@ def report_map(
         SemlocError: no wheel odometry, nothing that fixes the frame as asked, or no map came out.
     """
     chain = drive_chain(drive)
-    T_map_odom, gauge = map_from_odom(drive, chain.times_s, chain.Ts_odom_base, start)
-    Ts_map_base = T_map_odom @ chain.Ts_odom_base
+    Ts_map_base, gauge = tied_way(drive, chain, start)
     folder = make_folder(out)
     write_record(folder, settings, options or {})
     looking = [frame.index for frame in frames]
-    origin = drive.gnss.origin if gauge == "gnss" and drive.gnss is not None else None
+    origin = drive.gnss.origin if gauge == GNSS and drive.gnss is not None else None
     made = make_map(
         drive,
         masks,
@@ -101,7 +100,7 @@ def report_map(
     metrics, comparison = _judged(drive, made, trajectory, folder)
     write_metrics(metrics, folder / "metrics.json")
     _draw(drive, masks, frames, made, Ts_map_base, num_overlays, folder)
-    return MapReport(folder, _text(made, gauge, metrics, comparison), made.belief_map.map.num_elements)
+    return MadeMapReport(folder, _text(made, gauge, metrics, comparison), made.belief_map.map.num_elements)
 
 
 def write_elements(made: MadeMap, path: Path) -> None:

@@ -1,0 +1,95 @@
+"""`semloc map` on a simulated drive: its files, that other verbs open them, and one line for bad input."""
+
+import csv
+import shutil
+
+import numpy as np
+import pytest
+
+from semloc_jax.cli.main import FAILED, OK, USAGE, main
+from semloc_jax.evaluation import read_metrics, read_trajectory
+from semloc_jax.maps import BeliefMap, read_map
+from semloc_jax.simulation import SimulationConfig, simulate
+
+
+@pytest.fixture(scope="module")
+def drive_dir(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drives") / "road"
+    simulate("road", 5, folder, SimulationConfig(num_frames=14, rate_hz=8.0, width_px=480, height_px=300))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(drive_dir, tmp_path_factory):
+    out = tmp_path_factory.mktemp("made")
+    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "1", "--out", str(out)]
+    assert main(words) == OK
+    return out
+
+
+def test_the_map_is_that_of_the_drive(made):
+    metrics = {m.key: m.value for m in read_metrics(made / "metrics.json")}
+    assert metrics["map.line.precision"] > 0.9
+    assert metrics["map.line.rms_across"] < 0.04
+    assert metrics["horizontal.max"] < 0.5
+
+
+def test_both_files_hold_one_map_with_its_beliefs(made):
+    packed, text = (BeliefMap.of(read_map(made / f"map.{suffix}")) for suffix in ("gpkg", "geojson"))
+    assert dict(packed.beliefs) == dict(text.beliefs)
+    with (made / "elements.csv").open() as file:
+        rows = {row["id"]: row for row in csv.DictReader(file)}
+    assert rows.keys() == packed.beliefs.keys()
+    for key, belief in packed.beliefs.items():
+        assert belief.num_seen >= 3
+        assert belief.existence > 0.5
+        assert int(rows[key]["num_seen"]) == belief.num_seen
+        assert 0.0 < belief.sigma_across_m < 0.3
+    assert (made / "config.yaml").is_file()
+    assert (made / "map.png").stat().st_size > 5000
+    assert len(list((made / "overlays").iterdir())) == 1
+
+
+def test_the_trajectory_has_every_frame(made, drive_dir):
+    assert len(read_trajectory(made / "trajectory.tum")) == len(read_trajectory(drive_dir / "poses_body.tum"))
+
+
+def test_the_same_drive_makes_the_same_map(made, drive_dir, tmp_path):
+    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "0", "--out", str(tmp_path)]
+    assert main(words) == OK
+    assert (tmp_path / "map.geojson").read_bytes() == (made / "map.geojson").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--start", "gnss", "--no-gnss"], USAGE, "choose one of them"),
+        (["--masks", "ipm:sem"], USAGE, "give sem"),
+        (["--frames", "90:"], FAILED, "no frames chosen of 14"),
+        (["--start", "nowhere.tum"], FAILED, "nowhere.tum"),
+        (["--masks", "sem", "--min-seen", "1000", "--start", "identity"], FAILED, "was seen in 1000 frames"),
+    ],
+)
+def test_bad_input_is_one_line(drive_dir, tmp_path, capsys, words, code, said):
+    assert main(["map", str(drive_dir), *words, "--out", str(tmp_path)]) == code
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("semloc map:")]
+    assert len(lines) == 1
+    assert said in lines[0]
+
+
+def test_without_wheels_it_says_what_is_missing(drive_dir, tmp_path, capsys):
+    bare = tmp_path / "bare"
+    shutil.copytree(drive_dir, bare)
+    (bare / "wheel_odom.csv").unlink()
+    assert main(["map", str(bare), "--out", str(tmp_path / "out")]) == FAILED
+    assert "no wheel odometry" in capsys.readouterr().err
+
+
+def test_a_start_from_a_file_moves_the_map(made, drive_dir, tmp_path):
+    poses = np.loadtxt(drive_dir / "poses_body.tum")
+    poses[:, 1] += 100.0
+    np.savetxt(tmp_path / "start.tum", poses)
+    words = ["map", str(drive_dir), "--masks", "sem", "--start", str(tmp_path / "start.tum"), "--overlays", "0"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == OK
+    moved, here = read_trajectory(tmp_path / "out" / "trajectory.tum"), read_trajectory(made / "trajectory.tum")
+    np.testing.assert_allclose(moved.T_map_base[:, 0, 3] - here.T_map_base[:, 0, 3], 100.0, atol=1e-3)

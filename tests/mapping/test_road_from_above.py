@@ -1,0 +1,145 @@
+"""Paint drawn from above comes back as strokes, rectangles and outlines, to a fraction of a cell."""
+
+import cv2
+import numpy as np
+import pytest
+
+from semloc_jax.mapping.evidence_grid import TILE, EvidenceGrid
+from semloc_jax.mapping.outlines import find_outlines, find_rectangles
+from semloc_jax.mapping.road_table import RoadHeights
+from semloc_jax.mapping.strokes import TraceLimits, find_strokes
+from semloc_jax.mapping.vectorize import Layer, VectorConfig, elements_of
+from semloc_jax.structs import ElementClass
+
+CELL_M = 0.025
+
+
+def painted(polygons, shape=(400, 700), noise=0.0, seed=0):
+    """Share of looks that show paint: polygons x, y [cells] drawn eight times finer, then averaged."""
+    fine = np.zeros((8 * shape[0], 8 * shape[1]), np.uint8)
+    for polygon in polygons:
+        # The centre of cell (0, 0) is that of the first 8 x 8 fine pixels.
+        corners = np.rint((np.asarray(polygon) + 0.5) * 8 - 0.5).astype(np.int32)
+        cv2.fillPoly(fine, [corners], 255)
+    share = cv2.resize(fine, shape[::-1], interpolation=cv2.INTER_AREA).astype(np.float32) / 255.0
+    share = cv2.GaussianBlur(share, (0, 0), 1.0)
+    return np.clip(share + noise * np.random.default_rng(seed).standard_normal(shape), 0, 1).astype(np.float32)
+
+
+def bar(x, y, length, width, turn_deg=0.0):
+    turn = np.deg2rad(turn_deg)
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    return np.array([x, y]) + np.array([[0, -0.5], [1, -0.5], [1, 0.5], [0, 0.5]]) * [length, width] @ axes
+
+
+ALL = np.ones((400, 700), bool)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 17.0, -31.0])
+def test_a_dash_is_found_with_its_ends(turn_deg):
+    (stroke,) = find_strokes(painted([bar(200, 200, 160, 6, turn_deg)], noise=0.03), ALL)
+    direction = np.array([np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))])
+    ends = stroke.middle[[0, -1]][np.argsort(stroke.middle[[0, -1]] @ direction)]
+    np.testing.assert_allclose(ends[0], [200, 200], atol=0.8)
+    np.testing.assert_allclose(ends[1], [200, 200] + 160 * direction, atol=0.8)
+    assert stroke.width == pytest.approx(6.0, abs=0.8)
+    assert stroke.is_end == (True, True)
+
+
+def test_a_curve_is_followed_and_twins_stay_apart():
+    x = np.linspace(20, 680, 200)
+    y = 150 + 0.0004 * (x - 350) ** 2
+    lines = [np.vstack([np.c_[x, y + o - 2.5], np.c_[x, y + o + 2.5][::-1]]) for o in (0.0, 11.0)]
+    strokes = find_strokes(painted(lines), ALL)
+    assert len(strokes) == 2
+    for stroke, offset in zip(sorted(strokes, key=lambda s: s.middle[:, 1].mean()), (0.0, 11.0), strict=True):
+        inner = stroke.middle[2:-2]
+        off = inner[:, 1] - (150 + offset + 0.0004 * (inner[:, 0] - 350) ** 2)
+        assert np.abs(off).max() < 0.6
+        assert stroke.length == pytest.approx(668, abs=6)
+
+
+def test_the_end_of_what_was_seen_is_no_end_of_paint():
+    looked = ALL.copy()
+    looked[:, 300:] = False
+    share = painted([bar(100, 200, 300, 6)])
+    share[:, 300:] = 0.0
+    (stroke,) = find_strokes(share, looked)
+    assert sorted(stroke.is_end) == [False, True]
+
+
+def test_noise_is_no_stroke():
+    assert find_strokes(painted([bar(100, 100, 7, 4)]), ALL, TraceLimits(smallest=48.0)) == []
+
+
+def test_a_bar_is_a_rectangle_to_a_third_of_a_cell():
+    true = bar(150, 150, 120, 20, 12.0)
+    (box,) = find_rectangles(painted([true], noise=0.02), ALL, 48.0)
+    away = np.linalg.norm(true[:, None] - box[None], axis=2)
+    assert away.min(axis=1).max() < 0.8
+    assert set(away.argmin(axis=1)) == {0, 1, 2, 3}
+
+
+def test_an_arrow_keeps_its_corners():
+    arrow = np.array([[100, 196], [180, 196], [180, 184], [220, 200], [180, 216], [180, 204], [100, 204]], float)
+    (rim,) = find_outlines(painted([arrow]), ALL, 48.0)
+    away = np.linalg.norm(arrow[:, None] - rim[None], axis=2).min(axis=1)
+    assert away.max() < 3.0
+
+
+def test_a_patch_that_goes_on_unseen_has_no_outline():
+    looked = ALL.copy()
+    looked[:, 200:] = False
+    assert find_rectangles(painted([bar(150, 150, 120, 20)]), looked, 48.0) == []
+
+
+def test_the_grid_says_what_share_of_the_looks_shows_paint():
+    grid = EvidenceGrid(0.5, 2)
+    xy = np.array([[0.1, 0.1], [0.1, 0.2], [-200.0, 300.0], [5.0, 5.0]])
+    grid.add(xy, np.array([1.0, 3.0, 2.0, 1.0]), np.array([0, -1, 1, 0]), np.array([True, True, True, False]))
+    low, size = grid.bounds
+    assert (size % TILE == 0).all()
+
+    def at(plane, x, y):
+        column, row = np.floor(np.array([x, y]) / 0.5).astype(int) - low
+        return plane[row, column]
+
+    assert at(grid.share(0), 0.1, 0.1) == pytest.approx(0.25)
+    assert at(grid.share(1), -200.0, 300.0) == 1.0
+    assert at(grid.plane(0), 5.0, 5.0) == 0.0
+    np.testing.assert_array_equal(grid.seen(xy, 1), [True, True, True, False])
+    assert not grid.seen(xy, 2).any()
+
+
+def test_a_map_comes_out_of_the_grid_in_metres():
+    """A dash and two pieces of one solid line in map coordinates; the masks tell broken lines from solid ones."""
+    grid = EvidenceGrid(CELL_M, 2)
+    shapes = [(0, bar(0, 40, 200, 6)), (0, bar(300, 40, 200, 6)), (1, bar(100, 120, 120, 6))]
+    ys, xs = np.mgrid[0:200, 0:560]
+    cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
+    layer = np.full(len(cells), -1)
+    for plane, polygon in shapes:
+        low, high = polygon.min(axis=0), polygon.max(axis=0)
+        layer[((cells >= low) & (cells <= high)).all(axis=1)] = plane
+    for _ in range(3):
+        grid.add((cells + 0.5) * CELL_M + [-7.0, 3.0], np.ones(len(cells)), layer, np.ones(len(cells), bool))
+    layers = [Layer(ElementClass.LANE_MARKING, (0, 1), (1,), says_style=True)]
+    found = elements_of(grid, layers, lambda xy: np.full(len(xy), 2.5), VectorConfig())
+    assert [(e.id, e.style) for e in found] == [("dash_0", "dashed"), ("line_1", "solid")]
+    dash, line = found
+    np.testing.assert_allclose(np.sort(dash.points[[0, -1], 0]), [-7 + 2.5, -7 + 5.525], atol=0.03)
+    np.testing.assert_allclose(dash.points[:, 1:], np.tile([3.0 + 3.0125, 2.5], (len(dash.points), 1)), atol=0.02)
+    assert line.length_m == pytest.approx(12.5, abs=0.1)
+
+
+def test_the_road_goes_up_and_down_where_the_vehicle_does():
+    """On a road z = 0.001 x^2 with a banked second half, heights in the frame of a pose are those of the road."""
+    x = np.arange(0.0, 60.0, 1.0)
+    Ts = np.tile(np.eye(4), (60, 1, 1))
+    Ts[:, 0, 3], Ts[:, 2, 3] = x, 0.001 * x**2
+    slope = np.arctan(0.002 * x)
+    Ts[:, 0, 0], Ts[:, 0, 2], Ts[:, 2, 0], Ts[:, 2, 2] = np.cos(slope), -np.sin(slope), np.sin(slope), np.cos(slope)
+    heights = RoadHeights.of(Ts, 20, 25.0)
+    places = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 3.0]])
+    # In the frame of the pose: 0.001 (x - 20)^2 to first order.
+    np.testing.assert_allclose(heights.at(places.astype(np.float32)), [0.0, 0.1, 0.4], atol=0.01)
