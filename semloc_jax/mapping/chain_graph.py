@@ -121,6 +121,8 @@ class ChainSolution:
 _VAGUE_M = 100.0
 """Standard deviation of a first place that nobody told."""
 _ROUNDS = 10
+_SLOTS = 16
+"""Loops are solved in multiples of so many."""
 
 
 def solve_chain(
@@ -158,13 +160,13 @@ def solve_chain(
     with jax.enable_x64(True):
         found = solve_robustly(graph, values, (place,) if has_loops else (), gnc, Sparse())
         value = found.solution.value
-        nats = np.asarray(graph.factors[place].costs(value)) if has_loops else np.zeros(0)
+        nats = np.asarray(graph.factors[place].costs(value))[: len(loops.a)] if has_loops else np.zeros(0)
         problem = SparseProblem(graph)
     return ChainSolution(
         Ts_map_base=np.array(value["pose"]),
         calibration=np.array(calibration_of(value)[:3]),
         gnss_offset_m=np.array(value["gnss"][0]),
-        is_kept=found.weights[place] > 0.5 if has_loops else np.zeros(0, bool),
+        is_kept=found.weights[place][: len(loops.a)] > 0.5 if has_loops else np.zeros(0, bool),
         loop_nats=nats,
         solution=found.solution,
         problem=problem,
@@ -205,8 +207,17 @@ def chain_graph(
     if fix_factors is not None:
         factors.append(fix_factors)
     if len(loops.a):
-        factors.append(motions(loops.a, loops.b, loops.Ts_a_b, _sqrt_informations(loops.covariance)))
+        factors.append(_loop_factors(loops))
     return pose_graph(np.ones(num, bool), tuple(factors)), values_of(Ts_map_base, calibration)
+
+
+def _loop_factors(loops: Loops) -> Factors:
+    """The loops, and factors that are switched off, so that one program serves any number."""
+    more = -len(loops.a) % _SLOTS
+    a, b = np.pad(loops.a, (0, more)), np.pad(loops.b, (0, more), constant_values=1)
+    Ts = np.concatenate([loops.Ts_a_b, np.tile(np.eye(4), (more, 1, 1))])
+    info = np.concatenate([_sqrt_informations(loops.covariance), np.zeros((more, 6, 6))])
+    return motions(a, b, Ts, info)
 
 
 def _free_start(chain: Chain, T_map_odom: np.ndarray, has_fixes: bool) -> Start:
