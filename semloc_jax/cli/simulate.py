@@ -29,9 +29,10 @@ class Options:
 
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
     """Folder to write: empty, absent, or with the same drive that was interrupted, which is then finished."""
-    kind: Literal["road", "country", "garage"] = "road"
+    kind: Literal["road", "country", "loop", "garage"] = "road"
     """road: one front camera in a town; country: the same on a crowned road of two lanes with lines, dashes and posts
-    only; garage: four fisheyes. Without --map."""
+    only; loop: a closed town road with two look-alike intersections, driven --laps N times; garage: four fisheyes.
+    Without --map."""
     map: Path | None = None
     """Drive on this map: Lanelet2, OpenDRIVE, Argoverse 2, GeoJSON ..., whatever 'semloc inspect' reads."""
     start: str | None = None

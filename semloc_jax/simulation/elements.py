@@ -3,18 +3,22 @@
 In: places in the plane. Out: MapElement with the properties a drive map states.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.maps import MapElement
+from semloc_jax.maps.elements import VIRTUAL
 from semloc_jax.simulation.path import PlanePath
 from semloc_jax.simulation.surface import Surface
 from semloc_jax.structs import ElementClass
 
 _SPACING_M = 1.0
 """Vertices of lines: on a curve of 160 m radius the chord is off by less than 1 mm."""
+
+_STYLES = {"lane_solid": "solid", "lane_dashed": "dashed", "lane_boundary": VIRTUAL}
 
 _ARROW = np.array([(-2.5, -0.08), (0.9, -0.08), (0.9, -0.4), (2.5, 0.0), (0.9, 0.4), (0.9, 0.08), (-2.5, 0.08)])
 
@@ -30,13 +34,27 @@ class Painter:
         self, name: str, paint: str, d_m: float, from_m: float, to_m: float, width_m: float, **attributes: str
     ) -> MapElement:
         """A lane line parallel to the path; `paint` is lane_solid or lane_dashed (one dash)."""
+        return self.curve(name, paint, lambda s: np.full_like(s, d_m), from_m, to_m, width_m, **attributes)
+
+    def curve(
+        self,
+        name: str,
+        paint: str,
+        d_of_s: Callable[[np.ndarray], np.ndarray],
+        from_m: float,
+        to_m: float,
+        width_m: float,
+        **attributes: str,
+    ) -> MapElement:
+        """A lane line whose distance from the path changes along it; a lane_boundary is logical, not painted."""
         s = np.linspace(from_m, to_m, max(2, round((to_m - from_m) / _SPACING_M) + 1))
+        style = _STYLES[paint]
         return MapElement(
             id=name,
             label=ElementClass.LANE_MARKING,
-            points=self.surface.drape(self.path.at(s, d_m)),
+            points=self.surface.drape(self.path.at(s, d_of_s(s))),
             width_m=width_m,
-            style="dashed" if paint == "lane_dashed" else "solid",
+            style=style,
             attributes={"class": paint, "width": width_m, "color": "white", **attributes},
         )
 
@@ -137,6 +155,11 @@ def pillar(name: str, footprint: np.ndarray, height_m: float) -> MapElement:
     size = float(np.linalg.norm(footprint[1] - footprint[0]))
     attributes = {"class": "pillar", "height": height_m, "size": size}
     return MapElement(name, ElementClass.PILLAR, footprint, closed=True, height_m=height_m, attributes=attributes)
+
+
+def with_attributes(element: MapElement, **attributes: str) -> MapElement:
+    """The element with more said about it."""
+    return replace(element, attributes={**element.attributes, **attributes})
 
 
 def shifted(element: MapElement, shift: Float[np.ndarray, "*k 3"]) -> MapElement:

@@ -12,7 +12,8 @@ from semloc_jax.cameras import Rig
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.maps import SemanticMap
 from semloc_jax.simulation.map_scene import build_map_world
-from semloc_jax.simulation.render import PixelRays, render
+from semloc_jax.simulation.render import PixelRays
+from semloc_jax.simulation.render_classes import MaskRenderer
 from semloc_jax.simulation.route import drivable
 
 _AHEAD_M = 60.0
@@ -46,11 +47,10 @@ def render_masks(
     route = T_map_base[:2, 3] + np.linspace(0.0, _AHEAD_M, 61)[:, None] * forward
     path = drivable(route, 10.0)
     world = build_map_world(semantic_map, (), path, _AHEAD_M, 10.0, 0.0, np.random.default_rng(0))
-    poses = np.asarray(T_map_base) @ np.asarray(rig.T_base_cam)
     parked = CLASS_IDS["vehicle"]
     solids = tuple(solid for solid in world.scene.solids if solid.class_id != parked)
     scene = replace(world.scene, solids=solids, traffic=lambda time_s: ())
     return [
-        render(scene, PixelRays(camera), T_map_cam, (), 0.0, has_normals=False).class_id
-        for camera, T_map_cam in zip(rig.cameras, poses, strict=True)
+        MaskRenderer(scene, PixelRays(camera), T_base_cam).classes(np.asarray(T_map_base) @ T_base_cam, 0.0)
+        for camera, T_base_cam in zip(rig.cameras, np.asarray(rig.T_base_cam), strict=True)
     ]

@@ -66,6 +66,12 @@ NAMED_DRIVES = {
         48,
         SimulationConfig(num_frames=60, width_px=400, height_px=250),
     ),
+    "loop": NamedDrive(
+        "two laps of a closed town road with look-alike intersections, masks only",
+        "loop",
+        49,
+        SimulationConfig(laps=2, has_images=False, imu_rate_hz=200.0),
+    ),
 }
 """By the name of the folder that they are written to. A changed value here changes the figures that name it."""
 

@@ -16,6 +16,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.degrade import Degradation, degrade
 from semloc_jax.simulation.motion import TrueMotion
 from semloc_jax.simulation.render import PixelRays, render
+from semloc_jax.simulation.render_classes import MaskRenderer
 from semloc_jax.simulation.scene import Scene
 from semloc_jax.simulation.shade import Lighting, shade
 from semloc_jax.simulation.solids import Box
@@ -55,17 +56,27 @@ def write_pictures(
     for source in sources:
         for name in rig.names:
             (out / source / name).mkdir(parents=True, exist_ok=True)
+    T_base_cams = np.asarray(rig.T_base_cam)
+    masks = (
+        []
+        if settings.has_images
+        else [MaskRenderer(scene, *of_camera) for of_camera in zip(rays, T_base_cams, strict=True)]
+    )
     for index, (time, lighting) in enumerate(zip(time_s.tolist(), lightings, strict=True)):
         T_map_base = motion.pose(time)
-        ego = [_carried(box, T_map_base) for box in scene.ego]
-        for number, (name, T_base_cam) in enumerate(zip(rig.names, np.asarray(rig.T_base_cam), strict=True)):
+        for number, (name, T_base_cam) in enumerate(zip(rig.names, T_base_cams, strict=True)):
             places = {source: out / source / name / f"{index:06d}{_SUFFIX[source]}" for source in sources}
             if settings.keeps and all(place.is_file() for place in places.values()):
                 continue
             rng, T_map_cam = settings.random(index, number), T_map_base @ T_base_cam
-            view = render(scene, rays[number], T_map_cam, ego, time, settings.has_images)
-            _write_picture(places["sem"], view.class_id)
-            _write_picture(places["sem_net"], degrade(view.class_id, rng, settings.degradation))
+            if settings.has_images:
+                ego = [_carried(box, T_map_base) for box in scene.ego]
+                view = render(scene, rays[number], T_map_cam, ego, time)
+                class_id = view.class_id
+            else:
+                class_id = masks[number].classes(T_map_cam, time)
+            _write_picture(places["sem"], class_id)
+            _write_picture(places["sem_net"], degrade(class_id, rng, settings.degradation))
             if settings.has_images:
                 image = shade(view, T_map_cam[:3, 3], lighting, rng)
                 _write_picture(places["rgb"], image, [cv2.IMWRITE_JPEG_QUALITY, 90])

@@ -16,8 +16,8 @@ from semloc_jax.simulation.scene import Scene
 from semloc_jax.simulation.solids import Solid
 
 _TILE_PX = 16
-_RANGE_M = 260.0
-_COARSE_PX = 8
+RANGE_M = 260.0
+COARSE_PX = 8
 _FREE_SHARE, _FREE_MARGIN_M = 0.97, 0.3
 
 
@@ -80,8 +80,11 @@ class PixelRays:
     def toward(self, direction: np.ndarray, angle_rad: float, tile_axis: np.ndarray) -> np.ndarray:
         """Flat indices of pixels in tiles that a cone of `angle_rad` around `direction` may touch."""
         apart = np.arccos(np.clip(tile_axis @ direction, -1.0, 1.0))
-        touched = np.flatnonzero(apart <= angle_rad + self.tile_angle_rad)
-        return np.concatenate([self._tile_pixels[tile] for tile in touched]) if len(touched) else np.zeros(0, dtype=int)
+        return self.pixels_of(np.flatnonzero(apart <= angle_rad + self.tile_angle_rad))
+
+    def pixels_of(self, tiles: np.ndarray) -> np.ndarray:
+        """Flat indices of the pixels of some tiles."""
+        return np.concatenate([self._tile_pixels[tile] for tile in tiles]) if len(tiles) else np.zeros(0, dtype=int)
 
 
 def render(
@@ -90,7 +93,6 @@ def render(
     T_map_cam: Float[np.ndarray, "4 4"],
     ego: Sequence[Solid],
     time_s: float,
-    has_normals: bool = True,
 ) -> RenderedView:
     """What a camera at `T_map_cam` sees of the scene at a time.
 
@@ -100,7 +102,6 @@ def render(
         T_map_cam: where it is.
         ego: the own vehicle in the map frame.
         time_s: for the traffic.
-        has_normals: whether normals are wanted; only shading needs them.
     """
     origin = T_map_cam[:3, 3]
     ray = rays.ray_cam @ T_map_cam[:3, :3].T
@@ -111,16 +112,14 @@ def render(
     ground = np.flatnonzero((owner < 0) & np.isfinite(distance))
     xy = origin[:2] + distance[ground, None] * ray[ground, :2]
     class_id[ground] = scene.ground.class_at(xy)
-    if has_normals:
-        normal[ground] = scene.surface.normal(xy)
+    normal[ground] = scene.surface.normal(xy)
     order = np.flatnonzero(owner >= 0)
     order = order[np.argsort(owner[order], kind="stable")]
     starts = np.searchsorted(owner[order], np.arange(len(solids) + 1))
     for solid, first, last in zip(solids, starts[:-1], starts[1:], strict=True):
         own = order[first:last]
         class_id[own], color[own] = solid.class_id, solid.color
-        if has_normals:
-            normal[own] = solid.normal_at(origin + distance[own, None] * ray[own], ray[own])
+        normal[own] = solid.normal_at(origin + distance[own, None] * ray[own], ray[own])
     height, width = rays.shape
     return RenderedView(
         class_id=class_id.reshape(height, width),
@@ -139,8 +138,10 @@ def _nearest_hits(
     origin = T_map_cam[:3, 3]
     distance, owner = np.full(len(ray), np.inf), np.full(len(ray), -1)
     seeing = np.flatnonzero(rays.valid.ravel())
-    free_m = _free_distance(scene, rays, origin, ray)
-    distance[seeing] = scene.surface.hit(origin, ray[seeing], _RANGE_M, free_m[seeing])
+    rows, columns = coarse_pixels(rays)
+    coarse = ray[(rows[:, None] * rays.shape[1] + columns).ravel()]
+    free_m = free_distance(rays, scene.surface.hit(origin, coarse, RANGE_M))
+    distance[seeing] = scene.surface.hit(origin, ray[seeing], RANGE_M, free_m[seeing])
     tile_axis = rays.tile_axis_cam @ T_map_cam[:3, :3].T
     for number, solid in enumerate(solids):
         pixels = _pixels_of(solid, origin, rays, tile_axis)
@@ -150,22 +151,31 @@ def _nearest_hits(
     return distance, owner
 
 
-def _free_distance(scene: Scene, rays: PixelRays, origin: np.ndarray, ray: np.ndarray) -> np.ndarray:
-    """How far each ray surely runs above the ground [m]: a little less than the rays of a coarse grid around it."""
+def coarse_pixels(rays: PixelRays) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of a coarse grid of pixels, the last ones included."""
+    rows, columns = (np.unique(np.append(np.arange(0, size, COARSE_PX), size - 1)) for size in rays.shape)
+    return rows, columns
+
+
+def free_distance(rays: PixelRays, hit_m: Float[np.ndarray, " k"]) -> Float[np.ndarray, " n"]:
+    """How far each ray surely runs above the ground [m]: a little less than the rays of the coarse grid around it.
+
+    Args:
+        rays: of all pixels.
+        hit_m: distances of the rays of `coarse_pixels`, row by row.
+    """
     height, width = rays.shape
-    rows, columns = (np.unique(np.append(np.arange(0, size, _COARSE_PX), size - 1)) for size in rays.shape)
-    coarse = (rows[:, None] * width + columns).ravel()
-    hit = scene.surface.hit(origin, ray[coarse], _RANGE_M).reshape(len(rows), len(columns))
-    hit[~rays.valid.ravel()[coarse].reshape(hit.shape)] = 0.0
-    nearest = cv2.erode(np.minimum(hit, _RANGE_M).astype(np.float32), np.ones((3, 3), dtype=np.uint8))
+    rows, columns = coarse_pixels(rays)
+    hit = np.where(rays.valid[rows[:, None], columns], hit_m.reshape(len(rows), len(columns)), 0.0)
+    nearest = cv2.erode(np.minimum(hit, RANGE_M).astype(np.float32), np.ones((3, 3), dtype=np.uint8))
     free = np.maximum(_FREE_SHARE * nearest.astype(np.float64) - _FREE_MARGIN_M, 0.0)
-    return free[np.arange(height)[:, None] // _COARSE_PX, np.arange(width) // _COARSE_PX].ravel()
+    return free[np.arange(height)[:, None] // COARSE_PX, np.arange(width) // COARSE_PX].ravel()
 
 
 def _pixels_of(solid: Solid, origin: np.ndarray, rays: PixelRays, tile_axis: np.ndarray) -> np.ndarray:
     center, radius = solid.bounds
     away = np.linalg.norm(center - origin)
-    if away > _RANGE_M + radius:
+    if away > RANGE_M + radius:
         return np.zeros(0, dtype=int)
     if away <= radius:
         return np.flatnonzero(rays.valid.ravel())

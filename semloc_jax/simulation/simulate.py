@@ -29,6 +29,7 @@ from semloc_jax.simulation.road import build_road
 from semloc_jax.simulation.scene import Scene, World
 from semloc_jax.simulation.sensor_logs import SensorErrors, SensorPlan, write_sensor_logs
 from semloc_jax.simulation.shade import LIGHTINGS, Lighting
+from semloc_jax.simulation.tours import Tour, TourWish, loop_tour
 from semloc_jax.simulation.variation import Variation, variation
 from semloc_jax.storage import claim, write_text
 
@@ -37,7 +38,7 @@ LEAD_IN_S, _LEAD_OUT_S = 3.0, 1.0
 """Sensor logs run before the first and after the last frame."""
 UNFINISHED = "unfinished.json"
 """Stands in the folder of a drive until all of it is there, and says what it follows from."""
-_USUAL_FRAMES, _MOST_EPOCHS = 30, 1000
+_USUAL_FRAMES, _MOST_EPOCHS, _MOST_LAPS = 30, 1000, 50
 
 
 @dataclass(frozen=True)
@@ -45,16 +46,17 @@ class SimulationConfig:
     """What a simulated drive is like.
 
     Args:
-        num_frames: frames to render; None takes 30.
-        rate_hz: frames per second; 0 takes 10 (road, country) or 5 (garage).
-        speed_mps: mean speed; 0 takes 11 (road), 14 (country) or 2.2 (garage).
-        width_px: image width; 0 takes 960 (road, country) or 640 (garage).
-        height_px: image height; 0 takes 600 (road, country) or 480 (garage).
+        num_frames: frames to render; None takes 30, and the whole way of a loop.
+        rate_hz: frames per second; 0 takes 10 (road, country) or 5 (loop, garage).
+        speed_mps: mean speed (loop: on the straight); 0 takes 11 (road), 14 (country), 9 (loop) or 2.2 (garage).
+        width_px: image width; 0 takes 960 (road, country, loop) or 640 (garage).
+        height_px: image height; 0 takes 600 (road, country, loop) or 480 (garage).
         variants: lightings, in equal parts of the drive; empty takes noon (road) or garage.
         wear_share: share of the paint that is worn off (labelled as the ground below it).
         crown: share by which a road falls to both sides of its crown; 0 takes 0 (road) or 0.02 (country). A crowned
             road leans into its bends, too.
         has_images: whether colour images are written too; masks alone take a fraction of the time.
+        laps: how often to go round (loop); 0 takes 2.
         epoch: state of the world: each epoch removes, moves, adds and repaints elements (changes.json).
         drive: number of a drive through the same world: other traffic, sensors, mounting and masks.
         imu_rate_hz: rows of imu.csv in a second.
@@ -74,6 +76,7 @@ class SimulationConfig:
     wear_share: float = 0.05
     crown: float = 0.0
     has_images: bool = True
+    laps: int = 0
     epoch: int = 0
     drive: int = 0
     imu_rate_hz: float = 100.0
@@ -94,10 +97,13 @@ _DEFAULTS = {
         "variants": ("noon",),
         "crown": 0.02,
     },
+    "loop": {"rate_hz": 5.0, "speed_mps": 9.0, "width_px": 960, "height_px": 600, "variants": ("noon",), "laps": 2},
     "garage": {"rate_hz": 5.0, "speed_mps": 2.2, "width_px": 640, "height_px": 480, "variants": ("garage",)},
 }
-_STREAM = {"garage": 0, "road": 1, "country": 3}
+_STREAM = {"garage": 0, "road": 1, "country": 3, "loop": 4}
 """Of random numbers, by kind; 2 is that of drives on maps."""
+_TOURS = {"loop": loop_tour}
+"""Kinds with a way of their own, which laps and stops decide."""
 _EPOCHS = 10
 """Keeps the random numbers of changes apart from all others."""
 
@@ -108,7 +114,7 @@ def simulate(
     """Render a seeded drive into the folder `out` and open it.
 
     Args:
-        kind: `road` or `country` (one front camera), or `garage` (four fisheyes).
+        kind: `road`, `country` or `loop` (one front camera), or `garage` (four fisheyes).
         seed: everything random follows from it.
         out: folder, made if absent.
         config: size and errors of the drive.
@@ -124,22 +130,42 @@ def simulate(
     config = checked(kind, config or SimulationConfig())
     key = [seed, _STREAM[kind]]
     rng = np.random.default_rng(key)
-    own = variation(key, config.drive, rng, has_own_pictures=False)
+    own = variation(key, config.drive, rng, has_own_pictures=kind in _TOURS)
+    tour = _tour(kind, config, rng, own) if kind in _TOURS else _stretch(kind, config, rng, own)
+    world, changes = at_epoch(tour.world, [*key, _EPOCHS], config.epoch)
+    if config.num_frames is None:
+        num_frames = _USUAL_FRAMES if np.isinf(tour.end_s) else int(tour.end_s * config.rate_hz) + 1
+        config = replace(config, num_frames=num_frames)
+    elif (config.num_frames - 1) / config.rate_hz > tour.end_s:
+        most = int(tour.end_s * config.rate_hz) + 1
+        raise SemlocError(f"num_frames = {config.num_frames}: the way has {most}; leave it out to drive the whole way")
+    if rig is None:
+        rig = (surround_rig if kind == "garage" else front_rig)(config.width_px, config.height_px)
+    told = {"epoch": config.epoch, "drive": config.drive, **tour.told}
+    name = f"{kind} seed {seed}"
+    staging = Staging(kind, seed, world.scene(), tour.motion, _ORIGIN, name, told, changes, tour.has_gnss)
+    return write_drive(Path(out), staging, rig, config, own)
+
+
+def _tour(kind: str, config: SimulationConfig, rng: np.random.Generator, own: Variation) -> Tour:
+    """The whole way of a kind that has one."""
+    wish = TourWish(own.speed(config.speed_mps), config.laps, config.wear_share)
+    return _TOURS[kind](rng, own.rng, wish)
+
+
+def _stretch(kind: str, config: SimulationConfig, rng: np.random.Generator, own: Variation) -> Tour:
+    """A stretch of road or aisle, as long as the frames ask for."""
     world = _built(kind, config, rng, None if own.is_first else own.rng)
-    world, changes = at_epoch(world, [*key, _EPOCHS], config.epoch)
     sway_m = 0.0 if kind == "garage" else 0.15
     phases = own.rng.uniform(0.0, 2.0 * np.pi, 4)
     motion = VehicleMotion(world.path, world.surface, own.speed(config.speed_mps), sway_m, 0.15, phases)
-    if rig is None:
-        rig = (surround_rig if kind == "garage" else front_rig)(config.width_px, config.height_px)
-    told = {"epoch": config.epoch, "drive": config.drive}
-    staging = Staging(kind, seed, world.scene(), motion, _ORIGIN, f"{kind} seed {seed}", told, changes)
-    return write_drive(Path(out), staging, rig, config, own)
+    return Tour(world, motion, np.inf)
 
 
 def _built(kind: str, config: SimulationConfig, rng: np.random.Generator, own: np.random.Generator | None) -> World:
     """The world of a kind at epoch 0, with the traffic of `own`."""
-    length_m = config.speed_mps * ((_num_frames(config) - 1) / config.rate_hz + _LEAD_OUT_S)
+    num_frames = _USUAL_FRAMES if config.num_frames is None else config.num_frames
+    length_m = config.speed_mps * ((num_frames - 1) / config.rate_hz + _LEAD_OUT_S)
     if kind == "road":
         return build_road(rng, length_m, config.speed_mps, config.wear_share, config.crown, own)
     if kind == "country":
@@ -160,6 +186,7 @@ class Staging:
         map_name: name of the map.
         told: what else meta.json says.
         changes: content of changes.json.
+        has_gnss: whether satellites are in view.
     """
 
     kind: str
@@ -170,6 +197,7 @@ class Staging:
     map_name: str
     told: dict = field(default_factory=dict)
     changes: dict = field(default_factory=lambda: {"epoch": 0, "since_epoch_0": [], "since_previous": []})
+    has_gnss: bool = True
 
 
 def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig, own: Variation) -> Drive:
@@ -187,10 +215,11 @@ def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig,
     write_text(out / UNFINISHED, recipe)
     write_calibration(rig, out / "calib.yaml")
     _write_maps(out, staging, config.map_errors, rng)
-    # Times count from the first frame; files count from the start of the logs.
-    time_s = np.arange(_num_frames(config)) / config.rate_hz
+    # Times count from the first frame; files count from the start of the logs. They are as the files state them: a
+    # frame must not lie behind the last pose by a rounding.
+    time_s = np.round(np.arange(config.num_frames) / config.rate_hz, 6)
     end_s = time_s[-1] + _LEAD_OUT_S
-    plan = SensorPlan(config.sensors, config.imu_rate_hz, config.imu_offset_s, config.gps_bias_m)
+    plan = SensorPlan(config.sensors, config.imu_rate_hz, config.imu_offset_s, config.gps_bias_m, staging.has_gnss)
     sensors = write_sensor_logs(out, motion, -LEAD_IN_S, end_s, plan, staging.origin or _ORIGIN, rng)
     _write_truth(out, motion, time_s, rig)
     lightings = [LIGHTINGS[config.variants[k * len(config.variants) // len(time_s)]] for k in range(len(time_s))]
@@ -218,10 +247,6 @@ def is_begun(out: Path, recipe: str | None = None) -> bool:
     return place.is_file() and (recipe is None or place.read_text() == recipe)
 
 
-def _num_frames(config: SimulationConfig) -> int:
-    return _USUAL_FRAMES if config.num_frames is None else config.num_frames
-
-
 def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
     """The configuration with the defaults of a kind of drive filled in.
 
@@ -240,6 +265,10 @@ def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
     for name in ("epoch", "drive"):
         if not 0 <= getattr(config, name) <= _MOST_EPOCHS:
             raise SemlocError(f"{name} = {getattr(config, name)}; expected 0 to {_MOST_EPOCHS}")
+    if not 0 <= config.laps <= _MOST_LAPS:
+        raise SemlocError(f"laps = {config.laps}; expected 1 to {_MOST_LAPS}")
+    if config.laps and kind not in _TOURS:
+        raise SemlocError(f"laps = {config.laps}: a {kind} has no laps; expected kind {' or '.join(_TOURS)}")
     if not 0.0 <= config.crown <= 0.1:
         raise SemlocError(f"crown = {config.crown:g}; expected the fall of a road, 0 to 0.1: 0.02 is usual")
     unknown = [name for name in config.variants if name not in LIGHTINGS]
