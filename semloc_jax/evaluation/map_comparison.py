@@ -64,7 +64,7 @@ class ClassComparison:
         found_made: of the made map, with a counterpart within tolerance.
         found_reference: of the reference, with a counterpart within tolerance.
         across_m: signed errors of what was found across its longest side.
-        along_m: the same along it, of both ends; empty for lines.
+        along_m: the same along it, of both ends as far as they were seen; empty for lines.
         moved: ids of the reference and of the made map that are one element which moved.
         missing: ids of the reference without a counterpart.
         added: ids of the made map without a counterpart.
@@ -218,6 +218,7 @@ class _Side:
                     e.corners @ R.T + t,
                     e.centre @ R.T + t,
                     e.along if name in _POST_NAMES else R @ e.along,
+                    e.ends,
                     e.attributes,
                 )
                 for e in group
@@ -314,7 +315,10 @@ def _errors(name: str, made: Thing, reference: Thing) -> tuple[np.ndarray, np.nd
     across = np.array([-along[1], along[0]])
     ends = [np.array([(t.corners @ along).min(), (t.corners @ along).max()]) for t in (made, reference)]
     sides = [np.array([(t.corners @ across).min(), (t.corners @ across).max()]) for t in (made, reference)]
-    return np.array([sides[0].mean() - sides[1].mean()]), ends[0] - ends[1]
+    made_ends = made.ends if made.along @ along > 0.0 else made.ends[::-1]
+    # An end that was not seen says nothing about where the paint ends.
+    known = np.logical_and(made_ends, reference.ends)
+    return np.array([sides[0].mean() - sides[1].mean()]), (ends[0] - ends[1])[known]
 
 
 def _corner_errors(made: np.ndarray, reference: np.ndarray) -> np.ndarray:

@@ -48,6 +48,10 @@ class Comparable(Protocol):
         """Whether the last point joins the first."""
 
     @property
+    def true_ends(self) -> tuple[bool, bool]:
+        """Whether the first and the last point end the paint."""
+
+    @property
     def style(self) -> str:
         """solid, dashed, virtual ..."""
 
@@ -65,6 +69,7 @@ class Thing:
         corners: `float64[k 2]` outline or centre line from above [m].
         centre: `float64[2]` [m].
         along: unit `float64[2]` along its longest side; x east for posts, which have no side.
+        ends: whether it ends at its low and at its high side along that direction, or goes on unseen.
         attributes: properties of the element.
     """
 
@@ -72,6 +77,7 @@ class Thing:
     corners: Float[np.ndarray, "k 2"]
     centre: Float[np.ndarray, " 2"]
     along: Float[np.ndarray, " 2"]
+    ends: tuple[bool, bool]
     attributes: Mapping[str, Any]
 
 
@@ -140,12 +146,14 @@ def thing_of(element: Comparable) -> Thing:
     xy = np.asarray(element.points, dtype=np.float64)[:, :2]
     if element.label in POSTS:
         foot = xy.mean(axis=0) if element.closed else xy[0]
-        return Thing(element.id, xy, foot, np.array([1.0, 0.0]), element.attributes)
+        return Thing(element.id, xy, foot, np.array([1.0, 0.0]), (True, True), element.attributes)
     along = _main_direction(xy, element.closed)
     across = np.array([-along[1], along[0]])
     sides = np.stack([xy @ along, xy @ across], axis=1)
     middle = 0.5 * (sides.min(axis=0) + sides.max(axis=0))
-    return Thing(element.id, xy, middle[0] * along + middle[1] * across, along, element.attributes)
+    # The direction of an open line runs from its first to its last point.
+    ends = (True, True) if element.closed else (bool(element.true_ends[0]), bool(element.true_ends[1]))
+    return Thing(element.id, xy, middle[0] * along + middle[1] * across, along, ends, element.attributes)
 
 
 def _main_direction(xy: Float[np.ndarray, "k 2"], closed: bool) -> Float[np.ndarray, " 2"]:

@@ -90,12 +90,22 @@ class EvidenceGrid:
         weight = self.plane(0)
         return np.divide(self.plane(2 + layer), weight, out=np.zeros_like(weight), where=weight > 0)
 
+    def sums(
+        self, xy_map: Float[np.ndarray, "n 2"], layer: int
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Weight of all looks at places [m], and of those that show a layer."""
+        planes = self._at(xy_map, (0, 2 + layer))
+        return planes[0], planes[1]
+
     def seen(self, xy_map: Float[np.ndarray, "n 2"], num_looks: int) -> Bool[np.ndarray, " n"]:
         """Whether places [m] were looked at in at least so many frames."""
+        return self._at(xy_map, (1,))[0] >= num_looks
+
+    def _at(self, xy_map: Float[np.ndarray, "n 2"], planes: tuple[int, ...]) -> np.ndarray:
         cell = np.floor(np.asarray(xy_map) / self.cell_m).astype(np.int64)
-        found = np.zeros(len(cell), dtype=bool)
+        found = np.zeros((len(planes), len(cell)))
         tile_of, at = cell // TILE, cell % TILE
         for key in {tuple(pair) for pair in tile_of.tolist()} & self._tiles.keys():
             here = (tile_of == key).all(axis=1)
-            found[here] = self._tiles[key][1, at[here, 1], at[here, 0]] >= num_looks
+            found[:, here] = self._tiles[key][list(planes)][:, at[here, 1], at[here, 0]]
         return found

@@ -15,6 +15,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.existence import Counting, ExistenceConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
+from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
 from semloc_jax.maps import BeliefMap, SemanticMap
 from semloc_jax.maps.elements import GeoOrigin
@@ -37,12 +38,14 @@ class MapConfig:
         look: how the road is looked at.
         vector: what becomes an element.
         existence: what counts as seen and missed.
+        slots: what makes a slot.
         min_seen: frames that must have seen an element.
     """
 
     look: RoadLookConfig = field(default_factory=RoadLookConfig)
     vector: VectorConfig = field(default_factory=VectorConfig)
     existence: ExistenceConfig = field(default_factory=ExistenceConfig)
+    slots: SlotConfig = field(default_factory=SlotConfig)
     min_seen: int = 3
 
 
@@ -105,6 +108,8 @@ def make_map(
         for look in looker.looks(frames[index], index, Ts_map_base):
             gatherer.add(look)
     elements = elements_of(gatherer.paint, gatherer.layers, road_height(Ts_map_base), config.vector)
+    lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
+    elements = [e for e in elements if e.label != ElementClass.SLOT_LINE] + split_crossbars(lines, config.slots)
     counting = Counting(
         elements, {layer.label: layer.planes for layer in gatherer.layers}, gatherer.layer_of_id, config.existence
     )
@@ -121,6 +126,10 @@ def make_map(
 
     def chosen(wanted: bool) -> BeliefMap:
         kept = [(e, b) for e, b, stay in zip(elements, beliefs, stays, strict=True) if stay is wanted]
+        if wanted:
+            lines = [e for e, _ in kept if e.label == ElementClass.SLOT_LINE]
+            known = {e.id: b for e, b in kept}
+            kept += find_slots(lines, known, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots)
         semantic_map = SemanticMap(tuple(e for e, _ in kept), origin, drive.name)
         return BeliefMap(semantic_map, {e.id: b for e, b in kept})
 

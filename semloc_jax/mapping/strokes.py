@@ -13,7 +13,10 @@ from scipy.ndimage import map_coordinates
 _STEP = 4
 """Cells from one place of a stroke to the next: 10 cm at 2.5 cm."""
 _ALONG = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-_HALF_SHARE = 0.5
+_PEAK_PART = 0.8
+"""Part of the least share that the mean over half a metre along a stroke must reach."""
+_CLEAR = 6.0
+"""Ratio of the moments of paint from which its direction is clear."""
 _BACK = 14
 """Places whose straight line gives the direction of the next step."""
 
@@ -27,12 +30,14 @@ class TraceLimits:
         reach: how far to either side of the middle paint is looked at.
         bridged: longest gap that is passed over.
         smallest: area below which paint is noise.
+        least_share: of the looks that show paint; narrow paint far away is smeared over more cells than it covers.
     """
 
     widest: float = 14.0
     reach: float = 12.0
     bridged: float = 16.0
     smallest: float = 40.0
+    least_share: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,7 @@ def find_strokes(
         limits: what counts as a stroke.
     """
     limits = limits or TraceLimits()
-    free = ((share > _HALF_SHARE) & looked).astype(np.uint8)
+    free = ((share > limits.least_share) & looked).astype(np.uint8)
     num, labels, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=8)
     found = []
     for index in range(1, num):
@@ -114,7 +119,7 @@ def _strokes_of(
 def _followed(
     share: np.ndarray, looked: np.ndarray, own: np.ndarray, seed: np.ndarray, limits: TraceLimits
 ) -> PaintTrace | None:
-    direction = _direction(own, seed)
+    direction = _direction(share, own, seed, limits)
     if direction is None:
         return None
     first = _profile(share, seed, direction, limits)
@@ -131,8 +136,8 @@ def _followed(
     return PaintTrace(middle, float(np.median(widths)), (ways[1][2], ways[0][2]))
 
 
-def _direction(own: np.ndarray, seed: np.ndarray) -> np.ndarray | None:
-    """Main direction of the paint around a place."""
+def _direction(share: np.ndarray, own: np.ndarray, seed: np.ndarray, limits: TraceLimits) -> np.ndarray | None:
+    """Main direction of the paint around a place; where lines meet, that in which paint goes on longest."""
     r = 30
     x, y = np.rint(seed).astype(int)
     rows, columns = np.nonzero(own[max(y - r, 0) : y + r, max(x - r, 0) : x + r])
@@ -140,7 +145,14 @@ def _direction(own: np.ndarray, seed: np.ndarray) -> np.ndarray | None:
         return None
     near = np.stack([columns, rows], axis=1) - np.mean([columns, rows], axis=1)
     values, vectors = np.linalg.eigh(near.T @ near)
-    return vectors[:, 1] if values[1] > 1.5 * values[0] else None
+    if values[1] > _CLEAR * values[0]:
+        return vectors[:, 1]
+    angles = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    reach = np.arange(2.0, 80.0, 2.0)
+    paint = _looked_up(share, seed + reach[None, :, None] * ways[:, None]) > _PEAK_PART * limits.least_share
+    length = np.where(paint.all(axis=1), len(reach), paint.argmin(axis=1))
+    return ways[int(length.argmax())] if length.max() >= 4 else None
 
 
 def _normal(direction: np.ndarray) -> np.ndarray:
@@ -156,7 +168,7 @@ def _profile(
     across = _looked_up(share, at).mean(axis=1)
     near = np.abs(offsets) < 0.34 * limits.reach
     peak = across[near].max()
-    if peak < 0.4:
+    if peak < _PEAK_PART * limits.least_share:
         return None
     paint = across > 0.5 * peak
     centre = int(np.flatnonzero(near)[across[near].argmax()])
@@ -212,7 +224,7 @@ def _end(
     offsets = np.array([-1.5, -0.5, 0.5, 1.5])
     at = last + s[:, None, None] * direction + offsets[None, :, None] * _normal(direction)
     along = _looked_up(share, at).mean(axis=1)
-    top = max(float(along[:8].max()), 0.5)
+    top = max(float(along[:8].max()), limits.least_share)
     below = np.flatnonzero((along < 0.5 * top) & (s > -_STEP))
     if not len(below):
         return last, False

@@ -37,6 +37,8 @@ class VectorConfig:
         blur_cells: standard deviation of the blur before paint is followed.
         min_area_m2: smaller patches are noise.
         widest_line_m: wider paint is no line.
+        line_share: share of the looks at a cell that must show a lane marking.
+        slot_line_share: the same of a slot line, which is thin and seen from the side.
         longest_dash_m: a longer stroke is a solid line.
         shortest_line_m: a shorter solid line is noise.
         joined_gap_m: pieces of one solid line with a longer gap stay apart.
@@ -47,6 +49,8 @@ class VectorConfig:
     blur_cells: float = 1.0
     min_area_m2: float = 0.03
     widest_line_m: float = 0.35
+    line_share: float = 0.5
+    slot_line_share: float = 0.35
     longest_dash_m: float = 7.0
     shortest_line_m: float = 0.6
     joined_gap_m: float = 6.0
@@ -135,7 +139,11 @@ def _lines(
     config: VectorConfig,
 ) -> list[MapElement]:
     cell_m = to_map.cell_m
-    limits = TraceLimits(widest=config.widest_line_m / cell_m, smallest=config.min_area_m2 / cell_m**2)
+    limits = TraceLimits(
+        widest=config.widest_line_m / cell_m,
+        smallest=config.min_area_m2 / cell_m**2,
+        least_share=config.slot_line_share if layer.label == ElementClass.SLOT_LINE else config.line_share,
+    )
     strokes = find_strokes(share, looked, limits)
     if layer.label == ElementClass.SLOT_LINE:
         long = [s for s in strokes if s.length * cell_m >= config.shortest_line_m]

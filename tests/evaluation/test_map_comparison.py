@@ -110,3 +110,11 @@ def test_a_class_that_only_one_map_has_scores_nothing():
     classes = compare_maps([POLE], [LINE, POLE]).classes
     assert classes["line"].f1 == 0.0
     assert np.isnan(classes["line"].precision)
+
+
+def test_an_end_that_nobody_saw_is_not_judged():
+    part = replace(dash("dash0", 0.0, 0.0, length=3.4), true_ends=(True, False))
+    classes = compare_maps([part], TOWN[:1]).classes
+    assert classes["dash"].f1 == 1.0
+    np.testing.assert_allclose(classes["dash"].along_m, [0.0], atol=1e-9)
+    assert compare_maps([replace(part, true_ends=(True, True))], TOWN[:1]).classes["dash"].f1 == 0.0

@@ -1,0 +1,98 @@
+"""Slots come out of the lines between them: corners, type, depth and occupancy."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.mapping.evidence_grid import EvidenceGrid
+from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
+from semloc_jax.maps import Belief, MapElement
+from semloc_jax.structs import ElementClass
+
+WAY = np.stack([np.linspace(-20.0, 40.0, 121), np.full(121, -3.0)], axis=1)
+
+
+def line(name, start, end, ends=(True, True), width=0.12):
+    points = [[*start, 0.0], [*end, 0.0]]
+    return MapElement(name, ElementClass.SLOT_LINE, points, width_m=width, true_ends=ends)
+
+
+def row(count, step, depth, lean=0.0, y=0.0, up=1.0, ends=(True, True)):
+    """Dividers every `step` metres from y, leaning by `lean` metres over their depth."""
+    return [
+        line(f"d{y:g}_{k}", (k * step, y), (k * step + lean, y + up * depth), (ends[0], ends[1])) for k in range(count)
+    ]
+
+
+def slots_of(lines, vehicles=None, config=None, way=WAY):
+    beliefs = {e.id: Belief(0.02 + 0.01 * k, 0.05, 3.0 - k, 9 - k, k) for k, e in enumerate(lines)}
+    return find_slots(lines, beliefs, way, vehicles or EvidenceGrid(0.1, 1), config)
+
+
+@pytest.mark.parametrize(
+    ("lines", "kind", "depth"),
+    [
+        (row(4, 2.5, 5.2 + 0.06), "perpendicular", 5.2),
+        (row(3, 6.1, 2.35 + 0.06), "parallel", 2.35),
+        (row(4, 2.9, 4.5 + 0.06, lean=2.6), "angled", None),
+    ],
+)
+def test_neighbours_hold_a_slot(lines, kind, depth):
+    found = slots_of(lines)
+    assert len(found) == len(lines) - 1
+    for element, belief in found:
+        assert element.label == ElementClass.PARKING_SLOT
+        assert element.attributes["kind"] == kind
+        # The entrance first, at the aisle, and the slot to its left.
+        np.testing.assert_allclose(element.points[:2, 1], 0.0, atol=1e-9)
+        edge, inward = element.points[1] - element.points[0], element.points[2] - element.points[1]
+        assert edge[0] * inward[1] - edge[1] * inward[0] > 0.0
+        if depth is not None:
+            assert np.linalg.norm(inward) == pytest.approx(depth, abs=1e-6)
+        assert belief.num_seen <= 9
+
+
+def test_the_weaker_line_says_how_sure_a_slot_is():
+    (_, belief), *_ = slots_of(row(2, 2.5, 5.2))
+    assert (belief.sigma_across_m, belief.existence_logit, belief.num_seen, belief.num_missed) == (0.03, 2.0, 8, 1)
+
+
+def test_a_missing_divider_makes_no_wide_slot():
+    lines = row(5, 2.5, 5.2)
+    assert len(slots_of([*lines[:2], *lines[3:]])) == 2
+
+
+def test_a_slot_whose_back_nobody_saw_takes_half_of_the_way_to_the_row_behind():
+    front = row(3, 2.5, 4.0, ends=(True, False))
+    back = row(3, 2.5, 4.0, y=10.4, up=-1.0, ends=(True, False))
+    way = np.vstack([WAY, WAY + [0.0, 16.4]])
+    found = slots_of([*front, *back], way=way)
+    assert len(found) == 4
+    for element, _ in found:
+        assert np.linalg.norm(element.points[2] - element.points[1]) == pytest.approx(5.2, abs=1e-6)
+    assert slots_of(front) == []
+
+
+def test_lines_at_other_distances_and_angles_hold_nothing():
+    assert slots_of(row(2, 1.5, 5.2)) == []
+    assert slots_of(row(2, 3.6, 5.2)) == []
+    assert slots_of([line("a", (0, 0), (0, 5.2)), line("b", (2.5, 0), (3.3, 5.2))]) == []
+
+
+def test_a_vehicle_in_the_front_half_takes_the_slot():
+    vehicles = EvidenceGrid(0.1, 1)
+    xy = np.stack(np.meshgrid(np.arange(0.05, 5.0, 0.1), np.arange(0.05, 3.0, 0.1)), axis=-1).reshape(-1, 2)
+    is_vehicle = xy[:, 0] > 2.5
+    vehicles.add(xy, np.ones(len(xy)), is_vehicle.astype(int) - 1, np.ones(len(xy), bool))
+    found = {e.points[0, 0]: e.attributes.get("occupied") for e, _ in slots_of(row(4, 2.5, 5.2), vehicles)}
+    assert found == {0.0: False, 2.5: True, 5.0: None}
+
+
+def test_a_bar_across_the_mouth_is_two():
+    """The bar is cut where the divider passes through; a long line is not."""
+    divider, bar = line("div", (0, 0), (0, 5.2)), line("bar", (-0.7, 0.06), (0.7, 0.06))
+    back = line("back", (-6, 5.2), (6, 5.2))
+    found = {e.id: e.points[:, 0].tolist() for e in split_crossbars([divider, bar, back], SlotConfig())}
+    assert found["div"] == [0.0, 0.0]
+    assert found["back"] == [-6.0, 6.0]
+    np.testing.assert_allclose(found["bar"], [-0.7, -0.06], atol=1e-9)
+    np.testing.assert_allclose(found["bar_1"], [0.06, 0.7], atol=1e-9)
