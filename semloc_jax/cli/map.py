@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 class Options:
     """Make a map of a drive from its masks, wheels and gyroscope, with a sigma and an existence for every element.
 
-    Writes map.gpkg and map.geojson (open with every verb), trajectory.tum (T_map_base of every frame), elements.csv,
-    config.yaml (resolved; reads back with --config), map.png, overlays/*.png, and metrics.json: against the poses and
-    the map of the drive, where it has them, after one motion in the plane.
+    Writes map.gpkg and map.geojson (open with every verb), trajectory.tum (T_map_base of every frame), loops.csv
+    (places that the drive came to again), elements.csv, config.yaml (resolved; reads back with --config), map.png,
+    overlays/*.png, and metrics.json: against the poses and the map of the drive, where it has them, after one motion in
+    the plane.
 
     Every value of the configuration is an option too, e.g. --min-seen 5: 'semloc map --help' prints the verb's own.
     """
@@ -39,6 +40,8 @@ class Options:
     start: str | None = None
     """What fixes the frame of the map: gnss (their common offset stays in the map), truth or a trajectory file (pose of
     the first frame), identity (the first frame); default: gnss where the drive has fixes, else identity."""
+    no_loops: bool = False
+    """Do not look for places that the drive comes to again: they tie its way down, and cost seconds each."""
     no_gnss: bool = False
     """Leave satellite fixes out: the default of --start then is identity."""
     overlays: int = 4
@@ -87,7 +90,8 @@ def run(options: Options) -> int:
     kept = {k: v for k, v in given.items() if k not in NOT_KEPT and v is not None and v is not False}
     kept |= {"masks": masks.name, "cameras": ",".join(masks.cameras)}
     settings = options.settings
-    report = report_map(drive, masks, frames, settings, options.start, options.out, options.overlays, kept)
+    loops = not options.no_loops
+    report = report_map(drive, masks, frames, settings, options.start, options.out, options.overlays, kept, loops)
     print(report.text)
     print(f"results: {report.folder}")
     return OK

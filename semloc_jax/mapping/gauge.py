@@ -1,6 +1,6 @@
 """Where the map that a drive makes lies: what fixes the frame that odometry leaves open (room: mapping; host).
 
-In: the chain of a drive, satellite fixes or a start. Out: poses of its frames in the map, and what gave the frame.
+In: the chain of a drive, satellite fixes or a start. Out: Gauge, which solves the way of the drive in that frame.
 """
 
 from pathlib import Path
@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.datasets import Drive
+from semloc_jax.datasets.sensors import GnssTrack
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, read_trajectory
 from semloc_jax.geometry import rigid
 from semloc_jax.mapping.chain import Chain
-from semloc_jax.mapping.chain_graph import NO_LOOPS, Loops, Start, solve_chain
+from semloc_jax.mapping.chain_graph import NO_LOOPS, ChainSolution, Loops, Start, solve_chain
 
 GNSS, TRUTH, IDENTITY = "gnss", "truth", "identity"
 _START_SIGMA = np.repeat([1e-3, 1e-4], 3)
@@ -22,23 +23,27 @@ _START_SIGMA = np.repeat([1e-3, 1e-4], 3)
 _FARTHEST_S = 0.5
 
 
-class TiedWay(NamedTuple):
-    """The way of a drive in the frame of its map."""
+class Gauge(NamedTuple):
+    """What fixes the frame of a map."""
 
-    Ts_map_base: Float[np.ndarray, "n 4 4"]
-    gauge: str
-    """What gave the frame: gnss, truth, identity, or the file of the start."""
+    name: str
+    """gnss, truth, identity, or the file of the start."""
+    gnss: GnssTrack | None
+    start: Start | None
+
+    def solve(self, chain: Chain, loops: Loops = NO_LOOPS) -> ChainSolution:
+        """The most likely way of the drive with what was found on it."""
+        return solve_chain(chain, loops, self.gnss, self.start)
 
 
-def tied_way(drive: Drive, chain: Chain, start: str | None, loops: Loops = NO_LOOPS) -> TiedWay:
-    """The poses of a drive in the frame of its map.
+def gauge_of(drive: Drive, chain: Chain, start: str | None) -> Gauge:
+    """What fixes the frame of the map of a drive.
 
     Args:
         drive: with its fixes and, for `truth`, its reference.
         chain: its way by its own sensors.
         start: `gnss`, `truth`, `identity` or a trajectory file with the first pose; None takes `gnss` where the drive
             has fixes, else `identity`.
-        loops: places that the drive came to again.
 
     Raises:
         SemlocError: there are no fixes, no reference, or no pose at the start.
@@ -47,17 +52,14 @@ def tied_way(drive: Drive, chain: Chain, start: str | None, loops: Loops = NO_LO
     if start == GNSS:
         if drive.gnss is None:
             raise SemlocError(f"drive {drive.name}: has no satellite fixes; give --start TRAJECTORY.tum, or identity")
-        return TiedWay(solve_chain(chain, loops, drive.gnss).Ts_map_base, start)
+        return Gauge(start, drive.gnss, None)
     T_odom_first = _planar(chain.Ts_odom_base[0])
     if start == IDENTITY:
         T_map_odom = rigid.inverse(T_odom_first)
     else:
         first = drive.truth_at(drive.frames[0]) if start == TRUTH else _first_pose(start, float(chain.times_s[0]))
         T_map_odom = _planar(first) @ rigid.inverse(T_odom_first)
-    if not len(loops.a):
-        return TiedWay(T_map_odom @ chain.Ts_odom_base, start)
-    known = Start(T_map_odom @ chain.Ts_odom_base[0], np.diag(_START_SIGMA**2))
-    return TiedWay(solve_chain(chain, loops, None, known).Ts_map_base, start)
+    return Gauge(start, None, Start(T_map_odom @ chain.Ts_odom_base[0], np.diag(_START_SIGMA**2)))
 
 
 def _planar(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

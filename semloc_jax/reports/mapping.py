@@ -3,7 +3,7 @@
 In: a drive, its masks, how the map is made. Out: map, trajectory, tables, metrics and pictures in a folder.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,9 +22,12 @@ from semloc_jax.evaluation import (
     write_metrics,
     write_tum,
 )
+from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import drive_chain
-from semloc_jax.mapping.gauge import GNSS, tied_way
+from semloc_jax.mapping.closing import ClosedWay, closed_way
+from semloc_jax.mapping.gauge import GNSS, gauge_of
+from semloc_jax.mapping.loops import FoundLoop, write_loops
 from semloc_jax.mapping.mapper import MadeMap, MapConfig, make_map
 from semloc_jax.maps import read_map, write_drive_geojson, write_map
 from semloc_jax.maps.elements import GeoOrigin
@@ -36,6 +39,8 @@ from semloc_jax.viz import draw_contours, maps_over_each_other, save, sigmas_fro
 
 _NUM_SEEN = 5
 """An element of the reference counts where it was looked at in so many frames."""
+_FALSE_LOOP_M, _FALSE_LOOP_DEG = 0.5, 2.0
+"""A loop that is off by more leads to another place."""
 
 
 class MadeMapReport(NamedTuple):
@@ -61,6 +66,7 @@ def report_map(
     out: Path | None = None,
     num_overlays: int = 4,
     options: Mapping[str, Any] | None = None,
+    loops: bool = True,
 ) -> MadeMapReport:
     """Make a map of a drive and write everything about it.
 
@@ -69,20 +75,28 @@ def report_map(
         masks: what its cameras see.
         frames: those that look, in time order.
         settings: how the map is made.
-        start: what fixes the frame of the map; see `mapping.gauge.tied_way`.
+        start: what fixes the frame of the map; see `mapping.gauge.gauge_of`.
         out: folder to write; None for a new one in results/.
         num_overlays: pictures of the map over images.
         options: what config.yaml keeps besides the configuration.
+        loops: whether places that the drive comes to again tie its way down.
 
     Raises:
         SemlocError: no wheel odometry, nothing that fixes the frame as asked, or no map came out.
     """
     chain = drive_chain(drive)
-    Ts_map_base, gauge = tied_way(drive, chain, start)
+    gauge = gauge_of(drive, chain, start)
     folder = make_folder(out)
     write_record(folder, settings, options or {})
     looking = [frame.index for frame in frames]
-    origin = drive.gnss.origin if gauge == GNSS and drive.gnss is not None else None
+    origin = drive.gnss.origin if gauge.name == GNSS and drive.gnss is not None else None
+
+    def shown(items: Iterable, name: str, unit: str = "frame") -> Iterable:
+        return tqdm(items, desc=name, unit=unit)
+
+    closed = closed_way(drive, masks, chain, gauge, settings, lambda items: shown(items, "loops", "group"), loops)
+    Ts_map_base = closed.Ts_map_base
+    write_loops(folder / "loops.csv", closed.loops, chain.times_s)
     made = make_map(
         drive,
         masks,
@@ -90,7 +104,7 @@ def report_map(
         Ts_map_base[looking],
         settings,
         GeoOrigin(*origin) if origin is not None else None,
-        lambda items, name: tqdm(items, desc=name, unit="frame"),
+        shown,
     )
     trajectory = Trajectory(chain.times_s, Ts_map_base)
     write_map(made.belief_map.as_map(), folder / "map.gpkg")
@@ -98,9 +112,10 @@ def report_map(
     write_tum(trajectory, folder / "trajectory.tum")
     write_elements(made, folder / "elements.csv")
     metrics, comparison = _judged(drive, made, trajectory, folder)
+    metrics += loop_metrics(closed.loops, None if drive.truth is None else drive.truth.interpolate(chain.times_s))
     write_metrics(metrics, folder / "metrics.json")
     _draw(drive, masks, frames, made, Ts_map_base, num_overlays, folder)
-    return MadeMapReport(folder, _text(made, gauge, metrics, comparison), made.belief_map.map.num_elements)
+    return MadeMapReport(folder, _text(made, closed, metrics, comparison), made.belief_map.map.num_elements)
 
 
 def write_elements(made: MadeMap, path: Path) -> None:
@@ -115,6 +130,28 @@ def write_elements(made: MadeMap, path: Path) -> None:
         rows[-1] += (b.sigma_across_m, b.sigma_along_m)
     head = ("id", "class", "num_seen", "num_missed", "existence", "sigma_m", "sigma_across_m", "sigma_along_m")
     write_csv(path, head, rows)
+
+
+def loop_metrics(loops: Sequence[FoundLoop], Ts_true: np.ndarray | None) -> list[Metric]:
+    """How many revisits were searched and accepted and, where the truth of every frame is known, which were false."""
+    accepted = [loop for loop in loops if loop.is_accepted]
+    metrics = [
+        Metric("loops.searched", float(len(loops)), "loops", "report"),
+        Metric("loops.accepted", float(len(accepted)), "loops", "report"),
+    ]
+    if Ts_true is None or not accepted:
+        return metrics
+    off = np.array(
+        [rigid.log(rigid.inverse(rigid.inverse(Ts_true[loop.a]) @ Ts_true[loop.b]) @ loop.T_a_b) for loop in accepted]
+    )
+    off_m, off_deg = np.hypot(off[:, 0], off[:, 1]), np.degrees(np.abs(off[:, 5]))
+    false = float(np.sum((off_m > _FALSE_LOOP_M) | (off_deg > _FALSE_LOOP_DEG)))
+    return [
+        *metrics,
+        Metric("loops.false", false, "loops"),
+        Metric("loops.error.median", float(np.median(off_m)), "m"),
+        Metric("loops.error.max", float(off_m.max()), "m"),
+    ]
 
 
 def _judged(
@@ -169,13 +206,15 @@ def _draw(
             save(image, output_path(folder, "overlays", f"{frame.id}_{name}", suffix=".png"))
 
 
-def _text(made: MadeMap, gauge: str, metrics: list[Metric], comparison: MapComparison | None) -> str:
+def _text(made: MadeMap, closed: ClosedWay, metrics: list[Metric], comparison: MapComparison | None) -> str:
     counts: dict[str, int] = {}
     for element in made.belief_map.map.elements:
         name = element.label.name.lower()
         counts[name] = counts.get(name, 0) + 1
     lines = [f"map: {', '.join(f'{count} {name}' for name, count in counts.items())}"]
-    lines.append(f"frame of the map: {gauge}; {len(made.rejected.beliefs)} candidates did not stay")
+    lines.append(f"frame of the map: {closed.gauge.name}; {len(made.rejected.beliefs)} candidates did not stay")
+    accepted = sum(loop.is_accepted for loop in closed.loops)
+    lines.append(f"loops: {accepted} of {len(closed.loops)} revisits that were searched (loops.csv)")
     rates = [f"{label.name.lower()} {100 * rate:.0f} %" for label, rate in made.detection_rates.items()]
     lines.append(f"shown by a visible look: {', '.join(rates)}")
     if metrics:

@@ -8,6 +8,7 @@ import pytest
 
 from semloc_jax.cli.main import FAILED, OK, USAGE, main
 from semloc_jax.evaluation import read_metrics, read_trajectory
+from semloc_jax.mapping.loops import COLUMNS
 from semloc_jax.maps import BeliefMap, read_map
 from semloc_jax.simulation import SimulationConfig, simulate
 
@@ -52,6 +53,12 @@ def test_both_files_hold_one_map_with_its_beliefs(made):
 
 def test_the_trajectory_has_every_frame(made, drive_dir):
     assert len(read_trajectory(made / "trajectory.tum")) == len(read_trajectory(drive_dir / "poses_body.tum"))
+
+
+def test_a_drive_that_never_comes_back_has_no_loops(made):
+    assert (made / "loops.csv").read_text() == COLUMNS + "\n"
+    metrics = {m.key: m.value for m in read_metrics(made / "metrics.json")}
+    assert (metrics["loops.searched"], metrics["loops.accepted"]) == (0.0, 0.0)
 
 
 def test_the_same_drive_makes_the_same_map(made, drive_dir, tmp_path):

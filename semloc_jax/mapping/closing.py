@@ -1,0 +1,64 @@
+"""The way of a drive with its loops closed in maps that it made itself (room: mapping; host).
+
+In: a drive, its masks, chain and gauge. Out: ClosedWay: poses of its frames in the map, revisits that were searched.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.cameras import Rig
+from semloc_jax.datasets import Drive
+from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.chain import Chain
+from semloc_jax.mapping.gauge import Gauge
+from semloc_jax.mapping.loops import FoundLoop, LoopConfig, LoopSearch
+from semloc_jax.mapping.mapper import MapConfig
+from semloc_jax.mapping.piece_maps import PieceMaps
+
+
+class ClosedWay(NamedTuple):
+    """The way of a drive in the frame of its map."""
+
+    Ts_map_base: Float[np.ndarray, "n 4 4"]
+    gauge: Gauge
+    loops: list[FoundLoop]
+    """Revisits that were searched, accepted or not."""
+
+
+def closed_way(
+    drive: Drive,
+    masks: MaskSource,
+    chain: Chain,
+    gauge: Gauge,
+    config: MapConfig | None = None,
+    told: Callable[[Iterable], Iterable] = iter,
+    with_loops: bool = True,
+    loop_config: LoopConfig | None = None,
+) -> ClosedWay:
+    """The most likely poses of all frames of a drive.
+
+    Args:
+        drive: the drive.
+        masks: what its cameras see.
+        chain: its way by its own sensors.
+        gauge: what fixes the frame.
+        config: how maps of stretches are made.
+        told: wraps the groups of frames that are looked at, to show progress.
+        with_loops: whether loops are looked for.
+        loop_config: when a revisit is a loop; None for the defaults.
+    """
+    loop_config = loop_config or LoopConfig()
+    if not with_loops or chain.way_m[-1] < loop_config.revisit.min_way_m:
+        return ClosedWay(gauge.solve(chain).Ts_map_base, gauge, [])
+
+    def look(index: int) -> tuple[Sequence[np.ndarray], Rig]:
+        frame = drive.frames[index]
+        return masks.masks(frame), masks.seen_by(frame.rig)
+
+    map_of = PieceMaps(drive, masks, chain, config)
+    search = LoopSearch(chain, look, map_of, masks.table, lambda loops: gauge.solve(chain, loops), loop_config)
+    found, solution = search.run(told)
+    return ClosedWay(solution.Ts_map_base, gauge, found)

@@ -1,0 +1,95 @@
+"""The way of a drive closed in its own maps: pieces made once, what fixes the frame, what the report says of loops."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from semloc_jax.cameras import PinholeCamera, Rig
+from semloc_jax.datasets import Drive, Frame
+from semloc_jax.datasets.sensors import GnssTrack
+from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation.trajectory import Trajectory
+from semloc_jax.geometry import rigid
+from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping import piece_maps
+from semloc_jax.mapping.closing import closed_way
+from semloc_jax.mapping.gauge import gauge_of
+from semloc_jax.mapping.loops import FoundLoop
+from semloc_jax.mapping.piece_maps import PieceMaps
+from semloc_jax.maps import MapElement, SemanticMap
+from semloc_jax.perception import load_class_table
+from semloc_jax.reports.mapping import loop_metrics
+from tests.mapping.test_chain_graph import NUM, made_chain
+
+
+def drive(truth=None, gnss=None):
+    rig = Rig([PinholeCamera(400.0, 400.0, 320.0, 240.0, 640, 480)], np.eye(4)[None], ["front"])
+    frames = tuple(Frame(k, f"{k:06d}", 0.2 * k, "", rig, {}) for k in range(NUM))
+    return Drive("made", Path("."), frames, rig, truth=truth, gnss=gnss)
+
+
+def masks():
+    def segment(frame, camera):
+        raise AssertionError("no mask is needed")
+
+    return MaskSource("none", load_class_table("drive"), ("front",), segment)
+
+
+def test_pieces_are_made_once_and_their_elements_keep_apart(monkeypatch):
+    chain, _ = made_chain()
+    made = []
+
+    def make_map(drive, masks, frames, Ts_map_base, config):
+        made.append([frame.index for frame in frames])
+        np.testing.assert_array_equal(Ts_map_base, chain.Ts_odom_base[made[-1]])
+        if 0 in made[-1]:
+            raise SemlocError("nothing stays")
+        element = MapElement("line", "lane_marking", np.zeros((2, 3)) + [[0.0], [1.0]])
+        return SimpleNamespace(belief_map=SimpleNamespace(map=SemanticMap((element,))))
+
+    monkeypatch.setattr(piece_maps, "make_map", make_map)
+    map_of = PieceMaps(drive(), masks(), chain)
+    assert map_of(np.arange(0, 5)) is None
+    stretch = map_of(np.arange(5, 25))
+    assert [element.id for element in stretch.elements] == ["1/line", "2/line"]
+    assert map_of(np.arange(12, 18)).elements[0] is stretch.elements[0]
+    assert made == [[*range(10)], [*range(10, 20)], [*range(20, NUM)]]
+    made.clear()
+    slow = PieceMaps(drive(), masks(), chain._replace(way_m=0.5 * chain.way_m))
+    slow(np.arange(20, 24))
+    assert made == [[20, 22, 24, 26]]  # a metre a frame: every second one looks
+
+
+def test_what_fixes_the_frame_of_a_map():
+    chain, poses = made_chain()
+    truth = Trajectory(chain.times_s, rigid.planar_pose(10.0, 20.0, 1.0) @ poses)
+    gnss = GnssTrack(chain.times_s, truth.T_map_base[:, :3, 3], np.full((NUM, 3), 0.5))
+    both = drive(truth, gnss)
+    assert gauge_of(both, chain, None).name == "gnss"
+    assert gauge_of(drive(truth), chain, None).name == "identity"
+    closed = closed_way(both, masks(), chain, gauge_of(both, chain, "truth"))
+    assert closed.loops == []
+    np.testing.assert_allclose(closed.Ts_map_base[0], truth.T_map_base[0], atol=1e-3)
+    first = closed_way(both, masks(), chain, gauge_of(both, chain, "identity")).Ts_map_base
+    np.testing.assert_allclose(first[0], np.eye(4), atol=1e-3)
+    np.testing.assert_allclose(closed.Ts_map_base, truth.T_map_base[0] @ first, atol=2e-3)
+    fixed = closed_way(both, masks(), chain, gauge_of(both, chain, "gnss")).Ts_map_base
+    assert np.linalg.norm((fixed - truth.T_map_base)[:, :2, 3], axis=1).max() < 1.0
+    with pytest.raises(SemlocError, match="has no satellite fixes"):
+        gauge_of(drive(truth), chain, "gnss")
+
+
+def test_the_report_counts_loops_and_false_ones():
+    _, poses = made_chain()
+    true = rigid.inverse(poses[2]) @ poses[12]
+    covariance = np.eye(6)
+    twin = true @ rigid.planar_pose(2.5, 0.0)
+    found = [FoundLoop(2, 12, true @ rigid.planar_pose(0.03, 0.04), covariance, 50.0, ())]
+    found += [FoundLoop(2, 12, twin, covariance, 50.0, ()), FoundLoop(2, 12, twin, covariance, 5.0, ("twins",))]
+    told = {metric.key: metric.value for metric in loop_metrics(found, poses)}
+    assert (told["loops.searched"], told["loops.accepted"], told["loops.false"]) == (3.0, 2.0, 1.0)
+    assert told["loops.error.max"] == pytest.approx(2.5, abs=1e-6)
+    assert told["loops.error.median"] == pytest.approx(0.5 * (2.5 + 0.05), abs=1e-6)
+    assert [metric.key for metric in loop_metrics(found, None)] == ["loops.searched", "loops.accepted"]
