@@ -31,8 +31,8 @@ class Options:
     """Folder to write: empty, absent, or with the same drive that was interrupted, which is then finished."""
     kind: Literal["road", "country", "loop", "garage"] = "road"
     """road: one front camera in a town; country: the same on a crowned road of two lanes with lines, dashes and posts
-    only; loop: a closed town road with two look-alike intersections, driven --laps N times; garage: four fisheyes.
-    Without --map."""
+    only; loop: a closed town road with two look-alike intersections, driven --laps N times; garage: four fisheyes in a
+    straight aisle, or with --laps N in a hall with rings of aisles that ends in a parking slot. Without --map."""
     map: Path | None = None
     """Drive on this map: Lanelet2, OpenDRIVE, Argoverse 2, GeoJSON ..., whatever 'semloc inspect' reads."""
     start: str | None = None

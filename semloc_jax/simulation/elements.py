@@ -22,6 +22,9 @@ _STYLES = {"lane_solid": "solid", "lane_dashed": "dashed", "lane_boundary": VIRT
 
 _ARROW = np.array([(-2.5, -0.08), (0.9, -0.08), (0.9, -0.4), (2.5, 0.0), (0.9, 0.4), (0.9, 0.08), (-2.5, 0.08)])
 
+ARROW_TIP = 4 * 3
+"""Which point of an arrow is its tip: its edges are divided into four."""
+
 
 @dataclass(frozen=True)
 class Painter:
@@ -157,7 +160,7 @@ def pillar(name: str, footprint: np.ndarray, height_m: float) -> MapElement:
     return MapElement(name, ElementClass.PILLAR, footprint, closed=True, height_m=height_m, attributes=attributes)
 
 
-def with_attributes(element: MapElement, **attributes: str) -> MapElement:
+def with_attributes(element: MapElement, **attributes: str | bool) -> MapElement:
     """The element with more said about it."""
     return replace(element, attributes={**element.attributes, **attributes})
 

@@ -136,13 +136,16 @@ class _Site:
     """Where things of a world can be put: beside one another, paint on the road, posts where they stand already."""
 
     def __init__(self, world: World):
-        self._surface, self._path = world.surface, world.path
+        self._surface, self._path = world.surface, world.along or world.path
         road = [shapely.Polygon(a.outline) for a in world.areas if a.class_id == CLASS_IDS["road"]]
         self._road = shapely.union_all([area if area.is_valid else area.buffer(0.0) for area in road])
         shapely.prepare(self._road)
         self._ids = [e.id for e in world.elements if not e.is_logical]
         self._shapes = [_footprint(e) for e in world.elements if not e.is_logical]
         self._tree = shapely.STRtree(self._shapes)
+        # Cars come and go in slots: what they may stand on is no place for anything else, on whichever drive.
+        slots = [e for e in world.elements if e.label == ElementClass.PARKING_SLOT]
+        self._slots = shapely.union_all([shapely.Polygon(e.points[:, :2]) for e in slots])
         self._bodies = [body.bounds for body in world.bodies]
         self._new: list[shapely.Geometry] = []
 
@@ -193,7 +196,7 @@ class _Site:
             near = {self._ids[k] for k in self._tree.query(wide, predicate="intersects").tolist()}
             if near - own or any(other.intersects(wide) for other in self._new):
                 return False
-            if is_upright and self._is_in_body(element):
+            if shapely.intersects(self._slots, shape) or (is_upright and self._is_in_body(element)):
                 return False
         self._new += [_footprint(element) for element in candidate]
         return True

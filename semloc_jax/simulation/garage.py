@@ -14,7 +14,7 @@ from semloc_jax.simulation.elements import Painter
 from semloc_jax.simulation.paint import GroundArea, wear_pattern
 from semloc_jax.simulation.path import PlanePath, path_from_curvature
 from semloc_jax.simulation.scene import World
-from semloc_jax.simulation.solids import Box, Solid, car, rotation_about_z
+from semloc_jax.simulation.solids import Solid, car, own_body, rotation_about_z
 from semloc_jax.simulation.surface import Surface, WaveSurface
 from semloc_jax.structs import ElementClass
 
@@ -37,7 +37,7 @@ def build_garage(
     start, end = -_PAST_END_M, length_m + _PAST_END_M
     straight_s = np.arange(start - 20.0, end + 20.0, 0.05)
     aisle = path_from_curvature(straight_s, np.zeros_like(straight_s), 0.0)
-    painter = Painter(aisle, _floor(rng))
+    painter = Painter(aisle, garage_floor(rng))
     columns = np.arange(start, end - _SLOT_M[0], _SLOT_M[0]).tolist()
     occupied = rng.random((2, len(columns))) < 0.5
 
@@ -58,22 +58,24 @@ def build_garage(
 
     depth = _AISLE_M + _SLOT_M[1] + 1.5
     floor = np.array([[start - 3.0, -depth], [end + 3.0, -depth], [end + 3.0, depth], [start - 3.0, depth]])
-    ego = Box(CLASS_IDS["ego"], (0.3, 0.3, 0.32), np.array([1.4, 0.0, 0.55]), (4.62, 1.86, 0.6), np.eye(3))
     return World(
         elements=tuple(elements),
         surface=painter.surface,
         areas=(GroundArea(CLASS_IDS["road"], floor),),
         rest=CLASS_IDS["wall"],
         worn=worn,
-        bodies=tuple(solids),
+        bodies=(),
         traffic=lambda time_s: (),
         path=driven,
         backdrop=CLASS_IDS["wall"],
-        ego=(ego,),
+        ego=(own_body(CLASS_IDS["ego"]),),
+        parked=tuple(solids),
+        along=aisle,
     )
 
 
-def _floor(rng: np.random.Generator) -> Surface:
+def garage_floor(rng: np.random.Generator) -> Surface:
+    """A floor with a little slope and gentle waves."""
     slope = np.array([rng.uniform(-0.01, 0.01), rng.uniform(-0.012, 0.012)])
     wave = 2.0 * np.pi / 25.0 * np.array([[1.0, 0.3]])
     return WaveSurface(slope, np.array([0.02]), wave, rng.uniform(0.0, 2.0 * np.pi, 1))

@@ -66,6 +66,12 @@ NAMED_DRIVES = {
         48,
         SimulationConfig(num_frames=60, width_px=400, height_px=250),
     ),
+    "garage-ring": NamedDrive(
+        "two laps of a garage with rings of aisles, four fisheyes, ends in a slot, masks only",
+        "garage",
+        50,
+        SimulationConfig(laps=2, has_images=False),
+    ),
     "loop": NamedDrive(
         "two laps of a closed town road with look-alike intersections, masks only",
         "loop",

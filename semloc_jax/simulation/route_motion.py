@@ -78,6 +78,7 @@ def timed(
     span_m: tuple[float, float],
     start_m: float,
     rng: np.random.Generator,
+    limits: Sequence[tuple[float, float, float]] = (),
 ) -> RouteMotion:
     """Drive a way from one place to another.
 
@@ -89,12 +90,15 @@ def timed(
         span_m: where the time table begins and ends.
         start_m: where the vehicle is at time 0.
         rng: phases of pitch and roll.
+        limits: from where to where [m] how fast at most [m/s].
     """
     s = np.arange(span_m[0], span_m[1], _STEP_M)
     bend = np.abs(np.gradient(path.heading_at(s), _STEP_M))
     bend = gaussian_filter1d(bend, 0.5 / _STEP_M, mode="nearest")
     fastest = np.minimum(style.speed_mps, np.sqrt(style.sideways_mps2 / np.maximum(bend, 1e-6)))
     fastest = minimum_filter1d(fastest, 11, mode="nearest")
+    for begin, end, most in limits:
+        fastest = np.where((s >= begin) & (s <= end), np.minimum(fastest, most), fastest)
     at_stop = [int(np.clip(round((where - span_m[0]) / _STEP_M), 0, len(s) - 1)) for where, _ in stops]
     fastest[at_stop] = 0.0
     speed = _braked(_braked(fastest, style.braking_mps2)[::-1], style.braking_mps2)[::-1]

@@ -65,6 +65,10 @@ class World:
         path: line the rear axle follows.
         backdrop: class id of rays that hit nothing.
         ego: body of the vehicle in the base frame.
+        parked: cars that stand there on this drive.
+        along: line that things are lined up along; None takes the path.
+        glyphs: painted figures that no element outlines, with their class ids.
+        features: GeoJSON features of the map that are no elements.
     """
 
     elements: tuple[MapElement, ...]
@@ -77,15 +81,19 @@ class World:
     path: PlanePath
     backdrop: int
     ego: tuple[Solid, ...] = ()
+    parked: tuple[Solid, ...] = ()
+    along: PlanePath | None = None
+    glyphs: tuple[tuple[shapely.Geometry, int], ...] = ()
+    features: tuple[dict, ...] = ()
 
     def scene(self) -> Scene:
         """The world painted, ready to be rendered."""
         painted = [e for e in self.elements if e.is_painted or e.label == ElementClass.SPEED_BUMP]
-        shapes: list[shapely.Geometry] = [painted_shape(element) for element in painted]
-        class_ids = [CLASS_IDS[class_name(element)] for element in painted]
+        shapes = [painted_shape(element) for element in painted] + [shape for shape, _ in self.glyphs]
+        class_ids = [CLASS_IDS[class_name(element)] for element in painted] + [kind for _, kind in self.glyphs]
         ground = PaintedGround(shapes, class_ids, self.areas, self.rest, self.worn)
         solids = [solid for element in self.elements if (solid := solid_of(element)) is not None]
-        solids += self.bodies
+        solids += [*self.bodies, *self.parked]
         return Scene(
             self.elements, self.surface, ground, tuple(solids), self.traffic, self.path, self.backdrop, self.ego
         )

@@ -29,7 +29,7 @@ from semloc_jax.simulation.road import build_road
 from semloc_jax.simulation.scene import Scene, World
 from semloc_jax.simulation.sensor_logs import SensorErrors, SensorPlan, write_sensor_logs
 from semloc_jax.simulation.shade import LIGHTINGS, Lighting
-from semloc_jax.simulation.tours import Tour, TourWish, loop_tour
+from semloc_jax.simulation.tours import Tour, TourWish, hall_tour, loop_tour
 from semloc_jax.simulation.variation import Variation, variation
 from semloc_jax.storage import claim, write_text
 
@@ -46,9 +46,9 @@ class SimulationConfig:
     """What a simulated drive is like.
 
     Args:
-        num_frames: frames to render; None takes 30, and the whole way of a loop.
-        rate_hz: frames per second; 0 takes 10 (road, country) or 5 (loop, garage).
-        speed_mps: mean speed (loop: on the straight); 0 takes 11 (road), 14 (country), 9 (loop) or 2.2 (garage).
+        num_frames: frames to render; None takes 30, and the whole way of drives with laps.
+        rate_hz: frames per second; 0 takes 10 (road, country), 5 (loop, garage) or 4 (garage with laps).
+        speed_mps: mean speed (loop: on the straight); 0 takes 11 (road), 14 (country), 9 (loop), 2.2 (garage).
         width_px: image width; 0 takes 960 (road, country, loop) or 640 (garage).
         height_px: image height; 0 takes 600 (road, country, loop) or 480 (garage).
         variants: lightings, in equal parts of the drive; empty takes noon (road) or garage.
@@ -56,7 +56,7 @@ class SimulationConfig:
         crown: share by which a road falls to both sides of its crown; 0 takes 0 (road) or 0.02 (country). A crowned
             road leans into its bends, too.
         has_images: whether colour images are written too; masks alone take a fraction of the time.
-        laps: how often to go round (loop); 0 takes 2.
+        laps: how often to go round: 0 takes 2 in a loop, and in a garage the straight aisle instead of rings.
         epoch: state of the world: each epoch removes, moves, adds and repaints elements (changes.json).
         drive: number of a drive through the same world: other traffic, sensors, mounting and masks.
         imu_rate_hz: rows of imu.csv in a second.
@@ -98,11 +98,13 @@ _DEFAULTS = {
         "crown": 0.02,
     },
     "loop": {"rate_hz": 5.0, "speed_mps": 9.0, "width_px": 960, "height_px": 600, "variants": ("noon",), "laps": 2},
+    "hall": {"rate_hz": 4.0, "speed_mps": 2.4, "width_px": 640, "height_px": 480, "variants": ("garage",), "laps": 2},
     "garage": {"rate_hz": 5.0, "speed_mps": 2.2, "width_px": 640, "height_px": 480, "variants": ("garage",)},
 }
-_STREAM = {"garage": 0, "road": 1, "country": 3, "loop": 4}
+KINDS = ("road", "country", "loop", "garage")
+_STREAM = {"garage": 0, "road": 1, "country": 3, "loop": 4, "hall": 5}
 """Of random numbers, by kind; 2 is that of drives on maps."""
-_TOURS = {"loop": loop_tour}
+_TOURS = {"loop": loop_tour, "hall": hall_tour}
 """Kinds with a way of their own, which laps and stops decide."""
 _EPOCHS = 10
 """Keeps the random numbers of changes apart from all others."""
@@ -114,7 +116,8 @@ def simulate(
     """Render a seeded drive into the folder `out` and open it.
 
     Args:
-        kind: `road`, `country` or `loop` (one front camera), or `garage` (four fisheyes).
+        kind: `road`, `country` or `loop` (one front camera), or `garage` (four fisheyes): one straight aisle, or with
+            `config.laps` a hall with rings of aisles, slots of three types and a slot to park in.
         seed: everything random follows from it.
         out: folder, made if absent.
         config: size and errors of the drive.
@@ -128,10 +131,11 @@ def simulate(
     1
     """
     config = checked(kind, config or SimulationConfig())
-    key = [seed, _STREAM[kind]]
+    look = _look(kind, config)
+    key = [seed, _STREAM[look]]
     rng = np.random.default_rng(key)
-    own = variation(key, config.drive, rng, has_own_pictures=kind in _TOURS)
-    tour = _tour(kind, config, rng, own) if kind in _TOURS else _stretch(kind, config, rng, own)
+    own = variation(key, config.drive, rng, has_own_pictures=look in _TOURS)
+    tour = _tour(look, config, rng, own) if look in _TOURS else _stretch(kind, config, rng, own)
     world, changes = at_epoch(tour.world, [*key, _EPOCHS], config.epoch)
     if config.num_frames is None:
         num_frames = _USUAL_FRAMES if np.isinf(tour.end_s) else int(tour.end_s * config.rate_hz) + 1
@@ -143,14 +147,20 @@ def simulate(
         rig = (surround_rig if kind == "garage" else front_rig)(config.width_px, config.height_px)
     told = {"epoch": config.epoch, "drive": config.drive, **tour.told}
     name = f"{kind} seed {seed}"
-    staging = Staging(kind, seed, world.scene(), tour.motion, _ORIGIN, name, told, changes, tour.has_gnss)
+    scene = world.scene()
+    staging = Staging(kind, seed, scene, tour.motion, _ORIGIN, name, told, changes, tour.has_gnss, world.features)
     return write_drive(Path(out), staging, rig, config, own)
 
 
-def _tour(kind: str, config: SimulationConfig, rng: np.random.Generator, own: Variation) -> Tour:
-    """The whole way of a kind that has one."""
+def _look(kind: str, config: SimulationConfig) -> str:
+    """What a kind looks like: a garage with laps is a hall of rings, one without them a straight aisle."""
+    return "hall" if kind == "garage" and config.laps else kind
+
+
+def _tour(look: str, config: SimulationConfig, rng: np.random.Generator, own: Variation) -> Tour:
+    """The whole way of a look that has one."""
     wish = TourWish(own.speed(config.speed_mps), config.laps, config.wear_share)
-    return _TOURS[kind](rng, own.rng, wish)
+    return _TOURS[look](rng, own.rng, wish)
 
 
 def _stretch(kind: str, config: SimulationConfig, rng: np.random.Generator, own: Variation) -> Tour:
@@ -187,6 +197,7 @@ class Staging:
         told: what else meta.json says.
         changes: content of changes.json.
         has_gnss: whether satellites are in view.
+        features: of the map that are no elements.
     """
 
     kind: str
@@ -198,6 +209,7 @@ class Staging:
     told: dict = field(default_factory=dict)
     changes: dict = field(default_factory=lambda: {"epoch": 0, "since_epoch_0": [], "since_previous": []})
     has_gnss: bool = True
+    features: tuple[dict, ...] = ()
 
 
 def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig, own: Variation) -> Drive:
@@ -253,11 +265,12 @@ def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
     Raises:
         SemlocError: unknown kind or lighting, no frames, a speed or rate that is not positive, an impossible epoch.
     """
-    if kind not in _DEFAULTS:
-        raise SemlocError(f"unknown kind '{kind}'; expected one of {', '.join(_DEFAULTS)}")
+    if kind not in KINDS:
+        raise SemlocError(f"unknown kind '{kind}'; expected one of {', '.join(KINDS)}")
+    look = _look(kind, config)
     if config.num_frames is not None and config.num_frames < 1:
         raise SemlocError(f"num_frames = {config.num_frames}; expected at least 1")
-    missing = {key: value for key, value in _DEFAULTS[kind].items() if not getattr(config, key)}
+    missing = {key: value for key, value in _DEFAULTS[look].items() if not getattr(config, key)}
     config = replace(config, **missing)
     for name in ("rate_hz", "speed_mps", "width_px", "height_px"):
         if not getattr(config, name) > 0:
@@ -267,8 +280,8 @@ def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
             raise SemlocError(f"{name} = {getattr(config, name)}; expected 0 to {_MOST_EPOCHS}")
     if not 0 <= config.laps <= _MOST_LAPS:
         raise SemlocError(f"laps = {config.laps}; expected 1 to {_MOST_LAPS}")
-    if config.laps and kind not in _TOURS:
-        raise SemlocError(f"laps = {config.laps}: a {kind} has no laps; expected kind {' or '.join(_TOURS)}")
+    if config.laps and look not in _TOURS:
+        raise SemlocError(f"laps = {config.laps}: a {kind} has no laps; expected kind loop or garage")
     if not 0.0 <= config.crown <= 0.1:
         raise SemlocError(f"crown = {config.crown:g}; expected the fall of a road, 0 to 0.1: 0.02 is usual")
     unknown = [name for name in config.variants if name not in LIGHTINGS]
@@ -279,9 +292,10 @@ def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
 
 def _write_maps(out: Path, staging: Staging, errors: MapErrors, rng: np.random.Generator) -> None:
     elements, origin, name = staging.scene.elements, staging.origin, staging.map_name
-    write_drive_geojson(SemanticMap(elements, origin, f"{name}, exact"), out / "map.geojson")
+    write_drive_geojson(SemanticMap(elements, origin, f"{name}, exact"), out / "map.geojson", staging.features)
     faulty, log = with_errors(elements, errors, rng)
-    write_drive_geojson(SemanticMap(faulty, origin, f"{name}, with errors"), out / "map_with_errors.geojson")
+    with_faults = SemanticMap(faulty, origin, f"{name}, with errors")
+    write_drive_geojson(with_faults, out / "map_with_errors.geojson", staging.features)
     write_text(out / "map_errors_log.json", json.dumps(log, indent=1) + "\n")
     write_text(out / "changes.json", json.dumps(staging.changes, indent=1) + "\n")
     write_text(out / "element_ids.json", json.dumps(["none", *(element.id for element in elements)]) + "\n")

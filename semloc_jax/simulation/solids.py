@@ -170,3 +170,8 @@ def car(base: np.ndarray, R_map_car: np.ndarray, class_id: int, color: tuple[flo
     body = Box(class_id, color, base + 0.55 * up, (4.5, 1.8, 0.75), R_map_car)
     cabin = Box(class_id, (0.18, 0.17, 0.16), base + 1.2 * up - 0.2 * forward, (2.4, 1.6, 0.55), R_map_car)
     return [body, cabin]
+
+
+def own_body(class_id: int) -> Box:
+    """The body of the own vehicle in the base frame, as its fisheyes see it."""
+    return Box(class_id, (0.3, 0.3, 0.32), np.array([1.4, 0.0, 0.55]), (4.62, 1.86, 0.6), np.eye(3))

@@ -3,7 +3,7 @@
 In: a file whose member `frame` gives the origin. Out: SemanticMap, and the same file back.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,8 @@ def map_from_drive_geojson(document: Mapping[str, Any], name: str) -> SemanticMa
     return SemanticMap(elements, _origin(frame, name), name, skipped, str(frame_name), faulty)
 
 
-def write_drive_geojson(semantic_map: SemanticMap, path: str | Path) -> None:
-    """Writes a map in the layout of a drive: metres in the local frame, 0.1 mm."""
+def write_drive_geojson(semantic_map: SemanticMap, path: str | Path, more: Sequence[Mapping[str, Any]] = ()) -> None:
+    """Writes a map in the layout of a drive: metres in the local frame, 0.1 mm; `more` are features as they are."""
     origin = semantic_map.origin
     frame: dict[str, Any] = {"kind": _FRAME_KIND}
     if semantic_map.frame:
@@ -40,7 +40,7 @@ def write_drive_geojson(semantic_map: SemanticMap, path: str | Path) -> None:
     if origin is not None:
         frame |= {"origin_lat_deg": origin.lat_deg, "origin_lon_deg": origin.lon_deg, "origin_alt_m": origin.alt_m}
     features = [feature_from_element(element, lambda points: points.round(4)) for element in semantic_map.elements]
-    write_features(path, {"name": semantic_map.name, "frame": frame}, features)
+    write_features(path, {"name": semantic_map.name, "frame": frame}, [*features, *map(dict, more)])
 
 
 def _origin(frame: Any, name: str) -> GeoOrigin | None:
