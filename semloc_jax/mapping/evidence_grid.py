@@ -23,7 +23,8 @@ class EvidenceGrid:
 
     cell_m: float
     num_layers: int
-    _tiles: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
+    _tiles: dict[tuple[int, int], dict[int, np.ndarray]] = field(default_factory=dict)
+    """Planes of each tile that hold anything: most of the road is bare."""
 
     def add(
         self,
@@ -65,9 +66,11 @@ class EvidenceGrid:
                 part = window[start[1] - low[1] : end[1] - low[1], start[0] - low[0] : end[0] - low[0]]
                 if not part.any():
                     continue
-                tile = self._tiles.setdefault((tx, ty), np.zeros((2 + self.num_layers, TILE, TILE), np.float32))
+                tile = self._tiles.setdefault((tx, ty), {})
+                if plane not in tile:
+                    tile[plane] = np.zeros((TILE, TILE), np.float32)
                 at = start - [tx * TILE, ty * TILE]
-                tile[plane, at[1] : at[1] + part.shape[0], at[0] : at[0] + part.shape[1]] += part
+                tile[plane][at[1] : at[1] + part.shape[0], at[0] : at[0] + part.shape[1]] += part
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -81,8 +84,9 @@ class EvidenceGrid:
         low, size = self.bounds
         whole = np.zeros((size[1], size[0]), np.float32)
         for (tx, ty), tile in self._tiles.items():
-            x, y = tx * TILE - low[0], ty * TILE - low[1]
-            whole[y : y + TILE, x : x + TILE] = tile[index]
+            if index in tile:
+                x, y = tx * TILE - low[0], ty * TILE - low[1]
+                whole[y : y + TILE, x : x + TILE] = tile[index]
         return whole
 
     def share(self, layer: int) -> Float[np.ndarray, "h w"]:
@@ -107,5 +111,7 @@ class EvidenceGrid:
         tile_of, at = cell // TILE, cell % TILE
         for key in {tuple(pair) for pair in tile_of.tolist()} & self._tiles.keys():
             here = (tile_of == key).all(axis=1)
-            found[:, here] = self._tiles[key][list(planes)][:, at[here, 1], at[here, 0]]
+            for row, plane in enumerate(planes):
+                if plane in self._tiles[key]:
+                    found[row, here] = self._tiles[key][plane][at[here, 1], at[here, 0]]
         return found

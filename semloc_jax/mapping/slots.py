@@ -18,6 +18,7 @@ _OPPOSITE_DEG, _OPPOSITE_M = 3.0, 0.3
 """Dividers that face each other across a back line lie on one line."""
 _BACK_TO_BACK_M = (8.5, 13.0)
 """From the mouth of a slot to that of the slot behind it."""
+_SAME_DEPTH_M = 0.15
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class SlotConfig:
         askew_deg: dividers of one slot differ by no more.
         right_angle_deg: entrances farther from a right angle belong to angled slots.
         least_angle_deg: sharpest angle between entrance and divider.
+        depth_m: shallowest and deepest slot one drives into.
         touch_m: a bar across a divider begins no farther from it.
         occupied_share: share of the looks at a slot that end at a vehicle from which it is taken.
     """
@@ -43,6 +45,7 @@ class SlotConfig:
     askew_deg: float = 4.0
     right_angle_deg: float = 12.0
     least_angle_deg: float = 35.0
+    depth_m: tuple[float, float] = (4.0, 6.5)
     touch_m: float = 0.25
     occupied_share: float = 0.4
 
@@ -87,11 +90,11 @@ def find_slots(
     config = config or SlotConfig()
     dividers = find_dividers(lines, way, config)
     found = _neighbours(dividers, config)
-    depths = _depths(found)
+    shared = {d.id: _shared_depth(d, dividers) for _, *pair in found for d in pair}
+    typical = _typical_depths(found, shared, config)
     slots = []
     for kind, one, other in found:
-        shared = [d for d in (_shared_depth(each, dividers) for each in (one, other)) if d is not None]
-        depth_m = float(np.mean(shared)) if shared else _depth_of(one, other, depths.get(kind))
+        depth_m = _depth_of(kind, [one, other], shared, typical.get(kind), config)
         if depth_m is None:
             continue
         corners = np.array(
@@ -134,10 +137,25 @@ def find_dividers(lines: Sequence[MapElement], way: Float[np.ndarray, "n 2"], co
         if not ends[0]:
             continue
         z_m = float(line.points[0 if away_m[0] <= away_m[1] else -1, 2])
-        # Where the end at the back was seen, it is the far rim of the line there: its middle bounds the slot.
-        depth_m = length_m - 0.5 * line.width_m if ends[1] else length_m
-        found.append(Divider(line.id, mouth, (back - mouth) / length_m, depth_m, ends[1], z_m))
+        inward = (back - mouth) / length_m
+        # Where a line runs along the back, the divider ends at its far rim: its middle bounds the slot.
+        has_back = any(_passes(other, back, inward, config) for other in lines if other is not line)
+        depth_m = length_m - 0.5 * line.width_m if ends[1] and has_back else length_m
+        found.append(Divider(line.id, mouth, inward, depth_m, ends[1], z_m))
     return found
+
+
+def _passes(line: MapElement, place: np.ndarray, inward: np.ndarray, config: SlotConfig) -> bool:
+    """Whether a line passes a place across a direction."""
+    start, end = line.points[[0, -1], :2]
+    step = end - start
+    length_m = float(np.linalg.norm(step))
+    along = step / length_m
+    if abs(along[0] * inward[1] - along[1] * inward[0]) < np.sin(np.deg2rad(config.least_angle_deg)):
+        return False
+    offset = place - start
+    off_m = abs(along[0] * offset[1] - along[1] * offset[0])
+    return bool(off_m < config.touch_m and -config.touch_m < offset @ along < length_m + config.touch_m)
 
 
 def _neighbours(dividers: list[Divider], config: SlotConfig) -> list[tuple[str, Divider, Divider]]:
@@ -208,21 +226,40 @@ def _shared_depth(divider: Divider, dividers: list[Divider]) -> float | None:
     return None
 
 
-def _depths(found: list[tuple[str, Divider, Divider]]) -> dict[str, float]:
-    """Typical depth of the slots of each type, from the dividers that were seen whole."""
+def _typical_depths(
+    found: list[tuple[str, Divider, Divider]], shared: dict[str, float | None], config: SlotConfig
+) -> dict[str, float]:
+    """Typical depth of the slots of each type: by the rows back to back, else by the dividers that were seen whole."""
+    behind: dict[str, list[float]] = {}
     whole: dict[str, list[float]] = {}
-    for kind, one, other in found:
-        whole.setdefault(kind, []).extend(d.length_m for d in (one, other) if d.is_whole)
-    # Dividers that end too early are hidden in part: the deeper half tells.
-    return {kind: float(np.percentile(lengths, 70)) for kind, lengths in whole.items() if lengths}
+    for kind, *pair in found:
+        for divider in pair:
+            if (half := shared[divider.id]) is not None:
+                behind.setdefault(kind, []).append(half)
+            elif _is_deep(kind, divider, config):
+                whole.setdefault(kind, []).append(divider.length_m)
+    return {kind: float(np.median(behind.get(kind, whole.get(kind)))) for kind in {*behind, *whole}}
 
 
-def _depth_of(one: Divider, other: Divider, typical_m: float | None) -> float | None:
-    """Depth of a slot: of its own dividers where they agree with the typical one, else that."""
-    own = [d.length_m for d in (one, other) if d.is_whole]
-    if typical_m is None:
-        return max(own) if own else None
-    near = [length for length in own if abs(length - typical_m) < 0.15]
+def _is_deep(kind: str, divider: Divider, config: SlotConfig) -> bool:
+    """Whether a divider was seen to its end at a depth that slots of a type have; a gap in the paint ends it early."""
+    low, high = config.parallel_divider_m if kind == PARALLEL else config.depth_m
+    return divider.is_whole and low <= divider.length_m <= high
+
+
+def _depth_of(
+    kind: str,
+    pair: list[Divider],
+    shared: dict[str, float | None],
+    typical_m: float | None,
+    config: SlotConfig,
+) -> float | None:
+    """Depth of a slot: by the row behind, else by its own dividers where they agree with the typical one, else that."""
+    behind = [half for divider in pair if (half := shared[divider.id]) is not None]
+    if behind:
+        return float(np.mean(behind))
+    own = [d.length_m for d in pair if _is_deep(kind, d, config)]
+    near = [length for length in own if typical_m is None or abs(length - typical_m) < _SAME_DEPTH_M]
     return float(np.mean(near)) if near else typical_m
 
 

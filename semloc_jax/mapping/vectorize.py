@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 from scipy.signal import savgol_filter
+from scipy.spatial import cKDTree
 
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
@@ -209,35 +210,64 @@ def _smoothed(stroke: PaintTrace, cell_m: float) -> np.ndarray:
 
 def _joined(strokes: list[PaintTrace], cell_m: float, config: VectorConfig) -> list[PaintTrace]:
     """Pieces of one solid line put together, shortest gaps first: each end of a piece is joined once at most."""
-    pieces = dict(enumerate(strokes))
-    while True:
-        gaps = sorted(_gaps(pieces, cell_m, config))
-        if not gaps:
-            return list(pieces.values())
-        _, i, i_end, j, j_end = gaps[0]
-        one, other = pieces.pop(i), pieces.pop(j)
-        first = one.middle if i_end else one.middle[::-1]
-        second = other.middle[::-1] if j_end else other.middle
-        total = one.length + other.length
-        width = (one.width * one.length + other.width * other.length) / total
-        ends = (one.is_end[1 - i_end], other.is_end[1 - j_end])
-        # The ends of the gap are where the masks are least sure of the middle.
-        middle = np.vstack([first[:-1], second[1:]]) if min(len(first), len(second)) > 2 else np.vstack([first, second])
-        middle = middle[np.append(True, np.linalg.norm(np.diff(middle, axis=0), axis=1) > 1e-3)]
-        pieces[i] = PaintTrace(middle, width, ends)
+    ends = [(k, end) for k in range(len(strokes)) for end in (0, 1)]
+    joins: dict[tuple[int, int], tuple[int, int]] = {}
+    group = list(range(len(strokes)))
+    for _, one, other in sorted(_gaps(strokes, ends, cell_m, config)):
+        if one in joins or other in joins or group[one[0]] == group[other[0]]:
+            continue
+        joins[one], joins[other] = other, one
+        kept, gone = group[one[0]], group[other[0]]
+        group = [kept if name == gone else name for name in group]
+    found, used = [], set()
+    # No group is a ring, so that each has an end where nothing joins it.
+    for start in ends:
+        if start not in joins and start[0] not in used:
+            found.append(_chained(strokes, start, joins, used))
+    return found
 
 
-def _gaps(pieces: dict[int, PaintTrace], cell_m: float, config: VectorConfig) -> list[tuple[float, int, int, int, int]]:
-    keys = list(pieces)
-    ends = {(k, e): _end_of(pieces[k], e) for k in keys for e in (0, 1)}
+def _chained(
+    strokes: list[PaintTrace],
+    start: tuple[int, int],
+    joins: dict[tuple[int, int], tuple[int, int]],
+    used: set[int],
+) -> PaintTrace:
+    """The pieces that hang together, from a free end on."""
+    pieces, lengths, widths = [], [], []
+    entry: tuple[int, int] | None = start
+    while entry is not None:
+        index, end = entry
+        used.add(index)
+        stroke = strokes[index]
+        pieces.append(stroke.middle[::-1] if end else stroke.middle)
+        lengths.append(stroke.length)
+        widths.append(stroke.width)
+        last = (index, 1 - end)
+        entry = joins.get(last)
+    # The ends at a gap are where the masks are least sure of the middle.
+    trimmed = [
+        piece[k > 0 : len(piece) - (k < len(pieces) - 1)] if len(piece) > 3 else piece for k, piece in enumerate(pieces)
+    ]
+    middle = np.vstack(trimmed)
+    middle = middle[np.append(True, np.linalg.norm(np.diff(middle, axis=0), axis=1) > 1e-3)]
+    is_end = strokes[start[0]].is_end[start[1]], strokes[last[0]].is_end[last[1]]
+    return PaintTrace(middle, float(np.average(widths, weights=lengths)), is_end)
+
+
+def _gaps(
+    strokes: list[PaintTrace], ends: list[tuple[int, int]], cell_m: float, config: VectorConfig
+) -> list[tuple[float, tuple[int, int], tuple[int, int]]]:
+    """Pairs of ends that may belong to one line, with the gap between them [m]."""
+    if not ends:
+        return []
+    ways = [_end_of(strokes[k], end) for k, end in ends]
+    near = cKDTree(np.array([place for place, _ in ways])).query_pairs(config.joined_gap_m / cell_m)
     found = []
-    for a, i in enumerate(keys):
-        for j in keys[a + 1 :]:
-            for i_end in (0, 1):
-                for j_end in (0, 1):
-                    gap = _gap_m(*ends[i, i_end], *ends[j, j_end], cell_m, config)
-                    if gap is not None:
-                        found.append((gap, i, i_end, j, j_end))
+    for a, b in sorted(near):
+        gap = _gap_m(*ways[a], *ways[b], cell_m, config)
+        if gap is not None and ends[a][0] != ends[b][0]:
+            found.append((gap, ends[a], ends[b]))
     return found
 
 

@@ -7,8 +7,8 @@ import pytest
 from semloc_jax.mapping.evidence_grid import TILE, EvidenceGrid
 from semloc_jax.mapping.outlines import find_outlines, find_rectangles
 from semloc_jax.mapping.road_table import RoadHeights
-from semloc_jax.mapping.strokes import TraceLimits, find_strokes
-from semloc_jax.mapping.vectorize import Layer, VectorConfig, elements_of
+from semloc_jax.mapping.strokes import PaintTrace, TraceLimits, find_strokes
+from semloc_jax.mapping.vectorize import Layer, VectorConfig, _joined, elements_of
 from semloc_jax.structs import ElementClass
 
 CELL_M = 0.025
@@ -143,3 +143,18 @@ def test_the_road_goes_up_and_down_where_the_vehicle_does():
     places = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 3.0]])
     # In the frame of the pose: 0.001 (x - 20)^2 to first order.
     np.testing.assert_allclose(heights.at(places.astype(np.float32)), [0.0, 0.1, 0.4], atol=0.01)
+
+
+def test_pieces_of_a_solid_line_are_joined_and_its_neighbour_is_not():
+    """Three pieces with gaps of 2 m, the middle one followed the other way, and a parallel line 1 m away."""
+
+    def piece(start, end, y):
+        middle = np.stack([np.linspace(start, end, 30), np.full(30, float(y))], axis=1)
+        return PaintTrace(middle, 6.0, (True, True))
+
+    pieces = [piece(0, 200, 0), piece(480, 280, 0.5), piece(560, 800, 0), piece(0, 800, 40)]
+    found = sorted(_joined(pieces, CELL_M, VectorConfig()), key=lambda line: line.middle[:, 1].mean())
+    assert [round(line.length) for line in found] == [800, 800]
+    assert (np.diff(found[0].middle[:, 0]) * np.sign(found[0].middle[-1, 0] - found[0].middle[0, 0]) > 0).all()
+    assert len(_joined(pieces, CELL_M, VectorConfig(joined_gap_m=1.0))) == 4
+    assert _joined([], CELL_M, VectorConfig()) == []

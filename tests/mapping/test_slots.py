@@ -31,9 +31,9 @@ def slots_of(lines, vehicles=None, config=None, way=WAY):
 @pytest.mark.parametrize(
     ("lines", "kind", "depth"),
     [
-        (row(4, 2.5, 5.2 + 0.06), "perpendicular", 5.2),
-        (row(3, 6.1, 2.35 + 0.06), "parallel", 2.35),
-        (row(4, 2.9, 4.5 + 0.06, lean=2.6), "angled", None),
+        (row(4, 2.5, 5.2), "perpendicular", 5.2),
+        (row(3, 6.1, 2.35), "parallel", 2.35),
+        (row(4, 2.9, 4.5, lean=2.6), "angled", np.hypot(4.5, 2.6)),
     ],
 )
 def test_neighbours_hold_a_slot(lines, kind, depth):
@@ -46,9 +46,21 @@ def test_neighbours_hold_a_slot(lines, kind, depth):
         np.testing.assert_allclose(element.points[:2, 1], 0.0, atol=1e-9)
         edge, inward = element.points[1] - element.points[0], element.points[2] - element.points[1]
         assert edge[0] * inward[1] - edge[1] * inward[0] > 0.0
-        if depth is not None:
-            assert np.linalg.norm(inward) == pytest.approx(depth, abs=1e-6)
+        assert np.linalg.norm(inward) == pytest.approx(depth, abs=1e-6)
         assert belief.num_seen <= 9
+
+
+def test_a_line_along_the_back_bounds_the_slot_with_its_middle():
+    back = line("back", (-1.0, 5.2), (9.0, 5.2))
+    for element, _ in slots_of([*row(3, 2.5, 5.26), back]):
+        np.testing.assert_allclose(element.points[2:, 1], 5.2, atol=1e-9)
+
+
+def test_a_divider_that_ends_at_a_gap_in_the_paint_tells_no_depth():
+    lines = [*row(2, 2.5, 5.2), line("worn", (5.0, 0.0), (5.0, 1.9)), line("worn too", (7.5, 0.0), (7.5, 2.0))]
+    depths = [float(np.linalg.norm(e.points[2] - e.points[1])) for e, _ in slots_of(lines)]
+    assert depths == pytest.approx([5.2] * 2, abs=1e-6)
+    assert slots_of(lines[2:]) == []
 
 
 def test_the_weaker_line_says_how_sure_a_slot_is():
