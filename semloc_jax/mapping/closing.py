@@ -16,7 +16,7 @@ from semloc_jax.mapping.chain import Chain
 from semloc_jax.mapping.gauge import Gauge
 from semloc_jax.mapping.loops import FoundLoop, LoopConfig, LoopSearch
 from semloc_jax.mapping.mapper import MapConfig
-from semloc_jax.mapping.piece_maps import PieceMaps
+from semloc_jax.mapping.stretch_maps import StretchMaps
 
 
 class ClosedWay(NamedTuple):
@@ -58,7 +58,7 @@ def closed_way(
         frame = drive.frames[index]
         return masks.masks(frame), masks.seen_by(frame.rig)
 
-    map_of = PieceMaps(drive, masks, chain, config)
+    map_of = StretchMaps(drive, masks, chain, config)
     search = LoopSearch(chain, look, map_of, masks.table, lambda loops: gauge.solve(chain, loops), loop_config)
     found, solution = search.run(told)
     return ClosedWay(solution.Ts_map_base, gauge, found)

@@ -80,6 +80,7 @@ def make_map(
     config: MapConfig | None = None,
     origin: GeoOrigin | None = None,
     progress: Progress = lambda items, _: items,
+    looker: Looker | None = None,
 ) -> MadeMap:
     """Make a map along given poses.
 
@@ -91,6 +92,7 @@ def make_map(
         config: None for the defaults.
         origin: place of the map frame on the earth, where known.
         progress: shows how far it has come.
+        looker: that of the drive with `config.look`, where several maps are made; None makes it.
 
     Raises:
         SemlocError: no frames, poses that are not finite, masks without paint, or nothing that stays.
@@ -101,7 +103,7 @@ def make_map(
             f"drive {drive.name}: {len(frames)} frames and {len(Ts_map_base)} poses; expected at least one frame and a "
             "finite pose for each"
         )
-    looker = Looker(drive, masks, config.look)
+    looker = looker or Looker(drive, masks, config.look)
     gatherer = Gatherer(masks.table, config.look.cell_m)
     moving = _moving(Ts_map_base)
     for index in progress(moving, "looking"):

@@ -13,11 +13,11 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
 from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_view import MaskSource
-from semloc_jax.mapping import piece_maps
+from semloc_jax.mapping import stretch_maps
 from semloc_jax.mapping.closing import closed_way
 from semloc_jax.mapping.gauge import gauge_of
 from semloc_jax.mapping.loops import FoundLoop
-from semloc_jax.mapping.piece_maps import PieceMaps
+from semloc_jax.mapping.stretch_maps import StretchMaps
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.perception import load_class_table
 from semloc_jax.reports.mapping import loop_metrics
@@ -37,29 +37,33 @@ def masks():
     return MaskSource("none", load_class_table("drive"), ("front",), segment)
 
 
-def test_pieces_are_made_once_and_their_elements_keep_apart(monkeypatch):
+def test_stretches_are_made_once_and_by_a_frame_every_step_of_the_way(monkeypatch):
     chain, _ = made_chain()
     made = []
 
-    def make_map(drive, masks, frames, Ts_map_base, config):
+    def make_map(drive, masks, frames, Ts_map_base, config, looker):
         made.append([frame.index for frame in frames])
         np.testing.assert_array_equal(Ts_map_base, chain.Ts_odom_base[made[-1]])
+        assert (config.look.spacing_m, looker) == (stretch_maps.SPACING_M, "looker")
         if 0 in made[-1]:
             raise SemlocError("nothing stays")
         element = MapElement("line", "lane_marking", np.zeros((2, 3)) + [[0.0], [1.0]])
         return SimpleNamespace(belief_map=SimpleNamespace(map=SemanticMap((element,))))
 
-    monkeypatch.setattr(piece_maps, "make_map", make_map)
-    map_of = PieceMaps(drive(), masks(), chain)
+    monkeypatch.setattr(stretch_maps, "make_map", make_map)
+    monkeypatch.setattr(stretch_maps, "Looker", lambda *args: "looker")
+    map_of = StretchMaps(drive(), masks(), chain)
+    assert map_of(np.arange(0)) is None
     assert map_of(np.arange(0, 5)) is None
     stretch = map_of(np.arange(5, 25))
-    assert [element.id for element in stretch.elements] == ["1/line", "2/line"]
-    assert map_of(np.arange(12, 18)).elements[0] is stretch.elements[0]
-    assert made == [[*range(10)], [*range(10, 20)], [*range(20, NUM)]]
+    assert [element.id for element in stretch.elements] == ["line"]
+    assert map_of(np.arange(5, 25)) is stretch
+    assert made == [[*range(5)], [*range(5, 25)]]
     made.clear()
-    slow = PieceMaps(drive(), masks(), chain._replace(way_m=0.5 * chain.way_m))
-    slow(np.arange(20, 24))
-    assert made == [[20, 22, 24, 26]]  # a metre a frame: every second one looks
+    # Half a metre a frame: every second or third one looks.
+    slow = StretchMaps(drive(), masks(), chain._replace(way_m=0.25 * chain.way_m))
+    slow(np.arange(12, 24))
+    assert made == [[12, 15, 17, 20, 22]]
 
 
 def test_what_fixes_the_frame_of_a_map():
