@@ -29,10 +29,11 @@ class Options:
 
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
     """Folder to write: empty, absent, or with the same drive that was interrupted, which is then finished."""
-    kind: Literal["road", "country", "loop", "garage"] = "road"
+    kind: Literal["road", "country", "loop", "garage", "lot"] = "road"
     """road: one front camera in a town; country: the same on a crowned road of two lanes with lines, dashes and posts
     only; loop: a closed town road with two look-alike intersections, driven --laps N times; garage: four fisheyes in a
-    straight aisle, or with --laps N in a hall with rings of aisles that ends in a parking slot. Without --map."""
+    straight aisle, or with --laps N in a hall with rings of aisles that ends in a parking slot; lot: an open parking
+    lot. Without --map."""
     map: Path | None = None
     """Drive on this map: Lanelet2, OpenDRIVE, Argoverse 2, GeoJSON ..., whatever 'semloc inspect' reads."""
     start: str | None = None
@@ -47,6 +48,8 @@ class Options:
     """Everything random follows from it."""
     rig: Path | None = None
     """Other cameras: a calibration file (calib.yaml of a drive, Kalibr, ROS ...)."""
+    obstacles: bool = False
+    """Ground locks, no-parking signs and cones on free slots: of a lot, and of a garage with --laps."""
     masks_only: bool = False
     """No images: a fraction of the time, and all that masks need."""
     config: Path | None = None
@@ -70,6 +73,7 @@ def run(options: Options) -> int:
         raise SemlocError(f"{options.out}: is not an empty folder; give a new one, nothing is overwritten")
     rig = None if options.rig is None else read_calibration(options.rig)
     settings = replace(options.settings, has_images=False) if options.masks_only else options.settings
+    settings = replace(settings, has_obstacles=True) if options.obstacles else settings
     if options.map is not None:
         wish = RouteWish(_place(options.start), options.heading, options.length_m, options.path)
         drive = simulate_on_map(options.map, options.seed, options.out, wish, settings, rig)

@@ -72,6 +72,12 @@ NAMED_DRIVES = {
         50,
         SimulationConfig(laps=2, has_images=False),
     ),
+    "lot": NamedDrive(
+        "a parking lot with locks, signs and cones on some slots, four fisheyes, masks only",
+        "lot",
+        51,
+        SimulationConfig(has_obstacles=True, has_images=False),
+    ),
     "loop": NamedDrive(
         "two laps of a closed town road with look-alike intersections, masks only",
         "loop",

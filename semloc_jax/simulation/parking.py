@@ -20,6 +20,7 @@ from semloc_jax.simulation.path import PlanePath, path_from_curvature
 from semloc_jax.simulation.scene import World
 from semloc_jax.simulation.slot_rows import SlotRow, number_box, number_paint, row_elements, slot_number
 from semloc_jax.simulation.solids import Solid, car, own_body, rotation_about_z
+from semloc_jax.simulation.surface import Surface
 from semloc_jax.structs import ElementClass
 
 _PILLAR_M, _HEIGHT_M = 0.55, 3.0
@@ -31,9 +32,9 @@ _EDGE_M = 0.3
 
 def build_hall(plan: ParkingPlan, rng: np.random.Generator, wear_share: float) -> World:
     """A garage: pillars, numbered slots, hanging signs; walls all around."""
-    painter = _square_painter(plan, rng)
-    elements = [e for row in plan.rows for e in row_elements(row, painter.surface, _has_back(row), _is_numbered(row))]
-    for kind in (_aisle_marks, _cross_marks, _hanging_signs, _cones):
+    painter = square_painter(plan, garage_floor(rng))
+    elements = [e for row in plan.rows for e in row_elements(row, painter.surface, has_back(row), _is_numbered(row))]
+    for kind in (aisle_marks, cross_marks, _hanging_signs, cones_beside):
         elements += kind(painter, plan, rng)
     elements += _pillars(painter, plan)
     numbered = [(row, slot) for row in plan.rows if _is_numbered(row) for slot in range(row.count)]
@@ -41,7 +42,7 @@ def build_hall(plan: ParkingPlan, rng: np.random.Generator, wear_share: float) -
     return World(
         elements=tuple(elements),
         surface=painter.surface,
-        areas=(GroundArea(CLASS_IDS["road"], _floor_outline(plan)),),
+        areas=(GroundArea(CLASS_IDS["road"], floor_outline(plan, 0.0)),),
         rest=wall,
         worn=wear_pattern(wear_share, rng),
         bodies=(),
@@ -79,10 +80,10 @@ def _parked_car(world: World, row: SlotRow, slot: int, rng: np.random.Generator)
     return car(base, rotation_about_z(float(yaw)), CLASS_IDS["vehicle"], tuple(rng.uniform(0.1, 0.85, 3)))
 
 
-def _square_painter(plan: ParkingPlan, rng: np.random.Generator) -> Painter:
+def square_painter(plan: ParkingPlan, surface: Surface) -> Painter:
     """Draws in the axes of the plan: s is x and d is y."""
     s = np.arange(plan.low_xy[0] - 40.0, plan.high_xy[0] + 40.0, 0.25)
-    return Painter(path_from_curvature(s, np.zeros_like(s), 0.0), garage_floor(rng))
+    return Painter(path_from_curvature(s, np.zeros_like(s), 0.0), surface)
 
 
 def upright_painter(painter: Painter, x_m: float) -> Painter:
@@ -92,7 +93,7 @@ def upright_painter(painter: Painter, x_m: float) -> Painter:
     return Painter(PlanePath(y, line, np.full_like(y, 0.5 * np.pi)), painter.surface)
 
 
-def _has_back(row: SlotRow) -> bool:
+def has_back(row: SlotRow) -> bool:
     """One row of a pair paints the line at the back of both; a row at the wall its own."""
     return row.kind != "perp" or row.side > 0
 
@@ -101,12 +102,14 @@ def _is_numbered(row: SlotRow) -> bool:
     return row.kind == "perp" and len(row.name) == 1
 
 
-def _floor_outline(plan: ParkingPlan) -> np.ndarray:
-    (x0, y0), (x1, y1) = plan.low_xy, plan.high_xy
+def floor_outline(plan: ParkingPlan, beyond_m: float) -> np.ndarray:
+    """Corners of the floor, or of a strip around it."""
+    x0, y0 = np.array(plan.low_xy) - beyond_m
+    x1, y1 = np.array(plan.high_xy) + beyond_m
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
-def _aisle_marks(painter: Painter, plan: ParkingPlan, rng: np.random.Generator) -> list[MapElement]:
+def aisle_marks(painter: Painter, plan: ParkingPlan, rng: np.random.Generator) -> list[MapElement]:
     """Arrows in both lanes of the aisles along x, bumps across some, stop lines before some crossings."""
     elements = []
     reach = 0.5 * plan.aisle_m - _EDGE_M
@@ -134,7 +137,7 @@ def _aisle_marks(painter: Painter, plan: ParkingPlan, rng: np.random.Generator) 
     return elements
 
 
-def _cross_marks(painter: Painter, plan: ParkingPlan, rng: np.random.Generator) -> list[MapElement]:
+def cross_marks(painter: Painter, plan: ParkingPlan, rng: np.random.Generator) -> list[MapElement]:
     """Arrows in both lanes of the aisles along y, between the aisles along x."""
     elements = []
     for j, x in enumerate(plan.x_m):
@@ -159,7 +162,7 @@ def _hanging_signs(painter: Painter, plan: ParkingPlan, rng: np.random.Generator
     return elements
 
 
-def _cones(painter: Painter, plan: ParkingPlan, rng: np.random.Generator) -> list[MapElement]:
+def cones_beside(painter: Painter, plan: ParkingPlan, rng: np.random.Generator) -> list[MapElement]:
     """Cones at the ends of islands, beside the way."""
     ends = [(x, y) for begin, end, y in plan.backs for x in (begin - 0.55, end + 0.55)]
     places = [(x, y + float(rng.uniform(-3.0, 3.0))) for x, y in ends if rng.random() < 0.5]

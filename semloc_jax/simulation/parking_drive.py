@@ -3,12 +3,13 @@
 In: a ParkingPlan, laps. Out: the way and its time table.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.parking_plan import ParkingPlan
 from semloc_jax.simulation.path import PlanePath
 from semloc_jax.simulation.route_motion import DrivingStyle, RouteMotion, driven_line, on_table, timed
@@ -65,13 +66,20 @@ class ParkingTour:
     target: Target
 
 
-def choose_target(plan: ParkingPlan, laps: int, rng: np.random.Generator) -> Target:
-    """A slot square to the last aisle of the way, on its left, not the first or last of its row."""
+def choose_target(plan: ParkingPlan, laps: int, rng: np.random.Generator, kept: Collection[str] = ()) -> Target:
+    """A slot square to the last aisle of the way, on its left, not the first or last of its row, not one of `kept`.
+
+    Raises:
+        SemlocError: obstacles keep all of them free.
+    """
     y_m = plan.y_m[last_aisle(plan, laps)]
     fronts = [row for row in plan.rows if row.kind == "perp" and row.along_rad == 0.0 and row.side > 0]
     fronts = [row for row in fronts if abs(row.corner_xy[1] - y_m - 0.5 * plan.aisle_m) < 1e-6 and row.count > 3]
-    row = fronts[int(rng.integers(len(fronts)))]
-    return Target(row, int(rng.integers(1, row.count - 2)), y_m)
+    targets = [Target(row, slot, y_m) for row in fronts for slot in range(1, row.count - 1)]
+    targets = [target for target in targets if target.row.slot_id(target.slot) not in kept]
+    if not targets:
+        raise SemlocError("obstacles stand on every slot that the drive could end in; give another seed")
+    return targets[int(rng.integers(len(targets)))]
 
 
 def last_aisle(plan: ParkingPlan, laps: int) -> int:

@@ -33,6 +33,9 @@ class MaskRenderer:
         self._standing = _Bounds(scene.solids)
         self._ego_class = self._own_body(T_base_cam)
         self._free = rays.valid.ravel() & (self._ego_class == 0)
+        self._backdrop = np.where(rays.valid.ravel(), scene.backdrop, 0).astype(np.uint8)
+        self._axes_cam = np.ascontiguousarray(rays.ray_cam.T)
+        self._ray = np.empty_like(rays.ray_cam)
         height, width = rays.shape
         self._rows, self._columns = coarse_pixels(rays)
         self._coarse = (self._rows[:, None] * width + self._columns).ravel()
@@ -42,8 +45,8 @@ class MaskRenderer:
     def classes(self, T_map_cam: Float[np.ndarray, "4 4"], time_s: float) -> UInt8[np.ndarray, "h w"]:
         """Class ids that the camera sees at a time."""
         rays, scene, origin = self._rays, self._scene, T_map_cam[:3, 3]
-        ray = _turned(rays.ray_cam, T_map_cam[:3, :3])
-        class_id = np.where(rays.valid.ravel(), scene.backdrop, 0).astype(np.uint8)
+        ray = self._turned(T_map_cam[:3, :3])
+        class_id = self._backdrop.copy()
         distance = self._ground(origin, ray)
         tile_axis = rays.tile_axis_cam @ T_map_cam[:3, :3].T
         is_ground = np.isfinite(distance)
@@ -59,6 +62,17 @@ class MaskRenderer:
         ground = np.flatnonzero(is_ground & self._free)
         class_id[ground] = scene.ground.class_at(origin[:2] + distance[ground, None] * ray[ground, :2])
         return np.where(self._ego_class > 0, self._ego_class, class_id).reshape(rays.shape)
+
+    def _turned(self, R_map_cam: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "n 3"]:
+        """The rays in the map frame, in a buffer of their own: a matrix product of this shape would wake threads that
+        cost more than they bring, and fresh memory costs as much as the numbers."""
+        one, other = np.empty_like(self._axes_cam[0]), np.empty_like(self._axes_cam[0])
+        for axis in range(3):
+            np.multiply(self._axes_cam[0], R_map_cam[axis, 0], out=one)
+            for k in (1, 2):
+                one += np.multiply(self._axes_cam[k], R_map_cam[axis, k], out=other)
+            self._ray[:, axis] = one
+        return self._ray
 
     def _own_body(self, T_base_cam: np.ndarray) -> UInt8[np.ndarray, " n"]:
         """Class of the pixels that show the own vehicle, 0 elsewhere: nothing stands between it and its cameras."""
@@ -141,14 +155,6 @@ class _Bounds:
             for k, index in enumerate(near.tolist())
             if touched[:, k].any()
         ]
-
-
-def _turned(ray: Float[np.ndarray, "n 3"], R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "n 3"]:
-    """R times each ray; a matrix product of this shape would wake threads that cost more than they bring."""
-    turned = np.multiply.outer(ray[:, 0], R[:, 0])
-    turned += np.multiply.outer(ray[:, 1], R[:, 1])
-    turned += np.multiply.outer(ray[:, 2], R[:, 2])
-    return turned
 
 
 def _newton(

@@ -24,12 +24,13 @@ from semloc_jax.simulation.epochs import at_epoch
 from semloc_jax.simulation.garage import build_garage
 from semloc_jax.simulation.map_errors import MapErrors, with_errors
 from semloc_jax.simulation.motion import TrueMotion, VehicleMotion
+from semloc_jax.simulation.obstacles import OBSTACLE_IDS
 from semloc_jax.simulation.pictures import PictureSettings, write_pictures
 from semloc_jax.simulation.road import build_road
 from semloc_jax.simulation.scene import Scene, World
 from semloc_jax.simulation.sensor_logs import SensorErrors, SensorPlan, write_sensor_logs
 from semloc_jax.simulation.shade import LIGHTINGS, Lighting
-from semloc_jax.simulation.tours import Tour, TourWish, hall_tour, loop_tour
+from semloc_jax.simulation.tours import Tour, TourWish, hall_tour, loop_tour, lot_tour
 from semloc_jax.simulation.variation import Variation, variation
 from semloc_jax.storage import claim, write_text
 
@@ -47,16 +48,17 @@ class SimulationConfig:
 
     Args:
         num_frames: frames to render; None takes 30, and the whole way of drives with laps.
-        rate_hz: frames per second; 0 takes 10 (road, country), 5 (loop, garage) or 4 (garage with laps).
-        speed_mps: mean speed (loop: on the straight); 0 takes 11 (road), 14 (country), 9 (loop), 2.2 (garage).
-        width_px: image width; 0 takes 960 (road, country, loop) or 640 (garage).
-        height_px: image height; 0 takes 600 (road, country, loop) or 480 (garage).
+        rate_hz: frames per second; 0 takes 10 (road, country), 5 (loop, garage, lot), 4 (garage with laps).
+        speed_mps: mean speed (loop: on the straight); 0 takes 11 (road), 14 (country), 9 (loop), 2.2 (garage), 3 (lot).
+        width_px: image width; 0 takes 960 (road, country, loop) or 640 (garage, lot).
+        height_px: image height; 0 takes 600 (road, country, loop) or 480 (garage, lot).
         variants: lightings, in equal parts of the drive; empty takes noon (road) or garage.
         wear_share: share of the paint that is worn off (labelled as the ground below it).
         crown: share by which a road falls to both sides of its crown; 0 takes 0 (road) or 0.02 (country). A crowned
             road leans into its bends, too.
         has_images: whether colour images are written too; masks alone take a fraction of the time.
-        laps: how often to go round: 0 takes 2 in a loop, and in a garage the straight aisle instead of rings.
+        laps: how often to go round: 0 takes 2 in a loop, 1 in a lot, and in a garage the straight aisle without rings.
+        has_obstacles: whether ground locks, no-parking signs and cones keep slots free (lot, garage with laps).
         epoch: state of the world: each epoch removes, moves, adds and repaints elements (changes.json).
         drive: number of a drive through the same world: other traffic, sensors, mounting and masks.
         imu_rate_hz: rows of imu.csv in a second.
@@ -77,6 +79,7 @@ class SimulationConfig:
     crown: float = 0.0
     has_images: bool = True
     laps: int = 0
+    has_obstacles: bool = False
     epoch: int = 0
     drive: int = 0
     imu_rate_hz: float = 100.0
@@ -99,12 +102,13 @@ _DEFAULTS = {
     },
     "loop": {"rate_hz": 5.0, "speed_mps": 9.0, "width_px": 960, "height_px": 600, "variants": ("noon",), "laps": 2},
     "hall": {"rate_hz": 4.0, "speed_mps": 2.4, "width_px": 640, "height_px": 480, "variants": ("garage",), "laps": 2},
+    "lot": {"rate_hz": 5.0, "speed_mps": 3.0, "width_px": 640, "height_px": 480, "variants": ("noon",), "laps": 1},
     "garage": {"rate_hz": 5.0, "speed_mps": 2.2, "width_px": 640, "height_px": 480, "variants": ("garage",)},
 }
-KINDS = ("road", "country", "loop", "garage")
-_STREAM = {"garage": 0, "road": 1, "country": 3, "loop": 4, "hall": 5}
+KINDS = ("road", "country", "loop", "garage", "lot")
+_STREAM = {"garage": 0, "road": 1, "country": 3, "loop": 4, "hall": 5, "lot": 6}
 """Of random numbers, by kind; 2 is that of drives on maps."""
-_TOURS = {"loop": loop_tour, "hall": hall_tour}
+_TOURS = {"loop": loop_tour, "hall": hall_tour, "lot": lot_tour}
 """Kinds with a way of their own, which laps and stops decide."""
 _EPOCHS = 10
 """Keeps the random numbers of changes apart from all others."""
@@ -116,8 +120,8 @@ def simulate(
     """Render a seeded drive into the folder `out` and open it.
 
     Args:
-        kind: `road`, `country` or `loop` (one front camera), or `garage` (four fisheyes): one straight aisle, or with
-            `config.laps` a hall with rings of aisles, slots of three types and a slot to park in.
+        kind: `road`, `country` or `loop` (one front camera), `garage` or `lot` (four fisheyes). A garage is one
+            straight aisle, or with `config.laps` a hall with rings of aisles and slots of three types.
         seed: everything random follows from it.
         out: folder, made if absent.
         config: size and errors of the drive.
@@ -144,7 +148,7 @@ def simulate(
         most = int(tour.end_s * config.rate_hz) + 1
         raise SemlocError(f"num_frames = {config.num_frames}: the way has {most}; leave it out to drive the whole way")
     if rig is None:
-        rig = (surround_rig if kind == "garage" else front_rig)(config.width_px, config.height_px)
+        rig = (surround_rig if kind in ("garage", "lot") else front_rig)(config.width_px, config.height_px)
     told = {"epoch": config.epoch, "drive": config.drive, **tour.told}
     name = f"{kind} seed {seed}"
     scene = world.scene()
@@ -159,7 +163,7 @@ def _look(kind: str, config: SimulationConfig) -> str:
 
 def _tour(look: str, config: SimulationConfig, rng: np.random.Generator, own: Variation) -> Tour:
     """The whole way of a look that has one."""
-    wish = TourWish(own.speed(config.speed_mps), config.laps, config.wear_share)
+    wish = TourWish(own.speed(config.speed_mps), config.laps, config.wear_share, config.has_obstacles)
     return _TOURS[look](rng, own.rng, wish)
 
 
@@ -237,7 +241,8 @@ def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig,
     lightings = [LIGHTINGS[config.variants[k * len(config.variants) // len(time_s)]] for k in range(len(time_s))]
     settings = PictureSettings(config.has_images, own.degradation(config.degradation), own.of_picture, keeps)
     write_pictures(out, staging.scene, motion, rig, time_s, lightings, settings)
-    meta = {"classes": CLASS_IDS, "kind": staging.kind, "seed": staging.seed, "variants": list(config.variants)}
+    classes = CLASS_IDS | (OBSTACLE_IDS if config.has_obstacles else {})
+    meta = {"classes": classes, "kind": staging.kind, "seed": staging.seed, "variants": list(config.variants)}
     meta |= {"sensors": sensors, **staging.told}
     write_text(out / "meta.json", json.dumps(meta, indent=1) + "\n")
     _write_frame_list(out, time_s, lightings)
@@ -281,7 +286,9 @@ def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
     if not 0 <= config.laps <= _MOST_LAPS:
         raise SemlocError(f"laps = {config.laps}; expected 1 to {_MOST_LAPS}")
     if config.laps and look not in _TOURS:
-        raise SemlocError(f"laps = {config.laps}: a {kind} has no laps; expected kind loop or garage")
+        raise SemlocError(f"laps = {config.laps}: a {kind} has no laps; expected kind loop, garage or lot")
+    if config.has_obstacles and look not in ("hall", "lot"):
+        raise SemlocError(f"obstacles: a {kind} has no slots for them; expected kind lot, or garage with laps")
     if not 0.0 <= config.crown <= 0.1:
         raise SemlocError(f"crown = {config.crown:g}; expected the fall of a road, 0 to 0.1: 0.02 is usual")
     unknown = [name for name in config.variants if name not in LIGHTINGS]

@@ -12,8 +12,10 @@ from semloc_jax.simulation.elements import ARROW_TIP
 from semloc_jax.simulation.loop import build_loop, plan_loop
 from semloc_jax.simulation.loop_drive import drive_loop, loop_traffic
 from semloc_jax.simulation.motion import TrueMotion
+from semloc_jax.simulation.obstacles import with_obstacles
 from semloc_jax.simulation.parking import build_hall, with_cars
 from semloc_jax.simulation.parking_drive import choose_target, drive_parking
+from semloc_jax.simulation.parking_lot import build_lot
 from semloc_jax.simulation.parking_plan import ParkingPlan, plan_parking
 from semloc_jax.simulation.route_motion import DrivingStyle
 from semloc_jax.simulation.scene import World
@@ -51,11 +53,13 @@ class TourWish:
         speed_mps: on the straight.
         laps: how often to go round.
         wear_share: share of the paint that is worn off.
+        has_obstacles: whether locks, signs and cones keep slots free (garage, lot).
     """
 
     speed_mps: float
     laps: int
     wear_share: float
+    has_obstacles: bool = False
 
 
 def loop_tour(rng: np.random.Generator, own: np.random.Generator, wish: TourWish) -> Tour:
@@ -87,18 +91,29 @@ def hall_tour(rng: np.random.Generator, own: np.random.Generator, wish: TourWish
     plan = plan_parking(rng, (3, 4), (1, 2))
     world = build_hall(plan, rng, wish.wear_share)
     surveyed = _surveyed(world, rng)
-    tour = _parking_tour(plan, world, wish, own)
+    tour = _parking_tour(plan, world, wish, rng, own)
     first = tour.motion.pose(0.0)
     told = {"entrance_fix": _entrance_fix(first, own), "surveyed": surveyed}
     return replace(tour, has_gnss=False, told={**told, **tour.told})
 
 
-def _parking_tour(plan: ParkingPlan, world: World, wish: TourWish, own: np.random.Generator) -> Tour:
-    """Rings through a garage or a lot that end in a slot, with cars in other slots."""
-    target = choose_target(plan, wish.laps, own)
+def lot_tour(rng: np.random.Generator, own: np.random.Generator, wish: TourWish) -> Tour:
+    """An open parking lot: `rng` for the world, `own` for the cars on it and the drive."""
+    plan = plan_parking(rng, (2, 3), (1, 2))
+    return _parking_tour(plan, build_lot(plan, rng, wish.wear_share), wish, rng, own)
+
+
+def _parking_tour(
+    plan: ParkingPlan, world: World, wish: TourWish, rng: np.random.Generator, own: np.random.Generator
+) -> Tour:
+    """Rings through a garage or a lot that end in a slot, with cars and obstacles in other slots."""
+    counts, kept = {}, set()
+    if wish.has_obstacles:
+        world, counts, kept = with_obstacles(world, rng)
+    target = choose_target(plan, wish.laps, own, kept)
     style = DrivingStyle(wish.speed_mps, sideways_mps2=0.9, braking_mps2=0.8)
     drive = drive_parking(plan, world.surface, wish.laps, style, target, own)
-    free = {target.row.slot_id(slot) for slot in target.num_beside}
+    free = {*kept, *(target.row.slot_id(slot) for slot in target.num_beside)}
     now = with_cars(world, plan, free, float(own.uniform(0.4, 0.6)), own)
     told = {
         "laps": wish.laps,
@@ -106,6 +121,8 @@ def _parking_tour(plan: ParkingPlan, world: World, wish: TourWish, own: np.rando
         "reverse_from_s": round(drive.reverse_s, 3),
         "route_m": round(float(drive.path.s_m[-1] - drive.path.s_m[0]), 3),
     }
+    if wish.has_obstacles:
+        told["obstacles"] = counts
     return Tour(now, drive.motion, drive.end_s, told=told)
 
 
