@@ -51,6 +51,8 @@ class TrackAlignConfig:
     """Factor on the cost difference between two local minima [nats]: it overstates which of them is right."""
     valley: AlongRoadConfig = field(default_factory=lambda: AlongRoadConfig(reach_m=0.75, num_offsets=11, max_steps=4))
     """Where the valley along the road through the best pose is measured."""
+    longest: float = 25.0
+    """A valley that goes on beyond the places measured has at most this many times their variance (sigma 2.4 m)."""
     rank_level: int = 2
     """Level on which the elements are judged, and the coarsest one on which the starts are ranked."""
 
@@ -164,7 +166,13 @@ def _valley(
     share = jax.nn.softmax(jnp.where(usable, -((scores - held) / noise**2 + held), -1e9))
     share, steps = jnp.where(usable, share, 0.0), jnp.where(usable[:, None], steps, 0.0)
     mean = share @ steps
-    return mean, jnp.einsum("s,si,sj->ij", share, steps - mean, steps - mean)
+    valley = jnp.einsum("s,si,sj->ij", share, steps - mean, steps - mean)
+    # The places end at the reach. Where the masks say nothing, the mean would still lie in their middle, where the
+    # prediction is, with the spread of the places: that much information is theirs, not the masks'.
+    of_places = jnp.sum(jnp.where(usable, steps[:, 0] ** 2, 0.0)) / jnp.maximum(jnp.sum(usable), 1)
+    longer = 1.0 / jnp.maximum(1.0 - valley[0, 0] / jnp.maximum(of_places, 1e-12), 1.0 / config.longest)
+    reach = config.valley.reach_m / jnp.maximum(jnp.abs(mean[0]), 1e-12)
+    return mean * jnp.minimum(longer, reach), valley * longer
 
 
 @partial(jax.jit, static_argnames="config")
