@@ -124,3 +124,24 @@ def widened(covariance: Float[Array, "6 6"], spread: Float[Array, "6 6"]) -> Flo
     """The covariance with as much of the spread added that its longitudinal sigma is at least that of the posterior."""
     known = covariance[0, 0] / jnp.maximum(spread[0, 0], 1e-12)
     return covariance + jnp.maximum(1.0 - known, 0.0) * spread
+
+
+def beyond_reach(
+    mean: Float[Array, "6"], moment: Float[Array, "6 6"], offsets_m: Float[Array, " n"], longest: float
+) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
+    """Mean and second moment about it of a posterior that may go on beyond the places where it was measured.
+
+    Where the masks say nothing, the measured mean is the middle of the places, with their spread: that much information
+    is theirs and is taken off. Without that, a prediction in their middle would confirm itself.
+
+    Args:
+        mean: Of the posterior over the places, in the right tangent of the middle one.
+        moment: Second moment about it.
+        offsets_m: Where the places are along the road, evenly around 0.
+        longest: Most that the variance grows.
+    """
+    of_places = jnp.maximum(jnp.mean(offsets_m**2), 1e-12)
+    grown = 1.0 / jnp.maximum(1.0 - moment[0, 0] / of_places, 1.0 / longest)
+    # The mean moves away from the middle as well, yet no farther than anyone looked.
+    inside = jnp.max(jnp.abs(offsets_m)) / jnp.maximum(jnp.abs(mean[0]), 1e-12)
+    return mean * jnp.minimum(grown, inside), moment * grown

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from semloc_jax.alignment.along_road import AlongRoadConfig, places_along
+from semloc_jax.alignment.along_road import AlongRoadConfig, beyond_reach, places_along
 from semloc_jax.alignment.hypotheses import prior_cost, score
 from semloc_jax.alignment.level_choice import telling
 from semloc_jax.alignment.pose import (
@@ -167,12 +167,7 @@ def _valley(
     share, steps = jnp.where(usable, share, 0.0), jnp.where(usable[:, None], steps, 0.0)
     mean = share @ steps
     valley = jnp.einsum("s,si,sj->ij", share, steps - mean, steps - mean)
-    # The places end at the reach. Where the masks say nothing, the mean would still lie in their middle, where the
-    # prediction is, with the spread of the places: that much information is theirs, not the masks'.
-    of_places = jnp.sum(jnp.where(usable, steps[:, 0] ** 2, 0.0)) / jnp.maximum(jnp.sum(usable), 1)
-    longer = 1.0 / jnp.maximum(1.0 - valley[0, 0] / jnp.maximum(of_places, 1e-12), 1.0 / config.longest)
-    reach = config.valley.reach_m / jnp.maximum(jnp.abs(mean[0]), 1e-12)
-    return mean * jnp.minimum(longer, reach), valley * longer
+    return beyond_reach(mean, valley, steps[:, 0], config.longest)
 
 
 @partial(jax.jit, static_argnames="config")

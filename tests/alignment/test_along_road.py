@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.along_road import AlongRoadConfig, weighed_along_road, widened
+from semloc_jax.alignment.along_road import AlongRoadConfig, beyond_reach, weighed_along_road, widened
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.hypotheses import score
 from semloc_jax.alignment.pose_prior import PosePrior
@@ -132,3 +132,18 @@ def test_a_covariance_is_widened_only_where_the_road_is_less_sure():
     assert wide[0, 0] == pytest.approx(0.25) and np.linalg.eigvalsh(wide).min() > 0
     assert np.asarray(widened(jnp.asarray(covariance), jnp.asarray(0.01 * spread))) == pytest.approx(covariance)
     assert np.isfinite(np.asarray(widened(jnp.asarray(covariance), jnp.zeros((6, 6))))).all()
+
+
+@pytest.mark.parametrize(("middle_m", "sigma_m"), [(0.1, 0.05), (-0.2, 0.2), (0.3, 0.5), (0.2, 1.0), (0.0, 50.0)])
+def test_a_posterior_longer_than_the_places_is_not_taken_for_their_spread(middle_m, sigma_m):
+    """Oracle: the Gaussian itself. What is told is never surer than it, nor twice as wide while it fits."""
+    offsets = np.linspace(-0.75, 0.75, 11)
+    share = np.exp(-0.5 * ((offsets - middle_m) / sigma_m) ** 2)
+    share /= share.sum()
+    seen = float(share @ offsets)
+    mean, moment = np.zeros(6), np.zeros((6, 6))
+    mean[0], moment[0, 0] = seen, share @ (offsets - seen) ** 2
+    told, variance = beyond_reach(jnp.asarray(mean), jnp.asarray(moment), jnp.asarray(offsets), 25.0)
+    sigma = float(jnp.sqrt(variance[0, 0]))
+    assert abs(float(told[0]) - middle_m) < max(0.03, 0.4 * sigma)
+    assert 0.95 * min(sigma_m, 2.3) < sigma < 2.0 * sigma_m
