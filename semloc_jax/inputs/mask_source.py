@@ -15,7 +15,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource, TopViewSource, resized
 from semloc_jax.perception import load_class_table, preset_names
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
-from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
+from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset, offsets_of_cameras
 from semloc_jax.perception.masks import read_mask
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter, load_network_preset
 from semloc_jax.perception.surround import ground_table, top_view
@@ -212,26 +212,35 @@ def looked_at(frames: Sequence[Frame]) -> list[Frame]:
 
 
 def _with_offsets(source: MaskSource, drive: Drive) -> MaskSource:
-    """The source with the offset of each camera's masks where it is significant; see `estimate_mask_offset`."""
-    offsets = {}
-    for camera in source.cameras:
-        frames = [frame for frame in _spread(drive.frames, _OFFSET_FRAMES) if frame.has("rgb", camera)]
-        if not frames:
-            continue
-        try:
-            offset = _offset(source, frames, camera)
-        except SemlocError as error:
-            _LOG.warning("masks '%s' of %s: offset against the images not known: %s", source.name, camera, error)
-            continue
-        if max(abs(offset.du_px), abs(offset.dv_px)) > _MAX_OFFSET_PX:
-            _LOG.warning(
-                "masks '%s' of %s: estimated (%+.1f, %+.1f) px off the images, implausible; taken as 0",
-                *(source.name, camera, offset.du_px, offset.dv_px),
-            )
-        elif offset.is_significant:
-            offsets[camera] = (offset.du_px, offset.dv_px)
-            _LOG.info("masks '%s' of %s sit (%+.2f, %+.2f) px off the images", source.name, camera, *offset[:2])
+    """The source with the offset of each camera's masks where it has one; see `offsets_of_cameras`."""
+    rig = zip(drive.rig.names, drive.rig.cameras, strict=True)
+    size_px = {name: source.size_px.get(name, camera.resolution) for name, camera in rig}
+    found = {camera: _found_offset(source, drive, camera) for camera in source.cameras}
+    offsets = offsets_of_cameras(found, size_px)
+    for camera, (du_px, dv_px) in offsets.items():
+        own = found[camera]
+        told = "" if own is not None and own.is_significant else ", as those of the other cameras"
+        _LOG.info("masks '%s' of %s sit (%+.2f, %+.2f) px off the images%s", source.name, camera, du_px, dv_px, told)
     return replace(source, offset_px=offsets)
+
+
+def _found_offset(source: MaskSource, drive: Drive, camera: str) -> MaskOffset | None:
+    """The offset that some frames of a camera show; None where it has no images or they show none."""
+    frames = [frame for frame in _spread(drive.frames, _OFFSET_FRAMES) if frame.has("rgb", camera)]
+    if not frames:
+        return None
+    try:
+        offset = _offset(source, frames, camera)
+    except SemlocError as error:
+        _LOG.warning("masks '%s' of %s: offset against the images not known: %s", source.name, camera, error)
+        return None
+    if max(abs(offset.du_px), abs(offset.dv_px)) > _MAX_OFFSET_PX:
+        _LOG.warning(
+            "masks '%s' of %s: estimated (%+.1f, %+.1f) px off the images, implausible; taken as 0",
+            *(source.name, camera, offset.du_px, offset.dv_px),
+        )
+        return None
+    return offset
 
 
 def _offset(source: MaskSource, frames: Sequence[Frame], camera: str) -> MaskOffset:

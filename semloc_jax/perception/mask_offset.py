@@ -3,7 +3,7 @@
 In: images and masks of several frames. Out: MaskOffset, which Camera.shifted takes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -52,10 +52,14 @@ class MaskOffset(NamedTuple):
     says nothing."""
 
     @property
+    def is_agreed(self) -> bool:
+        """True if all groups of frames say so: what makes masks lie off is in every frame, grass beside a line not."""
+        return self.disagreement_px <= _MOST_DISAGREEMENT_PX
+
+    @property
     def is_significant(self) -> bool:
-        """True if a direction is off by 3 standard errors and by more than shading can feign (0.25 px), and all groups
-        of frames say so: what makes masks lie off is in every frame, grass beside a line is not."""
-        if self.disagreement_px > _MOST_DISAGREEMENT_PX:
+        """True if all groups agree and a direction is off by 3 sigma and more than shading feigns: 0.25 px."""
+        if not self.is_agreed:
             return False
         pairs = ((self.du_px, self.sigma_du_px), (self.dv_px, self.sigma_dv_px))
         return any(abs(value) > max(0.25, 3.0 * sigma) for value, sigma in pairs)
@@ -110,6 +114,37 @@ def estimate_mask_offset(
         )
     whole = _solve(parts, _MIN_POINTS)
     return whole._replace(disagreement_px=max(_distance_px(group, whole) for group in groups))
+
+
+def offsets_of_cameras(
+    found: Mapping[str, MaskOffset | None], size_px: Mapping[str, tuple[int, int]]
+) -> dict[str, tuple[float, float]]:
+    """The offset (du, dv) [px] of each camera's masks that have one.
+
+    A camera whose own frames do not agree takes what the others of its size say: one network made the masks.
+
+    Args:
+        found: by camera; None where its frames show none.
+        size_px: (width, height) of its masks.
+    """
+    sure = {camera: offset for camera, offset in found.items() if offset is not None and offset.is_significant}
+    offsets = {camera: (offset.du_px, offset.dv_px) for camera, offset in sure.items()}
+    for camera, offset in found.items():
+        if camera not in sure and (offset is None or not offset.is_agreed):
+            others = [other[:2] for name, other in sure.items() if size_px[name] == size_px[camera]]
+            offsets |= {camera: _mean(others)} if _agree(others) else {}
+    return offsets
+
+
+def _agree(shifts: list[tuple[float, float]]) -> bool:
+    """Whether several cameras have about the same offset [px]."""
+    away = np.asarray(shifts) - np.mean(shifts, axis=0) if len(shifts) > 1 else np.full((1, 2), np.inf)
+    return bool(np.hypot(*away.T).max() <= _MOST_DISAGREEMENT_PX)
+
+
+def _mean(shifts: list[tuple[float, float]]) -> tuple[float, float]:
+    du_px, dv_px = np.mean(shifts, axis=0).tolist()
+    return du_px, dv_px
 
 
 def _distance_px(parts: list["_Edges"], whole: MaskOffset) -> float:

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.perception import estimate_mask_offset, load_class_table, read_mask
+from semloc_jax.perception import MaskOffset, estimate_mask_offset, load_class_table, read_mask
+from semloc_jax.perception.mask_offset import offsets_of_cameras
 
 DRIVE = load_class_table("drive")
 HEIGHT, WIDTH, FINE = 240, 360, 8
@@ -87,3 +88,27 @@ def test_half_resolution_masks_of_the_road_drive_lie_half_a_pixel_off(road_dir):
     difference = np.subtract(found["sem_net"][:2], found["sem"][:2])
     assert difference == pytest.approx((0.45, 0.45), abs=0.12)
     assert found["sem_net"].is_significant and not found["sem"].is_significant
+
+
+def told(du_px, dv_px, disagreement_px=0.1):
+    return MaskOffset(du_px, dv_px, 0.03, 0.03, 500, disagreement_px)
+
+
+@pytest.mark.parametrize(
+    ("right", "rear", "expected"),
+    [
+        (told(0.54, 0.40), told(1.9, 0.3, disagreement_px=2.0), {"left", "right", "rear"}),
+        (told(0.54, 0.40), None, {"left", "right", "rear"}),
+        (told(0.54, 0.40), told(0.02, 0.03), {"left", "right"}),  # its own frames say that there is none
+        (told(-0.9, 0.40), None, {"left", "right"}),  # cameras that differ say nothing of a third
+        (None, None, {"left"}),  # one camera alone says nothing of others
+    ],
+)
+def test_a_camera_without_an_offset_of_its_own_takes_that_of_the_others(right, rear, expected):
+    found = {"left": told(0.50, 0.46), "right": right, "rear": rear, "tele": None}
+    size_px = {"left": (640, 400), "right": (640, 400), "rear": (640, 400), "tele": (1280, 800)}
+    taken = offsets_of_cameras(found, size_px)
+    assert set(taken) == expected  # never tele, whose masks are of another size
+    assert taken["left"] == (0.50, 0.46)
+    if "rear" in expected:
+        assert taken["rear"] == pytest.approx((0.52, 0.43))
