@@ -50,7 +50,10 @@ class LoopConfig:
     min_explained: float = 0.25
     """Mean share of the map in view that must lie on borders of the masks."""
     probability: float = 0.999
-    """Quantile of chi-square that the agreement of the frames keeps, and that of the place with the way."""
+    """Quantile of chi-square that the agreement of the frames keeps."""
+    way_probability: float = 0.99
+    """Quantile that the place keeps against the way. It is what rules out twins of places that no search window holds:
+    two aisles of a garage can be alike in everything that frames show."""
     least_prior_m: float = 0.5
     least_prior_deg: float = 0.6
     """Least standard deviations of the place that is searched around."""
@@ -161,7 +164,7 @@ def against(best: Place, lead: float, off: np.ndarray, covariance: np.ndarray, c
     if best.chi_square > chdtri(max(3 * (seen - 1), 1), 1.0 - config.probability):
         yield f"frames disagree: chi-square {best.chi_square:.0f} of {3 * (seen - 1)}"
     square = float(off[PLANE] @ np.linalg.solve(covariance[np.ix_(PLANE, PLANE)], off[PLANE]))
-    if square > chdtri(3, 1.0 - config.probability):
+    if square > chdtri(3, 1.0 - config.way_probability):
         yield f"{np.hypot(*off[:2]):.1f} m from where the way ends: chi-square {square:.0f} of 3"
 
 
