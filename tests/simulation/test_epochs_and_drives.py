@@ -16,6 +16,7 @@ from semloc_jax.simulation import SimulationConfig, simulate
 from semloc_jax.simulation.cameras import front_rig
 from semloc_jax.simulation.epochs import at_epoch, changes_between
 from semloc_jax.simulation.road import build_road
+from semloc_jax.simulation.tours import TourWish, hall_tour, loop_tour, lot_tour
 
 TINY = SimulationConfig(num_frames=1, width_px=64, height_px=40, has_images=False)
 
@@ -152,3 +153,19 @@ def test_an_interrupted_drive_is_finished_with_the_same_bytes(tmp_path):
 def test_wrong_values_are_named(tmp_path, change, says):
     with pytest.raises(SemlocError, match=says):
         simulate("road", 1, tmp_path / "drive", replace(TINY, **change))
+
+
+@pytest.mark.parametrize("tour", [loop_tour, hall_tour, lot_tour])
+def test_whole_ways_keep_their_world_from_drive_to_drive(tour):
+    """Map, obstacles and changes are the same on drive 0, whose random numbers go on from the world's, and another."""
+    wish = TourWish(5.0, 1, 0.05, has_obstacles=tour is not loop_tour)
+    first = tour(world_rng := np.random.default_rng([2, 9]), world_rng, wish)
+    second = tour(np.random.default_rng([2, 9]), np.random.default_rng(77), wish)
+    assert [e.id for e in first.world.elements] == [e.id for e in second.world.elements]
+    for one, other in zip(first.world.elements, second.world.elements, strict=True):
+        np.testing.assert_array_equal(one.points, other.points)
+    assert first.world.features == second.world.features
+    changes = [at_epoch(way.world, [2, 9, 10], 2)[1] for way in (first, second)]
+    assert changes[0] == changes[1] and len(changes[0]["since_epoch_0"]) > 3
+    times = np.linspace(0.0, 0.5 * min(first.end_s, second.end_s), 7)
+    assert not np.allclose(first.motion.poses(times), second.motion.poses(times), atol=0.05)
