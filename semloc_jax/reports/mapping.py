@@ -112,7 +112,7 @@ def report_map(
     write_tum(trajectory, folder / "trajectory.tum")
     write_elements(made, folder / "elements.csv")
     metrics, comparison = _judged(drive, made, trajectory, folder)
-    metrics += loop_metrics(closed.loops, None if drive.truth is None else drive.truth.interpolate(chain.times_s))
+    metrics += loop_metrics(closed.loops, _truth_of(drive, chain.times_s))
     write_metrics(metrics, folder / "metrics.json")
     _draw(drive, masks, frames, made, Ts_map_base, num_overlays, folder)
     return MadeMapReport(folder, _text(made, closed, metrics, comparison), made.belief_map.map.num_elements)
@@ -130,6 +130,14 @@ def write_elements(made: MadeMap, path: Path) -> None:
         rows[-1] += (b.sigma_across_m, b.sigma_along_m)
     head = ("id", "class", "num_seen", "num_missed", "existence", "sigma_m", "sigma_across_m", "sigma_along_m")
     write_csv(path, head, rows)
+
+
+def _truth_of(drive: Drive, times_s: np.ndarray) -> np.ndarray | None:
+    """True poses of all frames; None where the reference does not span them."""
+    truth = drive.truth
+    if truth is None or truth.time_s[0] > times_s[0] or truth.time_s[-1] < times_s[-1]:
+        return None
+    return truth.interpolate(times_s)
 
 
 def loop_metrics(loops: Sequence[FoundLoop], Ts_true: np.ndarray | None) -> list[Metric]:
