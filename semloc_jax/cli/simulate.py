@@ -82,7 +82,9 @@ def run(options: Options) -> int:
         drive = simulate(options.kind, options.seed, options.out, settings, rig)
     cameras = ", ".join(drive.rig.names)
     print(f"{options.out}: {len(drive)} frames, cameras {cameras}, maps {', '.join(drive.maps)}")
-    print(f"localize it with: semloc localize {options.out} --masks sem_net --frames ::5")
+    # Under a roof no satellites say where to look.
+    prior = " --prior truth" if drive.gnss is None else ""
+    print(f"localize it with: semloc localize {options.out} --masks sem_net --frames ::5{prior}")
     return OK
 
 

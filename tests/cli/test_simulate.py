@@ -50,3 +50,9 @@ def test_wrong_usage_is_exit_code_2(tmp_path, capsys, words, message):
 def test_wrong_values_are_exit_code_1(tmp_path, capsys):
     assert main(["simulate", str(tmp_path / "drive"), "--variants", "midnight"]) == FAILED
     assert "unknown variant 'midnight'" in capsys.readouterr().err
+
+
+def test_the_next_command_fits_a_drive_without_satellites(tmp_path, capsys):
+    words = ["--kind", "garage", "--laps", "1", "--num-frames", "1", "--masks-only", "--width-px", "64"]
+    assert main(["simulate", str(tmp_path / "hall"), *words, "--height-px", "48"]) == OK
+    assert capsys.readouterr().out.rstrip().endswith("--frames ::5 --prior truth")
