@@ -95,8 +95,8 @@ def align(
     >>> rig = sj.Rig([camera], [sj.mounted((1.6, 0, 1.4), down_deg=4)], ["front"])
     >>> mask = sj.render_masks(street, rig, sj.planar_pose(2.0, 0.1, 0.01))[0]  # yours: uint8[400 640]
     >>> found = sj.align(mask, rig, street, sj.planar_pose(2.6, -0.2), classes={10: "lane_marking", 12: "stop_line"})
-    >>> found.T_map_base[:2, 3].round(1), found.status.name
-    (array([2. , 0.1]), 'CONVERGED')
+    >>> bool(np.abs(found.T_map_base[:2, 3] - [2.0, 0.1]).max() < 0.1), found.status.name
+    (True, 'CONVERGED')
     >>> found.covariance.shape
     (6, 6)
     """
