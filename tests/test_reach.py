@@ -1,5 +1,6 @@
 """Every module of the package is reached by a verb or a public name; what is not, is deleted or waits with a reason."""
 
+import ast
 import re
 
 import semloc_jax
@@ -9,7 +10,6 @@ from tests.test_architecture import _all_imports, _files, _module_name
 
 WAITING = {
     "semloc_jax.residuals.preintegration": "the inertial window of visual-inertial odometry will use it",
-    "semloc_jax.solvers.gnc": "loop closures of a map that is built may be wrong; graphs of today have none",
 }
 """Modules that nobody uses yet, with their reason."""
 _BY_NAME = re.compile(r'"(semloc_jax(?:\.\w+)+)"')
@@ -23,14 +23,42 @@ def _doors() -> set[str]:
     return {"semloc_jax", "semloc_jax.cli.main", *(f"semloc_jax.{name}" for name in (*rooms, *peers))}
 
 
+def _behind_doors() -> dict[tuple[str, str], str]:
+    """The module of every (room, name) that a room loads on first use; see `semloc_jax.door`."""
+    found = {}
+    for path in _files():
+        if path.name != "__init__.py":
+            continue
+        room = _module_name(path)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "door":
+                shown = ast.literal_eval(node.args[1]) if isinstance(node.args[1], ast.Dict) else {}
+                found |= {(room.split(".")[-1], name): f"{room}.{m}" for m, names in shown.items() for name in names}
+    return found
+
+
+def _names_of_rooms(text: str) -> set[tuple[str, str]]:
+    """Every (room, name) that a module may use: `viz.save`, `from semloc_jax.viz import save`."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            found.add((node.value.id, node.attr))
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found |= {(node.module.split(".")[-1], alias.name) for alias in node.names}
+    return found
+
+
 def unreached(doors: set[str]) -> set[str]:
     """Modules that no chain of imports from a door leads to; pages of a room (`__init__`) do not count."""
     sources = {_module_name(path): path for path in _files()}
     edges: dict[str, set[str]] = {name: set() for name in sources}
     for item in _all_imports():
         edges[item.module].add(item.target)
+    behind = _behind_doors()
     for name, path in sources.items():
-        edges[name].update(_BY_NAME.findall(path.read_text(encoding="utf-8")))
+        text = path.read_text(encoding="utf-8")
+        edges[name].update(_BY_NAME.findall(text))
+        edges[name].update(behind[used] for used in _names_of_rooms(text) if used in behind)
     seen, ahead = set(), list(doors)
     while ahead:
         name = ahead.pop()
@@ -52,3 +80,8 @@ def test_what_waits_is_not_in_use():
 
 def test_a_door_less_leaves_its_module_out():
     assert "semloc_jax.cli.doctor" in unreached(_doors() - {"semloc_jax.cli.doctor"})
+
+
+def test_a_name_behind_the_door_of_a_room_leads_to_its_module():
+    assert _behind_doors()["viz", "sigmas_from_above"] == "semloc_jax.viz.maps"
+    assert "semloc_jax.viz.maps" in unreached(_doors() - {"semloc_jax.cli.map", "semloc_jax.cli.evaluate"})
