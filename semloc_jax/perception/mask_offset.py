@@ -138,8 +138,10 @@ def offsets_of_cameras(
 
 def _agree(shifts: list[tuple[float, float]]) -> bool:
     """Whether several cameras have about the same offset [px]."""
-    away = np.asarray(shifts) - np.mean(shifts, axis=0) if len(shifts) > 1 else np.full((1, 2), np.inf)
-    return bool(np.hypot(*away.T).max() <= _MOST_DISAGREEMENT_PX)
+    if len(shifts) < 2:
+        return False
+    away_px = np.subtract(shifts, np.mean(shifts, axis=0))
+    return bool(np.hypot(*away_px.T).max() <= _MOST_DISAGREEMENT_PX)
 
 
 def _mean(shifts: list[tuple[float, float]]) -> tuple[float, float]:
