@@ -3,6 +3,7 @@
 SEMLOC_TYPECHECK=0 switches the jaxtyping + beartype import hook off (faster collection while working on one test).
 """
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +29,27 @@ if os.environ.get("SEMLOC_TYPECHECK", "1") != "0":
 from semloc_jax.runtime.allocator import return_large_blocks  # noqa: E402 - after the hook
 
 return_large_blocks()
+
+
+_MOST_MAPPINGS = 20_000
+"""Linux gives a process 65,530 memory mappings (vm.max_map_count), and each compiled program takes about 20 of them.
+A test process that goes beyond crashes inside jaxlib: measured at the end of a whole run, in 3,000 programs."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs() -> Iterator[None]:
+    """Programs that earlier modules compiled are let go before they are too many for one process."""
+    yield
+    if _num_mappings() > _MOST_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
+
+
+def _num_mappings() -> int:
+    try:
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
+    except OSError:  # not Linux: no such limit
+        return 0
 
 
 def find_data() -> Path:
