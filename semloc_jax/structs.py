@@ -107,6 +107,8 @@ class ViewSamples(eqx.Module):
     weight: Float[Array, "*cam p"]
     """Weight of the point; 0 for padding."""
     element: Int[Array, "*cam p"]
+    edge: Int[Array, "*cam p"]
+    """Number of the straight edge, the end of a dash or one of its sides; neighbours on one edge share it."""
 
 
 class CostMaps(eqx.Module):

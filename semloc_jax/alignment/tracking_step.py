@@ -121,7 +121,7 @@ def align_predicted(
     chosen = jax.tree.map(lambda leaf: leaf[best], estimates)
     steps = lie.log(lie.inverse(chosen.T_map_base) @ estimates.T_map_base)
     spread = _spread(estimates.T_map_base, scores, steps, prior, config.score_share)
-    mean, valley = _valley(chosen.T_map_base, evidence, prior, config)
+    mean, valley = valley_along(chosen.T_map_base, evidence, prior, config)
     chosen = eqx.tree_at(lambda e: e.T_map_base, chosen, chosen.T_map_base @ lie.exp(mean))
     seen = element_evidence(chosen.T_map_base, evidence, element, config)
     return TrackedFrame(
@@ -149,7 +149,7 @@ def _spread(
     return jnp.einsum("s,si,sj->ij", weight, finite, finite)
 
 
-def _valley(
+def valley_along(
     T_map_base: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: TrackAlignConfig
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
     """Mean of the masks' posterior along the road through a pose, in its right tangent, and second moment about it.
@@ -158,7 +158,7 @@ def _valley(
     left is often a valley of decimetres with a minimum at every rounding of a pixel. A solve stops in the one next to
     its prediction, and its curvature says centimetres: fused, the prediction would confirm itself.
     """
-    free = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
+    free = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(jnp.inf))  # 0 would lock it
     Ts, scores, noise = places_along(T_map_base, evidence, free, config.align, config.valley, 1)
     steps = lie.log(lie.inverse(T_map_base) @ Ts)
     usable = jnp.isfinite(scores) & jnp.all(jnp.isfinite(steps), axis=1)

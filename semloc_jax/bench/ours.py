@@ -58,6 +58,7 @@ def evidence_of(problem: Problem) -> tuple[Evidence, Prior]:
         p_map=jnp.asarray(np.pad(problem.p_map, ((0, 0), (0, fill)), mode="edge")[None]),
         channel=jnp.asarray(np.pad(problem.channel, (0, fill))[None]),
         weight=jnp.asarray(np.pad(problem.weight, (0, fill))[None]),
+        edge=jnp.zeros((1, num_points + fill), jnp.int32),
         index=jnp.zeros(1, jnp.int32),
     )
     width, height = problem.size

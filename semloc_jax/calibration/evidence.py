@@ -102,6 +102,7 @@ def picture_rows(
             p_map=jnp.asarray(columns[0], jnp.float64),
             channel=jnp.asarray(columns[1], jnp.int32),
             weight=jnp.asarray(columns[2], jnp.float64),
+            edge=jnp.zeros(columns[1].shape, jnp.int32),  # a calibration asks for no edge
             index=jnp.asarray(frame * len(pictures.rig) + camera, jnp.int32),
         )
         then = np.stack([_motion_to_picture(pictures, i, c) for i, c in places])

@@ -24,6 +24,8 @@ class CameraViews(eqx.Module):
     p_map: Float[Array, "cam 3 p"]
     channel: Int[Array, "cam p"]
     weight: Float[Array, "cam p"]
+    edge: Int[Array, "cam p"]
+    """Number of the straight edge that each sample lies on; see `ViewSamples`."""
     index: Int[Array, " cam"]
     """Place of each camera in the rig and in the cost maps."""
 
@@ -41,6 +43,7 @@ def camera_views(rig: Rig, samples: ViewSamples) -> tuple[CameraViews, ...]:
                 p_map=samples.p_map[index],
                 channel=samples.channel[index],
                 weight=samples.weight[index],
+                edge=samples.edge[index],
                 index=index,
             )
         )

@@ -92,9 +92,14 @@ def decimated(views: tuple[CameraViews, ...], keep_every: int) -> tuple[CameraVi
 
     def thin(view: CameraViews) -> CameraViews:
         return eqx.tree_at(
-            lambda v: (v.p_map, v.channel, v.weight),
+            lambda v: (v.p_map, v.channel, v.edge, v.weight),
             view,
-            (view.p_map[..., ::keep_every], view.channel[:, ::keep_every], view.weight[:, ::keep_every] * keep_every),
+            (
+                view.p_map[..., ::keep_every],
+                view.channel[:, ::keep_every],
+                view.edge[:, ::keep_every],
+                view.weight[:, ::keep_every] * keep_every,
+            ),
         )
 
     return views if keep_every == 1 else tuple(thin(view) for view in views)

@@ -145,8 +145,9 @@ def _camera_view(
     shown_px = jnp.maximum(length_px, spacing_px)[index]
     shown_m = samples.length_m[index] * shown_px / jnp.maximum(length_px[index], 1e-3)
     weight = shown_px ** (1 - config.metric_exponent) * (shown_m * PX_PER_M) ** config.metric_exponent
+    edge = _edges(samples)
     if config.most_alone > 1:
-        weight = weight * _alone(samples, length_px, config, grain)[index]
+        weight = weight * _alone(edge, length_px, config, grain)[index]
     # An observation of variance s^2 with an independent map error of variance t^2 has the weight s^2 / (s^2 + t^2).
     weight = weight / (1 + (seen.height_px[index] / (config.noise.noise_px * grain)) ** 2)
     weight = jnp.where(filled, weight, 0.0).astype(p_map.dtype)
@@ -160,14 +161,19 @@ def _camera_view(
         channel=jnp.where(filled, channel[index], 0),
         weight=weight,
         element=element,
+        edge=edge[index],
     )
 
 
-def _alone(samples: MapSamples, length_px: Array, config: ViewConfig, grain: Array | np.ndarray | float) -> Array:
-    """How much more each sample weighs because its straight edge is shorter than one independent observation."""
+def _edges(samples: MapSamples) -> Int[Array, " n"]:
+    """Number of the straight edge of each sample."""
     turned = jnp.sum(samples.tangent_map[1:] * samples.tangent_map[:-1], axis=-1) < 0.7
     starts = jnp.concatenate([jnp.zeros(1, bool), turned | (samples.element[1:] != samples.element[:-1])])
-    edge = jnp.cumsum(starts)
+    return jnp.cumsum(starts)
+
+
+def _alone(edge: Array, length_px: Array, config: ViewConfig, grain: Array | np.ndarray | float) -> Array:
+    """How much more each sample weighs because its straight edge is shorter than one independent observation."""
     edge_px = jax.ops.segment_sum(length_px, edge, len(edge))[edge]
     return jnp.clip(config.noise.correlation_px * grain / jnp.maximum(edge_px, 1.0), 1.0, config.most_alone)
 

@@ -78,6 +78,7 @@ def random_trial(seed, dtype=np.float64):
         jnp.asarray(channel[None], jnp.int32),
         jnp.asarray(rng.uniform(4.0, 12.0, (1, NUM)), dtype),
         jnp.zeros((1, NUM), jnp.int32),
+        jnp.zeros((1, NUM), jnp.int32),
     )
     distance_px = _distances(T_true @ RIG.T_base_cam[0], rng, rng_values)
     usable = np.ones((1, HEIGHT // 2, WIDTH // 2), bool)

@@ -12,10 +12,12 @@ import pytest
 
 from semloc_jax.alignment.along_road import AlongRoadConfig, beyond_reach, weighed_along_road, widened
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
-from semloc_jax.alignment.hypotheses import score
+from semloc_jax.alignment.hypotheses import prior_cost
+from semloc_jax.alignment.pieces import chances, nats_of, piece_costs, pieces_of
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.single_frame import SingleFrameConfig, evidence_from
+from semloc_jax.alignment.tracking_step import TrackAlignConfig, valley_along
 from semloc_jax.cameras import PinholeCamera, Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.maps import MapElement, SemanticMap
@@ -92,6 +94,18 @@ def test_a_near_stop_line_holds_the_pose():
     assert result.modes[0].sigma_longitudinal_m < 0.15
 
 
+def _cost_of(Ts, evidence, align):
+    """Cost [nats] of every pose on level 2, with what the masks are like told by the best of them."""
+    piece_of, channel = pieces_of(evidence, align)
+    costs = jax.lax.map(lambda T: piece_costs(T, 2, evidence, piece_of, align), Ts, batch_size=256)
+    best = int(jnp.argmin(jnp.sum(costs.nats * costs.observations, axis=1)))
+    elsewhere = displaced(Ts[best], jnp.asarray([[-4.0, 0.8, 0.1], [3.0, -1.6, 0.2], [5.0, 4.0, -0.2]]))
+    at_random = jax.lax.map(lambda T: piece_costs(T, 2, evidence, piece_of, align), elsewhere)
+    num_channels = evidence.textures.num_channels
+    masks = chances(jax.tree.map(lambda leaf: leaf[best], costs), at_random, channel, num_channels)
+    return nats_of(costs, channel, masks)
+
+
 @pytest.mark.parametrize("at_m", [8.0, 22.0, 34.0])
 def test_the_spread_is_that_of_the_posterior_on_a_grid(at_m):
     """Oracle: the same cost summed over a grid of places, sides and headings around the truth, without any solver."""
@@ -111,11 +125,8 @@ def test_the_spread_is_that_of_the_posterior_on_a_grid(at_m):
         road = weighed_along_road(T_true, evidence, locked, config.search_align, assumed, 32)
         x, y, yaw = (np.linspace(-r, r, n) for r, n in ((2.0, 81), (0.12, 13), (np.radians(0.8), 13)))
         moves = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), axis=-1).reshape(-1, 3)
-        cost = jax.lax.map(
-            lambda T: score(T, 2, evidence, locked, config.search_align),
-            displaced(T_true, jnp.asarray(moves, jnp.float32)),
-            batch_size=256,
-        )
+        Ts = displaced(T_true, jnp.asarray(moves, jnp.float32))
+        cost = _cost_of(Ts, evidence, config.search_align) + jax.vmap(prior_cost, (0, None))(Ts, locked)
     share = np.exp(-(np.asarray(cost, float) - float(cost.min())))
     share /= share.sum()
     mean = share @ moves[:, 0]
@@ -123,6 +134,23 @@ def test_the_spread_is_that_of_the_posterior_on_a_grid(at_m):
     about_best = np.asarray(road.spread, float)[0, 0]
     best = float((np.linalg.inv(np.asarray(T_true)) @ np.asarray(road.Ts_map_base[0]))[0, 3])
     assert np.sqrt(about_best) == pytest.approx(np.sqrt(expected**2 + (mean - best) ** 2), rel=0.2, abs=0.02)
+
+
+@pytest.mark.parametrize(("more", "shortest_m", "longest_m"), [((), 0.7, 5.0), ((8.0,), 0.0, 0.12)])
+def test_a_tracked_frame_knows_how_open_it_is_along_the_road(more, shortest_m, longest_m):
+    """Two solid lines: as open as anyone looked and more, whatever the prediction says; a stop line ahead: held."""
+    semantic_map = street(*(across(at_m, 0.4) for at_m in more))
+    localizer = FrameLocalizer(semantic_map, TABLE)
+    predicted = PosePrior(X_TRUE, 0.0, 0.0, 0.1, np.radians(0.3))
+    with jax.enable_x64(False):
+        T_road = predicted.on_road(semantic_map)
+        frame, local_map = localizer.prepare([drawn(semantic_map)], RIG, T_road)
+        prior = predicted.to_solver(T_road, local_map.frame, localizer.config.road)
+        config = TrackAlignConfig()
+        evidence = evidence_from(prior.T_map_base, frame, config.view)
+        mean, moment = jax.jit(valley_along, static_argnames="config")(prior.T_map_base, evidence, prior, config)
+    assert shortest_m < float(jnp.sqrt(moment[0, 0])) < longest_m
+    assert abs(float(mean[0])) < 0.15
 
 
 def test_a_covariance_is_widened_only_where_the_road_is_less_sure():

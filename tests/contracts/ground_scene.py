@@ -160,6 +160,7 @@ def samples_of(name, num=400, seed=0, dtype=np.float64):
         jnp.asarray(channels, jnp.int32),
         jnp.asarray(weights, dtype),
         jnp.zeros(channels.shape, jnp.int32),
+        jnp.zeros(channels.shape, jnp.int32),
     )
 
 

@@ -52,6 +52,7 @@ def scene(camera: Camera, seed: int = 0, num: int = 700):
         p_map=jnp.asarray(p_cam, jnp.float32)[None],
         channel=jnp.asarray(rng.integers(0, 2, (1, num)), jnp.int32),
         weight=jnp.asarray(rng.uniform(0.5, 2.0, (1, num)), jnp.float32),
+        edge=jnp.zeros((1, num), jnp.int32),
         index=jnp.zeros(1, jnp.int32),
     )
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]

@@ -37,6 +37,7 @@ def views_of(label, weight=1.0):
         jnp.full((1, x.size), TABLE.channel_of(label)),
         jnp.full((1, x.size), weight),
         jnp.zeros((1, x.size), int),
+        jnp.zeros((1, x.size), int),
     )
     return camera_views(RIG, samples)
 

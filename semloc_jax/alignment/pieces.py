@@ -1,0 +1,131 @@
+"""What a pose costs by pieces of contour, each of which the masks may have missed (room: alignment; pure JAX).
+
+In: poses, evidence. Out: nats of each pose. A piece is as much contour as makes one independent observation.
+Contour that lies on no boundary was either missed (worn, hidden, not found by the segmenter) or speaks against the
+pose. The likelihood of one observation is P exp(-nats) / p0 + 1 - P, with P how often the masks of this frame show what
+the map has and p0 how often a piece fits by chance: what is missed costs -log(1 - P) and no more. Without that bound, a
+post that the segmenter never finds costs more than many good observations hold, until the pose has moved so far that
+it is out of view. `evidence_null` weighs modes by the same likelihood.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from semloc_jax.alignment.pose import AlignConfig, Evidence, visible_views
+from semloc_jax.residuals.alignment import CameraViews, alignment_residual
+from semloc_jax.residuals.robust import KERNELS
+
+_USUAL_RATE = 0.6
+"""How often masks show what the map has, before the frame is looked at; as for `evidence_null.NullConfig`."""
+_RATE_STRENGTH = 6.0
+"""Number of observations that `_USUAL_RATE` counts; as there."""
+_ROUNDS = 4
+"""Of estimating the rates at one pose. Ours."""
+_BY_CHANCE = (0.02, 0.5)
+"""Least and largest share of pieces that fit at a random pose: few random poses tell no smaller one. Ours."""
+_LEAST_OBSERVATIONS = 0.5
+"""Of a channel of which less is visible, what is seen does not stand for the rest. Ours."""
+
+
+class PieceCosts(NamedTuple):
+    """How poses see each piece."""
+
+    nats: Float[Array, "*pose piece"]
+    """Robust cost of one observation of the piece."""
+    observations: Float[Array, "*pose piece"]
+    """How much of one observation is visible, 0 to 1."""
+
+
+def pieces_of(evidence: Evidence, config: AlignConfig) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
+    """The piece of every sample, in the order of `alignment_residual`, and the channel of every piece."""
+    length_px = jnp.asarray(config.noise.correlation_px * evidence.grain)
+    piece = [jax.vmap(_runs, (0, 0, None))(view.edge, view.weight, length_px) for view in evidence.views]
+    counts = [part.size for part in piece]
+    first = [sum(counts[:k]) for k in range(len(counts))]
+    flat = [
+        (part + jnp.arange(part.shape[0])[:, None] * part.shape[1] + start).reshape(-1)
+        for part, start in zip(piece, first, strict=True)
+    ]
+    piece_of = jnp.concatenate(flat)
+    channel = jnp.concatenate([view.channel.reshape(-1) for view in evidence.views])
+    return piece_of, jax.ops.segment_max(channel, piece_of, len(piece_of))
+
+
+def _runs(edge: Int[Array, " p"], weight: Float[Array, " p"], length_px: Float[Array, ""]) -> Int[Array, " p"]:
+    """Number of the piece of each sample of one camera: consecutive samples of one edge, of one length."""
+    changes = jnp.concatenate([jnp.ones(1, bool), edge[1:] != edge[:-1]])
+    before_px = jnp.cumsum(weight) - weight
+    since_px = before_px - jax.lax.cummax(jnp.where(changes, before_px, 0.0))
+    part = jnp.floor(since_px / length_px).astype(jnp.int32)
+    goes_on = jnp.concatenate([jnp.zeros(1, bool), part[1:] == part[:-1]]) & ~changes
+    return jnp.cumsum(~goes_on) - 1
+
+
+def piece_costs(
+    T_map_base: Float[Array, "4 4"],
+    level: Int[Array, ""] | int,
+    evidence: Evidence,
+    piece_of: Int[Array, " n"],
+    config: AlignConfig,
+) -> PieceCosts:
+    """The pieces as one pose sees them on one level of the cost maps."""
+    views: tuple[CameraViews, ...] = visible_views(T_map_base, evidence, config.border_px, config.path)
+    texture = evidence.textures.level(level)
+    r, weight = alignment_residual(T_map_base, views, texture)
+    seen_px = jax.ops.segment_sum(weight, piece_of, len(piece_of))
+    summed = jax.ops.segment_sum(weight * KERNELS[config.kernel].rho(r), piece_of, len(piece_of))
+    length_px = jnp.asarray(config.noise.correlation_px * evidence.grain)
+    of_one = config.noise.gain(texture.ramp_px, evidence.grain) * length_px
+    return PieceCosts(of_one * summed / jnp.maximum(seen_px, 1e-6), jnp.minimum(seen_px / length_px, 1.0))
+
+
+class Chances(NamedTuple):
+    """What the masks of one frame are like."""
+
+    detection: Float[Array, " channel"]
+    """How often they show what the map has."""
+    by_chance: Float[Array, " channel"]
+    """Mean of exp(-nats) of a piece that is held against them at a random pose."""
+
+
+def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int) -> Chances:
+    """What the masks of a frame are like, told by a good pose and by random ones.
+
+    Args:
+        at_best: Costs of one pose.
+        at_random: Of poses that are surely wrong.
+        channel: Of every piece.
+        num_channels: Of the masks.
+    """
+
+    def by_channel(values: Float[Array, " piece"]) -> Float[Array, " channel"]:
+        return jax.ops.segment_sum(values, channel, num_channels)
+
+    matched = by_channel(jnp.sum(jnp.exp(-at_random.nats) * at_random.observations, axis=0))
+    looked_at = by_channel(jnp.sum(at_random.observations, axis=0))
+    by_chance = jnp.clip(matched / jnp.maximum(looked_at, 1e-6), *_BY_CHANCE)
+    total = by_channel(at_best.observations)
+    rate = jnp.full_like(total, _USUAL_RATE)
+    for _ in range(_ROUNDS):
+        own = rate[channel]
+        odds = jnp.log(own / (1 - own)) - jnp.log(by_chance[channel]) - at_best.nats
+        found = by_channel(jax.nn.sigmoid(odds) * at_best.observations)
+        rate = (found + _USUAL_RATE * _RATE_STRENGTH) / (total + _RATE_STRENGTH)
+    return Chances(rate, by_chance)
+
+
+def nats_of(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, " pose"]:
+    """Cost [nats] of every pose against seeing the map by chance.
+
+    What one pose sees of a channel stands for as much of it as the pose does that sees most: none gains or loses by
+    looking away.
+    """
+    rate, by_chance = masks.detection[channel], masks.by_chance[channel]
+    nats = -jnp.log((1 - rate) + rate * jnp.exp(-costs.nats) / by_chance) * costs.observations
+    num_channels = masks.detection.shape[0]
+    summed = jax.vmap(lambda values: jax.ops.segment_sum(values, channel, num_channels))(nats)
+    visible = jax.vmap(lambda values: jax.ops.segment_sum(values, channel, num_channels))(costs.observations)
+    return jnp.sum(summed / jnp.maximum(visible, _LEAST_OBSERVATIONS) * jnp.max(visible, axis=0), axis=1)
