@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class Options:
     """Make a map of a drive from its masks, wheels and gyroscope, with a sigma and an existence for every element.
 
-    Writes map.gpkg and map.geojson (open with every verb), trajectory.tum (T_map_base of every frame), loops.csv
+    Paint, poles, signs and traffic lights. Writes map.gpkg and map.geojson (open with every verb), trajectory.tum (T_map_base of every frame), loops.csv
     (places that the drive came to again), elements.csv, config.yaml (resolved; reads back with --config), map.png,
     overlays/*.png, and metrics.json: against the poses and the map of the drive, where it has them, after one motion in
     the plane.
@@ -50,9 +50,11 @@ class Options:
     """YAML file with values of the configuration."""
     out: Path | None = None
     """Folder for the results; default: results/TIME, to which results/latest points."""
+    resume: Path | None = None
+    """Folder of a run that was killed, to go on with: give the same drive and options as then."""
 
 
-NOT_KEPT = ("drive", "config", "out", "settings")
+NOT_KEPT = ("drive", "config", "out", "resume", "settings")
 
 
 def default_settings() -> "MapConfig":
@@ -91,7 +93,9 @@ def run(options: Options) -> int:
     kept |= {"masks": masks.name, "cameras": ",".join(masks.cameras)}
     settings = options.settings
     loops = not options.no_loops
-    report = report_map(drive, masks, frames, settings, options.start, options.out, options.overlays, kept, loops)
+    report = report_map(
+        drive, masks, frames, settings, options.start, options.out, options.overlays, kept, loops, options.resume
+    )
     print(report.text)
     print(f"results: {report.folder}")
     return OK

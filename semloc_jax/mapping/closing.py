@@ -4,6 +4,7 @@ In: a drive, its masks, chain and gauge. Out: ClosedWay: poses of its frames in 
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from semloc_jax.mapping.chain import Chain
 from semloc_jax.mapping.gauge import Gauge
 from semloc_jax.mapping.loops import FoundLoop, LoopConfig, LoopSearch
 from semloc_jax.mapping.mapper import MapConfig
+from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.stretch_maps import StretchMaps
 
 
@@ -37,6 +39,7 @@ def closed_way(
     told: Callable[[Iterable], Iterable] = iter,
     with_loops: bool = True,
     loop_config: LoopConfig | None = None,
+    parts: Parts | None = None,
 ) -> ClosedWay:
     """The most likely poses of all frames of a drive.
 
@@ -49,6 +52,7 @@ def closed_way(
         told: wraps the groups of frames that are looked at, to show progress.
         with_loops: whether loops are looked for.
         loop_config: when a revisit is a loop; None for the defaults.
+        parts: keeps what was searched; revisits that a run which was killed has searched are taken from there.
     """
     loop_config = loop_config or LoopConfig()
     if not with_loops or chain.way_m[-1] < loop_config.revisit.min_way_m:
@@ -60,5 +64,7 @@ def closed_way(
 
     map_of = StretchMaps(drive, masks, chain, config)
     search = LoopSearch(chain, look, map_of, masks.table, lambda loops: gauge.solve(chain, loops), loop_config)
+    if parts is not None:
+        search = replace(search, once=parts.once)
     found, solution = search.run(told)
     return ClosedWay(solution.Ts_map_base, gauge, found)

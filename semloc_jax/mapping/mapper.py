@@ -13,9 +13,13 @@ from scipy.spatial import cKDTree
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.evidence_grid import TILE
 from semloc_jax.mapping.existence import Counting, ExistenceConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
+from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
+from semloc_jax.mapping.triangulation import TriangulationConfig
+from semloc_jax.mapping.uprights import UprightCounting, uprights_of
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
 from semloc_jax.maps import BeliefMap, SemanticMap
 from semloc_jax.maps.elements import GeoOrigin
@@ -39,6 +43,8 @@ class MapConfig:
         vector: what becomes an element.
         existence: what counts as seen and missed.
         slots: what makes a slot.
+        triangulation: what makes a pole, a sign or a traffic light.
+        uprights: whether these are looked for.
         min_seen: frames that must have seen an element.
     """
 
@@ -46,6 +52,8 @@ class MapConfig:
     vector: VectorConfig = field(default_factory=VectorConfig)
     existence: ExistenceConfig = field(default_factory=ExistenceConfig)
     slots: SlotConfig = field(default_factory=SlotConfig)
+    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
+    uprights: bool = True
     min_seen: int = 3
 
 
@@ -81,6 +89,7 @@ def make_map(
     origin: GeoOrigin | None = None,
     progress: Progress = lambda items, _: items,
     looker: Looker | None = None,
+    parts: Parts | None = None,
 ) -> MadeMap:
     """Make a map along given poses.
 
@@ -93,6 +102,7 @@ def make_map(
         origin: place of the map frame on the earth, where known.
         progress: shows how far it has come.
         looker: that of the drive with `config.look`, where several maps are made; None makes it.
+        parts: where what is finished leaves memory; those of a run that was killed are taken in. None keeps all.
 
     Raises:
         SemlocError: no frames, poses that are not finite, masks without paint, or nothing that stays.
@@ -106,20 +116,31 @@ def make_map(
     looker = looker or Looker(drive, masks, config.look)
     gatherer = Gatherer(masks.table, config.look.cell_m)
     moving = _moving(Ts_map_base)
-    for index in progress(moving, "looking"):
-        for look in looker.looks(frames[index], index, Ts_map_base):
-            gatherer.add(look)
-    elements = elements_of(gatherer.paint, gatherer.layers, road_height(Ts_map_base), config.vector)
+    for index in progress(parts.gathered(gatherer, moving) if parts else moving, "looking"):
+        for camera, look in enumerate(looker.looks(frames[index], index, Ts_map_base)):
+            gatherer.add(look, looker.rays[camera] if config.uprights else None)
+    height_of = road_height(Ts_map_base)
+    uprights = uprights_of(gatherer.sightings.all(), height_of, config.triangulation)
+    standing = UprightCounting(uprights, masks.table, config.existence)
+    elements = elements_of(gatherer.paint, gatherer.layers, height_of, config.vector)
     lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
     elements = [e for e in elements if e.label != ElementClass.SLOT_LINE] + split_crossbars(lines, config.slots)
     counting = Counting(
         elements, {layer.label: layer.planes for layer in gatherer.layers}, gatherer.layer_of_id, config.existence
     )
-    for index in progress(moving, "counting"):
-        counting.add(list(looker.looks(frames[index], index, Ts_map_base)), frames[index].time_s)
+    for index in progress(parts.counted(counting, standing, moving) if parts else moving, "counting"):
+        looks = list(looker.looks(frames[index], index, Ts_map_base))
+        counting.add(looks, frames[index].time_s)
+        if uprights:
+            standing.add([look.mask for look in looks], looker.rays, Ts_map_base[index], frames[index].time_s)
     false_rates = _false_rates(gatherer)
-    beliefs = counting.beliefs(false_rates, drive.name)
-    stays = [b.existence_logit > 0.0 and b.num_seen >= config.min_seen for b in beliefs]
+    beliefs = counting.beliefs(false_rates, drive.name) + standing.beliefs(drive.name)
+    is_often = [True] * len(elements) + standing.stays().tolist()
+    elements = [*elements, *(upright.element for upright in uprights)]
+    stays = [
+        often and b.existence_logit > 0.0 and b.num_seen >= config.min_seen
+        for b, often in zip(beliefs, is_often, strict=True)
+    ]
     if not any(stays):
         raise SemlocError(
             f"drive {drive.name}: none of {len(elements)} candidates was seen in {config.min_seen} frames; check that "
@@ -135,7 +156,8 @@ def make_map(
         semantic_map = SemanticMap(tuple(e for e, _ in kept), origin, drive.name)
         return BeliefMap(semantic_map, {e.id: b for e, b in kept})
 
-    return MadeMap(chosen(True), chosen(False), counting.detection_rates(), false_rates, gatherer)
+    detection_rates = counting.detection_rates() | standing.detection_rates()
+    return MadeMap(chosen(True), chosen(False), detection_rates, false_rates | standing.false_rates(), gatherer)
 
 
 def road_height(Ts_map_base: Float[np.ndarray, "n 4 4"]) -> Callable[[Float[np.ndarray, "n 2"]], np.ndarray]:
@@ -164,10 +186,13 @@ def _moving(Ts_map_base: np.ndarray) -> list[int]:
 
 def _false_rates(gatherer: Gatherer) -> dict[ElementClass, float]:
     """Share of the looks at bare road that show paint of each class."""
-    weight = gatherer.paint.plane(0)
-    rates = {}
-    for layer in gatherer.layers:
-        shows = sum(gatherer.paint.plane(2 + plane) for plane in layer.planes)
-        bare = (weight > 0) & (shows < _BARE_SHARE * weight)
-        rates[layer.label] = float(shows[bare].sum() / max(float(weight[bare].sum()), 1e-9))
-    return rates
+    shown, looked = dict.fromkeys(gatherer.layers, 0.0), dict.fromkeys(gatherer.layers, 0.0)
+    size = np.full(2, TILE)
+    for tile in gatherer.paint.tiles:
+        weight = gatherer.paint.plane(0, tile * TILE, size)
+        for layer in gatherer.layers:
+            shows = sum(gatherer.paint.plane(2 + plane, tile * TILE, size) for plane in layer.planes)
+            bare = (weight > 0) & (shows < _BARE_SHARE * weight)
+            shown[layer] += float(shows[bare].sum(dtype=np.float64))
+            looked[layer] += float(weight[bare].sum(dtype=np.float64))
+    return {layer.label: shown[layer] / max(looked[layer], 1e-9) for layer in gatherer.layers}

@@ -3,6 +3,7 @@
 In: a drive, its masks, how the map is made. Out: map, trajectory, tables, metrics and pictures in a folder.
 """
 
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from semloc_jax.datasets import Drive, Frame
+from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import (
     MapComparison,
     Metric,
@@ -29,14 +31,18 @@ from semloc_jax.mapping.closing import ClosedWay, closed_way
 from semloc_jax.mapping.gauge import GNSS, gauge_of
 from semloc_jax.mapping.loops import FoundLoop, write_loops
 from semloc_jax.mapping.mapper import MadeMap, MapConfig, make_map
+from semloc_jax.mapping.parts import Parts
 from semloc_jax.maps import read_map, write_drive_geojson, write_map
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.pictures import element_panels
+from semloc_jax.reports.run_inputs import begun, fingerprint_without_map
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.storage import output_path
 from semloc_jax.viz import draw_contours, maps_over_each_other, save, sigmas_from_above
 
+_PARTS = "parts"
+"""What a run that is not finished has made so far."""
 _NUM_SEEN = 5
 """An element of the reference counts where it was looked at in so many frames."""
 _FALSE_LOOP_M, _FALSE_LOOP_DEG = 0.5, 2.0
@@ -67,6 +73,7 @@ def report_map(
     num_overlays: int = 4,
     options: Mapping[str, Any] | None = None,
     loops: bool = True,
+    resume: Path | None = None,
 ) -> MadeMapReport:
     """Make a map of a drive and write everything about it.
 
@@ -80,13 +87,15 @@ def report_map(
         num_overlays: pictures of the map over images.
         options: what config.yaml keeps besides the configuration.
         loops: whether places that the drive comes to again tie its way down.
+        resume: folder of a run that was killed, to go on with.
 
     Raises:
         SemlocError: no wheel odometry, nothing that fixes the frame as asked, or no map came out.
     """
     chain = drive_chain(drive)
     gauge = gauge_of(drive, chain, start)
-    folder = make_folder(out)
+    folder = make_folder(out, resume)
+    parts = _begun(folder, drive, masks, settings, options or {}, is_resumed=resume is not None)
     write_record(folder, settings, options or {})
     looking = [frame.index for frame in frames]
     origin = drive.gnss.origin if gauge.name == GNSS and drive.gnss is not None else None
@@ -94,7 +103,9 @@ def report_map(
     def shown(items: Iterable, name: str, unit: str = "frame") -> Iterable:
         return tqdm(items, desc=name, unit=unit)
 
-    closed = closed_way(drive, masks, chain, gauge, settings, lambda items: shown(items, "loops", "group"), loops)
+    closed = closed_way(
+        drive, masks, chain, gauge, settings, lambda items: shown(items, "loops", "group"), loops, parts=parts
+    )
     Ts_map_base = closed.Ts_map_base
     write_loops(folder / "loops.csv", closed.loops, chain.times_s)
     made = make_map(
@@ -105,6 +116,7 @@ def report_map(
         settings,
         GeoOrigin(*origin) if origin is not None else None,
         shown,
+        parts=parts,
     )
     trajectory = Trajectory(chain.times_s, Ts_map_base)
     write_map(made.belief_map.as_map(), folder / "map.gpkg")
@@ -115,7 +127,22 @@ def report_map(
     metrics += loop_metrics(closed.loops, _truth_of(drive, chain.times_s))
     write_metrics(metrics, folder / "metrics.json")
     _draw(drive, masks, frames, made, Ts_map_base, num_overlays, folder)
+    shutil.rmtree(parts.folder)
     return MadeMapReport(folder, _text(made, closed, metrics, comparison), made.belief_map.map.num_elements)
+
+
+def _begun(
+    folder: Path, drive: Drive, masks: MaskSource, settings: MapConfig, options: Mapping[str, Any], is_resumed: bool
+) -> Parts:
+    """The parts of a new run, or those of the run that is resumed."""
+    if is_resumed and not (folder / _PARTS).is_dir():
+        raise SemlocError(f"--resume {folder}: has no folder '{_PARTS}': that run is finished, or is none of this verb")
+    same = {name: value for name, value in options.items() if name != "overlays"}
+    begun(folder, fingerprint_without_map(drive, masks, settings, same), is_resumed)
+    if not is_resumed:
+        # What an earlier run left there is none of this one.
+        shutil.rmtree(folder / _PARTS, ignore_errors=True)
+    return Parts(folder / _PARTS)
 
 
 def write_elements(made: MadeMap, path: Path) -> None:

@@ -33,12 +33,19 @@ def fingerprint(inputs: Inputs, settings: object, options: Mapping[str, Any]) ->
         settings: configuration; anything whose repr tells it apart.
         options: of the verb; those that only choose frames, draw or judge may change.
     """
+    same = {name: value for name, value in options.items() if name not in _MAY_CHANGE}
+    return {**fingerprint_without_map(inputs.drive, inputs.masks, settings, same), "map": _of_map(inputs.map)}
+
+
+def fingerprint_without_map(
+    drive: Drive, masks: MaskSource, settings: object, options: Mapping[str, Any]
+) -> dict[str, str]:
+    """A hash for each part of what a run depends on that needs no map; arguments as for `fingerprint`."""
     return {
-        "drive": _of_drive(inputs.drive),
-        "masks": _of_masks(inputs.masks, inputs.drive.frames[0]),
-        "map": _of_map(inputs.map),
+        "drive": _of_drive(drive),
+        "masks": _of_masks(masks, drive.frames[0]),
         "settings": _digest(settings),
-        "options": _digest(sorted((name, value) for name, value in options.items() if name not in _MAY_CHANGE)),
+        "options": _digest(sorted(options.items())),
     }
 
 

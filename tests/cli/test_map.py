@@ -8,6 +8,8 @@ import pytest
 
 from semloc_jax.cli.main import FAILED, OK, USAGE, main
 from semloc_jax.evaluation import read_metrics, read_trajectory
+from semloc_jax.mapping import parts
+from semloc_jax.mapping.looking import Looker
 from semloc_jax.mapping.loops import COLUMNS
 from semloc_jax.maps import BeliefMap, read_map
 from semloc_jax.simulation import SimulationConfig, simulate
@@ -20,8 +22,15 @@ def drive_dir(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module", autouse=True)
+def small_parts():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parts, "PART_FRAMES", 4)
+        yield
+
+
 @pytest.fixture(scope="module")
-def made(drive_dir, tmp_path_factory):
+def made(drive_dir, small_parts, tmp_path_factory):
     out = tmp_path_factory.mktemp("made")
     words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "1", "--out", str(out)]
     assert main(words) == OK
@@ -61,10 +70,34 @@ def test_a_drive_that_never_comes_back_has_no_loops(made):
     assert (metrics["loops.searched"], metrics["loops.accepted"]) == (0.0, 0.0)
 
 
-def test_the_same_drive_makes_the_same_map(made, drive_dir, tmp_path):
-    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "0", "--out", str(tmp_path)]
-    assert main(words) == OK
+def test_a_run_that_was_killed_goes_on_and_makes_the_same_map(made, drive_dir, tmp_path, monkeypatch, capsys):
+    """It dies once while it looks and once while it counts; what is finished is not done again."""
+    seen = []
+    dies_after = 6
+    looks = Looker.looks
+
+    def counted(self, frame, index, poses):
+        if len(seen) == dies_after:
+            raise KeyboardInterrupt
+        seen.append(index)
+        return looks(self, frame, index, poses)
+
+    monkeypatch.setattr(Looker, "looks", counted)
+    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "0"]
+    main([*words, "--out", str(tmp_path)])
+    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == ["looks_000004"]
+    assert main([*words, "--resume", str(tmp_path), "--min-seen", "4"]) == FAILED
+    assert "began with other settings" in capsys.readouterr().err
+    dies_after = 6 + 10 + 9
+    main([*words, "--resume", str(tmp_path)])
+    assert (tmp_path / "parts" / "counts_000008").is_dir()
+    dies_after = None
+    assert main([*words, "--resume", str(tmp_path)]) == OK
+    assert seen == [*range(6), *range(4, 14), *range(9), *range(8, 14)]
+    assert not (tmp_path / "parts").exists()
     assert (tmp_path / "map.geojson").read_bytes() == (made / "map.geojson").read_bytes()
+    assert main([*words, "--resume", str(tmp_path)]) == FAILED
+    assert "that run is finished" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
