@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 class Options:
     """Make a map of a drive from its masks, wheels and gyroscope, with a sigma and an existence for every element.
 
-    Paint, poles, signs and traffic lights. Writes map.gpkg and map.geojson (open with every verb), trajectory.tum (T_map_base of every frame), loops.csv
-    (places that the drive came to again), elements.csv, config.yaml (resolved; reads back with --config), map.png,
-    overlays/*.png, and metrics.json: against the poses and the map of the drive, where it has them, after one motion in
-    the plane.
+    It holds paint, poles, signs and traffic lights. Writes map.gpkg and map.geojson (open with every verb),
+    trajectory.tum (T_map_base of every frame), loops.csv (places that the drive came to again), elements.csv,
+    config.yaml (resolved; reads back with --config), map.png, overlays/*.png, and metrics.json: against the poses and
+    the map of the drive, where it has them, after one motion in the plane. What is finished is kept in parts/ until
+    the end, for --resume after a kill.
 
     Every value of the configuration is an option too, e.g. --min-seen 5: 'semloc map --help' prints the verb's own.
     """

@@ -32,6 +32,7 @@ class TriangulationConfig:
         min_parallax_deg: spread of the bearings.
         gate_sigmas: a sighting farther off is one of another thing.
         place_m: standard deviation of the way that the frames share.
+        most_sigma_m: standard deviation of a place beyond which it helps nobody.
         most_height_m: spread of the heights that sightings of one end tell.
     """
 
@@ -40,6 +41,7 @@ class TriangulationConfig:
     min_parallax_deg: float = 6.0
     gate_sigmas: float = 3.5
     place_m: float = 0.05
+    most_sigma_m: float = 0.3
     most_height_m: float = 0.4
 
 
@@ -165,9 +167,12 @@ def _checked(
     # Errors of the way are shared by neighbouring frames: a metre of way tells one thing once.
     way_m = float(np.linalg.norm(np.diff(_by_frame(own), axis=0), axis=1).sum())
     shared = max(len(own) / max(way_m, 1.0), 1.0)
+    covariance = np.linalg.inv(information / shared)
+    if np.linalg.eigvalsh(covariance)[-1] > config.most_sigma_m**2:
+        return None
     return Standing(
         xy,
-        np.linalg.inv(information / shared),
+        covariance,
         foot_m,
         top_m,
         float(np.median((column(own, "width") * range_m)[range_m <= np.median(range_m)])),

@@ -246,7 +246,8 @@ def _vote(dashed: np.ndarray | None, share: np.ndarray, stroke: PaintTrace) -> f
     """Share of the paint along a stroke that the masks call broken."""
     if dashed is None:
         return 0.0
-    x, y = np.rint(stroke.middle).astype(int).T
+    # A line that goes on past the picture has its end there.
+    x, y = np.clip(np.rint(stroke.middle).astype(int), 0, np.array(share.shape[::-1]) - 1).T
     return float(dashed[y, x].sum() / max(share[y, x].sum(), 1e-6))
 
 

@@ -218,3 +218,17 @@ def test_the_map_does_not_depend_on_where_blocks_end():
         assert [e.style for e in elements] == ["dashed", "solid"]
         found.append([np.sort(e.points[[0, -1], :2] - shift * CELL_M, axis=0) for e in elements])
     np.testing.assert_allclose(found[0], found[1], atol=0.01)
+
+
+def test_a_line_that_leaves_the_window_of_a_block_is_whole():
+    """A solid line along a whole block and past its margin, as masks that tell broken lines show it."""
+    ys, xs = np.mgrid[0:24, -400:2800]
+    cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
+    layer = np.where((cells[:, 1] >= 9) & (cells[:, 1] < 15), 0, -1)
+    grid = EvidenceGrid(CELL_M, 2)
+    for _ in range(3):
+        grid.add((cells + 0.5) * CELL_M, np.ones(len(cells)), layer, np.ones(len(cells), bool))
+    layers = [Layer(ElementClass.LANE_MARKING, (0, 1), (1,), says_style=True)]
+    (line,) = elements_of(grid, layers, lambda xy: np.zeros(len(xy)))
+    assert line.length_m == pytest.approx(80.0, abs=0.3)
+    np.testing.assert_allclose(line.points[:, 1], 12 * CELL_M, atol=0.01)
