@@ -165,7 +165,7 @@ def test_pieces_of_a_solid_line_are_joined_and_its_neighbour_is_not():
 def test_what_leaves_memory_still_counts(tmp_path):
     """Looks in three parts, two of them stored, sum up to those of one grid; another process takes the parts in."""
     rng = np.random.default_rng(3)
-    xy = rng.uniform(-300.0, 300.0, (3, 500, 2))
+    xy = rng.uniform(-100.0, 100.0, (3, 500, 2))
     weight, layer = rng.uniform(0.5, 1.0, (3, 500)), rng.integers(-1, 2, (3, 500))
     whole, parts, again = EvidenceGrid(0.5, 2), EvidenceGrid(0.5, 2), EvidenceGrid(0.5, 2)
     for k in range(3):
@@ -176,7 +176,7 @@ def test_what_leaves_memory_still_counts(tmp_path):
             for grid in (parts, again):
                 grid.attach(tmp_path / f"{k}.npz")
     again.add(xy[2], weight[2], layer[2], np.ones(500, bool))
-    low, size = np.array([-600, -600]), np.array([1200, 1200])
+    low, size = np.array([-200, -200]), np.array([400, 400])
     np.testing.assert_array_equal(parts.tiles, whole.tiles)
     for plane in range(4):
         expected = whole.plane(plane, low, size)
