@@ -5,6 +5,7 @@ Readers take their limits from here, writers their paths, whole files and claims
 """
 
 from semloc_jax.storage.claims import claim, release_claims
+from semloc_jax.storage.leftovers import sweep, sweep_once, temporary_prefix
 from semloc_jax.storage.limits import (
     decompressed,
     json_document,
@@ -36,6 +37,9 @@ __all__ = [
     "reading",
     "release_claims",
     "require_room",
+    "sweep",
+    "sweep_once",
+    "temporary_prefix",
     "whole_lines",
     "write_bytes",
     "write_npz",

@@ -12,17 +12,21 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from semloc_jax.storage.leftovers import sweep_once, temporary_prefix
+
 
 @contextlib.contextmanager
 def writing(path: str | Path) -> Iterator[Path]:
     """A path beside `path` to write to; it becomes `path` where the block ends without an error, else it goes.
 
     The temporary file keeps the suffix, by which many writers know the format. The mode is that of the file that is
-    replaced, else what the umask of the process leaves. A link is followed: the file it names is replaced.
+    replaced, else what the umask of the process leaves. A link is followed: the file it names is replaced. What killed
+    processes left in the folder goes first.
     """
     path = Path(path)
     target = path.resolve() if path.is_symlink() else path
-    handle, name = tempfile.mkstemp(prefix=f".{target.stem[:60]}-", suffix=target.suffix, dir=target.parent)
+    sweep_once(target.parent)
+    handle, name = tempfile.mkstemp(prefix=temporary_prefix(target.stem), suffix=target.suffix, dir=target.parent)
     os.close(handle)
     partial = Path(name)
     try:
@@ -40,7 +44,8 @@ def making(path: str | Path) -> Iterator[Path]:
     For what writes a folder, insists on a new file or notes its own name in it. `path` must be free.
     """
     path = Path(path)
-    hidden = Path(tempfile.mkdtemp(prefix=f".{path.stem[:60]}-", dir=path.parent))
+    sweep_once(path.parent)
+    hidden = Path(tempfile.mkdtemp(prefix=temporary_prefix(path.stem), dir=path.parent))
     try:
         yield hidden / path.name
         os.rename(hidden / path.name, path)
