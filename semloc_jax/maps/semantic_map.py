@@ -18,8 +18,11 @@ from semloc_jax.maps.curves import clip_to_circle, without_repeats
 from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane, RoadSpread
 from semloc_jax.maps.heights import lifted
+from semloc_jax.maps.tiled_ground import TiledGround
 from semloc_jax.structs import ElementClass
 
+_WHOLE_GROUND = 10_000
+"""Elements whose road is held as a whole: some million points for 100,000."""
 _LOG = logging.getLogger(__name__)
 
 
@@ -89,8 +92,14 @@ class SemanticMap:
 
     @cached_property
     def ground(self) -> GroundModel:
-        """The road surface of the map."""
+        """The road surface of the map; of a large one only around the places that are asked for."""
+        if len(self.elements) > _WHOLE_GROUND:
+            return TiledGround(self._within)
         return GroundModel.from_elements(self.elements)
+
+    def _within(self, center: np.ndarray, radius_m: float) -> list[MapElement]:
+        rows = self._tree.query(shapely.Point(center[:2]), predicate="dwithin", distance=radius_m)
+        return [self.elements[row] for row in np.sort(rows)]
 
     @cached_property
     def labels(self) -> frozenset[ElementClass]:
@@ -208,7 +217,7 @@ class SemanticMap:
         """Returns whole metres near the centre, `[3]`, so that local coordinates stay exact in decimal files."""
         if center.size == 3:
             return np.round(center)
-        near = self.ground.points[np.linalg.norm(self.ground.points[:, :2] - center, axis=1) < radius_m, 2]
+        near = self.ground.heights_near(center, radius_m)
         return np.round(np.append(center, np.median(near) if len(near) else self.extent[:, 2].mean()))
 
 
