@@ -194,6 +194,12 @@ def _check_turn(
     # Fixes that jitter or a vehicle that backs up turn the course by half a circle: no sensor is judged by that.
     calm = np.abs(turn) < np.pi / 2
     turn, said = turn[calm], said[calm]
+    often, often_said = float(np.median(np.abs(turn))), float(np.median(np.abs(said)))
+    if len(turn) >= _MIN_WINDOWS and often_said > max(_MIN_TURN_RAD, _TURN_RATIO[1] * often):
+        raise SemlocError(
+            f"drive {name}: the {what} turns by {often_said:.3g} rad from one {_WINDOW_M:.0f} m to the next, "
+            f"the path by {often:.2g} rad; expected a yaw rate in rad/s; is it in deg/s?"
+        )
     size, size_said = np.linalg.norm(turn), np.linalg.norm(said)
     if size < _MIN_TURN_RAD or size_said == 0.0:
         return

@@ -20,11 +20,11 @@ from semloc_jax.maps.heights import lifted
 from semloc_jax.maps.io.features import FEATURE_CLASSES
 from semloc_jax.maps.io.geopackage import schema
 from semloc_jax.maps.io.geopackage.geometry import from_blob
+from semloc_jax.maps.plan_index import plan_geometry
 from semloc_jax.maps.semantic_map import (
     LocalMap,
     SemanticMap,
     clip_element,
-    plan_geometry,
     reaches_ahead,
     require_place,
 )
