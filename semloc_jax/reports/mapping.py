@@ -138,10 +138,10 @@ def _begun(
     if is_resumed and not (folder / _PARTS).is_dir():
         raise SemlocError(f"--resume {folder}: has no folder '{_PARTS}': that run is finished, or is none of this verb")
     same = {name: value for name, value in options.items() if name != "overlays"}
-    begun(folder, fingerprint_without_map(drive, masks, settings, same), is_resumed)
     if not is_resumed:
-        # What an earlier run left there is none of this one.
+        # What an earlier run left there is none of this one: it goes before the folder says what this one began with.
         shutil.rmtree(folder / _PARTS, ignore_errors=True)
+    begun(folder, fingerprint_without_map(drive, masks, settings, same), is_resumed)
     return Parts(folder / _PARTS)
 
 
