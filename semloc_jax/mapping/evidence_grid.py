@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from semloc_jax.storage import npz_arrays, npz_names, write_npz
+from semloc_jax.errors import SemlocError
+from semloc_jax.storage import npz_arrays, npz_names, reading, write_npz
 
 TILE = 512
 """Cells along the side of a tile."""
@@ -100,9 +101,12 @@ class EvidenceGrid:
         Raises:
             SemlocError: it is none.
         """
-        for name in npz_names(path, f"part of a map {path}"):
-            x, y, _ = (int(number) for number in name.split("_"))
-            paths = self._parts.setdefault((x, y), [])
+        where = f"part of a map {path}"
+        with reading(where):
+            places = [tuple(int(number) for number in name.split("_")) for name in npz_names(path, where)]
+            keys = {(x, y) for x, y, _ in places}
+        for key in keys:
+            paths = self._parts.setdefault(key, [])
             if path not in paths:
                 paths.append(path)
         self._read.clear()
@@ -140,6 +144,8 @@ class EvidenceGrid:
             name, stored = _name(key, plane), None
             for path in paths:
                 found = npz_arrays(path, f"part of a map {path}", names=(name,)).get(name)
+                if found is not None and (found.shape != (TILE, TILE) or found.dtype != np.float32):
+                    raise SemlocError(f"part of a map {path}: {name} is no tile; begin anew with another --out")
                 if found is not None:
                     stored = found if stored is None else stored + found
             self._read[key, plane] = stored

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.cameras import Camera
+from semloc_jax.errors import SemlocError
 from semloc_jax.perception import ClassTable
 from semloc_jax.storage import npz_arrays, write_npz
 from semloc_jax.structs import ElementClass
@@ -144,8 +145,15 @@ class Sightings:
         self._new = []
 
     def attach(self, path: Path) -> None:
-        """Takes a part in that `store` wrote."""
-        self.rows.append(npz_arrays(path, f"part of a map {path}")["rows"])
+        """Takes a part in that `store` wrote.
+
+        Raises:
+            SemlocError: it is none.
+        """
+        rows = npz_arrays(path, f"part of a map {path}").get("rows", np.zeros(0))
+        if rows.ndim != 2 or rows.shape[1] != len(COLUMNS) or rows.dtype != np.float64:
+            raise SemlocError(f"part of a map {path}: holds no sightings; begin anew with another --out")
+        self.rows.append(rows)
 
 
 def column(sightings: Float[np.ndarray, "n 13"], name: str) -> Float[np.ndarray, " n"]:

@@ -193,7 +193,9 @@ class UprightCounting:
             SemlocError: it is none of these elements.
         """
         counted = npz_arrays(path, f"counts {path}", names=_COUNTED)
-        if set(counted) != set(_COUNTED) or len(counted["num_seen"]) != len(self._places):
+        own = {name: np.asarray(getattr(self, name)) for name in _COUNTED}
+        form = {name: (values.shape, values.dtype) for name, values in counted.items()}
+        if form != {name: (values.shape, values.dtype) for name, values in own.items()}:
             raise SemlocError(f"counts {path}: not those of {len(self.uprights)} things; begin anew with another --out")
         for name, values in counted.items():
             setattr(self, name, values)

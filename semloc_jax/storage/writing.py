@@ -75,12 +75,24 @@ def write_npz(path: str | Path, arrays: Mapping[str, Any]) -> None:
 
 
 def append_line(path: Path, line: str) -> None:
-    """Add one line to a file; it is with the system when this returns, so that a kill cannot take it back."""
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    """Add one line to a file; it is with the system when this returns, so that a kill cannot take it back.
+
+    A last line that was cut goes first: the new one would be written to its end, and neither could be read.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
     try:
-        os.write(handle, line.encode("utf-8") + b"\n")
+        if os.lseek(handle, 0, os.SEEK_END) and _last_byte(handle) != b"\n":
+            os.ftruncate(handle, path.read_bytes().rfind(b"\n") + 1)
+        content = line.encode("utf-8") + b"\n"
+        while content:  # a full disk takes a part, and tells with the next
+            content = content[os.write(handle, content) :]
     finally:
         os.close(handle)
+
+
+def _last_byte(handle: int) -> bytes:
+    os.lseek(handle, -1, os.SEEK_END)
+    return os.read(handle, 1)
 
 
 def whole_lines(path: Path) -> list[str]:
