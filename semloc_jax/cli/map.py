@@ -41,6 +41,9 @@ class Options:
     start: str | None = None
     """What fixes the frame of the map: gnss (their common offset stays in the map), truth or a trajectory file (pose of
     the first frame), identity (the first frame); default: gnss where the drive has fixes, else identity."""
+    base: Path | None = None
+    """A map that is there already: the drive is found in it from its fixes or --start (within some 5 m), its elements
+    are seen or missed, what is new is added (map.gpkg), what is gone is left out (changes.csv, places.csv)."""
     no_loops: bool = False
     """Do not look for places that the drive comes to again: they tie its way down, and cost seconds each."""
     no_gnss: bool = False
@@ -95,7 +98,17 @@ def run(options: Options) -> int:
     settings = options.settings
     loops = not options.no_loops
     report = report_map(
-        drive, masks, frames, settings, options.start, options.out, options.overlays, kept, loops, options.resume
+        drive,
+        masks,
+        frames,
+        settings,
+        options.start,
+        options.out,
+        options.overlays,
+        kept,
+        loops,
+        options.resume,
+        options.base,
     )
     print(report.text)
     print(f"results: {report.folder}")

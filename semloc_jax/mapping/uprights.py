@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.mapping.existence import ExistenceConfig, existence_logit
+from semloc_jax.mapping.existence import ExistenceConfig, existence_logit, raised
 from semloc_jax.mapping.sightings import UPRIGHT, RayTable, column
 from semloc_jax.mapping.triangulation import Standing, TriangulationConfig, stand
 from semloc_jax.maps import Belief, MapElement
@@ -225,13 +225,19 @@ class UprightCounting:
         share = self.num_seen[:n] / np.maximum((self.num_seen + self.num_missed)[:n], 1)
         return share >= _LEAST_SHARE
 
-    def beliefs(self, provenance: str) -> list[Belief]:
-        """The belief in each thing; `provenance` names the drive."""
+    def beliefs(self, provenance: str, priors: Sequence[float] | None = None) -> list[Belief]:
+        """The belief in each thing.
+
+        Args:
+            provenance: name of the drive.
+            priors: log odds of each before the drive; None for those of something that nobody knew.
+        """
         detected, false, found = self.detection_rates(), self.false_rates(), []
         for k, upright in enumerate(self.uprights):
             label = upright.element.label
             seen, missed = int(self.num_seen[k]), int(self.num_missed[k])
             logit = existence_logit(seen, missed, detected[label], false[label], self.config)
+            logit = logit if priors is None else raised(logit, priors[k], self.config)
             sigma_m = float(np.hypot(upright.sigma_m, self.config.floor_m))
             times = (float(self.first_s[k]), float(self.last_s[k])) if seen else (None, None)
             found.append(Belief(sigma_m, sigma_m, logit, seen, missed, *times, provenance))

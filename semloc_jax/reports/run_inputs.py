@@ -19,7 +19,7 @@ from semloc_jax.inputs.drive_inputs import Inputs
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.maps import SemanticMap
 from semloc_jax.maps.io import StoredMap
-from semloc_jax.storage import json_document, write_text
+from semloc_jax.storage import json_document, reading, write_text
 
 FILE = "inputs.json"
 _MAY_CHANGE = ("frames", "overlays", "video", "min_localized_share", "min_tracking_share")
@@ -47,6 +47,12 @@ def fingerprint_without_map(
         "settings": _digest(settings),
         "options": _digest(sorted(options.items())),
     }
+
+
+def file_digest(path: Path) -> str:
+    """A hash of a file."""
+    with reading(f"file {path}"), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:20]
 
 
 def begun(folder: Path, parts: Mapping[str, str], is_resumed: bool) -> None:
