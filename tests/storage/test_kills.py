@@ -111,7 +111,7 @@ def material(simulated_road, tmp_path_factory) -> Path:
 def _verbs(material: Path, out: Path) -> dict[str, list[str]]:
     """Words of each verb that writes, for a small drive; outputs go below the folder `out`."""
     drive, to = str(material / "drive"), ["--out", str(out)]
-    small, search = ["--masks", "sem", "--overlays", "2"], ["--acquisition.search.num-hypotheses", "256"]
+    small, search = ["--masks", "sem", "--overlays", "2"], ["--search.num-hypotheses", "256"]
     size = ["--num-frames", "3", "--width-px", "240", "--height-px", "150"]
     return {
         "simulate": ["simulate", str(out), *size],
