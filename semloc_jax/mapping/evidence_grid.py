@@ -57,10 +57,10 @@ class EvidenceGrid:
         xy_map, weight, layer = xy_map[usable], weight[usable], layer[usable]
         if not len(xy_map):
             return
-        cell = np.floor(xy_map / self.cell_m).astype(np.int64)
-        low = cell.min(axis=0)
-        size = cell.max(axis=0) - low + 1
-        flat = (cell[:, 1] - low[1]) * size[0] + cell[:, 0] - low[0]
+        x, y = (np.floor(axis / self.cell_m).astype(np.int64) for axis in xy_map.T)
+        low = np.array([x.min(), y.min()])
+        size = np.array([x.max(), y.max()]) - low + 1
+        flat = (y - low[1]) * size[0] + x - low[0]
         num_cells = int(size[0] * size[1])
         self._add_window(low, size, 0, np.bincount(flat, weight, num_cells))
         # How often a place was looked at: cells that a look has hit at all.

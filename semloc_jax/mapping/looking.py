@@ -72,7 +72,8 @@ class Look:
     @property
     def xy_map(self) -> Float[np.ndarray, "n 2"]:
         """The places on the road in the map [m]."""
-        return self.table.on_road(self.heights) @ self.T_map_base[:2, :2].T + self.T_map_base[:2, 3]
+        T, (x, y) = self.T_map_base, self.table.on_road(self.heights).T
+        return np.stack([T[k, 0] * x + T[k, 1] * y + T[k, 3] for k in (0, 1)], axis=1)
 
     def rows_of(self, xy_map: Float[np.ndarray, "n 2"]) -> np.ndarray:
         """Row of the table that shows each place of the map, -1 for those not shown."""

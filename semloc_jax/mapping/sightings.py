@@ -170,6 +170,8 @@ def _things(
     config: SightConfig,
 ) -> Float[np.ndarray, "k 8"]:
     """Bearing, sigma, low, high, width, fill, is_foot and is_top of every patch of one class."""
+    if not shows.any():
+        return np.zeros((0, 8))
     num, labels, stats, _ = cv2.connectedComponentsWithStats(shows.astype(np.uint8), connectivity=8)
     found = []
     for index in range(1, num):

@@ -110,9 +110,14 @@ def elements_of(
     config = config or VectorConfig()
     found = [_Found() for _ in layers]
     margin = round(_MARGIN_M / grid.cell_m)
+    tiles = grid.tiles * TILE
     for block in np.unique(grid.tiles // _BLOCK_TILES, axis=0):
         core = block * _BLOCK_TILES * TILE
-        window = _Window(grid, core - margin, np.full(2, _BLOCK_TILES * TILE + 2 * margin), config)
+        low, high = core - margin, core + _BLOCK_TILES * TILE + margin
+        # Where no tile is nothing was seen.
+        near = tiles[((tiles < high) & (tiles + TILE > low)).all(axis=1)]
+        low, high = np.maximum(low, near.min(axis=0)), np.minimum(high, near.max(axis=0) + TILE)
+        window = _Window(grid, low, high - low, config)
         for layer, own in zip(layers, found, strict=True):
             _look_at(window, layer, own, core, config)
     to_map = _ToMap(grid.cell_m, height_of)
