@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.existence import Counting
 from semloc_jax.mapping.looking import Gatherer
 from semloc_jax.mapping.loops import FoundLoop
@@ -56,8 +57,13 @@ class Parts:
         Args:
             gatherer: empty; the parts that are there are taken in.
             frames: all of them, in order.
+
+        Raises:
+            SemlocError: a part is missing or damaged.
         """
         paths = sorted(self.folder.glob(f"{_LOOKS}_*"))
+        if len(paths) != -(-_done(paths) // PART_FRAMES):
+            raise SemlocError(f"{self.folder}: {len(paths)} parts of {_done(paths)} frames; some are gone: begin anew")
         for path in paths:
             gatherer.attach(path)
         return Rest(frames, _done(paths), lambda count: gatherer.store(self.folder / f"{_LOOKS}_{count:06d}"))

@@ -3,7 +3,6 @@
 In: a drive, its masks, how the map is made. Out: map, trajectory, tables, metrics and pictures in a folder.
 """
 
-import shutil
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -41,7 +40,7 @@ from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.pictures import element_panels
 from semloc_jax.reports.run_inputs import begun, file_digest, fingerprint_without_map
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.storage import output_path
+from semloc_jax.storage import output_path, remove_folder
 from semloc_jax.viz import draw_contours, maps_over_each_other, save, sigmas_from_above
 
 _PARTS = "parts"
@@ -147,7 +146,7 @@ def report_map(
         metrics += base_metrics(closed.places, made.changes)
     write_metrics(metrics, folder / "metrics.json")
     _draw(drive, masks, frames, made, Ts_map_base, num_overlays, folder)
-    shutil.rmtree(parts.folder)
+    remove_folder(parts.folder)
     return MadeMapReport(folder, _text(made, closed, metrics, comparison), made.belief_map.map.num_elements)
 
 
@@ -166,7 +165,7 @@ def _begun(
     same = {name: value for name, value in options.items() if name != "overlays"}
     if not is_resumed:
         # What an earlier run left there is none of this one: it goes before the folder says what this one began with.
-        shutil.rmtree(folder / _PARTS, ignore_errors=True)
+        remove_folder(folder / _PARTS)
     made_of = fingerprint_without_map(drive, masks, settings, same)
     begun(folder, made_of if base is None else {**made_of, "base": file_digest(base)}, is_resumed)
     return Parts(folder / _PARTS)

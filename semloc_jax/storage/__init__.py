@@ -17,7 +17,16 @@ from semloc_jax.storage.limits import (
 )
 from semloc_jax.storage.output import file_name, is_plain_name, output_path
 from semloc_jax.storage.sealed import others_can_write, private_folder, read_sealed, write_sealed
-from semloc_jax.storage.writing import append_line, making, whole_lines, write_bytes, write_npz, write_text, writing
+from semloc_jax.storage.writing import (
+    append_line,
+    making,
+    remove_folder,
+    whole_lines,
+    write_bytes,
+    write_npz,
+    write_text,
+    writing,
+)
 
 __all__ = [
     "append_line",
@@ -36,6 +45,7 @@ __all__ = [
     "read_sealed",
     "reading",
     "release_claims",
+    "remove_folder",
     "require_room",
     "sweep",
     "sweep_once",

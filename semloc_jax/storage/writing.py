@@ -53,6 +53,16 @@ def making(path: str | Path) -> Iterator[Path]:
         shutil.rmtree(hidden, ignore_errors=True)
 
 
+def remove_folder(path: str | Path) -> None:
+    """Take a folder away at once, where it is there: a kill while its files go leaves none of it under its name."""
+    path = Path(path)
+    if not path.is_dir():
+        return
+    hidden = Path(tempfile.mkdtemp(prefix=temporary_prefix(path.name), dir=path.parent))
+    os.rename(path, hidden / path.name)
+    shutil.rmtree(hidden, ignore_errors=True)
+
+
 def write_bytes(path: str | Path, content: bytes) -> None:
     """Write a whole file."""
     with writing(path) as partial:

@@ -5,6 +5,8 @@ import pytest
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.evidence_grid import TILE, EvidenceGrid
+from semloc_jax.mapping.looking import Gatherer
+from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.sightings import COLUMNS, Sightings
 from semloc_jax.perception import load_class_table
 from semloc_jax.storage import write_npz
@@ -41,3 +43,10 @@ def test_sightings_have_columns(tmp_path, arrays):
     write_npz(tmp_path / "part.npz", arrays)
     with pytest.raises(SemlocError, match="holds no sightings; begin anew"):
         Sightings(TABLE).attach(tmp_path / "part.npz")
+
+
+def test_a_part_that_is_gone_is_missed(tmp_path):
+    for count in (80, 100):
+        write_npz(tmp_path / f"looks_{count:06d}", {})
+    with pytest.raises(SemlocError, match="2 parts of 100 frames; some are gone: begin anew"):
+        Parts(tmp_path).gathered(Gatherer(TABLE, 0.5), range(100))

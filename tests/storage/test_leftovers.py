@@ -1,13 +1,23 @@
 """What a killed process left in a folder goes with the next writer there; nothing else does."""
 
 import os
+import shutil
 import signal
 import sqlite3
 import time
 
 import pytest
 
-from semloc_jax.storage import claim, making, release_claims, sweep, temporary_prefix, write_text, writing
+from semloc_jax.storage import (
+    claim,
+    making,
+    release_claims,
+    remove_folder,
+    sweep,
+    temporary_prefix,
+    write_text,
+    writing,
+)
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
@@ -52,6 +62,23 @@ def test_leftovers_of_a_killed_process_go_with_the_next_write(tmp_path, next_wri
     assert any(name.endswith(".gpkg-journal") for name in left)
     next_write(folder)
     assert [path.name for path in folder.iterdir() if path.name.startswith(".")] == []
+
+
+def test_a_folder_goes_at_once(tmp_path):
+    parts = tmp_path / "parts"
+    remove_folder(parts)
+    parts.mkdir()
+    for name in "abc":
+        (parts / name).write_text(name)
+
+    def cut_short():
+        shutil.rmtree = lambda path, **_: os.kill(os.getpid(), signal.SIGKILL)
+        remove_folder(parts)
+
+    _killed(cut_short)
+    assert not parts.exists() and len(list(tmp_path.iterdir())) == 1
+    sweep(tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_a_living_process_writes_stays(tmp_path):
