@@ -13,7 +13,7 @@ import numpy as np
 
 from semloc_jax.bench.peer import PeerMissing, Solved
 from semloc_jax.bench.problem import Problem, to_binary
-from semloc_jax.storage import private_folder
+from semloc_jax.storage import private_folder, sweep_once, temporary_prefix
 from semloc_jax.storage.sealed import home_folder
 
 SOURCE = Path(__file__).resolve().parents[2] / "tests" / "ceres"
@@ -46,7 +46,8 @@ def build() -> Path:
         raise PeerMissing(f"{program.parent} cannot be made a folder of this user alone; remove it")
     if program.is_file():
         return program
-    with tempfile.TemporaryDirectory(dir=program.parent) as folder:
+    sweep_once(program.parent)
+    with tempfile.TemporaryDirectory(prefix=temporary_prefix(program.name), dir=program.parent) as folder:
         made = Path(folder) / program.name
         command = [compiler, *FLAGS, str(SOURCE / "bench.cpp"), "-o", str(made), *LIBRARIES]
         done = subprocess.run(command, capture_output=True, text=True, check=False)

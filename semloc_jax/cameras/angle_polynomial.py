@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from semloc_jax.cameras.base import Scalar, as_leaf
-from semloc_jax.cameras.elementwise import MIN_SLOPE, derivative, horner
+from semloc_jax.cameras.elementwise import MIN_SLOPE, derivative, horner, positive_roots
 from semloc_jax.cameras.radial import LARGEST_THETA_RAD, RadialCamera
 
 
@@ -68,6 +68,5 @@ def _usable_angle(slope: tuple) -> float:
     """Angle up to which a polynomial of this slope rises with at least MIN_SLOPE; at most LARGEST_THETA_RAD."""
     polynomial = np.array([float(c) for c in slope])
     polynomial[0] -= MIN_SLOPE
-    roots = np.polynomial.polynomial.polyroots(np.trim_zeros(polynomial, "b"))
-    turning = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
+    turning = positive_roots(polynomial)
     return float(min(turning.min(), LARGEST_THETA_RAD)) if turning.size else float(LARGEST_THETA_RAD)

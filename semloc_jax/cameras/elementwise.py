@@ -91,6 +91,16 @@ def slope(coefficients: tuple) -> tuple:
     return tuple((2 * power + 1) * c for power, c in enumerate(coefficients))
 
 
+def positive_roots(polynomial: np.ndarray) -> np.ndarray:
+    """Real roots above 0 of a polynomial with these coefficients, lowest power first.
+
+    A coefficient that changes nothing in 15 digits counts as none: roots are found by dividing by the highest.
+    """
+    counts = np.abs(polynomial) > 1e-15 * np.abs(polynomial).max()
+    roots = np.polynomial.polynomial.polyroots(np.trim_zeros(np.where(counts, polynomial, 0.0), "b"))
+    return roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
+
+
 def usable_radius(coefficients: tuple, largest: float) -> float:
     """Radius up to which r (c0 + c1 r^2 + ...) rises with at least MIN_SLOPE c0; at most `largest`.
 
@@ -98,6 +108,5 @@ def usable_radius(coefficients: tuple, largest: float) -> float:
     """
     polynomial = np.array(slope(tuple(float(c) for c in coefficients)))
     polynomial[0] -= MIN_SLOPE * polynomial[0]
-    roots = np.polynomial.polynomial.polyroots(np.trim_zeros(polynomial, "b"))
-    turning = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
+    turning = positive_roots(polynomial)
     return float(min(np.sqrt(turning.min()), largest)) if turning.size else float(largest)

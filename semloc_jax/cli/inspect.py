@@ -30,7 +30,9 @@ class Options:
 def run(options: Options) -> int:
     """Print the report, draw the map where asked."""
     from semloc_jax.maps import inspect_map, read_map
+    from semloc_jax.runtime.allocator import return_large_blocks
 
+    return_large_blocks()  # the arrays of a large map come one after another
     semantic_map = read_map(options.map)
     report = inspect_map(semantic_map)
     print(report.to_text(options.max_defects))

@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 class Options:
     """Make a map of a drive from its masks, wheels and gyroscope, with a sigma and an existence for every element.
 
-    Writes map.gpkg and map.geojson (open with every verb), trajectory.tum (T_map_base of every frame), loops.csv
-    (places that the drive came to again), elements.csv, config.yaml (resolved; reads back with --config), map.png,
-    overlays/*.png, and metrics.json: against the poses and the map of the drive, where it has them, after one motion in
-    the plane.
+    It holds paint, poles, signs and traffic lights. Writes map.gpkg and map.geojson (open with every verb),
+    trajectory.tum (T_map_base of every frame), loops.csv (places that the drive came to again), elements.csv,
+    config.yaml (resolved; reads back with --config), map.png, overlays/*.png, and metrics.json: against the poses and
+    the map of the drive, where it has them, after one motion in the plane. What is finished is kept in parts/ until
+    the end, for --resume after a kill.
 
     Every value of the configuration is an option too, e.g. --min-seen 5: 'semloc map --help' prints the verb's own.
     """
@@ -40,6 +41,9 @@ class Options:
     start: str | None = None
     """What fixes the frame of the map: gnss (their common offset stays in the map), truth or a trajectory file (pose of
     the first frame), identity (the first frame); default: gnss where the drive has fixes, else identity."""
+    base: Path | None = None
+    """A map that is there already: the drive is found in it from its fixes or --start (within some 5 m), its elements
+    are seen or missed, what is new is added (map.gpkg), what is gone is left out (changes.csv, places.csv)."""
     no_loops: bool = False
     """Do not look for places that the drive comes to again: they tie its way down, and cost seconds each."""
     no_gnss: bool = False
@@ -50,9 +54,11 @@ class Options:
     """YAML file with values of the configuration."""
     out: Path | None = None
     """Folder for the results; default: results/TIME, to which results/latest points."""
+    resume: Path | None = None
+    """Folder of a run that was killed, to go on with: give the same drive and options as then."""
 
 
-NOT_KEPT = ("drive", "config", "out", "settings")
+NOT_KEPT = ("drive", "config", "out", "resume", "settings")
 
 
 def default_settings() -> "MapConfig":
@@ -91,7 +97,19 @@ def run(options: Options) -> int:
     kept |= {"masks": masks.name, "cameras": ",".join(masks.cameras)}
     settings = options.settings
     loops = not options.no_loops
-    report = report_map(drive, masks, frames, settings, options.start, options.out, options.overlays, kept, loops)
+    report = report_map(
+        drive,
+        masks,
+        frames,
+        settings,
+        options.start,
+        options.out,
+        options.overlays,
+        kept,
+        loops,
+        options.resume,
+        options.base,
+    )
     print(report.text)
     print(f"results: {report.folder}")
     return OK

@@ -67,7 +67,9 @@ def run(options: Options) -> int:
     """Render the drive and say what was written."""
     from semloc_jax.cameras.io import read_calibration
     from semloc_jax.simulation import RouteWish, is_begun, simulate, simulate_on_map
+    from semloc_jax.storage import sweep
 
+    sweep(options.out)  # a folder in which a kill left nothing but an unfinished file is empty
     is_empty = not options.out.exists() or (options.out.is_dir() and not any(options.out.iterdir()))
     if not is_empty and not is_begun(options.out):
         raise SemlocError(f"{options.out}: is not an empty folder; give a new one, nothing is overwritten")

@@ -34,6 +34,8 @@ _TURN_RATIO = (0.3, 3.0)
 _MIN_TURN_RAD = 0.5
 """Root of the summed squares of the turns that a comparison needs."""
 _MIN_CORRELATION = 0.8
+_FARTHEST_M = 1e8
+"""No place on the earth, in any coordinates, is farther from its origin."""
 _FASTEST_TURN_RADPS, _LARGEST_SIDE_MPS2 = 12.0, 30.0
 """No road vehicle turns faster or takes a curve so fast for long."""
 
@@ -48,6 +50,13 @@ def checked(drive: Drive) -> Drive:
         if not is_plain_name(name):
             raise SemlocError(
                 f"drive {drive.name}: camera name {name[:60]!r}; expected one that can name a folder; rename the camera"
+            )
+    if drive.truth is not None:
+        known = np.isfinite(drive.truth.time_s) & (np.abs(drive.truth.T_map_base) <= _FARTHEST_M).all(axis=(1, 2))
+        if not known.all():
+            raise SemlocError(
+                f"drive {drive.name}: pose {int(np.argmin(known))} of its truth has a time or place that is no number "
+                "or beyond the earth; expected seconds and metres; drop such rows"
             )
     frames = usable_frames(drive.frames, f"drive {drive.name}")
     drive = drive if frames == drive.frames else replace(drive, frames=frames)
@@ -194,6 +203,12 @@ def _check_turn(
     # Fixes that jitter or a vehicle that backs up turn the course by half a circle: no sensor is judged by that.
     calm = np.abs(turn) < np.pi / 2
     turn, said = turn[calm], said[calm]
+    often, often_said = float(np.median(np.abs(turn))), float(np.median(np.abs(said)))
+    if len(turn) >= _MIN_WINDOWS and often_said > max(_MIN_TURN_RAD, _TURN_RATIO[1] * often):
+        raise SemlocError(
+            f"drive {name}: the {what} turns by {often_said:.3g} rad from one {_WINDOW_M:.0f} m to the next, "
+            f"the path by {often:.2g} rad; expected a yaw rate in rad/s; is it in deg/s?"
+        )
     size, size_said = np.linalg.norm(turn), np.linalg.norm(said)
     if size < _MIN_TURN_RAD or size_said == 0.0:
         return

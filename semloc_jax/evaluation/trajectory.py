@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import npy_array, writing
 
+_FARTHEST_M = 1e8
+"""No place on the earth, in any coordinates, is farther from its origin."""
 _LARGEST_SKEW = 0.01
 """Of the products of the rows of a rotation matrix: files hold six digits; ours."""
 _UPRIGHT = 0.97
@@ -163,7 +165,9 @@ def _read_rows(path: Path) -> np.ndarray:
 
 
 def _from_tum_rows(rows: np.ndarray, path: Path) -> Trajectory:
-    norm = np.linalg.norm(rows[:, 4:], axis=1)
+    _require_near(rows[:, 1:4], path)
+    with np.errstate(over="ignore"):
+        norm = np.linalg.norm(rows[:, 4:], axis=1)
     if np.any(np.abs(norm - 1.0) > 0.01):
         row = int(np.argmax(np.abs(norm - 1.0)))
         raise SemlocError(
@@ -186,7 +190,17 @@ def _upright(quaternion_xyzw: np.ndarray) -> float:
     return float(np.mean(Rotation.from_quat(quaternion_xyzw).as_matrix()[:, 2, 2]))
 
 
+def _require_near(t_m: np.ndarray, path: Path) -> None:
+    far = np.abs(t_m).max(axis=1, initial=0.0)
+    if far.max(initial=0.0) > _FARTHEST_M:
+        raise SemlocError(
+            f"trajectory {path}: pose {int(np.argmax(far))} lies {far.max():.3g} m from the origin; expected a place "
+            "on the earth; check the columns"
+        )
+
+
 def _require_rotations(T: np.ndarray, path: Path) -> None:
+    _require_near(T[:, :3, 3], path)
     R = np.clip(T[:, :3, :3], -2.0, 2.0)
     off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
     off = np.where(np.linalg.det(R) > 0.0, off, 2.0)

@@ -18,6 +18,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.pose_factors import (
     calibration_of,
     fixes,
+    measured_poses,
     motions,
     odometry,
     pose_graph,
@@ -52,6 +53,8 @@ class ChainGraphConfig:
     """The errors of the vertical stay the same for so long."""
     loop_probability: float = 0.99
     """A loop beyond this quantile of the chi-square distribution is let go of."""
+    place_threshold: float = 4.0
+    """Norm of a whitened place (6 numbers) beyond which its pull grows no more."""
     solve: SolveConfig = field(default_factory=lambda: SolveConfig(tolerance=1e-4, max_steps=50))
 
 
@@ -72,6 +75,14 @@ class Loops(NamedTuple):
     Ts_a_b: Float[np.ndarray, "l 4 4"]
     covariance: Float[np.ndarray, "l 6 6"]
     """Of the right tangent [m, rad]."""
+
+
+class MapPlaces(NamedTuple):
+    """Measured poses of frames in the map."""
+
+    Ts_map_base: Float[np.ndarray, "n 4 4"]
+    sqrt_info: Float[np.ndarray, "n 6 6"]
+    """Square root of the information of each frame's right tangent [1/m, 1/rad]; 0 where nothing was measured."""
 
 
 NO_LOOPS = Loops(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 4, 4)), np.zeros((0, 6, 6)))
@@ -131,6 +142,7 @@ def solve_chain(
     gnss: GnssTrack | None = None,
     start: Start | None = None,
     config: ChainGraphConfig | None = None,
+    places: MapPlaces | None = None,
 ) -> ChainSolution:
     """The most likely poses of a drive.
 
@@ -142,6 +154,7 @@ def solve_chain(
         gnss: Fixes in the map frame.
         start: The first pose, where it is known.
         config: None for the defaults.
+        places: Poses that were found in a map; None for none.
 
     Raises:
         SemlocError: a loop names a frame that is not there or one frame twice, or no fix lies in the time of the drive.
@@ -153,8 +166,8 @@ def solve_chain(
         tied, T_map_odom = _fixes(chain, gnss, config)
     if start is not None:
         T_map_odom = start.T_map_base @ rigid.inverse(chain.Ts_odom_base[0])
-    first = start or _free_start(chain, T_map_odom, gnss is not None)
-    graph, values = chain_graph(chain, T_map_odom @ chain.Ts_odom_base, first, loops, tied, config)
+    first = start or _free_start(chain, T_map_odom, gnss is not None, places is not None)
+    graph, values = chain_graph(chain, T_map_odom @ chain.Ts_odom_base, first, loops, tied, config, places)
     place, has_loops = len(graph.factors) - 1, len(loops.a) > 0
     gnc = GncConfig(0.5 * float(chdtri(6, 1.0 - config.loop_probability)), solve=config.solve)
     with jax.enable_x64(True):
@@ -180,6 +193,7 @@ def chain_graph(
     loops: Loops,
     fix_factors: Factors | None,
     config: ChainGraphConfig,
+    places: MapPlaces | None = None,
 ) -> tuple[FactorGraph, Values]:
     """The factors, loops last where there are any, and start values.
 
@@ -190,6 +204,7 @@ def chain_graph(
         loops: Plain factors without any robust function.
         fix_factors: Satellite fixes; None for none.
         config: Noise.
+        places: Poses that were found in a map; None for none.
     """
     num = len(chain.times_s)
     frames = np.arange(num)
@@ -206,6 +221,8 @@ def chain_graph(
     ]
     if fix_factors is not None:
         factors.append(fix_factors)
+    if places is not None:
+        factors.append(measured_poses(places.Ts_map_base, places.sqrt_info, config.place_threshold))
     if len(loops.a):
         factors.append(_loop_factors(loops))
     return pose_graph(np.ones(num, bool), tuple(factors)), values_of(Ts_map_base, calibration)
@@ -220,10 +237,11 @@ def _loop_factors(loops: Loops) -> Factors:
     return motions(a, b, Ts, info)
 
 
-def _free_start(chain: Chain, T_map_odom: np.ndarray, has_fixes: bool) -> Start:
-    """What is known of the first pose without being told: it defines the map, or the fixes do."""
+def _free_start(chain: Chain, T_map_odom: np.ndarray, has_fixes: bool, has_places: bool) -> Start:
+    """What is known of the first pose without being told: it defines the map, or the fixes do and places its height."""
     T_first = T_map_odom @ chain.Ts_odom_base[0]
-    sigma = np.array([_VAGUE_M, _VAGUE_M, 1e-3, 0.1, 0.1, 1.0]) if has_fixes else np.repeat([1e-3, 1e-4], 3)
+    height_m = _VAGUE_M if has_places else 1e-3
+    sigma = np.array([_VAGUE_M, _VAGUE_M, height_m, 0.1, 0.1, 1.0]) if has_fixes else np.repeat([1e-3, 1e-4], 3)
     return Start(T_first, np.diag(sigma**2))
 
 

@@ -5,19 +5,23 @@ In: elements, the looks of a drive. Out: Belief of each: existence from visible 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.looking import Look
 from semloc_jax.maps import Belief, MapElement
+from semloc_jax.storage import npz_arrays, write_npz
 from semloc_jax.structs import ElementClass
 
 _LINE_STEP_M = 0.25
 _AREA_STEP_M = 0.15
 _MOST_LOGIT = 15.0
+_COUNTED = ("num_seen", "num_missed", "first_s", "last_s", "information")
 
 
 @dataclass(frozen=True)
@@ -58,13 +62,26 @@ class Counting:
         planes_of: dict[ElementClass, tuple[int, ...]],
         plane_of_id: np.ndarray,
         config: ExistenceConfig | None = None,
+        off_m: Sequence[float] | None = None,
     ):
+        """Nothing is counted yet.
+
+        Args:
+            elements: what is looked at.
+            planes_of: planes of each class.
+            plane_of_id: plane of each mask id.
+            config: None for the defaults.
+            off_m: how far to either side of each element its paint may lie [m]: one of another map is not where this
+                drive would draw it; None for nowhere but there.
+        """
         self.elements = elements
         self.config = config or ExistenceConfig()
         self._plane_of_id = plane_of_id
         places = [_places(element) for element in elements]
+        sides = [_across(element) * off for element, off in zip(elements, off_m or [0.0] * len(elements), strict=True)]
         self._xy = np.concatenate([np.zeros((0, 2)), *places])
         self._owner = np.repeat(np.arange(len(elements)), [len(p) for p in places])
+        self._side = np.array(sides).reshape(-1, 2)
         self._num_places = np.bincount(self._owner, minlength=len(elements))
         self._tree = cKDTree(self._xy) if len(self._xy) else None
         self._wanted = np.zeros((len(elements), int(plane_of_id.max()) + 2), dtype=bool)
@@ -73,7 +90,7 @@ class Counting:
         n = len(elements)
         self.num_seen, self.num_missed = np.zeros(n, int), np.zeros(n, int)
         self.first_s, self.last_s = np.full(n, np.inf), np.full(n, -np.inf)
-        self._information = np.zeros((n, 2, 2))
+        self.information = np.zeros((n, 2, 2))
 
     def add(self, looks: Sequence[Look], time_s: float) -> None:
         """Counts one frame.
@@ -101,7 +118,8 @@ class Counting:
             row, places = row[usable], near[usable]
             owner = self._owner[places]
             shown += np.bincount(owner, minlength=n)
-            hits += np.bincount(owner, self._wanted[owner, self._plane_of_id[look.ids[row]]], minlength=n)
+            is_hit = self._wanted[owner, self._plane_of_id[look.ids[row]]] | self._beside(look, places, owner)
+            hits += np.bincount(owner, is_hit, minlength=n)
             gained += self._gained(look, row, places, owner)
         enough = shown >= np.minimum(self.config.min_places, 0.5 * self._num_places)
         enough &= shown > 0
@@ -111,7 +129,36 @@ class Counting:
         self.num_missed += enough & (share <= self.config.missed_share)
         self.first_s[seen] = np.minimum(self.first_s[seen], time_s)
         self.last_s[seen] = np.maximum(self.last_s[seen], time_s)
-        self._information[seen] += gained[seen]
+        self.information[seen] += gained[seen]
+
+    def _beside(self, look: Look, places: np.ndarray, owner: np.ndarray) -> np.ndarray:
+        """Whether paint of an element is beside its places, where it may be."""
+        found = np.zeros(len(places), bool)
+        loose = np.flatnonzero(self._side[owner].any(axis=1))
+        for sign in (1.0, -1.0) if len(loose) else ():
+            row = look.rows_of(self._xy[places[loose]] + sign * self._side[owner[loose]])
+            found[loose] |= (row >= 0) & self._wanted[owner[loose], self._plane_of_id[look.ids[np.maximum(row, 0)]]]
+        return found
+
+    def save(self, path: Path) -> None:
+        """Writes what was counted so far."""
+        write_npz(path, {name: getattr(self, name) for name in _COUNTED})
+
+    def restore(self, path: Path) -> None:
+        """Takes in what `save` wrote of the same elements.
+
+        Raises:
+            SemlocError: it is none of these elements.
+        """
+        counted = npz_arrays(path, f"counts {path}", names=_COUNTED)
+        own = {name: np.asarray(getattr(self, name)) for name in _COUNTED}
+        form = {name: (values.shape, values.dtype) for name, values in counted.items()}
+        if form != {name: (values.shape, values.dtype) for name, values in own.items()}:
+            raise SemlocError(
+                f"counts {path}: not those of {len(self.elements)} elements; begin anew with another --out"
+            )
+        for name, values in counted.items():
+            setattr(self, name, values)
 
     def _gained(self, look: Look, row: np.ndarray, places: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """What one look tells about the place of each element, `[n 2 2]` [1/m^2]: less along the line of sight."""
@@ -145,27 +192,31 @@ class Counting:
             rates[label] = (int(self.num_seen[own].sum()) + 1) / (looks + 2)
         return rates
 
-    def beliefs(self, false_rates: dict[ElementClass, float], provenance: str) -> list[Belief]:
+    def beliefs(
+        self,
+        false_rates: dict[ElementClass, float],
+        provenance: str,
+        priors: Sequence[float] | None = None,
+    ) -> list[Belief]:
         """The belief in each element.
 
         Args:
             false_rates: share of the looks at bare road that show paint of a class.
             provenance: name of the drive.
+            priors: log odds of each before the drive; None for those of something that nobody knew.
         """
         detected, found = self.detection_rates(), []
         for k, element in enumerate(self.elements):
-            p_d = float(np.clip(detected[element.label], 0.05, 0.99))
-            p_f = float(np.clip(false_rates.get(element.label, 0.01), 1e-3, 0.5 * p_d))
-            most = self.config.most_per_look
-            logit = self.config.prior_logit + self.num_seen[k] * min(np.log(p_d / p_f), most)
-            logit += self.num_missed[k] * max(np.log((1.0 - p_d) / (1.0 - p_f)), -most)
+            rates = detected[element.label], false_rates.get(element.label, 0.01)
+            logit = existence_logit(int(self.num_seen[k]), int(self.num_missed[k]), *rates, self.config)
+            logit = logit if priors is None else raised(logit, priors[k], self.config)
             across_m, along_m = self._sigmas(k, element)
             is_seen = np.isfinite(self.first_s[k])
             found.append(
                 Belief(
                     across_m,
                     along_m,
-                    float(np.clip(logit, -_MOST_LOGIT, _MOST_LOGIT)),
+                    logit,
                     int(self.num_seen[k]),
                     int(self.num_missed[k]),
                     float(self.first_s[k]) if is_seen else None,
@@ -182,12 +233,44 @@ class Counting:
         along = edges[np.linalg.norm(edges, axis=1).argmax()] if element.closed else xy[-1] - xy[0]
         along = along / max(float(np.linalg.norm(along)), 1e-9)
         # One metre where nothing was seen: such an element does not stay.
-        covariance = np.linalg.inv(self._information[k] + np.eye(2))
+        covariance = np.linalg.inv(self.information[k] + np.eye(2))
         across = np.array([-along[1], along[0]])
         floor = self.config.floor_m
         return float(np.hypot(np.sqrt(across @ covariance @ across), floor)), float(
             np.hypot(np.sqrt(along @ covariance @ along), floor)
         )
+
+
+def existence_logit(
+    num_seen: int, num_missed: int, detection_rate: float, false_rate: float, config: ExistenceConfig
+) -> float:
+    """Log odds that something is there.
+
+    Args:
+        num_seen: visible looks that showed it.
+        num_missed: visible looks that did not.
+        detection_rate: share of the looks at such things that show them.
+        false_rate: share of the looks at nothing that show one.
+        config: what one look may say.
+    """
+    p_d = float(np.clip(detection_rate, 0.05, 0.99))
+    p_f = float(np.clip(false_rate, 1e-3, 0.5 * p_d))
+    logit = config.prior_logit + num_seen * min(np.log(p_d / p_f), config.most_per_look)
+    logit += num_missed * max(np.log((1.0 - p_d) / (1.0 - p_f)), -config.most_per_look)
+    return float(np.clip(logit, -_MOST_LOGIT, _MOST_LOGIT))
+
+
+def raised(logit: float, prior: float, config: ExistenceConfig) -> float:
+    """Log odds after looks at something that was known with other log odds before."""
+    return float(np.clip(logit - config.prior_logit + prior, -_MOST_LOGIT, _MOST_LOGIT))
+
+
+def _across(element: MapElement) -> Float[np.ndarray, " 2"]:
+    """Unit direction across an open element; zero for an area, which is wide."""
+    if element.closed:
+        return np.zeros(2)
+    step = element.points[-1, :2] - element.points[0, :2]
+    return np.array([-step[1], step[0]]) / max(float(np.linalg.norm(step)), 1e-9)
 
 
 def _places(element: MapElement) -> Float[np.ndarray, "k 2"]:

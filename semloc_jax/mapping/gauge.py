@@ -15,7 +15,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, read_trajectory
 from semloc_jax.geometry import rigid
 from semloc_jax.mapping.chain import Chain
-from semloc_jax.mapping.chain_graph import NO_LOOPS, ChainSolution, Loops, Start, solve_chain
+from semloc_jax.mapping.chain_graph import NO_LOOPS, ChainSolution, Loops, MapPlaces, Start, solve_chain
 
 GNSS, TRUTH, IDENTITY = "gnss", "truth", "identity"
 _START_SIGMA = np.repeat([1e-3, 1e-4], 3)
@@ -31,9 +31,16 @@ class Gauge(NamedTuple):
     gnss: GnssTrack | None
     start: Start | None
 
-    def solve(self, chain: Chain, loops: Loops = NO_LOOPS) -> ChainSolution:
-        """The most likely way of the drive with what was found on it."""
-        return solve_chain(chain, loops, self.gnss, self.start)
+    def solve(self, chain: Chain, loops: Loops = NO_LOOPS, places: MapPlaces | None = None) -> ChainSolution:
+        """The most likely way of the drive with what was found on it, and where it was found in a map."""
+        return solve_chain(chain, loops, self.gnss, self.start, places=places)
+
+    def guessed(self, sigma_xy_m: float, sigma_heading_rad: float) -> "Gauge":
+        """The same where the first pose is a guess about a map that is there: it is known no better than told."""
+        if self.start is None:
+            return self
+        sigma = np.array([sigma_xy_m, sigma_xy_m, sigma_xy_m, 0.02, 0.02, sigma_heading_rad])
+        return self._replace(start=self.start._replace(covariance=np.diag(sigma**2)))
 
 
 def gauge_of(drive: Drive, chain: Chain, start: str | None) -> Gauge:

@@ -5,6 +5,8 @@ In: frames, masks, poses. Out: Look: one camera of one frame, its places on the 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,9 +17,11 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.mapping.road_table import RoadHeights, RoadTable
+from semloc_jax.mapping.sightings import RayTable, Sightings
 from semloc_jax.mapping.vectorize import Layer
 from semloc_jax.perception import ClassTable
 from semloc_jax.perception.surround import PAINT, UPRIGHT_WORDS
+from semloc_jax.storage import making
 from semloc_jax.structs import ElementClass
 
 _HEIGHTS_REACH_M = 25.0
@@ -53,6 +57,7 @@ class Look:
         hidden: `bool[n]`, whether something stands between the camera and the place, or its rim might.
         is_vehicle: `bool[n]`, whether that is another road user.
         T_map_base: pose of the vehicle.
+        mask: `uint8[h w]` the mask itself.
     """
 
     frame: int
@@ -62,11 +67,13 @@ class Look:
     hidden: Bool[np.ndarray, " n"]
     is_vehicle: Bool[np.ndarray, " n"]
     T_map_base: Float[np.ndarray, "4 4"]
+    mask: UInt8[np.ndarray, "h w"]
 
     @property
     def xy_map(self) -> Float[np.ndarray, "n 2"]:
         """The places on the road in the map [m]."""
-        return self.table.on_road(self.heights) @ self.T_map_base[:2, :2].T + self.T_map_base[:2, 3]
+        T, (x, y) = self.T_map_base, self.table.on_road(self.heights).T
+        return np.stack([T[k, 0] * x + T[k, 1] * y + T[k, 3] for k in (0, 1)], axis=1)
 
     def rows_of(self, xy_map: Float[np.ndarray, "n 2"]) -> np.ndarray:
         """Row of the table that shows each place of the map, -1 for those not shown."""
@@ -92,8 +99,14 @@ class Looker:
                 f"drive {drive.name}: no camera shows the road within {self.config.range_m:g} m of the vehicle; check "
                 "where the cameras are mounted (semloc check-calib)"
             )
+        self._rig, self._poses = rig, poses
         self._hides = _hides(masks.table)
         self._is_vehicle = np.isin(np.arange(256), masks.table.dynamic_ids)
+
+    @cached_property
+    def rays(self) -> list[RayTable]:
+        """Directions of the pixels of every camera."""
+        return [RayTable.of(camera, T) for camera, T in zip(self._rig.cameras, self._poses, strict=True)]
 
     def looks(self, frame: Frame, index: int, Ts_map_base: Float[np.ndarray, "n 4 4"]) -> Iterator[Look]:
         """Yields the look of every camera at one frame.
@@ -108,7 +121,7 @@ class Looker:
         for table, mask in zip(self.tables, self.masks.masks(frame), strict=True):
             hidden = cv2.dilate(self._hides[mask].astype(np.uint8), rim).ravel()[table.pixel] > 0
             ids = mask.ravel()[table.pixel]
-            yield Look(index, table, heights, ids, hidden, self._is_vehicle[ids], Ts_map_base[index])
+            yield Look(index, table, heights, ids, hidden, self._is_vehicle[ids], Ts_map_base[index], mask)
 
 
 class Gatherer:
@@ -118,14 +131,32 @@ class Gatherer:
         self.layers, self.layer_of_id = paint_layers(table)
         self.paint = EvidenceGrid(cell_m, int(self.layer_of_id.max()) + 1)
         self.vehicles = EvidenceGrid(_VEHICLE_CELL_M, 1)
+        self.sightings = Sightings(table)
 
-    def add(self, look: Look) -> None:
-        """Adds one look."""
+    def add(self, look: Look, rays: RayTable | None = None) -> None:
+        """Adds one look; with the directions of its pixels also what stands upright."""
+        if rays is not None:
+            self.sightings.add(look.mask, rays, look.frame, look.T_map_base)
         xy_map = look.xy_map
         self.paint.add(xy_map, look.table.weight, self.layer_of_id[look.ids], ~look.hidden)
         some = slice(None, None, 7)
         usable = look.is_vehicle[some] | ~look.hidden[some]
         self.vehicles.add(xy_map[some], look.table.weight[some], look.is_vehicle[some].astype(np.int64) - 1, usable)
+
+    def store(self, path: Path) -> None:
+        """Writes what was gathered since the last part to `path` and takes it out of memory; it still counts."""
+        with making(path) as part:
+            part.mkdir()
+            self.paint.store(part / "paint.npz")
+            self.vehicles.store(part / "vehicles.npz")
+            self.sightings.store(part / "sightings.npz")
+        self.attach(path)
+
+    def attach(self, path: Path) -> None:
+        """Takes a part in that `store` wrote."""
+        self.paint.attach(path / "paint.npz")
+        self.vehicles.attach(path / "vehicles.npz")
+        self.sightings.attach(path / "sightings.npz")
 
 
 def paint_layers(table: ClassTable) -> tuple[list[Layer], np.ndarray]:

@@ -7,6 +7,7 @@ a place along the odometry, nothing else explains them nearly as well, and the w
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,6 +30,8 @@ from semloc_jax.storage import write_text
 
 MapOf = Callable[[np.ndarray], SemanticMap | None]
 """Frames of a stretch -> what a mapper made of them, in the frame `odom` of the chain; None where it has nothing."""
+Once = Callable[[Revisit, Callable[[], "FoundLoop | None"]], "FoundLoop | None"]
+"""A revisit and the search for its loop -> what it gives."""
 Look = Callable[[int], tuple[Sequence[np.ndarray], Rig]]
 """Frame -> masks and their cameras."""
 
@@ -91,6 +94,7 @@ class LoopSearch:
         table: class table of the masks.
         solve: the way with the loops that were accepted so far.
         config: limits.
+        once: gives what an earlier run found for a revisit, or searches.
     """
 
     chain: Chain
@@ -99,6 +103,7 @@ class LoopSearch:
     table: ClassTable
     solve: Callable[[Loops], ChainSolution]
     config: LoopConfig = field(default_factory=LoopConfig)
+    once: Once = lambda _, search: search()
 
     def run(self, told: Callable[[Iterable], Iterable] = iter) -> tuple[list[FoundLoop], ChainSolution]:
         """Every revisit that was searched, and the way with the accepted ones.
@@ -111,7 +116,7 @@ class LoopSearch:
         for frames in told(groups(self.chain.way_m, self.config.revisit)):
             near = revisits(solution, self.chain.way_m, frames, self.config.revisit)
             for revisit in near[: self.config.max_passes]:
-                loop = self.searched(revisit, solution)
+                loop = self.once(revisit, partial(self.searched, revisit, solution))
                 if loop is None:
                     continue
                 found.append(loop)

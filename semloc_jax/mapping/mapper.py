@@ -5,6 +5,7 @@ In: a drive, its masks, poses of its frames. Out: MadeMap: a BeliefMap and what 
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,11 +14,16 @@ from scipy.spatial import cKDTree
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.base_map import BaseConfig, Change, Countable, Known, aged_logit, taken_in
+from semloc_jax.mapping.evidence_grid import TILE
 from semloc_jax.mapping.existence import Counting, ExistenceConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
+from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
+from semloc_jax.mapping.triangulation import TriangulationConfig
+from semloc_jax.mapping.uprights import HeightOf, Upright, UprightCounting, uprights_of
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
-from semloc_jax.maps import BeliefMap, SemanticMap
+from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.structs import ElementClass
 
@@ -39,6 +45,9 @@ class MapConfig:
         vector: what becomes an element.
         existence: what counts as seen and missed.
         slots: what makes a slot.
+        triangulation: what makes a pole, a sign or a traffic light.
+        base: how a map that is there already takes the drive in.
+        uprights: whether these are looked for.
         min_seen: frames that must have seen an element.
     """
 
@@ -46,6 +55,9 @@ class MapConfig:
     vector: VectorConfig = field(default_factory=VectorConfig)
     existence: ExistenceConfig = field(default_factory=ExistenceConfig)
     slots: SlotConfig = field(default_factory=SlotConfig)
+    triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
+    base: BaseConfig = field(default_factory=BaseConfig)
+    uprights: bool = True
     min_seen: int = 3
 
 
@@ -59,6 +71,7 @@ class MadeMap:
         detection_rates: share of visible looks that show an element, by class.
         false_rates: share of looks at bare road that show paint, by class.
         gatherer: what was looked at.
+        changes: what the drive removed from a base map and added to it.
     """
 
     belief_map: BeliefMap
@@ -66,6 +79,7 @@ class MadeMap:
     detection_rates: dict[ElementClass, float]
     false_rates: dict[ElementClass, float]
     gatherer: Gatherer
+    changes: tuple[Change, ...] = ()
 
     def seen(self, xy_map: Float[np.ndarray, "n 2"], num_looks: int) -> Bool[np.ndarray, " n"]:
         """Whether places of the map [m] were looked at in at least so many frames."""
@@ -81,6 +95,8 @@ def make_map(
     origin: GeoOrigin | None = None,
     progress: Progress = lambda items, _: items,
     looker: Looker | None = None,
+    parts: Parts | None = None,
+    base: BeliefMap | None = None,
 ) -> MadeMap:
     """Make a map along given poses.
 
@@ -93,6 +109,8 @@ def make_map(
         origin: place of the map frame on the earth, where known.
         progress: shows how far it has come.
         looker: that of the drive with `config.look`, where several maps are made; None makes it.
+        parts: where what is finished leaves memory; those of a run that was killed are taken in. None keeps all.
+        base: map that is there already, in the frame of the poses: the drive updates its beliefs and adds to it.
 
     Raises:
         SemlocError: no frames, poses that are not finite, masks without paint, or nothing that stays.
@@ -104,38 +122,82 @@ def make_map(
             "finite pose for each"
         )
     looker = looker or Looker(drive, masks, config.look)
-    gatherer = Gatherer(masks.table, config.look.cell_m)
     moving = _moving(Ts_map_base)
-    for index in progress(moving, "looking"):
-        for look in looker.looks(frames[index], index, Ts_map_base):
-            gatherer.add(look)
-    elements = elements_of(gatherer.paint, gatherer.layers, road_height(Ts_map_base), config.vector)
-    lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
-    elements = [e for e in elements if e.label != ElementClass.SLOT_LINE] + split_crossbars(lines, config.slots)
-    counting = Counting(
-        elements, {layer.label: layer.planes for layer in gatherer.layers}, gatherer.layer_of_id, config.existence
-    )
-    for index in progress(moving, "counting"):
-        counting.add(list(looker.looks(frames[index], index, Ts_map_base)), frames[index].time_s)
+    gatherer = Gatherer(masks.table, config.look.cell_m)
+    for index in progress(parts.gathered(gatherer, moving) if parts else moving, "looking"):
+        for camera, look in enumerate(looker.looks(frames[index], index, Ts_map_base)):
+            gatherer.add(look, looker.rays[camera] if config.uprights else None)
+    paint, uprights = _born(gatherer, road_height(Ts_map_base), config)
+    planes = {layer.label: layer.planes for layer in gatherer.layers}
+    old = Countable.of(base, Ts_map_base[:, :2, 3], planes, config.uprights)
+    off_m = [0.0] * len(paint) + [config.base.off_m] * len(old.paint)
+    counting = Counting([*paint, *old.paint], planes, gatherer.layer_of_id, config.existence, off_m)
+    standing = UprightCounting([*uprights, *old.uprights], masks.table, config.existence)
+    for index in progress(parts.counted(counting, standing, moving) if parts else moving, "counting"):
+        looks = list(looker.looks(frames[index], index, Ts_map_base))
+        counting.add(looks, frames[index].time_s)
+        if standing.uprights:
+            standing.add([look.mask for look in looks], looker.rays, Ts_map_base[index], frames[index].time_s)
     false_rates = _false_rates(gatherer)
-    beliefs = counting.beliefs(false_rates, drive.name)
-    stays = [b.existence_logit > 0.0 and b.num_seen >= config.min_seen for b in beliefs]
-    if not any(stays):
+    flat = _told(counting.elements, len(paint), counting.beliefs, base, config, false_rates, drive.name)
+    upright = _told([u.element for u in standing.uprights], len(uprights), standing.beliefs, base, config, drive.name)
+    stays = [_stays(b, config) for _, b in flat.new]
+    stays += [often and _stays(b, config) for (_, b), often in zip(upright.new, standing.stays(), strict=False)]
+    looked_at = flat.old | upright.old
+    if not any(stays) and not looked_at:
         raise SemlocError(
-            f"drive {drive.name}: none of {len(elements)} candidates was seen in {config.min_seen} frames; check that "
+            f"drive {drive.name}: none of {len(stays)} candidates was seen in {config.min_seen} frames; check that "
             f"masks '{masks.name}' show paint near the vehicle and that the cameras are where the calibration says"
         )
+    kept = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if stay]
+    rejected = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if not stay]
+    lines = [e for e, _ in kept if e.label == ElementClass.SLOT_LINE]
+    slots = find_slots(lines, {e.id: b for e, b in kept}, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots)
+    made, changes = _map_of(kept + slots, origin, drive.name), []
+    if base is not None:
+        made, changes = taken_in(base, looked_at, kept + slots, config.base)
+    rates = counting.detection_rates() | standing.detection_rates()
+    false_rates |= standing.false_rates()
+    return MadeMap(made, _map_of(rejected, origin, drive.name), rates, false_rates, gatherer, tuple(changes))
 
-    def chosen(wanted: bool) -> BeliefMap:
-        kept = [(e, b) for e, b, stay in zip(elements, beliefs, stays, strict=True) if stay is wanted]
-        if wanted:
-            lines = [e for e, _ in kept if e.label == ElementClass.SLOT_LINE]
-            known = {e.id: b for e, b in kept}
-            kept += find_slots(lines, known, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots)
-        semantic_map = SemanticMap(tuple(e for e, _ in kept), origin, drive.name)
-        return BeliefMap(semantic_map, {e.id: b for e, b in kept})
 
-    return MadeMap(chosen(True), chosen(False), counting.detection_rates(), false_rates, gatherer)
+def _born(gatherer: Gatherer, height_of: HeightOf, config: MapConfig) -> tuple[list[MapElement], list[Upright]]:
+    """What may be on the road and beside it."""
+    uprights = uprights_of(gatherer.sightings.all(), height_of, config.triangulation)
+    elements = elements_of(gatherer.paint, gatherer.layers, height_of, config.vector)
+    lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
+    others = [element for element in elements if element.label != ElementClass.SLOT_LINE]
+    return others + split_crossbars(lines, config.slots), uprights
+
+
+class _Told(NamedTuple):
+    """What a drive says of elements: of its own, and of those that a base map holds, by id."""
+
+    new: list[Known]
+    old: dict[str, Belief]
+
+
+def _told(
+    elements: Sequence[MapElement],
+    num_new: int,
+    beliefs_of: Callable[..., list[Belief]],
+    base: BeliefMap | None,
+    config: MapConfig,
+    *words: dict[ElementClass, float] | str,
+) -> _Told:
+    """The beliefs of a counting: the first elements are new, the others those of the base map."""
+    aged = [aged_logit(base.beliefs[e.id].existence_logit, config.base.survival) for e in elements[num_new:]]
+    beliefs = beliefs_of(*words, [config.existence.prior_logit] * num_new + aged)
+    known = list(zip(elements, beliefs, strict=True))
+    return _Told(known[:num_new], {e.id: b for e, b in known[num_new:] if b.num_seen + b.num_missed})
+
+
+def _stays(belief: Belief, config: MapConfig) -> bool:
+    return belief.existence_logit > 0.0 and belief.num_seen >= config.min_seen
+
+
+def _map_of(known: Sequence[Known], origin: GeoOrigin | None, name: str) -> BeliefMap:
+    return BeliefMap(SemanticMap(tuple(e for e, _ in known), origin, name), {e.id: b for e, b in known})
 
 
 def road_height(Ts_map_base: Float[np.ndarray, "n 4 4"]) -> Callable[[Float[np.ndarray, "n 2"]], np.ndarray]:
@@ -164,10 +226,13 @@ def _moving(Ts_map_base: np.ndarray) -> list[int]:
 
 def _false_rates(gatherer: Gatherer) -> dict[ElementClass, float]:
     """Share of the looks at bare road that show paint of each class."""
-    weight = gatherer.paint.plane(0)
-    rates = {}
-    for layer in gatherer.layers:
-        shows = sum(gatherer.paint.plane(2 + plane) for plane in layer.planes)
-        bare = (weight > 0) & (shows < _BARE_SHARE * weight)
-        rates[layer.label] = float(shows[bare].sum() / max(float(weight[bare].sum()), 1e-9))
-    return rates
+    shown, looked = dict.fromkeys(gatherer.layers, 0.0), dict.fromkeys(gatherer.layers, 0.0)
+    size = np.full(2, TILE)
+    for tile in gatherer.paint.tiles:
+        weight = gatherer.paint.plane(0, tile * TILE, size)
+        for layer in gatherer.layers:
+            shows = sum(gatherer.paint.plane(2 + plane, tile * TILE, size) for plane in layer.planes)
+            bare = (weight > 0) & (shows < _BARE_SHARE * weight)
+            shown[layer] += float(shows[bare].sum(dtype=np.float64))
+            looked[layer] += float(weight[bare].sum(dtype=np.float64))
+    return {layer.label: shown[layer] / max(looked[layer], 1e-9) for layer in gatherer.layers}

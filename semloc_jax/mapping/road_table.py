@@ -153,19 +153,23 @@ class RoadHeights:
 
     def at(self, xy_base: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         """Height of the road at places [m]."""
-        start, step, table = self._table
-        at = np.clip((xy_base[:, 0] - start) / step, 0, len(table) - 1.001)
+        start, step, values, slopes = self._table
+        at = np.clip((xy_base[:, 0] - start) / step, 0, len(values[0]) - 1.001)
         row = at.astype(np.int32)
-        share = (at - row)[:, None]
-        height_m, bank, left_m = (table[row] * (1 - share) + table[row + 1] * share).T
+        share = at - row
+        height_m, bank, left_m = (value[row] + share * slope[row] for value, slope in zip(values, slopes, strict=True))
         return height_m + bank * (xy_base[:, 1] - left_m)
 
     @cached_property
-    def _table(self) -> tuple[np.float32, np.float32, np.ndarray]:
-        """First place and step along the way [m], and height, bank and side every step."""
+    def _table(self) -> tuple[np.float32, np.float32, np.ndarray, np.ndarray]:
+        """First place and step along the way [m]; height, bank and side every step, and by how much they grow."""
         knots = np.linspace(self.ahead_m[0], self.ahead_m[-1], 257)
         columns = [np.interp(knots, self.ahead_m, values) for values in (self.height_m, self.bank, self.left_m)]
-        return np.float32(knots[0]), np.float32(knots[1] - knots[0]), np.stack(columns, axis=1).astype(np.float32)
+        return np.float32(knots[0]), np.float32(knots[1] - knots[0]), *_with_growth(np.stack(columns))
+
+
+def _with_growth(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return rows.astype(np.float32), np.diff(rows, axis=1, append=rows[:, -1:]).astype(np.float32)
 
 
 def _averaged(values: np.ndarray, at_m: np.ndarray) -> np.ndarray:

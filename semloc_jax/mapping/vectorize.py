@@ -4,16 +4,16 @@ In: EvidenceGrid, what its layers mean, height of the road. Out: MapElements.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 from scipy.signal import savgol_filter
-from scipy.spatial import cKDTree
 
 from semloc_jax.geometry import polyline
-from semloc_jax.mapping.evidence_grid import EvidenceGrid
+from semloc_jax.mapping.evidence_grid import TILE, EvidenceGrid
+from semloc_jax.mapping.line_pieces import cut_to, joined
 from semloc_jax.mapping.outlines import find_outlines, find_rectangles
 from semloc_jax.mapping.strokes import PaintTrace, TraceLimits, find_strokes
 from semloc_jax.maps import MapElement
@@ -24,6 +24,14 @@ HeightOf = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
 
 STROKES = (ElementClass.LANE_MARKING, ElementClass.SLOT_LINE)
 RECTANGLES = (ElementClass.CROSSWALK, ElementClass.STOP_LINE, ElementClass.SPEED_BUMP)
+_BLOCK_TILES = 4
+"""Tiles along the side of a block: 51 m at 2.5 cm."""
+_MARGIN_M = 8.5
+"""Seen around a block: an element that is no longer is seen whole by the block that holds its middle."""
+_BORDER = 3.0
+"""Cells by which the middles of one element may differ as two blocks see it."""
+_CUT_GAP_M = 0.3
+"""Between the pieces of a line that was cut at the border of a block."""
 _KNOT_M = 1.0
 _SMOOTHED_M = 2.0
 _SOLID_VOTE = 0.5
@@ -75,10 +83,23 @@ class Layer:
     says_style: bool = False
 
 
+@dataclass
+class _Found:
+    """What the blocks of a map show of one layer, in cells of the whole map."""
+
+    dashes: list[PaintTrace] = field(default_factory=list)
+    lines: list[PaintTrace] = field(default_factory=list)
+    """Cut at the borders of the blocks."""
+    rims: list[Float[np.ndarray, "k 2"]] = field(default_factory=list)
+
+
 def elements_of(
     grid: EvidenceGrid, layers: Sequence[Layer], height_of: HeightOf, config: VectorConfig | None = None
 ) -> list[MapElement]:
     """Every element that the grid shows, with ids that count within each class.
+
+    It goes from block to block, so that memory does not grow with the map. What is short is taken from the block that
+    holds its middle; long lines are cut where the block ends and joined again.
 
     Args:
         grid: looks at the road.
@@ -87,37 +108,126 @@ def elements_of(
         config: None for the defaults.
     """
     config = config or VectorConfig()
-    found: list[MapElement] = []
-    looked = grid.plane(1) >= config.min_looks
-    low, _ = grid.bounds
-    for layer in layers:
-        share = sum(grid.share(plane) for plane in layer.planes)
-        share = cv2.GaussianBlur(share, (0, 0), config.blur_cells)
-        to_map = _ToMap(low, grid.cell_m, height_of)
-        if layer.label in STROKES:
-            dashed = sum((grid.share(plane) for plane in layer.dashed), np.zeros_like(share)) if layer.dashed else None
-            new = _lines(share, looked, dashed, layer, to_map, config)
-        elif layer.label in RECTANGLES:
-            new = [_polygon(layer.label, to_map(box)) for box in find_rectangles(share, looked, _cells(config, grid))]
-        else:
-            new = [_polygon(layer.label, to_map(rim)) for rim in find_outlines(share, looked, _cells(config, grid))]
-        found += [_named(element, k) for k, element in enumerate(new)]
-    return found
+    found = [_Found() for _ in layers]
+    margin = round(_MARGIN_M / grid.cell_m)
+    tiles = grid.tiles * TILE
+    for block in np.unique(grid.tiles // _BLOCK_TILES, axis=0):
+        core = block * _BLOCK_TILES * TILE
+        low, high = core - margin, core + _BLOCK_TILES * TILE + margin
+        # Where no tile is nothing was seen.
+        near = tiles[((tiles < high) & (tiles + TILE > low)).all(axis=1)]
+        low, high = np.maximum(low, near.min(axis=0)), np.minimum(high, near.max(axis=0) + TILE)
+        window = _Window(grid, low, high - low, config)
+        for layer, own in zip(layers, found, strict=True):
+            _look_at(window, layer, own, core, config)
+    to_map = _ToMap(grid.cell_m, height_of)
+    return [
+        _named(element, k)
+        for layer, own in zip(layers, found, strict=True)
+        for k, element in enumerate(_elements(layer, own, to_map, config))
+    ]
+
+
+class _Window:
+    """Part of a grid: share of paint and what was looked at."""
+
+    def __init__(self, grid: EvidenceGrid, low: np.ndarray, size: np.ndarray, config: VectorConfig):
+        self.low, self.cell_m, self._grid, self._size = low, grid.cell_m, grid, size
+        self.looked = grid.plane(1, low, size) >= config.min_looks
+
+    def share(self, planes: Sequence[int]) -> np.ndarray:
+        """Share of the looks that show any of some layers."""
+        whole = np.zeros((int(self._size[1]), int(self._size[0])), np.float32)
+        for plane in planes:
+            whole += self._grid.share(plane, self.low, self._size)
+        return whole
+
+
+def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, config: VectorConfig) -> None:
+    """Adds what one block shows of a layer."""
+    cell_m = window.cell_m
+    share = window.share(layer.planes)
+    if not share.any():
+        return
+    share = cv2.GaussianBlur(share, (0, 0), config.blur_cells)
+    smallest = config.min_area_m2 / cell_m**2
+    if layer.label not in STROKES:
+        find = find_rectangles if layer.label in RECTANGLES else find_outlines
+        _take(found.rims, [rim + window.low for rim in find(share, window.looked, smallest)], core, _centre)
+        return
+    limits = TraceLimits(
+        widest=config.widest_line_m / cell_m,
+        smallest=smallest,
+        least_share=config.slot_line_share if layer.label == ElementClass.SLOT_LINE else config.line_share,
+    )
+    strokes = find_strokes(share, window.looked, limits)
+    dashed = window.share(layer.dashed) if layer.dashed else None
+    short = [s for s in strokes if _is_short(s, layer, dashed, share, cell_m, config)]
+    kept = [s for s in short if s.length * cell_m >= config.shortest_line_m]
+    if layer.label == ElementClass.LANE_MARKING:
+        kept = [s for s in kept if all(s.is_end)]
+    _take(found.dashes, [_moved(s, window.low) for s in kept], core, lambda s: _centre(s.middle))
+    taken = {id(s) for s in short}
+    for stroke in strokes:
+        if id(stroke) not in taken:
+            found.lines += cut_to(_moved(stroke, window.low), core, core + _BLOCK_TILES * TILE)
+
+
+def _is_short(
+    stroke: PaintTrace, layer: Layer, dashed: np.ndarray | None, share: np.ndarray, cell_m: float, config: VectorConfig
+) -> bool:
+    """Whether a stroke is a dash or a line beside a slot, which one block shows whole."""
+    length_m = stroke.length * cell_m
+    if layer.label == ElementClass.SLOT_LINE:
+        return length_m <= _MARGIN_M
+    return length_m <= config.longest_dash_m and (not layer.says_style or _vote(dashed, share, stroke) > _SOLID_VOTE)
+
+
+def _moved(stroke: PaintTrace, by: np.ndarray) -> PaintTrace:
+    return replace(stroke, middle=stroke.middle + by)
+
+
+def _centre(points: np.ndarray) -> np.ndarray:
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
+
+
+def _take(found: list, new: list, core: np.ndarray, middle_of: Callable) -> None:
+    """Adds what has its middle in a block; near its border either block takes it, and one of them stays."""
+    low, high = core - _BORDER, core + _BLOCK_TILES * TILE + _BORDER
+    known = np.array([middle_of(item) for item in found]).reshape(-1, 2)
+    for item in new:
+        middle = middle_of(item)
+        if ((middle >= low) & (middle < high)).all() and not (
+            np.linalg.norm(known - middle, axis=1) < 2 * _BORDER
+        ).any():
+            found.append(item)
+
+
+def _elements(layer: Layer, found: _Found, to_map: "_ToMap", config: VectorConfig) -> list[MapElement]:
+    """The elements of one layer."""
+    cell_m = to_map.cell_m
+    if layer.label not in STROKES:
+        return [_polygon(layer.label, to_map(rim)) for rim in found.rims]
+    is_slot = layer.label == ElementClass.SLOT_LINE
+    style = "" if is_slot else "dashed"
+    elements = [_line(layer.label, _straightened(s, cell_m), s, style, to_map) for s in found.dashes]
+    # Pieces of one line by a slot that were not cut were followed to the end: only what was cut is joined.
+    longest_m, off_m = (_CUT_GAP_M, _CUT_GAP_M) if is_slot else (config.joined_gap_m, config.joined_off_m)
+    for stroke in joined(found.lines, cell_m, longest_m, off_m):
+        if stroke.length * cell_m >= 2.0 * config.shortest_line_m:
+            shape = _straightened if is_slot else _smoothed
+            elements.append(_line(layer.label, shape(stroke, cell_m), stroke, "" if is_slot else "solid", to_map))
+    return elements
 
 
 @dataclass(frozen=True)
 class _ToMap:
-    low: np.ndarray
     cell_m: float
     height_of: HeightOf
 
     def __call__(self, xy_cells: np.ndarray) -> np.ndarray:
-        xy = (np.asarray(xy_cells, dtype=np.float64) + self.low + 0.5) * self.cell_m
+        xy = (np.asarray(xy_cells, dtype=np.float64) + 0.5) * self.cell_m
         return np.column_stack([xy, self.height_of(xy)])
-
-
-def _cells(config: VectorConfig, grid: EvidenceGrid) -> float:
-    return config.min_area_m2 / grid.cell_m**2
 
 
 def _polygon(label: ElementClass, points: np.ndarray) -> MapElement:
@@ -131,39 +241,6 @@ def _named(element: MapElement, index: int) -> MapElement:
     return MapElement(**{**element.__dict__, "id": f"{name}_{index}"})
 
 
-def _lines(
-    share: np.ndarray,
-    looked: np.ndarray,
-    dashed: np.ndarray | None,
-    layer: Layer,
-    to_map: _ToMap,
-    config: VectorConfig,
-) -> list[MapElement]:
-    cell_m = to_map.cell_m
-    limits = TraceLimits(
-        widest=config.widest_line_m / cell_m,
-        smallest=config.min_area_m2 / cell_m**2,
-        least_share=config.slot_line_share if layer.label == ElementClass.SLOT_LINE else config.line_share,
-    )
-    strokes = find_strokes(share, looked, limits)
-    if layer.label == ElementClass.SLOT_LINE:
-        long = [s for s in strokes if s.length * cell_m >= config.shortest_line_m]
-        return [_line(ElementClass.SLOT_LINE, _straightened(s, cell_m), s, "", to_map) for s in long]
-    found, solid = [], []
-    for stroke in strokes:
-        length_m = stroke.length * cell_m
-        vote = _vote(dashed, share, stroke)
-        is_dash = length_m <= config.longest_dash_m and (vote > _SOLID_VOTE if layer.says_style else True)
-        if is_dash and length_m >= config.shortest_line_m and all(stroke.is_end):
-            found.append(_line(layer.label, _straightened(stroke, cell_m), stroke, "dashed", to_map))
-        elif not is_dash:
-            solid.append(stroke)
-    for stroke in _joined(solid, cell_m, config):
-        if stroke.length * cell_m >= 2.0 * config.shortest_line_m:
-            found.append(_line(layer.label, _smoothed(stroke, cell_m), stroke, "solid", to_map))
-    return found
-
-
 def _line(label: ElementClass, middle: np.ndarray, stroke: PaintTrace, style: str, to_map: _ToMap) -> MapElement:
     return MapElement(
         "", label, to_map(middle), width_m=stroke.width * to_map.cell_m, style=style, true_ends=stroke.is_end
@@ -174,7 +251,8 @@ def _vote(dashed: np.ndarray | None, share: np.ndarray, stroke: PaintTrace) -> f
     """Share of the paint along a stroke that the masks call broken."""
     if dashed is None:
         return 0.0
-    x, y = np.rint(stroke.middle).astype(int).T
+    # A line that goes on past the picture has its end there.
+    x, y = np.clip(np.rint(stroke.middle).astype(int), 0, np.array(share.shape[::-1]) - 1).T
     return float(dashed[y, x].sum() / max(share[y, x].sum(), 1e-6))
 
 
@@ -206,88 +284,3 @@ def _smoothed(stroke: PaintTrace, cell_m: float) -> np.ndarray:
         even = savgol_filter(even, window, 2, axis=0, mode="interp")
     step = max(round(_KNOT_M / 0.1), 1)
     return np.vstack([even[:-1:step], even[-1:]]) if len(even) > 2 else even
-
-
-def _joined(strokes: list[PaintTrace], cell_m: float, config: VectorConfig) -> list[PaintTrace]:
-    """Pieces of one solid line put together, shortest gaps first: each end of a piece is joined once at most."""
-    ends = [(k, end) for k in range(len(strokes)) for end in (0, 1)]
-    joins: dict[tuple[int, int], tuple[int, int]] = {}
-    group = list(range(len(strokes)))
-    for _, one, other in sorted(_gaps(strokes, ends, cell_m, config)):
-        if one in joins or other in joins or group[one[0]] == group[other[0]]:
-            continue
-        joins[one], joins[other] = other, one
-        kept, gone = group[one[0]], group[other[0]]
-        group = [kept if name == gone else name for name in group]
-    found, used = [], set()
-    # No group is a ring, so that each has an end where nothing joins it.
-    for start in ends:
-        if start not in joins and start[0] not in used:
-            found.append(_chained(strokes, start, joins, used))
-    return found
-
-
-def _chained(
-    strokes: list[PaintTrace],
-    start: tuple[int, int],
-    joins: dict[tuple[int, int], tuple[int, int]],
-    used: set[int],
-) -> PaintTrace:
-    """The pieces that hang together, from a free end on."""
-    pieces, lengths, widths = [], [], []
-    entry: tuple[int, int] | None = start
-    while entry is not None:
-        index, end = entry
-        used.add(index)
-        stroke = strokes[index]
-        pieces.append(stroke.middle[::-1] if end else stroke.middle)
-        lengths.append(stroke.length)
-        widths.append(stroke.width)
-        last = (index, 1 - end)
-        entry = joins.get(last)
-    # The ends at a gap are where the masks are least sure of the middle.
-    trimmed = [
-        piece[k > 0 : len(piece) - (k < len(pieces) - 1)] if len(piece) > 3 else piece for k, piece in enumerate(pieces)
-    ]
-    middle = np.vstack(trimmed)
-    middle = middle[np.append(True, np.linalg.norm(np.diff(middle, axis=0), axis=1) > 1e-3)]
-    is_end = strokes[start[0]].is_end[start[1]], strokes[last[0]].is_end[last[1]]
-    return PaintTrace(middle, float(np.average(widths, weights=lengths)), is_end)
-
-
-def _gaps(
-    strokes: list[PaintTrace], ends: list[tuple[int, int]], cell_m: float, config: VectorConfig
-) -> list[tuple[float, tuple[int, int], tuple[int, int]]]:
-    """Pairs of ends that may belong to one line, with the gap between them [m]."""
-    if not ends:
-        return []
-    ways = [_end_of(strokes[k], end) for k, end in ends]
-    near = cKDTree(np.array([place for place, _ in ways])).query_pairs(config.joined_gap_m / cell_m)
-    found = []
-    for a, b in sorted(near):
-        gap = _gap_m(*ways[a], *ways[b], cell_m, config)
-        if gap is not None and ends[a][0] != ends[b][0]:
-            found.append((gap, ends[a], ends[b]))
-    return found
-
-
-def _end_of(stroke: PaintTrace, end: int) -> tuple[np.ndarray, np.ndarray]:
-    """The place of an end and the direction in which the stroke leaves it."""
-    line = stroke.middle if end else stroke.middle[::-1]
-    back = line[-min(len(line), 20)]
-    step = line[-1] - back
-    return line[-1], step / max(float(np.linalg.norm(step)), 1e-9)
-
-
-def _gap_m(
-    place: np.ndarray, out: np.ndarray, other: np.ndarray, other_out: np.ndarray, cell_m: float, config: VectorConfig
-) -> float | None:
-    step = other - place
-    gap_m = float(np.linalg.norm(step)) * cell_m
-    if gap_m > config.joined_gap_m or out @ other_out > -0.97:
-        return None
-    off = max(abs(out[0] * step[1] - out[1] * step[0]), abs(other_out[0] * step[1] - other_out[1] * step[0]))
-    ahead = min(float(out @ step), float(-other_out @ step)) * cell_m
-    if ahead < -0.5 or off * cell_m > config.joined_off_m + 0.03 * gap_m:
-        return None
-    return gap_m

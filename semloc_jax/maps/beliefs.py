@@ -21,6 +21,9 @@ MAP_SIGMA_M = 0.1
 CERTAIN_LOGIT = 6.0
 """Existence of an element that somebody else's map states: 99.75 %; our choice."""
 
+_LEAST_SIGMA_M = 1e-6
+"""Below it the information of an element is no number any more; ours."""
+
 _REQUIRED = ("sigma_across_m", "sigma_along_m", "existence_logit", "num_seen", "num_missed")
 
 
@@ -49,10 +52,12 @@ class Belief:
 
     def __post_init__(self) -> None:
         numbers = (self.sigma_across_m, self.sigma_along_m, self.existence_logit)
-        if not np.isfinite(numbers).all() or min(numbers[:2]) <= 0.0 or min(self.num_seen, self.num_missed) < 0:
+        times = [time_s for time_s in (self.first_seen_s, self.last_seen_s) if time_s is not None]
+        is_finite = bool(np.isfinite([*numbers, *times]).all())
+        if not is_finite or min(numbers[:2]) < _LEAST_SIGMA_M or min(self.num_seen, self.num_missed) < 0:
             raise SemlocError(
-                f"belief: sigmas {numbers[:2]} m, existence {numbers[2]}, counts {(self.num_seen, self.num_missed)}; "
-                "expected finite numbers, sigmas above 0, counts of 0 or more"
+                f"belief: sigmas {numbers[:2]} m, existence {numbers[2]}, counts {(self.num_seen, self.num_missed)}, "
+                f"times {times} s; expected finite numbers, sigmas of {_LEAST_SIGMA_M:g} m or more, counts of 0 or more"
             )
 
     @property
@@ -132,5 +137,5 @@ def _stated(element: MapElement) -> Belief | None:
         counts = {key: int(held[key]) for key in _REQUIRED[3:]}
         times = {key: float(held[key]) for key in ("first_seen_s", "last_seen_s") if held.get(key) is not None}
         return Belief(**numbers, **counts, **times, provenance=str(held.get("provenance", "")))
-    except (TypeError, ValueError, SemlocError) as error:
+    except (TypeError, ValueError, OverflowError, SemlocError) as error:  # a count may be infinite
         raise SemlocError(f"map element '{element.id[:60]}': its belief cannot be read ({error})") from error

@@ -4,6 +4,7 @@ In: elements, one after another. Out: Columns: all points stacked, and one row o
 What looks at every element of a large map looks at these: an element that is read from a file is forgotten again.
 """
 
+from array import array
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from semloc_jax.maps.elements import MapElement
 from semloc_jax.maps.io.features import feature_class
 from semloc_jax.structs import ElementClass
 
-_AT_ONCE = 4096
+_AT_ONCE, _POINTS_AT_ONCE = 4096, 65536
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Columns:
         """Returns the columns of elements, which are taken one by one."""
         ids: list[str] = []
         names: dict[str, int] = {}
-        words: list[tuple] = []
+        words = array("d")
         blocks: list[np.ndarray] = [np.zeros((0, 3))]
         waiting: list[np.ndarray] = []
         assumed: Counter[str] = Counter()
@@ -60,13 +61,13 @@ class Columns:
             ids.append(e.id)
             name = names.setdefault(feature_class(e), len(names))
             flags = (e.closed, e.has_height, e.style == "solid", e.is_logical)
-            words.append((name, int(e.label), len(e.points), *flags, e.width_m, e.radius_m, e.height_m))
+            words.extend((name, int(e.label), len(e.points), *flags, e.width_m, e.radius_m, e.height_m))
             assumed.update(e.attributes.get("assumed", []))
             waiting.append(e.points)
             if len(waiting) == _AT_ONCE:
                 blocks.append(np.concatenate(waiting))
                 waiting = []
-        table = np.array(words, dtype=np.float64).reshape(-1, 10)
+        table = np.frombuffer(words, dtype=np.float64).reshape(-1, 10)
         return cls(
             ids=ids,
             names=list(names),
@@ -99,7 +100,9 @@ class Columns:
     def _step_m(self) -> np.ndarray:
         """From each point to the next of the same element, 0 at the last [m]."""
         step_m = np.zeros(len(self.points))
-        step_m[:-1] = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        for start in range(0, len(step_m) - 1, _POINTS_AT_ONCE):  # the differences of all would be held twice
+            part = np.diff(self.points[start : start + _POINTS_AT_ONCE + 1], axis=0)
+            step_m[start : start + len(part)] = np.linalg.norm(part, axis=1)
         step_m[self.start[1:] - 1] = 0.0
         return step_m
 

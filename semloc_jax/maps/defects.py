@@ -175,14 +175,18 @@ def _under_ground(c: Columns) -> Iterator[Defect]:
 def _surface(c: Columns) -> np.ndarray:
     """Points of the road, one every 2 m along paint, curbs and slots with heights, `float64[q 3]`."""
     labels = {*PAINT_CLASSES, ElementClass.CURB, ElementClass.PARKING_SLOT}
-    points, whose = c.rings(np.flatnonzero(c.has_height & c.has_label(labels)))
-    if len(points) < 2:
-        return points
+    rows = np.flatnonzero(c.has_height & c.has_label(labels))
+    spacing_m = max(_GROUND_SPACING_M, float(c.length_m[rows].sum()) / _MOST_GROUND)
+    blocks = [_along(c, rows[k : k + _AT_ONCE], spacing_m) for k in range(0, len(rows), _AT_ONCE)]
+    return np.concatenate([np.zeros((0, 3)), *blocks])
+
+
+def _along(c: Columns, rows: np.ndarray, spacing_m: float) -> np.ndarray:
+    """Points along some elements, `float64[q 3]`."""
+    points, whose = c.rings(rows)
     step = np.diff(points, axis=0)
     step[np.diff(whose) != 0] = 0.0
-    length_m = np.linalg.norm(step[:, :2], axis=1)
-    spacing_m = max(_GROUND_SPACING_M, float(length_m.sum()) / _MOST_GROUND)
-    num = np.floor(length_m / spacing_m).astype(np.int64) + 1
+    num = np.floor(np.linalg.norm(step[:, :2], axis=1) / spacing_m).astype(np.int64) + 1
     segment = np.repeat(np.arange(len(step)), num)
     share = (np.arange(len(segment)) - np.repeat(np.cumsum(num) - num, num)) / num[segment]
     return np.concatenate([points[:-1][segment] + share[:, None] * step[segment], points[-1:]])

@@ -3,7 +3,7 @@
 In: map elements. Out: GroundModel, which gives a RoadPlane or a vehicle pose on the road for a place.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +17,8 @@ from semloc_jax.structs import ElementClass
 
 _POINT_SPACING_M = 1.0
 _MOST_ON_LINE = 20_000
+_AT_ONCE = 64
+"""Elements that are sampled together: 64 of the longest stay below what one call may give."""
 _MAX_RADIUS_M = 60.0
 _MIN_POINTS = 12
 _LEVEL_M = 1.5
@@ -89,11 +91,17 @@ class GroundModel:
         """Returns the ground under `elements`: paint, curbs and slots; feet of poles and pillars only without those."""
         elements = list(elements)
         elements = [e for e in elements if e.has_height] or elements
-        points = [_surface_points(e) for e in elements if e.label in PAINT_CLASSES or e.label in _SURFACE_CLASSES]
+        surface = [e for e in elements if e.label in PAINT_CLASSES or e.label in _SURFACE_CLASSES]
+        blocks = [surface[k : k + _AT_ONCE] for k in range(0, len(surface), _AT_ONCE)]
+        points = [_surface_points(block) for block in blocks]
         if not points:
             points = [_foot_points(e) for e in elements if e.label in UPRIGHT_CLASSES or e.label == ElementClass.PILLAR]
         stacked = np.vstack([np.zeros((0, 3)), *points])
         return cls(stacked[np.isfinite(stacked).all(axis=1)])
+
+    def heights_near(self, center: np.ndarray, radius_m: float) -> np.ndarray:
+        """Returns the heights of the ground points within a radius of a place `[2]`, `float64[n]` [m]."""
+        return self.points[np.linalg.norm(self.points[:, :2] - center, axis=1) < radius_m, 2]
 
     def plane(
         self,
@@ -200,12 +208,17 @@ def _scaling(heading_rad: float | None, stretch: float) -> np.ndarray:
 _SURFACE_CLASSES = frozenset({ElementClass.CURB, ElementClass.PARKING_SLOT})
 
 
-def _surface_points(element: MapElement) -> np.ndarray:
-    points = without_repeats(element.points, element.closed)
-    line = as_ring(points) if element.closed else points
-    # A broken coordinate makes a line around the earth: it may not cost more than a long road.
-    spacing_m = max(_POINT_SPACING_M, element.length_m / _MOST_ON_LINE)
-    return np.vstack([element.points[:1], resample([line], spacing_m)[0]])
+def _surface_points(elements: Sequence[MapElement]) -> np.ndarray:
+    """Returns the first point of each element, then points along them `[n 3]`."""
+    lines, found = [], [element.points[:1] for element in elements]
+    for element in elements:
+        points = without_repeats(element.points, element.closed)
+        line = as_ring(points) if element.closed else points
+        if element.length_m <= _MOST_ON_LINE * _POINT_SPACING_M:
+            lines.append(line)
+        else:  # a broken coordinate makes a line around the earth: it may not cost more than a long road
+            found.append(resample([line], element.length_m / _MOST_ON_LINE)[0])
+    return np.vstack([*found, resample(lines, _POINT_SPACING_M)[0]])
 
 
 def _foot_points(element: MapElement) -> np.ndarray:

@@ -19,9 +19,9 @@ from semloc_jax.maps.io.compact import compact_bytes
 from semloc_jax.maps.io.features import feature_from_element
 from semloc_jax.maps.semantic_map import SemanticMap
 
-_STRETCH, _STRETCHES = 1000, 10
+_STRETCH, _STRETCHES = 400, 10
 """Elements of a stretch, and stretches, that stand for a map that has more; ours."""
-_CELL_M, _MOST_CELLS, _STRIP_PX = 2.5, 1.0e7, 256
+_CELL_M, _MOST_CELLS, _STRIP_PX, _LINES_AT_ONCE = 2.5, 8.0e6, 256, 4096
 _ROAD_REACH_M = 15.0
 """Lines nearer than twice this belong to one road when the length of the road is estimated."""
 
@@ -136,10 +136,11 @@ def _noting(semantic_map: SemanticMap, part: list[MapElement]) -> Iterator[MapEl
     """
     num = semantic_map.num_elements
     starts = np.linspace(0, max(num - _STRETCH, 0), _STRETCHES).astype(int)
-    is_small = num <= _STRETCH * _STRETCHES
+    is_noted = np.full(num, num <= _STRETCH * _STRETCHES)
+    for start in starts:
+        is_noted[start : start + _STRETCH] = True
     for row, element in enumerate(semantic_map.walk()):
-        start = starts[max(np.searchsorted(starts, row, "right") - 1, 0)] if not is_small else 0
-        if is_small or row - start < _STRETCH:
+        if row < num and is_noted[row]:
             part.append(element)
         yield element
 
@@ -168,11 +169,24 @@ def road_length_on_grid_m(columns: Columns) -> float:
     cell_m = max(_CELL_M, float(np.sqrt(np.prod(high - low) / _MOST_CELLS)))
     width, height = (np.ceil((high - low) / cell_m).astype(int) + 1).tolist()
     free = np.ones((height, width), dtype=np.uint8)
-    pixels = np.rint((columns.points[:, :2] - low) / cell_m).astype(np.int32)
-    cv2.polylines(free, np.split(pixels, columns.start[1:-1]), False, 0)
-    around = (cv2.distanceTransform(free, cv2.DIST_L2, 5) < _ROAD_REACH_M / cell_m).astype(np.uint8)
+    for row in range(0, len(columns), _LINES_AT_ONCE):
+        start = columns.start[row : row + _LINES_AT_ONCE + 1]
+        pixels = np.rint((columns.points[start[0] : start[-1], :2] - low) / cell_m).astype(np.int32)
+        cv2.polylines(free, np.split(pixels, start[1:-1] - start[0]), False, 0)
+    around = _near_zero(free, _ROAD_REACH_M / cell_m)
+    del free  # the components need four times as much
     parts = cv2.connectedComponents(around)[0] - 1
     return max(0.5 * cell_m * _outline_px(around) - parts * np.pi * _ROAD_REACH_M, 0.0)
+
+
+def _near_zero(picture: np.ndarray, reach_px: float) -> np.ndarray:
+    """Returns 1 where a pixel with 0 is nearer than `reach_px`, `uint8[h w]`; strip by strip: distances are large."""
+    near, margin = np.zeros_like(picture), int(reach_px) + 3
+    for top in range(0, len(picture), _STRIP_PX):
+        first = max(top - margin, 0)
+        distance_px = cv2.distanceTransform(picture[first : top + _STRIP_PX + margin], cv2.DIST_L2, 5)
+        near[top : top + _STRIP_PX] = distance_px[top - first : top - first + _STRIP_PX] < reach_px
+    return near
 
 
 def _outline_px(picture: np.ndarray) -> float:

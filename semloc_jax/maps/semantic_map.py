@@ -4,12 +4,11 @@ In: map elements. Out: SemanticMap, which answers `query` with a LocalMap and kn
 """
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import shapely
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.local_frame import LocalFrame
@@ -18,8 +17,13 @@ from semloc_jax.maps.curves import clip_to_circle, without_repeats
 from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadPlane, RoadSpread
 from semloc_jax.maps.heights import lifted
+from semloc_jax.maps.plan_index import PlanIndex
+from semloc_jax.maps.tiled_ground import TiledGround
 from semloc_jax.structs import ElementClass
 
+_AT_ONCE = 64
+_WHOLE_GROUND = 10_000
+"""Elements whose road is held as a whole: some million points for 100,000."""
 _LOG = logging.getLogger(__name__)
 
 
@@ -67,16 +71,8 @@ class SemanticMap:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "elements", tuple(self.elements))
-        for element in self.elements:
-            if not (np.abs(element.points) < FARTHEST_M).all():
-                raise SemlocError(
-                    f"map {self.name}: element '{element.id[:60]}' has NaN, infinite or huge coordinates; repair it"
-                )
-            sizes = (element.width_m, element.radius_m, element.radius_top_m, element.height_m)
-            if not (min(sizes) >= 0.0 and max(sizes) < LARGEST_M):
-                raise SemlocError(
-                    f"map {self.name}: element '{element.id[:60]}' has sizes {sizes}; expected 0 to {LARGEST_M:.0f} m"
-                )
+        for start in range(0, len(self.elements), _AT_ONCE):
+            _require_numbers(self.elements[start : start + _AT_ONCE], self.name)
         if len(self._row_of_id) < len(self.elements):
             repeated = next(e.id for row, e in enumerate(self.elements) if self._row_of_id[e.id] != row)
             # Such files exist, and `inspect` is there to say what is wrong with them.
@@ -89,8 +85,13 @@ class SemanticMap:
 
     @cached_property
     def ground(self) -> GroundModel:
-        """The road surface of the map."""
+        """The road surface of the map; of a large one only around the places that are asked for."""
+        if len(self.elements) > _WHOLE_GROUND:
+            return TiledGround(self._within)
         return GroundModel.from_elements(self.elements)
+
+    def _within(self, center: np.ndarray, radius_m: float) -> list[MapElement]:
+        return [self.elements[row] for row in self._plans.near(center, radius_m)]
 
     @cached_property
     def labels(self) -> frozenset[ElementClass]:
@@ -135,8 +136,8 @@ class SemanticMap:
         return len({element.has_height for element in self.elements}) == 2
 
     @cached_property
-    def _tree(self) -> shapely.STRtree:
-        return shapely.STRtree([plan_geometry(element) for element in self.elements])
+    def _plans(self) -> PlanIndex:
+        return PlanIndex(self.elements)
 
     def query(self, center_map: Place, radius_m: float, heading_rad: float | None = None) -> LocalMap:
         """Returns the elements that come within `radius_m` of a place, with lines cut at that radius.
@@ -154,9 +155,8 @@ class SemanticMap:
         center = self._checked_center(center_map, radius_m)
         if not self.elements:
             raise SemlocError(f"map {self.name} has no elements; expected at least one marking, pole or sign")
-        hits = self._tree.query(shapely.Point(center[:2]), predicate="dwithin", distance=radius_m)
         found: list[MapElement] = []
-        for index in np.sort(hits):
+        for index in self._plans.near(center, radius_m):
             found.extend(clip_element(self.elements[index], center[:2], radius_m))
         if heading_rad is not None:
             found = [element for element in found if reaches_ahead(element, center[:2], heading_rad, -0.5 * radius_m)]
@@ -208,8 +208,22 @@ class SemanticMap:
         """Returns whole metres near the centre, `[3]`, so that local coordinates stay exact in decimal files."""
         if center.size == 3:
             return np.round(center)
-        near = self.ground.points[np.linalg.norm(self.ground.points[:, :2] - center, axis=1) < radius_m, 2]
+        near = self.ground.heights_near(center, radius_m)
         return np.round(np.append(center, np.median(near) if len(near) else self.extent[:, 2].mean()))
+
+
+def _require_numbers(elements: Sequence[MapElement], name: str) -> None:
+    """Raises where an element has coordinates or sizes that nothing on a road has."""
+    sizes = np.array([(e.width_m, e.radius_m, e.radius_top_m, e.height_m) for e in elements], dtype=np.float64)
+    is_near = np.abs(np.concatenate([e.points for e in elements])) < FARTHEST_M
+    if is_near.all() and ((sizes >= 0.0) & (sizes < LARGEST_M)).all():
+        return
+    for element, own in zip(elements, sizes, strict=True):
+        where = f"map {name}: element '{element.id[:60]}'"
+        if not (np.abs(element.points) < FARTHEST_M).all():
+            raise SemlocError(f"{where} has NaN, infinite or huge coordinates; repair it")
+        if not ((own >= 0.0) & (own < LARGEST_M)).all():
+            raise SemlocError(f"{where} has sizes {tuple(own.tolist())}; expected 0 to {LARGEST_M:.0f} m")
 
 
 def require_place(origin: GeoOrigin | None, name: str) -> None:
@@ -218,14 +232,6 @@ def require_place(origin: GeoOrigin | None, name: str) -> None:
         return
     if not (abs(origin.lat_deg) <= 90.0 and abs(origin.lon_deg) <= 360.0 and abs(origin.alt_m) < 1e5):
         raise SemlocError(f"map {name}: origin {tuple(origin)}; expected latitude, longitude and height on the earth")
-
-
-def plan_geometry(element: MapElement) -> shapely.Geometry:
-    """Returns the element seen from above."""
-    xy = element.points[:, :2]
-    if element.closed and len(xy) >= 3:
-        return shapely.Polygon(xy)
-    return shapely.LineString(xy) if len(xy) >= 2 else shapely.Point(xy[0])
 
 
 def clip_element(element: MapElement, center: np.ndarray, radius_m: float) -> list[MapElement]:

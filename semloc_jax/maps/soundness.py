@@ -5,7 +5,7 @@ One corner 4,000 km away makes every query hold a contour around the earth; the 
 """
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +24,7 @@ _WHOLE = UPRIGHT_CLASSES | {
 }
 """Classes of things that no query cuts."""
 _MOST_TOLD = 5
+_AT_ONCE = 64
 _log = logging.getLogger(__name__)
 
 
@@ -45,13 +46,25 @@ def fault_of(element: MapElement) -> str | None:
 
 def sound(semantic_map: SemanticMap) -> SemanticMap:
     """The map without faulty elements, which `faulty` names; the first of them are logged."""
-    found = {element.id: fault for element in semantic_map.elements if (fault := fault_of(element)) is not None}
-    faulty = {**semantic_map.faulty, **found}
+    elements = semantic_map.elements
+    faults = {row: fault for row in _suspicious(elements) if (fault := fault_of(elements[row])) is not None}
+    faulty = {**semantic_map.faulty, **{elements[row].id: fault for row, fault in faults.items()}}
     tell(faulty, semantic_map.name)
-    if not found:
+    if not faults:
         return semantic_map
-    kept = tuple(element for element in semantic_map.elements if fault_of(element) is None)
+    kept = tuple(element for row, element in enumerate(elements) if row not in faults)
     return replace(semantic_map, elements=kept, faulty=faulty)
+
+
+def _suspicious(elements: Sequence[MapElement]) -> Iterator[int]:
+    """Places in the list of elements whose box is large enough for a fault; of most it is not."""
+    for start in range(0, len(elements), _AT_ONCE):
+        some = elements[start : start + _AT_ONCE]
+        count = np.array([len(element.points) for element in some])
+        points, first = np.concatenate([element.points for element in some]), np.cumsum(count) - count
+        sides_m = np.maximum.reduceat(points, first) - np.minimum.reduceat(points, first)
+        size_m = sides_m.max(axis=1)
+        yield from (start + np.flatnonzero((size_m > LARGEST_M) | (count * size_m > _LONGEST_LINE_M))).tolist()
 
 
 def tell(faulty: Mapping[str, str], name: str) -> None:

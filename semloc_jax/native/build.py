@@ -18,7 +18,7 @@ import tempfile
 from pathlib import Path
 
 from semloc_jax.host import NativeStatus
-from semloc_jax.storage import private_folder, read_sealed, write_sealed
+from semloc_jax.storage import private_folder, read_sealed, sweep_once, temporary_prefix, write_sealed
 from semloc_jax.storage.sealed import home_folder
 
 SOURCES = Path(__file__).parent / "src"
@@ -119,7 +119,10 @@ def _loaded_library(content: bytes) -> ctypes.CDLL:
     """The library, loaded from a file of its own that no other process knows; the file goes once it is loaded."""
     home = _cache_folder()  # /tmp may forbid programs
     place = home if private_folder(home) else None
-    with tempfile.TemporaryDirectory(prefix="kernels-", dir=place, ignore_cleanup_errors=True) as folder:
+    prefix = temporary_prefix("kernels")
+    if place is not None:
+        sweep_once(place)
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=place, ignore_cleanup_errors=True) as folder:
         path = Path(folder) / "kernels.so"
         path.write_bytes(content)
         return ctypes.CDLL(str(path))

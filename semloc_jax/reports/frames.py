@@ -68,12 +68,12 @@ def report_frames(
     settings = settings or LocalizeConfig()
     frames = inputs.drive.frames[chosen]
     folder = make_folder(out, resume)
+    if resume is None:  # old results go before the folder says what this run began with
+        localize_log.begin(folder)
     run_inputs.begun(folder, run_inputs.fingerprint(inputs, settings, options or {}), is_resumed=resume is not None)
     if inputs.is_map_made:
         write_drive_geojson(inputs.map, folder / "map.geojson")
     started = time.perf_counter()
-    if resume is None:
-        localize_log.begin(folder)
     found = localize_log.read(folder, frames)
     try:
         for result in _rest(inputs, frames, settings, found):

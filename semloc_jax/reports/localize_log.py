@@ -19,6 +19,8 @@ from semloc_jax.structs import SolveStatus
 FILE = "results.jsonl"
 _ARRAYS = ("T_map_base", "covariance", "weak_direction")
 _NUMBERS = ("weight", "score", "cost", "coverage", "inlier_ratio")
+_OFF_ROTATION = 1e-4
+"""Poses may come from float32."""
 _EVIDENCE = ("nats", "nats_per_piece", "explained", "border_offset_px", "log_prior")
 
 
@@ -53,7 +55,10 @@ def read(folder: Path, frames: Sequence[Frame]) -> list[LocalizationResult]:
     by_id = {frame.id: frame for frame in frames}
     path = folder / FILE
     with reading(f"results {path}"):
-        return [_result(json.loads(line), by_id) for line in whole_lines(path)]
+        lines = [json.loads(line) for line in whole_lines(path)]
+        if len({line["frame"] for line in lines}) < len(lines):
+            raise ValueError("two results of one frame")
+        return [_result(line, by_id) for line in lines]
 
 
 def _mode_line(mode: Mode) -> dict[str, Any]:
@@ -69,8 +74,18 @@ def _mode(line: dict[str, Any]) -> Mode:
     evidence = line["evidence"]
     if evidence is not None:
         evidence = ModeEvidence(**evidence | {"status": SolveStatus[evidence["status"]]})
-    arrays = {name: np.array(line[name]) for name in _ARRAYS}
-    return Mode(**arrays, **{name: line[name] for name in _NUMBERS}, evidence=evidence)
+    values = np.array(line["covariance"], dtype=np.float64), np.array(line["weak_direction"], dtype=np.float64)
+    arrays = dict(zip(_ARRAYS, (_pose(line["T_map_base"]), values[0].reshape(6, 6), values[1].reshape(6)), strict=True))
+    return Mode(**arrays, **{name: float(line[name]) for name in _NUMBERS}, evidence=evidence)
+
+
+def _pose(values: Any) -> np.ndarray:
+    """A pose of a line; whoever changed the file may have left none."""
+    T = np.array(values, dtype=np.float64).reshape(4, 4)
+    R = T[:3, :3]
+    if not np.isfinite(T).all() or not np.allclose(R @ R.T, np.eye(3), atol=_OFF_ROTATION):
+        raise ValueError("a matrix that is no pose")
+    return T
 
 
 def _result(line: dict[str, Any], by_id: dict[str, Frame]) -> LocalizationResult:
@@ -85,8 +100,8 @@ def _result(line: dict[str, Any], by_id: dict[str, Frame]) -> LocalizationResult
         )
     return LocalizationResult(
         frame=frame,
-        T_map_base=np.array(line["T_map_base"], dtype=np.float64),
-        T_map_prior=np.array(line["T_map_prior"], dtype=np.float64),
+        T_map_base=_pose(line["T_map_base"]),
+        T_map_prior=_pose(line["T_map_prior"]),
         status=SolveStatus[line["status"]],
         localized=line["localized"],
         reasons=tuple(line["reasons"]),

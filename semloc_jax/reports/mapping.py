@@ -3,6 +3,7 @@
 In: a drive, its masks, how the map is made. Out: map, trajectory, tables, metrics and pictures in a folder.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from semloc_jax.datasets import Drive, Frame
+from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import (
     MapComparison,
     Metric,
@@ -24,19 +26,25 @@ from semloc_jax.evaluation import (
 )
 from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.base_map import Change
+from semloc_jax.mapping.base_places import write_places
 from semloc_jax.mapping.chain import drive_chain
 from semloc_jax.mapping.closing import ClosedWay, closed_way
-from semloc_jax.mapping.gauge import GNSS, gauge_of
+from semloc_jax.mapping.gauge import GNSS, IDENTITY, Gauge, gauge_of
 from semloc_jax.mapping.loops import FoundLoop, write_loops
 from semloc_jax.mapping.mapper import MadeMap, MapConfig, make_map
-from semloc_jax.maps import read_map, write_drive_geojson, write_map
+from semloc_jax.mapping.parts import Parts
+from semloc_jax.maps import BeliefMap, read_map, write_drive_geojson, write_map
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.pictures import element_panels
+from semloc_jax.reports.run_inputs import begun, file_digest, fingerprint_without_map
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.storage import output_path
+from semloc_jax.storage import output_path, remove_folder
 from semloc_jax.viz import draw_contours, maps_over_each_other, save, sigmas_from_above
 
+_PARTS = "parts"
+"""What a run that is not finished has made so far."""
 _NUM_SEEN = 5
 """An element of the reference counts where it was looked at in so many frames."""
 _FALSE_LOOP_M, _FALSE_LOOP_DEG = 0.5, 2.0
@@ -67,6 +75,8 @@ def report_map(
     num_overlays: int = 4,
     options: Mapping[str, Any] | None = None,
     loops: bool = True,
+    resume: Path | None = None,
+    base: Path | None = None,
 ) -> MadeMapReport:
     """Make a map of a drive and write everything about it.
 
@@ -80,21 +90,35 @@ def report_map(
         num_overlays: pictures of the map over images.
         options: what config.yaml keeps besides the configuration.
         loops: whether places that the drive comes to again tie its way down.
+        resume: folder of a run that was killed, to go on with.
+        base: map that is there already: the drive is found in it, updates its beliefs and adds to it.
 
     Raises:
         SemlocError: no wheel odometry, nothing that fixes the frame as asked, or no map came out.
     """
     chain = drive_chain(drive)
     gauge = gauge_of(drive, chain, start)
-    folder = make_folder(out)
+    known = None if base is None else _base_of(base, gauge)
+    folder = make_folder(out, resume)
+    parts = _begun(folder, drive, masks, settings, options or {}, base, is_resumed=resume is not None)
     write_record(folder, settings, options or {})
     looking = [frame.index for frame in frames]
-    origin = drive.gnss.origin if gauge.name == GNSS and drive.gnss is not None else None
+    origin = drive.gnss.origin if gauge.name == GNSS and drive.gnss is not None and base is None else None
 
     def shown(items: Iterable, name: str, unit: str = "frame") -> Iterable:
         return tqdm(items, desc=name, unit=unit)
 
-    closed = closed_way(drive, masks, chain, gauge, settings, lambda items: shown(items, "loops", "group"), loops)
+    closed = closed_way(
+        drive,
+        masks,
+        chain,
+        gauge,
+        settings,
+        lambda items: shown(items, "loops", "group"),
+        loops,
+        parts=parts,
+        base=None if known is None else known.map,
+    )
     Ts_map_base = closed.Ts_map_base
     write_loops(folder / "loops.csv", closed.loops, chain.times_s)
     made = make_map(
@@ -105,7 +129,12 @@ def report_map(
         settings,
         GeoOrigin(*origin) if origin is not None else None,
         shown,
+        parts=parts,
+        base=known,
     )
+    if known is not None:
+        write_places(folder / "places.csv", closed.places, chain.times_s)
+        write_changes(made.changes, folder / "changes.csv")
     trajectory = Trajectory(chain.times_s, Ts_map_base)
     write_map(made.belief_map.as_map(), folder / "map.gpkg")
     write_drive_geojson(made.belief_map.as_map(), folder / "map.geojson")
@@ -113,9 +142,66 @@ def report_map(
     write_elements(made, folder / "elements.csv")
     metrics, comparison = _judged(drive, made, trajectory, folder)
     metrics += loop_metrics(closed.loops, _truth_of(drive, chain.times_s))
+    if known is not None:
+        metrics += base_metrics(closed.places, made.changes)
     write_metrics(metrics, folder / "metrics.json")
     _draw(drive, masks, frames, made, Ts_map_base, num_overlays, folder)
+    remove_folder(parts.folder)
     return MadeMapReport(folder, _text(made, closed, metrics, comparison), made.belief_map.map.num_elements)
+
+
+def _begun(
+    folder: Path,
+    drive: Drive,
+    masks: MaskSource,
+    settings: MapConfig,
+    options: Mapping[str, Any],
+    base: Path | None,
+    is_resumed: bool,
+) -> Parts:
+    """The parts of a new run, or those of the run that is resumed."""
+    if is_resumed and not (folder / _PARTS).is_dir():
+        raise SemlocError(f"--resume {folder}: has no folder '{_PARTS}': that run is finished, or is none of this verb")
+    same = {name: value for name, value in options.items() if name != "overlays"}
+    if not is_resumed:
+        # What an earlier run left there is none of this one: it goes before the folder says what this one began with.
+        remove_folder(folder / _PARTS)
+    made_of = fingerprint_without_map(drive, masks, settings, same)
+    begun(folder, made_of if base is None else {**made_of, "base": file_digest(base)}, is_resumed)
+    return Parts(folder / _PARTS)
+
+
+def _base_of(path: Path, gauge: Gauge) -> BeliefMap:
+    """The map that is there, where something says where in it the drive begins."""
+    if gauge.name == IDENTITY:
+        raise SemlocError(
+            f"--base {path}: nothing says where in it the drive begins: it has no satellite fixes (or --no-gnss leaves "
+            "them out); give --start with its first pose in that map"
+        )
+    return BeliefMap.of(read_map(path))
+
+
+def write_changes(changes: Sequence[Change], path: Path) -> None:
+    """changes.csv: what the drive removed from the base map and added to it."""
+    rows = []
+    for change in changes:
+        x_m, y_m = change.element.points[:, :2].mean(axis=0)
+        name = change.element.label.name.lower()
+        rows.append((change.id, change.change, name, float(x_m), float(y_m), round(change.existence, 6)))
+    write_csv(path, ("id", "change", "class", "x_m", "y_m", "existence"), rows)
+
+
+def base_metrics(places: Sequence[FoundLoop], changes: Sequence[Change]) -> list[Metric]:
+    """How often the drive was found in the base map, and what it changed there."""
+    counts = {
+        "base.searched": len(places),
+        "base.found": sum(place.is_accepted for place in places),
+        "base.removed": sum(change.change == "removed" for change in changes),
+        "base.moved": sum(change.change == "moved" for change in changes),
+        "base.added": sum(change.change == "added" for change in changes),
+    }
+    units = ("places", "places", "elements", "elements", "elements")
+    return [Metric(key, float(n), unit, "report") for (key, n), unit in zip(counts.items(), units, strict=True)]
 
 
 def write_elements(made: MadeMap, path: Path) -> None:
@@ -223,6 +309,12 @@ def _text(made: MadeMap, closed: ClosedWay, metrics: list[Metric], comparison: M
     lines.append(f"frame of the map: {closed.gauge.name}; {len(made.rejected.beliefs)} candidates did not stay")
     accepted = sum(loop.is_accepted for loop in closed.loops)
     lines.append(f"loops: {accepted} of {len(closed.loops)} revisits that were searched (loops.csv)")
+    if closed.places:
+        found = sum(place.is_accepted for place in closed.places)
+        counts = Counter(change.change for change in made.changes)
+        lines.append(f"base map: found in it at {found} of {len(closed.places)} places (places.csv)")
+        words = ", ".join(f"{counts[word]} {word}" for word in ("removed", "moved", "added"))
+        lines.append(f"changes: {words} (changes.csv)")
     rates = [f"{label.name.lower()} {100 * rate:.0f} %" for label, rate in made.detection_rates.items()]
     lines.append(f"shown by a visible look: {', '.join(rates)}")
     if metrics:

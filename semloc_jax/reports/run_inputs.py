@@ -19,7 +19,7 @@ from semloc_jax.inputs.drive_inputs import Inputs
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.maps import SemanticMap
 from semloc_jax.maps.io import StoredMap
-from semloc_jax.storage import json_document, write_text
+from semloc_jax.storage import json_document, reading, write_text
 
 FILE = "inputs.json"
 _MAY_CHANGE = ("frames", "overlays", "video", "min_localized_share", "min_tracking_share")
@@ -33,13 +33,26 @@ def fingerprint(inputs: Inputs, settings: object, options: Mapping[str, Any]) ->
         settings: configuration; anything whose repr tells it apart.
         options: of the verb; those that only choose frames, draw or judge may change.
     """
+    same = {name: value for name, value in options.items() if name not in _MAY_CHANGE}
+    return {**fingerprint_without_map(inputs.drive, inputs.masks, settings, same), "map": _of_map(inputs.map)}
+
+
+def fingerprint_without_map(
+    drive: Drive, masks: MaskSource, settings: object, options: Mapping[str, Any]
+) -> dict[str, str]:
+    """A hash for each part of what a run depends on that needs no map; arguments as for `fingerprint`."""
     return {
-        "drive": _of_drive(inputs.drive),
-        "masks": _of_masks(inputs.masks, inputs.drive.frames[0]),
-        "map": _of_map(inputs.map),
+        "drive": _of_drive(drive),
+        "masks": _of_masks(masks, drive.frames[0]),
         "settings": _digest(settings),
-        "options": _digest(sorted((name, value) for name, value in options.items() if name not in _MAY_CHANGE)),
+        "options": _digest(sorted(options.items())),
     }
+
+
+def file_digest(path: Path) -> str:
+    """A hash of a file."""
+    with reading(f"file {path}"), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:20]
 
 
 def begun(folder: Path, parts: Mapping[str, str], is_resumed: bool) -> None:

@@ -137,11 +137,11 @@ def report_track(
         raise SemlocError(f"drive {inputs.drive.name}: no frames chosen of {len(inputs.drive)}; check --frames")
     folder = make_folder(out, resume)
     parts = run_inputs.fingerprint(inputs, (plan.settings, plan.area), options or {})
+    if resume is None:  # an old state goes before the folder says what this run began with
+        (folder / CHECKPOINT).unlink(missing_ok=True)
     run_inputs.begun(folder, parts, is_resumed=resume is not None)
     pipeline = plan.pipeline(inputs)
     start = _start(folder, frames, pipeline, plan) if resume is not None else None
-    if start is None:
-        (folder / CHECKPOINT).unlink(missing_ok=True)  # the state of an earlier run is none of this one
     write_record(folder, plan.settings, options or {})
     log = TrackLog(folder, inputs.drive, keep=start.next_frame if start else 0)
     try:

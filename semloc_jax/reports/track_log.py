@@ -17,7 +17,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, pose_errors
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
 from semloc_jax.reports.tables import ERRORS, POSE, SIGMAS
-from semloc_jax.storage import writing
+from semloc_jax.storage import reading, writing
 
 FILE = "frames.csv"
 PROTECTION = ("protection_lateral_m", "protection_longitudinal_m", "protection_heading_deg")
@@ -34,6 +34,10 @@ COLUMNS = (
     *(f"error_{key}" for key in ERRORS),
     NEES,
 )
+
+
+REST = "more"
+"""Key of the cells that a line has too many."""
 
 
 class TrackLog:
@@ -73,9 +77,19 @@ class TrackLog:
 
 
 def read_lines(path: Path) -> list[dict[str, str]]:
-    """The lines of a table as text by column."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    """The lines of a table as text by column; a last one that a kill has cut is left out.
+
+    Raises:
+        SemlocError: no table with these columns.
+    """
+    with reading(f"table {path}"), path.open(newline="", encoding="utf-8") as file:
+        lines = list(csv.DictReader(file, COLUMNS, restkey=REST))
+        if not lines or list(lines[0].values()) != list(COLUMNS):
+            raise ValueError(f"columns are not those of this version; expected {', '.join(COLUMNS[:3])} ...")
+        is_whole = [line.get(REST) is None and None not in line.values() for line in lines[1:]]
+        if not all(is_whole[:-1]):
+            raise ValueError(f"line {is_whole.index(False) + 2} has not {len(COLUMNS)} cells")
+        return [line for line, whole in zip(lines[1:], is_whole, strict=True) if whole]
 
 
 def require_lines(folder: Path, frames: Sequence[Frame], where: str) -> None:
@@ -108,19 +122,26 @@ class TrackTable:
 
     @classmethod
     def read(cls, folder: Path) -> "TrackTable":
-        """The table of a run."""
-        lines = read_lines(folder / FILE)
+        """The table of a run.
+
+        Raises:
+            SemlocError: it is not what `TrackLog` writes.
+        """
+        path = folder / FILE
+        lines = read_lines(path)
         text = ("frame", "variant", "status", "held", "reasons")
-        numbers = {
-            name: np.array([float(line[name] or "nan") for line in lines]) for name in COLUMNS if name not in text
-        }
-        return cls(
-            tuple(line["frame"] for line in lines),
-            tuple(line["variant"] for line in lines),
-            tuple(TrackStatus[line["status"]] for line in lines),
-            tuple(line["reasons"] for line in lines),
-            numbers,
-        )
+        numeric = [name for name in COLUMNS if name not in text]
+        with reading(f"table {path}"):
+            numbers = {name: np.array([float(line[name] or "nan") for line in lines]) for name in numeric}
+            if any(np.isinf(values).any() for values in numbers.values()):
+                raise ValueError("a number that is not finite")
+            return cls(
+                tuple(line["frame"] for line in lines),
+                tuple(line["variant"] for line in lines),
+                tuple(TrackStatus[line["status"]] for line in lines),
+                tuple(line["reasons"] for line in lines),
+                numbers,
+            )
 
     def __len__(self) -> int:
         return len(self.frames)

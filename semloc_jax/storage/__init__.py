@@ -5,10 +5,28 @@ Readers take their limits from here, writers their paths, whole files and claims
 """
 
 from semloc_jax.storage.claims import claim, release_claims
-from semloc_jax.storage.limits import decompressed, json_document, npy_array, npz_arrays, reading, require_room
+from semloc_jax.storage.leftovers import sweep, sweep_once, temporary_prefix
+from semloc_jax.storage.limits import (
+    decompressed,
+    json_document,
+    npy_array,
+    npz_arrays,
+    npz_names,
+    reading,
+    require_room,
+)
 from semloc_jax.storage.output import file_name, is_plain_name, output_path
 from semloc_jax.storage.sealed import others_can_write, private_folder, read_sealed, write_sealed
-from semloc_jax.storage.writing import append_line, making, whole_lines, write_bytes, write_text, writing
+from semloc_jax.storage.writing import (
+    append_line,
+    making,
+    remove_folder,
+    whole_lines,
+    write_bytes,
+    write_npz,
+    write_text,
+    writing,
+)
 
 __all__ = [
     "append_line",
@@ -20,15 +38,21 @@ __all__ = [
     "making",
     "npy_array",
     "npz_arrays",
+    "npz_names",
     "others_can_write",
     "output_path",
     "private_folder",
     "read_sealed",
     "reading",
     "release_claims",
+    "remove_folder",
     "require_room",
+    "sweep",
+    "sweep_once",
+    "temporary_prefix",
     "whole_lines",
     "write_bytes",
+    "write_npz",
     "write_sealed",
     "write_text",
     "writing",

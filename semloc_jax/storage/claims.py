@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage.leftovers import sweep
 
 try:
     import fcntl
@@ -22,7 +23,7 @@ _TAKEN = (errno.EWOULDBLOCK, errno.EACCES)
 def claim(folder: Path) -> None:
     """Claim a folder for this process until `release_claims` or its end; a second claim by the same process is free.
 
-    File systems without locks give none: there the claim does nothing.
+    File systems without locks give none: there the claim does nothing. What a killed run left in the folder goes.
 
     Raises:
         SemlocError: another process writes to the folder.
@@ -41,6 +42,7 @@ def claim(folder: Path) -> None:
             ) from error
         return
     _claims[place] = handle
+    sweep(place)
 
 
 def release_claims() -> None:

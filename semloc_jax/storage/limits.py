@@ -9,7 +9,7 @@ import json
 import math
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +64,16 @@ def npy_array(path: Path, where: str) -> Any:
         return np.array(np.load(path, mmap_mode="r"))
 
 
-def npz_arrays(path: Path, where: str, most_bytes: int = MOST_UNPACKED_BYTES) -> dict[str, Any]:
+def npz_arrays(
+    path: Path, where: str, most_bytes: int = MOST_UNPACKED_BYTES, names: Collection[str] | None = None
+) -> dict[str, Any]:
     """The arrays of an npz file by name; what each states as its size is checked before memory is taken for it.
+
+    Args:
+        path: The file.
+        where: The file, for messages.
+        most_bytes: No more than this is unpacked.
+        names: Arrays to read, those of them that are there; None for all.
 
     Raises:
         SemlocError: no npz file, larger than `most_bytes`, or an array that states more than is there.
@@ -75,6 +83,8 @@ def npz_arrays(path: Path, where: str, most_bytes: int = MOST_UNPACKED_BYTES) ->
     found = {}
     with reading(where), zipfile.ZipFile(path) as archive:
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+        if names is not None:
+            members = [member for member in members if member.filename.removesuffix(".npy") in names]
         require_room(sum(m.file_size for m in members), most_bytes, where, "bytes", "get the file anew")
         for member in members:
             with archive.open(member) as stream:
@@ -91,6 +101,16 @@ def npz_arrays(path: Path, where: str, most_bytes: int = MOST_UNPACKED_BYTES) ->
                 name = member.filename.removesuffix(".npy")
                 found[name] = flat.reshape(shape, order="F" if is_fortran else "C").copy()
     return found
+
+
+def npz_names(path: Path, where: str) -> list[str]:
+    """The names of the arrays of an npz file.
+
+    Raises:
+        SemlocError: no npz file.
+    """
+    with reading(where), zipfile.ZipFile(path) as archive:
+        return [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
 
 
 def json_document(text: str | bytes, where: str, kind: type = dict) -> Any:

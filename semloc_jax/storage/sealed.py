@@ -16,6 +16,7 @@ import stat
 import tempfile
 from pathlib import Path
 
+from semloc_jax.storage.leftovers import sweep_once, temporary_prefix
 from semloc_jax.storage.writing import write_bytes
 
 _MAGIC = b"semloc-sealed-1\n"
@@ -138,7 +139,8 @@ def _key_in(folder: Path) -> bytes | None:
 
 def _make_key(path: Path) -> None:
     """Write a new key whole, unless another process was faster."""
-    handle, partial = tempfile.mkstemp(dir=path.parent)
+    sweep_once(path.parent)
+    handle, partial = tempfile.mkstemp(prefix=temporary_prefix(path.name), dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(secrets.token_bytes(_KEY_BYTES))

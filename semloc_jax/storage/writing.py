@@ -7,8 +7,12 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
+
+from semloc_jax.storage.leftovers import sweep_once, temporary_prefix
 
 
 @contextlib.contextmanager
@@ -16,11 +20,13 @@ def writing(path: str | Path) -> Iterator[Path]:
     """A path beside `path` to write to; it becomes `path` where the block ends without an error, else it goes.
 
     The temporary file keeps the suffix, by which many writers know the format. The mode is that of the file that is
-    replaced, else what the umask of the process leaves. A link is followed: the file it names is replaced.
+    replaced, else what the umask of the process leaves. A link is followed: the file it names is replaced. What killed
+    processes left in the folder goes first.
     """
     path = Path(path)
     target = path.resolve() if path.is_symlink() else path
-    handle, name = tempfile.mkstemp(prefix=f".{target.stem[:60]}-", suffix=target.suffix, dir=target.parent)
+    sweep_once(target.parent)
+    handle, name = tempfile.mkstemp(prefix=temporary_prefix(target.stem), suffix=target.suffix, dir=target.parent)
     os.close(handle)
     partial = Path(name)
     try:
@@ -38,12 +44,23 @@ def making(path: str | Path) -> Iterator[Path]:
     For what writes a folder, insists on a new file or notes its own name in it. `path` must be free.
     """
     path = Path(path)
-    hidden = Path(tempfile.mkdtemp(prefix=f".{path.stem[:60]}-", dir=path.parent))
+    sweep_once(path.parent)
+    hidden = Path(tempfile.mkdtemp(prefix=temporary_prefix(path.stem), dir=path.parent))
     try:
         yield hidden / path.name
         os.rename(hidden / path.name, path)
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
+
+
+def remove_folder(path: str | Path) -> None:
+    """Take a folder away at once, where it is there: a kill while its files go leaves none of it under its name."""
+    path = Path(path)
+    if not path.is_dir():
+        return
+    hidden = Path(tempfile.mkdtemp(prefix=temporary_prefix(path.name), dir=path.parent))
+    os.rename(path, hidden / path.name)
+    shutil.rmtree(hidden, ignore_errors=True)
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -57,13 +74,35 @@ def write_text(path: str | Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
+def write_npz(path: str | Path, arrays: Mapping[str, Any]) -> None:
+    """Write arrays as a whole npz file, packed lightly: what is mostly zeros shrinks, and it takes little time."""
+    import numpy as np
+
+    with writing(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, np.asarray(values), allow_pickle=False)
+
+
 def append_line(path: Path, line: str) -> None:
-    """Add one line to a file; it is with the system when this returns, so that a kill cannot take it back."""
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    """Add one line to a file; it is with the system when this returns, so that a kill cannot take it back.
+
+    A last line that was cut goes first: the new one would be written to its end, and neither could be read.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
     try:
-        os.write(handle, line.encode("utf-8") + b"\n")
+        if os.lseek(handle, 0, os.SEEK_END) and _last_byte(handle) != b"\n":
+            os.ftruncate(handle, path.read_bytes().rfind(b"\n") + 1)
+        content = line.encode("utf-8") + b"\n"
+        while content:  # a full disk takes a part, and tells with the next
+            content = content[os.write(handle, content) :]
     finally:
         os.close(handle)
+
+
+def _last_byte(handle: int) -> bytes:
+    os.lseek(handle, -1, os.SEEK_END)
+    return os.read(handle, 1)
 
 
 def whole_lines(path: Path) -> list[str]:

@@ -22,6 +22,7 @@ from semloc_jax.viz.style import ESTIMATE, REFERENCE, new_figure, plain_axes
 MADE = "#ff4fa3"
 _SIGMAS_M = (0.003, 0.3)
 """Range of the colours of sigmas [m]."""
+_POST_M = 0.02
 
 
 def maps_over_each_other(made: Sequence[MapElement], reference: Sequence[MapElement], title: str = "") -> Figure:
@@ -36,9 +37,7 @@ def maps_over_each_other(made: Sequence[MapElement], reference: Sequence[MapElem
     axes = plain_axes(figure.add_subplot(), dark=True)
     for elements, colour, width in ((reference, REFERENCE, 2.2), (made, MADE, 0.9)):
         axes.add_collection(LineCollection([_outline(e) for e in elements], colors=colour, linewidths=width, alpha=0.9))
-        posts = [e.points[0, :2] for e in elements if not e.closed and np.ptp(e.points[:, :2], axis=0).max() < 0.02]
-        if posts:
-            axes.scatter(*np.array(posts).T, s=10 * width, facecolors="none", edgecolors=colour, linewidths=width)
+        _draw_posts(axes, [e for e in elements if _is_post(e)], 10 * width, colour, width)
     handles = [Line2D([], [], color=REFERENCE, label="reference"), Line2D([], [], color=MADE, label="made")]
     axes.legend(handles=handles, fontsize=8, frameon=False, labelcolor="#e8edf4")
     return _finished(figure, axes, title)
@@ -63,11 +62,24 @@ def sigmas_from_above(
     shown = [(_outline(e), s) for e, s in zip(elements, sigma_m, strict=True) if not e.is_logical]
     lines = LineCollection([line for line, _ in shown], colors=colours.to_rgba([s for _, s in shown]), linewidths=1.4)
     axes.add_collection(lines)
+    posts = [(e, s) for e, s in zip(elements, sigma_m, strict=True) if _is_post(e)]
+    _draw_posts(axes, [e for e, _ in posts], 22.0, colours.to_rgba([s for _, s in posts]), 1.4)
     axes.plot(poses[:, 0, 3], poses[:, 1, 3], color=ESTIMATE, linewidth=0.8, alpha=0.7)
     bar = figure.colorbar(colours, ax=axes, shrink=0.6)
     bar.set_label("sigma across [m]", color="#c9d1dc", fontsize=9)
     bar.ax.tick_params(colors="#c9d1dc", labelsize=8)
     return _finished(figure, axes, title)
+
+
+def _is_post(element: MapElement) -> bool:
+    """Whether an element is a point from above."""
+    return not element.closed and bool(np.ptp(element.points[:, :2], axis=0).max() < _POST_M)
+
+
+def _draw_posts(axes: Axes, posts: Sequence[MapElement], size: float, colour: str | np.ndarray, width: float) -> None:
+    if posts:
+        xy = np.array([post.points[0, :2] for post in posts])
+        axes.scatter(*xy.T, s=size, facecolors="none", edgecolors=colour, linewidths=width)
 
 
 def _outline(element: MapElement) -> np.ndarray:

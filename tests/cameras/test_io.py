@@ -97,6 +97,19 @@ def test_drive_layout(write):
     assert np.array_equal(rig.T_base_cam[0], DRIVE["cam0"]["T_body_cam"])
 
 
+@pytest.mark.parametrize("coefficients", [[1e-320] * 4, [1e-320, 0.0, 0.0, 0.0], [-1e-300, 1e-310, 0.0, 0.0]])
+@pytest.mark.parametrize("model", ["radtan", "equidistant"])
+def test_coefficients_next_to_nothing_bend_nothing(write, model, coefficients):
+    content = changed(DRIVE, ["cam0", "distortion_model"], model)
+    near, none = (
+        read_calibration(write(changed(content, ["cam0", "distortion_coeffs"], values))).cameras[0]
+        for values in (coefficients, [0.0] * 4)
+    )
+    points = np.array([[0.3, 0.1, 2.0], [-1.0, 0.4, 2.0]])
+    np.testing.assert_allclose(near.project(points)[0], none.project(points)[0], atol=1e-9)
+    assert np.all(near.project(points)[1])
+
+
 def with_mounting(value):
     content = changed(DRIVE, ["cam0", "T_body_cam"], None)
     content["cam0"]["mounted"] = value

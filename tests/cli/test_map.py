@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 from semloc_jax.cli.main import FAILED, OK, USAGE, main
+from semloc_jax.datasets import open_drive
 from semloc_jax.evaluation import read_metrics, read_trajectory
+from semloc_jax.inputs.mask_source import mask_source
+from semloc_jax.mapping import parts
+from semloc_jax.mapping.looking import Looker, RoadLookConfig
 from semloc_jax.mapping.loops import COLUMNS
-from semloc_jax.maps import BeliefMap, read_map
+from semloc_jax.mapping.mapper import MapConfig, make_map
+from semloc_jax.maps import BeliefMap, MapElement, read_map
 from semloc_jax.simulation import SimulationConfig, simulate
 
 
@@ -20,8 +25,15 @@ def drive_dir(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module", autouse=True)
+def small_parts():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parts, "PART_FRAMES", 4)
+        yield
+
+
 @pytest.fixture(scope="module")
-def made(drive_dir, tmp_path_factory):
+def made(drive_dir, small_parts, tmp_path_factory):
     out = tmp_path_factory.mktemp("made")
     words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "1", "--out", str(out)]
     assert main(words) == OK
@@ -55,16 +67,63 @@ def test_the_trajectory_has_every_frame(made, drive_dir):
     assert len(read_trajectory(made / "trajectory.tum")) == len(read_trajectory(drive_dir / "poses_body.tum"))
 
 
+def test_a_second_look_along_the_same_way_adds_nothing_and_takes_phantoms_away(made, drive_dir):
+    """The made map with a dash and a pole that are not there, taken in by the drive that made it."""
+    drive = open_drive(drive_dir)
+    poses = read_trajectory(made / "trajectory.tum").T_map_base
+    places = [[6.0, 1.0, 0.0, 1.0], [9.0, 1.0, 0.0, 1.0], [12.0, -5.0, 0.0, 1.0], [12.0, -5.0, 3.0, 1.0]]
+    ahead = poses[6] @ np.array(places).T
+    phantoms = [
+        MapElement("phantom_dash", "lane_marking", ahead[:3, :2].T, width_m=0.15, style="dashed"),
+        MapElement("phantom_pole", "pole", ahead[:3, 2:].T, radius_m=0.08),
+    ]
+    known = BeliefMap.of(read_map(made / "map.gpkg"))
+    base = BeliefMap.of(known.as_map().with_elements([*known.as_map().elements, *phantoms]))
+    masks = mask_source("sem", drive, None, None)
+    config = MapConfig(look=RoadLookConfig(spacing_m=0.04))
+    again = make_map(drive, masks, drive.frames, poses, config, base=base)
+    removed = {change.id for change in again.changes if change.change == "removed"}
+    assert removed == {"phantom_dash", "phantom_pole"}
+    assert len(again.changes) == len(removed)
+    assert again.belief_map.beliefs.keys() == known.beliefs.keys()
+    twice = [again.belief_map.beliefs[k].num_seen > b.num_seen for k, b in known.beliefs.items()]
+    assert all(twice)
+
+
 def test_a_drive_that_never_comes_back_has_no_loops(made):
     assert (made / "loops.csv").read_text() == COLUMNS + "\n"
     metrics = {m.key: m.value for m in read_metrics(made / "metrics.json")}
     assert (metrics["loops.searched"], metrics["loops.accepted"]) == (0.0, 0.0)
 
 
-def test_the_same_drive_makes_the_same_map(made, drive_dir, tmp_path):
-    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "0", "--out", str(tmp_path)]
-    assert main(words) == OK
+def test_a_run_that_was_killed_goes_on_and_makes_the_same_map(made, drive_dir, tmp_path, monkeypatch, capsys):
+    """It dies once while it looks and once while it counts; what is finished is not done again."""
+    seen = []
+    dies_after = 6
+    looks = Looker.looks
+
+    def counted(self, frame, index, poses):
+        if len(seen) == dies_after:
+            raise KeyboardInterrupt
+        seen.append(index)
+        return looks(self, frame, index, poses)
+
+    monkeypatch.setattr(Looker, "looks", counted)
+    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "0"]
+    main([*words, "--out", str(tmp_path)])
+    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == ["looks_000004"]
+    assert main([*words, "--resume", str(tmp_path), "--min-seen", "4"]) == FAILED
+    assert "began with other settings" in capsys.readouterr().err
+    dies_after = 6 + 10 + 9
+    main([*words, "--resume", str(tmp_path)])
+    assert (tmp_path / "parts" / "counts_000008").is_dir()
+    dies_after = None
+    assert main([*words, "--resume", str(tmp_path)]) == OK
+    assert seen == [*range(6), *range(4, 14), *range(9), *range(8, 14)]
+    assert not (tmp_path / "parts").exists()
     assert (tmp_path / "map.geojson").read_bytes() == (made / "map.geojson").read_bytes()
+    assert main([*words, "--resume", str(tmp_path)]) == FAILED
+    assert "that run is finished" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -74,6 +133,8 @@ def test_the_same_drive_makes_the_same_map(made, drive_dir, tmp_path):
         (["--masks", "ipm:sem"], USAGE, "give sem"),
         (["--frames", "90:"], FAILED, "no frames chosen of 14"),
         (["--start", "nowhere.tum"], FAILED, "nowhere.tum"),
+        (["--base", "map.gpkg", "--start", "identity"], FAILED, "nothing says where in it the drive begins"),
+        (["--base", "nowhere.gpkg", "--start", "truth"], FAILED, "nowhere.gpkg"),
         (["--masks", "sem", "--min-seen", "1000", "--start", "identity"], FAILED, "was seen in 1000 frames"),
     ],
 )

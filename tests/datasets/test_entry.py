@@ -3,11 +3,14 @@
 import logging
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from semloc_jax.datasets import open_drive
+from semloc_jax.datasets.entry import check_units
+from semloc_jax.datasets.sensors import GnssTrack, Imu
 from semloc_jax.errors import SemlocError
 
 SPEED_MPS, END_S = 9.0, 60.0
@@ -85,6 +88,21 @@ def test_wrong_units_and_signs_are_named(drive, file, column, factor, words):
     _scaled(drive / file, column, factor)
     with pytest.raises(SemlocError, match=words):
         open_drive(drive)
+
+
+def test_degrees_are_named_where_the_path_hardly_bends(drive):
+    """Fixes that jitter hide the bends of such a road, and the rates stay below those that no vehicle reaches."""
+    rng, found = np.random.default_rng(3), open_drive(drive)
+    time_s, imu_s = np.arange(0.0, 20.0, 0.2), np.arange(0.0, 20.0, 0.01)
+    fixes = np.column_stack([9.0 * time_s, np.zeros_like(time_s), np.zeros_like(time_s)])
+    fixes[:, :2] += rng.normal(scale=0.5, size=(len(time_s), 2))
+    gyro = np.zeros((len(imu_s), 3))
+    gyro[:, 2] = 0.02 * np.sin(0.4 * imu_s)
+    gnss = GnssTrack(time_s, fixes, np.ones((len(time_s), 3)))
+    straight = replace(found, odometry=None, truth=None, gnss=gnss, imu=Imu(imu_s, gyro, np.zeros_like(gyro)))
+    check_units(straight)
+    with pytest.raises(SemlocError, match="the imu turns by .* is it in deg/s"):
+        check_units(replace(straight, imu=Imu(imu_s, np.degrees(gyro), np.zeros_like(gyro))))
 
 
 def test_units_are_checked_against_the_truth_where_there_are_no_fixes(drive):

@@ -46,6 +46,18 @@ def test_euroc(tmp_path):
     assert drive.truth.T_map_base[0, 1, 0] == pytest.approx(np.sin(0.3))
 
 
+@pytest.mark.parametrize("place", ["nan", "inf", "1e300"])
+def test_euroc_truth_is_on_the_earth(tmp_path, place):
+    path = write_euroc(tmp_path / "euroc")
+    table = path / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+    lines = table.read_text().splitlines()
+    cells = lines[2].split(",")
+    lines[2] = ",".join([cells[0], place, *cells[2:]])
+    table.write_text("\n".join(lines) + "\n")
+    with pytest.raises(SemlocError, match="no number or beyond the earth"):
+        open_drive(path)
+
+
 def test_euroc_names_what_is_wrong(tmp_path):
     folder = write_euroc(tmp_path / "a")
     csv = folder / "mav0" / "cam0" / "data.csv"

@@ -71,6 +71,9 @@ def test_interpolation_is_halfway():
         ("a b c\n", "not a table of numbers"),
         ("", "holds no pose"),
         ("0 0 0 0 5 0 0 1\n", "norm"),
+        ("0 0 0 0 0 0 1e300 1\n", "norm inf"),
+        ("0 1e300 0 0 0 0 0 1\n", "lies 1e\\+300 m from the origin"),
+        ("1 0 0 0 0 1 0 1e200 0 0 1 0\n", "lies 1e\\+200 m from the origin"),
         ("1 0 0 0 0 0 0 1\n0.5 0 0 0 0 0 0 1\n", "increasing"),
     ],
 )

@@ -16,6 +16,7 @@ import pytest
 
 from semloc_jax.errors import SemlocError, UsageError
 from tests.fuzz.mutations import STRUCTURED, mutate
+from tests.fuzz.own_files import own_files
 from tests.fuzz.readers import Reader, readers
 from tests.fuzz.recordings import needs, recordings
 from tests.fuzz.sandbox import Outcome, run
@@ -32,6 +33,7 @@ def every(simulated_road, tmp_path_factory) -> list[Reader]:
     data = Path(given) if given and Path(given).is_dir() else None
     place = tmp_path_factory.mktemp("sound")
     found = [*readers(simulated_road, data, place), *recordings(simulated_road, data, place)]
+    found += own_files(simulated_road, place)
     for reader in found:  # what a first reading loads is there before processes are forked
         reader.read(reader.file if reader.folder is None else reader.opened or reader.folder)
     gc.collect()
@@ -44,6 +46,8 @@ def _fuzzed(every: list[Reader], count: int, place: Path) -> tuple[Counter, list
     counts: Counter[str] = Counter()
     bad = []
     for seed in range(count):
+        if seed and seed % 1000 == 0:  # a long run shows with -s how far it is
+            print(seed, dict(counts), file=sys.stderr, flush=True)
         reader = every[seed % len(every)]
         content = mutate(reader.file.read_bytes(), reader.file.suffix, random.Random(seed))
         own = place / str(seed)
@@ -53,6 +57,7 @@ def _fuzzed(every: list[Reader], count: int, place: Path) -> tuple[Counter, list
         counts[outcome.kind] += 1
         if outcome.kind not in GOOD:
             bad.append((reader.name, seed, outcome))
+            print(f"{reader.name} seed {seed}: {outcome.kind}: {outcome.said}", file=sys.stderr, flush=True)
         else:
             shutil.rmtree(own)
     return counts, bad

@@ -115,6 +115,7 @@ def test_an_empty_file_changes_nothing(config):
         ({"out": "here"}, "unknown key 'out'"),
         ({"zzz": 1}, "unknown key 'zzz'; keys: radius_m, ramp_px, limit_m, search, frames, seed, strict"),
         ("a: [1,", "not a YAML file"),
+        (f"a: {'[' * 3000}{']' * 3000}", "not a YAML file"),
         ("- 1\n- 2\n", "holds a list; expected keys and values"),
     ],
 )

@@ -14,6 +14,7 @@ from semloc_jax.evaluation.trajectory import Trajectory
 from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping import stretch_maps
+from semloc_jax.mapping.base_places import places_of
 from semloc_jax.mapping.closing import closed_way
 from semloc_jax.mapping.gauge import gauge_of
 from semloc_jax.mapping.loops import FoundLoop
@@ -83,6 +84,22 @@ def test_what_fixes_the_frame_of_a_map():
     assert np.linalg.norm((fixed - truth.T_map_base)[:, :2, 3], axis=1).max() < 1.0
     with pytest.raises(SemlocError, match="has no satellite fixes"):
         gauge_of(drive(truth), chain, "gnss")
+
+
+def test_a_start_in_a_map_that_is_there_is_a_guess():
+    """A place in the map moves the first pose by more than the start, as the frame of a new map, would allow."""
+    chain, poses = made_chain()
+    truth = Trajectory(chain.times_s, poses)
+    gauge = gauge_of(drive(truth), chain, "truth")
+    place = FoundLoop(
+        -1, 10, rigid.planar_pose(0.8, -0.6) @ poses[10], np.diag([0.05, 0.05, 0.05, 0.01, 0.01, 0.005]) ** 2, 50.0, ()
+    )
+    places = places_of([place], NUM)
+    stays = gauge.solve(chain, places=places).Ts_map_base[0]
+    moves = gauge.guessed(2.0, 0.05).solve(chain, places=places).Ts_map_base[0]
+    assert np.linalg.norm((stays - truth.T_map_base[0])[:2, 3]) < 0.01
+    np.testing.assert_allclose((moves - truth.T_map_base[0])[:2, 3], [0.8, -0.6], atol=0.35)
+    assert gauge_of(drive(truth), chain, "identity").gnss is None
 
 
 def test_the_report_counts_loops_and_false_ones():

@@ -1,14 +1,17 @@
 """Paint drawn from above comes back as strokes, rectangles and outlines, to a fraction of a cell."""
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 import pytest
 
-from semloc_jax.mapping.evidence_grid import TILE, EvidenceGrid
+from semloc_jax.mapping.evidence_grid import EvidenceGrid
+from semloc_jax.mapping.line_pieces import cut_to, joined
 from semloc_jax.mapping.outlines import find_outlines, find_rectangles
 from semloc_jax.mapping.road_table import RoadHeights
 from semloc_jax.mapping.strokes import PaintTrace, TraceLimits, find_strokes
-from semloc_jax.mapping.vectorize import Layer, VectorConfig, _joined, elements_of
+from semloc_jax.mapping.vectorize import Layer, VectorConfig, elements_of
 from semloc_jax.structs import ElementClass
 
 CELL_M = 0.025
@@ -97,16 +100,15 @@ def test_the_grid_says_what_share_of_the_looks_shows_paint():
     grid = EvidenceGrid(0.5, 2)
     xy = np.array([[0.1, 0.1], [0.1, 0.2], [-200.0, 300.0], [5.0, 5.0]])
     grid.add(xy, np.array([1.0, 3.0, 2.0, 1.0]), np.array([0, -1, 1, 0]), np.array([True, True, True, False]))
-    low, size = grid.bounds
-    assert (size % TILE == 0).all()
+    low, size = np.floor(xy.min(axis=0) / 0.5).astype(int) - 3, np.array([450, 650])
 
     def at(plane, x, y):
         column, row = np.floor(np.array([x, y]) / 0.5).astype(int) - low
         return plane[row, column]
 
-    assert at(grid.share(0), 0.1, 0.1) == pytest.approx(0.25)
-    assert at(grid.share(1), -200.0, 300.0) == 1.0
-    assert at(grid.plane(0), 5.0, 5.0) == 0.0
+    assert at(grid.share(0, low, size), 0.1, 0.1) == pytest.approx(0.25)
+    assert at(grid.share(1, low, size), -200.0, 300.0) == 1.0
+    assert at(grid.plane(0, low, size), 5.0, 5.0) == 0.0
     np.testing.assert_array_equal(grid.seen(xy, 1), [True, True, True, False])
     assert not grid.seen(xy, 2).any()
 
@@ -153,8 +155,80 @@ def test_pieces_of_a_solid_line_are_joined_and_its_neighbour_is_not():
         return PaintTrace(middle, 6.0, (True, True))
 
     pieces = [piece(0, 200, 0), piece(480, 280, 0.5), piece(560, 800, 0), piece(0, 800, 40)]
-    found = sorted(_joined(pieces, CELL_M, VectorConfig()), key=lambda line: line.middle[:, 1].mean())
+    found = sorted(joined(pieces, CELL_M, 6.0, 0.12), key=lambda line: line.middle[:, 1].mean())
     assert [round(line.length) for line in found] == [800, 800]
     assert (np.diff(found[0].middle[:, 0]) * np.sign(found[0].middle[-1, 0] - found[0].middle[0, 0]) > 0).all()
-    assert len(_joined(pieces, CELL_M, VectorConfig(joined_gap_m=1.0))) == 4
-    assert _joined([], CELL_M, VectorConfig()) == []
+    assert len(joined(pieces, CELL_M, 1.0, 0.12)) == 4
+    assert joined([], CELL_M, 6.0, 0.12) == []
+
+
+def test_what_leaves_memory_still_counts(tmp_path):
+    """Looks in three parts, two of them stored, sum up to those of one grid; another process takes the parts in."""
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(-100.0, 100.0, (3, 500, 2))
+    weight, layer = rng.uniform(0.5, 1.0, (3, 500)), rng.integers(-1, 2, (3, 500))
+    whole, parts, again = EvidenceGrid(0.5, 2), EvidenceGrid(0.5, 2), EvidenceGrid(0.5, 2)
+    for k in range(3):
+        for grid in (whole, parts):
+            grid.add(xy[k], weight[k], layer[k], np.ones(500, bool))
+        if k < 2:
+            parts.store(tmp_path / f"{k}.npz")
+            for grid in (parts, again):
+                grid.attach(tmp_path / f"{k}.npz")
+    again.add(xy[2], weight[2], layer[2], np.ones(500, bool))
+    low, size = np.array([-200, -200]), np.array([400, 400])
+    np.testing.assert_array_equal(parts.tiles, whole.tiles)
+    for plane in range(4):
+        expected = whole.plane(plane, low, size)
+        assert expected.any()
+        np.testing.assert_allclose(parts.plane(plane, low, size), expected, rtol=1e-6)
+        np.testing.assert_array_equal(again.plane(plane, low, size), parts.plane(plane, low, size))
+    np.testing.assert_array_equal(parts.seen(xy[0], 1), whole.seen(xy[0], 1))
+
+
+def test_a_line_that_was_cut_is_one_line_again():
+    """A solid line across three blocks, cut at both borders: its pieces meet, and only true ends are ends."""
+    x = np.arange(-900.0, 3001.0, 4.0)
+    line = PaintTrace(np.stack([x, 100.0 + 1e-5 * (x - 500) ** 2], axis=1), 6.0, (True, True))
+    borders = np.array([-1024.0, 0.0, 1024.0, 4096.0])
+    cells = [(np.array([a, -50.0]), np.array([b, 2000.0])) for a, b in pairwise(borders)]
+    pieces = [piece for low, high in cells for piece in cut_to(line, low, high)]
+    assert [piece.is_end for piece in pieces] == [(True, False), (False, False), (False, True)]
+    (whole,) = joined(pieces, CELL_M, 0.3, 0.3)
+    assert whole.is_end == (True, True)
+    assert whole.length == pytest.approx(line.length, abs=1.0)
+    assert cut_to(line, np.array([0.0, 500.0]), np.array([100.0, 600.0])) == []
+
+
+def test_the_map_does_not_depend_on_where_blocks_end():
+    """A dash whose middle lies on the border of two blocks and a line across it appear once, wherever they lie."""
+    ys, xs = np.mgrid[0:160, 0:560]
+    cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
+    layer = np.full(len(cells), -1)
+    for plane, polygon in [(0, bar(180, 40, 200, 6)), (1, bar(20, 120, 520, 6))]:
+        low, high = polygon.min(axis=0), polygon.max(axis=0)
+        layer[((cells >= low) & (cells <= high)).all(axis=1)] = plane
+    found = []
+    for shift in (np.array([-280, -80]), np.array([600, 600])):
+        grid = EvidenceGrid(CELL_M, 2)
+        for _ in range(3):
+            grid.add((cells + shift + 0.5) * CELL_M, np.ones(len(cells)), layer, np.ones(len(cells), bool))
+        layers = [Layer(ElementClass.LANE_MARKING, (0, 1), (0,), says_style=True)]
+        elements = elements_of(grid, layers, lambda xy: np.zeros(len(xy)))
+        assert [e.style for e in elements] == ["dashed", "solid"]
+        found.append([np.sort(e.points[[0, -1], :2] - shift * CELL_M, axis=0) for e in elements])
+    np.testing.assert_allclose(found[0], found[1], atol=0.01)
+
+
+def test_a_line_that_leaves_the_window_of_a_block_is_whole():
+    """A solid line along a whole block and past its margin, as masks that tell broken lines show it."""
+    ys, xs = np.mgrid[0:24, -400:2800]
+    cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
+    layer = np.where((cells[:, 1] >= 9) & (cells[:, 1] < 15), 0, -1)
+    grid = EvidenceGrid(CELL_M, 2)
+    for _ in range(3):
+        grid.add((cells + 0.5) * CELL_M, np.ones(len(cells)), layer, np.ones(len(cells), bool))
+    layers = [Layer(ElementClass.LANE_MARKING, (0, 1), (1,), says_style=True)]
+    (line,) = elements_of(grid, layers, lambda xy: np.zeros(len(xy)))
+    assert line.length_m == pytest.approx(80.0, abs=0.3)
+    np.testing.assert_allclose(line.points[:, 1], 12 * CELL_M, atol=0.01)

@@ -95,9 +95,8 @@ def test_nothing_near_is_an_empty_local_map_and_not_an_error():
 def test_the_work_of_a_query_does_not_grow_with_the_map():
     """Twenty times the map of the same density: as many calls for a query, for each element that it finds."""
     calls = []
-    for road in (_random_map(150), _random_map(3_000, reach_m=1370.0)):
-        num_found = len(road.query((0.0, 0.0), 60.0).elements)
-        places = [(x, 0.0, 0.0) for x in np.linspace(-100, 100, 20)]
+    for road in (_random_map(150), _random_map(3_000, reach_m=500.0 * np.sqrt(20.0))):
+        places = [(x, y, 0.0) for x in np.linspace(-300, 300, 12) for y in np.linspace(-300, 300, 12)]
         num_found = sum(len(road.query(place, 60.0).elements) for place in places)
         calls.append(num_calls(lambda road=road, places=places: [road.query(p, 60.0) for p in places]) / num_found)
     assert calls[1] < 1.5 * calls[0]

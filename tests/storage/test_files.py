@@ -119,6 +119,11 @@ def test_lines_survive_a_cut(tmp_path):
     with path.open("a") as file:
         file.write("thr")
     assert whole_lines(path) == ["one", "two"]
+    append_line(path, "three")
+    assert path.read_text() == "one\ntwo\nthree\n"
+    path.write_text("cut")
+    append_line(path, "whole")
+    assert whole_lines(path) == ["whole"]
 
 
 HOLD = "import sys, time; from pathlib import Path; from semloc_jax.storage import claim; claim(Path(sys.argv[1]))"

@@ -5,7 +5,9 @@ shape, normal (unit vector, east north up), true_ends (whether the first and las
 whatever else stands there is kept as attributes. The classes are the keys of FEATURE_CLASSES.
 """
 
+import contextlib
 import json
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -95,8 +97,12 @@ def _moved(elements: list[MapElement], to_local: ToLocal | None, faulty: dict[st
             yield from _moved([element], to_local, faulty)
         return
     ends = np.cumsum([len(element.points) for element in elements])
+    flat = [not element.has_height for element in elements]
+    points[np.repeat(flat, np.diff(ends, prepend=0)), 2] = 0.0
+    points.setflags(write=False)
     for element, own in zip(elements, np.split(points, ends[:-1]), strict=True):
-        yield element.with_points(own if element.has_height else own * [1.0, 1.0, 0.0])
+        object.__setattr__(element, "points", own)  # made here a moment ago: nobody holds it yet
+        yield element
 
 
 def feature_id(feature: Any, index: int) -> str:
@@ -132,7 +138,7 @@ def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal 
     """
     if not isinstance(feature, Mapping) or not isinstance(feature.get("properties"), Mapping):
         raise SemlocError(f"map {name}: feature {index} has no properties; expected a GeoJSON Feature with a `class`")
-    properties = dict(feature["properties"])
+    properties = feature["properties"]
     where = f"map {name}: feature {feature.get('id', index)}"
     class_name = str(properties.get("class", "without class"))
     if class_name not in FEATURE_CLASSES:
@@ -161,8 +167,15 @@ def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal 
         normal=_normal(properties.get("normal"), where),
         true_ends=_true_ends(properties.get("true_ends"), where),
         has_height=has_height,
-        attributes={**properties, "class": class_name},
+        # A parser makes the names anew for each feature.
+        attributes={sys.intern(str(key)): value for key, value in properties.items()}
+        | {"class": sys.intern(class_name)},
     )
+
+
+def _kept(properties: Mapping[str, Any], class_name: str) -> dict[str, Any]:
+    """Properties with names that all elements share: a parser makes them anew for each feature."""
+    return {sys.intern(str(key)): value for key, value in properties.items()} | {"class": sys.intern(class_name)}
 
 
 def feature_from_element(element: MapElement, to_file: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
@@ -214,8 +227,7 @@ def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np
     closed = kind == "Polygon"
     try:
         raw = geometry["coordinates"][0] if closed else geometry["coordinates"]
-        has_height = all(len(p) > 2 for p in raw)
-        points = np.array([[p[0], p[1], p[2] if has_height else 0.0] for p in raw], dtype=np.float64)
+        points, has_height = _points_of(raw)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise SemlocError(f"{where}: coordinates cannot be read; expected lists of [x, y, z] numbers") from error
     if closed and len(points) > 1 and np.array_equal(points[0], points[-1]):
@@ -225,6 +237,17 @@ def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np
     if not (np.abs(points) < FARTHEST_M).all():
         raise SemlocError(f"{where}: NaN, infinite or huge coordinates; expected metres or degrees on the earth")
     return points, closed, has_height
+
+
+def _points_of(raw: Any) -> tuple[np.ndarray, bool]:
+    """Returns the points of a list of positions `[k 3]`, and whether all have heights."""
+    with contextlib.suppress(TypeError, ValueError):  # positions of several lengths
+        points = np.array(raw, dtype=np.float64)
+        if points.ndim == 2 and points.shape[1] in (2, 3):
+            has_height = points.shape[1] == 3
+            return points if has_height else np.column_stack([points, np.zeros(len(points))]), has_height
+    has_height = all(len(p) > 2 for p in raw)
+    return np.array([[p[0], p[1], p[2] if has_height else 0.0] for p in raw], dtype=np.float64), has_height
 
 
 def _usual_radius_top(label: ElementClass, radius_m: float) -> float:

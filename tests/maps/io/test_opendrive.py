@@ -265,6 +265,21 @@ BROKEN_END = """<OpenDRIVE><header><geoReference>EPSG:25832</geoReference></head
 </center></laneSection></lanes></road></OpenDRIVE>"""
 
 
+@pytest.mark.parametrize("lanes", ["", "<lanes></lanes>"])
+def test_a_road_without_lanes_is_no_road_and_stops_no_other(tmp_path, lanes):
+    whole = BROKEN_END.format(length=500, s=400, x=696000, y=5346700, last=0)
+    start, end = whole.index("<lanes>"), whole.index("</road>")
+    bare = whole[:start] + lanes + whole[end:]
+    (tmp_path / "bare.xodr").write_text(bare)
+    with pytest.raises(SemlocError, match="no element that a camera could see"):
+        read_map(tmp_path / "bare.xodr")
+    road = whole[whole.index("<road") : whole.index("</OpenDRIVE>")].replace('id="1"', 'id="2"')
+    (tmp_path / "both.xodr").write_text(bare.replace("</OpenDRIVE>", f"{road}</OpenDRIVE>"))
+    (tmp_path / "one.xodr").write_text(whole[: whole.index("<road")] + road + "</OpenDRIVE>")
+    both, one = read_map(tmp_path / "both.xodr"), read_map(tmp_path / "one.xodr")
+    assert [e.id for e in both.elements] == [e.id for e in one.elements] != []
+
+
 def _road_with_a_jump(tmp_path, last):
     path = tmp_path / "road.xodr"
     path.write_text(BROKEN_END.format(length=500 + last, s=500, x=-47.2, y=0.7, last=last))

@@ -15,27 +15,24 @@ import shapely
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.assumed_dashes import joined_dashes
 from semloc_jax.maps.elements import FARTHEST_M, GeoOrigin, MapElement, Place
-from semloc_jax.maps.ground import GroundModel, RoadPlane
+from semloc_jax.maps.ground import GroundModel
 from semloc_jax.maps.heights import lifted
 from semloc_jax.maps.io.features import FEATURE_CLASSES
 from semloc_jax.maps.io.geopackage import schema
 from semloc_jax.maps.io.geopackage.geometry import from_blob
+from semloc_jax.maps.plan_index import plan_geometry
 from semloc_jax.maps.semantic_map import (
     LocalMap,
     SemanticMap,
     clip_element,
-    plan_geometry,
     reaches_ahead,
     require_place,
 )
 from semloc_jax.maps.soundness import fault_of, tell
+from semloc_jax.maps.tiled_ground import TiledGround
 from semloc_jax.structs import ElementClass
 
 _MOST_CACHED = 50_000
-_GROUND_CELL_M = 40.0
-_GROUND_REACH_M = 110.0
-"""Ground points are looked for up to 60 m from a place, which may lie 29 m from the middle of its cell."""
-_MOST_CELLS = 64
 _AT_ONCE = 500
 _HIGHEST_FID = 20_000_000
 
@@ -116,7 +113,7 @@ class StoredMap(SemanticMap):
     @cached_property
     def ground(self) -> GroundModel:
         """The road surface, fitted to the elements around each queried place."""
-        return _StoredGround(self)
+        return TiledGround(self.within)
 
     @cached_property
     def extent(self) -> np.ndarray:
@@ -208,31 +205,6 @@ class StoredMap(SemanticMap):
         except (sqlite3.Error, UnicodeDecodeError) as error:
             why = " ".join(str(error).split())[:160]
             raise SemlocError(f"map {self._file_name}: cannot be read ({why}); is the file complete?") from error
-
-
-class _StoredGround(GroundModel):
-    """The road surface of a StoredMap: one GroundModel for each queried cell."""
-
-    def __init__(self, stored: StoredMap):
-        super().__init__(np.zeros((0, 3)))
-        self._stored = stored
-        self._cells: OrderedDict[tuple[int, int], GroundModel] = OrderedDict()
-
-    def plane(
-        self,
-        center: Place,
-        radius_m: float = 4.0,
-        near_z_m: float | None = None,
-        heading_rad: float | None = None,
-    ) -> RoadPlane:
-        """Returns the plane of the road around a place; see `GroundModel.plane`."""
-        cell = tuple(int(v) for v in np.floor(np.asarray(center, dtype=np.float64)[:2] / _GROUND_CELL_M))
-        if cell not in self._cells:
-            middle = (np.array(cell) + 0.5) * _GROUND_CELL_M
-            self._cells[cell] = GroundModel.from_elements(self._stored.within(middle, _GROUND_REACH_M))
-            if len(self._cells) > _MOST_CELLS:
-                self._cells.popitem(last=False)
-        return self._cells[cell].plane(center, radius_m, near_z_m, heading_rad)
 
 
 def _element(row: tuple, name: str) -> MapElement:

@@ -109,7 +109,7 @@ def _place(
         reference.require(where)
     stacked = np.vstack([np.zeros((0, 3)), *(element.points for element in elements)])
     own_place = reference.place(stacked, where)
-    if own_place is None:
+    if own_place is None or not elements:
         return SemanticMap(tuple(elements), None, name, skipped)
     origin = origin or own_place
     moved = reference.to_enu(stacked, origin)

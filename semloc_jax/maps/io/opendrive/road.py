@@ -210,7 +210,7 @@ def _sections(xml: Element, length: float, where: str) -> tuple[LaneSection, ...
     records = sorted(xml.findall("lanes/laneSection"), key=lambda record: number(record, "s", where))
     starts = [number(record, "s", where) for record in records]
     found = []
-    for record, start, end in zip(records, starts, [*starts[1:], length], strict=True):
+    for record, start, end in zip(records, starts, [*starts, length][1:], strict=True):
         end = min(end, length)
         if end - start > _SAME_PLACE_M:
             lanes = [_lane(lane, start, where) for side in record for lane in side.findall("lane")]

@@ -1,0 +1,199 @@
+"""Where the upright things stand that a drive saw: crossings of bearings (room: mapping; host).
+
+In: Sightings of one class. Out: Standing list: place, covariance, heights, the sightings of each.
+Every sighting votes for the places along its bearing; where most frames agree a thing is solved for, its sightings are
+taken away, and so on. A crossing of bearings to different things is told by its heights, which do not agree.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from semloc_jax.mapping.sightings import column
+from semloc_jax.structs import ElementClass
+
+_CELL_M = 0.5
+_STEP_M = 0.125
+_ROUNDS = 8
+_MOST_THINGS = 2000
+_LEAST_TOLD = 3
+_ENDS = (("low", "is_foot", 0.1), ("high", "is_top", 0.9))
+"""Columns of the ends of a sighting, and the quantile of what is seen where no end is."""
+
+
+@dataclass(frozen=True)
+class TriangulationConfig:
+    """When bearings meet. All values are ours.
+
+    Args:
+        range_m: nearest and farthest place that a sighting tells.
+        min_frames: frames that must agree.
+        min_parallax_deg: spread of the bearings.
+        gate_sigmas: a sighting farther off is one of another thing.
+        place_m: standard deviation of the way that the frames share.
+        most_sigma_m: standard deviation of a place beyond which it helps nobody.
+        most_height_m: spread of the heights that sightings of one end tell.
+    """
+
+    range_m: tuple[float, float] = (2.0, 45.0)
+    min_frames: int = 5
+    min_parallax_deg: float = 6.0
+    gate_sigmas: float = 3.5
+    place_m: float = 0.05
+    most_sigma_m: float = 0.3
+    most_height_m: float = 0.4
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One thing.
+
+    Attributes:
+        xy: its place [m].
+        covariance: of the place [m^2].
+        foot_m: height of its low end, as the sightings show it.
+        top_m: height of its high end.
+        width_m: its width.
+        knows_foot: whether its low end was seen.
+        rows: its sightings.
+    """
+
+    xy: Float[np.ndarray, " 2"]
+    covariance: Float[np.ndarray, "2 2"]
+    foot_m: float
+    top_m: float
+    width_m: float
+    knows_foot: bool
+    rows: Int[np.ndarray, " k"]
+
+
+def stand(sightings: Float[np.ndarray, "n 13"], config: TriangulationConfig | None = None) -> list[Standing]:
+    """Every thing of one class that enough frames agree on, the one with most frames first.
+
+    Args:
+        sightings: rows, see `sightings.COLUMNS`.
+        config: None for the defaults.
+    """
+    config = config or TriangulationConfig()
+    if not len(sightings):
+        return []
+    owner, cell, places = _votes(sightings, config)
+    free, is_open = np.ones(len(sightings), bool), np.ones(len(places), bool)
+    found: list[Standing] = []
+    for _ in range(_MOST_THINGS):
+        count = np.bincount(cell, free[owner], minlength=len(places)) * is_open
+        best = int(count.argmax())
+        if count[best] < config.min_frames:
+            break
+        thing = _solved(sightings, np.flatnonzero(free), places[best], config)
+        if thing is None:
+            is_open[best] = False
+            continue
+        free[thing.rows] = False
+        found.append(thing)
+    return found
+
+
+def _votes(sightings: np.ndarray, config: TriangulationConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sighting and cell of every vote, and the middle of each cell [m]."""
+    s = np.arange(*config.range_m, _STEP_M)
+    bearing = column(sightings, "bearing")[:, None]
+    xy = sightings[:, 2:4][:, None] + s[None, :, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    flat = np.floor(xy / _CELL_M).astype(np.int64).reshape(-1, 2)
+    owner = np.repeat(np.arange(len(sightings)), len(s))
+    low = flat.min(axis=0)
+    columns = int(np.ptp(flat[:, 0])) + 1
+    key = (flat[:, 1] - low[1]) * columns + flat[:, 0] - low[0]
+    # A sighting votes once for a cell.
+    pairs = np.unique(owner * (key.max() + 1) + key)
+    owner, key = pairs // (key.max() + 1), pairs % (key.max() + 1)
+    keys, cell, count = np.unique(key, return_inverse=True, return_counts=True)
+    kept = count[cell] >= config.min_frames
+    used, cell = np.unique(cell[kept], return_inverse=True)
+    places = (np.stack([keys[used] % columns, keys[used] // columns], axis=1) + low + 0.5) * _CELL_M
+    return owner[kept], cell, places
+
+
+def _solved(sightings: np.ndarray, free: np.ndarray, start: np.ndarray, config: TriangulationConfig) -> Standing | None:
+    """The thing near a place; None where the bearings or the heights do not agree."""
+    near = free[np.linalg.norm(sightings[free, 2:4] - start, axis=1) < config.range_m[1]]
+    rows = sightings[near]
+    xy, information, member = start, np.zeros((2, 2)), np.zeros(len(near), bool)
+    for k in range(_ROUNDS):
+        off_m, sigma_m, normal, range_m = _misses(rows, xy, config)
+        # The first rounds take in what votes for the cell.
+        gate = config.gate_sigmas * sigma_m + (_CELL_M if k < 2 else 0.0)
+        member = (np.abs(off_m) < gate) & (range_m > 0.5 * config.range_m[0])
+        if member.sum() < config.min_frames:
+            return None
+        weight = 1.0 / sigma_m[member] ** 2 / (1.0 + (off_m[member] / sigma_m[member]) ** 2)
+        information = (normal[member] * weight[:, None]).T @ normal[member]
+        step = np.linalg.solve(information + 1e-6 * np.eye(2), normal[member].T @ (weight * off_m[member]))
+        xy = xy - step
+    if np.linalg.norm(xy - start) > 4.0 * _CELL_M:
+        return None
+    return _checked(sightings, near[member], xy, information, config)
+
+
+def _misses(
+    rows: np.ndarray, xy: np.ndarray, config: TriangulationConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """How far bearings pass by a place [m], standard deviation, direction across each, range along it."""
+    bearing = column(rows, "bearing")
+    along = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    offset = xy - rows[:, 2:4]
+    range_m = (offset * along).sum(axis=1)
+    sigma_m = np.hypot(column(rows, "sigma") * np.abs(range_m), config.place_m)
+    return (offset * normal).sum(axis=1), sigma_m, normal, range_m
+
+
+def _checked(
+    sightings: np.ndarray, rows: np.ndarray, xy: np.ndarray, information: np.ndarray, config: TriangulationConfig
+) -> Standing | None:
+    own = sightings[rows]
+    bearing = column(own, "bearing")
+    middle = np.angle(np.exp(1j * bearing).mean())
+    turn = np.angle(np.exp(1j * (bearing - middle)))
+    num_frames = len(np.unique(column(own, "frame")))
+    if num_frames < config.min_frames or np.ptp(turn) < np.deg2rad(config.min_parallax_deg):
+        return None
+    range_m = np.linalg.norm(own[:, 2:4] - xy, axis=1)
+    (foot_m, foot_off_m), (top_m, top_off_m) = (_end(own, range_m, *names) for names in _ENDS)
+    # A pole is cut by much that stands before it; a board is seen whole or not at all.
+    if column(own, "label")[0] != float(ElementClass.POLE) and max(foot_off_m, top_off_m) > config.most_height_m:
+        return None
+    # Errors of the way are shared by neighbouring frames: a metre of way tells one thing once.
+    way_m = float(np.linalg.norm(np.diff(_by_frame(own), axis=0), axis=1).sum())
+    shared = max(len(own) / max(way_m, 1.0), 1.0)
+    covariance = np.linalg.inv(information / shared)
+    if np.linalg.eigvalsh(covariance)[-1] > config.most_sigma_m**2:
+        return None
+    return Standing(
+        xy,
+        covariance,
+        foot_m,
+        top_m,
+        float(np.median((column(own, "width") * range_m)[range_m <= np.median(range_m)])),
+        foot_off_m <= config.most_height_m,
+        rows,
+    )
+
+
+def _by_frame(rows: np.ndarray) -> np.ndarray:
+    """Places of the camera, in the order of the frames."""
+    return rows[np.argsort(column(rows, "frame"), kind="stable")][:, 2:4]
+
+
+def _end(rows: np.ndarray, range_m: np.ndarray, angle: str, is_end: str, quantile: float) -> tuple[float, float]:
+    """Height of one end [m] as most sightings tell it, near ones more, and its spread; else where what is seen ends."""
+    height_m = column(rows, "z_m") + range_m * np.tan(column(rows, angle))
+    told = column(rows, is_end) > 0.5
+    if told.sum() < _LEAST_TOLD:
+        return float(np.quantile(height_m, quantile)), np.inf
+    height_m, range_m = height_m[told], range_m[told]
+    order = np.argsort(height_m)
+    weight = np.cumsum(1.0 / np.maximum(range_m[order], 2.0) ** 2)
+    middle_m = float(height_m[order][int(np.searchsorted(weight, 0.5 * weight[-1]))])
+    return middle_m, float(1.5 * np.median(np.abs(height_m - middle_m)))

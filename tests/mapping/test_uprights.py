@@ -1,0 +1,126 @@
+"""Poles, signs and traffic lights out of masks drawn along a straight drive, to a few centimetres, and no ghosts."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.cameras import PinholeCamera
+from semloc_jax.mapping.sightings import RayTable, Sightings
+from semloc_jax.mapping.uprights import UprightCounting, uprights_of
+from semloc_jax.perception import load_class_table
+from semloc_jax.structs import ElementClass
+
+TABLE = load_class_table("drive")
+CAMERA = PinholeCamera(400.0, 400.0, 239.5, 149.5, 480, 300)
+T_BASE_CAM = np.array([[0, 0, 1, 1.5], [-1, 0, 0, 0], [0, -1, 0, 1.4], [0, 0, 0, 1.0]])
+POLES = {"lamp": (30.0, 5.0, 0.2, 5.5, 0.1), "post": (41.0, -4.0, 0.0, 2.0, 0.05), "mast": (55.0, 6.0, 0.1, 6.0, 0.12)}
+SIGN = (36.0, -5.0, 2.2, 0.7)
+"""x, y, z of its middle and side of a square board that faces the drive [m]."""
+POLE_ID, SIGN_ID, CAR_ID, ROAD_ID = 20, 21, 7, 1
+
+
+def pose(x_m):
+    T = np.eye(4)
+    T[0, 3] = x_m
+    return T
+
+
+def drawn(x_m, rng=None):
+    """The mask from a place on the road: every pole by its sides, row for row, and the board."""
+    mask = np.full((300, 480), ROAD_ID, np.uint8)
+    columns, rows = np.meshgrid(np.arange(480), np.arange(300))
+    for x, y, low, high, radius in POLES.values():
+        ahead = x - x_m - T_BASE_CAM[0, 3]
+        if ahead < 1.0:
+            continue
+        u, half = 239.5 - 400.0 * y / ahead, 400.0 * radius / ahead
+        if rng is not None:
+            u += rng.normal(0.0, 0.5)
+        top, foot = (149.5 + 400.0 * (1.4 - z) / ahead for z in (high, low))
+        mask[(np.abs(columns - u) <= half + 0.3) & (rows >= top) & (rows <= foot)] = POLE_ID
+    x, y, z, side = SIGN
+    ahead = x - x_m - T_BASE_CAM[0, 3]
+    if ahead > 1.0:
+        u, v, half = 239.5 - 400.0 * y / ahead, 149.5 + 400.0 * (1.4 - z) / ahead, 200.0 * side / ahead
+        mask[(np.abs(columns - u) <= half) & (np.abs(rows - v) <= half)] = SIGN_ID
+    return mask
+
+
+@pytest.fixture(scope="module")
+def table():
+    return RayTable.of(CAMERA, T_BASE_CAM)
+
+
+@pytest.fixture(scope="module")
+def sightings(table):
+    rng, found = np.random.default_rng(1), Sightings(TABLE)
+    for frame, x_m in enumerate(np.arange(0.0, 50.0, 1.0)):
+        found.add(drawn(x_m, rng), table, frame, pose(x_m))
+    return found
+
+
+@pytest.fixture(scope="module")
+def uprights(sightings):
+    return uprights_of(sightings.all(), lambda xy: np.zeros(len(xy)))
+
+
+def test_poles_stand_where_they_stand(uprights):
+    made = [u for u in uprights if u.element.label == ElementClass.POLE]
+    assert len(made) == len(POLES)
+    for x, y, low, high, radius in POLES.values():
+        upright = min(made, key=lambda u: np.hypot(*(u.element.points[0, :2] - (x, y))))
+        off_m = np.hypot(*(upright.element.points[0, :2] - (x, y)))
+        assert off_m < 0.06
+        assert off_m < 3.5 * upright.sigma_m
+        assert upright.element.points[0, 2] == pytest.approx(low, abs=0.1)
+        assert upright.element.points[1, 2] == pytest.approx(high, abs=0.25)
+        assert upright.element.radius_m == pytest.approx(radius, abs=0.02)
+
+
+def test_a_board_has_its_place_size_shape_and_face(uprights):
+    (sign,) = [u.element for u in uprights if u.element.label == ElementClass.SIGN]
+    np.testing.assert_allclose(sign.points.mean(axis=0), SIGN[:3], atol=0.06)
+    assert sign.shape == "rectangle"
+    assert np.ptp(sign.points[:, 2]) == pytest.approx(SIGN[3], abs=0.06)
+    assert sign.normal[0] < -0.9
+
+
+def test_what_is_not_there_is_missed_and_what_is_hidden_is_not(table, uprights):
+    """A car before everything says nothing; a second drive past a bare road says that all is gone."""
+    counting = UprightCounting(uprights, TABLE)
+    for x_m in np.arange(0.0, 34.0, 1.0):
+        counting.add([drawn(x_m)], [table], pose(x_m), x_m)
+    before = counting.beliefs("drive")
+    assert all(b.existence > 0.99 and b.num_missed == 0 and b.num_seen >= 4 for b in before)
+    counting.add([np.full((300, 480), CAR_ID, np.uint8)], [table], pose(20.0), 20.0)
+    assert [b.num_missed for b in counting.beliefs("drive")] == [0] * len(before)
+    for x_m in np.arange(0.0, 34.0, 1.0):
+        counting.add([np.full((300, 480), ROAD_ID, np.uint8)], [table], pose(x_m), x_m)
+    after = counting.beliefs("drive")
+    assert all(b.num_missed >= b.num_seen for b in after)
+    assert not counting.stays().any()
+
+
+def test_bearings_to_different_things_are_no_thing(table):
+    """Posts that stand up somewhere else in every frame: what few cross is not seen there again."""
+    rng, found, masks = np.random.default_rng(4), Sightings(TABLE), []
+    for frame, x_m in enumerate(np.arange(0.0, 40.0, 1.0)):
+        mask = np.full((300, 480), ROAD_ID, np.uint8)
+        for u in rng.integers(5, 475, 3):
+            mask[120:200, u : u + 3] = POLE_ID
+        masks.append((x_m, mask))
+        found.add(mask, table, frame, pose(x_m))
+    counting = UprightCounting(uprights_of(found.all(), lambda xy: np.zeros(len(xy))), TABLE)
+    for x_m, mask in masks:
+        counting.add([mask], [table], pose(x_m), x_m)
+    assert not counting.stays().any()
+
+
+def test_what_leaves_memory_is_still_seen(sightings, table, tmp_path):
+    stored, again = Sightings(TABLE), Sightings(TABLE)
+    for k, x_m in enumerate((10.0, 12.0)):
+        stored.add(drawn(x_m), table, k, pose(x_m))
+        stored.store(tmp_path / f"{k}.npz")
+        again.attach(tmp_path / f"{k}.npz")
+    assert len(again.all()) > 4
+    assert len(stored.all()) == 0
+    assert set(again.all()[:, 1]) == {0.0, 1.0}
