@@ -7,6 +7,7 @@ along the road against the basin of a solve, and by what the masks of the last f
 
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -57,7 +58,7 @@ def corrected_along(
     Args:
         T_predicted: Predicted pose relative to the local origin.
         sigma_m: Its standard deviation along the road [m].
-        prior: Holds the pose where nothing else does.
+        prior: Holds the pose across the road and in attitude, where nothing else does.
         frame: Samples, cost maps, cameras.
         trust: Weight of each map element.
         align: View and noise.
@@ -65,16 +66,18 @@ def corrected_along(
     """
     reach_m = float(np.clip(config.reach_sigmas * sigma_m, config.basin_m, config.max_reach_m))
     offsets = np.linspace(-reach_m, reach_m, config.num_offsets)
+    free = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(jnp.inf))
     costs = profile_along(
         jnp.asarray(T_predicted, jnp.float32),
         jnp.asarray(offsets, jnp.float32),
-        prior,
+        free,
         frame,
         trust,
         align,
         jnp.asarray(config.level),
     )
-    best_m = float(offsets[int(np.argmin(np.asarray(costs)))])
+    # The prior of a solve is loose; which of several dashes is meant, the prediction itself helps to tell.
+    best_m = float(offsets[int(np.argmin(align.score_share * np.asarray(costs) + 0.5 * (offsets / sigma_m) ** 2))])
     moved = T_predicted.copy()
     moved[:3, 3] += best_m * T_predicted[:3, 0]
     return moved, best_m
