@@ -3,7 +3,7 @@
 In: frames, masks, poses. Out: Look: one camera of one frame, its places on the road and the ids seen there.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,6 @@ from semloc_jax.mapping.vectorize import Layer
 from semloc_jax.perception import ClassTable
 from semloc_jax.perception.surround import PAINT, UPRIGHT_WORDS
 from semloc_jax.storage import making
-from semloc_jax.structs import ElementClass
 
 _HEIGHTS_REACH_M = 25.0
 _RIM_PX = 2
@@ -185,11 +184,6 @@ def paint_layers(table: ClassTable) -> tuple[list[Layer], np.ndarray]:
             "masks with lane markings, slot lines or the like"
         )
     return layers, plane_of_id
-
-
-def layer_labels(layers: Sequence[Layer]) -> dict[ElementClass, Layer]:
-    """The layer of each class."""
-    return {layer.label: layer for layer in layers}
 
 
 def _hides(table: ClassTable) -> np.ndarray:
