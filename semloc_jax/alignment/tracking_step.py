@@ -43,7 +43,7 @@ ELEMENT_CAPACITY = 2048
 class TrackAlignConfig:
     """How a frame is aligned from a prediction. All values are ours."""
 
-    view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.03))
+    view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.03, most_alone=10.0))
     align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(1, 2, 3), max_steps=8))
     starts_m: tuple[float, ...] = (0.0, -0.3, 0.3, -0.6, 0.6)
     """Offsets along the road of the starts: dashes and far poles leave local minima some decimetres apart."""

@@ -43,8 +43,8 @@ class ViewConfig:
     """How long one independent observation of a border is, and how far off."""
     most_alone: float = 1.0
     """An edge shorter than `noise.correlation_px` is still one observation: its samples weigh more by the ratio of the
-    two, up to this factor. Ends of dashes, 10 px long, tell where along the road a single frame is. A factor of 1
-    weighs by length only, which is enough where many frames are fused."""
+    two, up to this factor. Ends of dashes, 3 to 10 px long, tell where along the road a frame is. 1 weighs by length
+    only."""
     class_weight: tuple[float, ...] = ()
     """Factor on the weight of each ElementClass, in its order; empty for 1. `semloc learn` finds them."""
 

@@ -1,0 +1,54 @@
+"""The likelihood of poses by pieces of contour: what is missed is bounded, what leaves the view changes nothing."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from semloc_jax.alignment.pieces import Chances, PieceCosts, _runs, chances, nats_of
+
+LINES, POSTS = 0, 1
+CHANNEL = jnp.asarray([LINES] * 8 + [POSTS] * 2)
+MASKS = Chances(jnp.asarray([0.9, 0.2]), jnp.asarray([0.1, 0.05]))
+
+
+def costs(*poses):
+    """Nats of one observation of each piece for every pose; NaN: not in view."""
+    nats = np.array(poses, np.float32)
+    return PieceCosts(jnp.asarray(np.nan_to_num(nats)), jnp.asarray(np.isfinite(nats), jnp.float32))
+
+
+def test_contour_is_cut_where_an_edge_ends_and_where_one_observation_is_full():
+    edge = jnp.asarray([0, 0, 0, 0, 0, 1, 2, 2])
+    weight = jnp.asarray([10.0, 10.0, 10.0, 10.0, 10.0, 4.0, 10.0, 10.0])
+    assert np.asarray(_runs(edge, weight, jnp.asarray(20.0))).tolist() == [0, 0, 1, 1, 2, 3, 4, 4]
+
+
+def test_a_piece_that_is_missed_costs_no_more_than_its_rate_says():
+    """Oracle: the mixture P exp(-nats) / p0 + 1 - P, by hand."""
+    matched, missed = [0.0] * 10, [40.0] + [0.0] * 9
+    both = np.asarray(nats_of(costs(matched, missed), CHANNEL, MASKS), float)
+    assert both[1] - both[0] == pytest.approx(np.log(0.1 + 0.9 / 0.1) - np.log(0.1), rel=1e-4)
+    worse = [400.0] + [0.0] * 9
+    assert nats_of(costs(worse), CHANNEL, MASKS)[0] == pytest.approx(both[1], rel=1e-4)
+
+
+def test_a_post_that_the_masks_never_show_hardly_pulls_a_pose_away_from_itself():
+    """Robust costs would give a pose 15 nats for turning its back on one post of 60 px."""
+    in_view, out_of_view = [0.1] * 8 + [7.0, 7.0], [0.1] * 8 + [7.0, np.nan]
+    both = np.asarray(nats_of(costs(in_view, out_of_view), CHANNEL, MASKS), float)
+    assert abs(both[0] - both[1]) < 0.25
+
+
+def test_lines_that_leave_the_image_change_nothing_where_the_rest_fits():
+    whole, part = [0.1] * 10, [np.nan] * 3 + [0.1] * 7
+    both = np.asarray(nats_of(costs(whole, part), CHANNEL, MASKS), float)
+    assert both[0] == pytest.approx(both[1], abs=1e-3)
+
+
+def test_rates_are_those_of_the_frame():
+    """All lines fit at the good pose and one in ten at random ones; of the posts none fits anywhere."""
+    good = PieceCosts(jnp.asarray([0.1] * 8 + [7.0] * 2), jnp.ones(10))
+    random = costs(*np.where(np.eye(10) > 0, 0.0, 9.0))
+    told = chances(good, random, CHANNEL, 2)
+    assert told.by_chance[LINES] == pytest.approx(0.1, abs=0.01)
+    assert 0.75 < told.detection[LINES] < 0.9 and told.detection[POSTS] < 0.5
