@@ -78,14 +78,13 @@ class Overlay:
         else:
             mask = self.source.segment(frame, name)
             image, camera = viz.mask_picture(mask, self.source.table), self.source.camera_rig(rig).cameras[0]
+        contours = viz.Contours.none()
         if row in self._pose:
             T = self._pose[row]
             window = self.windows.around(T[:3, 3])
             local = window.local_map.frame
             contours = viz.project_contours(window.samples, local, T, camera, rig.T_base_cam[0])
-            image = viz.draw_contours(image, contours)
-        height_px = 2 * round(0.5 * image.shape[0] * width_px / image.shape[1])
-        image = cv2.resize(np.ascontiguousarray(image), (width_px, height_px), interpolation=cv2.INTER_AREA)
+        image = viz.draw_contours(*viz.at_width(image, contours, width_px))
         return status_banner(image, self.table.status[row], self._text(frame, row))
 
     def _text(self, frame: Frame, row: int) -> str:

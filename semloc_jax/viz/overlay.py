@@ -5,7 +5,7 @@ What is drawn are the very contours that the solver compares with the masks, sil
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import equinox as eqx
@@ -41,6 +41,11 @@ class Contours:
     uv: np.ndarray
     label: np.ndarray
     element: np.ndarray | None = None
+
+    @classmethod
+    def none(cls) -> "Contours":
+        """Nothing in view."""
+        return cls(np.zeros((0, 2, 2)), np.zeros(0, int))
 
     @property
     def classes(self) -> tuple[ElementClass, ...]:
@@ -120,6 +125,21 @@ def draw_contours(
     return picture
 
 
+def at_width(image: np.ndarray, contours: Contours, width_px: int) -> tuple[np.ndarray, Contours]:
+    """An image of another width with its contours: lines drawn in a small image hide the paint once it is enlarged.
+
+    Args:
+        image: uint8[h w 3].
+        contours: Of the image.
+        width_px: Width wanted; the height follows, to an even number.
+    """
+    height_px = 2 * round(0.5 * image.shape[0] * width_px / image.shape[1])
+    how = cv2.INTER_CUBIC if width_px > image.shape[1] else cv2.INTER_AREA
+    resized = cv2.resize(np.ascontiguousarray(image), (width_px, height_px), interpolation=how)
+    scale = np.array([width_px / image.shape[1], height_px / image.shape[0]])
+    return resized, replace(contours, uv=(contours.uv + 0.5) * scale - 0.5)
+
+
 def mask_picture(mask: np.ndarray, table: ClassTable) -> np.ndarray:
     """A class-id mask as an RGB image: every channel in the colour of its first class, unusable pixels dark red."""
     lookup = np.full((256, 3), 58, dtype=np.uint8)
@@ -150,7 +170,8 @@ def before_after(panels: Sequence[Panel], before_text: str, after_text: str, wid
     grid = figure.subplots(len(panels), 2, squeeze=False, gridspec_kw={"height_ratios": heights})
     for row, panel in enumerate(panels):
         for axes, contours in zip(grid[row], (panel.before, panel.after), strict=True):
-            axes.imshow(draw_contours(panel.image, contours), interpolation="antialiased")
+            drawn = at_width(panel.image, contours, max(width_px, panel.image.shape[1]))
+            axes.imshow(draw_contours(*drawn), interpolation="antialiased")
             axes.set_axis_off()
             _write(axes, panel.name)
     for axes, text in zip(grid[0], (before_text, after_text), strict=True):

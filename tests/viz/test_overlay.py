@@ -80,6 +80,19 @@ def test_the_image_itself_is_not_drawn_on(contours):
     assert not image.any()
 
 
+def test_a_small_image_is_enlarged_with_its_contours():
+    """A bright pixel and the contour on it lie at the same place of the larger image."""
+    image = np.zeros((30, 100, 3), np.uint8)
+    image[12, 70] = 255
+    ends = np.array([[[70.0, 12.0], [70.0, 12.0]]])
+    large, moved = viz.at_width(image, viz.Contours(ends, np.zeros(1, int)), 960)
+    assert large.shape == (288, 960, 3)
+    v, u = np.nonzero(large[..., 0] > 100)
+    assert moved.uv[0, 0] == pytest.approx([u.mean(), v.mean()], abs=0.6)
+    nothing = viz.at_width(image, viz.Contours.none(), 50)[1]
+    assert nothing.classes == () and viz.draw_contours(large, nothing).shape == large.shape
+
+
 def test_a_move_to_the_left_shifts_the_map_to_the_right(contours):
     local = _scene().query(PLACE, 50.0)
     moved = viz.project_contours(sample(local, 0.25), local.frame, _pose((0.0, 0.5, 0.0)), CAMERA, T_BASE_CAM)
