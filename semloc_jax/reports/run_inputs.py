@@ -34,7 +34,7 @@ def fingerprint(inputs: Inputs, settings: object, options: Mapping[str, Any]) ->
         options: of the verb; those that only choose frames, draw or judge may change.
     """
     same = {name: value for name, value in options.items() if name not in _MAY_CHANGE}
-    return {**fingerprint_without_map(inputs.drive, inputs.masks, settings, same), "map": _of_map(inputs.map)}
+    return {"map": _of_map(inputs.map), **fingerprint_without_map(inputs.drive, inputs.masks, settings, same)}
 
 
 def fingerprint_without_map(
