@@ -7,29 +7,21 @@ another of the same place. Curvature at any of them says nothing about the lengt
 """
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from semloc_jax.alignment.hypotheses import keep_distinct, prior_cost
 from semloc_jax.alignment.level_choice import telling
-from semloc_jax.alignment.pieces import PieceCosts, chances, nats_of, piece_costs, pieces_of
+from semloc_jax.alignment.pieces import PieceCosts, compared, costs_elsewhere, piece_costs, pieces_of
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine, scatter_px
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.geometry import lie
 from semloc_jax.runtime.stored_program import stored_program
-
-_ELSEWHERE = tuple(
-    (along_m, side * across_m, -side * math.radians(yaw_deg))
-    for side in (-1.0, 1.0)
-    for along_m, across_m, yaw_deg in ((-4.0, 0.8, 4.0), (3.0, 1.6, 9.0), (-2.0, 2.6, 0.0), (5.0, 4.0, -15.0))
-)
-"""Poses (x, y [m], heading [rad]) about a good one that are surely wrong: they tell what fits by chance. Ours."""
 
 
 @dataclass(frozen=True)
@@ -85,40 +77,25 @@ def places_along(
     moves = jnp.zeros((config.num_offsets, 3), T_map_base.dtype)
     offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=T_map_base.dtype)
     moves = moves.at[:, 0].set(jnp.where(prior.sigma[0] > 0, offsets_m, 0.0))  # a locked direction stays locked
-    held = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
+    still = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
     short = dataclasses.replace(align, max_steps=config.max_steps)
     level = telling(evidence.textures.ramp_px, align.noise.noise_px * evidence.grain, config.level)
 
     piece_of, channel = pieces_of(evidence, align)
 
     def one(T: Array) -> tuple[Array, PieceCosts]:
-        T = refine(T, evidence, held, short, level[None])[0][-1]
+        T = refine(T, evidence, still, short, level[None])[0][-1]
         return T, piece_costs(T, level, evidence, piece_of, align)
 
     Ts, costs = in_chunks(one, displaced(T_map_base, moves), chunk)
-    elsewhere = displaced(T_map_base, jnp.asarray(_ELSEWHERE, T_map_base.dtype))
-    at_random = jax.lax.map(lambda T: piece_costs(T, level, evidence, piece_of, align), elsewhere)
-    scores = _weighed(Ts, costs, at_random, channel, evidence.textures.num_channels, prior)
+    at_random = costs_elsewhere(T_map_base, level, evidence, piece_of, align)
+    scores = compared(costs, at_random, channel, evidence.textures.num_channels) + jax.vmap(prior_cost, (0, None))(
+        Ts, prior
+    )
+    scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
     assumed_px = align.noise.floor_px(evidence.textures.level(level).ramp_px, evidence.grain)
     best_px = scatter_px(Ts[jnp.argmin(scores)], level, evidence, align)
     return Places(Ts, scores, jnp.maximum(best_px / assumed_px, config.least_noise))
-
-
-def _weighed(
-    Ts: Float[Array, "n 4 4"],
-    costs: PieceCosts,
-    at_random: PieceCosts,
-    channel: Int[Array, " piece"],
-    num_channels: int,
-    prior: Prior,
-) -> Float[Array, " n"]:
-    """Costs [nats] of the places; infinite where there is none. The best one tells what the masks are like."""
-    held = jax.vmap(prior_cost, (0, None))(Ts, prior)
-    simple = jnp.sum(costs.nats * costs.observations, axis=1) / jnp.maximum(jnp.sum(costs.observations, axis=1), 1.0)
-    best = jnp.nanargmin(simple)
-    masks = chances(jax.tree.map(lambda leaf: leaf[best], costs), at_random, channel, num_channels)
-    scores = nats_of(costs, channel, masks) + held
-    return jnp.where(jnp.isfinite(scores), scores, jnp.inf)
 
 
 @stored_program("align", "config", "chunk")

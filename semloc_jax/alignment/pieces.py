@@ -8,6 +8,7 @@ post that the segmenter never finds costs more than many good observations hold,
 it is out of view. `evidence_null` weighs modes by the same likelihood.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.pose import AlignConfig, Evidence, visible_views
+from semloc_jax.alignment.proposals import displaced
 from semloc_jax.residuals.alignment import CameraViews, alignment_residual
 from semloc_jax.residuals.robust import KERNELS
 
@@ -28,6 +30,12 @@ _BY_CHANCE = (0.02, 0.5)
 """Least and largest share of pieces that fit at a random pose: few random poses tell no smaller one. Ours."""
 _LEAST_OBSERVATIONS = 0.5
 """Of a channel of which less is visible, what is seen does not stand for the rest. Ours."""
+_ELSEWHERE = tuple(
+    (along_m, side * across_m, -side * math.radians(yaw_deg))
+    for side in (-1.0, 1.0)
+    for along_m, across_m, yaw_deg in ((-4.0, 0.8, 4.0), (3.0, 1.6, 9.0), (-2.0, 2.6, 0.0), (5.0, 4.0, -15.0))
+)
+"""Poses (x, y [m], heading [rad]) about a good one that are surely wrong: they tell what fits by chance. Ours."""
 
 
 class PieceCosts(NamedTuple):
@@ -91,6 +99,18 @@ class Chances(NamedTuple):
     """Mean of exp(-nats) of a piece that is held against them at a random pose."""
 
 
+def costs_elsewhere(
+    T_map_base: Float[Array, "4 4"],
+    level: Int[Array, ""] | int,
+    evidence: Evidence,
+    piece_of: Int[Array, " n"],
+    config: AlignConfig,
+) -> PieceCosts:
+    """The pieces as poses around a good one see them that are surely wrong; arguments as `piece_costs`."""
+    elsewhere = displaced(T_map_base, jnp.asarray(_ELSEWHERE, T_map_base.dtype))
+    return jax.lax.map(lambda T: piece_costs(T, level, evidence, piece_of, config), elsewhere)
+
+
 def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int) -> Chances:
     """What the masks of a frame are like, told by a good pose and by random ones.
 
@@ -129,3 +149,13 @@ def nats_of(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) ->
     summed = jax.vmap(lambda values: jax.ops.segment_sum(values, channel, num_channels))(nats)
     visible = jax.vmap(lambda values: jax.ops.segment_sum(values, channel, num_channels))(costs.observations)
     return jnp.sum(summed / jnp.maximum(visible, _LEAST_OBSERVATIONS) * jnp.max(visible, axis=0), axis=1)
+
+
+def compared(
+    costs: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int
+) -> Float[Array, " pose"]:
+    """Cost [nats] of every pose against seeing the map by chance; the best one tells what the masks are like."""
+    simple = jnp.sum(costs.nats * costs.observations, axis=1) / jnp.maximum(jnp.sum(costs.observations, axis=1), 1.0)
+    best = jnp.nanargmin(simple)
+    masks = chances(jax.tree.map(lambda leaf: leaf[best], costs), at_random, channel, num_channels)
+    return nats_of(costs, channel, masks)

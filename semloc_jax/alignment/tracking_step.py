@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.along_road import AlongRoadConfig, beyond_reach, places_along
 from semloc_jax.alignment.hypotheses import prior_cost, score
 from semloc_jax.alignment.level_choice import telling
+from semloc_jax.alignment.pieces import compared, costs_elsewhere, piece_costs, pieces_of
 from semloc_jax.alignment.pose import (
     AlignConfig,
     Evidence,
@@ -74,7 +75,7 @@ class TrackedFrame(NamedTuple):
     estimate: PoseEstimate
     """Pose and quality of the best start, relative to the local origin."""
     score: Float[Array, ""]
-    """Cost of evidence and prior of the best [nats]."""
+    """Cost of the evidence against seeing the map by chance, and of the prior across, in attitude and height [nats]."""
     spread: Float[Array, "6 6"]
     """Second moment of all answers about the best one, in its right tangent, by their share of the posterior."""
     valley: Float[Array, "6 6"]
@@ -121,12 +122,12 @@ def align_predicted(
     chosen = jax.tree.map(lambda leaf: leaf[best], estimates)
     steps = lie.log(lie.inverse(chosen.T_map_base) @ estimates.T_map_base)
     spread = _spread(estimates.T_map_base, scores, steps, prior, config.score_share)
-    mean, valley = valley_along(chosen.T_map_base, evidence, prior, config)
+    mean, valley, nats = valley_along(chosen.T_map_base, evidence, prior, config)
     chosen = eqx.tree_at(lambda e: e.T_map_base, chosen, chosen.T_map_base @ lie.exp(mean))
     seen = element_evidence(chosen.T_map_base, evidence, element, config)
     return TrackedFrame(
         estimate=chosen,
-        score=scores[best],
+        score=nats,
         spread=spread,
         valley=valley,
         in_view_px=total_weight(evidence.views),
@@ -151,8 +152,9 @@ def _spread(
 
 def valley_along(
     T_map_base: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: TrackAlignConfig
-) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
-    """Mean of the masks' posterior along the road through a pose, in its right tangent, and second moment about it.
+) -> tuple[Float[Array, "6"], Float[Array, "6 6"], Float[Array, ""]]:
+    """Mean of the masks' posterior along the road through a pose, in its right tangent, second moment about it, and
+    the cost of the best place [nats].
 
     Every place is solved in all other directions: a nod of the vehicle makes up for a shift along the road. What is
     left is often a valley of decimetres with a minimum at every rounding of a pixel. A solve stops in the one next to
@@ -167,7 +169,7 @@ def valley_along(
     share, steps = jnp.where(usable, share, 0.0), jnp.where(usable[:, None], steps, 0.0)
     mean = share @ steps
     valley = jnp.einsum("s,si,sj->ij", share, steps - mean, steps - mean)
-    return beyond_reach(mean, valley, steps[:, 0], config.longest)
+    return *beyond_reach(mean, valley, steps[:, 0], config.longest), jnp.min(scores)
 
 
 @partial(jax.jit, static_argnames="config")
@@ -180,11 +182,16 @@ def profile_along(
     config: TrackAlignConfig,
     level: Int[Array, ""] | int,
 ) -> Float[Array, " n"]:
-    """Cost [nats] of the predicted pose moved along the road by each offset; one level, no refinement."""
+    """Cost [nats] of the predicted pose moved along the road by each offset, against seeing the map by chance; one
+    level, no refinement."""
     evidence, _ = trusted_evidence(T_predicted, frame, trust, config.view)
     moves = jnp.zeros((offsets_m.shape[0], 3), T_predicted.dtype).at[:, 0].set(offsets_m.astype(T_predicted.dtype))
     moved = displaced(T_predicted, moves)
-    return jax.lax.map(lambda T: score(T, level, evidence, prior, config.align), moved)
+    piece_of, channel = pieces_of(evidence, config.align)
+    costs = jax.lax.map(lambda T: piece_costs(T, level, evidence, piece_of, config.align), moved)
+    at_random = costs_elsewhere(T_predicted, level, evidence, piece_of, config.align)
+    held = jax.vmap(prior_cost, (0, None))(moved, prior)
+    return compared(costs, at_random, channel, evidence.textures.num_channels) + held
 
 
 def trusted_evidence(

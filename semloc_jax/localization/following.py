@@ -193,8 +193,7 @@ def weighed(tracks: Sequence[Track], views: Sequence[FrameReport], config: Follo
     """The tracks with the cost of this frame in their penalties; the best one has none."""
     if len(tracks) < 2:
         return list(tracks)
-    in_view = max((view.found.in_view_px for view in views if view.found is not None), default=0.0)
-    costs = np.array([_nats(view, in_view) for view in views])
+    costs = np.array([np.nan if view.found is None or view.is_occluded else view.found.score for view in views])
     costs = np.where(np.isfinite(costs), costs - np.min(costs, initial=np.inf, where=np.isfinite(costs)), np.nan)
     refused = np.array([not view.is_accepted and not view.is_occluded for view in views])
     added = np.nan_to_num(config.penalty_share * costs, nan=0.0) + config.refused_nats * refused
@@ -207,9 +206,3 @@ def grain_after(grain: np.ndarray, measured: float, num_frames: float, config: F
     """The grain of the masks after one more frame: a mean of the first frames, later a slow one."""
     gain = max(config.grain_gain, 1.0 / (1.0 + num_frames))
     return np.asarray(grain + gain * (measured - grain), np.float32)
-
-
-def _nats(view: FrameReport, in_view_px: float) -> float:
-    if view.found is None or view.is_occluded:
-        return np.nan
-    return view.found.score * in_view_px / max(view.found.in_view_px, 1.0)

@@ -235,7 +235,9 @@ class Localizer:
             for t, v in zip(state.tracks, views, strict=True)
         ]
         tracks = weighed([t for t, _ in pairs], [v for _, v in pairs], self.config.follow)
-        total = [float(t.penalty) + phase.nats_against(self.fusion.pose(t.fusion), state.fixes) for t in tracks]
+        poses = [self.fusion.pose(t.fusion) for t in tracks]
+        against = phase.nats_of_tracks(poses, [int(t.num_accepted) for t in tracks], state.fixes)
+        total = [float(t.penalty) + nats for t, nats in zip(tracks, against, strict=True)]
         order = np.argsort(total, kind="stable")
         best, view = tracks[order[0]], pairs[order[0]][1]
         kept = [best]

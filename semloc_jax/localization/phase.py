@@ -5,6 +5,8 @@ A pose that is a period of dashes off fits every frame: what gives way is what t
 the satellites and the scale of the odometer. Both are held against what is known of them.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from semloc_jax.fusion.measurements import FusedPose, SensorBeliefs
@@ -26,6 +28,24 @@ def nats_against(pose: FusedPose, fixes: Fixes) -> float:
     """Returns what it costs to believe the calibration that a track needs to stand where it is [nats]."""
     scale = (pose.odometer_scale - 1.0) / _BELIEFS.scale_sigma
     return 0.5 * (_offset_sigmas(pose, fixes) ** 2 + scale**2)
+
+
+def nats_of_tracks(poses: Sequence[FusedPose], num_accepted: Sequence[int], fixes: Fixes) -> list[float]:
+    """Returns `nats_against` of poses of one vehicle at one time.
+
+    The satellites are off by one amount, and the track that was followed longest has learned it: that tells what a
+    younger one needs, which knows nothing yet and would be free of what fixes say.
+
+    Args:
+        poses: What the tracks say.
+        num_accepted: How many frames each has taken.
+        fixes: The last fixes.
+    """
+    oldest = int(np.argmax(num_accepted))
+    at = poses[oldest].gnss_offset_m + poses[oldest].T_map_base[:2, 3]
+    told = [pose._replace(gnss_offset_m=at - pose.T_map_base[:2, 3]) for pose in poses]
+    is_younger = [num < num_accepted[oldest] for num in num_accepted]
+    return [nats_against(told[k] if is_younger[k] else poses[k], fixes) for k in range(len(poses))]
 
 
 def doubts(pose: FusedPose, fixes: Fixes) -> tuple[str, ...]:

@@ -69,9 +69,8 @@ def joined(
     too_early = frame.time_s < state.searched_s + _CONFIG.every_s - 1e-6
     if too_early or view is None or not view.is_accepted or len(state.tracks) >= _CONFIG.max_tracks:
         return state
-    found, kept = view.found, list(state.tracks)
-    seen = found.score, found.in_view_px
-    for rival in rivals(kept[0], seen, state.fixes, fusion, aligner, frame, known, config):
+    kept = list(state.tracks)
+    for rival in rivals(kept[0], view.found.score, state.fixes, fusion, aligner, frame, known, config):
         T = fusion.pose(rival.fusion).T_map_base
         if all(units_apart(T, fusion.pose(track.fusion).T_map_base) >= ONE_TRACK for track in kept):
             kept.append(rival)
@@ -80,7 +79,7 @@ def joined(
 
 def rivals(
     track: Track,
-    seen: tuple[float, float],
+    score: float,
     fixes: Fixes,
     fusion: Fusion,
     aligner: FrameAligner,
@@ -92,7 +91,7 @@ def rivals(
 
     Args:
         track: The track, at the time of the frame.
-        seen: Cost of the frame there [nats], and the contour in view that it was scaled by [px].
+        score: Cost of the frame there [nats].
         fixes: The last satellite fixes: what they are off by at either place counts, too.
         fusion: What tracks are made of.
         aligner: The map.
@@ -100,7 +99,7 @@ def rivals(
         known: What is known beside the pose.
         config: When a frame shows nothing.
     """
-    pose, (score, in_view_px) = fusion.pose(track.fusion), seen
+    pose = fusion.pose(track.fusion)
     T = pose.T_map_base
     num = round(_CONFIG.reach_m / _CONFIG.step_m)
     offsets = _CONFIG.step_m * np.arange(-num, num + 1)
@@ -119,14 +118,16 @@ def rivals(
         is_occluded, reasons = health.frame_problems(answer, frame.usable_share, config)
         moved_m = (answer.measurement.T_map_base - T)[:2, 3]
         there = pose._replace(gnss_offset_m=pose.gnss_offset_m - moved_m)
-        gain = score - answer.score * in_view_px / max(answer.in_view_px, 1.0)
-        gain += phase.nats_against(pose, fixes) - phase.nats_against(there, fixes)
+        for_fixes = phase.nats_against(pose, fixes) - phase.nats_against(there, fixes)
+        gain = score - answer.score + for_fixes
         away_m = np.hypot(*moved_m)
         if is_occluded or reasons or gain < phase.EVEN_NATS or away_m < _CONFIG.apart_m:
             continue
         floor = np.diag(np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02]) * _CONFIG.min_sigma_m) ** 2
         covariance = _CONFIG.inflation * answer.measurement.covariance + floor
-        found.append((gain, new_track(fusion, answer.measurement._replace(covariance=covariance), 0.0)))
+        # It begins as probable as the track; as this one frame is forgotten, others must pay for what fixes say.
+        penalty = float(track.penalty) + for_fixes
+        found.append((gain, new_track(fusion, answer.measurement._replace(covariance=covariance), penalty)))
     return [rival for _, rival in sorted(found, key=lambda pair: -pair[0])]
 
 

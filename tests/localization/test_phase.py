@@ -38,6 +38,17 @@ def test_how_often_a_track_a_period_away_is_doubted(away_m, doubted):
     assert doubted[0] <= share <= doubted[1]
 
 
+def test_a_young_track_is_told_what_the_old_one_knows_of_the_satellites():
+    old, young = pose(1.0), pose(0.0)
+    moved = np.eye(4)
+    moved[:2, 3] = np.array([0.6, 0.8]) * -11.0
+    young = young._replace(T_map_base=moved)
+    told = phase.nats_of_tracks([old, young], [20, 1], fixes(1.3))
+    assert told == pytest.approx([phase.nats_against(pose(off), fixes(1.3)) for off in (1.0, 12.0)])
+    of_one_age = phase.nats_of_tracks([old, young], [20, 20], fixes(1.3))
+    assert of_one_age[1] == 0.0  # it has learned its own
+
+
 def test_poor_satellites_do_not_tell_a_period():
     assert phase.nats_against(pose(12.0), fixes(8.0)) == pytest.approx(0.5, abs=0.01)
     assert phase.doubts(pose(12.0), fixes(8.0)) == ()
