@@ -13,13 +13,12 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.hypotheses import keep_distinct, prior_cost
 from semloc_jax.alignment.level_choice import telling
-from semloc_jax.alignment.pieces import PieceCosts, compared, costs_elsewhere, piece_costs, pieces_of
-from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine, scatter_px
-from semloc_jax.alignment.proposals import displaced
+from semloc_jax.alignment.pieces import PieceCosts, believed, compared, costs_elsewhere, piece_costs, pieces_of
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, assess, in_chunks, refine, scatter_px
 from semloc_jax.geometry import lie
 from semloc_jax.runtime.stored_program import stored_program
 
@@ -34,9 +33,8 @@ class AlongRoadConfig:
     level: int = 2
     """Coarsest level of the cost maps on which places are compared; in fine masks it is a finer one, see
     `level_choice.telling`."""
-    least_noise: float = 0.7
-    """The noise of the boundaries is taken from their scatter in this frame, but as no less than this share of what is
-    assumed (`NoiseModel.noise_px`): that they all lie well does not say that their common error is small."""
+    least_believed: float = 0.1
+    """Share of the nats between two places that counts even where few pieces decide; see `pieces.believed`."""
     max_steps: int = 5
     keep: int = 2
     """Poses that are handed on to the last refinement."""
@@ -53,6 +51,12 @@ class RoadPosterior(NamedTuple):
     """Their costs [nats]; infinite: empty slot."""
     spread: Float[Array, "6 6"]
     """Second moment about the best pose, in its right tangent [m, rad]."""
+    places: Float[Array, "n 4 4"]
+    """Every pose that was looked at."""
+    log_masks: Float[Array, " n"]
+    """Log likelihood of the masks at each; -inf where there is none."""
+    log_prior: Float[Array, " n"]
+    """Log prior at each."""
 
 
 class Places(NamedTuple):
@@ -74,9 +78,8 @@ def places_along(
     chunk: int | None,
 ) -> Places:
     """Poses along the road; arguments as `weighed_along_road`. A prior along it is in their costs, but holds none."""
-    moves = jnp.zeros((config.num_offsets, 3), T_map_base.dtype)
     offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=T_map_base.dtype)
-    moves = moves.at[:, 0].set(jnp.where(prior.sigma[0] > 0, offsets_m, 0.0))  # a locked direction stays locked
+    offsets_m = jnp.where(prior.sigma[0] > 0, offsets_m, 0.0)  # a locked direction stays locked
     still = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
     short = dataclasses.replace(align, max_steps=config.max_steps)
     level = telling(evidence.textures.ramp_px, align.noise.noise_px * evidence.grain, config.level)
@@ -87,15 +90,32 @@ def places_along(
         T = refine(T, evidence, still, short, level[None])[0][-1]
         return T, piece_costs(T, level, evidence, piece_of, align)
 
-    Ts, costs = in_chunks(one, displaced(T_map_base, moves), chunk)
+    starts = T_map_base @ lie.exp(offsets_m[:, None] * _valley(T_map_base, level, evidence, prior, align, config))
+    Ts, costs = in_chunks(one, starts, chunk)
     at_random = costs_elsewhere(T_map_base, level, evidence, piece_of, align)
-    scores = compared(costs, at_random, channel, evidence.textures.num_channels) + jax.vmap(prior_cost, (0, None))(
-        Ts, prior
-    )
-    scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
-    assumed_px = align.noise.floor_px(evidence.textures.level(level).ramp_px, evidence.grain)
-    best_px = scatter_px(Ts[jnp.argmin(scores)], level, evidence, align)
-    return Places(Ts, scores, jnp.maximum(best_px / assumed_px, config.least_noise))
+    held = jax.vmap(prior_cost, (0, None))(Ts, prior)
+    by_piece = compared(costs, at_random, channel, evidence.textures.num_channels)
+    nats = jnp.sum(by_piece, axis=1)
+    best = jnp.nanargmin(nats + held)
+    scores = nats[best] + believed(by_piece, best, config.least_believed) * (nats - nats[best]) + held
+    ramp_px = evidence.textures.level(level).ramp_px
+    noise = align.noise.excess(scatter_px(Ts[best], level, evidence, align), ramp_px, evidence.grain)
+    return Places(Ts, jnp.where(jnp.isfinite(scores), scores, jnp.inf), noise)
+
+
+def _valley(
+    T_map_base: Float[Array, "4 4"],
+    level: Int[Array, ""] | int,
+    evidence: Evidence,
+    prior: Prior,
+    align: AlignConfig,
+    config: AlongRoadConfig,
+) -> Float[Array, "6"]:
+    """Which way the pose goes for each metre along the road, in its right tangent: sideways where the vehicle does not
+    look along the road, with a nod where that hides a shift. Solves of few steps do not find back from beside it."""
+    loose = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(config.reach_m))
+    column = assess(T_map_base, level, evidence, loose, align).covariance[:, 0]
+    return jnp.where(jnp.isfinite(column), column / column[0], 0.0).at[0].set(1.0)
 
 
 @stored_program("align", "config", "chunk")
@@ -124,7 +144,9 @@ def weighed_along_road(
     share = jax.nn.softmax(-((scores - guessed) / noise**2 + guessed))
     spread = jnp.einsum("k,ki,kj->ij", share, away, away)
     spread = jnp.where(jnp.all(jnp.isfinite(spread)), spread, 0.0)
-    return RoadPosterior(Ts[index], jnp.where(filled, scores[index], jnp.inf), spread)
+    return RoadPosterior(
+        Ts[index], jnp.where(filled, scores[index], jnp.inf), spread, Ts, -(scores - guessed) / noise**2, -guessed
+    )
 
 
 def widened(covariance: Float[Array, "6 6"], spread: Float[Array, "6 6"]) -> Float[Array, "6 6"]:

@@ -137,8 +137,8 @@ def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " pi
     return Chances(rate, by_chance)
 
 
-def nats_of(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, " pose"]:
-    """Cost [nats] of every pose against seeing the map by chance.
+def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, "pose piece"]:
+    """Cost [nats] of every pose by piece, against seeing the map by chance.
 
     What one pose sees of a channel stands for as much of it as the pose does that sees most: none gains or loses by
     looking away.
@@ -146,16 +146,35 @@ def nats_of(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) ->
     rate, by_chance = masks.detection[channel], masks.by_chance[channel]
     nats = -jnp.log((1 - rate) + rate * jnp.exp(-costs.nats) / by_chance) * costs.observations
     num_channels = masks.detection.shape[0]
-    summed = jax.vmap(lambda values: jax.ops.segment_sum(values, channel, num_channels))(nats)
     visible = jax.vmap(lambda values: jax.ops.segment_sum(values, channel, num_channels))(costs.observations)
-    return jnp.sum(summed / jnp.maximum(visible, _LEAST_OBSERVATIONS) * jnp.max(visible, axis=0), axis=1)
+    stands_for = jnp.max(visible, axis=0) / jnp.maximum(visible, _LEAST_OBSERVATIONS)
+    return nats * stands_for[:, channel]
+
+
+def nats_of(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, " pose"]:
+    """Cost [nats] of every pose; see `nats_by_piece`."""
+    return jnp.sum(nats_by_piece(costs, channel, masks), axis=1)
+
+
+def believed(nats: Float[Array, "pose piece"], best: Int[Array, ""], least: float) -> Float[Array, " pose"]:
+    """How far the nats of one pose over each other one may be believed, `least` to 1.
+
+    In full where many pieces say the same; less where few of them, or a small majority, decide. `posterior.temper` does
+    it for parts of the image.
+    """
+    difference = nats - nats[best]
+    total = jnp.sum(difference, axis=1)
+    num = jnp.maximum(jnp.sum(difference != 0, axis=1), 2)
+    about = jnp.where(difference != 0, difference - (total / num)[:, None], 0.0)
+    variance = num * jnp.sum(about**2, axis=1) / (num - 1)
+    return jnp.clip(2.0 * jnp.abs(total) / jnp.maximum(variance, 1e-9), least, 1.0)
 
 
 def compared(
     costs: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int
-) -> Float[Array, " pose"]:
-    """Cost [nats] of every pose against seeing the map by chance; the best one tells what the masks are like."""
+) -> Float[Array, "pose piece"]:
+    """Cost [nats] of every pose by piece, against seeing the map by chance; the best one tells what masks are like."""
     simple = jnp.sum(costs.nats * costs.observations, axis=1) / jnp.maximum(jnp.sum(costs.observations, axis=1), 1.0)
     best = jnp.nanargmin(simple)
     masks = chances(jax.tree.map(lambda leaf: leaf[best], costs), at_random, channel, num_channels)
-    return nats_of(costs, channel, masks)
+    return nats_by_piece(costs, channel, masks)

@@ -191,7 +191,7 @@ def profile_along(
     costs = jax.lax.map(lambda T: piece_costs(T, level, evidence, piece_of, config.align), moved)
     at_random = costs_elsewhere(T_predicted, level, evidence, piece_of, config.align)
     held = jax.vmap(prior_cost, (0, None))(moved, prior)
-    return compared(costs, at_random, channel, evidence.textures.num_channels) + held
+    return jnp.sum(compared(costs, at_random, channel, evidence.textures.num_channels), axis=1) + held
 
 
 def trusted_evidence(

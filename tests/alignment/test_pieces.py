@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.pieces import Chances, PieceCosts, _runs, chances, nats_of
+from semloc_jax.alignment.pieces import Chances, PieceCosts, _runs, believed, chances, nats_of
 
 LINES, POSTS = 0, 1
 CHANNEL = jnp.asarray([LINES] * 8 + [POSTS] * 2)
@@ -52,3 +52,14 @@ def test_rates_are_those_of_the_frame():
     told = chances(good, random, CHANNEL, 2)
     assert told.by_chance[LINES] == pytest.approx(0.1, abs=0.01)
     assert 0.75 < told.detection[LINES] < 0.9 and told.detection[POSTS] < 0.5
+
+
+def test_nats_that_few_pieces_decide_are_believed_less():
+    """Ten nats of ten pieces, and of one: the formula of `posterior.temper`, by hand."""
+    none, together, alone = np.zeros(10), np.full(10, 1.0), np.r_[10.0, np.zeros(9)]
+    mixed = np.r_[np.full(5, 3.0), np.full(5, -2.0)]
+    share = np.asarray(believed(jnp.asarray([none, together, alone, mixed], jnp.float32), jnp.asarray(0), 0.1))
+    assert share[1] == 1.0
+    # One piece counts as two of half: their variance is 2 x (5^2 + 0) / 1.
+    assert share[2] == pytest.approx(2 * 10.0 / (2 * 25.0), rel=1e-4)
+    assert share[3] == pytest.approx(2 * 5.0 / (10 * 10 * 6.25 / 9), rel=1e-4)
