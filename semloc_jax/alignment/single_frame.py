@@ -39,7 +39,7 @@ class SingleFrameConfig:
     seed: int = 0
     """Of the random proposals."""
     search_view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.15))
-    polish_view: ViewConfig = field(default_factory=lambda: ViewConfig(most_alone=10.0))
+    polish_view: ViewConfig = field(default_factory=lambda: ViewConfig(most_alone=3.0))
     search_align: AlignConfig = field(default_factory=AlignConfig)
     polish_align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(2, 3), max_steps=20))
     search: SearchConfig = field(default_factory=SearchConfig)

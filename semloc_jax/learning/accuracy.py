@@ -10,6 +10,7 @@ import numpy as np
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.datasets import Drive
+from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.learning.config import LearningConfig
@@ -49,17 +50,20 @@ class Accuracy:
     @property
     def position_m(self) -> float:
         """Mean distance to the truth in the plane."""
-        return float(np.hypot(self.error[:, 0], self.error[:, 1])[self.is_near].mean())
+        return float(self._near_m().mean())
 
     @property
     def p95_m(self) -> float:
         """Distance to the truth that 95 % of the frames do not exceed."""
-        return float(np.percentile(np.hypot(self.error[:, 0], self.error[:, 1])[self.is_near], 95))
+        return float(np.percentile(self._near_m(), 95))
 
     @property
     def heading_deg(self) -> float:
         """Mean absolute error in heading."""
         return float(np.degrees(np.abs(self.error[self.is_near, 2])).mean())
+
+    def _near_m(self) -> np.ndarray:
+        return np.hypot(self.error[:, 0], self.error[:, 1])[self.is_near]
 
     @property
     def nees(self) -> float:
@@ -99,12 +103,25 @@ def localizer_accuracy(
         masks: Its masks.
         settings: The configuration that is judged.
         config: Number of frames, errors of priors; what learning changes is not taken from here.
+
+    Raises:
+        SemlocError: no frame is near the truth.
     """
     localizer = FrameLocalizer(semantic_map, masks.table, settings)
     found = [
         (frame.T_true, frame.result.T_map_base, frame.result.modes[0].covariance)
         for frame in localized_frames(drive, localizer, masks, config, _JUDGE_SEED)
     ]
-    T_true, T_found, covariance = (np.stack(column) for column in zip(*found, strict=True))
+    shapes = (4, 4), (4, 4), (6, 6)
+    T_true, T_found, covariance = (
+        np.array([one[k] for one in found]).reshape(len(found), *shape) for k, shape in enumerate(shapes)
+    )
     error = rigid.log(rigid.inverse(T_true) @ T_found)[:, PLANAR]
-    return Accuracy(error, covariance[:, PLANAR][:, :, PLANAR], config.max_error_m)
+    accuracy = Accuracy(error, covariance[:, PLANAR][:, :, PLANAR], config.max_error_m)
+    if not accuracy.is_near.any():
+        raise SemlocError(
+            f"drive {drive.name}: of {config.num_frames} frames {len(found)} were localized and none within "
+            f"{config.max_error_m:g} m of the truth, so nothing can be judged; expected masks that show the map, "
+            "or more frames (--num-frames)"
+        )
+    return accuracy
