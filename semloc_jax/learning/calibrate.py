@@ -14,6 +14,9 @@ from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.parameters import Learned, learned_config
 from semloc_jax.maps import SemanticMap
 
+_BOUNDS_PX = (10.0, 1000.0)
+"""Of the correlation length: from the cell of a network that works at a quarter of the resolution to a whole edge of an
+image. Few frames, all better than stated, would ask for less, until none is found any more. Ours."""
 _SLOPE = -1.1
 """Of the logarithm of the NEES by that of the length, until two lengths were tried: information goes with its inverse,
 and weights of modes that are merged sharpen with it. Ours, measured."""
@@ -40,7 +43,7 @@ def calibrated(
         found = [localizer_accuracy(*drive, settings, config) for drive in drives]
         nees = sum(one.nees * np.sum(one.is_near) for one in found) / sum(np.sum(one.is_near) for one in found)
         tried.append((np.log(length_px), np.log(nees)))
-        length_px = float(np.exp(_where_zero(tried)))
+        length_px = float(np.clip(np.exp(_where_zero(tried)), *_BOUNDS_PX))
     return learned._replace(correlation_px=round(length_px, 2))
 
 

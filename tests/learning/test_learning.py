@@ -10,18 +10,26 @@ from jax.flatten_util import ravel_pytree
 from scipy.stats import multivariate_normal, multivariate_t
 
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
+from semloc_jax.datasets import open_drive
+from semloc_jax.errors import SemlocError
+from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.learning import (
     LearningConfig,
     Parameters,
     TrainingFrame,
+    accuracy,
+    calibrate,
     fit,
     learned_config,
     learned_values,
     pose_nll,
 )
+from semloc_jax.learning.accuracy import Accuracy, localizer_accuracy
 from semloc_jax.learning.calibrate import _where_zero
 from semloc_jax.learning.fit import loss_and_gradient
 from semloc_jax.learning.loss import FrameScore, heavy_tailed_nll
+from semloc_jax.learning.parameters import Learned
+from semloc_jax.maps import read_map
 from semloc_jax.perception import CostMapConfig, load_class_table
 from semloc_jax.structs import ElementClass
 from tests.alignment.random_scenes import RAMP_PX, random_trial
@@ -134,3 +142,19 @@ def test_a_class_that_lies_is_found_and_unseen_scenes_get_better():
     assert after[0] < 0.95 * before[0]
     assert abs(np.log(after[1])) < abs(np.log(before[1]))
     assert after[2] < before[2] - 0.3
+
+
+def test_frames_that_are_all_better_than_stated_do_not_ask_for_ever_shorter_borders(monkeypatch):
+    """Three frames of exact masks: their NEES is nothing at any length, and a search with 0.1 px finds no pose."""
+    near = Accuracy(np.full((3, 3), 1e-6), np.tile(np.eye(3), (3, 1, 1)), 0.3)
+    monkeypatch.setattr(calibrate, "localizer_accuracy", lambda *_: near)
+    learned = Learned((1.0,) * len(ElementClass), 3.0, 0.5, 60.0)
+    assert calibrate.calibrated(learned, [(None, None, None)], LearningConfig()).correlation_px >= 10.0
+
+
+def test_a_drive_in_which_no_frame_is_near_the_truth_is_one_clear_error(monkeypatch, simulated_road):
+    drive = open_drive(simulated_road)
+    monkeypatch.setattr(accuracy, "localized_frames", lambda *_: iter(()))
+    source = mask_source("sem", drive)
+    with pytest.raises(SemlocError, match=r"0 were localized and none within 0.3 m of the truth.*--num-frames"):
+        localizer_accuracy(drive, read_map(drive.map_path), source, LocalizeConfig(), LearningConfig())
