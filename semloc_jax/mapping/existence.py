@@ -5,23 +5,20 @@ In: elements, the looks of a drive. Out: Belief of each: existence from visible 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import polyline
+from semloc_jax.mapping.kept_counts import KeptCounts
 from semloc_jax.mapping.looking import Look
 from semloc_jax.maps import Belief, MapElement
-from semloc_jax.storage import npz_arrays, write_npz
 from semloc_jax.structs import ElementClass
 
 _LINE_STEP_M = 0.25
 _AREA_STEP_M = 0.15
 _MOST_LOGIT = 15.0
-_COUNTED = ("num_seen", "num_missed", "first_s", "last_s", "information")
 
 
 @dataclass(frozen=True)
@@ -53,8 +50,10 @@ class ExistenceConfig:
     floor_m: float = 0.005
 
 
-class Counting:
+class Counting(KeptCounts):
     """Counts looks at elements over a drive."""
+
+    COUNTED = ("num_seen", "num_missed", "first_s", "last_s", "information")
 
     def __init__(
         self,
@@ -139,26 +138,6 @@ class Counting:
             row = look.rows_of(self._xy[places[loose]] + sign * self._side[owner[loose]])
             found[loose] |= (row >= 0) & self._wanted[owner[loose], self._plane_of_id[look.ids[np.maximum(row, 0)]]]
         return found
-
-    def save(self, path: Path) -> None:
-        """Writes what was counted so far."""
-        write_npz(path, {name: getattr(self, name) for name in _COUNTED})
-
-    def restore(self, path: Path) -> None:
-        """Takes in what `save` wrote of the same elements.
-
-        Raises:
-            SemlocError: it is none of these elements.
-        """
-        counted = npz_arrays(path, f"counts {path}", names=_COUNTED)
-        own = {name: np.asarray(getattr(self, name)) for name in _COUNTED}
-        form = {name: (values.shape, values.dtype) for name, values in counted.items()}
-        if form != {name: (values.shape, values.dtype) for name, values in own.items()}:
-            raise SemlocError(
-                f"counts {path}: not those of {len(self.elements)} elements; begin anew with another --out"
-            )
-        for name, values in counted.items():
-            setattr(self, name, values)
 
     def _gained(self, look: Look, row: np.ndarray, places: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """What one look tells about the place of each element, `[n 2 2]` [1/m^2]: less along the line of sight."""

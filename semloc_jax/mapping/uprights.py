@@ -5,18 +5,16 @@ In: Sightings, then masks and poses. Out: MapElements; Belief of each.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.existence import ExistenceConfig, existence_logit, raised
+from semloc_jax.mapping.kept_counts import KeptCounts
 from semloc_jax.mapping.sightings import UPRIGHT, RayTable, column
 from semloc_jax.mapping.triangulation import Standing, TriangulationConfig, stand
 from semloc_jax.maps import Belief, MapElement
 from semloc_jax.perception import ClassTable
-from semloc_jax.storage import npz_arrays, write_npz
 from semloc_jax.structs import ElementClass
 
 HeightOf = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
@@ -34,7 +32,6 @@ _FILLS = ((0.62, "triangle"), (0.88, "circle"), (np.inf, "rectangle"))
 """Share of its box that a board of each shape fills, up to."""
 _LEAST_SHARE = 0.65
 """Of the visible looks that must show a thing."""
-_COUNTED = ("num_seen", "num_missed", "first_s", "last_s")
 
 
 @dataclass(frozen=True)
@@ -107,8 +104,10 @@ def _outline(shape: str) -> Float[np.ndarray, "k 2"]:
 _SHAPES = {ElementClass.POLE: _pole, ElementClass.SIGN: _sign, ElementClass.TRAFFIC_LIGHT: _light}
 
 
-class UprightCounting:
+class UprightCounting(KeptCounts):
     """Counts looks at what stands over a drive."""
+
+    COUNTED = ("num_seen", "num_missed", "first_s", "last_s")
 
     def __init__(self, uprights: Sequence[Upright], table: ClassTable, config: ExistenceConfig | None = None):
         self.uprights = uprights
@@ -181,24 +180,6 @@ class UprightCounting:
         ids = np.stack([mask[row_px, np.clip(column_px + by, 0, mask.shape[1] - 1)] for by in _BESIDE_PX])
         is_own = self._own[label[:, None], ids].any(axis=0)
         return valid & (is_own | ~self._hides[label[:, None], ids[len(_BESIDE_PX) // 2]]), is_own
-
-    def save(self, path: Path) -> None:
-        """Writes what was counted so far."""
-        write_npz(path, {name: getattr(self, name) for name in _COUNTED})
-
-    def restore(self, path: Path) -> None:
-        """Takes in what `save` wrote of the same elements.
-
-        Raises:
-            SemlocError: it is none of these elements.
-        """
-        counted = npz_arrays(path, f"counts {path}", names=_COUNTED)
-        own = {name: np.asarray(getattr(self, name)) for name in _COUNTED}
-        form = {name: (values.shape, values.dtype) for name, values in counted.items()}
-        if form != {name: (values.shape, values.dtype) for name, values in own.items()}:
-            raise SemlocError(f"counts {path}: not those of {len(self.uprights)} things; begin anew with another --out")
-        for name, values in counted.items():
-            setattr(self, name, values)
 
     def detection_rates(self) -> dict[ElementClass, float]:
         """Share of the visible looks at things that stay and were seen five times which show them, by class."""
