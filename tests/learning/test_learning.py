@@ -144,17 +144,22 @@ def test_a_class_that_lies_is_found_and_unseen_scenes_get_better():
     assert after[2] < before[2] - 0.3
 
 
-def test_frames_that_are_all_better_than_stated_do_not_ask_for_ever_shorter_borders(monkeypatch):
+@pytest.fixture
+def opened(simulated_road):
+    """A drive with its map and masks."""
+    drive = open_drive(simulated_road)
+    return drive, read_map(drive.map_path), mask_source("sem", drive)
+
+
+def test_frames_that_are_all_better_than_stated_do_not_ask_for_ever_shorter_borders(monkeypatch, opened):
     """Three frames of exact masks: their NEES is nothing at any length, and a search with 0.1 px finds no pose."""
     near = Accuracy(np.full((3, 3), 1e-6), np.tile(np.eye(3), (3, 1, 1)), 0.3)
     monkeypatch.setattr(calibrate, "localizer_accuracy", lambda *_: near)
     learned = Learned((1.0,) * len(ElementClass), 3.0, 0.5, 60.0)
-    assert calibrate.calibrated(learned, [(None, None, None)], LearningConfig()).correlation_px >= 10.0
+    assert calibrate.calibrated(learned, [opened], LearningConfig()).correlation_px >= 10.0
 
 
-def test_a_drive_in_which_no_frame_is_near_the_truth_is_one_clear_error(monkeypatch, simulated_road):
-    drive = open_drive(simulated_road)
+def test_a_drive_in_which_no_frame_is_near_the_truth_is_one_clear_error(monkeypatch, opened):
     monkeypatch.setattr(accuracy, "localized_frames", lambda *_: iter(()))
-    source = mask_source("sem", drive)
     with pytest.raises(SemlocError, match=r"0 were localized and none within 0.3 m of the truth.*--num-frames"):
-        localizer_accuracy(drive, read_map(drive.map_path), source, LocalizeConfig(), LearningConfig())
+        localizer_accuracy(*opened, LocalizeConfig(), LearningConfig())
