@@ -44,10 +44,15 @@ def fault_of(element: MapElement) -> str | None:
     return None
 
 
+def faults_of(elements: Sequence[MapElement]) -> dict[int, str]:
+    """What is wrong with elements on their own, by their places in the list; see `fault_of`."""
+    return {row: fault for row in _suspicious(elements) if (fault := fault_of(elements[row])) is not None}
+
+
 def sound(semantic_map: SemanticMap) -> SemanticMap:
     """The map without faulty elements, which `faulty` names; the first of them are logged."""
     elements = semantic_map.elements
-    faults = {row: fault for row in _suspicious(elements) if (fault := fault_of(elements[row])) is not None}
+    faults = faults_of(elements)
     faulty = {**semantic_map.faulty, **{elements[row].id: fault for row, fault in faults.items()}}
     tell(faulty, semantic_map.name)
     if not faults:

@@ -167,9 +167,7 @@ def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal 
         normal=_normal(properties.get("normal"), where),
         true_ends=_true_ends(properties.get("true_ends"), where),
         has_height=has_height,
-        # A parser makes the names anew for each feature.
-        attributes={sys.intern(str(key)): value for key, value in properties.items()}
-        | {"class": sys.intern(class_name)},
+        attributes=_kept(properties, class_name),
     )
 
 
@@ -234,7 +232,7 @@ def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np
         points = points[:-1]
     if len(points) < (3 if closed else 2):
         raise SemlocError(f"{where}: {len(points)} points; expected at least {3 if closed else 2}")
-    if not (np.abs(points) < FARTHEST_M).all():
+    if not (points.max() < FARTHEST_M and points.min() > -FARTHEST_M):
         raise SemlocError(f"{where}: NaN, infinite or huge coordinates; expected metres or degrees on the earth")
     return points, closed, has_height
 

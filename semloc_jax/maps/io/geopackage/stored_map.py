@@ -3,7 +3,9 @@
 In: a connection to our own GeoPackage. Out: StoredMap, a SemanticMap whose queries cost what lies around the place.
 """
 
+import itertools
 import json
+import math
 import sqlite3
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator
@@ -28,7 +30,7 @@ from semloc_jax.maps.semantic_map import (
     reaches_ahead,
     require_place,
 )
-from semloc_jax.maps.soundness import fault_of, tell
+from semloc_jax.maps.soundness import fault_of, faults_of, tell
 from semloc_jax.maps.tiled_ground import TiledGround
 from semloc_jax.structs import ElementClass
 
@@ -79,8 +81,12 @@ class StoredMap(SemanticMap):
 
     def walk(self) -> Iterator[MapElement]:
         """Yields every element that is none of `faulty`, in the order of the file, and keeps none."""
-        cursor = self._rows(f"SELECT {_COLUMNS} FROM elements ORDER BY fid", ())
-        yield from (element for row in cursor if (element := self._sound(row)) is not None)
+        rows = self._rows(f"SELECT {_COLUMNS} FROM elements ORDER BY fid", ())
+        while some := [_element(row, self._file_name) for row in itertools.islice(rows, _AT_ONCE)]:
+            faults = faults_of(some)
+            for row, fault in faults.items():
+                self._leave_out(some[row], fault)
+            yield from (element for row, element in enumerate(some) if row not in faults)
 
     @cached_property
     def labels(self) -> frozenset[ElementClass]:
@@ -185,10 +191,13 @@ class StoredMap(SemanticMap):
         fault = fault_of(element)
         if fault is None:
             return element
+        self._leave_out(element, fault)
+        return None
+
+    def _leave_out(self, element: MapElement, fault: str) -> None:
         if element.id not in self.faulty:
             self.faulty[element.id] = fault
             tell({element.id: fault}, self._file_name)
-        return None
 
     def _origin_of(self, found: list[MapElement], center: np.ndarray) -> np.ndarray:
         """Returns whole metres near the centre, `[3]`, at the height of what lies around it."""
@@ -220,8 +229,8 @@ def _element(row: tuple, name: str) -> MapElement:
         attributes = json.loads(row[17])
         if (
             not isinstance(attributes, dict)
-            or not np.isfinite(numbers).all()
-            or not (np.abs(points) < FARTHEST_M).all()
+            or not all(map(math.isfinite, numbers))
+            or not (points.max() < FARTHEST_M and points.min() > -FARTHEST_M)
         ):
             raise ValueError("numbers that no element has")
     except (TypeError, ValueError, RecursionError) as error:
