@@ -51,6 +51,12 @@ class RoadPosterior(NamedTuple):
     """Their costs [nats]; infinite: empty slot."""
     spread: Float[Array, "6 6"]
     """Second moment about the best pose, in its right tangent [m, rad]."""
+    places: Float[Array, "n 4 4"]
+    """Every pose that was looked at."""
+    log_masks: Float[Array, " n"]
+    """Log likelihood of the masks at each; -inf where there is none."""
+    log_prior: Float[Array, " n"]
+    """Log prior at each."""
 
 
 class Places(NamedTuple):
@@ -138,7 +144,9 @@ def weighed_along_road(
     share = jax.nn.softmax(-((scores - guessed) / noise**2 + guessed))
     spread = jnp.einsum("k,ki,kj->ij", share, away, away)
     spread = jnp.where(jnp.all(jnp.isfinite(spread)), spread, 0.0)
-    return RoadPosterior(Ts[index], jnp.where(filled, scores[index], jnp.inf), spread)
+    return RoadPosterior(
+        Ts[index], jnp.where(filled, scores[index], jnp.inf), spread, Ts, -(scores - guessed) / noise**2, -guessed
+    )
 
 
 def widened(covariance: Float[Array, "6 6"], spread: Float[Array, "6 6"]) -> Float[Array, "6 6"]:

@@ -188,6 +188,9 @@ def coarse_samples(observed: Observed, samples: MapSamples, channel: np.ndarray,
 def coarse_gain(null: EvidenceNull, borders: BorderDistances, usable: np.ndarray, scale_px: float) -> np.ndarray:
     """Nats of one observation by pixel, at twice the stride of the distances, float32[cam channel h w].
 
+    They are counted from what random poses gain: places of a lattice are a little off, and where all of them lose, the
+    best ones would be those that see no map.
+
     Args:
         null: of the frame.
         borders: distances to mask borders.
@@ -196,6 +199,7 @@ def coarse_gain(null: EvidenceNull, borders: BorderDistances, usable: np.ndarray
     """
     table = null.log_ratio(np.full(null.num_channels, scale_px))
     gain = np.log(1.0 - null.config.rate + null.config.rate * np.exp(table))
+    gain -= (null.null * gain).sum(axis=1, keepdims=True)
     byte = (np.abs(borders.signed_px[:, : null.num_channels, ::2, ::2]) * (255.0 / borders.reach_px)).astype(np.uint8)
     bins = np.digitize(np.arange(256) * borders.reach_px / 255.0, null.edges_px)
     field = np.stack([gain[c].astype(np.float32)[bins][byte[:, c]] for c in range(null.num_channels)], axis=1)

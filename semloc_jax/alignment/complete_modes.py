@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax.alignment.agreement import disagreement, halves
-from semloc_jax.alignment.aliases import alias_shifts, road_direction
-from semloc_jax.alignment.along_road import weighed_along_road, widened
+from semloc_jax.alignment.aliases import alias_shifts
+from semloc_jax.alignment.along_road import RoadPosterior, weighed_along_road, widened
+from semloc_jax.alignment.border_cells import BorderCells
 from semloc_jax.alignment.candidates import (
     BATCH,
     COARSE_BATCH,
@@ -43,6 +44,7 @@ from semloc_jax.alignment.result import FoundModes, ModeEvidence
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import ONE_OPTIMUM, ONE_PLACE, ONE_TRACK, units_apart
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, search_starts, sharpest
+from semloc_jax.geometry import rigid
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import MapSamples, SolveStatus
@@ -114,6 +116,14 @@ class ModeFinder:
             self.unit_px,
             config.null,
             config.null_every,
+            BorderCells.of(
+                self.borders,
+                np.unique(self.channel[self.channel >= 0]),
+                np.asarray(frame.usable.mask),
+                float(frame.usable.stride),
+                self.observe_config.cell_px,
+                self.image_size,
+            ),
         )
 
     def observed(self, Ts: np.ndarray, samples: MapSamples | None = None) -> Observed:
@@ -190,7 +200,7 @@ class ModeFinder:
     def _evidence_of(self, Ts: np.ndarray, pieces: Pieces, rates: Rates | None) -> tuple[PoseEvidence, Rates]:
         if rates is None:
             prior = self.log_prior(Ts)
-            first = self.null.evidence(pieces, self.null.start_rates()).nats + prior
+            first = self.null.evidence(pieces, self.null.start_rates()).block_nats.sum(axis=1) + prior
             rates = best_rates(self.null, pieces, prior, np.argsort(-first, kind="stable")[:6])
         return self.null.evidence(pieces, rates), rates
 
@@ -289,7 +299,7 @@ class ModeFinder:
         last = self.ridges(Ts_end, found, np.asarray(solved.estimates.status))
         if not len(last.best):
             return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
-        return self._in_map(solved, Ts_end, (pieces, found), last, rates, road.spread, in_view_px)
+        return self._in_map(solved, Ts_end, (pieces, found), last, rates, road, in_view_px)
 
     def _in_map(
         self,
@@ -298,7 +308,7 @@ class ModeFinder:
         seen: tuple[Pieces, PoseEvidence],
         places: Ridges,
         rates: Rates,
-        road_spread: np.ndarray,
+        road: RoadPosterior,
         in_view_px: float,
     ) -> FoundModes:
         config = self.config
@@ -317,9 +327,8 @@ class ModeFinder:
                 continue
             covariance, row = local[0].covariance, int(leader)
             if place == 0:
-                wider = _widened(covariance.astype(np.float32), road_spread)
+                wider = _widened(covariance.astype(np.float32), self._spread_along(Ts[chosen], road, rates))
                 moments = spread(Ts[chosen], Ts[members], held)
-                moments[0, 0] = max(moments[0, 0], self._along_variance_m2(Ts[chosen], rates))
                 known = np.maximum(moments.diagonal(), np.asarray(wider).diagonal()[np.array(PLANE)])
                 known = np.maximum(known, self.disagreement(Ts[chosen], in_view_px, known))
                 covariance, row = np.array(wider, dtype=np.float64), chosen
@@ -338,27 +347,23 @@ class ModeFinder:
         Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
         return disagreement(Ts[0], Ts[1:], variance)
 
-    def _along_variance_m2(self, T_map_base: np.ndarray, rates: Rates) -> float:
-        """Second moment of the evidence alone over places along the road through a pose [m^2].
+    def _spread_along(self, T_map_base: np.ndarray, road: RoadPosterior, rates: Rates) -> np.ndarray:
+        """Second moment of the posterior over places along the road about a pose, in its right tangent, float32[6 6].
 
-        Solves end at local minima, dashes or not; where the sides of lines are all there is, the evidence is flat
-        between them, and only the prior would say where the vehicle is.
+        Solves end at local minima, dashes or not: where the sides of lines are all there is, the masks are flat between
+        them, and only the prior would say where the vehicle is. Evidence and ramp cost count half each, as for members
+        of a place.
         """
-        config = self.config
-        samples = jax.tree.map(np.asarray, self.samples)
-        rows = samples.valid & (self.channel >= 0)
-        tangents, length_m = samples.tangent_map[rows, :2].astype(np.float64), samples.length_m[rows]
-        road = road_direction(tangents, length_m.astype(np.float64), T_map_base[:2, 0])
-        offsets_m = np.append(np.linspace(-config.along_m, config.along_m, config.num_along - 1), 0.0)
-        Ts = np.tile(T_map_base, (len(offsets_m), 1, 1))
-        Ts[:, :2, 3] += offsets_m[:, None] * road
-        # Height and tilt as the solve has them against the road.
-        Ts = self.road.place(Ts) @ (np.linalg.inv(self.road.place(T_map_base[None])[0]) @ T_map_base)
-        found, _ = self.evidence(Ts, rates)
-        tempered = temper(found.block_nats, len(Ts) - 1, config.posterior)
-        log_weight = -tempered * (found.nats[-1] - found.nats)
+        places = np.asarray(road.places, dtype=np.float64)
+        found, _ = self.evidence(np.concatenate([places, T_map_base[None]]), rates)
+        tempered = temper(found.block_nats, len(places), self.config.posterior)
+        nats = found.block_nats.sum(axis=1)
+        evidence = (tempered * (nats - nats[-1]))[:-1]
+        log_weight = 0.5 * (evidence + np.asarray(road.log_masks, np.float64)) + np.asarray(road.log_prior, np.float64)
+        log_weight = np.where(np.isfinite(log_weight), log_weight, -1e9)
         share = np.exp(log_weight - log_weight.max())
-        return float((share * offsets_m**2).sum() / share.sum())
+        away = rigid.log(np.linalg.inv(T_map_base) @ places)
+        return np.einsum("k,ki,kj->ij", share / share.sum(), away, away).astype(np.float32)
 
     def _along_weak(self, covariance: np.ndarray) -> np.ndarray:
         """Motions along the two directions of the plane that a pose is held least in, float64[k 4 4].
@@ -387,6 +392,7 @@ class ModeFinder:
             nats=float(found.nats[row]),
             nats_per_piece=float(found.nats[row] / max(found.observations[row], 1e-9)),
             explained=float(found.explained[row]),
+            left_over=float(found.left_over[row]),
             border_offset_px=offset_px,
             log_prior=float(self.log_prior(T[None])[0]),
             status=SolveStatus(status),

@@ -3,16 +3,18 @@
 In: Observed of several poses. Out: nats, explained share and border offset of every pose; rates estimated of the frame.
 The samples of one element in one cell of the image are one observation, a piece. Each piece was either seen, and its
 samples lie near the border of a mask, or it was not (worn, hidden, not there), and they lie where samples of a random
-pose lie. A map that is not matched costs log(1 - P); a mask that is not matched costs nothing: poses that see different
-amounts of map can be compared.
+pose lie. A map that is not matched costs log(1 - P): poses that see different amounts of map can be compared. A border
+of a mask on which no contour of the map lies was made by something else: rarely, as the best pose tells, often, where
+the pose is wrong.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import erf
 
-from semloc_jax.alignment.observed import CELL_COLUMNS, Observed
+from semloc_jax.alignment.border_cells import BorderCells, block_of
+from semloc_jax.alignment.observed import Observed
 
 RANGE_EDGES_M = (15.0, 25.0, 40.0)
 """Beyond each of them the rate of detection is another one."""
@@ -46,6 +48,11 @@ class NullConfig:
     rounds: int = 5
     matched_nats: float = 0.3
     """A piece with more counts as explained."""
+    on_border: float = 2.5
+    """Contours nearer to a border than so many scales account for it."""
+    left_over: float = 0.6
+    """Share of the borders that the map leaves over at the right pose, over that at random ones, before the frame is
+    known."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +62,12 @@ class Rates:
     Attributes:
         scale_px: of the distances of seen samples, for each channel.
         detection: probability that a piece is seen, float[channel range].
+        left_over: share of the borders of each channel on which no contour of the map lies, float[channel].
     """
 
     scale_px: np.ndarray
     detection: np.ndarray
+    left_over: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -72,6 +81,7 @@ class Pieces:
         observations: how much each piece counts.
         sample_piece, sample_px, sample_weight: piece, signed distance and length of each sample.
         sample_bin: bin of its distance.
+        border: row of the border of its class in its cell, -1 for none.
     """
 
     num_poses: int
@@ -84,13 +94,14 @@ class Pieces:
     sample_px: np.ndarray
     sample_weight: np.ndarray
     sample_bin: np.ndarray
+    border: np.ndarray
 
     def of_pose(self, index: int) -> "Pieces":
         """The pieces of one pose alone."""
         kept = self.pose == index
         number = np.cumsum(kept) - 1
         own = kept[self.sample_piece]
-        rows = {name: getattr(self, name)[kept] for name in ("channel", "range_bin", "block", "observations")}
+        rows = {name: getattr(self, name)[kept] for name in ("channel", "range_bin", "block", "border", "observations")}
         samples = {name: getattr(self, name)[own] for name in ("sample_px", "sample_weight", "sample_bin")}
         pose = np.zeros(int(kept.sum()), int)
         return Pieces(1, pose=pose, sample_piece=number[self.sample_piece[own]], **rows, **samples)
@@ -101,22 +112,22 @@ class PoseEvidence:
     """What the masks hold for each pose.
 
     Attributes:
-        nats: float[n].
+        nats: float[n], of the map that is seen or not.
         observations: float[n], number of full pieces in view.
         explained: float[n], share of them that is matched.
-        block_nats: float[n block], the same nats by part of the image.
+        block_nats: float[n block], the same by part of the image, with those of the borders that the map leaves over.
+        left_over: float[n], share of the borders on which no contour of the map lies.
     """
 
     nats: np.ndarray
     observations: np.ndarray
     explained: np.ndarray
     block_nats: np.ndarray
+    left_over: np.ndarray
 
 
 _LEAST_SAMPLES = 8
 """Of fewer samples no offset is told."""
-NUM_BLOCKS = (8, 6)
-"""Columns and rows of the parts of an image whose evidence is taken as independent."""
 
 
 class EvidenceNull:
@@ -130,6 +141,7 @@ class EvidenceNull:
         unit_px: float,
         config: NullConfig,
         null_every: int = 1,
+        cells: BorderCells | None = None,
     ):
         """Learn where samples lie when the pose is wrong.
 
@@ -138,13 +150,19 @@ class EvidenceNull:
             channel, element: of each sample, int[p].
             unit_px: pixels of this image that stand for one of a usual one.
             config: Constants.
+            cells: Where the masks have borders; None: nothing is said of what the map leaves over.
         """
         self.config = config
+        self.cells = BorderCells.none() if cells is None else cells
         self.unit_px = unit_px
         self.edges_px = unit_px * np.asarray(config.edges_px)
         self.channel, self.element = np.maximum(channel, 0), element
         self.num_channels = int(self.channel.max(initial=0)) + 1
         self.null = self._histogram(null, self.channel[::null_every])
+        length_px = self.cells.length_px / unit_px
+        full = np.clip(length_px / config.observation_px, config.least_observation, 1.0)
+        self._border_observations = np.where(length_px < config.least_px, 0.0, full)
+        self.left_over_at_random = self._at_random(null, self.channel[::null_every], null_every)
 
     @property
     def num_bins(self) -> int:
@@ -161,6 +179,31 @@ class EvidenceNull:
         total = counts.sum(axis=1, keepdims=True)
         share = np.where(total > 0, counts / np.maximum(total, 1e-9), 1.0 / self.num_bins)
         return (1.0 - self.config.uniform) * share + self.config.uniform / self.num_bins
+
+    def _at_random(self, null: Observed, channels: np.ndarray, every: int) -> np.ndarray:
+        """Share of the borders of each channel that random poses leave over, float[channel]; 1 for no borders."""
+        near_px = self.config.on_border * self.start_scale_px
+        rows = np.nonzero((null.length_px > 0) & (np.abs(null.signed_px) < near_px[channels]))
+        border = self.cells.rows(rows[1], channels[rows[2]], null.cell[rows].astype(np.int64))
+        length_px = every * np.minimum(null.length_px[rows], 50.0)
+        left = self.cells.left_over(rows[0], border, length_px, len(null.length_px))
+        return self._by_channel(left.mean(axis=0), np.ones(self.num_channels))
+
+    def _by_channel(self, left_over: np.ndarray, expected: np.ndarray) -> np.ndarray:
+        """Mean share of the borders of each channel that is left over, with what is expected as a prior."""
+        strength, weight = self.config.rate_strength, self._border_observations
+        total = np.bincount(self.cells.channel, weight * left_over, self.num_channels)
+        count = np.bincount(self.cells.channel, weight, self.num_channels)
+        return (strength * expected + total) / (strength + count)
+
+    def left_over(self, pieces: Pieces, scale_px: np.ndarray) -> np.ndarray:
+        """Share of every border on which no contour of the map lies, float[pose border]."""
+        channel = pieces.channel[pieces.sample_piece]
+        rows = np.abs(pieces.sample_px) < self.config.on_border * scale_px[channel]
+        piece = pieces.sample_piece[rows]
+        return self.cells.left_over(
+            pieces.pose[piece], pieces.border[piece], pieces.sample_weight[rows], pieces.num_poses
+        )
 
     def pieces(self, observed: Observed, image_size: tuple[int, int], cell_px: float) -> Pieces:
         """The samples of every pose gathered by element and cell of the image.
@@ -190,22 +233,18 @@ class EvidenceNull:
         config = self.config
         counted = np.clip(length_px / config.observation_px, config.least_observation, 1.0)
         signed = observed.signed_px[rows].astype(np.float64)
-        column, row = cell[first] % CELL_COLUMNS, cell[first] // CELL_COLUMNS
-        across, down = (
-            np.minimum((count * cell_px * axis / max(size, 1)).astype(int), count - 1)
-            for count, axis, size in zip(NUM_BLOCKS, (column, row), image_size, strict=True)
-        )
         return Pieces(
             num_poses=shape[0],
             pose=pose[first],
             channel=self.channel[sample[first]],
             range_bin=np.digitize(range_m, RANGE_EDGES_M),
-            block=(camera[first] * NUM_BLOCKS[1] + down) * NUM_BLOCKS[0] + across,
+            block=block_of(camera[first], cell[first], cell_px, image_size),
             observations=np.where(length_px < config.least_px, 0.0, counted),
             sample_piece=piece,
             sample_px=signed,
             sample_weight=weight,
             sample_bin=np.digitize(np.abs(signed), self.edges_px),
+            border=self.cells.rows(camera[first], self.channel[sample[first]], cell[first]),
         )
 
     def seen(self, scale_px: np.ndarray) -> np.ndarray:
@@ -234,17 +273,30 @@ class EvidenceNull:
         match = self.match(pieces, rates)
         detection = rates.detection[pieces.channel, pieces.range_bin]
         nats = pieces.observations * np.log(1.0 - detection + detection * np.exp(match))
-        num, blocks = pieces.num_poses, int(pieces.block.max(initial=0)) + 1
+        num = pieces.num_poses
+        blocks = int(max(pieces.block.max(initial=0), self.cells.block.max(initial=0))) + 1
         observations = np.bincount(pieces.pose, pieces.observations, num)
         matched = np.bincount(pieces.pose, pieces.observations * (match > self.config.matched_nats), num)
         by_block = np.bincount(pieces.pose * blocks + pieces.block, nats, num * blocks).reshape(num, blocks)
-        return PoseEvidence(by_block.sum(axis=1), observations, matched / np.maximum(observations, 1e-9), by_block)
+        left = self.left_over(pieces, rates.scale_px)
+        weight = self._border_observations
+        # Against what random poses leave over, so that they hold nothing on the mean.
+        rarer = np.log(rates.left_over / self.left_over_at_random)[self.cells.channel]
+        beside = (left - self.left_over_at_random[self.cells.channel]) * weight * rarer
+        both = by_block + np.stack([np.bincount(self.cells.block, row, blocks) for row in beside])
+        share = left @ weight / max(weight.sum(), 1e-9)
+        return PoseEvidence(by_block.sum(axis=1), observations, matched / np.maximum(observations, 1e-9), both, share)
 
     def start_rates(self) -> Rates:
         """Rates before anything is known of the frame."""
         config = self.config
-        scale_px = np.full(self.num_channels, self.unit_px * 2.5)
-        return Rates(scale_px, np.full((self.num_channels, len(RANGE_EDGES_M) + 1), config.rate))
+        detection = np.full((self.num_channels, len(RANGE_EDGES_M) + 1), config.rate)
+        return Rates(self.start_scale_px, detection, config.left_over * self.left_over_at_random)
+
+    @property
+    def start_scale_px(self) -> np.ndarray:
+        """Scale of each channel before anything is known of the frame, float[channel]."""
+        return np.full(self.num_channels, self.unit_px * 2.5)
 
     def fit(self, pieces: Pieces) -> Rates:
         """Rates with which the pieces of one pose are likeliest: expectation-maximisation with a prior."""
@@ -265,8 +317,9 @@ class EvidenceNull:
             hits = np.bincount(key, pieces.observations * seen, size).reshape(shape)
             tries = np.bincount(key, pieces.observations, size).reshape(shape)
             prior = config.rate_strength
-            rates = Rates(scale_px, (prior * config.rate + hits) / (prior + tries))
-        return rates
+            rates = replace(rates, scale_px=scale_px, detection=(prior * config.rate + hits) / (prior + tries))
+        left = self._by_channel(self.left_over(pieces, rates.scale_px)[0], rates.left_over)
+        return replace(rates, left_over=np.minimum(left, self.left_over_at_random))
 
     def _within_scale(self, pieces: Pieces, scale_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For each sample the weight of its square and of itself in the scale: narrow, wide or stray."""
@@ -304,7 +357,7 @@ def best_rates(null: EvidenceNull, pieces: Pieces, log_prior: np.ndarray, candid
     best, best_nats = null.start_rates(), -np.inf
     for index in candidates:
         rates = null.fit(pieces.of_pose(int(index)))
-        nats = float(np.max(null.evidence(pieces, rates).nats + log_prior))
+        nats = float(np.max(null.evidence(pieces, rates).block_nats.sum(axis=1) + log_prior))
         if nats > best_nats:
             best, best_nats = rates, nats
     return best

@@ -59,9 +59,6 @@ class CompleteModesConfig:
     restart_step_m: tuple[float, float] = (0.1, 0.3)
     """Least and largest step, where heading counts as the shift that it makes `lever_m` ahead."""
     lever_m: float = 25.0
-    along_m: float = 3.0
-    num_along: int = 32
-    """How far to both sides, and at how many places, the evidence along the road is looked at."""
     within_nats: float = 12.0
     """Poses of one place that are this close in evidence make up its pose."""
 

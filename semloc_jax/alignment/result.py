@@ -19,6 +19,7 @@ class ModeEvidence:
         nats: evidence of all pieces of map in view.
         nats_per_piece: the same for one full piece.
         explained: share of the pieces that lie on borders of their class.
+        left_over: share of the borders of the classes of the map on which no contour of it lies.
         border_offset_px: how far the map lies outside of the borders of its masks, in the class seen most; in pixels of
             an image of usual size. Masks that are thinner than the paint show it, and a pose between two lines.
         log_prior: log density of the prior there, up to a constant of the frame [nats].
@@ -28,6 +29,7 @@ class ModeEvidence:
     nats: float
     nats_per_piece: float
     explained: float
+    left_over: float
     border_offset_px: float
     log_prior: float
     status: SolveStatus

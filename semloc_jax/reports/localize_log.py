@@ -13,6 +13,7 @@ import numpy as np
 from semloc_jax.alignment.result import LocalizationResult, Mode, ModeEvidence
 from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
+from semloc_jax.reports.tables import EVIDENCE
 from semloc_jax.storage import append_line, reading, whole_lines, write_text
 from semloc_jax.structs import SolveStatus
 
@@ -21,7 +22,6 @@ _ARRAYS = ("T_map_base", "covariance", "weak_direction")
 _NUMBERS = ("weight", "score", "cost", "coverage", "inlier_ratio")
 _OFF_ROTATION = 1e-4
 """Poses may come from float32."""
-_EVIDENCE = ("nats", "nats_per_piece", "explained", "border_offset_px", "log_prior")
 
 
 def begin(folder: Path) -> None:
@@ -65,7 +65,7 @@ def _mode_line(mode: Mode) -> dict[str, Any]:
     arrays = {name: np.asarray(getattr(mode, name), dtype=np.float64).tolist() for name in _ARRAYS}
     evidence = None
     if mode.evidence is not None:
-        evidence = {name: float(getattr(mode.evidence, name)) for name in _EVIDENCE}
+        evidence = {name: float(getattr(mode.evidence, name)) for name in EVIDENCE}
         evidence["status"] = mode.evidence.status.name
     return arrays | {name: float(getattr(mode, name)) for name in _NUMBERS} | {"evidence": evidence}
 

@@ -59,7 +59,7 @@ def by_hand(null, seen, channel, element, rates):
 def test_evidence_is_the_sum_over_pieces(channels):
     null = null_of(channels)
     seen, channel, element = scene(3, 160, 1, scale_px=2.0, channels=channels)
-    rates = Rates(np.array([2.0, 3.0])[:channels], np.array([[0.7] * 4, [0.4] * 4])[:channels])
+    rates = Rates(np.array([2.0, 3.0])[:channels], np.array([[0.7] * 4, [0.4] * 4])[:channels], np.ones(channels))
     found = null.evidence(null.pieces(seen, SIZE, CELL_PX), rates)
     assert found.nats[0] == pytest.approx(by_hand(null, seen, channel, element, rates), abs=1e-9)
     assert found.block_nats.sum(axis=1) == pytest.approx(found.nats, abs=1e-9)

@@ -20,7 +20,7 @@ LIMITS = VerdictConfig(
     max_sigma_heading_deg=0.5,
     max_prior_sigmas=4.0,
 )
-SEEN = ModeEvidence(60.0, 1.5, 0.8, 0.5, -1.0, SolveStatus.CONVERGED)
+SEEN = ModeEvidence(60.0, 1.5, 0.8, 0.2, 0.5, -1.0, SolveStatus.CONVERGED)
 GOOD = Mode(
     weight=1.0,
     T_map_base=np.eye(4),

@@ -96,7 +96,7 @@ def _of_runs(frames: tuple[Frame, ...], place: Path) -> Iterator[Reader]:
 
 
 def _result(frame: Frame) -> LocalizationResult:
-    evidence = ModeEvidence(60.5, 1.25, 0.75, 0.5, -1.5, SolveStatus.CONVERGED)
+    evidence = ModeEvidence(60.5, 1.25, 0.75, 0.25, 0.5, -1.5, SolveStatus.CONVERGED)
     mode = Mode(0.9, np.eye(4), 0.01 * np.eye(6), 3.5, 0.2, 0.9, 0.8, np.eye(6)[0], evidence)
     poses = np.eye(4), np.eye(4)
     return LocalizationResult(frame, *poses, SolveStatus.CONVERGED, True, ("a reason",), (mode,), {"solve": 0.1})
