@@ -15,7 +15,8 @@ from semloc_jax.perception.class_table import UNLABELED_ID
 from semloc_jax.perception.classical_posts import find_posts
 from semloc_jax.perception.ground_view import GroundView
 from semloc_jax.perception.paint_candidates import PaintCandidates, PaintConfig, find_candidates, paint_brightness
-from semloc_jax.perception.paint_choice import ALONG, TopView, choose_paint, sharp_points
+from semloc_jax.perception.paint_choice import ALONG, MAX_SCATTER_M, choose_paint, sharp_points
+from semloc_jax.perception.paint_colours import TopView
 from semloc_jax.perception.paint_drawing import draw_strokes
 from semloc_jax.perception.paint_filter import keep_paint
 from semloc_jax.perception.paint_profiles import THIN, WIDE, lookup, ridge_profiles
@@ -133,10 +134,14 @@ def guess_forward_camera(width_px: int, height_px: int) -> tuple[PinholeCamera, 
     return camera, T_base_cam
 
 
-def _brightness_at(grey: np.ndarray, image_u: np.ndarray, image_v: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Brightness of the image at places of the top view, float32[...]; as of nothing dark beyond the picture."""
-    uv = np.stack([lookup(image_u, at), lookup(image_v, at)], axis=-1)
-    return np.where(uv.min(axis=-1) < 0.0, np.float32(_UNSEEN), lookup(grey, uv))
+def _brightness_at(
+    grey: np.ndarray, image_u: np.ndarray, image_v: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> np.ndarray:
+    """Brightness of the image at places of the top view, float32[n k]; as of nothing dark beyond the picture."""
+    columns, rows = lookup(image_u, u, v), lookup(image_v, u, v)
+    found = lookup(grey, columns, rows)
+    found[(columns < 0.0) | (rows < 0.0)] = _UNSEEN
+    return found
 
 
 def _strokes(
@@ -153,9 +158,8 @@ def _strokes(
         for points, sign in ((bright, -1), (ridges, 1)):
             u, v = points.uv[points.contrast > ALONG.min_contrast].astype(int).T
             sharp[v, u] = sign
-        strokes += choose_paint(
-            find_strokes(fine, grey.shape, ridges, scale.max_half_width_m, config.metres_per_px), colours
-        )
+        found = find_strokes(fine, grey.shape, ridges, scale.max_half_width_m, config.metres_per_px, MAX_SCATTER_M)
+        strokes += choose_paint(found, colours)
     return strokes, sharp
 
 

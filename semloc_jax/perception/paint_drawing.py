@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from semloc_jax.perception.ground_view import GroundView
-from semloc_jax.perception.paint_strokes import STEP_M, Stroke
+from semloc_jax.perception.paint_curves import STEP_M
+from semloc_jax.perception.paint_strokes import Stroke
 
 _SMOOTH_M = 1.0
 _SHORTEST_M = 0.3

@@ -23,8 +23,11 @@ _STRIP_M = 0.075
 """The darkest strip of this width counts there: beside an edge line a bright verge may begin soon."""
 
 
-Brightness = Callable[[np.ndarray], np.ndarray]
-"""Brightness, float32[...], at places of the top view, float[... 2] in its pixels."""
+_BLOCK = 30_000
+"""Samples taken at once: they stay in the processor's cache, and OpenCV's pictures must be below 32768 pixels wide."""
+
+Brightness = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Brightness, float32[...], at columns and rows of the top view, both float32[...] in its pixels."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,7 @@ def measure_profiles(
     The edges lie halfway between the brightness of the stroke and that of the road beside it.
 
     Args:
-        brightness: float32[...] at places of the top view, float[... 2] in pixels.
+        brightness: of the top view, or of the image at places of the top view.
         uv: places [px], float[n 2].
         normal: unit vectors across, float[n 2].
         max_half_width_m: edges are looked for up to here.
@@ -157,7 +160,8 @@ def _crossing(outward: np.ndarray, middle: np.ndarray, flank: np.ndarray, share:
     limit = flank + share * (middle - flank)
     below = outward < limit[:, None]
     below[:, 0] = False
-    first = np.where(below.any(axis=1), below.argmax(axis=1), outward.shape[1] - 1)
+    first = below.argmax(axis=1)
+    first[~below[rows, first]] = outward.shape[1] - 1
     before, after = outward[rows, np.maximum(first - 1, 0)], outward[rows, first]
     return first - 1 + np.clip((before - limit) / np.maximum(before - after, 1e-6), 0.0, 1.0)
 
@@ -166,27 +170,26 @@ def _sampled(
     brightness: Brightness, uv: np.ndarray, normal: np.ndarray, across_m: np.ndarray, metres_per_px: float
 ) -> np.ndarray:
     """Mean brightness along the strokes at distances across them, float32[n k]."""
-    if not len(uv):
-        return np.zeros((0, len(across_m)), np.float32)
     along = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
-    offset = normal[:, None] * (across_m / metres_per_px)[None, :, None]
     total = np.zeros((len(uv), len(across_m)), np.float32)
-    for distance in _ALONG_M:
-        at = (uv + along * (distance / metres_per_px))[:, None] + offset
-        total += brightness(at)
-    return total / len(_ALONG_M)
+    height = max(_BLOCK // len(across_m), 1)
+    for rows in (slice(first, first + height) for first in range(0, len(uv), height)):
+        offset = normal[rows].T[..., None] * (across_m / metres_per_px)
+        for distance in _ALONG_M:
+            place = (uv[rows] + along[rows] * (distance / metres_per_px)).T[..., None]
+            total[rows] += brightness(*(place + offset).astype(np.float32))
+    total /= len(_ALONG_M)
+    return total
 
 
-def lookup(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Values between pixels, float32 of the shape of `at` without its last axis."""
-    u, v = (at[..., i].astype(np.float32).ravel() for i in (0, 1))
-    width = 16384  # OpenCV remaps into pictures of less than 32768 pixels a side
-    rows = [
-        cv2.remap(values, u[None, i : i + width], v[None, i : i + width], cv2.INTER_LINEAR,
-                  borderMode=cv2.BORDER_REPLICATE)[0]
-        for i in range(0, len(u), width)
-    ]  # fmt: skip
-    return np.concatenate(rows or [u]).reshape(at.shape[:-1])
+def lookup(values: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Values, float32[h w], between pixels at columns and rows, float32[...]."""
+    u_row, v_row = u.reshape(1, -1), v.reshape(1, -1)
+    found = [
+        cv2.remap(values, u_row[:, part], v_row[:, part], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for part in (slice(first, first + _BLOCK) for first in range(0, u.size, _BLOCK))
+    ]
+    return (found[0] if len(found) == 1 else np.concatenate(found or [u_row], axis=1)).reshape(u.shape)
 
 
 def _ridge_points(
@@ -199,11 +202,12 @@ def _ridge_points(
     uu, vv, uv = uu / 4, vv / 4, uv / 4
     root = np.sqrt(0.25 * (uu - vv) ** 2 + uv * uv)
     strength = (root - 0.5 * (uu + vv)) * np.float32(sigma**2)
-    angle = 0.5 * np.arctan2(2 * uv, uu - vv) + np.pi / 2
     inner = cv2.erode(visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
     v, u = np.nonzero(inner & (strength > scale.min_strength))
-    normal = np.stack([np.cos(angle[v, u]), np.sin(angle[v, u])], axis=-1)
+    angle = 0.5 * np.arctan2(2 * uv[v, u], uu[v, u] - vv[v, u]) + np.pi / 2
+    normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     at = np.stack([u, v], axis=-1).astype(np.float64)
     own = strength[v, u]
-    peak = (own >= lookup(strength, at + normal)) & (own > lookup(strength, at - normal))
+    before, after = (lookup(strength, *(at + side * normal).T.astype(np.float32)) for side in (1.0, -1.0))
+    peak = (own >= before) & (own > after)
     return at[peak], normal[peak]
