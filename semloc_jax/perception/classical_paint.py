@@ -15,11 +15,19 @@ from semloc_jax.perception.class_table import UNLABELED_ID
 from semloc_jax.perception.classical_posts import find_posts
 from semloc_jax.perception.ground_view import GroundView
 from semloc_jax.perception.paint_candidates import PaintCandidates, PaintConfig, find_candidates, paint_brightness
-from semloc_jax.perception.paint_choice import ALONG, MAX_SCATTER_M, choose_paint, sharp_points
-from semloc_jax.perception.paint_colours import TopView
+from semloc_jax.perception.paint_choice import ALONG, MAX_SCATTER_M, are_sharp, choose_paint
+from semloc_jax.perception.paint_colours import TopView, is_white_or_yellow
 from semloc_jax.perception.paint_drawing import draw_strokes
 from semloc_jax.perception.paint_filter import keep_paint
-from semloc_jax.perception.paint_profiles import THIN, WIDE, lookup, ridge_profiles
+from semloc_jax.perception.paint_profiles import (
+    THIN,
+    WIDE,
+    RidgeProfiles,
+    RidgeScale,
+    find_ridges,
+    lookup,
+    measure_profiles,
+)
 from semloc_jax.perception.paint_strokes import Stroke, find_strokes
 
 PAINT_ID, POST_ID = 1, 2
@@ -87,9 +95,10 @@ class ClassicalPaintSegmenter:
             visible = visible & (covered == 0)
         pose = self._pose[1]
         colours = TopView.of(top, view, pose)
-        strokes, sharp = _strokes(image, top, visible, colours, self.config)
+        candidates = find_candidates(top, visible, self.config)
+        strokes, sharp = _strokes(image, candidates, colours, self.config)
         drawn = draw_strokes(strokes, view)
-        mask = _beside(_spots(image, view, top, visible, sharp, self.config), drawn)
+        mask = _beside(_spots(image, view, top, candidates, sharp, self.config), drawn)
         mask[drawn] = PAINT_ID
         mask[(mask == 0) & _overexposed(top, view, self.config)] = UNLABELED_ID
         if self.shows_posts:
@@ -145,16 +154,16 @@ def _brightness_at(
 
 
 def _strokes(
-    image: np.ndarray, top: np.ndarray, visible: np.ndarray, colours: TopView, config: PaintConfig
+    image: np.ndarray, candidates: PaintCandidates, colours: TopView, config: PaintConfig
 ) -> tuple[list[Stroke], np.ndarray]:
-    """Strokes of paint, and the ridges of the top view: 1 with two sharp edges, -1 others, 0 none, int8[h w]."""
-    grey = np.where(visible, paint_brightness(top), np.float32(_UNSEEN))
+    """Strokes of paint, and the ridges in candidates: 1 with two sharp edges, -1 others, 0 none, int8[h w]."""
+    grey = np.where(candidates.visible, candidates.grey, np.float32(_UNSEEN))
     columns = np.ascontiguousarray(np.moveaxis(colours.view.image_uv, -1, 0))
     fine = partial(_brightness_at, paint_brightness(image), *columns)
-    strokes, sharp = [], np.zeros(visible.shape, np.int8)
+    strokes, sharp = [], np.zeros(grey.shape, np.int8)
     for scale in (THIN, WIDE):
-        bright = ridge_profiles(grey, visible, scale, config.metres_per_px)
-        ridges = sharp_points(bright, colours)
+        bright, keep = _ridges(grey, candidates, colours, scale)
+        ridges = bright.at(keep)
         for points, sign in ((bright, -1), (ridges, 1)):
             u, v = points.uv[points.contrast > ALONG.min_contrast].astype(int).T
             sharp[v, u] = sign
@@ -163,11 +172,29 @@ def _strokes(
     return strokes, sharp
 
 
+def _ridges(
+    grey: np.ndarray, candidates: PaintCandidates, colours: TopView, scale: RidgeScale
+) -> tuple[RidgeProfiles, np.ndarray]:
+    """Ridges in the colours of paint or in candidates; which of them may be strokes, bool[n]."""
+    uv, normal = find_ridges(grey, candidates.visible, scale, colours.metres_per_px)
+    u, v = uv.astype(int).T
+    coloured = is_white_or_yellow(colours.colours(uv))
+    wanted = coloured | (candidates.label[v, u] > 0)
+    bright = measure_profiles(
+        partial(lookup, grey), uv[wanted], normal[wanted], scale.max_half_width_m, colours.metres_per_px
+    )
+    return bright, coloured[wanted] & are_sharp(bright, colours)
+
+
 def _spots(
-    image: np.ndarray, view: GroundView, top: np.ndarray, visible: np.ndarray, edges: np.ndarray, config: PaintConfig
+    image: np.ndarray,
+    view: GroundView,
+    top: np.ndarray,
+    candidates: PaintCandidates,
+    edges: np.ndarray,
+    config: PaintConfig,
 ) -> np.ndarray:
     """Paint of any shape on an even road, uint8[h w]."""
-    candidates = find_candidates(top, visible, config)
     sharp, soft = (
         np.bincount(candidates.label[edges == sign], minlength=candidates.label.max() + 1) for sign in (1, -1)
     )
@@ -186,7 +213,7 @@ def _beside(spots: np.ndarray, drawn: np.ndarray) -> np.ndarray:
 def _overexposed(top: np.ndarray, view: GroundView, config: PaintConfig) -> np.ndarray:
     """Road so bright that white paint cannot be told from it, bool[h w] of the image."""
     size = max(round(_BLIND_M / config.metres_per_px), 1)
-    white = (top.min(axis=2) >= _BLINDING).astype(np.uint8)
+    white = cv2.inRange(top, (_BLINDING,) * 3, (255.0,) * 3)
     wide = cv2.morphologyEx(white, cv2.MORPH_OPEN, np.ones((size, size), np.uint8))
     return view.warp_back(wide, cv2.INTER_NEAREST) > 0
 

@@ -11,6 +11,7 @@ import numpy as np
 from semloc_jax.perception.paint_colours import TopView, is_no_grass, is_white_or_yellow
 from semloc_jax.perception.paint_profiles import MIN_CONTRAST, RidgeProfiles
 from semloc_jax.perception.paint_strokes import Stroke
+from semloc_jax.perception.point_groups import PointGroups
 
 _FLANK_M = 0.12
 _SOFT_M, _SOFT_PX = 0.06, 1.0
@@ -93,11 +94,10 @@ class _Numbers:
         )
 
 
-def sharp_points(ridges: RidgeProfiles, view: TopView) -> RidgeProfiles:
-    """The points of ridges that may be paint: two sharp edges, white or yellow."""
+def are_sharp(ridges: RidgeProfiles, view: TopView) -> np.ndarray:
+    """Which points of ridges have two edges as sharp as those of paint, bool[n]."""
     allowed_m = _SOFT_M + _SOFT_PX * view.pixel_m(ridges.uv, ridges.normal)
-    keep = (ridges.contrast > MIN_CONTRAST) & (ridges.width_m > 0.05) & (ridges.rise_m < allowed_m)
-    return ridges.at(keep & is_white_or_yellow(view.colours(ridges.uv)))
+    return (ridges.contrast > MIN_CONTRAST) & (ridges.width_m > 0.05) & (ridges.rise_m < allowed_m)
 
 
 def choose_paint(strokes: Sequence[Stroke], view: TopView) -> list[Stroke]:
@@ -130,18 +130,21 @@ def _passing(strokes: Sequence[Stroke], numbers: _Numbers, view: TopView) -> lis
     """Which strokes keep each of the limits, bool[n] each; colours are looked at where the shape is right."""
     shaped = [numbers.have_shape(limits) for limits in _LIMITS]
     grey_sides = np.zeros(len(strokes), int)
-    for i in np.flatnonzero(np.any(shaped, axis=0)):
-        grey_sides[i] = _grey_sides(strokes[i], view)
+    looked_at = np.flatnonzero(np.any(shaped, axis=0))
+    if len(looked_at):
+        grey_sides[looked_at] = _grey_sides([strokes[i] for i in looked_at], view)
     return [shape & (grey_sides >= limits.grey_sides) for shape, limits in zip(shaped, _LIMITS, strict=True)]
 
 
-def _grey_sides(stroke: Stroke, view: TopView) -> int:
-    """Number of sides without grass; 0 for a stroke that is neither white nor yellow."""
-    uv, normal = stroke.uv[stroke.painted], stroke.normal[stroke.painted]
-    half = 0.5 * stroke.width_m + _FLANK_M
-    colours = [view.colours(uv + normal * (side * half / view.metres_per_px)).mean(axis=0) for side in (0.0, -1.0, 1.0)]
-    middle, sides = np.stack(colours[:1]), np.stack(colours[1:])
-    return int(is_no_grass(sides).sum()) if is_white_or_yellow(middle)[0] else 0
+def _grey_sides(strokes: Sequence[Stroke], view: TopView) -> np.ndarray:
+    """Number of sides without grass, int[n]; 0 for a stroke that is neither white nor yellow."""
+    groups = PointGroups([int(stroke.painted.sum()) for stroke in strokes])
+    uv = np.concatenate([stroke.uv[stroke.painted] for stroke in strokes])
+    beside = np.concatenate(
+        [stroke.normal[stroke.painted] * ((0.5 * stroke.width_m + _FLANK_M) / view.metres_per_px) for stroke in strokes]
+    )
+    middle, *sides = (groups.mean(view.colours(uv + side * beside)) for side in (0.0, -1.0, 1.0))
+    return np.where(is_white_or_yellow(middle), np.sum([is_no_grass(side) for side in sides], axis=0), 0)
 
 
 def _road_direction(numbers: _Numbers, distance_m: np.ndarray, of: np.ndarray) -> float | None:

@@ -83,8 +83,10 @@ def log_brightness(grey: np.ndarray) -> np.ndarray:
     return np.log(grey + np.float32(_DARK))
 
 
-def ridge_profiles(grey: np.ndarray, visible: np.ndarray, scale: RidgeScale, metres_per_px: float) -> RidgeProfiles:
-    """All ridges of one scale with their profiles.
+def find_ridges(
+    grey: np.ndarray, visible: np.ndarray, scale: RidgeScale, metres_per_px: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places [px] and unit vectors across of the ridges of one scale that stand out on both sides, float[n 2] both.
 
     Args:
         grey: brightness of the top view, float32[h w].
@@ -97,8 +99,7 @@ def ridge_profiles(grey: np.ndarray, visible: np.ndarray, scale: RidgeScale, met
     beside_m = scale.max_half_width_m + 0.5 * sum(_FLANK_M)
     look = _sampled(partial(lookup, grey), uv, normal, np.array([-beside_m, 0.0, beside_m]), metres_per_px)
     stands_out = _contrast(look[:, 1], np.maximum(look[:, 0], look[:, 2])) > 0.5 * MIN_CONTRAST
-    uv, normal = uv[stands_out], normal[stands_out]
-    return measure_profiles(partial(lookup, grey), uv, normal, scale.max_half_width_m, metres_per_px)
+    return uv[stands_out], normal[stands_out]
 
 
 def measure_profiles(

@@ -9,7 +9,7 @@ import numpy as np
 
 
 class PointGroups:
-    """Groups of points that follow each other in arrays [n ...]; no group is empty.
+    """Groups of points that follow each other in arrays [n ...]; those summed or searched for extremes have points.
 
     Args:
         sizes: points of each group.
@@ -58,9 +58,22 @@ class PointGroups:
             values: float[n].
             among: the points that count, bool[n].
         """
-        number = self.number[among]
-        ordered = np.append(values[among][np.lexsort((values[among], number))], np.asarray(np.inf, values.dtype))
-        count = np.bincount(number, minlength=len(self))
-        start = np.cumsum(count) - count
-        middle = 0.5 * (ordered[start + (count - 1) // 2] + ordered[start + count // 2])
-        return np.where(count > 0, middle, np.inf)
+        groups = PointGroups(np.bincount(self.number[among], minlength=len(self)))
+        ordered = np.append(groups._sorted(values[among]), np.asarray(np.inf, values.dtype))
+        middle = 0.5 * (ordered[groups._start + (groups.sizes - 1) // 2] + ordered[groups._start + groups.sizes // 2])
+        return np.where(groups.sizes > 0, middle, np.inf)
+
+    def quantiles(self, values: np.ndarray, *shares: float) -> np.ndarray:
+        """Values below which shares of each group lie, in proportion between neighbours, float[shares groups]."""
+        ordered = self._sorted(values)
+        place = np.multiply.outer(shares, self.sizes - 1)
+        before = place.astype(int)
+        low, high = (ordered[self._start + np.minimum(at, self.sizes - 1)] for at in (before, before + 1))
+        return low + (place - before) * (high - low)
+
+    def _sorted(self, values: np.ndarray) -> np.ndarray:
+        """The values of each group in order."""
+        ordered = values.copy()
+        for part in self.slices:
+            ordered[part].sort()
+        return ordered
