@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.perception.point_groups import PointGroups
 
 _YELLOW_GAIN = 0.7
 _PIECE_M = 2.5
@@ -100,13 +101,11 @@ def _pieces(spots: np.ndarray, size_px: int) -> tuple[np.ndarray, dict[int, tupl
     _, number = np.unique(cell * count + parent[v, u], return_inverse=True)
     label = np.zeros(spots.shape, np.int32)
     label[v, u] = number + 1
-    boxes = {}
     order = np.argsort(number, kind="stable")
-    for group in np.split(order, np.flatnonzero(np.diff(number[order])) + 1) if len(order) else []:
-        rows, columns = v[group], u[group]
-        box = slice(int(rows.min()), int(rows.max()) + 1), slice(int(columns.min()), int(columns.max()) + 1)
-        boxes[int(number[group[0]]) + 1] = box
-    return label, boxes
+    groups = PointGroups(np.bincount(number))
+    sides = (np.stack([groups.least(side[order]), groups.most(side[order]) + 1], axis=-1).tolist() for side in (v, u))
+    boxes = [(slice(*rows), slice(*columns)) for rows, columns in zip(*sides, strict=True)]
+    return label, dict(enumerate(boxes, start=1))
 
 
 def paint_brightness(image: np.ndarray) -> np.ndarray:

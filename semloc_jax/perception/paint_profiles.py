@@ -199,16 +199,16 @@ def _ridge_points(
     """Places [px] where the curvature across is largest, and the directions across."""
     sigma = scale.sigma_m / metres_per_px
     smooth = cv2.GaussianBlur(level, (0, 0), sigma)
-    uu, vv, uv = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (0, 2), (1, 1)))
-    uu, vv, uv = uu / 4, vv / 4, uv / 4
+    uu, vv, uv = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.25) for order in ((2, 0), (0, 2), (1, 1)))
     root = np.sqrt(0.25 * (uu - vv) ** 2 + uv * uv)
     strength = (root - 0.5 * (uu + vv)) * np.float32(sigma**2)
     inner = cv2.erode(visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
-    v, u = np.nonzero(inner & (strength > scale.min_strength))
-    angle = 0.5 * np.arctan2(2 * uv[v, u], uu[v, u] - vv[v, u]) + np.pi / 2
-    normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    at = np.stack([u, v], axis=-1).astype(np.float64)
-    own = strength[v, u]
-    before, after = (lookup(strength, *(at + side * normal).T.astype(np.float32)) for side in (1.0, -1.0))
-    peak = (own >= before) & (own > after)
-    return at[peak], normal[peak]
+    number = np.flatnonzero(inner & (strength > scale.min_strength))
+    own, uu, vv, uv = (values.ravel()[number] for values in (strength, uu, vv, uv))
+    angle = 0.5 * np.arctan2(2 * uv, uu - vv) + np.pi / 2
+    at = np.stack([number % level.shape[1], number // level.shape[1]]).astype(np.float32)
+    normal = np.stack([np.cos(angle), np.sin(angle)])
+    for is_below, side in ((np.less_equal, 1), (np.less, -1)):
+        peak = is_below(lookup(strength, *(at + side * normal)), own)
+        own, at, normal = own[peak], at[:, peak], normal[:, peak]
+    return at.T.astype(np.float64), np.ascontiguousarray(normal.T)
