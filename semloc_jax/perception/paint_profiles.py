@@ -98,7 +98,7 @@ def find_ridges(
     # Most ridges are grass and gravel: one look at both sides settles them.
     beside_m = scale.max_half_width_m + 0.5 * sum(_FLANK_M)
     look = _sampled(partial(lookup, grey), uv, normal, np.array([-beside_m, 0.0, beside_m]), metres_per_px)
-    stands_out = _contrast(look[:, 1], np.maximum(look[:, 0], look[:, 2])) > 0.5 * MIN_CONTRAST
+    stands_out = _contrast(look[1], np.maximum(look[0], look[2])) > 0.5 * MIN_CONTRAST
     return uv[stands_out], normal[stands_out]
 
 
@@ -126,26 +126,26 @@ def measure_profiles(
     half, core = round(reach / step_m), round(_CORE_M / step_m)
     across = np.arange(-half, half + 1) * step_m
     profile = _sampled(brightness, uv, normal, across, metres_per_px)
-    middle = profile[:, half - core : half + core + 1].mean(axis=1)
-    left, contrast_left, rise_left = _side(profile[:, half::-1], middle, max_half_width_m, step_m)
-    right, contrast_right, rise_right = _side(profile[:, half:], middle, max_half_width_m, step_m)
+    middle = profile[half - core : half + core + 1].mean(axis=0)
+    left, contrast_left, rise_left = _side(profile[half::-1], middle, max_half_width_m, step_m)
+    right, contrast_right, rise_right = _side(profile[half:], middle, max_half_width_m, step_m)
     return RidgeProfiles(uv, normal, -left, right, contrast_left, contrast_right, np.maximum(rise_left, rise_right))
 
 
 def _side(outward: np.ndarray, middle: np.ndarray, max_half_width_m: float, step_m: float) -> tuple[np.ndarray, ...]:
-    """Distance of the edge [m], contrast to the road beyond it and softness [m]; profiles start in the middle.
+    """Distance of the edge [m], contrast to the road beyond it and softness [m]; profiles [k n] start in the middle.
 
     Light adds up in a pixel, so the edge lies halfway between the brightnesses, not between their logarithms.
     """
     inner, outer = (round(distance / step_m) for distance in _FLANK_M)
     strip = round(_STRIP_M / step_m)
-    flank = outward[:, : round(max_half_width_m / step_m) + outer].min(axis=1)
+    flank = outward[: round(max_half_width_m / step_m) + outer].min(axis=0)
     # Twice: the lowest level finds the road, the level of the road the edge.
     for _ in range(2):
         edge = _crossing(outward, middle, flank, 0.5)
-        at = np.minimum(np.round(edge).astype(int)[:, None] + np.arange(inner, outer + 1), outward.shape[1] - 1)
-        beside = np.cumsum(np.take_along_axis(outward, at, axis=1), axis=1)
-        flank = (beside[:, strip:] - beside[:, :-strip]).min(axis=1) / strip
+        at = np.minimum(np.round(edge).astype(int) + np.arange(inner, outer + 1)[:, None], len(outward) - 1)
+        beside = np.cumsum(np.take_along_axis(outward, at, axis=0), axis=0)
+        flank = (beside[strip:] - beside[:-strip]).min(axis=0) / strip
     high, low = (_crossing(outward, middle, flank, share) for share in (0.75, 0.25))
     return edge * step_m, _contrast(middle, flank), (low - high) * step_m
 
@@ -157,28 +157,29 @@ def _contrast(middle: np.ndarray, flank: np.ndarray) -> np.ndarray:
 
 def _crossing(outward: np.ndarray, middle: np.ndarray, flank: np.ndarray, share: float) -> np.ndarray:
     """Step at which profiles first fall below a share of the way from the flank to the middle."""
-    rows = np.arange(len(outward))
+    columns = np.arange(outward.shape[1])
     limit = flank + share * (middle - flank)
-    below = outward < limit[:, None]
-    below[:, 0] = False
-    first = below.argmax(axis=1)
-    first[~below[rows, first]] = outward.shape[1] - 1
-    before, after = outward[rows, np.maximum(first - 1, 0)], outward[rows, first]
+    below = outward < limit
+    below[0] = False
+    first = below.argmax(axis=0)
+    first[~below[first, columns]] = len(outward) - 1
+    before, after = outward[np.maximum(first - 1, 0), columns], outward[first, columns]
     return first - 1 + np.clip((before - limit) / np.maximum(before - after, 1e-6), 0.0, 1.0)
 
 
 def _sampled(
     brightness: Brightness, uv: np.ndarray, normal: np.ndarray, across_m: np.ndarray, metres_per_px: float
 ) -> np.ndarray:
-    """Mean brightness along the strokes at distances across them, float32[n k]."""
-    along = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
-    total = np.zeros((len(uv), len(across_m)), np.float32)
-    height = max(_BLOCK // len(across_m), 1)
-    for rows in (slice(first, first + height) for first in range(0, len(uv), height)):
-        offset = normal[rows].T[..., None] * (across_m / metres_per_px)
+    """Mean brightness along the strokes at distances across them, float32[k n]."""
+    along = np.stack([-normal[:, 1], normal[:, 0]])
+    total = np.zeros((len(across_m), len(uv)), np.float32)
+    size = max(_BLOCK // len(across_m), 1)
+    for part in (slice(first, first + size) for first in range(0, len(uv), size)):
+        offset = normal[part].T[:, None] * (across_m / metres_per_px)[:, None]
+        at = np.empty(offset.shape, np.float32)
         for distance in _ALONG_M:
-            place = (uv[rows] + along[rows] * (distance / metres_per_px)).T[..., None]
-            total[rows] += brightness(*(place + offset).astype(np.float32))
+            place = uv[part].T + along[:, part] * (distance / metres_per_px)
+            total[:, part] += brightness(*np.add(place[:, None], offset, out=at, casting="same_kind"))
     total /= len(_ALONG_M)
     return total
 
