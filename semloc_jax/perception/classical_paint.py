@@ -167,7 +167,7 @@ def _strokes(
         for points, sign in ((bright, -1), (ridges, 1)):
             u, v = points.uv[points.contrast > ALONG.min_contrast].astype(int).T
             sharp[v, u] = sign
-        found = find_strokes(fine, grey.shape, ridges, scale.max_half_width_m, config.metres_per_px, MAX_SCATTER_M)
+        found = find_strokes(fine, ridges, scale.max_half_width_m, config.metres_per_px, MAX_SCATTER_M)
         strokes += choose_paint(found, colours)
     return strokes, sharp
 
@@ -247,7 +247,7 @@ def _outline(
     near = cv2.dilate(paint.astype(np.uint8), config.disk(0.25))
     level, inside = view.warp_back(halfway), view.warp_back(near, cv2.INTER_NEAREST)
     mask[(inside > 0) & (paint_brightness(image) > level)] = 1
-    _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    large = stats[:, cv2.CC_STAT_AREA] >= _MIN_COMPONENT_PX
-    large[0] = False
-    return np.where(large[label], np.uint8(PAINT_ID), np.uint8(0))
+    rows, columns = np.nonzero(mask)
+    label = cv2.connectedComponents(mask, connectivity=8)[1][rows, columns]
+    mask[rows, columns] = np.where((np.bincount(label) >= _MIN_COMPONENT_PX)[label], PAINT_ID, 0)
+    return mask

@@ -73,6 +73,15 @@ class GroundView:
         return out.reshape(*self.visible.shape, *image.shape[2:])
 
     @cached_property
+    def column_m(self) -> np.ndarray:
+        """Metres on the road that one pixel spans sideways, 0 where it sees no road within the range; float[h w]."""
+        right = np.roll(self.bev_uv, -1, axis=1)
+        step = np.linalg.norm(right - self.bev_uv, axis=-1) / float(self.bev.fx)
+        known = (self.bev_uv[..., 0] > -1e3) & (right[..., 0] > -1e3)
+        known[:, -1] = False
+        return np.where(known, step, 0.0)
+
+    @cached_property
     def _samples(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each halving of the image the visible top-view pixels that are taken from it, and where they lie in it.
 

@@ -60,7 +60,6 @@ class Stroke:
 
 def find_strokes(
     brightness: Brightness,
-    shape: tuple[int, ...],
     ridges: RidgeProfiles,
     max_half_width_m: float,
     metres_per_px: float,
@@ -70,14 +69,13 @@ def find_strokes(
 
     Args:
         brightness: of the image at places of the top view: strokes are measured where it is sharpest.
-        shape: height and width of the top view.
         ridges: points with two edges.
         max_half_width_m: of the scale at which they were found.
         metres_per_px: size of a pixel of the top view.
         max_scatter_m: points that lie on no curve, by root mean square, are not measured.
     """
     contrast = ridges.contrast
-    found = [part for part in _groups(ridges, shape, metres_per_px) if np.median(contrast[part]) >= MIN_CONTRAST]
+    found = [part for part in _groups(ridges, metres_per_px) if np.median(contrast[part]) >= MIN_CONTRAST]
     if not found:
         return []
     groups = PointGroups([len(part) for part in found])
@@ -86,7 +84,7 @@ def find_strokes(
     return sorted(_measured(curves, profiles), key=lambda stroke: -stroke.length_m)
 
 
-def _groups(ridges: RidgeProfiles, shape: tuple[int, ...], metres_per_px: float) -> Iterator[np.ndarray]:
+def _groups(ridges: RidgeProfiles, metres_per_px: float) -> Iterator[np.ndarray]:
     """Indices of points that touch each other and run the same way."""
     angle = np.arctan2(-ridges.normal[:, 0], ridges.normal[:, 1]) % np.pi
     found = []
@@ -94,12 +92,7 @@ def _groups(ridges: RidgeProfiles, shape: tuple[int, ...], metres_per_px: float)
     for number in range(_BINS):
         turn = np.abs((angle - np.pi * number / _BINS + np.pi / 2) % np.pi - np.pi / 2)
         member = np.flatnonzero(turn < np.pi / _BINS * 0.75)
-        spots = np.zeros(shape, np.uint8)
-        spots[v[member], u[member]] = 1
-        # Gaps of a worn line, of noise: 0.2 m.
-        reach = max(round(0.1 / metres_per_px), 1)
-        joined = cv2.dilate(spots, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
-        label = cv2.connectedComponents(joined, connectivity=8)[1][v[member], u[member]]
+        label = _touching(u[member], v[member], metres_per_px)
         order = np.argsort(label, kind="stable")
         cuts = np.flatnonzero(np.diff(label[order])) + 1
         found += [member[part] for part in np.split(order, cuts) if len(part) * metres_per_px > 0.5]
@@ -111,13 +104,26 @@ def _groups(ridges: RidgeProfiles, shape: tuple[int, ...], metres_per_px: float)
             yield from _cut(ridges.uv[free], free, metres_per_px)
 
 
+def _touching(u: np.ndarray, v: np.ndarray, metres_per_px: float) -> np.ndarray:
+    """Numbers of groups of points, columns and rows int[n], with gaps of at most 0.2 m: worn lines, noise."""
+    if not len(u):
+        return np.zeros(0, np.int32)
+    reach = max(round(0.1 / metres_per_px), 1)
+    row, column = v - v.min() + reach, u - u.min() + reach
+    spots = np.zeros((row.max() + reach + 1, column.max() + reach + 1), np.uint8)
+    spots[row, column] = 1
+    joined = cv2.dilate(spots, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+    return cv2.connectedComponents(joined, connectivity=8)[1][row, column]
+
+
 def _cut(uv: np.ndarray, group: np.ndarray, metres_per_px: float) -> Iterator[np.ndarray]:
     """The group in parts of equal length along its main direction."""
-    offset = uv - uv.mean(axis=0)
-    along = offset @ np.linalg.eigh(offset.T @ offset)[1][:, 1] * metres_per_px
-    length = np.ptp(along)
-    parts = int(np.ceil(length / _MAX_LENGTH_M))
-    number = np.minimum(((along - along.min()) / max(length, 1e-6) * parts).astype(int), parts - 1)
+    number, parts = np.zeros(len(group), int), 1
+    if np.hypot(*np.ptp(uv, axis=0)) * metres_per_px >= _MAX_LENGTH_M:
+        offset = uv - uv.mean(axis=0)
+        along = offset @ np.linalg.eigh(offset.T @ offset)[1][:, 1] * metres_per_px
+        parts = int(np.ceil(np.ptp(along) / _MAX_LENGTH_M))
+        number = np.minimum(((along - along.min()) / np.ptp(along) * parts).astype(int), parts - 1)
     for part in range(parts):
         members = group[number == part]
         if len(members) * metres_per_px > 0.5:

@@ -77,3 +77,10 @@ class PointGroups:
         for part in self.slices:
             ordered[part].sort()
         return ordered
+
+
+def extremes(values: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest value of the points of each number, in any order; each number from 0 on has points."""
+    groups = PointGroups(np.bincount(number))
+    ordered = values[np.argsort(number, kind="stable")]
+    return groups.least(ordered), groups.most(ordered)
