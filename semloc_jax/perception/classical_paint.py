@@ -247,7 +247,7 @@ def _outline(
     near = cv2.dilate(paint.astype(np.uint8), config.disk(0.25))
     level, inside = view.warp_back(halfway), view.warp_back(near, cv2.INTER_NEAREST)
     mask[(inside > 0) & (paint_brightness(image) > level)] = 1
-    rows, columns = np.nonzero(mask)
+    rows, columns = np.nonzero(mask > 0)
     label = cv2.connectedComponents(mask, connectivity=8)[1][rows, columns]
     mask[rows, columns] = np.where((np.bincount(label) >= _MIN_COMPONENT_PX)[label], PAINT_ID, 0)
     return mask

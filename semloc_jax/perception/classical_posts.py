@@ -89,8 +89,9 @@ def _draw_posts(
 
 def _boxes(bars: np.ndarray) -> np.ndarray:
     """Left column, top row, width and height of each bar, int[bars 4]."""
-    v, u = np.nonzero(bars)
-    number = cv2.connectedComponents(bars, connectivity=8)[1][v, u] - 1
+    at = np.flatnonzero(bars > 0)
+    v, u = np.divmod(at, bars.shape[1])
+    number = cv2.connectedComponents(bars, connectivity=8)[1].ravel()[at] - 1
     (left, right), (top, bottom) = (extremes(side, number) for side in (u, v))
     return np.stack([left, top, right + 1 - left, bottom + 1 - top], axis=-1)
 

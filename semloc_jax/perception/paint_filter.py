@@ -98,7 +98,7 @@ def _spot(label: np.ndarray, road: np.ndarray, number: int, box: tuple[slice, sl
     return _Spot(
         number,
         window,
-        np.argwhere(mask) + first,
+        np.argwhere(mask > 0) + first,
         ring_vu + first,
         2.0 * config.metres_per_px * float(cv2.distanceTransform(padded, cv2.DIST_L2, 3).max()),
         len(ring_vu) / max(int(np.count_nonzero(full)), 1),
