@@ -4,7 +4,6 @@ In: an image and, if known, its camera above the road. Out: class ids of the tab
 """
 
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import numpy as np
@@ -15,24 +14,12 @@ from semloc_jax.perception.class_table import UNLABELED_ID
 from semloc_jax.perception.classical_posts import find_posts
 from semloc_jax.perception.ground_view import GroundView
 from semloc_jax.perception.paint_candidates import PaintCandidates, PaintConfig, find_candidates, paint_brightness
-from semloc_jax.perception.paint_choice import ALONG, MAX_SCATTER_M, are_sharp, choose_paint
-from semloc_jax.perception.paint_colours import TopView, is_white_or_yellow
+from semloc_jax.perception.paint_colours import TopView
 from semloc_jax.perception.paint_drawing import draw_strokes
 from semloc_jax.perception.paint_filter import keep_paint
-from semloc_jax.perception.paint_profiles import (
-    THIN,
-    WIDE,
-    RidgeProfiles,
-    RidgeScale,
-    find_ridges,
-    lookup,
-    measure_profiles,
-)
-from semloc_jax.perception.paint_strokes import Stroke, find_strokes
+from semloc_jax.perception.paint_search import search_strokes
 
 PAINT_ID, POST_ID = 1, 2
-_UNSEEN = 400.0
-"""Brightness beyond the picture: no stroke has contrast against it."""
 _CLEAR_PX = 1
 _SHARP_TO_SOFT = 2.0
 """Ridges with two sharp edges in a spot of paint, for each with a soft one: sun through leaves has soft edges."""
@@ -94,9 +81,8 @@ class ClassicalPaintSegmenter:
             covered = cv2.remap(self.hidden.astype(np.uint8), view.image_uv, None, cv2.INTER_NEAREST)
             visible = visible & (covered == 0)
         pose = self._pose[1]
-        colours = TopView.of(top, view, pose)
         candidates = find_candidates(top, visible, self.config)
-        strokes, sharp = _strokes(image, candidates, colours, self.config)
+        strokes, sharp = search_strokes(image, candidates, TopView.of(top, view, pose), self.config)
         drawn = draw_strokes(strokes, view)
         mask = _beside(_spots(image, view, top, candidates, sharp, self.config), drawn)
         mask[drawn] = PAINT_ID
@@ -141,49 +127,6 @@ def guess_forward_camera(width_px: int, height_px: int) -> tuple[PinholeCamera, 
     T_base_cam[:3, :3] = np.stack([[0, -1, 0], down, forward], axis=1)
     T_base_cam[2, 3] = _GUESSED_HEIGHT_M
     return camera, T_base_cam
-
-
-def _brightness_at(
-    grey: np.ndarray, image_u: np.ndarray, image_v: np.ndarray, u: np.ndarray, v: np.ndarray
-) -> np.ndarray:
-    """Brightness of the image at places of the top view, float32[n k]; as of nothing dark beyond the picture."""
-    columns, rows = lookup(image_u, u, v), lookup(image_v, u, v)
-    found = lookup(grey, columns, rows)
-    found[(columns < 0.0) | (rows < 0.0)] = _UNSEEN
-    return found
-
-
-def _strokes(
-    image: np.ndarray, candidates: PaintCandidates, colours: TopView, config: PaintConfig
-) -> tuple[list[Stroke], np.ndarray]:
-    """Strokes of paint, and the ridges in candidates: 1 with two sharp edges, -1 others, 0 none, int8[h w]."""
-    grey = np.where(candidates.visible, candidates.grey, np.float32(_UNSEEN))
-    columns = np.ascontiguousarray(np.moveaxis(colours.view.image_uv, -1, 0))
-    fine = partial(_brightness_at, paint_brightness(image), *columns)
-    strokes, sharp = [], np.zeros(grey.shape, np.int8)
-    for scale in (THIN, WIDE):
-        bright, keep = _ridges(grey, candidates, colours, scale)
-        ridges = bright.at(keep)
-        for points, sign in ((bright, -1), (ridges, 1)):
-            u, v = points.uv[points.contrast > ALONG.min_contrast].astype(int).T
-            sharp[v, u] = sign
-        found = find_strokes(fine, ridges, scale.max_half_width_m, config.metres_per_px, MAX_SCATTER_M)
-        strokes += choose_paint(found, colours)
-    return strokes, sharp
-
-
-def _ridges(
-    grey: np.ndarray, candidates: PaintCandidates, colours: TopView, scale: RidgeScale
-) -> tuple[RidgeProfiles, np.ndarray]:
-    """Ridges in the colours of paint or in candidates; which of them may be strokes, bool[n]."""
-    uv, normal = find_ridges(grey, candidates.visible, scale, colours.metres_per_px)
-    u, v = uv.astype(int).T
-    coloured = is_white_or_yellow(colours.colours(uv))
-    wanted = coloured | (candidates.label[v, u] > 0)
-    bright = measure_profiles(
-        partial(lookup, grey), uv[wanted], normal[wanted], scale.max_half_width_m, colours.metres_per_px
-    )
-    return bright, coloured[wanted] & are_sharp(bright, colours)
 
 
 def _spots(

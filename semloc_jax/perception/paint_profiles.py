@@ -73,8 +73,8 @@ class RidgeProfiles:
         """The smaller of both sides: an edge between two surfaces has none."""
         return np.minimum(self.contrast_left, self.contrast_right)
 
-    def at(self, keep: np.ndarray) -> "RidgeProfiles":
-        """Some of the points, by mask or by index."""
+    def at(self, keep: np.ndarray | slice) -> "RidgeProfiles":
+        """Some of the points, by mask, index or slice."""
         return RidgeProfiles(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 

@@ -55,10 +55,11 @@ def test_strokes_are_as_wide_and_long_as_painted(grey):
     for (start, end), of in ((STRAIGHT, slice(0, 100)), (SLANTED, slice(260, 400))):
         (stroke,) = strokes_of(grey, of)
         assert abs(stroke.length_m - np.hypot(*np.subtract(end, start)) - WIDTH_M) < 0.25  # OpenCV paints round ends
-        assert abs(stroke.width_m - WIDTH_M) < 0.015
+        assert abs(stroke.width_m - WIDTH_M) < 0.5 * METRES_PER_PX
         np.testing.assert_allclose(stroke.middle * METRES_PER_PX, np.mean([start, end], axis=0), atol=0.1)
-    painted_m = sum(stroke.length_m for stroke in strokes_of(grey, slice(100, 260)))
-    assert abs(painted_m - np.hypot(*np.diff(BEND, axis=0).T).sum()) < 0.8  # cut in two, with ends of half a metre
+    # Cut in two; each half goes on 0.5 m over the cut.
+    painted_m = sum(stroke.length_m for stroke in strokes_of(grey, slice(100, 260))) - 1.0
+    assert abs(painted_m - np.hypot(*np.diff(BEND, axis=0).T).sum() - WIDTH_M) < 0.25
 
 
 def test_many_strokes_at_once_are_those_found_alone(grey):
