@@ -4,7 +4,6 @@ In: an image and, if known, its camera above the road. Out: class ids of the tab
 """
 
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import numpy as np
@@ -15,15 +14,12 @@ from semloc_jax.perception.class_table import UNLABELED_ID
 from semloc_jax.perception.classical_posts import find_posts
 from semloc_jax.perception.ground_view import GroundView
 from semloc_jax.perception.paint_candidates import PaintCandidates, PaintConfig, find_candidates, paint_brightness
-from semloc_jax.perception.paint_choice import ALONG, TopView, choose_paint, sharp_points
+from semloc_jax.perception.paint_colours import TopView
 from semloc_jax.perception.paint_drawing import draw_strokes
 from semloc_jax.perception.paint_filter import keep_paint
-from semloc_jax.perception.paint_profiles import THIN, WIDE, lookup, ridge_profiles
-from semloc_jax.perception.paint_strokes import Stroke, find_strokes
+from semloc_jax.perception.paint_search import search_strokes
 
 PAINT_ID, POST_ID = 1, 2
-_UNSEEN = 400.0
-"""Brightness beyond the picture: no stroke has contrast against it."""
 _CLEAR_PX = 1
 _SHARP_TO_SOFT = 2.0
 """Ridges with two sharp edges in a spot of paint, for each with a soft one: sun through leaves has soft edges."""
@@ -85,10 +81,10 @@ class ClassicalPaintSegmenter:
             covered = cv2.remap(self.hidden.astype(np.uint8), view.image_uv, None, cv2.INTER_NEAREST)
             visible = visible & (covered == 0)
         pose = self._pose[1]
-        colours = TopView.of(top, view, pose)
-        strokes, sharp = _strokes(image, top, visible, colours, self.config)
+        candidates = find_candidates(top, visible, self.config)
+        strokes, sharp = search_strokes(image, candidates, TopView.of(top, view, pose), self.config)
         drawn = draw_strokes(strokes, view)
-        mask = _beside(_spots(image, view, top, visible, sharp, self.config), drawn)
+        mask = _beside(_spots(image, view, top, candidates, sharp, self.config), drawn)
         mask[drawn] = PAINT_ID
         mask[(mask == 0) & _overexposed(top, view, self.config)] = UNLABELED_ID
         if self.shows_posts:
@@ -133,37 +129,15 @@ def guess_forward_camera(width_px: int, height_px: int) -> tuple[PinholeCamera, 
     return camera, T_base_cam
 
 
-def _brightness_at(grey: np.ndarray, image_u: np.ndarray, image_v: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Brightness of the image at places of the top view, float32[...]; as of nothing dark beyond the picture."""
-    uv = np.stack([lookup(image_u, at), lookup(image_v, at)], axis=-1)
-    return np.where(uv.min(axis=-1) < 0.0, np.float32(_UNSEEN), lookup(grey, uv))
-
-
-def _strokes(
-    image: np.ndarray, top: np.ndarray, visible: np.ndarray, colours: TopView, config: PaintConfig
-) -> tuple[list[Stroke], np.ndarray]:
-    """Strokes of paint, and the ridges of the top view: 1 with two sharp edges, -1 others, 0 none, int8[h w]."""
-    grey = np.where(visible, paint_brightness(top), np.float32(_UNSEEN))
-    columns = np.ascontiguousarray(np.moveaxis(colours.view.image_uv, -1, 0))
-    fine = partial(_brightness_at, paint_brightness(image), *columns)
-    strokes, sharp = [], np.zeros(visible.shape, np.int8)
-    for scale in (THIN, WIDE):
-        bright = ridge_profiles(grey, visible, scale, config.metres_per_px)
-        ridges = sharp_points(bright, colours)
-        for points, sign in ((bright, -1), (ridges, 1)):
-            u, v = points.uv[points.contrast > ALONG.min_contrast].astype(int).T
-            sharp[v, u] = sign
-        strokes += choose_paint(
-            find_strokes(fine, grey.shape, ridges, scale.max_half_width_m, config.metres_per_px), colours
-        )
-    return strokes, sharp
-
-
 def _spots(
-    image: np.ndarray, view: GroundView, top: np.ndarray, visible: np.ndarray, edges: np.ndarray, config: PaintConfig
+    image: np.ndarray,
+    view: GroundView,
+    top: np.ndarray,
+    candidates: PaintCandidates,
+    edges: np.ndarray,
+    config: PaintConfig,
 ) -> np.ndarray:
     """Paint of any shape on an even road, uint8[h w]."""
-    candidates = find_candidates(top, visible, config)
     sharp, soft = (
         np.bincount(candidates.label[edges == sign], minlength=candidates.label.max() + 1) for sign in (1, -1)
     )
@@ -182,7 +156,7 @@ def _beside(spots: np.ndarray, drawn: np.ndarray) -> np.ndarray:
 def _overexposed(top: np.ndarray, view: GroundView, config: PaintConfig) -> np.ndarray:
     """Road so bright that white paint cannot be told from it, bool[h w] of the image."""
     size = max(round(_BLIND_M / config.metres_per_px), 1)
-    white = (top.min(axis=2) >= _BLINDING).astype(np.uint8)
+    white = cv2.inRange(top, (_BLINDING,) * 3, (255.0,) * 3)
     wide = cv2.morphologyEx(white, cv2.MORPH_OPEN, np.ones((size, size), np.uint8))
     return view.warp_back(wide, cv2.INTER_NEAREST) > 0
 
@@ -216,7 +190,7 @@ def _outline(
     near = cv2.dilate(paint.astype(np.uint8), config.disk(0.25))
     level, inside = view.warp_back(halfway), view.warp_back(near, cv2.INTER_NEAREST)
     mask[(inside > 0) & (paint_brightness(image) > level)] = 1
-    _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    large = stats[:, cv2.CC_STAT_AREA] >= _MIN_COMPONENT_PX
-    large[0] = False
-    return np.where(large[label], np.uint8(PAINT_ID), np.uint8(0))
+    rows, columns = np.nonzero(mask > 0)
+    label = cv2.connectedComponents(mask, connectivity=8)[1][rows, columns]
+    mask[rows, columns] = np.where((np.bincount(label) >= _MIN_COMPONENT_PX)[label], PAINT_ID, 0)
+    return mask

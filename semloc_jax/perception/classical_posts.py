@@ -11,6 +11,7 @@ import numpy as np
 from semloc_jax.perception.ground_view import GroundView
 from semloc_jax.perception.paint_candidates import paint_brightness
 from semloc_jax.perception.paint_profiles import log_brightness
+from semloc_jax.perception.point_groups import extremes
 
 _WIDTHS_PX = (1, 2, 3, 5, 8, 12)
 
@@ -42,23 +43,13 @@ def find_posts(image: np.ndarray, view: GroundView, config: PostConfig | None = 
     config = config or PostConfig()
     level = log_brightness(paint_brightness(image))
     out = np.zeros(level.shape, bool)
-    lateral_m = _metres_per_column(view)
     for width in _WIDTHS_PX:
         # A post of this many pixels in width stands where a pixel is this large.
-        near = (lateral_m * (width + 1) >= config.min_width_m) & (lateral_m * width <= config.max_width_m)
+        near = (view.column_m * (width + 1) >= config.min_width_m) & (view.column_m * width <= config.max_width_m)
         if near.any():
             bars = _upright_bars(level, width, config.min_contrast)
-            _draw_posts(out, bars, level, lateral_m, config)
+            _draw_posts(out, bars, level, view.column_m, config)
     return out
-
-
-def _metres_per_column(view: GroundView) -> np.ndarray:
-    """Metres on the road that one pixel spans sideways, 0 where it sees no road within the range; float[h w]."""
-    right = np.roll(view.bev_uv, -1, axis=1)
-    step = np.linalg.norm(right - view.bev_uv, axis=-1) / float(view.bev.fx)
-    known = (view.bev_uv[..., 0] > -1e3) & (right[..., 0] > -1e3)
-    known[:, -1] = False
-    return np.where(known, step, 0.0)
 
 
 def _upright_bars(level: np.ndarray, width: int, min_contrast: float) -> np.ndarray:
@@ -74,8 +65,7 @@ def _draw_posts(
     out: np.ndarray, bars: np.ndarray, level: np.ndarray, lateral_m: np.ndarray, config: PostConfig
 ) -> None:
     """Adds the posts among bars to `out`."""
-    count, _, stats, _ = cv2.connectedComponentsWithStats(bars, connectivity=8)
-    boxes = stats[1:count, :4]
+    boxes = _boxes(bars)
     boxes = boxes[np.argsort(-(boxes[:, 1] + boxes[:, 3]), kind="stable")]
     columns = np.arange(out.shape[1])
     used = np.zeros(len(boxes), bool)
@@ -95,6 +85,15 @@ def _draw_posts(
         is_high = config.min_height_m <= height_m <= config.max_height_m
         if is_high and config.min_width_m <= width_m <= config.max_width_m:
             out[whole[1] : whole[1] + whole[3], (columns > edges[0]) & (columns < edges[1])] = True
+
+
+def _boxes(bars: np.ndarray) -> np.ndarray:
+    """Left column, top row, width and height of each bar, int[bars 4]."""
+    at = np.flatnonzero(bars > 0)
+    v, u = np.divmod(at, bars.shape[1])
+    number = cv2.connectedComponents(bars, connectivity=8)[1].ravel()[at] - 1
+    (left, right), (top, bottom) = (extremes(side, number) for side in (u, v))
+    return np.stack([left, top, right + 1 - left, bottom + 1 - top], axis=-1)
 
 
 def _stand_above(boxes: np.ndarray, box: np.ndarray, gap_px: float) -> np.ndarray:

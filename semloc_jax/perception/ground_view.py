@@ -4,6 +4,7 @@ In: a camera and its pose above the road. Out: GroundView, which warps images do
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,6 +13,8 @@ from semloc_jax.cameras import BevCamera, Camera
 from semloc_jax.errors import SemlocError
 
 _NUM_LEVELS = 4
+_ROW = 1024
+"""Pixels are looked up in rows of this many: OpenCV wants pictures."""
 
 
 @dataclass(frozen=True)
@@ -60,22 +63,41 @@ class GroundView:
 
     def warp(self, image: np.ndarray) -> np.ndarray:
         """The top view of an image, uint8[h_bev w_bev ...], anti-aliased; 0 where the camera does not see the road."""
-        out, scaled = None, image
-        for level in range(_NUM_LEVELS):
-            uv = (self.image_uv + 0.5) / 2**level - 0.5
+        out = np.zeros((self.visible.size, *image.shape[2:]), image.dtype)
+        scaled = image
+        for level, (at, uv) in enumerate(self._samples):
             part = cv2.remap(scaled, uv, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            out = part if out is None else np.where(_spread(self.level >= level, part), part, out)
+            out[at] = part.reshape(-1, *image.shape[2:])[: len(at)]
             size = (max(image.shape[1] >> (level + 1), 1), max(image.shape[0] >> (level + 1), 1))
             scaled = cv2.resize(scaled, size, interpolation=cv2.INTER_AREA)
-        return np.where(_spread(self.visible, out), out, 0).astype(image.dtype)
+        return out.reshape(*self.visible.shape, *image.shape[2:])
+
+    @cached_property
+    def column_m(self) -> np.ndarray:
+        """Metres on the road that one pixel spans sideways, 0 where it sees no road within the range; float[h w]."""
+        right = np.roll(self.bev_uv, -1, axis=1)
+        step = np.linalg.norm(right - self.bev_uv, axis=-1) / float(self.bev.fx)
+        known = (self.bev_uv[..., 0] > -1e3) & (right[..., 0] > -1e3)
+        known[:, -1] = False
+        return np.where(known, step, 0.0)
+
+    @cached_property
+    def _samples(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each halving of the image the visible top-view pixels that are taken from it, and where they lie in it.
+
+        Numbers of pixels, int[n], and places float32[rows 1024 2], the last row filled up.
+        """
+        samples = []
+        for level in range(_NUM_LEVELS):
+            at = np.flatnonzero(self.visible & (self.level == level))
+            uv = np.zeros(((len(at) // _ROW + 1) * _ROW, 2), np.float32)
+            uv[: len(at)] = (self.image_uv.reshape(-1, 2)[at] + 0.5) / 2**level - 0.5
+            samples.append((at, uv.reshape(-1, _ROW, 2)))
+        return samples
 
     def warp_back(self, top: np.ndarray, interpolation: int = cv2.INTER_LINEAR) -> np.ndarray:
         """A top-view picture as the camera would see it, [h w ...]; 0 off the road."""
         return cv2.remap(top, self.bev_uv, None, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-
-
-def _spread(mask: np.ndarray, like: np.ndarray) -> np.ndarray:
-    return mask[..., None] if like.ndim == 3 else mask
 
 
 def _road_points(camera: Camera, T_base_cam: np.ndarray, range_m: float) -> tuple[np.ndarray, np.ndarray]:

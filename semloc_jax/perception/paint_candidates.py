@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.perception.point_groups import extremes
 
 _YELLOW_GAIN = 0.7
 _PIECE_M = 2.5
@@ -78,35 +79,32 @@ def find_candidates(top: np.ndarray, visible: np.ndarray, config: PaintConfig) -
     inner = cv2.erode(visible.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     strong = inner & (rise > config.excess_sigma) & (ratio > config.contrast)
     weak = inner & (rise > 0.5 * config.excess_sigma) & (ratio > 0.6 * config.contrast)
-    large = _large_with_core(weak, strong, config)
-    label, boxes = _pieces(large, round(_PIECE_M / config.metres_per_px))
+    label, boxes = _pieces(weak, strong, config)
     return PaintCandidates(grey, background, visible, label, boxes)
 
 
-def _large_with_core(weak: np.ndarray, strong: np.ndarray, config: PaintConfig) -> np.ndarray:
-    count, label, stats, _ = cv2.connectedComponentsWithStats(weak.astype(np.uint8), connectivity=8)
-    keep = stats[:, cv2.CC_STAT_AREA] * config.metres_per_px**2 >= config.min_area_m2
-    keep &= np.bincount(label[strong], minlength=count) >= 2
-    keep[0] = False
-    return keep[label]
+def _pieces(
+    weak: np.ndarray, strong: np.ndarray, config: PaintConfig
+) -> tuple[np.ndarray, dict[int, tuple[slice, slice]]]:
+    """Numbers of the weak spots that are large and have a strong core, and their boxes.
 
-
-def _pieces(spots: np.ndarray, size_px: int) -> tuple[np.ndarray, dict[int, tuple[slice, slice]]]:
-    """Numbers of the spots, long ones cut at a grid: a lane line may cross a joint, a shadow or meet the bonnet."""
-    count, parent = cv2.connectedComponents(spots.astype(np.uint8), connectivity=8)
-    v, u = np.nonzero(spots)
-    across = spots.shape[1] // size_px + 1
-    cell = (v // size_px).astype(np.int64) * across + u // size_px
+    Long ones are cut at a grid: a lane line may cross a joint, a shadow or meet the bonnet.
+    """
+    count, parent = cv2.connectedComponents(weak.astype(np.uint8), connectivity=8)
+    v, u = np.nonzero(weak)
+    keep = np.bincount(parent[v, u], minlength=count) * config.metres_per_px**2 >= config.min_area_m2
+    keep &= np.bincount(parent[v, u], weights=strong[v, u], minlength=count) >= 2
+    v, u = v[keep[parent[v, u]]], u[keep[parent[v, u]]]
+    size_px = round(_PIECE_M / config.metres_per_px)
+    cell = (v // size_px).astype(np.int64) * (weak.shape[1] // size_px + 1) + u // size_px
     _, number = np.unique(cell * count + parent[v, u], return_inverse=True)
-    label = np.zeros(spots.shape, np.int32)
+    label = np.zeros(weak.shape, np.int32)
     label[v, u] = number + 1
-    boxes = {}
-    order = np.argsort(number, kind="stable")
-    for group in np.split(order, np.flatnonzero(np.diff(number[order])) + 1) if len(order) else []:
-        rows, columns = v[group], u[group]
-        box = slice(int(rows.min()), int(rows.max()) + 1), slice(int(columns.min()), int(columns.max()) + 1)
-        boxes[int(number[group[0]]) + 1] = box
-    return label, boxes
+    sides = (zip(*(extreme.tolist() for extreme in extremes(side, number)), strict=True) for side in (v, u))
+    boxes = (
+        (slice(top, bottom + 1), slice(left, right + 1)) for (top, bottom), (left, right) in zip(*sides, strict=True)
+    )
+    return label, dict(enumerate(boxes, start=1))
 
 
 def paint_brightness(image: np.ndarray) -> np.ndarray:
@@ -115,7 +113,7 @@ def paint_brightness(image: np.ndarray) -> np.ndarray:
     Args:
         image: BGR, uint8[h w 3].
     """
-    blue, green, red = (np.ascontiguousarray(image[..., i], dtype=np.float32) for i in range(3))
+    blue, green, red = (plane.astype(np.float32) for plane in cv2.split(image))
     yellow = np.minimum(green, red) - blue
     return 0.5 * (green + red) + _YELLOW_GAIN * np.maximum(yellow, 0.0)
 

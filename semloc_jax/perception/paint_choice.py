@@ -6,17 +6,14 @@ In: Strokes, the top view with its colours. Out: those that are paint, by contra
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from semloc_jax.perception.ground_view import GroundView
+from semloc_jax.perception.paint_colours import TopView, is_no_grass, is_white_or_yellow
 from semloc_jax.perception.paint_profiles import MIN_CONTRAST, RidgeProfiles
 from semloc_jax.perception.paint_strokes import Stroke
+from semloc_jax.perception.point_groups import PointGroups
 
 _FLANK_M = 0.12
-_GREEN = 0.012
-"""Share by which green exceeds both red and blue in grass; white paint, yellow paint and road have none."""
-_RED = 0.1
 _SOFT_M, _SOFT_PX = 0.06, 1.0
 """Edges of paint are as sharp as the picture; those of shade are softer by the width of the sun."""
 _MIN_WIDTH_PX = 1.5
@@ -50,59 +47,57 @@ CONTINUED = StrokeLimits(0.6, 1.0, 0.03, 0.3, 0.12, 1)
 """Strokes in line with one that is paint."""
 
 
-@dataclass(frozen=True)
-class TopView:
-    """A top view with its colours, and how fine the image is there."""
+_LIMITS = ALONG, ACROSS, CONTINUED
+MAX_SCATTER_M = max(limits.max_scatter_m for limits in _LIMITS)
+"""Ridges with more are no paint whatever else they are."""
 
-    picture: np.ndarray
-    """BGR, float32[h w 3], smoothed."""
-    foot_uv: np.ndarray
-    """Point below the camera [px]."""
-    view: GroundView
+
+@dataclass(frozen=True)
+class _Numbers:
+    """What decides about strokes, all arrays [n]; the names of Stroke mean the same here."""
+
+    length_m: np.ndarray
+    scatter_m: np.ndarray
+    width_scatter: np.ndarray
+    contrast: np.ndarray
+    width_m: np.ndarray
+    rise_m: np.ndarray
+    middle: np.ndarray
+    """float[n 2]."""
+    angle: np.ndarray
+    """Direction from the first to the last point in the top view [rad]."""
+    across_px_m: np.ndarray
+    """Metres in one pixel of the image across the stroke."""
+    along_px_m: np.ndarray
 
     @classmethod
-    def of(cls, top: np.ndarray, view: GroundView, T_base_cam: np.ndarray) -> "TopView":
-        """The top view of one image.
+    def of(cls, strokes: Sequence[Stroke], view: TopView) -> "_Numbers":
+        """The numbers of at least one stroke."""
+        names = ("length_m", "scatter_m", "width_scatter", "contrast", "width_m", "rise_m", "middle")
+        own = {name: np.array([getattr(stroke, name) for stroke in strokes]) for name in names}
+        step = np.array([stroke.uv[-1] - stroke.uv[0] for stroke in strokes])
+        across = np.array([stroke.normal[len(stroke.normal) // 2] for stroke in strokes])
+        along = np.stack([-across[:, 1], across[:, 0]], axis=-1)
+        sizes = (view.pixel_m(own["middle"], direction).astype(np.float64) for direction in (across, along))
+        return cls(*own.values(), np.arctan2(step[:, 1], step[:, 0]), *sizes)
 
-        Args:
-            top: uint8[h w 3] BGR.
-            view: where its pixels lie in the image.
-            T_base_cam: pose of the camera above the road.
-        """
-        x_m, y_m = T_base_cam[:2, 3]
-        scale = float(view.bev.fx)
-        foot = np.array([float(view.bev.cx) - y_m * scale, float(view.bev.cy) - x_m * scale])
-        return cls(cv2.GaussianBlur(top, (0, 0), 1.5).astype(np.float32), foot, view)
-
-    @property
-    def metres_per_px(self) -> float:
-        """Size of a pixel of the top view."""
-        return 1.0 / float(self.view.bev.fx)
-
-    def pixel_m(self, uv: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Metres of road in one pixel of the image at places of the top view, along directions; float[n]."""
-        ends = []
-        for sign in (-1.0, 1.0):
-            at = np.round(uv + 2.0 * sign * direction).astype(int)
-            u, v = (np.clip(at[..., i], 0, self.view.visible.shape[1 - i] - 1) for i in (0, 1))
-            ends.append(self.view.image_uv[v, u])
-        image_px = np.linalg.norm(ends[1] - ends[0], axis=-1)
-        # Over the rim of what is seen the difference says nothing: such points count as fine.
-        return np.where(image_px > 1e3, 0.0, 4.0 * self.metres_per_px / np.maximum(image_px, 1e-3))
-
-    def colours(self, uv: np.ndarray) -> np.ndarray:
-        """BGR at places, float32[n 3]."""
-        u, v = (np.clip(np.round(uv[..., i]).astype(int), 0, self.picture.shape[1 - i] - 1) for i in (0, 1))
-        return self.picture[v, u] + 1.0
+    def have_shape(self, limits: StrokeLimits) -> np.ndarray:
+        """Which strokes keep the limits in all but colour, bool[n]."""
+        wide = np.where(self.across_px_m > self.along_px_m, _MIN_WIDTH_PX * self.across_px_m, 0.0)
+        return (
+            (self.length_m >= np.maximum(limits.min_length_m, limits.min_length_px * self.along_px_m))
+            & (self.scatter_m <= limits.max_scatter_m)
+            & (self.width_scatter <= limits.max_width_scatter)
+            & (self.contrast >= limits.min_contrast)
+            & (self.width_m > np.maximum(0.06, wide))
+            & (self.rise_m < _SOFT_M + _SOFT_PX * self.across_px_m)
+        )
 
 
-def sharp_points(ridges: RidgeProfiles, view: TopView) -> RidgeProfiles:
-    """The points of ridges that may be paint: two sharp edges, white or yellow."""
+def are_sharp(ridges: RidgeProfiles, view: TopView) -> np.ndarray:
+    """Which points of ridges have two edges as sharp as those of paint, bool[n]."""
     allowed_m = _SOFT_M + _SOFT_PX * view.pixel_m(ridges.uv, ridges.normal)
-    colour = view.colours(ridges.uv)
-    red = colour[:, 2] - colour[:, 1] > _RED * colour.sum(axis=1)
-    keep = (ridges.contrast > MIN_CONTRAST) & (ridges.width_m > 0.05) & (ridges.rise_m < allowed_m)
-    return ridges.at(keep & ~red & (_greenness(colour) < _GREEN))
+    return (ridges.contrast > MIN_CONTRAST) & (ridges.width_m > 0.05) & (ridges.rise_m < allowed_m)
 
 
 def choose_paint(strokes: Sequence[Stroke], view: TopView) -> list[Stroke]:
@@ -115,106 +110,74 @@ def choose_paint(strokes: Sequence[Stroke], view: TopView) -> list[Stroke]:
         view: the top view.
     """
     strokes = [stroke for stroke in strokes if stroke.length_m >= 0.5]
-    direction = road_direction([stroke for stroke in strokes if _passes(stroke, view, ALONG)], view)
-    chosen, rest = [], []
-    for stroke in strokes:
-        along = direction is not None and _turn(stroke, direction) < _tolerance_rad(stroke, view)
-        crossing = not _is_radial(stroke, view) and _passes(stroke, view, ACROSS)
-        accepted = (along and _passes(stroke, view, ALONG)) or crossing
-        (chosen if accepted else rest).append(stroke)
-    return chosen + [
-        stroke for stroke in rest if _passes(stroke, view, CONTINUED) and any(_continues(stroke, of) for of in chosen)
-    ]
-
-
-def road_direction(strokes: Sequence[Stroke], view: TopView) -> float | None:
-    """Direction [rad] in the top view that most strokes near the camera share; None where there are too few."""
     if not strokes:
-        return None
-    angle = np.array([_angle(stroke) for stroke in strokes])
-    weight = np.array(
-        [stroke.length_m * stroke.contrast / (1.0 + _distance(stroke, view) / 10.0) for stroke in strokes]
+        return []
+    numbers = _Numbers.of(strokes, view)
+    along, across, continued = _passing(strokes, numbers, view)
+    ray = numbers.middle - view.foot_uv
+    distance_m = np.linalg.norm(ray, axis=-1) * view.metres_per_px
+    chosen = across & (_turn(numbers.angle, np.arctan2(ray[:, 1], ray[:, 0])) >= _RADIAL_RAD)
+    direction = _road_direction(numbers, distance_m, np.flatnonzero(along))
+    if direction is not None:
+        chosen |= along & (_turn(numbers.angle, direction) < _tolerance_rad(distance_m))
+    rest = np.flatnonzero(~chosen & continued)
+    first = np.flatnonzero(chosen)
+    found = rest[_continue(numbers, rest, first, view.metres_per_px).any(axis=1)]
+    return [strokes[i] for i in (*first, *found)]
+
+
+def _passing(strokes: Sequence[Stroke], numbers: _Numbers, view: TopView) -> list[np.ndarray]:
+    """Which strokes keep each of the limits, bool[n] each; colours are looked at where the shape is right."""
+    shaped = [numbers.have_shape(limits) for limits in _LIMITS]
+    grey_sides = np.zeros(len(strokes), int)
+    looked_at = np.flatnonzero(np.any(shaped, axis=0))
+    if len(looked_at):
+        grey_sides[looked_at] = _grey_sides([strokes[i] for i in looked_at], view)
+    return [shape & (grey_sides >= limits.grey_sides) for shape, limits in zip(shaped, _LIMITS, strict=True)]
+
+
+def _grey_sides(strokes: Sequence[Stroke], view: TopView) -> np.ndarray:
+    """Number of sides without grass, int[n]; 0 for a stroke that is neither white nor yellow."""
+    groups = PointGroups([int(stroke.painted.sum()) for stroke in strokes])
+    uv = np.concatenate([stroke.uv[stroke.painted] for stroke in strokes])
+    beside = np.concatenate(
+        [stroke.normal[stroke.painted] * ((0.5 * stroke.width_m + _FLANK_M) / view.metres_per_px) for stroke in strokes]
     )
-    turn = np.abs((angle[:, None] - angle[None] + np.pi / 2) % np.pi - np.pi / 2)
+    middle, *sides = (groups.mean(view.colours(uv + side * beside)) for side in (0.0, -1.0, 1.0))
+    return np.where(is_white_or_yellow(middle), np.sum([is_no_grass(side) for side in sides], axis=0), 0)
+
+
+def _road_direction(numbers: _Numbers, distance_m: np.ndarray, of: np.ndarray) -> float | None:
+    """Direction [rad] in the top view that most of some strokes share, near ones most; None where there are too few."""
+    if not len(of):
+        return None
+    angle, length_m = numbers.angle[of], numbers.length_m[of]
+    weight = length_m * numbers.contrast[of] / (1.0 + distance_m[of] / 10.0)
+    turn = _turn(angle[:, None], angle[None])
     votes = (np.exp(-0.5 * (turn / 0.03) ** 2) * weight[None]).sum(axis=1)
     best = int(votes.argmax())
-    return float(angle[best]) if (turn[best] < 0.05) @ np.array([stroke.length_m for stroke in strokes]) > 3.0 else None
+    return float(angle[best]) if (turn[best] < 0.05) @ length_m > 3.0 else None
 
 
-def _passes(stroke: Stroke, view: TopView, limits: StrokeLimits) -> bool:
-    across_px_m, along_px_m = _pixel_m(stroke, view)
-    shape = (
-        stroke.length_m >= max(limits.min_length_m, limits.min_length_px * along_px_m)
-        and stroke.scatter_m <= limits.max_scatter_m
-        and stroke.width_scatter <= limits.max_width_scatter
-        and stroke.contrast >= limits.min_contrast
-        and stroke.width_m > max(0.06, _MIN_WIDTH_PX * across_px_m if across_px_m > along_px_m else 0.0)
-        and stroke.rise_m < _SOFT_M + _SOFT_PX * across_px_m
-    )
-    return shape and _has_colours_of_paint(stroke, view, limits.grey_sides)
+def _turn(angle: np.ndarray, direction: np.ndarray | float) -> np.ndarray:
+    """Angle [rad] between lines without a sense."""
+    return np.abs((angle - direction + np.pi / 2) % np.pi - np.pi / 2)
 
 
-def _pixel_m(stroke: Stroke, view: TopView) -> tuple[float, float]:
-    """Metres in one pixel of the image across and along the stroke."""
-    place, normal = _middle(stroke), stroke.normal[len(stroke.normal) // 2]
-    along = np.array([-normal[1], normal[0]])
-    return tuple(float(view.pixel_m(place[None], part[None])[0]) for part in (normal, along))
-
-
-def _has_colours_of_paint(stroke: Stroke, view: TopView, grey_sides: int) -> bool:
-    """White or yellow in the middle, no grass on as many sides as asked."""
-    uv, normal = stroke.uv[stroke.painted], stroke.normal[stroke.painted]
-    if not len(uv):
-        return False
-    half = 0.5 * stroke.width_m + _FLANK_M
-    middle, left, right = (
-        view.colours(uv + normal * (side * half / view.metres_per_px)).mean(axis=0) for side in (0.0, -1.0, 1.0)
-    )
-    green = _greenness(np.stack([middle, left, right]))
-    if green[0] > _GREEN or middle[2] - middle[1] > _RED * middle.sum():
-        return False
-    return int((green[1:] < 2 * _GREEN).sum()) >= grey_sides
-
-
-def _greenness(bgr: np.ndarray) -> np.ndarray:
-    return np.minimum(bgr[..., 1] - bgr[..., 0], bgr[..., 1] - bgr[..., 2]) / bgr.sum(axis=-1)
-
-
-def _is_radial(stroke: Stroke, view: TopView) -> bool:
-    """Whether a stroke runs along its ray."""
-    return _turn(stroke, _bearing(stroke, view)) < _RADIAL_RAD
-
-
-def _angle(stroke: Stroke) -> float:
-    first, last = stroke.uv[0], stroke.uv[-1]
-    return float(np.arctan2(*(last - first)[::-1]))
-
-
-def _turn(stroke: Stroke, direction: float) -> float:
-    return float(abs((_angle(stroke) - direction + np.pi / 2) % np.pi - np.pi / 2))
-
-
-def _middle(stroke: Stroke) -> np.ndarray:
-    return stroke.uv[stroke.painted].mean(axis=0) if stroke.painted.any() else stroke.uv.mean(axis=0)
-
-
-def _distance(stroke: Stroke, view: TopView) -> float:
-    return float(np.linalg.norm(_middle(stroke) - view.foot_uv)) * view.metres_per_px
-
-
-def _bearing(stroke: Stroke, view: TopView) -> float:
-    return float(np.arctan2(*(_middle(stroke) - view.foot_uv)[::-1]))
-
-
-def _tolerance_rad(stroke: Stroke, view: TopView) -> float:
+def _tolerance_rad(distance_m: np.ndarray) -> np.ndarray:
     """Roads bend: 3 deg near by, 0.25 deg more each metre beyond 10 m."""
-    return float(np.deg2rad(3.0 + 0.25 * max(_distance(stroke, view) - 10.0, 0.0)))
+    return np.deg2rad(3.0 + 0.25 * np.maximum(distance_m - 10.0, 0.0))
 
 
-def _continues(stroke: Stroke, of: Stroke) -> bool:
-    """Whether a stroke lies on the straight prolongation of another, within 0.1 m and 2 deg of it and 12 m away."""
-    step = np.linalg.norm(of.uv[1] - of.uv[0])  # 0.1 m
-    offset = (_middle(stroke) - _middle(of)) / step * 0.1
-    tangent = (of.uv[-1] - of.uv[0]) / np.linalg.norm(of.uv[-1] - of.uv[0])
-    along, across = abs(offset @ tangent), abs(offset[0] * tangent[1] - offset[1] * tangent[0])
-    return bool(along < 12.0 and across < 0.1 + 0.01 * along and _turn(stroke, _angle(of)) < np.deg2rad(2.0))
+def _continue(numbers: _Numbers, some: np.ndarray, of: np.ndarray, metres_per_px: float) -> np.ndarray:
+    """Whether strokes lie on the straight prolongation of others, within 0.1 m and 2 deg of them and 12 m away.
+
+    Returns:
+        bool[some of].
+    """
+    offset = (numbers.middle[some, None] - numbers.middle[of]) * metres_per_px
+    tangent = np.stack([np.cos(numbers.angle[of]), np.sin(numbers.angle[of])], axis=-1)
+    along = np.abs((offset * tangent).sum(axis=-1))
+    across = np.abs(offset[..., 0] * tangent[:, 1] - offset[..., 1] * tangent[:, 0])
+    turn = _turn(numbers.angle[some, None], numbers.angle[of])
+    return (along < 12.0) & (across < 0.1 + 0.01 * along) & (turn < np.deg2rad(2.0))

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from semloc_jax.perception.ground_view import GroundView
-from semloc_jax.perception.paint_strokes import STEP_M, Stroke
+from semloc_jax.perception.paint_curves import STEP_M
+from semloc_jax.perception.paint_strokes import Stroke
 
 _SMOOTH_M = 1.0
 _SHORTEST_M = 0.3
@@ -32,7 +33,7 @@ def draw_strokes(strokes: Sequence[Stroke], view: GroundView) -> np.ndarray:
         outline = np.concatenate([stroke.uv + half, (stroke.uv - half)[::-1]])
         cv2.fillPoly(band, [np.round(outline).astype(np.int32)], number)
     at = cv2.remap(band, view.bev_uv, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-    v, u = np.nonzero(at)
+    v, u = np.nonzero(at > 0)
     number = at[v, u]
     order = np.argsort(number, kind="stable")
     for part in np.split(order, np.flatnonzero(np.diff(number[order])) + 1) if len(order) else []:

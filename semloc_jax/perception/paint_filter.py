@@ -9,43 +9,61 @@ import cv2
 import numpy as np
 
 from semloc_jax.perception.paint_candidates import PaintCandidates, PaintConfig
+from semloc_jax.perception.point_groups import PointGroups
 
 _RING_INNER_M, _RING_OUTER_M = 0.2, 0.8
+_FEWEST_RING_PX = 8
+"""Spots with less road around them are no paint."""
 
 
 @dataclass(frozen=True)
 class SpotMeasures:
-    """What tells paint from bumpers, wheels and walls; brightness relative to the road around the spot."""
+    """What tells paint from bumpers, wheels and walls, arrays [spots]; brightness relative to the road around each."""
 
-    stroke_m: float
+    stroke_m: np.ndarray
     """Widest stroke of the spot [m]."""
-    ring_share: float
+    ring_share: np.ndarray
     """Share of the ring around the spot that is visible and free of other spots."""
-    contrast: float
+    contrast: np.ndarray
     """Excess of the spot's brightness."""
-    ring_low: float
+    ring_low: np.ndarray
     """5th percentile of the ring: tyres and shadows under vehicles pull it down."""
-    ring_high: float
+    ring_high: np.ndarray
     """95th percentile of the ring."""
-    ring_spread: float
+    ring_spread: np.ndarray
     """10th to 90th percentile of the ring as a share of the spot's excess."""
-    side_difference: float
+    side_difference: np.ndarray
     """Difference between both sides of the spot as a share of its excess: an edge between two surfaces."""
-    ring_chroma: float
+    ring_chroma: np.ndarray
     """Largest |a|, |b| of the ring: roads are grey."""
-    red_green: float
+    red_green: np.ndarray
     """Lab a of the spot."""
-    yellow_blue: float
+    yellow_blue: np.ndarray
     """Lab b of the spot."""
 
     @property
-    def is_paint_on_road(self) -> bool:
-        """True if the ring is an even grey road and the spot is a white or yellow stroke on it."""
+    def is_paint_on_road(self) -> np.ndarray:
+        """True if the ring is an even grey road and the spot is a white or yellow stroke on it, bool[spots]."""
         # Bright paint has a halo in the ring.
-        even_road = self.ring_low > 0.75 and self.ring_high < 1.18 + 0.1 * self.contrast and self.ring_chroma < 14.0
-        clear = self.contrast > 0.12 and self.ring_spread < 0.6 and self.side_difference < 0.3
-        white_or_yellow = -12.0 < self.red_green < 18.0 and self.yellow_blue > -14.0
-        return self.ring_share >= 0.5 and even_road and clear and white_or_yellow
+        even_road = (self.ring_low > 0.75) & (self.ring_high < 1.18 + 0.1 * self.contrast) & (self.ring_chroma < 14.0)
+        clear = (self.contrast > 0.12) & (self.ring_spread < 0.6) & (self.side_difference < 0.3)
+        white_or_yellow = (self.red_green > -12.0) & (self.red_green < 18.0) & (self.yellow_blue > -14.0)
+        return (self.ring_share >= 0.5) & even_road & clear & white_or_yellow
+
+
+@dataclass(frozen=True)
+class _Spot:
+    """One spot and the road around it."""
+
+    number: int
+    window: tuple[slice, slice]
+    """Rows and columns that hold both."""
+    spot_vu: np.ndarray
+    """Pixels of the spot in the top view, int[n 2]."""
+    ring_vu: np.ndarray
+    """Pixels of visible road without other spots around it, int[n 2]."""
+    stroke_m: float
+    ring_share: float
 
 
 def keep_paint(candidates: PaintCandidates, top: np.ndarray, config: PaintConfig) -> np.ndarray:
@@ -54,89 +72,101 @@ def keep_paint(candidates: PaintCandidates, top: np.ndarray, config: PaintConfig
     Args:
         top: top view, uint8[h w 3] BGR.
     """
-    chroma = cv2.cvtColor(top, cv2.COLOR_BGR2LAB)[..., 1:].astype(np.float32) - 128.0
+    road = candidates.visible & (candidates.label == 0)
+    spots = [_spot(candidates.label, road, number, box, config) for number, box in candidates.boxes.items()]
+    spots = [spot for spot in spots if len(spot.ring_vu) >= _FEWEST_RING_PX and spot.stroke_m <= config.max_width_m]
+    accepted = np.zeros(candidates.label.max() + 1, bool)
+    if not spots:
+        return accepted[candidates.label]
+    is_paint = _measures(spots, candidates.grey, top).is_paint_on_road
+    accepted[[spot.number for spot, good in zip(spots, is_paint, strict=True) if good]] = True
+    doubtful = [spot for spot, good in zip(spots, is_paint, strict=True) if not good]
+    accepted[[spot.number for spot in doubtful if _joins_two(candidates.label, spot, accepted)]] = True
+    return accepted[candidates.label]
+
+
+def _spot(label: np.ndarray, road: np.ndarray, number: int, box: tuple[slice, slice], config: PaintConfig) -> _Spot:
+    """One spot with its ring of road, bool[h w]."""
     margin = round(_RING_OUTER_M / 2 / config.metres_per_px) + 2
-    accepted, doubtful = set(), []
-    for number, box in candidates.boxes.items():
-        rows, columns = (slice(max(side.start - margin, 0), side.stop + margin) for side in box)
-        spot = candidates.label[rows, columns] == number
-        others = (candidates.label[rows, columns] > 0) & ~spot
-        free = candidates.visible[rows, columns] & ~others
-        measured = measure_spot(spot, free, candidates.grey[rows, columns], chroma[rows, columns], config)
-        if measured is None or measured.stroke_m > config.max_width_m:
-            continue
-        if measured.is_paint_on_road:
-            accepted.add(number)
-        else:
-            doubtful.append((number, rows, columns))
-    accepted |= {piece[0] for piece in doubtful if _joins_two(candidates.label, piece, accepted)}
-    return np.isin(candidates.label, sorted(accepted)) & (candidates.label > 0)
-
-
-def _joins_two(label: np.ndarray, piece: tuple[int, slice, slice], accepted: set[int]) -> bool:
-    """True for a piece of a line between two good ones: where it crosses the edge of a shadow its ring is uneven."""
-    number, rows, columns = piece
-    around = cv2.dilate((label[rows, columns] == number).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    return len(accepted & set(np.unique(label[rows, columns][around]).tolist())) >= 2
-
-
-def measure_spot(
-    spot: np.ndarray, free: np.ndarray, grey: np.ndarray, chroma: np.ndarray, config: PaintConfig
-) -> SpotMeasures | None:
-    """Measures of one spot; None if no road is seen around it.
-
-    Args:
-        spot: the spot, bool[h w].
-        free: visible pixels that belong to no other spot, bool[h w].
-        grey: brightness, float32[h w].
-        chroma: Lab a and b, float32[h w 2].
-    """
-    mask = spot.astype(np.uint8)
-    wide = cv2.dilate(mask, config.disk(_RING_OUTER_M)) > 0
-    full = wide & (cv2.dilate(mask, config.disk(_RING_INNER_M)) == 0)
-    ring = full & free
-    if ring.sum() < 8:
-        return None
-    level = grey - _slope(grey, ring)
-    around, inside = level[ring], level[spot]
-    low, road, high = np.percentile(around, [5, 50, 95])
-    road = max(float(road), 1.0)
-    excess = max(float(np.percentile(inside, 70)) - road, 1.0)
+    window = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
+    mask = (label[window] == number).astype(np.uint8)
+    outer, inner = (cv2.dilate(mask, config.disk(size_m)) for size_m in (_RING_OUTER_M, _RING_INNER_M))
+    full = outer > inner
     padded = cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT)
-    spread = np.subtract(*np.percentile(around, [90, 10]))
-    tint, paint_tint = np.abs(chroma[ring].mean(axis=0)), chroma[spot].mean(axis=0)
-    return SpotMeasures(
-        stroke_m=2.0 * config.metres_per_px * float(cv2.distanceTransform(padded, cv2.DIST_L2, 3).max()),
-        ring_share=float(ring.sum() / full.sum()),
-        contrast=excess / road,
-        ring_low=float(low) / road,
-        ring_high=float(high) / road,
-        ring_spread=float(spread) / excess,
-        side_difference=_side_difference(spot, ring, level) / excess,
-        ring_chroma=float(tint.max()),
-        red_green=float(paint_tint[0]),
-        yellow_blue=float(paint_tint[1]),
+    first = [side.start for side in window]
+    ring_vu = np.argwhere(full & road[window])
+    return _Spot(
+        number,
+        window,
+        np.argwhere(mask > 0) + first,
+        ring_vu + first,
+        2.0 * config.metres_per_px * float(cv2.distanceTransform(padded, cv2.DIST_L2, 3).max()),
+        len(ring_vu) / max(int(np.count_nonzero(full)), 1),
     )
 
 
-def _slope(grey: np.ndarray, ring: np.ndarray) -> np.ndarray:
-    """Linear trend of the road's brightness without its mean, [h w]: head lamps and shadows fade across a spot."""
-    v, u = np.nonzero(ring)
-    offset = np.stack([u - u.mean(), v - v.mean()], axis=-1)
-    gradient = np.linalg.solve(offset.T @ offset + np.eye(2), offset.T @ (grey[ring] - grey[ring].mean()))
-    rows, columns = np.arange(grey.shape[0]) - v.mean(), np.arange(grey.shape[1]) - u.mean()
-    return gradient[1] * rows[:, None] + gradient[0] * columns[None, :]
+def _joins_two(label: np.ndarray, spot: _Spot, accepted: np.ndarray) -> bool:
+    """True for a piece of a line between two good ones: where it crosses the edge of a shadow its ring is uneven."""
+    around = cv2.dilate((label[spot.window] == spot.number).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    beside = label[spot.window][around]
+    return len(np.unique(beside[accepted[beside]])) >= 2
 
 
-def _side_difference(spot: np.ndarray, ring: np.ndarray, grey: np.ndarray) -> float:
-    """Difference of the median brightness on the two long sides of a spot."""
-    v, u = np.nonzero(spot)
-    centre = np.array([u.mean(), v.mean()])
-    offset = np.stack([u, v], axis=-1) - centre
-    across = np.linalg.eigh(offset.T @ offset)[1][:, 0]
-    ring_v, ring_u = np.nonzero(ring)
-    side = (np.stack([ring_u, ring_v], axis=-1) - centre) @ across
-    values = grey[ring]
-    if not (side > 0).any() or not (side < 0).any():
-        return 0.0
-    return float(abs(np.median(values[side > 0]) - np.median(values[side < 0])))
+def _measures(spots: list[_Spot], grey: np.ndarray, top: np.ndarray) -> SpotMeasures:
+    """Measures of at least one spot.
+
+    Args:
+        spots: with their rings.
+        grey: brightness, float32[h w].
+        top: top view, uint8[h w 3] BGR.
+    """
+    rings, insides = (PointGroups([len(getattr(spot, name)) for spot in spots]) for name in ("ring_vu", "spot_vu"))
+    ring_vu, spot_vu = (np.concatenate([getattr(spot, name) for spot in spots]) for name in ("ring_vu", "spot_vu"))
+    centre, gradient = _slope(rings, ring_vu, grey[tuple(ring_vu.T)])
+    around, inside = (
+        grey[tuple(vu.T)] - ((vu - centre[of.number]) * gradient[of.number]).sum(axis=1)
+        for of, vu in ((rings, ring_vu), (insides, spot_vu))
+    )
+    low, lower, road, upper, high = rings.quantiles(around, 0.05, 0.1, 0.5, 0.9, 0.95)
+    road = np.maximum(road, 1.0)
+    excess = np.maximum(insides.quantiles(inside, 0.7)[0] - road, 1.0)
+    tint, paint_tint = (of.mean(_chroma(top, vu)) for of, vu in ((rings, ring_vu), (insides, spot_vu)))
+    return SpotMeasures(
+        stroke_m=np.array([spot.stroke_m for spot in spots]),
+        ring_share=np.array([spot.ring_share for spot in spots]),
+        contrast=excess / road,
+        ring_low=low / road,
+        ring_high=high / road,
+        ring_spread=(upper - lower) / excess,
+        side_difference=_side_difference(insides, spot_vu, rings, ring_vu, around) / excess,
+        ring_chroma=np.abs(tint).max(axis=1),
+        red_green=paint_tint[:, 0],
+        yellow_blue=paint_tint[:, 1],
+    )
+
+
+def _chroma(top: np.ndarray, vu: np.ndarray) -> np.ndarray:
+    """Lab a and b of pixels, float64[n 2]."""
+    return cv2.cvtColor(top[tuple(vu.T)][None], cv2.COLOR_BGR2LAB)[0, :, 1:] - 128.0
+
+
+def _slope(rings: PointGroups, vu: np.ndarray, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centres and linear trends of the road's brightness, float[rings 2]: head lamps and shadows fade across a spot."""
+    centre, level = rings.mean(vu), rings.mean(grey.astype(np.float64))
+    offset = vu - centre[rings.number]
+    squares = rings.total(offset[:, :, None] * offset[:, None, :]) + np.eye(2)
+    products = rings.total(offset * (grey - level[rings.number])[:, None])
+    return centre, np.linalg.solve(squares, products[..., None])[..., 0]
+
+
+def _side_difference(
+    insides: PointGroups, spot_vu: np.ndarray, rings: PointGroups, ring_vu: np.ndarray, around: np.ndarray
+) -> np.ndarray:
+    """Difference of the median brightness of the rings on the two long sides of their spots, 0 where one is missing."""
+    centre = insides.mean(spot_vu)
+    offset = spot_vu - centre[insides.number]
+    across = np.linalg.eigh(insides.total(offset[:, :, None] * offset[:, None, :]))[1][..., 0]
+    side = ((ring_vu - centre[rings.number]) * across[rings.number]).sum(axis=1)
+    left, right = rings.median(around, side < 0), rings.median(around, side > 0)
+    both = np.isfinite(left) & np.isfinite(right)
+    return np.where(both, np.abs(np.where(both, left, 0.0) - np.where(both, right, 0.0)), 0.0)

@@ -23,8 +23,11 @@ _STRIP_M = 0.075
 """The darkest strip of this width counts there: beside an edge line a bright verge may begin soon."""
 
 
-Brightness = Callable[[np.ndarray], np.ndarray]
-"""Brightness, float32[...], at places of the top view, float[... 2] in its pixels."""
+_BLOCK = 30_000
+"""Samples taken at once: they stay in the processor's cache, and OpenCV's pictures must be below 32768 pixels wide."""
+
+Brightness = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Brightness, float32[...], at columns and rows of the top view, both float32[...] in its pixels."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +73,8 @@ class RidgeProfiles:
         """The smaller of both sides: an edge between two surfaces has none."""
         return np.minimum(self.contrast_left, self.contrast_right)
 
-    def at(self, keep: np.ndarray) -> "RidgeProfiles":
-        """Some of the points, by mask or by index."""
+    def at(self, keep: np.ndarray | slice) -> "RidgeProfiles":
+        """Some of the points, by mask, index or slice."""
         return RidgeProfiles(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
@@ -80,8 +83,10 @@ def log_brightness(grey: np.ndarray) -> np.ndarray:
     return np.log(grey + np.float32(_DARK))
 
 
-def ridge_profiles(grey: np.ndarray, visible: np.ndarray, scale: RidgeScale, metres_per_px: float) -> RidgeProfiles:
-    """All ridges of one scale with their profiles.
+def find_ridges(
+    grey: np.ndarray, visible: np.ndarray, scale: RidgeScale, metres_per_px: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places [px] and unit vectors across of the ridges of one scale that stand out on both sides, float[n 2] both.
 
     Args:
         grey: brightness of the top view, float32[h w].
@@ -93,9 +98,8 @@ def ridge_profiles(grey: np.ndarray, visible: np.ndarray, scale: RidgeScale, met
     # Most ridges are grass and gravel: one look at both sides settles them.
     beside_m = scale.max_half_width_m + 0.5 * sum(_FLANK_M)
     look = _sampled(partial(lookup, grey), uv, normal, np.array([-beside_m, 0.0, beside_m]), metres_per_px)
-    stands_out = _contrast(look[:, 1], np.maximum(look[:, 0], look[:, 2])) > 0.5 * MIN_CONTRAST
-    uv, normal = uv[stands_out], normal[stands_out]
-    return measure_profiles(partial(lookup, grey), uv, normal, scale.max_half_width_m, metres_per_px)
+    stands_out = _contrast(look[1], np.maximum(look[0], look[2])) > 0.5 * MIN_CONTRAST
+    return uv[stands_out], normal[stands_out]
 
 
 def measure_profiles(
@@ -111,7 +115,7 @@ def measure_profiles(
     The edges lie halfway between the brightness of the stroke and that of the road beside it.
 
     Args:
-        brightness: float32[...] at places of the top view, float[... 2] in pixels.
+        brightness: of the top view, or of the image at places of the top view.
         uv: places [px], float[n 2].
         normal: unit vectors across, float[n 2].
         max_half_width_m: edges are looked for up to here.
@@ -122,26 +126,26 @@ def measure_profiles(
     half, core = round(reach / step_m), round(_CORE_M / step_m)
     across = np.arange(-half, half + 1) * step_m
     profile = _sampled(brightness, uv, normal, across, metres_per_px)
-    middle = profile[:, half - core : half + core + 1].mean(axis=1)
-    left, contrast_left, rise_left = _side(profile[:, half::-1], middle, max_half_width_m, step_m)
-    right, contrast_right, rise_right = _side(profile[:, half:], middle, max_half_width_m, step_m)
+    middle = profile[half - core : half + core + 1].mean(axis=0)
+    left, contrast_left, rise_left = _side(profile[half::-1], middle, max_half_width_m, step_m)
+    right, contrast_right, rise_right = _side(profile[half:], middle, max_half_width_m, step_m)
     return RidgeProfiles(uv, normal, -left, right, contrast_left, contrast_right, np.maximum(rise_left, rise_right))
 
 
 def _side(outward: np.ndarray, middle: np.ndarray, max_half_width_m: float, step_m: float) -> tuple[np.ndarray, ...]:
-    """Distance of the edge [m], contrast to the road beyond it and softness [m]; profiles start in the middle.
+    """Distance of the edge [m], contrast to the road beyond it and softness [m]; profiles [k n] start in the middle.
 
     Light adds up in a pixel, so the edge lies halfway between the brightnesses, not between their logarithms.
     """
     inner, outer = (round(distance / step_m) for distance in _FLANK_M)
     strip = round(_STRIP_M / step_m)
-    flank = outward[:, : round(max_half_width_m / step_m) + outer].min(axis=1)
+    flank = outward[: round(max_half_width_m / step_m) + outer].min(axis=0)
     # Twice: the lowest level finds the road, the level of the road the edge.
     for _ in range(2):
         edge = _crossing(outward, middle, flank, 0.5)
-        at = np.minimum(np.round(edge).astype(int)[:, None] + np.arange(inner, outer + 1), outward.shape[1] - 1)
-        beside = np.cumsum(np.take_along_axis(outward, at, axis=1), axis=1)
-        flank = (beside[:, strip:] - beside[:, :-strip]).min(axis=1) / strip
+        at = np.minimum(np.round(edge).astype(int) + np.arange(inner, outer + 1)[:, None], len(outward) - 1)
+        beside = np.cumsum(np.take_along_axis(outward, at, axis=0), axis=0)
+        flank = (beside[strip:] - beside[:-strip]).min(axis=0) / strip
     high, low = (_crossing(outward, middle, flank, share) for share in (0.75, 0.25))
     return edge * step_m, _contrast(middle, flank), (low - high) * step_m
 
@@ -153,40 +157,41 @@ def _contrast(middle: np.ndarray, flank: np.ndarray) -> np.ndarray:
 
 def _crossing(outward: np.ndarray, middle: np.ndarray, flank: np.ndarray, share: float) -> np.ndarray:
     """Step at which profiles first fall below a share of the way from the flank to the middle."""
-    rows = np.arange(len(outward))
+    columns = np.arange(outward.shape[1])
     limit = flank + share * (middle - flank)
-    below = outward < limit[:, None]
-    below[:, 0] = False
-    first = np.where(below.any(axis=1), below.argmax(axis=1), outward.shape[1] - 1)
-    before, after = outward[rows, np.maximum(first - 1, 0)], outward[rows, first]
+    below = outward < limit
+    below[0] = False
+    first = below.argmax(axis=0)
+    first[~below[first, columns]] = len(outward) - 1
+    before, after = outward[np.maximum(first - 1, 0), columns], outward[first, columns]
     return first - 1 + np.clip((before - limit) / np.maximum(before - after, 1e-6), 0.0, 1.0)
 
 
 def _sampled(
     brightness: Brightness, uv: np.ndarray, normal: np.ndarray, across_m: np.ndarray, metres_per_px: float
 ) -> np.ndarray:
-    """Mean brightness along the strokes at distances across them, float32[n k]."""
-    if not len(uv):
-        return np.zeros((0, len(across_m)), np.float32)
-    along = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
-    offset = normal[:, None] * (across_m / metres_per_px)[None, :, None]
-    total = np.zeros((len(uv), len(across_m)), np.float32)
-    for distance in _ALONG_M:
-        at = (uv + along * (distance / metres_per_px))[:, None] + offset
-        total += brightness(at)
-    return total / len(_ALONG_M)
+    """Mean brightness along the strokes at distances across them, float32[k n]."""
+    along = np.stack([-normal[:, 1], normal[:, 0]])
+    total = np.zeros((len(across_m), len(uv)), np.float32)
+    size = max(_BLOCK // len(across_m), 1)
+    for part in (slice(first, first + size) for first in range(0, len(uv), size)):
+        offset = normal[part].T[:, None] * (across_m / metres_per_px)[:, None]
+        at = np.empty(offset.shape, np.float32)
+        for distance in _ALONG_M:
+            place = uv[part].T + along[:, part] * (distance / metres_per_px)
+            total[:, part] += brightness(*np.add(place[:, None], offset, out=at, casting="same_kind"))
+    total /= len(_ALONG_M)
+    return total
 
 
-def lookup(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Values between pixels, float32 of the shape of `at` without its last axis."""
-    u, v = (at[..., i].astype(np.float32).ravel() for i in (0, 1))
-    width = 16384  # OpenCV remaps into pictures of less than 32768 pixels a side
-    rows = [
-        cv2.remap(values, u[None, i : i + width], v[None, i : i + width], cv2.INTER_LINEAR,
-                  borderMode=cv2.BORDER_REPLICATE)[0]
-        for i in range(0, len(u), width)
-    ]  # fmt: skip
-    return np.concatenate(rows or [u]).reshape(at.shape[:-1])
+def lookup(values: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Values, float32[h w], between pixels at columns and rows, float32[...]."""
+    u_row, v_row = u.reshape(1, -1), v.reshape(1, -1)
+    found = [
+        cv2.remap(values, u_row[:, part], v_row[:, part], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for part in (slice(first, first + _BLOCK) for first in range(0, u.size, _BLOCK))
+    ]
+    return (found[0] if len(found) == 1 else np.concatenate(found or [u_row], axis=1)).reshape(u.shape)
 
 
 def _ridge_points(
@@ -195,15 +200,16 @@ def _ridge_points(
     """Places [px] where the curvature across is largest, and the directions across."""
     sigma = scale.sigma_m / metres_per_px
     smooth = cv2.GaussianBlur(level, (0, 0), sigma)
-    uu, vv, uv = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (0, 2), (1, 1)))
-    uu, vv, uv = uu / 4, vv / 4, uv / 4
+    uu, vv, uv = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.25) for order in ((2, 0), (0, 2), (1, 1)))
     root = np.sqrt(0.25 * (uu - vv) ** 2 + uv * uv)
     strength = (root - 0.5 * (uu + vv)) * np.float32(sigma**2)
-    angle = 0.5 * np.arctan2(2 * uv, uu - vv) + np.pi / 2
     inner = cv2.erode(visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
-    v, u = np.nonzero(inner & (strength > scale.min_strength))
-    normal = np.stack([np.cos(angle[v, u]), np.sin(angle[v, u])], axis=-1)
-    at = np.stack([u, v], axis=-1).astype(np.float64)
-    own = strength[v, u]
-    peak = (own >= lookup(strength, at + normal)) & (own > lookup(strength, at - normal))
-    return at[peak], normal[peak]
+    number = np.flatnonzero(inner & (strength > scale.min_strength))
+    own, uu, vv, uv = (values.ravel()[number] for values in (strength, uu, vv, uv))
+    angle = 0.5 * np.arctan2(2 * uv, uu - vv) + np.pi / 2
+    at = np.stack([number % level.shape[1], number // level.shape[1]]).astype(np.float32)
+    normal = np.stack([np.cos(angle), np.sin(angle)])
+    for is_below, side in ((np.less_equal, 1), (np.less, -1)):
+        peak = is_below(lookup(strength, *(at + side * normal)), own)
+        own, at, normal = own[peak], at[:, peak], normal[:, peak]
+    return at.T.astype(np.float64), np.ascontiguousarray(normal.T)

@@ -1,5 +1,7 @@
 """Classical paint segmenter: paint of any shape in any direction, and not what merely shines."""
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ SCALE = 50.0
 CAMERA = PinholeCamera(600.0, 600.0, 479.5, 299.5, 960, 600)
 
 
+@lru_cache(maxsize=1)
 def ground_texture(yellow_on_concrete):
     """Top view of 40 m x 40 m around the camera with paint, shadow and texture; brightness BGR and paint mask."""
     rng = np.random.default_rng(3)
@@ -60,6 +63,16 @@ def photograph(top, T_base_cam, noise=3.0):
     return picture
 
 
+@lru_cache
+def scene(yellow_on_concrete, yaw_deg):
+    """Pose of a camera, its picture of the painted ground, not to be written into, and the share of paint of pixels."""
+    T_base_cam = pose(yaw_deg, 12.0, 1.6)
+    top, paint = ground_texture(yellow_on_concrete)
+    picture = np.clip(photograph(top, T_base_cam), 0, 255).astype(np.uint8)
+    picture.setflags(write=False)
+    return T_base_cam, picture, photograph(paint, T_base_cam) / 255
+
+
 def scores(mask, truth, around_px=1):
     """Share of the mask that lies on paint and share of the paint that the mask covers, `around_px` allowed."""
     near = np.ones((2 * around_px + 1,) * 2, np.uint8)
@@ -67,27 +80,22 @@ def scores(mask, truth, around_px=1):
     return (mask & wide_truth).sum() / max(mask.sum(), 1), (truth & wide_mask).sum() / truth.sum()
 
 
-@pytest.mark.parametrize("yellow_on_concrete", [False, True])
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0])
+@pytest.mark.parametrize("yellow_on_concrete", [False, True])
 def test_paint_is_found_in_any_direction_through_a_shadow(yellow_on_concrete, yaw_deg):
-    T_base_cam = pose(yaw_deg, 12.0, 1.6)
-    top, paint = ground_texture(yellow_on_concrete)
-    image = np.clip(photograph(top, T_base_cam), 0, 255).astype(np.uint8)
-    segment = ClassicalPaintSegmenter(CAMERA, T_base_cam)
-    mask = segment(image) == 1
-    truth = photograph(paint, T_base_cam) > 127
+    T_base_cam, image, share = scene(yellow_on_concrete, yaw_deg)
+    ids = ClassicalPaintSegmenter(CAMERA, T_base_cam)(image)
+    mask, truth = ids == 1, share > 127 / 255
     near = GroundView.of(CAMERA, T_base_cam, range_m=13.0).bev_uv[..., 0] > 0
     precision, recall = scores(mask & near, truth & near)
     assert precision > 0.97
     assert recall > (0.75 if yellow_on_concrete else 0.9)
-    assert load_class_table("lane_paint").report(segment(image)).fits
+    assert load_class_table("lane_paint").report(ids).fits
 
 
 def test_outline_lies_on_the_edge_of_the_paint():
-    T_base_cam = pose(0.0, 12.0, 1.6)
-    top, paint = ground_texture(False)
-    mask = ClassicalPaintSegmenter(CAMERA, T_base_cam)(np.clip(photograph(top, T_base_cam), 0, 255).astype(np.uint8))
-    share = photograph(paint, T_base_cam) / 255
+    T_base_cam, image, share = scene(False, 0.0)
+    mask = ClassicalPaintSegmenter(CAMERA, T_base_cam)(image)
     rows = slice(330, 440)
     for columns in (slice(100, 470), slice(490, 860)):
         covered = share[rows, columns].sum(axis=1)
@@ -102,20 +110,18 @@ def test_outline_lies_on_the_edge_of_the_paint():
 
 
 def test_a_bright_rim_on_a_dark_tyre_is_no_paint():
-    T_base_cam = pose(0.0, 12.0, 1.6)
-    image = photograph(ground_texture(False)[0], T_base_cam)
+    T_base_cam, image, _ = scene(False, 0.0)
+    image = image.copy()
     cv2.circle(image, (480, 470), 40, (25, 25, 25), -1)
     cv2.circle(image, (480, 470), 14, (200, 200, 200), -1)
-    mask = ClassicalPaintSegmenter(CAMERA, T_base_cam)(np.clip(image, 0, 255).astype(np.uint8))
+    mask = ClassicalPaintSegmenter(CAMERA, T_base_cam)(image)
     assert not (mask[425:515, 435:525] == 1).any()
 
 
 def test_hidden_pixels_come_out_as_ignored():
     hidden = np.zeros((600, 960), bool)
     hidden[500:] = True
-    top, _ = ground_texture(False)
-    T_base_cam = pose(0.0, 12.0, 1.6)
-    image = np.clip(photograph(top, T_base_cam), 0, 255).astype(np.uint8)
+    T_base_cam, image, _ = scene(False, 0.0)
     mask = ClassicalPaintSegmenter(CAMERA, T_base_cam, hidden=hidden)(image)
     assert (mask[500:] == 255).all() and (mask[:500] != 255).all()
 

@@ -1,0 +1,76 @@
+"""Colours of a top view of the road, and how fine the image is there (room: perception; host).
+
+In: the top view of one image. Out: TopView; what is white or yellow, what is grass.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from semloc_jax.perception.ground_view import GroundView
+
+_GREEN = 0.012
+"""Share by which green exceeds both red and blue in grass; white paint, yellow paint and road have none."""
+_RED = 0.1
+
+
+@dataclass(frozen=True)
+class TopView:
+    """A top view with its colours, and how fine the image is there."""
+
+    picture: np.ndarray
+    """BGR, uint8[h w 3], smoothed."""
+    foot_uv: np.ndarray
+    """Point below the camera [px]."""
+    view: GroundView
+
+    @classmethod
+    def of(cls, top: np.ndarray, view: GroundView, T_base_cam: np.ndarray) -> "TopView":
+        """The top view of one image.
+
+        Args:
+            top: uint8[h w 3] BGR.
+            view: where its pixels lie in the image.
+            T_base_cam: pose of the camera above the road.
+        """
+        x_m, y_m = T_base_cam[:2, 3]
+        scale = float(view.bev.fx)
+        foot = np.array([float(view.bev.cx) - y_m * scale, float(view.bev.cy) - x_m * scale])
+        return cls(cv2.GaussianBlur(top, (0, 0), 1.5), foot, view)
+
+    @property
+    def metres_per_px(self) -> float:
+        """Size of a pixel of the top view."""
+        return 1.0 / float(self.view.bev.fx)
+
+    def pixel_m(self, uv: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Metres of road in one pixel of the image at places of the top view, along directions; float[n]."""
+        ends = []
+        for sign in (-1.0, 1.0):
+            at = np.round(uv + 2.0 * sign * direction).astype(int)
+            u, v = (np.clip(at[..., i], 0, self.view.visible.shape[1 - i] - 1) for i in (0, 1))
+            ends.append(self.view.image_uv[v, u])
+        image_px = np.linalg.norm(ends[1] - ends[0], axis=-1)
+        # Over the rim of what is seen the difference says nothing: such points count as fine.
+        return np.where(image_px > 1e3, 0.0, 4.0 * self.metres_per_px / np.maximum(image_px, 1e-3))
+
+    def colours(self, uv: np.ndarray) -> np.ndarray:
+        """BGR at places, float32[n 3]."""
+        u, v = (np.clip(np.round(uv[..., i]).astype(int), 0, self.picture.shape[1 - i] - 1) for i in (0, 1))
+        return self.picture[v, u].astype(np.float32) + np.float32(1.0)
+
+
+def is_white_or_yellow(bgr: np.ndarray) -> np.ndarray:
+    """Whether colours may be those of paint, bool[n] of float32[n 3]."""
+    red = bgr[:, 2] - bgr[:, 1] > _RED * bgr.sum(axis=1)
+    return ~red & (_greenness(bgr) < _GREEN)
+
+
+def is_no_grass(bgr: np.ndarray) -> np.ndarray:
+    """Whether colours may be those of the ground beside paint, bool[n] of float32[n 3]."""
+    return _greenness(bgr) < 2 * _GREEN
+
+
+def _greenness(bgr: np.ndarray) -> np.ndarray:
+    return np.minimum(bgr[..., 1] - bgr[..., 0], bgr[..., 1] - bgr[..., 2]) / bgr.sum(axis=-1)
