@@ -9,4 +9,4 @@ _LITTLE_EFFORT = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitt
 
 jit_quickly = partial(jax.jit, compiler_options=_LITTLE_EFFORT)
 """`jax.jit` for what a test would otherwise do operation by operation. Not for programs that the package compiles for
-its users, nor where the test is about what the compiler makes of them."""
+its users, nor where the test is about what the compiler makes of them. JAX takes it for the outermost function only."""
