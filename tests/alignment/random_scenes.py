@@ -11,7 +11,7 @@ import numpy as np
 
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.cameras import PinholeCamera, Rig
-from semloc_jax.geometry import lie
+from semloc_jax.geometry import rigid
 from semloc_jax.residuals.alignment import Usable, camera_views
 from semloc_jax.residuals.smooth import ChannelModel, DistanceMaps, SmoothScene
 from semloc_jax.simulation.cameras import mounted
@@ -70,7 +70,7 @@ def random_trial(seed, dtype=np.float64):
     """One scene; the pose of the truth is where the lines were drawn from, near the origin."""
     rng = np.random.default_rng(seed)
     rng_values = (rng.uniform(-0.6, 0.6), rng.uniform(0.1, 0.6), *rng.uniform((0, 6.0, -2.0), (6, 12.0, 2.0)))
-    T_true = np.asarray(lie.exp(rng.normal(size=6) * [0.5, 0.5, 0.02, 0.005, 0.005, 0.05]))
+    T_true = rigid.exp(rng.normal(size=6) * [0.5, 0.5, 0.02, 0.005, 0.005, 0.05])
     p_map, channel = _contour(rng, rng_values)
     samples = ViewSamples(
         jnp.asarray(p_map[None], dtype),
@@ -92,5 +92,5 @@ def random_trial(seed, dtype=np.float64):
         model,
         jnp.asarray(1 / 60.0, dtype),
     )
-    T_prior = T_true @ np.asarray(lie.exp(rng.normal(size=6) * SIGMA * 0.5))
+    T_prior = T_true @ rigid.exp(rng.normal(size=6) * SIGMA * 0.5)
     return Trial(scene, Prior(jnp.asarray(T_prior, dtype), jnp.asarray(SIGMA, dtype)), jnp.asarray(T_true, dtype))

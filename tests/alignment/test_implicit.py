@@ -11,9 +11,10 @@ import pytest
 
 from semloc_jax.alignment.implicit import SmoothConfig, align_differentiable, smooth_optimum, smooth_scene
 from semloc_jax.alignment.pose import AlignConfig, align_one
-from semloc_jax.geometry import lie
+from semloc_jax.geometry import lie, rigid
 from semloc_jax.structs import SolveStatus
 from tests.alignment.random_scenes import NUM, RIG, SIGMA, STRIDE, WIDTH, random_trial
+from tests.compiling import jit_quickly
 from tests.contracts.ground_scene import cost_maps_of, scene
 
 CONFIG = SmoothConfig()
@@ -67,13 +68,13 @@ def tangents(trial, amounts):
 @cache
 def differentiate():
     """Compiled once for everything here: 100 random scenes and the special ones behind them."""
-    return jax.jit(jax.vmap(tangents, in_axes=(0, None)))
+    return jit_quickly(jax.vmap(tangents, in_axes=(0, None)))
 
 
 @cache
 def trials():
     special = two_lines(1e-3), *broken()
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(random_trial, range(100)), *special)
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *map(random_trial, range(100)), *special)
 
 
 @cache
@@ -138,7 +139,7 @@ def finite_differences(amounts, h=1e-5):
     ahead, behind = (
         np.asarray(differentiate()(trials(), jnp.asarray(step * amounts))[1].T_map_base)[:100] for step in (h, -h)
     )
-    return np.asarray(lie.log(lie.inverse(behind) @ ahead)) / (2 * h) / SIGMA
+    return rigid.log(rigid.inverse(behind) @ ahead) / (2 * h) / SIGMA
 
 
 def assert_same_in_a_hundred_scenes(directions):

@@ -20,9 +20,10 @@ from semloc_jax.alignment.pose import (
     visible_views,
 )
 from semloc_jax.alignment.problem import residual
-from semloc_jax.geometry import lie
+from semloc_jax.geometry import rigid
 from semloc_jax.residuals.alignment import Usable
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
+from tests.compiling import jit_quickly
 from tests.contracts.ground_scene import scene
 
 LEVELS = AlignConfig(levels=(0, 1), max_steps=15)
@@ -42,7 +43,7 @@ solve = jax.jit(align_one, static_argnames="config")
 
 def error(estimate, world):
     """Tangent from the truth to the estimate."""
-    return np.asarray(lie.log(lie.inverse(world.T_true) @ estimate.T_map_base), np.float64)
+    return rigid.log(rigid.inverse(np.asarray(world.T_true, float)) @ np.asarray(estimate.T_map_base, float))
 
 
 def assert_all_finite(estimate):
@@ -89,9 +90,13 @@ def test_covariance_is_the_inverse_of_the_dense_information():
     estimate = jax.jit(assess, static_argnames="config")(
         world.T_true, jnp.asarray(1), world.evidence, prior, config=LEVELS
     )
-    views = visible_views(world.T_true, world.evidence, LEVELS.border_px)
-    problem = level_problem(world.T_true, views, 1, world.evidence, prior, LEVELS)
-    J = np.asarray(eqx.filter_jit(jax.jacfwd(residual))(jnp.zeros(6), problem))
+
+    @jit_quickly
+    def jacobian(T, evidence, prior):
+        problem = level_problem(T, visible_views(T, evidence, LEVELS.border_px), 1, evidence, prior, LEVELS)
+        return jax.jacfwd(residual)(jnp.zeros(6), problem)
+
+    J = np.asarray(jacobian(world.T_true, world.evidence, prior))
     S = np.diag(np.asarray(world.sigma))
     # Residuals at the truth are so small that the kernel is quadratic and their scatter adds nothing.
     np.testing.assert_allclose(estimate.covariance, S @ np.linalg.inv(J.T @ J) @ S, rtol=1e-3, atol=1e-12)
@@ -115,7 +120,7 @@ def test_a_top_view_says_that_height_and_tilt_are_only_assumed():
 def test_locked_directions_do_not_move_at_all():
     """From a level start, with height, roll and pitch locked: their entries keep every bit, their covariance is 0."""
     world = world_of("radtan")
-    level = lie.se2_to_se3(*np.float32([31.2, -12.1, 0.72]), z=np.float32(0.02))
+    level = jnp.asarray(rigid.planar_pose(31.2, -12.1, 0.72, 0.02).astype(np.float32))
     estimate = solve(level, world.evidence, Prior(level, world.sigma.at[2:5].set(0.0)), config=LEVELS)
     T = np.asarray(estimate.T_map_base)
     assert np.array_equal(T[2], [0.0, 0.0, 1.0, np.float32(0.02)])

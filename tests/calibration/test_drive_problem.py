@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from semloc_jax.calibration.drive_problem import solve_calibration
-from semloc_jax.geometry import lie
+from semloc_jax.geometry import lie, rigid
 from semloc_jax.residuals.alignment import Usable
 from semloc_jax.residuals.road_contact import road_linearised, road_residual
 from semloc_jax.solvers import arrow
+from tests.compiling import jit_quickly
 from tests.contracts.calibration_scene import BIAS, OFFSET, SCALE, build
 
 TURNS = (0.25, 0.3, 0.2, -0.25, -0.3, -0.2, 0.1)
@@ -22,13 +23,17 @@ def moved(problem, state, seed, pose_scale, shared_scale):
     rng = np.random.default_rng(seed)
     poses = rng.normal(size=(len(state.T_map_base), 6)) * pose_scale
     shared = rng.normal(size=len(problem.sigma)) * shared_scale
-    return problem.retract(state, (jnp.asarray(poses), jnp.asarray(shared)))
+    return jit_quickly(lambda *given: given[0].retract(*given[1:]))(problem, state, (poses, shared))
 
 
 @eqx.filter_jit
 def linearised(problem, state):
     """Normal equations, compiled."""
     return problem.linearise(state, jnp.asarray(False))
+
+
+dense_equations = jit_quickly(lambda equations: equations.dense())
+minimum_and_reduced = jit_quickly(lambda equations: (arrow.minimum(equations), arrow.reduced(equations)))
 
 
 @pytest.fixture(scope="module")
@@ -42,13 +47,13 @@ def test_gradient_is_that_of_the_residuals_by_finite_differences(lens_scene):
     problem, state = lens_scene
     num, size = len(state.T_map_base), len(problem.sigma)
 
-    @jax.jit
+    @jit_quickly
     def cost(x):
         r = problem.residuals(problem.retract(state, (x[: 6 * num].reshape(num, 6), x[6 * num :])))
         return 0.5 * r @ r
 
     equations = linearised(problem, state)
-    _, gradient = equations.dense()
+    _, gradient = dense_equations(equations)
     steps = 1e-6 * np.eye(6 * num + size)
     numeric = np.array([(cost(d) - cost(-d)) / 2e-6 for d in steps])
     assert float(equations.cost) == pytest.approx(float(cost(steps[0] * 0)), rel=1e-12)
@@ -58,13 +63,13 @@ def test_gradient_is_that_of_the_residuals_by_finite_differences(lens_scene):
 def test_eliminating_the_chain_gives_the_dense_step(lens_scene):
     problem, state = lens_scene
     equations = linearised(problem, state)
-    H, g = equations.dense()
+    H, g = dense_equations(equations)
     dense = -np.linalg.solve(H, g)
-    poses, shared = arrow.minimum(equations)
+    (poses, shared), reduced = minimum_and_reduced(equations)
     np.testing.assert_allclose(np.concatenate([poses.ravel(), shared]), dense, atol=1e-10)
     size = len(problem.sigma)
     covariance = np.linalg.inv(H)[-size:, -size:]
-    np.testing.assert_allclose(np.linalg.inv(arrow.reduced(equations)[0]), covariance, atol=1e-10)
+    np.testing.assert_allclose(np.linalg.inv(reduced[0]), covariance, atol=1e-10)
 
 
 @pytest.mark.slow
@@ -99,20 +104,28 @@ def test_a_turned_mount_odometer_scale_and_offset_are_found():
 def test_a_locked_unknown_stays(lens_scene):
     problem, state = lens_scene
     problem = eqx.tree_at(lambda p: p.sigma, problem, problem.sigma.at[:6].set(0.0))
-    poses, shared = arrow.minimum(linearised(problem, state))
+    (poses, shared), _ = minimum_and_reduced(linearised(problem, state))
     assert np.abs(shared[:6]).max() == 0.0
     assert np.abs(poses).max() > 0.0
 
 
 def test_road_contact_by_finite_differences_and_by_hand():
     tilt = np.array([0.0, 0.0, 0.0, 0.02, -0.03, 0.7])
-    T = lie.compose(lie.exp(jnp.asarray([5.0, 2.0, 1.0, 0.0, 0.0, 0.0])), lie.exp(jnp.asarray(tilt)))
-    point, normal, ones = jnp.asarray([5.0, 2.0, 0.9]), jnp.asarray([0.0, 0.0, 1.0]), jnp.ones(3)
-    stance = jnp.asarray([0.01, 0.001, 0.002])
-    r, J, J_stance = road_linearised(T, stance, point, normal, ones)
+    T = rigid.exp(np.array([5.0, 2.0, 1.0, 0.0, 0.0, 0.0])) @ rigid.exp(tilt)
+    point, normal, ones = np.array([5.0, 2.0, 0.9]), np.array([0.0, 0.0, 1.0]), np.ones(3)
+    stance = np.array([0.01, 0.001, 0.002])
+
+    def residual_at(xi):
+        return road_residual(T @ lie.exp(xi), stance, point, normal, ones)
+
+    @jit_quickly
+    def by_both():
+        return road_linearised(T, stance, point, normal, ones), jax.jacfwd(residual_at)(jnp.zeros(6))
+
+    (r, J, J_stance), numeric = by_both()
     assert float(r[0]) == pytest.approx(0.09, abs=1e-12)
-    numeric = jax.jacfwd(lambda xi: road_residual(T @ lie.exp(xi), stance, point, normal, ones))(jnp.zeros(6))
     np.testing.assert_allclose(J, numeric, atol=1e-12)
     np.testing.assert_allclose(J_stance, -np.eye(3))
-    level = lie.exp(jnp.asarray([0.0, 0.0, 0.0, 0.0, 0.02, 0.0]))
-    np.testing.assert_allclose(road_residual(level, 0 * stance, 0 * point, normal, ones), [0.0, 0.0, 0.02], atol=1e-5)
+    level = rigid.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.02, 0.0]))
+    pitched = jit_quickly(road_residual)(level, 0 * stance, 0 * point, normal, ones)
+    np.testing.assert_allclose(pitched, [0.0, 0.0, 0.02], atol=1e-5)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax.calibration.drive_problem import Anchors, CalibrationProblem, CalibrationState, DriveMotion, PictureRows
-from semloc_jax.geometry import lie
+from semloc_jax.geometry import rigid
 from tests.contracts import ground_scene
 from tests.contracts.ground_scene import T_TRUE
 
@@ -20,8 +20,8 @@ STEP_M, STEP_S = 4.0, 0.5
 
 def path(turns_rad):
     """True planar motion of the vehicle over the scene: T_map_base of every frame, and the steps between."""
-    steps = [np.asarray(lie.exp(np.array([STEP_M, 0.0, 0.0, 0.0, 0.0, turn]))) for turn in turns_rad]
-    first = np.asarray(lie.se2_to_se3(T_TRUE[0, 3], T_TRUE[1, 3], 0.7))
+    steps = [rigid.exp(np.array([STEP_M, 0.0, 0.0, 0.0, 0.0, turn])) for turn in turns_rad]
+    first = rigid.planar_pose(T_TRUE[0, 3], T_TRUE[1, 3], 0.7)
     poses = [first]
     for step in steps:
         poses.append(poses[-1] @ step)
@@ -91,7 +91,7 @@ def _motion(steps):
     jacobian, sqrt_info, said = np.zeros((num, 6, 2)), np.zeros((num, 6, 6)), steps.copy()
     for i in range(num - 1):
         jacobian[i, 0, 0], jacobian[i, 5, 1] = STEP_M, -STEP_S
-        said[i] = steps[i] @ np.linalg.inv(lie.exp(jacobian[i] @ np.array([SCALE - 1.0, BIAS])))
+        said[i] = steps[i] @ np.linalg.inv(rigid.exp(jacobian[i] @ np.array([SCALE - 1.0, BIAS])))
         sqrt_info[i] = np.diag(1.0 / np.array([0.03, 0.012, 0.04, 0.004, 0.004, 0.001]))
     return DriveMotion(jnp.asarray(said), jnp.asarray(jacobian), jnp.asarray(sqrt_info))
 

@@ -21,11 +21,12 @@ from semloc_jax.cameras import (
     Rig,
 )
 from semloc_jax.cameras.bev import T_base_bev
-from semloc_jax.geometry import lie
+from semloc_jax.geometry import rigid
 from semloc_jax.residuals.alignment import CameraViews, Usable, camera_views
 from semloc_jax.residuals.texture import RampTextures, pack
 from semloc_jax.simulation.cameras import mounted
 from semloc_jax.structs import CostMaps, ViewSamples
+from tests.compiling import jit_quickly
 
 FRONT = (186.0, 186.4, 118.7, 72.9, 240, 150)
 SIDE = (98.0, 98.1, 159.1, 120.4, 320, 240)
@@ -52,7 +53,7 @@ RIGS = {
         ["front", "right", "top"],
     ),
 }
-T_TRUE = np.asarray(lie.exp(np.array([31.0, -12.0, 0.02, 0.012, -0.009, 0.7])))
+T_TRUE = rigid.exp(np.array([31.0, -12.0, 0.02, 0.012, -0.009, 0.7]))
 SIGMA = np.array([0.8, 0.6, 0.05, 0.01, 0.01, 0.04])
 RAMP_PX, STRIDE = (20.0, 6.0), (2, 1)
 _HEADING = 0.7
@@ -125,15 +126,15 @@ def cost_maps_of(name):
     for ramp_px, stride in zip(RAMP_PX, STRIDE, strict=True):
         shape = (-(-height // stride), -(-width // stride))
         ramps.append(
-            jnp.asarray(
+            np.array(
                 [
                     [_ramp(camera, T_TRUE @ T, inside, stride, ramp_px, shape) for inside, _ in _contours()]
                     for camera, T in zip(rig.cameras, rig.T_base_cam, strict=True)
                 ]
             )
         )
-    usable = jnp.ones((len(rig), -(-height // 2), -(-width // 2)), bool)
-    return CostMaps(tuple(ramps), RAMP_PX, STRIDE, usable, 2)
+    usable = jnp.asarray(np.ones((len(rig), -(-height // 2), -(-width // 2)), bool))
+    return CostMaps(tuple(map(jnp.asarray, ramps)), RAMP_PX, STRIDE, usable, 2)
 
 
 def samples_of(name, num=400, seed=0, dtype=np.float64):
@@ -144,7 +145,8 @@ def samples_of(name, num=400, seed=0, dtype=np.float64):
     channel = np.concatenate([np.full(len(line), k) for k, (_, line) in enumerate(_contours())])
     p_map, channels, weights = np.zeros((len(rig), 3, num)), np.zeros((len(rig), num), int), np.zeros((len(rig), num))
     for k, (camera, T_base_cam) in enumerate(zip(rig.cameras, rig.T_base_cam, strict=True)):
-        p_cam = np.asarray(lie.transform(lie.inverse(T_TRUE @ T_base_cam), points))
+        T_cam_map = rigid.inverse(T_TRUE @ T_base_cam)
+        p_cam = (points @ T_cam_map[:3, :3].T) + T_cam_map[:3, 3]
         uv, valid = (np.asarray(part) for part in camera.project(p_cam))
         seen = np.asarray(camera.in_image(uv[:, 0], uv[:, 1], 6.0)) & valid
         seen &= np.linalg.norm(points - T_TRUE[:3, 3], axis=1) < 14.0
@@ -155,12 +157,10 @@ def samples_of(name, num=400, seed=0, dtype=np.float64):
         p_map[k], channels[k] = points[chosen].T, channel[chosen]
         weights[k] = rng.uniform(1.0, 2.0, num) * (np.arange(num) < 0.9 * num)
     return ViewSamples(
-        jnp.asarray(p_map, dtype),
-        jnp.zeros(p_map.shape, dtype),
-        jnp.asarray(channels, jnp.int32),
-        jnp.asarray(weights, dtype),
-        jnp.zeros(channels.shape, jnp.int32),
-        jnp.zeros(channels.shape, jnp.int32),
+        *(jnp.asarray(part.astype(dtype)) for part in (p_map, np.zeros_like(p_map))),
+        jnp.asarray(channels.astype(np.int32)),
+        jnp.asarray(weights.astype(dtype)),
+        *(jnp.asarray(np.zeros(channels.shape, np.int32)) for _ in range(2)),
     )
 
 
@@ -184,16 +184,24 @@ class Scene(eqx.Module):
 
     def moved(self, xi):
         """The true pose moved by a right tangent [m, rad]."""
-        return self.T_true @ lie.exp(jnp.asarray(xi, self.T_true.dtype))
+        return jnp.asarray(
+            (np.asarray(self.T_true, float) @ rigid.exp(np.asarray(xi, float))).astype(self.T_true.dtype)
+        )
+
+
+@cache
+def _assemble(name):
+    """Views and textures of a rig, given samples and cost maps, as one program."""
+    return jit_quickly(lambda samples, maps: (camera_views(RIGS[name], samples), pack(maps, samples.p_map.dtype)))
 
 
 def scene(name, num=400, dtype=np.float64, samples=None):
     """The scene of one rig."""
     maps = cost_maps_of(name)
+    samples = samples_of(name, num, dtype=dtype) if samples is None else samples
     return Scene(
-        camera_views(RIGS[name], samples_of(name, num, dtype=dtype) if samples is None else samples),
-        pack(maps, dtype),
+        *_assemble(name)(samples, maps),
         Usable(maps.usable, maps.usable_stride),
-        jnp.asarray(T_TRUE, dtype),
-        jnp.asarray(SIGMA, dtype),
+        jnp.asarray(T_TRUE.astype(dtype)),
+        jnp.asarray(SIGMA.astype(dtype)),
     )

@@ -21,6 +21,7 @@ from semloc_jax.cameras.base import as_leaf
 from semloc_jax.cameras.io import read_calibration, write_calibration
 from semloc_jax.cameras.models import MODELS, model_of
 from semloc_jax.errors import SemlocError
+from tests.compiling import jit_quickly
 
 FRONT = (742.3, 743.1, 476.4, 291.7, 960, 600)
 SIDE = (196.1, 196.3, 318.6, 240.6, 640, 480)
@@ -90,7 +91,16 @@ def opencv(camera, p_cam):
 
 def jacobian_of(camera, p_cam):
     """d uv / d p_cam [n 2 3] by forward mode."""
-    return np.asarray(jax.vmap(jax.jacfwd(lambda p: camera.project(p)[0]))(jnp.asarray(p_cam)))
+    return np.asarray(_jacobian(camera, p_cam))
+
+
+@jit_quickly
+def _jacobian(camera, p_cam):
+    return jax.vmap(jax.jacfwd(lambda p: camera.project(p)[0]))(p_cam)
+
+
+projected = jit_quickly(lambda camera, p_cam: camera.project(p_cam))
+"""Pixels of points: one program for each model and number of points, where single operations would be a hundred."""
 
 
 def all_gradients(camera, x, y, z):
@@ -101,6 +111,9 @@ def all_gradients(camera, x, y, z):
         return [value, *back(jnp.ones_like(value))]
 
     return jnp.stack(pull(0) + pull(1))
+
+
+compiled_gradients = jit_quickly(all_gradients)
 
 
 def test_every_model_is_held_to_the_contract():
@@ -132,7 +145,7 @@ def test_a_written_calibration_gives_the_same_pixels(camera, tmp_path):
     assert again.names == rig.names
     for before, after in zip(rig.cameras, again.cameras, strict=True):
         assert type(after) is type(before) and after.resolution == before.resolution
-        (uv, valid), (uv_again, valid_again) = before.project(p_cam), after.project(p_cam)
+        (uv, valid), (uv_again, valid_again) = projected(before, p_cam), projected(after, p_cam)
         assert np.abs(np.asarray(uv_again) - np.asarray(uv)).max() < 1e-6
         np.testing.assert_array_equal(valid_again, valid)
 
@@ -152,7 +165,7 @@ def test_a_model_without_a_row_is_refused(tmp_path):
 def test_project_undoes_unproject(camera):
     uv = pixels(camera)
     ray, valid = camera.unproject(uv)
-    again, seen = camera.project(ray)
+    again, seen = projected(camera, ray)
     assert np.mean(valid) > 0.6
     assert np.array_equal(valid, seen & valid)
     assert np.abs(np.asarray(again) - uv)[np.asarray(valid)].max() < 1e-8
@@ -160,7 +173,7 @@ def test_project_undoes_unproject(camera):
 
 def test_unproject_gives_the_line_of_sight(camera):
     p_cam = points_in_view(camera)
-    uv, _ = camera.project(p_cam)
+    uv, _ = projected(camera, p_cam)
     ray, valid = (np.asarray(a) for a in camera.unproject(uv))
     assert valid.all()
     if isinstance(camera, BevCamera):
@@ -173,8 +186,8 @@ def test_unproject_gives_the_line_of_sight(camera):
 def test_derivatives_are_finite_differences(camera):
     p_cam = points_anywhere()
     steps = 1e-6 * np.eye(3)
-    ahead = np.stack([camera.project(p_cam + step)[0] for step in steps], axis=-1)
-    behind = np.stack([camera.project(p_cam - step)[0] for step in steps], axis=-1)
+    ahead = np.stack([projected(camera, p_cam + step)[0] for step in steps], axis=-1)
+    behind = np.stack([projected(camera, p_cam - step)[0] for step in steps], axis=-1)
     numeric, exact = (ahead - behind) / 2e-6, jacobian_of(camera, p_cam)
     x, y, z = p_cam.T
     # The seam of a cylinder and the axis behind a fisheye have no derivative, the lens plane one on each side.
@@ -186,7 +199,7 @@ def test_derivatives_are_finite_differences(camera):
 
 def test_one_pull_back_gives_every_points_jacobian(camera):
     p_cam = points_anywhere()
-    gradients = all_gradients(camera, *p_cam.T)
+    gradients = compiled_gradients(camera, *p_cam.T)
     jacobian = jacobian_of(camera, p_cam)
     assert np.allclose(gradients[1:4].T, jacobian[:, 0], rtol=1e-12)
     assert np.allclose(gradients[5:8].T, jacobian[:, 1], rtol=1e-12)
@@ -196,7 +209,7 @@ def test_one_pull_back_gives_every_points_jacobian(camera):
 def test_values_and_gradients_are_finite_everywhere(camera, dtype):
     special = [-1e4, -1.0, -1e-3, -1e-20, 0.0, 1e-20, 1e-8, 1e-3, 1e-2, 1.0, 1e4]
     x, y, z = np.stack(np.meshgrid(special, special, special)).reshape(3, -1).astype(dtype)
-    gradients = np.asarray(all_gradients(camera, x, y, z))
+    gradients = np.asarray(compiled_gradients(camera, x, y, z))
     assert np.isfinite(gradients).all()
     # A solver sums squares of them with weight zero.
     assert np.isfinite(np.square(gradients).sum(axis=1)).all()
@@ -205,10 +218,10 @@ def test_values_and_gradients_are_finite_everywhere(camera, dtype):
 @pytest.mark.parametrize("name", BEHIND)
 def test_points_behind_are_not_valid(name):
     p_cam = points_anywhere()
-    assert not np.any(CAMERAS[name].project(np.array([[0.0, 0.0, -5.0], [0.1, 0.1, -5.0], [0.0, 0.0, 0.0]]))[1][:2])
+    assert not np.any(projected(CAMERAS[name], np.array([[0.0, 0.0, -5.0], [0.1, 0.1, -5.0], [0.0, 0.0, 0.0]]))[1][:2])
     behind = p_cam[:, 2] < -np.linalg.norm(p_cam, axis=1) * 0.75
     assert behind.sum() > 20
-    assert not np.any(CAMERAS[name].project(p_cam[behind])[1])
+    assert not np.any(projected(CAMERAS[name], p_cam[behind])[1])
 
 
 @pytest.mark.parametrize("name", BEHIND)
@@ -218,7 +231,7 @@ def test_directions_outside_the_view_never_fold_back(name):
     angle = np.linspace(0.0, np.radians(89 if name in PERSPECTIVE else 179), 2000)
     for azimuth in np.linspace(0.0, 2 * np.pi, 7):
         p_cam = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=-1)
-        uv, valid = (np.asarray(a) for a in camera.project(p_cam))
+        uv, valid = (np.asarray(a) for a in projected(camera, p_cam))
         radius = np.hypot((uv[:, 0] - camera.cx) / camera.fx, (uv[:, 1] - camera.cy) / camera.fy)
         first_outside = np.argmin(valid) if not valid.all() else len(valid)
         assert not valid[first_outside:].any()
@@ -233,7 +246,7 @@ def test_slope_is_continuous_at_the_end_of_the_view(name):
     limit = float(camera.max_theta_rad if name in WIDE else np.arctan(camera.max_radius))
     angle = limit + np.array([-1e-7, 1e-7])
     p_cam = 4.0 * np.stack([0.8 * np.sin(angle), -0.6 * np.sin(angle), np.cos(angle)], axis=-1)
-    _, valid = camera.project(p_cam)
+    _, valid = projected(camera, p_cam)
     inside, outside = jacobian_of(camera, p_cam)
     assert list(valid) == [True, False]
     assert np.abs(inside - outside).max() < 1e-4 * np.abs(inside).max()
@@ -244,7 +257,7 @@ def test_equals_opencv(name):
     camera, p_cam = CAMERAS[name], points_in_view(CAMERAS[name])
     p_cam = p_cam[p_cam[:, 2] > 0.01]  # cv2.fisheye knows only the half space in front of the lens
     uv, jacobian = opencv(camera, p_cam)
-    assert np.abs(np.asarray(camera.project(p_cam)[0]) - uv).max() < 1e-8
+    assert np.abs(np.asarray(projected(camera, p_cam)[0]) - uv).max() < 1e-8
     assert np.abs(jacobian_of(camera, p_cam) - jacobian).max() < 1e-7 * np.abs(jacobian).max()
 
 
@@ -252,7 +265,7 @@ def test_derivatives_of_the_calibration_equal_opencv():
     """Self-calibration differentiates through the camera itself."""
     camera = CAMERAS["radtan_k3"]
     p_cam = points_in_view(camera)
-    gradient = jax.jacfwd(lambda c: c.project(p_cam)[0])(camera)
+    gradient = jit_quickly(jax.jacfwd(lambda c: c.project(p_cam)[0]))(camera)
     D = np.array([camera.k1, camera.k2, camera.p1, camera.p2, camera.k3], dtype=float)
     _, jacobian = cv2.projectPoints(p_cam[:, None], np.zeros(3), np.zeros(3), K_of(camera), D)
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
@@ -270,8 +283,8 @@ def test_compiled_equals_eager(camera):
 
 def test_float32_is_enough(camera):
     p_cam = points_in_view(camera)
-    exact, _ = camera.project(p_cam)
-    short, valid = camera.project(p_cam.astype(np.float32))
+    exact, _ = projected(camera, p_cam)
+    short, valid = projected(camera, p_cam.astype(np.float32))
     assert short.dtype == np.float32
     assert np.asarray(valid).all()
     assert np.abs(np.asarray(short) - np.asarray(exact)).max() < 1e-3
@@ -285,16 +298,16 @@ def test_float32_is_enough(camera):
 
 def test_resized_cropped_and_shifted_move_pixels_as_images_do(camera):
     p_cam = points_in_view(camera)
-    uv = np.asarray(camera.project(p_cam)[0])
+    uv = np.asarray(projected(camera, p_cam)[0])
     width, height = camera.resolution
     small = camera.resized(width / 2, height / 4)
     assert small.resolution == (width // 2, height // 4)
-    assert np.allclose(small.project(p_cam)[0], (uv + 0.5) * [0.5, 0.25] - 0.5, atol=1e-9)
-    assert np.allclose(small.resized(width, height).project(p_cam)[0], uv, atol=1e-9)
+    assert np.allclose(projected(small, p_cam)[0], (uv + 0.5) * [0.5, 0.25] - 0.5, atol=1e-9)
+    assert np.allclose(projected(small.resized(width, height), p_cam)[0], uv, atol=1e-9)
     window = camera.cropped(10, 20, 300, 200)
     assert window.resolution == (300, 200)
-    assert np.allclose(window.project(p_cam)[0], uv - [10, 20], atol=1e-9)
-    assert np.allclose(camera.shifted(0.45, -0.5).project(p_cam)[0], uv + [0.45, -0.5], atol=1e-9)
+    assert np.allclose(projected(window, p_cam)[0], uv - [10, 20], atol=1e-9)
+    assert np.allclose(projected(camera.shifted(0.45, -0.5), p_cam)[0], uv + [0.45, -0.5], atol=1e-9)
     assert type(small) is type(camera)
 
 
@@ -302,22 +315,22 @@ def test_resized_is_what_opencv_does_to_an_image():
     """A blob at a known pixel of the full image has its centroid where the resized camera says."""
     camera = CAMERAS["radtan"]
     p_cam = np.array([[1.0, -0.7, 9.0]])
-    u, v = np.asarray(camera.project(p_cam)[0])[0]
+    u, v = np.asarray(projected(camera, p_cam)[0])[0]
     rows, columns = np.mgrid[0:600, 0:960]
     blob = np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2 * 8.0**2))
     for size in ((480, 300), (320, 150), (1440, 900)):
         small = cv2.resize(blob, size, interpolation=cv2.INTER_AREA if size[0] < 960 else cv2.INTER_LINEAR)
         rows, columns = np.mgrid[0 : size[1], 0 : size[0]]
         centroid = np.array([(small * columns).sum(), (small * rows).sum()]) / small.sum()
-        assert np.allclose(camera.resized(*size).project(p_cam)[0][0], centroid, atol=5e-3)
+        assert np.allclose(projected(camera.resized(*size), p_cam)[0][0], centroid, atol=5e-3)
 
 
 def test_cameras_of_one_model_stack(camera):
     """vmap over stacked cameras is the same as one camera after the other."""
     cameras = [camera, camera.shifted(3.0, -2.0), camera.resized(320, 200)]
     p_cam = points_in_view(camera)
-    stacked = jax.vmap(lambda c: c.project(p_cam)[0])(stack_cameras(cameras))
-    assert np.allclose(stacked, np.stack([c.project(p_cam)[0] for c in cameras]), atol=1e-9)
+    stacked = jit_quickly(jax.vmap(lambda c: c.project(p_cam)[0]))(stack_cameras(cameras))
+    assert np.allclose(stacked, np.stack([projected(c, p_cam)[0] for c in cameras]), atol=1e-9)
 
 
 def test_border_of_the_image(camera):

@@ -16,6 +16,7 @@ from semloc_jax.geometry import lie, rigid
 from semloc_jax.mapping.chain import Chain, drive_chain
 from semloc_jax.mapping.chain_graph import NO_LOOPS, ChainGraphConfig, Loops, Start, chain_graph, solve_chain
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
+from tests.compiling import jit_quickly
 
 EXACT = ChainGraphConfig(solve=SolveConfig(tolerance=1e-9, max_steps=100))
 SIGMA = np.array([0.02, 0.01, 0.01, 0.001, 0.001, 0.003])
@@ -75,15 +76,14 @@ def dense_optimum(graph, values):
         poses = lie.compose(values["pose"], lie.exp(x[:split].reshape(num, 6)))
         return {"pose": poses, "odometer": values["odometer"] + x[split : split + 3], "gnss": values["gnss"] + x[-2:]}
 
-    @jax.jit
     def residuals(x, values):
         values = at(x, values)
         return jnp.concatenate([factors.residuals(values).ravel() for factors in graph.factors])
 
-    slopes = jax.jit(jax.jacfwd(residuals))
+    values_at, rows, slopes = jit_quickly(at), jit_quickly(residuals), jit_quickly(jax.jacfwd(residuals))
     for _ in range(2):  # the second time from the optimum: its tangents are those of the covariance
-        found = least_squares(residuals, np.zeros(split + 5), slopes, x_scale="jac", xtol=1e-12, args=(values,))
-        values = jax.tree.map(np.asarray, at(found.x, values))
+        found = least_squares(rows, np.zeros(split + 5), slopes, x_scale="jac", xtol=1e-12, args=(values,))
+        values = jax.tree.map(np.asarray, values_at(found.x, values))
     return values, np.linalg.inv(found.jac.T @ found.jac)
 
 
