@@ -33,8 +33,9 @@ from semloc_jax.alignment.candidates import (
     thinned,
     wide_sigma,
 )
-from semloc_jax.alignment.evidence_null import EvidenceNull, Pieces, PoseEvidence, Rates, best_rates
+from semloc_jax.alignment.evidence_null import EvidenceNull, best_rates
 from semloc_jax.alignment.hypotheses import search_from
+from semloc_jax.alignment.map_pieces import Pieces, PoseEvidence, Rates
 from semloc_jax.alignment.mode_search import ALIAS_SIGMAS, CompleteModesConfig, FrameImage, half_window_m
 from semloc_jax.alignment.modes import modes_in_map, weighed
 from semloc_jax.alignment.observed import Borders, ObserveConfig, Observed, observe

@@ -6,7 +6,8 @@ from scipy.ndimage import distance_transform_edt
 
 from semloc_jax.alignment.border_cells import BorderCells
 from semloc_jax.alignment.candidates import coarse_gain
-from semloc_jax.alignment.evidence_null import EvidenceNull, NullConfig, Rates
+from semloc_jax.alignment.evidence_null import EvidenceNull, NullConfig
+from semloc_jax.alignment.map_pieces import Rates
 from semloc_jax.alignment.observed import CELL_COLUMNS, Observed
 from semloc_jax.perception.border_distance import BorderDistances
 

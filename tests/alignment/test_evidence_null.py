@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from semloc_jax.alignment.evidence_null import EvidenceNull, NullConfig, Rates, best_rates
+from semloc_jax.alignment.evidence_null import EvidenceNull, NullConfig, best_rates
+from semloc_jax.alignment.map_pieces import Rates
 from semloc_jax.alignment.observed import CELL_COLUMNS, Observed
 
 CELL_PX = 48.0
