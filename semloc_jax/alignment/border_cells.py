@@ -5,10 +5,10 @@ image, and how much of it each pose leaves over. Paint that the map does not hol
 it holds is left over by the wrong ones.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool, Int
 
 from semloc_jax.alignment.observed import CELL_COLUMNS
 from semloc_jax.perception.border_distance import BorderDistances
@@ -40,8 +40,8 @@ class BorderCells:
     def of(
         cls,
         borders: BorderDistances,
-        channels: Sequence[int],
-        usable: np.ndarray,
+        channels: Int[np.ndarray, " c"],
+        usable: Bool[np.ndarray, "cam h w"],
         usable_stride: float,
         cell_px: float,
         image_size: tuple[int, int],
@@ -50,8 +50,8 @@ class BorderCells:
 
         Args:
             borders: Distances to them.
-            channels: Those that the map holds.
-            usable: `bool[cam uh uw]`, pixels that count.
+            channels: Those that the map holds, `int[c]`.
+            usable: `bool[cam h w]`, pixels that count.
             usable_stride: Pixels of the full mask in one of `usable`.
             cell_px: Size of a cell [px].
             image_size: Width and height of the largest mask [px].

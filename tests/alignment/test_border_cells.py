@@ -27,7 +27,7 @@ def distances(*boxes):
 
 def cells_of(*boxes, channels=(0, 1), usable=None):
     usable = np.ones((1, SIZE[1] // STRIDE, SIZE[0] // STRIDE), bool) if usable is None else usable
-    return BorderCells.of(distances(*boxes), channels, usable, STRIDE, CELL_PX, SIZE)
+    return BorderCells.of(distances(*boxes), np.array(channels), usable, float(STRIDE), CELL_PX, SIZE)
 
 
 def test_length_of_borders_is_that_of_the_outline():
