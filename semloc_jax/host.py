@@ -25,8 +25,8 @@ class ProgramStore(Protocol):
     def is_open(self) -> bool:
         """Whether programs are kept at present."""
 
-    def obtain(self, program: Any, static: dict[str, Any], tree: Any, leaves: list) -> tuple[Callable, Any]:
-        """The compiled program for some arguments, and the structure of its result."""
+    def obtain(self, program: Any, static: dict[str, Any], tree: Any, leaves: list) -> tuple[Callable, Any, tuple]:
+        """The compiled program for some arguments, the structure of its result, and the leaves of the result."""
 
 
 _LOADERS: dict[str, Callable[[], Any]] = {}

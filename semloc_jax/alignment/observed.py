@@ -56,7 +56,7 @@ class Observed(NamedTuple):
     range_m: Float[Array, "n cam p"]
 
 
-@stored_program("config")
+@stored_program("config", fused=True)
 def observe(
     Ts_map_base: Float[Array, "n 4 4"],
     num: Int[Array, ""],
@@ -159,7 +159,7 @@ class CoarseSamples(NamedTuple):
     """Observations that a sample stands for; 0 for padding."""
 
 
-@stored_program("config", "chunk")
+@stored_program("config", "chunk", fused=True)
 def coarse_evidence(
     Ts_map_base: Float[Array, "n 4 4"],
     samples: CoarseSamples,

@@ -6,7 +6,6 @@ other answers lie from it, and how well each element of the map is seen.
 """
 
 from dataclasses import dataclass, field
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -34,6 +33,7 @@ from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, alignment_residual, camera_views
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.view import ViewConfig, view
+from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import PoseEstimate
 
 ELEMENT_CAPACITY = 2048
@@ -87,7 +87,7 @@ class TrackedFrame(NamedTuple):
     """How far the contours within reach lie from the boundaries of their class; see `pose.typical_px`."""
 
 
-@partial(jax.jit, static_argnames="config")
+@stored_program("config")
 def align_predicted(
     T_predicted: Float[Array, "4 4"],
     prior: Prior,
@@ -172,7 +172,7 @@ def valley_along(
     return *beyond_reach(mean, valley, steps[:, 0], config.longest), jnp.min(scores)
 
 
-@partial(jax.jit, static_argnames="config")
+@stored_program("config")
 def profile_along(
     T_predicted: Float[Array, "4 4"],
     offsets_m: Float[Array, " n"],

@@ -26,6 +26,9 @@ _PACKAGE = Path(__file__).parents[1]
 _SOURCES = ("*.py", "native/src/*")
 """What a program may be traced from: any room of the package, so that no room can be forgotten."""
 _MOST_FILES = 256
+_UNFUSED = {"xla_cpu_use_fusion_emitters": False}
+"""Compiles in two thirds of the CPU time. A solve, whose inner loops are native kernels, runs as fast as before; a
+program that is one long chain of array operations (`fused`) runs a third slower. Measured, jaxlib 0.10.1."""
 _log = logging.getLogger(__name__)
 
 
@@ -34,8 +37,9 @@ def is_open() -> bool:
     return _folder() is not None
 
 
-def obtain(program: StoredProgram, static: dict, tree: Any, leaves: list) -> tuple[Callable, Any]:
-    """The program for some arguments, from disk or compiled and written there, and the structure of its result."""
+def obtain(program: StoredProgram, static: dict, tree: Any, leaves: list) -> tuple[Callable, Any, tuple]:
+    """The program for some arguments, from disk or compiled and written there, the structure of its result, and the
+    leaves of the result for these arguments."""
     name = f"{program.__name__}_{_fingerprint(program, static, tree, leaves)}"
     path = _folder() / f"{name}.bin"
     loaded = _load(path, leaves)
@@ -50,15 +54,15 @@ def obtain(program: StoredProgram, static: dict, tree: Any, leaves: list) -> tup
         return tuple(jax.tree.leaves(result))
 
     flat.__name__ = name
-    compiled = _compile_afresh(flat, leaves)
+    compiled = _compile_afresh(flat, leaves, {} if program.fused else _UNFUSED)
     skeleton = skeletons[-1]
     _store(path, compiled, skeleton)
-    return compiled, skeleton
+    return compiled, skeleton, compiled(*leaves)
 
 
 def _fingerprint(program: StoredProgram, static: dict, tree: Any, leaves: list) -> str:
     shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
-    parts = (program.__module__, static, str(tree), shapes, jax.config.jax_enable_x64, _environment())
+    parts = (program.__module__, program.fused, static, str(tree), shapes, jax.config.jax_enable_x64, _environment())
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
 
 
@@ -84,17 +88,24 @@ def _environment() -> str:
     return repr((sorted(versions().items()), devices, settings, sources.hexdigest()))
 
 
-def _compile_afresh(function: Callable, leaves: list) -> Callable:
+def _compile_afresh(function: Callable, leaves: list, options: dict[str, Any]) -> Callable:
     """The compiled function, which JAX's cache neither gives nor keeps: what came from there cannot be stored."""
     limit = jax.config.jax_persistent_cache_min_compile_time_secs
     jax.config.update("jax_persistent_cache_min_compile_time_secs", float("inf"))
     try:
-        return jax.jit(function).lower(*leaves).compile()
+        lowered = jax.jit(function).lower(*leaves)
+        try:
+            return lowered.compile(compiler_options=options)
+        except jax.errors.JaxRuntimeError as error:
+            if not options:
+                raise
+            _log.debug("%s: compiled without options (%s)", function.__name__, error)  # they are those of one release
+            return lowered.compile()
     finally:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", limit)
 
 
-def _load(path: Path, leaves: list) -> tuple[Callable, Any] | None:
+def _load(path: Path, leaves: list) -> tuple[Callable, Any, tuple] | None:
     from jax.experimental import serialize_executable
 
     content = read_sealed(path)
@@ -107,8 +118,7 @@ def _load(path: Path, leaves: list) -> tuple[Callable, Any] | None:
         in_tree = jax.tree.structure(((0,) * len(leaves), {}))
         out_tree = jax.tree.structure((0,) * len(jax.tree.leaves(skeleton)))
         program = serialize_executable.deserialize_and_load(payload, in_tree, out_tree)
-        program(*leaves)  # a program that lacks a part says so only when it runs
-        return program, skeleton
+        return program, skeleton, program(*leaves)  # a program that lacks a part says so only when it runs
     except Exception as error:  # whatever is wrong with a stored program, it can be made anew
         _log.debug("program %s: not loaded (%s); compiled anew", path, error)
         return None

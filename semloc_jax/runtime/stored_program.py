@@ -15,18 +15,24 @@ import numpy as np
 from semloc_jax.host import program_store
 
 
-def stored_program(*static_argnames: str) -> Callable[[Callable], "StoredProgram"]:
-    """Decorator: `jax.jit` whose programs outlive the process, where JAX has a compilation cache on disk."""
-    return lambda function: StoredProgram(function, static_argnames)
+def stored_program(*static_argnames: str, fused: bool = False) -> Callable[[Callable], "StoredProgram"]:
+    """Decorator: `jax.jit` whose programs outlive the process, where JAX has a compilation cache on disk.
+
+    Args:
+        static_argnames: Arguments that are no arrays.
+        fused: Whether the program is worth the longer compilation that fuses chains of operations; see
+            `runtime.programs`.
+    """
+    return lambda function: StoredProgram(function, static_argnames, fused)
 
 
 class StoredProgram:
     """A jitted function with programs on disk. Inside another traced function it is an ordinary jitted function."""
 
-    def __init__(self, function: Callable, static_argnames: tuple[str, ...]) -> None:
+    def __init__(self, function: Callable, static_argnames: tuple[str, ...], fused: bool = False) -> None:
         """Static arguments must be hashable and have a repr that tells them apart (frozen dataclasses do)."""
         functools.update_wrapper(self, function)
-        self.static_argnames = static_argnames
+        self.static_argnames, self.fused = static_argnames, fused
         self.jitted = jax.jit(function, static_argnames=static_argnames)
         self._signature = inspect.signature(function)
         self._programs: dict[tuple, tuple[Callable, Any]] = {}
@@ -45,10 +51,13 @@ class StoredProgram:
         leaves = [_array(leaf) for leaf in leaves]
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         key = (tuple(static.items()), tree, shapes, jax.config.jax_enable_x64)
-        if key not in self._programs:
-            self._programs[key] = store.obtain(self, static, tree, leaves)
-        program, skeleton = self._programs[key]
-        return jax.tree.unflatten(jax.tree.structure(skeleton), program(*leaves))
+        if key in self._programs:
+            program, skeleton = self._programs[key]
+            found = program(*leaves)
+        else:
+            program, skeleton, found = store.obtain(self, static, tree, leaves)
+            self._programs[key] = program, skeleton
+        return jax.tree.unflatten(jax.tree.structure(skeleton), found)
 
 
 def _array(leaf: Any) -> Any:

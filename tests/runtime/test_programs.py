@@ -142,6 +142,27 @@ def test_inside_another_function_it_is_traced_as_usual(cache):
     assert not cache.exists()
 
 
+def test_a_release_without_the_option_compiles_all_the_same(cache, monkeypatch):
+    """Options of the compiler come and go with its releases; the program must not."""
+    monkeypatch.setattr(programs, "_UNFUSED", {"xla_option_of_no_release": False})
+
+    def doubled(value):
+        return 2 * value
+
+    assert stored_program()(doubled)(np.arange(3.0))[2] == 4
+    (path,) = cache.iterdir()
+    assert path.stat().st_size > 0
+
+
+def test_fused_or_not_the_numbers_agree(cache):
+    def chain(value):
+        return jnp.sin(value) ** 2 + jnp.cos(value) ** 2 + jnp.cumsum(value)
+
+    value = np.linspace(0.0, 3.0, 50, dtype=np.float32)
+    found = [stored_program(fused=fused)(chain)(value) for fused in (False, True)]
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-6)
+
+
 class Command:
     """Unpickled, it runs a command."""
 
