@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.errors import SemlocError
@@ -18,7 +17,8 @@ from semloc_jax.fusion.window_state import sqrt_information
 from semloc_jax.geometry import rigid
 from semloc_jax.mapping.chain import Chain
 from semloc_jax.mapping.chain_graph import ChainSolution, MapPlaces
-from semloc_jax.mapping.loops import FoundLoop, Look, LoopConfig, Once, against
+from semloc_jax.mapping.found_loops import FoundLoop, row_of
+from semloc_jax.mapping.loops import Look, LoopConfig, Once, against, weighed_by_way
 from semloc_jax.mapping.place_search import View, lead_nats, search_places
 from semloc_jax.mapping.revisits import Revisit, groups
 from semloc_jax.maps import SemanticMap
@@ -29,7 +29,7 @@ THE_MAP = -1
 """Stands for the map where a loop names its earlier frame."""
 _LEAST_ROTATION_RAD = 0.01
 """What a map without heights leaves open of roll and pitch."""
-COLUMNS = "t,x,y,z,qx,qy,qz,qw,sigma_lateral_m,sigma_longitudinal_m,nats_over_second,accepted"
+COLUMNS = "t,x,y,z,qx,qy,qz,qw,sigma_lateral_m,sigma_longitudinal_m,nats_over_second,accepted,reasons"
 
 
 def find_places(
@@ -57,27 +57,35 @@ def find_places(
     Raises:
         SemlocError: the drive was found nowhere in the map.
     """
-    localizer = FrameLocalizer(base, table, config.scene)
-    found: list[FoundLoop] = []
-    solution = solve(places_of(found, len(chain.times_s)))
-    for frames in told(groups(chain.way_m, config.revisit)):
+    localizer, num = FrameLocalizer(base, table, config.scene), len(chain.times_s)
+    found: dict[tuple[int, ...], FoundLoop] = {}
+
+    def look_at(frames: tuple[int, ...], way: ChainSolution, is_second_look: bool) -> None:
         b = frames[len(frames) // 2]
-        revisit = Revisit(THE_MAP, b, frames, solution.covariance(np.array([b])))
+        revisit = Revisit(THE_MAP, b, frames, way.covariance(np.array([b])), is_second_look)
         if revisit.sigma_xy_m > config.revisit.max_sigma_m:
-            continue
-        place = once(revisit, lambda revisit=revisit, way=solution: _searched(localizer, look, revisit, way, config))
-        if place is None:
-            continue
-        found.append(place)
-        if place.is_accepted:
-            solution = solve(places_of(found, len(chain.times_s)))
-    if not any(place.is_accepted for place in found):
-        reasons = sorted({reason for place in found for reason in place.reasons})
+            return
+        place = once(revisit, lambda: _searched(localizer, look, revisit, way, config))
+        if place is not None:
+            found[frames] = place
+
+    solution = solve(places_of([], num))
+    for frames in told(groups(chain.way_m, config.revisit)):
+        look_at(frames, solution, is_second_look=False)
+        if frames in found and found[frames].is_accepted:
+            solution = solve(places_of(found.values(), num))
+    open_ones = [frames for frames, place in found.items() if not place.is_accepted]
+    if len(open_ones) < len(found):
+        for frames in told(open_ones):  # by the way as the first look leaves it: no second look confirms another
+            look_at(frames, solution, is_second_look=True)
+        solution = solve(places_of(found.values(), num))
+    if not any(place.is_accepted for place in found.values()):
+        reasons = sorted({reason for place in found.values() for reason in place.reasons})
         raise SemlocError(
             f"base map {base.name}: none of {len(found)} groups of frames was found in it"
             f"{f' ({reasons[0]})' if reasons else ''}; give --start a pose in it, and check that it covers the drive"
         )
-    return found, solution
+    return list(found.values()), solution
 
 
 def _searched(
@@ -94,6 +102,8 @@ def _searched(
         return None
     if not places:
         return FoundLoop(revisit.a, revisit.b, T, revisit.covariance, 0.0, ("no frame sees the map",))
+    if revisit.is_second_look:
+        places = weighed_by_way(places, T, sigma_xy_m, sigma_heading_rad)
     best, lead = places[0], lead_nats(places)
     covariance = best.covariance + np.diag(np.square(config.map_sigma))
     off = rigid.log(T_b_map @ best.T_map_middle)
@@ -101,7 +111,7 @@ def _searched(
     return FoundLoop(revisit.a, revisit.b, best.T_map_middle, covariance, lead, reasons)
 
 
-def places_of(found: Sequence[FoundLoop], num: int) -> MapPlaces:
+def places_of(found: Iterable[FoundLoop], num: int) -> MapPlaces:
     """The accepted ones, for the graph of so many frames."""
     Ts, info = np.tile(np.eye(4), (num, 1, 1)), np.zeros((num, 6, 6))
     for place in found:
@@ -120,11 +130,5 @@ def write_places(path: str | Path, found: Sequence[FoundLoop], times_s: Float[np
         found: The places.
         times_s: Of the frames of the chain.
     """
-    lines = [COLUMNS]
-    for place in found:
-        pose = [*place.T_a_b[:3, 3], *Rotation.from_matrix(place.T_a_b[:3, :3]).as_quat()]
-        numbers = ",".join(f"{value:.6f}" for value in pose)
-        sigmas = ",".join(f"{np.sqrt(place.covariance[axis, axis]):.4f}" for axis in (1, 0))
-        tail = f"{sigmas},{place.nats_over_second:.2f},{int(place.is_accepted)}"
-        lines.append(f"{times_s[place.b]:.9f},{numbers},{tail}")
+    lines = [COLUMNS, *(f"{times_s[place.b]:.9f},{row_of(place)}" for place in found)]
     write_text(path, "\n".join(lines) + "\n")

@@ -16,8 +16,9 @@ from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.base_places import find_places, places_of
 from semloc_jax.mapping.chain import Chain
 from semloc_jax.mapping.chain_graph import MapPlaces
+from semloc_jax.mapping.found_loops import FoundLoop
 from semloc_jax.mapping.gauge import Gauge
-from semloc_jax.mapping.loops import FoundLoop, LoopConfig, LoopSearch, Once
+from semloc_jax.mapping.loops import LoopConfig, LoopSearch, Once
 from semloc_jax.mapping.mapper import MapConfig
 from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.stretch_maps import StretchMaps

@@ -2,18 +2,15 @@
 
 In: Chain, masks of its frames, maps of stretches of it. Out: FoundLoop list, accepted or not, and the way with them.
 A false loop ruins a map, a missing one leaves it a little worse: a loop is accepted only where several frames agree on
-a place along the odometry, nothing else explains them nearly as well, and the way allows it.
+a place along the odometry, nothing else explains them nearly as well, and the way allows it. A place with twins beside
+it, a dash period on, is looked at again when the loops of other places have told how the way goes.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
@@ -22,11 +19,11 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
 from semloc_jax.mapping.chain import Chain
 from semloc_jax.mapping.chain_graph import ChainSolution, Loops
+from semloc_jax.mapping.found_loops import FoundLoop, loops_of, without_outvoted
 from semloc_jax.mapping.place_search import PLANE, Place, View, lead_nats, search_places
 from semloc_jax.mapping.revisits import Revisit, RevisitConfig, groups, revisits
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable
-from semloc_jax.storage import write_text
 
 MapOf = Callable[[np.ndarray], SemanticMap | None]
 """Frames of a stretch -> what a mapper made of them, in the frame `odom` of the chain; None where it has nothing."""
@@ -52,6 +49,8 @@ class LoopConfig:
     """Share of the frames that must have a mode at the place."""
     min_explained: float = 0.25
     """Mean share of the map in view that must lie on borders of the masks."""
+    max_sigma_m: float = 0.5
+    """A place that is open by more says little of the way; a wrong one would not be noticed."""
     probability: float = 0.999
     """Quantile of chi-square that the agreement of the frames keeps."""
     way_probability: float = 0.99
@@ -62,25 +61,6 @@ class LoopConfig:
     """Least standard deviations of the place that is searched around."""
     map_sigma: tuple[float, float, float, float, float, float] = (0.05, 0.03, 0.05, 0.005, 0.005, 0.002)
     """Errors of the map of a stretch and of the frames that no covariance of theirs holds [m, rad]."""
-
-
-class FoundLoop(NamedTuple):
-    """A revisit that was searched, and what came of it."""
-
-    a: int
-    b: int
-    """Frames of the chain."""
-    T_a_b: Float[np.ndarray, "4 4"]
-    covariance: Float[np.ndarray, "6 6"]
-    """Of its right tangent [m, rad]."""
-    nats_over_second: float
-    reasons: tuple[str, ...]
-    """Why it is no loop; empty where it is accepted."""
-
-    @property
-    def is_accepted(self) -> bool:
-        """Whether nothing speaks against it."""
-        return not self.reasons
 
 
 @dataclass(frozen=True)
@@ -111,20 +91,37 @@ class LoopSearch:
         Args:
             told: Wraps the groups of frames, to show progress.
         """
-        found: list[FoundLoop] = []
-        solution = self.solve(loops_of(found))
+        found: dict[tuple[int, ...], list[FoundLoop]] = {}
+
+        def every() -> list[FoundLoop]:
+            return [loop for loops in found.values() for loop in loops]
+
+        solution = self.solve(loops_of(every()))
         for frames in told(groups(self.chain.way_m, self.config.revisit)):
-            near = revisits(solution, self.chain.way_m, frames, self.config.revisit)
-            for revisit in near[: self.config.max_passes]:
-                loop = self.once(revisit, partial(self.searched, revisit, solution))
-                if loop is None:
-                    continue
+            found[frames] = self.looked(frames, solution)
+            if any(loop.is_accepted for loop in found[frames]):
+                # What the loop tells makes the next search narrower.
+                solution = self.solve(loops_of(every()))
+        open_ones = [frames for frames, loops in found.items() if loops and not loops[-1].is_accepted]
+        if len(open_ones) < sum(map(bool, found.values())):
+            # By the way as the first look leaves it: no second look confirms another.
+            for frames in told(open_ones):
+                found[frames] = self.looked(frames, solution, is_second_look=True) or found[frames]
+            solution = self.solve(loops_of(every()))
+        return without_outvoted(every(), solution.is_kept), solution
+
+    def looked(self, frames: tuple[int, ...], solution: ChainSolution, is_second_look: bool = False) -> list[FoundLoop]:
+        """The earlier passes of a group that were searched, up to the first that is accepted."""
+        found = []
+        near = revisits(solution, self.chain.way_m, frames, self.config.revisit)
+        for revisit in near[: self.config.max_passes]:
+            revisit = revisit._replace(is_second_look=is_second_look)
+            loop = self.once(revisit, partial(self.searched, revisit, solution))
+            if loop is not None:
                 found.append(loop)
                 if loop.is_accepted:
-                    # What the loop tells makes the next search narrower.
-                    solution = self.solve(loops_of(found))
                     break
-        return found, solution
+        return found
 
     def searched(self, revisit: Revisit, solution: ChainSolution) -> FoundLoop | None:
         """The loop of a revisit; None where there is nothing to search in."""
@@ -147,12 +144,27 @@ class LoopSearch:
             return None
         if not places:
             return FoundLoop(revisit.a, revisit.b, T_a_b, revisit.covariance, 0.0, ("no frame sees the map",))
+        if revisit.is_second_look:
+            places = weighed_by_way(places, T_odom_a @ T_a_b, sigma_xy_m, sigma_heading_rad)
         best, lead = places[0], lead_nats(places)
         covariance = best.covariance + np.diag(np.square(config.map_sigma))
         T_found = rigid.inverse(T_odom_a) @ best.T_map_middle
         off = rigid.log(rigid.inverse(T_a_b) @ T_found)
         reasons = tuple(against(best, lead, off, covariance + revisit.covariance, config))
         return FoundLoop(revisit.a, revisit.b, T_found, covariance, lead, reasons)
+
+
+def weighed_by_way(
+    places: Sequence[Place], T_map_middle: np.ndarray, sigma_xy_m: float, sigma_heading_rad: float
+) -> list[Place]:
+    """Places with what the way says of each in their evidence, best first; arguments as for `search_places`."""
+    sigma = np.array([sigma_xy_m, sigma_xy_m, sigma_heading_rad])
+
+    def nats(place: Place) -> float:
+        off = rigid.log(rigid.inverse(T_map_middle) @ place.T_map_middle)[PLANE]
+        return place.nats - 0.5 * float(np.sum(np.square(off / sigma)))
+
+    return sorted((place._replace(nats=nats(place)) for place in places), key=lambda place: -place.nats)
 
 
 def against(best: Place, lead: float, off: np.ndarray, covariance: np.ndarray, config: LoopConfig) -> Iterable[str]:
@@ -164,6 +176,9 @@ def against(best: Place, lead: float, off: np.ndarray, covariance: np.ndarray, c
             return
     if lead < config.min_lead_nats:
         yield f"{lead:.1f} nats over the second place"
+    sigma_m = float(np.sqrt(np.linalg.eigvalsh(best.covariance[:2, :2])[-1]))
+    if sigma_m > config.max_sigma_m:
+        yield f"the place is open by {sigma_m:.1f} m"
     if best.explained < config.min_explained:
         yield f"{best.explained:.0%} of the map in view on borders of the masks"
     if best.chi_square > chdtri(max(3 * (seen - 1), 1), 1.0 - config.probability):
@@ -171,36 +186,3 @@ def against(best: Place, lead: float, off: np.ndarray, covariance: np.ndarray, c
     square = float(off[PLANE] @ np.linalg.solve(covariance[np.ix_(PLANE, PLANE)], off[PLANE]))
     if square > chdtri(3, 1.0 - config.way_probability):
         yield f"{np.hypot(*off[:2]):.1f} m from where the way ends: chi-square {square:.0f} of 3"
-
-
-def loops_of(found: Sequence[FoundLoop]) -> Loops:
-    """The accepted ones, for the graph."""
-    accepted = [loop for loop in found if loop.is_accepted]
-    return Loops(
-        np.array([loop.a for loop in accepted], int),
-        np.array([loop.b for loop in accepted], int),
-        np.array([loop.T_a_b for loop in accepted]).reshape(-1, 4, 4),
-        np.array([loop.covariance for loop in accepted]).reshape(-1, 6, 6),
-    )
-
-
-COLUMNS = "t_a,t_b,x,y,z,qx,qy,qz,qw,sigma_lateral_m,sigma_longitudinal_m,nats_over_second,accepted"
-"""Times [s], T_a_b [m], its standard deviations, evidence over the second-best place, 1 where it is accepted else 0."""
-
-
-def write_loops(path: str | Path, found: Sequence[FoundLoop], times_s: Float[np.ndarray, " n"]) -> None:
-    """Write `loops.csv`: every revisit that was searched.
-
-    Args:
-        path: File.
-        found: The revisits.
-        times_s: Of the frames of the chain.
-    """
-    lines = [COLUMNS]
-    for loop in found:
-        times = f"{times_s[loop.a]:.9f},{times_s[loop.b]:.9f}"
-        pose = [*loop.T_a_b[:3, 3], *Rotation.from_matrix(loop.T_a_b[:3, :3]).as_quat()]
-        numbers = ",".join(f"{value:.6f}" for value in pose)
-        sigmas = ",".join(f"{np.sqrt(loop.covariance[axis, axis]):.4f}" for axis in (1, 0))
-        lines.append(f"{times},{numbers},{sigmas},{loop.nats_over_second:.2f},{int(loop.is_accepted)}")
-    write_text(path, "\n".join(lines) + "\n")

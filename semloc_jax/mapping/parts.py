@@ -14,8 +14,8 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.existence import Counting
+from semloc_jax.mapping.found_loops import FoundLoop
 from semloc_jax.mapping.looking import Gatherer
-from semloc_jax.mapping.loops import FoundLoop
 from semloc_jax.mapping.revisits import Revisit
 from semloc_jax.mapping.uprights import UprightCounting
 from semloc_jax.storage import append_line, making, reading, whole_lines
@@ -88,7 +88,7 @@ class Parts:
     def once(self, revisit: Revisit, search: Callable[[], FoundLoop | None]) -> FoundLoop | None:
         """What a search for a loop gives; where it was searched before, what it gave then."""
         path = self.folder / _LOOPS
-        key = [int(revisit.a), int(revisit.b), *map(int, revisit.frames)]
+        key = [int(revisit.is_second_look), int(revisit.a), int(revisit.b), *map(int, revisit.frames)]
         with reading(f"searched revisits {path}"):
             for line in map(json.loads, whole_lines(path)):
                 if line["revisit"] == key:

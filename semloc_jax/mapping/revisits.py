@@ -45,6 +45,8 @@ class Revisit(NamedTuple):
     frames: tuple[int, ...]
     covariance: Float[np.ndarray, "6 6"]
     """Of the right tangent of T_a_b by the way."""
+    is_second_look: bool = False
+    """Whether the loops of other places have told how the way goes."""
 
     @property
     def sigma_xy_m(self) -> float:

@@ -30,8 +30,8 @@ from semloc_jax.mapping.base_map import Change
 from semloc_jax.mapping.base_places import write_places
 from semloc_jax.mapping.chain import drive_chain
 from semloc_jax.mapping.closing import ClosedWay, closed_way
+from semloc_jax.mapping.found_loops import FoundLoop, write_loops
 from semloc_jax.mapping.gauge import GNSS, IDENTITY, Gauge, gauge_of
-from semloc_jax.mapping.loops import FoundLoop, write_loops
 from semloc_jax.mapping.mapper import MadeMap, MapConfig, make_map
 from semloc_jax.mapping.parts import Parts
 from semloc_jax.maps import BeliefMap, read_map, write_drive_geojson, write_map

@@ -11,8 +11,8 @@ from semloc_jax.datasets import open_drive
 from semloc_jax.evaluation import read_metrics, read_trajectory
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.mapping import parts
+from semloc_jax.mapping.found_loops import COLUMNS
 from semloc_jax.mapping.looking import Looker, RoadLookConfig
-from semloc_jax.mapping.loops import COLUMNS
 from semloc_jax.mapping.mapper import MapConfig, make_map
 from semloc_jax.maps import BeliefMap, MapElement, read_map
 from semloc_jax.simulation import SimulationConfig, simulate

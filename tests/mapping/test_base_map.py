@@ -15,7 +15,9 @@ from semloc_jax.mapping.base_map import BaseConfig, Countable, aged_logit, taken
 from semloc_jax.mapping.base_places import find_places, places_of, write_places
 from semloc_jax.mapping.chain_graph import Start, solve_chain
 from semloc_jax.mapping.existence import ExistenceConfig, existence_logit, raised
-from semloc_jax.mapping.loops import FoundLoop, LoopConfig
+from semloc_jax.mapping.found_loops import FoundLoop
+from semloc_jax.mapping.loops import LoopConfig
+from semloc_jax.mapping.revisits import RevisitConfig
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.perception import load_class_table
 from semloc_jax.reports.mapping import base_metrics, write_changes
@@ -145,8 +147,35 @@ def test_places_in_a_map_lay_a_drive_on_it(tmp_path):
     assert np.linalg.norm((guess - true[0])[:2, 3]) > 1.5
     write_places(tmp_path / "places.csv", [*found, wrong], chain.times_s)
     rows = [row.split(",") for row in (tmp_path / "places.csv").read_text().splitlines()]
-    assert [row[-1] for row in rows[1:]] == ["1", "1", "0"]
+    assert [row[-2:] for row in rows[1:]] == [["1", ""], ["1", ""], ["0", "twins"]]
     assert float(rows[1][1]) == pytest.approx(true[5][0, 3], abs=1e-5)
+
+
+def test_a_group_that_saw_twins_is_looked_at_again_by_the_way_of_the_others():
+    chain, poses = made_chain()
+    covariance = np.diag([0.05, 0.05, 0.05, 0.01, 0.01, 0.002]) ** 2
+    looks = []
+
+    def once(revisit, _):
+        looks.append((revisit.b, revisit.is_second_look))
+        reasons = () if revisit.is_second_look or len(looks) == 1 else ("twins",)
+        return FoundLoop(-1, revisit.b, poses[revisit.b], covariance, 50.0, reasons)
+
+    found, solution = find_places(
+        chain,
+        lambda index: ([], None),
+        SemanticMap((dash("dash", 0),), None, "here"),
+        load_class_table("drive"),
+        lambda places: solve_chain(chain, start=Start(poses[0], np.eye(6)), places=places),
+        LoopConfig(RevisitConfig(every_m=10.0, span_m=6.0)),
+        once,
+    )
+    first = [b for b, again in looks if not again]
+    assert len(first) >= 3
+    assert [b for b, again in looks if again] == first[1:]
+    assert [place.b for place in found] == first
+    assert all(place.is_accepted for place in found)
+    assert np.linalg.norm((solution.Ts_map_base - poses)[first, :2, 3], axis=1).max() < 0.1
 
 
 def test_a_map_of_somewhere_else_is_one_sentence():

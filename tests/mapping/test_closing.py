@@ -16,8 +16,8 @@ from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping import stretch_maps
 from semloc_jax.mapping.base_places import places_of
 from semloc_jax.mapping.closing import closed_way
+from semloc_jax.mapping.found_loops import FoundLoop
 from semloc_jax.mapping.gauge import gauge_of
-from semloc_jax.mapping.loops import FoundLoop
 from semloc_jax.mapping.stretch_maps import StretchMaps
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.perception import load_class_table

@@ -11,15 +11,8 @@ from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.mapping.chain import drive_chain
 from semloc_jax.mapping.chain_graph import Loops, Start, solve_chain
-from semloc_jax.mapping.loops import (
-    COLUMNS,
-    FoundLoop,
-    LoopConfig,
-    LoopSearch,
-    against,
-    loops_of,
-    write_loops,
-)
+from semloc_jax.mapping.found_loops import COLUMNS, FoundLoop, loops_of, write_loops
+from semloc_jax.mapping.loops import LoopConfig, LoopSearch, against, weighed_by_way
 from semloc_jax.mapping.place_search import Place, lead_nats
 from semloc_jax.mapping.revisits import Revisit, RevisitConfig, groups, revisits
 from semloc_jax.maps import SemanticMap, read_map
@@ -82,18 +75,83 @@ def test_a_loop_needs_uniqueness_agreement_and_the_way():
     assert reasons(place(300.0), 60.0, off_m=2.6) == ["2.6 m from where the way ends: chi-square 27 of 3"]
 
 
+def test_an_open_place_is_no_loop():
+    wide = place(300.0)._replace(covariance=np.diag([0.36, 0.01, 0.04, 1e-5, 1e-5, 1e-5]))
+    assert reasons(wide, 60.0) == ["the place is open by 0.6 m"]
+
+
+def test_the_way_tells_twins_apart_that_look_alike():
+    """A dash period on, the masks even prefer the twin by 3 nats: 3.8 m against 0.5 m are 29 nats."""
+    T_way, twin = rigid.planar_pose(10.0, 5.0, 0.4), rigid.planar_pose(3.8, 0.0)
+    places = [place(300.0, T_way @ twin), place(297.0, T_way @ rigid.planar_pose(0.1, 0.0))]
+    best, second = weighed_by_way(places, T_way, 0.5, 0.01)
+    np.testing.assert_allclose(best.T_map_middle, places[1].T_map_middle)
+    assert lead_nats([best, second]) == pytest.approx(0.5 * (3.8**2 - 0.1**2) / 0.5**2 - 3.0)
+
+
+def never(frame):
+    raise AssertionError("nothing to look for")
+
+
+def told(chain, poses, second_look, off_m=0.0):
+    """A search whose every other group sees twins at first sight; and the revisits that were searched."""
+    seen = []
+
+    def once(revisit, _):
+        seen.append(revisit)
+        T = rigid.inverse(poses[revisit.a]) @ poses[revisit.b]
+        covariance = np.diag(np.array([0.05, 0.03, 0.05, 0.005, 0.005, 0.003]) ** 2)
+        if revisit.is_second_look:
+            return FoundLoop(revisit.a, revisit.b, T @ rigid.planar_pose(off_m, 0.0), covariance, 40.0, second_look)
+        return FoundLoop(revisit.a, revisit.b, T, covariance, 40.0, ("twins",) if len(seen) % 2 else ())
+
+    config = LoopConfig(RevisitConfig(every_m=6.0, span_m=6.0, min_way_m=10.0, reach_m=1.0), max_passes=1)
+    solve = lambda loops: solve_chain(chain, loops)  # noqa: E731
+    table = load_class_table("drive")
+    found, solution = LoopSearch(chain, never, never, table, solve, config, once).run()
+    return seen, found, solution
+
+
+def test_groups_that_saw_twins_are_looked_at_again_by_the_way_of_the_others():
+    chain, poses = made_chain()
+    seen, found, solution = told(chain, poses, ())
+    again = [revisit for revisit in seen if revisit.is_second_look]
+    first = {revisit.b: revisit for revisit in seen if not revisit.is_second_look}
+    assert len(again) >= 2 and len(found) == len(first)
+    assert all(loop.is_accepted for loop in found)
+    # Only what comes later can tell more than at the first look, and the last group has none.
+    assert all(revisit.sigma_xy_m < 0.9 * first[revisit.b].sigma_xy_m for revisit in again[:-1])
+    error_m = np.linalg.norm((solution.Ts_map_base - poses)[:, :2, 3], axis=1)
+    _, only_first, without = told(chain, poses, ("twins",))
+    assert sum(loop.is_accepted for loop in only_first) == len(found) - len(again)
+    assert error_m.max() < np.linalg.norm((without.Ts_map_base - poses)[:, :2, 3], axis=1).max() + 0.02
+
+
+def test_a_loop_that_the_others_speak_against_is_not_accepted():
+    chain, poses = made_chain()
+    seen, found, solution = told(chain, poses, (), off_m=3.0)
+    wrong = {revisit.b for revisit in seen if revisit.is_second_look}
+    for loop in found:
+        assert loop.reasons == (("the other loops speak against it",) if loop.b in wrong else ())
+    assert np.linalg.norm((solution.Ts_map_base - poses)[:, :2, 3], axis=1).max() < 0.3
+
+
 def test_the_file_has_a_row_for_every_revisit_that_was_searched(tmp_path):
     T = rigid.planar_pose(1.0, -2.0, np.pi / 2)
     covariance = np.diag(np.array([0.04, 0.03, 0.05, 0.01, 0.01, 0.01]) ** 2)
-    found = [FoundLoop(3, 40, T, covariance, 88.125, ()), FoundLoop(4, 44, np.eye(4), covariance, 3.0, ("twins",))]
+    found = [
+        FoundLoop(3, 40, T, covariance, 88.125, ()),
+        FoundLoop(4, 44, np.eye(4), covariance, 3.0, ("twins", "9 m off")),
+    ]
     write_loops(tmp_path / "loops.csv", found, 0.2 * np.arange(50))
     header, first, second = (tmp_path / "loops.csv").read_text().splitlines()
     assert header == COLUMNS
-    row = dict(zip(header.split(","), map(float, first.split(",")), strict=True))
+    assert first.endswith(",1,")
+    row = dict(zip(header.split(",")[:-1], map(float, first.split(",")[:-1]), strict=True))
     assert (row["t_a"], row["t_b"], row["accepted"]) == (pytest.approx(0.6), pytest.approx(8.0), 1.0)
     assert [row[key] for key in ("x", "y", "qz", "qw")] == pytest.approx([1.0, -2.0, 0.5**0.5, 0.5**0.5], abs=1e-6)
     assert (row["sigma_lateral_m"], row["sigma_longitudinal_m"]) == (0.03, 0.04)
-    assert second.endswith(",3.00,0")
+    assert second.endswith(",3.00,0,twins; 9 m off")
     np.testing.assert_array_equal(loops_of(found).b, [40])
 
 
@@ -106,11 +164,8 @@ def test_a_stretch_without_a_map_gives_no_loop_and_leaves_the_way(tmp_path):
         asked.append(frames)
         return SemanticMap(()) if len(asked) % 2 else None
 
-    def look(frame):
-        raise AssertionError("nothing to look for")
-
     table = load_class_table("drive")
-    search = LoopSearch(chain, look, nothing, table, lambda loops: solve_chain(chain, loops), config)
+    search = LoopSearch(chain, never, nothing, table, lambda loops: solve_chain(chain, loops), config)
     found, solution = search.run()
     assert found == [] and len(asked) > 3
     assert all(frames.max() < NUM for frames in asked)
