@@ -5,7 +5,9 @@ Search and ranking go by evidence with a null; places at which the map repeats i
 like all others; the ramp cost is what the solves descend on, no more.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -276,17 +278,8 @@ class ModeFinder:
         centre = Prior(centre, jnp.asarray(self.wide_sigma, jnp.float32))
         _, grain = sharpest(jnp.asarray(best, jnp.float32), self.frame, centre, self.frame_config)
         frame = self.frame._replace(grain=grain)
-        closer = evidence_from(jnp.asarray(best, jnp.float32), frame, self.frame_config.polish_view)
-        road = jax.device_get(
-            weighed_along_road(
-                jnp.asarray(best, jnp.float32),
-                closer,
-                centre,
-                self.frame_config.search_align,
-                self.frame_config.along_road,
-                self.frame_config.search.chunk,
-            )
-        )
+        road_through = partial(self._road_through, frame=frame, prior=centre)
+        road = road_through(best)
         beside = np.asarray(road.Ts_map_base, dtype=np.float64)[np.isfinite(road.scores)]
         others = Ts[places.best[1 : config.num_final + 1]]
         starts = np.concatenate([Ts[own], beside, restarts, others])
@@ -300,7 +293,16 @@ class ModeFinder:
         last = self.ridges(Ts_end, found, np.asarray(solved.estimates.status))
         if not len(last.best):
             return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
-        return self._in_map(solved, Ts_end, (pieces, found), last, rates, road, in_view_px)
+        return self._in_map(solved, Ts_end, (pieces, found), last, rates, road_through, in_view_px)
+
+    def _road_through(self, T_map_base: np.ndarray, frame: FrameInput, prior: Prior) -> RoadPosterior:
+        """Places along the road through a pose."""
+        T = jnp.asarray(T_map_base, jnp.float32)
+        closer = evidence_from(T, frame, self.frame_config.polish_view)
+        config = self.frame_config
+        return jax.device_get(
+            weighed_along_road(T, closer, prior, config.search_align, config.along_road, config.search.chunk)
+        )
 
     def _in_map(
         self,
@@ -309,7 +311,7 @@ class ModeFinder:
         seen: tuple[Pieces, PoseEvidence],
         places: Ridges,
         rates: Rates,
-        road: RoadPosterior,
+        road_through: Callable[[np.ndarray], RoadPosterior],
         in_view_px: float,
     ) -> FoundModes:
         config = self.config
@@ -328,7 +330,9 @@ class ModeFinder:
                 continue
             covariance, row = local[0].covariance, int(leader)
             if place == 0:
-                wider = _widened(covariance.astype(np.float32), self._spread_along(Ts[chosen], road, rates))
+                # Through the pose that is told: one that candidates proposed may lie in a valley beside it.
+                along = self._spread_along(Ts[chosen], road_through(Ts[chosen]), rates)
+                wider = _widened(covariance.astype(np.float32), along)
                 moments = spread(Ts[chosen], Ts[members], held)
                 known = np.maximum(moments.diagonal(), np.asarray(wider).diagonal()[np.array(PLANE)])
                 known = np.maximum(known, self.disagreement(Ts[chosen], in_view_px, known))
