@@ -204,11 +204,11 @@ def feature_from_element(element: MapElement, to_file: Callable[[np.ndarray], np
 
 def feature_class(element: MapElement) -> str:
     """Returns the class name of an element in GeoJSON."""
-    known = element.attributes.get("class")
+    known = str(element.attributes.get("class"))  # of another format it may be a list, which no table takes
     if element.style == VIRTUAL and element.label == ElementClass.LANE_MARKING:
         return "lane_boundary"
     if known in FEATURE_CLASSES and known != "lane_boundary" and FEATURE_CLASSES[known][0] == element.label:
-        return str(known)
+        return known
     if element.label == ElementClass.LANE_MARKING:
         return "lane_dashed" if element.style == "dashed" else "lane_solid"
     return element.label.name.lower()
