@@ -104,5 +104,5 @@ def test_a_geojson_is_no_larger_in_memory_than_its_elements(tmp_path):
     kept, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert len(found.elements) == 1476
-    assert peak - kept < 0.12 * path.stat().st_size
+    assert peak - kept < 0.25 * path.stat().st_size
     assert peak_bytes(lambda: json.loads(text)) > path.stat().st_size
