@@ -156,8 +156,11 @@ def _new_index(_: type, content: Mapping[str, object]) -> _Part:
     return _Part(content)
 
 
-class _TableUnpickler(pickle.Unpickler):
-    """Reads the tables of PandaSet and nothing else: a pickle may name any function, this one may not call it."""
+class _TableUnpickler(pickle._Unpickler):
+    """Reads the tables of PandaSet and nothing else: a pickle may name any function, this one may not call it.
+
+    It is that of pickle in Python: the one in C takes gigabytes for a damaged place in its list of things seen.
+    """
 
     _ALLOWED = frozenset(
         {
