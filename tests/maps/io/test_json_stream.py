@@ -93,7 +93,7 @@ def test_nodes_of_osm_keep_no_more_than_their_place(tmp_path):
 
 
 def test_a_geojson_is_no_larger_in_memory_than_its_elements(tmp_path):
-    """Some features are held at once, however many the file has; what is left is the map. A mark of the encoding at the start does no harm."""
+    """Few features are held at once, however many there are; a mark of the encoding at the start does no harm."""
     path = tmp_path / "town.geojson"
     write_geojson(town(12), path)
     text = path.read_text(encoding="utf-8")
