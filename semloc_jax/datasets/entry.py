@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from semloc_jax.datasets.base import Drive, Frame
+from semloc_jax.datasets.sensors import FARTHEST_M
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import is_plain_name
 
@@ -34,8 +35,6 @@ _TURN_RATIO = (0.3, 3.0)
 _MIN_TURN_RAD = 0.5
 """Root of the summed squares of the turns that a comparison needs."""
 _MIN_CORRELATION = 0.8
-_FARTHEST_M = 1e8
-"""No place on the earth, in any coordinates, is farther from its origin."""
 _FASTEST_TURN_RADPS, _LARGEST_SIDE_MPS2 = 12.0, 30.0
 """No road vehicle turns faster or takes a curve so fast for long."""
 
@@ -52,7 +51,7 @@ def checked(drive: Drive) -> Drive:
                 f"drive {drive.name}: camera name {name[:60]!r}; expected one that can name a folder; rename the camera"
             )
     if drive.truth is not None:
-        known = np.isfinite(drive.truth.time_s) & (np.abs(drive.truth.T_map_base) <= _FARTHEST_M).all(axis=(1, 2))
+        known = np.isfinite(drive.truth.time_s) & (np.abs(drive.truth.T_map_base) <= FARTHEST_M).all(axis=(1, 2))
         if not known.all():
             raise SemlocError(
                 f"drive {drive.name}: pose {int(np.argmin(known))} of its truth has a time or place that is no number "

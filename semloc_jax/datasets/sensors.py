@@ -18,6 +18,10 @@ from semloc_jax.geometry.geodesy import Geodetic, enu_from_wgs84, wgs84_from_enu
 
 _FASTEST_MPS, _HIGHEST_M = 150.0, 1e5
 """No vehicle is faster, no road is higher."""
+FARTHEST_M = 1e8
+"""No place on the earth, in any coordinates, is farther from its origin."""
+_LARGEST_READING = 1e6
+"""Beyond what a sensor reads, in any unit; computed with in float32, 1e39 would be infinite."""
 _DECIMALS = 4
 """Decimals of metres that fixes from degrees keep, so that a drive is the same in every format; our choice."""
 
@@ -41,8 +45,11 @@ class GnssTrack:
     origin: Geodetic | None = None
 
     def __post_init__(self) -> None:
-        if not np.isfinite(np.column_stack([self.time_s, self.p_enu])).all():
-            raise SemlocError("GNSS: a time or position is NaN or infinite; expected finite numbers; drop such rows")
+        if not (np.isfinite(self.time_s).all() and (np.abs(self.p_enu) < FARTHEST_M).all()):
+            raise SemlocError(
+                "GNSS: a time or position is NaN, infinite or beyond the earth; expected seconds and metres; drop such "
+                "rows"
+            )
         wrong = ~((self.sigma_m > 0.0) & (self.sigma_m < _HIGHEST_M)).all(axis=1)
         if wrong.any():
             row = int(np.argmax(wrong))
@@ -96,6 +103,11 @@ class WheelOdometry:
     def __post_init__(self) -> None:
         if not np.isfinite([self.time_s, self.speed_mps, self.yaw_rate_radps]).all():
             raise SemlocError("wheel odometry: a value is NaN or infinite; expected finite numbers; drop such rows")
+        if np.abs(self.yaw_rate_radps).max(initial=0.0) > _LARGEST_READING:
+            raise SemlocError(
+                f"wheel odometry: a yaw rate of {np.abs(self.yaw_rate_radps).max():g} rad/s; expected that of a "
+                "vehicle; drop such rows"
+            )
         if np.abs(self.speed_mps).max(initial=0.0) > _FASTEST_MPS:
             raise SemlocError(
                 f"wheel odometry: a speed of {np.abs(self.speed_mps).max():g} m/s; expected that of a vehicle; is it "
@@ -165,11 +177,12 @@ class Imu:
     accel_mps2: Float[np.ndarray, "n 3"]
 
     def __post_init__(self) -> None:
-        wrong = ~np.isfinite(np.column_stack([self.time_s, self.gyro_radps, self.accel_mps2])).all(axis=1)
+        readings = np.column_stack([self.gyro_radps, self.accel_mps2])
+        wrong = ~((np.abs(readings) < _LARGEST_READING).all(axis=1) & np.isfinite(self.time_s))
         if wrong.any():
             raise SemlocError(
-                f"imu: row {int(np.argmax(wrong)) + 1} holds NaN or an infinite number; expected finite numbers; drop "
-                "such rows"
+                f"imu: row {int(np.argmax(wrong)) + 1} holds NaN, an infinite or a huge number; expected rad/s and "
+                "m/s^2; drop such rows"
             )
         if np.any(np.diff(self.time_s) <= 0.0):
             row = int(np.argmax(np.diff(self.time_s) <= 0.0)) + 2

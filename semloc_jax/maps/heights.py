@@ -4,10 +4,8 @@ In: a map, a raster of ground heights or a map that has them. Out: the map with 
 Sigmas are one standard deviation of the height above the true road [m]; those without a source are our choice.
 """
 
-import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -15,12 +13,10 @@ from jaxtyping import Float
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.maps.ground import GroundModel, RoadPlane
-from semloc_jax.storage import npy_array
+from semloc_jax.maps.ground_raster import GroundRaster
 
 SIGMA = "height_sigma_m"
 """Attribute of an element whose heights came from a ground surface."""
-RASTER_SIGMA_M = 0.05
-"""Of a raster whose maker says nothing: about the spread of lidar ground on a road."""
 PLANE_SIGMA_M = 0.02
 ROAD_CURVATURE_PER_M = 1.0 / 2000.0
 """A road leaves the plane under the vehicle like a curve of some 2,000 m radius: by 3, 23 and 63 cm at 10, 30 and 50 m.
@@ -32,62 +28,7 @@ _SLOPE_SIGMA = 0.01
 """The slope of a plane fitted to paint of the road beside."""
 _PLANE_RADIUS_M = 15.0
 """The plane under a vehicle is to hold for what the camera sees ahead, so it is fitted to more than the contact."""
-_MOST_CELLS = 50_000_000
 _GROUND_CELL_M = 15.0
-
-
-@dataclass(frozen=True)
-class GroundRaster:
-    """Heights of the ground on a grid, NaN where unknown.
-
-    Attributes:
-        heights: `float32[h w]`, heights of the centres of cells [m].
-        scale: cells per metre.
-        R: rotation of the map into the grid, `float64[2 2]`.
-        t: added in metres before scaling, `float64[2]`: cell = scale (R xy + t), column first.
-        sigma_m: standard deviation of the heights.
-    """
-
-    heights: np.ndarray
-    scale: float
-    R: np.ndarray
-    t: np.ndarray
-    sigma_m: float = RASTER_SIGMA_M
-
-    def height_at(self, xy: np.ndarray) -> np.ndarray:
-        """Returns heights at places `[n 2]` of the map frame, bilinear between cells that are known; else NaN."""
-        column, row = (self.scale * (np.asarray(xy, dtype=np.float64) @ self.R.T + self.t)).T
-        h, w = self.heights.shape
-        inside = (column > -0.5) & (column < w - 0.5) & (row > -0.5) & (row < h - 0.5)
-        column, row = np.clip(column, 0.0, w - 1.0), np.clip(row, 0.0, h - 1.0)
-        c, r = np.minimum(column.astype(int), max(w - 2, 0)), np.minimum(row.astype(int), max(h - 2, 0))
-        total, weights = np.zeros(len(column)), np.zeros(len(column))
-        for dr in (0, 1):
-            for dc in (0, 1):
-                share = np.abs(1.0 - dr - (row - r)) * np.abs(1.0 - dc - (column - c))
-                value = self.heights[np.minimum(r + dr, h - 1), np.minimum(c + dc, w - 1)].astype(np.float64)
-                known = np.isfinite(value)
-                total += np.where(known, share * np.where(known, value, 0.0), 0.0)
-                weights += np.where(known, share, 0.0)
-        return np.where(inside & (weights > 0.25), total / np.maximum(weights, 1e-9), np.nan)
-
-
-def read_ground_raster(path: str | Path) -> GroundRaster:
-    """Returns the ground heights in an ESRI ASCII grid (.asc), or in the `map` folder of an Argoverse 2 log.
-
-    Raises:
-        SemlocError: no such file, or not a grid of numbers.
-    """
-    path = Path(path)
-    if path.is_dir():
-        found = [*path.glob("*ground_height_surface*.npy"), *path.glob("map/*ground_height_surface*.npy")]
-        path = found[0] if found else path
-    if not path.is_file():
-        raise SemlocError(f"ground heights {path}: not there; give an .asc grid or the folder of an Argoverse 2 log")
-    try:
-        return _argoverse2(path) if path.suffix == ".npy" else _ascii_grid(path)
-    except (ValueError, KeyError, TypeError, IndexError, OSError, UnicodeDecodeError) as error:
-        raise SemlocError(f"ground heights {path.name}: cannot be read ({str(error)[:80]})") from error
 
 
 def with_heights(elements: Sequence[MapElement], surface: GroundRaster | GroundModel) -> tuple[MapElement, ...]:
@@ -172,37 +113,3 @@ def _of_model(xy: np.ndarray, model: GroundModel) -> tuple[np.ndarray, float]:
         heights[rows] = plane.height_at(xy[rows])
         sigma_m = max(sigma_m, float(np.hypot(plane.rms_m, _SLOPE_SIGMA * plane.radius_m)))
     return heights, sigma_m
-
-
-def _argoverse2(path: Path) -> GroundRaster:
-    """Returns the raster of a log; its file beside it maps city coordinates to cells."""
-    heights = npy_array(path, f"ground heights {path.name}")
-    if heights.ndim != 2 or heights.size > _MOST_CELLS:
-        raise ValueError(f"an array of shape {heights.shape}; expected rows and columns of heights")
-    (sim2,) = path.parent.glob("*img_Sim2_city.json")
-    members = json.loads(sim2.read_text(encoding="utf-8"))
-    R, t = np.array(members["R"], dtype=np.float64).reshape(2, 2), np.array(members["t"], dtype=np.float64).reshape(2)
-    return GroundRaster(heights.astype(np.float32), float(members["s"]), R, t)
-
-
-def _ascii_grid(path: Path) -> GroundRaster:
-    """Returns an ESRI ASCII grid: rows from the north, heights of cells."""
-    header: dict[str, float] = {}
-    with path.open(encoding="ascii") as stream:
-        rest = ""
-        for line in stream:
-            words = line.split()
-            if len(words) != 2 or words[0][:1] not in "ncxyNCXY":
-                rest = line
-                break
-            header[words[0].lower()] = float(words[1])
-        shape = (int(header["nrows"]), int(header["ncols"]))
-        if not (0 < shape[0] * shape[1] <= _MOST_CELLS and header["cellsize"] > 0.0):
-            raise ValueError(f"{shape[0]} rows of {shape[1]} cells")
-        values = np.array((rest + stream.read()).split(), dtype=np.float32)
-    heights = values.reshape(shape)[::-1].copy()
-    heights[heights == np.float32(header.get("nodata_value", -9999.0))] = np.nan
-    half = 0.5 * header["cellsize"]
-    west = header["xllcenter"] if "xllcenter" in header else header["xllcorner"] + half
-    south = header["yllcenter"] if "yllcenter" in header else header["yllcorner"] + half
-    return GroundRaster(heights, 1.0 / header["cellsize"], np.eye(2), -np.array([west, south]))

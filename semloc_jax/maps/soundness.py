@@ -7,10 +7,12 @@ One corner 4,000 km away makes every query hold a contour around the earth; the 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from semloc_jax.maps.elements import LARGEST_M, UPRIGHT_CLASSES, MapElement
+from semloc_jax.maps.heights import SIGMA
 from semloc_jax.maps.semantic_map import SemanticMap
 from semloc_jax.structs import ElementClass
 
@@ -30,6 +32,9 @@ _log = logging.getLogger(__name__)
 
 def fault_of(element: MapElement) -> str | None:
     """What is wrong with an element on its own; None where nothing is."""
+    told = _fault_of_words(element.attributes)
+    if told is not None:
+        return told
     points = element.points
     if element.closed or element.label in _WHOLE:
         size_m = float(np.ptp(points, axis=0).max())
@@ -41,6 +46,16 @@ def fault_of(element: MapElement) -> str | None:
             return f"{element.label.name} jumps {step_m / 1e3:.4g} km from one vertex to the next"
         if len(points) * step_m > _LONGEST_LINE_M and element.length_m > _LONGEST_LINE_M:
             return f"{element.label.name} of {len(points)} points is {element.length_m / 1e3:.4g} km long"
+    return None
+
+
+def _fault_of_words(attributes: Mapping[str, Any]) -> str | None:
+    """What is wrong with the attributes that are computed with: a file may hold anything there."""
+    sigma_m, assumed = attributes.get(SIGMA, 0.0), attributes.get("assumed", ())
+    if not (isinstance(sigma_m, int | float) and 0.0 <= sigma_m < LARGEST_M):
+        return f"{SIGMA} is {repr(sigma_m)[:40]}; expected metres from 0 to {LARGEST_M:g}"
+    if not (isinstance(assumed, list | tuple) and all(isinstance(word, str) for word in assumed)):
+        return f"'assumed' is {repr(assumed)[:40]}; expected a list of words"
     return None
 
 
@@ -62,14 +77,16 @@ def sound(semantic_map: SemanticMap) -> SemanticMap:
 
 
 def _suspicious(elements: Sequence[MapElement]) -> Iterator[int]:
-    """Places in the list of elements whose box is large enough for a fault; of most it is not."""
+    """Places in the list of elements with odd words, or a box that is large enough for a fault; of most it is not."""
     for start in range(0, len(elements), _AT_ONCE):
         some = elements[start : start + _AT_ONCE]
         count = np.array([len(element.points) for element in some])
         points, first = np.concatenate([element.points for element in some]), np.cumsum(count) - count
         sides_m = np.maximum.reduceat(points, first) - np.minimum.reduceat(points, first)
         size_m = sides_m.max(axis=1)
-        yield from (start + np.flatnonzero((size_m > LARGEST_M) | (count * size_m > _LONGEST_LINE_M))).tolist()
+        is_odd = np.array([_fault_of_words(element.attributes) is not None for element in some])
+        is_odd |= (size_m > LARGEST_M) | (count * size_m > _LONGEST_LINE_M)
+        yield from (start + np.flatnonzero(is_odd)).tolist()
 
 
 def tell(faulty: Mapping[str, str], name: str) -> None:

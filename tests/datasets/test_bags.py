@@ -1,8 +1,13 @@
 """Bags of ROS 1 and ROS 2: a drive written as a bag comes back the same, and what is missing or broken is named."""
 
+import contextlib
 import logging
+import re
+import shutil
+import sqlite3
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +20,7 @@ from semloc_jax.datasets import open_drive, read_bag, write_bag
 from semloc_jax.datasets.bags.frames import FrameTree
 from semloc_jax.datasets.bags.images import picture_of
 from semloc_jax.datasets.bags.logs import gnss_from_fixes, imu_from_messages, odometry_from_twists
+from semloc_jax.datasets.bags.store import BagStore
 from semloc_jax.datasets.bags.topics import camera_topics
 from semloc_jax.datasets.bags.writer import _Scribe
 from semloc_jax.errors import SemlocError
@@ -222,6 +228,29 @@ def test_a_bag_cut_off_is_one_line(bags, kind, tmp_path):
     with pytest.raises(SemlocError, match=r"bag .*: (cannot be opened|damaged|no image topic|the CameraInfo|no )"):
         for frame in open_drive(damaged).frames:
             frame.image("front")
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "value", "said"),
+    [
+        ("messages", "timestamp", b"GP", "recorded at b'GP'; expected whole nanoseconds"),
+        ("messages", "timestamp", "abc", "recorded at 'abc'; expected whole nanoseconds"),
+        ("messages", "timestamp", 1.5, "recorded at 1.5; expected whole nanoseconds"),
+        ("messages", "timestamp", -1, "recorded at -1; expected whole nanoseconds"),
+        ("messages", "timestamp", 2**63 - 1, "expected whole nanoseconds"),
+        ("messages", "data", 10**10, "a message holds int; expected bytes"),
+        ("topics", "name", b"/gps", "expected two words and a whole number"),
+    ],
+)
+def test_values_of_the_wrong_kind_in_a_table_are_refused_where_they_enter(bags, tmp_path, table, column, value, said):
+    """SQLite has no fixed types; nobody behind the door of a bag meets a time that is text."""
+    path = Path(shutil.copy(next(bags["sqlite3"].glob("*.db3")), tmp_path))
+    with contextlib.closing(sqlite3.connect(path)) as held, held:
+        held.execute(f"UPDATE {table} SET {column} = ? WHERE id % 3 = 1", (value,))
+    with pytest.raises(SemlocError, match=re.escape(said)) as caught:
+        store = BagStore(path)
+        [store.at(topic, recorded_ns) for topic, recorded_ns, _ in store.messages(list(store.types))]
+    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
 
 
 def test_fixes_need_to_know_where_the_map_is(bags):

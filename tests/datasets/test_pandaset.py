@@ -2,6 +2,7 @@
 
 import gzip
 import pickle
+import tracemalloc
 import warnings
 
 import numpy as np
@@ -98,6 +99,18 @@ def test_a_pickle_that_names_a_function_is_refused(tmp_path, capsys):
     with pytest.raises(SemlocError, match="not part of a table"):
         read_cuboids(path)
     assert capsys.readouterr().out == ""
+
+
+def test_a_damaged_index_of_a_pickle_takes_no_memory(tmp_path):
+    """An empty list that is to be remembered as the ten-millionth thing seen."""
+    path = tmp_path / "00.pkl.gz"
+    path.write_bytes(gzip.compress(pickle.EMPTY_LIST + pickle.LONG_BINPUT + (10**7).to_bytes(4, "little") + b"."))
+    tracemalloc.start()
+    with pytest.raises(SemlocError, match="cannot be read"):
+        read_cuboids(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10_000_000
 
 
 def test_dynamic_masks_cover_the_car_ahead_and_spare_the_road(drive):

@@ -8,7 +8,8 @@ import pytest
 from semloc_jax.cli.main import OK, main
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import MapElement, SemanticMap, read_map, write_map
-from semloc_jax.maps.heights import GroundRaster, height_sigmas, read_ground_raster, with_heights
+from semloc_jax.maps.ground_raster import GroundRaster, read_ground_raster
+from semloc_jax.maps.heights import height_sigmas, with_heights
 from semloc_jax.structs import ElementClass
 
 
@@ -97,9 +98,44 @@ def test_an_esri_grid(tmp_path):
 @pytest.mark.parametrize("text", ["", "ncols 3\nnrows 2\n", "ncols 1e9\nnrows 1e9\ncellsize 1\n", "hello world\n1 2"])
 def test_broken_grids_are_refused(tmp_path, text):
     (tmp_path / "g.asc").write_text(text)
-    with pytest.raises(SemlocError, match="cannot be read"):
+    with pytest.raises(SemlocError, match="ground heights g.asc"):
         read_ground_raster(tmp_path / "g.asc")
     with pytest.raises(SemlocError, match="not there"):
+        read_ground_raster(tmp_path)
+
+
+_GRID = "ncols {columns}\nnrows 2\nxllcorner {west}\nyllcorner 0\ncellsize {cell}\n9 {height}\n7 {height}\n"
+
+
+def _argoverse2_raster(folder, cell):
+    np.save(folder / "a_ground_height_surface____.npy", np.array([[7.0, cell], [9.0, cell]]))
+    (folder / "a___img_Sim2_city.json").write_text('{"R": [1, 0, 0, 1], "t": [0, 0], "s": 1}')
+    return folder
+
+
+@pytest.mark.parametrize("height", ["1e39", "-3.4028234663852886e+38", "inf", "nan", "1e6"])
+def test_heights_that_no_ground_has_are_holes_in_both_formats(tmp_path, height):
+    """Programs mark holes with numbers that float32 does not hold, and do not always name them in the head."""
+    (tmp_path / "g.asc").write_text(_GRID.format(columns=2, west=0, cell=1, height=height))
+    for path in (tmp_path / "g.asc", _argoverse2_raster(tmp_path, float(height))):
+        heights = read_ground_raster(path).heights
+        assert heights.dtype == np.float32 and sorted(heights[:, 0]) == [7.0, 9.0]
+        assert np.isnan(heights[:, 1]).all()
+
+
+@pytest.mark.parametrize(
+    "given", [{"columns": "inf"}, {"west": "1e300"}, {"west": "nan"}, {"cell": "1e-320"}, {"cell": "inf"}]
+)
+def test_a_place_of_a_raster_that_is_no_place_is_refused(tmp_path, given):
+    (tmp_path / "g.asc").write_text(_GRID.format(**{"columns": 2, "west": 0, "cell": 1, "height": 8} | given))
+    with pytest.raises(SemlocError, match="ground heights g.asc") as caught:
+        read_ground_raster(tmp_path / "g.asc")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_raster_without_any_height_is_refused(tmp_path):
+    with pytest.raises(SemlocError, match="none of 4 cells has a height"):
+        np.save(_argoverse2_raster(tmp_path, 0.0) / "a_ground_height_surface____.npy", np.full((2, 2), 1e7))
         read_ground_raster(tmp_path)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,6 +40,24 @@ def test_a_corner_far_away_costs_its_element_only(tmp_path, suffix, caplog):
     assert [fault for fault in found.faulty.values()] == ["CROSSWALK of 4 points is 4000 km across"]
     assert len(samples.valid) <= 1024
     assert any(d.kind == "left out" and "4000 km" in d.detail for d in inspect_map(found).defects)
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".gpkg", ".osm"])
+@pytest.mark.parametrize(
+    "told",
+    [{"height_sigma_m": "abc"}, {"height_sigma_m": None}, {"height_sigma_m": 1e300}, {"height_sigma_m": -1}]
+    + [{"assumed": 5}, {"assumed": [["width"]]}],
+)
+def test_words_that_are_computed_with_are_looked_at_when_they_enter(tmp_path, suffix, told):
+    """They stood for the height of a sample, or were counted by `inspect`, whatever a file held there."""
+    path = tmp_path / f"map{suffix}"
+    odd, class_list = (replace(_line(key), attributes=words) for key, words in (("odd", told), ("list", {"class": []})))
+    write_map(SemanticMap((_line(), class_list, odd)), path)
+    found = read_map(path)
+    samples = sample(found.query([0.0, 0.0], 60.0), 0.25)
+    assert samples.height_sigma.max() == 0.0 and len(found.elements) == 2
+    assert ["; expected" in fault for fault in found.faulty.values()] == [True]
+    assert inspect_map(found).assumed == {}
 
 
 def test_what_is_large_and_true_stays():

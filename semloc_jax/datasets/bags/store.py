@@ -13,6 +13,8 @@ from typing import Any
 from semloc_jax.errors import SemlocError, install_command
 
 _LOG = logging.getLogger(__name__)
+_LAST_NS = 2**63 - 2
+"""Formats keep a time in 64 bits with a sign, and a message is looked up by its time and the nanosecond after it."""
 
 
 def rosbags_module() -> Any:
@@ -58,6 +60,8 @@ class BagStore:
                 "with metadata.yaml; was the recording cut off? (try `ros2 bag reindex` or `rosbag reindex`)"
             ) from error
         weakref.finalize(self, _close, self._reader)
+        for connection in self._reader.connections:
+            self._require_topic(connection)
         self.types = {connection.topic: connection.msgtype for connection in self._reader.connections}
         self.counts = {topic: 0 for topic in self.types}
         for connection in self._reader.connections:
@@ -117,6 +121,7 @@ class BagStore:
             return
         try:
             for connection, recorded_ns, raw in self._reader.messages(connections, start, stop):
+                self._require_message(connection.topic, recorded_ns, raw)
                 yield connection.topic, recorded_ns, bytes(raw)
         except SemlocError:
             raise
@@ -125,6 +130,34 @@ class BagStore:
                 f"bag {self.path}: damaged ({_first_line(error)}); repair it (`ros2 bag reindex`, `rosbag reindex`) or "
                 "copy it again"
             ) from error
+
+    def _require_topic(self, connection: Any) -> None:
+        """The library passes on what a format holds in the place of these: SQLite has no fixed types."""
+        given = (connection.topic, connection.msgtype, connection.msgcount)
+        if not (isinstance(given[0], str) and isinstance(given[1], str) and _is_whole(given[2])):
+            said = ", ".join(repr(value)[:60] for value in given)
+            raise SemlocError(
+                f"bag {self.path}: a topic with name, type and number of messages ({said}); expected two words and a "
+                "whole number; copy it again or repair it (`ros2 bag reindex`, `rosbag reindex`)"
+            )
+
+    def _require_message(self, topic: str, recorded_ns: Any, raw: Any) -> None:
+        """A number in the place of the content would be taken as a count of zero bytes, so both are looked at."""
+        if not (_is_whole(recorded_ns) and recorded_ns <= _LAST_NS):
+            raise SemlocError(
+                f"bag {self.path}: {topic}: a message was recorded at {repr(recorded_ns)[:60]}; expected whole "
+                "nanoseconds since 1970; copy the bag again or repair it (`ros2 bag reindex`, `rosbag reindex`)"
+            )
+        if not isinstance(raw, bytes | bytearray | memoryview):
+            raise SemlocError(
+                f"bag {self.path}: {topic}: a message holds {type(raw).__name__}; expected bytes; copy the bag "
+                "again or record it anew"
+            )
+
+
+def _is_whole(value: Any) -> bool:
+    """Whether a value is a whole number of 0 or more."""
+    return isinstance(value, int) and value >= 0
 
 
 def _close(reader: Any) -> None:

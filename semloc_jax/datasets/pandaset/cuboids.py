@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 
 from semloc_jax.cameras import Camera
 from semloc_jax.datasets.pandaset.projection import project
+from semloc_jax.datasets.sensors import FARTHEST_M
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import decompressed
 
@@ -91,6 +92,11 @@ def read_cuboids(path: Path) -> Cuboids:
             f"cuboids {path}: cannot be read ({error}); expected annotations/cuboids of PandaSet"
         ) from error
     numbers = np.array(column).T.reshape(-1, len(_NUMBERS))
+    if not (np.abs(numbers) < FARTHEST_M).all():
+        raise SemlocError(
+            f"cuboids {path}: a box has a place, size or heading that is NaN, infinite or beyond the earth; expected "
+            "metres and radians; get the file anew"
+        )
     return Cuboids(labels, numbers[:, :3], numbers[:, 3:6], numbers[:, 6])
 
 
@@ -150,8 +156,11 @@ def _new_index(_: type, content: Mapping[str, object]) -> _Part:
     return _Part(content)
 
 
-class _TableUnpickler(pickle.Unpickler):
-    """Reads the tables of PandaSet and nothing else: a pickle may name any function, this one may not call it."""
+class _TableUnpickler(pickle._Unpickler):
+    """Reads the tables of PandaSet and nothing else: a pickle may name any function, this one may not call it.
+
+    It is that of pickle in Python: the one in C takes gigabytes for a damaged place in its list of things seen.
+    """
 
     _ALLOWED = frozenset(
         {

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.cameras import PinholeCamera, Rig
 from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.datasets.pandaset.cuboids import draw_cuboids, read_cuboids
-from semloc_jax.datasets.sensors import GnssTrack, WheelOdometry
+from semloc_jax.datasets.sensors import FARTHEST_M, GnssTrack, WheelOdometry
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
 from semloc_jax.geometry.geodesy import enu_from_wgs84
@@ -217,6 +217,11 @@ def _labelled_points(path: Path) -> LabelledPoints:
             f"PandaSet {path}: no such file; expected labelled points [x y z intensity sensor class sweep]"
         )
     data = npz_arrays(path, f"PandaSet {path}")["data"]
+    if data.ndim != 2 or data.shape[1] != 7 or not (np.abs(data) < FARTHEST_M).all():
+        raise SemlocError(
+            f"PandaSet {path}: an array {data.shape}, or numbers that are NaN, infinite or beyond the earth; expected "
+            "labelled points [x y z intensity sensor class sweep]; get the file anew"
+        )
     integers = data[:, 4:].astype(np.int64)
     return LabelledPoints(data[:, :3].astype(np.float64), data[:, 3].astype(np.float64), *integers.T)
 

@@ -9,7 +9,8 @@ import contextlib
 import json
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ _CONE_TOP_SHARE = 0.2
 """Radius at the top of a traffic cone against that at its base, where the file does not say (our assumption)."""
 _NUMBERS = ("width", "radius", "radius_top", "height")
 _AT_ONCE = 64
-"""Elements whose points are moved together."""
+"""Elements whose points are made and moved together."""
 ToLocal = Callable[[np.ndarray], np.ndarray]
 
 
@@ -66,9 +67,9 @@ def elements_from_features(
     waiting: list[MapElement] = []
     skipped: Counter[str] = Counter()
     faulty: dict[str, str] = {}
-    for index, feature in enumerate(document["features"]):
+    for index, feature, points in _with_points(document["features"]):
         try:
-            element = element_from_feature(feature, index, name)
+            element = element_from_feature(feature, index, name, points=points)
         except SemlocError as error:
             faulty[feature_id(feature, index)] = str(error)
             continue
@@ -80,6 +81,55 @@ def elements_from_features(
             found += _moved(waiting, to_local, faulty)
             waiting = []
     return (*found, *_moved(waiting, to_local, faulty)), dict(skipped), faulty
+
+
+def _with_points(features: Iterable[Any]) -> Iterator[tuple[int, Any, np.ndarray | None]]:
+    """Yields the features with their places in the file, those of plain geometry with their points.
+
+    What numpy does costs as much for ten numbers as for a thousand, so the points of some features are made together.
+    """
+    numbered = enumerate(features)
+    while some := list(islice(numbered, _AT_ONCE)):
+        rows = [_plain_positions(feature) for _, feature in some]
+        made: dict[int, Iterator[np.ndarray]] = {
+            size: _blocks([row for row in rows if row and len(row[0]) == size], size) for size in (2, 3)
+        }
+        for (index, feature), row in zip(some, rows, strict=True):
+            yield index, feature, next(made[len(row[0])], None) if row else None
+
+
+def _plain_positions(feature: Any) -> list[Any] | None:
+    """Returns the positions of a line or a simple outline, without its last point, that all have one length; None for
+    any other geometry, which is looked at on its own."""
+    try:
+        geometry = feature["geometry"]
+        is_closed = geometry["type"] == "Polygon"
+        row = geometry["coordinates"][0] if is_closed else geometry["coordinates"]
+        if is_closed and row[0] == row[-1]:
+            row = row[:-1]
+        is_known = type(row) is list and geometry["type"] in ("Polygon", "LineString")
+        is_plain = is_known and len(row) >= (3 if is_closed else 2) and len(set(map(len, row))) == 1
+        return row if is_plain and len(row[0]) in (2, 3) else None
+    except (TypeError, KeyError, IndexError, AttributeError):
+        return None
+
+
+def _blocks(rows: list[list[Any]], size: int) -> Iterator[np.ndarray]:
+    """Yields the points of each row `[k 3]`, made at once; nothing where any of the numbers is none or too large."""
+    flat = list(chain.from_iterable(chain.from_iterable(rows)))
+    if not set(map(type, flat)) <= {float, int}:
+        return
+    try:
+        table = np.array(flat, dtype=np.float64).reshape(-1, size)
+    except OverflowError:  # a whole number of 400 digits
+        return
+    if not (table.size and table.max() < FARTHEST_M and table.min() > -FARTHEST_M):
+        return
+    points = table if size == 3 else np.column_stack([table, np.zeros(len(table))])
+    end = 0
+    for row in rows:
+        start, end = end, end + len(row)
+        yield points[start:end]
 
 
 def _moved(elements: list[MapElement], to_local: ToLocal | None, faulty: dict[str, str]) -> Iterator[MapElement]:
@@ -100,8 +150,8 @@ def _moved(elements: list[MapElement], to_local: ToLocal | None, faulty: dict[st
     flat = [not element.has_height for element in elements]
     points[np.repeat(flat, np.diff(ends, prepend=0)), 2] = 0.0
     points.setflags(write=False)
-    for element, own in zip(elements, np.split(points, ends[:-1]), strict=True):
-        object.__setattr__(element, "points", own)  # made here a moment ago: nobody holds it yet
+    for element, start, end in zip(elements, [0, *ends[:-1].tolist()], ends.tolist(), strict=True):
+        object.__setattr__(element, "points", points[start:end])  # made here a moment ago: nobody holds it yet
         yield element
 
 
@@ -124,7 +174,9 @@ def write_features(path: str | Path, members: Mapping[str, Any], features: list[
         ) from error
 
 
-def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal | None = None) -> MapElement | str:
+def element_from_feature(
+    feature: Any, index: int, name: str, to_local: ToLocal | None = None, points: np.ndarray | None = None
+) -> MapElement | str:
     """Returns the element of one feature, or the reason why it is skipped (an unknown class).
 
     Args:
@@ -132,6 +184,7 @@ def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal 
         index: its place in the file, for messages and missing ids.
         name: map name for messages.
         to_local: maps file coordinates `[k 3]` to the map frame; None leaves them.
+        points: those of a plain geometry where they are made already; None takes them from the feature.
 
     Raises:
         SemlocError: wrong geometry, non-finite coordinates or numbers.
@@ -144,7 +197,12 @@ def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal 
     if class_name not in FEATURE_CLASSES:
         return class_name
     label, style, allowed = FEATURE_CLASSES[class_name]
-    points, closed, has_height = _coordinates(feature.get("geometry"), allowed, f"{where} ({class_name})")
+    geometry = feature.get("geometry")
+    if points is None or geometry["type"] not in allowed:
+        points, closed, has_height = _coordinates(geometry, allowed, f"{where} ({class_name})")
+    else:
+        closed = geometry["type"] == "Polygon"
+        has_height = len((geometry["coordinates"][0] if closed else geometry["coordinates"])[0]) == 3
     if to_local is not None:
         points = to_local(points)
         points = points if has_height else points * [1.0, 1.0, 0.0]
@@ -173,7 +231,9 @@ def element_from_feature(feature: Any, index: int, name: str, to_local: ToLocal 
 
 def _kept(properties: Mapping[str, Any], class_name: str) -> dict[str, Any]:
     """Properties with names that all elements share: a parser makes them anew for each feature."""
-    return {sys.intern(str(key)): value for key, value in properties.items()} | {"class": sys.intern(class_name)}
+    kept = {sys.intern(str(key)): value for key, value in properties.items()}
+    kept["class"] = sys.intern(class_name)
+    return kept
 
 
 def feature_from_element(element: MapElement, to_file: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
@@ -204,11 +264,11 @@ def feature_from_element(element: MapElement, to_file: Callable[[np.ndarray], np
 
 def feature_class(element: MapElement) -> str:
     """Returns the class name of an element in GeoJSON."""
-    known = element.attributes.get("class")
+    known = str(element.attributes.get("class"))  # of another format it may be a list, which no table takes
     if element.style == VIRTUAL and element.label == ElementClass.LANE_MARKING:
         return "lane_boundary"
     if known in FEATURE_CLASSES and known != "lane_boundary" and FEATURE_CLASSES[known][0] == element.label:
-        return str(known)
+        return known
     if element.label == ElementClass.LANE_MARKING:
         return "lane_dashed" if element.style == "dashed" else "lane_solid"
     return element.label.name.lower()
@@ -226,7 +286,7 @@ def _coordinates(geometry: Any, allowed: frozenset[str], where: str) -> tuple[np
     try:
         raw = geometry["coordinates"][0] if closed else geometry["coordinates"]
         points, has_height = _points_of(raw)
-    except (KeyError, IndexError, TypeError, ValueError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
         raise SemlocError(f"{where}: coordinates cannot be read; expected lists of [x, y, z] numbers") from error
     if closed and len(points) > 1 and np.array_equal(points[0], points[-1]):
         points = points[:-1]
@@ -253,9 +313,11 @@ def _usual_radius_top(label: ElementClass, radius_m: float) -> float:
 
 
 def _number(value: Any, key: str, where: str) -> float:
+    if value is None:
+        return 0.0
     try:
-        number = float(value) if value is not None else 0.0
-    except (TypeError, ValueError):
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
         number = float("nan")
     if not 0.0 <= number < LARGEST_M:
         raise SemlocError(f"{where}: {key} = {str(value)[:40]!r}; expected metres from 0 to {LARGEST_M:.0f}")
@@ -276,7 +338,7 @@ def _normal(value: Any, where: str) -> np.ndarray | None:
     try:
         normal = np.array(value, dtype=np.float64)
         size = float(np.abs(normal).max(initial=0.0))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         normal, size = np.zeros(0), 0.0
     if normal.shape != (3,) or not 0.0 < size < LARGEST_M:
         raise SemlocError(f"{where}: normal = {str(value)[:60]}; expected three finite numbers that are not all zero")

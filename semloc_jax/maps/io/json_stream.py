@@ -2,9 +2,12 @@
 
 In: a path. Out: JsonFile, a mapping of the members at the top; tables and lists in it are parsed item by item while one
 walks through them, and forgotten again. The file is mapped into memory, not read: what is not read costs nothing
-but one look for its end.
+but one look for its end. The items of a list are taken from the text as it comes; their ends are only looked for where
+that fails, so what is refused, and how, does not depend on it.
 """
 
+import codecs
+import contextlib
 import json
 import mmap
 import re
@@ -16,16 +19,27 @@ from semloc_jax.errors import SemlocError
 
 _DEEPEST = 64
 _BLANKS = " \t\n\r"
+_BLANK = re.compile(f"[{_BLANKS}]*").match
+_WINDOW_BYTES = 1 << 14
+"""Parsed at once; a feature has some hundred bytes. Of 64 kB the values are so many that Python's search for garbage,
+which walks through all that is alive, takes as long as the parsing."""
 _DECODER = json.JSONDecoder()
 _STRING = rb'"(?:[^"\\]++|\\.)*+(?:"|\Z)'
 _TOKEN = re.compile(_STRING + rb"|[\[\]{},]", re.DOTALL)
 _PLAIN = rb'[^"\[\]{}]'
 _POINTS = rb"\[(?:" + _PLAIN + rb"++|\[" + _PLAIN + rb"*+\])*+\]"
-_LEAF = rb"\{(?:" + _PLAIN + rb"++|" + _STRING + rb")*+\}"
+
+
+def _object_of(*parts: bytes) -> bytes:
+    return rb"\{(?:" + rb"|".join((_PLAIN + rb"++", _STRING, *parts)) + rb")*+\}"
+
+
+_FEATURE = _object_of(_POINTS, _object_of(_POINTS))
 _TO_BRACKET = re.compile(
-    rb"(?:" + rb"|".join((_PLAIN + rb"++", _STRING, _POINTS, _LEAF)) + rb")*+([\[\]{}])", re.DOTALL
+    rb"(?:" + rb"|".join((_PLAIN + rb"++", _STRING, _POINTS, _FEATURE)) + rb")*+([\[\]{}])", re.DOTALL
 )
-"""Lists of points and objects that hold no other are passed in one step: a map has few other brackets."""
+"""Lists of points, and objects of such lists and of objects with such lists, as features are, are passed in one step: a
+map has few other brackets."""
 _KEY = re.compile(rb'\s*("(?:[^"\\]++|\\.)*+")\s*:', re.DOTALL)
 _START = re.compile(rb"\s*")
 _FILE_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*")
@@ -136,8 +150,23 @@ class JsonList(Collection[Any]):
         self._file, self._start = file, start
 
     def __iter__(self) -> Iterator[Any]:
-        for start, end in _parts(self._file.text, self._start, self._file.where):
-            yield self._file.parsed(start, end)
+        text, position, is_first = self._file.text, self._start + 1, True
+        while True:
+            values, position, is_last = _window(text, position)
+            yield from values
+            if is_last:
+                return
+            if values:
+                is_first = False
+                continue
+            # Longer than a window, broken, or the end of an empty list: its end is looked for.
+            found = next(_parts_from(text, position, b"]", self._file.where, is_first), None)
+            if found is None:
+                return
+            yield self._file.parsed(*found)
+            if text[found[1] : found[1] + 1] == b"]":
+                return
+            position, is_first = found[1] + 1, False
 
     def __len__(self) -> int:
         return sum(1 for _ in _parts(self._file.text, self._start, self._file.where))
@@ -146,11 +175,39 @@ class JsonList(Collection[Any]):
         return any(item == other for other in self)
 
 
+def _window(text: mmap.mmap | bytes, start: int) -> tuple[list[Any], int, bool]:
+    """Returns the items of an array that begin at `start` and are whole within a window, the place behind them, and
+    whether the bracket of the array follows there; no items where the first is not whole, or not valid."""
+    piece = text[start : start + _WINDOW_BYTES]
+    try:
+        words, _ = codecs.utf_8_decode(piece, "surrogatepass", False)
+    except UnicodeDecodeError as error:
+        words = piece[: error.start].decode("utf-8", "surrogatepass")
+    values: list[Any] = []
+    begin, is_last = 0, False
+    with contextlib.suppress(StopIteration, ValueError, RecursionError, IndexError):
+        while not is_last:
+            value, end = _DECODER.scan_once(words, _BLANK(words, begin).end())
+            end = _BLANK(words, end).end()
+            is_last = words[end] == "]"
+            if not is_last and words[end] != ",":
+                break
+            values.append(value)
+            begin = end + 1
+    return values, start + len(words[:begin].encode("utf-8", "surrogatepass")), is_last
+
+
 def _parts(text: mmap.mmap | bytes, start: int, where: str) -> Iterator[tuple[int, int]]:
-    """Yields where each item of the object or array at `start` begins and ends; the last one ends at its bracket."""
+    """Returns where each item of the object or array at `start` begins and ends; the last one ends at its bracket."""
     closing = {b"{": b"}", b"[": b"]"}[text[start : start + 1]]
-    begin = position = start + 1
-    is_first = True
+    return _parts_from(text, start + 1, closing, where, True)
+
+
+def _parts_from(
+    text: mmap.mmap | bytes, begin: int, closing: bytes, where: str, is_first: bool
+) -> Iterator[tuple[int, int]]:
+    """Yields the rest of them, of which the next one begins at `begin`."""
+    position = begin
     while True:
         found = _TOKEN.search(text, position)
         if found is None:

@@ -93,7 +93,7 @@ def test_nodes_of_osm_keep_no_more_than_their_place(tmp_path):
 
 
 def test_a_geojson_is_no_larger_in_memory_than_its_elements(tmp_path):
-    """Features are parsed one by one; what is left is the map. A mark of the encoding at the start does no harm."""
+    """Few features are held at once, however many there are; a mark of the encoding at the start does no harm."""
     path = tmp_path / "town.geojson"
     write_geojson(town(12), path)
     text = path.read_text(encoding="utf-8")
@@ -104,5 +104,5 @@ def test_a_geojson_is_no_larger_in_memory_than_its_elements(tmp_path):
     kept, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert len(found.elements) == 1476
-    assert peak - kept < 0.12 * path.stat().st_size
+    assert peak - kept < 200_000 < 0.5 * path.stat().st_size
     assert peak_bytes(lambda: json.loads(text)) > path.stat().st_size
