@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.effort import environment_of_users
+
 nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
@@ -51,7 +53,7 @@ def test_notebooks_use_the_doors_of_few_rooms():
 def test_runs(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     python_path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    environment = os.environ | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": python_path}
+    environment = environment_of_users() | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": python_path}
     client = nbclient.NotebookClient(
         notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
     )
