@@ -32,6 +32,9 @@ if os.environ.get("SEMLOC_TYPECHECK", "1") != "0":
 from semloc_jax.runtime.allocator import return_large_blocks  # noqa: E402 - after the hook
 
 return_large_blocks()
+# Tracing makes many small objects and little garbage. As often as by default, a collection that looks at all objects
+# of a long test process takes a twentieth of the processor.
+gc.set_threshold(100_000, 20, 20)
 
 
 _MOST_MAPPINGS = 20_000
