@@ -9,8 +9,9 @@ _LITTLE = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=fals
 def take_little_effort() -> None:
     """Compile quickly in this process and in those it starts, unless SEMLOC_LITTLE_EFFORT=0.
 
-    Most programs of the tests run once or twice, so that compiling them is most of what the tests cost. Notebooks (see
-    `environment_of_users`) and the slow tests of `.ci/run` run what is compiled as it is for users.
+    Most programs of the tests run once or twice, so that compiling them is most of what the tests cost. The
+    quickstart and the slow notebooks (see `environment_of_users`) and the slow tests of `.ci/run` run what is compiled
+    as it is for users.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if os.environ.get("SEMLOC_LITTLE_EFFORT", "1") != "0" and _LITTLE not in flags:
