@@ -1,6 +1,7 @@
 """Strict settings for every test: float64, checked shapes, no window, data by environment variable.
 
 SEMLOC_TYPECHECK=0 switches the jaxtyping + beartype import hook off (faster collection while working on one test).
+SEMLOC_LITTLE_EFFORT=0 compiles as for users, which takes two to three times as long (`tests/effort.py`).
 """
 
 import gc
@@ -13,7 +14,9 @@ import pytest
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 from semloc_jax.runtime.prepare import prepare_jax
+from tests.effort import take_little_effort
 
+take_little_effort()
 # The flags and the cache of the command line: what it, the notebooks and the test processes compile is compiled once.
 prepare_jax()
 
@@ -29,6 +32,9 @@ if os.environ.get("SEMLOC_TYPECHECK", "1") != "0":
 from semloc_jax.runtime.allocator import return_large_blocks  # noqa: E402 - after the hook
 
 return_large_blocks()
+# Tracing makes many small objects and little garbage. As often as by default, a collection that looks at all objects
+# of a long test process takes a twentieth of the processor.
+gc.set_threshold(100_000, 20, 20)
 
 
 _MOST_MAPPINGS = 20_000

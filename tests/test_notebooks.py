@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.effort import environment_of_users
+
 nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
@@ -15,6 +17,8 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 SLOW = {"01_cost_landscape", "04_tracking", "05_learning_through_the_solver", "06_self_calibration"}
 SLOW |= {"07_uncertainty_and_integrity", "08_localizability", "09_roofline", "10_explain_the_pose"}
 """Half a minute and more, most of it compilation; the roofline measures, which wants a machine of its own."""
+AS_FOR_USERS = SLOW | {"00_quickstart"}
+"""Run programs compiled with the effort that users get; the others with that of the tests, see `tests/effort.py`."""
 RUN = [pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW else [], id=path.stem) for path in NOTEBOOKS]
 
 
@@ -51,7 +55,8 @@ def test_notebooks_use_the_doors_of_few_rooms():
 def test_runs(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     python_path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    environment = os.environ | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": python_path}
+    environment = environment_of_users() if path.stem in AS_FOR_USERS else dict(os.environ)
+    environment |= {"JAX_PLATFORMS": "cpu", "PYTHONPATH": python_path}
     client = nbclient.NotebookClient(
         notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
     )

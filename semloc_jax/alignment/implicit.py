@@ -18,6 +18,7 @@ Contract
 """
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -162,6 +163,7 @@ def align_differentiable(
     return smooth_optimum(T_start, scene, prior, config)
 
 
+@partial(jax.jit, static_argnames="config")  # else an eager caller compiles hundreds of single operations
 def smooth_optimum(
     T_start: Float[Array, "4 4"], scene: SmoothScene, prior: Prior, config: SmoothConfig
 ) -> SmoothEstimate:

@@ -116,12 +116,20 @@ def _votes(sightings: np.ndarray, config: TriangulationConfig) -> tuple[np.ndarr
 
 
 def _solved(sightings: np.ndarray, free: np.ndarray, start: np.ndarray, config: TriangulationConfig) -> Standing | None:
-    """The thing near a place; None where the bearings or the heights do not agree."""
+    """The thing near a place; None where the bearings or the heights do not agree.
+
+    Bearings miss the place by `off_m`, across them along `normal`; `range_m` is the way along them.
+    """
     near = free[np.linalg.norm(sightings[free, 2:4] - start, axis=1) < config.range_m[1]]
     rows = sightings[near]
+    bearing, sigma_rad = column(rows, "bearing"), column(rows, "sigma")
+    along = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
     xy, information, member = start, np.zeros((2, 2)), np.zeros(len(near), bool)
     for k in range(_ROUNDS):
-        off_m, sigma_m, normal, range_m = _misses(rows, xy, config)
+        offset = xy - rows[:, 2:4]
+        off_m, range_m = (offset * normal).sum(axis=1), (offset * along).sum(axis=1)
+        sigma_m = np.hypot(sigma_rad * np.abs(range_m), config.place_m)
         # The first rounds take in what votes for the cell.
         gate = config.gate_sigmas * sigma_m + (_CELL_M if k < 2 else 0.0)
         member = (np.abs(off_m) < gate) & (range_m > 0.5 * config.range_m[0])
@@ -134,19 +142,6 @@ def _solved(sightings: np.ndarray, free: np.ndarray, start: np.ndarray, config: 
     if np.linalg.norm(xy - start) > 4.0 * _CELL_M:
         return None
     return _checked(sightings, near[member], xy, information, config)
-
-
-def _misses(
-    rows: np.ndarray, xy: np.ndarray, config: TriangulationConfig
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """How far bearings pass by a place [m], standard deviation, direction across each, range along it."""
-    bearing = column(rows, "bearing")
-    along = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    offset = xy - rows[:, 2:4]
-    range_m = (offset * along).sum(axis=1)
-    sigma_m = np.hypot(column(rows, "sigma") * np.abs(range_m), config.place_m)
-    return (offset * normal).sum(axis=1), sigma_m, normal, range_m
 
 
 def _checked(

@@ -3,6 +3,8 @@
 The street is drawn by OpenCV from the lines of the map: only what is painted can leave a pose open.
 """
 
+from functools import partial
+
 import cv2
 import equinox as eqx
 import jax
@@ -24,6 +26,7 @@ from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.perception import load_class_table
 from semloc_jax.simulation.cameras import mounted
 from semloc_jax.structs import ElementClass, SolveStatus
+from tests.compiling import jit_quickly
 
 RIG = Rig(
     [PinholeCamera(740.0, 742.0, 478.0, 296.0, 960, 600)], mounted((1.6, 0.0, 1.4), 0.0, 3.0, 0.0)[None], ["front"]
@@ -94,11 +97,12 @@ def test_a_near_stop_line_holds_the_pose():
     assert result.modes[0].sigma_longitudinal_m < 0.15
 
 
+@partial(jit_quickly, static_argnames="align")
 def _cost_of(Ts, evidence, align):
     """Cost [nats] of every pose on level 2, with what the masks are like told by the best of them."""
     piece_of, channel = pieces_of(evidence, align)
     costs = jax.lax.map(lambda T: piece_costs(T, 2, evidence, piece_of, align), Ts, batch_size=256)
-    best = int(jnp.argmin(jnp.sum(costs.nats * costs.observations, axis=1)))
+    best = jnp.argmin(jnp.sum(costs.nats * costs.observations, axis=1))
     elsewhere = displaced(Ts[best], jnp.asarray([[-4.0, 0.8, 0.1], [3.0, -1.6, 0.2], [5.0, 4.0, -0.2]]))
     at_random = jax.lax.map(lambda T: piece_costs(T, 2, evidence, piece_of, align), elsewhere)
     num_channels = evidence.textures.num_channels

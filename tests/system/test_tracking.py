@@ -23,6 +23,7 @@ from semloc_jax.localization.track_state import TrackResult, TrackStatus
 from semloc_jax.maps import read_map
 from semloc_jax.simulation import SimulationConfig, simulate
 
+pytestmark = pytest.mark.usefixtures("single_precision")  # as users track, and with the programs of other tests
 COMPILED = "/jax/core/compile/backend_compile_duration"
 NUM_FRAMES = 14
 
