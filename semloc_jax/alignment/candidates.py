@@ -146,6 +146,29 @@ def planar(x_m: np.ndarray, y_m: np.ndarray, heading_rad: np.ndarray | float) ->
     return T
 
 
+def along_weak(
+    covariance: np.ndarray, lever_m: float, restarts: tuple[int, ...], step_m: tuple[float, float]
+) -> np.ndarray:
+    """Motions along the two directions of the plane that a pose is held least in, float64[k 4 4].
+
+    One of them is the road as a rule; the other one is a valley of place and heading, in which solves stop early.
+
+    Args:
+        covariance: Of the pose, float[6 6].
+        lever_m: A turn counts as what it moves so far away.
+        restarts: Multiples of a step.
+        step_m: Least and largest step; within them it is 1.5 standard deviations.
+    """
+    plane = np.array((0, 1, 5))
+    scale = np.array((1.0, 1.0, lever_m))
+    values, vectors = np.linalg.eigh(covariance[np.ix_(plane, plane)] * np.outer(scale, scale))
+    steps_m = np.clip(1.5 * np.sqrt(np.maximum(values[1:], 0.0)), *step_m)
+    moves = np.vstack(
+        [np.outer(restarts, length_m * axis / scale) for length_m, axis in zip(steps_m, vectors.T[1:], strict=True)]
+    )
+    return planar(moves[:, 0], moves[:, 1], moves[:, 2])
+
+
 def lattice_in_window(num: int, T_prior: np.ndarray, half_xy_m: float, half_heading_rad: float) -> np.ndarray:
     """Poses that fill a window, denser in its middle where a prior puts them, the prior first, float64[num 4 4]."""
     # On the host: the number of poses follows the prior, and JAX would compile for each.

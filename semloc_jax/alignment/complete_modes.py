@@ -21,6 +21,7 @@ from semloc_jax.alignment.candidates import (
     BATCH,
     COARSE_BATCH,
     SolvedPoses,
+    along_weak,
     apart,
     coarse_gain,
     coarse_samples,
@@ -273,7 +274,8 @@ class ModeFinder:
         best = Ts[places.best[0]]
         own = np.flatnonzero((places.home == 0) & (places.log_weight > -config.within_nats))
         own = own[apart(Ts[own], places.log_weight[own], config.num_final, 0.3)]
-        restarts = best @ self._along_weak(np.asarray(solved.estimates.covariance[places.best[0]], dtype=np.float64))
+        covariance = np.asarray(solved.estimates.covariance[places.best[0]], dtype=np.float64)
+        restarts = best @ along_weak(covariance, config.lever_m, config.restarts, config.restart_step_m)
         centre = jnp.asarray(self.road.place(best[None])[0], jnp.float32)
         centre = Prior(centre, jnp.asarray(self.wide_sigma, jnp.float32))
         _, grain = sharpest(jnp.asarray(best, jnp.float32), self.frame, centre, self.frame_config)
@@ -369,24 +371,6 @@ class ModeFinder:
         share = np.exp(log_weight - log_weight.max())
         away = rigid.log(np.linalg.inv(T_map_base) @ places)
         return np.einsum("k,ki,kj->ij", share / share.sum(), away, away).astype(np.float32)
-
-    def _along_weak(self, covariance: np.ndarray) -> np.ndarray:
-        """Motions along the two directions of the plane that a pose is held least in, float64[k 4 4].
-
-        One of them is the road as a rule; the other one is a valley of place and heading, in which solves stop early.
-        """
-        config = self.config
-        plane = np.array(PLANE)
-        scale = np.array((1.0, 1.0, config.lever_m))
-        values, vectors = np.linalg.eigh(covariance[np.ix_(plane, plane)] * np.outer(scale, scale))
-        steps_m = np.clip(1.5 * np.sqrt(np.maximum(values[1:], 0.0)), *config.restart_step_m)
-        moves = np.vstack(
-            [
-                np.outer(config.restarts, step_m * axis / scale)
-                for step_m, axis in zip(steps_m, vectors.T[1:], strict=True)
-            ]
-        )
-        return planar(moves[:, 0], moves[:, 1], moves[:, 2])
 
     def _mode_evidence(
         self, T: np.ndarray, row: int, seen: tuple[Pieces, PoseEvidence], rates: Rates, status: int

@@ -5,6 +5,7 @@ Readers take their limits from here, writers their paths, whole files and claims
 """
 
 from semloc_jax.storage.claims import claim, release_claims
+from semloc_jax.storage.garbage import rare_collection
 from semloc_jax.storage.leftovers import sweep, sweep_once, temporary_prefix
 from semloc_jax.storage.limits import (
     decompressed,
@@ -43,6 +44,7 @@ __all__ = [
     "output_path",
     "private_folder",
     "read_sealed",
+    "rare_collection",
     "reading",
     "release_claims",
     "remove_folder",

@@ -23,7 +23,7 @@ from semloc_jax.maps.io.nuscenes import is_nuscenes, map_from_nuscenes
 from semloc_jax.maps.io.opendrive import read_opendrive
 from semloc_jax.maps.semantic_map import SemanticMap
 from semloc_jax.maps.soundness import sound
-from semloc_jax.storage import reading
+from semloc_jax.storage import rare_collection, reading
 
 _HEAD_BYTES = 4096
 
@@ -128,10 +128,11 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
     """
     path = _map_in(Path(path))
     read = _reader(path)
-    with reading(f"map {path.name}"):
-        found = read(path, origin)
-    if not isinstance(found, StoredMap):  # which looks at its elements when it reads them
-        found = sound(found)
+    with rare_collection():
+        with reading(f"map {path.name}"):
+            found = read(path, origin)
+        if not isinstance(found, StoredMap):  # which looks at its elements when it reads them
+            found = sound(found)
     if not found.is_visible:
         unknown = ", ".join(f"{count} {name}" for name, count in sorted(found.skipped.items()))
         unknown = "; ".join(filter(None, [unknown, *list(found.faulty.values())[:1]]))
