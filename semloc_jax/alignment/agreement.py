@@ -1,8 +1,10 @@
 """Whether the parts of a map agree about a pose (room: alignment; host).
 
-In: elements of map samples; the poses that halves of them lead to. Out: halves, and the spread of their poses.
+In: elements and classes of map samples; the poses that parts of them lead to. Out: parts, the spread of their poses,
+and how far kinds of elements contradict each other.
 A pose is no better than the map: where elements lie anywhere or lines were painted anew, those that agree by chance
-hold a pose that looks sure by its residuals. Halves of the elements that are solved alone end elsewhere then.
+hold a pose that looks sure by its residuals. Halves of the elements that are solved alone end elsewhere then. What was
+moved together (lines that were painted anew, a row of posts) is divided by no half: kinds of elements are.
 """
 
 from dataclasses import dataclass
@@ -10,6 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from semloc_jax.alignment.posterior import differences
+from semloc_jax.structs import ElementClass
+
+_LINES = (ElementClass.LANE_MARKING,)
+_UPRIGHT = (
+    ElementClass.POLE,
+    ElementClass.SIGN,
+    ElementClass.TRAFFIC_LIGHT,
+    ElementClass.PILLAR,
+    ElementClass.CONE,
+    ElementClass.GUARDRAIL,
+)
+_KINDS = (_LINES, _UPRIGHT)
+"""Each is compared with all else in the map: what is painted anew or set up anew together."""
+NUM_KINDS = 2 * len(_KINDS)
+"""Parts that `kinds` makes."""
 
 
 @dataclass(frozen=True)
@@ -50,3 +67,51 @@ def disagreement(T_map_base: np.ndarray, Ts_half: np.ndarray, variance: np.ndarr
     found = np.sort(np.column_stack([away, turn]) ** 2, axis=0)[:-1].mean(axis=0)
     again = max(float((found / np.maximum(variance, 1e-12))[1:].min()), 1.0)
     return found * np.array([again, again, 1.0])
+
+
+@dataclass(frozen=True)
+class KindsApart:
+    """Where one kind of element puts the vehicle, as seen from where all else puts it.
+
+    Attributes:
+        kinds_chi2: squared distance over its covariance, three degrees of freedom; 0 where a kind is not in view.
+        kinds_ahead_m: along the vehicle.
+        kinds_left_m: across.
+    """
+
+    kinds_chi2: float = 0.0
+    kinds_ahead_m: float = 0.0
+    kinds_left_m: float = 0.0
+
+
+def kinds(label: np.ndarray) -> np.ndarray:
+    """Which samples are of one kind, and which of all others, for each kind in turn, bool[4, p].
+
+    Args:
+        label: `ElementClass` of each sample, int[p]; -1 for none.
+    """
+    own = [np.isin(label, of) for of in _KINDS]
+    return np.array([part for kind in own for part in (kind, ~kind & (label >= 0))])
+
+
+def kinds_apart(Ts: np.ndarray, covariance: np.ndarray) -> KindsApart:
+    """The two kinds that contradict each other most.
+
+    Two estimates from different observations differ by the sum of their covariances; a kind that sees little has a
+    large one and contradicts nothing.
+
+    Args:
+        Ts: float[4 4 4], poses by the parts of `kinds`.
+        covariance: float[4 3 3], of forward, left [m] and heading [rad] of each.
+    """
+    found = KindsApart()
+    for one in range(0, len(Ts), 2):
+        away, turn = differences(Ts[one + 1], Ts[one : one + 1])
+        step = np.array([*away[0], turn[0]])
+        total = covariance[one] + covariance[one + 1]
+        if not (np.isfinite(step).all() and np.isfinite(total).all()):
+            continue
+        chi2 = float(step @ np.linalg.lstsq(total, step, rcond=None)[0])
+        if chi2 > found.kinds_chi2:
+            found = KindsApart(chi2, float(step[0]), float(step[1]))
+    return found

@@ -6,14 +6,14 @@ like all others; the ramp cost is what the solves descend on, no more.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from semloc_jax.alignment.agreement import disagreement, halves
+from semloc_jax.alignment.agreement import NUM_KINDS, disagreement, halves, kinds, kinds_apart
 from semloc_jax.alignment.aliases import alias_shifts
 from semloc_jax.alignment.along_road import RoadPosterior, weighed_along_road, widened
 from semloc_jax.alignment.border_cells import BorderCells
@@ -96,7 +96,8 @@ class ModeFinder:
         self.wide_sigma = wide_sigma(self.sigma, config.least_sigma_m, np.deg2rad(config.least_sigma_deg))
         self.samples = thinned(frame.samples, np.asarray(frame.channel_of_label), config.num_samples)
         self.channel = np.asarray(frame.channel_of_label)[np.asarray(self.samples.label)]
-        self.parts = halves(np.asarray(self.samples.element), config.agreement)
+        label = np.where(self.channel >= 0, np.asarray(self.samples.label), -1)
+        self.parts = np.concatenate([halves(np.asarray(self.samples.element), config.agreement), kinds(label)])
         view = frame_config.search_view
         self.observe_config = ObserveConfig(view.max_range_m, view.min_ground_px_per_m, 48.0 * self.unit_px)
         self.fields = Borders(
@@ -337,22 +338,29 @@ class ModeFinder:
                 wider = _widened(covariance.astype(np.float32), along)
                 moments = spread(Ts[chosen], Ts[members], held)
                 known = np.maximum(moments.diagonal(), np.asarray(wider).diagonal()[np.array(PLANE)])
-                known = np.maximum(known, self.disagreement(Ts[chosen], in_view_px, known))
+                of_halves, contradiction = self.disagreement(Ts[chosen], in_view_px, known)
+                known = np.maximum(known, of_halves)
                 covariance, row = np.array(wider, dtype=np.float64), chosen
                 covariance[PLANE, PLANE] = known
             evidence = self._mode_evidence(Ts[row], row, seen, rates, int(solved.estimates.status[row]))
+            if place == 0:
+                evidence = replace(evidence, **contradiction)
             weight = float(places.probability[place])
             modes.append(replace(local[0], weight=weight, covariance=covariance, evidence=evidence))
         confirmed = int((units_apart(Ts, Ts[chosen]) < ONE_TRACK).sum()) - 1
         return FoundModes(tuple(modes), SolveStatus(int(solved.estimates.status[chosen])), confirmed)
 
-    def disagreement(self, T_map_base: np.ndarray, in_view_px: float, variance: np.ndarray) -> np.ndarray:
-        """Variance of the best pose by those of halves of the map; see `alignment.agreement.disagreement`."""
+    def disagreement(
+        self, T_map_base: np.ndarray, in_view_px: float, variance: np.ndarray
+    ) -> tuple[np.ndarray, dict[str, float]]:
+        """Variance of the best pose by those of halves of the map, and whether kinds of elements agree about it."""
         # All of it once more as well, with as few samples: like is compared with like.
         part = np.arange(len(self.parts))
         solved = self.solved_with_few(np.repeat(T_map_base[None], len(part), axis=0), in_view_px, part)
         Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
-        return disagreement(Ts[0], Ts[1:], variance)
+        first = len(part) - NUM_KINDS
+        covariance = np.asarray(solved.estimates.covariance, dtype=np.float64)[first:][:, PLANE][:, :, PLANE]
+        return disagreement(Ts[0], Ts[1:first], variance), asdict(kinds_apart(Ts[first:], covariance))
 
     def _spread_along(self, T_map_base: np.ndarray, road: RoadPosterior, rates: Rates) -> np.ndarray:
         """Second moment of the posterior over places along the road about a pose, in its right tangent, float32[6 6].

@@ -24,6 +24,8 @@ class ModeEvidence:
             an image of usual size. Masks that are thinner than the paint show it, and a pose between two lines.
         log_prior: log density of the prior there, up to a constant of the frame [nats].
         status: how its last solve ended.
+        kinds_chi2, kinds_ahead_m, kinds_left_m: how far kinds of elements of the map contradict each other; see
+            `agreement.KindsApart`. Measured for the best mode, 0 for others.
     """
 
     nats: float
@@ -33,6 +35,9 @@ class ModeEvidence:
     border_offset_px: float
     log_prior: float
     status: SolveStatus
+    kinds_chi2: float = 0.0
+    kinds_ahead_m: float = 0.0
+    kinds_left_m: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,9 @@ class VerdictConfig:
     max_border_offset_px: float = 2.5
     """Borders of the map farther outside or inside of those of the masks do not say where along the road; in pixels of
     an image of usual size."""
+    max_kinds_chi2: float = 30.0
+    """Lane lines against all else in the map, or what stands against all else: farther apart than this (three degrees
+    of freedom), one of both is not where the map says."""
     min_confirmed: int = 1
     """Other starts whose solves must end at the pose."""
     max_sigma_lateral_m: float = 0.25
@@ -133,6 +136,10 @@ def _fit(best: Mode, config: VerdictConfig) -> Reasons:
             f"{evidence.explained:.0%} of the map in view on borders of the masks, {evidence.nats_per_piece:.2f} nats"
         )
         yield SolveStatus.POOR_FIT, f"{text} a piece"
+    if evidence.kinds_chi2 > config.max_kinds_chi2:
+        text = f"{abs(evidence.kinds_left_m):.2f} m across and {abs(evidence.kinds_ahead_m):.2f} m along"
+        text += " from where the rest of the map does"
+        yield SolveStatus.POOR_FIT, f"lane lines, or posts and signs, put the vehicle {text}: one of both was moved"
 
 
 def _rivals(modes: tuple[Mode, ...], config: VerdictConfig) -> Reasons:

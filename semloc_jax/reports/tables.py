@@ -17,7 +17,7 @@ from semloc_jax.storage import writing
 from semloc_jax.structs import SolveStatus
 
 SIGMAS = ("sigma_lateral_m", "sigma_longitudinal_m", "sigma_heading_deg")
-EVIDENCE = ("nats", "nats_per_piece", "explained", "left_over", "border_offset_px", "log_prior")
+EVIDENCE = ("nats", "nats_per_piece", "explained", "left_over", "border_offset_px", "log_prior", "kinds_chi2")
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 ERRORS = ("lateral_m", "longitudinal_m", "heading_deg")
 

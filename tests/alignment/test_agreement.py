@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.agreement import AgreementConfig, disagreement, halves
+from semloc_jax.alignment.agreement import NUM_KINDS, AgreementConfig, disagreement, halves, kinds, kinds_apart
 from semloc_jax.alignment.candidates import planar
+from semloc_jax.structs import ElementClass
 
 
 def test_both_halves_of_a_split_have_every_sample_once_and_elements_whole():
@@ -51,3 +52,36 @@ def test_halves_that_scatter_more_than_promised_take_that_much_again():
     assert disagreement(T, Ts, found / [1.0, 9.0, 4.0]) == pytest.approx(found * [4.0, 4.0, 1.0])
     # Only to the side: a lever of the heading, not a contradiction.
     assert disagreement(T, Ts, found / [1.0, 9.0, 0.5]) == pytest.approx(found)
+
+
+def test_every_kind_is_compared_with_all_else():
+    label = np.array([ElementClass.LANE_MARKING, ElementClass.POLE, ElementClass.STOP_LINE, -1])
+    assert kinds(label).tolist() == [
+        [True, False, False, False],
+        [False, True, True, False],
+        [False, True, False, False],
+        [True, False, True, False],
+    ]
+
+
+def test_kinds_that_agree_differ_as_their_covariances_say():
+    """Squared distances of independent estimates of one place have the mean of three degrees of freedom."""
+    random = np.random.default_rng(0)
+    sigma = np.array([[0.3, 0.05, 0.01], [0.1, 0.2, 0.02], [9.0, 9.0, 1.0], [0.1, 0.05, 0.01]])
+    covariance = sigma[:, :, None] ** 2 * np.eye(3)
+    found = []
+    for _ in range(300):
+        x, y, turn = (random.normal(size=(NUM_KINDS, 3)) * sigma).T
+        Ts = planar(np.full(1, 4.0), np.full(1, -2.0), 0.7) @ planar(x, y, turn)
+        Ts[2:] = Ts[3]  # what stands and all else are at one place: lane lines decide
+        found.append(kinds_apart(Ts, covariance).kinds_chi2)
+    assert np.mean(found) == pytest.approx(3.0, rel=0.15)
+
+
+def test_lines_painted_anew_are_told_with_their_distance():
+    Ts = np.tile(np.eye(4), (NUM_KINDS, 1, 1))
+    Ts[0] = planar(np.array([0.1]), np.array([0.5]), 0.0)[0]
+    apart = kinds_apart(Ts, np.tile(np.diag([0.2, 0.05, 0.01]) ** 2, (NUM_KINDS, 1, 1)))
+    assert (apart.kinds_ahead_m, apart.kinds_left_m) == pytest.approx((0.1, 0.5))
+    assert apart.kinds_chi2 == pytest.approx((0.1**2 / 0.2**2 + 0.5**2 / 0.05**2) / 2)
+    assert kinds_apart(Ts * np.nan, np.ones((NUM_KINDS, 3, 3))).kinds_chi2 == 0.0

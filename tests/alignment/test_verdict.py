@@ -70,6 +70,7 @@ def test_a_good_pose_has_no_reason_against_it():
         (seen(explained=0.34), SolveStatus.POOR_FIT, "34% of the map"),
         (seen(nats_per_piece=0.49), SolveStatus.POOR_FIT, "0.49 nats a piece"),
         (seen(border_offset_px=-2.6), SolveStatus.WEAK_DIRECTION, "-2.6 px"),
+        (seen(kinds_chi2=31.0, kinds_left_m=-0.4), SolveStatus.POOR_FIT, "0.40 m across and 0.00 m along"),
         (with_sigma(1, 0.26), SolveStatus.WEAK_DIRECTION, "lateral sigma 0.26 m exceeds 0.25 m"),
         (with_sigma(0, 0.51), SolveStatus.WEAK_DIRECTION, "longitudinal sigma 0.51 m exceeds 0.5 m"),
         (with_sigma(5, np.radians(0.6)), SolveStatus.WEAK_DIRECTION, "heading sigma 0.60 deg exceeds 0.5 deg"),
