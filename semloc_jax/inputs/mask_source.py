@@ -122,7 +122,8 @@ def _classical(drive: Drive, names: tuple[str, ...]) -> MaskSource:
     segmenters = {camera: ClassicalPaintSegmenter(rig.cameras[i], rig.T_base_cam[i]) for i, camera in enumerate(names)}
 
     def segment(frame: Frame, camera: str) -> np.ndarray:
-        return segmenters[camera](frame.image(camera))
+        image, traffic = frame.image(camera), frame.dynamic_mask(camera)
+        return segmenters[camera](image, traffic=None if traffic is None else resized(traffic, image[..., 0]))
 
     # A table with posts says that all posts are found: only where uprights stand along the columns of the image.
     shows_posts = any(segmenter.shows_posts for segmenter in segmenters.values())

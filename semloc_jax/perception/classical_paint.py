@@ -65,20 +65,23 @@ class ClassicalPaintSegmenter:
         self._pose: tuple[Camera, np.ndarray] | None = None
         self._size = (0, 0)
 
-    def __call__(self, image: np.ndarray, frame_id: str = "") -> np.ndarray:
+    def __call__(self, image: np.ndarray, frame_id: str = "", traffic: np.ndarray | None = None) -> np.ndarray:
         """Class ids uint8[h w]: 1 paint, 2 white posts, 255 hidden or overexposed road, 0 the rest.
 
         Args:
             image: BGR, uint8[h w 3].
             frame_id: not needed, as no files are read.
+            traffic: pixels of moving objects where they are known, bool[h w]; they come out as 255. Their edges look
+                like strokes of paint, which have a say in where the road goes.
 
         Raises:
-            SemlocError: the image is not uint8[h w 3] or has not the size of the camera or of `hidden`.
+            SemlocError: the image is not uint8[h w 3] or has not the size of the camera, of `hidden` or of `traffic`.
         """
-        view = self._view_for(image)
+        hidden = self._hidden_with(traffic)
+        view = self._view_for(image, hidden)
         top, visible = view.warp(image), view.visible
-        if self.hidden is not None:
-            covered = cv2.remap(self.hidden.astype(np.uint8), view.image_uv, None, cv2.INTER_NEAREST)
+        if hidden is not None:
+            covered = cv2.remap(hidden.astype(np.uint8), view.image_uv, None, cv2.INTER_NEAREST)
             visible = visible & (covered == 0)
         pose = self._pose[1]
         candidates = find_candidates(top, visible, self.config)
@@ -89,8 +92,8 @@ class ClassicalPaintSegmenter:
         mask[(mask == 0) & _overexposed(top, view, self.config)] = UNLABELED_ID
         if self.shows_posts:
             mask[find_posts(image, view)] = POST_ID
-        if self.hidden is not None:
-            mask[self.hidden] = UNLABELED_ID
+        if hidden is not None:
+            mask[hidden] = UNLABELED_ID
         return mask
 
     @property
@@ -98,7 +101,14 @@ class ClassicalPaintSegmenter:
         """Whether uprights stand along the columns of the image, so that posts are looked for; False before a guess."""
         return self._camera is not None and _is_upright(self._camera, np.asarray(self._T_base_cam))
 
-    def _view_for(self, image: np.ndarray) -> GroundView:
+    def _hidden_with(self, traffic: np.ndarray | None) -> np.ndarray | None:
+        if traffic is None or self.hidden is None:
+            return self.hidden if traffic is None else np.asarray(traffic, bool)
+        if traffic.shape != self.hidden.shape:
+            raise SemlocError(f"paint segmenter: hidden has shape {self.hidden.shape}, traffic {traffic.shape}")
+        return self.hidden | np.asarray(traffic, bool)
+
+    def _view_for(self, image: np.ndarray, hidden: np.ndarray | None) -> GroundView:
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
             raise SemlocError(f"paint segmenter: given {image.dtype}{list(image.shape)}, expected BGR uint8[h w 3]")
         size = image.shape[1], image.shape[0]
@@ -107,8 +117,8 @@ class ClassicalPaintSegmenter:
             raise SemlocError(
                 f"paint segmenter: given an image of {size[0]}x{size[1]} px for a camera of {expected} px"
             )
-        if self.hidden is not None and self.hidden.shape != image.shape[:2]:
-            raise SemlocError(f"paint segmenter: hidden has shape {self.hidden.shape}, the image {image.shape[:2]}")
+        if hidden is not None and hidden.shape != image.shape[:2]:
+            raise SemlocError(f"paint segmenter: hidden has shape {hidden.shape}, the image {image.shape[:2]}")
         if self._view is None or self._size != size:
             pose = (self._camera, self._T_base_cam) if self._camera is not None else guess_forward_camera(*size)
             self._view = GroundView.of(*pose, self.config.metres_per_px, self.config.range_m)

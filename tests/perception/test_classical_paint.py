@@ -126,6 +126,23 @@ def test_hidden_pixels_come_out_as_ignored():
     assert (mask[500:] == 255).all() and (mask[:500] != 255).all()
 
 
+def test_what_is_bright_on_traffic_is_no_paint_and_paint_beside_it_stays():
+    T_base_cam, image, _ = scene(False, 0.0)
+    segmenter = ClassicalPaintSegmenter(CAMERA, T_base_cam, hidden=np.zeros((600, 960), bool))
+    plain = segmenter(image)
+    traffic = np.zeros((600, 960), bool)
+    traffic[380:560, 430:530] = True
+    van = image.copy()
+    van[traffic] = 60
+    van[390:550, 445:452] = van[390:550, 505:512] = 230
+    mask = segmenter(van, traffic=traffic)
+    assert (mask[traffic] == 255).all()
+    away = ~cv2.dilate(traffic.astype(np.uint8), np.ones((41, 41), np.uint8)).astype(bool)
+    assert (mask[away] != plain[away]).mean() < 0.001 and (plain[away] == 1).any()
+    with pytest.raises(SemlocError, match="traffic"):
+        segmenter(image, traffic=traffic[:100])
+
+
 def test_mistakes_are_named():
     with pytest.raises(SemlocError, match="give both camera and T_base_cam"):
         ClassicalPaintSegmenter(CAMERA)
