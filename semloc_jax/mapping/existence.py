@@ -26,7 +26,7 @@ class ExistenceConfig:
     """When a look says something about an element, and how sure a border in a mask is. All values are ours.
 
     Args:
-        min_px_per_m: looks at coarser scale say nothing.
+        min_px_per_m: looks at coarser scale, across a line or along the line of sight on an area, say nothing.
         min_places: places of an element that must be visible, or all of a smaller one's half.
         seen_share: share of the visible places with its paint from which it counts as seen.
         missed_share: share up to which it counts as missed.
@@ -77,8 +77,10 @@ class Counting(KeptCounts):
         self.config = config or ExistenceConfig()
         self._plane_of_id = plane_of_id
         places = [_places(element) for element in elements]
+        normals = [_normals(element, p) for element, p in zip(elements, places, strict=True)]
         sides = [_across(element) * off for element, off in zip(elements, off_m or [0.0] * len(elements), strict=True)]
         self._xy = np.concatenate([np.zeros((0, 2)), *places])
+        self._normal = np.concatenate([np.zeros((0, 2)), *normals])
         self._owner = np.repeat(np.arange(len(elements)), [len(p) for p in places])
         self._side = np.array(sides).reshape(-1, 2)
         self._num_places = np.bincount(self._owner, minlength=len(elements))
@@ -110,7 +112,7 @@ class Counting(KeptCounts):
             row = look.rows_of(self._xy[near])
             usable = row >= 0
             usable[usable] = ~look.hidden[row[usable]] & (
-                look.table.coarse_px_per_m[row[usable]] >= self.config.min_px_per_m
+                self._px_per_m(look, row[usable], near[usable]) >= self.config.min_px_per_m
             )
             if not usable.any():
                 continue
@@ -129,6 +131,17 @@ class Counting(KeptCounts):
         self.first_s[seen] = np.minimum(self.first_s[seen], time_s)
         self.last_s[seen] = np.maximum(self.last_s[seen], time_s)
         self.information[seen] += gained[seen]
+
+    def _px_per_m(self, look: Look, row: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Pixels for a metre across the line at each place: one that runs along the line of sight is seen from afar."""
+        coarse, fine = look.table.coarse_px_per_m[row], look.table.fine_px_per_m[row]
+        camera = look.T_map_base[:2, :2] @ look.table.camera_base[:2] + look.T_map_base[:2, 3]
+        ray = self._xy[places] - camera
+        ray = ray / np.maximum(np.linalg.norm(ray, axis=1), 1e-6)[:, None]
+        normal = self._normal[places]
+        ahead = (normal * ray).sum(axis=1)
+        aside = normal[:, 1] * ray[:, 0] - normal[:, 0] * ray[:, 1]
+        return np.where(normal.any(axis=1), np.hypot(coarse * ahead, fine * aside), coarse)
 
     def _beside(self, look: Look, places: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """Whether paint of an element is beside its places, where it may be."""
@@ -264,6 +277,16 @@ def _places(element: MapElement) -> Float[np.ndarray, "k 2"]:
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     inside = grid[_inside(grid, xy)]
     return inside if len(inside) else xy.mean(axis=0)[None]
+
+
+def _normals(element: MapElement, places: np.ndarray) -> Float[np.ndarray, "k 2"]:
+    """Unit direction across an open element at each of its places; zero for an area."""
+    if element.closed:
+        return np.zeros((len(places), 2))
+    xy = element.points[:, :2]
+    length_m = float(polyline.arc_length(xy)[-1])
+    along = polyline.tangent(xy, (np.arange(len(places)) + 0.5) * length_m / len(places))
+    return np.stack([-along[:, 1], along[:, 0]], axis=1)
 
 
 def _inside(points: np.ndarray, ring: np.ndarray) -> np.ndarray:
