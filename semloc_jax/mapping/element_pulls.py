@@ -5,13 +5,13 @@ firmly it holds it. No element counts for another one here: which of them is wro
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig, sample_within
 from semloc_jax.alignment.implicit import smooth_scene
@@ -21,10 +21,18 @@ from semloc_jax.cameras import Rig
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
 from semloc_jax.residuals.holder_terms import holder_terms
+from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.residuals.view import ViewConfig, view
 
 _LEAST_CAPACITY = 64
 _view = jax.jit(view, static_argnames="config")
+
+
+@jax.jit
+def _terms(T_local_base: Array, scene: SmoothScene, holder: tuple[Array, ...], none: Array) -> tuple[Array, ...]:
+    """Force, information and what pulls of each element: without the curvature nothing of it is compiled."""
+    terms = holder_terms(T_local_base, scene, holder, none)
+    return terms.force, terms.information, terms.pulling
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,6 @@ class PullConfig:
     spacing_m: float = 0.1
     min_observations: float = 0.5
     excess: float = 2.0
-    align: AlignConfig = field(default_factory=AlignConfig)
 
     @property
     def view(self) -> ViewConfig:
@@ -97,7 +104,7 @@ class ElementPulls:
         T_local = local_map.frame.from_map(T_map_base, np.float32)
         evidence = evidence_from(T_local, inputs, config.view)
         seen = _view(samples, jnp.asarray(T_local), rig, inputs.channel_of_label, config.view)
-        scene = smooth_scene(evidence, maps, config.align)
+        scene = smooth_scene(evidence, maps, AlignConfig())
         rows = np.asarray(seen.element)
         # A line that was cut at the radius of the query is one element in several parts.
         shown = np.unique(rows[(rows >= 0) & (np.asarray(seen.weight) > 0)])
@@ -109,7 +116,7 @@ class ElementPulls:
         holder = tuple(jnp.asarray(number[rows[np.asarray(part.index)]]) for part in evidence.views)
         capacity = max(_LEAST_CAPACITY, 1 << (len(ids) - 1).bit_length())
         none = jnp.zeros(capacity, scene.nats_per_px.dtype)
-        terms = jax.device_get(holder_terms(jnp.asarray(T_local), scene, holder, none))
-        held = np.flatnonzero(terms.pulling[: len(ids)] >= config.min_observations)
-        force, information = (np.asarray(part, np.float64)[held] for part in (terms.force, terms.information))
+        *terms, pulling = jax.device_get(_terms(jnp.asarray(T_local), scene, holder, none))
+        held = np.flatnonzero(pulling[: len(ids)] >= config.min_observations)
+        force, information = (np.asarray(part, np.float64)[held] for part in terms)
         return Pulls(tuple(ids[k] for k in held), force / config.excess**2, information / config.excess**2)

@@ -23,6 +23,8 @@ from semloc_jax.solvers.graph import FactorGraph, Family, Values
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
 
 ELEMENT = "element"
+_ELEMENTS, _PULLS = 64, 1024
+"""They are solved in multiples of so many."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,32 @@ class JointConfig:
         return np.array([self.sigma_xy_m, self.sigma_xy_m, self.sigma_z_m, tilt, tilt, turn])
 
 
+@dataclass(frozen=True)
+class RefineConfig:
+    """How the way is made to agree with the map that it makes. All values are ours.
+
+    Args:
+        rounds: how often frames and elements are compared; 0 leaves the way as odometry and loops have it.
+        every_m: way between the frames that are compared.
+        draft_every_m: way between the frames that look for the draft.
+        draft_spacing_m: distance of the places on the road that they look at.
+        reach_px: borders of masks farther from an element do not pull it, in the first half of the rounds.
+        last_reach_px: the same in the rounds after.
+    """
+
+    rounds: int = 4
+    every_m: float = 1.0
+    draft_every_m: float = 0.6
+    draft_spacing_m: float = 0.04
+    reach_px: float = 8.0
+    last_reach_px: float = 4.0
+
+    @property
+    def joint(self) -> JointConfig:
+        """How poses and elements are solved."""
+        return JointConfig()
+
+
 class JointSolution(NamedTuple):
     """Poses and elements that agree best."""
 
@@ -79,20 +107,20 @@ def solve_together(
         elements: of the map they were held against.
     """
     config = config or JointConfig()
-    at = {element.id: place_of(element) for element in elements}
-    ids = sorted({name for each in pulls for name in each.ids})
-    if not ids:
+    row = {element.id: k for k, element in enumerate(elements)}
+    pose = np.repeat(np.asarray(frames, int), [len(each.ids) for each in pulls])
+    if not len(pose):
         return JointSolution(np.array(values["pose"]), {})
-    row = {name: k for k, name in enumerate(ids)}
-    Ts_map_element = np.array([at[name] for name in ids])
-    pose = np.repeat(np.asarray(frames), [len(each.ids) for each in pulls])
+    more = -len(elements) % _ELEMENTS
+    Ts_map_element = np.concatenate([[place_of(e) for e in elements], np.tile(np.eye(4), (more, 1, 1))])
     element = np.array([row[name] for each in pulls for name in each.ids])
     seen = pull_factors(values["pose"], Ts_map_element, pose, element, pulls, config)
-    whole = FactorGraph((*graph.families, Family(ELEMENT, POSE, len(ids))), (*graph.factors, *seen), graph.free)
+    family = Family(ELEMENT, POSE, len(Ts_map_element))
+    whole = FactorGraph((*graph.families, family), (*graph.factors, *seen), graph.free)
     with jax.enable_x64(True):
         found = solve(whole, {**values, ELEMENT: Ts_map_element}, config.solve, Sparse((ELEMENT,))).value
     motions = np.array(found[ELEMENT]) @ rigid.inverse(Ts_map_element)
-    return JointSolution(np.array(found["pose"]), dict(zip(ids, motions, strict=True)))
+    return JointSolution(np.array(found["pose"]), {name: motions[k] for name, k in row.items()})
 
 
 def pull_factors(
@@ -106,6 +134,10 @@ def pull_factors(
     """What was seen of every element from every pose, and where elements may be at all."""
     force = np.concatenate([each.force for each in pulls])
     root, offset = square_roots(np.concatenate([each.information for each in pulls]), force, config.least_share)
+    # Factors that are switched off, so that one program serves all rounds.
+    more = -len(pose) % _PULLS
+    pose, element = np.pad(pose, (0, more)), np.pad(element, (0, more))
+    root, offset = np.pad(root, ((0, more), (0, 0), (0, 0))), np.pad(offset, ((0, more), (0, 0)))
     T_element_base = rigid.inverse(Ts_map_element[element]) @ np.asarray(Ts_map_base)[pose]
     seen = Factors(
         pulled_residual,

@@ -17,8 +17,10 @@ from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.base_map import BaseConfig, Change, Countable, Known, aged_logit, taken_in
 from semloc_jax.mapping.evidence_grid import TILE
 from semloc_jax.mapping.existence import Counting, ExistenceConfig
+from semloc_jax.mapping.joint import RefineConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
 from semloc_jax.mapping.parts import Parts
+from semloc_jax.mapping.slot_rows import Row, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.triangulation import TriangulationConfig
 from semloc_jax.mapping.uprights import HeightOf, Upright, UprightCounting, uprights_of
@@ -47,6 +49,7 @@ class MapConfig:
         slots: what makes a slot.
         triangulation: what makes a pole, a sign or a traffic light.
         base: how a map that is there already takes the drive in.
+        refine: how the way is made to agree with the map.
         uprights: whether these are looked for.
         min_seen: frames that must have seen an element.
     """
@@ -57,6 +60,7 @@ class MapConfig:
     slots: SlotConfig = field(default_factory=SlotConfig)
     triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
     base: BaseConfig = field(default_factory=BaseConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
     uprights: bool = True
     min_seen: int = 3
 
@@ -127,7 +131,7 @@ def make_map(
     for index in progress(parts.gathered(gatherer, moving) if parts else moving, "looking"):
         for camera, look in enumerate(looker.looks(frames[index], index, Ts_map_base)):
             gatherer.add(look, looker.rays[camera] if config.uprights else None)
-    paint, uprights = _born(gatherer, road_height(Ts_map_base), config)
+    paint, uprights, rows = _born(gatherer, Ts_map_base, config)
     planes = {layer.label: layer.planes for layer in gatherer.layers}
     old = Countable.of(base, Ts_map_base[:, :2, 3], planes, config.uprights)
     off_m = [0.0] * len(paint) + [config.base.off_m] * len(old.paint)
@@ -152,7 +156,10 @@ def make_map(
     kept = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if stay]
     rejected = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if not stay]
     lines = [e for e, _ in kept if e.label == ElementClass.SLOT_LINE]
-    slots = find_slots(lines, {e.id: b for e, b in kept}, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots)
+    ids = {line.id for line in lines}
+    in_rows = [divider for row in rows for divider in row.dividers(ids)]
+    beliefs = {e.id: b for e, b in kept}
+    slots = find_slots(lines, beliefs, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots, in_rows)
     made, changes = _map_of(kept + slots, origin, drive.name), []
     if base is not None:
         made, changes = taken_in(base, looked_at, kept + slots, config.base)
@@ -161,13 +168,22 @@ def make_map(
     return MadeMap(made, _map_of(rejected, origin, drive.name), rates, false_rates, gatherer, tuple(changes))
 
 
-def _born(gatherer: Gatherer, height_of: HeightOf, config: MapConfig) -> tuple[list[MapElement], list[Upright]]:
+class _Born(NamedTuple):
     """What may be on the road and beside it."""
+
+    paint: list[MapElement]
+    uprights: list[Upright]
+    rows: list[Row]
+
+
+def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Born:
+    height_of: HeightOf = road_height(Ts_map_base)
     uprights = uprights_of(gatherer.sightings.all(), height_of, config.triangulation)
     elements = elements_of(gatherer.paint, gatherer.layers, height_of, config.vector)
     lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
     others = [element for element in elements if element.label != ElementClass.SLOT_LINE]
-    return others + split_crossbars(lines, config.slots), uprights
+    drawn = draw_rows(lines, Ts_map_base[:, :2, 3], config.slots)
+    return _Born(others + split_crossbars(drawn.lines, config.slots), uprights, drawn.rows)
 
 
 class _Told(NamedTuple):

@@ -77,6 +77,7 @@ def find_slots(
     way: Float[np.ndarray, "n 2"],
     vehicles: EvidenceGrid,
     config: SlotConfig | None = None,
+    in_rows: Sequence[Divider] = (),
 ) -> list[tuple[MapElement, Belief]]:
     """The slots between the lines, each with the belief of the lines it is made of.
 
@@ -86,9 +87,11 @@ def find_slots(
         way: where the vehicle drove [m]: slots open to it.
         vehicles: how often other vehicles hide a place.
         config: None for the defaults.
+        in_rows: dividers of rows; lines that they are named after are none besides.
     """
     config = config or SlotConfig()
-    dividers = find_dividers(lines, way, config)
+    named = {divider.id for divider in in_rows}
+    dividers = [*(d for d in find_dividers(lines, way, config) if d.id not in named), *in_rows]
     found = _neighbours(dividers, config)
     shared = {d.id: _shared_depth(d, dividers) for _, *pair in found for d in pair}
     typical = _typical_depths(found, shared, config)
@@ -143,6 +146,18 @@ def find_dividers(lines: Sequence[MapElement], way: Float[np.ndarray, "n 2"], co
         depth_m = length_m - 0.5 * line.width_m if ends[1] and has_back else length_m
         found.append(Divider(line.id, mouth, inward, depth_m, ends[1], z_m))
     return found
+
+
+def divider_groups(dividers: list[Divider], config: SlotConfig) -> list[list[Divider]]:
+    """Dividers that hold slots between them, row by row; the longest row first, those of no row left out."""
+    group = list(range(len(dividers)))
+    for a, one in enumerate(dividers):
+        for b in range(a + 1, len(dividers)):
+            if group[a] != group[b] and _kind(one, dividers[b], config) is not None:
+                kept, gone = group[a], group[b]
+                group = [kept if name == gone else name for name in group]
+    rows = [[d for d, name in zip(dividers, group, strict=True) if name == own] for own in dict.fromkeys(group)]
+    return sorted((row for row in rows if len(row) > 1), key=lambda row: -len(row))
 
 
 def _passes(line: MapElement, place: np.ndarray, inward: np.ndarray, config: SlotConfig) -> bool:

@@ -34,6 +34,7 @@ from semloc_jax.mapping.found_loops import FoundLoop, write_loops
 from semloc_jax.mapping.gauge import GNSS, IDENTITY, Gauge, gauge_of
 from semloc_jax.mapping.mapper import MadeMap, MapConfig, make_map
 from semloc_jax.mapping.parts import Parts
+from semloc_jax.mapping.refining import refined_way
 from semloc_jax.maps import BeliefMap, read_map, write_drive_geojson, write_map
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.reports.folder import make_folder, write_record
@@ -120,6 +121,8 @@ def report_map(
         base=None if known is None else known.map,
     )
     Ts_map_base = closed.Ts_map_base
+    if known is None:
+        Ts_map_base = refined_way(drive, masks, looking, chain, closed, settings, shown, parts)
     write_loops(folder / "loops.csv", closed.loops, chain.times_s)
     made = make_map(
         drive,
