@@ -6,7 +6,7 @@ sure as each of them is. Elements are eliminated first; what is left is as spars
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -46,7 +46,7 @@ class JointConfig:
     sigma_turn_deg: float = 10.0
     threshold: float = 5.0
     least_share: float = 1e-7
-    solve: SolveConfig = SolveConfig(tolerance=1e-4, max_steps=30)
+    solve: SolveConfig = field(default_factory=lambda: SolveConfig(tolerance=1e-4, max_steps=30))
 
     @property
     def sigma(self) -> Float[np.ndarray, " 6"]:

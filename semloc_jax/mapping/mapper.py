@@ -182,7 +182,13 @@ def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Bo
     elements = elements_of(gatherer.paint, gatherer.layers, height_of, config.vector)
     lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
     others = [element for element in elements if element.label != ElementClass.SLOT_LINE]
-    drawn = draw_rows(lines, Ts_map_base[:, :2, 3], config.slots)
+
+    def paint_at(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        planes = [plane for layer in gatherer.layers if layer.label == ElementClass.SLOT_LINE for plane in layer.planes]
+        found = [gatherer.paint.sums(xy, plane) for plane in planes]
+        return found[0][0], sum(hits for _, hits in found)
+
+    drawn = draw_rows(lines, Ts_map_base[:, :2, 3], paint_at if lines else None, config.slots)
     return _Born(others + split_crossbars(drawn.lines, config.slots), uprights, drawn.rows)
 
 

@@ -3,17 +3,30 @@
 In: the frame of a row: entrance, dividers; slot lines. Out: bars along the entrance, pieces of dividers, the back.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import gaussian_filter1d
 
 from semloc_jax.maps import MapElement
+
+PaintAt = Callable[[Float[np.ndarray, "n 2"]], tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]
+"""Places [m] -> weight of all looks at them, and of those that show a slot line."""
 
 _ROUNDS = 8
 _SIGMA_M = 0.03
 """Of a divider that was drawn from above; ours."""
+_BESIDE_M = 0.4
+"""From a divider on nothing of its own smear shows; ours."""
+_AROUND_M = 0.3
+"""Behind and before a line along the back in which it shows; ours."""
+_PROFILE_M, _SMOOTHED_M = 0.01, 0.05
+"""Step of that profile, finer than the cells of the looks, and how far it is smoothed; ours."""
+_CLEAR, _LEAST_SHARE = 3.0, 0.08
+"""By how much more often than the bare road, and how often at all, looks must show the line; ours."""
 _SAME_M = 0.15
 """Pieces of the line along the back are no farther off each other; ours."""
 _EVEN_M = 0.06
@@ -144,6 +157,38 @@ def back_of(
     return float(np.average(depth_m[best], weights=paint_m[best])), float(paint_m[best].sum())
 
 
+def back_in_paint(
+    row: RowFrame, s_m: Float[np.ndarray, " n"], depths_m: tuple[float, float], paint_at: PaintAt
+) -> float | None:
+    """How far behind the entrance a line runs along it, from the looks at the road between the dividers together.
+
+    Far from the vehicle no look alone shows where a thin line is.
+
+    Args:
+        row: the row.
+        s_m: where its dividers stand.
+        depths_m: between which the line is.
+        paint_at: looks at places.
+    """
+    beside = np.concatenate([np.arange(a + _BESIDE_M, b - _BESIDE_M, 0.1) for a, b in pairwise(s_m)] or [np.zeros(0)])
+    depth_m = np.arange(depths_m[0] - _AROUND_M, depths_m[1] + _AROUND_M, _PROFILE_M)
+    if len(beside) < 10:
+        return None
+    places = row.origin + beside[:, None, None] * row.along + depth_m[None, :, None] * row.inward
+    weight, hits = (part.reshape(places.shape[:2]).sum(axis=0) for part in paint_at(places.reshape(-1, 2)))
+    share = gaussian_filter1d(
+        np.divide(hits, weight, out=np.zeros_like(hits), where=weight > 0.0), _SMOOTHED_M / _PROFILE_M
+    )
+    inner = (depth_m >= depths_m[0]) & (depth_m <= depths_m[1])
+    peak = int(np.where(inner, share, 0.0).argmax())
+    ground = float(np.median(share[weight > 0.0])) if (weight > 0.0).any() else 1.0
+    if share[peak] < max(_CLEAR * ground, _LEAST_SHARE):
+        return None
+    near = np.abs(depth_m - depth_m[peak]) <= _AROUND_M
+    above = np.where(near, np.maximum(share - 0.5 * (share[peak] + ground), 0.0), 0.0)
+    return float((above * depth_m).sum() / above.sum())
+
+
 def pieces_of(
     row: RowFrame, span: tuple[float, float], lines: Sequence[MapElement], limits: RowLimits
 ) -> list[list[Piece]]:
@@ -165,7 +210,20 @@ def pieces_of(
             groups.append([piece])
         else:
             own.append(piece)
-    return [g for g in groups if min(p.near_m for p in g) <= limits.hidden_m and g[0].length_m >= 2.0 * limits.piece_m]
+    groups = [g for g in groups if min(p.near_m for p in g) <= limits.hidden_m]
+    sure = [g[0].length_m >= 2.0 * limits.piece_m for g in groups]
+    known = np.sort([g[0].s_m for g, is_sure in zip(groups, sure, strict=True) if is_sure])
+    # A short piece shows a divider where one is due.
+    return [g for g, is_sure in zip(groups, sure, strict=True) if is_sure or _is_due(g[0].s_m, known, limits.off_m)]
+
+
+def _is_due(s_m: float, known: Float[np.ndarray, " n"], off_m: float) -> bool:
+    """Whether a place lies in step with others."""
+    if len(known) < 2:
+        return False
+    step_m = _step(known)
+    steps = (s_m - known[int(np.abs(known - s_m).argmin())]) / step_m
+    return bool(round(steps) != 0 and abs(steps - round(steps)) * step_m < off_m)
 
 
 def crossings(ends: Sequence[np.ndarray], known_m: Sequence[float], width_m: float) -> list[float]:
@@ -182,13 +240,11 @@ def crossings(ends: Sequence[np.ndarray], known_m: Sequence[float], width_m: flo
     step_m = _step(known)
     spans = sorted((float(low), float(high)) for low, high in ends)
     middles = [0.5 * (low + high) for low, high in spans if high - low > 0.4 * step_m]
-    pairs = zip(spans[:-1], spans[1:], strict=True)
-    middles += [0.5 * (a[1] + b[0]) for a, b in pairs if 0.0 < b[0] - a[1] < 2.5 * width_m]
+    middles += [0.5 * (a[1] + b[0]) for a, b in pairwise(spans) if 0.0 < b[0] - a[1] < 2.5 * width_m]
     found: list[float] = []
     for middle in middles:
-        nearest = known[int(np.abs(known - middle).argmin())]
-        off_m = abs((middle - nearest) / step_m - round((middle - nearest) / step_m)) * step_m
-        if off_m < 2.0 * width_m and all(abs(middle - other) > 0.4 * step_m for other in (*known, *found)):
+        is_new = all(abs(middle - other) > 0.4 * step_m for other in (*known, *found))
+        if is_new and _is_due(middle, known, 2.0 * width_m):
             found.append(middle)
     return found
 

@@ -13,8 +13,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.mapping.row_lines import Piece, back_of, bars_along, crossings, evened, line_through, pieces_of
-from semloc_jax.mapping.slots import Divider, SlotConfig, divider_groups, find_dividers
+from semloc_jax.mapping.row_lines import (
+    PaintAt,
+    Piece,
+    back_in_paint,
+    back_of,
+    bars_along,
+    crossings,
+    evened,
+    line_through,
+    pieces_of,
+)
+from semloc_jax.mapping.slots import Divider, SlotConfig, divider_groups, find_dividers, split_double
 from semloc_jax.maps import MapElement
 
 
@@ -107,6 +117,7 @@ class Drawn(NamedTuple):
 def draw_rows(
     lines: Sequence[MapElement],
     way: Float[np.ndarray, "n 2"],
+    paint_at: PaintAt | None = None,
     slots: SlotConfig | None = None,
     config: RowConfig | None = None,
 ) -> Drawn:
@@ -115,19 +126,23 @@ def draw_rows(
     Args:
         lines: slot lines.
         way: where the vehicle drove [m]: slots open to it.
+        paint_at: looks at slot lines; None where there are none but the lines.
         slots: what makes a slot.
         config: None for the defaults.
     """
     slots, config = slots or SlotConfig(), config or RowConfig()
-    left = {line.id: line for line in lines}
+    whole = split_double(lines, find_dividers(lines, way, slots), slots)
+    left = {line.id: line for line in whole}
     drawn: list[MapElement] = []
     rows: list[Row] = []
-    for group in divider_groups(find_dividers(lines, way, slots), slots):
+    for group in divider_groups(find_dividers(whole, way, slots), slots):
         members = [divider for divider in group if divider.id in left]
         if len(members) < 2:
             continue
-        row = _with_depth(_entrance(members, left, config), members, left, slots, config)
-        made, used, row = _drawn_anew(row, members, left, config)
+        row = _entrance(members, left, config)
+        span = _span(row, members, left, config)
+        row = _with_depth(row, span, members, left, paint_at, slots, config)
+        made, used, row = _drawn_anew(row, span, left, config)
         if len(row.places) >= 2:
             left = {name: line for name, line in left.items() if name not in used}
             drawn += made
@@ -148,7 +163,9 @@ def _entrance(members: list[Divider], lines: dict[str, MapElement], config: RowC
             along = -along
         row = Row(origin, along, inward, width_m)
         outward = np.array([along[1], -along[0]])
-        bars = bars_along(row, _span(row, mouths), list(lines.values()), config.bar_m, config.off_m, config.askew_deg)
+        bars = bars_along(
+            row, _beyond(row.inside(mouths)[0]), list(lines.values()), config.bar_m, config.off_m, config.askew_deg
+        )
         rims = [bar.points[[0, -1], :2] + 0.5 * width_m * outward for bar in bars]
         points = np.concatenate([mouths, *rims])
     if abs(np.degrees(np.arcsin(np.clip(inward @ along, -1.0, 1.0)))) < config.square_deg:
@@ -156,21 +173,48 @@ def _entrance(members: list[Divider], lines: dict[str, MapElement], config: RowC
     return row
 
 
-def _span(row: Row, mouths: np.ndarray) -> tuple[float, float]:
+def _beyond(s_m: Float[np.ndarray, " n"]) -> tuple[float, float]:
     """From one slot before the first divider to one behind the last."""
-    s_m = np.sort(row.inside(mouths)[0])
+    s_m = np.sort(s_m)
     step_m = float(np.median(np.diff(s_m)))
     return float(s_m[0]) - 1.2 * step_m, float(s_m[-1]) + 1.2 * step_m
 
 
+def _span(row: Row, members: list[Divider], lines: dict[str, MapElement], config: RowConfig) -> tuple[float, float]:
+    """How far the row goes on from where its mouths were seen, divider by divider."""
+    s_m = row.inside(np.array([divider.mouth for divider in members]))[0]
+    while True:
+        span = _beyond(s_m)
+        found = [_mean_s(group) for group in pieces_of(row, span, list(lines.values()), config)]
+        bars = bars_along(row, span, list(lines.values()), config.bar_m, config.off_m, config.askew_deg)
+        found += crossings([np.sort(row.inside(bar.points[[0, -1], :2])[0]) for bar in bars], s_m, row.width_m)
+        num = len(s_m)
+        for s in found:
+            if np.abs(s_m - s).min() > config.beside_m:
+                s_m = np.append(s_m, s)
+        if len(s_m) == num:
+            return span
+
+
 def _with_depth(
-    row: Row, members: list[Divider], lines: dict[str, MapElement], slots: SlotConfig, config: RowConfig
+    row: Row,
+    span: tuple[float, float],
+    members: list[Divider],
+    lines: dict[str, MapElement],
+    paint_at: PaintAt | None,
+    slots: SlotConfig,
+    config: RowConfig,
 ) -> Row:
     """The row with its depth: of the line along its back, else where most of its dividers were seen to end."""
     limits = slots.depth_m, slots.parallel_divider_m
     whole = [d.length_m for d in members if d.is_whole and any(a <= d.length_m <= b for a, b in limits)]
     ends_m = float(np.median(whole)) if whole else None
-    span = _span(row, np.array([divider.mouth for divider in members]))
+    if paint_at is not None and ends_m is not None:
+        around = ends_m - config.snap_m, ends_m + config.snap_m
+        mouths = np.array([divider.mouth for divider in members])
+        depth_m = back_in_paint(row, np.sort(row.inside(mouths)[0]), around, paint_at)
+        if depth_m is not None:
+            return replace(row, depth_m=depth_m)
     depth_m, paint_m = back_of(row, span, list(lines.values()), limits, config.askew_deg)
     if paint_m >= config.back_m and (ends_m is None or abs(depth_m - ends_m) < config.snap_m):
         return replace(row, depth_m=depth_m)
@@ -179,10 +223,9 @@ def _with_depth(
 
 
 def _drawn_anew(
-    row: Row, members: list[Divider], lines: dict[str, MapElement], config: RowConfig
+    row: Row, span: tuple[float, float], lines: dict[str, MapElement], config: RowConfig
 ) -> tuple[list[MapElement], set[str], Row]:
     """The lines of a row drawn anew, ids of those that they replace, and the row with its places."""
-    span = _span(row, np.array([divider.mouth for divider in members]))
     groups = pieces_of(row, span, list(lines.values()), config)
     taken = {piece.id for group in groups for piece in group}
     free = [line for line in lines.values() if line.id not in taken]
@@ -228,10 +271,9 @@ def _mean_s(group: list[Piece]) -> float:
 def _divider(row: Row, s_m: float, group: list[Piece], lines: dict[str, MapElement], config: RowConfig) -> MapElement:
     """A divider from the entrance to the back; an end that nobody saw is none of paint."""
     last = max(group, key=lambda piece: piece.far_m)
-    far_m, is_end = last.far_m, last.far_is_end
+    far_m, is_end = last.far_m, False
     if row.depth_m is not None:
-        is_end = is_end and far_m > row.depth_m - config.snap_m
-        far_m = row.depth_m
+        far_m, is_end = row.depth_m, last.far_is_end and far_m > row.depth_m - config.snap_m
     first = max(group, key=lambda piece: piece.length_m)
     points = np.concatenate([lines[piece.id].points for piece in group])
     t_m = row.inside(points[:, :2])[1]
