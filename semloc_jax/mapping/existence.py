@@ -35,6 +35,7 @@ class ExistenceConfig:
         seen_share: share of the visible places with its paint from which it counts as seen.
         missed_share: share up to which it counts as missed.
         prior_logit: existence before anything was seen.
+        row_logit: the same of a line where a row of slots has one.
         most_per_look: no look says more: the looks of one pass repeat their mistakes.
         border_px: standard deviation of a border in a mask.
         pitch_deg: of the camera against the road.
@@ -47,6 +48,7 @@ class ExistenceConfig:
     seen_share: float = 0.5
     missed_share: float = 0.2
     prior_logit: float = -2.0
+    row_logit: float = 0.0
     most_per_look: float = 1.5
     border_px: float = 1.5
     pitch_deg: float = 0.3

@@ -143,8 +143,11 @@ def make_map(
         if standing.uprights:
             standing.add([look.mask for look in looks], looker.rays, Ts_map_base[index], frames[index].time_s)
     false_rates = _false_rates(gatherer)
-    flat = _told(counting.elements, len(paint), counting.beliefs, base, config, false_rates, drive.name)
-    upright = _told([u.element for u in standing.uprights], len(uprights), standing.beliefs, base, config, drive.name)
+    in_row = {name for row in rows for place in row.places for name in place.ids}
+    priors = [config.existence.row_logit if e.id in in_row else config.existence.prior_logit for e in paint]
+    flat = _told(counting.elements, priors, counting.beliefs, base, config, false_rates, drive.name)
+    priors = [config.existence.prior_logit] * len(uprights)
+    upright = _told([u.element for u in standing.uprights], priors, standing.beliefs, base, config, drive.name)
     stays = [_stays(b, config) for _, b in flat.new]
     stays += [often and _stays(b, config) for (_, b), often in zip(upright.new, standing.stays(), strict=False)]
     looked_at = flat.old | upright.old
@@ -201,15 +204,16 @@ class _Told(NamedTuple):
 
 def _told(
     elements: Sequence[MapElement],
-    num_new: int,
+    priors: Sequence[float],
     beliefs_of: Callable[..., list[Belief]],
     base: BeliefMap | None,
     config: MapConfig,
     *words: dict[ElementClass, float] | str,
 ) -> _Told:
-    """The beliefs of a counting: the first elements are new, the others those of the base map."""
+    """The beliefs of a counting: the first elements are new, with these log odds; the others those of the base map."""
+    num_new = len(priors)
     aged = [aged_logit(base.beliefs[e.id].existence_logit, config.base.survival) for e in elements[num_new:]]
-    beliefs = beliefs_of(*words, [config.existence.prior_logit] * num_new + aged)
+    beliefs = beliefs_of(*words, [*priors, *aged])
     known = list(zip(elements, beliefs, strict=True))
     return _Told(known[:num_new], {e.id: b for e, b in known[num_new:] if b.num_seen + b.num_missed})
 

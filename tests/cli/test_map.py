@@ -97,7 +97,7 @@ def test_a_drive_that_never_comes_back_has_no_loops(made):
 
 
 def test_a_run_that_was_killed_goes_on_and_makes_the_same_map(made, drive_dir, tmp_path, monkeypatch, capsys):
-    """It dies once while it looks and once while it counts; what is finished is not done again."""
+    """It dies in the draft, while it looks and while it counts; what is finished is not done again."""
     seen = []
     dies_after = 6
     looks = Looker.looks
@@ -111,15 +111,21 @@ def test_a_run_that_was_killed_goes_on_and_makes_the_same_map(made, drive_dir, t
     monkeypatch.setattr(Looker, "looks", counted)
     words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "0"]
     main([*words, "--out", str(tmp_path)])
-    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == ["looks_000004"]
+    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == ["draft"]
+    assert sorted(path.name for path in (tmp_path / "parts" / "draft").iterdir()) == ["looks_000004"]
+    draft = [*range(6), *range(4, 14), *range(14)]
+    dies_after = len(draft) + 6
+    main([*words, "--resume", str(tmp_path)])
+    assert seen[:-6] == draft
+    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == ["draft", "looks_000004", "refined.npz"]
     assert main([*words, "--resume", str(tmp_path), "--min-seen", "4"]) == FAILED
     assert "began with other settings" in capsys.readouterr().err
-    dies_after = 6 + 10 + 9
+    dies_after += 10 + 9
     main([*words, "--resume", str(tmp_path)])
     assert (tmp_path / "parts" / "counts_000008").is_dir()
     dies_after = None
     assert main([*words, "--resume", str(tmp_path)]) == OK
-    assert seen == [*range(6), *range(4, 14), *range(9), *range(8, 14)]
+    assert seen == [*draft, *range(6), *range(4, 14), *range(9), *range(8, 14)]
     assert not (tmp_path / "parts").exists()
     assert (tmp_path / "map.geojson").read_bytes() == (made / "map.geojson").read_bytes()
     assert main([*words, "--resume", str(tmp_path)]) == FAILED
