@@ -104,10 +104,10 @@ def _draft(
     except SemlocError:  # what is wrong with the drive, its map will say
         return []
     paint = [e for e in made.belief_map.map.elements if e.label != ElementClass.PARKING_SLOT]
-    return [piece for element in paint for piece in _pieces_of(element)]
+    return [piece for element in paint for piece in pieces_of(element)]
 
 
-def _pieces_of(element: MapElement) -> list[MapElement]:
+def pieces_of(element: MapElement) -> list[MapElement]:
     """A long line in pieces that move each on its own: it was drawn as bent as the way was."""
     if element.closed or len(element.points) < 2 or element.label in UPRIGHT:
         return [element]
