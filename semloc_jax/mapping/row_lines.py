@@ -25,7 +25,7 @@ _AROUND_M = 0.3
 """Behind and before a line along the back in which it shows; ours."""
 _PROFILE_M, _SMOOTHED_M = 0.01, 0.05
 """Step of that profile, finer than the cells of the looks, and how far it is smoothed; ours."""
-_CLEAR, _LEAST_SHARE = 3.0, 0.08
+_CLEAR, _LEAST_SHARE = 4.0, 0.04
 """By how much more often than the bare road, and how often at all, looks must show the line; ours."""
 _SAME_M = 0.15
 """Pieces of the line along the back are no farther off each other; ours."""

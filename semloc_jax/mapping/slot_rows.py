@@ -57,7 +57,7 @@ class RowConfig:
     back_m: float = 2.0
 
 
-class Place(NamedTuple):
+class RowPlace(NamedTuple):
     """Where a divider of a row stands."""
 
     s_m: float
@@ -68,7 +68,7 @@ class Place(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Row:
+class SlotRow:
     """A row of slots.
 
     Attributes:
@@ -85,7 +85,7 @@ class Row:
     inward: Float[np.ndarray, " 2"]
     width_m: float
     depth_m: float | None = None
-    places: tuple[Place, ...] = ()
+    places: tuple[RowPlace, ...] = ()
 
     def at(self, s_m: float, t_m: float = 0.0) -> Float[np.ndarray, " 2"]:
         """The place so far along the entrance, and so far behind it along a divider."""
@@ -111,7 +111,7 @@ class Drawn(NamedTuple):
     """Lines by slots after their rows were found."""
 
     lines: list[MapElement]
-    rows: list[Row]
+    rows: list[SlotRow]
 
 
 def draw_rows(
@@ -134,15 +134,15 @@ def draw_rows(
     whole = split_double(lines, find_dividers(lines, way, slots), slots)
     left = {line.id: line for line in whole}
     drawn: list[MapElement] = []
-    rows: list[Row] = []
+    rows: list[SlotRow] = []
     for group in divider_groups(find_dividers(whole, way, slots), slots):
         members = [divider for divider in group if divider.id in left]
         if len(members) < 2:
             continue
         row = _entrance(members, left, config)
-        span = _span(row, members, left, config)
-        row = _with_depth(row, span, members, left, paint_at, slots, config)
-        made, used, row = _drawn_anew(row, span, left, config)
+        s_m = _grown(row, members, left, config)
+        row = _with_depth(row, s_m, members, left, paint_at, slots, config)
+        made, used, row = _drawn_anew(row, _beyond(s_m), left, config)
         if len(row.places) >= 2:
             left = {name: line for name, line in left.items() if name not in used}
             drawn += made
@@ -150,7 +150,7 @@ def draw_rows(
     return Drawn([*left.values(), *drawn], rows)
 
 
-def _entrance(members: list[Divider], lines: dict[str, MapElement], config: RowConfig) -> Row:
+def _entrance(members: list[Divider], lines: dict[str, MapElement], config: RowConfig) -> SlotRow:
     """The line through the mouths of the dividers and the outer rims of the bars between them."""
     mouths = np.array([divider.mouth for divider in members])
     inward = np.median([divider.inward for divider in members], axis=0)
@@ -161,7 +161,7 @@ def _entrance(members: list[Divider], lines: dict[str, MapElement], config: RowC
         origin, along = line_through(points)
         if along[0] * inward[1] - along[1] * inward[0] < 0.0:
             along = -along
-        row = Row(origin, along, inward, width_m)
+        row = SlotRow(origin, along, inward, width_m)
         outward = np.array([along[1], -along[0]])
         bars = bars_along(
             row, _beyond(row.inside(mouths)[0]), list(lines.values()), config.bar_m, config.off_m, config.askew_deg
@@ -180,8 +180,10 @@ def _beyond(s_m: Float[np.ndarray, " n"]) -> tuple[float, float]:
     return float(s_m[0]) - 1.2 * step_m, float(s_m[-1]) + 1.2 * step_m
 
 
-def _span(row: Row, members: list[Divider], lines: dict[str, MapElement], config: RowConfig) -> tuple[float, float]:
-    """How far the row goes on from where its mouths were seen, divider by divider."""
+def _grown(
+    row: SlotRow, members: list[Divider], lines: dict[str, MapElement], config: RowConfig
+) -> Float[np.ndarray, " n"]:
+    """Where dividers stand: from where mouths were seen on, divider by divider."""
     s_m = row.inside(np.array([divider.mouth for divider in members]))[0]
     while True:
         span = _beyond(s_m)
@@ -193,29 +195,31 @@ def _span(row: Row, members: list[Divider], lines: dict[str, MapElement], config
             if np.abs(s_m - s).min() > config.beside_m:
                 s_m = np.append(s_m, s)
         if len(s_m) == num:
-            return span
+            return np.sort(s_m)
 
 
 def _with_depth(
-    row: Row,
-    span: tuple[float, float],
+    row: SlotRow,
+    s_m: Float[np.ndarray, " n"],
     members: list[Divider],
     lines: dict[str, MapElement],
     paint_at: PaintAt | None,
     slots: SlotConfig,
     config: RowConfig,
-) -> Row:
+) -> SlotRow:
     """The row with its depth: of the line along its back, else where most of its dividers were seen to end."""
     limits = slots.depth_m, slots.parallel_divider_m
     whole = [d.length_m for d in members if d.is_whole and any(a <= d.length_m <= b for a, b in limits)]
     ends_m = float(np.median(whole)) if whole else None
-    if paint_at is not None and ends_m is not None:
-        around = ends_m - config.snap_m, ends_m + config.snap_m
-        mouths = np.array([divider.mouth for divider in members])
-        depth_m = back_in_paint(row, np.sort(row.inside(mouths)[0]), around, paint_at)
+    if paint_at is not None:
+        is_parallel = float(np.median(np.diff(s_m))) > slots.entrance_m[1]
+        around = limits[1] if is_parallel else limits[0]
+        if ends_m is not None:
+            around = ends_m - config.snap_m, ends_m + config.snap_m
+        depth_m = back_in_paint(row, s_m, around, paint_at)
         if depth_m is not None:
             return replace(row, depth_m=depth_m)
-    depth_m, paint_m = back_of(row, span, list(lines.values()), limits, config.askew_deg)
+    depth_m, paint_m = back_of(row, _beyond(s_m), list(lines.values()), limits, config.askew_deg)
     if paint_m >= config.back_m and (ends_m is None or abs(depth_m - ends_m) < config.snap_m):
         return replace(row, depth_m=depth_m)
     agreeing = [length for length in whole if abs(length - ends_m) < 0.5 * config.off_m]
@@ -223,8 +227,8 @@ def _with_depth(
 
 
 def _drawn_anew(
-    row: Row, span: tuple[float, float], lines: dict[str, MapElement], config: RowConfig
-) -> tuple[list[MapElement], set[str], Row]:
+    row: SlotRow, span: tuple[float, float], lines: dict[str, MapElement], config: RowConfig
+) -> tuple[list[MapElement], set[str], SlotRow]:
     """The lines of a row drawn anew, ids of those that they replace, and the row with its places."""
     groups = pieces_of(row, span, list(lines.values()), config)
     taken = {piece.id for group in groups for piece in group}
@@ -253,7 +257,7 @@ def _drawn_anew(
         float(np.mean([lines[p.id].points[0, 2] for p in g])) if g else _height(s, bars, ends)
         for s, g in zip(s_m, groups, strict=True)
     ]
-    places = [Place(float(s), tuple(ids), z) for s, ids, z in zip(s_m, shown, z_m, strict=True) if ids]
+    places = [RowPlace(float(s), tuple(ids), z) for s, ids, z in zip(s_m, shown, z_m, strict=True) if ids]
     back = _back(row, s_m, [line for line in free if line.id not in ends], config)
     used = taken | set(ends) | back.used
     return [*made, *back.lines], used, replace(row, places=tuple(places))
@@ -268,7 +272,9 @@ def _mean_s(group: list[Piece]) -> float:
     return float(np.average([piece.s_m for piece in group], weights=[piece.length_m for piece in group]))
 
 
-def _divider(row: Row, s_m: float, group: list[Piece], lines: dict[str, MapElement], config: RowConfig) -> MapElement:
+def _divider(
+    row: SlotRow, s_m: float, group: list[Piece], lines: dict[str, MapElement], config: RowConfig
+) -> MapElement:
     """A divider from the entrance to the back; an end that nobody saw is none of paint."""
     last = max(group, key=lambda piece: piece.far_m)
     far_m, is_end = last.far_m, False
@@ -282,7 +288,7 @@ def _divider(row: Row, s_m: float, group: list[Piece], lines: dict[str, MapEleme
     return replace(lines[first.id], points=ends, width_m=row.width_m, true_ends=(True, bool(is_end)))
 
 
-def _cut(row: Row, bar: MapElement, span: np.ndarray, s_m: np.ndarray) -> list[MapElement]:
+def _cut(row: SlotRow, bar: MapElement, span: np.ndarray, s_m: np.ndarray) -> list[MapElement]:
     """A bar along the entrance, cut where dividers pass through it."""
     half = 0.5 * row.width_m
     low, high = span
@@ -309,7 +315,7 @@ class _Back(NamedTuple):
     used: set[str]
 
 
-def _back(row: Row, s_m: np.ndarray, lines: list[MapElement], config: RowConfig) -> _Back:
+def _back(row: SlotRow, s_m: np.ndarray, lines: list[MapElement], config: RowConfig) -> _Back:
     """The line along the back of a row as one, from the first to the last piece of it that was seen."""
     if row.depth_m is None:
         return _Back([], set())
