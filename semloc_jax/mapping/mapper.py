@@ -20,7 +20,7 @@ from semloc_jax.mapping.existence import Counting, ExistenceConfig
 from semloc_jax.mapping.joint import RefineConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
 from semloc_jax.mapping.parts import Parts
-from semloc_jax.mapping.slot_rows import SlotRow, draw_rows
+from semloc_jax.mapping.slot_rows import MappedRow, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.triangulation import TriangulationConfig
 from semloc_jax.mapping.uprights import HeightOf, Upright, UprightCounting, uprights_of
@@ -176,7 +176,7 @@ class _Born(NamedTuple):
 
     paint: list[MapElement]
     uprights: list[Upright]
-    rows: list[SlotRow]
+    rows: list[MappedRow]
 
 
 def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Born:

@@ -68,7 +68,7 @@ class RowPlace(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SlotRow:
+class MappedRow:
     """A row of slots.
 
     Attributes:
@@ -111,7 +111,7 @@ class Drawn(NamedTuple):
     """Lines by slots after their rows were found."""
 
     lines: list[MapElement]
-    rows: list[SlotRow]
+    rows: list[MappedRow]
 
 
 def draw_rows(
@@ -134,7 +134,7 @@ def draw_rows(
     whole = split_double(lines, find_dividers(lines, way, slots), slots)
     left = {line.id: line for line in whole}
     drawn: list[MapElement] = []
-    rows: list[SlotRow] = []
+    rows: list[MappedRow] = []
     for group in divider_groups(find_dividers(whole, way, slots), slots):
         members = [divider for divider in group if divider.id in left]
         if len(members) < 2:
@@ -150,7 +150,7 @@ def draw_rows(
     return Drawn([*left.values(), *drawn], rows)
 
 
-def _entrance(members: list[Divider], lines: dict[str, MapElement], config: RowConfig) -> SlotRow:
+def _entrance(members: list[Divider], lines: dict[str, MapElement], config: RowConfig) -> MappedRow:
     """The line through the mouths of the dividers and the outer rims of the bars between them."""
     mouths = np.array([divider.mouth for divider in members])
     inward = np.median([divider.inward for divider in members], axis=0)
@@ -161,7 +161,7 @@ def _entrance(members: list[Divider], lines: dict[str, MapElement], config: RowC
         origin, along = line_through(points)
         if along[0] * inward[1] - along[1] * inward[0] < 0.0:
             along = -along
-        row = SlotRow(origin, along, inward, width_m)
+        row = MappedRow(origin, along, inward, width_m)
         outward = np.array([along[1], -along[0]])
         bars = bars_along(
             row, _beyond(row.inside(mouths)[0]), list(lines.values()), config.bar_m, config.off_m, config.askew_deg
@@ -181,7 +181,7 @@ def _beyond(s_m: Float[np.ndarray, " n"]) -> tuple[float, float]:
 
 
 def _grown(
-    row: SlotRow, members: list[Divider], lines: dict[str, MapElement], config: RowConfig
+    row: MappedRow, members: list[Divider], lines: dict[str, MapElement], config: RowConfig
 ) -> Float[np.ndarray, " n"]:
     """Where dividers stand: from where mouths were seen on, divider by divider."""
     s_m = row.inside(np.array([divider.mouth for divider in members]))[0]
@@ -199,14 +199,14 @@ def _grown(
 
 
 def _with_depth(
-    row: SlotRow,
+    row: MappedRow,
     s_m: Float[np.ndarray, " n"],
     members: list[Divider],
     lines: dict[str, MapElement],
     paint_at: PaintAt | None,
     slots: SlotConfig,
     config: RowConfig,
-) -> SlotRow:
+) -> MappedRow:
     """The row with its depth: of the line along its back, else where most of its dividers were seen to end."""
     limits = slots.depth_m, slots.parallel_divider_m
     whole = [d.length_m for d in members if d.is_whole and any(a <= d.length_m <= b for a, b in limits)]
@@ -227,8 +227,8 @@ def _with_depth(
 
 
 def _drawn_anew(
-    row: SlotRow, span: tuple[float, float], lines: dict[str, MapElement], config: RowConfig
-) -> tuple[list[MapElement], set[str], SlotRow]:
+    row: MappedRow, span: tuple[float, float], lines: dict[str, MapElement], config: RowConfig
+) -> tuple[list[MapElement], set[str], MappedRow]:
     """The lines of a row drawn anew, ids of those that they replace, and the row with its places."""
     groups = pieces_of(row, span, list(lines.values()), config)
     taken = {piece.id for group in groups for piece in group}
@@ -273,7 +273,7 @@ def _mean_s(group: list[Piece]) -> float:
 
 
 def _divider(
-    row: SlotRow, s_m: float, group: list[Piece], lines: dict[str, MapElement], config: RowConfig
+    row: MappedRow, s_m: float, group: list[Piece], lines: dict[str, MapElement], config: RowConfig
 ) -> MapElement:
     """A divider from the entrance to the back; an end that nobody saw is none of paint."""
     last = max(group, key=lambda piece: piece.far_m)
@@ -288,7 +288,7 @@ def _divider(
     return replace(lines[first.id], points=ends, width_m=row.width_m, true_ends=(True, bool(is_end)))
 
 
-def _cut(row: SlotRow, bar: MapElement, span: np.ndarray, s_m: np.ndarray) -> list[MapElement]:
+def _cut(row: MappedRow, bar: MapElement, span: np.ndarray, s_m: np.ndarray) -> list[MapElement]:
     """A bar along the entrance, cut where dividers pass through it."""
     half = 0.5 * row.width_m
     low, high = span
@@ -315,7 +315,7 @@ class _Back(NamedTuple):
     used: set[str]
 
 
-def _back(row: SlotRow, s_m: np.ndarray, lines: list[MapElement], config: RowConfig) -> _Back:
+def _back(row: MappedRow, s_m: np.ndarray, lines: list[MapElement], config: RowConfig) -> _Back:
     """The line along the back of a row as one, from the first to the last piece of it that was seen."""
     if row.depth_m is None:
         return _Back([], set())

@@ -5,7 +5,7 @@ import pytest
 
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.mapping.row_lines import back_in_paint, evened
-from semloc_jax.mapping.slot_rows import SlotRow, draw_rows
+from semloc_jax.mapping.slot_rows import MappedRow, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_double
 from semloc_jax.maps import Belief, MapElement
 from semloc_jax.structs import ElementClass
@@ -109,7 +109,7 @@ def test_the_back_is_found_in_looks_too_faint_for_a_line():
         shows = RNG.random(y.shape) < rate
         xy = np.stack([x.ravel(), y.ravel()], axis=1)
         grid.add(xy, np.ones(len(xy)), shows.ravel().astype(int) - 1, np.ones(len(xy), bool))
-    row = SlotRow(np.zeros(2), np.array([1.0, 0.0]), np.array([0.0, 1.0]), WIDTH_M)
+    row = MappedRow(np.zeros(2), np.array([1.0, 0.0]), np.array([0.0, 1.0]), WIDTH_M)
     places = np.array([0.0, 2.5, 5.0, 7.5])
     assert back_in_paint(row, places, (4.8, 6.0), lambda xy: grid.sums(xy, 0)) == pytest.approx(5.2, abs=0.02)
     assert back_in_paint(row, places, (2.0, 4.0), lambda xy: grid.sums(xy, 0)) is None
