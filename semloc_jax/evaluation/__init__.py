@@ -46,6 +46,12 @@ __getattr__, __dir__, __all__ = door(
             "read_metrics",
             "write_metrics",
         ),
+        "surveyed": (
+            "SurveyedDistance",
+            "SurveyedEnd",
+            "surveyed_distances",
+            "surveyed_metrics",
+        ),
         "trajectory": (
             "Trajectory",
             "associate",

@@ -160,14 +160,7 @@ def solve_chain(
         SemlocError: a loop names a frame that is not there or one frame twice, or no fix lies in the time of the drive.
     """
     config = config or ChainGraphConfig()
-    _check(loops, len(chain.times_s))
-    T_map_odom, tied = np.eye(4), None
-    if gnss is not None:
-        tied, T_map_odom = _fixes(chain, gnss, config)
-    if start is not None:
-        T_map_odom = start.T_map_base @ rigid.inverse(chain.Ts_odom_base[0])
-    first = start or _free_start(chain, T_map_odom, gnss is not None, places is not None)
-    graph, values = chain_graph(chain, T_map_odom @ chain.Ts_odom_base, first, loops, tied, config, places)
+    graph, values = way_graph(chain, loops, gnss, start, config, places)
     place, has_loops = len(graph.factors) - 1, len(loops.a) > 0
     gnc = GncConfig(0.5 * float(chdtri(6, 1.0 - config.loop_probability)), solve=config.solve)
     with jax.enable_x64(True):
@@ -184,6 +177,25 @@ def solve_chain(
         solution=found.solution,
         problem=problem,
     )
+
+
+def way_graph(
+    chain: Chain,
+    loops: Loops,
+    gnss: GnssTrack | None,
+    start: Start | None,
+    config: ChainGraphConfig,
+    places: MapPlaces | None,
+) -> tuple[FactorGraph, Values]:
+    """The graph of a drive and where it starts, loops last where there are any; arguments as `solve_chain`."""
+    _check(loops, len(chain.times_s))
+    T_map_odom, tied = np.eye(4), None
+    if gnss is not None:
+        tied, T_map_odom = _fixes(chain, gnss, config)
+    if start is not None:
+        T_map_odom = start.T_map_base @ rigid.inverse(chain.Ts_odom_base[0])
+    first = start or _free_start(chain, T_map_odom, gnss is not None, places is not None)
+    return chain_graph(chain, T_map_odom @ chain.Ts_odom_base, first, loops, tied, config, places)
 
 
 def chain_graph(

@@ -17,8 +17,10 @@ from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.base_map import BaseConfig, Change, Countable, Known, aged_logit, taken_in
 from semloc_jax.mapping.evidence_grid import TILE
 from semloc_jax.mapping.existence import Counting, ExistenceConfig
+from semloc_jax.mapping.joint import RefineConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
 from semloc_jax.mapping.parts import Parts
+from semloc_jax.mapping.slot_rows import MappedRow, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.triangulation import TriangulationConfig
 from semloc_jax.mapping.uprights import HeightOf, Upright, UprightCounting, uprights_of
@@ -47,6 +49,7 @@ class MapConfig:
         slots: what makes a slot.
         triangulation: what makes a pole, a sign or a traffic light.
         base: how a map that is there already takes the drive in.
+        refine: how the way is made to agree with the map.
         uprights: whether these are looked for.
         min_seen: frames that must have seen an element.
     """
@@ -57,6 +60,7 @@ class MapConfig:
     slots: SlotConfig = field(default_factory=SlotConfig)
     triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
     base: BaseConfig = field(default_factory=BaseConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
     uprights: bool = True
     min_seen: int = 3
 
@@ -127,7 +131,7 @@ def make_map(
     for index in progress(parts.gathered(gatherer, moving) if parts else moving, "looking"):
         for camera, look in enumerate(looker.looks(frames[index], index, Ts_map_base)):
             gatherer.add(look, looker.rays[camera] if config.uprights else None)
-    paint, uprights = _born(gatherer, road_height(Ts_map_base), config)
+    paint, uprights, rows = _born(gatherer, Ts_map_base, config)
     planes = {layer.label: layer.planes for layer in gatherer.layers}
     old = Countable.of(base, Ts_map_base[:, :2, 3], planes, config.uprights)
     off_m = [0.0] * len(paint) + [config.base.off_m] * len(old.paint)
@@ -139,8 +143,11 @@ def make_map(
         if standing.uprights:
             standing.add([look.mask for look in looks], looker.rays, Ts_map_base[index], frames[index].time_s)
     false_rates = _false_rates(gatherer)
-    flat = _told(counting.elements, len(paint), counting.beliefs, base, config, false_rates, drive.name)
-    upright = _told([u.element for u in standing.uprights], len(uprights), standing.beliefs, base, config, drive.name)
+    in_row = {name for row in rows for place in row.places for name in place.ids}
+    priors = [config.existence.row_logit if e.id in in_row else config.existence.prior_logit for e in paint]
+    flat = _told(counting.elements, priors, counting.beliefs, base, config, false_rates, drive.name)
+    priors = [config.existence.prior_logit] * len(uprights)
+    upright = _told([u.element for u in standing.uprights], priors, standing.beliefs, base, config, drive.name)
     stays = [_stays(b, config) for _, b in flat.new]
     stays += [often and _stays(b, config) for (_, b), often in zip(upright.new, standing.stays(), strict=False)]
     looked_at = flat.old | upright.old
@@ -152,7 +159,10 @@ def make_map(
     kept = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if stay]
     rejected = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if not stay]
     lines = [e for e, _ in kept if e.label == ElementClass.SLOT_LINE]
-    slots = find_slots(lines, {e.id: b for e, b in kept}, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots)
+    ids = {line.id for line in lines}
+    in_rows = [divider for row in rows for divider in row.dividers(ids)]
+    beliefs = {e.id: b for e, b in kept}
+    slots = find_slots(lines, beliefs, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots, in_rows)
     made, changes = _map_of(kept + slots, origin, drive.name), []
     if base is not None:
         made, changes = taken_in(base, looked_at, kept + slots, config.base)
@@ -161,13 +171,28 @@ def make_map(
     return MadeMap(made, _map_of(rejected, origin, drive.name), rates, false_rates, gatherer, tuple(changes))
 
 
-def _born(gatherer: Gatherer, height_of: HeightOf, config: MapConfig) -> tuple[list[MapElement], list[Upright]]:
+class _Born(NamedTuple):
     """What may be on the road and beside it."""
+
+    paint: list[MapElement]
+    uprights: list[Upright]
+    rows: list[MappedRow]
+
+
+def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Born:
+    height_of: HeightOf = road_height(Ts_map_base)
     uprights = uprights_of(gatherer.sightings.all(), height_of, config.triangulation)
     elements = elements_of(gatherer.paint, gatherer.layers, height_of, config.vector)
     lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
     others = [element for element in elements if element.label != ElementClass.SLOT_LINE]
-    return others + split_crossbars(lines, config.slots), uprights
+
+    def paint_at(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        planes = [plane for layer in gatherer.layers if layer.label == ElementClass.SLOT_LINE for plane in layer.planes]
+        found = [gatherer.paint.sums(xy, plane) for plane in planes]
+        return found[0][0], sum(hits for _, hits in found)
+
+    drawn = draw_rows(lines, Ts_map_base[:, :2, 3], paint_at if lines else None, config.slots)
+    return _Born(others + split_crossbars(drawn.lines, config.slots), uprights, drawn.rows)
 
 
 class _Told(NamedTuple):
@@ -179,15 +204,16 @@ class _Told(NamedTuple):
 
 def _told(
     elements: Sequence[MapElement],
-    num_new: int,
+    priors: Sequence[float],
     beliefs_of: Callable[..., list[Belief]],
     base: BeliefMap | None,
     config: MapConfig,
     *words: dict[ElementClass, float] | str,
 ) -> _Told:
-    """The beliefs of a counting: the first elements are new, the others those of the base map."""
+    """The beliefs of a counting: the first elements are new, with these log odds; the others those of the base map."""
+    num_new = len(priors)
     aged = [aged_logit(base.beliefs[e.id].existence_logit, config.base.survival) for e in elements[num_new:]]
-    beliefs = beliefs_of(*words, [config.existence.prior_logit] * num_new + aged)
+    beliefs = beliefs_of(*words, [*priors, *aged])
     known = list(zip(elements, beliefs, strict=True))
     return _Told(known[:num_new], {e.id: b for e, b in known[num_new:] if b.num_seen + b.num_missed})
 

@@ -18,11 +18,12 @@ from semloc_jax.mapping.found_loops import FoundLoop
 from semloc_jax.mapping.looking import Gatherer
 from semloc_jax.mapping.revisits import Revisit
 from semloc_jax.mapping.uprights import UprightCounting
-from semloc_jax.storage import append_line, making, reading, whole_lines
+from semloc_jax.storage import append_line, making, npz_arrays, reading, whole_lines, write_npz
 
 PART_FRAMES = 40
 """Frames in a part: what is in memory at a time, and what a kill takes back."""
 _LOOKS, _COUNTS, _LOOPS = "looks", "counts", "loops.jsonl"
+_POSES = "refined.npz"
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,16 @@ class Parts:
                 shutil.rmtree(path)
 
         return Rest(frames, _done(paths), store)
+
+    def poses(self, solve: Callable[[], np.ndarray]) -> np.ndarray:
+        """Poses of all frames that a solve gives, `float64[n 4 4]`; where it was done before, what it gave then."""
+        path = self.folder / _POSES
+        if not path.exists():
+            write_npz(path, {"Ts_map_base": solve()})
+        held = npz_arrays(path, f"poses {path}").get("Ts_map_base", np.zeros(0))
+        if held.ndim != 3 or held.shape[1:] != (4, 4):
+            raise SemlocError(f"poses {path}: holds none; begin anew with another --out")
+        return held
 
     def once(self, revisit: Revisit, search: Callable[[], FoundLoop | None]) -> FoundLoop | None:
         """What a search for a loop gives; where it was searched before, what it gave then."""

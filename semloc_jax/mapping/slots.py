@@ -35,7 +35,9 @@ class SlotConfig:
         least_angle_deg: sharpest angle between entrance and divider.
         depth_m: shallowest and deepest slot one drives into.
         touch_m: a bar across a divider begins no farther from it.
-        occupied_share: share of the looks at a slot that end at a vehicle from which it is taken.
+        covered_share: share of the looks at a place that end at a vehicle from which one stands there: behind one,
+            looks from other sides see the road.
+        occupied_share: share of such places in the middle of a slot from which it is taken.
     """
 
     entrance_m: tuple[float, float] = (2.1, 3.3)
@@ -47,7 +49,8 @@ class SlotConfig:
     least_angle_deg: float = 35.0
     depth_m: tuple[float, float] = (4.0, 6.5)
     touch_m: float = 0.25
-    occupied_share: float = 0.4
+    covered_share: float = 0.85
+    occupied_share: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,7 @@ def find_slots(
     way: Float[np.ndarray, "n 2"],
     vehicles: EvidenceGrid,
     config: SlotConfig | None = None,
+    in_rows: Sequence[Divider] = (),
 ) -> list[tuple[MapElement, Belief]]:
     """The slots between the lines, each with the belief of the lines it is made of.
 
@@ -86,9 +90,11 @@ def find_slots(
         way: where the vehicle drove [m]: slots open to it.
         vehicles: how often other vehicles hide a place.
         config: None for the defaults.
+        in_rows: dividers of rows; lines that they are named after are none besides.
     """
     config = config or SlotConfig()
-    dividers = find_dividers(lines, way, config)
+    named = {divider.id for divider in in_rows}
+    dividers = [*(d for d in find_dividers(lines, way, config) if d.id not in named), *in_rows]
     found = _neighbours(dividers, config)
     shared = {d.id: _shared_depth(d, dividers) for _, *pair in found for d in pair}
     typical = _typical_depths(found, shared, config)
@@ -102,7 +108,7 @@ def find_slots(
         )
         z_m = np.array([one.z_m, other.z_m, other.z_m, one.z_m])
         words = {"kind": kind}
-        taken = _taken(corners, vehicles)
+        taken = _taken(corners, vehicles, config.covered_share)
         if taken is not None:
             words |= {"occupied": bool(taken >= config.occupied_share)}
         name = f"slot_{len(slots)}"
@@ -142,6 +148,45 @@ def find_dividers(lines: Sequence[MapElement], way: Float[np.ndarray, "n 2"], co
         has_back = any(_passes(other, back, inward, config) for other in lines if other is not line)
         depth_m = length_m - 0.5 * line.width_m if ends[1] and has_back else length_m
         found.append(Divider(line.id, mouth, inward, depth_m, ends[1], z_m))
+    return found
+
+
+def divider_groups(dividers: list[Divider], config: SlotConfig) -> list[list[Divider]]:
+    """Dividers that hold slots between them, row by row; the longest row first, those of no row left out."""
+    group = list(range(len(dividers)))
+    for a, one in enumerate(dividers):
+        for b in range(a + 1, len(dividers)):
+            if group[a] != group[b] and _kind(one, dividers[b], config) is not None:
+                kept, gone = group[a], group[b]
+                group = [kept if name == gone else name for name in group]
+    rows = [[d for d, name in zip(dividers, group, strict=True) if name == own] for own in dict.fromkeys(group)]
+    return sorted((row for row in rows if len(row) > 1), key=lambda row: -len(row))
+
+
+def split_double(lines: Sequence[MapElement], dividers: Sequence[Divider], config: SlotConfig) -> list[MapElement]:
+    """The lines, those in two that run from aisle to aisle through two rows back to back, beside dividers of one."""
+    found: list[MapElement] = []
+    for line in lines:
+        start, end = line.points[[0, -1], :2]
+        length_m = float(np.linalg.norm(end - start))
+        halves = [
+            Divider(line.id, mouth, (other - mouth) / max(length_m, 1e-9), 0.5 * length_m, True, 0.0)
+            for mouth, other in ((start, end), (end, start))
+        ]
+        is_double = _BACK_TO_BACK_M[0] <= length_m <= _BACK_TO_BACK_M[1] and any(
+            _kind(half, divider, config) is not None for half in halves for divider in dividers
+        )
+        if not is_double:
+            found.append(line)
+            continue
+        middle = 0.5 * (line.points[0] + line.points[-1])
+        parts = np.stack([line.points[0], middle]), np.stack([middle, line.points[-1]])
+        ends = (line.true_ends[0], True), (True, line.true_ends[1])
+        names = line.id, f"{line.id}_back"
+        found += [
+            replace(line, id=name, points=points, true_ends=told)
+            for name, points, told in zip(names, parts, ends, strict=True)
+        ]
     return found
 
 
@@ -263,14 +308,15 @@ def _depth_of(
     return float(np.mean(near)) if near else typical_m
 
 
-def _taken(corners: Float[np.ndarray, "4 2"], vehicles: EvidenceGrid) -> float | None:
-    """Share of the looks into the front half of a slot that end at a vehicle; None where nobody looked."""
-    across, inward = np.meshgrid(np.linspace(0.25, 0.75, 6), np.linspace(0.15, 0.5, 6))
+def _taken(corners: Float[np.ndarray, "4 2"], vehicles: EvidenceGrid, covered_share: float) -> float | None:
+    """Share of the places in the middle of a slot where a vehicle stands; None where nobody looked."""
+    across, inward = np.meshgrid(np.linspace(0.25, 0.75, 8), np.linspace(0.25, 0.75, 8))
     u, v = across.ravel()[:, None], inward.ravel()[:, None]
     front = corners[0] + u * (corners[1] - corners[0])
     back = corners[3] + u * (corners[2] - corners[3])
     total, hits = vehicles.sums(front + v * (back - front), 0)
-    return float(hits.sum() / total.sum()) if total.sum() > 0.5 else None
+    looked = total > 0.0
+    return float((hits[looked] > covered_share * total[looked]).mean()) if total.sum() > 0.5 else None
 
 
 def _weaker(one: Belief, other: Belief) -> Belief:

@@ -21,6 +21,8 @@ from semloc_jax.evaluation import (
     compare_maps,
     evaluate,
     format_metrics,
+    surveyed_distances,
+    surveyed_metrics,
     write_metrics,
     write_tum,
 )
@@ -34,13 +36,14 @@ from semloc_jax.mapping.found_loops import FoundLoop, write_loops
 from semloc_jax.mapping.gauge import GNSS, IDENTITY, Gauge, gauge_of
 from semloc_jax.mapping.mapper import MadeMap, MapConfig, make_map
 from semloc_jax.mapping.parts import Parts
+from semloc_jax.mapping.refining import refined_way
 from semloc_jax.maps import BeliefMap, read_map, write_drive_geojson, write_map
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.pictures import element_panels
 from semloc_jax.reports.run_inputs import begun, file_digest, fingerprint_without_map
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.storage import output_path, remove_folder
+from semloc_jax.storage import json_document, output_path, remove_folder
 from semloc_jax.viz import draw_contours, maps_over_each_other, save, sigmas_from_above
 
 _PARTS = "parts"
@@ -120,6 +123,8 @@ def report_map(
         base=None if known is None else known.map,
     )
     Ts_map_base = closed.Ts_map_base
+    if known is None:
+        Ts_map_base = refined_way(drive, masks, looking, chain, closed, settings, shown, parts)
     write_loops(folder / "loops.csv", closed.loops, chain.times_s)
     made = make_map(
         drive,
@@ -273,7 +278,16 @@ def _judged(
     low, high = extent.min(axis=0) - 20.0, extent.max(axis=0) + 20.0
     near = [e for e in reference.elements if not e.is_logical and _within(e.points[:, :2], low, high)]
     save(maps_over_each_other([e for e in moved if not e.is_logical], near, drive.name), folder / "against_truth.png")
-    return [*metrics, *comparison.metrics()], comparison
+    return [*metrics, *comparison.metrics(), *_surveyed(drive, made, comparison_motion)], comparison
+
+
+def _surveyed(drive: Drive, made: MadeMap, T_reference_made: np.ndarray) -> list[Metric]:
+    """The distances that were surveyed in the place of the drive, where it tells some."""
+    path = drive.path / "meta.json"
+    rows = json_document(path.read_bytes(), f"drive file {path}").get("surveyed") if path.is_file() else None
+    if not rows:
+        return []
+    return surveyed_metrics(made.belief_map.map.elements, surveyed_distances(rows, str(path)), T_reference_made)
 
 
 def _within(xy: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
@@ -318,9 +332,11 @@ def _text(made: MadeMap, closed: ClosedWay, metrics: list[Metric], comparison: M
     rates = [f"{label.name.lower()} {100 * rate:.0f} %" for label, rate in made.detection_rates.items()]
     lines.append(f"shown by a visible look: {', '.join(rates)}")
     if metrics:
-        poses = [m for m in metrics if not m.key.startswith("map.")]
+        poses = [m for m in metrics if not m.key.startswith(("map.", "surveyed."))]
         lines += ["", "trajectory against the truth, after one motion in the plane:", format_metrics(poses)]
     if comparison is not None:
         title = f"map against that of the drive where it was seen in {_NUM_SEEN} frames, after one motion in the plane:"
         lines += ["", title, comparison.to_text()]
+        if surveyed := [m for m in metrics if m.key.startswith("surveyed.")]:
+            lines += ["", "surveyed distances:", format_metrics(surveyed)]
     return "\n".join(lines)

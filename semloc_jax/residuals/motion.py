@@ -36,6 +36,22 @@ def between_residual(
     return pose_residual(lie.compose(lie.inverse(T_map_from), T_map_to), T_from_to, sqrt_info)
 
 
+def pulled_residual(
+    T_map_element: Float[Array, "4 4"],
+    T_map_base: Float[Array, "4 4"],
+    T_element_base: Float[Array, "4 4"],
+    offset: Float[Array, " k"],
+    sqrt_info: Float[Array, "k 6"],
+) -> Float[Array, " k"]:
+    """Whitened pull of a map element on a vehicle: `between_residual` that is not zero where it was measured.
+
+    Half its square is the cost of the element around the pose T_element_base where the masks were compared: with R =
+    `sqrt_info`, R^T R is the information there and R^T `offset` the force. What the masks leave open, such as the way
+    along a line, has no row.
+    """
+    return between_residual(T_map_element, T_map_base, T_element_base, sqrt_info) + offset
+
+
 def odometry_residual(
     T_map_from: Float[Array, "4 4"],
     T_map_to: Float[Array, "4 4"],
@@ -108,6 +124,18 @@ def between_linearised(
     T_moved = lie.compose(lie.inverse(T_map_from), T_map_to)
     r, J_to = pose_linearised(T_moved, T_from_to, sqrt_info)
     return r, -_mul(J_to, lie.adjoint(lie.inverse(T_moved))), J_to
+
+
+def pulled_linearised(
+    T_map_element: Float[Array, "4 4"],
+    T_map_base: Float[Array, "4 4"],
+    T_element_base: Float[Array, "4 4"],
+    offset: Float[Array, " k"],
+    sqrt_info: Float[Array, "k 6"],
+) -> tuple[Float[Array, " k"], Float[Array, "k 6"], Float[Array, "k 6"]]:
+    """`pulled_residual` and its derivatives by the right tangents of element and vehicle."""
+    r, J_element, J_base = between_linearised(T_map_element, T_map_base, T_element_base, sqrt_info)
+    return r + offset, J_element, J_base
 
 
 def odometry_linearised(

@@ -97,7 +97,7 @@ def test_a_drive_that_never_comes_back_has_no_loops(made):
 
 
 def test_a_run_that_was_killed_goes_on_and_makes_the_same_map(made, drive_dir, tmp_path, monkeypatch, capsys):
-    """It dies once while it looks and once while it counts; what is finished is not done again."""
+    """It dies in the draft, while it looks and while it counts; what is finished is not done again."""
     seen = []
     dies_after = 6
     looks = Looker.looks
@@ -111,15 +111,21 @@ def test_a_run_that_was_killed_goes_on_and_makes_the_same_map(made, drive_dir, t
     monkeypatch.setattr(Looker, "looks", counted)
     words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "0"]
     main([*words, "--out", str(tmp_path)])
-    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == ["looks_000004"]
+    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == ["draft"]
+    assert sorted(path.name for path in (tmp_path / "parts" / "draft").iterdir()) == ["looks_000004"]
+    draft = [*range(6), *range(4, 14), *range(14)]
+    dies_after = len(draft) + 6
+    main([*words, "--resume", str(tmp_path)])
+    assert seen[:-6] == draft
+    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == ["draft", "looks_000004", "refined.npz"]
     assert main([*words, "--resume", str(tmp_path), "--min-seen", "4"]) == FAILED
     assert "began with other settings" in capsys.readouterr().err
-    dies_after = 6 + 10 + 9
+    dies_after += 10 + 9
     main([*words, "--resume", str(tmp_path)])
     assert (tmp_path / "parts" / "counts_000008").is_dir()
     dies_after = None
     assert main([*words, "--resume", str(tmp_path)]) == OK
-    assert seen == [*range(6), *range(4, 14), *range(9), *range(8, 14)]
+    assert seen == [*draft, *range(6), *range(4, 14), *range(9), *range(8, 14)]
     assert not (tmp_path / "parts").exists()
     assert (tmp_path / "map.geojson").read_bytes() == (made / "map.geojson").read_bytes()
     assert main([*words, "--resume", str(tmp_path)]) == FAILED
@@ -135,7 +141,11 @@ def test_a_run_that_was_killed_goes_on_and_makes_the_same_map(made, drive_dir, t
         (["--start", "nowhere.tum"], FAILED, "nowhere.tum"),
         (["--base", "map.gpkg", "--start", "identity"], FAILED, "nothing says where in it the drive begins"),
         (["--base", "nowhere.gpkg", "--start", "truth"], FAILED, "nowhere.gpkg"),
-        (["--masks", "sem", "--min-seen", "1000", "--start", "identity"], FAILED, "was seen in 1000 frames"),
+        (
+            ["--masks", "sem", "--min-seen", "1000", "--start", "identity", "--refine.rounds", "0"],
+            FAILED,
+            "was seen in 1000 frames",
+        ),
     ],
 )
 def test_bad_input_is_one_line(drive_dir, tmp_path, capsys, words, code, said):
@@ -153,11 +163,12 @@ def test_without_wheels_it_says_what_is_missing(drive_dir, tmp_path, capsys):
     assert "no wheel odometry" in capsys.readouterr().err
 
 
-def test_a_start_from_a_file_moves_the_map(made, drive_dir, tmp_path):
+def test_a_start_from_a_file_moves_the_map(drive_dir, tmp_path):
     poses = np.loadtxt(drive_dir / "poses_body.tum")
     poses[:, 1] += 100.0
     np.savetxt(tmp_path / "start.tum", poses)
-    words = ["map", str(drive_dir), "--masks", "sem", "--start", str(tmp_path / "start.tum"), "--overlays", "0"]
-    assert main([*words, "--out", str(tmp_path / "out")]) == OK
-    moved, here = read_trajectory(tmp_path / "out" / "trajectory.tum"), read_trajectory(made / "trajectory.tum")
+    words = ["map", str(drive_dir), "--masks", "sem", "--overlays", "0", "--refine.rounds", "0"]
+    assert main([*words, "--start", str(tmp_path / "start.tum"), "--out", str(tmp_path / "out")]) == OK
+    assert main([*words, "--start", "truth", "--out", str(tmp_path / "here")]) == OK
+    moved, here = (read_trajectory(tmp_path / name / "trajectory.tum") for name in ("out", "here"))
     np.testing.assert_allclose(moved.T_map_base[:, 0, 3] - here.T_map_base[:, 0, 3], 100.0, atol=1e-3)

@@ -7,7 +7,7 @@ import pytest
 
 from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses, motions, odometry, prior, verticals
 from semloc_jax.geometry import rigid
-from semloc_jax.residuals import road_contact
+from semloc_jax.residuals import motion, road_contact
 from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
 from semloc_jax.solvers.factors import POSE, Factors, vector
 
@@ -59,6 +59,14 @@ PAIR = ZERO, ONE
 FACTORS = {
     "measured pose": measured_poses(np.stack([near(), near()]), RNG.normal(size=(2, 6, 6)), 1e6),
     "motion": motions(ZERO, ONE, near()[None], info(6)),
+    "pull of an element": Factors(
+        motion.pulled_residual,
+        ("pose", "pose"),
+        PAIR,
+        (near()[None], RNG.normal(size=(1, 6))),
+        info(6),
+        linearised=motion.pulled_linearised,
+    ),
     "vertical": verticals(ZERO, np.array([[0.1, -0.2, 0.97]]), RNG.normal(size=(1, 2))),
     "odometry": odometry(ZERO, ONE, near()[None], RNG.normal(size=(1, 6, 3)), np.array([[1.0, 0.0, 0.0]]), info(6)),
     "satellite fix": fixes(RNG.normal(size=(2, 2)), RNG.normal(size=(2, 3)), RNG.normal(size=(2, 2)), 1e6),

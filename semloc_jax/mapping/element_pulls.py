@@ -1,0 +1,122 @@
+"""What the masks of one frame say of each element of a map, on its own (room: mapping; host around JAX).
+
+In: a map, masks, cameras, the pose of the vehicle. Out: Pulls: for each element in view its force on the pose and how
+firmly it holds it. No element counts for another one here: which of them is wrong is found over all frames together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig, sample_within
+from semloc_jax.alignment.implicit import smooth_scene
+from semloc_jax.alignment.pose import AlignConfig
+from semloc_jax.alignment.single_frame import evidence_from, frame_input
+from semloc_jax.cameras import Rig
+from semloc_jax.maps import SemanticMap
+from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
+from semloc_jax.residuals.holder_terms import holder_terms
+from semloc_jax.residuals.smooth import SmoothScene
+from semloc_jax.residuals.view import ViewConfig, view
+
+_LEAST_CAPACITY = 64
+_view = jax.jit(view, static_argnames="config")
+
+
+@jax.jit
+def _terms(T_local_base: Array, scene: SmoothScene, holder: tuple[Array, ...], none: Array) -> tuple[Array, ...]:
+    """Force, information and what pulls of each element: without the curvature nothing of it is compiled."""
+    terms = holder_terms(T_local_base, scene, holder, none)
+    return terms.force, terms.information, terms.pulling
+
+
+@dataclass(frozen=True)
+class PullConfig:
+    """How a frame is held against the elements around it. All values are ours.
+
+    Args:
+        range_m: elements farther from the camera do not count.
+        min_px_per_m: nor what lies on the ground at a coarser scale along the line of sight.
+        reach_px: borders of masks farther from where an element is do not pull.
+        stride: pixels of the mask in one of its distance map.
+        spacing_m: between places on the outline of an element.
+        min_observations: elements with less border in view say nothing.
+        excess: how many times more the borders of masks scatter than the noise model says, and together.
+    """
+
+    range_m: float = 14.0
+    min_px_per_m: float = 4.0
+    reach_px: float = 8.0
+    stride: int = 1
+    spacing_m: float = 0.1
+    min_observations: float = 0.5
+    excess: float = 2.0
+
+    @property
+    def view(self) -> ViewConfig:
+        """Each element on its own: none shares the error of its place with others, it is an unknown."""
+        return ViewConfig(
+            max_range_m=self.range_m, min_ground_px_per_m=self.min_px_per_m, shared_error=0.0, most_alone=3.0
+        )
+
+
+class Pulls(NamedTuple):
+    """What one frame says of elements, by the right tangent of the pose of the vehicle [m, rad]."""
+
+    ids: tuple[str, ...]
+    force: Float[np.ndarray, "k 6"]
+    """Gradient of the cost of each [nats]."""
+    information: Float[np.ndarray, "k 6 6"]
+    """Its Gauss-Newton information."""
+
+
+class ElementPulls:
+    """Holds frames against the elements of one map."""
+
+    def __init__(self, semantic_map: SemanticMap, table: ClassTable, config: PullConfig | None = None):
+        """Prepare a map.
+
+        Raises:
+            SemlocError: no class of the map is visible in masks of this table.
+        """
+        self.config = config or PullConfig()
+        self._localizer = FrameLocalizer(semantic_map, table, LocalizeConfig())
+        self._cost_maps = CostMapConfig(ramp_px=(self.config.reach_px,), stride=(self.config.stride,))
+
+    def of(self, masks: Sequence[np.ndarray], rig: Rig, T_map_base: Float[np.ndarray, "4 4"]) -> Pulls:
+        """What one frame says.
+
+        Args:
+            masks: class ids, one mask for each camera.
+            rig: cameras of the masks.
+            T_map_base: the pose, right within the reach of the distances.
+        """
+        config, localizer = self.config, self._localizer
+        local_map = localizer.map.query(T_map_base[:3, 3], config.range_m + 5.0)
+        samples = sample_within(local_map, config.spacing_m, localizer.config.sample_capacity)
+        maps = cost_maps(masks, localizer.shown, self._cost_maps, quantised=True)
+        inputs = frame_input(samples, maps, rig, localizer.channel_of_label)
+        T_local = local_map.frame.from_map(T_map_base, np.float32)
+        evidence = evidence_from(T_local, inputs, config.view)
+        seen = _view(samples, jnp.asarray(T_local), rig, inputs.channel_of_label, config.view)
+        scene = smooth_scene(evidence, maps, AlignConfig())
+        rows = np.asarray(seen.element)
+        # A line that was cut at the radius of the query is one element in several parts.
+        shown = np.unique(rows[(rows >= 0) & (np.asarray(seen.weight) > 0)])
+        ids = tuple(dict.fromkeys(local_map.elements[row].id for row in shown))
+        if not ids:
+            return Pulls((), np.zeros((0, 6)), np.zeros((0, 6, 6)))
+        number = np.full(len(local_map.elements) + 1, -1)
+        number[shown] = [ids.index(local_map.elements[row].id) for row in shown]
+        holder = tuple(jnp.asarray(number[rows[np.asarray(part.index)]]) for part in evidence.views)
+        capacity = max(_LEAST_CAPACITY, 1 << (len(ids) - 1).bit_length())
+        none = jnp.zeros(capacity, scene.nats_per_px.dtype)
+        *terms, pulling = jax.device_get(_terms(jnp.asarray(T_local), scene, holder, none))
+        held = np.flatnonzero(pulling[: len(ids)] >= config.min_observations)
+        force, information = (np.asarray(part, np.float64)[held] for part in terms)
+        return Pulls(tuple(ids[k] for k in held), force / config.excess**2, information / config.excess**2)

@@ -1,0 +1,178 @@
+"""The poses of a drive and the elements of its map, solved together (room: mapping; host around JAX).
+
+In: the graph of the way, what frames say of elements. Out: JointSolution: poses and motions of the elements.
+Each element is a variable of its own, tied to the poses that see it: what two passes disagree on, they share out as
+sure as each of them is. Elements are eliminated first; what is left is as sparse as the way and its crossings.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from semloc_jax.geometry import rigid
+from semloc_jax.mapping.element_pulls import Pulls
+from semloc_jax.maps import MapElement
+from semloc_jax.residuals.motion import cauchy, pose_linearised, pose_residual, pulled_linearised, pulled_residual
+from semloc_jax.solvers.factors import POSE, Factors
+from semloc_jax.solvers.front import Sparse, solve
+from semloc_jax.solvers.graph import FactorGraph, Family, Values
+from semloc_jax.solvers.levenberg_marquardt import SolveConfig
+
+ELEMENT = "element"
+_ELEMENTS, _PULLS = 64, 1024
+"""They are solved in multiples of so many."""
+
+
+@dataclass(frozen=True)
+class JointConfig:
+    """How poses and elements are solved together. All values are ours.
+
+    Args:
+        sigma_xy_m: how far an element may be from where it was drawn.
+        sigma_z_m: how far from the road.
+        sigma_tilt_deg: how far from lying in it.
+        sigma_turn_deg: how far it may be turned.
+        threshold: norm of a whitened pull (6 numbers) beyond which it grows no more.
+        least_share: directions held this much less than the firmest one are left open.
+    """
+
+    sigma_xy_m: float = 0.5
+    sigma_z_m: float = 0.03
+    sigma_tilt_deg: float = 0.5
+    sigma_turn_deg: float = 10.0
+    threshold: float = 5.0
+    least_share: float = 1e-7
+    solve: SolveConfig = field(default_factory=lambda: SolveConfig(tolerance=1e-4, max_steps=30))
+
+    @property
+    def sigma(self) -> Float[np.ndarray, " 6"]:
+        """Of the right tangent of an element."""
+        tilt, turn = np.deg2rad([self.sigma_tilt_deg, self.sigma_turn_deg])
+        return np.array([self.sigma_xy_m, self.sigma_xy_m, self.sigma_z_m, tilt, tilt, turn])
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """How the way is made to agree with the map that it makes. All values are ours.
+
+    Args:
+        rounds: how often frames and elements are compared; 0 leaves the way as odometry and loops have it.
+        every_m: way between the frames that are compared.
+        draft_every_m: way between the frames that look for the draft.
+        draft_spacing_m: distance of the places on the road that they look at.
+        reach_px: borders of masks farther from an element do not pull it, in the first half of the rounds.
+        last_reach_px: the same in the rounds after.
+    """
+
+    rounds: int = 4
+    every_m: float = 1.0
+    draft_every_m: float = 0.6
+    draft_spacing_m: float = 0.04
+    reach_px: float = 8.0
+    last_reach_px: float = 4.0
+
+    @property
+    def joint(self) -> JointConfig:
+        """How poses and elements are solved."""
+        return JointConfig()
+
+
+class JointSolution(NamedTuple):
+    """Poses and elements that agree best."""
+
+    Ts_map_base: Float[np.ndarray, "n 4 4"]
+    motions: dict[str, np.ndarray]
+    """T_new_old of every element that was seen, in the map."""
+
+
+def solve_together(
+    graph: FactorGraph,
+    values: Values,
+    frames: Sequence[int],
+    pulls: Sequence[Pulls],
+    elements: Sequence[MapElement],
+    config: JointConfig | None = None,
+) -> JointSolution:
+    """The most likely poses and elements.
+
+    Args:
+        graph: of the way, without anything doubtful.
+        values: where the masks were compared: poses at which the pulls were measured.
+        frames: rows of the poses that looked.
+        pulls: what each of them says.
+        elements: of the map they were held against.
+    """
+    config = config or JointConfig()
+    row = {element.id: k for k, element in enumerate(elements)}
+    pose = np.repeat(np.asarray(frames, int), [len(each.ids) for each in pulls])
+    if not len(pose):
+        return JointSolution(np.array(values["pose"]), {})
+    more = -len(elements) % _ELEMENTS
+    Ts_map_element = np.concatenate([[place_of(e) for e in elements], np.tile(np.eye(4), (more, 1, 1))])
+    element = np.array([row[name] for each in pulls for name in each.ids])
+    seen = pull_factors(values["pose"], Ts_map_element, pose, element, pulls, config)
+    family = Family(ELEMENT, POSE, len(Ts_map_element))
+    whole = FactorGraph((*graph.families, family), (*graph.factors, *seen), graph.free)
+    with jax.enable_x64(True):
+        found = solve(whole, {**values, ELEMENT: Ts_map_element}, config.solve, Sparse((ELEMENT,))).value
+    motions = np.array(found[ELEMENT]) @ rigid.inverse(Ts_map_element)
+    return JointSolution(np.array(found["pose"]), {name: motions[k] for name, k in row.items()})
+
+
+def pull_factors(
+    Ts_map_base: Float[np.ndarray, "n 4 4"],
+    Ts_map_element: Float[np.ndarray, "m 4 4"],
+    pose: Int[np.ndarray, " f"],
+    element: Int[np.ndarray, " f"],
+    pulls: Sequence[Pulls],
+    config: JointConfig,
+) -> tuple[Factors, Factors]:
+    """What was seen of every element from every pose, and where elements may be at all."""
+    force = np.concatenate([each.force for each in pulls])
+    root, offset = square_roots(np.concatenate([each.information for each in pulls]), force, config.least_share)
+    # Factors that are switched off, so that one program serves all rounds.
+    more = -len(pose) % _PULLS
+    pose, element = np.pad(pose, (0, more)), np.pad(element, (0, more))
+    root, offset = np.pad(root, ((0, more), (0, 0), (0, 0))), np.pad(offset, ((0, more), (0, 0)))
+    T_element_base = rigid.inverse(Ts_map_element[element]) @ np.asarray(Ts_map_base)[pose]
+    seen = Factors(
+        pulled_residual,
+        (ELEMENT, "pose"),
+        (element, pose),
+        (T_element_base, offset),
+        root,
+        robust=cauchy(config.threshold),
+        linearised=pulled_linearised,
+    )
+    info = np.tile(np.diag(1.0 / config.sigma), (len(Ts_map_element), 1, 1))
+    keys = (np.arange(len(Ts_map_element)),)
+    known = Factors(pose_residual, (ELEMENT,), keys, (Ts_map_element,), info, linearised=pose_linearised)
+    return seen, known
+
+
+def square_roots(
+    information: Float[np.ndarray, "f 6 6"], force: Float[np.ndarray, "f 6"], least_share: float
+) -> tuple[Float[np.ndarray, "f 6 6"], Float[np.ndarray, "f 6"]]:
+    """R with R^T R = information, and b with R^T b = force, in the directions that are held at all."""
+    values, vectors = np.linalg.eigh(information)
+    is_held = values > least_share * np.maximum(values[:, -1:], 1e-12)
+    root = np.sqrt(np.where(is_held, values, 0.0))
+    rows = root[:, :, None] * vectors.swapaxes(1, 2)
+    along = np.einsum("fij,fi->fj", vectors, force)
+    return rows, np.divide(along, root, out=np.zeros_like(along), where=is_held)
+
+
+def place_of(element: MapElement) -> Float[np.ndarray, "4 4"]:
+    """T_map_element: the middle of an element, without a turn."""
+    T = np.eye(4)
+    T[:3, 3] = element.points.mean(axis=0)
+    return T
+
+
+def moved(element: MapElement, T_new_old: Float[np.ndarray, "4 4"]) -> MapElement:
+    """An element after a motion in the map."""
+    return element.with_points(element.points @ T_new_old[:3, :3].T + T_new_old[:3, 3])

@@ -1,0 +1,153 @@
+"""The way of a drive made to agree with its own map, element by element (room: mapping; host).
+
+In: the way with its loops closed. Out: poses at which all frames see the same map.
+A draft of the map is drawn along the way; every frame says how each element of the draft should lie; poses and elements
+are solved together, looked at again from there, and so on. The map itself is then drawn anew along the new way.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.datasets import Drive
+from semloc_jax.errors import SemlocError
+from semloc_jax.geometry import polyline
+from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.chain import Chain
+from semloc_jax.mapping.chain_graph import ChainGraphConfig, way_graph
+from semloc_jax.mapping.closing import ClosedWay
+from semloc_jax.mapping.element_pulls import ElementPulls, PullConfig, Pulls
+from semloc_jax.mapping.found_loops import loops_of
+from semloc_jax.mapping.joint import RefineConfig, moved, solve_together
+from semloc_jax.mapping.mapper import MapConfig, make_map
+from semloc_jax.mapping.parts import Parts
+from semloc_jax.mapping.sightings import UPRIGHT
+from semloc_jax.maps import MapElement, SemanticMap
+from semloc_jax.structs import ElementClass
+
+_DRAFT = "draft"
+_PIECE_M = 4.0
+"""Length of the pieces of a long line; ours."""
+
+
+def refined_way(
+    drive: Drive,
+    masks: MaskSource,
+    looking: Sequence[int],
+    chain: Chain,
+    closed: ClosedWay,
+    config: MapConfig,
+    told: Callable[[Iterable, str], Iterable] = lambda items, _: items,
+    parts: Parts | None = None,
+) -> Float[np.ndarray, "n 4 4"]:
+    """Poses of all frames of a drive, after what its frames say of the elements around them.
+
+    Args:
+        drive: the drive.
+        masks: what its cameras see.
+        looking: rows of the frames that look at the road.
+        chain: its way by its own sensors.
+        closed: the same with its loops.
+        config: how maps are made; `config.refine` says how often and how closely.
+        told: shows how far it has come.
+        parts: keeps the draft, and the poses when they are done.
+    """
+    if config.refine.rounds == 0:
+        return closed.Ts_map_base
+
+    def solved() -> np.ndarray:
+        rows = _apart(chain.way_m, looking, config.refine.draft_every_m)
+        draft_parts = None if parts is None else Parts(parts.folder / _DRAFT)
+        elements = _draft(drive, masks, rows, closed.Ts_map_base, config, told, draft_parts)
+        if not elements:
+            return closed.Ts_map_base
+        return _agreed(
+            drive,
+            masks,
+            _apart(chain.way_m, looking, config.refine.every_m),
+            chain,
+            closed,
+            elements,
+            config.refine,
+            told,
+        )
+
+    return solved() if parts is None else parts.poses(solved)
+
+
+def _apart(way_m: np.ndarray, looking: Sequence[int], every_m: float) -> np.ndarray:
+    """Those of some frames that are the first in each step of the way."""
+    rows = np.asarray(looking)
+    _, first = np.unique(np.floor(way_m[rows] / every_m), return_index=True)
+    return rows[first]
+
+
+def _draft(
+    drive: Drive,
+    masks: MaskSource,
+    rows: np.ndarray,
+    Ts_map_base: np.ndarray,
+    config: MapConfig,
+    told: Callable[[Iterable, str], Iterable],
+    parts: Parts | None,
+) -> list[MapElement]:
+    """What a mapper makes of some frames; empty where nothing stays."""
+    coarse = replace(config, look=replace(config.look, spacing_m=config.refine.draft_spacing_m))
+    frames = [drive.frames[row] for row in rows]
+    try:
+        made = make_map(
+            drive, masks, frames, Ts_map_base[rows], coarse, progress=lambda i, n: told(i, f"draft: {n}"), parts=parts
+        )
+    except SemlocError:  # what is wrong with the drive, its map will say
+        return []
+    paint = [e for e in made.belief_map.map.elements if e.label != ElementClass.PARKING_SLOT]
+    return [piece for element in paint for piece in pieces_of(element)]
+
+
+def pieces_of(element: MapElement) -> list[MapElement]:
+    """A long line in pieces that move each on its own: it was drawn as bent as the way was."""
+    if element.closed or len(element.points) < 2 or element.label in UPRIGHT:
+        return [element]
+    length_m = float(polyline.arc_length(element.points)[-1])
+    if length_m <= 1.5 * _PIECE_M:
+        return [element]
+    num = int(np.ceil(length_m / _PIECE_M))
+    cuts_m = np.linspace(0.0, length_m, num + 1)
+    found = []
+    for k, (low, high) in enumerate(pairwise(cuts_m)):
+        places_m = np.linspace(low, high, max(round(high - low), 1) + 1)
+        ends = element.true_ends[0] and k == 0, element.true_ends[1] and k == num - 1
+        points = polyline.interpolate(element.points, places_m)
+        found.append(replace(element, id=f"{element.id}.{k}", points=points, true_ends=ends))
+    return found
+
+
+def _agreed(
+    drive: Drive,
+    masks: MaskSource,
+    rows: np.ndarray,
+    chain: Chain,
+    closed: ClosedWay,
+    elements: list[MapElement],
+    config: RefineConfig,
+    told: Callable[[Iterable, str], Iterable],
+) -> np.ndarray:
+    """The poses after all rounds."""
+    gauge, Ts = closed.gauge, closed.Ts_map_base
+    graph, values = way_graph(chain, loops_of(closed.loops), gauge.gnss, gauge.start, ChainGraphConfig(), None)
+    for k in range(config.rounds):
+        reach_px = config.reach_px if 2 * k < config.rounds else config.last_reach_px
+        pulling = ElementPulls(SemanticMap(tuple(elements)), masks.table, PullConfig(reach_px=reach_px))
+
+        def pull(row: int, Ts: np.ndarray = Ts, pulling: ElementPulls = pulling) -> Pulls:
+            frame = drive.frames[row]
+            return pulling.of(masks.masks(frame), masks.seen_by(frame.rig), Ts[row])
+
+        pulls = [pull(row) for row in told(rows, f"agreeing, round {k + 1} of {config.rounds}")]
+        found = solve_together(graph, {**values, "pose": Ts}, rows, pulls, elements, config.joint)
+        Ts = found.Ts_map_base
+        elements = [moved(e, found.motions[e.id]) if e.id in found.motions else e for e in elements]
+    return Ts

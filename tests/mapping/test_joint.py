@@ -1,0 +1,132 @@
+"""Poses and elements solved together agree with a solver of its own, and take out what odometry leaves."""
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from semloc_jax.fusion.pose_factors import motions, odometry, pose_graph, prior, values_of
+from semloc_jax.geometry import rigid
+from semloc_jax.mapping.element_pulls import Pulls
+from semloc_jax.mapping.joint import JointConfig, place_of, solve_together, square_roots
+from semloc_jax.maps import MapElement
+from semloc_jax.structs import ElementClass
+
+RNG = np.random.default_rng(11)
+ODOMETER = np.array([1.0, 0.0, 0.0])
+FIRM = np.diag([1e3] * 3 + [1e4] * 3 + [1e2, 1e4, 1e4, 1.0, 1.0])
+"""Of the first pose; of scale, bias, direction of travel and the offset of fixes."""
+
+
+def straight(num, step_m=1.0):
+    poses = np.tile(np.eye(4), (num, 1, 1))
+    poses[:, 0, 3] = step_m * np.arange(num)
+    return poses
+
+
+def elements_at(places):
+    return [
+        MapElement(f"e{k}", ElementClass.SLOT_LINE, [[x - 0.5, y, 0.0], [x + 0.5, y, 0.0]])
+        for k, (x, y) in enumerate(places)
+    ]
+
+
+def pull_of(T_map_base, T_true_base, elements, moved, information):
+    """What a frame says whose true pose is another, of elements that were drawn `moved` from where they are."""
+    force = []
+    for element, T_moved, own in zip(elements, moved, information, strict=True):
+        T_true = rigid.inverse(T_moved @ place_of(element)) @ place_of(element)
+        T_element_base = rigid.inverse(place_of(element)) @ T_map_base
+        true = rigid.inverse(rigid.inverse(T_true) @ place_of(element)) @ T_true_base
+        force.append(own @ rigid.log(rigid.inverse(true) @ T_element_base))
+    return Pulls(tuple(e.id for e in elements), np.array(force), np.array(information))
+
+
+def lines_of(num, across=4e4):
+    """Information of lines along the way: across it, up, and all three turns; none along."""
+    return [np.diag([0.0, across, 1e4, 1e3, 1e3, 1e4]) for _ in range(num)]
+
+
+def test_square_roots_give_information_and_force_back():
+    A = RNG.normal(size=(5, 4, 6))
+    information, x = A.swapaxes(1, 2) @ A, RNG.normal(size=(5, 6))
+    force = np.einsum("fij,fj->fi", information, x)
+    root, offset = square_roots(information, force, 1e-9)
+    np.testing.assert_allclose(root.swapaxes(1, 2) @ root, information, atol=1e-9)
+    np.testing.assert_allclose(np.einsum("fij,fi->fj", root, offset), force, atol=1e-9)
+
+
+def test_the_solution_is_that_of_a_dense_solver():
+    """Three poses, two elements, weak odometry: scipy on the same sum of squares, written out here."""
+    true, start = straight(3), straight(3)
+    start[1:] = start[1:] @ rigid.exp(0.02 * RNG.normal(size=(2, 6)))
+    steps = rigid.inverse(true[:-1]) @ true[1:] @ rigid.exp(0.01 * RNG.normal(size=(2, 6)))
+    elements = elements_at([(0.5, 3.0), (1.5, -3.0)])
+    information = [np.diag(RNG.uniform(1e2, 1e4, 6)) for _ in elements]
+    still = [np.eye(4)] * 2
+    pulls = [pull_of(start[k], true[k], elements, still, information) for k in range(3)]
+    step_info = np.tile(np.diag([30.0] * 3 + [100.0] * 3), (2, 1, 1))
+    frames = np.arange(3)
+    known = prior(true[0], np.zeros(5), FIRM)
+    graph = pose_graph(np.ones(3, bool), (motions(frames[:-1], frames[1:], steps, step_info), known))
+    config = JointConfig(threshold=1e9)
+    found = solve_together(graph, values_of(start, np.zeros(5)), frames, pulls, elements, config)
+
+    places = np.array([place_of(element) for element in elements])
+    force = np.concatenate([each.force for each in pulls])
+    root, offset = square_roots(np.array(information * 3), force, config.least_share)
+
+    def residuals(x):
+        tangents = x.reshape(5, 6)
+        poses, moved = start @ rigid.exp(tangents[:3]), places @ rigid.exp(tangents[3:])
+        rows = [FIRM[:6, :6] @ rigid.log(rigid.inverse(true[0]) @ poses[0])]
+        between = rigid.log(rigid.inverse(steps) @ rigid.inverse(poses[:-1]) @ poses[1:])
+        rows += [step_info[k] @ between[k] for k in range(2)]
+        rows += list(rigid.log(rigid.inverse(places) @ moved) / config.sigma)
+        for k in range(3):
+            for e in range(2):
+                now = rigid.inverse(moved[e]) @ poses[k]
+                then = rigid.inverse(places[e]) @ start[k]
+                rows.append(root[2 * k + e] @ rigid.log(rigid.inverse(then) @ now) + offset[2 * k + e])
+        return np.concatenate(rows)
+
+    dense = least_squares(residuals, np.zeros(30), xtol=1e-13, ftol=1e-13, gtol=1e-13).x.reshape(5, 6)
+    np.testing.assert_allclose(found.Ts_map_base, start @ rigid.exp(dense[:3]), atol=1e-5)
+    for k, element in enumerate(elements):
+        T = places[k] @ rigid.exp(dense[3 + k]) @ rigid.inverse(places[k])
+        np.testing.assert_allclose(found.motions[element.id], T, atol=1e-5)
+
+
+def test_a_scale_of_the_odometer_is_told_by_what_is_passed():
+    """Thirty metres with a scale that is 1 % off: 30 cm at the end, of which less than 1 cm is left.
+
+    Elements were drawn where most frames that see them put them, so that they move along with the poses.
+    """
+    num = 31
+    true, start = straight(num), straight(num, 1.01)
+    elements = elements_at([(1.01 * (2.0 * k + 1.0), 3.0 if k % 2 else -3.0) for k in range(15)])
+    moved = [np.eye(4) for _ in elements]
+    for T, element in zip(moved, elements, strict=True):
+        T[0, 3] = element.points[:, 0].mean() / 1.01 - element.points[:, 0].mean()
+    # T_moved takes an element as drawn to where it is.
+    pulls = []
+    for k in range(num):
+        near = [i for i, e in enumerate(elements) if abs(e.points[:, 0].mean() - start[k, 0, 3]) < 6.0]
+        information = [np.diag([2e4, 4e4, 1e4, 1e3, 1e3, 1e4])] * len(near)
+        own, T_own = [elements[i] for i in near], [moved[i] for i in near]
+        force = []
+        for element, T in zip(own, T_own, strict=True):
+            seen = rigid.inverse(T @ place_of(element)) @ true[k]
+            force.append(information[0] @ rigid.log(rigid.inverse(seen) @ rigid.inverse(place_of(element)) @ start[k]))
+        pulls.append(Pulls(tuple(e.id for e in own), np.array(force), np.array(information)))
+    steps = rigid.inverse(start[:-1]) @ start[1:]
+    jacobian = np.zeros((num - 1, 6, 3))
+    jacobian[:, 0, 0] = 1.01
+    info = np.tile(np.diag([100.0] * 3 + [1000.0] * 3), (num - 1, 1, 1))
+    frames = np.arange(num)
+    wheels = odometry(frames[:-1], frames[1:], steps, jacobian, np.tile(ODOMETER, (num - 1, 1)), info)
+    known = prior(true[0], np.append(ODOMETER, [0.0, 0.0]), FIRM)
+    graph = pose_graph(np.ones(num, bool), (wheels, known))
+    found = solve_together(graph, values_of(start, np.append(ODOMETER, [0.0, 0.0])), frames, pulls, elements)
+    off_m = np.abs(found.Ts_map_base[:, 0, 3] - true[:, 0, 3])
+    assert off_m.max() < 0.02
+    for element, T in zip(elements, moved, strict=True):
+        assert abs(found.motions[element.id][0, 3] - T[0, 3]) < 0.03
