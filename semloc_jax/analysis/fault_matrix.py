@@ -4,8 +4,6 @@ host).
 In: FaultyDrive, the results of a run on it. Out: FaultOutcome; a Markdown table.
 """
 
-import re
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from semloc_jax.analysis.told import most_told
 from semloc_jax.datasets import Drive
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors
 from semloc_jax.fusion.prediction import MotionLog
@@ -157,18 +156,8 @@ def judge_fault(
         max_longitudinal_m=float(worst[1]),
         max_heading_deg=float(worst[2]),
         max_any_m=float(np.max(horizontal, initial=0.0, where=run.has_pose & since)),
-        reason=_most_told([r.reasons for r, tracked in zip(results, is_tracking, strict=True) if not tracked]),
+        reason=most_told([r.reasons for r, tracked in zip(results, is_tracking, strict=True) if not tracked]),
     )
-
-
-def _most_told(reasons: Sequence[Sequence[str]]) -> str:
-    """The first reason of most frames; sentences that differ in their numbers only are one."""
-    first = [told[0] for told in reasons if told]
-    if not first:
-        return ""
-    kinds = [re.sub(r"[-+]?[0-9.]+", "#", text) for text in first]
-    kind, _ = Counter(kinds).most_common(1)[0]
-    return next(text for text, own in zip(first, kinds, strict=True) if own == kind)
 
 
 def run_fault(

@@ -25,7 +25,15 @@ from semloc_jax.localization.map_faults import MapChange, map_changes
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.maps import SemanticMap
-from semloc_jax.reports import run_inputs, track_faults, track_fusions, track_log, track_metrics, track_pictures
+from semloc_jax.reports import (
+    fault_tables,
+    run_inputs,
+    track_faults,
+    track_fusions,
+    track_log,
+    track_metrics,
+    track_pictures,
+)
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.reports.track_fusions import FUSIONS
@@ -244,14 +252,15 @@ def report_faults(
     if len(frames) < 2 or inputs.drive.truth is None:
         raise SemlocError(
             f"drive {inputs.drive.name}: {len(frames)} frames chosen of {len(inputs.drive)}, "
-            f"{'no' if inputs.drive.truth is None else 'with'} truth; faults are judged against a truth over several frames"
+            f"{'no' if inputs.drive.truth is None else 'with'} truth; faults are judged against a truth over several "
+            "frames"
         )
     folder = make_folder(out, resume)
     kept = options or {}
     parts = run_inputs.fingerprint(inputs, (plan.settings, plan.area, str(chosen)), kept)
     run_inputs.begun(folder, parts, is_resumed=resume is not None)
     if resume is None:  # rows of an earlier suite in this folder are of another run
-        for name in (track_faults.TABLE, track_faults.FRAMES):
+        for name in (fault_tables.TABLE, track_faults.FRAMES):
             (folder / name).unlink(missing_ok=True)
     write_record(folder, plan.settings, kept)
     inputs = replace(inputs, drive=replace(inputs.drive, frames=frames))

@@ -1,6 +1,6 @@
 """`semloc track --fault`: a drive with something wrong, or the hostile suite (room: reports).
 
-In: opened inputs, the name of a fault. Out: inputs with the fault; faults.csv, faults_frames.csv, faults.md, stanford.png.
+In: opened inputs, the name of a fault. Out: inputs with the fault; faults.csv, faults_frames.csv, pictures.
 Every fault is a line of faults.csv as soon as it is done, so a suite that was killed goes on where it stood.
 """
 
@@ -8,13 +8,14 @@ import csv
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.drive_inputs import Inputs
-from semloc_jax.storage import reading, write_text, writing
+from semloc_jax.reports.fault_tables import TABLE, append, read_outcomes
+from semloc_jax.storage import write_text, writing
 
 if TYPE_CHECKING:
     from semloc_jax.analysis.fault_matrix import FaultOutcome, JudgedRun
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from semloc_jax.maps import SemanticMap
     from semloc_jax.simulation.hostile import FaultRow
 
-TABLE, FRAMES = "faults.csv", "faults_frames.csv"
+FRAMES = "faults_frames.csv"
 _NUM_WORST = 10
 _DIRECTIONS = ("lateral_m", "longitudinal_m", "heading_deg")
 FRAME_COLUMNS = (
@@ -68,10 +69,10 @@ def write_suite(
     """
     from tqdm import tqdm
 
-    from semloc_jax.analysis.fault_matrix import run_fault, to_markdown, worst_first
+    from semloc_jax.analysis.fault_matrix import FaultOutcome, run_fault, to_markdown, worst_first
     from semloc_jax.reports.fault_figures import write_figures
 
-    done = {(o.fault, o.severity): o for o in read_outcomes(folder / TABLE)}
+    done = {(o.fault, o.severity): o for o in read_outcomes(folder / TABLE, FaultOutcome)}
     _cut(folder / FRAMES, set(done))
     outcomes, left_out = list(done.values()), []
     for row in tqdm([r for r in rows if (r.fault, r.severity) not in done], unit="fault", disable=None):
@@ -81,8 +82,8 @@ def write_suite(
             left_out.append(f"left out: {error}")
             continue
         # The frames first: a fault counts as done once its line is there.
-        _append(folder / FRAMES, FRAME_COLUMNS, _frame_rows(row, run))
-        _append(folder / TABLE, [f.name for f in dataclasses.fields(outcome)], [dataclasses.astuple(outcome)])
+        append(folder / FRAMES, FRAME_COLUMNS, _frame_rows(row, run))
+        append(folder / TABLE, [f.name for f in dataclasses.fields(outcome)], [dataclasses.astuple(outcome)])
         outcomes.append(outcome)
     if not outcomes:
         raise SemlocError("\n".join([f"drive {inputs.drive.name}: no fault could be put into it", *left_out]))
@@ -100,46 +101,18 @@ def summary(outcomes: "Sequence[FaultOutcome]") -> str:
     tracking, false, refused = (sum(getattr(o, key) for o in seen) for key in ("tracking", "false", "refused_right"))
     apart = [o for o in outcomes if o.severity and o.apart]
     return (
-        f"{len({o.fault for o in seen})} faults, {len(seen)} rows: {tracking / frames:.1%} of {frames} frames TRACKING, "
+        f"{len({o.fault for o in seen})} faults, {len(seen)} rows: {tracking / frames:.1%} of {frames} frames "
+        "TRACKING, "
         f"{false} of them false (an error beyond its protection level) in {sum(o.false > 0 for o in seen)} rows; "
         f"{refused / frames:.1%} right and refused. Set apart, since nothing can see them: "
         f"{', '.join(sorted({o.fault for o in apart})) or 'none'}, {sum(o.false for o in apart)} false"
     )
 
 
-def read_outcomes(path: Path) -> "list[FaultOutcome]":
-    """The lines of a faults.csv; none where there is no file; a last line that a kill has cut is left out.
-
-    Raises:
-        SemlocError: the file is not what `write_suite` writes.
-    """
-    from semloc_jax.analysis.fault_matrix import FaultOutcome
-
-    if not path.is_file():
-        return []
-    types = get_type_hints(FaultOutcome)
-    names = [field.name for field in dataclasses.fields(FaultOutcome)]
-    with reading(f"table {path}"), path.open(newline="", encoding="utf-8") as file:
-        lines = list(csv.reader(file))
-        if not lines or lines[0] != names:
-            raise ValueError("columns are not those of this version; begin anew with another --out")
-        whole = [line for line in lines[1:] if len(line) == len(names)]
-        return [FaultOutcome(*(types[n](cell) for n, cell in zip(names, line, strict=True))) for line in whole]
-
-
 def _frame_rows(row: "FaultRow", run: "JudgedRun") -> Iterable[list[Any]]:
     for k in np.flatnonzero(run.has_pose):
         numbers = np.concatenate([run.errors[k], run.levels[k], run.sigmas[k]])
         yield [row.fault, row.severity, f"{run.time_s[k]:.6f}", int(run.is_tracking[k]), *(f"{v:.6g}" for v in numbers)]
-
-
-def _append(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    is_new = not path.is_file()
-    with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        if is_new:
-            writer.writerow(columns)
-        writer.writerows(rows)
 
 
 def _cut(path: Path, done: set[tuple[str, int]]) -> None:
