@@ -76,7 +76,6 @@ STANDING: dict[str, StandingFault] = {
     "sensors_late": StandingFault(sensors.sensors_late, (0.1, 0.3, 1.0), "s", TIME),
     "wheels_late": StandingFault(sensors.wheels_late, (0.1, 0.3, 1.0), "s", TIME),
     "fixes_late": StandingFault(sensors.fixes_late, (0.2, 0.5, 1.0), "s", TIME),
-    "frames_late": StandingFault(sensors.frames_late, (0.03, 0.1, 0.3), "s", TIME),
     "frames_jitter": StandingFault(sensors.frames_jitter, (0.01, 0.03, 0.06), "s", TIME),
     "frames_missing": StandingFault(sensors.frames_missing, (0.3, 0.6, 0.9), "share of the frames", TIME),
     "odometer_scale": StandingFault(sensors.odometer_scale, (0.03, 0.08, 0.2), _SHARE, ODOMETRY),

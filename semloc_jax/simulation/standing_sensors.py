@@ -1,17 +1,16 @@
 """Clocks, wheels, gyroscopes and satellites that are wrong for a whole drive (room: simulation; host).
 
 In: Maker, the size of a fault. Out: FaultyDrive. What is drawn at random is seeded.
-The truth of a frame is that of its exposure, but where the fault is in the time that the frame states: a pose at a
-stated time is then judged at the stated time.
+The truth of a frame is that of its exposure, whatever time it states.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from semloc_jax.datasets.base import Frame
 from semloc_jax.datasets.sensors import Imu
 from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation.trajectory import Trajectory
 from semloc_jax.simulation.faulty_drive import FaultyDrive, Maker, log_rows
 
 _SENSORS = ("gnss", "odometry", "imu")
@@ -101,26 +100,14 @@ def wheels_late(maker: Maker, size_s: float) -> FaultyDrive:
     )
 
 
-def _restamped(maker: Maker, times_s: np.ndarray) -> FaultyDrive:
-    """The drive whose frames state other times; those beyond the truth are left out."""
-    truth = maker.truth
-    frames: list[Frame] = []
-    for frame, time_s in zip(maker.drive.frames, times_s, strict=True):
-        if truth.time_s[0] <= time_s <= truth.time_s[-1]:
-            frames.append(replace(frame, time_s=float(time_s)))
-    return maker.whole(drive=replace(maker.drive, frames=tuple(frames)))
-
-
-def frames_late(maker: Maker, size_s: float) -> FaultyDrive:
-    """Frames state a time later than theirs: an image that is stamped when it arrives."""
-    return _restamped(maker, np.array([frame.time_s for frame in maker.drive.frames]) + size_s)
-
-
 def frames_jitter(maker: Maker, size_s: float) -> FaultyDrive:
-    """The stated times of frames scatter; their order stays."""
-    times = np.array([frame.time_s for frame in maker.drive.frames])
-    jittered = np.maximum.accumulate(times + size_s * maker.rng.normal(size=len(times)))
-    return _restamped(maker, jittered + 1e-4 * np.arange(len(times)))
+    """The stated times of frames scatter; their order stays, and so does where each was taken."""
+    frames = maker.drive.frames
+    times = np.array([frame.time_s for frame in frames])
+    stated = np.maximum.accumulate(times + size_s * maker.rng.normal(size=len(times))) + 1e-4 * np.arange(len(times))
+    restamped = tuple(replace(frame, time_s=float(t)) for frame, t in zip(frames, stated, strict=True))
+    taken_at = Trajectory(stated, maker.truth.interpolate(times))
+    return maker.whole(drive=replace(maker.drive, frames=restamped, truth=taken_at))
 
 
 def frames_missing(maker: Maker, share: float) -> FaultyDrive:
