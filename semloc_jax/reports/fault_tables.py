@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+from semloc_jax.reports.tables import write_csv
 from semloc_jax.storage import reading
 
 TABLE = "faults.csv"
@@ -41,3 +42,16 @@ def read_outcomes(path: Path, kind: type[Row]) -> list[Row]:
             raise ValueError("columns are not those of this version; begin anew with another --out")
         whole = [line for line in lines[1:] if len(line) == len(names)]
         return [kind(*(types[n](cell) for n, cell in zip(names, line, strict=True))) for line in whole]
+
+
+def taken_up(path: Path, kind: type[Row]) -> list[Row]:
+    """The lines of a table that goes on: a last one that a kill has cut is taken out of the file, too.
+
+    Raises:
+        SemlocError: the file is not a table of such rows.
+    """
+    found = read_outcomes(path, kind)
+    if path.is_file():
+        names = [field.name for field in dataclasses.fields(kind)]
+        write_csv(path, names, [dataclasses.astuple(row) for row in found])
+    return found

@@ -54,7 +54,7 @@ def report_frame_faults(
     from semloc_jax.analysis.frame_faults import FrameFaultOutcome, frame_fault, frame_rows, to_markdown, worst_first
     from semloc_jax.errors import SemlocError
     from semloc_jax.reports import run_inputs
-    from semloc_jax.reports.fault_tables import TABLE, append, read_outcomes
+    from semloc_jax.reports.fault_tables import TABLE, append, taken_up
     from semloc_jax.reports.folder import make_folder, write_record
     from semloc_jax.storage import write_text
 
@@ -65,7 +65,7 @@ def report_frame_faults(
     if resume is None:  # rows of an earlier suite in this folder are of another run
         (folder / TABLE).unlink(missing_ok=True)
     write_record(folder, settings, options or {})
-    outcomes = read_outcomes(folder / TABLE, FrameFaultOutcome)
+    outcomes = taken_up(folder / TABLE, FrameFaultOutcome)
     done, left_out = {(o.fault, o.severity) for o in outcomes}, []
     for row in tqdm([r for r in rows if (r.fault, r.severity) not in done], unit="fault", disable=None):
         try:

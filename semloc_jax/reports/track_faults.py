@@ -14,7 +14,7 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.drive_inputs import Inputs
-from semloc_jax.reports.fault_tables import TABLE, append, read_outcomes
+from semloc_jax.reports.fault_tables import TABLE, append, taken_up
 from semloc_jax.storage import write_text, writing
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def write_suite(
     from semloc_jax.analysis.fault_matrix import FaultOutcome, run_fault, to_markdown, worst_first
     from semloc_jax.reports.fault_figures import write_figures
 
-    done = {(o.fault, o.severity): o for o in read_outcomes(folder / TABLE, FaultOutcome)}
+    done = {(o.fault, o.severity): o for o in taken_up(folder / TABLE, FaultOutcome)}
     _cut(folder / FRAMES, set(done))
     outcomes, left_out = list(done.values()), []
     for row in tqdm([r for r in rows if (r.fault, r.severity) not in done], unit="fault", disable=None):
