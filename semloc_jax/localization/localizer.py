@@ -177,7 +177,8 @@ class Localizer:
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
             state = self._learned(state, view, motion, before_s, way_m)
             known = (trust, state.stance, np.asarray(state.grain))
-            sums = watch.looked(state.watch, view, frame, self.aligner, known, way_m, self.config.watch)
+            fused = self.fusion.pose(state.tracks[0].fusion)
+            sums = watch.looked(state.watch, view, fused, frame, self.aligner, known, way_m, self.config.watch)
             state = state._replace(watch=sums)
         timer.lap("fuse")
         known = (trust, state.stance, np.asarray(state.grain))
@@ -243,6 +244,8 @@ class Localizer:
         total = [float(t.penalty) + nats for t, nats in zip(tracks, against, strict=True)]
         order = np.argsort(total, kind="stable")
         best, view = tracks[order[0]], pairs[order[0]][1]
+        if order[0] != 0:  # what was seen from another place says nothing of this one
+            state = state._replace(watch=watch.WatchState())
         kept = [best]
         for k in order[1:]:
             if total[k] - total[order[0]] < self.config.win_nats and not self._is_one_of(tracks[k], kept):
@@ -304,7 +307,7 @@ class Localizer:
             for m, p in zip(measured, penalties, strict=True)
         )
         forgotten = noise_scale.without_poses(state.noise)
-        return state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten)
+        return state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten, watch=watch.WatchState())
 
     def _judged(
         self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, timer: "_Timer"

@@ -50,6 +50,7 @@ class Separation(NamedTuple):
 def looked(
     watch: WatchState,
     view: FrameReport,
+    fused: FusedPose,
     frame: FrameFeatures,
     aligner: FrameAligner,
     known: Known,
@@ -61,15 +62,19 @@ def looked(
     Args:
         watch: Before.
         view: What the frame measured.
+        fused: The pose after it.
         frame: The frame.
         aligner: The map.
         known: What is known beside the pose.
         way_m: Way since the frame before [m].
         config: When a frame is looked at.
     """
+    aside = float(watch.aside_rad) * np.exp(-way_m / config.aside_m_memory)
+    travel = _travel_alone(fused, config)
+    aside = travel if abs(travel) >= abs(aside) else aside
     way_m += float(watch.way_m)
     if int(watch.num_frames) > 0 and way_m < config.step_m:
-        return watch._replace(way_m=np.float64(way_m))
+        return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
     T = view.found.measurement.T_map_base
     trust, stance, grain = known
     other = frame._replace(rig=next_rig(watch, frame.rig, config))
@@ -79,7 +84,7 @@ def looked(
     except SemlocError:  # no road there
         gain, moved = np.nan, np.zeros(6)
     profiles = aligner.costs_of_classes(frame, T, moves(config), stance, grain, config.level)
-    return learned(watch, len(frame.rig.names), gain, moved, profiles, config)
+    return learned(watch, len(frame.rig.names), float(aside), gain, moved, profiles, config)
 
 
 def separations(
@@ -100,7 +105,7 @@ def separations(
         stance = rigid.log(rigid.inverse(aligner.on_road(T)) @ T)[2:5]
     except SemlocError:  # no road there
         stance = np.zeros(3)
-    found = [_looking_aside(_travel_alone(fused, config), float(mean[0]), rig), *_tilted(stance, float(mean[2]), rig)]
+    found = [_looking_aside(float(watch.aside_rad), float(mean[0]), rig, config), *_tilted(stance, float(mean[2]), rig)]
     for suspected in suspicions(watch, len(rig.names), config):
         if suspected.nats >= config.count_nats:
             ahead, left, turned = np.abs(suspected.moved)
@@ -147,12 +152,13 @@ def _travel_alone(fused: FusedPose, config: WatchConfig) -> float:
     return fused.travel_rad / known / (information + 1.0 / wide)
 
 
-def _looking_aside(travel_rad: float, ahead_m: float, rig: Rig) -> Separation:
+def _looking_aside(travel_rad: float, ahead_m: float, rig: Rig, config: WatchConfig) -> Separation:
     """The rear axle does not slip: what looks like driving aside is a camera that looks aside."""
     travel_deg = float(np.degrees(travel_rad))
     side = "right" if travel_deg > 0.0 else "left"
     cause = f"{_cameras(rig)} {abs(travel_deg):.1f} deg to the {side} of where the vehicle drives; {_ADVICE}"
-    return Separation(abs(travel_rad * ahead_m), 0.0, abs(travel_deg), cause)
+    share = min(abs(travel_rad) / config.aside_noise_rad, 1.0)
+    return Separation(share * abs(travel_rad * ahead_m), 0.0, share * abs(travel_deg), cause)
 
 
 def _tilted(stance: np.ndarray, height_m: float, rig: Rig) -> list[Separation]:

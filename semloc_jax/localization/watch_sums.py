@@ -47,6 +47,11 @@ class WatchConfig:
     least_levels: tuple[float, float, float] = (0.15, 0.2, 0.25)
     """No protection level is smaller: lateral [m], longitudinal [m], heading [deg]. Maps are surveyed and cameras are
     mounted to centimetres and tenths of a degree, and a fault of that size shows in nothing."""
+    aside_m_memory: float = 20.0
+    """Way over which a direction of travel is remembered: where the cameras look aside, the first lines and walls that
+    come into view or leave it move the pose, which passes for a drive to the other side."""
+    aside_noise_rad: float = 0.0026
+    """A direction of travel up to this is mostly noise."""
     count_nats: float = 3.0
     """A fault that so much speaks for joins the protection levels: less is what chance does among a dozen faults."""
 
@@ -62,6 +67,8 @@ class WatchState(NamedTuple):
     """How far their poses moved: forward [m], left [m], heading [rad]."""
     profiles: Float[np.ndarray, " two_n"] = np.zeros(0)
     """Costs of lines and of posts over the moves [nats]."""
+    aside_rad: Float[np.ndarray, ""] = np.float64(0.0)
+    """Largest direction of travel that the drive alone gave of late."""
     num_frames: Int[np.ndarray, ""] = np.int64(0)
     way_m: Float[np.ndarray, ""] = np.float64(0.0)
     """Since the last frame that was looked at."""
@@ -123,6 +130,7 @@ def _places(reach: tuple[float, float]) -> np.ndarray:
 def learned(
     watch: WatchState,
     num_cameras: int,
+    aside_rad: float,
     gain_nats: float,
     moved: Float[np.ndarray, "6"],
     profiles: Float[np.ndarray, "2 n"],
@@ -133,6 +141,7 @@ def learned(
     Args:
         watch: Before.
         num_cameras: Of the rig.
+        aside_rad: Direction of travel to be remembered.
         gain_nats: By how much the frame fits better with `next_rig`.
         moved: How far its pose moved (right tangent).
         profiles: Costs of lines and of posts at `moves`.
@@ -140,7 +149,8 @@ def learned(
     """
     size = 2 * len(alternatives(num_cameras))
     if watch.num.shape != (size,):
-        watch = WatchState(np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
+        zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
+        watch = WatchState(*zeros, num_frames=watch.num_frames)
     keep = np.exp(-1.0 / config.memory_frames)
     new = (np.arange(size) == int(watch.num_frames) % size) & np.isfinite(gain_nats + np.sum(moved))
     usable = np.isfinite(profiles).all()
@@ -149,6 +159,7 @@ def learned(
         keep * watch.gain + np.where(new, np.nan_to_num(gain_nats), 0.0),
         keep * watch.moved + (new[:, None] * np.nan_to_num(moved[_PLANE])).ravel(),
         keep * watch.profiles + (np.asarray(profiles, np.float64).ravel() if usable else 0.0),
+        np.float64(aside_rad),
         np.int64(watch.num_frames + 1),
         np.float64(0.0),
     )
