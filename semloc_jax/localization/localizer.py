@@ -174,14 +174,13 @@ class Localizer:
             views = [seen(t, self.fusion, self.aligner, frame, *known, self.config.health) for t in state.tracks]
         timer.lap("align")
         state, view = self._fused(state, views, way_m)
+        known = (trust, state.stance, np.asarray(state.grain))
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
             state = self._learned(state, view, motion, before_s, way_m)
-            known = (trust, state.stance, np.asarray(state.grain))
             fused = self.fusion.pose(state.tracks[0].fusion)
             sums = watch.looked(state.watch, view, fused, frame, self.aligner, known, way_m, self.config.watch)
             state = state._replace(watch=sums)
         timer.lap("fuse")
-        known = (trust, state.stance, np.asarray(state.grain))
         state = rivals.joined(state, view, frame, known, self.fusion, self.aligner, self.config.health)
         state = self._given_up(state)
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
@@ -320,7 +319,7 @@ class Localizer:
         if fused is not None:
             protection = protection_levels(fused.covariance, config.integrity)
             if state.tracks:
-                faults = watch.separations(state.watch, fused, self.aligner, frame.rig, self.config.watch)
+                faults = watch.separations(state.watch, fused, self.aligner.on_road, frame.rig, self.config.watch)
         causes = watch.causes(protection, faults, config.integrity.limit)
         protection = watch.at_least(watch.with_faults(protection, faults), self.config.watch)
         reasons, held = view.reasons if view is not None else (), ()

@@ -6,6 +6,7 @@ Solution separation: the pose that fits with the fault and the one without it ma
 one to the farther side of the other.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,7 @@ from semloc_jax.localization.watch_sums import (
     suspicions,
 )
 
+OnRoad = Callable[[np.ndarray], np.ndarray]
 _LOOSE = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
 """How far a pose may move with another calibration."""
 _ADVICE = "run semloc calibrate"
@@ -88,21 +90,21 @@ def looked(
 
 
 def separations(
-    watch: WatchState, fused: FusedPose, aligner: FrameAligner, rig: Rig, config: WatchConfig
+    watch: WatchState, fused: FusedPose, on_road: OnRoad, rig: Rig, config: WatchConfig
 ) -> list[Separation]:
     """Every fault that joins the protection levels.
 
     Args:
         watch: Sums over the last frames.
         fused: The pose that goes out, with its direction of travel.
-        aligner: Knows the road.
+        on_road: The pose of a vehicle that stands on the road at the same place; raises SemlocError without a road.
         rig: Cameras.
         config: What counts.
     """
     mean = np.asarray(rig.T_base_cam, np.float64)[:, :3, 3].mean(axis=0)
     T = fused.T_map_base
     try:
-        stance = rigid.log(rigid.inverse(aligner.on_road(T)) @ T)[2:5]
+        stance = rigid.log(rigid.inverse(on_road(T)) @ T)[2:5]
     except SemlocError:  # no road there
         stance = np.zeros(3)
     found = [_looking_aside(float(watch.aside_rad), float(mean[0]), rig, config), *_tilted(stance, float(mean[2]), rig)]
