@@ -17,6 +17,7 @@ NUM_SEVERITIES = 3
 MAP, CALIBRATION, TIME, ODOMETRY, GNSS, MASKS = "map", "calibration", "time", "odometry", "gnss", "masks"
 FAMILIES = (MAP, CALIBRATION, TIME, ODOMETRY, GNSS, MASKS)
 _WHOLE_MAP = "the map and all that is in it move together: nothing on the vehicle can see it"
+_STRETCHED = "a map that is evenly too large is a shift that grows; a few percent lie within tyres and camera height"
 _MOUNT = "a pure shift of the mount moves all cameras with the pose: nothing on the vehicle can see it"
 
 
@@ -46,7 +47,7 @@ STANDING: dict[str, StandingFault] = {
     "map_worn": StandingFault(maps.map_worn, (0.5, 1.0, 2.0), "m", MAP),
     "map_scattered": StandingFault(maps.map_scattered, (0.3, 1.0, 3.0), "m", MAP),
     "map_mirrored": StandingFault(maps.map_mirrored, (1.0, 0.7, 0.4), _OF_ELEMENTS, MAP),
-    "map_scaled": StandingFault(maps.map_scaled, (0.01, 0.03, 0.1), _SHARE, MAP),
+    "map_scaled": StandingFault(maps.map_scaled, (0.01, 0.03, 0.1), _SHARE, MAP, _STRETCHED),
     "lines_repainted": StandingFault(maps.lines_repainted, (0.3, 0.5, 1.0), "m", MAP),
     "stretch_repainted": StandingFault(maps.stretch_repainted, (0.3, 0.5, 1.0), "m", MAP),
     "one_side_moved": StandingFault(maps.one_side_moved, (0.3, 0.5, 1.0), "m", MAP),

@@ -115,9 +115,9 @@ def map_scaled(maker: Maker, share: float) -> FaultyDrive:
 
 
 def _middle(maker: Maker) -> np.ndarray:
-    """Where the drive is at half of its time, float64[4 4]."""
-    way = maker.truth.T_map_base
-    return way[len(way) // 2]
+    """Where the vehicle is in the middle frame, float64[4 4]."""
+    frames = maker.drive.frames
+    return maker.drive.truth_at(frames[len(frames) // 2])
 
 
 def stretch_repainted(maker: Maker, size_m: float) -> FaultyDrive:
