@@ -107,11 +107,14 @@ def separations(
         stance = rigid.log(rigid.inverse(on_road(T)) @ T)[2:5]
     except SemlocError:  # no road there
         stance = np.zeros(3)
-    found = [_looking_aside(float(watch.aside_rad), float(mean[0]), rig, config), *_tilted(stance, float(mean[2]), rig)]
+    found = []
     for suspected in suspicions(watch, len(rig.names), config):
         if suspected.nats >= config.count_nats:
             ahead, left, turned = np.abs(suspected.moved)
             found.append(Separation(left, ahead, float(np.degrees(turned)), _told(suspected, rig)))
+    # A map that does not fit moves the pose while driving as well: what speaks of it comes first.
+    aside = _looking_aside(float(watch.aside_rad), float(mean[0]), rig, config)
+    found += [aside, *_tilted(stance, float(mean[2]), rig)]
     return found
 
 
