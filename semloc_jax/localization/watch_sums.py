@@ -44,7 +44,7 @@ class WatchConfig:
     """Share of what a frame says that is new: successive frames see the same map."""
     aside_sigma_rad: float = 0.02
     """How far aside cameras may look, before the drive says more [rad]."""
-    least_levels: tuple[float, float, float] = (0.15, 0.2, 0.25)
+    least_levels: tuple[float, float, float] = (0.15, 0.25, 0.3)
     """No protection level is smaller: lateral [m], longitudinal [m], heading [deg]. Maps are surveyed and cameras are
     mounted to centimetres and tenths of a degree, and a fault of that size shows in nothing."""
     aside_m_memory: float = 20.0
