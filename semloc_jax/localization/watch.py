@@ -162,7 +162,7 @@ def _looking_aside(travel_rad: float, ahead_m: float, rig: Rig, config: WatchCon
     travel_deg = float(np.degrees(travel_rad))
     side = "right" if travel_deg > 0.0 else "left"
     cause = f"{_cameras(rig)} {abs(travel_deg):.1f} deg to the {side} of where the vehicle drives; {_ADVICE}"
-    share = min(abs(travel_rad) / config.aside_noise_rad, 1.0)
+    share = float(np.interp(abs(travel_rad), config.aside_rad, (0.0, 1.0)))
     return Separation(share * abs(travel_rad * ahead_m), 0.0, share * abs(travel_deg), cause)
 
 

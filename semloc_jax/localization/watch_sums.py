@@ -50,8 +50,11 @@ class WatchConfig:
     aside_m_memory: float = 20.0
     """Way over which a direction of travel is remembered: where the cameras look aside, the first lines and walls that
     come into view or leave it move the pose, which passes for a drive to the other side."""
-    aside_noise_rad: float = 0.0026
-    """A direction of travel up to this is mostly noise."""
+    aside_rad: tuple[float, float] = (0.0052, 0.0079)
+    """A direction of travel up to the first is that of a sound vehicle, whose axle and inertial unit are never mounted
+    exactly along each other (a real one: 0.27 deg); from the second on it counts in full [rad]."""
+    least_gain_nats: float = 2.0
+    """What a frame must gain at least: less is left by masks and maps that are not perfect, in every frame anew."""
     count_nats: float = 3.0
     """A fault that so much speaks for joins the protection levels: less is what chance does among a dozen faults."""
 
@@ -69,6 +72,8 @@ class WatchState(NamedTuple):
     """Costs of lines and of posts over the moves [nats]."""
     aside_rad: Float[np.ndarray, ""] = np.float64(0.0)
     """Largest direction of travel that the drive alone gave of late."""
+    num_looks: Float[np.ndarray, ""] = np.float64(0.0)
+    """Frames that the profiles were summed over."""
     num_frames: Int[np.ndarray, ""] = np.int64(0)
     way_m: Float[np.ndarray, ""] = np.float64(0.0)
     """Since the last frame that was looked at."""
@@ -160,6 +165,7 @@ def learned(
         keep * watch.moved + (new[:, None] * np.nan_to_num(moved[_PLANE])).ravel(),
         keep * watch.profiles + (np.asarray(profiles, np.float64).ravel() if usable else 0.0),
         np.float64(aside_rad),
+        np.float64(keep * watch.num_looks + usable),
         np.int64(watch.num_frames + 1),
         np.float64(0.0),
     )
@@ -187,7 +193,7 @@ def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> l
         at = float(np.clip(-0.5 * slope / bend, -2.0, 2.0)) if bend > 0.0 else -2.0 * float(np.sign(slope))
         better = -(slope * at + bend * at**2) if bend > 0.0 else max(-up, -down)
         # Both neighbours say it, as often as they were asked.
-        nats = config.share * float(num.sum()) * better
+        nats = config.share * float(num.sum()) * max(better - config.least_gain_nats, 0.0)
         unit = config.focal_share if name == FOCAL else config.turn_rad
         found.append(Suspicion(name, at * unit, nats, at * 0.5 * (step_up - step_down)))
     return found
@@ -204,6 +210,7 @@ def _classes_apart(watch: WatchState, config: WatchConfig) -> list[Suspicion]:
             best = int(np.argmin(np.where(is_here, np.inf, cost)))
             moved = np.zeros(3)
             moved[axis] = places[best]
-            nats = config.share * float(np.min(cost[is_here]) - cost[best])
+            better = float(np.min(cost[is_here]) - cost[best]) - config.least_gain_nats * float(watch.num_looks)
+            nats = config.share * max(better, 0.0)
             found.append(Suspicion(f"{group}_{word}", float(places[best]), nats, moved))
     return found
