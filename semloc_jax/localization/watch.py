@@ -82,7 +82,11 @@ def looked(
     other = frame._replace(rig=next_rig(watch, frame.rig, config))
     try:
         again = aligner.align(other, T, _LOOSE, 0.0, trust, stance, grain)
-        gain, moved = view.found.score - again.score, rigid.log(rigid.inverse(T) @ again.measurement.T_map_base)
+        moved, gain = rigid.log(rigid.inverse(T) @ again.measurement.T_map_base), view.found.score - again.score
+        if gain > config.least_gain_nats:
+            # A frame that has not found its own best place yet gains by any second solve.
+            same = aligner.align(frame, T, _LOOSE, 0.0, trust, stance, grain)
+            gain = min(gain, same.score - again.score)
     except SemlocError:  # no road there
         gain, moved = np.nan, np.zeros(6)
     profiles = aligner.costs_of_classes(frame, T, moves(config), stance, grain, config.level)
