@@ -50,7 +50,7 @@ class WatchConfig:
     aside_m_memory: float = 20.0
     """Way over which a direction of travel is remembered: where the cameras look aside, the first lines and walls that
     come into view or leave it move the pose, which passes for a drive to the other side."""
-    aside_rad: tuple[float, float] = (0.0052, 0.0079)
+    aside_rad: tuple[float, float] = (0.0051, 0.0061)
     """A direction of travel up to the first is that of a sound vehicle, whose axle and inertial unit are never mounted
     exactly along each other (a real one: 0.27 deg); from the second on it counts in full [rad]."""
     least_gain_nats: float = 2.0
