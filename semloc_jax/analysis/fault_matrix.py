@@ -4,13 +4,16 @@ host).
 In: FaultyDrive, the results of a run on it. Out: FaultOutcome; a Markdown table.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
+from semloc_jax.analysis.told import most_told
 from semloc_jax.datasets import Drive
-from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors, within
+from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.localization.localizer import Localizer
@@ -18,18 +21,26 @@ from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
 from semloc_jax.maps import SemanticMap
 from semloc_jax.simulation.faults import FaultyDrive, with_fault
+from semloc_jax.simulation.hostile import FaultRow
 
 MakeLocalizer = Callable[[SemanticMap, MotionLog], Localizer]
 
 
 @dataclass(frozen=True)
 class FaultOutcome:
-    """One row of the fault matrix.
+    """One row of the hostile suite.
 
     Args:
         fault: its name.
-        tracking: share of the frames called TRACKING.
-        not_tracking_s: time that was not called TRACKING after the first frame that was [s].
+        severity: 1, 2 or 3; 0 without a fault.
+        size: of the fault, with its unit.
+        family: what is wrong.
+        apart: why nothing can see it; empty where something can.
+        frames: number of frames.
+        tracking: frames called TRACKING.
+        false: of them those with an error beyond a protection level.
+        beyond_alert: of them those with an error beyond an alert limit.
+        refused_right: frames whose pose is within the alert limits and that are not called TRACKING.
         noticed_s: time from the begin of the fault to the first frame that is not called TRACKING [s]; nan where none
             is: the fault was ridden out.
         recovered_s: time from the end of the fault until TRACKING lasts again [s]; nan where it does not.
@@ -37,102 +48,163 @@ class FaultOutcome:
         max_longitudinal_m: the same along the vehicle [m].
         max_heading_deg: the same of the heading [deg].
         max_any_m: largest horizontal error of any frame with a pose after the first that was called TRACKING [m].
-        false_confident: frames called TRACKING beyond the alert limits.
+        reason: what was told most often where a frame was not called TRACKING.
     """
 
     fault: str
-    tracking: float
-    not_tracking_s: float
+    severity: int
+    size: str
+    family: str
+    apart: str
+    frames: int
+    tracking: int
+    false: int
+    beyond_alert: int
+    refused_right: int
     noticed_s: float
     recovered_s: float
     max_lateral_m: float
     max_longitudinal_m: float
     max_heading_deg: float
     max_any_m: float
-    false_confident: int
+    reason: str
+
+    @property
+    def counts(self) -> bool:
+        """Whether the row is one of what was asked for: a fault that something can see."""
+        return bool(self.severity) and not self.apart
 
 
-def judge_fault(
-    fault: FaultyDrive, results: Sequence[TrackResult], limit: ErrorLimit = ALERT_LIMITS[0]
-) -> FaultOutcome:
-    """What a run on a faulty drive comes to.
+class JudgedRun(NamedTuple):
+    """Errors and levels of a run, frame by frame: lateral [m], longitudinal [m], heading [deg].
 
     Args:
-        fault: The drive, with truth.
-        results: One for each frame.
-        limit: Beyond it a frame called TRACKING is false.
+        time_s: of the frames.
+        is_tracking: called TRACKING.
+        has_pose: whether there is a pose; the errors of the others are 0.
+        errors: absolute.
+        levels: protection levels.
+        sigmas: standard deviations that were stated.
+    """
+
+    time_s: Float[np.ndarray, " n"]
+    is_tracking: Bool[np.ndarray, " n"]
+    has_pose: Bool[np.ndarray, " n"]
+    errors: Float[np.ndarray, "n 3"]
+    levels: Float[np.ndarray, "n 3"]
+    sigmas: Float[np.ndarray, "n 3"]
+
+    @property
+    def is_false(self) -> Bool[np.ndarray, " n"]:
+        """Called TRACKING with an error beyond a protection level."""
+        return self.is_tracking & ~(self.errors <= self.levels).all(axis=1)
+
+
+def judged(drive: Drive, results: Sequence[TrackResult]) -> JudgedRun:
+    """The errors of a run against the truth of its drive.
 
     Raises:
         SemlocError: the drive has no truth.
     """
-    time_s = np.array([result.time_s for result in results])
-    is_tracking = np.array([result.status == TrackStatus.TRACKING for result in results], dtype=bool)
-    has_pose = np.array([result.fused is not None for result in results], dtype=bool)
-    frames = {frame.id: frame for frame in fault.drive.frames}
-    truth = [fault.drive.truth_at(frames[result.frame_id]) for result in results]
+    frames = {frame.id: frame for frame in drive.frames}
+    truth = [drive.truth_at(frames[result.frame_id]) for result in results]
     poses = [r.fused.T_map_base if r.fused is not None else T for r, T in zip(results, truth, strict=True)]
-    errors = {key: np.abs(value) for key, value in pose_errors(np.array(poses), np.array(truth)).items()}
-    since = np.arange(len(results)) >= (np.argmax(is_tracking) if is_tracking.any() else len(results))
-    horizontal = np.hypot(errors["lateral_m"], errors["longitudinal_m"])
-    step_s = np.diff(time_s, append=time_s[-1] if len(time_s) < 2 else 2 * time_s[-1] - time_s[-2])
-
-    def largest(values: np.ndarray, rows: np.ndarray) -> float:
-        return float(np.max(values, initial=0.0, where=rows))
-
-    return FaultOutcome(
-        fault=fault.name,
-        tracking=float(is_tracking.mean()),
-        not_tracking_s=float(step_s[since & ~is_tracking].sum()),
-        noticed_s=_first(time_s, since & (time_s >= fault.from_s) & ~is_tracking) - fault.from_s,
-        recovered_s=max(_settled(time_s, is_tracking, fault.to_s) - fault.to_s, 0.0),
-        max_lateral_m=largest(errors["lateral_m"], is_tracking),
-        max_longitudinal_m=largest(errors["longitudinal_m"], is_tracking),
-        max_heading_deg=largest(errors["heading_deg"], is_tracking),
-        max_any_m=largest(horizontal, has_pose & since),
-        false_confident=int(np.sum(is_tracking & ~within(errors, limit))),
+    errors = pose_errors(np.array(poses), np.array(truth))
+    unknown = np.full(6, np.inf)
+    variance = np.array([np.diagonal(r.fused.covariance) if r.fused is not None else unknown for r in results])
+    sigmas = np.sqrt(variance[:, [1, 0, 5]]) * np.array([1.0, 1.0, np.degrees(1.0)])
+    return JudgedRun(
+        np.array([result.time_s for result in results]),
+        np.array([result.status == TrackStatus.TRACKING for result in results], dtype=bool),
+        np.array([result.fused is not None for result in results], dtype=bool),
+        np.abs(np.column_stack([errors[key] for key in ("lateral_m", "longitudinal_m", "heading_deg")])),
+        np.array([tuple(result.protection) for result in results], dtype=np.float64),
+        sigmas,
     )
 
 
-def fault_matrix(
-    names: Sequence[str],
+def judge_fault(
+    row: FaultRow, fault: FaultyDrive, results: Sequence[TrackResult], limit: ErrorLimit = ALERT_LIMITS[0]
+) -> FaultOutcome:
+    """What a run on a faulty drive comes to.
+
+    Args:
+        row: The fault.
+        fault: The drive, with truth.
+        results: One for each frame.
+        limit: The alert limits.
+
+    Raises:
+        SemlocError: the drive has no truth.
+    """
+    run = judged(fault.drive, results)
+    time_s, is_tracking = run.time_s, run.is_tracking
+    since = np.arange(len(results)) >= (np.argmax(is_tracking) if is_tracking.any() else len(results))
+    horizontal = np.hypot(run.errors[:, 0], run.errors[:, 1])
+    is_right = run.has_pose & (run.errors <= [limit.lateral_m, limit.longitudinal_m, limit.heading_deg]).all(axis=1)
+    worst = np.max(run.errors, axis=0, initial=0.0, where=is_tracking[:, None])
+    return FaultOutcome(
+        *(row.fault, row.severity, row.size, row.family, row.apart),
+        frames=len(results),
+        tracking=int(is_tracking.sum()),
+        false=int(run.is_false.sum()),
+        beyond_alert=int((is_tracking & ~is_right).sum()),
+        refused_right=int((is_right & ~is_tracking).sum()),
+        noticed_s=_first(time_s, since & (time_s >= fault.from_s) & ~is_tracking) - fault.from_s,
+        recovered_s=max(_settled(time_s, is_tracking, fault.to_s) - fault.to_s, 0.0),
+        max_lateral_m=float(worst[0]),
+        max_longitudinal_m=float(worst[1]),
+        max_heading_deg=float(worst[2]),
+        max_any_m=float(np.max(horizontal, initial=0.0, where=run.has_pose & since)),
+        reason=most_told([r.reasons for r, tracked in zip(results, is_tracking, strict=True) if not tracked]),
+    )
+
+
+def run_fault(
+    row: FaultRow,
     drive: Drive,
     semantic_map: SemanticMap,
     source: MaskSource,
     make_localizer: MakeLocalizer,
     seed: int = 0,
-) -> Iterator[FaultOutcome]:
-    """One row after another: each fault on the same drive with a fresh localizer.
+) -> tuple[FaultOutcome, JudgedRun]:
+    """One row of the suite, with a fresh localizer.
 
     Args:
-        names: Of the faults.
+        row: The fault.
         drive: With truth.
         semantic_map: The map.
         source: Masks.
         make_localizer: Makes the localizer of a map and a motion log.
-        seed: Of the faults.
+        seed: Of the fault.
 
     Raises:
-        SemlocError: a fault is not known or does not fit the drive.
+        SemlocError: the fault does not fit the drive.
     """
-    for name in names:
-        fault = with_fault(name, drive, semantic_map, seed)
-        localizer = make_localizer(fault.semantic_map, MotionLog.of_drive(fault.drive))
-        pipeline = Pipeline(fault.drive, source, localizer, PipelineConfig())
-        yield judge_fault(fault, list(pipeline.run(fault.drive.frames)))
+    fault = with_fault(row.name, drive, semantic_map, seed)
+    localizer = make_localizer(fault.semantic_map, MotionLog.of_drive(fault.drive))
+    results = list(Pipeline(fault.drive, source, localizer, PipelineConfig()).run(fault.drive.frames))
+    return judge_fault(row, fault, results), judged(fault.drive, results)
+
+
+def worst_first(outcomes: Sequence[FaultOutcome]) -> list[FaultOutcome]:
+    """The outcomes with the most false frames first; those that nothing can see last, what is healthy at the top."""
+    return sorted(outcomes, key=lambda o: (o.severity > 0, bool(o.apart), -o.false, -o.refused_right, o.fault))
 
 
 def to_markdown(outcomes: Sequence[FaultOutcome]) -> str:
-    """The matrix as a table for a front page."""
+    """The rows as a table for a front page, in the order given."""
     lines = [
-        "| fault | tracking | noticed after | tracking again after | max error while TRACKING (lateral, longitudinal, "
-        "heading) | max error at all | false-confident frames |",
-        "|---|---|---|---|---|---|---|",
+        "| fault | size | TRACKING | false | right and refused | noticed after | TRACKING again after | "
+        "max error while TRACKING (lateral, longitudinal, heading) | max error at all | told |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for o in outcomes:
         most = f"{100 * o.max_lateral_m:.1f} cm, {100 * o.max_longitudinal_m:.1f} cm, {o.max_heading_deg:.2f} deg"
+        told = "nothing can see it" if o.apart else o.reason
         lines.append(
-            f"| {o.fault} | {o.tracking:.0%} | {_seconds(o.noticed_s)} | {_seconds(o.recovered_s)} | {most} | "
-            f"{o.max_any_m:.2f} m | {o.false_confident} |"
+            f"| {o.fault} | {o.size or '-'} | {o.tracking} of {o.frames} | {o.false} | {o.refused_right} | "
+            f"{_seconds(o.noticed_s)} | {_seconds(o.recovered_s)} | {most} | {o.max_any_m:.2f} m | {told or '-'} |"
         )
     return "\n".join(lines)
 

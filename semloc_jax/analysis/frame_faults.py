@@ -11,6 +11,7 @@ import numpy as np
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.alignment.pose_prior import PriorSource
 from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.analysis.told import most_told
 from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors, within
@@ -18,10 +19,11 @@ from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import SemanticMap
 from semloc_jax.simulation.faults import with_fault
-from semloc_jax.simulation.standing_faults import NUM_SEVERITIES, STANDING
+from semloc_jax.simulation.hostile import FaultRow, suite
+from semloc_jax.simulation.passing_faults import PASSING
+from semloc_jax.simulation.standing_faults import ODOMETRY, TIME
 
 MakePrior = Callable[[Drive], PriorSource]
-NO_FAULT = "none"
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class FrameFaultOutcome:
         fault: its name.
         severity: 1, 2 or 3; 0 without a fault.
         size: of the fault, with its unit.
+        family: what is wrong.
+        apart: why nothing can see it; empty where something can.
         frames: number of frames.
         right: frames whose best pose is right, localized or not.
         localized: frames called localized.
@@ -40,11 +44,14 @@ class FrameFaultOutcome:
         max_lateral_m: largest error of a frame called localized [m].
         max_longitudinal_m: the same along the vehicle [m].
         max_heading_deg: the same of the heading [deg].
+        reason: what was told most often where a frame was not localized.
     """
 
     fault: str
     severity: int
     size: str
+    family: str
+    apart: str
     frames: int
     right: int
     localized: int
@@ -53,15 +60,25 @@ class FrameFaultOutcome:
     max_lateral_m: float
     max_longitudinal_m: float
     max_heading_deg: float
+    reason: str = ""
+
+    @property
+    def counts(self) -> bool:
+        """Whether the row is one of what was asked for: a fault that something can see."""
+        return bool(self.severity) and not self.apart
 
 
-def fault_names() -> tuple[str, ...]:
-    """All faults of single frames with all their severities, what they are compared with first."""
-    return (NO_FAULT, *(f"{name}:{severity + 1}" for name in STANDING for severity in range(NUM_SEVERITIES)))
+def frame_rows(wanted: str) -> tuple[FaultRow, ...]:
+    """The rows of the suite that a single frame can meet: it has no wheels and no clock, and nothing passes.
+
+    Raises:
+        SemlocError: there is no fault of that name.
+    """
+    return tuple(r for r in suite(wanted) if r.family not in (TIME, ODOMETRY) and r.fault not in PASSING)
 
 
 def frame_fault(
-    name: str,
+    row: FaultRow,
     drive: Drive,
     semantic_map: SemanticMap,
     source: MaskSource,
@@ -74,7 +91,7 @@ def frame_fault(
     """What single frames make of one fault.
 
     Args:
-        name: One of `fault_names()`.
+        row: One of `frame_rows`.
         drive: With truth.
         semantic_map: The map.
         source: Masks.
@@ -89,19 +106,18 @@ def frame_fault(
     """
     if drive.truth is None:
         raise SemlocError(f"drive {drive.name}: has no truth; faults are judged against one")
-    fault = with_fault(name, drive, semantic_map, seed)
+    fault = with_fault(row.name, drive, semantic_map, seed)
     prior = make_prior(fault.drive)
     found = localize_frames(
         fault.drive, fault.semantic_map, source, prior, fault.drive.frames[chosen], source.cameras, config
     )
-    return judge_frames(name, found, [drive.truth_at(result.frame) for result in found], limit)
+    return judge_frames(row, found, [drive.truth_at(result.frame) for result in found], limit)
 
 
 def judge_frames(
-    name: str, found: Sequence[LocalizationResult], truth: Sequence[np.ndarray], limit: ErrorLimit
+    row: FaultRow, found: Sequence[LocalizationResult], truth: Sequence[np.ndarray], limit: ErrorLimit
 ) -> FrameFaultOutcome:
     """The row of a fault from the results of its frames and their true poses T_map_base."""
-    own, _, severity = name.partition(":")
     poses = np.array([r.T_map_base if np.isfinite(r.T_map_base).all() else np.eye(4) for r in found])
     errors = {key: np.abs(value) for key, value in pose_errors(poses, np.array(truth)).items()}
     is_right = within(errors, limit) & np.array([np.isfinite(r.T_map_base).all() for r in found])
@@ -110,11 +126,8 @@ def judge_frames(
     def largest(key: str) -> float:
         return float(np.max(errors[key], initial=0.0, where=localized))
 
-    size = f"{STANDING[own].sizes[int(severity) - 1]:g} {STANDING[own].unit}" if own in STANDING else ""
     return FrameFaultOutcome(
-        fault=own,
-        severity=int(severity or 0),
-        size=size,
+        *(row.fault, row.severity, row.size, row.family, row.apart),
         frames=len(found),
         right=int(is_right.sum()),
         localized=int(localized.sum()),
@@ -123,24 +136,30 @@ def judge_frames(
         max_lateral_m=largest("lateral_m"),
         max_longitudinal_m=largest("longitudinal_m"),
         max_heading_deg=largest("heading_deg"),
+        reason=most_told([r.reasons for r in found if not r.localized]),
     )
 
 
 def worst_first(outcomes: Sequence[FrameFaultOutcome]) -> list[FrameFaultOutcome]:
-    """The outcomes with the most false frames first; without a fault at the top."""
-    return sorted(outcomes, key=lambda o: (o.fault != NO_FAULT, -o.false, o.localized, o.fault, o.severity))
+    """The outcomes with the most false frames first; those that nothing can see last, what is healthy at the top."""
+    return sorted(outcomes, key=lambda o: (o.severity > 0, bool(o.apart), -o.false, o.localized, o.fault, o.severity))
 
 
 def to_markdown(outcomes: Sequence[FrameFaultOutcome]) -> str:
-    """The suite as a table, worst first."""
-    return "\n".join(_lines(worst_first(outcomes)))
+    """The suite as a table, in the order given."""
+    return "\n".join(_lines(outcomes))
 
 
 def _lines(outcomes: Sequence[FrameFaultOutcome]) -> Iterator[str]:
-    yield "| fault | size | localized | false | right but refused | largest error localized (lateral, along, heading) |"
-    yield "|---|---|---|---|---|---|"
+    yield (
+        "| fault | size | localized | false | right but refused | largest error localized (lateral, along, heading) | "
+        "told |"
+    )
+    yield "|---|---|---|---|---|---|---|"
     for o in outcomes:
         errors = f"{o.max_lateral_m:.2f} m, {o.max_longitudinal_m:.2f} m, {o.max_heading_deg:.2f} deg"
+        told = "nothing can see it" if o.apart else o.reason
         yield (
-            f"| {o.fault} | {o.size or '-'} | {o.localized} of {o.frames} | {o.false} | {o.refused_right} | {errors} |"
+            f"| {o.fault} | {o.size or '-'} | {o.localized} of {o.frames} | {o.false} | {o.refused_right} | {errors} | "
+            f"{told or '-'} |"
         )

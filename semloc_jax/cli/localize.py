@@ -35,8 +35,9 @@ class Options(DriveOptions):
     overlays: int = 6
     """Number of before/after pictures, spread over the frames; 0 for none."""
     fault: str | None = None
-    """Inject a fault: fixes_left:2, focal, lines_repainted ... or all in turn, for faults.csv and faults.md, worst
-    first. The exit code then is 3 where a frame was localized at a wrong place."""
+    """Run the hostile suite: a fault (focal, lines_repainted:3), a family (map, calibration, gnss, masks), a list with
+    commas, or all, for faults.csv and faults.md, worst first; --resume DIR goes on with it after a kill. The exit code
+    then is 3 where a frame was localized at a wrong place."""
     config: Path | None = None
     """YAML file with values of the configuration."""
     resume: Path | None = None
@@ -85,6 +86,7 @@ def _faults(options: Options, inputs: Inputs, chosen: slice, settings: "Localize
         options.out,
         options.kept(inputs),
         options.seed,
+        options.resume,
     )
     print(table)
     print(f"results: {folder}")

@@ -37,7 +37,9 @@ class Options(DriveOptions):
     no_gnss_after_init: bool = False
     """Use satellite fixes to initialise only."""
     fault: str | None = None
-    """Inject a fault: gnss_dropout, black_images, kidnapped ... or all in turn, for faults.csv and faults.md."""
+    """Inject a fault: black_images, focal:3, kidnapped ...; or run the hostile suite: all, a family (map, calibration,
+    time, odometry, gnss, masks) or a list with commas, for faults.csv, faults.md and stanford.png, worst first. With
+    --frames :40 it takes a short drive, and --resume DIR goes on with a suite that was killed."""
     realtime: bool = False
     """Play the drive at its own pace; frames that come too fast are dropped."""
     resume: Path | None = None
@@ -66,13 +68,15 @@ def default_settings() -> "TrackConfig":
 def run(options: Options) -> int:
     """Track, print how good it is; returns the exit code."""
     from semloc_jax.reports import track, track_faults
+    from semloc_jax.simulation.hostile import is_suite
 
     log_to_console()
     chosen, area = parse_slice(options.frames), _area(options.area)
     inputs = track.open_tracked(options, area is not None)
     plan, kept = _plan(options, area), options.kept(inputs)
-    if options.fault == ALL:
-        return _print_table(track.report_faults(inputs, plan, options.resume or options.out, kept))
+    if options.fault is not None and is_suite(options.fault):
+        found = track.report_faults(inputs, plan, options.fault, chosen, options.out, options.resume, kept)
+        return _print_table(found)
     if options.fault is not None:
         inputs = track_faults.disturbed(inputs, options.fault, options.seed)
     frames = list(inputs.drive.frames[chosen])

@@ -53,6 +53,8 @@ class FusedPose(NamedTuple):
     """What satellite fixes are off by in the map frame, east and north."""
     travel_rad: float = 0.0
     """Direction of travel against base x, positive to the left."""
+    travel_sigma_rad: float = 0.0
+    """Its standard deviation; 0 where it is not estimated."""
 
     @property
     def calibration(self) -> Calibration:

@@ -157,7 +157,8 @@ class SlidingWindow:
             T, joint = self._predicted(state)
             scale, bias, travel = (float(value) for value in state.calibration[:3])
             offset = state.calibration[3:]
-            pose = FusedPose(float(state.now_s), T, joint[:6, :6], scale, bias, offset, travel)
+            travel_sigma = float(np.sqrt(max(joint[8, 8], 0.0)))
+            pose = FusedPose(float(state.now_s), T, joint[:6, :6], scale, bias, offset, travel, travel_sigma)
             self._last = (state, pose)
         return self._last[1]
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from semloc_jax.alignment.class_profiles import class_profiles
 from semloc_jax.alignment.longitudinal import LongitudinalConfig, corrected_along, is_searched
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.alignment.scene import SceneConfig
@@ -30,12 +31,16 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.localization.map_window import MapWindow, MapWindows
 from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.maps import RoadSpread, SemanticMap
-from semloc_jax.structs import SolveStatus
+from semloc_jax.structs import ElementClass, SolveStatus
 
 _LONGITUDINAL = LongitudinalConfig()
 """The search along the road; no drive needed other values."""
 
 
+STANDING_CLASSES = frozenset(
+    {ElementClass.POLE, ElementClass.SIGN, ElementClass.TRAFFIC_LIGHT, ElementClass.PILLAR, ElementClass.CONE}
+)
+"""What stands on the ground: new paint does not move it."""
 _FREE = 1e3
 """Factor on a sigma of the prior that leaves a direction free."""
 
@@ -162,11 +167,28 @@ class FrameAligner:
         offsets, level = jnp.asarray(offsets_m, jnp.float32), jnp.asarray(self.step.rank_level)
         return np.asarray(profile_along(T, offsets, prior, inputs, local_trust, self.step, level))
 
+    def costs_of_classes(
+        self,
+        frame: FrameFeatures,
+        T_map_base: Float[np.ndarray, "4 4"],
+        moves: Float[np.ndarray, "n 3"],
+        stance: Float[np.ndarray, "3"],
+        grain: Float[np.ndarray, ""],
+        level: int,
+    ) -> Float[np.ndarray, "2 n"]:
+        """Costs [nats] of what lies and of what stands, each alone, at a pose and beside it; see `class_profiles`."""
+        T_road, local, inputs, *_ = self._prepared(frame, T_map_base, np.eye(6), _full_trust, stance, grain)
+        elements = self._window(T_road, stance).local_map.elements[:ELEMENT_CAPACITY]
+        stands = np.zeros(ELEMENT_CAPACITY, np.float32)
+        stands[: len(elements)] = [element.label in STANDING_CLASSES for element in elements]
+        T = jnp.asarray(local.from_map(T_map_base, np.float64), jnp.float32)
+        known = jnp.asarray(moves, jnp.float32), inputs, jnp.asarray(stands)
+        return np.asarray(class_profiles(T, *known, self.step, level), np.float64)
+
     def _prepared(self, frame, T_map_predicted, covariance, trust, stance, grain) -> tuple:
         """The road pose, local frame, input, start, sigmas of the prior, rows of the elements and their trust."""
         T_road = self.on_road(T_map_predicted)
-        T_start = T_road @ rigid.exp(np.array([0.0, 0.0, *stance, 0.0]))
-        window = self.windows.around(T_start[:3, 3])
+        T_start, window = _standing(T_road, stance), self._window(T_road, stance)
         inputs = self.frame_input(frame, window)._replace(grain=jnp.asarray(grain, jnp.float32))
         local = window.local_map.frame
         sigma = self.prior_sigma(covariance, self.map.road_spread(T_road))
@@ -174,6 +196,9 @@ class FrameAligner:
         local_trust = np.ones(ELEMENT_CAPACITY, np.float32)
         local_trust[: len(index)] = trust(index)
         return T_road, local, inputs, local.from_map(T_start, np.float64), sigma, index, jnp.asarray(local_trust)
+
+    def _window(self, T_road: np.ndarray, stance: np.ndarray) -> MapWindow:
+        return self.windows.around(_standing(T_road, stance)[:3, 3])
 
     def on_road(self, T_map_base: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """The pose of a vehicle that stands on the road of the map at the same place with the same heading."""
@@ -225,6 +250,15 @@ class FrameAligner:
             rows=rows,
             grain=float(self.step.align.noise.grain(float(found.typical_px))),
         )
+
+
+def _full_trust(rows: np.ndarray) -> np.ndarray:
+    return np.ones(len(rows))
+
+
+def _standing(T_road: np.ndarray, stance: np.ndarray) -> np.ndarray:
+    """The pose of a vehicle with this stance where it would stand on the road without."""
+    return T_road @ rigid.exp(np.array([0.0, 0.0, *stance, 0.0]))
 
 
 _OF_ROAD = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])

@@ -24,7 +24,7 @@ from semloc_jax.fusion.clock import CameraTimeLog, unknown_offset
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
-from semloc_jax.localization import health, map_faults, passed_over, phase, rivals
+from semloc_jax.localization import health, map_faults, passed_over, phase, rivals, watch
 from semloc_jax.localization.acquisition import Acquisition, Area
 from semloc_jax.localization.following import (
     FrameReport,
@@ -158,11 +158,11 @@ class Localizer:
         if unusable is not None:
             return state, passed_over.result(state, frame, unusable)
         frame = frame._replace(fixes=tuple(fix for fix in frame.fixes if fix.is_usable))
-        watch, before_s = _Watch(), float(state.time_s)
+        timer, before_s = _Timer(), float(state.time_s)
         motion = CameraTimeLog(self.motion, state.clock)
         way_m = motion.way_m(before_s, frame.time_s) if np.isfinite(before_s) else 0.0
         state = self._predicted(state, frame, motion)
-        watch.lap("predict")
+        timer.lap("predict")
         trust = partial(map_faults.weights, state.trust, self.config.trust)
         if state.driven_m > self.config.health.frozen_m:
             views = [
@@ -172,18 +172,21 @@ class Localizer:
         else:
             known = (trust, state.stance, np.asarray(state.grain))
             views = [seen(t, self.fusion, self.aligner, frame, *known, self.config.health) for t in state.tracks]
-        watch.lap("align")
+        timer.lap("align")
         state, view = self._fused(state, views, way_m)
+        known = (trust, state.stance, np.asarray(state.grain))
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
             state = self._learned(state, view, motion, before_s, way_m)
-        watch.lap("fuse")
-        known = (trust, state.stance, np.asarray(state.grain))
+            fused = self.fusion.pose(state.tracks[0].fusion)
+            sums = watch.looked(state.watch, view, fused, frame, self.aligner, known, way_m, self.config.watch)
+            state = state._replace(watch=sums)
+        timer.lap("fuse")
         state = rivals.joined(state, view, frame, known, self.fusion, self.aligner, self.config.health)
         state = self._given_up(state)
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
             state = self._acquired(state, frame)
-            watch.lap("acquire")
-        return self._judged(state, view, frame, watch)
+            timer.lap("acquire")
+        return self._judged(state, view, frame, timer)
 
     def _learned(
         self, state: TrackerState, view: FrameReport, motion: CameraTimeLog, before_s: float, way_m: float
@@ -240,6 +243,8 @@ class Localizer:
         total = [float(t.penalty) + nats for t, nats in zip(tracks, against, strict=True)]
         order = np.argsort(total, kind="stable")
         best, view = tracks[order[0]], pairs[order[0]][1]
+        if order[0] != 0:  # what was seen from another place says nothing of this one
+            state = state._replace(watch=watch.WatchState())
         kept = [best]
         for k in order[1:]:
             if total[k] - total[order[0]] < self.config.win_nats and not self._is_one_of(tracks[k], kept):
@@ -301,17 +306,22 @@ class Localizer:
             for m, p in zip(measured, penalties, strict=True)
         )
         forgotten = noise_scale.without_poses(state.noise)
-        return state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten)
+        return state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten, watch=watch.WatchState())
 
     def _judged(
-        self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, watch: "_Watch"
+        self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, timer: "_Timer"
     ) -> tuple[TrackerState, TrackResult]:
         """The status of the frame with its reasons."""
         config = self.config.health
         fused = self._output(state)
         protection = ProtectionLevels(np.inf, np.inf, np.inf)
+        faults: list[watch.Separation] = []
         if fused is not None:
             protection = protection_levels(fused.covariance, config.integrity)
+            if state.tracks:
+                faults = watch.separations(state.watch, fused, self.aligner.on_road, frame.rig, self.config.watch)
+        causes = watch.causes(protection, faults, config.integrity.limit)
+        protection = watch.at_least(watch.with_faults(protection, faults), self.config.watch)
         reasons, held = view.reasons if view is not None else (), ()
         if state.tracks:
             best = state.tracks[0]
@@ -334,7 +344,7 @@ class Localizer:
             if status != TrackStatus.INITIALIZING and not is_contradicted:
                 held = health.held_of(protection, config.integrity.limit, bool(other_place))
             told = filter(None, [held_text(protection, held)])
-            reasons = tuple(dict.fromkeys((*serious, *reasons, *told)))
+            reasons = tuple(dict.fromkeys((*causes, *serious, *reasons, *told)))
         elif state.coasting:
             status, reasons = TrackStatus.LOST, health.lost_because(state.counters, config) + reasons
         else:
@@ -356,7 +366,7 @@ class Localizer:
             found.inlier_ratio if found else np.nan,
             len(state.tracks),
             float(state.clock.offset_s),
-            watch.times_ms,
+            timer.times_ms,
             held,
         )
 
@@ -377,7 +387,7 @@ class Localizer:
         return pose._replace(covariance=with_map_accuracy(pose.covariance, config.map_sigma_m, config.map_reach_m))
 
 
-class _Watch:
+class _Timer:
     """Time spent by stage."""
 
     def __init__(self) -> None:

@@ -12,6 +12,7 @@ from semloc_jax.localization.following import FollowConfig
 from semloc_jax.localization.frame_alignment import AlignmentConfig
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.map_faults import TrustConfig
+from semloc_jax.localization.watch_sums import WatchConfig
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class TrackConfig:
     health: HealthConfig = field(default_factory=HealthConfig)
     trust: TrustConfig = field(default_factory=TrustConfig)
     follow: FollowConfig = field(default_factory=FollowConfig)
+    watch: WatchConfig = field(default_factory=WatchConfig)
     confirm_frames: float = 4.0
     """Frames that must agree with a track before it is confirmed."""
     win_nats: float = 5.0

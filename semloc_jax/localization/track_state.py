@@ -17,6 +17,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.fusion.clock import ClockOffset
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.noise_scale import NoiseScale
+from semloc_jax.localization.watch_sums import WatchState
 
 
 class TrackStatus(enum.IntEnum):
@@ -110,6 +111,8 @@ class TrackerState(NamedTuple):
     """Time of the motion sensors less that of the cameras."""
     grain: Float[np.ndarray, ""] = np.ones((), np.float32)
     """Of the masks so far, see `NoiseModel.grain`."""
+    watch: WatchState = WatchState()
+    """What the last frames say of calibration and map."""
 
 
 class FrameFeatures(NamedTuple):

@@ -1,6 +1,6 @@
 """`semloc localize --fault`: single frames with something wrong, or all faults one after another (room: reports).
 
-In: opened inputs, the configuration, the name of a fault. Out: faults.csv and faults.md.
+In: opened inputs, the configuration, the name of a fault. Out: faults.csv, line by line, and faults.md.
 """
 
 import dataclasses
@@ -15,63 +15,75 @@ if TYPE_CHECKING:
     from semloc_jax.alignment.pose_prior import PriorSource
     from semloc_jax.datasets import Drive
 
-ALL = "all"
+_NUM_WORST = 10
 
 
 def report_frame_faults(
     inputs: Inputs,
-    name: str,
+    wanted: str,
     make_prior: "Callable[[Drive], PriorSource]",
     chosen: slice,
     settings: "LocalizeConfig",
     out: Path | None = None,
     options: Mapping[str, Any] | None = None,
     seed: int = 0,
+    resume: Path | None = None,
 ) -> tuple[Path, str, int]:
-    """Localize the frames with one fault, or with every fault in turn that fits the drive.
+    """Localize the frames with every fault in turn that fits the drive.
 
     Args:
         inputs: Drive, map and masks.
-        name: A fault with its severity, such as focal:3; a fault alone for all severities; `all`.
+        wanted: Which faults, see `simulation.hostile.suite`.
         make_prior: The prior of a drive.
         chosen: Which frames.
         settings: Of the localizer.
         out: Folder; None for the usual one.
         options: What the record keeps of the options.
         seed: Of the faults.
+        resume: Folder of a suite that was killed, to go on with.
 
     Returns:
-        The folder, the table with what was left out, and the number of false frames under faults.
+        The folder, the worst ten with what was left out, and the number of false frames under faults that something can
+        see.
 
     Raises:
-        SemlocError: a fault was named that is not known or does not fit the drive.
+        SemlocError: a fault was named that is not known, or none of those named fits the drive.
     """
     from tqdm import tqdm
 
-    from semloc_jax.analysis.frame_faults import FrameFaultOutcome, fault_names, frame_fault, to_markdown
+    from semloc_jax.analysis.frame_faults import FrameFaultOutcome, frame_fault, frame_rows, to_markdown, worst_first
     from semloc_jax.errors import SemlocError
+    from semloc_jax.reports import run_inputs
+    from semloc_jax.reports.fault_tables import TABLE, append, taken_up
     from semloc_jax.reports.folder import make_folder, write_record
-    from semloc_jax.reports.tables import write_csv
+    from semloc_jax.storage import write_text
 
-    own = [n for n in fault_names() if n.partition(":")[0] == name]
-    names = fault_names() if name == ALL else own or [name]
-    folder = make_folder(out)
+    rows = frame_rows(wanted)
+    folder = make_folder(out, resume)
+    parts = run_inputs.fingerprint(inputs, (settings, str(chosen)), options or {})
+    run_inputs.begun(folder, parts, is_resumed=resume is not None)
+    if resume is None:  # rows of an earlier suite in this folder are of another run
+        (folder / TABLE).unlink(missing_ok=True)
     write_record(folder, settings, options or {})
-    columns = [field.name for field in dataclasses.fields(FrameFaultOutcome)]
-    outcomes: list[FrameFaultOutcome] = []
-    left_out: list[str] = []
-    for one in tqdm(names, unit="fault", disable=None):
+    outcomes = taken_up(folder / TABLE, FrameFaultOutcome)
+    done, left_out = {(o.fault, o.severity) for o in outcomes}, []
+    for row in tqdm([r for r in rows if (r.fault, r.severity) not in done], unit="fault", disable=None):
         try:
-            case = (one, inputs.drive, inputs.map, inputs.masks, make_prior, chosen, settings, seed)
-            outcomes.append(frame_fault(*case))
+            case = (row, inputs.drive, inputs.map, inputs.masks, make_prior, chosen, settings, seed)
+            outcome = frame_fault(*case)
         except SemlocError as error:
-            if name != ALL:
-                raise
             left_out.append(f"left out: {error}")
             continue
-        # After each fault: a suite takes minutes.
-        write_csv(folder / "faults.csv", columns, [dataclasses.astuple(outcome) for outcome in outcomes])
-    table = to_markdown(outcomes)
-    (folder / "faults.md").write_text(table + "\n", encoding="utf-8")
-    false = sum(outcome.false for outcome in outcomes if outcome.severity)
-    return folder, "\n".join([*left_out, table]), false
+        append(folder / TABLE, [f.name for f in dataclasses.fields(outcome)], [dataclasses.astuple(outcome)])
+        outcomes.append(outcome)
+    if not outcomes:
+        raise SemlocError("\n".join([f"drive {inputs.drive.name}: no fault could be put into it", *left_out]))
+    ranked = worst_first(outcomes)
+    write_text(folder / "faults.md", to_markdown(ranked) + "\n")
+    shown = [o for o in ranked if not o.severity] + [o for o in ranked if o.severity][:_NUM_WORST]
+    counted = [o for o in outcomes if o.counts]
+    false, localized = sum(o.false for o in counted), sum(o.localized for o in counted)
+    told = (
+        f"{len({o.fault for o in counted})} faults, {len(counted)} rows: {false} of {localized} localized frames false"
+    )
+    return folder, "\n".join([*dict.fromkeys(left_out), to_markdown(shown), told]), false

@@ -25,7 +25,15 @@ from semloc_jax.localization.map_faults import MapChange, map_changes
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.maps import SemanticMap
-from semloc_jax.reports import run_inputs, track_faults, track_fusions, track_log, track_metrics, track_pictures
+from semloc_jax.reports import (
+    fault_tables,
+    run_inputs,
+    track_faults,
+    track_fusions,
+    track_log,
+    track_metrics,
+    track_pictures,
+)
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.reports.track_fusions import FUSIONS
@@ -216,16 +224,48 @@ def _draw(folder: Path, inputs: Inputs, table: TrackTable, wanted: TrackPictures
 
 
 def report_faults(
-    inputs: Inputs, plan: TrackPlan, out: Path | None = None, options: Mapping[str, Any] | None = None
+    inputs: Inputs,
+    plan: TrackPlan,
+    wanted: str,
+    chosen: slice = slice(None),
+    out: Path | None = None,
+    resume: Path | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> tuple[Path, str, int]:
-    """Track the drive with every fault in turn; returns the folder, the table and the number of false frames.
+    """Track a part of the drive with every fault in turn; returns the folder, the table and the number of false frames.
 
-    A frame is false where it is called TRACKING beyond an alert limit.
+    A frame is false where it is called TRACKING with an error beyond one of its protection levels.
+
+    Args:
+        inputs: Drive, map and masks.
+        plan: How the drive is followed.
+        wanted: Which faults, see `simulation.hostile.suite`.
+        chosen: Which frames; the faults are put into these.
+        out: Folder to write; None for a new one in results/.
+        resume: Folder of a suite that was killed, to go on with.
+        options: What config.yaml keeps besides the configuration.
     """
-    folder = make_folder(out)
-    write_record(folder, plan.settings, options or {})
+    from semloc_jax.simulation.hostile import suite
+
+    rows = suite(wanted)
+    frames = inputs.drive.frames[chosen]
+    if len(frames) < 2 or inputs.drive.truth is None:
+        raise SemlocError(
+            f"drive {inputs.drive.name}: {len(frames)} frames chosen of {len(inputs.drive)}, "
+            f"{'no' if inputs.drive.truth is None else 'with'} truth; faults are judged against a truth over several "
+            "frames"
+        )
+    folder = make_folder(out, resume)
+    kept = options or {}
+    parts = run_inputs.fingerprint(inputs, (plan.settings, plan.area, str(chosen)), kept)
+    run_inputs.begun(folder, parts, is_resumed=resume is not None)
+    if resume is None:  # rows of an earlier suite in this folder are of another run
+        for name in (fault_tables.TABLE, track_faults.FRAMES):
+            (folder / name).unlink(missing_ok=True)
+    write_record(folder, plan.settings, kept)
+    inputs = replace(inputs, drive=replace(inputs.drive, frames=frames))
     make: Callable = partial(plan.localizer, inputs)
-    return folder, *track_faults.write_matrix(inputs, make, folder, plan.seed)
+    return folder, *track_faults.write_suite(inputs, make, rows, folder, plan.seed)
 
 
 def report_fusions(

@@ -4,21 +4,26 @@ In: a Drive, the map it is localized in, the name of a fault. Out: FaultyDrive. 
 """
 
 from collections.abc import Callable
-from dataclasses import fields, replace
-from typing import TypeVar
+from dataclasses import replace
 
 import numpy as np
 
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets.base import Drive
-from semloc_jax.datasets.sensors import GnssTrack, Imu, WheelOdometry
 from semloc_jax.errors import SemlocError
-from semloc_jax.evaluation.trajectory import Trajectory
 from semloc_jax.maps import MapElement, SemanticMap
-from semloc_jax.simulation.faulty_drive import FaultSizes, FaultyDrive, Maker, MaskChange, seen_through
-from semloc_jax.simulation.standing_faults import STANDING, standing_fault
+from semloc_jax.simulation.faulty_drive import (
+    FaultSizes,
+    FaultyDrive,
+    Log,
+    Maker,
+    MaskChange,
+    log_rows,
+    seen_through,
+)
+from semloc_jax.simulation.passing_faults import PASSING
+from semloc_jax.simulation.standing_faults import STANDING, require_severity, standing_fault
 
-Log = TypeVar("Log", GnssTrack, WheelOdometry, Imu, Trajectory)
 _USUAL_SEVERITY = 2
 
 
@@ -43,6 +48,10 @@ def with_fault(
     maker = Maker(name, drive, semantic_map, sizes or FaultSizes(), np.random.default_rng(seed))
     if own in STANDING:
         return standing_fault(maker, own, int(severity) if severity.isdigit() else _USUAL_SEVERITY)
+    if severity and own in PASSING:
+        require_severity(own, int(severity) if severity.isdigit() else 0)
+        passing = PASSING[own]
+        maker = replace(maker, sizes=replace(maker.sizes, **{passing.field: passing.sizes[int(severity) - 1]}))
     return FAULTS[own](maker)
 
 
@@ -53,7 +62,7 @@ def _none(maker: Maker) -> FaultyDrive:
 def _gnss_dropout(maker: Maker) -> FaultyDrive:
     end_s = maker.begin_s + maker.sizes.dropout_s
     is_kept = (maker.gnss.time_s < maker.begin_s) | (maker.gnss.time_s >= end_s)
-    return maker.made(replace(maker.drive, gnss=_rows(maker.gnss, is_kept)), maker.begin_s, end_s)
+    return maker.made(replace(maker.drive, gnss=log_rows(maker.gnss, is_kept)), maker.begin_s, end_s)
 
 
 def _gnss_outliers(maker: Maker) -> FaultyDrive:
@@ -67,7 +76,7 @@ def _gnss_outliers(maker: Maker) -> FaultyDrive:
 
 def _no_gnss_after_start(maker: Maker) -> FaultyDrive:
     from_s = maker.drive.frames[0].time_s + maker.sizes.fixes_until_s
-    return maker.made(replace(maker.drive, gnss=_rows(maker.gnss, maker.gnss.time_s < from_s)), from_s, maker.end_s)
+    return maker.made(replace(maker.drive, gnss=log_rows(maker.gnss, maker.gnss.time_s < from_s)), from_s, maker.end_s)
 
 
 def _black_images(maker: Maker) -> FaultyDrive:
@@ -101,7 +110,7 @@ _CITYSCAPES = {
 def _no_odometry(maker: Maker) -> FaultyDrive:
     odometry, end_s = maker.odometry, maker.begin_s + maker.sizes.odometry_s
     is_kept = (odometry.time_s < maker.begin_s) | (odometry.time_s >= end_s)
-    return maker.made(replace(maker.drive, odometry=_rows(odometry, is_kept)), maker.begin_s, end_s)
+    return maker.made(replace(maker.drive, odometry=log_rows(odometry, is_kept)), maker.begin_s, end_s)
 
 
 def _time_offset(maker: Maker) -> FaultyDrive:
@@ -161,7 +170,7 @@ def _kidnapped(maker: Maker) -> FaultyDrive:
 def _without(log: Log, from_s: float, to_s: float) -> Log:
     """A log without a stretch of time, what follows set back to its begin."""
     is_before, is_after = log.time_s < from_s - 1e-9, log.time_s >= to_s - 1e-9
-    kept = _rows(log, is_before | is_after)
+    kept = log_rows(log, is_before | is_after)
     return replace(kept, time_s=np.where(kept.time_s >= to_s - 1e-9, kept.time_s - (to_s - from_s), kept.time_s))
 
 
@@ -193,12 +202,6 @@ def _seen_through(maker: Maker, change_mask: MaskChange, change_image: MaskChang
         for new, old in zip(changed, maker.drive.frames, strict=True)
     )
     return maker.made(replace(maker.drive, frames=frames), maker.begin_s, end_s)
-
-
-def _rows(log: Log, is_kept: np.ndarray) -> Log:
-    """A log with some of its samples."""
-    columns = {field.name: getattr(log, field.name) for field in fields(log)}
-    return replace(log, **{name: rows[is_kept] for name, rows in columns.items() if isinstance(rows, np.ndarray)})
 
 
 FAULTS: dict[str, Callable[[Maker], FaultyDrive]] = {

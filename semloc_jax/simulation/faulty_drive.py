@@ -4,16 +4,19 @@ In: a Drive, the map it is localized in. Out: FaultyDrive; Maker, which every fa
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
 from semloc_jax.datasets.base import Drive, Frame
-from semloc_jax.datasets.sensors import GnssTrack, WheelOdometry
+from semloc_jax.datasets.sensors import GnssTrack, Imu, WheelOdometry
 from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation.trajectory import Trajectory
 from semloc_jax.maps import SemanticMap
 
+Log = TypeVar("Log", GnssTrack, WheelOdometry, Imu, Trajectory)
 MaskChange = Callable[[np.ndarray], np.ndarray]
 
 
@@ -103,6 +106,18 @@ class Maker:
     def made(self, drive: Drive, from_s: float, to_s: float, semantic_map: SemanticMap | None = None) -> FaultyDrive:
         return FaultyDrive(self.name, drive, semantic_map or self.semantic_map, from_s, min(to_s, self.end_s))
 
+    def whole(self, drive: Drive | None = None, semantic_map: SemanticMap | None = None) -> FaultyDrive:
+        """The fault from the first frame of the drive to its last."""
+        drive = drive or self.drive
+        begin_s, end_s = drive.frames[0].time_s, drive.frames[-1].time_s
+        return FaultyDrive(self.name, drive, semantic_map or self.semantic_map, begin_s, end_s)
+
+    @property
+    def truth(self) -> Trajectory:
+        if self.drive.truth is None:
+            raise SemlocError(f"fault '{self.name}': drive {self.drive.name} has no truth to say where its way runs")
+        return self.drive.truth
+
     @property
     def gnss(self) -> GnssTrack:
         if self.drive.gnss is None:
@@ -128,3 +143,9 @@ def seen_through(
         )
         for frame in frames
     )
+
+
+def log_rows(log: Log, is_kept: np.ndarray) -> Log:
+    """A log with some of its samples."""
+    columns: dict[str, Any] = {field.name: getattr(log, field.name) for field in fields(log)}
+    return replace(log, **{name: rows[is_kept] for name, rows in columns.items() if isinstance(rows, np.ndarray)})

@@ -16,7 +16,9 @@ from semloc_jax.inputs.priors import prior_source
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
+from semloc_jax.localization.watch_sums import WatchConfig, WatchState, moves, next_rig
 from semloc_jax.maps import read_map
+from semloc_jax.simulation import with_fault
 
 pytestmark = pytest.mark.usefixtures("single_precision")
 
@@ -88,3 +90,42 @@ def test_fixes_that_state_no_doubt_are_left_out(pipeline, sigma_m):
     if not np.isnan(sigma_m):
         with pytest.raises(SemlocError, match="expected positive"):
             GnssTrack(np.zeros(1), np.zeros((1, 3)), np.full((1, 3), sigma_m))
+
+
+def _at_truth(pipeline, semantic_map=None):
+    """A localizer of a map, a frame, and where it was taken."""
+    frame = pipeline.drive.frames[0]
+    localizer = pipeline.localizer
+    if semantic_map is not None:
+        localizer = Localizer(semantic_map, localizer.table, localizer.motion)
+    return localizer, pipeline.features(frame, -np.inf), pipeline.drive.truth_at(frame)
+
+
+def test_lines_and_posts_are_each_least_costly_where_they_are(pipeline):
+    """Repainted lines pull half a metre aside, posts stay: that is what tells an outdated map."""
+    repainted = with_fault("lines_repainted:2", pipeline.drive, pipeline.localizer.map).semantic_map
+    aside = moves(WatchConfig())[:31, 1]
+    assert aside[15] == 0.0 and aside[[0, -1]] == pytest.approx([-1.5, 1.5])
+    for semantic_map, lines_m in ((pipeline.localizer.map, 0.0), (repainted, 0.5)):
+        localizer, features, T = _at_truth(pipeline, semantic_map)
+        known = moves(WatchConfig()), np.zeros(3), np.ones((), np.float32), WatchConfig().level
+        lines, posts = localizer.aligner.costs_of_classes(features, T, *known)[:, :31]
+        assert aside[np.argmin(lines)] == pytest.approx(lines_m, abs=0.11)
+        assert aside[np.argmin(posts)] == pytest.approx(0.0, abs=0.11)
+        assert min(posts[0], posts[-1]) > posts.min() + 3.0
+
+
+def test_a_lens_stated_too_long_fits_better_when_shortened(pipeline):
+    localizer, features, T = _at_truth(pipeline)
+    long = with_fault("focal:2", pipeline.drive, localizer.map).drive.rig
+    features = features._replace(rig=long.select(pipeline.source.cameras))
+    given = features.rig
+    scores = []
+    for rig in (given, *(next_rig(WatchState(num_frames=np.int64(k)), given, WatchConfig()) for k in (0, 1))):
+        known = localizer.start()
+        trust = lambda rows: np.ones(len(rows))  # noqa: E731
+        spread = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
+        seen = (features._replace(rig=rig), T, spread, 0.0, trust, known.stance, np.ones((), np.float32))
+        scores.append(localizer.aligner.align(*seen).score)
+    as_stated, longer, shorter = scores
+    assert shorter < as_stated - 1.0 and shorter < longer - 2.0

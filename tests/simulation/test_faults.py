@@ -13,7 +13,8 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, write_tum
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.simulation.faults import FAULTS, FaultSizes, with_fault
-from semloc_jax.simulation.standing_faults import STANDING
+from semloc_jax.simulation.hostile import is_suite, suite
+from semloc_jax.simulation.standing_faults import FAMILIES, STANDING
 from semloc_jax.structs import ElementClass
 
 CALIB = """
@@ -167,25 +168,80 @@ def test_unknown_faults_and_missing_sensors_are_told(drive, road):
         with_fault("kidnapped", drive, road, sizes=FaultSizes(jump_m=300.0))
 
 
-@pytest.mark.parametrize("name", sorted(set(STANDING) - {"dashes_along", "other_masks", "masks_mirrored"}))
-def test_every_standing_fault_grows_with_its_severity_or_says_what_it_needs(name, drive, road):
-    """Something of the drive or the map is other than before, for all of its time, the same for the same seed."""
+_NEEDS_MORE = {
+    "dashes_along": "dashed lines",
+    "other_masks": "frames that differ",
+    "masks_mirrored": "masks that are not symmetric in every drawn frame",
+    "distortion": "a lens with distortion",
+    "one_camera_yaw": "several cameras",
+    "one_camera_pitch": "several cameras",
+    "paint_lost": "paint in the masks",
+    "false_lines": "paint in the masks",
+    "gyro_scale": "a vehicle that turns",
+    "odometer_stuck": "a speed that changes",
+    "map_widths": "lines with a width",
+    "masks_rotated": "masks of more than 32 pixels",
+    "masks_scaled": "masks of more than 32 pixels",
+    "frames_missing": "more than 20 frames",
+}
+
+
+@pytest.mark.parametrize("name", sorted(set(STANDING) - set(_NEEDS_MORE)))
+def test_every_standing_fault_changes_the_drive_for_all_of_its_time(name, drive, road):
+    """Something of the drive or the map is other than before, the same for the same seed."""
     for severity in (1, 2, 3):
         fault = with_fault(f"{name}:{severity}", drive, road)
-        assert (fault.name, fault.from_s, fault.to_s) == (f"{name}:{severity}", 0.0, 20.0)
+        assert fault.name == f"{name}:{severity}" and fault.from_s < 1.0 and fault.to_s > 19.0
         assert _told_apart(fault) != _told_apart(with_fault("none", drive, road))
         assert _told_apart(fault) == _told_apart(with_fault(f"{name}:{severity}", drive, road))
 
 
 def _told_apart(fault):
-    """What a fault may change, as text: map, calibration, fixes, masks of three frames."""
-    masks = [frame.mask("sem", "front").tobytes() for frame in fault.drive.frames[:3]]
-    elements = [(e.id, e.points.round(6).tolist()) for e in fault.semantic_map.elements]
+    """What a fault may change, as text: map, calibration, clocks, wheels, gyroscope, fixes, masks of six frames."""
+    masks = [frame.mask("sem", "front").tobytes() for frame in fault.drive.frames[:6]]
+    elements = [(e.id, e.width_m, e.points.round(6).tolist()) for e in fault.semantic_map.elements]
     camera = [float(getattr(fault.drive.rig.cameras[0], key)) for key in ("fx", "fy", "cx", "cy")]
-    gnss = fault.drive.gnss
-    return repr(
-        (elements, camera, fault.drive.rig.T_base_cam.tolist(), gnss.p_enu.tolist(), gnss.sigma_m.tolist(), masks)
-    )
+    gnss, wheels, imu = fault.drive.gnss, fault.drive.odometry, fault.drive.imu
+    logs = [gnss.time_s, gnss.p_enu, gnss.sigma_m, wheels.time_s, wheels.speed_mps, imu.time_s, imu.gyro_radps]
+    times = [frame.time_s for frame in fault.drive.frames]
+    told = (elements, camera, fault.drive.rig.T_base_cam.tolist(), [log.tolist() for log in logs], times, masks)
+    return repr(told)
+
+
+def test_the_suite_is_wide_and_every_row_has_a_size():
+    rows = suite()
+    faults = {row.fault for row in rows if row.severity}
+    assert len(faults) >= 40 and len(rows) == 3 * len(faults) + 1
+    assert {row.family for row in rows if row.severity} == set(FAMILIES)
+    assert all(row.size for row in rows if row.severity)
+    unseen = {"map_shifted", "map_turned", "map_scaled", "camera_ahead", "camera_aside"}
+    assert {row.fault for row in rows if row.apart} == unseen
+    assert [row.name for row in suite("focal, none")] == ["none", "focal:1", "focal:2", "focal:3"]
+    assert {row.family for row in suite("time")} == {"time"} and is_suite("time") and not is_suite("focal:2")
+    with pytest.raises(SemlocError, match="fault 'earthquake': not known; expected all, a family"):
+        suite("earthquake")
+
+
+def test_a_passing_fault_lasts_longer_the_worse_it_is(drive, road):
+    lengths = [(fault := with_fault(f"black_images:{k}", drive, road)).to_s - fault.from_s for k in (1, 2, 3)]
+    assert lengths == pytest.approx([1.0, 3.0, 6.0])
+    with pytest.raises(SemlocError, match="severity 0; expected 1 to 3"):
+        with_fault("black_images:bad", drive, road)
+
+
+def test_a_jittering_clock_keeps_the_places_and_the_order(drive, road):
+    fault = with_fault("frames_jitter:3", drive, road).drive
+    stated = np.array([frame.time_s for frame in fault.frames])
+    taken = np.array([frame.time_s for frame in drive.frames])
+    assert (np.diff(stated) > 0).all() and 0.02 < np.std(stated - taken) < 0.12
+    for old, new in zip(drive.frames, fault.frames, strict=True):
+        np.testing.assert_allclose(fault.truth_at(new), drive.truth_at(old), atol=1e-9)
+
+
+def test_a_spoofer_pulls_evenly_and_says_it_is_sure(drive, road):
+    fixes = with_fault("fixes_spoofed:2", drive, road).drive.gnss
+    np.testing.assert_allclose(fixes.p_enu[:, 1], 6.0 * fixes.time_s / 20.0, atol=1e-9)
+    assert (fixes.sigma_m == 0.05).all()
 
 
 def test_fixes_move_to_the_left_of_the_way_by_the_size(drive, road):

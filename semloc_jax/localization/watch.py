@@ -1,0 +1,202 @@
+"""What a suspected fault of calibration or map does to the protection levels, and how it is told (room: localization;
+host).
+
+In: WatchState, the fused pose, stance, clock. Out: ProtectionLevels that hold under each suspected fault; sentences.
+Solution separation: the pose that fits with the fault and the one without it may both be right, so a level reaches from
+one to the farther side of the other.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from semloc_jax.cameras import Rig
+from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation.metrics import ErrorLimit
+from semloc_jax.fusion.measurements import FusedPose, SensorBeliefs
+from semloc_jax.geometry import rigid
+from semloc_jax.localization.following import FrameReport
+from semloc_jax.localization.frame_alignment import FrameAligner
+from semloc_jax.localization.integrity import ProtectionLevels
+from semloc_jax.localization.rivals import Known
+from semloc_jax.localization.track_state import FrameFeatures
+from semloc_jax.localization.watch_sums import (
+    CLASSES,
+    FOCAL,
+    Suspicion,
+    WatchConfig,
+    WatchState,
+    learned,
+    moves,
+    next_rig,
+    suspicions,
+)
+
+OnRoad = Callable[[np.ndarray], np.ndarray]
+_LOOSE = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
+"""How far a pose may move with another calibration."""
+_ADVICE = "run semloc calibrate"
+_TRAVEL_SIGMA_DEG = SensorBeliefs().travel_sigma_deg
+
+
+class Separation(NamedTuple):
+    """How far the pose would be off under one fault, and what is told of it."""
+
+    lateral_m: float
+    longitudinal_m: float
+    heading_deg: float
+    cause: str
+
+
+def looked(
+    watch: WatchState,
+    view: FrameReport,
+    fused: FusedPose,
+    frame: FrameFeatures,
+    aligner: FrameAligner,
+    known: Known,
+    way_m: float,
+    config: WatchConfig,
+) -> WatchState:
+    """The sums with what a frame whose pose was taken says of calibration and map.
+
+    Args:
+        watch: Before.
+        view: What the frame measured.
+        fused: The pose after it.
+        frame: The frame.
+        aligner: The map.
+        known: What is known beside the pose.
+        way_m: Way since the frame before [m].
+        config: When a frame is looked at.
+    """
+    aside = float(watch.aside_rad) * np.exp(-way_m / config.aside_m_memory)
+    travel = _travel_alone(fused, config)
+    aside = travel if abs(travel) >= abs(aside) else aside
+    way_m += float(watch.way_m)
+    if int(watch.num_frames) > 0 and way_m < config.step_m:
+        return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
+    T = view.found.measurement.T_map_base
+    trust, stance, grain = known
+    other = frame._replace(rig=next_rig(watch, frame.rig, config))
+    try:
+        again = aligner.align(other, T, _LOOSE, 0.0, trust, stance, grain)
+        moved, gain = rigid.log(rigid.inverse(T) @ again.measurement.T_map_base), view.found.score - again.score
+        if gain > config.least_gain_nats:
+            # A frame that has not found its own best place yet gains by any second solve.
+            same = aligner.align(frame, T, _LOOSE, 0.0, trust, stance, grain)
+            gain = min(gain, same.score - again.score)
+    except SemlocError:  # no road there
+        gain, moved = np.nan, np.zeros(6)
+    profiles = aligner.costs_of_classes(frame, T, moves(config), stance, grain, config.level)
+    return learned(watch, len(frame.rig.names), float(aside), gain, moved, profiles, config)
+
+
+def separations(
+    watch: WatchState, fused: FusedPose, on_road: OnRoad, rig: Rig, config: WatchConfig
+) -> list[Separation]:
+    """Every fault that joins the protection levels.
+
+    Args:
+        watch: Sums over the last frames.
+        fused: The pose that goes out, with its direction of travel.
+        on_road: The pose of a vehicle that stands on the road at the same place; raises SemlocError without a road.
+        rig: Cameras.
+        config: What counts.
+    """
+    mean = np.asarray(rig.T_base_cam, np.float64)[:, :3, 3].mean(axis=0)
+    T = fused.T_map_base
+    try:
+        stance = rigid.log(rigid.inverse(on_road(T)) @ T)[2:5]
+    except SemlocError:  # no road there
+        stance = np.zeros(3)
+    found = []
+    for suspected in suspicions(watch, len(rig.names), config):
+        if suspected.nats >= config.count_nats:
+            ahead, left, turned = np.abs(suspected.moved)
+            found.append(Separation(left, ahead, float(np.degrees(turned)), _told(suspected, rig)))
+    # A map that does not fit moves the pose while driving as well: what speaks of it comes first.
+    aside = _looking_aside(float(watch.aside_rad), float(mean[0]), rig, config)
+    found += [aside, *_tilted(stance, float(mean[2]), rig)]
+    return found
+
+
+def with_faults(levels: ProtectionLevels, found: list[Separation]) -> ProtectionLevels:
+    """Levels that hold under any one of the faults."""
+    if not found:
+        return levels
+    farthest = np.max([fault[:3] for fault in found], axis=0)
+    return ProtectionLevels(*(float(level + more) for level, more in zip(levels, farthest, strict=True)))
+
+
+def at_least(levels: ProtectionLevels, config: WatchConfig) -> ProtectionLevels:
+    """Levels that leave room for faults that are too small to be seen."""
+    return ProtectionLevels(*(max(level, least) for level, least in zip(levels, config.least_levels, strict=True)))
+
+
+def causes(levels: ProtectionLevels, found: list[Separation], limit: ErrorLimit) -> tuple[str, ...]:
+    """A sentence for each fault that alone takes a level beyond its alert limit.
+
+    Args:
+        levels: Without faults.
+        found: The faults.
+        limit: The alert limits.
+    """
+    limits = (limit.lateral_m, limit.longitudinal_m, limit.heading_deg)
+    return tuple(
+        fault.cause
+        for fault in found
+        if any(level <= limit < level + more for level, more, limit in zip(levels, fault[:3], limits, strict=True))
+    )
+
+
+def _travel_alone(fused: FusedPose, config: WatchConfig) -> float:
+    """The direction of travel as the drive alone has it: the fusion holds it near zero, which hides a camera that looks
+    aside until much of the way is driven."""
+    known, prior, wide = fused.travel_sigma_rad**2, np.deg2rad(_TRAVEL_SIGMA_DEG) ** 2, config.aside_sigma_rad**2
+    if not 0.0 < known < prior:
+        return fused.travel_rad
+    information = 1.0 / known - 1.0 / prior
+    return fused.travel_rad / known / (information + 1.0 / wide)
+
+
+def _looking_aside(travel_rad: float, ahead_m: float, rig: Rig, config: WatchConfig) -> Separation:
+    """The rear axle does not slip: what looks like driving aside is a camera that looks aside."""
+    travel_deg = float(np.degrees(travel_rad))
+    side = "right" if travel_deg > 0.0 else "left"
+    cause = f"{_cameras(rig)} {abs(travel_deg):.1f} deg to the {side} of where the vehicle drives; {_ADVICE}"
+    share = float(np.interp(abs(travel_rad), config.aside_rad, (0.0, 1.0)))
+    return Separation(share * abs(travel_rad * ahead_m), 0.0, share * abs(travel_deg), cause)
+
+
+def _tilted(stance: np.ndarray, height_m: float, rig: Rig) -> list[Separation]:
+    """Whether the vehicle leans or its cameras do: they are then not above where they would be."""
+    (_, roll, pitch), word = stance, _cameras(rig)
+    leans = f"{word} {abs(np.degrees(roll)):.1f} deg rolled against the road of the map; {_ADVICE}"
+    nods = f"{word} {abs(np.degrees(pitch)):.1f} deg too far {'down' if pitch > 0.0 else 'up'}; {_ADVICE}"
+    return [
+        Separation(abs(float(roll)) * height_m, 0.0, 0.0, leans),
+        Separation(0.0, abs(float(pitch)) * height_m, 0.0, nods),
+    ]
+
+
+def _cameras(rig: Rig) -> str:
+    return f"camera {rig.names[0]} looks" if len(rig.names) == 1 else "the cameras look"
+
+
+def _told(suspected: Suspicion, rig: Rig) -> str:
+    """What the fault is, with its size."""
+    name, size = suspected.name, suspected.size
+    if name in CLASSES:
+        group, axis = name.split("_")
+        side = {"ahead": ("ahead", "behind"), "left": ("to the left", "to the right")}[axis][size < 0.0]
+        return (
+            f"{group} of the map, taken alone, fit {abs(size):.2f} m {side}: lines and posts are not of one state of "
+            "the road; see map_changes.csv"
+        )
+    if name == FOCAL:
+        which = f"camera {rig.names[0]}" if len(rig.names) == 1 else "the cameras"
+        return f"masks fit better with focal lengths of {which} that are {100 * size:+.1f} % different; {_ADVICE}"
+    turn, index = name.split()
+    return f"camera {rig.names[int(index)]} does not fit the others: {np.degrees(size):+.1f} deg in {turn}; {_ADVICE}"
