@@ -217,7 +217,7 @@ class InertialWindow:
     def _problem(self, solved_only: bool = False) -> tuple[np.ndarray, WindowProblem, Values]:
         """Rows of the landmarks, the problem without its inertial steps, the values."""
         config, pool = self.config, self.pool
-        num = config.num_landmarks * max(self.num_states // config.num_states, 1)
+        num = config.num_landmarks
         T_base_cam = np.stack([moment.T_base_cam for moment in self._all_moments()])
         rows = pool.chosen(num, config.min_views)
         rows = rows[pool.is_solved[rows]] if solved_only else rows

@@ -50,7 +50,7 @@ class Tracks(NamedTuple):
     num_followed: int
     """Tracks that were there at the time before."""
     flow_px: float
-    """Median motion of those since then, the rotation taken out; NaN where there are none."""
+    """Upper quartile of their motion since then, the rotation taken out; NaN where there are none."""
 
 
 class _View(NamedTuple):
@@ -105,7 +105,7 @@ class FeatureTracker:
             np.concatenate([v.uv for v in views]),
             stacked,
             followed,
-            float(np.median(flow)) if len(flow) else float("nan"),
+            float(np.percentile(flow, 75)) if len(flow) else float("nan"),
         )
 
     def _followed(
