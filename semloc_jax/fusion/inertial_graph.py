@@ -130,11 +130,20 @@ class WindowProblem(eqx.Module):
         return moved | {"landmark": value["landmark"] + tangent["landmark"]}
 
     def slopes_at(self, value: Values) -> Values:
-        """Where derivatives are taken."""
-        def chosen(first: Array, now: Array) -> Array:
-            return jnp.where(jnp.reshape(jnp.asarray(self.prior.held), (-1,) + (1,) * (now.ndim - 1)), first, now)
+        """Where derivatives are taken: held states at their first estimates, all of them moved by one translation.
 
-        return {name: chosen(self.prior.first[name], value[name]) for name in SIZES}
+        A change of scale moves the whole window along its way. Without the translation, held and new states would lie
+        apart by that, and the baselines of the derivatives would be wrong. It leaves the null space of the prior as
+        it is: yaw and position of the whole.
+        """
+        held = jnp.asarray(self.prior.held)
+        first = dict(self.prior.first)
+        first["pose"] = jnp.asarray(first["pose"]).at[:, :3, 3].add(common_shift(self.prior, value["pose"]))
+
+        def chosen(first: Array, now: Array) -> Array:
+            return jnp.where(jnp.reshape(held, (-1,) + (1,) * (now.ndim - 1)), first, now)
+
+        return {name: chosen(jnp.asarray(first[name]), jnp.asarray(value[name])) for name in SIZES}
 
     def difference(self, value: Values) -> Float[Array, " d"]:
         """The states less the first estimates of those that the prior touches, zero for the others."""
@@ -143,6 +152,13 @@ class WindowProblem(eqx.Module):
         parts += [value[name] - self.prior.first[name] for name in ("velocity", "bias", "scale")]
         kept = jnp.asarray(self.prior.touched)[:, None]
         return jnp.concatenate([jnp.where(kept, part, 0.0).ravel() for part in parts])
+
+
+def common_shift(prior: Prior, Ts_map_base: Float[Array | np.ndarray, "f 4 4"]) -> Float[Array, "3"]:
+    """Mean translation of the held states from their first estimates."""
+    held = jnp.asarray(prior.held)[:, None]
+    moved = jnp.asarray(Ts_map_base)[:, :3, 3] - jnp.asarray(prior.first["pose"])[:, :3, 3]
+    return jnp.sum(jnp.where(held, moved, 0.0), axis=0) / jnp.maximum(jnp.sum(held), 1)
 
 
 def families_of(num: int) -> tuple[Family, ...]:

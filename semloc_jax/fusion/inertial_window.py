@@ -183,8 +183,7 @@ class InertialWindow:
         rows, problem, values = self._problem(solved_only=True)
         with jax.enable_x64(True):
             left = jax.tree.map(np.array, _left(problem, self._steps(), values, self.noise, num_gone))
-            d = np.array(_difference(problem, values))
-        self.prior = _moved_prior(self.prior, left, d, self.values, num_gone)
+        self.prior = _moved_prior(self.prior, left, self.values, num_gone)
         self.values = {name: _shifted(array, num_gone) for name, array in self.values.items()}
         used = np.zeros(self.pool.num_rows, bool)
         used[rows[self.pool.anchors()[rows] < num_gone]] = True
@@ -302,28 +301,35 @@ def _left(
     return left_by_oldest(problem, jax.tree.map(jnp.asarray, values), num_gone)
 
 
-@jax.jit
-def _difference(problem: WindowProblem, values: Values) -> Array:
-    return problem.difference(jax.tree.map(jnp.asarray, values))
-
-
-def _moved_prior(prior: Prior, left: DenseEquations, d: np.ndarray, values: Values, num_gone: int) -> Prior:
+def _moved_prior(prior: Prior, left: DenseEquations, values: Values, num_gone: int) -> Prior:
     """The prior some states later, around the first estimates of all states that it knows of now."""
     num = len(prior.touched)
     rest = num - num_gone
-    old, new = unknowns_of(np.arange(num_gone, num), num), unknowns_of(np.arange(rest), num)
-    information, gradient = np.zeros((len(d), len(d))), np.zeros(len(d))
-    H = 0.5 * (left.information + left.information.T)
-    information[np.ix_(new, new)] = H
-    gradient[new] = left.gradient - H @ d[old]
-    size = np.abs(information).max(axis=1)
-    touched = np.array([size[unknowns_of(np.array([state]), num)].max() > 0 for state in range(num)])
     held, first = np.zeros(num, bool), {}
     held[:rest] = np.asarray(prior.held)[num_gone:]
     for name in SIZES:
-        now, before = (_shifted(np.asarray(of[name]), num_gone) for of in (values, prior.first))
+        now, before = (_shifted(np.asarray(of[name], float), num_gone) for of in (values, prior.first))
+        if name == "pose" and held.any():
+            # As the derivatives were taken: see `WindowProblem.slopes_at`.
+            before[:, :3, 3] += np.mean((np.asarray(values[name]) - prior.first[name])[prior.held, :3, 3], axis=0)
         first[name] = np.where(held.reshape(-1, *(1,) * (now.ndim - 1)), before, now)
+    new = unknowns_of(np.arange(rest), num)
+    information, gradient = np.zeros((STATE * num, STATE * num)), np.zeros(STATE * num)
+    information[np.ix_(new, new)] = 0.5 * (left.information + left.information.T)
+    # The gradient was taken at the values, not at the first estimates.
+    now = {name: _shifted(np.asarray(values[name]), num_gone) for name in SIZES}
+    gradient[new] = left.gradient
+    gradient -= information @ _difference(first, now)
+    size = np.abs(information).max(axis=1)
+    touched = np.array([size[unknowns_of(np.array([state]), num)].max() > 0 for state in range(num)])
     return Prior(first, touched, touched.copy(), gradient, information)
+
+
+def _difference(first: Values, values: Values) -> Float[np.ndarray, " d"]:
+    """All states less their first estimates."""
+    parts = [rigid.log(rigid.inverse(first["pose"]) @ values["pose"])]
+    parts += [values[name] - first[name] for name in ("velocity", "bias", "scale")]
+    return np.concatenate([part.ravel() for part in parts])
 
 
 def first_prior(values: Values, sigma: Float[np.ndarray, "16"], R_map_base: Float[np.ndarray, "3 3"]) -> Prior:
