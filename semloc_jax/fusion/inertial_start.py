@@ -23,6 +23,9 @@ from semloc_jax.fusion.inertial_window import (
 from semloc_jax.geometry import rigid
 from semloc_jax.solvers.graph import Values
 
+_NUM_SOLVES = 5
+"""Of the last solves: each goes on from the one before, without the landmarks that did not fit."""
+
 
 @dataclass(frozen=True)
 class InertialStartConfig:
@@ -80,7 +83,7 @@ def started(moments: list[Moment], config: InertialWindowConfig, rules: Inertial
     found = []
     for speed in _speeds(rules):
         window = _window(moments, np.full(len(moments), speed), False, config, rules)
-        found.append((window.solve(config.max_steps).cost, speed, window))
+        found.append((window.solve().cost, speed, window))
     found.sort(key=lambda item: item[0])
     solved = sorted(
         ((_finished(window), window) for _, _, window in found[: rules.num_refined]), key=lambda item: item[0].cost
@@ -131,8 +134,8 @@ def _judged(window: InertialWindow, estimate: InertialEstimate, rules: InertialS
 
 def _finished(window: InertialWindow) -> InertialEstimate:
     """Solved to the end: what does not fit is let go between."""
-    for _ in range(3):
-        estimate = window.solve(2 * window.config.max_steps)
+    for _ in range(_NUM_SOLVES):
+        estimate = window.solve()
     return estimate
 
 

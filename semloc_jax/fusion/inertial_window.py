@@ -160,12 +160,12 @@ class InertialWindow:
         velocity = v + gravity * dt + R @ np.asarray(moved.velocity[0])
         return InertialState(rigid.normalised(after), velocity, bias.copy(), float(self.values["scale"][-1, 0]))
 
-    def solve(self, max_steps: int | None = None) -> InertialEstimate:
+    def solve(self) -> InertialEstimate:
         """Solve all states and landmarks together, let go of landmarks that do not fit, judge the newest state."""
         rows, problem, values = self._problem()
         config = self.config
         with jax.enable_x64(True):
-            found = _solved(problem, self._steps(), values, self.noise, max_steps or config.max_steps)
+            found = _solved(problem, self._steps(), values, self.noise, config.max_steps)
         found = jax.tree.map(np.array, found)
         self.values = {name: found.values[name] for name in SIZES}
         num = len(rows)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 _NUM_PAIRS = 96
+_LEAST_ANGLE_RAD = 0.02
 _LEAST_POINTS = 8
 """Fewer points say nothing about each other."""
 
@@ -41,9 +42,14 @@ def moves_with_the_world(
         # Nothing moves but by rotation: what does, is no part of the world.
         return flow_px <= 2.0 * gate_px if len(moving) < num // 2 else np.ones(num, bool)
     rng = np.random.default_rng(seed)
-    a, b = moving[rng.integers(len(moving), size=(2, _NUM_PAIRS))]
-    direction = _unit(np.cross(normal[a], normal[b]))
-    is_inside = _distance_px(direction, turned, normal, px_per_rad, flow_px) <= gate_px
+    first = rng.integers(len(moving), size=_NUM_PAIRS)
+    second = (first + rng.integers(1, len(moving), size=_NUM_PAIRS)) % len(moving)
+    crossed = np.cross(_unit(normal[moving[first]]), _unit(normal[moving[second]]))
+    # Two planes that are nearly the same have no direction in common.
+    crossed = crossed[np.linalg.norm(crossed, axis=1) > _LEAST_ANGLE_RAD]
+    if not len(crossed):
+        return np.ones(num, bool)
+    is_inside = _distance_px(_unit(crossed), turned, normal, px_per_rad, flow_px) <= gate_px
     best = is_inside[np.argmax(is_inside.sum(axis=1))]
     # The direction across which all agreeing normals lie: the smallest singular vector, each point in pixels.
     used = best & (flow_px > gate_px)
