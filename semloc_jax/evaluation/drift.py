@@ -51,9 +51,7 @@ def drift(estimate: Trajectory, reference: Trajectory, max_difference_s: float =
     ]
 
 
-def _stretches(
-    T_est: np.ndarray, T_ref: np.ndarray, way_m: np.ndarray, length_m: float
-) -> Float[np.ndarray, "k 2"]:
+def _stretches(T_est: np.ndarray, T_ref: np.ndarray, way_m: np.ndarray, length_m: float) -> Float[np.ndarray, "k 2"]:
     """Errors of the motion over stretches of one length: translation [m/m], rotation [rad/m]."""
     rows = []
     for first in range(0, len(way_m), _STEP):

@@ -183,20 +183,27 @@ def frame_graph(factors: FrameFactors) -> FactorGraph:
     after, robust = before + 1, cauchy(4.0)
     parts = (
         Factors(
-            _inertial, ("pose", "velocity", "bias", "pose", "velocity"), (before, before, before, after, after),
-            (factors.steps,), factors.inertial,
+            _inertial,
+            ("pose", "velocity", "bias", "pose", "velocity"),
+            (before, before, before, after, after),
+            (factors.steps,),
+            factors.inertial,
         ),
         Factors(change_residual, ("bias", "bias"), (before, after), (), factors.walk),
         Factors(change_residual, ("scale", "scale"), (before, after), (), factors.scale_walk),
         Factors(rolling_residual, ("pose", "velocity"), (here, here), (), factors.rolling, robust=cauchy(3.0)),
         Factors(
-            wheel_speed_residual, ("pose", "velocity", "scale"), (here, here, here), (factors.speed_mps,),
-            factors.wheels, robust=cauchy(3.0),
+            wheel_speed_residual,
+            ("pose", "velocity", "scale"),
+            (here, here, here),
+            (factors.speed_mps,),
+            factors.wheels,
+            robust=cauchy(3.0),
         ),
         Factors(standing_residual, ("velocity",), (here,), (), factors.standing),
         Factors(_still, ("pose", "pose"), (before, after), (), factors.still),
         Factors(pose_residual, ("pose",), (here,), (factors.T_measured,), factors.measured, robust=robust),
-    )  # fmt: skip
+    )
     return FactorGraph(families_of(num), jax.tree.map(jnp.asarray, parts))
 
 
@@ -215,7 +222,9 @@ def left_by_oldest(problem: WindowProblem, value: Values, num_gone: int) -> Dens
         **{name: masked(getattr(factors, name), on_edge) for name in ("inertial", "walk", "scale_walk", "still")},
         **{name: masked(getattr(factors, name), on_state) for name in ("rolling", "wheels", "standing", "measured")},
     )
-    views = problem.views._replace(sqrt_info=masked(problem.views.sqrt_info, jnp.asarray(problem.views.anchor) < num_gone))
+    views = problem.views._replace(
+        sqrt_info=masked(problem.views.sqrt_info, jnp.asarray(problem.views.anchor) < num_gone)
+    )
     oldest = eqx.tree_at(lambda p: (p.factors, p.views), problem, (own, views))
     left, _ = oldest.linearise(value, jnp.asarray(False)).reduced()
     return marginal(left, unknowns_of(np.arange(num_gone), num), unknowns_of(np.arange(num_gone, num), num))
@@ -241,8 +250,11 @@ def _arguments(views: Views, value: Values) -> tuple:
     many = (num_l, num_f)
     sight = Sight(
         jnp.broadcast_to(jnp.asarray(views.axes)[:, None], (*many, 3, 3)),
-        jnp.broadcast_to(T_anchor_cam, (*many, 4, 4)), T_base_cam, jnp.asarray(views.ray_cam), jnp.asarray(views.pixels),
-    )  # fmt: skip
+        jnp.broadcast_to(T_anchor_cam, (*many, 4, 4)),
+        T_base_cam,
+        jnp.asarray(views.ray_cam),
+        jnp.asarray(views.pixels),
+    )
     T_map_anchor = jnp.broadcast_to(value["pose"][anchor][:, None], (*many, 4, 4))
     T_map_base = jnp.broadcast_to(value["pose"][None], (*many, 4, 4))
     landmark = jnp.broadcast_to(value["landmark"][:, None], (*many, 3))
@@ -274,9 +286,13 @@ def _seen(views: Views, value: Values, at: Values, threshold: float) -> _Seen:
     weak = jnp.diag(jnp.asarray([1e-4, 1e-4, 1e-2], r.dtype))
     landmark += jnp.where(is_used[:, None, None], weak, jnp.eye(3, dtype=r.dtype))
     return _Seen(
-        jnp.sum(cost), g, H.transpose(0, 2, 1, 3).reshape(6 * num_f, 6 * num_f),
-        jnp.einsum("lfri,lfr->li", Jl, r, precision=_HIGHEST), landmark, across.reshape(num_l, 6 * num_f, 3),
-    )  # fmt: skip
+        jnp.sum(cost),
+        g,
+        H.transpose(0, 2, 1, 3).reshape(6 * num_f, 6 * num_f),
+        jnp.einsum("lfri,lfr->li", Jl, r, precision=_HIGHEST),
+        landmark,
+        across.reshape(num_l, 6 * num_f, 3),
+    )
 
 
 def _gram(A: Array, B: Array) -> Array:

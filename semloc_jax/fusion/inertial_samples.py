@@ -38,7 +38,7 @@ def steps_between(imu: Imu, from_s: float, to_s: float, capacity: int) -> Steps:
     around = np.concatenate([[np.searchsorted(imu.time_s, from_s, "right") - 1], [len(imu.time_s)]])
     if around[0] < 0 or to_s > imu.time_s[-1] + _LONGEST_GAP_S or _largest_gap(imu, from_s, to_s) > _LONGEST_GAP_S:
         raise SemlocError(
-            f"imu: no samples within {_LONGEST_GAP_S} s somewhere between {from_s:.3f} and {to_s:.3f} s; expected a log "
+            f"imu: no samples within {_LONGEST_GAP_S} s between {from_s:.3f} and {to_s:.3f} s; expected a log "
             "without gaps over the whole drive; leave those frames out"
         )
     if len(knots) - 1 > capacity:

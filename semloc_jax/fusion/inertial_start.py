@@ -5,7 +5,6 @@ One solve from a wrong speed stays there, so a vehicle that moves tries a grid o
 lowest cost wins, if no other speed explains the images and the inertial sensor as well. Wheels give the speed at once.
 """
 
-from copy import deepcopy
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,7 +19,6 @@ from semloc_jax.fusion.inertial_window import (
     Moment,
     first_prior,
 )
-from semloc_jax.geometry import rigid
 from semloc_jax.solvers.graph import Values
 
 _NUM_SOLVES = 5
@@ -108,7 +106,9 @@ def _next_cost(found: list, best: InertialEstimate, rules: InertialStartConfig) 
     return min(others, default=np.inf)
 
 
-def _judged(window: InertialWindow, estimate: InertialEstimate, rules: InertialStartConfig, gap: float = np.inf) -> Start:
+def _judged(
+    window: InertialWindow, estimate: InertialEstimate, rules: InertialStartConfig, gap: float = np.inf
+) -> Start:
     """The start, or why it is not believed."""
     speed = float(np.linalg.norm(estimate.state.velocity_map))
     sigma = float(np.sqrt(np.trace(estimate.covariance[6:9, 6:9])))
@@ -140,7 +140,11 @@ def _finished(window: InertialWindow) -> InertialEstimate:
 
 
 def _window(
-    moments: list[Moment], speeds: np.ndarray, is_standing: bool, config: InertialWindowConfig, rules: InertialStartConfig
+    moments: list[Moment],
+    speeds: np.ndarray,
+    is_standing: bool,
+    config: InertialWindowConfig,
+    rules: InertialStartConfig,
 ) -> InertialWindow:
     """A window at a first guess: attitude by gyroscope and mean force, positions by speeds along the heading."""
     quiet = [m.steps for m in moments[1:] if m.steps is not None and m.is_standing] if is_standing else []
@@ -174,11 +178,7 @@ def _window(
     # The first guess of a bias is data of this start: the belief is around zero.
     at = np.flatnonzero(np.diag(prior.information))
     prior.gradient[at[9:12]] = bias[:3] / rules.gyro_bias_sigma_radps**2
-    return InertialWindow.of([_copied(moment) for moment in moments], values, prior, config)
-
-
-def _copied(moment: Moment) -> Moment:
-    return deepcopy(moment)
+    return InertialWindow.of(moments, values, prior, config)
 
 
 def _mean_force(steps: list[Steps], rotations: list[np.ndarray], num: int | None) -> Float[np.ndarray, "3"]:
@@ -195,8 +195,3 @@ def _upright(up_base: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     x = np.array([1.0, 0.0, 0.0]) - z[0] * z
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z])
-
-
-def pose_of_first(window: InertialWindow) -> Float[np.ndarray, "4 4"]:
-    """Pose of the first time of a window."""
-    return rigid.normalised(window.values["pose"][0])

@@ -20,7 +20,6 @@ from semloc_jax.fusion.inertial_graph import (
     STATE,
     FrameFactors,
     Prior,
-    Views,
     WindowProblem,
     left_by_oldest,
     sight_residuals,
@@ -294,9 +293,7 @@ def _solved(problem: WindowProblem, steps: Steps, values: Values, noise: Inertia
 
 
 @partial(jax.jit, static_argnames="num_gone")
-def _left(
-    problem: WindowProblem, steps: Steps, values: Values, noise: InertialNoise, num_gone: int
-) -> DenseEquations:
+def _left(problem: WindowProblem, steps: Steps, values: Values, noise: InertialNoise, num_gone: int) -> DenseEquations:
     problem = _with_steps(problem, steps, jnp.asarray(values["bias"]), noise)
     return left_by_oldest(problem, jax.tree.map(jnp.asarray, values), num_gone)
 

@@ -1,4 +1,4 @@
-"""Tracks of the images as landmarks of a window: which times saw them, their directions and depths (room: fusion; host).
+"""Tracks of images as landmarks of a window: which times saw them, directions and depths (room: fusion; host).
 
 In: Tracks of one time after another. Out: Views and values of the landmarks of a solve.
 Rows are fixed: a row holds one track. What a prior has used is not used again: the track goes on as a new landmark.
@@ -96,9 +96,12 @@ class LandmarkPool:
         return order[views[order] >= min_views][:num]
 
     def prepare(
-        self, rows: Int[np.ndarray, " k"], Ts_map_base: Float[np.ndarray, "f 4 4"], T_base_cam: Float[np.ndarray, "f c 4 4"]
+        self,
+        rows: Int[np.ndarray, " k"],
+        Ts_map_base: Float[np.ndarray, "f 4 4"],
+        T_base_cam: Float[np.ndarray, "f c 4 4"],
     ) -> None:
-        """Directions and depths of landmarks that no solve has found yet, from two and more views at the given poses."""
+        """Directions and depths of landmarks that no solve has found yet, from their views at the given poses."""
         rows = rows[~self.is_solved[rows]]
         if not len(rows):
             return
@@ -142,7 +145,9 @@ class LandmarkPool:
             T_base_cam=T_base_cam,
         ), np.where(is_real[:, None], self.value[at], [0.0, 0.0, _FIRST_INVERSE_DEPTH])
 
-    def keep(self, rows: Int[np.ndarray, " k"], values: Float[np.ndarray, "k 3"], is_good: Bool[np.ndarray, " k"]) -> None:
+    def keep(
+        self, rows: Int[np.ndarray, " k"], values: Float[np.ndarray, "k 3"], is_good: Bool[np.ndarray, " k"]
+    ) -> None:
         """What a solve found; tracks that do not fit are let go for good."""
         self.value[rows], self.is_solved[rows] = values, True
         bad = rows[~is_good]

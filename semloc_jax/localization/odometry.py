@@ -1,6 +1,6 @@
 """The way of a vehicle by cameras and an inertial sensor, without any map (room: localization; host).
 
-In: a Drive with images and inertial data. Out: OdometryStep of one frame after another, OdometryFrame of each.
+In: a Drive with images and inertial data. Out: OdometryFrame of one frame after another.
 The frame of the poses is `odom`: the place of the first pose, z up, x ahead. Wheels join where they are asked for.
 """
 
@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.inertial_samples import Steps, capacity_for, rotation_between, steps_between
@@ -52,10 +51,6 @@ class OdometryFrame(NamedTuple):
     num_followed: int
     num_landmarks: int
     is_standing: bool
-
-
-class NoStartError(SemlocError):
-    """The first seconds never told speed and scale."""
 
 
 class VisualInertialOdometry:
@@ -147,7 +142,7 @@ def follow(
     """All frames of a drive.
 
     Raises:
-        NoStartError: no start was found; says why.
+        SemlocError: no start was found; says why.
     """
     found: list[OdometryFrame] = []
     for frame in frames:
@@ -157,7 +152,7 @@ def follow(
             f"the drive is shorter than {odometry.config.start.duration_s:g} s or "
             f"{odometry.config.window.num_states} images"
         )
-        raise NoStartError(f"odometry of drive {odometry.drive.name}: no start was found: {reason}")
+        raise SemlocError(f"odometry of drive {odometry.drive.name}: no start was found: {reason}")
     return found
 
 
@@ -194,8 +189,5 @@ def _frame_at(window: InertialWindow, index: int) -> OdometryFrame:
     state, moment = window.state(index), window.moments[index]
     return OdometryFrame(
         moment.time_s, state.T_map_base, state.velocity_map, state.bias, np.full(16, np.nan),
-        moment.tracks.num_followed, len(window.pool.id), moment.is_standing,
+        moment.tracks.num_followed, int(window.pool.seen[:, index].sum()), moment.is_standing,
     )  # fmt: skip
-
-
-__all__ = ["NoStartError", "OdometryConfig", "OdometryFrame", "Rig", "VisualInertialOdometry", "follow"]

@@ -1,4 +1,4 @@
-"""Which points moved as the standing world does when the camera turns and goes in one direction (room: perception; host).
+"""Which points move as the standing world does when a camera turns and goes somewhere (room: perception; host).
 
 In: lines of sight before and now, the rotation between. Out: bool of every point. The rotation comes from a gyroscope,
 so two points give the direction of motion, and a few dozen pairs are enough to find one without outliers.

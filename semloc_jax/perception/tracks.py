@@ -142,7 +142,9 @@ class FeatureTracker:
             grey, before.grey, new, old.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **options
         )
         height, width = grey.shape
-        inside = (new >= config.border_px).all(axis=1) & (new < np.array([width, height]) - config.border_px).all(axis=1)
+        inside = (new >= config.border_px).all(axis=1) & (new < np.array([width, height]) - config.border_px).all(
+            axis=1
+        )
         good = (ahead[:, 0] > 0) & (behind[:, 0] > 0) & inside
         good &= np.linalg.norm(back - old, axis=1) < config.back_check_px
         uv, found = before.uv.copy(), np.zeros(self.num_slots, bool)

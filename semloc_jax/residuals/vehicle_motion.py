@@ -27,7 +27,9 @@ def wheel_speed_residual(
     return sqrt_info * (_in_base(T_map_base, velocity_map)[:1] - scale * speed_mps)
 
 
-def change_residual(start: Float[Array, " d"], end: Float[Array, " d"], sqrt_info: Float[Array, " d"]) -> Float[Array, " d"]:
+def change_residual(
+    start: Float[Array, " d"], end: Float[Array, " d"], sqrt_info: Float[Array, " d"]
+) -> Float[Array, " d"]:
     """Change of a slow quantity (bias, scale) over the standard deviation of its walk."""
     return sqrt_info * (end - start)
 

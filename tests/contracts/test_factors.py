@@ -82,19 +82,34 @@ FACTORS = {
         linearised=road_contact.road_linearised,
     ),
     "sight": Factors(
-        sight_residual, ("pose", "pose", "landmark"), (ZERO, ONE, ZERO), (stacked(sight([0.6, 0.0, 0.8])),),
-        np.array([2.0]), linearised=sight_linearised,
-    ),  # fmt: skip
+        sight_residual,
+        ("pose", "pose", "landmark"),
+        (ZERO, ONE, ZERO),
+        (stacked(sight([0.6, 0.0, 0.8])),),
+        np.array([2.0]),
+        linearised=sight_linearised,
+    ),
     "sight of what lies behind": Factors(
-        sight_residual, ("pose", "pose", "landmark"), (ZERO, ONE, ZERO), (stacked(sight([0.0, 0.6, -0.8])),),
-        np.array([2.0]), linearised=sight_linearised,
-    ),  # fmt: skip
-    "rolling": Factors(vehicle_motion.rolling_residual, ("pose", "velocity"), (ZERO, ZERO), (), RNG.normal(size=(1, 2))),
+        sight_residual,
+        ("pose", "pose", "landmark"),
+        (ZERO, ONE, ZERO),
+        (stacked(sight([0.0, 0.6, -0.8])),),
+        np.array([2.0]),
+        linearised=sight_linearised,
+    ),
+    "rolling": Factors(
+        vehicle_motion.rolling_residual, ("pose", "velocity"), (ZERO, ZERO), (), RNG.normal(size=(1, 2))
+    ),
     "wheel speed": Factors(
-        vehicle_motion.wheel_speed_residual, ("pose", "velocity", "scale"), (ZERO, ZERO, ZERO), (np.array([7.0]),),
+        vehicle_motion.wheel_speed_residual,
+        ("pose", "velocity", "scale"),
+        (ZERO, ZERO, ZERO),
+        (np.array([7.0]),),
         RNG.normal(size=(1, 1)),
-    ),  # fmt: skip
-    "change": Factors(vehicle_motion.change_residual, ("velocity", "velocity"), (ZERO, ONE), (), RNG.normal(size=(1, 3))),
+    ),
+    "change": Factors(
+        vehicle_motion.change_residual, ("velocity", "velocity"), (ZERO, ONE), (), RNG.normal(size=(1, 3))
+    ),
     "standing": Factors(vehicle_motion.standing_residual, ("velocity",), (ZERO,), (), RNG.normal(size=(1, 3))),
     "inertial": Factors(
         inertial,

@@ -34,7 +34,9 @@ def test_a_tenth_of_a_second_without_noise_is_a_third_of_a_millimetre_a_second()
         errors.append(velocity_after(*steps, from_s) - truth)
         first = np.searchsorted(IMU.time_s, from_s)
         rows = slice(first, first + 16)
-        held.append(velocity_after(IMU.gyro_radps[rows], IMU.accel_mps2[rows], np.repeat([0.01, 0.0], [10, 6]), from_s) - truth)
+        held.append(
+            velocity_after(IMU.gyro_radps[rows], IMU.accel_mps2[rows], np.repeat([0.01, 0.0], [10, 6]), from_s) - truth
+        )
     assert np.abs(errors).max() < 3e-4
     assert np.sqrt(np.mean(np.square(held))) > 10 * np.sqrt(np.mean(np.square(errors)))
 

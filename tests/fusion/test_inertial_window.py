@@ -1,4 +1,4 @@
-"""The window of inertial states: exact without noise, honest with it, blind to yaw and position, as gtsam where it can be."""
+"""The window of inertial states: exact without noise, honest with it, blind to yaw and position; as in gtsam."""
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,9 @@ SIGMA = np.array([1e-3] * 3 + [5e-3, 5e-3, 1e-4] + [0.1] * 3 + [2e-3] * 3 + [0.0
 def difference(state, truth, k):
     """What the truth is beyond an estimate, in the order of its covariance."""
     pose = rigid.log(rigid.inverse(state.T_map_base) @ truth["pose"][k])
-    return np.concatenate([pose, truth["velocity"][k] - state.velocity_map, truth["bias"][k] - state.bias, [1.0 - state.scale]])
+    return np.concatenate(
+        [pose, truth["velocity"][k] - state.velocity_map, truth["bias"][k] - state.bias, [1.0 - state.scale]]
+    )
 
 
 def begun(seed, num, noise=1.0):
@@ -80,7 +82,9 @@ def test_yaw_and_position_gain_no_information_before_and_after_marginalisation()
     """Without a prior on the first pose: H N = 0 though states move between their first and later estimates."""
     window, moments, _ = begun(1, NUM + 3)
     prior = window.prior
-    window.prior = Prior(prior.first, np.zeros(NUM, bool), np.zeros(NUM, bool), 0.0 * prior.gradient, 0.0 * prior.information)
+    window.prior = Prior(
+        prior.first, np.zeros(NUM, bool), np.zeros(NUM, bool), 0.0 * prior.gradient, 0.0 * prior.information
+    )
     for k in range(3):
         H, at = information(window)
         scale = np.sqrt(np.diag(H))
@@ -236,7 +240,13 @@ def test_errors_are_as_large_as_the_window_says_over_many_seeds():
         for k in range(NUM, num):
             estimate = window.add(moments[k])
         ends.append((difference(estimate.state, truth, num - 1), estimate.covariance))
-    for name, at in {"position": [0, 1, 2], "yaw": [5], "tilt": [3, 4], "velocity": [6, 7, 8], "biases": range(9, 15)}.items():
+    for name, at in {
+        "position": [0, 1, 2],
+        "yaw": [5],
+        "tilt": [3, 4],
+        "velocity": [6, 7, 8],
+        "biases": range(9, 15),
+    }.items():
         at = list(at)
         errors = np.stack([d[at] for d, _ in ends])
         report = nees(normalised_squares(errors, np.stack([C[np.ix_(at, at)] for _, C in ends])), len(at))
