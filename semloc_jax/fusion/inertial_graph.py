@@ -1,7 +1,7 @@
 """The cost of a window of inertial states and landmarks, and what is left when states go (room: fusion; pure JAX).
 
-In: FrameFactors (inertial sensor, vehicle, measured poses), Views of landmarks, a Prior. Out: WindowProblem for the one
-solver; `left_by_oldest`: the prior that the oldest state leaves.
+In: StateFactors (inertial sensor, vehicle, measured poses), Views of landmarks, WindowPrior. Out: WindowProblem for
+the one solver; `left_by_oldest`: the prior that the oldest state leaves.
 First estimates: a state that the prior touches keeps the value at which it was first linearised in every derivative
 (Huang, Mourikis, Roumeliotis, IJRR 2010); otherwise the window would think that it sees the yaw.
 """
@@ -41,7 +41,7 @@ STATE = sum(SIZES.values())
 _HIGHEST = jax.lax.Precision.HIGHEST
 
 
-class Prior(eqx.Module):
+class WindowPrior(eqx.Module):
     """What is known of the states from before: cost = g d + 0.5 d H d, d from the first estimates."""
 
     first: Values
@@ -54,7 +54,7 @@ class Prior(eqx.Module):
     information: Float[Array | np.ndarray, "d d"]
 
 
-class FrameFactors(NamedTuple):
+class StateFactors(NamedTuple):
     """What sensors say of the states; `sqrt_info` 0 switches a factor off."""
 
     steps: Preintegrated
@@ -90,9 +90,9 @@ class Views(NamedTuple):
 class WindowProblem(eqx.Module):
     """Cost over {pose, velocity, bias, scale, landmark}; see `LeastSquaresProblem`."""
 
-    factors: FrameFactors
+    factors: StateFactors
     views: Views
-    prior: Prior
+    prior: WindowPrior
     threshold: float = eqx.field(static=True)
     """Of the whitened distance of a landmark beyond which its pull grows no more."""
 
@@ -154,7 +154,7 @@ class WindowProblem(eqx.Module):
         return jnp.concatenate([jnp.where(kept, part, 0.0).ravel() for part in parts])
 
 
-def common_shift(prior: Prior, Ts_map_base: Float[Array | np.ndarray, "f 4 4"]) -> Float[Array, "3"]:
+def common_shift(prior: WindowPrior, Ts_map_base: Float[Array | np.ndarray, "f 4 4"]) -> Float[Array, "3"]:
     """Mean translation of the held states from their first estimates."""
     held = jnp.asarray(prior.held)[:, None]
     moved = jnp.asarray(Ts_map_base)[:, :3, 3] - jnp.asarray(prior.first["pose"])[:, :3, 3]
@@ -176,7 +176,7 @@ def unknowns_of(states: Int[np.ndarray, " k"], num: int) -> Int[np.ndarray, " d"
     return np.concatenate(found)
 
 
-def frame_graph(factors: FrameFactors) -> FactorGraph:
+def frame_graph(factors: StateFactors) -> FactorGraph:
     """Everything but landmarks and prior."""
     num = len(factors.rolling)
     here, before = np.arange(num), np.arange(num - 1)

@@ -1,6 +1,6 @@
 """Gravity, velocity, biases and scale from the first seconds of a drive, moving or standing (room: fusion; host).
 
-In: the first Moments. Out: Start: a solved window of all of them, or the reason why there is none.
+In: the first InertialMoments. Out: InertialStart: a solved window of all of them, or the reason why there is none.
 One solve from a wrong speed stays there, so a vehicle that moves tries a grid of speeds, each with a robust solve: the
 lowest cost wins, if no other speed explains the images and the inertial sensor as well. Wheels give the speed at once.
 """
@@ -14,9 +14,9 @@ from jaxtyping import Float
 from semloc_jax.fusion.inertial_samples import Steps, rotation_between
 from semloc_jax.fusion.inertial_window import (
     InertialEstimate,
+    InertialMoment,
     InertialWindow,
     InertialWindowConfig,
-    Moment,
     first_prior,
 )
 from semloc_jax.solvers.graph import Values
@@ -53,7 +53,7 @@ class InertialStartConfig:
     least_landmarks: int = 20
 
 
-class Start(NamedTuple):
+class InertialStart(NamedTuple):
     """What the first seconds gave."""
 
     window: InertialWindow | None
@@ -63,7 +63,7 @@ class Start(NamedTuple):
     """Why there is none; empty where there is one."""
 
 
-def started(moments: list[Moment], config: InertialWindowConfig, rules: InertialStartConfig) -> Start:
+def started(moments: list[InertialMoment], config: InertialWindowConfig, rules: InertialStartConfig) -> InertialStart:
     """A window of the first times, the frame at the first of them: z up, x ahead.
 
     Args:
@@ -108,7 +108,7 @@ def _next_cost(found: list, best: InertialEstimate, rules: InertialStartConfig) 
 
 def _judged(
     window: InertialWindow, estimate: InertialEstimate, rules: InertialStartConfig, gap: float = np.inf
-) -> Start:
+) -> InertialStart:
     """The start, or why it is not believed."""
     speed = float(np.linalg.norm(estimate.state.velocity_map))
     sigma = float(np.sqrt(np.trace(estimate.covariance[6:9, 6:9])))
@@ -128,8 +128,8 @@ def _judged(
             "the scale; wait for a turn or a change of speed, or give wheels (--motion both)"
         )
     else:
-        return Start(window, estimate, "")
-    return Start(None, None, reason)
+        return InertialStart(window, estimate, "")
+    return InertialStart(None, None, reason)
 
 
 def _finished(window: InertialWindow) -> InertialEstimate:
@@ -140,7 +140,7 @@ def _finished(window: InertialWindow) -> InertialEstimate:
 
 
 def _window(
-    moments: list[Moment],
+    moments: list[InertialMoment],
     speeds: np.ndarray,
     is_standing: bool,
     config: InertialWindowConfig,

@@ -18,8 +18,8 @@ from jaxtyping import Array, Float
 from semloc_jax.fusion.inertial_graph import (
     SIZES,
     STATE,
-    FrameFactors,
-    Prior,
+    StateFactors,
+    WindowPrior,
     WindowProblem,
     left_by_oldest,
     sight_residuals,
@@ -71,7 +71,7 @@ class InertialWindowConfig:
     max_steps: int = 8
 
 
-class Moment(NamedTuple):
+class InertialMoment(NamedTuple):
     """What sensors say of one image time."""
 
     time_s: float
@@ -88,7 +88,7 @@ class Moment(NamedTuple):
     """Of that pose in its right tangent; undetermined directions are zero."""
 
 
-class InertialState(NamedTuple):
+class MotionState(NamedTuple):
     """State of one time."""
 
     T_map_base: Float[np.ndarray, "4 4"]
@@ -103,7 +103,7 @@ class InertialEstimate(NamedTuple):
     """State of the newest time."""
 
     time_s: float
-    state: InertialState
+    state: MotionState
     covariance: Float[np.ndarray, "16 16"]
     """Pose (right tangent), velocity, biases, scale."""
     num_landmarks: int
@@ -118,13 +118,18 @@ class InertialWindow:
     config: InertialWindowConfig
     num_states: int
     pool: LandmarkPool
-    moments: list[Moment] = field(default_factory=list)
+    moments: list[InertialMoment] = field(default_factory=list)
     values: Values = field(default_factory=dict)
-    prior: Prior | None = None
+    prior: WindowPrior | None = None
 
     @classmethod
     def of(
-        cls, moments: list[Moment], values: Values, prior: Prior, config: InertialWindowConfig, pool_rows: int = 1024
+        cls,
+        moments: list[InertialMoment],
+        values: Values,
+        prior: WindowPrior,
+        config: InertialWindowConfig,
+        pool_rows: int = 1024,
     ) -> "InertialWindow":
         """A window of the first times, with guesses of their states."""
         window = cls(config, len(moments), LandmarkPool(pool_rows, len(moments)), list(moments), dict(values), prior)
@@ -132,21 +137,24 @@ class InertialWindow:
             window.pool.add(moment.tracks, index)
         return window
 
-    def add(self, moment: Moment) -> InertialEstimate:
+    def add(self, moment: InertialMoment) -> InertialEstimate:
         """Go on to the next image time: the oldest state leaves, the new one is predicted, all are solved."""
         self.slide()
         self.moments.append(moment)
         newest = self.predicted(moment.steps)
-        for name, new in zip(SIZES, (newest.T_map_base, newest.velocity_map, newest.bias, [newest.scale]), strict=True):
+        state = (newest.T_map_base, newest.velocity_map, newest.bias, [newest.scale])
+        for name, new in zip(SIZES, state, strict=True):
             self.values[name][-1] = new
         first = {name: np.array(self.prior.first[name]) for name in SIZES}
         for name in SIZES:
             first[name][-1] = self.values[name][-1]
-        self.prior = Prior(first, self.prior.touched, self.prior.held, self.prior.gradient, self.prior.information)
+        self.prior = WindowPrior(
+            first, self.prior.touched, self.prior.held, self.prior.gradient, self.prior.information
+        )
         self.pool.add(moment.tracks, self.num_states - 1)
         return self.solve()
 
-    def predicted(self, steps: Steps) -> InertialState:
+    def predicted(self, steps: Steps) -> MotionState:
         """The newest state carried on by the inertial sensor."""
         T, v, bias = (self.values[name][-1] for name in ("pose", "velocity", "bias"))
         with jax.enable_x64(True):
@@ -157,7 +165,7 @@ class InertialWindow:
         after[:3, :3] = R @ np.asarray(moved.rotation[0])
         after[:3, 3] = T[:3, 3] + v * dt + 0.5 * gravity * dt**2 + R @ np.asarray(moved.position[0])
         velocity = v + gravity * dt + R @ np.asarray(moved.velocity[0])
-        return InertialState(rigid.normalised(after), velocity, bias.copy(), float(self.values["scale"][-1, 0]))
+        return MotionState(rigid.normalised(after), velocity, bias.copy(), float(self.values["scale"][-1, 0]))
 
     def solve(self) -> InertialEstimate:
         """Solve all states and landmarks together, let go of landmarks that do not fit, judge the newest state."""
@@ -198,14 +206,14 @@ class InertialWindow:
         prior, here = self.prior, slice(0, num_states)
         first = {name: prior.first[name][here] for name in SIZES}
         information = prior.information[np.ix_(kept, kept)]
-        prior = Prior(first, prior.touched[here], prior.held[here], prior.gradient[kept], information)
+        prior = WindowPrior(first, prior.touched[here], prior.held[here], prior.gradient[kept], information)
         values = {name: array[here].copy() for name, array in self.values.items()}
         return InertialWindow(self.config, num_states, self.pool.first(num_states), self.moments, values, prior)
 
-    def state(self, index: int) -> InertialState:
+    def state(self, index: int) -> MotionState:
         """Pose, velocity, biases and scale of one state."""
         T, v, b, s = (self.values[name][index] for name in SIZES)
-        return InertialState(rigid.normalised(T), v.copy(), b.copy(), float(s[0]))
+        return MotionState(rigid.normalised(T), v.copy(), b.copy(), float(s[0]))
 
     @property
     def noise(self) -> InertialNoise:
@@ -224,7 +232,7 @@ class InertialWindow:
         problem = WindowProblem(self._factors(), views, self.prior, config.cauchy_sigmas)
         return rows, problem, self.values | {"landmark": landmarks}
 
-    def _all_moments(self) -> list[Moment]:
+    def _all_moments(self) -> list[InertialMoment]:
         """One moment for each state; while a new one is awaited the last stands for it."""
         return self.moments + self.moments[-1:] * (self.num_states - len(self.moments))
 
@@ -232,7 +240,7 @@ class InertialWindow:
         steps = [moment.steps for moment in self._all_moments()[1:]]
         return Steps(*(np.stack(parts) for parts in zip(*steps, strict=True)))
 
-    def _factors(self) -> FrameFactors:
+    def _factors(self) -> StateFactors:
         config, moments, num = self.config, self._all_moments(), self.num_states
         step_s = np.array([moment.steps.step_s.sum() for moment in moments[1:]])
         walk = np.repeat([config.gyro_walk, config.accel_walk], 3)
@@ -242,7 +250,7 @@ class InertialWindow:
         rolling = np.tile(1.0 / sides if config.side_sigma_mps > 0 else np.zeros(2), (num, 1))
         both = standing[1:] & standing[:-1]
         still = np.diag(1.0 / np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4]))
-        return FrameFactors(
+        return StateFactors(
             steps=_no_steps(num - 1),
             inertial=np.zeros((num - 1, 9, 9)),
             walk=1.0 / (walk * np.sqrt(step_s)[:, None]),
@@ -298,7 +306,7 @@ def _left(problem: WindowProblem, steps: Steps, values: Values, noise: InertialN
     return left_by_oldest(problem, jax.tree.map(jnp.asarray, values), num_gone)
 
 
-def _moved_prior(prior: Prior, left: DenseEquations, values: Values, num_gone: int) -> Prior:
+def _moved_prior(prior: WindowPrior, left: DenseEquations, values: Values, num_gone: int) -> WindowPrior:
     """The prior some states later, around the first estimates of all states that it knows of now."""
     num = len(prior.touched)
     rest = num - num_gone
@@ -319,7 +327,7 @@ def _moved_prior(prior: Prior, left: DenseEquations, values: Values, num_gone: i
     gradient -= information @ _difference(first, now)
     size = np.abs(information).max(axis=1)
     touched = np.array([size[unknowns_of(np.array([state]), num)].max() > 0 for state in range(num)])
-    return Prior(first, touched, touched.copy(), gradient, information)
+    return WindowPrior(first, touched, touched.copy(), gradient, information)
 
 
 def _difference(first: Values, values: Values) -> Float[np.ndarray, " d"]:
@@ -329,7 +337,7 @@ def _difference(first: Values, values: Values) -> Float[np.ndarray, " d"]:
     return np.concatenate([part.ravel() for part in parts])
 
 
-def first_prior(values: Values, sigma: Float[np.ndarray, "16"], R_map_base: Float[np.ndarray, "3 3"]) -> Prior:
+def first_prior(values: Values, sigma: Float[np.ndarray, "16"], R_map_base: Float[np.ndarray, "3 3"]) -> WindowPrior:
     """A prior of the first state alone.
 
     Args:
@@ -345,7 +353,7 @@ def first_prior(values: Values, sigma: Float[np.ndarray, "16"], R_map_base: Floa
     information[np.ix_(at, at)] = own
     touched = np.arange(num) == 0
     first = {name: np.array(values[name]) for name in SIZES}
-    return Prior(first, touched, np.zeros(num, bool), np.zeros(len(information)), information)
+    return WindowPrior(first, touched, np.zeros(num, bool), np.zeros(len(information)), information)
 
 
 def _shifted(array: np.ndarray, num_gone: int) -> np.ndarray:

@@ -16,8 +16,8 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.inertial_samples import Steps, capacity_for, rotation_between, steps_between
 from semloc_jax.fusion.inertial_start import InertialStartConfig, started
-from semloc_jax.fusion.inertial_window import InertialEstimate, InertialWindow, InertialWindowConfig, Moment
-from semloc_jax.perception.tracks import FeatureTracker, TrackConfig, Tracks
+from semloc_jax.fusion.inertial_window import InertialEstimate, InertialMoment, InertialWindow, InertialWindowConfig
+from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Tracks
 
 Usable = Callable[[Frame, str], Bool[np.ndarray, "h w"] | None]
 
@@ -26,7 +26,7 @@ Usable = Callable[[Frame, str], Bool[np.ndarray, "h w"] | None]
 class OdometryConfig:
     """How a drive is followed by cameras and inertial sensor."""
 
-    tracks: TrackConfig = field(default_factory=TrackConfig)
+    tracks: CornerConfig = field(default_factory=CornerConfig)
     window: InertialWindowConfig = field(default_factory=InertialWindowConfig)
     start: InertialStartConfig = field(default_factory=InertialStartConfig)
     standing_flow_px: float = 0.3
@@ -69,7 +69,7 @@ class VisualInertialOdometry:
         self._tracker = FeatureTracker(len(self.cameras), config.tracks)
         times_s = np.array([frame.time_s for frame in drive.frames])
         self._capacity = capacity_for(drive.imu, times_s)
-        self._waiting: list[Moment] = []
+        self._waiting: list[InertialMoment] = []
         self._window: InertialWindow | None = None
         self._before_s: float | None = None
         self._bias_radps = np.zeros(3)
@@ -87,7 +87,7 @@ class VisualInertialOdometry:
         self._bias_radps = estimate.state.bias[:3]
         return [_frame_of(estimate, moment)]
 
-    def _awaited(self, moment: Moment) -> list[OdometryFrame]:
+    def _awaited(self, moment: InertialMoment) -> list[OdometryFrame]:
         self._waiting.append(moment)
         if len(self._waiting) == 1:
             self._waiting[0] = moment._replace(steps=None)
@@ -109,7 +109,7 @@ class VisualInertialOdometry:
         self._bias_radps = start.estimate.state.bias[:3]
         return found
 
-    def _moment(self, frame: Frame, usable: Usable | None) -> Moment:
+    def _moment(self, frame: Frame, usable: Usable | None) -> InertialMoment:
         rig = frame.rig.select(self.cameras)
         steps = None
         if self._before_s is not None:
@@ -123,7 +123,7 @@ class VisualInertialOdometry:
             wheels = self.drive.odometry
             speed = float(np.interp(frame.time_s, wheels.time_s, wheels.speed_mps))
         standing = self._is_standing(steps, tracks, speed)
-        return Moment(frame.time_s, tracks, np.asarray(rig.T_base_cam), steps, speed, standing)
+        return InertialMoment(frame.time_s, tracks, np.asarray(rig.T_base_cam), steps, speed, standing)
 
     def _is_standing(self, steps: Steps | None, tracks: Tracks, speed_mps: float | None) -> bool:
         """No flow in the images, a quiet inertial sensor, wheels that do not turn."""
@@ -176,7 +176,7 @@ def _grey(frame: Frame, camera: str) -> np.ndarray:
     return cv2.cvtColor(frame.image(camera), cv2.COLOR_BGR2GRAY)
 
 
-def _frame_of(estimate: InertialEstimate, moment: Moment) -> OdometryFrame:
+def _frame_of(estimate: InertialEstimate, moment: InertialMoment) -> OdometryFrame:
     state = estimate.state
     sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
     return OdometryFrame(

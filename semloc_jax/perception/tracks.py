@@ -20,7 +20,7 @@ from semloc_jax.perception.sight_lines import SightLines, sight_lines
 
 
 @dataclass(frozen=True)
-class TrackConfig:
+class CornerConfig:
     """How corners are followed. All values are ours; the size of the window is measured (see FIGURES.md)."""
 
     num_tracks: int = 200
@@ -65,9 +65,9 @@ class _View(NamedTuple):
 class FeatureTracker:
     """Follows corners in the images of a rig."""
 
-    def __init__(self, num_cameras: int, config: TrackConfig | None = None) -> None:
+    def __init__(self, num_cameras: int, config: CornerConfig | None = None) -> None:
         """Slots for so many cameras, all empty."""
-        self.config = config or TrackConfig()
+        self.config = config or CornerConfig()
         self.num_slots = max(self.config.num_tracks // num_cameras, 1)
         self._views: list[_View | None] = [None] * num_cameras
         self._next_id = 0

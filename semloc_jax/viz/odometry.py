@@ -47,7 +47,7 @@ def odometry_picture(
             )
             axes.plot(time_s, off[:, index], color=ESTIMATE, linewidth=1.2)
             axes.set_ylabel(f"{name} [m]")
-        beside[0].set_title("error, with twice its stated standard deviation", loc="left")
+        beside[0].set_title("error, with twice its stated standard deviation", loc="left", fontsize=9)
     else:
         beside[0].plot(time_s, T[:, 2, 3], color=ESTIMATE, linewidth=1.2)
         beside[0].set_ylabel("height [m]")

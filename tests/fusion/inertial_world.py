@@ -10,7 +10,7 @@ from semloc_jax.cameras import PinholeCamera
 from semloc_jax.datasets import Imu
 from semloc_jax.fusion.inertial_graph import SIZES
 from semloc_jax.fusion.inertial_samples import steps_between
-from semloc_jax.fusion.inertial_window import InertialWindowConfig, Moment
+from semloc_jax.fusion.inertial_window import InertialMoment, InertialWindowConfig
 from semloc_jax.geometry import rigid
 from semloc_jax.perception.sight_lines import sight_lines
 from semloc_jax.perception.tracks import Tracks
@@ -96,7 +96,7 @@ class World:
             sight = sight_lines(CAMERA, noisy)
             tracks = Tracks(number.copy(), np.zeros(self.num_slots, int), noisy, sight, 0, 5.0)
             steps = None if k == 0 else steps_between(imu, float(time_s[k - 1]), float(t), capacity)
-            moments.append(Moment(float(t), tracks, T_base_cam, steps))
+            moments.append(InertialMoment(float(t), tracks, T_base_cam, steps))
         biases = np.stack([np.interp(time_s, imu.time_s, column) for column in bias.T], axis=1)
         truth = {"pose": Ts, "velocity": self.velocity(time_s), "bias": biases, "scale": np.ones((num, 1))}
         return moments, truth

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.evaluation.integrity import nees, normalised_squares
-from semloc_jax.fusion.inertial_graph import SIZES, Prior, unknowns_of
+from semloc_jax.fusion.inertial_graph import SIZES, WindowPrior, unknowns_of
 from semloc_jax.fusion.inertial_start import InertialStartConfig, started
 from semloc_jax.fusion.inertial_window import InertialWindow, InertialWindowConfig, _with_steps, first_prior
 from semloc_jax.geometry import rigid
@@ -82,7 +82,7 @@ def test_yaw_and_position_gain_no_information_before_and_after_marginalisation()
     """Without a prior on the first pose: H N = 0 though states move between their first and later estimates."""
     window, moments, _ = begun(1, NUM + 3)
     prior = window.prior
-    window.prior = Prior(
+    window.prior = WindowPrior(
         prior.first, np.zeros(NUM, bool), np.zeros(NUM, bool), 0.0 * prior.gradient, 0.0 * prior.information
     )
     for k in range(3):

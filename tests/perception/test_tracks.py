@@ -9,11 +9,11 @@ from semloc_jax.geometry import rigid
 from semloc_jax.perception.corners import new_corners
 from semloc_jax.perception.epipolar_gate import moves_with_the_world
 from semloc_jax.perception.sight_lines import sight_lines
-from semloc_jax.perception.tracks import FeatureTracker, TrackConfig, px_per_rad
+from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, px_per_rad
 
 K = np.array([[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]])
 RIG = Rig([PinholeCamera(300.0, 300.0, 159.5, 119.5, 320.0, 240.0)], np.eye(4)[None], ["front"])
-CONFIG = TrackConfig(num_tracks=60, bucket_px=32)
+CONFIG = CornerConfig(num_tracks=60, bucket_px=32)
 
 
 def texture(seed=0, size=(240, 320)):
