@@ -57,8 +57,8 @@ class WindowPrior(eqx.Module):
 class StateFactors(NamedTuple):
     """What sensors say of the states; `sqrt_info` 0 switches a factor off."""
 
-    steps: Preintegrated
-    """Of every interval, with a leading axis."""
+    steps: Preintegrated | None
+    """Of every interval, with a leading axis; None until they are integrated at the present biases."""
     inertial: Float[Array | np.ndarray, "e 9 9"]
     walk: Float[Array | np.ndarray, "e 6"]
     scale_walk: Float[Array | np.ndarray, "e 1"]

@@ -251,7 +251,7 @@ class InertialWindow:
         both = standing[1:] & standing[:-1]
         still = np.diag(1.0 / np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4]))
         return StateFactors(
-            steps=_no_steps(num - 1),
+            steps=None,
             inertial=np.zeros((num - 1, 9, 9)),
             walk=1.0 / (walk * np.sqrt(step_s)[:, None]),
             scale_walk=1.0 / (config.scale_walk * np.sqrt(step_s)[:, None]),
@@ -367,9 +367,3 @@ def _root(information: np.ndarray | None) -> np.ndarray:
         return np.zeros((6, 6))
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-
-
-def _no_steps(num: int) -> Preintegrated:
-    """Places for steps that are integrated later."""
-    shapes = ((3, 3), (3,), (3,), (), (9, 9), (9, 6), (6,))
-    return Preintegrated(*(np.zeros((num, *shape)) for shape in shapes))

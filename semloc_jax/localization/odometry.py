@@ -4,7 +4,8 @@ In: a Drive with images and inertial data. Out: OdometryFrame of one frame after
 The frame of the poses is `odom`: the place of the first pose, z up, x ahead. Wheels join where they are asked for.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import logging
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from semloc_jax.fusion.inertial_start import InertialStartConfig, started
 from semloc_jax.fusion.inertial_window import InertialEstimate, InertialMoment, InertialWindow, InertialWindowConfig
 from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Tracks
 
+_LOG = logging.getLogger(__name__)
 Usable = Callable[[Frame, str], Bool[np.ndarray, "h w"] | None]
 
 
@@ -67,8 +69,15 @@ class VisualInertialOdometry:
         self.reason = ""
         """Why the last start was refused."""
         self._tracker = FeatureTracker(len(self.cameras), config.tracks)
-        times_s = np.array([frame.time_s for frame in drive.frames])
-        self._capacity = capacity_for(drive.imu, times_s)
+        first_s, last_s = drive.imu.time_s[[0, -1]]
+        self.frames = tuple(frame for frame in drive.frames if first_s <= frame.time_s <= last_s)
+        """Those that the inertial log spans."""
+        if len(self.frames) < len(drive):
+            _LOG.warning(
+                "drive %s: %d of %d frames lie outside the inertial log (%.2f .. %.2f s); left out",
+                drive.name, len(drive) - len(self.frames), len(drive), first_s, last_s,
+            )  # fmt: skip
+        self._capacity = capacity_for(drive.imu, np.array([frame.time_s for frame in self.frames]))
         self._waiting: list[InertialMoment] = []
         self._window: InertialWindow | None = None
         self._before_s: float | None = None
@@ -137,7 +146,7 @@ class VisualInertialOdometry:
 
 
 def follow(
-    odometry: VisualInertialOdometry, frames: Iterator[Frame] | Sequence[Frame], usable: Usable | None = None
+    odometry: VisualInertialOdometry, frames: Iterable[Frame], usable: Usable | None = None
 ) -> list[OdometryFrame]:
     """All frames of a drive.
 

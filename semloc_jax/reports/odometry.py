@@ -65,8 +65,9 @@ def report_odometry(
         return _written(drive, folder, Trajectory(chain.times_s, chain.Ts_odom_base), _rows_of_chain(chain))
     odometry = VisualInertialOdometry(drive, cameras, settings, motion == "both")
     folder = _folder(out, settings, options)
-    frames = tqdm(drive.frames, desc="odometry", unit="frame")
-    found = follow(odometry, frames, None if masks is None else _usable_of(masks))
+    usable = None if masks is None else _usable_of(masks)
+    with tqdm(odometry.frames, desc="odometry", unit="frame") as frames:
+        found = follow(odometry, frames, usable)
     poses = np.stack([frame.T_odom_base for frame in found])
     trajectory = Trajectory(np.array([frame.time_s for frame in found]), poses)
     return _written(drive, folder, trajectory, found)
