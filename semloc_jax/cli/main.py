@@ -17,6 +17,7 @@ VERBS = {
     "localize": "where was the vehicle in each frame of a drive: trajectory, modes, metrics, pictures",
     "track": "follow the vehicle through a whole drive: pose, confidence and status of every frame",
     "map": "make a map of a drive from its masks, wheels and gyroscope, without any other map",
+    "odometry": "the way of a drive by cameras and inertial sensor, or by wheels, without any map",
     "landscape": "the cost around the pose of one frame, over two of the six directions",
     "explain": "which map elements hold the pose of a frame, and how far it moves where one of them is wrong",
     "survey": "how well a road can be localized on, from map and camera alone, and the small map that is enough",

@@ -16,6 +16,7 @@ __getattr__, __dir__, __all__ = door(
             "format_verdicts",
             "is_passed",
         ),
+        "drift": ("drift",),
         "held": (
             "held_directions",
             "held_text",

@@ -87,9 +87,23 @@ class Factors(eqx.Module):
         """Cost of each factor [nats]."""
         return self._weighed(self.residuals(values))[0]
 
-    def local(self, values: dict[str, Array | np.ndarray], kinds: dict[str, Kind]) -> Local:
-        """Cost, gradient and Gauss-Newton Hessian of every factor."""
-        r, J = self._with_derivatives(self.arguments(values), [kinds[name] for name in self.on])
+    def local(
+        self,
+        values: dict[str, Array | np.ndarray],
+        kinds: dict[str, Kind],
+        slopes_at: dict[str, Array | np.ndarray] | None = None,
+    ) -> Local:
+        """Cost, gradient and Gauss-Newton Hessian of every factor.
+
+        Args:
+            values: Where the residuals are taken.
+            kinds: Manifolds of the families.
+            slopes_at: Where the derivatives are taken (first estimates); None: at the values.
+        """
+        at = values if slopes_at is None else slopes_at
+        r, J = self._with_derivatives(self.arguments(at), [kinds[name] for name in self.on])
+        if slopes_at is not None:
+            r = self.residuals(values)
         cost, root = self._weighed(r)
         r, J = r * root[:, None], J * root[:, None, None]
         highest = jax.lax.Precision.HIGHEST

@@ -54,12 +54,17 @@ class FactorGraph(eqx.Module):
         """Sum of the costs of all factors [nats]."""
         return sum(jnp.sum(local.cost) for local in self.local(values))
 
-    def local(self, values: Values) -> list[Local]:
-        """Quadratic models of the factors of every family; locked coordinates do not move them."""
+    def local(self, values: Values, slopes_at: Values | None = None) -> list[Local]:
+        """Quadratic models of the factors of every family; locked coordinates do not move them.
+
+        Args:
+            values: Where the residuals are taken.
+            slopes_at: Where the derivatives are taken (first estimates); None: at the values.
+        """
         kinds = {family.name: family.kind for family in self.families}
         found = []
         for factors in self.factors:
-            local = factors.local(values, kinds)
+            local = factors.local(values, kinds, slopes_at)
             if any(name in self.free for name in factors.on):
                 free = [
                     self.free[name][key] if name in self.free else np.ones((len(local.cost), kinds[name].size), bool)

@@ -17,6 +17,7 @@ __getattr__, __dir__, _more = door(
         "basin": ("basin_view",),
         "frame_slices": ("slices_of_frame",),
         "tracking": ("tracking_over_time",),
+        "odometry": ("odometry_picture",),
         "self_calibration": ("observability_figure",),
         "integrity": ("IntegrityErrors", "stanford_diagram"),
         "survey": ("survey_view", "prediction_view", "placement_view"),

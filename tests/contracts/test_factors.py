@@ -7,7 +7,8 @@ import pytest
 
 from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses, motions, odometry, prior, verticals
 from semloc_jax.geometry import rigid
-from semloc_jax.residuals import motion, road_contact
+from semloc_jax.residuals import motion, road_contact, vehicle_motion
+from semloc_jax.residuals.inverse_depth import Sight, sight_linearised, sight_residual
 from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
 from semloc_jax.solvers.factors import POSE, Factors, vector
 
@@ -19,6 +20,8 @@ KINDS = {
     "stance": vector(0.1, 0.01, 0.01),
     "velocity": vector(1.0, 1.0, 1.0),
     "bias": vector(0.01, 0.01, 0.01, 0.1, 0.1, 0.1),
+    "scale": vector(0.02),
+    "landmark": vector(0.01, 0.01, 0.05),
 }
 GRAVITY = jnp.array([0.0, 0.0, -9.81])
 STEP_S, SAMPLES = 0.01, 20
@@ -50,6 +53,13 @@ def interval(num):
     return preintegrate(*samples(num), jnp.zeros(6))
 
 
+def sight(ray):
+    """A camera on the vehicle then, another place of it now, a ray that misses the landmark."""
+    pixels = 500.0 * RNG.normal(size=(2, 3))
+    axes = near()[:3, :3]
+    return (Sight(*(jnp.asarray(leaf) for leaf in (axes, near(), near(), np.array(ray), pixels))),)
+
+
 def stacked(parts):
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
 
@@ -79,6 +89,36 @@ FACTORS = {
         RNG.normal(size=(1, 3)),
         linearised=road_contact.road_linearised,
     ),
+    "sight": Factors(
+        sight_residual,
+        ("pose", "pose", "landmark"),
+        (ZERO, ONE, ZERO),
+        (stacked(sight([0.6, 0.0, 0.8])),),
+        np.array([2.0]),
+        linearised=sight_linearised,
+    ),
+    "sight of what lies behind": Factors(
+        sight_residual,
+        ("pose", "pose", "landmark"),
+        (ZERO, ONE, ZERO),
+        (stacked(sight([0.0, 0.6, -0.8])),),
+        np.array([2.0]),
+        linearised=sight_linearised,
+    ),
+    "rolling": Factors(
+        vehicle_motion.rolling_residual, ("pose", "velocity"), (ZERO, ZERO), (), RNG.normal(size=(1, 2))
+    ),
+    "wheel speed": Factors(
+        vehicle_motion.wheel_speed_residual,
+        ("pose", "velocity", "scale"),
+        (ZERO, ZERO, ZERO),
+        (np.array([7.0]),),
+        RNG.normal(size=(1, 1)),
+    ),
+    "change": Factors(
+        vehicle_motion.change_residual, ("velocity", "velocity"), (ZERO, ONE), (), RNG.normal(size=(1, 3))
+    ),
+    "standing": Factors(vehicle_motion.standing_residual, ("velocity",), (ZERO,), (), RNG.normal(size=(1, 3))),
     "inertial": Factors(
         inertial,
         ("pose", "velocity", "bias", "pose", "velocity"),
@@ -94,6 +134,8 @@ VALUES = {
     "stance": jnp.array([[0.05, 0.01, -0.02]]),
     "velocity": jnp.asarray(RNG.normal(size=(2, 3))),
     "bias": jnp.asarray(0.01 * RNG.normal(size=(1, 6))),
+    "scale": jnp.array([[1.02]]),
+    "landmark": jnp.array([[0.05, -0.03, 0.2]]),
 }
 
 

@@ -1,0 +1,202 @@
+"""The way of a vehicle by cameras and an inertial sensor, without any map (room: localization; host).
+
+In: a Drive with images and inertial data. Out: OdometryFrame of one frame after another.
+The frame of the poses is `odom`: the place of the first pose, z up, x ahead. Wheels join where they are asked for.
+"""
+
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from semloc_jax.datasets import Drive, Frame
+from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.inertial_samples import Steps, capacity_for, rotation_between, steps_between
+from semloc_jax.fusion.inertial_start import InertialStartConfig, started
+from semloc_jax.fusion.inertial_window import InertialEstimate, InertialMoment, InertialWindow, InertialWindowConfig
+from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Tracks
+
+_LOG = logging.getLogger(__name__)
+Usable = Callable[[Frame, str], Bool[np.ndarray, "h w"] | None]
+
+
+@dataclass(frozen=True)
+class OdometryConfig:
+    """How a drive is followed by cameras and inertial sensor."""
+
+    tracks: CornerConfig = field(default_factory=CornerConfig)
+    window: InertialWindowConfig = field(default_factory=InertialWindowConfig)
+    start: InertialStartConfig = field(default_factory=InertialStartConfig)
+    standing_flow_px: float = 0.3
+    """Corners of a vehicle that stands move less between images."""
+    standing_rate_radps: float = 0.02
+    """And it turns less, the bias of the sensor included."""
+    standing_force_mps2: float = 0.15
+    """And its force varies less (standard deviation)."""
+    retry_s: float = 1.0
+    """A start that is refused is tried again so much later."""
+
+
+class OdometryFrame(NamedTuple):
+    """What is known of one frame."""
+
+    time_s: float
+    T_odom_base: Float[np.ndarray, "4 4"]
+    velocity_odom: Float[np.ndarray, "3"]
+    bias: Float[np.ndarray, "6"]
+    sigma: Float[np.ndarray, "16"]
+    """Standard deviations of pose (right tangent), velocity, biases, odometer scale; NaN during the start."""
+    num_followed: int
+    num_landmarks: int
+    is_standing: bool
+
+
+class VisualInertialOdometry:
+    """Follows a vehicle: first collects the seconds of a start, then one window step for each frame."""
+
+    def __init__(self, drive: Drive, cameras: Sequence[str], config: OdometryConfig, with_wheels: bool) -> None:
+        """Nothing is read yet.
+
+        Raises:
+            SemlocError: the drive has no inertial data, no images, or no wheels where they are asked for.
+        """
+        _require(drive, cameras, with_wheels)
+        self.drive, self.cameras, self.config, self.with_wheels = drive, tuple(cameras), config, with_wheels
+        self.reason = ""
+        """Why the last start was refused."""
+        self._tracker = FeatureTracker(len(self.cameras), config.tracks)
+        first_s, last_s = drive.imu.time_s[[0, -1]]
+        self.frames = tuple(frame for frame in drive.frames if first_s <= frame.time_s <= last_s)
+        """Those that the inertial log spans."""
+        if len(self.frames) < len(drive):
+            _LOG.warning(
+                "drive %s: %d of %d frames lie outside the inertial log (%.2f .. %.2f s); left out",
+                drive.name, len(drive) - len(self.frames), len(drive), first_s, last_s,
+            )  # fmt: skip
+        self._capacity = capacity_for(drive.imu, np.array([frame.time_s for frame in self.frames]))
+        self._waiting: list[InertialMoment] = []
+        self._window: InertialWindow | None = None
+        self._before_s: float | None = None
+        self._bias_radps = np.zeros(3)
+
+    def step(self, frame: Frame, usable: Usable | None = None) -> list[OdometryFrame]:
+        """Go on to the next frame.
+
+        Returns:
+            Nothing while the start is awaited; all frames of the start when it is found; then one for each frame.
+        """
+        moment = self._moment(frame, usable)
+        if self._window is None:
+            return self._awaited(moment)
+        estimate = self._window.add(moment)
+        self._bias_radps = estimate.state.bias[:3]
+        return [_frame_of(estimate, moment)]
+
+    def _awaited(self, moment: InertialMoment) -> list[OdometryFrame]:
+        self._waiting.append(moment)
+        if len(self._waiting) == 1:
+            self._waiting[0] = moment._replace(steps=None)
+        rules, needed = self.config.start, self.config.window.num_states
+        lasted_s = moment.time_s - self._waiting[0].time_s
+        if lasted_s < rules.duration_s - 1e-6 or len(self._waiting) < needed:
+            return []
+        start = started(self._waiting, self.config.window, rules)
+        if start.window is None:
+            self.reason = start.reason
+            first_s = self._waiting[0].time_s + self.config.retry_s
+            self._waiting = [m for m in self._waiting if m.time_s >= first_s - 1e-6]
+            self._waiting[0] = self._waiting[0]._replace(steps=None)
+            return []
+        window = start.window
+        found = [_frame_at(window, index) for index in range(len(window.moments) - 1)]
+        found.append(_frame_of(start.estimate, moment))
+        self._window, self._waiting = window.shrunk(needed), []
+        self._bias_radps = start.estimate.state.bias[:3]
+        return found
+
+    def _moment(self, frame: Frame, usable: Usable | None) -> InertialMoment:
+        rig = frame.rig.select(self.cameras)
+        steps = None
+        if self._before_s is not None:
+            steps = steps_between(self.drive.imu, self._before_s, frame.time_s, self._capacity)
+        R = np.eye(3) if steps is None else rotation_between(steps, self._bias_radps).T
+        hidden = None if usable is None else [usable(frame, name) for name in self.cameras]
+        tracks = self._tracker.step([_grey(frame, name) for name in self.cameras], rig, R, hidden)
+        self._before_s = frame.time_s
+        speed = None
+        if self.with_wheels:
+            wheels = self.drive.odometry
+            speed = float(np.interp(frame.time_s, wheels.time_s, wheels.speed_mps))
+        standing = self._is_standing(steps, tracks, speed)
+        return InertialMoment(frame.time_s, tracks, np.asarray(rig.T_base_cam), steps, speed, standing)
+
+    def _is_standing(self, steps: Steps | None, tracks: Tracks, speed_mps: float | None) -> bool:
+        """No flow in the images, a quiet inertial sensor, wheels that do not turn."""
+        if steps is None or (speed_mps is not None and abs(speed_mps) > 0.02):
+            return False
+        used = steps.step_s > 0
+        turning = np.abs(steps.gyro_radps[used]).max(initial=0.0)
+        shaking = steps.accel_mps2[used].std(axis=0).max(initial=0.0)
+        is_quiet = turning < self.config.standing_rate_radps and shaking < self.config.standing_force_mps2
+        return bool(is_quiet and tracks.num_followed >= 10 and tracks.flow_px < self.config.standing_flow_px)
+
+
+def follow(
+    odometry: VisualInertialOdometry, frames: Iterable[Frame], usable: Usable | None = None
+) -> list[OdometryFrame]:
+    """All frames of a drive.
+
+    Raises:
+        SemlocError: no start was found; says why.
+    """
+    found: list[OdometryFrame] = []
+    for frame in frames:
+        found += odometry.step(frame, usable)
+    if not found:
+        reason = odometry.reason or (
+            f"the drive is shorter than {odometry.config.start.duration_s:g} s or "
+            f"{odometry.config.window.num_states} images"
+        )
+        raise SemlocError(f"odometry of drive {odometry.drive.name}: no start was found: {reason}")
+    return found
+
+
+def _require(drive: Drive, cameras: Sequence[str], with_wheels: bool) -> None:
+    if drive.imu is None or not np.abs(drive.imu.accel_mps2).any():
+        raise SemlocError(
+            f"drive {drive.name}: has no inertial data (imu.csv with rates and forces), which --motion vio and both "
+            "need; use --motion wheels"
+        )
+    if with_wheels and drive.odometry is None:
+        raise SemlocError(f"drive {drive.name}: has no wheel odometry; use --motion vio")
+    without = [name for name in cameras if not drive.frames[0].has("rgb", name)]
+    if without:
+        raise SemlocError(
+            f"drive {drive.name}: no images of camera {', '.join(without)}; corners are followed in images, masks do "
+            "not do; name cameras with images (--cameras), or use --motion wheels"
+        )
+
+
+def _grey(frame: Frame, camera: str) -> np.ndarray:
+    return cv2.cvtColor(frame.image(camera), cv2.COLOR_BGR2GRAY)
+
+
+def _frame_of(estimate: InertialEstimate, moment: InertialMoment) -> OdometryFrame:
+    state = estimate.state
+    sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
+    return OdometryFrame(
+        moment.time_s, state.T_map_base, state.velocity_map, state.bias, sigma, moment.tracks.num_followed,
+        estimate.num_landmarks, moment.is_standing,
+    )  # fmt: skip
+
+
+def _frame_at(window: InertialWindow, index: int) -> OdometryFrame:
+    state, moment = window.state(index), window.moments[index]
+    return OdometryFrame(
+        moment.time_s, state.T_map_base, state.velocity_map, state.bias, np.full(16, np.nan),
+        moment.tracks.num_followed, int(window.pool.seen[:, index].sum()), moment.is_standing,
+    )  # fmt: skip

@@ -1,0 +1,171 @@
+"""Corners followed from image to image: the front end of visual odometry (room: perception; host).
+
+In: grey images of the cameras, rotations between, where nothing may be taken. Out: Tracks: ids, pixels, lines of sight.
+Pyramidal Lucas-Kanade with small windows (large ones are bent by foreshortening and turn the yaw), a check backwards
+in time, and the epipolar plane. Slots are fixed: a slot holds one track of one camera, or none.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from semloc_jax.cameras import Rig
+from semloc_jax.perception.corners import new_corners
+from semloc_jax.perception.epipolar_gate import moves_with_the_world
+from semloc_jax.perception.sight_lines import SightLines, sight_lines
+
+
+@dataclass(frozen=True)
+class CornerConfig:
+    """How corners are followed. All values are ours; the size of the window is measured (see FIGURES.md)."""
+
+    num_tracks: int = 200
+    """Slots, shared evenly by the cameras."""
+    window_px: int = 9
+    """Side of the window that is compared."""
+    num_levels: int = 4
+    """Levels of the pyramid."""
+    back_check_px: float = 0.7
+    """A corner that is followed there and back returns within this."""
+    bucket_px: int = 60
+    """Side of the squares of which each gives one new corner."""
+    gate_px: float = 2.0
+    """Largest distance from the epipolar plane of the motion."""
+    border_px: int = 8
+
+
+class Tracks(NamedTuple):
+    """What is seen of every slot at one time."""
+
+    id: Int[np.ndarray, " s"]
+    """Number of the track, never used again; -1 for an empty slot."""
+    camera: Int[np.ndarray, " s"]
+    """Index of the camera of a slot in the rig."""
+    uv: Float[np.ndarray, "s 2"]
+    sight: SightLines
+    num_followed: int
+    """Tracks that were there at the time before."""
+    flow_px: float
+    """Upper quartile of their motion since then, the rotation taken out; NaN where there are none."""
+
+
+class _View(NamedTuple):
+    """The tracks of one camera."""
+
+    grey: UInt8[np.ndarray, "h w"]
+    id: Int[np.ndarray, " s"]
+    uv: Float[np.ndarray, "s 2"]
+    sight: SightLines
+
+
+class FeatureTracker:
+    """Follows corners in the images of a rig."""
+
+    def __init__(self, num_cameras: int, config: CornerConfig | None = None) -> None:
+        """Slots for so many cameras, all empty."""
+        self.config = config or CornerConfig()
+        self.num_slots = max(self.config.num_tracks // num_cameras, 1)
+        self._views: list[_View | None] = [None] * num_cameras
+        self._next_id = 0
+
+    def step(
+        self,
+        greys: Sequence[UInt8[np.ndarray, "h w"]],
+        rig: Rig,
+        R_now_before: Float[np.ndarray, "3 3"],
+        usable: Sequence[Bool[np.ndarray, "h w"] | None] | None = None,
+    ) -> Tracks:
+        """Follow the corners into the next images, and take new ones where slots are empty.
+
+        Args:
+            greys: One image of every camera.
+            rig: The cameras.
+            R_now_before: Rotation of the base since the last images, of a gyroscope.
+            usable: Of each camera: False on traffic, sky and the vehicle; no new corner is taken there.
+        """
+        views, followed, flows = [], 0, []
+        for index, grey in enumerate(greys):
+            R_base_cam = np.asarray(rig.T_base_cam[index])[:3, :3]
+            R_cam = R_base_cam.T @ R_now_before @ R_base_cam
+            before = self._views[index]
+            view, flow_px = self._followed(before, grey, rig, index, R_cam)
+            followed += int(np.sum(view.id >= 0))
+            flows.append(flow_px)
+            views.append(self._filled(view, rig, index, None if usable is None else usable[index]))
+        self._views = list(views)
+        flow = np.concatenate(flows)
+        stacked = SightLines(*(np.concatenate([v.sight[part] for v in views]) for part in range(3)))
+        return Tracks(
+            np.concatenate([v.id for v in views]),
+            np.repeat(np.arange(len(views)), self.num_slots),
+            np.concatenate([v.uv for v in views]),
+            stacked,
+            followed,
+            float(np.percentile(flow, 75)) if len(flow) else float("nan"),
+        )
+
+    def _followed(
+        self, before: _View | None, grey: np.ndarray, rig: Rig, index: int, R_cam: np.ndarray
+    ) -> tuple[_View, Float[np.ndarray, " k"]]:
+        """The tracks that are found again, and how far each of them moved besides rotation [px]."""
+        empty = np.full(self.num_slots, -1)
+        if before is None or before.grey.shape != grey.shape or not (before.id >= 0).any():
+            uv = np.zeros((self.num_slots, 2))
+            return _View(grey, empty, uv, sight_lines(rig.cameras[index], uv)), np.zeros(0)
+        uv, found = self._flow(before, grey)
+        sight = sight_lines(rig.cameras[index], uv)
+        kept = np.flatnonzero(found & sight.valid)
+        scale = px_per_rad(sight)[kept]
+        rays = before.sight.ray_cam[kept], sight.ray_cam[kept]
+        good = moves_with_the_world(*rays, scale, R_cam, self.config.gate_px, self._next_id)
+        ids = empty.copy()
+        ids[kept[good]] = before.id[kept[good]]
+        moved_px = np.linalg.norm(np.cross(rays[0] @ R_cam.T, rays[1]), axis=1) * scale
+        return _View(grey, ids, uv, sight), moved_px[good]
+
+    def _flow(self, before: _View, grey: np.ndarray) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"]]:
+        """Where the corners are now, and which of them came back when followed backwards."""
+        config = self.config
+        here = np.flatnonzero(before.id >= 0)
+        old = before.uv[here].astype(np.float32)
+        options = {
+            "winSize": (config.window_px, config.window_px),
+            "maxLevel": config.num_levels - 1,
+            "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005),
+        }
+        new, ahead, _ = cv2.calcOpticalFlowPyrLK(before.grey, grey, old, None, **options)
+        back, behind, _ = cv2.calcOpticalFlowPyrLK(
+            grey, before.grey, new, old.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **options
+        )
+        height, width = grey.shape
+        inside = (new >= config.border_px).all(axis=1) & (new < np.array([width, height]) - config.border_px).all(
+            axis=1
+        )
+        good = (ahead[:, 0] > 0) & (behind[:, 0] > 0) & inside
+        good &= np.linalg.norm(back - old, axis=1) < config.back_check_px
+        uv, found = before.uv.copy(), np.zeros(self.num_slots, bool)
+        uv[here[good]], found[here[good]] = new[good], True
+        return uv, found
+
+    def _filled(self, view: _View, rig: Rig, index: int, usable: np.ndarray | None) -> _View:
+        """The view with new corners in its empty slots."""
+        free = np.flatnonzero(view.id < 0)
+        config, taken = self.config, view.uv[view.id >= 0]
+        corners = new_corners(view.grey, usable, taken, len(free), config.bucket_px, config.border_px)
+        slots = free[: len(corners)]
+        ids, uv = view.id.copy(), view.uv.copy()
+        ids[slots], uv[slots] = self._next_id + np.arange(len(slots)), corners
+        self._next_id += len(slots)
+        sight = sight_lines(rig.cameras[index], uv)
+        ids[~sight.valid] = -1
+        return _View(view.grey, ids, uv, sight)
+
+
+def px_per_rad(sight: SightLines) -> Float[np.ndarray, " n"]:
+    """Pixels a radian beside each ray: the root of the area of a square of directions."""
+    gram = sight.pixels @ np.swapaxes(sight.pixels, 1, 2)
+    return np.sqrt(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)))
