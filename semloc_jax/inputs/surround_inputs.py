@@ -1,7 +1,7 @@
-"""Pictures of all cameras around a vehicle, from a drive or from a folder with one picture for each camera
+"""SurroundPictures of all cameras around a vehicle, from a drive or from a folder with one picture for each camera
 (room: inputs; host).
 
-In: a path, a calibration. Out: Pictures: the rig and its images frame by frame, checked against each other.
+In: a path, a calibration. Out: SurroundPictures: the rig and its images frame by frame, checked against each other.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ _STEADY = 0.99
 
 
 @dataclass(frozen=True)
-class Pictures:
+class SurroundPictures:
     """Images of all cameras of some frames.
 
     Attributes:
@@ -86,7 +86,7 @@ class Pictures:
 
 def surround_pictures(
     path: Path, calib: Path | None, cameras: tuple[str, ...] | None = None, frames: slice = slice(None)
-) -> Pictures:
+) -> SurroundPictures:
     """The pictures of a drive, or of a folder with one picture for each camera.
 
     Raises:
@@ -105,7 +105,7 @@ def pictures_by_camera(folder: Path, names: tuple[str, ...]) -> dict[str, Path]:
     return {name: file for name, file in found.items() if file is not None}
 
 
-def own_bodies(pictures: Pictures) -> list[np.ndarray | None]:
+def own_bodies(pictures: SurroundPictures) -> list[np.ndarray | None]:
     """Pixels of each camera that never show the world, bool[h w]: black ones, and the own car where masks know it."""
     if pictures.drive is None:
         return [blind_pixels([image]) for image in pictures.images(0)]
@@ -119,7 +119,7 @@ def own_bodies(pictures: Pictures) -> list[np.ndarray | None]:
     return blind
 
 
-def _labelled_body(pictures: Pictures, frames: list[Frame], camera: str) -> np.ndarray | None:
+def _labelled_body(pictures: SurroundPictures, frames: list[Frame], camera: str) -> np.ndarray | None:
     """Pixels that masks call the own car in nearly all of some frames."""
     drive = pictures.drive
     if drive is None or not drive.mask_sources or not drive.table_name:
@@ -129,7 +129,7 @@ def _labelled_body(pictures: Pictures, frames: list[Frame], camera: str) -> np.n
     return np.mean(known, axis=0) >= _STEADY if known and ids else None
 
 
-def _of_drive(path: Path, calib: Path | None, cameras: tuple[str, ...] | None, frames: slice) -> Pictures:
+def _of_drive(path: Path, calib: Path | None, cameras: tuple[str, ...] | None, frames: slice) -> SurroundPictures:
     drive = open_drive(path, calib)
     rig = drive.rig.select(cameras) if cameras else drive.rig
     chosen = drive.frames[frames]
@@ -148,10 +148,12 @@ def _of_drive(path: Path, calib: Path | None, cameras: tuple[str, ...] | None, f
     def read(index: int) -> list[np.ndarray]:
         return [chosen[index].image(name) for name in rig.names]
 
-    return Pictures(f"drive {drive.name}", rig, tuple(f.id for f in chosen), read, drive, tuple(chosen), rate_hz)
+    return SurroundPictures(
+        f"drive {drive.name}", rig, tuple(f.id for f in chosen), read, drive, tuple(chosen), rate_hz
+    )
 
 
-def _of_folder(path: Path, calib: Path | None, cameras: tuple[str, ...] | None) -> Pictures:
+def _of_folder(path: Path, calib: Path | None, cameras: tuple[str, ...] | None) -> SurroundPictures:
     if calib is None and not (path / "calib.yaml").is_file():
         raise SemlocError(f"{path}: no drive and no calib.yaml in it; give --calib, a calibration of all cameras")
     rig = read_calibration(calib if calib is not None else path / "calib.yaml")
@@ -166,4 +168,6 @@ def _of_folder(path: Path, calib: Path | None, cameras: tuple[str, ...] | None) 
             f"camera of the calibration in its own ({', '.join(rig.names)}); add it"
             + (f", or go on with --cameras {left}" if left else "")
         )
-    return Pictures(str(path), rig, ("0",), lambda _: [as_colour(read_picture(files[name])) for name in rig.names])
+    return SurroundPictures(
+        str(path), rig, ("0",), lambda _: [as_colour(read_picture(files[name])) for name in rig.names]
+    )

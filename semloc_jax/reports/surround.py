@@ -17,7 +17,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_source import mask_source
-from semloc_jax.inputs.surround_inputs import Pictures, own_bodies, surround_pictures
+from semloc_jax.inputs.surround_inputs import SurroundPictures, own_bodies, surround_pictures
 from semloc_jax.maps import MapElement, read_map
 from semloc_jax.perception.camera_order import Belonging, belonging
 from semloc_jax.perception.colour_balance import ColourBalance
@@ -130,7 +130,7 @@ def report_surround(
 class _Run:
     """The frames of a run, one after the other, with what was measured in them."""
 
-    def __init__(self, view: SurroundView, pictures: Pictures, settings: SurroundSettings):
+    def __init__(self, view: SurroundView, pictures: SurroundPictures, settings: SurroundSettings):
         self.view, self.pictures, self.settings = view, pictures, settings
         self.bands, self.inner = neighbours(view), inner_neighbours(view)
         self.balance: ColourBalance | None = None
@@ -185,7 +185,7 @@ def _spread(name: str, values: np.ndarray, unit: str) -> list[Metric]:
     return found
 
 
-def _surveyed(pictures: Pictures) -> Sequence[MapElement]:
+def _surveyed(pictures: SurroundPictures) -> Sequence[MapElement]:
     """Paint and slots of the true map, where the drive has a truth for its poses."""
     drive = pictures.drive
     if drive is None or drive.truth is None or drive.map_path is None:
@@ -193,7 +193,7 @@ def _surveyed(pictures: Pictures) -> Sequence[MapElement]:
     return read_map(drive.map_path).elements
 
 
-def _refuse_what_does_not_fit(view: SurroundView, pictures: Pictures) -> list[str]:
+def _refuse_what_does_not_fit(view: SurroundView, pictures: SurroundPictures) -> list[str]:
     """Warnings about pictures and calibration.
 
     Raises:
@@ -238,7 +238,7 @@ def _write(path: Path, picture: np.ndarray) -> None:
 
 
 def _write_masks(
-    folder: Path, name: str, pictures: Pictures, settings: SurroundSettings, own_car_m: Car | None
+    folder: Path, name: str, pictures: SurroundPictures, settings: SurroundSettings, own_car_m: Car | None
 ) -> None:
     """Class ids from above, 255 where nothing is known."""
     if pictures.drive is None:
