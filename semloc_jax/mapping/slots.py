@@ -36,6 +36,8 @@ class SlotConfig:
         depth_m: shallowest and deepest slot one drives into.
         touch_m: a bar across a divider begins no farther from it.
         occupied_share: share of the looks at a slot that end at a vehicle from which it is taken.
+        assumed_depth_m: depth of a slot one drives into and of one along the aisle where nothing tells it: of single
+            frames; None leaves such slots out.
     """
 
     entrance_m: tuple[float, float] = (2.1, 3.3)
@@ -48,6 +50,7 @@ class SlotConfig:
     depth_m: tuple[float, float] = (4.0, 6.5)
     touch_m: float = 0.25
     occupied_share: float = 0.4
+    assumed_depth_m: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,8 @@ def find_slots(
     slots = []
     for kind, one, other in found:
         depth_m = _depth_of(kind, [one, other], shared, typical.get(kind), config)
+        if depth_m is None and config.assumed_depth_m is not None:
+            depth_m = config.assumed_depth_m[kind == PARALLEL]
         if depth_m is None:
             continue
         corners = np.array(

@@ -12,11 +12,11 @@ import numpy as np
 from semloc_jax import viz
 from semloc_jax.calibration.lens_on_boards import LensFit, fit_lens
 from semloc_jax.calibration.mounts_on_mats import MatCorners, MountFit, fit_mounts, ground_errors
-from semloc_jax.calibration.target_pictures import Board, find_mat, grey_pictures, read_boards, read_survey
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.io import read_calibration, write_calibration
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Metric, write_metrics
+from semloc_jax.perception.target_pictures import Board, find_mat, grey_pictures, read_boards, read_survey
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.storage import writing
 from semloc_jax.viz.targets import target_figure

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 from jaxtyping import Bool, Float
 
 from semloc_jax.cameras import Camera, Rig
@@ -204,13 +203,13 @@ def _background(camera: Camera, rng: np.random.Generator) -> np.ndarray:
 
 def _write_lists(out: Path, plan: TargetPlan, mats: list[np.ndarray]) -> None:
     """What a person with a tape measure would write down."""
-    said = {
-        "board": {"columns": plan.board[0], "rows": plan.board[1], "square_m": plan.board_square_m},
-        "mat": {"columns": plan.mat[0], "rows": plan.mat[1], "square_m": plan.mat_square_m},
-    }
-    write_text(
-        out / "targets.yaml", "# inner corners and side of the squares\n" + yaml.safe_dump(said, sort_keys=False)
-    )
+    said = "# inner corners and side of the squares\n"
+    for name, (columns, rows), square_m in (
+        ("board", plan.board, plan.board_square_m),
+        ("mat", plan.mat, plan.mat_square_m),
+    ):
+        said += f"{name}: {{columns: {columns}, rows: {rows}, square_m: {square_m:g}}}\n"
+    write_text(out / "targets.yaml", said)
     with writing(out / "mats.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("mat", "column", "row", "x_m", "y_m"))

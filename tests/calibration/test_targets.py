@@ -8,11 +8,11 @@ import pytest
 
 from semloc_jax.calibration.lens_on_boards import fit_lens
 from semloc_jax.calibration.mounts_on_mats import MatCorners, fit_mounts, ground_errors
-from semloc_jax.calibration.target_pictures import Board, read_boards, read_survey
 from semloc_jax.cameras import KannalaBrandtCamera, Rig
 from semloc_jax.cli.main import main
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
+from semloc_jax.perception.target_pictures import Board, read_boards, read_survey
 from semloc_jax.simulation.cameras import surround_rig
 from semloc_jax.simulation.targets import TargetPlan, simulate_targets
 

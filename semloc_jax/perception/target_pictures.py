@@ -1,4 +1,4 @@
-"""Calibration targets found in pictures: boards before a camera, mats on the ground (room: calibration; host).
+"""Calibration targets found in pictures: boards before a camera, mats on the ground (room: perception; host).
 
 In: a folder with targets.yaml, boards/CAMERA/*.png, mats/CAMERA.png and mats.csv. Out: corners in pixels and metres.
 """
