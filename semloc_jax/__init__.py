@@ -34,7 +34,7 @@ The same pose as a differentiable function of cameras, extrinsics, prior; here b
 The names, in the order of the data flow
     cameras      camera_from_K, mounted, Rig, read_calibration, write_calibration, PinholeCamera, ...
     map          read_map, map_from_arrays, write_map, inspect_map, SemanticMap, MapElement, sample
-    masks        load_class_table, ClassTable, Channel, mask_source, cost_maps, render_masks
+    masks        load_class_table, ClassTable, Channel, mask_source, cost_maps, render_masks, SurroundView
     drives       open_drive, Drive, Frame, simulate, simulate_on_map
     first guess  planar_pose, PosePrior, prior_source
     one frame    align, search, localize_frames, iterate_frames, FrameLocalizer, LocalizeConfig, LocalizationResult
@@ -74,6 +74,7 @@ _ROOMS = {
     "cameras.io": ("camera_from_K", "read_calibration", "write_calibration"),
     "maps": ("SemanticMap", "MapElement", "map_from_arrays", "read_map", "write_map", "inspect_map", "sample"),
     "perception": ("ClassTable", "Channel", "load_class_table", "CostMapConfig", "cost_maps"),
+    "perception.surround": ("SurroundView",),
     "datasets": ("Drive", "Frame", "open_drive"),
     "inputs.mask_source": ("mask_source",),
     "inputs.mask_view": ("MaskSource",),

@@ -28,6 +28,8 @@ VERBS = {
     "calibrate": "cameras, odometer and satellite offset calibrated by a drive, and what it cannot tell",
     "learn": "class weights, ramp and noise learned through the solve from drives with truth",
     "check-calib": "what looks wrong in a calibration, and pictures of it: horizon, ground grid, map",
+    "surround": "the metric top view of all cameras around a vehicle",
+    "slots": "parking slots around a vehicle, made exact over many frames",
     "segment": "masks of a drive by a network, with a report of the map classes they can see",
     "data": "make the drives that the tables of figures name, from their seeds",
     "simulate": "write a small rendered drive with exact truth",

@@ -10,6 +10,7 @@ from semloc_jax.cli.main import OK
 from semloc_jax.errors import SemlocError
 
 if TYPE_CHECKING:
+    from semloc_jax.cameras import Rig
     from semloc_jax.simulation import SimulationConfig
 
 
@@ -29,11 +30,14 @@ class Options:
 
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
     """Folder to write: empty, absent, or with the same drive that was interrupted, which is then finished."""
-    kind: Literal["road", "country", "loop", "garage", "lot"] = "road"
+    kind: Literal["road", "country", "loop", "garage", "lot", "targets"] = "road"
     """road: one front camera in a town; country: the same on a crowned road of two lanes with lines, dashes and posts
     only; loop: a closed town road with two look-alike intersections, driven --laps N times; garage: four fisheyes in a
     straight aisle, or with --laps N in a hall with rings of aisles that ends in a parking slot; lot: an open parking
-    lot. Without --map."""
+    lot; targets: no drive, but boards before every fisheye and surveyed mats on the ground for semloc calibrate
+    --targets. Without --map."""
+    noise_px: float = 0.0
+    """With --kind targets: error of the place of a corner in a picture, one standard deviation."""
     map: Path | None = None
     """Drive on this map: Lanelet2, OpenDRIVE, Argoverse 2, GeoJSON ..., whatever 'semloc inspect' reads."""
     start: str | None = None
@@ -74,6 +78,8 @@ def run(options: Options) -> int:
     if not is_empty and not is_begun(options.out):
         raise SemlocError(f"{options.out}: is not an empty folder; give a new one, nothing is overwritten")
     rig = None if options.rig is None else read_calibration(options.rig)
+    if options.kind == "targets" and options.map is None:
+        return _simulate_targets(options, rig)
     settings = replace(options.settings, has_images=False) if options.masks_only else options.settings
     settings = replace(settings, has_obstacles=True) if options.obstacles else settings
     if options.map is not None:
@@ -87,6 +93,17 @@ def run(options: Options) -> int:
     # Under a roof no satellites say where to look.
     prior = " --prior truth" if drive.gnss is None else ""
     print(f"localize it with: semloc localize {options.out} --masks sem_net --frames ::5{prior}")
+    return OK
+
+
+def _simulate_targets(options: Options, rig: "Rig | None") -> int:
+    from semloc_jax.simulation.targets import TargetPlan, simulate_targets
+
+    if not 0.0 <= options.noise_px <= 2.0:
+        raise SemlocError(f"--noise-px {options.noise_px:g}: expected 0 to 2 px")
+    truth = simulate_targets(options.out, options.seed, TargetPlan(noise_px=options.noise_px), rig)
+    print(f"{options.out}: boards and mats of {', '.join(truth.names)}; the truth is in truth/calib.yaml")
+    print(f"calibrate with: semloc calibrate --targets {options.out}")
     return OK
 
 

@@ -28,3 +28,23 @@ def parse_names(text: str | None) -> tuple[str, ...] | None:
     """Names of a comma-separated list; None where nothing was given."""
     names = tuple(name.strip() for name in (text or "").split(",") if name.strip())
     return names or None
+
+
+def parse_numbers(text: str, option: str, form: str) -> tuple[float, ...]:
+    """Numbers separated by commas, as many as the form has words.
+
+    Args:
+        text: as typed.
+        option: for messages.
+        form: e.g. `X,Y`.
+
+    Raises:
+        UsageError: too few or too many, or one is not a finite number.
+    """
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise UsageError(f"{option} '{text}': expected numbers as {form}") from error
+    if len(numbers) != len(form.split(",")) or not all(abs(number) < float("inf") for number in numbers):
+        raise UsageError(f"{option} '{text}': expected {len(form.split(','))} finite numbers as {form}")
+    return numbers

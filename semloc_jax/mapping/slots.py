@@ -38,6 +38,8 @@ class SlotConfig:
         covered_share: share of the looks at a place that end at a vehicle from which one stands there: behind one,
             looks from other sides see the road.
         occupied_share: share of such places in the middle of a slot from which it is taken.
+        assumed_depth_m: depth of a slot one drives into and of one along the aisle where nothing tells it: of single
+            frames; None leaves such slots out.
     """
 
     entrance_m: tuple[float, float] = (2.1, 3.3)
@@ -51,6 +53,7 @@ class SlotConfig:
     touch_m: float = 0.25
     covered_share: float = 0.85
     occupied_share: float = 0.25
+    assumed_depth_m: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,8 @@ def find_slots(
     slots = []
     for kind, one, other in found:
         depth_m = _depth_of(kind, [one, other], shared, typical.get(kind), config)
+        if depth_m is None and config.assumed_depth_m is not None:
+            depth_m = config.assumed_depth_m[kind == PARALLEL]
         if depth_m is None:
             continue
         corners = np.array(

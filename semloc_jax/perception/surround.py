@@ -1,10 +1,11 @@
-"""Masks of all cameras as one top view of the road plane: inverse perspective mapping (room: perception; host).
+"""All cameras as one top view of the road plane: inverse perspective mapping (room: perception; host).
 
-In: class ids of every camera, the rig. Out: class ids of the top view, 255 where no camera shows the road.
+In: pictures or class ids of every camera, the rig. Out: the top view; class ids are 255 where no camera shows the road.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -13,71 +14,186 @@ from semloc_jax.cameras import BevCamera, Rig
 from semloc_jax.cameras.bev import T_base_bev
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception.class_table import UNLABELED_ID, ClassTable
+from semloc_jax.perception.colour_balance import ColourBalance
+from semloc_jax.perception.picture_stitch import PictureStitch
+from semloc_jax.perception.seams import SEAM_SIGMA_M, Blend, seam_weights
 from semloc_jax.structs import ElementClass
 
 PAINT = frozenset(label for label in ElementClass if label <= ElementClass.SPEED_BUMP)
 """What lies flat on the road; everything else is drawn out by inverse perspective mapping."""
 UPRIGHT_WORDS = ("building", "wall", "fence", "vegetation", "sky", "mountain", "tunnel", "barrier", "bridge")
 """Names of background that stands upright and so hides the road behind it."""
+Car = tuple[float, float, float, float]
+"""Rear, front, right and left end of a car in the base frame [m]."""
+_RIM_M = 0.05
+"""The body of a car is rounded: a camera at its rim looks past the outermost part."""
 
 
 @dataclass(frozen=True)
 class SurroundView:
-    """Which pixel of which camera shows each pixel of the top view; made once for a rig."""
+    """Which pixel of which camera shows each pixel of the top view; made once for a rig.
+
+    >>> view = sj.SurroundView.around(rig, size_m=10.0, metres_per_px=0.02)
+    >>> view.stitch(images).shape, view.stitch(masks, hidden_ids=(7, 8)).shape
+    ((500, 500, 3), (500, 500))
+    """
 
     image_uv: tuple[np.ndarray, ...]
     """Image pixel of each top-view pixel for each camera, float32[h w 2]; far outside where not visible."""
     order: np.ndarray
     """Cameras of each top-view pixel, the one with the finest view of the road first, int[n h w]."""
+    bev: BevCamera
+    """The top view as a camera."""
+    T_base_bev: np.ndarray
+    """Its pose, float64[4 4]."""
+    resolutions: tuple[tuple[int, int], ...] = field(repr=False)
+    """Width and height of the image of each camera [px]."""
+    blend: Blend = "gaussian"
+    """How pictures meet at the seams."""
 
     @classmethod
-    def of(cls, rig: Rig, bev: BevCamera, T_base_bev: np.ndarray, max_pixel_m: float = 0.4) -> "SurroundView":
+    def around(
+        cls,
+        rig: Rig,
+        size_m: float = 12.0,
+        metres_per_px: float = 0.012,
+        blend: Blend = "gaussian",
+        own_body: Sequence[np.ndarray | None] = (),
+        own_car_m: Car | None = None,
+    ) -> "SurroundView":
+        """The square top view around the middle of the cameras, with the own car left blank.
+
+        Args:
+            rig: The cameras of the pictures.
+            size_m: Its side [m].
+            metres_per_px: Size of its pixels [m].
+            blend: How pictures meet at the seams.
+            own_body: For each camera bool[h w], True where its picture shows the own car.
+            own_car_m: Rear, front, right and left end of the car [m]; None takes the rectangle of the cameras.
+        """
+        bev, T = top_view(rig, 0.5 * size_m, metres_per_px)
+        return cls.of(rig, bev, T, blend=blend, own_car_m=own_car_m or own_car(rig), own_body=own_body)
+
+    @classmethod
+    def of(
+        cls,
+        rig: Rig,
+        bev: BevCamera,
+        T_base_bev: np.ndarray,
+        max_pixel_m: float = 0.4,
+        blend: Blend = "gaussian",
+        own_car_m: Car | None = None,
+        own_body: Sequence[np.ndarray | None] = (),
+    ) -> "SurroundView":
         """The tables of a rig.
 
         Args:
-            rig: The cameras of the masks.
+            rig: The cameras of the pictures.
             bev: The top view.
             T_base_bev: Its pose in the base frame; its plane z = 0 is the road.
             max_pixel_m: Where one pixel of a camera covers more road than this in any direction, it is not used [m].
+            blend: How pictures meet at the seams.
+            own_car_m: Rear, front, right and left end of the own car in the base frame [m], which is left blank; see
+                `own_car`. None shows what the cameras see there.
+            own_body: For each camera bool[h w], True where its picture shows the own car; None where nothing is known.
         """
-        width, height = bev.resolution
-        grid = np.stack(np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)), axis=-1)
-        p_bev = np.asarray(bev.unproject(grid)[0], dtype=np.float64)
-        p_base = p_bev @ T_base_bev[:3, :3].T + T_base_bev[:3, 3]
+        p_base = _places(bev, T_base_bev)
+        under = np.zeros(p_base.shape[:2], bool) if own_car_m is None else _inside(p_base, own_car_m)
         tables, fineness = [], []
-        for camera, T_base_cam in zip(rig.cameras, np.asarray(rig.T_base_cam, dtype=np.float64), strict=True):
+        bodies = tuple(own_body) or (None,) * len(rig)
+        for camera, T_base_cam, body in zip(
+            rig.cameras, np.asarray(rig.T_base_cam, dtype=np.float64), bodies, strict=True
+        ):
             uv, valid = (np.array(part) for part in camera.project((p_base - T_base_cam[:3, 3]) @ T_base_cam[:3, :3]))
             px_per_m = _finest_detail(uv) * float(bev.fx)
-            seen = valid & np.asarray(camera.in_image(uv[..., 0], uv[..., 1])) & (px_per_m * max_pixel_m > 1.0)
+            seen = valid & np.asarray(camera.in_image(uv[..., 0], uv[..., 1])) & (px_per_m * max_pixel_m > 1.0) & ~under
+            if own_car_m is not None:
+                seen &= ~_behind_car(T_base_cam[:2, 3], p_base, own_car_m)
+            if body is not None:
+                seen &= ~_at(body, uv, seen)
             uv[~seen] = -1e4
             tables.append(uv.astype(np.float32))
             fineness.append(np.where(seen, px_per_m, 0.0))
-        return cls(tuple(tables), np.argsort(-np.stack(fineness), axis=0, kind="stable"))
+        sizes = tuple(camera.resolution for camera in rig.cameras)
+        order = np.argsort(-np.stack(fineness), axis=0, kind="stable")
+        return cls(tuple(tables), order, bev, np.asarray(T_base_bev, np.float64), sizes, blend)
 
-    def stitch(self, masks: Sequence[np.ndarray], hidden_ids: Sequence[int] = ()) -> np.ndarray:
-        """Class ids of the top view, uint8[h w].
+    @property
+    def metres_per_px(self) -> float:
+        """Size of a pixel of the top view [m]."""
+        return 1.0 / float(self.bev.fx)
 
-        Where an object hides the road from the finest camera, the next one is used.
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """Whether each camera sees each pixel of the top view, bool[n h w]."""
+        return np.stack([uv[..., 0] > -1e3 for uv in self.image_uv])
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Weight of each camera at each pixel, float32[n h w]; they sum to one where any camera sees the road."""
+        return seam_weights(self.seen, self.order[0], self.blend, SEAM_SIGMA_M / self.metres_per_px)
+
+    @cached_property
+    def pictures(self) -> PictureStitch:
+        """The tables for colour pictures."""
+        return PictureStitch.of(self.image_uv, self.weights, self.resolutions)
+
+    def balance(self, images: Sequence[np.ndarray]) -> ColourBalance:
+        """Gains and white balance under which all cameras agree in the overlaps.
 
         Args:
-            masks: Class ids uint8[h w] of every camera, in the order of the rig.
+            images: uint8[h w 3] of every camera, in the order of the rig.
+        """
+        self._check(images)
+        return self.pictures.balance(images)
+
+    def stitch(
+        self,
+        pictures: Sequence[np.ndarray],
+        hidden_ids: Sequence[int] = (),
+        balance: ColourBalance | None = None,
+        height_aware: bool = False,
+    ) -> np.ndarray:
+        """The top view of pictures uint8[h w 3] or of class ids uint8[h w].
+
+        Pictures are blended across the seams and black where no camera sees the road. Class ids are never mixed: where
+        an object hides the road from the finest camera, the next one is used, and 255 means that none shows it.
+
+        Args:
+            pictures: Of every camera, in the order of the rig.
             hidden_ids: Ids of what hides the road: the own car, other road users, everything upright.
+            balance: Gains of the cameras; None finds them in these pictures.
+            height_aware: Where two cameras contradict each other, since something stands up there, the better one is
+                shown alone: no ghosts.
 
         Raises:
-            SemlocError: the number of masks is not that of the cameras.
+            SemlocError: the number or size of the pictures is not that of the cameras.
         """
-        if len(masks) != len(self.image_uv):
-            raise SemlocError(
-                f"top view: given {len(masks)} masks; expected one for each of {len(self.image_uv)} cameras"
-            )
+        self._check(pictures)
+        if pictures[0].ndim == 3:
+            return self.pictures.stitch(pictures, balance or self.balance(pictures), height_aware)
         shown = np.arange(256, dtype=np.uint8)
         shown[list(hidden_ids)] = UNLABELED_ID
-        top = np.stack([_looked_up(cv2.LUT(m, shown), uv) for m, uv in zip(masks, self.image_uv, strict=True)])
+        top = np.stack([_looked_up(cv2.LUT(m, shown), uv) for m, uv in zip(pictures, self.image_uv, strict=True)])
         ranked = np.take_along_axis(top, self.order, axis=0)
         stitched = ranked[0]
         for next_best in ranked[1:]:
             stitched = np.where(stitched == UNLABELED_ID, next_best, stitched)
         return stitched
+
+    def _check(self, pictures: Sequence[np.ndarray]) -> None:
+        what = "masks" if len(pictures) and pictures[0].ndim == 2 else "pictures"
+        if len(pictures) != len(self.image_uv):
+            raise SemlocError(
+                f"top view: given {len(pictures)} {what}; expected one for each of {len(self.image_uv)} cameras, in "
+                "the order of the calibration"
+            )
+        for index, (picture, size) in enumerate(zip(pictures, self.resolutions, strict=False)):
+            if (picture.shape[1], picture.shape[0]) != size and picture.ndim == 3:
+                raise SemlocError(
+                    f"top view: picture {index} has {picture.shape[1]}x{picture.shape[0]} px; the calibration says "
+                    f"{size[0]}x{size[1]}; give pictures of that size, or resize the camera (Camera.resized)"
+                )
 
 
 def stitch_masks(
@@ -116,6 +232,17 @@ def top_view(rig: Rig, range_m: float = 9.0, metres_per_px: float = 0.025) -> tu
     return BevCamera.covering(range_m, range_m, range_m, range_m, metres_per_px), T
 
 
+def own_car(rig: Rig) -> Car | None:
+    """Rear, front, right and left end [m] of the car that carries the cameras; None where they do not surround it.
+
+    Cameras of a surround view sit at the rim of the body: grille, tailgate, mirrors.
+    """
+    low, high = (edge(np.asarray(rig.T_base_cam)[:, :2, 3], axis=0) for edge in (np.min, np.max))
+    if len(rig) < 3 or (high - low).min() < 1.0:
+        return None
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
 def ground_table(table: ClassTable) -> ClassTable:
     """The class table of top views: only paint has channels; what stands upright is ignored.
 
@@ -133,6 +260,38 @@ def ground_table(table: ClassTable) -> ClassTable:
     flat_ids = {number for channel in flat for number in channel.mask_ids}
     hidden = (upright | named) - flat_ids - {*table.dynamic_ids, *table.ego_ids}
     return replace(table, channels=flat, ignore_ids=tuple(sorted({*table.ignore_ids, *hidden})))
+
+
+def _places(bev: BevCamera, T_base_bev: np.ndarray) -> np.ndarray:
+    """Point of the road in the base frame that each pixel of the top view shows [m], float64[h w 3]."""
+    width, height = bev.resolution
+    grid = np.stack(np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)), axis=-1)
+    return np.asarray(bev.unproject(grid)[0], dtype=np.float64) @ T_base_bev[:3, :3].T + T_base_bev[:3, 3]
+
+
+def _inside(p_base: np.ndarray, car_m: Car) -> np.ndarray:
+    rear, front, right, left = car_m
+    x, y = p_base[..., 0], p_base[..., 1]
+    return (x > rear) & (x < front) & (y > right) & (y < left)
+
+
+def _behind_car(camera_xy: np.ndarray, p_base: np.ndarray, car_m: Car) -> np.ndarray:
+    """Whether the own car stands between a camera and a place: a camera at the rear sees nothing ahead of it."""
+    rear, front, right, left = car_m
+    enters, leaves = np.zeros(p_base.shape[:2]), np.ones(p_base.shape[:2])
+    for axis, (low, high) in enumerate(((rear, front), (right, left))):
+        step = p_base[..., axis] - camera_xy[axis]
+        step = np.where(np.abs(step) < 1e-9, 1e-9, step)
+        ends = [(edge - camera_xy[axis]) / step for edge in (low + _RIM_M, high - _RIM_M)]
+        enters, leaves = np.maximum(enters, np.minimum(*ends)), np.minimum(leaves, np.maximum(*ends))
+    return enters < leaves
+
+
+def _at(body: np.ndarray, uv: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Whether the picture shows the own car where a pixel of the top view lies, or right beside it."""
+    grown = cv2.dilate(body.astype(np.uint8), np.ones((5, 5), np.uint8))
+    place = np.where(seen[..., None], uv, -10.0).astype(np.float32)
+    return cv2.remap(grown, place, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
 
 
 def _finest_detail(uv: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from semloc_jax.datasets.detect import is_recording
 from semloc_jax.datasets.pictures import as_colour, read_picture
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import read_trajectory
+from semloc_jax.inputs.surround_inputs import pictures_by_camera
 from semloc_jax.maps import LocalMap, SemanticMap, read_map
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.storage import output_path
@@ -111,9 +112,7 @@ def _pictures(given: Path | None, rig: Rig) -> dict[str, Path]:
     """Files by camera: the given one for the first camera, or those of a folder that have a camera in their name."""
     if given is None or not given.is_dir():
         return {} if given is None else {rig.names[0]: given}
-    files = sorted(file for file in given.iterdir() if file.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp"))
-    found = {name: next((file for file in files if name.lower() in file.stem.lower()), None) for name in rig.names}
-    return {name: file for name, file in found.items() if file is not None}
+    return pictures_by_camera(given, rig.names)
 
 
 def _frame(drive: Drive, index: int) -> Frame:

@@ -5,7 +5,6 @@ In: the table of a run, the drive, the map. Out: tracking.png, stanford.png, tra
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from semloc_jax import viz
@@ -15,8 +14,9 @@ from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.maps import SemanticMap
+from semloc_jax.reports.film import Film
 from semloc_jax.reports.track_log import PROTECTION, SIGMAS, TrackTable
-from semloc_jax.storage import output_path, writing
+from semloc_jax.storage import output_path
 from semloc_jax.viz.integrity import IntegrityErrors, stanford_diagram
 from semloc_jax.viz.overlay import dim
 from semloc_jax.viz.tracking import status_banner, tracking_over_time
@@ -108,19 +108,14 @@ def write_video(path: Path, overlay: Overlay, frames: list[Frame], rate_hz: floa
     """
     if not frames:
         raise SemlocError(f"video {path}: no frame to show; leave out --video")
-    first = overlay.picture(frames[0])
-    size_px = first.shape[1], first.shape[0]
-    with writing(path) as partial:
-        writer = cv2.VideoWriter(str(partial), cv2.VideoWriter_fourcc(*"mp4v"), rate_hz, size_px)
-        try:
-            if not writer.isOpened():
-                raise SemlocError(f"video {path}: OpenCV cannot write mp4 here; leave out --video")
-            writer.write(first[..., ::-1])
-            for frame in frames[1:]:
-                writer.write(overlay.picture(frame)[..., ::-1])
-        finally:
-            writer.release()
-    return path
+    film = Film(path, rate_hz)
+    try:
+        for frame in frames:
+            film.add(overlay.picture(frame))
+    except BaseException:
+        film.drop()
+        raise
+    return film.close()
 
 
 def write_strip(folder: Path, overlay: Overlay, frames: list[Frame], count: int) -> list[Path]:

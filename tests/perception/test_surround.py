@@ -3,43 +3,19 @@
 import numpy as np
 import pytest
 
-from semloc_jax.cameras import BevCamera, KannalaBrandtCamera, Rig
+from semloc_jax.cameras import BevCamera
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception import load_class_table
 from semloc_jax.perception.surround import SurroundView, ground_table, stitch_masks, top_view
 from semloc_jax.structs import ElementClass
+from tests.perception.four_fisheyes import four_fisheyes, painted
 
 PAINT, PILLAR, EGO = 15, 23, 8
-YAWS_DEG, PLACES = (0.0, 90.0, 180.0, -90.0), ((3.7, 0.0), (1.9, 1.0), (-0.9, 0.0), (1.9, -1.0))
-
-
-def pose(yaw_deg, place, pitch_deg=35.0, height_m=0.9):
-    """T_base_cam of a camera that looks `yaw_deg` to the left and `pitch_deg` down."""
-    yaw, pitch = np.deg2rad(yaw_deg), np.deg2rad(pitch_deg)
-    forward = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), -np.sin(pitch)])
-    right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
-    T_base_cam = np.eye(4)
-    T_base_cam[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    T_base_cam[:3, 3] = [*place, height_m]
-    return T_base_cam
 
 
 @pytest.fixture(scope="module")
 def rig():
-    cameras = [KannalaBrandtCamera(196.0, 196.0, 319.5, 239.5, 640, 480, -0.013, -0.004)] * 4
-    return Rig(cameras, np.stack([pose(*part) for part in zip(YAWS_DEG, PLACES, strict=True)]), list("flbr"))
-
-
-def painted(rig, is_paint, height_m=0.0):
-    """Masks of every camera by following the ray of each pixel down to the road: the other way round."""
-    masks = []
-    for camera, T in zip(rig.cameras, np.asarray(rig.T_base_cam), strict=True):
-        uv = np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1)
-        ray = np.asarray(camera.unproject(uv)[0]) @ T[:3, :3].T
-        reach = (T[2, 3] - height_m) / np.maximum(-ray[..., 2], 1e-6)
-        ground = T[:2, 3] + reach[..., None] * ray[..., :2]
-        masks.append(np.where(is_paint(ground) & (ray[..., 2] < 0), PAINT, 1).astype(np.uint8))
-    return masks
+    return four_fisheyes()
 
 
 def places(bev, T_base_bev):

@@ -12,6 +12,8 @@ import numpy as np
 
 from semloc_jax.cameras.io.camera_info import pose_of
 from semloc_jax.cameras.io.fields import intrinsics_of, load_yaml, numbers, perspective, read_text, resolution
+from semloc_jax.cameras.io.ground_homography import KEYS as GROUND_KEYS
+from semloc_jax.cameras.io.ground_homography import pose_of_homography
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 
@@ -29,6 +31,7 @@ _KEYS = (
     "distortion_model",
     "T_base_cam",
     "T_body_cam",
+    *GROUND_KEYS,
 )
 
 
@@ -49,7 +52,11 @@ def rig_from_opencv(path: Path) -> Rig:
     else:
         size = resolution(_first(content, _SIZE, where), f"{where} image size")
     camera = perspective(intrinsics, size, _model(content, coefficients, where), coefficients, where)
-    return Rig([camera], pose_of(content, where)[None], [path.stem])
+    if "project_matrix" in content and not {"T_base_cam", "T_body_cam"} & set(content):
+        pose = pose_of_homography(content, tuple(float(x) for x in intrinsics), path.stem, where)
+    else:
+        pose = pose_of(content, where)
+    return Rig([camera], pose[None], [path.stem])
 
 
 def _load(path: Path, where: str) -> dict[str, Any]:

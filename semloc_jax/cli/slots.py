@@ -1,0 +1,65 @@
+"""`semloc slots`: parking slots around a vehicle, made exact over many frames (room: cli)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from semloc_jax.cli.main import OK, log_to_console
+
+
+@dataclass(frozen=True)
+class Options:
+    """Find parking slots in every frame of a drive and follow them in the frame of its odometry.
+
+    Writes slots.csv (each sight: t, track, type, pose in base and in odom, width, depth, occupied, sigmas, existence),
+    slots_final.csv (one line for each slot), slots.geojson, config.yaml, with --video the film slots.mp4, and
+    metrics.json: where the drive has a true map and true poses, errors of single frames, of a plain Kalman filter and
+    of the fused tracks along x and y of the vehicle.
+
+    x_m, y_m are the middle of the entrance, yaw_rad is the direction from there into the slot. A slot is confirmed when
+    three of the first five frames that look at it show it, and ends after five visible misses.
+    """
+
+    drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]
+    """The drive: a folder or a bag (.bag, .db3, .mcap) with wheel odometry, its type is guessed."""
+    calib: Path | None = None
+    """Calibration file, where the drive has none of its own or another one is to be used."""
+    front: Literal["masks"] = "masks"
+    """What finds slots in a frame: masks: the lines of slots in them."""
+    masks: str | None = None
+    """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or FILE.onnx; default: the drive's best
+    masks."""
+    class_table: str | None = None
+    """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
+    cameras: str | None = None
+    """Names of cameras, separated by commas; default: all."""
+    frames: str = ":"
+    """Which frames, as a Python slice: ::2, 100:200; the way is that of the whole drive."""
+    video: bool = False
+    """Write slots.mp4: the top view with the slots."""
+    out: Path | None = None
+    """Folder for the results; default: results/TIME, to which results/latest points."""
+
+
+def run(options: Options) -> int:
+    """Find and follow the slots, print how exact they are."""
+    from semloc_jax.datasets import open_drive
+    from semloc_jax.errors import SemlocError
+    from semloc_jax.inputs.choices import parse_names, parse_slice
+    from semloc_jax.inputs.mask_source import mask_source
+    from semloc_jax.reports.slots import report_slots
+
+    log_to_console()
+    chosen = parse_slice(options.frames)
+    drive = open_drive(options.drive, options.calib)
+    if not drive.frames[chosen]:
+        raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames {options.frames}")
+    name = options.masks or (drive.mask_sources[0] if drive.mask_sources else None)
+    if name is None:
+        raise SemlocError(f"drive {drive.name}: has no masks; give --masks (semloc segment makes them)")
+    masks = mask_source(name, drive, parse_names(options.cameras), options.class_table)
+    kept = {"masks": masks.name, "cameras": ",".join(masks.cameras), "frames": options.frames}
+    print(report_slots(drive, masks, chosen, video=options.video, out=options.out, options=kept))
+    return OK

@@ -1,0 +1,53 @@
+"""Parking slots drawn on a top view (room: viz).
+
+In: a top view, slots in the base frame. Out: image arrays.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from semloc_jax.perception.surround import SurroundView
+from semloc_jax.viz.style import rgb
+
+FREE, TAKEN, UNSURE = "#00e676", "#ff5252", "#90a4ae"
+_SHIFT = 4
+
+
+class DrawnSlot(NamedTuple):
+    """What is drawn of one slot."""
+
+    corners_base: np.ndarray
+    """float64[4 2]: both ends of the entrance, then the back [m]."""
+    name: str
+    occupied: bool | None
+    confirmed: bool
+
+
+def draw_slots(picture: np.ndarray, view: SurroundView, slots: Sequence[DrawnSlot]) -> np.ndarray:
+    """A copy of a top view, uint8[h w 3] red green blue, with slots: free green, taken red, not confirmed grey."""
+    shown = np.ascontiguousarray(picture).copy()
+    thick = max(1, round(shown.shape[1] / 350))
+    for slot in sorted(slots, key=lambda s: s.confirmed):
+        uv = _pixels(view, slot.corners_base)
+        colour = rgb((TAKEN if slot.occupied else FREE) if slot.confirmed else UNSURE)
+        fixed = np.round(uv * 2**_SHIFT).astype(np.int32)
+        if slot.confirmed:
+            filled = shown.copy()
+            cv2.fillPoly(filled, [fixed], colour, cv2.LINE_AA, _SHIFT)
+            shown = cv2.addWeighted(filled, 0.22, shown, 0.78, 0.0)
+        cv2.polylines(shown, [fixed], True, colour, thick, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(shown, [fixed[:2]], False, (255, 255, 255), thick + 1, cv2.LINE_AA, _SHIFT)
+        middle = uv.mean(axis=0).round().astype(int)
+        size = cv2.getTextSize(slot.name, cv2.FONT_HERSHEY_SIMPLEX, 0.22 * thick, thick)[0]
+        at = int(middle[0] - size[0] / 2), int(middle[1] + size[1] / 2)
+        for ink, extra in (((8, 10, 14), 2), ((240, 244, 248), 0)):
+            cv2.putText(shown, slot.name, at, cv2.FONT_HERSHEY_SIMPLEX, 0.22 * thick, ink, thick + extra, cv2.LINE_AA)
+    return shown
+
+
+def _pixels(view: SurroundView, xy_base: np.ndarray) -> np.ndarray:
+    p_bev = (np.column_stack([xy_base, np.zeros(len(xy_base))]) - view.T_base_bev[:3, 3]) @ view.T_base_bev[:3, :3]
+    return p_bev[:, :2] * float(view.bev.fx) + [float(view.bev.cx), float(view.bev.cy)]
