@@ -24,6 +24,8 @@ VERBS = {
     "init": "look at your own recording: what is there, what is missing, templates, the next command",
     "inspect": "what a map holds and what looks wrong in it",
     "convert": "write a map in another format, and say what is lost",
+    "pack": "what a car uploads of a drive that was mapped: elements, what it looked at, its way; no images",
+    "merge": "one map of many drives, kept alive: better than any of them, with what has changed",
     "diff": "what makes one version of a map out of another, as a small file",
     "apply": "the next version of a map from the one that is there and a difference",
     "log": "the versions that a map has had, and its hashes by tile",

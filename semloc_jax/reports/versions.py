@@ -6,8 +6,9 @@ In: map files, differences. Out: files, and the text for people.
 import tempfile
 from pathlib import Path
 
+from semloc_jax.mapping.crowd.ledger import copy_record
 from semloc_jax.maps.versions.difference import MapDifference, applied, difference
-from semloc_jax.maps.versions.history import roll_back, versions_of, write_version
+from semloc_jax.maps.versions.history import roll_back, rolled_back, version_at, versions_of, write_version
 from semloc_jax.maps.versions.sdiff import SdiffFile, sdiff_bytes, write_sdiff
 from semloc_jax.maps.versions.state import MapState, read_state, write_state
 from semloc_jax.storage import temporary_prefix
@@ -77,6 +78,10 @@ def report_rollback(path: Path, version: int, out: Path | None = None) -> str:
         SemlocError: the history of the map does not reach back to it.
     """
     before = read_state(path)
+    old = version_at(path, version)
+    # What it was made of goes with it, before the map itself is there.
+    again = old if out is not None else rolled_back(path, version)
+    copy_record(path, old.digest, out or path, again.digest)
     state = roll_back(path, version, out)
     if out is not None:
         return f"{_named(state)} as it was: {out}"

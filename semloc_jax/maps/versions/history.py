@@ -53,11 +53,12 @@ def write_version(
         SemlocError: the file is no .gpkg, or cannot be written.
     """
     path = Path(path)
-    if before is not None and before.digest != state.digest:
-        folder = history_of(path)
+    folder = history_of(path)
+    if before is not None:
         folder.mkdir(parents=True, exist_ok=True)
         if kept_at is not None and history_of(kept_at) != folder:
             _copy(history_of(kept_at), folder, before.digest)
+    if before is not None and before.digest != state.digest:
         write_sdiff(difference(state, before, note), state, _step_at(folder, state.digest))
     write_state(state, path)
 
@@ -124,11 +125,21 @@ def roll_back(path: str | Path, version: int, out: str | Path | None = None) -> 
             _copy(history_of(path), folder, old.digest)
         write_version(old, out)
         return old
-    if old.digest == newest.digest:
+    again = rolled_back(path, version)
+    if again.digest == newest.digest:
         return newest
-    again = replace(old, version=versions_of(path)[0].version + 1)
     write_version(again, path, newest, Path(path), f"rollback to version {version}")
     return again
+
+
+def rolled_back(path: str | Path, version: int) -> MapState:
+    """The content of an earlier version as the next one; the newest stays what it is.
+
+    Raises:
+        SemlocError: the history of the map does not reach back to it.
+    """
+    rows, old = versions_of(path), version_at(path, version)
+    return old if old.digest == rows[0].digest else replace(old, version=rows[0].version + 1)
 
 
 def _steps_back(folder: Path, digest: str) -> Iterator[SdiffFile]:
