@@ -16,6 +16,8 @@ from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.sights import Sights
 
 _NODE_M = 25.0
+_SURVEYED_M = 0.1
+_HELD_RAD = 1e-5
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,11 @@ class Correction:
         self.size = 4 + 3 * self.num_nodes
         self.value = np.zeros(self.size)
 
+    @property
+    def is_held(self) -> bool:
+        """Whether it is a surveyed map, which lies where it lies."""
+        return self.sights.is_base and self.sights.sigma_place_m < _SURVEYED_M
+
     def rows(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2 p"]:
         """Displacement of points by each unknown."""
         s_m, foot = self.sights.feet(xy)
@@ -92,7 +99,8 @@ class Correction:
     def known(self) -> tuple[csr_array, Float[np.ndarray, " k"]]:
         """Whitened rows of what is known of the unknowns, and what they should give."""
         c, place_m = self.config, self.sights.sigma_place_m
-        sigma = np.array([place_m, place_m, c.turn_rad, c.scale] + [c.node_m, c.node_m, c.node_rad] * self.num_nodes)
+        whole = [_HELD_RAD, _HELD_RAD] if self.is_held else [c.turn_rad, c.scale]
+        sigma = np.array([place_m, place_m, *whole] + [c.node_m, c.node_m, c.node_rad] * self.num_nodes)
         blocks = [np.diag(1.0 / sigma)]
         if self.num_nodes:
             nodes_m = np.linspace(0.0, float(self._s_m[-1]), self.num_nodes)

@@ -21,7 +21,9 @@ _SMOOTH_M = 0.02
 _LINE_SIGMA_M = 0.04
 """A line is off alike over several metres: its stations count less than they are many."""
 _KERNEL = 2.5
-_LEAST_FACTOR, _MOST_FACTOR = 0.1, 4.0
+_LEAST_FACTOR, _MOST_FACTOR = np.array([0.2, 0.2, 0.5]), 4.0
+_TOGETHER = np.array([1e-3, 1e-3, 1e-6, 1e-6])
+"""How closely the mean shift [m], turn [rad] and scale of all drives are held at zero."""
 _ROUNDS = 4
 _SIGMA_OF_MAD = 1.4826
 _FREE = 0.01
@@ -153,6 +155,8 @@ class JointSolve:
             rows.append(csr_array(coo_array((A.data, (A.row, A.col + self._first_drive[k])), (A.shape[0], size))))
             targets.append(b)
         if self.moves:
+            rows.append(self._together(size))
+            targets.append(np.zeros(rows[-1].shape[0]))
             # What no drive sees any more stays about where it is.
             now = np.concatenate([self.world.centre.ravel(), *(line.offset_m for line in self.world.lines)])
             things, places = self._num_drives()
@@ -161,15 +165,29 @@ class JointSolve:
             rows.append(csr_array(free))
             targets.append(_FREE * now[lost])
             for k, line in enumerate(self.world.lines):
-                smooth = self._smooth(line.reference, line.left, 2 * len(self.world.kind) + self._first_station[k])
+                smooth = self._smooth(line.rough, line.left, 2 * len(self.world.kind) + self._first_station[k])
                 rows.append(smooth[0])
                 targets.append(smooth[1])
         return csr_array(vstack(rows)), np.concatenate(targets)
 
-    def _smooth(self, xy: np.ndarray, left: np.ndarray, first: int) -> tuple[csr_array, np.ndarray]:
-        m = max(len(xy) - 2, 0)
+    def _together(self, size: int) -> csr_array:
+        """On the mean, drives are neither shifted, turned nor stretched, unless a surveyed map says so.
+
+        That is what is known of each alone, but the many sights would outweigh it: in a world that is a little smaller,
+        all their errors are a little smaller too.
+        """
+        own = [k for k, drive in enumerate(self.drives) if self.weights[k] >= 1.0]
+        if any(self.drives[k].is_held for k in own):
+            return csr_array((0, size))
+        row, which = np.repeat(np.arange(4), len(own)), np.tile(self._first_drive[own], 4)
+        values = np.repeat(1.0 / (_TOGETHER * max(len(own), 1)), len(own))
+        return csr_array(coo_array((values, (row, which + row)), (4, size)))
+
+    def _smooth(self, rough: np.ndarray, left: np.ndarray, first: int) -> tuple[csr_array, np.ndarray]:
+        """The line runs as smoothly as its reference without its wobble does: curves of the road cost nothing."""
+        m = max(len(rough) - 2, 0)
         row = np.arange(m)
-        bend = ((xy[:-2] - 2.0 * xy[1:-1] + xy[2:]) * left[1:-1]).sum(axis=1) if m else np.zeros(0)
+        bend = ((rough[:-2] - 2.0 * rough[1:-1] + rough[2:]) * left[1:-1]).sum(axis=1) if m else np.zeros(0)
         values = np.concatenate([np.ones(m), np.full(m, -2.0), np.ones(m)]) / _SMOOTH_M
         columns = np.concatenate([first + row, first + row + 1, first + row + 2])
         size = int(self._first_drive[-1])
@@ -183,7 +201,7 @@ class JointSolve:
             own = np.abs(r * grown)[(group[1] == which) & (num > 1)]
             if len(own) >= 4:
                 found = _SIGMA_OF_MAD * float(np.median(own))
-                self.seen[group[0]].factor[which] = np.clip(found, _LEAST_FACTOR, _MOST_FACTOR)
+                self.seen[group[0]].factor[which] = np.clip(found, _LEAST_FACTOR[which], _MOST_FACTOR)
 
     def _num_drives(self) -> tuple[np.ndarray, np.ndarray]:
         """How many drives saw each thing and each station."""

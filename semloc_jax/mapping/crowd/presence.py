@@ -3,7 +3,7 @@
 In: who looked at each thing and who saw it. Out: probability that each is there after the last drive.
 A chain of two states: things vanish and appear at small rates between drives, so every certainty fades; a look that
 shows the thing has probability P_D if it is there and P_F if not. Both are learned from the drives themselves, P_D by
-class and distance from the way, by expectation maximisation.
+class, distance from the way and drive (rain shows less), by expectation maximisation.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class PresenceConfig:
         based: the same of a thing of the base map.
         detected, false: P_D and P_F before any look.
         looks: so many looks that belief is worth.
-        most_false: no class is taken to show things that are not there more often.
+        least_false, most_false: no class is taken to show things that are not there less or more often.
     """
 
     vanish: float = 0.02
@@ -38,6 +38,7 @@ class PresenceConfig:
     detected: float = 0.7
     false: float = 0.03
     looks: float = 8.0
+    least_false: float = 0.02
     most_false: float = 0.15
 
 
@@ -88,26 +89,37 @@ def presence(looks: Looks, config: PresenceConfig | None = None) -> Presence:
     # A look that shows a thing is one, whatever the outline of the area says.
     visible = looks.visible | looks.seen
     present, now = np.zeros(visible.shape), np.zeros(len(looks.kind))
+    good = np.ones(visible.shape[1])
+    # A thing that never was is known by one false sight at least: that one says nothing about how frequent they are.
+    spare = np.where(looks.is_based, 0.0, 1.0)
     for _ in range(_ROUNDS):
-        present, now = _smoothed(looks, visible, detected, false, c)
+        present, now = _smoothed(looks, visible, detected, false, good, c)
         there = np.where(visible, present, 0.0)
         gone = np.where(visible, 1.0 - present, 0.0)
         hits = np.bincount(looks.group.ravel(), (there * looks.seen).ravel(), num_groups) + c.looks * c.detected
         total = np.bincount(looks.group.ravel(), there.ravel(), num_groups) + c.looks
         detected = np.clip(hits / total, 0.05, 0.99)
+        expected = (there * np.minimum(detected[looks.group], 0.99)).sum(axis=0)
+        good = (there * looks.seen).sum(axis=0) + c.looks * c.detected
+        good = np.clip(good / (expected + c.looks * c.detected), 0.3, 1.1)
         kinds = np.repeat(looks.kind[:, None], visible.shape[1], axis=1)
-        shown = np.bincount(kinds.ravel(), (gone * looks.seen).ravel(), num_kinds) + 4.0 * c.looks * c.false
-        looked = np.bincount(kinds.ravel(), gone.ravel(), num_kinds) + 4.0 * c.looks
-        false = np.clip(shown / looked, 1e-3, c.most_false)
+        never = spare * (1.0 - present.max(axis=1, initial=0.0))
+        first = np.bincount(looks.kind, never, num_kinds)
+        shown = np.bincount(kinds.ravel(), (gone * looks.seen).ravel(), num_kinds) - first
+        looked = np.bincount(kinds.ravel(), gone.ravel(), num_kinds) - first
+        prior = 4.0 * c.looks
+        shown, looked = np.maximum(shown, 0.0) + prior * c.false, np.maximum(looked, 0.0) + prior
+        false = np.clip(shown / looked, c.least_false, c.most_false)
     return Presence(now, present, detected, false)
 
 
 def _smoothed(
-    looks: Looks, visible: np.ndarray, detected: np.ndarray, false: np.ndarray, c: PresenceConfig
+    looks: Looks, visible: np.ndarray, detected: np.ndarray, false: np.ndarray, good: np.ndarray, c: PresenceConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """Presence at each drive given all looks `[n d]`, and at the last given those before it `[n]`."""
     n, d = visible.shape
-    p_d, p_f = detected[looks.group], np.minimum(false[looks.kind][:, None], 0.5 * detected[looks.group])
+    p_d = np.clip(detected[looks.group] * good, 0.05, 0.99)
+    p_f = np.minimum(false[looks.kind][:, None], 0.5 * p_d)
     like = np.stack([np.where(looks.seen, p_f, 1.0 - p_f), np.where(looks.seen, p_d, 1.0 - p_d)], axis=2)
     like = np.where(visible[:, :, None], like, 1.0)
     vanish, appear = 1.0 - (1.0 - c.vanish) ** looks.steps, 1.0 - (1.0 - c.appear) ** looks.steps

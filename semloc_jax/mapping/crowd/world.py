@@ -27,6 +27,7 @@ _SAME_TURN_RAD = 0.35
 _LONG_HALF_M = 0.5
 _BESIDE_M = 0.3
 _STRAIGHT_STATIONS = 4.0
+_BEYOND = 12
 _POSTS = {label.name.lower() for label in POSTS}
 
 
@@ -38,6 +39,7 @@ class WorldLine:
         kind: as `map_shapes` names it.
         source: place of the drive among all, and the element that it was born of.
         reference: `float64[k 2]` [m].
+        rough: `float64[k 2]` how far the reference is off a smooth line [m].
         left: unit `float64[k 2]`.
         offset_m: `float64[k]`.
     """
@@ -45,6 +47,7 @@ class WorldLine:
     kind: str
     source: tuple[int, MapElement]
     reference: Float[np.ndarray, "k 2"]
+    rough: Float[np.ndarray, "k 2"]
     left: Float[np.ndarray, "k 2"]
     offset_m: Float[np.ndarray, " k"]
 
@@ -54,7 +57,10 @@ class WorldLine:
         # Their left is that of the road, not of every wobble: what is smooth must stay so when all of it moves.
         step = gaussian_filter1d(np.gradient(xy, axis=0), _STRAIGHT_STATIONS, axis=0, mode="nearest")
         step /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
-        return cls(kind, source, xy, np.stack([-step[:, 1], step[:, 0]], axis=1), np.zeros(len(xy)))
+        ahead, behind = 2.0 * xy[:1] - xy[_BEYOND:0:-1], 2.0 * xy[-1:] - xy[-2 : -2 - _BEYOND : -1]
+        longer = gaussian_filter1d(np.vstack([ahead, xy, behind]), _STRAIGHT_STATIONS, axis=0, mode="nearest")
+        smooth = longer[len(ahead) : len(ahead) + len(xy)]
+        return cls(kind, source, xy, xy - smooth, np.stack([-step[:, 1], step[:, 0]], axis=1), np.zeros(len(xy)))
 
     @property
     def xy(self) -> Float[np.ndarray, "k 2"]:

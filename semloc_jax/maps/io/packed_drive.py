@@ -31,13 +31,13 @@ MOST_BYTES = 4 << 20
 _HASH_BYTES = 32
 _FILTERS = [{"id": lzma.FILTER_LZMA1, "preset": 9, "dict_size": 1 << 22, "lc": 3, "pb": 0}]
 _LARGEST_PAYLOAD = 1 << 25
-_CELLS = np.array([100.0, 100.0, 20.0])
+_CELLS = np.array([100.0, 100.0, 10.0])
 """Cells of a metre, along x, y and up."""
 _COARSE = np.array([2.0, 2.0, 10.0])
 """The same of the way and of what was looked at."""
-_THIN_M, _FLATTER = 0.04, np.array([1.0, 1.0, 0.2])
+_THIN_M, _FLATTER = 0.05, np.array([1.0, 1.0, 0.2])
 """How far the middle of a line may move, and by how much less its height counts there."""
-_SIZES, _NORMALS, _ANGLES, _LOG_STEPS, _LOGIT_STEPS = 100.0, 100.0, 500.0, 4.0, 2.0
+_SIZES, _NORMALS, _ANGLES, _LOG_STEPS, _LOGIT_STEPS = 100.0, 100.0, 500.0, 4.0, 1.0
 _MOST_LOGIT = 12.0
 _SOURCE_DIGITS = 16
 
@@ -77,8 +77,8 @@ class PackedDrive:
 def packed_bytes(drive: PackedDrive) -> bytes:
     """The file of a drive; the same bytes for the same drive.
 
-    What is too fine for the file is rounded: places to 1 cm, heights to 5 cm, lines within 4 cm, sigmas to an eighth,
-    existence to half a nat. Elements lie in the order of the way and lose their names.
+    What is too fine for the file is rounded: places to 1 cm, heights to 10 cm, lines within 5 cm, sigmas to an eighth,
+    existence to a nat. Elements lie in the order of the way and lose their names.
     """
     elements = sorted((_thinned(e) for e in drive.beliefs.map.elements), key=lambda e: (_kind(e), *e.points[0]))
     kinds = sorted({_kind(e) for e in elements})
