@@ -17,6 +17,7 @@ from semloc_jax.evaluation import MapComparison, Metric, compare_maps, write_met
 from semloc_jax.mapping.crowd.ledger import Ledger, ledger_of, write_ledger
 from semloc_jax.mapping.crowd.merged import MergedMap, in_order, merged
 from semloc_jax.mapping.crowd.pack import packed, trimmed
+from semloc_jax.mapping.crowd.seed_rule import replaced
 from semloc_jax.maps import read_map
 from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_packed
 from semloc_jax.maps.versions.history import write_version
@@ -88,14 +89,29 @@ def report_merged(
     state = MapState(found.beliefs.as_map(), version, len(ledger.drives))
     write_ledger(ledger, state, out)
     write_version(state, out, before, base, f"merge of {new} drive{'s' if new > 1 else ''}")
-    comparison = None if truth is None else compare_maps(state.map.elements, read_map(truth).elements, "se2")
+    judged = {}
+    if truth is not None:
+        reference, by_rule = read_map(truth).elements, replaced(drives, state.map.origin).elements
+        for name, made, alignment in (
+            ("map", state.map.elements, "se2"),
+            ("absolute", state.map.elements, "none"),
+            ("seed_rule", by_rule, "se2"),
+        ):
+            judged[name] = compare_maps(made, reference, alignment)
     if report is not None:
-        _write_report(found, before, comparison, make_folder(report))
-    return "\n".join([*_merge_in_words(found, state, ledger, new, comparison), f"map: {out}"])
+        _write_report(found, judged, make_folder(report))
+    return "\n".join([*_merge_in_words(found, state, ledger, new, judged), f"map: {out}"])
+
+
+_TITLES = {
+    "map": "against the reference, after one motion in the plane:",
+    "absolute": "against the reference, as it lies:",
+    "seed_rule": "for comparison, replace within 5 m if more confident, after one motion in the plane:",
+}
 
 
 def _merge_in_words(
-    found: MergedMap, state: MapState, ledger: Ledger, new: int, comparison: MapComparison | None
+    found: MergedMap, state: MapState, ledger: Ledger, new: int, judged: dict[str, MapComparison]
 ) -> list[str]:
     counts = Counter(element.label.name.lower() for element in state.map.elements)
     changes = Counter(change.change for change in found.changes)
@@ -107,12 +123,12 @@ def _merge_in_words(
         f"changes: {', '.join(f'{changes[word]} {word}' for word in ('removed', 'moved', 'added'))}",
         *(f"not trusted: drive {drive.name}: {drive.reason}" for drive in found.distrusted),
     ]
-    if comparison is not None:
-        lines += ["against the reference, after one motion in the plane:", comparison.to_text()]
+    for name, comparison in judged.items():
+        lines += [_TITLES[name], comparison.to_text()]
     return lines
 
 
-def _write_report(found: MergedMap, before: MapState | None, comparison: MapComparison | None, folder: Path) -> None:
+def _write_report(found: MergedMap, judged: dict[str, MapComparison], folder: Path) -> None:
     """changes.csv, drives.csv, metrics.json, pictures."""
     columns = ("id", "change", "class", "x_m", "y_m", "moved_m", "existence", "num_seen", "num_missed", "drive")
     rows = []
@@ -134,7 +150,7 @@ def _write_report(found: MergedMap, before: MapState | None, comparison: MapComp
     for word in ("removed", "moved", "added"):
         count = sum(c.change == word for c in found.changes)
         metrics.append(Metric(f"changes.{word}", float(count), "elements", "report"))
-    metrics += [] if comparison is None else comparison.metrics()
+    metrics += [metric for name, comparison in judged.items() for metric in comparison.metrics(name)]
     write_metrics(metrics, folder / "metrics.json")
     elements, beliefs = found.beliefs.map.elements, found.beliefs.beliefs
     gone = [c.element for c in found.changes if c.change == "removed"]

@@ -19,7 +19,7 @@ _FIRST_M, _BASE_M, _WALK_M, _SEEN_M, _SMOOTH_M, _FREE_M = 3.0, 0.02, 0.15, 0.08,
 """Standard deviations: of a drive's first node, of a base map, of the walk, of one sight, of a line's bend; ours."""
 
 
-def heights(fused: Fused) -> tuple[Float[np.ndarray, " n"], list[Float[np.ndarray, " k"]]]:
+def heights(fused: Fused) -> tuple[Float[np.ndarray, " n"], list[np.ndarray]]:
     """Height of the lowest point of each thing, and of each station of each line [m]."""
     world = fused.world
     first_station = len(world.kind) + np.cumsum([0, *(len(line.reference) for line in world.lines)])

@@ -165,7 +165,7 @@ class JointSolve:
             rows.append(csr_array(free))
             targets.append(_FREE * now[lost])
             for k, line in enumerate(self.world.lines):
-                smooth = self._smooth(line.rough, line.left, 2 * len(self.world.kind) + self._first_station[k])
+                smooth = self._smooth(line.rough, line.left, 2 * len(self.world.kind) + int(self._first_station[k]))
                 rows.append(smooth[0])
                 targets.append(smooth[1])
         return csr_array(vstack(rows)), np.concatenate(targets)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from semloc_jax.mapping.crowd.presence import Looks, Presence
 from semloc_jax.mapping.crowd.world import LEAST_LINE_M, STATION_M, WorldLine
@@ -38,9 +38,16 @@ class LineRun:
 
 
 def lines_of(
-    lines: Sequence[WorldLine], heights: Sequence[Float[np.ndarray, " k"]], looks: Looks, there: Presence
+    lines: Sequence[WorldLine], heights: Sequence[np.ndarray], looks: Looks, there: Presence
 ) -> list[LineRun]:
-    """The parts of all lines that are there."""
+    """The parts of all lines that are there.
+
+    Args:
+        lines: all of them.
+        heights: of the stations of each [m].
+        looks: at the stations of all, in their order.
+        there: what the looks say.
+    """
     found: list[LineRun] = []
     first = np.cumsum([0, *(len(line.reference) for line in lines)])
     part_of: dict[tuple[int, str], int] = {}

@@ -128,7 +128,7 @@ def merged(
     ids = [_id_of(sights, drives, *row) for row in found.world.source.tolist()]
     elements = _things(found, z, ids)
     elements, changes = _identified(elements, looks, there, names, config)
-    known = [(elements[k], _belief(found, looks, there, k)) for k in np.flatnonzero(there.now > 0.5)]
+    known = [(elements[k], _belief(found, looks, there, k)) for k in np.flatnonzero(there.now > 0.5).tolist()]
     runs = lines_of(found.world.lines, station_z, station_looks, along_lines)
     known += [(_named(run.element, sights, drives, run.source, run.part), run.belief) for run in runs]
     known = [(_rounded(element), belief) for element, belief in known]
@@ -223,10 +223,11 @@ def _identified(
     elements: list[MapElement], looks: Looks, there: Presence, names: list[str], config: MergeConfig
 ) -> tuple[list[MapElement], list[CrowdChange]]:
     """What went and came again near by is one thing that moved: it keeps its id. And all changes."""
-    was = there.then.max(axis=1, initial=0.0) > 0.8
+    was = looks.is_based | (there.then.max(axis=1, initial=0.0) > 0.8)
     gone = np.flatnonzero(was & (there.now <= 0.5))
     looked = np.where(looks.visible | looks.seen, there.then, 1.0).min(axis=1, initial=1.0)
-    came = np.flatnonzero((there.now > 0.5) & (looked < 0.2) & ~looks.is_based)
+    is_new = (looked < 0.2) | bool(looks.is_based.any())
+    came = np.flatnonzero((there.now > 0.5) & is_new & ~looks.is_based)
     links: dict[int, tuple[int, float]] = {}
     middle = np.array([e.points[:, :2].mean(axis=0) for e in elements]).reshape(-1, 2)
     if len(gone) and len(came):
@@ -240,9 +241,9 @@ def _identified(
     for new, (old, _) in links.items():
         kept[new] = replace(elements[new], id=elements[old].id)
     linked = {old for old, _ in links.values()}
-    changes = [_change(kept, looks, there, names, k, "removed", 0.0) for k in gone if k not in linked]
-    for k in came:
-        old, moved_m = links.get(int(k), (-1, 0.0))
+    changes = [_change(kept, looks, there, names, k, "removed", 0.0) for k in gone.tolist() if k not in linked]
+    for k in came.tolist():
+        old, moved_m = links.get(k, (-1, 0.0))
         if old < 0 or moved_m >= config.moved_m:
             changes.append(_change(kept, looks, there, names, k, "added" if old < 0 else "moved", moved_m))
     return kept, changes

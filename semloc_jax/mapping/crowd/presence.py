@@ -28,18 +28,20 @@ class PresenceConfig:
         detected, false: P_D and P_F before any look.
         looks: so many looks that belief is worth.
         least_false, most_false: no class is taken to show things that are not there less or more often.
+        most_detected: no drive is taken to show more of what is there: what hides one thing is not always known.
     """
 
-    vanish: float = 0.02
-    appear: float = 0.01
+    vanish: float = 0.003
+    appear: float = 0.005
     days: float = 30.0
     born: float = 0.3
-    based: float = 0.97
+    based: float = 0.99
     detected: float = 0.7
     false: float = 0.03
     looks: float = 8.0
     least_false: float = 0.02
     most_false: float = 0.15
+    most_detected: float = 0.93
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ def _smoothed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Presence at each drive given all looks `[n d]`, and at the last given those before it `[n]`."""
     n, d = visible.shape
-    p_d = np.clip(detected[looks.group] * good, 0.05, 0.99)
+    p_d = np.clip(detected[looks.group] * good, 0.05, c.most_detected)
     p_f = np.minimum(false[looks.kind][:, None], 0.5 * p_d)
     like = np.stack([np.where(looks.seen, p_f, 1.0 - p_f), np.where(looks.seen, p_d, 1.0 - p_d)], axis=2)
     like = np.where(visible[:, :, None], like, 1.0)
