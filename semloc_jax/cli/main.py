@@ -30,6 +30,8 @@ VERBS = {
     "apply": "the next version of a map from the one that is there and a difference",
     "log": "the versions that a map has had, and its hashes by tile",
     "rollback": "an earlier version of a map again",
+    "serve": "a map, its differences and tiles over HTTP; takes packed drives",
+    "pull": "the newest version of a map that is served, by differences",
     "calibrate": "cameras, odometer and satellite offset calibrated by a drive, and what it cannot tell",
     "learn": "class weights, ramp and noise learned through the solve from drives with truth",
     "check-calib": "what looks wrong in a calibration, and pictures of it: horizon, ground grid, map",

@@ -101,9 +101,23 @@ def _fused_once(
     for k, drive in enumerate(drives):
         if k not in distrusted:
             world.take(k, drive, config.gate_m * widen[0])
-    for factor in widen:
+    for factor in (*widen, widen[-1]):
         seen = _solved(world, drives, distrusted, config, factor)
+        seen_in = np.zeros((len(world.kind), len(drives)), dtype=bool)
+        for k, own in enumerate(seen):
+            seen_in[own.pairs[:, 1], k] = True
+        # Nothing goes that a base map names: whether it is still there, the looks say.
+        twins = world.twins(seen_in, config.gate_m) & ~_is_of_base(world, drives)
+        if not twins.any() and factor == widen[-1]:
+            break
+        world.drop(twins)
+    if twins.any():
+        seen = _solved(world, drives, distrusted, config, widen[-1])
     return world, seen
+
+
+def _is_of_base(world: World, drives: list[Correction]) -> np.ndarray:
+    return (world.source[:, 0] == 0) & drives[0].sights.is_base
 
 
 def _solved(

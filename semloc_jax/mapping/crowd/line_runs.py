@@ -37,9 +37,7 @@ class LineRun:
     part: int
 
 
-def lines_of(
-    lines: Sequence[WorldLine], heights: Sequence[np.ndarray], looks: Looks, there: Presence
-) -> list[LineRun]:
+def lines_of(lines: Sequence[WorldLine], heights: Sequence[np.ndarray], looks: Looks, there: Presence) -> list[LineRun]:
     """The parts of all lines that are there.
 
     Args:

@@ -31,7 +31,7 @@ class PresenceConfig:
         most_detected: no drive is taken to show more of what is there: what hides one thing is not always known.
     """
 
-    vanish: float = 0.003
+    vanish: float = 0.005
     appear: float = 0.005
     days: float = 30.0
     born: float = 0.3
@@ -41,7 +41,7 @@ class PresenceConfig:
     looks: float = 8.0
     least_false: float = 0.02
     most_false: float = 0.15
-    most_detected: float = 0.93
+    most_detected: float = 0.85
 
 
 @dataclass(frozen=True)

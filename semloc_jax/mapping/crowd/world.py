@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
@@ -148,6 +148,28 @@ class World:
             xy = stations(correction.moved(element.points[:, :2]))
             for run in self._uncovered(kind_of(element), xy, gate_m):
                 self.lines.append(WorldLine.along(kind_of(element), (place, element), run))
+
+    def twins(self, seen_in: Bool[np.ndarray, "n d"], gate_m: float) -> Bool[np.ndarray, " n"]:
+        """Things that are another one seen a little aside: of its kind, so near, and no drive saw both.
+
+        Args:
+            seen_in: which drives saw each thing.
+            gate_m: see `paired`.
+        """
+        is_twin = np.zeros(len(self.kind), dtype=bool)
+        count = seen_in.sum(axis=1)
+        near = cKDTree(self.centre).query_pairs(gate_m, output_type="ndarray") if len(self.kind) > 1 else []
+        for a, b in sorted(tuple(pair) for pair in np.asarray(near, dtype=np.int64).reshape(-1, 2).tolist()):
+            if self.kind[a] != self.kind[b] or is_twin[a] or is_twin[b] or (seen_in[a] & seen_in[b]).any():
+                continue
+            # The first drive to see it, or the base map, gives the name where both count alike.
+            is_twin[b if count[a] >= count[b] else a] = True
+        return is_twin
+
+    def drop(self, rows: Bool[np.ndarray, " n"]) -> None:
+        """Takes things out."""
+        for name in ("kind", "source", "centre", "along", "half_m"):
+            setattr(self, name, getattr(self, name)[~rows])
 
     def _uncovered(self, kind: str, xy: np.ndarray, gate_m: float) -> list[np.ndarray]:
         """Runs of a line that no line of the world covers."""
