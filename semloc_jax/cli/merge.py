@@ -27,7 +27,9 @@ class Options:
     report: Path | None = None
     """A folder for tables and pictures."""
     truth: Path | None = None
-    """A reference map, to judge the result by (with --report: metrics.json)."""
+    """A reference map, to judge the result by, with the rule 'replace within 5 m if more confident' beside it."""
+    curve: bool = False
+    """With --report and --truth: merge 1, 2, 4 ... of the drives too, and draw how the error falls (error.png)."""
 
 
 def run(options: Options) -> int:
@@ -39,7 +41,9 @@ def run(options: Options) -> int:
     bases = [path for path in options.maps if path.suffix.lower() != ".slocal"]
     if len(bases) > 1 or (bases and options.maps[0] != bases[0]):
         raise UsageError("expected at most one base map, before the drives (.slocal)")
+    if options.curve and (options.report is None or options.truth is None):
+        raise UsageError("--curve needs --report and --truth")
     if not packed:
         raise UsageError("no drives: give files of 'semloc pack' (.slocal)")
-    print(report_merged(bases[0] if bases else None, packed, options.out, options.report, options.truth))
+    print(report_merged(bases[0] if bases else None, packed, options.out, options.report, options.truth, options.curve))
     return OK

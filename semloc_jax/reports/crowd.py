@@ -22,6 +22,7 @@ from semloc_jax.maps import read_map
 from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_packed
 from semloc_jax.maps.versions.history import write_version
 from semloc_jax.maps.versions.state import MapState, read_state
+from semloc_jax.reports.crowd_curve import write_curve
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz import changes_from_above, existence_from_above, save
@@ -55,7 +56,12 @@ def _in_words(drive: PackedDrive) -> str:
 
 
 def report_merged(
-    base: Path | None, packed_paths: Sequence[Path], out: Path, report: Path | None = None, truth: Path | None = None
+    base: Path | None,
+    packed_paths: Sequence[Path],
+    out: Path,
+    report: Path | None = None,
+    truth: Path | None = None,
+    curve: bool = False,
 ) -> str:
     """Merges packed drives into a map and writes it, with its history beside it.
 
@@ -65,6 +71,7 @@ def report_merged(
         out: the .gpkg file to write.
         report: folder for tables and pictures; None for none.
         truth: a reference map, to judge by.
+        curve: whether the report shows how the error falls with the number of drives.
 
     Raises:
         SemlocError: a file is broken, no drive fits any other, or the map cannot be written.
@@ -82,7 +89,7 @@ def report_merged(
     if before is not None and not new:
         write_ledger(held, before, out)
         write_version(before, out, before, base)
-        return f"{before.map.name}: all {len(contents)} drives are in version {before.version}; nothing changes\n{out}"
+        return f"{before.map.name} version {before.version}: holds these drives already; nothing changes\nmap: {out}"
     drives = in_order(ledger.unpacked())
     found = merged(ledger.base, drives, progress=lambda items, name: tqdm(items, desc=name))
     version = ledger.version if before is None else max(ledger.version, before.version + new)
@@ -99,7 +106,10 @@ def report_merged(
         ):
             judged[name] = compare_maps(made, reference, alignment)
     if report is not None:
-        _write_report(found, judged, make_folder(report))
+        folder = make_folder(report)
+        _write_report(found, judged, folder)
+        if curve and truth is not None:
+            write_curve(ledger.base, drives, read_map(truth), folder)
     return "\n".join([*_merge_in_words(found, state, ledger, new, judged), f"map: {out}"])
 
 

@@ -255,8 +255,12 @@ def test_a_packed_drive_is_a_map_to_every_reader(packed_files, capsys):
 
 def test_a_report_has_tables_and_pictures(packed_files, tmp_path, capsys):
     words = ["merge", *[str(packed_files / f"d{k}.slocal") for k in range(3)], "--out", str(tmp_path / "m.gpkg")]
-    words += ["--report", str(tmp_path / "r"), "--truth", str(packed_files / "base.gpkg")]
+    words += ["--report", str(tmp_path / "r"), "--truth", str(packed_files / "base.gpkg"), "--curve"]
     assert main(words) == OK
     assert "replace within 5 m" in capsys.readouterr().out
     names = {path.name for path in (tmp_path / "r").iterdir()}
-    assert names == {"changes.csv", "drives.csv", "metrics.json", "changes.png", "existence.png"}
+    assert names == {
+        "changes.csv", "drives.csv", "metrics.json", "changes.png", "existence.png", "curve.csv", "error.png",
+    }  # fmt: skip
+    rows = (tmp_path / "r" / "curve.csv").read_text().splitlines()
+    assert [row.split(",")[:2] for row in rows[1:]] == [["1", "3"], ["2", "1"], ["3", "1"]]

@@ -14,7 +14,7 @@ from semloc_jax.mapping.crowd.correction import Correction, CorrectionConfig
 from semloc_jax.mapping.crowd.joint import JointSolve, Seen, seen_by
 from semloc_jax.mapping.crowd.placing import place
 from semloc_jax.mapping.crowd.sights import Sights
-from semloc_jax.mapping.crowd.world import World, turned_by
+from semloc_jax.mapping.crowd.world import CrowdWorld, turned_by
 
 Progress = Callable[[Iterable, str], Iterable]
 _WIDEN = ((2.0, 1.3), (1.3, 1.0), (1.0, 1.0))
@@ -59,7 +59,7 @@ class Fused:
         distrusted: drives that count less, or not at all, by their place.
     """
 
-    world: World
+    world: CrowdWorld
     drives: list[Correction]
     seen: list[Seen]
     distrusted: dict[int, Distrusted]
@@ -95,9 +95,9 @@ def fused(
 
 def _fused_once(
     drives: list[Correction], distrusted: dict[int, Distrusted], config: FusionConfig, widen: tuple[float, ...]
-) -> tuple[World, list[Seen]]:
+) -> tuple[CrowdWorld, list[Seen]]:
     """Everything that was seen, each thing once, by where the drives lie now; then where they lie by it."""
-    world = World()
+    world = CrowdWorld()
     for k, drive in enumerate(drives):
         if k not in distrusted:
             world.take(k, drive, config.gate_m * widen[0])
@@ -116,12 +116,12 @@ def _fused_once(
     return world, seen
 
 
-def _is_of_base(world: World, drives: list[Correction]) -> np.ndarray:
+def _is_of_base(world: CrowdWorld, drives: list[Correction]) -> np.ndarray:
     return (world.source[:, 0] == 0) & drives[0].sights.is_base
 
 
 def _solved(
-    world: World, drives: list[Correction], distrusted: dict[int, Distrusted], config: FusionConfig, widen: float
+    world: CrowdWorld, drives: list[Correction], distrusted: dict[int, Distrusted], config: FusionConfig, widen: float
 ) -> list[Seen]:
     seen = [seen_by(world, drive, config.gate_m * widen) for drive in drives]
     usable = [k for k, drive in enumerate(drives) if k not in distrusted or len(seen[k].pairs)]
@@ -134,7 +134,7 @@ def _placed(drives: list[Correction], config: FusionConfig, progress: Progress) 
     """Lays the drives onto each other one by one; those that fit nowhere."""
     num = [len(drive.sights.things) for drive in drives]
     order = sorted(range(len(drives)), key=lambda k: (not drives[k].sights.is_base, -num[k], k))
-    world, lost = World(), {}
+    world, lost = CrowdWorld(), {}
     for rank, k in enumerate(progress(order, "placing")):
         if rank and not place(world, drives[k]):
             drives[k].value[:] = 0.0
@@ -145,7 +145,7 @@ def _placed(drives: list[Correction], config: FusionConfig, progress: Progress) 
 
 
 def _disagreeing(
-    world: World, drives: list[Correction], seen: list[Seen], known: dict[int, Distrusted], config: FusionConfig
+    world: CrowdWorld, drives: list[Correction], seen: list[Seen], known: dict[int, Distrusted], config: FusionConfig
 ) -> dict[int, Distrusted]:
     """Drives whose things are turned against those of the others, or that show hardly any of them."""
     rows = [k for k, drive in enumerate(drives) if k not in known and not drive.sights.is_base]
@@ -166,7 +166,7 @@ def _disagreeing(
     return found if 2 * (len(found) + len(known)) < len(drives) else {}
 
 
-def _turn_against(world: World, drive: Correction, seen: Seen) -> tuple[float, float]:
+def _turn_against(world: CrowdWorld, drive: Correction, seen: Seen) -> tuple[float, float]:
     """By how much things of a drive are turned against the world [deg], and the standard error of that."""
     things = drive.sights.things
     i, j = seen.pairs[:, 0], seen.pairs[:, 1]

@@ -1,6 +1,6 @@
 """Where everything is and how far each drive lies off, in one solve (room: mapping; host).
 
-In: World, drives with their corrections. Out: the same, moved: sparse least squares, robust by iterated weights.
+In: CrowdWorld, drives with their corrections. Out: the same, moved: sparse least squares, robust by iterated weights.
 Things are unknown in two directions, lines at each station to the side, drives by their correction. The common shift of
 all drives is held by what satellite fixes know of each: nothing else can, so it shrinks with the root of their number.
 """
@@ -14,7 +14,7 @@ from scipy.sparse.linalg import splu
 
 from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.mapping.crowd.correction import Correction
-from semloc_jax.mapping.crowd.world import Piece, World, line_sights, stations, turned_by
+from semloc_jax.mapping.crowd.world import CrowdWorld, Piece, line_sights, stations, turned_by
 
 _SMOOTH_M = 0.02
 """By how much a line bends within a metre that is not its curvature."""
@@ -49,7 +49,7 @@ class Seen:
     factor: Float[np.ndarray, "3"] = field(default_factory=lambda: np.ones(3))
 
 
-def seen_by(world: World, correction: Correction, gate_m: float) -> Seen:
+def seen_by(world: CrowdWorld, correction: Correction, gate_m: float) -> Seen:
     """What a drive saw of the world, by where it lies now."""
     sights = correction.sights
     things = sights.things
@@ -75,7 +75,12 @@ class JointSolve:
     """The equations of a world and its drives; `world_moves` False holds the world and places the drives in it."""
 
     def __init__(
-        self, world: World, drives: list[Correction], seen: list[Seen], weights: list[float], world_moves: bool = True
+        self,
+        world: CrowdWorld,
+        drives: list[Correction],
+        seen: list[Seen],
+        weights: list[float],
+        world_moves: bool = True,
     ):
         self.world, self.drives, self.seen, self.weights = world, drives, seen, weights
         self.moves = world_moves

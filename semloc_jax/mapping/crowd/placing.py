@@ -1,6 +1,6 @@
 """Where a drive lies in what is known, from nothing but where satellite fixes put it (room: mapping; host).
 
-In: a drive, a World. Out: its correction: first the shift that most of its things agree on, then along its way.
+In: a drive, a CrowdWorld. Out: its correction: first the shift that most of its things agree on, then along its way.
 """
 
 import numpy as np
@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.joint import JointSolve, seen_by
-from semloc_jax.mapping.crowd.world import World
+from semloc_jax.mapping.crowd.world import CrowdWorld
 
 _GATES_M = (2.0, 1.2, 0.8, 0.6, 0.5)
 _REACH_M = 8.0
@@ -16,7 +16,7 @@ _TOGETHER_M = 0.8
 _LEAST_SHARE, _LEAST_THINGS = 0.3, 4
 
 
-def place(world: World, drive: Correction) -> bool:
+def place(world: CrowdWorld, drive: Correction) -> bool:
     """Moves a drive to where it fits the world; whether it fits anywhere."""
     shift = _agreed_shift(world, drive)
     if shift is None:
@@ -29,7 +29,7 @@ def place(world: World, drive: Correction) -> bool:
     return found >= max(_LEAST_THINGS, _LEAST_SHARE * _num_comparable(world, drive))
 
 
-def _num_comparable(world: World, drive: Correction) -> int:
+def _num_comparable(world: CrowdWorld, drive: Correction) -> int:
     """Things of a drive that the world could hold: what lies beyond its ends says nothing."""
     if not len(world.kind):
         return 0
@@ -37,7 +37,7 @@ def _num_comparable(world: World, drive: Correction) -> int:
     return int(near.sum())
 
 
-def _agreed_shift(world: World, drive: Correction) -> np.ndarray | None:
+def _agreed_shift(world: CrowdWorld, drive: Correction) -> np.ndarray | None:
     """The shift that brings most things onto one of their kind [m]; None without any pair."""
     things, offsets = drive.sights.things, []
     for kind in sorted(set(things.kind.tolist()) & set(world.kind.tolist())):

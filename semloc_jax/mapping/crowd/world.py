@@ -1,6 +1,6 @@
 """Everything that any drive has seen, each thing once (room: mapping; host).
 
-In: Sights with their corrections. Out: World: things, lines as stations a metre apart; which sight is which of them.
+In: Sights with their corrections. Out: CrowdWorld: things, lines as stations a metre apart; which sight is which.
 A sight goes with a thing of its kind, one to one, nearest together; what is not near any is new.
 """
 
@@ -69,7 +69,7 @@ class WorldLine:
 
 
 @dataclass
-class World:
+class CrowdWorld:
     """All things and lines.
 
     Attributes:
