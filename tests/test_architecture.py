@@ -42,6 +42,7 @@ RANK = {
     "viz": 8,
     "reports": 9,
     "explorer": 9,
+    "service": 9,
     "cli": 10,
 }
 # Ground that every room may stand on.

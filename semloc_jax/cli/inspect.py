@@ -14,7 +14,7 @@ class Options:
     """What a map holds, how large it is, and what looks wrong in it.
 
     Reads Lanelet2, OpenDRIVE, GeoJSON, GeoPackage, Argoverse 2, nuScenes, NGII shapefiles, Apollo HD maps in text
-    form and the compact form.
+    form, the compact form and packed drives (.slocal).
     """
 
     map: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP")]

@@ -37,6 +37,8 @@ from semloc_jax.mapping.gauge import GNSS, IDENTITY, Gauge, gauge_of
 from semloc_jax.mapping.mapper import MadeMap, MapConfig, make_map
 from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.refining import refined_way
+from semloc_jax.mapping.seen_area import FILE as SEEN_AREA
+from semloc_jax.mapping.seen_area import seen_area, write_seen_area
 from semloc_jax.maps import BeliefMap, read_map, write_drive_geojson, write_map
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.reports.folder import make_folder, write_record
@@ -145,6 +147,7 @@ def report_map(
     write_drive_geojson(made.belief_map.as_map(), folder / "map.geojson")
     write_tum(trajectory, folder / "trajectory.tum")
     write_elements(made, folder / "elements.csv")
+    write_seen_area(seen_area(made, Ts_map_base[looking], settings.min_seen), gauge.name, folder / SEEN_AREA)
     metrics, comparison = _judged(drive, made, trajectory, folder)
     metrics += loop_metrics(closed.loops, _truth_of(drive, chain.times_s))
     if known is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -67,6 +67,58 @@ def sigmas_from_above(
     axes.plot(poses[:, 0, 3], poses[:, 1, 3], color=ESTIMATE, linewidth=0.8, alpha=0.7)
     bar = figure.colorbar(colours, ax=axes, shrink=0.6)
     bar.set_label("sigma across [m]", color="#c9d1dc", fontsize=9)
+    bar.ax.tick_params(colors="#c9d1dc", labelsize=8)
+    return _finished(figure, axes, title)
+
+
+CHANGES = {"removed": "#ff5c5c", "added": "#5cff9d", "moved": "#ffd24a"}
+"""Colours of what changed."""
+
+
+def changes_from_above(
+    elements: Sequence[MapElement], gone: Sequence[MapElement], changed: Mapping[str, str], title: str = ""
+) -> Figure:
+    """A map from above with what has come (green), gone (red) and moved (yellow).
+
+    Args:
+        elements: elements of the map now.
+        gone: elements that are no longer in it.
+        changed: added or moved, by id of an element.
+        title: text above the picture.
+    """
+    figure = new_figure(*_size_in([*elements, *gone]), dark=True)
+    axes = plain_axes(figure.add_subplot(), dark=True)
+    groups = [([e for e in elements if e.id not in changed], "#5d6b7d", 0.9), (list(gone), CHANGES["removed"], 1.8)]
+    groups += [([e for e in elements if changed.get(e.id) == w], CHANGES[w], 1.8) for w in ("added", "moved")]
+    for group, colour, width in groups:
+        shown = [e for e in group if not e.is_logical]
+        axes.add_collection(LineCollection([_outline(e) for e in shown], colors=colour, linewidths=width))
+        _draw_posts(axes, [e for e in shown if _is_post(e)], 22.0 * width, colour, width)
+    counts = {"removed": len(gone)} | {w: sum(v == w for v in changed.values()) for w in ("added", "moved")}
+    handles = [Line2D([], [], color=CHANGES[word], label=f"{count} {word}") for word, count in counts.items()]
+    axes.legend(handles=handles, fontsize=9, frameon=False, labelcolor="#e8edf4")
+    return _finished(figure, axes, title)
+
+
+def existence_from_above(elements: Sequence[MapElement], beliefs: Mapping[str, Belief], title: str = "") -> Figure:
+    """A map from above; the colour of each element is the share of the looks at it that showed it.
+
+    Args:
+        elements: elements of the map.
+        beliefs: by id.
+        title: text above the picture.
+    """
+    figure = new_figure(*_size_in(elements), dark=True)
+    axes = plain_axes(figure.add_subplot(), dark=True)
+    shown = [element for element in elements if not element.is_logical]
+    counts = np.array([[beliefs[e.id].num_seen, beliefs[e.id].num_missed] for e in shown], dtype=float).reshape(-1, 2)
+    colours = ScalarMappable(Normalize(0.0, 1.0), "RdYlGn")
+    rgba = colours.to_rgba(counts[:, 0] / np.maximum(counts.sum(axis=1), 1.0))
+    axes.add_collection(LineCollection([_outline(e) for e in shown], colors=rgba, linewidths=1.4))
+    posts = [k for k, e in enumerate(shown) if _is_post(e)]
+    _draw_posts(axes, [shown[k] for k in posts], 22.0, rgba[posts], 1.4)
+    bar = figure.colorbar(colours, ax=axes, shrink=0.6)
+    bar.set_label("share of the drives that passed it and saw it", color="#c9d1dc", fontsize=9)
     bar.ax.tick_params(colors="#c9d1dc", labelsize=8)
     return _finished(figure, axes, title)
 

@@ -17,6 +17,7 @@ import numpy as np
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import simplify
 from semloc_jax.maps.elements import UPRIGHT_CLASSES, GeoOrigin, MapElement
+from semloc_jax.maps.io.varints import pack_integers, unpack_integers
 from semloc_jax.maps.semantic_map import SemanticMap
 from semloc_jax.storage import write_bytes
 from semloc_jax.structs import ElementClass
@@ -116,7 +117,7 @@ def compact_bytes(
     text = json.dumps(header, allow_nan=False).encode()
     parts = [np.array([len(text)], dtype="<u4").tobytes(), text]
     for column in columns:
-        packed = _pack(column)
+        packed = pack_integers(column)
         parts += [np.array([len(column), len(packed)], dtype="<u4").tobytes(), packed]
     return MAGIC + lzma.compress(b"".join(parts), format=lzma.FORMAT_RAW, filters=_FILTERS)
 
@@ -216,47 +217,13 @@ def _morton(point: np.ndarray) -> int:
     return sum((x >> bit & 1) << 2 * bit | (y >> bit & 1) << 2 * bit + 1 for bit in range(31))
 
 
-def _pack(values: np.ndarray) -> bytes:
-    """Returns integers as zigzag varints, seven bits a byte, low ones first."""
-    values = np.asarray(values, dtype=np.int64)
-    rest = ((values << 1) ^ (values >> 63)).astype(np.uint64)
-    rows = []
-    while True:
-        more = rest >= 128
-        rows.append(np.where(more, (rest & 127) | 128, rest))
-        if not more.any():
-            break
-        rest = rest >> 7
-    table = np.stack(rows, axis=1).astype(np.uint8)
-    used = np.ones(table.shape, dtype=bool)
-    used[:, 1:] = np.cumprod(table[:, :-1] >= 128, axis=1).astype(bool)
-    return table[used].tobytes()
-
-
-def _unpack(packed: bytes, count: int) -> np.ndarray:
-    """Returns the integers of `_pack`."""
-    raw = np.frombuffer(packed, dtype=np.uint8)
-    last = np.flatnonzero(raw < 128)
-    if len(last) != count or (count and last[-1] != len(raw) - 1) or (not count and len(raw)):
-        raise ValueError("a column has the wrong length")
-    if not count:
-        return np.zeros(0, dtype=np.int64)
-    start = np.concatenate([[0], last[:-1] + 1]).astype(np.int64)
-    place = np.arange(len(raw)) - np.repeat(start, last - start + 1)
-    if (place > 9).any():
-        raise ValueError("a number is too long")
-    parts = (raw & 127).astype(np.uint64) << (7 * place).astype(np.uint64)
-    values = np.add.reduceat(parts, start)
-    return (values >> 1).astype(np.int64) ^ -(values & 1).astype(np.int64)
-
-
 def _split(payload: bytes) -> tuple[dict[str, Any], list[np.ndarray]]:
     size = int(np.frombuffer(payload[:4], dtype="<u4")[0])
     header = json.loads(payload[4 : 4 + size])
     at, columns = 4 + size, []
     while at < len(payload):
         count, length = (int(v) for v in np.frombuffer(payload[at : at + 8], dtype="<u4"))
-        columns.append(_unpack(payload[at + 8 : at + 8 + length], count))
+        columns.append(unpack_integers(payload[at + 8 : at + 8 + length], count))
         at += 8 + length
     if len(columns) != 10:
         raise ValueError(f"{len(columns)} columns; expected 10")

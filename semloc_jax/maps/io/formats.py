@@ -21,6 +21,7 @@ from semloc_jax.maps.io.lanelet2_writer import write_lanelet2
 from semloc_jax.maps.io.ngii import is_ngii, read_ngii
 from semloc_jax.maps.io.nuscenes import is_nuscenes, map_from_nuscenes
 from semloc_jax.maps.io.opendrive import read_opendrive
+from semloc_jax.maps.io.packed_drive import read_packed_map
 from semloc_jax.maps.semantic_map import SemanticMap
 from semloc_jax.maps.soundness import sound
 from semloc_jax.storage import rare_collection, reading
@@ -95,6 +96,7 @@ FORMATS = {
     "OpenDRIVE": MapFormat((".xodr",), read_opendrive),
     "GeoPackage": MapFormat((".gpkg",), lambda path, _: read_geopackage(path), write_geopackage),
     "compact": MapFormat((".smap",), lambda path, _: read_compact(path), write_compact),
+    "packed drive": MapFormat((".slocal",), lambda path, _: read_packed_map(path)),
     "Apollo": MapFormat(tuple(apollo.SUFFIXES), apollo.read_apollo),
 }
 """Formats by name; the suffixes of a row belong to it alone, the first is the one that is written."""
@@ -114,7 +116,8 @@ def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
     """Returns the map in a file of any known format.
 
     Args:
-        path: .osm is Lanelet2, .xodr OpenDRIVE, .gpkg GeoPackage, .smap the compact form, .txt an Apollo HD map;
+        path: .osm is Lanelet2, .xodr OpenDRIVE, .gpkg GeoPackage, .smap the compact form, .slocal a packed drive,
+            .txt an Apollo HD map;
             .geojson and .json are an Argoverse 2 archive, a nuScenes map expansion, the drive layout if they have the
             member `frame`, else RFC 7946; a folder is that of an Argoverse 2 log, of NGII shapefiles or of a drive.
         origin: where to put the local frame of a map in latitude and longitude; None lets the reader choose.

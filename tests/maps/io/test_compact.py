@@ -7,15 +7,16 @@ import pytest
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import MapElement, SemanticMap, compare, inspect_map, read_map
-from semloc_jax.maps.io.compact import _FILTERS, MAGIC, _pack, _unpack, write_compact
+from semloc_jax.maps.io.compact import _FILTERS, MAGIC, write_compact
+from semloc_jax.maps.io.varints import pack_integers, unpack_integers
 from semloc_jax.structs import ElementClass
 
 
 def test_numbers_of_every_size_come_back():
     values = np.array([0, -1, 1, 63, -64, 64, 127, 128, -129, 2**31, -(2**40), 2**62 - 1, -(2**62)])
-    np.testing.assert_array_equal(_unpack(_pack(values), len(values)), values)
-    assert len(_pack(np.zeros(100))) == 100
-    assert len(_unpack(b"", 0)) == 0
+    np.testing.assert_array_equal(unpack_integers(pack_integers(values), len(values)), values)
+    assert len(pack_integers(np.zeros(100))) == 100
+    assert len(unpack_integers(b"", 0)) == 0
 
 
 @pytest.mark.data

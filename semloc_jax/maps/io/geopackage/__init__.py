@@ -7,7 +7,7 @@ The layer `elements` keeps every field of an element exactly; other programs sho
 import contextlib
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -25,15 +25,24 @@ from semloc_jax.storage import writing
 __all__ = ["StoredMap", "read_geopackage", "write_geopackage"]
 
 
-def write_geopackage(semantic_map: SemanticMap, path: str | Path) -> None:
+def write_geopackage(semantic_map: SemanticMap, path: str | Path, members: Mapping[str, int] | None = None) -> None:
     """Writes a map as a GeoPackage with an R-tree; a file that is there is replaced once the new one is complete.
+
+    The bytes follow from the map alone: equal maps are equal files.
+
+    Args:
+        semantic_map: the map.
+        path: the .gpkg file.
+        members: what the file states besides, such as the number of its version.
 
     Raises:
         SemlocError: the file cannot be written, or an attribute has no form in JSON.
     """
     try:
-        with writing(path) as partial, contextlib.closing(schema.create(partial)) as connection:
-            _fill(connection, semantic_map)
+        with writing(path) as partial:
+            with contextlib.closing(schema.create(partial)) as connection:
+                _fill(connection, semantic_map, members or {})
+            schema.forget_writer(partial)
     except (OSError, sqlite3.Error) as error:
         raise SemlocError(f"cannot write map {path}: {error}; give a path in a folder that exists") from error
     except (TypeError, ValueError) as error:
@@ -58,7 +67,7 @@ def read_geopackage(path: str | Path) -> SemanticMap:
         raise SemlocError(f"map {path.name}: not a readable GeoPackage ({why}); is the file complete?") from error
 
 
-def _fill(connection: sqlite3.Connection, semantic_map: SemanticMap) -> None:
+def _fill(connection: sqlite3.Connection, semantic_map: SemanticMap, more: Mapping[str, int]) -> None:
     srs = schema.UNKNOWN_SRS if semantic_map.origin is None else schema.LOCAL_SRS
     members = {
         "version": 1,
@@ -66,6 +75,7 @@ def _fill(connection: sqlite3.Connection, semantic_map: SemanticMap) -> None:
         "origin": semantic_map.origin,
         "frame": semantic_map.frame,
         "skipped": dict(semantic_map.skipped),
+        **more,
     }
     rows = ((key, json.dumps(value, allow_nan=False)) for key, value in members.items())
     connection.executemany("INSERT INTO semloc_map VALUES (?, ?)", rows)

@@ -18,6 +18,10 @@ INDEX = "rtree_elements_geom"
 LOCAL_SRS = 100_001
 """Number of our own reference system: metres about the origin of the map."""
 UNKNOWN_SRS = -1
+_NO_TIME = "1970-01-01T00:00:00.000Z"
+"""The standard wants a time; the clock would make two files of one map differ."""
+_WRITER_AT, _WRITER_BYTES = 96, 4
+"""Where an SQLite file names the version of the library that wrote it; readers do not look at it."""
 _LONGEST_BLOB = 64 << 20
 _STEP = 1_000_000
 _MOST_STEPS = 1_000
@@ -98,13 +102,20 @@ def finish(connection: sqlite3.Connection, name: str, box: tuple[float, ...], or
         row = ("local metres of the map", LOCAL_SRS, "NONE", LOCAL_SRS, text, "heights are up in the frame of the map")
         connection.execute("INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", row)
     connection.execute(
-        "INSERT INTO gpkg_contents (table_name, data_type, identifier, min_x, min_y, max_x, max_y, srs_id) "
-        "VALUES (?, 'features', ?, ?, ?, ?, ?, ?)",
-        (LAYER, name, *box, srs),
+        "INSERT INTO gpkg_contents (table_name, data_type, identifier, last_change, min_x, min_y, max_x, max_y, srs_id)"
+        " VALUES (?, 'features', ?, ?, ?, ?, ?, ?, ?)",
+        (LAYER, name, _NO_TIME, *box, srs),
     )
     connection.execute("INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', 'GEOMETRY', ?, 2, 0)", (LAYER, srs))
     connection.execute("COMMIT")
     connection.executescript(_TRIGGERS)
+
+
+def forget_writer(path: Path) -> None:
+    """Takes the version of the SQLite library out of a file that is closed: equal maps shall be equal files."""
+    with path.open("r+b") as stream:
+        stream.seek(_WRITER_AT)
+        stream.write(bytes(_WRITER_BYTES))
 
 
 class GuardedConnection(sqlite3.Connection):

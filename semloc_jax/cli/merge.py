@@ -1,0 +1,49 @@
+"""`semloc merge`: one map of many drives (room: cli)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from semloc_jax.cli.main import OK
+
+
+@dataclass(frozen=True)
+class Options:
+    """Merge packed drives into a map: each is placed in it, what it saw is fused with what all others saw, what is gone
+    goes, what has come comes. Ids stay, also of what moved by less than a metre.
+
+    Writes the map (.gpkg) and its history beside it (OUT.history: steps back, drives); with --report also changes.csv,
+    drives.csv, metrics.json and pictures. The result depends on the set of all drives that were ever merged, not on
+    their order or grouping; a drive that is in the map already changes nothing. In time, drives are ordered by date,
+    those without a date by name. A drive that disagrees with all others is named and counts for little.
+    """
+
+    maps: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[BASE] LOCAL...")]
+    """The map before (any format; none: the drives make the first one) and files of 'semloc pack' (.slocal)."""
+    out: Path
+    """The .gpkg file to write; may be BASE itself."""
+    report: Path | None = None
+    """A folder for tables and pictures."""
+    truth: Path | None = None
+    """A reference map, to judge the result by, with the rule 'replace within 5 m if more confident' beside it."""
+    curve: bool = False
+    """With --report and --truth: merge 1, 2, 4 ... of the drives too, and draw how the error falls (error.png)."""
+
+
+def run(options: Options) -> int:
+    """Merge, say what came out."""
+    from semloc_jax.errors import UsageError
+    from semloc_jax.reports.crowd import report_merged
+
+    packed = [path for path in options.maps if path.suffix.lower() == ".slocal"]
+    bases = [path for path in options.maps if path.suffix.lower() != ".slocal"]
+    if len(bases) > 1 or (bases and options.maps[0] != bases[0]):
+        raise UsageError("expected at most one base map, before the drives (.slocal)")
+    if options.curve and (options.report is None or options.truth is None):
+        raise UsageError("--curve needs --report and --truth")
+    if not packed:
+        raise UsageError("no drives: give files of 'semloc pack' (.slocal)")
+    print(report_merged(bases[0] if bases else None, packed, options.out, options.report, options.truth, options.curve))
+    return OK

@@ -1,0 +1,121 @@
+"""How far a drive lies off the map, along its way (room: mapping; host).
+
+In: Sights, points. Out: displacement of each point by the unknowns of the drive, and what is known of these.
+Unknowns: a shift, a turn and a scale of the whole drive, and for a node every 25 m a shift and a turn: odometry bends.
+All is small, so that the displacement is linear. Elements hang on the place of the way that is nearest to them: a wrong
+scale of the odometer stretches the way, not the road beside it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import csr_array
+
+from semloc_jax.geometry import polyline
+from semloc_jax.mapping.crowd.sights import Sights
+
+_NODE_M = 25.0
+_SURVEYED_M = 0.1
+_HELD_RAD = 1e-5
+
+
+@dataclass(frozen=True)
+class CorrectionConfig:
+    """What is known of a drive's error before it is compared. All values are ours, one standard deviation.
+
+    Args:
+        turn_rad: of the whole drive.
+        scale: of the odometer.
+        bend_rad: by which the heading walks from node to node.
+        slip_m: by which the place walks from node to node, besides the heading.
+        node_m: shift of a node against the whole.
+        node_rad: turn of a node against the whole.
+    """
+
+    turn_rad: float = 0.02
+    scale: float = 0.01
+    bend_rad: float = 0.002
+    slip_m: float = 0.03
+    node_m: float = 1.0
+    node_rad: float = 0.01
+
+
+class Correction:
+    """The unknowns of one drive."""
+
+    def __init__(self, sights: Sights, config: CorrectionConfig | None = None):
+        """Nothing is corrected yet."""
+        self.sights = sights
+        self.config = config or CorrectionConfig()
+        self.num_nodes = 0
+        points = sights.things.centre
+        if not sights.is_base:
+            self._s_m = polyline.arc_length(sights.way)
+            self.num_nodes = max(round(float(self._s_m[-1]) / _NODE_M), 1) + 1
+            points = sights.way
+        self.centre = points.mean(axis=0) if len(points) else np.zeros(2)
+        self.size = 4 + 3 * self.num_nodes
+        self.value = np.zeros(self.size)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it is a surveyed map, which lies where it lies."""
+        return self.sights.is_base and self.sights.sigma_place_m < _SURVEYED_M
+
+    def rows(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2 p"]:
+        """Displacement of points by each unknown."""
+        s_m, foot = self.sights.feet(xy)
+        rows = np.zeros((len(xy), 2, self.size))
+        rows[:, :, :2] = np.eye(2)
+        rows[:, :, 2] = _turned(xy - self.centre)
+        rows[:, :, 3] = foot - self.centre
+        if self.num_nodes:
+            step_m = float(self._s_m[-1]) / (self.num_nodes - 1)
+            at = np.clip(s_m / step_m, 0.0, self.num_nodes - 1 - 1e-9)
+            low, share = at.astype(int), (at % 1.0)[:, None]
+            lever, row = _turned(xy - foot), np.arange(len(xy))
+            for node, weight in ((low, 1.0 - share), (low + 1, share)):
+                rows[row, 0, 4 + 3 * node] += weight[:, 0]
+                rows[row, 1, 5 + 3 * node] += weight[:, 0]
+                rows[row[:, None], [[0, 1]], (6 + 3 * node)[:, None]] += weight * lever
+        return rows
+
+    def moved(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Points of the drive where they are in the map."""
+        return xy + self.rows(xy) @ self.value if len(xy) else xy
+
+    def back(self, xy_map: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Where the drive would have placed points of the map."""
+        return xy_map - self.rows(xy_map) @ self.value if len(xy_map) else xy_map
+
+    def turn(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+        """By how much directions of the drive turn at points [rad]."""
+        if not self.num_nodes or not len(xy):
+            return np.full(len(xy), self.value[2])
+        nodes_m = np.linspace(0.0, float(self._s_m[-1]), self.num_nodes)
+        return self.value[2] + np.interp(self.sights.feet(xy)[0], nodes_m, self.value[6::3])
+
+    def known(self) -> tuple[csr_array, Float[np.ndarray, " k"]]:
+        """Whitened rows of what is known of the unknowns, and what they should give."""
+        c, place_m = self.config, self.sights.sigma_place_m
+        whole = [_HELD_RAD, _HELD_RAD] if self.is_held else [c.turn_rad, c.scale]
+        sigma = np.array([place_m, place_m, *whole] + [c.node_m, c.node_m, c.node_rad] * self.num_nodes)
+        blocks = [np.diag(1.0 / sigma)]
+        if self.num_nodes:
+            nodes_m = np.linspace(0.0, float(self._s_m[-1]), self.num_nodes)
+            step = _turned(np.diff(polyline.interpolate(self.sights.way, nodes_m), axis=0))
+            walk = np.zeros((3 * (self.num_nodes - 1), self.size))
+            for k in range(self.num_nodes - 1):
+                here, there = 4 + 3 * k, 7 + 3 * k
+                for axis in (0, 1):
+                    walk[3 * k + axis, [there + axis, here + axis]] = np.array([1.0, -1.0]) / c.slip_m
+                    walk[3 * k + axis, here + 2] = -step[k, axis] / c.slip_m
+                walk[3 * k + 2, [there + 2, here + 2]] = np.array([1.0, -1.0]) / c.bend_rad
+            blocks.append(walk)
+        rows = np.vstack(blocks)
+        return csr_array(rows), np.zeros(len(rows))
+
+
+def _turned(xy: np.ndarray) -> np.ndarray:
+    return np.stack([-xy[:, 1], xy[:, 0]], axis=1)

@@ -1,0 +1,122 @@
+"""Who would have seen each thing, and who did (room: mapping; host).
+
+In: Fused. Out: Looks at things and at the stations of lines, one column for each drive that can be trusted.
+"""
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float, Int
+
+from semloc_jax.evaluation.map_shapes import POSTS
+from semloc_jax.geometry import polyline
+from semloc_jax.mapping.crowd.correction import Correction
+from semloc_jax.mapping.crowd.fusion import Fused
+from semloc_jax.mapping.crowd.presence import Looks
+from semloc_jax.mapping.crowd.world import turned_by
+
+_BANDS_M = (3.0, 6.0, 10.0)
+"""How far beside the way: the chance that a drive shows a thing falls with it."""
+_DAY_S = 86400.0
+_LEAST_STEP, _MOST_STEP = 0.1, 50.0
+_INSIDE = 0.8
+"""Share of the half length at which the ends of a thing must lie in the area that was looked at."""
+_POST_NAMES = {label.name.lower() for label in POSTS}
+
+
+def looks_of(fused: Fused, days: float) -> tuple[Looks, Looks, list[int]]:
+    """Looks at things, at stations of all lines in their order, and the places of the drives that the columns are.
+
+    Args:
+        fused: drives in the order of time.
+        days: drives so many days apart are one step.
+    """
+    rows = [k for k, d in enumerate(fused.drives) if not d.sights.is_base and k not in fused.distrusted]
+    steps = _steps([fused.drives[k].sights.when_s for k in rows], days)
+    return _things(fused, rows, steps), _stations(fused, rows, steps), rows
+
+
+def _things(fused: Fused, rows: list[int], steps: np.ndarray) -> Looks:
+    world = fused.world
+    n = len(world.kind)
+    _, kind = np.unique(world.kind.astype(str), return_inverse=True) if n else (np.zeros(0), np.zeros(0, int))
+    tip = _INSIDE * world.half_m[:, :1] * world.along
+    places = np.stack([world.centre, world.centre - tip, world.centre + tip], axis=1)
+    visible, seen, band = (np.zeros((n, len(rows)), dtype=t) for t in (bool, bool, int))
+    is_post = np.isin(world.kind.astype(str), sorted(_POST_NAMES))
+    for column, k in enumerate(rows):
+        drive = fused.drives[k]
+        back = drive.back(places.reshape(-1, 2))
+        inside = _within(drive.sights.area, back).reshape(n, 3).all(axis=1)
+        visible[:, column] = np.where(is_post, _within(drive.sights.upright_area, back).reshape(n, 3)[:, 0], inside)
+        seen[fused.seen[k].pairs[:, 1], column] = True
+        band[:, column] = _band(drive, back.reshape(n, 3, 2)[:, 0])
+    based = _is_base(fused, world.source[:, 0])
+    group = kind[:, None] * (len(_BANDS_M) + 1) + band
+    return Looks(visible, seen, group.reshape(n, len(rows)), kind, based, steps)
+
+
+def _stations(fused: Fused, rows: list[int], steps: np.ndarray) -> Looks:
+    lines = fused.world.lines
+    names = sorted({line.kind for line in lines})
+    first = np.cumsum([0, *(len(line.reference) for line in lines)])
+    xy = np.concatenate([np.zeros((0, 2)), *(line.xy for line in lines)])
+    kind = np.concatenate([np.zeros(0, int), *(np.full(len(line.xy), names.index(line.kind)) for line in lines)])
+    source = np.concatenate([np.zeros(0, int), *(np.full(len(line.xy), line.source[0]) for line in lines)])
+    visible, seen, band = (np.zeros((len(xy), len(rows)), dtype=t) for t in (bool, bool, int))
+    for column, k in enumerate(rows):
+        drive, own = fused.drives[k], fused.seen[k]
+        back = drive.back(xy)
+        visible[:, column] = _within(drive.sights.area, back)
+        seen[first[own.line] + own.station, column] = True
+        band[:, column] = _band(drive, back)
+    group = kind[:, None] * (len(_BANDS_M) + 1) + band
+    return Looks(visible, seen, group.reshape(len(xy), len(rows)), kind, _is_base(fused, source), steps)
+
+
+def _within(area: shapely.Geometry, xy: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+    shapely.prepare(area)
+    return shapely.contains_xy(area, xy[:, 0], xy[:, 1])
+
+
+def _band(drive: Correction, xy: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
+    if not len(xy):
+        return np.zeros(0, dtype=np.int64)
+    return np.searchsorted(_BANDS_M, polyline.nearest(drive.sights.way, xy).distance_m)
+
+
+def _is_base(fused: Fused, places: np.ndarray) -> np.ndarray:
+    has_base = bool(fused.drives) and fused.drives[0].sights.is_base
+    return (places == 0) & has_base
+
+
+def _steps(when_s: list[float | None], days: float) -> np.ndarray:
+    """Time before each drive in steps; 1 where either has no date."""
+    steps = np.ones(len(when_s))
+    for k in range(1, len(when_s)):
+        before, after = when_s[k - 1], when_s[k]
+        if before is not None and after is not None:
+            steps[k] = np.clip((after - before) / (_DAY_S * days), _LEAST_STEP, _MOST_STEP)
+    return steps
+
+
+def directions(fused: Fused) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    """Direction of each thing, the mean of all that saw it, and its half length and width, the median."""
+    world = fused.world
+    doubled = np.zeros(len(world.kind), dtype=complex)
+    sizes: list[list[np.ndarray]] = [[] for _ in range(len(world.kind))]
+    for k, (drive, seen) in enumerate(zip(fused.drives, fused.seen, strict=True)):
+        if k in fused.distrusted:
+            continue
+        things = drive.sights.things
+        i, j = seen.pairs[:, 0], seen.pairs[:, 1]
+        along = turned_by(things.along[i], drive.turn(things.centre[i]))
+        np.add.at(doubled, j, (along[:, 0] + 1j * along[:, 1]) ** 2)
+        for a, b in zip(i, j, strict=True):
+            if things.has_ends[a]:
+                sizes[b].append(things.half_m[a])
+    angle = 0.5 * np.angle(doubled)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    along *= np.where((along * world.along).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+    along[np.abs(doubled) < 1e-9] = world.along[np.abs(doubled) < 1e-9]
+    half = [np.median(own, axis=0) if own else world.half_m[k] for k, own in enumerate(sizes)]
+    return along, np.array(half).reshape(-1, 2)

@@ -1,0 +1,145 @@
+"""Is it still there? What is seen and missed drive after drive says, in the order of time (room: mapping; host).
+
+In: who looked at each thing and who saw it. Out: probability that each is there after the last drive.
+A chain of two states: things vanish and appear at small rates between drives, so every certainty fades; a look that
+shows the thing has probability P_D if it is there and P_F if not. Both are learned from the drives themselves, P_D by
+class, distance from the way and drive (rain shows less), by expectation maximisation.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+_ROUNDS = 5
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class PresenceConfig:
+    """How things come and go. All values are ours.
+
+    Args:
+        vanish: probability that a thing is gone when the next drive comes.
+        appear: that one has come where there was none.
+        days: drives so many days apart count as one step; closer ones as less, down to a tenth.
+        born: probability before any look that something is where the first drive shows it.
+        based: the same of a thing of the base map.
+        detected, false: P_D and P_F before any look.
+        looks: so many looks that belief is worth.
+        least_false, most_false: no class is taken to show things that are not there less or more often.
+        most_detected: no drive is taken to show more of what is there: what hides one thing is not always known.
+    """
+
+    vanish: float = 0.005
+    appear: float = 0.005
+    days: float = 30.0
+    born: float = 0.3
+    based: float = 0.99
+    detected: float = 0.7
+    false: float = 0.03
+    looks: float = 8.0
+    least_false: float = 0.02
+    most_false: float = 0.15
+    most_detected: float = 0.85
+
+
+@dataclass(frozen=True)
+class Looks:
+    """Who looked at what; drives in the order of time.
+
+    Attributes:
+        visible: `bool[n d]` whether a drive would have seen a thing.
+        seen: `bool[n d]` whether it did.
+        group: `int[n d]` class and distance from the way: what shares a P_D.
+        kind: `int[n]` class: what shares a P_F.
+        is_based: `bool[n]` whether it is a thing of the base map.
+        steps: `float[d]` time before each drive, in steps.
+    """
+
+    visible: Bool[np.ndarray, "n d"]
+    seen: Bool[np.ndarray, "n d"]
+    group: Int[np.ndarray, "n d"]
+    kind: Int[np.ndarray, " n"]
+    is_based: Bool[np.ndarray, " n"]
+    steps: Float[np.ndarray, " d"]
+
+
+@dataclass(frozen=True)
+class Presence:
+    """What the looks say.
+
+    Attributes:
+        now: `float64[n]` probability that each thing is there after the last drive.
+        then: `float64[n d]` that it was there at each drive, by all looks before and after.
+        detected: P_D of each group.
+        false: P_F of each class.
+    """
+
+    now: Float[np.ndarray, " n"]
+    then: Float[np.ndarray, "n d"]
+    detected: Float[np.ndarray, " g"]
+    false: Float[np.ndarray, " k"]
+
+
+def presence(looks: Looks, config: PresenceConfig | None = None) -> Presence:
+    """Probability that each thing is there, with P_D and P_F learned from the same looks."""
+    c = config or PresenceConfig()
+    num_groups = int(looks.group.max(initial=0)) + 1
+    num_kinds = int(looks.kind.max(initial=0)) + 1
+    detected, false = np.full(num_groups, c.detected), np.full(num_kinds, c.false)
+    # A look that shows a thing is one, whatever the outline of the area says.
+    visible = looks.visible | looks.seen
+    present, now = np.zeros(visible.shape), np.zeros(len(looks.kind))
+    good = np.ones(visible.shape[1])
+    # A thing that never was is known by one false sight at least: that one says nothing about how frequent they are.
+    spare = np.where(looks.is_based, 0.0, 1.0)
+    for _ in range(_ROUNDS):
+        present, now = _smoothed(looks, visible, detected, false, good, c)
+        there = np.where(visible, present, 0.0)
+        gone = np.where(visible, 1.0 - present, 0.0)
+        hits = np.bincount(looks.group.ravel(), (there * looks.seen).ravel(), num_groups) + c.looks * c.detected
+        total = np.bincount(looks.group.ravel(), there.ravel(), num_groups) + c.looks
+        detected = np.clip(hits / total, 0.05, 0.99)
+        expected = (there * np.minimum(detected[looks.group], 0.99)).sum(axis=0)
+        good = (there * looks.seen).sum(axis=0) + c.looks * c.detected
+        good = np.clip(good / (expected + c.looks * c.detected), 0.3, 1.1)
+        kinds = np.repeat(looks.kind[:, None], visible.shape[1], axis=1)
+        never = spare * (1.0 - present.max(axis=1, initial=0.0))
+        first = np.bincount(looks.kind, never, num_kinds)
+        shown = np.bincount(kinds.ravel(), (gone * looks.seen).ravel(), num_kinds) - first
+        looked = np.bincount(kinds.ravel(), gone.ravel(), num_kinds) - first
+        prior = 4.0 * c.looks
+        shown, looked = np.maximum(shown, 0.0) + prior * c.false, np.maximum(looked, 0.0) + prior
+        false = np.clip(shown / looked, c.least_false, c.most_false)
+    return Presence(now, present, detected, false)
+
+
+def _smoothed(
+    looks: Looks, visible: np.ndarray, detected: np.ndarray, false: np.ndarray, good: np.ndarray, c: PresenceConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Presence at each drive given all looks `[n d]`, and at the last given those before it `[n]`."""
+    n, d = visible.shape
+    p_d = np.clip(detected[looks.group] * good, 0.05, c.most_detected)
+    p_f = np.minimum(false[looks.kind][:, None], 0.5 * p_d)
+    like = np.stack([np.where(looks.seen, p_f, 1.0 - p_f), np.where(looks.seen, p_d, 1.0 - p_d)], axis=2)
+    like = np.where(visible[:, :, None], like, 1.0)
+    vanish, appear = 1.0 - (1.0 - c.vanish) ** looks.steps, 1.0 - (1.0 - c.appear) ** looks.steps
+    ahead = np.zeros((n, d, 2))
+    state = np.where(looks.is_based, c.based, c.born)
+    state = np.stack([1.0 - state, state], axis=1)
+    for k in range(d):
+        # What a drive is the first to look at was not there longer than anybody knows.
+        stay = np.array([[1.0 - appear[k], appear[k]], [vanish[k], 1.0 - vanish[k]]])
+        state = (state @ stay if k else state) * like[:, k]
+        state /= np.maximum(state.sum(axis=1, keepdims=True), _TINY)
+        ahead[:, k] = state
+    now, behind = ahead[:, -1, 1].copy() if d else state[:, 1], np.ones((n, 2))
+    both = ahead.copy()
+    for k in range(d - 2, -1, -1):
+        stay = np.array([[1.0 - appear[k + 1], appear[k + 1]], [vanish[k + 1], 1.0 - vanish[k + 1]]])
+        behind = (behind * like[:, k + 1]) @ stay.T
+        behind /= np.maximum(behind.sum(axis=1, keepdims=True), _TINY)
+        both[:, k] = ahead[:, k] * behind
+    present = both[:, :, 1] / np.maximum(both.sum(axis=2), _TINY)
+    return present, now

@@ -1,0 +1,152 @@
+"""What one drive saw, laid into the frame of the map (room: mapping; host).
+
+In: PackedDrive, the frame of the map. Out: Sights: things and lines with their place on the drive's way, and the area
+that it looked at. A base map is laid out the same way: it is what somebody saw before.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float
+
+from semloc_jax.evaluation.map_shapes import POSTS, is_line, kind_of, thing_of
+from semloc_jax.geometry import polyline, rigid
+from semloc_jax.geometry.geodesy import enu_from_wgs84, wgs84_from_enu
+from semloc_jax.maps import Belief, BeliefMap, GeoOrigin, MapElement
+from semloc_jax.maps.io.packed_drive import PackedDrive
+
+_UPRIGHT_REACH_M = 6.0
+"""Posts and signs beside the road are seen where the road nearby is."""
+_FAR_M = 100.0
+_LEAST_SIGMA_M = (0.05, 0.02)
+"""No drive knows a thing better along and across: what it sees is off alike in all its frames."""
+
+
+@dataclass(frozen=True)
+class Things:
+    """Things with two sides and posts, as columns.
+
+    Attributes:
+        elements: in the frame of the map.
+        beliefs: of each.
+        kind: as `map_shapes` names them.
+        centre: `float64[n 2]` [m].
+        along: unit `float64[n 2]` along the longest side.
+        half_m: `float64[n 2]` half the length and half the width.
+        has_ends: whether both ends were seen: else the middle of what was seen is not that of the thing.
+        sigma_m: `float64[n 2]` along and across.
+    """
+
+    elements: tuple[MapElement, ...]
+    beliefs: tuple[Belief, ...]
+    kind: np.ndarray
+    centre: Float[np.ndarray, "n 2"]
+    along: Float[np.ndarray, "n 2"]
+    half_m: Float[np.ndarray, "n 2"]
+    has_ends: Bool[np.ndarray, " n"]
+    sigma_m: Float[np.ndarray, "n 2"]
+
+    @classmethod
+    def of(cls, known: Sequence[tuple[MapElement, Belief]]) -> "Things":
+        """The columns of elements that are no lines."""
+        n = len(known)
+        shapes = [thing_of(element) for element, _ in known]
+        along = np.array([s.along for s in shapes]).reshape(n, 2)
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        half = [[np.ptp(s.corners @ a), np.ptp(s.corners @ b)] for s, a, b in zip(shapes, along, across, strict=True)]
+        # Of a post the corners are the two ends of its axis.
+        half = [[0.0, 0.0] if e.label in POSTS else h for (e, _), h in zip(known, half, strict=True)]
+        sigma = np.array([[b.sigma_along_m, b.sigma_across_m] for _, b in known]).reshape(n, 2)
+        return cls(
+            tuple(e for e, _ in known),
+            tuple(b for _, b in known),
+            np.array([kind_of(e) for e, _ in known], dtype=object),
+            np.array([s.centre for s in shapes]).reshape(n, 2),
+            along,
+            0.5 * np.array(half).reshape(n, 2),
+            np.array([all(s.ends) for s in shapes], dtype=bool),
+            np.maximum(sigma, _LEAST_SIGMA_M),
+        )
+
+    def __len__(self) -> int:
+        return len(self.elements)
+
+
+@dataclass(frozen=True)
+class Sights:
+    """What one drive saw.
+
+    Attributes:
+        name: of the drive.
+        things: in the frame of the map.
+        lines: elements that are compared by the metre, with their beliefs.
+        way: `float64[k 2]` in the map [m]; empty for a base map.
+        sigma_place_m: how far all of it may be off together.
+        area: of the road that was looked at; None for a base map.
+        when_s: when; None where unknown.
+        height_m: of the way at each of its places; empty for a base map.
+    """
+
+    name: str
+    things: Things
+    lines: tuple[tuple[MapElement, Belief], ...]
+    way: Float[np.ndarray, "k 2"]
+    sigma_place_m: float
+    area: shapely.Geometry | None
+    when_s: float | None = None
+
+    @property
+    def is_base(self) -> bool:
+        """Whether it is the map that was there before."""
+        return self.area is None
+
+    @cached_property
+    def upright_area(self) -> shapely.Geometry | None:
+        """Where posts and signs would have been seen."""
+        return None if self.area is None else self.area.buffer(_UPRIGHT_REACH_M)
+
+    def feet(self, xy: Float[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.ndarray]:
+        """Arc length of the place of the way nearest to each point, and that place `[n 2]`; themselves for a base."""
+        if self.is_base or not len(xy):
+            return np.zeros(len(xy)), xy
+        s_m = polyline.nearest(self.way, xy).s_m
+        return s_m, polyline.interpolate(self.way, s_m)
+
+
+def sights_of(drive: PackedDrive, origin: GeoOrigin | None) -> Sights:
+    """What a drive saw, in the frame of a map with that place on the earth."""
+    x, y, z, heading_rad = _placed(drive, origin)
+    T = rigid.planar_pose(x, y, heading_rad, z)
+    known = [(_moved(T, e), drive.beliefs.beliefs[e.id]) for e in drive.beliefs.map.elements if not e.is_logical]
+    way = drive.way[:, :3] @ T[:3, :3].T + T[:3, 3]
+    area = shapely.union_all([shapely.Polygon(ring @ T[:2, :2].T + T[:2, 3]).buffer(0.0) for ring in drive.rings])
+    things = Things.of([item for item in known if not is_line(item[0])])
+    lines = tuple(item for item in known if is_line(item[0]))
+    return Sights(drive.name, things, lines, way[:, :2], drive.sigma_place_m, area, drive.when_s)
+
+
+def base_sights(base: BeliefMap, sigma_place_m: float) -> Sights:
+    """What the map before says, as if it had been seen once."""
+    known = [(e, base.beliefs[e.id]) for e in base.map.elements if not e.is_logical]
+    things = Things.of([item for item in known if not is_line(item[0])])
+    lines = tuple(item for item in known if is_line(item[0]))
+    return Sights(base.map.name, things, lines, np.zeros((0, 2)), sigma_place_m, None)
+
+
+def _placed(drive: PackedDrive, origin: GeoOrigin | None) -> np.ndarray:
+    """x, y, z, heading of the drive's frame in the map."""
+    if origin is None or drive.origin is None or origin == drive.origin:
+        return drive.place
+    x, y, z, heading_rad = drive.place
+    ahead = _FAR_M * np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
+    two = np.array([x, y, z]) + np.array([np.zeros(3), ahead])
+    here, there = enu_from_wgs84(*wgs84_from_enu(two, drive.origin), origin)
+    return np.array([*here, np.arctan2(there[1] - here[1], there[0] - here[0])])
+
+
+def _moved(T: np.ndarray, element: MapElement) -> MapElement:
+    normal = None if element.normal is None else T[:3, :3] @ element.normal
+    return replace(element, points=element.points @ T[:3, :3].T + T[:3, 3], normal=normal)

@@ -1,0 +1,62 @@
+"""The road that a drive has looked at: where it would have seen paint, had there been any (room: mapping; host).
+
+In: a MadeMap, the poses of the drive. Out: rings in the map frame, and the file seen_area.json.
+What other vehicles hid is not in it: an element there was not missed, it was not looked at.
+"""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.mapping.mapper import MadeMap
+from semloc_jax.storage import json_document, reading, write_text
+
+FILE = "seen_area.json"
+_STEP_M = 0.5
+_REACH_M = 24.0
+_LEAST_M2 = 4.0
+_THIN_M = 0.35
+Ring = Float[np.ndarray, "k 2"]
+
+
+def seen_area(made: MadeMap, Ts_map_base: Float[np.ndarray, "n 4 4"], num_looks: int) -> list[Ring]:
+    """Outlines of the road that was looked at in at least so many frames [m]."""
+    way = Ts_map_base[:, :2, 3]
+    low = way.min(axis=0) - _REACH_M
+    width, height = np.ceil((way.max(axis=0) + _REACH_M - low) / _STEP_M).astype(int).tolist()
+    picture = np.zeros((height, width), np.uint8)
+    x = low[0] + (np.arange(width) + 0.5) * _STEP_M
+    for row in range(height):
+        y = low[1] + (row + 0.5) * _STEP_M
+        near = np.abs(way[:, 1] - y).min() < _REACH_M
+        if near:
+            picture[row] = made.seen(np.column_stack([x, np.full(width, y)]), num_looks)
+    picture = cv2.morphologyEx(picture, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    picture = cv2.morphologyEx(picture, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    rings = cv2.findContours(picture, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
+    large = [ring for ring in rings if cv2.contourArea(ring) * _STEP_M**2 >= _LEAST_M2]
+    thin = [cv2.approxPolyDP(ring, _THIN_M / _STEP_M, True)[:, 0] for ring in large]
+    return [low + (ring + 0.5) * _STEP_M for ring in thin if len(ring) >= 3]
+
+
+def write_seen_area(rings: list[Ring], gauge: str, path: Path) -> None:
+    """Writes the outlines, to the centimetre, and what fixed the frame they are in."""
+    write_text(path, json.dumps({"gauge": gauge, "rings": [ring.round(2).tolist() for ring in rings]}) + "\n")
+
+
+def read_seen_area(path: Path) -> tuple[list[Ring], str]:
+    """The outlines of a file, and what fixed the frame they are in.
+
+    Raises:
+        SemlocError: it holds something else.
+    """
+    document = json_document(path.read_text(encoding="utf-8"), f"seen area {path}")
+    with reading(f"seen area {path}"):
+        gauge = str(document["gauge"])
+        rings = [np.array(ring, dtype=np.float64).reshape(-1, 2) for ring in document["rings"]]
+        if not all(len(ring) >= 3 and np.isfinite(ring).all() for ring in rings):
+            raise ValueError("a ring of fewer than three places, or places that are not finite")
+    return rings, gauge

@@ -1,0 +1,44 @@
+"""Whole numbers in few bytes: zigzag varints (room: maps; host).
+
+In: integers. Out: bytes, seven bits each, and the integers back.
+"""
+
+import numpy as np
+
+
+def pack_integers(values: np.ndarray) -> bytes:
+    """Returns integers as zigzag varints, seven bits a byte, low ones first."""
+    values = np.asarray(values, dtype=np.int64)
+    rest = ((values << 1) ^ (values >> 63)).astype(np.uint64)
+    rows = []
+    while True:
+        more = rest >= 128
+        rows.append(np.where(more, (rest & 127) | 128, rest))
+        if not more.any():
+            break
+        rest = rest >> 7
+    table = np.stack(rows, axis=1).astype(np.uint8)
+    used = np.ones(table.shape, dtype=bool)
+    used[:, 1:] = np.cumprod(table[:, :-1] >= 128, axis=1).astype(bool)
+    return table[used].tobytes()
+
+
+def unpack_integers(packed: bytes, count: int) -> np.ndarray:
+    """Returns the integers of `pack_integers`.
+
+    Raises:
+        ValueError: another number of them.
+    """
+    raw = np.frombuffer(packed, dtype=np.uint8)
+    last = np.flatnonzero(raw < 128)
+    if len(last) != count or (count and last[-1] != len(raw) - 1) or (not count and len(raw)):
+        raise ValueError("a column has the wrong length")
+    if not count:
+        return np.zeros(0, dtype=np.int64)
+    start = np.concatenate([[0], last[:-1] + 1]).astype(np.int64)
+    place = np.arange(len(raw)) - np.repeat(start, last - start + 1)
+    if (place > 9).any():
+        raise ValueError("a number is too long")
+    parts = (raw & 127).astype(np.uint64) << (7 * place).astype(np.uint64)
+    values = np.add.reduceat(parts, start)
+    return (values >> 1).astype(np.int64) ^ -(values & 1).astype(np.int64)

@@ -1,0 +1,118 @@
+"""What makes one version of a map out of another: removed, modified and added elements (room: maps; host).
+
+In: two MapStates. Out: MapDifference; applied to the first it gives the second with every bit, and to no other map.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.maps.versions.records import POINTS, Record, element_of, is_column
+from semloc_jax.maps.versions.state import MapState, state_of
+
+
+@dataclass(frozen=True)
+class MapDifference:
+    """A step from one version to another.
+
+    Attributes:
+        base: digest of the version it belongs on.
+        base_version: its number.
+        target: digest of the version it leads to.
+        members: what the file of the target states besides its elements.
+        removed: ids.
+        modified: changed columns of elements, by id, in the order of the base.
+        added: columns of new elements, by id, in the order of the target.
+        order: place of each element of the target in the order that comes by itself: those of the base, then the added
+            ones; None where it is that order.
+        note: what made the step, for people.
+    """
+
+    base: str
+    base_version: int
+    target: str
+    members: dict[str, Any]
+    removed: tuple[str, ...]
+    modified: dict[str, Record]
+    added: dict[str, Record]
+    order: tuple[int, ...] | None = None
+    note: str = ""
+
+    @property
+    def version(self) -> int:
+        """Number of the version it leads to."""
+        return int(self.members["map_version"])
+
+    @property
+    def counts(self) -> str:
+        """How much changes, in words."""
+        return f"{len(self.added)} added, {len(self.modified)} modified, {len(self.removed)} removed"
+
+    def moved(self) -> list[str]:
+        """Ids of elements whose points are others now."""
+        return [name for name, columns in self.modified.items() if POINTS in columns]
+
+
+def difference(base: MapState, target: MapState, note: str = "") -> MapDifference:
+    """The step from one version to another; an element is known by its id."""
+    old, new = base.records, target.records
+    removed = tuple(name for name in old if name not in new)
+    modified = {}
+    for name, record in old.items():
+        if name in new and (columns := _changed(record, new[name])):
+            modified[name] = columns
+    added = {name: record for name, record in new.items() if name not in old}
+    natural = [*(name for name in old if name in new), *added]
+    place = {name: k for k, name in enumerate(natural)}
+    order = None if natural == list(new) else tuple(place[name] for name in new)
+    return MapDifference(
+        base.digest, base.version, target.digest, target.members, removed, modified, added, order, note
+    )
+
+
+def applied(base: MapState, step: MapDifference) -> MapState:
+    """The version that a step leads to.
+
+    Raises:
+        SemlocError: the step belongs on another version, or what comes out is not what it promises.
+    """
+    if step.base != base.digest:
+        raise SemlocError(
+            f"map {base.map.name}: version {base.version} ({base.digest[:12]}), and the difference belongs on version "
+            f"{step.base_version} ({step.base[:12]}); apply it to that one"
+        )
+    gone = set(step.removed)
+    if not gone.union(step.modified) <= base.records.keys() or not base.records.keys().isdisjoint(step.added):
+        raise SemlocError(f"difference to version {step.version}: names elements that are not there; get it anew")
+    names = [name for name in base.records if name not in gone]
+    elements = {e.id: e for e in base.map.elements}
+    for name, columns in step.modified.items():
+        record = {**base.records[name], **columns}
+        elements[name] = element_of(name, {key: v for key, v in record.items() if is_column(key, record)})
+    for name, record in step.added.items():
+        elements[name] = element_of(name, record)
+    natural = [*names, *step.added]
+    chosen = natural if step.order is None else _ordered(natural, step.order)
+    found = state_of((elements[name] for name in chosen), step.members)
+    if found.digest != step.target:
+        raise SemlocError(
+            f"difference to version {step.version}: leads to {found.digest[:12]} and promises {step.target[:12]}; get "
+            "it anew"
+        )
+    return found
+
+
+def _changed(old: Mapping[str, Any], new: Mapping[str, Any]) -> Record:
+    return {key: value for key, value in new.items() if key not in old or not _same(old[key], value)}
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether a file would keep both alike: 1 and 1.0 differ, 0.0 and -0.0 too."""
+    return type(one) is type(other) and repr(one) == repr(other)
+
+
+def _ordered(names: Sequence[str], order: Sequence[int]) -> list[str]:
+    if sorted(order) != list(range(len(names))):
+        raise SemlocError("difference: its order names elements twice or not at all; get it anew")
+    return [names[k] for k in order]

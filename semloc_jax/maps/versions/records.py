@@ -1,0 +1,105 @@
+"""An element as plain columns, and back without the loss of a bit (room: maps; host).
+
+In: MapElement. Out: a record: values that JSON keeps exactly, by column; its digest; or the element of a record.
+Coordinates that are whole millimetres are kept as integers, each less the one before: they pack well.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from semloc_jax.maps.elements import MapElement
+from semloc_jax.structs import ElementClass
+
+Record = dict[str, Any]
+_MM = 1000.0
+_ATTRIBUTE = "a."
+"""Begins the name of a column that holds a property of the file."""
+KEYS, POINTS = "keys", "points"
+
+
+def record_of(element: MapElement) -> Record:
+    """The columns of an element; its id is none of them."""
+    attributes = dict(element.attributes)
+    record: Record = {
+        "class": element.label.name,
+        "style": element.style,
+        "shape": element.shape,
+        "closed": bool(element.closed),
+        "width": float(element.width_m),
+        "radius": float(element.radius_m),
+        "radius_top": float(element.radius_top_m),
+        "height": float(element.height_m),
+        "normal": None if element.normal is None else [float(v) for v in element.normal],
+        "true_ends": [bool(end) for end in element.true_ends],
+        "has_height": bool(element.has_height),
+        POINTS: _packed(element.points),
+        KEYS: [str(key) for key in attributes],
+    }
+    # What JSON makes of a value is what the file keeps of it.
+    record |= {_ATTRIBUTE + str(key): json.loads(json.dumps(value)) for key, value in attributes.items()}
+    return record
+
+
+def element_of(name: str, record: Mapping[str, Any]) -> MapElement:
+    """The element of a record.
+
+    Raises:
+        SemlocError, KeyError, TypeError, ValueError: no such columns.
+    """
+    normal = record["normal"]
+    true_start, true_end = record["true_ends"]
+    return MapElement(
+        id=name,
+        label=ElementClass[record["class"]],
+        points=_unpacked(record[POINTS]),
+        closed=bool(record["closed"]),
+        width_m=float(record["width"]),
+        radius_m=float(record["radius"]),
+        radius_top_m=float(record["radius_top"]),
+        height_m=float(record["height"]),
+        style=str(record["style"]),
+        shape=str(record["shape"]),
+        normal=None if normal is None else np.array(normal, dtype=np.float64).reshape(3),
+        true_ends=(bool(true_start), bool(true_end)),
+        has_height=bool(record["has_height"]),
+        attributes={str(key): record[_ATTRIBUTE + key] for key in record[KEYS]},
+    )
+
+
+def is_column(name: str, record: Mapping[str, Any]) -> bool:
+    """Whether a column still belongs to a record: properties that its keys do not name are gone."""
+    return not name.startswith(_ATTRIBUTE) or name.removeprefix(_ATTRIBUTE) in record[KEYS]
+
+
+def digest_of(name: str, record: Mapping[str, Any]) -> bytes:
+    """SHA-256 of an element; the order of its properties counts, since files keep it."""
+    return hashlib.sha256(json_bytes([name, list(record.items())])).digest()
+
+
+def json_bytes(value: Any) -> bytes:
+    """JSON in its one shortest form."""
+    return json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode(
+        "utf-8", "surrogatepass"
+    )
+
+
+def _packed(points: np.ndarray) -> list:
+    """`["mm", differences]` where that gives every bit back, else `["m", numbers]`."""
+    cells = np.rint(points * _MM)
+    if (np.abs(cells) < 2**52).all() and (cells / _MM).tobytes() == np.ascontiguousarray(points).tobytes():
+        return ["mm", np.diff(cells.astype(np.int64), axis=0, prepend=0).ravel().tolist()]
+    return ["m", points.ravel().tolist()]
+
+
+def _unpacked(packed: list) -> np.ndarray:
+    unit, numbers = packed
+    if unit == "mm":
+        steps = np.array([int(n) for n in numbers], dtype=np.int64).reshape(-1, 3)
+        return np.cumsum(steps, axis=0) / _MM
+    if unit != "m":
+        raise ValueError(f"coordinates in {str(unit)[:20]!r}")
+    return np.array(numbers, dtype=np.float64).reshape(-1, 3)

@@ -1,0 +1,169 @@
+"""What `pack` and `merge` write and say (room: reports; host).
+
+In: folders of maps, packed drives, a base map. Out: files, and the text for people.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation import MapComparison, Metric, compare_maps, write_metrics
+from semloc_jax.mapping.crowd.ledger import Ledger, ledger_of, write_ledger
+from semloc_jax.mapping.crowd.merged import MergedMap, in_order, merged
+from semloc_jax.mapping.crowd.pack import packed, trimmed
+from semloc_jax.mapping.crowd.seed_rule import replaced
+from semloc_jax.maps import read_map
+from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_packed
+from semloc_jax.maps.versions.history import write_version
+from semloc_jax.maps.versions.state import MapState, read_state
+from semloc_jax.reports.crowd_curve import write_curve
+from semloc_jax.reports.folder import make_folder
+from semloc_jax.reports.tables import write_csv
+from semloc_jax.viz import changes_from_above, existence_from_above, save
+
+_NOWHERE_M = 1e3
+
+
+def report_packed(
+    folder: Path, out: Path, when: str | None = None, name: str | None = None, trim_m: float = 0.0
+) -> str:
+    """Packs the results of `semloc map`.
+
+    Raises:
+        SemlocError: the folder holds none, or the file cannot be written.
+    """
+    if out.suffix.lower() != ".slocal":
+        raise SemlocError(f"--out {out}: expected a name that ends in .slocal")
+    if not trim_m >= 0.0:
+        raise SemlocError(f"--trim {trim_m}: expected metres, 0 or more")
+    drive = trimmed(packed(folder, when), trim_m)
+    drive = drive if name is None else replace(drive, name=name)
+    size = write_packed(drive, out)
+    return f"{_in_words(drive)}\n{out}: {size / 1000:.2f} kB, {size / max(drive.length_m, 1.0):.2f} kB/km"
+
+
+def _in_words(drive: PackedDrive) -> str:
+    date = "no date" if drive.when_s is None else f"{datetime.fromtimestamp(drive.when_s, UTC):%Y-%m-%d %H h UTC}"
+    placed = "no place" if drive.sigma_place_m > _NOWHERE_M else f"placed within {drive.sigma_place_m:.1f} m"
+    num = len(drive.beliefs.beliefs)
+    return f"drive {drive.name}: {num} elements along {drive.length_m:.0f} m, {date}, {placed}"
+
+
+def report_merged(
+    base: Path | None,
+    packed_paths: Sequence[Path],
+    out: Path,
+    report: Path | None = None,
+    truth: Path | None = None,
+    curve: bool = False,
+) -> str:
+    """Merges packed drives into a map and writes it, with its history beside it.
+
+    Args:
+        base: the map before; None where there is none.
+        packed_paths: files of `semloc pack`.
+        out: the .gpkg file to write.
+        report: folder for tables and pictures; None for none.
+        truth: a reference map, to judge by.
+        curve: whether the report shows how the error falls with the number of drives.
+
+    Raises:
+        SemlocError: a file is broken, no drive fits any other, or the map cannot be written.
+    """
+    if out.suffix.lower() != ".gpkg":
+        raise SemlocError(f"--out {out}: versions are kept in GeoPackages; give a name that ends in .gpkg")
+    before = None if base is None else read_state(base)
+    held = Ledger(None, {}) if base is None else ledger_of(base)
+    contents = []
+    for path in packed_paths:
+        read_packed(path)  # names the file where it is broken
+        contents.append(path.read_bytes())
+    ledger = held.joined(contents)
+    new = len(ledger.drives) - len(held.drives)
+    if before is not None and not new:
+        write_ledger(held, before, out)
+        write_version(before, out, before, base)
+        return f"{before.map.name} version {before.version}: holds these drives already; nothing changes\nmap: {out}"
+    drives = in_order(ledger.unpacked())
+    found = merged(ledger.base, drives, progress=lambda items, name: tqdm(items, desc=name))
+    version = ledger.version if before is None else max(ledger.version, before.version + new)
+    state = MapState(found.beliefs.as_map(), version, len(ledger.drives))
+    write_ledger(ledger, state, out)
+    write_version(state, out, before, base, f"merge of {new} drive{'s' if new > 1 else ''}")
+    judged = {}
+    if truth is not None:
+        reference, by_rule = read_map(truth).elements, replaced(drives, state.map.origin).elements
+        for name, made, alignment in (
+            ("map", state.map.elements, "se2"),
+            ("absolute", state.map.elements, "none"),
+            ("seed_rule", by_rule, "se2"),
+        ):
+            judged[name] = compare_maps(made, reference, alignment)
+    if report is not None:
+        folder = make_folder(report)
+        _write_report(found, judged, folder)
+        if curve and truth is not None:
+            write_curve(ledger.base, drives, read_map(truth), folder)
+    return "\n".join([*_merge_in_words(found, state, ledger, new, judged), f"map: {out}"])
+
+
+_TITLES = {
+    "map": "against the reference, after one motion in the plane:",
+    "absolute": "against the reference, as it lies:",
+    "seed_rule": "for comparison, replace within 5 m if more confident, after one motion in the plane:",
+}
+
+
+def _merge_in_words(
+    found: MergedMap, state: MapState, ledger: Ledger, new: int, judged: dict[str, MapComparison]
+) -> list[str]:
+    counts = Counter(element.label.name.lower() for element in state.map.elements)
+    changes = Counter(change.change for change in found.changes)
+    rates = [f"{name} {100 * rate:.0f} %" for name, rate in found.detected.items()]
+    lines = [
+        f"{state.map.name} version {state.version}: {new} new of {len(ledger.drives)} drives; content {state.content}",
+        f"map: {', '.join(f'{count} {name}' for name, count in counts.items())}",
+        f"a drive shows what it passes: {', '.join(rates)}",
+        f"changes: {', '.join(f'{changes[word]} {word}' for word in ('removed', 'moved', 'added'))}",
+        *(f"not trusted: drive {drive.name}: {drive.reason}" for drive in found.distrusted),
+    ]
+    for name, comparison in judged.items():
+        lines += [_TITLES[name], comparison.to_text()]
+    return lines
+
+
+def _write_report(found: MergedMap, judged: dict[str, MapComparison], folder: Path) -> None:
+    """changes.csv, drives.csv, metrics.json, pictures."""
+    columns = ("id", "change", "class", "x_m", "y_m", "moved_m", "existence", "num_seen", "num_missed", "drive")
+    rows = []
+    for c in found.changes:
+        x_m, y_m = c.element.points[:, :2].mean(axis=0).round(3).tolist()
+        name = c.element.label.name.lower()
+        rows.append((c.id, c.change, name, x_m, y_m, round(c.moved_m, 3), round(c.existence, 4)))
+        rows[-1] += (c.num_seen, c.num_missed, c.drive)
+    write_csv(folder / "changes.csv", columns, rows)
+    columns = ("drive", "things", "shared", "shift_x_m", "shift_y_m", "turn_deg", "scale", "noise", "distrusted")
+    rows, fused = [], found.fused
+    for k, (drive, seen) in enumerate(zip(fused.drives, fused.seen, strict=True)):
+        values = [round(v, 5) for v in (*drive.value[:2], np.degrees(drive.value[2]), 1.0 + drive.value[3])]
+        reason = fused.distrusted[k].reason if k in fused.distrusted else ""
+        noise = round(float(seen.factor.max()), 2)
+        rows.append((drive.sights.name, len(drive.sights.things), len(seen.pairs), *values, noise, reason))
+    write_csv(folder / "drives.csv", columns, rows)
+    metrics = [Metric("drives", float(len(fused.drives)), "drives", "report")]
+    for word in ("removed", "moved", "added"):
+        count = sum(c.change == word for c in found.changes)
+        metrics.append(Metric(f"changes.{word}", float(count), "elements", "report"))
+    metrics += [metric for name, comparison in judged.items() for metric in comparison.metrics(name)]
+    write_metrics(metrics, folder / "metrics.json")
+    elements, beliefs = found.beliefs.map.elements, found.beliefs.beliefs
+    gone = [c.element for c in found.changes if c.change == "removed"]
+    moved = {c.id: c.change for c in found.changes if c.change != "removed"}
+    save(changes_from_above(elements, gone, moved, "what changed"), folder / "changes.png")
+    save(existence_from_above(elements, beliefs, "how sure the map is"), folder / "existence.png")
