@@ -77,7 +77,7 @@ class RowLimits(Protocol):
     def snap_m(self) -> float: ...
 
 
-class Piece(NamedTuple):
+class DividerPiece(NamedTuple):
     """A piece of a divider."""
 
     id: str
@@ -191,7 +191,7 @@ def back_in_paint(
 
 def pieces_of(
     row: RowFrame, span: tuple[float, float], lines: Sequence[MapElement], limits: RowLimits
-) -> list[list[Piece]]:
+) -> list[list[DividerPiece]]:
     """Pieces of the dividers of a row, those of one divider together."""
     found = []
     reach_m = (row.depth_m or 5.5) + limits.snap_m
@@ -202,8 +202,8 @@ def pieces_of(
         if _askew(line, row.inward) > np.sin(np.deg2rad(limits.askew_deg)) or far_m - near_m < limits.piece_m:
             continue
         if near_m >= -limits.off_m and far_m <= reach_m and span[0] <= middle_m <= span[1]:
-            found.append(Piece(line.id, middle_m, float(near_m), float(far_m), line.true_ends[int(order[1])]))
-    groups: list[list[Piece]] = []
+            found.append(DividerPiece(line.id, middle_m, float(near_m), float(far_m), line.true_ends[int(order[1])]))
+    groups: list[list[DividerPiece]] = []
     for piece in sorted(found, key=lambda piece: -piece.length_m):
         own = next((g for g in groups if abs(g[0].s_m - piece.s_m) < limits.beside_m), None)
         if own is None:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from semloc_jax.mapping.row_lines import (
     PaintAt,
-    Piece,
+    DividerPiece,
     back_in_paint,
     back_of,
     bars_along,
@@ -268,12 +268,12 @@ def _height(s_m: float, bars: list[MapElement], ends: dict[str, np.ndarray]) -> 
     return float(nearest.points[:, 2].mean())
 
 
-def _mean_s(group: list[Piece]) -> float:
+def _mean_s(group: list[DividerPiece]) -> float:
     return float(np.average([piece.s_m for piece in group], weights=[piece.length_m for piece in group]))
 
 
 def _divider(
-    row: MappedRow, s_m: float, group: list[Piece], lines: dict[str, MapElement], config: RowConfig
+    row: MappedRow, s_m: float, group: list[DividerPiece], lines: dict[str, MapElement], config: RowConfig
 ) -> MapElement:
     """A divider from the entrance to the back; an end that nobody saw is none of paint."""
     last = max(group, key=lambda piece: piece.far_m)
