@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.mapping.row_lines import (
-    PaintAt,
     DividerPiece,
+    PaintAt,
     back_in_paint,
     back_of,
     bars_along,
