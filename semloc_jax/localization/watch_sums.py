@@ -9,7 +9,7 @@ the masks each alone say whether they belong to one state of the road. What sing
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -29,14 +29,14 @@ _PLANE = [0, 1, 5]
 class WatchConfig:
     """What is watched, and from when on it counts. All values are ours."""
 
-    level: int = 1
+    level: ClassVar[int] = 1
     """Of the cost maps, on which lines and posts are compared: a repainted line lies tens of pixels aside."""
-    aside_m: tuple[float, float] = (1.5, 0.1)
+    aside_m: ClassVar[tuple[float, float]] = (1.5, 0.1)
     """How far aside lines and posts are compared, and in what steps."""
-    ahead_m: tuple[float, float] = (4.5, 0.25)
-    focal_share: float = 0.025
+    ahead_m: ClassVar[tuple[float, float]] = (4.5, 0.25)
+    focal_share: ClassVar[float] = 0.025
     """By how much the focal lengths of the other calibration differ: less is told by its own slope."""
-    turn_rad: float = 0.015
+    turn_rad: ClassVar[float] = 0.015
     step_m: float = 0.5
     """Way between two frames that are looked at: from one place the same errors are seen again."""
     memory_frames: float = 40.0
@@ -50,7 +50,7 @@ class WatchConfig:
     aside_m_memory: float = 20.0
     """Way over which a direction of travel is remembered: where the cameras look aside, the first lines and walls that
     come into view or leave it move the pose, which passes for a drive to the other side."""
-    aside_rad: tuple[float, float] = (0.0051, 0.0061)
+    aside_rad: tuple[float, float] = (0.0055, 0.0063)
     """A direction of travel up to the first is that of a sound vehicle, whose axle and inertial unit are never mounted
     exactly along each other (a real one: 0.27 deg); from the second on it counts in full [rad]."""
     least_gain_nats: float = 2.0
