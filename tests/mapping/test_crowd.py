@@ -1,5 +1,6 @@
 """Many drives make one map: as exact as their number allows, the same in any order, with what has changed."""
 
+import os
 import shutil
 from dataclasses import replace
 
@@ -15,9 +16,11 @@ from semloc_jax.mapping.crowd.pack import trimmed
 from semloc_jax.mapping.crowd.seed_rule import replaced
 from semloc_jax.maps import BeliefMap, read_map, write_map
 from semloc_jax.maps.io.packed_drive import packed_bytes, read_packed, unpacked, write_packed
-from semloc_jax.maps.versions.history import history_of
+from semloc_jax.maps.versions.history import history_of, versions_of
 from semloc_jax.maps.versions.state import read_state
+from semloc_jax.reports.crowd import report_merged
 from tests.mapping.crowd_world import DriveNoise, Road, drive
+from tests.maps.versions.test_version_kills import killed_at
 
 ROAD = Road.of(150.0)
 SHORT = Road.of(70.0)
@@ -207,6 +210,27 @@ def test_any_grouping_makes_the_same_file_and_twice_changes_nothing(packed_files
     without.write_bytes(one)
     assert main(["merge", str(without), str(packed_files / "d2.slocal"), "--out", str(two)]) == FAILED
     assert "is not beside it" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_killed_merge_leaves_the_old_map_or_the_new_and_can_be_done_again(packed_files, tmp_path):
+    """The base and one drive, then another, killed at some of the changes of files that this makes."""
+    path, locals_ = tmp_path / "map.gpkg", [packed_files / f"d{k}.slocal" for k in (0, 1)]
+    shutil.copyfile(packed_files / "base.gpkg", path)
+    report_merged(path, locals_[:1], path)
+    old = path.read_bytes()
+    kept = tmp_path / "kept"
+    shutil.copytree(tmp_path, kept)
+    done = []
+    for step in (1, 4, 8, 200):
+        done.append(not killed_at(step, lambda: report_merged(path, locals_[1:], path)))
+        assert (path.read_bytes() == old) is not done[-1] or read_state(path).version == 3
+        report_merged(path, locals_[1:], path)
+        assert [row.version for row in versions_of(path)] == [3, 2, 1]
+        shutil.rmtree(history_of(path))
+        shutil.copytree(history_of(kept / "map.gpkg"), history_of(path))
+        path.write_bytes(old)
+    assert done == [False, False, False, True]
 
 
 @pytest.mark.slow
