@@ -135,6 +135,10 @@ def _of_drive(path: Path, calib: Path | None, cameras: tuple[str, ...] | None, f
     chosen = drive.frames[frames]
     if not chosen:
         raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames")
+    if not any(chosen[0].has(IMAGE, name) for name in rig.names):
+        raise SemlocError(
+            f"drive {drive.name}: has no images; expected pictures of its cameras (semloc slots works on masks alone)"
+        )
     for name in rig.names:
         missing = next((f.id for f in chosen if not f.has(IMAGE, name)), None)
         if missing is not None:

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.mapping.looking import Gatherer, Look, Looker, RoadLookConfig
 from semloc_jax.mapping.slots import ANGLED, PERPENDICULAR, SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
@@ -22,6 +23,9 @@ from semloc_jax.structs import ElementClass
 _AHEAD_M = 7.0
 _TELLING_M, _MOSTLY = 2.0, 0.85
 """How much of the lines beside a slot must be in view for a miss to count."""
+_FEWEST_PLACES = 8
+_FACED = 0.77
+"""Cosine of the largest angle between a line of sight and the direction into a slot: 40 deg."""
 _BAR_M, _AT_MOUTH_M, _BAR_SINE = (0.4, 2.0), 0.5, 0.15
 """Length of bars across the end of a divider, how near to it, and how far off a right angle."""
 _EVEN_M, _UNEVEN_M, _ROW_M, _SAME_WAY = 0.06, 0.1, 2.0, 0.995
@@ -61,6 +65,7 @@ class Slot:
         skew_rad: how far the entrance is from a right angle to the direction into the slot.
         occupied: whether another vehicle stands in it; None where nobody could see.
         covariance: `float64[3 3]` of the pose.
+        is_faced: whether a camera looks into it: from aside the car in the next slot hides it.
     """
 
     kind: str
@@ -70,6 +75,7 @@ class Slot:
     skew_rad: float
     occupied: bool | None
     covariance: Float[np.ndarray, "3 3"]
+    is_faced: bool = True
 
 
 @dataclass(frozen=True)
@@ -136,9 +142,11 @@ class SlotObserver:
         found = find_slots(lines, beliefs, way, gatherer.vehicles, self.config.slots)
         elements = upright([element for element, _ in found], lines, self.config.slots)
         mouths = in_rows(elements)
-        return SlotFrame([self._slot(e, m, T) for e, m in zip(elements, mouths, strict=True)], looks)
+        taken = [is_taken(element.points[:4, :2], gatherer.vehicles) for element in elements]
+        found = zip(elements, mouths, taken, strict=True)
+        return SlotFrame([self._slot(e, mouth, occupied, T) for e, mouth, occupied in found], looks)
 
-    def _slot(self, element: MapElement, mouth: Float[np.ndarray, "2 2"], T: np.ndarray) -> Slot:
+    def _slot(self, element: MapElement, mouth: Float[np.ndarray, "2 2"], occupied: bool | None, T: np.ndarray) -> Slot:
         first, second = mouth
         step, inward = second - first, (element.points[3] - element.points[0])[:2]
         width_m, depth_m = float(np.linalg.norm(step)), float(np.linalg.norm(inward))
@@ -151,9 +159,11 @@ class SlotObserver:
         covariance[:2, :2] = C
         covariance[2, 2] = 0.25 * float(np.trace(known[0] + known[1])) / width_m**2
         pose = np.array([*(0.5 * (first + second)), yaw])
-        occupied = element.attributes.get("occupied")
         kind = str(element.attributes["kind"])
-        return Slot(kind, pose, width_m, depth_m, float(skew), occupied, covariance)
+        sight = T[:2, :2].T @ (pose[:2] - T[:2, 3]) - self._places[:, :2]
+        into = T[:2, :2].T @ inward / depth_m
+        is_faced = bool((sight @ into > _FACED * np.linalg.norm(sight, axis=1)).any())
+        return Slot(kind, pose, width_m, depth_m, float(skew), occupied, covariance, is_faced)
 
     def ground_covariance(self, xy_base: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "2 2"]:
         """Covariance [m^2] of a place on the road as its nearest camera sees it.
@@ -172,6 +182,18 @@ class SlotObserver:
         sight = offset[k] / max(r, 1e-6)
         aside = np.array([-sight[1], sight[0]])
         return along * np.outer(sight, sight) + across * np.outer(aside, aside)
+
+
+def is_taken(corners: Float[np.ndarray, "4 2"], vehicles: EvidenceGrid) -> bool | None:
+    """Whether most places in the middle of a slot that a camera looks at end at a vehicle; None where it sees too few.
+
+    Places count alike, near or far: a car that stands deep in its slot leaves the better seen part of it bare.
+    """
+    u, v = (axis.ravel()[:, None] for axis in np.meshgrid(np.linspace(0.25, 0.75, 6), np.linspace(0.25, 0.75, 8)))
+    front, back = (a + u * (b - a) for a, b in ((corners[0], corners[1]), (corners[3], corners[2])))
+    total, hits = vehicles.sums(front + v * (back - front), 0)
+    seen = total > 0.0
+    return bool((hits[seen] > 0.5 * total[seen]).mean() > 0.5) if seen.sum() >= _FEWEST_PLACES else None
 
 
 def upright(elements: Sequence[MapElement], lines: Sequence[MapElement], config: SlotConfig) -> list[MapElement]:

@@ -42,7 +42,7 @@ class SlotTrackConfig:
     forget: int = 5
     detected: float = 0.7
     false: float = 0.1
-    drift_share: float = 0.01
+    drift_share: float = 0.02
     outlier_sigmas: float = 1.5
     calibrated: float = 0.25
     kalman_m: float = 0.1
@@ -95,8 +95,9 @@ class SlotTrack:
 
     @property
     def occupied(self) -> bool | None:
-        """What most of the last sights say; None where none could see."""
-        said = [slot.occupied for slot, _ in self.sights[-9:] if slot.occupied is not None]
+        """What most of the last sights say, those into the slot where there are any; None where none could see."""
+        known = [slot for slot, _ in self.sights if slot.occupied is not None]
+        said = [slot.occupied for slot in ([slot for slot in known if slot.is_faced] or known)[-9:]]
         return None if not said else sum(said) * 2 > len(said)
 
     @property

@@ -96,6 +96,8 @@ class PictureStitch:
 
     def balance(self, images: Sequence[np.ndarray]) -> ColourBalance:
         """Gains under which the pictures agree in the overlaps."""
+        if not len(self.places_seen):
+            return ColourBalance.none(len(images))
         values = np.zeros((*self.places_seen.shape, 3))
         for camera, image in enumerate(images):
             small = cv2.resize(image, (image.shape[1] // 4, image.shape[0] // 4), interpolation=cv2.INTER_AREA)

@@ -10,5 +10,6 @@ __getattr__, __dir__, __all__ = door(
             "element_panels",
         ),
         "explain_tables": ("explained_elements",),
+        "surround": ("SurroundSettings", "report_surround"),
     },
 )

@@ -17,29 +17,33 @@ from semloc_jax.structs import ElementClass
 
 _SAME_M, _SAME_RAD = 1.0, 0.35
 """A slot farther off, or turned more, is none of the true ones."""
+_NEAR_M, _LOOKS = 5.0, 5
+"""A slot ought to be found whose entrance was so near in so many frames, hidden or not."""
 WAYS = ("single", "kalman", "fused")
 
 
 class SlotErrors:
     """Collects the errors of a run; says nothing where no truth is known."""
 
-    def __init__(self, drive: Drive | None, true_poses: np.ndarray):
-        """The true slots, float64[n 3]: middle of the entrance [m] and direction into the slot in the map."""
-        self.drive, self.true_poses = drive, true_poses
+    def __init__(self, drive: Drive | None, true_poses: np.ndarray, taken: Sequence[bool | None] = ()):
+        """The true slots, float64[n 3]: middle of the entrance [m] and direction into the slot in the map; whether a
+        vehicle stands in each, None where the map does not say."""
+        self.drive, self.true_poses, self.taken = drive, true_poses, tuple(taken)
         self.rows: list[tuple[str, bool, np.ndarray]] = []
         self.num_false = dict.fromkeys(WAYS, 0)
+        self.num_near = np.zeros(len(true_poses), int)
 
     @classmethod
     def of(cls, drive: Drive) -> "SlotErrors":
         """The true slots of a drive, where it has a map and true poses."""
         if drive.truth is None or drive.map_path is None:
             return cls(None, np.zeros((0, 3)))
-        slots = [e.points[:4, :2] for e in read_map(drive.map_path).elements if e.label == ElementClass.PARKING_SLOT]
-        found = []
-        for corners in slots:
+        slots = [e for e in read_map(drive.map_path).elements if e.label == ElementClass.PARKING_SLOT]
+        found, taken = [], [e.attributes.get("occupied") for e in slots]
+        for corners in (e.points[:4, :2] for e in slots):
             inward = 0.5 * (corners[3] - corners[0] + corners[2] - corners[1])
             found.append([*(0.5 * (corners[0] + corners[1])), np.arctan2(inward[1], inward[0])])
-        return cls(drive if found else None, np.array(found).reshape(-1, 3))
+        return cls(drive if found else None, np.array(found).reshape(-1, 3), taken)
 
     def add(
         self,
@@ -53,6 +57,7 @@ class SlotErrors:
         if self.drive is None:
             return
         true_base = _in_base(self.true_poses, self.drive.truth_at(frame))
+        self.num_near += np.linalg.norm(true_base[:, :2], axis=1) < _NEAR_M
         for slot, track in zip(slots, tracks, strict=True):
             poses = {"single": slot.pose}
             if track is not None and track.confirmed:
@@ -87,7 +92,7 @@ class SlotErrors:
         return found
 
     def _final(self, final: Sequence[SlotTrack], Ts_odom_base: Mapping[int, np.ndarray]) -> list[Metric]:
-        offs, taken = [], []
+        offs, taken, right = [], [], []
         for track in final:
             T_map_base = self.drive.truth.interpolate(np.array([track.last_s]))[0]
             true_base = _in_base(self.true_poses, T_map_base)
@@ -96,8 +101,15 @@ class SlotErrors:
             if off is not None:
                 offs.append(off)
                 taken.append(int(np.linalg.norm(true_base[:, :2] - pose[:2], axis=1).argmin()))
+                if track.occupied is not None and self.taken[taken[-1]] is not None:
+                    right.append(bool(track.occupied) == bool(self.taken[taken[-1]]))
         found = [Metric("final.false", float(len(final) - len(offs)), "slots")]
         found.append(Metric("final.twice", float(len(taken) - len(set(taken))), "slots"))
+        near = np.flatnonzero(self.num_near >= _LOOKS)
+        if len(near):
+            found.append(Metric("final.recall_near", float(np.isin(near, taken).mean()), "share", "higher"))
+        if right:
+            found.append(Metric("final.occupancy_right", float(np.mean(right)), "share", "higher"))
         if offs:
             mean = np.abs(np.array(offs)).mean(axis=0)
             found += [Metric("final.x", float(100 * mean[0]), "cm"), Metric("final.y", float(100 * mean[1]), "cm")]

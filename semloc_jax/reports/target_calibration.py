@@ -12,7 +12,7 @@ import numpy as np
 from semloc_jax import viz
 from semloc_jax.calibration.lens_on_boards import LensFit, fit_lens
 from semloc_jax.calibration.mounts_on_mats import MatCorners, MountFit, fit_mounts, ground_errors
-from semloc_jax.cameras import Rig
+from semloc_jax.cameras import Camera, Rig
 from semloc_jax.cameras.io import read_calibration, write_calibration
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Metric, write_metrics
@@ -23,6 +23,7 @@ from semloc_jax.viz.targets import target_figure
 
 _LOG = logging.getLogger(__name__)
 _NEAR_M = 3.0
+_BEYOND_DEG = 2.0
 
 
 def report_target_calibration(folder: Path, calib: Path | None = None, out: Path | None = None) -> str:
@@ -50,7 +51,7 @@ def report_target_calibration(folder: Path, calib: Path | None = None, out: Path
     rig = Rig([fit.camera for fit in lenses], drawing.T_base_cam, drawing.names)
     mounts = None
     if mat is not None:
-        mounts = fit_mounts(rig, _seen_mats(folder, mat, rig))
+        mounts = fit_mounts(rig, _seen_mats(folder, mat, rig, lenses))
         rig = mounts.rig
     truth_file = folder / "truth" / "calib.yaml"
     truth = read_calibration(truth_file) if truth_file.is_file() else None
@@ -85,7 +86,7 @@ def _lens(folder: Path, board: Board, drawing: Rig, index: int) -> LensFit:
     return fit_lens(views, drawing.cameras[index], name)
 
 
-def _seen_mats(folder: Path, mat: Board, rig: Rig) -> list[MatCorners]:
+def _seen_mats(folder: Path, mat: Board, rig: Rig, lenses: list[LensFit]) -> list[MatCorners]:
     survey, seen = read_survey(folder, mat), []
     pictures = {Path(name).stem: grey for name, grey in grey_pictures(folder / "mats").items()}
     for index, name in enumerate(rig.names):
@@ -98,8 +99,17 @@ def _seen_mats(folder: Path, mat: Board, rig: Rig) -> list[MatCorners]:
             if uv is None:
                 continue
             known = np.isfinite(uv).all(axis=-1)
+            # Beyond the views of the board the lens is a guess, which would bend the mount.
+            known[known] = _angle_deg(rig.cameras[index], uv[known]) <= lenses[index].widest_deg + _BEYOND_DEG
+            if not known.any():
+                continue
             seen.append(MatCorners(index, number, uv[known], places[known]))
     return seen
+
+
+def _angle_deg(camera: Camera, uv: np.ndarray) -> np.ndarray:
+    """Angle of lines of sight to the axis."""
+    return np.rad2deg(np.arccos(np.clip(np.asarray(camera.unproject(uv)[0])[:, 2], -1.0, 1.0)))
 
 
 def _metrics(rig: Rig, lenses: list[LensFit], mounts: MountFit | None, truth: Rig | None) -> list[Metric]:

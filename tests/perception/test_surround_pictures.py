@@ -141,6 +141,13 @@ def test_pictures_of_another_number_or_size_are_refused(view, images):
         view.stitch([images[0], images[1][::2, ::2], *images[2:]])
 
 
+def test_one_camera_is_a_top_view_too(rig, images):
+    alone = SurroundView.around(rig.select(["front"]), 10.0, 0.05)
+    top = alone.stitch(images[:1])
+    assert (top[alone.seen[0]] > 0).mean() > 0.99 and not top[~alone.seen[0]].any()
+    assert seam_step(alone, top) == pytest.approx((np.nan, np.nan), nan_ok=True)
+
+
 def test_where_cameras_contradict_each_other_one_is_shown_alone(view, images):
     ghost = [image.copy() for image in images]
     ghost[0][:] = 250
