@@ -68,7 +68,7 @@ def run(options: Options) -> int:
     cameras = parse_names(options.cameras) or with_images or list(drive.rig.names)
     whole = [source for source in drive.mask_sources if all(drive.frames[0].has(source, camera) for camera in cameras)]
     name = options.masks or (whole[0] if whole else NO_MASKS)
-    is_masked = name != NO_MASKS and options.motion != "wheels"
+    is_masked = name != NO_MASKS and options.motion != "wheels" and bool(with_images)
     masks = mask_source(name, drive, cameras, options.class_table) if is_masked else None
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(Options)}
     kept = {key: value for key, value in given.items() if key not in NOT_KEPT and value is not None}
