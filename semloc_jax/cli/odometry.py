@@ -31,7 +31,7 @@ class Options:
     """vio: cameras and inertial sensor; both: wheel speeds as well; wheels: wheels and gyroscope, no images."""
     masks: str | None = None
     """Masks that show traffic, sky and the vehicle, where no corner is taken: a mask folder of the drive, any folder
-    CAMERA/FRAME.png, or FILE.onnx; none: no masks; default: the drive's own masks where it has them."""
+    CAMERA/FRAME.png, or FILE.onnx; none: no masks; default: the drive's own masks where every camera has them."""
     class_table: str | None = None
     """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
     cameras: str | None = None
@@ -66,8 +66,9 @@ def run(options: Options) -> int:
     drive = open_drive(options.drive, options.calib)
     with_images = [name for name in drive.rig.names if drive.frames and drive.frames[0].has("rgb", name)]
     cameras = parse_names(options.cameras) or with_images or list(drive.rig.names)
-    name = options.masks or (drive.mask_sources[0] if drive.mask_sources else NO_MASKS)
-    is_masked = name != NO_MASKS and options.motion != "wheels"
+    whole = [source for source in drive.mask_sources if all(drive.frames[0].has(source, camera) for camera in cameras)]
+    name = options.masks or (whole[0] if whole else NO_MASKS)
+    is_masked = name != NO_MASKS and options.motion != "wheels" and bool(with_images)
     masks = mask_source(name, drive, cameras, options.class_table) if is_masked else None
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(Options)}
     kept = {key: value for key, value in given.items() if key not in NOT_KEPT and value is not None}
