@@ -4,7 +4,7 @@ In: pairs of corners of slots or tips of arrows with their true places and dista
 list. The places only say which corner of the map is meant: what is compared is the distance within the map.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,7 +36,7 @@ class SurveyedDistance(NamedTuple):
     distance_m: float
 
 
-def surveyed_distances(rows: Iterable[Mapping[str, Any]], name: str) -> list[SurveyedDistance]:
+def surveyed_distances(rows: Any, name: str) -> list[SurveyedDistance]:
     """The member `surveyed` of a meta.json: ends a and b, each with `what` (slot or arrow) and `point`; `distance_m`.
 
     Raises:

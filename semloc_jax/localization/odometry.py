@@ -173,6 +173,7 @@ def _require(drive: Drive, cameras: Sequence[str], with_wheels: bool) -> None:
         )
     if with_wheels and drive.odometry is None:
         raise SemlocError(f"drive {drive.name}: has no wheel odometry; use --motion vio")
+    drive.rig.select(cameras)  # names what is not in the calibration
     without = [name for name in cameras if not drive.frames[0].has("rgb", name)]
     if without:
         raise SemlocError(

@@ -146,8 +146,8 @@ def _agreed(
             frame = drive.frames[row]
             return pulling.of(masks.masks(frame), masks.seen_by(frame.rig), Ts[row])
 
-        pulls = [pull(row) for row in told(rows, f"agreeing, round {k + 1} of {config.rounds}")]
-        found = solve_together(graph, {**values, "pose": Ts}, rows, pulls, elements, config.joint)
+        pulls = [pull(int(row)) for row in told(rows, f"agreeing, round {k + 1} of {config.rounds}")]
+        found = solve_together(graph, {**values, "pose": Ts}, rows.tolist(), pulls, elements, config.joint)
         Ts = found.Ts_map_base
         elements = [moved(e, found.motions[e.id]) if e.id in found.motions else e for e in elements]
     return Ts

@@ -5,7 +5,7 @@ In: the frame of a row: entrance, dividers; slot lines. Out: bars along the entr
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -33,6 +33,7 @@ _EVEN_M = 0.06
 """Dividers that scatter more about even steps are not painted in such; ours."""
 
 
+@runtime_checkable
 class RowFrame(Protocol):
     """What is known of a row before its places are."""
 
@@ -60,6 +61,7 @@ class RowFrame(Protocol):
         """How far along the entrance and behind it [m]."""
 
 
+@runtime_checkable
 class RowLimits(Protocol):
     """What belongs to a row; see `slot_rows.RowConfig`."""
 
@@ -226,7 +228,9 @@ def _is_due(s_m: float, known: Float[np.ndarray, " n"], off_m: float) -> bool:
     return bool(round(steps) != 0 and abs(steps - round(steps)) * step_m < off_m)
 
 
-def crossings(ends: Sequence[np.ndarray], known_m: Sequence[float], width_m: float) -> list[float]:
+def crossings(
+    ends: Sequence[np.ndarray], known_m: Sequence[float] | Float[np.ndarray, " k"], width_m: float
+) -> list[float]:
     """Where bars along an entrance show dividers that were not seen: at the middle of a long bar or between two.
 
     Args:

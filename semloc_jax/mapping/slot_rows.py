@@ -333,7 +333,7 @@ def _back(row: MappedRow, s_m: np.ndarray, lines: list[MapElement], config: RowC
         return _Back([], set())
     low, high = min(low for _, low, _ in found), max(high for _, _, high in found)
     half = 0.5 * row.width_m
-    is_end = low < s_m[0] + config.snap_m, high > s_m[-1] - config.snap_m
+    is_end = bool(low < s_m[0] + config.snap_m), bool(high > s_m[-1] - config.snap_m)
     low, high = s_m[0] - half if is_end[0] else low, s_m[-1] + half if is_end[1] else high
     points = np.concatenate([line.points for line, _, _ in found])
     at = row.inside(points[:, :2])[0]

@@ -68,7 +68,7 @@ def test_the_solution_is_that_of_a_dense_solver():
     known = prior(true[0], np.zeros(5), FIRM)
     graph = pose_graph(np.ones(3, bool), (motions(frames[:-1], frames[1:], steps, step_info), known))
     config = JointConfig(threshold=1e9)
-    found = solve_together(graph, values_of(start, np.zeros(5)), frames, pulls, elements, config)
+    found = solve_together(graph, values_of(start, np.zeros(5)), frames.tolist(), pulls, elements, config)
 
     places = np.array([place_of(element) for element in elements])
     force = np.concatenate([each.force for each in pulls])
@@ -125,7 +125,7 @@ def test_a_scale_of_the_odometer_is_told_by_what_is_passed():
     wheels = odometry(frames[:-1], frames[1:], steps, jacobian, np.tile(ODOMETER, (num - 1, 1)), info)
     known = prior(true[0], np.append(ODOMETER, [0.0, 0.0]), FIRM)
     graph = pose_graph(np.ones(num, bool), (wheels, known))
-    found = solve_together(graph, values_of(start, np.append(ODOMETER, [0.0, 0.0])), frames, pulls, elements)
+    found = solve_together(graph, values_of(start, np.append(ODOMETER, [0.0, 0.0])), frames.tolist(), pulls, elements)
     off_m = np.abs(found.Ts_map_base[:, 0, 3] - true[:, 0, 3])
     assert off_m.max() < 0.02
     for element, T in zip(elements, moved, strict=True):
