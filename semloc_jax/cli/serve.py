@@ -38,7 +38,7 @@ def run(options: Options) -> int:
     if options.token_file is not None and not options.token_file.is_file():
         raise SemlocError(f"--token-file {options.token_file}: no such file")
     given = options.token_file
-    token = secrets.token_urlsafe(24) if given is None else given.read_text(encoding="utf-8").strip()
+    token = secrets.token_urlsafe(24) if given is None else given.read_text(encoding="utf-8", errors="replace").strip()
     with MapServer(options.map, token, options.host, options.port) as server:
         print(f"map: {server.url} (Ctrl-C ends it)", flush=True)
         if given is None:

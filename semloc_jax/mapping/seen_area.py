@@ -53,7 +53,7 @@ def read_seen_area(path: Path) -> tuple[list[Ring], str]:
     Raises:
         SemlocError: it holds something else.
     """
-    document = json_document(path.read_text(encoding="utf-8"), f"seen area {path}")
+    document = json_document(path.read_bytes(), f"seen area {path}")
     with reading(f"seen area {path}"):
         gauge = str(document["gauge"])
         rings = [np.array(ring, dtype=np.float64).reshape(-1, 2) for ring in document["rings"]]

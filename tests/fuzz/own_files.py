@@ -5,6 +5,7 @@ the explorer. What a run only writes (changes.json, loops.csv, elements.csv) has
 import csv
 import json
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,17 @@ from semloc_jax.datasets import Frame, open_drive
 from semloc_jax.evaluation import compare_maps
 from semloc_jax.explorer.messages import read_query
 from semloc_jax.localization import checkpoint
+from semloc_jax.mapping.seen_area import read_seen_area, write_seen_area
 from semloc_jax.maps import Belief, BeliefMap, read_map, write_drive_geojson, write_map
+from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_packed
 from semloc_jax.reports import localize_log, run_inputs, track_log
+from semloc_jax.reports.versions import report_applied, report_difference
 from semloc_jax.storage import json_document
 from semloc_jax.structs import SolveStatus
-from tests.fuzz.readers import Reader, use_calibration
+from tests.fuzz.readers import Reader, use_calibration, use_map
 from tests.localization.test_checkpoint import template
+from tests.mapping.crowd_world import Road, drive
+from tests.maps.versions.made_maps import road
 
 QUERY = {
     "pose": {"x_m": 1.0, "y_m": 2.0, "yaw_deg": 3.0, "height_m": 0.1, "roll_deg": 0.2, "pitch_deg": 0.3},
@@ -55,6 +61,7 @@ def own_files(simulated: Path, place: Path) -> Iterator[Reader]:
     yield Reader("settings of track", made / "config.yaml", use_settings)
     (made / "query.json").write_text(json.dumps(QUERY))
     yield Reader("question of the explorer", made / "query.json", use_query)
+    yield from _of_many_drives(made)
     yield from _of_runs(open_drive(simulated).frames, made)
 
 
@@ -70,6 +77,21 @@ def _of_made_maps(simulated: Path, place: Path) -> Iterator[Reader]:
     for suffix in (".gpkg", ".geojson"):
         yield Reader(f"beliefs {suffix}", place / f"beliefs{suffix}", use_beliefs)
         yield Reader(f"compared {suffix}", place / f"beliefs{suffix}", _compared_with(simulated / "map.geojson"))
+
+
+def _of_many_drives(place: Path) -> Iterator[Reader]:
+    """What a car uploads, what it looked at, and what makes one version of a map of another."""
+    write_packed(drive(Road.of(100.0), 0), place / "drive.slocal")
+    yield Reader("packed drive", place / "drive.slocal", use_packed)
+    yield Reader("packed drive as a map", place / "drive.slocal", use_map)
+    ring = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 4.0], [0.0, 4.0]])
+    write_seen_area([ring], "gnss", place / "seen_area.json")
+    yield Reader("area that was seen", place / "seen_area.json", read_seen_area)
+    for name, num in (("base", 6), ("target", 8)):
+        write_map(road(num), place / f"{name}.gpkg")
+    report_difference(place / "base.gpkg", place / "target.gpkg", place / "step.sdiff")
+    apply = partial(report_applied, place / "base.gpkg")
+    yield Reader("difference of maps", place / "step.sdiff", lambda path: apply(path, path.parent / "new.gpkg"))
 
 
 def _of_runs(frames: tuple[Frame, ...], place: Path) -> Iterator[Reader]:
@@ -100,6 +122,16 @@ def _result(frame: Frame) -> LocalizationResult:
     mode = Mode(0.9, np.eye(4), 0.01 * np.eye(6), 3.5, 0.2, 0.9, 0.8, np.eye(6)[0], evidence)
     poses = np.eye(4), np.eye(4)
     return LocalizationResult(frame, *poses, SolveStatus.CONVERGED, True, ("a reason",), (mode,), {"solve": 0.1})
+
+
+def use_packed(path: Path) -> PackedDrive:
+    """Reads a packed drive and looks whether every number in it is one."""
+    found = read_packed(path)
+    assert np.isfinite(found.way).all(), "a way that is not finite"
+    assert all(np.isfinite(element.points).all() for element in found.beliefs.map.elements), (
+        "points that are not finite"
+    )
+    return found
 
 
 def use_beliefs(path: Path) -> BeliefMap:

@@ -70,7 +70,7 @@ def ledger_of(path: Path) -> Ledger:
                 "copy the folder too"
             )
         return Ledger(state, {})
-    document = json_document(record.read_text(encoding="utf-8"), f"record {record}")
+    document = json_document(record.read_bytes(), f"record {record}")
     with reading(f"record {record}"):
         root = None if document["root"] is None else read_state(folder / "roots" / f"{document['root']}.gpkg")
         drives = {str(digest): (folder / "drives" / f"{digest}.slocal").read_bytes() for digest in document["drives"]}
@@ -98,7 +98,7 @@ def copy_record(source: Path, digest: str, path: Path, new: str) -> None:
     before, folder = _record(history_of(source), digest), history_of(path)
     if not before.is_file():
         return
-    document = json_document(before.read_text(encoding="utf-8"), f"record {before}")
+    document = json_document(before.read_bytes(), f"record {before}")
     names = [f"drives/{d}.slocal" for d in document["drives"]]
     names += [f"roots/{document['root']}.gpkg"] if document["root"] else []
     for name in names:
