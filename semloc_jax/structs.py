@@ -29,6 +29,19 @@ class ElementClass(enum.IntEnum):
     GUARDRAIL = 13
 
 
+STANDING_CLASSES = frozenset(
+    {
+        ElementClass.POLE,
+        ElementClass.SIGN,
+        ElementClass.TRAFFIC_LIGHT,
+        ElementClass.PILLAR,
+        ElementClass.CONE,
+        ElementClass.GUARDRAIL,
+    }
+)
+"""What stands on the ground: new paint does not move it."""
+
+
 class SampleKind(enum.IntEnum):
     """How the visible contour of a sample depends on where it is seen from."""
 

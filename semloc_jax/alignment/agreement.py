@@ -12,18 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from semloc_jax.alignment.posterior import differences
-from semloc_jax.structs import ElementClass
+from semloc_jax.structs import STANDING_CLASSES, ElementClass
 
 _LINES = (ElementClass.LANE_MARKING,)
-_UPRIGHT = (
-    ElementClass.POLE,
-    ElementClass.SIGN,
-    ElementClass.TRAFFIC_LIGHT,
-    ElementClass.PILLAR,
-    ElementClass.CONE,
-    ElementClass.GUARDRAIL,
-)
-_KINDS = (_LINES, _UPRIGHT)
+_KINDS = (_LINES, tuple(STANDING_CLASSES))
 """Each is compared with all else in the map: what is painted anew or set up anew together."""
 NUM_KINDS = 2 * len(_KINDS)
 """Parts that `kinds` makes."""

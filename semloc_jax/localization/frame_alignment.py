@@ -31,16 +31,12 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.localization.map_window import MapWindow, MapWindows
 from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.maps import RoadSpread, SemanticMap
-from semloc_jax.structs import ElementClass, SolveStatus
+from semloc_jax.structs import STANDING_CLASSES, SolveStatus
 
 _LONGITUDINAL = LongitudinalConfig()
 """The search along the road; no drive needed other values."""
 
 
-STANDING_CLASSES = frozenset(
-    {ElementClass.POLE, ElementClass.SIGN, ElementClass.TRAFFIC_LIGHT, ElementClass.PILLAR, ElementClass.CONE}
-)
-"""What stands on the ground: new paint does not move it."""
 _FREE = 1e3
 """Factor on a sigma of the prior that leaves a direction free."""
 

@@ -17,7 +17,7 @@ import numpy as np
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import simplify
 from semloc_jax.maps.elements import UPRIGHT_CLASSES, GeoOrigin, MapElement
-from semloc_jax.maps.io.varints import pack_integers, unpack_integers
+from semloc_jax.maps.io.varints import joined_columns, split_columns
 from semloc_jax.maps.semantic_map import SemanticMap
 from semloc_jax.storage import write_bytes
 from semloc_jax.structs import ElementClass
@@ -114,12 +114,8 @@ def compact_bytes(
         *steps.T,
         *_angles([elements[i] for i in order]).T,
     ]
-    text = json.dumps(header, allow_nan=False).encode()
-    parts = [np.array([len(text)], dtype="<u4").tobytes(), text]
-    for column in columns:
-        packed = pack_integers(column)
-        parts += [np.array([len(column), len(packed)], dtype="<u4").tobytes(), packed]
-    return MAGIC + lzma.compress(b"".join(parts), format=lzma.FORMAT_RAW, filters=_FILTERS)
+    joined = joined_columns(json.dumps(header, allow_nan=False).encode(), columns)
+    return MAGIC + lzma.compress(joined, format=lzma.FORMAT_RAW, filters=_FILTERS)
 
 
 def read_compact(path: str | Path) -> SemanticMap:
@@ -135,7 +131,8 @@ def read_compact(path: str | Path) -> SemanticMap:
     try:
         decoder = lzma.LZMADecompressor(format=lzma.FORMAT_RAW, filters=_FILTERS)
         payload = decoder.decompress(raw[len(MAGIC) :], max_length=_LARGEST_PAYLOAD)
-        header, columns = _split(payload)
+        text, columns = split_columns(payload)
+        header = json.loads(text)
         elements = _elements(header, columns)
         origin = header["origin"]
         place = GeoOrigin(*map(float, origin)) if origin is not None else None
@@ -167,6 +164,8 @@ def _angles(elements: list[MapElement]) -> np.ndarray:
 
 def _elements(header: dict[str, Any], columns: list[np.ndarray]) -> tuple[MapElement, ...]:
     kinds = [_Kind(*kind) for kind in header["kinds"]]
+    if len(columns) != 10:
+        raise ValueError(f"{len(columns)} columns; expected 10")
     per_kind, lengths, fx, fy, fz, dx, dy, dz, azimuth, elevation = columns
     owner = np.repeat(np.arange(len(kinds)), per_kind)
     if len(owner) != len(lengths) or (lengths < 1).any() or int((lengths - 1).sum()) != len(dx):
@@ -215,16 +214,3 @@ def _morton(point: np.ndarray) -> int:
     """Returns a number that is near for places that are near: the bits of x and y in turn."""
     x, y = (int(v) + (1 << 30) for v in np.floor(point[:2] / _MORTON_CELL_M))
     return sum((x >> bit & 1) << 2 * bit | (y >> bit & 1) << 2 * bit + 1 for bit in range(31))
-
-
-def _split(payload: bytes) -> tuple[dict[str, Any], list[np.ndarray]]:
-    size = int(np.frombuffer(payload[:4], dtype="<u4")[0])
-    header = json.loads(payload[4 : 4 + size])
-    at, columns = 4 + size, []
-    while at < len(payload):
-        count, length = (int(v) for v in np.frombuffer(payload[at : at + 8], dtype="<u4"))
-        columns.append(unpack_integers(payload[at + 8 : at + 8 + length], count))
-        at += 8 + length
-    if len(columns) != 10:
-        raise ValueError(f"{len(columns)} columns; expected 10")
-    return header, columns

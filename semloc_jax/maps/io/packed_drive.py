@@ -19,7 +19,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.maps.beliefs import Belief, BeliefMap
 from semloc_jax.maps.curves import simplify
 from semloc_jax.maps.elements import FARTHEST_M, UPRIGHT_CLASSES, GeoOrigin, MapElement
-from semloc_jax.maps.io.varints import pack_integers, unpack_integers
+from semloc_jax.maps.io.varints import joined_columns, split_columns
 from semloc_jax.maps.semantic_map import SemanticMap, require_place
 from semloc_jax.maps.versions.records import json_bytes
 from semloc_jax.storage import reading, write_bytes
@@ -92,13 +92,8 @@ def packed_bytes(drive: PackedDrive) -> bytes:
         "kinds": kinds,
         "rings": [len(ring) for ring in drive.rings],
     }
-    text = json_bytes(header)
-    columns = [_steps(column) for column in _columns(drive, elements, kinds)]
-    parts = [np.array([len(text)], dtype="<u4").tobytes(), text]
-    for column in columns:
-        packed = pack_integers(column)
-        parts += [np.array([len(column), len(packed)], dtype="<u4").tobytes(), packed]
-    content = lzma.compress(b"".join(parts), format=lzma.FORMAT_RAW, filters=_FILTERS)
+    joined = joined_columns(json_bytes(header), (_steps(column) for column in _columns(drive, elements, kinds)))
+    content = lzma.compress(joined, format=lzma.FORMAT_RAW, filters=_FILTERS)
     return MAGIC + hashlib.sha256(content).digest() + content
 
 
@@ -137,18 +132,8 @@ def unpacked(content: bytes, where: str) -> PackedDrive:
     with reading(where):
         decoder = lzma.LZMADecompressor(format=lzma.FORMAT_RAW, filters=_FILTERS)
         text = decoder.decompress(content[begin:], max_length=_LARGEST_PAYLOAD)
-        return _drive(*_split(text))
-
-
-def _split(payload: bytes) -> tuple[dict[str, Any], list[np.ndarray]]:
-    size = int(np.frombuffer(payload[:4], dtype="<u4")[0])
-    header = json.loads(payload[4 : 4 + size])
-    at, columns = 4 + size, []
-    while at < len(payload):
-        count, length = (int(v) for v in np.frombuffer(payload[at : at + 8], dtype="<u4"))
-        columns.append(np.cumsum(unpack_integers(payload[at + 8 : at + 8 + length], count)))
-        at += 8 + length
-    return header, columns
+        header, steps = split_columns(text)
+        return _drive(json.loads(header), [np.cumsum(column) for column in steps])
 
 
 def _drive(header: Mapping[str, Any], columns: list[np.ndarray]) -> PackedDrive:

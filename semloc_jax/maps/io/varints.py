@@ -1,9 +1,15 @@
-"""Whole numbers in few bytes: zigzag varints (room: maps; host).
+"""Whole numbers in few bytes: zigzag varints, and columns of them behind a header (room: maps; host).
 
 In: integers. Out: bytes, seven bits each, and the integers back.
+Layout of columns: size of the header, the header, then of each column its count, its size and its varints; sizes and
+counts are little-endian `uint32`.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
+
+_SIZE = np.dtype("<u4")
 
 
 def pack_integers(values: np.ndarray) -> bytes:
@@ -42,3 +48,29 @@ def unpack_integers(packed: bytes, count: int) -> np.ndarray:
     parts = (raw & 127).astype(np.uint64) << (7 * place).astype(np.uint64)
     values = np.add.reduceat(parts, start)
     return (values >> 1).astype(np.int64) ^ -(values & 1).astype(np.int64)
+
+
+def joined_columns(header: bytes, columns: Iterable[np.ndarray]) -> bytes:
+    """Returns a header and columns of integers as one run of bytes."""
+    parts = [np.array([len(header)], dtype=_SIZE).tobytes(), header]
+    for column in columns:
+        packed = pack_integers(column)
+        parts += [np.array([len(column), len(packed)], dtype=_SIZE).tobytes(), packed]
+    return b"".join(parts)
+
+
+def split_columns(joined: bytes) -> tuple[bytes, list[np.ndarray]]:
+    """Returns the header and the columns of `joined_columns`.
+
+    Raises:
+        ValueError, IndexError: cut short, or a column of another length.
+    """
+    width = _SIZE.itemsize
+    at = width + int(np.frombuffer(joined[:width], dtype=_SIZE)[0])
+    header, columns = joined[width:at], []
+    while at < len(joined):
+        count, length = (int(v) for v in np.frombuffer(joined[at : at + 2 * width], dtype=_SIZE))
+        at += 2 * width
+        columns.append(unpack_integers(joined[at : at + length], count))
+        at += length
+    return header, columns
