@@ -41,7 +41,7 @@ The names, in the order of the data flow
     derivatives  align(..., differentiable=True), differentiable_scene, align_differentiable, smooth_scene
     a drive      track_frames, Localizer, TrackConfig, TrackResult
     judge        evaluate, pose_errors, read_trajectory, write_tum, Metric
-    solver       evidence_from, Evidence, Prior, AlignConfig, align_one, align_many
+    solver       evidence_from, Evidence, Prior, pose_term, AlignConfig, align_one, align_many
 
 Frames: map (metres, z up), base (rear axle on the ground, x forward, y left, z up), cam (z forward, x right, y down);
 `T_map_base` maps base to map. Tangents are (x, y, z [m], roll, pitch, yaw [rad]) in the vehicle frame.
@@ -85,6 +85,7 @@ _ROOMS = {
     "alignment.result": ("LocalizationResult",),
     "alignment.frame_localizer": ("FrameLocalizer", "LocalizeConfig"),
     "alignment.single_frame": ("evidence_from",),
+    "residuals.pose_terms": ("pose_term",),
     "alignment.pose": ("Evidence", "Prior", "AlignConfig", "align_one", "align_many"),
     "alignment.implicit": ("align_differentiable", "smooth_scene"),
     "localization.frame_by_frame": ("localize_frames", "iterate_frames"),

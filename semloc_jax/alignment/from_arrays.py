@@ -26,6 +26,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps, load_class_table, table_of
+from semloc_jax.residuals.pose_terms import Terms, from_origin
 from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.runtime.stored_program import stored_program
 
@@ -62,6 +63,7 @@ def align(
     classes: Classes,
     sigma: np.ndarray | jax.Array | Sequence = START_SIGMA,
     config: LocalizeConfig | None = None,
+    terms: Terms = (),
     differentiable: bool = False,
 ) -> LocalizationResult | SmoothEstimate:
     """The pose that aligns the map with the masks, refined from one first guess.
@@ -78,6 +80,7 @@ def align(
         sigma: How far the first guess may be off (x, y, z [m], roll, pitch, yaw [rad], in the vehicle frame); 0 locks a
             direction. A PosePrior brings its own.
         config: None for the defaults.
+        terms: Other measurements of the pose in the map frame, see `pose_term`.
         differentiable: True: a SmoothEstimate in JAX, whose `T_map_base`, `covariance` and `tangent()` have derivatives
             by cameras, `T_base_cam`, prior and sigma (jax.grad, jax.jacobian). By every number of the scene, map points
             and mask ramps among them: `differentiable_scene`.
@@ -100,7 +103,7 @@ def align(
     >>> found.covariance.shape
     (6, 6)
     """
-    given = _given(masks, cameras, semantic_map, prior, classes, sigma, config)
+    given = _given(masks, cameras, semantic_map, prior, classes, sigma, config, terms)
     if differentiable:
         _require_fine(given.local.origin_map)
         scene = _scene(given)
@@ -118,6 +121,7 @@ def search(
     classes: Classes,
     sigma: np.ndarray | jax.Array | Sequence = START_SIGMA,
     config: LocalizeConfig | None = None,
+    terms: Terms = (),
 ) -> LocalizationResult:
     """All poses around a first guess that explain the masks, best first, with a verdict.
 
@@ -131,7 +135,9 @@ def search(
     >>> bool(abs(found.T_map_base[0, 3] - 2.0) < 0.1), found.localized, len(found.modes)
     (True, True, 1)
     """
-    given = _given(masks, cameras, semantic_map, prior, classes, sigma, config)
+    if terms and isinstance(prior, PosePrior):
+        raise SemlocError("terms: given beside a PosePrior; expected a first guess T_map_base [4 4] with them")
+    given = _given(masks, cameras, semantic_map, prior, classes, sigma, config, terms)
     if isinstance(prior, PosePrior):
         return given.localizer.localize(None, given.masks, prior, cameras)
     found = localize_frame(given.frame, given.prior, given.localizer.config.frame)
@@ -162,6 +168,7 @@ def differentiable_scene(
     classes: Classes,
     sigma: np.ndarray | jax.Array | Sequence = START_SIGMA,
     config: LocalizeConfig | None = None,
+    terms: Terms = (),
 ) -> DifferentiableScene:
     """The scene that `align(..., differentiable=True)` solves, to be differentiated by any of its numbers.
 
@@ -173,7 +180,7 @@ def differentiable_scene(
     >>> bool(jnp.isfinite(slope.maps.distance_px).all()), slope.views[0].p_map.shape  # by mask ramps, by map points
     (True, (1, 3, 1024))
     """
-    return _scene(_given(masks, cameras, semantic_map, prior, classes, sigma, config))
+    return _scene(_given(masks, cameras, semantic_map, prior, classes, sigma, config, terms))
 
 
 def _given(
@@ -184,6 +191,7 @@ def _given(
     classes: Classes,
     sigma: np.ndarray | jax.Array | Sequence,
     config: LocalizeConfig | None,
+    terms: Terms,
 ) -> _Arrays:
     rig = cameras if isinstance(cameras, Rig) else _alone(cameras, prior)
     listed = _masks(masks, rig)
@@ -199,6 +207,9 @@ def _given(
         known = prior.to_solver(T_near, local, localizer.config.road, semantic_map.road_spread(T_near))
     else:
         known = _known(prior, local, _six(sigma))
+    if terms:
+        _require_fine(local.origin_map)
+        known = Prior(known.T_map_base, known.sigma, from_origin(terms, local.origin_map))
     return _Arrays(localizer, listed, frame, local, T_near, known)
 
 
@@ -328,6 +339,6 @@ def _require_fine(origin_map: np.ndarray) -> None:
     if np.abs(origin_map).max() > _COARSEST_M:
         raise SemlocError(
             f"map coordinates around {origin_map.round().tolist()} m: float32 is too coarse for a differentiable pose "
-            "there; subtract an offset from map and prior, or use differentiable_scene, whose numbers are relative to "
-            "origin_map"
+            "and for terms there; subtract an offset from map and prior, or use differentiable_scene, whose numbers "
+            "are relative to origin_map"
         )

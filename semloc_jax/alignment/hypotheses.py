@@ -17,6 +17,7 @@ from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, r
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.same_pose import units_apart
 from semloc_jax.geometry import lie
+from semloc_jax.residuals.pose_terms import terms_cost
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import decimated, robust_cost
 from semloc_jax.runtime.stored_program import stored_program
@@ -119,10 +120,12 @@ def score(
 
 
 def prior_cost(T_map_base: Float[Array, "4 4"], prior: Prior) -> Float[Array, ""]:
-    """Half the squared deviation from the prior, in sigmas; locked directions do not count."""
+    """Half the squared deviation from the prior, in sigmas, and the cost of its terms [nats]; locked directions do not
+    count."""
     xi = lie.log(lie.inverse(prior.T_map_base) @ T_map_base)
     free = prior.sigma > 0
-    return 0.5 * jnp.sum(jnp.where(free, xi / jnp.where(free, prior.sigma, 1.0), 0.0) ** 2)
+    deviation = jnp.where(free, xi / jnp.where(free, prior.sigma, 1.0), 0.0)
+    return 0.5 * jnp.sum(deviation**2) + terms_cost(prior.terms, T_map_base)
 
 
 def keep_distinct(

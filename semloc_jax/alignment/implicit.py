@@ -11,7 +11,8 @@ Contract
 - Forward and reverse mode, jit and vmap work. Derivatives are of first order: the derivative of a derivative is wrong.
 - Differentiable by: scene.maps.distance_px (cost-map values), scene.model (class weights, ramp widths, kernel scales,
   noise), scene.views (intrinsics, extrinsics T_cam_base, map points, sample weights), scene.nats_per_px, prior
-  (T_map_base: offset of GNSS to map; sigma). Not by T_init and not by textures: the optimum does not depend on them.
+  (T_map_base: offset of GNSS to map; sigma; data of its terms). Not by T_init and not by textures: the optimum does
+  not depend on them.
 - Rotations and poses enter as 4x4 matrices: differentiate by a tangent xi through T @ lie.exp(xi).
 - `estimate.tangent()` is zero, and its derivative is that of the pose as a right tangent (v, omega) in the vehicle.
 - Where J is nearly singular the derivative is damped and `status` says SINGULAR; nothing is ever NaN.
@@ -29,6 +30,7 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align_one
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.noise import is_inlier
+from semloc_jax.residuals.pose_terms import terms_cost, terms_equations
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.smooth import (
     ChannelModel,
@@ -198,7 +200,7 @@ def _axis_sine(R: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3"]:
 
 
 def _prior_cost(T: Float[Array, "4 4"], prior: Prior) -> Float[Array, ""]:
-    """Half the squared deviation from the prior in units of its sigmas; locked directions cost nothing.
+    """Half the squared deviation from the prior in units of its sigmas, and its terms; locked directions cost nothing.
 
     Measured from the prior, not in the chart of a solve: the optimum must not depend on where it was started.
     """
@@ -206,7 +208,7 @@ def _prior_cost(T: Float[Array, "4 4"], prior: Prior) -> Float[Array, ""]:
     xi = jnp.concatenate([D[:3, 3], _axis_sine(D[:3, :3])])
     free = prior.sigma > 0
     r = jnp.where(free, xi / jnp.where(free, prior.sigma, 1.0), 0.0)
-    return 0.5 * jnp.sum(r * r)
+    return 0.5 * jnp.sum(r * r) + terms_cost(prior.terms, T)
 
 
 def _force(T: Float[Array, "4 4"], scene: SmoothScene, prior: Prior) -> Float[Array, "6"]:
@@ -329,8 +331,8 @@ def _estimate(
     weights, distances, information, held, scatter = _information(T, scene)
     # Residuals that scatter more than the model says widen the covariance.
     excess = jnp.maximum(scatter / jnp.maximum(held, 1e-9), 1.0)
-    identity = jnp.eye(6, dtype=T.dtype)
-    information = sigma[:, None] * information * sigma / excess + identity
+    known = sigma[:, None] * terms_equations(prior.terms, T).hessian * sigma + jnp.eye(6, dtype=T.dtype)
+    information = sigma[:, None] * information * sigma / excess + known
     covariance = sigma[:, None] * jnp.linalg.inv(information) * sigma
     eigenvalues, eigenvectors = jnp.linalg.eigh(jax.lax.stop_gradient(information))
 

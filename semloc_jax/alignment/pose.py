@@ -13,12 +13,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.level_choice import MIN_INLIER_RATIO, finest_held
-from semloc_jax.alignment.problem import POSE_DAMPING, AlignmentProblem, pose_of, quadratic_model
+from semloc_jax.alignment.problem import POSE_DAMPING, AlignmentProblem, known_model, pose_of, quadratic_model
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual
 from semloc_jax.residuals.forward_only import forward_only
 from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel, is_inlier
+from semloc_jax.residuals.pose_terms import Terms
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import visible_weight
 from semloc_jax.residuals.texture import RampTextures
@@ -43,12 +44,14 @@ class Evidence(eqx.Module):
 
 
 class Prior(eqx.Module):
-    """Gaussian prior on the vehicle pose, in its right tangent."""
+    """What is known of the vehicle pose before the masks: a Gaussian in its right tangent, and further terms."""
 
     T_map_base: Float[Array, "4 4"]
     """Centre, relative to the local origin."""
     sigma: Float[Array, "6"]
     """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) in the vehicle frame; 0 locks a direction."""
+    terms: Terms = ()
+    """Other measurements of the pose, see `semloc_jax.residuals.pose_terms`; relative to the local origin, too."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,7 @@ def level_problem(
         gain.astype(T_start.dtype),
         config.kernel,
         config.path,
+        prior.terms,
     )
 
 
@@ -194,7 +198,8 @@ def assess(
     """
     views = visible_views(T_map_base, evidence, config.border_px, config.path)
     problem = level_problem(T_map_base, views, level, evidence, prior, config)
-    model = quadratic_model(jnp.zeros(6, T_map_base.dtype), problem)
+    here = jnp.zeros(6, T_map_base.dtype)
+    model, known = quadratic_model(here, problem), known_model(here, problem)
     r, weight = alignment_residual(T_map_base, views, problem.texture)
     kernel = KERNELS[config.kernel]
     ramp_px = problem.texture.ramp_px
@@ -202,8 +207,7 @@ def assess(
     per_visible = 1 / jnp.maximum(visible, 1e-6)
     scatter_px = ramp_px * _held_rms(r, weight, config)
     excess = config.noise.excess(scatter_px, ramp_px, evidence.grain)
-    identity = jnp.eye(6, dtype=T_map_base.dtype)
-    information = (model.hessian - identity) / excess**2 + identity
+    information = (model.hessian - known.hessian) / excess**2 + known.hessian
     eigenvalues, eigenvectors = jnp.linalg.eigh(information)
     scale = jnp.where(prior.sigma > 0, prior.sigma, 0.0)
     covariance = scale[:, None] * jnp.linalg.inv(information) * scale

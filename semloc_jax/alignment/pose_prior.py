@@ -96,7 +96,8 @@ def levelled(
     back = rigid.log(rigid.inverse(T_local_base) @ np.asarray(prior.T_map_base, np.float64)) * planar
     sigma = np.asarray(prior.sigma, np.float64).copy()
     sigma[2:5] = road.on(spread)
-    around = Prior(jnp.asarray(T_local_base @ rigid.exp(back), jnp.float32), jnp.asarray(sigma, jnp.float32))
+    T_around = jnp.asarray(T_local_base @ rigid.exp(back), jnp.float32)
+    around = Prior(T_around, jnp.asarray(sigma, jnp.float32), prior.terms)
     return T_local_base.astype(np.float32), around
 
 

@@ -14,6 +14,7 @@ from semloc_jax.residuals.alignment import CameraViews, alignment_residual
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.normal_equations import chart_equations
+from semloc_jax.residuals.pose_terms import Terms, terms_equations, terms_residual
 from semloc_jax.residuals.robust import KERNELS, robust_root
 from semloc_jax.residuals.texture import RampTexture
 from semloc_jax.solvers.levenberg_marquardt import Damping
@@ -40,6 +41,8 @@ class AlignmentProblem(eqx.Module):
     kernel: str = eqx.field(static=True, default="tukey")
     path: Path = eqx.field(static=True, default="auto")
     """How the evidence is evaluated; see `semloc_jax.residuals.native_kernels`."""
+    terms: Terms = ()
+    """What else is known of the pose, see `semloc_jax.residuals.pose_terms`; relative to the local origin."""
 
     def linearise(self, value: Float[Array, "6"], skip: Bool[Array, ""]) -> "QuadraticModel":
         """Fused normal equations at y. Of a batch of hypotheses, those that are done cost nothing."""
@@ -76,14 +79,15 @@ def prior_offset(problem: AlignmentProblem) -> Float[Array, "6"]:
 
 
 def residual(y: Float[Array, "6"], problem: AlignmentProblem) -> Float[Array, " n"]:
-    """Whitened residuals of the evidence and of the prior; half their squared norm is the cost in nats.
+    """Whitened residuals of the evidence, of the prior and of the terms; half their squared norm is the cost in nats.
 
     The solver works with the fused normal equations of the same cost; this definition is what they are tested against
     and what implicit derivatives go through.
     """
-    r, weight = alignment_residual(pose_of(y, problem), problem.views, problem.texture)
+    T_map_base = pose_of(y, problem)
+    r, weight = alignment_residual(T_map_base, problem.views, problem.texture)
     evidence = jnp.sqrt(problem.gain * weight) * robust_root(r, KERNELS[problem.kernel])
-    return jnp.concatenate([evidence, y - prior_offset(problem)])
+    return jnp.concatenate([evidence, y - prior_offset(problem), terms_residual(problem.terms, T_map_base)])
 
 
 def quadratic_model(
@@ -93,19 +97,33 @@ def quadratic_model(
 
     Where `skip` is True the result is not needed: of a batch, hypotheses that are done cost nothing.
     """
+    chart = Chart(problem.T_start, problem.sigma, y)
     evidence = chart_equations(
-        Chart(problem.T_start, problem.sigma, y),
+        chart,
         problem.views,
         problem.texture,
         KERNELS[problem.kernel],
         problem.path,
         skip,
     )
-    deviation = y - prior_offset(problem)
+    known = known_model(y, problem)
     return QuadraticModel(
-        problem.gain * evidence.cost + 0.5 * jnp.sum(deviation * deviation),
-        problem.gain * evidence.gradient + deviation,
-        problem.gain * evidence.hessian + jnp.eye(6, dtype=y.dtype),
+        problem.gain * evidence.cost + known.cost,
+        problem.gain * evidence.gradient + known.gradient,
+        problem.gain * evidence.hessian + known.hessian,
+    )
+
+
+def known_model(y: Float[Array, "6"], problem: AlignmentProblem) -> QuadraticModel:
+    """The part of `quadratic_model` that the masks have no share in: the prior and the terms."""
+    deviation = y - prior_offset(problem)
+    known = QuadraticModel(0.5 * jnp.sum(deviation * deviation), deviation, jnp.eye(6, dtype=y.dtype))
+    if not problem.terms:
+        return known
+    chart = Chart(problem.T_start, problem.sigma, y)
+    terms, J = terms_equations(problem.terms, chart.pose()), chart.jacobian()
+    return QuadraticModel(
+        known.cost + terms.cost, known.gradient + J.T @ terms.gradient, known.hessian + J.T @ terms.hessian @ J
     )
 
 

@@ -16,6 +16,7 @@ from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residu
 from semloc_jax.residuals.camera_equations import camera_equations, with_fields
 from semloc_jax.residuals.motion import cauchy_cost, fix_linearised, odometry_linearised, pose_linearised
 from semloc_jax.residuals.noise import is_inlier
+from semloc_jax.residuals.pose_terms import Terms
 from semloc_jax.residuals.road_contact import road_linearised
 from semloc_jax.residuals.robust import KERNELS, robust_root
 from semloc_jax.residuals.texture import RampTexture
@@ -98,6 +99,8 @@ class CalibrationProblem(eqx.Module):
     common_prior: Float[Array, "9"]
     sigma: Float[Array, " s"]
     """Of the priors: mounts (6 for each camera, right tangent), intrinsics, `COMMON`; 0 locks."""
+    terms: Terms = ()
+    """What else was measured of the poses, keyed by frame; see `semloc_jax.residuals.pose_terms`."""
     edge_threshold: float = eqx.field(static=True, default=5.0)
     fix_threshold: float = eqx.field(static=True, default=2.0)
     road_threshold: float = eqx.field(static=True, default=4.0)
@@ -119,7 +122,7 @@ class CalibrationProblem(eqx.Module):
         state, total = value, self._priors(value)
         for group in self.pictures:
             total = _added(total, self._pictures(state, group))
-        for part in (self._motion(state), *self._anchors(state)):
+        for part in (self._motion(state), *self._anchors(state), *self._terms(state)):
             total = _added(total, part)
         free = self.sigma > 0
         unit = jnp.where(free, self.sigma, 0.0)
@@ -160,6 +163,7 @@ class CalibrationProblem(eqx.Module):
         for r, threshold in self._factors(state):
             cost = jax.vmap(lambda row, t=threshold: cauchy_cost(row, t)[0])(r) if threshold else 0.5 * r.ravel() ** 2
             parts.append(jnp.sqrt(2 * cost))
+        parts += [jnp.sqrt(2 * term.costs({"pose": state.T_map_base})) for term in self.terms]
         return jnp.concatenate([*parts, self._prior_terms(state)[0]])
 
     def _factors(self, state: CalibrationState) -> list[tuple[Array, float]]:
@@ -171,6 +175,17 @@ class CalibrationProblem(eqx.Module):
             (road, self.road_threshold),
             (reference, 0.0),
         ]
+
+    def _terms(self, state: CalibrationState) -> list[ArrowEquations]:
+        num, size, dtype = len(state.T_map_base), self.sigma.shape[0], self.sigma.dtype
+        nothing = jnp.zeros((num, 6, 6), dtype), jnp.zeros((num, 6, size), dtype), jnp.zeros((size, size), dtype)
+        parts = []
+        for term in self.terms:
+            local, (frame,) = term.local({"pose": state.T_map_base}, {"pose": POSE}), term.keys
+            hessian = jax.ops.segment_sum(local.hessian, frame, num)
+            gradient = jax.ops.segment_sum(local.gradient, frame, num)
+            parts.append(ArrowEquations(jnp.sum(local.cost), hessian, *nothing, gradient, jnp.zeros(size, dtype)))
+        return parts
 
     def _pictures(self, state: CalibrationState, group: PictureRows) -> ArrowEquations:
         num_cameras, width = state.intrinsics.shape

@@ -20,6 +20,7 @@ from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.calibration.config import CalibrationPriors, SelfCalibrationConfig
 from semloc_jax.calibration.drive_problem import (
     COMMON,
+    Anchors,
     CalibrationProblem,
     CalibrationSolution,
     CalibrationState,
@@ -44,6 +45,7 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.inputs.mask_view import TopViewSource
 from semloc_jax.maps import SemanticMap
+from semloc_jax.residuals.pose_terms import Terms, TermSource, from_origin, joined
 from semloc_jax.solvers.arrow import reduced
 
 _NOMINAL = np.array([1.0, *[0.0] * 8])
@@ -89,6 +91,7 @@ def self_calibrate(
     config: SelfCalibrationConfig | None = None,
     reference: Trajectory | None = None,
     on_frame: Callable[[LocalizationResult], None] | None = None,
+    terms: TermSource | None = None,
 ) -> SelfCalibration:
     """Mounts (and lenses) of all cameras of the masks, odometer scale and GNSS-to-map offset from one drive.
 
@@ -101,6 +104,7 @@ def self_calibrate(
         reference: Poses of the vehicle from elsewhere (survey, another localizer): they make the whole mount
             observable. None where there are none.
         on_frame: Called with each frame that was localized for a start.
+        terms: What else was measured of the pose of a frame, in the map frame; see `pose_term`.
 
     Raises:
         SemlocError: too few frames, masks that cannot be used, or a map without classes that they show.
@@ -109,7 +113,7 @@ def self_calibrate(
     if isinstance(masks, TopViewSource):
         raise SemlocError("masks 'ipm:...': a top view has lost the cameras; give the masks of the cameras themselves")
     start = start_poses(drive, semantic_map, masks, prior, config, on_frame)
-    return calibrate_from(start, drive, semantic_map, masks, config, reference)
+    return calibrate_from(start, drive, semantic_map, masks, config, reference, terms)
 
 
 def calibrate_from(
@@ -119,6 +123,7 @@ def calibrate_from(
     masks: MaskSource,
     config: SelfCalibrationConfig,
     reference: Trajectory | None = None,
+    terms: TermSource | None = None,
 ) -> SelfCalibration:
     """`self_calibrate` from start poses that are known already."""
     if len(start.frames) < MIN_FRAMES:
@@ -130,7 +135,8 @@ def calibrate_from(
     poses = None if reference is None else _reference_poses(reference, start.frames)
     with jax.enable_x64(True):
         anchors = anchors_of(start, semantic_map, drive.gnss, log, poses, local, config)
-        solution, level_px = _coarse_to_fine(pictures, start, anchors, local, config)
+        told = () if terms is None else joined([from_origin(terms(f), local.origin_map) for f in start.frames])
+        solution, level_px = _coarse_to_fine(pictures, start, anchors, told, local, config)
         sigma = _sigmas(pictures.rig, config)
         information = np.asarray(reduced(solution.equations)[0])
     nominal = drive.rig.select(masks.cameras)
@@ -160,7 +166,12 @@ def with_common_offset(masks: MaskSource) -> MaskSource:
 
 
 def _coarse_to_fine(
-    pictures: Pictures, start: StartPoses, anchors, local: LocalFrame, config: SelfCalibrationConfig
+    pictures: Pictures,
+    start: StartPoses,
+    anchors: Anchors,
+    terms: Terms,
+    local: LocalFrame,
+    config: SelfCalibrationConfig,
 ) -> tuple[CalibrationSolution, float]:
     """The solution of the finest level that the masks hold, and its ramp."""
     rig, widest = pictures.rig, _num_intrinsics(pictures.rig, config)
@@ -180,7 +191,7 @@ def _coarse_to_fine(
         rows = picture_rows(pictures, moved, T_map_base, local, config)
         gain = jnp.asarray(config.scene.noise.gain(ramp_px))
         nominal = jnp.asarray(np.asarray(rig.T_base_cam, np.float64))
-        problem = CalibrationProblem(rows, texture, gain, motion, anchors, nominal, jnp.asarray(_NOMINAL), sigma)
+        problem = CalibrationProblem(rows, texture, gain, motion, anchors, nominal, jnp.asarray(_NOMINAL), sigma, terms)
         solution = solve_calibration(problem, state, usable, tolerance=config.tolerance, max_steps=config.max_steps)
         if best is not None and not holds(solution.inlier_ratio, config.min_inlier_ratio):
             break

@@ -20,7 +20,9 @@ from semloc_jax.fusion.measurements import (
     normalised_square,
 )
 from semloc_jax.fusion.prediction import Calibration, MotionIncrement, MotionQuality, coasted
+from semloc_jax.fusion.window_terms import fit, is_finite
 from semloc_jax.geometry import rigid
+from semloc_jax.solvers.factors import Factors
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,16 @@ class KalmanFusion:
         corrected, square = _update(state, difference, H, np.diag(measurement.sigma_m[:2] ** 2))
         accepted = square <= float(chdtri(2, 1.0 - self.config.gate_probability))
         return (corrected if accepted else state), Innovation(square, 2, accepted)
+
+    def correct_term(self, state: KalmanState, term: Factors) -> tuple[KalmanState, Innovation]:
+        """State with a term that was measured at the time of the state, unless the chi-square test refuses it."""
+        innovation, r, J = fit(term, state.T_map_base, state.covariance[:6, :6])
+        if not is_finite(term) or innovation.chi2 > chdtri(innovation.dof, 1.0 - self.config.gate_probability):
+            return state, innovation
+        H = np.zeros((len(r), 11))
+        H[:, :6] = J
+        corrected, _ = _update(state, -r, H, np.eye(len(r)))
+        return corrected, innovation._replace(accepted=True)
 
     def pose(self, state: KalmanState) -> FusedPose:
         """Pose, covariance and calibration of a state."""

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.prediction import Calibration, MotionIncrement, MotionNoise
 from semloc_jax.geometry import rigid
+from semloc_jax.solvers.factors import Factors
 
 State = TypeVar("State")
 _SAME_TIME_S = 1e-3
@@ -125,6 +126,10 @@ class Fusion(Protocol, Generic[State]):
         """State with a satellite fix; unchanged where the fix is refused."""
         ...
 
+    def correct_term(self, state: State, term: Factors) -> tuple[State, Innovation]:
+        """State with a cost term of the user, measured at its time; unchanged where the term is refused."""
+        ...
+
     def pose(self, state: State) -> FusedPose:
         """Pose, covariance and calibration of a state."""
         ...
@@ -169,6 +174,10 @@ class SingleFrameFusion:
         R = state.T_map_base[:2, :3]
         spread = R @ state.covariance[:3, :3] @ R.T + np.diag(measurement.sigma_m[:2] ** 2)
         return state, Innovation(normalised_square(difference, spread), 2, False)
+
+    def correct_term(self, state: SingleFrameState, term: Factors) -> tuple[SingleFrameState, Innovation]:
+        """The state as it was: terms are not used."""
+        return state, Innovation(np.nan, len(term.keys[0]), False)
 
     def pose(self, state: SingleFrameState) -> FusedPose:
         """Pose and covariance; the calibration is the nominal one."""

@@ -40,8 +40,11 @@ from semloc_jax.fusion.window_state import (
     with_open,
     without_newest,
 )
+from semloc_jax.fusion.window_terms import cleared, empty_rows, fit, is_finite, require_kind, with_term, without_first
 from semloc_jax.geometry import rigid
+from semloc_jax.residuals.pose_terms import Terms
 from semloc_jax.solvers.dense import DenseEquations, DenseProblem, marginal
+from semloc_jax.solvers.factors import Factors
 from semloc_jax.solvers.front import solve
 from semloc_jax.solvers.graph import FactorGraph, Values
 from semloc_jax.solvers.problem import Solution
@@ -72,9 +75,15 @@ class SlidingWindow:
     still held by a robust kernel, so that later frames can outvote it.
     """
 
-    def __init__(self, config: WindowConfig | None = None) -> None:
-        """A window with the given beliefs; it is compiled at the first correction."""
-        self.config = config or WindowConfig()
+    def __init__(self, config: WindowConfig | None = None, terms: Terms = ()) -> None:
+        """A window with the given beliefs; it is compiled at the first correction.
+
+        Args:
+            config: None for the defaults.
+            terms: One example of each kind of term that `correct_term` will get, with as many observations as can come
+                at one time; see `semloc_jax.residuals.pose_terms`.
+        """
+        self.config, self.terms = config or WindowConfig(), terms
         self._last: tuple[WindowState, FusedPose] | None = None
 
     def start(self, measurement: PoseMeasurement) -> WindowState:
@@ -96,6 +105,7 @@ class SlidingWindow:
             np.tile(calibration[:3], (edges, 1)),
             np.zeros((num, 2)), np.zeros((num, 2)), np.zeros((num, 3)),
             poses[0], calibration, prior_sqrt_info, np.float64(measurement.time_s), *still(calibration[:3]),
+            empty_rows(self.terms, num),
         )  # fmt: skip
 
     def predict(self, state: WindowState, increment: MotionIncrement) -> WindowState:
@@ -150,6 +160,21 @@ class SlidingWindow:
         )
         return self._solved(state), Innovation(square, 2, True)
 
+    def correct_term(self, state: WindowState, term: Factors) -> tuple[WindowState, Innovation]:
+        """State with a term that was measured at the time of the state, unless the chi-square test refuses it.
+
+        Raises:
+            SemlocError: the window was not made for such a term, or for so many at one time.
+        """
+        require_kind(self.terms, term)
+        predicted = self.pose(state)
+        innovation, _, _ = fit(term, predicted.T_map_base, predicted.covariance)
+        if not is_finite(term) or innovation.chi2 > chdtri(innovation.dof, 1.0 - self.config.gate_probability):
+            return state, innovation
+        state = self._with_new_state(state)
+        state = state._replace(terms=with_term(self.terms, state.terms, int(state.num) - 1, term))
+        return self._solved(state), innovation._replace(accepted=True)
+
     def pose(self, state: WindowState) -> FusedPose:
         """Newest pose carried on to the time of the last prediction, its covariance, and the calibration."""
         # A step needs the pose of the same state several times.
@@ -190,6 +215,7 @@ class SlidingWindow:
             T_map_base=replaced(state.T_map_base, num, T),
             pose_sqrt_info=replaced(state.pose_sqrt_info, num, np.zeros((6, 6))),
             fix_sqrt_info=replaced(state.fix_sqrt_info, num, np.zeros(2)),
+            terms=cleared(state.terms, num),
             T_edge=replaced(state.T_edge, num - 1, motion.T),
             edge_covariance=replaced(state.edge_covariance, num - 1, motion.covariance),
             edge_jacobian=replaced(state.edge_jacobian, num - 1, motion.jacobian),
@@ -200,7 +226,7 @@ class SlidingWindow:
         """The window one state later; what the oldest one knew stays as a prior of the next and the calibration."""
         if self.config.marginalise:
             with jax.enable_x64(True):
-                equations = _known_by_oldest(*graph_of_oldest(state, self.config.graph))
+                equations = _known_by_oldest(*graph_of_oldest(state, self.config.graph, self.terms))
             covariance = np.linalg.inv(np.asarray(equations.information))
             step = -covariance @ np.asarray(equations.gradient)
             passed_s = float(state.time_s[1] - state.time_s[0])
@@ -216,11 +242,11 @@ class SlidingWindow:
             sqrt_info[:6] = np.eye(6, 11) / _VAGUE
             state = state._replace(T_prior=state.T_map_base[1], prior_sqrt_info=sqrt_info)
         moved = {name: np.roll(getattr(state, name), -1, axis=0) for name in BY_STATE + BY_EDGE}
-        return state._replace(num=np.int64(state.num - 1), **moved)
+        return state._replace(num=np.int64(state.num - 1), terms=without_first(state.terms), **moved)
 
     def _solved(self, state: WindowState) -> WindowState:
         with jax.enable_x64(True):
-            solution = _solved(*graph_of(state, self.config.graph), self.config.graph)
+            solution = _solved(*graph_of(state, self.config.graph, self.terms), self.config.graph)
         unknowns = 6 * self.config.num_states + 5
         newest = 6 * (int(state.num) - 1)
         wanted = np.eye(unknowns)[:, [*range(newest, newest + 6), *range(unknowns - 5, unknowns)]]

@@ -10,7 +10,9 @@ from jaxtyping import Float, Int
 
 from semloc_jax.fusion.pose_factors import GraphConfig, fixes, measured_poses, odometry, pose_graph, prior, values_of
 from semloc_jax.fusion.prediction import MotionIncrement
+from semloc_jax.fusion.window_terms import TermRows, factors_of, of_first_of_two
 from semloc_jax.geometry import rigid
+from semloc_jax.residuals.pose_terms import Terms
 from semloc_jax.solvers.graph import FactorGraph, Values
 
 
@@ -51,6 +53,8 @@ class WindowState(NamedTuple):
     open_covariance: Float[np.ndarray, "6 6"]
     open_jacobian: Float[np.ndarray, "6 3"]
     open_calibration: Float[np.ndarray, "3"]
+    terms: tuple[TermRows, ...] = ()
+    """Cost terms of the user; see `window_terms`."""
 
 
 BY_STATE = ("time_s", "T_map_base", "T_measured", "pose_sqrt_info", "p_fix", "fix_sqrt_info", "fix_base")
@@ -63,8 +67,8 @@ def sqrt_information(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, 
     return np.linalg.inv(np.linalg.cholesky(covariance / np.outer(scale, scale))) / scale
 
 
-def graph_of(state: WindowState, config: GraphConfig) -> tuple[FactorGraph, Values]:
-    """The factors of a window, and its values."""
+def graph_of(state: WindowState, config: GraphConfig, kinds: Terms = ()) -> tuple[FactorGraph, Values]:
+    """The factors of a window, and its values; `kinds` are those of its terms."""
     edges, num = len(state.T_edge), int(state.num)
     is_used, is_edge = np.arange(edges + 1) < num, np.arange(edges) < num - 1
     edge_sqrt_info = np.linalg.inv(np.linalg.cholesky(state.edge_covariance))
@@ -88,17 +92,18 @@ def graph_of(state: WindowState, config: GraphConfig) -> tuple[FactorGraph, Valu
             config.fix_threshold,
         ),
         prior(state.T_prior, state.calibration_prior, state.prior_sqrt_info),
+        *factors_of(kinds, state.terms, is_used),
     )
     return pose_graph(is_used, factors), values_of(state.T_map_base, state.calibration)
 
 
-def graph_of_oldest(state: WindowState, config: GraphConfig) -> tuple[FactorGraph, Values]:
+def graph_of_oldest(state: WindowState, config: GraphConfig, kinds: Terms = ()) -> tuple[FactorGraph, Values]:
     """What the oldest state, its measurement and the motion to the next one say: a graph of two poses."""
     short = {name: getattr(state, name)[:2] for name in BY_STATE} | {name: getattr(state, name)[:1] for name in BY_EDGE}
     alone = np.array([1.0, 0.0])
     short["pose_sqrt_info"] = short["pose_sqrt_info"] * alone[:, None, None]
     short["fix_sqrt_info"] = short["fix_sqrt_info"] * alone[:, None]
-    return graph_of(state._replace(num=np.int64(2), **short), config)
+    return graph_of(state._replace(num=np.int64(2), terms=of_first_of_two(state.terms), **short), config, kinds)
 
 
 def without_newest(state: WindowState) -> WindowState:

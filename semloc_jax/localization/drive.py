@@ -9,12 +9,14 @@ from semloc_jax.alignment.pose_prior import PriorSource
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.fusion.window import SlidingWindow
 from semloc_jax.inputs.mask_source import MaskSource, mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.localization.localizer import Localizer, TrackConfig
 from semloc_jax.localization.pipeline import Pipeline
 from semloc_jax.localization.track_state import TrackResult
 from semloc_jax.maps import SemanticMap
+from semloc_jax.residuals.pose_terms import TermSource, one_of_each
 
 
 def track_frames(
@@ -25,6 +27,7 @@ def track_frames(
     frames: slice | Sequence[Frame] = slice(None),
     cameras: Sequence[str] | None = None,
     config: TrackConfig | None = None,
+    terms: TermSource | None = None,
 ) -> Iterator[TrackResult]:
     """One TrackResult after another: `status`, `reasons`, fused pose with covariance, protection levels.
 
@@ -37,6 +40,7 @@ def track_frames(
         frames: Which frames, in time order.
         cameras: Names, where `masks` is a name; None for all that have such masks.
         config: None for the defaults.
+        terms: What else was measured at a frame: a function of the Frame that gives terms; see `pose_term`.
 
     Raises:
         SemlocError: unknown masks or cameras, a map without classes that the masks show, no frames.
@@ -50,5 +54,6 @@ def track_frames(
         raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check the slice")
     source = mask_source(masks, drive, cameras) if isinstance(masks, str) else masks
     guess = prior_source(prior, drive) if isinstance(prior, str) else prior
-    localizer = Localizer(semantic_map, source.table, MotionLog.of_drive(drive), config=config)
-    yield from Pipeline(drive, source, localizer, guess=guess).run(chosen)
+    fusion = SlidingWindow(terms=() if terms is None else one_of_each(terms(frame) for frame in chosen))
+    localizer = Localizer(semantic_map, source.table, MotionLog.of_drive(drive), fusion, config)
+    yield from Pipeline(drive, source, localizer, guess=guess, terms=terms).run(chosen)

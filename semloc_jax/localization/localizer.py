@@ -5,7 +5,6 @@ In: TrackerState, FrameFeatures. Out: the next TrackerState and a TrackResult. `
 is in the state, the map and the motion log.
 """
 
-import time
 import zlib
 from collections.abc import Sequence
 from functools import partial
@@ -41,6 +40,7 @@ from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
 from semloc_jax.localization.integrity import ProtectionLevels, beyond_alert, protection_levels, with_map_accuracy
 from semloc_jax.localization.map_window import MapWindows
+from semloc_jax.localization.stage_timer import StageTimer
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import (
     FrameFeatures,
@@ -51,6 +51,7 @@ from semloc_jax.localization.track_state import (
 )
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable, cost_maps
+from semloc_jax.residuals.pose_terms import Terms
 
 _SEARCH_REACH_M = 3.0
 """What a search needs of the map beyond the view of its prior. A tracked vehicle is known better than that, and the
@@ -122,6 +123,7 @@ class Localizer:
         rig: Rig,
         fixes: Sequence[GnssMeasurement] = (),
         guess: PosePrior | None = None,
+        terms: Terms = (),
     ) -> FrameFeatures:
         """What a frame shows, without the map: the stage that can run ahead of the localization.
 
@@ -131,6 +133,8 @@ class Localizer:
             rig: Cameras of the masks.
             fixes: Satellite fixes since the frame before.
             guess: First guess of the pose, where something else knows it.
+            terms: Other measurements of the pose at the time of the frame, see `pose_term`; the fusion must be made for
+                their kinds: `SlidingWindow(terms=...)`.
         """
         maps = cost_maps(masks, self.table, self.config.scene.cost_maps, quantised=True)
         usable = float(np.mean(np.asarray(maps.usable)))
@@ -146,6 +150,7 @@ class Localizer:
             usable_share=usable,
             digest=digest,
             guess=guess,
+            terms=tuple(terms),
         )
 
     def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:
@@ -158,7 +163,7 @@ class Localizer:
         if unusable is not None:
             return state, passed_over.result(state, frame, unusable)
         frame = frame._replace(fixes=tuple(fix for fix in frame.fixes if fix.is_usable))
-        timer, before_s = _Timer(), float(state.time_s)
+        timer, before_s = StageTimer(), float(state.time_s)
         motion = CameraTimeLog(self.motion, state.clock)
         way_m = motion.way_m(before_s, frame.time_s) if np.isfinite(before_s) else 0.0
         state = self._predicted(state, frame, motion)
@@ -209,6 +214,8 @@ class Localizer:
         tracks = []
         for rank, track in enumerate(state.tracks):
             carried_on, fitted = carried(track.fusion, self.fusion, motion, frame.fixes, frame.time_s)
+            for term in frame.terms:
+                carried_on, _ = self.fusion.correct_term(carried_on, term)
             tracks.append(track._replace(fusion=carried_on))
             if rank == 0:
                 conflicts = conflicts_after(counters.conflicts, fitted, self.config.health)
@@ -309,7 +316,7 @@ class Localizer:
         return state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten, watch=watch.WatchState())
 
     def _judged(
-        self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, timer: "_Timer"
+        self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, timer: StageTimer
     ) -> tuple[TrackerState, TrackResult]:
         """The status of the frame with its reasons."""
         config = self.config.health
@@ -385,16 +392,3 @@ class Localizer:
             return None
         pose, config = self.fusion.pose(known[0]), self.config
         return pose._replace(covariance=with_map_accuracy(pose.covariance, config.map_sigma_m, config.map_reach_m))
-
-
-class _Timer:
-    """Time spent by stage."""
-
-    def __init__(self) -> None:
-        self.times_ms: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def lap(self, name: str) -> None:
-        now = time.perf_counter()
-        self.times_ms[name] = 1e3 * (now - self._last)
-        self._last = now

@@ -21,6 +21,7 @@ from semloc_jax.localization.checkpoint import Checkpoint
 from semloc_jax.localization.following import rehearse
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.track_state import FrameFeatures, TrackResult, TrackStatus
+from semloc_jax.residuals.pose_terms import TermSource
 from semloc_jax.runtime.allocator import return_large_blocks
 
 _QUEUE = 3
@@ -82,6 +83,7 @@ class Pipeline:
         localizer: Localizer,
         config: PipelineConfig | None = None,
         guess: PriorSource | None = None,
+        terms: TermSource | None = None,
     ) -> None:
         """Put the parts together; nothing runs yet.
 
@@ -91,8 +93,9 @@ class Pipeline:
             localizer: Follows the vehicle.
             config: None for the defaults.
             guess: First guess of the pose of a frame, used where there is no pose and fixes do not give one.
+            terms: What else was measured at a frame; see `pose_term`.
         """
-        self.drive, self.source, self.localizer, self.guess = drive, source, localizer, guess
+        self.drive, self.source, self.localizer, self.guess, self.terms = drive, source, localizer, guess, terms
         self.config, self.timing = config or PipelineConfig(), Timing()
 
     def fixes(self, after_s: float, to_s: float) -> tuple[GnssMeasurement, ...]:
@@ -109,7 +112,8 @@ class Pipeline:
         rig = self.source.seen_by(frame.rig.select(self.source.cameras))
         fixes = self.fixes(before_s, frame.time_s)
         guess = self.guess(frame) if self.guess is not None and np.isfinite(frame.time_s) else None
-        features = self.localizer.features(frame, self.source.masks(frame), rig, fixes, guess)
+        terms = () if self.terms is None else self.terms(frame)
+        features = self.localizer.features(frame, self.source.masks(frame), rig, fixes, guess, terms)
         self.timing.feature_ms.append(1e3 * (time.perf_counter() - started))
         return features
 

@@ -18,6 +18,7 @@ from semloc_jax.fusion.clock import ClockOffset
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.noise_scale import NoiseScale
 from semloc_jax.localization.watch_sums import WatchState
+from semloc_jax.residuals.pose_terms import Terms
 
 
 class TrackStatus(enum.IntEnum):
@@ -130,6 +131,8 @@ class FrameFeatures(NamedTuple):
     """Checksum of the masks: the same twice while the vehicle moves is a camera that stands still."""
     guess: PosePrior | None = None
     """First guess of the pose, where something else than satellites knows it."""
+    terms: Terms = ()
+    """Other measurements of the pose at the time of the frame, in the map frame; see `pose_term`."""
 
 
 @dataclass(frozen=True)

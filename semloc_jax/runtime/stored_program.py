@@ -54,10 +54,16 @@ class StoredProgram:
         if key in self._programs:
             program, skeleton = self._programs[key]
             found = program(*leaves)
+        elif _ADDRESS in str(tree):
+            return self.jitted(*args, **kwargs)
         else:
             program, skeleton, found = store.obtain(self, static, tree, leaves)
             self._programs[key] = program, skeleton
         return jax.tree.unflatten(jax.tree.structure(skeleton), found)
+
+
+_ADDRESS = " at 0x"
+"""How a function among the arguments is written. In another process that address says nothing of what it does."""
 
 
 def _array(leaf: Any) -> Any:

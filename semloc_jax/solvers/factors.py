@@ -101,7 +101,7 @@ class Factors(eqx.Module):
             slopes_at: Where the derivatives are taken (first estimates); None: at the values.
         """
         at = values if slopes_at is None else slopes_at
-        r, J = self._with_derivatives(self.arguments(at), [kinds[name] for name in self.on])
+        r, J = self.derivatives(at, kinds)
         if slopes_at is not None:
             r = self.residuals(values)
         cost, root = self._weighed(r)
@@ -110,20 +110,22 @@ class Factors(eqx.Module):
         gradient = jnp.einsum("fri,fr->fi", J, r, precision=highest)
         return Local(cost, gradient, jnp.einsum("fri,frj->fij", J, J, precision=highest))
 
-    def _with_derivatives(
-        self, arguments: tuple, kinds: list[Kind]
+    def derivatives(
+        self, values: dict[str, Array | np.ndarray], kinds: dict[str, Kind]
     ) -> tuple[Float[Array, "f r"], Float[Array, "f r k"]]:
+        """Whitened residuals before any robust function and weight, and their derivatives by the tangents."""
+        arguments, own = self.arguments(values), [kinds[name] for name in self.on]
         if self.linearised is not None:
             r, *J = jax.vmap(self.linearised)(*arguments)
             return r, jnp.concatenate(J, axis=-1)
-        ends = np.cumsum([kind.size for kind in kinds])
+        ends = np.cumsum([kind.size for kind in own])
 
         def one(*arguments: Any) -> tuple[Array, Array]:
-            variables, data = arguments[: len(kinds)], arguments[len(kinds) :]
+            variables, data = arguments[: len(own)], arguments[len(own) :]
 
             def moved(step: Array) -> Array:
                 steps = jnp.split(step, ends[:-1])
-                at = (kind.retract(v, s) for kind, v, s in zip(kinds, variables, steps, strict=True))
+                at = (kind.retract(v, s) for kind, v, s in zip(own, variables, steps, strict=True))
                 return self.residual(*at, *data)
 
             zero = jnp.zeros(ends[-1], variables[0].dtype)

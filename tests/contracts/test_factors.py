@@ -9,6 +9,7 @@ from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals import motion, road_contact, vehicle_motion
 from semloc_jax.residuals.inverse_depth import Sight, sight_linearised, sight_residual
+from semloc_jax.residuals.pose_terms import pose_term
 from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
 from semloc_jax.solvers.factors import POSE, Factors, vector
 
@@ -51,6 +52,11 @@ def samples(num):
 
 def interval(num):
     return preintegrate(*samples(num), jnp.zeros(6))
+
+
+def range_residual(T_map_base, beacon_map, range_m, sqrt_info):
+    """A term of a user: the distance to a beacon."""
+    return sqrt_info * (jnp.linalg.norm(T_map_base[:3, 3] - beacon_map) - range_m)[None]
 
 
 def sight(ray):
@@ -105,6 +111,7 @@ FACTORS = {
         np.array([2.0]),
         linearised=sight_linearised,
     ),
+    "range": pose_term(range_residual, (np.array([[5.0, -2.0, 3.0]]), np.array([6.0])), np.array([4.0])),
     "rolling": Factors(
         vehicle_motion.rolling_residual, ("pose", "velocity"), (ZERO, ZERO), (), RNG.normal(size=(1, 2))
     ),

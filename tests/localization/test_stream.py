@@ -13,12 +13,14 @@ from semloc_jax.fusion.measurements import GnssMeasurement
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
+from semloc_jax.localization.drive import track_frames
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.localization.watch_sums import WatchConfig, WatchState, moves, next_rig
 from semloc_jax.maps import read_map
 from semloc_jax.simulation import with_fault
+from tests.contracts.test_pose_terms import ranges
 
 pytestmark = pytest.mark.usefixtures("single_precision")
 
@@ -49,6 +51,24 @@ def test_frames_out_of_order_cost_themselves_only(pipeline):
     ]
     assert TrackStatus.TRACKING not in [result.status for result in mixed if result.fused is None]
     np.testing.assert_array_equal(_poses(mixed), _poses(in_order))
+
+
+def test_other_measurements_of_the_pose_are_taken_with_the_frame(pipeline):
+    """Ranges of 1 mm to three beacons, at a place 3 cm beside the vehicle, pull the pose there; without, it is not."""
+    drive, semantic_map = pipeline.drive, read_map(pipeline.drive.map_path)
+
+    def beside(frame):
+        T = drive.truth_at(frame) @ np.array([[1, 0, 0, 0], [0, 1, 0, 0.03], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+        beacons_map = T[:3, 3] + np.array([[30.0, 10.0, 4.0], [-10.0, 35.0, 3.0], [5.0, -25.0, 6.0]])
+        return (ranges(T, beacons_map, 1e-3),)
+
+    def lateral_m(terms):
+        results = track_frames(drive, semantic_map, "sem", prior="truth", terms=terms)
+        poses = zip(drive.frames, _poses(list(results)), strict=True)
+        return np.array([(np.linalg.inv(drive.truth_at(frame)) @ T)[1, 3] for frame, T in poses])
+
+    assert np.abs(lateral_m(None)).max() < 0.015
+    assert np.abs(lateral_m(beside)[1:] - 0.03).max() < 0.01
 
 
 def test_a_new_localizer_compiles_nothing_and_leaves_nothing_behind(pipeline):
