@@ -18,9 +18,9 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.analysis.boundary_noise import BoundaryNoise
-from semloc_jax.cameras import Camera, Rig
+from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.alignment import points_in_camera
+from semloc_jax.residuals.contour_rows import contour_rows
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.structs import MapSamples, ViewSamples
 
@@ -57,54 +57,6 @@ class ExpectedConfig:
         tilt = np.deg2rad(road.roll_pitch_deg)
         xy, heading = self.prior_xy_m, np.deg2rad(self.prior_heading_deg)
         return np.array([xy, xy, road.height_m, tilt, tilt, heading])
-
-
-def contour_rows(
-    T_map_base: Float[Array, "4 4"],
-    T_cam_base: Float[Array, "4 4"],
-    camera: Camera,
-    p_map: Float[Array, "3 p"],
-    tangent_map: Float[Array, "3 p"],
-) -> tuple[Float[Array, "6 p"], Float[Array, "2 p"], Float[Array, "2 p"]]:
-    """How far the pose moves each point across its contour in the image, and where that is.
-
-    Args:
-        T_map_base: Vehicle pose.
-        T_cam_base: Camera in the vehicle.
-        camera: Its model.
-        p_map: Contour points [m].
-        tangent_map: Directions of the contour.
-
-    Returns:
-        Derivative of the distance across the contour by the right tangent [px/m, px/rad]; pixels; unit normals.
-    """
-    p_cam = points_in_camera(T_cam_base, T_map_base, p_map)
-    R_cam_map = (T_cam_base @ lie.inverse(T_map_base))[:3, :3]
-    along = R_cam_map @ tangent_map
-
-    def pixel(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        return camera.project_xyz(x, y, z)[:2]
-
-    (u, v), (du, dv) = jax.jvp(pixel, p_cam, tuple(along))
-    length = jnp.sqrt(du * du + dv * dv + 1e-12)
-    normal = jnp.stack([-dv, du]) / length
-    return image_rows(T_map_base, T_cam_base, camera, p_map, normal), jnp.stack([u, v]), normal
-
-
-def image_rows(
-    T_map_base: Float[Array, "4 4"],
-    T_cam_base: Float[Array, "4 4"],
-    camera: Camera,
-    p_map: Float[Array, "3 p"],
-    direction: Float[Array, "2 p"],
-) -> Float[Array, "6 p"]:
-    """Derivative of each point's place along a direction of the image by the right tangent [px/m, px/rad]."""
-    p_cam = points_in_camera(T_cam_base, T_map_base, p_map)
-    across = jax.vjp(lambda *p: camera.project_xyz(*p)[:2], *p_cam)[1](tuple(direction))
-    g = T_cam_base[:3, :3].T @ jnp.stack(across)
-    p_base = jnp.stack(points_in_camera(jnp.eye(4, dtype=p_map.dtype), T_map_base, p_map))
-    # Moving the vehicle by (v, omega) moves the point in its frame by -v - omega x p.
-    return jnp.concatenate([-g, jnp.cross(g, p_base, axis=0)])
 
 
 def view_information(

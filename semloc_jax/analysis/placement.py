@@ -16,13 +16,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.optimize import minimize
 
-from semloc_jax.analysis.expected import contour_rows, expected_covariance, expected_sigma
+from semloc_jax.analysis.expected import expected_covariance, expected_sigma
 from semloc_jax.analysis.survey import PlaceViewer, SurveyConfig, Way, survey_ways
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable
+from semloc_jax.residuals.contour_rows import contour_rows
 from semloc_jax.residuals.smooth import smooth_step
 from semloc_jax.residuals.view import GROUND_CLASSES, contour_points
 from semloc_jax.structs import MapSamples

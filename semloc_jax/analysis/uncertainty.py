@@ -22,11 +22,11 @@ from semloc_jax.alignment.level_choice import holds
 from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig
 from semloc_jax.analysis.boundary_noise import BoundaryNoise
-from semloc_jax.analysis.expected import contour_rows, image_rows
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import Usable, visibility
 from semloc_jax.residuals.alignment import camera_views as group_views
+from semloc_jax.residuals.contour_rows import contour_rows, image_rows
 from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.texture import RampTexture, lookup
 from semloc_jax.residuals.view import view

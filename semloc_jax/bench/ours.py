@@ -56,6 +56,7 @@ def evidence_of(problem: Problem) -> tuple[Evidence, Prior]:
         camera=camera,
         T_cam_base=jnp.asarray(problem.T_cam_base[None], jnp.float32),
         p_map=jnp.asarray(np.pad(problem.p_map, ((0, 0), (0, fill)), mode="edge")[None]),
+        tangent_map=jnp.zeros((1, 3, num_points + fill), jnp.float32),
         channel=jnp.asarray(np.pad(problem.channel, (0, fill))[None]),
         weight=jnp.asarray(np.pad(problem.weight, (0, fill))[None]),
         edge=jnp.zeros((1, num_points + fill), jnp.int32),

@@ -100,6 +100,7 @@ def picture_rows(
             camera=stacked,
             T_cam_base=jnp.broadcast_to(jnp.eye(4, dtype=jnp.float64), (len(places), 4, 4)),
             p_map=jnp.asarray(columns[0], jnp.float64),
+            tangent_map=jnp.zeros(columns[0].shape, jnp.float64),
             channel=jnp.asarray(columns[1], jnp.int32),
             weight=jnp.asarray(columns[2], jnp.float64),
             edge=jnp.zeros(columns[1].shape, jnp.int32),  # a calibration asks for no edge

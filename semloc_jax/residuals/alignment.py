@@ -22,6 +22,8 @@ class CameraViews(eqx.Module):
     camera: Camera
     T_cam_base: Float[Array, "cam 4 4"]
     p_map: Float[Array, "cam 3 p"]
+    tangent_map: Float[Array, "cam 3 p"]
+    """Direction of the contour; zero where nobody asks for it."""
     channel: Int[Array, "cam p"]
     weight: Float[Array, "cam p"]
     edge: Int[Array, "cam p"]
@@ -41,6 +43,7 @@ def camera_views(rig: Rig, samples: ViewSamples) -> tuple[CameraViews, ...]:
                 camera=group.camera.astype(dtype),
                 T_cam_base=lie.inverse(jnp.asarray(group.T_base_cam, dtype)),
                 p_map=samples.p_map[index],
+                tangent_map=samples.tangent_map[index],
                 channel=samples.channel[index],
                 weight=samples.weight[index],
                 edge=samples.edge[index],

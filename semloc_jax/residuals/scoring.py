@@ -92,10 +92,11 @@ def decimated(views: tuple[CameraViews, ...], keep_every: int) -> tuple[CameraVi
 
     def thin(view: CameraViews) -> CameraViews:
         return eqx.tree_at(
-            lambda v: (v.p_map, v.channel, v.edge, v.weight),
+            lambda v: (v.p_map, v.tangent_map, v.channel, v.edge, v.weight),
             view,
             (
                 view.p_map[..., ::keep_every],
+                view.tangent_map[..., ::keep_every],
                 view.channel[:, ::keep_every],
                 view.edge[:, ::keep_every],
                 view.weight[:, ::keep_every] * keep_every,

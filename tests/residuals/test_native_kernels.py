@@ -50,6 +50,7 @@ def scene(camera: Camera, seed: int = 0, num: int = 700):
         camera=jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32)[None], camera),
         T_cam_base=lie.exp(jnp.asarray(rng.normal(size=6) * 0.3, jnp.float32))[None],
         p_map=jnp.asarray(p_cam, jnp.float32)[None],
+        tangent_map=jnp.zeros((1, 3, num), jnp.float32),
         channel=jnp.asarray(rng.integers(0, 2, (1, num)), jnp.int32),
         weight=jnp.asarray(rng.uniform(0.5, 2.0, (1, num)), jnp.float32),
         edge=jnp.zeros((1, num), jnp.int32),
