@@ -1,7 +1,7 @@
 """Measured poses, motion and satellite fixes become one pose over time (room: fusion; host).
 
 In: PoseMeasurement, MotionIncrement, GnssMeasurement. Out: FusedPose. Filter: kalman, window: window.
-Every fusion is pure: state in, state out; a state is a tuple of float64 arrays that a npz file holds bit for bit.
+Every fusion is pure: state in, state out; a state is a tree of float64 arrays that a npz file holds bit for bit.
 """
 
 from dataclasses import dataclass, field

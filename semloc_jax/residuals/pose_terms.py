@@ -22,43 +22,6 @@ TermSource = Callable[[Any], Terms]
 """What else was measured of the pose of a frame, in the map frame."""
 
 
-def pose_term(
-    residual: Callable[..., Array],
-    data: tuple[Any, ...],
-    sqrt_info: ArrayLike,
-    robust: Callable[[Array], tuple[Array, Array]] | None = None,
-) -> Factors:
-    """A cost term of vehicle poses: a range to a beacon, a compass, the height over a lidar map.
-
-    Args:
-        residual: (T_map_base [4 4], data of one observation ..., its sqrt_info) -> whitened residuals; differentiable
-            by JAX, 0 where `sqrt_info` is 0. A function of a module, not a lambda: it is known by what it is.
-        data: What was measured: arrays with a leading axis over the observations, in the map frame.
-        sqrt_info: The last argument of the residual, with that axis too.
-        robust: Kernel of each observation, such as `cauchy(2.0)`; None for squares.
-
-    Returns:
-        Factors, for `terms` of `align`, `search`, `Prior`, of a frame of the `Localizer`, of a window; and, with other
-        `keys`, for a graph of many poses.
-
-    >>> def range_residual(T_map_base, beacon_map, range_m, sqrt_info):
-    ...     return sqrt_info * (jnp.linalg.norm(T_map_base[:3, 3] - beacon_map) - range_m)[None]
-    >>> beacon_map, range_m, sigma_m = np.array([[10.0, 5.0, 3.0]]), np.array([9.2]), 0.05
-    >>> term = sj.pose_term(range_residual, (beacon_map, range_m), np.array([1.0 / sigma_m]))
-    >>> found = sj.align(mask, rig, street, sj.planar_pose(2.6, -0.2), classes=classes, terms=(term,))
-    >>> bool(abs(np.linalg.norm(found.T_map_base[:3, 3] - beacon_map[0]) - 9.2) < 0.05)
-    True
-    """
-    sqrt_info = np.asarray(sqrt_info)
-    if sqrt_info.ndim == 0 or any(np.shape(leaf)[:1] != sqrt_info.shape[:1] for leaf in data):
-        shapes = [list(np.shape(leaf)) for leaf in data]
-        raise ValueError(
-            f"pose_term: data {shapes} and sqrt_info {list(sqrt_info.shape)}; expected arrays with one leading axis "
-            "over the observations"
-        )
-    return Factors(residual, ("pose",), (np.zeros(len(sqrt_info), int),), data, sqrt_info, robust=robust)
-
-
 @dataclass(frozen=True)
 class _FromOrigin:
     """A residual of poses in the map frame, of poses relative to an origin."""

@@ -152,7 +152,7 @@ def test_map_coordinates_too_large_for_a_differentiable_pose_are_refused(rig, ma
     street = sj.map_from_arrays([(label, np.array(points) + far) for label, points in LINES])
     guess = GUESS.copy()
     guess[:3, 3] += far
-    with pytest.raises(SemlocError, match="float32 is too coarse for a differentiable pose there; subtract"):
+    with pytest.raises(SemlocError, match="float32 is too coarse for a differentiable pose and for terms"):
         sj.align(mask, rig, street, guess, classes=CLASSES, differentiable=True)
     found = sj.align(mask, rig, street, guess, classes=CLASSES)
     assert np.hypot(*(found.T_map_base[:2, 3] - far[:2] - TRUTH[:2, 3])) < 0.1

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import semloc_jax as sj
 from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses, motions, odometry, prior, verticals
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals import motion, road_contact, vehicle_motion
 from semloc_jax.residuals.inverse_depth import Sight, sight_linearised, sight_residual
-from semloc_jax.residuals.pose_terms import pose_term
 from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
 from semloc_jax.solvers.factors import POSE, Factors, vector
 
@@ -111,7 +111,7 @@ FACTORS = {
         np.array([2.0]),
         linearised=sight_linearised,
     ),
-    "range": pose_term(range_residual, (np.array([[5.0, -2.0, 3.0]]), np.array([6.0])), np.array([4.0])),
+    "range": sj.pose_term(range_residual, (np.array([[5.0, -2.0, 3.0]]), np.array([6.0])), np.array([4.0])),
     "rolling": Factors(
         vehicle_motion.rolling_residual, ("pose", "velocity"), (ZERO, ZERO), (), RNG.normal(size=(1, 2))
     ),
