@@ -1,8 +1,8 @@
 """Points brought onto the nearest points of their class, in the plane (room: alignment; host).
 
 In: two sets of points with a class each, a start. Out: IcpResult: motion, covariance, how well they agree.
-AVP-SLAM (Qin et al. 2020, arXiv 2007.01813), localization: argmin over R, t of sum ||R p_k + t - m_k||^2, where m_k is the
-nearest point of the same class. The article on a light semantic localizer and Road-SLAM (Jeong et al., IV 2017) do the same.
+AVP-SLAM (Qin et al. 2020, arXiv 2007.01813): argmin over R, t of sum ||R p_k + t - m_k||^2, where m_k is the nearest
+point of the same class. Road-SLAM (Jeong et al., IV 2017) ends its matches in the same way.
 """
 
 from collections.abc import Sequence
@@ -65,9 +65,9 @@ class IcpConfig:
 
     gates_m: tuple[float, ...] = (1.0, 0.3)
     """Pairs farther apart do not count, gate after gate; those of AVP-SLAM."""
-    max_steps: int = 30
+    max_steps: int = 100
     """Steps for each gate; ours."""
-    tolerance_m: float = 1e-4
+    tolerance_m: float = 1e-3
     """A step that moves no point of the source by more is the last one of its gate; ours."""
     together: float = 10.0
     """So many neighbouring points err alike: one border of a mask; ours."""

@@ -1,8 +1,8 @@
 """AVP-SLAM: semantic points, class-wise ICP of local maps, pose graph (room: mapping; host).
 
 In: a drive, its masks, chain and gauge. Out: LiteratureMap.
-Qin, Chen, Chen, Su, AVP-SLAM: Semantic Visual Mapping and Localization for Autonomous Vehicles in the Parking Lot, IROS 2020,
-arXiv 2007.01813. Local maps of 30 m, loops by ICP of a local map against an earlier one, global optimisation over all poses.
+Qin, Chen, Chen, Su, AVP-SLAM: Semantic Visual Mapping and Localization for Autonomous Vehicles in the Parking Lot, IROS
+2020, arXiv 2007.01813: local maps of 30 m, loops by ICP of one against an earlier one, a pose graph over the drive.
 """
 
 from collections.abc import Callable, Iterable
@@ -76,9 +76,8 @@ def matched(maps: PointMaps, revisit: Revisit, T_a_b: np.ndarray, config: AvpCon
     first_m = last_m - maps.config.stretch_m
     later = maps.around(revisit.b, first_m, last_m)
     at_m = float(way_m[revisit.a])
-    earlier = maps.around(
-        revisit.a, at_m - half_m - maps.config.range_m, min(at_m + half_m + maps.config.range_m, first_m)
-    )
+    reach_m = half_m + maps.config.range_m
+    earlier = maps.around(revisit.a, at_m - reach_m, min(at_m + reach_m, first_m))
     if min(len(later.xy), len(earlier.xy)) < config.min_points:
         return None
     icp = align_points(later, earlier, T_a_b, config.icp)

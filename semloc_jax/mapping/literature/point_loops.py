@@ -1,8 +1,8 @@
 """Loops of the literature: an earlier and a later local map matched point by point (room: mapping; host).
 
 In: Chain, what matches two stretches. Out: FoundLoop list and the way with the accepted ones.
-Candidates are those of `mapping.revisits`: earlier passes within reach of where the way ends. Nothing asks for the second-best
-place: that is what ours adds.
+Candidates are those of `mapping.revisits`: earlier passes within reach of where the way ends. Nothing asks for the
+second-best place: that is what ours adds.
 """
 
 from collections.abc import Callable, Iterable

@@ -1,8 +1,8 @@
 """The points that masks show on the road, gathered over stretches of a drive (room: mapping; host).
 
 In: a drive, its masks, its chain. Out: PointMaps: points of frames in `base`, local maps around a frame.
-AVP-SLAM (arXiv 2007.01813), III-B to D: pixels of each class by inverse perspective mapping, carried by odometry to a local
-map of 30 m. The vehicle is the frame of every local map; the road is where its wheels stand before and after.
+AVP-SLAM (arXiv 2007.01813): pixels of each class by inverse perspective mapping, carried by odometry to a local map of
+30 m. The road is where the wheels stand before and after.
 """
 
 from collections.abc import Callable, Iterable, Sequence
