@@ -50,9 +50,11 @@ class Options:
     """Do not look for places that the drive comes to again: they tie its way down, and cost seconds each."""
     no_gnss: bool = False
     """Leave satellite fixes out: the default of --start then is identity."""
-    baseline: Literal["avp"] | None = None
-    """Also make the map as the literature does, into baseline_NAME, and print both side by side: avp (class-wise ICP of
-    local maps of points, AVP-SLAM). A map of the same drive and options that is in --out already is not made again."""
+    baseline: Literal["avp", "road-slam"] | None = None
+    """Also make the way and the map as the literature does, into baseline_NAME, and print both side by side: avp
+    (class-wise ICP of local maps of points, AVP-SLAM) or road-slam (marks classified by a random forest, sub-maps met
+    by two marks at a time; needs scikit-learn). A map of the same drive and options that is in --out is not made
+    again."""
     overlays: int = 4
     """Number of frames with the map drawn into their images; 0 for none."""
     config: Path | None = None

@@ -24,6 +24,7 @@ from semloc_jax.mapping.found_loops import FoundLoop, write_loops
 from semloc_jax.mapping.gauge import Gauge, gauge_of
 from semloc_jax.mapping.literature.avp import avp_map
 from semloc_jax.mapping.literature.point_loops import LiteratureMap
+from semloc_jax.mapping.literature.road_slam import road_slam_map
 from semloc_jax.reports.mapping import loop_metrics, true_poses
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.structs import ElementClass
@@ -37,7 +38,11 @@ def _avp(drive: Drive, masks: MaskSource, chain: Chain, gauge: Gauge, told: Told
     return avp_map(drive, masks, chain, gauge, told=told)
 
 
-BASELINES: Mapping[str, Baseline] = {"avp": _avp}
+def _road_slam(drive: Drive, masks: MaskSource, chain: Chain, gauge: Gauge, told: Told) -> LiteratureMap:
+    return road_slam_map(drive, masks, chain, gauge, told=told)
+
+
+BASELINES: Mapping[str, Baseline] = {"avp": _avp, "road-slam": _road_slam}
 """By the word of the option."""
 _REACH_M = 15.0
 """A pair that was looked at and is farther apart in truth is no loop that anybody could close."""
