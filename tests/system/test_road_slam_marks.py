@@ -74,7 +74,7 @@ def test_marks_of_another_seed(forest):
 
 @pytest.mark.parametrize("name", ["rendered_road", "rendered_garage"])
 def test_arrows_of_rendered_drives_are_found(forest, data_dir, name):
-    """What the forest takes for arrows beside them is in the table: entrance bars of slots are dashes by their shape."""
+    """What it takes for arrows beside them is in the table: entrance bars of slots are dashes by their shape."""
     if not (data_dir / name).is_dir():
         pytest.skip(f"no drive {name} in {data_dir}")
     true, found = rendered(forest, data_dir / name, "sem", 3)
