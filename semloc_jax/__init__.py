@@ -35,7 +35,7 @@ The names, in the order of the data flow
     cameras      camera_from_K, mounted, Rig, read_calibration, write_calibration, PinholeCamera, ...
     map          read_map, map_from_arrays, write_map, inspect_map, SemanticMap, MapElement, sample
     masks        load_class_table, ClassTable, Channel, mask_source, cost_maps, render_masks, SurroundView
-    drives       open_drive, Drive, Frame, simulate, simulate_on_map
+    drives       open_drive, Drive, Frame, simulate, simulate_on_map, with_fault
     first guess  planar_pose, PosePrior, prior_source
     one frame    align, search, localize_frames, iterate_frames, FrameLocalizer, LocalizeConfig, LocalizationResult
     derivatives  align(..., differentiable=True), differentiable_scene, align_differentiable, smooth_scene
@@ -79,7 +79,15 @@ _ROOMS = {
     "inputs.mask_source": ("mask_source",),
     "inputs.mask_view": ("MaskSource",),
     "inputs.priors": ("prior_source",),
-    "simulation": ("simulate", "simulate_on_map", "SimulationConfig", "render_masks"),
+    "simulation": (
+        "simulate",
+        "simulate_on_map",
+        "SimulationConfig",
+        "Degradation",
+        "with_fault",
+        "FaultSizes",
+        "render_masks",
+    ),
     "alignment.from_arrays": ("align", "search", "differentiable_scene", "pose_term"),
     "alignment.pose_prior": ("PosePrior",),
     "alignment.result": ("LocalizationResult",),

@@ -3,7 +3,7 @@
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from semloc_jax.cli.drive_options import DriveOptions
 from semloc_jax.cli.main import LOST, OK, log_to_console
@@ -12,6 +12,7 @@ from semloc_jax.inputs.drive_inputs import Inputs, open_inputs
 
 if TYPE_CHECKING:
     from semloc_jax.alignment.frame_localizer import LocalizeConfig
+    from semloc_jax.alignment.point_localizer import PointLocalizer
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,12 @@ class Options(DriveOptions):
 
     frames: str = ":"
     """Which frames, as a Python slice: ::5, 10:20, 7."""
+    method: Literal["search", "icp"] = "search"
+    """search: ours. icp: the light localizer of the literature, a baseline: contours of the masks as points in the top
+    view, laid on the nearest points of the map from the prior, one pose, a simple verdict; no configuration."""
+    ipm_points: Path | None = None
+    """For --method icp: the top view of a camera by four points instead of the calibration: a csv file with the columns
+    camera, u_px, v_px, x_m, y_m (on the road, forward and left of the rear axle), four rows for each camera."""
     hypotheses: int | None = None
     """Start poses of the search; default: that of the configuration."""
     min_localized_share: float = 0.5
@@ -61,14 +68,38 @@ def run(options: Options) -> int:
     chosen = parse_slice(options.frames)
     inputs = open_inputs(options)
     settings = configured(options, options.settings)
+    localizer = _by_points(options, inputs)
     if options.fault is not None:
         return _faults(options, inputs, chosen, settings)
     report = report_frames(
-        inputs, chosen, settings, options.out, options.overlays, options.kept(inputs), options.resume
+        inputs, chosen, settings, options.out, options.overlays, options.kept(inputs), options.resume, localizer
     )
     print(report.text)
     print(f"results: {report.folder}")
     return OK if report.localized_share >= options.min_localized_share else LOST
+
+
+def _by_points(options: Options, inputs: Inputs) -> "PointLocalizer | None":
+    """The localizer of the literature, where it is asked for."""
+    from semloc_jax.errors import SemlocError, UsageError
+
+    if options.method != "icp":
+        if options.ipm_points is not None:
+            raise UsageError("--ipm-points: only --method icp takes a top view by four points; give both")
+        return None
+    if options.fault is not None:
+        raise UsageError("--method icp with --fault: the hostile suite judges the search; choose one of them")
+    from semloc_jax.alignment.point_localizer import PointLocalizer
+    from semloc_jax.perception.road_projection import read_four_points
+
+    roads = read_four_points(options.ipm_points) if options.ipm_points is not None else {}
+    other = [name for name in roads if name not in inputs.masks.cameras]
+    if other:
+        raise SemlocError(
+            f"--ipm-points {options.ipm_points}: points of camera {other[0]}; expected cameras of the masks: "
+            f"{', '.join(inputs.masks.cameras)}"
+        )
+    return PointLocalizer(inputs.map, inputs.masks.table, roads=roads)
 
 
 def _faults(options: Options, inputs: Inputs, chosen: slice, settings: "LocalizeConfig") -> int:

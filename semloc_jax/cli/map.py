@@ -2,13 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from semloc_jax.cli.main import OK, log_to_console
 
 if TYPE_CHECKING:
+    from semloc_jax.datasets import Drive
+    from semloc_jax.inputs.mask_view import MaskSource
     from semloc_jax.mapping.mapper import MapConfig
 
 
@@ -48,6 +50,11 @@ class Options:
     """Do not look for places that the drive comes to again: they tie its way down, and cost seconds each."""
     no_gnss: bool = False
     """Leave satellite fixes out: the default of --start then is identity."""
+    baseline: Literal["avp", "road-slam"] | None = None
+    """Also make the way and the map as the literature does, into baseline_NAME, and print both side by side: avp
+    (class-wise ICP of local maps of points, AVP-SLAM) or road-slam (marks classified by a random forest, sub-maps met
+    by two marks at a time; needs scikit-learn). A map of the same drive and options that is in --out is not made
+    again."""
     overlays: int = 4
     """Number of frames with the map drawn into their images; 0 for none."""
     config: Path | None = None
@@ -58,7 +65,7 @@ class Options:
     """Folder of a run that was killed, to go on with: give the same drive and options as then."""
 
 
-NOT_KEPT = ("drive", "config", "out", "resume", "settings")
+NOT_KEPT = ("drive", "config", "out", "resume", "baseline", "settings")
 
 
 def default_settings() -> "MapConfig":
@@ -76,7 +83,7 @@ def run(options: Options) -> int:
     from semloc_jax.errors import SemlocError, UsageError
     from semloc_jax.inputs.choices import parse_names, parse_slice
     from semloc_jax.inputs.mask_source import CLASSICAL, TOP_VIEW, mask_source
-    from semloc_jax.reports.mapping import report_map
+    from semloc_jax.reports.mapping import is_made, report_map
 
     log_to_console()
     chosen = parse_slice(options.frames)
@@ -97,6 +104,9 @@ def run(options: Options) -> int:
     kept |= {"masks": masks.name, "cameras": ",".join(masks.cameras)}
     settings = options.settings
     loops = not options.no_loops
+    if options.baseline is not None and options.out is not None and options.resume is None:
+        if is_made(options.out, drive, masks, settings, kept, options.base):
+            return _beside(options, drive, masks, options.out)
     report = report_map(
         drive,
         masks,
@@ -111,5 +121,17 @@ def run(options: Options) -> int:
         options.base,
     )
     print(report.text)
+    if options.baseline is not None:
+        return _beside(options, drive, masks, report.folder)
     print(f"results: {report.folder}")
+    return OK
+
+
+def _beside(options: Options, drive: "Drive", masks: "MaskSource", folder: Path) -> int:
+    """Make the baseline and print it beside the map that is in the folder."""
+    from semloc_jax.reports.literature import report_baseline
+
+    print(f"\nthe way and its loops, beside those of the baseline {options.baseline}:")
+    print(report_baseline(options.baseline, drive, masks, options.start, folder))
+    print(f"results: {folder}")
     return OK

@@ -5,16 +5,31 @@ The same functions serve the command line, notebooks and the library.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
-from semloc_jax.alignment.pose_prior import PriorSource
+from semloc_jax.alignment.pose_prior import PosePrior, PriorSource
 from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_source import MaskSource, mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.maps import SemanticMap
 from semloc_jax.runtime.allocator import return_large_blocks
+
+
+@runtime_checkable
+class SingleFrameLocalizer(Protocol):
+    """What places one frame on its map: `FrameLocalizer`, or a way of the literature."""
+
+    def localize(
+        self, frame: Frame | None, masks: Sequence[np.ndarray], prior: PosePrior, rig: Rig | None = None
+    ) -> LocalizationResult:
+        """The pose of one frame; see `FrameLocalizer.localize`."""
+        ...
 
 
 def localize_frames(
@@ -55,6 +70,7 @@ def iterate_frames(
     frames: slice | Sequence[Frame] = slice(None),
     cameras: Sequence[str] | None = None,
     config: LocalizeConfig | None = None,
+    localizer: SingleFrameLocalizer | None = None,
 ) -> Iterator[LocalizationResult]:
     """One LocalizationResult after another.
 
@@ -66,6 +82,7 @@ def iterate_frames(
         frames: Which frames.
         cameras: Names, where `masks` is a name; None for all that have such masks.
         config: None for the defaults.
+        localizer: What places a frame; None for a `FrameLocalizer` with the configuration.
 
     Raises:
         SemlocError: unknown masks or cameras, no prior, a map without classes that the masks show, no frames.
@@ -80,7 +97,7 @@ def iterate_frames(
         raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames")
     source = mask_source(masks, drive, cameras) if isinstance(masks, str) else masks
     give_prior = prior_source(prior, drive) if isinstance(prior, str) else prior
-    localizer = FrameLocalizer(semantic_map, source.table, config)
+    localizer = localizer or FrameLocalizer(semantic_map, source.table, config)
     for frame in chosen:
         rig = source.seen_by(frame.rig.select(source.cameras))
         yield localizer.localize(frame, source.masks(frame), give_prior(frame), rig)

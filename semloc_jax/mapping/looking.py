@@ -99,7 +99,7 @@ class Looker:
                 "where the cameras are mounted (semloc check-calib)"
             )
         self._rig, self._poses = rig, poses
-        self._hides = _hides(masks.table)
+        self._hides = hiding_ids(masks.table)
         self._is_vehicle = np.isin(np.arange(256), masks.table.dynamic_ids)
 
     @cached_property
@@ -186,7 +186,7 @@ def paint_layers(table: ClassTable) -> tuple[list[Layer], np.ndarray]:
     return layers, plane_of_id
 
 
-def _hides(table: ClassTable) -> np.ndarray:
+def hiding_ids(table: ClassTable) -> np.ndarray:
     """Which ids hide the road: the own car, other road users, everything upright, ignored pixels; `bool[256]`."""
     hides = np.isin(np.arange(256), table.unusable_ids)
     for channel in table.channels:

@@ -317,7 +317,7 @@ class _Back(NamedTuple):
 
 def _back(row: MappedRow, s_m: np.ndarray, lines: list[MapElement], config: RowConfig) -> _Back:
     """The line along the back of a row as one, from the first to the last piece of it that was seen."""
-    if row.depth_m is None:
+    if row.depth_m is None or not len(s_m):  # what made the row may lie beside it once its line is drawn anew
         return _Back([], set())
     found = []
     limit = np.sin(np.deg2rad(config.askew_deg))

@@ -79,6 +79,8 @@ def stand(sightings: Float[np.ndarray, "n 13"], config: TriangulationConfig | No
     if not len(sightings):
         return []
     owner, cell, places = _votes(sightings, config)
+    if not len(places):  # no bearing crosses enough others
+        return []
     free, is_open = np.ones(len(sightings), bool), np.ones(len(places), bool)
     found: list[Standing] = []
     for _ in range(_MOST_THINGS):

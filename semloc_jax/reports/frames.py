@@ -53,6 +53,7 @@ def report_frames(
     num_overlays: int = 6,
     options: Mapping[str, Any] | None = None,
     resume: Path | None = None,
+    localizer: frame_by_frame.SingleFrameLocalizer | None = None,
 ) -> FramesReport:
     """Localize frames one by one and write everything about them.
 
@@ -64,6 +65,7 @@ def report_frames(
         num_overlays: Number of before/after pictures, spread over the frames.
         options: What config.yaml keeps besides the configuration.
         resume: Folder of a run that was killed, to go on with.
+        localizer: What places a frame; None for a `FrameLocalizer` with the settings.
     """
     settings = settings or LocalizeConfig()
     frames = inputs.drive.frames[chosen]
@@ -76,7 +78,7 @@ def report_frames(
     started = time.perf_counter()
     found = localize_log.read(folder, frames)
     try:
-        for result in _rest(inputs, frames, settings, found):
+        for result in _rest(inputs, frames, settings, found, localizer):
             localize_log.append(folder, result)
             found.append(result)
     except KeyboardInterrupt:
@@ -96,7 +98,11 @@ def report_frames(
 
 
 def _rest(
-    inputs: Inputs, frames: Sequence[Frame], settings: LocalizeConfig, found: Sequence[LocalizationResult]
+    inputs: Inputs,
+    frames: Sequence[Frame],
+    settings: LocalizeConfig,
+    found: Sequence[LocalizationResult],
+    localizer: frame_by_frame.SingleFrameLocalizer | None,
 ) -> Iterator[LocalizationResult]:
     """Results of the frames that have none yet, with a progress bar on a terminal."""
     done = {result.frame.id for result in found}
@@ -105,7 +111,7 @@ def _rest(
         return
     with tqdm(total=len(frames), initial=len(done), unit="frame", disable=None) as bar:
         parts = inputs.drive, inputs.map, inputs.masks, inputs.prior
-        for result in frame_by_frame.iterate_frames(*parts, left, inputs.masks.cameras, settings):
+        for result in frame_by_frame.iterate_frames(*parts, left, inputs.masks.cameras, settings, localizer):
             bar.update()
             yield result
 

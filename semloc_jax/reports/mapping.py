@@ -43,6 +43,7 @@ from semloc_jax.maps import BeliefMap, read_map, write_drive_geojson, write_map
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.pictures import element_panels
+from semloc_jax.reports.run_inputs import FILE as INPUTS
 from semloc_jax.reports.run_inputs import begun, file_digest, fingerprint_without_map
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.storage import json_document, output_path, remove_folder
@@ -149,7 +150,7 @@ def report_map(
     write_elements(made, folder / "elements.csv")
     write_seen_area(seen_area(made, Ts_map_base[looking], settings.min_seen), gauge.name, folder / SEEN_AREA)
     metrics, comparison = _judged(drive, made, trajectory, folder)
-    metrics += loop_metrics(closed.loops, _truth_of(drive, chain.times_s))
+    metrics += loop_metrics(closed.loops, true_poses(drive, chain.times_s))
     if known is not None:
         metrics += base_metrics(closed.places, made.changes)
     write_metrics(metrics, folder / "metrics.json")
@@ -170,13 +171,32 @@ def _begun(
     """The parts of a new run, or those of the run that is resumed."""
     if is_resumed and not (folder / _PARTS).is_dir():
         raise SemlocError(f"--resume {folder}: has no folder '{_PARTS}': that run is finished, or is none of this verb")
-    same = {name: value for name, value in options.items() if name != "overlays"}
     if not is_resumed:
         # What an earlier run left there is none of this one: it goes before the folder says what this one began with.
         remove_folder(folder / _PARTS)
-    made_of = fingerprint_without_map(drive, masks, settings, same)
-    begun(folder, made_of if base is None else {**made_of, "base": file_digest(base)}, is_resumed)
+    begun(folder, _made_of(drive, masks, settings, options, base), is_resumed)
     return Parts(folder / _PARTS)
+
+
+def _made_of(
+    drive: Drive, masks: MaskSource, settings: MapConfig, options: Mapping[str, Any], base: Path | None
+) -> dict[str, str]:
+    """A hash for each part of what a map depends on."""
+    same = {name: value for name, value in options.items() if name != "overlays"}
+    made_of = fingerprint_without_map(drive, masks, settings, same)
+    return made_of if base is None else {**made_of, "base": file_digest(base)}
+
+
+def is_made(
+    folder: Path, drive: Drive, masks: MaskSource, settings: MapConfig, options: Mapping[str, Any], base: Path | None
+) -> bool:
+    """Whether a folder holds a finished map of just this drive, these masks and settings; as for `report_map`."""
+    if not all((folder / name).is_file() for name in ("metrics.json", "map.gpkg", INPUTS)):
+        return False
+    if (folder / _PARTS).exists():
+        return False
+    held = json_document((folder / INPUTS).read_bytes(), str(folder / INPUTS))
+    return held == _made_of(drive, masks, settings, options, base)
 
 
 def _base_of(path: Path, gauge: Gauge) -> BeliefMap:
@@ -226,7 +246,7 @@ def write_elements(made: MadeMap, path: Path) -> None:
     write_csv(path, head, rows)
 
 
-def _truth_of(drive: Drive, times_s: np.ndarray) -> np.ndarray | None:
+def true_poses(drive: Drive, times_s: np.ndarray) -> np.ndarray | None:
     """True poses of all frames; None where the reference does not span them."""
     truth = drive.truth
     if truth is None or truth.time_s[0] > times_s[0] or truth.time_s[-1] < times_s[-1]:

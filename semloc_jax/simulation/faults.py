@@ -41,6 +41,10 @@ def with_fault(
 
     Raises:
         SemlocError: there is no such fault, or the drive has not what it takes away.
+
+    >>> faulty = sj.with_fault("focal:1", drive, semantic_map)
+    >>> faulty.drive.rig.cameras[0].resolution == drive.rig.cameras[0].resolution
+    True
     """
     own, _, severity = name.partition(":")
     if own not in FAULTS and own not in STANDING:

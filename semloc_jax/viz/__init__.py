@@ -10,9 +10,10 @@ from semloc_jax.viz.trajectory import errors_over_time
 __getattr__, __dir__, _more = door(
     __name__,
     {
-        "style": ("PRIOR", "REFERENCE", "new_figure", "plain_axes"),
+        "style": ("ESTIMATE", "PRIOR", "REFERENCE", "new_figure", "plain_axes"),
         "bev": ("draw_map", "draw_vehicle"),
         "maps": ("maps_over_each_other", "sigmas_from_above", "changes_from_above", "existence_from_above"),
+        "point_map": ("points_from_above",),
         "crowd": ("error_against_drives",),
         "overlay": ("at_width", "dim"),
         "basin": ("basin_view",),

@@ -227,3 +227,27 @@ def test_an_output_folder_that_cannot_be_made_is_one_line(simulated_road, tmp_pa
     (tmp_path / "file").write_text("")
     assert main(["localize", str(simulated_road), "--out", str(tmp_path / "file" / "out")]) == FAILED
     assert "give --out a folder that can be written" in capsys.readouterr().err
+
+
+def test_the_way_of_the_literature_writes_the_same_files(simulated_road, localized, tmp_path):
+    words = ["localize", str(simulated_road), "--masks", "sem", "--prior", "truth", "--prior-sigma-xy-m", "0.3"]
+    words += ["--prior-sigma-yaw-deg", "1", "--frames", "::2", "--cameras", "front", "--min-localized-share", "0"]
+    assert main([*words, "--method", "icp", "--overlays", "1", "--out", str(tmp_path)]) == OK
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in localized.iterdir()}
+    rows = _rows(tmp_path / "frames.csv")
+    assert rows[0].keys() == _rows(localized / "frames.csv")[0].keys()
+    assert all(abs(float(row["error_lateral_m"])) < 0.2 for row in rows)
+    assert all(float(row["sigma_lateral_m"]) > 0.0 for row in rows)
+    assert yaml.safe_load((tmp_path / "config.yaml").read_text())["method"] == "icp"
+
+
+def test_options_of_the_literature_that_do_not_fit_are_refused(simulated_road, tmp_path, capsys):
+    words = ["localize", str(simulated_road), "--masks", "sem", "--out", str(tmp_path)]
+    assert main([*words, "--ipm-points", "points.csv"]) == USAGE
+    assert "only --method icp" in capsys.readouterr().err
+    assert main([*words, "--method", "icp", "--fault", "all"]) == USAGE
+    points = tmp_path / "points.csv"
+    rows = ["left,0,0,15,2", "left,9,0,15,-2", "left,9,9,6,-2", "left,0,9,6,2"]
+    points.write_text("\n".join(["camera,u_px,v_px,x_m,y_m", *rows]) + "\n")
+    assert main([*words, "--method", "icp", "--ipm-points", str(points)]) == FAILED
+    assert "points of camera left" in capsys.readouterr().err

@@ -172,3 +172,31 @@ def test_a_start_from_a_file_moves_the_map(drive_dir, tmp_path):
     assert main([*words, "--start", "truth", "--out", str(tmp_path / "here")]) == OK
     moved, here = (read_trajectory(tmp_path / name / "trajectory.tum") for name in ("out", "here"))
     np.testing.assert_allclose(moved.T_map_base[:, 0, 3] - here.T_map_base[:, 0, 3], 100.0, atol=1e-3)
+
+
+def test_a_baseline_is_told_beside_a_map_that_is_there_already(made, drive_dir, monkeypatch, capsys):
+    """The map is not made again; way, loops, points and metrics of the baseline stand in a folder of their own."""
+    before = (made / "map.gpkg").read_bytes()
+    monkeypatch.setattr(Looker, "rays", None)  # only our own map looks along rays
+    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "0", "--out", str(made)]
+    assert main([*words, "--baseline", "avp"]) == OK
+    told = capsys.readouterr().out
+    heads = [line.split() for line in told.splitlines() if "no loops" in line]
+    assert heads == [["no", "loops", "avp", "true", "loops", "ours"]]
+    assert "trajectory, RMSE [m]" in told
+    assert (made / "map.gpkg").read_bytes() == before
+    folder = made / "baseline_avp"
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"trajectory.tum", "loops.csv", "points.csv", "metrics.json", "map.png"}
+    assert len(read_trajectory(folder / "trajectory.tum")) == len(read_trajectory(made / "trajectory.tum"))
+    with (folder / "points.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["class"] for row in rows} >= {"lane_marking"}
+    truth = read_trajectory(drive_dir / "poses_body.tum").T_map_base[:, :2, 3]
+    places = np.array([[float(row["x_m"]), float(row["y_m"])] for row in rows])
+    assert np.min(np.linalg.norm(places[:, None] - truth, axis=2), axis=1).max() < 15.0
+
+
+def test_an_unknown_baseline_is_refused(drive_dir, capsys):
+    assert main(["map", str(drive_dir), "--baseline", "orb"]) == USAGE
+    assert "road-slam" in capsys.readouterr().err

@@ -5,7 +5,7 @@ import pytest
 
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.mapping.row_lines import back_in_paint, evened
-from semloc_jax.mapping.slot_rows import MappedRow, draw_rows
+from semloc_jax.mapping.slot_rows import MappedRow, RowConfig, _back, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_double
 from semloc_jax.maps import Belief, MapElement
 from semloc_jax.structs import ElementClass
@@ -133,3 +133,10 @@ def test_the_order_of_the_lines_changes_nothing():
     assert one.keys() == other.keys()
     for name in one:
         np.testing.assert_allclose(one[name], other[name], atol=1e-6)
+
+
+def test_a_row_whose_line_lies_beside_its_dividers_has_no_back():
+    """Drawn anew, a row may find no divider on its line at all: it is no row, and the lines stay."""
+    row = MappedRow(np.zeros(2), np.array([1.0, 0.0]), np.array([0.0, 1.0]), WIDTH_M, depth_m=DEPTH_M)
+    found = _back(row, np.zeros(0), [line("back", (0.0, DEPTH_M), (8.0, DEPTH_M))], RowConfig())
+    assert (found.lines, found.used) == ([], set())

@@ -124,3 +124,11 @@ def test_what_leaves_memory_is_still_seen(sightings, table, tmp_path):
     assert len(again.all()) > 4
     assert len(stored.all()) == 0
     assert set(again.all()[:, 1]) == {0.0, 1.0}
+
+
+def test_one_frame_alone_makes_no_thing(table):
+    """No cell has votes of two frames: nothing stands anywhere."""
+    seen = Sightings(TABLE)
+    seen.add(drawn(0.0), table, 0, pose(0.0))
+    assert len(seen.all()) > 0
+    assert uprights_of(seen.all(), lambda xy: np.zeros(len(xy))) == []
