@@ -14,7 +14,8 @@ from scipy.sparse.linalg import splu
 
 from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.mapping.crowd.correction import Correction
-from semloc_jax.mapping.crowd.world import CrowdWorld, Piece, line_sights, stations, turned_by
+from semloc_jax.mapping.crowd.world import CrowdWorld, turned_by
+from semloc_jax.mapping.crowd.world_lines import Piece, line_sights
 
 _SMOOTH_M = 0.02
 """By how much a line bends within a metre that is not its curvature."""
@@ -51,16 +52,13 @@ class Seen:
 
 def seen_by(world: CrowdWorld, correction: Correction, gate_m: float) -> Seen:
     """What a drive saw of the world, by where it lies now."""
-    sights = correction.sights
-    things = sights.things
+    things = correction.sights.things
     along = turned_by(things.along, correction.turn(things.centre))
-    pairs = world.paired(things, correction.moved(things.centre), along, gate_m)
+    pairs = world.paired(things, correction.moved_things(), along, gate_m)
     pieces: dict[str, list[Piece]] = {}
-    for element, belief in sights.lines:
-        placed = stations(element.points)
-        if len(placed) > 1:
-            piece = Piece.of(placed, correction.moved(placed[:, :2]), belief.sigma_across_m)
-            pieces.setdefault(kind_of(element), []).append(piece)
+    for seen in correction.placed_lines:
+        piece = Piece.of(seen.placed, correction.moved_line(seen), seen.sigma_m)
+        pieces.setdefault(kind_of(seen.element), []).append(piece)
     rows = [
         (np.full(len(found[0]), k), *found)
         for k, line in enumerate(world.lines)
@@ -120,7 +118,7 @@ class JointSolve:
         axes = np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)], axis=1)
         sigma = things.sigma_m[i].copy()
         sigma[~things.has_ends[i], 0] = 10.0  # a part tells nothing along
-        shift = np.einsum("nak,nkp->nap", axes, drive.rows(things.centre[i])) / sigma[:, :, None]
+        shift = np.einsum("nak,nkp->nap", axes, drive.thing_rows[i]) / sigma[:, :, None]
         start = np.einsum("nak,nk->na", axes, world.centre[j] if not self.moves else np.zeros((len(j), 2)))
         own = np.einsum("nak,nk->na", axes, things.centre[i])
         n = len(i)

@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from semloc_jax.mapping.crowd.presence import Looks, Presence
-from semloc_jax.mapping.crowd.world import LEAST_LINE_M, STATION_M, WorldLine
+from semloc_jax.mapping.crowd.stations import STATION_M
+from semloc_jax.mapping.crowd.world import LEAST_LINE_M
+from semloc_jax.mapping.crowd.world_lines import WorldLine
 from semloc_jax.maps import Belief, MapElement
 
 _GAP_STATIONS = 3
