@@ -28,6 +28,10 @@ class Options:
     """A folder for tables and pictures."""
     truth: Path | None = None
     """A reference map, to judge the result by, with the rule 'replace within 5 m if more confident' beside it."""
+    jobs: int = 1
+    """Processes that merge cells of 1024 m at the same time; the map is the same for any number."""
+    ray: bool = False
+    """On a Ray cluster (RAY_ADDRESS, else one on this machine) instead of processes; needs the extra [ray]."""
     curve: bool = False
     """With --report and --truth: merge 1, 2, 4 ... of the drives too, and draw how the error falls (error.png)."""
 
@@ -35,6 +39,7 @@ class Options:
 def run(options: Options) -> int:
     """Merge, say what came out."""
     from semloc_jax.errors import UsageError
+    from semloc_jax.mapping.crowd.whole import Crew
     from semloc_jax.reports.crowd import report_merged
 
     packed = [path for path in options.maps if path.suffix.lower() == ".slocal"]
@@ -45,5 +50,8 @@ def run(options: Options) -> int:
         raise UsageError("--curve needs --report and --truth")
     if not packed:
         raise UsageError("no drives: give files of 'semloc pack' (.slocal)")
-    print(report_merged(bases[0] if bases else None, packed, options.out, options.report, options.truth, options.curve))
+    if options.jobs < 1:
+        raise UsageError(f"--jobs {options.jobs}: expected 1 or more")
+    base, crew = bases[0] if bases else None, Crew(options.jobs, options.ray)
+    print(report_merged(base, packed, options.out, options.report, options.truth, options.curve, crew))
     return OK

@@ -138,7 +138,8 @@ class Correction:
     def known(self) -> tuple[csr_array, Float[np.ndarray, " k"]]:
         """Whitened rows of what is known of the unknowns, and what they should give."""
         c, place_m = self.config, self.sights.sigma_place_m
-        whole = [_HELD_RAD, _HELD_RAD] if self.is_held else [c.turn_rad, c.scale]
+        share = self.sights.num_drives**-0.5
+        whole = [_HELD_RAD, _HELD_RAD] if self.is_held else [share * c.turn_rad, share * c.scale]
         sigma = np.array([place_m, place_m, *whole] + [c.node_m, c.node_m, c.node_rad] * self.num_nodes)
         blocks = [np.diag(1.0 / sigma)]
         if self.num_nodes:

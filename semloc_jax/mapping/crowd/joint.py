@@ -66,7 +66,8 @@ def seen_by(world: CrowdWorld, correction: Correction, gate_m: float) -> Seen:
     ]
     empty = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
     line, station, places, sigma = (np.concatenate(parts) for parts in zip(empty, *rows, strict=True))
-    return Seen(pairs, line, station, places, np.maximum(sigma, _LINE_SIGMA_M))
+    least_m = _LINE_SIGMA_M * correction.sights.num_drives**-0.5
+    return Seen(pairs, line, station, places, np.maximum(sigma, least_m))
 
 
 class JointSolve:
@@ -183,7 +184,10 @@ class JointSolve:
         if any(self.drives[k].is_held for k in own):
             return csr_array((0, size))
         row, which = np.repeat(np.arange(4), len(own)), np.tile(self._first_drive[own], 4)
-        values = np.repeat(1.0 / (_TOGETHER * max(len(own), 1)), len(own))
+        placed = np.array([self.drives[k].sights.sigma_place_m ** -2.0 for k in own])
+        many = np.array([float(self.drives[k].sights.num_drives) for k in own])
+        shares = [w / max(w.sum(), 1e-300) for w in (placed, placed, many, many)]
+        values = (np.array(shares) / _TOGETHER[:, None]).ravel()
         return csr_array(coo_array((values, (row, which + row)), (4, size)))
 
     def _smooth(self, rough: np.ndarray, left: np.ndarray, first: int) -> tuple[csr_array, np.ndarray]:

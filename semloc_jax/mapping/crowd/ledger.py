@@ -9,6 +9,7 @@ import hashlib
 import json
 import shutil
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from semloc_jax.errors import SemlocError
@@ -31,7 +32,7 @@ class Ledger:
     root: MapState | None
     drives: dict[str, bytes]
 
-    @property
+    @cached_property
     def base(self) -> BeliefMap | None:
         """The map before any drive, with its beliefs."""
         return None if self.root is None else BeliefMap.of(self.root.map)

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 
 from semloc_jax.mapping.crowd.presence import Looks, Presence
-from semloc_jax.mapping.crowd.stations import STATION_M
+from semloc_jax.mapping.crowd.sights import CROWD
+from semloc_jax.mapping.crowd.stations import STATION_M, runs_of
 from semloc_jax.mapping.crowd.world import LEAST_LINE_M
 from semloc_jax.mapping.crowd.world_lines import WorldLine
 from semloc_jax.maps import Belief, MapElement
@@ -50,10 +51,11 @@ def lines_of(lines: Sequence[WorldLine], heights: Sequence[np.ndarray], looks: L
     """
     found: list[LineRun] = []
     first = np.cumsum([0, *(len(line.reference) for line in lines)])
+    counts = looks.counts
     part_of: dict[tuple[int, str], int] = {}
     for k, line in enumerate(lines):
         rows = slice(int(first[k]), int(first[k + 1]))
-        runs = _runs(_closed(there.now[rows] > 0.5))
+        runs = runs_of(_closed(there.now[rows] > 0.5))
         for a, b in sorted(runs, key=lambda run: (run[0] - run[1], run[0])):
             if (b - a - 1) * STATION_M < LEAST_LINE_M:
                 continue
@@ -63,7 +65,7 @@ def lines_of(lines: Sequence[WorldLine], heights: Sequence[np.ndarray], looks: L
             points = np.column_stack([line.xy[a:b], heights[k][a:b]])
             ends = (source.true_ends[0] and a == 0, source.true_ends[1] and b == len(line.reference))
             element = replace(source, points=points, true_ends=ends, attributes={})
-            found.append(LineRun(element, _belief(looks, there, rows.start + a, rows.start + b), place, part))
+            found.append(LineRun(element, _belief(counts[rows][a:b], there.now[rows][a:b]), place, part))
     return found
 
 
@@ -77,15 +79,10 @@ def _closed(is_there: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
     return closed
 
 
-def _runs(is_there: Bool[np.ndarray, " k"]) -> list[tuple[int, int]]:
-    borders = np.flatnonzero(np.diff(np.concatenate([[False], is_there, [False]]).astype(int)))
-    return [(int(a), int(b)) for a, b in borders.reshape(-1, 2)]
-
-
-def _belief(looks: Looks, there: Presence, a: int, b: int) -> Belief:
-    seen = looks.seen[a:b].sum(axis=1)
-    missed = (looks.visible[a:b] & ~looks.seen[a:b]).sum(axis=1)
+def _belief(counts: Int[np.ndarray, "k 2"], now: Float[np.ndarray, " k"]) -> Belief:
+    """Of a run of stations: how many drives saw and missed each, and how likely each is there."""
+    seen, missed = counts.T
     sigma_m = round(max(_SIGMA_M / float(np.sqrt(max(np.median(seen), 1.0))), _LEAST_SIGMA_M), 3)
-    p = float(np.clip(np.median(there.now[a:b]), 1e-6, 1.0 - 1e-6))
+    p = float(np.clip(np.median(now), 1e-6, 1.0 - 1e-6))
     logit = float(np.clip(np.round(2.0 * np.log(p / (1.0 - p))) / 2.0, -6.0, 6.0))
-    return Belief(sigma_m, STATION_M, logit, int(np.median(seen)), int(np.median(missed)), provenance="crowd")
+    return Belief(sigma_m, STATION_M, logit, int(np.median(seen)), int(np.median(missed)), provenance=CROWD)

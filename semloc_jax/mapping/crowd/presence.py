@@ -55,6 +55,8 @@ class Looks:
         kind: `int[n]` class: what shares a P_F.
         is_based: `bool[n]` whether it is a thing of the base map.
         steps: `float[d]` time before each drive, in steps.
+        before: `float[n]` probability that it was there before, of what is of the base map.
+        counted: `int[n 2]` how many drives before saw and missed it.
     """
 
     visible: Bool[np.ndarray, "n d"]
@@ -63,6 +65,14 @@ class Looks:
     kind: Int[np.ndarray, " n"]
     is_based: Bool[np.ndarray, " n"]
     steps: Float[np.ndarray, " d"]
+    before: Float[np.ndarray, " n"]
+    counted: Int[np.ndarray, "n 2"]
+
+    @property
+    def counts(self) -> Int[np.ndarray, "n 2"]:
+        """How many drives saw each thing, and how many looked and did not."""
+        missed = self.visible & ~self.seen
+        return self.counted + np.stack([self.seen.sum(axis=1), missed.sum(axis=1)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -126,7 +136,7 @@ def _smoothed(
     like = np.where(visible[:, :, None], like, 1.0)
     vanish, appear = 1.0 - (1.0 - c.vanish) ** looks.steps, 1.0 - (1.0 - c.appear) ** looks.steps
     ahead = np.zeros((n, d, 2))
-    state = np.where(looks.is_based, c.based, c.born)
+    state = np.where(looks.is_based, looks.before, c.born)
     state = np.stack([1.0 - state, state], axis=1)
     for k in range(d):
         # What a drive is the first to look at was not there longer than anybody knows.

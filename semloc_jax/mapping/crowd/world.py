@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from semloc_jax.evaluation.map_shapes import POSTS, kind_of
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.sights import Things
-from semloc_jax.mapping.crowd.stations import STATION_M
+from semloc_jax.mapping.crowd.stations import STATION_M, runs_of
 from semloc_jax.mapping.crowd.world_lines import SAME_TURN_RAD, WorldLine
 
 LEAST_LINE_M = 3.0
@@ -133,9 +133,7 @@ class CrowdWorld:
         if own:
             reach_m = np.hypot(gate_m, 0.5 * STATION_M)
             covered = cKDTree(np.concatenate(own)).query(xy, distance_upper_bound=reach_m)[0] < reach_m
-        borders = np.flatnonzero(np.diff(np.concatenate([[False], ~covered, [False]]).astype(int)))
-        runs = [xy[a:b] for a, b in borders.reshape(-1, 2)]
-        return [run for run in runs if (len(run) - 1) * STATION_M >= LEAST_LINE_M]
+        return [xy[a:b] for a, b in runs_of(~covered) if (b - a - 1) * STATION_M >= LEAST_LINE_M]
 
 
 def turned_by(along: Float[np.ndarray, "n 2"], angle_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
