@@ -97,7 +97,7 @@ def report_merged(
     kept = KeptCells(out, base)
     found = merge_whole(ledger, crew=crew, kept=kept, progress=lambda items, name: tqdm(items, desc=name))
     version = ledger.version if before is None else max(ledger.version, before.version + new)
-    state = MapState(found.beliefs.as_map(), version, len(ledger.drives))
+    state = MapState(ledger.written(found.beliefs), version, len(ledger.drives))
     write_ledger(ledger, state, out)
     write_version(state, out, before, base, f"merge of {new} drive{'s' if new > 1 else ''}")
     kept.drop_others()

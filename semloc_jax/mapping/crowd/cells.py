@@ -66,7 +66,7 @@ def clipped(sights: Sights, cell: Cell) -> Sights:
     inside = cell.holds(sights.things.centre, HALO_M)
     known = zip(sights.things.elements, sights.things.beliefs, strict=True)
     things = Things.of([item for item, kept in zip(known, inside, strict=True) if kept])
-    lines = tuple(part for item in sights.lines for part in _cut(*item, cell))
+    lines = tuple(part for item in sights.lines for part in cut(*item, cell))
     if sights.is_base:
         return replace(sights, things=things, lines=lines)
     rows = np.flatnonzero(cell.holds(sights.way, HALO_M))
@@ -76,7 +76,7 @@ def clipped(sights: Sights, cell: Cell) -> Sights:
     return replace(sights, things=things, lines=lines, way=sights.way[first:last], area=area)
 
 
-def _cut(element: MapElement, belief: Belief, cell: Cell) -> Iterator[tuple[MapElement, Belief]]:
+def cut(element: MapElement, belief: Belief, cell: Cell) -> Iterator[tuple[MapElement, Belief]]:
     """The parts of a line in a cell and its halo."""
     for part in _parts(element, cell, HALO_M):
         yield part, belief

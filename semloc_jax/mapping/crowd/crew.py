@@ -64,9 +64,7 @@ def _in_processes(
         except BrokenProcessPool as error:
             deaths += 1
             if deaths >= _MOST_DEATHS:
-                raise SemlocError(
-                    f"workers died {deaths} times over {next(iter(held))}; is memory short? give fewer --jobs"
-                ) from error
+                raise _died(deaths, next(iter(held))) from error
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -91,7 +89,16 @@ def _on_ray(
             if not names:
                 return
             (done,), _ = ray.wait(list(names), num_returns=1)
-            yield names.pop(done), ray.get(done)
+            name = names.pop(done)
+            try:
+                result = ray.get(done)
+            except ray.exceptions.WorkerCrashedError as error:
+                raise _died(_MOST_DEATHS, name) from error
+            yield name, result
     finally:
         if is_ours:
             ray.shutdown()
+
+
+def _died(deaths: int, name: str) -> SemlocError:
+    return SemlocError(f"workers died {deaths} times over {name}; is memory short? give fewer --jobs")

@@ -13,11 +13,12 @@ from scipy.spatial import cKDTree
 
 from semloc_jax.evaluation.map_shapes import is_line, kind_of
 from semloc_jax.mapping.crowd.cell_map import CellMap
-from semloc_jax.mapping.crowd.cells import Cell, cell_of, cells_of, owned
+from semloc_jax.mapping.crowd.cells import Cell, cell_of, cells_of, cut, owned
 from semloc_jax.mapping.crowd.elements import rounded
 from semloc_jax.mapping.crowd.merged import Known
 from semloc_jax.mapping.crowd.sights import Base, base_sights
 from semloc_jax.maps import BeliefMap, MapElement
+from semloc_jax.maps.versions.records import record_of
 
 _SEAM_M = 1.0
 """Two cells never place one thing farther apart."""
@@ -25,11 +26,14 @@ _SEAM_M = 1.0
 
 def joined(cells: Mapping[Cell, CellMap], base: BeliefMap | None) -> list[Known]:
     """All elements of all cells, and of the base what lies in none of them."""
+    whole, pieces = _whole_lines(cells, base)
     own: list[tuple[Cell, Known]] = []
     spare: list[tuple[Cell, Known]] = []
     lines: list[Known] = []
     for cell in sorted(cells):
         for element, belief in cells[cell].known:
+            if (cell, element.id) in pieces:
+                continue
             if is_line(element):
                 parts = owned(element, cell)
                 lines += [(part if part is element else rounded(part), belief) for part in parts]
@@ -38,7 +42,7 @@ def joined(cells: Mapping[Cell, CellMap], base: BeliefMap | None) -> list[Known]
             elif cell.holds(_middle(element)[None], _SEAM_M)[0]:
                 spare.append((cell, (element, belief)))
     things = [item for _, item in _each_once([*own, *spare])]
-    rest = [] if base is None else _untouched(base, set(cells))
+    rest = [] if base is None else _untouched(base, set(cells), whole)
     return _with_own_ids(
         [
             *things,
@@ -47,6 +51,24 @@ def joined(cells: Mapping[Cell, CellMap], base: BeliefMap | None) -> list[Known]
             *(item for item in rest if is_line(item[0])),
         ]
     )
+
+
+def _whole_lines(cells: Mapping[Cell, CellMap], base: BeliefMap | None) -> tuple[set[str], set[tuple[Cell, str]]]:
+    """Lines of the base that no cell has changed anywhere, and what the cells call their pieces of these."""
+    if base is None:
+        return set(), set()
+    pieces: dict[str, set[tuple[Cell, str]]] = {}
+    changed: set[str] = set()
+    lines = [(e, base.beliefs[e.id]) for e in base.map.elements if not e.is_logical and is_line(e)]
+    for cell, made in cells.items():
+        known = {e.id: record_of(e) for e, _ in made.known}
+        for element, belief in lines:
+            for piece, _ in cut(element, belief, cell):
+                pieces.setdefault(element.id, set()).add((cell, piece.id))
+                if known.get(piece.id) != record_of(piece):
+                    changed.add(element.id)
+    whole = pieces.keys() - changed
+    return set(whole), {name for line in whole for name in pieces[line]}
 
 
 def _each_once(found: list[tuple[Cell, Known]]) -> list[tuple[Cell, Known]]:
@@ -63,7 +85,7 @@ def _each_once(found: list[tuple[Cell, Known]]) -> list[tuple[Cell, Known]]:
     return [item for k, item in enumerate(found) if k not in dropped]
 
 
-def _untouched(base: BeliefMap, touched: set[Cell]) -> list[Known]:
+def _untouched(base: BeliefMap, touched: set[Cell], whole: set[str]) -> list[Known]:
     """What of the base lies where no drive came, as it is; lines up to where one came."""
     kept: list[Known] = []
     for element in base.map.elements:
@@ -75,7 +97,7 @@ def _untouched(base: BeliefMap, touched: set[Cell]) -> list[Known]:
         else:
             only = BeliefMap(base.map.with_elements([element]), {element.id: belief})
             passed = cells_of(base_sights(Base.of(only)))
-            if passed.isdisjoint(touched):
+            if passed.isdisjoint(touched) or element.id in whole:
                 kept.append((element, belief))
             else:
                 kept += [(rounded(part), belief) for cell in sorted(passed - touched) for part in owned(element, cell)]

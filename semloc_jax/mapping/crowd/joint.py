@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.world import CrowdWorld, turned_by
-from semloc_jax.mapping.crowd.world_lines import Piece, line_sights
+from semloc_jax.mapping.crowd.world_lines import Piece, line_sights, of_nearest
 
 _SMOOTH_M = 0.02
 """By how much a line bends within a metre that is not its curvature."""
@@ -52,6 +52,8 @@ class Seen:
 
 def seen_by(world: CrowdWorld, correction: Correction, gate_m: float) -> Seen:
     """What a drive saw of the world, by where it lies now."""
+    if correction.sights.is_base:
+        return _seen_by_base(world, correction)
     things = correction.sights.things
     along = turned_by(things.along, correction.turn(things.centre))
     pairs = world.paired(things, correction.moved_things(), along, gate_m)
@@ -59,13 +61,29 @@ def seen_by(world: CrowdWorld, correction: Correction, gate_m: float) -> Seen:
     for seen in correction.placed_lines:
         piece = Piece.of(seen.placed, correction.moved_line(seen), seen.sigma_m)
         pieces.setdefault(kind_of(seen.element), []).append(piece)
-    rows = [
-        (np.full(len(found[0]), k), *found)
-        for k, line in enumerate(world.lines)
-        for found in [line_sights(line, pieces.get(line.kind, []), gate_m)]
-    ]
-    empty = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
-    line, station, places, sigma = (np.concatenate(parts) for parts in zip(empty, *rows, strict=True))
+    rows = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))]
+    for kind in sorted(pieces):
+        lines = [k for k, line in enumerate(world.lines) if line.kind == kind]
+        found = of_nearest([line_sights(world.lines[k], pieces[kind], gate_m) for k in lines])
+        rows += [
+            (np.full(len(s.station), k), s.station, s.places, s.sigma_m) for k, s in zip(lines, found, strict=True)
+        ]
+    line, station, places, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    return Seen(pairs, line, station, places, np.maximum(sigma, _LINE_SIGMA_M))
+
+
+def _seen_by_base(world: CrowdWorld, correction: Correction) -> Seen:
+    """What a base map says: of all that was born of it, that it is where it was born."""
+    own = np.flatnonzero(world.source[:, 0] == 0)
+    pairs = np.stack([world.source[own, 1], own], axis=1)
+    placed = {line.element.id: line for line in correction.placed_lines}
+    rows = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))]
+    for k, line in enumerate(world.lines):
+        if line.source[0] == 0:
+            said = placed[line.source[1].id]
+            num = len(said.placed)
+            rows.append((np.full(num, k), np.arange(num), said.placed, np.full(num, said.sigma_m)))
+    line, station, places, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     least_m = _LINE_SIGMA_M * correction.sights.num_drives**-0.5
     return Seen(pairs, line, station, places, np.maximum(sigma, least_m))
 

@@ -6,8 +6,9 @@ In: Fused. Out: Looks at things and at the stations of lines, one column for eac
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
-from semloc_jax.evaluation.map_shapes import POSTS
+from semloc_jax.evaluation.map_shapes import POSTS, kind_of
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.fusion import Fused
@@ -20,6 +21,8 @@ _BANDS_M = (3.0, 6.0, 10.0)
 """How far beside the way: the chance that a drive shows a thing falls with it."""
 _DAY_S = 86400.0
 _LEAST_STEP, _MOST_STEP = 0.1, 50.0
+_STRANDS_M = 0.6
+"""Lines no farther apart are painted as one: not every drive tells them apart; with half the step of places."""
 _INSIDE = 0.8
 """Share of the half length at which the ends of a thing must lie in the area that was looked at."""
 _POST_NAMES = {label.name.lower() for label in POSTS}
@@ -69,14 +72,27 @@ def _stations(fused: Fused, rows: list[int], steps: np.ndarray, config: Presence
     for column, k in enumerate(rows):
         drive, own = fused.drives[k], fused.seen[k]
         back = drive.back(xy)
-        visible[:, column] = _within(drive.sights.area, back)
         seen[first[own.line] + own.station, column] = True
+        visible[:, column] = _within(drive.sights.area, back) & ~(_is_beside(drive, names, kind, xy) & ~seen[:, column])
         band[:, column] = _band(drive, back)
     held = [{e.id: b for e, b in drive.sights.lines} for drive in fused.drives]
     beliefs = [held[line.source[0]][line.source[1].id] for line in lines for _ in line.reference]
     based = _based(fused, source, beliefs, config)
     group = kind[:, None] * (len(_BANDS_M) + 1) + band
     return Looks(visible, seen, group.reshape(len(xy), len(rows)), kind, based[0], steps, *based[1:])
+
+
+def _is_beside(
+    drive: Correction, names: list[str], kind: Int[np.ndarray, " n"], xy: Float[np.ndarray, "n 2"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether a drive shows a line of its kind close beside a place: of two strands it may tell one."""
+    beside = np.zeros(len(xy), dtype=bool)
+    for row, name in enumerate(names):
+        shown = [drive.moved_line(line) for line in drive.placed_lines if kind_of(line.element) == name]
+        own = np.flatnonzero(kind == row)
+        if shown and len(own):
+            beside[own] = cKDTree(np.concatenate(shown)).query(xy[own], distance_upper_bound=_STRANDS_M)[0] < _STRANDS_M
+    return beside
 
 
 def _within(area: shapely.Geometry, xy: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
@@ -93,9 +109,11 @@ def _band(drive: Correction, xy: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " 
 def _based(
     fused: Fused, places: np.ndarray, beliefs: list[Belief], config: PresenceConfig
 ) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, "n 2"]]:
-    """What is of the base map, how likely it was there, how many drives had seen and missed it."""
+    """What is of the base map, how likely all was there before, how many drives had seen and missed it."""
     is_based = (places == 0) & (bool(fused.drives) and fused.drives[0].sights.is_base)
-    before, counted = np.zeros(len(places)), np.zeros((len(places), 2), dtype=np.int64)
+    is_surveyed = bool(fused.drives) and fused.drives[0].is_held
+    before = np.full(len(places), config.unmapped if is_surveyed else config.born)
+    counted = np.zeros((len(places), 2), dtype=np.int64)
     for k in np.flatnonzero(is_based).tolist():
         belief, before[k] = beliefs[k], config.based
         if belief.provenance == CROWD:

@@ -154,10 +154,8 @@ def merged_sights(
     beliefs = beliefs_of(found, looks, there)
     known = [(elements[k], beliefs[k]) for k in np.flatnonzero(there.now > 0.5).tolist()]
     known += [
-        (_named(run, sights[run.source]), run.belief)
-        for run in lines_of(found.world.lines, station_z, station_looks, along_lines)
+        (_named(run, sights[run.source]), run.belief) for run in lines_of(found, station_z, station_looks, along_lines)
     ]
-    known = [(rounded(element), belief) for element, belief in known]
     kinds = np.unique(found.world.kind.astype(str)).tolist(), sorted({line.kind for line in found.world.lines})
     rates = _rates(kinds[0], looks, there) | _rates(kinds[1], station_looks, along_lines)
     return MergedSights(tuple(known), tuple(changes), tuple(found.distrusted.values()), rates, found)
@@ -218,8 +216,10 @@ def _words(name: str) -> list[str]:
 
 def _named(run: LineRun, sights: Sights) -> MapElement:
     """The part of a line with its id."""
+    if run.is_surveyed:
+        return run.element
     name = id_of(sights, run.element)
-    return replace(run.element, id=f"{name}_{run.part}" if run.part else name)
+    return rounded(replace(run.element, id=f"{name}_{run.part}" if run.part else name))
 
 
 def _rates(kinds: Sequence[str], looks: Looks, there: Presence) -> dict[str, Rate]:

@@ -100,8 +100,9 @@ class CrowdWorld:
         self.along = np.vstack([self.along, along[new]])
         self.half_m = np.vstack([self.half_m, things.half_m[new]])
         for line in correction.placed_lines:
-            kind = kind_of(line.element)
-            for run in self._uncovered(kind, correction.moved_line(line), gate_m):
+            kind, xy = kind_of(line.element), correction.moved_line(line)
+            # A base map names the two strands of a double line; those who drive by take them for one and the same.
+            for run in [xy] if correction.sights.is_base else self._uncovered(kind, xy, gate_m):
                 self.lines.append(WorldLine.along(kind, (place, line.element), run))
 
     def twins(self, seen_in: Bool[np.ndarray, "n d"], gate_m: float) -> Bool[np.ndarray, " n"]:

@@ -5,9 +5,10 @@ In: lines of drives as places a metre apart. Out: WorldLine; which stations of i
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
@@ -19,6 +20,8 @@ SAME_TURN_RAD = 0.35
 """What is turned by more is another line, or another thing."""
 _BESIDE_M = 0.3
 _TANGENT_M = 0.25
+_NEARER_M = 0.05
+"""A place is that of the nearer of two lines where it is nearer by so much; ours."""
 _STRAIGHT_STATIONS = 4.0
 _BEYOND = 12
 
@@ -104,8 +107,28 @@ class Piece:
         return rows[near], s_m[near]
 
 
-def line_sights(line: WorldLine, pieces: Sequence[Piece], gate_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where a drive saw a line: stations, the places it saw `[k 3]` as it placed them itself, their sigmas [m].
+class LineSights(NamedTuple):
+    """Where a drive saw a line."""
+
+    station: Int[np.ndarray, " k"]
+    """Stations of the line."""
+    places: Float[np.ndarray, "k 3"]
+    """What it saw there as it placed it itself [m]."""
+    sigma_m: Float[np.ndarray, " k"]
+    now: Float[np.ndarray, "k 2"]
+    """The same places where they are in the map by now [m]."""
+    aside_m: Float[np.ndarray, " k"]
+    """How far they are off the line."""
+    piece: Int[np.ndarray, " k"]
+    """Of which of the pieces they are."""
+
+    def of(self, rows: Bool[np.ndarray, " k"]) -> "LineSights":
+        """Some of them."""
+        return LineSights(*(column[rows] for column in self))
+
+
+def line_sights(line: WorldLine, pieces: Sequence[Piece], gate_m: float) -> LineSights:
+    """Where a drive saw a line.
 
     Args:
         line: the line.
@@ -114,8 +137,9 @@ def line_sights(line: WorldLine, pieces: Sequence[Piece], gate_m: float) -> tupl
     """
     xy = line.xy
     best = np.full(len(xy), gate_m)
-    places, sigma = np.zeros((len(xy), 3)), np.zeros(len(xy))
-    for piece in pieces:
+    places, sigma, now = np.zeros((len(xy), 3)), np.zeros(len(xy)), np.zeros((len(xy), 2))
+    which = np.zeros(len(xy), dtype=np.int64)
+    for row, piece in enumerate(pieces):
         k, s_m = piece.feet(xy, float(np.hypot(gate_m, _BESIDE_M)))
         if not len(k):
             continue
@@ -127,7 +151,22 @@ def line_sights(line: WorldLine, pieces: Sequence[Piece], gate_m: float) -> tupl
         parallel = np.abs((step * left).sum(axis=1)) < np.sin(SAME_TURN_RAD)
         better = (np.abs(aside) < best[k]) & (beside < _BESIDE_M) & parallel
         k, s_m = k[better], s_m[better]
-        best[k], sigma[k] = np.abs(aside[better]), piece.sigma_m
+        best[k], sigma[k], now[k], which[k] = np.abs(aside[better]), piece.sigma_m, near[better], row
         places[k] = np.column_stack([np.interp(s_m, piece.now_m, axis) for axis in piece.placed.T])
-    seen = np.flatnonzero(best < gate_m)
-    return seen, places[seen], sigma[seen]
+    return LineSights(np.arange(len(xy)), places, sigma, now, best, which).of(best < gate_m)
+
+
+def of_nearest(sights: Sequence[LineSights]) -> list[LineSights]:
+    """What a drive saw of lines of one kind, each place only as that of the line that it is nearest to."""
+    line = np.repeat(np.arange(len(sights)), [len(each.station) for each in sights])
+    if len(sights) < 2 or not len(line):
+        return list(sights)
+    now, aside_m = np.concatenate([s.now for s in sights]), np.concatenate([s.aside_m for s in sights])
+    a, b = cKDTree(now).query_pairs(STATION_M, output_type="ndarray").T
+    piece = np.concatenate([s.piece for s in sights])
+    other = (line[a] != line[b]) & (piece[a] == piece[b])
+    a, b = a[other], b[other]
+    farther = np.where(aside_m[a] > aside_m[b], a, b)
+    kept = np.ones(len(line), dtype=bool)
+    kept[farther[np.abs(aside_m[a] - aside_m[b]) > _NEARER_M]] = False
+    return [each.of(kept[line == k]) for k, each in enumerate(sights)]
