@@ -99,7 +99,7 @@ def report_merged(
     version = ledger.version if before is None else max(ledger.version, before.version + new)
     state = MapState(ledger.written(found.beliefs), version, len(ledger.drives))
     write_ledger(ledger, state, out)
-    write_version(state, out, before, base, f"merge of {new} drive{'s' if new > 1 else ''}")
+    write_version(state, out, before, base, f"merge of {_counted(new, 'drive')}")
     kept.drop_others()
     judged, drives = {}, in_order(ledger.unpacked())
     if truth is not None:
@@ -118,6 +118,10 @@ def report_merged(
     return "\n".join([*_merge_in_words(found, state, ledger, new, judged), f"map: {out}"])
 
 
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 _TITLES = {
     "map": "against the reference, after one motion in the plane:",
     "absolute": "against the reference, as it lies:",
@@ -131,11 +135,16 @@ def _merge_in_words(
     counts = Counter(element.label.name.lower() for element in state.map.elements)
     changes = Counter(change.change for change in found.changes)
     rates = [f"{name} {100 * rate:.0f} %" for name, rate in found.detected.items()]
+    drives = _counted(len(ledger.drives), "drive")
     lines = [
-        f"{state.map.name} version {state.version}: {new} new of {len(ledger.drives)} drives; content {state.content}",
+        f"{state.map.name} version {state.version}: {new} new of {drives}; content {state.content}",
         f"map: {', '.join(f'{count} {name}' for name, count in counts.items())}",
         f"a drive shows what it passes: {', '.join(rates)}",
         f"changes: {', '.join(f'{changes[word]} {word}' for word in ('removed', 'moved', 'added'))}",
+        *(
+            f"alone: drive {name}: no other and no base map knows its road; that part is its own"
+            for name in found.alone
+        ),
         *(f"not trusted: drive {drive.name}: {drive.reason}" for drive in found.distrusted),
     ]
     for name, comparison in judged.items():

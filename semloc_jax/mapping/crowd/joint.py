@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.world import CrowdWorld, turned_by
-from semloc_jax.mapping.crowd.world_lines import Piece, line_sights, of_nearest
+from semloc_jax.mapping.crowd.world_lines import Piece, line_sights
 
 _SMOOTH_M = 0.02
 """By how much a line bends within a metre that is not its curvature."""
@@ -64,10 +64,9 @@ def seen_by(world: CrowdWorld, correction: Correction, gate_m: float) -> Seen:
     rows = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))]
     for kind in sorted(pieces):
         lines = [k for k, line in enumerate(world.lines) if line.kind == kind]
-        found = of_nearest([line_sights(world.lines[k], pieces[kind], gate_m) for k in lines])
-        rows += [
-            (np.full(len(s.station), k), s.station, s.places, s.sigma_m) for k, s in zip(lines, found, strict=True)
-        ]
+        if lines:
+            own = line_sights([world.lines[k] for k in lines], pieces[kind], gate_m)
+            rows.append((np.array(lines)[own.line], own.station, own.places, own.sigma_m))
     line, station, places, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     return Seen(pairs, line, station, places, np.maximum(sigma, _LINE_SIGMA_M))
 

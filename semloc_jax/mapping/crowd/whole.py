@@ -58,6 +58,15 @@ class WholeMap:
     num_solved: int
 
     @property
+    def alone(self) -> list[str]:
+        """Drives that pass no place that the base map or another drive knows."""
+        held: dict[str, list[str]] = {}
+        for cell, row in self.drives:
+            held.setdefault(cell, []).append(row.drive)
+        beside = {name for names in held.values() if len(names) > 1 for name in names}
+        return sorted({names[0] for names in held.values()} - beside) if len(held) > 1 or beside else []
+
+    @property
     def detected(self) -> dict[str, float]:
         """P_D by class."""
         return {kind: rate.detected for kind, rate in self.rates.items()}

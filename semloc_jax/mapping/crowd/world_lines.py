@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
@@ -20,8 +20,6 @@ SAME_TURN_RAD = 0.35
 """What is turned by more is another line, or another thing."""
 _BESIDE_M = 0.3
 _TANGENT_M = 0.25
-_NEARER_M = 0.05
-"""A place is that of the nearer of two lines where it is nearer by so much; ours."""
 _STRAIGHT_STATIONS = 4.0
 _BEYOND = 12
 
@@ -94,6 +92,8 @@ class Piece:
         """Which points lie within reach of the line, and the arc length of the place of it nearest to each [m]."""
         vertex_m, vertex = self.tree.query(xy, distance_upper_bound=reach_m + STATION_M)
         rows = np.flatnonzero(np.isfinite(vertex_m))
+        if not len(rows):
+            return rows, np.zeros(0)
         best_m, s_m = np.full(len(rows), np.inf), np.zeros(len(rows))
         for first in (vertex[rows] - 1, vertex[rows]):
             k = np.clip(first, 0, len(self.now) - 2)
@@ -108,65 +108,44 @@ class Piece:
 
 
 class LineSights(NamedTuple):
-    """Where a drive saw a line."""
+    """Where a drive saw lines of one kind."""
 
+    line: Int[np.ndarray, " k"]
+    """Which of the lines."""
     station: Int[np.ndarray, " k"]
-    """Stations of the line."""
+    """Stations of these."""
     places: Float[np.ndarray, "k 3"]
     """What it saw there as it placed it itself [m]."""
     sigma_m: Float[np.ndarray, " k"]
-    now: Float[np.ndarray, "k 2"]
-    """The same places where they are in the map by now [m]."""
-    aside_m: Float[np.ndarray, " k"]
-    """How far they are off the line."""
-    piece: Int[np.ndarray, " k"]
-    """Of which of the pieces they are."""
-
-    def of(self, rows: Bool[np.ndarray, " k"]) -> "LineSights":
-        """Some of them."""
-        return LineSights(*(column[rows] for column in self))
 
 
-def line_sights(line: WorldLine, pieces: Sequence[Piece], gate_m: float) -> LineSights:
-    """Where a drive saw a line.
+def line_sights(lines: Sequence[WorldLine], pieces: Sequence[Piece], gate_m: float) -> LineSights:
+    """Where a drive saw lines.
 
     Args:
-        line: the line.
-        pieces: lines of its kind that the drive saw.
+        lines: of one kind.
+        pieces: lines of that kind that the drive saw.
         gate_m: none is farther aside than this.
     """
-    xy = line.xy
-    best = np.full(len(xy), gate_m)
-    places, sigma, now = np.zeros((len(xy), 3)), np.zeros(len(xy)), np.zeros((len(xy), 2))
-    which = np.zeros(len(xy), dtype=np.int64)
-    for row, piece in enumerate(pieces):
+    xy, left = (
+        np.concatenate([np.zeros((0, 2)), *parts]) for parts in zip(*((s.xy, s.left) for s in lines), strict=True)
+    )
+    line = np.repeat(np.arange(len(lines)), [len(s.reference) for s in lines])
+    station = np.concatenate([np.arange(len(s.reference)) for s in lines])
+    best, sigma, places = np.full(len(xy), gate_m), np.zeros(len(xy)), np.zeros((len(xy), 3))
+    for piece in pieces:
         k, s_m = piece.feet(xy, float(np.hypot(gate_m, _BESIDE_M)))
         if not len(k):
             continue
         near, ahead, behind = (piece.at(s_m + d) for d in (0.0, _TANGENT_M, -_TANGENT_M))
-        offset, left = near - xy[k], line.left[k]
-        aside = (offset * left).sum(axis=1)
-        beside = np.linalg.norm(offset - aside[:, None] * left, axis=1)
+        offset = near - xy[k]
+        aside = (offset * left[k]).sum(axis=1)
+        beside = np.linalg.norm(offset - aside[:, None] * left[k], axis=1)
         step = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
-        parallel = np.abs((step * left).sum(axis=1)) < np.sin(SAME_TURN_RAD)
+        parallel = np.abs((step * left[k]).sum(axis=1)) < np.sin(SAME_TURN_RAD)
         better = (np.abs(aside) < best[k]) & (beside < _BESIDE_M) & parallel
         k, s_m = k[better], s_m[better]
-        best[k], sigma[k], now[k], which[k] = np.abs(aside[better]), piece.sigma_m, near[better], row
+        best[k], sigma[k] = np.abs(aside[better]), piece.sigma_m
         places[k] = np.column_stack([np.interp(s_m, piece.now_m, axis) for axis in piece.placed.T])
-    return LineSights(np.arange(len(xy)), places, sigma, now, best, which).of(best < gate_m)
-
-
-def of_nearest(sights: Sequence[LineSights]) -> list[LineSights]:
-    """What a drive saw of lines of one kind, each place only as that of the line that it is nearest to."""
-    line = np.repeat(np.arange(len(sights)), [len(each.station) for each in sights])
-    if len(sights) < 2 or not len(line):
-        return list(sights)
-    now, aside_m = np.concatenate([s.now for s in sights]), np.concatenate([s.aside_m for s in sights])
-    a, b = cKDTree(now).query_pairs(STATION_M, output_type="ndarray").T
-    piece = np.concatenate([s.piece for s in sights])
-    other = (line[a] != line[b]) & (piece[a] == piece[b])
-    a, b = a[other], b[other]
-    farther = np.where(aside_m[a] > aside_m[b], a, b)
-    kept = np.ones(len(line), dtype=bool)
-    kept[farther[np.abs(aside_m[a] - aside_m[b]) > _NEARER_M]] = False
-    return [each.of(kept[line == k]) for k, each in enumerate(sights)]
+    seen = best < gate_m
+    return LineSights(line[seen], station[seen], places[seen], sigma[seen])
