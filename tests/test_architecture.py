@@ -40,6 +40,7 @@ RANK = {
     "learning": 7,
     "analysis": 7,
     "viz": 8,
+    "web": 8,
     "reports": 9,
     "explorer": 9,
     "service": 9,
@@ -55,10 +56,8 @@ PURE_JAX = {"residuals", "solvers", "geometry", "structs"}
 HOST_CAMERAS = {"io"}
 HOST_LIBRARIES = {"cv2", "skimage", "scipy", "matplotlib", "time", "os", "io", "pathlib", "shutil", "tempfile"}
 HOST_LIBRARIES |= {"pickle", "subprocess", "ctypes", "yaml", "socket", "urllib"}
-HOST_EXCEPTIONS = {
-    # Sparse factorisation has no counterpart in JAX.
-    ("semloc_jax.solvers.sparse", "scipy"),
-}
+# Sparse factorisation has no counterpart in JAX.
+HOST_EXCEPTIONS = {("semloc_jax.solvers.sparse", "scipy")}
 PURE_LABEL = re.compile(r"\(room:[^)]*pure\s+JAX")
 LABELLED = {"alignment"}
 """Rooms whose modules are pure where the first lines of their docstring say so."""
@@ -70,6 +69,7 @@ HOMES = {
     "jaxlie": {"geometry"},
     "matplotlib": {"viz"},
     "tyro": {"cli"},
+    "ray": {"mapping"},
     "yaml": {"cli", "inputs", "reports", "perception", "datasets", "semloc_jax.cameras.io", "semloc_jax.maps.io"},
     # Peers of the benchmark: optional, imported when they are measured.
     "jaxopt": {"bench"},

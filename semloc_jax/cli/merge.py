@@ -24,10 +24,16 @@ class Options:
     """The map before (any format; none: the drives make the first one) and files of 'semloc pack' (.slocal)."""
     out: Path
     """The .gpkg file to write; may be BASE itself."""
+    inbox: bool = False
+    """Merge what cars have uploaded to 'semloc serve BASE', too; what was merged leaves the inbox."""
     report: Path | None = None
     """A folder for tables and pictures."""
     truth: Path | None = None
     """A reference map, to judge the result by, with the rule 'replace within 5 m if more confident' beside it."""
+    jobs: int = 1
+    """Processes that merge cells of 1024 m at the same time; the map is the same for any number."""
+    ray: bool = False
+    """On a Ray cluster (RAY_ADDRESS, else one on this machine) instead of processes; needs the extra [ray]."""
     curve: bool = False
     """With --report and --truth: merge 1, 2, 4 ... of the drives too, and draw how the error falls (error.png)."""
 
@@ -35,6 +41,8 @@ class Options:
 def run(options: Options) -> int:
     """Merge, say what came out."""
     from semloc_jax.errors import UsageError
+    from semloc_jax.mapping.crowd.ledger import waiting_drives
+    from semloc_jax.mapping.crowd.whole import Crew
     from semloc_jax.reports.crowd import report_merged
 
     packed = [path for path in options.maps if path.suffix.lower() == ".slocal"]
@@ -43,7 +51,20 @@ def run(options: Options) -> int:
         raise UsageError("expected at most one base map, before the drives (.slocal)")
     if options.curve and (options.report is None or options.truth is None):
         raise UsageError("--curve needs --report and --truth")
-    if not packed:
-        raise UsageError("no drives: give files of 'semloc pack' (.slocal)")
-    print(report_merged(bases[0] if bases else None, packed, options.out, options.report, options.truth, options.curve))
+    if options.inbox and not bases:
+        raise UsageError("--inbox needs the map that is served as BASE")
+    if not packed and not options.inbox:
+        raise UsageError("no drives: give files of 'semloc pack' (.slocal), or --inbox")
+    if options.jobs < 1:
+        raise UsageError(f"--jobs {options.jobs}: expected 1 or more")
+    base = bases[0] if bases else None
+    waiting = waiting_drives(base) if base is not None and options.inbox else []
+    if not packed and not waiting:
+        print("no drive waits in the inbox; nothing changes")
+        return OK
+    crew = Crew(options.jobs, options.ray)
+    drives = [*packed, *waiting]
+    print(report_merged(base, drives, options.out, options.report, options.truth, options.curve, crew))
+    for path in waiting:
+        path.unlink(missing_ok=True)
     return OK

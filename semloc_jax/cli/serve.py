@@ -14,8 +14,8 @@ class Options:
     """Serve a map, its differences and tiles, and take packed drives.
 
     GET /version, /map, /diff?have=V_OR_DIGEST (.sdiff), /tile?bbox=W,S,E,N&version=V (.smap, metres of the map).
-    POST /drives takes a .slocal with 'Authorization: Bearer TOKEN', at most 256 kB; it waits in MAP.history/inbox for
-    'semloc merge'. At most 20 requests a second for each client. Ctrl-C ends it.
+    POST /drives takes a .slocal with 'Authorization: Bearer TOKEN', at most 256 kB; it waits for 'semloc merge
+    MAP --inbox --out MAP'. At most 20 requests a second for each client, 64 connections at once. Ctrl-C ends it.
     """
 
     map: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP")]

@@ -6,25 +6,23 @@ In: HTTP requests. Out: files of the page, pictures, JSON, packed arrays; a sent
 import hmac
 import json
 import threading
-import traceback
-from http.server import BaseHTTPRequestHandler
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import PurePosixPath
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from semloc_jax.errors import SemlocError
 from semloc_jax.explorer.messages import packed, read_frame_index, read_query, to_json
+from semloc_jax.web.answering import BINARY, JSON, Answer, AnsweringHandler, Refused
 
 MAX_BODY_BYTES = 16384
 """Larger than any question of the page by a factor of ten."""
-_MOST_DIGITS = 20
 _TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
 }
-_JSON, _PACKED, _JPEG = "application/json", "application/octet-stream", "image/jpeg"
+_JPEG = "image/jpeg"
 
 _POLICY = "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'"
 
@@ -64,129 +62,87 @@ class Progress:
             self._stopped = True
 
 
-class _Refused(Exception):
-    """A request that is not answered: HTTP code and a sentence."""
-
-    def __init__(self, code: int, text: str) -> None:
-        super().__init__(text)
-        self.code = code
-
-
-class ExplorerHandler(BaseHTTPRequestHandler):
+class ExplorerHandler(AnsweringHandler):
     """One connection of a browser."""
 
-    protocol_version = "HTTP/1.1"
-    server_version, sys_version = "semloc", ""
     timeout = 60.0
-    wbufsize = -1
-    disable_nagle_algorithm = True  # else head and body wait for each other 40 ms
+    own_headers = (
+        ("Cache-Control", "no-store"),
+        ("Content-Security-Policy", _POLICY),
+        ("Referrer-Policy", "no-referrer"),
+    )
 
     def do_GET(self) -> None:
         """Page, pictures, progress, scene."""
-        self._answer(self._get)
+        self.answer(lambda: self._checked(self._get))
 
     def do_POST(self) -> None:
         """Questions about a pose, and other frames."""
-        self._answer(self._post)
+        self.answer(lambda: self._checked(self._post))
 
-    def log_message(self, *_: object) -> None:
-        """Nothing: dozens of requests a second."""
-
-    def _answer(self, act: Any) -> None:
-        try:
-            self._check_sender()
-            code, kind, body = 200, *act(self._own_path())
-        except _Refused as refusal:
-            code, kind, body = refusal.code, _JSON, to_json({"error": str(refusal)})
-        except SemlocError as error:
-            code, kind, body = 400, _JSON, to_json({"error": " ".join(str(error).split())})
-        except (ConnectionError, TimeoutError):
-            raise
-        except Exception as error:
-            traceback.print_exc()
-            code, kind, body = 500, _JSON, to_json({"error": f"internal error: {type(error).__name__}: {error}"})
-        if code != 200:
-            self.close_connection = True  # what was not read of the request may not be taken for the next one
-        self.send_response(code)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Content-Security-Policy", _POLICY)
-        self.send_header("Referrer-Policy", "no-referrer")
-        if self.close_connection:
-            self.send_header("Connection", "close")
-        self.end_headers()
-        self.wfile.write(body)
-        self.wfile.flush()
+    def _checked(self, act: Callable[[str], tuple[str, bytes]]) -> Answer:
+        self._check_sender()
+        return 200, *act(self._own_path())
 
     def _check_sender(self) -> None:
         """Refuse requests that came by another name of this machine (DNS rebinding) or from another web page."""
         own = [f"{name}:{self.server.server_port}" for name in ("127.0.0.1", "localhost")]
         if self.headers.get("Host") not in own:
-            raise _Refused(403, f"host '{self.headers.get('Host', '')[:60]}'; expected http://{own[0]}/")
+            raise Refused(403, f"host '{self.headers.get('Host', '')[:60]}'; expected http://{own[0]}/")
         origin = self.headers.get("Origin")
         if origin is not None and origin not in [f"http://{name}" for name in own]:
-            raise _Refused(403, f"a page of {origin[:60]} may not ask; open http://{own[0]}/ itself")
+            raise Refused(403, f"a page of {origin[:60]} may not ask; open http://{own[0]}/ itself")
 
     def _own_path(self) -> str:
         """The path behind the token, which only who has seen the address knows: other users of this machine do not."""
         _, given, rest = f"{unquote(urlsplit(self.path).path)}//".split("/", 2)
         if not hmac.compare_digest(given.encode(), self.server.token.encode()):
-            raise _Refused(403, "the address lacks its token; open the address that semloc has printed")
+            raise Refused(403, "the address lacks its token; open the address that semloc has printed")
         return "/" + rest.removesuffix("/").removesuffix("/")
 
     def _get(self, path: str) -> tuple[str, bytes]:
         if path == "/api/progress":
-            return _JSON, to_json(self.server.progress.state)
+            return JSON, to_json(self.server.progress.state)
         if path == "/api/scene":
-            return _JSON, to_json(self.server.session.scene())
+            return JSON, to_json(self.server.session.scene())
         if path.startswith("/api/picture/"):
             return _JPEG, self._picture(path.split("/")[3:])
         if path.startswith("/api/"):
-            raise _Refused(404, f"nothing at {path[:60]}; GET knows /api/progress, /api/scene and /api/picture")
+            raise Refused(404, f"nothing at {path[:60]}; GET knows /api/progress, /api/scene and /api/picture")
         return self._file(path.lstrip("/") or "index.html")
 
     def _post(self, path: str) -> tuple[str, bytes]:
         session = self.server.session
-        content = self._content()
+        content = self._question()
         if path not in ("/api/evaluate", "/api/frame"):
-            raise _Refused(404, f"nothing at {path[:60]}; POST knows /api/evaluate and /api/frame")
+            raise Refused(404, f"nothing at {path[:60]}; POST knows /api/evaluate and /api/frame")
         if not self.server.progress.state["ready"]:
-            raise _Refused(503, "still compiling; ask /api/progress")
+            raise Refused(503, "still compiling; ask /api/progress")
         if path == "/api/frame":
             session.open_frame(read_frame_index(content, len(session.drive)))
-            return _JSON, to_json(session.scene())
+            return JSON, to_json(session.scene())
         query = read_query(content, session.num_levels, session.channel_names)
-        return _PACKED, packed(*session.answer(query))
+        return BINARY, packed(*session.answer(query))
 
     def _picture(self, words: list[str]) -> bytes:
         num_frames = len(self.server.session.drive)
         if len(words) != 3 or not words[0].isascii() or not words[0].isdigit() or int(words[0][:9]) >= num_frames:
-            raise _Refused(
-                404, f"no such picture; expected /api/picture/FRAME/KIND/CAMERA, frame 0 to {num_frames - 1}"
-            )
+            raise Refused(404, f"no such picture; expected /api/picture/FRAME/KIND/CAMERA, frame 0 to {num_frames - 1}")
         return self.server.session.picture(int(words[0]), words[1], words[2])
 
     def _file(self, name: str) -> tuple[str, bytes]:
         kind = _TYPES.get(PurePosixPath(name).suffix)
         found = files("semloc_jax.explorer") / "page" / name
         if kind is None or "/" in name or "\\" in name or not found.is_file():
-            raise _Refused(404, f"no page {name[:60]}; open {self.server.url}")
+            raise Refused(404, f"no page {name[:60]}; open {self.server.url}")
         return kind, found.read_bytes()
 
-    def _content(self) -> Any:
+    def _question(self) -> Any:
         """The JSON of a request."""
-        if self.headers.get_content_type() != _JSON:
-            raise _Refused(400, f"content type {self.headers.get_content_type()}; expected {_JSON}")
-        length = self.headers.get("Content-Length", "")
-        if not (length.isascii() and length.isdigit()):
-            raise _Refused(400, "no Content-Length; expected the number of bytes of the JSON text")
-        # One number is checked and read by: digits that were cut or padded would be two.
-        num_bytes = int(length) if len(length) <= _MOST_DIGITS else MAX_BODY_BYTES + 1
-        if num_bytes > MAX_BODY_BYTES:
-            raise _Refused(413, f"{length[:_MOST_DIGITS]} bytes; expected at most {MAX_BODY_BYTES}")
+        if self.headers.get_content_type() != JSON:
+            raise Refused(400, f"content type {self.headers.get_content_type()}; expected {JSON}")
+        content = self.content(MAX_BODY_BYTES)
         try:
-            return json.loads(self.rfile.read(num_bytes))
+            return json.loads(content)
         except (ValueError, RecursionError) as error:
-            raise _Refused(400, f"the request is not JSON: {error}") from error
+            raise Refused(400, f"the request is not JSON: {error}") from error

@@ -17,6 +17,7 @@ from semloc_jax.maps.io import (
     write_geojson,
     write_map,
 )
+from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_packed
 from semloc_jax.maps.losses import Losses, compare
 from semloc_jax.maps.sampling import sample
 from semloc_jax.maps.semantic_map import LocalMap, SemanticMap
@@ -32,6 +33,7 @@ __all__ = [
     "MapElement",
     "MapReport",
     "OpenDriveStyle",
+    "PackedDrive",
     "RoadPlane",
     "RoadSpread",
     "SemanticMap",
@@ -40,8 +42,10 @@ __all__ = [
     "map_from_arrays",
     "read_lane_centers",
     "read_map",
+    "read_packed",
     "sample",
     "write_drive_geojson",
     "write_geojson",
     "write_map",
+    "write_packed",
 ]

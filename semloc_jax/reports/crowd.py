@@ -9,15 +9,17 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 from tqdm import tqdm
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import MapComparison, Metric, compare_maps, write_metrics
+from semloc_jax.mapping.crowd.cell_map import DriveRow
+from semloc_jax.mapping.crowd.kept_cells import KeptCells
 from semloc_jax.mapping.crowd.ledger import Ledger, ledger_of, write_ledger
-from semloc_jax.mapping.crowd.merged import MergedMap, in_order, merged
+from semloc_jax.mapping.crowd.merged import in_order
 from semloc_jax.mapping.crowd.pack import packed, trimmed
 from semloc_jax.mapping.crowd.seed_rule import replaced
+from semloc_jax.mapping.crowd.whole import Crew, WholeMap, merge_whole
 from semloc_jax.maps import read_map
 from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_packed
 from semloc_jax.maps.versions.history import write_version
@@ -62,6 +64,7 @@ def report_merged(
     report: Path | None = None,
     truth: Path | None = None,
     curve: bool = False,
+    crew: Crew | None = None,
 ) -> str:
     """Merges packed drives into a map and writes it, with its history beside it.
 
@@ -72,6 +75,7 @@ def report_merged(
         report: folder for tables and pictures; None for none.
         truth: a reference map, to judge by.
         curve: whether the report shows how the error falls with the number of drives.
+        crew: who works; None for this process.
 
     Raises:
         SemlocError: a file is broken, no drive fits any other, or the map cannot be written.
@@ -90,13 +94,14 @@ def report_merged(
         write_ledger(held, before, out)
         write_version(before, out, before, base)
         return f"{before.map.name} version {before.version}: holds these drives already; nothing changes\nmap: {out}"
-    drives = in_order(ledger.unpacked())
-    found = merged(ledger.base, drives, progress=lambda items, name: tqdm(items, desc=name))
+    kept = KeptCells(out, base)
+    found = merge_whole(ledger, crew=crew, kept=kept, progress=lambda items, name: tqdm(items, desc=name))
     version = ledger.version if before is None else max(ledger.version, before.version + new)
-    state = MapState(found.beliefs.as_map(), version, len(ledger.drives))
+    state = MapState(ledger.written(found.beliefs), version, len(ledger.drives))
     write_ledger(ledger, state, out)
-    write_version(state, out, before, base, f"merge of {new} drive{'s' if new > 1 else ''}")
-    judged = {}
+    write_version(state, out, before, base, f"merge of {_counted(new, 'drive')}")
+    kept.drop_others()
+    judged, drives = {}, in_order(ledger.unpacked())
     if truth is not None:
         reference, by_rule = read_map(truth).elements, replaced(drives, state.map.origin).elements
         for name, made, alignment in (
@@ -107,10 +112,14 @@ def report_merged(
             judged[name] = compare_maps(made, reference, alignment)
     if report is not None:
         folder = make_folder(report)
-        _write_report(found, judged, folder)
+        _write_report(found, len(drives), judged, folder)
         if curve and truth is not None:
             write_curve(ledger.base, drives, read_map(truth), folder)
     return "\n".join([*_merge_in_words(found, state, ledger, new, judged), f"map: {out}"])
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 _TITLES = {
@@ -121,16 +130,21 @@ _TITLES = {
 
 
 def _merge_in_words(
-    found: MergedMap, state: MapState, ledger: Ledger, new: int, judged: dict[str, MapComparison]
+    found: WholeMap, state: MapState, ledger: Ledger, new: int, judged: dict[str, MapComparison]
 ) -> list[str]:
     counts = Counter(element.label.name.lower() for element in state.map.elements)
     changes = Counter(change.change for change in found.changes)
     rates = [f"{name} {100 * rate:.0f} %" for name, rate in found.detected.items()]
+    drives = _counted(len(ledger.drives), "drive")
     lines = [
-        f"{state.map.name} version {state.version}: {new} new of {len(ledger.drives)} drives; content {state.content}",
+        f"{state.map.name} version {state.version}: {new} new of {drives}; content {state.content}",
         f"map: {', '.join(f'{count} {name}' for name, count in counts.items())}",
         f"a drive shows what it passes: {', '.join(rates)}",
         f"changes: {', '.join(f'{changes[word]} {word}' for word in ('removed', 'moved', 'added'))}",
+        *(
+            f"alone: drive {name}: no other and no base map knows its road; that part is its own"
+            for name in found.alone
+        ),
         *(f"not trusted: drive {drive.name}: {drive.reason}" for drive in found.distrusted),
     ]
     for name, comparison in judged.items():
@@ -138,7 +152,7 @@ def _merge_in_words(
     return lines
 
 
-def _write_report(found: MergedMap, judged: dict[str, MapComparison], folder: Path) -> None:
+def _write_report(found: WholeMap, num_drives: int, judged: dict[str, MapComparison], folder: Path) -> None:
     """changes.csv, drives.csv, metrics.json, pictures."""
     columns = ("id", "change", "class", "x_m", "y_m", "moved_m", "existence", "num_seen", "num_missed", "drive")
     rows = []
@@ -148,15 +162,9 @@ def _write_report(found: MergedMap, judged: dict[str, MapComparison], folder: Pa
         rows.append((c.id, c.change, name, x_m, y_m, round(c.moved_m, 3), round(c.existence, 4)))
         rows[-1] += (c.num_seen, c.num_missed, c.drive)
     write_csv(folder / "changes.csv", columns, rows)
-    columns = ("drive", "things", "shared", "shift_x_m", "shift_y_m", "turn_deg", "scale", "noise", "distrusted")
-    rows, fused = [], found.fused
-    for k, (drive, seen) in enumerate(zip(fused.drives, fused.seen, strict=True)):
-        values = [round(v, 5) for v in (*drive.value[:2], np.degrees(drive.value[2]), 1.0 + drive.value[3])]
-        reason = fused.distrusted[k].reason if k in fused.distrusted else ""
-        noise = round(float(seen.factor.max()), 2)
-        rows.append((drive.sights.name, len(drive.sights.things), len(seen.pairs), *values, noise, reason))
-    write_csv(folder / "drives.csv", columns, rows)
-    metrics = [Metric("drives", float(len(fused.drives)), "drives", "report")]
+    rows = [(cell, *row) for cell, row in found.drives]
+    write_csv(folder / "drives.csv", ("cell", *DriveRow._fields), rows)
+    metrics = [Metric("drives", float(num_drives), "drives", "report")]
     for word in ("removed", "moved", "added"):
         count = sum(c.change == word for c in found.changes)
         metrics.append(Metric(f"changes.{word}", float(count), "elements", "report"))

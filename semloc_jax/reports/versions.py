@@ -64,7 +64,7 @@ def report_log(path: Path, tiles: bool = False) -> str:
         made_by = f"  {row.made_by}: {row.counts}" if row.counts else ""
         lines.append(f"version {row.version}  {row.digest[:_SHORT]}{made_by}")
     state = read_state(path)
-    drives = f", {state.num_drives} drives" if state.num_drives else ""
+    drives = f", {state.num_drives} drive{'s' * (state.num_drives > 1)}" if state.num_drives else ""
     lines.append(f"{len(state.map.elements)} elements in {len(state.tiles)} tiles{drives}; content {state.content}")
     if tiles:
         lines += [f"tile {x},{y}  {digest}" for (x, y), digest in state.tiles.items()]

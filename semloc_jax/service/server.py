@@ -1,7 +1,7 @@
 """`semloc serve`: a map and its differences over HTTP, uploads of drives with a token (room: service; host).
 
 In: a map file with its history, requests. Out: MapServer. Only what is asked for by name is answered; every number and
-every upload is checked, sizes and rates have limits. Uploads wait in MAP.history/inbox for `semloc merge`.
+every upload is checked, sizes and rates have limits. Uploads wait in MAP.history/inbox for `semloc merge --inbox`.
 """
 
 import errno
@@ -10,7 +10,8 @@ import hmac
 import json
 import threading
 import time
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from collections.abc import Callable
+from http.server import ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
@@ -18,28 +19,23 @@ from urllib.parse import parse_qsl, urlsplit
 import numpy as np
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.mapping.crowd.ledger import inbox_of
 from semloc_jax.maps.io.compact import compact_bytes
 from semloc_jax.maps.io.packed_drive import unpacked
 from semloc_jax.maps.versions.difference import difference
-from semloc_jax.maps.versions.history import history_of, version_at, versions_of
+from semloc_jax.maps.versions.history import VersionRow, version_at, versions_of
 from semloc_jax.maps.versions.sdiff import sdiff_bytes
 from semloc_jax.maps.versions.state import MapState, read_state
 from semloc_jax.storage import write_bytes
+from semloc_jax.web.answering import BINARY, JSON, Answer, AnsweringHandler, Refused
 
 MOST_UPLOAD_BYTES = 256_000
 """A drive of 25 km at 10 kB/km."""
 _MOST_INBOX = 10_000
 _MOST_SIDE_M = 4096.0
+_MOST_FIELDS, _MOST_CONNECTIONS, _MOST_HELD = 4, 64, 32
+"""Parameters of a question, connections at once, versions and steps that are remembered."""
 _RATE_PER_S, _BURST, _MOST_CLIENTS = 20.0, 60.0, 10_000
-_BINARY, _JSON = "application/octet-stream", "application/json"
-
-
-class _Refused(Exception):
-    """A request that is not answered: HTTP code and a sentence."""
-
-    def __init__(self, code: int, text: str) -> None:
-        super().__init__(text)
-        self.code = code
 
 
 class MapServer(ThreadingHTTPServer):
@@ -64,6 +60,8 @@ class MapServer(ThreadingHTTPServer):
         self.path, self.token = path, token
         self._lock, self._state, self._stamp = threading.Lock(), read_state(path), _stamp(path)
         self._left: dict[str, tuple[float, float]] = {}
+        self._connections = threading.Semaphore(_MOST_CONNECTIONS)
+        self._history_lock, self._held, self._rows = threading.Lock(), dict[str, Any](), list[VersionRow]()
         try:
             super().__init__((host, port), _Handler)
         except (OSError, OverflowError) as error:
@@ -83,6 +81,44 @@ class MapServer(ThreadingHTTPServer):
                 self._state, self._stamp = read_state(self.path), stamp
             return self._state
 
+    def at(self, name: str | None) -> MapState:
+        """The version of a number or a digest; None for the newest."""
+        newest = self.state()
+        if name is None or name == newest.digest:
+            return newest
+        with self._history_lock:
+            if self._held.get("newest") != newest.digest:
+                self._held, self._rows = {"newest": newest.digest}, versions_of(self.path)
+            row = next((row for row in self._rows if name in (str(row.version), row.digest)), None)
+            if row is None:
+                raise Refused(404, f"version {name[:64]!r} is not in the history; get /map")
+            return self._remembered(f"version {row.version}", lambda: version_at(self.path, row.version))
+
+    def step_from(self, name: str) -> bytes:
+        """The difference from a version to the newest; the same cars ask for the same step."""
+        base, newest = self.at(name), self.state()
+        with self._history_lock:
+            key = f"step {base.digest} {newest.digest}"
+            return self._remembered(key, lambda: sdiff_bytes(difference(base, newest, "pull"), base))
+
+    def _remembered(self, key: str, make: Callable[[], Any]) -> Any:
+        if key not in self._held:
+            if len(self._held) >= _MOST_HELD:
+                del self._held[next(k for k in self._held if k != "newest")]
+            self._held[key] = make()
+        return self._held[key]
+
+    def verify_request(self, *_: object) -> bool:
+        """Whether there is room for one more connection."""
+        return self._connections.acquire(blocking=False)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answers one connection, and makes room for the next."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._connections.release()
+
     def take_turn(self, client: str) -> None:
         """Refuses a client that asks more often than it may."""
         now = time.monotonic()
@@ -93,18 +129,18 @@ class MapServer(ThreadingHTTPServer):
                 self._left.clear()
             self._left[client] = (max(left - 1.0, 0.0), now)
         if left < 1.0:
-            raise _Refused(429, f"more than {_RATE_PER_S:.0f} requests a second; wait")
+            raise Refused(429, f"more than {_RATE_PER_S:.0f} requests a second; wait")
 
     def keep(self, content: bytes) -> str:
         """Checks an upload and keeps it for the next merge; its hash."""
         drive = unpacked(content, "upload")
         digest = hashlib.sha256(content).hexdigest()
-        inbox = history_of(self.path) / "inbox"
+        inbox = inbox_of(self.path)
         inbox.mkdir(parents=True, exist_ok=True)
         with self._lock:
             if not (inbox / f"{digest}.slocal").is_file():
                 if sum(1 for _ in inbox.iterdir()) >= _MOST_INBOX:
-                    raise _Refused(507, f"{_MOST_INBOX} drives wait for a merge; try later")
+                    raise Refused(507, f"{_MOST_INBOX} drives wait for a merge; try later")
                 write_bytes(inbox / f"{digest}.slocal", content)
         return json.dumps({"drive": digest, "elements": len(drive.beliefs.beliefs)})
 
@@ -114,84 +150,46 @@ def _stamp(path: Path) -> tuple[int, int, int]:
     return found.st_mtime_ns, found.st_size, found.st_ino
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(AnsweringHandler):
     """One connection."""
 
     server: MapServer
-    protocol_version, server_version, sys_version = "HTTP/1.1", "semloc", ""
-    timeout = 20.0
 
     def do_GET(self) -> None:
         """Version, map, tile, difference."""
-        self._answer(self._get)
+        self.answer(lambda: self._in_turn(self._get))
 
     def do_POST(self) -> None:
         """A packed drive."""
-        self._answer(self._post)
+        self.answer(lambda: self._in_turn(self._post))
 
-    def log_message(self, *_: object) -> None:
-        """Nothing: who asked for what is nobody's business."""
-
-    def _answer(self, act: Any) -> None:
-        try:
-            self.server.take_turn(str(self.client_address[0]))
-            code, kind, body = act()
-        except _Refused as refusal:
-            code, kind, body = refusal.code, _JSON, json.dumps({"error": str(refusal)}).encode()
-        except SemlocError as error:
-            code, kind, body = 400, _JSON, json.dumps({"error": str(error)}).encode()
-        except (ConnectionError, TimeoutError):
-            raise
-        except Exception as error:  # what it says may hold paths of this machine
-            code, kind, body = 500, _JSON, json.dumps({"error": f"internal error: {type(error).__name__}"}).encode()
-        self.close_connection = self.close_connection or code >= 400
-        self.send_response(code)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("X-Content-Type-Options", "nosniff")
-        if self.close_connection:
-            self.send_header("Connection", "close")
-        self.end_headers()
-        self.wfile.write(body)
+    def _in_turn(self, act: Callable[[], Answer]) -> Answer:
+        self.server.take_turn(str(self.client_address[0]))
+        return act()
 
     def _get(self) -> tuple[int, str, bytes]:
         split = urlsplit(self.path)
-        asked = dict(parse_qsl(split.query, max_num_fields=4))
+        try:
+            asked = dict(parse_qsl(split.query, max_num_fields=_MOST_FIELDS))
+        except ValueError as error:
+            raise Refused(400, f"more than {_MOST_FIELDS} parameters") from error
         if split.path == "/version" and not asked:
-            return 200, _JSON, json.dumps(_summary(self.server.state())).encode()
+            return 200, JSON, json.dumps(_summary(self.server.state())).encode()
         if split.path == "/map" and not asked:
-            return 200, _BINARY, self.server.path.read_bytes()
+            return 200, BINARY, self.server.path.read_bytes()
         if split.path == "/tile" and set(asked) <= {"bbox", "version"} and "bbox" in asked:
-            return 200, _BINARY, _tile(self._at(asked.get("version")), asked["bbox"])
+            return 200, BINARY, _tile(self.server.at(asked.get("version")), asked["bbox"])
         if split.path == "/diff" and set(asked) == {"have"}:
-            newest = self.server.state()
-            base = self._at(asked["have"])
-            return 200, _BINARY, sdiff_bytes(difference(base, newest, "pull"), base)
-        raise _Refused(404, "GET knows /version, /map, /tile?bbox=W,S,E,N[&version=V], /diff?have=V_OR_DIGEST")
-
-    def _at(self, name: str | None) -> MapState:
-        """The version of a number or a digest; None for the newest."""
-        newest = self.server.state()
-        if name is None or name == newest.digest:
-            return newest
-        rows = versions_of(self.server.path)
-        for row in rows:
-            if name in (str(row.version), row.digest):
-                return version_at(self.server.path, row.version)
-        raise _Refused(404, f"version {name[:64]!r} is not in the history; get /map")
+            return 200, BINARY, self.server.step_from(asked["have"])
+        raise Refused(404, "GET knows /version, /map, /tile?bbox=W,S,E,N[&version=V], /diff?have=V_OR_DIGEST")
 
     def _post(self) -> tuple[int, str, bytes]:
         if urlsplit(self.path).path != "/drives":
-            raise _Refused(404, "POST knows /drives")
+            raise Refused(404, "POST knows /drives")
         shown = self.headers.get("Authorization", "").encode("utf-8", "replace")
         if not hmac.compare_digest(shown, f"Bearer {self.server.token}".encode()):
-            raise _Refused(401, "no valid token; expected the header Authorization: Bearer TOKEN")
-        length = self.headers.get("Content-Length", "")
-        if not (length.isascii() and length.isdigit() and len(length) < 10):
-            raise _Refused(411, "no Content-Length; expected the number of bytes")
-        if int(length) > MOST_UPLOAD_BYTES:
-            raise _Refused(413, f"{length} bytes; expected at most {MOST_UPLOAD_BYTES}")
-        return 202, _JSON, self.server.keep(self.rfile.read(int(length))).encode()
+            raise Refused(401, "no valid token; expected the header Authorization: Bearer TOKEN")
+        return 202, JSON, self.server.keep(self.content(MOST_UPLOAD_BYTES)).encode()
 
 
 def _summary(state: MapState) -> dict[str, Any]:
@@ -205,15 +203,15 @@ def _tile(state: MapState, text: str) -> bytes:
     try:
         west, south, east, north = (float(word) for word in words)
     except ValueError as error:
-        raise _Refused(400, f"bbox {text[:60]!r}; expected W,S,E,N in metres of the map") from error
+        raise Refused(400, f"bbox {text[:60]!r}; expected W,S,E,N in metres of the map") from error
     box = np.array([west, south, east, north])
     if not np.isfinite(box).all() or not 0.0 < east - west <= _MOST_SIDE_M or not 0.0 < north - south <= _MOST_SIDE_M:
-        raise _Refused(400, f"bbox {text[:60]!r}; expected W < E and S < N, at most {_MOST_SIDE_M:.0f} m apart")
+        raise Refused(400, f"bbox {text[:60]!r}; expected W < E and S < N, at most {_MOST_SIDE_M:.0f} m apart")
     inside = [
         e
         for e in state.map.elements
         if (e.points[:, :2].max(axis=0) >= box[:2]).all() and (e.points[:, :2].min(axis=0) <= box[2:]).all()
     ]
     if not inside:
-        raise _Refused(404, "nothing lies in that box")
+        raise Refused(404, "nothing lies in that box")
     return compact_bytes(state.map.with_elements(inside))

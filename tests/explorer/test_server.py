@@ -123,7 +123,7 @@ def test_a_length_that_is_none_is_refused(explorer):
         connection.putheader("Content-Type", "application/json")
         connection.putheader("Content-Length", length)
         connection.endheaders()
-        assert connection.getresponse().status in (400, 413)
+        assert connection.getresponse().status in (411, 413)
         connection.close()
 
 

@@ -7,10 +7,11 @@ import threading
 import numpy as np
 import pytest
 
-from semloc_jax.cli.main import FAILED, OK, main
+from semloc_jax.cli.main import FAILED, OK, USAGE, main
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import read_map
-from semloc_jax.maps.io.packed_drive import packed_bytes
+from semloc_jax.maps.io.packed_drive import packed_bytes, write_packed
+from semloc_jax.maps.versions.difference import difference
 from semloc_jax.maps.versions.history import history_of, write_version
 from semloc_jax.maps.versions.state import MapState, read_state
 from semloc_jax.service import server as served
@@ -88,6 +89,7 @@ def test_a_tile_is_what_lies_in_its_box(server, tmp_path):
         ("/", 404),
         ("/../../etc/passwd", 404),
         ("/map?x=1", 404),
+        ("/tile?a=1&b=2&c=3&d=4&e=5", 400),
         ("/tile", 404),
         ("/tile?bbox=1,2,3", 400),
         ("/tile?bbox=0,0,nan,1", 400),
@@ -129,6 +131,51 @@ def test_too_many_questions_are_refused(server, monkeypatch):
     monkeypatch.setattr(served, "_RATE_PER_S", 0.001)
     codes = [asked(server, "GET", "/version")[0] for _ in range(70)]
     assert codes[:60] == [200] * 60 and codes[-1] == 429
+
+
+def test_more_connections_than_there_is_room_for_are_closed_at_once(server, monkeypatch):
+    monkeypatch.setattr(server, "_connections", threading.Semaphore(2))
+    idle = [http.client.HTTPConnection(*server.server_address, timeout=10) for _ in range(2)]
+    for connection in idle:
+        connection.request("GET", "/version")
+        assert connection.getresponse().read()  # and stays open
+    with pytest.raises((ConnectionError, http.client.HTTPException)):
+        asked(server, "GET", "/version")
+    for connection in idle:
+        connection.close()
+    codes = []
+    for _ in range(100):
+        try:
+            codes.append(asked(server, "GET", "/version")[0])
+            break
+        except (ConnectionError, http.client.HTTPException):
+            continue
+    assert codes == [200]
+
+
+def test_the_same_step_is_worked_out_once(server, monkeypatch):
+    made = []
+    monkeypatch.setattr(served, "difference", lambda *words: made.append(words) or difference(*words))
+    first, again = (asked(server, "GET", "/diff?have=1")[1] for _ in range(2))
+    assert first == again and len(made) == 1
+    before, third = read_state(server.path), MapState(road(62, 5), 3)
+    write_version(third, server.path, before, server.path, "third")
+    assert asked(server, "GET", "/diff?have=1")[1] != first and len(made) == 2
+
+
+def test_uploads_that_wait_are_merged_by_one_word_and_then_go(tmp_path, capsys):
+    path = tmp_path / "map.gpkg"
+    inbox = history_of(path) / "inbox"
+    inbox.mkdir(parents=True)
+    for k in range(2):
+        write_packed(drive(Road.of(70.0), k), inbox / f"d{k}.slocal")
+    write_version(MapState(Road.of(70.0).map), path)
+    assert main(["merge", str(path), "--inbox", "--out", str(path)]) == OK
+    assert "2 new of 2 drives" in capsys.readouterr().out
+    assert not list(inbox.iterdir()) and read_state(path).version == 3
+    assert main(["merge", str(path), "--inbox", "--out", str(path)]) == OK
+    assert "no drive waits" in capsys.readouterr().out
+    assert main(["merge", str(inbox / "d.slocal"), "--inbox", "--out", str(path)]) == USAGE
 
 
 def test_nothing_listens_to_other_machines_unasked(server, tmp_path):

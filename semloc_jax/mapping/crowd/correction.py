@@ -7,6 +7,8 @@ scale of the odometer stretches the way, not the road beside it.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +16,8 @@ from scipy.sparse import csr_array
 
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.sights import Sights
+from semloc_jax.mapping.crowd.stations import stations
+from semloc_jax.maps import MapElement
 
 _NODE_M = 25.0
 _SURVEYED_M = 0.1
@@ -39,6 +43,18 @@ class CorrectionConfig:
     slip_m: float = 0.03
     node_m: float = 1.0
     node_rad: float = 0.01
+
+
+class PlacedLine(NamedTuple):
+    """A line as a drive places it."""
+
+    element: MapElement
+    placed: Float[np.ndarray, "k 3"]
+    """Places about a metre apart [m]."""
+    rows: Float[np.ndarray, "k 2 p"]
+    """Displacement of these by each unknown."""
+    sigma_m: float
+    """Of the line, across."""
 
 
 class Correction:
@@ -81,6 +97,29 @@ class Correction:
                 rows[row[:, None], [[0, 1]], (6 + 3 * node)[:, None]] += weight * lever
         return rows
 
+    @cached_property
+    def thing_rows(self) -> Float[np.ndarray, "n 2 p"]:
+        """Displacement of the middles of its things by each unknown."""
+        return self.rows(self.sights.things.centre)
+
+    @cached_property
+    def placed_lines(self) -> list[PlacedLine]:
+        """Its lines as places a metre apart."""
+        found = []
+        for element, belief in self.sights.lines:
+            placed = stations(element.points)
+            if len(placed) > 1:
+                found.append(PlacedLine(element, placed, self.rows(placed[:, :2]), belief.sigma_across_m))
+        return found
+
+    def moved_things(self) -> Float[np.ndarray, "n 2"]:
+        """Middles of its things where they are in the map by now [m]."""
+        return self.sights.things.centre + self.thing_rows @ self.value
+
+    def moved_line(self, line: PlacedLine) -> Float[np.ndarray, "k 2"]:
+        """Places of one of its lines where they are in the map by now [m]."""
+        return line.placed[:, :2] + line.rows @ self.value
+
     def moved(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Points of the drive where they are in the map."""
         return xy + self.rows(xy) @ self.value if len(xy) else xy
@@ -99,7 +138,8 @@ class Correction:
     def known(self) -> tuple[csr_array, Float[np.ndarray, " k"]]:
         """Whitened rows of what is known of the unknowns, and what they should give."""
         c, place_m = self.config, self.sights.sigma_place_m
-        whole = [_HELD_RAD, _HELD_RAD] if self.is_held else [c.turn_rad, c.scale]
+        share = self.sights.num_drives**-0.5
+        whole = [_HELD_RAD, _HELD_RAD] if self.is_held else [share * c.turn_rad, share * c.scale]
         sigma = np.array([place_m, place_m, *whole] + [c.node_m, c.node_m, c.node_rad] * self.num_nodes)
         blocks = [np.diag(1.0 / sigma)]
         if self.num_nodes:

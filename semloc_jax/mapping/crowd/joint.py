@@ -14,7 +14,8 @@ from scipy.sparse.linalg import splu
 
 from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.mapping.crowd.correction import Correction
-from semloc_jax.mapping.crowd.world import CrowdWorld, Piece, line_sights, stations, turned_by
+from semloc_jax.mapping.crowd.world import CrowdWorld, turned_by
+from semloc_jax.mapping.crowd.world_lines import Piece, line_sights
 
 _SMOOTH_M = 0.02
 """By how much a line bends within a metre that is not its curvature."""
@@ -51,24 +52,39 @@ class Seen:
 
 def seen_by(world: CrowdWorld, correction: Correction, gate_m: float) -> Seen:
     """What a drive saw of the world, by where it lies now."""
-    sights = correction.sights
-    things = sights.things
+    if correction.sights.is_base:
+        return _seen_by_base(world, correction)
+    things = correction.sights.things
     along = turned_by(things.along, correction.turn(things.centre))
-    pairs = world.paired(things, correction.moved(things.centre), along, gate_m)
+    pairs = world.paired(things, correction.moved_things(), along, gate_m)
     pieces: dict[str, list[Piece]] = {}
-    for element, belief in sights.lines:
-        placed = stations(element.points)
-        if len(placed) > 1:
-            piece = Piece.of(placed, correction.moved(placed[:, :2]), belief.sigma_across_m)
-            pieces.setdefault(kind_of(element), []).append(piece)
-    rows = [
-        (np.full(len(found[0]), k), *found)
-        for k, line in enumerate(world.lines)
-        for found in [line_sights(line, pieces.get(line.kind, []), gate_m)]
-    ]
-    empty = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
-    line, station, places, sigma = (np.concatenate(parts) for parts in zip(empty, *rows, strict=True))
+    for seen in correction.placed_lines:
+        piece = Piece.of(seen.placed, correction.moved_line(seen), seen.sigma_m)
+        pieces.setdefault(kind_of(seen.element), []).append(piece)
+    rows = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))]
+    for kind in sorted(pieces):
+        lines = [k for k, line in enumerate(world.lines) if line.kind == kind]
+        if lines:
+            own = line_sights([world.lines[k] for k in lines], pieces[kind], gate_m)
+            rows.append((np.array(lines)[own.line], own.station, own.places, own.sigma_m))
+    line, station, places, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     return Seen(pairs, line, station, places, np.maximum(sigma, _LINE_SIGMA_M))
+
+
+def _seen_by_base(world: CrowdWorld, correction: Correction) -> Seen:
+    """What a base map says: of all that was born of it, that it is where it was born."""
+    own = np.flatnonzero(world.source[:, 0] == 0)
+    pairs = np.stack([world.source[own, 1], own], axis=1)
+    placed = {line.element.id: line for line in correction.placed_lines}
+    rows = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))]
+    for k, line in enumerate(world.lines):
+        if line.source[0] == 0:
+            said = placed[line.source[1].id]
+            num = len(said.placed)
+            rows.append((np.full(num, k), np.arange(num), said.placed, np.full(num, said.sigma_m)))
+    line, station, places, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    least_m = _LINE_SIGMA_M * correction.sights.num_drives**-0.5
+    return Seen(pairs, line, station, places, np.maximum(sigma, least_m))
 
 
 class JointSolve:
@@ -120,7 +136,7 @@ class JointSolve:
         axes = np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)], axis=1)
         sigma = things.sigma_m[i].copy()
         sigma[~things.has_ends[i], 0] = 10.0  # a part tells nothing along
-        shift = np.einsum("nak,nkp->nap", axes, drive.rows(things.centre[i])) / sigma[:, :, None]
+        shift = np.einsum("nak,nkp->nap", axes, drive.thing_rows[i]) / sigma[:, :, None]
         start = np.einsum("nak,nk->na", axes, world.centre[j] if not self.moves else np.zeros((len(j), 2)))
         own = np.einsum("nak,nk->na", axes, things.centre[i])
         n = len(i)
@@ -185,7 +201,10 @@ class JointSolve:
         if any(self.drives[k].is_held for k in own):
             return csr_array((0, size))
         row, which = np.repeat(np.arange(4), len(own)), np.tile(self._first_drive[own], 4)
-        values = np.repeat(1.0 / (_TOGETHER * max(len(own), 1)), len(own))
+        placed = np.array([self.drives[k].sights.sigma_place_m ** -2.0 for k in own])
+        many = np.array([float(self.drives[k].sights.num_drives) for k in own])
+        shares = [w / max(w.sum(), 1e-300) for w in (placed, placed, many, many)]
+        values = (np.array(shares) / _TOGETHER[:, None]).ravel()
         return csr_array(coo_array((values, (row, which + row)), (4, size)))
 
     def _smooth(self, rough: np.ndarray, left: np.ndarray, first: int) -> tuple[csr_array, np.ndarray]:

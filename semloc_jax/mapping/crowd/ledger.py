@@ -9,12 +9,14 @@ import hashlib
 import json
 import shutil
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps import BeliefMap
+from semloc_jax.maps import BeliefMap, SemanticMap
 from semloc_jax.maps.io.packed_drive import PackedDrive, unpacked
 from semloc_jax.maps.versions.history import history_of
+from semloc_jax.maps.versions.records import record_of
 from semloc_jax.maps.versions.state import MapState, read_state, write_state
 from semloc_jax.storage import json_document, reading, write_bytes, write_text, writing
 
@@ -31,10 +33,22 @@ class Ledger:
     root: MapState | None
     drives: dict[str, bytes]
 
-    @property
+    @cached_property
     def base(self) -> BeliefMap | None:
         """The map before any drive, with its beliefs."""
         return None if self.root is None else BeliefMap.of(self.root.map)
+
+    def written(self, beliefs: BeliefMap) -> SemanticMap:
+        """A map with its beliefs as a file has them; what is as it was before any drive, as it was written then."""
+        held = beliefs.as_map()
+        if self.root is None or self.base is None:
+            return held
+        first = {e.id: e for e in self.root.map.elements}
+        bare = {e.id: record_of(e) for e in self.base.map.elements}
+        return held.with_elements(
+            first[e.id] if self.base.beliefs.get(e.id) == beliefs.beliefs[e.id] and bare[e.id] == record_of(own) else e
+            for e, own in zip(held.elements, beliefs.map.elements, strict=True)
+        )
 
     @property
     def version(self) -> int:
@@ -107,6 +121,16 @@ def copy_record(source: Path, digest: str, path: Path, new: str) -> None:
             with writing(folder / name) as partial:
                 shutil.copyfile(history_of(source) / name, partial)
     write_text(_record(folder, new), json.dumps(document) + "\n")
+
+
+def inbox_of(path: Path) -> Path:
+    """The folder where uploads to a served map wait for a merge."""
+    return history_of(path) / "inbox"
+
+
+def waiting_drives(path: Path) -> list[Path]:
+    """Uploads to a served map that wait for a merge."""
+    return sorted(inbox_of(path).glob("*.slocal"))
 
 
 def _record(folder: Path, digest: str) -> Path:

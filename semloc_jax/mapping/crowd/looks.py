@@ -6,36 +6,41 @@ In: Fused. Out: Looks at things and at the stations of lines, one column for eac
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
-from semloc_jax.evaluation.map_shapes import POSTS
+from semloc_jax.evaluation.map_shapes import POSTS, kind_of
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.fusion import Fused
-from semloc_jax.mapping.crowd.presence import Looks
+from semloc_jax.mapping.crowd.presence import Looks, PresenceConfig
+from semloc_jax.mapping.crowd.sights import CROWD
 from semloc_jax.mapping.crowd.world import turned_by
+from semloc_jax.maps import Belief
 
 _BANDS_M = (3.0, 6.0, 10.0)
 """How far beside the way: the chance that a drive shows a thing falls with it."""
 _DAY_S = 86400.0
 _LEAST_STEP, _MOST_STEP = 0.1, 50.0
+_STRANDS_M = 0.6
+"""Lines no farther apart are painted as one: not every drive tells them apart; with half the step of places."""
 _INSIDE = 0.8
 """Share of the half length at which the ends of a thing must lie in the area that was looked at."""
 _POST_NAMES = {label.name.lower() for label in POSTS}
 
 
-def looks_of(fused: Fused, days: float) -> tuple[Looks, Looks, list[int]]:
+def looks_of(fused: Fused, config: PresenceConfig) -> tuple[Looks, Looks, list[int]]:
     """Looks at things, at stations of all lines in their order, and the places of the drives that the columns are.
 
     Args:
         fused: drives in the order of time.
-        days: drives so many days apart are one step.
+        config: how things come and go.
     """
     rows = [k for k, d in enumerate(fused.drives) if not d.sights.is_base and k not in fused.distrusted]
-    steps = _steps([fused.drives[k].sights.when_s for k in rows], days)
-    return _things(fused, rows, steps), _stations(fused, rows, steps), rows
+    steps = _steps([fused.drives[k].sights.when_s for k in rows], config.days)
+    return _things(fused, rows, steps, config), _stations(fused, rows, steps, config), rows
 
 
-def _things(fused: Fused, rows: list[int], steps: np.ndarray) -> Looks:
+def _things(fused: Fused, rows: list[int], steps: np.ndarray, config: PresenceConfig) -> Looks:
     world = fused.world
     n = len(world.kind)
     _, kind = np.unique(world.kind.astype(str), return_inverse=True) if n else (np.zeros(0), np.zeros(0, int))
@@ -50,12 +55,13 @@ def _things(fused: Fused, rows: list[int], steps: np.ndarray) -> Looks:
         visible[:, column] = np.where(is_post, _within(drive.sights.upright_area, back).reshape(n, 3)[:, 0], inside)
         seen[fused.seen[k].pairs[:, 1], column] = True
         band[:, column] = _band(drive, back.reshape(n, 3, 2)[:, 0])
-    based = _is_base(fused, world.source[:, 0])
+    beliefs = [fused.drives[place].sights.things.beliefs[row] for place, row in world.source.tolist()]
+    based = _based(fused, world.source[:, 0], beliefs, config)
     group = kind[:, None] * (len(_BANDS_M) + 1) + band
-    return Looks(visible, seen, group.reshape(n, len(rows)), kind, based, steps)
+    return Looks(visible, seen, group.reshape(n, len(rows)), kind, based[0], steps, *based[1:])
 
 
-def _stations(fused: Fused, rows: list[int], steps: np.ndarray) -> Looks:
+def _stations(fused: Fused, rows: list[int], steps: np.ndarray, config: PresenceConfig) -> Looks:
     lines = fused.world.lines
     names = sorted({line.kind for line in lines})
     first = np.cumsum([0, *(len(line.reference) for line in lines)])
@@ -66,11 +72,27 @@ def _stations(fused: Fused, rows: list[int], steps: np.ndarray) -> Looks:
     for column, k in enumerate(rows):
         drive, own = fused.drives[k], fused.seen[k]
         back = drive.back(xy)
-        visible[:, column] = _within(drive.sights.area, back)
         seen[first[own.line] + own.station, column] = True
+        visible[:, column] = _within(drive.sights.area, back) & ~(_is_beside(drive, names, kind, xy) & ~seen[:, column])
         band[:, column] = _band(drive, back)
+    held = [{e.id: b for e, b in drive.sights.lines} for drive in fused.drives]
+    beliefs = [held[line.source[0]][line.source[1].id] for line in lines for _ in line.reference]
+    based = _based(fused, source, beliefs, config)
     group = kind[:, None] * (len(_BANDS_M) + 1) + band
-    return Looks(visible, seen, group.reshape(len(xy), len(rows)), kind, _is_base(fused, source), steps)
+    return Looks(visible, seen, group.reshape(len(xy), len(rows)), kind, based[0], steps, *based[1:])
+
+
+def _is_beside(
+    drive: Correction, names: list[str], kind: Int[np.ndarray, " n"], xy: Float[np.ndarray, "n 2"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether a drive shows a line of its kind close beside a place: of two strands it may tell one."""
+    beside = np.zeros(len(xy), dtype=bool)
+    for row, name in enumerate(names):
+        shown = [drive.moved_line(line) for line in drive.placed_lines if kind_of(line.element) == name]
+        own = np.flatnonzero(kind == row)
+        if shown and len(own):
+            beside[own] = cKDTree(np.concatenate(shown)).query(xy[own], distance_upper_bound=_STRANDS_M)[0] < _STRANDS_M
+    return beside
 
 
 def _within(area: shapely.Geometry, xy: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
@@ -84,9 +106,19 @@ def _band(drive: Correction, xy: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " 
     return np.searchsorted(_BANDS_M, polyline.nearest(drive.sights.way, xy).distance_m)
 
 
-def _is_base(fused: Fused, places: np.ndarray) -> np.ndarray:
-    has_base = bool(fused.drives) and fused.drives[0].sights.is_base
-    return (places == 0) & has_base
+def _based(
+    fused: Fused, places: np.ndarray, beliefs: list[Belief], config: PresenceConfig
+) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, "n 2"]]:
+    """What is of the base map, how likely all was there before, how many drives had seen and missed it."""
+    is_based = (places == 0) & (bool(fused.drives) and fused.drives[0].sights.is_base)
+    is_surveyed = bool(fused.drives) and fused.drives[0].is_held
+    before = np.full(len(places), config.unmapped if is_surveyed else config.born)
+    counted = np.zeros((len(places), 2), dtype=np.int64)
+    for k in np.flatnonzero(is_based).tolist():
+        belief, before[k] = beliefs[k], config.based
+        if belief.provenance == CROWD:
+            before[k], counted[k] = min(belief.existence, config.based), (belief.num_seen, belief.num_missed)
+    return is_based, before, counted
 
 
 def _steps(when_s: list[float | None], days: float) -> np.ndarray:

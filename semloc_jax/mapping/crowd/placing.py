@@ -33,7 +33,7 @@ def _num_comparable(world: CrowdWorld, drive: Correction) -> int:
     """Things of a drive that the world could hold: what lies beyond its ends says nothing."""
     if not len(world.kind):
         return 0
-    near = cKDTree(world.centre).query(drive.moved(drive.sights.things.centre))[0] < _REACH_M
+    near = cKDTree(world.centre).query(drive.moved_things())[0] < _REACH_M
     return int(near.sum())
 
 

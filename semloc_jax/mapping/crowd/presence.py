@@ -24,6 +24,7 @@ class PresenceConfig:
         appear: that one has come where there was none.
         days: drives so many days apart count as one step; closer ones as less, down to a tenth.
         born: probability before any look that something is where the first drive shows it.
+        unmapped: the same where somebody surveyed all that is there and has it not.
         based: the same of a thing of the base map.
         detected, false: P_D and P_F before any look.
         looks: so many looks that belief is worth.
@@ -35,6 +36,7 @@ class PresenceConfig:
     appear: float = 0.005
     days: float = 30.0
     born: float = 0.3
+    unmapped: float = 0.03
     based: float = 0.99
     detected: float = 0.7
     false: float = 0.03
@@ -55,6 +57,8 @@ class Looks:
         kind: `int[n]` class: what shares a P_F.
         is_based: `bool[n]` whether it is a thing of the base map.
         steps: `float[d]` time before each drive, in steps.
+        before: `float[n]` probability that it was there before any of these drives.
+        counted: `int[n 2]` how many drives before saw and missed it.
     """
 
     visible: Bool[np.ndarray, "n d"]
@@ -63,6 +67,14 @@ class Looks:
     kind: Int[np.ndarray, " n"]
     is_based: Bool[np.ndarray, " n"]
     steps: Float[np.ndarray, " d"]
+    before: Float[np.ndarray, " n"]
+    counted: Int[np.ndarray, "n 2"]
+
+    @property
+    def counts(self) -> Int[np.ndarray, "n 2"]:
+        """How many drives saw each thing, and how many looked and did not."""
+        missed = self.visible & ~self.seen
+        return self.counted + np.stack([self.seen.sum(axis=1), missed.sum(axis=1)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -126,7 +138,7 @@ def _smoothed(
     like = np.where(visible[:, :, None], like, 1.0)
     vanish, appear = 1.0 - (1.0 - c.vanish) ** looks.steps, 1.0 - (1.0 - c.appear) ** looks.steps
     ahead = np.zeros((n, d, 2))
-    state = np.where(looks.is_based, c.based, c.born)
+    state = looks.before
     state = np.stack([1.0 - state, state], axis=1)
     for k in range(d):
         # What a drive is the first to look at was not there longer than anybody knows.

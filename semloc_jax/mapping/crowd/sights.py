@@ -21,8 +21,12 @@ from semloc_jax.maps.io.packed_drive import PackedDrive
 _UPRIGHT_REACH_M = 6.0
 """Posts and signs beside the road are seen where the road nearby is."""
 _FAR_M = 100.0
+_SURVEYED_M, _DRIVEN_M = 0.02, 1.5
+"""How far a surveyed map and that of one drive may be off as a whole; ours."""
 _LEAST_SIGMA_M = (0.05, 0.02)
 """No drive knows a thing better along and across: what it sees is off alike in all its frames."""
+CROWD = "crowd"
+"""Provenance of what drives made together: its counts are of drives."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,7 @@ class Things:
             along,
             0.5 * np.array(half).reshape(n, 2),
             np.array([all(s.ends) for s in shapes], dtype=bool),
-            np.maximum(sigma, _LEAST_SIGMA_M),
+            np.maximum(sigma, np.outer([num_drives_of(b) ** -0.5 for _, b in known], _LEAST_SIGMA_M)),
         )
 
     def __len__(self) -> int:
@@ -87,7 +91,8 @@ class Sights:
         sigma_place_m: how far all of it may be off together.
         area: of the road that was looked at; None for a base map.
         when_s: when; None where unknown.
-        height_m: of the way at each of its places; empty for a base map.
+        source: hash of the map that it was packed from.
+        num_drives: of so many drives it is the sum; more than 1 for a base map that drives made.
     """
 
     name: str
@@ -97,6 +102,8 @@ class Sights:
     sigma_place_m: float
     area: shapely.Geometry | None
     when_s: float | None = None
+    source: str = ""
+    num_drives: int = 1
 
     @property
     def is_base(self) -> bool:
@@ -125,15 +132,42 @@ def sights_of(drive: PackedDrive, origin: GeoOrigin | None) -> Sights:
     area = shapely.union_all([shapely.Polygon(ring @ T[:2, :2].T + T[:2, 3]).buffer(0.0) for ring in drive.rings])
     things = Things.of([item for item in known if not is_line(item[0])])
     lines = tuple(item for item in known if is_line(item[0]))
-    return Sights(drive.name, things, lines, way[:, :2], drive.sigma_place_m, area, drive.when_s)
+    return Sights(drive.name, things, lines, way[:, :2], drive.sigma_place_m, area, drive.when_s, drive.source)
 
 
-def base_sights(base: BeliefMap, sigma_place_m: float) -> Sights:
+@dataclass(frozen=True)
+class Base:
+    """A map that was there before.
+
+    Attributes:
+        beliefs: the map.
+        sigma_place_m: how far all of it may be off together.
+        num_drives: so many drives made it; 1 for what somebody surveyed, or one drive made.
+    """
+
+    beliefs: BeliefMap
+    sigma_place_m: float
+    num_drives: int = 1
+
+    @classmethod
+    def of(cls, beliefs: BeliefMap) -> "Base":
+        """A map of unknown making: one that a drive made lies where its satellite fixes put it."""
+        driven = any(b.num_seen > 0 and b.provenance != CROWD for b in beliefs.beliefs.values())
+        return cls(beliefs, _DRIVEN_M if driven else _SURVEYED_M)
+
+
+def base_sights(base: Base) -> Sights:
     """What the map before says, as if it had been seen once."""
-    known = [(e, base.beliefs[e.id]) for e in base.map.elements if not e.is_logical]
+    known = [(e, base.beliefs.beliefs[e.id]) for e in base.beliefs.map.elements if not e.is_logical]
     things = Things.of([item for item in known if not is_line(item[0])])
     lines = tuple(item for item in known if is_line(item[0]))
-    return Sights(base.map.name, things, lines, np.zeros((0, 2)), sigma_place_m, None)
+    way = np.zeros((0, 2))
+    return Sights(base.beliefs.map.name, things, lines, way, base.sigma_place_m, None, num_drives=base.num_drives)
+
+
+def num_drives_of(belief: Belief) -> int:
+    """How many drives a belief is the sum of."""
+    return max(belief.num_seen, 1) if belief.provenance == CROWD else 1
 
 
 def _placed(drive: PackedDrive, origin: GeoOrigin | None) -> np.ndarray:

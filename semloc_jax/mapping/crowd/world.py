@@ -4,68 +4,23 @@ In: Sights with their corrections. Out: CrowdWorld: things, lines as stations a 
 A sight goes with a thing of its kind, one to one, nearest together; what is not near any is new.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from semloc_jax.evaluation.map_shapes import POSTS, kind_of
-from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.sights import Things
-from semloc_jax.maps import MapElement
+from semloc_jax.mapping.crowd.stations import STATION_M, runs_of
+from semloc_jax.mapping.crowd.world_lines import SAME_TURN_RAD, WorldLine
 
-STATION_M = 1.0
 LEAST_LINE_M = 3.0
 _SAME_HALF_M = 0.6
-_SAME_TURN_RAD = 0.35
 _LONG_HALF_M = 0.5
-_BESIDE_M = 0.3
-_STRAIGHT_STATIONS = 4.0
-_BEYOND = 12
 _POSTS = {label.name.lower() for label in POSTS}
-
-
-@dataclass
-class WorldLine:
-    """A line: places on a reference, and how far to its left the line runs there.
-
-    Attributes:
-        kind: as `map_shapes` names it.
-        source: place of the drive among all, and the element that it was born of.
-        reference: `float64[k 2]` [m].
-        rough: `float64[k 2]` how far the reference is off a smooth line [m].
-        left: unit `float64[k 2]`.
-        offset_m: `float64[k]`.
-    """
-
-    kind: str
-    source: tuple[int, MapElement]
-    reference: Float[np.ndarray, "k 2"]
-    rough: Float[np.ndarray, "k 2"]
-    left: Float[np.ndarray, "k 2"]
-    offset_m: Float[np.ndarray, " k"]
-
-    @classmethod
-    def along(cls, kind: str, source: tuple[int, MapElement], xy: Float[np.ndarray, "k 2"]) -> "WorldLine":
-        """A line through places a metre apart."""
-        # Their left is that of the road, not of every wobble: what is smooth must stay so when all of it moves.
-        step = gaussian_filter1d(np.gradient(xy, axis=0), _STRAIGHT_STATIONS, axis=0, mode="nearest")
-        step /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
-        ahead, behind = 2.0 * xy[:1] - xy[_BEYOND:0:-1], 2.0 * xy[-1:] - xy[-2 : -2 - _BEYOND : -1]
-        longer = gaussian_filter1d(np.vstack([ahead, xy, behind]), _STRAIGHT_STATIONS, axis=0, mode="nearest")
-        smooth = longer[len(ahead) : len(ahead) + len(xy)]
-        return cls(kind, source, xy, xy - smooth, np.stack([-step[:, 1], step[:, 0]], axis=1), np.zeros(len(xy)))
-
-    @property
-    def xy(self) -> Float[np.ndarray, "k 2"]:
-        """Where the line runs [m]."""
-        return self.reference + self.offset_m[:, None] * self.left
 
 
 @dataclass
@@ -121,7 +76,7 @@ class CrowdWorld:
         a = np.where(things.has_ends[rows][:, None], a, np.maximum(np.abs(a) - off_m, 0.0))
         squared = a**2 + (2.0 * c) ** 2
         is_other = things.has_ends[rows][:, None] & (off_m > _SAME_HALF_M)
-        turned = np.abs(np.einsum("ik,jk->ij", along[rows], ahead)) < np.cos(_SAME_TURN_RAD)
+        turned = np.abs(np.einsum("ik,jk->ij", along[rows], ahead)) < np.cos(SAME_TURN_RAD)
         is_long = (things.half_m[rows][:, None, 0] > _LONG_HALF_M) & (self.half_m[columns][None, :, 0] > _LONG_HALF_M)
         return np.where(is_other | (turned & is_long), np.inf, squared)
 
@@ -134,7 +89,7 @@ class CrowdWorld:
             gate_m: see `paired`.
         """
         things = correction.sights.things
-        centre, along = correction.moved(things.centre), turned_by(things.along, correction.turn(things.centre))
+        centre, along = correction.moved_things(), turned_by(things.along, correction.turn(things.centre))
         pairs = self.paired(things, centre, along, gate_m)
         # Half way: the next drives then decide; the joint solve makes it exact.
         self.centre[pairs[:, 1]] = 0.5 * (self.centre[pairs[:, 1]] + centre[pairs[:, 0]])
@@ -144,10 +99,11 @@ class CrowdWorld:
         self.centre = np.vstack([self.centre, centre[new]])
         self.along = np.vstack([self.along, along[new]])
         self.half_m = np.vstack([self.half_m, things.half_m[new]])
-        for element, _ in correction.sights.lines:
-            xy = stations(correction.moved(element.points[:, :2]))
-            for run in self._uncovered(kind_of(element), xy, gate_m):
-                self.lines.append(WorldLine.along(kind_of(element), (place, element), run))
+        for line in correction.placed_lines:
+            kind, xy = kind_of(line.element), correction.moved_line(line)
+            # A base map names the two strands of a double line; those who drive by take them for one and the same.
+            for run in [xy] if correction.sights.is_base else self._uncovered(kind, xy, gate_m):
+                self.lines.append(WorldLine.along(kind, (place, line.element), run))
 
     def twins(self, seen_in: Bool[np.ndarray, "n d"], gate_m: float) -> Bool[np.ndarray, " n"]:
         """Things that are another one seen a little aside: of its kind, so near, and no drive saw both.
@@ -178,73 +134,7 @@ class CrowdWorld:
         if own:
             reach_m = np.hypot(gate_m, 0.5 * STATION_M)
             covered = cKDTree(np.concatenate(own)).query(xy, distance_upper_bound=reach_m)[0] < reach_m
-        borders = np.flatnonzero(np.diff(np.concatenate([[False], ~covered, [False]]).astype(int)))
-        runs = [xy[a:b] for a, b in borders.reshape(-1, 2)]
-        return [run for run in runs if (len(run) - 1) * STATION_M >= LEAST_LINE_M]
-
-
-def stations(xy: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "k c"]:
-    """Places about a metre apart along a line, its ends among them."""
-    xy = xy[np.append(True, np.linalg.norm(np.diff(xy[:, :2], axis=0), axis=1) > 1e-6)]
-    if len(xy) < 2:
-        return xy
-    length_m = float(polyline.arc_length(xy)[-1])
-    return polyline.interpolate(xy, np.linspace(0.0, length_m, max(round(length_m / STATION_M), 1) + 1))
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A line that a drive saw.
-
-    Attributes:
-        placed: `float64[k 3]` places about a metre apart where the drive places it [m].
-        now: the same places where they are in the map by now, as a line.
-        now_m: `float64[k]` arc length of each along `now`.
-        sigma_m: of the line, across.
-    """
-
-    placed: Float[np.ndarray, "k 3"]
-    now: shapely.LineString
-    now_m: Float[np.ndarray, " k"]
-    sigma_m: float
-
-    @classmethod
-    def of(cls, placed: np.ndarray, now: np.ndarray, sigma_m: float) -> "Piece":
-        """The piece through these places."""
-        return cls(placed, shapely.LineString(now), polyline.arc_length(now), sigma_m)
-
-
-def line_sights(line: WorldLine, pieces: Sequence[Piece], gate_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where a drive saw a line: stations, the places it saw `[k 3]` as it placed them itself, their sigmas [m].
-
-    Args:
-        line: the line.
-        pieces: lines of its kind that the drive saw.
-        gate_m: none is farther aside than this.
-    """
-    xy, points = line.xy, shapely.points(line.xy)
-    best = np.full(len(xy), gate_m)
-    places, sigma = np.zeros((len(xy), 3)), np.zeros(len(xy))
-    for piece in pieces:
-        k = np.flatnonzero(shapely.dwithin(piece.now, points, np.hypot(gate_m, _BESIDE_M)))
-        if not len(k):
-            continue
-        s_m = shapely.line_locate_point(piece.now, points[k])
-        near, ahead, behind = (
-            shapely.get_coordinates(shapely.line_interpolate_point(piece.now, np.clip(s_m + d, 0.0, piece.now.length)))
-            for d in (0.0, 0.25, -0.25)
-        )
-        offset, left = near - xy[k], line.left[k]
-        aside = (offset * left).sum(axis=1)
-        beside = np.linalg.norm(offset - aside[:, None] * left, axis=1)
-        step = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
-        parallel = np.abs((step * left).sum(axis=1)) < np.sin(_SAME_TURN_RAD)
-        better = (np.abs(aside) < best[k]) & (beside < _BESIDE_M) & parallel
-        k, s_m = k[better], s_m[better]
-        best[k], sigma[k] = np.abs(aside[better]), piece.sigma_m
-        places[k] = np.column_stack([np.interp(s_m, piece.now_m, axis) for axis in piece.placed.T])
-    seen = np.flatnonzero(best < gate_m)
-    return seen, places[seen], sigma[seen]
+        return [xy[a:b] for a, b in runs_of(~covered) if (b - a - 1) * STATION_M >= LEAST_LINE_M]
 
 
 def turned_by(along: Float[np.ndarray, "n 2"], angle_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:

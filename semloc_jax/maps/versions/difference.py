@@ -8,8 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.maps.elements import MapElement
 from semloc_jax.maps.versions.records import POINTS, Record, element_of, is_column
-from semloc_jax.maps.versions.state import MapState, state_of
+from semloc_jax.maps.versions.state import MapState, in_canonical_order, state_of
+
+CANONICAL = "canonical"
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class MapDifference:
         modified: changed columns of elements, by id, in the order of the base.
         added: columns of new elements, by id, in the order of the target.
         order: place of each element of the target in the order that comes by itself: those of the base, then the added
-            ones; None where it is that order.
+            ones; None where it is that order, `CANONICAL` where it is that of `in_canonical_order`.
         note: what made the step, for people.
     """
 
@@ -36,7 +39,7 @@ class MapDifference:
     removed: tuple[str, ...]
     modified: dict[str, Record]
     added: dict[str, Record]
-    order: tuple[int, ...] | None = None
+    order: tuple[int, ...] | str | None = None
     note: str = ""
 
     @property
@@ -66,6 +69,8 @@ def difference(base: MapState, target: MapState, note: str = "") -> MapDifferenc
     natural = [*(name for name in old if name in new), *added]
     place = {name: k for k, name in enumerate(natural)}
     order = None if natural == list(new) else tuple(place[name] for name in new)
+    if order is not None and list(new) == [e.id for e in in_canonical_order(target.map.elements)]:
+        order = CANONICAL
     return MapDifference(
         base.digest, base.version, target.digest, target.members, removed, modified, added, order, note
     )
@@ -92,9 +97,7 @@ def applied(base: MapState, step: MapDifference) -> MapState:
         elements[name] = element_of(name, {key: v for key, v in record.items() if is_column(key, record)})
     for name, record in step.added.items():
         elements[name] = element_of(name, record)
-    natural = [*names, *step.added]
-    chosen = natural if step.order is None else _ordered(natural, step.order)
-    found = state_of((elements[name] for name in chosen), step.members)
+    found = state_of(_ordered([elements[name] for name in (*names, *step.added)], step.order), step.members)
     if found.digest != step.target:
         raise SemlocError(
             f"difference to version {step.version}: leads to {found.digest[:12]} and promises {step.target[:12]}; get "
@@ -112,7 +115,11 @@ def _same(one: Any, other: Any) -> bool:
     return type(one) is type(other) and repr(one) == repr(other)
 
 
-def _ordered(names: Sequence[str], order: Sequence[int]) -> list[str]:
-    if sorted(order) != list(range(len(names))):
+def _ordered(elements: Sequence[MapElement], order: Sequence[int] | str | None) -> Sequence[MapElement]:
+    if order is None:
+        return elements
+    if isinstance(order, str):
+        return in_canonical_order(elements)
+    if sorted(order) != list(range(len(elements))):
         raise SemlocError("difference: its order names elements twice or not at all; get it anew")
-    return [names[k] for k in order]
+    return [elements[k] for k in order]

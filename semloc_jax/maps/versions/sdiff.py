@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps.versions.difference import MapDifference
+from semloc_jax.maps.versions.difference import CANONICAL, MapDifference
 from semloc_jax.maps.versions.records import POINTS, Record, json_bytes
 from semloc_jax.maps.versions.state import MapState
 from semloc_jax.storage import reading, write_bytes
@@ -37,7 +37,7 @@ def sdiff_bytes(step: MapDifference, base: MapState) -> bytes:
         step.base_version,
         step.target,
         step.members,
-        None if step.order is None else _steps(step.order),
+        step.order if step.order is None or isinstance(step.order, str) else _steps(step.order),
         step.note,
         _steps([row[name] for name in step.removed]),
         _table({row[name]: columns for name, columns in modified.items()}),
@@ -118,7 +118,7 @@ class SdiffFile:
                 tuple(names[k] for k in accumulate(removed)),
                 {names[k]: _upon(columns, base.records[names[k]]) for k, columns in _rows(modified).items()},
                 dict(zip(map(str, ids), _rows(added).values(), strict=True)),
-                None if order is None else tuple(accumulate(order)),
+                order if order in (None, CANONICAL) else tuple(accumulate(order)),
                 self.note,
             )
 

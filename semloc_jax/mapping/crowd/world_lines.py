@@ -1,0 +1,151 @@
+"""Lines that any drive has seen, and where a drive saw them (room: mapping; host).
+
+In: lines of drives as places a metre apart. Out: WorldLine; which stations of it a drive saw, and where.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import cKDTree
+
+from semloc_jax.geometry import polyline
+from semloc_jax.mapping.crowd.stations import STATION_M
+from semloc_jax.maps import MapElement
+
+SAME_TURN_RAD = 0.35
+"""What is turned by more is another line, or another thing."""
+_BESIDE_M = 0.3
+_TANGENT_M = 0.25
+_STRAIGHT_STATIONS = 4.0
+_BEYOND = 12
+
+
+@dataclass
+class WorldLine:
+    """A line: places on a reference, and how far to its left the line runs there.
+
+    Attributes:
+        kind: as `map_shapes` names it.
+        source: place of the drive among all, and the element that it was born of.
+        reference: `float64[k 2]` [m].
+        rough: `float64[k 2]` how far the reference is off a smooth line [m].
+        left: unit `float64[k 2]`.
+        offset_m: `float64[k]`.
+    """
+
+    kind: str
+    source: tuple[int, MapElement]
+    reference: Float[np.ndarray, "k 2"]
+    rough: Float[np.ndarray, "k 2"]
+    left: Float[np.ndarray, "k 2"]
+    offset_m: Float[np.ndarray, " k"]
+
+    @classmethod
+    def along(cls, kind: str, source: tuple[int, MapElement], xy: Float[np.ndarray, "k 2"]) -> "WorldLine":
+        """A line through places a metre apart."""
+        # Their left is that of the road, not of every wobble: what is smooth must stay so when all of it moves.
+        step = gaussian_filter1d(np.gradient(xy, axis=0), _STRAIGHT_STATIONS, axis=0, mode="nearest")
+        step /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
+        ahead, behind = 2.0 * xy[:1] - xy[_BEYOND:0:-1], 2.0 * xy[-1:] - xy[-2 : -2 - _BEYOND : -1]
+        longer = gaussian_filter1d(np.vstack([ahead, xy, behind]), _STRAIGHT_STATIONS, axis=0, mode="nearest")
+        smooth = longer[len(ahead) : len(ahead) + len(xy)]
+        return cls(kind, source, xy, xy - smooth, np.stack([-step[:, 1], step[:, 0]], axis=1), np.zeros(len(xy)))
+
+    @property
+    def xy(self) -> Float[np.ndarray, "k 2"]:
+        """Where the line runs [m]."""
+        return self.reference + self.offset_m[:, None] * self.left
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A line that a drive saw.
+
+    Attributes:
+        placed: `float64[k 3]` places about a metre apart where the drive places it [m].
+        now: `float64[k 2]` the same places where they are in the map by now.
+        now_m: `float64[k]` arc length of each along `now`.
+        sigma_m: of the line, across.
+        tree: of `now`.
+    """
+
+    placed: Float[np.ndarray, "k 3"]
+    now: Float[np.ndarray, "k 2"]
+    now_m: Float[np.ndarray, " k"]
+    sigma_m: float
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, placed: np.ndarray, now: np.ndarray, sigma_m: float) -> "Piece":
+        """The piece through these places."""
+        return cls(placed, now, polyline.arc_length(now), sigma_m, cKDTree(now))
+
+    def at(self, s_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+        """Places of the line by arc length, before its start and past its end those of the ends [m]."""
+        return np.column_stack([np.interp(s_m, self.now_m, axis) for axis in self.now.T])
+
+    def feet(self, xy: Float[np.ndarray, "n 2"], reach_m: float) -> tuple[np.ndarray, np.ndarray]:
+        """Which points lie within reach of the line, and the arc length of the place of it nearest to each [m]."""
+        vertex_m, vertex = self.tree.query(xy, distance_upper_bound=reach_m + STATION_M)
+        rows = np.flatnonzero(np.isfinite(vertex_m))
+        if not len(rows):
+            return rows, np.zeros(0)
+        best_m, s_m = np.full(len(rows), np.inf), np.zeros(len(rows))
+        for first in (vertex[rows] - 1, vertex[rows]):
+            k = np.clip(first, 0, len(self.now) - 2)
+            step, length_m = self.now[k + 1] - self.now[k], self.now_m[k + 1] - self.now_m[k]
+            offset = xy[rows] - self.now[k]
+            share = np.clip((offset * step).sum(axis=1) / np.maximum(length_m, 1e-9) ** 2, 0.0, 1.0)
+            apart_m = np.linalg.norm(offset - share[:, None] * step, axis=1)
+            s_m = np.where(apart_m < best_m, self.now_m[k] + share * length_m, s_m)
+            best_m = np.minimum(best_m, apart_m)
+        near = best_m <= reach_m
+        return rows[near], s_m[near]
+
+
+class LineSights(NamedTuple):
+    """Where a drive saw lines of one kind."""
+
+    line: Int[np.ndarray, " k"]
+    """Which of the lines."""
+    station: Int[np.ndarray, " k"]
+    """Stations of these."""
+    places: Float[np.ndarray, "k 3"]
+    """What it saw there as it placed it itself [m]."""
+    sigma_m: Float[np.ndarray, " k"]
+
+
+def line_sights(lines: Sequence[WorldLine], pieces: Sequence[Piece], gate_m: float) -> LineSights:
+    """Where a drive saw lines.
+
+    Args:
+        lines: of one kind.
+        pieces: lines of that kind that the drive saw.
+        gate_m: none is farther aside than this.
+    """
+    xy, left = (
+        np.concatenate([np.zeros((0, 2)), *parts]) for parts in zip(*((s.xy, s.left) for s in lines), strict=True)
+    )
+    line = np.repeat(np.arange(len(lines)), [len(s.reference) for s in lines])
+    station = np.concatenate([np.arange(len(s.reference)) for s in lines])
+    best, sigma, places = np.full(len(xy), gate_m), np.zeros(len(xy)), np.zeros((len(xy), 3))
+    for piece in pieces:
+        k, s_m = piece.feet(xy, float(np.hypot(gate_m, _BESIDE_M)))
+        if not len(k):
+            continue
+        near, ahead, behind = (piece.at(s_m + d) for d in (0.0, _TANGENT_M, -_TANGENT_M))
+        offset = near - xy[k]
+        aside = (offset * left[k]).sum(axis=1)
+        beside = np.linalg.norm(offset - aside[:, None] * left[k], axis=1)
+        step = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
+        parallel = np.abs((step * left[k]).sum(axis=1)) < np.sin(SAME_TURN_RAD)
+        better = (np.abs(aside) < best[k]) & (beside < _BESIDE_M) & parallel
+        k, s_m = k[better], s_m[better]
+        best[k], sigma[k] = np.abs(aside[better]), piece.sigma_m
+        places[k] = np.column_stack([np.interp(s_m, piece.now_m, axis) for axis in piece.placed.T])
+    seen = best < gate_m
+    return LineSights(line[seen], station[seen], places[seen], sigma[seen])
