@@ -26,7 +26,8 @@ from semloc_jax.fusion.prediction import MotionIncrement, VelocitySample
 from semloc_jax.geometry import rigid
 
 _POSE, _VELOCITY, _BIAS, _SCALE, _OFFSET = slice(0, 6), slice(6, 9), slice(9, 15), 15, slice(16, 18)
-_NUM = 18
+_MOUNT = slice(18, 21)
+_NUM = 21
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class InertialBeliefs:
     scale_walk: float = 3e-3
     """Change of that scale [per root of s]: what cameras and inertial sensor know of it changes as the view does; that
     of wheels changes less."""
+    mount_sigma_deg: float = 0.3
+    """Of the axes of the inertial sensor against those of the vehicle that the cameras show: tolerance of a mount."""
     gate_probability: float = 0.999
     """A measurement beyond this quantile of the chi-square distribution is refused."""
 
@@ -64,7 +67,8 @@ class InertialBeliefs:
 
 
 class InertialFusionState(NamedTuple):
-    """State of `InertialFusion`; the error is (right tangent of the pose, velocity, biases, scale, GNSS offset)."""
+    """State of `InertialFusion`; the error is (right tangent of the pose, velocity, biases, scale, GNSS offset,
+    turn of the sensor against the base)."""
 
     time_s: Float[np.ndarray, ""]
     T_map_base: Float[np.ndarray, "4 4"]
@@ -74,11 +78,14 @@ class InertialFusionState(NamedTuple):
     odometer_scale: Float[np.ndarray, ""]
     """True speed over that of wheels or cameras."""
     gnss_offset_m: Float[np.ndarray, "2"]
-    covariance: Float[np.ndarray, "18 18"]
+    R_base_imu: Float[np.ndarray, "3 3"]
+    """What is left of the mount."""
+    covariance: Float[np.ndarray, "21 21"]
 
 
 class InertialFusion:
-    """Error-state Kalman filter on SE(3) with velocity, biases, a scale of the odometer and GNSS-to-map offset."""
+    """Error-state Kalman filter on SE(3) with velocity, biases, a scale of the odometer, GNSS-to-map offset and the
+    mount of the inertial sensor."""
 
     def __init__(self, beliefs: InertialBeliefs | None = None) -> None:
         """A filter with the given beliefs."""
@@ -95,8 +102,9 @@ class InertialFusion:
         covariance[_BIAS, _BIAS] = np.diag(beliefs.bias_sigma**2)
         covariance[_SCALE, _SCALE] = beliefs.scale_sigma**2
         covariance[_OFFSET, _OFFSET] = beliefs.sensors.gnss_offset_sigma_m**2 * np.eye(2)
+        covariance[_MOUNT, _MOUNT] = np.deg2rad(beliefs.mount_sigma_deg) ** 2 * np.eye(3)
         time_s, one = np.float64(measurement.time_s), np.float64(1.0)
-        return InertialFusionState(time_s, T, np.zeros(3), np.zeros(6), one, np.zeros(2), covariance)
+        return InertialFusionState(time_s, T, np.zeros(3), np.zeros(6), one, np.zeros(2), np.eye(3), covariance)
 
     def predict(self, state: InertialFusionState, increment: MotionIncrement) -> InertialFusionState:
         """State after the motion, with the velocity that wheels or cameras measured at its end.
@@ -151,7 +159,7 @@ class InertialFusion:
 
     def _moving(self, state: InertialFusionState) -> Moving:
         covariance = state.covariance[_VELOCITY, _VELOCITY]
-        return Moving(state.T_map_base[:3, :3], state.velocity_map, state.bias, covariance)
+        return Moving(state.T_map_base[:3, :3], state.velocity_map, state.bias, covariance, state.R_base_imu)
 
     def _coasted(self, state: InertialFusionState, step_s: float) -> InertialFusionState:
         """The velocity goes on while nothing is measured."""
@@ -194,6 +202,7 @@ class InertialFusion:
             bias=state.bias + step[_BIAS],
             odometer_scale=state.odometer_scale + step[_SCALE],
             gnss_offset_m=state.gnss_offset_m + step[_OFFSET],
+            R_base_imu=rigid.exp(np.concatenate([np.zeros(3), step[_MOUNT]]))[:3, :3] @ state.R_base_imu,
             covariance=_symmetric(rest @ P @ rest.T + gain @ R @ gain.T),
         )
         return corrected, Innovation(square, dof, True)
@@ -213,7 +222,7 @@ def _moved(
 
 def error_transition(
     motion: InertialMotion, moving: Moving
-) -> tuple[Float[np.ndarray, "18 18"], Float[np.ndarray, "18 9"]]:
+) -> tuple[Float[np.ndarray, "21 21"], Float[np.ndarray, "21 9"]]:
     """Derivatives of the error after an inertial motion by the error before, and by the error of the motion."""
     R, dt = moving.R_map_base, motion.duration_s
     back = motion.rotation.T
@@ -226,6 +235,7 @@ def error_transition(
     F[:3, _VELOCITY] = dt * back @ R.T
     F[_VELOCITY, 3:6] = -R @ rigid.skew(motion.velocity)
     F[:, _BIAS] += G @ motion.by_bias
+    F[:, _MOUNT] += G @ motion.by_mount
     return F, G
 
 

@@ -27,6 +27,8 @@ class Moving(NamedTuple):
     bias: Float[np.ndarray, "6"]
     """Of gyroscope [rad/s] and accelerometer [m/s^2]."""
     velocity_covariance: Float[np.ndarray, "3 3"]
+    R_base_imu: Float[np.ndarray, "3 3"] = np.eye(3)
+    """What is left of the mount of the sensor: its samples are given in the axes of the base already."""
 
 
 class InertialMotion(NamedTuple):
@@ -39,6 +41,17 @@ class InertialMotion(NamedTuple):
     duration_s: float
     covariance: Float[np.ndarray, "9 9"]
     by_bias: Float[np.ndarray, "9 6"]
+
+    def turned(self, R_base_imu: Float[np.ndarray, "3 3"]) -> "InertialMotion":
+        """The motion of a base to which the sensor is turned: what is integrated turns with the samples."""
+        R = R_base_imu
+        return self._replace(rotation=R @ self.rotation @ R.T, position=R @ self.position, velocity=R @ self.velocity)
+
+    @property
+    def by_mount(self) -> Float[np.ndarray, "9 3"]:
+        """Derivative by a small turn of the sensor against the base [rad]."""
+        turn = self.rotation.T - np.eye(3)
+        return np.concatenate([turn, -rigid.skew(self.position), -rigid.skew(self.velocity)])
 
     def after(self, moving: Moving) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"]]:
         """T_from_to and the velocity at the end in the map."""

@@ -310,7 +310,8 @@ class MotionLog:
         if age_s.any() or not rows[:, 3:].any():
             return None
         noise = InertialNoise(self.noise.inertial_gyro_density, self.noise.inertial_accel_density)
-        return inertial_motion(steps_of(knots_s, rows[:, :3], rows[:, 3:]), moving.bias, noise)
+        steps = steps_of(knots_s, rows[:, :3], rows[:, 3:])
+        return inertial_motion(steps, moving.bias, noise).turned(moving.R_base_imu)
 
     def _velocity_at(self, from_s: float, to_s: float, calibration: Calibration) -> VelocitySample | None:
         """The velocity that was measured at the end of a stretch of time, each one for one stretch only."""

@@ -101,8 +101,9 @@ def with_seen_speed(drive: Drive, masks: MaskSource, with_wheels: bool) -> Drive
     """
     cameras = with_images(drive, masks.cameras) or tuple(masks.cameras)
     seen = seen_motion(drive, cameras, masks, with_wheels)
-    if len(seen.frames) < 2:
-        raise SemlocError(f"drive {drive.name}: cameras and inertial sensor gave no start: {seen.reason}")
+    if not seen.frames:
+        lacks = "" if drive.odometry is not None else "has no wheel odometry, and "
+        raise SemlocError(f"drive {drive.name}: {lacks}cameras and inertial sensor gave no start: {seen.reason}")
     time_s = np.array([frame.time_s for frame in seen.frames])
     speed = np.array([velocity_of(frame).velocity_base[0] for frame in seen.frames])
     bias = np.array([frame.bias[2] for frame in seen.frames])
