@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.inertial_motion import Moving
-from semloc_jax.fusion.prediction import Calibration, MotionIncrement, MotionNoise
+from semloc_jax.fusion.motion_noise import MotionNoise
+from semloc_jax.fusion.prediction import Calibration, MotionIncrement
 from semloc_jax.geometry import rigid
 
 State = TypeVar("State")
