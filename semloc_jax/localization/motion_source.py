@@ -69,7 +69,7 @@ def motion_log(drive: Drive, motion: Motion, masks: MaskSource) -> MotionLog:
         motion: See `resolved`.
         masks: No corner is taken where they show traffic, sky or the vehicle; their cameras are followed.
     """
-    log = MotionLog.of_drive(drive)
+    log = MotionLog.of_drive(replace(drive, odometry=None) if motion == "vio" else drive)
     if motion == "wheels":
         said = "wheels" + (" and inertial sensor" if drive.imu is not None else "")
         _LOG.info("motion: %s", said if drive.odometry is not None else "nothing measures it: no wheels, no forces")

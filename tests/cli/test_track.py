@@ -147,7 +147,7 @@ def test_every_fusion_on_the_same_features(drive_dir, tmp_path):
     assert main(words) == OK
     with (tmp_path / "fusions.csv").open() as file:
         rows = {row["fusion"]: row for row in csv.DictReader(file)}
-    assert set(rows) == {"window", "dropping", "kalman", "single"}
+    assert set(rows) == {"window", "dropping", "kalman", "inertial", "single"}
     assert all(float(row["lateral_mean_m"]) < 0.03 and int(row["false"]) == 0 for row in rows.values())
 
 
