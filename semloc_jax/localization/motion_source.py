@@ -79,7 +79,10 @@ def motion_log(drive: Drive, motion: Motion, masks: MaskSource) -> MotionLog:
     if not cameras:
         _LOG.info("motion: %sinertial sensor; no images of %s", wheels, ", ".join(masks.cameras))
         return log
-    seen = seen_motion(drive, cameras, masks, motion == "both")
+    try:
+        seen = seen_motion(drive, cameras, masks, motion == "both")
+    except SemlocError as error:  # a gap of the inertial sensor: between the others it helps all the same
+        seen = SeenMotion((), 0, str(error))
     for frame in seen.frames[max(seen.num_start - 1, 0) :]:
         if frame.num_followed >= _LEAST_CORNERS:
             log.add_velocity(frame.time_s, velocity_of(frame))
