@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.errors import SemlocError
-from semloc_jax.fusion.prediction import MotionNoise
+from semloc_jax.fusion.motion_noise import MotionNoise
 
 Intrinsics = Literal["none", "focal", "all"]
 """What of the lenses is unknown: nothing; focal lengths and centre; distortion too."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Options:
-    """Make a map of a drive from its masks, wheels and gyroscope, with a sigma and an existence for every element.
+    """Make a map of a drive from its masks and its motion, with a sigma and an existence for every element.
 
     It holds paint, poles, signs and traffic lights. Writes map.gpkg and map.geojson (open with every verb),
     trajectory.tum (T_map_base of every frame), loops.csv (places that the drive came to again), elements.csv,
@@ -38,6 +38,9 @@ class Options:
     """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
     cameras: str | None = None
     """Names of cameras, separated by commas: front,left; default: all."""
+    motion: Literal["auto", "wheels", "vio", "both"] = "auto"
+    """What gives the way of the drive. vio: cameras and inertial sensor; both: wheels as well; auto: wheels where they
+    are, else vio."""
     frames: str = ":"
     """Which frames look at the road, as a Python slice: ::2, 100:200; the way is that of the whole drive."""
     start: str | None = None
@@ -83,6 +86,7 @@ def run(options: Options) -> int:
     from semloc_jax.errors import SemlocError, UsageError
     from semloc_jax.inputs.choices import parse_names, parse_slice
     from semloc_jax.inputs.mask_source import CLASSICAL, TOP_VIEW, mask_source
+    from semloc_jax.localization.motion_source import resolved, with_seen_speed
     from semloc_jax.reports.mapping import is_made, report_map
 
     log_to_console()
@@ -99,6 +103,9 @@ def run(options: Options) -> int:
     frames = drive.frames[chosen]
     if not frames:
         raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames {options.frames}")
+    motion = resolved(drive, options.motion)
+    if motion != "wheels":
+        drive = with_seen_speed(drive, masks, motion == "both")
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(Options)}
     kept = {k: v for k, v in given.items() if k not in NOT_KEPT and v is not None and v is not False}
     kept |= {"masks": masks.name, "cameras": ",".join(masks.cameras)}

@@ -9,11 +9,12 @@ from semloc_jax.cli.main import LOST, OK, log_to_console
 from semloc_jax.inputs.choices import parse_slice
 
 if TYPE_CHECKING:
+    from semloc_jax.inputs.drive_inputs import Inputs
     from semloc_jax.localization.acquisition import Area
     from semloc_jax.localization.track_config import TrackConfig
     from semloc_jax.reports.track import TrackPlan
 
-ALL = "all"
+ALL, INERTIAL = "all", "inertial"
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,13 @@ class Options(DriveOptions):
 
     frames: str = ":"
     """Which frames, as a Python slice: ::2, 10:60."""
-    fusion: Literal["window", "dropping", "kalman", "single", "all"] = "window"
-    """How poses are fused over time: sliding-window graph, one that drops its oldest state, Kalman filter, none (each
-    frame alone); or all of them on the same features, for fusions.csv and fusions.md."""
+    motion: Literal["auto", "wheels", "vio", "both"] = "auto"
+    """What says how the vehicle moved between frames. vio: the inertial sensor, with cameras where the drive has
+    images; both: wheels as well; auto: wheels where they are, else vio. The console says which."""
+    fusion: Literal["window", "dropping", "kalman", "inertial", "single", "all"] | None = None
+    """How poses are fused over time: sliding-window graph, one that drops its oldest state, Kalman filter, Kalman
+    filter with velocity and biases of the inertial sensor, none (each frame alone); or all of them on the same
+    features, for fusions.csv and fusions.md. Default: inertial with --motion vio and both, else window."""
     area: str | None = None
     """X,Y,RADIUS in the map: where to search when neither fixes nor a prior are given."""
     no_gnss_after_init: bool = False
@@ -73,7 +78,7 @@ def run(options: Options) -> int:
     log_to_console()
     chosen, area = parse_slice(options.frames), _area(options.area)
     inputs = track.open_tracked(options, area is not None)
-    plan, kept = _plan(options, area), options.kept(inputs)
+    plan, kept = _plan(options, area, inputs), options.kept(inputs)
     if options.fault is not None and is_suite(options.fault):
         found = track.report_faults(inputs, plan, options.fault, chosen, options.out, options.resume, kept)
         return _print_table(found)
@@ -89,13 +94,23 @@ def run(options: Options) -> int:
     return LOST if report.is_lost or report.tracking_share < options.min_tracking_share else OK
 
 
-def _plan(options: Options, area: "Area | None") -> "TrackPlan":
+def _plan(options: Options, area: "Area | None", inputs: "Inputs") -> "TrackPlan":
+    from semloc_jax.errors import UsageError
+    from semloc_jax.localization.motion_source import resolved
     from semloc_jax.reports.track import TrackPlan
 
-    # A table of faults is made with one fusion, the window.
+    motion = resolved(inputs.drive, options.motion)
+    by_speed = motion == "wheels"
+    if not by_speed and options.fusion not in (None, INERTIAL):
+        raise UsageError(
+            f"--fusion {options.fusion} with --motion {motion}: it knows no velocity; use --fusion {INERTIAL}"
+        )
+    # A table of faults is made with one fusion.
+    chosen = None if options.fusion == ALL else options.fusion
     return TrackPlan(
         options.settings,
-        "window" if options.fusion == ALL else options.fusion,
+        chosen or ("window" if by_speed else INERTIAL),
+        motion,
         area,
         has_guess=options.prior not in (None, "gnss"),
         gnss_after_init=not options.no_gnss_after_init,

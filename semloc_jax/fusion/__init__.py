@@ -11,6 +11,7 @@ __getattr__, __dir__, __all__ = door(
             "GnssMeasurement",
             "SingleFrameFusion",
         ),
+        "inertial_fusion": ("InertialFusion",),
         "kalman": ("KalmanFusion",),
         "window": (
             "SlidingWindow",

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.fusion.inertial_motion import Moving
 from semloc_jax.fusion.prediction import Calibration, MotionIncrement, MotionLog
 from semloc_jax.geometry import rigid
 
@@ -54,30 +55,46 @@ class CameraTimeLog:
         """Take a log and what its clock is off by."""
         self.log, self.clock = log, clock
 
-    def increment(self, from_s: float, to_s: float, calibration: Calibration | None = None) -> MotionIncrement:
-        """The motion between two times of the cameras; what the clock may be off by is in its covariance."""
-        found = self._plain(from_s, to_s, calibration, float(self.clock.offset_s))
-        slope = self._slope(found.T_from_to, from_s, to_s, calibration)
+    def increment(
+        self, from_s: float, to_s: float, calibration: Calibration | None = None, moving: Moving | None = None
+    ) -> MotionIncrement:
+        """The motion between two times of the cameras; what the clock may be off by is in its covariance.
+
+        `moving`: see `MotionLog.increment`.
+        """
+        found = self._plain(from_s, to_s, calibration, moving)
+        slope = self._slope(found, calibration, moving)
         return found._replace(covariance=found.covariance + float(self.clock.variance_s2) * np.outer(slope, slope))
 
     def way_m(self, from_s: float, to_s: float) -> float:
         """About how far the vehicle drove between two times of the cameras [m]."""
         return self.log.way_m(from_s + float(self.clock.offset_s), to_s + float(self.clock.offset_s))
 
-    def slope(self, from_s: float, to_s: float, calibration: Calibration | None = None) -> Float[np.ndarray, "6"]:
+    def slope(
+        self, from_s: float, to_s: float, calibration: Calibration | None = None, moving: Moving | None = None
+    ) -> Float[np.ndarray, "6"]:
         """Derivative of the motion between two times by the offset of the clock: right tangent [m/s, rad/s].
 
         Zero where the vehicle moves evenly.
         """
-        T = self._plain(from_s, to_s, calibration, float(self.clock.offset_s)).T_from_to
-        return self._slope(T, from_s, to_s, calibration)
+        return self._slope(self._plain(from_s, to_s, calibration, moving), calibration, moving)
 
-    def _slope(self, T_from_to: np.ndarray, from_s: float, to_s: float, calibration: Calibration | None) -> np.ndarray:
-        begin, end = (self.log.twist(t + float(self.clock.offset_s), _HALF_S, calibration) for t in (from_s, to_s))
-        return end - rigid.adjoint(rigid.inverse(T_from_to)) @ begin
+    def _slope(
+        self, found: MotionIncrement, calibration: Calibration | None, moving: Moving | None
+    ) -> Float[np.ndarray, "6"]:
+        times_s = np.array([found.from_s, found.to_s]) + float(self.clock.offset_s)
+        begin, end = (self.log.twist(float(t), _HALF_S, calibration) for t in times_s)
+        if found.inertial is not None:
+            _, after = found.inertial.after(moving)
+            begin[:3] = moving.R_map_base.T @ moving.velocity_map
+            end[:3] = (moving.R_map_base @ found.T_from_to[:3, :3]).T @ after
+        return end - rigid.adjoint(rigid.inverse(found.T_from_to)) @ begin
 
-    def _plain(self, from_s: float, to_s: float, calibration: Calibration | None, offset_s: float) -> MotionIncrement:
-        found = self.log.increment(from_s + offset_s, to_s + offset_s, calibration)
+    def _plain(
+        self, from_s: float, to_s: float, calibration: Calibration | None, moving: Moving | None
+    ) -> MotionIncrement:
+        offset_s = float(self.clock.offset_s)
+        found = self.log.increment(from_s + offset_s, to_s + offset_s, calibration, moving)
         return found._replace(from_s=from_s, to_s=to_s)
 
 

@@ -45,12 +45,19 @@ def steps_between(imu: Imu, from_s: float, to_s: float, capacity: int) -> Steps:
         raise SemlocError(f"imu: {len(knots) - 1} samples between two images; expected at most {capacity}")
     gyro = np.stack([np.interp(knots, imu.time_s, column) for column in imu.gyro_radps.T], axis=1)
     force = np.stack([np.interp(knots, imu.time_s, column) for column in imu.accel_mps2.T], axis=1)
-    step_s = np.diff(knots)
-    rate = 0.5 * (gyro[1:] + gyro[:-1])
+    steps = steps_of(knots, gyro, force)
+    pad = capacity - len(steps.step_s)
+    return Steps(*(np.pad(rows, ((0, pad), *((0, 0),) * (rows.ndim - 1))) for rows in steps))
+
+
+def steps_of(
+    knots_s: Float[np.ndarray, " k"], gyro_radps: Float[np.ndarray, "k 3"], accel_mps2: Float[np.ndarray, "k 3"]
+) -> Steps:
+    """The steps between neighbouring times, with the rates and forces at these times."""
+    step_s = np.diff(knots_s)
+    rate = 0.5 * (gyro_radps[1:] + gyro_radps[:-1])
     turn = rigid.exp(np.concatenate([np.zeros_like(rate), rate * step_s[:, None]], axis=1))[:, :3, :3]
-    mean = 0.5 * (force[:-1] + np.einsum("nij,nj->ni", turn, force[1:]))
-    pad = capacity - len(step_s)
-    return Steps(np.pad(rate, ((0, pad), (0, 0))), np.pad(mean, ((0, pad), (0, 0))), np.pad(step_s, (0, pad)))
+    return Steps(rate, 0.5 * (accel_mps2[:-1] + np.einsum("nij,nj->ni", turn, accel_mps2[1:])), step_s)
 
 
 def capacity_for(imu: Imu, time_s: Float[np.ndarray, " n"]) -> int:

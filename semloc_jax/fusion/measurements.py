@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.fusion.prediction import Calibration, MotionIncrement, MotionNoise
+from semloc_jax.fusion.inertial_motion import Moving
+from semloc_jax.fusion.motion_noise import MotionNoise
+from semloc_jax.fusion.prediction import Calibration, MotionIncrement
 from semloc_jax.geometry import rigid
 from semloc_jax.solvers.factors import Factors
 
@@ -56,6 +58,8 @@ class FusedPose(NamedTuple):
     """Direction of travel against base x, positive to the left."""
     travel_sigma_rad: float = 0.0
     """Its standard deviation; 0 where it is not estimated."""
+    moving: Moving | None = None
+    """Velocity and biases, by a fusion that estimates them: its next increment begins with them."""
 
     @property
     def calibration(self) -> Calibration:

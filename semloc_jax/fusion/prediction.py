@@ -4,7 +4,6 @@ In: time-stamped samples in any order, with gaps. Out: MotionIncrement: motion, 
 """
 
 import enum
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +11,12 @@ from jaxtyping import Float
 
 from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.inertial_motion import InertialMotion, Moving, inertial_motion
+from semloc_jax.fusion.inertial_samples import steps_of
+from semloc_jax.fusion.motion_noise import MotionNoise
 from semloc_jax.fusion.sample_stream import SampleStream
 from semloc_jax.geometry import rigid
+from semloc_jax.residuals.preintegration import InertialNoise
 
 
 class MotionQuality(enum.StrEnum):
@@ -37,6 +40,15 @@ class Calibration(NamedTuple):
     is never mounted exactly along the way the rear axle rolls."""
 
 
+class VelocitySample(NamedTuple):
+    """Velocity of the base in its own axes by wheels or cameras, which share one error of scale."""
+
+    velocity_base: Float[np.ndarray, "3"]
+    """[m/s]."""
+    sigma: Float[np.ndarray, "3"]
+    """Its standard deviation beside the scale."""
+
+
 class MotionIncrement(NamedTuple):
     """Motion of the vehicle between two times: T_map_base(to) = T_map_base(from) T_from_to exp(jacobian d + noise)."""
 
@@ -50,44 +62,15 @@ class MotionIncrement(NamedTuple):
     quality: MotionQuality
     calibration: Calibration = Calibration()
     """What was taken for it: where `jacobian` holds."""
+    inertial: InertialMotion | None = None
+    """What the inertial sensor says, where the motion was asked for with what it begins with."""
+    velocity: VelocitySample | None = None
+    """At the end, where wheels or cameras measured it."""
 
     def corrected(self, calibration: Calibration) -> Float[np.ndarray, "4 4"]:
         """T_from_to for another calibration, to first order."""
         change = np.subtract(calibration, self.calibration)
         return self.T_from_to @ rigid.exp(self.jacobian @ change)
-
-
-@dataclass(frozen=True)
-class MotionNoise:
-    """Errors of wheels and inertial sensor beside scale and bias; all values are ours, of a production car.
-
-    Shares act on the distance and are the same over `slip_length_m`; densities grow with the root of the time.
-    """
-
-    speed_density_mps: float = 0.01
-    """White noise of the speed [m/s per root of the rate in Hz]."""
-    slip_share: float = 0.003
-    side_slip_share: float = 0.003
-    side_slip_per_mps2: float = 0.003
-    """Further side slip as a share of the distance for each m/s^2 of lateral acceleration."""
-    heave_share: float = 0.01
-    slip_length_m: float = 5.0
-    gyro_density_degps: float = 0.02
-    gyro_turn_share: float = 0.005
-    """Scale error of the gyroscope as a share of the turn."""
-    tilt_density_degps: float = 0.2
-    """Roll and pitch with a gyroscope: its biases about x and y are not estimated."""
-    wheel_yaw_density_degps: float = 0.15
-    wheel_turn_share: float = 0.02
-    tilt_without_gyro_degps: float = 1.0
-    inertial_acceleration_mps2: float = 0.3
-    """Error of the acceleration that the inertial sensor gives while the wheels are silent: slope and pitch change."""
-    unknown_acceleration_mps2: float = 2.0
-    """What a vehicle may do while its speed is not measured."""
-    unknown_yaw_acceleration_degps2: float = 8.0
-    """What a vehicle may do while its yaw rate is not measured."""
-    unknown_speed_mps: float = 15.0
-    unknown_yaw_rate_degps: float = 15.0
 
 
 def coasted(
@@ -112,6 +95,8 @@ def coasted(
     return increment._replace(T_from_to=T_from_to, covariance=covariance, jacobian=np.zeros((6, 3)))
 
 
+_SAME_IMAGE_S = 0.02
+"""A velocity by cameras belongs to an image time of the motion clock, which may be off by so much; our choice."""
 _LEVEL_S = 2.0
 """Time before a gap of the wheels from which the level of the accelerometer is taken; ours."""
 
@@ -129,7 +114,7 @@ class MotionLog:
     def __init__(self, noise: MotionNoise | None = None, max_gap_s: float = 0.15, max_hold_s: float = 5.0) -> None:
         """An empty log; samples closer than `max_gap_s` [s] are joined by straight lines."""
         self.noise, self.max_gap_s, self.max_hold_s = noise or MotionNoise(), max_gap_s, max_hold_s
-        self._wheels, self._imu = SampleStream(2), SampleStream(6)
+        self._wheels, self._imu, self._velocity = SampleStream(2), SampleStream(6), SampleStream(6)
 
     @classmethod
     def of_drive(cls, drive: Drive, noise: MotionNoise | None = None) -> "MotionLog":
@@ -163,6 +148,14 @@ class MotionLog:
             raise SemlocError(f"wheel speeds: track {track_m} m; expected the distance of the wheels, e.g. 1.6 m")
         self.add_wheels(time_s, 0.5 * (left_mps + right_mps), (right_mps - left_mps) / track_m)
 
+    def add_velocity(self, time_s: float, sample: VelocitySample) -> None:
+        """Take the velocity that cameras measured, in any order; such samples are used in place of wheels.
+
+        Raises:
+            SemlocError: the sample is not finite.
+        """
+        self._velocity.add(time_s, np.concatenate(sample).astype(np.float64), "velocity")
+
     def add_imu(self, time_s: float, gyro_radps: Float[np.ndarray, "3"], accel_mps2: Float[np.ndarray, "3"]) -> None:
         """Take one inertial sample in the base frame, in any order.
 
@@ -174,8 +167,8 @@ class MotionLog:
     def forget(self, before_s: float) -> None:
         """Drop samples older than `before_s` [s], but for the last one before it: a log that runs for hours stays
         small."""
-        self._wheels.forget(before_s)
-        self._imu.forget(before_s)
+        for stream in (self._wheels, self._imu, self._velocity):
+            stream.forget(before_s)
 
     def _inertial_speed(self, time_s: np.ndarray, gap_s: float) -> np.ndarray | None:
         """Change of speed since the last wheel sample, from the accelerometer [m/s]; None without one.
@@ -229,15 +222,26 @@ class MotionLog:
         ahead, left = np.cos(calibration.travel_rad), np.sin(calibration.travel_rad)
         return np.array([speed * ahead, speed * left, 0.0, turn[0], turn[1], turn[2] - calibration.gyro_bias_radps])
 
-    def increment(self, from_s: float, to_s: float, calibration: Calibration | None = None) -> MotionIncrement:
+    def increment(
+        self, from_s: float, to_s: float, calibration: Calibration | None = None, moving: Moving | None = None
+    ) -> MotionIncrement:
         """The motion between two times; `to_s` may lie before `from_s`.
 
         Args:
             from_s: Start [s].
             to_s: End [s].
             calibration: What to take off; None for nothing.
+            moving: How the vehicle moves at `from_s`: the motion is then that of the inertial sensor, where it measured
+                all the way, and wheels or cameras give a velocity at the end.
         """
         calibration = calibration or Calibration()
+        if moving is not None and to_s > from_s:
+            inertial = self._inertial(from_s, to_s, moving)
+            if inertial is not None:
+                T, _ = inertial.after(moving)
+                covariance, none = inertial.covariance_after(moving), np.zeros((6, 3))
+                ok, velocity = MotionQuality.OK, self._velocity_at(from_s, to_s, calibration)
+                return MotionIncrement(T, covariance, from_s, to_s, none, ok, calibration, inertial, velocity)
         if to_s == from_s:
             quality = MotionQuality.OK
             return MotionIncrement(np.eye(4), np.zeros((6, 6)), from_s, to_s, np.zeros((6, 3)), quality, calibration)
@@ -258,6 +262,30 @@ class MotionLog:
         covariance += jacobian[:, 3:] @ jacobian[:, 3:].T
         quality = MotionQuality.EXTRAPOLATED if steps.unmeasured_s > 0.0 else MotionQuality.OK
         return MotionIncrement(T, covariance, from_s, to_s, jacobian[:, :3], quality, calibration)
+
+    def _inertial(self, from_s: float, to_s: float, moving: Moving) -> InertialMotion | None:
+        """What the inertial sensor says of a stretch of time; None where it did not measure all the way."""
+        knots_s = np.array([from_s, *self._imu.between(from_s, to_s), to_s])
+        rows, age_s = self._imu.at(knots_s, self.max_gap_s)
+        if age_s.any() or not rows[:, 3:].any():
+            return None
+        noise = InertialNoise(self.noise.inertial_gyro_density, self.noise.inertial_accel_density)
+        steps = steps_of(knots_s, rows[:, :3], rows[:, 3:])
+        return inertial_motion(steps, moving.bias, noise).turned(moving.R_base_imu)
+
+    def _velocity_at(self, from_s: float, to_s: float, calibration: Calibration) -> VelocitySample | None:
+        """The velocity that was measured at the end of a stretch of time, each one for one stretch only."""
+        if self._velocity.times:
+            inside = self._velocity.between(from_s + _SAME_IMAGE_S, to_s + _SAME_IMAGE_S)
+            if not inside:
+                return None
+            row = self._velocity.at(np.array(inside[-1:]), self.max_gap_s)[0][0]
+            return VelocitySample(row[:3], row[3:])
+        wheels, age_s = self._wheels.at(np.array([to_s]), self.max_gap_s)
+        if age_s[0] > 0.0:
+            return None
+        ahead, left = np.cos(calibration.travel_rad), np.sin(calibration.travel_rad)
+        return VelocitySample(wheels[0, 0] * np.array([ahead, left, 0.0]), np.array(self.noise.wheel_velocity_mps))
 
     def _steps(self, knots_s: np.ndarray, calibration: Calibration) -> "_Steps":
         """Motions of constant speed and rate between neighbouring samples."""

@@ -20,7 +20,7 @@ from semloc_jax.geometry import rigid
 from semloc_jax.localization import health
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.track_state import FrameFeatures, Track
+from semloc_jax.localization.track_state import FrameFeatures, Track, TrackerState
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,25 @@ def _moved(state: Any, fusion: Fusion, motion: CameraTimeLog, to_s: float) -> An
     pose = fusion.pose(state)
     if to_s <= pose.time_s:
         return state
-    return fusion.predict(state, motion.increment(pose.time_s, to_s, pose.calibration))
+    return fusion.predict(state, motion.increment(pose.time_s, to_s, pose.calibration, pose.moving))
+
+
+def way_since(
+    before_s: float, before: FusedPose | None, state: TrackerState, fusion: Fusion, motion: CameraTimeLog
+) -> float:
+    """Way since the frame before [m]: by the wheels, or as the best track was predicted where velocity is estimated.
+
+    Args:
+        before_s: Time of that frame; -inf where there was none.
+        before: Pose of the best track then.
+        state: Predicted to the time of this frame.
+        fusion: Of the tracks.
+        motion: The log.
+    """
+    if before is not None and before.moving is not None:
+        off = fusion.pose(state.tracks[0].fusion).T_map_base - before.T_map_base
+        return float(np.linalg.norm(off[:3, 3]))
+    return motion.way_m(before_s, float(state.time_s)) if np.isfinite(before_s) else 0.0
 
 
 def conflicts_after(

@@ -34,6 +34,7 @@ from semloc_jax.localization.following import (
     new_track,
     seen,
     stance_after,
+    way_since,
     weighed,
 )
 from semloc_jax.localization.frame_alignment import FrameAligner
@@ -165,8 +166,11 @@ class Localizer:
         frame = frame._replace(fixes=tuple(fix for fix in frame.fixes if fix.is_usable))
         timer, before_s = StageTimer(), float(state.time_s)
         motion = CameraTimeLog(self.motion, state.clock)
-        way_m = motion.way_m(before_s, frame.time_s) if np.isfinite(before_s) else 0.0
+        before = self.fusion.pose(state.tracks[0].fusion) if state.tracks else None
+        is_same_image = np.isfinite(before_s) and frame.digest == int(state.digest)
         state = self._predicted(state, frame, motion)
+        way_m = way_since(before_s, before, state, self.fusion, motion)
+        state = state._replace(driven_m=np.float64(state.driven_m + way_m if is_same_image else 0.0))
         timer.lap("predict")
         trust = partial(map_faults.weights, state.trust, self.config.trust)
         if state.driven_m > self.config.health.frozen_m:
@@ -181,7 +185,7 @@ class Localizer:
         state, view = self._fused(state, views, way_m)
         known = (trust, state.stance, np.asarray(state.grain))
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
-            state = self._learned(state, view, motion, before_s, way_m)
+            state = self._learned(state, view, motion, before, way_m)
             fused = self.fusion.pose(state.tracks[0].fusion)
             sums = watch.looked(state.watch, view, fused, frame, self.aligner, known, way_m, self.config.watch)
             state = state._replace(watch=sums)
@@ -194,15 +198,15 @@ class Localizer:
         return self._judged(state, view, frame, timer)
 
     def _learned(
-        self, state: TrackerState, view: FrameReport, motion: CameraTimeLog, before_s: float, way_m: float
+        self, state: TrackerState, view: FrameReport, motion: CameraTimeLog, before: FusedPose, way_m: float
     ) -> TrackerState:
         """The state with what a frame whose pose was taken says of clock and noise."""
-        now_s = float(state.time_s)
-        slope = motion.slope(before_s, now_s)
+        now_s, before_s = float(state.time_s), before.time_s
+        slope = motion.slope(before_s, now_s, moving=before.moving)
         offset = clock.learned(state.clock, slope, view.difference, view.covariance, now_s - before_s, clock.BELIEFS)
         fused, measured = self.fusion.pose(state.tracks[0].fusion), view.found.measurement
         taken_s = max(noise_scale.last_taken_s(state.noise), before_s)
-        step = motion.increment(taken_s, now_s, fused.calibration)
+        step = motion.increment(taken_s, now_s, fused.calibration, before.moving)
         noise = noise_scale.learned(state.noise, measured, fused, step, way_m, noise_scale.BELIEFS)
         return state._replace(noise=noise, clock=offset)
 
@@ -221,9 +225,6 @@ class Localizer:
                 conflicts = conflicts_after(counters.conflicts, fitted, self.config.health)
                 counters = counters._replace(conflicts=conflicts)
         coasting = tuple(carried(c, self.fusion, motion, (), frame.time_s)[0] for c in state.coasting)
-        driven_m = np.float64(0.0)
-        if np.isfinite(state.time_s) and frame.digest == int(state.digest):
-            driven_m = state.driven_m + motion.way_m(float(state.time_s), frame.time_s)
         return state._replace(
             time_s=np.float64(frame.time_s),
             tracks=tuple(tracks),
@@ -231,7 +232,6 @@ class Localizer:
             fixes=fixes,
             counters=counters,
             digest=np.uint32(frame.digest),
-            driven_m=driven_m,
         )
 
     def _fused(

@@ -14,7 +14,8 @@ from jaxtyping import Float
 from semloc_jax.datasets import Drive
 from semloc_jax.datasets.sensors import Imu
 from semloc_jax.errors import SemlocError
-from semloc_jax.fusion.prediction import Calibration, MotionIncrement, MotionLog, MotionNoise
+from semloc_jax.fusion.motion_noise import MotionNoise
+from semloc_jax.fusion.prediction import Calibration, MotionIncrement, MotionLog
 from semloc_jax.geometry import rigid
 from semloc_jax.mapping.inertial_states import InertialConfig, InertialStates, inertial_states
 

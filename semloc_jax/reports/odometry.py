@@ -10,9 +10,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from semloc_jax.datasets import Drive, Frame
+from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, Trajectory, drift, format_metrics, write_metrics, write_tum
-from semloc_jax.inputs.mask_view import MaskSource, resized
+from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.localization.motion_source import usable_of
 from semloc_jax.localization.odometry import OdometryConfig, OdometryFrame, VisualInertialOdometry, follow
 from semloc_jax.mapping.chain import Chain, drive_chain
 from semloc_jax.reports.folder import make_folder, write_record
@@ -20,7 +21,6 @@ from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz import odometry_picture, save
 
 Motion = Literal["vio", "wheels", "both"]
-_SKY = ("sky",)
 _LEAST_WAY_M = 1.0
 
 
@@ -65,7 +65,7 @@ def report_odometry(
         return _written(drive, folder, Trajectory(chain.times_s, chain.Ts_odom_base), _rows_of_chain(chain))
     odometry = VisualInertialOdometry(drive, cameras, settings, motion == "both")
     folder = _folder(out, settings, options)
-    usable = None if masks is None else _usable_of(masks)
+    usable = None if masks is None else usable_of(masks)
     with tqdm(odometry.frames, desc="odometry", unit="frame") as frames:
         found = follow(odometry, frames, usable)
     poses = np.stack([frame.T_odom_base for frame in found])
@@ -77,25 +77,6 @@ def _folder(out: Path | None, settings: OdometryConfig, options: Mapping[str, An
     folder = make_folder(out)
     write_record(folder, settings, options or {})
     return folder
-
-
-def _usable_of(masks: MaskSource):
-    """False where a mask shows traffic, sky or the vehicle itself, in the size of the image."""
-    table = masks.table
-    sky = [id_ for id_, name in table.id_names.items() if name in _SKY]
-    hidden = np.zeros(256, bool)
-    hidden[[*table.dynamic_ids, *table.ego_ids, *sky]] = True
-
-    def usable(frame: Frame, camera: str) -> np.ndarray:
-        mask = masks.segment(frame, camera)
-        dynamic = frame.dynamic_mask(camera)
-        covered = hidden[mask]
-        if dynamic is not None:
-            covered = covered | resized(dynamic, mask)
-        width, height = frame.rig.cameras[frame.rig.index(camera)].resolution
-        return ~resized(covered, np.empty((height, width), np.uint8))
-
-    return usable
 
 
 def _rows_of_chain(chain: Chain) -> list[OdometryFrame]:

@@ -22,6 +22,7 @@ from semloc_jax.localization.acquisition import Area
 from semloc_jax.localization.checkpoint import Checkpoint
 from semloc_jax.localization.localizer import Localizer, TrackConfig
 from semloc_jax.localization.map_faults import MapChange, map_changes
+from semloc_jax.localization.motion_source import Motion, motion_log
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.maps import SemanticMap
@@ -49,6 +50,7 @@ class TrackPlan:
     Args:
         settings: The configuration of the tracker.
         fusion: How poses become one over time: a name of FUSIONS.
+        motion: What says how the vehicle moved between frames, see `motion_source.resolved`.
         area: Where to search when neither fixes nor a prior are given; in the map.
         has_guess: Start from the prior of the inputs instead of the first satellite fixes.
         gnss_after_init: Whether satellite fixes are used once the vehicle was tracked.
@@ -58,6 +60,7 @@ class TrackPlan:
 
     settings: TrackConfig
     fusion: str = "window"
+    motion: Motion = "wheels"
     area: Area | None = None
     has_guess: bool = False
     gnss_after_init: bool = True
@@ -70,7 +73,7 @@ class TrackPlan:
 
     def pipeline(self, inputs: Inputs) -> Pipeline:
         """The drive, its masks and the tracker."""
-        localizer = self.localizer(inputs, inputs.map, MotionLog.of_drive(inputs.drive))
+        localizer = self.localizer(inputs, inputs.map, motion_log(inputs.drive, self.motion, inputs.masks))
         config = PipelineConfig(realtime=self.realtime, gnss_after_init=self.gnss_after_init)
         return Pipeline(inputs.drive, inputs.masks, localizer, config, inputs.prior if self.has_guess else None)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.inertial_fusion import InertialFusion
 from semloc_jax.fusion.kalman import KalmanFusion
 from semloc_jax.fusion.measurements import Fusion, SingleFrameFusion
 from semloc_jax.fusion.window import SlidingWindow, WindowConfig
@@ -29,6 +30,7 @@ FUSIONS: dict[str, Callable[[], Fusion]] = {
     "window": SlidingWindow,
     "dropping": lambda: SlidingWindow(WindowConfig(marginalise=False)),
     "kalman": KalmanFusion,
+    "inertial": InertialFusion,
     "single": SingleFrameFusion,
 }
 """Fusions by name; `dropping` is a window that drops its oldest state instead of marginalising it."""

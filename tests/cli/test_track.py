@@ -147,5 +147,39 @@ def test_every_fusion_on_the_same_features(drive_dir, tmp_path):
     assert main(words) == OK
     with (tmp_path / "fusions.csv").open() as file:
         rows = {row["fusion"]: row for row in csv.DictReader(file)}
-    assert set(rows) == {"window", "dropping", "kalman", "single"}
+    assert set(rows) == {"window", "dropping", "kalman", "inertial", "single"}
     assert all(float(row["lateral_mean_m"]) < 0.03 and int(row["false"]) == 0 for row in rows.values())
+
+
+@pytest.fixture
+def without_wheels(drive_dir, tmp_path):
+    drive = tmp_path / "drive"
+    shutil.copytree(drive_dir, drive)
+    (drive / "wheel_odom.csv").unlink()
+    return drive
+
+
+def test_without_wheels_the_inertial_sensor_takes_over_and_the_console_says_so(without_wheels, tmp_path, caplog):
+    words = [*SMALL[:2], *SMALL[4:], "--prior", "truth", "--min-tracking-share", "0.2", "--out", str(tmp_path / "out")]
+    assert main(["track", str(without_wheels), *words]) == OK
+    assert "motion: inertial sensor; cameras gave no start: the drive is too short" in caplog.text
+    found = read_trajectory(tmp_path / "out" / "trajectory.tum")
+    truth = read_trajectory(without_wheels / "poses_body.tum")
+    errors = pose_errors(found.T_map_base, truth.interpolate(found.time_s))
+    assert len(found) >= 8
+    assert np.abs(errors["lateral_m"][2:]).max() < 0.03 and np.abs(errors["longitudinal_m"][2:]).max() < 0.15
+
+
+def test_motion_that_the_drive_does_not_have_is_refused_in_one_line(without_wheels, capsys):
+    def refused(code, *words):
+        assert main(["track", str(without_wheels), "--masks", "sem", *words]) == code
+        error = capsys.readouterr().err.strip().splitlines()[-1]
+        assert error.startswith("semloc track:") and "Traceback" not in error
+        return error
+
+    assert "knows no velocity; use --fusion inertial" in refused(USAGE, "--motion", "vio", "--fusion", "window")
+    for choice in ("wheels", "both"):
+        assert "no wheel odometry" in refused(FAILED, "--motion", choice)
+    (without_wheels / "imu.csv").unlink()
+    error = refused(FAILED, "--motion", "vio")
+    assert "has no inertial data" in error and "--motion wheels" not in error, "there are no wheels either"

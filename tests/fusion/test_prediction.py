@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.fusion.prediction import Calibration, MotionLog, MotionNoise, MotionQuality
+from semloc_jax.fusion.motion_noise import MotionNoise
+from semloc_jax.fusion.prediction import Calibration, MotionLog, MotionQuality
 from semloc_jax.geometry import rigid
 
 STILL = np.array([0.0, 0.0, 9.81])

@@ -1,0 +1,254 @@
+"""Kalman fusion of measured poses with an inertial sensor, with or without wheels or cameras (room: fusion; host).
+
+In: PoseMeasurement, MotionIncrement with its inertial part, GnssMeasurement. Out: FusedPose with velocity and biases.
+Without a speed the way between two poses depends on the velocity, so velocity and biases are part of the state: what
+one pose teaches of them is not taken for new at the next.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import chdtri
+
+from semloc_jax.fusion.inertial_motion import InertialMotion, Moving
+from semloc_jax.fusion.measurements import (
+    FusedPose,
+    GnssMeasurement,
+    Innovation,
+    PoseMeasurement,
+    SensorBeliefs,
+    check_same_time,
+    normalised_square,
+)
+from semloc_jax.fusion.prediction import MotionIncrement, VelocitySample
+from semloc_jax.fusion.window_terms import fit, is_finite
+from semloc_jax.geometry import rigid
+from semloc_jax.solvers.factors import Factors
+
+_POSE, _VELOCITY, _BIAS, _SCALE, _OFFSET = slice(0, 6), slice(6, 9), slice(9, 15), 15, slice(16, 18)
+_MOUNT = slice(18, 21)
+_NUM = 21
+
+
+@dataclass(frozen=True)
+class InertialBeliefs:
+    """What is known of a vehicle and its inertial sensor before it moves. All values are ours, of a production car."""
+
+    sensors: SensorBeliefs = field(default_factory=SensorBeliefs)
+    """Of satellites, and of a vehicle while nothing measures its motion."""
+    speed_sigma_mps: float = 15.0
+    side_sigma_mps: float = 0.5
+    """Of the first velocity, across the vehicle."""
+    gyro_bias_sigma_radps: float = 0.01
+    accel_bias_sigma_mps2: float = 0.1
+    gyro_walk: float = 3e-4
+    """Change of the bias [rad/s per root of s]."""
+    accel_walk: float = 2e-3
+    """Change of the bias [m/s^2 per root of s]."""
+    scale_sigma: float = 0.05
+    """Of the speed that wheels or cameras measure: cameras and inertial sensor know it to some percent at first."""
+    scale_walk: float = 3e-3
+    """Change of that scale [per root of s]: what cameras and inertial sensor know of it changes as the view does; that
+    of wheels changes less."""
+    mount_sigma_deg: float = 0.3
+    """Of the axes of the inertial sensor against those of the vehicle that the cameras show: tolerance of a mount."""
+    gate_probability: float = 0.999
+    """A measurement beyond this quantile of the chi-square distribution is refused."""
+
+    @property
+    def bias_sigma(self) -> Float[np.ndarray, "6"]:
+        """Standard deviations of the biases before anything is known."""
+        return np.repeat([self.gyro_bias_sigma_radps, self.accel_bias_sigma_mps2], 3)
+
+    @property
+    def bias_walk(self) -> Float[np.ndarray, "6"]:
+        """How fast they change [per root of s]."""
+        return np.repeat([self.gyro_walk, self.accel_walk], 3)
+
+
+class InertialFusionState(NamedTuple):
+    """State of `InertialFusion`; the error is (right tangent of the pose, velocity, biases, scale, GNSS offset,
+    turn of the sensor against the base)."""
+
+    time_s: Float[np.ndarray, ""]
+    T_map_base: Float[np.ndarray, "4 4"]
+    velocity_map: Float[np.ndarray, "3"]
+    bias: Float[np.ndarray, "6"]
+    """Of gyroscope [rad/s] and accelerometer [m/s^2]."""
+    odometer_scale: Float[np.ndarray, ""]
+    """True speed over that of wheels or cameras."""
+    gnss_offset_m: Float[np.ndarray, "2"]
+    R_base_imu: Float[np.ndarray, "3 3"]
+    """What is left of the mount."""
+    covariance: Float[np.ndarray, "21 21"]
+
+
+class InertialFusion:
+    """Error-state Kalman filter on SE(3) with velocity, biases, a scale of the odometer, GNSS-to-map offset and the
+    mount of the inertial sensor."""
+
+    def __init__(self, beliefs: InertialBeliefs | None = None) -> None:
+        """A filter with the given beliefs."""
+        self.beliefs = beliefs or InertialBeliefs()
+
+    def start(self, measurement: PoseMeasurement) -> InertialFusionState:
+        """State at the first pose: any speed ahead, no bias."""
+        beliefs, T = self.beliefs, measurement.T_map_base.astype(np.float64)
+        side = beliefs.side_sigma_mps
+        spread = T[:3, :3] * np.array([beliefs.speed_sigma_mps, side, side])
+        covariance = np.zeros((_NUM, _NUM))
+        covariance[_POSE, _POSE] = measurement.covariance
+        covariance[_VELOCITY, _VELOCITY] = spread @ spread.T
+        covariance[_BIAS, _BIAS] = np.diag(beliefs.bias_sigma**2)
+        covariance[_SCALE, _SCALE] = beliefs.scale_sigma**2
+        covariance[_OFFSET, _OFFSET] = beliefs.sensors.gnss_offset_sigma_m**2 * np.eye(2)
+        covariance[_MOUNT, _MOUNT] = np.deg2rad(beliefs.mount_sigma_deg) ** 2 * np.eye(3)
+        time_s, one = np.float64(measurement.time_s), np.float64(1.0)
+        return InertialFusionState(time_s, T, np.zeros(3), np.zeros(6), one, np.zeros(2), np.eye(3), covariance)
+
+    def predict(self, state: InertialFusionState, increment: MotionIncrement) -> InertialFusionState:
+        """State after the motion, with the velocity that wheels or cameras measured at its end.
+
+        Where the inertial sensor is silent the velocity goes on, as surely as a vehicle goes on as it did.
+        """
+        check_same_time("increment", increment.from_s, float(state.time_s))
+        step_s = abs(increment.to_s - increment.from_s)
+        moving = self._moving(state)
+        if increment.inertial is None:
+            state = self._coasted(state, step_s)
+        else:
+            clock = increment.covariance - increment.inertial.covariance_after(moving)
+            state = _moved(state, increment.inertial, moving, clock)
+        walk = np.zeros(_NUM)
+        walk[_BIAS] = self.beliefs.bias_walk
+        walk[_SCALE] = self.beliefs.scale_walk
+        walk[_OFFSET] = self.beliefs.sensors.gnss_offset_walk_m
+        state = state._replace(
+            time_s=np.float64(increment.to_s), covariance=_symmetric(state.covariance + np.diag(walk**2) * step_s)
+        )
+        return state if increment.velocity is None else self._with_velocity(state, increment.velocity)
+
+    def correct(
+        self, state: InertialFusionState, measurement: PoseMeasurement
+    ) -> tuple[InertialFusionState, Innovation]:
+        """State with a measured pose, unless the chi-square test refuses it."""
+        check_same_time("pose", measurement.time_s, float(state.time_s))
+        difference = rigid.log(rigid.inverse(state.T_map_base) @ measurement.T_map_base)
+        # log(exp(-e) exp(difference)) = difference - J e for a small error e of the state.
+        H = np.zeros((6, _NUM))
+        H[:, _POSE] = np.linalg.inv(rigid.right_jacobian(-difference))
+        return self._gated(state, difference, H, measurement.covariance)
+
+    def correct_gnss(
+        self, state: InertialFusionState, measurement: GnssMeasurement
+    ) -> tuple[InertialFusionState, Innovation]:
+        """State with a satellite fix, unless the chi-square test refuses it."""
+        check_same_time("fix", measurement.time_s, float(state.time_s))
+        difference = measurement.p_map[:2] - state.T_map_base[:2, 3] - state.gnss_offset_m
+        H = np.zeros((2, _NUM))
+        H[:, :3] = state.T_map_base[:2, :3]
+        H[:, _OFFSET] = np.eye(2)
+        return self._gated(state, difference, H, np.diag(measurement.sigma_m[:2] ** 2))
+
+    def correct_term(self, state: InertialFusionState, term: Factors) -> tuple[InertialFusionState, Innovation]:
+        """State with a term that was measured at the time of the state, unless the chi-square test refuses it."""
+        innovation, r, J = fit(term, state.T_map_base, state.covariance[_POSE, _POSE])
+        if not is_finite(term):
+            return state, innovation
+        H = np.zeros((len(r), _NUM))
+        H[:, _POSE] = J
+        return self._gated(state, -r, H, np.eye(len(r)))
+
+    def pose(self, state: InertialFusionState) -> FusedPose:
+        """Pose, covariance, and what the next motion begins with."""
+        return FusedPose(
+            float(state.time_s), state.T_map_base, state.covariance[_POSE, _POSE], float(state.odometer_scale),
+            float(state.bias[2]), state.gnss_offset_m, moving=self._moving(state),
+        )  # fmt: skip
+
+    def _moving(self, state: InertialFusionState) -> Moving:
+        covariance = state.covariance[_VELOCITY, _VELOCITY]
+        return Moving(state.T_map_base[:3, :3], state.velocity_map, state.bias, covariance, state.R_base_imu)
+
+    def _coasted(self, state: InertialFusionState, step_s: float) -> InertialFusionState:
+        """The velocity goes on while nothing is measured."""
+        noise, R = self.beliefs.sensors.motion, state.T_map_base[:3, :3]
+        T = state.T_map_base.copy()
+        T[:3, 3] += state.velocity_map * step_s
+        F = np.eye(_NUM)
+        F[:3, _VELOCITY] = R.T * step_s
+        gained = noise.unknown_acceleration_mps2 * np.diag([1.0, 0.2, 0.2])
+        turned = np.deg2rad(noise.unknown_yaw_rate_degps) * np.diag([0.2, 0.2, 1.0])
+        G = np.zeros((_NUM, 6))
+        G[:3, :3], G[_VELOCITY, :3] = 0.5 * gained * step_s**2, R @ gained * step_s
+        G[3:6, 3:] = turned * step_s
+        return state._replace(T_map_base=T, covariance=F @ state.covariance @ F.T + G @ G.T)
+
+    def _with_velocity(self, state: InertialFusionState, sample: VelocitySample) -> InertialFusionState:
+        """The state with a measured velocity, unless the chi-square test refuses it."""
+        R = state.T_map_base[:3, :3]
+        here = R.T @ state.velocity_map
+        H = np.zeros((3, _NUM))
+        H[:, 3:6], H[:, _VELOCITY] = rigid.skew(here), R.T
+        H[:, _SCALE] = -sample.velocity_base
+        difference = state.odometer_scale * sample.velocity_base - here
+        return self._gated(state, difference, H, np.diag(sample.sigma**2))[0]
+
+    def _gated(
+        self, state: InertialFusionState, difference: np.ndarray, H: np.ndarray, R: np.ndarray
+    ) -> tuple[InertialFusionState, Innovation]:
+        """One linear correction, in the covariance form that stays positive (Joseph)."""
+        P = state.covariance
+        S = H @ P @ H.T + R
+        square, dof = normalised_square(difference, S), len(difference)
+        if square > chdtri(dof, 1.0 - self.beliefs.gate_probability):
+            return state, Innovation(square, dof, False)
+        gain = np.linalg.solve(S, H @ P).T
+        step, rest = gain @ difference, np.eye(_NUM) - gain @ H
+        corrected = state._replace(
+            T_map_base=rigid.normalised(state.T_map_base @ rigid.exp(step[_POSE])),
+            velocity_map=state.velocity_map + step[_VELOCITY],
+            bias=state.bias + step[_BIAS],
+            odometer_scale=state.odometer_scale + step[_SCALE],
+            gnss_offset_m=state.gnss_offset_m + step[_OFFSET],
+            R_base_imu=rigid.exp(np.concatenate([np.zeros(3), step[_MOUNT]]))[:3, :3] @ state.R_base_imu,
+            covariance=_symmetric(rest @ P @ rest.T + gain @ R @ gain.T),
+        )
+        return corrected, Innovation(square, dof, True)
+
+
+def _moved(
+    state: InertialFusionState, motion: InertialMotion, moving: Moving, clock: Float[np.ndarray, "6 6"]
+) -> InertialFusionState:
+    """The state carried on by the inertial sensor; `clock`: covariance of T_from_to by the time offset."""
+    T_from_to, velocity = motion.after(moving)
+    F, G = error_transition(motion, moving)
+    covariance = F @ state.covariance @ F.T + G @ motion.covariance @ G.T
+    covariance[_POSE, _POSE] += clock
+    T = rigid.normalised(state.T_map_base @ T_from_to)
+    return state._replace(T_map_base=T, velocity_map=velocity, covariance=covariance)
+
+
+def error_transition(
+    motion: InertialMotion, moving: Moving
+) -> tuple[Float[np.ndarray, "21 21"], Float[np.ndarray, "21 9"]]:
+    """Derivatives of the error after an inertial motion by the error before, and by the error of the motion."""
+    R, dt = moving.R_map_base, motion.duration_s
+    back = motion.rotation.T
+    G = np.zeros((_NUM, 9))
+    G[3:6, :3], G[:3, 3:6], G[_VELOCITY, 6:] = np.eye(3), back, R
+    F = np.eye(_NUM)
+    F[:3, :3] = F[3:6, 3:6] = back
+    # Only what the sensor pushed turns with the base; velocity and fall are those of the map.
+    F[:3, 3:6] = -back @ rigid.skew(motion.position)
+    F[:3, _VELOCITY] = dt * back @ R.T
+    F[_VELOCITY, 3:6] = -R @ rigid.skew(motion.velocity)
+    F[:, _BIAS] += G @ motion.by_bias
+    F[:, _MOUNT] += G @ motion.by_mount
+    return F, G
+
+
+def _symmetric(P: np.ndarray) -> np.ndarray:
+    return 0.5 * (P + P.T)

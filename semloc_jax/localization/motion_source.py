@@ -1,0 +1,160 @@
+"""What says how a vehicle moved: wheels, cameras and inertial sensor, or both (room: localization; host).
+
+In: a Drive, a choice, its cameras and masks. Out: the MotionLog of a Localizer, the speeds that a map is made of.
+Cameras and inertial sensor become velocities: their error is one slowly changing scale, which a fusion estimates.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from semloc_jax.datasets import Drive, Frame
+from semloc_jax.datasets.sensors import WheelOdometry
+from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.prediction import MotionLog, VelocitySample
+from semloc_jax.inputs.mask_view import MaskSource, resized
+from semloc_jax.localization.odometry import OdometryConfig, OdometryFrame, Usable, VisualInertialOdometry
+
+_LOG = logging.getLogger(__name__)
+
+Motion = Literal["wheels", "vio", "both"]
+MotionChoice = Literal["auto", "wheels", "vio", "both"]
+VELOCITY_SIGMA_MPS = (0.05, 0.05, 0.1)
+"""Of a velocity by cameras and inertial sensor besides its scale, ahead, left and up; ours: half a percent of the speed
+ahead."""
+_LEAST_CORNERS = 10
+"""With fewer the velocity is that of the inertial sensor alone, which the fusion has itself."""
+_SKY = ("sky",)
+
+
+class SeenMotion(NamedTuple):
+    """What cameras and inertial sensor said of a drive."""
+
+    frames: tuple[OdometryFrame, ...]
+    num_start: int
+    """Frames of the start, which were known only at its end."""
+    reason: str
+    """Why there are none; empty where there are."""
+
+
+def resolved(drive: Drive, choice: MotionChoice) -> Motion:
+    """The choice for this drive: with `auto` wheels where they are, else the inertial sensor, with cameras where images
+    are.
+
+    Raises:
+        SemlocError: the drive lacks what is asked for.
+    """
+    has_imu = drive.imu is not None and bool(np.abs(drive.imu.accel_mps2).any())
+    if choice == "auto":
+        return "vio" if drive.odometry is None and has_imu else "wheels"
+    if choice in ("vio", "both") and not has_imu:
+        others = "; use --motion wheels" if drive.odometry is not None else ""
+        raise SemlocError(
+            f"drive {drive.name}: has no inertial data (imu.csv with rates and forces), which --motion {choice} "
+            f"needs{others}"
+        )
+    if choice in ("wheels", "both") and drive.odometry is None:
+        raise SemlocError(f"drive {drive.name}: has no wheel odometry (wheel_odom.csv); use --motion vio or auto")
+    return choice
+
+
+def motion_log(drive: Drive, motion: Motion, masks: MaskSource) -> MotionLog:
+    """The log that a localizer takes; says on the console what it is made of.
+
+    Args:
+        drive: With what `motion` needs.
+        motion: See `resolved`.
+        masks: No corner is taken where they show traffic, sky or the vehicle; their cameras are followed.
+    """
+    log = MotionLog.of_drive(replace(drive, odometry=None) if motion == "vio" else drive)
+    if motion == "wheels":
+        said = "wheels" + (" and inertial sensor" if drive.imu is not None else "")
+        _LOG.info("motion: %s", said if drive.odometry is not None else "nothing measures it: no wheels, no forces")
+        return log
+    wheels = "wheels, " if motion == "both" else ""
+    cameras = with_images(drive, masks.cameras)
+    if not cameras:
+        _LOG.info("motion: %sinertial sensor; no images of %s", wheels, ", ".join(masks.cameras))
+        return log
+    try:
+        seen = seen_motion(drive, cameras, masks, motion == "both")
+    except SemlocError as error:  # a gap of the inertial sensor: between the others it helps all the same
+        seen = SeenMotion((), 0, str(error))
+    for frame in seen.frames[max(seen.num_start - 1, 0) :]:
+        if frame.num_followed >= _LEAST_CORNERS:
+            log.add_velocity(frame.time_s, velocity_of(frame))
+    if seen.frames:
+        first_s = seen.frames[seen.num_start - 1].time_s
+        _LOG.info("motion: %scameras (%s) from %.1f s on, inertial sensor", wheels, ", ".join(cameras), first_s)
+    else:
+        _LOG.warning("motion: %sinertial sensor; cameras gave no start: %s", wheels, seen.reason)
+    return log
+
+
+def with_seen_speed(drive: Drive, masks: MaskSource, with_wheels: bool) -> Drive:
+    """The drive with the speeds of cameras and inertial sensor in place of those of wheels, for a map of its own.
+
+    Nothing is localized while it drives, so the frames of the start count too.
+
+    Raises:
+        SemlocError: the drive lacks images or inertial data, or no start was found.
+    """
+    cameras = with_images(drive, masks.cameras) or tuple(masks.cameras)
+    seen = seen_motion(drive, cameras, masks, with_wheels)
+    if not seen.frames:
+        lacks = "" if drive.odometry is not None else "has no wheel odometry, and "
+        raise SemlocError(f"drive {drive.name}: {lacks}cameras and inertial sensor gave no start: {seen.reason}")
+    time_s = np.array([frame.time_s for frame in seen.frames])
+    speed = np.array([velocity_of(frame).velocity_base[0] for frame in seen.frames])
+    bias = np.array([frame.bias[2] for frame in seen.frames])
+    imu = drive.imu
+    inside = (imu.time_s >= time_s[0]) & (imu.time_s <= time_s[-1])
+    at_s = np.unique(np.concatenate([time_s, imu.time_s[inside]]))
+    rate = np.interp(at_s, imu.time_s, imu.gyro_radps[:, 2]) - np.interp(at_s, time_s, bias)
+    _LOG.info("motion: cameras (%s) and inertial sensor", ", ".join(cameras))
+    return replace(drive, odometry=WheelOdometry(at_s, np.interp(at_s, time_s, speed), rate))
+
+
+def seen_motion(drive: Drive, cameras: Sequence[str], masks: MaskSource | None, with_wheels: bool) -> SeenMotion:
+    """All frames of a drive by cameras and inertial sensor."""
+    odometry = VisualInertialOdometry(drive, cameras, OdometryConfig(), with_wheels)
+    usable = None if masks is None else usable_of(masks)
+    found: list[OdometryFrame] = []
+    num_start = 0
+    for frame in odometry.frames:
+        new = odometry.step(frame, usable)
+        num_start = num_start or len(new)
+        found += new
+    return SeenMotion(tuple(found), num_start, odometry.reason or "the drive is too short")
+
+
+def velocity_of(frame: OdometryFrame) -> VelocitySample:
+    """The velocity of one frame in the axes of the vehicle."""
+    return VelocitySample(frame.T_odom_base[:3, :3].T @ frame.velocity_odom, np.array(VELOCITY_SIGMA_MPS))
+
+
+def with_images(drive: Drive, cameras: Sequence[str]) -> tuple[str, ...]:
+    """Those of the cameras that have images."""
+    return tuple(name for name in cameras if drive.frames and drive.frames[0].has("rgb", name))
+
+
+def usable_of(masks: MaskSource) -> Usable:
+    """False where a mask shows traffic, sky or the vehicle itself, in the size of the image."""
+    table = masks.table
+    sky = [id_ for id_, name in table.id_names.items() if name in _SKY]
+    hidden = np.zeros(256, bool)
+    hidden[[*table.dynamic_ids, *table.ego_ids, *sky]] = True
+
+    def usable(frame: Frame, camera: str) -> np.ndarray:
+        mask = masks.segment(frame, camera)
+        dynamic = frame.dynamic_mask(camera)
+        covered = hidden[mask]
+        if dynamic is not None:
+            covered = covered | resized(dynamic, mask)
+        width, height = frame.rig.cameras[frame.rig.index(camera)].resolution
+        return ~resized(covered, np.empty((height, width), np.uint8))
+
+    return usable
