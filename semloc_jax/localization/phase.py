@@ -21,6 +21,9 @@ of 1.3 m a right track is doubted once in a thousand, and one that is 12 m off p
 in six is not: posts and time must settle it."""
 EVEN_NATS = float(np.log((1.0 - _WRONG_SHARE) / _WRONG_SHARE))
 """What must speak for another place until it is as probable as the one that a search has chosen: 2.9 nats."""
+SETTLED_NATS = float(np.log(1e3))
+"""Where every other place is so much less probable, masks have settled it, whatever satellites say: the risk that
+levels are made for."""
 _BELIEFS = SensorBeliefs()
 
 
@@ -48,9 +51,20 @@ def nats_of_tracks(poses: Sequence[FusedPose], num_accepted: Sequence[int], fixe
     return [nats_against(told[k] if is_younger[k] else poses[k], fixes) for k in range(len(poses))]
 
 
-def doubts(pose: FusedPose, fixes: Fixes) -> tuple[str, ...]:
-    """Returns a sentence where the calibration is hardly to be believed, and what it points to."""
-    if nats_against(pose, fixes) < EVEN_NATS:
+def needs_doubtful_sensors(pose: FusedPose, fixes: Fixes) -> bool:
+    """Returns whether the pose needs a calibration that is hardly to be believed."""
+    return nats_against(pose, fixes) >= EVEN_NATS
+
+
+def doubts(pose: FusedPose, fixes: Fixes, nats_elsewhere: float) -> tuple[str, ...]:
+    """Returns a sentence where the calibration is hardly to be believed, and what it points to.
+
+    Args:
+        pose: Fused.
+        fixes: The last fixes.
+        nats_elsewhere: By how much every other place is less probable by this frame and the fixes together.
+    """
+    if not needs_doubtful_sensors(pose, fixes) or nats_elsewhere >= SETTLED_NATS:
         return ()
     off_m = float(np.hypot(*pose.gnss_offset_m))
     return (

@@ -84,6 +84,14 @@ class Counters(NamedTuple):
     """Frames in a row outside of the map."""
 
 
+class Elsewhere(NamedTuple):
+    """What the last look at other places said, where satellites contradict the pose."""
+
+    nats: Float[np.ndarray, ""] = np.float64(0.0)
+    """By how much every other place is less probable."""
+    time_s: Float[np.ndarray, ""] = np.float64(-np.inf)
+
+
 class TrackerState(NamedTuple):
     """Everything that a localizer carries from one frame to the next."""
 
@@ -113,6 +121,7 @@ class TrackerState(NamedTuple):
     """Of the masks so far, see `NoiseModel.grain`."""
     watch: WatchState = WatchState()
     """What the last frames say of calibration and map."""
+    elsewhere: Elsewhere = Elsewhere()
 
 
 class FrameFeatures(NamedTuple):

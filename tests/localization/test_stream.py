@@ -16,7 +16,7 @@ from semloc_jax.inputs.priors import prior_source
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
-from semloc_jax.localization.watch_sums import WatchConfig, WatchState, moves, next_rig
+from semloc_jax.localization.watch_sums import WatchConfig, WatchState, moves, next_rigs
 from semloc_jax.maps import read_map
 from semloc_jax.simulation import with_fault
 
@@ -115,17 +115,19 @@ def test_lines_and_posts_are_each_least_costly_where_they_are(pipeline):
         assert min(posts[0], posts[-1]) > posts.min() + 3.0
 
 
-def test_a_lens_stated_too_long_fits_better_when_shortened(pipeline):
+@pytest.mark.parametrize(("fault", "look"), [("focal:2", 0), ("distortion:3", 1)])
+def test_a_lens_stated_wrong_fits_better_when_it_is_changed_back(pipeline, fault, look):
+    """Too long, and with the distortion of the wrong sign: too wide at the sides."""
     localizer, features, T = _at_truth(pipeline)
-    long = with_fault("focal:2", pipeline.drive, localizer.map).drive.rig
-    features = features._replace(rig=long.select(pipeline.source.cameras))
+    wrong = with_fault(fault, pipeline.drive, localizer.map).drive.rig
+    features = features._replace(rig=wrong.select(pipeline.source.cameras))
     given = features.rig
     scores = []
-    for rig in (given, *(next_rig(WatchState(num_frames=np.int64(k)), given, WatchConfig()) for k in (0, 1))):
+    for rig in (given, *next_rigs(WatchState(num_frames=np.int64(look)), given, WatchConfig())[:2]):
         known = localizer.start()
         trust = lambda rows: np.ones(len(rows))  # noqa: E731
         spread = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
         seen = (features._replace(rig=rig), T, spread, 0.0, trust, known.stance, np.ones((), np.float32))
         scores.append(localizer.aligner.align(*seen).score)
-    as_stated, longer, shorter = scores
-    assert shorter < as_stated - 1.0 and shorter < longer - 2.0
+    as_stated, wider, narrower = scores
+    assert narrower < as_stated - 1.0 and narrower < wider - 2.0
