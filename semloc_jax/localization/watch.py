@@ -30,11 +30,12 @@ from semloc_jax.localization.watch_sums import (
     Tried,
     WatchConfig,
     WatchState,
+    asked_now,
+    changed_rigs,
     leaned,
     learned,
     mount_tilt_rad,
     moves,
-    next_rigs,
     suspicions,
 )
 
@@ -83,21 +84,18 @@ def looked(
     if int(watch.num_frames) > 0 and way_m < config.step_m:
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
     T = view.found.measurement.T_map_base
-    tried = _tried(next_rigs(watch, frame.rig, config), view, frame, aligner, known, config)
+    names = asked_now(watch, len(frame.rig.names), config)
+    tried = [_tried(name, view, frame, aligner, known, config) for name in names]
     profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
     watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
     return learned(watch, len(frame.rig.names), float(aside), tried, profiles, config)
 
 
 def _tried(
-    rigs: tuple[Rig, ...],
-    view: FrameReport,
-    frame: FrameFeatures,
-    aligner: FrameAligner,
-    known: Known,
-    config: WatchConfig,
+    name: str, view: FrameReport, frame: FrameFeatures, aligner: FrameAligner, known: Known, config: WatchConfig
 ) -> Tried:
-    """The frame solved again with other calibrations."""
+    """The frame solved again with one thing of the calibration changed."""
+    rigs = changed_rigs(frame.rig, name, config)
     T = view.found.measurement.T_map_base
     gain, moved = np.full(len(STEPS), np.nan), np.zeros((len(STEPS), 3))
 
@@ -119,7 +117,7 @@ def _tried(
             gain -= max(view.found.score - solved(frame.rig).score, 0.0)
     except SemlocError:  # no road there
         gain[:] = np.nan
-    return Tried(gain, moved)
+    return Tried(name, gain, moved)
 
 
 def _leaned(

@@ -8,6 +8,7 @@ shorter says by the difference which one is right, and where the vehicle then is
 the masks each alone say whether they belong to one state of the road. What single frames say is summed up.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -40,6 +41,9 @@ class WatchConfig:
     turn_rad: ClassVar[float] = 0.015
     step_m: float = 0.5
     """Way between two frames that are looked at: from one place the same errors are seen again."""
+    eager_looks: int = 12
+    """So many frames at the start of a drive are asked for all that may be wrong with the lenses: calibrations that are
+    wrong are wrong from the first frame on."""
     memory_frames: float = 40.0
     share: float = 0.3
     """Share of what a frame says that is new: successive frames see the same map."""
@@ -77,6 +81,7 @@ the reach of the masks costs end, and the near ones do not tell the size of a la
 class Tried(NamedTuple):
     """A frame solved again with one alternative in its `STEPS`."""
 
+    name: str
     gain_nats: Float[np.ndarray, "4"]
     """By how much it fits better; NaN where it was not asked."""
     moved: Float[np.ndarray, "4 3"]
@@ -128,10 +133,16 @@ def unit_of(name: str, config: WatchConfig) -> float:
     return {FOCAL: config.focal_share, RADIAL: config.radial_share}.get(name, config.turn_rad)
 
 
-def next_rigs(watch: WatchState, rig: Rig, config: WatchConfig) -> tuple[Rig, ...]:
-    """The calibrations that the next frame is solved with again: one alternative in its `STEPS`."""
-    names = alternatives(len(rig.names))
-    name = names[int(watch.num_frames) % len(names)]
+def asked_now(watch: WatchState, num_cameras: int, config: WatchConfig) -> tuple[str, ...]:
+    """What the next frame is asked for: the lenses at the start of a drive, later one alternative after another."""
+    if int(watch.num_frames) < config.eager_looks:
+        return (FOCAL, RADIAL)
+    names = alternatives(num_cameras)
+    return (names[int(watch.num_frames) % len(names)],)
+
+
+def changed_rigs(rig: Rig, name: str, config: WatchConfig) -> tuple[Rig, ...]:
+    """The calibrations that a frame is solved with again: one alternative in its `STEPS`."""
     return tuple(_changed(rig, name, step * unit_of(name, config)) for step in STEPS)
 
 
@@ -184,7 +195,7 @@ def learned(
     watch: WatchState,
     num_cameras: int,
     aside_rad: float,
-    tried: Tried,
+    tried: Sequence[Tried],
     profiles: Float[np.ndarray, "2 n"],
     config: WatchConfig,
 ) -> WatchState:
@@ -194,21 +205,21 @@ def learned(
         watch: Before.
         num_cameras: Of the rig.
         aside_rad: Direction of travel to be remembered.
-        tried: The frame with `next_rigs`.
+        tried: The frame with `changed_rigs` of every one of `asked_now`.
         profiles: Costs of lines and of posts at `moves`.
         config: Memory.
     """
-    num_alternatives, num = len(alternatives(num_cameras)), len(STEPS)
-    size = num * num_alternatives
+    names = alternatives(num_cameras)
+    size = len(STEPS) * len(names)
     if watch.num.shape != (size,):
         zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
         watch = WatchState(*zeros, num_frames=watch.num_frames, tilt=watch.tilt)
     keep = np.exp(-1.0 / config.memory_frames)
-    first = num * (int(watch.num_frames) % num_alternatives)
     new, gain, moved = np.zeros(size), np.zeros(size), np.zeros((size, 3))
-    asked = np.isfinite(tried.gain_nats) & np.isfinite(tried.moved).all(axis=1)
-    rows = first + np.flatnonzero(asked)
-    new[rows], gain[rows], moved[rows] = 1.0, tried.gain_nats[asked], tried.moved[asked]
+    for one in tried:
+        asked = np.isfinite(one.gain_nats) & np.isfinite(one.moved).all(axis=1)
+        rows = len(STEPS) * names.index(one.name) + np.flatnonzero(asked)
+        new[rows], gain[rows], moved[rows] = 1.0, one.gain_nats[asked], one.moved[asked]
     usable = np.isfinite(profiles).all()
     return WatchState(
         keep * watch.num + new,

@@ -16,7 +16,7 @@ from semloc_jax.inputs.priors import prior_source
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
-from semloc_jax.localization.watch_sums import WatchConfig, WatchState, moves, next_rigs
+from semloc_jax.localization.watch_sums import WatchConfig, changed_rigs, moves
 from semloc_jax.maps import read_map
 from semloc_jax.simulation import with_fault
 
@@ -115,15 +115,15 @@ def test_lines_and_posts_are_each_least_costly_where_they_are(pipeline):
         assert min(posts[0], posts[-1]) > posts.min() + 3.0
 
 
-@pytest.mark.parametrize(("fault", "look"), [("focal:2", 0), ("distortion:3", 1)])
-def test_a_lens_stated_wrong_fits_better_when_it_is_changed_back(pipeline, fault, look):
+@pytest.mark.parametrize(("fault", "name"), [("focal:2", "focal"), ("distortion:3", "radial")])
+def test_a_lens_stated_wrong_fits_better_when_it_is_changed_back(pipeline, fault, name):
     """Too long, and with the distortion of the wrong sign: too wide at the sides."""
     localizer, features, T = _at_truth(pipeline)
     wrong = with_fault(fault, pipeline.drive, localizer.map).drive.rig
     features = features._replace(rig=wrong.select(pipeline.source.cameras))
     given = features.rig
     scores = []
-    for rig in (given, *next_rigs(WatchState(num_frames=np.int64(look)), given, WatchConfig())[:2]):
+    for rig in (given, *changed_rigs(given, name, WatchConfig())[:2]):
         known = localizer.start()
         trust = lambda rows: np.ones(len(rows))  # noqa: E731
         spread = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2

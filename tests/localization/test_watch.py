@@ -15,11 +15,12 @@ from semloc_jax.localization.watch_sums import (
     WatchConfig,
     WatchState,
     alternatives,
+    asked_now,
+    changed_rigs,
     leaned,
     learned,
     mount_tilt_rad,
     moves,
-    next_rigs,
     suspicions,
     unit_of,
 )
@@ -39,13 +40,15 @@ def rig(num: int) -> Rig:
 def after_frames(num_cameras: int, cost, pose, profiles, num: int = 24) -> WatchState:
     """Frames whose cost and pose are given functions of the calibration's change, as `next_rigs` asks for it."""
     state = WatchState()
-    for k in range(num):
-        name = alternatives(num_cameras)[k % len(alternatives(num_cameras))]
-        changes = STEPS * unit_of(name, CONFIG)
-        gains = np.array([cost(name, 0.0) - cost(name, change) for change in changes])
-        asked = [True, True, gains[0] > CONFIG.least_gain_nats, gains[1] > CONFIG.least_gain_nats]
-        steps = np.array([pose(name, change) for change in changes])
-        state = learned(state, num_cameras, 0.0, Tried(np.where(asked, gains, np.nan), steps), profiles, CONFIG)
+    for _ in range(num):
+        tried = []
+        for name in asked_now(state, num_cameras, CONFIG):
+            changes = STEPS * unit_of(name, CONFIG)
+            gains = np.array([cost(name, 0.0) - cost(name, change) for change in changes])
+            asked = [True, True, gains[0] > CONFIG.least_gain_nats, gains[1] > CONFIG.least_gain_nats]
+            steps = np.array([pose(name, change) for change in changes])
+            tried.append(Tried(name, np.where(asked, gains, np.nan), steps))
+        state = learned(state, num_cameras, 0.0, tried, profiles, CONFIG)
     return state
 
 
@@ -68,8 +71,9 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
     first = suspicions(state, 1, CONFIG)[0]
     assert (first.name, first.size) == (wrong, pytest.approx(-0.04, abs=1e-9))
     np.testing.assert_allclose(first.moved, [0.8, 0.0, 0.0], atol=1e-9)
-    # Every other frame asks for it, twice; each gains 8 nats, of which two do not count and three tenths are new.
-    asked = np.arange(24)[(0 if wrong == "focal" else 1) :: 2]
+    # Every frame asks for it at first, twice, later every other; each gains 8 nats, of which two do not count and three
+    # tenths are new.
+    asked = np.r_[: CONFIG.eager_looks, CONFIG.eager_looks + (wrong == "radial") : 24 : 2]
     worth = 2.0 * np.sum(np.exp(-(23 - asked) / 40.0))
     assert first.nats == pytest.approx(0.3 * worth * (8.0 - CONFIG.least_gain_nats), rel=1e-6)
 
@@ -111,16 +115,25 @@ def test_a_sound_axle_is_no_fault():
 
 def test_frames_without_numbers_leave_the_sums_alone():
     state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat(), 4)
-    after = learned(state, 1, 0.0, Tried(np.full(4, np.nan), np.zeros((4, 3))), np.full_like(flat(), np.nan), CONFIG)
+    after = learned(
+        state, 1, 0.0, [Tried("focal", np.full(4, np.nan), np.zeros((4, 3)))], np.full_like(flat(), np.nan), CONFIG
+    )
     keep = np.exp(-1.0 / CONFIG.memory_frames)
     np.testing.assert_allclose(after.gain, keep * state.gain)
     np.testing.assert_allclose(after.profiles, keep * state.profiles)
 
 
 def test_the_other_calibrations_take_turns():
-    """Longer and shorter, bent and unbent, then every camera down and up, left and right; axes as in scipy."""
+    """Lenses at first; then they and every camera's pitch and yaw."""
+    at = [asked_now(WatchState(num_frames=np.int64(k)), 2, CONFIG) for k in range(CONFIG.eager_looks + 6)]
+    assert set(at[: CONFIG.eager_looks]) == {("focal", "radial")}
+    assert sorted(name for (name,) in at[CONFIG.eager_looks :]) == sorted(alternatives(2))
+
+
+def test_the_other_calibrations_differ_as_they_say():
+    """Longer and shorter, bent and unbent, every camera down and up, left and right; axes as in scipy."""
     given = rig(2)
-    told = [next_rigs(WatchState(num_frames=np.int64(k)), given, CONFIG) for k in range(6)]
+    told = [changed_rigs(given, name, CONFIG) for name in alternatives(2)]
     assert [float(t.cameras[0].fx) for t in (*told[0], told[2][0])] == pytest.approx(
         [512.5, 487.5, 525.0, 475.0, 500.0]
     )
