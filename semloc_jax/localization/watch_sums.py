@@ -293,7 +293,8 @@ def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> l
         gain = watch.gain[rows] / np.maximum(num, 1e-9)
         moved = watch.moved.reshape(-1, 3)[rows] / np.maximum(num, 1e-9)[:, None]
         side = int(np.argmax(gain[:2]))
-        if num[side + 2] >= 0.5:
+        # Few frames that asked for more are those that a near one happened to fit.
+        if num[side + 2] >= 0.5 * num[side]:
             at, better, step = _on_one_side(gain[side], gain[side + 2], moved[side], moved[side + 2])
             at *= STEPS[side]
         else:

@@ -85,6 +85,16 @@ def test_a_drive_that_fits_raises_no_suspicion():
     assert suspicions(WatchState(), 1, CONFIG) == []
 
 
+def test_one_frame_that_likes_another_lens_is_no_suspicion():
+    state = WatchState()
+    for k in range(24):
+        near, far = (6.0, 20.0) if k == 7 else (-3.0, np.nan)
+        gains = np.array([near, -3.0, far, np.nan])
+        tried = [Tried(name, gains, np.ones((4, 3))) for name in asked_now(state, 1, CONFIG)]
+        state = learned(state, 1, 0.0, tried, flat(), CONFIG)
+    assert max(s.nats for s in suspicions(state, 1, CONFIG)) == 0.0
+
+
 def test_one_camera_of_two_is_named():
     def cost(name, change):
         return 0.5 * ((change - (0.02 if name == "yaw 1" else 0.0)) / 0.005) ** 2
