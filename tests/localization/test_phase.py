@@ -5,7 +5,7 @@ import pytest
 
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement
 from semloc_jax.localization import phase
-from semloc_jax.localization.elsewhere import _apart, places
+from semloc_jax.localization.elsewhere import _apart, crossing
 from semloc_jax.localization.initialization import no_fixes, with_fix
 from semloc_jax.localization.rivals import _valleys
 
@@ -32,13 +32,11 @@ def test_a_period_of_12_m_is_no_offset_of_satellites_that_state_1_3_m():
     assert phase.doubts(pose(12.0), fixes(1.3), np.log(1001.0)) == ()
 
 
-def test_other_places_are_looked_at_on_both_lines_of_both_poses():
-    """The satellites ask for a place 9 m behind and a lane to the left."""
-    there = places(np.array([-9.0, 3.5]))
-    assert len(there) == len(places(np.zeros(2)))
-    for x, y in ((-9.0, 0.0), (-9.0, 3.5), (0.0, 3.5), (0.0, 0.0), (-15.0, 0.0), (6.0, 3.5), (-9.0, 7.0), (0.0, -3.5)):
-        assert np.min(np.hypot(there[:, 0] - x, there[:, 1] - y)) < 0.3
-    assert (there[:, 2] == 0.0).all()
+def test_other_places_are_looked_at_a_period_along_and_two_lanes_across():
+    moves = crossing()
+    for x, y in ((-9.0, 0.0), (6.0, 0.0), (0.0, 3.5), (0.0, -7.0), (0.0, 0.0)):
+        assert np.min(np.hypot(moves[:, 0] - x, moves[:, 1] - y)) < 0.3
+    assert (moves[:, 2] == 0.0).all()
 
 
 def test_places_apart_from_the_pose_are_chosen_cheapest_first():
