@@ -9,10 +9,14 @@ import pytest
 
 from semloc_jax.datasets import GnssTrack, open_drive
 from semloc_jax.errors import SemlocError
-from semloc_jax.fusion.measurements import GnssMeasurement
+from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement
 from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
+from semloc_jax.localization import elsewhere, phase
+from semloc_jax.localization.health import HealthConfig
+from semloc_jax.localization.initialization import no_fixes, with_fix
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
@@ -131,3 +135,20 @@ def test_a_lens_stated_wrong_fits_better_when_it_is_changed_back(pipeline, fault
         scores.append(localizer.aligner.align(*seen).score)
     as_stated, wider, narrower = scores
     assert narrower < as_stated - 1.0 and narrower < wider - 2.0
+
+
+@pytest.mark.parametrize("aside_m", [0.0, -3.5])
+def test_masks_settle_a_lane_that_satellites_ask_for(pipeline, aside_m):
+    """Fixes 3.5 m to the left of a pose that is right are wrong; of a pose that is a lane to the right they are not."""
+    localizer, features, T = _at_truth(pipeline)
+    T = T @ rigid.exp(np.array([0.0, aside_m, 0.0, 0.0, 0.0, 0.0]))
+    known = lambda rows: np.ones(len(rows)), np.zeros(3), np.ones((), np.float32)
+    found = localizer.aligner.align(features, T, np.diag([0.1, 0.1, 0.05, 0.01, 0.01, 0.01]) ** 2, 0.0, *known)
+    asked_m = 3.5 * T[:2, 1]
+    fixes = no_fixes()
+    for k in range(8):
+        fixes = with_fix(fixes, GnssMeasurement(0.1 * k, T[:3, 3] + [*asked_m, 0.0], np.full(3, 0.5)))
+    pose = FusedPose(features.time_s, T, 1e-4 * np.eye(6), 1.0, 0.0, asked_m)
+    nats = elsewhere._behind(pose, found, fixes, features, known, localizer.aligner, HealthConfig())
+    assert (phase.doubts(pose, fixes, nats) == ()) == (aside_m == 0.0)
+    assert aside_m == 0.0 or nats < 0.0  # the other place is the better one
