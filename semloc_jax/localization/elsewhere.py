@@ -3,6 +3,7 @@
 In: a track that contradicts the satellites, one frame. Out: how many nats the best other place is behind.
 A pose that is a period of dashes or a lane off fits every frame, and only satellites tell. Where the map holds more
 than that, arrows, posts, crossings, the masks themselves say that the other place is wrong: then the satellites are.
+Along the way that holds only as far as masks are of the time that they state (`phase.may_be_settled`).
 """
 
 import numpy as np
@@ -66,7 +67,7 @@ def with_nats_elsewhere(
         return state
     nats = _behind(pose, view.found, state.fixes, frame, known, aligner, config)
     state = state._replace(elsewhere=Elsewhere(np.float64(nats), np.float64(frame.time_s)))
-    if is_contradicted and nats >= phase.SETTLED_NATS:
+    if is_contradicted and nats >= phase.SETTLED_NATS and phase.may_be_settled(pose, state.fixes):
         state = state._replace(counters=state.counters._replace(conflicts=np.int64(0)))
     return state
 

@@ -64,13 +64,25 @@ def doubts(pose: FusedPose, fixes: Fixes, nats_elsewhere: float) -> tuple[str, .
         fixes: The last fixes.
         nats_elsewhere: By how much every other place is less probable by this frame and the fixes together.
     """
-    if not needs_doubtful_sensors(pose, fixes) or nats_elsewhere >= SETTLED_NATS:
+    if not needs_doubtful_sensors(pose, fixes):
+        return ()
+    if nats_elsewhere >= SETTLED_NATS and may_be_settled(pose, fixes):
         return ()
     off_m = float(np.hypot(*pose.gnss_offset_m))
     return (
         f"the pose needs satellites that are {off_m:.1f} m off and an odometer scale of {pose.odometer_scale:.3f}: "
         "it may be a period of the markings away",
     )
+
+
+def may_be_settled(pose: FusedPose, fixes: Fixes) -> bool:
+    """Returns whether masks can tell that satellites are wrong: aside they can, along the way they cannot.
+
+    Masks that are shown late, or early, fit a place behind or ahead as well as the right ones fit the right place.
+    """
+    forward = pose.T_map_base[:2, 0] / np.linalg.norm(pose.T_map_base[:2, 0])
+    along = pose._replace(gnss_offset_m=forward * (forward @ pose.gnss_offset_m), odometer_scale=1.0)
+    return nats_against(along, fixes) < EVEN_NATS
 
 
 def _offset_sigmas(pose: FusedPose, fixes: Fixes) -> float:

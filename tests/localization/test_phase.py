@@ -27,9 +27,16 @@ def test_a_period_of_12_m_is_no_offset_of_satellites_that_state_1_3_m():
     assert wrong - right > 15.0  # (12 m / 1.95 m)^2 / 2 = 18.9 nats
     assert phase.doubts(pose(1.0), fixes(1.3), 0.0) == ()
     assert "12.0 m off" in phase.doubts(pose(12.0), fixes(1.3), 0.0)[0]
-    # Masks that make every other place a thousand times less probable settle it; ten times less does not.
-    assert phase.doubts(pose(12.0), fixes(1.3), np.log(10.0)) != ()
-    assert phase.doubts(pose(12.0), fixes(1.3), np.log(1001.0)) == ()
+
+
+def test_masks_settle_what_satellites_doubt_aside_but_not_along():
+    """Masks that make every other place a thousand times less probable; ten times less does not. Along the way they may
+    be late."""
+    aside, along = (pose(1.0)._replace(gnss_offset_m=np.array(off)) for off in ([1.0, 7.0], [7.0, 1.0]))
+    for one, nats, settled in ((aside, 10.0, False), (aside, 1001.0, True), (along, 1001.0, False)):
+        assert (phase.doubts(one, fixes(1.3), np.log(nats)) == ()) == settled
+    assert phase.doubts(pose(0.5, scale=0.94), fixes(1.3), np.log(1001.0)) == ()
+    assert phase.doubts(pose(0.5, scale=0.94), fixes(1.3), 0.0) != ()
 
 
 def test_other_places_are_looked_at_a_period_along_and_two_lanes_across():
