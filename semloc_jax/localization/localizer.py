@@ -134,7 +134,8 @@ class Localizer:
             guess: First guess of the pose, where something else knows it.
         """
         maps = cost_maps(masks, self.table, self.config.scene.cost_maps, quantised=True)
-        usable = float(np.mean(np.asarray(maps.usable)))
+        shows_something = any(mask.size and mask.min() != mask.max() for mask in masks)
+        usable = float(np.mean(np.asarray(maps.usable))) if shows_something else 0.0
         digest = 0
         for mask in masks:
             digest = zlib.crc32(np.ascontiguousarray(mask), digest)

@@ -134,7 +134,7 @@ class FrameFeatures(NamedTuple):
     fixes: tuple[GnssMeasurement, ...] = ()
     """Satellite fixes that came in since the frame before."""
     usable_share: float = 1.0
-    """Share of the pixels that are no moving object, own vehicle or unknown."""
+    """Share of the pixels that are no moving object, own vehicle or unknown; 0 where masks are of one class only."""
     digest: int = 0
     """Checksum of the masks: the same twice while the vehicle moves is a camera that stands still."""
     guess: PosePrior | None = None
