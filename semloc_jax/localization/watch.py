@@ -32,6 +32,7 @@ from semloc_jax.localization.watch_sums import (
     WatchState,
     asked_now,
     changed_rigs,
+    far_side,
     leaned,
     learned,
     mount_tilt_rad,
@@ -85,14 +86,21 @@ def looked(
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
     T = view.found.measurement.T_map_base
     names = asked_now(watch, len(frame.rig.names), config)
-    tried = [_tried(name, view, frame, aligner, known, config) for name in names]
+    sides = [far_side(watch, len(frame.rig.names), name) for name in names]
+    tried = [_tried(*one, view, frame, aligner, known, config) for one in zip(names, sides, strict=True)]
     profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
     watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
     return learned(watch, len(frame.rig.names), float(aside), tried, profiles, config)
 
 
 def _tried(
-    name: str, view: FrameReport, frame: FrameFeatures, aligner: FrameAligner, known: Known, config: WatchConfig
+    name: str,
+    side: int | None,
+    view: FrameReport,
+    frame: FrameFeatures,
+    aligner: FrameAligner,
+    known: Known,
+    config: WatchConfig,
 ) -> Tried:
     """The frame solved again with one thing of the calibration changed."""
     rigs = changed_rigs(frame.rig, name, config)
@@ -110,9 +118,9 @@ def _tried(
     try:
         ask(0)
         ask(1)
-        best = int(np.argmax(gain[:2]))
-        if gain[best] > config.least_gain_nats:
-            ask(best + 2)
+        if side is not None:
+            ask(side + 2)
+        if np.nanmax(gain) > config.least_gain_nats:
             # A frame that has not found its own best place yet gains by any second solve.
             gain -= max(view.found.score - solved(frame.rig).score, 0.0)
     except SemlocError:  # no road there

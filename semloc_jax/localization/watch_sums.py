@@ -74,8 +74,8 @@ class WatchConfig:
 
 
 STEPS = np.array([1.0, -1.0, 2.0, -2.0])
-"""How far each alternative is changed, in its units. The far ones are asked only where a near one fits better: beyond
-the reach of the masks costs end, and the near ones do not tell the size of a large fault."""
+"""How far each alternative is changed, in its units. The far ones are asked only where near ones fit better so far:
+beyond the reach of the masks costs end, and the near ones do not tell the size of a large fault."""
 
 
 class Tried(NamedTuple):
@@ -139,6 +139,20 @@ def asked_now(watch: WatchState, num_cameras: int, config: WatchConfig) -> tuple
         return (FOCAL, RADIAL)
     names = alternatives(num_cameras)
     return (names[int(watch.num_frames) % len(names)],)
+
+
+def far_side(watch: WatchState, num_cameras: int, name: str) -> int | None:
+    """The side (0 up, 1 down) on which an alternative fits better on average so far; None where there is none.
+
+    There a far change is asked for, too. Not the frame itself decides: one that happens to like a near change likes a
+    far one.
+    """
+    k = len(STEPS) * alternatives(num_cameras).index(name)
+    if len(watch.num) <= k or (watch.num[k : k + 2] <= 0.0).any():
+        return None
+    mean = watch.gain[k : k + 2] / watch.num[k : k + 2]
+    side = int(np.argmax(mean))
+    return side if mean[side] > 0.0 else None
 
 
 def changed_rigs(rig: Rig, name: str, config: WatchConfig) -> tuple[Rig, ...]:
@@ -293,8 +307,7 @@ def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> l
         gain = watch.gain[rows] / np.maximum(num, 1e-9)
         moved = watch.moved.reshape(-1, 3)[rows] / np.maximum(num, 1e-9)[:, None]
         side = int(np.argmax(gain[:2]))
-        # Few frames that asked for more are those that a near one happened to fit.
-        if num[side + 2] >= 0.5 * num[side]:
+        if num[side + 2] >= 0.5 and gain[side] > 0.0:
             at, better, step = _on_one_side(gain[side], gain[side + 2], moved[side], moved[side + 2])
             at *= STEPS[side]
         else:

@@ -17,6 +17,7 @@ from semloc_jax.localization.watch_sums import (
     alternatives,
     asked_now,
     changed_rigs,
+    far_side,
     leaned,
     learned,
     mount_tilt_rad,
@@ -45,7 +46,7 @@ def after_frames(num_cameras: int, cost, pose, profiles, num: int = 24) -> Watch
         for name in asked_now(state, num_cameras, CONFIG):
             changes = STEPS * unit_of(name, CONFIG)
             gains = np.array([cost(name, 0.0) - cost(name, change) for change in changes])
-            asked = [True, True, gains[0] > CONFIG.least_gain_nats, gains[1] > CONFIG.least_gain_nats]
+            asked = [True, True, *(far_side(state, num_cameras, name) == side for side in (0, 1))]
             steps = np.array([pose(name, change) for change in changes])
             tried.append(Tried(name, np.where(asked, gains, np.nan), steps))
         state = learned(state, num_cameras, 0.0, tried, profiles, CONFIG)
@@ -88,8 +89,8 @@ def test_a_drive_that_fits_raises_no_suspicion():
 def test_one_frame_that_likes_another_lens_is_no_suspicion():
     state = WatchState()
     for k in range(24):
-        near, far = (6.0, 20.0) if k == 7 else (-3.0, np.nan)
-        gains = np.array([near, -3.0, far, np.nan])
+        gains = np.array([6.0 if k == 7 else -3.0, -3.0, np.nan, np.nan])
+        assert far_side(state, 1, "focal") is None
         tried = [Tried(name, gains, np.ones((4, 3))) for name in asked_now(state, 1, CONFIG)]
         state = learned(state, 1, 0.0, tried, flat(), CONFIG)
     assert max(s.nats for s in suspicions(state, 1, CONFIG)) == 0.0
