@@ -1,6 +1,6 @@
 """The verdict on a frame: how far its pose may be trusted, and why not farther (room: localization; host).
 
-In: TrackerState after a frame, what the frame measured, the fused pose. Out: Verdict.
+In: TrackerState after a frame, what the frame measured, the fused pose. Out: FrameVerdict.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ _AS_LEVELS = [1, 0, 2]
 _NO_LEVELS = ProtectionLevels(np.inf, np.inf, np.inf)
 
 
-class Verdict(NamedTuple):
+class FrameVerdict(NamedTuple):
     """What is said of a frame."""
 
     status: TrackStatus
@@ -39,7 +39,7 @@ def judged(
     rig: Rig,
     config: TrackConfig,
     why_no_start: Callable[[], str],
-) -> Verdict:
+) -> FrameVerdict:
     """The verdict on a frame.
 
     Args:
@@ -52,10 +52,10 @@ def judged(
     """
     reasons = view.reasons if view is not None else ()
     if fused is None:
-        return Verdict(TrackStatus.INITIALIZING, (f"no pose yet: {why_no_start()}",), _NO_LEVELS)
+        return FrameVerdict(TrackStatus.INITIALIZING, (f"no pose yet: {why_no_start()}",), _NO_LEVELS)
     protection, causes = levels_of(state, fused, rig, config)
     if not state.tracks:
-        return Verdict(TrackStatus.LOST, health.lost_because(state.counters, config.health) + reasons, protection)
+        return FrameVerdict(TrackStatus.LOST, health.lost_because(state.counters, config.health) + reasons, protection)
     limit = config.health.integrity.limit
     beyond, against = beyond_alert(protection, limit), _contradictions(state, reasons, config.health)
     elsewhere = phase.doubts(fused, state.fixes, float(state.elsewhere.nats))
@@ -66,7 +66,7 @@ def judged(
     if status != TrackStatus.INITIALIZING and not against:
         held = health.held_of(protection, limit, bool(elsewhere))
     told = filter(None, [held_text(protection, held)])
-    return Verdict(status, tuple(dict.fromkeys((*causes, *serious, *reasons, *told))), protection, held)
+    return FrameVerdict(status, tuple(dict.fromkeys((*causes, *serious, *reasons, *told))), protection, held)
 
 
 def levels_of(
