@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.alignment.single_frame import FrameInput
-from semloc_jax.alignment.tracking_step import TrackAlignConfig, profile_along
+from semloc_jax.alignment.tracking_step import TrackAlignConfig, profile_beside
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ def corrected_along(
     reach_m = float(np.clip(config.reach_sigmas * sigma_m, config.basin_m, config.max_reach_m))
     offsets = np.linspace(-reach_m, reach_m, config.num_offsets)
     free = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(jnp.inf))
-    costs = profile_along(
+    costs = profile_beside(
         jnp.asarray(T_predicted, jnp.float32),
-        jnp.asarray(offsets, jnp.float32),
+        jnp.zeros((config.num_offsets, 3), jnp.float32).at[:, 0].set(offsets),
         free,
         frame,
         trust,

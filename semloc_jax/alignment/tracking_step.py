@@ -173,20 +173,19 @@ def valley_along(
 
 
 @stored_program("config")
-def profile_along(
+def profile_beside(
     T_predicted: Float[Array, "4 4"],
-    offsets_m: Float[Array, " n"],
+    moves: Float[Array, "n 3"],
     prior: Prior,
     frame: FrameInput,
     trust: Float[Array, " element"],
     config: TrackAlignConfig,
     level: Int[Array, ""] | int,
 ) -> Float[Array, " n"]:
-    """Cost [nats] of the predicted pose moved along the road by each offset, against seeing the map by chance; one
-    level, no refinement."""
+    """Cost [nats] of the predicted pose after each move (forward [m], left [m], turned [rad]), against seeing the map
+    by chance; one level, no refinement."""
     evidence, _ = trusted_evidence(T_predicted, frame, trust, config.view)
-    moves = jnp.zeros((offsets_m.shape[0], 3), T_predicted.dtype).at[:, 0].set(offsets_m.astype(T_predicted.dtype))
-    moved = displaced(T_predicted, moves)
+    moved = displaced(T_predicted, moves.astype(T_predicted.dtype))
     piece_of, channel = pieces_of(evidence, config.align)
     costs = jax.lax.map(lambda T: piece_costs(T, level, evidence, piece_of, config.align), moved)
     at_random = costs_elsewhere(T_predicted, level, evidence, piece_of, config.align)

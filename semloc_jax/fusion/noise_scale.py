@@ -118,6 +118,16 @@ def correlation_m(noise: NoiseScale, config: NoiseConfig) -> Float[np.ndarray, "
     return np.clip(length_m, config.min_correlation_m, config.max_correlation_m)
 
 
+def freedom(noise: NoiseScale, config: NoiseConfig) -> Float[np.ndarray, "3"]:
+    """Degrees of freedom that `factors` stand on, forward, left and heading: what the noise model is worth, and the
+    frames since. Squares of errors with correlation rho between neighbours are worth (1 - rho^2) / (1 + rho^2) of
+    independent ones."""
+    if noise.num_frames == 0.0:
+        return np.full(3, config.believed_frames)
+    rho = np.exp(-float(noise.way_m / noise.num_frames) / correlation_m(noise, config))
+    return config.believed_frames + float(noise.num_frames) * (1.0 - rho**2) / (1.0 + rho**2)
+
+
 def of_one_pose(
     covariance: Float[np.ndarray, "6 6"], noise: NoiseScale, config: NoiseConfig
 ) -> Float[np.ndarray, "6 6"]:

@@ -23,7 +23,7 @@ from semloc_jax.alignment.tracking_step import (
     TrackAlignConfig,
     TrackedFrame,
     align_predicted,
-    profile_along,
+    profile_beside,
 )
 from semloc_jax.fusion.measurements import PoseMeasurement
 from semloc_jax.geometry import rigid
@@ -145,23 +145,24 @@ class FrameAligner:
         answer = self._answer(found, frame.time_s, local, sigma, index, moved_m)
         return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ answer.measurement.T_map_base)[2:5])
 
-    def costs_along(
+    def costs_beside(
         self,
         frame: FrameFeatures,
         T_map_base: Float[np.ndarray, "4 4"],
-        offsets_m: Float[np.ndarray, " n"],
+        moves: Float[np.ndarray, "n 3"],
         trust: Callable[[np.ndarray], np.ndarray],
         stance: Float[np.ndarray, "3"],
         grain: Float[np.ndarray, ""],
     ) -> Float[np.ndarray, " n"]:
-        """Cost [nats] of the masks at a pose moved along the road, not refined; arguments as `align`."""
+        """Cost [nats] of the masks at a pose after each move (forward [m], left [m], turned [rad]), not refined; other
+        arguments as `align`."""
         _, _, inputs, T_local_base, sigma, _, local_trust = self._prepared(
             frame, T_map_base, np.eye(6), trust, stance, grain
         )
         T = jnp.asarray(T_local_base, jnp.float32)
-        prior = Prior(T, jnp.asarray(sigma * np.array([_FREE, 1.0, 1.0, 1.0, 1.0, 1.0]), jnp.float32))
-        offsets, level = jnp.asarray(offsets_m, jnp.float32), jnp.asarray(self.step.rank_level)
-        return np.asarray(profile_along(T, offsets, prior, inputs, local_trust, self.step, level))
+        prior = Prior(T, jnp.asarray(sigma * np.array([_FREE, _FREE, 1.0, 1.0, 1.0, _FREE]), jnp.float32))
+        known = jnp.asarray(moves, jnp.float32), prior, inputs, local_trust
+        return np.asarray(profile_beside(T, *known, self.step, jnp.asarray(self.step.rank_level)))
 
     def costs_of_classes(
         self,

@@ -56,6 +56,8 @@ def frame_problems(found: Alignment, usable_share: float, config: HealthConfig) 
     """Whether the frame was occluded, and every reason not to use what it measured."""
     if found.status in (SolveStatus.NOT_FINITE,):
         return False, (STATUS_TEXT[found.status],)
+    if usable_share == 0.0:  # nothing can be held against a pose
+        return True, ("the masks show nothing",)
     occluded = (
         usable_share < config.min_usable_share
         or found.coverage < config.min_coverage

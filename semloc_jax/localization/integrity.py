@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import ndtri
+from scipy.special import ndtri, stdtrit
 
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit
 
@@ -22,9 +22,6 @@ class IntegrityConfig:
 
     risk: float = 1e-3
     """Probability for each frame that any of the three errors is larger than its level."""
-    overbound: float = 1.5
-    """Further factor on the standard deviations, for tails that are heavier than those of a Gaussian: what a drive says
-    of its own errors it says late."""
     alert_limits: str = ALERT_LIMITS[0].name
     """Name of the alert limits: local_street or freeway."""
 
@@ -42,33 +39,48 @@ class ProtectionLevels(NamedTuple):
     heading_deg: float
 
 
-def with_map_accuracy(
-    covariance: Float[np.ndarray, "6 6"], map_sigma_m: float, reach_m: float
-) -> Float[np.ndarray, "6 6"]:
-    """Covariance of a pose on the earth, from that of the pose in a map.
+def map_sigmas(map_sigma_m: float, reach_m: float) -> Float[np.ndarray, "3"]:
+    """Standard deviations lateral [m], longitudinal [m] and of the heading [rad] that the map leaves open.
 
     All that is near may be off by the same vector. A drive cannot measure it, so the maker of the map states it.
 
     Args:
-        covariance: Of the right tangent of the pose in the map.
         map_sigma_m: Standard deviation of the place of what is near, in every direction [m].
         reach_m: Distance over which the error of the map changes by its own size; gives the heading error.
     """
-    sigma = np.array([map_sigma_m, map_sigma_m, map_sigma_m, 0.0, 0.0, map_sigma_m / reach_m])
+    return np.array([map_sigma_m, map_sigma_m, map_sigma_m / reach_m])
+
+
+def with_map_accuracy(
+    covariance: Float[np.ndarray, "6 6"], map_sigma_m: float, reach_m: float
+) -> Float[np.ndarray, "6 6"]:
+    """Covariance of a pose on the earth, from that of the right tangent of the pose in a map; as `map_sigmas`."""
+    sigma = np.zeros(6)
+    sigma[_DIRECTIONS], sigma[2] = map_sigmas(map_sigma_m, reach_m), map_sigma_m
     return covariance + np.diag(sigma**2)
 
 
-def protection_levels(covariance: Float[np.ndarray, "6 6"], config: IntegrityConfig) -> ProtectionLevels:
+def protection_levels(
+    covariance: Float[np.ndarray, "6 6"],
+    freedom: Float[np.ndarray, "3"],
+    of_map: Float[np.ndarray, "3"],
+    config: IntegrityConfig,
+) -> ProtectionLevels:
     """Bounds of the lateral [m], longitudinal [m] and heading [deg] error of a fused pose.
 
-    The risk is shared equally by the three directions.
+    The risk is shared equally by the three directions. How large errors are is known by few of them: divided by such a
+    sigma they follow Student's t, whose tails are heavy at first (1.5 times those of a Gaussian with ten degrees of
+    freedom) and become lighter as the drive says more. The map's part is stated, not learned.
 
     Args:
-        covariance: Of the right tangent (x, y, z, roll, pitch, yaw) of the fused pose.
-        config: Risk, overbounding factor.
+        covariance: Of the right tangent (x, y, z, roll, pitch, yaw) of the fused pose in the map.
+        freedom: Degrees of freedom that its scale stands on: lateral, longitudinal, heading.
+        of_map: From `map_sigmas`.
+        config: Risk.
     """
-    sigma = config.overbound * np.sqrt(np.maximum(np.diagonal(covariance), 0.0)[_DIRECTIONS])
-    levels = -ndtri(config.risk / 6.0) * sigma
+    share = config.risk / 6.0
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)[_DIRECTIONS])
+    levels = np.hypot(stdtrit(freedom, 1.0 - share) * sigma, -ndtri(share) * of_map)
     return ProtectionLevels(float(levels[0]), float(levels[1]), float(np.degrees(levels[2])))
 
 

@@ -17,13 +17,12 @@ from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
 from semloc_jax.alignment.single_frame import image_input
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
-from semloc_jax.evaluation.held import held_text
 from semloc_jax.fusion import clock, noise_scale
 from semloc_jax.fusion.clock import CameraTimeLog, unknown_offset
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
-from semloc_jax.localization import health, map_faults, passed_over, phase, rivals, watch
+from semloc_jax.localization import elsewhere, health, map_faults, passed_over, phase, rivals, watch
 from semloc_jax.localization.acquisition import Acquisition, Area
 from semloc_jax.localization.following import (
     FrameReport,
@@ -39,11 +38,13 @@ from semloc_jax.localization.following import (
 )
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
-from semloc_jax.localization.integrity import ProtectionLevels, beyond_alert, protection_levels, with_map_accuracy
+from semloc_jax.localization.integrity import with_map_accuracy
+from semloc_jax.localization.judging import judged
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.localization.stage_timer import StageTimer
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import (
+    Elsewhere,
     FrameFeatures,
     Track,
     TrackerState,
@@ -138,7 +139,8 @@ class Localizer:
                 their kinds: `SlidingWindow(terms=...)`.
         """
         maps = cost_maps(masks, self.table, self.config.scene.cost_maps, quantised=True)
-        usable = float(np.mean(np.asarray(maps.usable)))
+        shows_something = any(mask.size and mask.min() != mask.max() for mask in masks)
+        usable = float(np.mean(np.asarray(maps.usable))) if shows_something else 0.0
         digest = 0
         for mask in masks:
             digest = zlib.crc32(np.ascontiguousarray(mask), digest)
@@ -190,7 +192,8 @@ class Localizer:
             sums = watch.looked(state.watch, view, fused, frame, self.aligner, known, way_m, self.config.watch)
             state = state._replace(watch=sums)
         timer.lap("fuse")
-        state = rivals.joined(state, view, frame, known, self.fusion, self.aligner, self.config.health)
+        parts = (view, frame, known, self.fusion, self.aligner, self.config.health)
+        state = elsewhere.with_nats_elsewhere(rivals.joined(state, *parts), *parts)
         state = self._given_up(state)
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
             state = self._acquired(state, frame)
@@ -251,7 +254,7 @@ class Localizer:
         order = np.argsort(total, kind="stable")
         best, view = tracks[order[0]], pairs[order[0]][1]
         if order[0] != 0:  # what was seen from another place says nothing of this one
-            state = state._replace(watch=watch.WatchState())
+            state = state._replace(watch=watch.WatchState(), elsewhere=Elsewhere())
         kept = [best]
         for k in order[1:]:
             if total[k] - total[order[0]] < self.config.win_nats and not self._is_one_of(tracks[k], kept):
@@ -313,58 +316,27 @@ class Localizer:
             for m, p in zip(measured, penalties, strict=True)
         )
         forgotten = noise_scale.without_poses(state.noise)
-        return state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten, watch=watch.WatchState())
+        state = state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten)
+        return state._replace(watch=watch.WatchState(), elsewhere=Elsewhere())
 
     def _judged(
         self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, timer: StageTimer
     ) -> tuple[TrackerState, TrackResult]:
         """The status of the frame with its reasons."""
-        config = self.config.health
         fused = self._output(state)
-        protection = ProtectionLevels(np.inf, np.inf, np.inf)
-        faults: list[watch.Separation] = []
+        verdict = judged(state, view, fused, frame.rig, self.config, lambda: self._why_no_start(state, frame))
+        state = state._replace(status=np.int64(verdict.status))
         if fused is not None:
-            protection = protection_levels(fused.covariance, config.integrity)
-            if state.tracks:
-                faults = watch.separations(state.watch, fused, self.aligner.on_road, frame.rig, self.config.watch)
-        causes = watch.causes(protection, faults, config.integrity.limit)
-        protection = watch.at_least(watch.with_faults(protection, faults), self.config.watch)
-        reasons, held = view.reasons if view is not None else (), ()
-        if state.tracks:
-            best = state.tracks[0]
-            is_confirmed = bool(best.num_accepted >= self.config.confirm_frames)
-            serious = beyond_alert(protection, config.integrity.limit)
-            conflicts = state.counters.conflicts
-            # A fix or a frame may be wrong; a fix and a frame that speak against the pose at once hardly are.
-            is_doubted = conflicts > 1 or (conflicts > 0 and best.num_refused > 0)
-            if best.num_refused > config.max_refused or is_doubted or state.counters.off_map > 0:
-                conflicts = float(state.counters.conflicts)
-                serious += reasons or (
-                    f"{conflicts:.0f} satellite fixes contradict the pose"
-                    if conflicts
-                    else "frames before contradict it",
-                )
-            is_contradicted = len(serious) > len(beyond_alert(protection, config.integrity.limit))
-            other_place = phase.doubts(fused, state.fixes)
-            serious += other_place
-            status = health.status_of(len(state.tracks), is_confirmed, serious)
-            if status != TrackStatus.INITIALIZING and not is_contradicted:
-                held = health.held_of(protection, config.integrity.limit, bool(other_place))
-            told = filter(None, [held_text(protection, held)])
-            reasons = tuple(dict.fromkeys((*causes, *serious, *reasons, *told)))
-        elif state.coasting:
-            status, reasons = TrackStatus.LOST, health.lost_because(state.counters, config) + reasons
-        else:
-            status, reasons = TrackStatus.INITIALIZING, (f"no pose yet: {self._why_no_start(state, frame)}",)
-        state = state._replace(status=np.int64(status))
+            covariance = with_map_accuracy(fused.covariance, self.config.map_sigma_m, self.config.map_reach_m)
+            fused = fused._replace(covariance=covariance)
         found = view.found if view is not None else None
         return state, TrackResult(
             frame.frame_id,
             frame.time_s,
-            status,
-            reasons,
+            verdict.status,
+            verdict.reasons,
             fused,
-            protection,
+            verdict.protection,
             found.measurement if found else None,
             view.is_accepted if view is not None else False,
             view.innovation.chi2 if view is not None and view.innovation else np.nan,
@@ -374,7 +346,7 @@ class Localizer:
             len(state.tracks),
             float(state.clock.offset_s),
             timer.times_ms,
-            held,
+            verdict.held,
         )
 
     def _why_no_start(self, state: TrackerState, frame: FrameFeatures) -> str:
@@ -386,9 +358,6 @@ class Localizer:
         return why or found_none + "the class table another? 'semloc check-calib' shows it"
 
     def _output(self, state: TrackerState) -> FusedPose | None:
-        """The pose that goes out; None where there is none."""
+        """The pose in the map that goes out; None where there is none."""
         known = (*(track.fusion for track in state.tracks[:1]), *state.coasting)
-        if not known:
-            return None
-        pose, config = self.fusion.pose(known[0]), self.config
-        return pose._replace(covariance=with_map_accuracy(pose.covariance, config.map_sigma_m, config.map_reach_m))
+        return self.fusion.pose(known[0]) if known else None

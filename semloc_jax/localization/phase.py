@@ -21,6 +21,9 @@ of 1.3 m a right track is doubted once in a thousand, and one that is 12 m off p
 in six is not: posts and time must settle it."""
 EVEN_NATS = float(np.log((1.0 - _WRONG_SHARE) / _WRONG_SHARE))
 """What must speak for another place until it is as probable as the one that a search has chosen: 2.9 nats."""
+SETTLED_NATS = float(np.log(1e3))
+"""Where every other place is so much less probable, masks have settled it, whatever satellites say: the risk that
+levels are made for."""
 _BELIEFS = SensorBeliefs()
 
 
@@ -48,15 +51,38 @@ def nats_of_tracks(poses: Sequence[FusedPose], num_accepted: Sequence[int], fixe
     return [nats_against(told[k] if is_younger[k] else poses[k], fixes) for k in range(len(poses))]
 
 
-def doubts(pose: FusedPose, fixes: Fixes) -> tuple[str, ...]:
-    """Returns a sentence where the calibration is hardly to be believed, and what it points to."""
-    if nats_against(pose, fixes) < EVEN_NATS:
+def needs_doubtful_sensors(pose: FusedPose, fixes: Fixes) -> bool:
+    """Returns whether the pose needs a calibration that is hardly to be believed."""
+    return nats_against(pose, fixes) >= EVEN_NATS
+
+
+def doubts(pose: FusedPose, fixes: Fixes, nats_elsewhere: float) -> tuple[str, ...]:
+    """Returns a sentence where the calibration is hardly to be believed, and what it points to.
+
+    Args:
+        pose: Fused.
+        fixes: The last fixes.
+        nats_elsewhere: By how much every other place is less probable by this frame and the fixes together.
+    """
+    if not needs_doubtful_sensors(pose, fixes):
+        return ()
+    if nats_elsewhere >= SETTLED_NATS and may_be_settled(pose, fixes):
         return ()
     off_m = float(np.hypot(*pose.gnss_offset_m))
     return (
         f"the pose needs satellites that are {off_m:.1f} m off and an odometer scale of {pose.odometer_scale:.3f}: "
         "it may be a period of the markings away",
     )
+
+
+def may_be_settled(pose: FusedPose, fixes: Fixes) -> bool:
+    """Returns whether masks can tell that satellites are wrong: aside they can, along the way they cannot.
+
+    Masks that are shown late, or early, fit a place behind or ahead as well as the right ones fit the right place.
+    """
+    forward = pose.T_map_base[:2, 0] / np.linalg.norm(pose.T_map_base[:2, 0])
+    along = pose._replace(gnss_offset_m=forward * (forward @ pose.gnss_offset_m), odometer_scale=1.0)
+    return nats_against(along, fixes) < EVEN_NATS
 
 
 def _offset_sigmas(pose: FusedPose, fixes: Fixes) -> float:

@@ -104,7 +104,7 @@ def rivals(
     num = round(_CONFIG.reach_m / _CONFIG.step_m)
     offsets = _CONFIG.step_m * np.arange(-num, num + 1)
     try:
-        costs = aligner.costs_along(frame, T, offsets, *known)
+        costs = aligner.costs_beside(frame, T, offsets[:, None] * np.array([1.0, 0.0, 0.0]), *known)
     except SemlocError:
         return []
     found = []

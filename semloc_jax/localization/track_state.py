@@ -85,6 +85,14 @@ class Counters(NamedTuple):
     """Frames in a row outside of the map."""
 
 
+class Elsewhere(NamedTuple):
+    """What the last look at other places said, where satellites contradict the pose."""
+
+    nats: Float[np.ndarray, ""] = np.float64(0.0)
+    """By how much every other place is less probable."""
+    time_s: Float[np.ndarray, ""] = np.float64(-np.inf)
+
+
 class TrackerState(NamedTuple):
     """Everything that a localizer carries from one frame to the next."""
 
@@ -114,6 +122,7 @@ class TrackerState(NamedTuple):
     """Of the masks so far, see `NoiseModel.grain`."""
     watch: WatchState = WatchState()
     """What the last frames say of calibration and map."""
+    elsewhere: Elsewhere = Elsewhere()
 
 
 class FrameFeatures(NamedTuple):
@@ -126,7 +135,7 @@ class FrameFeatures(NamedTuple):
     fixes: tuple[GnssMeasurement, ...] = ()
     """Satellite fixes that came in since the frame before."""
     usable_share: float = 1.0
-    """Share of the pixels that are no moving object, own vehicle or unknown."""
+    """Share of the pixels that are no moving object, own vehicle or unknown; 0 where masks are of one class only."""
     digest: int = 0
     """Checksum of the masks: the same twice while the vehicle moves is a camera that stands still."""
     guess: PosePrior | None = None

@@ -6,37 +6,46 @@ Solution separation: the pose that fits with the fault and the one without it ma
 one to the farther side of the other.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import ErrorLimit
 from semloc_jax.fusion.measurements import FusedPose, SensorBeliefs
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.following import FrameReport
-from semloc_jax.localization.frame_alignment import FrameAligner
+from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.integrity import ProtectionLevels
 from semloc_jax.localization.rivals import Known
 from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.localization.watch_sums import (
     CLASSES,
     FOCAL,
+    RADIAL,
+    STEPS,
     Suspicion,
+    Tried,
     WatchConfig,
     WatchState,
+    asked_now,
+    changed_rigs,
+    far_side,
+    leaned,
     learned,
+    mount_tilt_rad,
     moves,
-    next_rig,
     suspicions,
 )
 
-OnRoad = Callable[[np.ndarray], np.ndarray]
 _LOOSE = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
 """How far a pose may move with another calibration."""
+_PLANE = [0, 1, 5]
+"""Forward, left and heading in a tangent."""
 _ADVICE = "run semloc calibrate"
+_OWN_TILT_RAD = np.deg2rad(RoadSigmas().roll_pitch_deg)
 _TRAVEL_SIGMA_DEG = SensorBeliefs().travel_sigma_deg
 
 
@@ -71,46 +80,75 @@ def looked(
         way_m: Way since the frame before [m].
         config: When a frame is looked at.
     """
-    aside = float(watch.aside_rad) * np.exp(-way_m / config.aside_m_memory)
-    travel = _travel_alone(fused, config)
-    aside = travel if abs(travel) >= abs(aside) else aside
+    aside = _aside(float(watch.aside_rad) * np.exp(-way_m / config.aside_m_memory), fused, config)
     way_m += float(watch.way_m)
     if int(watch.num_frames) > 0 and way_m < config.step_m:
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
     T = view.found.measurement.T_map_base
-    trust, stance, grain = known
-    other = frame._replace(rig=next_rig(watch, frame.rig, config))
+    names = asked_now(watch, len(frame.rig.names), config)
+    sides = [far_side(watch, len(frame.rig.names), name) for name in names]
+    tried = [_tried(*one, view, frame, aligner, known, config) for one in zip(names, sides, strict=True)]
+    profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
+    watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
+    return learned(watch, len(frame.rig.names), float(aside), tried, profiles, config)
+
+
+def _tried(
+    name: str,
+    side: int | None,
+    view: FrameReport,
+    frame: FrameFeatures,
+    aligner: FrameAligner,
+    known: Known,
+    config: WatchConfig,
+) -> Tried:
+    """The frame solved again with one thing of the calibration changed."""
+    rigs = changed_rigs(frame.rig, name, config)
+    T = view.found.measurement.T_map_base
+    gain, moved = np.full(len(STEPS), np.nan), np.zeros((len(STEPS), 3))
+
+    def solved(rig: Rig) -> Alignment:
+        return aligner.align(frame._replace(rig=rig), T, _LOOSE, 0.0, *known)
+
+    def ask(k: int) -> None:
+        again = solved(rigs[k])
+        gain[k] = view.found.score - again.score
+        moved[k] = rigid.log(rigid.inverse(T) @ again.measurement.T_map_base)[_PLANE]
+
     try:
-        again = aligner.align(other, T, _LOOSE, 0.0, trust, stance, grain)
-        moved, gain = rigid.log(rigid.inverse(T) @ again.measurement.T_map_base), view.found.score - again.score
-        if gain > config.least_gain_nats:
+        ask(0)
+        ask(1)
+        if side is not None:
+            ask(side + 2)
+        if np.nanmax(gain) > config.least_gain_nats:
             # A frame that has not found its own best place yet gains by any second solve.
-            same = aligner.align(frame, T, _LOOSE, 0.0, trust, stance, grain)
-            gain = min(gain, same.score - again.score)
+            gain -= max(view.found.score - solved(frame.rig).score, 0.0)
     except SemlocError:  # no road there
-        gain, moved = np.nan, np.zeros(6)
-    profiles = aligner.costs_of_classes(frame, T, moves(config), stance, grain, config.level)
-    return learned(watch, len(frame.rig.names), float(aside), gain, moved, profiles, config)
+        gain[:] = np.nan
+    return Tried(name, gain, moved)
 
 
-def separations(
-    watch: WatchState, fused: FusedPose, on_road: OnRoad, rig: Rig, config: WatchConfig
-) -> list[Separation]:
+def _leaned(
+    watch: WatchState, T_map_base: np.ndarray, aligner: FrameAligner, way_m: float, config: WatchConfig
+) -> WatchState:
+    try:
+        T_road = aligner.on_road(T_map_base)
+        spread = aligner.map.road_spread(T_road)
+    except SemlocError:  # no road there
+        return watch
+    tilt_rad = rigid.log(rigid.inverse(T_road) @ T_map_base)[3:5]
+    return leaned(watch, tilt_rad, np.array(spread)[1:3], way_m, config)
+
+
+def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separation]:
     """Every fault that joins the protection levels.
 
     Args:
         watch: Sums over the last frames.
-        fused: The pose that goes out, with its direction of travel.
-        on_road: The pose of a vehicle that stands on the road at the same place; raises SemlocError without a road.
         rig: Cameras.
         config: What counts.
     """
     mean = np.asarray(rig.T_base_cam, np.float64)[:, :3, 3].mean(axis=0)
-    T = fused.T_map_base
-    try:
-        stance = rigid.log(rigid.inverse(on_road(T)) @ T)[2:5]
-    except SemlocError:  # no road there
-        stance = np.zeros(3)
     found = []
     for suspected in suspicions(watch, len(rig.names), config):
         if suspected.nats >= config.count_nats:
@@ -118,7 +156,7 @@ def separations(
             found.append(Separation(left, ahead, float(np.degrees(turned)), _told(suspected, rig)))
     # A map that does not fit moves the pose while driving as well: what speaks of it comes first.
     aside = _looking_aside(float(watch.aside_rad), float(mean[0]), rig, config)
-    found += [aside, *_tilted(stance, float(mean[2]), rig)]
+    found += [aside, *_tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), float(mean[2]), rig)]
     return found
 
 
@@ -132,7 +170,12 @@ def with_faults(levels: ProtectionLevels, found: list[Separation]) -> Protection
 
 def at_least(levels: ProtectionLevels, config: WatchConfig) -> ProtectionLevels:
     """Levels that leave room for faults that are too small to be seen."""
-    return ProtectionLevels(*(max(level, least) for level, least in zip(levels, config.least_levels, strict=True)))
+    lateral_m, longitudinal_m, heading_deg = config.least_levels
+    return ProtectionLevels(
+        max(levels.lateral_m, lateral_m),
+        max(levels.longitudinal_m, longitudinal_m),
+        float(np.hypot(levels.heading_deg, heading_deg)),
+    )
 
 
 def causes(levels: ProtectionLevels, found: list[Separation], limit: ErrorLimit) -> tuple[str, ...]:
@@ -151,14 +194,22 @@ def causes(levels: ProtectionLevels, found: list[Separation], limit: ErrorLimit)
     )
 
 
-def _travel_alone(fused: FusedPose, config: WatchConfig) -> float:
-    """The direction of travel as the drive alone has it: the fusion holds it near zero, which hides a camera that looks
-    aside until much of the way is driven."""
+def _aside(remembered_rad: float, fused: FusedPose, config: WatchConfig) -> float:
+    """The direction of travel to be remembered: the largest of late, unless what the drive says by now is surer."""
+    travel, sigma = _travel_alone(fused, config)
+    if abs(travel) >= abs(remembered_rad):
+        return travel
+    return float(np.sign(remembered_rad)) * min(abs(remembered_rad), abs(travel) + config.aside_sigmas * sigma)
+
+
+def _travel_alone(fused: FusedPose, config: WatchConfig) -> tuple[float, float]:
+    """The direction of travel as the drive alone has it, and its standard deviation: the fusion holds it near zero,
+    which hides a camera that looks aside until much of the way is driven."""
     known, prior, wide = fused.travel_sigma_rad**2, np.deg2rad(_TRAVEL_SIGMA_DEG) ** 2, config.aside_sigma_rad**2
     if not 0.0 < known < prior:
-        return fused.travel_rad
-    information = 1.0 / known - 1.0 / prior
-    return fused.travel_rad / known / (information + 1.0 / wide)
+        return fused.travel_rad, fused.travel_sigma_rad
+    information = 1.0 / known - 1.0 / prior + 1.0 / wide
+    return fused.travel_rad / known / information, float(1.0 / np.sqrt(information))
 
 
 def _looking_aside(travel_rad: float, ahead_m: float, rig: Rig, config: WatchConfig) -> Separation:
@@ -170,9 +221,9 @@ def _looking_aside(travel_rad: float, ahead_m: float, rig: Rig, config: WatchCon
     return Separation(share * abs(travel_rad * ahead_m), 0.0, share * abs(travel_deg), cause)
 
 
-def _tilted(stance: np.ndarray, height_m: float, rig: Rig) -> list[Separation]:
-    """Whether the vehicle leans or its cameras do: they are then not above where they would be."""
-    (_, roll, pitch), word = stance, _cameras(rig)
+def _tilted(tilt_rad: np.ndarray, height_m: float, rig: Rig) -> list[Separation]:
+    """Cameras that are rolled or pitched in their mount are not above where they would be."""
+    (roll, pitch), word = tilt_rad, _cameras(rig)
     leans = f"{word} {abs(np.degrees(roll)):.1f} deg rolled against the road of the map; {_ADVICE}"
     nods = f"{word} {abs(np.degrees(pitch)):.1f} deg too far {'down' if pitch > 0.0 else 'up'}; {_ADVICE}"
     return [
@@ -195,8 +246,13 @@ def _told(suspected: Suspicion, rig: Rig) -> str:
             f"{group} of the map, taken alone, fit {abs(size):.2f} m {side}: lines and posts are not of one state of "
             "the road; see map_changes.csv"
         )
+    which = f"camera {rig.names[0]}" if len(rig.names) == 1 else "the cameras"
     if name == FOCAL:
-        which = f"camera {rig.names[0]}" if len(rig.names) == 1 else "the cameras"
         return f"masks fit better with focal lengths of {which} that are {100 * size:+.1f} % different; {_ADVICE}"
+    if name == RADIAL:
+        return (
+            f"masks fit better with a distortion of {which} that makes the sides of the image "
+            f"{100 * abs(size):.1f} % {'wider' if size > 0.0 else 'narrower'}; {_ADVICE}"
+        )
     turn, index = name.split()
     return f"camera {rig.names[int(index)]} does not fit the others: {np.degrees(size):+.1f} deg in {turn}; {_ADVICE}"

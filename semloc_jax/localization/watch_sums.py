@@ -8,6 +8,7 @@ shorter says by the difference which one is right, and where the vehicle then is
 the masks each alone say whether they belong to one state of the road. What single frames say is summed up.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -15,14 +16,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from semloc_jax.cameras import Rig
+from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
 
-FOCAL = "focal"
+FOCAL, RADIAL = "focal", "radial"
 _TURNS = ("pitch", "yaw")
 CLASSES = ("lines_left", "lines_ahead", "posts_left", "posts_ahead")
 """Suspicions that are no calibration: what lies or what stands fits better elsewhere."""
-_PLANE = [0, 1, 5]
-"""Forward, left and heading in a tangent."""
 
 
 @dataclass(frozen=True)
@@ -36,20 +35,35 @@ class WatchConfig:
     ahead_m: ClassVar[tuple[float, float]] = (4.5, 0.25)
     focal_share: ClassVar[float] = 0.025
     """By how much the focal lengths of the other calibration differ: less is told by its own slope."""
+    radial_share: ClassVar[float] = 0.05
+    """By how much a lens of another distortion is wider or narrower at the side of the image: as much as the distortion
+    of usual lenses there."""
     turn_rad: ClassVar[float] = 0.015
     step_m: float = 0.5
     """Way between two frames that are looked at: from one place the same errors are seen again."""
+    eager_looks: int = 12
+    """So many frames at the start of a drive are asked for all that may be wrong with the lenses: calibrations that are
+    wrong are wrong from the first frame on."""
     memory_frames: float = 40.0
     share: float = 0.3
     """Share of what a frame says that is new: successive frames see the same map."""
     aside_sigma_rad: float = 0.02
     """How far aside cameras may look, before the drive says more [rad]."""
     least_levels: tuple[float, float, float] = (0.15, 0.25, 0.3)
-    """No protection level is smaller: lateral [m], longitudinal [m], heading [deg]. Maps are surveyed and cameras are
-    mounted to centimetres and tenths of a degree, and a fault of that size shows in nothing."""
+    """What a fault may do that shows in nothing, as maps are surveyed and cameras are mounted to centimetres and tenths
+    of a degree: lateral [m], longitudinal [m], heading [deg]. No level is smaller; that of the heading is so much in
+    every pose, since no camera is mounted exactly, and joins what scatters."""
+    mount_sigma_deg: float = 1.0
+    """How far a camera may be rolled or pitched in its mount, before the drive says more."""
+    surface_m: float = 10.0
+    """Way over which road and vehicle keep their own tilt: bumps, nods, what the map has of the slope."""
+    tilt_memory_m: float = 200.0
+    """Way over which tilts are averaged: a mount does not change while driving."""
     aside_m_memory: float = 20.0
     """Way over which a direction of travel is remembered: where the cameras look aside, the first lines and walls that
     come into view or leave it move the pose, which passes for a drive to the other side."""
+    aside_sigmas: float = 1.0
+    """What is remembered counts no longer beyond so many standard deviations of what the drive says by now."""
     aside_rad: tuple[float, float] = (0.0055, 0.0063)
     """A direction of travel up to the first is that of a sound vehicle, whose axle and inertial unit are never mounted
     exactly along each other (a real one: 0.27 deg); from the second on it counts in full [rad]."""
@@ -57,6 +71,21 @@ class WatchConfig:
     """What a frame must gain at least: less is left by masks and maps that are not perfect, in every frame anew."""
     count_nats: float = 3.0
     """A fault that so much speaks for joins the protection levels: less is what chance does among a dozen faults."""
+
+
+STEPS = np.array([1.0, -1.0, 2.0, -2.0])
+"""How far each alternative is changed, in its units. The far ones are asked only where near ones fit better so far:
+beyond the reach of the masks costs end, and the near ones do not tell the size of a large fault."""
+
+
+class Tried(NamedTuple):
+    """A frame solved again with one alternative in its `STEPS`."""
+
+    name: str
+    gain_nats: Float[np.ndarray, "4"]
+    """By how much it fits better; NaN where it was not asked."""
+    moved: Float[np.ndarray, "4 3"]
+    """How far the pose moves: forward [m], left [m], heading [rad]."""
 
 
 class WatchState(NamedTuple):
@@ -77,6 +106,9 @@ class WatchState(NamedTuple):
     num_frames: Int[np.ndarray, ""] = np.int64(0)
     way_m: Float[np.ndarray, ""] = np.float64(0.0)
     """Since the last frame that was looked at."""
+    tilt: Float[np.ndarray, "5"] = np.zeros(5)
+    """Number of independent stretches of road that were driven; sums over them of roll and pitch [rad] and of the
+    variances of both that the map leaves open [rad^2]."""
 
 
 class Suspicion(NamedTuple):
@@ -93,22 +125,63 @@ class Suspicion(NamedTuple):
 def alternatives(num_cameras: int) -> tuple[str, ...]:
     """What is changed in the other calibrations, each a little up and a little down."""
     turns = [f"{turn} {k}" for k in range(num_cameras) for turn in _TURNS] if num_cameras > 1 else []
-    return (FOCAL, *turns)
+    return (FOCAL, RADIAL, *turns)
 
 
-def next_rig(watch: WatchState, rig: Rig, config: WatchConfig) -> Rig:
-    """The calibration that the next frame is solved with again."""
-    names = alternatives(len(rig.names))
-    at = int(watch.num_frames) % (2 * len(names))
-    sign = 1.0 if at % 2 == 0 else -1.0
-    if names[at // 2] == FOCAL:
-        factor = 1.0 + sign * config.focal_share
-        cameras = tuple(eqx.tree_at(lambda c: (c.fx, c.fy), c, (factor * c.fx, factor * c.fy)) for c in rig.cameras)
+def unit_of(name: str, config: WatchConfig) -> float:
+    """By how much one of `alternatives` is changed: a share of the image, or an angle [rad]."""
+    return {FOCAL: config.focal_share, RADIAL: config.radial_share}.get(name, config.turn_rad)
+
+
+def asked_now(watch: WatchState, num_cameras: int, config: WatchConfig) -> tuple[str, ...]:
+    """What the next frame is asked for: the lenses at the start of a drive, later one alternative after another."""
+    if int(watch.num_frames) < config.eager_looks:
+        return (FOCAL, RADIAL)
+    names = alternatives(num_cameras)
+    return (names[int(watch.num_frames) % len(names)],)
+
+
+def far_side(watch: WatchState, num_cameras: int, name: str) -> int | None:
+    """The side (0 up, 1 down) on which an alternative fits better on average so far; None where there is none.
+
+    There a far change is asked for, too. Not the frame itself decides: one that happens to like a near change likes a
+    far one.
+    """
+    k = len(STEPS) * alternatives(num_cameras).index(name)
+    if len(watch.num) <= k or (watch.num[k : k + 2] <= 0.0).any():
+        return None
+    mean = watch.gain[k : k + 2] / watch.num[k : k + 2]
+    side = int(np.argmax(mean))
+    return side if mean[side] > 0.0 else None
+
+
+def changed_rigs(rig: Rig, name: str, config: WatchConfig) -> tuple[Rig, ...]:
+    """The calibrations that a frame is solved with again: one alternative in its `STEPS`."""
+    return tuple(_changed(rig, name, step * unit_of(name, config)) for step in STEPS)
+
+
+def _changed(rig: Rig, name: str, by: float) -> Rig:
+    if name == FOCAL:
+        cameras = tuple(
+            eqx.tree_at(lambda c: (c.fx, c.fy), c, ((1.0 + by) * c.fx, (1.0 + by) * c.fy)) for c in rig.cameras
+        )
         return Rig(cameras, rig.T_base_cam, rig.names)
-    turn, index = names[at // 2].split()
+    if name == RADIAL:
+        return Rig(tuple(_bent(camera, by) for camera in rig.cameras), rig.T_base_cam, rig.names)
+    turn, index = name.split()
     T_base_cam = np.array(rig.T_base_cam, dtype=np.float64)
-    T_base_cam[int(index), :3, :3] = _about(turn, sign * config.turn_rad) @ T_base_cam[int(index), :3, :3]
+    T_base_cam[int(index), :3, :3] = _about(turn, by) @ T_base_cam[int(index), :3, :3]
     return Rig(rig.cameras, T_base_cam, rig.names)
+
+
+def _bent(camera: Camera, share: float) -> Camera:
+    """A lens whose radial term makes the side of the image larger by a share."""
+    if isinstance(camera, PinholeCamera):
+        camera = BrownConradyCamera(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+    if not hasattr(camera, "k1"):
+        return camera
+    side = 0.5 * float(camera.width) / float(camera.fx)
+    return eqx.tree_at(lambda c: c.k1, camera, camera.k1 + share / side**2)
 
 
 def _about(turn: str, angle_rad: float) -> np.ndarray:
@@ -136,8 +209,7 @@ def learned(
     watch: WatchState,
     num_cameras: int,
     aside_rad: float,
-    gain_nats: float,
-    moved: Float[np.ndarray, "6"],
+    tried: Sequence[Tried],
     profiles: Float[np.ndarray, "2 n"],
     config: WatchConfig,
 ) -> WatchState:
@@ -147,28 +219,73 @@ def learned(
         watch: Before.
         num_cameras: Of the rig.
         aside_rad: Direction of travel to be remembered.
-        gain_nats: By how much the frame fits better with `next_rig`.
-        moved: How far its pose moved (right tangent).
+        tried: The frame with `changed_rigs` of every one of `asked_now`.
         profiles: Costs of lines and of posts at `moves`.
         config: Memory.
     """
-    size = 2 * len(alternatives(num_cameras))
+    names = alternatives(num_cameras)
+    size = len(STEPS) * len(names)
     if watch.num.shape != (size,):
         zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
-        watch = WatchState(*zeros, num_frames=watch.num_frames)
+        watch = WatchState(*zeros, num_frames=watch.num_frames, tilt=watch.tilt)
     keep = np.exp(-1.0 / config.memory_frames)
-    new = (np.arange(size) == int(watch.num_frames) % size) & np.isfinite(gain_nats + np.sum(moved))
+    new, gain, moved = np.zeros(size), np.zeros(size), np.zeros((size, 3))
+    for one in tried:
+        asked = np.isfinite(one.gain_nats) & np.isfinite(one.moved).all(axis=1)
+        rows = len(STEPS) * names.index(one.name) + np.flatnonzero(asked)
+        new[rows], gain[rows], moved[rows] = 1.0, one.gain_nats[asked], one.moved[asked]
     usable = np.isfinite(profiles).all()
     return WatchState(
         keep * watch.num + new,
-        keep * watch.gain + np.where(new, np.nan_to_num(gain_nats), 0.0),
-        keep * watch.moved + (new[:, None] * np.nan_to_num(moved[_PLANE])).ravel(),
+        keep * watch.gain + gain,
+        keep * watch.moved + moved.ravel(),
         keep * watch.profiles + (np.asarray(profiles, np.float64).ravel() if usable else 0.0),
         np.float64(aside_rad),
         np.float64(keep * watch.num_looks + usable),
         np.int64(watch.num_frames + 1),
         np.float64(0.0),
+        watch.tilt,
     )
+
+
+def leaned(
+    watch: WatchState,
+    tilt_rad: Float[np.ndarray, "2"],
+    open_rad: Float[np.ndarray, "2"],
+    way_m: float,
+    config: WatchConfig,
+) -> WatchState:
+    """The sums after one more look at how the vehicle stands on the road.
+
+    Args:
+        watch: Before.
+        tilt_rad: Roll and pitch against the road of the map.
+        open_rad: Standard deviations of both that the surface of the map leaves open.
+        way_m: Since the look before.
+        config: Memory.
+    """
+    new = min(way_m / config.surface_m, 1.0) if watch.tilt[0] > 0.0 else 1.0
+    keep = np.exp(-way_m / config.tilt_memory_m)
+    return watch._replace(tilt=keep * watch.tilt + new * np.array([1.0, *tilt_rad, *np.square(open_rad)]))
+
+
+def mount_tilt_rad(watch: WatchState, own_rad: float, config: WatchConfig) -> Float[np.ndarray, "2"]:
+    """Roll and pitch of the cameras in their mount that the drive speaks for.
+
+    A mount is tilted by the same in every place. Nods and bumps average out over the way; a crown that the map has not
+    lies on one side all along and does not.
+
+    Args:
+        watch: What was seen.
+        own_rad: Standard deviation of roll and pitch of a vehicle on a flat road.
+        config: How far a mount may be off.
+    """
+    num = watch.tilt[0]
+    if num <= 0.0:
+        return np.zeros(2)
+    mean, left_open = watch.tilt[1:3] / num, watch.tilt[3:5] / num
+    variance, prior = left_open + own_rad**2 / max(num, 1.0), np.deg2rad(config.mount_sigma_deg) ** 2
+    return mean * prior / (prior + variance)
 
 
 def suspicions(watch: WatchState, num_cameras: int, config: WatchConfig) -> list[Suspicion]:
@@ -180,23 +297,45 @@ def suspicions(watch: WatchState, num_cameras: int, config: WatchConfig) -> list
 
 
 def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> list[Suspicion]:
-    """Where a parabola through the costs of the calibration and of the two beside it has its minimum."""
-    found = []
+    """Where a parabola through the costs of the calibration and of those beside it has its minimum."""
+    found, num_steps = [], len(STEPS)
     for k, name in enumerate(alternatives(num_cameras)):
-        num = watch.num[2 * k : 2 * k + 2]
-        if (num < 0.5).any():
+        rows = slice(num_steps * k, num_steps * (k + 1))
+        num = watch.num[rows]
+        if (num[:2] < 0.5).any():
             continue
-        up, down = -watch.gain[2 * k : 2 * k + 2] / num
-        step_up, step_down = watch.moved.reshape(-1, 3)[2 * k : 2 * k + 2] / num[:, None]
-        slope, bend = 0.5 * (up - down), 0.5 * (up + down)
-        # Beyond the neighbours nothing was looked at, but a fault may be larger.
-        at = float(np.clip(-0.5 * slope / bend, -2.0, 2.0)) if bend > 0.0 else -2.0 * float(np.sign(slope))
-        better = -(slope * at + bend * at**2) if bend > 0.0 else max(-up, -down)
+        gain = watch.gain[rows] / np.maximum(num, 1e-9)
+        moved = watch.moved.reshape(-1, 3)[rows] / np.maximum(num, 1e-9)[:, None]
+        side = int(np.argmax(gain[:2]))
+        if num[side + 2] >= 0.5 and gain[side] > 0.0:
+            at, better, step = _on_one_side(gain[side], gain[side + 2], moved[side], moved[side + 2])
+            at *= STEPS[side]
+        else:
+            at, better = _between(gain[0], gain[1])
+            step = at * 0.5 * (moved[0] - moved[1])
         # Both neighbours say it, as often as they were asked.
-        nats = config.share * float(num.sum()) * max(better - config.least_gain_nats, 0.0)
-        unit = config.focal_share if name == FOCAL else config.turn_rad
-        found.append(Suspicion(name, at * unit, nats, at * 0.5 * (step_up - step_down)))
+        nats = config.share * float(num[:2].sum()) * max(better - config.least_gain_nats, 0.0)
+        found.append(Suspicion(name, at * unit_of(name, config), nats, step))
     return found
+
+
+def _between(gain_up: float, gain_down: float) -> tuple[float, float]:
+    """Where a parabola through costs at 0, 1 and -1 is least, not beyond these, and what is gained there."""
+    slope, bend = 0.5 * (gain_down - gain_up), -0.5 * (gain_up + gain_down)
+    at = float(np.clip(-0.5 * slope / bend, -1.0, 1.0)) if bend > 0.0 else -float(np.sign(slope))
+    return at, float(-(slope * at + bend * at**2))
+
+
+def _on_one_side(
+    near: float, far: float, moved_near: np.ndarray, moved_far: np.ndarray
+) -> tuple[float, float, np.ndarray]:
+    """Where a parabola through gains at 0, 1 and 2 is largest, not beyond these, what is gained there, and how far the
+    pose moves."""
+    bend = 0.5 * (far - 2.0 * near)
+    slope = near - bend
+    at = float(np.clip(-0.5 * slope / bend, 0.0, 2.0)) if bend < 0.0 else 2.0
+    moved = at * moved_near if at <= 1.0 else moved_near + (at - 1.0) * (moved_far - moved_near)
+    return at, float(slope * at + bend * at**2), moved
 
 
 def _classes_apart(watch: WatchState, config: WatchConfig) -> list[Suspicion]:

@@ -100,6 +100,8 @@ def calibration_panels(
 def verdict_text(result: LocalizationResult) -> str:
     """Status and numbers of a result in one line."""
     state = "localized" if result.localized else f"not localized: {result.status.name.lower().replace('_', ' ')}"
+    if not result.modes:  # nothing of the map is seen: the pose is that of the prior
+        return f"after: {state}"
     best = result.modes[0]
     sigma = f"sigma {100 * best.sigma_lateral_m:.0f} / {100 * best.sigma_longitudinal_m:.0f} cm"
     return f"after: {state}, cost {best.cost:.2f}, coverage {best.coverage:.0%}, {sigma}"

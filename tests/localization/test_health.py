@@ -37,6 +37,7 @@ def test_a_good_frame_has_no_problems():
         ({"coverage": 0.05}, 0.9, True),
         ({"status": SolveStatus.NO_EVIDENCE}, 0.9, True),
         ({}, 0.1, True),
+        ({"cost": 0.95}, 0.0, True),  # masks of one class: nothing is contradicted
         ({"in_view_px": 50.0}, 0.9, True),
         ({"status": SolveStatus.NOT_FINITE}, 0.9, False),
     ],

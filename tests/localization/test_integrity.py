@@ -8,12 +8,16 @@ from semloc_jax.localization.integrity import (
     IntegrityConfig,
     ProtectionLevels,
     beyond_alert,
+    map_sigmas,
     protection_levels,
     with_map_accuracy,
 )
 
 COVARIANCE = np.diag([0.04, 0.01, 0.02, 0.002, 0.002, 0.003]) ** 2
-WIDE = IntegrityConfig(risk=0.03, overbound=1.0)
+WIDE = IntegrityConfig(risk=0.03)
+KNOWN = np.full(3, 1e6)
+"""Degrees of freedom of a scale that is known."""
+NO_MAP = np.zeros(3)
 
 
 def share_beyond(errors, levels):
@@ -24,12 +28,31 @@ def share_beyond(errors, levels):
 
 def test_levels_are_exceeded_as_often_as_the_risk_says():
     errors = np.random.default_rng(0).normal(size=(100_000, 3)) * np.sqrt(np.diag(COVARIANCE))[[0, 1, 5]]
-    levels = protection_levels(COVARIANCE, WIDE)
+    levels = protection_levels(COVARIANCE, KNOWN, NO_MAP, WIDE)
     assert share_beyond(errors, levels) == pytest.approx(0.03, abs=0.002)
     assert levels.lateral_m == pytest.approx(0.01 * 2.576, rel=0.01)  # 1 % in two tails
-    assert share_beyond(errors, protection_levels(COVARIANCE, IntegrityConfig(risk=1e-3, overbound=1.0))) < 2e-3
-    doubled = protection_levels(COVARIANCE, IntegrityConfig(risk=0.03, overbound=2.0))
-    assert np.allclose(doubled, 2.0 * np.array(levels))
+    assert share_beyond(errors, protection_levels(COVARIANCE, KNOWN, NO_MAP, IntegrityConfig(risk=1e-3))) < 2e-3
+
+
+def test_levels_hold_where_the_scale_is_told_by_few_errors():
+    """A sigma that comes from ten errors is often too small: Gaussian levels would be exceeded three times as often."""
+    rng = np.random.default_rng(1)
+    draws = rng.normal(size=(20_000, 3))
+    scale = np.sqrt(rng.chisquare(10.0, size=(20_000, 3)) / 10.0)
+    errors = draws / scale * np.sqrt(np.diag(COVARIANCE))[[0, 1, 5]]
+    assert share_beyond(errors, protection_levels(COVARIANCE, np.full(3, 10.0), NO_MAP, WIDE)) == pytest.approx(
+        0.03, abs=0.004
+    )
+    assert share_beyond(errors, protection_levels(COVARIANCE, KNOWN, NO_MAP, WIDE)) > 0.06
+
+
+def test_what_the_maker_states_of_the_map_has_the_tails_of_a_gaussian():
+    few = np.full(3, 4.0)
+    of_map = protection_levels(np.zeros((6, 6)), few, map_sigmas(0.05, 20.0), WIDE)
+    assert of_map == pytest.approx((0.05 * 2.576, 0.05 * 2.576, np.degrees(0.0025) * 2.576), rel=1e-3)
+    alone = protection_levels(COVARIANCE, few, NO_MAP, WIDE)
+    both = protection_levels(COVARIANCE, few, map_sigmas(0.05, 20.0), WIDE)
+    np.testing.assert_allclose(both, np.hypot(alone, of_map))
 
 
 def test_levels_beyond_the_alert_limits_are_named():

@@ -5,6 +5,7 @@ import pytest
 
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement
 from semloc_jax.localization import phase
+from semloc_jax.localization.elsewhere import _apart, crossing
 from semloc_jax.localization.initialization import no_fixes, with_fix
 from semloc_jax.localization.rivals import _valleys
 
@@ -24,8 +25,32 @@ def test_a_period_of_12_m_is_no_offset_of_satellites_that_state_1_3_m():
     right, wrong = (phase.nats_against(pose(off), fixes(1.3)) for off in (1.0, 12.0))
     assert right < 0.2
     assert wrong - right > 15.0  # (12 m / 1.95 m)^2 / 2 = 18.9 nats
-    assert phase.doubts(pose(1.0), fixes(1.3)) == ()
-    assert "12.0 m off" in phase.doubts(pose(12.0), fixes(1.3))[0]
+    assert phase.doubts(pose(1.0), fixes(1.3), 0.0) == ()
+    assert "12.0 m off" in phase.doubts(pose(12.0), fixes(1.3), 0.0)[0]
+
+
+def test_masks_settle_what_satellites_doubt_aside_but_not_along():
+    """Masks that make every other place a thousand times less probable; ten times less does not. Along the way they may
+    be late."""
+    aside, along = (pose(1.0)._replace(gnss_offset_m=np.array(off)) for off in ([1.0, 7.0], [7.0, 1.0]))
+    for one, nats, settled in ((aside, 10.0, False), (aside, 1001.0, True), (along, 1001.0, False)):
+        assert (phase.doubts(one, fixes(1.3), np.log(nats)) == ()) == settled
+    assert phase.doubts(pose(0.5, scale=0.94), fixes(1.3), np.log(1001.0)) == ()
+    assert phase.doubts(pose(0.5, scale=0.94), fixes(1.3), 0.0) != ()
+
+
+def test_other_places_are_looked_at_a_period_along_and_two_lanes_across():
+    moves = crossing()
+    for x, y in ((-9.0, 0.0), (6.0, 0.0), (0.0, 3.5), (0.0, -7.0), (0.0, 0.0)):
+        assert np.min(np.hypot(moves[:, 0] - x, moves[:, 1] - y)) < 0.3
+    assert (moves[:, 2] == 0.0).all()
+
+
+def test_places_apart_from_the_pose_are_chosen_cheapest_first():
+    moves = np.array(
+        [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [6.0, 0.0, 0.0], [6.5, 0.0, 0.0], [12.0, 0.0, 0.0], [0.0, 3.5, 0.0]]
+    )
+    assert _apart(moves, np.array([0.0, 1.0, 5.0, 4.0, np.inf, 2.0])) == [5, 3]
 
 
 @pytest.mark.parametrize(("away_m", "doubted"), [(0.0, (0.0, 0.01)), (6.0, (0.7, 0.95)), (12.0, (0.99, 1.0))])
@@ -34,7 +59,7 @@ def test_how_often_a_track_a_period_away_is_doubted(away_m, doubted):
     slow_m = 1.3 * np.random.default_rng(0).normal(size=(500, 2)) + [away_m, 0.0]
     there = [pose(0.0)._replace(gnss_offset_m=off_m) for off_m in slow_m]
     known = fixes(1.3)
-    share = np.mean([bool(phase.doubts(one, known)) for one in there])
+    share = np.mean([bool(phase.doubts(one, known, 0.0)) for one in there])
     assert doubted[0] <= share <= doubted[1]
 
 
@@ -51,7 +76,7 @@ def test_a_young_track_is_told_what_the_old_one_knows_of_the_satellites():
 
 def test_poor_satellites_do_not_tell_a_period():
     assert phase.nats_against(pose(12.0), fixes(8.0)) == pytest.approx(0.5, abs=0.01)
-    assert phase.doubts(pose(12.0), fixes(8.0)) == ()
+    assert phase.doubts(pose(12.0), fixes(8.0), 0.0) == ()
 
 
 def test_without_fixes_only_the_odometer_speaks():

@@ -9,15 +9,19 @@ import pytest
 
 from semloc_jax.datasets import GnssTrack, open_drive
 from semloc_jax.errors import SemlocError
-from semloc_jax.fusion.measurements import GnssMeasurement
+from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement
 from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
+from semloc_jax.localization import elsewhere, phase
 from semloc_jax.localization.drive import track_frames
+from semloc_jax.localization.health import HealthConfig
+from semloc_jax.localization.initialization import no_fixes, with_fix
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
-from semloc_jax.localization.watch_sums import WatchConfig, WatchState, moves, next_rig
+from semloc_jax.localization.watch_sums import WatchConfig, changed_rigs, moves
 from semloc_jax.maps import read_map
 from semloc_jax.simulation import with_fault
 from tests.contracts.test_pose_terms import ranges
@@ -135,17 +139,36 @@ def test_lines_and_posts_are_each_least_costly_where_they_are(pipeline):
         assert min(posts[0], posts[-1]) > posts.min() + 3.0
 
 
-def test_a_lens_stated_too_long_fits_better_when_shortened(pipeline):
+@pytest.mark.parametrize(("fault", "name"), [("focal:2", "focal"), ("distortion:3", "radial")])
+def test_a_lens_stated_wrong_fits_better_when_it_is_changed_back(pipeline, fault, name):
+    """Too long, and with the distortion of the wrong sign: too wide at the sides."""
     localizer, features, T = _at_truth(pipeline)
-    long = with_fault("focal:2", pipeline.drive, localizer.map).drive.rig
-    features = features._replace(rig=long.select(pipeline.source.cameras))
+    wrong = with_fault(fault, pipeline.drive, localizer.map).drive.rig
+    features = features._replace(rig=wrong.select(pipeline.source.cameras))
     given = features.rig
     scores = []
-    for rig in (given, *(next_rig(WatchState(num_frames=np.int64(k)), given, WatchConfig()) for k in (0, 1))):
+    for rig in (given, *changed_rigs(given, name, WatchConfig())[:2]):
         known = localizer.start()
         trust = lambda rows: np.ones(len(rows))  # noqa: E731
         spread = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
         seen = (features._replace(rig=rig), T, spread, 0.0, trust, known.stance, np.ones((), np.float32))
         scores.append(localizer.aligner.align(*seen).score)
-    as_stated, longer, shorter = scores
-    assert shorter < as_stated - 1.0 and shorter < longer - 2.0
+    as_stated, wider, narrower = scores
+    assert narrower < as_stated - 1.0 and narrower < wider - 2.0
+
+
+@pytest.mark.parametrize("aside_m", [0.0, -3.5])
+def test_masks_settle_a_lane_that_satellites_ask_for(pipeline, aside_m):
+    """Fixes 3.5 m to the left of a pose that is right are wrong; of a pose that is a lane to the right they are not."""
+    localizer, features, T = _at_truth(pipeline)
+    T = T @ rigid.exp(np.array([0.0, aside_m, 0.0, 0.0, 0.0, 0.0]))
+    known = lambda rows: np.ones(len(rows)), np.zeros(3), np.ones((), np.float32)
+    found = localizer.aligner.align(features, T, np.diag([0.1, 0.1, 0.05, 0.01, 0.01, 0.01]) ** 2, 0.0, *known)
+    asked_m = 3.5 * T[:2, 1]
+    fixes = no_fixes()
+    for k in range(8):
+        fixes = with_fix(fixes, GnssMeasurement(0.1 * k, T[:3, 3] + [*asked_m, 0.0], np.full(3, 0.5)))
+    pose = FusedPose(features.time_s, T, 1e-4 * np.eye(6), 1.0, 0.0, asked_m)
+    nats = elsewhere._behind(pose, found, fixes, features, known, localizer.aligner, HealthConfig())
+    assert (phase.doubts(pose, fixes, nats) == ()) == (aside_m == 0.0)
+    assert aside_m == 0.0 or nats < 0.0  # the other place is the better one

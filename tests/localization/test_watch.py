@@ -5,19 +5,25 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.cameras import PinholeCamera, Rig
-from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.localization import watch
 from semloc_jax.localization.integrity import ProtectionLevels
 from semloc_jax.localization.watch_sums import (
+    STEPS,
+    Tried,
     WatchConfig,
     WatchState,
     alternatives,
+    asked_now,
+    changed_rigs,
+    far_side,
+    leaned,
     learned,
+    mount_tilt_rad,
     moves,
-    next_rig,
     suspicions,
+    unit_of,
 )
 
 CONFIG = WatchConfig()
@@ -33,16 +39,17 @@ def rig(num: int) -> Rig:
 
 
 def after_frames(num_cameras: int, cost, pose, profiles, num: int = 24) -> WatchState:
-    """Frames whose cost and pose are given functions of the calibration's change, as `next_rig` asks for it."""
+    """Frames whose cost and pose are given functions of the calibration's change, as `next_rigs` asks for it."""
     state = WatchState()
-    for k in range(num):
-        at = k % (2 * len(alternatives(num_cameras)))
-        unit = CONFIG.focal_share if at // 2 == 0 else CONFIG.turn_rad
-        change = unit if at % 2 == 0 else -unit
-        name = alternatives(num_cameras)[at // 2]
-        state = learned(
-            state, num_cameras, 0.0, cost(name, 0.0) - cost(name, change), pose(name, change), profiles, CONFIG
-        )
+    for _ in range(num):
+        tried = []
+        for name in asked_now(state, num_cameras, CONFIG):
+            changes = STEPS * unit_of(name, CONFIG)
+            gains = np.array([cost(name, 0.0) - cost(name, change) for change in changes])
+            asked = [True, True, *(far_side(state, num_cameras, name) == side for side in (0, 1))]
+            steps = np.array([pose(name, change) for change in changes])
+            tried.append(Tried(name, np.where(asked, gains, np.nan), steps))
+        state = learned(state, num_cameras, 0.0, tried, profiles, CONFIG)
     return state
 
 
@@ -51,33 +58,49 @@ def flat() -> np.ndarray:
     return np.tile(20.0 * np.minimum(np.linalg.norm(moves(CONFIG), axis=1), 1.0), (2, 1))
 
 
-def test_a_wrong_focal_length_is_found_with_its_size_and_what_it_does_to_the_pose():
-    """The cost has its least value 4 % shorter, and a lens 1 % longer moves the pose 0.2 m back."""
+@pytest.mark.parametrize("wrong", ["focal", "radial"])
+def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong):
+    """The cost has its least value 4 % narrower, and a lens 1 % wider moves the pose 0.2 m back."""
 
     def pose(name, change):
-        return np.array([-20.0 * change, 0.0, 0.0, 0.0, 0.0, 0.0])
+        return np.array([-20.0 * change, 0.0, 0.0])
 
-    state = after_frames(1, lambda name, c: 0.5 * ((c + 0.04) / 0.01) ** 2, pose, flat())
+    def cost(name, change):
+        return 0.5 * ((change + (0.04 if name == wrong else 0.0)) / 0.01) ** 2
+
+    state = after_frames(1, cost, pose, flat())
     first = suspicions(state, 1, CONFIG)[0]
-    assert (first.name, first.size) == ("focal", pytest.approx(-0.04, abs=1e-9))
+    assert (first.name, first.size) == (wrong, pytest.approx(-0.04, abs=1e-9))
     np.testing.assert_allclose(first.moved, [0.8, 0.0, 0.0], atol=1e-9)
-    # 24 frames that forget over 40 are worth 18; each gains 8 nats, of which two do not count and three tenths are new.
-    worth = np.sum(np.exp(-np.arange(24) / 40.0))
+    # Every frame asks for it at first, twice, later every other; each gains 8 nats, of which two do not count and three
+    # tenths are new.
+    asked = np.r_[: CONFIG.eager_looks, CONFIG.eager_looks + (wrong == "radial") : 24 : 2]
+    worth = 2.0 * np.sum(np.exp(-(23 - asked) / 40.0))
     assert first.nats == pytest.approx(0.3 * worth * (8.0 - CONFIG.least_gain_nats), rel=1e-6)
 
 
 def test_a_drive_that_fits_raises_no_suspicion():
-    state = after_frames(2, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(6), flat())
+    state = after_frames(2, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat())
     found = suspicions(state, 2, CONFIG)
-    assert len(found) == 9 and max(s.nats for s in found) < 1e-9
+    assert len(found) == 10 and max(s.nats for s in found) < 1e-9
     assert suspicions(WatchState(), 1, CONFIG) == []
+
+
+def test_one_frame_that_likes_another_lens_is_no_suspicion():
+    state = WatchState()
+    for k in range(24):
+        gains = np.array([6.0 if k == 7 else -3.0, -3.0, np.nan, np.nan])
+        assert far_side(state, 1, "focal") is None
+        tried = [Tried(name, gains, np.ones((4, 3))) for name in asked_now(state, 1, CONFIG)]
+        state = learned(state, 1, 0.0, tried, flat(), CONFIG)
+    assert max(s.nats for s in suspicions(state, 1, CONFIG)) == 0.0
 
 
 def test_one_camera_of_two_is_named():
     def cost(name, change):
         return 0.5 * ((change - (0.02 if name == "yaw 1" else 0.0)) / 0.005) ** 2
 
-    first = suspicions(after_frames(2, cost, lambda name, c: np.zeros(6), flat(), 40), 2, CONFIG)[0]
+    first = suspicions(after_frames(2, cost, lambda name, c: np.zeros(3), flat(), 40), 2, CONFIG)[0]
     assert (first.name, first.size) == ("yaw 1", pytest.approx(0.02))
 
 
@@ -87,7 +110,7 @@ def test_posts_that_fit_beside_the_lines_are_found(group, axis, off_m):
     there = np.zeros(3)
     there[axis] = off_m
     profiles[group] = 20.0 * np.minimum(np.linalg.norm(moves(CONFIG) - there, axis=1), 1.0)
-    state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(6), profiles, 6)
+    state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 6)
     first = suspicions(state, 1, CONFIG)[0]
     assert first.name == ("lines", "posts")[group] + ("_ahead", "_left")[axis]
     assert first.size == pytest.approx(off_m) and first.nats > CONFIG.count_nats
@@ -97,53 +120,55 @@ def test_posts_that_fit_beside_the_lines_are_found(group, axis, off_m):
 def test_a_sound_axle_is_no_fault():
     """A real vehicle travels 0.27 deg beside its inertial unit."""
     state = WatchState(aside_rad=np.float64(np.deg2rad(0.27)))
-    found = watch.separations(state, fused(), flat_road, rig(1), CONFIG)
+    found = watch.separations(state, rig(1), CONFIG)
     assert watch.with_faults(LEVELS, found) == LEVELS and watch.causes(LEVELS, found, ALERT_LIMITS[0]) == ()
 
 
 def test_frames_without_numbers_leave_the_sums_alone():
-    state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(6), flat(), 4)
-    after = learned(state, 1, 0.0, np.nan, np.zeros(6), np.full_like(flat(), np.nan), CONFIG)
+    state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat(), 4)
+    after = learned(
+        state, 1, 0.0, [Tried("focal", np.full(4, np.nan), np.zeros((4, 3)))], np.full_like(flat(), np.nan), CONFIG
+    )
     keep = np.exp(-1.0 / CONFIG.memory_frames)
     np.testing.assert_allclose(after.gain, keep * state.gain)
     np.testing.assert_allclose(after.profiles, keep * state.profiles)
 
 
 def test_the_other_calibrations_take_turns():
-    """Longer, shorter, then every camera down, up, left, right; axes as in scipy."""
+    """Lenses at first; then they and every camera's pitch and yaw."""
+    at = [asked_now(WatchState(num_frames=np.int64(k)), 2, CONFIG) for k in range(CONFIG.eager_looks + 6)]
+    assert set(at[: CONFIG.eager_looks]) == {("focal", "radial")}
+    assert sorted(name for (name,) in at[CONFIG.eager_looks :]) == sorted(alternatives(2))
+
+
+def test_the_other_calibrations_differ_as_they_say():
+    """Longer and shorter, bent and unbent, every camera down and up, left and right; axes as in scipy."""
     given = rig(2)
-    told = [next_rig(WatchState(num_frames=np.int64(k)), given, CONFIG) for k in range(10)]
-    assert [float(t.cameras[0].fx) for t in told[:3]] == pytest.approx([512.5, 487.5, 500.0])
-    for k, axis, camera, sign in ((2, "y", 0, 1), (3, "y", 0, -1), (4, "z", 0, 1), (9, "z", 1, -1)):
-        turn = Rotation.from_euler(axis, sign * CONFIG.turn_rad).as_matrix()
-        np.testing.assert_allclose(
-            told[k].T_base_cam[camera, :3, :3], turn @ np.asarray(given.T_base_cam)[camera, :3, :3], atol=1e-9
-        )
-        np.testing.assert_allclose(told[k].T_base_cam[1 - camera], given.T_base_cam[1 - camera])
+    told = [changed_rigs(given, name, CONFIG) for name in alternatives(2)]
+    assert [float(t.cameras[0].fx) for t in (*told[0], told[2][0])] == pytest.approx(
+        [512.5, 487.5, 525.0, 475.0, 500.0]
+    )
+    # At the side of the image, 320 px from its centre, a ray lies 5 % farther out or in.
+    side = np.array([[0.64, 0.0, 1.0]])
+    shifts = [float(t.cameras[1].project(side)[0][0, 0]) - 640.0 for t in told[1]]
+    assert shifts == pytest.approx([16.0, -16.0, 32.0, -32.0], abs=0.01)
+    for k, axis, camera in ((2, "y", 0), (3, "z", 0), (5, "z", 1)):
+        for sign, other in zip(STEPS, told[k], strict=True):
+            turn = Rotation.from_euler(axis, sign * CONFIG.turn_rad).as_matrix()
+            np.testing.assert_allclose(
+                other.T_base_cam[camera, :3, :3], turn @ np.asarray(given.T_base_cam)[camera, :3, :3], atol=1e-9
+            )
+            np.testing.assert_allclose(other.T_base_cam[1 - camera], given.T_base_cam[1 - camera])
 
 
-def flat_road(T_map_base):
-    """A road at height 0."""
-    yaw = Rotation.from_matrix(T_map_base[:3, :3]).as_euler("ZYX")[0]
-    T = np.eye(4)
-    T[:3, :3], T[:2, 3] = Rotation.from_euler("z", yaw).as_matrix(), T_map_base[:2, 3]
-    return T
-
-
-def no_road(T_map_base):
-    raise SemlocError("no road there")
-
-
-def fused(travel_deg: float = 0.0, sigma_deg: float = 0.1, roll_deg: float = 0.0) -> FusedPose:
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler("x", roll_deg, degrees=True).as_matrix()
+def fused(travel_deg: float = 0.0, sigma_deg: float = 0.1) -> FusedPose:
     angles = np.deg2rad([travel_deg, sigma_deg])
-    return FusedPose(0.0, T, np.eye(6), 1.0, 0.0, np.zeros(2), float(angles[0]), float(angles[1]))
+    return FusedPose(0.0, np.eye(4), np.eye(6), 1.0, 0.0, np.zeros(2), float(angles[0]), float(angles[1]))
 
 
 def test_cameras_that_look_aside_end_tracking_with_a_sentence():
     state = WatchState(aside_rad=np.float64(np.deg2rad(0.7)))
-    found = watch.separations(state, fused(), flat_road, rig(1), CONFIG)
+    found = watch.separations(state, rig(1), CONFIG)
     levels = watch.with_faults(LEVELS, found)
     assert levels.heading_deg == pytest.approx(0.82) and levels.longitudinal_m == pytest.approx(0.1)
     assert levels.lateral_m == pytest.approx(0.05 + 1.5 * np.deg2rad(0.7))
@@ -151,15 +176,43 @@ def test_cameras_that_look_aside_end_tracking_with_a_sentence():
     assert watch.causes(LEVELS, found, ALERT_LIMITS[0]) == (told,)
 
 
+def rolled(roll_deg, open_deg: float, way_m: float) -> WatchState:
+    """A drive past looks 2 m apart; `roll_deg` of the number of the look."""
+    state = WatchState()
+    for k in range(int(way_m / 2.0)):
+        state = leaned(state, np.deg2rad([roll_deg(k), 0.0]), np.deg2rad([open_deg, 0.0]), 2.0, CONFIG)
+    return state
+
+
+OWN_RAD = np.deg2rad(0.5)
+
+
+def test_a_camera_that_is_rolled_in_every_place_is_told_from_a_vehicle_that_nods():
+    lasting = mount_tilt_rad(rolled(lambda k: 2.0, 0.0, 200.0), OWN_RAD, CONFIG)
+    assert np.degrees(lasting) == pytest.approx([2.0, 0.0], abs=0.1)
+    nodding = mount_tilt_rad(rolled(lambda k: 2.0 * np.sin(0.7 * k), 0.0, 200.0), OWN_RAD, CONFIG)
+    assert abs(np.degrees(nodding[0])) < 0.1
+    # One look says little: half a degree of its own against a degree of the mount leaves four fifths.
+    first = mount_tilt_rad(rolled(lambda k: 2.0, 0.0, 2.0), OWN_RAD, CONFIG)
+    assert np.degrees(first[0]) == pytest.approx(1.6)
+    assert (mount_tilt_rad(WatchState(), OWN_RAD, CONFIG) == 0.0).all()
+
+
+def test_a_crown_that_the_map_has_not_is_no_tilt_of_the_camera():
+    """The map leaves 2 deg open, on one side all along the road: averaging does not take that away."""
+    crowned = mount_tilt_rad(rolled(lambda k: 1.2, 2.0, 400.0), OWN_RAD, CONFIG)
+    assert np.degrees(crowned[0]) == pytest.approx(1.2 / (1.0 + 4.0), rel=0.02)
+
+
 def test_a_rolled_camera_is_not_above_where_it_would_be():
-    found = watch.separations(WatchState(), fused(roll_deg=2.0), flat_road, rig(1), CONFIG)
-    assert watch.with_faults(LEVELS, found).lateral_m == pytest.approx(0.05 + 1.4 * np.deg2rad(2.0), rel=1e-3)
-    nowhere = watch.separations(WatchState(), fused(roll_deg=2.0), no_road, rig(1), CONFIG)
-    assert watch.with_faults(LEVELS, nowhere) == LEVELS
+    found = watch.separations(rolled(lambda k: 2.0, 0.0, 200.0), rig(1), CONFIG)
+    assert watch.with_faults(LEVELS, found).lateral_m == pytest.approx(0.05 + 1.4 * np.deg2rad(2.0), rel=0.02)
 
 
 def test_levels_never_promise_more_than_a_survey():
-    assert watch.at_least(LEVELS, CONFIG) == ProtectionLevels(*CONFIG.least_levels)
+    lateral_m, longitudinal_m, heading_deg = watch.at_least(LEVELS, CONFIG)
+    assert (lateral_m, longitudinal_m) == CONFIG.least_levels[:2]
+    assert heading_deg == pytest.approx(np.hypot(LEVELS.heading_deg, 0.3))  # a camera is mounted to tenths of a degree
     wide = ProtectionLevels(1.0, 2.0, np.inf)
     assert watch.at_least(wide, CONFIG) == wide
 
@@ -167,10 +220,19 @@ def test_levels_never_promise_more_than_a_survey():
 def test_the_drive_alone_says_more_than_the_fusion_that_holds_it_near_zero():
     """A mean of 0.7 deg with 0.3 deg, held by a prior of 0.3 deg, comes out as 0.35 deg: the drive alone said 0.7."""
     known = 0.3 / np.sqrt(2.0)
-    alone = watch._travel_alone(fused(0.35, known), CONFIG)
+    alone, sigma = watch._travel_alone(fused(0.35, known), CONFIG)
     wide = np.degrees(CONFIG.aside_sigma_rad)
     assert np.degrees(alone) == pytest.approx(0.7 / (1.0 + (0.3 / wide) ** 2), rel=1e-6)
-    assert watch._travel_alone(fused(0.35, 0.0), CONFIG) == pytest.approx(np.deg2rad(0.35))
+    assert np.degrees(sigma) == pytest.approx(0.3 / np.hypot(1.0, 0.3 / wide), rel=1e-6)
+    assert watch._travel_alone(fused(0.35, 0.0), CONFIG) == pytest.approx((np.deg2rad(0.35), 0.0))
+
+
+def test_a_direction_that_few_metres_gave_does_not_outlast_what_many_say():
+    """1 deg is remembered; a drive that says 0.1 deg with 0.05 deg leaves 0.15 of it, one that knows nothing all."""
+    one = np.deg2rad(1.0)
+    assert np.degrees(watch._aside(one, fused(0.1, 0.05), CONFIG)) == pytest.approx(0.154, abs=0.003)
+    assert watch._aside(-one, fused(0.0, 0.299), CONFIG) == -one
+    assert watch._aside(one, fused(2.0, 0.05), CONFIG) > np.deg2rad(2.0)
 
 
 def test_every_suspicion_has_a_sentence():

@@ -1,0 +1,95 @@
+"""The verdict on a frame: how far its pose may be trusted, and why not farther (room: localization; host).
+
+In: TrackerState after a frame, what the frame measured, the fused pose. Out: FrameVerdict.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from semloc_jax.cameras import Rig
+from semloc_jax.evaluation.held import held_text
+from semloc_jax.fusion import noise_scale
+from semloc_jax.fusion.measurements import FusedPose
+from semloc_jax.localization import health, phase, watch
+from semloc_jax.localization.following import FrameReport
+from semloc_jax.localization.integrity import ProtectionLevels, beyond_alert, map_sigmas, protection_levels
+from semloc_jax.localization.track_config import TrackConfig
+from semloc_jax.localization.track_state import TrackerState, TrackStatus
+
+_AS_LEVELS = [1, 0, 2]
+"""Lateral, longitudinal, heading among the directions of `noise_scale`."""
+_NO_LEVELS = ProtectionLevels(np.inf, np.inf, np.inf)
+
+
+class FrameVerdict(NamedTuple):
+    """What is said of a frame."""
+
+    status: TrackStatus
+    reasons: tuple[str, ...]
+    protection: ProtectionLevels
+    held: tuple[str, ...] = ()
+
+
+def judged(
+    state: TrackerState,
+    view: FrameReport | None,
+    fused: FusedPose | None,
+    rig: Rig,
+    config: TrackConfig,
+    why_no_start: Callable[[], str],
+) -> FrameVerdict:
+    """The verdict on a frame.
+
+    Args:
+        state: After the frame.
+        view: What the frame said about the best track; None where none was followed.
+        fused: The pose in the map; None before there is any.
+        rig: Cameras.
+        config: Limits.
+        why_no_start: Why the vehicle was not found.
+    """
+    reasons = view.reasons if view is not None else ()
+    if fused is None:
+        return FrameVerdict(TrackStatus.INITIALIZING, (f"no pose yet: {why_no_start()}",), _NO_LEVELS)
+    protection, causes = levels_of(state, fused, rig, config)
+    if not state.tracks:
+        return FrameVerdict(TrackStatus.LOST, health.lost_because(state.counters, config.health) + reasons, protection)
+    limit = config.health.integrity.limit
+    beyond, against = beyond_alert(protection, limit), _contradictions(state, reasons, config.health)
+    elsewhere = phase.doubts(fused, state.fixes, float(state.elsewhere.nats))
+    serious = (*beyond, *against, *elsewhere)
+    is_confirmed = bool(state.tracks[0].num_accepted >= config.confirm_frames)
+    status = health.status_of(len(state.tracks), is_confirmed, serious)
+    held = ()
+    if status != TrackStatus.INITIALIZING and not against:
+        held = health.held_of(protection, limit, bool(elsewhere))
+    told = filter(None, [held_text(protection, held)])
+    return FrameVerdict(status, tuple(dict.fromkeys((*causes, *serious, *reasons, *told))), protection, held)
+
+
+def levels_of(
+    state: TrackerState, fused: FusedPose, rig: Rig, config: TrackConfig
+) -> tuple[ProtectionLevels, tuple[str, ...]]:
+    """Protection levels under every suspected fault, and the faults that take one beyond its alert limit; arguments as
+    `judged`."""
+    integrity = config.health.integrity
+    freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
+    of_map = map_sigmas(config.map_sigma_m, config.map_reach_m)
+    levels = protection_levels(fused.covariance, freedom, of_map, integrity)
+    faults = watch.separations(state.watch, rig, config.watch) if state.tracks else []
+    causes = watch.causes(levels, faults, integrity.limit)
+    return watch.at_least(watch.with_faults(levels, faults), config.watch), causes
+
+
+def _contradictions(state: TrackerState, reasons: tuple[str, ...], config: health.HealthConfig) -> tuple[str, ...]:
+    """What speaks against the pose as a whole: frames, satellites, the end of the map."""
+    best, conflicts = state.tracks[0], float(state.counters.conflicts)
+    # A fix or a frame may be wrong; a fix and a frame that speak against the pose at once hardly are.
+    is_doubted = conflicts > 1 or (conflicts > 0 and best.num_refused > 0)
+    if not (best.num_refused > config.max_refused or is_doubted or state.counters.off_map > 0):
+        return ()
+    return reasons or (
+        f"{conflicts:.0f} satellite fixes contradict the pose" if conflicts else "frames before contradict it",
+    )
