@@ -43,7 +43,7 @@ class ProtectionLevels(NamedTuple):
 
 
 def with_map_accuracy(
-    covariance: Float[np.ndarray, "6 6"], map_sigma_m: float, reach_m: float
+    covariance: Float[np.ndarray, "6 6"], map_sigma_m: float, map_sigma_rad: float
 ) -> Float[np.ndarray, "6 6"]:
     """Covariance of a pose on the earth, from that of the pose in a map.
 
@@ -52,9 +52,9 @@ def with_map_accuracy(
     Args:
         covariance: Of the right tangent of the pose in the map.
         map_sigma_m: Standard deviation of the place of what is near, in every direction [m].
-        reach_m: Distance over which the error of the map changes by its own size; gives the heading error.
+        map_sigma_rad: Standard deviation of its direction [rad].
     """
-    sigma = np.array([map_sigma_m, map_sigma_m, map_sigma_m, 0.0, 0.0, map_sigma_m / reach_m])
+    sigma = np.array([map_sigma_m, map_sigma_m, map_sigma_m, 0.0, 0.0, map_sigma_rad])
     return covariance + np.diag(sigma**2)
 
 

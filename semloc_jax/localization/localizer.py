@@ -49,12 +49,11 @@ from semloc_jax.localization.track_state import (
     TrackResult,
     TrackStatus,
 )
-from semloc_jax.maps import SemanticMap
+from semloc_jax.maps import SemanticMap, SharedSigmas
 from semloc_jax.perception import ClassTable, cost_maps
 
 _SEARCH_REACH_M = 3.0
-"""What a search needs of the map beyond the view of its prior. A tracked vehicle is known better than that, and the
-window around it has a margin of its own: less map is less work in every frame."""
+"""What a search needs of the map beyond its prior: a tracked vehicle is known better; less map is less work."""
 
 
 class Localizer:
@@ -90,6 +89,7 @@ class Localizer:
         radius_m = scene.search_radius_m - _SEARCH_REACH_M
         self.windows = MapWindows(semantic_map, radius_m, scene.sample_spacing_m, scene.sample_capacity)
         self.aligner = FrameAligner(semantic_map, self.windows, self.channel_of_label, scene, self.config.alignment)
+        self._map_sigmas = SharedSigmas(semantic_map, self.config.map_sigma)
         self.acquisition = Acquisition(self.aligner, motion, self.config.acquisition)
 
     def start(self) -> TrackerState:
@@ -383,8 +383,8 @@ class Localizer:
         known = (*(track.fusion for track in state.tracks[:1]), *state.coasting)
         if not known:
             return None
-        pose, config = self.fusion.pose(known[0]), self.config
-        return pose._replace(covariance=with_map_accuracy(pose.covariance, config.map_sigma_m, config.map_reach_m))
+        pose = self.fusion.pose(known[0])
+        return pose._replace(covariance=with_map_accuracy(pose.covariance, *self._map_sigmas.at(pose.T_map_base)))
 
 
 class _Timer:

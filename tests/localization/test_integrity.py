@@ -41,8 +41,8 @@ def test_levels_beyond_the_alert_limits_are_named():
 
 
 def test_the_accuracy_of_the_map_joins_the_pose():
-    found = with_map_accuracy(COVARIANCE, 0.03, 20.0)
+    found = with_map_accuracy(COVARIANCE, 0.03, 0.0015)
     sigma = np.sqrt(np.diag(found))
     assert sigma[:2] == pytest.approx([0.05, np.hypot(0.01, 0.03)])
-    assert sigma[5] == pytest.approx(np.hypot(0.003, 0.03 / 20.0))
-    assert np.array_equal(with_map_accuracy(COVARIANCE, 0.0, 20.0), COVARIANCE)
+    assert sigma[5] == pytest.approx(np.hypot(0.003, 0.0015))
+    assert np.array_equal(with_map_accuracy(COVARIANCE, 0.0, 0.0), COVARIANCE)
