@@ -39,24 +39,24 @@ class ProtectionLevels(NamedTuple):
     heading_deg: float
 
 
-def map_sigmas(map_sigma_m: float, reach_m: float) -> Float[np.ndarray, "3"]:
+def map_sigmas(map_sigma_m: float, map_sigma_rad: float) -> Float[np.ndarray, "3"]:
     """Standard deviations lateral [m], longitudinal [m] and of the heading [rad] that the map leaves open.
 
     All that is near may be off by the same vector. A drive cannot measure it, so the maker of the map states it.
 
     Args:
         map_sigma_m: Standard deviation of the place of what is near, in every direction [m].
-        reach_m: Distance over which the error of the map changes by its own size; gives the heading error.
+        map_sigma_rad: Standard deviation of its direction [rad].
     """
-    return np.array([map_sigma_m, map_sigma_m, map_sigma_m / reach_m])
+    return np.array([map_sigma_m, map_sigma_m, map_sigma_rad])
 
 
 def with_map_accuracy(
-    covariance: Float[np.ndarray, "6 6"], map_sigma_m: float, reach_m: float
+    covariance: Float[np.ndarray, "6 6"], map_sigma_m: float, map_sigma_rad: float
 ) -> Float[np.ndarray, "6 6"]:
     """Covariance of a pose on the earth, from that of the right tangent of the pose in a map; as `map_sigmas`."""
     sigma = np.zeros(6)
-    sigma[_DIRECTIONS], sigma[2] = map_sigmas(map_sigma_m, reach_m), map_sigma_m
+    sigma[_DIRECTIONS], sigma[2] = map_sigmas(map_sigma_m, map_sigma_rad), map_sigma_m
     return covariance + np.diag(sigma**2)
 
 

@@ -37,6 +37,7 @@ def judged(
     view: FrameReport | None,
     fused: FusedPose | None,
     rig: Rig,
+    map_sigma: tuple[float, float],
     config: TrackConfig,
     why_no_start: Callable[[], str],
 ) -> FrameVerdict:
@@ -47,13 +48,14 @@ def judged(
         view: What the frame said about the best track; None where none was followed.
         fused: The pose in the map; None before there is any.
         rig: Cameras.
+        map_sigma: What the map leaves open around the pose: place [m], direction [rad].
         config: Limits.
         why_no_start: Why the vehicle was not found.
     """
     reasons = view.reasons if view is not None else ()
     if fused is None:
         return FrameVerdict(TrackStatus.INITIALIZING, (f"no pose yet: {why_no_start()}",), _NO_LEVELS)
-    protection, causes = levels_of(state, fused, rig, config)
+    protection, causes = levels_of(state, fused, rig, map_sigma, config)
     if not state.tracks:
         return FrameVerdict(TrackStatus.LOST, health.lost_because(state.counters, config.health) + reasons, protection)
     limit = config.health.integrity.limit
@@ -70,14 +72,13 @@ def judged(
 
 
 def levels_of(
-    state: TrackerState, fused: FusedPose, rig: Rig, config: TrackConfig
+    state: TrackerState, fused: FusedPose, rig: Rig, map_sigma: tuple[float, float], config: TrackConfig
 ) -> tuple[ProtectionLevels, tuple[str, ...]]:
     """Protection levels under every suspected fault, and the faults that take one beyond its alert limit; arguments as
     `judged`."""
     integrity = config.health.integrity
     freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
-    of_map = map_sigmas(config.map_sigma_m, config.map_reach_m)
-    levels = protection_levels(fused.covariance, freedom, of_map, integrity)
+    levels = protection_levels(fused.covariance, freedom, map_sigmas(*map_sigma), integrity)
     faults = watch.separations(state.watch, rig, config.watch) if state.tracks else []
     causes = watch.causes(levels, faults, integrity.limit)
     return watch.at_least(watch.with_faults(levels, faults), config.watch), causes

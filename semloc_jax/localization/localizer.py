@@ -51,13 +51,12 @@ from semloc_jax.localization.track_state import (
     TrackResult,
     TrackStatus,
 )
-from semloc_jax.maps import SemanticMap
+from semloc_jax.maps import SemanticMap, SharedSigmas
 from semloc_jax.perception import ClassTable, cost_maps
 from semloc_jax.residuals.pose_terms import Terms
 
 _SEARCH_REACH_M = 3.0
-"""What a search needs of the map beyond the view of its prior. A tracked vehicle is known better than that, and the
-window around it has a margin of its own: less map is less work in every frame."""
+"""What a search needs of the map beyond its prior: a tracked vehicle is known better; less map is less work."""
 
 
 class Localizer:
@@ -93,6 +92,7 @@ class Localizer:
         radius_m = scene.search_radius_m - _SEARCH_REACH_M
         self.windows = MapWindows(semantic_map, radius_m, scene.sample_spacing_m, scene.sample_capacity)
         self.aligner = FrameAligner(semantic_map, self.windows, self.channel_of_label, scene, self.config.alignment)
+        self._map_sigmas = SharedSigmas(semantic_map, self.config.map_sigma)
         self.acquisition = Acquisition(self.aligner, motion, self.config.acquisition)
 
     def start(self) -> TrackerState:
@@ -324,11 +324,12 @@ class Localizer:
     ) -> tuple[TrackerState, TrackResult]:
         """The status of the frame with its reasons."""
         fused = self._output(state)
-        verdict = judged(state, view, fused, frame.rig, self.config, lambda: self._why_no_start(state, frame))
+        map_sigma = self._map_sigmas.at(np.eye(4) if fused is None else fused.T_map_base)
+        why = partial(self._why_no_start, state, frame)
+        verdict = judged(state, view, fused, frame.rig, map_sigma, self.config, why)
         state = state._replace(status=np.int64(verdict.status))
         if fused is not None:
-            covariance = with_map_accuracy(fused.covariance, self.config.map_sigma_m, self.config.map_reach_m)
-            fused = fused._replace(covariance=covariance)
+            fused = fused._replace(covariance=with_map_accuracy(fused.covariance, *map_sigma))
         found = view.found if view is not None else None
         return state, TrackResult(
             frame.frame_id,

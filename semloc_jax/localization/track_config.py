@@ -23,7 +23,8 @@ class TrackConfig:
     """Where a configuration file holds all of this but the scene."""
     scene: SceneConfig = field(default_factory=SceneConfig)
     map_sigma_m: float = 0.0
-    """How accurate the map is, as its maker states: joins the covariance of every pose that goes out."""
+    """How accurate the map is, as its maker states: joins the covariance of every pose that goes out, beside what the
+    map itself states of what is around."""
     map_reach_m: float = 20.0
     """Distance over which the position error of the map changes by its own size: the heading error is their ratio."""
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -38,3 +39,8 @@ class TrackConfig:
     """Tracks that are this much worse than the best one are given up."""
     drop_refused: float = 6.0
     """A track that this many frames in a row contradict is given up while others are left."""
+
+    @property
+    def map_sigma(self) -> tuple[float, float]:
+        """Standard deviations of place [m] and direction [rad] that the map shares everywhere."""
+        return self.map_sigma_m, self.map_sigma_m / self.map_reach_m

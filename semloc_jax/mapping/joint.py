@@ -12,15 +12,23 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from semloc_jax.geometry import rigid
 from semloc_jax.mapping.element_pulls import Pulls
 from semloc_jax.maps import MapElement
-from semloc_jax.residuals.motion import cauchy, pose_linearised, pose_residual, pulled_linearised, pulled_residual
+from semloc_jax.residuals.motion import (
+    between_linearised,
+    between_residual,
+    cauchy,
+    pulled_linearised,
+    pulled_residual,
+)
 from semloc_jax.solvers.factors import POSE, Factors
-from semloc_jax.solvers.front import Sparse, solve
+from semloc_jax.solvers.front import solve
 from semloc_jax.solvers.graph import FactorGraph, Family, Values
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
+from semloc_jax.solvers.sparse import SparseProblem
 
 ELEMENT = "element"
 _ELEMENTS, _PULLS = 64, 1024
@@ -31,8 +39,12 @@ _ELEMENTS, _PULLS = 64, 1024
 class JointConfig:
     """How poses and elements are solved together. All values are ours.
 
+    An element is known from the frames that drew it, so it is tied to the nearest of them and not to the map: a
+    thousand elements that may each be 0.5 m from their place in the map would together hold the scale of a way with a
+    draft of it that is 0.2 % too small.
+
     Args:
-        sigma_xy_m: how far an element may be from where it was drawn.
+        sigma_xy_m: how far an element may be from where it was drawn, seen from the nearest frame that looked.
         sigma_z_m: how far from the road.
         sigma_tilt_deg: how far from lying in it.
         sigma_turn_deg: how far it may be turned.
@@ -87,6 +99,8 @@ class JointSolution(NamedTuple):
     Ts_map_base: Float[np.ndarray, "n 4 4"]
     motions: dict[str, np.ndarray]
     """T_new_old of every element that was seen, in the map."""
+    covariance: Float[np.ndarray, "c c"]
+    """Joint one of the right tangents of the poses that were asked for, six rows each [m, rad]."""
 
 
 def solve_together(
@@ -96,6 +110,7 @@ def solve_together(
     pulls: Sequence[Pulls],
     elements: Sequence[MapElement],
     config: JointConfig | None = None,
+    sure_of: Sequence[int] = (),
 ) -> JointSolution:
     """The most likely poses and elements.
 
@@ -105,22 +120,26 @@ def solve_together(
         frames: rows of the poses that looked.
         pulls: what each of them says.
         elements: of the map they were held against.
+        config: noise; None for the defaults.
+        sure_of: rows of the poses whose covariance is asked for.
     """
     config = config or JointConfig()
     row = {element.id: k for k, element in enumerate(elements)}
     pose = np.repeat(np.asarray(frames, int), [len(each.ids) for each in pulls])
-    if not len(pose):
-        return JointSolution(np.array(values["pose"]), {})
     more = -len(elements) % _ELEMENTS
     Ts_map_element = np.concatenate([[place_of(e) for e in elements], np.tile(np.eye(4), (more, 1, 1))])
-    element = np.array([row[name] for each in pulls for name in each.ids])
-    seen = pull_factors(values["pose"], Ts_map_element, pose, element, pulls, config)
+    element = np.array([row[name] for each in pulls for name in each.ids], int)
+    seen = pull_factors(values["pose"], Ts_map_element, pose, element, pulls, np.asarray(frames, int), config)
     family = Family(ELEMENT, POSE, len(Ts_map_element))
     whole = FactorGraph((*graph.families, family), (*graph.factors, *seen), graph.free)
     with jax.enable_x64(True):
-        found = solve(whole, {**values, ELEMENT: Ts_map_element}, config.solve, Sparse((ELEMENT,))).value
+        problem = SparseProblem(whole, (ELEMENT,))
+        solution = solve(problem, {**values, ELEMENT: Ts_map_element}, config.solve)
+        coordinates = (6 * np.asarray(sure_of, int)[:, None] + np.arange(6)).ravel()
+        covariance = problem.covariance(solution.equations, coordinates)
+    found = solution.value
     motions = np.array(found[ELEMENT]) @ rigid.inverse(Ts_map_element)
-    return JointSolution(np.array(found["pose"]), {name: motions[k] for name, k in row.items()})
+    return JointSolution(np.array(found["pose"]), {name: motions[k] for name, k in row.items()}, covariance)
 
 
 def pull_factors(
@@ -129,16 +148,27 @@ def pull_factors(
     pose: Int[np.ndarray, " f"],
     element: Int[np.ndarray, " f"],
     pulls: Sequence[Pulls],
+    looking: Int[np.ndarray, " k"],
     config: JointConfig,
 ) -> tuple[Factors, Factors]:
-    """What was seen of every element from every pose, and where elements may be at all."""
+    """What was seen of every element from every pose, and how far each may be from where it was drawn.
+
+    Args:
+        Ts_map_base: where the masks were compared.
+        Ts_map_element: where elements were drawn.
+        pose, element: of every pull.
+        pulls: of every frame that looked, in the order of `pose`.
+        looking: poses that looked.
+        config: noise.
+    """
     force = np.concatenate([each.force for each in pulls])
     root, offset = square_roots(np.concatenate([each.information for each in pulls]), force, config.least_share)
     # Factors that are switched off, so that one program serves all rounds.
-    more = -len(pose) % _PULLS
+    more = _PULLS - len(pose) % _PULLS
     pose, element = np.pad(pose, (0, more)), np.pad(element, (0, more))
     root, offset = np.pad(root, ((0, more), (0, 0), (0, 0))), np.pad(offset, ((0, more), (0, 0)))
-    T_element_base = rigid.inverse(Ts_map_element[element]) @ np.asarray(Ts_map_base)[pose]
+    Ts_map_base = np.asarray(Ts_map_base)
+    T_element_base = rigid.inverse(Ts_map_element[element]) @ Ts_map_base[pose]
     seen = Factors(
         pulled_residual,
         (ELEMENT, "pose"),
@@ -149,9 +179,11 @@ def pull_factors(
         linearised=pulled_linearised,
     )
     info = np.tile(np.diag(1.0 / config.sigma), (len(Ts_map_element), 1, 1))
-    keys = (np.arange(len(Ts_map_element)),)
-    known = Factors(pose_residual, (ELEMENT,), keys, (Ts_map_element,), info, linearised=pose_linearised)
-    return seen, known
+    nearest = looking[cKDTree(Ts_map_base[looking, :2, 3]).query(Ts_map_element[:, :2, 3])[1]]
+    keys = (nearest, np.arange(len(Ts_map_element)))
+    T_base_element = rigid.inverse(Ts_map_base[nearest]) @ Ts_map_element
+    drawn = Factors(between_residual, ("pose", ELEMENT), keys, (T_base_element,), info, linearised=between_linearised)
+    return seen, drawn
 
 
 def square_roots(

@@ -86,14 +86,20 @@ class Parts:
 
         return Rest(frames, _done(paths), store)
 
-    def poses(self, solve: Callable[[], np.ndarray]) -> np.ndarray:
-        """Poses of all frames that a solve gives, `float64[n 4 4]`; where it was done before, what it gave then."""
+    def way(self, solve: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """The arrays of a way that a solve gives; where it was done before, what it gave then.
+
+        Raises:
+            SemlocError: what is there is none: poses `Ts_map_base[n 4 4]`, places `xy_map[k 2]` and their sigmas.
+        """
         path = self.folder / _POSES
         if not path.exists():
-            write_npz(path, {"Ts_map_base": solve()})
-        held = npz_arrays(path, f"poses {path}").get("Ts_map_base", np.zeros(0))
-        if held.ndim != 3 or held.shape[1:] != (4, 4):
-            raise SemlocError(f"poses {path}: holds none; begin anew with another --out")
+            write_npz(path, solve())
+        held = npz_arrays(path, f"poses {path}")
+        ends = {"Ts_map_base": (4, 4), "xy_map": (2,), "place_m": (), "turn_rad": ()}
+        is_way = held.keys() == ends.keys() and all(held[name].shape[1:] == end for name, end in ends.items())
+        if not is_way or len({len(held[name]) for name in ("xy_map", "place_m", "turn_rad")}) != 1:
+            raise SemlocError(f"poses {path}: holds no way; begin anew with another --out")
         return held
 
     def once(self, revisit: Revisit, search: Callable[[], FoundLoop | None]) -> FoundLoop | None:

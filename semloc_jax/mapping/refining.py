@@ -1,6 +1,6 @@
 """The way of a drive made to agree with its own map, element by element (room: mapping; host).
 
-In: the way with its loops closed. Out: poses at which all frames see the same map.
+In: the way with its loops closed. Out: poses at which all frames see the same map, and how sure they are.
 A draft of the map is drawn along the way; every frame says how each element of the draft should lie; poses and elements
 are solved together, looked at again from there, and so on. The map itself is then drawn anew along the new way.
 """
@@ -8,6 +8,7 @@ are solved together, looked at again from there, and so on. The map itself is th
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,12 +26,20 @@ from semloc_jax.mapping.joint import RefineConfig, moved, solve_together
 from semloc_jax.mapping.mapper import MapConfig, make_map
 from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.sightings import UPRIGHT
+from semloc_jax.mapping.way_sigmas import WaySigmas, places_apart, way_sigmas
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.structs import ElementClass
 
 _DRAFT = "draft"
 _PIECE_M = 4.0
 """Length of the pieces of a long line; ours."""
+
+
+class RefinedWay(NamedTuple):
+    """The way that a map is drawn along."""
+
+    Ts_map_base: Float[np.ndarray, "n 4 4"]
+    sigmas: WaySigmas
 
 
 def refined_way(
@@ -42,8 +51,8 @@ def refined_way(
     config: MapConfig,
     told: Callable[[Iterable, str], Iterable] = lambda items, _: items,
     parts: Parts | None = None,
-) -> Float[np.ndarray, "n 4 4"]:
-    """Poses of all frames of a drive, after what its frames say of the elements around them.
+) -> RefinedWay:
+    """Poses of all frames of a drive, after what its frames say of the elements around them, and their sigmas.
 
     Args:
         drive: the drive.
@@ -53,17 +62,17 @@ def refined_way(
         closed: the same with its loops.
         config: how maps are made; `config.refine` says how often and how closely.
         told: shows how far it has come.
-        parts: keeps the draft, and the poses when they are done.
+        parts: keeps the draft, and the way when it is done.
     """
     if config.refine.rounds == 0:
-        return closed.Ts_map_base
+        return _as_closed(chain, looking, closed)
 
-    def solved() -> np.ndarray:
+    def solved() -> RefinedWay:
         rows = _apart(chain.way_m, looking, config.refine.draft_every_m)
         draft_parts = None if parts is None else Parts(parts.folder / _DRAFT)
         elements = _draft(drive, masks, rows, closed.Ts_map_base, config, told, draft_parts)
         if not elements:
-            return closed.Ts_map_base
+            return _as_closed(chain, looking, closed)
         return _agreed(
             drive,
             masks,
@@ -75,7 +84,22 @@ def refined_way(
             told,
         )
 
-    return solved() if parts is None else parts.poses(solved)
+    if parts is None:
+        return solved()
+
+    def arrays() -> dict[str, np.ndarray]:
+        way = solved()
+        return {"Ts_map_base": way.Ts_map_base, **way.sigmas._asdict()}
+
+    held = parts.way(arrays)
+    return RefinedWay(held.pop("Ts_map_base"), WaySigmas(**held))
+
+
+def _as_closed(chain: Chain, looking: Sequence[int], closed: ClosedWay) -> RefinedWay:
+    """The way as odometry and loops have it."""
+    rows = places_apart(chain.way_m, looking)
+    solution = closed.gauge.solve(chain, loops_of(closed.loops))
+    return RefinedWay(closed.Ts_map_base, way_sigmas(closed.Ts_map_base[rows], solution.covariance(rows)))
 
 
 def _apart(way_m: np.ndarray, looking: Sequence[int], every_m: float) -> np.ndarray:
@@ -134,10 +158,11 @@ def _agreed(
     elements: list[MapElement],
     config: RefineConfig,
     told: Callable[[Iterable, str], Iterable],
-) -> np.ndarray:
-    """The poses after all rounds."""
+) -> RefinedWay:
+    """The way after all rounds."""
     gauge, Ts = closed.gauge, closed.Ts_map_base
     graph, values = way_graph(chain, loops_of(closed.loops), gauge.gnss, gauge.start, ChainGraphConfig(), None)
+    sure = places_apart(chain.way_m, rows.tolist()).tolist()
     for k in range(config.rounds):
         reach_px = config.reach_px if 2 * k < config.rounds else config.last_reach_px
         pulling = ElementPulls(SemanticMap(tuple(elements)), masks.table, PullConfig(reach_px=reach_px))
@@ -147,7 +172,7 @@ def _agreed(
             return pulling.of(masks.masks(frame), masks.seen_by(frame.rig), Ts[row])
 
         pulls = [pull(int(row)) for row in told(rows, f"agreeing, round {k + 1} of {config.rounds}")]
-        found = solve_together(graph, {**values, "pose": Ts}, rows.tolist(), pulls, elements, config.joint)
+        found = solve_together(graph, {**values, "pose": Ts}, rows.tolist(), pulls, elements, config.joint, sure)
         Ts = found.Ts_map_base
         elements = [moved(e, found.motions[e.id]) if e.id in found.motions else e for e in elements]
-    return Ts
+    return RefinedWay(Ts, way_sigmas(Ts[sure], found.covariance))

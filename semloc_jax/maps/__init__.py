@@ -21,6 +21,7 @@ from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_pack
 from semloc_jax.maps.losses import Losses, compare
 from semloc_jax.maps.sampling import sample
 from semloc_jax.maps.semantic_map import LocalMap, SemanticMap
+from semloc_jax.maps.shared_sigmas import SharedSigmas
 
 __all__ = [
     "Belief",
@@ -37,6 +38,7 @@ __all__ = [
     "RoadPlane",
     "RoadSpread",
     "SemanticMap",
+    "SharedSigmas",
     "compare",
     "inspect_map",
     "map_from_arrays",

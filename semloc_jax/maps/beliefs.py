@@ -24,6 +24,7 @@ CERTAIN_LOGIT = 6.0
 _LEAST_SIGMA_M = 1e-6
 """Below it the information of an element is no number any more; ours."""
 
+_SHARED = ("sigma_place_m", "sigma_turn_rad")
 _REQUIRED = ("sigma_across_m", "sigma_along_m", "existence_logit", "num_seen", "num_missed")
 
 
@@ -39,6 +40,9 @@ class Belief:
         num_missed: frames that looked where it should be and did not show it.
         first_seen_s, last_seen_s: time of the drive; None where no drive saw it.
         provenance: what it was made from: the name of a drive, or of the map that stated it.
+        sigma_place_m: standard deviation of the place of all that is around it, in either direction: an error that it
+            shares with its neighbours, beside the two above.
+        sigma_turn_rad: the same of their direction.
     """
 
     sigma_across_m: float
@@ -49,15 +53,20 @@ class Belief:
     first_seen_s: float | None = None
     last_seen_s: float | None = None
     provenance: str = ""
+    sigma_place_m: float = 0.0
+    sigma_turn_rad: float = 0.0
 
     def __post_init__(self) -> None:
         numbers = (self.sigma_across_m, self.sigma_along_m, self.existence_logit)
         times = [time_s for time_s in (self.first_seen_s, self.last_seen_s) if time_s is not None]
-        is_finite = bool(np.isfinite([*numbers, *times]).all())
-        if not is_finite or min(numbers[:2]) < _LEAST_SIGMA_M or min(self.num_seen, self.num_missed) < 0:
+        shared = (self.sigma_place_m, self.sigma_turn_rad)
+        is_finite = bool(np.isfinite([*numbers, *shared, *times]).all())
+        least = min(self.num_seen, self.num_missed, *shared)
+        if not is_finite or min(numbers[:2]) < _LEAST_SIGMA_M or least < 0:
             raise SemlocError(
-                f"belief: sigmas {numbers[:2]} m, existence {numbers[2]}, counts {(self.num_seen, self.num_missed)}, "
-                f"times {times} s; expected finite numbers, sigmas of {_LEAST_SIGMA_M:g} m or more, counts of 0 or more"
+                f"belief: sigmas {numbers[:2]} m, shared {shared} m, rad, existence {numbers[2]}, counts "
+                f"{(self.num_seen, self.num_missed)}, times {times} s; expected finite numbers, sigmas of "
+                f"{_LEAST_SIGMA_M:g} m or more, shared ones and counts of 0 or more"
             )
 
     @property
@@ -134,6 +143,7 @@ def _stated(element: MapElement) -> Belief | None:
         return None
     try:
         numbers = {key: float(held[key]) for key in _REQUIRED[:3]}
+        numbers |= {key: float(held[key]) for key in _SHARED if held.get(key) is not None}
         counts = {key: int(held[key]) for key in _REQUIRED[3:]}
         times = {key: float(held[key]) for key in ("first_seen_s", "last_seen_s") if held.get(key) is not None}
         return Belief(**numbers, **counts, **times, provenance=str(held.get("provenance", "")))

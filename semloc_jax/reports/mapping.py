@@ -5,6 +5,7 @@ In: a drive, its masks, how the map is made. Out: map, trajectory, tables, metri
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -125,9 +126,10 @@ def report_map(
         parts=parts,
         base=None if known is None else known.map,
     )
-    Ts_map_base = closed.Ts_map_base
+    way = None
     if known is None:
-        Ts_map_base = refined_way(drive, masks, looking, chain, closed, settings, shown, parts)
+        way = refined_way(drive, masks, looking, chain, closed, settings, shown, parts)
+    Ts_map_base = closed.Ts_map_base if way is None else way.Ts_map_base
     write_loops(folder / "loops.csv", closed.loops, chain.times_s)
     made = make_map(
         drive,
@@ -140,6 +142,8 @@ def report_map(
         parts=parts,
         base=known,
     )
+    if way is not None:
+        made = replace(made, belief_map=way.sigmas.stated(made.belief_map))
     if known is not None:
         write_places(folder / "places.csv", closed.places, chain.times_s)
         write_changes(made.changes, folder / "changes.csv")
@@ -241,8 +245,9 @@ def write_elements(made: MadeMap, path: Path) -> None:
         name = element.label.name.lower()
         sigma_m = float(np.hypot(b.sigma_across_m, b.sigma_along_m))
         rows.append((element.id, name, b.num_seen, b.num_missed, round(b.existence, 6), sigma_m))
-        rows[-1] += (b.sigma_across_m, b.sigma_along_m)
+        rows[-1] += (b.sigma_across_m, b.sigma_along_m, b.sigma_place_m, b.sigma_turn_rad)
     head = ("id", "class", "num_seen", "num_missed", "existence", "sigma_m", "sigma_across_m", "sigma_along_m")
+    head += ("sigma_place_m", "sigma_turn_rad")
     write_csv(path, head, rows)
 
 

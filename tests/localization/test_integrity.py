@@ -48,10 +48,10 @@ def test_levels_hold_where_the_scale_is_told_by_few_errors():
 
 def test_what_the_maker_states_of_the_map_has_the_tails_of_a_gaussian():
     few = np.full(3, 4.0)
-    of_map = protection_levels(np.zeros((6, 6)), few, map_sigmas(0.05, 20.0), WIDE)
+    of_map = protection_levels(np.zeros((6, 6)), few, map_sigmas(0.05, 0.0025), WIDE)
     assert of_map == pytest.approx((0.05 * 2.576, 0.05 * 2.576, np.degrees(0.0025) * 2.576), rel=1e-3)
     alone = protection_levels(COVARIANCE, few, NO_MAP, WIDE)
-    both = protection_levels(COVARIANCE, few, map_sigmas(0.05, 20.0), WIDE)
+    both = protection_levels(COVARIANCE, few, map_sigmas(0.05, 0.0025), WIDE)
     np.testing.assert_allclose(both, np.hypot(alone, of_map))
 
 
@@ -64,8 +64,8 @@ def test_levels_beyond_the_alert_limits_are_named():
 
 
 def test_the_accuracy_of_the_map_joins_the_pose():
-    found = with_map_accuracy(COVARIANCE, 0.03, 20.0)
+    found = with_map_accuracy(COVARIANCE, 0.03, 0.0015)
     sigma = np.sqrt(np.diag(found))
     assert sigma[:2] == pytest.approx([0.05, np.hypot(0.01, 0.03)])
-    assert sigma[5] == pytest.approx(np.hypot(0.003, 0.03 / 20.0))
-    assert np.array_equal(with_map_accuracy(COVARIANCE, 0.0, 20.0), COVARIANCE)
+    assert sigma[5] == pytest.approx(np.hypot(0.003, 0.0015))
+    assert np.array_equal(with_map_accuracy(COVARIANCE, 0.0, 0.0), COVARIANCE)

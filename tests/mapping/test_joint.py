@@ -71,6 +71,8 @@ def test_the_solution_is_that_of_a_dense_solver():
     found = solve_together(graph, values_of(start, np.zeros(5)), frames.tolist(), pulls, elements, config)
 
     places = np.array([place_of(element) for element in elements])
+    off_m = np.linalg.norm(places[:, None, :2, 3] - start[None, :, :2, 3], axis=2)
+    nearest = off_m.argmin(axis=1)
     force = np.concatenate([each.force for each in pulls])
     root, offset = square_roots(np.array(information * 3), force, config.least_share)
 
@@ -80,7 +82,8 @@ def test_the_solution_is_that_of_a_dense_solver():
         rows = [FIRM[:6, :6] @ rigid.log(rigid.inverse(true[0]) @ poses[0])]
         between = rigid.log(rigid.inverse(steps) @ rigid.inverse(poses[:-1]) @ poses[1:])
         rows += [step_info[k] @ between[k] for k in range(2)]
-        rows += list(rigid.log(rigid.inverse(places) @ moved) / config.sigma)
+        drawn = rigid.inverse(start[nearest]) @ places
+        rows += list(rigid.log(rigid.inverse(drawn) @ rigid.inverse(poses[nearest]) @ moved) / config.sigma)
         for k in range(3):
             for e in range(2):
                 now = rigid.inverse(moved[e]) @ poses[k]
@@ -96,13 +99,15 @@ def test_the_solution_is_that_of_a_dense_solver():
 
 
 def test_a_scale_of_the_odometer_is_told_by_what_is_passed():
-    """Thirty metres with a scale that is 1 % off: 30 cm at the end, of which less than 1 cm is left.
+    """A way of 120 m with a scale that is 1 % off: 1.2 m at the end, of which less than 1 cm is left.
+
+    Pulls of 3 cm: what holds elements where they were drawn must not add up over them to a scale of its own.
 
     Elements were drawn where most frames that see them put them, so that they move along with the poses.
     """
-    num = 31
+    num = 121
     true, start = straight(num), straight(num, 1.01)
-    elements = elements_at([(1.01 * (2.0 * k + 1.0), 3.0 if k % 2 else -3.0) for k in range(15)])
+    elements = elements_at([(1.01 * (2.0 * k + 1.0), 3.0 if k % 2 else -3.0) for k in range(60)])
     moved = [np.eye(4) for _ in elements]
     for T, element in zip(moved, elements, strict=True):
         T[0, 3] = element.points[:, 0].mean() / 1.01 - element.points[:, 0].mean()
@@ -110,7 +115,7 @@ def test_a_scale_of_the_odometer_is_told_by_what_is_passed():
     pulls = []
     for k in range(num):
         near = [i for i, e in enumerate(elements) if abs(e.points[:, 0].mean() - start[k, 0, 3]) < 6.0]
-        information = [np.diag([2e4, 4e4, 1e4, 1e3, 1e3, 1e4])] * len(near)
+        information = [np.diag([1e3, 1e3, 1e4, 1e3, 1e3, 1e4])] * len(near)
         own, T_own = [elements[i] for i in near], [moved[i] for i in near]
         force = []
         for element, T in zip(own, T_own, strict=True):
@@ -127,6 +132,6 @@ def test_a_scale_of_the_odometer_is_told_by_what_is_passed():
     graph = pose_graph(np.ones(num, bool), (wheels, known))
     found = solve_together(graph, values_of(start, np.append(ODOMETER, [0.0, 0.0])), frames.tolist(), pulls, elements)
     off_m = np.abs(found.Ts_map_base[:, 0, 3] - true[:, 0, 3])
-    assert off_m.max() < 0.02
+    assert off_m.max() < 0.01
     for element, T in zip(elements, moved, strict=True):
-        assert abs(found.motions[element.id][0, 3] - T[0, 3]) < 0.03
+        assert abs(found.motions[element.id][0, 3] - T[0, 3]) < 0.01

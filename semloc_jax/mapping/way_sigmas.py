@@ -1,0 +1,81 @@
+"""How far a map may be off as a whole around each place, from what is known of the way (room: mapping; host).
+
+In: the joint covariance of some poses of the way that a map was drawn along. Out: WaySigmas, a BeliefMap that states
+them. All that is seen from one stretch of the way shares the error of its poses: a drive in the map cannot notice it,
+and no number of looks at an element takes it out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from semloc_jax.maps import BeliefMap
+
+_EVERY_M = 5.0
+_MOST = 150
+"""Their joint covariance is dense: this bounds its time and memory, and nothing of it changes within metres."""
+_PLANE = np.array([0, 1, 5])
+
+
+class WaySigmas(NamedTuple):
+    """Standard deviations of the map around places of the way, after one motion in the plane for all of it."""
+
+    xy_map: Float[np.ndarray, "k 2"]
+    place_m: Float[np.ndarray, " k"]
+    """Of the place of all that is seen from there, in either direction."""
+    turn_rad: Float[np.ndarray, " k"]
+    """Of its direction."""
+
+    def stated(self, made: BeliefMap) -> BeliefMap:
+        """The map with the sigmas of the nearest place of the way in the belief of every element."""
+        if not len(self.xy_map) or not made.map.elements:
+            return made
+        centres = np.array([element.points[:, :2].mean(axis=0) for element in made.map.elements])
+        near = cKDTree(self.xy_map).query(centres)[1]
+        beliefs = {
+            element.id: replace(
+                made.beliefs[element.id],
+                sigma_place_m=float(self.place_m[k]),
+                sigma_turn_rad=float(self.turn_rad[k]),
+            )
+            for element, k in zip(made.map.elements, near, strict=True)
+        }
+        return replace(made, beliefs=beliefs)
+
+
+def places_apart(way_m: Float[np.ndarray, " n"], looking: Sequence[int]) -> Int[np.ndarray, " k"]:
+    """Those of the frames that look at which the sigmas of a way are told."""
+    rows = np.asarray(looking)
+    every_m = max(_EVERY_M, float(np.ptp(way_m[rows])) / _MOST)
+    return rows[np.unique(np.floor(way_m[rows] / every_m), return_index=True)[1]]
+
+
+def way_sigmas(Ts_map_base: Float[np.ndarray, "k 4 4"], covariance: Float[np.ndarray, "m m"]) -> WaySigmas:
+    """The sigmas of a way.
+
+    Which frame its map lies in is no error of the map: the motion in the plane that fits all places best is taken out.
+
+    Args:
+        Ts_map_base: some poses of the way.
+        covariance: joint one of their right tangents, six rows each [m, rad].
+    """
+    num = len(Ts_map_base)
+    xy = Ts_map_base[:, :2, 3]
+    # Of x, y in the axes of the map and the heading, of every pose.
+    axes = np.zeros((num, 3, 6))
+    axes[:, :2, :3] = Ts_map_base[:, :2, :3]
+    axes[:, 2, _PLANE[2]] = 1.0
+    joint = np.einsum("iab,ibjd,jcd->iajc", axes, covariance.reshape(num, 6, num, 6), axes).reshape(3 * num, 3 * num)
+    common = np.tile(np.eye(3), (num, 1, 1))
+    common[:, 0, 2], common[:, 1, 2] = -(xy - xy.mean(axis=0)).T[1], (xy - xy.mean(axis=0)).T[0]
+    on_places = common[:, :2].reshape(2 * num, 3)
+    is_place = np.tile([True, True, False], num)
+    fit = np.zeros((3, 3 * num))
+    fit[:, is_place] = np.linalg.pinv(on_places)
+    rest = np.eye(3 * num) - common.reshape(3 * num, 3) @ fit
+    variance = np.maximum(np.diagonal(rest @ joint @ rest.T), 0.0).reshape(num, 3)
+    return WaySigmas(xy, np.sqrt(variance[:, :2].mean(axis=1)), np.sqrt(variance[:, 2]))
