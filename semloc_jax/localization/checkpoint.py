@@ -53,13 +53,13 @@ def load(path: Path, template: TrackerState) -> Checkpoint:
         leaves = [_checked(content[name], leaf, name) for name, leaf in _named(wanted)]
         state = jax.tree.unflatten(jax.tree.structure(wanted), leaves)
         _require_same_map(state.trust, template.trust)
+        return Checkpoint(state, int(content["next_frame"]), bool(content["is_initialised"]))
     except FileNotFoundError as error:
         raise SemlocError(f"checkpoint {path}: no such file; give --resume the folder of an unfinished run") from error
     except (KeyError, ValueError) as error:
         raise SemlocError(
             f"checkpoint {path}: does not fit ({error}); resume with the map, the fusion and the version of the run"
         ) from error
-    return Checkpoint(state, int(content["next_frame"]), bool(content["is_initialised"]))
 
 
 def _named(state: TrackerState) -> list[tuple[str, Any]]:

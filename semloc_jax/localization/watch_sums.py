@@ -55,14 +55,14 @@ class WatchConfig:
     every pose, since no camera is mounted exactly, and joins what scatters."""
     mount_sigma_deg: float = 1.0
     """How far a camera may be rolled or pitched in its mount, before the drive says more."""
-    surface_m: float = 10.0
+    surface_m: ClassVar[float] = 10.0
     """Way over which road and vehicle keep their own tilt: bumps, nods, what the map has of the slope."""
-    tilt_memory_m: float = 200.0
+    tilt_memory_m: ClassVar[float] = 200.0
     """Way over which tilts are averaged: a mount does not change while driving."""
     aside_m_memory: float = 20.0
     """Way over which a direction of travel is remembered: where the cameras look aside, the first lines and walls that
     come into view or leave it move the pose, which passes for a drive to the other side."""
-    aside_sigmas: float = 1.0
+    aside_sigmas: ClassVar[float] = 1.0
     """What is remembered counts no longer beyond so many standard deviations of what the drive says by now."""
     aside_rad: tuple[float, float] = (0.0055, 0.0063)
     """A direction of travel up to the first is that of a sound vehicle, whose axle and inertial unit are never mounted

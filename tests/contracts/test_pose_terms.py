@@ -11,6 +11,7 @@ import semloc_jax as sj
 from semloc_jax.alignment.pose import AlignConfig, level_problem
 from semloc_jax.alignment.problem import quadratic_model, residual
 from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.inertial_fusion import InertialFusion
 from semloc_jax.fusion.kalman import KalmanFusion
 from semloc_jax.fusion.pose_factors import GraphConfig, pose_graph, values_of
 from semloc_jax.fusion.window import SlidingWindow, WindowConfig
@@ -102,6 +103,17 @@ def test_ranges_alone_carry_a_fusion(fusion):
     off = drive.error(found.T_map_base, T_true)
     assert np.linalg.norm(off[:2]) < 0.05
     assert np.all(np.abs(off) < 3.0 * np.sqrt(np.diag(found.covariance)))
+
+
+def test_ranges_correct_the_fusion_without_wheels():
+    """A start 15 cm off and ranges of 10 cm, all at one time: nearer in the plane, and surer."""
+    fusion, T = InertialFusion(), drive.true_poses(0)[0]
+    state = fusion.start(drive.measured(0, T @ rigid.exp(OFF), sigma=10.0 * drive.POSE_SIGMA))
+    after, innovation = fusion.correct_term(state, near_ranges(T))
+    assert innovation.accepted and innovation.dof == 3
+    before, now = (np.linalg.norm(drive.error(fusion.pose(s).T_map_base, T)[:2]) for s in (state, after))
+    assert now < 0.5 * before
+    assert np.trace(fusion.pose(after).covariance[:2, :2]) < 0.1 * np.trace(fusion.pose(state).covariance[:2, :2])
 
 
 def test_marginalisation_keeps_what_terms_knew():

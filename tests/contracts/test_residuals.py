@@ -210,7 +210,7 @@ def parts_of(world, num, size):
         views = []
         for view in world.views:
             parts = {}
-            for name in ("p_map", "channel", "weight", "edge"):
+            for name in ("p_map", "tangent_map", "channel", "weight", "edge"):
                 part = np.asarray(getattr(view, name))[..., start : start + size]
                 wanting = [(0, 0)] * (part.ndim - 1) + [(0, size - part.shape[-1])]
                 parts[name] = jnp.asarray(np.pad(part, wanting))

@@ -1,5 +1,6 @@
 """One explorer of a small simulated drive for all tests of this room: it is compiled once."""
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,7 +23,12 @@ def explorer(simulated_road: Path) -> Iterator[ExplorerServer]:
     session = ExplorerSession(drive, localizer, masks, prior_source("truth", drive), frame=1)
     session.warm_up()
     with ExplorerServer(session, 0) as server:
-        server.progress.report("ready", 1, 1)
+        # It warms up once more in the background, and is not ready again until it has.
+        for _ in range(1200):
+            if server.progress.state["ready"]:
+                break
+            time.sleep(0.05)
+        assert server.progress.state["ready"], server.progress.state
         yield server
 
 
