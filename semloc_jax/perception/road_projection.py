@@ -105,6 +105,8 @@ def read_four_points(path: Path) -> dict[str, FourPointRoad]:
         SemlocError: the file is missing, has other columns, or not four good points for a camera.
     """
     where = f"points {path}"
+    if not path.is_file():
+        raise SemlocError(f"{where}: no such file; expected a csv file with the columns {', '.join(COLUMNS)}")
     rows: dict[str, list[list[float]]] = {}
     with reading(where), path.open(newline="", encoding="utf-8") as file:
         table = csv.DictReader(file)

@@ -60,5 +60,5 @@ def test_other_columns_and_no_file_are_refused(tmp_path):
     (tmp_path / "points.csv").write_text("u,v\n1,2\n")
     with pytest.raises(SemlocError, match="expected camera, u_px, v_px, x_m, y_m"):
         read_four_points(tmp_path / "points.csv")
-    with pytest.raises(FileNotFoundError, match=r"none\.csv"):
+    with pytest.raises(SemlocError, match=r"none\.csv: no such file; expected a csv file with the columns camera"):
         read_four_points(tmp_path / "none.csv")
