@@ -42,13 +42,13 @@ class AlongRoadConfig:
     max_steps: int = 5
     keep: int = 2
     """Poses that are handed on to the last refinement."""
+    apart: float = 0.6
+    """They are at least this many units apart; see `alignment.same_pose`."""
     by_contours: bool = False
     """Whether the way along the road is told by displacements across contours, not by slopes of the masks. Slopes are
     rough along a contour as well, and put places beside two plain lines 13 cm aside for each metre: solves of few steps
-    do not all come back, and the valley looks shorter than it is. What `localize` and `track` take nats between places
-    for was measured with slopes, so they keep them until it is measured anew."""
-    apart: float = 0.6
-    """They are at least this many units apart; see `alignment.same_pose`."""
+    do not all come back, and the valley looks shorter than it is. What nats between places are worth in
+    `localize` and `track` was measured with slopes, so they keep them until it is measured anew."""
 
 
 class RoadPosterior(NamedTuple):

@@ -21,10 +21,8 @@ from semloc_jax.native import build
 from semloc_jax.runtime.prepare import versions
 from semloc_jax.runtime.stored_program import StoredProgram
 from semloc_jax.storage import read_sealed, write_sealed
+from semloc_jax.storage.sources import hash_of_sources
 
-_PACKAGE = Path(__file__).parents[1]
-_SOURCES = ("*.py", "native/src/*")
-"""What a program may be traced from: any room of the package, so that no room can be forgotten."""
 _MOST_FILES = 256
 _UNFUSED = {"xla_cpu_use_fusion_emitters": False}
 """Compiles in two thirds of the CPU time. A solve, whose inner loops are native kernels, runs as fast as before; a
@@ -79,13 +77,9 @@ def _folder() -> Path | None:
 @functools.cache
 def _environment() -> str:
     """All that a program depends on besides its arguments: versions, flags, devices, the sources of this package."""
-    sources = hashlib.sha256()
-    for path in sorted(path for pattern in _SOURCES for path in _PACKAGE.rglob(pattern)):
-        sources.update(f"{path.relative_to(_PACKAGE)} {path.stat().st_size}\n".encode())
-        sources.update(path.read_bytes())
     devices = [str(device) for device in jax.devices()]
     settings = (os.environ.get("XLA_FLAGS", ""), build.is_available(), build.processor())
-    return repr((sorted(versions().items()), devices, settings, sources.hexdigest()))
+    return repr((sorted(versions().items()), devices, settings, hash_of_sources()))
 
 
 def _compile_afresh(function: Callable, leaves: list, options: dict[str, Any]) -> Callable:

@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 import semloc_jax
+from semloc_jax.mapping.crowd import kept_cells
 from semloc_jax.runtime import prepare, programs
 from semloc_jax.runtime.stored_program import stored_program
+from semloc_jax.storage.sources import hash_of_sources
 
 SCRIPT = """
 import sys, time
@@ -93,16 +95,22 @@ def test_an_edited_function_of_another_room_does_not_run_its_old_program(copied_
 
 
 def test_every_room_is_in_the_fingerprint(copied_package, monkeypatch):
-    """One character more in any source, C++ included, and no stored program fits any more."""
-    monkeypatch.setattr(programs, "_PACKAGE", copied_package)
+    """One character more in any source, C++ included, and no stored program and no kept cell of a map fits any more."""
+    for user in (programs, kept_cells):
+        monkeypatch.setattr(user, "hash_of_sources", lambda: hash_of_sources.__wrapped__(copied_package))
+
+    def fingerprint():
+        return programs._environment.__wrapped__(), kept_cells._code.__wrapped__()
+
     rooms = {path.relative_to(copied_package).parts[0]: path for path in sorted(copied_package.rglob("*.py"))}
     kernels = sorted((copied_package / "native" / "src").iterdir())
     assert len(rooms) > 20 and kernels
-    seen = {programs._environment.__wrapped__()}
+    seen = [fingerprint()]
     for path in (*rooms.values(), *kernels):
         path.write_bytes(path.read_bytes() + b"\n")
-        seen.add(programs._environment.__wrapped__())
-    assert len(seen) == 1 + len(rooms) + len(kernels)
+        seen.append(fingerprint())
+    for found in zip(*seen, strict=True):
+        assert len(set(found)) == 1 + len(rooms) + len(kernels)
 
 
 def test_results_keep_their_structure_and_shapes_their_programs(cache):

@@ -7,16 +7,14 @@ what they were laid on, and of the code: what another version of this package ma
 import hashlib
 from functools import cache
 from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
 
 from semloc_jax.maps.versions.history import history_of
 from semloc_jax.maps.versions.records import json_bytes
 from semloc_jax.storage import write_bytes
+from semloc_jax.storage.sources import hash_of_sources
 
 _FOLDER, _SUFFIX = "cells", ".cell"
-_ROOMS = ("mapping/crowd", "maps", "maps/io", "maps/versions", "geometry", "evaluation")
-"""Packages whose code decides what a cell makes."""
 
 
 class KeptCells:
@@ -57,9 +55,5 @@ def name_of(*parts: object) -> str:
 @cache
 def _code() -> str:
     """Hash of the code, and of the libraries that do its sums."""
-    found = hashlib.sha256(repr([(name, version(name)) for name in ("numpy", "scipy", "shapely")]).encode())
-    for room in _ROOMS:
-        folder = files("semloc_jax").joinpath(*room.split("/"))
-        for path in sorted((p for p in folder.iterdir() if p.name.endswith(".py")), key=lambda p: p.name):
-            found.update(path.read_bytes())
-    return found.hexdigest()
+    libraries = [(name, version(name)) for name in ("numpy", "scipy", "shapely")]
+    return hashlib.sha256(repr((libraries, hash_of_sources())).encode()).hexdigest()
