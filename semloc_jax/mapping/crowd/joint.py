@@ -97,9 +97,10 @@ class JointSolve:
         seen: list[Seen],
         weights: list[float],
         world_moves: bool = True,
+        slack_m: float = 0.0,
     ):
         self.world, self.drives, self.seen, self.weights = world, drives, seen, weights
-        self.moves = world_moves
+        self.moves, self.slack_m = world_moves, slack_m
         self._first_station = np.cumsum([0, *(len(line.reference) for line in world.lines)])
         num_world = 2 * len(world.kind) + int(self._first_station[-1]) if world_moves else 0
         self._first_drive = num_world + np.cumsum([0, *(drive.size for drive in drives)])
@@ -134,7 +135,7 @@ class JointSolve:
         i, j = seen.pairs[:, 0], seen.pairs[:, 1]
         ahead = world.along[j]
         axes = np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)], axis=1)
-        sigma = things.sigma_m[i].copy()
+        sigma, line_sigma = np.hypot(things.sigma_m[i], self.slack_m), np.hypot(seen.sigma_m, self.slack_m)
         sigma[~things.has_ends[i], 0] = 10.0  # a part tells nothing along
         shift = np.einsum("nak,nkp->nap", axes, drive.thing_rows[i]) / sigma[:, :, None]
         start = np.einsum("nak,nk->na", axes, world.centre[j] if not self.moves else np.zeros((len(j), 2)))
@@ -145,12 +146,12 @@ class JointSolve:
         left = np.array([world.lines[a].left[s] for a, s in zip(seen.line, seen.station, strict=True)]).reshape(-1, 2)
         near = np.array([world.lines[a].reference[s] for a, s in zip(seen.line, seen.station, strict=True)])
         near = near.reshape(-1, 2)
-        aside = np.einsum("nk,nkp->np", left, drive.rows(seen.places[:, :2])) / seen.sigma_m[:, None]
+        aside = np.einsum("nk,nkp->np", left, drive.rows(seen.places[:, :2])) / line_sigma[:, None]
         b_line = ((seen.places[:, :2] - near) * left).sum(axis=1)
         if not self.moves:
             offset = [world.lines[a].offset_m[s] for a, s in zip(seen.line, seen.station, strict=True)]
             b_line = b_line - np.array(offset).reshape(-1)
-        b = np.concatenate([((own - start) / sigma).ravel(), b_line / seen.sigma_m])
+        b = np.concatenate([((own - start) / sigma).ravel(), b_line / line_sigma])
         m, size = len(b_line), int(self._first_drive[-1])
         entries = []
         for at, values, column in data:
@@ -158,7 +159,7 @@ class JointSolve:
                 entries.append((at.ravel(), values[:, :, axis].ravel(), np.repeat(column + axis, 2)))
         if self.moves and m:
             column = 2 * len(world.kind) + self._first_station[seen.line] + seen.station
-            entries.append((2 * n + np.arange(m), 1.0 / seen.sigma_m, column))
+            entries.append((2 * n + np.arange(m), 1.0 / line_sigma, column))
         dense = np.vstack([shift.reshape(2 * n, -1), aside]) if n or m else np.zeros((0, drive.size))
         r, c = np.nonzero(dense)
         entries.append((r, -dense[r, c], self._first_drive[k] + c))

@@ -55,7 +55,7 @@ def element_of(name: str, record: Mapping[str, Any]) -> MapElement:
     return MapElement(
         id=name,
         label=ElementClass[record["class"]],
-        points=_unpacked(record[POINTS]),
+        points=points_of(record),
         closed=bool(record["closed"]),
         width_m=float(record["width"]),
         radius_m=float(record["radius"]),
@@ -95,8 +95,13 @@ def _packed(points: np.ndarray) -> list:
     return ["m", points.ravel().tolist()]
 
 
-def _unpacked(packed: list) -> np.ndarray:
-    unit, numbers = packed
+def points_of(record: Mapping[str, Any]) -> np.ndarray:
+    """Points of a record `float64[n 3]` [m].
+
+    Raises:
+        ValueError: none.
+    """
+    unit, numbers = record[POINTS]
     if unit == "mm":
         steps = np.array([int(n) for n in numbers], dtype=np.int64).reshape(-1, 3)
         return np.cumsum(steps, axis=0) / _MM

@@ -1,51 +1,62 @@
 """Differences between versions as files of few bytes, .sdiff (room: maps; host).
 
 In: MapDifference, the version it belongs on. Out: bytes, and the difference back.
-Layout: b"SDIF", version, SHA-256 of the rest, LZMA of JSON. Elements of the base are named by their place in it,
-columns of many elements stand together, coordinates and counts as differences from the base: like beside like.
+Layout: b"SDIF", version, CRC-32 of the rest, the first 8 bytes of the digest of the base, the digest of the target,
+LZMA of `lifted_json`. Elements of the base are named by their place in it, a new one is told as what makes it differ
+from one that is known; columns of many elements stand together, coordinates and counts as differences.
 """
 
-import hashlib
-import json
 import lzma
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
+from os.path import commonprefix
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.spatial import cKDTree
+
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps.versions.difference import CANONICAL, MapDifference
-from semloc_jax.maps.versions.records import POINTS, Record, json_bytes
-from semloc_jax.maps.versions.state import MapState
+from semloc_jax.maps.elements import MapElement
+from semloc_jax.maps.versions.difference import CANONICAL, MapDifference, changed_columns
+from semloc_jax.maps.versions.lifted_json import from_lifted, lifted_bytes
+from semloc_jax.maps.versions.records import POINTS, Record, is_column, json_bytes, points_of
+from semloc_jax.maps.versions.state import VERSION, MapState
 from semloc_jax.storage import reading, write_bytes
 
-MAGIC = b"SDIF\x01"
-_HASH_BYTES = 32
-_FILTERS = [{"id": lzma.FILTER_LZMA1, "preset": 9, "dict_size": 1 << 24, "lc": 3, "pb": 0}]
+MAGIC = b"SDIF\x02"
+CHECK_BYTES = 4
+_BASE_BYTES, _TARGET_BYTES = 8, 32
+_FILTERS = [{"id": lzma.FILTER_LZMA1, "preset": 9, "dict_size": 1 << 24, "lc": 0, "lp": 0, "pb": 0}]
 _LARGEST_PAYLOAD = 1 << 27
 _BY = "+"
 """Begins the name of a column whose values are differences from those of the base; no column of an element does."""
-_HEAD = ("base", "base_version", "target", "members", "order", "note")
+_LIKE = 3
+"""So many of the nearest elements of its class are tried as what a new one is like."""
 
 
 def sdiff_bytes(step: MapDifference, base: MapState) -> bytes:
     """The file of a difference; the same bytes for the same difference."""
     row = {name: k for k, name in enumerate(base.records)}
     modified = {name: _against(columns, base.records[name]) for name, columns in step.modified.items()}
+    like = list(_likened(step.added, base))
+    stated = base.members
     document = [
-        step.base,
         step.base_version,
-        step.target,
-        step.members,
+        {key: value for key, value in step.members.items() if key not in stated or stated[key] != value},
         step.order if step.order is None or isinstance(step.order, str) else _steps(step.order),
         step.note,
+        [len(step.removed), len(modified), len(like)],
         _steps([row[name] for name in step.removed]),
         _table({row[name]: columns for name, columns in modified.items()}),
-        list(step.added),
-        _table(dict(enumerate(step.added.values()))),
+        _front_coded(step.added),
+        [k for k, _ in like],
+        _table(dict(enumerate(columns for _, columns in like)))[1],
     ]
-    packed = lzma.compress(json_bytes(document), format=lzma.FORMAT_RAW, filters=_FILTERS)
-    return MAGIC + hashlib.sha256(packed).digest() + packed
+    packed = lzma.compress(lifted_bytes(document), format=lzma.FORMAT_RAW, filters=_FILTERS)
+    rest = bytes.fromhex(step.base)[:_BASE_BYTES] + bytes.fromhex(step.target) + packed
+    return MAGIC + _check(rest) + rest
 
 
 def write_sdiff(step: MapDifference, base: MapState, path: str | Path) -> int:
@@ -64,23 +75,20 @@ class SdiffFile:
         Raises:
             SemlocError: no difference, cut short, or altered.
         """
-        begin = len(MAGIC) + _HASH_BYTES
+        begin = len(MAGIC) + CHECK_BYTES
         if not content.startswith(MAGIC):
             raise SemlocError(f"{where}: no difference of two maps; expected a file of `semloc diff`")
-        if len(content) <= begin or hashlib.sha256(content[begin:]).digest() != content[len(MAGIC) : begin]:
+        rest = content[begin:]
+        if len(rest) <= _BASE_BYTES + _TARGET_BYTES or _check(rest) != content[len(MAGIC) : begin]:
             raise SemlocError(f"{where}: its content is not what was written (cut short or altered); get it anew")
+        self.base, self.target = rest[:_BASE_BYTES].hex(), rest[_BASE_BYTES : _BASE_BYTES + _TARGET_BYTES].hex()
         with reading(where):
             decoder = lzma.LZMADecompressor(format=lzma.FORMAT_RAW, filters=_FILTERS)
-            text = decoder.decompress(content[begin:], max_length=_LARGEST_PAYLOAD)
-            document = json.loads(text)
-            self._head = dict(zip(_HEAD, document, strict=False))
-            self._body = document[len(_HEAD) :]
-            self.base, self.target = str(self._head["base"]), str(self._head["target"])
-            self.base_version = int(self._head["base_version"])
-            self.version = int(self._head["members"]["map_version"])
-            self.note = str(self._head["note"])
-            self.num_removed, self.num_added = len(self._body[0]), len(self._body[2])
-            self.num_modified = len(self._body[1][0])
+            text = decoder.decompress(rest[_BASE_BYTES + _TARGET_BYTES :], max_length=_LARGEST_PAYLOAD)
+            base_version, members, self._order, note, counts, *self._body = from_lifted(text)
+            self.base_version, self._members, self.note = int(base_version), dict(members), str(note)
+            self.version = int(self._members.get(VERSION, base_version))
+            self.num_removed, self.num_modified, self.num_added = (int(count) for count in counts)
         self._where = where
 
     @classmethod
@@ -95,32 +103,98 @@ class SdiffFile:
             raise SemlocError(f"difference {path}: no such file; `semloc diff A B --out {path.name}` writes one")
         return cls(path.read_bytes(), f"difference {path.name}")
 
+    def is_on(self, digest: str) -> bool:
+        """Whether it belongs on the version with that digest."""
+        return digest.startswith(self.base)
+
     def on(self, base: MapState) -> MapDifference:
         """The difference on the version it belongs on.
 
         Raises:
             SemlocError: it belongs on another one.
         """
-        if base.digest != self.base:
+        if not self.is_on(base.digest):
             raise SemlocError(
                 f"{self._where}: belongs on version {self.base_version} ({self.base[:12]}), and map {base.map.name} is "
                 f"version {base.version} ({base.digest[:12]}); apply it to that one"
             )
         names = list(base.records)
         with reading(self._where):
-            removed, modified, ids, added = self._body
-            order = self._head["order"]
+            removed, modified, ids, like, added = self._body
             return MapDifference(
-                self.base,
+                base.digest,
                 self.base_version,
                 self.target,
-                dict(self._head["members"]),
+                {**base.members, **self._members},
                 tuple(names[k] for k in accumulate(removed)),
                 {names[k]: _upon(columns, base.records[names[k]]) for k, columns in _rows(modified).items()},
-                dict(zip(map(str, ids), _rows(added).values(), strict=True)),
-                order if order in (None, CANONICAL) else tuple(accumulate(order)),
+                _told(_front_decoded(ids), like, added, list(base.records.values())),
+                self._order if self._order in (None, CANONICAL) else tuple(accumulate(self._order)),
                 self.note,
             )
+
+
+def _check(rest: bytes) -> bytes:
+    return zlib.crc32(rest).to_bytes(CHECK_BYTES, "little")
+
+
+def _likened(added: Mapping[str, Record], base: MapState) -> Iterator[tuple[int, Record]]:
+    """Of each new element what it is like, an element of the base or a new one before it, and what differs."""
+    known = list(base.records.values())
+    near = _Nearest(base.map.elements)
+    last: dict[str, int] = {}
+    for record in added.values():
+        rows = near.of(record)
+        rows += [last[record["class"]]] if record["class"] in last else []
+        tried = [(k, _against(changed_columns(known[k], record), known[k])) for k in rows or [0]]
+        yield min(tried, key=lambda item: (len(json_bytes(item[1])), item[0]))
+        last[record["class"]] = len(known)
+        known.append(record)
+
+
+class _Nearest:
+    """The nearest elements of a class."""
+
+    def __init__(self, elements: Sequence[MapElement]):
+        self._rows: dict[str, list[int]] = {}
+        for row, element in enumerate(elements):
+            self._rows.setdefault(element.label.name, []).append(row)
+        first = np.array([element.points[0, :2] for element in elements]).reshape(-1, 2)
+        self._trees = {name: cKDTree(first[rows]) for name, rows in self._rows.items()}
+
+    def of(self, record: Record) -> list[int]:
+        """Rows of the elements whose first points are nearest to that of a record of the class."""
+        rows = self._rows.get(record["class"], [])
+        if not rows:
+            return []
+        num = min(_LIKE, len(rows))
+        first = points_of(record)[0, :2]
+        return [rows[k] for k in np.atleast_1d(self._trees[record["class"]].query(first, k=num)[1])]
+
+
+def _told(ids: Sequence[str], like: Sequence[int], columns: list, known: list[Record]) -> dict[str, Record]:
+    """The new elements, each by what it is like and what differs."""
+    found: dict[str, Record] = {}
+    differing = _rows([[0] + [1] * (len(ids) - 1) if ids else [], columns])
+    for k, (name, row) in enumerate(zip(ids, like, strict=True)):
+        record = {**known[row], **_upon(differing[k], known[row])}
+        found[name] = {key: value for key, value in record.items() if is_column(key, record)}
+        known.append(found[name])
+    return found
+
+
+def _front_coded(names: Iterable[str]) -> list:
+    """How much of each name is that of the one before, and the rest of each."""
+    names = list(names)
+    shared = [len(commonprefix(pair)) for pair in zip(["", *names], names, strict=False)]
+    return [shared, [name[k:] for name, k in zip(names, shared, strict=True)]]
+
+
+def _front_decoded(coded: Sequence) -> list[str]:
+    names: list[str] = []
+    for shared, rest in zip(*coded, strict=True):
+        names.append((names[-1][:shared] if names else "") + str(rest))
+    return names
 
 
 def _steps(numbers: Any) -> list[int]:
