@@ -25,7 +25,7 @@ def place(world: CrowdWorld, drive: Correction) -> bool:
     drive.value[:2] = shift
     for gate_m in _GATES_M:
         seen = seen_by(world, drive, gate_m)
-        JointSolve(world, [drive], [seen], [1.0], world_moves=False, slack_m=_SLACK*gate_m).run()
+        JointSolve(world, [drive], [seen], [1.0], world_moves=False, slack_m=_SLACK * gate_m).run()
     found = len(seen_by(world, drive, _GATES_M[-1]).pairs)
     return found >= max(_LEAST_THINGS, _LEAST_SHARE * _num_comparable(world, drive))
 
