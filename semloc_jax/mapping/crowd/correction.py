@@ -14,9 +14,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
+from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.sights import Sights
 from semloc_jax.mapping.crowd.stations import stations
+from semloc_jax.mapping.crowd.world_lines import Piece
 from semloc_jax.maps import MapElement
 
 _NODE_M = 25.0
@@ -119,6 +121,14 @@ class Correction:
     def moved_line(self, line: PlacedLine) -> Float[np.ndarray, "k 2"]:
         """Places of one of its lines where they are in the map by now [m]."""
         return line.placed[:, :2] + line.rows @ self.value
+
+    def pieces(self) -> dict[str, list[tuple[MapElement, Piece]]]:
+        """Its lines by kind, each with where it runs in the map by now."""
+        found: dict[str, list[tuple[MapElement, Piece]]] = {}
+        for line in self.placed_lines:
+            piece = Piece.of(line.placed, self.moved_line(line), line.sigma_m)
+            found.setdefault(kind_of(line.element), []).append((line.element, piece))
+        return {kind: found[kind] for kind in sorted(found)}
 
     def moved(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Points of the drive where they are in the map."""

@@ -12,17 +12,17 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array, vstack
 from scipy.sparse.linalg import splu
 
-from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.world import CrowdWorld, turned_by
-from semloc_jax.mapping.crowd.world_lines import Piece, line_sights
+from semloc_jax.mapping.crowd.world_lines import line_sights
 
 _SMOOTH_M = 0.02
 """By how much a line bends within a metre that is not its curvature."""
 _LINE_SIGMA_M = 0.04
 """A line is off alike over several metres: its stations count less than they are many."""
 _KERNEL = 2.5
-_LEAST_FACTOR, _MOST_FACTOR = np.array([0.2, 0.2, 0.5]), 4.0
+_LEAST_FACTOR, _MOST_FACTOR = np.array([0.2, 0.2, 1.0]), 4.0
+"""Neighbouring stations share their error: that they agree does not make them surer."""
 _TOGETHER = np.array([1e-3, 1e-3, 1e-6, 1e-6])
 """How closely the mean shift [m], turn [rad] and scale of all drives are held at zero."""
 _ROUNDS = 4
@@ -57,15 +57,11 @@ def seen_by(world: CrowdWorld, correction: Correction, gate_m: float) -> Seen:
     things = correction.sights.things
     along = turned_by(things.along, correction.turn(things.centre))
     pairs = world.paired(things, correction.moved_things(), along, gate_m)
-    pieces: dict[str, list[Piece]] = {}
-    for seen in correction.placed_lines:
-        piece = Piece.of(seen.placed, correction.moved_line(seen), seen.sigma_m)
-        pieces.setdefault(kind_of(seen.element), []).append(piece)
     rows = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))]
-    for kind in sorted(pieces):
+    for kind, pieces in correction.pieces().items():
         lines = [k for k, line in enumerate(world.lines) if line.kind == kind]
         if lines:
-            own = line_sights([world.lines[k] for k in lines], pieces[kind], gate_m)
+            own = line_sights([world.lines[k] for k in lines], [piece for _, piece in pieces], gate_m)
             rows.append((np.array(lines)[own.line], own.station, own.places, own.sigma_m))
     line, station, places, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     return Seen(pairs, line, station, places, np.maximum(sigma, _LINE_SIGMA_M))
@@ -97,10 +93,9 @@ class JointSolve:
         seen: list[Seen],
         weights: list[float],
         world_moves: bool = True,
-        slack_m: float = 0.0,
     ):
         self.world, self.drives, self.seen, self.weights = world, drives, seen, weights
-        self.moves, self.slack_m = world_moves, slack_m
+        self.moves = world_moves
         self._first_station = np.cumsum([0, *(len(line.reference) for line in world.lines)])
         num_world = 2 * len(world.kind) + int(self._first_station[-1]) if world_moves else 0
         self._first_drive = num_world + np.cumsum([0, *(drive.size for drive in drives)])
@@ -135,7 +130,7 @@ class JointSolve:
         i, j = seen.pairs[:, 0], seen.pairs[:, 1]
         ahead = world.along[j]
         axes = np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)], axis=1)
-        sigma, line_sigma = np.hypot(things.sigma_m[i], self.slack_m), np.hypot(seen.sigma_m, self.slack_m)
+        sigma = things.sigma_m[i].copy()
         sigma[~things.has_ends[i], 0] = 10.0  # a part tells nothing along
         shift = np.einsum("nak,nkp->nap", axes, drive.thing_rows[i]) / sigma[:, :, None]
         start = np.einsum("nak,nk->na", axes, world.centre[j] if not self.moves else np.zeros((len(j), 2)))
@@ -146,12 +141,12 @@ class JointSolve:
         left = np.array([world.lines[a].left[s] for a, s in zip(seen.line, seen.station, strict=True)]).reshape(-1, 2)
         near = np.array([world.lines[a].reference[s] for a, s in zip(seen.line, seen.station, strict=True)])
         near = near.reshape(-1, 2)
-        aside = np.einsum("nk,nkp->np", left, drive.rows(seen.places[:, :2])) / line_sigma[:, None]
+        aside = np.einsum("nk,nkp->np", left, drive.rows(seen.places[:, :2])) / seen.sigma_m[:, None]
         b_line = ((seen.places[:, :2] - near) * left).sum(axis=1)
         if not self.moves:
             offset = [world.lines[a].offset_m[s] for a, s in zip(seen.line, seen.station, strict=True)]
             b_line = b_line - np.array(offset).reshape(-1)
-        b = np.concatenate([((own - start) / sigma).ravel(), b_line / line_sigma])
+        b = np.concatenate([((own - start) / sigma).ravel(), b_line / seen.sigma_m])
         m, size = len(b_line), int(self._first_drive[-1])
         entries = []
         for at, values, column in data:
@@ -159,7 +154,7 @@ class JointSolve:
                 entries.append((at.ravel(), values[:, :, axis].ravel(), np.repeat(column + axis, 2)))
         if self.moves and m:
             column = 2 * len(world.kind) + self._first_station[seen.line] + seen.station
-            entries.append((2 * n + np.arange(m), 1.0 / line_sigma, column))
+            entries.append((2 * n + np.arange(m), 1.0 / seen.sigma_m, column))
         dense = np.vstack([shift.reshape(2 * n, -1), aside]) if n or m else np.zeros((0, drive.size))
         r, c = np.nonzero(dense)
         entries.append((r, -dense[r, c], self._first_drive[k] + c))

@@ -11,7 +11,6 @@ from semloc_jax.mapping.crowd.joint import JointSolve, seen_by
 from semloc_jax.mapping.crowd.world import CrowdWorld
 
 _GATES_M = (2.0, 1.2, 0.8, 0.6, 0.5)
-_SLACK = 0.25
 _REACH_M = 8.0
 _TOGETHER_M = 0.8
 _LEAST_SHARE, _LEAST_THINGS = 0.3, 4
@@ -25,7 +24,7 @@ def place(world: CrowdWorld, drive: Correction) -> bool:
     drive.value[:2] = shift
     for gate_m in _GATES_M:
         seen = seen_by(world, drive, gate_m)
-        JointSolve(world, [drive], [seen], [1.0], world_moves=False, slack_m=_SLACK * gate_m).run()
+        JointSolve(world, [drive], [seen], [1.0], world_moves=False).run()
     found = len(seen_by(world, drive, _GATES_M[-1]).pairs)
     return found >= max(_LEAST_THINGS, _LEAST_SHARE * _num_comparable(world, drive))
 
