@@ -4,6 +4,8 @@ In: records of a base map, new records. Out: what each is like, an element of th
 columns that differ; and the records back. Names are told by how much of the one before they begin with.
 """
 
+import base64
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -15,6 +17,9 @@ from semloc_jax.maps.versions.records import Record, is_column, json_bytes, poin
 from semloc_jax.maps.versions.state import MapState
 from semloc_jax.maps.versions.tables import against, rows_of, upon
 
+_HASH_DIGITS = 8
+_HASH = re.compile(f"(.*_)([0-9a-f]{{{_HASH_DIGITS}}})", re.DOTALL)
+"""A name that ends in a hash, as those of things that drives have found."""
 _LIKE = 3
 """So many of the nearest elements of its class are tried as what a new one is like."""
 _NOTHING: Record = {}
@@ -66,11 +71,15 @@ def told_records(ids: Sequence[str], like: Sequence[int], columns: list, base: M
     return found
 
 
-def front_coded(names: Iterable[str]) -> list:
-    """How much of each name is that of the one before, and the rest of each."""
-    names = list(names)
+def coded_names(names: Iterable[str]) -> list:
+    """Names as how many letters each shares with the one before, the rest of each, and their hashes if all end so."""
+    names, hashes = list(names), ""
+    found = [_HASH.fullmatch(name) for name in names]
+    if names and all(found):
+        hashes = base64.b64encode(bytes.fromhex("".join(part[2] for part in found if part))).decode()
+        names = [part[1] for part in found if part]
     shared = [_num_shared(before, name) for before, name in zip(["", *names], names, strict=False)]
-    return [shared, [name[k:] for name, k in zip(names, shared, strict=True)]]
+    return [shared, [name[k:] for name, k in zip(names, shared, strict=True)], hashes]
 
 
 def _num_shared(one: str, other: str) -> int:
@@ -78,8 +87,14 @@ def _num_shared(one: str, other: str) -> int:
     return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
 
 
-def front_decoded(coded: Sequence) -> list[str]:
+def decoded_names(coded: Sequence) -> list[str]:
+    """The names that `coded_names` told."""
     names: list[str] = []
-    for shared, rest in zip(*coded, strict=True):
-        names.append((names[-1][:shared] if names else "") + str(rest))
-    return names
+    shared, rests, hashes = coded
+    for num, rest in zip(shared, rests, strict=True):
+        names.append((names[-1][:num] if names else "") + str(rest))
+    if not hashes:
+        return names
+    digits = base64.b64decode(hashes, validate=True).hex()
+    ends = [digits[k : k + _HASH_DIGITS] for k in range(0, len(digits), _HASH_DIGITS)]
+    return [name + end for name, end in zip(names, ends, strict=True)]

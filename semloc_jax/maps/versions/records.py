@@ -16,6 +16,7 @@ from semloc_jax.structs import ElementClass
 
 Record = dict[str, Any]
 _MM = 1000.0
+_MOST_MM = 2**52
 _ATTRIBUTE = "a."
 """Begins the name of a column that holds a property of the file."""
 KEYS, POINTS = "keys", "points"
@@ -87,10 +88,16 @@ def json_bytes(value: Any) -> bytes:
     )
 
 
+def whole_mm(record: Mapping[str, Any]) -> list[int]:
+    """Coordinates of a record in whole millimetres, each less the one before, as near as that is."""
+    cells = np.rint(points_of(record) * _MM).clip(-_MOST_MM, _MOST_MM).astype(np.int64)
+    return np.diff(cells, axis=0, prepend=0).ravel().tolist()
+
+
 def _packed(points: np.ndarray) -> list:
     """`["mm", differences]` where that gives every bit back, else `["m", numbers]`."""
     cells = np.rint(points * _MM)
-    if (np.abs(cells) < 2**52).all() and (cells / _MM).tobytes() == np.ascontiguousarray(points).tobytes():
+    if (np.abs(cells) < _MOST_MM).all() and (cells / _MM).tobytes() == np.ascontiguousarray(points).tobytes():
         return ["mm", np.diff(cells.astype(np.int64), axis=0, prepend=0).ravel().tolist()]
     return ["m", points.ravel().tolist()]
 

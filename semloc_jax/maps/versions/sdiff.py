@@ -14,7 +14,7 @@ from pathlib import Path
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.versions.difference import CANONICAL, MapDifference
 from semloc_jax.maps.versions.lifted_json import from_lifted, lifted_bytes
-from semloc_jax.maps.versions.likeness import front_coded, front_decoded, likened, told_records
+from semloc_jax.maps.versions.likeness import coded_names, decoded_names, likened, told_records
 from semloc_jax.maps.versions.state import VERSION, MapState
 from semloc_jax.maps.versions.tables import against, rows_of, steps, table, upon
 from semloc_jax.storage import reading, write_bytes
@@ -40,7 +40,7 @@ def sdiff_bytes(step: MapDifference, base: MapState) -> bytes:
         [len(step.removed), len(modified), len(like)],
         steps([row[name] for name in step.removed]),
         table({row[name]: columns for name, columns in modified.items()}),
-        front_coded(step.added),
+        coded_names(step.added),
         [k for k, _ in like],
         table(dict(enumerate(columns for _, columns in like)))[1],
     ]
@@ -118,7 +118,7 @@ class SdiffFile:
                 {**base.members, **self._members},
                 tuple(names[k] for k in accumulate(removed)),
                 {names[k]: upon(columns, base.records[names[k]]) for k, columns in rows_of(modified).items()},
-                told_records(front_decoded(ids), like, added, base),
+                told_records(decoded_names(ids), like, added, base),
                 self._order if self._order in (None, CANONICAL) else tuple(accumulate(self._order)),
                 self.note,
             )

@@ -143,7 +143,7 @@ def test_a_few_changes_are_a_small_file():
     whole = len(sdiff_bytes(difference(MapState(road(1)), old), MapState(road(1))))
     assert len(sdiff_bytes(step, old)) < 180 and whole < 600  # told one by one, 199 dashes were 900 bytes
     counted = MapState(road(200, seen=4), 2)
-    assert len(sdiff_bytes(difference(old, counted), old)) < 200  # one more look at each of 200
+    assert len(sdiff_bytes(difference(old, counted), old)) < 150  # one more look at each of 200
 
 
 def test_two_elements_of_one_id_have_no_version():
