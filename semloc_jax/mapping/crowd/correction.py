@@ -24,6 +24,8 @@ from semloc_jax.maps import MapElement
 _NODE_M = 25.0
 _SURVEYED_M = 0.1
 _HELD_RAD = 1e-5
+SCALE = 3
+"""Place of the scale among the unknowns, after a shift and a turn."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class Correction:
         rows = np.zeros((len(xy), 2, self.size))
         rows[:, :, :2] = np.eye(2)
         rows[:, :, 2] = _turned(xy - self.centre)
-        rows[:, :, 3] = foot - self.centre
+        rows[:, :, SCALE] = foot - self.centre
         if self.num_nodes:
             step_m = float(self._s_m[-1]) / (self.num_nodes - 1)
             at = np.clip(s_m / step_m, 0.0, self.num_nodes - 1 - 1e-9)
@@ -164,7 +166,9 @@ class Correction:
                 walk[3 * k + 2, [there + 2, here + 2]] = np.array([1.0, -1.0]) / c.bend_rad
             blocks.append(walk)
         rows = np.vstack(blocks)
-        return csr_array(rows), np.zeros(len(rows))
+        target = np.zeros(len(rows))
+        target[SCALE] = (self.sights.scale - 1.0) / sigma[SCALE]
+        return csr_array(rows), target
 
 
 def _turned(xy: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array, vstack
 from scipy.sparse.linalg import splu
 
-from semloc_jax.mapping.crowd.correction import Correction
+from semloc_jax.mapping.crowd.correction import SCALE, Correction
 from semloc_jax.mapping.crowd.world import CrowdWorld, turned_by
 from semloc_jax.mapping.crowd.world_lines import line_sights
 
@@ -172,8 +172,9 @@ class JointSolve:
             rows.append(csr_array(coo_array((A.data, (A.row, A.col + self._first_drive[k])), (A.shape[0], size))))
             targets.append(b)
         if self.moves:
-            rows.append(self._together(size))
-            targets.append(np.zeros(rows[-1].shape[0]))
+            together, target = self._together(size)
+            rows.append(together)
+            targets.append(target)
             # What no drive sees any more stays about where it is.
             now = np.concatenate([self.world.centre.ravel(), *(line.offset_m for line in self.world.lines)])
             things, places = self._num_drives()
@@ -187,21 +188,24 @@ class JointSolve:
                 targets.append(smooth[1])
         return csr_array(vstack(rows)), np.concatenate(targets)
 
-    def _together(self, size: int) -> csr_array:
-        """On the mean, drives are neither shifted, turned nor stretched, unless a surveyed map says so.
+    def _together(self, size: int) -> tuple[csr_array, np.ndarray]:
+        """On the mean, drives are neither shifted nor turned, and as large as their wheels and fixes say.
 
         That is what is known of each alone, but the many sights would outweigh it: in a world that is a little smaller,
-        all their errors are a little smaller too.
+        all their errors are a little smaller too. Masks make all maps too small alike, wheels and fixes do not. A
+        surveyed map knows better than all of them.
         """
         own = [k for k, drive in enumerate(self.drives) if self.weights[k] >= 1.0]
         if any(self.drives[k].is_held for k in own):
-            return csr_array((0, size))
+            return csr_array((0, size)), np.zeros(0)
         row, which = np.repeat(np.arange(4), len(own)), np.tile(self._first_drive[own], 4)
         placed = np.array([self.drives[k].sights.sigma_place_m ** -2.0 for k in own])
         many = np.array([float(self.drives[k].sights.num_drives) for k in own])
         shares = [w / max(w.sum(), 1e-300) for w in (placed, placed, many, many)]
         values = (np.array(shares) / _TOGETHER[:, None]).ravel()
-        return csr_array(coo_array((values, (row, which + row)), (4, size)))
+        target = np.zeros(4)
+        target[SCALE] = shares[SCALE] @ [self.drives[k].sights.scale - 1.0 for k in own] / _TOGETHER[SCALE]
+        return csr_array(coo_array((values, (row, which + row)), (4, size))), target
 
     def _smooth(self, rough: np.ndarray, left: np.ndarray, first: int) -> tuple[csr_array, np.ndarray]:
         """The line runs as smoothly as its reference without its wobble does: curves of the road cost nothing."""
