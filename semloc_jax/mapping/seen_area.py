@@ -46,7 +46,7 @@ def seen_area(made: MadeMap, Ts_map_base: Float[np.ndarray, "n 4 4"], num_looks:
     return [low + (ring + 0.5) * _STEP_M for ring in thin if len(ring) >= 3]
 
 
-class SeenFrame(NamedTuple):
+class MadeFrame(NamedTuple):
     """What is known of the frame of a map that a drive made."""
 
     gauge: str
@@ -62,13 +62,13 @@ def sensor_scale(Ts_map_base: Float[np.ndarray, "n 4 4"], Ts_sensors: Float[np.n
     return float(np.linalg.norm(other)) / size if size > _STILL_M else 1.0
 
 
-def write_seen_area(rings: list[Ring], frame: SeenFrame, path: Path) -> None:
+def write_seen_area(rings: list[Ring], frame: MadeFrame, path: Path) -> None:
     """Writes the outlines, to the centimetre, and what is known of the frame they are in."""
     stated = {"gauge": frame.gauge, "scale": round(frame.scale, 6), "rings": [ring.round(2).tolist() for ring in rings]}
     write_text(path, json.dumps(stated) + "\n")
 
 
-def read_seen_area(path: Path) -> tuple[list[Ring], SeenFrame]:
+def read_seen_area(path: Path) -> tuple[list[Ring], MadeFrame]:
     """The outlines of a file, and what is known of the frame they are in.
 
     Raises:
@@ -76,7 +76,7 @@ def read_seen_area(path: Path) -> tuple[list[Ring], SeenFrame]:
     """
     document = json_document(path.read_bytes(), f"seen area {path}")
     with reading(f"seen area {path}"):
-        frame = SeenFrame(str(document["gauge"]), float(document.get("scale", 1.0)))
+        frame = MadeFrame(str(document["gauge"]), float(document.get("scale", 1.0)))
         rings = [np.array(ring, dtype=np.float64).reshape(-1, 2) for ring in document["rings"]]
         if not all(len(ring) >= 3 and np.isfinite(ring).all() for ring in rings):
             raise ValueError("a ring of fewer than three places, or places that are not finite")
