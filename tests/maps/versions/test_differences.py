@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from semloc_jax.cli.main import FAILED, OK, main
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps import GeoOrigin, SemanticMap, write_map
+from semloc_jax.maps import GeoOrigin, MapElement, SemanticMap, write_map
 from semloc_jax.maps.versions.difference import applied, difference
 from semloc_jax.maps.versions.records import element_of, record_of
 from semloc_jax.maps.versions.sdiff import CHECK_BYTES, MAGIC, SdiffFile, sdiff_bytes
@@ -95,6 +95,14 @@ def test_a_record_keeps_every_bit(data):
     again = element_of("e", record_of(element))
     assert again.points.tobytes() == element.points.tobytes()
     assert repr(replace(again, points=np.zeros((1, 3)))) == repr(replace(element, points=np.zeros((1, 3))))
+
+
+def test_a_zero_without_sign_in_the_file_is_the_same_version(tmp_path):
+    """Surveyed normals often hold -0.0: the version that was written must be the one that is read."""
+    sign = MapElement("s", "sign", np.eye(3), closed=True, normal=np.array([-1.0, 0.0, -0.0]))
+    state = MapState(SemanticMap((sign,), None, "signs"))
+    write_state(state, tmp_path / "a.gpkg")
+    assert read_state(tmp_path / "a.gpkg").digest == state.digest
 
 
 @FEW
