@@ -133,7 +133,7 @@ _KEYS = tuple(field.name for field in fields(Belief))
 
 def _properties(belief: Belief) -> dict[str, Any]:
     values = {key: getattr(belief, key) for key in _KEYS}
-    return {key: value for key, value in values.items() if value is not None}
+    return {key: value for key, value in values.items() if value is not None and (value or key not in _SHARED)}
 
 
 def _stated(element: MapElement) -> Belief | None:
