@@ -114,7 +114,7 @@ class BeliefMap:
         beliefs: dict[str, Belief] = {}
         bare = []
         for element in semantic_map.walk():
-            found = _stated(element)
+            found = stated_belief(element)
             beliefs[element.id] = found or Belief(map_sigma_m, map_sigma_m, CERTAIN_LOGIT, provenance=semantic_map.name)
             left = {key: value for key, value in element.attributes.items() if key not in _KEYS}
             bare.append(replace(element, attributes=left) if found else element)
@@ -136,8 +136,12 @@ def _properties(belief: Belief) -> dict[str, Any]:
     return {key: value for key, value in values.items() if value is not None and (value or key not in _SHARED)}
 
 
-def _stated(element: MapElement) -> Belief | None:
-    """The belief in the properties of an element; None where there is none."""
+def stated_belief(element: MapElement) -> Belief | None:
+    """The belief in the properties of an element; None where there is none.
+
+    Raises:
+        SemlocError: it holds numbers that cannot be meant.
+    """
     held = {key: element.attributes[key] for key in _KEYS if key in element.attributes}
     if not set(_REQUIRED) <= set(held):
         return None
