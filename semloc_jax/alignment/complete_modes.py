@@ -50,6 +50,7 @@ from semloc_jax.alignment.same_pose import ONE_OPTIMUM, ONE_PLACE, ONE_TRACK, un
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, search_starts, sharpest
 from semloc_jax.geometry import rigid
 from semloc_jax.geometry.local_frame import LocalFrame
+from semloc_jax.residuals.noise import POSE_SHARE
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import MapSamples, SolveStatus
 
@@ -335,13 +336,9 @@ class ModeFinder:
             if place == 0:
                 # Through the pose that is told: one that candidates proposed may lie in a valley beside it.
                 along = self._spread_along(Ts[chosen], road_through(Ts[chosen]), rates)
-                wider = _widened(covariance.astype(np.float32), along)
-                moments = spread(Ts[chosen], Ts[members], held)
-                known = np.maximum(moments.diagonal(), np.asarray(wider).diagonal()[np.array(PLANE)])
-                of_halves, contradiction = self.disagreement(Ts[chosen], in_view_px, known)
-                known = np.maximum(known, of_halves)
-                covariance, row = np.array(wider, dtype=np.float64), chosen
-                covariance[PLANE, PLANE] = known
+                moments = spread(Ts[chosen], Ts[members], held).diagonal()
+                covariance, contradiction = self._covariance(covariance, Ts[chosen], along, moments, in_view_px)
+                row = chosen
             evidence = self._mode_evidence(Ts[row], row, seen, rates, int(solved.estimates.status[row]))
             if place == 0:
                 evidence = replace(evidence, **contradiction)
@@ -349,6 +346,30 @@ class ModeFinder:
             modes.append(replace(local[0], weight=weight, covariance=covariance, evidence=evidence))
         confirmed = int((units_apart(Ts, Ts[chosen]) < ONE_TRACK).sum()) - 1
         return FoundModes(tuple(modes), SolveStatus(int(solved.estimates.status[chosen])), confirmed)
+
+    def _covariance(
+        self, of_noise: np.ndarray, T_map_base: np.ndarray, along: np.ndarray, moments: np.ndarray, in_view_px: float
+    ) -> tuple[np.ndarray, dict[str, float]]:
+        """Covariance of the best pose, and whether kinds of elements agree about it.
+
+        As long along the road as its valley; forward, to the left and in heading no smaller than the poses of its place
+        and the halves of the map scatter.
+
+        Args:
+            of_noise: float[6 6], as the noise model has it.
+            T_map_base: The pose.
+            along: Of `_spread_along`.
+            moments: float[3], of the poses of its place.
+            in_view_px: Length of contour in view.
+        """
+        plane = np.array(PLANE)
+        told, promised = (_widened((c * of_noise).astype(np.float32), along) for c in (POSE_SHARE, 1.0))
+        # Halves are solved with few samples: they are held against what the noise model promises for them.
+        known = np.maximum(moments, np.asarray(promised).diagonal()[plane])
+        of_halves, contradiction = self.disagreement(T_map_base, in_view_px, known)
+        covariance = np.array(told, dtype=np.float64)
+        covariance[plane, plane] = np.maximum.reduce([moments, covariance.diagonal()[plane], of_halves])
+        return covariance, contradiction
 
     def disagreement(
         self, T_map_base: np.ndarray, in_view_px: float, variance: np.ndarray
@@ -366,15 +387,16 @@ class ModeFinder:
         """Second moment of the posterior over places along the road about a pose, in its right tangent, float32[6 6].
 
         Solves end at local minima, dashes or not: where the sides of lines are all there is, the masks are flat between
-        them, and only the prior would say where the vehicle is. Evidence and ramp cost count half each, as for members
-        of a place.
+        them, and only the prior would say where the vehicle is. Evidence and ramp cost know the same masks by other
+        means and count half each; where variances are `POSE_SHARE` of what the noise model has, nats are worth more.
         """
         places = np.asarray(road.places, dtype=np.float64)
         found, _ = self.evidence(np.concatenate([places, T_map_base[None]]), rates)
         tempered = temper(found.block_nats, len(places), self.config.posterior)
         nats = found.block_nats.sum(axis=1)
         evidence = (tempered * (nats - nats[-1]))[:-1]
-        log_weight = 0.5 * (evidence + np.asarray(road.log_masks, np.float64)) + np.asarray(road.log_prior, np.float64)
+        log_masks = 0.5 * (evidence + np.asarray(road.log_masks, np.float64)) / POSE_SHARE
+        log_weight = log_masks + np.asarray(road.log_prior, np.float64)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -1e9)
         share = np.exp(log_weight - log_weight.max())
         away = rigid.log(np.linalg.inv(T_map_base) @ places)

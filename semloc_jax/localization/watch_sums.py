@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
+from semloc_jax.localization.lens_sign import SignState
 
 FOCAL, RADIAL = "focal", "radial"
 _TURNS = ("pitch", "yaw")
@@ -109,6 +110,8 @@ class WatchState(NamedTuple):
     tilt: Float[np.ndarray, "5"] = np.zeros(5)
     """Number of independent stretches of road that were driven; sums over them of roll and pitch [rad] and of the
     variances of both that the map leaves open [rad^2]."""
+    sign: SignState = SignState()
+    """What was said of lenses with the other sign of distortion."""
 
 
 class Suspicion(NamedTuple):
@@ -227,7 +230,7 @@ def learned(
     size = len(STEPS) * len(names)
     if watch.num.shape != (size,):
         zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
-        watch = WatchState(*zeros, num_frames=watch.num_frames, tilt=watch.tilt)
+        watch = WatchState(*zeros, num_frames=watch.num_frames, tilt=watch.tilt, sign=watch.sign)
     keep = np.exp(-1.0 / config.memory_frames)
     new, gain, moved = np.zeros(size), np.zeros(size), np.zeros((size, 3))
     for one in tried:
@@ -245,6 +248,7 @@ def learned(
         np.int64(watch.num_frames + 1),
         np.float64(0.0),
         watch.tilt,
+        watch.sign,
     )
 
 
