@@ -38,6 +38,7 @@ from semloc_jax.alignment.candidates import (
 )
 from semloc_jax.alignment.evidence_null import EvidenceNull, best_rates
 from semloc_jax.alignment.hypotheses import search_from
+from semloc_jax.alignment.lens_doubt import doubted
 from semloc_jax.alignment.map_pieces import Pieces, PoseEvidence, Rates
 from semloc_jax.alignment.mode_search import ALIAS_SIGMAS, CompleteModesConfig, FrameImage, half_window_m
 from semloc_jax.alignment.modes import modes_in_map, weighed
@@ -48,6 +49,7 @@ from semloc_jax.alignment.result import FoundModes, ModeEvidence
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import ONE_OPTIMUM, ONE_PLACE, ONE_TRACK, units_apart
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, search_starts, sharpest
+from semloc_jax.cameras import Rig
 from semloc_jax.geometry import rigid
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.residuals.noise import POSE_SHARE
@@ -297,7 +299,22 @@ class ModeFinder:
         last = self.ridges(Ts_end, found, np.asarray(solved.estimates.status))
         if not len(last.best):
             return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
-        return self._in_map(solved, Ts_end, (pieces, found), last, rates, road_through, in_view_px)
+        found = self._in_map(solved, Ts_end, (pieces, found), last, rates, road_through, in_view_px)
+        return self._with_doubt(found, frame, in_view_px)
+
+    def _with_doubt(self, found: FoundModes, frame: FrameInput, in_view_px: float) -> FoundModes:
+        """The places with what the best one says of the lenses."""
+        if not found.modes:
+            return found
+        best, whole = found.modes[0], np.ones((1, len(frame.samples.label)), bool)
+        start = self.local.from_map(best.T_map_base, np.float64)[None]
+
+        def cost_through(rig: Rig) -> float:
+            known = self.road, self.wide_sigma, frame._replace(rig=rig), in_view_px, self.frame_config
+            return float(solve_all(start, *known, self.final_align, whole).score[0])
+
+        evidence = replace(best.evidence, **asdict(doubted(frame.rig, cost_through)))
+        return replace(found, modes=(replace(best, evidence=evidence), *found.modes[1:]))
 
     def _road_through(self, T_map_base: np.ndarray, frame: FrameInput, prior: Prior) -> RoadPosterior:
         """Places along the road through a pose."""

@@ -8,13 +8,8 @@ as far as it would move the pose until the drive has told which of both lenses i
 
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
-
-from semloc_jax.cameras import Rig
-
-_TERMS = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 class SignState(NamedTuple):
@@ -25,17 +20,6 @@ class SignState(NamedTuple):
     """By how much they fit better with the other sign [nats]."""
     moved: Float[np.ndarray, "3"] = np.zeros(3)
     """How far their poses move then: forward [m], left [m], heading [rad]."""
-
-
-def with_other_sign(rig: Rig) -> Rig | None:
-    """The rig with the distortion of every lens the other way round; None where no lens has any."""
-    cameras = []
-    for camera in rig.cameras:
-        names = [name for name in _TERMS if hasattr(camera, name)]
-        stated = [-getattr(camera, name) for name in names]
-        cameras.append(eqx.tree_at(lambda c, n=names: [getattr(c, k) for k in n], camera, stated) if names else camera)
-    is_bent = any(float(getattr(camera, name, 0.0)) for camera in rig.cameras for name in _TERMS)
-    return Rig(tuple(cameras), rig.T_base_cam, rig.names) if is_bent else None
 
 
 def learned(sign: SignState, gain_nats: float, moved: Float[np.ndarray, "3"], keep: float) -> SignState:

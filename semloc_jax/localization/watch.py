@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.cameras import Rig
+from semloc_jax.cameras.other_lenses import with_distortion
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import ErrorLimit
 from semloc_jax.fusion.measurements import FusedPose, SensorBeliefs
@@ -93,7 +94,7 @@ def looked(
     names = asked_now(watch, len(frame.rig.names), config)
     sides = [far_side(watch, len(frame.rig.names), name) for name in names]
     tried = [_tried(*one, frame.rig, again, config) for one in zip(names, sides, strict=True)]
-    other = lens_sign.with_other_sign(frame.rig) if RADIAL in names else None
+    other = with_distortion(frame.rig, -1.0) if RADIAL in names else None
     if other is not None:
         gain, moved = again((other,))
         keep = np.exp(-1.0 / config.memory_frames)

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
+from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer
 from semloc_jax.localization.lens_sign import SignState
 
 FOCAL, RADIAL = "focal", "radial"
@@ -34,8 +35,6 @@ class WatchConfig:
     aside_m: ClassVar[tuple[float, float]] = (1.5, 0.1)
     """How far aside lines and posts are compared, and in what steps."""
     ahead_m: ClassVar[tuple[float, float]] = (4.5, 0.25)
-    focal_share: ClassVar[float] = 0.025
-    """By how much the focal lengths of the other calibration differ: less is told by its own slope."""
     radial_share: ClassVar[float] = 0.05
     """By how much a lens of another distortion is wider or narrower at the side of the image: as much as the distortion
     of usual lenses there."""
@@ -133,7 +132,7 @@ def alternatives(num_cameras: int) -> tuple[str, ...]:
 
 def unit_of(name: str, config: WatchConfig) -> float:
     """By how much one of `alternatives` is changed: a share of the image, or an angle [rad]."""
-    return {FOCAL: config.focal_share, RADIAL: config.radial_share}.get(name, config.turn_rad)
+    return {FOCAL: FOCAL_SHARE, RADIAL: config.radial_share}.get(name, config.turn_rad)
 
 
 def asked_now(watch: WatchState, num_cameras: int, config: WatchConfig) -> tuple[str, ...]:
@@ -165,10 +164,7 @@ def changed_rigs(rig: Rig, name: str, config: WatchConfig) -> tuple[Rig, ...]:
 
 def _changed(rig: Rig, name: str, by: float) -> Rig:
     if name == FOCAL:
-        cameras = tuple(
-            eqx.tree_at(lambda c: (c.fx, c.fy), c, ((1.0 + by) * c.fx, (1.0 + by) * c.fy)) for c in rig.cameras
-        )
-        return Rig(cameras, rig.T_base_cam, rig.names)
+        return longer(rig, by)
     if name == RADIAL:
         return Rig(tuple(_bent(camera, by) for camera in rig.cameras), rig.T_base_cam, rig.names)
     turn, index = name.split()
