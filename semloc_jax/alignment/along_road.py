@@ -44,11 +44,11 @@ class AlongRoadConfig:
     """Poses that are handed on to the last refinement."""
     apart: float = 0.6
     """They are at least this many units apart; see `alignment.same_pose`."""
-    by_contours: bool = False
-    """Whether the way along the road is told by displacements across contours, not by slopes of the masks. Slopes are
-    rough along a contour as well, and put places beside two plain lines 13 cm aside for each metre: solves of few steps
-    do not all come back, and the valley looks shorter than it is. What nats between places are worth in
-    `localize` and `track` was measured with slopes, so they keep them until it is measured anew."""
+    by_contours: bool = True
+    """Whether the way along the road is told by displacements across contours. Slopes of the masks are rough along a
+    contour as well, and put places beside two plain lines 13 cm aside for each metre: solves of few steps do not all
+    come back, and the valley looks shorter than it is. `track` learns from the drive how large errors are, and what it
+    takes them for at first was measured with slopes."""
 
 
 class RoadPosterior(NamedTuple):

@@ -5,7 +5,6 @@ No folder, no drive: `align` refines one first guess, `search` looks all around 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -343,7 +342,6 @@ def _settled(given: _Arrays) -> Modes:
     for a sure one.
     """
     config = given.localizer.config.frame
-    config = replace(config, along_road=replace(config.along_road, by_contours=True))
     T = np.asarray(_aligned(given.prior, given.frame, config))
     num = config.search.stages[-1].keep  # as many as a search hands on: the two share their programs
     scores = np.full(num, np.inf, np.float32)

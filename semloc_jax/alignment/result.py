@@ -26,6 +26,8 @@ class ModeEvidence:
         status: how its last solve ended.
         kinds_chi2, kinds_ahead_m, kinds_left_m: how far kinds of elements of the map contradict each other; see
             `agreement.KindsApart`. Measured for the best mode, 0 for others.
+        lens_nats, lens: by how much the frame fits better through another lens, and through which; see
+            `lens_doubt.LensDoubt`. Measured for the best mode.
     """
 
     nats: float
@@ -38,6 +40,8 @@ class ModeEvidence:
     kinds_chi2: float = 0.0
     kinds_ahead_m: float = 0.0
     kinds_left_m: float = 0.0
+    lens_nats: float = 0.0
+    lens: str = ""
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,9 @@ class TrackAlignConfig:
     """Offsets along the road of the starts: dashes and far poles leave local minima some decimetres apart."""
     score_share: float = 0.5
     """Factor on the cost difference between two local minima [nats]: it overstates which of them is right."""
-    valley: AlongRoadConfig = field(default_factory=lambda: AlongRoadConfig(reach_m=0.75, num_offsets=11, max_steps=4))
+    valley: AlongRoadConfig = field(
+        default_factory=lambda: AlongRoadConfig(reach_m=0.75, num_offsets=11, max_steps=4, by_contours=False)
+    )
     """Where the valley along the road through the best pose is measured."""
     longest: float = 25.0
     """A valley that goes on beyond the places measured has at most this many times their variance (sigma 2.4 m)."""

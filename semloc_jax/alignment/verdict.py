@@ -34,6 +34,8 @@ class VerdictConfig:
     max_kinds_chi2: float = 30.0
     """Lane lines against all else in the map, or what stands against all else: farther apart than this (three degrees
     of freedom), one of both is not where the map says."""
+    max_lens_nats: float = 3.0
+    """Through another lens the frame may fit better by chance; by more than this, the stated one is doubted."""
     min_confirmed: int = 1
     """Other starts whose solves must end at the pose."""
     max_sigma_lateral_m: float = 0.25
@@ -140,6 +142,9 @@ def _fit(best: Mode, config: VerdictConfig) -> Reasons:
         text = f"{abs(evidence.kinds_left_m):.2f} m across and {abs(evidence.kinds_ahead_m):.2f} m along"
         text += " from where the rest of the map does"
         yield SolveStatus.POOR_FIT, f"lane lines, or posts and signs, put the vehicle {text}: one of both was moved"
+    if evidence.lens_nats > config.max_lens_nats:
+        text = f"masks fit {evidence.lens_nats:.0f} nats better through {evidence.lens}: calibration or map is wrong"
+        yield SolveStatus.POOR_FIT, text
 
 
 def _rivals(modes: tuple[Mode, ...], config: VerdictConfig) -> Reasons:

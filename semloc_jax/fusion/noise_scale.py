@@ -16,6 +16,7 @@ from jaxtyping import Float
 from semloc_jax.fusion.measurements import FusedPose, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionIncrement
 from semloc_jax.geometry import rigid
+from semloc_jax.residuals.noise import POSE_SHARE
 
 DIRECTIONS = [0, 1, 5]
 """Forward, left and heading in a tangent."""
@@ -27,7 +28,7 @@ LAG = 8
 class NoiseConfig:
     """How the errors of measured poses are learned. All values are ours."""
 
-    share: float = 0.4
+    share: float = POSE_SHARE
     """Variance of a measured pose over that of the noise model, before the drive says more."""
     believed_frames: float = 10.0
     """What the noise model is worth, in frames."""

@@ -6,16 +6,21 @@ Solution separation: the pose that fits with the fault and the one without it ma
 one to the farther side of the other.
 """
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.cameras import Rig
+from semloc_jax.cameras.other_lenses import with_distortion
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import ErrorLimit
 from semloc_jax.fusion.measurements import FusedPose, SensorBeliefs
 from semloc_jax.geometry import rigid
+from semloc_jax.localization import lens_sign
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.integrity import ProtectionLevels
@@ -85,9 +90,15 @@ def looked(
     if int(watch.num_frames) > 0 and way_m < config.step_m:
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
     T = view.found.measurement.T_map_base
+    again = partial(_again, view=view, frame=frame, aligner=aligner, known=known, config=config)
     names = asked_now(watch, len(frame.rig.names), config)
     sides = [far_side(watch, len(frame.rig.names), name) for name in names]
-    tried = [_tried(*one, view, frame, aligner, known, config) for one in zip(names, sides, strict=True)]
+    tried = [_tried(*one, frame.rig, again, config) for one in zip(names, sides, strict=True)]
+    other = with_distortion(frame.rig, -1.0) if RADIAL in names else None
+    if other is not None:
+        gain, moved = again((other,))
+        keep = np.exp(-1.0 / config.memory_frames)
+        watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0], keep))
     profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
     watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
     return learned(watch, len(frame.rig.names), float(aside), tried, profiles, config)
@@ -96,36 +107,41 @@ def looked(
 def _tried(
     name: str,
     side: int | None,
+    rig: Rig,
+    again: Callable[[Sequence[Rig]], tuple[np.ndarray, np.ndarray]],
+    config: WatchConfig,
+) -> Tried:
+    """The frame solved `again` with one thing of the calibration changed, farther on one side where it is given."""
+    rigs, asked = changed_rigs(rig, name, config), [0, 1] if side is None else [0, 1, side + 2]
+    gain, moved = np.full(len(STEPS), np.nan), np.zeros((len(STEPS), 3))
+    gain[asked], moved[asked] = again([rigs[k] for k in asked])
+    return Tried(name, gain, moved)
+
+
+def _again(
+    rigs: Sequence[Rig],
     view: FrameReport,
     frame: FrameFeatures,
     aligner: FrameAligner,
     known: Known,
     config: WatchConfig,
-) -> Tried:
-    """The frame solved again with one thing of the calibration changed."""
-    rigs = changed_rigs(frame.rig, name, config)
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    """By how much a frame fits better with each of the calibrations [nats], NaN where there is no road, and how far its
+    pose moves then: forward [m], left [m], heading [rad]."""
     T = view.found.measurement.T_map_base
-    gain, moved = np.full(len(STEPS), np.nan), np.zeros((len(STEPS), 3))
 
     def solved(rig: Rig) -> Alignment:
         return aligner.align(frame._replace(rig=rig), T, _LOOSE, 0.0, *known)
 
-    def ask(k: int) -> None:
-        again = solved(rigs[k])
-        gain[k] = view.found.score - again.score
-        moved[k] = rigid.log(rigid.inverse(T) @ again.measurement.T_map_base)[_PLANE]
-
     try:
-        ask(0)
-        ask(1)
-        if side is not None:
-            ask(side + 2)
-        if np.nanmax(gain) > config.least_gain_nats:
+        found = [solved(rig) for rig in rigs]
+        gain = view.found.score - np.array([one.score for one in found])
+        if gain.max() > config.least_gain_nats:
             # A frame that has not found its own best place yet gains by any second solve.
             gain -= max(view.found.score - solved(frame.rig).score, 0.0)
-    except SemlocError:  # no road there
-        gain[:] = np.nan
-    return Tried(name, gain, moved)
+    except SemlocError:
+        return np.full(len(rigs), np.nan), np.zeros((len(rigs), 3))
+    return gain, np.array([rigid.log(rigid.inverse(T) @ one.measurement.T_map_base)[_PLANE] for one in found])
 
 
 def _leaned(
@@ -154,6 +170,11 @@ def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separa
         if suspected.nats >= config.count_nats:
             ahead, left, turned = np.abs(suspected.moved)
             found.append(Separation(left, ahead, float(np.degrees(turned)), _told(suspected, rig)))
+    speaks = lens_sign.nats(watch.sign, config.share)
+    if watch.sign.num > 0 and speaks > -config.count_nats:
+        ahead, left, turned = np.abs(lens_sign.mean_move(watch.sign))
+        cause = f"the distortion of {_whose(rig)} may have the wrong sign: the other one fits {speaks:+.0f} nats better"
+        found.append(Separation(left, ahead, float(np.degrees(turned)), f"{cause}; {_ADVICE}"))
     # A map that does not fit moves the pose while driving as well: what speaks of it comes first.
     aside = _looking_aside(float(watch.aside_rad), float(mean[0]), rig, config)
     found += [aside, *_tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), float(mean[2]), rig)]
@@ -236,6 +257,10 @@ def _cameras(rig: Rig) -> str:
     return f"camera {rig.names[0]} looks" if len(rig.names) == 1 else "the cameras look"
 
 
+def _whose(rig: Rig) -> str:
+    return f"camera {rig.names[0]}" if len(rig.names) == 1 else "the cameras"
+
+
 def _told(suspected: Suspicion, rig: Rig) -> str:
     """What the fault is, with its size."""
     name, size = suspected.name, suspected.size
@@ -246,7 +271,7 @@ def _told(suspected: Suspicion, rig: Rig) -> str:
             f"{group} of the map, taken alone, fit {abs(size):.2f} m {side}: lines and posts are not of one state of "
             "the road; see map_changes.csv"
         )
-    which = f"camera {rig.names[0]}" if len(rig.names) == 1 else "the cameras"
+    which = _whose(rig)
     if name == FOCAL:
         return f"masks fit better with focal lengths of {which} that are {100 * size:+.1f} % different; {_ADVICE}"
     if name == RADIAL:

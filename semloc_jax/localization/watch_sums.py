@@ -17,6 +17,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
+from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer
+from semloc_jax.localization.lens_sign import SignState
 
 FOCAL, RADIAL = "focal", "radial"
 _TURNS = ("pitch", "yaw")
@@ -33,8 +35,6 @@ class WatchConfig:
     aside_m: ClassVar[tuple[float, float]] = (1.5, 0.1)
     """How far aside lines and posts are compared, and in what steps."""
     ahead_m: ClassVar[tuple[float, float]] = (4.5, 0.25)
-    focal_share: ClassVar[float] = 0.025
-    """By how much the focal lengths of the other calibration differ: less is told by its own slope."""
     radial_share: ClassVar[float] = 0.05
     """By how much a lens of another distortion is wider or narrower at the side of the image: as much as the distortion
     of usual lenses there."""
@@ -109,6 +109,8 @@ class WatchState(NamedTuple):
     tilt: Float[np.ndarray, "5"] = np.zeros(5)
     """Number of independent stretches of road that were driven; sums over them of roll and pitch [rad] and of the
     variances of both that the map leaves open [rad^2]."""
+    sign: SignState = SignState()
+    """What was said of lenses with the other sign of distortion."""
 
 
 class Suspicion(NamedTuple):
@@ -130,7 +132,7 @@ def alternatives(num_cameras: int) -> tuple[str, ...]:
 
 def unit_of(name: str, config: WatchConfig) -> float:
     """By how much one of `alternatives` is changed: a share of the image, or an angle [rad]."""
-    return {FOCAL: config.focal_share, RADIAL: config.radial_share}.get(name, config.turn_rad)
+    return {FOCAL: FOCAL_SHARE, RADIAL: config.radial_share}.get(name, config.turn_rad)
 
 
 def asked_now(watch: WatchState, num_cameras: int, config: WatchConfig) -> tuple[str, ...]:
@@ -162,10 +164,7 @@ def changed_rigs(rig: Rig, name: str, config: WatchConfig) -> tuple[Rig, ...]:
 
 def _changed(rig: Rig, name: str, by: float) -> Rig:
     if name == FOCAL:
-        cameras = tuple(
-            eqx.tree_at(lambda c: (c.fx, c.fy), c, ((1.0 + by) * c.fx, (1.0 + by) * c.fy)) for c in rig.cameras
-        )
-        return Rig(cameras, rig.T_base_cam, rig.names)
+        return longer(rig, by)
     if name == RADIAL:
         return Rig(tuple(_bent(camera, by) for camera in rig.cameras), rig.T_base_cam, rig.names)
     turn, index = name.split()
@@ -227,7 +226,7 @@ def learned(
     size = len(STEPS) * len(names)
     if watch.num.shape != (size,):
         zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
-        watch = WatchState(*zeros, num_frames=watch.num_frames, tilt=watch.tilt)
+        watch = WatchState(*zeros, num_frames=watch.num_frames, tilt=watch.tilt, sign=watch.sign)
     keep = np.exp(-1.0 / config.memory_frames)
     new, gain, moved = np.zeros(size), np.zeros(size), np.zeros((size, 3))
     for one in tried:
@@ -245,6 +244,7 @@ def learned(
         np.int64(watch.num_frames + 1),
         np.float64(0.0),
         watch.tilt,
+        watch.sign,
     )
 
 

@@ -5,11 +5,13 @@ In: Maker, the size of a fault. Out: FaultyDrive.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import numpy as np
 
 from semloc_jax.cameras import Rig
+from semloc_jax.cameras.other_lenses import longer, wider, with_distortion
 from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.faulty_drive import FaultyDrive, Maker
 
@@ -77,9 +79,7 @@ def intrinsics(maker: Maker, change: Callable) -> FaultyDrive:
 
 def focal(maker: Maker, share: float) -> FaultyDrive:
     """The focal lengths are stated longer than they are."""
-    return intrinsics(
-        maker, lambda c: eqx.tree_at(lambda k: (k.fx, k.fy), c, ((1.0 + share) * c.fx, (1.0 + share) * c.fy))
-    )
+    return with_rig(maker, partial(longer, share=share))
 
 
 def principal_point(maker: Maker, size_px: float) -> FaultyDrive:
@@ -94,20 +94,19 @@ def principal_point_down(maker: Maker, size_px: float) -> FaultyDrive:
 
 def aspect(maker: Maker, share: float) -> FaultyDrive:
     """Only the horizontal focal length is wrong."""
-    return intrinsics(maker, lambda c: eqx.tree_at(lambda k: k.fx, c, (1.0 + share) * c.fx))
+    return with_rig(maker, partial(wider, share=share))
 
 
 def distortion(maker: Maker, share: float) -> FaultyDrive:
     """The distortion of the lenses is stated smaller than it is; at a share of 2 it has the wrong sign."""
 
-    def weaker(camera):
-        names = [name for name in ("k1", "k2", "k3", "k4", "p1", "p2") if hasattr(camera, name)]
-        if not any(float(getattr(camera, name)) for name in names):
+    def weaker(rig: Rig) -> Rig:
+        other = with_distortion(rig, 1.0 - share)
+        if other is None:
             raise SemlocError(f"fault '{maker.name}': the cameras of drive {maker.drive.name} have no distortion")
-        stated = tuple((1.0 - share) * getattr(camera, name) for name in names)
-        return eqx.tree_at(lambda k: [getattr(k, name) for name in names], camera, list(stated))
+        return other
 
-    return intrinsics(maker, weaker)
+    return with_rig(maker, weaker)
 
 
 def _mounted(maker: Maker, axis: int, size_m: float) -> FaultyDrive:

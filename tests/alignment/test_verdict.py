@@ -71,6 +71,7 @@ def test_a_good_pose_has_no_reason_against_it():
         (seen(nats_per_piece=0.49), SolveStatus.POOR_FIT, "0.49 nats a piece"),
         (seen(border_offset_px=-2.6), SolveStatus.WEAK_DIRECTION, "-2.6 px"),
         (seen(kinds_chi2=31.0, kinds_left_m=-0.4), SolveStatus.POOR_FIT, "0.40 m across and 0.00 m along"),
+        (seen(lens_nats=3.2, lens="longer lenses"), SolveStatus.POOR_FIT, "3 nats better through longer lenses"),
         (with_sigma(1, 0.26), SolveStatus.WEAK_DIRECTION, "lateral sigma 0.26 m exceeds 0.25 m"),
         (with_sigma(0, 0.51), SolveStatus.WEAK_DIRECTION, "longitudinal sigma 0.51 m exceeds 0.5 m"),
         (with_sigma(5, np.radians(0.6)), SolveStatus.WEAK_DIRECTION, "heading sigma 0.60 deg exceeds 0.5 deg"),

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import PinholeCamera, Rig
+from semloc_jax.cameras import BrownConradyCamera, PinholeCamera, Rig
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.fusion.measurements import FusedPose
-from semloc_jax.localization import watch
+from semloc_jax.localization import lens_sign, watch
 from semloc_jax.localization.integrity import ProtectionLevels
 from semloc_jax.localization.watch_sums import (
     STEPS,
@@ -242,3 +242,20 @@ def test_every_suspicion_has_a_sentence():
         told = watch._told(Suspicion(name, -0.03, 9.0, np.zeros(3)), rig(2))
         assert ("map_changes.csv" if name in CLASSES else "semloc calibrate") in told
     assert "fit 0.50 m to the left" in watch._told(Suspicion("posts_left", 0.5, 9.0, np.zeros(3)), rig(1))
+
+
+def bent_rig() -> Rig:
+    straight = rig(1)
+    return Rig([BrownConradyCamera(500.0, 510.0, 320.0, 200.0, 640, 400, -0.3, 0.1)], straight.T_base_cam, ["front"])
+
+
+@pytest.mark.parametrize(("gains", "told"), [([], False), ([2.0], True), ([0.5] * 20, True), ([-12.0], False)])
+def test_levels_reach_to_the_pose_of_the_other_sign_until_the_drive_speaks_against_it(gains, told):
+    state = lens_sign.SignState()
+    for gain in (*gains, np.nan):
+        state = lens_sign.learned(state, gain, np.array([-0.35, 0.02, 0.001]), 0.975)
+    found = watch.separations(WatchState(sign=state), bent_rig(), CONFIG)
+    wide = watch.with_faults(LEVELS, found)
+    assert wide.longitudinal_m == pytest.approx(LEVELS.longitudinal_m + (0.35 if told else 0.0))
+    causes = watch.causes(LEVELS, found, ALERT_LIMITS[0])
+    assert [("distortion of camera front may have the wrong sign" in cause) for cause in causes] == [True] * told

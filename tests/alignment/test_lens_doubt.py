@@ -1,0 +1,47 @@
+"""Which lens a frame speaks for, told by the costs of its best poses through others."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.alignment.lens_doubt import doubted
+from semloc_jax.cameras import BrownConradyCamera, Rig
+
+RIG = Rig([BrownConradyCamera(500.0, 500.0, 320.0, 200.0, 640, 400, -0.2)], np.eye(4)[None], ["front"])
+
+
+def parabola(fx: float, fy: float, k1: float):
+    """Costs of a frame whose lens is this, and whose scatter tells focal lengths to 5 px and k1 to 0.05."""
+
+    def cost_through(rig: Rig) -> float:
+        lens = rig.cameras[0]
+        off = (float(lens.fx) - fx) / 5.0, (float(lens.fy) - fy) / 5.0, (float(lens.k1) - k1) / 0.05
+        return 0.5 * float(np.sum(np.square(off)))
+
+    return cost_through
+
+
+@pytest.mark.parametrize(
+    ("lens", "says"),
+    [
+        ((475.0, 475.0, -0.2), "focal lengths that are 2.5 % shorter"),
+        ((525.0, 525.0, -0.2), "focal lengths that are 2.5 % longer"),
+        ((525.0, 500.0, -0.2), "horizontal focal lengths that are 2.5 % longer"),
+        ((500.0, 500.0, 0.2), "the distortion with the other sign"),
+    ],
+)
+def test_a_wrong_lens_is_named(lens, says):
+    found = doubted(RIG, parabola(*lens))
+    assert found.lens == says and found.lens_nats > 3.0
+
+
+def test_a_sound_lens_is_not_doubted():
+    assert doubted(RIG, parabola(500.0, 500.0, -0.2)).lens_nats == 0.0
+
+
+def test_a_frame_that_gains_by_any_second_solve_says_nothing():
+    """The pose that was found is no best one yet: every other lens, longer or shorter, costs less."""
+
+    def cost_through(rig: Rig) -> float:
+        return 0.0 if float(rig.cameras[0].fx) != 500.0 else 9.0 if float(rig.cameras[0].k1) < 0.0 else np.nan
+
+    assert doubted(RIG, cost_through).lens_nats == 0.0
