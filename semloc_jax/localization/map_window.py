@@ -14,7 +14,7 @@ import numpy as np
 
 from semloc_jax.alignment.frame_localizer import sample_within
 from semloc_jax.maps import LocalMap, SemanticMap
-from semloc_jax.structs import MapSamples
+from semloc_jax.structs import STANDING_CLASSES, MapSamples
 
 GRID_M = 10.0
 """Windows are centred on a grid of this width."""
@@ -37,6 +37,11 @@ class MapWindow:
     def element_ids(self) -> tuple[str, ...]:
         """Id of each element of the local map; the parts of a cut line share theirs."""
         return tuple(element.id for element in self.local_map.elements)
+
+    @cached_property
+    def is_standing(self) -> np.ndarray:
+        """Whether each element stands upright, `bool[element]`."""
+        return np.array([element.label in STANDING_CLASSES for element in self.local_map.elements], bool)
 
     @cached_property
     def _points_xy(self) -> np.ndarray:
