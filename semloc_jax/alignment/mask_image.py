@@ -16,33 +16,24 @@ from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
 from semloc_jax.perception.cost_maps import mask_ramps
 from semloc_jax.residuals.alignment import Usable
 from semloc_jax.residuals.texture import RampTextures
-
-_ALIGN_BYTES = 64
-"""JAX on the CPU copies what is aligned less."""
+from semloc_jax.runtime.allocator import used_again
 
 
 def mask_image(masks: Sequence[np.ndarray], table: ClassTable, config: CostMapConfig) -> ImageInput:
     """The masks of one frame, packed for the device; the same as `image_input` of their cost maps.
 
-    On the CPU, with kernels, bytes become texels in memory of the host that JAX takes over: no program, no copy, and
-    large pages, whose first touch costs a tenth.
+    On the CPU, with kernels, bytes become texels in memory of the host that JAX takes over: no program, no copy, no
+    page that is touched for the first time.
     """
     if jax.default_backend() != "cpu" or not native.is_available():
         return image_input(cost_maps(masks, table, config, quantised=True))
     ramps, usable = mask_ramps(masks, table, config, range(len(table.channels)), np.uint8)
-    texels = _aligned(sum(ramp.size for ramp in ramps))
+    texels = used_again(4 * sum(ramp.size for ramp in ramps)).view(np.uint32)
     packed(ramps, texels)
     shapes = tuple(ramp.shape for ramp in ramps)
     columns = _columns(shapes, tuple(config.stride), tuple(config.ramp_px))
     textures = RampTextures(jax.device_put(texels), *columns, num_channels=len(table.channels))
     return ImageInput(textures, Usable(jax.device_put(usable), config.usable_stride))
-
-
-def _aligned(count: int) -> np.ndarray:
-    """Memory for so many texels that JAX on the CPU takes over without a copy."""
-    raw = np.empty(4 * count + _ALIGN_BYTES, np.uint8)
-    start = -raw.ctypes.data % _ALIGN_BYTES
-    return raw[start : start + 4 * count].view(np.uint32)
 
 
 @lru_cache(maxsize=16)

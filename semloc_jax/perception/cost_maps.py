@@ -18,10 +18,9 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.perception.distance import BLOCK_PX
 from semloc_jax.perception.ramps import FAR_BYTE, Level, fill_levels
+from semloc_jax.runtime.allocator import ALIGN_BYTES, used_again
 from semloc_jax.structs import CostMaps, ElementClass
 
-_ALIGN_BYTES = 64
-"""JAX on the CPU copies what is aligned less."""
 KINDS = ("ramp", "gradient", "laplacian", "literature")
 
 
@@ -177,20 +176,13 @@ def _pad_to_blocks(mask: np.ndarray) -> np.ndarray:
 
 
 def _saturated(shapes: Sequence[tuple[int, ...]], dtype: DTypeLike) -> list[np.ndarray]:
-    """Ramps of empty masks, aligned so that JAX on the CPU takes the memory over without a copy.
-
-    All lie in one block: the system gives a large one in large pages, whose first touch costs far less.
-    """
-    lines = [-(-int(np.prod(shape)) * np.dtype(dtype).itemsize // _ALIGN_BYTES) for shape in shapes]
-    raw = np.empty((sum(lines) + 1) * _ALIGN_BYTES, np.uint8)
-    start = -raw.ctypes.data % _ALIGN_BYTES
-    found = []
-    for shape, count in zip(shapes, lines, strict=True):
-        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-        found.append(raw[start : start + size].view(dtype).reshape(shape))
-        found[-1].fill(1.0 if found[-1].dtype == np.float32 else FAR_BYTE)
-        start += count * _ALIGN_BYTES
-    return found
+    """Ramps of empty masks, aligned so that JAX on the CPU takes the memory over without a copy."""
+    sizes = [int(np.prod(shape)) * np.dtype(dtype).itemsize for shape in shapes]
+    starts = np.cumsum([0, *(-(-size // ALIGN_BYTES) * ALIGN_BYTES for size in sizes)]).tolist()
+    block = used_again(starts[-1])
+    block.view(dtype).fill(1.0 if np.dtype(dtype) == np.float32 else FAR_BYTE)
+    parts = (block[start : start + size] for start, size in zip(starts, sizes, strict=False))
+    return [part.view(dtype).reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
 def _check_masks(masks: Sequence[np.ndarray]) -> None:
