@@ -40,7 +40,7 @@ from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
 from semloc_jax.localization.integrity import with_map_accuracy
 from semloc_jax.localization.judging import judged
-from semloc_jax.localization.map_window import MapWindows
+from semloc_jax.localization.map_window import GRID_M, MapWindows
 from semloc_jax.localization.stage_timer import StageTimer
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import (
@@ -329,6 +329,7 @@ class Localizer:
         verdict = judged(state, view, fused, frame.rig, map_sigma, self.config, why)
         state = state._replace(status=np.int64(verdict.status))
         if fused is not None:
+            self.windows.prepare(fused.T_map_base[:3, 3] + GRID_M * fused.T_map_base[:3, 0])
             fused = fused._replace(covariance=with_map_accuracy(fused.covariance, *map_sigma))
         found = view.found if view is not None else None
         return state, TrackResult(
