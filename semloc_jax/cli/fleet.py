@@ -16,7 +16,7 @@ from semloc_jax.cli.drive_options import DriveOptions
 from semloc_jax.cli.main import FAILED, LOST, OK
 
 if TYPE_CHECKING:
-    from semloc_jax.reports.fleet import DriveRow, Place
+    from semloc_jax.reports.fleet import FleetRow, FleetPlace
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ def run_each(verb: str, options: Any) -> int:
     return FAILED if report.has(fleet.FAILED) else LOST if report.has(fleet.LOST) else OK
 
 
-def _run_one(verb: str, own: dict[str, Any], place: "Place") -> "DriveRow":
+def _run_one(verb: str, own: dict[str, Any], place: "FleetPlace") -> "FleetRow":
     """Run the verb with one drive; what it says goes into a file beside its results."""
     from semloc_jax.cli.arguments import with_settings
     from semloc_jax.errors import SemlocError
-    from semloc_jax.reports.fleet import DONE, TEXT, DriveRow, num_frames
+    from semloc_jax.reports.fleet import DONE, TEXT, FleetRow, num_frames
     from semloc_jax.reports.fleet import FAILED as IS_FAILED
     from semloc_jax.reports.fleet import LOST as IS_LOST
     from semloc_jax.runtime.prepare import prepare_jax
@@ -72,4 +72,4 @@ def _run_one(verb: str, own: dict[str, Any], place: "Place") -> "DriveRow":
         result, why = IS_FAILED, " ".join(str(error).split())
     place.out.mkdir(parents=True, exist_ok=True)
     write_text(place.out / TEXT, said.getvalue() + why + "\n")
-    return DriveRow(place.out.name, result, num_frames(place.out), round(time.process_time() - begun_s, 2), why)
+    return FleetRow(place.out.name, result, num_frames(place.out), round(time.process_time() - begun_s, 2), why)

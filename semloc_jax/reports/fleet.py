@@ -23,7 +23,7 @@ TABLE, TEXT = "fleet.csv", "console.txt"
 DONE, FAILED, LOST = "done", "failed", "lost"
 
 
-class Place(NamedTuple):
+class FleetPlace(NamedTuple):
     """Where the results of one drive go."""
 
     drive: Path
@@ -32,7 +32,7 @@ class Place(NamedTuple):
     """Whether a run of it was killed there, to go on with."""
 
 
-class DriveRow(NamedTuple):
+class FleetRow(NamedTuple):
     """How one drive went."""
 
     drive: str
@@ -54,14 +54,14 @@ class FleetReport:
     """How all drives went."""
 
     folder: Path
-    rows: list[DriveRow]
+    rows: list[FleetRow]
 
     @property
     def text(self) -> str:
         """The table, and all drives in one line."""
         width = max(len(row.drive) for row in self.rows)
         head = f"{'drive':<{width}}  {'result':<6} {'frames':>6} {'CPU s':>8} {'frames / core h':>15}"
-        total = DriveRow("all", "", sum(row.num_frames for row in self.rows), sum(row.cpu_s for row in self.rows))
+        total = FleetRow("all", "", sum(row.num_frames for row in self.rows), sum(row.cpu_s for row in self.rows))
         lines = [
             f"{row.drive:<{width}}  {row.result:<6} {row.num_frames:>6} {row.cpu_s:>8.1f} "
             f"{row.frames_per_core_hour:>15.0f}  {row.why}".rstrip()
@@ -75,7 +75,7 @@ class FleetReport:
 
 
 def report_fleet(
-    work: Callable[[Place], DriveRow],
+    work: Callable[[FleetPlace], FleetRow],
     drives: Sequence[Path],
     out: Path | None = None,
     resume: Path | None = None,
@@ -104,14 +104,14 @@ def report_fleet(
     folder = make_folder(out, resume)
     rows = {row.drive: row for row in _read(folder / TABLE) if row.result != FAILED} if resume is not None else {}
     places = {
-        name: Place(drive, folder / name, resume is not None and (folder / name / BEGUN).is_file())
+        name: FleetPlace(drive, folder / name, resume is not None and (folder / name / BEGUN).is_file())
         for name, drive in zip(names, drives, strict=True)
     }
     left = [(name, place) for name, place in places.items() if name not in rows]
     with tqdm(total=len(drives), initial=len(drives) - len(left), unit="drive", disable=None) as bar:
         for name, row in spread(work, left, min(jobs, max(len(left), 1)), on_ray):
             rows[name] = row._replace(drive=name)
-            write_csv(folder / TABLE, DriveRow._fields, rows.values())
+            write_csv(folder / TABLE, FleetRow._fields, rows.values())
             bar.update()
     return FleetReport(folder, [rows[name] for name in names])
 
@@ -125,7 +125,7 @@ def num_frames(folder: Path) -> int:
         return sum(1 for _ in csv.DictReader(file))
 
 
-def _read(path: Path) -> list[DriveRow]:
+def _read(path: Path) -> list[FleetRow]:
     if not path.is_file():
         return []
     try:
@@ -136,15 +136,15 @@ def _read(path: Path) -> list[DriveRow]:
         raise _not_ours(path) from error
 
 
-def _row(path: Path, row: dict[str, str]) -> DriveRow:
+def _row(path: Path, row: dict[str, str]) -> FleetRow:
     try:
-        return DriveRow(row["drive"], row["result"], int(row["num_frames"]), float(row["cpu_s"]), row["why"])
+        return FleetRow(row["drive"], row["result"], int(row["num_frames"]), float(row["cpu_s"]), row["why"])
     except (KeyError, TypeError, ValueError) as error:
         raise _not_ours(path) from error
 
 
 def _not_ours(path: Path) -> SemlocError:
     return SemlocError(
-        f"{path}: expected the columns {', '.join(DriveRow._fields)} of 'semloc localize' or 'track' with several "
+        f"{path}: expected the columns {', '.join(FleetRow._fields)} of 'semloc localize' or 'track' with several "
         "drives; give the folder of such a run, or begin anew with another --out"
     )
