@@ -16,7 +16,7 @@ from semloc_jax.cli.drive_options import DriveOptions
 from semloc_jax.cli.main import FAILED, LOST, OK
 
 if TYPE_CHECKING:
-    from semloc_jax.reports.fleet import FleetRow, FleetPlace
+    from semloc_jax.reports.fleet import FleetPlace, FleetRow
 
 
 @dataclass(frozen=True)
