@@ -8,10 +8,12 @@ from collections.abc import Sequence as Frames
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
+import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax.alignment.complete_modes import ModeFinder
 from semloc_jax.alignment.hypotheses import Modes
+from semloc_jax.alignment.mask_image import mask_image
 from semloc_jax.alignment.mode_search import CompleteModesConfig, FrameImage, half_window_m
 from semloc_jax.alignment.modes import modes_in_map
 from semloc_jax.alignment.pose_prior import PosePrior
@@ -19,7 +21,7 @@ from semloc_jax.alignment.result import FoundModes, LocalizationResult
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import ONE_PLACE
 from semloc_jax.alignment.scene import SceneConfig
-from semloc_jax.alignment.single_frame import FrameInput, frame_input
+from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.alignment.verdict import VerdictConfig, directions_held, judge
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
@@ -27,7 +29,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.held import held_text
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import LocalMap, SemanticMap, SharedSigmas, sample, with_map_accuracy
-from semloc_jax.perception import ClassTable, cost_maps
+from semloc_jax.perception import ClassTable
 from semloc_jax.perception.border_distance import border_distances, pixel_unit
 from semloc_jax.structs import SolveStatus
 
@@ -87,8 +89,8 @@ class FrameLocalizer:
         heading = float(np.arctan2(T_map_near[1, 0], T_map_near[0, 0])) if len(rig) == 1 else None
         local_map = self.map.query(T_map_near[:3, 3], self.config.search_radius_m + more_m, heading)
         samples = sample_within(local_map, self.config.sample_spacing_m, self.config.sample_capacity)
-        maps = cost_maps(masks, self.shown, self.config.cost_maps, quantised=True)
-        return frame_input(samples, maps, rig, self.channel_of_label), local_map
+        image = mask_image(masks, self.shown, self.config.cost_maps)
+        return FrameInput(samples, rig, jnp.asarray(self.channel_of_label), *image), local_map
 
     def localize(
         self, frame: Frame | None, masks: Frames[np.ndarray], prior: PosePrior, rig: Rig | None = None

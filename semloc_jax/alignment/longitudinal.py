@@ -1,4 +1,4 @@
-"""Where along the road, when the masks hardly constrain it (room: alignment; host and JAX).
+"""Where along the road, when the masks hardly constrain it (room: alignment; host).
 
 In: a predicted pose whose longitudinal position is less sure than a solve can bridge. Out: the pose moved along the
 road. Whether to search is decided by information, not by a rule about the scene: by how far the prediction may be off
@@ -7,8 +7,6 @@ along the road against the basin of a solve, and by what the masks of the last f
 
 from dataclasses import dataclass
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -49,7 +47,7 @@ def corrected_along(
     sigma_m: float,
     prior: Prior,
     frame: FrameInput,
-    trust: Float[jnp.ndarray, " element"],
+    trust: Float[np.ndarray, " element"],
     align: TrackAlignConfig,
     config: LongitudinalConfig,
 ) -> tuple[np.ndarray, float]:
@@ -66,16 +64,11 @@ def corrected_along(
     """
     reach_m = float(np.clip(config.reach_sigmas * sigma_m, config.basin_m, config.max_reach_m))
     offsets = np.linspace(-reach_m, reach_m, config.num_offsets)
-    free = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(jnp.inf))
-    costs = profile_beside(
-        jnp.asarray(T_predicted, jnp.float32),
-        jnp.zeros((config.num_offsets, 3), jnp.float32).at[:, 0].set(offsets),
-        free,
-        frame,
-        trust,
-        align,
-        jnp.asarray(config.level),
-    )
+    sigma, moves = np.array(prior.sigma), np.zeros((config.num_offsets, 3), np.float32)
+    sigma[0], moves[:, 0] = np.inf, offsets
+    free = Prior(prior.T_map_base, sigma, prior.terms)
+    T, level = np.asarray(T_predicted, np.float32), np.asarray(config.level)
+    costs = profile_beside(T, moves, free, frame, trust, align, level)
     # The prior of a solve is loose; which of several dashes is meant, the prediction itself helps to tell.
     best_m = float(offsets[int(np.argmin(align.score_share * np.asarray(costs) + 0.5 * (offsets / sigma_m) ** 2))])
     moved = T_predicted.copy()

@@ -46,9 +46,9 @@ class Evidence(eqx.Module):
 class Prior(eqx.Module):
     """What is known of the vehicle pose before the masks: a Gaussian in its right tangent, and further terms."""
 
-    T_map_base: Float[Array, "4 4"]
+    T_map_base: Float[Array | np.ndarray, "4 4"]
     """Centre, relative to the local origin."""
-    sigma: Float[Array, "6"]
+    sigma: Float[Array | np.ndarray, "6"]
     """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) in the vehicle frame; 0 locks a direction."""
     terms: Terms = ()
     """Other measurements of the pose, see `semloc_jax.residuals.pose_terms`; relative to the local origin, too."""

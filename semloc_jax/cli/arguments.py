@@ -54,13 +54,7 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
             settings, from_file = read_settings(path, verb.Options, settings)
         values = flat(settings)
         known += flags(values)
-        options_type = dataclasses.make_dataclass(
-            verb.Options.__name__,
-            [("settings", _values_only(type(values)), dataclasses.field(default=values))],
-            bases=(verb.Options,),
-            frozen=True,
-            kw_only=True,
-        )
+        options_type = _type_with_settings(verb.Options, _values_only(type(values)), values)
     for word in words:
         flag = word.split("=", 1)[0].replace("_", "-")
         if re.match(r"--[a-zA-Z]", flag) and flag not in known:
@@ -70,6 +64,22 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
         options = dataclasses.replace(options, settings=assembled(settings, options.settings))
     require_plausible(options, "--")
     return pinned_options(options)
+
+
+def with_settings(options_type: type, values: dict[str, Any]) -> Any:
+    """Options as `parse` makes them, from the values of their fields and of `settings`."""
+    settings = values["settings"]
+    return _type_with_settings(options_type, type(settings), settings)(**values)
+
+
+def _type_with_settings(options_type: type, settings_type: Any, default: Any) -> type:
+    return dataclasses.make_dataclass(
+        options_type.__name__,
+        [("settings", settings_type, dataclasses.field(default=default))],
+        bases=(options_type,),
+        frozen=True,
+        kw_only=True,
+    )
 
 
 def read_settings(path: str, options_type: type, defaults: Any) -> tuple[Any, list[str]]:

@@ -9,7 +9,7 @@ import tyro
 
 from semloc_jax.inputs.drive_inputs import InputOptions, Inputs
 
-NOT_KEPT = ("drive", "config", "out", "resume", "rrd", "settings")
+NOT_KEPT = ("drive", "config", "out", "resume", "rrd", "settings", "others", "jobs", "ray")
 """Options that say where things are, and the configuration, which is kept beside the options."""
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from semloc_jax.cli.drive_options import DriveOptions
+from semloc_jax.cli.fleet import FleetOptions, run_each
 from semloc_jax.cli.main import LOST, OK, log_to_console
 from semloc_jax.inputs.choices import parse_slice
 from semloc_jax.inputs.drive_inputs import Inputs, open_inputs
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Options(DriveOptions):
+class Options(FleetOptions):
     """Localize frames of a drive in a map, each on its own, and judge every pose.
 
     Writes trajectory.tum (localized frames), frames.csv (every frame with its status), hypotheses.csv (every mode),
@@ -65,6 +65,8 @@ def run(options: Options) -> int:
     from semloc_jax.reports.frames import report_frames
 
     log_to_console()
+    if options.others:
+        return run_each("localize", options)
     chosen = parse_slice(options.frames)
     inputs = open_inputs(options)
     settings = configured(options, options.settings)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from semloc_jax.cli.drive_options import DriveOptions
+from semloc_jax.cli.fleet import FleetOptions, run_each
 from semloc_jax.cli.main import LOST, OK, log_to_console
 from semloc_jax.inputs.choices import parse_slice
 
@@ -18,7 +18,7 @@ ALL, INERTIAL = "all", "inertial"
 
 
 @dataclass(frozen=True)
-class Options(DriveOptions):
+class Options(FleetOptions):
     """Follow the vehicle through a drive: initialise, track, know when lost, recover.
 
     Writes frames.csv (line by line while driving), trajectory.tum, metrics.json, tracking.png, stanford.png,
@@ -76,6 +76,8 @@ def run(options: Options) -> int:
     from semloc_jax.simulation.hostile import is_suite
 
     log_to_console()
+    if options.others:
+        return run_each("track", options)
     chosen, area = parse_slice(options.frames), _area(options.area)
     inputs = track.open_tracked(options, area is not None)
     plan, kept = _plan(options, area, inputs), options.kept(inputs)

@@ -55,7 +55,7 @@ def families(num: int) -> tuple[Family, ...]:
     return Family("pose", POSE, num), Family("odometer", ODOMETER, 1), Family("gnss", GNSS, 1)
 
 
-def values_of(Ts_map_base: Float[np.ndarray, "n 4 4"], calibration: Float[np.ndarray, "5"]) -> Values:
+def values_of(Ts_map_base: Float[Array | np.ndarray, "n 4 4"], calibration: Float[Array | np.ndarray, "5"]) -> Values:
     """Values of the variables; calibration: scale, bias [rad/s], travel [rad], offset east, north [m]."""
     return {"pose": Ts_map_base, "odometer": calibration[None, :3], "gnss": calibration[None, 3:]}
 
@@ -65,14 +65,14 @@ def calibration_of(values: Values) -> Float[Array, "5"]:
     return jnp.concatenate([values["odometer"][0], values["gnss"][0]])
 
 
-def pose_graph(is_used: Bool[np.ndarray, " n"], factors: tuple[Factors, ...]) -> FactorGraph:
+def pose_graph(is_used: Bool[Array | np.ndarray, " n"], factors: tuple[Factors, ...]) -> FactorGraph:
     """The graph of poses and one calibration; poses that are not used stay where they are."""
     num = len(is_used)
-    return FactorGraph(families(num), factors, {"pose": np.repeat(is_used[:, None], POSE.size, axis=1)})
+    return FactorGraph(families(num), factors, {"pose": is_used[:, None] & np.ones(POSE.size, bool)})
 
 
 def measured_poses(
-    T_measured: Float[np.ndarray, "n 4 4"], sqrt_info: Float[np.ndarray, "n 6 6"], threshold: float
+    T_measured: Float[Array | np.ndarray, "n 4 4"], sqrt_info: Float[Array | np.ndarray, "n 6 6"], threshold: float
 ) -> Factors:
     """A measured pose of every pose of the graph; `sqrt_info` 0 where there is none."""
     keys = (np.arange(len(T_measured)),)
@@ -81,12 +81,12 @@ def measured_poses(
 
 
 def odometry(
-    start: Int[np.ndarray, " e"],
-    end: Int[np.ndarray, " e"],
-    T_start_end: Float[np.ndarray, "e 4 4"],
-    jacobian: Float[np.ndarray, "e 6 3"],
-    made_with: Float[np.ndarray, "e 3"],
-    sqrt_info: Float[np.ndarray, "e 6 6"],
+    start: Int[Array | np.ndarray, " e"],
+    end: Int[Array | np.ndarray, " e"],
+    T_start_end: Float[Array | np.ndarray, "e 4 4"],
+    jacobian: Float[Array | np.ndarray, "e 6 3"],
+    made_with: Float[Array | np.ndarray, "e 3"],
+    sqrt_info: Float[Array | np.ndarray, "e 6 6"],
 ) -> Factors:
     """Motion between two poses by wheels and gyroscope.
 
@@ -108,11 +108,11 @@ def odometry(
 
 
 def fixes(
-    p_fix: Float[np.ndarray, "n 2"],
-    p_base: Float[np.ndarray, "n 3"],
-    sqrt_info: Float[np.ndarray, "n 2"],
+    p_fix: Float[Array | np.ndarray, "n 2"],
+    p_base: Float[Array | np.ndarray, "n 3"],
+    sqrt_info: Float[Array | np.ndarray, "n 2"],
     threshold: float,
-    poses: Int[np.ndarray, " n"] | None = None,
+    poses: Int[Array | np.ndarray, " n"] | None = None,
 ) -> Factors:
     """Satellite fixes of the point `p_base` of the vehicle; `sqrt_info` 0 where there is none.
 
@@ -143,7 +143,9 @@ def motions(
 
 
 def prior(
-    T_prior: Float[np.ndarray, "4 4"], calibration: Float[np.ndarray, "5"], sqrt_info: Float[np.ndarray, "11 11"]
+    T_prior: Float[Array | np.ndarray, "4 4"],
+    calibration: Float[Array | np.ndarray, "5"],
+    sqrt_info: Float[Array | np.ndarray, "11 11"],
 ) -> Factors:
     """What is known of the first pose and of the calibration together, beside the other factors."""
     keys = (np.zeros(1, int),) * 3

@@ -6,11 +6,12 @@ vehicle that stands drops its second newest state, one that drives gives up the 
 """
 
 from dataclasses import dataclass, field
-from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 from scipy.special import chdtri
 
 from semloc_jax.fusion.measurements import (
@@ -31,8 +32,8 @@ from semloc_jax.fusion.window_state import (
     at_calibration,
     chained,
     graph_of,
-    graph_of_oldest,
     motion_of,
+    oldest_alone,
     open_motion,
     replaced,
     sqrt_information,
@@ -43,11 +44,10 @@ from semloc_jax.fusion.window_state import (
 from semloc_jax.fusion.window_terms import cleared, empty_rows, fit, is_finite, require_kind, with_term, without_first
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.pose_terms import Terms
+from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.solvers.dense import DenseEquations, DenseProblem, marginal
 from semloc_jax.solvers.factors import Factors
 from semloc_jax.solvers.front import solve
-from semloc_jax.solvers.graph import FactorGraph, Values
-from semloc_jax.solvers.problem import Solution
 
 _VAGUE = 100.0
 """Standard deviation of an unknown quantity [m, rad]; our choice."""
@@ -226,7 +226,7 @@ class SlidingWindow:
         """The window one state later; what the oldest one knew stays as a prior of the next and the calibration."""
         if self.config.marginalise:
             with jax.enable_x64(True):
-                equations = _known_by_oldest(*graph_of_oldest(state, self.config.graph, self.terms))
+                equations = _known_by_oldest(oldest_alone(state), self.terms, self.config.graph)
             covariance = np.linalg.inv(np.asarray(equations.information))
             step = -covariance @ np.asarray(equations.gradient)
             passed_s = float(state.time_s[1] - state.time_s[0])
@@ -246,25 +246,35 @@ class SlidingWindow:
 
     def _solved(self, state: WindowState) -> WindowState:
         with jax.enable_x64(True):
-            solution = _solved(*graph_of(state, self.config.graph, self.terms), self.config.graph)
+            solution = _solved(state, self.terms, self.config.graph)
         unknowns = 6 * self.config.num_states + 5
         newest = 6 * (int(state.num) - 1)
         wanted = np.eye(unknowns)[:, [*range(newest, newest + 6), *range(unknowns - 5, unknowns)]]
-        covariance = wanted.T @ np.linalg.solve(np.asarray(solution.equations.information), wanted)
+        covariance = wanted.T @ np.linalg.solve(np.asarray(solution.information), wanted)
         return state._replace(
-            T_map_base=np.array(solution.value["pose"]),
-            calibration=np.array(calibration_of(solution.value)),
+            T_map_base=np.array(solution.T_map_base),
+            calibration=np.array(solution.calibration),
             covariance=0.5 * (covariance + covariance.T),
         )
 
 
-@partial(jax.jit, static_argnames="config")
-def _solved(graph: FactorGraph, values: Values, config: GraphConfig) -> Solution:
-    return solve(graph, values, config.solve)
+class _Solved(NamedTuple):
+    """A window after its solve: its poses, calibration, and information of all unknowns."""
+
+    T_map_base: Float[Array, "n 4 4"]
+    calibration: Float[Array, "5"]
+    information: Float[Array, "k k"]
 
 
-@jax.jit
-def _known_by_oldest(graph: FactorGraph, values: Values) -> DenseEquations:
+@stored_program("config")
+def _solved(state: WindowState, kinds: Terms, config: GraphConfig) -> _Solved:
+    solution = solve(*graph_of(state, config, kinds), config.solve)
+    return _Solved(solution.value["pose"], calibration_of(solution.value), solution.equations.information)
+
+
+@stored_program("config")
+def _known_by_oldest(state: WindowState, kinds: Terms, config: GraphConfig) -> DenseEquations:
     """What the factors of the oldest state say of the next state and the calibration."""
+    graph, values = graph_of(state, config, kinds)
     equations = DenseProblem(graph).linearise(values, jnp.asarray(False))
     return marginal(equations, np.arange(6), np.arange(6, 17))

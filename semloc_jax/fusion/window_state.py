@@ -5,6 +5,7 @@ In: poses, increments. Out: WindowState with or without a state, its FactorGraph
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -68,14 +69,14 @@ def sqrt_information(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, 
 
 
 def graph_of(state: WindowState, config: GraphConfig, kinds: Terms = ()) -> tuple[FactorGraph, Values]:
-    """The factors of a window, and its values; `kinds` are those of its terms."""
-    edges, num = len(state.T_edge), int(state.num)
-    is_used, is_edge = np.arange(edges + 1) < num, np.arange(edges) < num - 1
-    edge_sqrt_info = np.linalg.inv(np.linalg.cholesky(state.edge_covariance))
+    """The factors of a window, and its values; `kinds` are those of its terms. Inside jit, too."""
+    edges, num = len(state.T_edge), state.num
+    is_used, is_edge = jnp.arange(edges + 1) < num, jnp.arange(edges) < num - 1
+    edge_sqrt_info = jnp.linalg.inv(jnp.linalg.cholesky(state.edge_covariance))
     start = np.arange(edges)
     factors = (
         measured_poses(
-            state.T_measured, np.where(is_used[:, None, None], state.pose_sqrt_info, 0.0), config.pose_threshold
+            state.T_measured, jnp.where(is_used[:, None, None], state.pose_sqrt_info, 0.0), config.pose_threshold
         ),
         odometry(
             start,
@@ -83,12 +84,12 @@ def graph_of(state: WindowState, config: GraphConfig, kinds: Terms = ()) -> tupl
             state.T_edge,
             state.edge_jacobian,
             state.edge_calibration,
-            np.where(is_edge[:, None, None], edge_sqrt_info, 0.0),
+            jnp.where(is_edge[:, None, None], edge_sqrt_info, 0.0),
         ),
         fixes(
             state.p_fix,
             state.fix_base,
-            np.where(is_used[:, None], state.fix_sqrt_info, 0.0),
+            jnp.where(is_used[:, None], state.fix_sqrt_info, 0.0),
             config.fix_threshold,
         ),
         prior(state.T_prior, state.calibration_prior, state.prior_sqrt_info),
@@ -97,13 +98,13 @@ def graph_of(state: WindowState, config: GraphConfig, kinds: Terms = ()) -> tupl
     return pose_graph(is_used, factors), values_of(state.T_map_base, state.calibration)
 
 
-def graph_of_oldest(state: WindowState, config: GraphConfig, kinds: Terms = ()) -> tuple[FactorGraph, Values]:
-    """What the oldest state, its measurement and the motion to the next one say: a graph of two poses."""
+def oldest_alone(state: WindowState) -> WindowState:
+    """A window of the two oldest states, in which only the oldest and the motion to the next one say something."""
     short = {name: getattr(state, name)[:2] for name in BY_STATE} | {name: getattr(state, name)[:1] for name in BY_EDGE}
     alone = np.array([1.0, 0.0])
     short["pose_sqrt_info"] = short["pose_sqrt_info"] * alone[:, None, None]
     short["fix_sqrt_info"] = short["fix_sqrt_info"] * alone[:, None]
-    return graph_of(state._replace(num=np.int64(2), terms=of_first_of_two(state.terms), **short), config, kinds)
+    return state._replace(num=np.int64(2), terms=of_first_of_two(state.terms), **short)
 
 
 def without_newest(state: WindowState) -> WindowState:

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import Innovation
@@ -33,12 +34,12 @@ def empty_rows(kinds: Terms, num_states: int) -> tuple[TermRows, ...]:
     return tuple(TermRows(tuple(map(repeated, k.data)), 0.0 * repeated(k.sqrt_info)) for k in kinds)
 
 
-def factors_of(kinds: Terms, rows: Sequence[TermRows], is_used: Bool[np.ndarray, " n"]) -> tuple[Factors, ...]:
+def factors_of(kinds: Terms, rows: Sequence[TermRows], is_used: Bool[Array | np.ndarray, " n"]) -> tuple[Factors, ...]:
     """The factors of all rows; those of states that are not used have no information."""
     found = []
     for kind, (data, sqrt_info) in zip(kinds, rows, strict=True):
         states, per_state = sqrt_info.shape[:2]
-        shown = np.where(is_used.reshape(-1, *[1] * (sqrt_info.ndim - 1)), sqrt_info, 0.0)
+        shown = jnp.where(is_used.reshape(-1, *[1] * (sqrt_info.ndim - 1)), sqrt_info, 0.0)
         flat = [leaf.reshape(-1, *leaf.shape[2:]) for leaf in (*data, shown)]
         keys = (np.repeat(np.arange(states), per_state),)
         found.append(

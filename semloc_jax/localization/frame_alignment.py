@@ -6,6 +6,7 @@ its covariance, its quality.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import jax
@@ -31,7 +32,7 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.localization.map_window import MapWindow, MapWindows
 from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.maps import RoadSpread, SemanticMap
-from semloc_jax.structs import STANDING_CLASSES, SolveStatus
+from semloc_jax.structs import SolveStatus
 
 _LONGITUDINAL = LongitudinalConfig()
 """The search along the road; no drive needed other values."""
@@ -100,6 +101,8 @@ class FrameAligner:
         base = TrackAlignConfig()
         self.step = replace(base, view=scene.view_of(base.view), align=scene.align_of(base.align))
         self.channel_of_label = jnp.asarray(channel_of_label)
+        # A frame is solved several times from one place.
+        self._road_at = lru_cache(maxsize=8)(self._road_at)
 
     def frame_input(self, frame: FrameFeatures, window: MapWindow) -> FrameInput:
         """The frame with the samples of a window."""
@@ -132,7 +135,7 @@ class FrameAligner:
         T_road, local, inputs, T_local_base, sigma, index, local_trust = self._prepared(
             frame, T_map_predicted, covariance, trust, stance, grain
         )
-        prior = Prior(jnp.asarray(T_local_base, jnp.float32), jnp.asarray(sigma, jnp.float32))
+        prior = Prior(np.asarray(T_local_base, np.float32), np.asarray(sigma, np.float32))
         sigma_along = float(np.sqrt(covariance[0, 0]))
         moved_m = 0.0
         if is_searched(sigma_along, last_sigma_along_m, _LONGITUDINAL):
@@ -140,7 +143,7 @@ class FrameAligner:
                 T_local_base, sigma_along, prior, inputs, local_trust, self.step, _LONGITUDINAL
             )
         found: TrackedFrame = jax.device_get(
-            align_predicted(jnp.asarray(T_local_base, jnp.float32), prior, inputs, local_trust, self.step)
+            align_predicted(np.asarray(T_local_base, np.float32), prior, inputs, local_trust, self.step)
         )
         answer = self._answer(found, frame.time_s, local, sigma, index, moved_m)
         return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ answer.measurement.T_map_base)[2:5])
@@ -159,10 +162,10 @@ class FrameAligner:
         _, _, inputs, T_local_base, sigma, _, local_trust = self._prepared(
             frame, T_map_base, np.eye(6), trust, stance, grain
         )
-        T = jnp.asarray(T_local_base, jnp.float32)
-        prior = Prior(T, jnp.asarray(sigma * np.array([_FREE, _FREE, 1.0, 1.0, 1.0, _FREE]), jnp.float32))
-        known = jnp.asarray(moves, jnp.float32), prior, inputs, local_trust
-        return np.asarray(profile_beside(T, *known, self.step, jnp.asarray(self.step.rank_level)))
+        T = np.asarray(T_local_base, np.float32)
+        prior = Prior(T, np.asarray(sigma * np.array([_FREE, _FREE, 1.0, 1.0, 1.0, _FREE]), np.float32))
+        known = np.asarray(moves, np.float32), prior, inputs, local_trust
+        return np.asarray(profile_beside(T, *known, self.step, np.asarray(self.step.rank_level)))
 
     def costs_of_classes(
         self,
@@ -175,32 +178,40 @@ class FrameAligner:
     ) -> Float[np.ndarray, "2 n"]:
         """Costs [nats] of what lies and of what stands, each alone, at a pose and beside it; see `class_profiles`."""
         T_road, local, inputs, *_ = self._prepared(frame, T_map_base, np.eye(6), _full_trust, stance, grain)
-        elements = self._window(T_road, stance).local_map.elements[:ELEMENT_CAPACITY]
+        is_standing = self._window(T_road, stance).is_standing[:ELEMENT_CAPACITY]
         stands = np.zeros(ELEMENT_CAPACITY, np.float32)
-        stands[: len(elements)] = [element.label in STANDING_CLASSES for element in elements]
-        T = jnp.asarray(local.from_map(T_map_base, np.float64), jnp.float32)
-        known = jnp.asarray(moves, jnp.float32), inputs, jnp.asarray(stands)
+        stands[: len(is_standing)] = is_standing
+        T = np.asarray(local.from_map(T_map_base, np.float64), np.float32)
+        known = np.asarray(moves, np.float32), inputs, stands
         return np.asarray(class_profiles(T, *known, self.step, level), np.float64)
 
     def _prepared(self, frame, T_map_predicted, covariance, trust, stance, grain) -> tuple:
         """The road pose, local frame, input, start, sigmas of the prior, rows of the elements and their trust."""
-        T_road = self.on_road(T_map_predicted)
+        T_road, spread = self.road_under(T_map_predicted)
         T_start, window = _standing(T_road, stance), self._window(T_road, stance)
-        inputs = self.frame_input(frame, window)._replace(grain=jnp.asarray(grain, jnp.float32))
+        inputs = self.frame_input(frame, window)._replace(grain=np.asarray(grain, np.float32))
         local = window.local_map.frame
-        sigma = self.prior_sigma(covariance, self.map.road_spread(T_road))
+        sigma = self.prior_sigma(covariance, spread)
         index = self.map.rows_of(window.element_ids[:ELEMENT_CAPACITY])
         local_trust = np.ones(ELEMENT_CAPACITY, np.float32)
         local_trust[: len(index)] = trust(index)
-        return T_road, local, inputs, local.from_map(T_start, np.float64), sigma, index, jnp.asarray(local_trust)
+        return T_road, local, inputs, local.from_map(T_start, np.float64), sigma, index, local_trust
 
     def _window(self, T_road: np.ndarray, stance: np.ndarray) -> MapWindow:
         return self.windows.around(_standing(T_road, stance)[:3, 3])
 
     def on_road(self, T_map_base: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """The pose of a vehicle that stands on the road of the map at the same place with the same heading."""
+        return self.road_under(T_map_base)[0]
+
+    def road_under(self, T_map_base: Float[np.ndarray, "4 4"]) -> tuple[Float[np.ndarray, "4 4"], RoadSpread]:
+        """`on_road`, and how far the road there is from a plane."""
         heading = float(np.arctan2(T_map_base[1, 0], T_map_base[0, 0]))
-        return self.map.road_pose(T_map_base[0, 3], T_map_base[1, 3], heading, near_z_m=float(T_map_base[2, 3]))
+        return self._road_at(*T_map_base[:3, 3].tolist(), heading)
+
+    def _road_at(self, x: float, y: float, z: float, heading: float) -> tuple[Float[np.ndarray, "4 4"], RoadSpread]:
+        T_road = self.map.road_pose(x, y, heading, near_z_m=z)
+        return T_road, self.map.road_spread(T_road)
 
     def prior_sigma(self, covariance: Float[np.ndarray, "6 6"], spread: RoadSpread) -> Float[np.ndarray, "6"]:
         """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) that hold a solve on a road of this spread."""

@@ -12,9 +12,9 @@ from functools import partial
 import numpy as np
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
+from semloc_jax.alignment.mask_image import mask_image
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
-from semloc_jax.alignment.single_frame import image_input
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.fusion import clock, noise_scale
@@ -39,7 +39,7 @@ from semloc_jax.localization.following import (
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
 from semloc_jax.localization.judging import judged
-from semloc_jax.localization.map_window import MapWindows
+from semloc_jax.localization.map_window import GRID_M, MapWindows
 from semloc_jax.localization.stage_timer import StageTimer
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import (
@@ -51,7 +51,7 @@ from semloc_jax.localization.track_state import (
     TrackStatus,
 )
 from semloc_jax.maps import SemanticMap, SharedSigmas, with_map_accuracy
-from semloc_jax.perception import ClassTable, cost_maps
+from semloc_jax.perception import ClassTable
 from semloc_jax.residuals.pose_terms import Terms
 
 _SEARCH_REACH_M = 3.0
@@ -137,9 +137,9 @@ class Localizer:
             terms: Other measurements of the pose at the time of the frame, see `pose_term`; the fusion must be made for
                 their kinds: `SlidingWindow(terms=...)`.
         """
-        maps = cost_maps(masks, self.table, self.config.scene.cost_maps, quantised=True)
+        image = mask_image(masks, self.table, self.config.scene.cost_maps)
         shows_something = any(mask.size and mask.min() != mask.max() for mask in masks)
-        usable = float(np.mean(np.asarray(maps.usable))) if shows_something else 0.0
+        usable = float(np.mean(np.asarray(image.usable.mask))) if shows_something else 0.0
         digest = 0
         for mask in masks:
             digest = zlib.crc32(np.ascontiguousarray(mask), digest)
@@ -147,7 +147,7 @@ class Localizer:
             frame_id=frame.id,
             time_s=frame.time_s,
             rig=rig,
-            image=image_input(maps),
+            image=image,
             fixes=tuple(fixes),
             usable_share=usable,
             digest=digest,
@@ -328,6 +328,7 @@ class Localizer:
         verdict = judged(state, view, fused, frame.rig, map_sigma, self.config, why)
         state = state._replace(status=np.int64(verdict.status))
         if fused is not None:
+            self.windows.prepare(fused.T_map_base[:3, 3] + GRID_M * fused.T_map_base[:3, 0])
             fused = fused._replace(covariance=with_map_accuracy(fused.covariance, *map_sigma))
         found = view.found if view is not None else None
         return state, TrackResult(

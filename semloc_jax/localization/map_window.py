@@ -7,6 +7,7 @@ resumed run sees the same samples as an uninterrupted one.
 
 import threading
 from collections import OrderedDict
+from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from semloc_jax.alignment.frame_localizer import sample_within
 from semloc_jax.maps import LocalMap, SemanticMap
-from semloc_jax.structs import MapSamples
+from semloc_jax.structs import STANDING_CLASSES, MapSamples
 
 GRID_M = 10.0
 """Windows are centred on a grid of this width."""
@@ -37,6 +38,11 @@ class MapWindow:
     def element_ids(self) -> tuple[str, ...]:
         """Id of each element of the local map; the parts of a cut line share theirs."""
         return tuple(element.id for element in self.local_map.elements)
+
+    @cached_property
+    def is_standing(self) -> np.ndarray:
+        """Whether each element stands upright, `bool[element]`."""
+        return np.array([element.label in STANDING_CLASSES for element in self.local_map.elements], bool)
 
     @cached_property
     def _points_xy(self) -> np.ndarray:
@@ -63,18 +69,41 @@ class MapWindows:
             capacity: Rows of samples; where the map holds more, the spacing grows.
         """
         self.map, self.radius_m, self.spacing_m, self.capacity = semantic_map, radius_m, spacing_m, capacity
-        self._windows: OrderedDict[tuple[int, ...], MapWindow] = OrderedDict()
+        self._windows: OrderedDict[tuple[int, ...], Future[MapWindow]] = OrderedDict()
         self._lock = threading.Lock()
 
     def around(self, p_map: np.ndarray) -> MapWindow:
         """The window of a place of the map frame, `[3]` [m]. Several threads may ask."""
+        key, window, is_new = self._entry(p_map)
+        if is_new:
+            self._sample(key, window)
+        return window.result()
+
+    def prepare(self, p_map: np.ndarray) -> None:
+        """Begin to sample the window of a place that will be asked for, in a thread of its own."""
+        key, window, is_new = self._entry(p_map)
+        if is_new:
+            threading.Thread(target=self._sample, args=(key, window), daemon=True).start()
+
+    def _entry(self, p_map: np.ndarray) -> tuple[tuple[int, ...], Future[MapWindow], bool]:
+        """The key of a place, its window, and whether whoever asked has to fill it."""
         key = tuple(int(k) for k in np.round(p_map / GRID_M))
         with self._lock:
-            if key not in self._windows:
-                center = np.array(key, dtype=np.float64) * GRID_M
-                local_map = self.map.query(center, self.radius_m + 0.71 * GRID_M)
-                self._windows[key] = MapWindow(local_map, sample_within(local_map, self.spacing_m, self.capacity))
+            is_new = key not in self._windows
+            if is_new:
+                self._windows[key] = Future()
                 while len(self._windows) > _KEPT:
                     self._windows.popitem(last=False)
-            self._windows.move_to_end(key)
-            return self._windows[key]
+            else:
+                self._windows.move_to_end(key)
+            return key, self._windows[key], is_new
+
+    def _sample(self, key: tuple[int, ...], window: Future[MapWindow]) -> None:
+        center = np.array(key, dtype=np.float64) * GRID_M
+        try:
+            local_map = self.map.query(center, self.radius_m + 0.71 * GRID_M)
+            window.set_result(MapWindow(local_map, sample_within(local_map, self.spacing_m, self.capacity)))
+        except BaseException as error:
+            with self._lock:
+                self._windows.pop(key, None)
+            window.set_exception(error)  # raised again by whoever asks

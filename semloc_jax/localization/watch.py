@@ -148,8 +148,7 @@ def _leaned(
     watch: WatchState, T_map_base: np.ndarray, aligner: FrameAligner, way_m: float, config: WatchConfig
 ) -> WatchState:
     try:
-        T_road = aligner.on_road(T_map_base)
-        spread = aligner.map.road_spread(T_road)
+        T_road, spread = aligner.road_under(T_map_base)
     except SemlocError:  # no road there
         return watch
     tilt_rad = rigid.log(rigid.inverse(T_road) @ T_map_base)[3:5]

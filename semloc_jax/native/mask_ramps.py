@@ -1,6 +1,7 @@
-"""The ramps of a mask as bytes, by the native kernel (room: native; host).
+"""The ramps of a mask as bytes, and bytes as texels, by the native kernels (room: native; host).
 
-In: layers of a mask, levels, how the border is smoothed. Out: bytes 0 .. 254 that span [-1, 1], written in place.
+In: layers of a mask, levels, how the border is smoothed. Out: bytes 0 .. 254 that span [-1, 1], written in place;
+texels as `residuals.texture` has them.
 """
 
 import ctypes
@@ -8,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, UInt8, UInt32
 
 from semloc_jax.native import build
 
@@ -71,4 +72,22 @@ def write_mask_ramps(
         planes,
         ctypes.c_void_p(shapes.ctypes.data),
         ctypes.c_void_p(ramps.ctypes.data),
+    )
+
+
+def packed(ramps: Sequence[UInt8[np.ndarray, "cam channel _h _w"]], texels: UInt32[np.ndarray, " texel"]) -> None:
+    """Write the texels of all levels, one after another, as `residuals.texture.pack` has them.
+
+    Args:
+        ramps: Bytes of each level, contiguous.
+        texels: As many as all levels have pixels.
+    """
+    planes = (ctypes.c_void_p * len(ramps))(*(ramp.ctypes.data for ramp in ramps))
+    counts, widths = (np.array(sizes, np.int64) for sizes in zip(*((r.size, r.shape[3]) for r in ramps), strict=True))
+    build.library().semloc_pack_bytes(
+        ctypes.c_int32(len(ramps)),
+        planes,
+        ctypes.c_void_p(counts.ctypes.data),
+        ctypes.c_void_p(widths.ctypes.data),
+        ctypes.c_void_p(texels.ctypes.data),
     )

@@ -18,6 +18,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.perception.distance import BLOCK_PX
 from semloc_jax.perception.ramps import FAR_BYTE, Level, fill_levels
+from semloc_jax.runtime.allocator import ALIGN_BYTES, used_again
 from semloc_jax.structs import CostMaps, ElementClass
 
 KINDS = ("ramp", "gradient", "laplacian", "literature")
@@ -80,12 +81,33 @@ def cost_maps(
     (1, 13, 400, 640)
     """
     config = config or CostMapConfig()
-    _check_masks(masks)
     wanted = range(len(table.channels)) if channels is None else sorted(set(channels))
+    ramps, usable = mask_ramps(masks, table, config, wanted, np.uint8 if quantised else np.float32)
+    return CostMaps(
+        ramps=tuple(jax.device_put(ramp) for ramp in ramps),
+        ramp_px=tuple(float(ramp) for ramp in config.ramp_px),
+        stride=tuple(config.stride),
+        usable=jax.device_put(usable),
+        usable_stride=config.usable_stride,
+    )
+
+
+def mask_ramps(
+    masks: Sequence[np.ndarray], table: ClassTable, config: CostMapConfig, channels: Sequence[int], dtype: DTypeLike
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """The arrays of `cost_maps` on the host: ramps of every level `[cam channel h w]`, and which pixels are usable.
+
+    Args:
+        masks: as `cost_maps`.
+        table: as `cost_maps`.
+        config: as `cost_maps`.
+        channels: the channels to fill.
+        dtype: float32, or uint8 for bytes 0 .. 254 that span [-1, 1].
+    """
+    _check_masks(masks)
     height, width = (max(mask.shape[axis] for mask in masks) for axis in (0, 1))
     shape = (len(masks), len(table.channels))
-    dtype = np.uint8 if quantised else np.float32
-    ramps = [_saturated((*shape, -(-height // s), -(-width // s)), dtype) for s in config.stride]
+    ramps = _saturated([(*shape, -(-height // s), -(-width // s)) for s in config.stride], dtype)
     u = config.usable_stride
     usable = np.zeros((len(masks), -(-height // u), -(-width // u)), bool)
     padded = [_pad_to_blocks(mask) for mask in masks]
@@ -102,14 +124,9 @@ def cost_maps(
         ]
         fill_levels(levels, layers[camera], channel + 1, kind, config.blur_px)
 
-    _run_all([partial(fill, *job) for job in itertools.product(range(len(masks)), wanted)], by_thread=not quantised)
-    return CostMaps(
-        ramps=tuple(jax.device_put(ramp) for ramp in ramps),
-        ramp_px=tuple(float(ramp) for ramp in config.ramp_px),
-        stride=tuple(config.stride),
-        usable=jax.device_put(usable),
-        usable_stride=u,
-    )
+    jobs = [partial(fill, *job) for job in itertools.product(range(len(masks)), channels)]
+    _run_all(jobs, by_thread=np.dtype(dtype) != np.uint8)
+    return ramps, usable
 
 
 def _run_all(jobs: Sequence[Callable[[], None]], by_thread: bool) -> None:
@@ -158,14 +175,14 @@ def _pad_to_blocks(mask: np.ndarray) -> np.ndarray:
     return cv2.copyMakeBorder(mask, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
 
 
-def _saturated(shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
+def _saturated(shapes: Sequence[tuple[int, ...]], dtype: DTypeLike) -> list[np.ndarray]:
     """Ramps of empty masks, aligned so that JAX on the CPU takes the memory over without a copy."""
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    raw = np.empty(size + 64, np.uint8)
-    start = -raw.ctypes.data % 64
-    ramps = raw[start : start + size].view(dtype).reshape(shape)
-    ramps.fill(1.0 if ramps.dtype == np.float32 else FAR_BYTE)
-    return ramps
+    sizes = [int(np.prod(shape)) * np.dtype(dtype).itemsize for shape in shapes]
+    starts = np.cumsum([0, *(-(-size // ALIGN_BYTES) * ALIGN_BYTES for size in sizes)]).tolist()
+    block = used_again(starts[-1])
+    block.view(dtype).fill(1.0 if np.dtype(dtype) == np.float32 else FAR_BYTE)
+    parts = (block[start : start + size] for start, size in zip(starts, sizes, strict=False))
+    return [part.view(dtype).reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
 def _check_masks(masks: Sequence[np.ndarray]) -> None:

@@ -1,11 +1,15 @@
 """Memory of a process that runs for hours (room: runtime; host).
 
-In: nothing. Out: an allocator that gives large blocks back to the system as soon as they are free.
+In: nothing. Out: an allocator that gives large blocks back to the system as soon as they are free; blocks that are used
+again.
 """
 
 import ctypes
 import functools
 import sys
+import threading
+
+import numpy as np
 
 _M_MMAP_THRESHOLD = -3
 """Of glibc's malloc.h."""
@@ -27,3 +31,30 @@ def return_large_blocks() -> bool:
         return bool(ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES))
     except (OSError, AttributeError):  # another C library
         return False
+
+
+ALIGN_BYTES = 64
+"""JAX on the CPU copies what is aligned less, and takes over the rest."""
+_MOST_BLOCKS = 16
+_NOBODY = 3
+"""References to a block that only the list knows: the list, the name that runs through it, the call that counts."""
+_blocks: list[np.ndarray] = []
+_lock = threading.Lock()
+
+
+def used_again(num_bytes: int) -> np.ndarray:
+    """Aligned memory of any content, `uint8[num_bytes]`, of a block that nobody looks at any more, or of a new one.
+
+    A new block of some megabytes costs more than what is written into it: the system clears every page at its first
+    touch. Whoever holds the array, a view of it, or a JAX array that took it over keeps the block.
+    """
+    with _lock:
+        size = num_bytes + ALIGN_BYTES
+        block = next((b for b in _blocks if b.size == size and sys.getrefcount(b) == _NOBODY), None)
+        if block is None:
+            block = np.empty(size, np.uint8)
+            _blocks.append(block)
+            if len(_blocks) > _MOST_BLOCKS:
+                del _blocks[0]
+        start = -block.ctypes.data % ALIGN_BYTES
+        return block[start : start + num_bytes]

@@ -52,23 +52,31 @@ class StoredProgram:
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         key = (tuple(static.items()), tree, shapes, jax.config.jax_enable_x64)
         if key in self._programs:
-            program, skeleton = self._programs[key]
+            program, structure = self._programs[key]
             found = program(*leaves)
         elif _ADDRESS in str(tree):
             return self.jitted(*args, **kwargs)
         else:
             program, skeleton, found = store.obtain(self, static, tree, leaves)
-            self._programs[key] = program, skeleton
-        return jax.tree.unflatten(jax.tree.structure(skeleton), found)
+            structure = jax.tree.structure(skeleton)
+            self._programs[key] = program, structure
+        return jax.tree.unflatten(structure, found)
 
 
 _ADDRESS = " at 0x"
 """How a function among the arguments is written. In another process that address says nothing of what it does."""
 
 
+_SAME_ALWAYS = frozenset(map(np.dtype, (np.float32, np.int32, np.uint8, bool)))
+"""Types that JAX takes as they are, whether it counts in 64 bits or not."""
+
+
 def _array(leaf: Any) -> Any:
     """Arrays and numbers of the host in the type that JAX gives them."""
-    if isinstance(leaf, jax.Array):
+    if not isinstance(leaf, np.ndarray):
+        if isinstance(leaf, jax.Array):
+            return leaf
+        leaf = np.asarray(leaf)
+    if leaf.dtype in _SAME_ALWAYS:
         return leaf
-    leaf = np.asarray(leaf)
     return leaf.astype(jax.dtypes.canonicalize_dtype(leaf.dtype), copy=False)

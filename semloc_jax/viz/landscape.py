@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
-from skimage import measure, morphology
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.viz.style import INK, new_figure, plain_axes
@@ -64,6 +63,8 @@ def find_minima(piece: CostSlice, count: int = 5, depth: float = 0.02) -> list[M
         count: At most so many.
         depth: To leave a minimum towards a lower one, the cost must rise by at least this much.
     """
+    from skimage import measure, morphology  # takes longer to import than all else here
+
     known = np.isfinite(piece.cost)
     if not known.any() or np.ptp(piece.cost[known]) <= depth:
         return []

@@ -13,7 +13,6 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.datasets.base import Frame
@@ -99,6 +98,8 @@ def _turn_of_camera(
         r_ahead = (ahead - shift_ahead[slot] - theta * stretch_m) / sigma_ahead_m
         priors = [x[:2] / _SIGMA_TURN_RAD, shift_left / _SIGMA_LABEL_LEFT_M, shift_ahead / _SIGMA_LABEL_AHEAD_M]
         return np.concatenate([r_left, r_ahead[np.isfinite(ahead)], *priors])
+
+    from scipy.optimize import least_squares  # readers of other drives do without
 
     found = least_squares(residual, np.zeros(2 + 2 * count), loss="soft_l1").x
     return float(found[0]), float(found[1])

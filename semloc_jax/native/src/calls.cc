@@ -301,3 +301,14 @@ extern "C" void semloc_mask_ramps(const uint8_t* layers, int32_t height, int32_t
                       ramp_px[n]});
   write_levels(layers, height, width, content, wanted, stride, {blur_px, keep, add, half, outset}, levels);
 }
+
+// The ramps of each level, as bytes -> texels of all levels, one after another; `count` pixels of rows of `width`.
+extern "C" void semloc_pack_bytes(int32_t num_levels, const uint8_t* const* bytes, const int64_t* count,
+                                  const int64_t* width, uint32_t* texels) {
+  for (int32_t level = 0; level < num_levels; ++level) {
+    const int64_t end = std::max<int64_t>(0, count[level] - width[level] - 1);
+    semloc::interleave(bytes[level], width[level], end, texels);
+    std::fill(texels + end, texels + count[level], 0u);
+    texels += count[level];
+  }
+}

@@ -11,14 +11,38 @@ namespace semloc {
 
 constexpr int kPiecePx = 64;  // pixels side by side
 
+// Memory that the next one of this thread uses again: the system clears every page of new memory at its first touch.
+template <typename T>
+class Reused {
+ public:
+  explicit Reused(size_t size) {
+    if (!spare().empty()) values_ = std::move(spare().back()), spare().pop_back();
+    values_.assign(size, 0);
+  }
+  Reused(Reused&& other) = default;
+  Reused(const Reused&) = delete;
+  ~Reused() {
+    if (values_.capacity() > 0 && spare().size() < 8) spare().push_back(std::move(values_));
+  }
+  T* data() { return values_.data(); }
+  const T* data() const { return values_.data(); }
+
+ private:
+  static std::vector<std::vector<T>>& spare() {
+    thread_local std::vector<std::vector<T>> kept;
+    return kept;
+  }
+  std::vector<T> values_;
+};
+
 // A grey image in one piece of memory whose rows are a whole number of pieces.
 struct Image {
   int height, width, pitch;
-  std::vector<uint8_t> values;
+  Reused<uint8_t> values;
 
   Image(int height_, int width_)
       : height(height_), width(width_), pitch((width_ + kPiecePx - 1) / kPiecePx * kPiecePx),
-        values(static_cast<size_t>(height_) * pitch, 0) {}
+        values(static_cast<size_t>(height_) * pitch) {}
   uint8_t* row(int y) { return values.data() + static_cast<int64_t>(y) * pitch; }
   const uint8_t* row(int y) const { return values.data() + static_cast<int64_t>(y) * pitch; }
   const uint8_t* near_row(int y) const { return row(std::clamp(y, 0, height - 1)); }
@@ -145,7 +169,9 @@ struct Edge {
 // Gaussian smoothing of a grey image, one row after another.
 class Smoothing {
  public:
-  Smoothing(const Image& share, float sigma) : reach_(std::max(1, static_cast<int>(std::lround(3 * sigma)))), share_(share) {
+  Smoothing(const Image& share, float sigma)
+      : reach_(std::max(1, static_cast<int>(std::lround(3 * sigma)))), share_(share),
+        across_(static_cast<size_t>(share.height) * share.pitch) {
     float sum = 0;
     for (int k = -reach_; k <= reach_; ++k) sum += std::exp(-0.5f * k * k / (sigma * sigma));
     int rest = 256;
@@ -154,7 +180,6 @@ class Smoothing {
       rest -= 2 * tap_[k];
     }
     tap_[0] = static_cast<uint16_t>(rest);
-    across_.resize(static_cast<size_t>(share.height) * share.pitch);
     std::vector<uint8_t> padded(share.pitch + 2 * reach_);
     for (int y = 0; y < share.height; ++y) {
       const uint8_t* from = share.row(y);
@@ -188,7 +213,7 @@ class Smoothing {
   int reach_;
   const Image& share_;
   uint16_t tap_[kMostReach + 1];
-  std::vector<uint16_t> across_;
+  Reused<uint16_t> across_;
 };
 
 // Calls `take(y, first_x, const float distance[kPiecePx])` for every piece of the signed distance [px of this image],
