@@ -82,6 +82,8 @@ class Alignment(NamedTuple):
     """Height [m], roll and pitch [rad] of the vehicle over the road, as measured."""
     rows: Int[np.ndarray, " element"] = np.arange(0)
     """Which elements of the map these are, ascending."""
+    matched: Int[np.ndarray, " match"] = np.arange(0)
+    """Elements that an explicit shape was associated with, ascending; none where contours are compared."""
 
 
 class FrameAligner:
@@ -175,7 +177,7 @@ class FrameAligner:
     ) -> Float[np.ndarray, "2 n"]:
         """Costs [nats] of what lies and of what stands, each alone, at a pose and beside it; see `class_profiles`."""
         T_road, local, inputs, *_ = self._prepared(frame, T_map_base, np.eye(6), _full_trust, stance, grain)
-        elements = self._window(T_road, stance).local_map.elements[:ELEMENT_CAPACITY]
+        elements = self.standing(T_road, stance)[1].local_map.elements[:ELEMENT_CAPACITY]
         stands = np.zeros(ELEMENT_CAPACITY, np.float32)
         stands[: len(elements)] = [element.label in STANDING_CLASSES for element in elements]
         T = jnp.asarray(local.from_map(T_map_base, np.float64), jnp.float32)
@@ -185,7 +187,7 @@ class FrameAligner:
     def _prepared(self, frame, T_map_predicted, covariance, trust, stance, grain) -> tuple:
         """The road pose, local frame, input, start, sigmas of the prior, rows of the elements and their trust."""
         T_road = self.on_road(T_map_predicted)
-        T_start, window = _standing(T_road, stance), self._window(T_road, stance)
+        T_start, window = self.standing(T_road, stance)
         inputs = self.frame_input(frame, window)._replace(grain=jnp.asarray(grain, jnp.float32))
         local = window.local_map.frame
         sigma = self.prior_sigma(covariance, self.map.road_spread(T_road))
@@ -194,8 +196,10 @@ class FrameAligner:
         local_trust[: len(index)] = trust(index)
         return T_road, local, inputs, local.from_map(T_start, np.float64), sigma, index, jnp.asarray(local_trust)
 
-    def _window(self, T_road: np.ndarray, stance: np.ndarray) -> MapWindow:
-        return self.windows.around(_standing(T_road, stance)[:3, 3])
+    def standing(self, T_road: np.ndarray, stance: np.ndarray) -> tuple[np.ndarray, MapWindow]:
+        """The pose of a vehicle with this stance where it would stand on the road without, and the map there."""
+        T = T_road @ rigid.exp(np.array([0.0, 0.0, *stance, 0.0]))
+        return T, self.windows.around(T[:3, 3])
 
     def on_road(self, T_map_base: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """The pose of a vehicle that stands on the road of the map at the same place with the same heading."""
@@ -251,11 +255,6 @@ class FrameAligner:
 
 def _full_trust(rows: np.ndarray) -> np.ndarray:
     return np.ones(len(rows))
-
-
-def _standing(T_road: np.ndarray, stance: np.ndarray) -> np.ndarray:
-    """The pose of a vehicle with this stance where it would stand on the road without."""
-    return T_road @ rigid.exp(np.array([0.0, 0.0, *stance, 0.0]))
 
 
 _OF_ROAD = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])

@@ -1,0 +1,97 @@
+"""One frame in a compact map: associate, solve, associate again (room: alignment; host).
+
+In: landmarks, primitives of all cameras, a prior. Out: ExplicitFrame: pose, matches, what was seen and missed.
+The way of the literature with few landmarks (Xiao 2018; MLVHM 2020) beside ours with contours.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from semloc_jax.alignment.compact_landmarks import Landmark
+from semloc_jax.alignment.explicit_association import AssociationConfig, Match, Prediction, associated
+from semloc_jax.alignment.explicit_pose import ExplicitPose, solved
+from semloc_jax.alignment.explicit_sights import ShapeSight, shape_sights
+from semloc_jax.cameras import Rig
+from semloc_jax.perception.primitives import Primitives
+from semloc_jax.structs import SolveStatus
+
+
+@dataclass(frozen=True)
+class ExplicitConfig:
+    """How explicit shapes are used. All values are ours."""
+
+    association: AssociationConfig = field(default_factory=AssociationConfig)
+    passes: int = 3
+    """Shapes are associated again from every solved pose."""
+    doubt: float = 2.0
+    """Factor on the standard deviations of a solved pose where shapes are associated again."""
+    missed_nats: float = 4.0
+    """Cost of a landmark that should be seen and is not; one that is seen costs no more."""
+
+
+class ExplicitFrame(NamedTuple):
+    """What a frame says of its pose."""
+
+    pose: ExplicitPose
+    matches: tuple[Match, ...]
+    expected_px: Float[np.ndarray, " landmark"]
+    """Outline of each landmark that should be seen [px]."""
+    missed: Float[np.ndarray, " landmark"]
+    """Share of it that fits nothing: between 0 (its shape fits) and 1 (there is none)."""
+    nats: float
+    """Cost of everything that should be seen."""
+
+
+class Seen(NamedTuple):
+    """Shapes of one frame."""
+
+    primitives: tuple[Primitives, ...]
+    sights: tuple[ShapeSight, ...]
+    rig: Rig
+
+    @classmethod
+    def by(cls, rig: Rig, primitives: Sequence[Primitives]) -> "Seen":
+        """What the cameras of a rig show."""
+        return cls(tuple(primitives), tuple(shape_sights(primitives, rig)), rig)
+
+
+def explicit_frame(
+    seen: Seen,
+    landmarks: Sequence[Landmark],
+    is_known: Bool[np.ndarray, " landmark"],
+    T_prior: Float[np.ndarray, "4 4"],
+    sigma: Float[np.ndarray, "6"],
+    config: ExplicitConfig,
+) -> ExplicitFrame:
+    """The pose near a prior.
+
+    Args:
+        seen: Shapes in the masks.
+        landmarks: Of the map around, in the local frame.
+        is_known: Which of them may move the pose; others are associated only.
+        T_prior: Mean of the prior, in the local frame.
+        sigma: Its standard deviations (right tangent).
+        config: How shapes are used.
+    """
+    T, covariance = T_prior, np.diag(sigma**2)
+    pose, matches = ExplicitPose(T, covariance, np.zeros(0), SolveStatus.NO_EVIDENCE), []
+    for _ in range(config.passes):
+        matches = associated(Prediction(T, covariance, landmarks, seen.rig, config.association), seen.sights)
+        used = [match for match in matches if is_known[match.landmark]]
+        if not used:
+            break
+        pose = solved(used, landmarks, T_prior, sigma, T, config.association)
+        T, covariance = pose.T_local_base, config.doubt**2 * pose.covariance
+    last = Prediction(T, covariance, landmarks, seen.rig, config.association)
+    expected_px = last.expected_px(seen.primitives)
+    costs = {match.landmark: cost for match, cost in zip(used, pose.costs, strict=True)} if matches else {}
+    missed = np.ones(len(landmarks))
+    for match in matches:
+        cost = costs.get(match.landmark, 0.0)
+        missed[match.landmark] = min(cost / config.missed_nats, 1.0)
+    should = expected_px > 0.0
+    return ExplicitFrame(pose, tuple(matches), expected_px, missed, float(config.missed_nats * missed[should].sum()))
