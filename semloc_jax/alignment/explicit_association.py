@@ -42,6 +42,8 @@ class AssociationConfig:
     size_ratio: float = 1.6
     size_px: float = 2.5
     """Sizes that differ by more than this ratio and this many pixels are those of different things."""
+    tilt: float = 0.06
+    """A line that leans against a post by more than this slope is an arm or something else."""
     least_sign_px: float = 6.0
     """Half the side of a sign in view that should be seen."""
     least_high_px: float = 30.0
@@ -132,17 +134,19 @@ class Prediction:
         return self.parts[0][own], ProjectedPoints(view.uv[own], view.in_view[own], view.distance_m[own])
 
     def candidates(self, label: ElementClass, camera: int) -> list[int]:
-        """Landmarks of a class that are near enough and in view of a camera."""
-        reach_m = self.config.reach_m(label)
+        """Landmarks of a class that are in view of a camera, however far: far ones are what a shape could be, too."""
         found = []
         for k, landmark in enumerate(self.landmarks):
             if landmark.label != label:
                 continue
-            view = self.of(k, camera)[1]
-            near = view.in_view & (view.distance_m < reach_m)
-            if near.any() and (landmark.normal is None or self._faces(landmark, camera)):
+            if self.of(k, camera)[1].in_view.any() and (landmark.normal is None or self._faces(landmark, camera)):
                 found.append(k)
         return found
+
+    def distance_m(self, landmark: int, camera: int) -> float:
+        """Distance of the nearest part of a landmark that a camera sees [m]."""
+        view = self.of(landmark, camera)[1]
+        return float(view.distance_m[view.in_view].min(initial=np.inf))
 
     def _faces(self, landmark: Landmark, camera: int) -> bool:
         place = (self.T_local_base @ np.asarray(self.rig.T_base_cam, np.float64)[camera])[:3, 3]
@@ -161,7 +165,7 @@ class Prediction:
     def _outline_px(self, k: int, camera: int, primitives: Primitives) -> float:
         landmark, config, view = self.landmarks[k], self.config, self.of(k, camera)[1]
         uv = view.uv[view.in_view]
-        if primitives.is_hidden(uv).mean() > 0.5:
+        if primitives.is_hidden(uv).mean() > 0.5 or self.distance_m(k, camera) > config.reach_m(landmark.label):
             return 0.0
         if landmark.label == ElementClass.SIGN:
             half_px = landmark.radius_m / float(view.distance_m[0]) * _px_per_rad(self.rig.cameras[camera])
@@ -207,7 +211,8 @@ def associated(prediction: Prediction, sights: Sequence[ShapeSight]) -> list[Mat
             for i, j in _chosen(costs, is_one_to_one=label != ElementClass.LANE_MARKING):
                 others = np.delete(costs[i], j)
                 is_clear = others.min(initial=np.inf) - costs[i, j] > prediction.config.clearly
-                (found if is_clear else doubtful).append(pairs[i][j][1])
+                if prediction.distance_m(candidates[j], camera) < prediction.config.reach_m(label):
+                    (found if is_clear else doubtful).append(pairs[i][j][1])
     return found or doubtful
 
 
@@ -286,6 +291,8 @@ def _post_pair(prediction: Prediction, k: int, sight: ShapeSight) -> tuple[float
     at = offsets(prediction.T_local_base, on_axis, sight.sights)
     normal = lamp.axis.normal(rows)
     r, J = np.einsum("ni,ni->n", normal, at.off), np.einsum("ni,nij->nj", normal, at.by_pose)
+    if abs(r[0] - r[1]) > prediction.config.tilt * (rows[0] - rows[1]) + 4.0 * ROUNDING_PX:
+        return None
     noise = lamp.axis.covariance_across(rows) + np.diag(
         (sight.px_per_rad * prediction.config.map_sigma_m / at.distance_m) ** 2
     )

@@ -85,7 +85,7 @@ def explicit_frame(
         if not used:
             break
         pose = solved(used, landmarks, T_prior, sigma, T, config.association)
-        T, covariance = pose.T_local_base, config.doubt**2 * pose.covariance
+        T, covariance = pose.T_local_base, _doubted(pose.covariance, sigma, config.doubt)
     last = Prediction(T, covariance, landmarks, seen.rig, config.association)
     expected_px = last.expected_px(seen.primitives)
     costs = {match.landmark: cost for match, cost in zip(used, pose.costs, strict=True)} if matches else {}
@@ -95,3 +95,11 @@ def explicit_frame(
         missed[match.landmark] = min(cost / config.missed_nats, 1.0)
     should = expected_px > 0.0
     return ExplicitFrame(pose, tuple(matches), expected_px, missed, float(config.missed_nats * missed[should].sum()))
+
+
+def _doubted(
+    covariance: Float[np.ndarray, "6 6"], sigma: Float[np.ndarray, "6"], doubt: float
+) -> Float[np.ndarray, "6 6"]:
+    """Covariance of a solved pose with less belief in the shapes, but all of it in the prior."""
+    held = np.diag(1.0 / sigma**2)
+    return np.linalg.inv(held + (np.linalg.inv(covariance) - held) / doubt**2)

@@ -28,10 +28,12 @@ class PrimitiveConfig:
     outlines: OutlineConfig = field(default_factory=OutlineConfig)
     lane_px: int = 24
     """Pixels of a lane marking."""
-    lamp_rows: int = 16
+    lamp_rows: int = 28
     """Height of a lamp post."""
     slender: float = 3.0
     """A lamp post is so many times higher than wide."""
+    sag: float = 0.02
+    """Most that its axis is bent, as a share of its height."""
     end_px: float = 1.5
     """Standard deviation of an end of a post along it."""
 
@@ -132,7 +134,11 @@ def _lamp(patch, corner, beside, config: PrimitiveConfig) -> LampLine | None:
     axis = row_curve(patch, corner, beside, config.curves, max_degree=2)
     if axis is None or axis.last - axis.first + 1 < config.lamp_rows:
         return None
-    if axis.last - axis.first + 1 < config.slender * axis.width.mean():
+    high_px = axis.last - axis.first + 1.0
+    middle = np.array([0.5 * (axis.first + axis.last)])
+    sag_px = abs(float(axis.bend(middle)[0])) * high_px**2 / 8.0 if len(axis.coefficients) > 2 else 0.0
+    # A lens bends a post by little; an arm bends it by much.
+    if high_px < config.slender * axis.width.mean() or sag_px > config.sag * high_px:
         return None
     # An end is that of the axis only where the patch ends there, too: an arm or a sign goes on.
     is_low = axis.last - corner[1] >= patch.shape[0] - 1 - _RIM_PX and not beside[-1][patch[-1]].any()
