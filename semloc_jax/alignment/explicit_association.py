@@ -21,6 +21,7 @@ from semloc_jax.cameras import Camera, Rig
 from semloc_jax.geometry import rigid
 from semloc_jax.perception.primitives import Primitives
 from semloc_jax.perception.sight_lines import sight_lines
+from semloc_jax.perception.sign_outlines import SignOutline
 from semloc_jax.residuals.seen_point import PointSight
 from semloc_jax.structs import ElementClass
 
@@ -241,23 +242,40 @@ def _is_alike(seen_px: float, expected_px: float, config: AssociationConfig) -> 
 
 def _sign_pair(prediction: Prediction, k: int, sight: ShapeSight) -> tuple[float, Match] | None:
     landmark, outline = prediction.landmarks[k], sight.shape
-    if "patch" not in (outline.shape, landmark.shape) and outline.shape != landmark.shape:
+    if not are_of_one_shape(landmark, outline):
         return None
     first = PointSight(*(leaf[:1] for leaf in sight.sights))
     at = offsets(prediction.T_local_base, landmark.middle[None], first)
-    if not _is_alike(_half_px(outline), landmark.radius_m / at.distance_m[0] * sight.px_per_rad, prediction.config):
+    if not _is_alike(half_px(outline), landmark.radius_m / at.distance_m[0] * sight.px_per_rad, prediction.config):
         return None
     noise = outline.centre_sigma_px**2 + (sight.px_per_rad * prediction.config.map_sigma_m / at.distance_m[0]) ** 2
     cost = _distance(at.off[0], at.by_pose[0], noise * np.eye(2), prediction)
     if cost is None:
         return None
-    if outline.shape == landmark.shape and len(outline.corners):
-        points = _in_order(prediction.T_local_base, landmark.points, sight)
-        return cost, Match(k, sight, points, tuple(range(1, 1 + len(points))))
-    return cost, Match(k, sight, landmark.middle[None], (0,))
+    return cost, sign_match(prediction.T_local_base, k, landmark, sight)
 
 
-def _half_px(outline) -> float:
+def are_of_one_shape(landmark: Landmark, outline: SignOutline) -> bool:
+    """Whether a sign of the map may look like an outline; a patch may be anything."""
+    return "patch" in (outline.shape, landmark.shape) or outline.shape == landmark.shape
+
+
+def sign_match(T_local_base: Float[np.ndarray, "4 4"], k: int, landmark: Landmark, sight: ShapeSight) -> Match:
+    """A sign taken for a landmark: by its corners where both have them, else by its centre.
+
+    Args:
+        T_local_base: About where the vehicle is: decides which corner is which.
+        k: Place of the landmark.
+        landmark: The sign of the map.
+        sight: As it is seen.
+    """
+    if sight.shape.shape == landmark.shape and len(sight.shape.corners):
+        points = _in_order(T_local_base, landmark.points, sight)
+        return Match(k, sight, points, tuple(range(1, 1 + len(points))))
+    return Match(k, sight, landmark.middle[None], (0,))
+
+
+def half_px(outline) -> float:
     """Size of an outline as `Landmark.radius_m` has it."""
     return outline.radius_px if outline.shape == "circle" else 0.5 * float(np.sqrt(outline.area_px))
 
@@ -331,10 +349,24 @@ def _lane_pair(prediction: Prediction, k: int, sight: ShapeSight) -> tuple[float
     wide_px = float((expected_px * np.abs(normal[:, 0])).mean())
     if wide_px > 0.0 and not _is_alike(float(width_px.mean()), wide_px, prediction.config):
         return None
-    noise = sight.shape.covariance_across(rows[used])
-    noise = noise + np.outer(scale, scale) * prediction.config.map_sigma_m**2 + ROUNDING_PX**2 * np.eye(len(used))
+    noise = lane_noise(sight, rows[used], at.distance_m, prediction.config)
     cost = _distance(r, J, noise, prediction)
     return None if cost is None else (cost, Match(k, sight, on_lane, tuple(int(i) for i in used)))
+
+
+def lane_noise(
+    sight: ShapeSight,
+    rows: Float[np.ndarray, " k"],
+    distance_m: Float[np.ndarray, " k"],
+    config: AssociationConfig,
+) -> Float[np.ndarray, "k k"]:
+    """Covariance of the places of a curve against a lane of the map, across it [px^2]."""
+    shared_px = sight.px_per_rad / distance_m * config.map_sigma_m
+    # A curve knows no more than its coefficients, at however many places it is asked. Its places are taken one by one:
+    # how it bends tells more of wobbly masks than of the pose.
+    repeats = max(len(rows) / len(sight.shape.coefficients), 1.0)
+    own = repeats * np.diagonal(sight.shape.covariance_across(rows)) + ROUNDING_PX**2
+    return np.diag(own) + np.outer(shared_px, shared_px)
 
 
 _PAIRS = {

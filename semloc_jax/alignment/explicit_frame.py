@@ -66,6 +66,7 @@ def explicit_frame(
     T_prior: Float[np.ndarray, "4 4"],
     sigma: Float[np.ndarray, "6"],
     config: ExplicitConfig,
+    start: ExplicitPose | None = None,
 ) -> ExplicitFrame:
     """The pose near a prior.
 
@@ -76,25 +77,32 @@ def explicit_frame(
         T_prior: Mean of the prior, in the local frame.
         sigma: Its standard deviations (right tangent).
         config: How shapes are used.
+        start: A pose that some shapes gave already; None: the prior.
     """
-    T, covariance = T_prior, np.diag(sigma**2)
-    pose, matches = ExplicitPose(T, covariance, np.zeros(0), SolveStatus.NO_EVIDENCE), []
+    none = ExplicitPose(T_prior, np.diag(sigma**2), np.zeros(0), SolveStatus.NO_EVIDENCE)
+    pose = start or none
+    used: list[Match] = []
     for _ in range(config.passes):
-        matches = associated(Prediction(T, covariance, landmarks, seen.rig, config.association), seen.sights)
+        matches = associated(_prediction(pose, sigma, landmarks, seen, config), seen.sights)
         used = [match for match in matches if is_known[match.landmark]]
         if not used:
+            pose = none._replace(T_local_base=pose.T_local_base)
             break
-        pose = solved(used, landmarks, T_prior, sigma, T, config.association)
-        T, covariance = pose.T_local_base, _doubted(pose.covariance, sigma, config.doubt)
-    last = Prediction(T, covariance, landmarks, seen.rig, config.association)
-    expected_px = last.expected_px(seen.primitives)
-    costs = {match.landmark: cost for match, cost in zip(used, pose.costs, strict=True)} if matches else {}
+        pose = solved(used, landmarks, T_prior, sigma, pose.T_local_base, config.association)
+    expected_px = _prediction(pose, sigma, landmarks, seen, config).expected_px(seen.primitives)
     missed = np.ones(len(landmarks))
-    for match in matches:
-        cost = costs.get(match.landmark, 0.0)
+    missed[[match.landmark for match in matches]] = 0.0
+    for match, cost in zip(used, pose.costs, strict=True):
         missed[match.landmark] = min(cost / config.missed_nats, 1.0)
-    should = expected_px > 0.0
-    return ExplicitFrame(pose, tuple(matches), expected_px, missed, float(config.missed_nats * missed[should].sum()))
+    nats = float(config.missed_nats * missed[expected_px > 0.0].sum())
+    return ExplicitFrame(pose, tuple(matches), expected_px, missed, nats)
+
+
+def _prediction(
+    pose: ExplicitPose, sigma: np.ndarray, landmarks: Sequence[Landmark], seen: Seen, config: ExplicitConfig
+) -> Prediction:
+    covariance = _doubted(pose.covariance, sigma, config.doubt)
+    return Prediction(pose.T_local_base, covariance, landmarks, seen.rig, config.association)
 
 
 def _doubted(

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.alignment.compact_landmarks import Landmark
-from semloc_jax.alignment.explicit_association import ROUNDING_PX, AssociationConfig, Match, offsets
+from semloc_jax.alignment.explicit_association import ROUNDING_PX, AssociationConfig, Match, lane_noise, offsets
 from semloc_jax.residuals.lamp_line import LineSight, lamp_residual
-from semloc_jax.residuals.lane_curve import CurveSight, lane_residual
+from semloc_jax.residuals.lane_curve import MOST_PLACES, CurveSight, lane_residual
 from semloc_jax.residuals.motion import cauchy, pose_residual
 from semloc_jax.residuals.seen_point import PointSight
 from semloc_jax.residuals.sign_circle import circle_residual
@@ -122,7 +122,7 @@ def _rows(
     of_map = (match.sight.px_per_rad * config.map_sigma_m / distance_m) ** 2
     label = match.sight.label
     if label == ElementClass.LANE_MARKING:
-        return "lane", _lane_rows(index, match, sights, of_map)
+        return "lane", [_lane_row(index, match, sights, distance_m, config)]
     if label == ElementClass.POLE:
         return "post", [_post_row(index, match, sights, of_map)]
     if len(match.used) > 1:
@@ -130,16 +130,14 @@ def _rows(
     return "circle", [_circle_row(index, match, landmark, sights, of_map)]
 
 
-def _lane_rows(index: int, match: Match, sights: PointSight, of_map: np.ndarray) -> list[_Row]:
+def _lane_row(index: int, match: Match, sights: PointSight, distance_m: np.ndarray, config: AssociationConfig) -> _Row:
     curve, v = match.sight.shape, match.sight.uv[list(match.used), 1]
-    # A curve knows no more than its coefficients, at however many places it is asked.
-    repeats = max(len(v) / len(curve.coefficients), 1.0)
-    variance = repeats * (np.diagonal(curve.covariance_across(v)) + of_map) + ROUNDING_PX**2
-    seen = CurveSight(sights, curve.normal(v), curve.bend(v))
-    return [
-        _Row((match.points[k], jax.tree.map(lambda leaf, k=k: leaf[k], seen)), 1.0 / np.sqrt(variance[k]), index)
-        for k in range(len(v))
-    ]
+    noise = lane_noise(match.sight, v, distance_m, config)
+    sqrt_info = np.zeros((MOST_PLACES, MOST_PLACES))
+    sqrt_info[: len(v), : len(v)] = np.linalg.inv(np.linalg.cholesky(noise))
+    places = np.minimum(np.arange(MOST_PLACES), len(v) - 1)
+    seen = CurveSight(PointSight(*(leaf[places] for leaf in sights)), curve.normal(v)[places], curve.bend(v)[places])
+    return _Row((match.points[places], seen), sqrt_info, index)
 
 
 def _post_row(index: int, match: Match, sights: PointSight, of_map: np.ndarray) -> _Row:
@@ -180,7 +178,19 @@ def _kinds() -> dict[str, _Kind]:
     across = np.array([1.0, 0.0])
     zero = np.float64(0.0)
     return {
-        "lane": _Kind(lane_residual, 128, 1, _Row((away, CurveSight(one, across, zero)), zero, 0)),
+        "lane": _Kind(
+            lane_residual,
+            24,
+            MOST_PLACES,
+            _Row(
+                (
+                    np.stack([away] * MOST_PLACES),
+                    CurveSight(many(MOST_PLACES), np.stack([across] * MOST_PLACES), np.zeros(MOST_PLACES)),
+                ),
+                np.zeros((MOST_PLACES, MOST_PLACES)),
+                0,
+            ),
+        ),
         "post": _Kind(
             lamp_residual,
             24,

@@ -17,14 +17,13 @@ from semloc_jax.perception.primitives import LampLine, Primitives
 from semloc_jax.perception.row_curves import RowCurve
 from semloc_jax.perception.sight_lines import sight_lines
 from semloc_jax.perception.sign_outlines import SignOutline
+from semloc_jax.residuals.lane_curve import MOST_PLACES
 from semloc_jax.residuals.seen_point import PointSight
 from semloc_jax.structs import ElementClass
 
 _PADDED_TO = 256
 """Pixels and points are padded to a multiple of this, so that few programs serve all frames."""
 _CURVE_STEP_PX = 12.0
-MOST_PLACES = 8
-"""Places of one curve."""
 
 
 class ShapeSight(NamedTuple):

@@ -25,6 +25,7 @@ from semloc_jax.fusion.window import SlidingWindow
 from semloc_jax.localization import elsewhere, health, map_faults, passed_over, phase, rivals, watch
 from semloc_jax.localization.acquisition import Acquisition, Area
 from semloc_jax.localization.explicit_alignment import ExplicitAligner, Trust
+from semloc_jax.localization.explicit_start import ExplicitAcquisition
 from semloc_jax.localization.following import (
     FrameReport,
     carried,
@@ -97,7 +98,8 @@ class Localizer:
         kind = ExplicitAligner if self.is_explicit else FrameAligner
         self.aligner = kind(semantic_map, self.windows, self.channel_of_label, scene, self.config.alignment)
         self._map_sigmas = SharedSigmas(semantic_map, self.config.map_sigma)
-        self.acquisition = Acquisition(self.aligner, motion, self.config.acquisition)
+        searching = ExplicitAcquisition if self.is_explicit else Acquisition
+        self.acquisition = searching(self.aligner, motion, self.config.acquisition)
 
     def start(self) -> TrackerState:
         """The state of a vehicle that may be anywhere."""
