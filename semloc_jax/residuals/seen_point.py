@@ -35,5 +35,10 @@ def seen_beside(
     return _mul(sight.pixels, q) / depth, distance
 
 
+def shift_residual(shift_m: Float[Array, "3"], sqrt_info: Float[Array, "3"]) -> Float[Array, "3"]:
+    """How far a landmark is from where the map has it [m], over its standard deviation."""
+    return sqrt_info * shift_m
+
+
 def _mul(A: Array, b: Array) -> Array:
     return jnp.matmul(A, b, precision=jax.lax.Precision.HIGHEST)
