@@ -53,7 +53,7 @@ class Kind:
     residual: Callable
     capacity: int
     size: int
-    """Numbers of one residual."""
+    """Independent numbers of one residual: those of a curve are no more than its coefficients."""
     padding: Row
 
     def factors(self, given: Sequence[On], num: int, has_shifts: bool = False, is_robust: bool = True) -> Factors:
@@ -165,7 +165,7 @@ def _kinds() -> dict[str, Kind]:
         "lane": Kind(
             lane_residual,
             24,
-            MOST_PLACES,
+            3,
             Row(
                 (
                     np.stack([away] * MOST_PLACES),

@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 _FINE = 5
+"""A border is followed on pixels so many times as fine."""
+_INSIDE_PX = 0.5 / _FINE
 SignShape = Literal["triangle", "rectangle", "circle", "patch"]
 
 
@@ -84,14 +86,13 @@ def sign_outline(
     name = ranked[0][0]
     if name == "circle":
         (x, y), axes, _ = ellipse
-        return plain._replace(shape="circle", centre=np.array([x, y]) + origin, radius_px=0.5 * max(axes))
+        return plain._replace(shape="circle", centre=np.array([x, y]) + origin, radius_px=0.5 * max(axes) + _INSIDE_PX)
     corners, covariance = shapes[name]
     return plain._replace(shape=name, corners=corners + origin, covariance=covariance)
 
 
 def _border(patch: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "n 2"]:
-    """The border of a patch in order, between its outermost pixels and what is beside them."""
-    # Of pixels five times as fine the outline lies a tenth of a pixel inside of the border.
+    """The border of a patch in order, `_INSIDE_PX` inside of where its outermost pixels end."""
     fine = np.kron(np.pad(patch, 1), np.ones((_FINE, _FINE), bool)).astype(np.uint8)
     contours, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     longest = max(contours, key=len)[:, 0].astype(np.float64)
@@ -157,9 +158,10 @@ def _side(uv: np.ndarray, a: np.ndarray, b: np.ndarray, config: OutlineConfig) -
     points = uv[own]
     middle = points.mean(axis=0)
     spread, axes = np.linalg.eigh((points - middle).T @ (points - middle) / len(points))
+    outward = axes[:, 0] * np.sign(axes[:, 0] @ (middle - uv.mean(axis=0)))
     alike = config.together_px / max(length, config.together_px)
     variance = max(float(spread[0]), config.border_px**2) * alike
-    return _Side(middle, axes[:, 0], variance, variance / max(float(spread[1]), 1e-9))
+    return _Side(middle + _INSIDE_PX * outward, outward, variance, variance / max(float(spread[1]), 1e-9))
 
 
 def _met(first: _Side, second: _Side) -> tuple[np.ndarray, np.ndarray] | None:
@@ -185,9 +187,17 @@ def _ring(ellipse: tuple) -> np.ndarray:
 
 
 def _overlap(patch: np.ndarray, outline: np.ndarray) -> float:
-    """Intersection over union of a patch and the inside of an outline."""
-    pad, fine = 4, 8.0
-    drawn = np.zeros((patch.shape[0] + 2 * pad, patch.shape[1] + 2 * pad), np.uint8)
-    cv2.fillPoly(drawn, [np.round((outline + pad) * fine).astype(np.int32)], 1, shift=3)
+    """Intersection over union of a patch and the inside of a convex outline, by the centres of pixels."""
+    pad = 4
     own = np.pad(patch, pad)
-    return float((own & (drawn > 0)).sum() / max((own | (drawn > 0)).sum(), 1))
+    v, u = np.indices(own.shape)
+    inside = np.ones(own.shape, bool)
+    turn = np.sign(_twice_area(outline))
+    for a, b in zip(outline + pad, np.roll(outline, -1, axis=0) + pad, strict=True):
+        inside &= turn * ((b[0] - a[0]) * (v - a[1]) - (b[1] - a[1]) * (u - a[0])) >= 0.0
+    return float((own & inside).sum() / max((own | inside).sum(), 1))
+
+
+def _twice_area(outline: np.ndarray) -> float:
+    following = np.roll(outline, -1, axis=0)
+    return float(np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))

@@ -6,6 +6,7 @@ In: LandmarkPlan. Out: tables as text, a JSON file, a picture.
 import json
 import sys
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -90,7 +91,7 @@ def numbers_in_view(driven: Sequence[Driven]) -> list[LandmarkRow]:
     """A row for each number of signs and posts in view, of all roads."""
     frames = [frame for drive in driven for frame in drive.frames]
     found = []
-    for low, high in zip(_IN_VIEW[:-1], _IN_VIEW[1:], strict=True):
+    for low, high in pairwise(_IN_VIEW):
         own = [frame for frame in frames if low <= frame.num_in_view < high]
         if any(frame.bounds for frame in own):
             found.append(_row(f"{low} .. {high - 1}" if high < _IN_VIEW[-1] else f"{low} or more", own))
