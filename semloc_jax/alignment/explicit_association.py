@@ -237,7 +237,7 @@ def _distance(r: np.ndarray, J: np.ndarray, noise: np.ndarray, prediction: Predi
 
 def _is_alike(seen_px: float, expected_px: float, config: AssociationConfig) -> bool:
     low, high = sorted((seen_px, expected_px))
-    return high - low <= config.size_px or high <= config.size_ratio * low
+    return bool(high - low <= config.size_px or high <= config.size_ratio * low)
 
 
 def _sign_pair(prediction: Prediction, k: int, sight: ShapeSight) -> tuple[float, Match] | None:

@@ -124,7 +124,8 @@ class CompactWorld:
                 view = projected(camera, T_local_cam, _dense(mark))
                 near = view.in_view & (view.distance_m < reach.reach_m(label))
                 if label == ElementClass.LANE_MARKING:
-                    lanes.append(draw.lane(view.uv[near], config.row_step_px))
+                    width_px = mark.width_m * float(camera.fx) / view.distance_m[near]
+                    lanes.append(draw.lane(view.uv[near], width_px, config.row_step_px))
                 elif near.all():
                     signs += [draw.sign(mark, view.uv)] if label == ElementClass.SIGN else []
                     lamps += [draw.lamp(view.uv)] if label == ElementClass.POLE else []
@@ -172,9 +173,9 @@ class _Draw:
         axis = RowCurve(half, covariance, middle, scale, first, last, np.full(2, 2.0))
         return LampLine(axis, (True, True), self.sigma_px)
 
-    def lane(self, uv: np.ndarray, step_px: float) -> RowCurve | None:
+    def lane(self, uv: np.ndarray, width_px: np.ndarray, step_px: float) -> RowCurve | None:
         order = np.argsort(uv[:, 1])
-        v, u = uv[order, 1], uv[order, 0]
+        v, u, width_px = uv[order, 1], uv[order, 0], width_px[order]
         rows = np.arange(np.ceil(v[0]), v[-1], step_px) if len(v) > 1 else np.zeros(0)
         if len(rows) < 3:
             return None
@@ -188,7 +189,7 @@ class _Draw:
         A = np.vander((rows - middle) / scale, degree + 1, increasing=True) / across[:, None]
         coefficients, *_ = np.linalg.lstsq(A, exact / across + self._noise(len(rows)), rcond=None)
         covariance = self.sigma_px**2 * np.linalg.inv(A.T @ A)
-        return RowCurve(coefficients, covariance, middle, scale, int(rows[0]), int(rows[-1]), np.ones(2))
+        return RowCurve(coefficients, covariance, middle, scale, int(rows[0]), int(rows[-1]), width_px[[0, -1]])
 
 
 def _area(uv: np.ndarray) -> float:
