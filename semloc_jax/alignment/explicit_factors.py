@@ -1,6 +1,6 @@
 """Matched landmarks as factors: one kind of residual for each class (room: alignment; host).
 
-In: a Match and its landmark. Out: Row, and Factors of fixed size from many of them, on poses or on poses and shifts.
+In: a Match and its landmark. Out: FactorRow, and from many of them Factors of fixed size, on poses or poses and shifts.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,7 +29,7 @@ _AWAY_M = 1e4
 """Where the points of padding are: never at a camera."""
 
 
-class Row(NamedTuple):
+class FactorRow(NamedTuple):
     """What one factor takes."""
 
     data: tuple[Any, ...]
@@ -40,21 +40,21 @@ class Row(NamedTuple):
 class On(NamedTuple):
     """Which variables a factor binds."""
 
-    row: Row
+    row: FactorRow
     pose: int = 0
     shift: int = 0
     """Of the landmark, where its place is a variable."""
 
 
 @dataclass(frozen=True)
-class Kind:
+class ShapeFactors:
     """A kind of residual: how many a frame may show, and one that is switched off."""
 
     residual: Callable
     capacity: int
     size: int
     """Independent numbers of one residual: those of a curve are no more than its coefficients."""
-    padding: Row
+    padding: FactorRow
 
     def factors(self, given: Sequence[On], num: int, has_shifts: bool = False, is_robust: bool = True) -> Factors:
         """A family of fixed size.
@@ -92,7 +92,7 @@ def _shifted(residual: Callable) -> Callable:
 
 def row_of(
     match: Match, landmark: Landmark, T_local_base: Float[np.ndarray, "4 4"], config: AssociationConfig
-) -> tuple[str, Row]:
+) -> tuple[str, FactorRow]:
     """The kind of a match, and what its factor takes.
 
     Args:
@@ -114,44 +114,44 @@ def row_of(
     return "circle", _circle_row(match, landmark, sights, of_map)
 
 
-def _lane_row(match: Match, sights: PointSight, distance_m: np.ndarray, config: AssociationConfig) -> Row:
+def _lane_row(match: Match, sights: PointSight, distance_m: np.ndarray, config: AssociationConfig) -> FactorRow:
     curve, v = match.sight.shape, match.sight.uv[list(match.used), 1]
     noise = lane_noise(match.sight, v, distance_m, config)
     sqrt_info = np.zeros((MOST_PLACES, MOST_PLACES))
     sqrt_info[: len(v), : len(v)] = np.linalg.inv(np.linalg.cholesky(noise))
     places = np.minimum(np.arange(MOST_PLACES), len(v) - 1)
     seen = CurveSight(PointSight(*(leaf[places] for leaf in sights)), curve.normal(v)[places], curve.bend(v)[places])
-    return Row((match.points[places], seen), sqrt_info)
+    return FactorRow((match.points[places], seen), sqrt_info)
 
 
-def _post_row(match: Match, sights: PointSight, of_map: np.ndarray) -> Row:
+def _post_row(match: Match, sights: PointSight, of_map: np.ndarray) -> FactorRow:
     lamp, rows = match.sight.shape, match.sight.uv[:, 1]
     across = lamp.axis.covariance_across(rows) + np.diag(of_map) + ROUNDING_PX**2 * np.eye(2)
     sqrt_info = np.zeros((4, 4))
     sqrt_info[:2, :2] = np.linalg.inv(np.linalg.cholesky(across))
     sqrt_info[[2, 3], [2, 3]] = np.array(match.has_end) / np.sqrt(lamp.end_sigma_px**2 + of_map)
-    return Row((match.points, LineSight(sights, lamp.axis.normal(rows))), sqrt_info)
+    return FactorRow((match.points, LineSight(sights, lamp.axis.normal(rows))), sqrt_info)
 
 
-def _corners_row(match: Match, sights: PointSight, of_map: np.ndarray) -> Row:
+def _corners_row(match: Match, sights: PointSight, of_map: np.ndarray) -> FactorRow:
     num = len(match.used)
     covariance = match.sight.shape.covariance + (of_map + ROUNDING_PX**2)[:, None, None] * np.eye(2)
     sqrt_info = np.zeros((MOST_CORNERS, 2, 2))
     sqrt_info[:num] = np.linalg.inv(np.linalg.cholesky(covariance))
     places = np.minimum(np.arange(MOST_CORNERS), num - 1)
-    return Row((match.points[places], PointSight(*(leaf[places] for leaf in sights))), sqrt_info)
+    return FactorRow((match.points[places], PointSight(*(leaf[places] for leaf in sights))), sqrt_info)
 
 
-def _circle_row(match: Match, landmark: Landmark, sights: PointSight, of_map: np.ndarray) -> Row:
+def _circle_row(match: Match, landmark: Landmark, sights: PointSight, of_map: np.ndarray) -> FactorRow:
     outline = match.sight.shape
     is_round = outline.shape == landmark.shape == "circle"
     variance = outline.centre_sigma_px**2 + of_map[0] + ROUNDING_PX**2
     sqrt_info = np.array([1.0, 1.0, float(is_round)]) / np.sqrt(variance)
     one = PointSight(*(leaf[0] for leaf in sights))
-    return Row((match.points[0], np.float64(landmark.radius_m), one, np.float64(outline.radius_px)), sqrt_info)
+    return FactorRow((match.points[0], np.float64(landmark.radius_m), one, np.float64(outline.radius_px)), sqrt_info)
 
 
-def _kinds() -> dict[str, Kind]:
+def _kinds() -> dict[str, ShapeFactors]:
     """Every kind, with as many as one frame may show."""
     away = np.array([0.0, 0.0, _AWAY_M])
     one = PointSight(np.eye(4), np.array([0.0, 0.0, 1.0]), np.eye(3)[:2])
@@ -162,11 +162,11 @@ def _kinds() -> dict[str, Kind]:
     across = np.array([1.0, 0.0])
     zero = np.float64(0.0)
     return {
-        "lane": Kind(
+        "lane": ShapeFactors(
             lane_residual,
             24,
             3,
-            Row(
+            FactorRow(
                 (
                     np.stack([away] * MOST_PLACES),
                     CurveSight(many(MOST_PLACES), np.stack([across] * MOST_PLACES), np.zeros(MOST_PLACES)),
@@ -174,19 +174,19 @@ def _kinds() -> dict[str, Kind]:
                 np.zeros((MOST_PLACES, MOST_PLACES)),
             ),
         ),
-        "post": Kind(
+        "post": ShapeFactors(
             lamp_residual,
             24,
             4,
-            Row((np.stack([away] * 2), LineSight(many(2), np.stack([across] * 2))), np.zeros((4, 4))),
+            FactorRow((np.stack([away] * 2), LineSight(many(2), np.stack([across] * 2))), np.zeros((4, 4))),
         ),
-        "corners": Kind(
+        "corners": ShapeFactors(
             corners_residual,
             12,
             8,
-            Row((np.stack([away] * MOST_CORNERS), many(MOST_CORNERS)), np.zeros((MOST_CORNERS, 2, 2))),
+            FactorRow((np.stack([away] * MOST_CORNERS), many(MOST_CORNERS)), np.zeros((MOST_CORNERS, 2, 2))),
         ),
-        "circle": Kind(circle_residual, 16, 3, Row((away, zero, one, zero), np.zeros(3))),
+        "circle": ShapeFactors(circle_residual, 16, 3, FactorRow((away, zero, one, zero), np.zeros(3))),
     }
 
 

@@ -46,7 +46,7 @@ class ExplicitFrame(NamedTuple):
     """Cost of everything that should be seen."""
 
 
-class Seen(NamedTuple):
+class SeenShapes(NamedTuple):
     """Shapes of one frame."""
 
     primitives: tuple[Primitives, ...]
@@ -54,13 +54,13 @@ class Seen(NamedTuple):
     rig: Rig
 
     @classmethod
-    def by(cls, rig: Rig, primitives: Sequence[Primitives]) -> "Seen":
+    def by(cls, rig: Rig, primitives: Sequence[Primitives]) -> "SeenShapes":
         """What the cameras of a rig show."""
         return cls(tuple(primitives), tuple(shape_sights(primitives, rig)), rig)
 
 
 def explicit_frame(
-    seen: Seen,
+    seen: SeenShapes,
     landmarks: Sequence[Landmark],
     is_known: Bool[np.ndarray, " landmark"],
     T_prior: Float[np.ndarray, "4 4"],
@@ -99,7 +99,7 @@ def explicit_frame(
 
 
 def _prediction(
-    pose: ExplicitPose, sigma: np.ndarray, landmarks: Sequence[Landmark], seen: Seen, config: ExplicitConfig
+    pose: ExplicitPose, sigma: np.ndarray, landmarks: Sequence[Landmark], seen: SeenShapes, config: ExplicitConfig
 ) -> Prediction:
     covariance = _doubted(pose.covariance, sigma, config.doubt)
     return Prediction(pose.T_local_base, covariance, landmarks, seen.rig, config.association)

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 
 from semloc_jax.alignment.compact_landmarks import Landmark
 from semloc_jax.alignment.explicit_association import Match, are_of_one_shape, half_px, sign_match
-from semloc_jax.alignment.explicit_frame import ExplicitConfig, ExplicitFrame, Seen, explicit_frame
+from semloc_jax.alignment.explicit_frame import ExplicitConfig, ExplicitFrame, SeenShapes, explicit_frame
 from semloc_jax.alignment.explicit_pose import solved
 from semloc_jax.alignment.explicit_sights import ShapeSight
 from semloc_jax.geometry import rigid
@@ -37,7 +37,7 @@ class _Pair(NamedTuple):
 
 
 def explicit_starts(
-    seen: Seen,
+    seen: SeenShapes,
     landmarks: Sequence[Landmark],
     T_prior: Float[np.ndarray, "4 4"],
     sigma: Float[np.ndarray, "6"],

@@ -15,11 +15,11 @@ from jaxtyping import Float
 
 from semloc_jax.alignment.compact_landmarks import Landmark
 from semloc_jax.alignment.explicit_association import AssociationConfig, Match, Prediction, associated
-from semloc_jax.alignment.explicit_frame import ExplicitConfig, Seen, explicit_frame
+from semloc_jax.alignment.explicit_frame import ExplicitConfig, SeenShapes, explicit_frame
 from semloc_jax.alignment.explicit_pose import ExplicitPose
 from semloc_jax.alignment.explicit_start import explicit_starts
 from semloc_jax.bench.compact_world import CompactWorld, WorldConfig
-from semloc_jax.fusion.landmark_window import LastPose, SeenFrame, WindowSize, bound_of, last_pose
+from semloc_jax.fusion.landmark_window import LastPose, WindowFrame, WindowSize, bound_of, last_pose
 from semloc_jax.geometry import rigid
 from semloc_jax.perception.primitives import Primitives
 from semloc_jax.structs import SolveStatus
@@ -108,8 +108,8 @@ class _Drive:
 
     def run(self) -> Driven:
         """All frames from the first one that gives a start."""
-        seen: list[SeenFrame] = []
-        exact: list[SeenFrame] = []
+        seen: list[WindowFrame] = []
+        exact: list[WindowFrame] = []
         frames: list[DrivenFrame] = []
         last: LastPose | None = None
         T_before = self.world.pose(self.plan.start_m)
@@ -138,7 +138,7 @@ class _Drive:
     def _started(self, T_fix: np.ndarray, shown: Primitives) -> LastPose | None:
         """From one sign or post near a fix; three landmarks must agree."""
         marks = [mark for _, mark in _near(T_fix, self.world.mapped)]
-        found = explicit_starts(Seen.by(self.world.rig, [shown]), marks, T_fix, self.sigma, self.config)
+        found = explicit_starts(SeenShapes.by(self.world.rig, [shown]), marks, T_fix, self.sigma, self.config)
         if not found or len(found[0].matches) < _LEAST_MATCHES:
             return None
         return LastPose(found[0].pose.T_local_base, found[0].pose.covariance, found[0].pose.status)
@@ -153,28 +153,28 @@ class _Drive:
     ) -> tuple[Match, ...]:
         near = _near(at.T_local_base, landmarks)
         prediction = Prediction(at.T_local_base, at.covariance, [mark for _, mark in near], self.world.rig, config)
-        found = associated(prediction, Seen.by(self.world.rig, [shown]).sights)
+        found = associated(prediction, SeenShapes.by(self.world.rig, [shown]).sights)
         return tuple(match._replace(landmark=near[match.landmark][0]) for match in found)
 
-    def _frame(self, matches: tuple[Match, ...], T: np.ndarray, motion: np.ndarray, T_fix: np.ndarray) -> SeenFrame:
-        return SeenFrame(matches, T, motion, np.diag(1.0 / self.motion_sigma), T_fix, np.diag(1.0 / self.sigma))
+    def _frame(self, matches: tuple[Match, ...], T: np.ndarray, motion: np.ndarray, T_fix: np.ndarray) -> WindowFrame:
+        return WindowFrame(matches, T, motion, np.diag(1.0 / self.motion_sigma), T_fix, np.diag(1.0 / self.sigma))
 
     def _alone(self, shown: Primitives, at: LastPose, T_fix: np.ndarray) -> np.ndarray:
         """The pose by one frame and its fix; what came before helps to associate only."""
         near = _near(at.T_local_base, self.world.mapped)
         marks, start = [mark for _, mark in near], ExplicitPose(at.T_local_base, at.covariance, np.zeros(0), at.status)
-        seen = Seen.by(self.world.rig, [shown])
+        seen = SeenShapes.by(self.world.rig, [shown])
         once = replace(self.config, passes=1, doubt=1.0)
         return explicit_frame(seen, marks, np.ones(len(marks), bool), T_fix, self.sigma, once, start).pose.T_local_base
 
-    def _exact(self, T_before: np.ndarray, T: np.ndarray) -> SeenFrame:
+    def _exact(self, T_before: np.ndarray, T: np.ndarray) -> WindowFrame:
         """A frame without any noise, every shape associated."""
         certain = LastPose(T, _EXACT**2 * np.eye(6), SolveStatus.CONVERGED)
         all_of_them = replace(self.config.association, clearly=-np.inf)
         matches = self._associated(certain, self.world.detections(T, None), self.world.landmarks, all_of_them)
         return self._frame(matches, T, rigid.inverse(T_before) @ T, T)
 
-    def _bounds(self, exact: Sequence[SeenFrame]) -> Bounds:
+    def _bounds(self, exact: Sequence[WindowFrame]) -> Bounds:
         """Least covariance of the last pose from all frames so far, and from the last one alone."""
         known = self.world.landmarks, self.config.association
         window = bound_of(exact, *known, self.plan.bound_window)

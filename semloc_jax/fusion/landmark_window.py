@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -32,7 +33,7 @@ _UNUSED = 1e3
 """Square root of the information that holds a frame where it is that is not there yet."""
 
 
-class SeenFrame(NamedTuple):
+class WindowFrame(NamedTuple):
     """One frame of the window."""
 
     matches: tuple[Match, ...]
@@ -66,7 +67,7 @@ class WindowSize:
 
 
 def last_pose(
-    frames: Sequence[SeenFrame], landmarks: Sequence[Landmark], config: AssociationConfig, size: WindowSize
+    frames: Sequence[WindowFrame], landmarks: Sequence[Landmark], config: AssociationConfig, size: WindowSize
 ) -> LastPose:
     """The last pose of some frames.
 
@@ -83,7 +84,7 @@ def last_pose(
 
 
 def bound_of(
-    frames: Sequence[SeenFrame], landmarks: Sequence[Landmark], config: AssociationConfig, size: WindowSize
+    frames: Sequence[WindowFrame], landmarks: Sequence[Landmark], config: AssociationConfig, size: WindowSize
 ) -> Float[np.ndarray, "6 6"]:
     """Least covariance of the last pose (Cramer, Rao): inverse information at the given poses, all else unknown.
 
@@ -102,7 +103,7 @@ def _solved(graph: FactorGraph, start: Values):
 
 @eqx.filter_jit
 def _least(graph: FactorGraph, start: Values):
-    return structured(graph, Dense()).linearise(start, np.bool_(False)).covariance(_last(graph))
+    return structured(graph, Dense()).linearise(start, jnp.zeros((), bool)).covariance(_last(graph))
 
 
 def _last(graph: FactorGraph) -> np.ndarray:
@@ -110,7 +111,7 @@ def _last(graph: FactorGraph) -> np.ndarray:
 
 
 def _window(
-    frames: Sequence[SeenFrame],
+    frames: Sequence[WindowFrame],
     landmarks: Sequence[Landmark],
     config: AssociationConfig,
     size: WindowSize,
@@ -141,15 +142,15 @@ def _window(
     return graph, start
 
 
-def _filled(frames: Sequence[SeenFrame], num: int) -> list[SeenFrame]:
+def _filled(frames: Sequence[WindowFrame], num: int) -> list[WindowFrame]:
     """The frames at the end of so many; those before them saw nothing and are held where the first one is."""
     first = frames[0]
-    unused = SeenFrame((), first.T_local_base, np.eye(4), np.zeros((6, 6)), first.T_local_base, _UNUSED * np.eye(6))
+    unused = WindowFrame((), first.T_local_base, np.eye(4), np.zeros((6, 6)), first.T_local_base, _UNUSED * np.eye(6))
     begin = first._replace(motion_sqrt_info=np.zeros((6, 6)))
     return [*[unused] * (num - len(frames)), begin, *frames[1:]]
 
 
-def _of_poses(frames: Sequence[SeenFrame]) -> tuple[Factors, Factors]:
+def _of_poses(frames: Sequence[WindowFrame]) -> tuple[Factors, Factors]:
     """Motion between frames, and what is known of each without masks."""
     later = np.arange(1, len(frames))
     motion = Factors(

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from semloc_jax.alignment.compact_landmarks import Landmark, compact_landmarks
-from semloc_jax.alignment.explicit_frame import ExplicitConfig, ExplicitFrame, Seen, explicit_frame
+from semloc_jax.alignment.explicit_frame import ExplicitConfig, ExplicitFrame, SeenShapes, explicit_frame
 from semloc_jax.fusion.measurements import PoseMeasurement
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner, masks_covariance
@@ -42,7 +42,7 @@ class ExplicitAligner(FrameAligner):
         landmarks = landmarks_of(window)
         rows = self.map.rows_of(window.element_ids[mark.element] for mark in landmarks)
         found = explicit_frame(
-            Seen.by(frame.rig, frame.primitives),
+            SeenShapes.by(frame.rig, frame.primitives),
             landmarks,
             trust(rows) > 0.0,
             local.from_map(T_start, np.float64),

@@ -181,7 +181,7 @@ class Localizer:
         way_m = way_since(before_s, before, state, self.fusion, motion)
         state = state._replace(driven_m=np.float64(state.driven_m + way_m if is_same_image else 0.0))
         timer.lap("predict")
-        trust = self._trust(state)
+        trust = self.trust_in(state)
         if state.driven_m > self.config.health.frozen_m:
             views = [
                 FrameReport(None, True, False, ("the image has not changed while the vehicle moved",))
@@ -209,7 +209,7 @@ class Localizer:
             timer.lap("acquire")
         return self._judged(state, view, frame, timer)
 
-    def _trust(self, state: TrackerState) -> Trust:
+    def trust_in(self, state: TrackerState) -> Trust:
         """Weights of elements of the map; explicit ones count from the second frame on in which they are matched."""
         weights = partial(map_faults.weights, state.trust, self.config.trust)
         if not len(state.matched):

@@ -9,7 +9,7 @@ import pytest
 from semloc_jax.alignment.compact_landmarks import compact_landmarks
 from semloc_jax.alignment.explicit_association import AssociationConfig, Prediction, associated, offsets
 from semloc_jax.alignment.explicit_factors import KINDS, On, row_of
-from semloc_jax.alignment.explicit_frame import ExplicitConfig, Seen, explicit_frame
+from semloc_jax.alignment.explicit_frame import ExplicitConfig, SeenShapes, explicit_frame
 from semloc_jax.alignment.explicit_pose import ExplicitPose
 from semloc_jax.alignment.explicit_sights import shape_sights
 from semloc_jax.alignment.explicit_start import explicit_starts
@@ -65,7 +65,7 @@ def test_offsets_are_those_of_the_residuals(world):
 def test_all_shapes_of_a_frame_without_noise_are_their_landmarks(world):
     """From the true pose every shape is explained, and none is left over."""
     T, num = world.pose(200.0), 0
-    seen = Seen.by(world.rig, [world.detections(T, None)])
+    seen = SeenShapes.by(world.rig, [world.detections(T, None)])
     certain = replace(CONFIG.association, clearly=-np.inf)
     for match in associated(Prediction(T, 1e-6 * np.eye(6), world.landmarks, world.rig, certain), seen.sights):
         name, row = row_of(match, world.landmarks[match.landmark], T, certain)
@@ -82,7 +82,7 @@ def test_errors_of_single_frames_are_as_large_as_stated(world):
     for s in places(24):
         T = world.pose(s)
         marks = around(world.mapped, T)
-        seen = Seen.by(world.rig, [world.detections(T, rng)])
+        seen = SeenShapes.by(world.rig, [world.detections(T, rng)])
         start = ExplicitPose(
             T @ rigid.exp(NEAR * rng.normal(size=6)), np.diag(NEAR**2), np.zeros(0), SolveStatus.CONVERGED
         )
@@ -102,7 +102,7 @@ def test_one_sign_gives_a_start_metres_away(world):
     rng, found = np.random.default_rng(3), []
     for s in places(12):
         T = world.pose(s)
-        seen = Seen.by(world.rig, [world.detections(T, rng)])
+        seen = SeenShapes.by(world.rig, [world.detections(T, rng)])
         if not any(sight.label == ElementClass.SIGN for sight in seen.sights):
             continue
         answers = explicit_starts(seen, around(world.mapped, T), T @ rigid.exp(WIDE * rng.normal(size=6)), WIDE, CONFIG)
@@ -151,7 +151,7 @@ def test_a_simulated_drive_is_localized_by_shapes(simulated_road, masks):
         T_local = local_map.frame.from_map(T, np.float64)
         prior = T_local @ rigid.exp(NEAR * rng.normal(size=6))
         found = explicit_frame(
-            Seen.by(rig, shown), landmarks, np.ones(len(landmarks), bool), prior, NEAR, ExplicitConfig()
+            SeenShapes.by(rig, shown), landmarks, np.ones(len(landmarks), bool), prior, NEAR, ExplicitConfig()
         )
         off.append(rigid.log(rigid.inverse(T_local) @ found.pose.T_local_base))
         assert len(found.matches) >= 3
