@@ -11,9 +11,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.alignment.compact_landmarks import Landmark
-from semloc_jax.alignment.explicit_association import AssociationConfig, Prediction
-from semloc_jax.alignment.explicit_sights import projected
+from semloc_jax.alignment.explicit.landmarks import Landmark
+from semloc_jax.alignment.explicit.prediction import AssociationConfig, Prediction
+from semloc_jax.alignment.explicit.sights import projected
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.mounting import mounted
 from semloc_jax.cameras.pinhole import PinholeCamera

@@ -13,11 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.alignment.compact_landmarks import Landmark
-from semloc_jax.alignment.explicit_association import AssociationConfig, Match, Prediction, associated
-from semloc_jax.alignment.explicit_frame import ExplicitConfig, SeenShapes, explicit_frame
-from semloc_jax.alignment.explicit_pose import ExplicitPose
-from semloc_jax.alignment.explicit_start import explicit_starts
+from semloc_jax.alignment.explicit.association import associated
+from semloc_jax.alignment.explicit.frame import ExplicitConfig, SeenShapes, explicit_frame
+from semloc_jax.alignment.explicit.landmarks import Landmark
+from semloc_jax.alignment.explicit.pairs import Match
+from semloc_jax.alignment.explicit.pose import ExplicitPose
+from semloc_jax.alignment.explicit.prediction import AssociationConfig, Prediction
+from semloc_jax.alignment.explicit.start import explicit_starts
 from semloc_jax.bench.compact_world import CompactWorld, WorldConfig
 from semloc_jax.fusion.landmark_window import LastPose, WindowFrame, WindowSize, bound_of, last_pose
 from semloc_jax.geometry import rigid

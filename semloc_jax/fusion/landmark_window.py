@@ -16,9 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.alignment.compact_landmarks import Landmark
-from semloc_jax.alignment.explicit_association import AssociationConfig, Match
-from semloc_jax.alignment.explicit_factors import KINDS, On, row_of
+from semloc_jax.alignment.explicit.factors import KINDS, On, row_of
+from semloc_jax.alignment.explicit.landmarks import Landmark
+from semloc_jax.alignment.explicit.pairs import Match
+from semloc_jax.alignment.explicit.prediction import AssociationConfig
 from semloc_jax.residuals.motion import between_linearised, between_residual, pose_linearised, pose_residual
 from semloc_jax.residuals.seen_point import shift_residual
 from semloc_jax.solvers.factors import POSE, Factors, vector

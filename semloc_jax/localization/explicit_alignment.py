@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float, Int
 
-from semloc_jax.alignment.compact_landmarks import Landmark, compact_landmarks
-from semloc_jax.alignment.explicit_frame import ExplicitConfig, ExplicitFrame, SeenShapes, explicit_frame
+from semloc_jax.alignment.explicit.frame import ExplicitConfig, ExplicitFrame, SeenShapes, explicit_frame
+from semloc_jax.alignment.explicit.landmarks import Landmark, compact_landmarks
 from semloc_jax.fusion.measurements import PoseMeasurement
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner, masks_covariance

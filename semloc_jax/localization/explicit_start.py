@@ -5,8 +5,8 @@ In: one frame and what is known of its place. Out: poses to follow side by side,
 
 import numpy as np
 
-from semloc_jax.alignment.explicit_frame import ExplicitConfig, ExplicitFrame, SeenShapes
-from semloc_jax.alignment.explicit_start import explicit_starts
+from semloc_jax.alignment.explicit.frame import ExplicitConfig, ExplicitFrame, SeenShapes
+from semloc_jax.alignment.explicit.start import explicit_starts
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import Mode
 from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart

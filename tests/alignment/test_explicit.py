@@ -6,13 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.compact_landmarks import compact_landmarks
-from semloc_jax.alignment.explicit_association import AssociationConfig, Prediction, associated, offsets
-from semloc_jax.alignment.explicit_factors import KINDS, On, row_of
-from semloc_jax.alignment.explicit_frame import ExplicitConfig, SeenShapes, explicit_frame
-from semloc_jax.alignment.explicit_pose import ExplicitPose
-from semloc_jax.alignment.explicit_sights import shape_sights
-from semloc_jax.alignment.explicit_start import explicit_starts
+from semloc_jax.alignment.explicit.association import associated
+from semloc_jax.alignment.explicit.factors import KINDS, On, row_of
+from semloc_jax.alignment.explicit.frame import ExplicitConfig, SeenShapes, explicit_frame
+from semloc_jax.alignment.explicit.landmarks import compact_landmarks
+from semloc_jax.alignment.explicit.pose import ExplicitPose
+from semloc_jax.alignment.explicit.prediction import AssociationConfig, Prediction, offsets
+from semloc_jax.alignment.explicit.sights import shape_sights
+from semloc_jax.alignment.explicit.start import explicit_starts
 from semloc_jax.bench.compact_world import CompactWorld, WorldConfig
 from semloc_jax.datasets import open_drive
 from semloc_jax.geometry import rigid

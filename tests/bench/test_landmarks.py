@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.explicit_association import AssociationConfig
+from semloc_jax.alignment.explicit.prediction import AssociationConfig
 from semloc_jax.bench.compact_world import WorldConfig
 from semloc_jax.bench.landmarks import Bounds, Driven, DrivenFrame, LandmarkPlan, drive_all
 from semloc_jax.fusion.landmark_window import WindowFrame, WindowSize, bound_of, last_pose

@@ -11,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from semloc_jax.alignment.compact_landmarks import Landmark
-from semloc_jax.alignment.explicit_association import AssociationConfig, Match, Prediction, associated
-from semloc_jax.alignment.explicit_pose import ExplicitPose, solved
-from semloc_jax.alignment.explicit_sights import ShapeSight, shape_sights
+from semloc_jax.alignment.explicit.association import associated
+from semloc_jax.alignment.explicit.landmarks import Landmark
+from semloc_jax.alignment.explicit.pairs import Match
+from semloc_jax.alignment.explicit.pose import ExplicitPose, solved
+from semloc_jax.alignment.explicit.prediction import AssociationConfig, Prediction
+from semloc_jax.alignment.explicit.sights import ShapeSight, shape_sights
 from semloc_jax.cameras import Rig
 from semloc_jax.perception.primitives import Primitives
 from semloc_jax.structs import SolveStatus

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtri
 
-from semloc_jax.alignment.compact_landmarks import Landmark
-from semloc_jax.alignment.explicit_association import Match, are_of_one_shape, half_px, sign_match
-from semloc_jax.alignment.explicit_frame import ExplicitConfig, ExplicitFrame, SeenShapes, explicit_frame
-from semloc_jax.alignment.explicit_pose import solved
-from semloc_jax.alignment.explicit_sights import ShapeSight
+from semloc_jax.alignment.explicit.frame import ExplicitConfig, ExplicitFrame, SeenShapes, explicit_frame
+from semloc_jax.alignment.explicit.landmarks import Landmark
+from semloc_jax.alignment.explicit.pairs import Match, are_of_one_shape, half_px, sign_match
+from semloc_jax.alignment.explicit.pose import solved
+from semloc_jax.alignment.explicit.sights import ShapeSight
 from semloc_jax.geometry import rigid
 from semloc_jax.structs import ElementClass
 

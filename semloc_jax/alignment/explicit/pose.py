@@ -11,9 +11,10 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.alignment.compact_landmarks import Landmark
-from semloc_jax.alignment.explicit_association import AssociationConfig, Match
-from semloc_jax.alignment.explicit_factors import KINDS, On, row_of
+from semloc_jax.alignment.explicit.factors import KINDS, On, row_of
+from semloc_jax.alignment.explicit.landmarks import Landmark
+from semloc_jax.alignment.explicit.pairs import Match
+from semloc_jax.alignment.explicit.prediction import AssociationConfig
 from semloc_jax.residuals.motion import pose_residual
 from semloc_jax.solvers.factors import POSE, Factors
 from semloc_jax.solvers.front import solve

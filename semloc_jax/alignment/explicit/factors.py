@@ -12,8 +12,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.alignment.compact_landmarks import Landmark
-from semloc_jax.alignment.explicit_association import ROUNDING_PX, AssociationConfig, Match, lane_noise, offsets
+from semloc_jax.alignment.explicit.landmarks import Landmark
+from semloc_jax.alignment.explicit.pairs import ROUNDING_PX, Match, lane_noise
+from semloc_jax.alignment.explicit.prediction import AssociationConfig, offsets
 from semloc_jax.residuals.lamp_line import LineSight, lamp_residual
 from semloc_jax.residuals.lane_curve import MOST_PLACES, CurveSight, lane_residual
 from semloc_jax.residuals.motion import cauchy
