@@ -22,7 +22,7 @@ _IN_VIEW = (1, 3, 5, 8, 12, 18, 100)
 
 
 class LandmarkRow(NamedTuple):
-    """Errors of some frames: root mean squares over both directions in the plane [m]."""
+    """Errors of the frames whose bounds are known: root mean squares over both directions in the plane [m]."""
 
     group: str
     num_frames: int
@@ -65,7 +65,7 @@ def report_landmarks(
         rows = {"by_road": [row._asdict() for row in by_road], "by_number": [row._asdict() for row in by_number]}
         write_text(data, json.dumps({"command": ["semloc", *sys.argv[1:]], **rows}, indent=1) + "\n")
     if plot is not None:
-        save(landmark_figure([row._asdict() for row in by_number], [row._asdict() for row in by_road]), plot)
+        save(landmark_figure([row._asdict() for row in by_number], [row._asdict() for row in by_road[:-1]]), plot)
     late = sum(drive.num_before_start for drive in driven)
     lines = [
         f"{plan.world.num_signs} signs, {plan.world.num_lamps} posts and lanes; {plan.world.noise_px:g} px, "
@@ -79,12 +79,11 @@ def report_landmarks(
 
 
 def roads(driven: Sequence[Driven]) -> list[LandmarkRow]:
-    """A row for each length of road."""
+    """A row for each length of road, and one for all."""
     lengths = dict.fromkeys(drive.road_m for drive in driven)
-    return [
-        _row(f"{road_m:.0f} m", [frame for drive in driven if drive.road_m == road_m for frame in drive.frames])
-        for road_m in lengths
-    ]
+    groups = {f"{road_m:.0f} m": [drive for drive in driven if drive.road_m == road_m] for road_m in lengths}
+    groups["all"] = list(driven)
+    return [_row(name, [frame for drive in own for frame in drive.frames]) for name, own in groups.items()]
 
 
 def numbers_in_view(driven: Sequence[Driven]) -> list[LandmarkRow]:
@@ -99,7 +98,8 @@ def numbers_in_view(driven: Sequence[Driven]) -> list[LandmarkRow]:
 
 
 def _row(group: str, frames: Sequence[DrivenFrame]) -> LandmarkRow:
-    bounds = [frame.bounds for frame in frames if frame.bounds is not None]
+    frames = [frame for frame in frames if frame.bounds is not None]
+    bounds = [frame.bounds for frame in frames]
     squares = [f.window_error_m @ np.linalg.solve(f.window_covariance, f.window_error_m) for f in frames]
     return LandmarkRow(
         group,

@@ -17,7 +17,7 @@ def corners_residual(
     T_map_base: Float[Array, "4 4"],
     corners_map: Float[Array, "4 3"],
     sights: PointSight,
-    sqrt_info: Float[Array, "4 2 2"],
+    sqrt_info: Float[Array, "8 8"],
 ) -> Float[Array, "8"]:
     """Whitened offsets of the corners of one sign [px / sigma].
 
@@ -25,7 +25,8 @@ def corners_residual(
         T_map_base: Vehicle pose.
         corners_map: Corners [m]; a triangle repeats one.
         sights: Their pixels, a leading axis over the corners.
-        sqrt_info: Root of the information of each corner [1/px]; 0 for what is repeated.
+        sqrt_info: Root of the information of all of them, column and row of each corner in turn [1/px]: a sign that the
+            map has wrong is wrong at every corner. 0 for what is repeated.
     """
     off, _ = jax.vmap(seen_beside, (None, 0, 0))(T_map_base, corners_map, sights)
-    return jnp.einsum("kij,kj->ki", sqrt_info, off, precision=jax.lax.Precision.HIGHEST).reshape(-1)
+    return jnp.matmul(sqrt_info, off.reshape(-1), precision=jax.lax.Precision.HIGHEST)

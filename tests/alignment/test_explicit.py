@@ -71,8 +71,9 @@ def test_all_shapes_of_a_frame_without_noise_are_their_landmarks(world):
     for match in associated(Prediction(T, 1e-6 * np.eye(6), world.landmarks, world.rig, certain), seen.sights):
         name, row = row_of(match, world.landmarks[match.landmark], T, certain)
         cost = float(KINDS[name].factors([On(row)], 1).costs({"pose": T[None]})[0])
-        # A cubic is not quite the curve, nor the middle of an ellipse that of the disc; a post ends at a whole row.
-        assert cost < (1e-9 if name == "corners" else 0.07)
+        # A cubic misses a curve by about its own standard deviation; the middle of an ellipse is not quite that of the
+        # disc, and a post ends at a whole row.
+        assert cost < {"corners": 1e-9, "lane": 1.5}.get(name, 0.07)
         num += 1
     assert num == len(seen.sights) >= 6
 

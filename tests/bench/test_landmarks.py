@@ -66,12 +66,13 @@ def test_a_window_without_landmarks_is_its_fixes():
 
 
 def test_rows_are_root_mean_squares_over_bounds():
-    """Four frames 3 cm off each way, bounds of 2 and 4 cm each way."""
+    """Frames 3 cm off each way, bounds of 2 and 4 cm each way; those without bounds do not count."""
     off, unit = np.array([0.03, -0.03]), np.eye(2)
     frame = DrivenFrame(4, 5, off, 2 * off, 0.03**2 * unit, Bounds(0.02**2 * unit, 0.04**2 * unit))
     driven = [Driven(500.0, seed, (frame, frame._replace(bounds=None)), 0) for seed in (0, 1)]
-    (row,) = roads(driven)
-    assert (row.group, row.num_frames, row.in_view) == ("500 m", 4, 4.0)
+    row, total = roads(driven)
+    assert (row.group, row.num_frames, row.in_view) == ("500 m", 2, 4.0)
+    assert total == row._replace(group="all")
     assert row.window_m == pytest.approx(np.sqrt(2) * 0.03)
     assert (row.window_ratio, row.alone_ratio, row.nees) == pytest.approx((1.5, 1.5, 1.0))
     assert [row.group for row in numbers_in_view(driven)] == ["3 .. 4"]

@@ -163,7 +163,7 @@ FACTORS = {
         ("pose",),
         (ZERO,),
         (5.0 * RNG.normal(size=(1, MOST_CORNERS, 3)), stacked([point_sights(MOST_CORNERS)])),
-        RNG.normal(size=(1, MOST_CORNERS, 2, 2)),
+        info(2 * MOST_CORNERS),
     ),
     "round sign": Factors(
         circle_residual,

@@ -104,15 +104,15 @@ def row_of(
     """
     sights = PointSight(*(leaf[list(match.used)] for leaf in match.sight.sights))
     distance_m = offsets(T_local_base, match.points, sights).distance_m
-    of_map = (match.sight.px_per_rad * config.map_sigma_m / distance_m) ** 2
+    of_map_px = match.sight.px_per_rad * config.map_sigma_m / distance_m
     label = match.sight.label
     if label == ElementClass.LANE_MARKING:
         return "lane", _lane_row(match, sights, distance_m, config)
     if label == ElementClass.POLE:
-        return "post", _post_row(match, sights, of_map)
+        return "post", _post_row(match, sights, of_map_px)
     if len(match.used) > 1:
-        return "corners", _corners_row(match, sights, of_map)
-    return "circle", _circle_row(match, landmark, sights, of_map)
+        return "corners", _corners_row(match, sights, of_map_px)
+    return "circle", _circle_row(match, landmark, sights, of_map_px)
 
 
 def _lane_row(match: Match, sights: PointSight, distance_m: np.ndarray, config: AssociationConfig) -> FactorRow:
@@ -125,28 +125,31 @@ def _lane_row(match: Match, sights: PointSight, distance_m: np.ndarray, config: 
     return FactorRow((match.points[places], seen), sqrt_info)
 
 
-def _post_row(match: Match, sights: PointSight, of_map: np.ndarray) -> FactorRow:
+def _post_row(match: Match, sights: PointSight, of_map_px: np.ndarray) -> FactorRow:
     lamp, rows = match.sight.shape, match.sight.uv[:, 1]
-    across = lamp.axis.covariance_across(rows) + np.diag(of_map) + ROUNDING_PX**2 * np.eye(2)
+    # What the map has wrong of a post is wrong at both ends.
+    across = lamp.axis.covariance_across(rows) + np.outer(of_map_px, of_map_px) + ROUNDING_PX**2 * np.eye(2)
     sqrt_info = np.zeros((4, 4))
     sqrt_info[:2, :2] = np.linalg.inv(np.linalg.cholesky(across))
-    sqrt_info[[2, 3], [2, 3]] = np.array(match.has_end) / np.sqrt(lamp.end_sigma_px**2 + of_map)
+    sqrt_info[[2, 3], [2, 3]] = np.array(match.has_end) / np.hypot(lamp.end_sigma_px, of_map_px)
     return FactorRow((match.points, LineSight(sights, lamp.axis.normal(rows))), sqrt_info)
 
 
-def _corners_row(match: Match, sights: PointSight, of_map: np.ndarray) -> FactorRow:
+def _corners_row(match: Match, sights: PointSight, of_map_px: np.ndarray) -> FactorRow:
     num = len(match.used)
-    covariance = match.sight.shape.covariance + (of_map + ROUNDING_PX**2)[:, None, None] * np.eye(2)
-    sqrt_info = np.zeros((MOST_CORNERS, 2, 2))
-    sqrt_info[:num] = np.linalg.inv(np.linalg.cholesky(covariance))
+    covariance = np.kron(np.outer(of_map_px, of_map_px), np.eye(2)) + ROUNDING_PX**2 * np.eye(2 * num)
+    for k, own in enumerate(match.sight.shape.covariance):
+        covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own
+    sqrt_info = np.zeros((2 * MOST_CORNERS, 2 * MOST_CORNERS))
+    sqrt_info[: 2 * num, : 2 * num] = np.linalg.inv(np.linalg.cholesky(covariance))
     places = np.minimum(np.arange(MOST_CORNERS), num - 1)
     return FactorRow((match.points[places], PointSight(*(leaf[places] for leaf in sights))), sqrt_info)
 
 
-def _circle_row(match: Match, landmark: Landmark, sights: PointSight, of_map: np.ndarray) -> FactorRow:
+def _circle_row(match: Match, landmark: Landmark, sights: PointSight, of_map_px: np.ndarray) -> FactorRow:
     outline = match.sight.shape
     is_round = outline.shape == landmark.shape == "circle"
-    variance = outline.centre_sigma_px**2 + of_map[0] + ROUNDING_PX**2
+    variance = outline.centre_sigma_px**2 + of_map_px[0] ** 2 + ROUNDING_PX**2
     sqrt_info = np.array([1.0, 1.0, float(is_round)]) / np.sqrt(variance)
     one = PointSight(*(leaf[0] for leaf in sights))
     return FactorRow((match.points[0], np.float64(landmark.radius_m), one, np.float64(outline.radius_px)), sqrt_info)
@@ -185,7 +188,9 @@ def _kinds() -> dict[str, ShapeFactors]:
             corners_residual,
             12,
             8,
-            FactorRow((np.stack([away] * MOST_CORNERS), many(MOST_CORNERS)), np.zeros((MOST_CORNERS, 2, 2))),
+            FactorRow(
+                (np.stack([away] * MOST_CORNERS), many(MOST_CORNERS)), np.zeros((2 * MOST_CORNERS, 2 * MOST_CORNERS))
+            ),
         ),
         "circle": ShapeFactors(circle_residual, 16, 3, FactorRow((away, zero, one, zero), np.zeros(3))),
     }

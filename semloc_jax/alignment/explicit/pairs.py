@@ -117,9 +117,8 @@ def _post_pair(prediction: Prediction, k: int, sight: ShapeSight) -> tuple[float
     r, J = np.einsum("ni,ni->n", normal, at.off), np.einsum("ni,nij->nj", normal, at.by_pose)
     if abs(r[0] - r[1]) > prediction.config.tilt * (rows[0] - rows[1]) + 4.0 * ROUNDING_PX:
         return None
-    noise = lamp.axis.covariance_across(rows) + np.diag(
-        (sight.px_per_rad * prediction.config.map_sigma_m / at.distance_m) ** 2
-    )
+    shared_px = sight.px_per_rad * prediction.config.map_sigma_m / at.distance_m
+    noise = lamp.axis.covariance_across(rows) + np.outer(shared_px, shared_px) + ROUNDING_PX**2 * np.eye(2)
     cost = _distance(r, J, noise, prediction)
     if cost is None:
         return None
