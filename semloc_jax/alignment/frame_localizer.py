@@ -26,7 +26,7 @@ from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.held import held_text
 from semloc_jax.geometry.local_frame import LocalFrame
-from semloc_jax.maps import LocalMap, SemanticMap, sample
+from semloc_jax.maps import LocalMap, SemanticMap, SharedSigmas, sample, with_map_accuracy
 from semloc_jax.perception import ClassTable, cost_maps
 from semloc_jax.perception.border_distance import border_distances, pixel_unit
 from semloc_jax.structs import SolveStatus
@@ -110,7 +110,7 @@ class FrameLocalizer:
         inputs, local_map = self.prepare(masks, rig or frame.rig, T_map_prior, more_m)
         finder = self.mode_finder(masks, inputs, prior, T_map_prior, local_map.frame)
         prepared = time.perf_counter()
-        found = finder.find()
+        found = _on_earth(finder.find(), local_map)
         times = {"evidence": prepared - started, "solve": time.perf_counter() - prepared}
         return self._result(frame, found, T_map_prior, prior.sigma_xy_m, times)
 
@@ -173,6 +173,16 @@ class FrameLocalizer:
         solver_prior = prior.to_solver(T_map_prior, frame, self.config.road, spread)
         image = FrameImage(borders, size, unit_px)
         return ModeFinder(inputs, image, solver_prior, road, frame, self.config.modes, self.config.frame)
+
+
+def _on_earth(found: FoundModes, local_map: LocalMap) -> FoundModes:
+    """The modes with what the map states that all around them shares: masks cannot tell it from the pose."""
+    shared = SharedSigmas(local_map.elements)
+    modes = tuple(
+        replace(mode, covariance=with_map_accuracy(mode.covariance, *shared.at(mode.T_map_base[:2, 3])))
+        for mode in found.modes
+    )
+    return replace(found, modes=modes)
 
 
 def sample_within(local_map: LocalMap, spacing_m: float, capacity: int):

@@ -55,7 +55,7 @@ class SmoothConfig:
 
     align: AlignConfig = field(default_factory=AlignConfig)
     """The fast solve before."""
-    max_steps: int = 20
+    max_steps: int = 60
     """Most evaluations of the polish."""
     singular_below: float = 0.05
     """Curvature, in units of the prior's information, below which a direction counts as singular and is damped."""

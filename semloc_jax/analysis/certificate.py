@@ -300,12 +300,6 @@ def plane_residual(q: Float[Array, "3"], problem: PlaneProblem) -> tuple[Float[A
     return tuple(jnp.concatenate([part[k].reshape(-1) for part in parts]) for k in range(2))
 
 
-def plane_pose(q: Float[Array, "3"], problem: PlaneProblem) -> Float[Array, "4 4"]:
-    """T_map_base at a place of the plane, relative to the local origin."""
-    forth, turn = lie.se2_to_se3(*problem.pivot[:2], 0.0), lie.se2_to_se3(*q)
-    return problem.T_map_base @ forth.astype(q.dtype) @ turn.astype(q.dtype) @ lie.inverse(forth).astype(q.dtype)
-
-
 def _plane_points(q: Float[Array, "3"], problem: PlaneProblem, view: CameraViews) -> tuple[Array, Array]:
     """Points `[3 p]` about the pivot of the unmoved vehicle, and in the camera of the moved one."""
     T_base_map, pivot = lie.inverse(problem.T_map_base), problem.pivot[:, None]

@@ -8,13 +8,13 @@ from semloc_jax.cli.main import LOST, OK
 
 @dataclass(frozen=True)
 class Options:
-    """Render a short drive, localize it with masks like a network's, and draw the result.
+    """Render a short drive, localize every fifth frame with masks like a network's, and draw the result.
 
     Needs no data. The first run compiles; later ones take the compiled programs from the cache.
     """
 
-    frames: int = 4
-    """Number of frames."""
+    frames: int = 20
+    """Number of frames of the drive, five a second."""
     seed: int = 0
     """Another seed is another road."""
     open: bool = False

@@ -34,6 +34,8 @@ class Options:
     masks: str | None = None
     """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or a segmenter that runs on the images
     (classical, FILE.onnx); default: the drive's best masks."""
+    front: Literal["masks", "classical"] = "masks"
+    """What sees the road: masks, or the segmenter that works on the images without a network: --masks classical."""
     class_table: str | None = None
     """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
     cameras: str | None = None
@@ -68,7 +70,7 @@ class Options:
     """Folder of a run that was killed, to go on with: give the same drive and options as then."""
 
 
-NOT_KEPT = ("drive", "config", "out", "resume", "baseline", "settings")
+NOT_KEPT = ("drive", "front", "config", "out", "resume", "baseline", "settings")
 
 
 def default_settings() -> "MapConfig":
@@ -96,7 +98,10 @@ def run(options: Options) -> int:
     drive = open_drive(options.drive, options.calib)
     if options.no_gnss:
         drive = dataclasses.replace(drive, gnss=None)
-    name = options.masks or (drive.mask_sources[0] if drive.mask_sources else CLASSICAL)
+    if options.front == CLASSICAL and options.masks not in (None, CLASSICAL):
+        raise UsageError(f"--front {CLASSICAL} with --masks {options.masks}: choose one of them")
+    best = CLASSICAL if options.front == CLASSICAL or not drive.mask_sources else drive.mask_sources[0]
+    name = options.masks or best
     if name.startswith(TOP_VIEW):
         raise UsageError(f"--masks {name}: a map is made from the masks of cameras; give {name[len(TOP_VIEW) :]}")
     masks = mask_source(name, drive, parse_names(options.cameras), options.class_table)

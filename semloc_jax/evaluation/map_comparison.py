@@ -32,9 +32,11 @@ MapAlignment = Literal["none", "se2"]
 
 _POST_NAMES = {label.name.lower() for label in POSTS}
 _SLOT = ElementClass.PARKING_SLOT.name.lower()
-_GATES_M = (2.0, 1.0, 0.5, 0.3, 0.3)
+_GATES_M = (2.0, 1.0, 0.5, 0.3, 0.3, 0.3)
 """How far counterparts may be apart while the SE(2) alignment converges."""
 _HUBER_M = 0.05
+_ALIKE_M = 10.0
+"""So far a line is off alike: it holds the motion of a map as one thing would, not as many times as it has places."""
 
 
 @dataclass(frozen=True)
@@ -338,7 +340,7 @@ def _aligned(made: _Side, reference: _Side) -> Float[np.ndarray, "4 4"]:
     """The motion in the plane that brings what both maps have closest together: robust, nearest counterparts anew."""
     T = np.eye(4)
     for gate_m in _GATES_M:
-        points, offsets, normals = _counterparts(made.moved(T), reference, gate_m)
+        points, offsets, normals, worth = _counterparts(made.moved(T), reference, gate_m)
         if len(points) < 3:
             return T
         centre = points.mean(axis=0)
@@ -347,6 +349,8 @@ def _aligned(made: _Side, reference: _Side) -> Float[np.ndarray, "4 4"]:
         J = np.column_stack([normals, np.einsum("ij,ij->i", turned, normals)])
         r = np.einsum("ij,ij->i", offsets, normals)
         weight = _HUBER_M / np.maximum(np.abs(r), _HUBER_M)
+        if gate_m == _GATES_M[-1]:  # before, lines keep bars from their neighbours
+            weight = weight * worth
         step = np.linalg.lstsq(np.sqrt(weight)[:, None] * J, -np.sqrt(weight) * r, rcond=1e-6)[0]
         c, s = np.cos(step[2]), np.sin(step[2])
         motion = np.eye(4)
@@ -356,9 +360,9 @@ def _aligned(made: _Side, reference: _Side) -> Float[np.ndarray, "4 4"]:
     return T
 
 
-def _counterparts(made: _Side, reference: _Side, gate_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of the made map, offsets from their counterparts, and the directions in which these hold them."""
-    points, offsets, normals = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros((0, 2))]
+def _counterparts(made: _Side, reference: _Side, gate_m: float) -> tuple[np.ndarray, ...]:
+    """Points of the made map, offsets from their counterparts, directions that these hold, what each counts."""
+    points, offsets, normals, worth = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0)]
     for name in made.lines.keys() & reference.lines.keys():
         one, other = made.lines[name], reference.lines[name]
         _, index = cKDTree(other.points).query(one.points)
@@ -367,6 +371,7 @@ def _counterparts(made: _Side, reference: _Side, gate_m: float) -> tuple[np.ndar
         points.append(one.points[near])
         offsets.append(offset[near])
         normals.append(np.stack([-along[near, 1], along[near, 0]], axis=1))
+        worth.append(np.full(len(points[-1]), STEP_M / _ALIKE_M))
     for name in made.things.keys() & reference.things.keys():
         one, other = made.things[name], reference.things[name]
         for i, j in _pairs(one, other, gate_m):
@@ -375,7 +380,8 @@ def _counterparts(made: _Side, reference: _Side, gate_m: float) -> tuple[np.ndar
                 points.append(one[i].centre[None])
                 offsets.append(offset[None])
                 normals.append(axis[None])
-    return np.concatenate(points), np.concatenate(offsets), np.concatenate(normals)
+                worth.append(np.ones(1))
+    return tuple(np.concatenate(parts) for parts in (points, offsets, normals, worth))
 
 
 def _rms(values: np.ndarray) -> float:

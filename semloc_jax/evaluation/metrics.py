@@ -55,6 +55,10 @@ class ErrorLimit:
     longitudinal_m: float
     heading_deg: float
 
+    def __str__(self) -> str:
+        """In words: 0.29 m lateral, 0.29 m longitudinal, 0.5 deg."""
+        return f"{self.lateral_m:g} m lateral, {self.longitudinal_m:g} m longitudinal, {self.heading_deg:g} deg"
+
 
 ALERT_LIMITS = (ErrorLimit("local_street", 0.29, 0.29, 0.50), ErrorLimit("freeway", 0.57, 1.40, 1.50))
 RECALL_LIMITS = (

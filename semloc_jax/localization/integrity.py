@@ -51,15 +51,6 @@ def map_sigmas(map_sigma_m: float, map_sigma_rad: float) -> Float[np.ndarray, "3
     return np.array([map_sigma_m, map_sigma_m, map_sigma_rad])
 
 
-def with_map_accuracy(
-    covariance: Float[np.ndarray, "6 6"], map_sigma_m: float, map_sigma_rad: float
-) -> Float[np.ndarray, "6 6"]:
-    """Covariance of a pose on the earth, from that of the right tangent of the pose in a map; as `map_sigmas`."""
-    sigma = np.zeros(6)
-    sigma[_DIRECTIONS], sigma[2] = map_sigmas(map_sigma_m, map_sigma_rad), map_sigma_m
-    return covariance + np.diag(sigma**2)
-
-
 def protection_levels(
     covariance: Float[np.ndarray, "6 6"],
     freedom: Float[np.ndarray, "3"],

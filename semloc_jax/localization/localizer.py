@@ -40,7 +40,6 @@ from semloc_jax.localization.following import (
 )
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
-from semloc_jax.localization.integrity import with_map_accuracy
 from semloc_jax.localization.judging import judged
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.localization.stage_timer import StageTimer
@@ -53,7 +52,7 @@ from semloc_jax.localization.track_state import (
     TrackResult,
     TrackStatus,
 )
-from semloc_jax.maps import SemanticMap, SharedSigmas
+from semloc_jax.maps import SemanticMap, SharedSigmas, with_map_accuracy
 from semloc_jax.perception import ClassTable, cost_maps
 from semloc_jax.perception.primitives import primitives_of
 from semloc_jax.residuals.pose_terms import Terms
@@ -97,7 +96,7 @@ class Localizer:
         self.is_explicit = self.config.association == "explicit"
         kind = ExplicitAligner if self.is_explicit else FrameAligner
         self.aligner = kind(semantic_map, self.windows, self.channel_of_label, scene, self.config.alignment)
-        self._map_sigmas = SharedSigmas(semantic_map, self.config.map_sigma)
+        self._map_sigmas = SharedSigmas(semantic_map.walk(), self.config.map_sigma)
         searching = ExplicitAcquisition if self.is_explicit else Acquisition
         self.acquisition = searching(self.aligner, motion, self.config.acquisition)
 
@@ -340,7 +339,7 @@ class Localizer:
     ) -> tuple[TrackerState, TrackResult]:
         """The status of the frame with its reasons."""
         fused = self._output(state)
-        map_sigma = self._map_sigmas.at(np.eye(4) if fused is None else fused.T_map_base)
+        map_sigma = self._map_sigmas.at(np.zeros(2) if fused is None else fused.T_map_base[:2, 3])
         why = partial(self._why_no_start, state, frame)
         verdict = judged(state, view, fused, frame.rig, map_sigma, self.config, why)
         state = state._replace(status=np.int64(verdict.status))

@@ -15,7 +15,7 @@ from semloc_jax.evaluation.map_shapes import POSTS, Thing, is_line, line_places,
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.sightings import UPRIGHT
 from semloc_jax.mapping.uprights import Upright
-from semloc_jax.maps import Belief, BeliefMap, MapElement
+from semloc_jax.maps import Belief, BeliefMap, MapElement, SharedSigmas
 from semloc_jax.structs import ElementClass
 
 _REACH_M = 30.0
@@ -126,6 +126,12 @@ def taken_in(
         name = _free_name(element.id, kept)
         kept[name] = replace(element, id=name), belief
         changes.append(Change(name, "added", kept[name][0], belief.existence))
+    # The drive was laid in the map: what it brings is off by what is around it there.
+    shared = SharedSigmas(base.as_map().elements)
+    for name in (change.id for change in changes if change.change != "removed"):
+        element, belief = kept[name]
+        place_m, turn_rad = shared.at(element.points[:, :2].mean(axis=0))
+        kept[name] = element, replace(belief, sigma_place_m=place_m, sigma_turn_rad=turn_rad)
     elements = tuple(element for element, _ in kept.values())
     return BeliefMap(base.map.with_elements(elements), {name: belief for name, (_, belief) in kept.items()}), changes
 

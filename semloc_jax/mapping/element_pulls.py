@@ -5,7 +5,8 @@ firmly it holds it. No element counts for another one here: which of them is wro
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -18,13 +19,17 @@ from semloc_jax.alignment.implicit import smooth_scene
 from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.single_frame import evidence_from, frame_input
 from semloc_jax.cameras import Rig
-from semloc_jax.maps import SemanticMap
+from semloc_jax.geometry import polyline
+from semloc_jax.mapping.sightings import UPRIGHT
+from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
 from semloc_jax.residuals.holder_terms import holder_terms
 from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.residuals.view import ViewConfig, view
 
 _LEAST_CAPACITY = 64
+_PIECE_M = 4.0
+"""Length of the pieces of a long line; ours."""
 _view = jax.jit(view, static_argnames="config")
 
 
@@ -120,3 +125,21 @@ class ElementPulls:
         held = np.flatnonzero(pulling[: len(ids)] >= config.min_observations)
         force, information = (np.asarray(part, np.float64)[held] for part in terms)
         return Pulls(tuple(ids[k] for k in held), force / config.excess**2, information / config.excess**2)
+
+
+def pieces_of(element: MapElement) -> list[MapElement]:
+    """A long line in pieces that move each on its own: it was drawn as bent as the way was."""
+    if element.closed or len(element.points) < 2 or element.label in UPRIGHT:
+        return [element]
+    length_m = float(polyline.arc_length(element.points)[-1])
+    if length_m <= 1.5 * _PIECE_M:
+        return [element]
+    num = int(np.ceil(length_m / _PIECE_M))
+    cuts_m = np.linspace(0.0, length_m, num + 1)
+    found = []
+    for k, (low, high) in enumerate(pairwise(cuts_m)):
+        places_m = np.linspace(low, high, max(round(high - low), 1) + 1)
+        ends = element.true_ends[0] and k == 0, element.true_ends[1] and k == num - 1
+        points = polyline.interpolate(element.points, places_m)
+        found.append(replace(element, id=f"{element.id}.{k}", points=points, true_ends=ends))
+    return found

@@ -3,12 +3,14 @@
 In: the graph of the way, what frames say of elements. Out: JointSolution: poses and motions of the elements.
 Each element is a variable of its own, tied to the poses that see it: what two passes disagree on, they share out as
 sure as each of them is. Elements are eliminated first; what is left is as sparse as the way and its crossings.
+How far pulls scatter about the solution says how sure they are (variance factor of an adjustment, Helmert 1907).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float, Int
@@ -28,6 +30,7 @@ from semloc_jax.solvers.factors import POSE, Factors
 from semloc_jax.solvers.front import solve
 from semloc_jax.solvers.graph import FactorGraph, Family, Values
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
+from semloc_jax.solvers.problem import Solution
 from semloc_jax.solvers.sparse import SparseProblem
 
 ELEMENT = "element"
@@ -48,16 +51,21 @@ class JointConfig:
         sigma_z_m: how far from the road.
         sigma_tilt_deg: how far from lying in it.
         sigma_turn_deg: how far it may be turned.
-        threshold: norm of a whitened pull (6 numbers) beyond which it grows no more.
+        threshold: norm of a whitened pull (6 numbers, 2.4 together) beyond which it grows no more.
         least_share: directions held this much less than the firmest one are left open.
+        believed_rows: what the stated noise of pulls is worth, in rows of them, against how far they scatter.
+        least_noise: no pull is taken to have less than this share of its stated variance: what all frames see alike, a
+            lens or a mount that is not quite as calibrated, scatters in none of them.
     """
 
     sigma_xy_m: float = 0.5
     sigma_z_m: float = 0.03
     sigma_tilt_deg: float = 0.5
     sigma_turn_deg: float = 10.0
-    threshold: float = 5.0
+    threshold: float = 12.0
     least_share: float = 1e-7
+    believed_rows: float = 60.0
+    least_noise: float = 1.0 / 16.0
     solve: SolveConfig = field(default_factory=lambda: SolveConfig(tolerance=1e-4, max_steps=30))
 
     @property
@@ -101,6 +109,8 @@ class JointSolution(NamedTuple):
     """T_new_old of every element that was seen, in the map."""
     covariance: Float[np.ndarray, "c c"]
     """Joint one of the right tangents of the poses that were asked for, six rows each [m, rad]."""
+    noise: float
+    """Variance of the pulls as a share of the stated one, told by how far they scatter."""
 
 
 def solve_together(
@@ -129,17 +139,47 @@ def solve_together(
     more = -len(elements) % _ELEMENTS
     Ts_map_element = np.concatenate([[place_of(e) for e in elements], np.tile(np.eye(4), (more, 1, 1))])
     element = np.array([row[name] for each in pulls for name in each.ids], int)
-    seen = pull_factors(values["pose"], Ts_map_element, pose, element, pulls, np.asarray(frames, int), config)
-    family = Family(ELEMENT, POSE, len(Ts_map_element))
-    whole = FactorGraph((*graph.families, family), (*graph.factors, *seen), graph.free)
+    seen, drawn = pull_factors(values["pose"], Ts_map_element, pose, element, pulls, np.asarray(frames, int), config)
+    families = (*graph.families, Family(ELEMENT, POSE, len(Ts_map_element)))
+
+    def solved(seen: Factors, start: Values) -> tuple[SparseProblem, Solution]:
+        problem = SparseProblem(FactorGraph(families, (*graph.factors, seen, drawn), graph.free), (ELEMENT,))
+        return problem, solve(problem, start, config.solve)
+
     with jax.enable_x64(True):
-        problem = SparseProblem(whole, (ELEMENT,))
-        solution = solve(problem, {**values, ELEMENT: Ts_map_element}, config.solve)
+        _, solution = solved(seen, {**values, ELEMENT: Ts_map_element})
+        num_unknowns = POSE.size * (len(np.unique(element)) + len(frames))
+        noise = told_noise(seen, solution.value, num_unknowns, config)
+        problem, solution = solved(of_noise(seen, noise), solution.value)
         coordinates = (6 * np.asarray(sure_of, int)[:, None] + np.arange(6)).ravel()
         covariance = problem.covariance(solution.equations, coordinates)
     found = solution.value
     motions = np.array(found[ELEMENT]) @ rigid.inverse(Ts_map_element)
-    return JointSolution(np.array(found["pose"]), {name: motions[k] for name, k in row.items()}, covariance)
+    return JointSolution(np.array(found["pose"]), {name: motions[k] for name, k in row.items()}, covariance, noise)
+
+
+def told_noise(seen: Factors, value: Values, num_unknowns: int, config: JointConfig) -> float:
+    """Variance of the pulls as a share of the stated one.
+
+    Args:
+        seen: the pulls as they state themselves.
+        value: the solution with them.
+        num_unknowns: what the pulls alone have to determine; odometry does some of it, so that noise is rather told
+            too large.
+        config: what the stated noise is worth.
+    """
+    num_rows = np.count_nonzero(np.abs(np.asarray(seen.sqrt_info)).max(axis=2) > 0.0)
+    spare = max(num_rows - num_unknowns, 0)
+    square = 2.0 * float(np.sum(seen.costs(value)))
+    told = (square + config.believed_rows) / (spare + config.believed_rows)
+    return max(told, config.least_noise)
+
+
+def of_noise(seen: Factors, noise: float) -> Factors:
+    """The pulls with a variance that is this share of the stated one."""
+    by = noise**-0.5
+    T_element_base, offset = seen.data
+    return eqx.tree_at(lambda f: (f.data, f.sqrt_info), seen, ((T_element_base, by * offset), by * seen.sqrt_info))
 
 
 def pull_factors(

@@ -1,9 +1,9 @@
-"""A map from a drive: look, gather, draw lines, count, keep what is there (room: mapping; host).
+"""A map from a drive: look, gather, draw lines, count, keep what is there, lay it (room: mapping; host).
 
 In: a drive, its masks, poses of its frames. Out: MadeMap: a BeliefMap and what was looked at.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from semloc_jax.mapping.existence import Counting, ExistenceConfig
 from semloc_jax.mapping.joint import RefineConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
 from semloc_jax.mapping.parts import Parts
+from semloc_jax.mapping.settling import Progress, SettleConfig, settled_in
 from semloc_jax.mapping.slot_rows import MappedRow, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.triangulation import TriangulationConfig
@@ -28,9 +29,6 @@ from semloc_jax.mapping.vectorize import VectorConfig, elements_of
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.structs import ElementClass
-
-Progress = Callable[[Iterable, str], Iterable]
-"""Shows how far an iteration over frames has come; takes what it is about."""
 
 _BARE_SHARE = 0.2
 """Cells with a smaller share of paint are bare road."""
@@ -50,6 +48,7 @@ class MapConfig:
         triangulation: what makes a pole, a sign or a traffic light.
         base: how a map that is there already takes the drive in.
         refine: how the way is made to agree with the map.
+        settle: how elements are laid where the masks have them.
         uprights: whether these are looked for.
         min_seen: frames that must have seen an element.
     """
@@ -61,6 +60,7 @@ class MapConfig:
     triangulation: TriangulationConfig = field(default_factory=TriangulationConfig)
     base: BaseConfig = field(default_factory=BaseConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
+    settle: SettleConfig = field(default_factory=SettleConfig)
     uprights: bool = True
     min_seen: int = 3
 
@@ -158,11 +158,13 @@ def make_map(
         )
     kept = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if stay]
     rejected = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if not stay]
-    lines = [e for e, _ in kept if e.label == ElementClass.SLOT_LINE]
-    ids = {line.id for line in lines}
-    in_rows = [divider for row in rows for divider in row.dividers(ids)]
+    drawn = {e.id: e for e, _ in kept}
+    laid = settled_in(list(drawn.values()), masks, frames, Ts_map_base, config.settle, progress)
+    kept = [(e, b) for e, (_, b) in zip(laid, kept, strict=True)]
+    lines = {e.id: e for e in laid if e.label == ElementClass.SLOT_LINE}
+    in_rows = [d.moved_with(drawn[d.id], lines[d.id]) for row in rows for d in row.dividers(set(lines))]
     beliefs = {e.id: b for e, b in kept}
-    slots = find_slots(lines, beliefs, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots, in_rows)
+    slots = find_slots(list(lines.values()), beliefs, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots, in_rows)
     made, changes = _map_of(kept + slots, origin, drive.name), []
     if base is not None:
         made, changes = taken_in(base, looked_at, kept + slots, config.base)

@@ -7,7 +7,6 @@ are solved together, looked at again from there, and so on. The map itself is th
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,24 +14,20 @@ from jaxtyping import Float
 
 from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
-from semloc_jax.geometry import polyline
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import Chain
 from semloc_jax.mapping.chain_graph import ChainGraphConfig, way_graph
 from semloc_jax.mapping.closing import ClosedWay
-from semloc_jax.mapping.element_pulls import ElementPulls, PullConfig, Pulls
+from semloc_jax.mapping.element_pulls import ElementPulls, PullConfig, Pulls, pieces_of
 from semloc_jax.mapping.found_loops import loops_of
 from semloc_jax.mapping.joint import RefineConfig, moved, solve_together
 from semloc_jax.mapping.mapper import MapConfig, make_map
 from semloc_jax.mapping.parts import Parts
-from semloc_jax.mapping.sightings import UPRIGHT
 from semloc_jax.mapping.way_sigmas import WaySigmas, places_apart, way_sigmas
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.structs import ElementClass
 
 _DRAFT = "draft"
-_PIECE_M = 4.0
-"""Length of the pieces of a long line; ours."""
 
 
 class RefinedWay(NamedTuple):
@@ -119,7 +114,8 @@ def _draft(
     parts: Parts | None,
 ) -> list[MapElement]:
     """What a mapper makes of some frames; empty where nothing stays."""
-    coarse = replace(config, look=replace(config.look, spacing_m=config.refine.draft_spacing_m))
+    look = replace(config.look, spacing_m=config.refine.draft_spacing_m)
+    coarse = replace(config, look=look, settle=replace(config.settle, rounds=0))
     frames = [drive.frames[row] for row in rows]
     try:
         made = make_map(
@@ -129,24 +125,6 @@ def _draft(
         return []
     paint = [e for e in made.belief_map.map.elements if e.label != ElementClass.PARKING_SLOT]
     return [piece for element in paint for piece in pieces_of(element)]
-
-
-def pieces_of(element: MapElement) -> list[MapElement]:
-    """A long line in pieces that move each on its own: it was drawn as bent as the way was."""
-    if element.closed or len(element.points) < 2 or element.label in UPRIGHT:
-        return [element]
-    length_m = float(polyline.arc_length(element.points)[-1])
-    if length_m <= 1.5 * _PIECE_M:
-        return [element]
-    num = int(np.ceil(length_m / _PIECE_M))
-    cuts_m = np.linspace(0.0, length_m, num + 1)
-    found = []
-    for k, (low, high) in enumerate(pairwise(cuts_m)):
-        places_m = np.linspace(low, high, max(round(high - low), 1) + 1)
-        ends = element.true_ends[0] and k == 0, element.true_ends[1] and k == num - 1
-        points = polyline.interpolate(element.points, places_m)
-        found.append(replace(element, id=f"{element.id}.{k}", points=points, true_ends=ends))
-    return found
 
 
 def _agreed(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.geometry.umeyama import umeyama
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.maps import Belief, MapElement
 from semloc_jax.structs import ElementClass
@@ -75,6 +76,11 @@ class Divider:
     length_m: float
     is_whole: bool
     z_m: float
+
+    def moved_with(self, old: MapElement, new: MapElement) -> "Divider":
+        """The divider where its line was moved."""
+        motion = umeyama(new.points[:, :2], old.points[:, :2])
+        return replace(self, mouth=motion.apply(self.mouth[None])[0], inward=motion.R_a_b @ self.inward)
 
 
 def find_slots(

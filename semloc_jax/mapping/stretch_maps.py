@@ -34,7 +34,8 @@ class StretchMaps:
         """Nothing is made before it is asked for."""
         config = config or MapConfig()
         self.drive, self.masks, self.chain = drive, masks, chain
-        self.config = replace(config, look=replace(config.look, spacing_m=SPACING_M), uprights=False)
+        look, settle = replace(config.look, spacing_m=SPACING_M), replace(config.settle, rounds=0)
+        self.config = replace(config, look=look, settle=settle, uprights=False)
         self._looker: Looker | None = None
         self._made: OrderedDict[tuple[int, int], SemanticMap | None] = OrderedDict()
 

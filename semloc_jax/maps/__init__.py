@@ -21,7 +21,7 @@ from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_pack
 from semloc_jax.maps.losses import Losses, compare
 from semloc_jax.maps.sampling import sample
 from semloc_jax.maps.semantic_map import LocalMap, SemanticMap
-from semloc_jax.maps.shared_sigmas import SharedSigmas
+from semloc_jax.maps.shared_sigmas import SharedSigmas, with_map_accuracy
 
 __all__ = [
     "Belief",
@@ -39,6 +39,7 @@ __all__ = [
     "RoadSpread",
     "SemanticMap",
     "SharedSigmas",
+    "with_map_accuracy",
     "compare",
     "inspect_map",
     "map_from_arrays",

@@ -114,7 +114,7 @@ class BeliefMap:
         beliefs: dict[str, Belief] = {}
         bare = []
         for element in semantic_map.walk():
-            found = _stated(element)
+            found = stated_belief(element)
             beliefs[element.id] = found or Belief(map_sigma_m, map_sigma_m, CERTAIN_LOGIT, provenance=semantic_map.name)
             left = {key: value for key, value in element.attributes.items() if key not in _KEYS}
             bare.append(replace(element, attributes=left) if found else element)
@@ -133,11 +133,15 @@ _KEYS = tuple(field.name for field in fields(Belief))
 
 def _properties(belief: Belief) -> dict[str, Any]:
     values = {key: getattr(belief, key) for key in _KEYS}
-    return {key: value for key, value in values.items() if value is not None}
+    return {key: value for key, value in values.items() if value is not None and (value or key not in _SHARED)}
 
 
-def _stated(element: MapElement) -> Belief | None:
-    """The belief in the properties of an element; None where there is none."""
+def stated_belief(element: MapElement) -> Belief | None:
+    """The belief in the properties of an element; None where there is none.
+
+    Raises:
+        SemlocError: it holds numbers that cannot be meant.
+    """
     held = {key: element.attributes[key] for key in _KEYS if key in element.attributes}
     if not set(_REQUIRED) <= set(held):
         return None

@@ -3,12 +3,14 @@
 In: a map whose elements carry beliefs, as `semloc map` writes it. Out: SharedSigmas: standard deviations at any place.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from semloc_jax.maps.beliefs import BeliefMap
-from semloc_jax.maps.semantic_map import SemanticMap
+from semloc_jax.maps.beliefs import stated_belief
+from semloc_jax.maps.elements import MapElement
 
 _NEAREST = 5
 """Elements around a place that are asked; ours."""
@@ -17,27 +19,42 @@ _NEAREST = 5
 class SharedSigmas:
     """The errors that all elements around a place share."""
 
-    def __init__(self, semantic_map: SemanticMap, everywhere: tuple[float, float] = (0.0, 0.0)):
+    def __init__(self, elements: Iterable[MapElement], everywhere: tuple[float, float] = (0.0, 0.0)):
         """Elements that state none share no error.
 
         Args:
-            semantic_map: any map.
+            elements: of a map.
             everywhere: what is known of the whole map beside: standard deviations of place [m] and direction [rad].
 
         Raises:
             SemlocError: a belief of the map cannot be read.
         """
-        beliefs = BeliefMap.of(semantic_map).beliefs
-        told = [e for e in semantic_map.walk() if beliefs[e.id].sigma_place_m or beliefs[e.id].sigma_turn_rad]
+        beliefs = ((element, stated_belief(element)) for element in elements)
+        told = [(e, b) for e, b in beliefs if b is not None and (b.sigma_place_m or b.sigma_turn_rad)]
         self._everywhere = everywhere
-        self._tree = cKDTree([e.points[:, :2].mean(axis=0) for e in told]) if told else None
-        self._sigmas = np.array([(beliefs[e.id].sigma_place_m, beliefs[e.id].sigma_turn_rad) for e in told])
+        self._tree = cKDTree([e.points[:, :2].mean(axis=0) for e, _ in told]) if told else None
+        self._sigmas = np.array([(b.sigma_place_m, b.sigma_turn_rad) for _, b in told])
 
-    def at(self, T_map_base: Float[np.ndarray, "4 4"]) -> tuple[float, float]:
-        """Standard deviations of place [m] and direction [rad] of what is around a pose."""
+    def at(self, xy_map: Float[np.ndarray, " 2"]) -> tuple[float, float]:
+        """Standard deviations of place [m] and direction [rad] of what is around a place of the map."""
         if self._tree is None:
             return self._everywhere
-        near = self._tree.query(T_map_base[:2, 3], k=[*range(1, min(_NEAREST, len(self._sigmas)) + 1)])[1]
+        near = self._tree.query(xy_map, k=[*range(1, min(_NEAREST, len(self._sigmas)) + 1)])[1]
         square = np.mean(np.square(self._sigmas[near]), axis=0) + np.square(self._everywhere)
         place_m, turn_rad = np.sqrt(square)
         return float(place_m), float(turn_rad)
+
+
+def with_map_accuracy(
+    covariance: Float[np.ndarray, "6 6"], map_sigma_m: float, map_sigma_rad: float
+) -> Float[np.ndarray, "6 6"]:
+    """Covariance of a pose on the earth, from that of the right tangent of the pose in a map.
+
+    All that is near may be off by the same vector and turn: a drive cannot measure it.
+
+    Args:
+        covariance: of (x, y, z [m], roll, pitch, yaw [rad]).
+        map_sigma_m: standard deviation of the place of what is near, in every direction [m].
+        map_sigma_rad: of its direction.
+    """
+    return covariance + np.diag([map_sigma_m, map_sigma_m, map_sigma_m, 0.0, 0.0, map_sigma_rad]) ** 2

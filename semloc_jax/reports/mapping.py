@@ -39,7 +39,7 @@ from semloc_jax.mapping.mapper import MadeMap, MapConfig, make_map
 from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.refining import refined_way
 from semloc_jax.mapping.seen_area import FILE as SEEN_AREA
-from semloc_jax.mapping.seen_area import seen_area, write_seen_area
+from semloc_jax.mapping.seen_area import MadeFrame, seen_area, sensor_scale, write_seen_area
 from semloc_jax.maps import BeliefMap, read_map, write_drive_geojson, write_map
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.reports.folder import make_folder, write_record
@@ -152,7 +152,8 @@ def report_map(
     write_drive_geojson(made.belief_map.as_map(), folder / "map.geojson")
     write_tum(trajectory, folder / "trajectory.tum")
     write_elements(made, folder / "elements.csv")
-    write_seen_area(seen_area(made, Ts_map_base[looking], settings.min_seen), gauge.name, folder / SEEN_AREA)
+    frame = MadeFrame(gauge.name, sensor_scale(Ts_map_base, closed.Ts_map_base))
+    write_seen_area(seen_area(made, Ts_map_base[looking], settings.min_seen), frame, folder / SEEN_AREA)
     metrics, comparison = _judged(drive, made, trajectory, folder)
     metrics += loop_metrics(closed.loops, true_poses(drive, chain.times_s))
     if known is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, write_metrics
+from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.reports.tables import localized_trajectory
 
 _MIN_SHIFTED, _CLEAR_SHIFT_M = 5, 0.5
@@ -23,6 +24,14 @@ OF_VARIANT = (
 """Metrics that are also given for each weather or lighting, where a drive has several."""
 
 
+_ERRORS_SAID = ("lateral", "longitudinal", "height", "heading", "pitch", "roll")
+
+
+def error_table(metrics: Sequence[Metric]) -> str:
+    """The errors of the six directions as a table; what metrics.json has beside them is for programs."""
+    return format_metrics([m for m in metrics if m.key.rpartition(".")[0] in _ERRORS_SAID])
+
+
 def truth_of(drive: Drive, results: Sequence[LocalizationResult]) -> dict[str, np.ndarray]:
     """True poses T_map_base by frame id, of the frames that lie inside the reference trajectory."""
     if drive.truth is None:
@@ -32,7 +41,7 @@ def truth_of(drive: Drive, results: Sequence[LocalizationResult]) -> dict[str, n
 
 
 def write_metrics_of(results: Sequence[LocalizationResult], truth: Mapping[str, np.ndarray], folder: Path) -> str:
-    """Write metrics.json and, of several frames, errors.png over those with a truth; return the metrics as a table.
+    """Write metrics.json and, of several frames, errors.png over those with a truth; return in words how good they are.
 
     Shares count frames that were not localized as missed. Where the frames are of several variants, the main metrics of
     each follow under its name.
@@ -46,7 +55,7 @@ def write_metrics_of(results: Sequence[LocalizationResult], truth: Mapping[str, 
         missed_s = [r.frame.time_s for r in known if not r.localized]
         prior = Trajectory(np.array([r.frame.time_s for r in known]), np.array([r.T_map_prior for r in known]))
         save(errors_over_time(estimate, reference, 1e-6, missed_s=missed_s, prior=prior), folder / "errors.png")
-    said = [format_metrics(metrics)]
+    said = [line for line in (_headline(metrics), error_table(metrics)) if line]
     variants = dict.fromkeys(r.frame.variant for r in known)
     for variant in variants if len(variants) > 1 else ():
         own = [r for r in known if r.frame.variant == variant]
@@ -55,6 +64,16 @@ def write_metrics_of(results: Sequence[LocalizationResult], truth: Mapping[str, 
         said.append(f"{variant}: " + ", ".join(f"{m.key} {m.value:.3g} {m.unit}" for m in part))
     write_metrics(metrics, folder / "metrics.json")
     return "\n".join(said)
+
+
+def _headline(metrics: Sequence[Metric]) -> str:
+    """How many of the localized frames are near the truth; nothing where none was localized."""
+    value, limit = {m.key: m.value for m in metrics}, ALERT_LIMITS[0]
+    num = value["frames.estimated"]
+    if not num:
+        return ""
+    near = value[f"inside.{limit.name}"] * value["frames.reference"]
+    return f"{near:.0f} of {num:.0f} localized frames lie within {limit} of the truth"
 
 
 def _true_trajectory(known: Sequence[LocalizationResult], truth: Mapping[str, np.ndarray]) -> Trajectory:

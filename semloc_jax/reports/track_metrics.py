@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from semloc_jax.datasets import Drive
-from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, integrity, within, write_metrics
+from semloc_jax.evaluation import Metric, Trajectory, evaluate, integrity, within, write_metrics
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, statistics
 from semloc_jax.localization.pipeline import Timing
 from semloc_jax.localization.track_state import TrackStatus
-from semloc_jax.reports.metrics import OF_VARIANT
+from semloc_jax.reports.metrics import OF_VARIANT, error_table
 from semloc_jax.reports.tables import ERRORS
 from semloc_jax.reports.track_log import NEES, PROTECTION, SIGMAS, TrackTable
 
@@ -22,14 +22,15 @@ _MOST_REASONS = 3
 
 
 def write_track_metrics(folder: Path, table: TrackTable, drive: Drive, timing: Timing) -> str:
-    """Write metrics.json and return it as a table; errors only where the drive has a truth."""
+    """Write metrics.json and return in words how good the poses are; nothing where the drive has no truth."""
     metrics = [*status_metrics(table), *timing_metrics(timing)]
     said = []
     reference = _reference(drive, table)
     if len(reference) and table.has_pose.any():
         errors = evaluate(table.trajectory(), reference, _SAME_S)
-        said.append(format_metrics(errors))
-        metrics = [*errors, *integrity_metrics(table), *metrics]
+        held = integrity_metrics(table)
+        said = [*_held_text(held, table), error_table(errors)]
+        metrics = [*errors, *held, *metrics]
         variants = list(dict.fromkeys(table.variants))
         for variant in variants if len(variants) > 1 else ():
             rows = np.array([name == variant for name in table.variants])
@@ -38,10 +39,23 @@ def write_track_metrics(folder: Path, table: TrackTable, drive: Drive, timing: T
                 part = [m for m in evaluate(table.trajectory(rows), own, _SAME_S) if m.key in _OF_VARIANT]
                 metrics += [Metric(f"{variant}.{m.key}", m.value, m.unit, m.direction, m.tolerance) for m in part]
     write_metrics(metrics, folder / "metrics.json")
-    said.append(
-        format_metrics([m for m in metrics if m.key.split(".")[0] in ("status", "tracking", "integrity", "time")])
-    )
     return "\n".join(said)
+
+
+def _held_text(metrics: list[Metric], table: TrackTable) -> list[str]:
+    """Whether frames called TRACKING are near the truth, and whether errors are as large as was stated."""
+    value = {m.key: m.value for m in metrics}
+    lines = [
+        f"{table.is_tracking.sum()} frames TRACKING, {value['tracking.false']:.0f} of them false "
+        f"(beyond {ALERT_LIMITS[0]})"
+    ]
+    if "integrity.nees" in value:
+        lines.append(
+            f"squared errors over stated variances (NEES) {value['integrity.nees']:.2f}, expected "
+            f"{value['integrity.nees_low']:.2f} to {value['integrity.nees_high']:.2f}; "
+            f"beyond a protection level {100 * value['integrity.protection_violations']:.1f} % of the frames"
+        )
+    return lines
 
 
 _OF_VARIANT = (*OF_VARIANT, "lateral.mean", "longitudinal.mean", "heading.mean", "lateral.p95", "longitudinal.p95")

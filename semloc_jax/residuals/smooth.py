@@ -116,11 +116,6 @@ def cubic_value(patch: CubicPatch, order_x: int = 0, order_y: int = 0) -> Float[
     return sum(weights_y[j] * sum(weights_x[k] * patch.taps[j, k] for k in range(4)) for j in range(4))
 
 
-def sample_cubic(image: Array, plane: Int[Array, "..."], x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Array:
-    """Value of a stack of images [plane h w] between its pixels, twice continuously differentiable in x and y."""
-    return cubic_value(cubic_patch(image, plane, x, y))
-
-
 def smooth_step(t: Array) -> tuple[Array, Array]:
     """0 below 0, 1 above 1, between them the quintic with continuous second derivatives; and its slope."""
     t = jnp.clip(t, 0.0, 1.0)

@@ -1,5 +1,6 @@
 """Poses and gradients from arrays alone: where they are, what is refused, and that nothing is ever silently NaN."""
 
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -180,3 +181,25 @@ def test_camera_matrices_that_are_none_are_named():
     ):
         with pytest.raises(SemlocError, match=told):
             sj.camera_from_K(*arguments)
+
+
+def test_a_differentiable_pose_is_at_its_optimum_for_every_focal_length(rig):
+    """Masks half a pixel too wide, as polygons are filled, make the cost a long valley: 27 steps for one of these."""
+    street = sj.map_from_arrays([*LINES[:2], (*LINES[2], {"width_m": 0.3})])
+    T_cam_map = np.linalg.inv(sj.planar_pose(2.0, 0.0) @ rig.T_base_cam[0])
+    mask = np.zeros((400, 640), np.uint8)
+    for label, (x0, x1), y, half_m in (
+        (10, (4.5, 30), 2, 0.06),
+        (10, (4.5, 30), -2, 0.06),
+        (12, (13.85, 14.15), 0, 1.9),
+    ):
+        corners = np.array([(x0, y - half_m), (x1, y - half_m), (x1, y + half_m), (x0, y + half_m)])
+        p_cam = np.column_stack([corners, np.zeros(4)]) @ T_cam_map[:3, :3].T + T_cam_map[:3, 3]
+        uv = 400.0 * p_cam[:, :2] / p_cam[:, 2:] + (319.5, 199.5)
+        cv2.fillPoly(mask, [np.round(256 * uv).astype(np.int32)], label, shift=8)
+    for focal_px in (399.9, 400.0, 401.0):
+        camera = sj.camera_from_K([[focal_px, 0, 319.5], [0, focal_px, 199.5], [0, 0, 1]], (640, 400))
+        own = sj.Rig([camera], rig.T_base_cam, rig.names)
+        scene, prior, T_start, _ = sj.differentiable_scene(mask, own, street, GUESS, classes=CLASSES)
+        found = sj.align_differentiable(T_start, scene, prior)
+        assert sj.SolveStatus(int(found.status)) == sj.SolveStatus.CONVERGED

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.usefixtures("single_precision")
 
 def test_the_demo_says_how_good_it_is_and_what_comes_next(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["demo", "--frames", "2", "--out", "first hour"]) == OK
+    assert main(["demo", "--frames", "6", "--out", "first hour"]) == OK
     said = capsys.readouterr().out
     assert re.search(r"2 of 2 frames within \d+ cm of the truth; the satellite fixes .* were \d\.\d m off", said)
     pictures = re.findall(r"^  (/.*\.png)  ", said, re.MULTILINE)

@@ -136,6 +136,7 @@ def test_a_run_that_was_killed_goes_on_and_makes_the_same_map(made, drive_dir, t
     ("words", "code", "said"),
     [
         (["--start", "gnss", "--no-gnss"], USAGE, "choose one of them"),
+        (["--front", "classical", "--masks", "sem"], USAGE, "choose one of them"),
         (["--masks", "ipm:sem"], USAGE, "give sem"),
         (["--frames", "90:"], FAILED, "no frames chosen of 14"),
         (["--start", "nowhere.tum"], FAILED, "nowhere.tum"),

@@ -17,7 +17,7 @@ from semloc_jax.datasets import Frame, open_drive
 from semloc_jax.evaluation import compare_maps
 from semloc_jax.explorer.messages import read_query
 from semloc_jax.localization import checkpoint
-from semloc_jax.mapping.seen_area import read_seen_area, write_seen_area
+from semloc_jax.mapping.seen_area import MadeFrame, read_seen_area, write_seen_area
 from semloc_jax.maps import Belief, BeliefMap, read_map, write_drive_geojson, write_map
 from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_packed
 from semloc_jax.reports import localize_log, run_inputs, track_log
@@ -85,7 +85,7 @@ def _of_many_drives(place: Path) -> Iterator[Reader]:
     yield Reader("packed drive", place / "drive.slocal", use_packed)
     yield Reader("packed drive as a map", place / "drive.slocal", use_map)
     ring = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 4.0], [0.0, 4.0]])
-    write_seen_area([ring], "gnss", place / "seen_area.json")
+    write_seen_area([ring], MadeFrame("gnss", 1.0), place / "seen_area.json")
     yield Reader("area that was seen", place / "seen_area.json", read_seen_area)
     for name, num in (("base", 6), ("target", 8)):
         write_map(road(num), place / f"{name}.gpkg")

@@ -10,8 +10,8 @@ from semloc_jax.localization.integrity import (
     beyond_alert,
     map_sigmas,
     protection_levels,
-    with_map_accuracy,
 )
+from semloc_jax.maps import with_map_accuracy
 
 COVARIANCE = np.diag([0.04, 0.01, 0.02, 0.002, 0.002, 0.003]) ** 2
 WIDE = IntegrityConfig(risk=0.03)

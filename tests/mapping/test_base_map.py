@@ -100,6 +100,15 @@ def test_a_bar_a_metre_away_was_moved_and_its_neighbours_stay():
     assert [c.change for c in changes] == ["added"]
 
 
+def test_what_a_drive_brings_is_off_by_what_the_map_around_it_is_off():
+    base = base_of(pole("here", 0, 0), pole("far", 200, 0))
+    sigmas = {"here": (0.03, 0.001), "far": (0.08, 0.004)}
+    beliefs = {k: replace(b, sigma_place_m=sigmas[k][0], sigma_turn_rad=sigmas[k][1]) for k, b in base.beliefs.items()}
+    joined, _ = taken_in(replace(base, beliefs=beliefs), {}, [(pole("new", 3, 0), belief())])
+    told = {k: (b.sigma_place_m, b.sigma_turn_rad) for k, b in joined.beliefs.items()}
+    assert told == {**sigmas, "new": pytest.approx((np.hypot(0.03, 0.08) / 2**0.5, np.hypot(0.001, 0.004) / 2**0.5))}
+
+
 def test_only_what_the_map_does_not_hold_of_a_line_is_new():
     base = base_of(line("line", 0, 30))
     joined, changes = taken_in(

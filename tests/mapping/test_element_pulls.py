@@ -5,8 +5,7 @@ import numpy as np
 from semloc_jax.datasets import open_drive
 from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_source import mask_source
-from semloc_jax.mapping.element_pulls import ElementPulls, PullConfig
-from semloc_jax.mapping.refining import pieces_of
+from semloc_jax.mapping.element_pulls import ElementPulls, PullConfig, pieces_of
 from semloc_jax.maps import MapElement, read_map
 from semloc_jax.structs import ElementClass
 

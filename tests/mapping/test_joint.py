@@ -1,6 +1,7 @@
 """Poses and elements solved together agree with a solver of its own, and take out what odometry leaves."""
 
 import numpy as np
+import pytest
 from scipy.optimize import least_squares
 
 from semloc_jax.fusion.pose_factors import motions, odometry, pose_graph, prior, values_of
@@ -75,6 +76,8 @@ def test_the_solution_is_that_of_a_dense_solver():
     nearest = off_m.argmin(axis=1)
     force = np.concatenate([each.force for each in pulls])
     root, offset = square_roots(np.array(information * 3), force, config.least_share)
+    assert 0.0 < found.noise < 1.0, "these pulls scatter less than they state"
+    root, offset = root / np.sqrt(found.noise), offset / np.sqrt(found.noise)
 
     def residuals(x):
         tangents = x.reshape(5, 6)
@@ -135,3 +138,37 @@ def test_a_scale_of_the_odometer_is_told_by_what_is_passed():
     assert off_m.max() < 0.01
     for element, T in zip(elements, moved, strict=True):
         assert abs(found.motions[element.id][0, 3] - T[0, 3]) < 0.01
+
+
+@pytest.mark.parametrize("share", [0.25, 4.0])
+def test_pulls_are_as_sure_as_they_scatter(share):
+    """31 frames that each see some 8 elements, whose pulls scatter half or twice as far as they state: noise is told
+    within 10 %, but for what the stated one is believed, and the errors of the last pose over 12 drives are those that
+    its covariance states within a factor of 1.3."""
+    num, information = 31, np.diag([1e4, 1e4, 1e4, 1e4, 1e4, 1e4])
+    true = straight(num)
+    elements = elements_at([(2.0 * k + 0.5, 3.0 if k % 2 else -3.0) for k in range(16)])
+    frames = np.arange(num)
+    near = [[e for e in elements if abs(e.points[:, 0].mean() - T[0, 3]) < 8.0] for T in true]
+    step_info = np.diag([10.0] * 3 + [30.0] * 3)
+    noise, square = [], []
+    for _ in range(12):
+        steps = rigid.inverse(true[:-1]) @ true[1:] @ rigid.exp(RNG.normal(size=(num - 1, 6)) / np.diag(step_info))
+        wheels = motions(frames[:-1], frames[1:], steps, np.tile(step_info, (num - 1, 1, 1)))
+        graph = pose_graph(np.ones(num, bool), (wheels, prior(true[0], np.zeros(5), FIRM)))
+        pulls = [
+            Pulls(
+                tuple(e.id for e in own),
+                np.sqrt(share) * RNG.normal(size=(len(own), 6)) @ np.sqrt(information),
+                np.tile(information, (len(own), 1, 1)),
+            )
+            for own in near
+        ]
+        found = solve_together(graph, values_of(true, np.zeros(5)), frames.tolist(), pulls, elements, sure_of=[num - 1])
+        noise.append(found.noise)
+        off = rigid.log(rigid.inverse(true[-1]) @ found.Ts_map_base[-1])
+        square.append(off @ np.linalg.solve(found.covariance, off) / 6.0)
+    believed = JointConfig().believed_rows
+    spare = 6 * (sum(map(len, near)) - len(elements) - num)
+    np.testing.assert_allclose(np.mean(noise), (share * spare + believed) / (spare + believed), rtol=0.1)
+    assert 1 / 1.3 < np.sqrt(np.mean(square)) < 1.3

@@ -17,7 +17,7 @@ from semloc_jax.evaluation import pose_errors
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.localization.frame_by_frame import localize_frames
-from semloc_jax.maps import read_map
+from semloc_jax.maps import BeliefMap, read_map
 from semloc_jax.simulation import SimulationConfig, simulate
 from semloc_jax.structs import SolveStatus
 
@@ -117,6 +117,15 @@ def test_same_frame_same_bits(drive, road_map, exact):
     for one, other in zip(again.modes, first.modes, strict=True):
         assert np.array_equal(one.covariance, other.covariance)
         assert (one.weight, one.score) == (other.weight, other.score)
+
+
+def test_what_a_map_says_that_it_is_off_joins_the_covariance(drive, road_map, exact):
+    known = BeliefMap.of(road_map)
+    off = {key: replace(belief, sigma_place_m=0.04, sigma_turn_rad=0.001) for key, belief in known.beliefs.items()}
+    found = localize_frames(drive, replace(known, beliefs=off).as_map(), "sem", "gnss", drive.frames[3:4])[0]
+    joined = np.diag([0.04, 0.04, 0.04, 0.0, 0.0, 0.001]) ** 2
+    np.testing.assert_allclose(found.covariance - exact.results[3].covariance, joined, atol=1e-9)
+    assert np.array_equal(found.T_map_base, exact.results[3].T_map_base)
 
 
 def test_modes_are_a_posterior(exact):

@@ -13,8 +13,8 @@ from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.mapping.crowd.presence import Looks, Presence
 from semloc_jax.maps import MapElement
 
-_SURELY, _HARDLY = 0.8, 0.2
-"""Probabilities beyond which a thing counts as having been there, and as not having been there yet; ours."""
+_HARDLY = 0.2
+"""Probability below which a thing counts as not having been there yet; ours."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,10 @@ def identified(
         names: of the drives, in the order of the looks.
         config: what counts as a change.
     """
-    was = looks.is_based | (there.then.max(axis=1, initial=0.0) > _SURELY)
-    gone = np.flatnonzero(was & (there.now <= 0.5))
+    gone = np.flatnonzero(there.was & ~there.stays)
     looked = np.where(looks.visible | looks.seen, there.then, 1.0).min(axis=1, initial=1.0)
     is_new = (looked < _HARDLY) | bool(looks.is_based.any())
-    came = np.flatnonzero((there.now > 0.5) & is_new & ~looks.is_based)
+    came = np.flatnonzero(there.stays & is_new & ~looks.is_based)
     links = _links(elements, came, gone, config.identity_m)
     kept = list(elements)
     for new, (old, _) in links.items():

@@ -14,14 +14,18 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
+from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.sights import Sights
 from semloc_jax.mapping.crowd.stations import stations
+from semloc_jax.mapping.crowd.world_lines import Piece
 from semloc_jax.maps import MapElement
 
 _NODE_M = 25.0
 _SURVEYED_M = 0.1
 _HELD_RAD = 1e-5
+SCALE = 3
+"""Place of the scale among the unknowns, after a shift and a turn."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ class Correction:
         rows = np.zeros((len(xy), 2, self.size))
         rows[:, :, :2] = np.eye(2)
         rows[:, :, 2] = _turned(xy - self.centre)
-        rows[:, :, 3] = foot - self.centre
+        rows[:, :, SCALE] = foot - self.centre
         if self.num_nodes:
             step_m = float(self._s_m[-1]) / (self.num_nodes - 1)
             at = np.clip(s_m / step_m, 0.0, self.num_nodes - 1 - 1e-9)
@@ -119,6 +123,14 @@ class Correction:
     def moved_line(self, line: PlacedLine) -> Float[np.ndarray, "k 2"]:
         """Places of one of its lines where they are in the map by now [m]."""
         return line.placed[:, :2] + line.rows @ self.value
+
+    def pieces(self) -> dict[str, list[tuple[MapElement, Piece]]]:
+        """Its lines by kind, each with where it runs in the map by now."""
+        found: dict[str, list[tuple[MapElement, Piece]]] = {}
+        for line in self.placed_lines:
+            piece = Piece.of(line.placed, self.moved_line(line), line.sigma_m)
+            found.setdefault(kind_of(line.element), []).append((line.element, piece))
+        return {kind: found[kind] for kind in sorted(found)}
 
     def moved(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Points of the drive where they are in the map."""
@@ -154,7 +166,9 @@ class Correction:
                 walk[3 * k + 2, [there + 2, here + 2]] = np.array([1.0, -1.0]) / c.bend_rad
             blocks.append(walk)
         rows = np.vstack(blocks)
-        return csr_array(rows), np.zeros(len(rows))
+        target = np.zeros(len(rows))
+        target[SCALE] = (self.sights.scale - 1.0) / sigma[SCALE]
+        return csr_array(rows), target
 
 
 def _turned(xy: np.ndarray) -> np.ndarray:

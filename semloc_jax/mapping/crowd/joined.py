@@ -41,8 +41,9 @@ def joined(cells: Mapping[Cell, CellMap], base: BeliefMap | None) -> list[Known]
                 own.append((cell, (element, belief)))
             elif cell.holds(_middle(element)[None], _SEAM_M)[0]:
                 spare.append((cell, (element, belief)))
-    things = [item for _, item in _each_once([*own, *spare])]
     rest = [] if base is None else _untouched(base, set(cells), whole)
+    kept = {element.id for element, _ in rest}
+    things = [item for _, item in _each_once([*own, *spare]) if item[0].id not in kept]
     return _with_own_ids(
         [
             *things,

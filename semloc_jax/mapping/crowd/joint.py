@@ -12,17 +12,17 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array, vstack
 from scipy.sparse.linalg import splu
 
-from semloc_jax.evaluation.map_shapes import kind_of
-from semloc_jax.mapping.crowd.correction import Correction
+from semloc_jax.mapping.crowd.correction import SCALE, Correction
 from semloc_jax.mapping.crowd.world import CrowdWorld, turned_by
-from semloc_jax.mapping.crowd.world_lines import Piece, line_sights
+from semloc_jax.mapping.crowd.world_lines import line_sights
 
 _SMOOTH_M = 0.02
 """By how much a line bends within a metre that is not its curvature."""
 _LINE_SIGMA_M = 0.04
 """A line is off alike over several metres: its stations count less than they are many."""
 _KERNEL = 2.5
-_LEAST_FACTOR, _MOST_FACTOR = np.array([0.2, 0.2, 0.5]), 4.0
+_LEAST_FACTOR, _MOST_FACTOR = np.array([0.2, 0.2, 1.0]), 4.0
+"""Neighbouring stations share their error: that they agree does not make them surer."""
 _TOGETHER = np.array([1e-3, 1e-3, 1e-6, 1e-6])
 """How closely the mean shift [m], turn [rad] and scale of all drives are held at zero."""
 _ROUNDS = 4
@@ -57,15 +57,11 @@ def seen_by(world: CrowdWorld, correction: Correction, gate_m: float) -> Seen:
     things = correction.sights.things
     along = turned_by(things.along, correction.turn(things.centre))
     pairs = world.paired(things, correction.moved_things(), along, gate_m)
-    pieces: dict[str, list[Piece]] = {}
-    for seen in correction.placed_lines:
-        piece = Piece.of(seen.placed, correction.moved_line(seen), seen.sigma_m)
-        pieces.setdefault(kind_of(seen.element), []).append(piece)
     rows = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))]
-    for kind in sorted(pieces):
+    for kind, pieces in correction.pieces().items():
         lines = [k for k, line in enumerate(world.lines) if line.kind == kind]
         if lines:
-            own = line_sights([world.lines[k] for k in lines], pieces[kind], gate_m)
+            own = line_sights([world.lines[k] for k in lines], [piece for _, piece in pieces], gate_m)
             rows.append((np.array(lines)[own.line], own.station, own.places, own.sigma_m))
     line, station, places, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     return Seen(pairs, line, station, places, np.maximum(sigma, _LINE_SIGMA_M))
@@ -176,8 +172,9 @@ class JointSolve:
             rows.append(csr_array(coo_array((A.data, (A.row, A.col + self._first_drive[k])), (A.shape[0], size))))
             targets.append(b)
         if self.moves:
-            rows.append(self._together(size))
-            targets.append(np.zeros(rows[-1].shape[0]))
+            together, target = self._together(size)
+            rows.append(together)
+            targets.append(target)
             # What no drive sees any more stays about where it is.
             now = np.concatenate([self.world.centre.ravel(), *(line.offset_m for line in self.world.lines)])
             things, places = self._num_drives()
@@ -191,21 +188,24 @@ class JointSolve:
                 targets.append(smooth[1])
         return csr_array(vstack(rows)), np.concatenate(targets)
 
-    def _together(self, size: int) -> csr_array:
-        """On the mean, drives are neither shifted, turned nor stretched, unless a surveyed map says so.
+    def _together(self, size: int) -> tuple[csr_array, np.ndarray]:
+        """On the mean, drives are neither shifted nor turned, and as large as their wheels and fixes say.
 
         That is what is known of each alone, but the many sights would outweigh it: in a world that is a little smaller,
-        all their errors are a little smaller too.
+        all their errors are a little smaller too. Masks make all maps too small alike, wheels and fixes do not. A
+        surveyed map knows better than all of them.
         """
         own = [k for k, drive in enumerate(self.drives) if self.weights[k] >= 1.0]
         if any(self.drives[k].is_held for k in own):
-            return csr_array((0, size))
+            return csr_array((0, size)), np.zeros(0)
         row, which = np.repeat(np.arange(4), len(own)), np.tile(self._first_drive[own], 4)
         placed = np.array([self.drives[k].sights.sigma_place_m ** -2.0 for k in own])
         many = np.array([float(self.drives[k].sights.num_drives) for k in own])
         shares = [w / max(w.sum(), 1e-300) for w in (placed, placed, many, many)]
         values = (np.array(shares) / _TOGETHER[:, None]).ravel()
-        return csr_array(coo_array((values, (row, which + row)), (4, size)))
+        target = np.zeros(4)
+        target[SCALE] = shares[SCALE] @ [self.drives[k].sights.scale - 1.0 for k in own] / _TOGETHER[SCALE]
+        return csr_array(coo_array((values, (row, which + row)), (4, size))), target
 
     def _smooth(self, rough: np.ndarray, left: np.ndarray, first: int) -> tuple[csr_array, np.ndarray]:
         """The line runs as smoothly as its reference without its wobble does: curves of the road cost nothing."""

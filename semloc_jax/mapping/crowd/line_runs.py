@@ -59,7 +59,7 @@ def lines_of(found: Fused, heights: Sequence[np.ndarray], looks: Looks, there: P
     part_of: dict[tuple[int, str], int] = {}
     for k, line in enumerate(lines):
         rows = slice(int(first[k]), int(first[k + 1]))
-        runs = runs_of(_closed(there.now[rows] > 0.5))
+        runs = runs_of(_closed(there.stays[rows]))
         for a, b in sorted(runs, key=lambda run: (run[0] - run[1], run[0])):
             if (b - a - 1) * STATION_M < LEAST_LINE_M:
                 continue

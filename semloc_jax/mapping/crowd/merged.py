@@ -152,7 +152,7 @@ def merged_sights(
     names = [sights[k].name for k in columns]
     elements, changes = identified(things_of(found, z), looks, there, names, config.changes)
     beliefs = beliefs_of(found, looks, there)
-    known = [(elements[k], beliefs[k]) for k in np.flatnonzero(there.now > 0.5).tolist()]
+    known = [(elements[k], beliefs[k]) for k in np.flatnonzero(there.stays).tolist()]
     known += [
         (_named(run, sights[run.source]), run.belief) for run in lines_of(found, station_z, station_looks, along_lines)
     ]

@@ -1,9 +1,9 @@
 """Is it still there? What is seen and missed drive after drive says, in the order of time (room: mapping; host).
 
 In: who looked at each thing and who saw it. Out: probability that each is there after the last drive.
-A chain of two states: things vanish and appear at small rates between drives, so every certainty fades; a look that
-shows the thing has probability P_D if it is there and P_F if not. Both are learned from the drives themselves, P_D by
-class, distance from the way and drive (rain shows less), by expectation maximisation.
+A chain of two states: things vanish and appear at a small rate between drives, so every certainty fades; a look that
+shows the thing has probability P_D if it is there and P_F if not. They, and how many things go, are learned from the
+drives themselves, P_D by class, distance from the way and drive (rain shows less), by expectation maximisation.
 """
 
 from dataclasses import dataclass
@@ -20,9 +20,13 @@ class PresenceConfig:
     """How things come and go. All values are ours.
 
     Args:
-        vanish: probability that a thing is gone when the next drive comes.
-        appear: that one has come where there was none.
+        vanish: probability that a thing is gone when the next drive comes, before any look.
+        steps: so many things watched over a step that belief is worth.
+        appear: probability that one has come where there was none.
         days: drives so many days apart count as one step; closer ones as less, down to a tenth.
+        surely: what was more probable than that was there.
+        gone: it goes once it is less probable than that, and not at one half: a gap in a map costs more than something
+            that stays in it for one drive more.
         born: probability before any look that something is where the first drive shows it.
         unmapped: the same where somebody surveyed all that is there and has it not.
         based: the same of a thing of the base map.
@@ -33,8 +37,11 @@ class PresenceConfig:
     """
 
     vanish: float = 0.005
+    steps: float = 500.0
     appear: float = 0.005
     days: float = 30.0
+    surely: float = 0.8
+    gone: float = 0.3
     born: float = 0.3
     unmapped: float = 0.03
     based: float = 0.99
@@ -84,14 +91,20 @@ class Presence:
     Attributes:
         now: `float64[n]` probability that each thing is there after the last drive.
         then: `float64[n d]` that it was there at each drive, by all looks before and after.
+        was: `bool[n]` whether it surely was there once.
+        stays: `bool[n]` whether it belongs into the map after the last drive.
         detected: P_D of each group.
         false: P_F of each class.
+        vanish: probability that a thing goes within a step.
     """
 
     now: Float[np.ndarray, " n"]
     then: Float[np.ndarray, "n d"]
+    was: Bool[np.ndarray, " n"]
+    stays: Bool[np.ndarray, " n"]
     detected: Float[np.ndarray, " g"]
     false: Float[np.ndarray, " k"]
+    vanish: float
 
 
 def presence(looks: Looks, config: PresenceConfig | None = None) -> Presence:
@@ -103,11 +116,13 @@ def presence(looks: Looks, config: PresenceConfig | None = None) -> Presence:
     # A look that shows a thing is one, whatever the outline of the area says.
     visible = looks.visible | looks.seen
     present, now = np.zeros(visible.shape), np.zeros(len(looks.kind))
-    good = np.ones(visible.shape[1])
+    good, vanish = np.ones(visible.shape[1]), c.vanish
     # A thing that never was is known by one false sight at least: that one says nothing about how frequent they are.
     spare = np.where(looks.is_based, 0.0, 1.0)
     for _ in range(_ROUNDS):
-        present, now = _smoothed(looks, visible, detected, false, good, c)
+        present, now, vanished = _smoothed(looks, visible, detected, false, good, vanish, c)
+        watched = float((present[:, :-1] * looks.steps[1:]).sum())
+        vanish = (vanished + c.steps * c.vanish) / (watched + c.steps)
         there = np.where(visible, present, 0.0)
         gone = np.where(visible, 1.0 - present, 0.0)
         hits = np.bincount(looks.group.ravel(), (there * looks.seen).ravel(), num_groups) + c.looks * c.detected
@@ -124,34 +139,43 @@ def presence(looks: Looks, config: PresenceConfig | None = None) -> Presence:
         prior = 4.0 * c.looks
         shown, looked = np.maximum(shown, 0.0) + prior * c.false, np.maximum(looked, 0.0) + prior
         false = np.clip(shown / looked, c.least_false, c.most_false)
-    return Presence(now, present, detected, false)
+    was = looks.is_based | (present.max(axis=1, initial=0.0) > c.surely)
+    return Presence(now, present, was, now > np.where(was, c.gone, 0.5), detected, false, vanish)
 
 
 def _smoothed(
-    looks: Looks, visible: np.ndarray, detected: np.ndarray, false: np.ndarray, good: np.ndarray, c: PresenceConfig
-) -> tuple[np.ndarray, np.ndarray]:
-    """Presence at each drive given all looks `[n d]`, and at the last given those before it `[n]`."""
+    looks: Looks,
+    visible: np.ndarray,
+    detected: np.ndarray,
+    false: np.ndarray,
+    good: np.ndarray,
+    vanish: float,
+    c: PresenceConfig,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Presence at each drive given all looks `[n d]`, at the last given those before it `[n]`; how many went."""
     n, d = visible.shape
     p_d = np.clip(detected[looks.group] * good, 0.05, c.most_detected)
     p_f = np.minimum(false[looks.kind][:, None], 0.5 * p_d)
     like = np.stack([np.where(looks.seen, p_f, 1.0 - p_f), np.where(looks.seen, p_d, 1.0 - p_d)], axis=2)
     like = np.where(visible[:, :, None], like, 1.0)
-    vanish, appear = 1.0 - (1.0 - c.vanish) ** looks.steps, 1.0 - (1.0 - c.appear) ** looks.steps
+    gone, come = 1.0 - (1.0 - vanish) ** looks.steps, 1.0 - (1.0 - c.appear) ** looks.steps
+    stay = np.array([[1.0 - come, come], [gone, 1.0 - gone]])  # [before after d]
     ahead = np.zeros((n, d, 2))
     state = looks.before
     state = np.stack([1.0 - state, state], axis=1)
     for k in range(d):
         # What a drive is the first to look at was not there longer than anybody knows.
-        stay = np.array([[1.0 - appear[k], appear[k]], [vanish[k], 1.0 - vanish[k]]])
-        state = (state @ stay if k else state) * like[:, k]
+        state = (state @ stay[..., k] if k else state) * like[:, k]
         state /= np.maximum(state.sum(axis=1, keepdims=True), _TINY)
         ahead[:, k] = state
     now, behind = ahead[:, -1, 1].copy() if d else state[:, 1], np.ones((n, 2))
-    both = ahead.copy()
+    both, vanished = ahead.copy(), 0.0
     for k in range(d - 2, -1, -1):
-        stay = np.array([[1.0 - appear[k + 1], appear[k + 1]], [vanish[k + 1], 1.0 - vanish[k + 1]]])
-        behind = (behind * like[:, k + 1]) @ stay.T
+        after = behind * like[:, k + 1]
+        pairs = ahead[:, k, :, None] * stay[..., k + 1] * after[:, None]
+        vanished += float((pairs[:, 1, 0] / np.maximum(pairs.sum(axis=(1, 2)), _TINY)).sum())
+        behind = after @ stay[..., k + 1].T
         behind /= np.maximum(behind.sum(axis=1, keepdims=True), _TINY)
         both[:, k] = ahead[:, k] * behind
     present = both[:, :, 1] / np.maximum(both.sum(axis=2), _TINY)
-    return present, now
+    return present, now, vanished

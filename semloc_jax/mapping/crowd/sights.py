@@ -93,6 +93,7 @@ class Sights:
         when_s: when; None where unknown.
         source: hash of the map that it was packed from.
         num_drives: of so many drives it is the sum; more than 1 for a base map that drives made.
+        scale: how many times as large wheels and fixes alone have its way.
     """
 
     name: str
@@ -104,6 +105,7 @@ class Sights:
     when_s: float | None = None
     source: str = ""
     num_drives: int = 1
+    scale: float = 1.0
 
     @property
     def is_base(self) -> bool:
@@ -132,7 +134,8 @@ def sights_of(drive: PackedDrive, origin: GeoOrigin | None) -> Sights:
     area = shapely.union_all([shapely.Polygon(ring @ T[:2, :2].T + T[:2, 3]).buffer(0.0) for ring in drive.rings])
     things = Things.of([item for item in known if not is_line(item[0])])
     lines = tuple(item for item in known if is_line(item[0]))
-    return Sights(drive.name, things, lines, way[:, :2], drive.sigma_place_m, area, drive.when_s, drive.source)
+    told = drive.sigma_place_m, area, drive.when_s, drive.source
+    return Sights(drive.name, things, lines, way[:, :2], *told, scale=drive.scale)
 
 
 @dataclass(frozen=True)

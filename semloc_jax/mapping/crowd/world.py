@@ -11,13 +11,15 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
-from semloc_jax.evaluation.map_shapes import POSTS, kind_of
+from semloc_jax.evaluation.map_shapes import POSTS
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.sights import Things
 from semloc_jax.mapping.crowd.stations import STATION_M, runs_of
-from semloc_jax.mapping.crowd.world_lines import SAME_TURN_RAD, WorldLine
+from semloc_jax.mapping.crowd.world_lines import SAME_TURN_RAD, WorldLine, distance_m, line_sights
 
 LEAST_LINE_M = 3.0
+_STRAND_M = 0.15
+"""Lines of paint side by side are farther apart; what is nearer is one of them drawn twice."""
 _SAME_HALF_M = 0.6
 _LONG_HALF_M = 0.5
 _POSTS = {label.name.lower() for label in POSTS}
@@ -99,11 +101,22 @@ class CrowdWorld:
         self.centre = np.vstack([self.centre, centre[new]])
         self.along = np.vstack([self.along, along[new]])
         self.half_m = np.vstack([self.half_m, things.half_m[new]])
-        for line in correction.placed_lines:
-            kind, xy = kind_of(line.element), correction.moved_line(line)
-            # A base map names the two strands of a double line; those who drive by take them for one and the same.
-            for run in [xy] if correction.sights.is_base else self._uncovered(kind, xy, gate_m):
-                self.lines.append(WorldLine.along(kind, (place, line.element), run))
+        self._take_lines(place, correction, gate_m)
+
+    def _take_lines(self, place: int, correction: Correction, gate_m: float) -> None:
+        """Lines of a drive, or runs of them, that are none of those known before; a base map names each of its own."""
+        known: dict[str, list[WorldLine]] = {}
+        for line in self.lines:
+            known.setdefault(line.kind, []).append(line)
+        is_base = correction.sights.is_base
+        for kind, pieces in correction.pieces().items():
+            lines = known.get(kind, [])
+            seen = line_sights(lines, [piece for _, piece in pieces], gate_m)
+            for k, (element, piece) in enumerate(pieces):
+                is_old = piece.is_near(seen.s_m[seen.piece == k]) | (distance_m(lines, piece.now) < _STRAND_M)
+                for a, b in runs_of(~is_old | is_base):
+                    if is_base or (b - a - 1) * STATION_M >= LEAST_LINE_M:
+                        self.lines.append(WorldLine.along(kind, (place, element), piece.now[a:b]))
 
     def twins(self, seen_in: Bool[np.ndarray, "n d"], gate_m: float) -> Bool[np.ndarray, " n"]:
         """Things that are another one seen a little aside: of its kind, so near, and no drive saw both.
@@ -126,15 +139,6 @@ class CrowdWorld:
         """Takes things out."""
         for name in ("kind", "source", "centre", "along", "half_m"):
             setattr(self, name, getattr(self, name)[~rows])
-
-    def _uncovered(self, kind: str, xy: np.ndarray, gate_m: float) -> list[np.ndarray]:
-        """Runs of a line that no line of the world covers."""
-        own = [line.xy for line in self.lines if line.kind == kind]
-        covered = np.zeros(len(xy), dtype=bool)
-        if own:
-            reach_m = np.hypot(gate_m, 0.5 * STATION_M)
-            covered = cKDTree(np.concatenate(own)).query(xy, distance_upper_bound=reach_m)[0] < reach_m
-        return [xy[a:b] for a, b in runs_of(~covered) if (b - a - 1) * STATION_M >= LEAST_LINE_M]
 
 
 def turned_by(along: Float[np.ndarray, "n 2"], angle_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
@@ -22,6 +22,9 @@ _BESIDE_M = 0.3
 _TANGENT_M = 0.25
 _STRAIGHT_STATIONS = 4.0
 _BEYOND = 12
+_ALONE = 2.0
+"""That a drive shows one of two lines side by side and takes it for the other is as unlikely as so many gates."""
+_NEAR = 6
 
 
 @dataclass
@@ -88,6 +91,16 @@ class Piece:
         """Places of the line by arc length, before its start and past its end those of the ends [m]."""
         return np.column_stack([np.interp(s_m, self.now_m, axis) for axis in self.now.T])
 
+    def placed_at(self, s_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        """The same where the drive places them [m]."""
+        return np.column_stack([np.interp(s_m, self.now_m, axis) for axis in self.placed.T])
+
+    def is_near(self, s_m: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " k"]:
+        """Which of its places are less than a metre along it from any of these."""
+        if not len(s_m):
+            return np.zeros(len(self.now_m), dtype=bool)
+        return cKDTree(s_m[:, None]).query(self.now_m[:, None])[0] < STATION_M
+
     def feet(self, xy: Float[np.ndarray, "n 2"], reach_m: float) -> tuple[np.ndarray, np.ndarray]:
         """Which points lie within reach of the line, and the arc length of the place of it nearest to each [m]."""
         vertex_m, vertex = self.tree.query(xy, distance_upper_bound=reach_m + STATION_M)
@@ -117,23 +130,43 @@ class LineSights(NamedTuple):
     places: Float[np.ndarray, "k 3"]
     """What it saw there as it placed it itself [m]."""
     sigma_m: Float[np.ndarray, " k"]
+    piece: Int[np.ndarray, " k"]
+    """Which of its pieces shows it."""
+    s_m: Float[np.ndarray, " k"]
+    """Where along that."""
 
 
 def line_sights(lines: Sequence[WorldLine], pieces: Sequence[Piece], gate_m: float) -> LineSights:
-    """Where a drive saw lines.
+    """Where a drive saw lines: each place of a line on one of its pieces, of two lines side by side each on its own.
 
     Args:
         lines: of one kind.
         pieces: lines of that kind that the drive saw.
         gate_m: none is farther aside than this.
     """
-    xy, left = (
-        np.concatenate([np.zeros((0, 2)), *parts]) for parts in zip(*((s.xy, s.left) for s in lines), strict=True)
-    )
     line = np.repeat(np.arange(len(lines)), [len(s.reference) for s in lines])
-    station = np.concatenate([np.arange(len(s.reference)) for s in lines])
-    best, sigma, places = np.full(len(xy), gate_m), np.zeros(len(xy)), np.zeros((len(xy), 3))
-    for piece in pieces:
+    station = np.concatenate([np.zeros(0, np.int64), *(np.arange(len(s.reference)) for s in lines)])
+    xy = np.concatenate([np.zeros((0, 2)), *(s.xy for s in lines)])
+    aside_m, s_m = _beside(lines, xy, pieces, gate_m)
+    piece = _each_its_own(aside_m, line, xy, gate_m)
+    seen = np.flatnonzero(piece >= 0)
+    piece = piece[seen]
+    s_m = s_m[seen, piece]
+    places = np.zeros((len(seen), 3))
+    for k in np.unique(piece).tolist():
+        rows = piece == k
+        places[rows] = pieces[k].placed_at(s_m[rows])
+    sigma_m = np.array([own.sigma_m for own in pieces])[piece] if len(seen) else np.zeros(0)
+    return LineSights(line[seen], station[seen], places, sigma_m, piece, s_m)
+
+
+def _beside(
+    lines: Sequence[WorldLine], xy: np.ndarray, pieces: Sequence[Piece], gate_m: float
+) -> tuple[Float[np.ndarray, "n p"], Float[np.ndarray, "n p"]]:
+    """How far aside of each station each piece runs, infinite where it does not; and at which arc length [m]."""
+    left = np.concatenate([np.zeros((0, 2)), *(s.left for s in lines)])
+    aside_m, along_m = np.full((len(xy), len(pieces)), np.inf), np.zeros((len(xy), len(pieces)))
+    for column, piece in enumerate(pieces):
         k, s_m = piece.feet(xy, float(np.hypot(gate_m, _BESIDE_M)))
         if not len(k):
             continue
@@ -143,9 +176,50 @@ def line_sights(lines: Sequence[WorldLine], pieces: Sequence[Piece], gate_m: flo
         beside = np.linalg.norm(offset - aside[:, None] * left[k], axis=1)
         step = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
         parallel = np.abs((step * left[k]).sum(axis=1)) < np.sin(SAME_TURN_RAD)
-        better = (np.abs(aside) < best[k]) & (beside < _BESIDE_M) & parallel
-        k, s_m = k[better], s_m[better]
-        best[k], sigma[k] = np.abs(aside[better]), piece.sigma_m
-        places[k] = np.column_stack([np.interp(s_m, piece.now_m, axis) for axis in piece.placed.T])
-    seen = best < gate_m
-    return LineSights(line[seen], station[seen], places[seen], sigma[seen])
+        shown = (np.abs(aside) < gate_m) & (beside < _BESIDE_M) & parallel
+        aside_m[k[shown], column], along_m[k[shown], column] = np.abs(aside[shown]), s_m[shown]
+    return aside_m, along_m
+
+
+def _each_its_own(
+    aside_m: Float[np.ndarray, "n p"], line: Int[np.ndarray, " n"], xy: Float[np.ndarray, "n 2"], gate_m: float
+) -> Int[np.ndarray, " n"]:
+    """Which piece each station is seen on, -1 for none.
+
+    The nearest one. But of two lines side by side, as those of a double line, no two are seen on one piece: the second
+    then is seen on another one, or not at all, whichever explains both better.
+    """
+    if not aside_m.shape[1]:
+        return np.full(len(line), -1)
+    num = np.arange(len(line))
+    squared = np.where(np.isfinite(aside_m), aside_m**2, np.inf)
+    first = squared.argmin(axis=1)
+    rest = squared.copy()
+    rest[num, first] = np.inf
+    second = rest.argmin(axis=1)
+    best, spare = squared[num, first], np.minimum(rest[num, second], (_ALONE * gate_m) ** 2)
+    chosen = np.where(np.isfinite(best), first, -1)
+    other = np.where(np.isfinite(rest[num, second]), second, -1)
+    a, b = _side_by_side(line, xy, 2.0 * gate_m).T
+    both = (chosen[a] == chosen[b]) & (chosen[a] >= 0)
+    a, b = a[both], b[both]
+    gives_way = np.where(spare[a] + best[b] < best[a] + spare[b], a, b)
+    chosen[gives_way] = other[gives_way]
+    return chosen
+
+
+def _side_by_side(line: Int[np.ndarray, " n"], xy: Float[np.ndarray, "n 2"], reach_m: float) -> Int[np.ndarray, "k 2"]:
+    """Each station and the nearest one of another line beside it."""
+    if len(xy) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    apart_m, near = cKDTree(xy).query(xy, k=min(_NEAR, len(xy)), distance_upper_bound=np.hypot(reach_m, STATION_M))
+    is_other = np.isfinite(apart_m) & (line[np.minimum(near, len(xy) - 1)] != line[:, None])
+    rows = np.flatnonzero(is_other.any(axis=1))
+    return np.stack([rows, near[rows, is_other[rows].argmax(axis=1)]], axis=1)
+
+
+def distance_m(lines: Sequence[WorldLine], xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    """From each point to the nearest station of any of the lines [m]; infinite without lines."""
+    if not lines:
+        return np.full(len(xy), np.inf)
+    return cKDTree(np.concatenate([line.xy for line in lines])).query(xy)[0]

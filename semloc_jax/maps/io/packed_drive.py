@@ -25,7 +25,7 @@ from semloc_jax.maps.versions.records import json_bytes
 from semloc_jax.storage import reading, write_bytes
 from semloc_jax.structs import ElementClass
 
-MAGIC = b"SLOC\x01"
+MAGIC = b"SLOC\x02"
 MOST_BYTES = 4 << 20
 """No drive needs more; a server takes no more."""
 _HASH_BYTES = 32
@@ -39,6 +39,8 @@ _THIN_M, _FLATTER = 0.05, np.array([1.0, 1.0, 0.2])
 """How far the middle of a line may move, and by how much less its height counts there."""
 _SIZES, _NORMALS, _ANGLES, _LOG_STEPS, _LOGIT_STEPS = 100.0, 100.0, 500.0, 4.0, 1.0
 _MOST_LOGIT = 12.0
+MOST_SCALE = 0.1
+"""No odometer is off by more."""
 _SOURCE_DIGITS = 16
 
 
@@ -56,6 +58,7 @@ class PackedDrive:
         rings: outlines `float64[n 2]` in `odom` of the road that it looked at [m].
         when_s: when it was, seconds since 1970, to the hour; None where its clock shows no date.
         source: hash of the map that it was packed from.
+        scale: how many times as large wheels and fixes alone have the way as its images do.
     """
 
     name: str
@@ -67,6 +70,7 @@ class PackedDrive:
     rings: tuple[Float[np.ndarray, "n 2"], ...]
     when_s: float | None = None
     source: str = ""
+    scale: float = 1.0
 
     @property
     def length_m(self) -> float:
@@ -89,6 +93,7 @@ def packed_bytes(drive: PackedDrive) -> bytes:
         "origin": None if drive.origin is None else list(drive.origin),
         "when_s": drive.when_s,
         "source": drive.source[:_SOURCE_DIGITS],
+        "scale": round(float(drive.scale), 6),
         "kinds": kinds,
         "rings": [len(ring) for ring in drive.rings],
     }
@@ -145,17 +150,22 @@ def _drive(header: Mapping[str, Any], columns: list[np.ndarray]) -> PackedDrive:
     bounds = np.cumsum([int(k) for k in header["rings"]])
     rings = tuple(np.split(corners, bounds[:-1]))
     numbers = np.array(header["place"], dtype=np.float64).reshape(4)
-    sigma_m = float(header["sigma_place_m"])
+    sigma_m, scale = float(header["sigma_place_m"]), float(header["scale"])
     when_s = None if header["when_s"] is None else float(header["when_s"])
     known = _elements(name, header["kinds"], columns[6:])
     all_numbers = np.concatenate([numbers, way.ravel(), corners.ravel(), [sigma_m]])
-    if not (np.abs(all_numbers) < FARTHEST_M).all() or not sigma_m > 0.0 or not np.isfinite(when_s or 0.0):
+    if (
+        not (np.abs(all_numbers) < FARTHEST_M).all()
+        or not sigma_m > 0.0
+        or not abs(scale - 1.0) < MOST_SCALE
+        or not np.isfinite(when_s or 0.0)
+    ):
         raise ValueError("numbers that no drive has")
     if len(way) < 2 or not known or len(corners) != bounds[-1] or any(len(ring) < 3 for ring in rings):
         raise ValueError("no way, no elements, or a ring of fewer than three places")
     held = SemanticMap(tuple(e for e, _ in known), None, name, frame=f"odom of {name}: x ahead at its first pose")
     beliefs = BeliefMap(held, {e.id: b for e, b in known})
-    return PackedDrive(name, beliefs, numbers, sigma_m, place, way, rings, when_s, str(header["source"]))
+    return PackedDrive(name, beliefs, numbers, sigma_m, place, way, rings, when_s, str(header["source"]), scale)
 
 
 def _kind(e: MapElement) -> tuple:

@@ -63,7 +63,7 @@ def difference(base: MapState, target: MapState, note: str = "") -> MapDifferenc
     removed = tuple(name for name in old if name not in new)
     modified = {}
     for name, record in old.items():
-        if name in new and (columns := _changed(record, new[name])):
+        if name in new and (columns := changed_columns(record, new[name])):
             modified[name] = columns
     added = {name: record for name, record in new.items() if name not in old}
     natural = [*(name for name in old if name in new), *added]
@@ -106,7 +106,8 @@ def applied(base: MapState, step: MapDifference) -> MapState:
     return found
 
 
-def _changed(old: Mapping[str, Any], new: Mapping[str, Any]) -> Record:
+def changed_columns(old: Mapping[str, Any], new: Mapping[str, Any]) -> Record:
+    """Columns of a record that the other lacks or has otherwise."""
     return {key: value for key, value in new.items() if key not in old or not _same(old[key], value)}
 
 

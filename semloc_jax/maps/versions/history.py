@@ -73,7 +73,7 @@ def versions_of(path: str | Path) -> list[VersionRow]:
         SemlocError: no map, or a step of its history is damaged.
     """
     state = read_state(path)
-    steps = list(_steps_back(history_of(path), state.digest))
+    steps = [step for _, step in _steps_back(history_of(path), state.digest)]
     stated = [state.version, *(step.version for step in steps)]
     numbers = [stated[-1]]
     for version in reversed(stated[:-1]):
@@ -99,7 +99,7 @@ def version_at(path: str | Path, version: int) -> MapState:
             f"{rows[0].version}; see `semloc log`"
         )
     state = read_state(path)
-    for step in _steps_back(history_of(path), state.digest):
+    for _, step in _steps_back(history_of(path), state.digest):
         if state.digest == digest:
             break
         state = applied(state, step.on(state))
@@ -142,16 +142,16 @@ def rolled_back(path: str | Path, version: int) -> MapState:
     return old if old.digest == rows[0].digest else replace(old, version=rows[0].version + 1)
 
 
-def _steps_back(folder: Path, digest: str) -> Iterator[SdiffFile]:
-    """Yields the steps from a version back to the first that is known."""
+def _steps_back(folder: Path, digest: str) -> Iterator[tuple[Path, SdiffFile]]:
+    """Yields the steps from a version back to the first that is known, and their files."""
     for _ in range(_MOST_VERSIONS):
         path = _step_at(folder, digest)
         if not path.is_file():
             return
         step = SdiffFile.read(path)
-        if step.base != digest:
+        if not step.is_on(digest):
             raise SemlocError(f"history {path}: is not the step back from {digest[:12]}; get the folder anew")
-        yield step
+        yield path, step
         digest = step.target
 
 
@@ -161,6 +161,6 @@ def _step_at(folder: Path, digest: str) -> Path:
 
 def _copy(source: Path, folder: Path, digest: str) -> None:
     """Copies the steps back from a version into the history of another file."""
-    for step in _steps_back(source, digest):
-        with writing(_step_at(folder, step.base)) as partial:
-            shutil.copyfile(_step_at(source, step.base), partial)
+    for path, _ in _steps_back(source, digest):
+        with writing(folder / path.name) as partial:
+            shutil.copyfile(path, partial)

@@ -16,6 +16,7 @@ from semloc_jax.structs import ElementClass
 
 Record = dict[str, Any]
 _MM = 1000.0
+_MOST_MM = 2**52
 _ATTRIBUTE = "a."
 """Begins the name of a column that holds a property of the file."""
 KEYS, POINTS = "keys", "points"
@@ -29,11 +30,12 @@ def record_of(element: MapElement) -> Record:
         "style": element.style,
         "shape": element.shape,
         "closed": bool(element.closed),
-        "width": float(element.width_m),
-        "radius": float(element.radius_m),
-        "radius_top": float(element.radius_top_m),
-        "height": float(element.height_m),
-        "normal": None if element.normal is None else [float(v) for v in element.normal],
+        # No file keeps the sign of a zero in a column of its own.
+        "width": float(element.width_m) + 0.0,
+        "radius": float(element.radius_m) + 0.0,
+        "radius_top": float(element.radius_top_m) + 0.0,
+        "height": float(element.height_m) + 0.0,
+        "normal": None if element.normal is None else [float(v) + 0.0 for v in element.normal],
         "true_ends": [bool(end) for end in element.true_ends],
         "has_height": bool(element.has_height),
         POINTS: _packed(element.points),
@@ -55,7 +57,7 @@ def element_of(name: str, record: Mapping[str, Any]) -> MapElement:
     return MapElement(
         id=name,
         label=ElementClass[record["class"]],
-        points=_unpacked(record[POINTS]),
+        points=points_of(record),
         closed=bool(record["closed"]),
         width_m=float(record["width"]),
         radius_m=float(record["radius"]),
@@ -87,16 +89,27 @@ def json_bytes(value: Any) -> bytes:
     )
 
 
+def whole_mm(record: Mapping[str, Any]) -> list[int]:
+    """Coordinates of a record in whole millimetres, each less the one before, as near as that is."""
+    cells = np.rint(points_of(record) * _MM).clip(-_MOST_MM, _MOST_MM).astype(np.int64)
+    return np.diff(cells, axis=0, prepend=0).ravel().tolist()
+
+
 def _packed(points: np.ndarray) -> list:
     """`["mm", differences]` where that gives every bit back, else `["m", numbers]`."""
     cells = np.rint(points * _MM)
-    if (np.abs(cells) < 2**52).all() and (cells / _MM).tobytes() == np.ascontiguousarray(points).tobytes():
+    if (np.abs(cells) < _MOST_MM).all() and (cells / _MM).tobytes() == np.ascontiguousarray(points).tobytes():
         return ["mm", np.diff(cells.astype(np.int64), axis=0, prepend=0).ravel().tolist()]
     return ["m", points.ravel().tolist()]
 
 
-def _unpacked(packed: list) -> np.ndarray:
-    unit, numbers = packed
+def points_of(record: Mapping[str, Any]) -> np.ndarray:
+    """Points of a record `float64[n 3]` [m].
+
+    Raises:
+        ValueError: none.
+    """
+    unit, numbers = record[POINTS]
     if unit == "mm":
         steps = np.array([int(n) for n in numbers], dtype=np.int64).reshape(-1, 3)
         return np.cumsum(steps, axis=0) / _MM

@@ -1,0 +1,126 @@
+"""JSON whose lists of whole numbers stand apart, in few bytes (room: maps; host).
+
+In: what JSON keeps. Out: bytes, and the same back. Layout: size of the text as a varint, the text, varints.
+In the text a list of whole numbers is "#6": the next six of the varints; "#3x6" is three lists of six, "#6*5" six that
+are multiples of five, "#6/" six numbers that are whole thousandths, "#b" one of the words that most differences hold.
+A string that begins with # gets another one.
+"""
+
+import json
+import math
+import re
+import string
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from semloc_jax.maps.io.varints import pack_integers, unpack_integers
+from semloc_jax.maps.versions.records import json_bytes
+
+_MARK = "#"
+_LIST = re.compile(r"#(\d+)(?:x(\d+))?(?:\*(\d+))?(/)?")
+_MOST, _THOUSAND = 2**62, 1000
+_WORDS = (
+    *("class", "style", "shape", "closed", "width", "radius", "radius_top", "height", "normal", "true_ends"),
+    *("+points", "points", "keys", "+keys", "mm", "all", "crowd", "sigma_across_m", "sigma_along_m"),
+    *("existence_logit", "num_seen", "num_missed", "provenance", "a.sigma_across_m", "a.sigma_along_m"),
+    *("a.existence_logit", "a.num_seen", "a.num_missed", "+a.num_seen", "+a.num_missed", "a.provenance"),
+)
+"""What is told by one letter; a file keeps its meaning only while this list stays as it is."""
+_LETTERS = string.ascii_letters
+_LAST_BYTE = 128
+"""A varint ends with the first byte below."""
+
+
+def lifted_bytes(value: Any) -> bytes:
+    """The bytes of a value; the same bytes for the same value."""
+    numbers: list[int] = []
+    text = json_bytes(_lifted(value, numbers))
+    return pack_integers(np.array([len(text)])) + text + pack_integers(np.array(numbers, dtype=np.int64))
+
+
+def from_lifted(content: bytes) -> Any:
+    """The value of these bytes.
+
+    Raises:
+        ValueError: cut short, or numbers that the text does not name.
+    """
+    at = next((k + 1 for k, byte in enumerate(content[:10]) if byte < _LAST_BYTE), 0)
+    size = int(unpack_integers(content[:at], 1)[0])
+    if not 0 < size <= len(content) - at:
+        raise ValueError("text of another length")
+    tail = content[at + size :]
+    numbers = unpack_integers(tail, sum(byte < _LAST_BYTE for byte in tail)).tolist()
+    taken = 0
+
+    def take(count: int) -> list[int]:
+        nonlocal taken
+        if count > len(numbers) - taken:
+            raise ValueError("fewer numbers than the text names")
+        taken += count
+        return numbers[taken - count : taken]
+
+    value = _set_back(json.loads(content[at : at + size]), take)
+    if taken != len(numbers):
+        raise ValueError("more numbers than the text names")
+    return value
+
+
+def _lifted(value: Any, numbers: list[int]) -> Any:
+    if isinstance(value, dict):
+        return {key: _lifted(item, numbers) for key, item in value.items()}
+    if isinstance(value, str):
+        if value in _WORDS:
+            return _MARK + _LETTERS[_WORDS.index(value)]
+        return _MARK + value if value.startswith(_MARK) else value
+    if not isinstance(value, list | tuple) or not value:
+        return value
+    if _is_whole(value):
+        return f"{_MARK}{len(value)}{_put(value, numbers)}"
+    thousandths = [_thousandths(v) for v in value]
+    if None not in thousandths:
+        return f"{_MARK}{len(value)}{_put(thousandths, numbers)}/"
+    if all(isinstance(row, list | tuple) and len(row) == len(value[0]) and _is_whole(row) for row in value):
+        flat = [number for row in value for number in row]
+        return f"{_MARK}{len(value)}x{len(value[0])}{_put(flat, numbers)}"
+    return [_lifted(item, numbers) for item in value]
+
+
+def _is_whole(values: list | tuple) -> bool:
+    return bool(values) and all(type(v) is int and abs(v) < _MOST for v in values)
+
+
+def _thousandths(value: Any) -> int | None:
+    """How many thousandths a number with a point is, if it is that to the bit."""
+    if type(value) is not float or not abs(value) < _MOST / _THOUSAND:
+        return None
+    whole = round(value * _THOUSAND)
+    return whole if repr(whole / _THOUSAND) == repr(value) else None
+
+
+def _put(values: list | tuple, numbers: list[int]) -> str:
+    unit = math.gcd(*values)
+    numbers += [v // max(unit, 1) for v in values]
+    return f"*{unit}" if unit > 1 else ""
+
+
+def _set_back(value: Any, take: Callable[[int], list[int]]) -> Any:
+    if isinstance(value, dict):
+        return {key: _set_back(item, take) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_set_back(item, take) for item in value]
+    if not isinstance(value, str) or not value.startswith(_MARK):
+        return value
+    if value.startswith(2 * _MARK):
+        return value[1:]
+    if len(value) == 2 and value[1] in _LETTERS[: len(_WORDS)]:
+        return _WORDS[_LETTERS.index(value[1])]
+    found = _LIST.fullmatch(value)
+    if found is None:
+        raise ValueError("neither numbers nor a string")
+    rows, columns, unit = (None if part is None else int(part) for part in found.groups()[:3])
+    values = [number * (unit or 1) for number in take((rows or 0) * (1 if columns is None else columns))]
+    if found[4]:
+        return [value / _THOUSAND for value in values]
+    return values if columns is None else [values[k * columns : (k + 1) * columns] for k in range(rows or 0)]
