@@ -4,6 +4,7 @@ localization; host).
 In: one frame and what is known of its place. Out: poses to follow side by side until one of them wins.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -103,10 +104,11 @@ class Acquisition:
     def search(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
         """Every answer of one frame around a prior that is worth following, best first."""
         priors = sectors(prior, self.config.fixes)
-        return self._search(frame, prior) if len(priors) == 1 else self._best_of(frame, priors)
+        return self.around(frame, prior) if len(priors) == 1 else self._best_of(frame, priors)
 
-    def _search(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
-        config, scene = self.config, self.aligner.scene
+    def around(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
+        """Every answer of one frame around a prior of one heading, best first."""
+        scene = self.aligner.scene
         try:
             T_map_prior = prior.on_road(self.aligner.map)
         except SemlocError:
@@ -121,7 +123,11 @@ class Acquisition:
             scene.frame,
             partial(levelled, semantic_map=self.aligner.map, frame=local, road=scene.road),
         )
-        modes = modes_in_map(found, local, ONE_TRACK)
+        return self.worth_following(modes_in_map(found, local, ONE_TRACK))
+
+    def worth_following(self, modes: Sequence[Mode]) -> tuple[Mode, ...]:
+        """Those modes that explain enough, the first ones."""
+        config = self.config
         good = [m for m in modes if m.cost <= config.max_cost and m.inlier_ratio >= config.min_inlier_ratio]
         return tuple([m for m in good if m.weight >= config.min_weight][: config.max_tracks])
 
@@ -134,7 +140,7 @@ class Acquisition:
 
     def _best_of(self, frame: FrameFeatures, priors: list[PosePrior]) -> tuple[Mode, ...]:
         """The best answers of several searches."""
-        found = [mode for prior in priors for mode in self._search(frame, prior)]
+        found = [mode for prior in priors for mode in self.around(frame, prior)]
         # A cost that leaves out what cannot be seen favours poses that see little: what is explained decides.
         found.sort(key=lambda mode: mode.cost - mode.coverage * mode.inlier_ratio)
         kept: list[Mode] = []

@@ -83,6 +83,8 @@ class Alignment(NamedTuple):
     """Height [m], roll and pitch [rad] of the vehicle over the road, as measured."""
     rows: Int[np.ndarray, " element"] = np.arange(0)
     """Which elements of the map these are, ascending."""
+    matched: Int[np.ndarray, " match"] = np.arange(0)
+    """Elements that an explicit shape was associated with, ascending; none where contours are compared."""
 
 
 class FrameAligner:
@@ -178,7 +180,7 @@ class FrameAligner:
     ) -> Float[np.ndarray, "2 n"]:
         """Costs [nats] of what lies and of what stands, each alone, at a pose and beside it; see `class_profiles`."""
         T_road, local, inputs, *_ = self._prepared(frame, T_map_base, np.eye(6), _full_trust, stance, grain)
-        is_standing = self._window(T_road, stance).is_standing[:ELEMENT_CAPACITY]
+        is_standing = self.standing(T_road, stance)[1].is_standing[:ELEMENT_CAPACITY]
         stands = np.zeros(ELEMENT_CAPACITY, np.float32)
         stands[: len(is_standing)] = is_standing
         T = np.asarray(local.from_map(T_map_base, np.float64), np.float32)
@@ -188,7 +190,7 @@ class FrameAligner:
     def _prepared(self, frame, T_map_predicted, covariance, trust, stance, grain) -> tuple:
         """The road pose, local frame, input, start, sigmas of the prior, rows of the elements and their trust."""
         T_road, spread = self.road_under(T_map_predicted)
-        T_start, window = _standing(T_road, stance), self._window(T_road, stance)
+        T_start, window = self.standing(T_road, stance)
         inputs = self.frame_input(frame, window)._replace(grain=np.asarray(grain, np.float32))
         local = window.local_map.frame
         sigma = self.prior_sigma(covariance, spread)
@@ -197,8 +199,10 @@ class FrameAligner:
         local_trust[: len(index)] = trust(index)
         return T_road, local, inputs, local.from_map(T_start, np.float64), sigma, index, local_trust
 
-    def _window(self, T_road: np.ndarray, stance: np.ndarray) -> MapWindow:
-        return self.windows.around(_standing(T_road, stance)[:3, 3])
+    def standing(self, T_road: np.ndarray, stance: np.ndarray) -> tuple[np.ndarray, MapWindow]:
+        """The pose of a vehicle with this stance where it would stand on the road without, and the map there."""
+        T = T_road @ rigid.exp(np.array([0.0, 0.0, *stance, 0.0]))
+        return T, self.windows.around(T[:3, 3])
 
     def on_road(self, T_map_base: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """The pose of a vehicle that stands on the road of the map at the same place with the same heading."""
@@ -262,11 +266,6 @@ class FrameAligner:
 
 def _full_trust(rows: np.ndarray) -> np.ndarray:
     return np.ones(len(rows))
-
-
-def _standing(T_road: np.ndarray, stance: np.ndarray) -> np.ndarray:
-    """The pose of a vehicle with this stance where it would stand on the road without."""
-    return T_road @ rigid.exp(np.array([0.0, 0.0, *stance, 0.0]))
 
 
 _OF_ROAD = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])

@@ -24,6 +24,8 @@ from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
 from semloc_jax.localization import elsewhere, health, map_faults, passed_over, phase, rivals, watch
 from semloc_jax.localization.acquisition import Acquisition, Area
+from semloc_jax.localization.explicit_alignment import ExplicitAligner, Trust
+from semloc_jax.localization.explicit_start import ExplicitAcquisition
 from semloc_jax.localization.following import (
     FrameReport,
     carried,
@@ -52,6 +54,7 @@ from semloc_jax.localization.track_state import (
 )
 from semloc_jax.maps import SemanticMap, SharedSigmas, with_map_accuracy
 from semloc_jax.perception import ClassTable
+from semloc_jax.perception.primitives import primitives_of
 from semloc_jax.residuals.pose_terms import Terms
 
 _SEARCH_REACH_M = 3.0
@@ -90,9 +93,12 @@ class Localizer:
         scene = self.config.scene
         radius_m = scene.search_radius_m - _SEARCH_REACH_M
         self.windows = MapWindows(semantic_map, radius_m, scene.sample_spacing_m, scene.sample_capacity)
-        self.aligner = FrameAligner(semantic_map, self.windows, self.channel_of_label, scene, self.config.alignment)
+        self.is_explicit = self.config.association == "explicit"
+        kind = ExplicitAligner if self.is_explicit else FrameAligner
+        self.aligner = kind(semantic_map, self.windows, self.channel_of_label, scene, self.config.alignment)
         self._map_sigmas = SharedSigmas(semantic_map.walk(), self.config.map_sigma)
-        self.acquisition = Acquisition(self.aligner, motion, self.config.acquisition)
+        searching = ExplicitAcquisition if self.is_explicit else Acquisition
+        self.acquisition = searching(self.aligner, motion, self.config.acquisition)
 
     def start(self) -> TrackerState:
         """The state of a vehicle that may be anywhere."""
@@ -153,6 +159,7 @@ class Localizer:
             digest=digest,
             guess=guess,
             terms=tuple(terms),
+            primitives=tuple(primitives_of(mask, self.table) for mask in masks) if self.is_explicit else (),
         )
 
     def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:
@@ -173,7 +180,7 @@ class Localizer:
         way_m = way_since(before_s, before, state, self.fusion, motion)
         state = state._replace(driven_m=np.float64(state.driven_m + way_m if is_same_image else 0.0))
         timer.lap("predict")
-        trust = partial(map_faults.weights, state.trust, self.config.trust)
+        trust = self.trust_in(state)
         if state.driven_m > self.config.health.frozen_m:
             views = [
                 FrameReport(None, True, False, ("the image has not changed while the vehicle moved",))
@@ -184,6 +191,8 @@ class Localizer:
             views = [seen(t, self.fusion, self.aligner, frame, *known, self.config.health) for t in state.tracks]
         timer.lap("align")
         state, view = self._fused(state, views, way_m)
+        if view is not None and view.found is not None:
+            state = state._replace(matched=view.found.matched)
         known = (trust, state.stance, np.asarray(state.grain))
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
             state = self._learned(state, view, motion, before, way_m)
@@ -198,6 +207,13 @@ class Localizer:
             state = self._acquired(state, frame)
             timer.lap("acquire")
         return self._judged(state, view, frame, timer)
+
+    def trust_in(self, state: TrackerState) -> Trust:
+        """Weights of elements of the map; explicit ones count from the second frame on in which they are matched."""
+        weights = partial(map_faults.weights, state.trust, self.config.trust)
+        if not len(state.matched):
+            return weights
+        return lambda rows: weights(rows) * np.isin(rows, state.matched)
 
     def _learned(
         self, state: TrackerState, view: FrameReport, motion: CameraTimeLog, before: FusedPose, way_m: float

@@ -4,7 +4,7 @@ In: nothing. Out: TrackConfig, the scene and everything that decides how a drive
 """
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.localization.acquisition import AcquisitionConfig
@@ -14,6 +14,8 @@ from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.map_faults import TrustConfig
 from semloc_jax.localization.watch_sums import WatchConfig
 
+Association = Literal["contours", "explicit"]
+
 
 @dataclass(frozen=True)
 class TrackConfig:
@@ -22,6 +24,9 @@ class TrackConfig:
     SECTION: ClassVar[str] = "track"
     """Where a configuration file holds all of this but the scene."""
     scene: SceneConfig = field(default_factory=SceneConfig)
+    association: Association = "contours"
+    """How masks and map are brought together. contours: ours, all borders of the masks at once; explicit: the way of
+    the literature, lanes, signs and lamp posts as shapes, each associated with a landmark of the map."""
     map_sigma_m: float = 0.0
     """How accurate the map is, as its maker states: joins the covariance of every pose that goes out, beside what the
     map itself states of what is around."""

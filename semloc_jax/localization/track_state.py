@@ -18,6 +18,7 @@ from semloc_jax.fusion.clock import ClockOffset
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.noise_scale import NoiseScale
 from semloc_jax.localization.watch_sums import WatchState
+from semloc_jax.perception.primitives import Primitives
 from semloc_jax.residuals.pose_terms import Terms
 
 
@@ -123,6 +124,8 @@ class TrackerState(NamedTuple):
     watch: WatchState = WatchState()
     """What the last frames say of calibration and map."""
     elsewhere: Elsewhere = Elsewhere()
+    matched: Int[np.ndarray, " match"] = np.zeros(0, np.int64)
+    """Elements of the map that shapes of the last frame were associated with (`--association explicit`)."""
 
 
 class FrameFeatures(NamedTuple):
@@ -142,6 +145,8 @@ class FrameFeatures(NamedTuple):
     """First guess of the pose, where something else than satellites knows it."""
     terms: Terms = ()
     """Other measurements of the pose at the time of the frame, in the map frame; see `pose_term`."""
+    primitives: tuple[Primitives, ...] = ()
+    """Explicit shapes of each camera, where they are associated."""
 
 
 @dataclass(frozen=True)

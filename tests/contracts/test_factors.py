@@ -10,7 +10,12 @@ from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals import motion, road_contact, vehicle_motion
 from semloc_jax.residuals.inverse_depth import Sight, sight_linearised, sight_residual
+from semloc_jax.residuals.lamp_line import LineSight, lamp_residual
+from semloc_jax.residuals.lane_curve import MOST_PLACES, CurveSight, lane_residual
 from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
+from semloc_jax.residuals.seen_point import PointSight, shift_residual
+from semloc_jax.residuals.sign_circle import circle_residual
+from semloc_jax.residuals.sign_corners import MOST_CORNERS, corners_residual
 from semloc_jax.solvers.factors import POSE, Factors, vector
 
 RNG = np.random.default_rng(5)
@@ -64,6 +69,21 @@ def sight(ray):
     pixels = 500.0 * RNG.normal(size=(2, 3))
     axes = near()[:3, :3]
     return (Sight(*(jnp.asarray(leaf) for leaf in (axes, near(), near(), np.array(ray), pixels))),)
+
+
+def point_sight(ray):
+    """A pixel of a camera on the vehicle."""
+    return PointSight(*(jnp.asarray(leaf) for leaf in (near(), np.array(ray), 500.0 * RNG.normal(size=(2, 3)))))
+
+
+def point_sights(num):
+    """Several of them, as the places of one shape."""
+    return stacked([point_sight([0.6, 0.0, 0.8]) for _ in range(num)])
+
+
+def directions(num):
+    angle = RNG.uniform(0, 6, num)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def stacked(parts):
@@ -126,6 +146,40 @@ FACTORS = {
         vehicle_motion.change_residual, ("velocity", "velocity"), (ZERO, ONE), (), RNG.normal(size=(1, 3))
     ),
     "standing": Factors(vehicle_motion.standing_residual, ("velocity",), (ZERO,), (), RNG.normal(size=(1, 3))),
+    "lane": Factors(
+        lane_residual,
+        ("pose",),
+        (ZERO,),
+        (
+            5.0 * RNG.normal(size=(1, MOST_PLACES, 3)),
+            stacked(
+                [CurveSight(point_sights(MOST_PLACES), directions(MOST_PLACES), 1e-3 * RNG.normal(size=MOST_PLACES))]
+            ),
+        ),
+        1e-2 * info(MOST_PLACES),
+    ),
+    "sign by its corners": Factors(
+        corners_residual,
+        ("pose",),
+        (ZERO,),
+        (5.0 * RNG.normal(size=(1, MOST_CORNERS, 3)), stacked([point_sights(MOST_CORNERS)])),
+        info(2 * MOST_CORNERS),
+    ),
+    "round sign": Factors(
+        circle_residual,
+        ("pose",),
+        (ZERO,),
+        (np.array([[6.0, -2.0, 3.0]]), np.array([0.4]), stacked([point_sight([0.6, 0.0, 0.8])]), np.array([21.0])),
+        RNG.normal(size=(1, 3)),
+    ),
+    "lamp post": Factors(
+        lamp_residual,
+        ("pose",),
+        (ZERO,),
+        (5.0 * RNG.normal(size=(1, 2, 3)), stacked([LineSight(point_sights(2), directions(2))])),
+        info(4),
+    ),
+    "shift of a landmark": Factors(shift_residual, ("velocity",), (ZERO,), (), RNG.normal(size=(1, 3))),
     "inertial": Factors(
         inertial,
         ("pose", "velocity", "bias", "pose", "velocity"),

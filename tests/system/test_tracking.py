@@ -138,6 +138,30 @@ def test_a_camera_that_stands_still_is_not_believed(drive, config, followed):
     assert np.abs(found["lateral_m"]).max() < 0.05  # dead reckoning over one second
 
 
+@pytest.mark.slow
+def test_a_compact_map_is_followed_by_its_landmarks(drive, config):
+    """Shapes associated with landmarks: none false, decimetres, checkpoints hold what was matched."""
+    config = replace(config, association="explicit")
+    pipeline = pipeline_of(drive, read_map(drive.map_path), "sem", config, threads=False)
+    done = run(pipeline, drive.frames)
+    found = errors_of(drive, done.results)
+    assert len(found["lateral_m"]) >= NUM_FRAMES // 2
+    assert np.median(np.abs(found["lateral_m"])) < 0.05
+    assert np.median(np.abs(found["longitudinal_m"])) < 0.3
+    levels = np.array([r.protection for r in done.results if r.fused is not None])
+    called = np.array([r.status == TrackStatus.TRACKING for r in done.results if r.fused is not None])
+    for k, key in enumerate(("lateral_m", "longitudinal_m", "heading_deg")):
+        assert np.all(np.abs(found[key]) <= levels[:, k], where=called), key
+    matched = [len(at.state.matched) for at in done.checkpoints]
+    assert max(matched) >= 4
+    # An element counts from the second frame on that shows it.
+    state = done.checkpoints[int(np.argmax(matched))].state
+    trust = pipeline.localizer.trust_in(state)
+    assert np.all(trust(state.matched) > 0.0)
+    others = np.setdiff1d(np.arange(pipeline.localizer.map.num_elements), state.matched)
+    assert not trust(others).any()
+
+
 def test_errors_of_the_feature_thread_reach_the_caller(drive, config):
     pipeline = pipeline_of(drive, read_map(drive.map_path), "sem", config)
     pipeline.source = replace(pipeline.source, segment=lambda frame, camera: 1 / 0)
