@@ -1,6 +1,6 @@
 """A network that says something of every cell of a picture (room: perception; pure JAX).
 
-In: a picture float[h w 3] of red, green, blue in 0 ... 1, sides multiples of `STEP_PX`. Out: float[h/4 w/4 n].
+In: a picture float[h w 3] of red, green, blue in 0 ... 1, sides multiples of `step_px`. Out: float[h/s w/s n].
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,10 @@ class DenseNetConfig:
     """Size of a network; one entry for each stride 4, 8, 16 ..."""
 
     num_outputs: int = 1
+    detail: int = 1
+    """Cells on each side that what comes out has in one cell of stride 4: 1, 2 or 4, for strides of 4, 2 or 1."""
+    num_inputs: int = 3
+    """Channels of the picture: colours, and what another network says of it."""
     num_channels: tuple[int, ...] = (32, 64, 96, 128)
     num_blocks: tuple[int, ...] = (1, 1, 2, 2)
     """Residual blocks of two layers each."""
@@ -30,8 +34,11 @@ class DenseNetConfig:
     """So many of the finest strides have dense blocks, the others separable ones."""
 
     def __post_init__(self) -> None:
-        if len(self.num_channels) != len(self.num_blocks) or min(self.num_outputs, *self.num_channels) < 1:
-            raise SemlocError(f"network: {self}; expected channels and blocks for the same strides, all at least 1")
+        counts = (self.num_outputs, self.num_inputs, *self.num_channels)
+        if len(self.num_channels) != len(self.num_blocks) or min(counts) < 1 or self.detail not in (1, 2, 4):
+            raise SemlocError(
+                f"network: {self}; expected channels and blocks for the same strides, all at least 1, detail 1, 2 or 4"
+            )
 
     @property
     def step_px(self) -> int:
@@ -49,13 +56,14 @@ class DenseNet(eqx.Module):
     """Channels of the finer stride from those of the coarser, coarsest first."""
     merged: Residual
     head: Convolution
+    detail: int = eqx.field(static=True)
 
     @classmethod
     def create(cls, key: PRNGKeyArray, config: DenseNetConfig) -> "DenseNet":
         """Before it has learned anything: its outputs are zero everywhere."""
         num = config.num_channels
         keys = iter(jax.random.split(key, 2 * len(num) + sum(config.num_blocks) + 1))
-        before = (3 * STRIDE * STRIDE, *(4 * n for n in num[:-1]))
+        before = (config.num_inputs * STRIDE * STRIDE, *(4 * n for n in num[:-1]))
         into = tuple(Convolution.create(next(keys), 1, b, n) for b, n in zip(before, num, strict=True))
         blocks = tuple(
             tuple(Residual.create(next(keys), n, level < config.num_dense) for _ in range(config.num_blocks[level]))
@@ -63,10 +71,12 @@ class DenseNet(eqx.Module):
         )
         up = tuple(Convolution.create(next(keys), 1, num[k], num[k - 1], gain=1.0) for k in range(len(num) - 1, 0, -1))
         merged = Residual.create(next(keys), num[0], True)
-        return cls(into, blocks, up, merged, Convolution.create(next(keys), 1, num[0], config.num_outputs, gain=0.0))
+        num_last = config.num_outputs * config.detail**2
+        head = Convolution.create(next(keys), 1, num[0], num_last, gain=0.0)
+        return cls(into, blocks, up, merged, head, config.detail)
 
     def __call__(self, picture: Features, ops: Operations = JAX) -> Features:
-        """What it says of each cell, float[h/4 w/4 n]; with an ONNX graph, the name of it."""
+        """What it says of each cell, float[h/s w/s n] with s = 4 / detail; with an ONNX graph, the name of it."""
         x, levels = picture, []
         for k, (into, blocks) in enumerate(zip(self.into, self.blocks, strict=True)):
             x = ops.relu(into(ops.to_depth(x, STRIDE if k == 0 else 2), ops))
@@ -75,10 +85,11 @@ class DenseNet(eqx.Module):
             levels.append(x)
         for up, finer in zip(self.up, reversed(levels[:-1]), strict=True):
             x = ops.relu(ops.add(finer, ops.twice(up(x, ops))))
-        return self.head(self.merged(x, ops), ops)
+        said = self.head(self.merged(x, ops), ops)
+        return said if self.detail == 1 else ops.from_depth(said, self.detail)
 
 
-def filled_up(picture: Float[Array, "h w 3"], step_px: int) -> Float[Array, "_h _w 3"]:
+def filled_up(picture: Float[Array, "h w c"], step_px: int) -> Float[Array, "_h _w c"]:
     """The picture with its last row and column repeated until its sides are multiples of `step_px`."""
     height, width, _ = picture.shape
     return jnp.pad(picture, ((0, -height % step_px), (0, -width % step_px), (0, 0)), mode="edge")

@@ -18,20 +18,25 @@ _FLOAT, _INT, _STRING, _INTS = 1, 2, 3, 7
 
 
 def write_onnx(
-    path: str | Path, network: Callable[[str, Operations], str], num_outputs: int, output: str = "maps"
+    path: str | Path,
+    network: Callable[[str, Operations], str],
+    num_outputs: int,
+    num_inputs: int = 3,
+    output: str = "maps",
 ) -> None:
-    """Write a network to a file: input `picture` [b 3 h w], red green blue in 0 ... 1; output [b n h/4 w/4].
+    """Write a network to a file: input `picture` [b 3 h w], red green blue in 0 ... 1; output [b n h' w'].
 
     Args:
         path: The file.
         network: Called with the name of the picture and the graph; returns the name of what comes out.
         num_outputs: Channels that come out.
+        num_inputs: Channels that go in; the first three are the colours.
         output: Their name in the file.
     """
     graph = OnnxGraph()
     last = network("picture", graph)
     graph.node("Identity", [last], output)
-    ports = _field(11, _port("picture", 3)) + _field(12, _port(output, num_outputs))
+    ports = _field(11, _port("picture", num_inputs)) + _field(12, _port(output, num_outputs))
     body = b"".join(graph.nodes) + _field(2, "network") + b"".join(graph.weights) + ports
     opset = _field(1, "") + _field(2, _OPSET)
     write_bytes(Path(path), _field(1, _IR_VERSION) + _field(2, "semloc_jax") + _field(7, body) + _field(8, opset))
@@ -58,6 +63,9 @@ class OnnxGraph:
 
     def to_depth(self, x: str, size: int) -> str:
         return self.node("SpaceToDepth", [x], blocksize=size)
+
+    def from_depth(self, x: str, size: int) -> str:
+        return self.node("DepthToSpace", [x], blocksize=size)
 
     def twice(self, x: str) -> str:
         scales = self._weight(np.array([1, 1, 2, 2]))

@@ -36,6 +36,9 @@ class Operations(Protocol):
     def to_depth(self, x: Features, size: int) -> Features:
         """Blocks of size x size cells as channels: rows first, then columns, then the channels that were there."""
 
+    def from_depth(self, x: Features, size: int) -> Features:
+        """The way back: each cell becomes size x size cells."""
+
     def twice(self, x: Features) -> Features:
         """Twice as many rows and columns, bilinear; what lies beyond the border is as at the border."""
 
@@ -64,6 +67,11 @@ class _Jax:
         height, width, channels = x.shape
         blocks = x.reshape(height // size, size, width // size, size, channels)
         return blocks.transpose(0, 2, 1, 3, 4).reshape(height // size, width // size, size * size * channels)
+
+    def from_depth(self, x: Features, size: int) -> Features:
+        height, width, channels = x.shape
+        blocks = x.reshape(height, width, size, size, channels // (size * size))
+        return blocks.transpose(0, 2, 1, 3, 4).reshape(height * size, width * size, -1)
 
     def twice(self, x: Features) -> Features:
         return _twice_along(_twice_along(x, 0), 1)

@@ -1,5 +1,6 @@
 """The dense network: where its cells are, that it is the same as ONNX, that its weights come back."""
 
+import dataclasses
 import json
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from semloc_jax.perception.networks.operations import JAX
 from semloc_jax.perception.networks.weights import load_weights, read_card, save_weights
 from semloc_jax.storage import write_npz
 
-SMALL = DenseNetConfig(num_outputs=5, num_channels=(8, 12, 16), num_blocks=(1, 1, 1), num_dense=2)
+SMALL = DenseNetConfig(num_outputs=5, detail=2, num_channels=(8, 12, 16), num_blocks=(1, 1, 1), num_dense=2)
 
 
 def net_of(seed=0):
@@ -46,6 +47,10 @@ def test_an_edge_stays_where_it_is_through_down_and_up(border_px):
         k = int(np.flatnonzero(np.diff(np.sign(row)))[0])
         means[name] = centres[k] - row[k] * stride / (row[k + 1] - row[k])
     assert means == pytest.approx(dict.fromkeys(means, border_px), abs=0.01)
+
+
+def test_blocks_of_cells_come_back(picture):
+    np.testing.assert_array_equal(JAX.from_depth(JAX.to_depth(jnp.asarray(picture), 4), 4), picture)
 
 
 def test_twice_keeps_a_plane(picture):
@@ -112,11 +117,15 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
     path, net = tmp_path / "a.weights", net_of()
     save_weights(path, net, {})
     with pytest.raises(SemlocError, match=r"into\.0\.kernel is float32\[1, 1, 48, 8\]; expected finite float32"):
-        load_weights(path, DenseNet.create(jax.random.key(0), DenseNetConfig(5, (9, 12, 16), (1, 1, 1), 2)))
+        load_weights(path, DenseNet.create(jax.random.key(0), dataclasses.replace(SMALL, num_channels=(9, 12, 16))))
+    lower = dataclasses.replace(SMALL, num_channels=(8, 12), num_blocks=(1, 1))
     with pytest.raises(SemlocError, match="arrays are not those of such a network"):
-        load_weights(path, DenseNet.create(jax.random.key(0), DenseNetConfig(5, (8, 12), (1, 1), 2)))
-    save_weights(path, eqx.tree_at(lambda n: n.head.bias, net, jnp.full(5, np.nan)), {})
-    with pytest.raises(SemlocError, match=r"head\.bias is float32\[5\]; expected finite"):
+        load_weights(
+            path,
+            DenseNet.create(jax.random.key(0), dataclasses.replace(SMALL, num_channels=(8, 12), num_blocks=(1, 1))),
+        )
+    save_weights(path, eqx.tree_at(lambda n: n.head.bias, net, jnp.full(20, np.nan)), {})
+    with pytest.raises(SemlocError, match=r"head\.bias is float32\[20\]; expected finite"):
         load_weights(path, net)
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(SemlocError, match="content is not what such a file holds"):
