@@ -120,10 +120,7 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
         load_weights(path, DenseNet.create(jax.random.key(0), dataclasses.replace(SMALL, num_channels=(9, 12, 16))))
     lower = dataclasses.replace(SMALL, num_channels=(8, 12), num_blocks=(1, 1))
     with pytest.raises(SemlocError, match="arrays are not those of such a network"):
-        load_weights(
-            path,
-            DenseNet.create(jax.random.key(0), dataclasses.replace(SMALL, num_channels=(8, 12), num_blocks=(1, 1))),
-        )
+        load_weights(path, DenseNet.create(jax.random.key(0), lower))
     save_weights(path, eqx.tree_at(lambda n: n.head.bias, net, jnp.full(20, np.nan)), {})
     with pytest.raises(SemlocError, match=r"head\.bias is float32\[20\]; expected finite"):
         load_weights(path, net)
