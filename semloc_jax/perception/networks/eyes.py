@@ -46,10 +46,12 @@ class Said(NamedTuple):
 
 
 def read_out(raw: Float[Array, "*b h w n"]) -> Said:
-    """The meaning of what comes out of the network: three numbers for each class. Untrained it says: far, unsure."""
+    """The meaning of what comes out of the network: three numbers for each class. Untrained it says: rather far, unsure.
+
+    The distance is not clipped here: beyond a clip nothing would be learned any more.
+    """
     distance, log_sigma, logit = jnp.split(raw, 3, axis=-1)
-    signed_px = jnp.clip(_UNIT_PX * distance + REACH_PX, -REACH_PX, REACH_PX)
-    return Said(signed_px, jnp.clip(log_sigma + jnp.log(_UNIT_PX), *_LOG_SIGMA), logit - 4.0)
+    return Said(_UNIT_PX * distance + 0.5 * REACH_PX, jnp.clip(log_sigma + jnp.log(_UNIT_PX), *_LOG_SIGMA), logit - 4.0)
 
 
 def network_config(num_classes: int, num_more: int = 0) -> DenseNetConfig:
@@ -102,16 +104,22 @@ class Eyes:
         config = network_config(len(table.channels))
         return cls(DenseNet.create(jax.random.key(seed), config), table)
 
+    @property
+    def step_px(self) -> int:
+        """Sides of the network's images are multiples of this."""
+        return network_config(len(self.table.channels)).step_px
+
     def __call__(self, image: np.ndarray) -> BorderMask:
         """The mask of an image uint8[h w 3] (blue green red), with its borders."""
         height, width = image.shape[:2]
         scale = working_scale(width)
-        said = jax.tree.map(np.asarray, _said(self.network, jnp.asarray(working_image(image))))
+        said = jax.tree.map(np.asarray, _said(self.network, jnp.asarray(working_image(image)), self.step_px))
         planes = [np.moveaxis(plane, -1, 0) for plane in said]
         names = tuple(channel.name for channel in self.table.channels)
         stride = CELL_PX / scale
-        borders = SeenBorders(planes[0] / scale, np.exp(planes[1]) / scale, stride, names, REACH_PX / scale)
-        inside = np.stack([borders.at(plane, (width, height), 1.0) for plane in planes[0]])
+        signed_px = np.clip(planes[0], -REACH_PX, REACH_PX)
+        borders = SeenBorders(signed_px / scale, np.exp(planes[1]) / scale, stride, names, REACH_PX / scale)
+        inside = np.stack([borders.at(plane, (width, height), 1.0) for plane in borders.signed_px])
         nearest = inside.argmin(axis=0)
         ids = np.where(np.take_along_axis(inside, nearest[None], 0)[0] < 0.0, nearest + 1, 0)
         return BorderMask.of(ids.astype(np.uint8), borders)
@@ -138,10 +146,9 @@ class Eyes:
 
 
 @eqx.filter_jit
-def _said(network: DenseNet, picture: Float[Array, "h w 3"]) -> Said:
+def _said(network: DenseNet, picture: Float[Array, "h w 3"], step_px: int) -> Said:
     """What a network says of a picture of any size, cells beyond it left out."""
     height, width, _ = picture.shape
-    step_px = STRIDE * 2 ** (len(network.into) - 1)
     rows, columns = -(-height // int(CELL_PX)), -(-width // int(CELL_PX))
     return read_out(network(filled_up(picture, step_px))[:rows, :columns])
 
