@@ -67,21 +67,6 @@ class NetworkPreset:
             )
 
 
-KNOWN = {
-    # https://github.com/chequanghuy/TwinLiteNet: 640x360, red green blue, 0 ... 1; drivable area, then lane lines.
-    "twinlite": NetworkPreset(
-        class_table="twinlite",
-        width_px=640,
-        height_px=360,
-        letterbox=False,
-        mean=(0.0, 0.0, 0.0),
-        std=(1.0, 1.0, 1.0),
-        bits=(2, 1),
-    ),
-}
-"""Presets of networks that have a class table of their own, by its name."""
-
-
 @dataclass(frozen=True)
 class _Tile:
     """Part of an image that goes into the network, and the part of it whose mask is used; left, top, right, bottom."""
@@ -194,6 +179,8 @@ class NetworkSegmenter:
             )
         if output.ndim == 4 and self.preset.channels_last:
             output = output.transpose(0, 3, 1, 2)
+        if output.ndim == 4 and output.shape[1] == 1 and np.issubdtype(output.dtype, np.integer):
+            output = output[:, 0]  # the best class was chosen inside: whole numbers are no scores
         return [
             ids_at_image(output[i], parts[i].shape[1::-1], size_px, moves[i], self.preset.threshold)
             for i in range(len(parts))

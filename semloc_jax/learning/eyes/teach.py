@@ -2,7 +2,7 @@
 
 In: drives with their maps and the masks there are. Out: Eyes, and the score of each round on frames held out.
 
-masks -> poses -> the map, projected -> labels -> a network -> better masks -> ...
+best masks so far -> poses -> the map, projected -> labels -> a network -> other masks -> ...
 What the teacher gets wrong in every frame is learned for ever, since poses move with it: judge by frames held out.
 """
 
@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from semloc_jax.learning.eyes.labels import drawn_labels
 from semloc_jax.learning.eyes.loss import eyes_loss
 from semloc_jax.learning.eyes.poses import TeacherLimits, TeacherPose, teacher_poses
 from semloc_jax.learning.eyes.shapes import Surfaces, seen_surfaces
-from semloc_jax.learning.eyes.trust import ElementTrust
+from semloc_jax.learning.eyes.trust import ElementLooks
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.maps import SemanticMap
 from semloc_jax.maps.elements import MapElement
@@ -44,7 +44,6 @@ TABLE = "drive"
 class EyesConfig:
     """How eyes are taught. All values are ours."""
 
-    SECTION: ClassVar[str] = "eyes"
     rounds: int = 3
     """Networks that are taught, each by the poses that the one before found."""
     map_sigma_m: float = 0.03
@@ -121,16 +120,17 @@ def taught(
     """
     classes = frozenset(label for lesson in lessons for label in lesson.map.labels)
     table = eyes_table(load_class_table(TABLE), classes)
-    eyes, rounds = None, []
-    num_poses = num_distrusted = 0
+    eyes, rounds, labelled, by = None, [], None, -1
     for k in range(config.rounds + 1):
-        score = _score(held_out, eyes, config)
-        rounds.append(Round(eyes, score, num_poses, num_distrusted))
+        num_poses, num_distrusted = labelled[1:] if labelled else (0, 0)
+        rounds.append(Round(eyes, _score(held_out, eyes, config), num_poses, num_distrusted))
         if on_round is not None:
             on_round(k, rounds[-1])
         if k < config.rounds:
-            images, num_poses, num_distrusted = _labelled(lessons, eyes, table, config)
-            eyes = _trained(eyes or Eyes.new(table, config.training.seed), images, config, folder, k + 1)
+            best = best_round(rounds)
+            if best != by:  # a round that was worse teaches nobody
+                labelled, by = _labelled(lessons, rounds[best].eyes, table, config), best
+            eyes = _trained(eyes or Eyes.new(table, config.training.seed), labelled[0], config, folder, k + 1)
     return rounds
 
 
@@ -170,9 +170,9 @@ def _labelled(
     return images, num_poses, num_distrusted
 
 
-def _trust(lesson: Lesson, masks: MaskSource, poses: Sequence[TeacherPose], config: EyesConfig) -> ElementTrust:
+def _trust(lesson: Lesson, masks: MaskSource, poses: Sequence[TeacherPose], config: EyesConfig) -> ElementLooks:
     """What the masks at hand say of every element, over all poses."""
-    trust = ElementTrust()
+    trust = ElementLooks()
     for pose in poses:
         seen_masks = masks.masks(pose.frame)
         unit_px = pixel_unit([mask.shape for mask in seen_masks])
@@ -184,7 +184,7 @@ def _trust(lesson: Lesson, masks: MaskSource, poses: Sequence[TeacherPose], conf
 
 
 def _images_of(
-    lesson: Lesson, pose: TeacherPose, trust: ElementTrust, table: ClassTable, config: EyesConfig
+    lesson: Lesson, pose: TeacherPose, trust: ElementLooks, table: ClassTable, config: EyesConfig
 ) -> list[LabelledImage]:
     """One labelled image for each camera of a frame."""
     found = []

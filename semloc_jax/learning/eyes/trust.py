@@ -23,7 +23,7 @@ _LEAST_SHARE = 0.15
 _MOST_RANGE_M = 30.0
 
 
-class ElementTrust:
+class ElementLooks:
     """Counts over frames, by the id of the element."""
 
     def __init__(self) -> None:

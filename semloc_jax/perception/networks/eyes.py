@@ -46,7 +46,7 @@ class Said(NamedTuple):
 
 
 def read_out(raw: Float[Array, "*b h w n"]) -> Said:
-    """The meaning of what comes out of the network: three numbers for each class. Untrained it says: rather far, unsure.
+    """The meaning of what comes out of the network: three numbers for each class. Untrained: rather far, unsure.
 
     The distance is not clipped here: beyond a clip nothing would be learned any more.
     """
