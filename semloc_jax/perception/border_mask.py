@@ -43,7 +43,7 @@ class SeenBorders:
         # Far away stays far away: only what is near a border has a distance that a sigma is of.
         return np.where(np.abs(self.signed_px[k]) < 0.9 * self.reach_px, counted, self.signed_px[k])
 
-    def at(self, field: np.ndarray, size_px: tuple[int, int], stride: float) -> np.ndarray:
+    def at(self, field: np.ndarray, size_px: tuple[int, int], stride: float | int) -> np.ndarray:
         """A field of cells [h w] at another stride of the image, float32[height width], bilinear, not shifted.
 
         Args:

@@ -75,7 +75,7 @@ def drawn_labels(
     corners = (surfaces.uv + 0.5) * (scale / _DRAWN_PX) - 0.5
     # What stands hides what lies behind it: paint first, then from far to near, the order of the surfaces.
     for standing in (False, True):
-        for k in np.flatnonzero(is_paint[owner] != standing):
+        for k in np.flatnonzero(is_paint[owner] != standing).tolist():
             _fill(ids, corners, owner, k, int(channel[owner[k]]) + 1 if is_judged[k] else _UNKNOWN_ID)
     known = ~_grown(ids == _UNKNOWN_ID, _BEYOND_PX / _DRAWN_PX)
     planes = [
@@ -123,7 +123,7 @@ def _nearest_sigma(
     """The sigma of the side that is nearest to each cell."""
     number = np.zeros(shape, np.int32)
     sigmas = [REACH_PX]
-    for k in np.flatnonzero(chosen):
+    for k in np.flatnonzero(chosen).tolist():
         on_cells = np.round((corners[k] + 0.5) / _FINE - 0.5).astype(int)
         for side, is_border in enumerate((True, surfaces.is_end[k, 0], True, surfaces.is_end[k, 1])):
             if is_border:
