@@ -16,7 +16,7 @@ from semloc_jax.learning.eyes.teach import EyesConfig, Lesson, Round, best_round
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.storage import write_text
-from semloc_jax.viz.eyes import Look, draw_looks, draw_rounds
+from semloc_jax.viz.eyes import SeenFrame, draw_looks, draw_rounds
 from semloc_jax.viz.style import save
 
 BEST = "eyes.weights"
@@ -143,12 +143,12 @@ def _write_json(path: Path, rounds: Sequence[Round], best: int) -> None:
     write_text(path, json.dumps({"best": best, "rounds": content}, indent=1) + "\n")
 
 
-def _looks(held_out: Lesson, rounds: Sequence[Round]) -> list[list[Look]]:
+def _looks(held_out: Lesson, rounds: Sequence[Round]) -> list[list[SeenFrame]]:
     """The same frames of the first camera in every round, one row a round."""
     places = np.linspace(0, len(held_out.frames) - 1, min(_LOOKED_AT, len(held_out.frames))).astype(int)
     frames, rows = [held_out.frames[i] for i in np.unique(places)], []
     for found in rounds:
         masks = held_out.seen_with(found.eyes)
         camera = masks.cameras[0]
-        rows.append([Look(frame.image(camera), masks.segment(frame, camera), masks.table) for frame in frames])
+        rows.append([SeenFrame(frame.image(camera), masks.segment(frame, camera), masks.table) for frame in frames])
     return rows

@@ -21,7 +21,7 @@ _NORMAL = (0.683, 0.954, 0.997)
 """Shares of a normal distribution within 1, 2 and 3 sigma."""
 
 
-class Look(NamedTuple):
+class SeenFrame(NamedTuple):
     """One image with what is seen in it."""
 
     image: np.ndarray
@@ -40,28 +40,27 @@ def draw_rounds(scores: Sequence[RoundScore]) -> Figure:
     recall.bar(numbers, share, 0.6, color="#00897b", label="accepted")
     recall.bar(numbers, false, 0.6, color="#d32f2f", label="of them false")
     recall.set(ylim=(0, 105), ylabel="frames held out [%]", title="accepted")
-    for k, (name, colour) in enumerate(
-        (("across [cm]", _ACROSS), ("along [cm]", _ALONG), ("heading [0.01 deg]", _HEADING))
-    ):
+    for k, (name, colour) in enumerate(_DIRECTIONS.items()):
         errors.plot(numbers, [100.0 * score.median[k] for score in scores], "o-", color=colour, label=name)
-    errors.set(yscale="log", title="median error of all poses found")
+    errors.set(ylim=(0, None), title="median error of all poses found")
     for k, colour in enumerate(_WITHIN):
         honesty.plot(numbers, [100.0 * score.within[k] for score in scores], "o-", color=colour, label=f"{k + 1} sigma")
         honesty.axhline(100.0 * _NORMAL[k], color=colour, linewidth=0.8, linestyle=":")
-    honesty.set(ylim=(0, 105), ylabel="[%]", title="errors within their sigmas (dotted: normal)")
+    honesty.set(ylim=(0, 105), ylabel="[%]", title="within their sigmas; dotted: normal")
     for axes in (recall, errors, honesty):
         axes.set_xticks(numbers, ["begin", *(f"round {k}" for k in numbers[1:])])
+        axes.title.set_fontsize(10)
         axes.legend(fontsize=7, frameon=False, labelcolor=INK)
     return figure
 
 
-def draw_looks(rows: Sequence[Sequence[Look]]) -> np.ndarray:
+def draw_looks(rows: Sequence[Sequence[SeenFrame]]) -> np.ndarray:
     """The same frames in every round, one row a round: borders of each class in its colour."""
     pictures = [np.hstack([_tile(look, f"round {k}" if k else "begin") for look in row]) for k, row in enumerate(rows)]
     return np.vstack(pictures)
 
 
-def _tile(look: Look, text: str) -> np.ndarray:
+def _tile(look: SeenFrame, text: str) -> np.ndarray:
     height = round(_TILE_PX * look.image.shape[0] / look.image.shape[1])
     size = (_TILE_PX, height)
     picture = np.ascontiguousarray(cv2.resize(look.image[..., ::-1], size, interpolation=cv2.INTER_AREA))
