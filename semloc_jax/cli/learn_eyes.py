@@ -34,6 +34,9 @@ class Options:
     """Map of all of them: a file, the name of a map of each drive, or sweeps:::2 (PandaSet); default: its own."""
     masks: str = "classical"
     """What there is at the beginning, as for semloc localize."""
+    network: str | None = None
+    """An ONNX network (FILE.onnx, with its preset FILE.yaml beside it, or the preset) whose scores the eyes see beside
+    the colours: a small adapter on top of it is taught, not eyes of their own."""
     frames: str = ":"
     """Frames to learn from, as a Python slice."""
     held_out: Path | None = None
@@ -60,6 +63,7 @@ def default_settings() -> "EyesConfig":
 
 def run(options: Options) -> int:
     """Teach, print the score of every round."""
+    from semloc_jax.inputs.mask_source import network_preset
     from semloc_jax.reports.eyes import EyesDrives, report_eyes
 
     log_to_console()
@@ -72,6 +76,7 @@ def run(options: Options) -> int:
         parse_slice(options.held_out_frames),
         parse_names(options.cameras),
         options.prior,
+        network_preset(Path(options.network)) if options.network is not None else None,
     )
     report = report_eyes(drives, options.settings, options.out)
     print(report.text)

@@ -175,7 +175,7 @@ def _network(name: str, drive: Drive, names: tuple[str, ...], table: str | None)
     Raises:
         SemlocError: the file is missing or no network, no class table is known, or it does not fit what comes out.
     """
-    preset = _network_preset(Path(name))
+    preset = network_preset(Path(name))
     if not (table or preset.class_table):
         raise SemlocError(f"network {name}: what its class ids mean is not known; give --class-table")
     network = NetworkSegmenter(preset)
@@ -192,7 +192,7 @@ def _network(name: str, drive: Drive, names: tuple[str, ...], table: str | None)
     return source
 
 
-def _network_preset(path: Path) -> NetworkPreset:
+def network_preset(path: Path) -> NetworkPreset:
     """The preset of a network: the file itself, the one beside the ONNX file, or all defaults."""
     if path.suffix.lower() != ".onnx":
         return load_network_preset(path)

@@ -4,6 +4,7 @@ In: drives with a map. Out: weights, ONNX, rounds.json, report.md, pictures.
 """
 
 import json
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -13,12 +14,14 @@ import numpy as np
 from semloc_jax.errors import UsageError
 from semloc_jax.inputs.drive_inputs import InputOptions, Inputs, open_inputs
 from semloc_jax.learning.eyes.teach import EyesConfig, Lesson, Round, best_round, taught
+from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.storage import write_text
-from semloc_jax.viz.eyes import SeenFrame, draw_looks, draw_rounds
+from semloc_jax.viz.eyes import RoundLook, draw_looks, draw_rounds
 from semloc_jax.viz.style import save
 
+_LOG = logging.getLogger(__name__)
 BEST = "eyes.weights"
 _LOOKED_AT = 5
 
@@ -35,6 +38,7 @@ class EyesDrives(NamedTuple):
         held_out_frames: which frames judge; they do not teach.
         cameras: names; None for the default of the drive.
         prior: of the drives that teach.
+        network: another network whose scores the eyes see; None for eyes of their own.
     """
 
     learned_from: tuple[Path, ...]
@@ -45,6 +49,7 @@ class EyesDrives(NamedTuple):
     held_out_frames: slice = slice(None, None, 10)
     cameras: tuple[str, ...] | None = None
     prior: str | None = None
+    network: NetworkPreset | None = None
 
 
 class EyesReport(NamedTuple):
@@ -73,12 +78,13 @@ def report_eyes(drives: EyesDrives, config: EyesConfig | None = None, out: Path 
         for path in drives.learned_from
     ]
     folder = make_folder(out)
-    rounds = taught(lessons, held_out, config, folder, lambda k, found: print(round_row(k, found), flush=True))
+    helper = None if drives.network is None else NetworkSegmenter(drives.network)
+    rounds = taught(lessons, held_out, config, folder, lambda k, found: _LOG.info("%s", round_row(k, found)), helper)
     best = best_round(rounds)
     if best:
         rounds[best].eyes.save(folder / BEST)
-        network = rounds[best].eyes.network
-        write_onnx(folder / "eyes.onnx", network, 3 * len(rounds[best].eyes.table.channels))
+        make = rounds[best].eyes.config
+        write_onnx(folder / "eyes.onnx", rounds[best].eyes.network, make.num_outputs, make.num_inputs)
     text = rounds_table(rounds, best)
     _write_json(folder / "rounds.json", rounds, best)
     write_text(folder / "report.md", text + "\n")
@@ -143,12 +149,12 @@ def _write_json(path: Path, rounds: Sequence[Round], best: int) -> None:
     write_text(path, json.dumps({"best": best, "rounds": content}, indent=1) + "\n")
 
 
-def _looks(held_out: Lesson, rounds: Sequence[Round]) -> list[list[SeenFrame]]:
+def _looks(held_out: Lesson, rounds: Sequence[Round]) -> list[list[RoundLook]]:
     """The same frames of the first camera in every round, one row a round."""
     places = np.linspace(0, len(held_out.frames) - 1, min(_LOOKED_AT, len(held_out.frames))).astype(int)
     frames, rows = [held_out.frames[i] for i in np.unique(places)], []
     for found in rounds:
         masks = held_out.seen_with(found.eyes)
         camera = masks.cameras[0]
-        rows.append([SeenFrame(frame.image(camera), masks.segment(frame, camera), masks.table) for frame in frames])
+        rows.append([RoundLook(frame.image(camera), masks.segment(frame, camera), masks.table) for frame in frames])
     return rows

@@ -21,7 +21,7 @@ _NORMAL = (0.683, 0.954, 0.997)
 """Shares of a normal distribution within 1, 2 and 3 sigma."""
 
 
-class SeenFrame(NamedTuple):
+class RoundLook(NamedTuple):
     """One image with what is seen in it."""
 
     image: np.ndarray
@@ -54,13 +54,13 @@ def draw_rounds(scores: Sequence[RoundScore]) -> Figure:
     return figure
 
 
-def draw_looks(rows: Sequence[Sequence[SeenFrame]]) -> np.ndarray:
+def draw_looks(rows: Sequence[Sequence[RoundLook]]) -> np.ndarray:
     """The same frames in every round, one row a round: borders of each class in its colour."""
     pictures = [np.hstack([_tile(look, f"round {k}" if k else "begin") for look in row]) for k, row in enumerate(rows)]
     return np.vstack(pictures)
 
 
-def _tile(look: SeenFrame, text: str) -> np.ndarray:
+def _tile(look: RoundLook, text: str) -> np.ndarray:
     height = round(_TILE_PX * look.image.shape[0] / look.image.shape[1])
     size = (_TILE_PX, height)
     picture = np.ascontiguousarray(cv2.resize(look.image[..., ::-1], size, interpolation=cv2.INTER_AREA))

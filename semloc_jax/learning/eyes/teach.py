@@ -8,7 +8,7 @@ What the teacher gets wrong in every frame is learned for ever, since poses move
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,9 +29,10 @@ from semloc_jax.learning.eyes.trust import ElementLooks
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.maps import SemanticMap
 from semloc_jax.maps.elements import MapElement
-from semloc_jax.perception import ClassTable, load_class_table
+from semloc_jax.perception import load_class_table
 from semloc_jax.perception.border_distance import border_distances, pixel_unit
-from semloc_jax.perception.networks.eyes import Eyes, eyes_table, working_image, working_scale
+from semloc_jax.perception.network import NetworkSegmenter
+from semloc_jax.perception.networks.eyes import Eyes, eyes_table, working_scale
 
 _LOG = logging.getLogger(__name__)
 _RADIUS_M = 80.0
@@ -105,6 +106,7 @@ def taught(
     config: EyesConfig,
     folder: Path,
     on_round: Callable[[int, Round], None] | None = None,
+    helper: NetworkSegmenter | None = None,
 ) -> list[Round]:
     """The rounds, what there was at the beginning first; `best_round` says which to keep.
 
@@ -114,23 +116,25 @@ def taught(
         config: Rounds, steps, limits.
         folder: For checkpoints and the weights of each round.
         on_round: Called after each round.
+        helper: Another network whose scores the eyes see: they are a small adapter on top of it then.
 
     Raises:
         SemlocError: no pose is good enough to teach, or the frames held out have no truth.
     """
     classes = frozenset(label for lesson in lessons for label in lesson.map.labels)
     table = eyes_table(load_class_table(TABLE), classes)
-    eyes, rounds, labelled, by = None, [], None, -1
+    eyes, rounds, labelled, by = Eyes.new(table, config.training.seed, helper), [], None, -1
     for k in range(config.rounds + 1):
         num_poses, num_distrusted = labelled[1:] if labelled else (0, 0)
-        rounds.append(Round(eyes, _score(held_out, eyes, config), num_poses, num_distrusted))
+        taught_eyes = eyes if k else None
+        rounds.append(Round(taught_eyes, _score(held_out, taught_eyes, config), num_poses, num_distrusted))
         if on_round is not None:
             on_round(k, rounds[-1])
         if k < config.rounds:
             best = best_round(rounds)
             if best != by:  # a round that was worse teaches nobody
-                labelled, by = _labelled(lessons, rounds[best].eyes, table, config), best
-            eyes = _trained(eyes or Eyes.new(table, config.training.seed), labelled[0], config, folder, k + 1)
+                labelled, by = _labelled(lessons, rounds[best].eyes, eyes, config), best
+            eyes = _trained(eyes, labelled[0], config, folder, k + 1)
     return rounds
 
 
@@ -149,9 +153,10 @@ def _score(lesson: Lesson, eyes: Eyes | None, config: EyesConfig) -> RoundScore:
 
 
 def _labelled(
-    lessons: Sequence[Lesson], eyes: Eyes | None, table: ClassTable, config: EyesConfig
+    lessons: Sequence[Lesson], eyes: Eyes | None, student: Eyes, config: EyesConfig
 ) -> tuple[list[LabelledImage], int, int]:
-    """Labelled images of every frame that may teach, how many frames, and how many elements are denied."""
+    """Labelled images for a student of every frame that may teach, how many frames, and how many elements are denied;
+    `eyes` find the poses, None for what there was."""
     images: list[LabelledImage] = []
     num_poses = num_distrusted = 0
     for lesson in lessons:
@@ -159,7 +164,7 @@ def _labelled(
         poses = teacher_poses(lesson.drive, lesson.map, masks, lesson.frames, lesson.prior, config.limits)
         trust = _trust(lesson, masks, poses, config)
         for pose in poses:
-            images += _images_of(lesson, pose, trust, table, config)
+            images += _images_of(lesson, pose, trust, student, config)
         num_poses, num_distrusted = num_poses + len(poses), num_distrusted + trust.num_distrusted
     if not images:
         raise SemlocError(
@@ -184,7 +189,7 @@ def _trust(lesson: Lesson, masks: MaskSource, poses: Sequence[TeacherPose], conf
 
 
 def _images_of(
-    lesson: Lesson, pose: TeacherPose, trust: ElementLooks, table: ClassTable, config: EyesConfig
+    lesson: Lesson, pose: TeacherPose, trust: ElementLooks, student: Eyes, config: EyesConfig
 ) -> list[LabelledImage]:
     """One labelled image for each camera of a frame."""
     found = []
@@ -194,13 +199,13 @@ def _images_of(
         labels = drawn_labels(
             surfaces,
             elements,
-            table,
+            student.table,
             (image.shape[1], image.shape[0]),
             working_scale(image.shape[1]),
             trust.is_trusted(elements),
             None if hidden is None else resized(hidden, image[..., 0]),
         )
-        found.append(LabelledImage.of(working_image(image), labels))
+        found.append(LabelledImage.of(student.picture(image), labels))
     return found
 
 
@@ -216,7 +221,7 @@ def _surfaces(
 
 def _trained(eyes: Eyes, images: Sequence[LabelledImage], config: EyesConfig, folder: Path, number: int) -> Eyes:
     """The eyes after a round; its weights and checkpoint are in the folder."""
-    step_px = eyes.step_px
+    step_px = eyes.config.step_px
 
     def batch_of(rng: np.random.Generator):
         return draw_batch(images, config.crops, step_px, rng)
@@ -224,7 +229,7 @@ def _trained(eyes: Eyes, images: Sequence[LabelledImage], config: EyesConfig, fo
     checkpoint = folder / f"round_{number}.checkpoint"
     network = train(eyes.network, eyes_loss, batch_of, config.training, checkpoint)
     taught_on = {"round": number, "images": len(images), "steps": config.training.num_steps}
-    eyes = Eyes(network, eyes.table, {"taught": taught_on})
+    eyes = replace(eyes, network=network, card={"taught": taught_on})
     eyes.save(folder / f"round_{number}.weights")
     checkpoint.unlink(missing_ok=True)
     return eyes

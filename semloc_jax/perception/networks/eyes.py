@@ -6,6 +6,7 @@ lines are about as wide in all of them, and speaks of cells of two of its pixels
 """
 
 import dataclasses
+import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +21,7 @@ from jaxtyping import Array, Float
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception.border_mask import BorderMask, SeenBorders
 from semloc_jax.perception.class_table import ClassTable, parse_class_table
+from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet, DenseNetConfig, filled_up
 from semloc_jax.perception.networks.weights import load_weights, read_card, save_weights
 from semloc_jax.storage import reading
@@ -92,28 +94,37 @@ class Eyes:
         network: the network.
         table: what its class ids mean: channel k is id k + 1.
         card: what it was taught on, and how well it does.
+        helper: another network whose scores it sees beside the colours; None for none.
     """
 
     network: DenseNet
     table: ClassTable
     card: dict[str, Any] = field(default_factory=dict)
+    helper: NetworkSegmenter | None = None
 
     @classmethod
-    def new(cls, table: ClassTable, seed: int) -> "Eyes":
+    def new(cls, table: ClassTable, seed: int, helper: NetworkSegmenter | None = None) -> "Eyes":
         """Eyes that have not learned anything."""
-        config = network_config(len(table.channels))
-        return cls(DenseNet.create(jax.random.key(seed), config), table)
+        config = _config(table, helper)
+        return cls(DenseNet.create(jax.random.key(seed), config), table, {}, helper)
 
     @property
-    def step_px(self) -> int:
-        """Sides of the network's images are multiples of this."""
-        return network_config(len(self.table.channels)).step_px
+    def config(self) -> DenseNetConfig:
+        """Make of the network."""
+        return _config(self.table, self.helper)
+
+    def picture(self, image: np.ndarray) -> Float[np.ndarray, "h w c"]:
+        """What the network sees of an image uint8[h w 3] (blue green red), 0 ... 1; not filled up."""
+        colours = working_image(image)
+        if self.helper is None:
+            return colours
+        return np.concatenate([colours, self.helper.scores(image, colours.shape[1::-1])], axis=-1)
 
     def __call__(self, image: np.ndarray) -> BorderMask:
         """The mask of an image uint8[h w 3] (blue green red), with its borders."""
         height, width = image.shape[:2]
         scale = working_scale(width)
-        said = jax.tree.map(np.asarray, _said(self.network, jnp.asarray(working_image(image)), self.step_px))
+        said = jax.tree.map(np.asarray, _said(self.network, jnp.asarray(self.picture(image)), self.config.step_px))
         planes = [np.moveaxis(plane, -1, 0) for plane in said]
         names = tuple(channel.name for channel in self.table.channels)
         stride = CELL_PX / scale
@@ -126,14 +137,17 @@ class Eyes:
 
     def save(self, path: Path) -> None:
         """Write the weights with their card."""
-        save_weights(path, self.network, self.card | {"kind": KIND, "table": _plain_table(self.table)})
+        helper = None if self.helper is None else _plain_helper(self.helper)
+        save_weights(
+            path, self.network, self.card | {"kind": KIND, "table": _plain_table(self.table), "helper": helper}
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> "Eyes":
         """The eyes of a file.
 
         Raises:
-            SemlocError: no such file, or not that of eyes.
+            SemlocError: no such file, or not that of eyes; the network that helps them is missing or another one.
         """
         card = read_card(path)
         if card.get("kind") != KIND:
@@ -141,16 +155,55 @@ class Eyes:
         where = f"weights {path}: class table"
         with reading(where):
             table = parse_class_table(card.pop("table", None), where)
-        like = DenseNet.create(jax.random.key(0), network_config(len(table.channels)))
-        return cls(load_weights(path, like), table, card)
+        helper = _loaded_helper(card.pop("helper", None), Path(path))
+        like = DenseNet.create(jax.random.key(0), _config(table, helper))
+        return cls(load_weights(path, like), table, card, helper)
 
 
 @eqx.filter_jit
-def _said(network: DenseNet, picture: Float[Array, "h w 3"], step_px: int) -> Said:
+def _said(network: DenseNet, picture: Float[Array, "h w c"], step_px: int) -> Said:
     """What a network says of a picture of any size, cells beyond it left out."""
     height, width, _ = picture.shape
     rows, columns = -(-height // int(CELL_PX)), -(-width // int(CELL_PX))
     return read_out(network(filled_up(picture, step_px))[:rows, :columns])
+
+
+def _config(table: ClassTable, helper: NetworkSegmenter | None) -> DenseNetConfig:
+    """The make of eyes for a table, which see the scores of a helper."""
+    if helper is None:
+        return network_config(len(table.channels))
+    return network_config(len(table.channels), helper.scores(np.zeros((64, 64, 3), np.uint8), (8, 8)).shape[-1])
+
+
+def _plain_helper(helper: NetworkSegmenter) -> dict[str, Any]:
+    """A helper as a card holds it; which file it is, is known by its content."""
+    return dataclasses.asdict(helper.preset) | {"sha256": _digest(Path(helper.preset.model))}
+
+
+def _loaded_helper(stated: dict[str, Any] | None, path: Path) -> NetworkSegmenter | None:
+    """The helper that a card states: its file where it was, or beside the weights.
+
+    Raises:
+        SemlocError: neither is that network.
+    """
+    if stated is None:
+        return None
+    with reading(f"weights {path}: helper"):
+        digest, model = stated.pop("sha256"), Path(stated["model"])
+        names = {entry.name for entry in dataclasses.fields(NetworkPreset)}
+        values = {key: tuple(v) if isinstance(v, list) else v for key, v in stated.items() if key in names}
+    for place in (model, path.parent / model.name):
+        if place.is_file() and _digest(place) == digest:
+            return NetworkSegmenter(NetworkPreset(**values | {"model": str(place)}))
+    raise SemlocError(
+        f"weights {path}: see the scores of network {model.name}, which is neither at {model} nor beside the weights, "
+        "or is another one; put it there"
+    )
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def eyes_table(table: ClassTable, classes: frozenset) -> ClassTable:

@@ -3,15 +3,19 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception import load_class_table
+from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 from semloc_jax.perception.networks.eyes import REACH_PX, Eyes, eyes_table, read_out, working_image, working_scale
+from semloc_jax.perception.networks.onnx_graph import OnnxGraph
 from semloc_jax.perception.networks.weights import save_weights
 from semloc_jax.structs import ElementClass
+from tests.perception.onnx_files import field, red_or_blue, value_info
 
 CLASSES = frozenset({ElementClass.LANE_MARKING, ElementClass.POLE})
 
@@ -80,3 +84,43 @@ def test_other_weights_are_refused(eyes, tmp_path):
         Eyes.load(tmp_path / "c.weights")
     with pytest.raises(SemlocError, match="shows none of the classes of the map"):
         eyes_table(load_class_table("lane_paint"), frozenset({ElementClass.PILLAR}))
+
+
+def test_an_adapter_sees_the_scores_of_another_network(eyes, tmp_path):
+    """Red is class 1 of the other network: its share is beside the colours, where the red is; the weights find the
+    network again by its content."""
+    pytest.importorskip("onnxruntime")
+    plain = {"mean": (0.0, 0.0, 0.0), "std": (0.05, 0.05, 0.05)}
+    model = red_or_blue(tmp_path / "net.onnx", size=(96, 64), reduced=4)
+    helper = NetworkSegmenter(NetworkPreset(model=str(model), **plain))
+    image = np.zeros((128, 640, 3), np.uint8)
+    image[30:100, 200:400, 2] = 255
+    adapter = Eyes.new(eyes.table, 0, helper)
+    picture = adapter.picture(image)
+    assert picture.shape == (256, 1280, 6)
+    shares = picture[..., 3:]
+    np.testing.assert_allclose(shares.sum(-1), 1.0, atol=1e-5)
+    inside, outside = shares[110:150, 460:740, 1], np.delete(shares[..., 1], slice(300, 900), axis=1)
+    assert inside.min() > 0.97 and outside.max() < 0.5
+    assert sum(x.size for x in jax.tree.leaves(adapter.network)) < 0.3 * sum(
+        x.size for x in jax.tree.leaves(eyes.network)
+    )
+    adapter.save(tmp_path / "a.weights")
+    back = Eyes.load(tmp_path / "a.weights")
+    np.testing.assert_allclose(back.picture(image), picture, atol=1e-6)
+    assert not back(image).any()
+    red_or_blue(model, size=(48, 32))
+    with pytest.raises(SemlocError, match=r"scores of network net\.onnx, which is neither at .* or is another one"):
+        Eyes.load(tmp_path / "a.weights")
+
+
+def test_ids_are_no_scores(tmp_path):
+    pytest.importorskip("onnxruntime")
+    graph = OnnxGraph()
+    graph.node("ArgMax", ["x"], "y", axis=1, keepdims=1)
+    body = b"".join(graph.nodes) + field(2, "n") + field(11, value_info("x", (1, 3, 32, 32)))
+    body += field(12, field(1, "y") + field(2, field(1, field(1, 7))))
+    (tmp_path / "n.onnx").write_bytes(field(1, 8) + field(7, body) + field(8, field(1, "") + field(2, 13)))
+    network = NetworkSegmenter(NetworkPreset(model=str(tmp_path / "n.onnx")))
+    with pytest.raises(SemlocError, match="expected scores .b classes h w."):
+        network.scores(np.zeros((32, 32, 3), np.uint8), (32, 32))
