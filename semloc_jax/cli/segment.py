@@ -20,7 +20,8 @@ class Options:
     """Make masks of the images of a drive with a segmentation network in an ONNX file.
 
     Writes OUT/CAMERA/FRAME.png (class ids) and OUT/segment.yaml. What is there already is not made again, so that an
-    interrupted run goes on where it stopped. `semloc localize DRIVE --masks OUT` uses the masks.
+    interrupted run goes on where it stopped. `semloc localize DRIVE --masks OUT` uses the masks. OUT/look.jpg shows ten
+    frames with their masks: look at it before you trust them.
 
     How images are prepared can be written to a preset (YAML): model, class_table, width_px, height_px, letterbox,
     tiles, overlap, mean, std, value_range, swap_red_blue, channels_last, threshold, output, bits, backend, batch.
@@ -32,8 +33,9 @@ class Options:
     """The drive: a folder, a bag, a video; its type is guessed."""
     model: Path | None = None
     """ONNX file; default: that of the preset."""
-    preset: Path | None = None
-    """YAML file that says how images become the input of the network."""
+    preset: str | None = None
+    """How images become the input of the network: a recipe of an exporter (segformer-cityscapes, mmseg-mapillary,
+    paddleseg-cityscapes, torchvision-cityscapes, keras-cityscapes, twinlite, yolop ...) or a YAML file."""
     class_table: str | None = None
     """What the ids mean: a preset (cityscapes, mapillary ...) or a YAML file; default: that of the preset."""
     size: str | None = None
@@ -65,12 +67,12 @@ class Options:
 def run(options: Options) -> int:
     """Make the masks that are missing, print what the masks show."""
     from semloc_jax.datasets import open_drive
-    from semloc_jax.inputs.segmentation import segment_drive
+    from semloc_jax.reports.segmentation import report_segmentation
 
     logging.basicConfig(format="%(message)s")
     preset, chosen, cameras = _preset(options), parse_slice(options.frames), parse_names(options.cameras)
     drive = open_drive(options.drive, options.calib)
-    made = segment_drive(drive, preset, chosen, cameras, options.out, options.map, options.overwrite)
+    made = report_segmentation(drive, preset, chosen, cameras, options.out, options.map, options.overwrite)
     print(made.text)
     print(f"masks: {made.folder}  (semloc localize {options.drive} --masks {made.folder})")
     return LOST if made.num_failed else OK
@@ -78,13 +80,15 @@ def run(options: Options) -> int:
 
 def _preset(options: Options) -> "NetworkPreset":
     """The preset with what the options say over it."""
-    from semloc_jax.perception.network import KNOWN, NetworkPreset, load_network_preset
+    from semloc_jax.perception.network import NetworkPreset, load_network_preset
+    from semloc_jax.perception.network_recipes import RECIPES, recipe
 
     preset = NetworkPreset()
     if options.preset is not None:
-        preset = load_network_preset(options.preset)
-    elif options.class_table in KNOWN:
-        preset = KNOWN[options.class_table]
+        is_file = options.preset.endswith((".yaml", ".yml")) or Path(options.preset).is_file()
+        preset = load_network_preset(options.preset) if is_file else recipe(options.preset)
+    elif options.class_table in RECIPES:
+        preset = RECIPES[options.class_table]
         print(f"images as {options.class_table} takes them ({preset.width_px}x{preset.height_px}); --preset for others")
     given: dict = {"model": str(options.model)} if options.model is not None else {}
     if not (given or preset.model):

@@ -156,9 +156,11 @@ def _distance_m(xy: "np.ndarray", box: "np.ndarray") -> float:
 def _report_visibility(source: "MaskSource", drive: "Drive", semantic_map: "SemanticMap") -> None:
     """Log which classes of the map the masks of a network show."""
     from semloc_jax.inputs.mask_source import looked_at
-    from semloc_jax.perception.visibility import visibility
+    from semloc_jax.perception.visibility import mask_problems, visibility
 
     masks = [source.segment(frame, camera) for frame in looked_at(drive.frames) for camera in source.cameras]
+    for problem in mask_problems(source.table, masks):
+        _LOG.warning("masks '%s': %s", source.name, problem)
     rows = [row for row in visibility(source.table, masks) if row.label in semantic_map.labels]
     shown = [f"{row.label.name.lower()} ({100.0 * row.share:.2g} % of the pixels)" for row in rows if row.is_seen]
     unseen = [row.label.name.lower() for row in rows if not row.is_seen]

@@ -18,6 +18,7 @@ from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset, offsets_of_cameras
 from semloc_jax.perception.masks import read_mask
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter, load_network_preset
+from semloc_jax.perception.networks.eyes import Eyes
 from semloc_jax.perception.surround import ground_table, top_view
 from semloc_jax.runtime.memory import remembered
 
@@ -45,7 +46,8 @@ def mask_source(
 
     Args:
         name: A mask folder of the drive, any folder with CAMERA/FRAME.png, a network `FILE.onnx` (with its preset
-            FILE.yaml beside it) or its preset `FILE.yaml`, or `classical` for the built-in segmenter of road paint;
+            FILE.yaml beside it) or its preset `FILE.yaml`, eyes that a map has taught `FILE.weights`, or `classical`
+            for the built-in segmenter of road paint;
             `ipm:` before any of them makes one top view of the road of all cameras.
         drive: The drive.
         cameras: Names; None for all that have such masks.
@@ -66,6 +68,8 @@ def mask_source(
     drive.rig.select(names)
     if name == CLASSICAL:
         return _classical(drive, names)
+    if is_eyes(name):
+        return eyes_source(Eyes.load(name), drive, names, name)
     if is_network(name):
         return _network(name, drive, names, table)
     read, own_table = _files(name, drive, names)
@@ -93,7 +97,9 @@ def _files(name: str, drive: Drive, cameras: tuple[str, ...]) -> tuple[Callable[
         return (lambda frame, camera: frame.mask(name, camera)), drive.table_name
     if Path(name).is_dir():
         return _from_folder(Path(name), cameras), _recorded_table(Path(name)) or drive.table_name
-    known = ", ".join((*drive.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "a folder CAMERA/FRAME.png"))
+    known = ", ".join(
+        (*drive.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "FILE.weights", "a folder CAMERA/FRAME.png")
+    )
     raise SemlocError(f"masks '{name}': drive {drive.name} has no such folder; expected one of {known}")
 
 
@@ -132,7 +138,35 @@ def _classical(drive: Drive, names: tuple[str, ...]) -> MaskSource:
 
 def is_network(name: str) -> bool:
     """Whether masks of this name come from a network that runs on the images."""
-    return Path(name.removeprefix(TOP_VIEW)).suffix.lower() in (".onnx", ".yaml", ".yml")
+    return Path(name.removeprefix(TOP_VIEW)).suffix.lower() in (".onnx", ".yaml", ".yml") or is_eyes(name)
+
+
+def is_eyes(name: str) -> bool:
+    """Whether masks of this name come from eyes that a map has taught: they know how far and how sure a border is."""
+    return Path(name.removeprefix(TOP_VIEW)).suffix.lower() == ".weights"
+
+
+def eyes_source(eyes: Eyes, drive: Drive, names: Sequence[str], name: str = "eyes") -> MaskSource:
+    """Masks of eyes on the images of a drive; the last frames are kept, since they are asked for more than once.
+
+    Args:
+        eyes: The network.
+        drive: The drive.
+        names: Of its cameras.
+        name: Of the masks, for messages.
+    """
+
+    kept: dict[tuple[str, str], np.ndarray] = {}
+
+    def seen(frame: Frame, camera: str) -> np.ndarray:
+        key = (frame.id, camera)
+        if key not in kept:
+            while len(kept) >= 2 * len(names):
+                kept.pop(next(iter(kept)))
+            kept[key] = eyes(frame.image(camera))
+        return kept[key]
+
+    return MaskSource(name, eyes.table, tuple(names), seen)
 
 
 def _network(name: str, drive: Drive, names: tuple[str, ...], table: str | None) -> MaskSource:
@@ -141,7 +175,7 @@ def _network(name: str, drive: Drive, names: tuple[str, ...], table: str | None)
     Raises:
         SemlocError: the file is missing or no network, no class table is known, or it does not fit what comes out.
     """
-    preset = _network_preset(Path(name))
+    preset = network_preset(Path(name))
     if not (table or preset.class_table):
         raise SemlocError(f"network {name}: what its class ids mean is not known; give --class-table")
     network = NetworkSegmenter(preset)
@@ -158,7 +192,7 @@ def _network(name: str, drive: Drive, names: tuple[str, ...], table: str | None)
     return source
 
 
-def _network_preset(path: Path) -> NetworkPreset:
+def network_preset(path: Path) -> NetworkPreset:
     """The preset of a network: the file itself, the one beside the ONNX file, or all defaults."""
     if path.suffix.lower() != ".onnx":
         return load_network_preset(path)

@@ -13,6 +13,7 @@ import numpy as np
 from semloc_jax.cameras import BevCamera, Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.perception import ClassTable
+from semloc_jax.perception.border_mask import BorderMask
 from semloc_jax.perception.surround import SurroundView
 
 _IGNORED = 255
@@ -45,7 +46,7 @@ class MaskSource:
         for camera in self.cameras:
             mask = self.segment(frame, camera)
             dynamic = frame.dynamic_mask(camera)
-            masks.append(mask if dynamic is None else np.where(resized(dynamic, mask), _IGNORED, mask).astype(np.uint8))
+            masks.append(mask if dynamic is None else _without(mask, resized(dynamic, mask)))
         return masks
 
     def seen_by(self, rig: Rig) -> Rig:
@@ -86,6 +87,12 @@ class TopViewSource(MaskSource):
     def seen_by(self, rig: Rig) -> Rig:
         """The top view alone."""
         return Rig([self.bev], self.T_base_bev[None], ["top_view"])
+
+
+def _without(mask: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """The mask with what is hidden ignored; what it knows of its borders stays."""
+    ids = np.where(hidden, _IGNORED, np.asarray(mask)).astype(np.uint8)
+    return mask.with_ids(ids) if isinstance(mask, BorderMask) else ids
 
 
 def resized(picture: np.ndarray, like: np.ndarray) -> np.ndarray:

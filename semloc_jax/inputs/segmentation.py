@@ -22,7 +22,7 @@ from semloc_jax.inputs.mask_source import RECORD
 from semloc_jax.maps import read_map
 from semloc_jax.perception import ClassTable, load_class_table, read_mask
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
-from semloc_jax.perception.visibility import visibility, visibility_text
+from semloc_jax.perception.visibility import mask_problems, visibility, visibility_text
 from semloc_jax.storage import claim, output_path, write_text, writing
 
 _LOG = logging.getLogger(__name__)
@@ -35,11 +35,13 @@ class Segmented(NamedTuple):
 
     Args:
         folder: where they are.
+        cameras: whose images were taken.
         num_failed: images that could not be read.
         text: what was made and which map classes the masks show, for people.
     """
 
     folder: Path
+    cameras: tuple[str, ...]
     num_failed: int
     text: str
 
@@ -83,7 +85,7 @@ def segment_drive(
     todo = [pair for pair, path in zip(pairs, paths, strict=True) if overwrite or not path.is_file()]
     num_failed, made = _make(network, todo, folder, len(pairs))
     report = _report(paths, table, map_path or drive.map_path)
-    return Segmented(folder, num_failed, f"{made}\n{report}")
+    return Segmented(folder, cameras, num_failed, f"{made}\n{report}")
 
 
 def _cameras(names: tuple[str, ...] | None, drive: Drive) -> tuple[str, ...]:
@@ -176,7 +178,8 @@ def _report(paths: Sequence[Path], table: ClassTable, map_path: Path | None) -> 
     if map_path is not None:
         labels = [element.label for element in read_map(map_path).elements if not element.is_logical]
         in_map = {label: labels.count(label) for label in set(labels)}
-    lines = [f"warning: {problem}" for problem in table.report(masks).problems]
+    problems = [*table.report(masks).problems, *mask_problems(table, masks)]
+    lines = [f"warning: {problem}" for problem in problems]
     return "\n".join([*lines, visibility_text(visibility(table, masks), table.name, in_map)])
 
 

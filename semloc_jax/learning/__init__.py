@@ -1,4 +1,4 @@
-"""Weights, kernel and noise of the localizer learned through its own solve (room: learning)."""
+"""Weights, kernel and noise of the localizer learned through its own solve, eyes taught by the map (room: learning)."""
 
 from semloc_jax.learning.accuracy import Accuracy, localizer_accuracy
 from semloc_jax.learning.calibrate import calibrated

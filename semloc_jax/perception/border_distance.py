@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from semloc_jax.perception.border_mask import SeenBorders, borders_of
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.perception.distance import BLOCK_PX, coarse_signed_distance
 
@@ -46,6 +47,10 @@ def border_distances(
     for camera, mask in enumerate(masks):
         bottom, right = (-size % BLOCK_PX for size in mask.shape)
         padded = cv2.copyMakeBorder(mask, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
+        seen = borders_of(mask)
+        if seen is not None:
+            _fill_seen(fields[camera], seen, mask.shape, table, stride, reach_px)
+            continue
         for index, channel in enumerate(table.channels):
             inside = np.zeros(256, np.uint8)
             inside[list(channel.mask_ids)] = 255
@@ -59,6 +64,19 @@ def border_distances(
             near = np.clip(distance[:rows, :columns], -reach_px, reach_px)
             fields[camera, index, top : top + len(near), left : left + near.shape[1]] = near
     return BorderDistances(fields, stride, reach_px)
+
+
+def _fill_seen(
+    fields: np.ndarray, seen: SeenBorders, shape: tuple[int, ...], table: ClassTable, stride: int, reach_px: float
+) -> None:
+    """Write the distances that a network tells, [channel h w]; what is beyond its reach is beyond ours."""
+    rows, columns = -(-shape[0] // stride), -(-shape[1] // stride)
+    for index, channel in enumerate(table.channels):
+        if channel.name in seen.names:
+            told = seen.signed_px[seen.names.index(channel.name)]
+            told = np.where(told < 0.95 * seen.reach_px, told, reach_px)
+            near = np.clip(seen.at(told, (columns, rows), stride), -reach_px, reach_px)
+            fields[index, :rows, :columns] = near
 
 
 def _within_reach(binary: np.ndarray, reach_px: float) -> tuple[slice, slice]:

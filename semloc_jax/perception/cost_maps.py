@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.perception.border_mask import borders_of
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.perception.distance import BLOCK_PX
-from semloc_jax.perception.ramps import FAR_BYTE, Level, fill_levels
+from semloc_jax.perception.ramps import FAR_BYTE, Level, fill_from_borders, fill_levels
 from semloc_jax.runtime.allocator import ALIGN_BYTES, used_again
 from semloc_jax.structs import CostMaps, ElementClass
 
@@ -40,6 +41,9 @@ class CostMapConfig:
     grow_unusable_px: int = 2
     """Margin around ego body, dynamic objects and ignored pixels [px]: the outlines they cut are not real."""
     usable_stride: int = 2
+    sure_px: float = 2.0
+    """Where a network states the standard deviation of a border, this much counts as in any mask, more counts less
+    [px]; the noise of a border that solvers assume."""
 
     def __post_init__(self) -> None:
         if len(self.ramp_px) != len(self.stride) or not self.ramp_px:
@@ -66,7 +70,8 @@ def cost_maps(
     """Cost maps of one frame: for every camera, channel and level the clipped signed distance to the mask boundary.
 
     Args:
-        masks: class ids, uint8[h w], one for each camera; smaller masks are padded with unusable pixels.
+        masks: class ids, uint8[h w], one for each camera; smaller masks are padded with unusable pixels. Where a mask
+            knows its borders (`BorderMask`), its own distances are taken.
         table: the class table of the masks.
         config: None for the defaults.
         channels: the channels to fill (those of the local map), None for all; the others stay at +1.
@@ -122,6 +127,10 @@ def mask_ramps(
             Level(ramp[camera, channel, : -(-h // s), : -(-w // s)], ramp_px, s)
             for ramp, ramp_px, s in zip(ramps, config.ramp_px, config.stride, strict=True)
         ]
+        seen = borders_of(masks[camera])
+        if seen is not None:
+            fill_from_borders(levels, seen, table.channels[channel].name, config.sure_px)
+            return
         fill_levels(levels, layers[camera], channel + 1, kind, config.blur_px)
 
     jobs = [partial(fill, *job) for job in itertools.product(range(len(masks)), channels)]

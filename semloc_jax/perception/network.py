@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
+from jaxtyping import Float
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception.network_backends import Backend, load_backend
@@ -65,21 +66,6 @@ class NetworkPreset:
                 f"network preset: size {sizes[:2]}, tiles {self.tiles}, overlap {self.overlap}, std {self.std}, batch "
                 f"{self.batch}; expected sizes >= 0, tiles and batch >= 1, overlap below 0.5 and std above 0"
             )
-
-
-KNOWN = {
-    # https://github.com/chequanghuy/TwinLiteNet: 640x360, red green blue, 0 ... 1; drivable area, then lane lines.
-    "twinlite": NetworkPreset(
-        class_table="twinlite",
-        width_px=640,
-        height_px=360,
-        letterbox=False,
-        mean=(0.0, 0.0, 0.0),
-        std=(1.0, 1.0, 1.0),
-        bits=(2, 1),
-    ),
-}
-"""Presets of networks that have a class table of their own, by its name."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +147,34 @@ class NetworkSegmenter:
                 masks[index][top:bottom, left:right] = ids[y : y + bottom - top, x : x + right - left]
         return masks
 
+    def scores(self, image: np.ndarray, size_px: tuple[int, int]) -> Float[np.ndarray, "h w n"]:
+        """Shares of the classes at every pixel of an image that is scaled to `size_px`, in one piece, 0 ... 1.
+
+        Args:
+            image: uint8[h w 3] (BGR).
+            size_px: (width, height) of what comes out.
+
+        Raises:
+            SemlocError: the network fails on it, or gives ids in place of scores.
+        """
+        blob, move = self._blob(image, self.size_px or image.shape[1::-1])
+        batch = np.stack([blob] * (self.backend.batch or 1))
+        (output, *_) = self.backend.run(batch.transpose(0, 2, 3, 1) if self.preset.channels_last else batch)
+        if output.ndim != 4 or np.issubdtype(output.dtype, np.integer):
+            raise SemlocError(
+                f"network {self.preset.model}: gives {output.dtype}{list(output.shape)}; expected scores "
+                "[b classes h w]; name their output (--output), or export it without the best class chosen inside"
+            )
+        raw = (output.transpose(0, 3, 1, 2) if self.preset.channels_last else output)[0].astype(np.float32)
+        shares = np.exp(raw - raw.max(axis=0)) if len(raw) > 1 else np.clip(raw, 0.0, 1.0)
+        shares = shares / shares.sum(axis=0) if len(raw) > 1 else shares
+        to_image = _to_output(raw.shape[1:], blob.shape[:0:-1], move)
+        at_size = np.array([image.shape[1] / size_px[0], image.shape[0] / size_px[1]])
+        to_output = to_image @ np.array(
+            [[at_size[0], 0.0, 0.5 * at_size[0] - 0.5], [0.0, at_size[1], 0.5 * at_size[1] - 0.5], [0.0, 0.0, 1.0]]
+        )
+        return np.stack([_warped(plane, to_output, size_px) for plane in shares], axis=-1)
+
     def _segment_tiles(self, images: Sequence[np.ndarray], chunk: list[tuple[int, _Tile]]) -> list[np.ndarray]:
         """Class ids of each tile; where the network takes any size, those of one size go together."""
         parts = [_cut(images[index], tile.seen) for index, tile in chunk]
@@ -194,6 +208,8 @@ class NetworkSegmenter:
             )
         if output.ndim == 4 and self.preset.channels_last:
             output = output.transpose(0, 3, 1, 2)
+        if output.ndim == 4 and output.shape[1] == 1 and np.issubdtype(output.dtype, np.integer):
+            output = output[:, 0]  # the best class was chosen inside: whole numbers are no scores
         return [
             ids_at_image(output[i], parts[i].shape[1::-1], size_px, moves[i], self.preset.threshold)
             for i in range(len(parts))
@@ -237,36 +253,38 @@ def ids_at_image(
         move: scale x, scale y, left, top: pixel (u, v) of the image is at (u + 0.5) scale + left - 0.5 of the input.
         threshold: for a single class.
     """
-    rows, columns = output.shape[-2:]
-    kx, ky = columns / input_px[0], rows / input_px[1]
-    sx, sy, left, top = move
-    to_output = np.array(
-        [
-            [sx * kx, 0.0, (0.5 * sx + left) * kx - 0.5],
-            [0.0, sy * ky, (0.5 * sy + top) * ky - 0.5],
-        ]
-    )
+    to_output = _to_output(output.shape[-2:], input_px, move)
     if output.ndim == 2:
         flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         ids = np.clip(np.round(output), 0, 255).astype(np.uint8)
         return cv2.warpAffine(ids, to_output, image_px, flags=flags, borderMode=cv2.BORDER_REPLICATE)
     if not 1 <= len(output) <= 256:
         raise SemlocError(f"network: returned {len(output)} classes; expected 1 to 256")
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-
-    def score(index: int) -> np.ndarray:
-        plane = np.ascontiguousarray(output[index], dtype=np.float32)
-        return cv2.warpAffine(plane, to_output, image_px, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-
-    best = score(0)
+    best = _warped(output[0], to_output, image_px)
     if len(output) == 1:
         return (best >= threshold).astype(np.uint8)
     ids = np.zeros(best.shape, np.uint8)
     for index in range(1, len(output)):
-        plane = score(index)
+        plane = _warped(output[index], to_output, image_px)
         better = plane > best
         ids[better], best[better] = index, plane[better]
     return ids
+
+
+def _to_output(
+    shape: tuple[int, ...], input_px: tuple[int, int], move: tuple[float, float, float, float]
+) -> Float[np.ndarray, "2 3"]:
+    """Where pixels of the image are in what a network returned, [rows columns], for its input of `input_px`."""
+    kx, ky = shape[1] / input_px[0], shape[0] / input_px[1]
+    sx, sy, left, top = move
+    return np.array([[sx * kx, 0.0, (0.5 * sx + left) * kx - 0.5], [0.0, sy * ky, (0.5 * sy + top) * ky - 0.5]])
+
+
+def _warped(plane: np.ndarray, to_plane: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
+    """A plane of scores at other pixels, bilinear."""
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    plane = np.ascontiguousarray(plane, dtype=np.float32)
+    return cv2.warpAffine(plane, to_plane, size_px, flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _tiles(image: np.ndarray, preset: NetworkPreset) -> Iterator[_Tile]:

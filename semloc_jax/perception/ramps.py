@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 
 from semloc_jax import native
 from semloc_jax.native.mask_ramps import LevelBytes, reaches, write_mask_ramps
+from semloc_jax.perception.border_mask import SeenBorders
 from semloc_jax.perception.distance import (
     coarse_signed_distance,
     content_boxes,
@@ -61,6 +62,24 @@ def fill_levels(
     if is_bytes:
         for level, exact in zip(levels, floats, strict=True):
             level.out[:] = np.rint((exact.out + 1.0) * (FAR_BYTE / 2))
+
+
+def fill_from_borders(levels: Sequence[Level], seen: SeenBorders, name: str, sure_px: float) -> None:
+    """Write the ramps of a class from the distances that a network tells.
+
+    Args:
+        levels: Coarse to fine.
+        seen: What it says.
+        name: Channel of the class.
+        sure_px: Standard deviation of a border that counts in full [px].
+    """
+    counted = seen.counted_px(name, sure_px)
+    if counted is None:
+        return
+    for level in levels:
+        height, width = level.out.shape
+        share = np.clip(seen.at(counted, (width, height), level.stride) / np.float32(level.ramp_px), -1.0, 1.0)
+        level.out[:] = np.rint((share + 1.0) * (FAR_BYTE / 2)) if level.out.dtype == np.uint8 else share
 
 
 def _fill_natively(levels: Sequence[Level], layers: np.ndarray, value: int, blur_px: float) -> bool:

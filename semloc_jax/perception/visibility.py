@@ -3,13 +3,18 @@
 In: a class table and masks. Out: ClassVisibility for every map class.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.structs import ElementClass
+
+_MOST_EMPTY = 0.5
+"""Share of the masks that may show nothing: there are stretches without paint and signs. Ours."""
+_FLOODED = 0.3
+"""No landmark class covers more of one mask. Ours."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,33 @@ def visibility(table: ClassTable, masks: Iterable[np.ndarray]) -> list[ClassVisi
         in_frames = float(present[ids].max()) / max(num, 1)
         rows.append(ClassVisibility(label, table.channels[index].name, float(counts[ids].sum()) / total, in_frames))
     return rows
+
+
+def mask_problems(table: ClassTable, masks: Sequence[np.ndarray]) -> list[str]:
+    """A sentence for masks of which too many show nothing, and for those that one class floods.
+
+    Args:
+        table: what the ids mean.
+        masks: of a drive, spread over it.
+    """
+    ids = [list(channel.mask_ids) for channel in table.channels]
+    counts = [np.bincount(np.asarray(mask).ravel(), minlength=256) for mask in masks]
+    shares = np.array([[count[own].sum() / max(count.sum(), 1) for own in ids] for count in counts])
+    problems = []
+    num_empty = int((shares.sum(axis=1) == 0.0).sum()) if len(shares) else 0
+    if num_empty > _MOST_EMPTY * len(masks):
+        problems.append(
+            f"{num_empty} of {len(masks)} masks are empty: they show no class of table {table.name}; look at them, the "
+            "network may see other colours (swap_red_blue, mean, value_range) or a wrong --output may have been taken"
+        )
+    for channel, share in zip(table.channels, shares.T if len(shares) else (), strict=False):
+        num_flooded = int((share > _FLOODED).sum())
+        if num_flooded:
+            problems.append(
+                f"{num_flooded} of {len(masks)} masks are flooded: more than {100 * _FLOODED:.0f} % are "
+                f"'{channel.name}', and landmarks are small; look at them, the network may not know such images"
+            )
+    return problems
 
 
 def visibility_text(

@@ -9,6 +9,7 @@ __getattr__, __dir__, __all__ = door(
             "calibration_panels",
             "element_panels",
         ),
+        "eyes": ("EyesDrives", "report_eyes"),
         "explain_tables": ("explained_elements",),
         "surround": ("SurroundSettings", "report_surround"),
     },

@@ -8,7 +8,8 @@ import pytest
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception import load_class_table
-from semloc_jax.perception.network import KNOWN, NetworkPreset, NetworkSegmenter, load_network_preset
+from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter, load_network_preset
+from semloc_jax.perception.network_recipes import RECIPES
 from semloc_jax.perception.onnx_header import read_onnx_header
 from semloc_jax.perception.visibility import visibility, visibility_text
 from semloc_jax.structs import ElementClass
@@ -153,7 +154,7 @@ def test_what_masks_can_see_of_a_map():
 def test_a_network_with_an_output_for_each_class_gives_their_bits(tmp_path, backend):
     """TwinLite: drivable area and lane lines apart, 0 ... 1 without mean; ids of the class table `twinlite`."""
     model = red_and_blue_apart(tmp_path / "twinlite.onnx")
-    preset = dataclasses.replace(KNOWN["twinlite"], model=str(model), backend=backend)
+    preset = dataclasses.replace(RECIPES["twinlite"], model=str(model), backend=backend)
     image = np.zeros((360, 640, 3), np.uint8)
     image[:180, :, 2] = 255  # red above: drivable
     image[:, 320:, 0] = 255  # blue to the right: lane line

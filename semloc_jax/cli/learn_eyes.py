@@ -1,0 +1,84 @@
+"""`semloc learn eyes`: a network for masks, taught by the map from drives without labels (room: cli)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from semloc_jax.cli.main import OK, log_to_console
+from semloc_jax.inputs.choices import parse_names, parse_slice
+
+if TYPE_CHECKING:
+    from semloc_jax.learning.eyes.teach import EyesConfig
+
+
+@dataclass(frozen=True)
+class Options:
+    """Teach a network by the map: no labels, no truth of the drives that teach.
+
+    Each round localizes the drives with the masks that there are, projects the map into their images, trains on it with
+    the sigma of pose and map, and localizes frames held out, whose truth judges. The first masks are --masks, e.g.
+    classical, a folder or another network. Elements of the map that the frames deny do not teach.
+
+    Writes round_N.weights, eyes.weights (the last round that was better than all before, if any was), eyes.onnx,
+    rounds.json, report.md, rounds.png (errors and honesty by round), frames.png (five frames held out in every round)
+    and config.yaml. `semloc localize DRIVE --masks OUT/eyes.weights` uses it.
+
+    Every value of the configuration is an option too, e.g. --rounds 2 or --training.num-steps 3000.
+    """
+
+    drives: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DRIVE...")]
+    """Drives to learn from."""
+    map: str | None = None
+    """Map of all of them: a file, the name of a map of each drive, or sweeps:::2 (PandaSet); default: its own."""
+    masks: str = "classical"
+    """What there is at the beginning, as for semloc localize."""
+    network: str | None = None
+    """An ONNX network (FILE.onnx, with its preset FILE.yaml beside it, or the preset) whose scores the eyes see beside
+    the colours: a small adapter on top of it is taught, not eyes of their own."""
+    frames: str = ":"
+    """Frames to learn from, as a Python slice."""
+    held_out: Path | None = None
+    """Drive that judges, with truth; default: the first of those to learn from."""
+    held_out_frames: str = "::10"
+    """Frames of it that judge; those that also would teach are left out of teaching."""
+    cameras: str | None = None
+    """Names of cameras, separated by commas; default: as for semloc localize."""
+    prior: str | None = None
+    """First guess of the drives that teach: gnss, truth (plus seeded noise) or a trajectory file; default: gnss where a
+    drive has fixes."""
+    config: Path | None = None
+    """YAML file with values of the configuration."""
+    out: Path | None = None
+    """Folder for the results; default: results/TIME, to which results/latest points."""
+
+
+def default_settings() -> "EyesConfig":
+    """The configuration of the rounds."""
+    from semloc_jax.learning.eyes.teach import EyesConfig
+
+    return EyesConfig()
+
+
+def run(options: Options) -> int:
+    """Teach, print the score of every round."""
+    from semloc_jax.inputs.mask_source import network_preset
+    from semloc_jax.reports.eyes import EyesDrives, report_eyes
+
+    log_to_console()
+    drives = EyesDrives(
+        options.drives,
+        options.held_out,
+        options.map,
+        options.masks,
+        parse_slice(options.frames),
+        parse_slice(options.held_out_frames),
+        parse_names(options.cameras),
+        options.prior,
+        network_preset(Path(options.network)) if options.network is not None else None,
+    )
+    report = report_eyes(drives, options.settings, options.out)
+    print(report.text)
+    print(f"results: {report.folder}")
+    return OK

@@ -1,0 +1,62 @@
+"""How far what a network says is from what the map says (room: learning; JAX).
+
+In: what it says of cells, labels with their own sigmas. Out: a loss.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from semloc_jax.perception.networks.eyes import REACH_PX, Said, read_out
+
+_NEAR_PX, _FAR_WEIGHT = 8.0, 0.05
+"""What lies within this distance of a border decides a pose; what is farther weighs little: it only has to be far."""
+_FOCUS = 2.0
+"""Of the focal loss (Lin 2017): cells that are told well already do not count."""
+_LOGIT_WEIGHT = 0.3
+
+
+class Batch(NamedTuple):
+    """Crops of images with their labels; b crops, cells are half as many as pixels on each side."""
+
+    picture: Float[Array, "b h w c"]
+    signed_px: Float[Array, "b _h _w k"]
+    sigma_px: Float[Array, "b _h _w k"]
+    weight: Float[Array, "b _h _w"]
+    """0 where nothing is known."""
+
+
+def eyes_loss(network: eqx.Module, batch: Batch) -> Array:
+    """Negative log-likelihood of the distances by Laplace's distribution, and a focal loss of being inside.
+
+    The scale of the distribution is the network's sigma and the label's together: what the label does not know the
+    network need not. Laplace's likelihood asks for the median: where a dash is there in most images, its distance.
+    """
+    said = read_out(jax.vmap(network)(batch.picture))
+    per_cell = distance_nll(said, batch) + _LOGIT_WEIGHT * inside_loss(said, batch)
+    weight = batch.weight[..., None] * _closeness(batch.signed_px)
+    # Each class by itself: a post has a hundredth of the cells of a line and says as much.
+    return jnp.mean(jnp.sum(weight * per_cell, (0, 1, 2)) / jnp.maximum(jnp.sum(weight, (0, 1, 2)), 1.0))
+
+
+def distance_nll(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
+    """Of the distance of each cell and class."""
+    scale = jnp.sqrt((jnp.exp(2.0 * said.log_sigma) + batch.sigma_px**2) / 2.0)
+    return jnp.abs(said.signed_px - batch.signed_px) / scale + jnp.log(scale)
+
+
+def inside_loss(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
+    """Of being inside; a label near its border is as unsure as its sigma says."""
+    share = jax.scipy.stats.norm.cdf(-batch.signed_px / batch.sigma_px)
+    p = jax.nn.sigmoid(said.logit)
+    cross = -share * jax.nn.log_sigmoid(said.logit) - (1.0 - share) * jax.nn.log_sigmoid(-said.logit)
+    return jnp.abs(share - p) ** _FOCUS * cross
+
+
+def _closeness(signed_px: Array) -> Array:
+    """Weight of a cell by its distance to the border."""
+    near = jnp.exp(-jnp.abs(signed_px) / _NEAR_PX)
+    return jnp.where(jnp.abs(signed_px) < REACH_PX, jnp.maximum(near, _FAR_WEIGHT), _FAR_WEIGHT)

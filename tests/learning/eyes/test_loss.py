@@ -1,0 +1,102 @@
+"""The loss of eyes: where it is least, what it leaves alone; batches; which round is kept."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from semloc_jax.learning.eyes.batches import CropConfig, LabelledImage, draw_batch
+from semloc_jax.learning.eyes.judge import RoundScore
+from semloc_jax.learning.eyes.loss import Batch, distance_nll, eyes_loss, inside_loss
+from semloc_jax.learning.eyes.teach import Round, best_round
+from semloc_jax.perception.networks.dense_net import DenseNet
+from semloc_jax.perception.networks.eyes import REACH_PX, Said, network_config
+
+
+def one_cell(signed_px, sigma_px=1e-3):
+    cell = jnp.ones((1, 1, 1, 1))
+    return Batch(jnp.zeros((1, 2, 2, 3)), signed_px * cell, sigma_px * cell, jnp.ones((1, 1, 1)))
+
+
+def said(signed_px, log_sigma=0.0, logit=0.0):
+    cell = jnp.ones((1, 1, 1, 1))
+    return Said(signed_px * cell, log_sigma * cell, logit * cell)
+
+
+def test_the_median_of_what_is_seen_is_learned():
+    """A dash that is there in 6 of 10 images: the distance to it, not something between."""
+    seen = [2.0] * 6 + [30.0] * 4
+    mean = [float(np.mean([distance_nll(said(d), one_cell(x)).sum() for x in seen])) for d in (2.0, 13.2, 30.0)]
+    assert mean[0] < mean[1] < mean[2]
+
+
+@pytest.mark.parametrize("error_px", [0.5, 4.0])
+def test_the_sigma_that_is_likeliest_is_that_of_the_errors(error_px):
+    """Laplace: mean absolute error = sigma / sqrt 2."""
+    sigmas = np.exp(np.linspace(-3, 4, 281))
+    losses = [float(distance_nll(said(error_px, np.log(s)), one_cell(0.0)).sum()) for s in sigmas]
+    assert sigmas[int(np.argmin(losses))] == pytest.approx(np.sqrt(2.0) * error_px, rel=0.03)
+
+
+def test_what_the_label_does_not_know_is_not_learned():
+    """The slope by the distance falls with the label's sigma; the network need not be unsure where the label is."""
+    slopes = [
+        float(jax.grad(lambda d, s=s: distance_nll(said(d), one_cell(0.0, s)).sum())(3.0)) for s in (0.1, 1.0, 10.0)
+    ]
+    assert slopes[0] > slopes[1] > slopes[2] > 0.0
+    step = 1e-4
+    by_hand = distance_nll(said(3.0 + step), one_cell(0.0, 1.0)) - distance_nll(said(3.0 - step), one_cell(0.0, 1.0))
+    assert slopes[1] == pytest.approx(float(by_hand.sum()) / (2 * step), rel=1e-4)
+    inside = [float(inside_loss(said(0.0, 0.0, logit), one_cell(-5.0, 1.0)).sum()) for logit in (-3.0, 3.0)]
+    assert inside[0] > 10 * inside[1]
+
+
+def test_cells_of_which_nothing_is_known_move_nothing():
+    network = DenseNet.create(jax.random.key(0), network_config(1))
+    rng = np.random.default_rng(0)
+    picture = jnp.asarray(rng.random((1, 32, 32, 3)))
+    labels = jnp.asarray(rng.uniform(-9, 9, (1, 16, 16, 1)))
+    batch = Batch(picture, labels, jnp.ones_like(labels), jnp.zeros((1, 16, 16)))
+    slope = jax.grad(lambda n: eyes_loss(n, batch))(network)
+    assert max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(slope)) == 0.0
+
+
+def test_crops_keep_their_labels():
+    """A bright square and its distance: mirrored or moved, the label is where the square is."""
+    picture = np.zeros((96, 128, 3), np.uint8)
+    picture[40:60, 50:80] = 255
+    v, u = np.mgrid[:48, :64] * 2.0 + 0.5
+    signed = np.maximum(np.maximum(49.5 - u, u - 79.5), np.maximum(39.5 - v, v - 59.5)).clip(-REACH_PX, REACH_PX)
+    image = LabelledImage(
+        picture, signed[None].astype(np.float16), np.ones((1, 48, 64), np.float16), np.ones((48, 64), bool)
+    )
+    config = CropConfig(size=8, crop_px=(64, 64))
+    batch = draw_batch([image], config, 32, np.random.default_rng(0))
+    assert batch.picture.shape == (8, 64, 64, 3) and batch.signed_px.shape == (8, 32, 32, 1)
+    cells = batch.picture.reshape(8, 32, 2, 32, 2, 3).mean((2, 4, 5))
+    shown = 0
+    for cell, distance, weight in zip(cells, batch.signed_px[..., 0], batch.weight, strict=True):
+        inside, outside = (distance < -2.0) & (weight > 0), (distance > 2.0) & (weight > 0)
+        if inside.sum() > 10 and outside.sum() > 10:
+            shown += 1
+            assert cell[inside].mean() > cell[outside].mean() + 0.2
+    assert shown >= 4
+    again = draw_batch([image], config, 32, np.random.default_rng(0))
+    assert np.array_equal(again.picture, batch.picture)
+
+
+def score(accepted, false, along):
+    return Round(None, RoundScore(20, 20, accepted, false, (0.02, along, 0.1), (0.1, 0.3, 0.3), (0.7, 0.9, 1.0)), 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("rounds", "kept"),
+    [
+        ([(10, 0, 0.2), (12, 0, 0.1), (14, 0, 0.05)], 2),
+        ([(10, 0, 0.2), (14, 1, 0.05)], 0),  # a false pose
+        ([(10, 0, 0.2), (9, 0, 0.05)], 0),  # fewer accepted
+        ([(10, 0, 0.2), (12, 0, 0.1), (12, 0, 0.15), (12, 0, 0.08)], 3),
+    ],
+)
+def test_the_last_round_that_was_better_in_recall_and_median_is_kept(rounds, kept):
+    assert best_round([score(*one) for one in rounds]) == kept
