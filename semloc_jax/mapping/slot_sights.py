@@ -15,9 +15,11 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.mapping.looking import Gatherer, Look, Looker, RoadLookConfig
+from semloc_jax.mapping.object_tracks import wrapped
 from semloc_jax.mapping.slots import ANGLED, PERPENDICULAR, SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
 from semloc_jax.maps import Belief, MapElement
+from semloc_jax.perception.ground_contact import SightErrors, ground_covariance
 from semloc_jax.structs import ElementClass
 
 _AHEAD_M = 7.0
@@ -42,15 +44,13 @@ class SlotSightConfig:
         look: how the road is looked at: a camera sees the ground usefully to some 8 m.
         vector: how paint becomes lines; a frame is one look.
         slots: what makes a slot.
-        pixel_px, pitch_deg, height_m: errors of a camera that make the covariance of a ground point.
+        errors: of a camera, that make the covariance of a ground point.
     """
 
     look: RoadLookConfig = field(default_factory=lambda: RoadLookConfig(range_m=9.0))
     vector: VectorConfig = field(default_factory=lambda: VectorConfig(min_looks=1, joined_gap_m=1.0))
     slots: SlotConfig = field(default_factory=lambda: SlotConfig(assumed_depth_m=(5.0, 2.2)))
-    pixel_px: float = 2.0
-    pitch_deg: float = 0.3
-    height_m: float = 0.05
+    errors: SightErrors = field(default_factory=SightErrors)
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class SlotObserver:
         width_m, depth_m = float(np.linalg.norm(step)), float(np.linalg.norm(inward))
         yaw = np.arctan2(inward[1], inward[0])
         # The entrance runs with the slot on its left: its normal to the left points inward.
-        skew = _wrapped(yaw - np.arctan2(step[0], -step[1]))
+        skew = wrapped(yaw - np.arctan2(step[0], -step[1]))
         known = [self.ground_covariance(T[:2, :2].T @ (corner - T[:2, 3])) for corner in (first, second)]
         C = T[:2, :2] @ (0.5 * (known[0] + known[1])) @ T[:2, :2].T
         covariance = np.zeros((3, 3))
@@ -166,22 +166,10 @@ class SlotObserver:
         return Slot(kind, pose, width_m, depth_m, float(skew), occupied, covariance, is_faced)
 
     def ground_covariance(self, xy_base: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "2 2"]:
-        """Covariance [m^2] of a place on the road as its nearest camera sees it.
-
-        J diag(pixel, pixel)^2 J^T + pitch + height of a line of sight that meets a plane: along it
-        ((r^2 + h^2) / h)^2 (sigma_px^2 / f^2 + sigma_pitch^2) + (r / h)^2 sigma_h^2, across it
-        (r^2 + h^2) sigma_px^2 / f^2.
-        """
+        """Covariance [m^2] of a place on the road as its nearest camera sees it."""
         offset = xy_base - self._places[:, :2]
-        away = np.linalg.norm(offset, axis=1)
-        k = int(away.argmin())
-        r, h, pixel = float(away[k]), float(self._places[k, 2]), self.config.pixel_px / self._focal_px[k]
-        spread = (r * r + h * h) / h
-        along = spread**2 * (pixel**2 + np.deg2rad(self.config.pitch_deg) ** 2) + (r / h * self.config.height_m) ** 2
-        across = (r * r + h * h) * pixel**2
-        sight = offset[k] / max(r, 1e-6)
-        aside = np.array([-sight[1], sight[0]])
-        return along * np.outer(sight, sight) + across * np.outer(aside, aside)
+        k = int(np.linalg.norm(offset, axis=1).argmin())
+        return ground_covariance(offset[k], float(self._places[k, 2]), float(self._focal_px[k]), self.config.errors)
 
 
 def is_taken(corners: Float[np.ndarray, "4 2"], vehicles: EvidenceGrid) -> bool | None:
@@ -267,7 +255,3 @@ def in_rows(elements: Sequence[MapElement]) -> list[Float[np.ndarray, "2 2"]]:
             if _UNEVEN_M < off_m < _ROW_M or (steady and -_ROW_M < off_m < -_UNEVEN_M):
                 mouths[k][end] -= off_m * inward[k]
     return mouths
-
-
-def _wrapped(angle_rad: float) -> float:
-    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)

@@ -16,8 +16,9 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import drive_chain
+from semloc_jax.mapping.object_tracks import TrackConfig, Tracker, wrapped
 from semloc_jax.mapping.slot_sights import SlotObserver, SlotSightConfig
-from semloc_jax.mapping.slot_tracks import SlotTrack, SlotTrackConfig, SlotTracker
+from semloc_jax.mapping.slot_tracks import SlotTrack
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap, write_map
 from semloc_jax.perception.surround import SurroundView
 from semloc_jax.reports.film import Film
@@ -38,7 +39,7 @@ def report_slots(
     masks: MaskSource,
     frames: slice = slice(None),
     sights: SlotSightConfig | None = None,
-    tracks: SlotTrackConfig | None = None,
+    tracks: TrackConfig | None = None,
     video: bool = False,
     out: Path | None = None,
     options: Mapping[str, Any] | None = None,
@@ -58,7 +59,7 @@ def report_slots(
         SemlocError: no odometry, masks that show no slot lines, no frames.
     """
     chain = drive_chain(drive)
-    observer, tracker = SlotObserver(drive, masks, sights), SlotTracker(tracks)
+    observer, tracker = SlotObserver(drive, masks, sights), Tracker(SlotTrack, tracks)
     chosen = range(len(drive))[frames]
     folder = make_folder(out)
     errors = SlotErrors.of(drive)
@@ -104,11 +105,11 @@ def _row(time_s: float, track: SlotTrack, T_odom_base: np.ndarray) -> tuple:
     """One line of a table: the fused slot in base and odom; sigmas are along x and y of the base frame."""
     R = T_odom_base[:2, :2]
     x, y = R.T @ (track.pose[:2] - T_odom_base[:2, 3])
-    yaw = _wrapped(float(track.pose[2] - np.arctan2(R[1, 0], R[0, 0])))
+    yaw = wrapped(float(track.pose[2] - np.arctan2(R[1, 0], R[0, 0])))
     C = R.T @ track.covariance[:2, :2] @ R
     sigmas = np.sqrt([C[0, 0], C[1, 1], track.covariance[2, 2]])
     taken = "" if track.occupied is None else int(track.occupied)
-    numbers = [f"{value:.4f}" for value in (x, y, yaw, *track.pose[:2], _wrapped(float(track.pose[2])))]
+    numbers = [f"{value:.4f}" for value in (x, y, yaw, *track.pose[:2], wrapped(float(track.pose[2])))]
     size = [f"{value:.3f}" for value in (track.width_m, track.depth_m)]
     told = [f"{value:.4f}" for value in (*sigmas, track.existence)]
     return (f"{time_s:.3f}", track.id, track.kind, *numbers, *size, taken, *told, int(track.confirmed))
@@ -173,7 +174,3 @@ class _TopViewFilm:
 
 def _speed_mps(drive: Drive, frame: Frame) -> float:
     return float(np.interp(frame.time_s, drive.odometry.time_s, drive.odometry.speed_mps))
-
-
-def _wrapped(angle_rad: float) -> float:
-    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
