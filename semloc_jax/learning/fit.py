@@ -13,6 +13,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.learning.adam import AdamState, adam_step, falling_rate
 from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.loss import FrameScore, frame_loss
 from semloc_jax.learning.parameters import Parameters
@@ -82,14 +83,12 @@ def fit(
 
     rng = np.random.default_rng(config.seed)
     history, best = [losses(x, judges)[0]], x
-    first, second = np.zeros_like(x), np.zeros_like(x)
+    adam = AdamState.begin(x)
     for step in range(1, config.num_steps + 1):
         drawn = rng.choice(len(used), min(config.batch, len(used)), replace=False)
         value, gradient = losses(x, [used[k] for k in drawn])
         gradient = gradient + np.asarray(pull(jnp.asarray(x, dtype)), np.float64)
-        first, second = 0.9 * first + 0.1 * gradient, 0.99 * second + 0.01 * gradient**2
-        rate = config.rate * 0.5 * (1 + np.cos(np.pi * (step - 1) / config.num_steps))
-        x = x - rate * first / (1 - 0.9**step) / (np.sqrt(second / (1 - 0.99**step)) + 1e-8)
+        x, adam = adam_step(x, gradient, adam, falling_rate(config.rate, step, config.num_steps))
         if on_step is not None:
             on_step(value)
         if step % config.judge_every == 0 or step == config.num_steps:

@@ -1,0 +1,102 @@
+"""A network is trained: seeded, in steps that can be gone on with (room: learning; JAX and host).
+
+In: a network, its loss, what gives the batch of a step. Out: the trained network; a checkpoint.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from semloc_jax.errors import SemlocError
+from semloc_jax.learning.adam import AdamState, adam_step, falling_rate
+from semloc_jax.perception.networks.weights import load_weights, read_card, save_weights
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How a network is trained."""
+
+    num_steps: int = 1000
+    rate: float = 2e-3
+    """Of Adam at its begin; it falls to zero over all steps."""
+    most_gradient: float = 1.0
+    """Longest gradient of a batch: one bad label shall not throw the network."""
+    seed: int = 0
+    """Of the batches: that of step k is drawn by (seed, k) alone, so that a run that goes on draws the same."""
+    save_every: int = 100
+    """Steps between checkpoints."""
+
+    def __post_init__(self) -> None:
+        if min(self.num_steps, self.save_every) < 1 or min(self.rate, self.most_gradient) <= 0.0:
+            raise SemlocError(f"training: {self}; expected steps of at least 1, rate and longest gradient above 0")
+
+
+def train(
+    network: T,
+    loss: Callable[[T, Any], jax.Array],
+    batch_of: Callable[[np.random.Generator], Any],
+    config: TrainingConfig,
+    checkpoint: Path | None = None,
+    on_step: Callable[[int, float], None] | None = None,
+) -> T:
+    """The network after Adam's steps down the loss of batches.
+
+    Args:
+        network: To begin with.
+        loss: Of a network and a batch, a scalar; steps whose gradient is not finite are left out.
+        batch_of: Draws a batch, always of the same shapes.
+        config: Steps, rate, seed.
+        checkpoint: File to go on from where it is there, and to write now and then; it is left there at the end.
+        on_step: Called with the number of the step and its loss.
+
+    Raises:
+        SemlocError: the checkpoint is of another network or of other settings.
+    """
+    parameters, rest = eqx.partition(network, eqx.is_inexact_array)
+
+    @jax.jit
+    def advance(parameters: Any, adam: AdamState, batch: Any, rate: jax.Array) -> tuple[Any, AdamState, jax.Array]:
+        value, gradient = jax.value_and_grad(lambda p: loss(eqx.combine(p, rest), batch))(parameters)
+        size = jnp.sqrt(sum(jnp.sum(g * g) for g in jax.tree.leaves(gradient)))
+        scale = jnp.where(jnp.isfinite(size), jnp.minimum(1.0, config.most_gradient / jnp.maximum(size, 1e-12)), 0.0)
+        gradient = jax.tree.map(lambda g: jnp.where(scale > 0, scale * g, 0.0), gradient)
+        return *adam_step(parameters, gradient, adam, rate), value
+
+    adam = AdamState.begin(parameters)
+    done, parameters, adam = _resumed(checkpoint, parameters, adam, config)
+    for step in range(done + 1, config.num_steps + 1):
+        batch = batch_of(np.random.default_rng((config.seed, step)))
+        adam = adam._replace(step=jnp.asarray(step - 1, jnp.float32))
+        rate = jnp.asarray(falling_rate(config.rate, step, config.num_steps), jnp.float32)
+        parameters, adam, value = advance(parameters, adam, batch, rate)
+        if on_step is not None:
+            on_step(step, float(value))
+        if checkpoint is not None and (step % config.save_every == 0 or step == config.num_steps):
+            save_weights(checkpoint, (parameters, adam.first, adam.second), _settings(config) | {"step": step})
+    return eqx.combine(parameters, rest)
+
+
+def _settings(config: TrainingConfig) -> dict[str, int | float]:
+    """What must be the same for a run to go on."""
+    return {"num_steps": config.num_steps, "rate": config.rate, "seed": config.seed}
+
+
+def _resumed(
+    checkpoint: Path | None, parameters: Any, adam: AdamState, config: TrainingConfig
+) -> tuple[int, Any, AdamState]:
+    """Steps that are done, parameters and means: those of the checkpoint, else those given."""
+    if checkpoint is None or not checkpoint.is_file():
+        return 0, parameters, adam
+    card = read_card(checkpoint)
+    if {key: card.get(key) for key in _settings(config)} != _settings(config):
+        raise SemlocError(f"checkpoint {checkpoint}: made with other settings than {_settings(config)}; delete it")
+    parameters, first, second = load_weights(checkpoint, (parameters, adam.first, adam.second))
+    return int(card["step"]), parameters, adam._replace(first=first, second=second)
