@@ -38,6 +38,7 @@ VERBS = {
     "check-calib": "what looks wrong in a calibration, and pictures of it: horizon, ground grid, map",
     "surround": "the metric top view of all cameras around a vehicle",
     "slots": "parking slots around a vehicle, made exact over many frames",
+    "obstacles": "cones, pillars, ground locks and signs around a vehicle, made exact over many frames",
     "segment": "masks of a drive by a network, with a report of the map classes they can see",
     "data": "make the drives that the tables of figures name, from their seeds",
     "simulate": "write a small rendered drive with exact truth",

@@ -46,20 +46,14 @@ class Options:
 def run(options: Options) -> int:
     """Find and follow the slots, print how exact they are."""
     from semloc_jax.datasets import open_drive
-    from semloc_jax.errors import SemlocError
-    from semloc_jax.inputs.choices import parse_names, parse_slice
-    from semloc_jax.inputs.mask_source import mask_source
+    from semloc_jax.inputs.choices import chosen_frames, parse_names
+    from semloc_jax.inputs.mask_source import best_masks, mask_source
     from semloc_jax.reports.slots import report_slots
 
     log_to_console()
-    chosen = parse_slice(options.frames)
     drive = open_drive(options.drive, options.calib)
-    if not drive.frames[chosen]:
-        raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames {options.frames}")
-    name = options.masks or (drive.mask_sources[0] if drive.mask_sources else None)
-    if name is None:
-        raise SemlocError(f"drive {drive.name}: has no masks; give --masks (semloc segment makes them)")
-    masks = mask_source(name, drive, parse_names(options.cameras), options.class_table)
+    chosen = chosen_frames(drive, options.frames)
+    masks = mask_source(options.masks or best_masks(drive), drive, parse_names(options.cameras), options.class_table)
     kept = {"masks": masks.name, "cameras": ",".join(masks.cameras), "frames": options.frames}
     print(report_slots(drive, masks, chosen, video=options.video, out=options.out, options=kept))
     return OK

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from semloc_jax.datasets import Drive, Frame
+from semloc_jax.cameras import Rig
+from semloc_jax.datasets import Frame
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.looking import hiding_ids
 from semloc_jax.mapping.road_table import RoadHeights
@@ -90,7 +91,7 @@ class ObstacleFrame:
 
     obstacles: list[Obstacle]
     views: Sequence[CylinderView]
-    hidden: list[Bool[np.ndarray, "h w"]]
+    hidden: list[Bool[np.ndarray, "_h _w"]]
     heights: RoadHeights
     T_odom_base: Float[np.ndarray, "4 4"]
     range_m: float
@@ -116,26 +117,43 @@ class ObstacleFrame:
 class ObstacleObserver:
     """Finds the obstacles of one frame after the other."""
 
-    def __init__(self, drive: Drive, masks: MaskSource, config: ObstacleConfig | None = None):
+    def __init__(self, rig: Rig, masks: MaskSource, config: ObstacleConfig | None = None):
+        """The cameras of a drive and its masks.
+
+        Raises:
+            SemlocError: the masks know no obstacles, or a camera sees no ground.
+        """
         self.config, self.masks = config or ObstacleConfig(), masks
         self.ids = obstacle_ids(masks.table)
-        rig = masks.seen_by(drive.rig.select(masks.cameras))
+        rig = masks.camera_rig(rig.select(masks.cameras))
         poses = np.asarray(rig.T_base_cam, np.float64)
         self.views = [CylinderView.of(camera, T) for camera, T in zip(rig.cameras, poses, strict=True)]
         self._hides = hiding_ids(masks.table)
         self._hides[UNLABELED_ID] = True
 
     def at(self, frame: Frame, index: int, Ts_odom_base: Float[np.ndarray, "n 4 4"]) -> ObstacleFrame:
-        """The obstacles of a frame; what two cameras show is one thing.
+        """The obstacles of a frame.
 
         Args:
             frame: the frame.
             index: its place among the poses.
             Ts_odom_base: pose of every frame.
         """
-        T, heights = Ts_odom_base[index], RoadHeights.of(Ts_odom_base, index, _REACH_M)
+        heights = RoadHeights.of(Ts_odom_base, index, _REACH_M)
+        return self.seen(self.masks.masks(frame), heights, Ts_odom_base[index])
+
+    def seen(
+        self, masks: Sequence[UInt8[np.ndarray, "_h _w"]], heights: RoadHeights, T: Float[np.ndarray, "4 4"]
+    ) -> ObstacleFrame:
+        """The obstacles that the masks of all cameras show; what two of them show is one thing.
+
+        Args:
+            masks: in the order of the cameras.
+            heights: of the road around the vehicle.
+            T: T_odom_base of the vehicle.
+        """
         found, hidden = [], []
-        for view, mask in zip(self.views, self.masks.masks(frame), strict=True):
+        for view, mask in zip(self.views, masks, strict=True):
             top = view.warp(mask, UNLABELED_ID)
             hidden.append(self._hides[top])
             for kind, ids in self.ids.items():
@@ -146,7 +164,7 @@ class ObstacleObserver:
         return ObstacleFrame(_once(found), self.views, hidden, heights, T, self.config.range_m)
 
     def _patches(
-        self, view: CylinderView, mask: UInt8[np.ndarray, "h w"], top: UInt8[np.ndarray, "h w"], ids: tuple[int, ...]
+        self, view: CylinderView, mask: UInt8[np.ndarray, "h w"], top: UInt8[np.ndarray, "i j"], ids: tuple[int, ...]
     ) -> list[_Patch]:
         """The things of one class on the cylinder; their feet are those of the image as it is where that is asked."""
         if self.config.input == "cylinder":
@@ -213,7 +231,12 @@ def patches(
             if last - first + 1 < config.min_columns:
                 continue
             part = own[:, first : last + 1]
-            patch = _box(part, (x + first, y), low[first : last + 1], hides & ~shows)
+            # Beside a nearer thing of its class its own side is not seen.
+            cut = (
+                first > 0 and bool(low[first - 1] > low[first]),
+                last < width - 1 and bool(low[last + 1] > low[last]),
+            )
+            patch = _box(part, (x + first, y), low[first : last + 1], hides & ~shows, cut)
             if patch is not None:
                 found.append(patch)
     return found
@@ -230,8 +253,10 @@ def _at_one_range(low: np.ndarray, horizon_v: float) -> list[tuple[int, int]]:
     return [(a, b - 1) for a, b in pairwise(edges)]
 
 
-def _box(own: np.ndarray, corner: tuple[int, int], low: np.ndarray, blocked: np.ndarray) -> _Patch | None:
-    """The box of one thing; None where its foot is hidden or cut by the border of the image."""
+def _box(
+    own: np.ndarray, corner: tuple[int, int], low: np.ndarray, blocked: np.ndarray, cut: tuple[bool, bool]
+) -> _Patch | None:
+    """The box of one thing; None where its foot is hidden or cut by the border of the image, or both of its sides."""
     x, y = corner
     height, width = blocked.shape
     foot_v = _foot(low)
@@ -241,7 +266,10 @@ def _box(own: np.ndarray, corner: tuple[int, int], low: np.ndarray, blocked: np.
     if row + _BELOW_PX >= height or blocked[row + 1 : row + 1 + _BELOW_PX, below].mean() > 0.5:
         return None
     left, right = x, x + own.shape[1] - 1
-    sides = [0 <= at < width and not blocked[max(row - 1, 0) : row + 1, at].any() for at in (left - 2, right + 2)]
+    sides = [
+        not is_cut and 0 <= at < width and not blocked[max(row - 1, 0) : row + 1, at].any()
+        for at, is_cut in zip((left - 2, right + 2), cut, strict=True)
+    ]
     if not any(sides):
         return None
     high = y + int(own.any(axis=1).argmax())

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from semloc_jax import viz
-from semloc_jax.cameras import Rig
-from semloc_jax.datasets import Drive, Frame
+from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import drive_chain
@@ -20,18 +18,16 @@ from semloc_jax.mapping.object_tracks import TrackConfig, Tracker, wrapped
 from semloc_jax.mapping.slot_sights import SlotObserver, SlotSightConfig
 from semloc_jax.mapping.slot_tracks import SlotTrack
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap, write_map
-from semloc_jax.perception.surround import SurroundView
-from semloc_jax.reports.film import Film
 from semloc_jax.reports.folder import make_folder, write_record
+from semloc_jax.reports.object_errors import is_slow
 from semloc_jax.reports.slot_errors import SlotErrors
 from semloc_jax.reports.tables import write_csv
+from semloc_jax.reports.top_view_film import SIZE_M, TopViewFilm
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz.slots import DrawnSlot, draw_slots
 
 POSE = ("x_m", "y_m", "yaw_rad", "x_odom_m", "y_odom_m", "yaw_odom_rad")
 SIZE = ("width_m", "depth_m", "occupied", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
-_FILM_M, _FILM_PX_M = 16.0, 0.02
-_SLOW_MPS = 1.0
 
 
 def report_slots(
@@ -63,7 +59,7 @@ def report_slots(
     chosen = range(len(drive))[frames]
     folder = make_folder(out)
     errors = SlotErrors.of(drive)
-    film = _TopViewFilm(folder, drive, masks, chosen) if video else None
+    film = TopViewFilm(folder / "slots.mp4", drive, masks, chosen) if video else None
     rows: list[tuple] = []
     try:
         for index in tqdm(chosen, unit="frame", desc="slots", disable=None):
@@ -72,9 +68,10 @@ def report_slots(
             visible = np.array([seen.shows_slot(t.corners(), float(t.pose[2])) for t in tracker.tracks], bool)
             found = tracker.step(seen.slots, frame.time_s, float(chain.way_m[index]), visible)
             rows += [_row(frame.time_s, track, T) for track in found if track is not None]
-            errors.add(frame, T, seen.slots, found, abs(_speed_mps(drive, frame)) < _SLOW_MPS)
+            errors.add(frame, T, seen.slots, found, is_slow(drive, frame))
             if film is not None:
-                film.add(frame, T, tracker.tracks)
+                drawn = _drawn(tracker.tracks, T)
+                film.add(frame, lambda top, view, drawn=drawn: draw_slots(top, view, drawn))
     except BaseException:
         if film is not None:
             film.film.drop()
@@ -146,31 +143,12 @@ def _write_map(folder: Path, final: Sequence[SlotTrack], name: str) -> None:
         write_map(BeliefMap(SemanticMap(tuple(elements), None, name), beliefs).as_map(), folder / "slots.geojson")
 
 
-class _TopViewFilm:
-    """The top view of each frame with the slots that are followed."""
-
-    def __init__(self, folder: Path, drive: Drive, masks: MaskSource, chosen: Sequence[int]):
-        times = [drive.frames[k].time_s for k in chosen]
-        rate_hz = 1.0 / max(float(np.median(np.diff(times))), 0.04) if len(times) > 1 else 1.0
-        self.film, self.masks = Film(folder / "slots.mp4", rate_hz), masks
-        rig: Rig = drive.rig.select(masks.cameras)
-        self.has_images = bool(chosen) and all(drive.frames[chosen[0]].has("rgb", name) for name in rig.names)
-        shown = rig if self.has_images else masks.camera_rig(rig)
-        self.view = SurroundView.around(shown, _FILM_M, _FILM_PX_M)
-
-    def add(self, frame: Frame, T_odom_base: np.ndarray, tracks: Sequence[SlotTrack]) -> None:
-        if self.has_images:
-            top = self.view.stitch([frame.image(name) for name in self.masks.cameras])[..., ::-1]
-        else:
-            top = viz.mask_picture(self.view.stitch(self.masks.masks(frame)), self.masks.table)
-        drawn = []
-        for track in tracks:
-            corners = corners_of(track.pose, track.width_m, track.depth_m)
-            base = (corners - T_odom_base[:2, 3]) @ T_odom_base[:2, :2]
-            if np.abs(base).max() < _FILM_M:
-                drawn.append(DrawnSlot(base, str(track.id), track.occupied, track.confirmed))
-        self.film.add(draw_slots(top, self.view, drawn))
-
-
-def _speed_mps(drive: Drive, frame: Frame) -> float:
-    return float(np.interp(frame.time_s, drive.odometry.time_s, drive.odometry.speed_mps))
+def _drawn(tracks: Sequence[SlotTrack], T_odom_base: np.ndarray) -> list[DrawnSlot]:
+    """The slots that a top view shows."""
+    drawn = []
+    for track in tracks:
+        corners = corners_of(track.pose, track.width_m, track.depth_m)
+        base = (corners - T_odom_base[:2, 3]) @ T_odom_base[:2, :2]
+        if np.abs(base).max() < SIZE_M:
+            drawn.append(DrawnSlot(base, str(track.id), track.occupied, track.confirmed))
+    return drawn
