@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
+from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.looking import hiding_ids
 from semloc_jax.mapping.road_table import RoadHeights
@@ -125,6 +126,11 @@ class ObstacleObserver:
         """
         self.config, self.masks = config or ObstacleConfig(), masks
         self.ids = obstacle_ids(masks.table)
+        if not self.ids:
+            raise SemlocError(
+                f"masks {masks.name}: class table {masks.table.name} knows no obstacles ({', '.join(OBSTACLES)}); give "
+                "masks that show some, or a class table that names them"
+            )
         rig = masks.camera_rig(rig.select(masks.cameras))
         poses = np.asarray(rig.T_base_cam, np.float64)
         self.views = [CylinderView.of(camera, T) for camera, T in zip(rig.cameras, poses, strict=True)]

@@ -1,15 +1,20 @@
 """Obstacles over many frames (room: mapping; host).
 
-In: sights of obstacles. Out: ObstacleTrack: class, size and direction of a thing that is followed.
+In: frames, or sights of obstacles. Out: ObstacleTrack: class, size and direction of a thing that is followed.
 """
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from semloc_jax.mapping.object_tracks import Track, TrackConfig
-from semloc_jax.mapping.obstacle_sights import Obstacle
+from semloc_jax.cameras import Rig
+from semloc_jax.datasets import Frame
+from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.chain import Chain
+from semloc_jax.mapping.object_tracks import Track, TrackConfig, Tracker
+from semloc_jax.mapping.obstacle_sights import Obstacle, ObstacleConfig, ObstacleObserver
 
 _STEP_DEG = 2.0
 _FEWEST, _LEAST_SPREAD_RAD = 4, 0.35
@@ -82,6 +87,47 @@ class ObstacleTrack(Track):
     def may_be(self, sight: Obstacle, config: TrackConfig) -> bool:
         """Whether the sight is of the same class."""
         return bool(sight.kind == self.kind)
+
+
+class ObstacleFollower:
+    """Finds the obstacles of one frame after the other and follows them."""
+
+    def __init__(
+        self, rig: Rig, masks: MaskSource, sights: ObstacleConfig | None = None, tracks: TrackConfig | None = None
+    ):
+        """The cameras of a drive, its masks; None for the defaults.
+
+        Raises:
+            SemlocError: the masks know no obstacles.
+        """
+        self.observer, self.tracker = ObstacleObserver(rig, masks, sights), Tracker(ObstacleTrack, tracks)
+
+    def step(self, frame: Frame, index: int, chain: Chain) -> tuple[list[Obstacle], list[ObstacleTrack | None]]:
+        """Take one frame in; returns its sights, and the track of each.
+
+        Args:
+            frame: the frame.
+            index: its place in the chain.
+            chain: the way of the drive.
+        """
+        seen = self.observer.at(frame, index, chain.Ts_odom_base)
+        visible = np.array([seen.shows(t.kind, t.pose[:2]) for t in self.tracker.tracks], bool)
+        found = self.tracker.step(seen.obstacles, frame.time_s, float(chain.way_m[index]), visible)
+        return seen.obstacles, found
+
+    def standing_in(self, corners: Float[np.ndarray, "4 2"]) -> str | None:
+        """Class of a confirmed obstacle whose middle is in a convex area of odom; None for none.
+
+        Args:
+            corners: of the area, in turn [m].
+        """
+        sides = np.roll(corners, -1, axis=0) - corners
+        for track in self.tracker.final():
+            offset = track.pose[:2] - corners
+            turn = sides[:, 0] * offset[:, 1] - sides[:, 1] * offset[:, 0]
+            if (turn > 0.0).all() or (turn < 0.0).all():
+                return track.kind
+        return None
 
 
 def _sides(width_m: np.ndarray, turned: np.ndarray) -> tuple[float, float, float]:

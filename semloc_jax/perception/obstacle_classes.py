@@ -5,7 +5,6 @@ In: a ClassTable. Out: mask ids of each class of obstacle. Sizes are those of pr
 
 from typing import NamedTuple
 
-from semloc_jax.errors import SemlocError
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.structs import ElementClass
 
@@ -38,11 +37,7 @@ OBSTACLES = {
 
 
 def obstacle_ids(table: ClassTable) -> dict[str, tuple[int, ...]]:
-    """Mask ids of each class of obstacle that the masks show.
-
-    Raises:
-        SemlocError: the table knows none of them.
-    """
+    """Mask ids of each class of obstacle that the masks show; empty where they show none."""
     found = {}
     for name, kind in OBSTACLES.items():
         named = {number for number, word in table.id_names.items() if any(part in word for part in kind.words)}
@@ -51,9 +46,4 @@ def obstacle_ids(table: ClassTable) -> dict[str, tuple[int, ...]]:
         ids = (named | shown) - set(table.unusable_ids)
         if ids:
             found[name] = tuple(sorted(ids))
-    if not found:
-        raise SemlocError(
-            f"class table {table.name}: knows no obstacles ({', '.join(OBSTACLES)}); give masks that show some, or a "
-            "class table that names them"
-        )
     return found

@@ -14,9 +14,9 @@ from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import drive_chain
-from semloc_jax.mapping.object_tracks import TrackConfig, Tracker, wrapped
-from semloc_jax.mapping.obstacle_sights import ObstacleConfig, ObstacleObserver
-from semloc_jax.mapping.obstacle_tracks import ObstacleTrack
+from semloc_jax.mapping.object_tracks import TrackConfig, wrapped
+from semloc_jax.mapping.obstacle_sights import ObstacleConfig
+from semloc_jax.mapping.obstacle_tracks import ObstacleFollower, ObstacleTrack
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.io.drive_geojson import write_drive_geojson
 from semloc_jax.perception.obstacle_classes import OBSTACLES
@@ -59,7 +59,7 @@ def report_obstacles(
         SemlocError: no odometry, masks that know no obstacles, no frames.
     """
     chain = drive_chain(drive)
-    observer, tracker = ObstacleObserver(drive.rig, masks, sights), Tracker(ObstacleTrack, tracks)
+    follower = ObstacleFollower(drive.rig, masks, sights, tracks)
     chosen = range(len(drive))[frames]
     folder = make_folder(out)
     errors = obstacle_errors(drive)
@@ -68,13 +68,11 @@ def report_obstacles(
     try:
         for index in tqdm(chosen, unit="frame", desc="obstacles", disable=None):
             frame, T = drive.frames[index], chain.Ts_odom_base[index]
-            seen = observer.at(frame, index, chain.Ts_odom_base)
-            visible = np.array([seen.shows(t.kind, t.pose[:2]) for t in tracker.tracks], bool)
-            found = tracker.step(seen.obstacles, frame.time_s, float(chain.way_m[index]), visible)
+            seen, found = follower.step(frame, index, chain)
             rows += [_row(frame.time_s, track, T) for track in found if track is not None]
-            errors.add(frame, T, seen.obstacles, found, is_slow(drive, frame))
+            errors.add(frame, T, seen, found, is_slow(drive, frame))
             if film is not None:
-                drawn = _drawn(tracker.tracks, T)
+                drawn = _drawn(follower.tracker.tracks, T)
                 film.add(frame, lambda top, view, drawn=drawn: draw_obstacles(top, view, drawn))
     except BaseException:
         if film is not None:
@@ -82,7 +80,7 @@ def report_obstacles(
         raise
     if film is not None:
         film.film.close()
-    final = tracker.final()
+    final = follower.tracker.final()
     when = {round(frame.time_s, 6): index for index, frame in enumerate(drive.frames)}
     last = {t.id: chain.Ts_odom_base[when[round(t.last_s, 6)]] for t in final}
     write_csv(folder / "obstacles.csv", ("t", "track", "class", *POSE, *SIZE, "confirmed"), rows)
@@ -97,7 +95,7 @@ def report_obstacles(
         *errors.metrics(final, last),
     ]
     write_metrics(metrics, folder / "metrics.json")
-    write_record(folder, {"sights": observer.config, "tracks": tracker.config}, options or {})
+    write_record(folder, {"sights": follower.observer.config, "tracks": follower.tracker.config}, options or {})
     said = f"{len(chosen)} frames: {len(rows)} sights of obstacles, {len(final)} obstacles confirmed"
     return "\n".join([said, format_metrics(metrics), f"results: {folder}"])
 

@@ -15,9 +15,11 @@ from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import drive_chain
 from semloc_jax.mapping.object_tracks import TrackConfig, Tracker, wrapped
+from semloc_jax.mapping.obstacle_tracks import ObstacleFollower
 from semloc_jax.mapping.slot_sights import SlotObserver, SlotSightConfig
 from semloc_jax.mapping.slot_tracks import SlotTrack
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap, write_map
+from semloc_jax.perception.obstacle_classes import obstacle_ids
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.object_errors import is_slow
 from semloc_jax.reports.slot_errors import SlotErrors
@@ -27,7 +29,7 @@ from semloc_jax.structs import ElementClass
 from semloc_jax.viz.slots import DrawnSlot, draw_slots
 
 POSE = ("x_m", "y_m", "yaw_rad", "x_odom_m", "y_odom_m", "yaw_odom_rad")
-SIZE = ("width_m", "depth_m", "occupied", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
+SIZE = ("width_m", "depth_m", "occupied", "obstacle", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
 
 
 def report_slots(
@@ -56,6 +58,7 @@ def report_slots(
     """
     chain = drive_chain(drive)
     observer, tracker = SlotObserver(drive, masks, sights), Tracker(SlotTrack, tracks)
+    obstacles = ObstacleFollower(drive.rig, masks) if obstacle_ids(masks.table) else None
     chosen = range(len(drive))[frames]
     folder = make_folder(out)
     errors = SlotErrors.of(drive)
@@ -67,7 +70,9 @@ def report_slots(
             seen = observer.at(frame, index, chain.Ts_odom_base)
             visible = np.array([seen.shows_slot(t.corners(), float(t.pose[2])) for t in tracker.tracks], bool)
             found = tracker.step(seen.slots, frame.time_s, float(chain.way_m[index]), visible)
-            rows += [_row(frame.time_s, track, T) for track in found if track is not None]
+            if obstacles is not None:
+                obstacles.step(frame, index, chain)
+            rows += [_row(frame.time_s, track, T, obstacles) for track in found if track is not None]
             errors.add(frame, T, seen.slots, found, is_slow(drive, frame))
             if film is not None:
                 drawn = _drawn(tracker.tracks, T)
@@ -80,17 +85,18 @@ def report_slots(
         film.film.close()
     final = tracker.final()
     when = {round(frame.time_s, 6): index for index, frame in enumerate(drive.frames)}
+    last = {t.id: chain.Ts_odom_base[when[round(t.last_s, 6)]] for t in final}
     write_csv(folder / "slots.csv", ("t", "track", "type", *POSE, *SIZE, "confirmed"), rows)
-    last = [_row(t.last_s, t, chain.Ts_odom_base[when[round(t.last_s, 6)]])[:-1] for t in final]
+    table = [_row(t.last_s, t, last[t.id], obstacles)[:-1] for t in final]
     counts = [(t.num_seen, t.num_missed) for t in final]
     columns = ("t_last", "track", "type", *POSE, *SIZE, "num_seen", "num_missed")
-    write_csv(folder / "slots_final.csv", columns, [(*r, *c) for r, c in zip(last, counts, strict=True)])
+    write_csv(folder / "slots_final.csv", columns, [(*r, *c) for r, c in zip(table, counts, strict=True)])
     _write_map(folder, final, drive.name)
     metrics = [
         Metric("frames", float(len(chosen)), "frames", "report"),
         Metric("slots.sights", float(len(rows)), "slots", "report"),
         Metric("slots.final", float(len(final)), "slots", "report"),
-        *errors.metrics(final, {t.id: chain.Ts_odom_base[when[round(t.last_s, 6)]] for t in final}),
+        *errors.metrics(final, last),
     ]
     write_metrics(metrics, folder / "metrics.json")
     write_record(folder, {"sights": observer.config, "tracks": tracker.config}, options or {})
@@ -98,7 +104,7 @@ def report_slots(
     return "\n".join([said, format_metrics(metrics), f"results: {folder}"])
 
 
-def _row(time_s: float, track: SlotTrack, T_odom_base: np.ndarray) -> tuple:
+def _row(time_s: float, track: SlotTrack, T_odom_base: np.ndarray, obstacles: ObstacleFollower | None) -> tuple:
     """One line of a table: the fused slot in base and odom; sigmas are along x and y of the base frame."""
     R = T_odom_base[:2, :2]
     x, y = R.T @ (track.pose[:2] - T_odom_base[:2, 3])
@@ -106,10 +112,12 @@ def _row(time_s: float, track: SlotTrack, T_odom_base: np.ndarray) -> tuple:
     C = R.T @ track.covariance[:2, :2] @ R
     sigmas = np.sqrt([C[0, 0], C[1, 1], track.covariance[2, 2]])
     taken = "" if track.occupied is None else int(track.occupied)
+    corners = corners_of(track.pose, track.width_m, track.depth_m)
+    stands = (None if obstacles is None else obstacles.standing_in(corners)) or ""
     numbers = [f"{value:.4f}" for value in (x, y, yaw, *track.pose[:2], wrapped(float(track.pose[2])))]
     size = [f"{value:.3f}" for value in (track.width_m, track.depth_m)]
     told = [f"{value:.4f}" for value in (*sigmas, track.existence)]
-    return (f"{time_s:.3f}", track.id, track.kind, *numbers, *size, taken, *told, int(track.confirmed))
+    return (f"{time_s:.3f}", track.id, track.kind, *numbers, *size, taken, stands, *told, int(track.confirmed))
 
 
 def corners_of(pose: np.ndarray, width_m: float, depth_m: float) -> np.ndarray:

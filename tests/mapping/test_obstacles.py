@@ -139,5 +139,10 @@ def test_class_tables_name_obstacles():
         "cone": (24,), "pillar": (23,), "ground_lock": (28,), "no_parking_sign": (29,)
     }  # fmt: skip
     assert obstacle_ids(table_of({5: "cone"})) == {"cone": (5,)}
+    assert obstacle_ids(table_of({1: "lane_marking"})) == {}
+
+
+def test_masks_without_obstacles_are_told(rig):
+    masks = MaskSource("drawn", table_of({1: "lane_marking"}), NAMES, lambda frame, name: None)
     with pytest.raises(SemlocError, match="knows no obstacles"):
-        obstacle_ids(table_of({1: "lane_marking"}))
+        ObstacleObserver(rig, masks)
