@@ -5,14 +5,10 @@ import re
 
 import semloc_jax
 from semloc_jax.bench.peer import PEERS
-from semloc_jax.cli.main import VERBS
+from semloc_jax.cli.main import TEACHING, VERBS
 from tests.test_architecture import _all_imports, _files, _module_name
 
-_NETWORKS = ("dense_net", "layers", "onnx_graph", "operations", "weights")
-WAITING: dict[str, str] = dict.fromkeys(
-    ["semloc_jax.learning.training", *(f"semloc_jax.perception.networks.{name}" for name in _NETWORKS)],
-    "the verbs that train networks come next",
-)
+WAITING: dict[str, str] = {}
 """Modules that nobody uses yet, with their reason."""
 _BY_NAME = re.compile(r'"(semloc_jax(?:\.\w+)+)"')
 """A module that is loaded by its name."""
@@ -20,7 +16,8 @@ _BY_NAME = re.compile(r'"(semloc_jax(?:\.\w+)+)"')
 
 def _doors() -> set[str]:
     """Modules that a user reaches by a word: verbs, public names, peers of the benchmark."""
-    rooms = [*(f"cli.{verb.replace('-', '_')}" for verb in VERBS), *semloc_jax._ROOMS]
+    verbs = (*VERBS, *("_".join(words) for words in TEACHING))
+    rooms = [*(f"cli.{verb.replace('-', '_')}" for verb in verbs), *semloc_jax._ROOMS]
     peers = [f"bench.{peer.module}" for peer in PEERS]
     return {"semloc_jax", "semloc_jax.cli.main", *(f"semloc_jax.{name}" for name in (*rooms, *peers))}
 

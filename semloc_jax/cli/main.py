@@ -6,6 +6,7 @@ Nothing heavy is imported before a verb runs, so that `--help` answers at once.
 
 import importlib
 import os
+import re
 import sys
 from collections.abc import Sequence
 from types import ModuleType
@@ -34,7 +35,7 @@ VERBS = {
     "serve": "a map, its differences and tiles over HTTP; takes packed drives",
     "pull": "the newest version of a map that is served, by differences",
     "calibrate": "cameras, odometer and satellite offset calibrated by a drive, and what it cannot tell",
-    "learn": "class weights, ramp and noise learned through the solve from drives with truth",
+    "learn": "class weights, ramp and noise learned through the solve from drives with truth; learn slots: a network",
     "check-calib": "what looks wrong in a calibration, and pictures of it: horizon, ground grid, map",
     "surround": "the metric top view of all cameras around a vehicle",
     "slots": "parking slots around a vehicle, made exact over many frames",
@@ -47,6 +48,9 @@ VERBS = {
     "doctor": "check this machine: versions, device, numerical self-tests",
     "config": "print the configuration with every default filled in",
 }
+
+TEACHING = (("learn", "slots"),)
+"""Words of verbs of their own: `semloc learn ./slots` learns from a drive of that name."""
 
 USAGE_TEXT = """usage: semloc VERB [OPTIONS]
 
@@ -89,6 +93,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return OK
     if words[0] not in VERBS:
         return _refuse(f"semloc: unknown verb '{words[0]}'{_did_you_mean(words[0])}; verbs: {', '.join(VERBS)}")
+    if tuple(words[:2]) in TEACHING:
+        return _run_verb(" ".join(words[:2]), words[2:], debug)
     return _run_verb(words[0], words[1:], debug)
 
 
@@ -101,7 +107,7 @@ def _run_verb(name: str, words: list[str], debug: bool) -> int:
     try:
         if not {"-h", "--help"} & set(words):
             runtime.prepare_jax()
-        verb: ModuleType = importlib.import_module(f"semloc_jax.cli.{name.replace('-', '_')}")
+        verb: ModuleType = importlib.import_module(f"semloc_jax.cli.{re.sub('[- ]', '_', name)}")
         return verb.run(parse(name, verb, words))
     except SystemExit as stop:  # `--help` of a verb
         return int(stop.code or 0)

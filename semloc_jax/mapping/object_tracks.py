@@ -1,7 +1,7 @@
 """Things around a vehicle over many frames: birth, association, existence, fusion (room: mapping; host).
 
 In: sights of each frame in odom. Out: tracks, each one thing with pose and existence; beside it a plain Kalman filter
-per track as the baseline. What a thing is (a slot, an obstacle) says the subclass of Track.
+per track as the baseline. What a thing is (a slot, an obstacle) says the subclass of ObjectTrack.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ _FAR = 1e6
 
 
 @runtime_checkable
-class Sight(Protocol):
+class ObjectSight(Protocol):
     """One thing as seen in one frame."""
 
     @property
@@ -29,7 +29,7 @@ class Sight(Protocol):
 
 
 @dataclass(frozen=True)
-class TrackConfig:
+class ObjectTrackConfig:
     """How things are followed.
 
     Args:
@@ -62,7 +62,7 @@ class TrackConfig:
 
 
 @dataclass
-class Track:
+class ObjectTrack:
     """One thing that is followed.
 
     Attributes:
@@ -95,26 +95,26 @@ class Track:
         """Probability that it is there."""
         return float(0.5 * (1.0 + np.tanh(0.5 * self.existence_logit)))
 
-    def may_be(self, sight: Any, config: TrackConfig) -> bool:
+    def may_be(self, sight: Any, config: ObjectTrackConfig) -> bool:
         """Whether a sight is one of such a thing at all, wherever it is."""
         raise NotImplementedError
 
 
-AnyTrack = TypeVar("AnyTrack", bound=Track)
+AnyTrack = TypeVar("AnyTrack", bound=ObjectTrack)
 
 
 class Tracker(Generic[AnyTrack]):
     """Follows the things of a drive in odom."""
 
-    def __init__(self, make: Callable[..., AnyTrack], config: TrackConfig | None = None):
+    def __init__(self, make: Callable[..., AnyTrack], config: ObjectTrackConfig | None = None):
         """Nothing is followed yet; `make` is the class of its tracks."""
-        self.config = config or TrackConfig()
+        self.config = config or ObjectTrackConfig()
         self.tracks: list[AnyTrack] = []
         self.ended: list[AnyTrack] = []
         self._make, self._count = make, 0
 
     def step(
-        self, sights: Sequence[Sight], time_s: float, way_m: float, visible: Bool[np.ndarray, " n"]
+        self, sights: Sequence[ObjectSight], time_s: float, way_m: float, visible: Bool[np.ndarray, " n"]
     ) -> list[AnyTrack | None]:
         """Take one frame in; returns the track of each of its sights.
 
@@ -158,7 +158,7 @@ class Tracker(Generic[AnyTrack]):
         track.num_missed += not seen
         track.misses_on_end = 0 if seen else track.misses_on_end + 1
 
-    def _birth(self, sight: Sight, time_s: float, way_m: float) -> AnyTrack:
+    def _birth(self, sight: ObjectSight, time_s: float, way_m: float) -> AnyTrack:
         track = self._make(self._count, sight.pose.copy(), sight.covariance.copy(), sight.pose.copy())
         track.kalman_variance = self.config.kalman_m**2
         self._count += 1
@@ -168,7 +168,7 @@ class Tracker(Generic[AnyTrack]):
         self.tracks.append(track)
         return track
 
-    def _take(self, track: AnyTrack, sight: Sight, time_s: float, way_m: float) -> None:
+    def _take(self, track: AnyTrack, sight: ObjectSight, time_s: float, way_m: float) -> None:
         track.sights.append((sight, way_m))
         track.last_s = time_s
         track.pose, track.covariance = fused(track.sights, way_m, self.config)
@@ -181,7 +181,9 @@ class Tracker(Generic[AnyTrack]):
         track.kalman_variance = (1.0 - gain) * predicted
 
 
-def associated(tracks: Sequence[Track], sights: Sequence[Sight], config: TrackConfig) -> dict[int, int]:
+def associated(
+    tracks: Sequence[ObjectTrack], sights: Sequence[ObjectSight], config: ObjectTrackConfig
+) -> dict[int, int]:
     """Which sight of a frame each track is: one to one, by squared Mahalanobis distance within the gate."""
     if not tracks or not sights:
         return {}
@@ -200,7 +202,7 @@ def associated(tracks: Sequence[Track], sights: Sequence[Sight], config: TrackCo
 
 
 def fused(
-    sights: Sequence[tuple[Sight, float]], way_m: float, config: TrackConfig
+    sights: Sequence[tuple[ObjectSight, float]], way_m: float, config: ObjectTrackConfig
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
     """The pose that all sights of a thing say together, with Cauchy's kernel, and its covariance.
 

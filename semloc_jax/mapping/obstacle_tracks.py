@@ -13,7 +13,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import Chain
-from semloc_jax.mapping.object_tracks import Track, TrackConfig, Tracker
+from semloc_jax.mapping.object_tracks import ObjectTrack, ObjectTrackConfig, Tracker
 from semloc_jax.mapping.obstacle_sights import Obstacle, ObstacleConfig, ObstacleObserver
 
 _STEP_DEG = 2.0
@@ -44,7 +44,7 @@ class Footprint(NamedTuple):
 
 
 @dataclass
-class ObstacleTrack(Track):
+class ObstacleTrack(ObjectTrack):
     """One thing that is followed: its place is its middle."""
 
     @property
@@ -84,7 +84,7 @@ class ObstacleTrack(Track):
             return untold
         return Footprint(length_m, long_m, float(yaws[best]), float(max(sigma, np.deg2rad(_STEP_DEG))))
 
-    def may_be(self, sight: Obstacle, config: TrackConfig) -> bool:
+    def may_be(self, sight: Obstacle, config: ObjectTrackConfig) -> bool:
         """Whether the sight is of the same class."""
         return bool(sight.kind == self.kind)
 
@@ -93,7 +93,7 @@ class ObstacleFollower:
     """Finds the obstacles of one frame after the other and follows them."""
 
     def __init__(
-        self, rig: Rig, masks: MaskSource, sights: ObstacleConfig | None = None, tracks: TrackConfig | None = None
+        self, rig: Rig, masks: MaskSource, sights: ObstacleConfig | None = None, tracks: ObjectTrackConfig | None = None
     ):
         """The cameras of a drive, its masks; None for the defaults.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.mapping.object_tracks import Track, TrackConfig, wrapped
+from semloc_jax.mapping.object_tracks import ObjectTrack, ObjectTrackConfig, wrapped
 from semloc_jax.mapping.slot_sights import Slot
 from semloc_jax.mapping.slots import PARALLEL
 
@@ -17,7 +17,7 @@ _LAST = 9
 
 
 @dataclass
-class SlotTrack(Track):
+class SlotTrack(ObjectTrack):
     """One slot that is followed: its place is the middle of the entrance, its direction points into it."""
 
     @property
@@ -48,7 +48,7 @@ class SlotTrack(Track):
         along = np.array([np.sin(self.pose[2]), -np.cos(self.pose[2])])
         return self.pose[:2] + 0.5 * self.width_m * np.array([along, -along])
 
-    def may_be(self, sight: Slot, config: TrackConfig) -> bool:
+    def may_be(self, sight: Slot, config: ObjectTrackConfig) -> bool:
         """Whether the sight points the same way and is of the same kind: along the aisle or not."""
         is_turned = abs(wrapped(sight.pose[2] - self.pose[2])) > np.deg2rad(config.same_deg)
         return not is_turned and (sight.kind == PARALLEL) == (self.kind == PARALLEL)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.evaluation import Metric
-from semloc_jax.mapping.object_tracks import Sight, Track
+from semloc_jax.mapping.object_tracks import ObjectSight, ObjectTrack
 
 SAME_M = 1.0
 """What is farther off is none of the true things."""
@@ -69,8 +69,8 @@ class ObjectErrors:
         self,
         frame: Frame,
         T_odom_base: np.ndarray,
-        sights: Sequence[Sight],
-        tracks: Sequence[Track | None],
+        sights: Sequence[ObjectSight],
+        tracks: Sequence[ObjectTrack | None],
         slow: bool,
     ) -> None:
         """The sights of one frame and the tracks that took them; tracks count once they are confirmed."""
@@ -92,7 +92,7 @@ class ObjectErrors:
                     self.num_switches += self._followed.setdefault(found[0], track.id) != track.id
                     self._followed[found[0]] = track.id
 
-    def metrics(self, final: Sequence[Track], Ts_odom_base: Mapping[int, np.ndarray]) -> list[Metric]:
+    def metrics(self, final: Sequence[ObjectTrack], Ts_odom_base: Mapping[int, np.ndarray]) -> list[Metric]:
         """Mean absolute errors along x and y of the vehicle, and how many tracks are of nothing.
 
         Args:
@@ -118,7 +118,7 @@ class ObjectErrors:
             found.append(Metric(f"{key}.yaw", float(np.rad2deg(mean[2])), "deg"))
         return [*found, Metric(f"{key}.num", float(len(off)), "sights", "report")]
 
-    def _final(self, final: Sequence[Track], Ts_odom_base: Mapping[int, np.ndarray]) -> list[Metric]:
+    def _final(self, final: Sequence[ObjectTrack], Ts_odom_base: Mapping[int, np.ndarray]) -> list[Metric]:
         offs, taken, pairs = [], [], []
         for track in final:
             T_map_base = self.drive.truth.interpolate(np.array([track.last_s]))[0]
@@ -138,7 +138,7 @@ class ObjectErrors:
             said += [Metric(f"final.{axis}", float(100.0 * mean[k]), "cm") for k, axis in enumerate("xy")]
         return said + self.final_more(pairs)
 
-    def final_more(self, pairs: Sequence[tuple[Track, int]]) -> list[Metric]:
+    def final_more(self, pairs: Sequence[tuple[ObjectTrack, int]]) -> list[Metric]:
         """What else is said of final tracks and the true things that they are."""
         return []
 

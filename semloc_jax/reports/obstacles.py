@@ -14,7 +14,7 @@ from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import drive_chain
-from semloc_jax.mapping.object_tracks import TrackConfig, wrapped
+from semloc_jax.mapping.object_tracks import ObjectTrackConfig, wrapped
 from semloc_jax.mapping.obstacle_sights import ObstacleConfig
 from semloc_jax.mapping.obstacle_tracks import ObstacleFollower, ObstacleTrack
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
@@ -39,7 +39,7 @@ def report_obstacles(
     masks: MaskSource,
     frames: slice = slice(None),
     sights: ObstacleConfig | None = None,
-    tracks: TrackConfig | None = None,
+    tracks: ObjectTrackConfig | None = None,
     video: bool = False,
     out: Path | None = None,
     options: Mapping[str, Any] | None = None,

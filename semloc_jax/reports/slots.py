@@ -14,7 +14,7 @@ from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import drive_chain
-from semloc_jax.mapping.object_tracks import TrackConfig, Tracker, wrapped
+from semloc_jax.mapping.object_tracks import ObjectTrackConfig, Tracker, wrapped
 from semloc_jax.mapping.obstacle_tracks import ObstacleFollower
 from semloc_jax.mapping.slot_sights import SlotObserver, SlotSightConfig
 from semloc_jax.mapping.slot_tracks import SlotTrack
@@ -37,7 +37,7 @@ def report_slots(
     masks: MaskSource,
     frames: slice = slice(None),
     sights: SlotSightConfig | None = None,
-    tracks: TrackConfig | None = None,
+    tracks: ObjectTrackConfig | None = None,
     video: bool = False,
     out: Path | None = None,
     options: Mapping[str, Any] | None = None,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from semloc_jax.mapping.object_tracks import TrackConfig, Tracker, associated, fused
+from semloc_jax.mapping.object_tracks import ObjectTrackConfig, Tracker, associated, fused
 from semloc_jax.mapping.slot_sights import Slot, in_rows, upright
 from semloc_jax.mapping.slot_tracks import SlotTrack
 from semloc_jax.mapping.slots import SlotConfig
@@ -56,7 +56,7 @@ def test_what_is_seen_once_is_not_confirmed_and_what_is_gone_ends():
 
 
 def test_a_sight_beyond_the_gate_or_of_another_kind_is_another_slot():
-    tracker, config = run(miss=0.0, num_frames=5), TrackConfig()
+    tracker, config = run(miss=0.0, num_frames=5), ObjectTrackConfig()
     tracks = sorted(tracker.tracks, key=lambda t: t.pose[0])
     near, far = sight(row()[0] + [0.1, 0.0, 0.0]), sight(row()[0] + [0.0, 0.6, 0.0])
     assert associated(tracks, [near], config) == {0: 0}
@@ -69,7 +69,7 @@ def test_a_sight_beyond_the_gate_or_of_another_kind_is_another_slot():
 
 
 def test_far_and_wild_sights_hardly_count():
-    config = TrackConfig(drift_share=0.0)
+    config = ObjectTrackConfig(drift_share=0.0)
     near = [(sight([0.01 * (-1) ** k, 0.0, 0.0], 0.03), 0.0) for k in range(6)]
     far = [(sight([0.3, 0.3, 0.0], 0.3), 0.0)] * 2
     wild = [(sight([0.9, -0.9, 0.0], 0.03), 0.0)]

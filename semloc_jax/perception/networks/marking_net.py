@@ -40,6 +40,10 @@ class MarkingPoints(NamedTuple):
     """L: a slot on one side only."""
     confidence: Float[np.ndarray, " n"]
 
+    def above(self, threshold: float) -> "MarkingPoints":
+        """Those that are at least so sure."""
+        return MarkingPoints(*(part[self.confidence >= threshold] for part in self))
+
 
 class MarkingNet:
     """A trained network, compiled once for each size of pictures."""

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from semloc_jax.simulation.top_views.slot_layout import Layout
 
 
-class Area(NamedTuple):
+class ColouredArea(NamedTuple):
     """Something that hides the road.
 
     Args:
@@ -42,9 +42,9 @@ def other_paint(rng: np.random.Generator, layout: Layout, size_m: float) -> list
     return found
 
 
-def things(rng: np.random.Generator, layout: Layout, size_m: float) -> list[Area]:
+def things(rng: np.random.Generator, layout: Layout, size_m: float) -> list[ColouredArea]:
     """Parked cars in some slots, a passing one, pillars, kerbs, grass and lids."""
-    found: list[Area] = []
+    found: list[ColouredArea] = []
     full = rng.choice([0.0, 0.25, 0.6])
     for slot in layout.slots:
         if rng.random() < full:
@@ -53,13 +53,15 @@ def things(rng: np.random.Generator, layout: Layout, size_m: float) -> list[Area
         found += _car(rng, size_m * rng.random(2), rng.uniform(-np.pi, np.pi))
     if rng.random() < 0.2:
         middle, grey = size_m * rng.random(2), rng.uniform(0.3, 0.9)
-        found.append(Area(_rectangle(middle, rng.uniform(0.3, 1.0, 2), rng.uniform(-np.pi, np.pi)), np.full(3, grey)))
+        found.append(
+            ColouredArea(_rectangle(middle, rng.uniform(0.3, 1.0, 2), rng.uniform(-np.pi, np.pi)), np.full(3, grey))
+        )
     if rng.random() < 0.15:
         found += _edge(rng, layout, size_m)
     if rng.random() < 0.3:
         angle = np.linspace(0.0, 2.0 * np.pi, 24)
         circle = size_m * rng.random(2) + rng.uniform(0.2, 0.4) * np.column_stack([np.cos(angle), np.sin(angle)])
-        found.insert(0, Area(circle, np.full(3, rng.uniform(0.1, 0.6)), False))
+        found.insert(0, ColouredArea(circle, np.full(3, rng.uniform(0.1, 0.6)), False))
     return found
 
 
@@ -130,7 +132,7 @@ def _writing(rng: np.random.Generator, layout: Layout, size_m: float) -> list[np
     return found
 
 
-def _parked(rng: np.random.Generator, slot: Float[np.ndarray, "4 2"]) -> list[Area]:
+def _parked(rng: np.random.Generator, slot: Float[np.ndarray, "4 2"]) -> list[ColouredArea]:
     """A car in a slot, seen from above with its sides drawn out."""
     middle = slot.mean(axis=0) + rng.normal(0.0, 0.15, 2)
     long_side = slot[3] - slot[0] if np.linalg.norm(slot[3] - slot[0]) > np.linalg.norm(slot[1] - slot[0]) else None
@@ -138,14 +140,14 @@ def _parked(rng: np.random.Generator, slot: Float[np.ndarray, "4 2"]) -> list[Ar
     return _car(rng, middle, float(np.arctan2(step[1], step[0])) + rng.normal(0.0, 0.03))
 
 
-def _car(rng: np.random.Generator, middle: np.ndarray, yaw: float) -> list[Area]:
+def _car(rng: np.random.Generator, middle: np.ndarray, yaw: float) -> list[ColouredArea]:
     size = np.array([rng.uniform(3.6, 4.9), rng.uniform(1.6, 1.95)]) * rng.uniform(1.0, 1.25, 2)
     colour = np.clip(rng.uniform(0.05, 0.95) + rng.normal(0.0, 0.15, 3), 0.02, 1.0)
     body = _rounded(_rectangle(middle, size, yaw))
-    found = [Area(middle + 1.06 * (body - middle), np.full(3, 0.05), False), Area(body, colour)]
+    found = [ColouredArea(middle + 1.06 * (body - middle), np.full(3, 0.05), False), ColouredArea(body, colour)]
     for share, at in ((0.14, 0.15), (0.1, -0.32)):
         glass = _rectangle(np.array([at * size[0], 0.0]), np.array([share * size[0], 0.8 * size[1]]), 0.0)
-        found.append(Area(middle + _turned(glass, yaw), np.full(3, rng.uniform(0.05, 0.3))))
+        found.append(ColouredArea(middle + _turned(glass, yaw), np.full(3, rng.uniform(0.05, 0.3))))
     return found
 
 
@@ -154,15 +156,15 @@ def _rounded(corners: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, "8 2"]:
     return np.stack([corners + 0.12 * (before - corners), corners + 0.12 * (after - corners)], axis=1).reshape(-1, 2)
 
 
-def _edge(rng: np.random.Generator, layout: Layout, size_m: float) -> list[Area]:
+def _edge(rng: np.random.Generator, layout: Layout, size_m: float) -> list[ColouredArea]:
     """A kerb with grass or a pavement behind it, along the aisle or across."""
     side = layout.along if rng.random() < 0.6 else np.array([-layout.along[1], layout.along[0]])
     yaw, normal = float(np.arctan2(side[1], side[0])), np.array([-side[1], side[0]]) * rng.choice([-1.0, 1.0])
     middle = 0.5 * size_m + normal * size_m * rng.uniform(0.3, 0.6)
     green = np.array([0.15, 0.4, 0.25]) * rng.uniform(0.5, 1.6)
     colour = green if rng.random() < 0.5 else np.full(3, rng.uniform(0.3, 0.75))
-    kerb = Area(_rectangle(middle, np.array([3.0 * size_m, 0.25]), yaw), np.full(3, rng.uniform(0.3, 0.9)))
-    return [Area(_rectangle(middle + 2.1 * normal, np.array([3.0 * size_m, 4.2]), yaw), colour), kerb]
+    kerb = ColouredArea(_rectangle(middle, np.array([3.0 * size_m, 0.25]), yaw), np.full(3, rng.uniform(0.3, 0.9)))
+    return [ColouredArea(_rectangle(middle + 2.1 * normal, np.array([3.0 * size_m, 4.2]), yaw), colour), kerb]
 
 
 def filled(canvas: np.ndarray, outline_m: np.ndarray, px_per_m: float, value: float | tuple) -> None:
