@@ -3,7 +3,7 @@
 In: seeds. Out: batches with what is to be said of each cell, the loss, recall and precision on pictures never seen.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -100,7 +100,7 @@ def begun(network: DenseNet) -> DenseNet:
     return eqx.tree_at(lambda n: n.head.bias, network, network.head.bias.at[0].set(_PRIOR_LOGIT))
 
 
-def marking_loss(network: DenseNet, batch: MarkingBatch) -> Float[Array, ""]:
+def marking_loss(network: Callable[[Array], Array], batch: MarkingBatch) -> Float[Array, ""]:
     """Focal loss of the confidence (Law and Deng 2018), absolute and squared errors of the cells that have a point."""
     said = jax.vmap(network)(jnp.asarray(batch.picture))
     has = (batch.heat == 1.0).astype(said.dtype)

@@ -167,7 +167,7 @@ def _edge(rng: np.random.Generator, layout: Layout, size_m: float) -> list[Colou
     return [ColouredArea(_rectangle(middle + 2.1 * normal, np.array([3.0 * size_m, 4.2]), yaw), colour), kerb]
 
 
-def filled(canvas: np.ndarray, outline_m: np.ndarray, px_per_m: float, value: float | tuple) -> None:
+def filled(canvas: np.ndarray, outline_m: np.ndarray, px_per_m: float, value: float | int | tuple[float, ...]) -> None:
     """Fill an area of a picture; edges are between pixels."""
     fixed = np.round((outline_m * px_per_m - 0.5) * 16.0).astype(np.int32)
     cv2.fillPoly(canvas, [fixed], value, cv2.LINE_AA, 4)
