@@ -10,6 +10,8 @@ __getattr__, __dir__, __all__ = door(
             "element_panels",
         ),
         "explain_tables": ("explained_elements",),
+        "obstacles": ("report_obstacles",),
+        "slots": ("report_slots",),
         "surround": ("SurroundSettings", "report_surround"),
     },
 )
