@@ -16,7 +16,7 @@ _BY_NAME = re.compile(r'"(semloc_jax(?:\.\w+)+)"')
 
 def _doors() -> set[str]:
     """Modules that a user reaches by a word: verbs, public names, peers of the benchmark."""
-    verbs = (*VERBS, "_".join(TEACHING))
+    verbs = (*VERBS, *("_".join(words) for words in TEACHING))
     rooms = [*(f"cli.{verb.replace('-', '_')}" for verb in verbs), *semloc_jax._ROOMS]
     peers = [f"bench.{peer.module}" for peer in PEERS]
     return {"semloc_jax", "semloc_jax.cli.main", *(f"semloc_jax.{name}" for name in (*rooms, *peers))}

@@ -38,10 +38,11 @@ VERBS = {
     "serve": "a map, its differences and tiles over HTTP; takes packed drives",
     "pull": "the newest version of a map that is served, by differences",
     "calibrate": "cameras, odometer and satellite offset calibrated by a drive, and what it cannot tell",
-    "learn": "class weights, ramp and noise learned through the solve from drives with truth; learn eyes: masks",
+    "learn": "class weights, ramp and noise learned through the solve; learn eyes, learn slots: networks",
     "check-calib": "what looks wrong in a calibration, and pictures of it: horizon, ground grid, map",
     "surround": "the metric top view of all cameras around a vehicle",
     "slots": "parking slots around a vehicle, made exact over many frames",
+    "obstacles": "cones, pillars, ground locks and signs around a vehicle, made exact over many frames",
     "segment": "masks of a drive by a network, with a report of the map classes they can see",
     "data": "make the drives that the tables of figures name, from their seeds",
     "simulate": "write a small rendered drive with exact truth",
@@ -51,8 +52,8 @@ VERBS = {
     "config": "print the configuration with every default filled in",
 }
 
-TEACHING = ("learn", "eyes")
-"""The two words of a verb of its own: `semloc learn ./eyes` learns from a drive of that name."""
+TEACHING = (("learn", "eyes"), ("learn", "slots"))
+"""Words of verbs of their own: `semloc learn ./eyes` learns from a drive of that name."""
 
 USAGE_TEXT = """usage: semloc VERB [OPTIONS]
 
@@ -95,8 +96,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return OK
     if words[0] not in VERBS:
         return _refuse(f"semloc: unknown verb '{words[0]}'{_did_you_mean(words[0])}; verbs: {', '.join(VERBS)}")
-    if tuple(words[:2]) == TEACHING:
-        return _run_verb("learn eyes", words[2:], debug)
+    if tuple(words[:2]) in TEACHING:
+        return _run_verb(" ".join(words[:2]), words[2:], debug)
     return _run_verb(words[0], words[1:], debug)
 
 

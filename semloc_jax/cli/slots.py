@@ -13,10 +13,10 @@ from semloc_jax.cli.main import OK, log_to_console
 class Options:
     """Find parking slots in every frame of a drive and follow them in the frame of its odometry.
 
-    Writes slots.csv (each sight: t, track, type, pose in base and in odom, width, depth, occupied, sigmas, existence),
-    slots_final.csv (one line for each slot), slots.geojson, config.yaml, with --video the film slots.mp4, and
-    metrics.json: where the drive has a true map and true poses, errors of single frames, of a plain Kalman filter and
-    of the fused tracks along x and y of the vehicle.
+    Writes slots.csv (each sight: t, track, type, pose in base and in odom, width, depth, occupied, obstacle, sigmas,
+    existence), slots_final.csv (one line for each slot), slots.geojson, config.yaml, with --video the film slots.mp4,
+    and metrics.json: where the drive has a true map and true poses, errors of single sights, of a plain Kalman filter
+    and of the fused tracks along x and y of the vehicle. `obstacle` is what keeps a slot free: a lock, a sign, a cone.
 
     x_m, y_m are the middle of the entrance, yaw_rad is the direction from there into the slot. A slot is confirmed when
     three of the first five frames that look at it show it, and ends after five visible misses.
@@ -37,6 +37,8 @@ class Options:
     """Names of cameras, separated by commas; default: all."""
     frames: str = ":"
     """Which frames, as a Python slice: ::2, 100:200; the way is that of the whole drive."""
+    window: int = 5
+    """Frames whose looks at the road are laid over each other before lines are followed; 1: each by itself."""
     video: bool = False
     """Write slots.mp4: the top view with the slots."""
     out: Path | None = None
@@ -46,20 +48,16 @@ class Options:
 def run(options: Options) -> int:
     """Find and follow the slots, print how exact they are."""
     from semloc_jax.datasets import open_drive
-    from semloc_jax.errors import SemlocError
-    from semloc_jax.inputs.choices import parse_names, parse_slice
-    from semloc_jax.inputs.mask_source import mask_source
+    from semloc_jax.inputs.choices import chosen_frames, parse_names
+    from semloc_jax.inputs.mask_source import best_masks, mask_source
+    from semloc_jax.mapping.slot_sights import SlotSightConfig
     from semloc_jax.reports.slots import report_slots
 
     log_to_console()
-    chosen = parse_slice(options.frames)
     drive = open_drive(options.drive, options.calib)
-    if not drive.frames[chosen]:
-        raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames {options.frames}")
-    name = options.masks or (drive.mask_sources[0] if drive.mask_sources else None)
-    if name is None:
-        raise SemlocError(f"drive {drive.name}: has no masks; give --masks (semloc segment makes them)")
-    masks = mask_source(name, drive, parse_names(options.cameras), options.class_table)
+    chosen = chosen_frames(drive, options.frames)
+    masks = mask_source(options.masks or best_masks(drive), drive, parse_names(options.cameras), options.class_table)
     kept = {"masks": masks.name, "cameras": ",".join(masks.cameras), "frames": options.frames}
-    print(report_slots(drive, masks, chosen, video=options.video, out=options.out, options=kept))
+    sights = SlotSightConfig(window=options.window)
+    print(report_slots(drive, masks, chosen, sights, video=options.video, out=options.out, options=kept))
     return OK

@@ -3,7 +3,8 @@
 In: text such as `::5` or `front,left`. Out: slices, names.
 """
 
-from semloc_jax.errors import UsageError
+from semloc_jax.datasets import Drive
+from semloc_jax.errors import SemlocError, UsageError
 
 
 def parse_slice(text: str, option: str = "--frames") -> slice:
@@ -22,6 +23,19 @@ def parse_slice(text: str, option: str = "--frames") -> slice:
     except ValueError:
         pass
     raise UsageError(f"{option} '{text}': expected a Python slice such as ::5, 10:20 or -3:, or one number")
+
+
+def chosen_frames(drive: Drive, text: str) -> slice:
+    """The frames of a drive that a slice chooses.
+
+    Raises:
+        UsageError: the text is not a slice.
+        SemlocError: it chooses none.
+    """
+    chosen = parse_slice(text)
+    if not drive.frames[chosen]:
+        raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames {text}")
+    return chosen
 
 
 def parse_names(text: str | None) -> tuple[str, ...] | None:

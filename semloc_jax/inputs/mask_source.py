@@ -91,6 +91,17 @@ def mask_source(
     return source if offset_px is not None else _with_offsets(source, drive)
 
 
+def best_masks(drive: Drive) -> str:
+    """Name of the masks that a drive has itself, the best first.
+
+    Raises:
+        SemlocError: it has none.
+    """
+    if not drive.mask_sources:
+        raise SemlocError(f"drive {drive.name}: has no masks; give --masks (semloc segment makes them)")
+    return drive.mask_sources[0]
+
+
 def _files(name: str, drive: Drive, cameras: tuple[str, ...]) -> tuple[Callable[[Frame, str], np.ndarray], str | None]:
     """What reads the masks of a folder, and their class table where it is known."""
     if name in drive.mask_sources:

@@ -13,6 +13,7 @@ __getattr__, __dir__, __all__ = door(
         "gauge": ("gauge_of",),
         "looking": ("RoadLookConfig",),
         "mapper": ("MapConfig", "make_map"),
+        "slot_sights": ("SlotSightConfig",),
         "place_search": ("View", "lead_nats", "search_places"),
     },
 )

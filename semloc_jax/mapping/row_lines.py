@@ -224,6 +224,8 @@ def _is_due(s_m: float, known: Float[np.ndarray, " n"], off_m: float) -> bool:
     if len(known) < 2:
         return False
     step_m = _step(known)
+    if step_m <= 0.0:  # two mouths of one divider
+        return False
     steps = (s_m - known[int(np.abs(known - s_m).argmin())]) / step_m
     return bool(round(steps) != 0 and abs(steps - round(steps)) * step_m < off_m)
 

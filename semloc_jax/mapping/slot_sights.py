@@ -15,9 +15,12 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.mapping.looking import Gatherer, Look, Looker, RoadLookConfig
-from semloc_jax.mapping.slots import ANGLED, PERPENDICULAR, SlotConfig, find_slots, split_crossbars
+from semloc_jax.mapping.object_tracks import wrapped
+from semloc_jax.mapping.slot_rows import draw_rows
+from semloc_jax.mapping.slots import ANGLED, PERPENDICULAR, Divider, SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
 from semloc_jax.maps import Belief, MapElement
+from semloc_jax.perception.ground_contact import SightErrors, ground_covariance
 from semloc_jax.structs import ElementClass
 
 _AHEAD_M = 7.0
@@ -42,15 +45,23 @@ class SlotSightConfig:
         look: how the road is looked at: a camera sees the ground usefully to some 8 m.
         vector: how paint becomes lines; a frame is one look.
         slots: what makes a slot.
-        pixel_px, pitch_deg, height_m: errors of a camera that make the covariance of a ground point.
+        errors: of a camera, that make the covariance of a ground point.
+        window: frames whose looks are laid over each other before lines are followed: 1 is single frames.
+        window_m: way that they may span; the odometry drifts.
+        is_by_rows: whether what is seen of the other slots of a row says where a divider and its mouth are.
     """
 
     look: RoadLookConfig = field(default_factory=lambda: RoadLookConfig(range_m=9.0))
     vector: VectorConfig = field(default_factory=lambda: VectorConfig(min_looks=1, joined_gap_m=1.0))
     slots: SlotConfig = field(default_factory=lambda: SlotConfig(assumed_depth_m=(5.0, 2.2)))
-    pixel_px: float = 2.0
-    pitch_deg: float = 0.3
-    height_m: float = 0.05
+    errors: SightErrors = field(default_factory=SightErrors)
+    window: int = 5
+    window_m: float = 4.0
+    is_by_rows: bool = True
+
+    def __post_init__(self) -> None:
+        if self.window < 1:
+            raise SemlocError(f"slots: window {self.window}; expected at least 1 frame")
 
 
 @dataclass(frozen=True)
@@ -117,6 +128,7 @@ class SlotObserver:
             )
         self.masks, self.looker = masks, Looker(drive, masks, self.config.look)
         rig = drive.rig.select(masks.cameras)
+        self._recent: list[list[Look]] = []
         self._places = np.asarray(rig.T_base_cam, np.float64)[:, :3, 3]
         self._focal_px = np.array([float(camera.fx) for camera in rig.cameras])
 
@@ -130,21 +142,39 @@ class SlotObserver:
         """
         T = Ts_odom_base[index]
         looks = list(self.looker.looks(frame, index, Ts_odom_base))
-        gatherer = Gatherer(self.masks.table, self.config.look.cell_m)
-        for look in looks:
-            gatherer.add(look)
-        layers = [layer for layer in gatherer.layers if layer.label == ElementClass.SLOT_LINE]
-        lines = elements_of(gatherer.paint, layers, lambda xy: np.full(len(xy), T[2, 3]), self.config.vector)
-        lines = split_crossbars(lines, self.config.slots)
-        # Slots open to where the vehicle drives: along its own axis, since a frame knows no more.
-        way = T[:2, 3] + np.linspace(-_AHEAD_M, _AHEAD_M, 57)[:, None] * T[:2, 0] / np.linalg.norm(T[:2, 0])
+        gatherer = self._gathered(index, looks, Ts_odom_base)
+        lines, in_row = self._lines(gatherer, T)
         beliefs = dict.fromkeys((line.id for line in lines), _ONE_FRAME)
-        found = find_slots(lines, beliefs, way, gatherer.vehicles, self.config.slots)
+        found = find_slots(lines, beliefs, _way(T), gatherer.vehicles, self.config.slots, in_row)
         elements = upright([element for element, _ in found], lines, self.config.slots)
         mouths = in_rows(elements)
         taken = [is_taken(element.points[:4, :2], gatherer.vehicles) for element in elements]
         found = zip(elements, mouths, taken, strict=True)
         return SlotFrame([self._slot(e, mouth, occupied, T) for e, mouth, occupied in found], looks)
+
+    def _gathered(self, index: int, looks: list[Look], Ts_odom_base: Float[np.ndarray, "n 4 4"]) -> Gatherer:
+        """The looks of the last frames, each at its place in odom."""
+        here = Ts_odom_base[index, :2, 3]
+        recent = [
+            kept
+            for kept in self._recent
+            if np.linalg.norm(Ts_odom_base[kept[0].frame, :2, 3] - here) < self.config.window_m
+        ]
+        self._recent = [*recent, looks][-self.config.window :]
+        gatherer = Gatherer(self.masks.table, self.config.look.cell_m)
+        for look in (look for kept in self._recent for look in kept):
+            gatherer.add(look)
+        return gatherer
+
+    def _lines(self, gatherer: Gatherer, T: np.ndarray) -> tuple[list[MapElement], list[Divider]]:
+        """Slot lines, and the dividers that rows of them have."""
+        layers = [layer for layer in gatherer.layers if layer.label == ElementClass.SLOT_LINE]
+        lines = elements_of(gatherer.paint, layers, lambda xy: np.full(len(xy), T[2, 3]), self.config.vector)
+        if not self.config.is_by_rows:
+            return split_crossbars(lines, self.config.slots), []
+        drawn = draw_rows(lines, _way(T), None, self.config.slots)
+        kept = {line.id for line in drawn.lines}
+        return split_crossbars(drawn.lines, self.config.slots), [d for row in drawn.rows for d in row.dividers(kept)]
 
     def _slot(self, element: MapElement, mouth: Float[np.ndarray, "2 2"], occupied: bool | None, T: np.ndarray) -> Slot:
         first, second = mouth
@@ -152,7 +182,7 @@ class SlotObserver:
         width_m, depth_m = float(np.linalg.norm(step)), float(np.linalg.norm(inward))
         yaw = np.arctan2(inward[1], inward[0])
         # The entrance runs with the slot on its left: its normal to the left points inward.
-        skew = _wrapped(yaw - np.arctan2(step[0], -step[1]))
+        skew = wrapped(yaw - np.arctan2(step[0], -step[1]))
         known = [self.ground_covariance(T[:2, :2].T @ (corner - T[:2, 3])) for corner in (first, second)]
         C = T[:2, :2] @ (0.5 * (known[0] + known[1])) @ T[:2, :2].T
         covariance = np.zeros((3, 3))
@@ -166,22 +196,15 @@ class SlotObserver:
         return Slot(kind, pose, width_m, depth_m, float(skew), occupied, covariance, is_faced)
 
     def ground_covariance(self, xy_base: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "2 2"]:
-        """Covariance [m^2] of a place on the road as its nearest camera sees it.
-
-        J diag(pixel, pixel)^2 J^T + pitch + height of a line of sight that meets a plane: along it
-        ((r^2 + h^2) / h)^2 (sigma_px^2 / f^2 + sigma_pitch^2) + (r / h)^2 sigma_h^2, across it
-        (r^2 + h^2) sigma_px^2 / f^2.
-        """
+        """Covariance [m^2] of a place on the road as its nearest camera sees it."""
         offset = xy_base - self._places[:, :2]
-        away = np.linalg.norm(offset, axis=1)
-        k = int(away.argmin())
-        r, h, pixel = float(away[k]), float(self._places[k, 2]), self.config.pixel_px / self._focal_px[k]
-        spread = (r * r + h * h) / h
-        along = spread**2 * (pixel**2 + np.deg2rad(self.config.pitch_deg) ** 2) + (r / h * self.config.height_m) ** 2
-        across = (r * r + h * h) * pixel**2
-        sight = offset[k] / max(r, 1e-6)
-        aside = np.array([-sight[1], sight[0]])
-        return along * np.outer(sight, sight) + across * np.outer(aside, aside)
+        k = int(np.linalg.norm(offset, axis=1).argmin())
+        return ground_covariance(offset[k], float(self._places[k, 2]), float(self._focal_px[k]), self.config.errors)
+
+
+def _way(T: np.ndarray) -> Float[np.ndarray, "n 2"]:
+    """Where the vehicle drives, to which slots open: along its own axis, since a frame knows no more."""
+    return T[:2, 3] + np.linspace(-_AHEAD_M, _AHEAD_M, 57)[:, None] * T[:2, 0] / np.linalg.norm(T[:2, 0])
 
 
 def is_taken(corners: Float[np.ndarray, "4 2"], vehicles: EvidenceGrid) -> bool | None:
@@ -267,7 +290,3 @@ def in_rows(elements: Sequence[MapElement]) -> list[Float[np.ndarray, "2 2"]]:
             if _UNEVEN_M < off_m < _ROW_M or (steady and -_ROW_M < off_m < -_UNEVEN_M):
                 mouths[k][end] -= off_m * inward[k]
     return mouths
-
-
-def _wrapped(angle_rad: float) -> float:
-    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)

@@ -123,6 +123,12 @@ class SurroundView:
         """Size of a pixel of the top view [m]."""
         return 1.0 / float(self.bev.fx)
 
+    def pixels(self, xy_base: np.ndarray) -> np.ndarray:
+        """Pixels of the top view, float64[n 2], of places on the road [m] in the base frame."""
+        T = self.T_base_bev
+        p_bev = (np.column_stack([xy_base, np.zeros(len(xy_base))]) - T[:3, 3]) @ T[:3, :3]
+        return p_bev[:, :2] * float(self.bev.fx) + [float(self.bev.cx), float(self.bev.cy)]
+
     @cached_property
     def seen(self) -> np.ndarray:
         """Whether each camera sees each pixel of the top view, bool[n h w]."""

@@ -11,6 +11,8 @@ __getattr__, __dir__, __all__ = door(
         ),
         "eyes": ("EyesDrives", "report_eyes"),
         "explain_tables": ("explained_elements",),
+        "obstacles": ("report_obstacles",),
+        "slots": ("report_slots",),
         "surround": ("SurroundSettings", "report_surround"),
     },
 )

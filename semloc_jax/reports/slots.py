@@ -10,27 +10,26 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from semloc_jax import viz
-from semloc_jax.cameras import Rig
-from semloc_jax.datasets import Drive, Frame
+from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import drive_chain
+from semloc_jax.mapping.object_tracks import ObjectTrackConfig, Tracker, wrapped
+from semloc_jax.mapping.obstacle_tracks import ObstacleFollower
 from semloc_jax.mapping.slot_sights import SlotObserver, SlotSightConfig
-from semloc_jax.mapping.slot_tracks import SlotTrack, SlotTrackConfig, SlotTracker
+from semloc_jax.mapping.slot_tracks import SlotTrack
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap, write_map
-from semloc_jax.perception.surround import SurroundView
-from semloc_jax.reports.film import Film
+from semloc_jax.perception.obstacle_classes import obstacle_ids
 from semloc_jax.reports.folder import make_folder, write_record
+from semloc_jax.reports.object_errors import is_slow
 from semloc_jax.reports.slot_errors import SlotErrors
 from semloc_jax.reports.tables import write_csv
+from semloc_jax.reports.top_view_film import SIZE_M, TopViewFilm
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz.slots import DrawnSlot, draw_slots
 
 POSE = ("x_m", "y_m", "yaw_rad", "x_odom_m", "y_odom_m", "yaw_odom_rad")
-SIZE = ("width_m", "depth_m", "occupied", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
-_FILM_M, _FILM_PX_M = 16.0, 0.02
-_SLOW_MPS = 1.0
+SIZE = ("width_m", "depth_m", "occupied", "obstacle", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
 
 
 def report_slots(
@@ -38,7 +37,7 @@ def report_slots(
     masks: MaskSource,
     frames: slice = slice(None),
     sights: SlotSightConfig | None = None,
-    tracks: SlotTrackConfig | None = None,
+    tracks: ObjectTrackConfig | None = None,
     video: bool = False,
     out: Path | None = None,
     options: Mapping[str, Any] | None = None,
@@ -58,11 +57,12 @@ def report_slots(
         SemlocError: no odometry, masks that show no slot lines, no frames.
     """
     chain = drive_chain(drive)
-    observer, tracker = SlotObserver(drive, masks, sights), SlotTracker(tracks)
+    observer, tracker = SlotObserver(drive, masks, sights), Tracker(SlotTrack, tracks)
+    obstacles = ObstacleFollower(drive.rig, masks) if obstacle_ids(masks.table) else None
     chosen = range(len(drive))[frames]
     folder = make_folder(out)
     errors = SlotErrors.of(drive)
-    film = _TopViewFilm(folder, drive, masks, chosen) if video else None
+    film = TopViewFilm(folder / "slots.mp4", drive, masks, chosen) if video else None
     rows: list[tuple] = []
     try:
         for index in tqdm(chosen, unit="frame", desc="slots", disable=None):
@@ -70,10 +70,13 @@ def report_slots(
             seen = observer.at(frame, index, chain.Ts_odom_base)
             visible = np.array([seen.shows_slot(t.corners(), float(t.pose[2])) for t in tracker.tracks], bool)
             found = tracker.step(seen.slots, frame.time_s, float(chain.way_m[index]), visible)
-            rows += [_row(frame.time_s, track, T) for track in found if track is not None]
-            errors.add(frame, T, seen.slots, found, abs(_speed_mps(drive, frame)) < _SLOW_MPS)
+            if obstacles is not None:
+                obstacles.step(frame, index, chain)
+            rows += [_row(frame.time_s, track, T, obstacles) for track in found if track is not None]
+            errors.add(frame, T, seen.slots, found, is_slow(drive, frame))
             if film is not None:
-                film.add(frame, T, tracker.tracks)
+                drawn = _drawn(tracker.tracks, T)
+                film.add(frame, lambda top, view, drawn=drawn: draw_slots(top, view, drawn))
     except BaseException:
         if film is not None:
             film.film.drop()
@@ -82,17 +85,18 @@ def report_slots(
         film.film.close()
     final = tracker.final()
     when = {round(frame.time_s, 6): index for index, frame in enumerate(drive.frames)}
+    last = {t.id: chain.Ts_odom_base[when[round(t.last_s, 6)]] for t in final}
     write_csv(folder / "slots.csv", ("t", "track", "type", *POSE, *SIZE, "confirmed"), rows)
-    last = [_row(t.last_s, t, chain.Ts_odom_base[when[round(t.last_s, 6)]])[:-1] for t in final]
+    table = [_row(t.last_s, t, last[t.id], obstacles)[:-1] for t in final]
     counts = [(t.num_seen, t.num_missed) for t in final]
     columns = ("t_last", "track", "type", *POSE, *SIZE, "num_seen", "num_missed")
-    write_csv(folder / "slots_final.csv", columns, [(*r, *c) for r, c in zip(last, counts, strict=True)])
+    write_csv(folder / "slots_final.csv", columns, [(*r, *c) for r, c in zip(table, counts, strict=True)])
     _write_map(folder, final, drive.name)
     metrics = [
         Metric("frames", float(len(chosen)), "frames", "report"),
         Metric("slots.sights", float(len(rows)), "slots", "report"),
         Metric("slots.final", float(len(final)), "slots", "report"),
-        *errors.metrics(final, {t.id: chain.Ts_odom_base[when[round(t.last_s, 6)]] for t in final}),
+        *errors.metrics(final, last),
     ]
     write_metrics(metrics, folder / "metrics.json")
     write_record(folder, {"sights": observer.config, "tracks": tracker.config}, options or {})
@@ -100,18 +104,20 @@ def report_slots(
     return "\n".join([said, format_metrics(metrics), f"results: {folder}"])
 
 
-def _row(time_s: float, track: SlotTrack, T_odom_base: np.ndarray) -> tuple:
+def _row(time_s: float, track: SlotTrack, T_odom_base: np.ndarray, obstacles: ObstacleFollower | None) -> tuple:
     """One line of a table: the fused slot in base and odom; sigmas are along x and y of the base frame."""
     R = T_odom_base[:2, :2]
     x, y = R.T @ (track.pose[:2] - T_odom_base[:2, 3])
-    yaw = _wrapped(float(track.pose[2] - np.arctan2(R[1, 0], R[0, 0])))
+    yaw = wrapped(float(track.pose[2] - np.arctan2(R[1, 0], R[0, 0])))
     C = R.T @ track.covariance[:2, :2] @ R
     sigmas = np.sqrt([C[0, 0], C[1, 1], track.covariance[2, 2]])
     taken = "" if track.occupied is None else int(track.occupied)
-    numbers = [f"{value:.4f}" for value in (x, y, yaw, *track.pose[:2], _wrapped(float(track.pose[2])))]
+    corners = corners_of(track.pose, track.width_m, track.depth_m)
+    stands = (None if obstacles is None else obstacles.standing_in(corners)) or ""
+    numbers = [f"{value:.4f}" for value in (x, y, yaw, *track.pose[:2], wrapped(float(track.pose[2])))]
     size = [f"{value:.3f}" for value in (track.width_m, track.depth_m)]
     told = [f"{value:.4f}" for value in (*sigmas, track.existence)]
-    return (f"{time_s:.3f}", track.id, track.kind, *numbers, *size, taken, *told, int(track.confirmed))
+    return (f"{time_s:.3f}", track.id, track.kind, *numbers, *size, taken, stands, *told, int(track.confirmed))
 
 
 def corners_of(pose: np.ndarray, width_m: float, depth_m: float) -> np.ndarray:
@@ -145,35 +151,12 @@ def _write_map(folder: Path, final: Sequence[SlotTrack], name: str) -> None:
         write_map(BeliefMap(SemanticMap(tuple(elements), None, name), beliefs).as_map(), folder / "slots.geojson")
 
 
-class _TopViewFilm:
-    """The top view of each frame with the slots that are followed."""
-
-    def __init__(self, folder: Path, drive: Drive, masks: MaskSource, chosen: Sequence[int]):
-        times = [drive.frames[k].time_s for k in chosen]
-        rate_hz = 1.0 / max(float(np.median(np.diff(times))), 0.04) if len(times) > 1 else 1.0
-        self.film, self.masks = Film(folder / "slots.mp4", rate_hz), masks
-        rig: Rig = drive.rig.select(masks.cameras)
-        self.has_images = bool(chosen) and all(drive.frames[chosen[0]].has("rgb", name) for name in rig.names)
-        shown = rig if self.has_images else masks.camera_rig(rig)
-        self.view = SurroundView.around(shown, _FILM_M, _FILM_PX_M)
-
-    def add(self, frame: Frame, T_odom_base: np.ndarray, tracks: Sequence[SlotTrack]) -> None:
-        if self.has_images:
-            top = self.view.stitch([frame.image(name) for name in self.masks.cameras])[..., ::-1]
-        else:
-            top = viz.mask_picture(self.view.stitch(self.masks.masks(frame)), self.masks.table)
-        drawn = []
-        for track in tracks:
-            corners = corners_of(track.pose, track.width_m, track.depth_m)
-            base = (corners - T_odom_base[:2, 3]) @ T_odom_base[:2, :2]
-            if np.abs(base).max() < _FILM_M:
-                drawn.append(DrawnSlot(base, str(track.id), track.occupied, track.confirmed))
-        self.film.add(draw_slots(top, self.view, drawn))
-
-
-def _speed_mps(drive: Drive, frame: Frame) -> float:
-    return float(np.interp(frame.time_s, drive.odometry.time_s, drive.odometry.speed_mps))
-
-
-def _wrapped(angle_rad: float) -> float:
-    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
+def _drawn(tracks: Sequence[SlotTrack], T_odom_base: np.ndarray) -> list[DrawnSlot]:
+    """The slots that a top view shows."""
+    drawn = []
+    for track in tracks:
+        corners = corners_of(track.pose, track.width_m, track.depth_m)
+        base = (corners - T_odom_base[:2, 3]) @ T_odom_base[:2, :2]
+        if np.abs(base).max() < SIZE_M:
+            drawn.append(DrawnSlot(base, str(track.id), track.occupied, track.confirmed))
+    return drawn

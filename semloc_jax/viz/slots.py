@@ -31,7 +31,7 @@ def draw_slots(picture: np.ndarray, view: SurroundView, slots: Sequence[DrawnSlo
     shown = np.ascontiguousarray(picture).copy()
     thick = max(1, round(shown.shape[1] / 350))
     for slot in sorted(slots, key=lambda s: s.confirmed):
-        uv = _pixels(view, slot.corners_base)
+        uv = view.pixels(slot.corners_base)
         colour = rgb((TAKEN if slot.occupied else FREE) if slot.confirmed else UNSURE)
         fixed = np.round(uv * 2**_SHIFT).astype(np.int32)
         if slot.confirmed:
@@ -46,8 +46,3 @@ def draw_slots(picture: np.ndarray, view: SurroundView, slots: Sequence[DrawnSlo
         for ink, extra in (((8, 10, 14), 2), ((240, 244, 248), 0)):
             cv2.putText(shown, slot.name, at, cv2.FONT_HERSHEY_SIMPLEX, 0.22 * thick, ink, thick + extra, cv2.LINE_AA)
     return shown
-
-
-def _pixels(view: SurroundView, xy_base: np.ndarray) -> np.ndarray:
-    p_bev = (np.column_stack([xy_base, np.zeros(len(xy_base))]) - view.T_base_bev[:3, 3]) @ view.T_base_bev[:3, :3]
-    return p_bev[:, :2] * float(view.bev.fx) + [float(view.bev.cx), float(view.bev.cy)]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
-from semloc_jax.mapping.row_lines import back_in_paint, evened
+from semloc_jax.mapping.row_lines import back_in_paint, crossings, evened
 from semloc_jax.mapping.slot_rows import MappedRow, RowConfig, _back, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_double
 from semloc_jax.maps import Belief, MapElement
@@ -140,3 +140,7 @@ def test_a_row_whose_line_lies_beside_its_dividers_has_no_back():
     row = MappedRow(np.zeros(2), np.array([1.0, 0.0]), np.array([0.0, 1.0]), WIDTH_M, depth_m=DEPTH_M)
     found = _back(row, np.zeros(0), [line("back", (0.0, DEPTH_M), (8.0, DEPTH_M))], RowConfig())
     assert (found.lines, found.used) == ([], set())
+
+
+def test_two_mouths_of_one_divider_tell_no_step():
+    assert crossings([np.array([1.0, 3.0])], [0.5, 0.5], WIDTH_M) == []

@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from semloc_jax.mapping.slot_sights import Slot, SlotSightConfig, in_rows, upright
-from semloc_jax.mapping.slot_tracks import SlotTrackConfig, SlotTracker, associated, fused
+from semloc_jax.mapping.object_tracks import ObjectTrackConfig, Tracker, associated, fused
+from semloc_jax.mapping.slot_sights import Slot, in_rows, upright
+from semloc_jax.mapping.slot_tracks import SlotTrack
 from semloc_jax.mapping.slots import SlotConfig
 from semloc_jax.maps import MapElement
 from semloc_jax.structs import ElementClass
@@ -22,7 +22,7 @@ def row(num=6, y=4.0):
 
 def run(num_frames=12, sigma_m=0.05, miss=0.2, seed=0, gone_from=None):
     """A row of slots passed by; slot 2 is gone from a frame on."""
-    rng, tracker = np.random.default_rng(seed), SlotTracker()
+    rng, tracker = np.random.default_rng(seed), Tracker(SlotTrack)
     for frame in range(num_frames):
         shown = [k for k in range(6) if rng.uniform() > miss and not (k == 2 and frame >= (gone_from or 1e9))]
         slots = [sight(row()[k] + rng.normal(size=3) * [sigma_m, sigma_m, 0.02], sigma_m) for k in shown]
@@ -56,7 +56,7 @@ def test_what_is_seen_once_is_not_confirmed_and_what_is_gone_ends():
 
 
 def test_a_sight_beyond_the_gate_or_of_another_kind_is_another_slot():
-    tracker, config = run(miss=0.0, num_frames=5), SlotTrackConfig()
+    tracker, config = run(miss=0.0, num_frames=5), ObjectTrackConfig()
     tracks = sorted(tracker.tracks, key=lambda t: t.pose[0])
     near, far = sight(row()[0] + [0.1, 0.0, 0.0]), sight(row()[0] + [0.0, 0.6, 0.0])
     assert associated(tracks, [near], config) == {0: 0}
@@ -69,7 +69,7 @@ def test_a_sight_beyond_the_gate_or_of_another_kind_is_another_slot():
 
 
 def test_far_and_wild_sights_hardly_count():
-    config = SlotTrackConfig(drift_share=0.0)
+    config = ObjectTrackConfig(drift_share=0.0)
     near = [(sight([0.01 * (-1) ** k, 0.0, 0.0], 0.03), 0.0) for k in range(6)]
     far = [(sight([0.3, 0.3, 0.0], 0.3), 0.0)] * 2
     wild = [(sight([0.9, -0.9, 0.0], 0.03), 0.0)]
@@ -100,19 +100,3 @@ def test_a_slot_that_only_looks_askew_is_told_by_the_bar_at_its_entrance():
     assert upright([askew], [], SlotConfig())[0].attributes["kind"] == "angled"
     leaning = bar.with_points(np.array([[-0.66, -0.228, 0.0], [0.66, 0.228, 0.0]]))
     assert upright([askew], [leaning], SlotConfig())[0].attributes["kind"] == "angled"
-
-
-def test_the_covariance_of_a_place_is_that_of_sampled_errors():
-    from semloc_jax.mapping.slot_sights import SlotObserver
-
-    observer = SlotObserver.__new__(SlotObserver)
-    observer.config, observer._places, observer._focal_px = (
-        SlotSightConfig(),
-        np.array([[0, 0, 1.0]]),
-        np.array([200.0]),
-    )
-    C, rng = observer.ground_covariance(np.array([4.0, 0.0])), np.random.default_rng(0)
-    angle = np.arctan2(1.0, 4.0) + rng.normal(size=200_000) * np.hypot(2.0 / 200.0, np.deg2rad(0.3))
-    reach = (1.0 + 0.05 * rng.normal(size=angle.size)) / np.tan(angle)
-    assert np.sqrt(C[0, 0]) == pytest.approx(np.std(np.clip(reach, 2, 8)), rel=0.1)
-    assert np.sqrt(C[1, 1]) == pytest.approx(np.sqrt(17.0) * 0.01, rel=0.01)

@@ -15,14 +15,18 @@ def test_slots_of_a_lot(data_dir, tmp_path, capsys):
     lot = data_dir / "lot_seed4"
     if not lot.is_dir():
         pytest.skip(f"no drive lot_seed4 in {data_dir}")
-    assert main(["slots", str(lot), "--masks", "sem", "--frames", ":16", "--out", str(tmp_path)]) == 0
+    assert main(["slots", str(lot), "--masks", "sem_net", "--frames", ":16", "--out", str(tmp_path)]) == 0
     numbers = {m["key"]: m["value"] for m in json.loads((tmp_path / "metrics.json").read_text())["metrics"]}
     assert numbers["searching.fused.x"] < 5.0 and numbers["searching.fused.y"] < 5.0  # cm
-    assert numbers["false.fused"] == 0 and numbers["final.false"] == 0 and numbers["slots.final"] >= 5
+    assert numbers["false.fused"] == 0 and numbers["final.false"] == 0 and numbers["final.recall_near"] == 1.0
     rows = list(csv.DictReader((tmp_path / "slots.csv").open()))
     assert {"t", "track", "type", "x_m", "yaw_rad", "x_odom_m", "occupied", "sigma_x_m", "existence"} <= set(rows[0])
     final = list(csv.DictReader((tmp_path / "slots_final.csv").open()))
     width_m = np.array([float(row["width_m"]) for row in final])
     np.testing.assert_allclose(width_m, 2.42, atol=0.12)
+    # A lock stands in two of the slots.
+    assert sum(row["obstacle"] == "ground_lock" for row in final) == 2
     assert main(["slots", str(lot), "--frames", "900:"]) == 1
     assert "no frames chosen of 40" in capsys.readouterr().err
+    assert main(["slots", str(lot), "--window", "0"]) == 1
+    assert "expected at least 1 frame" in capsys.readouterr().err

@@ -1,0 +1,143 @@
+"""The report of a network for marking points: what `semloc learn slots` writes (room: reports; host).
+
+In: SlotLearningConfig, drives that judge. Out: slots.weights, slots.onnx, metrics.json, scores.csv, loss.csv, pictures.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from semloc_jax.datasets import open_drive
+from semloc_jax.evaluation import Metric, format_metrics, write_metrics
+from semloc_jax.inputs.mask_source import best_masks, mask_source
+from semloc_jax.learning.marking_drives import MarkingDrive, ShownPoints
+from semloc_jax.learning.marking_lesson import SlotLearningConfig, judged, taught, threshold_of, unseen_pictures
+from semloc_jax.learning.marking_points import PointScore
+from semloc_jax.perception.networks.dense_net import DenseNet
+from semloc_jax.perception.networks.marking_net import CONFIG, METRES_PER_PX, OUTPUTS, MarkingNet
+from semloc_jax.perception.networks.onnx_graph import write_onnx
+from semloc_jax.perception.networks.weights import save_weights
+from semloc_jax.reports.folder import make_folder, write_record
+from semloc_jax.reports.tables import write_csv
+from semloc_jax.viz.marking_points import draw_points
+from semloc_jax.viz.style import save
+
+WEIGHTS = "slots.weights"
+RANDOM = "random"
+_PICTURES = 12
+_EVERY = 20
+"""Steps whose mean loss is one line of the curve."""
+
+
+class SlotLearningReport(NamedTuple):
+    """Where everything was written, and the table for people."""
+
+    folder: Path
+    text: str
+
+
+def report_marking_points(
+    config: SlotLearningConfig, held_out: Sequence[Path] = (), frames: slice = slice(None), out: Path | None = None
+) -> SlotLearningReport:
+    """Teach the network, judge it by pictures and drives it never saw, write everything.
+
+    Args:
+        config: pictures and steps.
+        held_out: drives with images, exact masks, a map with slots and true poses; none of them teaches.
+        frames: of those drives.
+        out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
+    """
+    folder = make_folder(out)
+    losses: list[float] = []
+    with tqdm(total=config.training.num_steps, unit="step", desc="learn slots", disable=None) as bar:
+
+        def on_step(step: int, loss: float) -> None:
+            losses.append(loss)
+            bar.update(step - bar.n)
+
+        network = taught(config, folder / "checkpoint", on_step)
+    _write_curve(folder, losses, config.training.num_steps)
+    sets = {RANDOM: unseen_pictures(config), **{path.name: _of_drive(path, frames) for path in held_out}}
+    scores = {name: judged(network, pictures) for name, pictures in sets.items()}
+    threshold = threshold_of(scores[RANDOM], config.precision)
+    metrics = [metric for name, of in scores.items() for metric in _metrics(name, of[threshold])]
+    _write_network(folder, network, threshold, config, metrics)
+    rows = [
+        (name, f"{limit:.2f}", own.num_true, own.num_found, f"{own.recall:.4f}", f"{own.precision:.4f}", *_errors(own))
+        for name, of in scores.items()
+        for limit, own in of.items()
+    ]
+    columns = ("set", "threshold", "num_true", "num_found", "recall", "precision", "mean_cm", "mean_deg")
+    write_csv(folder / "scores.csv", columns, rows)
+    net = MarkingNet(network, threshold)
+    for name, pictures in sets.items():
+        chosen = pictures[:: max(len(pictures) // _PICTURES, 1)][:_PICTURES]
+        save(_drawn(net, chosen), folder / f"{name}.png")
+    write_metrics(metrics, folder / "metrics.json")
+    write_record(folder, config, {"held_out": [str(path) for path in held_out]})
+    said = f"{sum(leaf.size for leaf in jax.tree.leaves(network))} parameters, threshold {threshold:g}"
+    return SlotLearningReport(folder, "\n".join([said, format_metrics(metrics), f"results: {folder}"]))
+
+
+def _of_drive(path: Path, frames: slice) -> list[ShownPoints]:
+    drive = open_drive(path)
+    shows = MarkingDrive(drive, mask_source(best_masks(drive), drive, None, None))
+    return [shows.at(frame) for frame in drive.frames[frames]]
+
+
+def _errors(own: PointScore) -> tuple[str, str]:
+    if not own.off_m:
+        return "", ""
+    return f"{100.0 * np.mean(own.off_m):.2f}", f"{np.rad2deg(np.mean(own.off_rad)):.2f}"
+
+
+def _metrics(name: str, own: PointScore) -> list[Metric]:
+    found = [
+        Metric(f"{name}.recall", own.recall, "share", "higher"),
+        Metric(f"{name}.precision", own.precision, "share", "higher"),
+        Metric(f"{name}.points", float(own.num_true), "points", "report"),
+    ]
+    if own.off_m:
+        found.append(Metric(f"{name}.mean", float(100.0 * np.mean(own.off_m)), "cm"))
+        found.append(Metric(f"{name}.direction", float(np.rad2deg(np.mean(own.off_rad))), "deg"))
+    return found
+
+
+def _write_network(
+    folder: Path, network: DenseNet, threshold: float, config: SlotLearningConfig, metrics: Sequence[Metric]
+) -> None:
+    card = {
+        "kind": "marking points of parking slots",
+        "outputs": OUTPUTS,
+        "metres_per_px": METRES_PER_PX,
+        "threshold": threshold,
+        "taught_on": f"{config.num_pictures} random top views of {config.size_px} px, eight positions, no real picture",
+        "steps": config.training.num_steps,
+        "batch": config.batch,
+        "seed": config.training.seed,
+        "figures": {metric.key: round(metric.value, 4) for metric in metrics},
+        "limits": "top views of painted slots; backs of slots look like mouths; occupied or free is not told",
+    }
+    save_weights(folder / WEIGHTS, network, card)
+    write_onnx(folder / "slots.onnx", network, CONFIG.num_outputs, output="points")
+
+
+def _write_curve(folder: Path, losses: Sequence[float], num_steps: int) -> None:
+    """Mean loss of every few steps that this run made."""
+    first = num_steps - len(losses)
+    means = [(first + k + 1, f"{float(np.mean(losses[k : k + _EVERY])):.4f}") for k in range(0, len(losses), _EVERY)]
+    write_csv(folder / "loss.csv", ("step", "loss"), means)
+
+
+def _drawn(net: MarkingNet, pictures: Sequence[ShownPoints]) -> np.ndarray:
+    """Some pictures side by side: truth as rings, what was found as arrows."""
+    tiles = [draw_points(one.picture, METRES_PER_PX, net(one.picture, METRES_PER_PX), one.uv_m) for one in pictures]
+    columns = 4
+    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
+    rows = [cv2.hconcat(tiles[k : k + columns]) for k in range(0, len(tiles), columns)]
+    return cv2.vconcat(rows)

@@ -1,0 +1,173 @@
+"""The obstacles of a drive over many frames: what `semloc obstacles` writes (room: reports; host).
+
+In: a drive, masks. Out: obstacles.csv, obstacles_final.csv, obstacles.geojson, metrics.json, a film, text.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from semloc_jax.datasets import Drive
+from semloc_jax.evaluation import Metric, format_metrics, write_metrics
+from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.chain import drive_chain
+from semloc_jax.mapping.object_tracks import ObjectTrackConfig, wrapped
+from semloc_jax.mapping.obstacle_sights import ObstacleConfig
+from semloc_jax.mapping.obstacle_tracks import ObstacleFollower, ObstacleTrack
+from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
+from semloc_jax.maps.io.drive_geojson import write_drive_geojson
+from semloc_jax.perception.obstacle_classes import OBSTACLES
+from semloc_jax.reports.folder import make_folder, write_record
+from semloc_jax.reports.object_errors import is_slow
+from semloc_jax.reports.obstacle_errors import obstacle_errors
+from semloc_jax.reports.tables import write_csv
+from semloc_jax.reports.top_view_film import SIZE_M, TopViewFilm
+from semloc_jax.structs import ElementClass
+from semloc_jax.viz.obstacles import DrawnObstacle, draw_obstacles, ellipse
+
+POSE = ("x_m", "y_m", "yaw_rad", "x_odom_m", "y_odom_m", "yaw_odom_rad")
+SIZE = ("length_m", "width_m", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
+_PILLAR_M = 2.5
+"""Drawn height of a pillar whose top nobody saw."""
+
+
+def report_obstacles(
+    drive: Drive,
+    masks: MaskSource,
+    frames: slice = slice(None),
+    sights: ObstacleConfig | None = None,
+    tracks: ObjectTrackConfig | None = None,
+    video: bool = False,
+    out: Path | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> str:
+    """Find obstacles in every frame, follow them, write everything, and return the text for people.
+
+    Args:
+        drive: with wheel odometry.
+        masks: of its cameras; they show obstacles.
+        frames: which frames; the way is that of the whole drive.
+        sights, tracks: None for the defaults.
+        video: write a film of the top view.
+        out: folder to write; None for a new one in results/.
+        options: what config.yaml keeps.
+
+    Raises:
+        SemlocError: no odometry, masks that know no obstacles, no frames.
+    """
+    chain = drive_chain(drive)
+    follower = ObstacleFollower(drive.rig, masks, sights, tracks)
+    chosen = range(len(drive))[frames]
+    folder = make_folder(out)
+    errors = obstacle_errors(drive)
+    film = TopViewFilm(folder / "obstacles.mp4", drive, masks, chosen) if video else None
+    rows: list[tuple] = []
+    try:
+        for index in tqdm(chosen, unit="frame", desc="obstacles", disable=None):
+            frame, T = drive.frames[index], chain.Ts_odom_base[index]
+            seen, found = follower.step(frame, index, chain)
+            rows += [_row(frame.time_s, track, T) for track in found if track is not None]
+            errors.add(frame, T, seen, found, is_slow(drive, frame))
+            if film is not None:
+                drawn = _drawn(follower.tracker.tracks, T)
+                film.add(frame, lambda top, view, drawn=drawn: draw_obstacles(top, view, drawn))
+    except BaseException:
+        if film is not None:
+            film.film.drop()
+        raise
+    if film is not None:
+        film.film.close()
+    final = follower.tracker.final()
+    when = {round(frame.time_s, 6): index for index, frame in enumerate(drive.frames)}
+    last = {t.id: chain.Ts_odom_base[when[round(t.last_s, 6)]] for t in final}
+    write_csv(folder / "obstacles.csv", ("t", "track", "class", *POSE, *SIZE, "confirmed"), rows)
+    columns = ("t_last", "track", "class", *POSE, *SIZE, "num_seen", "num_missed")
+    table = [(*_row(t.last_s, t, last[t.id])[:-1], t.num_seen, t.num_missed) for t in final]
+    write_csv(folder / "obstacles_final.csv", columns, table)
+    _write_map(folder, final, drive.name)
+    metrics = [
+        Metric("frames", float(len(chosen)), "frames", "report"),
+        Metric("obstacles.sights", float(len(rows)), "sights", "report"),
+        Metric("obstacles.final", float(len(final)), "obstacles", "report"),
+        *errors.metrics(final, last),
+    ]
+    write_metrics(metrics, folder / "metrics.json")
+    write_record(folder, {"sights": follower.observer.config, "tracks": follower.tracker.config}, options or {})
+    said = f"{len(chosen)} frames: {len(rows)} sights of obstacles, {len(final)} obstacles confirmed"
+    return "\n".join([said, format_metrics(metrics), f"results: {folder}"])
+
+
+def _row(time_s: float, track: ObstacleTrack, T_odom_base: np.ndarray) -> tuple:
+    """One line of a table: the fused obstacle in base and odom; sigmas are along x and y of the base frame."""
+    R, print_of = T_odom_base[:2, :2], track.footprint()
+    x, y = R.T @ (track.pose[:2] - T_odom_base[:2, 3])
+    yaw = wrapped(print_of.yaw_rad - float(np.arctan2(R[1, 0], R[0, 0])))
+    C = R.T @ track.covariance[:2, :2] @ R
+    numbers = [f"{value:.4f}" for value in (x, y, yaw, *track.pose[:2], print_of.yaw_rad)]
+    size = [f"{value:.3f}" for value in (print_of.length_m, print_of.width_m)]
+    told = [f"{value:.4f}" for value in (*np.sqrt([C[0, 0], C[1, 1]]), print_of.sigma_yaw_rad, track.existence)]
+    return (f"{time_s:.3f}", track.id, track.kind, *numbers, *size, *told, int(track.confirmed))
+
+
+def outline_of(track: ObstacleTrack) -> np.ndarray:
+    """Footprint in odom, `float64[4 2]` [m]."""
+    box = track.footprint()
+    c, s = np.cos(box.yaw_rad), np.sin(box.yaw_rad)
+    corners = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [box.length_m, box.width_m]
+    return track.pose[:2] + corners @ np.array([[c, s], [-s, c]])
+
+
+def _drawn(tracks: Sequence[ObstacleTrack], T_odom_base: np.ndarray) -> list[DrawnObstacle]:
+    """The obstacles that a top view shows."""
+    drawn = []
+    for track in tracks:
+        around = ellipse(track.pose[:2], track.covariance[:2, :2])
+        outline, around = ((part - T_odom_base[:2, 3]) @ T_odom_base[:2, :2] for part in (outline_of(track), around))
+        if np.abs(outline).max() < SIZE_M:
+            drawn.append(DrawnObstacle(outline, around, track.kind, f"{track.kind} {track.id}", track.confirmed))
+    return drawn
+
+
+def _write_map(folder: Path, final: Sequence[ObstacleTrack], name: str) -> None:
+    """Cones and pillars as elements with their beliefs, locks and signs as points with the same; in odom."""
+    elements, beliefs, more = [], {}, []
+    for track in final:
+        sigma = float(np.sqrt(0.5 * np.trace(track.covariance[:2, :2])))
+        belief = Belief(
+            sigma, sigma, track.existence_logit, track.num_seen, track.num_missed, last_seen_s=track.last_s,
+            provenance=name,
+        )  # fmt: skip
+        kind, name_of = OBSTACLES[track.kind], f"{track.kind}_{track.id}"
+        if kind.label is None:
+            more.append(_point(track, name_of, sigma))
+            continue
+        beliefs[name_of] = belief
+        elements.append(_element(track, name_of, kind.label))
+    belief_map = BeliefMap(SemanticMap(tuple(elements), None, name), beliefs).as_map()
+    write_drive_geojson(belief_map, folder / "obstacles.geojson", more)
+
+
+def _element(track: ObstacleTrack, name: str, label: ElementClass) -> MapElement:
+    if label == ElementClass.CONE:
+        top_m = OBSTACLES[track.kind].height_m[0]
+        points = np.array([[*track.pose[:2], 0.0], [*track.pose[:2], top_m]])
+        return MapElement(name, label, points, radius_m=0.5 * track.footprint().width_m)
+    points = np.column_stack([outline_of(track), np.zeros(4)])
+    return MapElement(name, label, points, closed=True, height_m=_PILLAR_M)
+
+
+def _point(track: ObstacleTrack, name: str, sigma_m: float) -> dict[str, Any]:
+    """A feature in the form that drives with obstacles have."""
+    box = track.footprint()
+    words = {
+        "class": track.kind,
+        "yaw": round(box.yaw_rad, 4),
+        "size": [round(box.length_m, 3), round(box.width_m, 3)],
+        "sigma_m": round(sigma_m, 4),
+        "existence": round(track.existence, 4),
+    }
+    place = [*(round(float(value), 4) for value in track.pose[:2]), 0.0]
+    return {"type": "Feature", "id": name, "properties": words, "geometry": {"type": "Point", "coordinates": place}}
