@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 
 _FAR = 1e6
+_ROUNDS = 6
 
 
 @runtime_checkable
@@ -26,6 +27,10 @@ class ObjectSight(Protocol):
     @property
     def covariance(self) -> Float[np.ndarray, "3 3"]:
         """Of the pose."""
+
+    @property
+    def by_height(self) -> Float[np.ndarray, " 3"]:
+        """How the pose moves where the road there is one sigma higher than thought; part of the covariance."""
 
 
 @dataclass(frozen=True)
@@ -207,25 +212,30 @@ def fused(
     """The pose that all sights of a thing say together, with Cauchy's kernel, and its covariance.
 
     What a camera knows of a place falls with the range; what a sight says of the thing's place relative to the vehicle
-    now falls with the way driven since, by which the odometry drifts.
+    now falls with the way driven since, by which the odometry drifts. The road below a thing has one height, whoever
+    looks: how far it is off the road that is assumed is one more unknown.
     """
     poses = np.stack([sight.pose for sight, _ in sights])
     poses[:, 2] = poses[-1, 2] + (poses[:, 2] - poses[-1, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    lean = np.stack([sight.by_height for sight, _ in sights])
     information = []
-    for sight, driven_m in sights:
+    for (sight, driven_m), own in zip(sights, lean, strict=True):
         drift = config.drift_share * abs(way_m - driven_m)
-        C = config.calibrated * sight.covariance + np.diag([drift**2, drift**2, 0.0])
+        C = config.calibrated * (sight.covariance - np.outer(own, own)) + np.diag([drift**2, drift**2, 0.0])
         information.append(np.linalg.inv(C))
     information = np.stack(information)
+    J = np.concatenate([np.tile(np.eye(3), (len(sights), 1, 1)), lean[:, :, None]], axis=2)
+    prior = np.diag([0.0, 0.0, 0.0, 1.0])
     pose = np.median(poses, axis=0) if len(poses) > 2 else poses.mean(axis=0)
-    for _ in range(6):
-        off = poses - pose
+    state = np.append(pose, 0.0)
+    for _ in range(_ROUNDS):
+        off = poses - J @ state
         squared = np.einsum("ni,nij,nj->n", off, information, off)
         weight = 1.0 / (1.0 + squared / (3.0 * config.outlier_sigmas**2))
-        total = np.einsum("n,nij->ij", weight, information)
-        pose = np.linalg.solve(total, np.einsum("n,nij,nj->i", weight, information, poses))
+        total = prior + np.einsum("n,nki,nkl,nlj->ij", weight, J, information, J)
+        state = np.linalg.solve(total, np.einsum("n,nki,nkl,nl->i", weight, J, information, poses))
     # Errors of mounts and road are the same in neighbouring frames: so many sights say no more than their root.
-    return pose, np.linalg.inv(total) * np.sqrt(len(sights)) / config.calibrated
+    return state[:3], np.linalg.inv(total)[:3, :3] * np.sqrt(len(sights)) / config.calibrated
 
 
 def wrapped(angle_rad: float) -> float:

@@ -65,6 +65,7 @@ class Obstacle:
         kind: class of OBSTACLES.
         pose: `float64[3]` x, y [m] of its middle and 0: one frame does not tell its direction.
         covariance: `float64[3 3]` of the pose.
+        by_height: `float64[3]`, how the pose moves where the road there is one sigma higher than thought.
         span_rad: angle between its sides.
         camera_xy: `float64[2]`, from where [m].
         is_whole: whether both of its sides were seen.
@@ -73,6 +74,7 @@ class Obstacle:
     kind: str
     pose: Float[np.ndarray, " 3"]
     covariance: Float[np.ndarray, "3 3"]
+    by_height: Float[np.ndarray, " 3"]
     span_rad: float
     camera_xy: Float[np.ndarray, " 2"]
     is_whole: bool
@@ -193,7 +195,7 @@ class ObstacleObserver:
         foot, top_v = np.array([0.5 * (left + right), low]), high if patch.has_top else None
         road_m = 0.0
         for _ in range(3):  # with the height of the road where the foot turned out to be
-            xy, C = view.ground(foot, self.config.errors, top_v, kind.height_m, road_m)
+            xy, C, by_height = view.ground(foot, self.config.errors, top_v, kind.height_m, road_m)
             if not np.linalg.norm(xy - camera) < self.config.range_m:
                 return None
             road_m = float(heights.at(xy[None])[0])
@@ -209,7 +211,8 @@ class ObstacleObserver:
         R, t = T[:2, :2], T[:2, 3]
         covariance[:2, :2] = R @ (C + along_and_across(sight, sigma_m**2, aside_m**2)) @ R.T
         pose = np.array([*(t + R @ (xy + depth_m * sight)), 0.0])
-        return Obstacle(name, pose, covariance, span_rad, t + R @ camera, patch.is_whole)
+        lean = np.append(R @ by_height, 0.0)
+        return Obstacle(name, pose, covariance, lean, span_rad, t + R @ camera, patch.is_whole)
 
 
 def patches(

@@ -77,6 +77,8 @@ class Slot:
         occupied: whether another vehicle stands in it; None where nobody could see.
         covariance: `float64[3 3]` of the pose.
         is_faced: whether a camera looks into it: from aside the car in the next slot hides it.
+        by_height: as of other sights; looks of many cameras and frames are laid over each other, so that they lean to
+            no side.
     """
 
     kind: str
@@ -87,6 +89,7 @@ class Slot:
     occupied: bool | None
     covariance: Float[np.ndarray, "3 3"]
     is_faced: bool = True
+    by_height: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ In: a camera, its pose, the direction up. Out: CylinderView: pictures and masks 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -26,6 +27,21 @@ _BORDER_POINTS = 9
 
 Box = Sequence[float] | Float[np.ndarray, " 4"]
 """Left, top, right and lower border [px]; those of one pixel at (u, v) are u - 0.5, v - 0.5, u + 0.5, v + 0.5."""
+
+
+class GroundSight(NamedTuple):
+    """A place on the road.
+
+    Args:
+        xy_base: `float64[2]` [m].
+        covariance: `float64[2 2]` [m^2].
+        by_height: `float64[2]`, how far it moves where the road is one sigma higher than thought [m]; part of the
+            covariance.
+    """
+
+    xy_base: Float[np.ndarray, " 2"]
+    covariance: Float[np.ndarray, "2 2"]
+    by_height: Float[np.ndarray, " 2"]
 
 
 @dataclass(frozen=True)
@@ -111,8 +127,8 @@ class CylinderView:
         top_v: float | None = None,
         size_m: tuple[float, float] | None = None,
         road_m: float = 0.0,
-    ) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "2 2"]]:
-        """Place on the road [m] in the base frame that a foot point is, and its covariance [m^2].
+    ) -> GroundSight:
+        """Place on the road in the base frame that a foot point is.
 
         Args:
             foot_uv: pixel of the cylinder where the thing meets the road.
@@ -129,11 +145,12 @@ class CylinderView:
         height_m = float(self.T_base_cylinder[2, 3]) - road_m
         contact = contact_range(float(tan_foot), height_m, focal_px, errors, tan_top, size_m)
         if not np.isfinite(contact.range_m):
-            return np.full(2, np.inf), np.full((2, 2), np.inf)
+            return GroundSight(np.full(2, np.inf), np.full((2, 2), np.inf), np.zeros(2))
         sight = self.T_base_cylinder[:3, :3] @ [np.sin(phi), 0.0, np.cos(phi)]
         offset = contact.range_m * sight[:2]
         across_m2 = (contact.range_m**2 + height_m**2) * (errors.pixel_px / focal_px) ** 2
-        return self.T_base_cylinder[:2, 3] + offset, along_and_across(sight[:2], contact.sigma_m**2, across_m2)
+        covariance = along_and_across(sight[:2], contact.sigma_m**2, across_m2)
+        return GroundSight(self.T_base_cylinder[:2, 3] + offset, covariance, contact.by_height_m * sight[:2])
 
     def foot(self, p_base: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
         """Pixels of the cylinder of places [m] in the base frame, and whether the camera shows them."""

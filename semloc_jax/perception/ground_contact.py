@@ -28,10 +28,18 @@ class SightErrors:
 
 
 class Contact(NamedTuple):
-    """Horizontal distance of a foot from the camera."""
+    """Horizontal distance of a foot from the camera.
+
+    Args:
+        range_m: the distance.
+        sigma_m: its standard deviation.
+        by_height_m: the part of that which the height of the road has, signed: how much farther it seems where the road
+            is one sigma higher than thought. It is the same in every sight of one thing.
+    """
 
     range_m: float
     sigma_m: float
+    by_height_m: float
 
 
 def ground_covariance(
@@ -87,13 +95,13 @@ def contact_range(
         Infinite range and sigma for a foot at or above the horizon.
     """
     if not tan_foot > 1e-3 or height_m <= 0.0:
-        return Contact(np.inf, np.inf)
+        return Contact(np.inf, np.inf, 0.0)
     pixel, pitch = errors.pixel_px / focal_px, np.deg2rad(errors.pitch_deg)
     q = tan_foot / height_m
     if tan_top is None or size_m is None:
         growth = 1.0 + tan_foot**2
         sigma_q = np.sqrt(growth**2 * (pixel**2 + pitch**2) + (q * errors.height_m) ** 2) / height_m
-        return Contact(1.0 / q, float(sigma_q / q**2))
+        return Contact(1.0 / q, float(sigma_q / q**2), errors.height_m / tan_foot)
     told, slope = np.array([tan_foot, tan_top]), np.array([height_m, height_m - size_m[0]])
     growth = 1.0 + told**2
     for _ in range(3):  # the errors of the heights count by q, which is asked for
@@ -102,4 +110,5 @@ def contact_range(
         weighed = np.linalg.solve(shared + own, slope)
         variance = 1.0 / float(slope @ weighed)
         q = max(variance * float(weighed @ told), 1e-3)
-    return Contact(1.0 / q, float(np.sqrt(variance) / q**2))
+    by_height_m = variance * float(weighed.sum()) * errors.height_m / q
+    return Contact(1.0 / q, float(np.sqrt(variance) / q**2), by_height_m)

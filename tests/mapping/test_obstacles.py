@@ -127,7 +127,9 @@ def test_many_frames_tell_place_size_and_direction(rig, ground):
 def test_from_one_side_no_direction_is_told():
     track = Tracker(ObstacleTrack)
     for k in range(6):
-        sight = Obstacle("cone", np.array([5.0, 0.0, 0.0]), np.eye(3) * 0.01, 0.1, np.array([0.1 * k, 0.0]), True)
+        sight = Obstacle(
+            "cone", np.array([5.0, 0.0, 0.0]), np.eye(3) * 0.01, np.zeros(3), 0.1, np.array([0.1 * k, 0.0]), True
+        )
         track.step([sight], float(k), 0.1 * k, np.ones(len(track.tracks), bool))
     (one,) = track.final()
     box = one.footprint()

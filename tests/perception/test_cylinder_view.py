@@ -70,7 +70,7 @@ def test_a_foot_meets_the_ground_where_it_stands(view):
     errors = SightErrors()
     for x, y, road_m in ((2.5, 4.0, 0.0), (0.5, 3.0, 0.1), (4.0, 2.5, -0.1)):
         foot = view.from_camera(by_opencv(view, [[x, y, road_m]]))[0][0]
-        xy, C = view.ground(foot, errors, road_m=road_m)
+        xy, C, _ = view.ground(foot, errors, road_m=road_m)
         np.testing.assert_allclose(xy, [x, y], atol=1e-3)
         assert np.linalg.eigvalsh(C)[0] > 0.0
     assert not np.isfinite(view.ground(np.array([400.0, 3.0]), errors)[0]).all()

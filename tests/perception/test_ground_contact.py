@@ -77,4 +77,19 @@ def test_the_range_is_that_of_a_least_squares_over_every_error():
 
 
 def test_a_foot_above_the_horizon_is_nowhere():
-    assert contact_range(-0.1, HEIGHT_M, FOCAL_PX, ERRORS) == (np.inf, np.inf)
+    assert contact_range(-0.1, HEIGHT_M, FOCAL_PX, ERRORS) == (np.inf, np.inf, 0.0)
+
+
+@pytest.mark.parametrize("tan_top", [None, 0.07])
+def test_the_part_of_the_height_is_how_far_the_foot_moves_with_the_road(tan_top):
+    """The range that is found is of a road at its plane; the sights are of one a sigma higher: seen under less."""
+    q, size_m = 0.25, (0.72, 0.1)
+    errors = SightErrors(1.0, 0.3, 0.01)
+    below = np.array([HEIGHT_M, HEIGHT_M - size_m[0]])
+    ranges = []
+    for rise_m in (0.0, errors.height_m):
+        foot, top = (below - rise_m) * q
+        ranges.append(contact_range(foot, HEIGHT_M, FOCAL_PX, errors, None if tan_top is None else top, size_m))
+    moved = ranges[1].range_m - ranges[0].range_m
+    assert moved == pytest.approx(ranges[0].by_height_m, rel=0.03)
+    assert 0.0 < ranges[0].by_height_m < ranges[0].sigma_m

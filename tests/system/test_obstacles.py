@@ -14,7 +14,7 @@ def test_obstacles_of_a_lot(data_dir, tmp_path, capsys):
     lot = data_dir / "lot_seed4"
     if not lot.is_dir():
         pytest.skip(f"no drive lot_seed4 in {data_dir}")
-    assert main(["obstacles", str(lot), "--masks", "sem_net", "--frames", ":24", "--out", str(tmp_path)]) == 0
+    assert main(["obstacles", str(lot), "--masks", "sem_net", "--out", str(tmp_path)]) == 0
     numbers = {m["key"]: m["value"] for m in json.loads((tmp_path / "metrics.json").read_text())["metrics"]}
     assert numbers["searching.fused.x"] < 5.0 and numbers["searching.fused.y"] < 8.0  # cm
     assert numbers["searching.fused.y"] < 0.5 * numbers["searching.single.y"]
