@@ -23,7 +23,9 @@ def pieces(*sides_m):
 
 
 def lines(*sides_m):
-    return [WorldLine.along("line", (0, MapElement("e", "lane_marking", np.zeros((2, 3)))), straight(y)) for y in sides_m]
+    return [
+        WorldLine.along("line", (0, MapElement("e", "lane_marking", np.zeros((2, 3)))), straight(y)) for y in sides_m
+    ]
 
 
 @pytest.mark.parametrize("shift_m", [0.0, 0.1, 0.2, -0.2])
