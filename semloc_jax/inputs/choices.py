@@ -3,8 +3,12 @@
 In: text such as `::5` or `front,left`. Out: slices, names.
 """
 
-from semloc_jax.datasets import Drive
+from typing import TYPE_CHECKING
+
 from semloc_jax.errors import SemlocError, UsageError
+
+if TYPE_CHECKING:
+    from semloc_jax.datasets import Drive
 
 
 def parse_slice(text: str, option: str = "--frames") -> slice:
@@ -25,7 +29,7 @@ def parse_slice(text: str, option: str = "--frames") -> slice:
     raise UsageError(f"{option} '{text}': expected a Python slice such as ::5, 10:20 or -3:, or one number")
 
 
-def chosen_frames(drive: Drive, text: str) -> slice:
+def chosen_frames(drive: "Drive", text: str) -> slice:
     """The frames of a drive that a slice chooses.
 
     Raises:

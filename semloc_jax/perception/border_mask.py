@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+SURE_PX = 2.0
+"""Standard deviation of a border that counts as in any mask, a larger one counts less [px]: what solvers assume."""
 _LEAST_SHARE = 0.3
 """A border never counts less than this: a wrong place must not look right because everything is unsure. Ours."""
 
@@ -31,14 +33,14 @@ class SeenBorders:
     names: tuple[str, ...]
     reach_px: float
 
-    def counted_px(self, name: str, sure_px: float) -> np.ndarray | None:
-        """Distances of a class [h w] as a solver with borders of one standard deviation `sure_px` should take them:
+    def counted_px(self, name: str) -> np.ndarray | None:
+        """Distances of a class [h w] as a solver with borders of one standard deviation `SURE_PX` should take them:
         those that are less sure are nearer by the ratio, so that over that deviation they are over their own. None
         where the network does not know the class."""
         if name not in self.names:
             return None
         k = self.names.index(name)
-        share = np.clip(sure_px / np.maximum(self.sigma_px[k], 1e-3), _LEAST_SHARE, 1.0)
+        share = np.clip(SURE_PX / np.maximum(self.sigma_px[k], 1e-3), _LEAST_SHARE, 1.0)
         counted = self.signed_px[k] * share
         # Far away stays far away: only what is near a border has a distance that a sigma is of.
         return np.where(np.abs(self.signed_px[k]) < 0.9 * self.reach_px, counted, self.signed_px[k])

@@ -41,9 +41,6 @@ class CostMapConfig:
     grow_unusable_px: int = 2
     """Margin around ego body, dynamic objects and ignored pixels [px]: the outlines they cut are not real."""
     usable_stride: int = 2
-    sure_px: float = 2.0
-    """Where a network states the standard deviation of a border, this much counts as in any mask, more counts less
-    [px]; the noise of a border that solvers assume."""
 
     def __post_init__(self) -> None:
         if len(self.ramp_px) != len(self.stride) or not self.ramp_px:
@@ -129,7 +126,7 @@ def mask_ramps(
         ]
         seen = borders_of(masks[camera])
         if seen is not None:
-            fill_from_borders(levels, seen, table.channels[channel].name, config.sure_px)
+            fill_from_borders(levels, seen, table.channels[channel].name)
             return
         fill_levels(levels, layers[camera], channel + 1, kind, config.blur_px)
 

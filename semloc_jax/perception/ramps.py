@@ -64,16 +64,15 @@ def fill_levels(
             level.out[:] = np.rint((exact.out + 1.0) * (FAR_BYTE / 2))
 
 
-def fill_from_borders(levels: Sequence[Level], seen: SeenBorders, name: str, sure_px: float) -> None:
+def fill_from_borders(levels: Sequence[Level], seen: SeenBorders, name: str) -> None:
     """Write the ramps of a class from the distances that a network tells.
 
     Args:
         levels: Coarse to fine.
         seen: What it says.
         name: Channel of the class.
-        sure_px: Standard deviation of a border that counts in full [px].
     """
-    counted = seen.counted_px(name, sure_px)
+    counted = seen.counted_px(name)
     if counted is None:
         return
     for level in levels:

@@ -8,7 +8,7 @@ from semloc_jax.datasets import Frame
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.perception import CostMapConfig, cost_maps, load_class_table
 from semloc_jax.perception.border_distance import border_distances
-from semloc_jax.perception.border_mask import BorderMask, SeenBorders, borders_of
+from semloc_jax.perception.border_mask import SURE_PX, BorderMask, SeenBorders, borders_of
 
 TABLE = load_class_table("lane_paint")
 NAME = TABLE.channels[0].name
@@ -57,7 +57,7 @@ def test_an_unsure_border_is_as_far_as_in_its_own_sigmas():
     ramp_px = config.ramp_px[1]
     column = 44 // config.stride[1]
     at = [float(np.asarray(maps.ramps[1])[0, 0, 4, column]) * ramp_px for maps in (sure, unsure)]
-    assert at[1] == pytest.approx(at[0] * config.sure_px / 4.0, abs=0.02)
+    assert at[1] == pytest.approx(at[0] * SURE_PX / 4.0, abs=0.02)
     far = [np.asarray(maps.ramps[0])[0, 0, 4, -1] for maps in (sure, unsure)]
     assert far[0] == far[1] == 1.0, "what is far from any border is not nearer for being unsure"
 
