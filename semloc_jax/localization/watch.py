@@ -172,7 +172,8 @@ def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separa
     speaks = lens_sign.nats(watch.sign, config.share)
     if watch.sign.num > 0 and speaks > -config.count_nats:
         ahead, left, turned = np.abs(lens_sign.mean_move(watch.sign))
-        cause = f"the distortion of {_whose(rig)} may have the wrong sign: the other one fits {speaks:+.0f} nats better"
+        how = f"the other one fits {speaks:.0f} nats better" if speaks >= 1.0 else "the drive has not told yet"
+        cause = f"the distortion of {_whose(rig)} may have the wrong sign: {how}"
         found.append(Separation(left, ahead, float(np.degrees(turned)), f"{cause}; {_ADVICE}"))
     # A map that does not fit moves the pose while driving as well: what speaks of it comes first.
     aside = _looking_aside(float(watch.aside_rad), float(mean[0]), rig, config)
