@@ -153,3 +153,11 @@ def in_base(poses: np.ndarray, T_world_base: np.ndarray) -> Float[np.ndarray, "n
     R = T_world_base[:2, :2]
     xy = (poses[:, :2] - T_world_base[:2, 3]) @ R
     return np.column_stack([xy, poses[:, 2] - np.arctan2(R[1, 0], R[0, 0])])
+
+
+def last_poses(
+    tracks: Sequence[ObjectTrack], drive: Drive, Ts_odom_base: Float[np.ndarray, "n 4 4"]
+) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """T_odom_base of the frame in which each track was seen last, by its id."""
+    index_at = {round(frame.time_s, 6): index for index, frame in enumerate(drive.frames)}
+    return {track.id: Ts_odom_base[index_at[round(track.last_s, 6)]] for track in tracks}

@@ -21,10 +21,10 @@ from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.io.drive_geojson import write_drive_geojson
 from semloc_jax.perception.obstacle_classes import OBSTACLES
 from semloc_jax.reports.folder import make_folder, write_record
-from semloc_jax.reports.object_errors import is_slow
+from semloc_jax.reports.object_errors import is_slow, last_poses
 from semloc_jax.reports.obstacle_errors import obstacle_errors
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.reports.top_view_film import SIZE_M, TopViewFilm
+from semloc_jax.reports.top_view_film import SIZE_M, top_view_film
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz.obstacles import DrawnObstacle, draw_obstacles, ellipse
 
@@ -63,9 +63,8 @@ def report_obstacles(
     chosen = range(len(drive))[frames]
     folder = make_folder(out)
     errors = obstacle_errors(drive)
-    film = TopViewFilm(folder / "obstacles.mp4", drive, masks, chosen) if video else None
     rows: list[tuple] = []
-    try:
+    with top_view_film(folder / "obstacles.mp4", drive, masks, chosen, video) as film:
         for index in tqdm(chosen, unit="frame", desc="obstacles", disable=None):
             frame, T = drive.frames[index], chain.Ts_odom_base[index]
             seen, found = follower.step(frame, index, chain)
@@ -74,15 +73,8 @@ def report_obstacles(
             if film is not None:
                 drawn = _drawn(follower.tracker.tracks, T)
                 film.add(frame, lambda top, view, drawn=drawn: draw_obstacles(top, view, drawn))
-    except BaseException:
-        if film is not None:
-            film.film.drop()
-        raise
-    if film is not None:
-        film.film.close()
     final = follower.tracker.final()
-    when = {round(frame.time_s, 6): index for index, frame in enumerate(drive.frames)}
-    last = {t.id: chain.Ts_odom_base[when[round(t.last_s, 6)]] for t in final}
+    last = last_poses(final, drive, chain.Ts_odom_base)
     write_csv(folder / "obstacles.csv", ("t", "track", "class", *POSE, *SIZE, "confirmed"), rows)
     columns = ("t_last", "track", "class", *POSE, *SIZE, "num_seen", "num_missed")
     table = [(*_row(t.last_s, t, last[t.id])[:-1], t.num_seen, t.num_missed) for t in final]

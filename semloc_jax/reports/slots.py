@@ -21,10 +21,10 @@ from semloc_jax.mapping.slot_tracks import SlotTrack
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap, write_map
 from semloc_jax.perception.obstacle_classes import obstacle_ids
 from semloc_jax.reports.folder import make_folder, write_record
-from semloc_jax.reports.object_errors import is_slow
+from semloc_jax.reports.object_errors import is_slow, last_poses
 from semloc_jax.reports.slot_errors import SlotErrors
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.reports.top_view_film import SIZE_M, TopViewFilm
+from semloc_jax.reports.top_view_film import SIZE_M, top_view_film
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz.slots import DrawnSlot, draw_slots
 
@@ -62,9 +62,8 @@ def report_slots(
     chosen = range(len(drive))[frames]
     folder = make_folder(out)
     errors = SlotErrors.of(drive)
-    film = TopViewFilm(folder / "slots.mp4", drive, masks, chosen) if video else None
     rows: list[tuple] = []
-    try:
+    with top_view_film(folder / "slots.mp4", drive, masks, chosen, video) as film:
         for index in tqdm(chosen, unit="frame", desc="slots", disable=None):
             frame, T = drive.frames[index], chain.Ts_odom_base[index]
             seen = observer.at(frame, index, chain.Ts_odom_base)
@@ -77,15 +76,8 @@ def report_slots(
             if film is not None:
                 drawn = _drawn(tracker.tracks, T)
                 film.add(frame, lambda top, view, drawn=drawn: draw_slots(top, view, drawn))
-    except BaseException:
-        if film is not None:
-            film.film.drop()
-        raise
-    if film is not None:
-        film.film.close()
     final = tracker.final()
-    when = {round(frame.time_s, 6): index for index, frame in enumerate(drive.frames)}
-    last = {t.id: chain.Ts_odom_base[when[round(t.last_s, 6)]] for t in final}
+    last = last_poses(final, drive, chain.Ts_odom_base)
     write_csv(folder / "slots.csv", ("t", "track", "type", *POSE, *SIZE, "confirmed"), rows)
     table = [_row(t.last_s, t, last[t.id], obstacles)[:-1] for t in final]
     counts = [(t.num_seen, t.num_missed) for t in final]

@@ -3,7 +3,8 @@
 In: frames, masks. Out: an mp4 file; its last picture.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -40,3 +41,20 @@ class TopViewFilm:
         else:
             top = viz.mask_picture(self.view.stitch(self.masks.masks(frame)), self.masks.table)
         self.film.add(draw(top, self.view))
+
+
+@contextmanager
+def top_view_film(
+    path: Path, drive: Drive, masks: MaskSource, chosen: Sequence[int], is_wanted: bool
+) -> Iterator[TopViewFilm | None]:
+    """A film in its place when the block ends, no file where the block fails; None where nobody wants it."""
+    if not is_wanted:
+        yield None
+        return
+    made = TopViewFilm(path, drive, masks, chosen)
+    try:
+        yield made
+    except BaseException:
+        made.film.drop()
+        raise
+    made.film.close()
