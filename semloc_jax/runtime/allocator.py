@@ -36,8 +36,8 @@ def return_large_blocks() -> bool:
 ALIGN_BYTES = 64
 """JAX on the CPU copies what is aligned less, and takes over the rest."""
 _MOST_BLOCKS = 16
-_NOBODY = 3
-"""References to a block that only the list knows: the list, the name that runs through it, the call that counts."""
+_NOBODY = next(sys.getrefcount(block) for block in [np.empty(0, np.uint8)])
+"""References to a block that only a list knows, counted as below: Python versions differ in which they count."""
 _blocks: list[np.ndarray] = []
 _lock = threading.Lock()
 
