@@ -20,10 +20,10 @@ from semloc_jax.alignment.level_choice import telling
 from semloc_jax.alignment.pieces import PieceCosts, believed, compared, costs_elsewhere, piece_costs, pieces_of
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, assess, in_chunks, refine, scatter_px, visible_views
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.alignment import alignment_residual
 from semloc_jax.residuals.contour_rows import contour_information
 from semloc_jax.residuals.pose_terms import terms_equations
 from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import ramp_values
 from semloc_jax.runtime.stored_program import stored_program
 
 
@@ -127,7 +127,7 @@ def _valley(
         column = assess(T_map_base, level, evidence, loose, align).covariance[:, 0]
         return jnp.where(jnp.isfinite(column), column / column[0], 0.0).at[0].set(1.0)
     views, texture = visible_views(T_map_base, evidence, align.border_px, align.path), evidence.textures.level(level)
-    r, weight = alignment_residual(T_map_base, views, texture)
+    r, weight = ramp_values(T_map_base, views, texture, align.path)
     excess = align.noise.excess(scatter_px(T_map_base, level, evidence, align), texture.ramp_px, evidence.grain)
     gain = align.noise.gain(texture.ramp_px, evidence.grain) / (texture.ramp_px * excess) ** 2
     information = contour_information(T_map_base, views, gain * weight * KERNELS[align.kernel].weight(r))

@@ -15,9 +15,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from semloc_jax.alignment.pose import AlignConfig, Evidence, visible_views
+from semloc_jax.alignment.pose import AlignConfig, Evidence, visible_ramps
 from semloc_jax.alignment.proposals import displaced
-from semloc_jax.residuals.alignment import CameraViews, alignment_residual
 from semloc_jax.residuals.robust import KERNELS
 
 _USUAL_RATE = 0.6
@@ -80,13 +79,11 @@ def piece_costs(
     config: AlignConfig,
 ) -> PieceCosts:
     """The pieces as one pose sees them on one level of the cost maps."""
-    views: tuple[CameraViews, ...] = visible_views(T_map_base, evidence, config.border_px, config.path)
-    texture = evidence.textures.level(level)
-    r, weight = alignment_residual(T_map_base, views, texture)
+    r, weight = visible_ramps(T_map_base, level, evidence, config)
     seen_px = jax.ops.segment_sum(weight, piece_of, len(piece_of))
     summed = jax.ops.segment_sum(weight * KERNELS[config.kernel].rho(r), piece_of, len(piece_of))
     length_px = jnp.asarray(config.noise.correlation_px * evidence.grain)
-    of_one = config.noise.gain(texture.ramp_px, evidence.grain) * length_px
+    of_one = config.noise.gain(evidence.textures.level(level).ramp_px, evidence.grain) * length_px
     return PieceCosts(of_one * summed / jnp.maximum(seen_px, 1e-6), jnp.minimum(seen_px / length_px, 1.0))
 
 

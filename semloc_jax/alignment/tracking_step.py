@@ -25,12 +25,12 @@ from semloc_jax.alignment.pose import (
     assess,
     total_weight,
     typical_px,
-    visible_views,
+    visible_ramps,
 )
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.alignment import CameraViews, alignment_residual, camera_views
+from semloc_jax.residuals.alignment import CameraViews, camera_views
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.runtime.stored_program import stored_program
@@ -214,10 +214,8 @@ def element_evidence(
     T_map_base: Float[Array, "4 4"], evidence: Evidence, element: tuple[Array, ...], config: TrackAlignConfig
 ) -> ElementEvidence:
     """How a pose explains each element, from the level of `config.rank_level`."""
-    texture = evidence.textures.level(config.rank_level)
     kernel = KERNELS[config.align.kernel]
-    views = visible_views(T_map_base, evidence, config.align.border_px, config.align.path)
-    r, weight = alignment_residual(T_map_base, views, texture)
+    r, weight = visible_ramps(T_map_base, config.rank_level, evidence, config.align)
     owner = jnp.concatenate([part.reshape(-1) for part in element])
     owner = jnp.where(owner >= 0, owner, ELEMENT_CAPACITY)
 
@@ -227,5 +225,5 @@ def element_evidence(
     return ElementEvidence(
         by_element(weight),
         by_element(weight * kernel.rho(r) / kernel.worst),
-        by_element(weight * kernel.weight(r) * r * texture.ramp_px),
+        by_element(weight * kernel.weight(r) * r * evidence.textures.ramp_px[config.rank_level]),
     )

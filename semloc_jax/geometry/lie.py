@@ -4,6 +4,8 @@ In: T_a_b [4 4] (maps b to a), tangents xi = (v, omega) with the translation fir
 Out: the same, in the float type of the input. All functions take leading batch axes and have finite gradients at zero.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -15,6 +17,8 @@ _TAYLOR_BELOW_RAD2 = 1e-3
 _SERIES_BELOW_RAD2 = 0.25
 _BERNOULLI = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 47900160, -691 / 1307674368000)
 """B_2n / (2n)! for n = 1, 2 ..."""
+_ARCSINE, _ARCSINE_BELOW = (1.0, 1 / 6, 3 / 40, 5 / 112), 1e-4
+"""asin(x) / x by powers of x^2, and up to which x^2."""
 
 
 def exp(xi: Float[ArrayLike, "*b 6"]) -> Float[Array, "*b 4 4"]:
@@ -29,7 +33,15 @@ def exp(xi: Float[ArrayLike, "*b 6"]) -> Float[Array, "*b 4 4"]:
 def log(T: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 6"]:
     """Tangent (v, omega) [m, rad] of a rigid motion; the inverse of `exp` for rotations below 180 deg."""
     T = _floating(T)
-    return jaxlie.SE3.from_matrix(T).log().astype(T.dtype)
+    omega = so3_log(T[..., :3, :3])
+    s = -jnp.sum(omega * omega, axis=-1)[..., None, None]
+    small = s > -_SERIES_BELOW_RAD2
+    safe = jnp.where(small, -1.0, s)
+    half = jnp.sqrt(-safe) / 2
+    share = jnp.where(small, _series(_BERNOULLI, s), (half / jnp.tan(half) - 1) / safe)
+    W = skew(omega)
+    J_l_inverse = jnp.eye(3, dtype=T.dtype) - W / 2 + share * jnp.matmul(W, W, precision=_HIGHEST)
+    return jnp.concatenate([_rotate(J_l_inverse, T[..., :3, 3]), omega], axis=-1)
 
 
 def so3_exp(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
@@ -41,7 +53,31 @@ def so3_exp(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
 def so3_log(R: Float[ArrayLike, "*b 3 3"]) -> Float[Array, "*b 3"]:
     """Rotation vector [rad] of a rotation matrix."""
     R = _floating(R)
-    return jaxlie.SO3.from_matrix(R).log().astype(R.dtype)
+    q = _quaternion_wxyz(R)
+    w, v = q[..., :1], q[..., 1:]
+    squared = jnp.sum(v * v, axis=-1, keepdims=True)
+    small = squared < _ARCSINE_BELOW
+    sine = jnp.sqrt(jnp.where(small, 1.0, squared))
+    half_over_sine = jnp.where(small, _series(_ARCSINE, squared), jnp.arctan2(sine, jnp.abs(w)) / sine)
+    return 2 * jnp.where(w < 0, -v, v) * half_over_sine  # q and -q are one rotation
+
+
+def _quaternion_wxyz(R: Float[Array, "*b 3 3"]) -> Float[Array, "*b 4"]:
+    """Unit quaternion of a rotation matrix, with either sign.
+
+    The four rows of 4 q q' are four multiples of q; the longest is exact. (Of jaxlie's four cases all are compiled.)
+    """
+    (a, b, c), (d, e, f), (g, h, i) = (tuple(R[..., row, k] for k in range(3)) for row in range(3))
+    rows = (
+        (1 + a + e + i, h - f, c - g, d - b),
+        (h - f, 1 + a - e - i, b + d, c + g),
+        (c - g, b + d, 1 - a + e - i, f + h),
+        (d - b, c + g, f + h, 1 - a - e + i),
+    )
+    outer = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    longest = jnp.argmax(jnp.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    row = jnp.take_along_axis(outer, longest[..., None, None], axis=-2)[..., 0, :]
+    return row / jnp.linalg.norm(row, axis=-1, keepdims=True)
 
 
 def compose(T_a_b: Float[ArrayLike, "*b 4 4"], T_b_c: Float[ArrayLike, "*c 4 4"]) -> Float[Array, "... 4 4"]:
@@ -150,11 +186,11 @@ def from_quaternion_xyzw(t: Float[ArrayLike, "*b 3"], q: Float[ArrayLike, "*b 4"
 def to_quaternion_xyzw(T: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 4"]:
     """Unit quaternion (x y z w) with w >= 0 of the rotation of T."""
     T = _floating(T)
-    q = jaxlie.SO3.from_matrix(T[..., :3, :3]).as_quaternion_xyzw().astype(T.dtype)
+    q = jnp.roll(_quaternion_wxyz(T[..., :3, :3]), -1, axis=-1)
     return jnp.where(q[..., 3:] < 0, -q, q)
 
 
-def _series(coefficients: list, s: Array) -> Array:
+def _series(coefficients: Sequence[float], s: Array) -> Array:
     value = jnp.zeros_like(s)
     for coefficient in reversed(coefficients):
         value = value * s + coefficient

@@ -169,6 +169,27 @@ def visible_weight(
     return weight
 
 
+def project(camera: Camera, p_cam: Float[Array, "3 p"]) -> Float[Array, "9 p"]:
+    """Pixel u, v of each point, how far it is inside what the camera can see (positive: valid), and the derivatives of
+    u, then of v, by the point in the camera frame [px / m]."""
+    leaves = jax.tree.leaves(camera)
+    return _call("semloc_project", [(9, p_cam.shape[-1])], p_cam, *leaves, model=_model(camera))[0]
+
+
+def ramp_values(
+    T_map_base: Float[Array, "4 4"],
+    camera: Camera,
+    T_cam_base: Float[Array, "4 4"],
+    points: Points,
+    texture: RampTexture,
+    index: Int[Array, ""],
+) -> Float[Array, " p"]:
+    """Signed ramp value in [-1, 1] of each sample of one camera; arguments as above."""
+    operands = (T_map_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
+    numbers = {"model": _model(camera), "num_channels": texture.num_channels}
+    return _call("semloc_ramp_values", [(points[0].shape[-1],)], *operands, **numbers)[0]
+
+
 def robust_cost(
     T_map_base: Float[Array, "4 4"],
     camera: Camera,

@@ -16,7 +16,9 @@ from jaxtyping import Array, Bool, Float, Int
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
+from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel
+from semloc_jax.residuals.projection import projected
 from semloc_jax.structs import ElementClass, MapSamples, SampleKind, ViewSamples
 
 
@@ -47,6 +49,8 @@ class ViewConfig:
     only."""
     class_weight: tuple[float, ...] = ()
     """Factor on the weight of each ElementClass, in its order; empty for 1. `semloc learn` finds them."""
+    path: Path = "auto"
+    """How points are projected; see `semloc_jax.residuals.native_kernels`."""
 
     def __post_init__(self) -> None:
         if len(self.class_weight) not in (0, len(ElementClass)) or any(not w >= 0 for w in self.class_weight):
@@ -212,11 +216,10 @@ def _in_image(
     away = (p_map - T_map_cam[:3, 3]) * jnp.asarray([1.0, 1.0, 0.0], p_map.dtype)
     away_m = jnp.linalg.norm(away, axis=-1)
     away = away / jnp.maximum(away_m, 1e-3)[:, None]
-    (u, v, valid), push = jax.linearize(camera.project_xyz, *p_cam.T)
+    seen = projected(camera, p_cam.T, config.path)
 
     def moved_px(direction: Array) -> tuple[Array, Array]:
-        du, dv, _ = push(*jnp.broadcast_to(lie.transform(rotation, direction), p_cam.shape).T)
-        return du, dv
+        return seen.moved_px(lie.transform(rotation, direction))
 
     du, dv = moved_px(samples.tangent_map)
     along_px = jnp.hypot(du, dv)
@@ -233,7 +236,7 @@ def _in_image(
         + (lean_m * (side_u * normal_u + side_v * normal_v)) ** 2
     )
     margin_px = -config.margin_share * jnp.asarray(camera.width, p_map.dtype)
-    in_view = valid & camera.in_image(u, v, margin_px)
+    in_view = seen.valid & camera.in_image(seen.u, seen.v, margin_px)
     return _InImage(p_cam, in_view, along_px * samples.length_m, jnp.hypot(away_u, away_v), height_px)
 
 

@@ -25,13 +25,15 @@ from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.normal_equations import chart_equations
 from semloc_jax.residuals.robust import KERNELS
-from semloc_jax.residuals.scoring import robust_cost, visible_weight
+from semloc_jax.residuals.projection import projected
+from semloc_jax.residuals.scoring import ramp_values, robust_cost, visible_weight
 from semloc_jax.residuals.texture import pack
 from semloc_jax.structs import CostMaps
 
 pytestmark = pytest.mark.skipif(not native.is_available(), reason=f"native kernels {native.status().text}")
 
 WIDTH, HEIGHT = 320, 240
+PATHS = "analytic", "xla"
 CAMERAS = {
     "pinhole": PinholeCamera(210.0, 205.0, 158.0, 121.0, WIDTH, HEIGHT),
     "radtan": BrownConradyCamera(210.0, 205.0, 158.0, 121.0, WIDTH, HEIGHT, -0.3, 0.1, 2e-3, -1e-3, -0.02),
@@ -117,6 +119,18 @@ def test_visibility_and_cost_are_those_of_jax(name):
     cost = jax.jit(lambda texture, path: robust_cost(T, views, texture, usable, tukey, 2.0, path), static_argnums=1)
     costs = [cost(texture, path) for path in ("analytic", "xla")]
     np.testing.assert_allclose(costs[0], costs[1], rtol=5e-3)
+    values = [jax.jit(ramp_values, static_argnames="path")(T, views, texture, path)[0] for path in ("analytic", "xla")]
+    np.testing.assert_allclose(*values, atol=2e-3)  # where the slope of the lens is 1e3, rounding is a texel
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_pixels_and_their_derivatives_are_those_of_jax(name):
+    (view,), _, _ = scene(CAMERAS[name])
+    camera = CAMERAS[name].astype(jnp.float32)
+    found, expected = (jax.jit(projected, static_argnames="path")(camera, view.p_map[0], path) for path in PATHS)
+    assert np.sum(np.asarray(found.valid) != np.asarray(expected.valid)) == 0
+    for one, other in zip((found.u, found.v, found.du, found.dv), expected[:2] + expected[3:], strict=True):
+        np.testing.assert_allclose(one, other, rtol=2e-4, atol=2e-3)
 
 
 def test_packed_cost_maps_are_those_of_jax(monkeypatch):

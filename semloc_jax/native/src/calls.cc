@@ -1,4 +1,4 @@
-// XLA custom calls of the alignment. Every operand may be batched by jax.vmap; see semloc_jax/native/calls.py for them.
+// XLA custom calls of the alignment. Every operand may be batched by jax.vmap; see semloc_jax/residuals/native_kernels.py for them.
 #include "alignment.h"
 #include "batch.h"
 #include "ramps.h"
@@ -243,6 +243,46 @@ ffi::Error RobustCost(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remain
   return ffi::Error::Success();
 }
 
+// Points in the camera frame [3 p], camera -> rows [9 p]: pixel u, v, margin of validity, their derivatives by x y z.
+ffi::Error Project(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t model) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(0).value(), 2);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto p_cam = operands.take<float>();
+  const CameraOperands camera(operands);
+  float* rows = result<float>(rets, 0);
+  with_model(model, [&](auto* tag) {
+    using Camera = std::remove_pointer_t<decltype(tag)>;
+    for_each_item(pool, batch.size, p_cam.length, [&](int64_t item) {
+      project(camera.at<Camera>(batch, item), p_cam.at(batch, item), p_cam.length, rows + 9 * p_cam.length * item);
+    });
+  });
+  return ffi::Error::Success();
+}
+
+// T_map_base, T_cam_base, points, texture, camera -> ramp value [p].
+ffi::Error RampValues(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t model,
+                      int32_t num_channels) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(0).value(), 1);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto T_map_base = operands.take<float>();
+  const auto T_cam_base = operands.take<float>();
+  const PointOperands points(operands);
+  const TextureOperands texture(operands, num_channels);
+  const CameraOperands camera(operands);
+  float* value = result<float>(rets, 0);
+  with_model(model, [&](auto* tag) {
+    using Camera = std::remove_pointer_t<decltype(tag)>;
+    for_each_item(pool, batch.size, points.p_map.length, [&](int64_t item) {
+      ramp_values(camera.at<Camera>(batch, item),
+                  Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
+                  points.at(batch, item), texture.at(batch, item), value + points.p_map.length * item);
+    });
+  });
+  return ffi::Error::Success();
+}
+
 // The ramps of each level [cam channel h w], as float32 or as bytes -> texels of all levels, one after another.
 ffi::Error Pack(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets) {
   constexpr int64_t kPiece = 65536;
@@ -282,6 +322,8 @@ SEMLOC_CALL(semloc_pack, semloc::Pack);
 SEMLOC_CALL(semloc_lookup, semloc::Lookup, .Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_accumulate, semloc::Accumulate);
 SEMLOC_CALL(semloc_visible_weight, semloc::VisibleWeight, .Attr<int32_t>("model"));
+SEMLOC_CALL(semloc_project, semloc::Project, .Attr<int32_t>("model"));
+SEMLOC_CALL(semloc_ramp_values, semloc::RampValues, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_robust_cost, semloc::RobustCost, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
 
 // The levels of one channel of one camera whose stride is a multiple of `stride`, from layers uint8[height width], both
