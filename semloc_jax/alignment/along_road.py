@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.hypotheses import keep_distinct, prior_cost
 from semloc_jax.alignment.level_choice import telling
-from semloc_jax.alignment.pieces import PieceCosts, believed, compared, costs_elsewhere, piece_costs, pieces_of
+from semloc_jax.alignment.pieces import believed, nats_at
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, assess, in_chunks, refine, scatter_px, visible_views
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.contour_rows import contour_information
@@ -93,17 +93,10 @@ def places_along(
     short = dataclasses.replace(align, max_steps=config.max_steps)
     level = telling(evidence.textures.ramp_px, align.noise.noise_px * evidence.grain, config.level)
 
-    piece_of, channel = pieces_of(evidence, align)
-
-    def one(T: Array) -> tuple[Array, PieceCosts]:
-        T = refine(T, evidence, still, short, level[None])[0][-1]
-        return T, piece_costs(T, level, evidence, piece_of, align)
-
     starts = T_map_base @ lie.exp(offsets_m[:, None] * _valley(T_map_base, level, evidence, prior, align, config))
-    Ts, costs = in_chunks(one, starts, chunk)
-    at_random = costs_elsewhere(T_map_base, level, evidence, piece_of, align)
+    Ts = in_chunks(lambda T: refine(T, evidence, still, short, level[None])[0][-1], starts, chunk)
     held = jax.vmap(prior_cost, (0, None))(Ts, prior)
-    by_piece = compared(costs, at_random, channel, evidence.textures.num_channels)
+    by_piece = nats_at(Ts, T_map_base, level, evidence, align, chunk)
     nats = jnp.sum(by_piece, axis=1)
     best = jnp.nanargmin(nats + held)
     scores = nats[best] + believed(by_piece, best, config.least_believed) * (nats - nats[best]) + held

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from semloc_jax.alignment.pose import AlignConfig, Evidence, visible_ramps
+from semloc_jax.alignment.pose import AlignConfig, Evidence, in_chunks, visible_ramps
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.residuals.robust import KERNELS
 
@@ -96,16 +96,31 @@ class Chances(NamedTuple):
     """Mean of exp(-nats) of a piece that is held against them at a random pose."""
 
 
-def costs_elsewhere(
-    T_map_base: Float[Array, "4 4"],
+def nats_at(
+    Ts_map_base: Float[Array, "pose 4 4"],
+    T_good: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
     evidence: Evidence,
-    piece_of: Int[Array, " n"],
     config: AlignConfig,
-) -> PieceCosts:
-    """The pieces as poses around a good one see them that are surely wrong; arguments as `piece_costs`."""
-    elsewhere = displaced(T_map_base, jnp.asarray(_ELSEWHERE, T_map_base.dtype))
-    return jax.lax.map(lambda T: piece_costs(T, level, evidence, piece_of, config), elsewhere)
+    chunk: int | None = 1,
+) -> Float[Array, "pose piece"]:
+    """Cost [nats] of poses by piece, against seeing the map by chance.
+
+    Args:
+        Ts_map_base: Poses that are compared; the best of them tells what the masks are like.
+        T_good: About this one, poses that are surely wrong tell what fits by chance.
+        level: Of the cost maps.
+        evidence: What the cameras saw.
+        config: Kernel and noise.
+        chunk: Poses side by side; None for what suits the device.
+    """
+    piece_of, channel = pieces_of(evidence, config)
+    elsewhere = displaced(T_good, jnp.asarray(_ELSEWHERE, T_good.dtype))
+    poses = jnp.concatenate([Ts_map_base, elsewhere])
+    costs = in_chunks(lambda T: piece_costs(T, level, evidence, piece_of, config), poses, chunk)
+    num = len(Ts_map_base)
+    at_poses, at_random = (jax.tree.map(lambda leaf, k=part: leaf[k], costs) for part in (slice(num), slice(num, None)))
+    return compared(at_poses, at_random, channel, evidence.textures.num_channels)
 
 
 def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int) -> Chances:
@@ -125,13 +140,14 @@ def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " pi
     looked_at = by_channel(jnp.sum(at_random.observations, axis=0))
     by_chance = jnp.clip(matched / jnp.maximum(looked_at, 1e-6), *_BY_CHANCE)
     total = by_channel(at_best.observations)
-    rate = jnp.full_like(total, _USUAL_RATE)
-    for _ in range(_ROUNDS):
-        own = rate[channel]
-        odds = jnp.log(own / (1 - own)) - jnp.log(by_chance[channel]) - at_best.nats
+
+    def better(_: Array, rate: Float[Array, " channel"]) -> Float[Array, " channel"]:
+        odds = (jnp.log(rate / (1 - rate)) - jnp.log(by_chance))[channel] - at_best.nats
         found = by_channel(jax.nn.sigmoid(odds) * at_best.observations)
-        rate = (found + _USUAL_RATE * _RATE_STRENGTH) / (total + _RATE_STRENGTH)
-    return Chances(rate, by_chance)
+        return (found + _USUAL_RATE * _RATE_STRENGTH) / (total + _RATE_STRENGTH)
+
+    # A loop, not a chain: it is compiled once.
+    return Chances(jax.lax.fori_loop(0, _ROUNDS, better, jnp.full_like(total, _USUAL_RATE)), by_chance)
 
 
 def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, "pose piece"]:

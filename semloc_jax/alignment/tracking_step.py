@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.along_road import AlongRoadConfig, beyond_reach, places_along
 from semloc_jax.alignment.hypotheses import prior_cost, score
 from semloc_jax.alignment.level_choice import telling
-from semloc_jax.alignment.pieces import compared, costs_elsewhere, piece_costs, pieces_of
+from semloc_jax.alignment.pieces import nats_at
 from semloc_jax.alignment.pose import (
     AlignConfig,
     Evidence,
@@ -188,11 +188,8 @@ def profile_beside(
     by chance; one level, no refinement."""
     evidence, _ = trusted_evidence(T_predicted, frame, trust, config.view)
     moved = displaced(T_predicted, moves.astype(T_predicted.dtype))
-    piece_of, channel = pieces_of(evidence, config.align)
-    costs = jax.lax.map(lambda T: piece_costs(T, level, evidence, piece_of, config.align), moved)
-    at_random = costs_elsewhere(T_predicted, level, evidence, piece_of, config.align)
     held = jax.vmap(prior_cost, (0, None))(moved, prior)
-    return jnp.sum(compared(costs, at_random, channel, evidence.textures.num_channels), axis=1) + held
+    return jnp.sum(nats_at(moved, T_predicted, level, evidence, config.align), axis=1) + held
 
 
 def trusted_evidence(

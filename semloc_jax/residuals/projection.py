@@ -1,7 +1,7 @@
 """Where a camera sees points, and how far they move in the image (room: residuals; pure JAX).
 
-In: points in a camera frame. Out: Projected: pixels, validity, derivative of the pixel by the point. No derivative of its
-own: it serves what is decided about samples before a pose is solved.
+In: points in a camera frame. Out: Projected: pixels, validity, derivative of the pixel by the point.
+No derivatives of its own: it serves what is decided about samples before a pose is solved.
 """
 
 from typing import NamedTuple

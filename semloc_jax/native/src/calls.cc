@@ -2,6 +2,7 @@
 #include "alignment.h"
 #include "batch.h"
 #include "ramps.h"
+#include "view.h"
 
 namespace semloc {
 namespace {
@@ -260,6 +261,58 @@ ffi::Error Project(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remaining
   return ffi::Error::Success();
 }
 
+struct SampleOperands {
+  Operand<float> p, tangent, offset, length;
+  Operand<int32_t> label, kind, element;
+  Operand<float> center, height_sigma;
+  Operand<uint8_t> valid;
+  explicit SampleOperands(Operands& operands)
+      : p(operands.take<float>()), tangent(operands.take<float>()), offset(operands.take<float>()),
+        length(operands.take<float>()), label(operands.take<int32_t>()), kind(operands.take<int32_t>()),
+        element(operands.take<int32_t>()), center(operands.take<float>()), height_sigma(operands.take<float>()),
+        valid(operands.take<uint8_t>()) {}
+  MapSamples at(const Batch& batch, int64_t item) const {
+    return {p.at(batch, item),      tangent.at(batch, item), offset.at(batch, item), length.at(batch, item),
+            label.at(batch, item),  kind.at(batch, item),    element.at(batch, item), center.at(batch, item),
+            height_sigma.at(batch, item), valid.at(batch, item), static_cast<int>(offset.length)};
+  }
+};
+
+// T_map_base, T_base_cam, samples, channel and weight of labels, grain, numbers of the view, camera -> by slot: index of
+// the sample, silhouette [3], tangent [3], weight, channel, element, edge.
+ffi::Error View(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t model,
+                int32_t num_ground) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(0).value(), 1);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto T_map_base = operands.take<float>(), T_base_cam = operands.take<float>();
+  const SampleOperands samples(operands);
+  const auto channel = operands.take<int32_t>();
+  const auto class_weight = operands.take<float>(), grain = operands.take<float>(), numbers = operands.take<float>();
+  const CameraOperands camera(operands);
+  const int64_t capacity = rets.get<ffi::AnyBuffer>(0).value()->dimensions().back();
+  const auto slots = [&](int64_t item) {
+    const int64_t first = item * capacity;
+    return Bucket{result<int32_t>(rets, 0) + first,   result<float>(rets, 1) + 3 * first,
+                  result<float>(rets, 2) + 3 * first, result<float>(rets, 3) + first,
+                  result<int32_t>(rets, 4) + first,   result<int32_t>(rets, 5) + first,
+                  result<int32_t>(rets, 6) + first,   static_cast<int>(capacity)};
+  };
+  with_model(model, [&](auto* tag) {
+    using Camera = std::remove_pointer_t<decltype(tag)>;
+    for_each_item(pool, batch.size, samples.offset.length, [&](int64_t item) {
+      const float* number = numbers.at(batch, item);
+      const ViewNumbers config{number[0], number[1], number[2], number[3], number[4],
+                               number[5], number[6], number[7], number[8], number[9]};
+      const Camera model = camera.at<Camera>(batch, item);
+      view(AnyCamera(model), T_map_base.at(batch, item), T_base_cam.at(batch, item),
+           samples.at(batch, item), Labels{channel.at(batch, item), class_weight.at(batch, item), num_ground},
+           *grain.at(batch, item), config, slots(item));
+    });
+  });
+  return ffi::Error::Success();
+}
+
 // T_map_base, T_cam_base, points, texture, camera -> ramp value [p].
 ffi::Error RampValues(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t model,
                       int32_t num_channels) {
@@ -323,6 +376,7 @@ SEMLOC_CALL(semloc_lookup, semloc::Lookup, .Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_accumulate, semloc::Accumulate);
 SEMLOC_CALL(semloc_visible_weight, semloc::VisibleWeight, .Attr<int32_t>("model"));
 SEMLOC_CALL(semloc_project, semloc::Project, .Attr<int32_t>("model"));
+SEMLOC_CALL(semloc_view, semloc::View, .Attr<int32_t>("model").Attr<int32_t>("num_ground"));
 SEMLOC_CALL(semloc_ramp_values, semloc::RampValues, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_robust_cost, semloc::RobustCost, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
 
