@@ -9,6 +9,7 @@ it is out of view. `evidence_null` weighs modes by the same likelihood.
 """
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -18,6 +19,7 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.pose import AlignConfig, Evidence, in_chunks, visible_ramps
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import sums_by_index
 
 _USUAL_RATE = 0.6
 """How often masks show what the map has, before the frame is looked at; as for `evidence_null.NullConfig`."""
@@ -80,8 +82,8 @@ def piece_costs(
 ) -> PieceCosts:
     """The pieces as one pose sees them on one level of the cost maps."""
     r, weight = visible_ramps(T_map_base, level, evidence, config)
-    seen_px = jax.ops.segment_sum(weight, piece_of, len(piece_of))
-    summed = jax.ops.segment_sum(weight * KERNELS[config.kernel].rho(r), piece_of, len(piece_of))
+    terms = jnp.stack([weight, weight * KERNELS[config.kernel].rho(r)])
+    seen_px, summed = sums_by_index(terms, piece_of, len(piece_of), config.path)
     length_px = jnp.asarray(config.noise.correlation_px * evidence.grain)
     of_one = config.noise.gain(evidence.textures.level(level).ramp_px, evidence.grain) * length_px
     return PieceCosts(of_one * summed / jnp.maximum(seen_px, 1e-6), jnp.minimum(seen_px / length_px, 1.0))
@@ -133,9 +135,7 @@ def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " pi
         num_channels: Of the masks.
     """
 
-    def by_channel(values: Float[Array, " piece"]) -> Float[Array, " channel"]:
-        return jax.ops.segment_sum(values, channel, num_channels)
-
+    by_channel = partial(_by_channel, channel=channel, num_channels=num_channels)
     matched = by_channel(jnp.sum(jnp.exp(-at_random.nats) * at_random.observations, axis=0))
     looked_at = by_channel(jnp.sum(at_random.observations, axis=0))
     by_chance = jnp.clip(matched / jnp.maximum(looked_at, 1e-6), *_BY_CHANCE)
@@ -150,6 +150,14 @@ def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " pi
     return Chances(jax.lax.fori_loop(0, _ROUNDS, better, jnp.full_like(total, _USUAL_RATE)), by_chance)
 
 
+def _by_channel(
+    values: Float[Array, "*pose piece"], channel: Int[Array, " piece"], num_channels: int
+) -> Float[Array, "*pose channel"]:
+    """Sums over the pieces of each channel. Channels are few: one loop over all of them, not a scatter."""
+    own = channel == jnp.arange(num_channels)[:, None]
+    return jnp.sum(jnp.where(own, values[..., None, :], 0.0), axis=-1)
+
+
 def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, "pose piece"]:
     """Cost [nats] of every pose by piece, against seeing the map by chance.
 
@@ -159,7 +167,7 @@ def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chanc
     rate, by_chance = masks.detection[channel], masks.by_chance[channel]
     nats = -jnp.log((1 - rate) + rate * jnp.exp(-costs.nats) / by_chance) * costs.observations
     num_channels = masks.detection.shape[0]
-    visible = jax.vmap(lambda values: jax.ops.segment_sum(values, channel, num_channels))(costs.observations)
+    visible = _by_channel(costs.observations, channel, num_channels)
     stands_for = jnp.max(visible, axis=0) / jnp.maximum(visible, _LEAST_OBSERVATIONS)
     return nats * stands_for[:, channel]
 

@@ -32,6 +32,7 @@ from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, camera_views
 from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import sums_by_index
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import PoseEstimate
@@ -216,11 +217,7 @@ def element_evidence(
     owner = jnp.concatenate([part.reshape(-1) for part in element])
     owner = jnp.where(owner >= 0, owner, ELEMENT_CAPACITY)
 
-    def by_element(values: Array) -> Array:
-        return jax.ops.segment_sum(values, owner, ELEMENT_CAPACITY + 1)[:-1]
-
-    return ElementEvidence(
-        by_element(weight),
-        by_element(weight * kernel.rho(r) / kernel.worst),
-        by_element(weight * kernel.weight(r) * r * evidence.textures.ramp_px[config.rank_level]),
-    )
+    missed_px = weight * kernel.rho(r) / kernel.worst
+    offset_px = weight * kernel.weight(r) * r * evidence.textures.ramp_px[config.rank_level]
+    terms = jnp.stack([weight, missed_px, offset_px])
+    return ElementEvidence(*sums_by_index(terms, owner, ELEMENT_CAPACITY + 1, config.align.path)[:, :-1])

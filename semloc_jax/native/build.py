@@ -31,6 +31,7 @@ CALLS = (
     "semloc_visible_weight",
     "semloc_project",
     "semloc_ramp_values",
+    "semloc_sums_by_index",
     "semloc_view",
     "semloc_robust_cost",
 )

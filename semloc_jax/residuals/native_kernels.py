@@ -178,6 +178,11 @@ def project(camera: Camera, p_cam: Float[Array, "3 p"]) -> Float[Array, "9 p"]:
     return _call("semloc_project", [(9, p_cam.shape[-1])], p_cam, *leaves, model=_model(camera))[0]
 
 
+def sums_by_index(values: Float[Array, "k n"], index: Int[Array, " n"], num: int) -> Float[Array, "k num"]:
+    """Sums of the values of each row that share an index in 0 .. num - 1."""
+    return _call("semloc_sums_by_index", [(len(values), num)], values, index)[0]
+
+
 class Bucket(NamedTuple):
     """What one camera sees of the map, slot by slot."""
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual, points_in_camera, visibility
@@ -81,6 +81,15 @@ def ramp_values(
 
     values = [jax.vmap(one_camera)(view).reshape(-1) for view in views]
     return jnp.concatenate(values), jnp.concatenate([view.weight.reshape(-1) for view in views])
+
+
+def sums_by_index(
+    values: Float[Array, "k n"], index: Int[Array, " n"], num: int, path: native_kernels.Path = "auto"
+) -> Float[Array, "k num"]:
+    """Sums of the values that share an index, for each of k rows; XLA on CPU takes a scatter one element at a time."""
+    if native_kernels.are_used(path, values.dtype):
+        return native_kernels.sums_by_index(values, index, num)
+    return jax.vmap(lambda row: jax.ops.segment_sum(row, index, num))(values)
 
 
 def _summed(

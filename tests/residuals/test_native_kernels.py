@@ -28,7 +28,7 @@ from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.normal_equations import chart_equations
 from semloc_jax.residuals.projection import projected
 from semloc_jax.residuals.robust import KERNELS
-from semloc_jax.residuals.scoring import ramp_values, robust_cost, visible_weight
+from semloc_jax.residuals.scoring import ramp_values, robust_cost, sums_by_index, visible_weight
 from semloc_jax.residuals.texture import pack
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.simulation.cameras import mounted
@@ -200,6 +200,15 @@ def test_damped_step_solves_the_system():
     expected = np.linalg.solve(H + np.eye(6) / size[:, None, None], -g[..., None])[..., 0]
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-4)
     assert dataclasses.is_dataclass(native.status())
+
+
+def test_sums_by_index_are_those_of_jax():
+    rng = np.random.default_rng(6)
+    values, index = jnp.asarray(rng.normal(size=(4, 3, 500)), jnp.float32), jnp.asarray(rng.integers(-2, 60, 500))
+    summed = jax.jit(jax.vmap(sums_by_index, (0, None, None, None)), static_argnums=(2, 3))
+    found, expected = (summed(values, index, 50, path) for path in PATHS)
+    assert found.shape == (4, 3, 50)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", CAMERAS)

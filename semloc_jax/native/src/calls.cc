@@ -261,6 +261,29 @@ ffi::Error Project(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remaining
   return ffi::Error::Success();
 }
 
+// Rows of values [k n], index [n] -> sums of what shares an index [k num].
+ffi::Error SumsByIndex(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets) {
+  const auto sums_buffer = *rets.get<ffi::AnyBuffer>(0).value();
+  const Batch batch(sums_buffer, 2);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto values = operands.take<float>();
+  const auto index = operands.take<int32_t>();
+  const auto dims = sums_buffer.dimensions();
+  const int64_t num = dims.back(), num_rows = dims[dims.size() - 2], count = values.length;
+  float* sums = result<float>(rets, 0);
+  for_each_item(pool, batch.size, num_rows * count, [&](int64_t item) {
+    const float* value = values.at(batch, item);
+    const int32_t* place = index.at(batch, item);
+    float* sum = sums + item * num_rows * num;
+    std::fill_n(sum, num_rows * num, 0.0f);
+    for (int64_t row = 0; row < num_rows; ++row)
+      for (int64_t n = 0; n < count; ++n)
+        if (place[n] >= 0 && place[n] < num) sum[row * num + place[n]] += value[row * count + n];
+  });
+  return ffi::Error::Success();
+}
+
 struct SampleOperands {
   Operand<float> p, tangent, offset, length;
   Operand<int32_t> label, kind, element;
@@ -376,6 +399,7 @@ SEMLOC_CALL(semloc_lookup, semloc::Lookup, .Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_accumulate, semloc::Accumulate);
 SEMLOC_CALL(semloc_visible_weight, semloc::VisibleWeight, .Attr<int32_t>("model"));
 SEMLOC_CALL(semloc_project, semloc::Project, .Attr<int32_t>("model"));
+SEMLOC_CALL(semloc_sums_by_index, semloc::SumsByIndex);
 SEMLOC_CALL(semloc_view, semloc::View, .Attr<int32_t>("model").Attr<int32_t>("num_ground"));
 SEMLOC_CALL(semloc_ramp_values, semloc::RampValues, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_robust_cost, semloc::RobustCost, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
