@@ -17,13 +17,13 @@ from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.hypotheses import keep_distinct, prior_cost
 from semloc_jax.alignment.level_choice import telling
-from semloc_jax.alignment.pieces import PieceCosts, believed, compared, costs_elsewhere, piece_costs, pieces_of
+from semloc_jax.alignment.pieces import believed, nats_at
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, assess, in_chunks, refine, scatter_px, visible_views
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.alignment import alignment_residual
 from semloc_jax.residuals.contour_rows import contour_information
 from semloc_jax.residuals.pose_terms import terms_equations
 from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import ramp_values
 from semloc_jax.runtime.stored_program import stored_program
 
 
@@ -93,17 +93,10 @@ def places_along(
     short = dataclasses.replace(align, max_steps=config.max_steps)
     level = telling(evidence.textures.ramp_px, align.noise.noise_px * evidence.grain, config.level)
 
-    piece_of, channel = pieces_of(evidence, align)
-
-    def one(T: Array) -> tuple[Array, PieceCosts]:
-        T = refine(T, evidence, still, short, level[None])[0][-1]
-        return T, piece_costs(T, level, evidence, piece_of, align)
-
     starts = T_map_base @ lie.exp(offsets_m[:, None] * _valley(T_map_base, level, evidence, prior, align, config))
-    Ts, costs = in_chunks(one, starts, chunk)
-    at_random = costs_elsewhere(T_map_base, level, evidence, piece_of, align)
+    Ts = in_chunks(lambda T: refine(T, evidence, still, short, level[None])[0][-1], starts, chunk)
     held = jax.vmap(prior_cost, (0, None))(Ts, prior)
-    by_piece = compared(costs, at_random, channel, evidence.textures.num_channels)
+    by_piece = nats_at(Ts, T_map_base, level, evidence, align, chunk)
     nats = jnp.sum(by_piece, axis=1)
     best = jnp.nanargmin(nats + held)
     scores = nats[best] + believed(by_piece, best, config.least_believed) * (nats - nats[best]) + held
@@ -127,7 +120,7 @@ def _valley(
         column = assess(T_map_base, level, evidence, loose, align).covariance[:, 0]
         return jnp.where(jnp.isfinite(column), column / column[0], 0.0).at[0].set(1.0)
     views, texture = visible_views(T_map_base, evidence, align.border_px, align.path), evidence.textures.level(level)
-    r, weight = alignment_residual(T_map_base, views, texture)
+    r, weight = ramp_values(T_map_base, views, texture, align.path)
     excess = align.noise.excess(scatter_px(T_map_base, level, evidence, align), texture.ramp_px, evidence.grain)
     gain = align.noise.gain(texture.ramp_px, evidence.grain) / (texture.ramp_px * excess) ** 2
     information = contour_information(T_map_base, views, gain * weight * KERNELS[align.kernel].weight(r))

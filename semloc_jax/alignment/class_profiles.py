@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from semloc_jax.alignment.pieces import compared, costs_elsewhere, piece_costs, pieces_of
+from semloc_jax.alignment.pieces import nats_at
 from semloc_jax.alignment.pose import Evidence
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.single_frame import FrameInput
@@ -38,17 +38,12 @@ def class_profiles(
     """
     evidence, element = trusted_evidence(T_map_base, frame, jnp.ones_like(is_upright), config.view)
     stands = [jnp.where(owner >= 0, is_upright[jnp.clip(owner, 0)], 0.0) for owner in element]
-    lies = [1.0 - share for share in stands]
     moved = displaced(T_map_base, moves.astype(T_map_base.dtype))
 
     def costs(shares: list[Float[Array, "cam p"]]) -> Float[Array, " n"]:
-        own = _weighed(evidence, shares)
-        piece_of, channel = pieces_of(own, config.align)
-        by_piece = jax.lax.map(lambda T: piece_costs(T, level, own, piece_of, config.align), moved)
-        at_random = costs_elsewhere(T_map_base, level, own, piece_of, config.align)
-        return jnp.sum(compared(by_piece, at_random, channel, own.textures.num_channels), axis=1)
+        return jnp.sum(nats_at(moved, T_map_base, level, _weighed(evidence, shares), config.align), axis=1)
 
-    return jnp.stack([costs(lies), costs(stands)])
+    return jax.lax.map(costs, [jnp.stack([1.0 - share, share]) for share in stands])
 
 
 def _weighed(evidence: Evidence, shares: list[Float[Array, "cam p"]]) -> Evidence:

@@ -14,6 +14,8 @@ from jaxtyping import Array, Bool, Float, Int
 from semloc_jax.alignment.filled_rows import map_filled
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.geometry import lie
+from semloc_jax.residuals.native_kernels import Path
+from semloc_jax.residuals.projection import projected
 from semloc_jax.residuals.view import GROUND_CLASSES, contour_points
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import MapSamples
@@ -33,6 +35,8 @@ class ObserveConfig:
     """Size of the cells of the image in which samples of one element are one observation."""
     border_px: float = 2.0
     """Samples nearer to the border of the image do not exist."""
+    path: Path = "auto"
+    """How points are projected; see `semloc_jax.residuals.native_kernels`."""
 
 
 class Borders(NamedTuple):
@@ -103,10 +107,10 @@ def _one_camera(
     p_map, is_contour = contour_points(samples, T_map_cam[:3, 3])
     T_cam_map = lie.inverse(T_map_cam)
     p_cam = lie.transform(T_cam_map, p_map)
-    (u, v, valid), push = jax.linearize(camera.project_xyz, *p_cam.T)
+    u, v, valid, *_ = pixels = projected(camera, p_cam.T, config.path)
 
     def moved_px(direction: Array) -> Array:
-        du, dv, _ = push(*(T_cam_map[:3, :3] @ direction.T))
+        du, dv = pixels.moved_px(direction @ T_cam_map[:3, :3].T)
         return jnp.sqrt(du * du + dv * dv)
 
     away = (p_map - T_map_cam[:3, 3]) * jnp.asarray([1.0, 1.0, 0.0], p_map.dtype)

@@ -9,16 +9,17 @@ it is out of view. `evidence_null` weighs modes by the same likelihood.
 """
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from semloc_jax.alignment.pose import AlignConfig, Evidence, visible_views
+from semloc_jax.alignment.pose import AlignConfig, Evidence, in_chunks, visible_ramps
 from semloc_jax.alignment.proposals import displaced
-from semloc_jax.residuals.alignment import CameraViews, alignment_residual
 from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import sums_by_index
 
 _USUAL_RATE = 0.6
 """How often masks show what the map has, before the frame is looked at; as for `evidence_null.NullConfig`."""
@@ -80,13 +81,11 @@ def piece_costs(
     config: AlignConfig,
 ) -> PieceCosts:
     """The pieces as one pose sees them on one level of the cost maps."""
-    views: tuple[CameraViews, ...] = visible_views(T_map_base, evidence, config.border_px, config.path)
-    texture = evidence.textures.level(level)
-    r, weight = alignment_residual(T_map_base, views, texture)
-    seen_px = jax.ops.segment_sum(weight, piece_of, len(piece_of))
-    summed = jax.ops.segment_sum(weight * KERNELS[config.kernel].rho(r), piece_of, len(piece_of))
+    r, weight = visible_ramps(T_map_base, level, evidence, config)
+    terms = jnp.stack([weight, weight * KERNELS[config.kernel].rho(r)])
+    seen_px, summed = sums_by_index(terms, piece_of, len(piece_of), config.path)
     length_px = jnp.asarray(config.noise.correlation_px * evidence.grain)
-    of_one = config.noise.gain(texture.ramp_px, evidence.grain) * length_px
+    of_one = config.noise.gain(evidence.textures.level(level).ramp_px, evidence.grain) * length_px
     return PieceCosts(of_one * summed / jnp.maximum(seen_px, 1e-6), jnp.minimum(seen_px / length_px, 1.0))
 
 
@@ -99,16 +98,31 @@ class Chances(NamedTuple):
     """Mean of exp(-nats) of a piece that is held against them at a random pose."""
 
 
-def costs_elsewhere(
-    T_map_base: Float[Array, "4 4"],
+def nats_at(
+    Ts_map_base: Float[Array, "pose 4 4"],
+    T_good: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
     evidence: Evidence,
-    piece_of: Int[Array, " n"],
     config: AlignConfig,
-) -> PieceCosts:
-    """The pieces as poses around a good one see them that are surely wrong; arguments as `piece_costs`."""
-    elsewhere = displaced(T_map_base, jnp.asarray(_ELSEWHERE, T_map_base.dtype))
-    return jax.lax.map(lambda T: piece_costs(T, level, evidence, piece_of, config), elsewhere)
+    chunk: int | None = 1,
+) -> Float[Array, "pose piece"]:
+    """Cost [nats] of poses by piece, against seeing the map by chance.
+
+    Args:
+        Ts_map_base: Poses that are compared; the best of them tells what the masks are like.
+        T_good: About this one, poses that are surely wrong tell what fits by chance.
+        level: Of the cost maps.
+        evidence: What the cameras saw.
+        config: Kernel and noise.
+        chunk: Poses side by side; None for what suits the device.
+    """
+    piece_of, channel = pieces_of(evidence, config)
+    elsewhere = displaced(T_good, jnp.asarray(_ELSEWHERE, T_good.dtype))
+    poses = jnp.concatenate([Ts_map_base, elsewhere])
+    costs = in_chunks(lambda T: piece_costs(T, level, evidence, piece_of, config), poses, chunk)
+    num = len(Ts_map_base)
+    at_poses, at_random = (jax.tree.map(lambda leaf, k=part: leaf[k], costs) for part in (slice(num), slice(num, None)))
+    return compared(at_poses, at_random, channel, evidence.textures.num_channels)
 
 
 def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int) -> Chances:
@@ -121,20 +135,27 @@ def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " pi
         num_channels: Of the masks.
     """
 
-    def by_channel(values: Float[Array, " piece"]) -> Float[Array, " channel"]:
-        return jax.ops.segment_sum(values, channel, num_channels)
-
+    by_channel = partial(_by_channel, channel=channel, num_channels=num_channels)
     matched = by_channel(jnp.sum(jnp.exp(-at_random.nats) * at_random.observations, axis=0))
     looked_at = by_channel(jnp.sum(at_random.observations, axis=0))
     by_chance = jnp.clip(matched / jnp.maximum(looked_at, 1e-6), *_BY_CHANCE)
     total = by_channel(at_best.observations)
-    rate = jnp.full_like(total, _USUAL_RATE)
-    for _ in range(_ROUNDS):
-        own = rate[channel]
-        odds = jnp.log(own / (1 - own)) - jnp.log(by_chance[channel]) - at_best.nats
+
+    def better(_: Array, rate: Float[Array, " channel"]) -> Float[Array, " channel"]:
+        odds = (jnp.log(rate / (1 - rate)) - jnp.log(by_chance))[channel] - at_best.nats
         found = by_channel(jax.nn.sigmoid(odds) * at_best.observations)
-        rate = (found + _USUAL_RATE * _RATE_STRENGTH) / (total + _RATE_STRENGTH)
-    return Chances(rate, by_chance)
+        return (found + _USUAL_RATE * _RATE_STRENGTH) / (total + _RATE_STRENGTH)
+
+    # A loop, not a chain: it is compiled once.
+    return Chances(jax.lax.fori_loop(0, _ROUNDS, better, jnp.full_like(total, _USUAL_RATE)), by_chance)
+
+
+def _by_channel(
+    values: Float[Array, "*pose piece"], channel: Int[Array, " piece"], num_channels: int
+) -> Float[Array, "*pose channel"]:
+    """Sums over the pieces of each channel. Channels are few: one loop over all of them, not a scatter."""
+    own = channel == jnp.arange(num_channels)[:, None]
+    return jnp.sum(jnp.where(own, values[..., None, :], 0.0), axis=-1)
 
 
 def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, "pose piece"]:
@@ -146,7 +167,7 @@ def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chanc
     rate, by_chance = masks.detection[channel], masks.by_chance[channel]
     nats = -jnp.log((1 - rate) + rate * jnp.exp(-costs.nats) / by_chance) * costs.observations
     num_channels = masks.detection.shape[0]
-    visible = jax.vmap(lambda values: jax.ops.segment_sum(values, channel, num_channels))(costs.observations)
+    visible = _by_channel(costs.observations, channel, num_channels)
     stands_for = jnp.max(visible, axis=0) / jnp.maximum(visible, _LEAST_OBSERVATIONS)
     return nats * stands_for[:, channel]
 

@@ -15,13 +15,13 @@ from jaxtyping import Array, Bool, Float, Int
 from semloc_jax.alignment.level_choice import MIN_INLIER_RATIO, finest_held
 from semloc_jax.alignment.problem import POSE_DAMPING, AlignmentProblem, known_model, pose_of, quadratic_model
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual
+from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.forward_only import forward_only
 from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel, is_inlier
 from semloc_jax.residuals.pose_terms import Terms
 from semloc_jax.residuals.robust import KERNELS
-from semloc_jax.residuals.scoring import visible_weight
+from semloc_jax.residuals.scoring import ramp_values, visible_weight
 from semloc_jax.residuals.texture import RampTextures
 from semloc_jax.solvers.front import solve
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
@@ -86,6 +86,14 @@ def visible_views(
         return eqx.tree_at(lambda v: v.weight, view, weight)
 
     return tuple(seen(view) for view in evidence.views)
+
+
+def visible_ramps(
+    T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Signed ramp value of every sample on one level, and its weight where it can be seen from the pose, else 0."""
+    views = visible_views(T_map_base, evidence, config.border_px, config.path)
+    return ramp_values(T_map_base, views, evidence.textures.level(level), config.path)
 
 
 def total_weight(views: tuple[CameraViews, ...]) -> Float[Array, ""]:
@@ -165,9 +173,8 @@ def scatter_px(
     T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
 ) -> Float[Array, ""]:
     """How far the contours that the kernel holds on to lie from the boundaries of their class [px RMS]."""
-    views = visible_views(T_map_base, evidence, config.border_px, config.path)
-    texture = evidence.textures.level(level)
-    return texture.ramp_px * _held_rms(*alignment_residual(T_map_base, views, texture), config)
+    r, weight = visible_ramps(T_map_base, level, evidence, config)
+    return evidence.textures.level(level).ramp_px * _held_rms(r, weight, config)
 
 
 def typical_px(
@@ -175,14 +182,12 @@ def typical_px(
 ) -> Float[Array, ""]:
     """How far a contour within reach typically lies from the boundary of its class [px]: 1.48 times the median of the
     distances, the standard deviation of a Gaussian. The noise of the model where nothing is within reach."""
-    views = visible_views(T_map_base, evidence, config.border_px, config.path)
-    texture = evidence.textures.level(level)
-    r, weight = alignment_residual(T_map_base, views, texture)
+    r, weight = visible_ramps(T_map_base, level, evidence, config)
     weight = jnp.where(is_inlier(r), weight, 0.0)
     order = jnp.argsort(jnp.abs(r))
     running = jnp.cumsum(weight[order])
     middle = jnp.abs(r)[order][jnp.searchsorted(running, 0.5 * running[-1])]
-    return jnp.where(running[-1] > 0.0, 1.4826 * texture.ramp_px * middle, config.noise.noise_px)
+    return jnp.where(running[-1] > 0.0, 1.4826 * evidence.textures.level(level).ramp_px * middle, config.noise.noise_px)
 
 
 def assess(
@@ -200,7 +205,7 @@ def assess(
     problem = level_problem(T_map_base, views, level, evidence, prior, config)
     here = jnp.zeros(6, T_map_base.dtype)
     model, known = quadratic_model(here, problem), known_model(here, problem)
-    r, weight = alignment_residual(T_map_base, views, problem.texture)
+    r, weight = ramp_values(T_map_base, views, problem.texture, config.path)
     kernel = KERNELS[config.kernel]
     ramp_px = problem.texture.ramp_px
     visible, everything = total_weight(views), total_weight(evidence.views)

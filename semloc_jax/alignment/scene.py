@@ -82,6 +82,7 @@ class SceneConfig:
             max_range_m=limits.max_range_m,
             class_weight=limits.class_weight,
             noise=self.noise,
+            path=self.backend,
         )
 
     def align_of(self, base: AlignConfig) -> AlignConfig:

@@ -84,7 +84,8 @@ class SearchSteps:
         label = np.where(self.channel >= 0, np.asarray(self.samples.label), -1)
         self.parts = np.concatenate([halves(np.asarray(self.samples.element), config.agreement), kinds(label)])
         view = frame_config.search_view
-        self.observe_config = ObserveConfig(view.max_range_m, view.min_ground_px_per_m, 48.0 * self.unit_px)
+        limits = view.max_range_m, view.min_ground_px_per_m, 48.0 * self.unit_px
+        self.observe_config = ObserveConfig(*limits, path=view.path)
         self.fields = Borders(
             jnp.asarray(self.borders.signed_px),
             np.float32(self.borders.stride),

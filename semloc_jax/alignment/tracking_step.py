@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.along_road import AlongRoadConfig, beyond_reach, places_along
 from semloc_jax.alignment.hypotheses import prior_cost, score
 from semloc_jax.alignment.level_choice import telling
-from semloc_jax.alignment.pieces import compared, costs_elsewhere, piece_costs, pieces_of
+from semloc_jax.alignment.pieces import nats_at
 from semloc_jax.alignment.pose import (
     AlignConfig,
     Evidence,
@@ -25,13 +25,14 @@ from semloc_jax.alignment.pose import (
     assess,
     total_weight,
     typical_px,
-    visible_views,
+    visible_ramps,
 )
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.alignment import CameraViews, alignment_residual, camera_views
+from semloc_jax.residuals.alignment import CameraViews, camera_views
 from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.scoring import sums_by_index
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import PoseEstimate
@@ -188,11 +189,8 @@ def profile_beside(
     by chance; one level, no refinement."""
     evidence, _ = trusted_evidence(T_predicted, frame, trust, config.view)
     moved = displaced(T_predicted, moves.astype(T_predicted.dtype))
-    piece_of, channel = pieces_of(evidence, config.align)
-    costs = jax.lax.map(lambda T: piece_costs(T, level, evidence, piece_of, config.align), moved)
-    at_random = costs_elsewhere(T_predicted, level, evidence, piece_of, config.align)
     held = jax.vmap(prior_cost, (0, None))(moved, prior)
-    return jnp.sum(compared(costs, at_random, channel, evidence.textures.num_channels), axis=1) + held
+    return jnp.sum(nats_at(moved, T_predicted, level, evidence, config.align), axis=1) + held
 
 
 def trusted_evidence(
@@ -214,18 +212,12 @@ def element_evidence(
     T_map_base: Float[Array, "4 4"], evidence: Evidence, element: tuple[Array, ...], config: TrackAlignConfig
 ) -> ElementEvidence:
     """How a pose explains each element, from the level of `config.rank_level`."""
-    texture = evidence.textures.level(config.rank_level)
     kernel = KERNELS[config.align.kernel]
-    views = visible_views(T_map_base, evidence, config.align.border_px, config.align.path)
-    r, weight = alignment_residual(T_map_base, views, texture)
+    r, weight = visible_ramps(T_map_base, config.rank_level, evidence, config.align)
     owner = jnp.concatenate([part.reshape(-1) for part in element])
     owner = jnp.where(owner >= 0, owner, ELEMENT_CAPACITY)
 
-    def by_element(values: Array) -> Array:
-        return jax.ops.segment_sum(values, owner, ELEMENT_CAPACITY + 1)[:-1]
-
-    return ElementEvidence(
-        by_element(weight),
-        by_element(weight * kernel.rho(r) / kernel.worst),
-        by_element(weight * kernel.weight(r) * r * texture.ramp_px),
-    )
+    missed_px = weight * kernel.rho(r) / kernel.worst
+    offset_px = weight * kernel.weight(r) * r * evidence.textures.ramp_px[config.rank_level]
+    terms = jnp.stack([weight, missed_px, offset_px])
+    return ElementEvidence(*sums_by_index(terms, owner, ELEMENT_CAPACITY + 1, config.align.path)[:, :-1])

@@ -4,9 +4,12 @@ In: T_a_b [4 4] (maps b to a), tangents xi = (v, omega) with the translation fir
 Out: the same, in the float type of the input. All functions take leading batch axes and have finite gradients at zero.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import jaxlie
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -15,6 +18,28 @@ _TAYLOR_BELOW_RAD2 = 1e-3
 _SERIES_BELOW_RAD2 = 0.25
 _BERNOULLI = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 47900160, -691 / 1307674368000)
 """B_2n / (2n)! for n = 1, 2 ..."""
+_ARCSINE, _ARCSINE_BELOW = (1.0, 1 / 6, 3 / 40, 5 / 112), 1e-4
+"""asin(x) / x by powers of x^2, and up to which x^2."""
+# What is put together from numbers is a product with a constant: one loop, where XLA would join a row at a time.
+_CROSS = np.array(
+    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
+)
+"""[i j k]: how often omega_k stands in place i j of its cross product matrix."""
+
+
+def _outer_of_quaternion() -> np.ndarray:
+    """[m n i j]: how often R_ij stands in place m n of 4 q q' - 1, q = (w, x, y, z)."""
+    outer = np.zeros((4, 4, 3, 3))
+    for k in range(3):
+        outer[0, 0, k, k] = 1
+        outer[k + 1, k + 1] = np.diag(np.where(np.arange(3) == k, 1, -1))
+    i, j, k = np.nonzero(_CROSS)
+    outer[0, k + 1, i, j] = outer[k + 1, 0, i, j] = _CROSS[i, j, k]
+    outer[i + 1, j + 1, i, j] = outer[i + 1, j + 1, j, i] = 1
+    return outer
+
+
+_OUTER = _outer_of_quaternion()
 
 
 def exp(xi: Float[ArrayLike, "*b 6"]) -> Float[Array, "*b 4 4"]:
@@ -29,7 +54,15 @@ def exp(xi: Float[ArrayLike, "*b 6"]) -> Float[Array, "*b 4 4"]:
 def log(T: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 6"]:
     """Tangent (v, omega) [m, rad] of a rigid motion; the inverse of `exp` for rotations below 180 deg."""
     T = _floating(T)
-    return jaxlie.SE3.from_matrix(T).log().astype(T.dtype)
+    omega = so3_log(T[..., :3, :3])
+    s = -jnp.sum(omega * omega, axis=-1, keepdims=True)
+    small = s > -_SERIES_BELOW_RAD2
+    safe = jnp.where(small, -1.0, s)
+    half = jnp.sqrt(-safe) / 2
+    share = jnp.where(small, _series(_BERNOULLI, s), (half / jnp.tan(half) - 1) / safe)
+    W, t = skew(omega), T[..., :3, 3]
+    turned = _rotate(W, t)
+    return jnp.concatenate([t - turned / 2 + share * _rotate(W, turned), omega], axis=-1)
 
 
 def so3_exp(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
@@ -41,7 +74,24 @@ def so3_exp(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
 def so3_log(R: Float[ArrayLike, "*b 3 3"]) -> Float[Array, "*b 3"]:
     """Rotation vector [rad] of a rotation matrix."""
     R = _floating(R)
-    return jaxlie.SO3.from_matrix(R).log().astype(R.dtype)
+    q = _quaternion_wxyz(R)
+    w, v = q[..., :1], q[..., 1:]
+    squared = jnp.sum(v * v, axis=-1, keepdims=True)
+    small = squared < _ARCSINE_BELOW
+    sine = jnp.sqrt(jnp.where(small, 1.0, squared))
+    half_over_sine = jnp.where(small, _series(_ARCSINE, squared), jnp.arctan2(sine, jnp.abs(w)) / sine)
+    return 2 * jnp.where(w < 0, -v, v) * half_over_sine  # q and -q are one rotation
+
+
+def _quaternion_wxyz(R: Float[Array, "*b 3 3"]) -> Float[Array, "*b 4"]:
+    """Unit quaternion of a rotation matrix, with either sign.
+
+    The four rows of 4 q q' are four multiples of q; the longest is exact. (Of jaxlie's four cases all are compiled.)
+    """
+    outer = np.eye(4, dtype=R.dtype) + jnp.sum(_OUTER.astype(R.dtype) * R[..., None, None, :, :], axis=(-2, -1))
+    longest = jnp.argmax(jnp.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    row = jnp.take_along_axis(outer, longest[..., None, None], axis=-2)[..., 0, :]
+    return row / jnp.linalg.norm(row, axis=-1, keepdims=True)
 
 
 def compose(T_a_b: Float[ArrayLike, "*b 4 4"], T_b_c: Float[ArrayLike, "*c 4 4"]) -> Float[Array, "... 4 4"]:
@@ -119,10 +169,7 @@ def adjoint(T_a_b: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 6 6"]:
 def skew(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
     """Matrix W with W p = omega x p."""
     omega = _floating(omega)
-    x, y, z = omega[..., 0], omega[..., 1], omega[..., 2]
-    zero = jnp.zeros_like(x)
-    rows = [jnp.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
-    return jnp.stack(rows, axis=-2)
+    return jnp.sum(_CROSS.astype(omega.dtype) * omega[..., None, None, :], axis=-1)
 
 
 def se2_to_se3(x: ArrayLike, y: ArrayLike, yaw: ArrayLike, z: ArrayLike = 0.0) -> Float[Array, "*b 4 4"]:
@@ -150,11 +197,11 @@ def from_quaternion_xyzw(t: Float[ArrayLike, "*b 3"], q: Float[ArrayLike, "*b 4"
 def to_quaternion_xyzw(T: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 4"]:
     """Unit quaternion (x y z w) with w >= 0 of the rotation of T."""
     T = _floating(T)
-    q = jaxlie.SO3.from_matrix(T[..., :3, :3]).as_quaternion_xyzw().astype(T.dtype)
+    q = jnp.roll(_quaternion_wxyz(T[..., :3, :3]), -1, axis=-1)
     return jnp.where(q[..., 3:] < 0, -q, q)
 
 
-def _series(coefficients: list, s: Array) -> Array:
+def _series(coefficients: Sequence[float], s: Array) -> Array:
     value = jnp.zeros_like(s)
     for coefficient in reversed(coefficients):
         value = value * s + coefficient
@@ -172,6 +219,9 @@ def _rotate(R: Array, p: Array) -> Array:
 
 
 def _from_rotation_translation(R: Array, t: Array) -> Array:
-    top = jnp.concatenate([R, t[..., None]], axis=-1)
-    bottom = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 0.0, 1.0], dtype=R.dtype), (*top.shape[:-2], 1, 4))
-    return jnp.concatenate([top, bottom], axis=-2)
+    shape = jnp.broadcast_shapes(R.shape[:-2], t.shape[:-1])
+    R, t = jnp.broadcast_to(R, (*shape, 3, 3)), jnp.broadcast_to(t[..., None], (*shape, 3, 1))
+    none, below = [(0, 0, 0)] * len(shape), (0, 1, 0)
+    zero = jnp.zeros((), R.dtype)
+    upper = jax.lax.pad(R, zero, [*none, below, (0, 1, 0)]) + jax.lax.pad(t, zero, [*none, below, (3, 0, 0)])
+    return upper + np.diag([0.0, 0.0, 0.0, 1.0]).astype(R.dtype)

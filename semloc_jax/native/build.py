@@ -29,6 +29,10 @@ CALLS = (
     "semloc_pack",
     "semloc_damped_step",
     "semloc_visible_weight",
+    "semloc_project",
+    "semloc_ramp_values",
+    "semloc_sums_by_index",
+    "semloc_view",
     "semloc_robust_cost",
 )
 SWITCH = "SEMLOC_NATIVE"
@@ -36,7 +40,9 @@ SWITCH = "SEMLOC_NATIVE"
 # The parts of -ffast-math that loops need to be vectorised. The flag itself would make every process that loads the
 # library round subnormal numbers to zero, and would take NaN for a number.
 _ARITHMETIC = "-fno-math-errno -fno-trapping-math -fno-signed-zeros -fassociative-math -freciprocal-math"
-_FLAGS = f"-std=c++17 -O3 -march=native -mprefer-vector-width=512 {_ARITHMETIC} -fPIC -shared -w".split()
+_EFFORT = "-O2 -ftree-loop-vectorize -fvect-cost-model=dynamic"
+"""Loops are vectorised as with -O3, which compiles a quarter longer and runs no faster."""
+_FLAGS = f"-std=c++17 {_EFFORT} -march=native -mprefer-vector-width=512 {_ARITHMETIC} -fPIC -shared -w".split()
 _TIMEOUT_S = 120
 _log = logging.getLogger(__name__)
 

@@ -4,7 +4,8 @@ In: arrays of one camera. Out: what the functions of the same names in this room
 Each may be vmapped; operands that are the same for the whole batch are not copied. `use` says which way is taken.
 """
 
-from typing import Literal
+import dataclasses
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.forward_only import forward_only
 from semloc_jax.residuals.robust import KERNELS, Kernel
 from semloc_jax.residuals.texture import RampTexture
+from semloc_jax.structs import MapSamples
 
 Path = Literal["auto", "analytic", "autodiff", "xla"]
 """How residuals are evaluated: `analytic`: kernels with the derivative of the camera written out; `autodiff`: kernels
@@ -167,6 +169,80 @@ def visible_weight(
     operands = (T_map_base, T_cam_base, *points, usable, *numbers, *jax.tree.leaves(camera))
     (weight,) = _call("semloc_visible_weight", [(points[0].shape[-1],)], *operands, model=_model(camera))
     return weight
+
+
+def project(camera: Camera, p_cam: Float[Array, "3 p"]) -> Float[Array, "9 p"]:
+    """Pixel u, v of each point, how far it is inside what the camera can see (positive: valid), and the derivatives of
+    u, then of v, by the point in the camera frame [px / m]."""
+    leaves = jax.tree.leaves(camera)
+    return _call("semloc_project", [(9, p_cam.shape[-1])], p_cam, *leaves, model=_model(camera))[0]
+
+
+def sums_by_index(values: Float[Array, "k n"], index: Int[Array, " n"], num: int) -> Float[Array, "k num"]:
+    """Sums of the values of each row that share an index in 0 .. num - 1."""
+    return _call("semloc_sums_by_index", [(len(values), num)], values, index)[0]
+
+
+class Bucket(NamedTuple):
+    """What one camera sees of the map, slot by slot."""
+
+    index: Int[Array, " slot"]
+    """Of the sample; 0 for padding."""
+    silhouette_map: Float[Array, "3 slot"]
+    """From the sample to its contour [m]."""
+    tangent_map: Float[Array, "3 slot"]
+    weight: Float[Array, " slot"]
+    channel: Int[Array, " slot"]
+    element: Int[Array, " slot"]
+    edge: Int[Array, " slot"]
+
+
+def view(
+    T_map_base: Float[Array, "4 4"],
+    T_base_cam: Float[Array, "4 4"],
+    samples: MapSamples,
+    channel_of_label: Int[Array, " label"],
+    class_weight: Float[Array, " label"],
+    grain: Float[Array, ""],
+    numbers: Float[Array, " number"],
+    camera: Camera,
+    capacity: int,
+    num_ground: int,
+) -> Bucket:
+    """The samples that one camera sees, as `residuals.view` has it.
+
+    Args:
+        T_map_base: Vehicle pose.
+        T_base_cam: Extrinsics.
+        samples: Of the local map.
+        channel_of_label: Negative where no mask shows the class.
+        class_weight: Factor on the weight of each class.
+        grain: Of the masks.
+        numbers: In the order of `ViewNumbers` in native/src/view.h.
+        camera: Intrinsics of a model with a kernel (`cameras.models`).
+        capacity: Slots.
+        num_ground: So many of the first labels are painted on the ground.
+    """
+    floats, whole = jax.ShapeDtypeStruct((capacity,), jnp.float32), jax.ShapeDtypeStruct((capacity,), jnp.int32)
+    shapes = [whole, (3, capacity), (3, capacity), floats, whole, whole, whole]
+    rows = (getattr(samples, field.name) for field in dataclasses.fields(MapSamples))
+    operands = (T_map_base, T_base_cam, *rows, channel_of_label, class_weight, grain, numbers)
+    attributes = {"model": _model(camera), "num_ground": num_ground}
+    return Bucket(*_call("semloc_view", shapes, *operands, *jax.tree.leaves(camera), **attributes))
+
+
+def ramp_values(
+    T_map_base: Float[Array, "4 4"],
+    camera: Camera,
+    T_cam_base: Float[Array, "4 4"],
+    points: Points,
+    texture: RampTexture,
+    index: Int[Array, ""],
+) -> Float[Array, " p"]:
+    """Signed ramp value in [-1, 1] of each sample of one camera; arguments as above."""
+    operands = (T_map_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
+    numbers = {"model": _model(camera), "num_channels": texture.num_channels}
+    return _call("semloc_ramp_values", [(points[0].shape[-1],)], *operands, **numbers)[0]
 
 
 def robust_cost(

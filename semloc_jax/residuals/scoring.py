@@ -1,6 +1,6 @@
-"""The robust cost of a pose, without derivatives (room: residuals; pure JAX).
+"""What a pose costs, without derivatives (room: residuals; pure JAX).
 
-In: pose, views, one level of textures, usable pixels. Out: summed robust cost and visible weight.
+In: pose, views, one level of textures, usable pixels. Out: summed robust cost and visible weight; ramp values.
 One evaluation of this costs a quarter of the normal equations: it ranks thousands of hypotheses.
 """
 
@@ -9,10 +9,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from semloc_jax.residuals import native_kernels
-from semloc_jax.residuals.alignment import CameraViews, Usable, points_in_camera, visibility
+from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual, points_in_camera, visibility
 from semloc_jax.residuals.fusion_barrier import Walls, stored
 from semloc_jax.residuals.robust import KERNELS, Kernel
 from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
@@ -63,6 +63,33 @@ def visible_weight(
         return native_kernels.visible_weight(T_map_base, *camera, points, usable.mask, scale, view.index, border_px)
 
     return jax.vmap(one_camera)(view)
+
+
+def ramp_values(
+    T_map_base: Float[Array, "4 4"],
+    views: tuple[CameraViews, ...],
+    texture: RampTexture,
+    path: native_kernels.Path = "auto",
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """`alignment_residual` where no derivative is wanted: by the kernels where they know the camera."""
+    if any(native_kernels.use(path, v.camera, KERNELS["tukey"], T_map_base.dtype) != "analytic" for v in views):
+        return alignment_residual(T_map_base, views, texture)
+
+    def one_camera(view: CameraViews) -> Array:
+        points = view.p_map, view.channel, view.weight
+        return native_kernels.ramp_values(T_map_base, view.camera, view.T_cam_base, points, texture, view.index)
+
+    values = [jax.vmap(one_camera)(view).reshape(-1) for view in views]
+    return jnp.concatenate(values), jnp.concatenate([view.weight.reshape(-1) for view in views])
+
+
+def sums_by_index(
+    values: Float[Array, "k n"], index: Int[Array, " n"], num: int, path: native_kernels.Path = "auto"
+) -> Float[Array, "k num"]:
+    """Sums of the values that share an index, for each of k rows; XLA on CPU takes a scatter one element at a time."""
+    if native_kernels.are_used(path, values.dtype):
+        return native_kernels.sums_by_index(values, index, num)
+    return jax.vmap(lambda row: jax.ops.segment_sum(row, index, num))(values)
 
 
 def _summed(

@@ -16,7 +16,11 @@ from jaxtyping import Array, Bool, Float, Int
 from semloc_jax.cameras import Camera, Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
+from semloc_jax.residuals import native_kernels
+from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel
+from semloc_jax.residuals.projection import projected
+from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.structs import ElementClass, MapSamples, SampleKind, ViewSamples
 
 
@@ -47,6 +51,8 @@ class ViewConfig:
     only."""
     class_weight: tuple[float, ...] = ()
     """Factor on the weight of each ElementClass, in its order; empty for 1. `semloc learn` finds them."""
+    path: Path = "auto"
+    """How points are projected; see `semloc_jax.residuals.native_kernels`."""
 
     def __post_init__(self) -> None:
         if len(self.class_weight) not in (0, len(ElementClass)) or any(not w >= 0 for w in self.class_weight):
@@ -56,7 +62,8 @@ class ViewConfig:
             )
 
 
-GROUND_CLASSES = (0, 1, 2, 3, 4, 5, 6)  # ElementClass values of what is painted on the ground
+GROUND_CLASSES = (0, 1, 2, 3, 4, 5, 6)
+"""ElementClass values of what is painted on the ground: the first ones."""
 PX_PER_M = 20.0
 """Pixels for each metre of contour in the evenly weighted world: a contour about 40 m away in a usual camera."""
 
@@ -103,32 +110,57 @@ def view(
     """
     points = samples.p_map
     samples, T_map_base, rig = jax.lax.stop_gradient((samples, T_map_base, rig))
-    buckets = [
-        _camera_view(
-            samples,
-            points,
-            T_map_base @ jnp.asarray(T_base_cam, T_map_base.dtype),
-            T_map_base[2, 3],
-            camera,
-            channel_of_label,
-            config,
-            grain,
-        )
-        for camera, T_base_cam in zip(rig.cameras, rig.T_base_cam, strict=True)
-    ]
+    dtype = T_map_base.dtype
+    buckets = []
+    for camera, T_base_cam in zip(rig.cameras, rig.T_base_cam, strict=True):
+        native = native_kernels.use(config.path, camera, KERNELS["tukey"], dtype) == "analytic"
+        one_camera = _native_view if native else _camera_view
+        T_base_cam = jnp.asarray(T_base_cam, dtype)
+        buckets.append(one_camera(samples, points, T_map_base, T_base_cam, camera, channel_of_label, config, grain))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *buckets)
 
 
-def _camera_view(
+def _native_view(
     samples: MapSamples,
     points: Array,
-    T_map_cam: Array,
-    ground_z: Array,
+    T_map_base: Array,
+    T_base_cam: Array,
     camera: Camera,
     channel_of_label: Array,
     config: ViewConfig,
     grain: Array | np.ndarray | float,
 ) -> ViewSamples:
+    """`_camera_view` by one kernel: most of what XLA has to compile for a view is not arithmetic but sums by index."""
+    noise = config.noise.noise_px, config.noise.correlation_px
+    limits = config.margin_share, config.max_range_m, config.min_ground_px_per_m, config.min_spacing_px
+    numbers = (*limits, config.metric_exponent, config.shared_error, *noise, config.most_alone, PX_PER_M)
+    seen = native_kernels.view(
+        T_map_base,
+        T_base_cam,
+        samples,
+        jnp.asarray(channel_of_label),
+        jnp.asarray(config.class_weight or (1.0,) * len(ElementClass), jnp.float32),
+        jnp.asarray(grain, jnp.float32),
+        jnp.asarray(numbers, jnp.float32),
+        camera,
+        config.capacity,
+        len(GROUND_CLASSES),
+    )
+    p_map = points[seen.index].T + seen.silhouette_map
+    return ViewSamples(p_map, seen.tangent_map, seen.channel, seen.weight, seen.element, seen.edge)
+
+
+def _camera_view(
+    samples: MapSamples,
+    points: Array,
+    T_map_base: Array,
+    T_base_cam: Array,
+    camera: Camera,
+    channel_of_label: Array,
+    config: ViewConfig,
+    grain: Array | np.ndarray | float,
+) -> ViewSamples:
+    T_map_cam, ground_z = T_map_base @ T_base_cam, T_map_base[2, 3]
     p_map, is_contour = contour_points(samples, T_map_cam[:3, 3])
     seen = _in_image(p_map, samples, T_map_cam, ground_z, camera, config)
     p_cam, length_px, depth_px_per_m = seen.p_cam, seen.length_px, seen.depth_px_per_m
@@ -212,11 +244,10 @@ def _in_image(
     away = (p_map - T_map_cam[:3, 3]) * jnp.asarray([1.0, 1.0, 0.0], p_map.dtype)
     away_m = jnp.linalg.norm(away, axis=-1)
     away = away / jnp.maximum(away_m, 1e-3)[:, None]
-    (u, v, valid), push = jax.linearize(camera.project_xyz, *p_cam.T)
+    seen = projected(camera, p_cam.T, config.path)
 
     def moved_px(direction: Array) -> tuple[Array, Array]:
-        du, dv, _ = push(*jnp.broadcast_to(lie.transform(rotation, direction), p_cam.shape).T)
-        return du, dv
+        return seen.moved_px(lie.transform(rotation, direction))
 
     du, dv = moved_px(samples.tangent_map)
     along_px = jnp.hypot(du, dv)
@@ -233,7 +264,7 @@ def _in_image(
         + (lean_m * (side_u * normal_u + side_v * normal_v)) ** 2
     )
     margin_px = -config.margin_share * jnp.asarray(camera.width, p_map.dtype)
-    in_view = valid & camera.in_image(u, v, margin_px)
+    in_view = seen.valid & camera.in_image(seen.u, seen.v, margin_px)
     return _InImage(p_cam, in_view, along_px * samples.length_m, jnp.hypot(away_u, away_v), height_px)
 
 

@@ -1,6 +1,7 @@
 """The native kernels give the numbers of pure JAX: for every camera, batched, on several threads, skipped."""
 
 import dataclasses
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -16,6 +17,7 @@ from semloc_jax.cameras import (
     CylindricalCamera,
     KannalaBrandtCamera,
     PinholeCamera,
+    Rig,
 )
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
@@ -24,14 +26,19 @@ from semloc_jax.residuals import texture as texture_module
 from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.normal_equations import chart_equations
+from semloc_jax.residuals.projection import projected
 from semloc_jax.residuals.robust import KERNELS
-from semloc_jax.residuals.scoring import robust_cost, visible_weight
+from semloc_jax.residuals.scoring import ramp_values, robust_cost, sums_by_index, visible_weight
 from semloc_jax.residuals.texture import pack
-from semloc_jax.structs import CostMaps
+from semloc_jax.residuals.view import ViewConfig, view
+from semloc_jax.simulation.cameras import mounted
+from semloc_jax.structs import CostMaps, MapSamples
 
 pytestmark = pytest.mark.skipif(not native.is_available(), reason=f"native kernels {native.status().text}")
 
 WIDTH, HEIGHT = 320, 240
+PATHS = "analytic", "xla"
+seen_by = jax.jit(view, static_argnames="config")
 CAMERAS = {
     "pinhole": PinholeCamera(210.0, 205.0, 158.0, 121.0, WIDTH, HEIGHT),
     "radtan": BrownConradyCamera(210.0, 205.0, 158.0, 121.0, WIDTH, HEIGHT, -0.3, 0.1, 2e-3, -1e-3, -0.02),
@@ -117,6 +124,18 @@ def test_visibility_and_cost_are_those_of_jax(name):
     cost = jax.jit(lambda texture, path: robust_cost(T, views, texture, usable, tukey, 2.0, path), static_argnums=1)
     costs = [cost(texture, path) for path in ("analytic", "xla")]
     np.testing.assert_allclose(costs[0], costs[1], rtol=5e-3)
+    values = [jax.jit(ramp_values, static_argnames="path")(T, views, texture, path)[0] for path in ("analytic", "xla")]
+    np.testing.assert_allclose(*values, atol=2e-3)  # where the slope of the lens is 1e3, rounding is a texel
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_pixels_and_their_derivatives_are_those_of_jax(name):
+    (points,), _, _ = scene(CAMERAS[name])
+    camera = CAMERAS[name].astype(jnp.float32)
+    found, expected = (jax.jit(projected, static_argnames="path")(camera, points.p_map[0], path) for path in PATHS)
+    assert np.sum(np.asarray(found.valid) != np.asarray(expected.valid)) == 0
+    for one, other in zip((found.u, found.v, found.du, found.dv), expected[:2] + expected[3:], strict=True):
+        np.testing.assert_allclose(one, other, rtol=2e-4, atol=2e-3)
 
 
 def test_packed_cost_maps_are_those_of_jax(monkeypatch):
@@ -181,3 +200,57 @@ def test_damped_step_solves_the_system():
     expected = np.linalg.solve(H + np.eye(6) / size[:, None, None], -g[..., None])[..., 0]
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-4)
     assert dataclasses.is_dataclass(native.status())
+
+
+def test_sums_by_index_are_those_of_jax():
+    rng = np.random.default_rng(6)
+    values, index = jnp.asarray(rng.normal(size=(4, 3, 500)), jnp.float32), jnp.asarray(rng.integers(-2, 60, 500))
+    summed = jax.jit(jax.vmap(sums_by_index, (0, None, None, None)), static_argnums=(2, 3))
+    found, expected = (summed(values, index, 50, path) for path in PATHS)
+    assert found.shape == (4, 3, 50)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_views_are_those_of_jax(name):
+    rng = np.random.default_rng(3)
+    num, capacity = 1500, 256
+    p_map = rng.uniform((-5, -8, -1), (30, 8, 3), (num, 3))
+    tangent = np.repeat(rng.normal(size=(num // 10, 3)), 10, axis=0)
+    columns = {
+        "p_map": p_map,
+        "tangent_map": tangent / np.linalg.norm(tangent, axis=1, keepdims=True),
+        "offset_m": np.full(num, 0.1),
+        "length_m": rng.uniform(0.05, 0.3, num),
+        "center_map": p_map + rng.normal(size=(num, 3)),
+        "height_sigma": rng.uniform(0, 0.03, (num, 3)),
+    }
+    numbers = {
+        "label": rng.integers(0, 9, num),
+        "kind": rng.integers(0, 3, num),
+        "element": np.repeat(np.arange(num // 20), 20),
+    }
+    samples = MapSamples(
+        valid=jnp.asarray(rng.uniform(size=num) > 0.1),
+        **{key: jnp.asarray(value, jnp.float32) for key, value in columns.items()},
+        **{key: jnp.asarray(value, jnp.int32) for key, value in numbers.items()},
+    )
+    T_base_cam = mounted((1.0, 0.0, 1.5), 5.0, 3.0, 0.0) if name != "top view" else np.eye(4)
+    rig = Rig([CAMERAS[name]], T_base_cam[None], ["one"])
+    channel = jnp.asarray([0, 1, -1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12], jnp.int32)
+    weights = tuple(np.linspace(0.5, 2.0, 14))
+    config = ViewConfig(capacity, margin_share=0.1, most_alone=3.0, metric_exponent=0.3, class_weight=weights)
+    T = lie.exp(jnp.asarray([0.3, -0.2, 0.1, 0.02, 0.01, 0.2], jnp.float32))
+    found, expected = (
+        jax.tree.map(
+            lambda leaf: np.asarray(leaf)[0], seen_by(samples, T, rig, channel, replace(config, path=path), 1.2)
+        )
+        for path in PATHS
+    )
+    filled = expected.weight > 0
+    assert filled.sum() > 50
+    np.testing.assert_array_equal(found.weight > 0, filled)
+    np.testing.assert_allclose(found.weight, expected.weight, rtol=1e-4)
+    np.testing.assert_allclose(found.p_map[:, filled], expected.p_map[:, filled], atol=1e-4)
+    for column in ("channel", "element", "edge", "tangent_map"):
+        np.testing.assert_array_equal(getattr(found, column)[..., filled], getattr(expected, column)[..., filled])

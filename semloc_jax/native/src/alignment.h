@@ -104,6 +104,10 @@ struct Points {
   const int32_t* channel;
   const float* weight;
   int count;
+
+  Points part(int first, int num) const {
+    return {x + first, y + first, z + first, channel + first, weight + first, num};
+  }
 };
 
 // Points of a block in camera coordinates with their texels.
@@ -246,16 +250,45 @@ void visible_weight(const Camera& camera, const Motion& T, const Points& points,
   }
 }
 
-// Sum of w rho / rho(1) for points with the given weights.
+// Pixel, margin and derivatives of each point, row by row.
 template <typename Camera>
-float robust_cost(const Camera& camera, const Motion& T, const Points& points, const Texture& texture) {
+void project(const Camera& camera, const float* p_cam, int64_t num, float* rows) {
+  float row[9][kBlock];
+  for (int64_t first = 0; first < num; first += kBlock) {
+    const int count = static_cast<int>(std::min<int64_t>(kBlock, num - first));
+    const float* p = p_cam + first;
+    for (int n = 0; n < count; ++n) {
+      const float x = p[n], y = p[num + n], z = p[2 * num + n];
+      const Pixel pixel = camera.project(x, y, z);
+      const Gradient du = camera.pull_back(x, y, z, 1.0f, 0.0f), dv = camera.pull_back(x, y, z, 0.0f, 1.0f);
+      row[0][n] = pixel.u, row[1][n] = pixel.v, row[2][n] = pixel.margin;
+      row[3][n] = du.x, row[4][n] = du.y, row[5][n] = du.z;
+      row[6][n] = dv.x, row[7][n] = dv.y, row[8][n] = dv.z;
+    }
+    for (int k = 0; k < 9; ++k) std::copy_n(row[k], count, rows + k * num + first);
+  }
+}
+
+// Ramp value of each point. Never inlined: its two callers share what is compiled for each camera.
+template <typename Camera>
+__attribute__((noinline)) void ramp_values(const Camera& camera, const Motion& T, const Points& points,
+                                           const Texture& texture, float* value) {
   Seen seen;
-  float cost = 0;
   for (int first = 0; first < points.count; first += kBlock) {
     const int count = std::min(kBlock, points.count - first);
     seen.look(camera, T, points, texture, first, count);
-    for (int n = 0; n < count; ++n)
-      cost += points.weight[first + n] * tukey(blend(texture, seen.quad[n], seen.fu[n], seen.fv[n]).value);
+    for (int n = 0; n < count; ++n) value[first + n] = blend(texture, seen.quad[n], seen.fu[n], seen.fv[n]).value;
+  }
+}
+
+// Sum of w rho / rho(1) for points with the given weights.
+template <typename Camera>
+float robust_cost(const Camera& camera, const Motion& T, const Points& points, const Texture& texture) {
+  float value[kBlock], cost = 0;
+  for (int first = 0; first < points.count; first += kBlock) {
+    const Points block = points.part(first, std::min(kBlock, points.count - first));
+    ramp_values(camera, T, block, texture, value);
+    for (int n = 0; n < block.count; ++n) cost += block.weight[n] * tukey(value[n]);
   }
   return 6 * cost;
 }

@@ -59,10 +59,16 @@ struct Operand {
   }
 };
 
+// One piece of work for each item, as a pointer: the loops over a batch are compiled once, not for every kernel.
+struct Work {
+  const void* of;
+  void (*call)(const void* of, int64_t item);
+  void operator()(int64_t item) const { call(of, item); }
+};
+
 // Calls work(item) for every item. The caller works too and waits only for pieces in progress, so that a pool whose
 // threads all wait here cannot lock up; pieces that find nothing left return at once.
-template <typename Work>
-void for_each_item(ffi::ThreadPool& pool, int64_t num_items, int64_t points_per_item, const Work& work) {
+inline void share_items(ffi::ThreadPool& pool, int64_t num_items, int64_t points_per_item, const Work work) {
   constexpr int64_t kPointsPerPiece = 16384;
   const int64_t piece = std::max<int64_t>(1, kPointsPerPiece / std::max<int64_t>(points_per_item, 1));
   const int64_t helpers = std::min<int64_t>(pool.num_threads() - 1, (num_items - 1) / piece);
@@ -78,7 +84,7 @@ void for_each_item(ffi::ThreadPool& pool, int64_t num_items, int64_t points_per_
     std::condition_variable idle;
   };
   auto shared = std::make_shared<Shared>();
-  const auto drain = [&work, num_items, piece](Shared& state) {
+  const auto drain = [work, num_items, piece](Shared& state) {
     for (int64_t first; (first = state.next.fetch_add(piece)) < num_items;)
       for (int64_t item = first; item < std::min(first + piece, num_items); ++item) work(item);
   };
@@ -99,6 +105,12 @@ void for_each_item(ffi::ThreadPool& pool, int64_t num_items, int64_t points_per_
   std::unique_lock<std::mutex> lock(shared->mutex);
   shared->closed = true;
   shared->idle.wait(lock, [&] { return shared->busy == 0; });
+}
+
+template <typename Function>
+void for_each_item(ffi::ThreadPool& pool, int64_t num_items, int64_t points_per_item, const Function& function) {
+  const auto call = [](const void* of, int64_t item) { (*static_cast<const Function*>(of))(item); };
+  share_items(pool, num_items, points_per_item, {&function, call});
 }
 
 }  // namespace semloc

@@ -1,7 +1,8 @@
-// XLA custom calls of the alignment. Every operand may be batched by jax.vmap; see semloc_jax/native/calls.py for them.
+// XLA custom calls of the alignment. Every operand may be batched by jax.vmap; see semloc_jax/residuals/native_kernels.py for them.
 #include "alignment.h"
 #include "batch.h"
 #include "ramps.h"
+#include "view.h"
 
 namespace semloc {
 namespace {
@@ -243,6 +244,121 @@ ffi::Error RobustCost(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remain
   return ffi::Error::Success();
 }
 
+// Points in the camera frame [3 p], camera -> rows [9 p]: pixel u, v, margin of validity, their derivatives by x y z.
+ffi::Error Project(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t model) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(0).value(), 2);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto p_cam = operands.take<float>();
+  const CameraOperands camera(operands);
+  float* rows = result<float>(rets, 0);
+  with_model(model, [&](auto* tag) {
+    using Camera = std::remove_pointer_t<decltype(tag)>;
+    for_each_item(pool, batch.size, p_cam.length, [&](int64_t item) {
+      project(camera.at<Camera>(batch, item), p_cam.at(batch, item), p_cam.length, rows + 9 * p_cam.length * item);
+    });
+  });
+  return ffi::Error::Success();
+}
+
+// Rows of values [k n], index [n] -> sums of what shares an index [k num].
+ffi::Error SumsByIndex(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets) {
+  const auto sums_buffer = *rets.get<ffi::AnyBuffer>(0).value();
+  const Batch batch(sums_buffer, 2);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto values = operands.take<float>();
+  const auto index = operands.take<int32_t>();
+  const auto dims = sums_buffer.dimensions();
+  const int64_t num = dims.back(), num_rows = dims[dims.size() - 2], count = values.length;
+  float* sums = result<float>(rets, 0);
+  for_each_item(pool, batch.size, num_rows * count, [&](int64_t item) {
+    const float* value = values.at(batch, item);
+    const int32_t* place = index.at(batch, item);
+    float* sum = sums + item * num_rows * num;
+    std::fill_n(sum, num_rows * num, 0.0f);
+    for (int64_t row = 0; row < num_rows; ++row)
+      for (int64_t n = 0; n < count; ++n)
+        if (place[n] >= 0 && place[n] < num) sum[row * num + place[n]] += value[row * count + n];
+  });
+  return ffi::Error::Success();
+}
+
+struct SampleOperands {
+  Operand<float> p, tangent, offset, length;
+  Operand<int32_t> label, kind, element;
+  Operand<float> center, height_sigma;
+  Operand<uint8_t> valid;
+  explicit SampleOperands(Operands& operands)
+      : p(operands.take<float>()), tangent(operands.take<float>()), offset(operands.take<float>()),
+        length(operands.take<float>()), label(operands.take<int32_t>()), kind(operands.take<int32_t>()),
+        element(operands.take<int32_t>()), center(operands.take<float>()), height_sigma(operands.take<float>()),
+        valid(operands.take<uint8_t>()) {}
+  MapSamples at(const Batch& batch, int64_t item) const {
+    return {p.at(batch, item),      tangent.at(batch, item), offset.at(batch, item), length.at(batch, item),
+            label.at(batch, item),  kind.at(batch, item),    element.at(batch, item), center.at(batch, item),
+            height_sigma.at(batch, item), valid.at(batch, item), static_cast<int>(offset.length)};
+  }
+};
+
+// T_map_base, T_base_cam, samples, channel and weight of labels, grain, numbers of the view, camera -> by slot: index of
+// the sample, silhouette [3], tangent [3], weight, channel, element, edge.
+ffi::Error View(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t model,
+                int32_t num_ground) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(0).value(), 1);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto T_map_base = operands.take<float>(), T_base_cam = operands.take<float>();
+  const SampleOperands samples(operands);
+  const auto channel = operands.take<int32_t>();
+  const auto class_weight = operands.take<float>(), grain = operands.take<float>(), numbers = operands.take<float>();
+  const CameraOperands camera(operands);
+  const int64_t capacity = rets.get<ffi::AnyBuffer>(0).value()->dimensions().back();
+  const auto slots = [&](int64_t item) {
+    const int64_t first = item * capacity;
+    return Bucket{result<int32_t>(rets, 0) + first,   result<float>(rets, 1) + 3 * first,
+                  result<float>(rets, 2) + 3 * first, result<float>(rets, 3) + first,
+                  result<int32_t>(rets, 4) + first,   result<int32_t>(rets, 5) + first,
+                  result<int32_t>(rets, 6) + first,   static_cast<int>(capacity)};
+  };
+  with_model(model, [&](auto* tag) {
+    using Camera = std::remove_pointer_t<decltype(tag)>;
+    for_each_item(pool, batch.size, samples.offset.length, [&](int64_t item) {
+      const float* number = numbers.at(batch, item);
+      const ViewNumbers config{number[0], number[1], number[2], number[3], number[4],
+                               number[5], number[6], number[7], number[8], number[9]};
+      const Camera model = camera.at<Camera>(batch, item);
+      view(AnyCamera(model), T_map_base.at(batch, item), T_base_cam.at(batch, item),
+           samples.at(batch, item), Labels{channel.at(batch, item), class_weight.at(batch, item), num_ground},
+           *grain.at(batch, item), config, slots(item));
+    });
+  });
+  return ffi::Error::Success();
+}
+
+// T_map_base, T_cam_base, points, texture, camera -> ramp value [p].
+ffi::Error RampValues(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int32_t model,
+                      int32_t num_channels) {
+  const Batch batch(*rets.get<ffi::AnyBuffer>(0).value(), 1);
+  if (batch.rank > kMaxBatchRank) return ffi::Error::InvalidArgument("more than four axes of vmap");
+  Operands operands(args, batch);
+  const auto T_map_base = operands.take<float>();
+  const auto T_cam_base = operands.take<float>();
+  const PointOperands points(operands);
+  const TextureOperands texture(operands, num_channels);
+  const CameraOperands camera(operands);
+  float* value = result<float>(rets, 0);
+  with_model(model, [&](auto* tag) {
+    using Camera = std::remove_pointer_t<decltype(tag)>;
+    for_each_item(pool, batch.size, points.p_map.length, [&](int64_t item) {
+      ramp_values(camera.at<Camera>(batch, item),
+                  Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
+                  points.at(batch, item), texture.at(batch, item), value + points.p_map.length * item);
+    });
+  });
+  return ffi::Error::Success();
+}
+
 // The ramps of each level [cam channel h w], as float32 or as bytes -> texels of all levels, one after another.
 ffi::Error Pack(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets) {
   constexpr int64_t kPiece = 65536;
@@ -282,6 +398,10 @@ SEMLOC_CALL(semloc_pack, semloc::Pack);
 SEMLOC_CALL(semloc_lookup, semloc::Lookup, .Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_accumulate, semloc::Accumulate);
 SEMLOC_CALL(semloc_visible_weight, semloc::VisibleWeight, .Attr<int32_t>("model"));
+SEMLOC_CALL(semloc_project, semloc::Project, .Attr<int32_t>("model"));
+SEMLOC_CALL(semloc_sums_by_index, semloc::SumsByIndex);
+SEMLOC_CALL(semloc_view, semloc::View, .Attr<int32_t>("model").Attr<int32_t>("num_ground"));
+SEMLOC_CALL(semloc_ramp_values, semloc::RampValues, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_robust_cost, semloc::RobustCost, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
 
 // The levels of one channel of one camera whose stride is a multiple of `stride`, from layers uint8[height width], both
