@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit
+from semloc_jax.evaluation.mixture_bounds import RISK
 
 _DIRECTIONS = [1, 0, 5]
 """Lateral, longitudinal and heading in a tangent."""
@@ -20,7 +21,7 @@ _DIRECTIONS = [1, 0, 5]
 class IntegrityConfig:
     """How protection levels are made. All values but the alert limits are ours."""
 
-    risk: float = 1e-3
+    risk: float = RISK
     """Probability for each frame that any of the three errors is larger than its level."""
     alert_limits: str = ALERT_LIMITS[0].name
     """Name of the alert limits: local_street or freeway."""

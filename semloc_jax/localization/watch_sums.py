@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 
 from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
 from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer
+from semloc_jax.evaluation.mixture_bounds import LEAST_LEVELS
 from semloc_jax.localization.lens_sign import SignState
 
 FOCAL, RADIAL = "focal", "radial"
@@ -49,10 +50,9 @@ class WatchConfig:
     """Share of what a frame says that is new: successive frames see the same map."""
     aside_sigma_rad: float = 0.02
     """How far aside cameras may look, before the drive says more [rad]."""
-    least_levels: tuple[float, float, float] = (0.15, 0.25, 0.3)
-    """What a fault may do that shows in nothing, as maps are surveyed and cameras are mounted to centimetres and tenths
-    of a degree: lateral [m], longitudinal [m], heading [deg]. No level is smaller; that of the heading is so much in
-    every pose, since no camera is mounted exactly, and joins what scatters."""
+    least_levels: tuple[float, float, float] = LEAST_LEVELS
+    """No level is smaller; that of the heading is so much in every pose, since no camera is mounted exactly, and joins
+    what scatters."""
     mount_sigma_deg: float = 1.0
     """How far a camera may be rolled or pitched in its mount, before the drive says more."""
     surface_m: ClassVar[float] = 10.0

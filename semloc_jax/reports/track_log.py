@@ -16,11 +16,10 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, pose_errors
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
-from semloc_jax.reports.tables import ERRORS, POSE, SIGMAS
+from semloc_jax.reports.tables import ERRORS, POSE, PROTECTION, SIGMAS
 from semloc_jax.storage import reading, writing
 
 FILE = "frames.csv"
-PROTECTION = ("protection_lateral_m", "protection_longitudinal_m", "protection_heading_deg")
 QUALITY = ("cost", "coverage", "inlier_ratio", "chi2")
 SENSORS = (
     *("odometer_scale", "gyro_bias_degps", "travel_deg", "gnss_offset_east_m", "gnss_offset_north_m"),

@@ -14,8 +14,8 @@ from semloc_jax.evaluation.metrics import ALERT_LIMITS, statistics
 from semloc_jax.localization.pipeline import Timing
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.reports.metrics import OF_VARIANT, error_table
-from semloc_jax.reports.tables import ERRORS
-from semloc_jax.reports.track_log import NEES, PROTECTION, SIGMAS, TrackTable
+from semloc_jax.reports.tables import ERRORS, PROTECTION, SIGMAS
+from semloc_jax.reports.track_log import NEES, TrackTable
 
 _SAME_S = 1e-6
 _MOST_REASONS = 3
