@@ -64,13 +64,22 @@ class WatchConfig:
     come into view or leave it move the pose, which passes for a drive to the other side."""
     aside_sigmas: ClassVar[float] = 1.0
     """What is remembered counts no longer beyond so many standard deviations of what the drive says by now."""
-    aside_rad: tuple[float, float] = (0.0055, 0.0063)
+    aside_rad: tuple[float, float] = (0.0052, 0.0063)
     """A direction of travel up to the first is that of a sound vehicle, whose axle and inertial unit are never mounted
-    exactly along each other (a real one: 0.27 deg); from the second on it counts in full [rad]."""
+    exactly along each other (a real one: 0.27 deg); from the second on it counts in full [rad]. The first is what the
+    least level of the heading covers."""
     least_gain_nats: float = 2.0
     """What a frame must gain at least: less is left by masks and maps that are not perfect, in every frame anew."""
-    count_nats: float = 3.0
-    """A fault that so much speaks for joins the protection levels: less is what chance does among a dozen faults."""
+    count_nats: float = 2.5
+    """A calibration that so much speaks for joins the protection levels: less is what chance does among a dozen."""
+    class_gain_nats: ClassVar[float] = 0.5
+    """What lines or posts, each alone, must fit better elsewhere in a frame at least: on sound drives they fit best
+    where the pose is, to the frame."""
+    class_count_nats: ClassVar[float] = 1.0
+    """Elements of one kind that were moved join the levels from so much on."""
+    untold_share: ClassVar[float] = 2.0 / 3.0
+    """Until the drive leaves less than this share of the variance of its direction of travel, cameras may look aside as
+    far as they may without it."""
 
 
 STEPS = np.array([1.0, -1.0, 2.0, -2.0])
@@ -349,7 +358,7 @@ def _classes_apart(watch: WatchState, config: WatchConfig) -> list[Suspicion]:
             best = int(np.argmin(np.where(is_here, np.inf, cost)))
             moved = np.zeros(3)
             moved[axis] = places[best]
-            better = float(np.min(cost[is_here]) - cost[best]) - config.least_gain_nats * float(watch.num_looks)
+            better = float(np.min(cost[is_here]) - cost[best]) - config.class_gain_nats * float(watch.num_looks)
             nats = config.share * max(better, 0.0)
             found.append(Suspicion(f"{group}_{word}", float(places[best]), nats, moved))
     return found

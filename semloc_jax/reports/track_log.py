@@ -16,7 +16,7 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, pose_errors
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
-from semloc_jax.reports.tables import ERRORS, POSE, PROTECTION, SIGMAS
+from semloc_jax.reports.tables import ERRORS, MISLEADING, POSE, PROTECTION, SIGMAS
 from semloc_jax.storage import reading, writing
 
 FILE = "frames.csv"
@@ -28,7 +28,7 @@ SENSORS = (
 STAGES = ("predict", "align", "fuse", "acquire")
 NEES = "nees"
 COLUMNS = (
-    *("frame", "time_s", "variant", "status", "held", "reasons", *POSE, *SIGMAS, *PROTECTION),
+    *("frame", "time_s", "variant", "status", "held", "reasons", *POSE, *SIGMAS, *PROTECTION, MISLEADING),
     *("accepted", "num_tracks", *QUALITY, *SENSORS, *(f"{stage}_ms" for stage in STAGES)),
     *(f"error_{key}" for key in ERRORS),
     NEES,
@@ -190,6 +190,7 @@ def _line(frame: Frame, result: TrackResult, T_truth: np.ndarray | None) -> dict
     quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()
     line |= {key: f"{value:.9f}" for key, value in zip(POSE, [*T[:3, 3], *quaternion], strict=True)}
     line |= _numbers(SIGMAS, [sigma[1], sigma[0], np.degrees(sigma[5])]) | _numbers(PROTECTION, result.protection)
+    line |= _numbers([MISLEADING], [result.misleading])
     offset = fused.gnss_offset_m
     angles = np.degrees([fused.gyro_bias_radps, fused.travel_rad])
     sensors = [fused.odometer_scale, *angles, *offset, 1e3 * result.clock_offset_s]
