@@ -52,6 +52,7 @@ from semloc_jax.localization.track_state import (
     TrackResult,
     TrackStatus,
 )
+from semloc_jax.localization.watch_sums import moved_elements
 from semloc_jax.maps import SemanticMap, SharedSigmas, with_map_accuracy
 from semloc_jax.perception import ClassTable
 from semloc_jax.perception.primitives import primitives_of
@@ -369,6 +370,7 @@ class Localizer:
             timer.times_ms,
             verdict.held,
             verdict.misleading,
+            moved_elements(state.watch, self.config.watch),
         )
 
     def _why_no_start(self, state: TrackerState, frame: FrameFeatures) -> str:

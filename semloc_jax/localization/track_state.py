@@ -18,7 +18,7 @@ from semloc_jax.fusion.clock import ClockOffset
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.noise_scale import NoiseScale
 from semloc_jax.localization.innovations import Innovations
-from semloc_jax.localization.watch_sums import WatchState
+from semloc_jax.localization.watch_sums import NOTHING_MOVED, Moved, WatchState
 from semloc_jax.perception.primitives import Primitives
 from semloc_jax.residuals.pose_terms import Terms
 
@@ -174,6 +174,7 @@ class TrackResult:
         times_ms: time spent by stage [ms].
         held: which of across, along and heading are within their limits, though the pose as a whole may not be.
         misleading: probability that an error is beyond its alert limit, whatever fault is suspected.
+        moved: elements of one kind that, taken alone, fit elsewhere.
     """
 
     frame_id: str
@@ -193,3 +194,4 @@ class TrackResult:
     times_ms: dict[str, float] = field(default_factory=dict)
     held: tuple[str, ...] = ()
     misleading: float = 1.0
+    moved: Moved = NOTHING_MOVED

@@ -305,6 +305,29 @@ def suspicions(watch: WatchState, num_cameras: int, config: WatchConfig) -> list
     return sorted(found, key=lambda s: -s.nats)
 
 
+class Moved(NamedTuple):
+    """Elements of one kind that, taken alone, fit elsewhere."""
+
+    kind: str
+    """lines or posts; empty where none are."""
+    ahead_m: float
+    left_m: float
+    nats: float
+
+
+NOTHING_MOVED = Moved("", 0.0, 0.0, 0.0)
+
+
+def moved_elements(watch: WatchState, config: WatchConfig) -> Moved:
+    """What the drive speaks for most."""
+    if not len(watch.num):
+        return NOTHING_MOVED
+    most = max(_classes_apart(watch, config), key=lambda s: s.nats)
+    if most.nats < config.class_count_nats:
+        return NOTHING_MOVED
+    return Moved(most.name.split("_")[0], float(most.moved[0]), float(most.moved[1]), most.nats)
+
+
 def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> list[Suspicion]:
     """Where a parabola through the costs of the calibration and of those beside it has its minimum."""
     found, num_steps = [], len(STEPS)

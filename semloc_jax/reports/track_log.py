@@ -26,10 +26,13 @@ SENSORS = (
     "clock_offset_ms",
 )
 STAGES = ("predict", "align", "fuse", "acquire")
+MOVED = ("moved_ahead_m", "moved_left_m", "moved_nats")
+"""Where elements of one kind fit that are taken alone."""
 NEES = "nees"
 COLUMNS = (
     *("frame", "time_s", "variant", "status", "held", "reasons", *POSE, *SIGMAS, *PROTECTION, MISLEADING),
     *("accepted", "num_tracks", *QUALITY, *SENSORS, *(f"{stage}_ms" for stage in STAGES)),
+    *("moved", *MOVED),
     *(f"error_{key}" for key in ERRORS),
     NEES,
 )
@@ -117,6 +120,8 @@ class TrackTable:
     variants: tuple[str, ...]
     status: tuple[TrackStatus, ...]
     reasons: tuple[str, ...]
+    moved: tuple[str, ...]
+    """lines or posts, where they fit elsewhere."""
     columns: dict[str, np.ndarray]
 
     @classmethod
@@ -128,7 +133,7 @@ class TrackTable:
         """
         path = folder / FILE
         lines = read_lines(path)
-        text = ("frame", "variant", "status", "held", "reasons")
+        text = ("frame", "variant", "status", "held", "reasons", "moved")
         numeric = [name for name in COLUMNS if name not in text]
         with reading(f"table {path}"):
             numbers = {name: np.array([float(line[name] or "nan") for line in lines]) for name in numeric}
@@ -139,6 +144,7 @@ class TrackTable:
                 tuple(line["variant"] for line in lines),
                 tuple(TrackStatus[line["status"]] for line in lines),
                 tuple(line["reasons"] for line in lines),
+                tuple(line["moved"] for line in lines),
                 numbers,
             )
 
@@ -182,6 +188,8 @@ def _line(frame: Frame, result: TrackResult, T_truth: np.ndarray | None) -> dict
         "num_tracks": result.num_tracks,
     }
     line |= _numbers(QUALITY, [getattr(result, key) for key in QUALITY])
+    if result.moved.kind:
+        line |= {"moved": result.moved.kind} | _numbers(MOVED, result.moved[1:])
     line |= {f"{name}_ms": f"{ms:.3f}" for name, ms in result.times_ms.items()}
     fused = result.fused
     if fused is None:
