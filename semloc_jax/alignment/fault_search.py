@@ -40,10 +40,13 @@ class FaultSearch:
     def _through(self, rig: Rig) -> ThroughLens:
         steps = self.steps
         few = steps.solved_with_few(self._starts(_LENS_STARTS_M), self.in_view_px, rig=rig)
-        start = np.asarray(few.estimates.T_map_base, np.float64)[[int(np.argmin(np.nan_to_num(few.score, nan=np.inf)))]]
+        # Few samples rank places roughly: from the pose itself it is solved to the end as well.
+        other = np.asarray(few.estimates.T_map_base, np.float64)[int(np.argmin(np.nan_to_num(few.score, nan=np.inf)))]
+        starts = np.stack([self.T, other])
         known = steps.road, steps.wide_sigma, self.frame._replace(rig=rig), self.in_view_px, steps.frame_config
-        solved = solve_all(start, *known, steps.final_align, self.whole)
-        return ThroughLens(float(solved.score[0]), np.asarray(solved.estimates.T_map_base[0], np.float64))
+        solved = solve_all(starts, *known, steps.final_align, self.whole)
+        best = int(np.argmin(np.nan_to_num(solved.score, nan=np.inf)))
+        return ThroughLens(float(solved.score[best]), np.asarray(solved.estimates.T_map_base[best], np.float64))
 
     def kinds(self, rates: Rates, config: FaultConfig) -> list[FaultMode]:
         """The poses that the map has without lane lines, and without what stands."""
