@@ -22,7 +22,8 @@ from semloc_jax.alignment.candidates import (
     not_near,
     solve_all,
 )
-from semloc_jax.alignment.lens_doubt import doubted
+from semloc_jax.alignment.fault_modes import PLANE, joined
+from semloc_jax.alignment.fault_search import FaultSearch
 from semloc_jax.alignment.map_pieces import Pieces, PoseEvidence, Rates
 from semloc_jax.alignment.modes import modes_in_map, weighed
 from semloc_jax.alignment.pose import Prior
@@ -31,17 +32,12 @@ from semloc_jax.alignment.result import FoundModes, ModeEvidence
 from semloc_jax.alignment.same_pose import ONE_PLACE, ONE_TRACK, units_apart
 from semloc_jax.alignment.search_steps import SearchSteps
 from semloc_jax.alignment.single_frame import FrameInput, evidence_from, sharpest
-from semloc_jax.cameras import Rig
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.noise import POSE_SHARE
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import SolveStatus
 
 _widened = stored_program()(widened)
-
-
-PLANE = (0, 1, 5)
-"""Forward, left and heading among the coordinates of a tangent."""
 
 
 class ModeFinder(SearchSteps):
@@ -107,21 +103,21 @@ class ModeFinder(SearchSteps):
         if not len(last.best):
             return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
         found = self._in_map(solved, Ts_end, (pieces, found), last, rates, road_through, in_view_px)
-        return self._with_doubt(found, frame, in_view_px)
+        return self._with_faults(found, frame, rates, in_view_px)
 
-    def _with_doubt(self, found: FoundModes, frame: FrameInput, in_view_px: float) -> FoundModes:
-        """The places with what the best one says of the lenses."""
+    def _with_faults(self, found: FoundModes, frame: FrameInput, rates: Rates, in_view_px: float) -> FoundModes:
+        """The places with what may be wrong with the best one."""
         if not found.modes:
             return found
-        best, whole = found.modes[0], np.ones((1, len(frame.samples.label)), bool)
-        start = self.local.from_map(best.T_map_base, np.float64)[None]
-
-        def cost_through(rig: Rig) -> float:
-            known = self.road, self.wide_sigma, frame._replace(rig=rig), in_view_px, self.frame_config
-            return float(solve_all(start, *known, self.final_align, whole).score[0])
-
-        evidence = replace(best.evidence, **asdict(doubted(frame.rig, cost_through)))
-        return replace(found, modes=(replace(best, evidence=evidence), *found.modes[1:]))
+        best, plane = found.modes[0], np.ix_(PLANE, PLANE)
+        sound = best.covariance[plane]
+        search = FaultSearch(self, frame, self.local.from_map(best.T_map_base, np.float64), in_view_px)
+        doubt, of_lenses = search.lenses(sound, self.faults)
+        faults = (*of_lenses, *search.kinds(rates, self.faults))
+        covariance = best.covariance.copy()
+        covariance[plane] = joined(sound, faults)
+        best = replace(best, covariance=covariance, evidence=replace(best.evidence, **asdict(doubt)))
+        return replace(found, modes=(best, *found.modes[1:]), sound=sound, faults=faults)
 
     def _road_through(self, T_map_base: np.ndarray, frame: FrameInput, prior: Prior) -> RoadPosterior:
         """Places along the road through a pose."""

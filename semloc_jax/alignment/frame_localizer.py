@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax.alignment.complete_modes import ModeFinder
+from semloc_jax.alignment.fault_modes import FaultConfig
+from semloc_jax.alignment.frame_levels import levels_of, mount_variance
 from semloc_jax.alignment.hypotheses import Modes
 from semloc_jax.alignment.mask_image import mask_image
 from semloc_jax.alignment.mode_search import CompleteModesConfig, FrameImage, half_window_m
@@ -27,6 +29,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.held import held_text
+from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import LocalMap, SemanticMap, SharedSigmas, sample, with_map_accuracy
 from semloc_jax.perception import ClassTable
@@ -46,6 +49,7 @@ class LocalizeConfig(SceneConfig):
     modes: ClassVar[CompleteModesConfig] = CompleteModesConfig()
     """Of the search for every mode: constants, each with its reason where it stands, and no settings."""
     verdict: VerdictConfig = field(default_factory=VerdictConfig)
+    faults: FaultConfig = field(default_factory=FaultConfig)
 
 
 class FrameLocalizer:
@@ -112,9 +116,9 @@ class FrameLocalizer:
         inputs, local_map = self.prepare(masks, rig or frame.rig, T_map_prior, more_m)
         finder = self.mode_finder(masks, inputs, prior, T_map_prior, local_map.frame)
         prepared = time.perf_counter()
-        found = _on_earth(finder.find(), local_map)
+        found = finder.find()
         times = {"evidence": prepared - started, "solve": time.perf_counter() - prepared}
-        return self._result(frame, found, T_map_prior, prior.sigma_xy_m, times)
+        return self._result(frame, found, T_map_prior, prior.sigma_xy_m, times, inputs.rig, local_map)
 
     def judged(
         self,
@@ -124,6 +128,7 @@ class FrameLocalizer:
         local: LocalFrame,
         sigma_xy_m: float,
         times: dict[str, float],
+        rig: Rig,
     ) -> LocalizationResult:
         """The result of a frame from the modes of the solver, with the verdict on it.
 
@@ -134,10 +139,11 @@ class FrameLocalizer:
             local: Frame of the solver.
             sigma_xy_m: Horizontal standard deviation of the first guess.
             times: Seconds spent by stage.
+            rig: Cameras of the masks.
         """
         modes = modes_in_map(found, local, ONE_PLACE)
         places = FoundModes(modes, SolveStatus(int(found.estimates.status[0])), None)
-        return self._result(frame, places, T_map_prior, sigma_xy_m, times)
+        return self._result(frame, places, T_map_prior, sigma_xy_m, times, rig)
 
     def _result(
         self,
@@ -146,15 +152,25 @@ class FrameLocalizer:
         T_map_prior: np.ndarray,
         sigma_xy_m: float,
         times: dict[str, float],
+        rig: Rig,
+        local_map: LocalMap | None = None,
     ) -> LocalizationResult:
+        elements = () if local_map is None else local_map.elements
+        map_sigmas = SharedSigmas(elements, self.config.map_sigma)
         best = found.modes[0].T_map_base if found.modes else T_map_prior
+        of_map = np.square(map_sigmas.at(best[:2, 3]))
+        shared = of_map[[0, 0, 1]] + mount_variance(rig, self.config.faults)
+        levels = levels_of(found, shared, ALERT_LIMITS[0])
+        found = _on_earth(found, map_sigmas)
         status, reasons = judge(found, T_map_prior, sigma_xy_m, self.config.verdict)
         held, bounds = directions_held(found, T_map_prior, sigma_xy_m, self.config.verdict)
         told = (*reasons, *filter(None, [held_text(bounds, held)]))
         if status == SolveStatus.NO_EVIDENCE and self.not_shown:
             names = ", ".join(label.name.lower() for label in self.not_shown)
             told += (f"the map also has {names}, which masks of table {self.table.name} never show: others would help",)
-        return LocalizationResult(frame, best, T_map_prior, status, not reasons, told, found.modes, times, held)
+        return LocalizationResult(
+            frame, best, T_map_prior, status, not reasons, told, found.modes, times, held, *levels
+        )
 
     def mode_finder(
         self,
@@ -174,14 +190,14 @@ class FrameLocalizer:
         spread = self.map.road_spread(T_map_prior)
         solver_prior = prior.to_solver(T_map_prior, frame, self.config.road, spread)
         image = FrameImage(borders, size, unit_px)
-        return ModeFinder(inputs, image, solver_prior, road, frame, self.config.modes, self.config.frame)
+        config = self.config
+        return ModeFinder(inputs, image, solver_prior, road, frame, config.modes, config.frame, config.faults)
 
 
-def _on_earth(found: FoundModes, local_map: LocalMap) -> FoundModes:
-    """The modes with what the map states that all around them shares: masks cannot tell it from the pose."""
-    shared = SharedSigmas(local_map.elements)
+def _on_earth(found: FoundModes, map_sigmas: SharedSigmas) -> FoundModes:
+    """The modes with what all around them in the map shares, as is stated: masks cannot tell it from the pose."""
     modes = tuple(
-        replace(mode, covariance=with_map_accuracy(mode.covariance, *shared.at(mode.T_map_base[:2, 3])))
+        replace(mode, covariance=with_map_accuracy(mode.covariance, *map_sigmas.at(mode.T_map_base[:2, 3])))
         for mode in found.modes
     )
     return replace(found, modes=modes)

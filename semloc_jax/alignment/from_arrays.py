@@ -110,7 +110,7 @@ def align(
         scene = _scene(given)
         return _in_map(smooth_optimum(scene.T_start, scene.scene, scene.prior, _smooth(given)), given.local.origin_map)
     found = _settled(given)
-    return given.localizer.judged(None, found, given.T_map_prior, given.local, _sigma_xy_m(given.prior), {})
+    return _judged(given, found)
 
 
 def search(
@@ -142,7 +142,7 @@ def search(
     if isinstance(prior, PosePrior):
         return given.localizer.localize(None, given.masks, prior, cameras)
     found = localize_frame(given.frame, given.prior, given.localizer.config.frame)
-    return given.localizer.judged(None, found, given.T_map_prior, given.local, _sigma_xy_m(given.prior), {})
+    return _judged(given, found)
 
 
 class DifferentiableScene(NamedTuple):
@@ -317,6 +317,11 @@ def _six(sigma: np.ndarray | jax.Array | Sequence) -> ArrayLike:
     if np.shape(sigma) != (6,):
         raise SemlocError(f"sigma: shape {np.shape(sigma)}; expected 6: x, y, z [m], roll, pitch, yaw [rad]")
     return sigma
+
+
+def _judged(given: _Arrays, found: Modes) -> LocalizationResult:
+    known = given.T_map_prior, given.local, _sigma_xy_m(given.prior), {}, given.frame.rig
+    return given.localizer.judged(None, found, *known)
 
 
 def _sigma_xy_m(prior: Prior) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from semloc_jax.alignment.fault_modes import FaultMode
 from semloc_jax.datasets import Frame
 from semloc_jax.structs import SolveStatus
 
@@ -94,11 +95,16 @@ class FoundModes:
         modes: distinct poses in the map frame, best first.
         status: how the solve of the best one ended.
         confirmed: number of other starts whose solves ended at the best one; None where none was tried.
+        sound: covariance of the best one had nothing been wrong: forward [m], left [m], heading [rad]; None where
+            nobody asked, and it is that of the mode.
+        faults: what may be wrong with the best one.
     """
 
     modes: tuple[Mode, ...]
     status: SolveStatus
     confirmed: int | None = 0
+    sound: np.ndarray | None = None
+    faults: tuple[FaultMode, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -115,6 +121,9 @@ class LocalizationResult:
         modes: distinct poses, best first.
         times: seconds spent by stage.
         held: which of across, along and heading the masks hold, though the pose as a whole may not be used.
+        protection: bounds of the lateral [m], longitudinal [m] and heading [deg] error, whatever of calibration, map
+            and place may be wrong; infinite where nobody asked.
+        misleading: probability that an error is beyond its alert limit.
     """
 
     frame: Frame | None
@@ -126,6 +135,8 @@ class LocalizationResult:
     modes: tuple[Mode, ...] = ()
     times: dict[str, float] = field(default_factory=dict)
     held: tuple[str, ...] = ()
+    protection: tuple[float, float, float] = (np.inf, np.inf, np.inf)
+    misleading: float = 1.0
 
     @property
     def covariance(self) -> np.ndarray:

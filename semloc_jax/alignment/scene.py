@@ -56,6 +56,11 @@ class SceneConfig:
     """Where a configuration file holds all of this: at its top level."""
     search_radius_m: float = 65.0
     """Radius of the map query: the range of a view plus the reach of a search."""
+    map_sigma_m: float = 0.0
+    """How accurate the map is, as its maker states: joins the covariance of every pose that goes out, beside what the
+    map itself states of what is around."""
+    map_reach_m: float = 20.0
+    """Distance over which the position error of the map changes by its own size: the heading error is their ratio."""
     sample_spacing_m: float = 0.25
     sample_capacity: int = 8192
     """Most map samples of one frame; the spacing grows where the map holds more."""
@@ -72,6 +77,11 @@ class SceneConfig:
 
     def __post_init__(self) -> None:
         self.view_of(ViewConfig())  # refuses class weights that do not fit the classes
+
+    @property
+    def map_sigma(self) -> tuple[float, float]:
+        """Standard deviations of place [m] and direction [rad] that the map shares everywhere."""
+        return self.map_sigma_m, self.map_sigma_m / self.map_reach_m
 
     def view_of(self, base: ViewConfig) -> ViewConfig:
         """A view with the values of the scene; margins and densities are those of the base."""

@@ -30,6 +30,7 @@ from semloc_jax.alignment.candidates import (
     wide_sigma,
 )
 from semloc_jax.alignment.evidence_null import EvidenceNull, best_rates
+from semloc_jax.alignment.fault_modes import FaultConfig
 from semloc_jax.alignment.hypotheses import search_from
 from semloc_jax.alignment.map_pieces import Pieces, PoseEvidence, Rates
 from semloc_jax.alignment.mode_search import ALIAS_SIGMAS, CompleteModesConfig, FrameImage, half_window_m
@@ -39,6 +40,7 @@ from semloc_jax.alignment.posterior import Ridges, log_prior, ridges, same_ridge
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import ONE_OPTIMUM
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, search_starts
+from semloc_jax.cameras import Rig
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import MapSamples, SolveStatus
@@ -58,6 +60,7 @@ class SearchSteps:
         local: LocalFrame,
         config: CompleteModesConfig,
         frame_config: SingleFrameConfig,
+        faults: FaultConfig,
     ):
         """Prepare a frame: what its masks look like from poses that are wrong.
 
@@ -69,9 +72,11 @@ class SearchSteps:
             local: The local frame.
             config: Constants.
             frame_config: Views, levels and the search by ramps.
+            faults: How often calibration and map are wrong.
         """
         self.frame, self.borders, self.image_size, self.unit_px = frame, image.borders, image.size, image.unit_px
         self.prior, self.road, self.local, self.config, self.frame_config = prior, road, local, config, frame_config
+        self.faults = faults
         align = frame_config.polish_align
         self.align = replace(align, levels=config.levels, max_steps=config.max_steps)
         self.final_align = replace(align, max_steps=config.final_max_steps, tolerance=config.final_tolerance)
@@ -173,16 +178,21 @@ class SearchSteps:
         ends = np.asarray(found.estimates.T_map_base, dtype=np.float64)
         return found.rows(apart(ends, -found.score.astype(np.float64), len(ends), ONE_OPTIMUM))
 
-    def solved_with_few(self, Ts: np.ndarray, in_view_px: float, part: np.ndarray | None = None) -> SolvedPoses:
-        """Every start refined with few samples, each with its part of the map."""
-        frame = self.frame._replace(samples=self.samples)
+    def solved_with_few(
+        self, Ts: np.ndarray, in_view_px: float, part: np.ndarray | None = None, rig: Rig | None = None
+    ) -> SolvedPoses:
+        """Every start refined with few samples, each with its part of the map; through other cameras where given."""
+        frame = self.frame._replace(samples=self.samples, rig=self.frame.rig if rig is None else rig)
         view = replace(self.frame_config.polish_view, capacity=self.config.view_samples)
         config = replace(self.frame_config, polish_view=view)
         return solve_all(Ts, self.road, self.wide_sigma, frame, in_view_px, config, self.align, self.parts, part)
 
-    def pieces(self, Ts: np.ndarray) -> Pieces:
-        """The pieces of map that each pose sees."""
-        return self.null.pieces(self.observed(Ts), self.image_size, self.observe_config.cell_px)
+    def pieces(self, Ts: np.ndarray, part: np.ndarray | None = None) -> Pieces:
+        """The pieces of map, or of the samples bool[p] of a part of it, that each pose sees."""
+        seen = self.observed(Ts)
+        if part is not None:
+            seen = seen._replace(length_px=np.where(part, seen.length_px, 0.0).astype(np.float32))
+        return self.null.pieces(seen, self.image_size, self.observe_config.cell_px)
 
     def evidence(self, Ts: np.ndarray, rates: Rates | None = None) -> tuple[PoseEvidence, Rates]:
         """Evidence of poses, with rates of the frame as the best of them has it where none are given."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semloc_jax.alignment.fault_modes import PLANE, probabilities
 from semloc_jax.alignment.result import FoundModes, Mode
 from semloc_jax.evaluation.held import held_directions
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
@@ -113,6 +114,7 @@ def _against(found: FoundModes, T_map_prior: np.ndarray, sigma_xy_m: float, conf
     yield from _fit(modes[0], config)
     yield from _rivals(modes, config)
     yield from _directions(modes[0], sigma_xy_m, config)
+    yield from _faults(found, config)
     if found.status == SolveStatus.MAX_STEPS:
         yield found.status, "no solve of this place converged"
     elif found.confirmed is not None and found.confirmed < config.min_confirmed:
@@ -175,6 +177,21 @@ def _directions(best: Mode, sigma_xy_m: float, config: VerdictConfig) -> Reasons
     if _is_beside_borders(best, config):
         text = f"the map lies {best.evidence.border_offset_px:+.1f} px outside of the borders of its masks"
         yield SolveStatus.WEAK_DIRECTION, f"{text}: the place along the road is not held"
+
+
+def _faults(found: FoundModes, config: VerdictConfig) -> Reasons:
+    """What takes a direction beyond its limit that would be held had it not to be feared."""
+    if found.sound is None or not found.faults:
+        return
+    heading_rad = np.deg2rad(config.max_sigma_heading_deg)
+    most = np.square([config.max_sigma_longitudinal_m, config.max_sigma_lateral_m, heading_rad])
+    sound, with_faults = found.sound.diagonal(), found.modes[0].covariance.diagonal()[list(PLANE)]
+    if not ((sound <= most) & (with_faults > most)).any():
+        return
+    share, fault = max(zip(probabilities(found.faults), found.faults, strict=True), key=lambda pair: pair[0])
+    ahead_m, left_m, _ = fault.moved
+    text = f"the vehicle is {ahead_m:+.2f} m ahead and {left_m:+.2f} m to the left with {fault.cause}"
+    yield SolveStatus.WEAK_DIRECTION, f"{text}, which the masks make {share:.0%} probable"
 
 
 def _is_held_by_prior(best: Mode, sigma_xy_m: float, config: VerdictConfig) -> bool:

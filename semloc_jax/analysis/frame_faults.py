@@ -4,7 +4,7 @@ In: a drive, its map, masks and priors, names of faults. Out: FrameFaultOutcome 
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,7 +39,8 @@ class FrameFaultOutcome:
         frames: number of frames.
         right: frames whose best pose is right, localized or not.
         localized: frames called localized.
-        false: of them those beyond an alert limit.
+        false: of them those with an error beyond a protection level.
+        beyond_alert: of them those with an error beyond an alert limit.
         refused_right: frames that are right and not called localized.
         max_lateral_m: largest error of a frame called localized [m].
         max_longitudinal_m: the same along the vehicle [m].
@@ -56,6 +57,7 @@ class FrameFaultOutcome:
     right: int
     localized: int
     false: int
+    beyond_alert: int
     refused_right: int
     max_lateral_m: float
     max_longitudinal_m: float
@@ -68,13 +70,18 @@ class FrameFaultOutcome:
         return bool(self.severity) and not self.apart
 
 
+_LIKE_A_TURN = ("camera_yaw", "principal_point", "masks_shifted")
+_AS_HEADING = "one frame cannot tell it from a vehicle that is turned; faults.mount_sigma_deg states it"
+
+
 def frame_rows(wanted: str) -> tuple[FaultRow, ...]:
     """The rows of the suite that a single frame can meet: it has no wheels and no clock, and nothing passes.
 
     Raises:
         SemlocError: there is no fault of that name.
     """
-    return tuple(r for r in suite(wanted) if r.family not in (TIME, ODOMETRY) and r.fault not in PASSING)
+    rows = (r for r in suite(wanted) if r.family not in (TIME, ODOMETRY) and r.fault not in PASSING)
+    return tuple(replace(r, apart=_AS_HEADING) if r.fault in _LIKE_A_TURN and not r.apart else r for r in rows)
 
 
 def frame_fault(
@@ -99,7 +106,7 @@ def frame_fault(
         chosen: Which frames.
         config: Of the localizer.
         seed: Of the fault.
-        limit: Beyond it a frame called localized is false.
+        limit: The alert limits.
 
     Raises:
         SemlocError: the fault is not known or does not fit the drive, or the drive has no truth.
@@ -122,6 +129,8 @@ def judge_frames(
     errors = {key: np.abs(value) for key, value in pose_errors(poses, np.array(truth)).items()}
     is_right = within(errors, limit) & np.array([np.isfinite(r.T_map_base).all() for r in found])
     localized = np.array([r.localized for r in found], dtype=bool)
+    size = np.column_stack([errors[key] for key in ("lateral_m", "longitudinal_m", "heading_deg")])
+    is_bounded = (size <= np.array([r.protection for r in found])).all(axis=1)
 
     def largest(key: str) -> float:
         return float(np.max(errors[key], initial=0.0, where=localized))
@@ -131,7 +140,8 @@ def judge_frames(
         frames=len(found),
         right=int(is_right.sum()),
         localized=int(localized.sum()),
-        false=int((localized & ~is_right).sum()),
+        false=int((localized & ~is_bounded).sum()),
+        beyond_alert=int((localized & ~is_right).sum()),
         refused_right=int((is_right & ~localized).sum()),
         max_lateral_m=largest("lateral_m"),
         max_longitudinal_m=largest("longitudinal_m"),
@@ -142,7 +152,10 @@ def judge_frames(
 
 def worst_first(outcomes: Sequence[FrameFaultOutcome]) -> list[FrameFaultOutcome]:
     """The outcomes with the most false frames first; those that nothing can see last, what is healthy at the top."""
-    return sorted(outcomes, key=lambda o: (o.severity > 0, bool(o.apart), -o.false, o.localized, o.fault, o.severity))
+    return sorted(
+        outcomes,
+        key=lambda o: (o.severity > 0, bool(o.apart), -o.false, -o.beyond_alert, o.localized, o.fault, o.severity),
+    )
 
 
 def to_markdown(outcomes: Sequence[FrameFaultOutcome]) -> str:
@@ -152,14 +165,14 @@ def to_markdown(outcomes: Sequence[FrameFaultOutcome]) -> str:
 
 def _lines(outcomes: Sequence[FrameFaultOutcome]) -> Iterator[str]:
     yield (
-        "| fault | size | localized | false | right but refused | largest error localized (lateral, along, heading) | "
-        "told |"
+        "| fault | size | localized | false | beyond alert | right but refused | "
+        "largest error localized (lateral, along, heading) | told |"
     )
-    yield "|---|---|---|---|---|---|---|"
+    yield "|---|---|---|---|---|---|---|---|"
     for o in outcomes:
         errors = f"{o.max_lateral_m:.2f} m, {o.max_longitudinal_m:.2f} m, {o.max_heading_deg:.2f} deg"
-        told = "nothing can see it" if o.apart else o.reason
+        told = o.apart or o.reason
         yield (
-            f"| {o.fault} | {o.size or '-'} | {o.localized} of {o.frames} | {o.false} | {o.refused_right} | {errors} | "
-            f"{told or '-'} |"
+            f"| {o.fault} | {o.size or '-'} | {o.localized} of {o.frames} | {o.false} | {o.beyond_alert} | "
+            f"{o.refused_right} | {errors} | {told or '-'} |"
         )

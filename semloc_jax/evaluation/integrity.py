@@ -4,6 +4,7 @@ In: errors with the covariances and protection levels that were stated for them.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -89,6 +90,48 @@ def sigma_coverage(errors: Float[np.ndarray, " n"], sigma: Float[np.ndarray, " n
     nan where there are no frames.
     """
     return float(np.mean(np.abs(errors) <= num_sigmas * sigma)) if len(errors) else float("nan")
+
+
+class HourlyRisk(NamedTuple):
+    """How often a drive misleads in an hour of poses that it offers.
+
+    Attributes:
+        stated: expected number of times, by the probabilities that were stated.
+        seen: stretches of frames with an error beyond an alert limit.
+        below: what the true rate is below with a probability of 95 % (Poisson), as a short drive says little.
+        hours: of poses that were offered.
+    """
+
+    stated: float
+    seen: float
+    below: float
+    hours: float
+
+
+def hourly_risk(
+    misleading: Float[np.ndarray, " n"], is_wrong: Bool[np.ndarray, " n"], step_s: float, num_independent: float
+) -> HourlyRisk:
+    """What offered poses come to in an hour.
+
+    Neighbouring frames are wrong together: a risk of one frame counts once for each independent one, and a stretch of
+    wrong ones is one event.
+
+    Args:
+        misleading: Stated probability of each offered frame.
+        is_wrong: Whether its error is beyond an alert limit.
+        step_s: Time between frames [s].
+        num_independent: Frames that these are worth; see `independent_frames`.
+
+    Raises:
+        SemlocError: no frame was offered.
+    """
+    if len(misleading) == 0:
+        raise SemlocError("hourly risk: no frames that were offered; expected at least one")
+    hours = len(misleading) * step_s / 3600.0
+    events = int(np.sum(np.diff(np.concatenate([[False], is_wrong]).astype(int)) > 0))
+    stated = float(np.mean(misleading)) * num_independent
+    most = 0.5 * float(chdtri(2 * (events + 1), 0.05))
+    return HourlyRisk(stated / hours, events / hours, most / hours, hours)
 
 
 @dataclass(frozen=True)

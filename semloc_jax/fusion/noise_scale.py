@@ -16,7 +16,7 @@ from jaxtyping import Float
 from semloc_jax.fusion.measurements import FusedPose, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionIncrement
 from semloc_jax.geometry import rigid
-from semloc_jax.residuals.noise import POSE_SHARE
+from semloc_jax.residuals.noise import POSE_FREEDOM, POSE_SHARE
 
 DIRECTIONS = [0, 1, 5]
 """Forward, left and heading in a tangent."""
@@ -30,7 +30,7 @@ class NoiseConfig:
 
     share: float = POSE_SHARE
     """Variance of a measured pose over that of the noise model, before the drive says more."""
-    believed_frames: float = 10.0
+    believed_frames: float = POSE_FREEDOM
     """What the noise model is worth, in frames."""
     memory_frames: float = 40.0
     min_factor: float = 0.15

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit
+from semloc_jax.evaluation.mixture_bounds import RISK, Causes, beyond
 
 _DIRECTIONS = [1, 0, 5]
 """Lateral, longitudinal and heading in a tangent."""
@@ -20,7 +21,7 @@ _DIRECTIONS = [1, 0, 5]
 class IntegrityConfig:
     """How protection levels are made. All values but the alert limits are ours."""
 
-    risk: float = 1e-3
+    risk: float = RISK
     """Probability for each frame that any of the three errors is larger than its level."""
     alert_limits: str = ALERT_LIMITS[0].name
     """Name of the alert limits: local_street or freeway."""
@@ -73,6 +74,28 @@ def protection_levels(
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)[_DIRECTIONS])
     levels = np.hypot(stdtrit(freedom, 1.0 - share) * sigma, -ndtri(share) * of_map)
     return ProtectionLevels(float(levels[0]), float(levels[1]), float(np.degrees(levels[2])))
+
+
+def misleading(
+    covariance: Float[np.ndarray, "6 6"],
+    freedom: Float[np.ndarray, "3"],
+    of_map: Float[np.ndarray, "3"],
+    fault: Float[np.ndarray, "3"],
+    limit: ErrorLimit,
+) -> float:
+    """Probability that an error is beyond its alert limit; the first three arguments as `protection_levels`.
+
+    Args:
+        fault: How far the worst suspected fault moves the pose: lateral [m], longitudinal [m], heading [deg].
+        limit: The alert limits.
+    """
+    variance = np.maximum(np.diagonal(covariance), 1e-18)[_DIRECTIONS]
+    total = variance + of_map**2
+    # What is stated has the tails of a Gaussian (Welch and Satterthwaite).
+    scale = np.array([1.0, 1.0, np.degrees(1.0)]) * np.sqrt(total)
+    causes = Causes(np.ones(1), fault[None], scale[None], (freedom * (total / variance) ** 2)[None])
+    limits = np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])
+    return float(min(beyond(causes, limits).sum(), 1.0))
 
 
 def beyond_alert(levels: ProtectionLevels, limit: ErrorLimit) -> tuple[str, ...]:

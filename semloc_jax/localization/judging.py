@@ -12,9 +12,15 @@ from semloc_jax.cameras import Rig
 from semloc_jax.evaluation.held import held_text
 from semloc_jax.fusion import noise_scale
 from semloc_jax.fusion.measurements import FusedPose
-from semloc_jax.localization import health, phase, watch
+from semloc_jax.localization import health, innovations, phase, watch
 from semloc_jax.localization.following import FrameReport
-from semloc_jax.localization.integrity import ProtectionLevels, beyond_alert, map_sigmas, protection_levels
+from semloc_jax.localization.integrity import (
+    ProtectionLevels,
+    beyond_alert,
+    map_sigmas,
+    misleading,
+    protection_levels,
+)
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import TrackerState, TrackStatus
 
@@ -30,6 +36,7 @@ class FrameVerdict(NamedTuple):
     reasons: tuple[str, ...]
     protection: ProtectionLevels
     held: tuple[str, ...] = ()
+    misleading: float = 1.0
 
 
 def judged(
@@ -55,33 +62,51 @@ def judged(
     reasons = view.reasons if view is not None else ()
     if fused is None:
         return FrameVerdict(TrackStatus.INITIALIZING, (f"no pose yet: {why_no_start()}",), _NO_LEVELS)
-    protection, causes = levels_of(state, fused, rig, map_sigma, config)
+    levels = levels_of(state, fused, rig, map_sigma, config)
+    protection = levels.protection
     if not state.tracks:
         return FrameVerdict(TrackStatus.LOST, health.lost_because(state.counters, config.health) + reasons, protection)
     limit = config.health.integrity.limit
     beyond, against = beyond_alert(protection, limit), _contradictions(state, reasons, config.health)
     elsewhere = phase.doubts(fused, state.fixes, float(state.elsewhere.nats))
-    serious = (*beyond, *against, *elsewhere)
+    serious = (*beyond, *against, *elsewhere, *innovations.doubts(state.innovations))
     is_confirmed = bool(state.tracks[0].num_accepted >= config.confirm_frames)
     status = health.status_of(len(state.tracks), is_confirmed, serious)
     held = ()
     if status != TrackStatus.INITIALIZING and not against:
         held = health.held_of(protection, limit, bool(elsewhere))
     told = filter(None, [held_text(protection, held)])
-    return FrameVerdict(status, tuple(dict.fromkeys((*causes, *serious, *reasons, *told))), protection, held)
+    all_told = tuple(dict.fromkeys((*levels.causes, *serious, *reasons, *told)))
+    return FrameVerdict(status, all_told, protection, held, levels.misleading)
+
+
+class PoseLevels(NamedTuple):
+    """Protection levels of a pose under every suspected fault.
+
+    Attributes:
+        protection: The levels.
+        causes: A sentence for each fault that takes one beyond its alert limit.
+        misleading: Probability that an error is beyond its alert limit.
+    """
+
+    protection: ProtectionLevels
+    causes: tuple[str, ...]
+    misleading: float
 
 
 def levels_of(
     state: TrackerState, fused: FusedPose, rig: Rig, map_sigma: tuple[float, float], config: TrackConfig
-) -> tuple[ProtectionLevels, tuple[str, ...]]:
-    """Protection levels under every suspected fault, and the faults that take one beyond its alert limit; arguments as
-    `judged`."""
+) -> PoseLevels:
+    """The levels of a pose; arguments as `judged`."""
     integrity = config.health.integrity
     freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
-    levels = protection_levels(fused.covariance, freedom, map_sigmas(*map_sigma), integrity)
-    faults = watch.separations(state.watch, rig, config.watch) if state.tracks else []
+    known = fused.covariance, freedom, map_sigmas(*map_sigma)
+    levels = protection_levels(*known, integrity)
+    faults = watch.separations(state.watch, fused, rig, config.watch) if state.tracks else []
     causes = watch.causes(levels, faults, integrity.limit)
-    return watch.at_least(watch.with_faults(levels, faults), config.watch), causes
+    farthest = np.max([fault[:3] for fault in faults], axis=0) if faults else np.zeros(3)
+    misled = misleading(*known, farthest, integrity.limit)
+    return PoseLevels(watch.at_least(watch.with_faults(levels, faults), config.watch), causes, misled)
 
 
 def _contradictions(state: TrackerState, reasons: tuple[str, ...], config: health.HealthConfig) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from semloc_jax.fusion.clock import CameraTimeLog, unknown_offset
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
-from semloc_jax.localization import elsewhere, health, map_faults, passed_over, phase, rivals, watch
+from semloc_jax.localization import elsewhere, health, innovations, map_faults, passed_over, phase, rivals, watch
 from semloc_jax.localization.acquisition import Acquisition, Area
 from semloc_jax.localization.explicit_alignment import ExplicitAligner, Trust
 from semloc_jax.localization.explicit_start import ExplicitAcquisition
@@ -52,6 +52,7 @@ from semloc_jax.localization.track_state import (
     TrackResult,
     TrackStatus,
 )
+from semloc_jax.localization.watch_sums import moved_elements
 from semloc_jax.maps import SemanticMap, SharedSigmas, with_map_accuracy
 from semloc_jax.perception import ClassTable
 from semloc_jax.perception.primitives import primitives_of
@@ -96,7 +97,7 @@ class Localizer:
         self.is_explicit = self.config.association == "explicit"
         kind = ExplicitAligner if self.is_explicit else FrameAligner
         self.aligner = kind(semantic_map, self.windows, self.channel_of_label, scene, self.config.alignment)
-        self._map_sigmas = SharedSigmas(semantic_map.walk(), self.config.map_sigma)
+        self._map_sigmas = SharedSigmas(semantic_map.walk(), self.config.scene.map_sigma)
         searching = ExplicitAcquisition if self.is_explicit else Acquisition
         self.acquisition = searching(self.aligner, motion, self.config.acquisition)
 
@@ -191,6 +192,9 @@ class Localizer:
             views = [seen(t, self.fusion, self.aligner, frame, *known, self.config.health) for t in state.tracks]
         timer.lap("align")
         state, view = self._fused(state, views, way_m)
+        if view is not None and view.innovation is not None:
+            fit = innovations.learned(state.innovations, view.innovation.chi2, view.difference, view.covariance)
+            state = state._replace(innovations=fit)
         if view is not None and view.found is not None:
             state = state._replace(matched=view.found.matched)
         known = (trust, state.stance, np.asarray(state.grain))
@@ -270,6 +274,7 @@ class Localizer:
         best, view = tracks[order[0]], pairs[order[0]][1]
         if order[0] != 0:  # what was seen from another place says nothing of this one
             state = state._replace(watch=watch.WatchState(), elsewhere=Elsewhere())
+            state = state._replace(innovations=innovations.Innovations())
         kept = [best]
         for k in order[1:]:
             if total[k] - total[order[0]] < self.config.win_nats and not self._is_one_of(tracks[k], kept):
@@ -332,7 +337,7 @@ class Localizer:
         )
         forgotten = noise_scale.without_poses(state.noise)
         state = state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten)
-        return state._replace(watch=watch.WatchState(), elsewhere=Elsewhere())
+        return state._replace(watch=watch.WatchState(), elsewhere=Elsewhere(), innovations=innovations.Innovations())
 
     def _judged(
         self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, timer: StageTimer
@@ -364,6 +369,8 @@ class Localizer:
             float(state.clock.offset_s),
             timer.times_ms,
             verdict.held,
+            verdict.misleading,
+            moved_elements(state.watch, self.config.watch),
         )
 
     def _why_no_start(self, state: TrackerState, frame: FrameFeatures) -> str:

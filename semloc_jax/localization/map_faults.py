@@ -40,6 +40,8 @@ class TrustConfig:
 class MapChange(NamedTuple):
     """An element that the map may have wrong."""
 
+    row: int
+    """Its place in the map."""
     element_id: str
     label: str
     missed_share: float
@@ -131,7 +133,8 @@ def map_changes(trust: ElementTrust, semantic_map: SemanticMap, config: TrustCon
     doubtful = np.flatnonzero((share >= config.candidate_share) & is_seen)
     found = []
     for k in doubtful:
-        element = semantic_map.element_at(int(trust.rows[k]))
-        row = (float(share[k]), int(trust.num_frames[k]), float(weight[k]))
-        found.append(MapChange(element.id, element.label.name.lower(), *row))
+        row = int(trust.rows[k])
+        element = semantic_map.element_at(row)
+        known = (float(share[k]), int(trust.num_frames[k]), float(weight[k]))
+        found.append(MapChange(row, element.id, element.label.name.lower(), *known))
     return sorted(found, key=lambda change: -change.missed_share)

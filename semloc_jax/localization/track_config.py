@@ -27,11 +27,6 @@ class TrackConfig:
     association: Association = "contours"
     """How masks and map are brought together. contours: ours, all borders of the masks at once; explicit: the way of
     the literature, lanes, signs and lamp posts as shapes, each associated with a landmark of the map."""
-    map_sigma_m: float = 0.0
-    """How accurate the map is, as its maker states: joins the covariance of every pose that goes out, beside what the
-    map itself states of what is around."""
-    map_reach_m: float = 20.0
-    """Distance over which the position error of the map changes by its own size: the heading error is their ratio."""
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     acquisition: AcquisitionConfig = field(default_factory=AcquisitionConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
@@ -44,8 +39,3 @@ class TrackConfig:
     """Tracks that are this much worse than the best one are given up."""
     drop_refused: float = 6.0
     """A track that this many frames in a row contradict is given up while others are left."""
-
-    @property
-    def map_sigma(self) -> tuple[float, float]:
-        """Standard deviations of place [m] and direction [rad] that the map shares everywhere."""
-        return self.map_sigma_m, self.map_sigma_m / self.map_reach_m

@@ -17,7 +17,8 @@ from semloc_jax.cameras import Rig
 from semloc_jax.fusion.clock import ClockOffset
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.noise_scale import NoiseScale
-from semloc_jax.localization.watch_sums import WatchState
+from semloc_jax.localization.innovations import Innovations
+from semloc_jax.localization.watch_sums import NOTHING_MOVED, Moved, WatchState
 from semloc_jax.perception.primitives import Primitives
 from semloc_jax.residuals.pose_terms import Terms
 
@@ -124,6 +125,8 @@ class TrackerState(NamedTuple):
     watch: WatchState = WatchState()
     """What the last frames say of calibration and map."""
     elsewhere: Elsewhere = Elsewhere()
+    innovations: Innovations = Innovations()
+    """How measured poses fitted the motion of late."""
     matched: Int[np.ndarray, " match"] = np.zeros(0, np.int64)
     """Elements of the map that shapes of the last frame were associated with (`--association explicit`)."""
 
@@ -170,6 +173,8 @@ class TrackResult:
         clock_offset_s: time of the motion sensors less that of the cameras [s].
         times_ms: time spent by stage [ms].
         held: which of across, along and heading are within their limits, though the pose as a whole may not be.
+        misleading: probability that an error is beyond its alert limit, whatever fault is suspected.
+        moved: elements of one kind that, taken alone, fit elsewhere.
     """
 
     frame_id: str
@@ -188,3 +193,5 @@ class TrackResult:
     clock_offset_s: float = 0.0
     times_ms: dict[str, float] = field(default_factory=dict)
     held: tuple[str, ...] = ()
+    misleading: float = 1.0
+    moved: Moved = NOTHING_MOVED

@@ -155,18 +155,19 @@ def _leaned(
     return leaned(watch, tilt_rad, np.array(spread)[1:3], way_m, config)
 
 
-def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separation]:
+def separations(watch: WatchState, fused: FusedPose, rig: Rig, config: WatchConfig) -> list[Separation]:
     """Every fault that joins the protection levels.
 
     Args:
         watch: Sums over the last frames.
+        fused: The pose with its direction of travel.
         rig: Cameras.
         config: What counts.
     """
     mean = np.asarray(rig.T_base_cam, np.float64)[:, :3, 3].mean(axis=0)
     found = []
     for suspected in suspicions(watch, len(rig.names), config):
-        if suspected.nats >= config.count_nats:
+        if suspected.nats >= (config.class_count_nats if suspected.name in CLASSES else config.count_nats):
             ahead, left, turned = np.abs(suspected.moved)
             found.append(Separation(left, ahead, float(np.degrees(turned)), _told(suspected, rig)))
     speaks = lens_sign.nats(watch.sign, config.share)
@@ -177,8 +178,8 @@ def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separa
         found.append(Separation(left, ahead, float(np.degrees(turned)), f"{cause}; {_ADVICE}"))
     # A map that does not fit moves the pose while driving as well: what speaks of it comes first.
     aside = _looking_aside(float(watch.aside_rad), float(mean[0]), rig, config)
-    found += [aside, *_tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), float(mean[2]), rig)]
-    return found
+    tilted = _tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), float(mean[2]), rig)
+    return [*found, aside, *_untold(fused, config), *tilted]
 
 
 def with_faults(levels: ProtectionLevels, found: list[Separation]) -> ProtectionLevels:
@@ -231,6 +232,15 @@ def _travel_alone(fused: FusedPose, config: WatchConfig) -> tuple[float, float]:
         return fused.travel_rad, fused.travel_sigma_rad
     information = 1.0 / known - 1.0 / prior + 1.0 / wide
     return fused.travel_rad / known / information, float(1.0 / np.sqrt(information))
+
+
+def _untold(fused: FusedPose, config: WatchConfig) -> list[Separation]:
+    """What cameras may look aside before the drive has said anything of the direction that it goes in."""
+    prior = np.deg2rad(_TRAVEL_SIGMA_DEG)
+    if not config.untold_share * prior**2 < fused.travel_sigma_rad**2 <= prior**2:
+        return []
+    cause = "the direction of travel is not known yet, and with it whether cameras look aside: a few metres of way tell"
+    return [Separation(0.0, 0.0, float(np.degrees(config.aside_sigma_rad)), cause)]
 
 
 def _looking_aside(travel_rad: float, ahead_m: float, rig: Rig, config: WatchConfig) -> Separation:

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 
 from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
 from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer
+from semloc_jax.evaluation.mixture_bounds import LEAST_LEVELS
 from semloc_jax.localization.lens_sign import SignState
 
 FOCAL, RADIAL = "focal", "radial"
@@ -49,10 +50,9 @@ class WatchConfig:
     """Share of what a frame says that is new: successive frames see the same map."""
     aside_sigma_rad: float = 0.02
     """How far aside cameras may look, before the drive says more [rad]."""
-    least_levels: tuple[float, float, float] = (0.15, 0.25, 0.3)
-    """What a fault may do that shows in nothing, as maps are surveyed and cameras are mounted to centimetres and tenths
-    of a degree: lateral [m], longitudinal [m], heading [deg]. No level is smaller; that of the heading is so much in
-    every pose, since no camera is mounted exactly, and joins what scatters."""
+    least_levels: tuple[float, float, float] = LEAST_LEVELS
+    """No level is smaller; that of the heading is so much in every pose, since no camera is mounted exactly, and joins
+    what scatters."""
     mount_sigma_deg: float = 1.0
     """How far a camera may be rolled or pitched in its mount, before the drive says more."""
     surface_m: ClassVar[float] = 10.0
@@ -64,13 +64,22 @@ class WatchConfig:
     come into view or leave it move the pose, which passes for a drive to the other side."""
     aside_sigmas: ClassVar[float] = 1.0
     """What is remembered counts no longer beyond so many standard deviations of what the drive says by now."""
-    aside_rad: tuple[float, float] = (0.0055, 0.0063)
+    aside_rad: tuple[float, float] = (0.0052, 0.0063)
     """A direction of travel up to the first is that of a sound vehicle, whose axle and inertial unit are never mounted
-    exactly along each other (a real one: 0.27 deg); from the second on it counts in full [rad]."""
+    exactly along each other (a real one: 0.27 deg); from the second on it counts in full [rad]. The first is what the
+    least level of the heading covers."""
     least_gain_nats: float = 2.0
     """What a frame must gain at least: less is left by masks and maps that are not perfect, in every frame anew."""
-    count_nats: float = 3.0
-    """A fault that so much speaks for joins the protection levels: less is what chance does among a dozen faults."""
+    count_nats: float = 2.5
+    """A calibration that so much speaks for joins the protection levels: less is what chance does among a dozen."""
+    class_gain_nats: ClassVar[float] = 0.5
+    """What lines or posts, each alone, must fit better elsewhere in a frame at least: on sound drives they fit best
+    where the pose is, to the frame."""
+    class_count_nats: ClassVar[float] = 1.0
+    """Elements of one kind that were moved join the levels from so much on."""
+    untold_share: ClassVar[float] = 2.0 / 3.0
+    """Until the drive leaves less than this share of the variance of its direction of travel, cameras may look aside as
+    far as they may without it."""
 
 
 STEPS = np.array([1.0, -1.0, 2.0, -2.0])
@@ -296,6 +305,29 @@ def suspicions(watch: WatchState, num_cameras: int, config: WatchConfig) -> list
     return sorted(found, key=lambda s: -s.nats)
 
 
+class Moved(NamedTuple):
+    """Elements of one kind that, taken alone, fit elsewhere."""
+
+    kind: str
+    """lines or posts; empty where none are."""
+    ahead_m: float
+    left_m: float
+    nats: float
+
+
+NOTHING_MOVED = Moved("", 0.0, 0.0, 0.0)
+
+
+def moved_elements(watch: WatchState, config: WatchConfig) -> Moved:
+    """What the drive speaks for most."""
+    if not len(watch.num):
+        return NOTHING_MOVED
+    most = max(_classes_apart(watch, config), key=lambda s: s.nats)
+    if most.nats < config.class_count_nats:
+        return NOTHING_MOVED
+    return Moved(most.name.split("_")[0], float(most.moved[0]), float(most.moved[1]), most.nats)
+
+
 def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> list[Suspicion]:
     """Where a parabola through the costs of the calibration and of those beside it has its minimum."""
     found, num_steps = [], len(STEPS)
@@ -349,7 +381,7 @@ def _classes_apart(watch: WatchState, config: WatchConfig) -> list[Suspicion]:
             best = int(np.argmin(np.where(is_here, np.inf, cost)))
             moved = np.zeros(3)
             moved[axis] = places[best]
-            better = float(np.min(cost[is_here]) - cost[best]) - config.least_gain_nats * float(watch.num_looks)
+            better = float(np.min(cost[is_here]) - cost[best]) - config.class_gain_nats * float(watch.num_looks)
             nats = config.share * max(better, 0.0)
             found.append(Suspicion(f"{group}_{word}", float(places[best]), nats, moved))
     return found

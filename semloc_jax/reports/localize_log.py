@@ -41,6 +41,8 @@ def append(folder: Path, result: LocalizationResult) -> None:
         "reasons": list(result.reasons),
         "modes": [_mode_line(mode) for mode in result.modes],
         "held": list(result.held),
+        "protection": [value if np.isfinite(value) else None for value in result.protection],
+        "misleading": float(result.misleading),
         "times": {name: float(seconds) for name, seconds in result.times.items()},
     }
     append_line(folder / FILE, json.dumps(line))
@@ -79,6 +81,11 @@ def _mode(line: dict[str, Any]) -> Mode:
     return Mode(**arrays, **{name: float(line[name]) for name in _NUMBERS}, evidence=evidence)
 
 
+def _protection(values: Any) -> tuple[float, float, float]:
+    lateral_m, along_m, heading_deg = (np.inf if value is None else float(value) for value in values)
+    return lateral_m, along_m, heading_deg
+
+
 def _pose(values: Any) -> np.ndarray:
     """A pose of a line; whoever changed the file may have left none."""
     T = np.array(values, dtype=np.float64).reshape(4, 4)
@@ -108,4 +115,6 @@ def _result(line: dict[str, Any], by_id: dict[str, Frame]) -> LocalizationResult
         modes=tuple(modes),
         times=line["times"],
         held=tuple(line["held"]),
+        protection=_protection(line["protection"]),
+        misleading=float(line["misleading"]),
     )

@@ -11,9 +11,9 @@ import numpy as np
 
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.datasets import Drive
-from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, write_metrics
+from semloc_jax.evaluation import Metric, Trajectory, evaluate, format_metrics, integrity, pose_errors, write_metrics
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
-from semloc_jax.reports.tables import localized_trajectory
+from semloc_jax.reports.tables import ERRORS, SIGMAS, localized_trajectory
 
 _MIN_SHIFTED, _CLEAR_SHIFT_M = 5, 0.5
 """A common shift of the poses against their priors is reported from so many frames and metres on; our choice."""
@@ -48,7 +48,7 @@ def write_metrics_of(results: Sequence[LocalizationResult], truth: Mapping[str, 
     """
     known = sorted((r for r in results if r.frame.id in truth), key=lambda r: r.frame.time_s)
     estimate, reference = localized_trajectory(known), _true_trajectory(known, truth)
-    metrics = _metrics(estimate, reference)
+    metrics = [*_metrics(estimate, reference), *integrity_metrics(known, truth)]
     if len(estimate) > 1:
         from semloc_jax.viz import errors_over_time, save
 
@@ -88,6 +88,29 @@ def _metrics(estimate: Trajectory, reference: Trajectory) -> list[Metric]:
         Metric("frames.reference", float(len(reference)), "frames", "report"),
         Metric("frames.estimated", 0.0, "frames", "report"),
         Metric("estimated", 0.0, "share", "higher"),
+    ]
+
+
+def integrity_metrics(known: Sequence[LocalizationResult], truth: Mapping[str, np.ndarray]) -> list[Metric]:
+    """Sigma coverage, Stanford counts and the stated probability of misleading, of the frames with a place and a truth;
+    those that were not localized count as unavailable."""
+    placed = [r for r in known if r.modes]
+    if not placed:
+        return []
+    offered, found = np.array([r.localized for r in placed]), []
+    errors = pose_errors(np.array([r.T_map_base for r in placed]), np.array([truth[r.frame.id] for r in placed]))
+    levels = np.array([r.protection for r in placed])
+    sigmas = np.array([[getattr(r.modes[0], key) for key in SIGMAS] for r in placed])
+    for k, key in enumerate(ERRORS):
+        known_by = sigmas[:, k], levels[:, k], getattr(ALERT_LIMITS[0], key)
+        found += integrity.integrity_metrics(key.rsplit("_", 1)[0], errors[key], *known_by, offered)
+    size = np.abs(np.column_stack([errors[key] for key in ERRORS]))
+    beyond = offered & (size > levels).any(axis=1)
+    stated = float(np.mean([r.misleading for r in placed if r.localized])) if offered.any() else float("nan")
+    return [
+        *found,
+        Metric("integrity.beyond_level", float(beyond.sum()), "frames", "lower"),
+        Metric("integrity.stated_misleading", stated, "share", "report"),
     ]
 
 

@@ -17,6 +17,9 @@ from semloc_jax.storage import writing
 from semloc_jax.structs import SolveStatus
 
 SIGMAS = ("sigma_lateral_m", "sigma_longitudinal_m", "sigma_heading_deg")
+PROTECTION = ("protection_lateral_m", "protection_longitudinal_m", "protection_heading_deg")
+MISLEADING = "misleading"
+"""Probability that an error is beyond its alert limit."""
 EVIDENCE = ("nats", "nats_per_piece", "explained", "left_over", "border_offset_px", "log_prior", "kinds_chi2")
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 ERRORS = ("lateral_m", "longitudinal_m", "heading_deg")
@@ -50,6 +53,8 @@ def write_tables(results: Sequence[LocalizationResult], truth: Mapping[str, np.n
         "cost",
         "coverage",
         *SIGMAS,
+        *PROTECTION,
+        MISLEADING,
         "time_ms",
     ]
     write_csv(folder / "frames.csv", [*columns, *error_columns], (_frame_row(r, truth) for r in results))
@@ -77,6 +82,7 @@ def _frame_row(result: LocalizationResult, truth: Mapping[str, np.ndarray]) -> l
         "; ".join(result.reasons),
         *_pose_cells(result.T_map_base),
         *quality,
+        *(_number(value) for value in (*result.protection, result.misleading)),
         _number(1e3 * sum(result.times.values())),
     ]
     if not truth:

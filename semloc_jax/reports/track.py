@@ -21,7 +21,6 @@ from semloc_jax.localization import checkpoint
 from semloc_jax.localization.acquisition import Area
 from semloc_jax.localization.checkpoint import Checkpoint
 from semloc_jax.localization.localizer import Localizer, TrackConfig
-from semloc_jax.localization.map_faults import MapChange, map_changes
 from semloc_jax.localization.motion_source import Motion, motion_log
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
@@ -36,7 +35,7 @@ from semloc_jax.reports import (
     track_pictures,
 )
 from semloc_jax.reports.folder import make_folder, write_record
-from semloc_jax.reports.tables import write_csv
+from semloc_jax.reports.map_changes import write_map_changes
 from semloc_jax.reports.track_fusions import FUSIONS
 from semloc_jax.reports.track_log import TrackLog, TrackTable
 
@@ -164,8 +163,7 @@ def report_track(
     text = track_metrics.write_track_metrics(folder, table, inputs.drive, pipeline.timing)
     if last is not None:
         localizer = pipeline.localizer
-        changes = map_changes(last.state.trust, localizer.map, localizer.config.trust)
-        write_csv(folder / "map_changes.csv", MapChange._fields, changes)
+        write_map_changes(folder, table, last.state.trust, localizer.map, localizer.config.trust)
     _draw(folder, inputs, table, pictures or TrackPictures())
     is_lost = not len(table) or table.status[-1] == TrackStatus.LOST
     share = float(table.is_tracking.mean()) if len(table) else 0.0

@@ -16,21 +16,23 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, pose_errors
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
-from semloc_jax.reports.tables import ERRORS, POSE, SIGMAS
+from semloc_jax.reports.tables import ERRORS, MISLEADING, POSE, PROTECTION, SIGMAS
 from semloc_jax.storage import reading, writing
 
 FILE = "frames.csv"
-PROTECTION = ("protection_lateral_m", "protection_longitudinal_m", "protection_heading_deg")
 QUALITY = ("cost", "coverage", "inlier_ratio", "chi2")
 SENSORS = (
     *("odometer_scale", "gyro_bias_degps", "travel_deg", "gnss_offset_east_m", "gnss_offset_north_m"),
     "clock_offset_ms",
 )
 STAGES = ("predict", "align", "fuse", "acquire")
+MOVED = ("moved_ahead_m", "moved_left_m", "moved_nats")
+"""Where elements of one kind fit that are taken alone."""
 NEES = "nees"
 COLUMNS = (
-    *("frame", "time_s", "variant", "status", "held", "reasons", *POSE, *SIGMAS, *PROTECTION),
+    *("frame", "time_s", "variant", "status", "held", "reasons", *POSE, *SIGMAS, *PROTECTION, MISLEADING),
     *("accepted", "num_tracks", *QUALITY, *SENSORS, *(f"{stage}_ms" for stage in STAGES)),
+    *("moved", *MOVED),
     *(f"error_{key}" for key in ERRORS),
     NEES,
 )
@@ -118,6 +120,8 @@ class TrackTable:
     variants: tuple[str, ...]
     status: tuple[TrackStatus, ...]
     reasons: tuple[str, ...]
+    moved: tuple[str, ...]
+    """lines or posts, where they fit elsewhere."""
     columns: dict[str, np.ndarray]
 
     @classmethod
@@ -129,7 +133,7 @@ class TrackTable:
         """
         path = folder / FILE
         lines = read_lines(path)
-        text = ("frame", "variant", "status", "held", "reasons")
+        text = ("frame", "variant", "status", "held", "reasons", "moved")
         numeric = [name for name in COLUMNS if name not in text]
         with reading(f"table {path}"):
             numbers = {name: np.array([float(line[name] or "nan") for line in lines]) for name in numeric}
@@ -140,6 +144,7 @@ class TrackTable:
                 tuple(line["variant"] for line in lines),
                 tuple(TrackStatus[line["status"]] for line in lines),
                 tuple(line["reasons"] for line in lines),
+                tuple(line["moved"] for line in lines),
                 numbers,
             )
 
@@ -183,6 +188,8 @@ def _line(frame: Frame, result: TrackResult, T_truth: np.ndarray | None) -> dict
         "num_tracks": result.num_tracks,
     }
     line |= _numbers(QUALITY, [getattr(result, key) for key in QUALITY])
+    if result.moved.kind:
+        line |= {"moved": result.moved.kind} | _numbers(MOVED, result.moved[1:])
     line |= {f"{name}_ms": f"{ms:.3f}" for name, ms in result.times_ms.items()}
     fused = result.fused
     if fused is None:
@@ -191,6 +198,7 @@ def _line(frame: Frame, result: TrackResult, T_truth: np.ndarray | None) -> dict
     quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()
     line |= {key: f"{value:.9f}" for key, value in zip(POSE, [*T[:3, 3], *quaternion], strict=True)}
     line |= _numbers(SIGMAS, [sigma[1], sigma[0], np.degrees(sigma[5])]) | _numbers(PROTECTION, result.protection)
+    line |= _numbers([MISLEADING], [result.misleading])
     offset = fused.gnss_offset_m
     angles = np.degrees([fused.gyro_bias_radps, fused.travel_rad])
     sensors = [fused.odometer_scale, *angles, *offset, 1e3 * result.clock_offset_s]

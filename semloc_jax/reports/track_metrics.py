@@ -14,8 +14,8 @@ from semloc_jax.evaluation.metrics import ALERT_LIMITS, statistics
 from semloc_jax.localization.pipeline import Timing
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.reports.metrics import OF_VARIANT, error_table
-from semloc_jax.reports.tables import ERRORS
-from semloc_jax.reports.track_log import NEES, PROTECTION, SIGMAS, TrackTable
+from semloc_jax.reports.tables import ERRORS, MISLEADING, PROTECTION, SIGMAS
+from semloc_jax.reports.track_log import NEES, TrackTable
 
 _SAME_S = 1e-6
 _MOST_REASONS = 3
@@ -54,6 +54,12 @@ def _held_text(metrics: list[Metric], table: TrackTable) -> list[str]:
             f"squared errors over stated variances (NEES) {value['integrity.nees']:.2f}, expected "
             f"{value['integrity.nees_low']:.2f} to {value['integrity.nees_high']:.2f}; "
             f"beyond a protection level {100 * value['integrity.protection_violations']:.1f} % of the frames"
+        )
+    if "integrity.hours" in value:
+        risk = [value[f"integrity.misleading_per_hour.{key}"] for key in ("stated", "below")]
+        lines.append(
+            f"beyond an alert limit while TRACKING: {risk[0]:.2g} times an hour as stated, less than {risk[1]:.0f} by "
+            f"{3600 * value['integrity.hours']:.0f} s of it (95 %)"
         )
     return lines
 
@@ -99,7 +105,25 @@ def integrity_metrics(table: TrackTable) -> list[Metric]:
         metrics += integrity.integrity_metrics(name, everything[key], of_sigma, of_level, limit, tracking[known])
     if known.any():
         metrics += _of_all_directions(table, known)
+    if tracking.sum() > 1:
+        metrics += _per_hour(table, tracking, false)
     return metrics
+
+
+def _per_hour(table: TrackTable, tracking: np.ndarray, false: np.ndarray) -> list[Metric]:
+    """How often an hour of frames called TRACKING misleads: as stated, as seen, and what the true rate is below."""
+    errors = np.column_stack(list(table.errors(tracking).values()))
+    sigma = np.column_stack([table.columns[key][tracking] for key in SIGMAS])
+    step_s = float(np.median(np.diff(table.columns["time_s"])))
+    independent = integrity.independent_frames(errors / sigma)
+    risk = integrity.hourly_risk(table.columns[MISLEADING][tracking], false[tracking], step_s, independent)
+    key = "integrity.misleading_per_hour"
+    return [
+        Metric(f"{key}.stated", risk.stated, "events", "report"),
+        Metric(f"{key}.seen", risk.seen, "events", "lower"),
+        Metric(f"{key}.below", risk.below, "events", "report"),
+        Metric("integrity.hours", risk.hours, "h", "report"),
+    ]
 
 
 def _of_all_directions(table: TrackTable, known: np.ndarray) -> list[Metric]:

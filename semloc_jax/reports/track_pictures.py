@@ -15,7 +15,8 @@ from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.maps import SemanticMap
 from semloc_jax.reports.film import Film
-from semloc_jax.reports.track_log import PROTECTION, SIGMAS, TrackTable
+from semloc_jax.reports.tables import PROTECTION, SIGMAS
+from semloc_jax.reports.track_log import TrackTable
 from semloc_jax.storage import output_path
 from semloc_jax.viz.integrity import IntegrityErrors, stanford_diagram
 from semloc_jax.viz.overlay import dim

@@ -29,6 +29,9 @@ POSE_SHARE = 0.4
 observation: errors of the two edges of a line cancel in part. Poses across the road and headings of four drives have
 errors of 0.3 (exact masks) to 0.9 (masks without a network) of their sigmas with it."""
 
+POSE_FREEDOM = 10.0
+"""What the noise model is worth, in frames: the degrees of freedom of a sigma that it states. Ours."""
+
 Pixels = float | np.floating | Float[np.ndarray, "*n"] | Float[Array, "*n"]
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.integrity import (
+    hourly_risk,
     independent_frames,
     integrity_metrics,
     nees,
@@ -78,3 +79,25 @@ def test_metrics_count_frames_that_are_not_offered_as_unavailable():
     assert values["integrity.lateral.hazardous"] == 0.0 and values["integrity.lateral.in_3_sigma"] == 0.75
     values = {m.key: m.value for m in integrity_metrics("lateral", error, sigma, level, 0.3)}
     assert values["integrity.lateral.hazardous"] == 0.25
+
+
+def test_an_hour_of_poses_is_bounded_by_what_was_driven():
+    """Ten minutes at 10 Hz without an error: less than 18 an hour (the rule of three); what is stated counts once for
+    each independent frame."""
+    num = 6000
+    risk = hourly_risk(np.full(num, 1e-4), np.zeros(num, bool), 0.1, num_independent=600.0)
+    assert risk.hours == pytest.approx(1.0 / 6.0) and risk.seen == 0.0
+    assert risk.below == pytest.approx(18.0, rel=0.01)
+    assert risk.stated == pytest.approx(600.0 * 1e-4 * 6.0)
+
+
+def test_a_stretch_of_wrong_frames_is_one_event():
+    is_wrong = np.zeros(6000, bool)
+    is_wrong[100:130] = is_wrong[0] = is_wrong[-1] = True
+    risk = hourly_risk(np.full(6000, 1e-4), is_wrong, 0.1, 600.0)
+    assert risk.seen == pytest.approx(3 * 6.0)
+    # At a rate of `below` no more than three events are seen in one drive of twenty.
+    drives = np.random.default_rng(0).poisson(risk.below / 6.0, 100_000)
+    assert np.mean(drives <= 3) == pytest.approx(0.05, abs=0.005)
+    with pytest.raises(SemlocError, match="no frames that were offered"):
+        hourly_risk(np.zeros(0), np.zeros(0, bool), 0.1, 1.0)

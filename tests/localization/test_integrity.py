@@ -9,6 +9,7 @@ from semloc_jax.localization.integrity import (
     ProtectionLevels,
     beyond_alert,
     map_sigmas,
+    misleading,
     protection_levels,
 )
 from semloc_jax.maps import with_map_accuracy
@@ -69,3 +70,14 @@ def test_the_accuracy_of_the_map_joins_the_pose():
     assert sigma[:2] == pytest.approx([0.05, np.hypot(0.01, 0.03)])
     assert sigma[5] == pytest.approx(np.hypot(0.003, 0.0015))
     assert np.array_equal(with_map_accuracy(COVARIANCE, 0.0, 0.0), COVARIANCE)
+
+
+@pytest.mark.parametrize("fault", [(0.0, 0.0, 0.0), (0.0, 0.1, 0.2)])
+def test_the_probability_of_misleading_is_that_of_draws_beside_a_fault(fault):
+    rng, limit = np.random.default_rng(2), ALERT_LIMITS[0]
+    scale = np.sqrt(rng.chisquare(10.0, size=(400_000, 3)) / 10.0)
+    errors = rng.normal(size=(400_000, 3)) / scale * np.sqrt(np.diag(COVARIANCE))[[1, 0, 5]]
+    errors = np.abs(errors * [1.0, 1.0, np.degrees(1.0)] + fault)
+    beyond = (errors > [limit.lateral_m, limit.longitudinal_m, limit.heading_deg]).mean(axis=0).sum()
+    stated = misleading(COVARIANCE, np.full(3, 10.0), NO_MAP, np.array(fault), limit)
+    assert stated == pytest.approx(beyond, rel=0.05)

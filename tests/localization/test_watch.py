@@ -30,6 +30,15 @@ CONFIG = WatchConfig()
 LEVELS = ProtectionLevels(0.05, 0.1, 0.12)
 
 
+def fused(travel_deg: float = 0.0, sigma_deg: float = 0.1) -> FusedPose:
+    angles = np.deg2rad([travel_deg, sigma_deg])
+    return FusedPose(0.0, np.eye(4), np.eye(6), 1.0, 0.0, np.zeros(2), float(angles[0]), float(angles[1]))
+
+
+TOLD = fused()
+"""A drive that knows which way it goes."""
+
+
 def rig(num: int) -> Rig:
     camera = PinholeCamera(500.0, 510.0, 320.0, 200.0, 640, 400)
     mounts = np.tile(np.eye(4), (num, 1, 1))
@@ -117,10 +126,30 @@ def test_posts_that_fit_beside_the_lines_are_found(group, axis, off_m):
     assert first.moved[axis] == pytest.approx(off_m)
 
 
+def test_posts_are_doubted_as_soon_as_lines_alone_fit_elsewhere_in_every_frame():
+    """One nat a frame a metre ahead is little, and on a drive where posts stand where they should it never is so."""
+    profiles = flat()
+    ahead = moves(CONFIG)[:, 0] == 1.0
+    profiles[0][ahead] = -1.0
+    state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 12)
+    found = watch.separations(state, TOLD, rig(1), CONFIG)
+    assert watch.with_faults(LEVELS, found).longitudinal_m == pytest.approx(LEVELS.longitudinal_m + 1.0)
+    after_one = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 1)
+    assert watch.with_faults(LEVELS, watch.separations(after_one, TOLD, rig(1), CONFIG)) == LEVELS
+
+
+def test_before_the_drive_says_which_way_it_goes_cameras_may_look_aside():
+    """The prior of 0.3 deg says nothing; 0.25 deg leave 0.69 of its variance, 0.24 deg less than two thirds."""
+    for sigma_deg, more_deg in ((0.3, np.degrees(CONFIG.aside_sigma_rad)), (0.25, 1.146), (0.24, 0.0), (0.0, 0.0)):
+        found = watch.separations(WatchState(), fused(0.0, sigma_deg), rig(1), CONFIG)
+        heading_deg = watch.with_faults(LEVELS, found).heading_deg
+        assert heading_deg == pytest.approx(LEVELS.heading_deg + more_deg, abs=1e-3)
+
+
 def test_a_sound_axle_is_no_fault():
     """A real vehicle travels 0.27 deg beside its inertial unit."""
     state = WatchState(aside_rad=np.float64(np.deg2rad(0.27)))
-    found = watch.separations(state, rig(1), CONFIG)
+    found = watch.separations(state, TOLD, rig(1), CONFIG)
     assert watch.with_faults(LEVELS, found) == LEVELS and watch.causes(LEVELS, found, ALERT_LIMITS[0]) == ()
 
 
@@ -161,14 +190,9 @@ def test_the_other_calibrations_differ_as_they_say():
             np.testing.assert_allclose(other.T_base_cam[1 - camera], given.T_base_cam[1 - camera])
 
 
-def fused(travel_deg: float = 0.0, sigma_deg: float = 0.1) -> FusedPose:
-    angles = np.deg2rad([travel_deg, sigma_deg])
-    return FusedPose(0.0, np.eye(4), np.eye(6), 1.0, 0.0, np.zeros(2), float(angles[0]), float(angles[1]))
-
-
 def test_cameras_that_look_aside_end_tracking_with_a_sentence():
     state = WatchState(aside_rad=np.float64(np.deg2rad(0.7)))
-    found = watch.separations(state, rig(1), CONFIG)
+    found = watch.separations(state, TOLD, rig(1), CONFIG)
     levels = watch.with_faults(LEVELS, found)
     assert levels.heading_deg == pytest.approx(0.82) and levels.longitudinal_m == pytest.approx(0.1)
     assert levels.lateral_m == pytest.approx(0.05 + 1.5 * np.deg2rad(0.7))
@@ -205,7 +229,7 @@ def test_a_crown_that_the_map_has_not_is_no_tilt_of_the_camera():
 
 
 def test_a_rolled_camera_is_not_above_where_it_would_be():
-    found = watch.separations(rolled(lambda k: 2.0, 0.0, 200.0), rig(1), CONFIG)
+    found = watch.separations(rolled(lambda k: 2.0, 0.0, 200.0), TOLD, rig(1), CONFIG)
     assert watch.with_faults(LEVELS, found).lateral_m == pytest.approx(0.05 + 1.4 * np.deg2rad(2.0), rel=0.02)
 
 
@@ -254,7 +278,7 @@ def test_levels_reach_to_the_pose_of_the_other_sign_until_the_drive_speaks_again
     state = lens_sign.SignState()
     for gain in (*gains, np.nan):
         state = lens_sign.learned(state, gain, np.array([-0.35, 0.02, 0.001]), 0.975)
-    found = watch.separations(WatchState(sign=state), bent_rig(), CONFIG)
+    found = watch.separations(WatchState(sign=state), TOLD, bent_rig(), CONFIG)
     wide = watch.with_faults(LEVELS, found)
     assert wide.longitudinal_m == pytest.approx(LEVELS.longitudinal_m + (0.35 if told else 0.0))
     causes = watch.causes(LEVELS, found, ALERT_LIMITS[0])

@@ -1,0 +1,78 @@
+"""A frame solved with other lenses and without kinds of elements (room: alignment; host).
+
+In: a frame, the steps of a search in it, the pose that was found. Out: LensDoubt, every FaultMode.
+A wrong lens and elements that were moved are paid with another place along the road, often behind a ridge of the cost
+that no solve crosses from the pose that was found: they are tried from places before and behind it.
+"""
+
+import numpy as np
+
+from semloc_jax.alignment.agreement import NUM_KINDS
+from semloc_jax.alignment.candidates import planar, solve_all
+from semloc_jax.alignment.fault_modes import PLANE, FaultConfig, FaultMode, places_without
+from semloc_jax.alignment.lens_doubt import LensDoubt, ThroughLens, doubted
+from semloc_jax.alignment.map_pieces import Rates
+from semloc_jax.alignment.posterior import temper
+from semloc_jax.alignment.search_steps import SearchSteps
+from semloc_jax.alignment.single_frame import FrameInput
+from semloc_jax.cameras import Rig
+from semloc_jax.geometry import rigid
+
+_LENS_STARTS_M = np.array([0.0, -0.5, 0.5, -1.0, 1.0])
+_KIND_STEP_M = 0.5
+_KIND_STARTS_M = _KIND_STEP_M * np.arange(-4, 5)
+"""Ours: minima of a cost along the road are a third of a metre and more apart."""
+_KINDS = ("lane lines", "posts and signs")
+
+
+class FaultSearch:
+    """What may be wrong with one pose of a frame."""
+
+    def __init__(self, steps: SearchSteps, frame: FrameInput, T_map_base: np.ndarray, in_view_px: float):
+        """The frame has its grain; the pose is relative to the local origin."""
+        self.steps, self.frame, self.T, self.in_view_px = steps, frame, T_map_base, in_view_px
+        self.whole = np.ones((1, len(frame.samples.label)), bool)
+
+    def lenses(self, covariance: np.ndarray, config: FaultConfig) -> tuple[LensDoubt, list[FaultMode]]:
+        """The lens that the frame speaks for, and the pose with each; the covariance is that of the pose."""
+        return doubted(self.frame.rig, self._through, covariance, config)
+
+    def _through(self, rig: Rig) -> ThroughLens:
+        steps = self.steps
+        few = steps.solved_with_few(self._starts(_LENS_STARTS_M), self.in_view_px, rig=rig)
+        # Few samples rank places roughly: from the pose itself it is solved to the end as well.
+        other = np.asarray(few.estimates.T_map_base, np.float64)[int(np.argmin(np.nan_to_num(few.score, nan=np.inf)))]
+        starts = np.stack([self.T, other])
+        known = steps.road, steps.wide_sigma, self.frame._replace(rig=rig), self.in_view_px, steps.frame_config
+        solved = solve_all(starts, *known, steps.final_align, self.whole)
+        best = int(np.argmin(np.nan_to_num(solved.score, nan=np.inf)))
+        return ThroughLens(float(solved.score[best]), np.asarray(solved.estimates.T_map_base[best], np.float64))
+
+    def kinds(self, rates: Rates, config: FaultConfig) -> list[FaultMode]:
+        """The poses that the map has without lane lines, and without what stands."""
+        first = len(self.steps.parts) - NUM_KINDS
+        rests = first + 1 + 2 * np.arange(len(_KINDS))
+        starts = self._starts(_KIND_STARTS_M)
+        part = np.repeat(rests, len(starts))
+        solved = self.steps.solved_with_few(np.tile(starts, (len(_KINDS), 1, 1)), self.in_view_px, part)
+        Ts = np.asarray(solved.estimates.T_map_base, np.float64)
+        covariance = np.asarray(solved.estimates.covariance, np.float64)[:, PLANE][:, :, PLANE]
+        found = []
+        for rest, kind in zip(rests, _KINDS, strict=True):
+            own = part == rest
+            gain = self._gain(Ts[own], self.steps.parts[rest], rates)
+            moved = rigid.log(rigid.inverse(self.T) @ Ts[own])[:, PLANE]
+            cause = f"{kind} that do not stand where the map says"
+            held = np.asarray(self.steps.wide_sigma, np.float64)[list(PLANE)]
+            found += places_without(gain, moved, covariance[own], held, _KIND_STEP_M, cause, config)
+        return found
+
+    def _gain(self, Ts: np.ndarray, part: np.ndarray, rates: Rates) -> np.ndarray:
+        """By how much a part of the map fits better at each pose than at the one that is told [nats], as far as the
+        scatter of that over the image can be believed."""
+        pieces = self.steps.pieces(np.concatenate([self.T[None], Ts]), part)
+        nats = self.steps.null.evidence(pieces, rates).block_nats
+        return ((nats.sum(axis=1) - nats[0].sum()) * temper(nats, 0, self.steps.config.posterior))[1:]
+
+    def _starts(self, ahead_m: np.ndarray) -> np.ndarray:
+        return self.steps.road.place(self.T @ planar(ahead_m, np.zeros_like(ahead_m), np.zeros_like(ahead_m)))

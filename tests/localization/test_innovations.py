@@ -1,0 +1,42 @@
+"""Frames that fit the motion between them, and frames that do not."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.localization.innovations import Innovations, doubts, learned
+
+COVARIANCE = np.diag([0.1, 0.05, 0.02, 0.01, 0.01, 0.002]) ** 2
+
+
+def after(factor, num: int, seed: int = 0) -> list[Innovations]:
+    """Frames whose differences have so many times the standard deviations they should."""
+    random, state, found = np.random.default_rng(seed), Innovations(), []
+    for _ in range(num):
+        difference = random.normal(size=6) * np.sqrt(np.diag(COVARIANCE)) * factor
+        chi2 = float(difference @ np.linalg.solve(COVARIANCE, difference))
+        state = learned(state, chi2, difference, COVARIANCE)
+        found.append(state)
+    return found
+
+
+def test_careful_covariances_are_never_doubted_and_exact_ones_as_often_as_said():
+    assert not any(doubts(state) for state in after(0.6, 500))
+    share = np.mean([bool(doubts(state)) for state in after(1.0, 4000)])
+    assert 0.03 < share < 0.1  # neighbours share frames: their mean scatters as that of nine, not of five
+
+
+@pytest.mark.parametrize(("axis", "word"), [(0, "odometer"), (1, "direction of the cameras"), (5, "gyroscope")])
+def test_what_does_not_fit_is_named(axis, word):
+    factor = np.ones(6)
+    factor[axis] = 6.0
+    told = doubts(after(factor, 12)[-1])
+    assert len(told) == 1 and word in told[0] and "masks and motion do not fit" in told[0]
+
+
+def test_it_is_over_soon_and_what_is_no_number_says_nothing():
+    state = after(4.0, 6)[-1]
+    assert doubts(state)
+    assert learned(state, np.nan, np.zeros(6), COVARIANCE) is state
+    for _ in range(8):
+        state = learned(state, 1.0, np.zeros(6), COVARIANCE)
+    assert doubts(state) == ()
