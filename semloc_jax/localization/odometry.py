@@ -11,17 +11,20 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.inertial_moment import InertialMoment, InertialWindowConfig
 from semloc_jax.fusion.inertial_samples import Steps, capacity_for, rotation_between, steps_between
 from semloc_jax.fusion.inertial_start import InertialStartConfig, started
-from semloc_jax.fusion.inertial_window import InertialEstimate, InertialMoment, InertialWindow, InertialWindowConfig
-from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Tracks
+from semloc_jax.fusion.inertial_states import STATE
+from semloc_jax.fusion.inertial_window import InertialEstimate, InertialWindow
+from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Looks, Tracks
 
 _LOG = logging.getLogger(__name__)
-Usable = Callable[[Frame, str], Bool[np.ndarray, "h w"] | None]
+LookSource = Callable[[Frame, str], Looks | None]
+"""What masks say of the image of a camera."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +51,15 @@ class OdometryFrame(NamedTuple):
     T_odom_base: Float[np.ndarray, "4 4"]
     velocity_odom: Float[np.ndarray, "3"]
     bias: Float[np.ndarray, "6"]
-    sigma: Float[np.ndarray, "16"]
-    """Standard deviations of pose (right tangent), velocity, biases, odometer scale; NaN during the start."""
+    sigma: Float[np.ndarray, "21"]
+    """Standard deviations in the order of `inertial_states`; NaN during the start."""
     num_followed: int
     num_landmarks: int
     is_standing: bool
+    mount_rad: Float[np.ndarray, "3"] = np.zeros(3)
+    """Rotation vector that turns the axes of the inertial sensor into those of the base."""
+    delay_s: float = 0.0
+    """Clock of the inertial sensor less that of the cameras."""
 
 
 class VisualInertialOdometry:
@@ -83,13 +90,13 @@ class VisualInertialOdometry:
         self._before_s: float | None = None
         self._bias_radps = np.zeros(3)
 
-    def step(self, frame: Frame, usable: Usable | None = None) -> list[OdometryFrame]:
+    def step(self, frame: Frame, looks: LookSource | None = None) -> list[OdometryFrame]:
         """Go on to the next frame.
 
         Returns:
             Nothing while the start is awaited; all frames of the start when it is found; then one for each frame.
         """
-        moment = self._moment(frame, usable)
+        moment = self._moment(frame, looks)
         if self._window is None:
             return self._awaited(moment)
         estimate = self._window.add(moment)
@@ -118,14 +125,14 @@ class VisualInertialOdometry:
         self._bias_radps = start.estimate.state.bias[:3]
         return found
 
-    def _moment(self, frame: Frame, usable: Usable | None) -> InertialMoment:
+    def _moment(self, frame: Frame, looks: LookSource | None) -> InertialMoment:
         rig = frame.rig.select(self.cameras)
         steps = None
         if self._before_s is not None:
             steps = steps_between(self.drive.imu, self._before_s, frame.time_s, self._capacity)
         R = np.eye(3) if steps is None else rotation_between(steps, self._bias_radps).T
-        hidden = None if usable is None else [usable(frame, name) for name in self.cameras]
-        tracks = self._tracker.step([_grey(frame, name) for name in self.cameras], rig, R, hidden)
+        seen = None if looks is None else [looks(frame, name) for name in self.cameras]
+        tracks = self._tracker.step([_grey(frame, name) for name in self.cameras], rig, R, seen)
         self._before_s = frame.time_s
         speed = None
         if self.with_wheels:
@@ -146,7 +153,7 @@ class VisualInertialOdometry:
 
 
 def follow(
-    odometry: VisualInertialOdometry, frames: Iterable[Frame], usable: Usable | None = None
+    odometry: VisualInertialOdometry, frames: Iterable[Frame], looks: LookSource | None = None
 ) -> list[OdometryFrame]:
     """All frames of a drive.
 
@@ -155,7 +162,7 @@ def follow(
     """
     found: list[OdometryFrame] = []
     for frame in frames:
-        found += odometry.step(frame, usable)
+        found += odometry.step(frame, looks)
     if not found:
         reason = odometry.reason or (
             f"the drive is shorter than {odometry.config.start.duration_s:g} s or "
@@ -191,13 +198,14 @@ def _frame_of(estimate: InertialEstimate, moment: InertialMoment) -> OdometryFra
     sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
     return OdometryFrame(
         moment.time_s, state.T_map_base, state.velocity_map, state.bias, sigma, moment.tracks.num_followed,
-        estimate.num_landmarks, moment.is_standing,
+        estimate.num_landmarks, moment.is_standing, state.mount_rad, float(state.delay_s[0]),
     )  # fmt: skip
 
 
 def _frame_at(window: InertialWindow, index: int) -> OdometryFrame:
     state, moment = window.state(index), window.moments[index]
     return OdometryFrame(
-        moment.time_s, state.T_map_base, state.velocity_map, state.bias, np.full(16, np.nan),
-        moment.tracks.num_followed, int(window.pool.seen[:, index].sum()), moment.is_standing,
+        moment.time_s, state.T_map_base, state.velocity_map, state.bias, np.full(STATE, np.nan),
+        moment.tracks.num_followed, int(window.pool.seen[:, index].sum()), moment.is_standing, state.mount_rad,
+        float(state.delay_s[0]),
     )  # fmt: skip
