@@ -192,6 +192,11 @@ class InertialWindow:
         T, *rest = (self.values[name][index].copy() for name in SIZES)
         return MotionState(rigid.normalised(T), *rest)
 
+    def motion(self, from_state: int, to_state: int) -> Float[np.ndarray, "4 4"]:
+        """T_from_to of two states."""
+        Ts = self.values["pose"]
+        return rigid.inverse(Ts[from_state]) @ Ts[to_state]
+
     @property
     def noise(self) -> InertialNoise:
         """White noise of the inertial sensor."""

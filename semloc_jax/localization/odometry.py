@@ -1,9 +1,11 @@
 """The way of a vehicle by cameras and an inertial sensor, without any map (room: localization; host).
 
 In: a Drive with images and inertial data. Out: OdometryFrame of one frame after another.
-The frame of the poses is `odom`: the place of the first pose, z up, x ahead. Wheels join where they are asked for.
+The frame of the poses is `odom`: the place of the first pose, z up as the first seconds tell it, x ahead. Wheels join
+where they are asked for.
 """
 
+import itertools
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -20,9 +22,13 @@ from semloc_jax.fusion.inertial_samples import Steps, capacity_for, rotation_bet
 from semloc_jax.fusion.inertial_start import InertialStartConfig, started
 from semloc_jax.fusion.inertial_states import STATE
 from semloc_jax.fusion.inertial_window import InertialEstimate, InertialWindow
+from semloc_jax.geometry import rigid
 from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Looks, Tracks
 
 _LOG = logging.getLogger(__name__)
+_REREAD_S = 1e-3
+"""A clock that is off by more than this is taken into account in the inertial steps of the start."""
+_CLOCK_SIGMAS = 4.0
 LookSource = Callable[[Frame, str], Looks | None]
 """What masks say of the image of a camera."""
 
@@ -76,7 +82,8 @@ class VisualInertialOdometry:
         self.reason = ""
         """Why the last start was refused."""
         self._tracker = FeatureTracker(len(self.cameras), config.tracks)
-        first_s, last_s = drive.imu.time_s[[0, -1]]
+        margin_s = _CLOCK_SIGMAS * config.window.delay_sigma_s
+        first_s, last_s = drive.imu.time_s[[0, -1]] + [margin_s, -margin_s]
         self.frames = tuple(frame for frame in drive.frames if first_s <= frame.time_s <= last_s)
         """Those that the inertial log spans."""
         if len(self.frames) < len(drive):
@@ -88,7 +95,9 @@ class VisualInertialOdometry:
         self._waiting: list[InertialMoment] = []
         self._window: InertialWindow | None = None
         self._before_s: float | None = None
-        self._bias_radps = np.zeros(3)
+        self._bias_radps, self._delay_s = np.zeros(3), 0.0
+        self._T_odom_oldest = np.eye(4)
+        """Of the oldest state of the window."""
 
     def step(self, frame: Frame, looks: LookSource | None = None) -> list[OdometryFrame]:
         """Go on to the next frame.
@@ -97,11 +106,18 @@ class VisualInertialOdometry:
             Nothing while the start is awaited; all frames of the start when it is found; then one for each frame.
         """
         moment = self._moment(frame, looks)
-        if self._window is None:
+        window = self._window
+        if window is None:
             return self._awaited(moment)
-        estimate = self._window.add(moment)
-        self._bias_radps = estimate.state.bias[:3]
-        return [_frame_of(estimate, moment)]
+        # What the window learns of its vertical turns all its states: the way goes on by motions within the window.
+        self._T_odom_oldest = self._T_odom_oldest @ window.motion(0, 1)
+        estimate = window.add(moment)
+        self._learn(estimate)
+        T_odom_base = rigid.normalised(self._T_odom_oldest @ window.motion(0, -1))
+        return [_frame_of(estimate, moment, T_odom_base)]
+
+    def _learn(self, estimate: InertialEstimate) -> None:
+        self._bias_radps, self._delay_s = estimate.state.bias[:3], float(estimate.state.delay_s[0])
 
     def _awaited(self, moment: InertialMoment) -> list[OdometryFrame]:
         self._waiting.append(moment)
@@ -118,18 +134,32 @@ class VisualInertialOdometry:
             self._waiting = [m for m in self._waiting if m.time_s >= first_s - 1e-6]
             self._waiting[0] = self._waiting[0]._replace(steps=None)
             return []
-        window = start.window
+        window, estimate = start.window, start.estimate
+        self._learn(estimate)
+        if abs(self._delay_s) > _REREAD_S:
+            window.moments = self._reread(window.moments)
+            estimate = window.solve()
         found = [_frame_at(window, index) for index in range(len(window.moments) - 1)]
-        found.append(_frame_of(start.estimate, moment))
+        found.append(_frame_of(estimate, moment, estimate.state.T_map_base))
+        self._T_odom_oldest = window.state(-needed).T_map_base
         self._window, self._waiting = window.shrunk(needed), []
-        self._bias_radps = start.estimate.state.bias[:3]
         return found
+
+    def _reread(self, moments: list[InertialMoment]) -> list[InertialMoment]:
+        """The moments with inertial steps by the clock as it is known now."""
+        ends = itertools.pairwise(moments)
+        later = [m._replace(steps=self._steps(b.time_s, m.time_s), delay_s=self._delay_s) for b, m in ends]
+        return [moments[0], *later]
+
+    def _steps(self, from_s: float, to_s: float) -> Steps:
+        """Between two times of the cameras."""
+        return steps_between(self.drive.imu, from_s + self._delay_s, to_s + self._delay_s, self._capacity)
 
     def _moment(self, frame: Frame, looks: LookSource | None) -> InertialMoment:
         rig = frame.rig.select(self.cameras)
         steps = None
         if self._before_s is not None:
-            steps = steps_between(self.drive.imu, self._before_s, frame.time_s, self._capacity)
+            steps = self._steps(self._before_s, frame.time_s)
         R = np.eye(3) if steps is None else rotation_between(steps, self._bias_radps).T
         seen = None if looks is None else [looks(frame, name) for name in self.cameras]
         tracks = self._tracker.step([_grey(frame, name) for name in self.cameras], rig, R, seen)
@@ -139,7 +169,8 @@ class VisualInertialOdometry:
             wheels = self.drive.odometry
             speed = float(np.interp(frame.time_s, wheels.time_s, wheels.speed_mps))
         standing = self._is_standing(steps, tracks, speed)
-        return InertialMoment(frame.time_s, tracks, np.asarray(rig.T_base_cam), steps, speed, standing)
+        T_base_cam = np.asarray(rig.T_base_cam)
+        return InertialMoment(frame.time_s, tracks, T_base_cam, steps, speed, standing, self._delay_s)
 
     def _is_standing(self, steps: Steps | None, tracks: Tracks, speed_mps: float | None) -> bool:
         """No flow in the images, a quiet inertial sensor, wheels that do not turn."""
@@ -193,11 +224,14 @@ def _grey(frame: Frame, camera: str) -> np.ndarray:
     return cv2.cvtColor(frame.image(camera), cv2.COLOR_BGR2GRAY)
 
 
-def _frame_of(estimate: InertialEstimate, moment: InertialMoment) -> OdometryFrame:
+def _frame_of(
+    estimate: InertialEstimate, moment: InertialMoment, T_odom_base: Float[np.ndarray, "4 4"]
+) -> OdometryFrame:
     state = estimate.state
     sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
+    velocity_odom = T_odom_base[:3, :3] @ state.T_map_base[:3, :3].T @ state.velocity_map
     return OdometryFrame(
-        moment.time_s, state.T_map_base, state.velocity_map, state.bias, sigma, moment.tracks.num_followed,
+        moment.time_s, T_odom_base, velocity_odom, state.bias, sigma, moment.tracks.num_followed,
         estimate.num_landmarks, moment.is_standing, state.mount_rad, float(state.delay_s[0]),
     )  # fmt: skip
 
