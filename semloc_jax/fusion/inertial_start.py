@@ -11,14 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.fusion.inertial_moment import InertialMoment, InertialWindowConfig, first_sigma
+from semloc_jax.fusion.inertial_prior import first_prior
 from semloc_jax.fusion.inertial_samples import Steps, rotation_between
-from semloc_jax.fusion.inertial_window import (
-    InertialEstimate,
-    InertialMoment,
-    InertialWindow,
-    InertialWindowConfig,
-    first_prior,
-)
+from semloc_jax.fusion.inertial_states import AT, unknowns_of
+from semloc_jax.fusion.inertial_window import InertialEstimate, InertialWindow
 from semloc_jax.solvers.graph import Values
 
 _NUM_SOLVES = 5
@@ -111,7 +108,7 @@ def _judged(
 ) -> InertialStart:
     """The start, or why it is not believed."""
     speed = float(np.linalg.norm(estimate.state.velocity_map))
-    sigma = float(np.sqrt(np.trace(estimate.covariance[6:9, 6:9])))
+    sigma = float(np.sqrt(np.trace(estimate.covariance[AT["velocity"], AT["velocity"]])))
     if estimate.num_landmarks < rules.least_landmarks and not window.moments[-1].is_standing:
         reason = (
             f"only {estimate.num_landmarks} corners are followed over three images; expected "
@@ -165,19 +162,21 @@ def _window(
     num = len(moments)
     values: Values = {
         "pose": Ts,
+        "height": np.zeros((num, 1)),
         "velocity": velocity,
         "bias": np.tile(bias, (num, 1)),
         "scale": np.ones((num, 1)),
+        "mount": np.zeros((num, 3)),
+        "delay": np.zeros((num, 1)),
     }
     tilt = np.deg2rad(rules.standing_tilt_sigma_deg if is_standing else rules.tilt_sigma_deg)
-    sigma = np.concatenate([
-        [1e-4] * 3, [tilt, tilt, 1e-5], [rules.fastest_mps] * 3, [rules.gyro_bias_sigma_radps] * 3,
-        [rules.accel_bias_sigma_mps2] * 3, [rules.scale_sigma],
-    ])  # fmt: skip
+    of_bias = np.repeat([rules.gyro_bias_sigma_radps, rules.accel_bias_sigma_mps2], 3)
+    pose = np.array([1e-4, 1e-4, 1e-4, tilt, tilt, 1e-5])
+    sigma = first_sigma(config, pose, rules.fastest_mps, of_bias, rules.scale_sigma)
     prior = first_prior(values, sigma, Ts[0, :3, :3])
     # The first guess of a bias is data of this start: the belief is around zero.
-    at = np.flatnonzero(np.diag(prior.information))
-    prior.gradient[at[9:12]] = bias[:3] / rules.gyro_bias_sigma_radps**2
+    at = unknowns_of(np.zeros(1, int), num)[AT["bias"]]
+    prior.gradient[at] = bias / of_bias**2
     return InertialWindow.of(moments, values, prior, config)
 
 

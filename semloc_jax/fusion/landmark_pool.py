@@ -9,13 +9,31 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from semloc_jax.fusion.inertial_graph import Views
+from semloc_jax.fusion.inertial_sights import Views
 from semloc_jax.perception.sight_lines import tangents
 from semloc_jax.perception.tracks import Tracks
 
 _LEAST_INVERSE_DEPTH, _MOST_INVERSE_DEPTH = 1e-3, 2.0
 _FIRST_INVERSE_DEPTH = 0.05
 _ROUNDS = 3
+_FLATTEST = 0.02
+"""Sine of the angle below the horizon of the flattest line of sight that meets the road somewhere known."""
+
+
+@dataclass(frozen=True)
+class RoadBeliefs:
+    """How flat a road is, and how still a vehicle sits over it. All values are ours."""
+
+    sigma_m: float = 0.03
+    """Of the height of one point of the road; 0: nothing is known of the road."""
+    bend_per_m: float = 4e-4
+    """Of the height so far away, as a share of the squared distance: crowns, dips, slopes that begin."""
+    heave_m: float = 0.013
+    """Of the height of the vehicle on its springs, which all points of one time share."""
+    tilt_deg: float = 0.2
+    """Of pitch and roll of the vehicle on its springs, which all points of one time share."""
+    reach_m: float = 15.0
+    """Points farther away say nothing."""
 
 
 @dataclass
@@ -31,6 +49,7 @@ class LandmarkPool:
     seen: Bool[np.ndarray, "p f"] = field(init=False)
     value: Float[np.ndarray, "p 3"] = field(init=False)
     is_solved: Bool[np.ndarray, " p"] = field(init=False)
+    on_road: Bool[np.ndarray, " p"] = field(init=False)
     refused: set[int] = field(default_factory=set)
     """Tracks that do not fit; they are never taken again."""
 
@@ -38,7 +57,8 @@ class LandmarkPool:
         p, f = self.num_rows, self.num_states
         self.id, self.camera = np.full(p, -1), np.zeros(p, int)
         self.ray_cam, self.pixels = np.tile([0.0, 0.0, 1.0], (p, f, 1)), np.zeros((p, f, 2, 3))
-        self.seen, self.value, self.is_solved = np.zeros((p, f), bool), np.zeros((p, 3)), np.zeros(p, bool)
+        self.seen, self.value = np.zeros((p, f), bool), np.zeros((p, 3))
+        self.is_solved, self.on_road = np.zeros(p, bool), np.zeros(p, bool)
 
     def add(self, tracks: Tracks, state: int) -> None:
         """What is seen at the time of one state."""
@@ -55,7 +75,7 @@ class LandmarkPool:
                 if row is None:
                     break
                 self.id[row], self.camera[row] = track, tracks.camera[slot]
-                self.seen[row], self.is_solved[row] = False, False
+                self.seen[row], self.is_solved[row], self.on_road[row] = False, False, tracks.on_road[slot]
             self.ray_cam[row, state] = tracks.sight.ray_cam[slot]
             self.pixels[row, state] = tracks.sight.pixels[slot]
             self.seen[row, state] = True
@@ -83,7 +103,7 @@ class LandmarkPool:
     def first(self, num_states: int) -> "LandmarkPool":
         """The pool of the first states alone."""
         pool = LandmarkPool(self.num_rows, num_states)
-        for name in ("id", "camera", "value", "is_solved", "refused"):
+        for name in ("id", "camera", "value", "is_solved", "on_road", "refused"):
             setattr(pool, name, getattr(self, name))
         for name in ("ray_cam", "pixels", "seen"):
             setattr(pool, name, getattr(self, name)[:, :num_states].copy())
@@ -126,23 +146,43 @@ class LandmarkPool:
         self.value[rows] = np.column_stack([np.zeros((len(rows), 2)), rho])
 
     def views(
-        self, rows: Int[np.ndarray, " k"], num: int, sigma_px: float, T_base_cam: Float[np.ndarray, "f c 4 4"]
+        self,
+        rows: Int[np.ndarray, " k"],
+        num: int,
+        sigma_px: tuple[float, float],
+        T_base_cam: Float[np.ndarray, "f c 4 4"],
+        road: RoadBeliefs,
     ) -> tuple[Views, Float[np.ndarray, "l 3"]]:
-        """The landmarks of the rows and their values, padded to `num`."""
+        """The landmarks of the rows and their values, padded to `num`.
+
+        Args:
+            rows: Of the pool.
+            num: Landmarks of the views.
+            sigma_px: Standard deviations of a corner where it is found, and of what it slips to the next image.
+            T_base_cam: Of every time and camera.
+            road: What is known of the height of landmarks on the road.
+        """
         pad = num - len(rows)
         at = np.concatenate([rows, np.zeros(pad, int)])
         is_real = np.arange(num) < len(rows)
         anchor = self.anchors()[at]
         z = self.ray_cam[at, anchor]
         first, second = np.swapaxes(tangents(z), 0, 1)
+        is_first = np.arange(self.num_states) == anchor[:, None]
+        sigma = np.where(is_first, *sigma_px)
+        axes, T_anchor = np.stack([first, second, z], axis=-1), T_base_cam[anchor, self.camera[at]]
+        up, lift_m = np.einsum("li,lij->lj", T_anchor[:, 2, :3], axes), T_anchor[:, 2, 3]
         return Views(
             anchor=anchor,
             camera=self.camera[at],
-            axes=np.stack([first, second, z], axis=-1),
+            axes=axes,
             ray_cam=self.ray_cam[at],
             pixels=self.pixels[at],
-            sqrt_info=np.where(is_real[:, None] & self.seen[at], 1.0 / sigma_px, 0.0),
+            sqrt_info=np.where(is_real[:, None] & _without_gap(self.seen[at]), 1.0 / sigma, 0.0),
             T_base_cam=T_base_cam,
+            up=up,
+            lift_m=lift_m,
+            on_road=_road_weights(up[:, 2], lift_m, anchor, is_real & self.on_road[at], road),
         ), np.where(is_real[:, None], self.value[at], [0.0, 0.0, _FIRST_INVERSE_DEPTH])
 
     def keep(
@@ -161,3 +201,31 @@ class LandmarkPool:
         stale = ~gone & ~self.seen[:, max(self.num_states - 2, 0) :].any(axis=1)
         order = np.flatnonzero(stale)
         return [*np.flatnonzero(gone).tolist(), *order[np.argsort(count[order], kind="stable")].tolist()]
+
+
+def _without_gap(seen: Bool[np.ndarray, "l f"]) -> Bool[np.ndarray, "l f"]:
+    """The first views that follow each other."""
+    is_later_run = np.cumsum(np.diff(seen.astype(int), axis=1, prepend=0) > 0, axis=1) > 1
+    return seen & ~is_later_run
+
+
+def _road_weights(
+    up: Float[np.ndarray, " l"],
+    lift_m: Float[np.ndarray, " l"],
+    anchor: Int[np.ndarray, " l"],
+    on_road: Bool[np.ndarray, " l"],
+    road: RoadBeliefs,
+) -> Float[np.ndarray, " l"]:
+    """Depth to the road over the standard deviation of its height, of lines of sight with vertical parts `up`.
+
+    What the points of one anchor share is given to each of them so often as there are points: together they then
+    weigh what the mean of them does.
+    """
+    down = np.maximum(-up, _FLATTEST)
+    depth_m = lift_m / down
+    away_m = depth_m * np.sqrt(1.0 - down**2)
+    used = on_road & (up < -_FLATTEST) & (lift_m > 0.0) & (away_m < road.reach_m) & (road.sigma_m > 0.0)
+    together = np.bincount(anchor[used], minlength=int(anchor.max(initial=0)) + 1)[anchor]
+    own = road.sigma_m**2 + (road.bend_per_m * away_m**2) ** 2
+    shared = road.heave_m**2 + (np.deg2rad(road.tilt_deg) * away_m) ** 2
+    return np.where(used, depth_m / np.sqrt(np.maximum(own + together * shared, 1e-12)), 0.0)

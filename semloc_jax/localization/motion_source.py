@@ -16,7 +16,10 @@ from semloc_jax.datasets.sensors import WheelOdometry
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.prediction import MotionLog, VelocitySample
 from semloc_jax.inputs.mask_view import MaskSource, resized
-from semloc_jax.localization.odometry import OdometryConfig, OdometryFrame, Usable, VisualInertialOdometry
+from semloc_jax.localization.odometry import LookSource, OdometryConfig, OdometryFrame, VisualInertialOdometry
+from semloc_jax.perception.class_table import ClassTable
+from semloc_jax.perception.surround import PAINT
+from semloc_jax.perception.tracks import Looks
 
 _LOG = logging.getLogger(__name__)
 
@@ -27,7 +30,8 @@ VELOCITY_SIGMA_MPS = (0.05, 0.05, 0.1)
 ahead."""
 _LEAST_CORNERS = 10
 """With fewer the velocity is that of the inertial sensor alone, which the fusion has itself."""
-_SKY = ("sky",)
+_SKY, _ROAD = ("sky",), ("road", "roads", "service_lane", "parking", "drivable")
+"""Names in class tables."""
 
 
 class SeenMotion(NamedTuple):
@@ -121,11 +125,11 @@ def with_seen_speed(drive: Drive, masks: MaskSource, with_wheels: bool) -> Drive
 def seen_motion(drive: Drive, cameras: Sequence[str], masks: MaskSource | None, with_wheels: bool) -> SeenMotion:
     """All frames of a drive by cameras and inertial sensor."""
     odometry = VisualInertialOdometry(drive, cameras, OdometryConfig(), with_wheels)
-    usable = None if masks is None else usable_of(masks)
+    looks = None if masks is None else looks_of(masks)
     found: list[OdometryFrame] = []
     num_start = 0
     for frame in odometry.frames:
-        new = odometry.step(frame, usable)
+        new = odometry.step(frame, looks)
         num_start = num_start or len(new)
         found += new
     return SeenMotion(tuple(found), num_start, odometry.reason or "the drive is too short")
@@ -141,20 +145,28 @@ def with_images(drive: Drive, cameras: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in cameras if drive.frames and drive.frames[0].has("rgb", name))
 
 
-def usable_of(masks: MaskSource) -> Usable:
-    """False where a mask shows traffic, sky or the vehicle itself, in the size of the image."""
+def looks_of(masks: MaskSource) -> LookSource:
+    """Where masks show traffic, sky or the vehicle itself, and where the road, in the size of the image."""
     table = masks.table
-    sky = [id_ for id_, name in table.id_names.items() if name in _SKY]
-    hidden = np.zeros(256, bool)
-    hidden[[*table.dynamic_ids, *table.ego_ids, *sky]] = True
+    hidden, road = np.zeros(256, bool), np.zeros(256, bool)
+    hidden[[*table.dynamic_ids, *table.ego_ids, *_named(table, _SKY)]] = True
+    paint = [id_ for channel in table.channels if set(channel.classes) <= PAINT for id_ in channel.mask_ids]
+    # Masks of paint alone do not say where the road is: what they call paint may be anything bright.
+    named = _named(table, _ROAD)
+    road[[*named, *(paint if named else ())]] = True
 
-    def usable(frame: Frame, camera: str) -> np.ndarray:
+    def looks(frame: Frame, camera: str) -> Looks:
         mask = masks.segment(frame, camera)
         dynamic = frame.dynamic_mask(camera)
         covered = hidden[mask]
         if dynamic is not None:
             covered = covered | resized(dynamic, mask)
         width, height = frame.rig.cameras[frame.rig.index(camera)].resolution
-        return ~resized(covered, np.empty((height, width), np.uint8))
+        size = np.empty((height, width), np.uint8)
+        return Looks(~resized(covered, size), ~resized(~road[mask], size))
 
-    return usable
+    return looks
+
+
+def _named(table: ClassTable, names: Sequence[str]) -> list[int]:
+    return [id_ for id_, name in table.id_names.items() if name in names]

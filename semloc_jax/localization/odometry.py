@@ -1,9 +1,11 @@
 """The way of a vehicle by cameras and an inertial sensor, without any map (room: localization; host).
 
 In: a Drive with images and inertial data. Out: OdometryFrame of one frame after another.
-The frame of the poses is `odom`: the place of the first pose, z up, x ahead. Wheels join where they are asked for.
+The frame of the poses is `odom`: the place of the first pose, z up as the first seconds tell it, x ahead. Wheels join
+where they are asked for.
 """
 
+import itertools
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -11,17 +13,24 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
+from semloc_jax.fusion.inertial_moment import InertialMoment, InertialWindowConfig
 from semloc_jax.fusion.inertial_samples import Steps, capacity_for, rotation_between, steps_between
 from semloc_jax.fusion.inertial_start import InertialStartConfig, started
-from semloc_jax.fusion.inertial_window import InertialEstimate, InertialMoment, InertialWindow, InertialWindowConfig
-from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Tracks
+from semloc_jax.fusion.inertial_states import STATE
+from semloc_jax.fusion.inertial_window import InertialEstimate, InertialWindow
+from semloc_jax.geometry import rigid
+from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Looks, Tracks
 
 _LOG = logging.getLogger(__name__)
-Usable = Callable[[Frame, str], Bool[np.ndarray, "h w"] | None]
+_REREAD_S = 1e-3
+"""A clock that is off by more than this is taken into account in the inertial steps of the start."""
+_CLOCK_SIGMAS = 4.0
+LookSource = Callable[[Frame, str], Looks | None]
+"""What masks say of the image of a camera."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +57,15 @@ class OdometryFrame(NamedTuple):
     T_odom_base: Float[np.ndarray, "4 4"]
     velocity_odom: Float[np.ndarray, "3"]
     bias: Float[np.ndarray, "6"]
-    sigma: Float[np.ndarray, "16"]
-    """Standard deviations of pose (right tangent), velocity, biases, odometer scale; NaN during the start."""
+    sigma: Float[np.ndarray, "21"]
+    """Standard deviations in the order of `inertial_states`; NaN during the start."""
     num_followed: int
     num_landmarks: int
     is_standing: bool
+    mount_rad: Float[np.ndarray, "3"] = np.zeros(3)
+    """Rotation vector that turns the axes of the inertial sensor into those of the base."""
+    delay_s: float = 0.0
+    """Clock of the inertial sensor less that of the cameras."""
 
 
 class VisualInertialOdometry:
@@ -69,7 +82,8 @@ class VisualInertialOdometry:
         self.reason = ""
         """Why the last start was refused."""
         self._tracker = FeatureTracker(len(self.cameras), config.tracks)
-        first_s, last_s = drive.imu.time_s[[0, -1]]
+        margin_s = _CLOCK_SIGMAS * config.window.delay_sigma_s
+        first_s, last_s = drive.imu.time_s[[0, -1]] + [margin_s, -margin_s]
         self.frames = tuple(frame for frame in drive.frames if first_s <= frame.time_s <= last_s)
         """Those that the inertial log spans."""
         if len(self.frames) < len(drive):
@@ -81,20 +95,29 @@ class VisualInertialOdometry:
         self._waiting: list[InertialMoment] = []
         self._window: InertialWindow | None = None
         self._before_s: float | None = None
-        self._bias_radps = np.zeros(3)
+        self._bias_radps, self._delay_s = np.zeros(3), 0.0
+        self._T_odom_oldest = np.eye(4)
+        """Of the oldest state of the window."""
 
-    def step(self, frame: Frame, usable: Usable | None = None) -> list[OdometryFrame]:
+    def step(self, frame: Frame, looks: LookSource | None = None) -> list[OdometryFrame]:
         """Go on to the next frame.
 
         Returns:
             Nothing while the start is awaited; all frames of the start when it is found; then one for each frame.
         """
-        moment = self._moment(frame, usable)
-        if self._window is None:
+        moment = self._moment(frame, looks)
+        window = self._window
+        if window is None:
             return self._awaited(moment)
-        estimate = self._window.add(moment)
-        self._bias_radps = estimate.state.bias[:3]
-        return [_frame_of(estimate, moment)]
+        # What the window learns of its vertical turns all its states: the way goes on by motions within the window.
+        self._T_odom_oldest = self._T_odom_oldest @ window.motion(0, 1)
+        estimate = window.add(moment)
+        self._learn(estimate)
+        T_odom_base = rigid.normalised(self._T_odom_oldest @ window.motion(0, -1))
+        return [_frame_of(estimate, moment, T_odom_base)]
+
+    def _learn(self, estimate: InertialEstimate) -> None:
+        self._bias_radps, self._delay_s = estimate.state.bias[:3], float(estimate.state.delay_s[0])
 
     def _awaited(self, moment: InertialMoment) -> list[OdometryFrame]:
         self._waiting.append(moment)
@@ -111,28 +134,43 @@ class VisualInertialOdometry:
             self._waiting = [m for m in self._waiting if m.time_s >= first_s - 1e-6]
             self._waiting[0] = self._waiting[0]._replace(steps=None)
             return []
-        window = start.window
+        window, estimate = start.window, start.estimate
+        self._learn(estimate)
+        if abs(self._delay_s) > _REREAD_S:
+            window.moments = self._reread(window.moments)
+            estimate = window.solve()
         found = [_frame_at(window, index) for index in range(len(window.moments) - 1)]
-        found.append(_frame_of(start.estimate, moment))
+        found.append(_frame_of(estimate, moment, estimate.state.T_map_base))
+        self._T_odom_oldest = window.state(-needed).T_map_base
         self._window, self._waiting = window.shrunk(needed), []
-        self._bias_radps = start.estimate.state.bias[:3]
         return found
 
-    def _moment(self, frame: Frame, usable: Usable | None) -> InertialMoment:
+    def _reread(self, moments: list[InertialMoment]) -> list[InertialMoment]:
+        """The moments with inertial steps by the clock as it is known now."""
+        ends = itertools.pairwise(moments)
+        later = [m._replace(steps=self._steps(b.time_s, m.time_s), delay_s=self._delay_s) for b, m in ends]
+        return [moments[0], *later]
+
+    def _steps(self, from_s: float, to_s: float) -> Steps:
+        """Between two times of the cameras."""
+        return steps_between(self.drive.imu, from_s + self._delay_s, to_s + self._delay_s, self._capacity)
+
+    def _moment(self, frame: Frame, looks: LookSource | None) -> InertialMoment:
         rig = frame.rig.select(self.cameras)
         steps = None
         if self._before_s is not None:
-            steps = steps_between(self.drive.imu, self._before_s, frame.time_s, self._capacity)
+            steps = self._steps(self._before_s, frame.time_s)
         R = np.eye(3) if steps is None else rotation_between(steps, self._bias_radps).T
-        hidden = None if usable is None else [usable(frame, name) for name in self.cameras]
-        tracks = self._tracker.step([_grey(frame, name) for name in self.cameras], rig, R, hidden)
+        seen = None if looks is None else [looks(frame, name) for name in self.cameras]
+        tracks = self._tracker.step([_grey(frame, name) for name in self.cameras], rig, R, seen)
         self._before_s = frame.time_s
         speed = None
         if self.with_wheels:
             wheels = self.drive.odometry
             speed = float(np.interp(frame.time_s, wheels.time_s, wheels.speed_mps))
         standing = self._is_standing(steps, tracks, speed)
-        return InertialMoment(frame.time_s, tracks, np.asarray(rig.T_base_cam), steps, speed, standing)
+        T_base_cam = np.asarray(rig.T_base_cam)
+        return InertialMoment(frame.time_s, tracks, T_base_cam, steps, speed, standing, self._delay_s)
 
     def _is_standing(self, steps: Steps | None, tracks: Tracks, speed_mps: float | None) -> bool:
         """No flow in the images, a quiet inertial sensor, wheels that do not turn."""
@@ -146,7 +184,7 @@ class VisualInertialOdometry:
 
 
 def follow(
-    odometry: VisualInertialOdometry, frames: Iterable[Frame], usable: Usable | None = None
+    odometry: VisualInertialOdometry, frames: Iterable[Frame], looks: LookSource | None = None
 ) -> list[OdometryFrame]:
     """All frames of a drive.
 
@@ -155,7 +193,7 @@ def follow(
     """
     found: list[OdometryFrame] = []
     for frame in frames:
-        found += odometry.step(frame, usable)
+        found += odometry.step(frame, looks)
     if not found:
         reason = odometry.reason or (
             f"the drive is shorter than {odometry.config.start.duration_s:g} s or "
@@ -186,18 +224,22 @@ def _grey(frame: Frame, camera: str) -> np.ndarray:
     return cv2.cvtColor(frame.image(camera), cv2.COLOR_BGR2GRAY)
 
 
-def _frame_of(estimate: InertialEstimate, moment: InertialMoment) -> OdometryFrame:
+def _frame_of(
+    estimate: InertialEstimate, moment: InertialMoment, T_odom_base: Float[np.ndarray, "4 4"]
+) -> OdometryFrame:
     state = estimate.state
     sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
+    velocity_odom = T_odom_base[:3, :3] @ state.T_map_base[:3, :3].T @ state.velocity_map
     return OdometryFrame(
-        moment.time_s, state.T_map_base, state.velocity_map, state.bias, sigma, moment.tracks.num_followed,
-        estimate.num_landmarks, moment.is_standing,
+        moment.time_s, T_odom_base, velocity_odom, state.bias, sigma, moment.tracks.num_followed,
+        estimate.num_landmarks, moment.is_standing, state.mount_rad, float(state.delay_s[0]),
     )  # fmt: skip
 
 
 def _frame_at(window: InertialWindow, index: int) -> OdometryFrame:
     state, moment = window.state(index), window.moments[index]
     return OdometryFrame(
-        moment.time_s, state.T_map_base, state.velocity_map, state.bias, np.full(16, np.nan),
-        moment.tracks.num_followed, int(window.pool.seen[:, index].sum()), moment.is_standing,
+        moment.time_s, state.T_map_base, state.velocity_map, state.bias, np.full(STATE, np.nan),
+        moment.tracks.num_followed, int(window.pool.seen[:, index].sum()), moment.is_standing, state.mount_rad,
+        float(state.delay_s[0]),
     )  # fmt: skip

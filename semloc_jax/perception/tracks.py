@@ -38,6 +38,15 @@ class CornerConfig:
     border_px: int = 8
 
 
+class Looks(NamedTuple):
+    """What masks say of one image, in its size."""
+
+    usable: Bool[np.ndarray, "h w"]
+    """False on traffic, sky and the vehicle; no new corner is taken there."""
+    road: Bool[np.ndarray, "h w"]
+    """True on the road and the paint on it."""
+
+
 class Tracks(NamedTuple):
     """What is seen of every slot at one time."""
 
@@ -51,6 +60,8 @@ class Tracks(NamedTuple):
     """Tracks that were there at the time before."""
     flow_px: float
     """Upper quartile of their motion since then, the rotation taken out; NaN where there are none."""
+    on_road: Bool[np.ndarray, " s"]
+    """Whether a track was found on the road."""
 
 
 class _View(NamedTuple):
@@ -60,6 +71,7 @@ class _View(NamedTuple):
     id: Int[np.ndarray, " s"]
     uv: Float[np.ndarray, "s 2"]
     sight: SightLines
+    on_road: Bool[np.ndarray, " s"]
 
 
 class FeatureTracker:
@@ -77,7 +89,7 @@ class FeatureTracker:
         greys: Sequence[UInt8[np.ndarray, "h w"]],
         rig: Rig,
         R_now_before: Float[np.ndarray, "3 3"],
-        usable: Sequence[Bool[np.ndarray, "h w"] | None] | None = None,
+        looks: Sequence[Looks | None] | None = None,
     ) -> Tracks:
         """Follow the corners into the next images, and take new ones where slots are empty.
 
@@ -85,7 +97,7 @@ class FeatureTracker:
             greys: One image of every camera.
             rig: The cameras.
             R_now_before: Rotation of the base since the last images, of a gyroscope.
-            usable: Of each camera: False on traffic, sky and the vehicle; no new corner is taken there.
+            looks: Of each camera: where new corners may be, and which of them lie on the road.
         """
         views, followed, flows = [], 0, []
         for index, grey in enumerate(greys):
@@ -95,7 +107,7 @@ class FeatureTracker:
             view, flow_px = self._followed(before, grey, rig, index, R_cam)
             followed += int(np.sum(view.id >= 0))
             flows.append(flow_px)
-            views.append(self._filled(view, rig, index, None if usable is None else usable[index]))
+            views.append(self._filled(view, rig, index, None if looks is None else looks[index]))
         self._views = list(views)
         flow = np.concatenate(flows)
         stacked = SightLines(*(np.concatenate([v.sight[part] for v in views]) for part in range(3)))
@@ -106,6 +118,7 @@ class FeatureTracker:
             stacked,
             followed,
             float(np.percentile(flow, 75)) if len(flow) else float("nan"),
+            np.concatenate([v.on_road for v in views]),
         )
 
     def _followed(
@@ -115,7 +128,8 @@ class FeatureTracker:
         empty = np.full(self.num_slots, -1)
         if before is None or before.grey.shape != grey.shape or not (before.id >= 0).any():
             uv = np.zeros((self.num_slots, 2))
-            return _View(grey, empty, uv, sight_lines(rig.cameras[index], uv)), np.zeros(0)
+            nowhere = np.zeros(self.num_slots, bool)
+            return _View(grey, empty, uv, sight_lines(rig.cameras[index], uv), nowhere), np.zeros(0)
         uv, found = self._flow(before, grey)
         sight = sight_lines(rig.cameras[index], uv)
         kept = np.flatnonzero(found & sight.valid)
@@ -125,7 +139,7 @@ class FeatureTracker:
         ids = empty.copy()
         ids[kept[good]] = before.id[kept[good]]
         moved_px = np.linalg.norm(np.cross(rays[0] @ R_cam.T, rays[1]), axis=1) * scale
-        return _View(grey, ids, uv, sight), moved_px[good]
+        return _View(grey, ids, uv, sight, before.on_road), moved_px[good]
 
     def _flow(self, before: _View, grey: np.ndarray) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"]]:
         """Where the corners are now, and which of them came back when followed backwards."""
@@ -151,18 +165,22 @@ class FeatureTracker:
         uv[here[good]], found[here[good]] = new[good], True
         return uv, found
 
-    def _filled(self, view: _View, rig: Rig, index: int, usable: np.ndarray | None) -> _View:
+    def _filled(self, view: _View, rig: Rig, index: int, looks: Looks | None) -> _View:
         """The view with new corners in its empty slots."""
         free = np.flatnonzero(view.id < 0)
         config, taken = self.config, view.uv[view.id >= 0]
+        usable = None if looks is None else looks.usable
         corners = new_corners(view.grey, usable, taken, len(free), config.bucket_px, config.border_px)
         slots = free[: len(corners)]
-        ids, uv = view.id.copy(), view.uv.copy()
+        ids, uv, on_road = view.id.copy(), view.uv.copy(), view.on_road.copy()
         ids[slots], uv[slots] = self._next_id + np.arange(len(slots)), corners
+        if looks is not None:
+            column, row = np.round(corners).astype(int).T
+            on_road[slots] = looks.road[row, column]
         self._next_id += len(slots)
         sight = sight_lines(rig.cameras[index], uv)
         ids[~sight.valid] = -1
-        return _View(view.grey, ids, uv, sight)
+        return _View(view.grey, ids, uv, sight, on_road)
 
 
 def px_per_rad(sight: SightLines) -> Float[np.ndarray, " n"]:

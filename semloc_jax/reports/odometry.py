@@ -12,8 +12,9 @@ from tqdm import tqdm
 
 from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, Trajectory, drift, format_metrics, write_metrics, write_tum
+from semloc_jax.fusion.inertial_states import AT, STATE
 from semloc_jax.inputs.mask_view import MaskSource
-from semloc_jax.localization.motion_source import usable_of
+from semloc_jax.localization.motion_source import looks_of
 from semloc_jax.localization.odometry import OdometryConfig, OdometryFrame, VisualInertialOdometry, follow
 from semloc_jax.mapping.chain import Chain, drive_chain
 from semloc_jax.reports.folder import make_folder, write_record
@@ -65,9 +66,9 @@ def report_odometry(
         return _written(drive, folder, Trajectory(chain.times_s, chain.Ts_odom_base), _rows_of_chain(chain))
     odometry = VisualInertialOdometry(drive, cameras, settings, motion == "both")
     folder = _folder(out, settings, options)
-    usable = None if masks is None else usable_of(masks)
+    looks = None if masks is None else looks_of(masks)
     with tqdm(odometry.frames, desc="odometry", unit="frame") as frames:
-        found = follow(odometry, frames, usable)
+        found = follow(odometry, frames, looks)
     poses = np.stack([frame.T_odom_base for frame in found])
     trajectory = Trajectory(np.array([frame.time_s for frame in found]), poses)
     return _written(drive, folder, trajectory, found)
@@ -82,7 +83,7 @@ def _folder(out: Path | None, settings: OdometryConfig, options: Mapping[str, An
 def _rows_of_chain(chain: Chain) -> list[OdometryFrame]:
     speed = np.gradient(chain.way_m, chain.times_s) if len(chain.times_s) > 1 else np.zeros(1)
     return [
-        OdometryFrame(t, T, T[:3, 0] * v, np.r_[bias, np.zeros(3)], np.full(16, np.nan), 0, 0, v < 0.02)
+        OdometryFrame(t, T, T[:3, 0] * v, np.r_[bias, np.zeros(3)], np.full(STATE, np.nan), 0, 0, v < 0.02)
         for t, T, v, bias in zip(chain.times_s, chain.Ts_odom_base, speed, chain.gyro_bias_radps, strict=True)
     ]
 
@@ -123,7 +124,7 @@ def _write_frames(rows: Sequence[OdometryFrame], path: Path) -> None:
     )
     table = []
     for row in rows:
-        sigma = (*row.sigma[:3], np.rad2deg(row.sigma[5]), row.sigma[6])
+        sigma = (*row.sigma[:3], np.rad2deg(row.sigma[5]), row.sigma[AT["velocity"].start])
         speed = float(np.linalg.norm(row.velocity_odom))
         values = (row.time_s, *row.T_odom_base[:3, 3], speed, *row.bias, *sigma)
         table.append((*map(float, values), row.num_followed, row.num_landmarks, int(row.is_standing)))

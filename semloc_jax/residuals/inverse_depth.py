@@ -78,6 +78,39 @@ def sight_linearised(
     return sqrt_info * r, sqrt_info * J_anchor, sqrt_info * J_base, sqrt_info * J_landmark
 
 
+def on_road_residual(
+    height_m: Float[Array, "1"],
+    landmark: Float[Array, "3"],
+    up: Float[Array, "3"],
+    lift_m: Float[Array, ""],
+    sqrt_info: Float[Array, "1"],
+) -> Float[Array, "1"]:
+    """Whitened height over the road of a landmark that lies on it, times its inverse depth: metric size for a camera.
+
+    Args:
+        height_m: Height of the base over the road where the landmark lies.
+        landmark: See `sight_residual`.
+        up: The vertical axis of the base at the anchor, in the axes of the anchor.
+        lift_m: Height of the camera in the base.
+        sqrt_info: Depth along the line of sight over the standard deviation of the height of the road; 0: not on it.
+    """
+    ray = jnp.concatenate([landmark[:2], jnp.ones(1, landmark.dtype)])
+    return sqrt_info * (jnp.sum(up * ray) + landmark[2] * (lift_m + height_m))
+
+
+def on_road_linearised(
+    height_m: Float[Array, "1"],
+    landmark: Float[Array, "3"],
+    up: Float[Array, "3"],
+    lift_m: Float[Array, ""],
+    sqrt_info: Float[Array, "1"],
+) -> tuple[Float[Array, "1"], Float[Array, "1 1"], Float[Array, "1 3"]]:
+    """`on_road_residual` and its derivatives by the height and by the landmark."""
+    by_landmark = jnp.concatenate([up[:2], lift_m + height_m])
+    r = on_road_residual(height_m, landmark, up, lift_m, sqrt_info)
+    return r, sqrt_info[:, None] * landmark[2], sqrt_info[:, None] * by_landmark
+
+
 def _direction(
     T_map_anchor: Array, T_map_base: Array, landmark: Array, sight: Sight
 ) -> tuple[Float[Array, "3"], Float[Array, ""], Float[Array, "3"], Float[Array, "3"]]:

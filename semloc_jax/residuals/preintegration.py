@@ -29,10 +29,14 @@ class Preintegrated(eqx.Module):
     by_bias: Float[Array, "9 6"]
     bias: Float[Array, "6"]
     """Where `by_bias` holds."""
+    by_delay: Float[Array, "9"]
+    """Derivative of the motion by the time [s] at which its interval begins and ends."""
 
-    def corrected(self, bias: Float[Array, "6"]) -> tuple[Float[Array, "3 3"], Float[Array, "3"], Float[Array, "3"]]:
-        """Rotation, position and velocity for another bias, to first order."""
-        change = _mul(self.by_bias, bias - self.bias)
+    def corrected(
+        self, bias: Float[Array, "6"], later_s: Float[Array, ""] | float = 0.0
+    ) -> tuple[Float[Array, "3 3"], Float[Array, "3"], Float[Array, "3"]]:
+        """Rotation, position and velocity for another bias and an interval that lies so much later, to first order."""
+        change = _mul(self.by_bias, bias - self.bias) + self.by_delay * later_s
         rotation = _mul(self.rotation, lie.so3_exp(change[:3]))
         return rotation, self.position + change[3:6], self.velocity + change[6:]
 
@@ -75,7 +79,7 @@ def preintegrate(
     densities = jnp.repeat(jnp.asarray([noise.gyro_density, noise.accel_density], dtype) ** 2, 3)
 
     def step(carry, sample):
-        R, p, v, covariance, by_bias = carry
+        R, p, v, covariance, by_bias, last = carry
         rate, force, dt = sample[:3] - bias[:3], sample[3:6] - bias[3:], sample[6]
         turn, turn_jacobian = lie.so3_exp(rate * dt), lie.so3_right_jacobian(rate * dt) * dt
         push = -_mul(R, lie.skew(force))
@@ -92,12 +96,22 @@ def preintegrate(
         covariance = _mul(_mul(A, covariance), A.T) + _mul(B * variance, B.T)
         by_bias = _mul(A, by_bias) - B
         moved = _mul(R, force)
-        return (_mul(R, turn), p + v * dt + 0.5 * moved * dt**2, v + moved * dt, covariance, by_bias), None
+        last = jnp.where(dt > 0, jnp.stack([rate, moved]), last)
+        return (_mul(R, turn), p + v * dt + 0.5 * moved * dt**2, v + moved * dt, covariance, by_bias, last), None
 
-    start = (identity, zero[0], zero[0], jnp.zeros((9, 9), dtype), jnp.zeros((9, 6), dtype))
+    start = (identity, zero[0], zero[0], jnp.zeros((9, 9), dtype), jnp.zeros((9, 6), dtype), zero[:2])
     samples = jnp.concatenate([gyro_radps, accel_mps2, step_s[:, None]], axis=1)
-    (R, p, v, covariance, by_bias), _ = jax.lax.scan(step, start, samples)
-    return Preintegrated(R, p, v, jnp.sum(step_s), covariance, by_bias, bias)
+    (R, p, v, covariance, by_bias, (last_rate, last_force)), _ = jax.lax.scan(step, start, samples)
+    rate, force, duration_s = gyro_radps[0] - bias[:3], accel_mps2[0] - bias[3:], jnp.sum(step_s)
+    # What comes in at the end of the interval, less what leaves it at the begin, where its axes turn, too.
+    by_delay = jnp.concatenate(
+        [
+            last_rate - _mul(R.T, rate),
+            v - jnp.cross(rate, p) - force * duration_s,
+            last_force - jnp.cross(rate, v) - force,
+        ]
+    )
+    return Preintegrated(R, p, v, duration_s, covariance, by_bias, bias, by_delay)
 
 
 def imu_residual(
@@ -107,6 +121,8 @@ def imu_residual(
     gravity_map: Float[Array, "3"],
     factor: Preintegrated,
     sqrt_info: Float[Array, "9 9"],
+    mount: Float[Array, "3"] | None = None,
+    later_s: Float[Array, ""] | float = 0.0,
 ) -> Float[Array, "9"]:
     """Whitened difference of two states from what the inertial sensor says: (rotation, position, velocity).
 
@@ -117,8 +133,13 @@ def imu_residual(
         gravity_map: Acceleration of free fall, (0, 0, -9.81) [m/s^2].
         factor: The samples between.
         sqrt_info: R with R^T R = inverse of `factor.covariance`.
+        mount: Rotation vector that turns the samples into the axes of the base; None: they are given in them.
+        later_s: How much later than `factor` the motion between the two times lies in the clock of the sensor.
     """
-    R, p, v = factor.corrected(bias)
+    R, p, v = factor.corrected(bias, later_s)
+    if mount is not None:
+        turn = lie.so3_exp(mount)
+        R, p, v = _mul(_mul(turn, R), turn.T), _mul(turn, p), _mul(turn, v)
     R_base_map, dt = start.T_map_base[:3, :3].T, factor.duration_s
     turned = _mul(R.T, _mul(R_base_map, end.T_map_base[:3, :3]))
     fallen = start.velocity_map * dt + 0.5 * gravity_map * dt**2

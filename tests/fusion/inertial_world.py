@@ -8,9 +8,9 @@ from scipy.interpolate import CubicSpline
 
 from semloc_jax.cameras import PinholeCamera
 from semloc_jax.datasets import Imu
-from semloc_jax.fusion.inertial_graph import SIZES
+from semloc_jax.fusion.inertial_moment import InertialMoment, InertialWindowConfig
 from semloc_jax.fusion.inertial_samples import steps_between
-from semloc_jax.fusion.inertial_window import InertialMoment, InertialWindowConfig
+from semloc_jax.fusion.inertial_states import SIZES
 from semloc_jax.geometry import rigid
 from semloc_jax.perception.sight_lines import sight_lines
 from semloc_jax.perception.tracks import Tracks
@@ -26,11 +26,18 @@ class World:
 
     seed: int = 0
     num_slots: int = 60
-    sigma_px: float = 0.5
+    step_px: float = InertialWindowConfig.step_px
+    """What a track slips from one image to the next."""
     gyro_density: float = 3e-4
     accel_density: float = 6e-3
     noise: float = 1.0
     """0: perfect sensors without biases."""
+    has_road: bool = False
+    """Whether some points are known to lie on the road."""
+    mount_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Turn of the inertial sensor against the base."""
+    delay_s: float = 0.0
+    """Its clock less that of the cameras."""
     rate_hz: float = 100.0
     speed_mps: float = 9.0
 
@@ -64,8 +71,10 @@ class World:
         sigma = np.repeat([self.gyro_density, self.accel_density], 3) * np.sqrt(self.rate_hz)
         walk = np.repeat([InertialWindowConfig.gyro_walk, InertialWindowConfig.accel_walk], 3) / np.sqrt(self.rate_hz)
         bias = rng.normal(size=6) * np.repeat([0.002, 0.05], 3) + np.cumsum(walk * rng.normal(size=(len(t), 6)), axis=0)
-        noisy = np.column_stack([gyro, accel]) + self.noise * (sigma * rng.normal(size=(len(t), 6)) + bias)
-        return Imu(t, noisy[:, :3], noisy[:, 3:]), self.noise * bias
+        R = rigid.exp(np.concatenate([np.zeros(3), np.deg2rad(self.mount_deg)]))[:3, :3]
+        in_sensor = np.column_stack([gyro @ R, accel @ R])
+        noisy = in_sensor + self.noise * (sigma * rng.normal(size=(len(t), 6)) + bias)
+        return Imu(t + self.delay_s, noisy[:, :3], noisy[:, 3:]), self.noise * bias
 
     def moments(self, num, T_base_cam=None):
         """So many image times, the true states there {pose, velocity, bias, scale}."""
@@ -76,6 +85,10 @@ class World:
         imu, bias = self.imu(time_s[-1], rng)
         capacity = int(self.rate_hz * FRAME_S) + 6
         points = _street(self.speed_mps * time_s[-1] + 80.0, rng)
+        on_road = self.has_road & (np.arange(len(points)) % 6 == 0)
+        points[on_road, 1] *= 0.3
+        points[on_road, 2] = 0.02 * self.noise * rng.normal(size=on_road.sum())
+        slipped = np.zeros((self.num_slots, 2))
         moments, held, number = [], np.full(self.num_slots, -1), np.full(self.num_slots, -1)
         next_id = 0
         for k, t in enumerate(time_s):
@@ -91,14 +104,23 @@ class World:
             free = free[: len(new)]
             held[free], number[free] = new[: len(free)], next_id + np.arange(len(free))
             next_id += len(free)
-            noisy = np.where(held[:, None] >= 0, uv[held], 300.0)
-            noisy = noisy + self.noise * self.sigma_px * rng.normal(size=noisy.shape)
+            slipped += self.noise * self.step_px * rng.normal(size=slipped.shape)
+            slipped[free] = 0.0
+            noisy = np.where(held[:, None] >= 0, uv[held], 300.0) + slipped
             sight = sight_lines(CAMERA, noisy)
-            tracks = Tracks(number.copy(), np.zeros(self.num_slots, int), noisy, sight, 0, 5.0)
+            tracks = Tracks(number.copy(), np.zeros(self.num_slots, int), noisy, sight, 0, 5.0, on_road[held])
             steps = None if k == 0 else steps_between(imu, float(time_s[k - 1]), float(t), capacity)
             moments.append(InertialMoment(float(t), tracks, T_base_cam, steps))
         biases = np.stack([np.interp(time_s, imu.time_s, column) for column in bias.T], axis=1)
-        truth = {"pose": Ts, "velocity": self.velocity(time_s), "bias": biases, "scale": np.ones((num, 1))}
+        truth = {
+            "pose": Ts,
+            "height": np.zeros((num, 1)),
+            "velocity": self.velocity(time_s),
+            "bias": biases,
+            "scale": np.ones((num, 1)),
+            "mount": np.tile(np.deg2rad(self.mount_deg), (num, 1)),
+            "delay": np.full((num, 1), self.delay_s),
+        }
         return moments, truth
 
 

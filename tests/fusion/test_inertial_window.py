@@ -6,23 +6,24 @@ import numpy as np
 import pytest
 
 from semloc_jax.evaluation.integrity import nees, normalised_squares
-from semloc_jax.fusion.inertial_graph import SIZES, WindowPrior, unknowns_of
+from semloc_jax.fusion.inertial_moment import InertialWindowConfig, first_sigma
+from semloc_jax.fusion.inertial_prior import WindowPrior, first_prior
 from semloc_jax.fusion.inertial_start import InertialStartConfig, started
-from semloc_jax.fusion.inertial_window import InertialWindow, InertialWindowConfig, _with_steps, first_prior
+from semloc_jax.fusion.inertial_states import AT, SIZES, STATE, unknowns_of
+from semloc_jax.fusion.inertial_window import InertialWindow, _with_steps
 from semloc_jax.geometry import rigid
 from tests.fusion.inertial_world import World, near
 
 NUM = 6
 CONFIG = InertialWindowConfig(num_states=NUM, num_landmarks=40)
-SIGMA = np.array([1e-3] * 3 + [5e-3, 5e-3, 1e-4] + [0.1] * 3 + [2e-3] * 3 + [0.05] * 3 + [0.02])
+SIGMA = first_sigma(CONFIG, np.array([1e-3, 1e-3, 1e-3, 5e-3, 5e-3, 1e-4]), 0.1, np.repeat([2e-3, 0.05], 3), 0.02)
 
 
 def difference(state, truth, k):
     """What the truth is beyond an estimate, in the order of its covariance."""
     pose = rigid.log(rigid.inverse(state.T_map_base) @ truth["pose"][k])
-    return np.concatenate(
-        [pose, truth["velocity"][k] - state.velocity_map, truth["bias"][k] - state.bias, [1.0 - state.scale]]
-    )
+    rest = [truth[name][k] - own for name, own in zip(SIZES, state, strict=True) if name != "pose"]
+    return np.concatenate([pose, *rest])
 
 
 def begun(seed, num, noise=1.0):
@@ -30,12 +31,12 @@ def begun(seed, num, noise=1.0):
     world = World(seed=seed, noise=noise, num_slots=40)
     moments, truth = world.moments(num)
     values = near(truth, NUM, noise, seed)
-    drawn = noise * SIGMA * np.random.default_rng(seed + 7).normal(size=16)
+    drawn = noise * SIGMA * np.random.default_rng(seed + 7).normal(size=STATE)
     T = truth["pose"][0]
     values["pose"][0] = T @ rigid.exp(np.concatenate([drawn[:3], T[:3, :3].T @ drawn[3:6]]))
-    values["velocity"][0] = truth["velocity"][0] + drawn[6:9]
-    values["bias"][0] = truth["bias"][0] + drawn[9:15]
-    values["scale"][:] = 1.0 + drawn[15]
+    for name in ("height", "velocity", "bias"):
+        values[name][0] = truth[name][0] + drawn[AT[name]]
+    values["scale"][:] = 1.0 + drawn[AT["scale"]]
     window = InertialWindow.of(moments[:NUM], values, first_prior(values, SIGMA, T[:3, :3]), CONFIG)
     for _ in range(2):
         window.solve()
@@ -48,7 +49,7 @@ def reduced(problem, steps, values, noise):
     values = jax.tree.map(jnp.asarray, values)
     problem = _with_steps(problem, steps, values["bias"], noise)
     left, _ = problem.linearise(values, jnp.asarray(False)).reduced()
-    return left.information, problem.slopes_at(values)
+    return left.information, problem.prior.slopes_at(values)
 
 
 def information(window):
@@ -59,12 +60,12 @@ def information(window):
 
 def gauge(at):
     """Directions that no camera and no inertial sensor can see: yaw and position of the whole, [unknowns 4]."""
-    up, N = np.array([0.0, 0.0, 1.0]), np.zeros((16 * NUM, 4))
+    up, N = np.array([0.0, 0.0, 1.0]), np.zeros((STATE * NUM, 4))
     for k in range(NUM):
         own = unknowns_of(np.array([k]), NUM)
         T, v = np.asarray(at["pose"][k]), np.asarray(at["velocity"][k])
         N[own[:3], 0], N[own[3:6], 0] = T[:3, :3].T @ np.cross(up, T[:3, 3]), T[:3, :3].T @ up
-        N[own[6:9], 0] = np.cross(up, v)
+        N[own[AT["velocity"]], 0] = np.cross(up, v)
         N[own[:3], 1:] = T[:3, :3].T
     return N
 
@@ -75,7 +76,7 @@ def test_without_noise_the_way_is_exact():
         estimate = window.add(moments[k])
         off = difference(estimate.state, truth, k)
         assert np.abs(off[:3]).max() < 5e-3 and np.rad2deg(np.abs(off[3:6])).max() < 0.01
-        assert np.abs(off[6:9]).max() < 0.01 and estimate.num_landmarks > 10
+        assert np.abs(off[AT["velocity"]]).max() < 0.01 and estimate.num_landmarks > 10
 
 
 def test_yaw_and_position_gain_no_information_before_and_after_marginalisation():
@@ -112,7 +113,7 @@ def test_a_vehicle_that_moves_starts_at_its_speed_and_shrinks_to_the_window():
     assert start.reason == "" and len(start.window.moments) == 31
     speed = np.linalg.norm(start.estimate.state.velocity_map)
     true_speed = np.linalg.norm(truth["velocity"][30])
-    sigma = np.sqrt(np.trace(start.estimate.covariance[6:9, 6:9]))
+    sigma = np.sqrt(np.trace(start.estimate.covariance[AT["velocity"], AT["velocity"]]))
     assert abs(speed - true_speed) < 3 * sigma < 0.3 * true_speed
     moved = rigid.inverse(truth["pose"][0]) @ truth["pose"][30]
     found = rigid.inverse(start.window.state(0).T_map_base) @ start.estimate.state.T_map_base
@@ -125,7 +126,7 @@ def test_a_vehicle_that_moves_starts_at_its_speed_and_shrinks_to_the_window():
     shift = rigid.log(rigid.inverse(start.estimate.state.T_map_base) @ again.state.T_map_base)
     assert (np.abs(shift) < 0.5 * np.sqrt(np.diag(start.estimate.covariance))[:6]).all()
     ratio = np.sqrt(np.diag(again.covariance) / np.diag(start.estimate.covariance))
-    assert (0.8 < ratio[:9]).all() and (ratio[:9] < 1.3).all()
+    assert (0.8 < ratio[: AT["bias"].start]).all() and (ratio[: AT["bias"].start] < 1.3).all()
 
 
 def test_a_standing_vehicle_starts_at_rest_and_an_even_straight_is_refused():
@@ -171,9 +172,9 @@ def test_inertial_sensor_and_a_measured_pose_give_what_gtsam_gives():
     off = rigid.log(rigid.inverse(theirs["pose"]) @ estimate.state.T_map_base)
     sigma = np.sqrt(np.diag(estimate.covariance))
     assert (np.abs(off) < 0.05 * sigma[:6]).all()
-    assert (np.abs(estimate.state.velocity_map - theirs["velocity"]) < 0.05 * sigma[6:9]).all()
-    assert (np.abs(estimate.state.bias - theirs["bias"]) < 0.05 * sigma[9:15]).all()
-    np.testing.assert_allclose(sigma[:9], covariance, rtol=0.03)
+    assert (np.abs(estimate.state.velocity_map - theirs["velocity"]) < 0.05 * sigma[AT["velocity"]]).all()
+    assert (np.abs(estimate.state.bias - theirs["bias"]) < 0.05 * sigma[AT["bias"]]).all()
+    np.testing.assert_allclose(np.concatenate([sigma[:6], sigma[AT["velocity"]]]), covariance, rtol=0.03)
     assert prior is not None
 
 
@@ -201,9 +202,9 @@ def gtsam_batch(gtsam, moments, truth, config, T_measured, pose_sigma):
     of_pose[:3, :3] = R0.T @ np.diag(SIGMA[3:6] ** 2) @ R0
     of_pose[3:, 3:] = np.diag(SIGMA[:3] ** 2)
     graph.add(gtsam.PriorFactorPose3(X(0), pose(T0), gtsam.noiseModel.Gaussian.Covariance(of_pose)))
-    graph.add(gtsam.PriorFactorVector(V(0), truth["velocity"][0], noise(SIGMA[6:9])))
+    graph.add(gtsam.PriorFactorVector(V(0), truth["velocity"][0], noise(SIGMA[AT["velocity"]])))
     bias = gtsam.imuBias.ConstantBias(truth["bias"][0][3:], truth["bias"][0][:3])
-    bias_sigma = np.concatenate([SIGMA[12:15], SIGMA[9:12]])
+    bias_sigma = np.roll(SIGMA[AT["bias"]], 3)
     graph.add(gtsam.PriorFactorConstantBias(B(0), bias, noise(bias_sigma)))
     for k, moment in enumerate(moments):
         start.insert(X(k), pose(truth["pose"][k]))
@@ -245,8 +246,8 @@ def test_errors_are_as_large_as_the_window_says_over_many_seeds():
         "position": [0, 1, 2],
         "yaw": [5],
         "tilt": [3, 4],
-        "velocity": [6, 7, 8],
-        "biases": range(9, 15),
+        "velocity": range(*AT["velocity"].indices(STATE)),
+        "biases": range(*AT["bias"].indices(STATE)),
     }.items():
         at = list(at)
         errors = np.stack([d[at] for d, _ in ends])

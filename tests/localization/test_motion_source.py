@@ -8,6 +8,7 @@ import pytest
 from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.inertial_motion import Moving
+from semloc_jax.fusion.inertial_states import STATE
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.localization import motion_source
 from semloc_jax.localization.motion_source import SeenMotion, motion_log, resolved, with_seen_speed
@@ -35,7 +36,7 @@ def seen_of(drive, num_start=1, num_followed=50):
     velocity = np.gradient(Ts[:, :3, 3], time_s, axis=0)
     bias = np.array([0.0, 0.0, GYRO_BIAS, 0.0, 0.0, 0.0])
     frames = [
-        OdometryFrame(float(t), T, v, bias, np.full(16, np.nan), num_followed, 30, False)
+        OdometryFrame(float(t), T, v, bias, np.full(STATE, np.nan), num_followed, 30, False)
         for t, T, v in zip(time_s, Ts, velocity, strict=True)
     ]
     return SeenMotion(tuple(frames), num_start, "")

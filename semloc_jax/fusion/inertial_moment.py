@@ -1,0 +1,149 @@
+"""What sensors say of one image time, and what is believed of them (room: fusion; host).
+
+In: InertialMoments of a window. Out: its StateFactors, without the inertial steps put together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.fusion.inertial_graph import StateFactors
+from semloc_jax.fusion.inertial_samples import Steps
+from semloc_jax.fusion.landmark_pool import RoadBeliefs
+from semloc_jax.perception.tracks import Tracks
+
+_LEAST_SIGMA = 1e-6
+"""Of what is believed to be known: the window holds it."""
+
+
+@dataclass(frozen=True)
+class InertialWindowConfig:
+    """Beliefs about sensors and vehicle, and how the window is kept. All values are ours, of a production car."""
+
+    num_states: int = 12
+    num_landmarks: int = 256
+    """Landmarks of one solve, those with most views."""
+    min_views: int = 3
+    sigma_px: float = 0.1
+    """Of a corner where it is found: whatever it is, this is what is followed."""
+    step_px: float = 0.4
+    """Of what a corner slips from one image to the next, before the window has seen how much it is."""
+    step_memory: int = 10
+    """Images over which that is measured."""
+    step_limits_px: tuple[float, float] = (0.1, 1.5)
+    cauchy_sigmas: float = 2.0
+    refuse_sigmas: float = 5.0
+    """A landmark that is farther off in some view is let go."""
+    gyro_density: float = 3e-4
+    """White noise [rad/s per root of Hz]."""
+    accel_density: float = 6e-3
+    """White noise [m/s^2 per root of Hz]."""
+    gyro_walk: float = 3e-4
+    """Change of the bias [rad/s per root of s]."""
+    accel_walk: float = 2e-3
+    """Change of the bias [m/s^2 per root of s]."""
+    side_sigma_mps: float = 0.05
+    """Velocity of the rear axle to the side; 0: not a vehicle on wheels."""
+    up_sigma_mps: float = 0.3
+    """Velocity of the rear axle up and down, by suspension and load."""
+    speed_sigma_mps: float = 0.05
+    """Of a wheel speed besides its scale."""
+    scale_walk: float = 1e-4
+    """Change of the odometer scale [per root of s]."""
+    road: RoadBeliefs = field(default_factory=RoadBeliefs)
+    height_sigma_m: float = 0.01
+    """Of the height of the cameras over the road: tyres, load, calibration."""
+    height_walk: float = 1e-3
+    """Change of that height [m per root of s]."""
+    mount_sigma_deg: float = 0.0
+    """Of the axes of the inertial sensor against those of the vehicle; 0: they are as calibrated."""
+    mount_walk: float = 2e-5
+    """Change of that turn [rad per root of s]."""
+    delay_sigma_s: float = 0.0
+    """Of the clock of the inertial sensor less that of the cameras; 0: they are one."""
+    delay_walk: float = 2e-5
+    """Change of that difference [s per root of s]."""
+    max_steps: int = 8
+
+
+class InertialMoment(NamedTuple):
+    """What sensors say of one image time."""
+
+    time_s: float
+    tracks: Tracks
+    T_base_cam: Float[np.ndarray, "c 4 4"]
+    steps: Steps | None
+    """Inertial steps since the time before; None for the first."""
+    speed_mps: float | None = None
+    """Of the wheels."""
+    is_standing: bool = False
+    delay_s: float = 0.0
+    """How far the clock of the inertial sensor was taken to be ahead when `steps` were read from its log."""
+    T_measured: Float[np.ndarray, "4 4"] | None = None
+    """Pose in a map by an alignment, its own prior taken out."""
+    information: Float[np.ndarray, "6 6"] | None = None
+    """Of that pose in its right tangent; undetermined directions are zero."""
+
+
+def first_sigma(
+    config: InertialWindowConfig,
+    pose: Float[np.ndarray, "6"],
+    velocity_mps: float,
+    bias: Float[np.ndarray, "6"],
+    scale: float,
+) -> Float[np.ndarray, "21"]:
+    """Standard deviations of a first state, in the order of `inertial_states`.
+
+    Args:
+        config: Of height, mount and clock.
+        pose: Of position [m] and rotation about the axes of the map [rad].
+        velocity_mps: Of each part of the velocity.
+        bias: Of gyroscope [rad/s] and accelerometer [m/s^2].
+        scale: Of the odometer.
+    """
+    mount, delay_s = np.deg2rad(config.mount_sigma_deg), config.delay_sigma_s
+    own = [config.height_sigma_m], [velocity_mps] * 3, bias, [scale], [mount] * 3, [delay_s]
+    return np.maximum(np.concatenate([pose, *own]), _LEAST_SIGMA)
+
+
+def state_factors(moments: Sequence[InertialMoment], config: InertialWindowConfig) -> StateFactors:
+    """What the moments say of their states beside the landmarks; the inertial steps are put together later."""
+    num = len(moments)
+    step_s = np.array([moment.steps.step_s.sum() for moment in moments[1:]])
+    walks = {
+        "height": [config.height_walk],
+        "bias": np.repeat([config.gyro_walk, config.accel_walk], 3),
+        "scale": [config.scale_walk],
+        "mount": [config.mount_walk] * 3,
+        "delay": [config.delay_walk],
+    }
+    has_speed = np.array([moment.speed_mps is not None for moment in moments])
+    standing = np.array([moment.is_standing for moment in moments])
+    sides = np.array([config.side_sigma_mps, config.up_sigma_mps])
+    rolling = np.tile(1.0 / sides if config.side_sigma_mps > 0 else np.zeros(2), (num, 1))
+    both = standing[1:] & standing[:-1]
+    still = np.diag(1.0 / np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4]))
+    return StateFactors(
+        steps=None,
+        inertial=np.zeros((num - 1, 9, 9)),
+        delay_s=np.array([moment.delay_s for moment in moments[1:]]),
+        walk={name: 1.0 / (np.asarray(walk) * np.sqrt(step_s)[:, None]) for name, walk in walks.items()},
+        rolling=rolling,
+        speed_mps=np.array([moment.speed_mps or 0.0 for moment in moments]),
+        wheels=np.where(has_speed, 1.0 / config.speed_sigma_mps, 0.0)[:, None],
+        standing=np.where(standing[:, None], np.full(3, 1.0 / 0.005), 0.0),
+        still=np.where(both[:, None, None], still, 0.0),
+        T_measured=np.stack([np.eye(4) if m.T_measured is None else m.T_measured for m in moments]),
+        measured=np.stack([_root(m.information) for m in moments]),
+    )
+
+
+def _root(information: np.ndarray | None) -> np.ndarray:
+    """Rows R with R^T R = information, which may leave directions free."""
+    if information is None:
+        return np.zeros((6, 6))
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T

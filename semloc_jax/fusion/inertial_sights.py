@@ -1,0 +1,181 @@
+"""What views of landmarks say of the states that see them, and what the road says of landmarks on it (room: fusion;
+pure JAX).
+
+In: Views, values of states and landmarks. Out: whitened residuals, normal equations with the landmarks apart.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from semloc_jax.fusion.inertial_states import SEEN, SIZES
+from semloc_jax.residuals.inverse_depth import (
+    Sight,
+    on_road_linearised,
+    on_road_residual,
+    sight_linearised,
+    sight_residual,
+)
+from semloc_jax.residuals.motion import cauchy_cost
+from semloc_jax.solvers.graph import Values
+
+_HIGHEST = jax.lax.Precision.HIGHEST
+
+
+class Views(NamedTuple):
+    """Landmarks and the times that see them."""
+
+    anchor: Int[Array | np.ndarray, " l"]
+    """State that saw the landmark first."""
+    camera: Int[Array | np.ndarray, " l"]
+    axes: Float[Array | np.ndarray, "l 3 3"]
+    """R_cam_axes at the anchor."""
+    ray_cam: Float[Array | np.ndarray, "l f 3"]
+    pixels: Float[Array | np.ndarray, "l f 2 3"]
+    sqrt_info: Float[Array | np.ndarray, "l f"]
+    """1 / standard deviation [1/px] of the step of the track that ends at each view, and of the first view at the
+    anchor; 0 where the landmark is not seen. Views follow each other without a gap."""
+    T_base_cam: Float[Array | np.ndarray, "f c 4 4"]
+    up: Float[Array | np.ndarray, "l 3"]
+    """Vertical axis of the base at the anchor, in `axes`."""
+    lift_m: Float[Array | np.ndarray, " l"]
+    """Height of the camera in the base at the anchor."""
+    on_road: Float[Array | np.ndarray, " l"]
+    """See `on_road_residual`: its weight; 0 for a landmark that is not known to lie on the road."""
+
+
+class Seen(NamedTuple):
+    """Normal equations of landmarks; the unknowns of states are all their poses, then all their heights."""
+
+    cost: Float[Array, ""]
+    gradient: Float[Array, " p"]
+    information: Float[Array, "p p"]
+    landmark_gradient: Float[Array, "l 3"]
+    landmark: Float[Array, "l 3 3"]
+    across: Float[Array, "l p 3"]
+
+
+def _arguments(views: Views, value: Values) -> tuple:
+    """Arguments of the residual of every landmark and time, [l f ...]."""
+    num_l, num_f = jnp.shape(views.sqrt_info)
+    T_base_cam = jnp.asarray(views.T_base_cam)[:, views.camera].swapaxes(0, 1)
+    anchor = jnp.asarray(views.anchor)
+    T_anchor_cam = jnp.take_along_axis(T_base_cam, anchor[:, None, None, None], axis=1)
+    many = (num_l, num_f)
+    sight = Sight(
+        jnp.broadcast_to(jnp.asarray(views.axes)[:, None], (*many, 3, 3)),
+        jnp.broadcast_to(T_anchor_cam, (*many, 4, 4)),
+        T_base_cam,
+        jnp.asarray(views.ray_cam),
+        jnp.asarray(views.pixels),
+    )
+    T_map_anchor = jnp.broadcast_to(value["pose"][anchor][:, None], (*many, 4, 4))
+    T_map_base = jnp.broadcast_to(value["pose"][None], (*many, 4, 4))
+    landmark = jnp.broadcast_to(value["landmark"][:, None], (*many, 3))
+    return T_map_anchor, T_map_base, landmark, sight, (jnp.asarray(views.sqrt_info) > 0).astype(landmark.dtype)
+
+
+def step_residuals(views: Views, value: Values) -> Float[Array, "l f 2"]:
+    """Whitened steps of all tracks away from their landmarks; zero where a landmark is not seen.
+
+    A corner is followed from image to image, so its error in one image is that in the image before and a new one.
+    """
+    r = jax.vmap(jax.vmap(sight_residual))(*_arguments(views, value))
+    return _steps_of(r, views) * jnp.asarray(views.sqrt_info)[..., None]
+
+
+def seen_equations(views: Views, value: Values, at: Values, threshold: float) -> Seen:
+    """What views and road say at the values, with derivatives by the states taken at `at`.
+
+    Args:
+        views: Landmarks and what was seen of them.
+        value: States and landmarks.
+        at: States, maybe at first estimates.
+        threshold: Whitened distance beyond which the pull of one step grows no more.
+    """
+    r = jax.vmap(jax.vmap(sight_residual))(*_arguments(views, value))
+    _, Ja, Jk, Jl = jax.vmap(jax.vmap(sight_linearised))(*_arguments(views, at | {"landmark": value["landmark"]}))
+    sqrt_info = jnp.asarray(views.sqrt_info)
+    steps = _steps_of(r, views) * sqrt_info[..., None]
+    cost, root = jax.vmap(jax.vmap(lambda one: cauchy_cost(_kept_from_zero(one), threshold)))(steps)
+    weights = _step_weights(sqrt_info * root, views)
+    r, Wa, Wl = (jnp.einsum("lfg,lg...->lf...", weights, part, precision=_HIGHEST) for part in (r, Ja, Jl))
+    num_l, num_f = r.shape[:2]
+    of_anchor = jax.nn.one_hot(jnp.asarray(views.anchor), num_f, dtype=r.dtype)
+    g = jnp.einsum("lfri,lfr->fi", Jk, r, precision=_HIGHEST)
+    g += jnp.einsum("lg,lfri,lfr->gi", of_anchor, Ja, r, precision=_HIGHEST)
+    between = jnp.einsum("lg,lfij->gfij", of_anchor, _gram(Wa, Jk), precision=_HIGHEST)
+    anchors = jnp.einsum("lg,lij->gij", of_anchor, jnp.sum(_gram(Ja, Wa), axis=1), precision=_HIGHEST)
+    H = between + between.transpose(1, 0, 3, 2)
+    H = H + jnp.einsum("lfg,lfri,lgrj->fgij", weights, Jk, Jk, precision=_HIGHEST)
+    H = H.at[jnp.arange(num_f), jnp.arange(num_f)].add(anchors)
+    across = _gram(Jk, Wl) + of_anchor[:, :, None, None] * jnp.sum(_gram(Ja, Wl), axis=1)[:, None]
+    is_used = jnp.any(jnp.asarray(views.sqrt_info) > 0, axis=1)
+    landmark = jnp.sum(_gram(Jl, Wl), axis=1)
+    # Inverse depths of points that show no parallax stay where they are: a prior far beyond what any road holds.
+    weak = jnp.diag(jnp.asarray([1e-4, 1e-4, 1e-2], r.dtype))
+    landmark += jnp.where(is_used[:, None, None], weak, jnp.eye(3, dtype=r.dtype))
+    road = _on_road(views, value, at, threshold)
+    poses, num = SIZES["pose"] * num_f, SEEN * num_f
+    return Seen(
+        jnp.sum(cost) + jnp.sum(road.cost),
+        jnp.concatenate([g.ravel(), of_anchor.T @ road.gradient]),
+        jnp.zeros((num, num), r.dtype)
+        .at[:poses, :poses]
+        .set(H.transpose(0, 2, 1, 3).reshape(poses, poses))
+        .at[poses:, poses:]
+        .set(jnp.diag(of_anchor.T @ road.information)),
+        jnp.einsum("lfri,lfr->li", Jl, r, precision=_HIGHEST) + road.landmark_gradient,
+        landmark + road.landmark,
+        jnp.concatenate([across.reshape(num_l, poses, 3), of_anchor[:, :, None] * road.across[:, None]], axis=1),
+    )
+
+
+class _Road(NamedTuple):
+    """Normal equations of landmarks on the road, by the height of each one's anchor and by the landmark."""
+
+    cost: Float[Array, " l"]
+    gradient: Float[Array, " l"]
+    information: Float[Array, " l"]
+    landmark_gradient: Float[Array, "l 3"]
+    landmark: Float[Array, "l 3 3"]
+    across: Float[Array, "l 3"]
+
+
+def _on_road(views: Views, value: Values, at: Values, threshold: float) -> _Road:
+    data = value["landmark"], *(jnp.asarray(part) for part in (views.up, views.lift_m, views.on_road[:, None]))
+    r = jax.vmap(on_road_residual)(value["height"][views.anchor], *data)
+    _, by_height, by_landmark = jax.vmap(on_road_linearised)(at["height"][views.anchor], *data)
+    cost, root = jax.vmap(lambda one: cauchy_cost(_kept_from_zero(one), threshold))(r)
+    r, Jh, Jl = (root * part for part in (r[:, 0], by_height[:, 0, 0], by_landmark[:, 0].T))
+    Jl = Jl.T
+    return _Road(cost, Jh * r, Jh**2, Jl * r[:, None], Jl[:, :, None] * Jl[:, None, :], Jh[:, None] * Jl)
+
+
+def _steps_of(r: Float[Array, "l f 2"], views: Views) -> Float[Array, "l f 2"]:
+    """Errors less those of the view before, where there is one."""
+    seen = jnp.asarray(views.sqrt_info) > 0
+    is_followed = (seen[:, 1:] & seen[:, :-1])[..., None]
+    return jnp.concatenate([r[:, :1], r[:, 1:] - jnp.where(is_followed, r[:, :-1], 0.0)], axis=1)
+
+
+def _step_weights(sqrt_info: Float[Array, "l f"], views: Views) -> Float[Array, "l f f"]:
+    """W of each landmark with r W r = sum of its squared whitened steps."""
+    seen = jnp.asarray(views.sqrt_info) > 0
+    info = sqrt_info**2
+    back = jnp.where(seen[:, 1:] & seen[:, :-1], info[:, 1:], 0.0)
+    own = info + jnp.pad(back, ((0, 0), (0, 1)))
+    across = jax.vmap(lambda b: jnp.diag(-b, 1) + jnp.diag(-b, -1))(back)
+    return across + own[..., None] * jnp.eye(own.shape[1], dtype=own.dtype)
+
+
+def _gram(A: Array, B: Array) -> Array:
+    return jnp.einsum("lfri,lfrj->lfij", A, B, precision=_HIGHEST)
+
+
+def _kept_from_zero(r: Array) -> Array:
+    # The norm has no derivative at zero; nobody asks for one, but NaN must not appear.
+    return jnp.where(jnp.any(r != 0), r, 1e-12)
