@@ -22,6 +22,7 @@ _CELL_M = 0.005
 _THIN_M = 0.01
 _LEAST_SIGMA_M = 0.005
 _MOST_LOGIT = 6.0
+_SHARED_STEP, _LEAST_SHARED = 0.2, 1e-5
 _TOLD_M = (0.15, 0.05)
 """How far along and across drives must place a thing off a surveyed map to be believed: three times what masks are off
 alike in all drives; ours."""
@@ -113,6 +114,12 @@ def logit_of(probability: float) -> float:
     """Log odds in steps of a half, no surer than 99.75 %."""
     p = float(np.clip(probability, 1e-6, 1.0 - 1e-6))
     return float(np.clip(np.round(2.0 * np.log(p / (1.0 - p))) / 2.0, -_MOST_LOGIT, _MOST_LOGIT))
+
+
+def told_shared(sigma: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Sigmas in steps of a fifth and no finer: what nobody needs to know better does not change with each drive."""
+    steps = np.ceil(np.log(np.maximum(sigma, _LEAST_SHARED)) / _SHARED_STEP)
+    return np.where(sigma < _LEAST_SHARED, 0.0, np.exp(_SHARED_STEP * steps).round(6))
 
 
 def rounded(element: MapElement) -> MapElement:

@@ -117,11 +117,25 @@ class JointSolve:
                 targets.append(b * weight)
             A, b = vstack(rows).tocsc(), np.concatenate(targets)
             normal = (A.T @ A).tocsc()
-            self._value = splu(normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve(A.T @ b)
+            self._normal = splu(normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0)
+            self._value = self._normal.solve(A.T @ b)
             if self.moves:
                 for A_own, b_own, group in parts:
                     self._judge(b_own - A_own @ self._value, group)
         self._move()
+
+    def covariance(self, rows: list[tuple[int, Float[np.ndarray, "m p"]]]) -> Float[np.ndarray, "n n"]:
+        """Joint covariance of what rows of unknowns of drives give, as the last round knows it.
+
+        Args:
+            rows: of which drive, and by its unknowns; all stacked in this order.
+        """
+        wide = np.zeros((sum(len(own) for _, own in rows), int(self._first_drive[-1])))
+        first = 0
+        for k, own in rows:
+            wide[first : first + len(own), self._first_drive[k] : self._first_drive[k + 1]] = own
+            first += len(own)
+        return wide @ self._normal.solve(np.ascontiguousarray(wide.T))
 
     def _rows_of(self, k: int) -> tuple[csr_array, np.ndarray, tuple[int, np.ndarray]]:
         """Whitened rows of one drive: world minus where the drive sees it is 0; which factor each row has."""
