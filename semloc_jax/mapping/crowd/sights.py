@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from semloc_jax.evaluation.map_shapes import POSTS, is_line, kind_of, thing_of
 from semloc_jax.geometry import polyline, rigid
 from semloc_jax.geometry.geodesy import enu_from_wgs84, wgs84_from_enu
+from semloc_jax.mapping.crowd.rejoined import rejoined
 from semloc_jax.maps import Belief, BeliefMap, GeoOrigin, MapElement
 from semloc_jax.maps.io.packed_drive import PackedDrive
 
@@ -130,6 +131,7 @@ def sights_of(drive: PackedDrive, origin: GeoOrigin | None) -> Sights:
     x, y, z, heading_rad = _placed(drive, origin)
     T = rigid.planar_pose(x, y, heading_rad, z)
     known = [(_moved(T, e), drive.beliefs.beliefs[e.id]) for e in drive.beliefs.map.elements if not e.is_logical]
+    known = rejoined(known)
     way = drive.way[:, :3] @ T[:3, :3].T + T[:3, 3]
     area = shapely.union_all([shapely.Polygon(ring @ T[:2, :2].T + T[:2, 3]).buffer(0.0) for ring in drive.rings])
     things = Things.of([item for item in known if not is_line(item[0])])
