@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from semloc_jax.evaluation.map_shapes import POSTS, kind_of
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.correction import Correction
+from semloc_jax.mapping.crowd.facing import hangs, shows_its_face
 from semloc_jax.mapping.crowd.fusion import Fused
 from semloc_jax.mapping.crowd.presence import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.sights import CROWD
@@ -48,17 +49,21 @@ def _things(fused: Fused, rows: list[int], steps: np.ndarray, config: PresenceCo
     places = np.stack([world.centre, world.centre - tip, world.centre + tip], axis=1)
     visible, seen, band = (np.zeros((n, len(rows)), dtype=t) for t in (bool, bool, int))
     is_post = np.isin(world.kind.astype(str), sorted(_POST_NAMES))
+    elements = [fused.drives[place].sights.things.elements[row] for place, row in world.source.tolist()]
+    faces = np.array([np.zeros(2) if e.normal is None else e.normal[:2] for e in elements]).reshape(-1, 2)
     for column, k in enumerate(rows):
         drive = fused.drives[k]
         back = drive.back(places.reshape(-1, 2))
         inside = _within(drive.sights.area, back).reshape(n, 3).all(axis=1)
         visible[:, column] = np.where(is_post, _within(drive.sights.upright_area, back).reshape(n, 3)[:, 0], inside)
+        visible[:, column] &= shows_its_face(drive, world.centre, faces)
         seen[fused.seen[k].pairs[:, 1], column] = True
         band[:, column] = _band(drive, back.reshape(n, 3, 2)[:, 0])
     beliefs = [fused.drives[place].sights.things.beliefs[row] for place, row in world.source.tolist()]
     based = _based(fused, world.source[:, 0], beliefs, config)
     group = kind[:, None] * (len(_BANDS_M) + 1) + band
-    return Looks(visible, seen, group.reshape(n, len(rows)), kind, based[0], steps, *based[1:])
+    hidden = np.where(based[0] & hangs(fused, elements), config.hidden, 0.0)
+    return Looks(visible, seen, group.reshape(n, len(rows)), kind, based[0], steps, *based[1:], hidden)
 
 
 def _stations(fused: Fused, rows: list[int], steps: np.ndarray, config: PresenceConfig) -> Looks:
@@ -79,7 +84,8 @@ def _stations(fused: Fused, rows: list[int], steps: np.ndarray, config: Presence
     beliefs = [held[line.source[0]][line.source[1].id] for line in lines for _ in line.reference]
     based = _based(fused, source, beliefs, config)
     group = kind[:, None] * (len(_BANDS_M) + 1) + band
-    return Looks(visible, seen, group.reshape(len(xy), len(rows)), kind, based[0], steps, *based[1:])
+    hidden = np.zeros(len(xy))
+    return Looks(visible, seen, group.reshape(len(xy), len(rows)), kind, based[0], steps, *based[1:], hidden)
 
 
 def _is_beside(

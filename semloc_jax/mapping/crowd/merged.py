@@ -12,6 +12,7 @@ import numpy as np
 from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.crowd.changes import ChangeConfig, CrowdChange, identified
 from semloc_jax.mapping.crowd.elements import beliefs_of, id_of, rounded, things_of, told_shared
+from semloc_jax.mapping.crowd.exclusion import one_in_each_place
 from semloc_jax.mapping.crowd.fusion import Distrusted, Fused, FusionConfig, Progress, fused
 from semloc_jax.mapping.crowd.heights import heights
 from semloc_jax.mapping.crowd.line_runs import LineRun, lines_of
@@ -149,6 +150,7 @@ def merged_sights(
     found = fused(list(sights), config.fusion, progress)
     looks, station_looks, columns = looks_of(found, config.presence)
     there, along_lines = presence(looks, config.presence), presence(station_looks, config.presence)
+    there = one_in_each_place(found.world, looks, there, config.presence)
     z, station_z = heights(found)
     names = [sights[k].name for k in columns]
     elements, changes = identified(things_of(found, z), looks, there, names, config.changes)

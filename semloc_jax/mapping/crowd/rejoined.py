@@ -1,7 +1,7 @@
 """Paint that something crosses, in one piece again (room: mapping; host).
 
-In: elements that a drive saw, with beliefs. Out: the same, pieces of one bar or dash as one. A trench, a crack or a line
-across a bar leaves two pieces in line, closer together than paint of one kind ever is.
+In: elements that a drive saw, with beliefs. Out: the same, pieces of one bar or dash as one. A trench, a crack or a
+line across a bar leaves two pieces in line, closer together than paint of one kind ever is.
 """
 
 from dataclasses import replace
@@ -38,6 +38,10 @@ def rejoined(known: list[tuple[MapElement, Belief]]) -> list[tuple[MapElement, B
 def _extent(thing: Thing, axis: np.ndarray) -> tuple[float, float]:
     side = thing.corners @ axis
     return float(side.min()), float(side.max())
+
+
+def _next(thing: Thing, rest: list[Thing], gap_m: float) -> int | None:
+    return next((k for k, other in enumerate(rest) if _in_line(thing, other, gap_m)), None)
 
 
 def _in_line(long: Thing, other: Thing, gap_m: float) -> bool:
