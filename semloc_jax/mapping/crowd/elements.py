@@ -29,8 +29,6 @@ alike in all drives; ours."""
 TOLD_ASIDE_M = _TOLD_M[1]
 LEAST_TOLD_BY = 2
 """One drive alone does not move what somebody surveyed; ours."""
-_SURE_LOGIT, _DOUBT_LOGIT = 4.5, 1.5
-"""Log odds of what a surveyed map states, and by how much less they must be to be told; ours."""
 
 
 def id_of(sights: Sights, element: MapElement) -> str:
@@ -103,8 +101,11 @@ def beliefs_of(found: Fused, looks: Looks, there: Presence) -> list[Belief]:
 
 
 def surveyed_belief(before: Belief, now: Belief) -> Belief:
-    """The belief in what stays where a surveyed map has it: that of the map, until drives doubt that it is there."""
-    if now.existence_logit > min(before.existence_logit, _SURE_LOGIT) - _DOUBT_LOGIT:
+    """The belief in what stays where a surveyed map has it: that of the map, until it is rather gone than there.
+
+    Certainty that only fades since nobody looks says nothing new.
+    """
+    if now.existence_logit > min(before.existence_logit, 0.0):
         return before
     counts = {"num_seen": now.num_seen, "num_missed": now.num_missed}
     return replace(before, existence_logit=now.existence_logit, **counts)

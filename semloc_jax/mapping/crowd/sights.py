@@ -72,7 +72,7 @@ class Things:
             np.array([s.centre for s in shapes]).reshape(n, 2),
             along,
             0.5 * np.array(half).reshape(n, 2),
-            np.array([all(s.ends) for s in shapes], dtype=bool),
+            np.array([all(s.ends) and kind_of(e) != "stop_line" for s, (e, _) in zip(shapes, known, strict=True)], bool),
             np.maximum(sigma, np.outer([num_drives_of(b) ** -0.5 for _, b in known], _LEAST_SIGMA_M)),
         )
 
