@@ -68,6 +68,11 @@ class Fused:
     distrusted: dict[int, Distrusted]
     sigmas: WaySigmas
 
+    @property
+    def is_surveyed(self) -> bool:
+        """Whether all lies in a surveyed base map."""
+        return bool(self.drives) and self.drives[0].is_held
+
 
 def fused(
     sights: list[Sights], config: FusionConfig | None = None, progress: Progress = lambda items, _: items

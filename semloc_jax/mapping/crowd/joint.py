@@ -124,11 +124,11 @@ class JointSolve:
                     self._judge(b_own - A_own @ self._value, group)
         self._move()
 
-    def covariance(self, rows: list[tuple[int, Float[np.ndarray, "m p"]]]) -> Float[np.ndarray, "n n"]:
+    def covariance(self, rows: list[tuple[int, np.ndarray]]) -> Float[np.ndarray, "n n"]:
         """Joint covariance of what rows of unknowns of drives give, as the last round knows it.
 
         Args:
-            rows: of which drive, and by its unknowns; all stacked in this order.
+            rows: `[m p]` of which drive, and by its unknowns; all stacked in this order.
         """
         wide = np.zeros((sum(len(own) for _, own in rows), int(self._first_drive[-1])))
         first = 0

@@ -11,7 +11,7 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.crowd.changes import ChangeConfig, CrowdChange, identified
-from semloc_jax.mapping.crowd.elements import beliefs_of, id_of, rounded, things_of, told_shared
+from semloc_jax.mapping.crowd.elements import beliefs_of, id_of, rounded, stepped, things_of
 from semloc_jax.mapping.crowd.exclusion import one_in_each_place
 from semloc_jax.mapping.crowd.fusion import Distrusted, Fused, FusionConfig, Progress, fused
 from semloc_jax.mapping.crowd.heights import heights
@@ -159,18 +159,18 @@ def merged_sights(
     known += [
         (_named(run, sights[run.source]), run.belief) for run in lines_of(found, station_z, station_looks, along_lines)
     ]
-    known = _with_shared(known, found.sigmas)
+    known = known if found.is_surveyed else _with_shared(known, found.sigmas)
     kinds = np.unique(found.world.kind.astype(str)).tolist(), sorted({line.kind for line in found.world.lines})
     rates = _rates(kinds[0], looks, there) | _rates(kinds[1], station_looks, along_lines)
     return MergedSights(tuple(known), tuple(changes), tuple(found.distrusted.values()), rates, found)
 
 
 def _with_shared(known: Sequence[Known], sigmas: WaySigmas) -> list[Known]:
-    """With what all around each element shares, in what drives made; a survey states its own."""
+    """With what all around each element shares: drives made all of it."""
     middles = np.array([e.points[:, :2].mean(axis=0) for e, _ in known]).reshape(-1, 2)
-    shared = zip(*(told_shared(sigma).tolist() for sigma in sigmas.around(middles)), strict=True)
+    shared = zip(*(stepped(sigma).round(6).tolist() for sigma in sigmas.around(middles)), strict=True)
     return [
-        (e, replace(b, sigma_place_m=place_m, sigma_turn_rad=turn_rad) if b.provenance == CROWD else b)
+        (e, replace(b, sigma_place_m=place_m, sigma_turn_rad=turn_rad))
         for (e, b), (place_m, turn_rad) in zip(known, shared, strict=True)
     ]
 

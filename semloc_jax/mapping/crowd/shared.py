@@ -29,6 +29,8 @@ def shared_sigmas(solve: JointSolve) -> WaySigmas:
         cells = [tuple(cell) for cell in np.floor(drive.sights.way / _CELL_M).astype(int).tolist()]
         new = [row for row, cell in enumerate(cells) if cell not in taken and cells.index(cell) == row]
         taken.update(cells)
+        if not new:
+            continue
         xy = drive.sights.way[new]
         by_unknowns = np.concatenate([drive.rows(xy), drive.turn_rows(xy)[:, None]], axis=1)
         places.append(drive.moved(xy))

@@ -64,6 +64,8 @@ class Things:
         half = [[np.ptp(s.corners @ a), np.ptp(s.corners @ b)] for s, a, b in zip(shapes, along, across, strict=True)]
         # Of a post the corners are the two ends of its axis.
         half = [[0.0, 0.0] if e.label in POSTS else h for (e, _), h in zip(known, half, strict=True)]
+        # Of a stop line a drive often sees a part: traffic hides it, its own lane ends.
+        has_ends = [all(s.ends) and kind_of(e) != "stop_line" for s, (e, _) in zip(shapes, known, strict=True)]
         sigma = np.array([[b.sigma_along_m, b.sigma_across_m] for _, b in known]).reshape(n, 2)
         return cls(
             tuple(e for e, _ in known),
@@ -72,7 +74,7 @@ class Things:
             np.array([s.centre for s in shapes]).reshape(n, 2),
             along,
             0.5 * np.array(half).reshape(n, 2),
-            np.array([all(s.ends) and kind_of(e) != "stop_line" for s, (e, _) in zip(shapes, known, strict=True)], bool),
+            np.array(has_ends, dtype=bool),
             np.maximum(sigma, np.outer([num_drives_of(b) ** -0.5 for _, b in known], _LEAST_SIGMA_M)),
         )
 
