@@ -18,17 +18,22 @@ _WIDER_M = 0.1
 """By how much a place may be off."""
 _SHARE = 0.2
 """So much of the smaller of two lies in the other; ours, as the length above."""
+_REPLACED = 10.0
+"""Paint that goes is laid anew beside its place so many times as often as paint comes by itself; ours."""
 _SURE = 0.995
 """No existence counts as surer against another thing: what stands in its place may be it."""
 
 
 def one_in_each_place(world: CrowdWorld, looks: Looks, there: Presence, config: PresenceConfig) -> Presence:
     """Presence of things, each given that what overlaps it is not there with it."""
-    p, others = np.clip(there.now, 0.0, _SURE), np.ones(len(there.now))
-    a, b = _rivals(world, looks).T
-    np.multiply.at(others, a, 1.0 - p[b])
-    np.multiply.at(others, b, 1.0 - p[a])
-    now = np.where(others < 1.0, p * others / (p * others + 1.0 - p), there.now)
+    p = np.clip(there.now, 0.0, _SURE)
+    odds, others = p / (1.0 - p), np.zeros(len(p))
+    rivals = _rivals(world, looks)
+    a, b = np.concatenate([rivals, rivals[:, ::-1]]).T
+    first = np.where(looks.is_based, -1, looks.seen.argmax(axis=1)) if looks.seen.shape[1] else np.zeros(len(p))
+    odds[np.unique(a[there.was[b] & (first[a] > first[b])])] *= _REPLACED
+    np.add.at(others, a, odds[b])
+    now = np.where(others > 0.0, odds / (1.0 + odds + others), there.now)
     return replace(there, now=now, stays=belongs(now, there.was, config))
 
 

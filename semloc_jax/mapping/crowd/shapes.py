@@ -41,7 +41,7 @@ def shapes_of(found: Fused) -> Shapes:
 
 
 def counted_sights(found: Fused) -> list[np.ndarray]:
-    """Which pairs of each drive `bool[k]` say where a thing lies: under a survey those of the first drives, else all."""
+    """Which pairs of each drive `bool[k]` say where a thing lies: under a survey the first of each, else all."""
     trusted = [np.full(len(seen.pairs), k not in found.distrusted) for k, seen in enumerate(found.seen)]
     if not found.is_surveyed:
         return trusted
