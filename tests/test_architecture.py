@@ -69,7 +69,7 @@ HOMES = {
     "jaxlie": {"geometry"},
     "matplotlib": {"viz"},
     "tyro": {"cli"},
-    "ray": {"mapping"},
+    "ray": {"runtime"},
     "yaml": {"cli", "inputs", "reports", "perception", "datasets", "semloc_jax.cameras.io", "semloc_jax.maps.io"},
     # Peers of the benchmark: optional, imported when they are measured.
     "jaxopt": {"bench"},

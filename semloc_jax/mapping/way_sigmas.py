@@ -34,17 +34,20 @@ class WaySigmas(NamedTuple):
         """The map with the sigmas of the nearest place of the way in the belief of every element."""
         if not len(self.xy_map) or not made.map.elements:
             return made
-        centres = np.array([element.points[:, :2].mean(axis=0) for element in made.map.elements])
-        near = cKDTree(self.xy_map).query(centres)[1]
+        elements = made.map.elements
+        place_m, turn_rad = self.around(np.array([element.points[:, :2].mean(axis=0) for element in elements]))
         beliefs = {
-            element.id: replace(
-                made.beliefs[element.id],
-                sigma_place_m=float(self.place_m[k]),
-                sigma_turn_rad=float(self.turn_rad[k]),
-            )
-            for element, k in zip(made.map.elements, near, strict=True)
+            element.id: replace(made.beliefs[element.id], sigma_place_m=float(a), sigma_turn_rad=float(b))
+            for element, a, b in zip(elements, place_m, turn_rad, strict=True)
         }
         return replace(made, beliefs=beliefs)
+
+    def around(self, xy_map: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Sigmas of place [m] and direction [rad] at the places of the way nearest to points; 0 without any."""
+        if not len(self.xy_map):
+            return np.zeros(len(xy_map)), np.zeros(len(xy_map))
+        near = cKDTree(self.xy_map).query(xy_map)[1]
+        return self.place_m[near], self.turn_rad[near]
 
 
 def places_apart(way_m: Float[np.ndarray, " n"], looking: Sequence[int]) -> Int[np.ndarray, " k"]:
@@ -64,18 +67,28 @@ def way_sigmas(Ts_map_base: Float[np.ndarray, "k 4 4"], covariance: Float[np.nda
         covariance: joint one of their right tangents, six rows each [m, rad].
     """
     num = len(Ts_map_base)
-    xy = Ts_map_base[:, :2, 3]
     # Of x, y in the axes of the map and the heading, of every pose.
     axes = np.zeros((num, 3, 6))
     axes[:, :2, :3] = Ts_map_base[:, :2, :3]
     axes[:, 2, _PLANE[2]] = 1.0
     joint = np.einsum("iab,ibjd,jcd->iajc", axes, covariance.reshape(num, 6, num, 6), axes).reshape(3 * num, 3 * num)
+    return planar_sigmas(Ts_map_base[:, :2, 3], joint)
+
+
+def planar_sigmas(xy_map: Float[np.ndarray, "k 2"], covariance: Float[np.ndarray, "m m"]) -> WaySigmas:
+    """The sigmas at places, with the motion in the plane that fits all of them best taken out.
+
+    Args:
+        xy_map: places.
+        covariance: joint one of x, y [m] and direction [rad] of the map around each place, three rows each.
+    """
+    num = len(xy_map)
     common = np.tile(np.eye(3), (num, 1, 1))
-    common[:, 0, 2], common[:, 1, 2] = -(xy - xy.mean(axis=0)).T[1], (xy - xy.mean(axis=0)).T[0]
+    common[:, 0, 2], common[:, 1, 2] = -(xy_map - xy_map.mean(axis=0)).T[1], (xy_map - xy_map.mean(axis=0)).T[0]
     on_places = common[:, :2].reshape(2 * num, 3)
     is_place = np.tile([True, True, False], num)
     fit = np.zeros((3, 3 * num))
     fit[:, is_place] = np.linalg.pinv(on_places)
     rest = np.eye(3 * num) - common.reshape(3 * num, 3) @ fit
-    variance = np.maximum(np.diagonal(rest @ joint @ rest.T), 0.0).reshape(num, 3)
-    return WaySigmas(xy, np.sqrt(variance[:, :2].mean(axis=1)), np.sqrt(variance[:, 2]))
+    variance = np.maximum(np.diagonal(rest @ covariance @ rest.T), 0.0).reshape(num, 3)
+    return WaySigmas(xy_map, np.sqrt(variance[:, :2].mean(axis=1)), np.sqrt(variance[:, 2]))

@@ -14,10 +14,10 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.mapping.crowd.crew import spread
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.reports.run_inputs import FILE as BEGUN
 from semloc_jax.reports.tables import write_csv
+from semloc_jax.runtime.crew import spread
 
 TABLE, TEXT = "fleet.csv", "console.txt"
 DONE, FAILED, LOST = "done", "failed", "lost"

@@ -1,1 +1,1 @@
-"""What JAX runs on: environment, compiled programs on disk, memory (room)."""
+"""What the rest runs on: environment of JAX, compiled programs on disk, memory, worker processes (room)."""

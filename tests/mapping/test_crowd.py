@@ -120,16 +120,16 @@ def test_what_goes_comes_and_moves_is_found_within_five_drives():
     assert np.abs(off).max() < 0.15 and np.abs(off.mean(axis=0)).max() < 0.02
 
 
-def test_a_drive_with_a_wrong_calibration_is_named_and_hardly_moves_the_map(eight):
+def test_one_of_ten_drives_with_a_wrong_calibration_is_named_and_the_map_does_not_move(eight):
+    """As it lies, without any alignment: its satellite fixes and wheels still count."""
+    others = [*eight, drive(ROAD, 21)]
     wrong = replace(drive(ROAD, 20, DriveNoise(mount_deg=1.0)), name="wrong")
-    right = drive(ROAD, 20)
-    with_wrong, with_right = merged(None, [*eight[:5], wrong]), merged(None, [*eight[:5], right])
+    with_wrong, with_right = merged(None, [*others, wrong]), merged(None, [*others, drive(ROAD, 20)])
     assert [d.name for d in with_wrong.distrusted] == ["wrong"] and "turned by" in with_wrong.distrusted[0].reason
     assert not with_right.distrusted
-    a, b = (
-        compare_maps(m.beliefs.map.elements, ROAD.elements, "se2").classes["dash"] for m in (with_wrong, with_right)
-    )
-    assert abs(np.sqrt(np.mean(a.across_m**2)) - np.sqrt(np.mean(b.across_m**2))) < 0.03
+    a, b = ({e.id: e.points[:, :2].mean(axis=0) for e in m.beliefs.map.elements} for m in (with_wrong, with_right))
+    moved_m = np.array([np.linalg.norm(a[name] - b[name]) for name in a.keys() & b.keys() if "line" not in name])
+    assert len(moved_m) > 15 and np.median(moved_m) < 0.02 and np.sqrt(np.mean(moved_m**2)) < 0.03
 
 
 def test_a_drive_of_another_road_is_left_out_and_named(eight):

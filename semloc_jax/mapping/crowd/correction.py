@@ -140,12 +140,19 @@ class Correction:
         """Where the drive would have placed points of the map."""
         return xy_map - self.rows(xy_map) @ self.value if len(xy_map) else xy_map
 
+    def turn_rows(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n p"]:
+        """Turn of directions at points by each unknown [rad]."""
+        rows = np.zeros((len(xy), self.size))
+        rows[:, 2] = 1.0
+        if self.num_nodes and len(xy):
+            at = self.sights.feet(xy)[0] * (self.num_nodes - 1) / float(self._s_m[-1])
+            nearness = 1.0 - np.abs(at[:, None] - np.arange(self.num_nodes))
+            rows[:, 6::3] = np.maximum(nearness, 0.0)
+        return rows
+
     def turn(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         """By how much directions of the drive turn at points [rad]."""
-        if not self.num_nodes or not len(xy):
-            return np.full(len(xy), self.value[2])
-        nodes_m = np.linspace(0.0, float(self._s_m[-1]), self.num_nodes)
-        return self.value[2] + np.interp(self.sights.feet(xy)[0], nodes_m, self.value[6::3])
+        return self.turn_rows(xy) @ self.value
 
     def known(self) -> tuple[csr_array, Float[np.ndarray, " k"]]:
         """Whitened rows of what is known of the unknowns, and what they should give."""

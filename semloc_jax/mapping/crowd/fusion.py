@@ -13,8 +13,10 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.crowd.correction import Correction, CorrectionConfig
 from semloc_jax.mapping.crowd.joint import JointSolve, Seen, seen_by
 from semloc_jax.mapping.crowd.placing import place
+from semloc_jax.mapping.crowd.shared import shared_sigmas
 from semloc_jax.mapping.crowd.sights import Sights
 from semloc_jax.mapping.crowd.world import CrowdWorld, turned_by
+from semloc_jax.mapping.way_sigmas import WaySigmas
 
 Progress = Callable[[Iterable, str], Iterable]
 _WIDEN = ((2.0, 1.3), (1.3, 1.0), (1.0, 1.0))
@@ -57,12 +59,19 @@ class Fused:
         drives: each with its correction, in the order they were given.
         seen: what each saw.
         distrusted: drives that count less, or not at all, by their place.
+        sigmas: how far all that lies around a place may be off together.
     """
 
     world: CrowdWorld
     drives: list[Correction]
     seen: list[Seen]
     distrusted: dict[int, Distrusted]
+    sigmas: WaySigmas
+
+    @property
+    def is_surveyed(self) -> bool:
+        """Whether all lies in a surveyed base map."""
+        return bool(self.drives) and self.drives[0].is_held
 
 
 def fused(
@@ -84,25 +93,25 @@ def fused(
     if len(drives) - len(distrusted) < 1:
         raise SemlocError(f"{len(drives)} drives: none of them fits any other; do they show the same road?")
     for round_ in progress(range(len(_WIDEN)), "fusing"):
-        world, seen = _fused_once(drives, distrusted, config, _WIDEN[round_])
+        world, seen, solve = _fused_once(drives, distrusted, config, _WIDEN[round_])
     found = _disagreeing(world, drives, seen, distrusted, config)
     if found:
         distrusted |= found
         for widen in _WIDEN[1:]:
-            world, seen = _fused_once(drives, distrusted, config, widen)
-    return Fused(world, drives, seen, distrusted)
+            world, seen, solve = _fused_once(drives, distrusted, config, widen)
+    return Fused(world, drives, seen, distrusted, shared_sigmas(solve))
 
 
 def _fused_once(
     drives: list[Correction], distrusted: dict[int, Distrusted], config: FusionConfig, widen: tuple[float, ...]
-) -> tuple[CrowdWorld, list[Seen]]:
+) -> tuple[CrowdWorld, list[Seen], JointSolve]:
     """Everything that was seen, each thing once, by where the drives lie now; then where they lie by it."""
     world = CrowdWorld()
     for k, drive in enumerate(drives):
         if k not in distrusted:
             world.take(k, drive, config.gate_m * widen[0])
     for factor in (*widen, widen[-1]):
-        seen = _solved(world, drives, distrusted, config, factor)
+        seen, solve = _solved(world, drives, distrusted, config, factor)
         seen_in = np.zeros((len(world.kind), len(drives)), dtype=bool)
         for k, own in enumerate(seen):
             seen_in[own.pairs[:, 1], k] = True
@@ -112,8 +121,8 @@ def _fused_once(
             break
         world.drop(twins)
     if twins.any():
-        seen = _solved(world, drives, distrusted, config, widen[-1])
-    return world, seen
+        seen, solve = _solved(world, drives, distrusted, config, widen[-1])
+    return world, seen, solve
 
 
 def _is_of_base(world: CrowdWorld, drives: list[Correction]) -> np.ndarray:
@@ -122,12 +131,13 @@ def _is_of_base(world: CrowdWorld, drives: list[Correction]) -> np.ndarray:
 
 def _solved(
     world: CrowdWorld, drives: list[Correction], distrusted: dict[int, Distrusted], config: FusionConfig, widen: float
-) -> list[Seen]:
+) -> tuple[list[Seen], JointSolve]:
     seen = [seen_by(world, drive, config.gate_m * widen) for drive in drives]
     usable = [k for k, drive in enumerate(drives) if k not in distrusted or len(seen[k].pairs)]
     weights = [1.0 / config.distrust if k in distrusted else 1.0 for k in usable]
-    JointSolve(world, [drives[k] for k in usable], [seen[k] for k in usable], weights).run()
-    return seen
+    solve = JointSolve(world, [drives[k] for k in usable], [seen[k] for k in usable], weights)
+    solve.run()
+    return seen, solve
 
 
 def _placed(drives: list[Correction], config: FusionConfig, progress: Progress) -> dict[int, Distrusted]:

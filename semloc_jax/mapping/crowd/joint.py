@@ -25,6 +25,8 @@ _LEAST_FACTOR, _MOST_FACTOR = np.array([0.2, 0.2, 1.0]), 4.0
 """Neighbouring stations share their error: that they agree does not make them surer."""
 _TOGETHER = np.array([1e-3, 1e-3, 1e-6, 1e-6])
 """How closely the mean shift [m], turn [rad] and scale of all drives are held at zero."""
+_PLACED_SIGMAS = 2.0
+"""A drive that is not trusted counts for the mean place if it is no farther from the others; ours."""
 _ROUNDS = 4
 _SIGMA_OF_MAD = 1.4826
 _FREE = 0.01
@@ -117,11 +119,25 @@ class JointSolve:
                 targets.append(b * weight)
             A, b = vstack(rows).tocsc(), np.concatenate(targets)
             normal = (A.T @ A).tocsc()
-            self._value = splu(normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve(A.T @ b)
+            self._normal = splu(normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0)
+            self._value = self._normal.solve(A.T @ b)
             if self.moves:
                 for A_own, b_own, group in parts:
                     self._judge(b_own - A_own @ self._value, group)
         self._move()
+
+    def covariance(self, rows: list[tuple[int, np.ndarray]]) -> Float[np.ndarray, "n n"]:
+        """Joint covariance of what rows of unknowns of drives give, as the last round knows it.
+
+        Args:
+            rows: `[m p]` of which drive, and by its unknowns; all stacked in this order.
+        """
+        wide = np.zeros((sum(len(own) for _, own in rows), int(self._first_drive[-1])))
+        first = 0
+        for k, own in rows:
+            wide[first : first + len(own), self._first_drive[k] : self._first_drive[k + 1]] = own
+            first += len(own)
+        return wide @ self._normal.solve(np.ascontiguousarray(wide.T))
 
     def _rows_of(self, k: int) -> tuple[csr_array, np.ndarray, tuple[int, np.ndarray]]:
         """Whitened rows of one drive: world minus where the drive sees it is 0; which factor each row has."""
@@ -195,9 +211,9 @@ class JointSolve:
         all their errors are a little smaller too. Masks make all maps too small alike, wheels and fixes do not. A
         surveyed map knows better than all of them.
         """
-        own = [k for k, drive in enumerate(self.drives) if self.weights[k] >= 1.0]
-        if any(self.drives[k].is_held for k in own):
+        if any(drive.is_held for drive in self.drives):
             return csr_array((0, size)), np.zeros(0)
+        own = self._placed_as_others()
         row, which = np.repeat(np.arange(4), len(own)), np.tile(self._first_drive[own], 4)
         placed = np.array([self.drives[k].sights.sigma_place_m ** -2.0 for k in own])
         many = np.array([float(self.drives[k].sights.num_drives) for k in own])
@@ -206,6 +222,16 @@ class JointSolve:
         target = np.zeros(4)
         target[SCALE] = shares[SCALE] @ [self.drives[k].sights.scale - 1.0 for k in own] / _TOGETHER[SCALE]
         return csr_array(coo_array((values, (row, which + row)), (4, size))), target
+
+    def _placed_as_others(self) -> list[int]:
+        """Drives that count for the mean: a camera that is turned says nothing against fixes and wheels."""
+        trusted = [k for k, weight in enumerate(self.weights) if weight >= 1.0]
+        middle = np.median([self.drives[k].value[:2] for k in trusted], axis=0)
+        near = [
+            np.linalg.norm(drive.value[:2] - middle) < _PLACED_SIGMAS * drive.sights.sigma_place_m
+            for drive in self.drives
+        ]
+        return [k for k, is_near in enumerate(near) if is_near or k in trusted]
 
     def _smooth(self, rough: np.ndarray, left: np.ndarray, first: int) -> tuple[csr_array, np.ndarray]:
         """The line runs as smoothly as its reference without its wobble does: curves of the road cost nothing."""

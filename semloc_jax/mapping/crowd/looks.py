@@ -11,10 +11,11 @@ from scipy.spatial import cKDTree
 from semloc_jax.evaluation.map_shapes import POSTS, kind_of
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.correction import Correction
+from semloc_jax.mapping.crowd.facing import shows_its_face
 from semloc_jax.mapping.crowd.fusion import Fused
+from semloc_jax.mapping.crowd.ground import Ground
 from semloc_jax.mapping.crowd.presence import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.sights import CROWD
-from semloc_jax.mapping.crowd.world import turned_by
 from semloc_jax.maps import Belief
 
 _BANDS_M = (3.0, 6.0, 10.0)
@@ -25,6 +26,8 @@ _STRANDS_M = 0.6
 """Lines no farther apart are painted as one: not every drive tells them apart; with half the step of places."""
 _INSIDE = 0.8
 """Share of the half length at which the ends of a thing must lie in the area that was looked at."""
+_HIGH_M = 4.5
+"""What hangs higher above the ground lets every vehicle pass below."""
 _POST_NAMES = {label.name.lower() for label in POSTS}
 
 
@@ -48,17 +51,23 @@ def _things(fused: Fused, rows: list[int], steps: np.ndarray, config: PresenceCo
     places = np.stack([world.centre, world.centre - tip, world.centre + tip], axis=1)
     visible, seen, band = (np.zeros((n, len(rows)), dtype=t) for t in (bool, bool, int))
     is_post = np.isin(world.kind.astype(str), sorted(_POST_NAMES))
+    elements = [fused.drives[place].sights.things.elements[row] for place, row in world.source.tolist()]
+    faces = np.array([np.zeros(2) if e.normal is None else e.normal[:2] for e in elements]).reshape(-1, 2)
     for column, k in enumerate(rows):
         drive = fused.drives[k]
         back = drive.back(places.reshape(-1, 2))
         inside = _within(drive.sights.area, back).reshape(n, 3).all(axis=1)
         visible[:, column] = np.where(is_post, _within(drive.sights.upright_area, back).reshape(n, 3)[:, 0], inside)
+        visible[:, column] &= shows_its_face(drive, world.centre, faces)
         seen[fused.seen[k].pairs[:, 1], column] = True
         band[:, column] = _band(drive, back.reshape(n, 3, 2)[:, 0])
     beliefs = [fused.drives[place].sights.things.beliefs[row] for place, row in world.source.tolist()]
     based = _based(fused, world.source[:, 0], beliefs, config)
     group = kind[:, None] * (len(_BANDS_M) + 1) + band
-    return Looks(visible, seen, group.reshape(n, len(rows)), kind, based[0], steps, *based[1:])
+    low = np.array([[*e.points[:, :2].mean(axis=0), e.points[:, 2].min()] for e in elements]).reshape(-1, 3)
+    hangs = low[:, 2] - Ground.of(fused).height_m(low[:, :2]) > _HIGH_M
+    hidden = np.where(based[0] & hangs, config.hidden, 0.0)
+    return Looks(visible, seen, group.reshape(n, len(rows)), kind, based[0], steps, *based[1:], hidden)
 
 
 def _stations(fused: Fused, rows: list[int], steps: np.ndarray, config: PresenceConfig) -> Looks:
@@ -79,7 +88,8 @@ def _stations(fused: Fused, rows: list[int], steps: np.ndarray, config: Presence
     beliefs = [held[line.source[0]][line.source[1].id] for line in lines for _ in line.reference]
     based = _based(fused, source, beliefs, config)
     group = kind[:, None] * (len(_BANDS_M) + 1) + band
-    return Looks(visible, seen, group.reshape(len(xy), len(rows)), kind, based[0], steps, *based[1:])
+    hidden = np.zeros(len(xy))
+    return Looks(visible, seen, group.reshape(len(xy), len(rows)), kind, based[0], steps, *based[1:], hidden)
 
 
 def _is_beside(
@@ -111,8 +121,7 @@ def _based(
 ) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, "n 2"]]:
     """What is of the base map, how likely all was there before, how many drives had seen and missed it."""
     is_based = (places == 0) & (bool(fused.drives) and fused.drives[0].sights.is_base)
-    is_surveyed = bool(fused.drives) and fused.drives[0].is_held
-    before = np.full(len(places), config.unmapped if is_surveyed else config.born)
+    before = np.full(len(places), config.unmapped if fused.is_surveyed else config.born)
     counted = np.zeros((len(places), 2), dtype=np.int64)
     for k in np.flatnonzero(is_based).tolist():
         belief, before[k] = beliefs[k], config.based
@@ -129,26 +138,3 @@ def _steps(when_s: list[float | None], days: float) -> np.ndarray:
         if before is not None and after is not None:
             steps[k] = np.clip((after - before) / (_DAY_S * days), _LEAST_STEP, _MOST_STEP)
     return steps
-
-
-def directions(fused: Fused) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
-    """Direction of each thing, the mean of all that saw it, and its half length and width, the median."""
-    world = fused.world
-    doubled = np.zeros(len(world.kind), dtype=complex)
-    sizes: list[list[np.ndarray]] = [[] for _ in range(len(world.kind))]
-    for k, (drive, seen) in enumerate(zip(fused.drives, fused.seen, strict=True)):
-        if k in fused.distrusted:
-            continue
-        things = drive.sights.things
-        i, j = seen.pairs[:, 0], seen.pairs[:, 1]
-        along = turned_by(things.along[i], drive.turn(things.centre[i]))
-        np.add.at(doubled, j, (along[:, 0] + 1j * along[:, 1]) ** 2)
-        for a, b in zip(i, j, strict=True):
-            if things.has_ends[a]:
-                sizes[b].append(things.half_m[a])
-    angle = 0.5 * np.angle(doubled)
-    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    along *= np.where((along * world.along).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
-    along[np.abs(doubled) < 1e-9] = world.along[np.abs(doubled) < 1e-9]
-    half = [np.median(own, axis=0) if own else world.half_m[k] for k, own in enumerate(sizes)]
-    return along, np.array(half).reshape(-1, 2)

@@ -11,13 +11,15 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.crowd.changes import ChangeConfig, CrowdChange, identified
-from semloc_jax.mapping.crowd.elements import beliefs_of, id_of, rounded, things_of
+from semloc_jax.mapping.crowd.elements import beliefs_of, id_of, rounded, stepped, things_of
+from semloc_jax.mapping.crowd.exclusion import one_in_each_place
 from semloc_jax.mapping.crowd.fusion import Distrusted, Fused, FusionConfig, Progress, fused
 from semloc_jax.mapping.crowd.heights import heights
 from semloc_jax.mapping.crowd.line_runs import LineRun, lines_of
 from semloc_jax.mapping.crowd.looks import looks_of
 from semloc_jax.mapping.crowd.presence import Looks, Presence, PresenceConfig, presence
 from semloc_jax.mapping.crowd.sights import CROWD, Base, Sights, base_sights, sights_of
+from semloc_jax.mapping.way_sigmas import WaySigmas
 from semloc_jax.maps import Belief, BeliefMap, GeoOrigin, MapElement, SemanticMap
 from semloc_jax.maps.io.packed_drive import PackedDrive
 from semloc_jax.maps.versions.state import in_canonical_order
@@ -148,6 +150,7 @@ def merged_sights(
     found = fused(list(sights), config.fusion, progress)
     looks, station_looks, columns = looks_of(found, config.presence)
     there, along_lines = presence(looks, config.presence), presence(station_looks, config.presence)
+    there = one_in_each_place(found.world, looks, there, config.presence)
     z, station_z = heights(found)
     names = [sights[k].name for k in columns]
     elements, changes = identified(things_of(found, z), looks, there, names, config.changes)
@@ -156,9 +159,20 @@ def merged_sights(
     known += [
         (_named(run, sights[run.source]), run.belief) for run in lines_of(found, station_z, station_looks, along_lines)
     ]
+    known = known if found.is_surveyed else _with_shared(known, found.sigmas)
     kinds = np.unique(found.world.kind.astype(str)).tolist(), sorted({line.kind for line in found.world.lines})
     rates = _rates(kinds[0], looks, there) | _rates(kinds[1], station_looks, along_lines)
     return MergedSights(tuple(known), tuple(changes), tuple(found.distrusted.values()), rates, found)
+
+
+def _with_shared(known: Sequence[Known], sigmas: WaySigmas) -> list[Known]:
+    """With what all around each element shares: drives made all of it."""
+    middles = np.array([e.points[:, :2].mean(axis=0) for e, _ in known]).reshape(-1, 2)
+    shared = zip(*(stepped(sigma).round(6).tolist() for sigma in sigmas.around(middles)), strict=True)
+    return [
+        (e, replace(b, sigma_place_m=place_m, sigma_turn_rad=turn_rad))
+        for (e, b), (place_m, turn_rad) in zip(known, shared, strict=True)
+    ]
 
 
 def summed_rates(first: Mapping[str, Rate], after: Mapping[str, Rate]) -> dict[str, Rate]:

@@ -30,6 +30,8 @@ class PresenceConfig:
         born: probability before any look that something is where the first drive shows it.
         unmapped: the same where somebody surveyed all that is there and has it not.
         based: the same of a thing of the base map.
+        hidden: that no drive can see a thing of the base map that hangs higher than any vehicle and that none has seen:
+            above the road it soon leaves the picture.
         detected, false: P_D and P_F before any look.
         looks: so many looks that belief is worth.
         least_false, most_false: no class is taken to show things that are not there less or more often.
@@ -45,6 +47,7 @@ class PresenceConfig:
     born: float = 0.3
     unmapped: float = 0.03
     based: float = 0.99
+    hidden: float = 0.3
     detected: float = 0.7
     false: float = 0.03
     looks: float = 8.0
@@ -66,6 +69,7 @@ class Looks:
         steps: `float[d]` time before each drive, in steps.
         before: `float[n]` probability that it was there before any of these drives.
         counted: `int[n 2]` how many drives before saw and missed it.
+        hidden: `float[n]` probability that no drive can see it, however often one passes.
     """
 
     visible: Bool[np.ndarray, "n d"]
@@ -76,6 +80,7 @@ class Looks:
     steps: Float[np.ndarray, " d"]
     before: Float[np.ndarray, " n"]
     counted: Int[np.ndarray, "n 2"]
+    hidden: Float[np.ndarray, " n"]
 
     @property
     def counts(self) -> Int[np.ndarray, "n 2"]:
@@ -115,12 +120,12 @@ def presence(looks: Looks, config: PresenceConfig | None = None) -> Presence:
     detected, false = np.full(num_groups, c.detected), np.full(num_kinds, c.false)
     # A look that shows a thing is one, whatever the outline of the area says.
     visible = looks.visible | looks.seen
-    present, now = np.zeros(visible.shape), np.zeros(len(looks.kind))
     good, vanish = np.ones(visible.shape[1]), c.vanish
     # A thing that never was is known by one false sight at least: that one says nothing about how frequent they are.
     spare = np.where(looks.is_based, 0.0, 1.0)
     for _ in range(_ROUNDS):
-        present, now, vanished = _smoothed(looks, visible, detected, false, good, vanish, c)
+        like = _like(looks, visible, detected, false, good, c)
+        present, now, vanished, _ = _smoothed(looks, like, vanish, c)
         watched = float((present[:, :-1] * looks.steps[1:]).sum())
         vanish = (vanished + c.steps * c.vanish) / (watched + c.steps)
         there = np.where(visible, present, 0.0)
@@ -139,34 +144,44 @@ def presence(looks: Looks, config: PresenceConfig | None = None) -> Presence:
         prior = 4.0 * c.looks
         shown, looked = np.maximum(shown, 0.0) + prior * c.false, np.maximum(looked, 0.0) + prior
         false = np.clip(shown / looked, c.least_false, c.most_false)
+    present, now = _or_hidden(looks, like, vanish, c)
     was = looks.is_based | (present.max(axis=1, initial=0.0) > c.surely)
-    return Presence(now, present, was, now > np.where(was, c.gone, 0.5), detected, false, vanish)
+    return Presence(now, present, was, belongs(now, was, c), detected, false, vanish)
 
 
-def _smoothed(
-    looks: Looks,
-    visible: np.ndarray,
-    detected: np.ndarray,
-    false: np.ndarray,
-    good: np.ndarray,
-    vanish: float,
-    c: PresenceConfig,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Presence at each drive given all looks `[n d]`, at the last given those before it `[n]`; how many went."""
-    n, d = visible.shape
+def belongs(now: Float[np.ndarray, " n"], was: Bool[np.ndarray, " n"], c: PresenceConfig) -> Bool[np.ndarray, " n"]:
+    """What belongs into the map: what is there rather than not, and what surely was and is not surely gone."""
+    return now > np.where(was, c.gone, 0.5)
+
+
+def _like(
+    looks: Looks, visible: np.ndarray, detected: np.ndarray, false: np.ndarray, good: np.ndarray, c: PresenceConfig
+) -> Float[np.ndarray, "n d 2"]:
+    """How likely what each drive shows of each thing is, without the thing and with it."""
     p_d = np.clip(detected[looks.group] * good, 0.05, c.most_detected)
     p_f = np.minimum(false[looks.kind][:, None], 0.5 * p_d)
     like = np.stack([np.where(looks.seen, p_f, 1.0 - p_f), np.where(looks.seen, p_d, 1.0 - p_d)], axis=2)
-    like = np.where(visible[:, :, None], like, 1.0)
+    return np.where(visible[:, :, None], like, 1.0)
+
+
+def _smoothed(
+    looks: Looks, like: Float[np.ndarray, "n d 2"], vanish: float, c: PresenceConfig
+) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """Presence at each drive given all looks `[n d]`, at the last given those before it `[n]`; how many went; evidence.
+
+    The evidence `[n]` is how likely all looks at a thing are together.
+    """
+    n, d = looks.seen.shape
     gone, come = 1.0 - (1.0 - vanish) ** looks.steps, 1.0 - (1.0 - c.appear) ** looks.steps
     stay = np.array([[1.0 - come, come], [gone, 1.0 - gone]])  # [before after d]
-    ahead = np.zeros((n, d, 2))
+    ahead, evidence = np.zeros((n, d, 2)), np.ones(n)
     state = looks.before
     state = np.stack([1.0 - state, state], axis=1)
     for k in range(d):
         # What a drive is the first to look at was not there longer than anybody knows.
         state = (state @ stay[..., k] if k else state) * like[:, k]
-        state /= np.maximum(state.sum(axis=1, keepdims=True), _TINY)
+        total = np.maximum(state.sum(axis=1, keepdims=True), _TINY)
+        state, evidence = state / total, evidence * total[:, 0]
         ahead[:, k] = state
     now, behind = ahead[:, -1, 1].copy() if d else state[:, 1], np.ones((n, 2))
     both, vanished = ahead.copy(), 0.0
@@ -178,4 +193,16 @@ def _smoothed(
         behind /= np.maximum(behind.sum(axis=1, keepdims=True), _TINY)
         both[:, k] = ahead[:, k] * behind
     present = both[:, :, 1] / np.maximum(both.sum(axis=2), _TINY)
-    return present, now, vanished
+    return present, now, vanished, evidence
+
+
+def _or_hidden(
+    looks: Looks, like: Float[np.ndarray, "n d 2"], vanish: float, c: PresenceConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Presence at each drive and at the last, when looks may say nothing of what nobody has ever seen."""
+    present, now, _, evidence = _smoothed(looks, like, vanish, c)
+    blind, blind_now, _, _ = _smoothed(looks, np.ones_like(like), vanish, c)
+    is_unseen = ~looks.seen.any(axis=1) & (looks.counted[:, 0] == 0)
+    hidden = np.where(is_unseen, looks.hidden, 0.0)
+    hidden = hidden / np.maximum(hidden + (1.0 - hidden) * evidence, _TINY)
+    return present + hidden[:, None] * (blind - present), now + hidden * (blind_now - now)

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from semloc_jax.evaluation.map_shapes import POSTS, is_line, kind_of, thing_of
 from semloc_jax.geometry import polyline, rigid
 from semloc_jax.geometry.geodesy import enu_from_wgs84, wgs84_from_enu
+from semloc_jax.mapping.crowd.rejoined import rejoined
 from semloc_jax.maps import Belief, BeliefMap, GeoOrigin, MapElement
 from semloc_jax.maps.io.packed_drive import PackedDrive
 
@@ -63,6 +64,8 @@ class Things:
         half = [[np.ptp(s.corners @ a), np.ptp(s.corners @ b)] for s, a, b in zip(shapes, along, across, strict=True)]
         # Of a post the corners are the two ends of its axis.
         half = [[0.0, 0.0] if e.label in POSTS else h for (e, _), h in zip(known, half, strict=True)]
+        # Of a stop line a drive often sees a part: traffic hides it, its own lane ends.
+        has_ends = [all(s.ends) and kind_of(e) != "stop_line" for s, (e, _) in zip(shapes, known, strict=True)]
         sigma = np.array([[b.sigma_along_m, b.sigma_across_m] for _, b in known]).reshape(n, 2)
         return cls(
             tuple(e for e, _ in known),
@@ -71,7 +74,7 @@ class Things:
             np.array([s.centre for s in shapes]).reshape(n, 2),
             along,
             0.5 * np.array(half).reshape(n, 2),
-            np.array([all(s.ends) for s in shapes], dtype=bool),
+            np.array(has_ends, dtype=bool),
             np.maximum(sigma, np.outer([num_drives_of(b) ** -0.5 for _, b in known], _LEAST_SIGMA_M)),
         )
 
@@ -130,6 +133,7 @@ def sights_of(drive: PackedDrive, origin: GeoOrigin | None) -> Sights:
     x, y, z, heading_rad = _placed(drive, origin)
     T = rigid.planar_pose(x, y, heading_rad, z)
     known = [(_moved(T, e), drive.beliefs.beliefs[e.id]) for e in drive.beliefs.map.elements if not e.is_logical]
+    known = rejoined(known)
     way = drive.way[:, :3] @ T[:3, :3].T + T[:3, 3]
     area = shapely.union_all([shapely.Polygon(ring @ T[:2, :2].T + T[:2, 3]).buffer(0.0) for ring in drive.rings])
     things = Things.of([item for item in known if not is_line(item[0])])

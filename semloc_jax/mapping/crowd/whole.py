@@ -13,7 +13,6 @@ from semloc_jax.mapping.crowd.cell_map import CellMap, DriveRow
 from semloc_jax.mapping.crowd.cell_work import CellTask, merge_cell
 from semloc_jax.mapping.crowd.cells import CELL_M, HALO_M, Cell, cell_of, cells_of
 from semloc_jax.mapping.crowd.changes import CrowdChange
-from semloc_jax.mapping.crowd.crew import spread
 from semloc_jax.mapping.crowd.fusion import Distrusted, Progress
 from semloc_jax.mapping.crowd.joined import joined
 from semloc_jax.mapping.crowd.kept_cells import KeptCells, name_of
@@ -22,6 +21,7 @@ from semloc_jax.mapping.crowd.merged import MergeConfig, Rate, map_of, origin_of
 from semloc_jax.mapping.crowd.sights import Base, sights_of
 from semloc_jax.maps import BeliefMap, GeoOrigin
 from semloc_jax.maps.io.packed_drive import PackedDrive
+from semloc_jax.runtime.crew import spread
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
@@ -219,7 +220,7 @@ def _side_by_side(line: Int[np.ndarray, " n"], xy: Float[np.ndarray, "n 2"], rea
 
 
 def distance_m(lines: Sequence[WorldLine], xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """From each point to the nearest station of any of the lines [m]; infinite without lines."""
+    """From each point to the nearest of the lines [m]; infinite without lines."""
     if not lines:
         return np.full(len(xy), np.inf)
-    return cKDTree(np.concatenate([line.xy for line in lines])).query(xy)[0]
+    return shapely.distance(shapely.points(xy), shapely.MultiLineString([line.xy for line in lines]))

@@ -6,8 +6,8 @@ import time
 import pytest
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.mapping.crowd.crew import spread
-from tests.mapping.crew_work import always_dies, dies_once, doubled
+from semloc_jax.runtime.crew import spread
+from tests.runtime.crew_work import always_dies, dies_once, doubled
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills its workers")
 

@@ -1,4 +1,4 @@
-"""Work spread over processes of this machine, or over a Ray cluster (room: mapping; host).
+"""Work spread over processes of this machine, or over a Ray cluster (room: runtime; host).
 
 In: tasks, a function of one. Out: its results, as they come. Nothing but the task decides a result, so that where and
 in which order tasks run changes nothing; what a killed worker had in hand is done again.

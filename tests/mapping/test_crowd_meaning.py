@@ -1,0 +1,146 @@
+"""What drives say is told once, and only what it means: no second line beside a line, no rewriting by each drive."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from semloc_jax.evaluation import compare_maps
+from semloc_jax.mapping.crowd.correction import Correction
+from semloc_jax.mapping.crowd.exclusion import one_in_each_place
+from semloc_jax.mapping.crowd.facing import shows_its_face
+from semloc_jax.mapping.crowd.merged import merged
+from semloc_jax.mapping.crowd.presence import Looks, PresenceConfig, presence
+from semloc_jax.mapping.crowd.rejoined import rejoined
+from semloc_jax.mapping.crowd.sights import sights_of
+from semloc_jax.mapping.crowd.world import CrowdWorld
+from semloc_jax.mapping.crowd.world_lines import WorldLine, distance_m
+from semloc_jax.maps import Belief, BeliefMap, MapElement
+from semloc_jax.maps.versions.difference import difference
+from semloc_jax.maps.versions.state import MapState
+from tests.mapping.crowd_world import DriveNoise, Road, drive
+
+ROAD = Road.of(150.0)
+SURE = Belief(0.02, 0.05, 4.0, 5, 0)
+
+
+def state_of(drives):
+    return MapState(merged(BeliefMap.of(ROAD.map), drives).beliefs.as_map())
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_another_drive_of_the_same_world_rewrites_nothing(seed):
+    """A dash went and a pole came: that is told once. Later drives say it again, which is no news."""
+    pole = next(e for e in ROAD.elements if e.id == "pole_4")
+    changed = ROAD.without("dash_4")
+    changed = replace(
+        changed, elements=(*changed.elements, replace(pole, id="new", points=pole.points + [0.0, 2.5, 0.0]))
+    )
+    states = [state_of([drive(changed, k, seed=seed) for k in range(num)]) for num in (4, 5, 6)]
+    names = {e.id for e in ROAD.elements}
+    base = MapState(BeliefMap.of(ROAD.map).as_map())
+    steps = [difference(a, b) for a, b in zip([base, *states], states, strict=False)]
+    assert steps[0].removed == ("dash_4",) and len(steps[0].added) <= 2
+    for state in states:  # what nobody doubts stays to the bit
+        assert all(state.records[name] == base.records[name] for name in names - {"dash_4"})
+    told = {name for step in steps[1:] for name in (*step.removed, *step.modified, *step.added)}
+    assert told.isdisjoint(names) and len(told) <= 2
+
+
+def test_the_shared_sigmas_are_as_large_as_the_errors():
+    """Over worlds: the error of the map around a place, after one motion in the plane, over what is stated there."""
+    squares = []
+    for seed in range(8):
+        found = merged(None, [drive(ROAD, k, DriveNoise(phantoms=0.0), seed=seed) for k in range(3)]).beliefs
+        T = compare_maps(found.map.elements, ROAD.elements, "se2").T_reference_made
+        true = np.array([e.points[:, :2].mean(axis=0) for e in ROAD.elements if e.style == "dashed"])
+        for e in found.map.elements:
+            if e.style == "dashed":
+                off = true - (T[:2, :2] @ e.points[:, :2].mean(axis=0) + T[:2, 3])
+                near = off[np.linalg.norm(off, axis=1).argmin()]
+                belief = found.beliefs[e.id]
+                own = belief.sigma_along_m**2 + belief.sigma_across_m**2 + 2.0 * belief.sigma_place_m**2
+                squares.append(near @ near / own)
+                assert 0.002 < belief.sigma_place_m < 0.5 and 0.0 < belief.sigma_turn_rad < 0.02
+    assert 0.3 < np.mean(squares) < 2.0
+
+
+def looks(seen, visible=None, **more):
+    seen = np.array(seen, dtype=bool)
+    n, d = seen.shape
+    held = {
+        "visible": np.ones((n, d), bool) if visible is None else np.array(visible, bool),
+        "seen": seen,
+        "group": np.zeros((n, d), int),
+        "kind": np.zeros(n, int),
+        "is_based": np.zeros(n, bool),
+        "steps": np.ones(d),
+        "before": np.full(n, 0.3),
+        "counted": np.zeros((n, 2), int),
+        "hidden": np.zeros(n),
+    }
+    return Looks(**{**held, **more})
+
+
+def world_of(centres, half_m=(1.5, 0.25)):
+    n = len(centres)
+    return CrowdWorld(
+        np.array(["crosswalk"] * n, dtype=object),
+        np.zeros((n, 2), int),
+        np.array(centres, dtype=float),
+        np.tile([1.0, 0.0], (n, 1)),
+        np.tile(half_m, (n, 1)),
+    )
+
+
+def test_what_is_painted_anew_takes_the_place_of_the_old():
+    """Four drives saw the old bar, two the new one 1.2 m on, which overlaps it; the bar beside both stays."""
+    seen = looks([[1, 1, 1, 1, 0, 0], [0, 0, 0, 0, 1, 1], [1, 1, 1, 1, 1, 1]])
+    config = PresenceConfig()
+    alone = presence(seen, config)
+    assert alone.stays.all()
+    found = one_in_each_place(world_of([[0.0, 0.0], [1.2, 0.0], [0.0, 1.0]]), seen, alone, config)
+    assert found.stays.tolist() == [False, True, True] and found.now[0] < 0.3 * alone.now[0]
+    apart = one_in_each_place(world_of([[0.0, 0.0], [3.2, 0.0], [0.0, 1.0]]), seen, alone, config)
+    assert np.array_equal(apart.now, alone.now)
+    together = looks([[1, 1, 1, 1, 0, 1], [0, 0, 0, 0, 1, 1]])  # one drive shows both: they are two
+    alone = presence(together, config)
+    assert np.array_equal(one_in_each_place(world_of([[0.0, 0.0], [1.2, 0.0]]), together, alone, config).now, alone.now)
+
+
+def test_what_hangs_high_and_was_never_seen_is_not_deleted_but_what_was_seen_once_is():
+    seen = np.zeros((30, 6))
+    seen[:26] = 1
+    seen[28:, 0] = 1
+    based = {"is_based": np.ones(30, bool), "before": np.full(30, 0.99)}
+    hidden = np.zeros(30)
+    assert not presence(looks(seen, **based, hidden=hidden)).stays[26:].any()
+    hidden[27:] = 0.3
+    assert presence(looks(seen, **based, hidden=hidden)).stays[26:].tolist() == [False, True, False, False]
+
+
+def bar(a_m, b_m, side_m=0.0, width_m=0.45):
+    half = 0.5 * width_m
+    corners = [(a_m, side_m - half), (b_m, side_m - half), (b_m, side_m + half), (a_m, side_m + half)]
+    return MapElement(f"{a_m}", "crosswalk", np.array([(*c, 0.0) for c in corners]), closed=True)
+
+
+def test_a_bar_that_a_trench_crosses_is_one_bar():
+    found = rejoined([(e, SURE) for e in (bar(0.0, 1.9), bar(2.3, 3.0), bar(0.0, 3.0, side_m=1.05))])
+    assert len(found) == 2 and all(np.ptp(e.points[:, 0]) == pytest.approx(3.0) for e, _ in found)
+    two = rejoined([(e, SURE) for e in (bar(0.0, 1.0), bar(2.0, 3.0), bar(3.2, 4.0, side_m=0.3))])
+    assert len(two) == 3  # a metre apart, and aside
+
+
+def test_a_sign_is_seen_from_its_front_alone():
+    own = Correction(sights_of(drive(ROAD, 0, DriveNoise(gnss_m=0.0)), None))
+    place = own.moved(own.sights.way)[8] + [0.0, 4.0]
+    heading = np.diff(own.sights.way[7:10:2], axis=0)[0]
+    faces = np.array([-heading, heading, [0.0, 0.0]]) / np.linalg.norm(heading)
+    assert shows_its_face(own, np.tile(place, (3, 1)), faces).tolist() == [True, False, True]
+    assert not shows_its_face(own, place[None] + [0.0, 100.0], faces[:1]).any()
+
+
+def test_a_place_between_two_stations_lies_on_the_line():
+    line = WorldLine.along("line", (0, ROAD.elements[0]), np.column_stack([np.arange(9.0), np.zeros(9)]))
+    assert distance_m([line], np.array([[2.5, 0.1], [3.0, 0.2]])) == pytest.approx([0.1, 0.2])
