@@ -127,7 +127,7 @@ def make_map(
         )
     looker = looker or Looker(drive, masks, config.look)
     moving = _moving(Ts_map_base)
-    gatherer = Gatherer(masks.table, config.look.cell_m)
+    gatherer = Gatherer(masks.table, config.look.spacing_m)
     for index in progress(parts.gathered(gatherer, moving) if parts else moving, "looking"):
         for camera, look in enumerate(looker.looks(frames[index], index, Ts_map_base)):
             gatherer.add(look, looker.rays[camera] if config.uprights else None)
