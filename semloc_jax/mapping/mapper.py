@@ -26,6 +26,7 @@ from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.triangulation import TriangulationConfig
 from semloc_jax.mapping.uprights import HeightOf, Upright, UprightCounting, uprights_of
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
+from semloc_jax.mapping.worn_paint import whole_again
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.structs import ElementClass
@@ -184,7 +185,7 @@ class _Born(NamedTuple):
 def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Born:
     height_of: HeightOf = road_height(Ts_map_base)
     uprights = uprights_of(gatherer.sightings.all(), height_of, config.triangulation)
-    elements = elements_of(gatherer.paint, gatherer.layers, height_of, config.vector)
+    elements = whole_again(elements_of(gatherer.paint, gatherer.layers, height_of, config.vector))
     lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
     others = [element for element in elements if element.label != ElementClass.SLOT_LINE]
 
