@@ -23,17 +23,19 @@ from semloc_jax.residuals.motion import (
     between_linearised,
     between_residual,
     cauchy,
+    metre_residual,
     pulled_linearised,
     pulled_residual,
 )
-from semloc_jax.solvers.factors import POSE, Factors
+from semloc_jax.solvers.factors import POSE, Factors, vector
 from semloc_jax.solvers.front import solve
 from semloc_jax.solvers.graph import FactorGraph, Family, Values
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
 from semloc_jax.solvers.problem import Solution
 from semloc_jax.solvers.sparse import SparseProblem
 
-ELEMENT = "element"
+ELEMENT, METRE = "element", "metre"
+_METRE = vector(0.01)
 _ELEMENTS, _PULLS = 64, 1024
 """They are solved in multiples of so many."""
 
@@ -51,6 +53,8 @@ class JointConfig:
         sigma_z_m: how far from the road.
         sigma_tilt_deg: how far from lying in it.
         sigma_turn_deg: how far it may be turned.
+        sigma_metre: share by which the metre of the images may be off. Half a pixel of all borders, or a camera 1 cm
+            higher than calibrated, makes one of 0.5 to 1 %; frames that are all wrong alike do not scatter.
         threshold: norm of a whitened pull (6 numbers, 2.4 together) beyond which it grows no more.
         least_share: directions held this much less than the firmest one are left open.
         believed_rows: what the stated noise of pulls is worth, in rows of them, against how far they scatter.
@@ -62,6 +66,7 @@ class JointConfig:
     sigma_z_m: float = 0.03
     sigma_tilt_deg: float = 0.5
     sigma_turn_deg: float = 10.0
+    sigma_metre: float = 0.01
     threshold: float = 12.0
     least_share: float = 1e-7
     believed_rows: float = 60.0
@@ -140,14 +145,15 @@ def solve_together(
     Ts_map_element = np.concatenate([[place_of(e) for e in elements], np.tile(np.eye(4), (more, 1, 1))])
     element = np.array([row[name] for each in pulls for name in each.ids], int)
     seen, drawn = pull_factors(values["pose"], Ts_map_element, pose, element, pulls, np.asarray(frames, int), config)
-    families = (*graph.families, Family(ELEMENT, POSE, len(Ts_map_element)))
+    families = (*graph.families, Family(ELEMENT, POSE, len(Ts_map_element)), Family(METRE, _METRE, 1))
+    metre = Factors(metre_residual, (METRE,), (np.zeros(1, int),), (), np.full((1, 1), 1.0 / config.sigma_metre))
 
     def solved(seen: Factors, start: Values) -> tuple[SparseProblem, Solution]:
-        problem = SparseProblem(FactorGraph(families, (*graph.factors, seen, drawn), graph.free), (ELEMENT,))
+        problem = SparseProblem(FactorGraph(families, (*graph.factors, seen, drawn, metre), graph.free), (ELEMENT,))
         return problem, solve(problem, start, config.solve)
 
     with jax.enable_x64(True):
-        _, solution = solved(seen, {**values, ELEMENT: Ts_map_element})
+        _, solution = solved(seen, {**values, ELEMENT: Ts_map_element, METRE: np.zeros((1, 1))})
         num_unknowns = POSE.size * (len(np.unique(element)) + len(frames))
         noise = told_noise(seen, solution.value, num_unknowns, config)
         problem, solution = solved(of_noise(seen, noise), solution.value)
@@ -211,8 +217,8 @@ def pull_factors(
     T_element_base = rigid.inverse(Ts_map_element[element]) @ Ts_map_base[pose]
     seen = Factors(
         pulled_residual,
-        (ELEMENT, "pose"),
-        (element, pose),
+        (ELEMENT, "pose", METRE),
+        (element, pose, np.zeros_like(pose)),
         (T_element_base, offset),
         root,
         robust=cauchy(config.threshold),

@@ -35,13 +35,12 @@ class RoadLookConfig:
 
     Args:
         range_m: reach on the road around the vehicle.
-        spacing_m: distance of the places that are looked at.
-        cell_m: side of the cells in which looks are gathered.
+        spacing_m: distance of the places that are looked at, and side of the cells in which looks are gathered: in
+            finer cells each would be looked at in some frames only.
     """
 
     range_m: float = 18.0
     spacing_m: float = 0.025
-    cell_m: float = 0.025
 
 
 @dataclass(frozen=True)

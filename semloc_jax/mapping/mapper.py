@@ -26,6 +26,7 @@ from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.triangulation import TriangulationConfig
 from semloc_jax.mapping.uprights import HeightOf, Upright, UprightCounting, uprights_of
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
+from semloc_jax.mapping.worn_paint import whole_again
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.structs import ElementClass
@@ -127,7 +128,7 @@ def make_map(
         )
     looker = looker or Looker(drive, masks, config.look)
     moving = _moving(Ts_map_base)
-    gatherer = Gatherer(masks.table, config.look.cell_m)
+    gatherer = Gatherer(masks.table, config.look.spacing_m)
     for index in progress(parts.gathered(gatherer, moving) if parts else moving, "looking"):
         for camera, look in enumerate(looker.looks(frames[index], index, Ts_map_base)):
             gatherer.add(look, looker.rays[camera] if config.uprights else None)
@@ -184,7 +185,7 @@ class _Born(NamedTuple):
 def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Born:
     height_of: HeightOf = road_height(Ts_map_base)
     uprights = uprights_of(gatherer.sightings.all(), height_of, config.triangulation)
-    elements = elements_of(gatherer.paint, gatherer.layers, height_of, config.vector)
+    elements = whole_again(elements_of(gatherer.paint, gatherer.layers, height_of, config.vector))
     lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
     others = [element for element in elements if element.label != ElementClass.SLOT_LINE]
 

@@ -17,6 +17,8 @@ _CORNER = 1.6
 """Points of an outline that are less off the line between their neighbours [cells] are left out."""
 _KNOWN = 0.98
 """Share of a patch and its rim that must have been looked at."""
+_INNER = 0.7
+"""Share of a patch, from its middle, whose paint tells how much of it looks show."""
 _RIM = 3
 """Cells around a patch whose soft rim belongs to it."""
 
@@ -81,26 +83,50 @@ def _patches(
 
 
 def _rectangle(soft: np.ndarray, own: np.ndarray) -> np.ndarray | None:
-    """Corners of the rectangle whose sides hold the soft paint: direction from the cells, sizes from its sums."""
+    """Corners of the rectangle whose sides hold the soft paint: direction from the cells, sides by its profiles."""
     rows, columns = np.nonzero(own)
     centre, size, angle = cv2.minAreaRect(np.stack([columns, rows], axis=1).astype(np.float32))
     if len(rows) < _FILLED * max(size[0] + 1, 1) * max(size[1] + 1, 1):
         return None
     turn = np.deg2rad(angle)
     axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    yy, xx = np.nonzero(soft > 0.02)
-    weight = soft[yy, xx]
+    yy, xx = np.mgrid[: soft.shape[0], : soft.shape[1]]
     middle = np.array(centre)
     for _ in range(3):
-        at = (np.stack([xx, yy], axis=1) - middle) @ axes.T
-        lengths, offsets = [], []
+        at = (np.stack([xx.ravel(), yy.ravel()], axis=1) - middle) @ axes.T
+        sides = []
         for k in (0, 1):
             # Away from the corners, where the other side is cut by them.
-            inner = np.abs(at[:, 1 - k]) < 0.35 * size[1 - k]
-            span = max(0.7 * size[1 - k], 1.0)
-            lengths.append(float(weight[inner].sum()) / span)
-            offsets.append(float((weight[inner] * at[inner, k]).sum() / max(weight[inner].sum(), 1e-9)))
-        size = (max(lengths[0], 1.0), max(lengths[1], 1.0))
-        middle = middle + np.array(offsets) @ axes
+            inner = np.abs(at[:, 1 - k]) < max(0.35 * size[1 - k], 1.0)
+            sides.append(_sides(at[inner, k], soft.ravel()[inner], 0.5 * size[k]))
+        size = tuple(max(high - low, 1.0) for low, high in sides)
+        middle = middle + np.array([0.5 * (low + high) for low, high in sides]) @ axes
     half = 0.5 * np.array(size)
     return middle + (np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half) @ axes
+
+
+def _sides(at: np.ndarray, share: np.ndarray, half: float) -> tuple[float, float]:
+    """Where paint begins and ends along one direction [cells]: its share has fallen to half of what it is inside.
+
+    Looks that miss worn paint lower the share of all of it, and move no side.
+
+    Args:
+        at: place of each cell along the direction.
+        share: paint of each cell.
+        half: half of the length as far as it is known.
+    """
+    bins = np.rint(at).astype(int)
+    first = int(bins.min())
+    profile = np.bincount(bins - first, share) / np.maximum(np.bincount(bins - first), 1)
+    places = first + np.arange(len(profile))
+    inside = np.abs(places) <= max(_INNER * half, 1.0)
+    level = 0.5 * float(np.median(profile[inside]))
+    return -_end(-places[::-1], profile[::-1], level), _end(places, profile, level)
+
+
+def _end(places: np.ndarray, profile: np.ndarray, level: float) -> float:
+    """The last place at which a profile falls to a level."""
+    last = int(np.flatnonzero(profile >= level)[-1])
+    if last + 1 >= len(profile):
+        return float(places[last]) + 0.5
+    return float(places[last] + (profile[last] - level) / max(profile[last] - profile[last + 1], 1e-9))

@@ -164,7 +164,7 @@ class SlotObserver:
             if np.linalg.norm(Ts_odom_base[kept[0].frame, :2, 3] - here) < self.config.window_m
         ]
         self._recent = [*recent, looks][-self.config.window :]
-        gatherer = Gatherer(self.masks.table, self.config.look.cell_m)
+        gatherer = Gatherer(self.masks.table, self.config.look.spacing_m)
         for look in (look for kept in self._recent for look in kept):
             gatherer.add(look)
         return gatherer

@@ -39,6 +39,7 @@ def between_residual(
 def pulled_residual(
     T_map_element: Float[Array, "4 4"],
     T_map_base: Float[Array, "4 4"],
+    metre: Float[Array, "1"],
     T_element_base: Float[Array, "4 4"],
     offset: Float[Array, " k"],
     sqrt_info: Float[Array, "k 6"],
@@ -47,9 +48,21 @@ def pulled_residual(
 
     Half its square is the cost of the element around the pose T_element_base where the masks were compared: with R =
     `sqrt_info`, R^T R is the information there and R^T `offset` the force. What the masks leave open, such as the way
-    along a line, has no row.
+    along a line, has no row. Seen from the element the vehicle is farther away by the share `metre` than it seems: a
+    camera a little higher than calibrated sees everything nearer.
     """
-    return between_residual(T_map_element, T_map_base, T_element_base, sqrt_info) + offset
+    T_map_seen = _farther(T_map_element, T_map_base, metre)
+    return between_residual(T_map_element, T_map_seen, T_element_base, sqrt_info) + offset
+
+
+def metre_residual(metre: Float[Array, "1"], sqrt_info: Float[Array, "1"]) -> Float[Array, " 1"]:
+    """Whitened share by which the metre of the images is off."""
+    return sqrt_info * metre
+
+
+def _farther(T_map_element: Array, T_map_base: Array, metre: Array) -> Array:
+    """The vehicle moved away from an element by a share of the way between them."""
+    return T_map_base.at[:3, 3].add(metre[0] * (T_map_base[:3, 3] - T_map_element[:3, 3]))
 
 
 def odometry_residual(
@@ -129,13 +142,21 @@ def between_linearised(
 def pulled_linearised(
     T_map_element: Float[Array, "4 4"],
     T_map_base: Float[Array, "4 4"],
+    metre: Float[Array, "1"],
     T_element_base: Float[Array, "4 4"],
     offset: Float[Array, " k"],
     sqrt_info: Float[Array, "k 6"],
-) -> tuple[Float[Array, " k"], Float[Array, "k 6"], Float[Array, "k 6"]]:
-    """`pulled_residual` and its derivatives by the right tangents of element and vehicle."""
-    r, J_element, J_base = between_linearised(T_map_element, T_map_base, T_element_base, sqrt_info)
-    return r + offset, J_element, J_base
+) -> tuple[Float[Array, " k"], Float[Array, "k 6"], Float[Array, "k 6"], Float[Array, "k 1"]]:
+    """`pulled_residual` and its derivatives by the right tangents of element and vehicle, and by the metre."""
+    T_map_seen = _farther(T_map_element, T_map_base, metre)
+    r, J_element, J_seen = between_linearised(T_map_element, T_map_seen, T_element_base, sqrt_info)
+    # The place of the vehicle that is seen follows the places of all three, its direction that of the vehicle alone.
+    J_place, J_turn = J_seen[:, :3], J_seen[:, 3:]
+    R_base_map = T_map_base[:3, :3].T
+    J_moved = -metre[0] * _mul(J_place, R_base_map @ T_map_element[:3, :3])
+    J_away = _mul(J_place, R_base_map @ (T_map_base[:3, 3] - T_map_element[:3, 3]))
+    J_base = jnp.concatenate([(1.0 + metre[0]) * J_place, J_turn], axis=1)
+    return r + offset, J_element.at[:, :3].add(J_moved), J_base, J_away[:, None]
 
 
 def odometry_linearised(

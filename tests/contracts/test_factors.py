@@ -21,6 +21,7 @@ from semloc_jax.solvers.factors import POSE, Factors, vector
 RNG = np.random.default_rng(5)
 KINDS = {
     "pose": POSE,
+    "metre": vector(0.01),
     "odometer": ODOMETER,
     "gnss": GNSS,
     "stance": vector(0.1, 0.01, 0.01),
@@ -97,12 +98,13 @@ FACTORS = {
     "motion": motions(ZERO, ONE, near()[None], info(6)),
     "pull of an element": Factors(
         motion.pulled_residual,
-        ("pose", "pose"),
-        PAIR,
+        ("pose", "pose", "metre"),
+        (*PAIR, ZERO),
         (near()[None], RNG.normal(size=(1, 6))),
         info(6),
         linearised=motion.pulled_linearised,
     ),
+    "metre of the images": Factors(motion.metre_residual, ("metre",), (ZERO,), (), RNG.normal(size=(1, 1))),
     "vertical": verticals(ZERO, np.array([[0.1, -0.2, 0.97]]), RNG.normal(size=(1, 2))),
     "odometry": odometry(ZERO, ONE, near()[None], RNG.normal(size=(1, 6, 3)), np.array([[1.0, 0.0, 0.0]]), info(6)),
     "satellite fix": fixes(RNG.normal(size=(2, 2)), RNG.normal(size=(2, 3)), RNG.normal(size=(2, 2)), 1e6),
@@ -190,6 +192,7 @@ FACTORS = {
 }
 VALUES = {
     "pose": jnp.asarray(np.stack([near(), near()])),
+    "metre": jnp.array([[0.03]]),
     "odometer": jnp.array([[1.0, 0.0, 0.0]]),
     "gnss": jnp.array([[0.3, -0.2]]),
     "stance": jnp.array([[0.05, 0.01, -0.02]]),

@@ -80,7 +80,7 @@ def test_the_solution_is_that_of_a_dense_solver():
     root, offset = root / np.sqrt(found.noise), offset / np.sqrt(found.noise)
 
     def residuals(x):
-        tangents = x.reshape(5, 6)
+        tangents, metre = x[:30].reshape(5, 6), x[30]
         poses, moved = start @ rigid.exp(tangents[:3]), places @ rigid.exp(tangents[3:])
         rows = [FIRM[:6, :6] @ rigid.log(rigid.inverse(true[0]) @ poses[0])]
         between = rigid.log(rigid.inverse(steps) @ rigid.inverse(poses[:-1]) @ poses[1:])
@@ -90,19 +90,25 @@ def test_the_solution_is_that_of_a_dense_solver():
         for k in range(3):
             for e in range(2):
                 now = rigid.inverse(moved[e]) @ poses[k]
+                now[:3, 3] *= 1.0 + metre
                 then = rigid.inverse(places[e]) @ start[k]
                 rows.append(root[2 * k + e] @ rigid.log(rigid.inverse(then) @ now) + offset[2 * k + e])
-        return np.concatenate(rows)
+        return np.concatenate([*rows, [metre / config.sigma_metre]])
 
-    dense = least_squares(residuals, np.zeros(30), xtol=1e-13, ftol=1e-13, gtol=1e-13).x.reshape(5, 6)
+    dense = least_squares(residuals, np.zeros(31), xtol=1e-13, ftol=1e-13, gtol=1e-13).x[:30].reshape(5, 6)
     np.testing.assert_allclose(found.Ts_map_base, start @ rigid.exp(dense[:3]), atol=1e-5)
     for k, element in enumerate(elements):
         T = places[k] @ rigid.exp(dense[3 + k]) @ rigid.inverse(places[k])
         np.testing.assert_allclose(found.motions[element.id], T, atol=1e-5)
 
 
-def test_a_scale_of_the_odometer_is_told_by_what_is_passed():
-    """A way of 120 m with a scale that is 1 % off: 1.2 m at the end, of which less than 1 cm is left.
+@pytest.mark.parametrize(
+    "sigma_odometer, sigma_metre, left, within_m", [(0.01, 1e-6, 0.0, 0.01), (1e-4, 0.01, 0.01, 0.03)]
+)
+def test_odometer_and_images_tell_the_scale_as_sure_as_each_of_them_is(sigma_odometer, sigma_metre, left, within_m):
+    """A way of 120 m with a scale of the odometer that is 1 % off: 1.2 m at the end, of which less than 1 cm is left.
+
+    Where the odometer is known and the metre of the images is not, the odometer keeps it.
 
     Pulls of 3 cm: what holds elements where they were drawn must not add up over them to a scale of its own.
 
@@ -131,13 +137,15 @@ def test_a_scale_of_the_odometer_is_told_by_what_is_passed():
     info = np.tile(np.diag([100.0] * 3 + [1000.0] * 3), (num - 1, 1, 1))
     frames = np.arange(num)
     wheels = odometry(frames[:-1], frames[1:], steps, jacobian, np.tile(ODOMETER, (num - 1, 1)), info)
-    known = prior(true[0], np.append(ODOMETER, [0.0, 0.0]), FIRM)
-    graph = pose_graph(np.ones(num, bool), (wheels, known))
-    found = solve_together(graph, values_of(start, np.append(ODOMETER, [0.0, 0.0])), frames.tolist(), pulls, elements)
-    off_m = np.abs(found.Ts_map_base[:, 0, 3] - true[:, 0, 3])
-    assert off_m.max() < 0.01
+    firm = FIRM.copy()
+    firm[6, 6] = 1.0 / sigma_odometer
+    known = prior(true[0], np.append(ODOMETER, [0.0, 0.0]), firm)
+    graph, values = pose_graph(np.ones(num, bool), (wheels, known)), values_of(start, np.append(ODOMETER, [0.0, 0.0]))
+    found = solve_together(graph, values, frames.tolist(), pulls, elements, JointConfig(sigma_metre=sigma_metre))
+    scale = found.Ts_map_base[1:, 0, 3] / true[1:, 0, 3] - 1.0
+    np.testing.assert_allclose(scale * true[1:, 0, 3], left * true[1:, 0, 3], atol=within_m)
     for element, T in zip(elements, moved, strict=True):
-        assert abs(found.motions[element.id][0, 3] - T[0, 3]) < 0.01
+        assert abs(found.motions[element.id][0, 3] - (T[0, 3] if left == 0.0 else 0.0)) < within_m
 
 
 @pytest.mark.parametrize("share", [0.25, 4.0])
@@ -145,7 +153,7 @@ def test_pulls_are_as_sure_as_they_scatter(share):
     """31 frames that each see some 8 elements, whose pulls scatter half or twice as far as they state: noise is told
     within 10 %, but for what the stated one is believed, and the errors of the last pose over 12 drives are those that
     its covariance states within a factor of 1.3."""
-    num, information = 31, np.diag([1e4, 1e4, 1e4, 1e4, 1e4, 1e4])
+    num, information, config = 31, np.diag([1e4, 1e4, 1e4, 1e4, 1e4, 1e4]), JointConfig(sigma_metre=1e-6)
     true = straight(num)
     elements = elements_at([(2.0 * k + 0.5, 3.0 if k % 2 else -3.0) for k in range(16)])
     frames = np.arange(num)
@@ -164,11 +172,12 @@ def test_pulls_are_as_sure_as_they_scatter(share):
             )
             for own in near
         ]
-        found = solve_together(graph, values_of(true, np.zeros(5)), frames.tolist(), pulls, elements, sure_of=[num - 1])
+        values = values_of(true, np.zeros(5))
+        found = solve_together(graph, values, frames.tolist(), pulls, elements, config, sure_of=[num - 1])
         noise.append(found.noise)
         off = rigid.log(rigid.inverse(true[-1]) @ found.Ts_map_base[-1])
         square.append(off @ np.linalg.solve(found.covariance, off) / 6.0)
-    believed = JointConfig().believed_rows
+    believed = config.believed_rows
     spare = 6 * (sum(map(len, near)) - len(elements) - num)
     np.testing.assert_allclose(np.mean(noise), (share * spare + believed) / (spare + believed), rtol=0.1)
     assert 1 / 1.3 < np.sqrt(np.mean(square)) < 1.3

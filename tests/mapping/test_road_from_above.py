@@ -83,6 +83,17 @@ def test_a_bar_is_a_rectangle_to_a_third_of_a_cell():
     assert set(away.argmin(axis=1)) == {0, 1, 2, 3}
 
 
+def test_worn_paint_moves_no_side_of_a_bar():
+    """Two of three looks show it, and a sixth of it is gone: sums of the paint would make it a third shorter."""
+    share = 0.66 * painted([bar(150, 200, 110, 12, 20.0)])
+    worn = 0.66 * painted([bar(190, 214.6, 18, 6, 20.0)])
+    (corners,) = find_rectangles(share - worn, ALL, 20.0)
+    along = np.array([np.cos(np.deg2rad(20.0)), np.sin(np.deg2rad(20.0))])
+    across = np.array([-along[1], along[0]])
+    places = (corners - [150, 200]) @ np.stack([along, across], axis=1)
+    np.testing.assert_allclose([places.min(axis=0), places.max(axis=0)], [[0, -6], [110, 6]], atol=0.5)
+
+
 def test_an_arrow_keeps_its_corners():
     arrow = np.array([[100, 196], [180, 196], [180, 184], [220, 200], [180, 216], [180, 204], [100, 204]], float)
     (rim,) = find_outlines(painted([arrow]), ALL, 48.0)

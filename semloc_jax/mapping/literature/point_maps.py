@@ -85,7 +85,7 @@ def gathered_points(
         SemlocError: the masks show no paint, or no camera shows the road.
     """
     config = config or PointMapConfig()
-    looker = Looker(drive, masks, RoadLookConfig(config.range_m, config.voxel_m, config.voxel_m))
+    looker = Looker(drive, masks, RoadLookConfig(config.range_m, config.voxel_m))
     layers, layer_of_id = paint_layers(masks.table)
     label_of_plane = {plane: int(layer.label) for layer in layers for plane in layer.planes}
     label_of_id = np.array([label_of_plane.get(int(plane), -1) for plane in layer_of_id])
