@@ -188,5 +188,8 @@ def _text(vector: np.ndarray, names: Sequence[str]) -> str:
 
 
 def _reason(vector: np.ndarray, names: Sequence[str], reasons: Mapping[str, str]) -> str:
-    name = names[int(np.argmax(np.abs(vector)))]
+    told = [k for k, name in enumerate(names) if name in reasons and abs(vector[k]) > _SHOWN]
+    # What is there once, such as the odometer, says more than the axis of a camera.
+    largest = max(told or range(len(names)), key=lambda k: abs(vector[k]))
+    name = names[largest]
     return reasons.get(name, reasons.get(name.rsplit(" ", 1)[-1], _LENS_REASON))

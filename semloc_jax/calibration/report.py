@@ -1,6 +1,6 @@
 """The files of a calibration: corrected cameras, sigmas, what could not be told (room: calibration; host).
 
-In: SelfCalibration or GroundCalibration, the calibration file it started from. Out: calib.yaml (or the files that there
+In: the result of a calibration, the calibration file it started from. Out: calib.yaml (or the files that there
 were), observability.csv, calibration.json, report.txt.
 """
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from semloc_jax.calibration.ground_points import GroundCalibration
 from semloc_jax.calibration.observability import Observability, to_text
+from semloc_jax.calibration.road_calibration import RoadCalibration
 from semloc_jax.calibration.self_calibration import SelfCalibration
 from semloc_jax.cameras.io.corrected import write_corrected
 from semloc_jax.evaluation import Trajectory, write_tum
@@ -51,6 +52,22 @@ def ground_text(result: GroundCalibration) -> str:
     )
 
 
+def road_text(result: RoadCalibration) -> str:
+    """The result of a calibration by the road as text."""
+    scale, bias = result.odometer_scale, np.rad2deg(result.gyro_bias_radps)
+    return "\n".join(
+        [
+            f"{len(result.frames)} frames, {result.num_lines} painted lines that several images show, "
+            f"{result.num_across} of them several cameras, {result.num_spots} spots that two pictures show",
+            f"sights of a line lie {100 * result.before_m:.1f} cm from it before, {100 * result.after_m:.1f} cm after "
+            "(root mean square, to 8 m)",
+            to_text(result.observability),
+            f"odometer scale {scale:.5f} +- {result.observability.parameter('odometer_scale').sigma:.5f}, gyroscope "
+            f"bias {bias:+.4f} +- {result.observability.parameter('gyro_bias').sigma:.4f} deg/s",
+        ]
+    )
+
+
 def write_report(result: SelfCalibration, source: Path, folder: Path) -> tuple[Path, ...]:
     """Write the corrected calibration in the layout of `source`, tables and text; returns the calibration files."""
     files = write_corrected(result.rig, source, folder)
@@ -82,6 +99,24 @@ def write_ground_report(result: GroundCalibration, source: Path, folder: Path) -
         "not_observable": _hidden(result.observability),
     }
     write_text(folder / "calibration.json", json.dumps(content, indent=1) + "\n")
+    return files
+
+
+def write_road_report(result: RoadCalibration, source: Path, folder: Path) -> tuple[Path, ...]:
+    """`write_report` of a calibration by the road."""
+    files = write_corrected(result.rig, source, folder)
+    _write_observability(result.observability, folder)
+    write_text(folder / "report.txt", road_text(result) + "\n")
+    content = {
+        "odometer_scale": result.odometer_scale,
+        "gyro_bias_radps": result.gyro_bias_radps,
+        "before_m": result.before_m,
+        "after_m": result.after_m,
+        "not_observable": _hidden(result.observability),
+    }
+    write_text(folder / "calibration.json", json.dumps(content, indent=1) + "\n")
+    time_s = np.array([frame.time_s for frame in result.frames])
+    write_tum(Trajectory(time_s, result.T_odom_base), folder / "trajectory.tum")
     return files
 
 

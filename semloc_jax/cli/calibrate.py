@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -16,11 +16,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Options(DriveOptions):
-    """Calibrate the cameras of a vehicle from a drive through a map.
+    """Calibrate the cameras of a vehicle from a drive, through a map or without one.
 
     Writes the corrected calibration (calib.yaml with the keys that it had), report.txt, observability.csv,
     calibration.json (odometer scale, gyroscope bias, GNSS offset, directions that are not observable), trajectory.tum,
     observability.png, overlays/*.png and config.yaml.
+
+    With --against road there is no map: the paint of the road, seen by two cameras and at two times, has to lie at one
+    place. That takes slow driving over a flat lot or garage, wheels, and mounts known to a degree and 10 cm; lines come
+    first, then the pictures themselves where there are any. lines.png shows the lines before and after.
 
     What the drive does not constrain stays at its prior and is listed. With --ground-points DRIVE is a calibration: its
     cameras are calibrated against each other, without drive and map. With --targets there is no drive: lenses come from
@@ -36,6 +40,8 @@ class Options(DriveOptions):
     """Folder with targets.yaml (board and mat: inner corners, side of the squares), boards/CAMERA/*.png,
     mats/CAMERA.png, mats.csv (mat, column, row, x_m, y_m), and calib.yaml or --calib: lenses by data sheet, mounts by
     drawing. `semloc simulate OUT --kind targets` makes one."""
+    against: Literal["map", "road"] | None = None
+    """What the cameras are held against: the map, or the road itself; default: the map where there is one."""
     reference: str | None = None
     """Poses of the vehicle from elsewhere: truth, or a trajectory file in the frame of the map. They give the position
     of the cameras on the vehicle, which a drive alone hardly constrains."""
@@ -75,7 +81,37 @@ def run(options: Options) -> int:
         intrinsics = options.settings.intrinsics
         print(report_ground_calibration(source, options.ground_points, intrinsics, options.out))
         return OK
+    if _is_by_road(options):
+        return _by_road(options, source)
     inputs = open_inputs(options)
     how = (options.settings, options.reference, options.overlays)
     print(report_calibration(inputs, source, *how, options.out, options.kept(inputs)))
+    return OK
+
+
+def _is_by_road(options: Options) -> bool:
+    """Whether the cameras are held against the road: asked for, or there is no map."""
+    from semloc_jax.datasets import open_drive
+    from semloc_jax.inputs.sweeps import has_sweeps
+
+    if options.against is not None:
+        return options.against == "road"
+    drive = open_drive(options.drive, options.calib)
+    return options.map is None and drive.map_path is None and not has_sweeps(drive)
+
+
+def _by_road(options: Options, source: Path) -> int:
+    from semloc_jax.datasets import open_drive
+    from semloc_jax.errors import UsageError
+    from semloc_jax.inputs.choices import parse_names
+    from semloc_jax.inputs.mask_source import best_masks, mask_source
+    from semloc_jax.reports.calibration import report_road_calibration
+
+    if options.map is not None:
+        raise UsageError("--against road takes no map; leave --map out, or use --against map")
+    drive = open_drive(options.drive, options.calib)
+    name = options.masks or best_masks(drive)
+    masks = mask_source(name, drive, parse_names(options.cameras), options.class_table)
+    kept = {"masks": masks.name, "cameras": ",".join(masks.cameras), "against": "road"}
+    print(report_road_calibration(drive, masks, source, options.settings, options.out, kept))
     return OK

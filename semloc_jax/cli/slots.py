@@ -26,8 +26,11 @@ class Options:
     """The drive: a folder or a bag (.bag, .db3, .mcap) with wheel odometry, its type is guessed."""
     calib: Path | None = None
     """Calibration file, where the drive has none of its own or another one is to be used."""
-    front: Literal["masks"] = "masks"
-    """What finds slots in a frame: masks: the lines of slots in them."""
+    front: Literal["masks", "net"] = "masks"
+    """What finds slots in a frame: masks: the lines of slots in them; net: a network's marking points in the top view
+    of the images, with --weights. Masks then say only what hides the road and who parks."""
+    weights: Path | None = None
+    """With --front net: what `semloc learn slots` wrote."""
     masks: str | None = None
     """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or FILE.onnx; default: the drive's best
     masks."""
@@ -48,16 +51,25 @@ class Options:
 def run(options: Options) -> int:
     """Find and follow the slots, print how exact they are."""
     from semloc_jax.datasets import open_drive
+    from semloc_jax.errors import UsageError
     from semloc_jax.inputs.choices import chosen_frames, parse_names
     from semloc_jax.inputs.mask_source import best_masks, mask_source
     from semloc_jax.mapping.slot_sights import SlotSightConfig
     from semloc_jax.reports.slots import report_slots
 
     log_to_console()
+    if (options.front == "net") != (options.weights is not None):
+        raise UsageError("--front net and --weights FILE go together: semloc learn slots writes the file")
+    net = None
+    if options.weights is not None:
+        from semloc_jax.perception.networks.marking_net import MarkingNet
+
+        net = MarkingNet.load(options.weights)
     drive = open_drive(options.drive, options.calib)
     chosen = chosen_frames(drive, options.frames)
     masks = mask_source(options.masks or best_masks(drive), drive, parse_names(options.cameras), options.class_table)
     kept = {"masks": masks.name, "cameras": ",".join(masks.cameras), "frames": options.frames}
+    kept["front"] = options.front
     sights = SlotSightConfig(window=options.window)
-    print(report_slots(drive, masks, chosen, sights, video=options.video, out=options.out, options=kept))
+    print(report_slots(drive, masks, chosen, sights, net=net, video=options.video, out=options.out, options=kept))
     return OK

@@ -18,7 +18,7 @@ from semloc_jax.simulation.top_views.picture import TopViewSample, top_view_samp
 
 _SPREAD_CELLS = 1.0
 """Cells so near to a point are hardly wrong when they say that they have it."""
-_OFFSET, _DIRECTION, _CORNER = 1.0, 0.5, 0.2
+_OFFSET, _DIRECTION, _CORNER = 1.0, 1.0, 0.2
 """Weights of the parts of the loss beside the confidence; ours."""
 _PRIOR_LOGIT = -4.0
 """What a cell is begun with: few have a point."""

@@ -147,7 +147,7 @@ class SlotObserver:
         looks = list(self.looker.looks(frame, index, Ts_odom_base))
         gatherer = self._gathered(index, looks, Ts_odom_base)
         lines, in_row = self._lines(gatherer, T)
-        beliefs = dict.fromkeys((line.id for line in lines), _ONE_FRAME)
+        beliefs = dict.fromkeys([part.id for part in (*lines, *in_row)], _ONE_FRAME)
         found = find_slots(lines, beliefs, _way(T), gatherer.vehicles, self.config.slots, in_row)
         elements = upright([element for element, _ in found], lines, self.config.slots)
         mouths = in_rows(elements)

@@ -14,15 +14,25 @@ from tqdm import tqdm
 from semloc_jax import viz
 from semloc_jax.calibration import SelfCalibration, SelfCalibrationConfig, self_calibrate
 from semloc_jax.calibration.ground_points import GroundPointConfig, calibrate_on_ground, read_ground_pairs
-from semloc_jax.calibration.report import ground_text, report_text, write_ground_report, write_report
+from semloc_jax.calibration.report import (
+    ground_text,
+    report_text,
+    road_text,
+    write_ground_report,
+    write_report,
+    write_road_report,
+)
+from semloc_jax.calibration.road_calibration import RoadCalibrationConfig, calibrate_on_road
 from semloc_jax.cameras.io import read_calibration
+from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, read_trajectory
 from semloc_jax.inputs.drive_inputs import Inputs
+from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.pictures import calibration_panels
 from semloc_jax.storage import output_path
-from semloc_jax.viz.self_calibration import observability_figure
+from semloc_jax.viz.self_calibration import observability_figure, seen_lines_figure
 
 
 def report_calibration(
@@ -60,6 +70,34 @@ def report_calibration(
     _write_pictures(folder, inputs, result, num_overlays)
     done = f"calibrated in {time.perf_counter() - started:.0f} s: {', '.join(map(str, files))}"
     return "\n".join([report_text(result), done, f"results: {folder}"])
+
+
+def report_road_calibration(
+    drive: Drive,
+    masks: MaskSource,
+    source: Path,
+    settings: SelfCalibrationConfig | None = None,
+    out: Path | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> str:
+    """Calibrate cameras by a drive without a map, write everything, and return the text for people.
+
+    Args:
+        drive: Frames, wheels and the calibration to start from.
+        masks: Masks of its cameras.
+        source: The calibration that the drive came with; the corrected one keeps its layout and keys.
+        settings: None for the defaults.
+        out: Folder to write; None for a new one in results/.
+        options: What config.yaml keeps besides the configuration.
+    """
+    settings = settings or SelfCalibrationConfig()
+    result = calibrate_on_road(drive, masks, RoadCalibrationConfig(calibration=settings))
+    folder = make_folder(out)
+    files = write_road_report(result, source, folder)
+    write_record(folder, settings, options or {})
+    viz.save(observability_figure(result.observability), folder / "observability.png")
+    viz.save(seen_lines_figure(result), folder / "lines.png")
+    return f"{road_text(result)}\ncorrected: {', '.join(map(str, files))}\nresults: {folder}"
 
 
 def report_ground_calibration(source: Path, points: Path, intrinsics: str, out: Path | None = None) -> str:

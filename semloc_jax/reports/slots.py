@@ -14,11 +14,13 @@ from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import drive_chain
+from semloc_jax.mapping.net_slots import NetSlotObserver
 from semloc_jax.mapping.object_tracks import ObjectTrackConfig, Tracker, wrapped
 from semloc_jax.mapping.obstacle_tracks import ObstacleFollower
 from semloc_jax.mapping.slot_sights import SlotObserver, SlotSightConfig
 from semloc_jax.mapping.slot_tracks import SlotTrack
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap, write_map
+from semloc_jax.perception.networks.marking_net import MarkingNet
 from semloc_jax.perception.obstacle_classes import obstacle_ids
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.object_errors import is_slow, last_poses
@@ -38,6 +40,7 @@ def report_slots(
     frames: slice = slice(None),
     sights: SlotSightConfig | None = None,
     tracks: ObjectTrackConfig | None = None,
+    net: MarkingNet | None = None,
     video: bool = False,
     out: Path | None = None,
     options: Mapping[str, Any] | None = None,
@@ -49,6 +52,7 @@ def report_slots(
         masks: of its cameras; they show the lines of slots.
         frames: which frames; the way is that of the whole drive.
         sights, tracks: None for the defaults.
+        net: finds the marking points of slots in the images; None follows the lines in the masks.
         video: write a film of the top view.
         out: folder to write; None for a new one in results/.
         options: what config.yaml keeps.
@@ -57,7 +61,8 @@ def report_slots(
         SemlocError: no odometry, masks that show no slot lines, no frames.
     """
     chain = drive_chain(drive)
-    observer, tracker = SlotObserver(drive, masks, sights), Tracker(SlotTrack, tracks)
+    observer = SlotObserver(drive, masks, sights) if net is None else NetSlotObserver(drive, masks, net, sights)
+    tracker = Tracker(SlotTrack, tracks)
     obstacles = ObstacleFollower(drive.rig, masks) if obstacle_ids(masks.table) else None
     chosen = range(len(drive))[frames]
     folder = make_folder(out)

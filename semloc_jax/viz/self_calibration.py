@@ -1,18 +1,21 @@
 """What a drive knows of a calibration, before and after (room: viz).
 
-In: Observability; frames with both calibrations. Out: Figures.
+In: Observability; lines with both calibrations. Out: Figures.
 """
 
 from collections.abc import Sequence
 
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
 from semloc_jax.calibration import Knowledge, Observability, Parameter
+from semloc_jax.calibration.road_calibration import RoadCalibration
 from semloc_jax.viz.style import INK, new_figure, plain_axes
 
 _COLOURS = {Knowledge.OBSERVABLE: "#00897b", Knowledge.WEAK: "#f9a825", Knowledge.HELD: "#c62828"}
+_CAMERAS = ("#1565c0", "#c62828", "#2e7d32", "#f9a825", "#6a1b9a", "#00838f")
 _PRIOR = "#b0bec5"
 _FEW = 4
 
@@ -35,6 +38,30 @@ def observability_figure(observability: Observability) -> Figure:
     handles = [Line2D([], [], marker="o", linestyle="", color=_PRIOR, label="before")]
     handles += [Line2D([], [], marker="o", linestyle="", color=c, label=str(v)) for v, c in _COLOURS.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=9, frameon=False, labelcolor=INK)
+    return figure
+
+
+def seen_lines_figure(result: RoadCalibration) -> Figure:
+    """Painted lines as every camera sees them, with the calibration as given and as found; one colour a camera."""
+    parts = ("before", result.seen.before, result.before_m), ("after", result.seen.after, result.after_m)
+    wide_m, high_m = np.ptp(np.concatenate([xy for _, xy, _ in parts]), axis=0)
+    rows, columns = (2, 1) if wide_m > high_m else (1, 2)
+    figure = new_figure(9.0, 0.8 + rows * float(np.clip(8.0 / columns * high_m / wide_m, 2.0, 8.0)))
+    first = None
+    for k, (title, xy, off_m) in enumerate(parts):
+        axes = plain_axes(figure.add_subplot(rows, columns, k + 1, sharex=first, sharey=first))
+        first = axes
+        for camera, name in enumerate(result.rig.names):
+            own = xy[result.seen.camera == camera]
+            axes.plot(own[:, 0], own[:, 1], ".", color=_CAMERAS[camera % len(_CAMERAS)], markersize=2, label=name)
+        axes.plot(result.T_odom_base[:, 0, 3], result.T_odom_base[:, 1, 3], color=INK, linewidth=1.0, label="vehicle")
+        axes.set_aspect("equal")
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+        axes.set_title(f"{title}: {100 * off_m:.1f} cm from the line, root mean square", fontsize=9, loc="left")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=7, fontsize=9, frameon=False, labelcolor=INK, markerscale=4
+    )
     return figure
 
 

@@ -13,6 +13,7 @@ from semloc_jax.residuals.inverse_depth import Sight, sight_linearised, sight_re
 from semloc_jax.residuals.lamp_line import LineSight, lamp_residual
 from semloc_jax.residuals.lane_curve import MOST_PLACES, CurveSight, lane_residual
 from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
+from semloc_jax.residuals.road_sight import at_end_residual, on_line_residual, same_spot_residual
 from semloc_jax.residuals.seen_point import PointSight, shift_residual
 from semloc_jax.residuals.sign_circle import circle_residual
 from semloc_jax.residuals.sign_corners import MOST_CORNERS, corners_residual
@@ -29,6 +30,8 @@ KINDS = {
     "bias": vector(0.01, 0.01, 0.01, 0.1, 0.1, 0.1),
     "scale": vector(0.02),
     "landmark": vector(0.01, 0.01, 0.05),
+    "mount": POSE,
+    "line": vector(0.1, 0.02),
 }
 GRAVITY = jnp.array([0.0, 0.0, -9.81])
 STEP_S, SAMPLES = 0.01, 20
@@ -92,6 +95,9 @@ def stacked(parts):
 
 
 ZERO, ONE = np.zeros(1, int), np.ones(1, int)
+DOWN = np.array([[0.0, -1.0, 0.0, 1.5], [-1.0, 0.0, 0.0, 0.2], [0.0, 0.0, -1.0, 2.0], [0.0, 0.0, 0.0, 1.0]])
+"""A camera 2 m above the road that looks straight down."""
+RAY, ALONG = np.array([[0.1, 0.3, 0.9]]), np.array([[[3.0, 0.5], [0.6, 0.8]]])
 PAIR = ZERO, ONE
 FACTORS = {
     "measured pose": measured_poses(np.stack([near(), near()]), RNG.normal(size=(2, 6, 6)), 1e6),
@@ -147,6 +153,18 @@ FACTORS = {
     "change": Factors(
         vehicle_motion.change_residual, ("velocity", "velocity"), (ZERO, ONE), (), RNG.normal(size=(1, 3))
     ),
+    "place on a line of the road": Factors(
+        on_line_residual, ("mount", "pose", "line"), (ZERO, ZERO, ZERO), (RAY, ALONG), np.array([3.0])
+    ),
+    "end of a line of the road": Factors(
+        at_end_residual, ("mount", "pose", "scale"), (ZERO, ZERO, ZERO), (RAY, ALONG), np.array([3.0])
+    ),
+    "spot of the road seen twice": Factors(
+        same_spot_residual, ("mount", "pose", "mount", "pose"), (ZERO, ZERO, ONE, ONE), (RAY, RAY), info(2)
+    ),
+    "spot of the road seen twice by one camera": Factors(
+        same_spot_residual, ("mount", "pose", "mount", "pose"), (ZERO, ZERO, ZERO, ONE), (RAY, RAY), info(2)
+    ),
     "standing": Factors(vehicle_motion.standing_residual, ("velocity",), (ZERO,), (), RNG.normal(size=(1, 3))),
     "lane": Factors(
         lane_residual,
@@ -200,6 +218,8 @@ VALUES = {
     "bias": jnp.asarray(0.01 * RNG.normal(size=(1, 6))),
     "scale": jnp.array([[1.02]]),
     "landmark": jnp.array([[0.05, -0.03, 0.2]]),
+    "mount": jnp.asarray(np.stack([DOWN, DOWN @ near(0.1)])),
+    "line": jnp.array([[0.1, -0.02]]),
 }
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.cli.main import main
+from semloc_jax.learning.marking_drives import on_paint
 from semloc_jax.learning.marking_lesson import SlotLearningConfig, shown, threshold_of
 from semloc_jax.learning.marking_points import (
     NOTHING,
@@ -19,6 +20,7 @@ from semloc_jax.learning.marking_points import (
     score,
 )
 from semloc_jax.perception.networks.marking_net import METRES_PER_PX, MarkingNet, MarkingPoints, decoded, levelled
+from semloc_jax.simulation.top_views.drawn_out import own_car, wedge
 from semloc_jax.simulation.top_views.picture import top_view_sample
 from semloc_jax.simulation.top_views.slot_layout import random_layout
 
@@ -76,6 +78,26 @@ def test_points_lie_on_paint_and_point_into_slots():
             ]
             assert (slot.mean(axis=0) - slot[:2].mean(axis=0)) @ into > 0.8
             assert min(depths) > 1.5
+
+
+def test_what_stands_up_is_drawn_out_away_from_a_camera():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        car = own_car(rng, 9.6)
+        a, b, c, d = wedge(rng, car, 9.6, 0.2, 2.0)
+        foot, end = 0.5 * (a + b), 0.5 * (c + d)
+        cameras = car.middle_m + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]) * car.size_m
+        camera = cameras[np.linalg.norm(cameras - foot, axis=1).argmin()]
+        sight = (foot - camera) / np.linalg.norm(foot - camera)
+        assert (end - foot) @ sight > 2.0 - 1e-9  # m: along the line of sight
+        assert np.linalg.norm(c - d) > np.linalg.norm(a - b)
+
+
+def test_marking_points_are_the_middles_of_paint_where_a_map_has_its_edge():
+    mouths, inward = np.array([[0.0, 3.1], [2.5, 3.1], [5.0, 3.1]]), np.tile([0.0, 1.0], (3, 1))
+    bar, divider = np.array([[-0.7, 3.16], [0.7, 3.16]]), np.array([[2.5, 3.1], [2.5, 8.3]])
+    moved_to = on_paint(mouths, inward, [bar, divider])
+    np.testing.assert_allclose(moved_to, [[0.0, 3.16], [2.5, 3.1], [5.0, 3.1]])  # dividers alone end where they end
 
 
 def _inside(quad, place):

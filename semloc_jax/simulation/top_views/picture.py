@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.simulation.top_views.clutter import filled, other_paint, shadows, things
+from semloc_jax.simulation.top_views.drawn_out import OwnCar, drawn_out, own_car, wedge
 from semloc_jax.simulation.top_views.slot_layout import Layout, MarkingPoint, random_layout
 
 _FINER = 2
@@ -24,9 +25,6 @@ _WORN_OUT = 0.25
 """Nor one of whose paint less is left."""
 _OPEN_PX = 6
 """So far around such a point nothing is asked."""
-_CAR_M = ((4.0, 5.0), (1.7, 2.0))
-_VIEW_M = 10.0
-"""Side of the whole view that a crop is cut from: its seams meet in its middle."""
 
 
 class TopViewSample(NamedTuple):
@@ -58,13 +56,14 @@ def top_view_sample(rng: np.random.Generator, size_px: int, metres_per_px: float
     alpha = _paint(rng, layout, size_m, n, fine)
     colour = _paint_colour(rng, ground)
     picture = ground + alpha[..., None] * (colour - ground)
-    picture *= _light(rng, size_m, n, fine)[..., None]
+    car = own_car(rng, size_m)
+    picture *= _light(rng, size_m, n, fine)[..., None] * _reflections(rng, car, size_m, n, fine)[..., None]
     covered = np.zeros((n, n), np.uint8)
-    for area in things(rng, layout, size_m):
+    for area in [*things(rng, layout, size_m), *drawn_out(rng, car, size_m)]:
         filled(picture, area.outline_m, fine, tuple(float(value) for value in area.colour))
         if area.is_high:
             filled(covered, area.outline_m, fine, 255)
-    points, picture, covered = _seen_by_cameras(rng, layout.points, picture, covered, size_m, fine)
+    points, picture, covered = _seen_by_cameras(rng, car, layout.points, picture, covered, fine)
     picture = _finished(rng, picture, size_px)
     return _asked(picture, points, layout.backs, covered, alpha, size_m, fine)
 
@@ -132,28 +131,36 @@ def _light(rng: np.random.Generator, size_m: float, n: int, fine: float) -> Floa
     return light * (1.0 + rng.uniform(-0.4, 0.4) * ramp[None]) * (1.0 + rng.uniform(-0.4, 0.4) * ramp[:, None])
 
 
+def _reflections(rng: np.random.Generator, car: OwnCar, size_m: float, n: int, fine: float) -> Float[np.ndarray, "n n"]:
+    """Lamps and bright walls that a wet or polished floor throws back: they run along the lines of sight."""
+    light = np.ones((n, n), np.float32)
+    if rng.random() < 0.75:
+        return light
+    for _ in range(int(rng.integers(4, 24))):
+        part = np.zeros((n, n), np.float32)
+        filled(part, wedge(rng, car, size_m, rng.uniform(0.03, 0.2), rng.uniform(0.3, 4.0)), fine, 1.0)
+        light += rng.uniform(0.2, 1.2) * cv2.GaussianBlur(part, None, rng.uniform(1.0, 6.0))
+    return light
+
+
 def _seen_by_cameras(
     rng: np.random.Generator,
+    car: OwnCar,
     points: list[MarkingPoint],
     picture: np.ndarray,
     covered: np.ndarray,
-    size_m: float,
     fine: float,
 ) -> tuple[list[MarkingPoint], np.ndarray, np.ndarray]:
     """Four cameras around a car, each with a mount, a gain and a tint a little off; the car itself is black."""
-    n = len(picture)
-    middle = size_m * 0.5 + rng.uniform(-0.5, 0.5, 2) * max(_VIEW_M - size_m, 0.5)
-    heading = rng.choice([0.0, 0.5 * np.pi])
-    sector = _sectors(n, middle, heading, fine)
+    n, middle = len(picture), car.middle_m
+    sector = _sectors(n, middle, car.heading_rad, fine)
     gains = (1.0 + abs(rng.normal(0.0, 0.08)) * rng.standard_normal((4, 3))).astype(np.float32)
     seen, hidden, moved = picture, covered, list(points)
     if rng.random() < 0.5:
         moved, seen, hidden = _mounts_off(rng, points, picture, covered, sector, middle, fine)
     seen = seen * gains[sector]
-    size = np.array([rng.uniform(*_CAR_M[1]), rng.uniform(*_CAR_M[0])])
-    size = size if heading == 0.0 else size[::-1]
     if rng.random() < 0.6:
-        corners = middle + 0.5 * size * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        corners = middle + 0.5 * car.size_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         filled(seen, corners, fine, (float(rng.choice([0.0, 0.0, 0.3])),) * 3)
         filled(hidden, corners, fine, 255)
     return moved, seen, hidden
