@@ -19,7 +19,7 @@ from semloc_jax.inputs.mask_view import MaskSource, resized
 from semloc_jax.localization.odometry import LookSource, OdometryConfig, OdometryFrame, VisualInertialOdometry
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.perception.surround import PAINT
-from semloc_jax.perception.tracks import Looks
+from semloc_jax.perception.tracks import LookMasks
 
 _LOG = logging.getLogger(__name__)
 
@@ -155,7 +155,7 @@ def looks_of(masks: MaskSource) -> LookSource:
     named = _named(table, _ROAD)
     road[[*named, *(paint if named else ())]] = True
 
-    def looks(frame: Frame, camera: str) -> Looks:
+    def looks(frame: Frame, camera: str) -> LookMasks:
         mask = masks.segment(frame, camera)
         dynamic = frame.dynamic_mask(camera)
         covered = hidden[mask]
@@ -163,7 +163,7 @@ def looks_of(masks: MaskSource) -> LookSource:
             covered = covered | resized(dynamic, mask)
         width, height = frame.rig.cameras[frame.rig.index(camera)].resolution
         size = np.empty((height, width), np.uint8)
-        return Looks(~resized(covered, size), ~resized(~road[mask], size))
+        return LookMasks(~resized(covered, size), ~resized(~road[mask], size))
 
     return looks
 

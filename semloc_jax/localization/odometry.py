@@ -23,13 +23,13 @@ from semloc_jax.fusion.inertial_start import InertialStartConfig, started
 from semloc_jax.fusion.inertial_states import STATE
 from semloc_jax.fusion.inertial_window import InertialEstimate, InertialWindow
 from semloc_jax.geometry import rigid
-from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Looks, Tracks
+from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, LookMasks, Tracks
 
 _LOG = logging.getLogger(__name__)
 _REREAD_S = 1e-3
 """A clock that is off by more than this is taken into account in the inertial steps of the start."""
 _CLOCK_SIGMAS = 4.0
-LookSource = Callable[[Frame, str], Looks | None]
+LookSource = Callable[[Frame, str], LookMasks | None]
 """What masks say of the image of a camera."""
 
 

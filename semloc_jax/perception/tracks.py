@@ -38,7 +38,7 @@ class CornerConfig:
     border_px: int = 8
 
 
-class Looks(NamedTuple):
+class LookMasks(NamedTuple):
     """What masks say of one image, in its size."""
 
     usable: Bool[np.ndarray, "h w"]
@@ -89,7 +89,7 @@ class FeatureTracker:
         greys: Sequence[UInt8[np.ndarray, "h w"]],
         rig: Rig,
         R_now_before: Float[np.ndarray, "3 3"],
-        looks: Sequence[Looks | None] | None = None,
+        looks: Sequence[LookMasks | None] | None = None,
     ) -> Tracks:
         """Follow the corners into the next images, and take new ones where slots are empty.
 
@@ -165,7 +165,7 @@ class FeatureTracker:
         uv[here[good]], found[here[good]] = new[good], True
         return uv, found
 
-    def _filled(self, view: _View, rig: Rig, index: int, looks: Looks | None) -> _View:
+    def _filled(self, view: _View, rig: Rig, index: int, looks: LookMasks | None) -> _View:
         """The view with new corners in its empty slots."""
         free = np.flatnonzero(view.id < 0)
         config, taken = self.config, view.uv[view.id >= 0]
