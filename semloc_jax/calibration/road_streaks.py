@@ -25,7 +25,7 @@ _SPACING_M = 0.25
 _SHORTEST_M = 1.0
 _BENT_M = 0.05
 """A line that strays farther from a straight one is no line to measure by."""
-_BESIDE = planar_pose(0.5 * _LOOK.cell_m, 0.5 * _LOOK.cell_m)
+_BESIDE = planar_pose(0.5 * _LOOK.spacing_m, 0.5 * _LOOK.spacing_m)
 """Places of a look lie in the middle of the cells of the grid: on their borders half of the cells would stay empty."""
 _REACH_M = 8.0
 """Paint farther from its camera is smeared over the top view, and an uneven road moves it by more than a mount does."""
@@ -72,7 +72,7 @@ def find_streaks(drive: Drive, frames: Sequence[Frame], masks: MaskSource) -> li
 
 def _lines(look: Look, masks: MaskSource) -> Iterator[MapElement]:
     """Straight strokes of paint that one camera shows, in the base frame of the calibration to start from."""
-    gatherer = Gatherer(masks.table, _LOOK.cell_m)
+    gatherer = Gatherer(masks.table, _LOOK.spacing_m)
     gatherer.add(look)
     layers = [layer for layer in gatherer.layers if layer.label in STROKES]
     for element in elements_of(gatherer.paint, layers, lambda xy: np.zeros(len(xy)), _VECTOR):
