@@ -10,6 +10,8 @@ from collections.abc import Iterable
 import numpy as np
 
 _SIZE = np.dtype("<u4")
+_MOST_COLUMNS = 64
+"""No form has more. A file of zeros would be millions of empty ones, and take a minute to be refused."""
 
 
 def pack_integers(values: np.ndarray) -> bytes:
@@ -63,12 +65,14 @@ def split_columns(joined: bytes) -> tuple[bytes, list[np.ndarray]]:
     """Returns the header and the columns of `joined_columns`.
 
     Raises:
-        ValueError, IndexError: cut short, or a column of another length.
+        ValueError, IndexError: cut short, a column of another length, or too many of them.
     """
     width = _SIZE.itemsize
     at = width + int(np.frombuffer(joined[:width], dtype=_SIZE)[0])
     header, columns = joined[width:at], []
     while at < len(joined):
+        if len(columns) == _MOST_COLUMNS:
+            raise ValueError(f"more than {_MOST_COLUMNS} columns")
         count, length = (int(v) for v in np.frombuffer(joined[at : at + 2 * width], dtype=_SIZE))
         at += 2 * width
         columns.append(unpack_integers(joined[at : at + length], count))

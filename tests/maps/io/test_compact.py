@@ -8,7 +8,7 @@ import pytest
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import MapElement, SemanticMap, compare, inspect_map, read_map
 from semloc_jax.maps.io.compact import _FILTERS, MAGIC, write_compact
-from semloc_jax.maps.io.varints import pack_integers, unpack_integers
+from semloc_jax.maps.io.varints import pack_integers, split_columns, unpack_integers
 from semloc_jax.structs import ElementClass
 
 
@@ -73,13 +73,15 @@ def test_an_empty_map_and_wrong_resolutions(tmp_path):
 
 def test_bombs_and_lies_are_refused(tmp_path):
     path = tmp_path / "m.smap"
-    zeros = lzma.compress(bytes(1 << 26), format=lzma.FORMAT_RAW, filters=_FILTERS)
+    zeros = lzma.compress(bytes(1 << 26), format=lzma.FORMAT_RAW, filters=_FILTERS)  # 8 million columns of nothing
     header = b'{"kinds": [], "origin": null, "name": "", "frame": "", "resolution_m": 1, "shift": [0, 0, 0]}'
     short = np.array([len(header)], dtype="<u4").tobytes() + header
     for payload in (zeros, lzma.compress(short, format=lzma.FORMAT_RAW, filters=_FILTERS), b"", b"\x00" * 40):
         path.write_bytes(MAGIC + payload)
         with pytest.raises(SemlocError, match="broken"):
             read_map(path)
+    with pytest.raises(ValueError, match="more than 64 columns"):
+        split_columns(bytes(1 << 12))
     path.write_bytes(b"SMAP\x02")
     with pytest.raises(SemlocError, match="not a compact map of this version"):
         read_map(path)
