@@ -80,10 +80,11 @@ def lens_mode(
     longer, shorter = np.clip(np.nan_to_num(gain, nan=-_MOST_NATS), -_MOST_NATS, _MOST_NATS)
     slope, bend = 0.5 * (longer - shorter), max(-(longer + shorter), _LEAST_BEND)
     known = (step / config.lens_sigma) ** 2
-    mean, variance = np.clip(slope / (bend + known), -_FARTHEST, _FARTHEST), 1.0 / (bend + known)
+    mean, variance = slope / (bend + known), 1.0 / (bend + known)
     odds = config.lens_share * np.sqrt(known * variance) * np.exp(min(0.5 * slope * mean, _MOST_NATS))
     way = 0.5 * np.nan_to_num(moved[0] - moved[1])
-    return FaultMode(float(odds), config.lens_share, mean * way, covariance + variance * np.outer(way, way), cause)
+    off = float(np.clip(mean, -_FARTHEST, _FARTHEST)) * way
+    return FaultMode(float(odds), config.lens_share, off, covariance + variance * np.outer(way, way), cause)
 
 
 def sign_mode(

@@ -1,6 +1,7 @@
 """Whether measured poses and the motion between them fit each other (room: localization; host).
 
-In: how each measured pose differs from the predicted one. Out: Innovations; a sentence where they do not.
+In: how each measured pose differs from the predicted one. Out: Innovations; how far a pose is in doubt where they do
+not, and a sentence.
 A clock that is late, an odometer that slips, times of frames that jump: each frame alone may pass, as its gate lets one
 in a thousand through and no more is asked of it; several in a row do not.
 """
@@ -32,6 +33,8 @@ class Innovations(NamedTuple):
     """Squared innovations."""
     squares: Float[np.ndarray, "3"] = np.zeros(3)
     """Of forward, left and heading alone, over their variances."""
+    away: Float[np.ndarray, "3"] = np.zeros(3)
+    """Squared differences themselves [m^2, m^2, rad^2]."""
     num: Float[np.ndarray, ""] = np.float64(0.0)
 
 
@@ -46,21 +49,34 @@ def learned(
         difference: Measured pose as seen from the predicted one (right tangent).
         covariance: Of the difference.
     """
-    squares = (difference**2 / np.maximum(np.diagonal(covariance), 1e-18))[_OF_PLANE]
+    away = np.square(difference)[_OF_PLANE]
+    squares = away / np.maximum(np.diagonal(covariance)[_OF_PLANE], 1e-18)
     if not (np.isfinite(chi2) and np.isfinite(squares).all()):
         return state
-    new = (min(chi2, _MOST), np.minimum(squares, _MOST), 1.0)
+    new = (min(chi2, _MOST), np.minimum(squares, _MOST), away, 1.0)
     keep = 1.0 - 1.0 / _MEMORY_FRAMES
     return Innovations(*(np.asarray(keep * old + one, np.float64) for old, one in zip(state, new, strict=True)))
 
 
-def doubts(state: Innovations) -> tuple[str, ...]:
-    """A sentence where the last frames fit the motion between them worse than chance lets them."""
+class Doubt(NamedTuple):
+    """How far a pose may be off that masks or motion alone have right."""
+
+    lateral_m: float
+    longitudinal_m: float
+    heading_deg: float
+    cause: str
+
+
+def doubts(state: Innovations) -> tuple[Doubt, ...]:
+    """The doubt where the last frames fit the motion between them worse than chance lets them: either side may be
+    right, so the pose is as far off as they differ."""
     num = float(state.num)
     if num < 2.0:
         return ()
     mean, most = float(state.chi2) / num, float(chdtri(_DOF * num, 1.0 - _PROBABILITY)) / num
     if mean <= most:
         return ()
+    ahead_m, left_m, turn_rad = np.sqrt(state.away / num).tolist()
     where = _WORDS[int(np.argmax(state.squares))]
-    return (f"masks and motion do not fit each other (squared innovations {mean:.0f}, at most {most:.0f}), {where}",)
+    told = f"masks and motion do not fit each other (squared innovations {mean:.0f}, at most {most:.0f}), {where}"
+    return (Doubt(left_m, ahead_m, float(np.degrees(turn_rad)), told),)

@@ -69,7 +69,7 @@ def judged(
     limit = config.health.integrity.limit
     beyond, against = beyond_alert(protection, limit), _contradictions(state, reasons, config.health)
     elsewhere = phase.doubts(fused, state.fixes, float(state.elsewhere.nats))
-    serious = (*beyond, *against, *elsewhere, *innovations.doubts(state.innovations))
+    serious = (*beyond, *against, *elsewhere)
     is_confirmed = bool(state.tracks[0].num_accepted >= config.confirm_frames)
     status = health.status_of(len(state.tracks), is_confirmed, serious)
     held = ()
@@ -102,7 +102,10 @@ def levels_of(
     freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
     known = fused.covariance, freedom, map_sigmas(*map_sigma)
     levels = protection_levels(*known, integrity)
-    faults = watch.separations(state.watch, fused, rig, config.watch) if state.tracks else []
+    faults = []
+    if state.tracks:
+        doubts = (watch.Separation(*doubt) for doubt in innovations.doubts(state.innovations))
+        faults = [*doubts, *watch.separations(state.watch, fused, rig, config.watch)]
     causes = watch.causes(levels, faults, integrity.limit)
     farthest = np.max([fault[:3] for fault in faults], axis=0) if faults else np.zeros(3)
     misled = misleading(*known, farthest, integrity.limit)

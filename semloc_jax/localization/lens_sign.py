@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 
 class SignState(NamedTuple):
-    """Sums over the last frames that were asked, forgetting."""
+    """Sums over all frames that were asked: no lens changes its sign while driving, and where little is in view each
+    frame says next to nothing."""
 
     num: Float[np.ndarray, ""] = np.float64(0.0)
     gain: Float[np.ndarray, ""] = np.float64(0.0)
@@ -22,18 +23,17 @@ class SignState(NamedTuple):
     """How far their poses move then: forward [m], left [m], heading [rad]."""
 
 
-def learned(sign: SignState, gain_nats: float, moved: Float[np.ndarray, "3"], keep: float) -> SignState:
+def learned(sign: SignState, gain_nats: float, moved: Float[np.ndarray, "3"]) -> SignState:
     """The sums after one more frame; what is no number says nothing.
 
     Args:
         sign: Before.
         gain_nats: By how much it fits better with the other sign.
         moved: How far its pose moves: forward [m], left [m], heading [rad].
-        keep: What it leaves of the frames before.
     """
     if not (np.isfinite(gain_nats) and np.isfinite(moved).all()):
         return sign
-    return SignState(*(keep * old + new for old, new in zip(sign, (1.0, gain_nats, moved), strict=True)))
+    return SignState(*(old + new for old, new in zip(sign, (1.0, gain_nats, moved), strict=True)))
 
 
 def nats(sign: SignState, share: float) -> float:

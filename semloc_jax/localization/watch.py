@@ -97,8 +97,7 @@ def looked(
     other = with_distortion(frame.rig, -1.0) if RADIAL in names else None
     if other is not None:
         gain, moved = again((other,))
-        keep = np.exp(-1.0 / config.memory_frames)
-        watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0], keep))
+        watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))
     profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
     watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
     return learned(watch, len(frame.rig.names), float(aside), tried, profiles, config)

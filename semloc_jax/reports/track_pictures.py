@@ -18,11 +18,13 @@ from semloc_jax.reports.film import Film
 from semloc_jax.reports.tables import PROTECTION, SIGMAS
 from semloc_jax.reports.track_log import TrackTable
 from semloc_jax.storage import output_path
+from semloc_jax.viz.error_inset import FrameErrors, with_inset
 from semloc_jax.viz.integrity import IntegrityErrors, stanford_diagram
 from semloc_jax.viz.overlay import dim
 from semloc_jax.viz.tracking import status_banner, tracking_over_time
 
 VIDEO_WIDTH_PX = 960
+_PLAN = ("lateral", "longitudinal")
 NAMES = ("lateral [m]", "longitudinal [m]", "heading [deg]")
 
 
@@ -86,19 +88,29 @@ class Overlay:
             local = window.local_map.frame
             contours = viz.project_contours(window.samples, local, T, camera, rig.T_base_cam[0])
         image = viz.draw_contours(*viz.at_width(image, contours, width_px))
-        return status_banner(image, self.table.status[row], self._text(frame, row))
+        if row in self._pose:
+            image = with_inset(image, self._errors(row))
+        why = self.table.reasons[row].split("; ")[0]
+        return status_banner(image, self.table.status[row], self._text(frame, row), why)
+
+    def _errors(self, row: int) -> FrameErrors:
+        """Lateral and longitudinal errors of a line with what is stated of them."""
+        limit = ALERT_LIMITS[0]
+
+        def pair(kind: str) -> tuple[float, float]:
+            lateral_m, along_m = (float(self.table.columns[f"{kind}_{name}_m"][row]) for name in _PLAN)
+            return lateral_m, along_m
+
+        return FrameErrors(pair("error"), pair("sigma"), pair("protection"), (limit.lateral_m, limit.longitudinal_m))
 
     def _text(self, frame: Frame, row: int) -> str:
-        columns = self.table.columns
-        sigma = (
-            f"sigma {100 * columns['sigma_lateral_m'][row]:.1f} / {100 * columns['sigma_longitudinal_m'][row]:.1f} cm"
-        )
-        text = f"{frame.id}  {self.table.status[row].name}  {sigma}"
-        if np.isfinite(columns["error_lateral_m"][row]):
-            across, along = columns["error_lateral_m"][row], columns["error_longitudinal_m"][row]
-            text += f"  error {100 * across:+.1f} / {100 * along:+.1f} cm"
-        reasons = self.table.reasons[row]
-        return text + (f"  {reasons}" if reasons else "")
+        text = f"{frame.id}  {self.table.status[row].name}"
+        if row not in self._pose:
+            return text
+        known = self._errors(row)
+        sigma_cm, error_cm = (100.0 * np.array(pair) for pair in (known.sigma_m, known.error_m))
+        text += f"   sigma {sigma_cm[0]:.1f} / {sigma_cm[1]:.1f} cm"
+        return text + (f"   error {error_cm[0]:+.1f} / {error_cm[1]:+.1f} cm" if np.isfinite(error_cm).all() else "")
 
 
 def write_video(path: Path, overlay: Overlay, frames: list[Frame], rate_hz: float) -> Path:

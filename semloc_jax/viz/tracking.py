@@ -85,23 +85,31 @@ def _draw_status(axes: Axes, time_s: np.ndarray, status: Sequence[TrackStatus]) 
         spine.set_visible(False)
 
 
-def status_banner(image: np.ndarray, status: TrackStatus, text: str) -> np.ndarray:
-    """The image with a bar below that says status and numbers, coloured by status.
+def status_banner(image: np.ndarray, status: TrackStatus, text: str, why: str = "") -> np.ndarray:
+    """The image with a bar below that says status and numbers, coloured by status, and a second line that says why.
 
     Args:
         image: uint8[h w 3], red green blue.
         status: Colour of the bar.
         text: What it says.
+        why: What keeps the frame from being TRACKING; what does not fit is cut at a word.
     """
     import cv2
 
     from semloc_jax.viz.style import rgb
 
     height = max(image.shape[1] // 24, 24)
-    bar = np.full((height, image.shape[1], 3), 20, np.uint8)
+    bar = np.full((2 * height, image.shape[1], 3), 20, np.uint8)
     bar[:, : height // 2] = rgb(STATUS_COLOURS[status])
-    scale = height / 42.0
-    cv2.putText(
-        bar, text, (height, int(0.68 * height)), cv2.FONT_HERSHEY_SIMPLEX, scale, (235, 240, 245), 1, cv2.LINE_AA
-    )
+    font, scale, grey = cv2.FONT_HERSHEY_SIMPLEX, height / 50.0, (235, 240, 245)
+    cv2.putText(bar, text, (height, int(0.7 * height)), font, scale, grey, 1, cv2.LINE_AA)
+
+    def is_fitting(line: str) -> bool:
+        return cv2.getTextSize(line, font, 0.8 * scale, 1)[0][0] <= image.shape[1] - 1.5 * height
+
+    words, line = why.split(), ""
+    while words and is_fitting(" ".join([line, words[0], "..."])):
+        line = " ".join([line, words.pop(0)]).strip()
+    line += " ..." if words else ""
+    cv2.putText(bar, line, (height, int(1.6 * height)), font, 0.8 * scale, (176, 184, 194), 1, cv2.LINE_AA)
     return np.vstack([image, bar])

@@ -29,8 +29,16 @@ def test_careful_covariances_are_never_doubted_and_exact_ones_as_often_as_said()
 def test_what_does_not_fit_is_named(axis, word):
     factor = np.ones(6)
     factor[axis] = 6.0
-    told = doubts(after(factor, 12)[-1])
-    assert len(told) == 1 and word in told[0] and "masks and motion do not fit" in told[0]
+    (doubt,) = doubts(after(factor, 12)[-1])
+    assert word in doubt.cause and "masks and motion do not fit" in doubt.cause
+
+
+def test_a_pose_is_in_doubt_as_far_as_masks_and_motion_differ():
+    state = Innovations()
+    for _ in range(30):
+        state = learned(state, 40.0, np.array([0.3, -0.1, 0.0, 0.0, 0.0, 0.004]), COVARIANCE)
+    (doubt,) = doubts(state)
+    assert doubt[:3] == pytest.approx((0.1, 0.3, np.degrees(0.004)))
 
 
 def test_it_is_over_soon_and_what_is_no_number_says_nothing():

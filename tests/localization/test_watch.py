@@ -273,11 +273,13 @@ def bent_rig() -> Rig:
     return Rig([BrownConradyCamera(500.0, 510.0, 320.0, 200.0, 640, 400, -0.3, 0.1)], straight.T_base_cam, ["front"])
 
 
-@pytest.mark.parametrize(("gains", "told"), [([], False), ([2.0], True), ([0.5] * 20, True), ([-12.0], False)])
+@pytest.mark.parametrize(
+    ("gains", "told"), [([], False), ([2.0], True), ([0.5] * 20, True), ([-12.0], False), ([-0.1] * 90, False)]
+)
 def test_levels_reach_to_the_pose_of_the_other_sign_until_the_drive_speaks_against_it(gains, told):
     state = lens_sign.SignState()
     for gain in (*gains, np.nan):
-        state = lens_sign.learned(state, gain, np.array([-0.35, 0.02, 0.001]), 0.975)
+        state = lens_sign.learned(state, gain, np.array([-0.35, 0.02, 0.001]))
     found = watch.separations(WatchState(sign=state), TOLD, bent_rig(), CONFIG)
     wide = watch.with_faults(LEVELS, found)
     assert wide.longitudinal_m == pytest.approx(LEVELS.longitudinal_m + (0.35 if told else 0.0))
