@@ -14,7 +14,7 @@ from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, Trajectory, drift, format_metrics, write_metrics, write_tum
 from semloc_jax.fusion.inertial_states import AT, STATE
 from semloc_jax.inputs.mask_view import MaskSource
-from semloc_jax.localization.motion_source import looks_of
+from semloc_jax.localization.motion_source import scenery_of
 from semloc_jax.localization.odometry import OdometryConfig, OdometryFrame, VisualInertialOdometry, follow
 from semloc_jax.mapping.chain import Chain, drive_chain
 from semloc_jax.reports.folder import make_folder, write_record
@@ -66,9 +66,9 @@ def report_odometry(
         return _written(drive, folder, Trajectory(chain.times_s, chain.Ts_odom_base), _rows_of_chain(chain))
     odometry = VisualInertialOdometry(drive, cameras, settings, motion == "both")
     folder = _folder(out, settings, options)
-    looks = None if masks is None else looks_of(masks)
+    scenery = None if masks is None else scenery_of(masks)
     with tqdm(odometry.frames, desc="odometry", unit="frame") as frames:
-        found = follow(odometry, frames, looks)
+        found = follow(odometry, frames, scenery)
     poses = np.stack([frame.T_odom_base for frame in found])
     trajectory = Trajectory(np.array([frame.time_s for frame in found]), poses)
     return _written(drive, folder, trajectory, found)

@@ -9,7 +9,13 @@ import semloc_jax as sj
 from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses, motions, odometry, prior, verticals
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals import motion, road_contact, vehicle_motion
-from semloc_jax.residuals.inverse_depth import Sight, sight_linearised, sight_residual
+from semloc_jax.residuals.inverse_depth import (
+    Sight,
+    on_road_linearised,
+    on_road_residual,
+    sight_linearised,
+    sight_residual,
+)
 from semloc_jax.residuals.lamp_line import LineSight, lamp_residual
 from semloc_jax.residuals.lane_curve import MOST_PLACES, CurveSight, lane_residual
 from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
@@ -28,6 +34,9 @@ KINDS = {
     "bias": vector(0.01, 0.01, 0.01, 0.1, 0.1, 0.1),
     "scale": vector(0.02),
     "landmark": vector(0.01, 0.01, 0.05),
+    "height": vector(0.01),
+    "mount": vector(0.01, 0.01, 0.01),
+    "delay": vector(0.005),
 }
 GRAVITY = jnp.array([0.0, 0.0, -9.81])
 STEP_S, SAMPLES = 0.01, 20
@@ -45,6 +54,12 @@ def inertial(T_from, v_from, bias, T_to, v_to, factor, sqrt_info):
     """`imu_residual` of two times as one function of five variables."""
     states = InertialState(T_from, v_from), InertialState(T_to, v_to)
     return imu_residual(*states, bias, GRAVITY, factor, sqrt_info)
+
+
+def mounted_inertial(T_from, v_from, bias, mount, delay, T_to, v_to, factor, sqrt_info):
+    """`imu_residual` of a sensor that is turned and whose clock is not that of the poses."""
+    states = InertialState(T_from, v_from), InertialState(T_to, v_to)
+    return imu_residual(*states, bias, GRAVITY, factor, sqrt_info, mount, delay[0])
 
 
 def samples(num):
@@ -187,6 +202,21 @@ FACTORS = {
         (stacked([interval(0)]),),
         info(9),
     ),
+    "inertial sensor that is turned and late": Factors(
+        mounted_inertial,
+        ("pose", "velocity", "bias", "mount", "delay", "pose", "velocity"),
+        (ZERO, ZERO, ZERO, ZERO, ZERO, ONE, ONE),
+        (stacked([interval(0)]),),
+        info(9),
+    ),
+    "landmark on the road": Factors(
+        on_road_residual,
+        ("height", "landmark"),
+        (ZERO, ZERO),
+        (np.array([[0.2, -0.3, -0.4]]), np.array([1.4])),
+        np.array([[3.0]]),
+        linearised=on_road_linearised,
+    ),
 }
 VALUES = {
     "pose": jnp.asarray(np.stack([near(), near()])),
@@ -197,6 +227,9 @@ VALUES = {
     "bias": jnp.asarray(0.01 * RNG.normal(size=(1, 6))),
     "scale": jnp.array([[1.02]]),
     "landmark": jnp.array([[0.05, -0.03, 0.2]]),
+    "height": jnp.array([[0.02]]),
+    "mount": jnp.array([[0.02, -0.01, 0.03]]),
+    "delay": jnp.array([[0.004]]),
 }
 
 
