@@ -51,7 +51,7 @@ def resolved(drive: Drive, choice: MotionChoice) -> Motion:
     Raises:
         SemlocError: the drive lacks what is asked for.
     """
-    has_imu = drive.imu is not None and bool(np.abs(drive.imu.accel_mps2).any())
+    has_imu = _has_forces(drive)
     if choice == "auto":
         return "vio" if drive.odometry is None and has_imu else "wheels"
     if choice in ("vio", "both") and not has_imu:
@@ -63,6 +63,19 @@ def resolved(drive: Drive, choice: MotionChoice) -> Motion:
     if choice in ("wheels", "both") and drive.odometry is None:
         raise SemlocError(f"drive {drive.name}: has no wheel odometry (wheel_odom.csv); use --motion vio or auto")
     return choice
+
+
+def resolved_without_map(drive: Drive, choice: MotionChoice, cameras: Sequence[str]) -> Motion:
+    """The choice for a way without a map: with `auto` all that the drive has."""
+    if choice != "auto":
+        return choice
+    if not _has_forces(drive) or len(with_images(drive, cameras)) < len(cameras):
+        return "wheels"
+    return "vio" if drive.odometry is None else "both"
+
+
+def _has_forces(drive: Drive) -> bool:
+    return drive.imu is not None and bool(np.abs(drive.imu.accel_mps2).any())
 
 
 def motion_log(drive: Drive, motion: Motion, masks: MaskSource) -> MotionLog:

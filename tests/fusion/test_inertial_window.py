@@ -16,7 +16,15 @@ from tests.fusion.inertial_world import World, near
 
 NUM = 6
 CONFIG = InertialWindowConfig(num_states=NUM, num_landmarks=40)
-SIGMA = first_sigma(CONFIG, np.array([1e-3, 1e-3, 1e-3, 5e-3, 5e-3, 1e-4]), 0.1, np.repeat([2e-3, 0.05], 3), 0.02)
+
+
+def sigma_of(config):
+    """Of a first state whose speed is known to 1 %."""
+    pose = np.array([1e-3, 1e-3, 1e-3, 5e-3, 5e-3, 1e-4])
+    return first_sigma(config, pose, 0.1, np.repeat([2e-3, 0.05], 3), 0.02)
+
+
+SIGMA = sigma_of(CONFIG)
 
 
 def difference(state, truth, k):
@@ -26,18 +34,21 @@ def difference(state, truth, k):
     return np.concatenate([pose, *rest])
 
 
-def begun(seed, num, noise=1.0):
+def begun(seed, num, noise=1.0, world=None, config=CONFIG):
     """A window of the first times with a prior that is drawn around the truth, all times, the truth."""
-    world = World(seed=seed, noise=noise, num_slots=40)
+    world = world or World(seed=seed, noise=noise, num_slots=40)
     moments, truth = world.moments(num)
     values = near(truth, NUM, noise, seed)
-    drawn = noise * SIGMA * np.random.default_rng(seed + 7).normal(size=STATE)
+    sigma = sigma_of(config)
+    drawn = noise * sigma * np.random.default_rng(seed + 7).normal(size=STATE)
     T = truth["pose"][0]
     values["pose"][0] = T @ rigid.exp(np.concatenate([drawn[:3], T[:3, :3].T @ drawn[3:6]]))
     for name in ("height", "velocity", "bias"):
         values[name][0] = truth[name][0] + drawn[AT[name]]
     values["scale"][:] = 1.0 + drawn[AT["scale"]]
-    window = InertialWindow.of(moments[:NUM], values, first_prior(values, SIGMA, T[:3, :3]), CONFIG)
+    for name in ("mount", "delay"):
+        values[name][:] = 0.0
+    window = InertialWindow.of(moments[:NUM], values, first_prior(values, sigma, T[:3, :3]), config)
     for _ in range(2):
         window.solve()
     return window, moments, truth
