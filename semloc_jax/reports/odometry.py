@@ -23,7 +23,7 @@ from semloc_jax.viz import odometry_picture, save
 
 Motion = Literal["vio", "wheels", "both"]
 _LEAST_WAY_M = 1.0
-_KNOWN_S, _KNOWN_DEG = 1e-4, 0.005
+_KNOWN_S, _KNOWN_DEG = 2e-4, 0.03
 """Clock and mount that are held to less than this were not to be found."""
 
 
