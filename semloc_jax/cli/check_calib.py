@@ -20,6 +20,9 @@ class Options:
     together are drawn from above. The horizon must lie on the horizon, poles stand upright in the undistorted picture,
     and lines on the road run on from one camera to the next.
 
+    Where the drive has inertial data, their units, axes, clock and mount are held against how the first camera with
+    images turns.
+
     The exit code is 3 with --strict when something looks wrong.
     """
 
@@ -38,6 +41,8 @@ class Options:
     """Map to draw; default: the drive's own."""
     poses: Path | None = None
     """Trajectory of the vehicle for the map; default: the drive's truth, else its fixes."""
+    imu: Path | None = None
+    """imu.yaml of Kalibr: is the stated noise of the inertial sensor that of its log?"""
     strict: bool = False
     """Exit code 3 when something looks wrong."""
     out: Path | None = None
@@ -50,6 +55,6 @@ def run(options: Options) -> int:
 
     logging.basicConfig(format="%(message)s")
     given = (options.path, options.calib, options.image, parse_names(options.cameras), options.frame)
-    report = report_calibration_check(CalibrationCheck(*given, options.map, options.poses), options.out)
+    report = report_calibration_check(CalibrationCheck(*given, options.map, options.poses, options.imu), options.out)
     print(report.text)
     return LOST if options.strict and report.findings else OK

@@ -47,7 +47,7 @@ class Views(NamedTuple):
     """See `on_road_residual`: its weight; 0 for a landmark that is not known to lie on the road."""
 
 
-class SightEquations(NamedTuple):
+class SeenEquations(NamedTuple):
     """Normal equations of landmarks; the unknowns of states are all their poses, then all their heights."""
 
     cost: Float[Array, ""]
@@ -87,7 +87,7 @@ def step_residuals(views: Views, value: Values) -> Float[Array, "l f 2"]:
     return _steps_of(r, views) * jnp.asarray(views.sqrt_info)[..., None]
 
 
-def seen_equations(views: Views, value: Values, at: Values, threshold: float) -> SightEquations:
+def seen_equations(views: Views, value: Values, at: Values, threshold: float) -> SeenEquations:
     """What views and road say at the values, with derivatives by the states taken at `at`.
 
     Args:
@@ -120,7 +120,7 @@ def seen_equations(views: Views, value: Values, at: Values, threshold: float) ->
     landmark += jnp.where(is_used[:, None, None], weak, jnp.eye(3, dtype=r.dtype))
     road = _on_road(views, value, at, threshold)
     poses, num = SIZES["pose"] * num_f, SEEN * num_f
-    return SightEquations(
+    return SeenEquations(
         jnp.sum(cost) + jnp.sum(road.cost),
         jnp.concatenate([g.ravel(), of_anchor.T @ road.gradient]),
         jnp.zeros((num, num), r.dtype)

@@ -16,6 +16,8 @@ from semloc_jax.perception.tracks import Tracks
 _LEAST_INVERSE_DEPTH, _MOST_INVERSE_DEPTH = 1e-3, 2.0
 _FIRST_INVERSE_DEPTH = 0.05
 _ROUNDS = 3
+_LEAST_LIFT_M = 0.3
+"""A camera nearer to the origin of the base is given against an inertial sensor: nothing says where the road is."""
 _FLATTEST = 0.02
 """Sine of the angle below the horizon of the flattest line of sight that meets the road somewhere known."""
 
@@ -224,7 +226,7 @@ def _road_weights(
     down = np.maximum(-up, _FLATTEST)
     depth_m = lift_m / down
     away_m = depth_m * np.sqrt(1.0 - down**2)
-    used = on_road & (up < -_FLATTEST) & (lift_m > 0.0) & (away_m < road.reach_m) & (road.sigma_m > 0.0)
+    used = on_road & (up < -_FLATTEST) & (lift_m > _LEAST_LIFT_M) & (away_m < road.reach_m) & (road.sigma_m > 0.0)
     together = np.bincount(anchor[used], minlength=int(anchor.max(initial=0)) + 1)[anchor]
     own = road.sigma_m**2 + (road.bend_per_m * away_m**2) ** 2
     shared = road.heave_m**2 + (np.deg2rad(road.tilt_deg) * away_m) ** 2

@@ -16,10 +16,10 @@ from semloc_jax.datasets.sensors import WheelOdometry
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.prediction import MotionLog, VelocitySample
 from semloc_jax.inputs.mask_view import MaskSource, resized
-from semloc_jax.localization.odometry import LookSource, OdometryConfig, OdometryFrame, VisualInertialOdometry
+from semloc_jax.localization.odometry import OdometryConfig, OdometryFrame, ScenerySource, VisualInertialOdometry
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.perception.surround import PAINT
-from semloc_jax.perception.tracks import LookMasks
+from semloc_jax.perception.tracks import Scenery
 
 _LOG = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ def resolved(drive: Drive, choice: MotionChoice) -> Motion:
     Raises:
         SemlocError: the drive lacks what is asked for.
     """
-    has_imu = drive.imu is not None and bool(np.abs(drive.imu.accel_mps2).any())
+    has_imu = _has_forces(drive)
     if choice == "auto":
         return "vio" if drive.odometry is None and has_imu else "wheels"
     if choice in ("vio", "both") and not has_imu:
@@ -63,6 +63,19 @@ def resolved(drive: Drive, choice: MotionChoice) -> Motion:
     if choice in ("wheels", "both") and drive.odometry is None:
         raise SemlocError(f"drive {drive.name}: has no wheel odometry (wheel_odom.csv); use --motion vio or auto")
     return choice
+
+
+def resolved_without_map(drive: Drive, choice: MotionChoice, cameras: Sequence[str]) -> Motion:
+    """The choice for a way without a map: with `auto` all that the drive has."""
+    if choice != "auto":
+        return choice
+    if not _has_forces(drive) or len(with_images(drive, cameras)) < len(cameras):
+        return "wheels"
+    return "vio" if drive.odometry is None else "both"
+
+
+def _has_forces(drive: Drive) -> bool:
+    return drive.imu is not None and bool(np.abs(drive.imu.accel_mps2).any())
 
 
 def motion_log(drive: Drive, motion: Motion, masks: MaskSource) -> MotionLog:
@@ -125,11 +138,11 @@ def with_seen_speed(drive: Drive, masks: MaskSource, with_wheels: bool) -> Drive
 def seen_motion(drive: Drive, cameras: Sequence[str], masks: MaskSource | None, with_wheels: bool) -> SeenMotion:
     """All frames of a drive by cameras and inertial sensor."""
     odometry = VisualInertialOdometry(drive, cameras, OdometryConfig(), with_wheels)
-    looks = None if masks is None else looks_of(masks)
+    scenery = None if masks is None else scenery_of(masks)
     found: list[OdometryFrame] = []
     num_start = 0
     for frame in odometry.frames:
-        new = odometry.step(frame, looks)
+        new = odometry.step(frame, scenery)
         num_start = num_start or len(new)
         found += new
     return SeenMotion(tuple(found), num_start, odometry.reason or "the drive is too short")
@@ -145,7 +158,7 @@ def with_images(drive: Drive, cameras: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in cameras if drive.frames and drive.frames[0].has("rgb", name))
 
 
-def looks_of(masks: MaskSource) -> LookSource:
+def scenery_of(masks: MaskSource) -> ScenerySource:
     """Where masks show traffic, sky or the vehicle itself, and where the road, in the size of the image."""
     table = masks.table
     hidden, road = np.zeros(256, bool), np.zeros(256, bool)
@@ -155,7 +168,7 @@ def looks_of(masks: MaskSource) -> LookSource:
     named = _named(table, _ROAD)
     road[[*named, *(paint if named else ())]] = True
 
-    def looks(frame: Frame, camera: str) -> LookMasks:
+    def scenery(frame: Frame, camera: str) -> Scenery:
         mask = masks.segment(frame, camera)
         dynamic = frame.dynamic_mask(camera)
         covered = hidden[mask]
@@ -163,9 +176,9 @@ def looks_of(masks: MaskSource) -> LookSource:
             covered = covered | resized(dynamic, mask)
         width, height = frame.rig.cameras[frame.rig.index(camera)].resolution
         size = np.empty((height, width), np.uint8)
-        return LookMasks(~resized(covered, size), ~resized(~road[mask], size))
+        return Scenery(~resized(covered, size), ~resized(~road[mask], size))
 
-    return looks
+    return scenery
 
 
 def _named(table: ClassTable, names: Sequence[str]) -> list[int]:

@@ -23,13 +23,13 @@ from semloc_jax.fusion.inertial_start import InertialStartConfig, started
 from semloc_jax.fusion.inertial_states import STATE
 from semloc_jax.fusion.inertial_window import InertialEstimate, InertialWindow
 from semloc_jax.geometry import rigid
-from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, LookMasks, Tracks
+from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Scenery, Tracks
 
 _LOG = logging.getLogger(__name__)
 _REREAD_S = 1e-3
 """A clock that is off by more than this is taken into account in the inertial steps of the start."""
 _CLOCK_SIGMAS = 4.0
-LookSource = Callable[[Frame, str], LookMasks | None]
+ScenerySource = Callable[[Frame, str], Scenery | None]
 """What masks say of the image of a camera."""
 
 
@@ -99,13 +99,13 @@ class VisualInertialOdometry:
         self._T_odom_oldest = np.eye(4)
         """Of the oldest state of the window."""
 
-    def step(self, frame: Frame, looks: LookSource | None = None) -> list[OdometryFrame]:
+    def step(self, frame: Frame, scenery: ScenerySource | None = None) -> list[OdometryFrame]:
         """Go on to the next frame.
 
         Returns:
             Nothing while the start is awaited; all frames of the start when it is found; then one for each frame.
         """
-        moment = self._moment(frame, looks)
+        moment = self._moment(frame, scenery)
         window = self._window
         if window is None:
             return self._awaited(moment)
@@ -155,13 +155,13 @@ class VisualInertialOdometry:
         """Between two times of the cameras."""
         return steps_between(self.drive.imu, from_s + self._delay_s, to_s + self._delay_s, self._capacity)
 
-    def _moment(self, frame: Frame, looks: LookSource | None) -> InertialMoment:
+    def _moment(self, frame: Frame, scenery: ScenerySource | None) -> InertialMoment:
         rig = frame.rig.select(self.cameras)
         steps = None
         if self._before_s is not None:
             steps = self._steps(self._before_s, frame.time_s)
         R = np.eye(3) if steps is None else rotation_between(steps, self._bias_radps).T
-        seen = None if looks is None else [looks(frame, name) for name in self.cameras]
+        seen = None if scenery is None else [scenery(frame, name) for name in self.cameras]
         tracks = self._tracker.step([_grey(frame, name) for name in self.cameras], rig, R, seen)
         self._before_s = frame.time_s
         speed = None
@@ -184,7 +184,7 @@ class VisualInertialOdometry:
 
 
 def follow(
-    odometry: VisualInertialOdometry, frames: Iterable[Frame], looks: LookSource | None = None
+    odometry: VisualInertialOdometry, frames: Iterable[Frame], scenery: ScenerySource | None = None
 ) -> list[OdometryFrame]:
     """All frames of a drive.
 
@@ -193,7 +193,7 @@ def follow(
     """
     found: list[OdometryFrame] = []
     for frame in frames:
-        found += odometry.step(frame, looks)
+        found += odometry.step(frame, scenery)
     if not found:
         reason = odometry.reason or (
             f"the drive is shorter than {odometry.config.start.duration_s:g} s or "

@@ -38,7 +38,7 @@ class CornerConfig:
     border_px: int = 8
 
 
-class LookMasks(NamedTuple):
+class Scenery(NamedTuple):
     """What masks say of one image, in its size."""
 
     usable: Bool[np.ndarray, "h w"]
@@ -89,7 +89,7 @@ class FeatureTracker:
         greys: Sequence[UInt8[np.ndarray, "h w"]],
         rig: Rig,
         R_now_before: Float[np.ndarray, "3 3"],
-        looks: Sequence[LookMasks | None] | None = None,
+        scenery: Sequence[Scenery | None] | None = None,
     ) -> Tracks:
         """Follow the corners into the next images, and take new ones where slots are empty.
 
@@ -97,7 +97,7 @@ class FeatureTracker:
             greys: One image of every camera.
             rig: The cameras.
             R_now_before: Rotation of the base since the last images, of a gyroscope.
-            looks: Of each camera: where new corners may be, and which of them lie on the road.
+            scenery: Of each camera: where new corners may be, and which of them lie on the road.
         """
         views, followed, flows = [], 0, []
         for index, grey in enumerate(greys):
@@ -107,7 +107,7 @@ class FeatureTracker:
             view, flow_px = self._followed(before, grey, rig, index, R_cam)
             followed += int(np.sum(view.id >= 0))
             flows.append(flow_px)
-            views.append(self._filled(view, rig, index, None if looks is None else looks[index]))
+            views.append(self._filled(view, rig, index, None if scenery is None else scenery[index]))
         self._views = list(views)
         flow = np.concatenate(flows)
         stacked = SightLines(*(np.concatenate([v.sight[part] for v in views]) for part in range(3)))
@@ -165,18 +165,18 @@ class FeatureTracker:
         uv[here[good]], found[here[good]] = new[good], True
         return uv, found
 
-    def _filled(self, view: _View, rig: Rig, index: int, looks: LookMasks | None) -> _View:
+    def _filled(self, view: _View, rig: Rig, index: int, scenery: Scenery | None) -> _View:
         """The view with new corners in its empty slots."""
         free = np.flatnonzero(view.id < 0)
         config, taken = self.config, view.uv[view.id >= 0]
-        usable = None if looks is None else looks.usable
+        usable = None if scenery is None else scenery.usable
         corners = new_corners(view.grey, usable, taken, len(free), config.bucket_px, config.border_px)
         slots = free[: len(corners)]
         ids, uv, on_road = view.id.copy(), view.uv.copy(), view.on_road.copy()
         ids[slots], uv[slots] = self._next_id + np.arange(len(slots)), corners
-        if looks is not None:
+        if scenery is not None:
             column, row = np.round(corners).astype(int).T
-            on_road[slots] = looks.road[row, column]
+            on_road[slots] = scenery.road[row, column]
         self._next_id += len(slots)
         sight = sight_lines(rig.cameras[index], uv)
         ids[~sight.valid] = -1

@@ -11,14 +11,18 @@ from typing import NamedTuple
 import numpy as np
 
 from semloc_jax import viz
+from semloc_jax.calibration.inertial_plausibility import LEAST_TURNS, implausible_inertial, implausible_noise
+from semloc_jax.calibration.turns_of_cameras import turns_of_cameras
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.plausibility import Finding, implausible, view_angles_deg
 from semloc_jax.datasets import Drive, Frame, open_drive
 from semloc_jax.datasets.detect import is_recording
+from semloc_jax.datasets.imu_noise import read_imu_noise
 from semloc_jax.datasets.pictures import as_colour, read_picture
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import read_trajectory
+from semloc_jax.inputs.inertial_calibration import in_camera_time
 from semloc_jax.inputs.surround_inputs import pictures_by_camera
 from semloc_jax.maps import LocalMap, SemanticMap, read_map
 from semloc_jax.reports.folder import make_folder
@@ -27,6 +31,8 @@ from semloc_jax.viz import calibration as drawing
 
 _LOG = logging.getLogger(__name__)
 _MAP_RADIUS_M = 60.0
+_TURN_FRAMES = 200
+"""Images whose turns are held against those of the inertial sensor: some seconds of driving are enough."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,7 @@ class CalibrationCheck:
         frame: Index of the frame of the drive.
         map: Map to draw; None for the drive's own.
         poses: Trajectory file of the vehicle; None for the drive's truth, else its fixes.
+        imu: imu.yaml of Kalibr with the noise of the inertial sensor; None: its noise is not looked at.
     """
 
     path: Path
@@ -50,6 +57,7 @@ class CalibrationCheck:
     frame: int = 0
     map: Path | None = None
     poses: Path | None = None
+    imu: Path | None = None
 
 
 class CalibrationReport(NamedTuple):
@@ -71,7 +79,7 @@ def report_calibration_check(check: CalibrationCheck, out: Path | None = None) -
     """
     rig, drive, images = _open(check)
     sizes = {name: (picture.shape[1], picture.shape[0]) for name, picture in images.items()}
-    findings = implausible(rig, sizes)
+    findings = implausible(rig, sizes) + _inertial(drive, rig, check.imu)
     lines = [_line(rig, name) for name in rig.names] + [f"warning: {finding}" for finding in findings]
     if not findings:
         lines.append("nothing implausible found; look at the pictures" if images else "nothing implausible found")
@@ -79,6 +87,17 @@ def report_calibration_check(check: CalibrationCheck, out: Path | None = None) -
     if usable:
         lines += [f"picture: {path}" for path in _draw(check, rig, drive, usable, findings, out)]
     return CalibrationReport(findings, "\n".join(lines))
+
+
+def _inertial(drive: Drive | None, rig: Rig, imu_yaml: Path | None) -> list[Finding]:
+    """What looks wrong in the inertial data, where there are any; turns are those of the first camera with images."""
+    if drive is None or drive.imu is None:
+        return []
+    frames = drive.frames[:_TURN_FRAMES]
+    seen = [name for name in rig.names if frames[0].has("rgb", name)]
+    turns = turns_of_cameras(frames, seen[0]) if seen and len(frames) >= LEAST_TURNS else None
+    found = implausible_inertial(drive.imu, turns)
+    return found if imu_yaml is None else found + implausible_noise(drive.imu, read_imu_noise(imu_yaml))
 
 
 def _open(check: CalibrationCheck) -> tuple[Rig, Drive | None, dict[str, np.ndarray]]:
@@ -98,7 +117,7 @@ def _open(check: CalibrationCheck) -> tuple[Rig, Drive | None, dict[str, np.ndar
 def _drive(check: CalibrationCheck) -> Drive | None:
     """The drive; None, with a warning, where it cannot be opened but its calibration can be read."""
     try:
-        return open_drive(check.path, check.calib)
+        return in_camera_time(open_drive(check.path, check.calib), check.calib)
     except SemlocError as error:
         try:
             read_calibration(check.calib or check.path)

@@ -14,7 +14,7 @@ from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, Trajectory, drift, format_metrics, write_metrics, write_tum
 from semloc_jax.fusion.inertial_states import AT, STATE
 from semloc_jax.inputs.mask_view import MaskSource
-from semloc_jax.localization.motion_source import looks_of
+from semloc_jax.localization.motion_source import scenery_of
 from semloc_jax.localization.odometry import OdometryConfig, OdometryFrame, VisualInertialOdometry, follow
 from semloc_jax.mapping.chain import Chain, drive_chain
 from semloc_jax.reports.folder import make_folder, write_record
@@ -23,6 +23,8 @@ from semloc_jax.viz import odometry_picture, save
 
 Motion = Literal["vio", "wheels", "both"]
 _LEAST_WAY_M = 1.0
+_KNOWN_S, _KNOWN_DEG = 2e-4, 0.03
+"""Clock and mount that are held to less than this were not to be found."""
 
 
 class OdometryReport(NamedTuple):
@@ -66,9 +68,9 @@ def report_odometry(
         return _written(drive, folder, Trajectory(chain.times_s, chain.Ts_odom_base), _rows_of_chain(chain))
     odometry = VisualInertialOdometry(drive, cameras, settings, motion == "both")
     folder = _folder(out, settings, options)
-    looks = None if masks is None else looks_of(masks)
+    scenery = None if masks is None else scenery_of(masks)
     with tqdm(odometry.frames, desc="odometry", unit="frame") as frames:
-        found = follow(odometry, frames, looks)
+        found = follow(odometry, frames, scenery)
     poses = np.stack([frame.T_odom_base for frame in found])
     trajectory = Trajectory(np.array([frame.time_s for frame in found]), poses)
     return _written(drive, folder, trajectory, found)
@@ -96,6 +98,7 @@ def _written(drive: Drive, folder: Path, trajectory: Trajectory, rows: Sequence[
         Metric("frames.estimated", float(len(rows)), "frames", "report"),
         Metric("start", float(rows[0].time_s - drive.frames[0].time_s), "s", "report"),
     ]
+    metrics += _sensor_metrics(rows[-1])
     T_true = _truth_of(drive, trajectory.time_s)
     if T_true is not None and np.sum(np.linalg.norm(np.diff(T_true[:, :3, 3], axis=0), axis=1)) >= _LEAST_WAY_M:
         metrics += drift(trajectory, Trajectory(trajectory.time_s, T_true))
@@ -105,6 +108,20 @@ def _written(drive: Drive, folder: Path, trajectory: Trajectory, rows: Sequence[
     landmarks = np.array([row.num_landmarks for row in rows], float)
     save(odometry_picture(trajectory, sigma, speed, landmarks, T_true), folder / "odometry.png")
     return OdometryReport(folder, format_metrics(metrics))
+
+
+def _sensor_metrics(last: OdometryFrame) -> list[Metric]:
+    """Clock and mount of the inertial sensor at the end of the drive, where they were to be found."""
+    metrics = []
+    delay, mount = last.sigma[AT["delay"]], np.rad2deg(last.sigma[AT["mount"]])
+    if delay[0] > _KNOWN_S:
+        metrics.append(Metric("clock.offset", 1e3 * last.delay_s, "ms", "report"))
+        metrics.append(Metric("clock.sigma", float(1e3 * delay[0]), "ms", "report"))
+    if mount.max() > _KNOWN_DEG:
+        turn = dict(zip("xyz", np.rad2deg(last.mount_rad), strict=True))
+        metrics += [Metric(f"mount.turn_{axis}", float(value), "deg", "report") for axis, value in turn.items()]
+        metrics.append(Metric("mount.sigma", float(mount.max()), "deg", "report"))
+    return metrics
 
 
 def _truth_of(drive: Drive, time_s: np.ndarray) -> np.ndarray | None:

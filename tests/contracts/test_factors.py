@@ -9,7 +9,13 @@ import semloc_jax as sj
 from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses, motions, odometry, prior, verticals
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals import motion, road_contact, vehicle_motion
-from semloc_jax.residuals.inverse_depth import Sight, sight_linearised, sight_residual
+from semloc_jax.residuals.inverse_depth import (
+    Sight,
+    on_road_linearised,
+    on_road_residual,
+    sight_linearised,
+    sight_residual,
+)
 from semloc_jax.residuals.lamp_line import LineSight, lamp_residual
 from semloc_jax.residuals.lane_curve import MOST_PLACES, CurveSight, lane_residual
 from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
@@ -30,8 +36,11 @@ KINDS = {
     "bias": vector(0.01, 0.01, 0.01, 0.1, 0.1, 0.1),
     "scale": vector(0.02),
     "landmark": vector(0.01, 0.01, 0.05),
-    "mount": POSE,
+    "camera_mount": POSE,
     "line": vector(0.1, 0.02),
+    "height": vector(0.01),
+    "mount": vector(0.01, 0.01, 0.01),
+    "delay": vector(0.005),
 }
 GRAVITY = jnp.array([0.0, 0.0, -9.81])
 STEP_S, SAMPLES = 0.01, 20
@@ -49,6 +58,12 @@ def inertial(T_from, v_from, bias, T_to, v_to, factor, sqrt_info):
     """`imu_residual` of two times as one function of five variables."""
     states = InertialState(T_from, v_from), InertialState(T_to, v_to)
     return imu_residual(*states, bias, GRAVITY, factor, sqrt_info)
+
+
+def mounted_inertial(T_from, v_from, bias, mount, delay, T_to, v_to, factor, sqrt_info):
+    """`imu_residual` of a sensor that is turned and whose clock is not that of the poses."""
+    states = InertialState(T_from, v_from), InertialState(T_to, v_to)
+    return imu_residual(*states, bias, GRAVITY, factor, sqrt_info, mount, delay[0])
 
 
 def samples(num):
@@ -154,16 +169,24 @@ FACTORS = {
         vehicle_motion.change_residual, ("velocity", "velocity"), (ZERO, ONE), (), RNG.normal(size=(1, 3))
     ),
     "place on a line of the road": Factors(
-        on_line_residual, ("mount", "pose", "line"), (ZERO, ZERO, ZERO), (RAY, ALONG), np.array([3.0])
+        on_line_residual, ("camera_mount", "pose", "line"), (ZERO, ZERO, ZERO), (RAY, ALONG), np.array([3.0])
     ),
     "end of a line of the road": Factors(
-        at_end_residual, ("mount", "pose", "scale"), (ZERO, ZERO, ZERO), (RAY, ALONG), np.array([3.0])
+        at_end_residual, ("camera_mount", "pose", "scale"), (ZERO, ZERO, ZERO), (RAY, ALONG), np.array([3.0])
     ),
     "spot of the road seen twice": Factors(
-        same_spot_residual, ("mount", "pose", "mount", "pose"), (ZERO, ZERO, ONE, ONE), (RAY, RAY), info(2)
+        same_spot_residual,
+        ("camera_mount", "pose", "camera_mount", "pose"),
+        (ZERO, ZERO, ONE, ONE),
+        (RAY, RAY),
+        info(2),
     ),
     "spot of the road seen twice by one camera": Factors(
-        same_spot_residual, ("mount", "pose", "mount", "pose"), (ZERO, ZERO, ZERO, ONE), (RAY, RAY), info(2)
+        same_spot_residual,
+        ("camera_mount", "pose", "camera_mount", "pose"),
+        (ZERO, ZERO, ZERO, ONE),
+        (RAY, RAY),
+        info(2),
     ),
     "standing": Factors(vehicle_motion.standing_residual, ("velocity",), (ZERO,), (), RNG.normal(size=(1, 3))),
     "lane": Factors(
@@ -207,6 +230,21 @@ FACTORS = {
         (stacked([interval(0)]),),
         info(9),
     ),
+    "inertial sensor that is turned and late": Factors(
+        mounted_inertial,
+        ("pose", "velocity", "bias", "mount", "delay", "pose", "velocity"),
+        (ZERO, ZERO, ZERO, ZERO, ZERO, ONE, ONE),
+        (stacked([interval(0)]),),
+        info(9),
+    ),
+    "landmark on the road": Factors(
+        on_road_residual,
+        ("height", "landmark"),
+        (ZERO, ZERO),
+        (np.array([[0.2, -0.3, -0.4]]), np.array([1.4])),
+        np.array([[3.0]]),
+        linearised=on_road_linearised,
+    ),
 }
 VALUES = {
     "pose": jnp.asarray(np.stack([near(), near()])),
@@ -218,8 +256,11 @@ VALUES = {
     "bias": jnp.asarray(0.01 * RNG.normal(size=(1, 6))),
     "scale": jnp.array([[1.02]]),
     "landmark": jnp.array([[0.05, -0.03, 0.2]]),
-    "mount": jnp.asarray(np.stack([DOWN, DOWN @ near(0.1)])),
+    "camera_mount": jnp.asarray(np.stack([DOWN, DOWN @ near(0.1)])),
     "line": jnp.array([[0.1, -0.02]]),
+    "height": jnp.array([[0.02]]),
+    "mount": jnp.array([[0.02, -0.01, 0.03]]),
+    "delay": jnp.array([[0.004]]),
 }
 
 

@@ -1,5 +1,7 @@
 """The window of inertial states: exact without noise, honest with it, blind to yaw and position; as in gtsam."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,12 +13,21 @@ from semloc_jax.fusion.inertial_prior import WindowPrior, first_prior
 from semloc_jax.fusion.inertial_start import InertialStartConfig, started
 from semloc_jax.fusion.inertial_states import AT, SIZES, STATE, unknowns_of
 from semloc_jax.fusion.inertial_window import InertialWindow, _with_steps
+from semloc_jax.fusion.landmark_pool import RoadBeliefs
 from semloc_jax.geometry import rigid
 from tests.fusion.inertial_world import World, near
 
 NUM = 6
 CONFIG = InertialWindowConfig(num_states=NUM, num_landmarks=40)
-SIGMA = first_sigma(CONFIG, np.array([1e-3, 1e-3, 1e-3, 5e-3, 5e-3, 1e-4]), 0.1, np.repeat([2e-3, 0.05], 3), 0.02)
+
+
+def sigma_of(config, speed_sigma_mps=0.1):
+    """Of a first state whose speed is known to 1 % or as well as stated."""
+    pose = np.array([1e-3, 1e-3, 1e-3, 5e-3, 5e-3, 1e-4])
+    return first_sigma(config, pose, speed_sigma_mps, np.repeat([2e-3, 0.05], 3), 0.02)
+
+
+SIGMA = sigma_of(CONFIG)
 
 
 def difference(state, truth, k):
@@ -26,18 +37,21 @@ def difference(state, truth, k):
     return np.concatenate([pose, *rest])
 
 
-def begun(seed, num, noise=1.0):
+def begun(seed, num, noise=1.0, world=None, config=CONFIG, speed_sigma_mps=0.1):
     """A window of the first times with a prior that is drawn around the truth, all times, the truth."""
-    world = World(seed=seed, noise=noise, num_slots=40)
+    world = world or World(seed=seed, noise=noise, num_slots=40)
     moments, truth = world.moments(num)
     values = near(truth, NUM, noise, seed)
-    drawn = noise * SIGMA * np.random.default_rng(seed + 7).normal(size=STATE)
+    sigma = sigma_of(config, speed_sigma_mps)
+    drawn = noise * sigma * np.random.default_rng(seed + 7).normal(size=STATE)
     T = truth["pose"][0]
     values["pose"][0] = T @ rigid.exp(np.concatenate([drawn[:3], T[:3, :3].T @ drawn[3:6]]))
     for name in ("height", "velocity", "bias"):
         values[name][0] = truth[name][0] + drawn[AT[name]]
     values["scale"][:] = 1.0 + drawn[AT["scale"]]
-    window = InertialWindow.of(moments[:NUM], values, first_prior(values, SIGMA, T[:3, :3]), CONFIG)
+    for name in ("mount", "delay"):
+        values[name][:] = 0.0
+    window = InertialWindow.of(moments[:NUM], values, first_prior(values, sigma, T[:3, :3]), config)
     for _ in range(2):
         window.solve()
     return window, moments, truth
@@ -232,13 +246,53 @@ def gtsam_batch(gtsam, moments, truth, config, T_measured, pose_sigma):
     return state, np.concatenate([sigma[3:], sigma[:3], speed])
 
 
+def test_first_estimates_go_along_with_the_size_of_the_way():
+    """All states 5 % farther apart: derivatives are taken there, and the prior calls it 5 % of the way."""
+    window, _, _ = begun(1, NUM + 1)
+    window.slide()
+    prior, first = window.prior, window.prior.first
+    held = np.flatnonzero(prior.held)
+    value = {name: np.array(first[name]) for name in SIZES}
+    centre = first["pose"][held, :3, 3].mean(axis=0)
+    value["pose"][:, :3, 3] = centre + 1.05 * (first["pose"][:, :3, 3] - centre) + [3.0, -2.0, 0.5]
+    value["velocity"] *= 1.05
+    with jax.enable_x64(True):
+        at, d = jax.device_get((prior.slopes_at(value), prior.deviation(value)))
+    # What a window of half a second holds to one size against the size of its way: some percent of the change.
+    np.testing.assert_allclose(at["pose"], value["pose"], atol=0.05)
+    np.testing.assert_allclose(at["velocity"], value["velocity"], rtol=0.01)
+    places = first["pose"][:, :3, 3] - centre
+    expected = np.einsum("fji,fj->fi", first["pose"][:, :3, :3], np.log(1.05) * places + [3.0, -2.0, 0.5])
+    np.testing.assert_allclose(d[: 6 * NUM].reshape(NUM, 6)[held, :3], expected[held], atol=0.05)
+
+
+def test_the_road_gives_the_size_of_the_way():
+    """Speed known to 5 %, no suspension that would show it in so short a time: points on the road do."""
+    config = replace(CONFIG, road=RoadBeliefs(tilt_deg=0.5, heave_m=0.03))
+    sigmas, off = {}, []
+    for has_road in (False, True):
+        for seed in range(3):
+            world = World(seed=seed, num_slots=40, has_road=has_road)
+            window, moments, truth = begun(seed, NUM + 6, world=world, config=config, speed_sigma_mps=0.45)
+            for k in range(NUM, NUM + 6):
+                estimate = window.add(moments[k])
+            ahead = AT["velocity"].start
+            sigmas.setdefault(has_road, []).append(np.sqrt(estimate.covariance[ahead, ahead]))
+            if has_road:
+                off.append(difference(estimate.state, truth, NUM + 5)[ahead] / sigmas[True][-1])
+    # Some seven points a time, and pitch on the springs of half a degree, which is 6 % of the size for all of them.
+    assert np.mean(sigmas[True]) < 0.8 * np.mean(sigmas[False])
+    assert np.abs(off).max() < 3.0
+
+
 @pytest.mark.slow
-def test_errors_are_as_large_as_the_window_says_over_many_seeds():
+@pytest.mark.parametrize(("speed_sigma_mps", "seeds"), [(0.1, 24), (0.45, 12)])
+def test_errors_are_as_large_as_the_window_says_over_many_seeds(speed_sigma_mps, seeds):
     """The mean normalised square lies in its 95 % band, or below: for velocity, position, yaw and biases apart."""
-    num, seeds = NUM + 14, 24
+    num = NUM + 14
     ends = []
     for seed in range(seeds):
-        window, moments, truth = begun(seed, num)
+        window, moments, truth = begun(seed, num, speed_sigma_mps=speed_sigma_mps)
         for k in range(NUM, num):
             estimate = window.add(moments[k])
         ends.append((difference(estimate.state, truth, num - 1), estimate.covariance))

@@ -11,7 +11,13 @@ from semloc_jax.fusion.inertial_motion import Moving
 from semloc_jax.fusion.inertial_states import STATE
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.localization import motion_source
-from semloc_jax.localization.motion_source import SeenMotion, motion_log, resolved, with_seen_speed
+from semloc_jax.localization.motion_source import (
+    SeenMotion,
+    motion_log,
+    resolved,
+    resolved_without_map,
+    with_seen_speed,
+)
 from semloc_jax.localization.odometry import OdometryFrame
 from semloc_jax.mapping.chain import drive_chain
 
@@ -46,6 +52,8 @@ def test_auto_takes_wheels_then_the_inertial_sensor_then_nothing(drive):
     bare = replace(drive, odometry=None)
     assert [resolved(one, "auto") for one in (drive, bare, replace(bare, imu=None))] == ["wheels", "vio", "wheels"]
     assert resolved(drive, "both") == "both"
+    without = [drive, bare, replace(drive, imu=None), replace(bare, imu=None)]
+    assert [resolved_without_map(one, "auto", ("front",)) for one in without] == ["both", "vio", "wheels", "wheels"]
     with pytest.raises(SemlocError, match="no wheel odometry"):
         resolved(bare, "both")
     with pytest.raises(SemlocError, match="no inertial data .* use --motion wheels"):
