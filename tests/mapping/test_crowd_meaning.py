@@ -9,8 +9,9 @@ from semloc_jax.evaluation import compare_maps
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.exclusion import one_in_each_place
 from semloc_jax.mapping.crowd.facing import shows_its_face
+from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.merged import merged
-from semloc_jax.mapping.crowd.presence import Looks, PresenceConfig, presence
+from semloc_jax.mapping.crowd.presence import presence
 from semloc_jax.mapping.crowd.rejoined import rejoined
 from semloc_jax.mapping.crowd.sights import sights_of
 from semloc_jax.mapping.crowd.world import CrowdWorld

@@ -13,7 +13,8 @@ from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.fusion import Fused
 from semloc_jax.mapping.crowd.ground import Ground
-from semloc_jax.mapping.crowd.presence import Looks, Presence
+from semloc_jax.mapping.crowd.looks_chain import Looks
+from semloc_jax.mapping.crowd.presence import Presence
 from semloc_jax.mapping.crowd.shapes import Shapes, counted_sights, shapes_of, told_number
 from semloc_jax.mapping.crowd.sights import CROWD, Sights
 from semloc_jax.maps import Belief, MapElement

@@ -11,7 +11,8 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from semloc_jax.mapping.crowd.presence import Looks, Presence, PresenceConfig, belongs
+from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
+from semloc_jax.mapping.crowd.presence import Presence, belongs
 from semloc_jax.mapping.crowd.world import CrowdWorld
 
 _WIDER_M = 0.1
