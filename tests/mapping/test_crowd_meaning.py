@@ -15,7 +15,7 @@ from semloc_jax.mapping.crowd.presence import presence
 from semloc_jax.mapping.crowd.rejoined import rejoined
 from semloc_jax.mapping.crowd.sights import sights_of
 from semloc_jax.mapping.crowd.world import CrowdWorld
-from semloc_jax.mapping.crowd.world_lines import WorldLine, distance_m
+from semloc_jax.mapping.crowd.world_lines import WorldLine, all_of, distance_m
 from semloc_jax.maps import Belief, BeliefMap, MapElement
 from semloc_jax.maps.versions.difference import difference
 from semloc_jax.maps.versions.state import MapState
@@ -144,4 +144,4 @@ def test_a_sign_is_seen_from_its_front_alone():
 
 def test_a_place_between_two_stations_lies_on_the_line():
     line = WorldLine.along("line", (0, ROAD.elements[0]), np.column_stack([np.arange(9.0), np.zeros(9)]))
-    assert distance_m([line], np.array([[2.5, 0.1], [3.0, 0.2]])) == pytest.approx([0.1, 0.2])
+    assert distance_m(all_of([line]), np.array([[2.5, 0.1], [3.0, 0.2]])) == pytest.approx([0.1, 0.2])

@@ -11,7 +11,7 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.crowd.changes import ChangeConfig, CrowdChange, identified
-from semloc_jax.mapping.crowd.elements import beliefs_of, id_of, rounded, stepped, things_of
+from semloc_jax.mapping.crowd.elements import beliefs_of, id_of, rounded, things_of
 from semloc_jax.mapping.crowd.exclusion import one_in_each_place
 from semloc_jax.mapping.crowd.fusion import Distrusted, Fused, FusionConfig, Progress, fused
 from semloc_jax.mapping.crowd.heights import heights
@@ -169,10 +169,11 @@ def merged_sights(
 def _with_shared(known: Sequence[Known], sigmas: WaySigmas) -> list[Known]:
     """With what all around each element shares: drives made all of it."""
     middles = np.array([e.points[:, :2].mean(axis=0) for e, _ in known]).reshape(-1, 2)
-    shared = zip(*(stepped(sigma).round(6).tolist() for sigma in sigmas.around(middles)), strict=True)
+    place_m, turn_rad = sigmas.around(middles)
+    shared = zip(place_m.round(3).tolist(), turn_rad.round(5).tolist(), strict=True)
     return [
-        (e, replace(b, sigma_place_m=place_m, sigma_turn_rad=turn_rad))
-        for (e, b), (place_m, turn_rad) in zip(known, shared, strict=True)
+        (e, replace(b, sigma_place_m=of_place, sigma_turn_rad=of_turn))
+        for (e, b), (of_place, of_turn) in zip(known, shared, strict=True)
     ]
 
 

@@ -15,7 +15,7 @@ from semloc_jax.evaluation.map_shapes import POSTS
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.sights import Things
 from semloc_jax.mapping.crowd.stations import STATION_M, runs_of
-from semloc_jax.mapping.crowd.world_lines import SAME_TURN_RAD, WorldLine, distance_m, line_sights
+from semloc_jax.mapping.crowd.world_lines import SAME_TURN_RAD, WorldLine, all_of, distance_m, line_sights
 
 LEAST_LINE_M = 3.0
 _STRAND_M = 0.15
@@ -117,8 +117,9 @@ class CrowdWorld:
         for kind, pieces in correction.pieces().items():
             lines = known.get(kind, [])
             seen = line_sights(lines, [piece for _, piece in pieces], gate_m)
+            strands = all_of(lines)
             for k, (element, piece) in enumerate(pieces):
-                is_old = piece.is_near(seen.s_m[seen.piece == k]) | (distance_m(lines, piece.now) < _STRAND_M)
+                is_old = piece.is_near(seen.s_m[seen.piece == k]) | (distance_m(strands, piece.now) < _STRAND_M)
                 for a, b in runs_of(~is_old | is_base):
                     if is_base or (b - a - 1) * STATION_M >= LEAST_LINE_M:
                         self.lines.append(WorldLine.along(kind, (place, element), piece.now[a:b]))
