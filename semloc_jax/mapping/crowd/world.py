@@ -22,7 +22,7 @@ _STRAND_M = 0.15
 """Lines of paint side by side are farther apart; what is nearer is one of them drawn twice."""
 _SAME_HALF_M = 0.6
 _LONG_HALF_M = 0.5
-_HUNG, _REACH_SIGMAS = ("sign", "traffic_light"), 2.0
+HUNG, _REACH_SIGMAS = ("sign", "traffic_light"), 2.0
 """What stands on no ground that is seen is placed from afar: a drive that says so may have it up to two gates away."""
 _POSTS = {label.name.lower() for label in POSTS}
 
@@ -60,7 +60,7 @@ class CrowdWorld:
         for kind in sorted(set(things.kind.tolist()) & set(self.kind.tolist())):
             rows, columns = np.flatnonzero(things.kind == kind), np.flatnonzero(self.kind == kind)
             cost = self._apart(things, rows, columns, centre, along, kind in _POSTS)
-            hangs = kind in _HUNG
+            hangs = kind in HUNG
             reach_m = np.clip(_REACH_SIGMAS * things.sigma_m[rows, 1], gate_m, 2.0 * gate_m) if hangs else gate_m
             cost /= np.square(reach_m).reshape(-1, 1)
             chosen = linear_sum_assignment(np.minimum(cost, 1.0))
