@@ -16,9 +16,9 @@ from semloc_jax.evaluation import MapComparison, Metric, compare_maps, write_met
 from semloc_jax.mapping.crowd.cell_map import DriveRow
 from semloc_jax.mapping.crowd.kept_cells import KeptCells
 from semloc_jax.mapping.crowd.ledger import Ledger, ledger_of, write_ledger
-from semloc_jax.mapping.crowd.merged import in_order
 from semloc_jax.mapping.crowd.pack import packed, trimmed
 from semloc_jax.mapping.crowd.seed_rule import replaced
+from semloc_jax.mapping.crowd.time_order import in_order
 from semloc_jax.mapping.crowd.whole import Crew, WholeMap, merge_whole
 from semloc_jax.maps import read_map
 from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_packed

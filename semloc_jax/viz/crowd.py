@@ -10,6 +10,8 @@ from matplotlib.figure import Figure
 
 from semloc_jax.viz.style import PRIOR, REFERENCE, new_figure, plain_axes
 
+_STEPS_M = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+
 
 def error_against_drives(rows: Sequence[tuple[int, int, float, float, float]], bias_m: float = 1.0) -> Figure:
     """Absolute and relative errors against the number of drives, with what nothing can beat.
@@ -32,6 +34,9 @@ def error_against_drives(rows: Sequence[tuple[int, int, float, float, float]], b
         axes.plot(num, table[:, column], f"{mark}-", color=colour, label=name, markersize=5)
     axes.set(xscale="log", yscale="log", xlabel="drives", ylabel="root mean square error [m]")
     axes.set_xticks(num, [f"{int(n)}" for n in num])
+    low_m, high_m = axes.get_ylim()
+    steps = [step for step in _STEPS_M if low_m <= step <= high_m]
+    axes.set_yticks(steps, [f"{step:g}" for step in steps])
     axes.minorticks_off()
-    axes.legend(fontsize=8, frameon=False, loc="lower left")
+    axes.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return figure

@@ -101,26 +101,34 @@ def changes_from_above(
 
 
 def existence_from_above(elements: Sequence[MapElement], beliefs: Mapping[str, Belief], title: str = "") -> Figure:
-    """A map from above; the colour of each element is the share of the looks at it that showed it.
+    """A map from above twice: in the colours of how likely each element is there, and of how many drives looked at it.
 
     Args:
         elements: elements of the map.
         beliefs: by id.
         title: text above the picture.
     """
-    figure = new_figure(*_size_in(elements), dark=True)
-    axes = plain_axes(figure.add_subplot(), dark=True)
+    width_in, height_in = _size_in(elements)
+    figure = new_figure(width_in, 2.0 * height_in, dark=True)
     shown = [element for element in elements if not element.is_logical]
-    counts = np.array([[beliefs[e.id].num_seen, beliefs[e.id].num_missed] for e in shown], dtype=float).reshape(-1, 2)
-    colours = ScalarMappable(Normalize(0.0, 1.0), "RdYlGn")
-    rgba = colours.to_rgba(counts[:, 0] / np.maximum(counts.sum(axis=1), 1.0))
-    axes.add_collection(LineCollection([_outline(e) for e in shown], colors=rgba, linewidths=1.4))
-    posts = [k for k, e in enumerate(shown) if _is_post(e)]
-    _draw_posts(axes, [shown[k] for k in posts], 22.0, rgba[posts], 1.4)
-    bar = figure.colorbar(colours, ax=axes, shrink=0.6)
-    bar.set_label("share of the drives that passed it and saw it", color="#c9d1dc", fontsize=9)
-    bar.ax.tick_params(colors="#c9d1dc", labelsize=8)
-    return _finished(figure, axes, title)
+    held = [beliefs[element.id] for element in shown]
+    looks = np.array([belief.num_seen + belief.num_missed for belief in held], dtype=float)
+    panels = (
+        (np.array([b.existence for b in held]), Normalize(0.3, 1.0), "RdYlGn", "probability that it is there"),
+        (looks, Normalize(0.0, max(looks.max(initial=0.0), 1.0)), "viridis", "drives that looked at it"),
+    )
+    for row, (values, scale, name, text) in enumerate(panels, 1):
+        axes = plain_axes(figure.add_subplot(2, 1, row), dark=True)
+        colours = ScalarMappable(scale, name)
+        rgba = colours.to_rgba(values)
+        axes.add_collection(LineCollection([_outline(e) for e in shown], colors=rgba, linewidths=1.4))
+        posts = [k for k, e in enumerate(shown) if _is_post(e)]
+        _draw_posts(axes, [shown[k] for k in posts], 22.0, rgba[posts], 1.4)
+        bar = figure.colorbar(colours, ax=axes, shrink=0.8, pad=0.01)
+        bar.set_label(text, color="#c9d1dc", fontsize=9)
+        bar.ax.tick_params(colors="#c9d1dc", labelsize=8)
+        _finished(figure, axes, title if row == 1 else "")
+    return figure
 
 
 def _is_post(element: MapElement) -> bool:

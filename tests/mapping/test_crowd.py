@@ -11,9 +11,10 @@ from scipy.spatial import cKDTree
 from semloc_jax.cli.main import FAILED, OK, USAGE, main
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import compare_maps
-from semloc_jax.mapping.crowd.merged import in_order, merged
+from semloc_jax.mapping.crowd.merged import merged
 from semloc_jax.mapping.crowd.pack import trimmed
 from semloc_jax.mapping.crowd.seed_rule import replaced
+from semloc_jax.mapping.crowd.time_order import in_order
 from semloc_jax.maps import BeliefMap, read_map, write_map
 from semloc_jax.maps.io.packed_drive import packed_bytes, read_packed, unpacked, write_packed
 from semloc_jax.maps.versions.history import history_of, versions_of

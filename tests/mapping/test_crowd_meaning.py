@@ -9,12 +9,13 @@ from semloc_jax.evaluation import compare_maps
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.exclusion import one_in_each_place
 from semloc_jax.mapping.crowd.facing import shows_its_face
+from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.merged import merged
-from semloc_jax.mapping.crowd.presence import Looks, PresenceConfig, presence
+from semloc_jax.mapping.crowd.presence import presence
 from semloc_jax.mapping.crowd.rejoined import rejoined
 from semloc_jax.mapping.crowd.sights import sights_of
 from semloc_jax.mapping.crowd.world import CrowdWorld
-from semloc_jax.mapping.crowd.world_lines import WorldLine, distance_m
+from semloc_jax.mapping.crowd.world_lines import WorldLine, all_of, distance_m
 from semloc_jax.maps import Belief, BeliefMap, MapElement
 from semloc_jax.maps.versions.difference import difference
 from semloc_jax.maps.versions.state import MapState
@@ -143,4 +144,52 @@ def test_a_sign_is_seen_from_its_front_alone():
 
 def test_a_place_between_two_stations_lies_on_the_line():
     line = WorldLine.along("line", (0, ROAD.elements[0]), np.column_stack([np.arange(9.0), np.zeros(9)]))
-    assert distance_m([line], np.array([[2.5, 0.1], [3.0, 0.2]])) == pytest.approx([0.1, 0.2])
+    assert distance_m(all_of([line]), np.array([[2.5, 0.1], [3.0, 0.2]])) == pytest.approx([0.1, 0.2])
+
+
+def changed_world(seed):
+    """A surveyed road, what it has become, and the names of what went, of what moved, of what came."""
+    random = np.random.default_rng(seed)
+    road = Road.of(300.0, seed=seed)
+    by_name = {e.id: e for e in road.elements}
+    dashes, poles = (
+        random.permutation([name for name in by_name if name.startswith(kind)]) for kind in ("dash", "pole")
+    )
+    now = road.without(*dashes[:2], poles[0])
+    for name in dashes[2:4]:
+        now = now.shifted(name, float(random.choice([0.4, 0.6, 0.9])))
+    ahead = np.diff(by_name[dashes[5]].points[[0, -1]], axis=0)[0]
+    steps = {poles[1]: [3.0, 1.5, 0.0], poles[2]: [3.0, 1.5, 0.0], dashes[5]: 4.5 * ahead / np.linalg.norm(ahead)}
+    new = [replace(by_name[name], id=f"new_{name}", points=by_name[name].points + step) for name, step in steps.items()]
+    moved = [f"{name}_moved" for name in dashes[2:4]]
+    return road, replace(now, elements=(*now.elements, *new)), [*dashes[:2], poles[0]], moved, [e.id for e in new]
+
+
+def is_near(element, others, reach_m):
+    middle = element.points[:, :2].mean(axis=0)
+    return any(
+        np.linalg.norm(o.points[:, :2].mean(axis=0) - middle) < reach_m for o in others if o.label == element.label
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("detected", "least"), [(0.9, 0.95), (0.7, 0.85)])
+def test_five_passes_find_what_changed(detected, least):
+    """Of a surveyed road: what went, moved and came; what else is deleted or added."""
+    found, asked, deleted, added, kept = 0, 0, 0, 0, 0
+    for seed in range(8):
+        road, now, gone, moved, came = changed_world(seed)
+        drives = [drive(now, k, DriveNoise(detected=detected), seed=seed) for k in range(5)]
+        held = {e.id: e for e in merged(BeliefMap.of(road.map), drives).beliefs.map.elements}
+        things = [e for e in held.values() if e.style != "solid"]
+        true = {e.id: e for e in now.elements}
+        found += sum(name not in held for name in gone)
+        found += sum(is_near(true[name], things, 0.25) for name in (*moved, *came))
+        asked += len(gone) + len(moved) + len(came)
+        stays = [e.id for e in road.elements if e.id in true]
+        kept, deleted = kept + len(stays), deleted + sum(name not in held for name in stays)
+        added += sum(not is_near(e, now.elements, 0.5) for e in things if e.id not in gone)
+    print(
+        f"P_D {detected}: {found} of {asked} changes; {deleted} of {kept} deleted and {added} in 2.4 km added wrongly"
+    )
+    assert found >= least * asked and deleted <= 0.01 * kept and added <= 2

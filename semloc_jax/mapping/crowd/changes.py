@@ -10,7 +10,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from semloc_jax.evaluation.map_shapes import kind_of
-from semloc_jax.mapping.crowd.presence import Looks, Presence
+from semloc_jax.mapping.crowd.looks_chain import Looks
+from semloc_jax.mapping.crowd.presence import Presence
 from semloc_jax.maps import MapElement
 
 _HARDLY = 0.2

@@ -13,12 +13,13 @@ from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.fusion import Fused
 from semloc_jax.mapping.crowd.ground import Ground
-from semloc_jax.mapping.crowd.presence import Looks, Presence
+from semloc_jax.mapping.crowd.looks_chain import Looks
+from semloc_jax.mapping.crowd.presence import Presence
 from semloc_jax.mapping.crowd.shapes import Shapes, counted_sights, shapes_of, told_number
 from semloc_jax.mapping.crowd.sights import CROWD, Sights
+from semloc_jax.mapping.crowd.world import HUNG
 from semloc_jax.maps import Belief, MapElement
 from semloc_jax.maps.curves import simplify
-from semloc_jax.structs import ElementClass
 
 _CELL_M, _SURVEYED_CELL_M = 0.005, 0.02
 """Grid of the map; of what is new to a survey, which is told by few drives."""
@@ -28,7 +29,6 @@ _MOST_LOGIT = 6.0
 _SIGMA_STEP, _TINY = 0.5 * np.log(2.0), 1e-5
 _GONE_LOGIT, _THERE_LOGIT = -2.0, 2.0
 """Under a survey it is told whether something is rather gone or there, not how sure each drive makes it; ours."""
-_HUNG = (ElementClass.SIGN, ElementClass.TRAFFIC_LIGHT)
 _TOLD_M = (0.15, 0.05)
 """How far along and across drives must place a thing off a surveyed map to be believed: three times what masks are off
 alike in all drives; ours."""
@@ -61,7 +61,7 @@ def things_of(found: Fused, z: Float[np.ndarray, " n"]) -> list[MapElement]:
         if stays[k]:
             elements.append(element)
             continue
-        low = ground_z[k] if found.is_surveyed and element.label not in _HUNG else z[k]
+        low = ground_z[k] if found.is_surveyed and kind_of(element) not in HUNG else z[k]
         middle = np.array([*shapes.centre[k], low])
         if found.is_surveyed and sights.is_base:  # all of it moves by the same cells
             before = np.array([*things.centre[row], element.points[:, 2].min()])

@@ -11,7 +11,8 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from semloc_jax.mapping.crowd.presence import Looks, Presence, PresenceConfig, belongs
+from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
+from semloc_jax.mapping.crowd.presence import Presence, belongs
 from semloc_jax.mapping.crowd.world import CrowdWorld
 
 _WIDER_M = 0.1
@@ -31,8 +32,10 @@ def one_in_each_place(world: CrowdWorld, looks: Looks, there: Presence, config: 
     rivals = _rivals(world, looks)
     a, b = np.concatenate([rivals, rivals[:, ::-1]]).T
     first = np.where(looks.is_based, -1, looks.seen.argmax(axis=1)) if looks.seen.shape[1] else np.zeros(len(p))
-    odds[np.unique(a[there.was[b] & (first[a] > first[b])])] *= _REPLACED
-    np.add.at(others, a, odds[b])
+    # Against the old paint the new one weighs more, against nothing at all it does not.
+    weight = np.where(there.was[a] & (first[b] > first[a]), _REPLACED, 1.0)
+    weight = np.where(there.was[b] & (first[a] > first[b]), 1.0 / _REPLACED, weight)
+    np.add.at(others, a, weight * odds[b])
     now = np.where(others > 0.0, odds / (1.0 + odds + others), there.now)
     return replace(there, now=now, stays=belongs(now, there.was, config))
 

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float, Int
 
 from semloc_jax.mapping.crowd.elements import LEAST_TOLD_BY, TOLD_ASIDE_M, logit_of, surveyed_belief
 from semloc_jax.mapping.crowd.fusion import Fused
-from semloc_jax.mapping.crowd.presence import Looks, Presence
+from semloc_jax.mapping.crowd.looks_chain import Looks
+from semloc_jax.mapping.crowd.presence import Presence
 from semloc_jax.mapping.crowd.sights import CROWD
 from semloc_jax.mapping.crowd.stations import STATION_M, runs_of
 from semloc_jax.mapping.crowd.world import LEAST_LINE_M

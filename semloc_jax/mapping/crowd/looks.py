@@ -14,7 +14,7 @@ from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.facing import shows_its_face
 from semloc_jax.mapping.crowd.fusion import Fused
 from semloc_jax.mapping.crowd.ground import Ground
-from semloc_jax.mapping.crowd.presence import Looks, PresenceConfig
+from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.sights import CROWD
 from semloc_jax.maps import Belief
 

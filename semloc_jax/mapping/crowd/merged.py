@@ -11,13 +11,14 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.crowd.changes import ChangeConfig, CrowdChange, identified
-from semloc_jax.mapping.crowd.elements import beliefs_of, id_of, rounded, stepped, things_of
+from semloc_jax.mapping.crowd.elements import beliefs_of, id_of, rounded, things_of
 from semloc_jax.mapping.crowd.exclusion import one_in_each_place
 from semloc_jax.mapping.crowd.fusion import Distrusted, Fused, FusionConfig, Progress, fused
 from semloc_jax.mapping.crowd.heights import heights
 from semloc_jax.mapping.crowd.line_runs import LineRun, lines_of
 from semloc_jax.mapping.crowd.looks import looks_of
-from semloc_jax.mapping.crowd.presence import Looks, Presence, PresenceConfig, presence
+from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
+from semloc_jax.mapping.crowd.presence import Presence, presence
 from semloc_jax.mapping.crowd.sights import CROWD, Base, Sights, base_sights, sights_of
 from semloc_jax.mapping.way_sigmas import WaySigmas
 from semloc_jax.maps import Belief, BeliefMap, GeoOrigin, MapElement, SemanticMap
@@ -168,10 +169,11 @@ def merged_sights(
 def _with_shared(known: Sequence[Known], sigmas: WaySigmas) -> list[Known]:
     """With what all around each element shares: drives made all of it."""
     middles = np.array([e.points[:, :2].mean(axis=0) for e, _ in known]).reshape(-1, 2)
-    shared = zip(*(stepped(sigma).round(6).tolist() for sigma in sigmas.around(middles)), strict=True)
+    place_m, turn_rad = sigmas.around(middles)
+    shared = zip(place_m.round(3).tolist(), turn_rad.round(5).tolist(), strict=True)
     return [
-        (e, replace(b, sigma_place_m=place_m, sigma_turn_rad=turn_rad))
-        for (e, b), (place_m, turn_rad) in zip(known, shared, strict=True)
+        (e, replace(b, sigma_place_m=of_place, sigma_turn_rad=of_turn))
+        for (e, b), (of_place, of_turn) in zip(known, shared, strict=True)
     ]
 
 
@@ -199,33 +201,6 @@ def origin_of(base: BeliefMap | None, drives: Sequence[PackedDrive]) -> GeoOrigi
 def has_things(beliefs: BeliefMap) -> bool:
     """Whether a map holds anything that drives could see."""
     return any(not e.is_logical for e in beliefs.map.elements)
-
-
-def in_order(drives: Sequence[tuple[PackedDrive, str]]) -> list[PackedDrive]:
-    """Drives in the order of time; see `timed`."""
-    return [drive for drive, _ in timed(drives)]
-
-
-def timed(drives: Sequence[tuple[PackedDrive, str]]) -> list[tuple[PackedDrive, str]]:
-    """Drives with the hashes of their files in the order of time: by date, by name as people count, by hash."""
-
-    def key(item: tuple[PackedDrive, str]) -> tuple:
-        drive, digest = item
-        parts = [(int(p), "") if p.isdigit() else (-1, p) for p in _words(drive.name)]
-        return (drive.when_s if drive.when_s is not None else 0.0, parts, digest)
-
-    return sorted(drives, key=key)
-
-
-def _words(name: str) -> list[str]:
-    words, digits = [""], False
-    for letter in name:
-        is_digit = letter in "0123456789"
-        if is_digit != digits:
-            words.append("")
-        digits = is_digit
-        words[-1] += letter
-    return words
 
 
 def _named(run: LineRun, sights: Sights) -> MapElement:

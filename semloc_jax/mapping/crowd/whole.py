@@ -17,8 +17,9 @@ from semloc_jax.mapping.crowd.fusion import Distrusted, Progress
 from semloc_jax.mapping.crowd.joined import joined
 from semloc_jax.mapping.crowd.kept_cells import KeptCells, name_of
 from semloc_jax.mapping.crowd.ledger import Ledger
-from semloc_jax.mapping.crowd.merged import MergeConfig, Rate, map_of, origin_of, summed_rates, timed
+from semloc_jax.mapping.crowd.merged import MergeConfig, Rate, map_of, origin_of, summed_rates
 from semloc_jax.mapping.crowd.sights import Base, sights_of
+from semloc_jax.mapping.crowd.time_order import timed
 from semloc_jax.maps import BeliefMap, GeoOrigin
 from semloc_jax.maps.io.packed_drive import PackedDrive
 from semloc_jax.runtime.crew import spread

@@ -15,14 +15,14 @@ from semloc_jax.evaluation.map_shapes import POSTS
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.sights import Things
 from semloc_jax.mapping.crowd.stations import STATION_M, runs_of
-from semloc_jax.mapping.crowd.world_lines import SAME_TURN_RAD, WorldLine, distance_m, line_sights
+from semloc_jax.mapping.crowd.world_lines import SAME_TURN_RAD, WorldLine, all_of, distance_m, line_sights
 
 LEAST_LINE_M = 3.0
 _STRAND_M = 0.15
 """Lines of paint side by side are farther apart; what is nearer is one of them drawn twice."""
 _SAME_HALF_M = 0.6
 _LONG_HALF_M = 0.5
-_HUNG, _REACH_SIGMAS = ("sign", "traffic_light"), 2.0
+HUNG, _REACH_SIGMAS = ("sign", "traffic_light"), 2.0
 """What stands on no ground that is seen is placed from afar: a drive that says so may have it up to two gates away."""
 _POSTS = {label.name.lower() for label in POSTS}
 
@@ -60,7 +60,7 @@ class CrowdWorld:
         for kind in sorted(set(things.kind.tolist()) & set(self.kind.tolist())):
             rows, columns = np.flatnonzero(things.kind == kind), np.flatnonzero(self.kind == kind)
             cost = self._apart(things, rows, columns, centre, along, kind in _POSTS)
-            hangs = kind in _HUNG
+            hangs = kind in HUNG
             reach_m = np.clip(_REACH_SIGMAS * things.sigma_m[rows, 1], gate_m, 2.0 * gate_m) if hangs else gate_m
             cost /= np.square(reach_m).reshape(-1, 1)
             chosen = linear_sum_assignment(np.minimum(cost, 1.0))
@@ -117,8 +117,9 @@ class CrowdWorld:
         for kind, pieces in correction.pieces().items():
             lines = known.get(kind, [])
             seen = line_sights(lines, [piece for _, piece in pieces], gate_m)
+            strands = all_of(lines)
             for k, (element, piece) in enumerate(pieces):
-                is_old = piece.is_near(seen.s_m[seen.piece == k]) | (distance_m(lines, piece.now) < _STRAND_M)
+                is_old = piece.is_near(seen.s_m[seen.piece == k]) | (distance_m(strands, piece.now) < _STRAND_M)
                 for a, b in runs_of(~is_old | is_base):
                     if is_base or (b - a - 1) * STATION_M >= LEAST_LINE_M:
                         self.lines.append(WorldLine.along(kind, (place, element), piece.now[a:b]))

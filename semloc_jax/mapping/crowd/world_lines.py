@@ -219,8 +219,13 @@ def _side_by_side(line: Int[np.ndarray, " n"], xy: Float[np.ndarray, "n 2"], rea
     return np.stack([rows, near[rows, is_other[rows].argmax(axis=1)]], axis=1)
 
 
-def distance_m(lines: Sequence[WorldLine], xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """From each point to the nearest of the lines [m]; infinite without lines."""
-    if not lines:
-        return np.full(len(xy), np.inf)
-    return shapely.distance(shapely.points(xy), shapely.MultiLineString([line.xy for line in lines]))
+def all_of(lines: Sequence[WorldLine]) -> shapely.Geometry:
+    """Lines as one geometry."""
+    places = np.concatenate([np.zeros((0, 2)), *(line.xy for line in lines)])
+    row = np.repeat(np.arange(len(lines)), [len(line.reference) for line in lines])
+    return shapely.multilinestrings(shapely.linestrings(places, indices=row)) if lines else shapely.MultiLineString()
+
+
+def distance_m(lines: shapely.Geometry, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    """From each point to the nearest of all lines [m]; infinite without lines."""
+    return np.full(len(xy), np.inf) if lines.is_empty else shapely.distance(shapely.points(xy), lines)
