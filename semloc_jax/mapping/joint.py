@@ -53,8 +53,9 @@ class JointConfig:
         sigma_z_m: how far from the road.
         sigma_tilt_deg: how far from lying in it.
         sigma_turn_deg: how far it may be turned.
-        sigma_metre: share by which the metre of the images may be off. Half a pixel of all borders, or a camera 1 cm
-            higher than calibrated, makes one of 0.5 to 1 %; frames that are all wrong alike do not scatter.
+        sigma_metre: share by which the metre of the images may be off, with one camera. Half a pixel of all borders, or
+            a camera 1 cm higher than calibrated, makes one of 0.5 to 1 %; frames that are all wrong alike do not
+            scatter.
         threshold: norm of a whitened pull (6 numbers, 2.4 together) beyond which it grows no more.
         least_share: directions held this much less than the firmest one are left open.
         believed_rows: what the stated noise of pulls is worth, in rows of them, against how far they scatter.
@@ -100,10 +101,9 @@ class RefineConfig:
     reach_px: float = 8.0
     last_reach_px: float = 4.0
 
-    @property
-    def joint(self) -> JointConfig:
-        """How poses and elements are solved."""
-        return JointConfig()
+    def joint(self, num_cameras: int) -> JointConfig:
+        """How poses and elements are solved: each camera is calibrated on its own."""
+        return JointConfig(sigma_metre=JointConfig.sigma_metre / num_cameras**0.5)
 
 
 class JointSolution(NamedTuple):

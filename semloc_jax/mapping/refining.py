@@ -141,6 +141,7 @@ def _agreed(
     gauge, Ts = closed.gauge, closed.Ts_map_base
     graph, values = way_graph(chain, loops_of(closed.loops), gauge.gnss, gauge.start, ChainGraphConfig(), None)
     sure = places_apart(chain.way_m, rows.tolist()).tolist()
+    joint = config.joint(len(masks.cameras))
     for k in range(config.rounds):
         reach_px = config.reach_px if 2 * k < config.rounds else config.last_reach_px
         pulling = ElementPulls(SemanticMap(tuple(elements)), masks.table, PullConfig(reach_px=reach_px))
@@ -150,7 +151,7 @@ def _agreed(
             return pulling.of(masks.masks(frame), masks.seen_by(frame.rig), Ts[row])
 
         pulls = [pull(int(row)) for row in told(rows, f"agreeing, round {k + 1} of {config.rounds}")]
-        found = solve_together(graph, {**values, "pose": Ts}, rows.tolist(), pulls, elements, config.joint, sure)
+        found = solve_together(graph, {**values, "pose": Ts}, rows.tolist(), pulls, elements, joint, sure)
         Ts = found.Ts_map_base
         elements = [moved(e, found.motions[e.id]) if e.id in found.motions else e for e in elements]
     return RefinedWay(Ts, way_sigmas(Ts[sure], found.covariance))

@@ -12,8 +12,8 @@ from semloc_jax.evaluation import read_metrics, read_trajectory
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.mapping import parts
 from semloc_jax.mapping.found_loops import COLUMNS
-from semloc_jax.mapping.looking import Looker, RoadLookConfig
-from semloc_jax.mapping.mapper import MapConfig, make_map
+from semloc_jax.mapping.looking import Looker
+from semloc_jax.mapping.mapper import make_map
 from semloc_jax.maps import BeliefMap, MapElement, read_map
 from semloc_jax.simulation import SimulationConfig, simulate
 
@@ -80,8 +80,7 @@ def test_a_second_look_along_the_same_way_adds_nothing_and_takes_phantoms_away(m
     known = BeliefMap.of(read_map(made / "map.gpkg"))
     base = BeliefMap.of(known.as_map().with_elements([*known.as_map().elements, *phantoms]))
     masks = mask_source("sem", drive, None, None)
-    config = MapConfig(look=RoadLookConfig(spacing_m=0.04))
-    again = make_map(drive, masks, drive.frames, poses, config, base=base)
+    again = make_map(drive, masks, drive.frames, poses, base=base)
     removed = {change.id for change in again.changes if change.change == "removed"}
     assert removed == {"phantom_dash", "phantom_pole"}
     assert len(again.changes) == len(removed)
