@@ -19,6 +19,8 @@ overlap, once there are enough spots to say so. Measured: 0.4 to 0.9 and 0.2 to 
 0.06 with mounts 30 cm off, below 0.15 and 0.1 with pictures of other roads."""
 _CLEARLY, _PLAINLY = 0.1, 0.25
 """By how much the overlaps of another order must be more alike where spots are missed, and in any case."""
+_CLEARLY_FOUND = 2.0, 0.05
+"""In a better order so many times the share of spots is found again, and so much more."""
 _FAR_APART_M = 0.12
 
 
@@ -59,19 +61,34 @@ def belonging(view: SurroundView, frames: Sequence[Sequence[np.ndarray]]) -> Bel
         frames: uint8[h w 3] of every camera, for each frame.
     """
     bands = neighbours(view)
-    matches = [overlap_matches(view, images, bands) for images in frames]
-    num_tried, apart = sum(m.num_tried for m in matches), np.concatenate([m.apart_m for m in matches])
+    found, num_tried, apart_m = _found_again(view, frames, bands)
     likeness = np.mean([_likeness(view, images, bands) for images in frames], axis=0)
     orders = [order for order in permutations(range(len(view.image_uv))) if _same_sizes(view, order)]
     pairs = [(i, j) for i, j, _ in bands]
     score = {order: _mean([likeness[k, order[i], order[j]] for k, (i, j) in enumerate(pairs)]) for order in orders}
     own = tuple(range(len(view.image_uv)))
     best = max(score, key=lambda order: score[order])
-    found = len(apart) / num_tried if num_tried else float("nan")
     margin = _CLEARLY if num_tried >= _FEWEST_TRIED and found < _LIKELY_FOUND else _PLAINLY
-    apart_m = float(np.median(apart)) if len(apart) else float("nan")
     is_better = score[best] > max(score[own] + margin, 1.5 * _LEAST_ALIKE)
+    if is_better:
+        # With the calibration of another car some order is always more alike; its spots are found no better.
+        there, _, _ = _found_again(view, [[images[k] for k in best] for images in frames], bands)
+        is_better = there > _CLEARLY_FOUND[0] * np.nan_to_num(found) + _CLEARLY_FOUND[1]
     return Belonging(score[own], found, num_tried, apart_m, best if is_better else None)
+
+
+def _found_again(view: SurroundView, frames: Sequence[Sequence[np.ndarray]], bands: list) -> tuple[float, int, float]:
+    """Share of the spots that the neighbour shows too (nan where none was tried), how many, median distance [m]."""
+    matches = [overlap_matches(view, images, bands) for images in frames]
+    num_tried, apart = sum(m.num_tried for m in matches), np.concatenate([m.apart_m for m in matches])
+    found = len(apart) / num_tried if num_tried else float("nan")
+    return found, num_tried, float(np.median(apart)) if len(apart) else float("nan")
+
+
+def named_order(names: Sequence[str], order: Sequence[int]) -> str:
+    """Which camera shows what belongs to which, for people; `order` as in `Belonging.better_order`."""
+    moved = [k for k, other in enumerate(order) if k != other]
+    return ", ".join(f"{names[k]} shows what belongs to {names[list(order).index(k)]}" for k in moved)
 
 
 def _likeness(view: SurroundView, images: Sequence[np.ndarray], bands: list) -> np.ndarray:

@@ -13,6 +13,7 @@ from tqdm import tqdm
 from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.inputs.surround_masks import check_surround_masks
 from semloc_jax.mapping.chain import drive_chain
 from semloc_jax.mapping.object_tracks import ObjectTrackConfig, wrapped
 from semloc_jax.mapping.obstacle_sights import ObstacleConfig
@@ -56,9 +57,9 @@ def report_obstacles(
         options: what config.yaml keeps.
 
     Raises:
-        SemlocError: no odometry, masks that know no obstacles, no frames.
+        SemlocError: no odometry, masks that know no obstacles, or that do not fit the cameras.
     """
-    chain = drive_chain(drive)
+    chain, notes = drive_chain(drive), check_surround_masks(drive, masks)
     follower = ObstacleFollower(drive.rig, masks, sights, tracks)
     chosen = range(len(drive))[frames]
     folder = make_folder(out)
@@ -89,7 +90,7 @@ def report_obstacles(
     write_metrics(metrics, folder / "metrics.json")
     write_record(folder, {"sights": follower.observer.config, "tracks": follower.tracker.config}, options or {})
     said = f"{len(chosen)} frames: {len(rows)} sights of obstacles, {len(final)} obstacles confirmed"
-    return "\n".join([said, format_metrics(metrics), f"results: {folder}"])
+    return "\n".join([said, format_metrics(metrics), *notes, f"results: {folder}"])
 
 
 def _row(time_s: float, track: ObstacleTrack, T_odom_base: np.ndarray) -> tuple:

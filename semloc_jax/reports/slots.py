@@ -13,6 +13,7 @@ from tqdm import tqdm
 from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.inputs.surround_masks import check_surround_masks
 from semloc_jax.mapping.chain import drive_chain
 from semloc_jax.mapping.net_slots import NetSlotObserver
 from semloc_jax.mapping.object_tracks import ObjectTrackConfig, Tracker, wrapped
@@ -58,9 +59,9 @@ def report_slots(
         options: what config.yaml keeps.
 
     Raises:
-        SemlocError: no odometry, masks that show no slot lines, no frames.
+        SemlocError: no odometry, masks that show no slot lines, or that do not fit the cameras.
     """
-    chain = drive_chain(drive)
+    chain, notes = drive_chain(drive), check_surround_masks(drive, masks)
     observer = SlotObserver(drive, masks, sights) if net is None else NetSlotObserver(drive, masks, net, sights)
     tracker = Tracker(SlotTrack, tracks)
     obstacles = ObstacleFollower(drive.rig, masks) if obstacle_ids(masks.table) else None
@@ -98,7 +99,7 @@ def report_slots(
     write_metrics(metrics, folder / "metrics.json")
     write_record(folder, {"sights": observer.config, "tracks": tracker.config}, options or {})
     said = f"{len(chosen)} frames: {len(rows)} sights of slots, {len(final)} slots confirmed"
-    return "\n".join([said, format_metrics(metrics), f"results: {folder}"])
+    return "\n".join([said, format_metrics(metrics), *notes, f"results: {folder}"])
 
 
 def _row(time_s: float, track: SlotTrack, T_odom_base: np.ndarray, obstacles: ObstacleFollower | None) -> tuple:

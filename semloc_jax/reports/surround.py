@@ -19,7 +19,7 @@ from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.surround_inputs import SurroundPictures, own_bodies, surround_pictures
 from semloc_jax.maps import MapElement, read_map
-from semloc_jax.perception.camera_order import Belonging, belonging
+from semloc_jax.perception.camera_order import belonging, named_order
 from semloc_jax.perception.colour_balance import ColourBalance
 from semloc_jax.perception.seams import Blend
 from semloc_jax.perception.surround import Car, SurroundView
@@ -203,14 +203,10 @@ def _refuse_what_does_not_fit(view: SurroundView, pictures: SurroundPictures) ->
         return []
     chosen = np.unique(np.linspace(0, len(pictures) - 1, _CHECKED).astype(int))
     found = belonging(view, [pictures.images(int(k)) for k in chosen])
-    names = pictures.rig.names
     if found.better_order is not None:
-        said = ", ".join(
-            f"{names[k]} shows what belongs to {names[found.better_order.index(k)]}" for k in _moved(found)
-        )
         raise SemlocError(
-            f"{pictures.where}: the pictures are in another order than the cameras: {said}; rename the folders, or "
-            "give --no-check to go on"
+            f"{pictures.where}: the pictures are in another order than the cameras: "
+            f"{named_order(pictures.rig.names, found.better_order)}; rename the folders, or give --no-check to go on"
         )
     if found.contradicts:
         raise SemlocError(
@@ -225,10 +221,6 @@ def _refuse_what_does_not_fit(view: SurroundView, pictures: SurroundPictures) ->
             "not flat (semloc calibrate)"
         ]
     return []
-
-
-def _moved(found: Belonging) -> list[int]:
-    return [k for k, other in enumerate(found.better_order) if k != other]
 
 
 def _write(path: Path, picture: np.ndarray) -> None:

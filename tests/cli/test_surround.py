@@ -56,6 +56,10 @@ FAULTS = {
         lambda f, p: cv2.imwrite(str(f / "car_rear.png"), np.zeros((300, 400, 3), np.uint8) + 90),
         "camera rear: the image has 400x300 px, the calibration says 640x480",
     ),
+    "of another car, as large": (
+        lambda f, p: write_calibration(four_fisheyes(pitch_deg=12.0), f / "calib.yaml"),
+        "neighbouring cameras do not show the same road: .*the calibration is of another car",
+    ),
     "without a calibration": (lambda f, p: (f / "calib.yaml").unlink(), "give --calib"),
 }
 
