@@ -17,7 +17,7 @@ from semloc_jax.alignment.filled_rows import map_filled
 from semloc_jax.alignment.hypotheses import score
 from semloc_jax.alignment.level_choice import telling
 from semloc_jax.alignment.observed import CoarseSamples, ObserveConfig, Observed, coarse_evidence
-from semloc_jax.alignment.pose import AlignConfig, Prior, align_one, assess
+from semloc_jax.alignment.pose import AlignConfig, Prior, align_one, fit_at
 from semloc_jax.alignment.proposals import LATTICE_STEPS
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import units_apart
@@ -85,7 +85,7 @@ def solve_batch(
         shown = eqx.tree_at(lambda s: s.valid, frame.samples, frame.samples.valid & parts[part])
         evidence = evidence_from(T_start, frame._replace(samples=shown), config.polish_view)
         estimate = align_one(T_start, evidence, prior, align_config)
-        judged = assess(estimate.T_map_base, level, evidence, prior, align_config)
+        judged = fit_at(estimate.T_map_base, level, evidence, align_config)
         measured = (judged.cost, judged.inlier_ratio)
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, measured)
         return SolvedPoses(estimate, score(estimate.T_map_base, level, evidence, prior, align_config, in_view_px))

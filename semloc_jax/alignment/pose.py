@@ -5,6 +5,7 @@ Weights and visibility are frozen at the start of every level: a mask that chang
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -190,6 +191,34 @@ def typical_px(
     return jnp.where(running[-1] > 0.0, 1.4826 * evidence.textures.level(level).ramp_px * middle, config.noise.noise_px)
 
 
+class Fit(NamedTuple):
+    """How well a pose explains the masks."""
+
+    cost: Float[Array, ""]
+    """Visibility-normalised robust cost in [0, 1]; 1 where nothing is visible."""
+    coverage: Float[Array, ""]
+    """Share of the contour in view that is on usable pixels."""
+    inlier_ratio: Float[Array, ""]
+    """Share of that within reach of a boundary of its class."""
+
+
+def fit_at(
+    T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
+) -> Fit:
+    """How well a pose explains the masks on one level, without how well it is held."""
+    return _fit(*visible_ramps(T_map_base, level, evidence, config), evidence, config)
+
+
+def _fit(r: Float[Array, " n"], weight: Float[Array, " n"], evidence: Evidence, config: AlignConfig) -> Fit:
+    kernel, visible = KERNELS[config.kernel], jnp.sum(weight)
+    per_visible = 1 / jnp.maximum(visible, 1e-6)
+    return Fit(
+        cost=jnp.where(visible > 0, jnp.sum(weight * kernel.rho(r)) * per_visible / kernel.worst, 1.0),
+        coverage=visible / jnp.maximum(total_weight(evidence.views), 1e-6),
+        inlier_ratio=jnp.sum(weight * is_inlier(r)) * per_visible,
+    )
+
+
 def assess(
     T_map_base: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
@@ -206,10 +235,7 @@ def assess(
     here = jnp.zeros(6, T_map_base.dtype)
     model, known = quadratic_model(here, problem), known_model(here, problem)
     r, weight = ramp_values(T_map_base, views, problem.texture, config.path)
-    kernel = KERNELS[config.kernel]
     ramp_px = problem.texture.ramp_px
-    visible, everything = total_weight(views), total_weight(evidence.views)
-    per_visible = 1 / jnp.maximum(visible, 1e-6)
     scatter_px = ramp_px * _held_rms(r, weight, config)
     excess = config.noise.excess(scatter_px, ramp_px, evidence.grain)
     information = (model.hessian - known.hessian) / excess**2 + known.hessian
@@ -217,13 +243,11 @@ def assess(
     scale = jnp.where(prior.sigma > 0, prior.sigma, 0.0)
     covariance = scale[:, None] * jnp.linalg.inv(information) * scale
     finite = jnp.all(jnp.isfinite(T_map_base)) & jnp.isfinite(model.cost) & jnp.all(jnp.isfinite(model.hessian))
-    status = jnp.where(visible < config.min_visible_px, SolveStatus.NO_EVIDENCE, SolveStatus.CONVERGED)
+    status = jnp.where(jnp.sum(weight) < config.min_visible_px, SolveStatus.NO_EVIDENCE, SolveStatus.CONVERGED)
     return PoseEstimate(
         T_map_base=T_map_base,
         covariance=covariance,
-        cost=jnp.where(visible > 0, jnp.sum(weight * kernel.rho(r)) * per_visible / kernel.worst, 1.0),
-        coverage=visible / jnp.maximum(everything, 1e-6),
-        inlier_ratio=jnp.sum(weight * is_inlier(r)) * per_visible,
+        **_fit(r, weight, evidence, config)._asdict(),
         information_eigenvalues=eigenvalues,
         weak_direction=eigenvectors[:, 0],
         num_steps=jnp.asarray(0),

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.along_road import AlongRoadConfig, RoadPosterior, weighed_along_road, widened
 from semloc_jax.alignment.hypotheses import Modes, SearchConfig, score, search_from, weigh
 from semloc_jax.alignment.level_choice import telling
-from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align_one, assess, typical_px, usual_grain
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align_one, fit_at, typical_px, usual_grain
 from semloc_jax.alignment.proposals import ProposalKind, propose
 from semloc_jax.cameras import Rig
 from semloc_jax.residuals.alignment import CameraViews, Usable, camera_views
@@ -212,7 +212,7 @@ def polish(
         evidence = evidence_from(T_map_base, frame, config.polish_view)
         estimate = align_one(T_map_base, evidence, prior, config.polish_align)
         # Every mode is judged on one level, whichever held its pose last.
-        judged = assess(estimate.T_map_base, level, evidence, prior, config.polish_align)
+        judged = fit_at(estimate.T_map_base, level, evidence, config.polish_align)
         measured = (judged.cost, judged.inlier_ratio, widened(estimate.covariance, road.spread))
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio, e.covariance), estimate, measured)
         return estimate, score(estimate.T_map_base, level, evidence, prior, config.polish_align, in_view_px)

@@ -22,7 +22,7 @@ from semloc_jax.alignment.pose import (
     Evidence,
     Prior,
     align_one,
-    assess,
+    fit_at,
     total_weight,
     typical_px,
     visible_ramps,
@@ -115,7 +115,7 @@ def align_predicted(
 
     def one(T_start: Array) -> tuple[PoseEstimate, Array]:
         estimate = align_one(T_start, evidence, prior, config.align)
-        judged = assess(estimate.T_map_base, level, evidence, prior, config.align)
+        judged = fit_at(estimate.T_map_base, level, evidence, config.align)
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, (judged.cost, judged.inlier_ratio))
         return estimate, score(estimate.T_map_base, level, evidence, prior, config.align)
 

@@ -20,12 +20,19 @@ class Options:
 
     --landmarks asks another question, about accuracy: how the error falls with the number of signs and lamp posts of a
     compact map, simulated, beside the least error that is possible (Cramer and Rao); --json and --plot as above.
+
+    --drives measures what a user waits for: localize and track on simulated drives of one and four cameras, each in a
+    process of its own, with nothing compiled and warm: CPU and wall time of the start and of a frame, its stages,
+    memory, and two drives with --jobs 1 and 2. --gate then compares with the committed baseline, in units of what the
+    machine takes to decode masks.
     """
 
     quick: bool = False
     """A minute's worth: fewer peers, fewer sizes, no curves."""
     landmarks: bool = False
     """Error against number of landmarks, 54 signs, 136 posts and lanes on roads of 0.5 to 4 km; no peers."""
+    drives: bool = False
+    """Whole commands on simulated drives, cold and warm; no peers. --quick: one camera only."""
     peers: str | None = None
     """Comma-separated names; `all` for every one (default of a full run)."""
     json: Path | None = None
@@ -57,6 +64,8 @@ def run(options: Options) -> int:
             raise UsageError(f"{path}: its folder does not exist")
     if options.landmarks:
         return _landmarks(options)
+    if options.drives:
+        return _drives(options, files)
     from semloc_jax.reports.benchmark import BenchmarkFiles, BenchmarkPlan, report_benchmark
 
     say = partial(print, file=sys.stderr, flush=True)
@@ -72,6 +81,18 @@ def _landmarks(options: Options) -> int:
     plan = LandmarkPlan(roads_m=(2000.0, 500.0), seeds=(0,)) if options.quick else LandmarkPlan()
     print(report_landmarks(plan, options.json, options.plot, partial(print, file=sys.stderr, flush=True)))
     return OK
+
+
+def _drives(options: Options, files: tuple[Path | None, ...]) -> int:
+    from semloc_jax.reports.benchmark import BenchmarkFiles
+    from semloc_jax.reports.drive_benchmark import report_drive_benchmark
+
+    if options.plot is not None:
+        raise UsageError(f"--plot {options.plot}: --drives draws nothing; --json has all numbers")
+    say = partial(print, file=sys.stderr, flush=True)
+    report = report_drive_benchmark(options.quick, BenchmarkFiles(*files), options.gate, options.baseline, say)
+    print(report.text)
+    return OK if report.is_passed else LOST
 
 
 def _core(wanted: int | None) -> int | None:

@@ -2,10 +2,13 @@
 
 import csv
 import shutil
+import subprocess
+import sys
 
 import pytest
 
-from semloc_jax.cli.main import FAILED, OK, USAGE, main
+from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, main
+from tests.effort import environment_of_users
 
 TABLES = ("trajectory.tum", "hypotheses.csv")
 
@@ -47,6 +50,22 @@ def test_processes_give_what_single_runs_give(drives, tmp_path, capsys):
         assert said[name][:2] == ["done", "2"]
         assert "localized" in (fleet / name / "console.txt").read_text()
     assert said["all"][0] == "4"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("verb", "frames"), [("localize", ":1"), ("track", ":3")])
+def test_the_search_and_the_tracker_give_in_processes_what_they_give_alone(drives, tmp_path, verb, frames):
+    def run(names, *options):
+        given = (*(drives / name for name in names), "--masks", "sem", "--frames", frames, *options)
+        command = [sys.executable, "-m", "semloc_jax.cli.main", verb, *map(str, given)]
+        assert subprocess.run(command, env=environment_of_users(), check=False).returncode in (OK, LOST)
+
+    for name in ("one", "two"):
+        run([name], "--out", tmp_path / name)
+    run(["one", "two"], "--jobs", 2, "--out", tmp_path / "fleet")
+    for name in ("one", "two"):
+        alone, together = (folder / name / "trajectory.tum" for folder in (tmp_path, tmp_path / "fleet"))
+        assert alone.read_bytes() == together.read_bytes() and len(alone.read_text().splitlines()) > 1
 
 
 def test_a_drive_that_fails_costs_itself_only_and_is_tried_again(drives, tmp_path, capsys):

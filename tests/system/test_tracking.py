@@ -109,6 +109,22 @@ def test_nothing_is_compiled_once_the_drive_is_followed(followed):
     assert sum(followed.compilations[5:]) == 0, followed.compilations
 
 
+def test_nothing_is_compiled_where_the_map_gets_denser_or_sparser(drive, config, followed):
+    road = read_map(drive.map_path)
+    middle = drive.truth_at(drive.frames[NUM_FRAMES // 2])
+    first = {element.label: element for element in reversed(road.elements)}  # another class is another mask channel
+    kept = []
+    for k, element in enumerate(road.elements):
+        ahead_m = (element.points[:, :2].mean(axis=0) - middle[:2, 3]) @ middle[:2, 0]
+        if ahead_m < 0 or k % 2 == 0 or element is first[element.label]:
+            kept.append(element)
+    twice = [replace(element, id=f"{element.id} again") for element in kept if len(element.points) > 2]
+    assert 0.5 < len(kept) / len(road.elements) < 0.9 and len(twice) > 5
+    uneven = replace(road, elements=(*kept, *twice))
+    again = run(pipeline_of(drive, uneven, "sem", config, threads=False), drive.frames)
+    assert sum(again.compilations) == 0, again.compilations
+
+
 def test_two_threads_give_what_one_gives(drive, config, followed):
     threaded = run(pipeline_of(drive, read_map(drive.map_path), "sem", config, threads=True), drive.frames)
     for one, two in zip(followed.results, threaded.results, strict=True):
