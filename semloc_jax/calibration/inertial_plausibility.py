@@ -16,10 +16,14 @@ from semloc_jax.datasets.imu_noise import ImuNoise
 _GRAVITY_MPS2 = 9.81
 _G_SHARE = 0.1
 _UPRIGHT = 0.9
-LEAST_TURNS = 20
+LEAST_TURNS, _LEAST_SAMPLES = 20, 50
 _LATEST_S, _STEP_S = 0.12, 0.004
 _TELLING_S, _TELLING_DEG, _TELLING_SIGMAS = 0.004, 2.0, 4.0
 """Smaller differences, or such as noise explains, are not told."""
+_AROUND = 3
+"""Steps to each side over which the best delay is found by a parabola."""
+_TAIL = 4.0
+"""A turn whose square is so many times the usual one pulls half as much."""
 _LEAST_CORRELATION = 0.7
 _DEGREES = 57.3
 _NOISE_FACTOR = 8.0
@@ -40,6 +44,8 @@ class ClockOfTurns(NamedTuple):
     turn_sigma_deg: Float[np.ndarray, "3"]
     swapped: tuple[str, ...]
     """Axes that show another axis of the vehicle, in words."""
+    is_told: bool
+    """Whether sensor and camera turn alike about any axis: a vehicle that stands or goes straight tells nothing."""
 
 
 def implausible_inertial(imu: Imu, turns: CameraTurns | None) -> list[Finding]:
@@ -50,13 +56,17 @@ def implausible_inertial(imu: Imu, turns: CameraTurns | None) -> list[Finding]:
         turns: Of a camera; None or few: only the forces are looked at.
     """
     texts = _forces(imu)
-    if turns is not None and len(turns.to_s) >= LEAST_TURNS:
-        texts += _turns(compared(imu, turns))
+    if turns is not None:
+        inside = (turns.from_s > imu.time_s[0] + _LATEST_S) & (turns.to_s < imu.time_s[-1] - _LATEST_S)
+        if inside.sum() >= LEAST_TURNS:
+            texts += _turns(compared(imu, CameraTurns(*(part[inside] for part in turns))))
     return [Finding("imu", "inertial", text) for text in texts]
 
 
 def implausible_noise(imu: Imu, stated: ImuNoise) -> list[Finding]:
     """What looks wrong in the stated white noise of a sensor: a density that its own log contradicts."""
+    if len(imu.time_s) < _LEAST_SAMPLES:
+        return []
     rate_hz = 1.0 / float(np.median(np.diff(imu.time_s)))
     texts = []
     for name, readings, density in (
@@ -80,30 +90,37 @@ def compared(imu: Imu, turns: CameraTurns) -> ClockOfTurns:
     seen = turns.rate_base_radps - np.median(turns.rate_base_radps, axis=0)
     delays = np.arange(-_LATEST_S, _LATEST_S + _STEP_S / 2, _STEP_S)
     fits = [_fit(seen, _mean_rates(imu, turns, delay)) for delay in delays]
-    costs = np.array([fit.cost for fit in fits])
-    best = int(np.clip(np.argmin(costs), 1, len(delays) - 2))
-    left, here, right = costs[best - 1 : best + 2]
-    bend = max((left - 2.0 * here + right) / _STEP_S**2, 1e-12)
-    shift = np.clip(-0.5 * (right - left) / _STEP_S / bend, -_STEP_S, _STEP_S)
-    noise = here / (3 * len(seen))
+    squares = np.stack([fit.squares for fit in fits])
+    # One robust measure for all delays: what is usual at the best of them.
+    usual = _TAIL * float(np.median(squares, axis=1).min()) + 1e-18
+    costs = usual * np.sum(np.log1p(squares / usual), axis=1)
+    best = int(np.clip(np.argmin(costs), _AROUND, len(delays) - 1 - _AROUND))
+    near = slice(best - _AROUND, best + _AROUND + 1)
+    bend, slope, _ = np.polyfit(delays[near] - delays[best], costs[near], 2)
+    bend = max(float(bend), 1e-12)
+    shift = np.clip(-0.5 * slope / bend, -_AROUND * _STEP_S, _AROUND * _STEP_S)
+    noise = float(costs[best]) / (3 * len(seen))
     fit = fits[best]
     spread = np.sum(seen**2) * np.eye(3) - seen.T @ seen
     turn_sigma = np.sqrt(noise * np.diag(np.linalg.inv(spread + 1e-12 * np.eye(3))))
     return ClockOfTurns(
         float(delays[best] + shift),
-        float(np.sqrt(2.0 * noise / bend)),
+        float(np.sqrt(noise / bend)),
         fit.ratio,
         np.rad2deg(fit.turn),
         np.rad2deg(turn_sigma),
         fit.swapped,
+        fit.is_told,
     )
 
 
 class _Fit(NamedTuple):
-    cost: float
+    squares: Float[np.ndarray, " n"]
+    """Of what is left of each turn."""
     ratio: float
     turn: Float[np.ndarray, "3"]
     swapped: tuple[str, ...]
+    is_told: bool
 
 
 def _mean_rates(imu: Imu, turns: CameraTurns, delay_s: float) -> Float[np.ndarray, "n 3"]:
@@ -119,7 +136,7 @@ def _mean_rates(imu: Imu, turns: CameraTurns, delay_s: float) -> Float[np.ndarra
 
 
 def _fit(seen: Float[np.ndarray, "n 3"], rates: Float[np.ndarray, "n 3"]) -> _Fit:
-    """Size, axes and a small turn that bring the rates of the sensor to those seen, and the cost of what is left."""
+    """Size, axes and a small turn that bring the rates of the sensor to those seen, and what is left."""
     correlation = _correlation(seen, rates)
     axis = np.argmax(np.abs(correlation), axis=1)
     sign = np.sign(correlation[np.arange(3), axis])
@@ -141,8 +158,8 @@ def _fit(seen: Float[np.ndarray, "n 3"], rates: Float[np.ndarray, "n 3"]) -> _Fi
             turn = np.linalg.solve(H, np.einsum("n,nij,ni->j", weight, J, rest))
             rest = rest - J @ turn
         square = np.sum(rest**2, axis=1)
-        weight = 1.0 / (1.0 + square / (4.0 * np.median(square) + 1e-18))
-    return _Fit(float(np.sum(weight * square)), 1.0 / size, turn, swapped)
+        weight = 1.0 / (1.0 + square / (_TAIL * np.median(square) + 1e-18))
+    return _Fit(square, 1.0 / size, turn, swapped, bool(is_told.any()))
 
 
 def _correlation(seen: Float[np.ndarray, "n 3"], rates: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3 3"]:
@@ -181,6 +198,8 @@ def _forces(imu: Imu) -> list[str]:
 
 def _turns(found: ClockOfTurns) -> list[str]:
     """What the turns say; one cause at a time, as wrong units or axes leave nothing to say of the clock."""
+    if not found.is_told:
+        return []
     if found.swapped:
         return [f"axes of the gyroscope: {'; '.join(found.swapped)}; expected x ahead, y left, z up; turn the columns"]
     if _DEGREES / 2 < found.ratio < 2 * _DEGREES:

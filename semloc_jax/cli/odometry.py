@@ -65,15 +65,18 @@ def run(options: Options) -> int:
     import dataclasses
 
     from semloc_jax.datasets import open_drive
+    from semloc_jax.datasets.imu_noise import read_imu_noise
     from semloc_jax.inputs.choices import parse_names
-    from semloc_jax.inputs.inertial_calibration import in_camera_time, with_stated_noise
+    from semloc_jax.inputs.inertial_calibration import in_camera_time
     from semloc_jax.inputs.mask_source import mask_source
     from semloc_jax.localization.motion_source import resolved_without_map
     from semloc_jax.reports.odometry import report_odometry
 
     log_to_console()
     drive = in_camera_time(open_drive(options.drive, options.calib), options.calib)
-    settings = dataclasses.replace(options.settings, window=with_stated_noise(options.settings.window, options.imu))
+    settings = options.settings
+    if options.imu is not None:
+        settings = dataclasses.replace(settings, window=settings.window.with_noise(read_imu_noise(options.imu)))
     with_images = [name for name in drive.rig.names if drive.frames and drive.frames[0].has("rgb", name)]
     cameras = parse_names(options.cameras) or with_images or list(drive.rig.names)
     whole = [source for source in drive.mask_sources if all(drive.frames[0].has(source, camera) for camera in cameras)]

@@ -4,12 +4,13 @@ In: InertialMoments of a window. Out: its StateFactors, without the inertial ste
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.datasets.imu_noise import ImuNoise
 from semloc_jax.fusion.inertial_graph import StateFactors
 from semloc_jax.fusion.inertial_samples import Steps
 from semloc_jax.fusion.landmark_pool import RoadBeliefs
@@ -67,6 +68,10 @@ class InertialWindowConfig:
     delay_walk: float = 2e-5
     """Change of that difference [s per root of s]."""
     max_steps: int = 8
+
+    def with_noise(self, noise: ImuNoise) -> "InertialWindowConfig":
+        """The same with the stated noise of an inertial sensor."""
+        return replace(self, **asdict(noise))
 
 
 class InertialMoment(NamedTuple):

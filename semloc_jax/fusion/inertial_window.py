@@ -111,7 +111,8 @@ class InertialWindow:
         )
         self.pool.add(moment.tracks, self.num_states - 1)
         estimate = self.solve()
-        self._learn_steps(estimate.step_px)
+        if not moment.is_standing:  # corners of a vehicle that stands do not slip
+            self._learn_steps(estimate.step_px)
         return estimate
 
     def predicted(self, steps: Steps) -> MotionState:

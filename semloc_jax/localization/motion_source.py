@@ -66,7 +66,12 @@ def resolved(drive: Drive, choice: MotionChoice) -> Motion:
 
 
 def resolved_without_map(drive: Drive, choice: MotionChoice, cameras: Sequence[str]) -> Motion:
-    """The choice for a way without a map: with `auto` all that the drive has."""
+    """The choice for a way without a map: with `auto` all that the drive has.
+
+    Raises:
+        SemlocError: a camera is not in the calibration.
+    """
+    drive.rig.select(cameras)  # names what is not there
     if choice != "auto":
         return choice
     if not _has_forces(drive) or len(with_images(drive, cameras)) < len(cameras):

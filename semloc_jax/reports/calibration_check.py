@@ -93,9 +93,9 @@ def _inertial(drive: Drive | None, rig: Rig, imu_yaml: Path | None) -> list[Find
     """What looks wrong in the inertial data, where there are any; turns are those of the first camera with images."""
     if drive is None or drive.imu is None:
         return []
-    frames = drive.frames[:_TURN_FRAMES]
-    seen = [name for name in rig.names if frames[0].has("rgb", name)]
-    turns = turns_of_cameras(frames, seen[0]) if seen and len(frames) >= LEAST_TURNS else None
+    seen = [name for name in rig.names if drive.frames[0].has("rgb", name)]
+    frames = [frame for frame in drive.frames[:_TURN_FRAMES] if seen and frame.has("rgb", seen[0])]
+    turns = turns_of_cameras(frames, seen[0]) if len(frames) > LEAST_TURNS else None
     found = implausible_inertial(drive.imu, turns)
     return found if imu_yaml is None else found + implausible_noise(drive.imu, read_imu_noise(imu_yaml))
 

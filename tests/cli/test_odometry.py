@@ -42,7 +42,8 @@ def test_what_cannot_be_done_is_refused_in_one_line(simulated_road, tmp_path, ca
     (drive / "wheel_odom.csv").unlink()
     assert "no wheel odometry" in refused("--motion", "both")
     (drive / "imu.csv").unlink()
-    assert "no inertial data" in refused()
+    assert "no inertial data" in refused("--motion", "vio")
+    assert "no wheel odometry" in refused(), "auto has nothing to take"
 
 
 @pytest.mark.slow

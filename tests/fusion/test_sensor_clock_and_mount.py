@@ -1,4 +1,4 @@
-"""The clock and the mount of an inertial sensor as states of the window, and the size of the way by the road."""
+"""The clock and the mount of an inertial sensor as states of the window."""
 
 from dataclasses import replace
 
@@ -25,13 +25,8 @@ def test_clock_and_mount_are_found_without_a_map():
         off.append(difference(estimate.state, truth, 199))
         sigma.append(np.sqrt(np.diag(estimate.covariance)))
     off, sigma = np.array(off), np.array(sigma)
-    print(
-        1e3 * off[:, AT["delay"]].T,
-        np.rad2deg(off[:, AT["mount"]]),
-        1e3 * sigma[:, AT["delay"]].T,
-        np.rad2deg(sigma[:, AT["mount"]]),
-    )
     assert 1e3 * np.abs(off[:, AT["delay"]]).mean() < 1.0, "[ms]"
     assert np.rad2deg(np.abs(off[:, AT["mount"]])).mean() < 0.1, "[deg]"
-    both = np.concatenate([off / sigma], axis=1)[:, [*range(AT["mount"].start, AT["delay"].stop)]]
-    assert np.sqrt(np.mean(both**2)) < 1.6, "as sure as it may be"
+    both = (off / sigma)[:, AT["mount"].start : AT["delay"].stop]
+    # Sixteen numbers: their mean square is below 1.7 in 95 of 100 cases.
+    assert np.mean(both**2) < 1.7, "not surer than it may be"
