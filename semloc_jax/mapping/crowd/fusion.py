@@ -11,8 +11,9 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.crowd.correction import Correction, CorrectionConfig
-from semloc_jax.mapping.crowd.joint import JointSolve, Seen, seen_by
+from semloc_jax.mapping.crowd.joint import JointSolve
 from semloc_jax.mapping.crowd.placing import place
+from semloc_jax.mapping.crowd.seen import Seen, seen_by
 from semloc_jax.mapping.crowd.shared import shared_sigmas
 from semloc_jax.mapping.crowd.sights import Sights
 from semloc_jax.mapping.crowd.world import CrowdWorld, turned_by

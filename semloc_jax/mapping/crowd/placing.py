@@ -7,7 +7,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from semloc_jax.mapping.crowd.correction import Correction
-from semloc_jax.mapping.crowd.joint import JointSolve, seen_by
+from semloc_jax.mapping.crowd.joint import JointSolve
+from semloc_jax.mapping.crowd.seen import seen_by
 from semloc_jax.mapping.crowd.world import CrowdWorld
 
 _GATES_M = (2.0, 1.2, 0.8, 0.6, 0.5)
