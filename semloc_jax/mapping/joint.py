@@ -36,6 +36,7 @@ from semloc_jax.solvers.sparse import SparseProblem
 
 ELEMENT, METRE = "element", "metre"
 _METRE = vector(0.01)
+"""Share by which the images show everything farther away than it is."""
 _ELEMENTS, _PULLS = 64, 1024
 """They are solved in multiples of so many."""
 

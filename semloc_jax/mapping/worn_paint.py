@@ -22,7 +22,7 @@ _AS_LONG = 0.15
 _LONGEST_GAP = 0.35
 """Share of the length of the others that may be worn off between two pieces."""
 _OFF_M = 0.08
-"""How far the ends of one piece may be off the line of the other, and how much wider one may be."""
+"""How far the ends of one piece may be off the line of the other, and either side of one off that of the other."""
 _BARS = frozenset({ElementClass.CROSSWALK, ElementClass.STOP_LINE})
 
 
@@ -57,7 +57,7 @@ class _Stroke:
         aside_m = np.abs(off @ [-along[1], along[0]])
         own, its = np.array([0.0, self.length_m]), np.sort(off @ along)
         gap_m = max(its[0] - own[1], own[0] - its[1])
-        if aside_m.max() > _OFF_M or abs(self.width_m - other.width_m) > 2.0 * _OFF_M:
+        if aside_m.max() > _OFF_M or 0.5 * abs(self.width_m - other.width_m) > _OFF_M:
             return None
         if not 0.0 < gap_m < _LONGEST_GAP * usual_m:
             return None

@@ -48,8 +48,8 @@ def pulled_residual(
 
     Half its square is the cost of the element around the pose T_element_base where the masks were compared: with R =
     `sqrt_info`, R^T R is the information there and R^T `offset` the force. What the masks leave open, such as the way
-    along a line, has no row. Seen from the element the vehicle is farther away by the share `metre` than it seems: a
-    camera a little higher than calibrated sees everything nearer.
+    along a line, has no row. The images show the vehicle farther from the element than it is by the share `metre`: so
+    does a camera that stands a little lower than calibrated.
     """
     T_map_seen = _farther(T_map_element, T_map_base, metre)
     return between_residual(T_map_element, T_map_seen, T_element_base, sqrt_info) + offset
@@ -61,7 +61,7 @@ def metre_residual(metre: Float[Array, "1"], sqrt_info: Float[Array, "1"]) -> Fl
 
 
 def _farther(T_map_element: Array, T_map_base: Array, metre: Array) -> Array:
-    """The vehicle moved away from an element by a share of the way between them."""
+    """Where images have the vehicle: moved away from the element by a share of the way between them."""
     return T_map_base.at[:3, 3].add(metre[0] * (T_map_base[:3, 3] - T_map_element[:3, 3]))
 
 
