@@ -65,6 +65,7 @@ class RoadFit:
         odometer: scale, gyroscope bias [rad/s], direction of travel [rad].
         equations: of the last solve, mounts first, then the odometer; None at the start.
         members: streaks of each line of the last solve.
+        converged: whether the last solve ended by itself.
     """
 
     T_base_cam: Float[np.ndarray, "c 4 4"]
@@ -72,6 +73,7 @@ class RoadFit:
     odometer: Float[np.ndarray, " 3"]
     equations: DenseEquations | None = None
     members: tuple[np.ndarray, ...] = ()
+    converged: bool = False
 
     @property
     def T_odom_cam(self) -> Float[np.ndarray, "n c 4 4"]:
@@ -106,6 +108,7 @@ class RoadCalibration:
         num_across: of them such as several cameras show.
         num_spots: spots that two pictures show; 0 without images.
         seen: the lines as they lie, for a picture.
+        converged: whether the last solve ended by itself.
     """
 
     rig_before: Rig
@@ -121,6 +124,7 @@ class RoadCalibration:
     num_across: int
     num_spots: int
     seen: SeenLines
+    converged: bool
 
 
 def calibrate_on_road(drive: Drive, masks: MaskSource, config: RoadCalibrationConfig | None = None) -> RoadCalibration:
@@ -132,10 +136,15 @@ def calibrate_on_road(drive: Drive, masks: MaskSource, config: RoadCalibrationCo
         config: None for the defaults.
 
     Raises:
-        SemlocError: no wheels, too few frames, or too few lines.
+        SemlocError: no wheels, too few frames, too few lines, or lenses are asked for.
     """
     config = config or RoadCalibrationConfig()
     settings = config.calibration
+    if settings.intrinsics != "none":
+        raise SemlocError(
+            f"calibration by the road: intrinsics '{settings.intrinsics}'; expected none: the road tells mounts only; "
+            "lenses come from boards (--targets) or a map (--map)"
+        )
     frames = choose_frames(drive, settings.num_frames, settings.min_spacing_m)
     motion = motion_between(drive, frames, settings)
     if motion is None:
@@ -166,6 +175,7 @@ def calibrate_on_road(drive: Drive, masks: MaskSource, config: RoadCalibrationCo
         sum(len({streaks[k].camera for k in line}) > 1 for line in fit.members),
         0 if spots is None else len(spots.camera),
         _seen(start, fit, streaks),
+        fit.converged,
     )
 
 
@@ -236,7 +246,8 @@ def _solved(
         found = {name: np.asarray(value) for name, value in solution.value.items()}
         equations = jax.tree.map(np.asarray, solution.equations)
     members = tuple(line.streaks for line in lines)
-    return RoadFit(found["mount"], found["pose"], found["odometer"][0], equations, members)
+    converged = bool(solution.converged)
+    return RoadFit(found["mount"], found["pose"], found["odometer"][0], equations, members, converged)
 
 
 def _sigma(settings: SelfCalibrationConfig) -> Float[np.ndarray, " 6"]:
@@ -284,6 +295,8 @@ def observability(rig: Rig, fit: RoadFit, settings: SelfCalibrationConfig) -> Ob
     units += ["", "deg/s"]
     changes = np.concatenate([*changes, fit.odometer[:2] - [1.0, 0.0]])
     in_unit = np.where(["deg" in unit for unit in units], np.rad2deg(1.0), 1.0)
-    scaled = prior[:, None] * (turn @ information @ turn.T) * prior
+    free = np.flatnonzero(prior > 0)
+    scaled = (prior[:, None] * (turn @ information @ turn.T) * prior)[np.ix_(free, free)]
     ratios = settings.observable_ratio, settings.held_ratio
-    return observe(scaled, names, units, changes * in_unit, prior * in_unit, *ratios, _REASONS)
+    names, units = ([words[k] for k in free] for words in (names, units))
+    return observe(scaled, names, units, (changes * in_unit)[free], (prior * in_unit)[free], *ratios, _REASONS)

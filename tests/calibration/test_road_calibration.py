@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.calibration import Knowledge
+from semloc_jax.calibration import CalibrationPriors, Knowledge, SelfCalibrationConfig
 from semloc_jax.calibration.road_calibration import (
     RoadCalibrationConfig,
     calibrate_on_road,
@@ -122,6 +122,20 @@ def test_mounts_come_back_on_a_curve_and_what_is_free_is_named_on_a_straight():
         assert known.parameter("front x").sigma > 0.03  # m, of 0.05
 
 
+def test_what_is_known_stays():
+    rig, poses = four_fisheyes(), way(0.0)
+    motion, streaks = driven(poses), seen(rig, poses, painted_slots())
+    start_rig = knocked(rig, shift_m=0.0)
+    settings = SelfCalibrationConfig(priors=CalibrationPriors(mount_m=0.0, odometer_scale=0.0))
+    config = RoadCalibrationConfig(calibration=settings)
+    fit = fit_to_lines(start_fit(start_rig, motion), start_rig, motion, streaks, config)
+    np.testing.assert_allclose(fit.T_base_cam[:, :3, 3], np.asarray(start_rig.T_base_cam)[:, :3, 3], atol=1e-9)
+    assert fit.odometer[0] == 1.0 and fit.converged
+    assert np.abs(off(rig, fit.T_base_cam)[:, 3:]).max() < 0.05  # deg, of 1
+    names = [p.name for p in observability(start_rig, fit, settings).parameters]
+    assert names == [f"{c} {axis}" for c in rig.names for axis in ("roll", "pitch", "yaw")] + ["gyro_bias"]
+
+
 def test_lines_of_several_images_are_matched_and_neighbours_are_not():
     rig, poses = four_fisheyes(), way(0.0)
     streaks = seen(rig, poses, painted_slots())
@@ -147,6 +161,9 @@ def test_a_map_and_the_road_exclude_each_other(data_dir, capsys):
         pytest.skip(f"no drive lot_seed4 in {data_dir}")
     assert main(["calibrate", str(data_dir / "lot_seed4"), "--against", "road", "--map", "map.osm"]) == 2
     assert "--against road takes no map" in capsys.readouterr().err
+    words = ["calibrate", str(data_dir / "lot_seed4"), "--against", "road", "--intrinsics", "focal"]
+    assert main(words) == 1
+    assert "expected none: the road tells mounts only" in capsys.readouterr().err
 
 
 @pytest.mark.data
