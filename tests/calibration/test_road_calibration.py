@@ -8,13 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.calibration import CalibrationPriors, Knowledge, SelfCalibrationConfig
-from semloc_jax.calibration.road_calibration import (
-    RoadCalibrationConfig,
-    calibrate_on_road,
-    fit_to_lines,
-    observability,
-    start_fit,
-)
+from semloc_jax.calibration.road_calibration import calibrate_on_road
+from semloc_jax.calibration.road_fit import RoadCalibrationConfig, fit_to_lines, observability, start_fit
 from semloc_jax.calibration.road_lines import laid, match_lines
 from semloc_jax.calibration.road_streaks import Streak
 from semloc_jax.calibration.self_calibration import mount_change
