@@ -62,8 +62,8 @@ def road_text(result: RoadCalibration) -> str:
             f"sights of a line lie {100 * result.before_m:.1f} cm from it before, {100 * result.after_m:.1f} cm after "
             "(root mean square, to 8 m)",
             to_text(result.observability),
-            f"odometer scale {scale:.5f} +- {result.observability.parameter('odometer_scale').sigma:.5f}, gyroscope "
-            f"bias {bias:+.4f} +- {result.observability.parameter('gyro_bias').sigma:.4f} deg/s",
+            f"odometer scale {scale:.5f} (true speed over measured speed), gyroscope bias {bias:+.4f} deg/s",
+            *(() if result.converged else ("note: the last solve did not converge; start from a better calibration",)),
         ]
     )
 
@@ -112,6 +112,7 @@ def write_road_report(result: RoadCalibration, source: Path, folder: Path) -> tu
         "gyro_bias_radps": result.gyro_bias_radps,
         "before_m": result.before_m,
         "after_m": result.after_m,
+        "converged": result.converged,
         "not_observable": _hidden(result.observability),
     }
     write_text(folder / "calibration.json", json.dumps(content, indent=1) + "\n")

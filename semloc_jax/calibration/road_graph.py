@@ -53,7 +53,7 @@ class RoadEvidence(NamedTuple):
     Attributes:
         motion: from each frame to the next.
         T_prior: mounts to start from.
-        sigma: of the tangent of each of them [m, rad].
+        sigma: of the tangent of each of them [m, rad]; 0 locks.
         places: sights of places of lines.
         ends: sights of ends of lines.
         ends_m: where the ends lie along their lines.
@@ -106,7 +106,8 @@ def road_graph(
     first = np.ones((num, 6), bool)
     first[0, [0, 1, 5]] = False
     free = {"pose": first, "line": lines[:, None] & np.ones(2, bool), "end": ends[:, None]}
-    free |= {"odometer": np.array([[True, True, False]]), "stance": np.zeros((1, 3), bool)}
+    free |= {"mount": np.tile(evidence.sigma > 0, (len(Ts_base_cam), 1)), "stance": np.zeros((1, 3), bool)}
+    free |= {"odometer": np.array([[priors.odometer_scale > 0, priors.gyro_bias_degps > 0, False]])}
     values = {"mount": Ts_base_cam, "odometer": odometer[None], "pose": Ts_odom_base, "stance": np.zeros((1, 3))}
     values |= {"line": np.zeros((len(lines), 2)), "end": _padded(evidence.ends_m[:, None], len(ends))}
     return FactorGraph(families, factors, free), {name: jnp.asarray(value) for name, value in values.items()}
@@ -141,13 +142,18 @@ def _twice(spots: Spots) -> Factors:
 def _priors(evidence: RoadEvidence, priors: CalibrationPriors) -> tuple[Factors, Factors]:
     """Mounts by drawing, and an odometer that measures well."""
     keys = (np.arange(len(evidence.T_prior)),)
-    info = np.tile(np.diag(1.0 / evidence.sigma), (len(evidence.T_prior), 1, 1))
-    sigma = np.array([[priors.odometer_scale, np.deg2rad(priors.gyro_bias_degps), 1.0]])
+    info = np.tile(np.diag(_inverse(evidence.sigma)), (len(evidence.T_prior), 1, 1))
+    sigma = np.array([[priors.odometer_scale, np.deg2rad(priors.gyro_bias_degps), 0.0]])
     expected = np.array([[1.0, 0.0, 0.0]])
     return (
         Factors(pose_residual, ("mount",), keys, (evidence.T_prior,), info),
-        Factors(_off, ("odometer",), (np.zeros(1, int),), (expected,), 1.0 / sigma),
+        Factors(_off, ("odometer",), (np.zeros(1, int),), (expected,), _inverse(sigma)),
     )
+
+
+def _inverse(sigma: np.ndarray) -> np.ndarray:
+    """1 / sigma; 0 for what is locked."""
+    return np.where(sigma > 0, 1.0 / np.where(sigma > 0, sigma, 1.0), 0.0)
 
 
 def _off(value: Float[Array, " d"], expected: Float[Array, " d"], sqrt_info: Float[Array, " d"]) -> Float[Array, " d"]:

@@ -13,8 +13,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from semloc_jax.calibration.road_streaks import Streak
+from semloc_jax.residuals.road_sight import LEAST_DIP
 
-_LEAST_DIP = 0.02
 _TURN_DEG_PER_M = 20.0
 """How far streaks of one line may be turned against each other, for each metre that they may lie apart."""
 _OVERLAP_M = 0.4
@@ -62,9 +62,8 @@ def laid(streak: Streak, T_odom_cam: Float[np.ndarray, "4 4"]) -> LaidStreak:
     direction = np.linalg.svd(xy - middle, full_matrices=False)[2][0]
     reach = (xy - middle) @ direction
     camera = T_odom_cam[:2, 3]
-    return LaidStreak(
-        xy, ends, xy - camera, ends - camera, middle, direction, np.array([reach.min(), reach.max()])
-    )  # fmt: skip
+    span = np.array([reach.min(), reach.max()])
+    return LaidStreak(xy, ends, xy - camera, ends - camera, middle, direction, span)
 
 
 def match_lines(streaks: Sequence[Streak], on_road: Sequence[LaidStreak], gate_m: float) -> list[RoadLine]:
@@ -99,12 +98,14 @@ def match_lines(streaks: Sequence[Streak], on_road: Sequence[LaidStreak], gate_m
 
 def _on_road(rays_cam: np.ndarray, T_odom_cam: np.ndarray) -> Float[np.ndarray, "n 2"]:
     ray = rays_cam @ T_odom_cam[:3, :3].T
-    return T_odom_cam[:2, 3] + (T_odom_cam[2, 3] / np.maximum(-ray[:, 2:], _LEAST_DIP)) * ray[:, :2]
+    return T_odom_cam[:2, 3] + (T_odom_cam[2, 3] / np.maximum(-ray[:, 2:], LEAST_DIP)) * ray[:, :2]
 
 
 def _distances(on_road: Sequence[LaidStreak], gate_m: float) -> Float[np.ndarray, "s s"]:
     """How far two streaks lie apart across, at the worse end of what both show; inf beyond the gate."""
-    middle, direction, reach = (np.stack([getattr(s, part) for s in on_road]) for part in _SHAPE)
+    middle, direction, reach = (
+        np.stack([getattr(streak, part) for streak in on_road]) for part in ("middle", "direction", "reach")
+    )
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     cosine, sine = direction @ direction.T, normal @ direction.T
     sign = np.where(cosine < 0, -1.0, 1.0)
@@ -119,9 +120,6 @@ def _distances(on_road: Sequence[LaidStreak], gate_m: float) -> Float[np.ndarray
     turned = np.abs(sine) > np.sin(np.deg2rad(_TURN_DEG_PER_M * max(gate_m, 0.1)))
     apart = (last - first < _OVERLAP_M) | turned | (np.abs(cosine) < 0.5) | (off > gate_m)
     return np.where(apart, np.inf, off)
-
-
-_SHAPE = ("middle", "direction", "reach")
 
 
 def _fitted(members: Sequence[LaidStreak]) -> Float[np.ndarray, "2 2"]:

@@ -77,6 +77,8 @@ class SpotFinder:
         eyes = [Eye(float(T[2, 3]), float(c.fx)) for c, T in zip(self._rig.cameras, Ts_base_cam, strict=True)]
         grid, rows = _grid(Ts_base_cam), []
         for first, later in _frames_apart(Ts_odom_base):
+            # Pictures that are driven past are not needed again.
+            self._pictures = {frame: own for frame, own in self._pictures.items() if frame >= first}
             T_first_later = rigid.inverse(Ts_odom_base[first]) @ Ts_odom_base[later]
             Ts = Ts_base_cam, T_first_later @ Ts_base_cam
             views = [

@@ -109,6 +109,8 @@ def _by_road(options: Options, source: Path) -> int:
 
     if options.map is not None:
         raise UsageError("--against road takes no map; leave --map out, or use --against map")
+    if options.reference is not None:
+        raise UsageError("--reference gives poses in a map; --against road has none: leave it out")
     drive = open_drive(options.drive, options.calib)
     name = options.masks or best_masks(drive)
     masks = mask_source(name, drive, parse_names(options.cameras), options.class_table)

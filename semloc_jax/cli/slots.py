@@ -28,9 +28,9 @@ class Options:
     """Calibration file, where the drive has none of its own or another one is to be used."""
     front: Literal["masks", "net"] = "masks"
     """What finds slots in a frame: masks: the lines of slots in them; net: a network's marking points in the top view
-    of the images, with --weights. Masks then say only what hides the road and who parks."""
+    of the images. Masks then say only what hides the road and who parks."""
     weights: Path | None = None
-    """With --front net: what `semloc learn slots` wrote."""
+    """With --front net: what `semloc learn slots` wrote; default: the network that ships with the package."""
     masks: str | None = None
     """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or FILE.onnx; default: the drive's best
     masks."""
@@ -58,13 +58,13 @@ def run(options: Options) -> int:
     from semloc_jax.reports.slots import report_slots
 
     log_to_console()
-    if (options.front == "net") != (options.weights is not None):
-        raise UsageError("--front net and --weights FILE go together: semloc learn slots writes the file")
+    if options.weights is not None and options.front != "net":
+        raise UsageError("--weights is for --front net; give both, or leave it out")
     net = None
-    if options.weights is not None:
-        from semloc_jax.perception.networks.marking_net import MarkingNet
+    if options.front == "net":
+        from semloc_jax.perception.networks.marking_net import SHIPPED, MarkingNet
 
-        net = MarkingNet.load(options.weights)
+        net = MarkingNet.load(options.weights or SHIPPED)
     drive = open_drive(options.drive, options.calib)
     chosen = chosen_frames(drive, options.frames)
     masks = mask_source(options.masks or best_masks(drive), drive, parse_names(options.cameras), options.class_table)

@@ -33,17 +33,17 @@ class SlotLearningConfig:
         batch: pictures of one step.
         num_judged: random top views, of the size of a whole view, that judge.
         judged_px: side of those.
-        precision: the threshold is the lowest one with this precision on them.
+        precision: the threshold is the lowest one with this precision on them; they are harder than real lots.
         training: steps, rate, seed.
     """
 
-    num_pictures: int = 1500
+    num_pictures: int = 2000
     size_px: int = 128
     batch: int = 16
     num_judged: int = 200
     judged_px: int = 192
-    precision: float = 0.85
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=1800))
+    precision: float = 0.75
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=2600))
 
     def __post_init__(self) -> None:
         step = CONFIG.step_px

@@ -5,6 +5,7 @@ Points become the dividers that begin at them; from there on one rule of geometr
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -20,8 +21,10 @@ from semloc_jax.maps import MapElement
 from semloc_jax.perception.networks.marking_net import METRES_PER_PX, MarkingNet
 from semloc_jax.perception.surround import SurroundView
 
-_SIZE_M = 10.0
-"""Side of the top views that the network was taught on."""
+_SIZE_M = 12.0
+"""Side of the top view: beyond 5 m beside the car paint is smeared. Ours."""
+_PAINT_M = 0.12
+"""Width of painted lines: a marking point is the middle of the paint, an entrance is its outer edge."""
 _RIM_M = 0.5
 """A point nearer to the rim of the view shows no divider, which gives its direction (5 % of the view, as in DMPR)."""
 _SAME_WAY_DEG, _ROW_M = 30.0, 0.4
@@ -61,7 +64,8 @@ class NetSlotObserver(SlotObserver):
         inside = ((found.uv > _RIM_M / METRES_PER_PX) & (found.uv < side - 1 - _RIM_M / METRES_PER_PX)).all(axis=1)
         base, ahead = self._in_base(found.uv[inside], found.yaw_rad[inside])
         R = T[:2, :2]
-        return [], dividers_of(base @ R.T + T[:2, 3], ahead @ R.T, float(T[2, 3]), self.config.slots)
+        dividers = dividers_of(base @ R.T + T[:2, 3], ahead @ R.T, float(T[2, 3]), self.config.slots)
+        return [], [replace(d, mouth=d.mouth - 0.5 * _PAINT_M * d.inward) for d in dividers]
 
     def _in_base(
         self, uv: Float[np.ndarray, "n 2"], yaw_rad: Float[np.ndarray, " n"]

@@ -22,7 +22,8 @@ from semloc_jax.calibration.report import (
     write_report,
     write_road_report,
 )
-from semloc_jax.calibration.road_calibration import RoadCalibrationConfig, calibrate_on_road
+from semloc_jax.calibration.road_calibration import calibrate_on_road
+from semloc_jax.calibration.road_fit import RoadCalibrationConfig
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError

@@ -116,6 +116,7 @@ def _write_network(
         "outputs": OUTPUTS,
         "metres_per_px": METRES_PER_PX,
         "threshold": threshold,
+        "threshold_by": f"the lowest one with a precision of {config.precision:g} on random top views",
         "taught_on": f"{config.num_pictures} random top views of {config.size_px} px, eight positions, no real picture",
         "steps": config.training.num_steps,
         "batch": config.batch,

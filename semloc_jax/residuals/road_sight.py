@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from semloc_jax.geometry import lie
 
-_LEAST_DIP = 0.02
+LEAST_DIP = 0.02
 """A line of sight is taken to dip at least this much: one above the horizon meets the road nowhere."""
 _LEAST_HEIGHT_M = 0.05
 
@@ -21,7 +21,7 @@ def road_spot(
     """Place (x, y) in odom [m] where a line of sight meets the road, and the height of its camera [m]."""
     T_odom_cam = lie.compose(T_odom_base, T_base_cam)
     ray = jnp.matmul(T_odom_cam[:3, :3], ray_cam, precision=jax.lax.Precision.HIGHEST)
-    reach = T_odom_cam[2, 3] / jnp.maximum(-ray[2], _LEAST_DIP)
+    reach = T_odom_cam[2, 3] / jnp.maximum(-ray[2], LEAST_DIP)
     return T_odom_cam[:2, 3] + reach * ray[:2], jnp.maximum(T_odom_cam[2, 3], _LEAST_HEIGHT_M)
 
 

@@ -3,30 +3,29 @@
 from dataclasses import replace
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.calibration import Knowledge
-from semloc_jax.calibration.road_calibration import (
-    RoadCalibrationConfig,
-    calibrate_on_road,
-    fit_to_lines,
-    observability,
-    start_fit,
-)
+from semloc_jax.calibration import CalibrationPriors, Knowledge, SelfCalibrationConfig
+from semloc_jax.calibration.road_calibration import calibrate_on_road
+from semloc_jax.calibration.road_fit import RoadCalibrationConfig, fit_to_lines, observability, start_fit
 from semloc_jax.calibration.road_lines import laid, match_lines
+from semloc_jax.calibration.road_spots import SpotFinder
 from semloc_jax.calibration.road_streaks import Streak
 from semloc_jax.calibration.self_calibration import mount_change
 from semloc_jax.cameras import Rig
 from semloc_jax.cli.main import main
-from semloc_jax.datasets import open_drive
+from semloc_jax.datasets import Frame, open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.prediction import MotionIncrement, MotionQuality
 from semloc_jax.geometry.rigid import planar_pose
 from semloc_jax.inputs.mask_source import mask_source
+from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.perception import load_class_table
 from semloc_jax.structs import ElementClass
-from tests.perception.four_fisheyes import four_fisheyes
+from tests.perception.four_fisheyes import four_fisheyes, photographed, road_picture
 
 NUM = 12
 REACH_M = 6.0
@@ -122,6 +121,38 @@ def test_mounts_come_back_on_a_curve_and_what_is_free_is_named_on_a_straight():
         assert known.parameter("front x").sigma > 0.03  # m, of 0.05
 
 
+def test_what_is_known_stays():
+    rig, poses = four_fisheyes(), way(0.0)
+    motion, streaks = driven(poses), seen(rig, poses, painted_slots())
+    start_rig = knocked(rig, shift_m=0.0)
+    settings = SelfCalibrationConfig(priors=CalibrationPriors(mount_m=0.0, odometer_scale=0.0))
+    config = RoadCalibrationConfig(calibration=settings)
+    fit = fit_to_lines(start_fit(start_rig, motion), start_rig, motion, streaks, config)
+    np.testing.assert_allclose(fit.T_base_cam[:, :3, 3], np.asarray(start_rig.T_base_cam)[:, :3, 3], atol=1e-9)
+    assert fit.odometer[0] == 1.0 and fit.converged
+    assert np.abs(off(rig, fit.T_base_cam)[:, 3:]).max() < 0.05  # deg, of 1
+    names = [p.name for p in observability(start_rig, fit, settings).parameters]
+    assert names == [f"{c} {axis}" for c in rig.names for axis in ("roll", "pitch", "yaw")] + ["gyro_bias"]
+
+
+def test_spots_of_two_pictures_are_one_place_under_the_true_mounts(tmp_path):
+    rig, start_rig = four_fisheyes(), knocked(four_fisheyes(), deg=0.4, shift_m=0.02)
+    files = {name: tmp_path / f"{name}.png" for name in rig.names}
+    for path, picture in zip(files.values(), photographed(rig, road_picture()), strict=True):
+        cv2.imwrite(str(path), picture)
+    frame = Frame(0, "0", 0.0, "", rig, {"rgb": files})
+    masks = MaskSource("sem", load_class_table("drive"), rig.names, lambda *_: np.ones((480, 640), np.uint8))
+    spots = SpotFinder([frame], masks, rig).found(np.asarray(start_rig.T_base_cam, np.float64), np.eye(4)[None])
+    apart_m = {}
+    for name, T in (("true", np.asarray(rig.T_base_cam)), ("start", np.asarray(start_rig.T_base_cam))):
+        ray = np.einsum("nkij,nkj->nki", T[spots.camera][..., :3, :3], spots.ray_cam)
+        at = T[spots.camera][..., :3, 3]
+        places = at[..., :2] - at[..., 2:] / ray[..., 2:] * ray[..., :2]
+        apart_m[name] = np.median(np.linalg.norm(places[:, 0] - places[:, 1], axis=1))
+    assert len(spots.camera) > 40 and len({tuple(pair) for pair in spots.camera.tolist()}) >= 4
+    assert apart_m["true"] < 0.008 and apart_m["start"] > 3 * apart_m["true"]
+
+
 def test_lines_of_several_images_are_matched_and_neighbours_are_not():
     rig, poses = four_fisheyes(), way(0.0)
     streaks = seen(rig, poses, painted_slots())
@@ -147,6 +178,9 @@ def test_a_map_and_the_road_exclude_each_other(data_dir, capsys):
         pytest.skip(f"no drive lot_seed4 in {data_dir}")
     assert main(["calibrate", str(data_dir / "lot_seed4"), "--against", "road", "--map", "map.osm"]) == 2
     assert "--against road takes no map" in capsys.readouterr().err
+    words = ["calibrate", str(data_dir / "lot_seed4"), "--against", "road", "--intrinsics", "focal"]
+    assert main(words) == 1
+    assert "expected none: the road tells mounts only" in capsys.readouterr().err
 
 
 @pytest.mark.data

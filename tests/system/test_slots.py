@@ -7,6 +7,11 @@ import numpy as np
 import pytest
 
 from semloc_jax.cli.main import main
+from semloc_jax.datasets import open_drive
+from semloc_jax.inputs.mask_source import mask_source
+from semloc_jax.learning.marking_drives import MarkingDrive
+from semloc_jax.learning.marking_lesson import judged
+from semloc_jax.perception.networks.marking_net import MarkingNet
 
 pytestmark = pytest.mark.usefixtures("single_precision")
 
@@ -30,3 +35,24 @@ def test_slots_of_a_lot(data_dir, tmp_path, capsys):
     assert "no frames chosen of 40" in capsys.readouterr().err
     assert main(["slots", str(lot), "--window", "0"]) == 1
     assert "expected at least 1 frame" in capsys.readouterr().err
+
+
+def test_the_shipped_network_on_a_lot_it_never_saw(data_dir, tmp_path, capsys):
+    """Ten frames: single points at the threshold of its card, then slots over frames by the same rule as from masks."""
+    lot = data_dir / "lot_seed4"
+    if not lot.is_dir():
+        pytest.skip(f"no drive lot_seed4 in {data_dir}")
+    drive, net = open_drive(lot), MarkingNet.load()
+    shows = MarkingDrive(drive, mask_source("sem", drive))
+    found = judged(net.network, [shows.at(frame) for frame in drive.frames[::4]], (net.threshold,))[net.threshold]
+    assert found.num_true > 25
+    assert found.recall >= 0.9 and found.precision >= 0.9
+    assert np.mean(found.off_m) < 0.04  # m
+    words = ["slots", str(lot), "--front", "net", "--masks", "sem_net", "--frames", ":12", "--out", str(tmp_path)]
+    assert main(words) == 0
+    numbers = {m["key"]: m["value"] for m in json.loads((tmp_path / "metrics.json").read_text())["metrics"]}
+    assert numbers["searching.fused.x"] < 5.0 and numbers["searching.fused.y"] < 5.0  # cm
+    assert numbers["false.fused"] == 0 and numbers["final.false"] == 0
+    capsys.readouterr()
+    assert main(["slots", str(lot), "--weights", "slots.weights"]) == 2
+    assert "--weights is for --front net" in capsys.readouterr().err

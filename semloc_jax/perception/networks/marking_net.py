@@ -17,6 +17,8 @@ from jaxtyping import Bool, Float, UInt8
 from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet, DenseNetConfig
 from semloc_jax.perception.networks.weights import load_weights, read_card
 
+SHIPPED = Path(__file__).with_name("slots.weights")
+"""What `semloc learn slots lot_seed4 rendered_garage` wrote; its card says how, its figures and its limits."""
 METRES_PER_PX = 0.05
 """The network knows lengths: pictures of other scales are resampled."""
 OUTPUTS = ("confidence", "du", "dv", "cos", "sin", "corner")
@@ -53,8 +55,8 @@ class MarkingNet:
         self.network, self.threshold = network, threshold
 
     @classmethod
-    def load(cls, path: str | Path) -> "MarkingNet":
-        """The network of a file that `semloc learn slots` wrote; its threshold stands in its card.
+    def load(cls, path: str | Path = SHIPPED) -> "MarkingNet":
+        """The network that `semloc learn slots` wrote, by default the shipped one; its threshold stands in its card.
 
         Raises:
             SemlocError: no such file, or another network.
