@@ -15,7 +15,7 @@ from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.looking import hiding_ids
 from semloc_jax.maps import read_map
 from semloc_jax.perception.class_table import UNLABELED_ID
-from semloc_jax.perception.networks.marking_net import METRES_PER_PX
+from semloc_jax.perception.networks.marking_net import METRES_PER_PX, RIM_SHARE
 from semloc_jax.perception.surround import SurroundView
 from semloc_jax.structs import ElementClass
 
@@ -25,9 +25,6 @@ _SAME_M = 0.4
 """Mouths nearer to each other are those of one divider."""
 _PAINT_M, _OPEN_M = 0.15, 0.35
 """A point is asked for where the masks show paint so near; around others nothing is asked."""
-RIM_SHARE = 0.05
-"""A point so near to the rim of the picture is neither asked for nor counted, as in DMPR (Huang 2019): the divider that
-gives its direction is not in the picture."""
 _BAR_M, _ACROSS = 0.25, 0.5
 """A line so near to a mouth that runs across the divider is the bar at the mouth; sine of the angle between them."""
 

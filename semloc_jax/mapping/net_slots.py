@@ -18,15 +18,13 @@ from semloc_jax.mapping.looking import Gatherer
 from semloc_jax.mapping.slot_sights import SlotFrame, SlotObserver, SlotSightConfig
 from semloc_jax.mapping.slots import Divider, SlotConfig
 from semloc_jax.maps import MapElement
-from semloc_jax.perception.networks.marking_net import METRES_PER_PX, MarkingNet
+from semloc_jax.perception.networks.marking_net import METRES_PER_PX, RIM_SHARE, MarkingNet
 from semloc_jax.perception.surround import SurroundView
 
 _SIZE_M = 12.0
 """Side of the top view: beyond 5 m beside the car paint is smeared. Ours."""
 _PAINT_M = 0.12
 """Width of painted lines: a marking point is the middle of the paint, an entrance is its outer edge."""
-_RIM_M = 0.5
-"""A point nearer to the rim of the view shows no divider, which gives its direction (5 % of the view, as in DMPR)."""
 _SAME_WAY_DEG, _ROW_M = 30.0, 0.4
 """Points of one row point the same way but for the error of the network, and lie on one line so nearly."""
 _UPRIGHT_DEG = 20.0
@@ -61,7 +59,7 @@ class NetSlotObserver(SlotObserver):
         picture = self.view.stitch([self._frame.image(name) for name in self.masks.cameras])
         found = self.net(picture, METRES_PER_PX)
         side = picture.shape[0]
-        inside = ((found.uv > _RIM_M / METRES_PER_PX) & (found.uv < side - 1 - _RIM_M / METRES_PER_PX)).all(axis=1)
+        inside = ((found.uv > RIM_SHARE * side) & (found.uv < (1.0 - RIM_SHARE) * side - 1)).all(axis=1)
         base, ahead = self._in_base(found.uv[inside], found.yaw_rad[inside])
         R = T[:2, :2]
         dividers = dividers_of(base @ R.T + T[:2, 3], ahead @ R.T, float(T[2, 3]), self.config.slots)

@@ -122,7 +122,8 @@ def _write_network(
         "batch": config.batch,
         "seed": config.training.seed,
         "figures": {metric.key: round(metric.value, 4) for metric in metrics},
-        "limits": "top views of painted slots; backs of slots look like mouths; occupied or free is not told",
+        "limits": "rendered top views only; polished floors and worn paint cost a third of the points; backs of slots "
+        "look like mouths; occupied or free is not told",
     }
     save_weights(folder / WEIGHTS, network, card)
     write_onnx(folder / "slots.onnx", network, CONFIG.num_outputs, output="points")

@@ -27,6 +27,9 @@ CONFIG = DenseNetConfig(num_outputs=len(OUTPUTS), num_channels=(24, 48, 72, 96),
 _AROUND_M = 1.0
 """Half of the square whose mean and spread the brightness is told by: light and colour of the ground drop out."""
 _LEAST_SPREAD = 0.03
+RIM_SHARE = 0.05
+"""A point so near to the rim of the picture does not count, as in DMPR (Huang 2019): the divider that gives its
+direction is not in the picture."""
 _APART_M = 0.6
 """Of points nearer to each other the surest stays."""
 
