@@ -191,7 +191,7 @@ def typical_px(
     return jnp.where(running[-1] > 0.0, 1.4826 * evidence.textures.level(level).ramp_px * middle, config.noise.noise_px)
 
 
-class Fit(NamedTuple):
+class MaskFit(NamedTuple):
     """How well a pose explains the masks."""
 
     cost: Float[Array, ""]
@@ -204,15 +204,15 @@ class Fit(NamedTuple):
 
 def fit_at(
     T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
-) -> Fit:
+) -> MaskFit:
     """How well a pose explains the masks on one level, without how well it is held."""
     return _fit(*visible_ramps(T_map_base, level, evidence, config), evidence, config)
 
 
-def _fit(r: Float[Array, " n"], weight: Float[Array, " n"], evidence: Evidence, config: AlignConfig) -> Fit:
+def _fit(r: Float[Array, " n"], weight: Float[Array, " n"], evidence: Evidence, config: AlignConfig) -> MaskFit:
     kernel, visible = KERNELS[config.kernel], jnp.sum(weight)
     per_visible = 1 / jnp.maximum(visible, 1e-6)
-    return Fit(
+    return MaskFit(
         cost=jnp.where(visible > 0, jnp.sum(weight * kernel.rho(r)) * per_visible / kernel.worst, 1.0),
         coverage=visible / jnp.maximum(total_weight(evidence.views), 1e-6),
         inlier_ratio=jnp.sum(weight * is_inlier(r)) * per_visible,

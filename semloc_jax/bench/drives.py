@@ -153,8 +153,9 @@ def _measured(verb: str, case: DriveCase, drive: Path, folder: Path) -> DriveRun
     cold, warm = run(f":{_FEW}"), run(f":{_FEW}")
     run(":")  # what the later frames alone compile
     whole = run(":")
+    stages_ms, good = _told(verb, out)
     yardstick_ms = yardstick(sorted((drive / _MASKS).rglob("*.png")), case.num_frames)
-    return DriveRun(verb, case, cold, warm, whole, *_told(verb, out), yardstick_ms)
+    return DriveRun(verb, case, cold, warm, whole, stages_ms, yardstick_ms, good)
 
 
 def _fleet(verb: str, jobs: int, num_frames: int, drives: Sequence[Path], folder: Path) -> FleetRun:
