@@ -178,7 +178,7 @@ def separations(watch: WatchState, fused: FusedPose, rig: Rig, config: WatchConf
     # A map that does not fit moves the pose while driving as well: what speaks of it comes first.
     aside = _looking_aside(float(watch.aside_rad), float(mean[0]), rig, config)
     tilted = _tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), float(mean[2]), rig)
-    return [*found, aside, *_untold(fused, config), *tilted]
+    return [*found, aside, *_untold(fused, rig, config), *tilted]
 
 
 def with_faults(levels: ProtectionLevels, found: list[Separation]) -> ProtectionLevels:
@@ -233,12 +233,13 @@ def _travel_alone(fused: FusedPose, config: WatchConfig) -> tuple[float, float]:
     return fused.travel_rad / known / information, float(1.0 / np.sqrt(information))
 
 
-def _untold(fused: FusedPose, config: WatchConfig) -> list[Separation]:
-    """What cameras may look aside before the drive has said anything of the direction that it goes in."""
+def _untold(fused: FusedPose, rig: Rig, config: WatchConfig) -> list[Separation]:
+    """What a camera may look aside before the drive has said anything of the direction that it goes in; several that
+    are mounted each on its own do not look aside together."""
     prior = np.deg2rad(_TRAVEL_SIGMA_DEG)
-    if not config.untold_share * prior**2 < fused.travel_sigma_rad**2 <= prior**2:
+    if len(rig.names) > 1 or not config.untold_share * prior**2 < fused.travel_sigma_rad**2 <= prior**2:
         return []
-    cause = "the direction of travel is not known yet, and with it whether cameras look aside: a few metres of way tell"
+    cause = "the direction of travel is not known yet, and with it whether the camera looks aside: a few metres tell"
     return [Separation(0.0, 0.0, float(np.degrees(config.aside_sigma_rad)), cause)]
 
 

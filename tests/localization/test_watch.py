@@ -144,6 +144,8 @@ def test_before_the_drive_says_which_way_it_goes_cameras_may_look_aside():
         found = watch.separations(WatchState(), fused(0.0, sigma_deg), rig(1), CONFIG)
         heading_deg = watch.with_faults(LEVELS, found).heading_deg
         assert heading_deg == pytest.approx(LEVELS.heading_deg + more_deg, abs=1e-3)
+    # Several cameras do not look aside together.
+    assert watch.with_faults(LEVELS, watch.separations(WatchState(), fused(0.0, 0.3), rig(2), CONFIG)) == LEVELS
 
 
 def test_a_sound_axle_is_no_fault():
