@@ -9,7 +9,7 @@ from semloc_jax.geometry import rigid
 from semloc_jax.perception.corners import new_corners
 from semloc_jax.perception.epipolar_gate import moves_with_the_world
 from semloc_jax.perception.sight_lines import sight_lines
-from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, px_per_rad
+from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Scenery, px_per_rad
 
 K = np.array([[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]])
 RIG = Rig([PinholeCamera(300.0, 300.0, 159.5, 119.5, 320.0, 240.0)], np.eye(4)[None], ["front"])
@@ -63,6 +63,19 @@ def test_no_corner_is_taken_where_none_may_be_and_they_are_spread():
     gap = np.linalg.norm(taken[:, None] - corners[None], axis=2).min()
     assert gap > 12.0
     assert len(new_corners(np.full((240, 320), 90, np.uint8), None, np.zeros((0, 2)), 100, 32, 8)) == 0
+
+
+def test_a_track_that_was_found_on_the_road_stays_a_point_of_the_road():
+    image, road = texture(3), np.zeros((240, 320), bool)
+    road[120:] = True
+    tracker = FeatureTracker(1, CONFIG)
+    first = tracker.step([image], RIG, np.eye(3), [Scenery(np.ones_like(road), road)])
+    used = first.id >= 0
+    np.testing.assert_array_equal(first.on_road[used], np.round(first.uv[used, 1]) >= 120)
+    # The mask of a later image changes nothing for tracks that go on.
+    second = tracker.step([image], RIG, np.eye(3), [Scenery(np.ones_like(road), ~road)])
+    same = used & (first.id == second.id)
+    assert same.sum() >= 30 and (first.on_road[same] == second.on_road[same]).all()
 
 
 def test_a_black_image_ends_all_tracks_and_the_next_one_begins_anew():
