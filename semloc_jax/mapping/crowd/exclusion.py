@@ -19,7 +19,7 @@ _WIDER_M = 0.1
 """By how much a place may be off."""
 _SHARE = 0.2
 """So much of the smaller of two lies in the other; ours, as the length above."""
-_REPLACED = 10.0
+_REPLACED = 5.0
 """Paint that goes is laid anew beside its place so many times as often as paint comes by itself; ours."""
 _SURE = 0.995
 """No existence counts as surer against another thing: what stands in its place may be it."""
@@ -32,9 +32,10 @@ def one_in_each_place(world: CrowdWorld, looks: Looks, there: Presence, config: 
     rivals = _rivals(world, looks)
     a, b = np.concatenate([rivals, rivals[:, ::-1]]).T
     first = np.where(looks.is_based, -1, looks.seen.argmax(axis=1)) if looks.seen.shape[1] else np.zeros(len(p))
-    # Against the old paint the new one weighs more, against nothing at all it does not.
-    weight = np.where(there.was[a] & (first[b] > first[a]), _REPLACED, 1.0)
-    weight = np.where(there.was[b] & (first[a] > first[b]), 1.0 / _REPLACED, weight)
+    # Against the old paint the new one weighs more, if it is rather there; against nothing at all it does not.
+    is_new = there.was[a] & (first[b] > first[a]) & (there.now[b] > 0.5)
+    is_old = there.was[b] & (first[a] > first[b]) & (there.now[a] > 0.5)
+    weight = np.where(is_new, _REPLACED, np.where(is_old, 1.0 / _REPLACED, 1.0))
     np.add.at(others, a, weight * odds[b])
     now = np.where(others > 0.0, odds / (1.0 + odds + others), there.now)
     return replace(there, now=now, stays=belongs(now, there.was, config))
