@@ -14,6 +14,7 @@ from semloc_jax.calibration.ground_points import GroundCalibration
 from semloc_jax.calibration.observability import Observability, to_text
 from semloc_jax.calibration.road_calibration import RoadCalibration
 from semloc_jax.calibration.self_calibration import SelfCalibration
+from semloc_jax.cameras import Rig
 from semloc_jax.cameras.io.corrected import write_corrected
 from semloc_jax.evaluation import Trajectory, write_tum
 from semloc_jax.storage import write_text, writing
@@ -70,17 +71,13 @@ def road_text(result: RoadCalibration) -> str:
 
 def write_report(result: SelfCalibration, source: Path, folder: Path) -> tuple[Path, ...]:
     """Write the corrected calibration in the layout of `source`, tables and text; returns the calibration files."""
-    files = write_corrected(result.rig, source, folder)
-    _write_observability(result.observability, folder)
-    write_text(folder / "report.txt", report_text(result) + "\n")
     content = {
         "vehicle": result.vehicle,
         "inlier_ratio": result.inlier_ratio,
         "converged": result.converged,
         "notes": list(result.notes),
-        "not_observable": _hidden(result.observability),
     }
-    write_text(folder / "calibration.json", json.dumps(content, indent=1) + "\n")
+    files = _written(result.rig, result.observability, report_text(result), content, source, folder)
     time_s = np.array([frame.time_s for frame in result.frames])
     write_tum(Trajectory(time_s, result.T_map_base), folder / "trajectory.tum")
     return files
@@ -88,36 +85,39 @@ def write_report(result: SelfCalibration, source: Path, folder: Path) -> tuple[P
 
 def write_ground_report(result: GroundCalibration, source: Path, folder: Path) -> tuple[Path, ...]:
     """`write_report` of a ground-point calibration."""
-    files = write_corrected(result.rig, source, folder)
-    _write_observability(result.observability, folder)
-    write_text(folder / "report.txt", ground_text(result) + "\n")
     content = {
         "before_m": result.before_m,
         "after_m": result.after_m,
         "held_out_before_m": list(result.held_out_before_m),
         "held_out_m": list(result.held_out_m),
-        "not_observable": _hidden(result.observability),
     }
-    write_text(folder / "calibration.json", json.dumps(content, indent=1) + "\n")
-    return files
+    return _written(result.rig, result.observability, ground_text(result), content, source, folder)
 
 
 def write_road_report(result: RoadCalibration, source: Path, folder: Path) -> tuple[Path, ...]:
     """`write_report` of a calibration by the road."""
-    files = write_corrected(result.rig, source, folder)
-    _write_observability(result.observability, folder)
-    write_text(folder / "report.txt", road_text(result) + "\n")
     content = {
         "odometer_scale": result.odometer_scale,
         "gyro_bias_radps": result.gyro_bias_radps,
         "before_m": result.before_m,
         "after_m": result.after_m,
         "converged": result.converged,
-        "not_observable": _hidden(result.observability),
     }
-    write_text(folder / "calibration.json", json.dumps(content, indent=1) + "\n")
+    files = _written(result.rig, result.observability, road_text(result), content, source, folder)
     time_s = np.array([frame.time_s for frame in result.frames])
     write_tum(Trajectory(time_s, result.T_odom_base), folder / "trajectory.tum")
+    return files
+
+
+def _written(
+    rig: Rig, observability: Observability, text: str, content: dict[str, object], source: Path, folder: Path
+) -> tuple[Path, ...]:
+    """What every calibration leaves: its files, the table of what is observable, text, and numbers as JSON."""
+    files = write_corrected(rig, source, folder)
+    _write_observability(observability, folder)
+    write_text(folder / "report.txt", text + "\n")
+    content = {**content, "not_observable": _hidden(observability)}
+    write_text(folder / "calibration.json", json.dumps(content, indent=1) + "\n")
     return files
 
 

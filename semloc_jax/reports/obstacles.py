@@ -24,12 +24,11 @@ from semloc_jax.perception.obstacle_classes import OBSTACLES
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.object_errors import is_slow, last_poses
 from semloc_jax.reports.obstacle_errors import obstacle_errors
-from semloc_jax.reports.tables import write_csv
+from semloc_jax.reports.tables import OBJECT_POSE, write_csv
 from semloc_jax.reports.top_view_film import SIZE_M, top_view_film
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz.obstacles import DrawnObstacle, draw_obstacles, ellipse
 
-POSE = ("x_m", "y_m", "yaw_rad", "x_odom_m", "y_odom_m", "yaw_odom_rad")
 SIZE = ("length_m", "width_m", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
 _PILLAR_M = 2.5
 """Drawn height of a pillar whose top nobody saw."""
@@ -76,8 +75,8 @@ def report_obstacles(
                 film.add(frame, lambda top, view, drawn=drawn: draw_obstacles(top, view, drawn))
     final = follower.tracker.final()
     last = last_poses(final, drive, chain.Ts_odom_base)
-    write_csv(folder / "obstacles.csv", ("t", "track", "class", *POSE, *SIZE, "confirmed"), rows)
-    columns = ("t_last", "track", "class", *POSE, *SIZE, "num_seen", "num_missed")
+    write_csv(folder / "obstacles.csv", ("t", "track", "class", *OBJECT_POSE, *SIZE, "confirmed"), rows)
+    columns = ("t_last", "track", "class", *OBJECT_POSE, *SIZE, "num_seen", "num_missed")
     table = [(*_row(t.last_s, t, last[t.id])[:-1], t.num_seen, t.num_missed) for t in final]
     write_csv(folder / "obstacles_final.csv", columns, table)
     _write_map(folder, final, drive.name)

@@ -26,12 +26,11 @@ from semloc_jax.perception.obstacle_classes import obstacle_ids
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.object_errors import is_slow, last_poses
 from semloc_jax.reports.slot_errors import SlotErrors
-from semloc_jax.reports.tables import write_csv
+from semloc_jax.reports.tables import OBJECT_POSE, write_csv
 from semloc_jax.reports.top_view_film import SIZE_M, top_view_film
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz.slots import DrawnSlot, draw_slots
 
-POSE = ("x_m", "y_m", "yaw_rad", "x_odom_m", "y_odom_m", "yaw_odom_rad")
 SIZE = ("width_m", "depth_m", "occupied", "obstacle", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
 
 
@@ -84,10 +83,10 @@ def report_slots(
                 film.add(frame, lambda top, view, drawn=drawn: draw_slots(top, view, drawn))
     final = tracker.final()
     last = last_poses(final, drive, chain.Ts_odom_base)
-    write_csv(folder / "slots.csv", ("t", "track", "type", *POSE, *SIZE, "confirmed"), rows)
+    write_csv(folder / "slots.csv", ("t", "track", "type", *OBJECT_POSE, *SIZE, "confirmed"), rows)
     table = [_row(t.last_s, t, last[t.id], obstacles)[:-1] for t in final]
     counts = [(t.num_seen, t.num_missed) for t in final]
-    columns = ("t_last", "track", "type", *POSE, *SIZE, "num_seen", "num_missed")
+    columns = ("t_last", "track", "type", *OBJECT_POSE, *SIZE, "num_seen", "num_missed")
     write_csv(folder / "slots_final.csv", columns, [(*r, *c) for r, c in zip(table, counts, strict=True)])
     _write_map(folder, final, drive.name)
     metrics = [

@@ -22,6 +22,8 @@ MISLEADING = "misleading"
 """Probability that an error is beyond its alert limit."""
 EVIDENCE = ("nats", "nats_per_piece", "explained", "left_over", "border_offset_px", "log_prior", "kinds_chi2")
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+OBJECT_POSE = ("x_m", "y_m", "yaw_rad", "x_odom_m", "y_odom_m", "yaw_odom_rad")
+"""Of a slot or an obstacle: in the vehicle, then in the frame of the odometry."""
 ERRORS = ("lateral_m", "longitudinal_m", "heading_deg")
 
 
