@@ -25,9 +25,9 @@ import jax  # noqa: E402 - reads its environment now
 jax.config.update("jax_enable_x64", True)
 
 if os.environ.get("SEMLOC_TYPECHECK", "1") != "0":
-    import jaxtyping
+    from tests.late_checks import check_types_of
 
-    jaxtyping.install_import_hook("semloc_jax", "beartype.beartype")
+    check_types_of("semloc_jax")
 
 from semloc_jax.runtime.allocator import return_large_blocks  # noqa: E402 - after the hook
 
@@ -35,6 +35,15 @@ return_large_blocks()
 # Tracing makes many small objects and little garbage. As often as by default, a collection that looks at all objects
 # of a long test process takes a twentieth of the processor.
 gc.set_threshold(100_000, 20, 20)
+
+
+_LONG = {"test_notebooks.py", "system", "cli"}
+"""Files and folders whose tests take longest."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first: one that a test process starts last would keep the others waiting."""
+    items.sort(key=lambda item: _LONG.isdisjoint(item.path.parts))
 
 
 _MOST_MAPPINGS = 20_000

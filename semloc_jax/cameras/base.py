@@ -7,6 +7,7 @@ pixels (scale, crop, offset, border) lives here once. Every field is an array le
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from functools import partial
 from typing import TypeVar
 
 import equinox as eqx
@@ -86,9 +87,7 @@ class Camera(eqx.Module):
 
     def project(self, p_cam: Float[ArrayLike, "*n 3"]) -> tuple[Float[Array, "*n 2"], Bool[Array, "*n"]]:
         """Pixels uv [px] of points in the camera frame [m], and whether the camera can see in that direction."""
-        p_cam = jnp.asarray(p_cam)
-        u, v, valid = self.project_xyz(p_cam[..., 0], p_cam[..., 1], p_cam[..., 2])
-        return jnp.stack([u, v], axis=-1), valid
+        return _project(self, jnp.asarray(p_cam))
 
     def unproject(self, uv: Float[ArrayLike, "*n 2"]) -> tuple[Float[Array, "*n 3"], Bool[Array, "*n"]]:
         """Unit line of sight in the camera frame of each pixel, and whether the model could be inverted there."""
@@ -129,6 +128,13 @@ class Camera(eqx.Module):
             return camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
 
         return eqx.tree_at(pixel_fields, self, tuple(as_leaf(value) for value in values))
+
+
+@partial(jax.jit, inline=True)
+def _project(camera: Camera, p_cam: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n 2"], Bool[Array, "*n"]]:
+    # On the host one program for each number of points, instead of thirty: one for each operation.
+    u, v, valid = camera.project_xyz(p_cam[..., 0], p_cam[..., 1], p_cam[..., 2])
+    return jnp.stack([u, v], axis=-1), valid
 
 
 @jax.jit
