@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -198,11 +199,10 @@ def _files() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
 
+@cache
 def _all_imports() -> list[Import]:
-    found = []
-    for path in _files():
-        found += imports_of(path.read_text(encoding="utf-8"), _module_name(path), path.name == "__init__.py")
-    return found
+    sources = ((path.read_text(encoding="utf-8"), _module_name(path), path.name == "__init__.py") for path in _files())
+    return [item for source in sources for item in imports_of(*source)]
 
 
 def test_imports_follow_the_ranks():

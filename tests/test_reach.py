@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 
 import semloc_jax
 from semloc_jax.bench.peer import PEERS
@@ -49,6 +50,19 @@ def _names_of_rooms(text: str) -> set[tuple[str, str]]:
 
 def unreached(doors: set[str]) -> set[str]:
     """Modules that no chain of imports from a door leads to; pages of a room (`__init__`) do not count."""
+    edges, seen, ahead = _edges(), set(), list(doors)
+    while ahead:
+        name = ahead.pop()
+        if name in edges and name not in seen:
+            seen.add(name)
+            ahead.extend(edges[name])
+    pages = {_module_name(path) for path in _files() if path.name == "__init__.py"}
+    return edges.keys() - seen - pages
+
+
+@cache
+def _edges() -> dict[str, set[str]]:
+    """The modules that each module imports, names, or uses a name of."""
     sources = {_module_name(path): path for path in _files()}
     edges: dict[str, set[str]] = {name: set() for name in sources}
     for item in _all_imports():
@@ -58,13 +72,7 @@ def unreached(doors: set[str]) -> set[str]:
         text = path.read_text(encoding="utf-8")
         edges[name].update(_BY_NAME.findall(text))
         edges[name].update(behind[used] for used in _names_of_rooms(text) if used in behind)
-    seen, ahead = set(), list(doors)
-    while ahead:
-        name = ahead.pop()
-        if name in sources and name not in seen:
-            seen.add(name)
-            ahead.extend(edges[name])
-    return {name for name, path in sources.items() if name not in seen and path.name != "__init__.py"}
+    return edges
 
 
 def test_every_module_is_reached():
