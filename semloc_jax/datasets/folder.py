@@ -140,9 +140,10 @@ def _without_affixes(by_kind: _ByKind, path: Path) -> _ByKind:
     found = {}
     for kind, cameras in by_kind.items():
         found[kind] = {camera: _told_apart(files) for camera, files in cameras.items()}
-    changed = [kind for kind in by_kind if found[kind] != by_kind[kind]]
-    if changed:
-        _log.info("folder %s: files are matched without the words that all of a folder share (%s)", path, changed[0])
+    if found != by_kind:
+        _log.warning(
+            "folder %s: names are compared without the words that all in a folder share: %s", path, _names_of(by_kind)
+        )
     return found
 
 

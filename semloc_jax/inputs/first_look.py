@@ -198,10 +198,9 @@ def _look_at_logs(path: Path, found: list, missing: list) -> None:
         header, example = COLUMNS[name].split("\n")[:2]
         here = folder_file(path, FIXES if name == "gps.csv" else (name,))
         if here is None:
-            there = (
-                f"{others[name]} has its columns: mv {path / others[name]} {path / name}; " if name in others else ""
-            )
-            missing.append(f"{name}: {there}{use}. Columns: {header}  e.g. {example}")
+            own, columns = others.get(name), f"Columns: {header}  e.g. {example}"
+            renamed = f"{own} has its columns: mv {path / own} {path / name}" if own else ""
+            missing.append(f"{name}: {renamed or f'{use}. {columns}'}")
             continue
         try:
             found.append(f"{here.name}: {len(read(here).time_s)} rows")

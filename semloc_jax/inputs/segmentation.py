@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
-from semloc_jax.inputs.mask_source import RECORD
+from semloc_jax.inputs.mask_files import RECORD
 from semloc_jax.maps import read_map
 from semloc_jax.perception import ClassTable, load_class_table, read_mask
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
