@@ -24,7 +24,7 @@ class Options:
     the map of the drive, where it has them, after one motion in the plane. What is finished is kept in parts/ until
     the end, for --resume after a kill.
 
-    Every value of the configuration is an option too, e.g. --min-seen 5: 'semloc map --help' prints the verb's own.
+    Every value of the configuration is an option too, e.g. --min-seen 5: 'semloc config map' prints them all.
     """
 
     drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]
