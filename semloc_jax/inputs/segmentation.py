@@ -71,6 +71,8 @@ def segment_drive(
             network, or a file cannot be read or written.
     """
     if not preset.class_table:
+        if not Path(preset.model).is_file():
+            raise SemlocError(f"network {preset.model}: no such file; expected a segmentation network in ONNX format")
         raise SemlocError(f"network {preset.model}: what its class ids mean is not known; give --class-table")
     table = load_class_table(preset.class_table)
     frames = drive.frames[chosen]

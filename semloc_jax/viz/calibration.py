@@ -22,6 +22,7 @@ _ALONG, _ACROSS, _HORIZON = (64, 196, 255), (255, 179, 0), (255, 255, 255)
 _GRID_M, _STEP_M = (30.0, 10.0), (5.0, 2.0)
 """Half length and step of the grid along x and y around a narrow camera."""
 _WIDE_GRID_M, _WIDE_STEP_M = (12.0, 12.0), (2.0, 2.0)
+_LEGEND = "white: horizon   blue: lines ahead   amber: lines across, on the road"
 _SHIFT = 4
 _FAR_M = 1e6
 _FISHEYE_DEG = 100.0
@@ -108,6 +109,7 @@ def calibration_figure(
         axes.imshow(draw_calibration(picture, model, T, local_map, T_map_base), interpolation="antialiased")
         axes.set_axis_off()
         axes.set_title(title, color="#e8edf4", fontsize=11, loc="left", pad=5)
+    figure.text(0.99, 0.01, _LEGEND, color="#c9d1dc", fontsize=9, ha="right", va="bottom")
     colour = "#ff8a80" if findings else "#00e676"
     figure.supxlabel("\n".join(words), color=colour, fontsize=9, x=0.01, ha="left")
     return figure
@@ -134,6 +136,7 @@ def top_view_figure(images: Mapping[str, np.ndarray], rig: Rig) -> Figure:
     figure = new_figure(8.0, 8.3, dark=True)
     axes = figure.subplots()
     x0 = T[0, 3]
+    behind, ahead = _shown_range(view, x0, range_m)
     axes.imshow(shown, extent=(range_m, -range_m, x0 - range_m, x0 + range_m), interpolation="antialiased")
     axes.set_xlim(range_m, -range_m)
     axes.fill(VEHICLE_M[:, 1], VEHICLE_M[:, 0], facecolor="none", edgecolor="#ffffff", linewidth=1.2)
@@ -144,12 +147,20 @@ def top_view_figure(images: Mapping[str, np.ndarray], rig: Rig) -> Figure:
         axes.annotate(name, (tip[1], tip[0]), color="#00e676", fontsize=9, ha="center")
     axes.set_xticks(np.arange(-range_m, range_m + 1, 4))
     axes.set_yticks(np.arange(-range_m, range_m + 1, 4))
-    axes.set_ylim(x0 - range_m, x0 + range_m)
+    axes.set_ylim(behind, ahead)
     axes.grid(True, color="#ffffff", alpha=0.25, linewidth=0.6)
     axes.tick_params(colors="#c9d1dc", labelsize=8)
     axes.set_xlabel("y [m], left is left", color="#c9d1dc", fontsize=9)
     axes.set_ylabel("x [m], ahead is up", color="#c9d1dc", fontsize=9)
     return figure
+
+
+def _shown_range(view: SurroundView, x0: float, range_m: float) -> tuple[float, float]:
+    """Where along the vehicle there is something to see [m]: the car, and what cameras show of the road."""
+    seen = np.stack([uv[..., 0] > -1e3 for uv in view.image_uv]).any(axis=(0, 2))
+    x = x0 + np.linspace(range_m, -range_m, len(seen))[seen]
+    behind, ahead = (pick([*x, *VEHICLE_M[:, 0]]) for pick in (min, max))
+    return max(behind - 1.0, x0 - range_m), min(ahead + 1.0, x0 + range_m)
 
 
 def _grid(T_base_cam: np.ndarray, is_wide: bool) -> tuple[np.ndarray, np.ndarray]:
