@@ -133,12 +133,11 @@ def top_view_figure(images: Mapping[str, np.ndarray], rig: Rig) -> Figure:
             chosen = (view.order[rank] == index) & (uv[..., 0] > -1e3)
             picture = cv2.remap(images[name], uv, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             shown[chosen] = picture[chosen]
-    figure = new_figure(8.0, 8.3, dark=True)
-    axes = figure.subplots()
     x0 = T[0, 3]
-    behind, ahead = _shown_range(view, x0, range_m)
+    behind, ahead, side = _shown_range(view, x0, range_m)
+    figure = new_figure(8.0, 0.7 + 7.4 * (ahead - behind) / (2.0 * side), dark=True)
+    axes = figure.subplots()
     axes.imshow(shown, extent=(range_m, -range_m, x0 - range_m, x0 + range_m), interpolation="antialiased")
-    axes.set_xlim(range_m, -range_m)
     axes.fill(VEHICLE_M[:, 1], VEHICLE_M[:, 0], facecolor="none", edgecolor="#ffffff", linewidth=1.2)
     for name, pose in zip(rig.names, np.asarray(rig.T_base_cam), strict=True):
         axes.plot(pose[1, 3], pose[0, 3], "o", color="#00e676", markersize=5)
@@ -148,6 +147,7 @@ def top_view_figure(images: Mapping[str, np.ndarray], rig: Rig) -> Figure:
     axes.set_xticks(np.arange(-range_m, range_m + 1, 4))
     axes.set_yticks(np.arange(-range_m, range_m + 1, 4))
     axes.set_ylim(behind, ahead)
+    axes.set_xlim(side, -side)
     axes.grid(True, color="#ffffff", alpha=0.25, linewidth=0.6)
     axes.tick_params(colors="#c9d1dc", labelsize=8)
     axes.set_xlabel("y [m], left is left", color="#c9d1dc", fontsize=9)
@@ -155,12 +155,14 @@ def top_view_figure(images: Mapping[str, np.ndarray], rig: Rig) -> Figure:
     return figure
 
 
-def _shown_range(view: SurroundView, x0: float, range_m: float) -> tuple[float, float]:
-    """Where along the vehicle there is something to see [m]: the car, and what cameras show of the road."""
-    seen = np.stack([uv[..., 0] > -1e3 for uv in view.image_uv]).any(axis=(0, 2))
-    x = x0 + np.linspace(range_m, -range_m, len(seen))[seen]
-    behind, ahead = (pick([*x, *VEHICLE_M[:, 0]]) for pick in (min, max))
-    return max(behind - 1.0, x0 - range_m), min(ahead + 1.0, x0 + range_m)
+def _shown_range(view: SurroundView, x0: float, range_m: float) -> tuple[float, float, float]:
+    """Where the car is and cameras show the road: from behind, to ahead, to either side [m]."""
+    seen = np.stack([uv[..., 0] > -1e3 for uv in view.image_uv]).any(axis=0)
+    steps = [np.linspace(range_m, -range_m, size) for size in seen.shape]
+    x = [*(x0 + steps[0][seen.any(axis=1)]), *VEHICLE_M[:, 0]]
+    y = [*steps[1][seen.any(axis=0)], *VEHICLE_M[:, 1]]
+    side = max(map(abs, y)) + 1.0
+    return max(min(x) - 1.0, x0 - range_m), min(max(x) + 1.0, x0 + range_m), min(side, range_m)
 
 
 def _grid(T_base_cam: np.ndarray, is_wide: bool) -> tuple[np.ndarray, np.ndarray]:
