@@ -38,3 +38,7 @@ class SemlocError(ValueError):
 
 class UsageError(Exception):
     """The command line or a configuration file is wrong (exit code 2)."""
+
+
+class DamagedPicture(SemlocError):
+    """A picture is there and cannot be decoded."""

@@ -2,6 +2,8 @@
 
 import doctest
 import inspect
+import re
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -44,6 +46,18 @@ def _run(name, thing, names):
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_every_public_function_has_an_example_that_is_true(name, names):
     _run(name, getattr(sj, name), names)
+
+
+def test_the_lines_from_arrays_in_the_readme_run_as_they_are(capsys):
+    """A reader who types them has no file of ours; the pose is that of the mask, and the gradient a number."""
+    text = (Path(__file__).resolve().parents[1] / "README.md").read_text()
+    _, arrays, gradient = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    told = arrays + gradient.replace("jax.grad(forward_m)(400.0)", "slope = jax.grad(forward_m)(400.0)")
+    seen = {}
+    exec(told, seen)
+    np.testing.assert_allclose(seen["found"].T_map_base[:2, 3], [2.0, 0.1], atol=0.05)
+    assert "CONVERGED" in capsys.readouterr().out
+    assert np.isfinite(seen["slope"]) and seen["slope"] != 0.0
 
 
 def test_the_tour_of_the_package_is_true(names):

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import Annotated, Any
 
+from semloc_jax.cli.help import help_text
 from semloc_jax.cli.shared_config import assembled, flat, is_shared, own_part
 from semloc_jax.errors import UsageError
 from semloc_jax.inputs.config_files import check_keys, flags, flatten, read_yaml, suggestion, with_lengths
@@ -39,12 +40,11 @@ def parse(verb_name: str, verb: ModuleType, words: Sequence[str]) -> Any:
         UsageError: An option, a key or a value is wrong.
         SystemExit: Help was asked for and printed.
     """
-    import tyro
-
     prog = f"semloc {verb_name}"
     if any(word in ("-h", "--help") for word in words):
         # The configuration is left out: its class lives in rooms that take a second to import.
-        tyro.cli(verb.Options, prog=prog, args=["--help"], config=(tyro.conf.FlagCreatePairsOff,))
+        print(help_text(verb.Options, prog))
+        raise SystemExit(0)
     options_type, from_file = verb.Options, []
     known = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(verb.Options)]
     if hasattr(verb, "default_settings"):
@@ -137,4 +137,5 @@ def _run_tyro(options_type: Any, words: Sequence[str], prog: str, default: Any =
             lines = [line for line in lines if line and line[0] not in "╭╰"]
             rule = next((i for i, line in enumerate(lines) if line.startswith("─")), len(lines))
             where = f"{prog}: " if prog.startswith("config ") else ""
-            raise UsageError(f"{where}{' '.join(lines[:rule]) or 'wrong arguments'}") from stop
+            reason = re.sub(r"\s+\.$", "", " ".join(lines[:rule]))
+            raise UsageError(f"{where}{reason or 'wrong arguments'}") from stop

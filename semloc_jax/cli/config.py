@@ -9,7 +9,9 @@ import tyro
 
 from semloc_jax.cli.main import OK
 
-Configured = Literal["localize", "track", "explain", "landscape", "calibrate", "learn", "survey", "simulate"]
+Configured = Literal[
+    "localize", "track", "map", "odometry", "explain", "landscape", "calibrate", "learn", "survey", "simulate"
+]
 
 
 @dataclass(frozen=True)
@@ -17,12 +19,13 @@ class Options:
     """Print a configuration as YAML with every default filled in: a file to start from.
 
     The output is a valid --config file: 'semloc config > mine.yaml', then 'semloc localize DRIVE --config mine.yaml'.
-    One file serves every verb but simulate: its top level describes the scene, a section named after a verb (track,
-    calibrate, learn, survey) is for that verb alone and left aside by the others.
+    One file serves every verb that localizes: its top level describes the scene, a section named after a verb (track,
+    calibrate, learn, survey) is for that verb alone and left aside by the others. Files of map, odometry and simulate
+    are their own.
     You do not need one: every value has a default, and every value is an option of the verb too.
     """
 
-    of: Annotated[tyro.conf.Positional[Configured], tyro.conf.arg(metavar="VERB")] = "localize"
+    verb: Annotated[tyro.conf.Positional[Configured], tyro.conf.arg(metavar="VERB")] = "localize"
     """The verb whose configuration is printed."""
     config: Path | None = None
     """YAML file over the defaults; wrong keys are refused."""
@@ -35,9 +38,9 @@ def run(options: Options) -> int:
     from semloc_jax.cli.arguments import read_settings
     from semloc_jax.inputs.config_files import to_file
 
-    verb = importlib.import_module(f"semloc_jax.cli.{options.of}")
-    settings = verb.default_settings()
+    module = importlib.import_module(f"semloc_jax.cli.{options.verb}")
+    settings = module.default_settings()
     if options.config is not None:
-        settings, _ = read_settings(str(options.config), verb.Options, settings)
+        settings, _ = read_settings(str(options.config), module.Options, settings)
     print(yaml.safe_dump(to_file(settings), sort_keys=False, width=120), end="")
     return OK

@@ -24,14 +24,14 @@ class Options:
 
 def run(options: Options) -> int:
     """List drives, or make them and say what to do with them."""
-    from semloc_jax.simulation.named_drives import NAMED_DRIVES, make_named_drive
+    from semloc_jax.simulation.named_drives import NAMED_DRIVES, make_named_drive, named_drive
 
     if not options.names:
         print(_listed())
         return OK
     names = tuple(NAMED_DRIVES) if options.names == ("all",) else options.names
     for name in names:
-        print(f"{name}: {NAMED_DRIVES[name].text} ..." if name in NAMED_DRIVES else name, flush=True)
+        print(f"{name}: {named_drive(name).text} ...", flush=True)
         drive = make_named_drive(name, options.out)
         print(f"  {options.out / name}: {len(drive)} frames, cameras {', '.join(drive.rig.names)}")
     place = options.out / names[0]

@@ -41,8 +41,11 @@ class Options:
 def run(options: Options) -> int:
     """Print the metrics, write them where asked, compare them with the baseline."""
     from semloc_jax import evaluation
+    from semloc_jax.errors import UsageError
 
     are_maps = [path.suffix.lower() in _MAP_SUFFIXES for path in (options.estimate, options.reference)]
+    if any(are_maps) and not all(are_maps):
+        raise UsageError("a map and a trajectory cannot be compared; give two trajectories, or two maps")
     metrics = _maps(options) if all(are_maps) else _trajectories(options)
     if options.baseline is None:
         return OK

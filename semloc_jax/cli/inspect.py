@@ -1,5 +1,6 @@
 """`semloc inspect`: what a map holds and what looks wrong in it (room: cli)."""
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -34,10 +35,11 @@ def run(options: Options) -> int:
 
     return_large_blocks()  # the arrays of a large map come one after another
     semantic_map = read_map(options.map)
-    report = inspect_map(semantic_map)
+    name = options.map.resolve().name  # a map that was converted bears the name that it had before
+    report = dataclasses.replace(inspect_map(semantic_map), name=name)
     print(report.to_text(options.max_defects))
     if options.picture is not None:
         from semloc_jax import viz
 
-        print(f"picture: {viz.save(viz.map_view(semantic_map.elements, title=semantic_map.name), options.picture)}")
+        print(f"picture: {viz.save(viz.map_view(semantic_map.elements, title=name), options.picture)}")
     return LOST if options.strict and report.defects else OK

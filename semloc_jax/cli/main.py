@@ -9,6 +9,7 @@ import importlib
 import os
 import re
 import sys
+import textwrap
 from collections.abc import Sequence
 from types import ModuleType
 
@@ -46,7 +47,7 @@ VERBS = {
     "segment": "masks of a drive by a network, with a report of the map classes they can see",
     "data": "make the drives that the tables of figures name, from their seeds",
     "simulate": "write a small rendered drive with exact truth",
-    "demo": "simulate, localize and draw, in less than a minute",
+    "demo": "simulate, localize and draw, in about a minute",
     "bench": "hypotheses per second of this package and of its peers, side by side, on this machine",
     "doctor": "check this machine: versions, device, numerical self-tests",
     "config": "print the configuration with every default filled in",
@@ -71,7 +72,11 @@ exit codes: 0 done, 1 failed, 2 wrong usage, 3 ran but is lost or missed a gate
 
 def usage() -> str:
     """The text of `semloc --help`."""
-    return USAGE_TEXT.format(verbs="\n".join(f"  {name:<13}{text}" for name, text in VERBS.items()))
+    lines = [
+        textwrap.fill(text, 80, initial_indent=f"  {name:<13}", subsequent_indent=" " * 15)
+        for name, text in VERBS.items()
+    ]
+    return USAGE_TEXT.format(verbs="\n".join(lines))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

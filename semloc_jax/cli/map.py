@@ -24,7 +24,7 @@ class Options:
     the map of the drive, where it has them, after one motion in the plane. What is finished is kept in parts/ until
     the end, for --resume after a kill.
 
-    Every value of the configuration is an option too, e.g. --min-seen 5: 'semloc map --help' prints the verb's own.
+    Every value of the configuration is an option too, e.g. --min-seen 5: 'semloc config map' prints them all.
     """
 
     drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]
@@ -87,7 +87,8 @@ def run(options: Options) -> int:
     from semloc_jax.datasets import open_drive
     from semloc_jax.errors import SemlocError, UsageError
     from semloc_jax.inputs.choices import parse_names, parse_slice
-    from semloc_jax.inputs.mask_source import CLASSICAL, TOP_VIEW, mask_source
+    from semloc_jax.inputs.mask_files import CLASSICAL
+    from semloc_jax.inputs.mask_source import TOP_VIEW, mask_source
     from semloc_jax.localization.motion_source import resolved, with_seen_speed
     from semloc_jax.reports.mapping import is_made, report_map
 

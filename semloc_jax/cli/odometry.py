@@ -23,7 +23,8 @@ class Options:
     Clock and mount of the inertial sensor are taken as calibrated; --window.delay-sigma-s 0.02 and
     --window.mount-sigma-deg 1 let them be found (metrics.json: clock.offset, mount.turn).
 
-    Every value of the configuration is an option too, e.g. --tracks.num-tracks 300.
+    Every value of the configuration is an option too, e.g. --tracks.num-tracks 300:
+    'semloc config odometry' prints them all.
     """
 
     drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]

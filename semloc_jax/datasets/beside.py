@@ -50,13 +50,21 @@ def logs_beside(path: Path) -> Logs:
     folder = path if path.is_dir() else path.parent
     fixes, wheels, inertial = folder_file(folder, FIXES), folder / "wheel_odom.csv", folder / "imu.csv"
     poses = folder_file(folder, POSES)
-    gnss = None if fixes is None else (read_nmea(fixes) if is_nmea(fixes) else read_gnss(fixes))
     return Logs(
-        gnss=gnss,
+        gnss=None if fixes is None else read_fixes(fixes),
         odometry=read_wheel_odometry(wheels) if wheels.is_file() else None,
         imu=read_imu(inertial) if inertial.is_file() else None,
         truth=None if poses is None else read_trajectory(poses),
     )
+
+
+def read_fixes(path: Path) -> GnssTrack:
+    """Satellite fixes of a table or of NMEA sentences.
+
+    Raises:
+        SemlocError: it is neither.
+    """
+    return read_nmea(path) if is_nmea(path) else read_gnss(path)
 
 
 def folder_file(folder: Path, names: tuple[str, ...]) -> Path | None:

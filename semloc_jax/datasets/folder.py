@@ -1,12 +1,13 @@
 """A plain folder of images and masks with a calibration (room: datasets; host).
 
-In: images/ (or rgb/) and masks/, each with one folder per camera or, for one camera, the files themselves;
-calib.yaml or any calibration the cameras room reads; optionally times.csv, timestamps.txt or file names that are times,
-gps.csv or NMEA, wheel_odom.csv, imu.csv, poses.tum and a map. Out: Drive.
+In: images/ (or rgb/) and masks/ (labels/, sem/), in any case of letters, each with one folder per camera or, for one
+camera, the files themselves; calib.yaml or any calibration the cameras room reads; optionally times.csv,
+timestamps.txt or file names that are times, gps.csv or NMEA, wheel_odom.csv, imu.csv, poses.tum and a map. Out: Drive.
 """
 
 import logging
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,12 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
 
 _log = logging.getLogger(__name__)
-_KIND_OF_FOLDER = {"images": IMAGE, "image": IMAGE, "rgb": IMAGE, "masks": "masks", "labels": "masks", "sem": "sem"}
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+_IMAGE_FOLDERS, _MASK_FOLDERS = ("images", "image", "rgb"), ("masks", "labels", "sem")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _TIME = ("t", "time", "timestamp", "t_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us", "timestamp_ns")
+_FIRST_WORDS = re.compile(r"(?:[0-9]*[A-Za-z][A-Za-z0-9]*[_.-])*[A-Za-z]*")
+"""Words that begin or, read backwards, end a name; the numbers that tell files apart are none."""
+_ByKind = Mapping[str, Mapping[str, Mapping[str, Path]]]
 _MIN_STAMP_DIGITS = 9
 """File names with this many digits are times, not numbers of pictures; our choice."""
 
@@ -34,9 +38,10 @@ def read_folder(
 ) -> Drive:
     """Drive of a folder of files.
 
-    Files of different kinds and cameras belong together by their stem. Times come from `times.csv` (columns frame, t),
-    from `timestamps.txt` (one for each picture), from file names of nine and more digits or, where there are as many
-    poses as frames, from the poses; else frames follow each other at `rate_hz`.
+    Files of different kinds and cameras belong together by their stem, without what all files of one kind have before
+    or behind it (`frame_7.jpg` and `frame_7_mask.png`). Masks are called by the name of their folder. Times come from
+    `times.csv` (columns frame, t), from `timestamps.txt` (one for each picture), from file names of nine and more
+    digits or, where there are as many poses as frames, from the poses; else frames follow each other at `rate_hz`.
 
     Args:
         path: folder.
@@ -49,10 +54,13 @@ def read_folder(
     """
     path = Path(path)
     rig = read_calibration(calibration if calibration is not None else _find_calibration(path))
-    by_kind = {kind: _files_of(folder, rig) for folder, kind in _kind_folders(path)}
+    by_kind = {kind: _files_of(folder, rig) for kind, folder in kind_folders(path).items()}
     if not by_kind:
         raise SemlocError(f"folder {path}: no images; expected a folder images/ or masks/ with png or jpg files")
-    stems = sorted(set.intersection(*(set(files[camera]) for files in by_kind.values() for camera in rig.names)))
+    stems = _shared_stems(by_kind, rig)
+    if not stems:
+        by_kind = _without_affixes(by_kind, path)
+        stems = _shared_stems(by_kind, rig)
     if not stems:
         raise SemlocError(
             f"folder {path}: no file name is shared by all of {', '.join(by_kind)} and all cameras: "
@@ -92,7 +100,24 @@ def read_folder(
 
 def has_pictures(path: Path) -> bool:
     """Whether a folder has a folder of images or masks."""
-    return bool(_kind_folders(path))
+    return bool(kind_folders(path))
+
+
+def kind_folders(path: Path) -> dict[str, Path]:
+    """Folders of pictures by kind: IMAGE, and each folder of masks under its own name."""
+    found: dict[str, Path] = {}
+    folders = sorted(place for place in path.iterdir() if place.is_dir()) if path.is_dir() else []
+    for name in (*_IMAGE_FOLDERS, *_MASK_FOLDERS):
+        for folder in folders:
+            if folder.name.lower() == name:
+                found.setdefault(IMAGE if name in _IMAGE_FOLDERS else folder.name, folder)
+    return found
+
+
+def are_times(stems: Sequence[str]) -> bool:
+    """Whether all names of files are times: nine digits and more."""
+    bare = [stem.replace(".", "", 1) for stem in stems]
+    return bool(bare) and all(stem.isdigit() and len(stem) >= _MIN_STAMP_DIGITS for stem in bare)
 
 
 def _find_calibration(path: Path) -> Path:
@@ -105,8 +130,37 @@ def _find_calibration(path: Path) -> Path:
     return found
 
 
-def _kind_folders(path: Path) -> list[tuple[Path, str]]:
-    return [(path / name, kind) for name, kind in _KIND_OF_FOLDER.items() if (path / name).is_dir()]
+def _shared_stems(by_kind: _ByKind, rig: Rig) -> list[str]:
+    """Names that every kind and camera has."""
+    return sorted(set.intersection(*(set(files[camera]) for files in by_kind.values() for camera in rig.names)))
+
+
+def _without_affixes(by_kind: _ByKind, path: Path) -> _ByKind:
+    """The files by what is left of their stems without what all of one folder have in common at its ends."""
+    found = {}
+    for kind, cameras in by_kind.items():
+        found[kind] = {camera: _told_apart(files) for camera, files in cameras.items()}
+    if found != by_kind:
+        _log.warning(
+            "folder %s: names are compared without the words that all in a folder share: %s", path, _names_of(by_kind)
+        )
+    return found
+
+
+def _told_apart(files: Mapping[str, Path]) -> Mapping[str, Path]:
+    """Files by their stem without a common word before or behind it, such as `mask_` or `_labelIds`."""
+    stems = list(files)
+    if len(stems) < 2:
+        return files
+    start, end = (_first_words(names) for names in (stems, [stem[::-1] for stem in stems]))
+    return {stem[start : len(stem) - end]: file for stem, file in files.items()}
+
+
+def _first_words(names: Sequence[str]) -> int:
+    """Length of the words with which all names begin."""
+    shared = next((at for at, marks in enumerate(zip(*names, strict=False)) if len(set(marks)) > 1), len(names[0]))
+    words = _FIRST_WORDS.match(names[0][:shared])
+    return words.end() if words else 0
 
 
 def _files_of(folder: Path, rig: Rig) -> Mapping[str, Mapping[str, Path]]:
@@ -141,7 +195,7 @@ def _camera_folders(folder: Path) -> list[str]:
     return sorted(place.name for place in folder.iterdir() if place.is_dir())
 
 
-def _names_of(by_kind: Mapping[str, Mapping[str, Mapping[str, Path]]]) -> str:
+def _names_of(by_kind: _ByKind) -> str:
     """How many files there are of each kind and camera, and what the first is called."""
     said = []
     for kind, cameras in by_kind.items():
@@ -152,7 +206,7 @@ def _names_of(by_kind: Mapping[str, Mapping[str, Mapping[str, Path]]]) -> str:
 
 
 def _pictures(folder: Path) -> dict[str, Path]:
-    return {file.stem: file for file in sorted(folder.iterdir()) if file.suffix.lower() in _SUFFIXES}
+    return {file.stem: file for file in sorted(folder.iterdir()) if file.suffix.lower() in PICTURE_SUFFIXES}
 
 
 def _frame_times(path: Path, stems: list[str], truth: Trajectory | None, rate_hz: float) -> np.ndarray:
@@ -165,7 +219,7 @@ def _frame_times(path: Path, stems: list[str], truth: Trajectory | None, rate_hz
                 f"folder {path}: timestamps.txt has {len(values)} rows for {len(stems)} frames; expected one each"
             )
         return seconds(values, f"folder {path}: timestamps.txt")[0]
-    if all(stem.replace(".", "", 1).isdigit() and len(stem.replace(".", "")) >= _MIN_STAMP_DIGITS for stem in stems):
+    if are_times(stems):
         whole = all(stem.isdigit() and len(stem) <= 19 for stem in stems)
         stamps = np.array([int(stem) for stem in stems], dtype=np.int64) if whole else np.array(stems, dtype=np.float64)
         return seconds(stamps, f"folder {path}: file names")[0]

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import cv2
 import numpy as np
 
-from semloc_jax.errors import SemlocError
+from semloc_jax.errors import DamagedPicture, SemlocError
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _MOST_PIXELS = 2**27
@@ -42,18 +42,21 @@ def decode_picture(data: np.ndarray, where: str) -> np.ndarray:
     """The picture in the bytes of a png or jpg.
 
     Raises:
-        SemlocError: the bytes are damaged or of another format.
+        DamagedPicture: the bytes are damaged or of another format.
     """
     if data[:8].tobytes() == _PNG and data.size > 24:
         width, height = (int.from_bytes(data[at : at + 4].tobytes(), "big") for at in (16, 20))
         if not 0 < width * height <= _MOST_PIXELS:
-            raise SemlocError(f"{where}: states {width}x{height} px; expected the size of an image; write it again")
+            raise DamagedPicture(f"{where}: states {width}x{height} px; expected the size of an image; write it again")
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong is said below
     try:
         picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     except cv2.error:  # sizes that no memory holds
         picture = None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     if picture is None:
-        raise SemlocError(f"{where}: cannot be decoded ({data.size} bytes); expected a png or jpg")
+        raise DamagedPicture(f"{where}: cannot be decoded ({data.size} bytes); expected a png or jpg")
     return picture
 
 

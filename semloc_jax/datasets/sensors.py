@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.datasets.clock import seconds
-from semloc_jax.datasets.tables import column_names, find_columns, read_columns
+from semloc_jax.datasets.tables import column_names, find_columns
 from semloc_jax.datasets.templates import GNSS_COLUMNS
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import Geodetic, enu_from_wgs84, wgs84_from_enu
@@ -191,36 +191,52 @@ class Imu:
 
 _TIME = ("t", "time", "timestamp", "t_s", "time_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us")
 _TIME += ("timestamp_ns", "time_ns", "time_us", "time_ms", "stamp", "#timestamp [ns]", "timestamp [ns]")
-_PLACE = {"lat": ("lat_deg", "latitude", "lat"), "lon": ("lon_deg", "longitude", "lon", "lng", "long")}
-_PLACE |= {"alt": ("alt_m", "altitude", "alt", "height", "ele")}
+_DEGREES = {"lat": ("lat_deg", "latitude", "lat"), "lon": ("lon_deg", "longitude", "lon", "lng", "long")}
+_DEGREES |= {"alt": ("alt_m", "altitude", "alt", "height", "ele")}
+_METRES = {"east": ("east_m", "east", "easting"), "north": ("north_m", "north", "northing"), "up": ("up_m", "up")}
 _SIGMA = ("sigma_e", "sigma_n", "sigma_u")
+_WHEELS = {"speed": ("v_m_s", "speed_mps", "speed", "v")}
+_WHEELS |= {"rate": ("yaw_rate_rad_s", "yaw_rate_radps", "yaw_rate", "yawrate")}
+_INERTIAL = {"gx": ("gx_rad_s", "gx", "wx"), "gy": ("gy", "gy_rad_s", "wy"), "gz": ("gz", "gz_rad_s", "wz")}
+_INERTIAL |= {"ax": ("ax_m_s2", "ax"), "ay": ("ay", "ay_m_s2"), "az": ("az", "az_m_s2")}
 _UNKNOWN_SIGMA_M = (3.0, 3.0, 6.0)
 """Accuracy assumed of a receiver that does not state one; our choice."""
+
+
+def log_of(path: Path) -> str | None:
+    """The log that a table is by its columns: gps.csv, wheel_odom.csv, imu.csv; None where it is none of them."""
+    logs = {"imu.csv": _INERTIAL, "wheel_odom.csv": _WHEELS}
+    logs |= {"gps.csv": {key: _DEGREES[key] for key in ("lat", "lon")}}
+    for name, wanted in logs.items():
+        if column_names(path, {"time": _TIME, **wanted}).keys() == {"time", *wanted}:
+            return name
+    return None
 
 
 def read_gnss(path: Path) -> GnssTrack:
     """Fixes of a `gps.csv`: east, north, up of a map, else latitude, longitude and height in degrees and metres.
 
-    Rows without a position are left out; where no standard deviation is stated, 3 m and 6 m in height are taken.
+    Times are in s, ms, us or ns. Rows without a position are left out; where no standard deviation is stated, 3 m and
+    6 m in height are taken.
     """
-    wanted = {"east": ("east_m",), "north": ("north_m",), "up": ("up_m",), **_PLACE, "time": _TIME}
-    has = column_names(path, wanted)
-    if has and not {"east", "north", "up"} <= has.keys() and {"lat", "lon"} <= has.keys():
-        table = find_columns(path, {"time": _TIME, **_PLACE, **{key: (key,) for key in _SIGMA}}, ("alt", *_SIGMA))
-        time_s, _ = seconds(table["time"], f"table {path}", has["time"])
-        height = table.get("alt", np.zeros(len(time_s)))
-        sigma = [table.get(key, np.full(len(time_s), s)) for key, s in zip(_SIGMA, _UNKNOWN_SIGMA_M, strict=True)]
-        return GnssTrack.from_wgs84(
-            time_s, np.column_stack([table["lat"], table["lon"], height]), np.column_stack(sigma)
-        )
-    if has and not {"east", "north", "up"} <= has.keys():
-        raise SemlocError(f"table {path}: no position in its columns; expected {GNSS_COLUMNS}")
-    table = read_columns(path, ("t", "east_m", "north_m", "up_m", *_SIGMA))
-    p_enu = np.column_stack([table["east_m"], table["north_m"], table["up_m"]])
-    sigma_m = _known_sigma(np.column_stack([table[key] for key in _SIGMA]))
-    usable = np.isfinite(p_enu).all(axis=1) & np.isfinite(table["t"])
-    order = np.argsort(table["t"][usable], kind="stable")
-    return GnssTrack(table["t"][usable][order], p_enu[usable][order], sigma_m[usable][order])
+    has = column_names(path, {"time": _TIME, **_METRES, **_DEGREES})
+    place = next((kind for kind in (_METRES, _DEGREES) if set(tuple(kind)[:2]) <= has.keys()), None)
+    if place is None or "time" not in has:
+        lacking = "position" if place is None else "time"
+        raise SemlocError(f"table {path}: no {lacking} in its columns; expected {GNSS_COLUMNS}")
+    height_name = tuple(place)[2]
+    names = {"time": _TIME, **place, **{key: (key,) for key in _SIGMA}}
+    table = find_columns(path, names, (height_name, *_SIGMA))
+    time_s, _ = seconds(table["time"], f"table {path}", has["time"])
+    table.setdefault(height_name, np.zeros(len(time_s)))
+    position = np.column_stack([table[key] for key in place])
+    stated = [table.get(key, np.full(len(time_s), s)) for key, s in zip(_SIGMA, _UNKNOWN_SIGMA_M, strict=True)]
+    if place is _DEGREES:
+        return GnssTrack.from_wgs84(time_s, position, np.column_stack(stated))
+    usable = np.isfinite(position).all(axis=1)
+    order = np.argsort(time_s[usable], kind="stable")
+    sigma_m = _known_sigma(np.column_stack(stated))
+    return GnssTrack(time_s[usable][order], position[usable][order], sigma_m[usable][order])
 
 
 def _known_sigma(sigma_m: np.ndarray) -> np.ndarray:
@@ -230,25 +246,15 @@ def _known_sigma(sigma_m: np.ndarray) -> np.ndarray:
 
 def read_wheel_odometry(path: Path) -> WheelOdometry:
     """Speed and yaw rate of a `wheel_odom.csv`; times in s, ms, us or ns."""
-    names = {"time": _TIME, "speed": ("v_m_s", "speed_mps", "speed", "v")}
-    names |= {"rate": ("yaw_rate_rad_s", "yaw_rate_radps", "yaw_rate", "yawrate")}
-    has = column_names(path, names)
-    if not has:
-        table = read_columns(path, ("t", "v_m_s", "yaw_rate_rad_s"))
-        return WheelOdometry(table["t"], table["v_m_s"], table["yaw_rate_rad_s"])
+    names = {"time": _TIME, **_WHEELS}
     table = find_columns(path, names)
-    return WheelOdometry(seconds(table["time"], f"table {path}", has["time"])[0], table["speed"], table["rate"])
+    time_s, _ = seconds(table["time"], f"table {path}", column_names(path, names)["time"])
+    return WheelOdometry(time_s, table["speed"], table["rate"])
 
 
 def read_imu(path: Path) -> Imu:
     """Rates and accelerations of an `imu.csv`; times in s, ms, us or ns."""
-    names = {
-        "time": _TIME,
-        "gx": ("gx_rad_s", "gx", "wx"),
-        "gy": ("gy", "gy_rad_s", "wy"),
-        "gz": ("gz", "gz_rad_s", "wz"),
-    }
-    names |= {"ax": ("ax_m_s2", "ax"), "ay": ("ay", "ay_m_s2"), "az": ("az", "az_m_s2")}
+    names = {"time": _TIME, **_INERTIAL}
     table = find_columns(path, names)
     time_s, _ = seconds(table["time"], f"table {path}", column_names(path, names)["time"])
     gyro = np.column_stack([table["gx"], table["gy"], table["gz"]])

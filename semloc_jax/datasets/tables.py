@@ -1,9 +1,10 @@
-"""Comma-separated sensor logs with named columns (room: datasets; host).
+"""Sensor logs in text with named columns (room: datasets; host).
 
-In: a csv file. Out: float64 columns by name.
+In: a csv file, separated by commas, semicolons or tabs. Out: float64 columns by name.
 """
 
 import csv
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,9 +12,11 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
+
 
 def read_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Rows of a csv file with a header line, as text.
+    """Rows of a csv file with a header line, as text; numbers such as 48,07 between semicolons get a decimal point.
 
     Raises:
         SemlocError: the file is missing or lacks one of `columns`.
@@ -22,7 +25,9 @@ def read_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
         raise SemlocError(f"table {path}: no such file; expected a csv with columns {', '.join(columns)}")
     try:
         with path.open(newline="", errors="replace") as file:
-            reader = csv.DictReader(file)
+            separator = _separator(file.readline())
+            file.seek(0)
+            reader = csv.DictReader(file, delimiter=separator)
             header = reader.fieldnames or []
             # Cells beyond the header have no name, and those that a short row lacks are empty.
             rows = [{key: cell or "" for key, cell in row.items() if key is not None} for row in reader]
@@ -33,7 +38,16 @@ def read_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
         raise SemlocError(
             f"table {path}: has columns {', '.join(header)}; expected also {', '.join(missing)}; rename or add them"
         )
-    return rows
+    return [_with_points(row) for row in rows] if separator == ";" else rows
+
+
+def _separator(header: str) -> str:
+    """What stands between the names of a header: a comma, else a semicolon or a tab where there is none."""
+    return next((mark for mark in (",", ";", "\t") if mark in header), ",")
+
+
+def _with_points(row: dict[str, str]) -> dict[str, str]:
+    return {key: cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for key, cell in row.items()}
 
 
 def read_columns(path: Path, columns: Sequence[str]) -> dict[str, np.ndarray]:

@@ -4,6 +4,7 @@ In: nothing, or names of cameras. Out: examples of calib.yaml, classes.yaml and 
 Errors quote them, `semloc init` writes them. Numbers that only the owner knows are words, which no reader accepts.
 """
 
+import re
 from collections.abc import Sequence
 
 COLUMNS = {
@@ -22,9 +23,9 @@ GNSS_COLUMNS = (
 _CAMERA = """cam{index}:
   name: {name}                 # the name of its folder: images/{name}/, masks/{name}/
   camera_model: pinhole
-  intrinsics: [FX, FY, CX, CY]  # pixels; the centre of the top-left pixel is (0, 0)
+  intrinsics: [{intrinsics}]  # fx fy cx cy in pixels; the centre of the top-left pixel is (0, 0)
   distortion_model: radtan      # radtan: k1 k2 p1 p2 [k3] of OpenCV; equidistant: k1 k2 k3 k4 of a fisheye; none
-  distortion_coeffs: [K1, K2, P1, P2]
+  distortion_coeffs: [{distortion}]
   resolution: [{width}, {height}]
   mounted:                      # or T_body_cam, 4x4: camera (x right, y down, z forward) to vehicle (x forward, y left)
     position_m: [X_FORWARD, Y_LEFT, Z_UP]  # the lens from the rear axle on the ground, measured with a rule
@@ -43,16 +44,37 @@ dynamic: [car]  # hides the map; never compared with it
 """
 
 
-def calibration_template(names: Sequence[str], sizes_px: Sequence[tuple[int, int] | None]) -> str:
+_WORDS = ("FX", "FY", "CX", "CY", "K1", "K2", "P1", "P2", "X_FORWARD", "Y_LEFT", "Z_UP", "WIDTH", "HEIGHT")
+_WORDS += ("LANE_ID", "POLE_ID", "CAR_ID")
+
+
+def unfilled(text: str) -> list[str]:
+    """The words of a template that nobody has replaced yet, in their order."""
+    bare = re.sub(r"#.*", "", text)
+    return [word for word in _WORDS if re.search(rf"\b{word}\b", bare)]
+
+
+def calibration_template(
+    names: Sequence[str],
+    sizes_px: Sequence[tuple[int, int] | None],
+    intrinsics_px: Sequence[float] = (),
+    distortion: Sequence[float] = (),
+) -> str:
     """A calib.yaml to fill in.
 
     Args:
         names: Cameras.
         sizes_px: Width and height of their images, None where unknown.
+        intrinsics_px: fx, fy, cx, cy where they are known, of the one camera.
+        distortion: Its coefficients k1 k2 p1 p2 [k3] of OpenCV where they are known.
     """
     head = "# Replace every word in capitals; semloc check-calib FOLDER shows whether it is right.\n"
     cameras = []
     for index, (name, size) in enumerate(zip(names, sizes_px, strict=True)):
         width, height = size or ("WIDTH", "HEIGHT")
-        cameras.append(_CAMERA.format(index=index, name=name, width=width, height=height))
+        known = {
+            "intrinsics": ", ".join(f"{value:.10g}" for value in intrinsics_px) or "FX, FY, CX, CY",
+            "distortion": ", ".join(f"{value:.10g}" for value in distortion) or "K1, K2, P1, P2",
+        }
+        cameras.append(_CAMERA.format(index=index, name=name, width=width, height=height, **known))
     return head + "".join(cameras)

@@ -153,6 +153,12 @@ def _read_rows(path: Path) -> np.ndarray:
     lines = [line for line in lines if line]
     if not lines:
         raise SemlocError(f"trajectory {path}: holds no pose; expected one pose on each line")
+    other = next((index for index, line in enumerate(lines) if len(line) != len(lines[0])), None)
+    if other is not None:
+        raise SemlocError(
+            f"trajectory {path}: row 1 holds {len(lines[0])} cells and row {other + 1} {len(lines[other])}; expected "
+            "rows of 8 (TUM) or 12 (KITTI) numbers"
+        )
     try:
         rows = np.array(lines, dtype=np.float64)
         if not np.isfinite(rows).all():

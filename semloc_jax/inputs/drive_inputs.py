@@ -86,7 +86,8 @@ def open_inputs(options: InputOptions) -> Inputs:
     """
     from semloc_jax.datasets import open_drive
     from semloc_jax.errors import SemlocError
-    from semloc_jax.inputs.mask_source import CLASSICAL, is_network, mask_source
+    from semloc_jax.inputs.mask_files import CLASSICAL
+    from semloc_jax.inputs.mask_source import is_network, mask_source
     from semloc_jax.inputs.priors import other_priors, prior_source
     from semloc_jax.maps import read_map
 

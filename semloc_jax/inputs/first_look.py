@@ -3,27 +3,40 @@
 In: a folder, bag or video. Out: FirstLook, and templates of what is missing beside it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets import open_drive
-from semloc_jax.datasets.beside import CALIBRATIONS, FIXES, calibration_beside, folder_file, maps_beside
+from semloc_jax.datasets.base import IMAGE
+from semloc_jax.datasets.beside import CALIBRATIONS, FIXES, MAPS, calibration_beside, folder_file, read_fixes
 from semloc_jax.datasets.drive import is_drive
-from semloc_jax.datasets.folder import has_pictures
+from semloc_jax.datasets.folder import are_times, has_pictures, kind_folders
 from semloc_jax.datasets.pictures import read_picture
-from semloc_jax.datasets.templates import CLASSES, COLUMNS, calibration_template
+from semloc_jax.datasets.sensors import read_imu, read_wheel_odometry
+from semloc_jax.datasets.templates import CLASSES, COLUMNS, calibration_template, unfilled
 from semloc_jax.errors import SemlocError
-from semloc_jax.perception import preset_names
+from semloc_jax.inputs.own_folder import (
+    camera_matrix,
+    distortion,
+    ids_in,
+    logs_of_other_names,
+    moves_of,
+    pictures_in,
+    unplaced_pictures,
+)
+from semloc_jax.perception import load_class_table, preset_names
 
-_IMAGES, _MASKS = ("images", "image", "rgb"), ("masks", "labels", "sem")
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _MAPS = (".osm", ".xodr", ".gpkg", ".geojson", ".smap")
 _CALIBRATIONS = (".yaml", ".yml", ".xml")
-_MOST_IDS = 40
-"""More ids than a class table has: photographs, or colours instead of ids."""
+_LOGS: tuple[tuple[str, str, Callable[[Path], Any]], ...] = (
+    ("gps.csv", "where to start; else --prior FILE.tum, or --area X,Y,RADIUS for track", read_fixes),
+    ("wheel_odom.csv", "how the vehicle moves; else constant velocity between frames", read_wheel_odometry),
+    ("imu.csv", "turns between frames", read_imu),
+)
+"""Logs that may be missing: name, what they are for, what reads them."""
 
 
 @dataclass(frozen=True)
@@ -60,81 +73,139 @@ def first_look(path: str | Path) -> FirstLook:
     path = Path(path)
     if not path.exists():
         raise SemlocError(f"{path}: no such folder or file; expected images/ with png or jpg files, a bag or a video")
-    if path.is_dir() and (is_drive(path) or not has_pictures(path)):
+    if path.is_file():
+        return _of_file(path)
+    if is_drive(path) or not has_pictures(path):
         try:
             return _of_drive(path)  # a data set with a layout of its own
         except SemlocError as error:
             return _without_pictures(path, error)
-    return _of_folder(path) if path.is_dir() else _of_file(path)
+    kinds, others = kind_folders(path), unplaced_pictures(path)
+    has_masks = any(kind != IMAGE for kind in kinds)
+    lacking = [folder for folder in others if (not has_masks if folder.holds_ids else IMAGE not in kinds)]
+    return _to_be_moved(path, lacking) if lacking and moves_of(path, lacking) else _of_folder(path)
 
 
 def _without_pictures(path: Path, error: SemlocError) -> FirstLook:
-    """A folder without images/: its pictures may lie in folders of other names."""
-    own = [(folder, _pictures(folder)) for folder in sorted(path.iterdir()) if folder.is_dir()]
-    own = [(folder, files) for folder, files in own if files]
-    if not own:
-        return FirstLook((), (f"pictures: {error}",), (), f"semloc init {path}  (once images/ is there)")
-    names = ["masks" if _holds_ids(read_picture(files[0])) else "images" for _, files in own]
-    found = [
-        f"{folder.name}/: {len(files)} {'pictures of ids' if name == 'masks' else 'photographs'}"
-        for (folder, files), name in zip(own, names, strict=True)
-    ]
-    missing = "images/: photographs are looked for in images/, masks in masks/ (with a folder for each camera in them)"
-    free = [n for n in names if names.count(n) == 1]
-    moves = [f"mv {folder} {path / name}" for (folder, _), name in zip(own, names, strict=True) if name in free] or [
-        f"mkdir {path / 'images'}, move a folder for each camera there"
-    ]
-    return FirstLook(tuple(found), (missing,), (), "; ".join([*moves, f"semloc init {path}"]))
+    """A folder without images/: its pictures may lie in folders of other names, or in the folder itself."""
+    folders, loose = unplaced_pictures(path), pictures_in(path)
+    if folders:
+        return _to_be_moved(path, folders)
+    if loose:
+        endings = " ".join(sorted({f"{path}/*{file.suffix}" for file in loose}))
+        moves = f"mkdir {path / 'images'}; mv {endings} {path / 'images'}/; semloc init {path}"
+        return FirstLook((f"{len(loose)} pictures in {path} itself",), (_PLACES,), (), moves)
+    if not any(path.iterdir()):
+        error = SemlocError(f"{path} is empty; expected images/ with a folder of png or jpg files for each camera")
+    return FirstLook((), (f"pictures: {error}",), (), f"put pictures into {path / 'images'}/, then: semloc init {path}")
+
+
+_PLACES = "images/: photographs are looked for in images/, masks in masks/ (with a folder for each camera in them)"
+
+
+def _to_be_moved(path: Path, folders: list) -> FirstLook:
+    """Pictures under names that are not looked for."""
+    moves = moves_of(path, folders) or [f"mkdir {path / 'images'}, move a folder for each camera there"]
+    there = [f"{folder.name}/" for folder in kind_folders(path).values()]
+    return FirstLook((*there, *map(str, folders)), (_PLACES,), (), "; ".join([*moves, f"semloc init {path}"]))
 
 
 def _of_file(path: Path) -> FirstLook:
     """A bag or a video: its calibration may have to lie beside it."""
-    if calibration_beside(path) is None:
-        try:
-            return _of_drive(path)
-        except SemlocError as error:
-            written = _write(path.parent / "calib.yaml", calibration_template(["front"], [None]))
-            return FirstLook((f"{path.name}",), (f"calibration: {error}",), written, f"semloc init {path}")
-    return _of_drive(path)
+    calibration = calibration_beside(path)
+    try:
+        return _of_drive(path)
+    except SemlocError as error:
+        written = () if calibration else _write(path.parent / "calib.yaml", calibration_template(["front"], [None]))
+        calibration = calibration or path.parent / "calib.yaml"
+        words = unfilled(calibration.read_text(encoding="utf-8", errors="replace")) if calibration.is_file() else []
+        why = f"calibration: {', '.join(words)} in {calibration} are not filled in" if words else str(error)
+        first = (
+            f"fill in {calibration}, then: semloc check-calib {path} --out check" if words else f"semloc init {path}"
+        )
+        return FirstLook((f"{path.name}",), (why,), written, first)
 
 
 def _of_folder(path: Path) -> FirstLook:
     """A folder of pictures: every part is looked at by itself, so that one that is wrong hides no other."""
     found, missing, written = [], [], []
-    cameras = _cameras(path)
-    masks = next((path / name for name in _MASKS if (path / name).is_dir()), None)
+    cameras, kinds = _cameras(path), kind_folders(path)
+    masks = next((folder for kind, folder in kinds.items() if kind != IMAGE), None)
     for name, (count, size) in cameras.items():
-        found.append(f"camera {name}: {count} pictures" + (f" of {size[0]}x{size[1]} px" if size else ""))
-    if next((name for name in CALIBRATIONS if (path / name).is_file()), None) is None:
-        missing.append("calibration: intrinsics and place of each camera" + _other_calibrations(path))
-        written += _write(path / "calib.yaml", calibration_template(list(cameras), [s for _, s in cameras.values()]))
-    else:
-        found.append(_calibration_line(path, missing))
+        what = "pictures" if IMAGE in kinds else "masks"
+        found.append(f"camera {name}: {count} {what}" + (f" of {size[0]}x{size[1]} px" if size else ""))
+    opens = _look_at_calibration(path, cameras, found, missing, written)
     if masks is None:
         missing.append(
             "masks/: semloc segment makes them with a network; --masks classical finds road paint without one"
         )
     else:
-        tables = ", ".join(preset_names())
-        found.append(f"masks in {masks.name}/{_ids(masks)}: --class-table {tables}, or your own classes.yaml")
+        found.append(f"masks in {masks.name}/{_tables_of(ids_in(masks))}, or your own classes.yaml")
         written += _write(path / "classes.yaml", CLASSES)
-    for name, use in (
-        ("times.csv", "time of each frame; else file names, else 10 Hz is assumed"),
-        ("gps.csv", "where to start; else --prior FILE.tum, or --area X,Y,RADIUS for track"),
-        ("wheel_odom.csv", "how the vehicle moves; else constant velocity between frames"),
-        ("imu.csv", "turns between frames"),
-    ):
-        example = COLUMNS[name].split("\n")
+    _look_at_times(path, found, missing)
+    _look_at_logs(path, found, missing)
+    own = folder_file(path, MAPS)
+    near = [place for folder in (path, path.parent) for place in _files_with(folder, _MAPS)]
+    near = [place for place in near if place.parent == near[0].parent]
+    given = "" if own else f" --map {near[0] if len(near) == 1 else 'MAP'}"
+    absent = "map: give --map FILE" + (f"; there: {', '.join(map(str, near))}" if near else "")
+    (found if own else missing).append(f"map {own.name}" if own else absent)
+    return FirstLook(tuple(found), tuple(missing), tuple(written), _next(path, opens, masks, given))
+
+
+def _look_at_calibration(path: Path, cameras: dict, found: list, missing: list, written: list) -> bool:
+    """Say what is known of the cameras; whether the folder opens as a drive."""
+    calibration = folder_file(path, CALIBRATIONS)
+    if calibration is None:
+        matrix, lens = (camera_matrix(path), distortion(path)) if len(cameras) == 1 else (None, None)
+        found += [f"{part[0]}: its numbers are in calib.yaml" for part in (matrix, lens) if part]
+        missing.append("calibration: intrinsics and place of each camera" + _other_calibrations(path))
+        sizes = [size for _, size in cameras.values()]
+        numbers = ([] if part is None else part[1] for part in (matrix, lens))
+        written += _write(path / "calib.yaml", calibration_template(list(cameras), sizes, *numbers))
+        return False
+    words = unfilled(calibration.read_text(encoding="utf-8", errors="replace"))
+    if words:
+        missing.append(f"calibration: {', '.join(words)} in {calibration.name} are not filled in")
+        return False
+    try:
+        rig = read_calibration(calibration)
+        drive = open_drive(path)
+    except SemlocError as error:
+        missing.append(f"what fits together: {error}")
+        return False
+    found.append(f"calibration {calibration.name} of {', '.join(rig.names)}; {len(drive)} frames in all")
+    return True
+
+
+def _look_at_times(path: Path, found: list, missing: list) -> None:
+    """Where the times of the frames come from."""
+    top = next(iter(kind_folders(path).values()))
+    folders = [top, *(place for place in sorted(top.iterdir()) if place.is_dir())]
+    stems = next(([file.stem for file in files] for folder in folders if (files := pictures_in(folder))), [])
+    file = folder_file(path, ("times.csv", "timestamps.txt"))
+    if file is not None or are_times(stems):
+        found.append("times of the frames: " + (file.name if file else f"names of the files, {stems[0]} ..."))
+        return
+    header, example = COLUMNS["times.csv"].split("\n")[:2]
+    missing.append(f"times.csv: time of each frame; else 10 Hz is assumed. Columns: {header}  e.g. {example}")
+
+
+def _look_at_logs(path: Path, found: list, missing: list) -> None:
+    """Which logs are there and can be read, which have another name, and which are missing."""
+    others = logs_of_other_names(path)
+    for name, use, read in _LOGS:
+        header, example = COLUMNS[name].split("\n")[:2]
         here = folder_file(path, FIXES if name == "gps.csv" else (name,))
-        (missing if here is None else found).append(
-            f"{name}: {use}. Columns: {example[0]}  e.g. {example[1]}" if here is None else here.name
-        )
-    maps = maps_beside(path)
-    others = [file for file in sorted(path.iterdir()) if file.suffix.lower() in _MAPS]
-    given = "" if maps else f" --map {others[0] if len(others) == 1 else 'MAP'}"
-    absent = "map: give --map FILE" + (f"; here: {', '.join(file.name for file in others)}" if others else "")
-    (found if maps else missing).append(f"map {next(iter(maps.values())).name}" if maps else absent)
-    return FirstLook(tuple(found), tuple(missing), tuple(written), _next(path, written, masks, given))
+        if here is None:
+            own, columns = others.get(name), f"Columns: {header}  e.g. {example}"
+            renamed = f"{own} has its columns: mv {path / own} {path / name}" if own else ""
+            missing.append(f"{name}: {renamed or f'{use}. {columns}'}")
+            continue
+        try:
+            found.append(f"{here.name}: {len(read(here).time_s)} rows")
+        except SemlocError as error:
+            missing.append(f"{name}: {error}  e.g. {example}")
 
 
 def _other_calibrations(path: Path) -> str:
@@ -150,37 +221,29 @@ def _other_calibrations(path: Path) -> str:
     return f"; intrinsics are in {', '.join(readable)}" if readable else ""
 
 
-def _ids(masks: Path) -> str:
-    """The ids in the first and the last mask, for the class table."""
-    files = _pictures(masks) or [file for folder in sorted(masks.iterdir()) for file in _pictures(folder)]
-    try:
-        ids = sorted({int(value) for file in files[:1] + files[-1:] for value in np.unique(read_picture(file))})
-    except SemlocError:
-        return ""
-    return f" with ids {' '.join(map(str, ids))}" if 0 < len(ids) <= _MOST_IDS else ""
+def _files_with(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in suffixes and file.is_file())
 
 
-def _holds_ids(picture: np.ndarray) -> bool:
-    return picture.ndim == 2 and len(np.unique(picture)) <= _MOST_IDS
+def _tables_of(ids: list[int]) -> str:
+    """The ids of masks and the class tables that know all of them."""
+    fit = [name for name in preset_names() if set(ids) <= {0, 255, *load_class_table(name).id_names}]
+    if not ids:
+        return f": --class-table {', '.join(preset_names())}"
+    return f" with ids {' '.join(map(str, ids))}" + (f": --class-table {', '.join(fit)}" if fit else ": no preset fits")
 
 
-def _calibration_line(path: Path, missing: list[str]) -> str:
-    calibration = next(path / name for name in CALIBRATIONS if (path / name).is_file())
-    try:
-        rig = read_calibration(calibration)
-        drive = open_drive(path)
-        return f"calibration {calibration.name} of {', '.join(rig.names)}; {len(drive)} frames in all"
-    except SemlocError as error:
-        missing.append(f"something that fits: {error}")
-        return f"calibration {calibration.name}"
-
-
-def _next(path: Path, written: list[Path], masks: Path | None, road: str) -> str:
-    if any(file.name == "calib.yaml" for file in written):
-        return f"fill in {path / 'calib.yaml'}, then: semloc check-calib {path}{road} --out check"
+def _next(path: Path, opens: bool, masks: Path | None, road: str) -> str:
+    calibration = folder_file(path, CALIBRATIONS)
+    if calibration is not None and unfilled(calibration.read_text(encoding="utf-8", errors="replace")):
+        return f"fill in {calibration}, then: semloc check-calib {path}{road} --out check"
+    if not opens:
+        return f"mend what is said under 'missing', then: semloc init {path}"
     if masks is None:
         return f"semloc segment {path} --model NET.onnx --class-table cityscapes{road}"
-    return f"semloc localize {path}{road} --masks {masks.name} --class-table {path / 'classes.yaml'} --frames ::10"
+    table = path / "classes.yaml"
+    first = f"fill in {table} (or take a preset), then: " if unfilled(table.read_text(encoding="utf-8")) else ""
+    return f"{first}semloc localize {path}{road} --masks {masks.name} --class-table {table} --frames ::10"
 
 
 def _of_drive(path: Path) -> FirstLook:
@@ -198,20 +261,14 @@ def _of_drive(path: Path) -> FirstLook:
 
 def _cameras(path: Path) -> dict[str, tuple[int, tuple[int, int] | None]]:
     """Cameras of the folder of images (or masks): number of pictures and their size."""
-    top = next(path / name for name in (*_IMAGES, *_MASKS) if (path / name).is_dir())
+    top = next(iter(kind_folders(path).values()))
     folders = sorted(place for place in top.iterdir() if place.is_dir()) or [top]
     found = {}
     for folder in folders:
-        files = _pictures(folder)
+        files = pictures_in(folder)
         size = read_picture(files[0]).shape[1::-1] if files else None
         found["front" if folder == top else folder.name] = (len(files), size)
     return found
-
-
-def _pictures(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        return []
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES)
 
 
 def _write(path: Path, text: str) -> tuple[Path, ...]:

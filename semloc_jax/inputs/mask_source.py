@@ -4,7 +4,7 @@ In: a Drive and the name of a mask folder or segmenter. Out: MaskSource.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +12,11 @@ import numpy as np
 
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
+from semloc_jax.inputs.mask_files import CLASSICAL, MaskFiles
 from semloc_jax.inputs.mask_view import MaskSource, TopViewSource, resized
 from semloc_jax.perception import load_class_table, preset_names
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset, offsets_of_cameras
-from semloc_jax.perception.masks import read_mask
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter, load_network_preset
 from semloc_jax.perception.networks.eyes import Eyes
 from semloc_jax.perception.surround import ground_table, top_view
@@ -27,10 +27,6 @@ _OFFSET_FRAMES = 12
 _MAX_OFFSET_PX = 2.0
 """Masks made at a fourth of the resolution and resized by their corners lie 1.5 px off; a larger estimate comes from
 lines that fix only one direction."""
-RECORD = "segment.yaml"
-"""What `semloc segment` writes beside its masks."""
-CLASSICAL = "classical"
-"""Name of the built-in segmenter of road paint for plain images."""
 TOP_VIEW = "ipm:"
 """Before the name of masks: all cameras as one top view of the road (inverse perspective mapping)."""
 
@@ -72,8 +68,8 @@ def mask_source(
         return eyes_source(Eyes.load(name), drive, names, name)
     if is_network(name):
         return _network(name, drive, names, table)
-    read, own_table = _files(name, drive, names)
-    table = table or own_table
+    files = MaskFiles.of(name, drive, names)
+    table = table or files.table
     if not table:
         raise SemlocError(
             f"masks '{name}': no class table is known for {drive.name}; give --class-table "
@@ -83,9 +79,9 @@ def mask_source(
         name,
         load_class_table(table),
         names,
-        read,
+        files.mask,
         {} if offset_px is None else dict.fromkeys(names, offset_px),
-        _sizes(read, drive, names),
+        files.size_px,
     )
     _check_table(source, drive)
     return source if offset_px is not None else _with_offsets(source, drive)
@@ -100,38 +96,6 @@ def best_masks(drive: Drive) -> str:
     if not drive.mask_sources:
         raise SemlocError(f"drive {drive.name}: has no masks; give --masks (semloc segment makes them)")
     return drive.mask_sources[0]
-
-
-def _files(name: str, drive: Drive, cameras: tuple[str, ...]) -> tuple[Callable[[Frame, str], np.ndarray], str | None]:
-    """What reads the masks of a folder, and their class table where it is known."""
-    if name in drive.mask_sources:
-        return (lambda frame, camera: frame.mask(name, camera)), drive.table_name
-    if Path(name).is_dir():
-        return _from_folder(Path(name), cameras), _recorded_table(Path(name)) or drive.table_name
-    known = ", ".join(
-        (*drive.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "FILE.weights", "a folder CAMERA/FRAME.png")
-    )
-    raise SemlocError(f"masks '{name}': drive {drive.name} has no such folder; expected one of {known}")
-
-
-def _from_folder(folder: Path, names: tuple[str, ...]) -> Callable[[Frame, str], np.ndarray]:
-    """Reads CAMERA/FRAME.png of a folder, or FRAME.png where the drive has one camera only."""
-
-    def read(frame: Frame, camera: str) -> np.ndarray:
-        own = folder / camera / f"{frame.id}.png"
-        return read_mask(own if own.is_file() or len(names) > 1 else folder / f"{frame.id}.png")
-
-    return read
-
-
-def _recorded_table(folder: Path) -> str:
-    """The class table that `semloc segment` has recorded with its masks; empty where there is no record."""
-    path = folder / RECORD
-    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
-        key, _, value = line.partition(":")
-        if key == "class_table":
-            return value.strip().strip("'\"")
-    return ""
 
 
 def _classical(drive: Drive, names: tuple[str, ...]) -> MaskSource:
@@ -223,18 +187,6 @@ def _top_view(source: MaskSource, drive: Drive) -> TopViewSource:
         source.size_px,
         *top_view(rig),
     )
-
-
-def _sizes(
-    read: Callable[[Frame, str], np.ndarray], drive: Drive, cameras: Sequence[str]
-) -> dict[str, tuple[int, int]]:
-    """Width and height of the masks of each camera whose masks are not as large as its images."""
-    sizes = {}
-    for camera, model in zip(cameras, drive.rig.select(cameras).cameras, strict=True):
-        height, width = read(drive.frames[0], camera).shape
-        if (width, height) != model.resolution:
-            sizes[camera] = (width, height)
-    return sizes
 
 
 def _check_table(source: MaskSource, drive: Drive) -> None:

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
-from semloc_jax.inputs.mask_source import RECORD
+from semloc_jax.inputs.mask_files import RECORD
 from semloc_jax.maps import read_map
 from semloc_jax.perception import ClassTable, load_class_table, read_mask
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
@@ -71,6 +71,8 @@ def segment_drive(
             network, or a file cannot be read or written.
     """
     if not preset.class_table:
+        if not Path(preset.model).is_file():
+            raise SemlocError(f"network {preset.model}: no such file; expected a segmentation network in ONNX format")
         raise SemlocError(f"network {preset.model}: what its class ids mean is not known; give --class-table")
     table = load_class_table(preset.class_table)
     frames = drive.frames[chosen]

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from semloc_jax.errors import SemlocError
+from semloc_jax.errors import DamagedPicture, SemlocError
 from semloc_jax.perception.class_table import Channel, ClassTable, TableReport, load_class_table, preset_names
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
 
@@ -48,7 +48,7 @@ def read_mask(path: str | Path, size_px: tuple[int, int] | None = None) -> np.nd
     data = path.read_bytes()
     if not data.startswith(_SIGNATURE):
         raise SemlocError(f"mask {path}: not a PNG file; class ids survive only in a loss-free format, write PNG")
-    damaged = SemlocError(f"mask {path}: the file is cut off or damaged ({len(data)} bytes); write it again")
+    damaged = DamagedPicture(f"mask {path}: the file is cut off or damaged ({len(data)} bytes); write it again")
     chunks = _chunks(data)
     if chunks is None or len(chunks[0][1]) < 13:
         raise damaged

@@ -83,6 +83,8 @@ def report_calibration_check(check: CalibrationCheck, out: Path | None = None) -
     lines = [_line(rig, name) for name in rig.names] + [f"warning: {finding}" for finding in findings]
     if not findings:
         lines.append("nothing implausible found; look at the pictures" if images else "nothing implausible found")
+    if not images:
+        lines.append("no picture: no image to draw on" + ("; give --image FILE" if drive is None else " in the drive"))
     usable = {name: images[name] for name in rig.names if name in images}
     if usable:
         lines += [f"picture: {path}" for path in _draw(check, rig, drive, usable, findings, out)]
@@ -147,7 +149,7 @@ def _line(rig: Rig, name: str) -> str:
     width, height = camera.resolution
     return (
         f"{name}: {type(camera).__name__} {width}x{height} px, f {float(camera.fx):.1f} px, at x {T[0, 3]:.2f} "
-        f"y {T[1, 3]:.2f} z {T[2, 3]:.2f} m, looks {yaw:.1f} deg left, {pitch:.1f} deg down, rolled {roll:.1f} deg"
+        f"y {T[1, 3]:.2f} z {T[2, 3]:.2f} m, looks {yaw:z.1f} deg left, {pitch:z.1f} deg down, rolled {roll:z.1f} deg"
     )
 
 

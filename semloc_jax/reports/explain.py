@@ -95,7 +95,8 @@ def report_explanation(
         text = f"frame {frame.id} is not localized: {reasons}; give another --frame or --masks"
         return ExplainReport((), None, text)
     found = explain_frame(localizer, result, *given, ExplainConfig(shift_m))
-    lines = [explained_elements(found, num_listed)]
+    told = f"frame {frame.id} (number {frame.index} of 0 ... {len(inputs.drive) - 1}), masks {inputs.masks.name}"
+    lines = [told, explained_elements(found, num_listed)]
     if extras.has_posterior:
         lines.append(_posterior(localizer, result, *given))
     if extras.num_draws:

@@ -12,6 +12,14 @@ from semloc_jax.analysis.explain_drive import ElementRole, is_irreplaceable
 from semloc_jax.analysis.explanation import Explanation, Holder
 from semloc_jax.reports.explain_files import DIRECTIONS, in_units
 
+_FAR_CM = 100.0
+"""No map is wrong by more: a derivative that holds farther holds."""
+MEANING = (
+    "share: of what holds the pose in that direction; if wrong: how far the pose goes where the element is wrong by\n"
+    "that much (solved, and by the derivative, which holds up to the last column); if missing: where it is left out.\n"
+    "lon: ahead, lat: left [cm]; head: to the left [deg]"
+)
+
 
 def explained_elements(found: Explanation, top: int) -> str:
     """The strongest holders, all classes and the prior, one line each."""
@@ -19,7 +27,7 @@ def explained_elements(found: Explanation, top: int) -> str:
     head = f"{'':42}{'share [%]':>17}  {'if ' + shift + ': solver':^24} {'derivative':^16} {'if missing':^16} linear"
     units = f"{'element':34}{'points':>8}{'lon':>6}{'lat':>6}{'head':>6}  {'lon':>7}{'lat':>7} cm{'head':>7}°"
     units += f"{'lon':>7}{'lat':>7} cm{'lon':>7}{'lat':>7} cm up to"
-    lines = [head, units, *(_line(holder) for holder in found.elements[:top])]
+    lines = [MEANING, "", head, units, *(_line(holder) for holder in found.elements[:top])]
     if len(found.elements) > top:
         rest = sum(holder.share for holder in found.elements[top:])
         lines.append(f"{f'... {len(found.elements) - top} more':42}" + "".join(f"{100 * s:6.1f}" for s in rest))
@@ -44,8 +52,12 @@ def _line(holder: Holder, more: str = "") -> str:
     name = holder.id + more
     if holder.is_element and not more:
         name = f"{holder.label.name.lower():15}{holder.id}"
-    to = f"{100 * holder.linear_to_m:7.1f}" if holder.is_element else ""
-    text = f"{name[:33]:34}{holder.num_samples or '':>8}" + "".join(f"{100 * share:6.1f}" for share in holder.share)
+    to_cm = 100 * holder.linear_to_m
+    to = f"{to_cm:7.1f}" if to_cm < _FAR_CM else f"{f'>{_FAR_CM:g}':>7}"
+    to = to if holder.is_element else ""
+    text = f"{name if len(name) < 34 else name[:32] + '~':34}{holder.num_samples or '':>8}" + "".join(
+        f"{100 * share:6.1f}" for share in holder.share
+    )
     text += f"  {100 * shifted[0]:+7.1f}{100 * shifted[1]:+7.1f}{shifted[2]:+11.2f}"
     text += f" {100 * linear[0]:+6.1f}{100 * linear[1]:+7.1f}"
     return f"{text}   {100 * removed[0]:+7.1f}{100 * removed[1]:+7.1f}   {to}"

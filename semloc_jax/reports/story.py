@@ -54,7 +54,12 @@ def write_map_picture(
     estimate, prior = (np.array([getattr(r, key) for r in good]) for key in ("T_map_base", "T_map_prior"))
     known = np.array([truth[r.frame.id] for r in good if r.frame.id in truth])
     path = folder / "map.png"
-    save(map_view(semantic_map.elements, estimate, known, prior, title="way: first guess, truth, pose found"), path)
+    save(
+        map_view(
+            semantic_map.elements, estimate, known, prior, title="the way: prior (satellite fixes), truth, estimate"
+        ),
+        path,
+    )
     return path
 
 
@@ -82,10 +87,12 @@ def spoken(what: str, every_s: float = _WORD_EVERY_S) -> Iterator[None]:
     """Say what is being done, and that it still is, until it is."""
     done, started = threading.Event(), time.perf_counter()
     print(f"{what} ...", flush=True)
+    # A terminal counts in one line; a log gets a line each time.
+    start, end = ("\r", "") if sys.stdout.isatty() else ("", "\n")
 
     def go_on() -> None:
         while not done.wait(every_s):
-            print(f"  ... {time.perf_counter() - started:.0f} s", flush=True)
+            print(f"{start}  ... {time.perf_counter() - started:.0f} s", end=end, flush=True)
 
     teller = threading.Thread(target=go_on, daemon=True)
     teller.start()
@@ -94,3 +101,4 @@ def spoken(what: str, every_s: float = _WORD_EVERY_S) -> Iterator[None]:
     finally:
         done.set()
         teller.join()
+        print(f"{start}{' ' * 20}{start}" if start else "", end="", flush=True)

@@ -122,7 +122,8 @@ def report_surround(
         _write_masks(folder, masks, pictures, settings, own_car_m)
     write_metrics(run.metrics(), folder / "metrics.json")
     write_record(folder, settings, {})
-    text = [f"{len(pictures)} top views of {view.bev.resolution[0]} x {view.bev.resolution[1]} px, "]
+    width, height = view.bev.resolution
+    text = [f"{len(pictures)} top view{'s' if len(pictures) != 1 else ''} of {width} x {height} px, "]
     text[0] += f"{1e3 * settings.metres_per_px:g} mm a pixel, cameras {', '.join(pictures.rig.names)}"
     return "\n".join([*text, format_metrics(run.metrics()), *warnings, f"results: {folder}"])
 

@@ -150,7 +150,9 @@ def summary(table: TrackTable, timing: Timing) -> str:
     speed = f"real-time factor {timing.realtime_factor:.1f}, {stages['localize.mean']:.0f} ms a frame to localize"
     dropped = f", {timing.num_dropped} frames dropped" if timing.num_dropped else ""
     lines = [f"{len(table)} frames: {said}", f"{speed} (p99 {stages['localize.p99']:.0f} ms){dropped}"]
-    lines += [f"not tracked, {count} frames: {reason}" for reason, count in _commonest_reasons(table)]
+    lines += [
+        f"not tracked, {count} frame{'s' if count > 1 else ''}: {reason}" for reason, count in _commonest_reasons(table)
+    ]
     return "\n".join(lines)
 
 

@@ -101,15 +101,24 @@ REAL_DRIVES = {
 """What the other rows of the tables rest on."""
 
 
+def named_drive(name: str) -> NamedDrive:
+    """What the drive of a name is.
+
+    Raises:
+        SemlocError: there is no drive of that name.
+    """
+    if name not in NAMED_DRIVES:
+        raise SemlocError(f"no drive is called '{name}'; expected one of {', '.join(NAMED_DRIVES)}")
+    return NAMED_DRIVES[name]
+
+
 def make_named_drive(name: str, folder: Path) -> Drive:
     """The drive of a name, written into `folder/NAME` unless it is there already.
 
     Raises:
         SemlocError: there is no drive of that name, or another drive is in the folder.
     """
-    if name not in NAMED_DRIVES:
-        raise SemlocError(f"no drive is called '{name}'; expected one of {', '.join(NAMED_DRIVES)}")
-    named, place = NAMED_DRIVES[name], folder / name
+    named, place = named_drive(name), folder / name
     recipe, stated = f"{named!r}\n", place / "recipe.txt"
     if stated.is_file() and stated.read_text(encoding="utf-8") == recipe:
         return read_drive(place)

@@ -22,6 +22,7 @@ _ALONG, _ACROSS, _HORIZON = (64, 196, 255), (255, 179, 0), (255, 255, 255)
 _GRID_M, _STEP_M = (30.0, 10.0), (5.0, 2.0)
 """Half length and step of the grid along x and y around a narrow camera."""
 _WIDE_GRID_M, _WIDE_STEP_M = (12.0, 12.0), (2.0, 2.0)
+_LEGEND = "white: horizon   blue: lines ahead   amber: lines across, on the road"
 _SHIFT = 4
 _FAR_M = 1e6
 _FISHEYE_DEG = 100.0
@@ -108,6 +109,7 @@ def calibration_figure(
         axes.imshow(draw_calibration(picture, model, T, local_map, T_map_base), interpolation="antialiased")
         axes.set_axis_off()
         axes.set_title(title, color="#e8edf4", fontsize=11, loc="left", pad=5)
+    figure.text(0.99, 0.01, _LEGEND, color="#c9d1dc", fontsize=9, ha="right", va="bottom")
     colour = "#ff8a80" if findings else "#00e676"
     figure.supxlabel("\n".join(words), color=colour, fontsize=9, x=0.01, ha="left")
     return figure
@@ -131,11 +133,11 @@ def top_view_figure(images: Mapping[str, np.ndarray], rig: Rig) -> Figure:
             chosen = (view.order[rank] == index) & (uv[..., 0] > -1e3)
             picture = cv2.remap(images[name], uv, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             shown[chosen] = picture[chosen]
-    figure = new_figure(8.0, 8.3, dark=True)
-    axes = figure.subplots()
     x0 = T[0, 3]
+    behind, ahead, side = _shown_range(view, x0, range_m)
+    figure = new_figure(8.0, 0.7 + 7.4 * (ahead - behind) / (2.0 * side), dark=True)
+    axes = figure.subplots()
     axes.imshow(shown, extent=(range_m, -range_m, x0 - range_m, x0 + range_m), interpolation="antialiased")
-    axes.set_xlim(range_m, -range_m)
     axes.fill(VEHICLE_M[:, 1], VEHICLE_M[:, 0], facecolor="none", edgecolor="#ffffff", linewidth=1.2)
     for name, pose in zip(rig.names, np.asarray(rig.T_base_cam), strict=True):
         axes.plot(pose[1, 3], pose[0, 3], "o", color="#00e676", markersize=5)
@@ -144,12 +146,23 @@ def top_view_figure(images: Mapping[str, np.ndarray], rig: Rig) -> Figure:
         axes.annotate(name, (tip[1], tip[0]), color="#00e676", fontsize=9, ha="center")
     axes.set_xticks(np.arange(-range_m, range_m + 1, 4))
     axes.set_yticks(np.arange(-range_m, range_m + 1, 4))
-    axes.set_ylim(x0 - range_m, x0 + range_m)
+    axes.set_ylim(behind, ahead)
+    axes.set_xlim(side, -side)
     axes.grid(True, color="#ffffff", alpha=0.25, linewidth=0.6)
     axes.tick_params(colors="#c9d1dc", labelsize=8)
     axes.set_xlabel("y [m], left is left", color="#c9d1dc", fontsize=9)
     axes.set_ylabel("x [m], ahead is up", color="#c9d1dc", fontsize=9)
     return figure
+
+
+def _shown_range(view: SurroundView, x0: float, range_m: float) -> tuple[float, float, float]:
+    """Where the car is and cameras show the road: from behind, to ahead, to either side [m]."""
+    seen = np.stack([uv[..., 0] > -1e3 for uv in view.image_uv]).any(axis=0)
+    steps = [np.linspace(range_m, -range_m, size) for size in seen.shape]
+    x = [*(x0 + steps[0][seen.any(axis=1)]), *VEHICLE_M[:, 0]]
+    y = [*steps[1][seen.any(axis=0)], *VEHICLE_M[:, 1]]
+    side = max(map(abs, y)) + 1.0
+    return max(min(x) - 1.0, x0 - range_m), min(max(x) + 1.0, x0 + range_m), min(side, range_m)
 
 
 def _grid(T_base_cam: np.ndarray, is_wide: bool) -> tuple[np.ndarray, np.ndarray]:

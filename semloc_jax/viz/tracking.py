@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from semloc_jax.localization.track_state import TrackStatus
@@ -49,6 +50,8 @@ def tracking_over_time(
     rows[-1].set_xlabel("time [s]", fontsize=9)
     handles = [Patch(color=colour, label=s.name.lower()) for s, colour in STATUS_COLOURS.items() if s in status]
     handles.append(Patch(color=LEVEL, label="protection level"))
+    handles.append(Line2D([], [], color=ERROR, label="error"))
+    handles.append(Line2D([], [], color=LIMIT, linestyle=(0, (4, 3)), label="alert limit"))
     figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False)
     return figure
 
@@ -64,7 +67,8 @@ def _draw_errors(axes: Axes, time_s: np.ndarray, error: np.ndarray, level: np.nd
     axes.set_ylabel(name, fontsize=9)
     size = np.abs(error[np.isfinite(error)])
     if len(size):
-        text = f"mean {size.mean():.3f}   p95 {np.percentile(size, 95):.3f}   max {size.max():.3f}   limit ±{limit:g}"
+        p95, unit = np.percentile(size, 95), name.rpartition("[")[2].rstrip("]")
+        text = f"error: mean {size.mean():.3f}   p95 {p95:.3f}   max {size.max():.3f}   limit ±{limit:g} {unit}"
         axes.set_title(text, loc="left", fontsize=8)
 
 

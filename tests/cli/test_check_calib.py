@@ -51,7 +51,9 @@ def test_a_wrong_calibration_is_warned_of(wrong, tmp_path, capsys):
 def test_a_file_alone_and_with_a_picture(simulated_road, tmp_path, capsys):
     file = str(simulated_road / "calib.yaml")
     assert main(["check-calib", file, "--out", str(tmp_path / "none")]) == OK
-    assert "nothing implausible found" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "nothing implausible found" in said and "no picture: no image to draw on; give --image FILE" in said
+    assert "-0.0 deg" not in said
     assert not (tmp_path / "none").exists()
     cv2.imwrite(str(tmp_path / "big.png"), np.full((600, 960, 3), 80, np.uint8))
     assert main(["check-calib", file, "--image", str(tmp_path / "big.png"), "--out", str(tmp_path / "out")]) == OK

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import sys
 import time
 
 import pytest
@@ -29,11 +30,15 @@ def test_the_demo_says_how_good_it_is_and_what_comes_next(tmp_path, capsys, monk
         assert (tmp_path / drive).exists()
 
 
-def test_what_takes_long_is_told(capsys):
+def test_what_takes_long_is_told(capsys, monkeypatch):
     with story.spoken("compiling", every_s=0.01):
         time.sleep(0.1)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "compiling ..." and len(lines) > 2
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    with story.spoken("compiling", every_s=0.01):
+        time.sleep(0.1)
+    assert capsys.readouterr().out.count("\n") == 1  # a terminal counts in one line, which is empty in the end
     with pytest.raises(RuntimeError), story.spoken("failing", every_s=10.0):
         raise RuntimeError("the word ends with the work")
 

@@ -69,6 +69,8 @@ def test_different_clocks_and_broken_files_are_explained(truth, tmp_path, capsys
     (tmp_path / "words.tum").write_text("this is no trajectory\n")
     assert main(["evaluate", str(tmp_path / "words.tum"), truth]) == FAILED
     assert "not a table of numbers" in capsys.readouterr().err
+    assert main(["evaluate", "made.osm", truth]) == USAGE
+    assert "a map and a trajectory cannot be compared" in capsys.readouterr().err
     (tmp_path / "metrics.json").write_text(json.dumps([1, 2]))
     assert main(["evaluate", truth, truth, "--baseline", str(tmp_path / "metrics.json")]) == FAILED
     assert "not a metrics file" in capsys.readouterr().err

@@ -33,7 +33,7 @@ def test_a_sound_map_is_counted_and_drawn(small_map, tmp_path, capsys):
     picture = tmp_path / "map.png"
     assert main(["inspect", small_map(), "--strict", "--picture", str(picture)]) == OK
     said = capsys.readouterr().out
-    assert "2 elements" in said
+    assert "map small.geojson: 2 elements" in said  # the file that was given, whatever name the map has in it
     assert "lane_solid" in said
     assert "defects: none" in said
     assert picture.stat().st_size > 5000
@@ -71,4 +71,6 @@ def test_broken_maps_are_refused_in_one_line(tmp_path, capsys, name, text, messa
 
 def test_a_missing_map_is_refused(capsys):
     assert main(["inspect", "nowhere.geojson"]) == FAILED
-    assert "no such file" in capsys.readouterr().err
+    assert capsys.readouterr().err == "semloc inspect: map nowhere.geojson: no such file\n"  # its suffix is right
+    assert main(["inspect", "nowhere.doc"]) == FAILED
+    assert "no such file; give a .geojson" in capsys.readouterr().err

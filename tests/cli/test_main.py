@@ -1,5 +1,7 @@
 """The command as a whole: help at once, exit codes, one line for each error."""
 
+import importlib
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -34,6 +36,44 @@ def test_help_imports_nothing_heavy(words):
     assert int(count) <= MOST_MODULES["VERB --help" if len(words) > 1 else "--help"]
 
 
+@pytest.mark.parametrize("words", [["--help"], *([*verb.split(), "--help"] for verb in (*VERBS, "learn eyes"))])
+def test_help_fits_a_terminal_and_says_no_more_than_it_means(words, capsys):
+    """80 columns; no `{None}|PATH`, no default that is none; a sentence of an option is not broken in its middle."""
+    assert main(words) == OK
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 80
+    assert "{None}" not in text and "default: None" not in text and "default: False" not in text
+    assert "(default: )" not in text and "\n\n\n" not in text
+    lines = [line.strip("│ ") for line in text.splitlines()]
+    assert not {"before it", "went, and", "the results"} & set(lines)
+
+
+def test_help_keeps_defaults_that_say_something(capsys):
+    assert main(["localize", "--help"]) == OK
+    text = " ".join(line.strip("│ ") for line in capsys.readouterr().out.splitlines())
+    for part in ("(default: 0.5)", "(default: 0)", "--calib PATH", "{search,icp}", "DRIVE [DRIVE...]"):
+        assert part in text
+
+
+def test_help_of_a_terminal_without_boxes():
+    code = "from semloc_jax.cli.main import main; main(['init', '--help'])"
+    env = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=ROOT, env=env, check=True)
+    assert b"FOLDER" in done.stdout and b"\xe2" not in done.stdout
+
+
+@pytest.mark.parametrize("verb", ["map", "odometry", "simulate"])
+def test_the_configuration_of_a_verb_is_printed_and_read_back(verb, tmp_path, capsys):
+    from semloc_jax.cli.arguments import read_settings
+
+    assert main(["config", verb]) == OK
+    (tmp_path / "mine.yaml").write_text(capsys.readouterr().out)
+    module = importlib.import_module(f"semloc_jax.cli.{verb}")
+    assert read_settings(str(tmp_path / "mine.yaml"), module.Options, module.default_settings())[0] == (
+        module.default_settings()
+    )
+
+
 def test_version_is_printed(capsys):
     assert main(["--version"]) == OK
     assert capsys.readouterr().out.startswith("semloc 0.")
@@ -44,6 +84,7 @@ def test_version_is_printed(capsys):
     [
         (["localise"], "unknown verb 'localise'; did you mean 'localize'?"),
         (["evaluate", "a.tum"], "Missing"),
+        (["config", "nothing"], "for argument 'verb'. Expected one of ('localize', 'track', 'map'"),
         (["evaluate", "a.tum", "b.tum", "--max-diference-s", "1"], "did you mean '--max-difference-s'?"),
         (["evaluate", "a.tum", "b.tum", "--max-difference-s", "soon"], "could not convert string to float: 'soon'"),
     ],

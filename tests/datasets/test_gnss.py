@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.datasets import GnssTrack, WheelOdometry, gnss_prior, read_drive
+from semloc_jax.datasets.sensors import read_gnss
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import wgs84_from_enu
 
@@ -122,3 +123,12 @@ def test_rendered_road_every_frame_within_two_degrees_and_the_receivers_own_bias
     assert np.median(headings) < 0.5 and np.max(headings) < 1.0
     assert np.max(sides) < 2.5
     assert np.max(ratios) < 3.0
+
+
+def test_fixes_in_metres_of_the_map_need_a_time_and_a_place_only(tmp_path):
+    """Any usual name of a column, any unit of time; heights and standard deviations as of a plain receiver."""
+    (tmp_path / "gps.csv").write_text("timestamp;east;north\n1700000000000;1,5;2,5\n1700000000200;2,5;3,5\n")
+    fixes = read_gnss(tmp_path / "gps.csv")
+    np.testing.assert_allclose(fixes.time_s, [1700000000.0, 1700000000.2])
+    np.testing.assert_allclose(fixes.p_enu, [[1.5, 2.5, 0.0], [2.5, 3.5, 0.0]])
+    np.testing.assert_allclose(fixes.sigma_m, [[3.0, 3.0, 6.0]] * 2)

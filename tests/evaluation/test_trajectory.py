@@ -69,6 +69,7 @@ def test_interpolation_is_halfway():
     [
         ("1 2 3\n", "8 columns"),
         ("a b c\n", "not a table of numbers"),
+        ("1 2 3\n1 2\n", "row 1 holds 3 cells and row 2 2"),
         ("", "holds no pose"),
         ("0 0 0 0 5 0 0 1\n", "norm"),
         ("0 0 0 0 0 0 1e300 1\n", "norm inf"),

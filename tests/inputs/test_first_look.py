@@ -99,9 +99,9 @@ def test_files_of_other_names_are_named(folder):
         "   rows: 1\n   cols: 5\n   dt: d\n   data: [0., 0., 0., 0., 0.]\n"
     )
     look = first_look(folder)
-    assert "gnss.csv" in look.found and not any(line.startswith("gps.csv") for line in look.missing)
+    assert "gnss.csv: 1 rows" in look.found and not any(line.startswith("gps.csv") for line in look.missing)
     assert "calibration: intrinsics and place of each camera; intrinsics are in camera.yaml" in look.missing
-    assert "map: give --map FILE; here: town.osm" in look.missing
+    assert f"map: give --map FILE; there: {folder / 'town.osm'}" in look.missing
     assert f"--map {folder / 'town.osm'}" in look.command
     assert any("masks in masks/ with ids 0: --class-table" in line for line in look.found)
 
@@ -152,8 +152,8 @@ def test_names_that_do_not_fit_are_explained(folder):
 def test_file_names_that_do_not_fit_are_shown(folder):
     _with_calibration(folder, "front")
     for file in (folder / "masks" / "front").iterdir():
-        file.rename(file.with_name(f"mask_{file.name}"))
-    with pytest.raises(SemlocError, match=r"2 rgb of front \(000\.png \.\.\.\), 2 masks of front \(mask_000\.png"):
+        file.rename(file.with_name(f"9{file.name}"))
+    with pytest.raises(SemlocError, match=r"2 rgb of front \(000\.png \.\.\.\), 2 masks of front \(9000\.png"):
         open_drive(folder)
 
 
@@ -162,3 +162,93 @@ def test_columns_of_fixes_that_are_missing_are_named_in_both_forms(folder):
     (folder / "gps.csv").write_text("t,x,y\n0.0,1.0,2.0\n")
     with pytest.raises(SemlocError, match=r"expected t, lat_deg, lon_deg, alt_m .* or t, east_m, north_m"):
         open_drive(folder)
+
+
+@pytest.mark.parametrize("new_name", ["mask_{}.png", "{}_mask.png", "mask{}.png", "{}_gtFine_labelIds.png"])
+def test_masks_may_be_called_by_a_word_of_their_own(folder, new_name):
+    """What labelling tools and exporters put before or behind the name of the picture."""
+    _with_calibration(folder, "front")
+    for kind, name in (("masks", new_name), ("images", "frame_{}.png")):
+        for file in (folder / kind / "front").iterdir():
+            file.rename(file.with_name(name.format(file.stem)))
+    drive = open_drive(folder)
+    assert [frame.id for frame in drive.frames] == ["000", "001"]
+    assert drive.frames[1].path("masks", "front").name == new_name.format("001")
+
+
+def test_folders_are_called_what_they_are_called(folder):
+    """`Images` and `Labels` are read as they are, and `--masks` takes the name that stands on the disk."""
+    _with_calibration(folder, "front")
+    (folder / "images").rename(folder / "Images")
+    (folder / "masks").rename(folder / "Labels")
+    assert open_drive(folder).mask_sources == ("Labels",)
+    look = first_look(folder)
+    assert any(line.startswith("masks in Labels/") for line in look.found) and "--masks Labels" in look.command
+
+
+def test_photographs_of_another_name_beside_masks_are_not_overlooked(folder):
+    """labels/ is known, cam_front/ is not: without a word the drive would have had no images."""
+    (folder / "images" / "front").rename(folder / "cam_front")
+    (folder / "images").rmdir()
+    look = first_look(folder)
+    assert look.command == f"mv {folder / 'cam_front'} {folder / 'images'}; semloc init {folder}"
+    assert not (folder / "calib.yaml").exists()
+
+
+def test_pictures_in_the_folder_itself_and_an_empty_folder(folder, tmp_path):
+    loose = folder / "images" / "front"
+    assert first_look(loose).command.startswith(f"mkdir {loose / 'images'}; mv {loose}/*.png {loose / 'images'}/;")
+    (tmp_path / "empty").mkdir()
+    look = first_look(tmp_path / "empty")
+    assert look.missing[0].startswith(f"pictures: {tmp_path / 'empty'} is empty") and "once" not in look.command
+
+
+def test_numbers_and_logs_under_other_names_are_used(folder):
+    (folder / "K.txt").write_text("60.5 0 31.5\n0 61.5 19.5\n0 0 1\n")
+    (folder / "dist.txt").write_text("-0.1 0.01 0 0\n")
+    (folder / "positions.csv").write_text("time;lat;lon;height\n1,5;48,0;11,0;500\n2,5;48,1;11,0;500\n")
+    (folder / "timestamps.txt").write_text("1.5\n1.6\n")
+    look = first_look(folder)
+    assert "K.txt: its numbers are in calib.yaml" in look.found and "times of the frames: timestamps.txt" in look.found
+    camera = yaml.safe_load((folder / "calib.yaml").read_text())["cam0"]
+    assert camera["intrinsics"] == [60.5, 61.5, 31.5, 19.5] and camera["distortion_coeffs"] == [-0.1, 0.01, 0, 0]
+    fixes = next(line for line in look.missing if line.startswith("gps.csv"))
+    assert f"positions.csv has its columns: mv {folder / 'positions.csv'} {folder / 'gps.csv'}" in fixes
+    (folder / "positions.csv").rename(folder / "gps.csv")
+    assert "gps.csv: 2 rows" in first_look(folder).found  # semicolons, and decimal commas between them
+
+
+def test_what_is_not_filled_in_is_next_and_so_is_a_log_that_cannot_be_read(folder):
+    first_look(folder)
+    (folder / "imu.csv").write_text("t,gx\n0,1\n")
+    look = first_look(folder)
+    assert any("FX, FY, CX, CY, K1, K2, P1, P2, X_FORWARD, Y_LEFT, Z_UP in calib.yaml" in line for line in look.missing)
+    assert look.command.startswith(f"fill in {folder / 'calib.yaml'}, then: semloc check-calib")
+    assert any(line.startswith("imu.csv: table") and "no column for gy" in line for line in look.missing)
+    _with_calibration(folder, "front", "left")
+    assert first_look(folder).command == f"mend what is said under 'missing', then: semloc init {folder}"
+
+
+def test_only_class_tables_that_know_all_ids_are_offered(folder):
+    for file in (folder / "masks" / "front").iterdir():
+        cv2.imwrite(str(file), np.full((40, 64), 60, np.uint8))
+    line = next(line for line in first_look(folder).found if line.startswith("masks in"))
+    assert "with ids 60: --class-table mapillary, or your own" in line
+
+
+def test_a_map_beside_the_folder_is_offered_and_not_called_its_own(folder):
+    _with_calibration(folder, "front")
+    (folder.parent / "map.osm").write_text("<osm/>")
+    look = first_look(folder)
+    assert f"map: give --map FILE; there: {folder.parent / 'map.osm'}" in look.missing
+    assert f"--map {folder.parent / 'map.osm'}" in look.command and open_drive(folder).map_path is None
+
+
+def test_a_video_without_a_calibration_is_told_to_fill_it_in(tmp_path):
+    video = cv2.VideoWriter(str(tmp_path / "dash.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 40))
+    for _ in range(2):
+        video.write(np.zeros((40, 64, 3), np.uint8))
+    video.release()
+    for _ in range(2):  # the second time the template is there
+        look = first_look(tmp_path / "dash.avi")
+        assert "FX, FY, CX, CY" in look.missing[0] and look.command.startswith(f"fill in {tmp_path / 'calib.yaml'}")

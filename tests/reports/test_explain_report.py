@@ -1,6 +1,7 @@
 """What `semloc explain` writes and prints of an explanation, without solving anything."""
 
 import csv
+import dataclasses
 import json
 
 import numpy as np
@@ -51,7 +52,9 @@ def found():
 
 
 def test_the_table_names_the_strongest_the_most_missed_and_the_irreplaceable(found):
-    lines = explained_elements(found, 1).split("\n")
+    meaning, lines = explained_elements(found, 1).split("\n\n", 1)
+    assert all(word in meaning for word in ("share:", "if wrong:", "if missing:", "[cm]", "[deg]"))
+    lines = lines.split("\n")
     assert "lamp_7" in lines[2] and "60.0" in lines[2]
     # 4 cm and 1 cm by the derivative, half of it by the solver, 6 cm up to where the kernel holds.
     assert [f"{value:+.1f}" for value in (2.0, -0.5, 4.0, -1.0)] == lines[2].split()[6:8] + lines[2].split()[9:11]
@@ -61,6 +64,12 @@ def test_the_table_names_the_strongest_the_most_missed_and_the_irreplaceable(fou
     assert "sigma: longitudinal 5.0 cm, lateral 2.0 cm, heading 0.10 deg" in text
     assert "most missed: lamp_7: without it the pose moves +8.0 cm longitudinal" in text
     assert "no stand-in: lamp_7" in text and "no stand-in: line_2" not in text
+
+
+def test_names_that_are_cut_are_marked_and_no_derivative_holds_for_kilometres(found):
+    far = dataclasses.replace(found.holders[0], id="signal_post_0_right", linear_to_m=56.0)
+    line = explained_elements(dataclasses.replace(found, holders=(far, *found.holders[1:])), 1).split("\n")[6]
+    assert line.startswith("pole           signal_post_0_rig~ ") and line.split()[-1] == ">100"
 
 
 def test_checks_and_roles_are_one_line_each(found):

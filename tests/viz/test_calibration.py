@@ -74,6 +74,8 @@ def test_the_top_view_is_metric():
     x = top - (rows.mean() + 0.5) / height * (top - bottom)
     y = left - (columns.mean() + 0.5) / width * (left - right)
     assert (x, y) == (pytest.approx(8.3, abs=0.06), pytest.approx(1.0, abs=0.06))
+    behind, ahead = figure.axes[0].get_ylim()
+    assert -3.0 < behind < -0.5 and ahead > 20.0  # no half of the picture is empty behind a car with a camera in front
 
 
 def test_a_figure_spells_out_what_was_found():

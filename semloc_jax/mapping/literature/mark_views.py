@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from semloc_jax.datasets import Drive, Frame
-from semloc_jax.inputs.mask_source import CLASSICAL
+from semloc_jax.inputs.mask_files import CLASSICAL
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.looking import hiding_ids, paint_layers
 from semloc_jax.perception import GroundView

@@ -164,7 +164,8 @@ def _reader(path: Path) -> Reader:
             "drive with map.geojson, or give the map file itself"
         )
     if not path.is_file():
-        raise SemlocError(f"map {path}: no such file; give a {', '.join(READ_SUFFIXES)} map")
+        known = path.suffix.lower() in READ_SUFFIXES
+        raise SemlocError(f"map {path}: no such file" + ("" if known else f"; give a {', '.join(READ_SUFFIXES)} map"))
     for row in FORMATS.values():
         if path.suffix.lower() in row.suffixes:
             return row.read

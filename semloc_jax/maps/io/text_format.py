@@ -69,13 +69,13 @@ class _Parser:
             if text in (b",", b";"):
                 continue
             if kind != "word":
-                raise self._broken(f"{text[:20]!r} at byte {at}, where a name is expected")
+                raise self._broken(f"{_shown(text)} at byte {at}, where a name is expected")
             name = text.decode("ascii", "replace")
             kind, text, at = self._next()
             if text == b":":
                 kind, text, at = self._next()
             elif text not in _CLOSING:
-                raise self._broken(f"{text[:20]!r} at byte {at}, where a value of {name[:40]} is expected")
+                raise self._broken(f"{_shown(text)} at byte {at}, where a value of {name[:40]} is expected")
             for value in self._values(kind, text, at, depth):
                 yield name, value
 
@@ -93,9 +93,13 @@ class _Parser:
                 message.setdefault(name, []).append(value)
             yield message
         elif kind == "mark":
-            raise self._broken(f"{text!r} at byte {at}, where a value is expected")
+            raise self._broken(f"{_shown(text)} at byte {at}, where a value is expected")
         else:
             yield text[1:-1].decode("utf-8", "replace") if kind == "text" else text.decode("ascii", "replace")
 
     def _broken(self, why: str) -> SemlocError:
         return SemlocError(f"{self._where}: not an Apollo map in text form ({why}); is the file complete?")
+
+
+def _shown(text: bytes) -> str:
+    return repr(text[:20].decode("ascii", "replace"))

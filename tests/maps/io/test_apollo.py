@@ -90,6 +90,7 @@ def test_convert_and_inspect_know_the_format(tmp_path, capsys):
         ("", "no element that a camera could see"),
         ("frame: 1", "expected the text form of an Apollo HD map"),
         ("just words", "a value of just is expected"),
+        ("7.5 0", r"\('0' at byte 4, where a value of 7.5"),
         ("lane {", "ends in the middle"),
         ("lane { id { id: 'a' } } }", "where a name is expected"),
         ("lane " + "{ a " * 100, "nested deeper"),
