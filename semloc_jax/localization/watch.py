@@ -87,8 +87,7 @@ def looked(
         way_m: Way since the frame before [m].
         config: When a frame is looked at.
     """
-    remembered_rad = float(watch.aside_rad) * np.exp(-way_m / config.aside_m_memory)
-    aside = _aside(remembered_rad, fused, len(frame.rig.names), config)
+    aside = _aside(float(watch.aside_rad) * np.exp(-way_m / config.aside_m_memory), fused, config)
     way_m += float(watch.way_m)
     if int(watch.num_frames) > 0 and way_m < config.step_m:
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
@@ -218,20 +217,19 @@ def causes(levels: ProtectionLevels, found: list[Separation], limit: ErrorLimit)
     )
 
 
-def _aside(remembered_rad: float, fused: FusedPose, num_cameras: int, config: WatchConfig) -> float:
+def _aside(remembered_rad: float, fused: FusedPose, config: WatchConfig) -> float:
     """The direction of travel to be remembered: the largest of late, unless what the drive says by now is surer."""
-    travel, sigma = _travel_alone(fused, num_cameras, config)
+    travel, sigma = _travel_alone(fused, config)
     if abs(travel) >= abs(remembered_rad):
         return travel
     return float(np.sign(remembered_rad)) * min(abs(remembered_rad), abs(travel) + config.aside_sigmas * sigma)
 
 
-def _travel_alone(fused: FusedPose, num_cameras: int, config: WatchConfig) -> tuple[float, float]:
+def _travel_alone(fused: FusedPose, config: WatchConfig) -> tuple[float, float]:
     """The direction of travel as the drive alone has it, and its standard deviation: the fusion holds it near zero,
-    which hides a camera that looks aside until much of the way is driven. Several that are mounted each on its own do
-    not look aside together: what the drive has hardly told yet is no reason to think so."""
+    which hides a camera that looks aside until much of the way is driven."""
     known, prior, wide = fused.travel_sigma_rad**2, np.deg2rad(_TRAVEL_SIGMA_DEG) ** 2, config.aside_sigma_rad**2
-    if num_cameras > 1 or not 0.0 < known < prior:
+    if not 0.0 < known < prior:
         return fused.travel_rad, fused.travel_sigma_rad
     information = 1.0 / known - 1.0 / prior + 1.0 / wide
     return fused.travel_rad / known / information, float(1.0 / np.sqrt(information))

@@ -249,21 +249,19 @@ def test_levels_never_promise_more_than_a_survey():
 def test_the_drive_alone_says_more_than_the_fusion_that_holds_it_near_zero():
     """A mean of 0.7 deg with 0.3 deg, held by a prior of 0.3 deg, comes out as 0.35 deg: the drive alone said 0.7."""
     known = 0.3 / np.sqrt(2.0)
-    alone, sigma = watch._travel_alone(fused(0.35, known), 1, CONFIG)
+    alone, sigma = watch._travel_alone(fused(0.35, known), CONFIG)
     wide = np.degrees(CONFIG.aside_sigma_rad)
     assert np.degrees(alone) == pytest.approx(0.7 / (1.0 + (0.3 / wide) ** 2), rel=1e-6)
     assert np.degrees(sigma) == pytest.approx(0.3 / np.hypot(1.0, 0.3 / wide), rel=1e-6)
-    assert watch._travel_alone(fused(0.35, 0.0), 1, CONFIG) == pytest.approx((np.deg2rad(0.35), 0.0))
-    # Several cameras do not look aside together: the prior holds until the drive says more than that.
-    assert np.degrees(watch._travel_alone(fused(0.35, known), 2, CONFIG)) == pytest.approx((0.35, known))
+    assert watch._travel_alone(fused(0.35, 0.0), CONFIG) == pytest.approx((np.deg2rad(0.35), 0.0))
 
 
 def test_a_direction_that_few_metres_gave_does_not_outlast_what_many_say():
     """1 deg is remembered; a drive that says 0.1 deg with 0.05 deg leaves 0.15 of it, one that knows nothing all."""
     one = np.deg2rad(1.0)
-    assert np.degrees(watch._aside(one, fused(0.1, 0.05), 1, CONFIG)) == pytest.approx(0.154, abs=0.003)
-    assert watch._aside(-one, fused(0.0, 0.299), 1, CONFIG) == -one
-    assert watch._aside(one, fused(2.0, 0.05), 1, CONFIG) > np.deg2rad(2.0)
+    assert np.degrees(watch._aside(one, fused(0.1, 0.05), CONFIG)) == pytest.approx(0.154, abs=0.003)
+    assert watch._aside(-one, fused(0.0, 0.299), CONFIG) == -one
+    assert watch._aside(one, fused(2.0, 0.05), CONFIG) > np.deg2rad(2.0)
 
 
 def test_every_suspicion_has_a_sentence():
