@@ -1,19 +1,21 @@
-"""What lines and posts cost, each class alone, beside a pose (room: alignment; pure JAX).
+"""What parts of the map cost, each alone, beside a pose: lines and posts, lines to the left and to the right (room:
+alignment; pure JAX).
 
-In: a solved pose, one frame, which elements stand upright. Out: costs of what lies and of what stands, at moved poses.
+In: a solved pose, one frame, which elements stand upright. Out: costs of every group of elements, at moved poses.
 """
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from semloc_jax.alignment.pieces import nats_at
-from semloc_jax.alignment.pose import Evidence
+from semloc_jax.alignment.pieces import nats_of_groups
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.alignment.tracking_step import TrackAlignConfig, trusted_evidence
+from semloc_jax.geometry import lie
 from semloc_jax.runtime.stored_program import stored_program
+
+GROUPS = ("lines", "posts", "left side", "right side")
+"""What lies on the road and what stands; what lies on the road to the left of the vehicle and to its right."""
 
 
 @stored_program("config", "level")
@@ -24,8 +26,8 @@ def class_profiles(
     is_upright: Float[Array, " element"],
     config: TrackAlignConfig,
     level: int,
-) -> Float[Array, "2 n"]:
-    """Costs [nats], against seeing the map by chance, of what lies and of what stands.
+) -> Float[Array, "4 n"]:
+    """Costs [nats], against seeing the map by chance, of every one of `GROUPS`.
 
     Args:
         T_map_base: Solved pose, relative to the local origin.
@@ -37,19 +39,17 @@ def class_profiles(
         level: Of the cost maps.
     """
     evidence, element = trusted_evidence(T_map_base, frame, jnp.ones_like(is_upright), config.view)
-    stands = [jnp.where(owner >= 0, is_upright[jnp.clip(owner, 0)], 0.0) for owner in element]
-    moved = displaced(T_map_base, moves.astype(T_map_base.dtype))
-
-    def costs(shares: list[Float[Array, "cam p"]]) -> Float[Array, " n"]:
-        return jnp.sum(nats_at(moved, T_map_base, level, _weighed(evidence, shares), config.align), axis=1)
-
-    return jax.lax.map(costs, [jnp.stack([1.0 - share, share]) for share in stands])
-
-
-def _weighed(evidence: Evidence, shares: list[Float[Array, "cam p"]]) -> Evidence:
-    """The evidence with a factor on the weight of every sample."""
-    views = tuple(
-        eqx.tree_at(lambda v: v.weight, view, view.weight * share.astype(view.weight.dtype))
-        for view, share in zip(evidence.views, shares, strict=True)
+    stands = jnp.concatenate(
+        [jnp.where(owner >= 0, is_upright[jnp.clip(owner, 0)], 0.0).reshape(-1) for owner in element]
     )
-    return eqx.tree_at(lambda e: e.views, evidence, views)
+    left_m = jnp.concatenate([_left_of(T_map_base, view.p_map).reshape(-1) for view in evidence.views])
+    lies = 1.0 - stands
+    groups = jnp.stack([lies, stands, lies * (left_m > 0.0), lies * (left_m <= 0.0)])
+    moved = displaced(T_map_base, moves.astype(T_map_base.dtype))
+    return nats_of_groups(moved, T_map_base, level, evidence, groups, config.align)
+
+
+def _left_of(T_map_base: Float[Array, "4 4"], p_map: Float[Array, "cam 3 p"]) -> Float[Array, "cam p"]:
+    """How far points lie to the left of the vehicle [m]."""
+    T = lie.inverse(T_map_base)
+    return jnp.einsum("i,cip->cp", T[1, :3], p_map) + T[1, 3]

@@ -116,13 +116,46 @@ def nats_at(
         config: Kernel and noise.
         chunk: Poses side by side; None for what suits the device.
     """
+    at_poses, at_random, _, channel = _looked_at(Ts_map_base, T_good, level, evidence, config, chunk)
+    return compared(at_poses, at_random, channel, evidence.textures.num_channels)
+
+
+def nats_of_groups(
+    Ts_map_base: Float[Array, "pose 4 4"],
+    T_good: Float[Array, "4 4"],
+    level: Int[Array, ""] | int,
+    evidence: Evidence,
+    groups: Float[Array, "group n"],
+    config: AlignConfig,
+) -> Float[Array, "group pose"]:
+    """Cost [nats] of poses by parts of the map, each as if it were all that the map has; arguments as `nats_at`.
+
+    Args:
+        groups: 1 for the samples that belong to each group, in the order of `alignment_residual`, else 0. A piece
+            belongs to the groups that most of its samples are in.
+    """
+    at_poses, at_random, piece_of, channel = _looked_at(Ts_map_base, T_good, level, evidence, config, 1)
+    num_samples = jax.ops.segment_sum(jnp.ones_like(groups[0]), piece_of, len(piece_of))
+
+    def of_one(belongs: Float[Array, " n"]) -> Float[Array, " pose"]:
+        kept = 2.0 * jax.ops.segment_sum(belongs, piece_of, len(piece_of)) > num_samples
+        own = [PieceCosts(c.nats, jnp.where(kept, c.observations, 0.0)) for c in (at_poses, at_random)]
+        return jnp.sum(compared(*own, channel, evidence.textures.num_channels), axis=1)
+
+    return jax.lax.map(of_one, groups)
+
+
+def _looked_at(
+    Ts_map_base: Array, T_good: Array, level: Array | int, evidence: Evidence, config: AlignConfig, chunk: int | None
+) -> tuple[PieceCosts, PieceCosts, Array, Array]:
+    """Costs at the poses and at random ones; the piece of every sample, the channel of every piece."""
     piece_of, channel = pieces_of(evidence, config)
     elsewhere = displaced(T_good, jnp.asarray(_ELSEWHERE, T_good.dtype))
     poses = jnp.concatenate([Ts_map_base, elsewhere])
     costs = in_chunks(lambda T: piece_costs(T, level, evidence, piece_of, config), poses, chunk)
     num = len(Ts_map_base)
     at_poses, at_random = (jax.tree.map(lambda leaf, k=part: leaf[k], costs) for part in (slice(num), slice(num, None)))
-    return compared(at_poses, at_random, channel, evidence.textures.num_channels)
+    return at_poses, at_random, piece_of, channel
 
 
 def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int) -> Chances:

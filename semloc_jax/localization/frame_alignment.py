@@ -177,8 +177,8 @@ class FrameAligner:
         stance: Float[np.ndarray, "3"],
         grain: Float[np.ndarray, ""],
         level: int,
-    ) -> Float[np.ndarray, "2 n"]:
-        """Costs [nats] of what lies and of what stands, each alone, at a pose and beside it; see `class_profiles`."""
+    ) -> Float[np.ndarray, "4 n"]:
+        """Costs [nats] of parts of the map, each alone, at a pose and beside it; see `class_profiles`."""
         T_road, local, inputs, *_ = self._prepared(frame, T_map_base, np.eye(6), _full_trust, stance, grain)
         is_standing = self.standing(T_road, stance)[1].is_standing[:ELEMENT_CAPACITY]
         stands = np.zeros(ELEMENT_CAPACITY, np.float32)

@@ -15,6 +15,8 @@ from scipy.special import chdtri
 _MEMORY_FRAMES = 5.0
 _PROBABILITY = 0.9
 """Of a mean that small where covariances are exact; those of sound drives are careful, their means a third of it."""
+_PROBABILITY_ALONE = 0.99
+"""The same of one direction: a late clock shows along the way only, and the other five directions dilute it."""
 _DOF = 6
 _MOST = 60.0
 """A frame counts as no more."""
@@ -73,10 +75,13 @@ def doubts(state: Innovations) -> tuple[Doubt, ...]:
     num = float(state.num)
     if num < 2.0:
         return ()
-    mean, most = float(state.chi2) / num, float(chdtri(_DOF * num, 1.0 - _PROBABILITY)) / num
-    if mean <= most:
+    mean, alone = float(state.chi2) / num, state.squares / num
+    most = float(chdtri(_DOF * num, 1.0 - _PROBABILITY)) / num
+    most_alone = float(chdtri(num, 1.0 - _PROBABILITY_ALONE)) / num
+    worst = int(np.argmax(alone))
+    if mean <= most and alone[worst] <= most_alone:
         return ()
     ahead_m, left_m, turn_rad = np.sqrt(state.away / num).tolist()
-    where = _WORDS[int(np.argmax(state.squares))]
-    told = f"masks and motion do not fit each other (squared innovations {mean:.0f}, at most {most:.0f}), {where}"
+    size = f"{mean:.0f}, at most {most:.0f}" if mean > most else f"{alone[worst]:.0f}, at most {most_alone:.0f}"
+    told = f"masks and motion do not fit each other (squared innovations {size}), {_WORDS[worst]}"
     return (Doubt(left_m, ahead_m, float(np.degrees(turn_rad)), told),)

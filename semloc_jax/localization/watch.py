@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.other_lenses import with_distortion
@@ -51,6 +52,7 @@ _PLANE = [0, 1, 5]
 """Forward, left and heading in a tangent."""
 _ADVICE = "run semloc calibrate"
 _OWN_TILT_RAD = np.deg2rad(RoadSigmas().roll_pitch_deg)
+_GROUP_WORDS = dict(zip(GROUPS, ("lines", "posts", "lines to the left", "lines to the right"), strict=True))
 _TRAVEL_SIGMA_DEG = SensorBeliefs().travel_sigma_deg
 
 
@@ -277,9 +279,10 @@ def _told(suspected: Suspicion, rig: Rig) -> str:
     if name in CLASSES:
         group, axis = name.split("_")
         side = {"ahead": ("ahead", "behind"), "left": ("to the left", "to the right")}[axis][size < 0.0]
+        one_state = "the sides of the road" if group.endswith("side") else "lines and posts"
         return (
-            f"{group} of the map, taken alone, fit {abs(size):.2f} m {side}: lines and posts are not of one state of "
-            "the road; see map_changes.csv"
+            f"{_GROUP_WORDS[group]} of the map, taken alone, fit {abs(size):.2f} m {side}: {one_state} are not of one "
+            "state of the road; see map_changes.csv"
         )
     which = _whose(rig)
     if name == FOCAL:

@@ -16,6 +16,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
 from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer
 from semloc_jax.evaluation.mixture_bounds import LEAST_LEVELS
@@ -23,8 +24,12 @@ from semloc_jax.localization.lens_sign import SignState
 
 FOCAL, RADIAL = "focal", "radial"
 _TURNS = ("pitch", "yaw")
-CLASSES = ("lines_left", "lines_ahead", "posts_left", "posts_ahead")
-"""Suspicions that are no calibration: what lies or what stands fits better elsewhere."""
+_SIDES = GROUPS[2:]
+"""Of the way. A road that was made wider is told by them; along the road each holds too little alone."""
+CLASSES = tuple(
+    f"{group}_{axis}" for group in GROUPS for axis in ("left", "ahead") if axis == "left" or group not in _SIDES
+)
+"""Suspicions that are no calibration: elements of one kind, or of one side of the way, fit better elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +78,8 @@ class WatchConfig:
     count_nats: float = 2.5
     """A calibration that so much speaks for joins the protection levels: less is what chance does among a dozen."""
     class_gain_nats: ClassVar[float] = 0.5
-    """What lines or posts, each alone, must fit better elsewhere in a frame at least: on sound drives they fit best
-    where the pose is, to the frame."""
+    """What elements of a group alone must fit better elsewhere in a frame at least: on sound drives they fit best where
+    the pose is, to the frame."""
     class_count_nats: ClassVar[float] = 1.0
     """Elements of one kind that were moved join the levels from so much on."""
     untold_share: ClassVar[float] = 2.0 / 3.0
@@ -106,8 +111,8 @@ class WatchState(NamedTuple):
     """By how much they fitted better [nats]."""
     moved: Float[np.ndarray, " three_a"] = np.zeros(0)
     """How far their poses moved: forward [m], left [m], heading [rad]."""
-    profiles: Float[np.ndarray, " two_n"] = np.zeros(0)
-    """Costs of lines and of posts over the moves [nats]."""
+    profiles: Float[np.ndarray, " groups_n"] = np.zeros(0)
+    """Costs of every one of `GROUPS` over the moves [nats]."""
     aside_rad: Float[np.ndarray, ""] = np.float64(0.0)
     """Largest direction of travel that the drive alone gave of late."""
     num_looks: Float[np.ndarray, ""] = np.float64(0.0)
@@ -218,7 +223,7 @@ def learned(
     num_cameras: int,
     aside_rad: float,
     tried: Sequence[Tried],
-    profiles: Float[np.ndarray, "2 n"],
+    profiles: Float[np.ndarray, "group n"],
     config: WatchConfig,
 ) -> WatchState:
     """The sums after one more frame.
@@ -228,7 +233,7 @@ def learned(
         num_cameras: Of the rig.
         aside_rad: Direction of travel to be remembered.
         tried: The frame with `changed_rigs` of every one of `asked_now`.
-        profiles: Costs of lines and of posts at `moves`.
+        profiles: Costs of every one of `GROUPS` at `moves`.
         config: Memory.
     """
     names = alternatives(num_cameras)
@@ -309,7 +314,7 @@ class Moved(NamedTuple):
     """Elements of one kind that, taken alone, fit elsewhere."""
 
     kind: str
-    """lines or posts; empty where none are."""
+    """One of `GROUPS`; empty where none are."""
     ahead_m: float
     left_m: float
     nats: float
@@ -371,10 +376,13 @@ def _on_one_side(
 
 
 def _classes_apart(watch: WatchState, config: WatchConfig) -> list[Suspicion]:
-    """Whether lines or posts, each alone, fit better beside the pose: they then do not belong to one map."""
+    """Whether lines or posts, or what lies on one side, each alone, fit better beside the pose: they then do not
+    belong to one map."""
     table, num_aside, found = moves(config), len(_places(config.aside_m)), []
-    for group, costs in zip(("lines", "posts"), watch.profiles.reshape(2, -1), strict=True):
+    for group, costs in zip(GROUPS, watch.profiles.reshape(len(GROUPS), -1), strict=True):
         for axis, word, step_m in ((1, "left", config.aside_m[1]), (0, "ahead", config.ahead_m[1])):
+            if f"{group}_{word}" not in CLASSES:
+                continue
             of_axis = slice(num_aside) if axis == 1 else slice(num_aside, None)
             places, cost = table[of_axis, axis], costs[of_axis]
             is_here = np.abs(places) <= 1.5 * step_m

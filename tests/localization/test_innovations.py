@@ -41,6 +41,20 @@ def test_a_pose_is_in_doubt_as_far_as_masks_and_motion_differ():
     assert doubt[:3] == pytest.approx((0.1, 0.3, np.degrees(0.004)))
 
 
+def test_a_clock_that_is_late_shows_along_the_way_alone():
+    """Two and a half standard deviations behind, frame after frame, and all else better than it should be: the six
+    directions together are within what chance does."""
+    state = Innovations()
+    for _ in range(12):
+        behind = np.array([-0.25, 0.0, 0.0, 0.0, 0.0, 0.0])
+        state = learned(state, 6.25, behind, COVARIANCE)
+    (doubt,) = doubts(state)
+    assert "odometer or its clock" in doubt.cause and doubt.longitudinal_m == pytest.approx(0.25)
+    for _ in range(12):
+        state = learned(state, 2.25, np.array([-0.15, 0.0, 0.0, 0.0, 0.0, 0.0]), COVARIANCE)
+    assert doubts(state) == ()
+
+
 def test_it_is_over_soon_and_what_is_no_number_says_nothing():
     state = after(4.0, 6)[-1]
     assert doubts(state)

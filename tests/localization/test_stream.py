@@ -133,10 +133,21 @@ def test_lines_and_posts_are_each_least_costly_where_they_are(pipeline):
     for semantic_map, lines_m in ((pipeline.localizer.map, 0.0), (repainted, 0.5)):
         localizer, features, T = _at_truth(pipeline, semantic_map)
         known = moves(WatchConfig()), np.zeros(3), np.ones((), np.float32), WatchConfig().level
-        lines, posts = localizer.aligner.costs_of_classes(features, T, *known)[:, :31]
+        lines, posts = localizer.aligner.costs_of_classes(features, T, *known)[:2, :31]
         assert aside[np.argmin(lines)] == pytest.approx(lines_m, abs=0.11)
         assert aside[np.argmin(posts)] == pytest.approx(0.0, abs=0.11)
         assert min(posts[0], posts[-1]) > posts.min() + 3.0
+
+
+def test_each_side_of_the_road_is_least_costly_where_it_is(pipeline):
+    """Of a road that was made wider, what lies to the left fits half a metre aside of what lies to the right."""
+    wider = with_fault("one_side_moved:2", pipeline.drive, pipeline.localizer.map).semantic_map
+    aside = moves(WatchConfig())[:31, 1]
+    localizer, features, T = _at_truth(pipeline, wider)
+    known = moves(WatchConfig()), np.zeros(3), np.ones((), np.float32), WatchConfig().level
+    left, right = localizer.aligner.costs_of_classes(features, T, *known)[2:, :31]
+    assert aside[np.argmin(left)] == pytest.approx(0.5, abs=0.11)
+    assert aside[np.argmin(right)] == pytest.approx(0.0, abs=0.11)
 
 
 @pytest.mark.parametrize(("fault", "name"), [("focal:2", "focal"), ("distortion:3", "radial")])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.cameras import BrownConradyCamera, PinholeCamera, Rig
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.fusion.measurements import FusedPose
@@ -63,8 +64,8 @@ def after_frames(num_cameras: int, cost, pose, profiles, num: int = 24) -> Watch
 
 
 def flat() -> np.ndarray:
-    """Profiles of lines and posts that both fit at the pose."""
-    return np.tile(20.0 * np.minimum(np.linalg.norm(moves(CONFIG), axis=1), 1.0), (2, 1))
+    """Profiles of lines, posts and both sides that all fit at the pose."""
+    return np.tile(20.0 * np.minimum(np.linalg.norm(moves(CONFIG), axis=1), 1.0), (len(GROUPS), 1))
 
 
 @pytest.mark.parametrize("wrong", ["focal", "radial"])
@@ -91,7 +92,7 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
 def test_a_drive_that_fits_raises_no_suspicion():
     state = after_frames(2, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat())
     found = suspicions(state, 2, CONFIG)
-    assert len(found) == 10 and max(s.nats for s in found) < 1e-9
+    assert len(found) == 12 and max(s.nats for s in found) < 1e-9
     assert suspicions(WatchState(), 1, CONFIG) == []
 
 
@@ -113,15 +114,17 @@ def test_one_camera_of_two_is_named():
     assert (first.name, first.size) == ("yaw 1", pytest.approx(0.02))
 
 
-@pytest.mark.parametrize(("group", "axis", "off_m"), [(1, 1, 0.5), (0, 0, -2.0), (1, 0, 1.0)])
-def test_posts_that_fit_beside_the_lines_are_found(group, axis, off_m):
+@pytest.mark.parametrize(
+    ("group", "axis", "off_m"), [(1, 1, 0.5), (0, 0, -2.0), (1, 0, 1.0), (2, 1, 0.5), (3, 1, -0.3)]
+)
+def test_what_fits_beside_all_else_is_found(group, axis, off_m):
     profiles = flat()
     there = np.zeros(3)
     there[axis] = off_m
     profiles[group] = 20.0 * np.minimum(np.linalg.norm(moves(CONFIG) - there, axis=1), 1.0)
     state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 6)
     first = suspicions(state, 1, CONFIG)[0]
-    assert first.name == ("lines", "posts")[group] + ("_ahead", "_left")[axis]
+    assert first.name == GROUPS[group] + ("_ahead", "_left")[axis]
     assert first.size == pytest.approx(off_m) and first.nats > CONFIG.count_nats
     assert first.moved[axis] == pytest.approx(off_m)
 
