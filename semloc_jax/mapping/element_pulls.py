@@ -23,7 +23,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.sides import NUM_SIDES, side_of, strip_of
 from semloc_jax.mapping.sightings import UPRIGHT
-from semloc_jax.maps import MapElement, SemanticMap
+from semloc_jax.maps import LocalMap, MapElement, SemanticMap
 from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
 from semloc_jax.residuals.holder_terms import holder_terms
 from semloc_jax.residuals.smooth import SmoothScene
@@ -140,7 +140,7 @@ class ElementPulls:
             return Pulls.of_wholes((), np.zeros((0, 6)), np.zeros((0, 6, 6)))
         number = np.full(len(local_map.elements) + 1, -1)
         number[shown] = [NUM_SIDES * ids.index(local_map.elements[row].id) for row in shown]
-        side = number[rows] + _sides(seen, local_map.elements, shown)
+        side = number[rows] + _sides(seen, local_map, shown)
         holder = tuple(jnp.asarray(side[np.asarray(part.index)]) for part in evidence.views)
         capacity = max(_LEAST_CAPACITY, 1 << (len(ids) - 1).bit_length())
         none = jnp.zeros(NUM_SIDES * capacity, scene.nats_per_px.dtype)
@@ -156,19 +156,19 @@ def _by_side(values: np.ndarray, num: int) -> np.ndarray:
     return values.reshape(-1, NUM_SIDES, *values.shape[1:])[:num]
 
 
-def _sides(seen: ViewSamples, elements: Sequence[MapElement], shown: np.ndarray) -> Int[np.ndarray, "cam p"]:
+def _sides(seen: ViewSamples, local_map: LocalMap, shown: np.ndarray) -> Int[np.ndarray, "cam p"]:
     """Side of its strip of every sample in view; 0 where the element is none, or nothing is in view."""
-    along = np.zeros((len(elements) + 1, 2))
+    along, middle = np.zeros((2, len(local_map.elements) + 1, 2))
     for row in shown:
-        strip = strip_of(elements[row])
+        strip = strip_of(local_map.elements[row])
         if strip is not None:
-            along[row] = strip.along
+            along[row], middle[row] = strip.along, local_map.frame.from_map(np.append(strip.middle, 0.0)[None])[0, :2]
     rows, tangent = np.asarray(seen.element), np.asarray(seen.tangent_map)
     # The outside lies to the right of the direction of a contour.
     outward = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
-    along = along[rows]
-    side = side_of(outward.reshape(-1, 2), along.reshape(-1, 2)).reshape(rows.shape)
-    return np.where((rows >= 0) & along.any(axis=-1), side, 0)
+    off_m = np.moveaxis(np.asarray(seen.p_map)[:, :2], 1, -1) - middle[rows]
+    side = side_of(*(part.reshape(-1, 2) for part in (outward, off_m, along[rows]))).reshape(rows.shape)
+    return np.where((rows >= 0) & along[rows].any(axis=-1), side, 0)
 
 
 def pieces_of(element: MapElement) -> list[MapElement]:

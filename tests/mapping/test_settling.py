@@ -100,3 +100,6 @@ def test_a_divider_goes_with_its_line():
     moved = divider.moved_with(old, new)
     np.testing.assert_allclose(moved.mouth, T[:2, :2] @ divider.mouth + T[:2, 3], atol=1e-9)
     np.testing.assert_allclose(moved.inward, T[:2, :2] @ divider.inward, atol=1e-9)
+    longer = new.with_points(new.points + np.array([[0.0, -0.04, 0.0], [0.0, 0.04, 0.0]]))
+    moved = divider.moved_with(old, longer)
+    np.testing.assert_allclose(moved.mouth, T[:2, :2] @ divider.mouth + T[:2, 3] - [0.0, 0.04], atol=1e-3)

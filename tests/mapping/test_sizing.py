@@ -79,9 +79,11 @@ def test_a_piece_of_a_line_has_a_width_and_no_length():
     assert found.width_m == pytest.approx(0.15, abs=1e-3)
 
 
-def test_sides_are_told_by_their_outward_normals():
+def test_sides_are_told_by_their_normals_and_places():
     strip = strip_of(bar(3.0, 0.5))
-    np.testing.assert_array_equal(side_of(strip.normals, np.tile(strip.along, (4, 1))), [0, 1, 2, 3])
+    np.testing.assert_array_equal(side_of(strip.normals, strip.normals, np.tile(strip.along, (4, 1))), [0, 1, 2, 3])
+    barbs = -strip.along[None], 0.9 * strip.along[None], strip.along[None]
+    assert side_of(*barbs) == 1, "the back of the head of an arrow goes forward with its tip"
     found = strip_of(resized(bar(3.0, 0.5), -0.2, 0.04))
     assert (found.length_m, found.width_m) == pytest.approx((2.8, 0.54))
 
@@ -102,3 +104,12 @@ def test_exact_masks_tell_the_widths_of_a_drawn_road(simulated_road):
     changed = np.abs(off_m - 0.03) > 0.005
     assert changed.sum() >= 2
     assert np.median(np.abs(off_m[changed])) < 0.004
+
+
+def test_an_arrow_has_the_box_around_it_and_what_stands_upright_has_none():
+    arrow = np.array([[0.0, 0.1], [2.0, 0.1], [2.0, 0.3], [3.0, 0.0], [2.0, -0.3], [2.0, -0.1], [0.0, -0.1]])
+    mark = MapElement("a", ElementClass.ROAD_MARK, np.column_stack([arrow, np.zeros(7)]), closed=True)
+    assert strip_of(mark)[2:] == pytest.approx((3.0, 0.6))
+    assert strip_of(resized(mark, 0.1, -0.05))[2:] == pytest.approx((3.1, 0.55))
+    assert strip_of(MapElement("p", ElementClass.POLE, [[0, 0, 0], [0, 0, 3]], radius_m=0.1)) is None
+    assert strip_of(MapElement("s", ElementClass.PARKING_SLOT, bar(5.0, 2.5).points, closed=True)) is None
