@@ -21,6 +21,7 @@ STEP_M = 0.25
 VIRTUAL = "virtual"
 _UNBROKEN = frozenset({"solid", "double"})
 
+_LOGICAL_THINGS = frozenset({ElementClass.PARKING_SLOT, ElementClass.ROAD_MARK})
 LINES = frozenset({ElementClass.CURB, ElementClass.GUARDRAIL})
 POSTS = frozenset(
     {ElementClass.POLE, ElementClass.TRAFFIC_LIGHT, ElementClass.CONE, ElementClass.SIGN, ElementClass.PILLAR}
@@ -97,11 +98,11 @@ class LinePlaces:
 def kinds(elements: Iterable[Comparable]) -> dict[str, list[Comparable]]:
     """Elements by the name under which they are compared: the class; lane markings as `line` and `dash`.
 
-    Logical lines are left out; parking slots stay.
+    Logical lines are left out; parking slots and the numbers painted in them stay.
     """
     found: dict[str, list[Comparable]] = {}
     for element in elements:
-        if element.style == VIRTUAL and element.label != ElementClass.PARKING_SLOT:
+        if element.style == VIRTUAL and element.label not in _LOGICAL_THINGS:
             continue
         found.setdefault(kind_of(element), []).append(element)
     return found
@@ -111,6 +112,8 @@ def kind_of(element: Comparable) -> str:
     """The name under which an element is compared."""
     if element.label == ElementClass.LANE_MARKING:
         return "line" if is_line(element) else "dash"
+    if element.label == ElementClass.ROAD_MARK and element.style == VIRTUAL:
+        return "slot_number"
     return element.label.name.lower()
 
 

@@ -1,7 +1,8 @@
 """What the masks of one frame say of each element of a map, on its own (room: mapping; host around JAX).
 
-In: a map, masks, cameras, the pose of the vehicle. Out: Pulls: for each element in view its force on the pose and how
-firmly it holds it. No element counts for another one here: which of them is wrong is found over all frames together.
+In: a map, masks, cameras, the pose of the vehicle. Out: Pulls: for each element in view, and each of its sides, its
+force on the pose and how firmly it holds it. No element counts for another one here: which of them is wrong is found
+over all frames together.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig, sample_within
 from semloc_jax.alignment.implicit import smooth_scene
@@ -20,12 +21,14 @@ from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.single_frame import evidence_from, frame_input
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import polyline
+from semloc_jax.mapping.sides import NUM_SIDES, side_of, strip_of
 from semloc_jax.mapping.sightings import UPRIGHT
-from semloc_jax.maps import MapElement, SemanticMap
+from semloc_jax.maps import LocalMap, MapElement, SemanticMap
 from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
 from semloc_jax.residuals.holder_terms import holder_terms
 from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.residuals.view import ViewConfig, view
+from semloc_jax.structs import ViewSamples
 
 _LEAST_CAPACITY = 64
 _PIECE_M = 4.0
@@ -71,13 +74,32 @@ class PullConfig:
 
 
 class Pulls(NamedTuple):
-    """What one frame says of elements, by the right tangent of the pose of the vehicle [m, rad]."""
+    """What one frame says of the sides of elements, by the right tangent of the pose of the vehicle [m, rad]."""
 
     ids: tuple[str, ...]
-    force: Float[np.ndarray, "k 6"]
-    """Gradient of the cost of each [nats]."""
-    information: Float[np.ndarray, "k 6 6"]
-    """Its Gauss-Newton information."""
+    side_force: Float[np.ndarray, "k 4 6"]
+    """Gradient of the cost of each side [nats]; what has no sides has all of it in the first."""
+    side_information: Float[np.ndarray, "k 4 6 6"]
+    """Their Gauss-Newton information."""
+
+    @property
+    def force(self) -> Float[np.ndarray, "k 6"]:
+        """Of whole elements [nats]."""
+        return self.side_force.sum(axis=1)
+
+    @property
+    def information(self) -> Float[np.ndarray, "k 6 6"]:
+        """Of whole elements."""
+        return self.side_information.sum(axis=1)
+
+    @classmethod
+    def of_wholes(
+        cls, ids: Sequence[str], force: Float[np.ndarray, "k 6"], information: Float[np.ndarray, "k 6 6"]
+    ) -> "Pulls":
+        """Those of elements without sides."""
+        none = ((0, 0), (0, NUM_SIDES - 1), (0, 0))
+        force, information = np.reshape(force, (-1, 1, 6)), np.reshape(information, (-1, 1, 6, 6))
+        return cls(tuple(ids), np.pad(force, none), np.pad(information, (*none, (0, 0))))
 
 
 class ElementPulls:
@@ -115,16 +137,38 @@ class ElementPulls:
         shown = np.unique(rows[(rows >= 0) & (np.asarray(seen.weight) > 0)])
         ids = tuple(dict.fromkeys(local_map.elements[row].id for row in shown))
         if not ids:
-            return Pulls((), np.zeros((0, 6)), np.zeros((0, 6, 6)))
+            return Pulls.of_wholes((), np.zeros((0, 6)), np.zeros((0, 6, 6)))
         number = np.full(len(local_map.elements) + 1, -1)
-        number[shown] = [ids.index(local_map.elements[row].id) for row in shown]
-        holder = tuple(jnp.asarray(number[rows[np.asarray(part.index)]]) for part in evidence.views)
+        number[shown] = [NUM_SIDES * ids.index(local_map.elements[row].id) for row in shown]
+        side = number[rows] + _sides(seen, local_map, shown)
+        holder = tuple(jnp.asarray(side[np.asarray(part.index)]) for part in evidence.views)
         capacity = max(_LEAST_CAPACITY, 1 << (len(ids) - 1).bit_length())
-        none = jnp.zeros(capacity, scene.nats_per_px.dtype)
-        *terms, pulling = jax.device_get(_terms(jnp.asarray(T_local), scene, holder, none))
-        held = np.flatnonzero(pulling[: len(ids)] >= config.min_observations)
-        force, information = (np.asarray(part, np.float64)[held] for part in terms)
-        return Pulls(tuple(ids[k] for k in held), force / config.excess**2, information / config.excess**2)
+        none = jnp.zeros(NUM_SIDES * capacity, scene.nats_per_px.dtype)
+        terms = jax.device_get(_terms(jnp.asarray(T_local), scene, holder, none))
+        force, information, pulling = (_by_side(part, len(ids)) for part in terms)
+        held = np.flatnonzero(pulling.sum(axis=1) >= config.min_observations)
+        force, information = (part[held] / config.excess**2 for part in (force, information))
+        return Pulls(tuple(ids[k] for k in held), force, information)
+
+
+def _by_side(values: np.ndarray, num: int) -> np.ndarray:
+    values = np.asarray(values, np.float64)
+    return values.reshape(-1, NUM_SIDES, *values.shape[1:])[:num]
+
+
+def _sides(seen: ViewSamples, local_map: LocalMap, shown: np.ndarray) -> Int[np.ndarray, "cam p"]:
+    """Side of its strip of every sample in view; 0 where the element is none, or nothing is in view."""
+    along, middle = np.zeros((2, len(local_map.elements) + 1, 2))
+    for row in shown:
+        strip = strip_of(local_map.elements[row])
+        if strip is not None:
+            along[row], middle[row] = strip.along, local_map.frame.from_map(np.append(strip.middle, 0.0)[None])[0, :2]
+    rows, tangent = np.asarray(seen.element), np.asarray(seen.tangent_map)
+    # The outside lies to the right of the direction of a contour.
+    outward = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
+    off_m = np.moveaxis(np.asarray(seen.p_map)[:, :2], 1, -1) - middle[rows]
+    side = side_of(*(part.reshape(-1, 2) for part in (outward, off_m, along[rows]))).reshape(rows.shape)
+    return np.where((rows >= 0) & along[rows].any(axis=-1), side, 0)
 
 
 def pieces_of(element: MapElement) -> list[MapElement]:

@@ -21,6 +21,7 @@ from semloc_jax.mapping.joint import RefineConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
 from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.settling import Progress, SettleConfig, settled_in
+from semloc_jax.mapping.slot_numbers import numbered
 from semloc_jax.mapping.slot_rows import MappedRow, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.triangulation import TriangulationConfig
@@ -166,9 +167,11 @@ def make_map(
     in_rows = [d.moved_with(drawn[d.id], lines[d.id]) for row in rows for d in row.dividers(set(lines))]
     beliefs = {e.id: b for e, b in kept}
     slots = find_slots(list(lines.values()), beliefs, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots, in_rows)
-    made, changes = _map_of(kept + slots, origin, drive.name), []
+    marks, numbers = numbered([known for known in kept if known[0].label == ElementClass.ROAD_MARK], slots)
+    kept = [known for known in kept if known[0].label != ElementClass.ROAD_MARK] + marks + numbers + slots
+    made, changes = _map_of(kept, origin, drive.name), []
     if base is not None:
-        made, changes = taken_in(base, looked_at, kept + slots, config.base)
+        made, changes = taken_in(base, looked_at, kept, config.base)
     rates = counting.detection_rates() | standing.detection_rates()
     false_rates |= standing.false_rates()
     return MadeMap(made, _map_of(rejected, origin, drive.name), rates, false_rates, gatherer, tuple(changes))

@@ -23,6 +23,7 @@ from semloc_jax.mapping.found_loops import loops_of
 from semloc_jax.mapping.joint import RefineConfig, moved, solve_together
 from semloc_jax.mapping.mapper import MapConfig, make_map
 from semloc_jax.mapping.parts import Parts
+from semloc_jax.mapping.sizing import sized
 from semloc_jax.mapping.way_sigmas import WaySigmas, places_apart, way_sigmas
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.structs import ElementClass
@@ -151,6 +152,7 @@ def _agreed(
             return pulling.of(masks.masks(frame), masks.seen_by(frame.rig), Ts[row])
 
         pulls = [pull(int(row)) for row in told(rows, f"agreeing, round {k + 1} of {config.rounds}")]
+        elements, pulls = sized(elements, pulls, Ts[rows])
         found = solve_together(graph, {**values, "pose": Ts}, rows.tolist(), pulls, elements, joint, sure)
         Ts = found.Ts_map_base
         elements = [moved(e, found.motions[e.id]) if e.id in found.motions else e for e in elements]

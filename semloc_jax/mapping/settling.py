@@ -1,12 +1,12 @@
 """Elements laid where the masks have them, along a way that stands (room: mapping; host).
 
-In: elements as they were drawn, what frames say of each of them. Out: the same elements, moved.
+In: elements as they were drawn, what frames say of each of them. Out: the same elements, sized and moved.
 The road seen from above shows paint to a cell, and as far aside as the plane under the vehicle is off; the masks
-themselves say better where it is. Each element moves as a rigid body, a long line piece by piece.
+themselves say better where it is and how large. Each element moves as a rigid body, a long line piece by piece.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from semloc_jax.geometry import polyline, rigid
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.element_pulls import ElementPulls, PullConfig, Pulls, pieces_of
 from semloc_jax.mapping.joint import place_of, square_roots
+from semloc_jax.mapping.sizing import sized
 from semloc_jax.maps import MapElement, SemanticMap
 
 Progress = Callable[[Iterable, str], Iterable]
@@ -98,10 +99,19 @@ def settled(
     for _ in range(config.rounds):
         pieces = [pieces_of(element) for element in found]
         flat = [piece for own in pieces for piece in own]
-        pulls = pulls_at(flat, config.reach_px)
+        flat, pulls = sized(flat, pulls_at(flat, config.reach_px), Ts_map_base)
         motions = motions_of(flat, pulls, Ts_map_base, config)
-        found = [_moved(e, own, motions) for e, own in zip(found, pieces, strict=True)]
+        of_size = {piece.id: piece for piece in flat}
+        pieces = [[of_size[piece.id] for piece in own] for own in pieces]
+        found = [_moved(_sized_as(e, own), own, motions) for e, own in zip(found, pieces, strict=True)]
     return found
+
+
+def _sized_as(element: MapElement, pieces: Sequence[MapElement]) -> MapElement:
+    """An element as long and wide as its pieces."""
+    if len(pieces) == 1:
+        return pieces[0]
+    return replace(element, width_m=float(np.median([piece.width_m for piece in pieces])))
 
 
 def motions_of(

@@ -78,9 +78,11 @@ class Divider:
     z_m: float
 
     def moved_with(self, old: MapElement, new: MapElement) -> "Divider":
-        """The divider where its line was moved."""
-        motion = umeyama(new.points[:, :2], old.points[:, :2])
-        return replace(self, mouth=motion.apply(self.mouth[None])[0], inward=motion.R_a_b @ self.inward)
+        """The divider where its line was moved: its mouth goes with the nearest end, which masks show."""
+        before, after = old.points[:, :2], new.points[:, :2]
+        turn = umeyama(after, before).R_a_b
+        end = int(np.linalg.norm(before - self.mouth, axis=1).argmin())
+        return replace(self, mouth=after[end] + turn @ (self.mouth - before[end]), inward=turn @ self.inward)
 
 
 def find_slots(

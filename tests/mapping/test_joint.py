@@ -38,7 +38,7 @@ def pull_of(T_map_base, T_true_base, elements, moved, information):
         T_element_base = rigid.inverse(place_of(element)) @ T_map_base
         true = rigid.inverse(rigid.inverse(T_true) @ place_of(element)) @ T_true_base
         force.append(own @ rigid.log(rigid.inverse(true) @ T_element_base))
-    return Pulls(tuple(e.id for e in elements), np.array(force), np.array(information))
+    return Pulls.of_wholes(tuple(e.id for e in elements), np.array(force), np.array(information))
 
 
 def lines_of(num, across=4e4):
@@ -130,7 +130,7 @@ def test_odometer_and_images_tell_the_scale_as_sure_as_each_of_them_is(sigma_odo
         for element, T in zip(own, T_own, strict=True):
             seen = rigid.inverse(T @ place_of(element)) @ true[k]
             force.append(information[0] @ rigid.log(rigid.inverse(seen) @ rigid.inverse(place_of(element)) @ start[k]))
-        pulls.append(Pulls(tuple(e.id for e in own), np.array(force), np.array(information)))
+        pulls.append(Pulls.of_wholes(tuple(e.id for e in own), np.array(force), np.array(information)))
     steps = rigid.inverse(start[:-1]) @ start[1:]
     jacobian = np.zeros((num - 1, 6, 3))
     jacobian[:, 0, 0] = 1.01
@@ -165,7 +165,7 @@ def test_pulls_are_as_sure_as_they_scatter(share):
         wheels = motions(frames[:-1], frames[1:], steps, np.tile(step_info, (num - 1, 1, 1)))
         graph = pose_graph(np.ones(num, bool), (wheels, prior(true[0], np.zeros(5), FIRM)))
         pulls = [
-            Pulls(
+            Pulls.of_wholes(
                 tuple(e.id for e in own),
                 np.sqrt(share) * RNG.normal(size=(len(own), 6)) @ np.sqrt(information),
                 np.tile(information, (len(own), 1, 1)),

@@ -31,7 +31,8 @@ def told_by(true_of, frames=FRAMES, information=INFORMATION):
                 there[:2, :2] = turn_of(element, true_of(element))
                 T_seen = rigid.inverse(there) @ T_map_base
                 force.append(information @ rigid.log(rigid.inverse(T_seen) @ rigid.inverse(here) @ T_map_base))
-            found.append(Pulls(tuple(e.id for e in elements), np.array(force), np.array([information] * len(elements))))
+            ids, of_each = [e.id for e in elements], np.array([information] * len(elements))
+            found.append(Pulls.of_wholes(ids, np.array(force), of_each))
         return found
 
     return pulls_at
@@ -59,7 +60,7 @@ def test_one_frame_that_is_wrong_does_not_take_it_along():
     def pulls_at(elements, reach_px):
         pulls = told_by(lambda _: true)(elements, reach_px)
         off = INFORMATION @ np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
-        return [*pulls[:-1], pulls[-1]._replace(force=pulls[-1].force + off)]
+        return [*pulls[:-1], pulls[-1]._replace(side_force=pulls[-1].side_force + np.eye(4, 1)[None] * off)]
 
     (found,) = settled([true], pulls_at, FRAMES, ONCE)
     # Least squares would put it a sixth of 42 cm aside.
@@ -99,3 +100,6 @@ def test_a_divider_goes_with_its_line():
     moved = divider.moved_with(old, new)
     np.testing.assert_allclose(moved.mouth, T[:2, :2] @ divider.mouth + T[:2, 3], atol=1e-9)
     np.testing.assert_allclose(moved.inward, T[:2, :2] @ divider.inward, atol=1e-9)
+    longer = new.with_points(new.points + np.array([[0.0, -0.04, 0.0], [0.0, 0.04, 0.0]]))
+    moved = divider.moved_with(old, longer)
+    np.testing.assert_allclose(moved.mouth, T[:2, :2] @ divider.mouth + T[:2, 3] - [0.0, 0.04], atol=1e-3)

@@ -33,6 +33,7 @@ FEATURE_CLASSES: dict[str, tuple[ElementClass, str, frozenset[str]]] = {
     "road_mark": (ElementClass.ROAD_MARK, "", _ANY),
     "slot_line": (ElementClass.SLOT_LINE, "", _ANY),
     "parking_slot": (ElementClass.PARKING_SLOT, "", _AREA),
+    "slot_number": (ElementClass.ROAD_MARK, VIRTUAL, _AREA),
     "speed_bump": (ElementClass.SPEED_BUMP, "", _ANY),
     "pole": (ElementClass.POLE, "", _LINE),
     "sign": (ElementClass.SIGN, "", _ANY),

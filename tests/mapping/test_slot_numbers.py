@@ -1,0 +1,52 @@
+"""Pieces of a number painted in a slot are one number; an arrow in the aisle stays a mark."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.evaluation import compare_maps
+from semloc_jax.mapping.slot_numbers import numbered
+from semloc_jax.maps import Belief, MapElement, SemanticMap, read_map, write_map
+from semloc_jax.maps.io.drive_geojson import write_drive_geojson
+from semloc_jax.structs import ElementClass
+
+TURN = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+
+
+def outline(low, high):
+    (x0, y0), (x1, y1) = low, high
+    xy = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) @ TURN.T
+    return np.column_stack([xy, np.full(4, 0.2)])
+
+
+def known(name, label, low, high, logit=1.0):
+    return MapElement(name, label, outline(low, high), closed=True), Belief(0.05, 0.05, logit, 5, 0)
+
+
+SLOT = known("s", ElementClass.PARKING_SLOT, (0.0, 0.0), (2.5, 5.2))
+PIECES = [
+    known("m0", ElementClass.ROAD_MARK, (0.7, 0.35), (1.1, 0.85), 2.0),
+    known("m1", ElementClass.ROAD_MARK, (1.4, 0.40), (1.8, 0.87), 4.0),
+]
+ARROW = known("a", ElementClass.ROAD_MARK, (1.0, -3.0), (1.4, -1.0))
+
+
+def test_pieces_in_a_slot_are_its_number(tmp_path):
+    marks, numbers = numbered([*PIECES, ARROW], [SLOT])
+    assert [mark.id for mark, _ in marks] == ["a"]
+    ((number, belief),) = numbers
+    np.testing.assert_allclose(number.points, outline((0.7, 0.35), (1.8, 0.87)), atol=1e-9)
+    assert belief.existence_logit == 4.0
+    assert number.is_logical and not number.is_painted, "no camera is laid by its border"
+    for write, name in ((write_map, "m.gpkg"), (write_drive_geojson, "m.geojson")):
+        write(SemanticMap((number, ARROW[0]), None, "numbers"), tmp_path / name)
+        back = read_map(tmp_path / name).elements
+        assert back[0].attributes.get("class") == "slot_number"
+        assert back[0].is_logical and not back[1].is_logical
+        classes = compare_maps(back, [number, ARROW[0]]).classes
+        assert classes["slot_number"].f1 == pytest.approx(1.0) == classes["road_mark"].f1
+
+
+def test_a_long_mark_in_a_slot_is_no_number():
+    long = known("l", ElementClass.ROAD_MARK, (1.0, 0.5), (1.3, 4.5))
+    assert numbered([long], [SLOT]) == ([long], [])
+    assert numbered([ARROW], []) == ([ARROW], [])
