@@ -92,7 +92,7 @@ class Eyes:
 
     Attributes:
         network: the network.
-        table: what its class ids mean: channel k is id k + 1.
+        table: what its class ids mean: channel k is id k + 1, what hides the map is the next.
         card: what it was taught on, and how well it does.
         helper: another network whose scores it sees beside the colours; None for none.
     """
@@ -120,17 +120,22 @@ class Eyes:
             return colours
         return np.concatenate([colours, self.helper.scores(image, colours.shape[1::-1])], axis=-1)
 
+    def said(self, picture: Float[np.ndarray, "h w c"]) -> Said:
+        """What they say of the cells of what `picture` gives."""
+        return jax.tree.map(np.asarray, _said(self.network, jnp.asarray(picture), self.config.step_px))
+
     def __call__(self, image: np.ndarray) -> BorderMask:
         """The mask of an image uint8[h w 3] (blue green red), with its borders."""
         height, width = image.shape[:2]
         scale = working_scale(width)
-        said = jax.tree.map(np.asarray, _said(self.network, jnp.asarray(self.picture(image)), self.config.step_px))
+        said = self.said(self.picture(image))
         planes = [np.moveaxis(plane, -1, 0) for plane in said]
         names = tuple(channel.name for channel in self.table.channels)
         stride = CELL_PX / scale
-        signed_px = np.clip(planes[0], -REACH_PX, REACH_PX)
-        borders = SeenBorders(signed_px / scale, np.exp(planes[1]) / scale, stride, names, REACH_PX / scale)
-        inside = np.stack([borders.at(plane, (width, height), 1.0) for plane in borders.signed_px])
+        signed_px, sigma_px = np.clip(planes[0], -REACH_PX, REACH_PX) / scale, np.exp(planes[1]) / scale
+        known = len(names)  # what hides the map is told last and has no borders that anybody looks for
+        borders = SeenBorders(signed_px[:known], sigma_px[:known], stride, names, REACH_PX / scale)
+        inside = np.stack([borders.at(plane, (width, height), 1.0) for plane in signed_px])
         nearest = inside.argmin(axis=0)
         ids = np.where(np.take_along_axis(inside, nearest[None], 0)[0] < 0.0, nearest + 1, 0)
         return BorderMask.of(ids.astype(np.uint8), borders)
@@ -168,11 +173,16 @@ def _said(network: DenseNet, picture: Float[Array, "h w c"], step_px: int) -> Sa
     return read_out(network(filled_up(picture, step_px))[:rows, :columns])
 
 
+def num_told(table: ClassTable) -> int:
+    """Classes that eyes with this table tell: its channels, and last what hides the map where the table names it."""
+    return len(table.channels) + bool(table.dynamic_ids)
+
+
 def _config(table: ClassTable, helper: NetworkSegmenter | None) -> DenseNetConfig:
     """The make of eyes for a table, which see the scores of a helper."""
     if helper is None:
-        return network_config(len(table.channels))
-    return network_config(len(table.channels), helper.scores(np.zeros((64, 64, 3), np.uint8), (8, 8)).shape[-1])
+        return network_config(num_told(table))
+    return network_config(num_told(table), helper.scores(np.zeros((64, 64, 3), np.uint8), (8, 8)).shape[-1])
 
 
 def _plain_helper(helper: NetworkSegmenter) -> dict[str, Any]:
@@ -225,4 +235,5 @@ def _plain_table(table: ClassTable) -> dict[str, Any]:
         {"name": c.name, "masks": list(c.mask_ids), "classes": [label.name.lower() for label in c.classes]}
         for c in table.channels
     ]
-    return {"name": table.name, "ids": {name: number for number, name in table.id_names.items()}, "channels": channels}
+    ids = {name: number for number, name in table.id_names.items()}
+    return {"name": table.name, "ids": ids, "channels": channels, "dynamic": list(table.dynamic_ids)}
