@@ -35,7 +35,7 @@ def report_street_eyes(config: EyesConfig, begin: Eyes | None = None, out: Path 
     """Teach eyes on random streets, judge them by scenes held out, write everything.
 
     Args:
-        config: `streets` and `crops` of it.
+        config: `streets` of it.
         begin: eyes to go on with; None for new ones.
         out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
     """
@@ -50,7 +50,7 @@ def report_street_eyes(config: EyesConfig, begin: Eyes | None = None, out: Path 
                 append_line(folder / LOSSES, f"{step},{np.mean(recent):.5f}")
                 recent.clear()
 
-        lesson = taught_on_streets(config.streets, config.crops, folder, begin, on_step)
+        lesson = taught_on_streets(config.streets, folder, begin, on_step)
     _write_network(folder, lesson)
     write_csv(
         folder / "classes.csv",

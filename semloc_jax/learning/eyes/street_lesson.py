@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semloc_jax.learning.eyes.batches import CropConfig, LabelledImage, draw_batch
+from semloc_jax.learning.eyes.batches import LabelledImage, draw_batch
 from semloc_jax.learning.eyes.loss import eyes_loss
 from semloc_jax.learning.eyes.streets import TEACHES, StreetsConfig, drawn_scenes, labelled
 from semloc_jax.learning.training import train
@@ -46,7 +46,6 @@ class StreetLesson(NamedTuple):
 
 def taught_on_streets(
     config: StreetsConfig,
-    crops: CropConfig,
     folder: Path,
     begin: Eyes | None = None,
     on_step: Callable[[int, float], None] | None = None,
@@ -54,8 +53,7 @@ def taught_on_streets(
     """Draw the scenes, train, judge.
 
     Args:
-        config: Scenes and steps.
-        crops: What a batch is made of.
+        config: Scenes, steps, crops.
         folder: Keeps the scenes and the checkpoint: a lesson that stopped goes on there.
         begin: Eyes to go on with; None for new ones.
         on_step: Called with the number of a step and its loss.
@@ -68,7 +66,7 @@ def taught_on_streets(
         (teaching if entry.part == TEACHES else judging).extend(images)
 
     def batch_of(rng: np.random.Generator):
-        return draw_batch(teaching, crops, eyes.config.step_px, rng)
+        return draw_batch(teaching, config.crops, eyes.config.step_px, rng)
 
     network = train(eyes.network, eyes_loss, batch_of, config.training, folder / "streets.checkpoint", on_step)
     taught_on = {"streets": config.num_streets, "garages": config.num_garages, "pictures": len(teaching)}

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Int
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.learning.eyes.batches import LabelledImage
+from semloc_jax.learning.eyes.batches import CropConfig, LabelledImage
 from semloc_jax.learning.eyes.labels import EXACT_SIGMA_PX, cell_distances
 from semloc_jax.learning.training import TrainingConfig
 from semloc_jax.perception.class_table import ClassTable, load_class_table
@@ -31,8 +31,8 @@ _MOST_BYTES = 2**28
 class StreetsConfig:
     """How many random scenes are drawn. All values are ours."""
 
-    num_streets: int = 40
-    num_garages: int = 6
+    num_streets: int = 24
+    num_garages: int = 4
     """Seen by fisheyes."""
     views: int = 7
     """Of each scene, each by another camera."""
@@ -42,7 +42,8 @@ class StreetsConfig:
     """Width and height of a picture, in pixels of the network's image."""
     held_out: int = 4
     """So many of the streets, and a quarter as many of the garages, judge."""
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=5000, rate=3e-3))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=4500, rate=3e-3))
+    crops: CropConfig = field(default_factory=lambda: CropConfig(crop_px=(192, 160)))
 
     def __post_init__(self) -> None:
         least = min(self.num_streets, self.views, self.looks, self.held_out)

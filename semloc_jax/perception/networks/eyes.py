@@ -23,6 +23,7 @@ from semloc_jax.perception.border_mask import BorderMask, SeenBorders
 from semloc_jax.perception.class_table import ClassTable, parse_class_table
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet, DenseNetConfig, filled_up
+from semloc_jax.perception.networks.levelling import levelled
 from semloc_jax.perception.networks.weights import load_weights, read_card, save_weights
 from semloc_jax.storage import reading
 
@@ -33,6 +34,8 @@ _DETAIL = 2
 CELL_PX = STRIDE / _DETAIL
 """Pixels of the network's image in one cell of what it says."""
 _MOST_WIDTH_PX = 1280
+_AROUND_PX = 97
+"""Side of the square whose light and colours are taken as usual: a few times the widest paint."""
 _UNIT_PX = 8.0
 """One unit of the raw distance."""
 _LOG_SIGMA = (np.log(0.2), np.log(60.0))
@@ -44,7 +47,7 @@ class Said(NamedTuple):
     signed_px: Float[Array, "*b h w k"]
     log_sigma: Float[Array, "*b h w k"]
     logit: Float[Array, "*b h w k"]
-    """Of being inside."""
+    """Of being inside, were that as likely as not: it leads the features in learning, and nothing else uses it."""
 
 
 def read_out(raw: Float[Array, "*b h w n"]) -> Said:
@@ -53,7 +56,7 @@ def read_out(raw: Float[Array, "*b h w n"]) -> Said:
     The distance is not clipped here: beyond a clip nothing would be learned any more.
     """
     distance, log_sigma, logit = jnp.split(raw, 3, axis=-1)
-    return Said(_UNIT_PX * distance + 0.5 * REACH_PX, jnp.clip(log_sigma + jnp.log(_UNIT_PX), *_LOG_SIGMA), logit - 4.0)
+    return Said(_UNIT_PX * distance + 0.5 * REACH_PX, jnp.clip(log_sigma + jnp.log(_UNIT_PX), *_LOG_SIGMA), logit)
 
 
 def network_config(num_classes: int, num_more: int = 0) -> DenseNetConfig:
@@ -73,7 +76,7 @@ def working_scale(width_px: int) -> float:
 
 
 def working_image(image: np.ndarray) -> Float[np.ndarray, "h w 3"]:
-    """The image as the network takes it: red green blue, 0 ... 1, scaled, not filled up.
+    """The image at the scale of the network: red green blue, 0 ... 1, not filled up.
 
     Args:
         image: uint8[h w 3], blue green red.
@@ -84,6 +87,12 @@ def working_image(image: np.ndarray) -> Float[np.ndarray, "h w 3"]:
         how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
         image = cv2.resize(image, (round(width * scale), round(height * scale)), interpolation=how)
     return np.ascontiguousarray(image[..., ::-1]).astype(np.float32) / np.float32(255.0)
+
+
+def ready(picture: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "h w c"]:
+    """A picture as the network takes it: colours by what is around them; scores of another network as they are."""
+    colours = levelled(np.ascontiguousarray(picture[..., :3], np.float32), _AROUND_PX)
+    return np.concatenate([colours, picture[..., 3:]], axis=-1) if picture.shape[-1] > 3 else colours
 
 
 @dataclass(frozen=True)
@@ -114,7 +123,7 @@ class Eyes:
         return _config(self.table, self.helper)
 
     def picture(self, image: np.ndarray) -> Float[np.ndarray, "h w c"]:
-        """What the network sees of an image uint8[h w 3] (blue green red), 0 ... 1; not filled up."""
+        """Colours and scores of an image uint8[h w 3] (blue green red), 0 ... 1; neither levelled nor filled up."""
         colours = working_image(image)
         if self.helper is None:
             return colours
@@ -122,7 +131,7 @@ class Eyes:
 
     def said(self, picture: Float[np.ndarray, "h w c"]) -> Said:
         """What they say of the cells of what `picture` gives."""
-        return jax.tree.map(np.asarray, _said(self.network, jnp.asarray(picture), self.config.step_px))
+        return jax.tree.map(np.asarray, _said(self.network, jnp.asarray(ready(picture)), self.config.step_px))
 
     def __call__(self, image: np.ndarray) -> BorderMask:
         """The mask of an image uint8[h w 3] (blue green red), with its borders."""

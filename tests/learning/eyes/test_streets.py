@@ -17,7 +17,8 @@ from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX, Eyes
 from semloc_jax.simulation.streets.views import FINER, StreetView
 
 TABLE = load_class_table("street")
-SMALL = StreetsConfig(2, 0, 1, 1, (64, 64), 1, TrainingConfig(num_steps=2, save_every=1))
+CROPS = CropConfig(size=1, crop_px=(64, 64))
+SMALL = StreetsConfig(2, 0, 1, 1, (64, 64), 1, TrainingConfig(num_steps=2, save_every=1), CROPS)
 
 
 def test_labels_are_exact_within_the_blur_of_a_border():
@@ -72,12 +73,11 @@ def test_scores_of_what_has_not_learned():
 
 @pytest.mark.slow
 def test_a_lesson_that_stopped_goes_on(tmp_path):
-    crops = CropConfig(size=1, crop_px=(64, 64))
     losses: dict[int, float] = {}
-    whole = taught_on_streets(SMALL, crops, tmp_path / "a", on_step=losses.__setitem__)
+    whole = taught_on_streets(SMALL, tmp_path / "a", on_step=losses.__setitem__)
     (tmp_path / "b").mkdir()
     (tmp_path / "a" / "scenes").rename(tmp_path / "b" / "scenes")
-    again = taught_on_streets(SMALL, crops, tmp_path / "b")
+    again = taught_on_streets(SMALL, tmp_path / "b")
     assert sorted(losses) == [1, 2] and all(np.isfinite(list(losses.values())))
     picture = np.random.default_rng(0).random((64, 64, 3)).astype(np.float32)
     np.testing.assert_array_equal(whole.eyes.said(picture).signed_px, again.eyes.said(picture).signed_px)
