@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from semloc_jax.cli.main import OK, log_to_console
+from semloc_jax.errors import UsageError
 from semloc_jax.inputs.choices import parse_names, parse_slice
 
 if TYPE_CHECKING:
@@ -25,11 +26,21 @@ class Options:
     rounds.json, report.md, rounds.png (errors and honesty by round), frames.png (five frames held out in every round)
     and config.yaml. `semloc localize DRIVE --masks OUT/eyes.weights` uses it.
 
-    Every value of the configuration is an option too, e.g. --rounds 2 or --training.num-steps 3000.
+    With --simulated no drive teaches: random streets do, with exact masks, as many cameras, weathers and countries see
+    them. Writes eyes.weights, eyes.onnx, classes.csv (recall, precision, errors and honesty on scenes held out),
+    loss.csv, loss.png, held_out.png, and scenes/ with manifest.json (seeds and which scenes teach). A lesson that
+    stopped goes on where --out names its folder.
+
+    Every value of the configuration is an option too, e.g. --rounds 2, --training.num-steps 3000 or
+    --streets.num-streets 100.
     """
 
-    drives: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DRIVE...")]
+    drives: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DRIVE...")] = ()
     """Drives to learn from."""
+    simulated: bool = False
+    """Learn from random streets in place of drives."""
+    begin: Path | None = None
+    """Weights to go on with; default: new ones."""
     map: str | None = None
     """Map of all of them: a file, the name of a map of each drive, or sweeps:::2 (PandaSet); default: its own."""
     masks: str = "classical"
@@ -64,9 +75,19 @@ def default_settings() -> "EyesConfig":
 def run(options: Options) -> int:
     """Teach, print the score of every round."""
     from semloc_jax.inputs.mask_source import network_preset
+    from semloc_jax.perception.networks.eyes import Eyes
     from semloc_jax.reports.eyes import EyesDrives, report_eyes
+    from semloc_jax.reports.street_eyes import report_street_eyes
 
     log_to_console()
+    begin = None if options.begin is None else Eyes.load(options.begin)
+    if options.simulated:
+        if options.drives:
+            raise UsageError(f"--simulated: learns from no drive, given {options.drives[0]}; leave one of both out")
+        report = report_street_eyes(options.settings, begin, options.out)
+        print(report.text)
+        print(f"results: {report.folder}")
+        return OK
     drives = EyesDrives(
         options.drives,
         options.held_out,
@@ -77,6 +98,7 @@ def run(options: Options) -> int:
         parse_names(options.cameras),
         options.prior,
         network_preset(Path(options.network)) if options.network is not None else None,
+        begin,
     )
     report = report_eyes(drives, options.settings, options.out)
     print(report.text)

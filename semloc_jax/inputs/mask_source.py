@@ -14,6 +14,7 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_files import CLASSICAL, MaskFiles
 from semloc_jax.inputs.mask_view import MaskSource, TopViewSource, resized
+from semloc_jax.inputs.paint_and_eyes import paint_channel, with_paint
 from semloc_jax.perception import load_class_table, preset_names
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset, offsets_of_cameras
@@ -27,6 +28,8 @@ _OFFSET_FRAMES = 12
 _MAX_OFFSET_PX = 2.0
 """Masks made at a fourth of the resolution and resized by their corners lie 1.5 px off; a larger estimate comes from
 lines that fix only one direction."""
+CLASSICAL_AND = CLASSICAL + "+"
+"""Before the name of eyes: paint by the built-in segmenter, all else by the eyes."""
 TOP_VIEW = "ipm:"
 """Before the name of masks: all cameras as one top view of the road (inverse perspective mapping)."""
 
@@ -42,9 +45,10 @@ def mask_source(
 
     Args:
         name: A mask folder of the drive, any folder with CAMERA/FRAME.png, a network `FILE.onnx` (with its preset
-            FILE.yaml beside it) or its preset `FILE.yaml`, eyes that a map has taught `FILE.weights`, or `classical`
-            for the built-in segmenter of road paint;
-            `ipm:` before any of them makes one top view of the road of all cameras.
+            FILE.yaml beside it) or its preset `FILE.yaml`, eyes that a map or random streets have taught
+            `FILE.weights`, `classical` for the built-in segmenter of road paint, or `classical+FILE.weights` for its
+            paint and the other classes of eyes; `ipm:` before any of them makes one top view of the road of all
+            cameras.
         drive: The drive.
         cameras: Names; None for all that have such masks.
         table: Class table, a preset or a YAML file; None for that of the drive or of the network's preset.
@@ -64,6 +68,8 @@ def mask_source(
     drive.rig.select(names)
     if name == CLASSICAL:
         return _classical(drive, names)
+    if name.startswith(CLASSICAL_AND):
+        return _paint_and_eyes(name, drive, names)
     if is_eyes(name):
         return eyes_source(Eyes.load(name), drive, names, name)
     if is_network(name):
@@ -131,17 +137,36 @@ def eyes_source(eyes: Eyes, drive: Drive, names: Sequence[str], name: str = "eye
         name: Of the masks, for messages.
     """
 
+    def see(frame: Frame, camera: str) -> np.ndarray:
+        return eyes(frame.image(camera))
+
+    return MaskSource(name, eyes.table, tuple(names), _kept(see, 2 * len(names)))
+
+
+def _paint_and_eyes(name: str, drive: Drive, names: tuple[str, ...]) -> MaskSource:
+    """Paint of the built-in segmenter, all else of eyes."""
+    eyes, classical = Eyes.load(name.removeprefix(CLASSICAL_AND)), _classical(drive, names)
+    channel, (drawn_id,) = paint_channel(eyes.table), classical.table.channels[0].mask_ids
+
+    def see(frame: Frame, camera: str) -> np.ndarray:
+        return with_paint(eyes(frame.image(camera)), classical.segment(frame, camera), drawn_id, channel)
+
+    return MaskSource(name, eyes.table, names, _kept(see, 2 * len(names)))
+
+
+def _kept(see: Callable[[Frame, str], np.ndarray], most: int) -> Callable[[Frame, str], np.ndarray]:
+    """The same function, which remembers its last masks: they are asked for more than once."""
     kept: dict[tuple[str, str], np.ndarray] = {}
 
     def seen(frame: Frame, camera: str) -> np.ndarray:
         key = (frame.id, camera)
         if key not in kept:
-            while len(kept) >= 2 * len(names):
+            while len(kept) >= most:
                 kept.pop(next(iter(kept)))
-            kept[key] = eyes(frame.image(camera))
+            kept[key] = see(frame, camera)
         return kept[key]
 
-    return MaskSource(name, eyes.table, tuple(names), seen)
+    return seen
 
 
 def _network(name: str, drive: Drive, names: tuple[str, ...], table: str | None) -> MaskSource:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet
-from semloc_jax.perception.networks.marking_net import METRES_PER_PX, MarkingPoints, levelled
+from semloc_jax.perception.networks.marking_net import METRES_PER_PX, MarkingPoints, levelled_view
 from semloc_jax.simulation.top_views.picture import TopViewSample, top_view_sample
 
 _SPREAD_CELLS = 1.0
@@ -59,7 +59,7 @@ class TopViewPool:
 def batch_of(samples: Sequence[TopViewSample]) -> MarkingBatch:
     """The batch of some pictures of one size."""
     parts = [targets(sample) for sample in samples]
-    pictures = np.stack([levelled(sample.picture) for sample in samples])
+    pictures = np.stack([levelled_view(sample.picture) for sample in samples])
     return MarkingBatch(pictures, *(np.stack([part[k] for part in parts]) for k in range(3)))
 
 

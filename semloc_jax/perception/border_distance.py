@@ -50,8 +50,9 @@ def border_distances(
         seen = borders_of(mask)
         if seen is not None:
             _fill_seen(fields[camera], seen, mask.shape, table, stride, reach_px)
-            continue
         for index, channel in enumerate(table.channels):
+            if seen is not None and channel.name in seen.names:
+                continue
             inside = np.zeros(256, np.uint8)
             inside[list(channel.mask_ids)] = 255
             binary = cv2.LUT(padded, inside)

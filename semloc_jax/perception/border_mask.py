@@ -4,7 +4,7 @@ perception; host).
 In: class ids, distances of a network. Out: BorderMask, an array of class ids for whoever asks for no more.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -44,6 +44,12 @@ class SeenBorders:
         counted = self.signed_px[k] * share
         # Far away stays far away: only what is near a border has a distance that a sigma is of.
         return np.where(np.abs(self.signed_px[k]) < 0.9 * self.reach_px, counted, self.signed_px[k])
+
+    def without(self, name: str) -> "SeenBorders":
+        """The same but for one class, of which the class ids tell."""
+        kept = [k for k, own in enumerate(self.names) if own != name]
+        names = tuple(self.names[k] for k in kept)
+        return replace(self, signed_px=self.signed_px[kept], sigma_px=self.sigma_px[kept], names=names)
 
     def at(self, field: np.ndarray, size_px: tuple[int, int], stride: float | int) -> np.ndarray:
         """A field of cells [h w] at another stride of the image, float32[height width], bilinear, not shifted.

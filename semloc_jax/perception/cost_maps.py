@@ -125,7 +125,7 @@ def mask_ramps(
             for ramp, ramp_px, s in zip(ramps, config.ramp_px, config.stride, strict=True)
         ]
         seen = borders_of(masks[camera])
-        if seen is not None:
+        if seen is not None and table.channels[channel].name in seen.names:
             fill_from_borders(levels, seen, table.channels[channel].name)
             return
         fill_levels(levels, layers[camera], channel + 1, kind, config.blur_px)

@@ -15,6 +15,7 @@ from semloc_jax.errors import UsageError
 from semloc_jax.inputs.drive_inputs import InputOptions, Inputs, open_inputs
 from semloc_jax.learning.eyes.teach import EyesConfig, Lesson, Round, best_round, taught
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
+from semloc_jax.perception.networks.eyes import Eyes
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.storage import write_text
@@ -39,6 +40,7 @@ class EyesDrives(NamedTuple):
         cameras: names; None for the default of the drive.
         prior: of the drives that teach.
         network: another network whose scores the eyes see; None for eyes of their own.
+        begin: eyes to go on with; None for new ones.
     """
 
     learned_from: tuple[Path, ...]
@@ -50,6 +52,7 @@ class EyesDrives(NamedTuple):
     cameras: tuple[str, ...] | None = None
     prior: str | None = None
     network: NetworkPreset | None = None
+    begin: Eyes | None = None
 
 
 class EyesReport(NamedTuple):
@@ -79,7 +82,11 @@ def report_eyes(drives: EyesDrives, config: EyesConfig | None = None, out: Path 
     ]
     folder = make_folder(out)
     helper = None if drives.network is None else NetworkSegmenter(drives.network)
-    rounds = taught(lessons, held_out, config, folder, lambda k, found: _LOG.info("%s", round_row(k, found)), helper)
+
+    def on_round(k: int, found: Round) -> None:
+        _LOG.info("%s", round_row(k, found))
+
+    rounds = taught(lessons, held_out, config, folder, on_round, helper, drives.begin)
     best = best_round(rounds)
     if best:
         rounds[best].eyes.save(folder / BEST)

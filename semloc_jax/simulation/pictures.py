@@ -11,17 +11,22 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.cameras import Rig
+from semloc_jax.cameras import Camera, Rig
+from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.degrade import Degradation, degrade
+from semloc_jax.simulation.looks.look import AnyLook, random_picture
 from semloc_jax.simulation.motion import TrueMotion
-from semloc_jax.simulation.render import PixelRays, render
+from semloc_jax.simulation.render import PixelRays, RenderedView, render
 from semloc_jax.simulation.render_classes import MaskRenderer
 from semloc_jax.simulation.scene import Scene
-from semloc_jax.simulation.shade import Lighting, shade
+from semloc_jax.simulation.shade import LIGHTINGS, Lighting, shade
 from semloc_jax.simulation.solids import Box
 from semloc_jax.simulation.variation import PictureRandom
 from semloc_jax.storage import writing
+
+LOOKS: dict[str, Lighting | AnyLook] = {**LIGHTINGS, AnyLook().name: AnyLook()}
+"""Variants of the pictures of a drive."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ def write_pictures(
     motion: TrueMotion,
     rig: Rig,
     time_s: Float[np.ndarray, " n"],
-    lightings: Sequence[Lighting],
+    lightings: Sequence[Lighting | AnyLook],
     settings: PictureSettings,
 ) -> None:
     """Draw all frames into `out`, each picture whole or not at all."""
@@ -70,7 +75,7 @@ def write_pictures(
                 continue
             rng, T_map_cam = settings.random(index, number), T_map_base @ T_base_cam
             if settings.has_images:
-                ego = [_carried(box, T_map_base) for box in scene.ego]
+                ego = [carried(box, T_map_base) for box in scene.ego]
                 view = render(scene, rays[number], T_map_cam, ego, time)
                 class_id = view.class_id
             else:
@@ -78,8 +83,22 @@ def write_pictures(
             _write_picture(places["sem"], class_id)
             _write_picture(places["sem_net"], degrade(class_id, rng, settings.degradation))
             if settings.has_images:
-                image = shade(view, T_map_cam[:3, 3], lighting, rng)
+                image = _image(view, T_map_cam, rig.cameras[number], scene, lighting, rng)
                 _write_picture(places["rgb"], image, [cv2.IMWRITE_JPEG_QUALITY, 90])
+
+
+def _image(
+    view: RenderedView,
+    T_map_cam: np.ndarray,
+    camera: Camera,
+    scene: Scene,
+    lighting: Lighting | AnyLook,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """The colour image of a view."""
+    if isinstance(lighting, Lighting):
+        return shade(view, T_map_cam[:3, 3], lighting, rng)
+    return random_picture(view, T_map_cam, camera, scene.surface, rng, is_indoors=scene.backdrop == CLASS_IDS["wall"])
 
 
 _SUFFIX = {"sem": ".png", "sem_net": ".png", "rgb": ".jpg"}
@@ -91,7 +110,7 @@ def _write_picture(path: Path, picture: np.ndarray, parameters: Sequence[int] = 
             raise SemlocError(f"picture {path}: cannot be written; is the disk full?")
 
 
-def _carried(box: Box, T_map_base: np.ndarray) -> Box:
+def carried(box: Box, T_map_base: np.ndarray) -> Box:
     """A box of the base frame in the map frame."""
     R = T_map_base[:3, :3]
     return replace(box, center=R @ box.center + T_map_base[:3, 3], R_map_box=R @ box.R_map_box)

@@ -22,14 +22,15 @@ from semloc_jax.simulation.country import build_country_road
 from semloc_jax.simulation.degrade import Degradation
 from semloc_jax.simulation.epochs import at_epoch
 from semloc_jax.simulation.garage import build_garage
+from semloc_jax.simulation.looks.look import AnyLook
 from semloc_jax.simulation.map_errors import MapErrors, with_errors
 from semloc_jax.simulation.motion import TrueMotion, VehicleMotion
 from semloc_jax.simulation.obstacles import OBSTACLE_IDS
-from semloc_jax.simulation.pictures import PictureSettings, write_pictures
+from semloc_jax.simulation.pictures import LOOKS, PictureSettings, write_pictures
 from semloc_jax.simulation.road import build_road
 from semloc_jax.simulation.scene import Scene, World
 from semloc_jax.simulation.sensor_logs import SensorErrors, SensorPlan, write_sensor_logs
-from semloc_jax.simulation.shade import LIGHTINGS, Lighting
+from semloc_jax.simulation.shade import Lighting
 from semloc_jax.simulation.tours import Tour, TourWish, hall_tour, loop_tour, lot_tour
 from semloc_jax.simulation.variation import Variation, variation
 from semloc_jax.storage import claim, write_text
@@ -52,7 +53,8 @@ class SimulationConfig:
         speed_mps: mean speed (loop: on the straight); 0 takes 11 (road), 14 (country), 9 (loop), 2.2 (garage), 3 (lot).
         width_px: image width; 0 takes 960 (road, country, loop) or 640 (garage, lot).
         height_px: image height; 0 takes 600 (road, country, loop) or 480 (garage, lot).
-        variants: lightings, in equal parts of the drive; empty takes noon (road) or garage.
+        variants: lightings, in equal parts of the drive; empty takes noon (road) or garage. `wild` gives every picture
+            other surfaces, light, weather and lens.
         wear_share: share of the paint that is worn off (labelled as the ground below it).
         crown: share by which a road falls to both sides of its crown; 0 takes 0 (road) or 0.02 (country). A crowned
             road leans into its bends, too.
@@ -238,7 +240,7 @@ def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig,
     plan = SensorPlan(config.sensors, config.imu_rate_hz, config.imu_offset_s, config.gps_bias_m, staging.has_gnss)
     sensors = write_sensor_logs(out, motion, -LEAD_IN_S, end_s, plan, staging.origin or _ORIGIN, rng)
     _write_truth(out, motion, time_s, rig)
-    lightings = [LIGHTINGS[config.variants[k * len(config.variants) // len(time_s)]] for k in range(len(time_s))]
+    lightings = [LOOKS[config.variants[k * len(config.variants) // len(time_s)]] for k in range(len(time_s))]
     settings = PictureSettings(config.has_images, own.degradation(config.degradation), own.of_picture, keeps)
     write_pictures(out, staging.scene, motion, rig, time_s, lightings, settings)
     classes = CLASS_IDS | (OBSTACLE_IDS if config.has_obstacles else {})
@@ -291,9 +293,9 @@ def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
         raise SemlocError(f"obstacles: a {kind} has no slots for them; expected kind lot, or garage with laps")
     if not 0.0 <= config.crown <= 0.1:
         raise SemlocError(f"crown = {config.crown:g}; expected the fall of a road, 0 to 0.1: 0.02 is usual")
-    unknown = [name for name in config.variants if name not in LIGHTINGS]
+    unknown = [name for name in config.variants if name not in LOOKS]
     if unknown:
-        raise SemlocError(f"unknown variant '{unknown[0]}'; expected some of {', '.join(LIGHTINGS)}")
+        raise SemlocError(f"unknown variant '{unknown[0]}'; expected some of {', '.join(LOOKS)}")
     return config
 
 
@@ -315,6 +317,6 @@ def _write_truth(out: Path, motion: TrueMotion, time_s: np.ndarray, rig: Rig) ->
         write_tum(Trajectory(time_s, T_map_base @ T_base_cam), out / f"poses_cam_{name}.tum", f"camera {name}")
 
 
-def _write_frame_list(out: Path, time_s: np.ndarray, lightings: list[Lighting]) -> None:
+def _write_frame_list(out: Path, time_s: np.ndarray, lightings: list[Lighting | AnyLook]) -> None:
     rows = [f"{k:06d},{t:.6f},{light.name}" for k, (t, light) in enumerate(zip(time_s, lightings, strict=True))]
     write_text(out / "frames.csv", "\n".join(["frame,t,variant", *rows]) + "\n")

@@ -54,6 +54,15 @@ def draw_rounds(scores: Sequence[RoundScore]) -> Figure:
     return figure
 
 
+def draw_curve(steps: np.ndarray, losses: np.ndarray) -> Figure:
+    """Loss over the steps of a lesson."""
+    figure = new_figure(6.0, 3.2)
+    axes = plain_axes(figure.subplots())
+    axes.plot(steps, losses, color="#1565c0", linewidth=1.0)
+    axes.set(xlabel="step", ylabel="loss", title="mean of every 20 steps")
+    return figure
+
+
 def draw_looks(rows: Sequence[Sequence[RoundLook]]) -> np.ndarray:
     """The same frames in every round, one row a round: borders of each class in its colour."""
     pictures = [np.hstack([_tile(look, f"round {k}" if k else "begin") for look in row]) for k, row in enumerate(rows)]

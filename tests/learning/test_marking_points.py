@@ -19,7 +19,7 @@ from semloc_jax.learning.marking_points import (
     moved,
     score,
 )
-from semloc_jax.perception.networks.marking_net import METRES_PER_PX, MarkingNet, MarkingPoints, decoded, levelled
+from semloc_jax.perception.networks.marking_net import METRES_PER_PX, MarkingNet, MarkingPoints, decoded, levelled_view
 from semloc_jax.simulation.top_views.drawn_out import own_car, wedge
 from semloc_jax.simulation.top_views.picture import top_view_sample
 from semloc_jax.simulation.top_views.slot_layout import random_layout
@@ -133,8 +133,8 @@ def test_the_loss_is_least_where_everything_is_right(samples):
 def test_the_ground_drops_out_of_a_levelled_picture():
     sample = top_view_sample(np.random.default_rng(7), 64, METRES_PER_PX)
     dark = np.round(sample.picture * 0.5).astype(np.uint8)
-    assert np.abs(levelled(sample.picture) - levelled(dark)).mean() < 0.1
-    assert np.abs(levelled(np.full((64, 64, 3), 90, np.uint8))).max() < 1e-3
+    assert np.abs(levelled_view(sample.picture) - levelled_view(dark)).mean() < 0.1
+    assert np.abs(levelled_view(np.full((64, 64, 3), 90, np.uint8))).max() < 1e-3
 
 
 def test_scores_count_misses_inventions_and_wrong_directions():

@@ -12,14 +12,14 @@ import numpy as np
 
 from semloc_jax.learning.eyes.labels import Labels
 from semloc_jax.learning.eyes.loss import Batch
-from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX
+from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX, ready
 
 
 class LabelledImage(NamedTuple):
-    """An image as the network sees it, with what the map says of it; kept small."""
+    """An image at the scale of the network, with what the map says of it; kept small."""
 
     picture: np.ndarray
-    """uint8[h w c]: red green blue, then scores of another network where there is one."""
+    """uint8[h w c]: red green blue as they are, then scores of another network where there is one."""
     signed_px: np.ndarray
     """float16[k h/2 w/2]."""
     sigma_px: np.ndarray
@@ -83,7 +83,7 @@ def _crop(image: LabelledImage, size_px: tuple[int, int], config: CropConfig, rn
         picture = _in_other_light(picture, rng)
         if rng.random() < 0.5:
             picture, signed, sigma, known = (a[:, ::-1] for a in (picture, signed, sigma, known))
-    return picture, signed, sigma, known
+    return ready(picture), signed, sigma, known
 
 
 def _place(image: LabelledImage, config: CropConfig, rng: np.random.Generator) -> tuple[int, int]:
@@ -106,14 +106,15 @@ def _filled(plane: np.ndarray, shape: tuple[int, int], how: str) -> np.ndarray:
 
 def _in_other_light(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The colours of a picture under another sun, exposure and lens; scores of another network stay."""
-    colours = np.clip(picture[..., :3], 0.0, 1.0) ** np.exp(rng.normal(0.0, 0.25))
-    colours = colours * np.exp(rng.normal(0.0, 0.2)) * np.exp(rng.normal(0.0, 0.06, 3)) + rng.normal(0.0, 0.04)
+    colours = np.clip(picture[..., :3], 0.0, 1.0) ** np.float32(np.exp(rng.normal(0.0, 0.25)))
+    gain = np.exp(rng.normal(0.0, 0.2)) * np.exp(rng.normal(0.0, 0.06, 3))
+    colours = colours * gain.astype(np.float32) + np.float32(rng.normal(0.0, 0.04))
     for _ in range(rng.integers(0, 3)):
-        colours = colours * _shadow(colours.shape[:2], rng)[..., None]
+        colours *= _shadow(colours.shape[:2], rng)[..., None]
     if rng.random() < 0.3:
-        colours = cv2.GaussianBlur(colours.astype(np.float32), (0, 0), rng.uniform(0.4, 1.2))
-    colours = colours + rng.normal(0.0, rng.uniform(0.0, 0.03), colours.shape)
-    return np.concatenate([np.clip(colours, 0.0, 1.0), picture[..., 3:]], axis=-1).astype(np.float32)
+        colours = cv2.GaussianBlur(colours, (0, 0), rng.uniform(0.4, 1.2))
+    colours += np.float32(rng.uniform(0.0, 0.03)) * rng.standard_normal(colours.shape, np.float32)
+    return np.concatenate([np.clip(colours, 0.0, 1.0), picture[..., 3:]], axis=-1)
 
 
 def _shadow(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:

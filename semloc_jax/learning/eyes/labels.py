@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.learning.eyes.shapes import Surfaces
 from semloc_jax.maps.elements import PAINT_CLASSES, MapElement
@@ -26,7 +26,7 @@ _SHIFT = 4
 _UNKNOWN_ID = 255
 _BEYOND_PX = 6.0
 """About what is not to be judged nothing is known as far as this [px of the network's image]."""
-_LEAST_SIGMA_PX = 0.3
+EXACT_SIGMA_PX = 0.3
 """Sides are not drawn more exactly than this."""
 
 
@@ -109,12 +109,24 @@ def _plane(
     rows, columns = (side // _FINE for side in ids.shape)
     if not inside.any():
         return np.full((rows, columns), REACH_PX, np.float32), np.full((rows, columns), REACH_PX, np.float32)
-    signed = (signed_distance(inside, 1.0) + _OUTSET) * _DRAWN_PX
+    return cell_distances(inside, _OUTSET), _nearest_sigma(surfaces, corners, chosen, (rows, columns), scale)
+
+
+def cell_distances(inside: UInt8[np.ndarray, "_h _w"], outset: float = 0.0) -> Float[np.ndarray, "h w"]:
+    """Signed distance of cells to the border of what is drawn [px of the network's image], clipped at `REACH_PX`.
+
+    Args:
+        inside: 255 where it is, 0 elsewhere; four drawn pixels along each side of a cell.
+        outset: how far it was drawn too large on each side [drawn pixels].
+    """
+    rows, columns = (side // _FINE for side in inside.shape)
+    if not inside.any():
+        return np.full((rows, columns), REACH_PX, np.float32)
+    signed = (signed_distance(inside, 1.0) + outset) * _DRAWN_PX
     # The middle of a cell lies between the four drawn pixels in its middle.
     first = _FINE // 2 - 1
     parts = [signed[first + i :: _FINE, first + j :: _FINE] for i in (0, 1) for j in (0, 1)]
-    distance = np.clip(sum(parts) / 4.0, -REACH_PX, REACH_PX).astype(np.float32)
-    return distance, _nearest_sigma(surfaces, corners, chosen, (rows, columns), scale)
+    return np.clip(sum(parts) / 4.0, -REACH_PX, REACH_PX).astype(np.float32)
 
 
 def _nearest_sigma(
@@ -129,7 +141,7 @@ def _nearest_sigma(
             if is_border:
                 a, b = on_cells[side], on_cells[(side + 1) % 4]
                 cv2.line(number, tuple(map(int, a)), tuple(map(int, b)), len(sigmas), 1)
-                sigmas.append(max(scale * float(surfaces.sigma_px[k, side]), _LEAST_SIGMA_PX))
+                sigmas.append(max(scale * float(surfaces.sigma_px[k, side]), EXACT_SIGMA_PX))
     if not number.any():
         return np.full(shape, REACH_PX, np.float32)
     _, label = cv2.distanceTransformWithLabels(

@@ -14,9 +14,10 @@ from semloc_jax.perception.networks.eyes import REACH_PX, Said, read_out
 
 _NEAR_PX, _FAR_WEIGHT = 8.0, 0.05
 """What lies within this distance of a border decides a pose; what is farther weighs little: it only has to be far."""
-_FOCUS = 2.0
-"""Of the focal loss (Lin 2017): cells that are told well already do not count."""
-_LOGIT_WEIGHT = 0.3
+_INSIDE_WEIGHT = 2.0
+"""Of the loss of being inside: where a class is has to be known before how far its border is."""
+_FEW_CELLS = 200.0
+"""Fewer cells inside than this count for less: a post far away shall not outweigh a crosswalk."""
 
 
 class Batch(NamedTuple):
@@ -30,16 +31,18 @@ class Batch(NamedTuple):
 
 
 def eyes_loss(network: eqx.Module, batch: Batch) -> Array:
-    """Negative log-likelihood of the distances by Laplace's distribution, and a focal loss of being inside.
+    """Negative log-likelihood of the distances by Laplace's distribution, and a balanced loss of being inside.
 
     The scale of the distribution is the network's sigma and the label's together: what the label does not know the
     network need not. Laplace's likelihood asks for the median: where a dash is there in most images, its distance.
     """
     said = read_out(jax.vmap(network)(batch.picture))
-    per_cell = distance_nll(said, batch) + _LOGIT_WEIGHT * inside_loss(said, batch)
+    # A map tells its classes and not what hides it, which eyes tell last.
+    said = jax.tree.map(lambda plane: plane[..., : batch.signed_px.shape[-1]], said)
     weight = batch.weight[..., None] * _closeness(batch.signed_px)
     # Each class by itself: a post has a hundredth of the cells of a line and says as much.
-    return jnp.mean(jnp.sum(weight * per_cell, (0, 1, 2)) / jnp.maximum(jnp.sum(weight, (0, 1, 2)), 1.0))
+    distance = jnp.sum(weight * distance_nll(said, batch), (0, 1, 2)) / jnp.maximum(jnp.sum(weight, (0, 1, 2)), 1.0)
+    return jnp.mean(distance + _INSIDE_WEIGHT * inside_loss(said, batch))
 
 
 def distance_nll(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
@@ -48,12 +51,17 @@ def distance_nll(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
     return jnp.abs(said.signed_px - batch.signed_px) / scale + jnp.log(scale)
 
 
-def inside_loss(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
-    """Of being inside; a label near its border is as unsure as its sigma says."""
+def inside_loss(said: Said, batch: Batch) -> Float[Array, " k"]:
+    """Of being inside, for each class: cells inside and cells outside count the same in sum, so that what is rare is
+    found before it is told well. A label near its border is as unsure as its sigma says."""
     share = jax.scipy.stats.norm.cdf(-batch.signed_px / batch.sigma_px)
-    p = jax.nn.sigmoid(said.logit)
-    cross = -share * jax.nn.log_sigmoid(said.logit) - (1.0 - share) * jax.nn.log_sigmoid(-said.logit)
-    return jnp.abs(share - p) ** _FOCUS * cross
+    near = batch.weight[..., None] * (0.1 + jnp.exp(-jnp.abs(batch.signed_px) / _NEAR_PX))
+
+    def mean(weight: Array, loss: Array) -> Array:
+        return jnp.sum(weight * loss, (0, 1, 2)) / (jnp.sum(weight, (0, 1, 2)) + _FEW_CELLS)
+
+    missed, invented = -jax.nn.log_sigmoid(said.logit), -jax.nn.log_sigmoid(-said.logit)
+    return mean(batch.weight[..., None] * share, missed) + mean(near * (1.0 - share), invented)
 
 
 def _closeness(signed_px: Array) -> Array:

@@ -25,6 +25,7 @@ from semloc_jax.learning.eyes.labels import drawn_labels
 from semloc_jax.learning.eyes.loss import eyes_loss
 from semloc_jax.learning.eyes.poses import TeacherLimits, TeacherPose, teacher_poses
 from semloc_jax.learning.eyes.shapes import Surfaces, seen_surfaces
+from semloc_jax.learning.eyes.streets import StreetsConfig
 from semloc_jax.learning.eyes.trust import ElementLooks
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.maps import SemanticMap
@@ -52,6 +53,8 @@ class EyesConfig:
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=1500))
     crops: CropConfig = field(default_factory=CropConfig)
     limits: TeacherLimits = field(default_factory=TeacherLimits)
+    streets: StreetsConfig = field(default_factory=StreetsConfig)
+    """What is learned without any drive, from random streets (`--simulated`)."""
     judge_sigma_m: float = 1.0
     """Noise of the priors of frames held out, along and across."""
     judge_sigma_deg: float = 3.0
@@ -107,6 +110,7 @@ def taught(
     folder: Path,
     on_round: Callable[[int, Round], None] | None = None,
     helper: NetworkSegmenter | None = None,
+    begin: Eyes | None = None,
 ) -> list[Round]:
     """The rounds, what there was at the beginning first; `best_round` says which to keep.
 
@@ -117,13 +121,15 @@ def taught(
         folder: For checkpoints and the weights of each round.
         on_round: Called after each round.
         helper: Another network whose scores the eyes see: they are a small adapter on top of it then.
+        begin: Eyes to go on with; None for new ones.
 
     Raises:
         SemlocError: no pose is good enough to teach, or the frames held out have no truth.
     """
     classes = frozenset(label for lesson in lessons for label in lesson.map.labels)
     table = eyes_table(load_class_table(TABLE), classes)
-    eyes, rounds, labelled, by = Eyes.new(table, config.training.seed, helper), [], None, -1
+    eyes = begin or Eyes.new(table, config.training.seed, helper)
+    rounds, labelled, by = [], None, -1
     for k in range(config.rounds + 1):
         num_poses, num_distrusted = labelled[1:] if labelled else (0, 0)
         taught_eyes = eyes if k else None

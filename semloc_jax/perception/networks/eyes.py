@@ -23,6 +23,7 @@ from semloc_jax.perception.border_mask import BorderMask, SeenBorders
 from semloc_jax.perception.class_table import ClassTable, parse_class_table
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet, DenseNetConfig, filled_up
+from semloc_jax.perception.networks.levelling import levelled
 from semloc_jax.perception.networks.weights import load_weights, read_card, save_weights
 from semloc_jax.storage import reading
 
@@ -33,6 +34,8 @@ _DETAIL = 2
 CELL_PX = STRIDE / _DETAIL
 """Pixels of the network's image in one cell of what it says."""
 _MOST_WIDTH_PX = 1280
+_AROUND_PX = 97
+"""Side of the square whose light and colours are taken as usual: a few times the widest paint."""
 _UNIT_PX = 8.0
 """One unit of the raw distance."""
 _LOG_SIGMA = (np.log(0.2), np.log(60.0))
@@ -44,7 +47,7 @@ class Said(NamedTuple):
     signed_px: Float[Array, "*b h w k"]
     log_sigma: Float[Array, "*b h w k"]
     logit: Float[Array, "*b h w k"]
-    """Of being inside."""
+    """Of being inside, were that as likely as not: it leads the features in learning, and nothing else uses it."""
 
 
 def read_out(raw: Float[Array, "*b h w n"]) -> Said:
@@ -53,7 +56,7 @@ def read_out(raw: Float[Array, "*b h w n"]) -> Said:
     The distance is not clipped here: beyond a clip nothing would be learned any more.
     """
     distance, log_sigma, logit = jnp.split(raw, 3, axis=-1)
-    return Said(_UNIT_PX * distance + 0.5 * REACH_PX, jnp.clip(log_sigma + jnp.log(_UNIT_PX), *_LOG_SIGMA), logit - 4.0)
+    return Said(_UNIT_PX * distance + 0.5 * REACH_PX, jnp.clip(log_sigma + jnp.log(_UNIT_PX), *_LOG_SIGMA), logit)
 
 
 def network_config(num_classes: int, num_more: int = 0) -> DenseNetConfig:
@@ -73,7 +76,7 @@ def working_scale(width_px: int) -> float:
 
 
 def working_image(image: np.ndarray) -> Float[np.ndarray, "h w 3"]:
-    """The image as the network takes it: red green blue, 0 ... 1, scaled, not filled up.
+    """The image at the scale of the network: red green blue, 0 ... 1, not filled up.
 
     Args:
         image: uint8[h w 3], blue green red.
@@ -86,13 +89,19 @@ def working_image(image: np.ndarray) -> Float[np.ndarray, "h w 3"]:
     return np.ascontiguousarray(image[..., ::-1]).astype(np.float32) / np.float32(255.0)
 
 
+def ready(picture: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "h w c"]:
+    """A picture as the network takes it: colours by what is around them; scores of another network as they are."""
+    colours = levelled(np.ascontiguousarray(picture[..., :3], np.float32), _AROUND_PX)
+    return np.concatenate([colours, picture[..., 3:]], axis=-1) if picture.shape[-1] > 3 else colours
+
+
 @dataclass(frozen=True)
 class Eyes:
     """A network with the classes that it tells.
 
     Attributes:
         network: the network.
-        table: what its class ids mean: channel k is id k + 1.
+        table: what its class ids mean: channel k is id k + 1, what hides the map is the next.
         card: what it was taught on, and how well it does.
         helper: another network whose scores it sees beside the colours; None for none.
     """
@@ -114,23 +123,28 @@ class Eyes:
         return _config(self.table, self.helper)
 
     def picture(self, image: np.ndarray) -> Float[np.ndarray, "h w c"]:
-        """What the network sees of an image uint8[h w 3] (blue green red), 0 ... 1; not filled up."""
+        """Colours and scores of an image uint8[h w 3] (blue green red), 0 ... 1; neither levelled nor filled up."""
         colours = working_image(image)
         if self.helper is None:
             return colours
         return np.concatenate([colours, self.helper.scores(image, colours.shape[1::-1])], axis=-1)
 
+    def said(self, picture: Float[np.ndarray, "h w c"]) -> Said:
+        """What they say of the cells of what `picture` gives."""
+        return jax.tree.map(np.asarray, _said(self.network, jnp.asarray(ready(picture)), self.config.step_px))
+
     def __call__(self, image: np.ndarray) -> BorderMask:
         """The mask of an image uint8[h w 3] (blue green red), with its borders."""
         height, width = image.shape[:2]
         scale = working_scale(width)
-        said = jax.tree.map(np.asarray, _said(self.network, jnp.asarray(self.picture(image)), self.config.step_px))
+        said = self.said(self.picture(image))
         planes = [np.moveaxis(plane, -1, 0) for plane in said]
         names = tuple(channel.name for channel in self.table.channels)
         stride = CELL_PX / scale
-        signed_px = np.clip(planes[0], -REACH_PX, REACH_PX)
-        borders = SeenBorders(signed_px / scale, np.exp(planes[1]) / scale, stride, names, REACH_PX / scale)
-        inside = np.stack([borders.at(plane, (width, height), 1.0) for plane in borders.signed_px])
+        signed_px, sigma_px = np.clip(planes[0], -REACH_PX, REACH_PX) / scale, np.exp(planes[1]) / scale
+        known = len(names)  # what hides the map is told last and has no borders that anybody looks for
+        borders = SeenBorders(signed_px[:known], sigma_px[:known], stride, names, REACH_PX / scale)
+        inside = np.stack([borders.at(plane, (width, height), 1.0) for plane in signed_px])
         nearest = inside.argmin(axis=0)
         ids = np.where(np.take_along_axis(inside, nearest[None], 0)[0] < 0.0, nearest + 1, 0)
         return BorderMask.of(ids.astype(np.uint8), borders)
@@ -168,11 +182,16 @@ def _said(network: DenseNet, picture: Float[Array, "h w c"], step_px: int) -> Sa
     return read_out(network(filled_up(picture, step_px))[:rows, :columns])
 
 
+def num_told(table: ClassTable) -> int:
+    """Classes that eyes with this table tell: its channels, and last what hides the map where the table names it."""
+    return len(table.channels) + bool(table.dynamic_ids)
+
+
 def _config(table: ClassTable, helper: NetworkSegmenter | None) -> DenseNetConfig:
     """The make of eyes for a table, which see the scores of a helper."""
     if helper is None:
-        return network_config(len(table.channels))
-    return network_config(len(table.channels), helper.scores(np.zeros((64, 64, 3), np.uint8), (8, 8)).shape[-1])
+        return network_config(num_told(table))
+    return network_config(num_told(table), helper.scores(np.zeros((64, 64, 3), np.uint8), (8, 8)).shape[-1])
 
 
 def _plain_helper(helper: NetworkSegmenter) -> dict[str, Any]:
@@ -225,4 +244,5 @@ def _plain_table(table: ClassTable) -> dict[str, Any]:
         {"name": c.name, "masks": list(c.mask_ids), "classes": [label.name.lower() for label in c.classes]}
         for c in table.channels
     ]
-    return {"name": table.name, "ids": {name: number for number, name in table.id_names.items()}, "channels": channels}
+    ids = {name: number for number, name in table.id_names.items()}
+    return {"name": table.name, "ids": ids, "channels": channels, "dynamic": list(table.dynamic_ids)}

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet, DenseNetConfig
+from semloc_jax.perception.networks.levelling import levelled
 from semloc_jax.perception.networks.weights import load_weights, read_card
 
 SHIPPED = Path(__file__).with_name("slots.weights")
@@ -26,7 +27,6 @@ OUTPUTS = ("confidence", "du", "dv", "cos", "sin", "corner")
 CONFIG = DenseNetConfig(num_outputs=len(OUTPUTS), num_channels=(24, 48, 72, 96), num_blocks=(1, 1, 2, 2), num_dense=2)
 _AROUND_M = 1.0
 """Half of the square whose mean and spread the brightness is told by: light and colour of the ground drop out."""
-_LEAST_SPREAD = 0.03
 RIM_SHARE = 0.05
 """A point so near to the rim of the picture does not count, as in DMPR (Huang 2019): the divider that gives its
 direction is not in the picture."""
@@ -81,7 +81,7 @@ class MarkingNet:
         scale = metres_per_px / METRES_PER_PX
         size = tuple(max(round(side * scale / CONFIG.step_px), 1) * CONFIG.step_px for side in picture.shape[1::-1])
         small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
-        said = np.asarray(_said(self.network, jnp.asarray(levelled(small))))
+        said = np.asarray(_said(self.network, jnp.asarray(levelled_view(small))))
         found = decoded(said, self.threshold if threshold is None else threshold)
         stretch = np.array([picture.shape[1] / size[0], picture.shape[0] / size[1]])
         return found._replace(uv=(found.uv + 0.5) * stretch - 0.5)
@@ -92,15 +92,10 @@ def _said(network: DenseNet, picture: jax.Array) -> jax.Array:
     return network(picture)
 
 
-def levelled(picture: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+def levelled_view(picture: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
     """Red, green and blue by their mean and spread around each pixel, float32 in -1 ... 1."""
     x = picture[..., ::-1].astype(np.float32) / np.float32(255.0)
-    side = 2 * round(_AROUND_M / METRES_PER_PX) + 1
-    mean = cv2.blur(x, (side, side), borderType=cv2.BORDER_REFLECT_101)
-    square = cv2.blur(x * x, (side, side), borderType=cv2.BORDER_REFLECT_101)
-    # One spread for all colours: what is grey stays grey.
-    spread = np.sqrt(np.maximum((square - mean * mean).mean(axis=-1, keepdims=True), 0.0))
-    return np.clip((x - mean) / (3.0 * (spread + np.float32(_LEAST_SPREAD))), -1.0, 1.0)
+    return levelled(x, 2 * round(_AROUND_M / METRES_PER_PX) + 1)
 
 
 def decoded(said: Float[np.ndarray, "h w n"], threshold: float) -> MarkingPoints:

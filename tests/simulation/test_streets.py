@@ -1,0 +1,32 @@
+"""Random streets and garages: what views of them hold."""
+
+import numpy as np
+import pytest
+
+from semloc_jax.datasets.drive import CLASS_IDS
+from semloc_jax.simulation.looks.materials import CLASS_MASK, DARK_PATCH, TAR, variant_id
+from semloc_jax.simulation.streets.street import random_street
+from semloc_jax.simulation.streets.views import FINER, street_views
+
+
+@pytest.mark.parametrize("is_garage", [False, True])
+def test_views_follow_from_their_seed(is_garage):
+    one, again = (street_views(np.random.default_rng(2), 1, (96, 64), 2, is_garage)[0] for _ in range(2))
+    assert one.class_id.shape == (FINER * 64, FINER * 96) and one.class_id.max() <= CLASS_MASK
+    assert len(one.pictures) == 2 and all(picture.shape == (64, 96, 3) for picture in one.pictures)
+    np.testing.assert_array_equal(one.class_id, again.class_id)
+    np.testing.assert_array_equal(one.pictures[1], again.pictures[1])
+    assert np.abs(one.pictures[0].astype(float) - one.pictures[1]).mean() > 1.0
+
+
+def test_streets_show_what_is_to_be_learned():
+    """Posts, signs and vehicles stand there, lines and dashes of several paints are on the ground."""
+    standing, painted = set(), set()
+    for seed in range(3):
+        street = random_street(np.random.default_rng(seed))
+        standing |= {solid.class_id & CLASS_MASK for solid in street.solids}
+        s, d = np.meshgrid(np.arange(0.0, 60.0, 0.05), np.arange(-8.0, 12.0, 0.05))
+        painted |= set(np.unique(street.ground.class_at(street.path.at(s.ravel(), d.ravel()))).tolist())
+    assert {CLASS_IDS[name] for name in ("pole", "sign", "vehicle", "vegetation")} <= standing
+    assert {CLASS_IDS["lane_solid"], CLASS_IDS["lane_dashed"]} <= {kind & CLASS_MASK for kind in painted}
+    assert {variant_id("road", kind) for kind in (DARK_PATCH, TAR)} & painted
