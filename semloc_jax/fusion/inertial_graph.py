@@ -150,7 +150,7 @@ def left_by_oldest(problem: WindowProblem, value: Values, num_gone: int) -> Dens
         sqrt_info=masked(problem.views.sqrt_info, is_gone), on_road=masked(problem.views.on_road, is_gone)
     )
     oldest = eqx.tree_at(lambda p: (p.factors, p.views), problem, (own, views))
-    left, _ = oldest.linearise(value, jnp.asarray(False)).reduced()
+    left = oldest.linearise(value, jnp.asarray(False)).reduced()
     return marginal(left, unknowns_of(np.arange(num_gone), num), unknowns_of(np.arange(num_gone, num), num))
 
 

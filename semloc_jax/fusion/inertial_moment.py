@@ -68,6 +68,8 @@ class InertialWindowConfig:
     delay_walk: float = 2e-5
     """Change of that difference [s per root of s]."""
     max_steps: int = 8
+    least_step_sigmas: float = 0.3
+    """A solve ends when a step moves the states by less, all together: the next images move them by more."""
 
     def with_noise(self, noise: ImuNoise) -> "InertialWindowConfig":
         """The same with the stated noise of an inertial sensor."""

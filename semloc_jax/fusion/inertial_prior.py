@@ -149,9 +149,14 @@ def moved_prior(
     # The gradient was taken at the values, not at the first estimates.
     moved = WindowPrior(first, touched, touched.copy(), gradient, information)
     with jax.enable_x64(True):
-        d, per = (np.array(of) for of in (moved.deviation(now), moved.per_drawing(now)))
+        d, per = map(np.asarray, _departed(moved, now))
     gradient[new] = left.gradient / per[new]
     return WindowPrior(first, touched, touched.copy(), gradient - information @ d, information)
+
+
+@jax.jit
+def _departed(prior: WindowPrior, value: Values) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
+    return prior.deviation(value), prior.per_drawing(value)
 
 
 def shifted(array: np.ndarray, num_gone: int) -> np.ndarray:

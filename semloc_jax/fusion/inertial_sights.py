@@ -20,6 +20,7 @@ from semloc_jax.residuals.inverse_depth import (
     sight_residual,
 )
 from semloc_jax.residuals.motion import cauchy_cost
+from semloc_jax.solvers import landmark_kernels
 from semloc_jax.solvers.graph import Values
 
 _HIGHEST = jax.lax.Precision.HIGHEST
@@ -96,13 +97,22 @@ def seen_equations(views: Views, value: Values, at: Values, threshold: float) ->
         at: States, maybe at first estimates.
         threshold: Whitened distance beyond which the pull of one step grows no more.
     """
+    if landmark_kernels.are_used(jnp.result_type(value["landmark"])):
+        states = value["pose"], value["height"], value["landmark"], at["pose"], at["height"]
+        anchor, camera, *rest = views
+        states, indices, rest = jax.tree.map(jnp.asarray, (states, (anchor, camera), tuple(rest)))
+        return SeenEquations(*landmark_kernels.seen(*states, indices, rest, threshold))
+    return _by_jax(views, value, at, threshold)
+
+
+def _by_jax(views: Views, value: Values, at: Values, threshold: float) -> SeenEquations:
     r = jax.vmap(jax.vmap(sight_residual))(*_arguments(views, value))
     _, Ja, Jk, Jl = jax.vmap(jax.vmap(sight_linearised))(*_arguments(views, at | {"landmark": value["landmark"]}))
     sqrt_info = jnp.asarray(views.sqrt_info)
     steps = _steps_of(r, views) * sqrt_info[..., None]
     cost, root = jax.vmap(jax.vmap(lambda one: cauchy_cost(_kept_from_zero(one), threshold)))(steps)
-    weights = _step_weights(sqrt_info * root, views)
-    r, Wa, Wl = (jnp.einsum("lfg,lg...->lf...", weights, part, precision=_HIGHEST) for part in (r, Ja, Jl))
+    weights = _StepWeights.of(sqrt_info * root, views)
+    r, Wa, Wl = (weights.times(part) for part in (r, Ja, Jl))
     num_l, num_f = r.shape[:2]
     of_anchor = jax.nn.one_hot(jnp.asarray(views.anchor), num_f, dtype=r.dtype)
     g = jnp.einsum("lfri,lfr->fi", Jk, r, precision=_HIGHEST)
@@ -110,8 +120,10 @@ def seen_equations(views: Views, value: Values, at: Values, threshold: float) ->
     between = jnp.einsum("lg,lfij->gfij", of_anchor, _gram(Wa, Jk), precision=_HIGHEST)
     anchors = jnp.einsum("lg,lij->gij", of_anchor, jnp.sum(_gram(Ja, Wa), axis=1), precision=_HIGHEST)
     H = between + between.transpose(1, 0, 3, 2)
-    H = H + jnp.einsum("lfg,lfri,lgrj->fgij", weights, Jk, Jk, precision=_HIGHEST)
-    H = H.at[jnp.arange(num_f), jnp.arange(num_f)].add(anchors)
+    here, before = jnp.arange(num_f), jnp.arange(num_f - 1)
+    beside = -_sum_gram(Jk[:, 1:] * weights.back[:, 1:, None, None], Jk[:, :-1])
+    H = H.at[here, here].add(anchors + _sum_gram(Jk * weights.own[..., None, None], Jk))
+    H = H.at[before + 1, before].add(beside).at[before, before + 1].add(beside.swapaxes(1, 2))
     across = _gram(Jk, Wl) + of_anchor[:, :, None, None] * jnp.sum(_gram(Ja, Wl), axis=1)[:, None]
     is_used = jnp.any(jnp.asarray(views.sqrt_info) > 0, axis=1)
     landmark = jnp.sum(_gram(Jl, Wl), axis=1)
@@ -162,18 +174,36 @@ def _steps_of(r: Float[Array, "l f 2"], views: Views) -> Float[Array, "l f 2"]:
     return jnp.concatenate([r[:, :1], r[:, 1:] - jnp.where(is_followed, r[:, :-1], 0.0)], axis=1)
 
 
-def _step_weights(sqrt_info: Float[Array, "l f"], views: Views) -> Float[Array, "l f f"]:
-    """W of each landmark with r W r = sum of its squared whitened steps."""
-    seen = jnp.asarray(views.sqrt_info) > 0
-    info = sqrt_info**2
-    back = jnp.where(seen[:, 1:] & seen[:, :-1], info[:, 1:], 0.0)
-    own = info + jnp.pad(back, ((0, 0), (0, 1)))
-    across = jax.vmap(lambda b: jnp.diag(-b, 1) + jnp.diag(-b, -1))(back)
-    return across + own[..., None] * jnp.eye(own.shape[1], dtype=own.dtype)
+class _StepWeights(NamedTuple):
+    """W of each landmark with r W r = sum of its squared whitened steps: a band of three."""
+
+    own: Float[Array, "l f"]
+    back: Float[Array, "l f"]
+    """Minus the entry of each view and the one before; zero for the first."""
+
+    @classmethod
+    def of(cls, sqrt_info: Float[Array, "l f"], views: Views) -> "_StepWeights":
+        seen = jnp.asarray(views.sqrt_info) > 0
+        info = sqrt_info**2
+        back = jnp.where(seen[:, 1:] & seen[:, :-1], info[:, 1:], 0.0)
+        return cls(info + jnp.pad(back, ((0, 0), (0, 1))), jnp.pad(back, ((0, 0), (1, 0))))
+
+    def times(self, parts: Float[Array, "l f ..."]) -> Float[Array, "l f ..."]:
+        """W times one matrix of each landmark."""
+        shape = (*self.own.shape, *(1,) * (parts.ndim - 2))
+        own, back = self.own.reshape(shape), self.back.reshape(shape)
+        nothing = jnp.zeros_like(parts[:, :1])
+        before = jnp.concatenate([nothing, back[:, 1:] * parts[:, :-1]], axis=1)
+        after = jnp.concatenate([back[:, 1:] * parts[:, 1:], nothing], axis=1)
+        return own * parts - before - after
 
 
 def _gram(A: Array, B: Array) -> Array:
     return jnp.einsum("lfri,lfrj->lfij", A, B, precision=_HIGHEST)
+
+
+def _sum_gram(A: Array, B: Array) -> Array:
+    return jnp.einsum("lfri,lfrj->fij", A, B, precision=_HIGHEST)
 
 
 def _kept_from_zero(r: Array) -> Array:

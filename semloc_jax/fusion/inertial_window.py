@@ -128,7 +128,7 @@ class InertialWindow:
         rows, problem, values = self._problem()
         config = self.config
         with jax.enable_x64(True):
-            found = _solved(problem, self._steps(), values, self.noise, config.max_steps)
+            found = _solved(problem, self._steps(), values, self.noise, config.max_steps, config.least_step_sigmas)
         found = jax.tree.map(np.array, found)
         self.values = {name: found.values[name] for name in SIZES}
         num = len(rows)
@@ -250,11 +250,19 @@ def _preintegrated(gyro: Array, accel: Array, step_s: Array, bias: Array, noise:
     return jax.vmap(preintegrate, in_axes=(0, 0, 0, 0, None))(gyro, accel, step_s, bias, noise)
 
 
-@partial(jax.jit, static_argnames="max_steps")
-def _solved(problem: WindowProblem, steps: Steps, values: Values, noise: InertialNoise, max_steps: int) -> _Found:
+@partial(jax.jit, static_argnames=("max_steps", "least_step_sigmas"))
+def _solved(
+    problem: WindowProblem,
+    steps: Steps,
+    values: Values,
+    noise: InertialNoise,
+    max_steps: int,
+    least_step_sigmas: float,
+) -> _Found:
     problem = _with_steps(problem, steps, jnp.asarray(values["bias"]), noise)
-    solution = levenberg_marquardt(problem, values, SolveConfig(1e-3, max_steps, damping=Damping(1e-6)))
-    left, _ = solution.equations.reduced()
+    rules = SolveConfig(least_step_sigmas, max_steps, damping=Damping(1e-6))
+    solution = levenberg_marquardt(problem, values, rules)
+    left = solution.equations.reduced()
     num = len(problem.prior.touched)
     newest = unknowns_of(np.array([num - 1]), num)
     residuals = step_residuals(problem.views, solution.value)

@@ -34,6 +34,8 @@ CALLS = (
     "semloc_sums_by_index",
     "semloc_view",
     "semloc_robust_cost",
+    "semloc_seen",
+    "semloc_eliminated",
 )
 SWITCH = "SEMLOC_NATIVE"
 """Environment variable; 0 turns the kernels off."""

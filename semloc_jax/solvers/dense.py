@@ -4,7 +4,6 @@ In: a FactorGraph and its values. Out: DenseEquations: step, marginal, covarianc
 """
 
 from collections.abc import Sequence
-from itertools import product
 
 import equinox as eqx
 import jax
@@ -55,21 +54,21 @@ def marginal(equations: DenseEquations, gone: Int[np.ndarray, " g"], kept: Int[n
 
 def dense_hessian(graph: FactorGraph, local: list[Local], families: Sequence[Family]) -> Float[Array, "d d"]:
     """Hessian of the named families in full, family by family; 1 on the diagonal of what is locked."""
-    dtype = local[0].hessian.dtype
-    parts = {
-        (a.name, b.name): jnp.zeros((a.num, b.num, a.kind.size, b.kind.size), dtype)
-        for a, b in product(families, repeat=2)
-    }
-    for block in graph.blocks(local):
-        pair = block.rows, block.columns
-        if pair in parts:
-            parts[pair] = parts[pair].at[block.row_key, block.column_key].add(block.hessian)
-    rows = []
-    for a in families:
-        row = [parts[a.name, b.name].swapaxes(1, 2).reshape(a.num * a.kind.size, b.num * b.kind.size) for b in families]
-        rows.append(jnp.concatenate(row, axis=1))
+    sizes = [family.num * family.kind.size for family in families]
+    starts = dict(zip((family.name for family in families), np.cumsum([0, *sizes]).tolist(), strict=False))
     held = jnp.concatenate([jnp.asarray(graph.held(family.name)).ravel() for family in families])
-    return jnp.concatenate(rows) + jnp.diag(held.astype(dtype))
+    H = jnp.diag(held.astype(local[0].hessian.dtype))
+    for factors, found in zip(graph.factors, local, strict=True):
+        at, own = [], []
+        for name, key, span in zip(factors.on, factors.keys, graph.spans(factors), strict=True):
+            if name in starts:
+                size = span.stop - span.start
+                at.append(starts[name] + jnp.asarray(key)[:, None] * size + np.arange(size))
+                own.append(np.arange(span.start, span.stop))
+        if at:  # one scatter for each family of factors: one for each block takes longer to compile and to run
+            rows, own = jnp.concatenate(at, axis=1), np.concatenate(own)
+            H = H.at[rows[:, :, None], rows[:, None, :]].add(found.hessian[:, own][:, :, own])
+    return H
 
 
 class DenseProblem(eqx.Module):

@@ -45,7 +45,8 @@ class SolveConfig:
     """When a solve ends. All values are ours."""
 
     tolerance: float = 1e-3
-    """A solve ends when a step is below this in every coordinate, in the units of the damping."""
+    """A solve ends when a step is shorter than this; what its length is, the problem says: mostly the largest of its
+    coordinates, in the units of the damping."""
     max_steps: int = 20
     """Most evaluations."""
     min_gain_nats: float = 0.0

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from semloc_jax.solvers import landmark_kernels
 from semloc_jax.solvers.dense import DenseEquations
 from semloc_jax.solvers.problem import Step
 
@@ -27,34 +28,54 @@ class SchurEquations(eqx.Module):
     across: Float[Array, "l p k"]
     """Blocks of the first p frame unknowns (rows) and each landmark; the other frame unknowns see none."""
 
-    def reduced(self, more: Float[Array, " k"] | None = None) -> tuple[DenseEquations, Float[Array, "l k p"]]:
-        """What is left on the frames, and the gain of every landmark: its step is minimum - gain @ frame step.
+    def reduced(self) -> DenseEquations:
+        """What is left on the frames."""
+        return self._reduced(_inverses(self.landmark))
 
-        Args:
-            more: Further information on every landmark.
-        """
-        block = self.landmark if more is None else self.landmark + jnp.diag(more)
-        inverse = jnp.linalg.inv(block)
-        gain = jnp.einsum("lij,lpj->lip", inverse, self.across, precision=_HIGHEST)
+    def _reduced(self, inverse: Float[Array, "l k k"]) -> DenseEquations:
         num = self.across.shape[1]
-        S = jnp.einsum("lpk,lkq->pq", self.across, gain, precision=_HIGHEST)
-        g = jnp.einsum("lkp,lk->p", gain, self.landmark_gradient, precision=_HIGHEST)
+        S, g = _eliminated(self.across, inverse, self.landmark_gradient)
         H = self.information.at[:num, :num].add(-0.5 * (S + S.T))
         free = jnp.einsum("lij,lj->li", inverse, self.landmark_gradient, precision=_HIGHEST)
         cost = self.cost - 0.5 * jnp.sum(free * self.landmark_gradient)
-        return DenseEquations(cost, self.gradient.at[:num].add(-g), H), gain
+        return DenseEquations(cost, self.gradient.at[:num].add(-g), H)
 
     def step(self, damping: Float[Array, ""], units: Float[Array, " d"], landmark_units: Float[Array, " k"]) -> Step:
-        """Minimum of the damped model; its tangent is the pair (frames [d], landmarks [l k])."""
+        """Minimum of the damped model; its tangent is the pair (frames [d], landmarks [l k]).
+
+        Its length is that of the step of the frames in standard deviations: landmarks that fit badly go on and on
+        without moving them.
+        """
         on_frames, on_landmarks = damping / units**2, damping / landmark_units**2
-        left, gain = self.reduced(on_landmarks)
+        inverse = _inverses(self.landmark + jnp.diag(on_landmarks))
+        left = self._reduced(inverse)
         scaled = units[:, None] * (left.information + jnp.diag(on_frames)) * units
         frames = -units * jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(scaled), units * left.gradient)
-        damped = self.landmark + jnp.diag(on_landmarks)
-        free = jnp.linalg.solve(damped, self.landmark_gradient[..., None])[..., 0]
-        landmarks = -free - jnp.einsum("lkp,p->lk", gain, frames[: gain.shape[2]], precision=_HIGHEST)
+        pulled = jnp.einsum("lpk,p->lk", self.across, frames[: self.across.shape[1]], precision=_HIGHEST)
+        landmarks = -jnp.einsum("lij,lj->li", inverse, self.landmark_gradient + pulled, precision=_HIGHEST)
         # (H + damping) x = -g gives x H x = -g x - damping x x.
         promised = jnp.dot(self.gradient, frames) + jnp.sum(self.landmark_gradient * landmarks)
         held = jnp.sum(on_frames * frames**2) + jnp.sum(on_landmarks * landmarks**2)
-        length = jnp.max(jnp.abs(frames / units))
+        length = jnp.sqrt(jnp.maximum(-jnp.dot(left.gradient, frames), 0.0))
         return Step((frames, landmarks), 0.5 * (promised - held), length)
+
+
+def _eliminated(
+    across: Float[Array, "l p k"], inverse: Float[Array, "l k k"], gradient: Float[Array, "l k"]
+) -> tuple[Float[Array, "p p"], Float[Array, " p"]]:
+    if across.shape[2] == 3 and landmark_kernels.are_used(across.dtype):
+        return landmark_kernels.eliminated(across, inverse, gradient)
+    gain = jnp.einsum("lij,lpj->lip", inverse, across, precision=_HIGHEST)
+    S = jnp.einsum("lpk,lkq->pq", across, gain, precision=_HIGHEST)
+    return S, jnp.einsum("lkp,lk->p", gain, gradient, precision=_HIGHEST)
+
+
+def _inverses(blocks: Float[Array, "l k k"]) -> Float[Array, "l k k"]:
+    """Inverses of small positive definite matrices, by sweeping one pivot after another; LAPACK takes each alone."""
+    swept = blocks
+    for k in range(blocks.shape[-1]):
+        pivot = swept[:, k, k, None]
+        row = swept[:, k] / pivot
+        swept = swept - swept[:, :, k, None] * row[:, None]
+        swept = swept.at[:, k].set(row).at[:, :, k].set(row).at[:, k, k].set(-1.0 / pivot[:, 0])
+    return -swept

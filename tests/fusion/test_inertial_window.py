@@ -62,7 +62,7 @@ def reduced(problem, steps, values, noise):
     """Information on the states with all landmarks eliminated, and where its derivatives were taken."""
     values = jax.tree.map(jnp.asarray, values)
     problem = _with_steps(problem, steps, values["bias"], noise)
-    left, _ = problem.linearise(values, jnp.asarray(False)).reduced()
+    left = problem.linearise(values, jnp.asarray(False)).reduced()
     return left.information, problem.prior.slopes_at(values)
 
 

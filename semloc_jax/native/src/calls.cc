@@ -1,6 +1,7 @@
 // XLA custom calls of the alignment. Every operand may be batched by jax.vmap; see semloc_jax/residuals/native_kernels.py for them.
 #include "alignment.h"
 #include "batch.h"
+#include "landmark_calls.h"
 #include "ramps.h"
 #include "view.h"
 
@@ -403,6 +404,12 @@ SEMLOC_CALL(semloc_sums_by_index, semloc::SumsByIndex);
 SEMLOC_CALL(semloc_view, semloc::View, .Attr<int32_t>("model").Attr<int32_t>("num_ground"));
 SEMLOC_CALL(semloc_ramp_values, semloc::RampValues, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
 SEMLOC_CALL(semloc_robust_cost, semloc::RobustCost, .Attr<int32_t>("model").Attr<int32_t>("num_channels"));
+
+XLA_FFI_DEFINE_HANDLER_SYMBOL(
+    semloc_seen, semloc::Seen,
+    xla::ffi::Ffi::Bind().RemainingArgs().RemainingRets().Attr<double>("threshold"));
+XLA_FFI_DEFINE_HANDLER_SYMBOL(semloc_eliminated, semloc::Eliminated,
+                              xla::ffi::Ffi::Bind().RemainingArgs().RemainingRets());
 
 // The levels of one channel of one camera whose stride is a multiple of `stride`, from layers uint8[height width], both
 // multiples of every stride. Nothing is written where the value does not occur. level_shape: height,

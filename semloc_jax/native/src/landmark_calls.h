@@ -1,0 +1,45 @@
+// XLA custom calls of the landmarks of a window; see semloc_jax/solvers/landmark_kernels.py for their operands.
+#pragma once
+#include "landmarks.h"
+#include "xla/ffi/api/ffi.h"
+
+namespace semloc {
+
+namespace ffi = xla::ffi;
+
+inline ffi::Error Seen(ffi::RemainingArgs args, ffi::RemainingRets rets, double threshold) {
+  constexpr size_t kOperands = 15, kResults = 6;
+  if (args.size() != kOperands || rets.size() != kResults) return ffi::Error::InvalidArgument("landmarks: operands");
+  const auto operand = [&](size_t k) { return args.get<ffi::AnyBuffer>(k).value(); };
+  const auto number = [&](size_t k) { return static_cast<const double*>(operand(k).untyped_data()); };
+  const auto index = [&](size_t k) { return static_cast<const int32_t*>(operand(k).untyped_data()); };
+  const auto result = [&](size_t k) {
+    return static_cast<double*>(rets.get<ffi::AnyBuffer>(k).value()->untyped_data());
+  };
+  LandmarkData in{};
+  in.num_states = operand(0).dimensions()[0];
+  in.num_landmarks = operand(2).dimensions()[0];
+  in.num_cameras = operand(11).dimensions()[1];
+  in.T_value = number(0), in.height_value = number(1), in.landmark = number(2), in.T_at = number(3);
+  in.height_at = number(4), in.anchor = index(5), in.camera = index(6), in.axes = number(7), in.ray = number(8);
+  in.pixels = number(9), in.sqrt_info = number(10), in.T_base_cam = number(11), in.up = number(12);
+  in.lift = number(13), in.on_road = number(14), in.threshold = threshold;
+  seen_equations(in, {result(0), result(1), result(2), result(3), result(4), result(5)});
+  return ffi::Error::Success();
+}
+
+inline ffi::Error Eliminated(ffi::RemainingArgs args, ffi::RemainingRets rets) {
+  const auto across = args.get<ffi::AnyBuffer>(0).value();
+  const auto number = [&](size_t k) {
+    return static_cast<const double*>(args.get<ffi::AnyBuffer>(k).value().untyped_data());
+  };
+  const auto result = [&](size_t k) {
+    return static_cast<double*>(rets.get<ffi::AnyBuffer>(k).value()->untyped_data());
+  };
+  const auto shape = across.dimensions();
+  if (shape.size() != 3 || shape[2] != 3) return ffi::Error::InvalidArgument("landmarks: three unknowns of each");
+  eliminated(shape[0], shape[1], number(0), number(1), number(2), result(0), result(1));
+  return ffi::Error::Success();
+}
+
+}  // namespace semloc
