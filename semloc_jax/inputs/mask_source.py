@@ -4,7 +4,7 @@ In: a Drive and the name of a mask folder or segmenter. Out: MaskSource.
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
