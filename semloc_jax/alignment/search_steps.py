@@ -43,7 +43,7 @@ from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evi
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.runtime.stored_program import stored_program
-from semloc_jax.structs import SolveStatus
+from semloc_jax.structs import MapSamples, SolveStatus
 
 _total_weight = stored_program()(total_weight)
 
@@ -104,10 +104,9 @@ class SearchSteps:
         spanning = self.T_prior @ planar(corners[:, 0], corners[:, 1], 0.0)
         wrong = null_poses(BATCH - len(corners), self.T_prior, frame_config.seed)
         self.spanning = self.observed(self.road.place(spanning))
-        # All samples are observed, though few are enough: for another number the same would be compiled once more.
-        seen = self.observed(self.road.place(wrong))
+        few = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[:: config.null_every], self.samples))
         self.null = EvidenceNull(
-            jax.tree.map(lambda leaf: leaf[..., :: config.null_every], seen),
+            self.observed(self.road.place(wrong), few),
             self.channel,
             np.maximum(np.asarray(self.samples.element), 0),
             self.unit_px,
@@ -123,15 +122,15 @@ class SearchSteps:
             ),
         )
 
-    def observed(self, Ts: np.ndarray) -> Observed:
-        """What each pose sees of all samples that evidence is counted of, on the host."""
-        parts = []
+    def observed(self, Ts: np.ndarray, samples: MapSamples | None = None) -> Observed:
+        """What each pose sees of all samples that evidence is counted of, or of others, on the host."""
+        samples, parts = self.samples if samples is None else samples, []
         for first in range(0, len(Ts), BATCH):
             own = Ts[first : first + BATCH]
             seen = observe(
                 jnp.asarray(filled(own, BATCH), jnp.float32),
                 np.int32(len(own)),
-                self.samples,
+                samples,
                 self.frame.rig,
                 self.frame.channel_of_label,
                 self.fields,
