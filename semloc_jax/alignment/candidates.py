@@ -29,7 +29,7 @@ from semloc_jax.structs import MapSamples, PoseEstimate
 BATCH = 64
 """Most poses that are solved or observed in one call; of fewer, only those asked for cost time."""
 COARSE_BATCH, CLOSER_BATCH = 2048, 512
-"""Poses of the first look, and of a closer one at the best of them, in one call."""
+"""Most poses of a first look in one call, and of what number those of a closer one are a multiple."""
 COARSE_SAMPLES, COARSE_EVERY = 768, 4
 """Samples of the closer look; the first one takes every so many of them."""
 _CLOSER_SHARE = 8
@@ -205,7 +205,11 @@ def coarse_samples(observed: Observed, samples: MapSamples, channel: np.ndarray,
         p_map, chosen_channel = np.asarray(samples.p_map)[index].T, np.maximum(channel, 0)[index]
         # A coarse sample is a piece of a piece: it counts for its length, at most in full.
         weight[:] = min(total / COARSE_SAMPLES / (30.0 * unit_px), 1.0)
-    return CoarseSamples(p_map.astype(np.float32), chosen_channel.astype(np.int32), weight)
+    # Every so many of them are one part.
+    parts = np.arange(COARSE_SAMPLES).reshape(-1, COARSE_EVERY).T
+    return CoarseSamples(
+        p_map.astype(np.float32)[:, parts].swapaxes(0, 1), chosen_channel.astype(np.int32)[parts], weight[parts]
+    )
 
 
 def coarse_gain(null: EvidenceNull, borders: BorderDistances, usable: np.ndarray, scale_px: float) -> np.ndarray:
@@ -243,7 +247,7 @@ def coarse_search(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The poses that are best at a first look and their nats at a closer one, with the prior: int[k], float[k].
 
-    A quarter of the samples tells which poses are worth all of them.
+    The first part of the samples tells which poses are worth all of them.
 
     Args:
         Ts: Poses relative to the local origin; their number is a multiple of COARSE_BATCH.
@@ -255,20 +259,21 @@ def coarse_search(
         config: Range and border.
     """
     gain, stride = jnp.asarray(gain), np.float32(stride)
-    few = CoarseSamples(*(leaf[..., ::COARSE_EVERY] for leaf in samples))
-    few = few._replace(weight=few.weight * COARSE_EVERY)
+    few = samples._replace(weight=samples.weight * COARSE_EVERY)
 
-    def nats(rows: np.ndarray, samples: CoarseSamples, batch: int) -> np.ndarray:
-        parts = [
-            np.asarray(coarse_evidence(jnp.asarray(own, jnp.float32), samples, frame.rig, gain, stride, config))
-            for own in np.split(Ts[rows], len(rows) // batch)
-        ]
-        return np.concatenate(parts).astype(np.float64) + log_prior[rows]
+    def nats(rows: np.ndarray, samples: CoarseSamples, num_parts: int) -> np.ndarray:
+        found = []
+        for first in range(0, len(rows), COARSE_BATCH):
+            own = Ts[rows[first : first + COARSE_BATCH]]
+            poses, num = jnp.asarray(filled(own, COARSE_BATCH), jnp.float32), np.int32(len(own))
+            part = coarse_evidence(poses, num, samples, np.int32(num_parts), frame.rig, gain, stride, config)
+            found.append(np.asarray(part)[: len(own)])
+        return np.concatenate(found).astype(np.float64) + log_prior[rows]
 
-    first = nats(np.arange(len(Ts)), few, COARSE_BATCH)
+    first = nats(np.arange(len(Ts)), few, 1)
     num_closer = max(len(Ts) // _CLOSER_SHARE // CLOSER_BATCH, 1) * CLOSER_BATCH
     best = np.argsort(-first, kind="stable")[:num_closer]
-    return best, nats(best, samples, CLOSER_BATCH)
+    return best, nats(best, samples, COARSE_EVERY)
 
 
 def apart(Ts: np.ndarray, value: np.ndarray, keep: int, units: float) -> np.ndarray:

@@ -157,16 +157,18 @@ def _at(usable: Array, column: Array, row: Array) -> Array:
 class CoarseSamples(NamedTuple):
     """Samples for a first look: each stands for the same length in the image."""
 
-    p_map: Float[Array, "3 p"]
-    channel: Int[Array, " p"]
-    weight: Float[Array, " p"]
+    p_map: Float[Array, "part 3 p"]
+    channel: Int[Array, "part p"]
+    weight: Float[Array, "part p"]
     """Observations that a sample stands for; 0 for padding."""
 
 
 @stored_program("config", "chunk", fused=True)
 def coarse_evidence(
     Ts_map_base: Float[Array, "n 4 4"],
+    num: Int[Array, ""],
     samples: CoarseSamples,
+    num_parts: Int[Array, ""],
     rig: Rig,
     gain: Float[Array, "cam channel h w"],
     stride: Float[Array, ""],
@@ -175,9 +177,13 @@ def coarse_evidence(
 ) -> Float[Array, " n"]:
     """Nats that the masks hold for every pose against seeing the map elsewhere, from few samples.
 
+    How many poses and samples are asked for is data: many poses by few samples and few poses by all are one program.
+
     Args:
-        Ts_map_base: Poses relative to the local origin.
+        Ts_map_base: Poses relative to the local origin; their number is a multiple of `chunk`.
+        num: How many of them are asked for, a multiple of `chunk`; the others stay zero.
         samples: Which samples, and how much each counts.
+        num_parts: Parts of the samples that count, from the first on.
         rig: Cameras.
         gain: Nats of one observation by the pixel that it falls on; 0 where pixels are not usable.
         stride: Pixels of the full mask in one of `gain`.
@@ -186,19 +192,26 @@ def coarse_evidence(
     """
     height, width = gain.shape[2:]
 
-    def one(T_map_base: Array) -> Array:
+    def of_part(part: Array, T_map_base: Array) -> Array:
+        p_map, channel, weight = jax.tree.map(lambda leaf: leaf[part], samples)
         total = jnp.zeros((), T_map_base.dtype)
         for index, (camera, T_base_cam) in enumerate(zip(rig.cameras, rig.T_base_cam, strict=True)):
             T_cam_map = lie.inverse(T_map_base @ jnp.asarray(T_base_cam, T_map_base.dtype))
-            x, y, z = (T_cam_map[k, :3] @ samples.p_map + T_cam_map[k, 3] for k in range(3))
+            x, y, z = (T_cam_map[k, :3] @ p_map + T_cam_map[k, 3] for k in range(3))
             camera = camera.astype(T_map_base.dtype)
             u, v, valid = camera.project_xyz(x, y, z)
             seen = valid & camera.in_image(u, v, config.border_px) & (x * x + y * y + z * z < config.max_range_m**2)
             column = jnp.clip(jnp.nan_to_num(u / stride), 0, width - 1).astype(jnp.int32)
             row = jnp.clip(jnp.nan_to_num(v / stride), 0, height - 1).astype(jnp.int32)
-            where = (samples.channel * height + row) * width + column
+            where = (channel * height + row) * width + column
             nats = gain[index].reshape(-1).at[where].get(mode="promise_in_bounds")
-            total = total + jnp.sum(jnp.where(seen, nats * samples.weight, 0.0))
+            total = total + jnp.sum(jnp.where(seen, nats * weight, 0.0))
         return total
 
-    return jax.lax.map(one, Ts_map_base, batch_size=chunk)
+    def of_chunk(Ts: Array) -> Array:
+        def with_part(part: Array, total: Array) -> Array:
+            return total + jax.vmap(lambda T: of_part(part, T))(Ts)
+
+        return jax.lax.fori_loop(0, num_parts, with_part, jnp.zeros(chunk, Ts.dtype))
+
+    return map_filled(of_chunk, Ts_map_base.reshape(-1, chunk, 4, 4), num // chunk).reshape(-1)
