@@ -87,7 +87,8 @@ def looked(
         way_m: Way since the frame before [m].
         config: When a frame is looked at.
     """
-    aside = _aside(float(watch.aside_rad) * np.exp(-way_m / config.aside_m_memory), fused, config)
+    remembered_rad = float(watch.aside_rad) * np.exp(-way_m / config.aside_m_memory)
+    aside = _aside(remembered_rad, fused, len(frame.rig.names), config)
     way_m += float(watch.way_m)
     if int(watch.num_frames) > 0 and way_m < config.step_m:
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
@@ -217,12 +218,13 @@ def causes(levels: ProtectionLevels, found: list[Separation], limit: ErrorLimit)
     )
 
 
-def _aside(remembered_rad: float, fused: FusedPose, config: WatchConfig) -> float:
+def _aside(remembered_rad: float, fused: FusedPose, num_cameras: int, config: WatchConfig) -> float:
     """The direction of travel to be remembered: the largest of late, unless what the drive says by now is surer."""
     travel, sigma = _travel_alone(fused, config)
     if abs(travel) >= abs(remembered_rad):
         return travel
-    return float(np.sign(remembered_rad)) * min(abs(remembered_rad), abs(travel) + config.aside_sigmas * sigma)
+    most_rad = abs(travel) + config.aside_sigmas[num_cameras > 1] * sigma
+    return float(np.sign(remembered_rad)) * min(abs(remembered_rad), most_rad)
 
 
 def _travel_alone(fused: FusedPose, config: WatchConfig) -> tuple[float, float]:

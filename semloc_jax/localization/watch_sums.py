@@ -67,8 +67,10 @@ class WatchConfig:
     aside_m_memory: float = 20.0
     """Way over which a direction of travel is remembered: where the cameras look aside, the first lines and walls that
     come into view or leave it move the pose, which passes for a drive to the other side."""
-    aside_sigmas: ClassVar[float] = 1.0
-    """What is remembered counts no longer beyond so many standard deviations of what the drive says by now."""
+    aside_sigmas: ClassVar[tuple[float, float]] = (1.0, 2.0)
+    """What is remembered counts no longer beyond so many standard deviations of what the drive says by now: of one
+    camera, of several. Several are believed from the first frame on, one not until the drive has told (`untold_share`):
+    what several once showed takes more to be dismissed."""
     aside_rad: tuple[float, float] = (0.0052, 0.0063)
     """A direction of travel up to the first is that of a sound vehicle, whose axle and inertial unit are never mounted
     exactly along each other (a real one: 0.27 deg); from the second on it counts in full [rad]. The first is what the

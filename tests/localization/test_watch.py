@@ -259,9 +259,11 @@ def test_the_drive_alone_says_more_than_the_fusion_that_holds_it_near_zero():
 def test_a_direction_that_few_metres_gave_does_not_outlast_what_many_say():
     """1 deg is remembered; a drive that says 0.1 deg with 0.05 deg leaves 0.15 of it, one that knows nothing all."""
     one = np.deg2rad(1.0)
-    assert np.degrees(watch._aside(one, fused(0.1, 0.05), CONFIG)) == pytest.approx(0.154, abs=0.003)
-    assert watch._aside(-one, fused(0.0, 0.299), CONFIG) == -one
-    assert watch._aside(one, fused(2.0, 0.05), CONFIG) > np.deg2rad(2.0)
+    assert np.degrees(watch._aside(one, fused(0.1, 0.05), 1, CONFIG)) == pytest.approx(0.154, abs=0.003)
+    # Of several cameras, which are believed from the first frame on, two standard deviations are left.
+    assert np.degrees(watch._aside(one, fused(0.1, 0.05), 4, CONFIG)) == pytest.approx(0.205, abs=0.003)
+    assert watch._aside(-one, fused(0.0, 0.299), 1, CONFIG) == -one
+    assert watch._aside(one, fused(2.0, 0.05), 1, CONFIG) > np.deg2rad(2.0)
 
 
 def test_every_suspicion_has_a_sentence():
