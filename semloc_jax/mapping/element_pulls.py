@@ -21,7 +21,7 @@ from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.single_frame import evidence_from, frame_input
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import polyline
-from semloc_jax.mapping.sides import NUM_SIDES, side_of, strip_of
+from semloc_jax.mapping.sides import NUM_SIDES, side_at, sides_of
 from semloc_jax.mapping.sightings import UPRIGHT
 from semloc_jax.maps import LocalMap, MapElement, SemanticMap
 from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
@@ -77,9 +77,9 @@ class Pulls(NamedTuple):
     """What one frame says of the sides of elements, by the right tangent of the pose of the vehicle [m, rad]."""
 
     ids: tuple[str, ...]
-    side_force: Float[np.ndarray, "k 4 6"]
+    side_force: Float[np.ndarray, "k s 6"]
     """Gradient of the cost of each side [nats]; what has no sides has all of it in the first."""
-    side_information: Float[np.ndarray, "k 4 6 6"]
+    side_information: Float[np.ndarray, "k s 6 6"]
     """Their Gauss-Newton information."""
 
     @property
@@ -157,18 +157,19 @@ def _by_side(values: np.ndarray, num: int) -> np.ndarray:
 
 
 def _sides(seen: ViewSamples, local_map: LocalMap, shown: np.ndarray) -> Int[np.ndarray, "cam p"]:
-    """Side of its strip of every sample in view; 0 where the element is none, or nothing is in view."""
-    along, middle = np.zeros((2, len(local_map.elements) + 1, 2))
-    for row in shown:
-        strip = strip_of(local_map.elements[row])
-        if strip is not None:
-            along[row], middle[row] = strip.along, local_map.frame.from_map(np.append(strip.middle, 0.0)[None])[0, :2]
+    """Side of its element of every sample in view; 0 where it has none, or nothing is in view."""
     rows, tangent = np.asarray(seen.element), np.asarray(seen.tangent_map)
     # The outside lies to the right of the direction of a contour.
     outward = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
-    off_m = np.moveaxis(np.asarray(seen.p_map)[:, :2], 1, -1) - middle[rows]
-    side = side_of(*(part.reshape(-1, 2) for part in (outward, off_m, along[rows]))).reshape(rows.shape)
-    return np.where((rows >= 0) & along[rows].any(axis=-1), side, 0)
+    xy = np.moveaxis(np.asarray(seen.p_map)[:, :2], 1, -1)
+    found = np.zeros(rows.shape, int)
+    for row in shown:
+        sides = sides_of(local_map.elements[row])
+        if sides is not None:
+            own = rows == row
+            middle = local_map.frame.from_map(np.pad(sides.middle, ((0, 0), (0, 1))))[:, :2]
+            found[own] = side_at(sides._replace(middle=middle), xy[own], outward[own])
+    return found
 
 
 def pieces_of(element: MapElement) -> list[MapElement]:

@@ -13,7 +13,7 @@ from skimage.measure import find_contours
 _MARGIN = 6
 _FILLED = 0.6
 """A patch that fills less of its rectangle is none."""
-_CORNER = 1.6
+_CORNER = 1.0
 """Points of an outline that are less off the line between their neighbours [cells] are left out."""
 _KNOWN = 0.98
 """Share of a patch and its rim that must have been looked at."""

@@ -1,98 +1,113 @@
-"""The four sides of what lies on the road: both ends, both long sides (room: mapping; host).
+"""The sides of what lies on the road, each of which may be off on its own (room: mapping; host).
 
-In: an element. Out: Strip: its middle, direction, length and width; the element with other ones.
+In: an element. Out: Sides: their outward directions and middles; the element with some of them moved out.
 """
 
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import shapely
 from jaxtyping import Float, Int
 
 from semloc_jax.mapping.sightings import UPRIGHT
 from semloc_jax.maps import MapElement
 
-NUM_SIDES = 4
-"""First end, last end, right, left."""
+NUM_SIDES = 12
+"""Outlines with more corners are as they were drawn."""
 _LEAST_M = 0.04
-"""No strip is narrower or shorter."""
+"""No line is narrower."""
+_CLEAR_SINE = 0.2
+"""Sides that meet at a sharper angle have no clear corner."""
 
 
-class Strip(NamedTuple):
-    """A dash, a bar, a piece of a line, or the box around an arrow, seen from above."""
+class Sides(NamedTuple):
+    """Sides of an element, seen from above.
 
-    middle: Float[np.ndarray, " 2"]
+    A line has its first end, its last end, its right and its left; an outline has the sides between its corners.
+    """
+
+    outward: Float[np.ndarray, "s 2"]
+    """Unit directions."""
+    middle: Float[np.ndarray, "s 2"]
     """[m]"""
-    along: Float[np.ndarray, " 2"]
-    """Unit direction."""
-    length_m: float
-    width_m: float
+    is_line: bool
 
     @property
-    def normals(self) -> Float[np.ndarray, "4 2"]:
-        """Outward, of each side."""
-        left = np.array([-self.along[1], self.along[0]])
-        return np.stack([-self.along, self.along, -left, left])
+    def shapes(self) -> Float[np.ndarray, "s q"]:
+        """How far out each side goes [m], for all that is no motion of the whole: an orthonormal basis."""
+        arm = self.middle - self.middle.mean(axis=0)
+        turn = arm[:, 0] * self.outward[:, 1] - arm[:, 1] * self.outward[:, 0]
+        rigid = np.column_stack([self.outward, turn])
+        left, size, _ = np.linalg.svd(rigid)
+        return left[:, np.count_nonzero(size > 1e-6) :]
 
 
-def strip_of(element: MapElement) -> Strip | None:
-    """The strip that an element is or fills, None for what stands upright, is logical or has no width."""
+def sides_of(element: MapElement) -> Sides | None:
+    """The sides of an element; None for what stands upright, is logical, has no width or too many corners."""
     if element.label in UPRIGHT or element.is_logical:
         return None
     xy = element.points[:, :2]
     if not element.closed:
-        across_m, ends = element.width_m, xy[[0, -1]]
-    else:
-        corners = xy if len(xy) == 4 else _box(xy)
-        middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
-        pairs = middles[[3, 1]], middles[[0, 2]]
-        ends, wide = sorted(pairs, key=lambda pair: -np.linalg.norm(pair[1] - pair[0]))
-        across_m = float(np.linalg.norm(wide[1] - wide[0]))
-    step = ends[1] - ends[0]
-    length_m = float(np.linalg.norm(step))
-    if across_m < 1e-3 or length_m < 1e-3:
+        return _line_sides(xy, element.width_m)
+    if not 3 <= len(xy) <= NUM_SIDES:
         return None
-    return Strip(ends.mean(axis=0), step / length_m, length_m, across_m)
+    step = np.roll(xy, -1, axis=0) - xy
+    length_m = np.linalg.norm(step, axis=1)
+    if length_m.min() < 1e-3:
+        return None
+    x, y = (xy - xy[0]).T
+    is_left_turning = x @ np.roll(y, -1) - y @ np.roll(x, -1) > 0.0
+    outward = np.stack([step[:, 1], -step[:, 0]], axis=1) / length_m[:, None]
+    return Sides(outward if is_left_turning else -outward, xy + 0.5 * step, False)
 
 
-def _box(xy: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "4 2"]:
-    """The corners of the smallest box around an outline."""
-    box = shapely.oriented_envelope(shapely.MultiPoint(xy))
-    return shapely.get_coordinates(box)[:4] if box.geom_type == "Polygon" else np.zeros((4, 2))
+def _line_sides(xy: np.ndarray, width_m: float) -> Sides | None:
+    step = xy[-1] - xy[0]
+    length_m = float(np.linalg.norm(step))
+    if width_m < 1e-3 or length_m < 1e-3:
+        return None
+    along = step / length_m
+    left = np.array([-along[1], along[0]])
+    half = 0.5 * width_m * left
+    middle = 0.5 * (xy[0] + xy[-1])
+    return Sides(np.stack([-along, along, -left, left]), np.stack([xy[0], xy[-1], middle - half, middle + half]), True)
 
 
-def side_of(
-    outward: Float[np.ndarray, "n 2"], off_m: Float[np.ndarray, "n 2"], along: Float[np.ndarray, "n 2"]
-) -> Int[np.ndarray, " n"]:
-    """Which side of its strip each piece of a border goes with when the strip grows.
+def side_at(sides: Sides, xy: Float[np.ndarray, "n 2"], outward: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
+    """Which side pieces of the border belong to.
 
     Args:
-        outward: normals of the border.
-        off_m: from the middle of the strip.
-        along: directions of the strips.
+        sides: of their element.
+        xy: where they are [m].
+        outward: their normals.
     """
-    forward, leftward = _in_strip(outward, along)
-    ahead_m, aside_m = _in_strip(off_m, along)
-    return np.where(np.abs(forward) > np.abs(leftward), ahead_m > 0, 2 + (aside_m > 0))
+    if sides.is_line:  # it may be bent, its sides are not
+        return (outward @ sides.outward.T).argmax(axis=1)
+    off_m = np.abs(np.einsum("nsi,si->ns", xy[:, None] - sides.middle, sides.outward))
+    # Sides in one line are told by where they are.
+    far_m = np.linalg.norm(xy[:, None] - sides.middle, axis=2)
+    return (off_m + 0.01 * far_m).argmin(axis=1)
 
 
-def _in_strip(xy: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return (xy * along).sum(axis=1), along[:, 0] * xy[:, 1] - along[:, 1] * xy[:, 0]
-
-
-def resized(element: MapElement, longer_m: float, wider_m: float) -> MapElement:
-    """A strip that is longer and wider by so much; its middle stays."""
-    strip = strip_of(element)
-    if strip is None:
+def moved_out(element: MapElement, out_m: Float[np.ndarray, " s"]) -> MapElement:
+    """An element whose sides lie so far out from where they were [m]."""
+    sides = sides_of(element)
+    if sides is None:
         return element
-    left = np.array([-strip.along[1], strip.along[0]])
-    away = element.points[:, :2] - strip.middle
-    by = max(longer_m, _LEAST_M - strip.length_m) / strip.length_m
     points = element.points.copy()
-    points[:, :2] += by * np.outer(away @ strip.along, strip.along)
-    width_m = max(strip.width_m + wider_m, _LEAST_M)
-    if not element.closed:
-        return replace(element, points=points, width_m=width_m)
-    points[:, :2] += (width_m / strip.width_m - 1.0) * np.outer(away @ left, left)
+    if sides.is_line:
+        along, length_m = sides.outward[1], float((points[-1, :2] - points[0, :2]) @ sides.outward[1])
+        ahead = ((points[:, :2] - points[0, :2]) @ along) / length_m
+        points[:, :2] += np.outer(ahead * out_m[1] - (1.0 - ahead) * out_m[0], along)
+        return replace(element, points=points, width_m=max(element.width_m + float(out_m[2] + out_m[3]), _LEAST_M))
+    for k in range(len(points)):
+        points[k, :2] += _corner(sides.outward[k - 1], sides.outward[k], float(out_m[k - 1]), float(out_m[k]))
     return replace(element, points=points)
+
+
+def _corner(before: np.ndarray, after: np.ndarray, before_m: float, after_m: float) -> np.ndarray:
+    """How a corner moves when the sides that meet there move out."""
+    sine = before[0] * after[1] - before[1] * after[0]
+    if abs(sine) < _CLEAR_SINE:
+        return 0.5 * (before_m * before + after_m * after)
+    return np.array([before_m * after[1] - after_m * before[1], after_m * before[0] - before_m * after[0]]) / sine

@@ -1,9 +1,10 @@
-"""How long and wide strips of paint are, by both of their sides in the same frames (room: mapping; host).
+"""The true shape of what was drawn on the road, by all of its sides in the same frames (room: mapping; host).
 
-In: elements as they were drawn, what frames say of their sides. Out: the elements with the sizes that masks show.
-Seen from above paint is as wide as it is smeared over: a line that is drawn 2 cm too wide is as far away as it looks
-only where the vehicle is half a percent farther from it. In one frame two sides of a strip tell its size whatever the
-pose is, so that a way with errors does no harm.
+In: elements as they were drawn, what frames say of their sides. Out: the elements with the shapes that masks show.
+Seen from above paint is as wide as it is smeared over, by cells, by looks from afar and by errors of the way. A line
+that is drawn 2 cm too wide is as far away as it looks only where the vehicle is half a percent farther from it, and
+what was smeared along a way that is too short asks for just that way. In one frame the sides of an element tell its
+shape whatever the pose is.
 """
 
 from collections.abc import Sequence
@@ -11,12 +12,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from semloc_jax.geometry import rigid
 from semloc_jax.mapping.element_pulls import Pulls
 from semloc_jax.mapping.joint import place_of
-from semloc_jax.mapping.sides import NUM_SIDES, Strip, resized, strip_of
+from semloc_jax.mapping.sides import moved_out, sides_of
 from semloc_jax.maps import MapElement
 
 _REWEIGHTED = 4
@@ -24,23 +25,23 @@ _REWEIGHTED = 4
 
 @dataclass(frozen=True)
 class SizeConfig:
-    """How sizes are found. All values are ours.
+    """How shapes are found. All values are ours.
 
     Args:
-        sigma_m: how far length and width may be off as they were drawn.
-        sigma_xy_m: how far the place of an element may be off in one frame.
+        sigma_m: how far out each side may lie from where it was drawn.
+        sigma_xy_m: how far the place of an element may be off in one frame: so far that one side alone says nothing.
         sigma_z_m: how far above or below the road.
         sigma_tilt_deg: how far from lying in it.
         sigma_turn_deg: how far it may be turned.
-        threshold: a frame whose size is off by so many of its own sigmas counts half.
-        min_frames: an element that fewer frames show keeps its size.
+        threshold: a frame whose shape is off by so many of its own sigmas counts half.
+        min_frames: an element that fewer frames show keeps its shape.
     """
 
-    sigma_m: float = 0.2
-    sigma_xy_m: float = 0.2
+    sigma_m: float = 0.1
+    sigma_xy_m: float = 10.0
     sigma_z_m: float = 0.02
     sigma_tilt_deg: float = 0.3
-    sigma_turn_deg: float = 3.0
+    sigma_turn_deg: float = 20.0
     threshold: float = 2.0
     min_frames: int = 3
 
@@ -53,7 +54,7 @@ class SizeConfig:
 
 
 class Sized(NamedTuple):
-    """Elements with the sizes that masks show, and what the same frames say of these."""
+    """Elements with the shapes that masks show, and what the same frames say of these."""
 
     elements: list[MapElement]
     pulls: list[Pulls]
@@ -65,7 +66,7 @@ def sized(
     Ts_map_base: Float[np.ndarray, "n 4 4"],
     config: SizeConfig | None = None,
 ) -> Sized:
-    """The strips among elements as long and wide as masks show them.
+    """What lies on the road as long, as wide and of the outline that masks show.
 
     Args:
         elements: as they were drawn.
@@ -80,53 +81,49 @@ def sized(
             rows.setdefault(name, []).append((frame, k))
     found, force = [], [each.side_force.copy() for each in pulls]
     for element in elements:
-        seen, strip = rows.get(element.id, []), strip_of(element)
-        if strip is None or len(seen) < config.min_frames:
+        seen, sides = rows.get(element.id, []), sides_of(element)
+        if sides is None or len(seen) < config.min_frames:
             found.append(element)
             continue
-        T_base_element = rigid.inverse(Ts_map_base[[f for f, _ in seen]]) @ place_of(element)
-        H = np.array([pulls[f].side_information[k] for f, k in seen])
-        moves = _moves(T_base_element, strip) * _seen_whole(H)[:, None, None, :]
-        moves[..., 0] *= all(element.true_ends) or element.closed
-        size_m = _size(H, np.array([force[f][k] for f, k in seen]), moves, rigid.adjoint(T_base_element), config)
-        found.append(resized(element, *size_m))
-        change = np.einsum("fsij,fsjx,x->fsi", H, moves, size_m)
-        for (f, k), own in zip(seen, change, strict=True):
-            force[f][k] += own
+        num = len(sides.outward)
+        H = np.array([pulls[f].side_information[k, :num] for f, k in seen])
+        own = np.array([force[f][k, :num] for f, k in seen])
+        Ad = rigid.adjoint(rigid.inverse(Ts_map_base[[f for f, _ in seen]]) @ place_of(element))
+        shapes = sides.shapes
+        moves = -np.einsum("fij,sj,sx->fsix", Ad[:, :, :2], sides.outward, shapes)
+        shape = _shape(H, own, moves, Ad, config)
+        found.append(moved_out(element, shapes @ shape))
+        change = np.einsum("fsij,fsjx,x->fsi", H, moves, shape)
+        for (f, k), more in zip(seen, change, strict=True):
+            force[f][k, :num] += more
     changed = [each._replace(side_force=own) for each, own in zip(pulls, force, strict=True)]
     return Sized(found, changed)
 
 
-def _seen_whole(H: Float[np.ndarray, "f 4 6 6"]) -> Bool[np.ndarray, "f 2"]:
-    """Whether a frame shows both ends of a strip, and whether both of its long sides."""
-    held = np.trace(H, axis1=2, axis2=3) > 0.0
-    return np.stack([held[:, :2].all(axis=1), held[:, 2:].all(axis=1)], axis=1)
-
-
-def _moves(T_base_element: np.ndarray, strip: Strip) -> Float[np.ndarray, "f 4 6 2"]:
-    """Motion of the vehicle that does to each side what a longer and a wider strip does, for 1 m of either."""
-    out = np.zeros((NUM_SIDES, 6, 2))
-    out[:, :2] = 0.5 * strip.normals[:, :, None] * np.repeat(np.eye(2), 2, axis=0)[:, None]
-    return -np.einsum("fij,sjx->fsix", rigid.adjoint(T_base_element), out)
-
-
-def _size(
-    H: Float[np.ndarray, "f 4 6 6"],
-    force: Float[np.ndarray, "f 4 6"],
-    moves: Float[np.ndarray, "f 4 6 2"],
+def _shape(
+    H: Float[np.ndarray, "f s 6 6"],
+    force: Float[np.ndarray, "f s 6"],
+    moves: Float[np.ndarray, "f s 6 q"],
     Ad: Float[np.ndarray, "f 6 6"],
     config: SizeConfig,
-) -> Float[np.ndarray, " 2"]:
-    """Length and width [m] to be added: in each frame the place of the element is left open."""
+) -> Float[np.ndarray, " q"]:
+    """How much of each shape [m] is to be added: in each frame the place of the element is left open.
+
+    Args:
+        H, force: of the sides, by the right tangent of the vehicle.
+        moves: motion of the vehicle that does to a side what 1 m of a shape does.
+        Ad: from the right tangent of the element to that of the vehicle.
+        config: how sure what is.
+    """
     H_moves = H @ moves
     by_place = np.einsum("fai,fsab,fbj->fij", Ad, H, Ad) + config.information
     cross = -np.einsum("fai,fsax->fix", Ad, H_moves)
-    by_size = np.einsum("fsax,fsay->fxy", moves, H_moves)
-    place, size = -np.einsum("fai,fsa->fi", Ad, force), np.einsum("fsax,fsa->fx", moves, force)
+    by_shape = np.einsum("fsax,fsay->fxy", moves, H_moves)
+    place, shape = -np.einsum("fai,fsa->fi", Ad, force), np.einsum("fsax,fsa->fx", moves, force)
     left = np.linalg.solve(by_place, np.concatenate([cross, place[:, :, None]], axis=2))
-    S = by_size - np.einsum("fix,fiy->fxy", cross, left[:, :, :2])
-    g = size - np.einsum("fix,fi->fx", cross, left[:, :, 2])
-    prior, found = config.sigma_m**-2 * np.eye(2), np.zeros(2)
+    S = by_shape - np.einsum("fix,fiy->fxy", cross, left[:, :, :-1])
+    g = shape - np.einsum("fix,fi->fx", cross, left[:, :, -1])
+    prior, found = config.sigma_m**-2 * np.eye(S.shape[1]), np.zeros(S.shape[1])
     alone = -np.linalg.solve(S + prior, g[:, :, None])[:, :, 0]
     for _ in range(_REWEIGHTED):
         off = alone - found

@@ -60,7 +60,8 @@ def test_one_frame_that_is_wrong_does_not_take_it_along():
     def pulls_at(elements, reach_px):
         pulls = told_by(lambda _: true)(elements, reach_px)
         off = INFORMATION @ np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
-        return [*pulls[:-1], pulls[-1]._replace(side_force=pulls[-1].side_force + np.eye(4, 1)[None] * off)]
+        last = pulls[-1]
+        return [*pulls[:-1], Pulls.of_wholes(last.ids, last.force + off, last.information)]
 
     (found,) = settled([true], pulls_at, FRAMES, ONCE)
     # Least squares would put it a sixth of 42 cm aside.
