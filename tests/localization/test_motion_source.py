@@ -56,6 +56,10 @@ def test_auto_takes_wheels_then_the_inertial_sensor_then_nothing(drive):
     assert [resolved_without_map(one, "auto", ("front",)) for one in without] == ["both", "vio", "wheels", "wheels"]
     with pytest.raises(SemlocError, match="no wheel odometry"):
         resolved(bare, "both")
+    in_g = replace(bare, imu=replace(drive.imu, accel_mps2=drive.imu.accel_mps2 / 9.81))
+    with pytest.raises(SemlocError, match="the unit is g"):
+        resolved(in_g, "auto")
+    assert resolved(replace(in_g, odometry=drive.odometry), "auto") == "wheels", "forces are not used there"
     with pytest.raises(SemlocError, match="no inertial data .* use --motion wheels"):
         resolved(replace(drive, imu=None), "vio")
 
