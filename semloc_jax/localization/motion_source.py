@@ -71,7 +71,7 @@ def resolved(drive: Drive, choice: MotionChoice) -> Motion:
 
 
 def resolved_without_map(drive: Drive, choice: MotionChoice, cameras: Sequence[str]) -> Motion:
-    """The choice for a way without a map: with `auto` all that the drive has.
+    """The choice for a way without a map: with `auto` all that the drive has; the console says what that is.
 
     Raises:
         SemlocError: a camera is not in the calibration.
@@ -80,8 +80,12 @@ def resolved_without_map(drive: Drive, choice: MotionChoice, cameras: Sequence[s
     if choice != "auto":
         return choice
     if not _has_forces(drive) or len(with_images(drive, cameras)) < len(cameras):
+        lacks = "no inertial data" if not _has_forces(drive) else "no images"
+        _LOG.info("motion: wheels; %s for --motion vio", lacks)
         return "wheels"
-    return "vio" if drive.odometry is None else "both"
+    chosen = "vio" if drive.odometry is None else "both"
+    _LOG.info("motion: %scameras (%s), inertial sensor", "wheels, " if chosen == "both" else "", ", ".join(cameras))
+    return chosen
 
 
 def _has_forces(drive: Drive) -> bool:
