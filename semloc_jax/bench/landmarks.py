@@ -48,9 +48,9 @@ class LandmarkPlan:
     start_m: float = 60.0
     """Where the drive begins: landmarks lie around it already."""
     world: WorldConfig = field(default_factory=WorldConfig)
-    window: WindowSize = field(default_factory=WindowSize)
-    bound_window: WindowSize = field(default_factory=lambda: WindowSize(36, 128))
-    """The bound looks back farther than the window: what is older tells nothing more."""
+    window: WindowSize = field(default_factory=lambda: WindowSize(36, 128))
+    """What is older tells nothing more. A shorter one forgets where it was while nothing stands in view, and takes the
+    next post for its neighbour."""
     bound_every: int = 3
     """Errors are told of every so many frames: neighbours err alike."""
 
@@ -121,7 +121,7 @@ class _Drive:
             shown, T_fix = self.world.detections(T, self.rng), self._noisy(T, self.sigma)
             motion = self._noisy(rigid.inverse(T_before) @ T, self.motion_sigma)
             last = self._started(T_fix, shown) if last is None else self._predicted(last, motion)
-            exact = [*exact, self._exact(T_before, T)][-self.plan.bound_window.num_frames :]
+            exact = [*exact, self._exact(T_before, T)][-self.plan.window.num_frames :]
             T_before = T
             if last is None:
                 continue
@@ -180,7 +180,7 @@ class _Drive:
     def _bounds(self, exact: Sequence[WindowFrame]) -> Bounds:
         """Least covariance of the last pose from all frames so far, and from the last one alone."""
         known = self.world.landmarks, self.config.association
-        window = bound_of(exact, *known, self.plan.bound_window)
+        window = bound_of(exact, *known, self.plan.window)
         return Bounds(window[_PLAN], bound_of(exact[-1:], *known, _ONE_FRAME)[_PLAN])
 
 

@@ -11,11 +11,9 @@ from jaxtyping import Float
 from semloc_jax.calibration.turns_of_cameras import CameraTurns
 from semloc_jax.cameras.plausibility import Finding
 from semloc_jax.datasets import Imu
+from semloc_jax.datasets.imu_check import wrong_forces
 from semloc_jax.datasets.imu_noise import ImuNoise
 
-_GRAVITY_MPS2 = 9.81
-_G_SHARE = 0.1
-_UPRIGHT = 0.9
 LEAST_TURNS, _LEAST_SAMPLES = 20, 50
 _LATEST_S, _STEP_S = 0.12, 0.004
 _TELLING_S, _TELLING_DEG, _TELLING_SIGMAS = 0.004, 2.0, 4.0
@@ -55,7 +53,7 @@ def implausible_inertial(imu: Imu, turns: CameraTurns | None) -> list[Finding]:
         imu: In the axes of the base, as the drive gives it.
         turns: Of a camera; None or few: only the forces are looked at.
     """
-    texts = _forces(imu)
+    texts = [text for text in (wrong_forces(imu),) if text]
     if turns is not None:
         inside = (turns.from_s > imu.time_s[0] + _LATEST_S) & (turns.to_s < imu.time_s[-1] - _LATEST_S)
         if inside.sum() >= LEAST_TURNS:
@@ -173,27 +171,6 @@ def _skews(v: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
     zero = np.zeros(len(v))
     x, y, z = v.T
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-
-
-def _forces(imu: Imu) -> list[str]:
-    """What the mean force says of units and axes: at rest and on average it is 9.81 m/s^2, upwards."""
-    if not np.abs(imu.accel_mps2).any():
-        return []
-    mean = np.mean(imu.accel_mps2, axis=0)
-    size = float(np.linalg.norm(mean))
-    if abs(size - 1.0) < _G_SHARE:
-        return [f"the mean force is {size:.2f}; expected 9.8 m/s^2: the unit is g; multiply by 9.81"]
-    if abs(size / _GRAVITY_MPS2 - 1.0) > _G_SHARE:
-        return [f"the mean force is {size:.2f}; expected 9.8 m/s^2 with gravity in it; check the unit"]
-    if mean[2] / size < -_UPRIGHT:
-        return ["the mean force points down (-z); expected up at rest (a specific force, z up): the sign is wrong"]
-    if mean[2] / size < _UPRIGHT:
-        axis = int(np.argmax(np.abs(mean)))
-        return [
-            f"the mean force points along {'-' if mean[axis] < 0 else '+'}{_AXES[axis]}; expected +z (x ahead, y left, "
-            "z up): the axes are not those of the vehicle; give T_body_imu or turn the columns"
-        ]
-    return []
 
 
 def _turns(found: ClockOfTurns) -> list[str]:

@@ -19,6 +19,7 @@ from semloc_jax.residuals.motion import between_residual, cauchy, pose_residual
 from semloc_jax.residuals.preintegration import InertialState, Preintegrated, imu_residual
 from semloc_jax.residuals.vehicle_motion import (
     change_residual,
+    fading_residual,
     rolling_residual,
     standing_residual,
     wheel_speed_residual,
@@ -44,6 +45,10 @@ class StateFactors(NamedTuple):
     """How far the clock of the inertial sensor was taken to be ahead when `steps` were read from its log."""
     walk: dict[str, Float[Array | np.ndarray, "e k"]]
     """Of each family that changes slowly: 1 / standard deviation of its change."""
+    bend_kept: Float[Array | np.ndarray, " e"]
+    """Share of the bend of the road at one state that is left at the next."""
+    bend: Float[Array | np.ndarray, "e 1"]
+    """1 / standard deviation of what comes in its place."""
     rolling: Float[Array | np.ndarray, "f 2"]
     speed_mps: Float[Array | np.ndarray, " f"]
     wheels: Float[Array | np.ndarray, "f 1"]
@@ -113,6 +118,7 @@ def frame_graph(factors: StateFactors) -> FactorGraph:
             Factors(change_residual, (name, name), (before, after), (), sqrt_info)
             for name, sqrt_info in factors.walk.items()
         ),
+        Factors(fading_residual, ("bend", "bend"), (before, after), (factors.bend_kept,), factors.bend),
         Factors(rolling_residual, ("pose", "velocity"), (here, here), (), factors.rolling, robust=cauchy(3.0)),
         Factors(
             wheel_speed_residual,
@@ -142,7 +148,7 @@ def left_by_oldest(problem: WindowProblem, value: Values, num_gone: int) -> Dens
 
     own = factors._replace(
         walk={name: masked(sqrt_info, on_edge) for name, sqrt_info in factors.walk.items()},
-        **{name: masked(getattr(factors, name), on_edge) for name in ("inertial", "still")},
+        **{name: masked(getattr(factors, name), on_edge) for name in ("inertial", "still", "bend")},
         **{name: masked(getattr(factors, name), on_state) for name in ("rolling", "wheels", "standing", "measured")},
     )
     is_gone = jnp.asarray(problem.views.anchor) < num_gone

@@ -18,6 +18,7 @@ from semloc_jax.perception.tracks import Tracks
 
 _LEAST_SIGMA = 1e-6
 """Of what is believed to be known: the window holds it."""
+_LEAST_WAY_M = 1e-3
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def first_sigma(
     velocity_mps: float,
     bias: Float[np.ndarray, "6"],
     scale: float,
-) -> Float[np.ndarray, "21"]:
+) -> Float[np.ndarray, "22"]:
     """Standard deviations of a first state, in the order of `inertial_states`.
 
     Args:
@@ -112,12 +113,20 @@ def first_sigma(
         scale: Of the odometer.
     """
     mount, delay_s = np.deg2rad(config.mount_sigma_deg), config.delay_sigma_s
-    own = [config.height_sigma_m], [velocity_mps] * 3, bias, [scale], [mount] * 3, [delay_s]
+    own = [config.height_sigma_m], [config.road.bend_per_m], [velocity_mps] * 3, bias, [scale], [mount] * 3, [delay_s]
     return np.maximum(np.concatenate([pose, *own]), _LEAST_SIGMA)
 
 
-def state_factors(moments: Sequence[InertialMoment], config: InertialWindowConfig) -> StateFactors:
-    """What the moments say of their states beside the landmarks; the inertial steps are put together later."""
+def state_factors(
+    moments: Sequence[InertialMoment], config: InertialWindowConfig, way_m: Float[np.ndarray, " e"]
+) -> StateFactors:
+    """What the moments say of their states beside the landmarks; the inertial steps are put together later.
+
+    Args:
+        moments: Of all states.
+        config: Beliefs.
+        way_m: From each state to the next.
+    """
     num = len(moments)
     step_s = np.array([moment.steps.step_s.sum() for moment in moments[1:]])
     walks = {
@@ -131,6 +140,8 @@ def state_factors(moments: Sequence[InertialMoment], config: InertialWindowConfi
     standing = np.array([moment.is_standing for moment in moments])
     sides = np.array([config.side_sigma_mps, config.up_sigma_mps])
     rolling = np.tile(1.0 / sides if config.side_sigma_mps > 0 else np.zeros(2), (num, 1))
+    # However slowly a vehicle goes on, the road under it is another one then.
+    kept = np.exp(-np.maximum(way_m, _LEAST_WAY_M) / config.road.bend_length_m)
     both = standing[1:] & standing[:-1]
     still = np.diag(1.0 / np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4]))
     return StateFactors(
@@ -138,6 +149,8 @@ def state_factors(moments: Sequence[InertialMoment], config: InertialWindowConfi
         inertial=np.zeros((num - 1, 9, 9)),
         delay_s=np.array([moment.delay_s for moment in moments[1:]]),
         walk={name: 1.0 / (np.asarray(walk) * np.sqrt(step_s)[:, None]) for name, walk in walks.items()},
+        bend_kept=kept,
+        bend=1.0 / (max(config.road.bend_per_m, _LEAST_SIGMA) * np.sqrt(1.0 - kept**2))[:, None],
         rolling=rolling,
         speed_mps=np.array([moment.speed_mps or 0.0 for moment in moments]),
         wheels=np.where(has_speed, 1.0 / config.speed_sigma_mps, 0.0)[:, None],

@@ -106,7 +106,7 @@ class WindowPrior(eqx.Module):
         return _Drawing(jnp.clip(scale, _LEAST_SCALE, _MOST_SCALE), about, to)
 
 
-def first_prior(values: Values, sigma: Float[np.ndarray, "21"], R_map_base: Float[np.ndarray, "3 3"]) -> WindowPrior:
+def first_prior(values: Values, sigma: Float[np.ndarray, "22"], R_map_base: Float[np.ndarray, "3 3"]) -> WindowPrior:
     """A prior of the first state alone.
 
     Args:

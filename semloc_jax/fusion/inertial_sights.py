@@ -24,6 +24,7 @@ from semloc_jax.solvers import landmark_kernels
 from semloc_jax.solvers.graph import Values
 
 _HIGHEST = jax.lax.Precision.HIGHEST
+_TOUCHED = "pose", "height", "bend"
 
 
 class Views(NamedTuple):
@@ -44,12 +45,14 @@ class Views(NamedTuple):
     """Vertical axis of the base at the anchor, in `axes`."""
     lift_m: Float[Array | np.ndarray, " l"]
     """Height of the camera in the base at the anchor."""
+    away_m: Float[Array | np.ndarray, " l"]
+    """How far from the camera its line of sight meets a flat road, over ground."""
     on_road: Float[Array | np.ndarray, " l"]
     """See `on_road_residual`: its weight; 0 for a landmark that is not known to lie on the road."""
 
 
 class SeenEquations(NamedTuple):
-    """Normal equations of landmarks; the unknowns of states are all their poses, then all their heights."""
+    """Normal equations of landmarks; the unknowns of states are all poses, then all heights, then all bends."""
 
     cost: Float[Array, ""]
     gradient: Float[Array, " p"]
@@ -98,7 +101,7 @@ def seen_equations(views: Views, value: Values, at: Values, threshold: float) ->
         threshold: Whitened distance beyond which the pull of one step grows no more.
     """
     if landmark_kernels.are_used(jnp.result_type(value["landmark"])):
-        states = value["pose"], value["height"], value["landmark"], at["pose"], at["height"]
+        states = *(value[name] for name in _TOUCHED), value["landmark"], *(at[name] for name in _TOUCHED)
         anchor, camera, *rest = views
         states, indices, rest = jax.tree.map(jnp.asarray, (states, (anchor, camera), tuple(rest)))
         return SeenEquations(*landmark_kernels.seen(*states, indices, rest, threshold))
@@ -132,39 +135,50 @@ def _by_jax(views: Views, value: Values, at: Values, threshold: float) -> SeenEq
     landmark += jnp.where(is_used[:, None, None], weak, jnp.eye(3, dtype=r.dtype))
     road = _on_road(views, value, at, threshold)
     poses, num = SIZES["pose"] * num_f, SEEN * num_f
+    both = jnp.einsum("lg,lab,gh->agbh", of_anchor, road.information, jnp.eye(num_f), precision=_HIGHEST)
+    beside = jnp.einsum("lg,lak->lagk", of_anchor, road.across, precision=_HIGHEST)
     return SeenEquations(
         jnp.sum(cost) + jnp.sum(road.cost),
-        jnp.concatenate([g.ravel(), of_anchor.T @ road.gradient]),
+        jnp.concatenate([g.ravel(), (road.gradient.T @ of_anchor).ravel()]),
         jnp.zeros((num, num), r.dtype)
         .at[:poses, :poses]
         .set(H.transpose(0, 2, 1, 3).reshape(poses, poses))
         .at[poses:, poses:]
-        .set(jnp.diag(of_anchor.T @ road.information)),
+        .set(both.reshape(num - poses, num - poses)),
         jnp.einsum("lfri,lfr->li", Jl, r, precision=_HIGHEST) + road.landmark_gradient,
         landmark + road.landmark,
-        jnp.concatenate([across.reshape(num_l, poses, 3), of_anchor[:, :, None] * road.across[:, None]], axis=1),
+        jnp.concatenate([across.reshape(num_l, poses, 3), beside.reshape(num_l, num - poses, 3)], axis=1),
     )
 
 
 class _Road(NamedTuple):
-    """Normal equations of landmarks on the road, by the height of each one's anchor and by the landmark."""
+    """Normal equations of landmarks on the road, by height and bend at each one's anchor and by the landmark."""
 
     cost: Float[Array, " l"]
-    gradient: Float[Array, " l"]
-    information: Float[Array, " l"]
+    gradient: Float[Array, "l 2"]
+    information: Float[Array, "l 2 2"]
     landmark_gradient: Float[Array, "l 3"]
     landmark: Float[Array, "l 3 3"]
-    across: Float[Array, "l 3"]
+    across: Float[Array, "l 2 3"]
 
 
 def _on_road(views: Views, value: Values, at: Values, threshold: float) -> _Road:
-    data = value["landmark"], *(jnp.asarray(part) for part in (views.up, views.lift_m, views.on_road[:, None]))
-    r = jax.vmap(on_road_residual)(value["height"][views.anchor], *data)
-    _, by_height, by_landmark = jax.vmap(on_road_linearised)(at["height"][views.anchor], *data)
+    known = views.up, views.lift_m, views.away_m, views.on_road[:, None]
+    data = value["landmark"], *(jnp.asarray(part) for part in known)
+    here, there = ([of[name][views.anchor] for name in _TOUCHED[1:]] for of in (value, at))
+    r = jax.vmap(on_road_residual)(*here, *data)
+    _, *by_road, by_landmark = jax.vmap(on_road_linearised)(*there, *data)
     cost, root = jax.vmap(lambda one: cauchy_cost(_kept_from_zero(one), threshold))(r)
-    r, Jh, Jl = (root * part for part in (r[:, 0], by_height[:, 0, 0], by_landmark[:, 0].T))
-    Jl = Jl.T
-    return _Road(cost, Jh * r, Jh**2, Jl * r[:, None], Jl[:, :, None] * Jl[:, None, :], Jh[:, None] * Jl)
+    r, Jl = root * r[:, 0], root[:, None] * by_landmark[:, 0]
+    Jr = root[:, None] * jnp.concatenate(by_road, axis=2)[:, 0]
+    return _Road(
+        cost,
+        Jr * r[:, None],
+        Jr[:, :, None] * Jr[:, None],
+        Jl * r[:, None],
+        Jl[:, :, None] * Jl[:, None],
+        Jr[:, :, None] * Jl[:, None],
+    )
 
 
 def _steps_of(r: Float[Array, "l f 2"], views: Views) -> Float[Array, "l f 2"]:

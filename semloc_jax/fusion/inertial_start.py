@@ -163,6 +163,7 @@ def _window(
     values: Values = {
         "pose": Ts,
         "height": np.zeros((num, 1)),
+        "bend": np.zeros((num, 1)),
         "velocity": velocity,
         "bias": np.tile(bias, (num, 1)),
         "scale": np.ones((num, 1)),

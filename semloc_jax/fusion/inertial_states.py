@@ -12,19 +12,21 @@ from semloc_jax.solvers.graph import Family
 KINDS = {
     "pose": POSE,
     "height": vector(0.01),
+    "bend": vector(5e-4),
     "velocity": vector(0.5, 0.5, 0.5),
     "bias": vector(0.005, 0.005, 0.005, 0.1, 0.1, 0.1),
     "scale": vector(0.02),
     "mount": vector(0.01, 0.01, 0.01),
     "delay": vector(0.005),
 }
-"""Pose in the map; height of the base over the road [m]; velocity in the map [m/s]; biases of gyroscope [rad/s] and
-accelerometer [m/s^2]; scale of the odometer; turn of the inertial sensor against the base [rad]; its clock less that of
-the cameras [s]. Landmarks touch the first two only, which must stay the first."""
+"""Pose in the map; height of the base over the road [m]; how the road there bends upwards [1/m]; velocity in the map
+[m/s]; biases of gyroscope [rad/s] and accelerometer [m/s^2]; scale of the odometer; turn of the inertial sensor against
+the base [rad]; its clock less that of the cameras [s]. Landmarks touch the first three only, which must stay the
+first."""
 SIZES = {name: kind.size for name, kind in KINDS.items()}
 STATE = sum(SIZES.values())
 """Unknowns of one state."""
-SEEN = SIZES["pose"] + SIZES["height"]
+SEEN = SIZES["pose"] + SIZES["height"] + SIZES["bend"]
 """Of these, those that landmarks touch."""
 _ENDS = np.cumsum([0, *SIZES.values()])
 AT = {name: slice(int(start), int(end)) for name, start, end in zip(SIZES, _ENDS[:-1], _ENDS[1:], strict=True)}

@@ -42,6 +42,8 @@ class MotionState(NamedTuple):
 
     T_map_base: Float[np.ndarray, "4 4"]
     height_m: Float[np.ndarray, "1"]
+    bend_per_m: Float[np.ndarray, "1"]
+    """How the road bends upwards, one over its radius."""
     velocity_map: Float[np.ndarray, "3"]
     bias: Float[np.ndarray, "6"]
     """Of gyroscope [rad/s] and accelerometer [m/s^2]."""
@@ -58,7 +60,7 @@ class InertialEstimate(NamedTuple):
 
     time_s: float
     state: MotionState
-    covariance: Float[np.ndarray, "21 21"]
+    covariance: Float[np.ndarray, "22 22"]
     """In the order of `inertial_states`; the pose in its right tangent."""
     num_landmarks: int
     num_steps: int
@@ -213,13 +215,17 @@ class InertialWindow:
         pool.prepare(rows, np.asarray(self.values["pose"]), T_base_cam)
         views, landmarks = pool.views(rows, num, (config.sigma_px, self.step_px), T_base_cam, config.road)
         problem = WindowProblem(
-            state_factors(self._all_moments(), self.config), views, self.prior, config.cauchy_sigmas
+            state_factors(self._all_moments(), self.config, self._ways_m()), views, self.prior, config.cauchy_sigmas
         )
         return rows, problem, self.values | {"landmark": landmarks}
 
     def _all_moments(self) -> list[InertialMoment]:
         """One moment for each state; while a new one is awaited the last stands for it."""
         return self.moments + self.moments[-1:] * (self.num_states - len(self.moments))
+
+    def _ways_m(self) -> Float[np.ndarray, " e"]:
+        """From each state to the next."""
+        return np.linalg.norm(np.diff(self.values["pose"][:, :3, 3], axis=0), axis=1)
 
     def _steps(self) -> Steps:
         steps = [moment.steps for moment in self._all_moments()[1:]]

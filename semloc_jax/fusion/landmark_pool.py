@@ -28,8 +28,12 @@ class RoadBeliefs:
 
     sigma_m: float = 0.03
     """Of the height of one point of the road; 0: nothing is known of the road."""
-    bend_per_m: float = 4e-4
-    """Of the height so far away, as a share of the squared distance: crowns, dips, slopes that begin."""
+    bend_per_m: float = 6e-4
+    """Of how a road bends up or down, one over its radius: dips and crests, which all points share."""
+    bend_length_m: float = 20.0
+    """Way over which the bend becomes another one."""
+    rough_per_m: float = 1e-4
+    """Of the height so far away besides, as a share of the squared distance: crowns, kerbs, slopes that begin."""
     heave_m: float = 0.013
     """Of the height of the vehicle on its springs, which all points of one time share."""
     tilt_deg: float = 0.2
@@ -174,6 +178,7 @@ class LandmarkPool:
         sigma = np.where(is_first, *sigma_px)
         axes, T_anchor = np.stack([first, second, z], axis=-1), T_base_cam[anchor, self.camera[at]]
         up, lift_m = np.einsum("li,lij->lj", T_anchor[:, 2, :3], axes), T_anchor[:, 2, 3]
+        away_m = _away(up[:, 2], lift_m)
         return Views(
             anchor=anchor,
             camera=self.camera[at],
@@ -184,7 +189,8 @@ class LandmarkPool:
             T_base_cam=T_base_cam,
             up=up,
             lift_m=lift_m,
-            on_road=_road_weights(up[:, 2], lift_m, anchor, is_real & self.on_road[at], road),
+            away_m=away_m,
+            on_road=_road_weights(up[:, 2], lift_m, away_m, anchor, is_real & self.on_road[at], road),
         ), np.where(is_real[:, None], self.value[at], [0.0, 0.0, _FIRST_INVERSE_DEPTH])
 
     def keep(
@@ -211,9 +217,16 @@ def _without_gap(seen: Bool[np.ndarray, "l f"]) -> Bool[np.ndarray, "l f"]:
     return seen & ~is_later_run
 
 
+def _away(up: Float[np.ndarray, " l"], lift_m: Float[np.ndarray, " l"]) -> Float[np.ndarray, " l"]:
+    """Distance over ground at which lines of sight with vertical parts `up` meet a flat road."""
+    down = np.maximum(-up, _FLATTEST)
+    return lift_m / down * np.sqrt(np.maximum(1.0 - down**2, 0.0))
+
+
 def _road_weights(
     up: Float[np.ndarray, " l"],
     lift_m: Float[np.ndarray, " l"],
+    away_m: Float[np.ndarray, " l"],
     anchor: Int[np.ndarray, " l"],
     on_road: Bool[np.ndarray, " l"],
     road: RoadBeliefs,
@@ -223,11 +236,9 @@ def _road_weights(
     What the points of one anchor share is given to each of them so often as there are points: together they then
     weigh what the mean of them does.
     """
-    down = np.maximum(-up, _FLATTEST)
-    depth_m = lift_m / down
-    away_m = depth_m * np.sqrt(1.0 - down**2)
+    depth_m = lift_m / np.maximum(-up, _FLATTEST)
     used = on_road & (up < -_FLATTEST) & (lift_m > _LEAST_LIFT_M) & (away_m < road.reach_m) & (road.sigma_m > 0.0)
     together = np.bincount(anchor[used], minlength=int(anchor.max(initial=0)) + 1)[anchor]
-    own = road.sigma_m**2 + (road.bend_per_m * away_m**2) ** 2
+    own = road.sigma_m**2 + (road.rough_per_m * away_m**2) ** 2
     shared = road.heave_m**2 + (np.deg2rad(road.tilt_deg) * away_m) ** 2
     return np.where(used, depth_m / np.sqrt(np.maximum(own + together * shared, 1e-12)), 0.0)

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from semloc_jax.datasets import Drive, Frame
+from semloc_jax.datasets.imu_check import require_usable
 from semloc_jax.datasets.sensors import WheelOdometry
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.prediction import MotionLog, VelocitySample
@@ -49,11 +50,13 @@ def resolved(drive: Drive, choice: MotionChoice) -> Motion:
     are.
 
     Raises:
-        SemlocError: the drive lacks what is asked for.
+        SemlocError: the drive lacks what is asked for, or its inertial readings cannot be right.
     """
     has_imu = _has_forces(drive)
     if choice == "auto":
-        return "vio" if drive.odometry is None and has_imu else "wheels"
+        choice = "vio" if drive.odometry is None and has_imu else "wheels"
+        if choice == "wheels":
+            return choice
     if choice in ("vio", "both") and not has_imu:
         others = "; use --motion wheels" if drive.odometry is not None else ""
         raise SemlocError(
@@ -62,11 +65,13 @@ def resolved(drive: Drive, choice: MotionChoice) -> Motion:
         )
     if choice in ("wheels", "both") and drive.odometry is None:
         raise SemlocError(f"drive {drive.name}: has no wheel odometry (wheel_odom.csv); use --motion vio or auto")
+    if choice != "wheels":
+        require_usable(drive.imu, f"drive {drive.name}")
     return choice
 
 
 def resolved_without_map(drive: Drive, choice: MotionChoice, cameras: Sequence[str]) -> Motion:
-    """The choice for a way without a map: with `auto` all that the drive has.
+    """The choice for a way without a map: with `auto` all that the drive has; the console says what that is.
 
     Raises:
         SemlocError: a camera is not in the calibration.
@@ -75,8 +80,12 @@ def resolved_without_map(drive: Drive, choice: MotionChoice, cameras: Sequence[s
     if choice != "auto":
         return choice
     if not _has_forces(drive) or len(with_images(drive, cameras)) < len(cameras):
+        lacks = "no inertial data" if not _has_forces(drive) else "no images"
+        _LOG.info("motion: wheels; %s for --motion vio", lacks)
         return "wheels"
-    return "vio" if drive.odometry is None else "both"
+    chosen = "vio" if drive.odometry is None else "both"
+    _LOG.info("motion: %scameras (%s), inertial sensor", "wheels, " if chosen == "both" else "", ", ".join(cameras))
+    return chosen
 
 
 def _has_forces(drive: Drive) -> bool:

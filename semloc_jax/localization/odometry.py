@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.datasets import Drive, Frame
+from semloc_jax.datasets.imu_check import require_usable
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.inertial_moment import InertialMoment, InertialWindowConfig
 from semloc_jax.fusion.inertial_samples import Steps, capacity_for, rotation_between, steps_between
@@ -57,7 +58,7 @@ class OdometryFrame(NamedTuple):
     T_odom_base: Float[np.ndarray, "4 4"]
     velocity_odom: Float[np.ndarray, "3"]
     bias: Float[np.ndarray, "6"]
-    sigma: Float[np.ndarray, "21"]
+    sigma: Float[np.ndarray, "22"]
     """Standard deviations in the order of `inertial_states`; NaN during the start."""
     num_followed: int
     num_landmarks: int
@@ -209,6 +210,7 @@ def _require(drive: Drive, cameras: Sequence[str], with_wheels: bool) -> None:
             f"drive {drive.name}: has no inertial data (imu.csv with rates and forces), which --motion vio and both "
             "need; use --motion wheels"
         )
+    require_usable(drive.imu, f"drive {drive.name}")
     if with_wheels and drive.odometry is None:
         raise SemlocError(f"drive {drive.name}: has no wheel odometry; use --motion vio")
     drive.rig.select(cameras)  # names what is not in the calibration

@@ -29,7 +29,7 @@ class LandmarkRow(NamedTuple):
     in_view: float
     """Signs and posts, on average."""
     window_m: float
-    """Twelve frames with motion."""
+    """The window, with motion."""
     window_bound_m: float
     alone_m: float
     """Each frame alone."""

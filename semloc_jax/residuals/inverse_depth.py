@@ -79,35 +79,43 @@ def sight_linearised(
 
 def on_road_residual(
     height_m: Float[Array, "1"],
+    bend_per_m: Float[Array, "1"],
     landmark: Float[Array, "3"],
     up: Float[Array, "3"],
     lift_m: Float[Array, ""],
+    away_m: Float[Array, ""],
     sqrt_info: Float[Array, "1"],
 ) -> Float[Array, "1"]:
     """Whitened height over the road of a landmark that lies on it, times its inverse depth: metric size for a camera.
 
     Args:
-        height_m: Height of the base over the road where the landmark lies.
+        height_m: Height of the base over the plane of the road.
+        bend_per_m: How the road bends upwards, one over its radius.
         landmark: See `sight_residual`.
         up: The vertical axis of the base at the anchor, in the axes of the anchor.
         lift_m: Height of the camera in the base.
+        away_m: Distance of the landmark over ground.
         sqrt_info: Depth along the line of sight over the standard deviation of the height of the road; 0: not on it.
     """
     ray = jnp.concatenate([landmark[:2], jnp.ones(1, landmark.dtype)])
-    return sqrt_info * (jnp.sum(up * ray) + landmark[2] * (lift_m + height_m))
+    return sqrt_info * (jnp.sum(up * ray) + landmark[2] * (lift_m + height_m - 0.5 * away_m**2 * bend_per_m))
 
 
 def on_road_linearised(
     height_m: Float[Array, "1"],
+    bend_per_m: Float[Array, "1"],
     landmark: Float[Array, "3"],
     up: Float[Array, "3"],
     lift_m: Float[Array, ""],
+    away_m: Float[Array, ""],
     sqrt_info: Float[Array, "1"],
-) -> tuple[Float[Array, "1"], Float[Array, "1 1"], Float[Array, "1 3"]]:
-    """`on_road_residual` and its derivatives by the height and by the landmark."""
-    by_landmark = jnp.concatenate([up[:2], lift_m + height_m])
-    r = on_road_residual(height_m, landmark, up, lift_m, sqrt_info)
-    return r, sqrt_info[:, None] * landmark[2], sqrt_info[:, None] * by_landmark
+) -> tuple[Float[Array, "1"], Float[Array, "1 1"], Float[Array, "1 1"], Float[Array, "1 3"]]:
+    """`on_road_residual` and its derivatives by the height, the bend and the landmark."""
+    fall = 0.5 * away_m**2
+    by_landmark = jnp.concatenate([up[:2], lift_m + height_m - fall * bend_per_m])
+    r = on_road_residual(height_m, bend_per_m, landmark, up, lift_m, away_m, sqrt_info)
+    by_height = sqrt_info[:, None] * landmark[2]
+    return r, by_height, -fall * by_height, sqrt_info[:, None] * by_landmark
 
 
 def _direction(

@@ -34,6 +34,14 @@ def change_residual(
     return sqrt_info * (end - start)
 
 
+def fading_residual(
+    start: Float[Array, " d"], end: Float[Array, " d"], share: Float[Array, ""], sqrt_info: Float[Array, " d"]
+) -> Float[Array, " d"]:
+    """Change of a quantity of which a share is left, such as the bend of a road, over the standard deviation of what
+    comes in its place."""
+    return sqrt_info * (end - share * start)
+
+
 def standing_residual(velocity_map: Float[Array, "3"], sqrt_info: Float[Array, "3"]) -> Float[Array, "3"]:
     """Velocity of a vehicle that stands [m/s], over its standard deviation."""
     return sqrt_info * velocity_map

@@ -30,28 +30,33 @@ def eliminated(
 def seen(
     T_value: Float[Array, "f 4 4"],
     height_value: Float[Array, "f 1"],
+    bend_value: Float[Array, "f 1"],
     landmark: Float[Array, "l 3"],
     T_at: Float[Array, "f 4 4"],
     height_at: Float[Array, "f 1"],
+    bend_at: Float[Array, "f 1"],
     indices: tuple[Int[Array, " l"], Int[Array, " l"]],
     views: tuple[Float[Array, "..."], ...],
     threshold: float,
 ) -> tuple[Array, ...]:
-    """Cost, gradient and information of poses and heights; gradient, blocks and cross blocks of all landmarks.
+    """Cost, gradient and information of poses, heights and bends; gradient, blocks and cross blocks of all landmarks.
 
     Args:
         T_value: Poses where residuals are taken.
-        height_value: Heights there.
+        height_value: Heights over the road there.
+        bend_value: Bends of the road there.
         landmark: Directions and inverse depths.
         T_at: Poses where derivatives are taken.
         height_at: Heights there.
+        bend_at: Bends there.
         indices: Anchor and camera of every landmark.
         views: The other fields of `Views`, in their order.
         threshold: Whitened distance beyond which a pull grows no more.
     """
-    num_l, num = len(landmark), 7 * len(T_value)
+    num_l, num = len(landmark), 8 * len(T_value)
     shapes = ((), (num,), (num, num), (num_l, 3), (num_l, 3, 3), (num_l, num, 3))
-    numbers = [jnp.asarray(x, jnp.float64) for x in (T_value, height_value, landmark, T_at, height_at)]
+    states = T_value, height_value, bend_value, landmark, T_at, height_at, bend_at
+    numbers = [jnp.asarray(x, jnp.float64) for x in states]
     places = [jnp.asarray(x, jnp.int32) for x in indices]
     rest = [jnp.asarray(x, jnp.float64) for x in views]
     call = jax.ffi.ffi_call("semloc_seen", [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes])

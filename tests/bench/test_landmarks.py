@@ -16,7 +16,6 @@ SMALL = LandmarkPlan(
     seeds=(4,),
     num_frames=16,
     window=WindowSize(6, 48, 10),
-    bound_window=WindowSize(6, 48, 10),
     bound_every=3,
 )
 

@@ -39,6 +39,7 @@ KINDS = {
     "camera_mount": POSE,
     "line": vector(0.1, 0.02),
     "height": vector(0.01),
+    "bend": vector(5e-4),
     "mount": vector(0.01, 0.01, 0.01),
     "delay": vector(0.005),
 }
@@ -239,11 +240,14 @@ FACTORS = {
     ),
     "landmark on the road": Factors(
         on_road_residual,
-        ("height", "landmark"),
-        (ZERO, ZERO),
-        (np.array([[0.2, -0.3, -0.4]]), np.array([1.4])),
+        ("height", "bend", "landmark"),
+        (ZERO, ZERO, ZERO),
+        (np.array([[0.2, -0.3, -0.4]]), np.array([1.4]), np.array([9.0])),
         np.array([[3.0]]),
         linearised=on_road_linearised,
+    ),
+    "bend that fades": Factors(
+        vehicle_motion.fading_residual, ("bend", "bend"), (ZERO, ONE), (np.array([0.9]),), np.array([[300.0]])
     ),
 }
 VALUES = {
@@ -259,6 +263,7 @@ VALUES = {
     "camera_mount": jnp.asarray(np.stack([DOWN, DOWN @ near(0.1)])),
     "line": jnp.array([[0.1, -0.02]]),
     "height": jnp.array([[0.02]]),
+    "bend": jnp.array([[4e-4], [-2e-4]]),
     "mount": jnp.array([[0.02, -0.01, 0.03]]),
     "delay": jnp.array([[0.004]]),
 }

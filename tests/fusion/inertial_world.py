@@ -115,6 +115,7 @@ class World:
         truth = {
             "pose": Ts,
             "height": np.zeros((num, 1)),
+            "bend": np.zeros((num, 1)),
             "velocity": self.velocity(time_s),
             "bias": biases,
             "scale": np.ones((num, 1)),

@@ -24,7 +24,7 @@ def problem_away_from_its_first_estimates() -> tuple:
     rows, problem, values = InertialWindow._problem(window)
     rng = np.random.default_rng(0)
     moved = values | {"pose": values["pose"] @ rigid.exp(rng.normal(size=(6, 6)) * [0.05] * 6)}
-    moved |= {"height": values["height"] + 0.02, "landmark": values["landmark"] + 0.002}
+    moved |= {"height": values["height"] + 0.02, "bend": values["bend"] + 3e-4, "landmark": values["landmark"] + 0.002}
     assert len(rows) > 20 and (problem.views.sqrt_info == 0).any(), "some views are not there"
     views = problem.views._replace(on_road=np.where(np.arange(40) % 3 == 0, 20.0, 0.0))
     return WindowProblem(problem.factors, views, problem.prior, problem.threshold), values, moved

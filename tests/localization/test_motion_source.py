@@ -48,14 +48,25 @@ def seen_of(drive, num_start=1, num_followed=50):
     return SeenMotion(tuple(frames), num_start, "")
 
 
-def test_auto_takes_wheels_then_the_inertial_sensor_then_nothing(drive):
+def test_auto_takes_wheels_then_the_inertial_sensor_then_nothing(drive, caplog):
+    caplog.set_level("INFO", logger="semloc_jax")
     bare = replace(drive, odometry=None)
     assert [resolved(one, "auto") for one in (drive, bare, replace(bare, imu=None))] == ["wheels", "vio", "wheels"]
     assert resolved(drive, "both") == "both"
     without = [drive, bare, replace(drive, imu=None), replace(bare, imu=None)]
     assert [resolved_without_map(one, "auto", ("front",)) for one in without] == ["both", "vio", "wheels", "wheels"]
+    assert [record.message for record in caplog.records][-4:] == [
+        "motion: wheels, cameras (front), inertial sensor",
+        "motion: cameras (front), inertial sensor",
+        "motion: wheels; no inertial data for --motion vio",
+        "motion: wheels; no inertial data for --motion vio",
+    ]
     with pytest.raises(SemlocError, match="no wheel odometry"):
         resolved(bare, "both")
+    in_g = replace(bare, imu=replace(drive.imu, accel_mps2=drive.imu.accel_mps2 / 9.81))
+    with pytest.raises(SemlocError, match="the unit is g"):
+        resolved(in_g, "auto")
+    assert resolved(replace(in_g, odometry=drive.odometry), "auto") == "wheels", "forces are not used there"
     with pytest.raises(SemlocError, match="no inertial data .* use --motion wheels"):
         resolved(replace(drive, imu=None), "vio")
 

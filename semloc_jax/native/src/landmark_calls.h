@@ -8,7 +8,7 @@ namespace semloc {
 namespace ffi = xla::ffi;
 
 inline ffi::Error Seen(ffi::RemainingArgs args, ffi::RemainingRets rets, double threshold) {
-  constexpr size_t kOperands = 15, kResults = 6;
+  constexpr size_t kOperands = 18, kResults = 6;
   if (args.size() != kOperands || rets.size() != kResults) return ffi::Error::InvalidArgument("landmarks: operands");
   const auto operand = [&](size_t k) { return args.get<ffi::AnyBuffer>(k).value(); };
   const auto number = [&](size_t k) { return static_cast<const double*>(operand(k).untyped_data()); };
@@ -18,12 +18,13 @@ inline ffi::Error Seen(ffi::RemainingArgs args, ffi::RemainingRets rets, double 
   };
   LandmarkData in{};
   in.num_states = operand(0).dimensions()[0];
-  in.num_landmarks = operand(2).dimensions()[0];
-  in.num_cameras = operand(11).dimensions()[1];
-  in.T_value = number(0), in.height_value = number(1), in.landmark = number(2), in.T_at = number(3);
-  in.height_at = number(4), in.anchor = index(5), in.camera = index(6), in.axes = number(7), in.ray = number(8);
-  in.pixels = number(9), in.sqrt_info = number(10), in.T_base_cam = number(11), in.up = number(12);
-  in.lift = number(13), in.on_road = number(14), in.threshold = threshold;
+  in.num_landmarks = operand(3).dimensions()[0];
+  in.num_cameras = operand(13).dimensions()[1];
+  in.T_value = number(0), in.height_value = number(1), in.bend_value = number(2), in.landmark = number(3);
+  in.T_at = number(4), in.height_at = number(5), in.bend_at = number(6), in.anchor = index(7), in.camera = index(8);
+  in.axes = number(9), in.ray = number(10), in.pixels = number(11), in.sqrt_info = number(12);
+  in.T_base_cam = number(13), in.up = number(14), in.lift = number(15), in.away = number(16), in.on_road = number(17);
+  in.threshold = threshold;
   seen_equations(in, {result(0), result(1), result(2), result(3), result(4), result(5)});
   return ffi::Error::Success();
 }

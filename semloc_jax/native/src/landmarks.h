@@ -120,9 +120,9 @@ inline double cauchy_cost(double square, double threshold, double* weight) {
 
 struct LandmarkData {
   int64_t num_landmarks, num_states, num_cameras;
-  const double *T_value, *height_value, *landmark, *T_at, *height_at;
+  const double *T_value, *height_value, *bend_value, *landmark, *T_at, *height_at, *bend_at;
   const int32_t *anchor, *camera;
-  const double *axes, *ray, *pixels, *sqrt_info, *T_base_cam, *up, *lift, *on_road;
+  const double *axes, *ray, *pixels, *sqrt_info, *T_base_cam, *up, *lift, *away, *on_road;
   double threshold;
 };
 
@@ -130,9 +130,11 @@ struct LandmarkSums {
   double *cost, *gradient, *information, *landmark_gradient, *landmark, *across;
 };
 
-// Unknowns of the states: six of each pose, then one height each.
+// Unknowns of the states: six of each pose, then one height each, then one bend each.
+constexpr int kPerState = 8;
+
 inline void add_landmark(const LandmarkData& in, int64_t l, const LandmarkSums& out) {
-  const int64_t F = in.num_states, P = 7 * F, anchor = in.anchor[l], camera = in.camera[l];
+  const int64_t F = in.num_states, P = kPerState * F, anchor = in.anchor[l], camera = in.camera[l];
   const double* point = in.landmark + 3 * l;
   double *g_l = out.landmark_gradient + 3 * l, *H_l = out.landmark + 9 * l, *A = out.across + 3 * P * l;
   bool is_used = false, was_seen = false;
@@ -202,24 +204,28 @@ inline void add_landmark(const LandmarkData& in, int64_t l, const LandmarkSums& 
 inline void add_road(const LandmarkData& in, int64_t l, const LandmarkSums& out) {
   const double w = in.on_road[l];
   if (w == 0.0) return;
-  const int64_t F = in.num_states, P = 7 * F, anchor = in.anchor[l], at = 6 * F + anchor;
-  const double *point = in.landmark + 3 * l, *up = in.up + 3 * l;
+  const int64_t F = in.num_states, P = kPerState * F, anchor = in.anchor[l];
+  const int64_t at[2] = {6 * F + anchor, 7 * F + anchor};
+  const double *point = in.landmark + 3 * l, *up = in.up + 3 * l, fall = 0.5 * in.away[l] * in.away[l];
   const double flat = up[0] * point[0] + up[1] * point[1] + up[2];
-  const double r = w * (flat + point[2] * (in.lift[l] + in.height_value[anchor]));
-  const double J_l[3] = {w * up[0], w * up[1], w * (in.lift[l] + in.height_at[anchor])}, J_h = w * point[2];
+  const double r = w * (flat + point[2] * (in.lift[l] + in.height_value[anchor] - fall * in.bend_value[anchor]));
+  const double depth = in.lift[l] + in.height_at[anchor] - fall * in.bend_at[anchor];
+  const double J_l[3] = {w * up[0], w * up[1], w * depth}, J_road[2] = {w * point[2], -w * point[2] * fall};
   double weight;
   *out.cost += cauchy_cost(r * r, in.threshold, &weight);
-  out.gradient[at] += weight * J_h * r;
-  out.information[P * at + at] += weight * J_h * J_h;
+  for (int a = 0; a < 2; ++a) {
+    out.gradient[at[a]] += weight * J_road[a] * r;
+    for (int b = 0; b < 2; ++b) out.information[P * at[a] + at[b]] += weight * J_road[a] * J_road[b];
+    for (int b = 0; b < 3; ++b) out.across[3 * (P * l + at[a]) + b] += weight * J_road[a] * J_l[b];
+  }
   for (int a = 0; a < 3; ++a) {
     out.landmark_gradient[3 * l + a] += weight * J_l[a] * r;
-    out.across[3 * (P * l + at) + a] += weight * J_h * J_l[a];
     for (int b = 0; b < 3; ++b) out.landmark[9 * l + 3 * a + b] += weight * J_l[a] * J_l[b];
   }
 }
 
 inline void seen_equations(const LandmarkData& in, const LandmarkSums& out) {
-  const int64_t L = in.num_landmarks, P = 7 * in.num_states;
+  const int64_t L = in.num_landmarks, P = kPerState * in.num_states;
   *out.cost = 0.0;
   std::fill_n(out.gradient, P, 0.0);
   std::fill_n(out.information, P * P, 0.0);
