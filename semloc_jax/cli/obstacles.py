@@ -32,7 +32,7 @@ class Options:
     """What finds obstacles in a frame: masks: their patches in them; net: a network's boxes in the images. Masks then
     say only what hides the road."""
     weights: Path | None = None
-    """With --front net: what `semloc learn obstacles` wrote."""
+    """With --front net: what `semloc learn obstacles` wrote; default: the network that ships with the package."""
     input: Literal["cylinder", "fisheye"] = "cylinder"
     """Boxes of the image on an upright cylinder, or for comparison of the image as it is."""
     masks: str | None = None
@@ -62,15 +62,15 @@ def run(options: Options) -> int:
     from semloc_jax.reports.obstacles import report_obstacles
 
     log_to_console()
-    if (options.front == "net") != (options.weights is not None):
-        raise UsageError("--front net needs --weights, which are for nothing else; give both, or leave both out")
+    if options.front != "net" and options.weights is not None:
+        raise UsageError("--weights is for --front net; give both, or leave it out")
     if options.front == "net" and options.input != "cylinder":
         raise UsageError("--front net looks at the cylinder; --input fisheye is for --front masks")
     net = None
-    if options.weights is not None:
-        from semloc_jax.perception.networks.obstacle_net import ObstacleNet
+    if options.front == "net":
+        from semloc_jax.perception.networks.obstacle_net import SHIPPED, ObstacleNet
 
-        net = ObstacleNet.load(options.weights)
+        net = ObstacleNet.load(options.weights or SHIPPED)
     drive = open_drive(options.drive, options.calib)
     chosen = chosen_frames(drive, options.frames)
     name = options.masks or best_masks(drive)

@@ -35,7 +35,7 @@ class ObstacleLearningConfig:
     Args:
         num_pictures: random views that are drawn; each step cuts windows from some of them.
         width_px: their width.
-        window_px: width and height of the windows.
+        window_px: width and height of the windows; lower ones never show a near pillar whole.
         batch: windows of one step.
         num_judged: random views that judge.
         precision: the threshold is the lowest one with this precision on them.
@@ -44,11 +44,11 @@ class ObstacleLearningConfig:
 
     num_pictures: int = 1600
     width_px: int = 256
-    window_px: tuple[int, int] = (128, 160)
+    window_px: tuple[int, int] = (96, 320)
     batch: int = 16
     num_judged: int = 150
     precision: float = 0.85
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=2400))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=2000))
 
     def __post_init__(self) -> None:
         step, (width, height) = CONFIG.step_px, self.window_px

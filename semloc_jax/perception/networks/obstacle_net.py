@@ -24,6 +24,8 @@ from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet, DenseNetC
 from semloc_jax.perception.networks.weights import load_weights, read_card
 from semloc_jax.perception.obstacle_classes import OBSTACLES
 
+SHIPPED = Path(__file__).with_name("obstacles.weights")
+"""What `semloc learn obstacles lot_seed4 rendered_garage` wrote; its card says how, its figures and its limits."""
 KINDS = tuple(OBSTACLES)
 OUTPUTS = (*KINDS, "du", "dv", "log_width", "log_height", "foot_u", "foot_v", "has_foot")
 """Logit of each class; offset of the middle of the box [cells]; logarithms of its sides [`SIDE_PX`]; middle of the
@@ -67,8 +69,8 @@ class ObstacleNet:
         self.network, self.threshold = network, threshold
 
     @classmethod
-    def load(cls, path: str | Path) -> "ObstacleNet":
-        """The network that `semloc learn obstacles` wrote, with the threshold of its card.
+    def load(cls, path: str | Path = SHIPPED) -> "ObstacleNet":
+        """The network that `semloc learn obstacles` wrote, by default the shipped one, with the threshold of its card.
 
         Raises:
             SemlocError: no such file, or another network.

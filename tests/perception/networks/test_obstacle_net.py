@@ -1,23 +1,24 @@
 """The network for obstacles: where its cylinder lies, what its cells say, the weights that ship, ONNX."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.perception.networks.dense_net import DenseNet
 from semloc_jax.perception.networks.obstacle_net import (
     CONFIG,
     HORIZON_V,
     KINDS,
     OUTPUTS,
     PX_PER_RAD,
+    SHIPPED,
     SIZE_PX,
+    ObstacleNet,
     decoded,
     net_view,
     prepared,
 )
 from semloc_jax.perception.networks.onnx_graph import write_onnx
+from semloc_jax.perception.networks.weights import read_card
 from semloc_jax.simulation.cylinder_views.picture import Geometry, cylinder_sample
 from tests.perception.four_fisheyes import four_fisheyes
 
@@ -52,15 +53,37 @@ def test_cells_say_class_box_and_foot():
     assert len(found.above(0.99).box) == 0
 
 
-def test_onnx_is_the_same_to_1e_4(tmp_path):
+@pytest.fixture(scope="module")
+def shipped():
+    return ObstacleNet.load()
+
+
+def test_what_ships_is_small_and_says_what_it_is(shipped):
+    assert SHIPPED.stat().st_size < 2.5e6
+    card = read_card(SHIPPED)
+    assert {"taught_on", "lessons", "limits", "threshold_by"} <= set(card)
+    assert card["threshold"] == shipped.threshold and tuple(card["outputs"]) == OUTPUTS
+    assert {"random.ap50", "lot_seed4.ap50", "rendered_garage.ap50"} <= set(card["figures"])
+
+
+def test_onnx_is_the_same_to_1e_4(shipped, tmp_path):
     onnxruntime = pytest.importorskip("onnxruntime")
-    rng, network = np.random.default_rng(0), DenseNet.create(jax.random.key(0), CONFIG)
-    network = jax.tree.map(lambda x: x + 0.05 * rng.standard_normal(x.shape).astype(np.float32), network)
-    write_onnx(tmp_path / "net.onnx", network, CONFIG.num_outputs, CONFIG.num_inputs, "obstacles")
+    write_onnx(tmp_path / "net.onnx", shipped.network, CONFIG.num_outputs, CONFIG.num_inputs, "obstacles")
     session = onnxruntime.InferenceSession(str(tmp_path / "net.onnx"))
     sample = cylinder_sample(np.random.default_rng(5), Geometry(PX_PER_RAD, 128, SIZE_PX[1], HORIZON_V))
     picture = prepared(sample.picture, HORIZON_V)
     (found,) = session.run(None, {"picture": picture.transpose(2, 0, 1)[None]})
-    expected = np.asarray(network(jnp.asarray(picture)))
+    expected = np.asarray(shipped.network(jnp.asarray(picture)))
     assert np.ptp(expected) > 1.0
     np.testing.assert_allclose(found[0].transpose(1, 2, 0), expected, atol=1e-4, rtol=1e-4)
+
+
+def test_the_shipped_network_finds_what_is_drawn(shipped):
+    """Random views that no lesson showed: most of what is asked for, and hardly anything else."""
+    from semloc_jax.learning.obstacle_lesson import judged, mean_precision, shown
+
+    geometry = Geometry(PX_PER_RAD, 256, SIZE_PX[1], HORIZON_V)
+    views = [shown(cylinder_sample(np.random.default_rng((77, k)), geometry)) for k in range(12)]
+    scores = judged(shipped, views)
+    assert sum(own.num_true for own in scores.values()) > 15
+    assert mean_precision(scores) > 0.35 and scores["cone"].average_precision > 0.6
