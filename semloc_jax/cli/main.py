@@ -39,7 +39,7 @@ VERBS = {
     "serve": "a map, its differences and tiles over HTTP; takes packed drives",
     "pull": "the newest version of a map that is served, by differences",
     "calibrate": "cameras, odometer and satellite offset calibrated by a drive, and what it cannot tell",
-    "learn": "class weights, ramp and noise learned through the solve; learn eyes, learn slots: networks",
+    "learn": "class weights, ramp and noise learned through the solve; learn eyes, slots, obstacles: networks",
     "check-calib": "what looks wrong in a calibration, and pictures of it: horizon, ground grid, map",
     "surround": "the metric top view of all cameras around a vehicle",
     "slots": "parking slots around a vehicle, made exact over many frames",
@@ -53,7 +53,7 @@ VERBS = {
     "config": "print the configuration with every default filled in",
 }
 
-TEACHING = (("learn", "eyes"), ("learn", "slots"))
+TEACHING = (("learn", "eyes"), ("learn", "slots"), ("learn", "obstacles"))
 """Words of verbs of their own: `semloc learn ./eyes` learns from a drive of that name."""
 
 USAGE_TEXT = """usage: semloc VERB [OPTIONS]

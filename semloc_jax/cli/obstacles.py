@@ -28,8 +28,11 @@ class Options:
     """The drive: a folder or a bag (.bag, .db3, .mcap) with wheel odometry, its type is guessed."""
     calib: Path | None = None
     """Calibration file, where the drive has none of its own or another one is to be used."""
-    front: Literal["masks"] = "masks"
-    """What finds obstacles in a frame: masks: their patches in them."""
+    front: Literal["masks", "net"] = "masks"
+    """What finds obstacles in a frame: masks: their patches in them; net: a network's boxes in the images. Masks then
+    say only what hides the road."""
+    weights: Path | None = None
+    """With --front net: what `semloc learn obstacles` wrote; default: the network that ships with the package."""
     input: Literal["cylinder", "fisheye"] = "cylinder"
     """Boxes of the image on an upright cylinder, or for comparison of the image as it is."""
     masks: str | None = None
@@ -43,6 +46,8 @@ class Options:
     """Which frames, as a Python slice: ::2, 100:200; the way is that of the whole drive."""
     video: bool = False
     """Write obstacles.mp4: the top view with the obstacles."""
+    rrd: Path | None = None
+    """Write a recording for the Rerun viewer there; needs the extra `viz`."""
     out: Path | None = None
     """Folder for the results; default: results/TIME, to which results/latest points."""
 
@@ -50,17 +55,32 @@ class Options:
 def run(options: Options) -> int:
     """Find and follow the obstacles, print how exact they are."""
     from semloc_jax.datasets import open_drive
+    from semloc_jax.errors import UsageError
     from semloc_jax.inputs.choices import chosen_frames, parse_names
     from semloc_jax.inputs.mask_source import best_masks, mask_source
     from semloc_jax.mapping.obstacle_sights import ObstacleConfig
     from semloc_jax.reports.obstacles import report_obstacles
 
     log_to_console()
+    if options.front != "net" and options.weights is not None:
+        raise UsageError("--weights is for --front net; give both, or leave it out")
+    if options.front == "net" and options.input != "cylinder":
+        raise UsageError("--front net looks at the cylinder; --input fisheye is for --front masks")
+    net = None
+    if options.front == "net":
+        from semloc_jax.perception.networks.obstacle_net import SHIPPED, ObstacleNet
+
+        net = ObstacleNet.load(options.weights or SHIPPED)
     drive = open_drive(options.drive, options.calib)
     chosen = chosen_frames(drive, options.frames)
     name = options.masks or best_masks(drive)
     masks = mask_source(name, drive, parse_names(options.cameras), options.class_table)
     kept = {"masks": masks.name, "cameras": ",".join(masks.cameras), "frames": options.frames}
+    kept["front"] = options.front
     config = ObstacleConfig(input=options.input)
-    print(report_obstacles(drive, masks, chosen, config, video=options.video, out=options.out, options=kept))
+    print(
+        report_obstacles(
+            drive, masks, chosen, config, net=net, video=options.video, rrd=options.rrd, out=options.out, options=kept
+        )
+    )
     return OK

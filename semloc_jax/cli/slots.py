@@ -44,6 +44,8 @@ class Options:
     """Frames whose looks at the road are laid over each other before lines are followed; 1: each by itself."""
     video: bool = False
     """Write slots.mp4: the top view with the slots."""
+    rrd: Path | None = None
+    """Write a recording for the Rerun viewer there; needs the extra `viz`."""
     out: Path | None = None
     """Folder for the results; default: results/TIME, to which results/latest points."""
 
@@ -71,5 +73,9 @@ def run(options: Options) -> int:
     kept = {"masks": masks.name, "cameras": ",".join(masks.cameras), "frames": options.frames}
     kept["front"] = options.front
     sights = SlotSightConfig(window=options.window)
-    print(report_slots(drive, masks, chosen, sights, net=net, video=options.video, out=options.out, options=kept))
+    print(
+        report_slots(
+            drive, masks, chosen, sights, net=net, video=options.video, rrd=options.rrd, out=options.out, options=kept
+        )
+    )
     return OK

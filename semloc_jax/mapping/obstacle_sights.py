@@ -20,7 +20,7 @@ from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.looking import hiding_ids
 from semloc_jax.mapping.road_table import RoadHeights
 from semloc_jax.perception.class_table import UNLABELED_ID
-from semloc_jax.perception.cylinder_view import CylinderView
+from semloc_jax.perception.cylinder_view import CylinderView, GroundSight
 from semloc_jax.perception.ground_contact import SightErrors, along_and_across
 from semloc_jax.perception.obstacle_classes import OBSTACLES, obstacle_ids
 
@@ -128,16 +128,19 @@ class ObstacleObserver:
         """
         self.config, self.masks = config or ObstacleConfig(), masks
         self.ids = obstacle_ids(masks.table)
-        if not self.ids:
-            raise SemlocError(
-                f"masks {masks.name}: class table {masks.table.name} knows no obstacles ({', '.join(OBSTACLES)}); give "
-                "masks that show some, or a class table that names them"
-            )
+        self._require_classes()
         rig = masks.camera_rig(rig.select(masks.cameras))
         poses = np.asarray(rig.T_base_cam, np.float64)
         self.views = [CylinderView.of(camera, T) for camera, T in zip(rig.cameras, poses, strict=True)]
         self._hides = hiding_ids(masks.table)
         self._hides[UNLABELED_ID] = True
+
+    def _require_classes(self) -> None:
+        if not self.ids:
+            raise SemlocError(
+                f"masks {self.masks.name}: class table {self.masks.table.name} knows no obstacles "
+                f"({', '.join(OBSTACLES)}); give masks that show some, a class table that names them, or --front net"
+            )
 
     def at(self, frame: Frame, index: int, Ts_odom_base: Float[np.ndarray, "n 4 4"]) -> ObstacleFrame:
         """The obstacles of a frame.
@@ -147,8 +150,10 @@ class ObstacleObserver:
             index: its place among the poses.
             Ts_odom_base: pose of every frame.
         """
-        heights = RoadHeights.of(Ts_odom_base, index, _REACH_M)
-        return self.seen(self.masks.masks(frame), heights, Ts_odom_base[index])
+        return self.seen(self.masks.masks(frame), self._heights(index, Ts_odom_base), Ts_odom_base[index])
+
+    def _heights(self, index: int, Ts_odom_base: Float[np.ndarray, "n 4 4"]) -> RoadHeights:
+        return RoadHeights.of(Ts_odom_base, index, _REACH_M)
 
     def seen(
         self, masks: Sequence[UInt8[np.ndarray, "_h _w"]], heights: RoadHeights, T: Float[np.ndarray, "4 4"]
@@ -169,7 +174,7 @@ class ObstacleObserver:
                     sight = self._sight(kind, patch, view, heights, T)
                     if sight is not None:
                         found.append(sight)
-        return ObstacleFrame(_once(found), self.views, hidden, heights, T, self.config.range_m)
+        return ObstacleFrame(once(found), self.views, hidden, heights, T, self.config.range_m)
 
     def _patches(
         self, view: CylinderView, mask: UInt8[np.ndarray, "h w"], top: UInt8[np.ndarray, "i j"], ids: tuple[int, ...]
@@ -191,28 +196,61 @@ class ObstacleObserver:
         self, name: str, patch: _Patch, view: CylinderView, heights: RoadHeights, T: np.ndarray
     ) -> Obstacle | None:
         """The thing in odom; None where its foot is too far off."""
-        (left, high, right, low), kind, camera = patch.box, OBSTACLES[name], view.T_base_cam[:2, 3]
-        foot, top_v = np.array([0.5 * (left + right), low]), high if patch.has_top else None
-        road_m = 0.0
-        for _ in range(3):  # with the height of the road where the foot turned out to be
-            xy, C, by_height = view.ground(foot, self.config.errors, top_v, kind.height_m, road_m)
-            if not np.linalg.norm(xy - camera) < self.config.range_m:
-                return None
-            road_m = float(heights.at(xy[None])[0])
-        range_m = float(np.linalg.norm(xy - camera))
-        sight = (xy - camera) / range_m
+        (left, high, right, low), kind = patch.box, OBSTACLES[name]
+        foot = np.array([0.5 * (left + right), low])
+        standing = self._standing(name, foot, high if patch.has_top else None, view, heights)
+        if standing is None:
+            return None
+        range_m = float(np.linalg.norm(standing.xy_base - view.T_base_cam[:2, 3]))
         span_rad = (right - left) / float(view.cylinder.fx)
         depth_m, sigma_m = kind.depth_m
         if kind.is_square and patch.is_whole:
             depth_m, sigma_m = 0.5 * span_rad * range_m, _HALF_SIGMA * span_rad * range_m
         # Of what is seen in part, the middle is off to the side by a part of its width.
         aside_m = 0.0 if patch.is_whole else kind.depth_m[0]
+        return self._obstacle(name, standing, (depth_m, sigma_m, aside_m), (span_rad, patch.is_whole), view, T)
+
+    def _standing(
+        self, name: str, foot: Float[np.ndarray, " 2"], top_v: float | None, view: CylinderView, heights: RoadHeights
+    ) -> GroundSight | None:
+        """Where on the road a foot is; None where that is too far off."""
+        road_m = 0.0
+        for _ in range(3):  # with the height of the road where the foot turned out to be
+            sight = view.ground(foot, self.config.errors, top_v, OBSTACLES[name].height_m, road_m)
+            if not np.linalg.norm(sight.xy_base - view.T_base_cam[:2, 3]) < self.config.range_m:
+                return None
+            road_m = float(heights.at(sight.xy_base[None])[0])
+        return sight
+
+    def _obstacle(
+        self,
+        name: str,
+        standing: GroundSight,
+        middle_m: tuple[float, float, float],
+        seen: tuple[float, bool],
+        view: CylinderView,
+        T: Float[np.ndarray, "4 4"],
+    ) -> Obstacle:
+        """The thing in odom.
+
+        Args:
+            name: its class.
+            standing: where its foot is.
+            middle_m: how far its middle is behind the foot, and the standard deviations along the line of sight and
+                across it.
+            seen: angle between its sides, and whether both were seen.
+            view: the camera.
+            T: T_odom_base of the vehicle.
+        """
+        camera, (depth_m, sigma_m, aside_m) = view.T_base_cam[:2, 3], middle_m
+        sight = (standing.xy_base - camera) / np.linalg.norm(standing.xy_base - camera)
         covariance = np.diag([0.0, 0.0, _DIRECTION_SIGMA_RAD**2])
         R, t = T[:2, :2], T[:2, 3]
-        covariance[:2, :2] = R @ (C + along_and_across(sight, sigma_m**2, aside_m**2)) @ R.T
-        pose = np.array([*(t + R @ (xy + depth_m * sight)), 0.0])
-        lean = np.append(R @ by_height, 0.0)
-        return Obstacle(name, pose, covariance, lean, span_rad, t + R @ camera, patch.is_whole)
+        own = standing.covariance + along_and_across(sight, sigma_m**2, aside_m**2)
+        covariance[:2, :2] = R @ own @ R.T
+        pose = np.array([*(t + R @ (standing.xy_base + depth_m * sight)), 0.0])
+        lean = np.append(R @ standing.by_height, 0.0)
+        return Obstacle(name, pose, covariance, lean, seen[0], t + R @ camera, seen[1])
 
 
 def patches(
@@ -301,7 +339,7 @@ def _foot(low: np.ndarray) -> float:
     return float((smooth[left][:, None] * (1.0 - share) + smooth[right][None] * share).max())
 
 
-def _once(found: list[Obstacle]) -> list[Obstacle]:
+def once(found: list[Obstacle]) -> list[Obstacle]:
     """Of sights of two cameras that may be one thing the one that is better known."""
     kept: list[Obstacle] = []
     for sight in sorted(found, key=lambda s: float(np.trace(s.covariance[:2, :2]))):

@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.cameras import Rig
-from semloc_jax.datasets import Frame
+from semloc_jax.datasets import Drive, Frame
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import Chain
+from semloc_jax.mapping.net_obstacles import NetObstacleObserver
 from semloc_jax.mapping.object_tracks import ObjectTrack, ObjectTrackConfig, Tracker
 from semloc_jax.mapping.obstacle_sights import Obstacle, ObstacleConfig, ObstacleObserver
+from semloc_jax.perception.networks.obstacle_net import ObstacleNet
 
 _STEP_DEG = 2.0
 _FEWEST, _LEAST_SPREAD_RAD = 4, 0.35
@@ -93,14 +94,24 @@ class ObstacleFollower:
     """Finds the obstacles of one frame after the other and follows them."""
 
     def __init__(
-        self, rig: Rig, masks: MaskSource, sights: ObstacleConfig | None = None, tracks: ObjectTrackConfig | None = None
+        self,
+        drive: Drive,
+        masks: MaskSource,
+        sights: ObstacleConfig | None = None,
+        tracks: ObjectTrackConfig | None = None,
+        net: ObstacleNet | None = None,
     ):
-        """The cameras of a drive, its masks; None for the defaults.
+        """The drive, its masks, what finds obstacles in its images (None: the masks do); None for the defaults.
 
         Raises:
-            SemlocError: the masks know no obstacles.
+            SemlocError: the masks know no obstacles, or a camera has no images for the network.
         """
-        self.observer, self.tracker = ObstacleObserver(rig, masks, sights), Tracker(ObstacleTrack, tracks)
+        self.observer = (
+            ObstacleObserver(drive.rig, masks, sights)
+            if net is None
+            else NetObstacleObserver(drive, masks, net, sights)
+        )
+        self.tracker = Tracker(ObstacleTrack, tracks)
 
     def step(self, frame: Frame, index: int, chain: Chain) -> tuple[list[Obstacle], list[ObstacleTrack | None]]:
         """Take one frame in; returns its sights, and the track of each.

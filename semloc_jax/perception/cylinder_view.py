@@ -90,7 +90,28 @@ class CylinderView:
         phi = _azimuths(camera, T[:3, :3].T @ T_base_cam[:3, :3])
         width, height = (int(np.ceil(span * focal_px)) + 1 for span in (np.ptp(phi), _TAN_UP + _TAN_DOWN))
         cylinder = CylindricalCamera(focal_px, -phi[0] * focal_px, _TAN_UP * focal_px, width, height)
-        grid = np.stack(np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)), axis=-1)
+        return cls.on(cylinder, camera, T_base_cam, up_base)
+
+    @classmethod
+    def on(
+        cls,
+        cylinder: CylindricalCamera,
+        camera: Camera,
+        T_base_cam: Float[np.ndarray, "4 4"],
+        up_base: Sequence[float] | Float[np.ndarray, " 3"] = UP,
+    ) -> "CylinderView":
+        """What a camera sees on a given cylinder.
+
+        Args:
+            cylinder: scale, centre and size of it.
+            camera: any camera with a centre (not a top view).
+            T_base_cam: its pose.
+            up_base: against gravity, in the base frame.
+        """
+        T_base_cam = np.asarray(T_base_cam, np.float64)
+        T = _levelled(T_base_cam, np.asarray(up_base, np.float64))
+        size = (int(cylinder.width), int(cylinder.height))
+        grid = np.stack(np.meshgrid(*(np.arange(side, dtype=np.float64) for side in size)), axis=-1)
         uv, seen = _carried(grid, cylinder, camera, T_base_cam[:3, :3].T @ T[:3, :3])
         uv[~seen] = _FAR
         return cls(camera, T_base_cam, cylinder, T, uv.astype(np.float32))

@@ -61,7 +61,7 @@ def report_marking_points(
             bar.update(step - bar.n)
 
         network = taught(config, folder / "checkpoint", on_step)
-    _write_curve(folder, losses, config.training.num_steps)
+    write_curve(folder, losses, config.training.num_steps)
     sets = {RANDOM: unseen_pictures(config), **{path.name: _of_drive(path, frames) for path in held_out}}
     scores = {name: judged(network, pictures) for name, pictures in sets.items()}
     threshold = threshold_of(scores[RANDOM], config.precision)
@@ -129,7 +129,7 @@ def _write_network(
     write_onnx(folder / "slots.onnx", network, CONFIG.num_outputs, output="points")
 
 
-def _write_curve(folder: Path, losses: Sequence[float], num_steps: int) -> None:
+def write_curve(folder: Path, losses: Sequence[float], num_steps: int) -> None:
     """Mean loss of every few steps that this run made."""
     first = num_steps - len(losses)
     means = [(first + k + 1, f"{float(np.mean(losses[k : k + _EVERY])):.4f}") for k in range(0, len(losses), _EVERY)]

@@ -20,6 +20,7 @@ from semloc_jax.mapping.obstacle_sights import ObstacleConfig
 from semloc_jax.mapping.obstacle_tracks import ObstacleFollower, ObstacleTrack
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.io.drive_geojson import write_drive_geojson
+from semloc_jax.perception.networks.obstacle_net import ObstacleNet
 from semloc_jax.perception.obstacle_classes import OBSTACLES
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.object_errors import is_slow, last_poses
@@ -27,7 +28,8 @@ from semloc_jax.reports.obstacle_errors import obstacle_errors
 from semloc_jax.reports.tables import OBJECT_POSE, write_csv
 from semloc_jax.reports.top_view_film import SIZE_M, top_view_film
 from semloc_jax.structs import ElementClass
-from semloc_jax.viz.obstacles import DrawnObstacle, draw_obstacles, ellipse
+from semloc_jax.viz.object_recording import RecordedThing, object_recording
+from semloc_jax.viz.obstacles import COLOURS, DrawnObstacle, draw_obstacles, ellipse
 
 SIZE = ("length_m", "width_m", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
 _PILLAR_M = 2.5
@@ -40,7 +42,9 @@ def report_obstacles(
     frames: slice = slice(None),
     sights: ObstacleConfig | None = None,
     tracks: ObjectTrackConfig | None = None,
+    net: ObstacleNet | None = None,
     video: bool = False,
+    rrd: Path | None = None,
     out: Path | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> str:
@@ -48,10 +52,12 @@ def report_obstacles(
 
     Args:
         drive: with wheel odometry.
-        masks: of its cameras; they show obstacles.
+        masks: of its cameras; they show obstacles, or what hides the road where a network finds them.
         frames: which frames; the way is that of the whole drive.
         sights, tracks: None for the defaults.
+        net: finds obstacles in the images instead of the masks.
         video: write a film of the top view.
+        rrd: where a recording for Rerun is written; None for none.
         out: folder to write; None for a new one in results/.
         options: what config.yaml keeps.
 
@@ -59,17 +65,20 @@ def report_obstacles(
         SemlocError: no odometry, masks that know no obstacles, or that do not fit the cameras.
     """
     chain, notes = drive_chain(drive), check_surround_masks(drive, masks)
-    follower = ObstacleFollower(drive.rig, masks, sights, tracks)
+    follower = ObstacleFollower(drive, masks, sights, tracks, net)
     chosen = range(len(drive))[frames]
     folder = make_folder(out)
     errors = obstacle_errors(drive)
     rows: list[tuple] = []
-    with top_view_film(folder / "obstacles.mp4", drive, masks, chosen, video) as film:
+    film_of = top_view_film(folder / "obstacles.mp4", drive, masks, chosen, video)
+    with film_of as film, object_recording(rrd) as recording:
         for index in tqdm(chosen, unit="frame", desc="obstacles", disable=None):
             frame, T = drive.frames[index], chain.Ts_odom_base[index]
             seen, found = follower.step(frame, index, chain)
             rows += [_row(frame.time_s, track, T) for track in found if track is not None]
             errors.add(frame, T, seen, found, is_slow(drive, frame))
+            if recording is not None:
+                recording.add(frame.time_s, T, [_recorded(track) for track in follower.tracker.tracks])
             if film is not None:
                 drawn = _drawn(follower.tracker.tracks, T)
                 film.add(frame, lambda top, view, drawn=drawn: draw_obstacles(top, view, drawn))
@@ -121,6 +130,11 @@ def _drawn(tracks: Sequence[ObstacleTrack], T_odom_base: np.ndarray) -> list[Dra
         if np.abs(outline).max() < SIZE_M:
             drawn.append(DrawnObstacle(outline, around, track.kind, f"{track.kind} {track.id}", track.confirmed))
     return drawn
+
+
+def _recorded(track: ObstacleTrack) -> RecordedThing:
+    name = f"{track.kind} {track.id}"
+    return RecordedThing(name, outline_of(track), COLOURS[track.kind], track.confirmed, track.existence)
 
 
 def _write_map(folder: Path, final: Sequence[ObstacleTrack], name: str) -> None:

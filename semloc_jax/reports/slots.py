@@ -29,7 +29,8 @@ from semloc_jax.reports.slot_errors import SlotErrors
 from semloc_jax.reports.tables import OBJECT_POSE, write_csv
 from semloc_jax.reports.top_view_film import SIZE_M, top_view_film
 from semloc_jax.structs import ElementClass
-from semloc_jax.viz.slots import DrawnSlot, draw_slots
+from semloc_jax.viz.object_recording import RecordedThing, object_recording
+from semloc_jax.viz.slots import DrawnSlot, colour_of, draw_slots
 
 SIZE = ("width_m", "depth_m", "occupied", "obstacle", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
 
@@ -42,6 +43,7 @@ def report_slots(
     tracks: ObjectTrackConfig | None = None,
     net: MarkingNet | None = None,
     video: bool = False,
+    rrd: Path | None = None,
     out: Path | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> str:
@@ -54,6 +56,7 @@ def report_slots(
         sights, tracks: None for the defaults.
         net: finds the marking points of slots in the images; None follows the lines in the masks.
         video: write a film of the top view.
+        rrd: where a recording for Rerun is written; None for none.
         out: folder to write; None for a new one in results/.
         options: what config.yaml keeps.
 
@@ -63,12 +66,13 @@ def report_slots(
     chain, notes = drive_chain(drive), check_surround_masks(drive, masks)
     observer = SlotObserver(drive, masks, sights) if net is None else NetSlotObserver(drive, masks, net, sights)
     tracker = Tracker(SlotTrack, tracks)
-    obstacles = ObstacleFollower(drive.rig, masks) if obstacle_ids(masks.table) else None
+    obstacles = ObstacleFollower(drive, masks) if obstacle_ids(masks.table) else None
     chosen = range(len(drive))[frames]
     folder = make_folder(out)
     errors = SlotErrors.of(drive)
     rows: list[tuple] = []
-    with top_view_film(folder / "slots.mp4", drive, masks, chosen, video) as film:
+    film_of = top_view_film(folder / "slots.mp4", drive, masks, chosen, video)
+    with film_of as film, object_recording(rrd) as recording:
         for index in tqdm(chosen, unit="frame", desc="slots", disable=None):
             frame, T = drive.frames[index], chain.Ts_odom_base[index]
             seen = observer.at(frame, index, chain.Ts_odom_base)
@@ -78,6 +82,8 @@ def report_slots(
                 obstacles.step(frame, index, chain)
             rows += [_row(frame.time_s, track, T, obstacles) for track in found if track is not None]
             errors.add(frame, T, seen.slots, found, is_slow(drive, frame))
+            if recording is not None:
+                recording.add(frame.time_s, T, [_recorded(track) for track in tracker.tracks])
             if film is not None:
                 drawn = _drawn(tracker.tracks, T)
                 film.add(frame, lambda top, view, drawn=drawn: draw_slots(top, view, drawn))
@@ -123,6 +129,12 @@ def corners_of(pose: np.ndarray, width_m: float, depth_m: float) -> np.ndarray:
     along = np.array([inward[1], -inward[0]])
     ends = pose[:2] + 0.5 * width_m * np.array([-along, along])[::-1]
     return np.concatenate([ends, ends[::-1] + depth_m * inward])
+
+
+def _recorded(track: SlotTrack) -> RecordedThing:
+    corners = corners_of(track.pose, track.width_m, track.depth_m)
+    colour = colour_of(track.occupied)
+    return RecordedThing(f"slot {track.id}", corners, colour, track.confirmed, track.existence)
 
 
 def _write_map(folder: Path, final: Sequence[SlotTrack], name: str) -> None:

@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 
 from semloc_jax.perception.surround import SurroundView
+from semloc_jax.viz.slots import UNSURE
 from semloc_jax.viz.style import rgb
 
 COLOURS = {"cone": "#ff6d00", "pillar": "#ff8a80", "ground_lock": "#ffd600", "no_parking_sign": "#ff1744"}
-_UNSURE = "#90a4ae"
+
 _SHIFT = 4
 _ELLIPSE = 32
 
@@ -43,7 +44,7 @@ def draw_obstacles(picture: np.ndarray, view: SurroundView, obstacles: Sequence[
     shown = np.ascontiguousarray(picture).copy()
     thick = max(1, round(shown.shape[1] / 350))
     for thing in sorted(obstacles, key=lambda o: o.confirmed):
-        colour = rgb(COLOURS[thing.kind] if thing.confirmed else _UNSURE)
+        colour = rgb(COLOURS[thing.kind] if thing.confirmed else UNSURE)
         outline, around = (
             np.round(view.pixels(part) * 2**_SHIFT).astype(np.int32)
             for part in (thing.outline_base, thing.ellipse_base)

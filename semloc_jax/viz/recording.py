@@ -3,7 +3,8 @@
 In: a map, poses over time with status, images. Out: an .rrd file. Needs the extra `viz`.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +36,18 @@ def write_recording(path: Path, semantic_map: SemanticMap, moments: Iterable[Mom
     Raises:
         SemlocError: rerun-sdk is not installed, or the file cannot be written.
     """
+    with rerun_stream(path) as stream:
+        _log(stream, semantic_map, moments)
+    return path
+
+
+@contextmanager
+def rerun_stream(path: Path) -> Iterator[Any]:
+    """A stream into an .rrd file, which takes its place when the block ends without an error.
+
+    Raises:
+        SemlocError: rerun-sdk is not installed, or the file cannot be written.
+    """
     try:
         import rerun as rr
     except ImportError as error:
@@ -44,14 +57,13 @@ def write_recording(path: Path, semantic_map: SemanticMap, moments: Iterable[Mom
     if not path.parent.is_dir():
         raise SemlocError(f"recording {path}: no folder {path.parent}; give --rrd a path in a folder that exists")
     with writing(path) as partial:
-        recording = rr.RecordingStream("semloc_jax")
-        recording.save(partial)
+        stream = rr.RecordingStream("semloc_jax")
+        stream.save(partial)
         try:
-            _log(recording, semantic_map, moments)
-            recording.flush()
+            yield stream
+            stream.flush()
         finally:
-            recording.disconnect()
-    return path
+            stream.disconnect()
 
 
 def _log(recording: Any, semantic_map: SemanticMap, moments: Iterable[Moment]) -> None:

@@ -26,13 +26,18 @@ class DrawnSlot(NamedTuple):
     confirmed: bool
 
 
+def colour_of(occupied: bool | None) -> str:
+    """Colour of a confirmed slot."""
+    return TAKEN if occupied else FREE
+
+
 def draw_slots(picture: np.ndarray, view: SurroundView, slots: Sequence[DrawnSlot]) -> np.ndarray:
     """A copy of a top view, uint8[h w 3] red green blue, with slots: free green, taken red, not confirmed grey."""
     shown = np.ascontiguousarray(picture).copy()
     thick = max(1, round(shown.shape[1] / 350))
     for slot in sorted(slots, key=lambda s: s.confirmed):
         uv = view.pixels(slot.corners_base)
-        colour = rgb((TAKEN if slot.occupied else FREE) if slot.confirmed else UNSURE)
+        colour = rgb(colour_of(slot.occupied) if slot.confirmed else UNSURE)
         fixed = np.round(uv * 2**_SHIFT).astype(np.int32)
         if slot.confirmed:
             filled = shown.copy()

@@ -1,0 +1,138 @@
+"""Obstacles of a parking lot on an upright cylinder, by a network (room: perception; JAX and host).
+
+In: a picture of `net_view`, uint8[h w 3]. Out: FoundObstacles: class, box, middle of the footprint on the road.
+One head says of each cell of four pixels: a confidence for each class, where the middle of the box is, its sides, where
+the thing stands, and whether its foot is seen. The elevation of each row goes in beside the colours: on the road it
+tells the range, and with it how large things are.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from semloc_jax.cameras import Camera, CylindricalCamera
+from semloc_jax.evaluation.average_precision import box_overlap
+from semloc_jax.perception.cylinder_view import UP, CylinderView
+from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet, DenseNetConfig
+from semloc_jax.perception.networks.weights import load_weights, read_card
+from semloc_jax.perception.obstacle_classes import OBSTACLES
+
+SHIPPED = Path(__file__).with_name("obstacles.weights")
+"""What `semloc learn obstacles lot_seed4 rendered_garage` wrote; its card says how, its figures and its limits."""
+KINDS = tuple(OBSTACLES)
+OUTPUTS = (*KINDS, "du", "dv", "log_width", "log_height", "foot_u", "foot_v", "has_foot")
+"""Logit of each class; offset of the middle of the box [cells]; logarithms of its sides [`SIDE_PX`]; middle of the
+footprint from the middle of the lower border [sides of the box]; logit of a foot that is seen."""
+CONFIG = DenseNetConfig(
+    num_outputs=len(OUTPUTS), num_inputs=4, num_channels=(24, 48, 72, 96), num_blocks=(1, 1, 2, 2), num_dense=2
+)
+SIDE_PX = 16.0
+PX_PER_RAD = 192.0
+"""The network knows sizes: pictures of other cameras are resampled to this scale."""
+SIZE_PX = (672, 320)
+"""Width and height: 100 deg to both sides, from 35 deg above the horizon to 44 deg below."""
+HORIZON_V = 134.0
+_SAME = 0.5
+"""Boxes that share so much of their union are of one thing."""
+
+
+class FoundObstacles(NamedTuple):
+    """Obstacles of one picture, the surest first."""
+
+    kind: Int[np.ndarray, " n"]
+    """Place of the class in `KINDS`."""
+    box: Float[np.ndarray, "n 4"]
+    """Left, top, right and lower border [px]."""
+    foot_uv: Float[np.ndarray, "n 2"]
+    """Pixel of the road under the middle of the thing."""
+    has_foot: Bool[np.ndarray, " n"]
+    """Whether its lower end is seen."""
+    confidence: Float[np.ndarray, " n"]
+
+    def above(self, threshold: float) -> "FoundObstacles":
+        """Those that are at least so sure."""
+        return FoundObstacles(*(part[self.confidence >= threshold] for part in self))
+
+
+class ObstacleNet:
+    """A trained network, compiled once for each size of pictures."""
+
+    def __init__(self, network: DenseNet, threshold: float):
+        """The network, and the confidence from which an obstacle counts."""
+        self.network, self.threshold = network, threshold
+
+    @classmethod
+    def load(cls, path: str | Path = SHIPPED) -> "ObstacleNet":
+        """The network that `semloc learn obstacles` wrote, by default the shipped one, with the threshold of its card.
+
+        Raises:
+            SemlocError: no such file, or another network.
+        """
+        card = read_card(path)
+        network = load_weights(path, DenseNet.create(jax.random.key(0), CONFIG))
+        return cls(network, float(card.get("threshold", 0.5)))
+
+    def __call__(self, picture: UInt8[np.ndarray, "h w 3"], threshold: float | None = None) -> FoundObstacles:
+        """The obstacles of a picture of `net_view`, blue green red.
+
+        Args:
+            picture: sides that are multiples of 32.
+            threshold: another one than that of the network.
+        """
+        said = np.asarray(_said(self.network, jnp.asarray(prepared(picture, HORIZON_V))))
+        return decoded(said, self.threshold if threshold is None else threshold)
+
+
+@eqx.filter_jit
+def _said(network: DenseNet, picture: jax.Array) -> jax.Array:
+    return network(picture)
+
+
+def net_view(
+    camera: Camera, T_base_cam: Float[np.ndarray, "4 4"], up_base: Sequence[float] | Float[np.ndarray, " 3"] = UP
+) -> CylinderView:
+    """The cylinder that the network looks at.
+
+    Raises:
+        SemlocError: the camera sees nothing around the horizon.
+    """
+    width, height = SIZE_PX
+    cylinder = CylindricalCamera(PX_PER_RAD, 0.5 * (width - 1), HORIZON_V, width, height)
+    return CylinderView.on(cylinder, camera, T_base_cam, up_base)
+
+
+def prepared(picture: UInt8[np.ndarray, "h w 3"], horizon_v: float) -> Float[np.ndarray, "h w 4"]:
+    """Red, green, blue in -1 ... 1 and the tangent of the elevation, positive below the horizon; float32."""
+    height, width, _ = picture.shape
+    prepared_picture = np.empty((height, width, 4), np.float32)
+    prepared_picture[..., :3] = picture[..., ::-1] * np.float32(2.0 / 255.0) - np.float32(1.0)
+    prepared_picture[..., 3] = ((np.arange(height, dtype=np.float32) - horizon_v) / PX_PER_RAD)[:, None]
+    return prepared_picture
+
+
+def decoded(said: Float[np.ndarray, "h w n"], threshold: float) -> FoundObstacles:
+    """The cells that are surer than their neighbours, and what they say; of boxes that overlap the surest stays."""
+    num = len(KINDS)
+    logit = said[..., :num].max(axis=-1)
+    sure = (1.0 / (1.0 + np.exp(-logit.astype(np.float64)))).astype(np.float32)
+    peak = (sure >= threshold) & (sure >= cv2.dilate(sure, np.ones((3, 3), np.uint8)))
+    v, u = np.nonzero(peak)
+    order = np.argsort(-sure[v, u], kind="stable")
+    v, u = v[order], u[order]
+    cell, kind = said[v, u, num:].astype(np.float64), said[v, u, :num].argmax(axis=-1)
+    middle = STRIDE * (np.column_stack([u, v]) + cell[:, :2]) + 0.5 * (STRIDE - 1)
+    side = SIDE_PX * np.exp(np.clip(cell[:, 2:4], -4.0, 4.0))
+    box = np.concatenate([middle - 0.5 * side, middle + 0.5 * side], axis=1)
+    foot = np.column_stack([middle[:, 0], box[:, 3]]) + cell[:, 4:6] * side
+    kept: list[int] = []
+    for k in range(len(box)):
+        if not kept or box_overlap(box[k], box[kept]).max() < _SAME:
+            kept.append(k)
+    return FoundObstacles(kind[kept], box[kept], foot[kept], cell[kept, 6] > 0.0, sure[v, u][kept].astype(np.float64))

@@ -1,0 +1,237 @@
+"""A random view on an upright cylinder with the obstacles in it (room: simulation; host).
+
+In: a random generator, sizes. Out: CylinderSample: picture, boxes, feet, classes, where nothing may be asked.
+Cars, people and posts hide and confuse; light, road, colours, shadows, mirrors, lenses and noise are drawn anew for
+every picture.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from semloc_jax.simulation.cylinder_views.bodies import Body
+from semloc_jax.simulation.cylinder_views.bystanders import background, bystander, car
+from semloc_jax.simulation.cylinder_views.canvas import Canvas
+from semloc_jax.simulation.cylinder_views.ground import (
+    lamps,
+    paint_on_road,
+    shadows_on_road,
+    sky_and_road,
+    thrown_back,
+)
+from semloc_jax.simulation.cylinder_views.kept_free import obstacle
+from semloc_jax.simulation.top_views.slot_layout import random_layout
+
+_FINER = 2
+"""Pictures are painted so many times finer and averaged."""
+KINDS = ("cone", "pillar", "ground_lock", "no_parking_sign")
+_SHARES = (0.28, 0.12, 0.33, 0.27)
+_RANGE_M = (0.8, 12.0)
+_SIZE_M = 16.0
+"""Side of the square with painted slots around the car."""
+_AT_ONCE = 60
+"""Most things in one picture: their numbers are those in `Canvas.ids`."""
+
+
+class Geometry(NamedTuple):
+    """A window of a cylinder.
+
+    Args:
+        focal_px: pixels a radian.
+        width, height: of the window [px].
+        centre_v: row of the horizon.
+    """
+
+    focal_px: float
+    width: int
+    height: int
+    centre_v: float
+
+
+class SeenThing(NamedTuple):
+    """One obstacle of a picture.
+
+    Args:
+        kind: class of OBSTACLES.
+        box: left, top, right, lower border of what is seen of it [px].
+        foot_uv: pixel of the middle of its footprint on the road, seen or not.
+        range_m: of that from the camera.
+        num_px: that show it.
+        shown: share of it that nothing hides.
+        has_foot: whether its lower end is seen.
+    """
+
+    kind: str
+    box: Float[np.ndarray, " 4"]
+    foot_uv: Float[np.ndarray, " 2"]
+    range_m: float
+    num_px: int
+    shown: float
+    has_foot: bool
+
+
+class CylinderSample(NamedTuple):
+    """One picture to learn from: uint8[h w 3] blue green red, and what is in it."""
+
+    picture: UInt8[np.ndarray, "h w 3"]
+    things: list[SeenThing]
+    centre_v: float
+
+
+def cylinder_sample(rng: np.random.Generator, geometry: Geometry) -> CylinderSample:
+    """A picture with its obstacles.
+
+    Args:
+        rng: all that is random.
+        geometry: of the window.
+    """
+    is_hall = bool(rng.random() < 0.45)
+    ceiling_m = float(rng.uniform(2.1, 3.8)) if is_hall else None
+    canvas = _canvas(rng, geometry)
+    bodies, slots = _placed(rng, canvas, ceiling_m)
+    sky_and_road(rng, canvas, is_hall)
+    if is_hall and rng.random() < 0.7:
+        lamps(rng, canvas)
+    paint_on_road(rng, canvas, slots, _SIZE_M, np.full(2, -0.5 * _SIZE_M))
+    shadows_on_road(rng, canvas, bodies, is_hall)
+    far_first = sorted(bodies, key=lambda body: -float(np.linalg.norm(body.middle)))
+    if rng.random() < (0.6 if is_hall else 0.12):
+        thrown_back(rng, canvas, [*background(rng, ceiling_m), *far_first])
+    walls = sorted(background(rng, ceiling_m), key=lambda body: -float(np.linalg.norm(body.middle)))
+    for body in walls:
+        body.paint(canvas)
+    canvas.ids[:] = 0
+    for number, body in enumerate(far_first, 1):
+        body.paint(canvas, number)
+    _own_car(rng, canvas)
+    things = [_seen(canvas, body, k) for k, body in enumerate(far_first, 1) if body.kind]
+    return CylinderSample(_finished(rng, canvas, geometry), [t for t in things if t is not None], geometry.centre_v)
+
+
+def _canvas(rng: np.random.Generator, geometry: Geometry) -> Canvas:
+    sun, low = rng.uniform(-np.pi, np.pi), rng.uniform(0.15, 1.5)
+    light = np.array([np.cos(sun) * np.cos(low), np.sin(sun) * np.cos(low), np.sin(low)])
+    picture = np.zeros((_FINER * geometry.height, _FINER * geometry.width, 3), np.float32)
+    # Pixel centres are at whole numbers: those of the finer picture lie half a step off.
+    centre = (_FINER * 0.5 * geometry.width - 0.5, _FINER * (geometry.centre_v + 0.5) - 0.5)
+    ambient = rng.uniform(0.35, 0.9)
+    return Canvas(_FINER * geometry.focal_px, centre, rng.uniform(0.5, 1.5), light, ambient, picture)
+
+
+def _placed(rng: np.random.Generator, canvas: Canvas, ceiling_m: float | None) -> tuple[list[Body], object]:
+    """Things at random places, none in another, and the painted slots, some with cars."""
+    layout, half_rad = random_layout(rng, _SIZE_M), 0.5 * canvas.picture.shape[1] / canvas.focal_px
+    bodies: list[Body] = []
+
+    def add(body: Body, gap_m: float) -> None:
+        reach = [np.linalg.norm(b.footprint - b.middle, axis=1).max() for b in (*bodies, body)]
+        away = [float(np.linalg.norm(b.middle - body.middle)) for b in bodies]
+        nearest = float(np.linalg.norm(body.footprint, axis=1).min())
+        if (
+            nearest > 0.55
+            and len(bodies) < _AT_ONCE
+            and all(a > 0.75 * r + gap_m for a, r in zip(away, reach[:-1], strict=True))
+        ):
+            bodies.append(body)
+
+    same_look = int(rng.integers(2**32))
+    for _ in range(int(rng.integers(1, 6)) if ceiling_m is not None else 0):
+        # Pillars of one hall look alike.
+        add(obstacle(np.random.default_rng(same_look), "pillar", _place(rng, half_rad), ceiling_m), 0.25)
+    for _ in range(int(rng.integers(0, 12))):
+        add(obstacle(rng, str(rng.choice(KINDS, p=_SHARES)), _place(rng, half_rad), ceiling_m), 0.25)
+    full = rng.choice([0.0, 0.3, 0.7], p=(0.2, 0.4, 0.4))
+    for slot in layout.slots:
+        middle = slot.mean(axis=0) - 0.5 * _SIZE_M
+        if rng.random() < full and 2.6 < np.linalg.norm(middle) < 16.0:
+            long_side = slot[3] - slot[0]
+            if np.linalg.norm(slot[1] - slot[0]) > np.linalg.norm(long_side):
+                long_side = slot[1] - slot[0]
+            turned = float(np.arctan2(long_side[1], long_side[0])) + np.pi * rng.integers(2)
+            add(car(rng, middle, turned), 0.6)
+    if rng.random() < 0.35:
+        place = _place(rng, half_rad)
+        if np.linalg.norm(place) > 3.5:
+            add(car(rng, place, rng.uniform(-np.pi, np.pi)), 0.9)
+    for _ in range(int(rng.integers(0, 6))):
+        add(bystander(rng, _place(rng, half_rad)), 0.3)
+    return bodies, layout
+
+
+def _place(rng: np.random.Generator, half_rad: float) -> Float[np.ndarray, " 2"]:
+    """As many near as far by the logarithm of the range."""
+    range_m = float(np.exp(rng.uniform(*np.log(_RANGE_M))))
+    phi = rng.uniform(-1.1, 1.1) * half_rad
+    return range_m * np.array([np.sin(phi), np.cos(phi)])
+
+
+def _own_car(rng: np.random.Generator, canvas: Canvas) -> None:
+    """Doors and bumpers of the own car, and where the lens shows nothing."""
+    height, width = canvas.ids.shape
+    for side in (0, 1):
+        if rng.random() < 0.2:
+            at, lean = rng.uniform(0.0, 0.35) * width, rng.uniform(-0.3, 0.3) * width
+            edge = np.array([[-1.0, -1.0], [at, -1.0], [at + lean, height], [-1.0, height]])
+            edge[:, 0] = edge[:, 0] if side == 0 else width - 1 - edge[:, 0]
+            colour = np.zeros(3) if rng.random() < 0.5 else np.full(3, rng.uniform(0.02, 0.8))
+            canvas.fill(edge, colour, 0)
+    if rng.random() < 0.2:
+        low = height * rng.uniform(0.7, 1.0)
+        canvas.fill(
+            np.array([[-1.0, low], [width, low + 20.0], [width, height], [-1.0, height]]),
+            np.full(3, rng.uniform(0.0, 0.7)),
+            0,
+        )
+
+
+def _seen(canvas: Canvas, body: Body, number: int) -> SeenThing | None:
+    """What is seen of a thing; None where it is nothing."""
+    own = canvas.ids == number
+    rows = np.flatnonzero(own.any(axis=1))
+    if not len(rows):
+        return None
+    columns = np.flatnonzero(own.any(axis=0))
+    alone = Canvas(canvas.focal_px, canvas.centre_px, canvas.height_m, canvas.light, 1.0, np.zeros_like(canvas.picture))
+    body.paint(alone, 1)
+    whole = alone.ids > 0
+    low = np.flatnonzero(whole.any(axis=1))
+    last = whole.copy()
+    last[: round(low[-1] - 0.12 * (low[-1] - low[0]))] = False
+    inside = low[-1] < canvas.ids.shape[0] - 1
+    box = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1]) / _FINER - 0.5
+    foot = canvas.pixels(np.append(body.middle, 0.0)[None])[0]
+    return SeenThing(
+        body.kind,
+        box,
+        (foot + 0.5) / _FINER - 0.5,
+        float(np.linalg.norm(body.middle)),
+        int(own.sum()) // _FINER**2,
+        float(own.sum() / max(whole.sum(), 1)),
+        bool(inside and (own & last).sum() > 0.5 * last.sum()),
+    )
+
+
+def _finished(rng: np.random.Generator, canvas: Canvas, geometry: Geometry) -> UInt8[np.ndarray, "h w 3"]:
+    """Lens, exposure, tint, haze, noise, compression."""
+    picture = canvas.picture
+    if rng.random() < 0.25:  # light falls off
+        row = np.linspace(rng.uniform(0.4, 1.0), rng.uniform(0.6, 1.2), len(picture), dtype=np.float32)
+        picture = picture * row[:, None, None]
+    if rng.random() < 0.75:
+        picture = cv2.GaussianBlur(picture, None, rng.uniform(0.5, 2.6))
+    small = cv2.resize(picture, (geometry.width, geometry.height), interpolation=cv2.INTER_AREA)
+    gamma, gain = rng.uniform(0.7, 1.3), rng.uniform(0.65, 1.4)
+    small = np.maximum(small, np.float32(1e-3)) ** np.float32(gamma) * np.float32(gain)
+    small = small * (1.0 + 0.05 * rng.standard_normal(3)).astype(np.float32)
+    if rng.random() < 0.3:
+        small = small + np.float32(rng.uniform(0.0, 0.14))
+    grain = np.float32(rng.uniform(0.0, 0.06)) * np.float32(rng.random())
+    noise = rng.standard_normal(small.shape, np.float32)
+    small = small + grain * (noise if rng.random() < 0.5 else cv2.GaussianBlur(noise, None, 0.8) * 2.0)
+    shown = np.clip(255.0 * small, 0.0, 255.0).astype(np.uint8)
+    if rng.random() < 0.5:
+        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(45, 95))]
+        shown = cv2.imdecode(cv2.imencode(".jpg", shown, quality)[1], cv2.IMREAD_COLOR)
+    return shown

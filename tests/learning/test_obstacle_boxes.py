@@ -1,0 +1,154 @@
+"""The lesson for obstacles: what is drawn, what is asked, what is told of it; the whole verb on a tiny lesson."""
+
+import csv
+import json
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from semloc_jax.cli.main import main
+from semloc_jax.learning.obstacle_boxes import CylinderPool, batch_of, cut, is_asked, obstacle_loss
+from semloc_jax.learning.obstacle_lesson import ObstacleLearningConfig, shown
+from semloc_jax.perception.networks.obstacle_net import HORIZON_V, KINDS, PX_PER_RAD, SIZE_PX, ObstacleNet, decoded
+from semloc_jax.simulation.cylinder_views.bodies import Body, box, rectangle
+from semloc_jax.simulation.cylinder_views.canvas import Canvas
+from semloc_jax.simulation.cylinder_views.kept_free import obstacle
+from semloc_jax.simulation.cylinder_views.picture import Geometry, cylinder_sample
+
+WIDTH = 192
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return CylinderPool(10, WIDTH, seed=5).samples
+
+
+def perfect(batch):
+    """What a network would say that knows everything, [b i j 11]."""
+    told = np.asarray(batch.told).copy()
+    told[..., 6] = np.where(told[..., 6] > 0.5, 12.0, -12.0)
+    return np.concatenate([np.where(batch.heat == 1.0, 12.0, -12.0), told], axis=-1)
+
+
+def canvas(height_m=1.0, width=400):
+    picture = np.zeros((SIZE_PX[1], width, 3), np.float32)
+    return Canvas(PX_PER_RAD, (0.5 * (width - 1), HORIZON_V), height_m, np.array([0.0, 0.0, 1.0]), 0.5, picture)
+
+
+def test_a_box_is_painted_where_its_corners_are_projected():
+    """Against the outline of its eight corners, worked out here: u = f atan2(x, y), v = f (h - z) / range."""
+    view, middle, size = canvas(), np.array([0.7, 3.0]), (0.4, 0.6)
+    part = box(middle, size, 0.4, 0.0, 0.9, np.ones(3))
+    Body(middle, middle + rectangle(size, 0.4), 0.9, parts=[part]).paint(view, 7)
+    v, u = np.nonzero(view.ids == 7)
+    x, y, z = np.concatenate([part.low, part.high]).T
+    across = 199.5 + PX_PER_RAD * np.arctan2(x, y)
+    down = HORIZON_V + PX_PER_RAD * (1.0 - z) / np.hypot(x, y)
+    painted = np.array([u.min(), v.min(), u.max(), v.max()])
+    np.testing.assert_allclose(painted, [across.min(), down.min(), across.max(), down.max()], atol=1.0)
+    hull = cv2.contourArea(cv2.convexHull(np.column_stack([across, down]).astype(np.float32)))
+    assert len(u) == pytest.approx(hull, rel=0.05)  # no side is missing
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_things_stand_on_their_footprint(kind):
+    for seed in range(12):
+        rng, view, middle = np.random.default_rng(seed), canvas(), np.array([0.3, 2.5])
+        body = obstacle(rng, kind, middle)
+        body.paint(view, 1)
+        v, _ = np.nonzero(view.ids == 1)
+        foot = view.pixels(np.column_stack([body.footprint, np.zeros(len(body.footprint))]))
+        assert abs(v.max() - foot[:, 1].max()) < 6.0  # px: the lowest that is painted is the nearest corner
+        top = view.pixels(np.append(middle, body.height_m)[None])[0, 1]
+        assert v.min() < max(top, 0.0) + 12.0 and body.kind == kind
+        assert np.abs(body.footprint.mean(axis=0) - middle).max() < 0.05
+
+
+def test_what_is_told_of_cells_gives_boxes_and_feet_back(samples):
+    num = 0
+    for k, sample in enumerate(samples):
+        own = cut(np.random.default_rng(k), sample, (128, 160))
+        found, asked = decoded(perfect(batch_of([own]))[0], 0.5), [t for t in own.things if is_asked(t)]
+        assert len(found.box) <= len(asked)
+        for kind, found_box, foot, has_foot in zip(found.kind, found.box, found.foot_uv, found.has_foot, strict=True):
+            off = [np.abs(thing.box - found_box).max() for thing in asked]
+            thing = asked[int(np.argmin(off))]
+            assert min(off) < 1e-3 and KINDS[kind] == thing.kind and has_foot == thing.has_foot
+            if np.abs(thing.foot_uv - thing.box[2:]).max() < 60.0:
+                np.testing.assert_allclose(foot, thing.foot_uv, atol=1e-2)
+            num += 1
+    assert num > 8
+
+
+def test_a_mirrored_window_shows_the_same_in_its_boxes(samples):
+    for k, sample in enumerate(samples):
+        one, seen = cut(np.random.default_rng(k), sample, (WIDTH, SIZE_PX[1])), sample.picture
+        is_mirrored = not np.array_equal(one.picture, seen)
+        # What is narrower than a pixel is dropped.
+        whole = [thing for thing in sample.things if (thing.box[2:] - thing.box[:2]).min() >= 1.0]
+        for before, after in zip(whole, one.things, strict=True):
+            a, b = (
+                np.concatenate([np.floor(thing.box[:2] + 0.5), np.ceil(thing.box[2:] + 0.5)]).astype(int)
+                for thing in (before, after)
+            )
+            patch = one.picture[b[1] : b[3], b[0] : b[2]]
+            np.testing.assert_array_equal(patch[:, ::-1] if is_mirrored else patch, seen[a[1] : a[3], a[0] : a[2]])
+
+
+def test_a_sample_is_drawn_by_its_seed_alone():
+    geometry = Geometry(PX_PER_RAD, 64, SIZE_PX[1], HORIZON_V)
+    one, again = (cylinder_sample(np.random.default_rng((3, 4)), geometry) for _ in range(2))
+    np.testing.assert_array_equal(one.picture, again.picture)
+    assert one.picture.shape == (SIZE_PX[1], 64, 3)
+
+
+def test_the_loss_is_least_where_everything_is_right(samples):
+    batch = batch_of(samples[:4])
+    best = perfect(batch)
+
+    def loss(said):
+        return float(obstacle_loss(lambda picture: picture, batch._replace(picture=jnp.asarray(said))))
+
+    assert (batch.heat == 1.0).sum() > 3 and loss(best) < 0.01
+    hidden = batch.asked[..., None] * (batch.heat.max(axis=-1, keepdims=True) < 0.1)
+    for column, by in ((slice(4), -24.0 * (batch.heat == 1.0)), (4, 2.0), (6, 0.5), (slice(4), 24.0 * hidden)):
+        worse = best.copy()
+        worse[..., column] += by
+        assert loss(worse) > loss(best) + 0.02
+    # Nothing is asked where nothing may be told.
+    unasked = best.copy()
+    unasked[..., :4] = np.where(batch.asked[..., None] == 0.0, 12.0, unasked[..., :4])
+    assert loss(unasked) == pytest.approx(loss(best), abs=1e-6)
+
+
+def test_a_random_view_is_judged_like_a_drive(samples):
+    for sample in samples:
+        one = shown(sample)
+        assert len(one.kinds) == len(one.box) == len(one.range_m) == len(one.is_asked)
+        assert (one.box[:, 2:] > one.box[:, :2]).all() and (one.range_m[one.is_asked] <= 10.0).all()
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_a_tiny_lesson_writes_everything(tmp_path, capsys):
+    words = ["--num-pictures", "3", "--width-px", "96", "--window-px", "64", "96", "--batch", "2", "--num-judged", "2"]
+    words += ["--training.num-steps", "2", "--out", str(tmp_path)]
+    assert main(["learn", "obstacles", *words]) == 0
+    assert "parameters, threshold" in capsys.readouterr().out
+    written = {place.name for place in tmp_path.iterdir()}
+    assert {"obstacles.weights", "obstacles.onnx", "scores.csv", "loss.csv", "random.png"} <= written
+    keys = {m["key"] for m in json.loads((tmp_path / "metrics.json").read_text())["metrics"]}
+    assert "random.ap50" in keys
+    rows = list(csv.DictReader((tmp_path / "scores.csv").open()))
+    assert {row["class"] for row in rows} == set(KINDS) and len(rows) == 16
+    net = ObstacleNet.load(tmp_path / "obstacles.weights")
+    found = net(np.zeros((SIZE_PX[1], 96, 3), np.uint8), threshold=0.0)
+    assert len(found.box) and (found.box[:, 2:] > found.box[:, :2]).all()
+    assert main(["learn", "obstacles", "--window-px", "60", "96"]) == 1
+    assert "multiples of" in capsys.readouterr().err
+
+
+def test_a_lesson_without_sense_is_refused():
+    with pytest.raises(ValueError, match="at most width_px"):
+        ObstacleLearningConfig(window_px=(512, 160))
