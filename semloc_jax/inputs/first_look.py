@@ -27,9 +27,9 @@ from semloc_jax.inputs.own_folder import (
     pictures_in,
     unplaced_pictures,
 )
+from semloc_jax.maps.io.formats import MAP_SUFFIXES
 from semloc_jax.perception import load_class_table, preset_names
 
-_MAPS = (".osm", ".xodr", ".gpkg", ".geojson", ".smap")
 _CALIBRATIONS = (".yaml", ".yml", ".xml")
 _LOGS: tuple[tuple[str, str, Callable[[Path], Any]], ...] = (
     ("gps.csv", "where to start; else --prior FILE.tum, or --area X,Y,RADIUS for track", read_fixes),
@@ -145,7 +145,7 @@ def _of_folder(path: Path) -> FirstLook:
     _look_at_times(path, found, missing)
     _look_at_logs(path, found, missing)
     own = folder_file(path, MAPS)
-    near = [place for folder in (path, path.parent) for place in _files_with(folder, _MAPS)]
+    near = [place for folder in (path, path.parent) for place in _files_with(folder, MAP_SUFFIXES)]
     near = [place for place in near if place.parent == near[0].parent]
     given = "" if own else f" --map {near[0] if len(near) == 1 else 'MAP'}"
     absent = "map: give --map FILE" + (f"; there: {', '.join(map(str, near))}" if near else "")
