@@ -16,7 +16,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.datasets.beside import CALIBRATIONS, MAPS, folder_file, logs_beside
-from semloc_jax.datasets.clock import seconds
+from semloc_jax.datasets.clock import TIME_NAMES, seconds
 from semloc_jax.datasets.tables import column_names, read_numbers, read_rows
 from semloc_jax.datasets.templates import COLUMNS
 from semloc_jax.errors import SemlocError
@@ -25,7 +25,6 @@ from semloc_jax.evaluation.trajectory import Trajectory
 _log = logging.getLogger(__name__)
 _IMAGE_FOLDERS, _MASK_FOLDERS = ("images", "image", "rgb"), ("masks", "labels", "sem")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
-_TIME = ("t", "time", "timestamp", "t_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us", "timestamp_ns")
 _FIRST_WORDS = re.compile(r"(?:[0-9]*[A-Za-z][A-Za-z0-9]*[_.-])*[A-Za-z]*")
 """Words that begin or, read backwards, end a name; the numbers that tell files apart are none."""
 _ByKind = Mapping[str, Mapping[str, Mapping[str, Path]]]
@@ -234,7 +233,7 @@ def _frame_times(path: Path, stems: list[str], truth: Trajectory | None, rate_hz
 
 def _listed_times(path: Path, stems: list[str]) -> np.ndarray:
     file = path / "times.csv"
-    names = column_names(file, {"time": _TIME, "frame": ("frame", "name", "file", "filename", "image")})
+    names = column_names(file, {"time": TIME_NAMES, "frame": ("frame", "name", "file", "filename", "image")})
     if names.keys() != {"time", "frame"}:
         raise SemlocError(f"table {file}: expected the columns frame and t (or t_ms, t_us, t_ns)")
     rows = {Path(row[names["frame"]] or "").stem: row[names["time"]] for row in read_rows(file, ())}

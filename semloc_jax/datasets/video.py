@@ -13,13 +13,13 @@ import numpy as np
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import calibration_beside, logs_beside, maps_beside
-from semloc_jax.datasets.clock import seconds
+from semloc_jax.datasets.clock import TIME_NAMES, seconds
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step
 from semloc_jax.datasets.tables import column_names, read_columns
 from semloc_jax.errors import SemlocError
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v")
-_TIME = ("t", "time", "timestamp", "t_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us", "timestamp_ns", "pts")
+_TIME = (*TIME_NAMES, "pts")
 _MAX_SKIP = 60
 
 
