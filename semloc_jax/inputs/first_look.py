@@ -91,7 +91,7 @@ def _without_pictures(path: Path, error: SemlocError) -> FirstLook:
     folders, loose = unplaced_pictures(path), pictures_in(path)
     if folders:
         return _to_be_moved(path, folders)
-    if loose:
+    if len(loose) > 1:  # one alone is somebody's sketch
         endings = " ".join(sorted({f"{path}/*{file.suffix}" for file in loose}))
         moves = f"mkdir {path / 'images'}; mv {endings} {path / 'images'}/; semloc init {path}"
         return FirstLook((f"{len(loose)} pictures in {path} itself",), (_PLACES,), (), moves)
@@ -236,7 +236,8 @@ def _tables_of(ids: list[int]) -> str:
 def _next(path: Path, opens: bool, masks: Path | None, road: str) -> str:
     calibration = folder_file(path, CALIBRATIONS)
     if calibration is not None and unfilled(calibration.read_text(encoding="utf-8", errors="replace")):
-        return f"fill in {calibration}, then: semloc check-calib {path}{road} --out check"
+        drawn = "" if road.endswith(" MAP") else road
+        return f"fill in {calibration}, then: semloc check-calib {path}{drawn} --out check"
     if not opens:
         return f"mend what is said under 'missing', then: semloc init {path}"
     if masks is None:

@@ -198,6 +198,8 @@ def test_photographs_of_another_name_beside_masks_are_not_overlooked(folder):
 def test_pictures_in_the_folder_itself_and_an_empty_folder(folder, tmp_path):
     loose = folder / "images" / "front"
     assert first_look(loose).command.startswith(f"mkdir {loose / 'images'}; mv {loose}/*.png {loose / 'images'}/;")
+    (loose / "001.png").unlink()
+    assert "no calibration" in first_look(loose).missing[0]  # one picture alone says nothing
     (tmp_path / "empty").mkdir()
     look = first_look(tmp_path / "empty")
     assert look.missing[0].startswith(f"pictures: {tmp_path / 'empty'} is empty") and "once" not in look.command
@@ -223,7 +225,7 @@ def test_what_is_not_filled_in_is_next_and_so_is_a_log_that_cannot_be_read(folde
     (folder / "imu.csv").write_text("t,gx\n0,1\n")
     look = first_look(folder)
     assert any("FX, FY, CX, CY, K1, K2, P1, P2, X_FORWARD, Y_LEFT, Z_UP in calib.yaml" in line for line in look.missing)
-    assert look.command.startswith(f"fill in {folder / 'calib.yaml'}, then: semloc check-calib")
+    assert look.command == f"fill in {folder / 'calib.yaml'}, then: semloc check-calib {folder} --out check"
     assert any(line.startswith("imu.csv: table") and "no column for gy" in line for line in look.missing)
     _with_calibration(folder, "front", "left")
     assert first_look(folder).command == f"mend what is said under 'missing', then: semloc init {folder}"
