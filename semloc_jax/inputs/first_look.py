@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from semloc_jax.cameras.io import read_calibration
-from semloc_jax.datasets import open_drive
+from semloc_jax.datasets import Drive, open_drive, overlap_report
 from semloc_jax.datasets.base import IMAGE
 from semloc_jax.datasets.beside import CALIBRATIONS, FIXES, MAPS, calibration_beside, folder_file, read_fixes
 from semloc_jax.datasets.drive import is_drive
@@ -17,6 +17,7 @@ from semloc_jax.datasets.folder import are_times, has_pictures, kind_folders
 from semloc_jax.datasets.pictures import read_picture
 from semloc_jax.datasets.sensors import read_imu, read_wheel_odometry
 from semloc_jax.datasets.templates import CLASSES, COLUMNS, calibration_template, unfilled
+from semloc_jax.datasets.video import Video, is_video
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.own_folder import (
     camera_matrix,
@@ -116,7 +117,8 @@ def _of_file(path: Path) -> FirstLook:
     try:
         return _of_drive(path)
     except SemlocError as error:
-        written = () if calibration else _write(path.parent / "calib.yaml", calibration_template(["front"], [None]))
+        size_px = Video(path).picture(0).shape[1::-1] if is_video(path) else None
+        written = () if calibration else _write(path.parent / "calib.yaml", calibration_template(["front"], [size_px]))
         calibration = calibration or path.parent / "calib.yaml"
         words = unfilled(calibration.read_text(encoding="utf-8", errors="replace")) if calibration.is_file() else []
         why = f"calibration: {', '.join(words)} in {calibration} are not filled in" if words else str(error)
@@ -175,6 +177,7 @@ def _look_at_calibration(path: Path, cameras: dict, found: list, missing: list, 
         missing.append(f"what fits together: {error}")
         return False
     found.append(f"calibration {calibration.name} of {', '.join(rig.names)}; {len(drive)} frames in all")
+    missing += _other_clocks(drive)
     return True
 
 
@@ -255,9 +258,17 @@ def _of_drive(path: Path) -> FirstLook:
     parts |= {f"masks {', '.join(drive.mask_sources)}": drive.mask_sources or None}
     found += [name for name, part in parts.items() if part is not None]
     missing = [name.strip() for name, part in parts.items() if part is None]
+    missing += _other_clocks(drive)
     masks = drive.mask_sources[0] if drive.mask_sources else "classical"
     road = "" if drive.map_path is not None else " --map MAP"
     return FirstLook(tuple(found), tuple(missing), (), f"semloc localize {path}{road} --masks {masks} --frames ::10")
+
+
+def _other_clocks(drive: Drive) -> list[str]:
+    """Streams that have no time in common with the frames."""
+    report = overlap_report(drive)
+    apart = tuple(f"{span.name} " for span in report.spans if report.apart(span.name))
+    return [f"common time: {problem}" for problem in report.problems if apart and problem.startswith(apart)]
 
 
 def _cameras(path: Path) -> dict[str, tuple[int, tuple[int, int] | None]]:

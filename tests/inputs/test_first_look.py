@@ -246,11 +246,20 @@ def test_a_map_beside_the_folder_is_offered_and_not_called_its_own(folder):
     assert f"--map {folder.parent / 'map.osm'}" in look.command and open_drive(folder).map_path is None
 
 
-def test_a_video_without_a_calibration_is_told_to_fill_it_in(tmp_path):
+def test_a_video_is_told_what_to_fill_in_and_which_clock_is_another(tmp_path, caplog):
     video = cv2.VideoWriter(str(tmp_path / "dash.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 40))
     for _ in range(2):
         video.write(np.zeros((40, 64, 3), np.uint8))
     video.release()
-    for _ in range(2):  # the second time the template is there
+    for _ in range(2):  # the second time the template is there; the size is that of the video
         look = first_look(tmp_path / "dash.avi")
-        assert "FX, FY, CX, CY" in look.missing[0] and look.command.startswith(f"fill in {tmp_path / 'calib.yaml'}")
+        assert (
+            "FX, FY, CX, CY" in look.missing[0]
+            and "WIDTH" not in look.missing[0]
+            and look.command.startswith(f"fill in {tmp_path / 'calib.yaml'}")
+        )
+    (tmp_path / "calib.yaml").write_text(_filled_in((tmp_path / "calib.yaml").read_text()))
+    (tmp_path / "gps.csv").write_text("t,lat,lon\n1700000000.0,48.0,11.0\n1700000001.0,48.0,11.0\n")
+    look = first_look(tmp_path / "dash.avi")
+    assert any(line.startswith("common time: fixes 1700000000") for line in look.missing)
+    assert "nothing states times; pictures follow each other at 10 Hz from 0 s. Write dash.csv" in caplog.text
