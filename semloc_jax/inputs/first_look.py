@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets import Drive, open_drive, overlap_report
 from semloc_jax.datasets.base import IMAGE
@@ -98,7 +100,9 @@ def _without_pictures(path: Path, error: SemlocError) -> FirstLook:
         return FirstLook((f"{len(loose)} pictures in {path} itself",), (_PLACES,), (), moves)
     if not any(path.iterdir()):
         error = SemlocError(f"{path} is empty; expected images/ with a folder of png or jpg files for each camera")
-    return FirstLook((), (f"pictures: {error}",), (), f"put pictures into {path / 'images'}/, then: semloc init {path}")
+    is_plain = not any(path.iterdir()) or str(error).startswith("folder ")
+    first = f"put pictures into {path / 'images'}/" if is_plain else "mend that"
+    return FirstLook((), (f"pictures: {error}",), (), f"{first}, then: semloc init {path}")
 
 
 _PLACES = "images/: photographs are looked for in images/, masks in masks/ (with a folder for each camera in them)"
@@ -261,7 +265,18 @@ def _of_drive(path: Path) -> FirstLook:
     missing += _other_clocks(drive)
     masks = drive.mask_sources[0] if drive.mask_sources else "classical"
     road = "" if drive.map_path is not None else " --map MAP"
+    if drive.mask_sources and not drive.table_name:
+        masks += " --class-table TABLE"
+        ids = {int(value) for mask in _masks_of(drive) for value in np.unique(mask)}
+        missing.append(f"class table of the masks{_tables_of(sorted(ids))}, or your own YAML file")
     return FirstLook(tuple(found), tuple(missing), (), f"semloc localize {path}{road} --masks {masks} --frames ::10")
+
+
+def _masks_of(drive: Drive) -> list[np.ndarray]:
+    """Some masks of a drive: of all cameras that have them, in its first and its last frame."""
+    source = drive.mask_sources[0]
+    looks = [(frame, camera) for frame in (drive.frames[0], drive.frames[-1]) for camera in drive.rig.names]
+    return [frame.mask(source, camera) for frame, camera in looks if frame.has(source, camera)]
 
 
 def _other_clocks(drive: Drive) -> list[str]:
