@@ -58,8 +58,17 @@ def read_folder(
         raise SemlocError(f"folder {path}: no images; expected a folder images/ or masks/ with png or jpg files")
     stems = _shared_stems(by_kind, rig)
     if not stems:
-        by_kind = _without_affixes(by_kind, path)
-        stems = _shared_stems(by_kind, rig)
+        told_apart = _without_affixes(by_kind)
+        stems = _shared_stems(told_apart, rig)
+        # Numbers of which each side has some alone may count from 0 here and from 1 there: no guess is made.
+        fewest = min(len(files) for cameras in told_apart.values() for files in cameras.values())
+        stems = stems if len(stems) == fewest else []
+        if stems:
+            _log.warning(
+                "folder %s: names are compared without the words that all in a folder share: %s",
+                *(path, _names_of(by_kind)),
+            )
+            by_kind = told_apart
     if not stems:
         raise SemlocError(
             f"folder {path}: no file name is shared by all of {', '.join(by_kind)} and all cameras: "
@@ -130,19 +139,21 @@ def _find_calibration(path: Path) -> Path:
 
 
 def _shared_stems(by_kind: _ByKind, rig: Rig) -> list[str]:
-    """Names that every kind and camera has."""
-    return sorted(set.intersection(*(set(files[camera]) for files in by_kind.values() for camera in rig.names)))
+    """Names that every kind and camera has; frame_2 comes before frame_10."""
+    shared = set.intersection(*(set(files[camera]) for files in by_kind.values() for camera in rig.names))
+    return sorted(shared, key=_by_number)
 
 
-def _without_affixes(by_kind: _ByKind, path: Path) -> _ByKind:
+def _by_number(name: str) -> list[str | int]:
+    """Words and numbers of a name by turns, to sort by."""
+    return [int(part) if at % 2 else part for at, part in enumerate(re.split(r"(\d+)", name))]
+
+
+def _without_affixes(by_kind: _ByKind) -> _ByKind:
     """The files by what is left of their stems without what all of one folder have in common at its ends."""
     found = {}
     for kind, cameras in by_kind.items():
         found[kind] = {camera: _told_apart(files) for camera, files in cameras.items()}
-    if found != by_kind:
-        _log.warning(
-            "folder %s: names are compared without the words that all in a folder share: %s", path, _names_of(by_kind)
-        )
     return found
 
 

@@ -176,6 +176,30 @@ def test_masks_may_be_called_by_a_word_of_their_own(folder, new_name):
     assert drive.frames[1].path("masks", "front").name == new_name.format("001")
 
 
+def test_pictures_numbered_without_zeros_come_in_their_order(folder):
+    """frame_10 is the tenth: as words it would come after frame_1, and each picture would get another's time."""
+    _with_calibration(folder, "front")
+    for kind in ("images", "masks"):
+        picture = (folder / kind / "front" / "000.png").read_bytes()
+        for file in (folder / kind / "front").iterdir():
+            file.unlink()
+        for number in (1, 2, 10):
+            (folder / kind / "front" / f"frame_{number}.png").write_bytes(picture)
+    (folder / "timestamps.txt").write_text("1.1\n1.2\n2.0\n")
+    frames = open_drive(folder).frames
+    assert [(frame.id, frame.time_s) for frame in frames] == [("frame_1", 1.1), ("frame_2", 1.2), ("frame_10", 2.0)]
+
+
+def test_masks_that_count_from_another_number_are_not_guessed(folder):
+    """img_0, img_1 and seg_1, seg_2: one of them is of both, and it may be of two times."""
+    _with_calibration(folder, "front")
+    for kind, word, first in (("images", "img", 0), ("masks", "seg", 1)):
+        for number, file in enumerate(sorted((folder / kind / "front").iterdir()), first):
+            file.rename(file.with_name(f"{word}_{number}.png"))
+    with pytest.raises(SemlocError, match=r"no file name is shared .*img_0\.png.*seg_1\.png"):
+        open_drive(folder)
+
+
 def test_folders_are_called_what_they_are_called(folder):
     """`Images` and `Labels` are read as they are, and `--masks` takes the name that stands on the disk."""
     _with_calibration(folder, "front")
