@@ -106,7 +106,9 @@ class WeakStretch:
         where = f"{self.way}, km {self.from_km:.3f} to {self.to_km:.3f}"
         if self.second_m is not None:
             ahead, left = self.second_m
-            return f"{where}: {100 * self.worst:.0f} % of the view also fits {ahead:+.1f} m ahead, {left:+.1f} m left"
+            along = f"{abs(ahead):.1f} m {'ahead' if ahead > 0 else 'behind'}"
+            across = f"{abs(left):.1f} m to the {'left' if left > 0 else 'right'}"
+            return f"{where}: {100 * self.worst:.0f} % of the view also fits {along}, {across}"
         unit = "deg" if self.what == "heading" else "m"
         return f"{where}: {self.what} sigma up to {self.worst:.2f} {unit}"
 

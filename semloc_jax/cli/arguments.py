@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Annotated, Any
 
 from semloc_jax.cli.help import help_text
-from semloc_jax.cli.shared_config import assembled, flat, is_shared, own_part
+from semloc_jax.cli.shared_config import assembled, flat, is_shared, own_part, without_shared
 from semloc_jax.errors import UsageError
 from semloc_jax.inputs.config_files import check_keys, flags, flatten, read_yaml, suggestion, with_lengths
 from semloc_jax.inputs.paths import pinned_options
@@ -94,6 +94,9 @@ def read_settings(path: str, options_type: type, defaults: Any) -> tuple[Any, li
     if is_shared(defaults):
         content = own_part(content, defaults, option_keys, f"config {path}")
     else:
+        content = without_shared(
+            content, [*(f.name for f in dataclasses.fields(defaults)), *option_keys], f"config {path}"
+        )
         check_keys(content, defaults, f"config {path}", option_keys)
     values = flat(defaults)
     for_verb = {key: value for key, value in content.items() if key in option_keys and value is not None}

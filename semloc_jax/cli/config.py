@@ -19,9 +19,9 @@ class Options:
     """Print a configuration as YAML with every default filled in: a file to start from.
 
     The output is a valid --config file: 'semloc config > mine.yaml', then 'semloc localize DRIVE --config mine.yaml'.
-    One file serves every verb that localizes: its top level describes the scene, a section named after a verb (track,
-    calibrate, learn, survey) is for that verb alone and left aside by the others. Files of map, odometry and simulate
-    are their own.
+    One file serves every verb: its top level describes the scene, a section named after a verb (track, calibrate,
+    learn, survey) is for that verb alone and left aside by the others. What map, odometry and simulate can be told
+    stands in files of their own; they leave the scene of the others aside.
     You do not need one: every value has a default, and every value is an option of the verb too.
     """
 

@@ -11,8 +11,6 @@ from semloc_jax.cli.main import LOST, OK
 if TYPE_CHECKING:
     from semloc_jax.evaluation import Metric
 
-_MAP_SUFFIXES = (".gpkg", ".geojson", ".json", ".osm", ".xodr", ".smap")
-
 
 @dataclass(frozen=True)
 class Options:
@@ -42,8 +40,10 @@ def run(options: Options) -> int:
     """Print the metrics, write them where asked, compare them with the baseline."""
     from semloc_jax import evaluation
     from semloc_jax.errors import UsageError
+    from semloc_jax.maps.io.formats import MAP_SUFFIXES
 
-    are_maps = [path.suffix.lower() in _MAP_SUFFIXES for path in (options.estimate, options.reference)]
+    suffixes = (*MAP_SUFFIXES, ".json", ".xml")  # a trajectory may be a .txt, as an Apollo map is
+    are_maps = [path.suffix.lower() in suffixes for path in (options.estimate, options.reference)]
     if any(are_maps) and not all(are_maps):
         raise UsageError("a map and a trajectory cannot be compared; give two trajectories, or two maps")
     metrics = _maps(options) if all(are_maps) else _trajectories(options)

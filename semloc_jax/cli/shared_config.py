@@ -65,8 +65,30 @@ def own_part(content: Mapping[str, Any], settings: Any, options: Sequence[str], 
     return told
 
 
-def _check_others(content: Mapping[str, Any], scene: Any, options: Sequence[str], where: str) -> None:
-    """Refuse keys that no verb knows, and keys inside of sections that their verb does not know."""
+def without_shared(content: Mapping[str, Any], own: Sequence[str], where: str) -> dict[str, Any]:
+    """What of a file is for a verb with a configuration of its own: the scene that others share is left aside.
+
+    Args:
+        content: What the file holds.
+        own: Keys of the verb.
+        where: The file, for messages.
+
+    Raises:
+        UsageError: a key within the shared part is misspelt.
+    """
+    keys, sections, _ = _shared_keys()
+    for key, value in content.items():
+        if key in own:
+            continue
+        if key in sections:
+            _check_section(value, sections[key], where)
+        elif key in keys:
+            check_keys({key: value}, keys[key], where)
+    return {key: value for key, value in content.items() if key in own or not (key in sections or key in keys)}
+
+
+def _shared_keys() -> tuple[dict[str, Any], dict[str, Any], set[str]]:
+    """Keys of the scene and sections, each with its settings, and the options of all verbs that share a file."""
     keys, sections, names = {}, {}, set()
     for verb in VERBS:
         module = importlib.import_module(f"semloc_jax.cli.{verb}")
@@ -76,6 +98,12 @@ def _check_others(content: Mapping[str, Any], scene: Any, options: Sequence[str]
             keys |= {name: settings for name in flat_fields(settings)}
         else:
             sections[section] = settings
+    return keys, sections, names
+
+
+def _check_others(content: Mapping[str, Any], scene: Any, options: Sequence[str], where: str) -> None:
+    """Refuse keys that no verb knows, and keys inside of sections that their verb does not know."""
+    keys, sections, names = _shared_keys()
     for key, value in content.items():
         homes = [section for section, settings in sections.items() if key in own_fields(settings)]
         if key in sections:

@@ -10,6 +10,9 @@ from jaxtyping import Float
 
 from semloc_jax.errors import SemlocError
 
+TIME_NAMES = ("t", "time", "timestamp", "t_s", "time_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us")
+TIME_NAMES += ("timestamp_ns", "time_ns", "time_us", "time_ms", "stamp", "#timestamp [ns]", "timestamp [ns]")
+"""What a column of times may be called."""
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _EPOCH_S = (3.0e8, 5.0e9)
 """Times since 1970 lie in here (1979 ... 2128): receivers and cameras are not older, clocks not further off."""

@@ -16,7 +16,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.datasets.beside import CALIBRATIONS, MAPS, folder_file, logs_beside
-from semloc_jax.datasets.clock import seconds
+from semloc_jax.datasets.clock import TIME_NAMES, seconds
 from semloc_jax.datasets.tables import column_names, read_numbers, read_rows
 from semloc_jax.datasets.templates import COLUMNS
 from semloc_jax.errors import SemlocError
@@ -25,7 +25,6 @@ from semloc_jax.evaluation.trajectory import Trajectory
 _log = logging.getLogger(__name__)
 _IMAGE_FOLDERS, _MASK_FOLDERS = ("images", "image", "rgb"), ("masks", "labels", "sem")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
-_TIME = ("t", "time", "timestamp", "t_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us", "timestamp_ns")
 _FIRST_WORDS = re.compile(r"(?:[0-9]*[A-Za-z][A-Za-z0-9]*[_.-])*[A-Za-z]*")
 """Words that begin or, read backwards, end a name; the numbers that tell files apart are none."""
 _ByKind = Mapping[str, Mapping[str, Mapping[str, Path]]]
@@ -59,8 +58,17 @@ def read_folder(
         raise SemlocError(f"folder {path}: no images; expected a folder images/ or masks/ with png or jpg files")
     stems = _shared_stems(by_kind, rig)
     if not stems:
-        by_kind = _without_affixes(by_kind, path)
-        stems = _shared_stems(by_kind, rig)
+        told_apart = _without_affixes(by_kind)
+        stems = _shared_stems(told_apart, rig)
+        # Numbers of which each side has some alone may count from 0 here and from 1 there: no guess is made.
+        fewest = min(len(files) for cameras in told_apart.values() for files in cameras.values())
+        stems = stems if len(stems) == fewest else []
+        if stems:
+            _log.warning(
+                "folder %s: names are compared without the words that all in a folder share: %s",
+                *(path, _names_of(by_kind)),
+            )
+            by_kind = told_apart
     if not stems:
         raise SemlocError(
             f"folder {path}: no file name is shared by all of {', '.join(by_kind)} and all cameras: "
@@ -131,19 +139,21 @@ def _find_calibration(path: Path) -> Path:
 
 
 def _shared_stems(by_kind: _ByKind, rig: Rig) -> list[str]:
-    """Names that every kind and camera has."""
-    return sorted(set.intersection(*(set(files[camera]) for files in by_kind.values() for camera in rig.names)))
+    """Names that every kind and camera has; frame_2 comes before frame_10."""
+    shared = set.intersection(*(set(files[camera]) for files in by_kind.values() for camera in rig.names))
+    return sorted(shared, key=_by_number)
 
 
-def _without_affixes(by_kind: _ByKind, path: Path) -> _ByKind:
+def _by_number(name: str) -> list[str | int]:
+    """Words and numbers of a name by turns, to sort by."""
+    return [int(part) if at % 2 else part for at, part in enumerate(re.split(r"(\d+)", name))]
+
+
+def _without_affixes(by_kind: _ByKind) -> _ByKind:
     """The files by what is left of their stems without what all of one folder have in common at its ends."""
     found = {}
     for kind, cameras in by_kind.items():
         found[kind] = {camera: _told_apart(files) for camera, files in cameras.items()}
-    if found != by_kind:
-        _log.warning(
-            "folder %s: names are compared without the words that all in a folder share: %s", path, _names_of(by_kind)
-        )
     return found
 
 
@@ -234,7 +244,7 @@ def _frame_times(path: Path, stems: list[str], truth: Trajectory | None, rate_hz
 
 def _listed_times(path: Path, stems: list[str]) -> np.ndarray:
     file = path / "times.csv"
-    names = column_names(file, {"time": _TIME, "frame": ("frame", "name", "file", "filename", "image")})
+    names = column_names(file, {"time": TIME_NAMES, "frame": ("frame", "name", "file", "filename", "image")})
     if names.keys() != {"time", "frame"}:
         raise SemlocError(f"table {file}: expected the columns frame and t (or t_ms, t_us, t_ns)")
     rows = {Path(row[names["frame"]] or "").stem: row[names["time"]] for row in read_rows(file, ())}

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.datasets.clock import seconds
+from semloc_jax.datasets.clock import TIME_NAMES, seconds
 from semloc_jax.datasets.tables import column_names, find_columns
 from semloc_jax.datasets.templates import GNSS_COLUMNS
 from semloc_jax.errors import SemlocError
@@ -189,8 +189,6 @@ class Imu:
             raise SemlocError(f"imu: row {row} is not later than that before; expected time order; sort the rows")
 
 
-_TIME = ("t", "time", "timestamp", "t_s", "time_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us")
-_TIME += ("timestamp_ns", "time_ns", "time_us", "time_ms", "stamp", "#timestamp [ns]", "timestamp [ns]")
 _DEGREES = {"lat": ("lat_deg", "latitude", "lat"), "lon": ("lon_deg", "longitude", "lon", "lng", "long")}
 _DEGREES |= {"alt": ("alt_m", "altitude", "alt", "height", "ele")}
 _METRES = {"east": ("east_m", "east", "easting"), "north": ("north_m", "north", "northing"), "up": ("up_m", "up")}
@@ -208,7 +206,7 @@ def log_of(path: Path) -> str | None:
     logs = {"imu.csv": _INERTIAL, "wheel_odom.csv": _WHEELS}
     logs |= {"gps.csv": {key: _DEGREES[key] for key in ("lat", "lon")}}
     for name, wanted in logs.items():
-        if column_names(path, {"time": _TIME, **wanted}).keys() == {"time", *wanted}:
+        if column_names(path, {"time": TIME_NAMES, **wanted}).keys() == {"time", *wanted}:
             return name
     return None
 
@@ -219,13 +217,13 @@ def read_gnss(path: Path) -> GnssTrack:
     Times are in s, ms, us or ns. Rows without a position are left out; where no standard deviation is stated, 3 m and
     6 m in height are taken.
     """
-    has = column_names(path, {"time": _TIME, **_METRES, **_DEGREES})
+    has = column_names(path, {"time": TIME_NAMES, **_METRES, **_DEGREES})
     place = next((kind for kind in (_METRES, _DEGREES) if set(tuple(kind)[:2]) <= has.keys()), None)
     if place is None or "time" not in has:
         lacking = "position" if place is None else "time"
         raise SemlocError(f"table {path}: no {lacking} in its columns; expected {GNSS_COLUMNS}")
     height_name = tuple(place)[2]
-    names = {"time": _TIME, **place, **{key: (key,) for key in _SIGMA}}
+    names = {"time": TIME_NAMES, **place, **{key: (key,) for key in _SIGMA}}
     table = find_columns(path, names, (height_name, *_SIGMA))
     time_s, _ = seconds(table["time"], f"table {path}", has["time"])
     table.setdefault(height_name, np.zeros(len(time_s)))
@@ -246,7 +244,7 @@ def _known_sigma(sigma_m: np.ndarray) -> np.ndarray:
 
 def read_wheel_odometry(path: Path) -> WheelOdometry:
     """Speed and yaw rate of a `wheel_odom.csv`; times in s, ms, us or ns."""
-    names = {"time": _TIME, **_WHEELS}
+    names = {"time": TIME_NAMES, **_WHEELS}
     table = find_columns(path, names)
     time_s, _ = seconds(table["time"], f"table {path}", column_names(path, names)["time"])
     return WheelOdometry(time_s, table["speed"], table["rate"])
@@ -254,7 +252,7 @@ def read_wheel_odometry(path: Path) -> WheelOdometry:
 
 def read_imu(path: Path) -> Imu:
     """Rates and accelerations of an `imu.csv`; times in s, ms, us or ns."""
-    names = {"time": _TIME, **_INERTIAL}
+    names = {"time": TIME_NAMES, **_INERTIAL}
     table = find_columns(path, names)
     time_s, _ = seconds(table["time"], f"table {path}", column_names(path, names)["time"])
     gyro = np.column_stack([table["gx"], table["gy"], table["gz"]])

@@ -4,6 +4,7 @@ In: drive.mp4 (avi, mkv, mov) with drive.csv or times.csv (column t, one row for
 it; gps.csv or gps.nmea, wheel_odom.csv, imu.csv and poses.tum where they lie there. Out: Drive.
 """
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,13 +14,14 @@ import numpy as np
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import calibration_beside, logs_beside, maps_beside
-from semloc_jax.datasets.clock import seconds
+from semloc_jax.datasets.clock import TIME_NAMES, seconds
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step
 from semloc_jax.datasets.tables import column_names, read_columns
 from semloc_jax.errors import SemlocError
 
+_LOG = logging.getLogger(__name__)
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v")
-_TIME = ("t", "time", "timestamp", "t_s", "t_ms", "t_us", "t_ns", "timestamp_ms", "timestamp_us", "timestamp_ns", "pts")
+_TIME = (*TIME_NAMES, "pts")
 _MAX_SKIP = 60
 
 
@@ -129,4 +131,9 @@ def _times(video: Video) -> np.ndarray:
         return seconds(values, f"table {file}", names["time"])[0]
     if not 0.0 < video.rate_hz < 1000.0:
         raise SemlocError(f"video {video.path}: states a rate of {video.rate_hz} Hz; put a csv of times beside it")
+    _LOG.warning(
+        "video %s: nothing states times; pictures follow each other at %g Hz from 0 s. Write %s: a column t with a row "
+        "for each of its %d pictures",
+        *(video.path, video.rate_hz, video.path.with_suffix(".csv").name, video.num_frames),
+    )
     return np.arange(video.num_frames) / video.rate_hz

@@ -34,8 +34,8 @@ class InputOptions:
     calib: Path | None = None
     """Calibration file, where the drive has none of its own or another one is to be used."""
     map: str | None = None
-    """Map file (.geojson, .osm), or the name of a map of the drive, or sweeps:START:STOP:STEP to make it of labelled
-    lidar sweeps (PandaSet); default: the drive's own, else sweeps:::2."""
+    """Map file (.osm, .xodr, .geojson, .gpkg ...), or the name of a map of the drive, or sweeps:START:STOP:STEP to make
+    it of labelled lidar sweeps (PandaSet); default: the drive's own, else sweeps:::2."""
     masks: str | None = None
     """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or a segmenter that runs on the images
     (classical, FILE.onnx with its preset FILE.yaml beside it, or the preset itself; see semloc segment); ipm: before it
@@ -98,7 +98,9 @@ def open_inputs(options: InputOptions) -> Inputs:
         map_path = sweeps.DEFAULT
     is_map_made = str(map_path).startswith(sweeps.SWEEPS)
     if map_path is None:
-        raise SemlocError(f"drive {drive.name}: has no map of its own; give --map FILE (.geojson or .osm)")
+        raise SemlocError(
+            f"drive {drive.name}: has no map of its own; give --map FILE (.osm, .xodr, .geojson, .gpkg ...)"
+        )
     kind = options.prior or ("gnss" if drive.gnss is not None else None)
     if kind is None:
         raise SemlocError(f"drive {drive.name}: has no satellite fixes; give {other_priors(drive)}")

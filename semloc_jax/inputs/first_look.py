@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from semloc_jax.cameras.io import read_calibration
-from semloc_jax.datasets import open_drive
+from semloc_jax.datasets import Drive, open_drive, overlap_report
 from semloc_jax.datasets.base import IMAGE
 from semloc_jax.datasets.beside import CALIBRATIONS, FIXES, MAPS, calibration_beside, folder_file, read_fixes
 from semloc_jax.datasets.drive import is_drive
@@ -17,6 +19,7 @@ from semloc_jax.datasets.folder import are_times, has_pictures, kind_folders
 from semloc_jax.datasets.pictures import read_picture
 from semloc_jax.datasets.sensors import read_imu, read_wheel_odometry
 from semloc_jax.datasets.templates import CLASSES, COLUMNS, calibration_template, unfilled
+from semloc_jax.datasets.video import Video, is_video
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.own_folder import (
     camera_matrix,
@@ -27,9 +30,9 @@ from semloc_jax.inputs.own_folder import (
     pictures_in,
     unplaced_pictures,
 )
+from semloc_jax.maps.io.formats import MAP_SUFFIXES
 from semloc_jax.perception import load_class_table, preset_names
 
-_MAPS = (".osm", ".xodr", ".gpkg", ".geojson", ".smap")
 _CALIBRATIONS = (".yaml", ".yml", ".xml")
 _LOGS: tuple[tuple[str, str, Callable[[Path], Any]], ...] = (
     ("gps.csv", "where to start; else --prior FILE.tum, or --area X,Y,RADIUS for track", read_fixes),
@@ -91,13 +94,15 @@ def _without_pictures(path: Path, error: SemlocError) -> FirstLook:
     folders, loose = unplaced_pictures(path), pictures_in(path)
     if folders:
         return _to_be_moved(path, folders)
-    if loose:
+    if len(loose) > 1:  # one alone is somebody's sketch
         endings = " ".join(sorted({f"{path}/*{file.suffix}" for file in loose}))
         moves = f"mkdir {path / 'images'}; mv {endings} {path / 'images'}/; semloc init {path}"
         return FirstLook((f"{len(loose)} pictures in {path} itself",), (_PLACES,), (), moves)
     if not any(path.iterdir()):
         error = SemlocError(f"{path} is empty; expected images/ with a folder of png or jpg files for each camera")
-    return FirstLook((), (f"pictures: {error}",), (), f"put pictures into {path / 'images'}/, then: semloc init {path}")
+    is_plain = not any(path.iterdir()) or str(error).startswith("folder ")
+    first = f"put pictures into {path / 'images'}/" if is_plain else "mend that"
+    return FirstLook((), (f"pictures: {error}",), (), f"{first}, then: semloc init {path}")
 
 
 _PLACES = "images/: photographs are looked for in images/, masks in masks/ (with a folder for each camera in them)"
@@ -116,7 +121,8 @@ def _of_file(path: Path) -> FirstLook:
     try:
         return _of_drive(path)
     except SemlocError as error:
-        written = () if calibration else _write(path.parent / "calib.yaml", calibration_template(["front"], [None]))
+        size_px = Video(path).picture(0).shape[1::-1] if is_video(path) else None
+        written = () if calibration else _write(path.parent / "calib.yaml", calibration_template(["front"], [size_px]))
         calibration = calibration or path.parent / "calib.yaml"
         words = unfilled(calibration.read_text(encoding="utf-8", errors="replace")) if calibration.is_file() else []
         why = f"calibration: {', '.join(words)} in {calibration} are not filled in" if words else str(error)
@@ -145,7 +151,7 @@ def _of_folder(path: Path) -> FirstLook:
     _look_at_times(path, found, missing)
     _look_at_logs(path, found, missing)
     own = folder_file(path, MAPS)
-    near = [place for folder in (path, path.parent) for place in _files_with(folder, _MAPS)]
+    near = [place for folder in (path, path.parent) for place in _files_with(folder, MAP_SUFFIXES)]
     near = [place for place in near if place.parent == near[0].parent]
     given = "" if own else f" --map {near[0] if len(near) == 1 else 'MAP'}"
     absent = "map: give --map FILE" + (f"; there: {', '.join(map(str, near))}" if near else "")
@@ -175,6 +181,7 @@ def _look_at_calibration(path: Path, cameras: dict, found: list, missing: list, 
         missing.append(f"what fits together: {error}")
         return False
     found.append(f"calibration {calibration.name} of {', '.join(rig.names)}; {len(drive)} frames in all")
+    missing += _other_clocks(drive)
     return True
 
 
@@ -236,7 +243,8 @@ def _tables_of(ids: list[int]) -> str:
 def _next(path: Path, opens: bool, masks: Path | None, road: str) -> str:
     calibration = folder_file(path, CALIBRATIONS)
     if calibration is not None and unfilled(calibration.read_text(encoding="utf-8", errors="replace")):
-        return f"fill in {calibration}, then: semloc check-calib {path}{road} --out check"
+        drawn = "" if road.endswith(" MAP") else road
+        return f"fill in {calibration}, then: semloc check-calib {path}{drawn} --out check"
     if not opens:
         return f"mend what is said under 'missing', then: semloc init {path}"
     if masks is None:
@@ -254,9 +262,28 @@ def _of_drive(path: Path) -> FirstLook:
     parts |= {f"masks {', '.join(drive.mask_sources)}": drive.mask_sources or None}
     found += [name for name, part in parts.items() if part is not None]
     missing = [name.strip() for name, part in parts.items() if part is None]
+    missing += _other_clocks(drive)
     masks = drive.mask_sources[0] if drive.mask_sources else "classical"
     road = "" if drive.map_path is not None else " --map MAP"
+    if drive.mask_sources and not drive.table_name:
+        masks += " --class-table TABLE"
+        ids = {int(value) for mask in _masks_of(drive) for value in np.unique(mask)}
+        missing.append(f"class table of the masks{_tables_of(sorted(ids))}, or your own YAML file")
     return FirstLook(tuple(found), tuple(missing), (), f"semloc localize {path}{road} --masks {masks} --frames ::10")
+
+
+def _masks_of(drive: Drive) -> list[np.ndarray]:
+    """Some masks of a drive: of all cameras that have them, in its first and its last frame."""
+    source = drive.mask_sources[0]
+    looks = [(frame, camera) for frame in (drive.frames[0], drive.frames[-1]) for camera in drive.rig.names]
+    return [frame.mask(source, camera) for frame, camera in looks if frame.has(source, camera)]
+
+
+def _other_clocks(drive: Drive) -> list[str]:
+    """Streams that have no time in common with the frames."""
+    report = overlap_report(drive)
+    apart = tuple(f"{span.name} " for span in report.spans if report.apart(span.name))
+    return [f"common time: {problem}" for problem in report.problems if apart and problem.startswith(apart)]
 
 
 def _cameras(path: Path) -> dict[str, tuple[int, tuple[int, int] | None]]:

@@ -51,8 +51,8 @@ def track_frames(
             what the motion needs.
 
     >>> results = list(sj.track_frames(drive, semantic_map, masks="sem", prior="truth"))
-    >>> len(results), results[-1].fused.T_map_base.shape
-    (3, (4, 4))
+    >>> len(results), results[-1].T_map_base.shape, results[-1].status.name
+    (3, (4, 4), 'INITIALIZING')
     """
     chosen = drive.frames[frames] if isinstance(frames, slice) else frames
     if not chosen:

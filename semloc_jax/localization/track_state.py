@@ -195,3 +195,13 @@ class TrackResult:
     held: tuple[str, ...] = ()
     misleading: float = 1.0
     moved: Moved = NOTHING_MOVED
+
+    @property
+    def T_map_base(self) -> np.ndarray | None:
+        """The pose [4 4] under the name that a LocalizationResult gives it, of any status; None before there is any."""
+        return None if self.fused is None else self.fused.T_map_base
+
+    @property
+    def covariance(self) -> np.ndarray | None:
+        """Its covariance [6 6] by xi = (v, omega); None before there is any."""
+        return None if self.fused is None else self.fused.covariance

@@ -16,6 +16,9 @@ _BRIEF = "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling,xla_cpu_dis
 jaxlib 0.10.1."""
 LEAST_COMPILE_S = 0.2
 """Programs that compile faster than this are not worth a file."""
+_FATAL_ONLY = 3
+"""Loading a cached program logs, as an error of some thousand letters, that pseudo features (prefer-no-gather) are
+missing on the very machine that compiled it. Each kind of processor has its own folder: none is truly missing."""
 LIBRARIES = (
     "semloc-jax",
     "jax",
@@ -53,9 +56,7 @@ def prepare_jax() -> None:
     if (folder := _own_cache()) is not None:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(LEAST_COMPILE_S))
-    # Loading a cached program logs, as an error, that pseudo features (prefer-no-gather) are missing on the very
-    # machine that compiled it. Each kind of processor has its own folder, so a true mismatch cannot occur.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", str(_FATAL_ONLY))
 
 
 def _with_flags(given: str) -> str:
@@ -78,6 +79,10 @@ def _set_cache_of_loaded_jax() -> None:
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_COMPILE_S)
     compilation_cache.reset_cache()  # what was compiled before has settled that there is none
+    if os.environ.get("TF_CPP_MIN_LOG_LEVEL", "1") == "1":  # what JAX itself sets, and has read already
+        from jaxlib.utils import absl_set_min_log_level
+
+        absl_set_min_log_level(_FATAL_ONLY)
 
 
 def _own_cache() -> Path | None:

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.viz.style import INK, new_figure, plain_axes
 
+_ROOM_OF_A_LABEL = (0.16, 0.05)
+"""Of the width and height of a panel."""
 DIRECTIONS = {
     "x": ("longitudinal", "m"),
     "y": ("lateral", "m"),
@@ -102,6 +105,8 @@ def landscape(slices: Mapping[str, CostSlice], title: str = "", truth: tuple[flo
     bar = figure.colorbar(image, ax=grid, shrink=0.8, pad=0.02)
     bar.set_label("cost: 0 explains the map in view, 1 nothing of it", fontsize=8, color=INK)
     bar.ax.tick_params(labelsize=8)
+    words = "red circles: minima with their cost, 1 is the lowest      white areas: nothing of it in view"
+    figure.supxlabel(words + ("      white cross: true pose" if truth is not None else ""), fontsize=8, color=INK)
     figure.suptitle(title, fontsize=10, color=INK)
     return figure
 
@@ -112,11 +117,17 @@ def _draw_slice(axes, name: str, piece: CostSlice, limits: tuple[float, float], 
     axes.grid(False)
     if np.isfinite(piece.cost).all() and min(piece.cost.shape) > 1 and np.ptp(piece.cost) > 0:
         axes.contour(a, b, piece.cost.T, levels=8, colors="white", linewidths=0.4, alpha=0.5)
+    written: list[np.ndarray] = []
     for rank, minimum in enumerate(find_minima(piece), start=1):
         place = minimum.offset_a, minimum.offset_b
         axes.scatter(*place, s=46, facecolors="none", edgecolors="#ff1744", linewidths=1.4, zorder=4)
+        shares = np.array(place) / [max(np.ptp(a), 1e-9), max(np.ptp(b), 1e-9)]
+        if any((np.abs(shares - other) < _ROOM_OF_A_LABEL).all() for other in written):
+            continue  # the circle is there; two labels over each other cannot be read
+        written.append(shares)
         label = f"{rank}  {minimum.cost:.3f}"
-        axes.annotate(label, place, xytext=(6, 5), textcoords="offset points", fontsize=7, color="white")
+        axes.annotate(label, place, xytext=(6, 5), textcoords="offset points", fontsize=7, color="#ffffff")
+        axes.texts[-1].set_path_effects([withStroke(linewidth=1.5, foreground="#202428")])
     if truth is not None:
         axes.scatter(*truth, marker="+", s=70, color="white", linewidths=1.4, zorder=5)
     axes.set_xlabel(_axis_text(piece.directions[0]), fontsize=9)

@@ -64,6 +64,8 @@ def survey_view(elements: Sequence[MapElement], survey: Survey, title: str = "")
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
         axes.set_title(f"{name}; red rim: above {limit:g}", fontsize=9, color=_LIGHT)
+    figure.supxlabel("x east [m]", fontsize=9, color=_LIGHT)
+    figure.supylabel("y north [m]", fontsize=9, color=_LIGHT)
     figure.suptitle(title, fontsize=10, color=_LIGHT)
     return figure
 

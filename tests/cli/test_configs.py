@@ -68,6 +68,19 @@ def test_a_configuration_changes_just_what_it_says(path, verb):
     assert changed == {key: value for key, value in said.items() if key in before and value != before[key]}
 
 
+@pytest.mark.parametrize("verb", ["map", "odometry", "simulate", "learn_eyes"])
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_verbs_with_a_configuration_of_their_own_leave_the_scene_aside(path, verb, config):
+    module = importlib.import_module(f"semloc_jax.cli.{verb}")
+    settings, words = read_settings(str(path), module.Options, module.default_settings())
+    own = {field.name for field in dataclasses.fields(settings)}
+    said = {key: value for key, value in yaml.safe_load(path.read_text()).items() if key in own}
+    assert words == [] and to_file(settings) == {**to_file(module.default_settings()), **said}
+    for wrong in ({"serach": {}}, {"verdict": {"max_csot": 1.0}}, {"track": {"helth": {}}}):
+        with pytest.raises(UsageError, match="mine.yaml.*unknown key"):
+            read_settings(str(config(wrong)), module.Options, module.default_settings())
+
+
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_a_file_that_changes_nothing_is_not_needed(path):
     assert any(settings_of(verb, path)[0] != MODULES[verb].default_settings() for verb in VERBS)

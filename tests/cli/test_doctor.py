@@ -120,3 +120,19 @@ jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)
 jax.jit(lambda x: x * 3)(1.0)
 print(len(list(__import__('pathlib').Path(jax.config.jax_compilation_cache_dir).iterdir())))"""
     assert int(_environment(code, XDG_CACHE_HOME=str(tmp_path))[-1]) > 0
+
+
+@pytest.mark.parametrize("first", ["", "import jax", "import jax; jax.devices()"])
+def test_a_program_from_the_cache_is_loaded_without_a_word(tmp_path, first):
+    """XLA logs two lines of 2,500 letters for each program that it loads, also where jax was imported before."""
+    code = f"""{first}
+import semloc_jax as sj
+sj.Rig
+import jax
+jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)
+print(jax.jit(lambda x: x * 3)(1.0))"""
+    env = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "TF_CPP", "SEMLOC_"))}
+    for _ in range(2):
+        env |= {"XDG_CACHE_HOME": str(tmp_path)}
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, check=True)
+        assert (done.stdout, done.stderr) == ("3.0\n", "")

@@ -194,14 +194,13 @@ def broken(simulated_road, tmp_path):
     return shutil.copytree(simulated_road, tmp_path / "drive")
 
 
-def test_a_truncated_mask_is_one_line(broken, tmp_path, capsys):
+def test_a_truncated_mask_costs_its_frame_and_is_one_line(broken, tmp_path, capsys, caplog):
     path = broken / "sem" / "front" / "000001.png"
     path.write_bytes(path.read_bytes()[:200])
     words = ["localize", str(broken), "--masks", "sem", "--frames", "1", "--out", str(tmp_path / "out")]
-    assert main(words) == FAILED
-    said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "000001.png" in said
-    assert "internal error" not in said
+    assert main(words) == LOST
+    assert "not localized: frame 000001 (NO_EVIDENCE" in capsys.readouterr().out
+    assert caplog.text.count("000001.png: cannot be decoded") == 1
 
 
 def test_an_empty_map_and_a_map_of_other_classes_are_one_line(broken, tmp_path, capsys):

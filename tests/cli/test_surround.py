@@ -40,7 +40,7 @@ def test_four_pictures_become_one_top_view(folder, tmp_path, capsys):
     assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 1
     numbers = {m["key"]: m["value"] for m in json.loads((out / "metrics.json").read_text())["metrics"]}
     assert numbers["overlap.median"] < 25.0  # mm: one pixel
-    assert "1 top views of 360 x 360 px, 25 mm a pixel" in capsys.readouterr().out
+    assert "1 top view of 360 x 360 px, 25 mm a pixel" in capsys.readouterr().out
 
 
 def _exchange(folder, pictures):

@@ -308,3 +308,24 @@ def _xyz(x, y, z):
 
 def _xyzw(x, y, z, w):
     return SimpleNamespace(x=x, y=y, z=z, w=w)
+
+
+def test_init_says_which_class_tables_know_the_masks_of_a_bag(bags):
+    """A bag cannot say what ids mean: without the option the command that comes next would fail."""
+    from semloc_jax.inputs.first_look import first_look
+
+    look = first_look(bags["mcap"])
+    assert "--masks sem --class-table TABLE" in look.command and "--map MAP" in look.command
+    (line,) = (line for line in look.missing if line.startswith("class table of the masks with ids"))
+    assert "drive" in line.split("--class-table")[1] and "cityscapes" not in line
+
+
+def test_init_does_not_ask_for_pictures_where_a_library_is_missing(bags, monkeypatch):
+    from semloc_jax.inputs import first_look
+
+    def refuse(path):
+        raise SemlocError("bag: the library rosbags is not installed; run: pip install rosbags")
+
+    monkeypatch.setattr(first_look, "open_drive", refuse)
+    look = first_look.first_look(bags["mcap"])
+    assert look.command == f"mend that, then: semloc init {bags['mcap']}"

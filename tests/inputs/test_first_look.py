@@ -176,6 +176,30 @@ def test_masks_may_be_called_by_a_word_of_their_own(folder, new_name):
     assert drive.frames[1].path("masks", "front").name == new_name.format("001")
 
 
+def test_pictures_numbered_without_zeros_come_in_their_order(folder):
+    """frame_10 is the tenth: as words it would come after frame_1, and each picture would get another's time."""
+    _with_calibration(folder, "front")
+    for kind in ("images", "masks"):
+        picture = (folder / kind / "front" / "000.png").read_bytes()
+        for file in (folder / kind / "front").iterdir():
+            file.unlink()
+        for number in (1, 2, 10):
+            (folder / kind / "front" / f"frame_{number}.png").write_bytes(picture)
+    (folder / "timestamps.txt").write_text("1.1\n1.2\n2.0\n")
+    frames = open_drive(folder).frames
+    assert [(frame.id, frame.time_s) for frame in frames] == [("frame_1", 1.1), ("frame_2", 1.2), ("frame_10", 2.0)]
+
+
+def test_masks_that_count_from_another_number_are_not_guessed(folder):
+    """img_0, img_1 and seg_1, seg_2: one of them is of both, and it may be of two times."""
+    _with_calibration(folder, "front")
+    for kind, word, first in (("images", "img", 0), ("masks", "seg", 1)):
+        for number, file in enumerate(sorted((folder / kind / "front").iterdir()), first):
+            file.rename(file.with_name(f"{word}_{number}.png"))
+    with pytest.raises(SemlocError, match=r"no file name is shared .*img_0\.png.*seg_1\.png"):
+        open_drive(folder)
+
+
 def test_folders_are_called_what_they_are_called(folder):
     """`Images` and `Labels` are read as they are, and `--masks` takes the name that stands on the disk."""
     _with_calibration(folder, "front")
@@ -198,6 +222,8 @@ def test_photographs_of_another_name_beside_masks_are_not_overlooked(folder):
 def test_pictures_in_the_folder_itself_and_an_empty_folder(folder, tmp_path):
     loose = folder / "images" / "front"
     assert first_look(loose).command.startswith(f"mkdir {loose / 'images'}; mv {loose}/*.png {loose / 'images'}/;")
+    (loose / "001.png").unlink()
+    assert "no calibration" in first_look(loose).missing[0]  # one picture alone says nothing
     (tmp_path / "empty").mkdir()
     look = first_look(tmp_path / "empty")
     assert look.missing[0].startswith(f"pictures: {tmp_path / 'empty'} is empty") and "once" not in look.command
@@ -223,7 +249,7 @@ def test_what_is_not_filled_in_is_next_and_so_is_a_log_that_cannot_be_read(folde
     (folder / "imu.csv").write_text("t,gx\n0,1\n")
     look = first_look(folder)
     assert any("FX, FY, CX, CY, K1, K2, P1, P2, X_FORWARD, Y_LEFT, Z_UP in calib.yaml" in line for line in look.missing)
-    assert look.command.startswith(f"fill in {folder / 'calib.yaml'}, then: semloc check-calib")
+    assert look.command == f"fill in {folder / 'calib.yaml'}, then: semloc check-calib {folder} --out check"
     assert any(line.startswith("imu.csv: table") and "no column for gy" in line for line in look.missing)
     _with_calibration(folder, "front", "left")
     assert first_look(folder).command == f"mend what is said under 'missing', then: semloc init {folder}"
@@ -244,11 +270,20 @@ def test_a_map_beside_the_folder_is_offered_and_not_called_its_own(folder):
     assert f"--map {folder.parent / 'map.osm'}" in look.command and open_drive(folder).map_path is None
 
 
-def test_a_video_without_a_calibration_is_told_to_fill_it_in(tmp_path):
+def test_a_video_is_told_what_to_fill_in_and_which_clock_is_another(tmp_path, caplog):
     video = cv2.VideoWriter(str(tmp_path / "dash.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 40))
     for _ in range(2):
         video.write(np.zeros((40, 64, 3), np.uint8))
     video.release()
-    for _ in range(2):  # the second time the template is there
+    for _ in range(2):  # the second time the template is there; the size is that of the video
         look = first_look(tmp_path / "dash.avi")
-        assert "FX, FY, CX, CY" in look.missing[0] and look.command.startswith(f"fill in {tmp_path / 'calib.yaml'}")
+        assert (
+            "FX, FY, CX, CY" in look.missing[0]
+            and "WIDTH" not in look.missing[0]
+            and look.command.startswith(f"fill in {tmp_path / 'calib.yaml'}")
+        )
+    (tmp_path / "calib.yaml").write_text(_filled_in((tmp_path / "calib.yaml").read_text()))
+    (tmp_path / "gps.csv").write_text("t,lat,lon\n1700000000.0,48.0,11.0\n1700000001.0,48.0,11.0\n")
+    look = first_look(tmp_path / "dash.avi")
+    assert any(line.startswith("common time: fixes 1700000000") for line in look.missing)
+    assert "nothing states times; pictures follow each other at 10 Hz from 0 s. Write dash.csv" in caplog.text

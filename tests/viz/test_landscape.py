@@ -49,9 +49,18 @@ def test_one_panel_for_each_class_on_one_scale():
     panels = [axes for axes in figure.axes if axes.get_title()]
     assert [axes.get_title() for axes in panels] == ["all", "pole"]
     assert [axes.get_xlabel() for axes in panels] == ["longitudinal [m]"] * 2
+    words = figure.get_supxlabel()
+    assert all(word in words for word in ("minima", "nothing of it in view", "true pose"))
+    assert "true pose" not in viz.landscape(slices, "frame 20").get_supxlabel()
     ranges = {axes.collections[0].get_clim() for axes in panels}
     assert len(ranges) == 1
     assert next(iter(ranges)) == pytest.approx((0.2, 1.0), abs=0.01)
+
+
+def test_labels_of_minima_side_by_side_are_not_written_over_each_other():
+    near = 1.0 - _well(-0.2, 0.0, 0.8, 0.1) - _well(0.2, 0.05, 0.7, 0.1) - _well(2.0, 1.5, 0.5, 0.2)
+    axes = viz.landscape({"pole": _slice(near)}).axes[0]
+    assert [text.get_text().split()[0] for text in axes.texts] == ["1", "3"]
 
 
 def test_axes_of_a_slice_must_fit_its_cost():

@@ -109,6 +109,8 @@ JSON_FORMATS = (
 """Formats of JSON files; the first that recognises the document reads it."""
 
 READ_SUFFIXES = tuple(suffix for row in FORMATS.values() for suffix in row.suffixes)
+MAP_SUFFIXES = tuple(suffix for suffix in READ_SUFFIXES if suffix not in (".json", ".xml", ".txt"))
+"""Suffixes of files that hold nothing but maps."""
 WRITTEN_SUFFIXES = tuple(row.suffixes[0] for row in FORMATS.values() if row.write)
 
 
