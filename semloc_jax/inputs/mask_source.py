@@ -15,6 +15,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource, TopViewSource, resized
 from semloc_jax.inputs.paint_and_eyes import paint_channel, with_paint
 from semloc_jax.perception import load_class_table, preset_names
+from semloc_jax.perception.class_table import part_of_table
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset, offsets_of_cameras
 from semloc_jax.perception.masks import read_mask
@@ -55,7 +56,8 @@ def mask_source(
             cameras.
         drive: The drive.
         cameras: Names; None for all that have such masks.
-        table: Class table, a preset or a YAML file; None for that of the drive or of the network's preset.
+        table: Class table, a preset or a YAML file; None for that of the drive or of the network's preset. Eyes have
+            their own: a table with fewer of its channels leaves the others out.
         offset_px: Offset of the masks against the images; None estimates it from both where there are images.
 
     Raises:
@@ -75,7 +77,8 @@ def mask_source(
     if name.startswith(CLASSICAL_AND):
         return _paint_and_eyes(name, drive, names)
     if is_eyes(name):
-        return eyes_source(Eyes.load(name), drive, names, name)
+        source = eyes_source(Eyes.load(name), drive, names, name)
+        return source if table is None else replace(source, table=part_of_table(source.table, load_class_table(table)))
     if is_network(name):
         return _network(name, drive, names, table)
     read, own_table = _files(name, drive, names)
