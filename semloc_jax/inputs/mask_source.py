@@ -16,10 +16,11 @@ from semloc_jax.inputs.mask_files import CLASSICAL, MaskFiles
 from semloc_jax.inputs.mask_view import MaskSource, TopViewSource, resized
 from semloc_jax.inputs.paint_and_eyes import paint_channel, with_paint
 from semloc_jax.perception import load_class_table, preset_names
+from semloc_jax.perception.class_table import part_of_table
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset, offsets_of_cameras
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter, load_network_preset
-from semloc_jax.perception.networks.eyes import Eyes
+from semloc_jax.perception.networks.eyes import SHIPPED, Eyes
 from semloc_jax.perception.surround import ground_table, top_view
 from semloc_jax.runtime.memory import remembered
 
@@ -28,6 +29,8 @@ _OFFSET_FRAMES = 12
 _MAX_OFFSET_PX = 2.0
 """Masks made at a fourth of the resolution and resized by their corners lie 1.5 px off; a larger estimate comes from
 lines that fix only one direction."""
+NET = "net"
+"""Name of the eyes that ship."""
 CLASSICAL_AND = CLASSICAL + "+"
 """Before the name of eyes: paint by the built-in segmenter, all else by the eyes."""
 TOP_VIEW = "ipm:"
@@ -46,12 +49,13 @@ def mask_source(
     Args:
         name: A mask folder of the drive, any folder with CAMERA/FRAME.png, a network `FILE.onnx` (with its preset
             FILE.yaml beside it) or its preset `FILE.yaml`, eyes that a map or random streets have taught
-            `FILE.weights`, `classical` for the built-in segmenter of road paint, or `classical+FILE.weights` for its
-            paint and the other classes of eyes; `ipm:` before any of them makes one top view of the road of all
-            cameras.
+            `FILE.weights`, `net` for the eyes that ship, `classical` for the built-in segmenter of road
+            paint, or `classical+FILE.weights` for its paint and the other classes of eyes; `ipm:` before any of them
+            makes one top view of the road of all cameras.
         drive: The drive.
         cameras: Names; None for all that have such masks.
-        table: Class table, a preset or a YAML file; None for that of the drive or of the network's preset.
+        table: Class table, a preset or a YAML file; None for that of the drive or of the network's preset. Eyes have
+            their own: a table with fewer of its channels leaves the others out.
         offset_px: Offset of the masks against the images; None estimates it from both where there are images.
 
     Raises:
@@ -71,7 +75,8 @@ def mask_source(
     if name.startswith(CLASSICAL_AND):
         return _paint_and_eyes(name, drive, names)
     if is_eyes(name):
-        return eyes_source(Eyes.load(name), drive, names, name)
+        source = eyes_source(_eyes(name), drive, names, name)
+        return source if table is None else replace(source, table=part_of_table(source.table, load_class_table(table)))
     if is_network(name):
         return _network(name, drive, names, table)
     files = MaskFiles.of(name, drive, names)
@@ -124,7 +129,13 @@ def is_network(name: str) -> bool:
 
 def is_eyes(name: str) -> bool:
     """Whether masks of this name come from eyes that a map has taught: they know how far and how sure a border is."""
-    return Path(name.removeprefix(TOP_VIEW)).suffix.lower() == ".weights"
+    plain = name.removeprefix(TOP_VIEW)
+    return plain == NET or Path(plain).suffix.lower() == ".weights"
+
+
+def _eyes(name: str) -> Eyes:
+    """Those that ship, or those of a file."""
+    return Eyes.load(SHIPPED if name == NET else name)
 
 
 def eyes_source(eyes: Eyes, drive: Drive, names: Sequence[str], name: str = "eyes") -> MaskSource:
@@ -145,7 +156,7 @@ def eyes_source(eyes: Eyes, drive: Drive, names: Sequence[str], name: str = "eye
 
 def _paint_and_eyes(name: str, drive: Drive, names: tuple[str, ...]) -> MaskSource:
     """Paint of the built-in segmenter, all else of eyes."""
-    eyes, classical = Eyes.load(name.removeprefix(CLASSICAL_AND)), _classical(drive, names)
+    eyes, classical = _eyes(name.removeprefix(CLASSICAL_AND)), _classical(drive, names)
     channel, (drawn_id,) = paint_channel(eyes.table), classical.table.channels[0].mask_ids
 
     def see(frame: Frame, camera: str) -> np.ndarray:

@@ -5,7 +5,7 @@ In: a preset name or a YAML file. Out: ClassTable, the channels of the cost maps
 
 import difflib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +155,19 @@ def table_of(classes: Mapping, name: str = "classes") -> ClassTable:
         Channel("+".join(label.name.lower() for label in key), tuple(ids), key) for key, ids in by_classes.items()
     ]
     return ClassTable(name, tuple(channels))
+
+
+def part_of_table(whole: ClassTable, part: ClassTable) -> ClassTable:
+    """A table, but for its channels that `part` lacks: what they show is background then.
+
+    Raises:
+        SemlocError: `part` has a channel that the whole table has not.
+    """
+    names = [channel.name for channel in part.channels]
+    own = {channel.name for channel in whole.channels}
+    if not own.issuperset(names):
+        raise SemlocError(f"class table {part.name}: channels {names}; expected some of {sorted(own)}")
+    return replace(whole, name=part.name, channels=tuple(c for c in whole.channels if c.name in names))
 
 
 def preset_names() -> tuple[str, ...]:

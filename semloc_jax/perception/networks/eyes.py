@@ -28,6 +28,8 @@ from semloc_jax.perception.networks.weights import load_weights, read_card, save
 from semloc_jax.storage import reading
 
 KIND = "eyes"
+SHIPPED = Path(__file__).with_name("street.weights")
+"""What `semloc learn eyes --simulated` wrote; its card says how, its figures and its limits."""
 REACH_PX = 40.0
 """Distances are clipped here [px of the network's image]: the coarsest ramp of the localizer."""
 _DETAIL = 2

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cv2
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,15 @@ import pytest
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception import load_class_table
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
-from semloc_jax.perception.networks.eyes import REACH_PX, Eyes, eyes_table, read_out, working_image, working_scale
+from semloc_jax.perception.networks.eyes import (
+    REACH_PX,
+    SHIPPED,
+    Eyes,
+    eyes_table,
+    read_out,
+    working_image,
+    working_scale,
+)
 from semloc_jax.perception.networks.onnx_graph import OnnxGraph
 from semloc_jax.perception.networks.weights import save_weights
 from semloc_jax.structs import ElementClass
@@ -124,3 +133,25 @@ def test_ids_are_no_scores(tmp_path):
     network = NetworkSegmenter(NetworkPreset(model=str(tmp_path / "n.onnx")))
     with pytest.raises(SemlocError, match="expected scores .b classes h w."):
         network.scores(np.zeros((32, 32, 3), np.uint8), (32, 32))
+
+
+def road_picture(rng):
+    """A grey road with two white lines that meet at the horizon, and where they are; 960 px wide, day."""
+    ids = np.zeros((320, 960), np.uint8)
+    for foot in (250.0, 800.0):
+        corners = np.array([[foot - 14, 319], [foot + 14, 319], [481, 60], [479, 60]])
+        cv2.fillPoly(ids, [np.round(corners).astype(np.int32)], 1)
+    light = np.where(ids[..., None] > 0, 210.0, 95.0) + rng.normal(0.0, 6.0, (320, 960, 3))
+    light[:60] = 190.0
+    return cv2.GaussianBlur(np.clip(light, 0, 255).astype(np.uint8), (0, 0), 0.7), ids
+
+
+def test_the_eyes_that_ship_see_lines():
+    """Paint to two pixels, and little else; they state what they are for."""
+    eyes = Eyes.load(SHIPPED)
+    assert SHIPPED.stat().st_size < 2.5e6 and {"taught", "figures", "limits", "for"} <= set(eyes.card)
+    picture, ids = road_picture(np.random.default_rng(0))
+    seen = (np.asarray(eyes(picture)) == 1).astype(np.uint8)
+    near, grown = np.s_[120:], np.ones((5, 5), np.uint8)
+    assert (cv2.dilate(seen, grown) * ids)[near].sum() > 0.6 * ids[near].sum()
+    assert (seen * cv2.dilate(ids, grown))[near].sum() > 0.8 * seen[near].sum()
