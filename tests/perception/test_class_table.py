@@ -115,7 +115,7 @@ def test_mistakes_in_a_table_are_named(change, message):
 def test_unknown_preset_gets_a_suggestion():
     with pytest.raises(SemlocError, match="did you mean 'cityscapes'"):
         load_class_table("cityscape")
-    assert len(preset_names()) == 9
+    assert len(preset_names()) == 11
 
 
 def test_unknown_channel_gets_a_suggestion():
