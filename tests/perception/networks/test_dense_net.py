@@ -76,7 +76,7 @@ def test_a_new_network_says_nothing_and_learns_everywhere(picture):
     net = DenseNet.create(jax.random.key(0), SMALL)
     assert np.all(np.asarray(net(jnp.asarray(picture))) == 0.0)
     moved = eqx.tree_at(lambda n: n.head.kernel, net, net.head.kernel + 0.1)
-    slope = jax.grad(lambda n: jnp.mean((n(jnp.asarray(picture)) - 1.0) ** 2))(moved)
+    slope = jax.jit(jax.grad(lambda n: jnp.mean((n(jnp.asarray(picture)) - 1.0) ** 2)))(moved)
     # A block begins as the identity: only its second layer has a slope before the first step.
     for block in (*(block for level in slope.blocks for block in level), slope.merged):
         assert max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(block.second)) > 0.0
