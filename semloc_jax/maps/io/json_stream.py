@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.maps.io.possessive import ANY_TIMES
 
 _DEEPEST = 64
 _BLANKS = " \t\n\r"
@@ -24,23 +25,23 @@ _WINDOW_BYTES = 1 << 14
 """Parsed at once; a feature has some hundred bytes. Of 64 kB the values are so many that Python's search for garbage,
 which walks through all that is alive, takes as long as the parsing."""
 _DECODER = json.JSONDecoder()
-_STRING = rb'"(?:[^"\\]++|\\.)*+(?:"|\Z)'
+_STRING = rb'"(?:[^"\\]++|\\.)' + ANY_TIMES + rb'(?:"|\Z)'
 _TOKEN = re.compile(_STRING + rb"|[\[\]{},]", re.DOTALL)
 _PLAIN = rb'[^"\[\]{}]'
-_POINTS = rb"\[(?:" + _PLAIN + rb"++|\[" + _PLAIN + rb"*+\])*+\]"
+_POINTS = rb"\[(?:" + _PLAIN + rb"++|\[" + _PLAIN + rb"*+\])" + ANY_TIMES + rb"\]"
 
 
 def _object_of(*parts: bytes) -> bytes:
-    return rb"\{(?:" + rb"|".join((_PLAIN + rb"++", _STRING, *parts)) + rb")*+\}"
+    return rb"\{(?:" + rb"|".join((_PLAIN + rb"++", _STRING, *parts)) + rb")" + ANY_TIMES + rb"\}"
 
 
 _FEATURE = _object_of(_POINTS, _object_of(_POINTS))
 _TO_BRACKET = re.compile(
-    rb"(?:" + rb"|".join((_PLAIN + rb"++", _STRING, _POINTS, _FEATURE)) + rb")*+([\[\]{}])", re.DOTALL
+    rb"(?:" + rb"|".join((_PLAIN + rb"++", _STRING, _POINTS, _FEATURE)) + rb")" + ANY_TIMES + rb"([\[\]{}])", re.DOTALL
 )
 """Lists of points, and objects of such lists and of objects with such lists, as features are, are passed in one step: a
 map has few other brackets."""
-_KEY = re.compile(rb'\s*("(?:[^"\\]++|\\.)*+")\s*:', re.DOTALL)
+_KEY = re.compile(rb'\s*("(?:[^"\\]++|\\.)' + ANY_TIMES + rb'")\s*:', re.DOTALL)
 _START = re.compile(rb"\s*")
 _FILE_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*")
 """Some programs put a mark of the encoding first."""

@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.maps.io.possessive import ANY_TIMES
 
 _DEEPEST = 32
 _TOKEN = re.compile(
-    rb'(?:\s++|#[^\n]*+)|(?P<text>"(?:[^"\\\n]++|\\.)*+"|\'(?:[^\'\\\n]++|\\.)*+\')'
-    rb"|(?P<word>-?[A-Za-z_][\w.]*+|[-+]?\.?\d(?:[\w.]|(?<=[eE])[-+])*+)|(?P<mark>[{}<>:\[\],;])|(?P<other>.)",
+    rb'(?:\s++|#[^\n]*+)|(?P<text>"(?:[^"\\\n]++|\\.)' + ANY_TIMES + rb'"|\'(?:[^\'\\\n]++|\\.)' + ANY_TIMES + rb"\')"
+    rb"|(?P<word>-?[A-Za-z_][\w.]*+|[-+]?\.?\d(?:[\w.]|(?<=[eE])[-+])"
+    + ANY_TIMES
+    + rb")|(?P<mark>[{}<>:\[\],;])|(?P<other>.)",
     re.DOTALL,
 )
 _CLOSING = {b"{": b"}", b"<": b">"}
