@@ -1,12 +1,15 @@
 """JSON read item by item: the values of the standard library, one line for what is broken, little memory."""
 
 import json
+import re
 import tracemalloc
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import semloc_jax
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import read_map
 from semloc_jax.maps.io import write_geojson
@@ -106,3 +109,9 @@ def test_a_geojson_is_no_larger_in_memory_than_its_elements(tmp_path):
     assert len(found.elements) == 1476
     assert peak - kept < 200_000 < 0.5 * path.stat().st_size
     assert peak_bytes(lambda: json.loads(text)) > path.stat().st_size
+
+
+def test_no_group_is_possessive_by_itself():
+    """Python before 3.11.5 matches such groups wrongly, and refused whole maps for it: `ANY_TIMES` knows."""
+    for path in Path(semloc_jax.__file__).parent.rglob("*.py"):
+        assert not re.search(r"\)[*+?]\+", path.read_text(encoding="utf-8")), path
