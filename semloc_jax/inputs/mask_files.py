@@ -20,6 +20,8 @@ RECORD = "segment.yaml"
 """What `semloc segment` writes beside its masks."""
 CLASSICAL = "classical"
 """Name of the built-in segmenter of road paint for plain images."""
+NET = "net"
+"""Name of the eyes that ship."""
 _MOST_STRETCH = 0.02
 """A network that works on whole cells may cut this share of a side; our choice."""
 
@@ -61,25 +63,29 @@ class MaskFiles:
         return cls(name, read, table, sizes, others)
 
     def mask(self, frame: Frame, camera: str) -> np.ndarray:
-        """Class ids uint8[h w]; a file that is damaged costs its own frame: all of it is ignored, with a warning.
-
-        Raises:
-            SemlocError: the mask has another size than the others of its camera.
-        """
+        """Class ids uint8[h w]; a mask that is damaged, or not as large as the first of its camera, costs its frame:
+        all of it is ignored, with a warning."""
         width, height = self.sizes[camera]
         try:
             mask = self.read(frame, camera)
         except DamagedPicture as error:
-            if str(error) not in self._told:  # a mask is asked for more than once
-                self._told.add(str(error))
-                _LOG.warning("%s; frame %s is taken without it", error, frame.id)
-            return np.full((height, width), UNLABELED_ID, np.uint8)
-        if mask.shape != (height, width):
-            raise SemlocError(
-                f"masks '{self.name}' of {camera}: frame {frame.id} has {mask.shape[1]}x{mask.shape[0]} px, those "
-                f"before have {width}x{height}; expected one size; make all masks of a camera in one way"
+            self._warn_once(str(error), f"{error}; frame {frame.id} is taken without it")
+        else:
+            if mask.shape == (height, width):
+                return mask
+            size = f"{mask.shape[1]}x{mask.shape[0]}"
+            self._warn_once(
+                f"{camera} {size}",
+                f"masks '{self.name}' of {camera}: frame {frame.id} has {size} px, the first one {width}x{height}; "
+                "frames of that size are taken without it; make all masks of a camera in one way",
             )
-        return mask
+        return np.full((height, width), UNLABELED_ID, np.uint8)
+
+    def _warn_once(self, fault: str, message: str) -> None:
+        """A mask is asked for more than once."""
+        if fault not in self._told:
+            self._told.add(fault)
+            _LOG.warning("%s", message)
 
 
 def _first_mask(read: Callable[[Frame, str], np.ndarray], frames: Sequence[Frame], camera: str) -> np.ndarray:
@@ -109,7 +115,7 @@ def _reader(name: str, drive: Drive, cameras: tuple[str, ...]) -> tuple[Callable
     if Path(name).is_dir():
         return _from_folder(Path(name), cameras), _recorded_table(Path(name)) or drive.table_name
     known = ", ".join(
-        (*drive.mask_sources, CLASSICAL, "FILE.onnx", "PRESET.yaml", "FILE.weights", "a folder CAMERA/FRAME.png")
+        (*drive.mask_sources, CLASSICAL, NET, "FILE.onnx", "PRESET.yaml", "FILE.weights", "a folder CAMERA/FRAME.png")
     )
     raise SemlocError(f"masks '{name}': drive {drive.name} has no such folder; expected one of {known}")
 

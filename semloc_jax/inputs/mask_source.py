@@ -12,7 +12,7 @@ import numpy as np
 
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
-from semloc_jax.inputs.mask_files import CLASSICAL, MaskFiles
+from semloc_jax.inputs.mask_files import CLASSICAL, NET, MaskFiles
 from semloc_jax.inputs.mask_view import MaskSource, TopViewSource, resized
 from semloc_jax.inputs.paint_and_eyes import paint_channel, with_paint
 from semloc_jax.perception import load_class_table, preset_names
@@ -29,8 +29,6 @@ _OFFSET_FRAMES = 12
 _MAX_OFFSET_PX = 2.0
 """Masks made at a fourth of the resolution and resized by their corners lie 1.5 px off; a larger estimate comes from
 lines that fix only one direction."""
-NET = "net"
-"""Name of the eyes that ship."""
 CLASSICAL_AND = CLASSICAL + "+"
 """Before the name of eyes: paint by the built-in segmenter, all else by the eyes."""
 TOP_VIEW = "ipm:"

@@ -12,15 +12,14 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.learning.marking_drives import ShownPoints
-from semloc_jax.learning.marking_points import NOTHING, PointScore, TopViewPool, begun, marking_loss, score
+from semloc_jax.learning.marking_points import NOTHING, PointScore, TopViewPool, marking_loss, score
+from semloc_jax.learning.sureness import UNSEEN_SEED, begun
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.perception.networks.dense_net import DenseNet
 from semloc_jax.perception.networks.marking_net import CONFIG, METRES_PER_PX, MarkingNet
 from semloc_jax.simulation.top_views.picture import TopViewSample, top_view_sample
 
 THRESHOLDS = (0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7)
-_UNSEEN = 1_000_003
-"""Seeds of pictures that judge begin here."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +63,14 @@ def taught(
         on_step: called with the number of a step and its loss.
     """
     pool = TopViewPool(config.num_pictures, config.size_px, config.training.seed)
-    network = begun(DenseNet.create(jax.random.key(config.training.seed), CONFIG))
+    network = begun(DenseNet.create(jax.random.key(config.training.seed), CONFIG), 1)
     return train(network, marking_loss, lambda rng: pool.batch(rng, config.batch), config.training, checkpoint, on_step)
 
 
 def unseen_pictures(config: SlotLearningConfig) -> list[ShownPoints]:
     """Random top views that no lesson shows."""
     drawn = (
-        top_view_sample(np.random.default_rng((_UNSEEN, k)), config.judged_px, METRES_PER_PX)
+        top_view_sample(np.random.default_rng((UNSEEN_SEED, k)), config.judged_px, METRES_PER_PX)
         for k in range(config.num_judged)
     )
     return [shown(sample) for sample in drawn]

@@ -6,13 +6,13 @@ In: seeds. Out: batches with what is to be said of each cell, the loss, recall a
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet
+from semloc_jax.learning.sureness import focal_loss
+from semloc_jax.perception.networks.dense_net import STRIDE
 from semloc_jax.perception.networks.marking_net import METRES_PER_PX, MarkingPoints, levelled_view
 from semloc_jax.simulation.top_views.picture import TopViewSample, top_view_sample
 
@@ -20,8 +20,6 @@ _SPREAD_CELLS = 1.0
 """Cells so near to a point are hardly wrong when they say that they have it."""
 _OFFSET, _DIRECTION, _CORNER = 1.0, 1.0, 0.2
 """Weights of the parts of the loss beside the confidence; ours."""
-_PRIOR_LOGIT = -4.0
-"""What a cell is begun with: few have a point."""
 
 
 class MarkingBatch(NamedTuple):
@@ -95,24 +93,17 @@ def targets(sample: TopViewSample) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return heat, (~unasked | (heat == 1.0)).astype(np.float32), told
 
 
-def begun(network: DenseNet) -> DenseNet:
-    """The network, whose cells say at first that there is hardly ever a point."""
-    return eqx.tree_at(lambda n: n.head.bias, network, network.head.bias.at[0].set(_PRIOR_LOGIT))
-
-
 def marking_loss(network: Callable[[Array], Array], batch: MarkingBatch) -> Float[Array, ""]:
     """Focal loss of the confidence (Law and Deng 2018), absolute and squared errors of the cells that have a point."""
     said = jax.vmap(network)(jnp.asarray(batch.picture))
     has = (batch.heat == 1.0).astype(said.dtype)
     num = jnp.maximum(has.sum(), 1.0)
-    sure = jax.nn.sigmoid(said[..., 0])
-    yes = has * (1.0 - sure) ** 2 * jax.nn.softplus(-said[..., 0])
-    no = (1.0 - has) * (1.0 - batch.heat) ** 4 * sure**2 * jax.nn.softplus(said[..., 0])
+    sureness = focal_loss(said[..., 0], jnp.asarray(batch.heat)) * batch.asked
     off = jnp.abs(said[..., 1:3] - batch.told[..., :2]).sum(axis=-1)
     turned = ((said[..., 3:5] - batch.told[..., 2:4]) ** 2).sum(axis=-1)
     corner = jax.nn.softplus(said[..., 5]) - batch.told[..., 4] * said[..., 5]
     per_point = has * (_OFFSET * off + _DIRECTION * turned + _CORNER * corner)
-    return ((yes + no) * batch.asked + per_point).sum() / num
+    return (sureness + per_point).sum() / num
 
 
 class PointScore(NamedTuple):

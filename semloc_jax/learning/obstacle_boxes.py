@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import cv2
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet
+from semloc_jax.learning.sureness import focal_loss
+from semloc_jax.perception.networks.dense_net import STRIDE
 from semloc_jax.perception.networks.obstacle_net import HORIZON_V, KINDS, PX_PER_RAD, SIDE_PX, SIZE_PX, prepared
 from semloc_jax.simulation.cylinder_views.picture import CylinderSample, Geometry, SeenThing, cylinder_sample
 
@@ -31,8 +31,6 @@ _BOX, _FOOT, _HAS_FOOT = 1.0, 1.0, 0.2
 """Weights of the parts of the loss beside the confidence; ours."""
 _ABOUT_THINGS = 0.75
 """Share of windows that are cut about a thing."""
-_PRIOR_LOGIT = -4.0
-"""What a cell is begun with: few have anything."""
 
 
 class ObstacleBatch(NamedTuple):
@@ -157,23 +155,15 @@ def targets(sample: CylinderSample) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     return heat, asked, told, share
 
 
-def begun(network: DenseNet) -> DenseNet:
-    """The network, whose cells say at first that there is hardly ever anything."""
-    return eqx.tree_at(lambda n: n.head.bias, network, network.head.bias.at[: len(KINDS)].set(_PRIOR_LOGIT))
-
-
 def obstacle_loss(network: Callable[[Array], Array], batch: ObstacleBatch) -> Float[Array, ""]:
     """Focal loss of the classes (Law and Deng 2018); errors of boxes and feet as shares of the sides of the box."""
     said, num_kinds = jax.vmap(network)(jnp.asarray(batch.picture)), len(KINDS)
     logit, more = said[..., :num_kinds], said[..., num_kinds:]
-    has = (batch.heat == 1.0).astype(said.dtype)
-    num = jnp.maximum(has.sum(), 1.0)
-    sure = jax.nn.sigmoid(logit)
-    yes = has * (1.0 - sure) ** 2 * jax.nn.softplus(-logit)
-    no = (1.0 - has) * (1.0 - batch.heat) ** 4 * sure**2 * jax.nn.softplus(logit)
+    num = jnp.maximum((batch.heat == 1.0).sum(), 1).astype(said.dtype)
+    sureness = focal_loss(logit, jnp.asarray(batch.heat)) * batch.asked[..., None]
     side = SIDE_PX / STRIDE * jnp.exp(batch.told[..., 2:4])  # [cells]
     off = jnp.abs(more[..., :2] - batch.told[..., :2]) / side + jnp.abs(more[..., 2:4] - batch.told[..., 2:4])
     foot = jnp.abs(more[..., 4:6] - batch.told[..., 4:6]).sum(axis=-1) * batch.told[..., 6]
     has_foot = jax.nn.softplus(more[..., 6]) - batch.told[..., 6] * more[..., 6]
     per_thing = batch.share * (_BOX * off.sum(axis=-1) + _FOOT * foot + _HAS_FOOT * has_foot)
-    return (((yes + no) * batch.asked[..., None]).sum() + per_thing.sum()) / num
+    return (sureness.sum() + per_thing.sum()) / num

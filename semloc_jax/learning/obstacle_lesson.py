@@ -14,15 +14,14 @@ from jaxtyping import Float, UInt8
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.average_precision import BoxScore, BoxSet, box_score
-from semloc_jax.learning.obstacle_boxes import CylinderPool, begun, is_asked, obstacle_loss
+from semloc_jax.learning.obstacle_boxes import CylinderPool, is_asked, obstacle_loss
+from semloc_jax.learning.sureness import UNSEEN_SEED, begun
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.perception.networks.dense_net import DenseNet
 from semloc_jax.perception.networks.obstacle_net import CONFIG, HORIZON_V, KINDS, PX_PER_RAD, SIZE_PX, ObstacleNet
 from semloc_jax.perception.networks.weights import load_weights
 from semloc_jax.simulation.cylinder_views.picture import CylinderSample, Geometry, cylinder_sample
 
-_UNSEEN = 1_000_003
-"""Seeds of pictures that judge begin here."""
 _LEAST = 0.05
 """Boxes that are less sure do not count for the average precision."""
 _THRESHOLDS = np.arange(0.2, 0.75, 0.05)
@@ -95,7 +94,7 @@ def taught(
     Raises:
         SemlocError: those weights are of another network.
     """
-    network = begun(DenseNet.create(jax.random.key(config.training.seed), CONFIG))
+    network = begun(DenseNet.create(jax.random.key(config.training.seed), CONFIG), len(KINDS))
     if begin_with is not None:
         network = load_weights(begin_with, network)
     pool = CylinderPool(config.num_pictures, config.width_px, config.training.seed)
@@ -112,7 +111,7 @@ def taught(
 def unseen_views(config: ObstacleLearningConfig) -> list[ShownObstacles]:
     """Random views that no lesson shows."""
     geometry = Geometry(PX_PER_RAD, config.width_px, SIZE_PX[1], HORIZON_V)
-    return [shown(cylinder_sample(np.random.default_rng((_UNSEEN, k)), geometry)) for k in range(config.num_judged)]
+    return [shown(cylinder_sample(np.random.default_rng((UNSEEN_SEED, k)), geometry)) for k in range(config.num_judged)]
 
 
 def shown(sample: CylinderSample) -> ShownObstacles:
