@@ -1,10 +1,10 @@
-"""What the reports of all lessons of networks share: the loss as it falls, pictures in a grid (room: reports; host).
+"""What the reports of all lessons of networks share: the loss as it falls (room: reports; host).
 
-In: losses step by step, tiles. Out: loss.csv, loss.png, one picture.
+In: losses step by step. Out: loss.csv, loss.png.
 """
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -61,9 +61,3 @@ def _curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
     by_step = {int(step): float(loss) for step, loss in csv.reader(lines)}
     steps = sorted(by_step)
     return np.array(steps), np.array([by_step[step] for step in steps])
-
-
-def in_grid(tiles: Sequence[np.ndarray], columns: int) -> np.ndarray:
-    """Pictures of one size, uint8[h w 3], side by side and below each other; what is left of the last row is black."""
-    full = [*tiles, *[np.zeros_like(tiles[0])] * (-len(tiles) % columns)]
-    return np.vstack([np.hstack(full[k : k + columns]) for k in range(0, len(full), columns)])

@@ -20,9 +20,10 @@ from semloc_jax.perception.networks.marking_net import CONFIG, METRES_PER_PX, OU
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.perception.networks.weights import save_weights
 from semloc_jax.reports.folder import make_folder, write_record
-from semloc_jax.reports.lesson import RANDOM, LessonReport, in_grid, watched_loss
+from semloc_jax.reports.lesson import RANDOM, LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz.marking_points import draw_points
+from semloc_jax.viz.sheet import sheet
 from semloc_jax.viz.style import save
 
 WEIGHTS = "slots.weights"
@@ -113,4 +114,4 @@ def _write_network(
 def _drawn(net: MarkingNet, pictures: Sequence[ShownPoints]) -> np.ndarray:
     """Some pictures side by side: truth as rings, what was found as arrows."""
     tiles = [draw_points(one.picture, METRES_PER_PX, net(one.picture, METRES_PER_PX), one.uv_m) for one in pictures]
-    return in_grid(tiles, columns=4)
+    return sheet(tiles, columns=4)

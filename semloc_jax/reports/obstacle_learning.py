@@ -29,14 +29,15 @@ from semloc_jax.perception.networks.obstacle_net import CONFIG, OUTPUTS, PX_PER_
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.perception.networks.weights import read_card, save_weights
 from semloc_jax.reports.folder import make_folder, write_record
-from semloc_jax.reports.lesson import RANDOM, LessonReport, in_grid, watched_loss
+from semloc_jax.reports.lesson import RANDOM, LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz.obstacle_boxes import draw_boxes
+from semloc_jax.viz.sheet import sheet
 from semloc_jax.viz.style import save
 
 WEIGHTS = "obstacles.weights"
 RANGES_M = ((0.0, np.inf), (0.0, 3.0), (3.0, 6.0), (6.0, 10.0))
-_PICTURES, _COLUMNS = 12, 2
+_PICTURES = 12
 
 
 def report_obstacle_learning(
@@ -133,4 +134,4 @@ def _drawn(net: ObstacleNet, pictures: Sequence[ShownObstacles]) -> np.ndarray:
     """Some pictures with what was found in them, those with most to find first."""
     chosen = sorted(pictures, key=lambda one: -int(one.is_asked.sum()))[:_PICTURES]
     tiles = [draw_boxes(one.picture, net(one.picture), one.box, one.is_asked) for one in chosen]
-    return in_grid(tiles, _COLUMNS)
+    return sheet(tiles)

@@ -17,8 +17,9 @@ from semloc_jax.perception.networks.eyes import Eyes
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.reports.eyes import BEST
 from semloc_jax.reports.folder import make_folder, write_record
-from semloc_jax.reports.lesson import LessonReport, in_grid, watched_loss
+from semloc_jax.reports.lesson import LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
+from semloc_jax.viz.sheet import sheet
 from semloc_jax.viz.style import save
 
 _PICTURES = 24
@@ -80,4 +81,4 @@ def _looks(eyes: Eyes, images: Sequence[LabelledImage]) -> np.ndarray:
             contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
             cv2.drawContours(tile, contours, -1, _COLOURS[k % len(_COLOURS)], 1, cv2.LINE_AA)
         tiles.append(tile)
-    return in_grid(tiles, columns=4)
+    return sheet(tiles, columns=4)
