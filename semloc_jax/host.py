@@ -25,6 +25,9 @@ class ProgramStore(Protocol):
     def is_open(self) -> bool:
         """Whether programs are kept at present."""
 
+    def is_quick(self) -> bool:
+        """Whether programs are compiled for a run of few frames at present."""
+
     def obtain(self, program: Any, static: dict[str, Any], tree: Any, leaves: list) -> tuple[Callable, Any, tuple]:
         """The compiled program for some arguments, the structure of its result, and the leaves of the result."""
 
