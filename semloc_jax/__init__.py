@@ -116,7 +116,7 @@ _ROOMS = {
 
 # Pure JAX rooms know no host: here they are told how kernels are built and where compiled programs are kept.
 _host.offer(
-    native=lambda: importlib.import_module("semloc_jax.native.build").status(),
+    native=lambda: importlib.import_module("semloc_jax.native.build").status,
     programs=lambda: importlib.import_module("semloc_jax.runtime.programs"),
 )
 

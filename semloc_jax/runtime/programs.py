@@ -111,7 +111,9 @@ def _load(path: Path, leaves: list) -> tuple[Callable, Any, tuple] | None:
         return None
     try:
         # Both pickles, this one and that in the payload, were written by `_store`: the seal says so.
-        payload, skeleton = pickle.loads(content)
+        payload, skeleton, parts = pickle.loads(content)
+        if not all(build.status(part).available for part in parts):
+            return None
         _prepare_linear_algebra()
         in_tree = jax.tree.structure(((0,) * len(leaves), {}))
         out_tree = jax.tree.structure((0,) * len(jax.tree.leaves(skeleton)))
@@ -134,7 +136,7 @@ def _store(path: Path, compiled: Any, skeleton: Any) -> None:
 
     try:
         payload, _, _ = serialize_executable.serialize(compiled)
-        write_sealed(path, pickle.dumps((payload, skeleton)))
+        write_sealed(path, pickle.dumps((payload, skeleton, build.loaded_parts())))
         _forget_oldest(path.parent)
     except Exception as error:  # a platform that cannot store programs, a full or read-only disk
         _log.debug("program %s: not stored (%s)", path, error)

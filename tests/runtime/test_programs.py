@@ -15,6 +15,7 @@ import pytest
 
 import semloc_jax
 from semloc_jax.mapping.crowd import kept_cells
+from semloc_jax.native import build
 from semloc_jax.runtime import effort, prepare, programs
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.storage.sources import hash_of_sources
@@ -234,3 +235,18 @@ def test_a_run_of_few_frames_has_programs_of_its_own(cache, monkeypatch):
             assert float(squares(np.float32(3))) == 9
     assert not effort.is_quick()
     assert set(asked) == {True, False} and len(squares._programs) == 2
+
+
+def test_a_program_whose_kernels_are_missing_is_made_anew(cache, monkeypatch):
+    """A program from disk needs the kernels that its process had loaded; one that cannot load them does not crash."""
+    monkeypatch.setattr(build, "loaded_parts", lambda: ("NoSuchCamera",))
+    monkeypatch.setattr(build, "_compiled", lambda command, part: (_ for _ in ()).throw(build._NotBuilt("no compiler")))
+    traced = []
+
+    def halved(x):
+        traced.append(x)
+        return x / 2
+
+    for _ in range(2):
+        assert float(stored_program()(halved)(np.float32(3))) == 1.5
+    assert len(traced) == 2 and not build.status("NoSuchCamera").available
