@@ -73,8 +73,10 @@ _ROOMS = {
         "BevCamera",
     ),
     "cameras.io": ("camera_from_K", "read_calibration", "write_calibration"),
-    "maps": ("SemanticMap", "MapElement", "map_from_arrays", "read_map", "write_map", "inspect_map", "sample"),
-    "perception": ("ClassTable", "Channel", "load_class_table", "CostMapConfig", "cost_maps"),
+    "maps": ("SemanticMap", "MapElement", "read_map", "write_map", "inspect_map", "sample"),
+    "maps.from_arrays": ("map_from_arrays",),
+    "perception": ("ClassTable", "Channel", "load_class_table"),
+    "perception.cost_maps": ("CostMapConfig", "cost_maps"),
     "perception.surround": ("SurroundView",),
     "perception.bowl": ("BowlView",),
     "perception.cylinder_view": ("CylinderView",),
@@ -115,7 +117,7 @@ _ROOMS = {
 
 # Pure JAX rooms know no host: here they are told how kernels are built and where compiled programs are kept.
 _host.offer(
-    native=lambda: importlib.import_module("semloc_jax.native.build").status(),
+    native=lambda: importlib.import_module("semloc_jax.native.build").status,
     programs=lambda: importlib.import_module("semloc_jax.runtime.programs"),
 )
 

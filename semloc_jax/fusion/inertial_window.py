@@ -27,7 +27,8 @@ from semloc_jax.geometry import rigid
 from semloc_jax.residuals.preintegration import InertialNoise, Preintegrated, preintegrate
 from semloc_jax.solvers.dense import DenseEquations
 from semloc_jax.solvers.graph import Values
-from semloc_jax.solvers.levenberg_marquardt import Damping, SolveConfig, levenberg_marquardt
+from semloc_jax.solvers.levenberg_marquardt import Damping, SolveConfig
+from semloc_jax.solvers.optimistix_loop import levenberg_marquardt
 
 _LARGEST_INVERSE_DEPTH = 5.0
 _MAD = 1.4826
