@@ -94,6 +94,12 @@ class PoseLevels(NamedTuple):
     misleading: float
 
 
+def spoken_for(state: TrackerState, rig: Rig, config: TrackConfig) -> list[watch.Separation]:
+    """What the last frames say against calibration, map and motion."""
+    doubts = (watch.Separation(*doubt) for doubt in innovations.doubts(state.innovations))
+    return [*doubts, *watch.spoken_for(state.watch, rig, config.watch)]
+
+
 def levels_of(
     state: TrackerState, fused: FusedPose, rig: Rig, map_sigma: tuple[float, float], config: TrackConfig
 ) -> PoseLevels:
@@ -104,8 +110,9 @@ def levels_of(
     levels = protection_levels(*known, integrity)
     faults = []
     if state.tracks:
-        doubts = (watch.Separation(*doubt) for doubt in innovations.doubts(state.innovations))
-        faults = [*doubts, *watch.separations(state.watch, fused, rig, config.watch)]
+        spoken = spoken_for(state, rig, config)
+        lasting = watch.lasting(state.doubted, spoken)
+        faults = [*spoken, *lasting, *watch.separations(state.watch, fused, rig, config.watch)]
     causes = watch.causes(levels, faults, integrity.limit)
     farthest = np.max([fault[:3] for fault in faults], axis=0) if faults else np.zeros(3)
     misled = misleading(*known, farthest, integrity.limit)

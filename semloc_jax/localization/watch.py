@@ -157,8 +157,18 @@ def _leaned(
     return leaned(watch, tilt_rad, np.array(spread)[1:3], way_m, config)
 
 
+def spoken_for(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separation]:
+    """Every fault that the last frames speak for; arguments as `separations`."""
+    found = []
+    for suspected in suspicions(watch, len(rig.names), config):
+        if suspected.nats >= (config.class_count_nats if suspected.name in CLASSES else config.count_nats):
+            ahead, left, turned = np.abs(suspected.moved)
+            found.append(Separation(left, ahead, float(np.degrees(turned)), _told(suspected, rig)))
+    return found
+
+
 def separations(watch: WatchState, fused: FusedPose, rig: Rig, config: WatchConfig) -> list[Separation]:
-    """Every fault that joins the protection levels.
+    """Every fault that joins the protection levels whatever the last frames say.
 
     Args:
         watch: Sums over the last frames.
@@ -166,12 +176,7 @@ def separations(watch: WatchState, fused: FusedPose, rig: Rig, config: WatchConf
         rig: Cameras.
         config: What counts.
     """
-    mean = np.asarray(rig.T_base_cam, np.float64)[:, :3, 3].mean(axis=0)
-    found = []
-    for suspected in suspicions(watch, len(rig.names), config):
-        if suspected.nats >= (config.class_count_nats if suspected.name in CLASSES else config.count_nats):
-            ahead, left, turned = np.abs(suspected.moved)
-            found.append(Separation(left, ahead, float(np.degrees(turned)), _told(suspected, rig)))
+    mean, found = np.asarray(rig.T_base_cam, np.float64)[:, :3, 3].mean(axis=0), []
     speaks = lens_sign.nats(watch.sign, config.share)
     if watch.sign.num > 0 and speaks > -config.count_nats:
         ahead, left, turned = np.abs(lens_sign.mean_move(watch.sign))
@@ -182,6 +187,32 @@ def separations(watch: WatchState, fused: FusedPose, rig: Rig, config: WatchConf
     aside = _looking_aside(float(watch.aside_rad), float(mean[0]), rig, config)
     tilted = _tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), float(mean[2]), rig)
     return [*found, aside, *_untold(fused, rig, config), *tilted]
+
+
+def remembered(
+    before: Float[np.ndarray, "3"], found: Sequence[Separation], way_m: float, config: WatchConfig
+) -> Float[np.ndarray, "3"]:
+    """How far the pose was in doubt of late: lateral [m], longitudinal [m], heading [deg].
+
+    A frame in which a fault happens not to show has not spoken against it.
+
+    Args:
+        before: At the frame before.
+        found: What the frames up to this one speak for.
+        way_m: Way since the frame before [m].
+        config: Memory.
+    """
+    kept = np.exp(-way_m / config.doubt_memory_m) * before
+    return np.max([kept, *(np.array(fault[:3]) for fault in found)], axis=0)
+
+
+def lasting(doubted: Float[np.ndarray, "3"], found: Sequence[Separation]) -> list[Separation]:
+    """What is remembered beyond that which is still spoken for; arguments as `remembered`."""
+    farthest = np.max([np.zeros(3), *(np.array(fault[:3]) for fault in found)], axis=0)
+    if (doubted <= farthest).all():
+        return []
+    cause = "what spoke against calibration, map or motion within the last metres has not been cleared yet"
+    return [Separation(*doubted.tolist(), cause)]
 
 
 def with_faults(levels: ProtectionLevels, found: list[Separation]) -> ProtectionLevels:

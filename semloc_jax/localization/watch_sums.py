@@ -84,6 +84,9 @@ class WatchConfig:
     the pose is, to the frame."""
     class_count_nats: ClassVar[float] = 1.0
     """Elements of one kind that were moved join the levels from so much on."""
+    doubt_memory_m: ClassVar[float] = 5.0
+    """Way over which what was spoken for still widens the levels: errors of masks stay over metres, so that a frame
+    within them which does not say it again has not said otherwise."""
     untold_share: ClassVar[float] = 2.0 / 3.0
     """Until the drive leaves less than this share of the variance of its direction of travel, cameras may look aside as
     far as they may without it."""

@@ -135,10 +135,25 @@ def test_posts_are_doubted_as_soon_as_lines_alone_fit_elsewhere_in_every_frame()
     ahead = moves(CONFIG)[:, 0] == 1.0
     profiles[0][ahead] = -1.0
     state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 12)
-    found = watch.separations(state, TOLD, rig(1), CONFIG)
+    found = watch.spoken_for(state, rig(1), CONFIG)
     assert watch.with_faults(LEVELS, found).longitudinal_m == pytest.approx(LEVELS.longitudinal_m + 1.0)
     after_one = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 1)
-    assert watch.with_faults(LEVELS, watch.separations(after_one, TOLD, rig(1), CONFIG)) == LEVELS
+    assert watch.with_faults(LEVELS, watch.spoken_for(after_one, rig(1), CONFIG)) == LEVELS
+
+
+def test_what_one_frame_does_not_say_again_is_doubted_on():
+    """Half a metre; a metre further nothing is said: exp(-1 / 5) of it. Then a smaller doubt, and a larger one."""
+    said = [watch.Separation(0.0, 0.5, 0.0, "lines fit 0.5 m ahead")]
+    at_first = watch.remembered(np.zeros(3), said, 1.0, CONFIG)
+    assert watch.lasting(at_first, said) == []
+    later = watch.remembered(at_first, [], 1.0, CONFIG)
+    (doubt,) = watch.lasting(later, [])
+    assert doubt.longitudinal_m == pytest.approx(0.5 * np.exp(-0.2)) and "not been cleared" in doubt.cause
+    smaller = [watch.Separation(0.1, 0.2, 0.0, "")]
+    np.testing.assert_allclose(watch.remembered(later, smaller, 0.0, CONFIG), [0.1, doubt.longitudinal_m, 0.0])
+    assert watch.remembered(later, [], 50.0, CONFIG).max() < 1e-4
+    # A vehicle that stands sees the same errors again and clears nothing.
+    np.testing.assert_array_equal(watch.remembered(later, [], 0.0, CONFIG), later)
 
 
 def test_before_the_drive_says_which_way_it_goes_cameras_may_look_aside():
