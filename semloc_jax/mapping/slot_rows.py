@@ -238,7 +238,10 @@ def _with_depth(
     if paint_m >= config.back_m and (ends_m is None or abs(depth_m - ends_m) < config.snap_m):
         return replace(row, depth_m=depth_m)
     agreeing = [length for length in whole if abs(length - ends_m) < 0.5 * config.off_m]
-    return replace(row, depth_m=float(np.mean(agreeing)) if 2 * len(agreeing) > len(whole) else None)
+    # Where as many go on, paint that is out of sight or worn ended the others.
+    longer = sum(d.length_m > ends_m + 0.5 * config.off_m for d in members) if whole else 0
+    is_end = 2 * len(agreeing) > len(whole) and len(agreeing) > longer
+    return replace(row, depth_m=float(np.mean(agreeing)) if is_end else None)
 
 
 def _drawn_anew(

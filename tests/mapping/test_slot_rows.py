@@ -136,6 +136,8 @@ def test_gaps_in_worn_dividers_are_no_back_of_a_shallow_row():
     """Three of five dividers end at a gap 2.4 m in: no depth that slots one drives into have."""
     lines = [divider(k, far=2.4) for k in range(3)] + [divider(k, far=4.5, ends=(True, False)) for k in (3, 4)]
     assert draw_rows(lines, WAY).rows[0].depth_m is None
+    lines = [divider(0, far=4.9)] + [divider(k, far=5.15, ends=(True, False)) for k in (1, 2)]
+    assert draw_rows(lines, WAY).rows[0].depth_m is None, "two go on beyond where one was seen to end"
 
 
 def test_a_row_of_which_little_was_seen_runs_as_its_long_neighbour():
