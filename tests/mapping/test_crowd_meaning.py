@@ -8,7 +8,7 @@ import pytest
 from semloc_jax.evaluation import compare_maps
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.exclusion import one_in_each_place
-from semloc_jax.mapping.crowd.facing import shows_its_face
+from semloc_jax.mapping.crowd.facing import passes_its_face
 from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.merged import merged
 from semloc_jax.mapping.crowd.presence import presence
@@ -140,8 +140,8 @@ def test_a_sign_is_seen_from_its_front_alone():
     place = own.moved(own.sights.way)[8] + [0.0, 4.0]
     heading = np.diff(own.sights.way[7:10:2], axis=0)[0]
     faces = np.array([-heading, heading, [0.0, 0.0]]) / np.linalg.norm(heading)
-    assert shows_its_face(own, np.tile(place, (3, 1)), faces).tolist() == [True, False, True]
-    assert not shows_its_face(own, place[None] + [0.0, 100.0], faces[:1]).any()
+    assert passes_its_face(own.moved(own.sights.way), np.tile(place, (3, 1)), faces).tolist() == [True, False, True]
+    assert not passes_its_face(own.moved(own.sights.way), place[None] + [0.0, 100.0], faces[:1]).any()
 
 
 def test_a_place_between_two_stations_lies_on_the_line():

@@ -40,10 +40,6 @@ def _extent(thing: Thing, axis: np.ndarray) -> tuple[float, float]:
     return float(side.min()), float(side.max())
 
 
-def _next(thing: Thing, rest: list[Thing], gap_m: float) -> int | None:
-    return next((k for k, other in enumerate(rest) if _in_line(thing, other, gap_m)), None)
-
-
 def _in_line(long: Thing, other: Thing, gap_m: float) -> bool:
     """Whether something short goes on where something longer ends."""
     aside = np.array([-long.along[1], long.along[0]])
