@@ -125,7 +125,7 @@ def report_merged(
     lines = _merge_in_words(found, state, ledger, new, judged)
     if judge.worlds is not None:
         gone = [change.element for change in found.changes if change.change == "removed"]
-        figures, length_m = judged_changes(state.map.elements, gone, drives, state.map.origin, judge.worlds)
+        figures, length_m = judged_changes(state.map.elements, gone, drives, ledger.base, judge.worlds)
         lines.append(figures.to_text(length_m))
     return "\n".join([*lines, f"map: {out}"])
 

@@ -14,8 +14,9 @@ from semloc_jax.evaluation import compare_maps
 from semloc_jax.evaluation.changed_worlds import ChangeFigures, WorldThings, change_figures
 from semloc_jax.evaluation.map_shapes import POSTS, thing_of
 from semloc_jax.mapping.crowd.facing import passes_its_face
+from semloc_jax.mapping.crowd.merged import origin_of
 from semloc_jax.mapping.crowd.sights import Sights, sights_of
-from semloc_jax.maps import GeoOrigin, MapElement, read_map
+from semloc_jax.maps import BeliefMap, MapElement, read_map
 from semloc_jax.maps.io.packed_drive import PackedDrive
 
 WORLD = "map.geojson"
@@ -40,7 +41,7 @@ def judged_changes(
     made: Sequence[MapElement],
     removed: Sequence[MapElement],
     drives: Sequence[PackedDrive],
-    origin: GeoOrigin | None,
+    before: BeliefMap | None,
     folder: Path,
 ) -> tuple[ChangeFigures, float]:
     """How well a map knows what has changed, and the length of the longest of its drives [m].
@@ -49,12 +50,14 @@ def judged_changes(
         made: elements of the map.
         removed: what it says has gone.
         drives: all that were merged, in the order of time.
-        origin: place of the map on the earth.
+        before: the map before any drive, which is what was there then; None where there was none.
         folder: see `worlds_of`.
     """
-    worlds = worlds_of(drives, folder)
-    things = WorldThings.of(worlds)
+    worlds, origin = worlds_of(drives, folder), origin_of(before, drives)
+    things = WorldThings.of(worlds if before is None else [before.map.elements, *worlds])
     columns = [_looked(things, sights_of(d, origin), world) for d, world in zip(drives, worlds, strict=True)]
+    if before is not None:
+        columns.insert(0, np.zeros(len(things.elements), dtype=bool))
     T_world_made = compare_maps(made, worlds[-1], "se2").T_reference_made
     figures = change_figures(made, removed, things, np.stack(columns, axis=1), T_world_made)
     return figures, max(drive.length_m for drive in drives)

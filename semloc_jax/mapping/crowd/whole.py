@@ -116,7 +116,9 @@ def merge_whole(
         known = joined(cells, ledger.base)
         if not known:
             raise SemlocError(f"merge: nothing stays of {num} drives; do they show the same road?")
-        edition, num_solved = next_edition(edition, known), num_solved + solved
+        # Under a survey a merge itself says no more than what has changed in meaning.
+        edition = Edition(tuple(known)) if is_surveyed else next_edition(edition, known)
+        num_solved += solved
     return _whole(edition, ledger.base, origin, cells, num_solved)
 
 
