@@ -34,7 +34,7 @@ _CORNERS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 Known = tuple[MapElement, Belief]
 
 
-class Offsets(NamedTuple):
+class FrameSights(NamedTuple):
     """Measured motions: where a published place is now, less where it was published, in one direction."""
 
     at: Float[np.ndarray, "n 2"]
@@ -53,7 +53,7 @@ def frame_motion(pairs: Sequence[tuple[Known, Known]], reach: Sequence[MapElemen
         reach: all that the motion must be known for.
     """
     found = [_of_line(a, b) if is_line(a[0]) else _of_thing(a, b) for a, b in pairs]
-    told = Offsets(*(np.concatenate(parts) for parts in zip(_NOTHING, *found, strict=True)))
+    told = FrameSights(*(np.concatenate(parts) for parts in zip(_NOTHING, *found, strict=True)))
     if not len(told.at):
         return Datum({})
     places = np.concatenate([told.at, *(e.points[:, :2] for e in reach)])
@@ -70,10 +70,10 @@ def frame_motion(pairs: Sequence[tuple[Known, Known]], reach: Sequence[MapElemen
     return Datum({(a, b): (x, y, up) for (a, b), (x, y, up) in zip(nodes.tolist(), cells, strict=True)})
 
 
-_NOTHING = Offsets(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
+_NOTHING = FrameSights(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
-def _of_thing(before: Known, now: Known) -> Offsets:
+def _of_thing(before: Known, now: Known) -> FrameSights:
     """Two directions of the middle of a thing."""
     old, new = thing_of(before[0]), thing_of(now[0])
     b, c = before[1], now[1]
@@ -82,10 +82,10 @@ def _of_thing(before: Known, now: Known) -> Offsets:
     axes = np.array([old.along, [-old.along[1], old.along[0]]])
     sigma_m = np.array([along_m, np.hypot(b.sigma_across_m, c.sigma_across_m)])
     up_m = np.full(2, now[0].points[:, 2].min() - before[0].points[:, 2].min())
-    return Offsets(np.tile(old.centre, (2, 1)), axes, axes @ (new.centre - old.centre), up_m, sigma_m)
+    return FrameSights(np.tile(old.centre, (2, 1)), axes, axes @ (new.centre - old.centre), up_m, sigma_m)
 
 
-def _of_line(before: Known, now: Known) -> Offsets:
+def _of_line(before: Known, now: Known) -> FrameSights:
     """Across a line, every few metres, where both run."""
     old, new = before[0].points, now[0].points
     length_m = float(polyline.arc_length(old[:, :2])[-1])
@@ -99,7 +99,7 @@ def _of_line(before: Known, now: Known) -> Offsets:
     beside = np.abs((offset[:, :2] * ahead).sum(axis=1)) < _BESIDE_M
     kept = beside & (np.abs(across_m) < 10.0 * _BESIDE_M)
     sigma_m = np.full(len(s_m), np.hypot(_LINE_SIGMA_M, np.hypot(before[1].sigma_across_m, now[1].sigma_across_m)))
-    return Offsets(at[kept, :2], axis[kept], across_m[kept], offset[kept, 2], sigma_m[kept])
+    return FrameSights(at[kept, :2], axis[kept], across_m[kept], offset[kept, 2], sigma_m[kept])
 
 
 def _weights(at: Float[np.ndarray, "n 2"], nodes: Int[np.ndarray, "k 2"]) -> csr_array:
