@@ -14,9 +14,17 @@ pytest.importorskip("ipykernel")
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-SLOW = {"01_cost_landscape", "04_tracking", "05_learning_through_the_solver", "06_self_calibration"}
+SLOW = {"01_cost_landscape", "03_jacobians", "04_tracking", "05_learning_through_the_solver", "06_self_calibration"}
 SLOW |= {"07_uncertainty_and_integrity", "08_localizability", "09_roofline", "10_explain_the_pose"}
-SLOW |= {"11_a_map_from_a_drive", "12_loops", "14_surround_view", "15_parking", "16_no_wheels", "17_eyes_from_a_map"}
+SLOW |= {
+    "11_a_map_from_a_drive",
+    "12_loops",
+    "13_a_living_map",
+    "14_surround_view",
+    "15_parking",
+    "16_no_wheels",
+    "17_eyes_from_a_map",
+}
 """Half a minute and more, most of it compilation; the roofline measures, which wants a machine of its own."""
 AS_FOR_USERS = SLOW | {"00_quickstart"}
 """Run programs compiled with the effort that users get; the others with that of the tests, see `tests/effort.py`."""
