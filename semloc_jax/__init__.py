@@ -35,7 +35,7 @@ The names, in the order of the data flow
     cameras      camera_from_K, mounted, Rig, read_calibration, write_calibration, PinholeCamera, ...
     map          read_map, map_from_arrays, write_map, inspect_map, SemanticMap, MapElement, sample
     masks        load_class_table, ClassTable, Channel, mask_source, cost_maps, render_masks, SurroundView,
-                 CylinderView
+                 BowlView, CylinderView
     drives       open_drive, Drive, Frame, simulate, simulate_on_map, with_fault
     first guess  planar_pose, PosePrior, prior_source
     one frame    align, search, localize_frames, iterate_frames, FrameLocalizer, LocalizeConfig, LocalizationResult
@@ -78,6 +78,7 @@ _ROOMS = {
     "perception": ("ClassTable", "Channel", "load_class_table"),
     "perception.cost_maps": ("CostMapConfig", "cost_maps"),
     "perception.surround": ("SurroundView",),
+    "perception.bowl": ("BowlView",),
     "perception.cylinder_view": ("CylinderView",),
     "datasets": ("Drive", "Frame", "open_drive"),
     "inputs.mask_source": ("mask_source",),

@@ -15,7 +15,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.storage import reading
 
 
-class Kind(NamedTuple):
+class RecordingKind(NamedTuple):
     """A kind of recording: its name, its module, and what there tells it and reads it; loaded when it is asked."""
 
     name: str
@@ -36,14 +36,14 @@ class Kind(NamedTuple):
 
 
 _KINDS = (
-    Kind("drive", "semloc_jax.datasets.drive", "is_drive", "read_drive"),
-    Kind("bag", "semloc_jax.datasets.bags", "is_bag", "read_bag"),
-    Kind("PandaSet", "semloc_jax.datasets.pandaset", "is_pandaset", "read_pandaset"),
-    Kind("EuRoC", "semloc_jax.datasets.euroc", "is_euroc", "read_euroc"),
-    Kind("Argoverse 2", "semloc_jax.datasets.argoverse2", "is_argoverse2_log", "read_argoverse2"),
-    Kind("nuScenes", "semloc_jax.datasets.nuscenes", "is_nuscenes", "read_nuscenes"),
-    Kind("KITTI", "semloc_jax.datasets.kitti", "is_kitti", "read_kitti"),
-    Kind("video", "semloc_jax.datasets.video", "is_video", "read_video"),
+    RecordingKind("drive", "semloc_jax.datasets.drive", "is_drive", "read_drive"),
+    RecordingKind("bag", "semloc_jax.datasets.bags", "is_bag", "read_bag"),
+    RecordingKind("PandaSet", "semloc_jax.datasets.pandaset", "is_pandaset", "read_pandaset"),
+    RecordingKind("EuRoC", "semloc_jax.datasets.euroc", "is_euroc", "read_euroc"),
+    RecordingKind("Argoverse 2", "semloc_jax.datasets.argoverse2", "is_argoverse2_log", "read_argoverse2"),
+    RecordingKind("nuScenes", "semloc_jax.datasets.nuscenes", "is_nuscenes", "read_nuscenes"),
+    RecordingKind("KITTI", "semloc_jax.datasets.kitti", "is_kitti", "read_kitti"),
+    RecordingKind("video", "semloc_jax.datasets.video", "is_video", "read_video"),
 )
 _OWN_CALIBRATION = ("PandaSet",)
 
