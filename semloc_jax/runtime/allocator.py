@@ -14,8 +14,8 @@ import numpy as np
 _M_MMAP_THRESHOLD = -3
 """Of glibc's malloc.h."""
 _LARGE_BYTES = 1 << 22
-"""Cost maps are larger. What is smaller, masks among them, stays in the heap: the system clears each page of a new block,
-which at 2**18 took a sixth of a tracked drive."""
+"""Cost maps are larger. What is smaller, masks among them, stays in the heap: the system clears every page of a new
+block, which at 2**18 took a sixth of a tracked drive."""
 
 
 @functools.cache
