@@ -4,11 +4,13 @@ import importlib
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
-from semloc_jax.cli.main import FAILED, OK, USAGE, VERBS, main
+import semloc_jax.cli.main as command
+from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, VERBS, main
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = "jax", "numpy", "cv2", "matplotlib", "scipy", "yaml", "equinox"
@@ -72,6 +74,18 @@ def test_the_configuration_of_a_verb_is_printed_and_read_back(verb, tmp_path, ca
     assert read_settings(str(tmp_path / "mine.yaml"), module.Options, module.default_settings())[0] == (
         module.default_settings()
     )
+
+
+def test_the_process_ends_at_once_but_for_what_others_have_to_see(monkeypatch):
+    done = []
+    worker = threading.Thread(target=lambda: done.append("thread"))
+    monkeypatch.setattr(command, "main", lambda: worker.start() or LOST)
+    monkeypatch.setattr(command.atexit, "_run_exitfuncs", lambda: done.append("registered"))
+    monkeypatch.setattr(command.sys.stdout, "flush", lambda: done.append("flushed"))
+    monkeypatch.setattr(command.os, "_exit", sys.exit)
+    with pytest.raises(SystemExit) as end:
+        command.leave()
+    assert end.value.code == LOST and done == ["thread", "registered", "flushed"]
 
 
 def test_version_is_printed(capsys):
