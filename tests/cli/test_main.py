@@ -4,13 +4,11 @@ import importlib
 import os
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import pytest
 
-import semloc_jax.cli.main as command
-from semloc_jax.cli.main import FAILED, LOST, OK, USAGE, VERBS, main
+from semloc_jax.cli.main import FAILED, OK, USAGE, VERBS, main
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = "jax", "numpy", "cv2", "matplotlib", "scipy", "yaml", "equinox"
@@ -76,16 +74,26 @@ def test_the_configuration_of_a_verb_is_printed_and_read_back(verb, tmp_path, ca
     )
 
 
-def test_the_process_ends_at_once_but_for_what_others_have_to_see(monkeypatch):
-    done = []
-    worker = threading.Thread(target=lambda: done.append("thread"))
-    monkeypatch.setattr(command, "main", lambda: worker.start() or LOST)
-    monkeypatch.setattr(command.atexit, "_run_exitfuncs", lambda: done.append("registered"))
-    monkeypatch.setattr(command.sys.stdout, "flush", lambda: done.append("flushed"))
-    monkeypatch.setattr(command.os, "_exit", sys.exit)
-    with pytest.raises(SystemExit) as end:
-        command.leave()
-    assert end.value.code == LOST and done == ["thread", "registered", "flushed"]
+WAITS = """
+import atexit, sys, time
+from concurrent.futures import ThreadPoolExecutor
+import semloc_jax.cli.main as command
+
+def main():
+    pool = ThreadPoolExecutor(1)  # never shut down
+    pool.submit(lambda: (time.sleep(0.1), print("work")))
+    print("done")
+    return 3
+
+atexit.register(lambda: print("registered"))
+command.main = main
+command.leave()
+"""
+
+
+def test_the_process_ends_at_once_but_for_what_others_have_to_see():
+    found = subprocess.run([sys.executable, "-c", WAITS], capture_output=True, text=True, check=False, timeout=60)
+    assert (found.returncode, found.stdout.split(), found.stderr) == (3, ["done", "work", "registered"], "")
 
 
 def test_version_is_printed(capsys):
