@@ -117,9 +117,7 @@ def leave() -> NoReturn:
     others have to see is done before: threads have ended, files are closed or cleaned up (`atexit`), output is flushed.
     """
     code = main()
-    for thread in threading.enumerate():
-        if thread is not threading.main_thread() and not thread.daemon:
-            thread.join()
+    threading._shutdown()  # with these two Python itself begins to end; pools that wait for work end by the first only
     atexit._run_exitfuncs()
     try:
         for stream in (sys.stdout, sys.stderr):

@@ -69,7 +69,10 @@ def run_lines(runs: Sequence[drives.DriveRun]) -> list[str]:
             f"{run.verb:<9}{run.case.name:<19}{cold:>15}{warm:>15}{frame:>13}{hour:>17.0f}"
             f"{run.whole.peak_mib:>6.0f}{run.good:>6.0%}  {stages}"
         )
-    return [*lines, "CPU time, in brackets wall time; a start is that of a process with its first three frames"]
+    spread = max(run.spread for run in runs)
+    lines.append("CPU time, in brackets wall time; a start is that of a process with its first three frames")
+    lines.append(f"the same small work cost up to {spread:.0%} more or less CPU time while this was measured")
+    return lines
 
 
 def fleet_lines(fleets: Sequence[drives.FleetRun]) -> list[str]:

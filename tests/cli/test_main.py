@@ -74,6 +74,28 @@ def test_the_configuration_of_a_verb_is_printed_and_read_back(verb, tmp_path, ca
     )
 
 
+WAITS = """
+import atexit, sys, time
+from concurrent.futures import ThreadPoolExecutor
+import semloc_jax.cli.main as command
+
+def main():
+    pool = ThreadPoolExecutor(1)  # never shut down
+    pool.submit(lambda: (time.sleep(0.1), print("work")))
+    print("done")
+    return 3
+
+atexit.register(lambda: print("registered"))
+command.main = main
+command.leave()
+"""
+
+
+def test_the_process_ends_at_once_but_for_what_others_have_to_see():
+    found = subprocess.run([sys.executable, "-c", WAITS], capture_output=True, text=True, check=False, timeout=60)
+    assert (found.returncode, found.stdout.split(), found.stderr) == (3, ["done", "work", "registered"], "")
+
+
 def test_version_is_printed(capsys):
     assert main(["--version"]) == OK
     assert capsys.readouterr().out.startswith("semloc 0.")
