@@ -324,10 +324,10 @@ class Localizer:
         if self.area is not None and coasting is None:
             modes = self.acquisition.search_area(frame, self.area)
         else:
-            prior = self.acquisition.prior(state.fixes, coasting, frame.time_s) or frame.guess
-            if prior is None:
+            priors = self.acquisition.priors(state.fixes, coasting, frame.time_s) or [frame.guess]
+            if priors[0] is None:
                 return state
-            modes = self.acquisition.search(frame, prior)
+            modes = self.acquisition.search(frame, priors)
         state = state._replace(searched_s=np.float64(frame.time_s))
         if not modes:
             return state
