@@ -71,8 +71,8 @@ class WatchConfig:
     the pose is, to the frame."""
     class_count_nats: ClassVar[float] = 1.0
     """Elements of one kind that were moved join the levels from so much on."""
-    doubt_memory_m: ClassVar[float] = 5.0
-    """Way over which what was spoken for still widens the levels: errors of masks stay over metres, so that a frame
+    doubt_memory_m: ClassVar[float] = 8.0
+    """Way over which what was spoken for still widens the levels: so long errors of masks may stay the same. A frame
     within them which does not say it again has not said otherwise."""
 
 
