@@ -30,6 +30,9 @@ class Options:
     """A folder for tables and pictures."""
     truth: Path | None = None
     """A reference map, to judge the result by, with the rule 'replace within 5 m if more confident' beside it."""
+    worlds: Path | None = None
+    """With --truth: the folder of the simulated drives; WORLDS/NAME/map.geojson is the exact world of drive NAME. Says
+    how much of what came and went is known after so many looks, what was invented, what was removed wrongly."""
     jobs: int = 1
     """Processes that merge cells of 1024 m at the same time; the map is the same for any number."""
     ray: bool = False
@@ -43,7 +46,7 @@ def run(options: Options) -> int:
     from semloc_jax.errors import UsageError
     from semloc_jax.mapping.crowd.ledger import waiting_drives
     from semloc_jax.mapping.crowd.whole import Crew
-    from semloc_jax.reports.crowd import report_merged
+    from semloc_jax.reports.crowd import Judge, report_merged
 
     packed = [path for path in options.maps if path.suffix.lower() == ".slocal"]
     bases = [path for path in options.maps if path.suffix.lower() != ".slocal"]
@@ -51,6 +54,8 @@ def run(options: Options) -> int:
         raise UsageError("expected at most one base map, before the drives (.slocal)")
     if options.curve and (options.report is None or options.truth is None):
         raise UsageError("--curve needs --report and --truth")
+    if options.worlds is not None and options.truth is None:
+        raise UsageError("--worlds needs --truth")
     if options.inbox and not bases:
         raise UsageError("--inbox needs the map that is served as BASE")
     if not packed and not options.inbox:
@@ -64,7 +69,8 @@ def run(options: Options) -> int:
         return OK
     crew = Crew(options.jobs, options.ray)
     drives = [*packed, *waiting]
-    print(report_merged(base, drives, options.out, options.report, options.truth, options.curve, crew))
+    judge = Judge(options.truth, options.worlds, options.curve)
+    print(report_merged(base, drives, options.out, options.report, judge, crew))
     for path in waiting:
         path.unlink(missing_ok=True)
     return OK

@@ -5,7 +5,7 @@ In: folders of maps, packed drives, a base map. Out: files, and the text for peo
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -25,11 +25,27 @@ from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_pack
 from semloc_jax.maps.versions.history import write_version
 from semloc_jax.maps.versions.state import MapState, read_state
 from semloc_jax.reports.crowd_curve import write_curve
+from semloc_jax.reports.crowd_worlds import judged_changes
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz import changes_from_above, existence_from_above, save
 
 _NOWHERE_M = 1e3
+
+
+@dataclass(frozen=True)
+class Judge:
+    """What a merged map is judged by.
+
+    Attributes:
+        truth: a reference map.
+        worlds: the folder of the simulated drives, with the exact world of each; None leaves what changed unjudged.
+        curve: whether the report shows how the error falls with the number of drives.
+    """
+
+    truth: Path | None = None
+    worlds: Path | None = None
+    curve: bool = False
 
 
 def report_packed(
@@ -62,8 +78,7 @@ def report_merged(
     packed_paths: Sequence[Path],
     out: Path,
     report: Path | None = None,
-    truth: Path | None = None,
-    curve: bool = False,
+    judge: Judge | None = None,
     crew: Crew | None = None,
 ) -> str:
     """Merges packed drives into a map and writes it, with its history beside it.
@@ -73,8 +88,7 @@ def report_merged(
         packed_paths: files of `semloc pack`.
         out: the .gpkg file to write.
         report: folder for tables and pictures; None for none.
-        truth: a reference map, to judge by.
-        curve: whether the report shows how the error falls with the number of drives.
+        judge: what to judge it by; None for nothing.
         crew: who works; None for this process.
 
     Raises:
@@ -97,25 +111,33 @@ def report_merged(
     kept = KeptCells(out, base)
     found = merge_whole(ledger, crew=crew, kept=kept, progress=lambda items, name: tqdm(items, desc=name))
     version = ledger.version if before is None else max(ledger.version, before.version + new)
-    state = MapState(ledger.written(found.beliefs), version, len(ledger.drives))
+    state = MapState(ledger.written(found.beliefs), version, len(ledger.drives), found.datum)
     write_ledger(ledger, state, out)
     write_version(state, out, before, base, f"merge of {_counted(new, 'drive')}")
     kept.drop_others()
-    judged, drives = {}, in_order(ledger.unpacked())
-    if truth is not None:
-        reference, by_rule = read_map(truth).elements, replaced(drives, state.map.origin).elements
-        for name, made, alignment in (
-            ("map", state.map.elements, "se2"),
-            ("absolute", state.map.elements, "none"),
-            ("seed_rule", by_rule, "se2"),
-        ):
-            judged[name] = compare_maps(made, reference, alignment)
+    judge, drives = judge or Judge(), in_order(ledger.unpacked())
+    judged = {} if judge.truth is None else _judged(state, drives, judge.truth)
     if report is not None:
         folder = make_folder(report)
         _write_report(found, len(drives), judged, folder)
-        if curve and truth is not None:
-            write_curve(ledger.base, drives, read_map(truth), folder)
-    return "\n".join([*_merge_in_words(found, state, ledger, new, judged), f"map: {out}"])
+        if judge.curve and judge.truth is not None:
+            write_curve(ledger.base, drives, read_map(judge.truth), folder)
+    lines = _merge_in_words(found, state, ledger, new, judged)
+    if judge.worlds is not None:
+        gone = [change.element for change in found.changes if change.change == "removed"]
+        figures, length_m = judged_changes(state.map.elements, gone, drives, ledger.base, judge.worlds)
+        lines.append(figures.to_text(length_m))
+    return "\n".join([*lines, f"map: {out}"])
+
+
+def _judged(state: MapState, drives: Sequence[PackedDrive], truth: Path) -> dict[str, MapComparison]:
+    """The map against a reference, and beside it what the rule of the literature makes of the same drives."""
+    reference, by_rule = read_map(truth).elements, replaced(drives, state.map.origin).elements
+    return {
+        "map": compare_maps(state.map.elements, reference, "se2"),
+        "absolute": compare_maps(state.map.elements, reference, "none"),
+        "seed_rule": compare_maps(by_rule, reference, "se2"),
+    }
 
 
 def _counted(count: int, noun: str) -> str:

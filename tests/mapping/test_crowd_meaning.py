@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from semloc_jax.evaluation import compare_maps
+from semloc_jax.evaluation.map_shapes import thing_of
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.exclusion import one_in_each_place
-from semloc_jax.mapping.crowd.facing import shows_its_face
+from semloc_jax.mapping.crowd.facing import passes_its_face
 from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.merged import merged
 from semloc_jax.mapping.crowd.presence import presence
 from semloc_jax.mapping.crowd.rejoined import rejoined
-from semloc_jax.mapping.crowd.sights import sights_of
+from semloc_jax.mapping.crowd.sights import Things, sights_of
 from semloc_jax.mapping.crowd.world import CrowdWorld
 from semloc_jax.mapping.crowd.world_lines import WorldLine, all_of, distance_m
 from semloc_jax.maps import Belief, BeliefMap, MapElement
@@ -111,6 +112,43 @@ def test_what_is_painted_anew_takes_the_place_of_the_old():
     assert np.array_equal(one_in_each_place(world_of([[0.0, 0.0], [1.2, 0.0]]), together, alone, config).now, alone.now)
 
 
+def test_two_signs_that_no_drive_shows_together_are_one_and_posts_need_room():
+    """A sign is placed from afar: half a metre apart, each seen by some, and never both. Poles so close are two."""
+    apart = CrowdWorld(
+        np.array(["sign", "sign", "pole", "pole"], dtype=object), np.zeros((4, 2), int),
+        np.array([[0.0, 0.0], [0.5, 0.0], [9.0, 0.0], [9.5, 0.0]]), np.tile([1.0, 0.0], (4, 1)), np.zeros((4, 2)),
+    )  # fmt: skip
+    seen_in = np.array([[1, 1, 0, 1, 0], [0, 0, 1, 0, 0], [1, 1, 0, 0, 0], [0, 0, 1, 1, 1]], dtype=bool)
+    assert apart.twins(seen_in, 0.28).tolist() == [False, True, False, False]
+    both = seen_in.copy()
+    both[1, 0] = True
+    assert not apart.twins(both, 0.28).any()
+    # The pole of the first drives gave way to one half a metre on: the old one goes at once.
+    shown, config = looks(seen_in[2:]), PresenceConfig()
+    poles = CrowdWorld(apart.kind[2:], apart.source[2:], apart.centre[2:], apart.along[2:], apart.half_m[2:])
+    alone = presence(shown, config)
+    assert one_in_each_place(poles, shown, alone, config).stays.tolist() == [False, True]
+
+
+def test_parts_of_a_stop_line_are_that_stop_line():
+    """One drive sees the left part and the right one beyond a car, another one the middle."""
+    parts = [stop_line("a", 0.0, 1.5), stop_line("b", 4.0, 6.8), stop_line("c", 2.0, 5.0)]
+    whole = rejoined(parts[:2])
+    assert [np.ptp(thing_of(e).corners[:, 1]) for e, _ in whole] == [pytest.approx(6.8)]
+    assert len(rejoined([parts[0], stop_line("d", 6.0, 7.0)])) == 2  # beyond another lane
+    world = CrowdWorld(
+        np.array(["stop_line"], dtype=object), np.zeros((1, 2), int), np.array([[0.0, 0.7]]),
+        np.array([[0.0, 1.0]]), np.array([[0.75, 0.15]]),
+    )  # fmt: skip
+    things = Things.of([parts[1], parts[2], stop_line("e", 0.9, 3.0)])
+    assert world.paired(things, things.centre, things.along, 0.28).tolist() == [[2, 0]]
+
+
+def stop_line(name, low, high):
+    points = np.array([[0.0, low, 0.0], [0.0, high, 0.0]])
+    return MapElement(name, "stop_line", points, width_m=0.3), Belief(0.05, 0.1, 3.0)
+
+
 def test_what_hangs_high_and_was_never_seen_is_not_deleted_but_what_was_seen_once_is():
     seen = np.zeros((30, 6))
     seen[:26] = 1
@@ -140,8 +178,8 @@ def test_a_sign_is_seen_from_its_front_alone():
     place = own.moved(own.sights.way)[8] + [0.0, 4.0]
     heading = np.diff(own.sights.way[7:10:2], axis=0)[0]
     faces = np.array([-heading, heading, [0.0, 0.0]]) / np.linalg.norm(heading)
-    assert shows_its_face(own, np.tile(place, (3, 1)), faces).tolist() == [True, False, True]
-    assert not shows_its_face(own, place[None] + [0.0, 100.0], faces[:1]).any()
+    assert passes_its_face(own.moved(own.sights.way), np.tile(place, (3, 1)), faces).tolist() == [True, False, True]
+    assert not passes_its_face(own.moved(own.sights.way), place[None] + [0.0, 100.0], faces[:1]).any()
 
 
 def test_a_place_between_two_stations_lies_on_the_line():

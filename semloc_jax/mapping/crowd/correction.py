@@ -16,13 +16,12 @@ from scipy.sparse import csr_array
 
 from semloc_jax.evaluation.map_shapes import kind_of
 from semloc_jax.geometry import polyline
-from semloc_jax.mapping.crowd.sights import Sights
+from semloc_jax.mapping.crowd.sights import LEAST_DRIVEN_M, Sights
 from semloc_jax.mapping.crowd.stations import stations
 from semloc_jax.mapping.crowd.world_lines import Piece
 from semloc_jax.maps import MapElement
 
 _NODE_M = 25.0
-_SURVEYED_M = 0.1
 _HELD_RAD = 1e-5
 SCALE = 3
 """Place of the scale among the unknowns, after a shift and a turn."""
@@ -81,7 +80,7 @@ class Correction:
     @property
     def is_held(self) -> bool:
         """Whether it is a surveyed map, which lies where it lies."""
-        return self.sights.is_base and self.sights.sigma_place_m < _SURVEYED_M
+        return self.sights.is_base and self.sights.sigma_place_m < LEAST_DRIVEN_M
 
     def rows(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2 p"]:
         """Displacement of points by each unknown."""

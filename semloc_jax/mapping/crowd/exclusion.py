@@ -10,15 +10,21 @@ from dataclasses import replace
 import numpy as np
 import shapely
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
+from semloc_jax.evaluation.map_shapes import POSTS
 from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.presence import Presence, belongs
 from semloc_jax.mapping.crowd.world import CrowdWorld
 
+POST_NAMES = sorted(label.name.lower() for label in POSTS)
 _WIDER_M = 0.1
 """By how much a place may be off."""
 _SHARE = 0.2
 """So much of the smaller of two lies in the other; ours, as the length above."""
+_ROOM_M = 0.6
+"""Posts of a kind do not stand so close, nor do signs hang so on two posts; ours."""
+_NONE = np.zeros((0, 2), dtype=np.int64)
 _REPLACED = 5.0
 """Paint that goes is laid anew beside its place so many times as often as paint comes by itself; ours."""
 _SURE = 0.995
@@ -48,9 +54,13 @@ def _rivals(world: CrowdWorld, looks: Looks) -> Int[np.ndarray, "k 2"]:
     a, b = shapely.STRtree(outlines).query(outlines, predicate="intersects")
     shared = shapely.area(shapely.intersection(outlines[a], outlines[b]))
     least = np.minimum(shapely.area(outlines[a]), shapely.area(outlines[b]))
-    a, b = flat[a], flat[b]
+    a, b, lies = flat[a], flat[b], shared > _SHARE * least
+    stands = np.flatnonzero(np.isin(world.kind.astype(str), POST_NAMES))
+    close = cKDTree(world.centre[stands]).query_pairs(_ROOM_M, output_type="ndarray") if len(stands) > 1 else _NONE
+    a, b = np.concatenate([a, stands[close[:, 0]]]), np.concatenate([b, stands[close[:, 1]]])
+    lies = np.concatenate([lies, np.ones(len(close), dtype=bool)])
     together = (looks.seen[a] & looks.seen[b]).any(axis=1) | (looks.is_based[a] & looks.is_based[b])
-    chosen = (a < b) & (shared > _SHARE * least) & (world.kind[a] == world.kind[b]) & ~together
+    chosen = (a < b) & lies & (world.kind[a] == world.kind[b]) & ~together
     return np.stack([a[chosen], b[chosen]], axis=1)
 
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from semloc_jax.evaluation.map_shapes import POSTS, kind_of
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.correction import Correction
-from semloc_jax.mapping.crowd.facing import shows_its_face
+from semloc_jax.mapping.crowd.facing import passes_its_face
 from semloc_jax.mapping.crowd.fusion import Fused
 from semloc_jax.mapping.crowd.ground import Ground
 from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
@@ -58,7 +58,7 @@ def _things(fused: Fused, rows: list[int], steps: np.ndarray, config: PresenceCo
         back = drive.back(places.reshape(-1, 2))
         inside = _within(drive.sights.area, back).reshape(n, 3).all(axis=1)
         visible[:, column] = np.where(is_post, _within(drive.sights.upright_area, back).reshape(n, 3)[:, 0], inside)
-        visible[:, column] &= shows_its_face(drive, world.centre, faces)
+        visible[:, column] &= passes_its_face(drive.moved(drive.sights.way), world.centre, faces)
         seen[fused.seen[k].pairs[:, 1], column] = True
         band[:, column] = _band(drive, back.reshape(n, 3, 2)[:, 0])
     beliefs = [fused.drives[place].sights.things.beliefs[row] for place, row in world.source.tolist()]

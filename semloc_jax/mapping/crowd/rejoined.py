@@ -11,8 +11,9 @@ import numpy as np
 from semloc_jax.evaluation.map_shapes import Thing, kind_of, thing_of
 from semloc_jax.maps import Belief, MapElement
 
-_GAP_M = {"crosswalk": 0.8, "dash": 0.5}
-"""Farther apart, pieces of these kinds are two things. Bars lie side by side, never end to end."""
+_GAP_M = {"crosswalk": 0.8, "dash": 0.5, "stop_line": 3.5}
+"""Farther apart, pieces of these kinds are two things. Bars lie side by side, never end to end; of a stop line a car or
+a lane that nobody saw may be missing."""
 _OVERLAP_M, _ASIDE_M = 0.1, 0.15
 _TURN = np.cos(0.15)
 """Pieces whose directions differ by more are not in line; ours, as the lengths above."""
@@ -38,10 +39,6 @@ def rejoined(known: list[tuple[MapElement, Belief]]) -> list[tuple[MapElement, B
 def _extent(thing: Thing, axis: np.ndarray) -> tuple[float, float]:
     side = thing.corners @ axis
     return float(side.min()), float(side.max())
-
-
-def _next(thing: Thing, rest: list[Thing], gap_m: float) -> int | None:
-    return next((k for k, other in enumerate(rest) if _in_line(thing, other, gap_m)), None)
 
 
 def _in_line(long: Thing, other: Thing, gap_m: float) -> bool:

@@ -24,6 +24,8 @@ _UPRIGHT_REACH_M = 6.0
 _FAR_M = 100.0
 _SURVEYED_M, _DRIVEN_M = 0.02, 1.5
 """How far a surveyed map and that of one drive may be off as a whole; ours."""
+LEAST_DRIVEN_M = 0.1
+"""A map that may be off by more as a whole was made by drives; ours."""
 _LEAST_SIGMA_M = (0.05, 0.02)
 """No drive knows a thing better along and across: what it sees is off alike in all its frames."""
 CROWD = "crowd"
@@ -161,6 +163,11 @@ class Base:
         """A map of unknown making: one that a drive made lies where its satellite fixes put it."""
         driven = any(b.num_seen > 0 and b.provenance != CROWD for b in beliefs.beliefs.values())
         return cls(beliefs, _DRIVEN_M if driven else _SURVEYED_M)
+
+    @property
+    def is_surveyed(self) -> bool:
+        """Whether it lies where it lies, whatever drives say."""
+        return self.sigma_place_m < LEAST_DRIVEN_M
 
 
 def base_sights(base: Base) -> Sights:

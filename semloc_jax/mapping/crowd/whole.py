@@ -2,6 +2,7 @@
 
 In: all drives that were ever merged, a base map. Out: WholeMap. Cells whose drives are those of before are not solved
 again: what they made is kept. A function of the set of drives: no order, grouping or number of workers changes a bit.
+Without a survey the map that cars are told of follows from that of the first half of the drives, see `editions`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,6 +14,7 @@ from semloc_jax.mapping.crowd.cell_map import CellMap, DriveRow
 from semloc_jax.mapping.crowd.cell_work import CellTask, merge_cell
 from semloc_jax.mapping.crowd.cells import CELL_M, HALO_M, Cell, cell_of, cells_of
 from semloc_jax.mapping.crowd.changes import CrowdChange
+from semloc_jax.mapping.crowd.editions import Edition, next_edition, prefixes
 from semloc_jax.mapping.crowd.fusion import Distrusted, Progress
 from semloc_jax.mapping.crowd.joined import joined
 from semloc_jax.mapping.crowd.kept_cells import KeptCells, name_of
@@ -22,6 +24,7 @@ from semloc_jax.mapping.crowd.sights import Base, sights_of
 from semloc_jax.mapping.crowd.time_order import timed
 from semloc_jax.maps import BeliefMap, GeoOrigin
 from semloc_jax.maps.io.packed_drive import PackedDrive
+from semloc_jax.maps.versions.datum import Datum
 from semloc_jax.runtime.crew import spread
 
 
@@ -43,7 +46,8 @@ class WholeMap:
     """The map of many drives.
 
     Attributes:
-        beliefs: the map.
+        beliefs: the map, as cars are told of it.
+        datum: how its frame has moved since its elements were published.
         changes: what came, went and moved.
         distrusted: drives that disagree with the others, each once.
         rates: how well drives show what is there, by class.
@@ -52,6 +56,7 @@ class WholeMap:
     """
 
     beliefs: BeliefMap
+    datum: Datum
     changes: tuple[CrowdChange, ...]
     distrusted: tuple[Distrusted, ...]
     rates: dict[str, Rate]
@@ -104,7 +109,29 @@ def merge_whole(
     drives = timed(ledger.unpacked())
     if not drives:
         raise SemlocError("merge: no drives; give files of `semloc pack`")
-    base, origin = ledger.base, origin_of(ledger.base, [drive for drive, _ in drives])
+    origin, edition, num_solved = origin_of(ledger.base, [drive for drive, _ in drives]), None, 0
+    is_surveyed = ledger.base is not None and Base.of(ledger.base).is_surveyed
+    for num in [len(drives)] if is_surveyed else prefixes(len(drives)):
+        cells, solved = _cells_made(ledger, drives[:num], origin, config, crew, kept, progress)
+        known = joined(cells, ledger.base)
+        if not known:
+            raise SemlocError(f"merge: nothing stays of {num} drives; do they show the same road?")
+        # Under a survey a merge itself says no more than what has changed in meaning.
+        edition = Edition(tuple(known)) if is_surveyed else next_edition(edition, known)
+        num_solved += solved
+    return _whole(edition, ledger.base, origin, cells, num_solved)
+
+
+def _cells_made(
+    ledger: Ledger,
+    drives: Sequence[tuple[PackedDrive, str]],
+    origin: GeoOrigin | None,
+    config: MergeConfig,
+    crew: Crew,
+    kept: KeptCells,
+    progress: Progress,
+) -> tuple[dict[Cell, CellMap], int]:
+    """What some of the drives make of each cell, and how many cells were solved for it."""
     plans = {plan.cell.name: plan for plan in _plans(ledger, drives, origin, config)}
     made = {name: found for name, plan in plans.items() if (found := kept.get(plan.names[-1])) is not None}
     missing = [plan for name, plan in plans.items() if name not in made]
@@ -115,10 +142,7 @@ def merge_whole(
             kept.put(key, content)
         made[name] = found[-1]
     cells = {plans[name].cell: CellMap.from_bytes(content, f"cell {name}") for name, content in made.items()}
-    known = joined(cells, base)
-    if not known:
-        raise SemlocError(f"merge: nothing stays of {len(drives)} drives; do they show the same road?")
-    return _whole(map_of(known, base, origin), {cell: cells[cell] for cell in sorted(cells)}, len(missing))
+    return {cell: cells[cell] for cell in sorted(cells)}, len(missing)
 
 
 def _plans(
@@ -177,12 +201,15 @@ def _worked(
         yield next(results)
 
 
-def _whole(beliefs: BeliefMap, cells: dict[Cell, CellMap], num_solved: int) -> WholeMap:
-    """The cells' own words put together."""
+def _whole(
+    edition: Edition, base: BeliefMap | None, origin: GeoOrigin | None, cells: dict[Cell, CellMap], num_solved: int
+) -> WholeMap:
+    """The edition, and the cells' own words put together."""
     changes = [change for cell, made in cells.items() for change in made.changes if cell_of(change.element) == cell]
     distrusted = {(d.name, d.reason): d for made in cells.values() for d in made.distrusted}
     rates: dict[str, Rate] = {}
     for made in cells.values():
         rates = summed_rates(rates, made.rates)
     rows = [(cell.name, row) for cell, made in cells.items() for row in made.drives]
-    return WholeMap(beliefs, tuple(changes), tuple(distrusted.values()), rates, tuple(rows), num_solved)
+    beliefs = map_of(edition.now, base, origin)
+    return WholeMap(beliefs, edition.datum, tuple(changes), tuple(distrusted.values()), rates, tuple(rows), num_solved)

@@ -21,7 +21,8 @@ LEAST_LINE_M = 3.0
 _STRAND_M = 0.15
 """Lines of paint side by side are farther apart; what is nearer is one of them drawn twice."""
 _SAME_HALF_M = 0.6
-_LONG_HALF_M = 0.5
+_LONG_HALF_M, _OVERLAP_M = 0.5, 0.5
+"""What is longer has a direction; so much of two parts of a stop line is seen by both."""
 HUNG, _REACH_SIGMAS = ("sign", "traffic_light"), 2.0
 """What stands on no ground that is seen is placed from afar: a drive that says so may have it up to two gates away."""
 _POSTS = {label.name.lower() for label in POSTS}
@@ -79,8 +80,10 @@ class CrowdWorld:
         a = np.einsum("ijk,jk->ij", offset, ahead)
         c = np.einsum("ijk,jk->ij", offset, np.stack([-ahead[:, 1], ahead[:, 0]], axis=1))
         off_m = np.abs(things.half_m[rows][:, None, 0] - self.half_m[columns][None, :, 0])
-        # The middle of a part is off by up to what is missing of it.
-        a = np.where(things.has_ends[rows][:, None], a, np.maximum(np.abs(a) - off_m, 0.0))
+        # The middle of a part is off by up to what is missing of it. Of a stop line two drives may see two parts.
+        both_m = things.half_m[rows][:, None, 0] + self.half_m[columns][None, :, 0] - _OVERLAP_M
+        slack_m = np.maximum(both_m, off_m) if (things.kind[rows] == "stop_line").all() else off_m
+        a = np.where(things.has_ends[rows][:, None], a, np.maximum(np.abs(a) - slack_m, 0.0))
         squared = a**2 + (2.0 * c) ** 2
         is_other = things.has_ends[rows][:, None] & (off_m > _SAME_HALF_M)
         turned = np.abs(np.einsum("ik,jk->ij", along[rows], ahead)) < np.cos(SAME_TURN_RAD)
@@ -127,15 +130,19 @@ class CrowdWorld:
     def twins(self, seen_in: Bool[np.ndarray, "n d"], gate_m: float) -> Bool[np.ndarray, " n"]:
         """Things that are another one seen a little aside: of its kind, so near, and no drive saw both.
 
+        What hangs is placed from afar: two of them may be one up to two gates apart, as in `paired`.
+
         Args:
             seen_in: which drives saw each thing.
             gate_m: see `paired`.
         """
         is_twin = np.zeros(len(self.kind), dtype=bool)
         count = seen_in.sum(axis=1)
-        near = cKDTree(self.centre).query_pairs(gate_m, output_type="ndarray") if len(self.kind) > 1 else []
+        near = cKDTree(self.centre).query_pairs(2.0 * gate_m, output_type="ndarray") if len(self.kind) > 1 else []
         for a, b in sorted(tuple(pair) for pair in np.asarray(near, dtype=np.int64).reshape(-1, 2).tolist()):
             if self.kind[a] != self.kind[b] or is_twin[a] or is_twin[b] or (seen_in[a] & seen_in[b]).any():
+                continue
+            if self.kind[a] not in HUNG and np.linalg.norm(self.centre[a] - self.centre[b]) > gate_m:
                 continue
             # The first drive to see it, or the base map, gives the name where both count alike.
             is_twin[b if count[a] >= count[b] else a] = True

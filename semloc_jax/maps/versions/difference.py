@@ -10,7 +10,7 @@ from typing import Any
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.maps.versions.records import POINTS, Record, element_of, is_column
-from semloc_jax.maps.versions.state import MapState, in_canonical_order, state_of
+from semloc_jax.maps.versions.state import DATUM, MapState, datum_of, in_canonical_order, state_of
 
 CANONICAL = "canonical"
 
@@ -25,7 +25,7 @@ class MapDifference:
         target: digest of the version it leads to.
         members: what the file of the target states besides its elements.
         removed: ids.
-        modified: changed columns of elements, by id, in the order of the base.
+        modified: changed columns of elements as they were published, by id, in the order of the base.
         added: columns of new elements, by id, in the order of the target.
         order: place of each element of the target in the order that comes by itself: those of the base, then the added
             ones; None where it is that order, `CANONICAL` where it is that of `in_canonical_order`.
@@ -91,12 +91,13 @@ def applied(base: MapState, step: MapDifference) -> MapState:
     if not gone.union(step.modified) <= base.records.keys() or not base.records.keys().isdisjoint(step.added):
         raise SemlocError(f"difference to version {step.version}: names elements that are not there; get it anew")
     names = [name for name in base.records if name not in gone]
-    elements = {e.id: e for e in base.map.elements}
-    for name, columns in step.modified.items():
-        record = {**base.records[name], **columns}
-        elements[name] = element_of(name, {key: v for key, v in record.items() if is_column(key, record)})
+    datum = datum_of(step.members.get(DATUM))
+    elements = {e.id: e for e in base.map.elements} if datum == base.datum else {}
+    for name in names if datum != base.datum else step.modified:
+        record = {**base.records[name], **step.modified.get(name, {})}
+        elements[name] = element_of(name, {key: v for key, v in record.items() if is_column(key, record)}, datum)
     for name, record in step.added.items():
-        elements[name] = element_of(name, record)
+        elements[name] = element_of(name, record, datum)
     found = state_of(_ordered([elements[name] for name in (*names, *step.added)], step.order), step.members)
     if found.digest != step.target:
         raise SemlocError(

@@ -26,8 +26,9 @@ _WORDS = (
     *("+points", "points", "keys", "+keys", "mm", "all", "crowd", "sigma_across_m", "sigma_along_m"),
     *("existence_logit", "num_seen", "num_missed", "provenance", "a.sigma_across_m", "a.sigma_along_m"),
     *("a.existence_logit", "a.num_seen", "a.num_missed", "+a.num_seen", "+a.num_missed", "a.provenance"),
+    *("~points", "map_version", "num_drives", "a.sigma_place_m", "a.sigma_turn_rad"),
 )
-"""What is told by one letter; a file keeps its meaning only while this list stays as it is."""
+"""What is told by one letter; a file keeps its meaning only while this list stays as it is, or grows at its end."""
 _LETTERS = string.ascii_letters
 _LAST_BYTE = 128
 """A varint ends with the first byte below."""

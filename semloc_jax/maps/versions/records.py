@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from semloc_jax.maps.elements import MapElement
+from semloc_jax.maps.versions.datum import STILL, Datum
 from semloc_jax.structs import ElementClass
 
 Record = dict[str, Any]
@@ -20,10 +21,17 @@ _MOST_MM = 2**52
 _ATTRIBUTE = "a."
 """Begins the name of a column that holds a property of the file."""
 KEYS, POINTS = "keys", "points"
+_STANDS = "="
+"""Begins the unit of coordinates that do not move with the frame of their map."""
 
 
-def record_of(element: MapElement) -> Record:
-    """The columns of an element; its id is none of them."""
+def record_of(element: MapElement, datum: Datum = STILL) -> Record:
+    """The columns of an element; its id is none of them.
+
+    Args:
+        element: as it lies by now.
+        datum: how the frame of its map has moved: the columns hold its coordinates as they were published.
+    """
     attributes = dict(element.attributes)
     record: Record = {
         "class": element.label.name,
@@ -38,7 +46,7 @@ def record_of(element: MapElement) -> Record:
         "normal": None if element.normal is None else [float(v) + 0.0 for v in element.normal],
         "true_ends": [bool(end) for end in element.true_ends],
         "has_height": bool(element.has_height),
-        POINTS: _packed(element.points),
+        POINTS: _published(element.points, datum),
         KEYS: [str(key) for key in attributes],
     }
     # What JSON makes of a value is what the file keeps of it.
@@ -46,18 +54,19 @@ def record_of(element: MapElement) -> Record:
     return record
 
 
-def element_of(name: str, record: Mapping[str, Any]) -> MapElement:
-    """The element of a record.
+def element_of(name: str, record: Mapping[str, Any], datum: Datum = STILL) -> MapElement:
+    """The element of a record, where it lies by now.
 
     Raises:
         SemlocError, KeyError, TypeError, ValueError: no such columns.
     """
     normal = record["normal"]
     true_start, true_end = record["true_ends"]
+    points = points_of(record)
     return MapElement(
         id=name,
         label=ElementClass[record["class"]],
-        points=points_of(record),
+        points=points if datum.is_still or record[POINTS][0].startswith(_STANDS) else datum.moved(points),
         closed=bool(record["closed"]),
         width_m=float(record["width"]),
         radius_m=float(record["radius"]),
@@ -95,6 +104,15 @@ def whole_mm(record: Mapping[str, Any]) -> list[int]:
     return np.diff(cells, axis=0, prepend=0).ravel().tolist()
 
 
+def _published(points: np.ndarray, datum: Datum) -> list:
+    """Coordinates as they were published; those that were not whole cells then stand where they are."""
+    if datum.is_still:
+        return _packed(points)
+    before = datum.back(points)
+    unit, numbers = _packed(points if before is None else before)
+    return [unit if before is not None else _STANDS + unit, numbers]
+
+
 def _packed(points: np.ndarray) -> list:
     """`["mm", differences]` where that gives every bit back, else `["m", numbers]`."""
     cells = np.rint(points * _MM)
@@ -110,6 +128,7 @@ def points_of(record: Mapping[str, Any]) -> np.ndarray:
         ValueError: none.
     """
     unit, numbers = record[POINTS]
+    unit = unit.removeprefix(_STANDS)
     if unit == "mm":
         steps = np.array([int(n) for n in numbers], dtype=np.int64).reshape(-1, 3)
         return np.cumsum(steps, axis=0) / _MM

@@ -4,6 +4,7 @@ In: MapDifference, the version it belongs on. Out: bytes, and the difference bac
 Layout: b"SDIF", version, CRC-32 of the rest, the first 8 bytes of the digest of the base, the digest of the target,
 LZMA of `lifted_json`. Elements of the base are named by their place in it, a new one is told as what makes it differ
 from one that is known; columns of many elements stand together, coordinates and counts as differences.
+How the frame of the map has moved stands last, where it has.
 """
 
 import lzma
@@ -12,11 +13,13 @@ from itertools import accumulate
 from pathlib import Path
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.maps.versions.counting import steps
+from semloc_jax.maps.versions.datum import Datum
 from semloc_jax.maps.versions.difference import CANONICAL, MapDifference
 from semloc_jax.maps.versions.lifted_json import from_lifted, lifted_bytes
 from semloc_jax.maps.versions.likeness import coded_names, decoded_names, likened, told_records
-from semloc_jax.maps.versions.state import VERSION, MapState
-from semloc_jax.maps.versions.tables import against, rows_of, steps, table, upon
+from semloc_jax.maps.versions.state import DATUM, VERSION, MapState, datum_of
+from semloc_jax.maps.versions.tables import against, rows_of, table, upon
 from semloc_jax.storage import reading, write_bytes
 
 MAGIC = b"SDIF\x02"
@@ -24,6 +27,8 @@ CHECK_BYTES = 4
 _BASE_BYTES, _TARGET_BYTES = 8, 32
 _FILTERS = [{"id": lzma.FILTER_LZMA1, "preset": 9, "dict_size": 1 << 24, "lc": 0, "lp": 0, "pb": 0}]
 _LARGEST_PAYLOAD = 1 << 27
+_NEVER = object()
+"""What no member of a file is."""
 
 
 def sdiff_bytes(step: MapDifference, base: MapState) -> bytes:
@@ -34,7 +39,7 @@ def sdiff_bytes(step: MapDifference, base: MapState) -> bytes:
     stated = base.members
     document = [
         step.base_version,
-        {key: value for key, value in step.members.items() if key not in stated or stated[key] != value},
+        [part for key, v in step.members.items() if key != DATUM and stated.get(key, _NEVER) != v for part in (key, v)],
         step.order if step.order is None or isinstance(step.order, str) else steps(step.order),
         step.note,
         [len(step.removed), len(modified), len(like)],
@@ -44,6 +49,9 @@ def sdiff_bytes(step: MapDifference, base: MapState) -> bytes:
         [k for k, _ in like],
         table(dict(enumerate(columns for _, columns in like)))[1],
     ]
+    datum = datum_of(step.members.get(DATUM))
+    if datum != base.datum:
+        document.append(datum.against(base.datum))
     packed = lzma.compress(lifted_bytes(document), format=lzma.FORMAT_RAW, filters=_FILTERS)
     rest = bytes.fromhex(step.base)[:_BASE_BYTES] + bytes.fromhex(step.target) + packed
     return MAGIC + _check(rest) + rest
@@ -76,7 +84,8 @@ class SdiffFile:
             decoder = lzma.LZMADecompressor(format=lzma.FORMAT_RAW, filters=_FILTERS)
             text = decoder.decompress(rest[_BASE_BYTES + _TARGET_BYTES :], max_length=_LARGEST_PAYLOAD)
             base_version, members, self._order, note, counts, *self._body = from_lifted(text)
-            self.base_version, self._members, self.note = int(base_version), dict(members), str(note)
+            told = members if isinstance(members, dict) else dict(zip(members[::2], members[1::2], strict=True))
+            self.base_version, self._members, self.note = int(base_version), dict(told), str(note)
             self.version = int(self._members.get(VERSION, base_version))
             self.num_removed, self.num_modified, self.num_added = (int(count) for count in counts)
         self._where = where
@@ -110,12 +119,14 @@ class SdiffFile:
             )
         names = list(base.records)
         with reading(self._where):
-            removed, modified, ids, like, added = self._body
+            removed, modified, ids, like, added, *moved = self._body
+            datum = Datum.upon(moved[0], base.datum) if moved else base.datum
+            still = {key: value for key, value in base.members.items() if key != DATUM}
             return MapDifference(
                 base.digest,
                 self.base_version,
                 self.target,
-                {**base.members, **self._members},
+                still | self._members | ({} if datum.is_still else {DATUM: datum.to_json()}),
                 tuple(names[k] for k in accumulate(removed)),
                 {names[k]: upon(columns, base.records[names[k]]) for k, columns in rows_of(modified).items()},
                 told_records(decoded_names(ids), like, added, base),

@@ -20,12 +20,13 @@ from semloc_jax.maps.elements import GeoOrigin, MapElement
 from semloc_jax.maps.io.formats import read_map
 from semloc_jax.maps.io.geopackage import schema, write_geopackage
 from semloc_jax.maps.semantic_map import SemanticMap
+from semloc_jax.maps.versions.datum import STILL, Datum
 from semloc_jax.maps.versions.records import Record, digest_of, json_bytes, record_of
 
 TILE_M = 256.0
 """Side of a tile; the bounds are whole multiples of it in the frame of the map."""
-VERSION, NUM_DRIVES = "map_version", "num_drives"
-"""Members of the file that say which version it is, and how many drives were merged into it."""
+VERSION, NUM_DRIVES, DATUM = "map_version", "num_drives", "datum"
+"""Members of the file that say which version it is, how many drives were merged into it, how its frame has moved."""
 Tile = tuple[int, int]
 
 
@@ -37,11 +38,13 @@ class MapState:
         map: its elements; ids are unique.
         version: number, 1 or more; a map that states none is its own first version.
         num_drives: drives that were merged into it.
+        datum: how its frame has moved since its elements were published.
     """
 
     map: SemanticMap
     version: int = 1
     num_drives: int = 0
+    datum: Datum = STILL
 
     def __post_init__(self) -> None:
         ids = [element.id for element in self.map.elements]
@@ -53,12 +56,13 @@ class MapState:
 
     @cached_property
     def records(self) -> dict[str, Record]:
-        """Columns of every element, by id, in the order of the map."""
-        return {element.id: record_of(element) for element in self.map.elements}
+        """Columns of every element as it was published, by id, in the order of the map."""
+        return {element.id: record_of(element, self.datum) for element in self.map.elements}
 
     @property
     def members(self) -> dict[str, Any]:
         """What the file states besides its elements."""
+        moved = {} if self.datum.is_still else {DATUM: self.datum.to_json()}
         return {
             "name": self.map.name,
             "origin": None if self.map.origin is None else list(self.map.origin),
@@ -66,11 +70,15 @@ class MapState:
             "skipped": dict(self.map.skipped),
             VERSION: self.version,
             NUM_DRIVES: self.num_drives,
+            **moved,
         }
 
     @cached_property
     def tiles(self) -> dict[Tile, str]:
-        """SHA-256 of the elements of each tile, whatever their order; an element belongs to the tile of its middle."""
+        """SHA-256 of the elements of each tile as they were published, whatever their order.
+
+        An element belongs to the tile of its middle.
+        """
         held: dict[Tile, list[bytes]] = {}
         for element in self.map.elements:
             held.setdefault(tile_of(element), []).append(digest_of(element.id, self.records[element.id]))
@@ -83,8 +91,9 @@ class MapState:
 
     @cached_property
     def content(self) -> str:
-        """SHA-256 of the elements alone, whatever their order and the number of the version."""
-        return hashlib.sha256(json_bytes(list(self.tiles.items()))).hexdigest()
+        """SHA-256 of the elements where they lie by now, whatever their order and the number of the version."""
+        moved = [] if self.datum.is_still else [self.datum.to_json()]
+        return hashlib.sha256(json_bytes([*self.tiles.items(), *moved])).hexdigest()
 
 
 def tile_of(element: MapElement) -> Tile:
@@ -124,7 +133,10 @@ def write_state(state: MapState, path: str | Path) -> None:
     if path.suffix.lower() != ".gpkg":
         raise SemlocError(f"map {path}: versions are kept in GeoPackages; give a path that ends in .gpkg")
     is_first = (state.version, state.num_drives) == (1, 0)  # states no number, like every map that was never merged
-    write_geopackage(state.map, path, {} if is_first else {VERSION: state.version, NUM_DRIVES: state.num_drives})
+    stated = {} if is_first else {VERSION: state.version, NUM_DRIVES: state.num_drives}
+    if not state.datum.is_still:
+        stated[DATUM] = state.datum.to_json()
+    write_geopackage(state.map, path, stated)
 
 
 def state_of(elements: Iterable[MapElement], members: dict[str, Any]) -> MapState:
@@ -141,18 +153,24 @@ def state_of(elements: Iterable[MapElement], members: dict[str, Any]) -> MapStat
         {str(key): int(count) for key, count in members["skipped"].items()},
         str(members["frame"]),
     )
-    return MapState(semantic_map, int(members[VERSION]), int(members[NUM_DRIVES]))
+    return MapState(semantic_map, int(members[VERSION]), int(members[NUM_DRIVES]), datum_of(members.get(DATUM)))
 
 
-def _stated(path: Path) -> tuple[int, int]:
-    """Version and number of drives of a file; 1 and 0 where it states none."""
+def datum_of(columns: list[list[int]] | None) -> Datum:
+    """The datum that a file states; that of a map that never moved where it states none."""
+    return Datum.from_json(columns) if columns else STILL
+
+
+def _stated(path: Path) -> tuple[int, int, Datum]:
+    """Version, number of drives and datum of a file; 1, 0 and none where it states none."""
     if path.suffix.lower() != ".gpkg" or not path.is_file():
-        return 1, 0
+        return 1, 0, STILL
     with contextlib.closing(schema.connect(path)) as connection:
         if not connection.is_table("semloc_map"):
-            return 1, 0
+            return 1, 0, STILL
         members = dict(connection.ask("SELECT key, value FROM semloc_map"))
     try:
-        return int(json.loads(members.get(VERSION, "1"))), int(json.loads(members.get(NUM_DRIVES, "0")))
+        numbers = int(json.loads(members.get(VERSION, "1"))), int(json.loads(members.get(NUM_DRIVES, "0")))
+        return *numbers, datum_of(json.loads(members.get(DATUM, "null")))
     except (TypeError, ValueError) as error:
         raise SemlocError(f"map {path.name}: its version cannot be read ({error}); get the file anew") from error

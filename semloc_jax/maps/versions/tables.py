@@ -3,21 +3,20 @@
 In: records by row. Out: lists that pack well: like beside like, numbers as differences; and the records back.
 """
 
-from collections.abc import Iterable, Mapping
-from itertools import accumulate, pairwise
+from collections.abc import Mapping
+from itertools import accumulate
 
+import numpy as np
+
+from semloc_jax.maps.versions.counting import steps
 from semloc_jax.maps.versions.records import KEYS, POINTS, Record, whole_mm
 
 _BY = "+"
 """Begins the name of a column whose values are differences from those of the base; no column of an element does."""
+_SPLICED = "~" + POINTS
+"""A line of which a part is another: how many points of the base stay before it and after it, and the part."""
 _ALL = "all"
 """Stands for a value that all rows of a column have."""
-
-
-def steps(numbers: Iterable[int]) -> list[int]:
-    """Each number less the one before it."""
-    held = [0, *numbers]
-    return [b - a for a, b in pairwise(held)]
 
 
 def table(rows: Mapping[int, Record]) -> list:
@@ -53,7 +52,9 @@ def against(columns: Record, old: Record) -> Record:
     found: Record = {}
     for name, value in columns.items():
         before = old.get(name)
-        if name == POINTS and before is not None and value[0] == "mm":
+        if name == POINTS and before is not None and value[0] == before[0] == "mm" and len(value[1]) != len(before[1]):
+            found[_SPLICED] = _spliced(before[1], value[1])
+        elif name == POINTS and before is not None and value[0] == "mm":
             found[_BY + name] = [b - a for a, b in zip(_near(old, len(value[1])), value[1], strict=True)]
         elif name == KEYS and before is not None and value[: len(before)] == before:
             found[_BY + name] = value[len(before) :]
@@ -69,7 +70,9 @@ def upon(columns: Record, old: Record) -> Record:
     found: Record = {}
     for name, value in columns.items():
         key = name.removeprefix(_BY)
-        if key == name:
+        if name == _SPLICED:
+            found[POINTS] = ["mm", _joined(old[POINTS][1], value)]
+        elif key == name:
             found[name] = value
         elif key == POINTS:
             found[key] = ["mm", [a + b for a, b in zip(_near(old, len(value)), value, strict=True)]]
@@ -82,3 +85,28 @@ def _near(old: Record, num: int) -> list[int]:
     """What so many coordinates are told against: those of the base, or its first point where it has another number."""
     before = whole_mm(old)
     return before if len(before) == num else [*before[:3], *[0] * (num - 3)]
+
+
+def _spliced(before: list[int], now: list[int]) -> list[int]:
+    """Numbers of points that stay at both ends, and the points between, each less the one before it."""
+    old, new = (np.cumsum(np.array(side, dtype=np.int64).reshape(-1, 3), axis=0) for side in (before, now))
+    most = min(len(old), len(new))
+    head = next((k for k in range(most) if (old[k] != new[k]).any()), most)
+    tail = next((k for k in range(most - head) if (old[-1 - k] != new[-1 - k]).any()), most - head)
+    start = old[max(head - 1, 0)][None]
+    return [head, tail, *np.diff(np.vstack([start, new[head : len(new) - tail]]), axis=0).ravel().tolist()]
+
+
+def _joined(before: list[int], told: list[int]) -> list[int]:
+    """The points that `_spliced` told, each less the one before it.
+
+    Raises:
+        ValueError: more points stay than there are.
+    """
+    old = np.cumsum(np.array(before, dtype=np.int64).reshape(-1, 3), axis=0)
+    head, tail = told[:2]
+    if min(head, tail) < 0 or head + tail > len(old):
+        raise ValueError("points of a line that are not there")
+    part = old[max(head - 1, 0)] + np.cumsum(np.array(told[2:], dtype=np.int64).reshape(-1, 3), axis=0)
+    points = np.vstack([old[:head], part, old[len(old) - tail :]])
+    return np.diff(points, axis=0, prepend=0).ravel().tolist()

@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from semloc_jax.maps import Belief, BeliefMap, GeoOrigin, MapElement, SemanticMap
+from semloc_jax.maps.versions.datum import STILL, Datum
 from semloc_jax.maps.versions.state import MapState
 
 _LABELS = ("lane_marking", "pole", "crosswalk", "sign", "curb")
@@ -41,13 +42,18 @@ def elements(draw, name: str) -> MapElement:
     )
 
 
+_SHIFT = st.integers(-60, 60).map(lambda k: 5 * k)
+_NODE = st.tuples(st.integers(-9, 9), st.integers(-3, 3))
+DATUMS = st.one_of(st.just(STILL), st.dictionaries(_NODE, st.tuples(_SHIFT, _SHIFT, _SHIFT), max_size=40).map(Datum))
+
+
 @st.composite
 def states(draw) -> MapState:
     """A version of a map with up to eight elements in any order."""
     names = draw(st.lists(_WORDS, unique=True, min_size=1, max_size=8))
     origin = draw(st.sampled_from([None, GeoOrigin(48.1, 11.6, 500.0)]))
     held = SemanticMap(tuple(draw(elements(name)) for name in names), origin, draw(_WORDS))
-    return MapState(held, draw(st.integers(1, 5)), draw(st.integers(0, 3)))
+    return MapState(held, draw(st.integers(1, 5)), draw(st.integers(0, 3)), draw(DATUMS))
 
 
 @st.composite
@@ -72,7 +78,8 @@ def changed(draw, state: MapState) -> MapState:
     if draw(st.booleans()):
         kept = draw(st.permutations(kept))
     held = replace(state.map, elements=tuple(kept), name=draw(st.sampled_from([state.map.name, "other"])))
-    return MapState(held, state.version + draw(st.integers(0, 2)), state.num_drives)
+    datum = draw(st.one_of(st.just(state.datum), DATUMS))
+    return MapState(held, state.version + draw(st.integers(0, 2)), state.num_drives, datum)
 
 
 def road(num: int, seen: int = 3, shift_m: float = 0.0) -> SemanticMap:

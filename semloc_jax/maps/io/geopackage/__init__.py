@@ -9,6 +9,7 @@ import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from semloc_jax.storage import writing
 __all__ = ["StoredMap", "read_geopackage", "write_geopackage"]
 
 
-def write_geopackage(semantic_map: SemanticMap, path: str | Path, members: Mapping[str, int] | None = None) -> None:
+def write_geopackage(semantic_map: SemanticMap, path: str | Path, members: Mapping[str, Any] | None = None) -> None:
     """Writes a map as a GeoPackage with an R-tree; a file that is there is replaced once the new one is complete.
 
     The bytes follow from the map alone: equal maps are equal files.
@@ -67,7 +68,7 @@ def read_geopackage(path: str | Path) -> SemanticMap:
         raise SemlocError(f"map {path.name}: not a readable GeoPackage ({why}); is the file complete?") from error
 
 
-def _fill(connection: sqlite3.Connection, semantic_map: SemanticMap, more: Mapping[str, int]) -> None:
+def _fill(connection: sqlite3.Connection, semantic_map: SemanticMap, more: Mapping[str, Any]) -> None:
     srs = schema.UNKNOWN_SRS if semantic_map.origin is None else schema.LOCAL_SRS
     members = {
         "version": 1,
