@@ -77,7 +77,10 @@ def started(moments: list[InertialMoment], config: InertialWindowConfig, rules: 
         speeds = np.array([moment.speed_mps or 0.0 for moment in moments])
         window = _window(moments, speeds, is_standing, config, rules)
         return _judged(window, _finished(window), rules)
-    guesses = (_window(moments, np.full(len(moments), speed), False, config, rules) for speed in _speeds(rules))
+    guesses = [_window(moments, np.full(len(moments), speed), False, config, rules) for speed in _speeds(rules)]
+    num_seen = len(guesses[0].pool.chosen(config.num_landmarks, config.min_views))
+    if num_seen < rules.least_landmarks:  # no solve finds more
+        return InertialStart(None, None, _few_corners(num_seen, rules))
     tried = sorted((_Tried.of(window) for window in guesses), key=lambda one: one.nats)
     for num in rules.rounds:
         tried[:num] = [_Tried.of(_with_all_landmarks(one.window)) for one in tried[:num]]
@@ -128,10 +131,7 @@ def _judged(
     speed = float(np.linalg.norm(estimate.state.velocity_map))
     sigma = float(np.sqrt(np.trace(estimate.covariance[AT["velocity"], AT["velocity"]])))
     if estimate.num_landmarks < rules.least_landmarks and not window.moments[-1].is_standing:
-        reason = (
-            f"only {estimate.num_landmarks} corners are followed over three images; expected "
-            f"{rules.least_landmarks}; are the images dark, or the mask too large?"
-        )
+        reason = _few_corners(estimate.num_landmarks, rules)
     elif not gap >= rules.least_gap_nats:
         reason = (
             f"another speed than {speed:.1f} m/s explains images and inertial sensor as well (by {gap:.1f} nats); "
@@ -145,6 +145,13 @@ def _judged(
     else:
         return InertialStart(window, estimate, "")
     return InertialStart(None, None, reason)
+
+
+def _few_corners(num: int, rules: InertialStartConfig) -> str:
+    return (
+        f"only {num} corners are followed over three images; expected {rules.least_landmarks}; are the images dark, or "
+        "the mask too large?"
+    )
 
 
 def _finished(window: InertialWindow) -> InertialEstimate:
