@@ -21,7 +21,9 @@ with mkdocs_gen_files.open("reference.md", "w") as page:
     page.write("# Reference\n\nThe public names, in the order of the data flow: `import semloc_jax as sj`.\n")
     for home, names in sj._ROOMS.items():
         page.write(f"\n## {home}\n\n")
-        page.writelines(f"::: semloc_jax.{home}.{name}\n    options:\n      heading_level: 3\n\n" for name in names)
+        # The reference is made from sources, and the doors of some rooms load names on first use: the module itself.
+        homes = {name: getattr(sj, name).__module__ for name in names}
+        page.writelines(f"::: {homes[name]}.{name}\n    options:\n      heading_level: 3\n\n" for name in names)
 
 with mkdocs_gen_files.open("commands.md", "w") as page:
     page.write("# Commands\n\nWhat `semloc VERB --help` prints.\n")

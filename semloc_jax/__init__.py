@@ -35,7 +35,7 @@ The names, in the order of the data flow
     cameras      camera_from_K, mounted, Rig, read_calibration, write_calibration, PinholeCamera, ...
     map          read_map, map_from_arrays, write_map, inspect_map, SemanticMap, MapElement, sample
     masks        load_class_table, ClassTable, Channel, mask_source, cost_maps, render_masks, SurroundView,
-                 CylinderView
+                 BowlView, CylinderView
     drives       open_drive, Drive, Frame, simulate, simulate_on_map, with_fault
     first guess  planar_pose, PosePrior, prior_source
     one frame    align, search, localize_frames, iterate_frames, FrameLocalizer, LocalizeConfig, LocalizationResult
@@ -73,9 +73,12 @@ _ROOMS = {
         "BevCamera",
     ),
     "cameras.io": ("camera_from_K", "read_calibration", "write_calibration"),
-    "maps": ("SemanticMap", "MapElement", "map_from_arrays", "read_map", "write_map", "inspect_map", "sample"),
-    "perception": ("ClassTable", "Channel", "load_class_table", "CostMapConfig", "cost_maps"),
+    "maps": ("SemanticMap", "MapElement", "read_map", "write_map", "inspect_map", "sample"),
+    "maps.from_arrays": ("map_from_arrays",),
+    "perception": ("ClassTable", "Channel", "load_class_table"),
+    "perception.cost_maps": ("CostMapConfig", "cost_maps"),
     "perception.surround": ("SurroundView",),
+    "perception.bowl": ("BowlView",),
     "perception.cylinder_view": ("CylinderView",),
     "datasets": ("Drive", "Frame", "open_drive"),
     "inputs.mask_source": ("mask_source",),
@@ -114,7 +117,7 @@ _ROOMS = {
 
 # Pure JAX rooms know no host: here they are told how kernels are built and where compiled programs are kept.
 _host.offer(
-    native=lambda: importlib.import_module("semloc_jax.native.build").status(),
+    native=lambda: importlib.import_module("semloc_jax.native.build").status,
     programs=lambda: importlib.import_module("semloc_jax.runtime.programs"),
 )
 

@@ -25,6 +25,9 @@ class ProgramStore(Protocol):
     def is_open(self) -> bool:
         """Whether programs are kept at present."""
 
+    def is_quick(self) -> bool:
+        """Whether programs are compiled for a run of few frames at present."""
+
     def obtain(self, program: Any, static: dict[str, Any], tree: Any, leaves: list) -> tuple[Callable, Any, tuple]:
         """The compiled program for some arguments, the structure of its result, and the leaves of the result."""
 
@@ -32,7 +35,7 @@ class ProgramStore(Protocol):
 _LOADERS: dict[str, Callable[[], Any]] = {}
 
 
-def offer(native: Callable[[], NativeStatus], programs: Callable[[], ProgramStore]) -> None:
+def offer(native: Callable[[], Callable[[str], NativeStatus]], programs: Callable[[], ProgramStore]) -> None:
     """Say how kernels are built and registered, and where programs are kept; both are asked on first use only."""
     _LOADERS.update(native=native, programs=programs)
     _loaded.cache_clear()
@@ -44,9 +47,16 @@ def _loaded(service: str) -> Any:
     return None if load is None else load()
 
 
-def native_status() -> NativeStatus:
-    """Whether the native kernels can be called; the first call builds and registers them if need be."""
-    return _loaded("native") or NativeStatus(False, "not offered: semloc_jax was not imported through its front page")
+def native_status(part: str = "common") -> NativeStatus:
+    """Whether a part of the native kernels can be called; the first call builds and registers it if need be.
+
+    Args:
+        part: See `native.build.status`.
+    """
+    status = _loaded("native")
+    if status is None:
+        return NativeStatus(False, "not offered: semloc_jax was not imported through its front page")
+    return status(part)
 
 
 def program_store() -> ProgramStore | None:

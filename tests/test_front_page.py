@@ -1,5 +1,6 @@
 """The public names: all there, loaded on first use, with a helpful refusal of the rest."""
 
+import ast
 import importlib
 from pathlib import Path
 from types import ModuleType
@@ -25,6 +26,15 @@ def test_names_are_those_of_their_rooms():
     for home, names in semloc_jax._ROOMS.items():
         for name in names:
             assert getattr(semloc_jax, name) is getattr(importlib.import_module(f"semloc_jax.{home}"), name)
+
+
+def test_the_reference_finds_every_name_in_the_source_of_its_module():
+    """The pages of the reference are made from sources (`.ci/reference_pages.py`), where a late name is not seen."""
+    for names in semloc_jax._ROOMS.values():
+        for name in names:
+            module = importlib.import_module(getattr(semloc_jax, name).__module__)
+            body = ast.parse(Path(module.__file__).read_text(encoding="utf-8")).body
+            assert name in {getattr(node, "name", None) for node in body}, f"{name} is not defined in {module.__name__}"
 
 
 @pytest.mark.parametrize("room", [path.parent.name for path in Path(semloc_jax.__file__).parent.glob("*/__init__.py")])

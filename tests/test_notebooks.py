@@ -39,6 +39,14 @@ def test_stored_without_outputs(path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_the_page_of_the_notebooks_shows_it(path):
+    """`python .ci/gallery.py NAME` draws it."""
+    title = nbformat.read(path, as_version=4).cells[0].source.partition("\n")[0].lstrip("# ")
+    page = (path.parent / "README.md").read_text(encoding="utf-8")
+    assert f"[{title}]({path.name})" in page and f"(pictures/{path.stem}.jpg)" in page
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_cells_fit_on_a_screen(path):
     lengths = {cell.source.splitlines()[0]: len([line for line in cell.source.splitlines() if line.strip()])
                for cell in code_cells(path)}  # fmt: skip

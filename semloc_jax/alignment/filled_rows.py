@@ -20,7 +20,7 @@ def map_filled(function: Callable[[Any], Any], rows: Any, num: Int[Array, ""] | 
         rows: Tree of arrays with one leading axis.
         num: Number of rows that are filled, at most their size.
     """
-    size = len(jax.tree.leaves(rows)[0])
+    size, function = len(jax.tree.leaves(rows)[0]), jax.jit(function)  # traced once for its shapes and for the loop
     shapes = jax.eval_shape(lambda own: function(jax.tree.map(lambda leaf: leaf[0], own)), rows)
     empty = jax.tree.map(lambda shape: jnp.zeros((size, *shape.shape), shape.dtype), shapes)
 

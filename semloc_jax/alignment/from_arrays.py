@@ -25,7 +25,8 @@ from semloc_jax.cameras import Camera, Rig, mounted
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import SemanticMap
-from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps, load_class_table, table_of
+from semloc_jax.perception import ClassTable, load_class_table, table_of
+from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
 from semloc_jax.residuals.pose_terms import Terms, from_origin
 from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.runtime.stored_program import stored_program

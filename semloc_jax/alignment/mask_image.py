@@ -12,8 +12,8 @@ import numpy as np
 from semloc_jax import native
 from semloc_jax.alignment.single_frame import ImageInput, image_input
 from semloc_jax.native.mask_ramps import packed
-from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
-from semloc_jax.perception.cost_maps import mask_ramps
+from semloc_jax.perception import ClassTable
+from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps, mask_ramps
 from semloc_jax.residuals.alignment import Usable
 from semloc_jax.residuals.texture import RampTextures
 from semloc_jax.runtime.allocator import used_again

@@ -31,7 +31,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
 from semloc_jax.maps import LocalMap
-from semloc_jax.perception import cost_maps
+from semloc_jax.perception.cost_maps import cost_maps
 from semloc_jax.residuals.alignment import Usable, camera_views
 from semloc_jax.residuals.view import view
 from semloc_jax.structs import CostMaps, ElementClass

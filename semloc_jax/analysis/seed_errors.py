@@ -23,7 +23,7 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.evaluation.metrics import pose_errors
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import SemanticMap
-from semloc_jax.perception import cost_maps
+from semloc_jax.perception.cost_maps import cost_maps
 from semloc_jax.simulation.degrade import Degradation, degrade
 
 _SHIFT_PX = 0.5

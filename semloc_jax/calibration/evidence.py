@@ -24,7 +24,7 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.localization.map_window import MapWindows
 from semloc_jax.maps import SemanticMap
-from semloc_jax.perception import cost_maps
+from semloc_jax.perception.cost_maps import cost_maps
 from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.texture import RampTexture, pack
 from semloc_jax.residuals.view import ViewConfig, view

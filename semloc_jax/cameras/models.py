@@ -26,7 +26,7 @@ class CameraModel:
         limits: fields with a key of their own, each a limit of the view.
         num_optional: coefficients at the end that files may leave out; they are 0 then.
         ros: distortion model of a ROS CameraInfo; empty where ROS has none.
-        native: number of the model in `native/src/calls.cc`; None: JAX's derivative of the class is taken.
+        native: class of `native/src/cameras.h`; empty: JAX's derivative of the class is taken.
     """
 
     camera: type[Camera]
@@ -36,7 +36,7 @@ class CameraModel:
     limits: tuple[str, ...] = ()
     num_optional: int = 0
     ros: str = ""
-    native: int | None = None
+    native: str = ""
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -46,7 +46,7 @@ class CameraModel:
 
 
 MODELS = (
-    CameraModel(PinholeCamera, distortion=("none", ""), ros="plumb_bob", native=0),
+    CameraModel(PinholeCamera, distortion=("none", ""), ros="plumb_bob", native="Pinhole"),
     CameraModel(
         BrownConradyCamera,
         distortion=("radtan", "plumb_bob"),
@@ -54,7 +54,7 @@ MODELS = (
         limits=("max_radius",),
         num_optional=1,
         ros="plumb_bob",
-        native=1,
+        native="BrownConrady",
     ),
     CameraModel(
         KannalaBrandtCamera,
@@ -62,7 +62,7 @@ MODELS = (
         coefficients=("k1", "k2", "k3", "k4"),
         limits=("max_theta_rad",),
         ros="equidistant",
-        native=2,
+        native="KannalaBrandt",
     ),
     CameraModel(
         PolynomialFisheyeCamera,
@@ -70,8 +70,8 @@ MODELS = (
         coefficients=("c2", "c3", "c4"),
         limits=("max_theta_rad",),
     ),
-    CameraModel(CylindricalCamera, projection="cylindrical", limits=("max_phi_rad",), native=3),
-    CameraModel(BevCamera, projection="bev", limits=("max_height_m",), native=4),
+    CameraModel(CylindricalCamera, projection="cylindrical", limits=("max_phi_rad",), native="Cylindrical"),
+    CameraModel(BevCamera, projection="bev", limits=("max_height_m",), native="Bev"),
 )
 
 
@@ -97,7 +97,7 @@ def distortions() -> tuple[str, ...]:
     return tuple(name for model in MODELS for name in model.distortion if name)
 
 
-def native_number_of(camera: Camera) -> int | None:
-    """Number of a camera's model in C++; None where no kernel knows it."""
+def native_class_of(camera: Camera) -> str:
+    """Class of a camera's model in C++; empty where no kernel knows it."""
     model = model_of(camera)
-    return None if model is None else model.native
+    return "" if model is None else model.native

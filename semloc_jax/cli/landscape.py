@@ -131,7 +131,7 @@ def _window(options: Options) -> "BasinWindow":
 def _grid(options: Options) -> "Grid":
     """The two directions, the half widths [m or deg] and the numbers of poses along them."""
     from semloc_jax.reports.landscape import Grid
-    from semloc_jax.viz.landscape import DIRECTIONS
+    from semloc_jax.viz.cost_slices import DIRECTIONS
 
     directions = parse_names(options.over) or ()
     if len(set(directions)) != 2 or not set(directions) <= set(DIRECTIONS):

@@ -33,6 +33,9 @@ class Options:
     """Side of the square around the car."""
     metres_per_px: float = 0.012
     """Size of a pixel."""
+    bowl_from_deg: float | None = None
+    """Also show the surroundings on a bowl, where what stands stands up: seen from behind (0), the right (90), ahead
+    (180) or the left (270). Writes bowl/FRAME.png."""
     frames: str = ":"
     """Which frames, as a Python slice: ::5, 10:20, 7."""
     cameras: str | None = None
@@ -43,7 +46,7 @@ class Options:
     """Ends of the car as REAR,FRONT,RIGHT,LEFT in metres of the vehicle frame; default: the rectangle of its cameras.
     Write --own-car=-0.9,3.8,-1,1: the first number is negative."""
     video: bool = False
-    """Write surround.mp4."""
+    """Write surround.mp4 (and bowl.mp4)."""
     no_check: bool = False
     """Go on where pictures and calibration contradict each other."""
     out: Path | None = None
@@ -56,7 +59,9 @@ def run(options: Options) -> int:
     from semloc_jax.reports.surround import SurroundSettings, report_surround
 
     log_to_console()
-    settings = SurroundSettings(options.blend, options.size_m, options.metres_per_px, options.height_aware)
+    settings = SurroundSettings(
+        options.blend, options.size_m, options.metres_per_px, options.height_aware, options.bowl_from_deg
+    )
     car = None if options.own_car is None else parse_numbers(options.own_car, "--own-car", "REAR,FRONT,RIGHT,LEFT")
     text = report_surround(
         options.drive,

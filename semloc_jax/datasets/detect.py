@@ -3,32 +3,47 @@
 In: a path. Out: Drive.
 """
 
+import importlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
-from semloc_jax.datasets.argoverse2 import is_argoverse2_log, read_argoverse2
-from semloc_jax.datasets.bags import is_bag, read_bag
 from semloc_jax.datasets.base import Drive
-from semloc_jax.datasets.drive import is_drive, read_drive
 from semloc_jax.datasets.entry import checked
-from semloc_jax.datasets.euroc import is_euroc, read_euroc
 from semloc_jax.datasets.folder import has_pictures, read_folder
-from semloc_jax.datasets.kitti import is_kitti, read_kitti
-from semloc_jax.datasets.nuscenes import is_nuscenes, read_nuscenes
-from semloc_jax.datasets.pandaset import is_pandaset, read_pandaset
-from semloc_jax.datasets.video import is_video, read_video
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import reading
 
-_KINDS: tuple[tuple[str, Callable[[Path], bool], Callable[..., Drive]], ...] = (
-    ("drive", is_drive, read_drive),
-    ("bag", is_bag, read_bag),
-    ("PandaSet", is_pandaset, read_pandaset),
-    ("EuRoC", is_euroc, read_euroc),
-    ("Argoverse 2", is_argoverse2_log, read_argoverse2),
-    ("nuScenes", is_nuscenes, read_nuscenes),
-    ("KITTI", is_kitti, read_kitti),
-    ("video", is_video, read_video),
+
+class RecordingKind(NamedTuple):
+    """A kind of recording: its name, its module, and what there tells it and reads it; loaded when it is asked."""
+
+    name: str
+    module: str
+    told_by: str
+    read_by: str
+
+    def fits(self, path: Path) -> bool:
+        """Whether a path is of this kind."""
+        return self._of_module(self.told_by)(path)
+
+    def read(self, path: Path, *calibration: str | Path) -> Drive:
+        """The drive of a path of this kind."""
+        return self._of_module(self.read_by)(path, *calibration)
+
+    def _of_module(self, name: str) -> Callable:
+        return getattr(importlib.import_module(self.module), name)
+
+
+_KINDS = (
+    RecordingKind("drive", "semloc_jax.datasets.drive", "is_drive", "read_drive"),
+    RecordingKind("bag", "semloc_jax.datasets.bags", "is_bag", "read_bag"),
+    RecordingKind("PandaSet", "semloc_jax.datasets.pandaset", "is_pandaset", "read_pandaset"),
+    RecordingKind("EuRoC", "semloc_jax.datasets.euroc", "is_euroc", "read_euroc"),
+    RecordingKind("Argoverse 2", "semloc_jax.datasets.argoverse2", "is_argoverse2_log", "read_argoverse2"),
+    RecordingKind("nuScenes", "semloc_jax.datasets.nuscenes", "is_nuscenes", "read_nuscenes"),
+    RecordingKind("KITTI", "semloc_jax.datasets.kitti", "is_kitti", "read_kitti"),
+    RecordingKind("video", "semloc_jax.datasets.video", "is_video", "read_video"),
 )
 _OWN_CALIBRATION = ("PandaSet",)
 
@@ -50,17 +65,17 @@ def open_drive(path: str | Path, calibration: str | Path | None = None) -> Drive
     path = Path(path)
     if not path.exists():
         raise SemlocError(
-            f"data set {path}: no such folder or file; expected one of {', '.join(kind for kind, _, _ in _KINDS)}, or "
+            f"data set {path}: no such folder or file; expected one of {', '.join(kind.name for kind in _KINDS)}, or "
             "images + calib.yaml"
         )
-    for kind, fits, read in _KINDS:
-        if fits(path):
-            if calibration is not None and kind in _OWN_CALIBRATION:
+    for kind in _KINDS:
+        if kind.fits(path):
+            if calibration is not None and kind.name in _OWN_CALIBRATION:
                 raise SemlocError(
-                    f"data set {path}: {kind} brings its own calibration; leave --calib {calibration} out"
+                    f"data set {path}: {kind.name} brings its own calibration; leave --calib {calibration} out"
                 )
-            with reading(f"{kind} {path}"):
-                return checked(read(path) if calibration is None else read(path, calibration))
+            with reading(f"{kind.name} {path}"):
+                return checked(kind.read(path) if calibration is None else kind.read(path, calibration))
     if not path.is_dir():
         raise SemlocError(
             f"data set {path}: unknown type '{path.suffix}'; expected .bag, .db3, .mcap, .mp4, "
@@ -72,6 +87,6 @@ def open_drive(path: str | Path, calibration: str | Path | None = None) -> Drive
 
 def is_recording(path: Path) -> bool:
     """Whether a path is a recording and not a calibration: a folder with pictures, or a file of a known kind."""
-    if any(fits(path) for _, fits, _ in _KINDS):
+    if any(kind.fits(path) for kind in _KINDS):
         return True
     return path.is_dir() and has_pictures(path)

@@ -22,14 +22,16 @@ from semloc_jax.fusion.measurements import (
     check_same_time,
     normalised_square,
 )
-from semloc_jax.fusion.prediction import MotionIncrement, VelocitySample
+from semloc_jax.fusion.prediction import MotionIncrement
+from semloc_jax.fusion.velocity_sample import VelocitySample
 from semloc_jax.fusion.window_terms import fit, is_finite
 from semloc_jax.geometry import rigid
 from semloc_jax.solvers.factors import Factors
 
 _POSE, _VELOCITY, _BIAS, _SCALE, _OFFSET = slice(0, 6), slice(6, 9), slice(9, 15), 15, slice(16, 18)
 _MOUNT = slice(18, 21)
-_NUM = 21
+_LASTING = slice(21, 24)
+_NUM = 24
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class InertialBeliefs:
     """What is known of a vehicle and its inertial sensor before it moves. All values are ours, of a production car."""
 
     sensors: SensorBeliefs = field(default_factory=SensorBeliefs)
-    """Of satellites, and of a vehicle while nothing measures its motion."""
+    """Of satellites, of the scale of a measured speed, and of a vehicle while nothing measures its motion."""
     speed_sigma_mps: float = 15.0
     side_sigma_mps: float = 0.5
     """Of the first velocity, across the vehicle."""
@@ -47,11 +49,6 @@ class InertialBeliefs:
     """Change of the bias [rad/s per root of s]."""
     accel_walk: float = 2e-3
     """Change of the bias [m/s^2 per root of s]."""
-    scale_sigma: float = 0.05
-    """Of the speed that wheels or cameras measure: cameras and inertial sensor know it to some percent at first."""
-    scale_walk: float = 3e-3
-    """Change of that scale [per root of s]: what cameras and inertial sensor know of it changes as the view does; that
-    of wheels changes less."""
     mount_sigma_deg: float = 0.3
     """Of the axes of the inertial sensor against those of the vehicle that the cameras show: tolerance of a mount."""
     gate_probability: float = 0.999
@@ -70,7 +67,7 @@ class InertialBeliefs:
 
 class InertialFusionState(NamedTuple):
     """State of `InertialFusion`; the error is (right tangent of the pose, velocity, biases, scale, GNSS offset,
-    turn of the sensor against the base)."""
+    turn of the sensor against the base, lasting error of the velocity that cameras measure)."""
 
     time_s: Float[np.ndarray, ""]
     T_map_base: Float[np.ndarray, "4 4"]
@@ -82,12 +79,17 @@ class InertialFusionState(NamedTuple):
     gnss_offset_m: Float[np.ndarray, "2"]
     R_base_imu: Float[np.ndarray, "3 3"]
     """What is left of the mount."""
-    covariance: Float[np.ndarray, "21 21"]
+    lasting_error: Float[np.ndarray, "3"]
+    """Of the last velocity by cameras, in units of its standard deviation."""
+    velocity_s: Float[np.ndarray, ""]
+    """When that was measured; -inf where none was."""
+    covariance: Float[np.ndarray, "24 24"]
 
 
 class InertialFusion:
     """Error-state Kalman filter on SE(3) with velocity, biases, a scale of the odometer, GNSS-to-map offset and the
-    mount of the inertial sensor."""
+    mount of the inertial sensor, and the error of the velocity that cameras measure, a first-order Gauss-Markov process
+    whose size and time its window states."""
 
     def __init__(self, beliefs: InertialBeliefs | None = None) -> None:
         """A filter with the given beliefs."""
@@ -102,11 +104,13 @@ class InertialFusion:
         covariance[_POSE, _POSE] = measurement.covariance
         covariance[_VELOCITY, _VELOCITY] = spread @ spread.T
         covariance[_BIAS, _BIAS] = np.diag(beliefs.bias_sigma**2)
-        covariance[_SCALE, _SCALE] = beliefs.scale_sigma**2
+        covariance[_SCALE, _SCALE] = beliefs.sensors.scale_sigma**2
         covariance[_OFFSET, _OFFSET] = beliefs.sensors.gnss_offset_sigma_m**2 * np.eye(2)
         covariance[_MOUNT, _MOUNT] = np.deg2rad(beliefs.mount_sigma_deg) ** 2 * np.eye(3)
-        time_s, one = np.float64(measurement.time_s), np.float64(1.0)
-        return InertialFusionState(time_s, T, np.zeros(3), np.zeros(6), one, np.zeros(2), np.eye(3), covariance)
+        covariance[_LASTING, _LASTING] = np.eye(3)
+        time_s, one, never = map(np.float64, (measurement.time_s, 1.0, -np.inf))
+        at_rest = np.zeros(3), np.zeros(6), one, np.zeros(2), np.eye(3), np.zeros(3), never
+        return InertialFusionState(time_s, T, *at_rest, covariance)
 
     def predict(self, state: InertialFusionState, increment: MotionIncrement) -> InertialFusionState:
         """State after the motion, with the velocity that wheels or cameras measured at its end.
@@ -123,7 +127,7 @@ class InertialFusion:
             state = _moved(state, increment.inertial, moving, clock)
         walk = np.zeros(_NUM)
         walk[_BIAS] = self.beliefs.bias_walk
-        walk[_SCALE] = self.beliefs.scale_walk
+        walk[_SCALE] = self.beliefs.sensors.scale_walk
         walk[_OFFSET] = self.beliefs.sensors.gnss_offset_walk_m
         state = state._replace(
             time_s=np.float64(increment.to_s), covariance=_symmetric(state.covariance + np.diag(walk**2) * step_s)
@@ -188,12 +192,14 @@ class InertialFusion:
 
     def _with_velocity(self, state: InertialFusionState, sample: VelocitySample) -> InertialFusionState:
         """The state with a measured velocity, unless the chi-square test refuses it."""
+        state = _with_what_lasts(state, sample)
         R = state.T_map_base[:3, :3]
         here = R.T @ state.velocity_map
         H = np.zeros((3, _NUM))
         H[:, 3:6], H[:, _VELOCITY] = rigid.skew(here), R.T
-        H[:, _SCALE] = -sample.velocity_base
-        difference = state.odometer_scale * sample.velocity_base - here
+        H[:, _SCALE], H[:, _LASTING] = -sample.velocity_base, np.diag(sample.lasting_sigma)
+        lasting = sample.lasting_sigma * state.lasting_error
+        difference = state.odometer_scale * sample.velocity_base - here - lasting
         return self._gated(state, difference, H, np.diag(sample.sigma**2))[0]
 
     def _gated(
@@ -213,6 +219,7 @@ class InertialFusion:
             bias=state.bias + step[_BIAS],
             odometer_scale=state.odometer_scale + step[_SCALE],
             gnss_offset_m=state.gnss_offset_m + step[_OFFSET],
+            lasting_error=state.lasting_error + step[_LASTING],
             R_base_imu=rigid.exp(np.concatenate([np.zeros(3), step[_MOUNT]]))[:3, :3] @ state.R_base_imu,
             covariance=_symmetric(rest @ P @ rest.T + gain @ R @ gain.T),
         )
@@ -231,9 +238,21 @@ def _moved(
     return state._replace(T_map_base=T, velocity_map=velocity, covariance=covariance)
 
 
+def _with_what_lasts(state: InertialFusionState, sample: VelocitySample) -> InertialFusionState:
+    """The state at a sample of velocity: of the error of the one before as much as lasts, and as much new."""
+    kept = np.exp(-(state.time_s - state.velocity_s) / sample.lasts_s)
+    F = np.eye(_NUM)
+    F[_LASTING, _LASTING] = np.diag(kept)
+    covariance = F @ state.covariance @ F.T
+    covariance[_LASTING, _LASTING] += np.diag(1.0 - kept**2)
+    return state._replace(
+        lasting_error=kept * state.lasting_error, velocity_s=state.time_s, covariance=_symmetric(covariance)
+    )
+
+
 def error_transition(
     motion: InertialMotion, moving: Moving
-) -> tuple[Float[np.ndarray, "21 21"], Float[np.ndarray, "21 9"]]:
+) -> tuple[Float[np.ndarray, "24 24"], Float[np.ndarray, "24 9"]]:
     """Derivatives of the error after an inertial motion by the error before, and by the error of the motion."""
     R, dt = moving.R_map_base, motion.duration_s
     back = motion.rotation.T

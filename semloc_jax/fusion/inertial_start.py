@@ -1,8 +1,10 @@
 """Gravity, velocity, biases and scale from the first seconds of a drive, moving or standing (room: fusion; host).
 
 In: the first InertialMoments. Out: InertialStart: a solved window of all of them, or the reason why there is none.
-One solve from a wrong speed stays there, so a vehicle that moves tries a grid of speeds, each with a robust solve: the
-lowest cost wins, if no other speed explains the images and the inertial sensor as well. Wheels give the speed at once.
+One solve from a wrong speed stays there, so a vehicle that moves tries a grid of them. A first solve hardly tells which
+of them is right, and lets go of landmarks that were right: the better half goes on with all landmarks, and half of
+those again. The lowest cost wins, if no other speed explains the images and the inertial sensor as well. Wheels give
+the speed at once.
 """
 
 from dataclasses import dataclass
@@ -18,8 +20,8 @@ from semloc_jax.fusion.inertial_states import AT, unknowns_of
 from semloc_jax.fusion.inertial_window import InertialEstimate, InertialWindow
 from semloc_jax.solvers.graph import Values
 
-_NUM_SOLVES = 5
-"""Of the last solves: each goes on from the one before, without the landmarks that did not fit."""
+_NUM_SOLVES = 4
+"""Each goes on from the one before, without the landmarks that did not fit."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,8 @@ class InertialStartConfig:
     fastest_mps: float = 36.0
     speed_ratio: float = 1.25
     """Of neighbouring speeds of the grid."""
-    num_refined: int = 3
-    """Speeds that are solved to the end."""
+    rounds: tuple[int, ...] = (8, 4, 2)
+    """Speeds that go on, each time with all landmarks again."""
     least_gap_nats: float = 4.0
     """The next other speed costs so much more."""
     other_speed: float = 0.08
@@ -75,16 +77,32 @@ def started(moments: list[InertialMoment], config: InertialWindowConfig, rules: 
         speeds = np.array([moment.speed_mps or 0.0 for moment in moments])
         window = _window(moments, speeds, is_standing, config, rules)
         return _judged(window, _finished(window), rules)
-    found = []
-    for speed in _speeds(rules):
-        window = _window(moments, np.full(len(moments), speed), False, config, rules)
-        found.append((window.solve().cost, speed, window))
-    found.sort(key=lambda item: item[0])
-    solved = sorted(
-        ((_finished(window), window) for _, _, window in found[: rules.num_refined]), key=lambda item: item[0].cost
-    )
-    best, window = solved[0]
-    return _judged(window, best, rules, _next_cost(found, best, rules) - min(item[0] for item in found))
+    guesses = (_window(moments, np.full(len(moments), speed), False, config, rules) for speed in _speeds(rules))
+    tried = sorted((_Tried.of(window) for window in guesses), key=lambda one: one.nats)
+    for num in rules.rounds:
+        tried[:num] = [_Tried.of(_with_all_landmarks(one.window)) for one in tried[:num]]
+        tried.sort(key=lambda one: one.nats)
+    best = tried[0]
+    return _judged(best.window, best.estimate, rules, _next_nats(tried, best, rules) - best.nats)
+
+
+class _Tried(NamedTuple):
+    """One speed of the grid, solved."""
+
+    window: InertialWindow
+    estimate: InertialEstimate
+    nats: float
+    """Cost, with that of the landmarks which were let go: a wrong speed must not win by what it does not explain."""
+
+    @classmethod
+    def of(cls, window: InertialWindow) -> "_Tried":
+        estimate, rules = _finished(window), window.config
+        each = 0.5 * rules.cauchy_sigmas**2 * np.log1p((rules.refuse_sigmas / rules.cauchy_sigmas) ** 2)
+        return cls(window, estimate, estimate.cost + len(window.pool.refused) * float(each))
+
+    @property
+    def speed_mps(self) -> float:
+        return float(np.linalg.norm(self.estimate.state.velocity_map))
 
 
 def _speeds(rules: InertialStartConfig) -> Float[np.ndarray, " n"]:
@@ -92,14 +110,14 @@ def _speeds(rules: InertialStartConfig) -> Float[np.ndarray, " n"]:
     return rules.slowest_mps * rules.speed_ratio ** np.arange(num)
 
 
-def _speed(window: InertialWindow) -> float:
-    return float(np.linalg.norm(window.state(-1).velocity_map))
+def _with_all_landmarks(window: InertialWindow) -> InertialWindow:
+    return InertialWindow.of(window.moments, window.values, window.prior, window.config)
 
 
-def _next_cost(found: list, best: InertialEstimate, rules: InertialStartConfig) -> float:
-    """Cost of the cheapest solve of the grid that ended at another speed than the best."""
-    speed = float(np.linalg.norm(best.state.velocity_map))
-    others = [cost for cost, _, window in found if abs(_speed(window) - speed) > rules.other_speed * speed]
+def _next_nats(tried: list[_Tried], best: _Tried, rules: InertialStartConfig) -> float:
+    """Cost of the cheapest that ended at another speed than the best."""
+    limit_mps = rules.other_speed * best.speed_mps
+    others = [one.nats for one in tried if abs(one.speed_mps - best.speed_mps) > limit_mps]
     return min(others, default=np.inf)
 
 

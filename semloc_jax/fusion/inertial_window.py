@@ -21,13 +21,14 @@ from semloc_jax.fusion.inertial_motion import Moving, inertial_motion
 from semloc_jax.fusion.inertial_prior import moved_prior, shifted
 from semloc_jax.fusion.inertial_samples import Steps
 from semloc_jax.fusion.inertial_sights import step_residuals
-from semloc_jax.fusion.inertial_states import SIZES, unknowns_of
+from semloc_jax.fusion.inertial_states import SIZES, STATE, unknowns_of
 from semloc_jax.fusion.landmark_pool import LandmarkPool
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.preintegration import InertialNoise, Preintegrated, preintegrate
 from semloc_jax.solvers.dense import DenseEquations
 from semloc_jax.solvers.graph import Values
-from semloc_jax.solvers.levenberg_marquardt import Damping, SolveConfig, levenberg_marquardt
+from semloc_jax.solvers.levenberg_marquardt import Damping, SolveConfig
+from semloc_jax.solvers.optimistix_loop import levenberg_marquardt
 
 _LARGEST_INVERSE_DEPTH = 5.0
 _MAD = 1.4826
@@ -67,6 +68,10 @@ class InertialEstimate(NamedTuple):
     cost: float
     step_px: float
     """What corners slipped from one image to the next within the window; NaN where it holds too few of them."""
+    oldest_s: float
+    oldest: MotionState
+    across_oldest: Float[np.ndarray, "22 22"]
+    """Covariance of the newest state with the oldest."""
 
 
 @dataclass
@@ -139,8 +144,10 @@ class InertialWindow:
         is_good = (off < config.refuse_sigmas) & (rho > _BEHIND) & (rho < _LARGEST_INVERSE_DEPTH)
         self.pool.keep(rows, found.values["landmark"][:num], is_good)
         return InertialEstimate(
-            self.moments[-1].time_s, self.state(-1), found.covariance, int(is_good.sum()), int(found.num_steps),
-            float(found.cost), self._measured_step(found.residuals[:num], problem.views.sqrt_info[:num]),
+            self.moments[-1].time_s, self.state(-1), found.covariance[:STATE, :STATE], int(is_good.sum()),
+            int(found.num_steps), float(found.cost),
+            self._measured_step(found.residuals[:num], problem.views.sqrt_info[:num]),
+            self.moments[0].time_s, self.state(0), found.covariance[:STATE, STATE:],
         )  # fmt: skip
 
     def _learn_steps(self, found_px: float) -> None:
@@ -236,6 +243,7 @@ class _Found(NamedTuple):
     values: Values
     residuals: Array
     covariance: Array
+    """Of the newest state and, behind it, the oldest."""
     cost: Array
     num_steps: Array
 
@@ -270,9 +278,9 @@ def _solved(
     solution = levenberg_marquardt(problem, values, rules)
     left = solution.equations.reduced()
     num = len(problem.prior.touched)
-    newest = unknowns_of(np.array([num - 1]), num)
+    ends = np.concatenate([unknowns_of(np.array([state]), num) for state in (num - 1, 0)])
     residuals = step_residuals(problem.views, solution.value)
-    return _Found(solution.value, residuals, left.covariance(newest), solution.cost, solution.num_steps)
+    return _Found(solution.value, residuals, left.covariance(ends), solution.cost, solution.num_steps)
 
 
 @partial(jax.jit, static_argnames="num_gone")

@@ -34,6 +34,10 @@ class RoadBeliefs:
     """Way over which the bend becomes another one."""
     rough_per_m: float = 1e-4
     """Of the height so far away besides, as a share of the squared distance: crowns, kerbs, slopes that begin."""
+    crown: float = 0.05
+    """Of how the slope across the road changes at its crown, which a vehicle drives beside: twice a common slope."""
+    lane_m: float = 1.5
+    """To the side of the vehicle up to which the road is as under it."""
     heave_m: float = 0.013
     """Of the height of the vehicle on its springs, which all points of one time share."""
     tilt_deg: float = 0.2
@@ -179,6 +183,7 @@ class LandmarkPool:
         axes, T_anchor = np.stack([first, second, z], axis=-1), T_base_cam[anchor, self.camera[at]]
         up, lift_m = np.einsum("li,lij->lj", T_anchor[:, 2, :3], axes), T_anchor[:, 2, 3]
         away_m = _away(up[:, 2], lift_m)
+        aside_m = T_anchor[:, 1, 3] + _depth(up[:, 2], lift_m) * np.einsum("li,li->l", T_anchor[:, 1, :3], z)
         return Views(
             anchor=anchor,
             camera=self.camera[at],
@@ -190,7 +195,7 @@ class LandmarkPool:
             up=up,
             lift_m=lift_m,
             away_m=away_m,
-            on_road=_road_weights(up[:, 2], lift_m, away_m, anchor, is_real & self.on_road[at], road),
+            on_road=_road_weights(up[:, 2], lift_m, (away_m, aside_m), anchor, is_real & self.on_road[at], road),
         ), np.where(is_real[:, None], self.value[at], [0.0, 0.0, _FIRST_INVERSE_DEPTH])
 
     def keep(
@@ -217,28 +222,35 @@ def _without_gap(seen: Bool[np.ndarray, "l f"]) -> Bool[np.ndarray, "l f"]:
     return seen & ~is_later_run
 
 
+def _depth(up: Float[np.ndarray, " l"], lift_m: Float[np.ndarray, " l"]) -> Float[np.ndarray, " l"]:
+    """Way along lines of sight with vertical parts `up` to a flat road."""
+    return lift_m / np.maximum(-up, _FLATTEST)
+
+
 def _away(up: Float[np.ndarray, " l"], lift_m: Float[np.ndarray, " l"]) -> Float[np.ndarray, " l"]:
     """Distance over ground at which lines of sight with vertical parts `up` meet a flat road."""
     down = np.maximum(-up, _FLATTEST)
-    return lift_m / down * np.sqrt(np.maximum(1.0 - down**2, 0.0))
+    return _depth(up, lift_m) * np.sqrt(np.maximum(1.0 - down**2, 0.0))
 
 
 def _road_weights(
     up: Float[np.ndarray, " l"],
     lift_m: Float[np.ndarray, " l"],
-    away_m: Float[np.ndarray, " l"],
+    where_m: tuple[Float[np.ndarray, " l"], Float[np.ndarray, " l"]],
     anchor: Int[np.ndarray, " l"],
     on_road: Bool[np.ndarray, " l"],
     road: RoadBeliefs,
 ) -> Float[np.ndarray, " l"]:
-    """Depth to the road over the standard deviation of its height, of lines of sight with vertical parts `up`.
+    """Depth to the road over the standard deviation of its height, of lines of sight with vertical parts `up` that meet
+    it so far away and so far to the left of the vehicle.
 
     What the points of one anchor share is given to each of them so often as there are points: together they then
     weigh what the mean of them does.
     """
-    depth_m = lift_m / np.maximum(-up, _FLATTEST)
+    away_m, aside_m = where_m
     used = on_road & (up < -_FLATTEST) & (lift_m > _LEAST_LIFT_M) & (away_m < road.reach_m) & (road.sigma_m > 0.0)
     together = np.bincount(anchor[used], minlength=int(anchor.max(initial=0)) + 1)[anchor]
     own = road.sigma_m**2 + (road.rough_per_m * away_m**2) ** 2
+    own += (road.crown * np.maximum(np.abs(aside_m) - road.lane_m, 0.0)) ** 2
     shared = road.heave_m**2 + (np.deg2rad(road.tilt_deg) * away_m) ** 2
-    return np.where(used, depth_m / np.sqrt(np.maximum(own + together * shared, 1e-12)), 0.0)
+    return np.where(used, _depth(up, lift_m) / np.sqrt(np.maximum(own + together * shared, 1e-12)), 0.0)

@@ -58,6 +58,8 @@ class FusedPose(NamedTuple):
     """Direction of travel against base x, positive to the left."""
     travel_sigma_rad: float = 0.0
     """Its standard deviation; 0 where it is not estimated."""
+    travel_heading_covariance: float = 0.0
+    """Of it with the heading [rad^2]."""
     moving: Moving | None = None
     """Velocity and biases, by a fusion that estimates them: its next increment begins with them."""
 

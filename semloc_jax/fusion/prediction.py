@@ -15,6 +15,7 @@ from semloc_jax.fusion.inertial_motion import InertialMotion, Moving, inertial_m
 from semloc_jax.fusion.inertial_samples import steps_of
 from semloc_jax.fusion.motion_noise import MotionNoise
 from semloc_jax.fusion.sample_stream import SampleStream
+from semloc_jax.fusion.velocity_sample import VelocitySample
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.preintegration import InertialNoise
 
@@ -38,15 +39,6 @@ class Calibration(NamedTuple):
     travel_rad: float = 0.0
     """Direction of travel against base x, positive to the left: what defines the base frame (cameras, an inertial unit)
     is never mounted exactly along the way the rear axle rolls."""
-
-
-class VelocitySample(NamedTuple):
-    """Velocity of the base in its own axes by wheels or cameras, which share one error of scale."""
-
-    velocity_base: Float[np.ndarray, "3"]
-    """[m/s]."""
-    sigma: Float[np.ndarray, "3"]
-    """Its standard deviation beside the scale."""
 
 
 class MotionIncrement(NamedTuple):
@@ -114,7 +106,7 @@ class MotionLog:
     def __init__(self, noise: MotionNoise | None = None, max_gap_s: float = 0.15, max_hold_s: float = 5.0) -> None:
         """An empty log; samples closer than `max_gap_s` [s] are joined by straight lines."""
         self.noise, self.max_gap_s, self.max_hold_s = noise or MotionNoise(), max_gap_s, max_hold_s
-        self._wheels, self._imu, self._velocity = SampleStream(2), SampleStream(6), SampleStream(6)
+        self._wheels, self._imu, self._velocity = SampleStream(2), SampleStream(6), SampleStream(12)
 
     @classmethod
     def of_drive(cls, drive: Drive, noise: MotionNoise | None = None) -> "MotionLog":
@@ -280,7 +272,7 @@ class MotionLog:
             if not inside:
                 return None
             row = self._velocity.at(np.array(inside[-1:]), self.max_gap_s)[0][0]
-            return VelocitySample(row[:3], row[3:])
+            return VelocitySample(*np.split(row, 4))
         wheels, age_s = self._wheels.at(np.array([to_s]), self.max_gap_s)
         if age_s[0] > 0.0:
             return None

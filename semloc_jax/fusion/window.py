@@ -183,7 +183,8 @@ class SlidingWindow:
             scale, bias, travel = (float(value) for value in state.calibration[:3])
             offset = state.calibration[3:]
             travel_sigma = float(np.sqrt(max(joint[8, 8], 0.0)))
-            pose = FusedPose(float(state.now_s), T, joint[:6, :6], scale, bias, offset, travel, travel_sigma)
+            known = travel, travel_sigma, float(joint[5, 8])
+            pose = FusedPose(float(state.now_s), T, joint[:6, :6], scale, bias, offset, *known)
             self._last = (state, pose)
         return self._last[1]
 

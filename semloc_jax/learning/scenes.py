@@ -18,7 +18,7 @@ from semloc_jax.learning.config import LearningConfig
 from semloc_jax.learning.localized import localized_frames
 from semloc_jax.learning.parameters import Parameters
 from semloc_jax.maps import SemanticMap
-from semloc_jax.perception import CostMapConfig, cost_maps
+from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
 from semloc_jax.residuals.alignment import Usable, camera_views
 from semloc_jax.residuals.smooth import SmoothBorder, SmoothScene, distance_maps
 from semloc_jax.residuals.view import view

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 
 from semloc_jax.alignment.modes import modes_in_map
 from semloc_jax.alignment.pose_prior import PosePrior, levelled
@@ -57,6 +58,10 @@ class AcquisitionConfig:
     """The window around dead reckoning in units of its sigma, over that of the search."""
     min_coasting_sigma_m: float = 0.5
     max_coasting_sigma_m: float = 4.0
+    """Of one search: where dead reckoning knows less, along the way at first, several places are searched. Across it
+    one search does until dead reckoning itself, which is not inflated, knows less than this."""
+    max_coasting_places: int = 5
+    """With so many a search takes as many times longer; a vehicle that knows still less waits for a fix."""
     tile_m: float = 4.0
     tile_heading_deg: float = 30.0
 
@@ -68,43 +73,30 @@ class Acquisition:
         """Take the aligner's map and windows."""
         self.aligner, self.motion, self.config = aligner, motion, config
 
-    def prior(self, fixes: Fixes, coasting: FusedPose | None, time_s: float) -> PosePrior | None:
-        """Where to search: around dead reckoning while it is surer than the fixes and they do not contradict it."""
+    def priors(self, fixes: Fixes, coasting: FusedPose | None, time_s: float) -> list[PosePrior]:
+        """Where to search: around dead reckoning while it is surer than the fixes and they do not contradict it.
+
+        Returns:
+            One place, several where dead reckoning is unsure along one direction, or none where nothing says it.
+        """
         calibration = coasting.calibration if coasting is not None else None
-        from_fixes = prior_from_fixes(fixes, self.motion, time_s, calibration, self.config.fixes)
-        if coasting is None:
-            return from_fixes
-        around = self._around(coasting)
-        if around is None or from_fixes is None:
-            return around or from_fixes
-        apart_m = np.hypot(around.x_m - from_fixes.x_m, around.y_m - from_fixes.y_m)
-        contradicts = apart_m > 3.0 * np.hypot(around.sigma_xy_m, from_fixes.sigma_xy_m)
-        return from_fixes if contradicts or from_fixes.sigma_xy_m < around.sigma_xy_m else around
+        fixed = prior_from_fixes(fixes, self.motion, time_s, calibration, self.config.fixes)
+        around = [] if coasting is None else places_around(coasting, self.config)
+        if not around or fixed is None:
+            return around or [fixed] * (fixed is not None)
+        sigma_m, _ = _doubt(coasting, self.config)
+        apart_m = np.hypot(*(coasting.T_map_base[:2, 3] - [fixed.x_m, fixed.y_m]))
+        contradicts = apart_m > 3.0 * np.hypot(sigma_m[1], fixed.sigma_xy_m)
+        return [fixed] if contradicts or fixed.sigma_xy_m < sigma_m[1] else around
 
     def why_not(self, fixes: Fixes, time_s: float) -> str:
         """Why a search around the fixes cannot start, and what would help; empty where it can."""
         return why_no_prior(fixes, self.motion, time_s, None, self.config.fixes)
 
-    def _around(self, coasting: FusedPose) -> PosePrior | None:
-        config, T = self.config, coasting.T_map_base
-        sigma_m = config.coasting_inflation * float(np.sqrt(np.max(np.diagonal(coasting.covariance)[:2])))
-        if sigma_m > config.max_coasting_sigma_m:
-            return None
-        sigma_rad = config.coasting_inflation * float(np.sqrt(coasting.covariance[5, 5]))
-        least = np.deg2rad(config.fixes.min_sigma_heading_deg)
-        heading = float(np.arctan2(T[1, 0], T[0, 0]))
-        return PosePrior(
-            float(T[0, 3]),
-            float(T[1, 3]),
-            heading,
-            max(sigma_m, config.min_coasting_sigma_m),
-            max(sigma_rad, float(least)),
-        )
-
-    def search(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
-        """Every answer of one frame around a prior that is worth following, best first."""
-        priors = sectors(prior, self.config.fixes)
-        return self.around(frame, prior) if len(priors) == 1 else self._best_of(frame, priors)
+    def search(self, frame: FrameFeatures, priors: Sequence[PosePrior]) -> tuple[Mode, ...]:
+        """Every answer of one frame around the priors that is worth following, best first."""
+        parts = [part for prior in priors for part in sectors(prior, self.config.fixes)]
+        return self.around(frame, parts[0]) if len(parts) == 1 else self._best_of(frame, parts)
 
     def around(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
         """Every answer of one frame around a prior of one heading, best first."""
@@ -154,3 +146,27 @@ class Acquisition:
         config = self.config
         floor = np.diag(np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02]) * config.min_sigma_m) ** 2
         return PoseMeasurement(time_s, mode.T_map_base, config.covariance_inflation * mode.covariance + floor)
+
+
+def places_around(coasting: FusedPose, config: AcquisitionConfig) -> list[PosePrior]:
+    """Places to search around dead reckoning, the likeliest first; none where it knows too little."""
+    T = coasting.T_map_base
+    (least_m, most_m), direction = _doubt(coasting, config)
+    one_m = min(most_m, config.max_coasting_sigma_m)
+    num = int(np.ceil((most_m - one_m) / (2.0 * one_m)))  # to each side, as far as one search reaches apart
+    if least_m > config.coasting_inflation * config.max_coasting_sigma_m or 2 * num + 1 > config.max_coasting_places:
+        return []
+    least_rad = float(np.deg2rad(config.fixes.min_sigma_heading_deg))
+    sigma_rad = max(config.coasting_inflation * float(np.sqrt(coasting.covariance[5, 5])), least_rad)
+    heading = float(np.arctan2(T[1, 0], T[0, 0]))
+    offsets_m = 2.0 * one_m * np.array([0, *(sign * k for k in range(1, num + 1) for sign in (1, -1))])
+    places = T[:2, 3] + offsets_m[:, None] * direction
+    return [PosePrior(float(x), float(y), heading, float(one_m), sigma_rad) for x, y in places]
+
+
+def _doubt(coasting: FusedPose, config: AcquisitionConfig) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Least and largest sigma of a search for dead reckoning, and the direction of the largest in the map."""
+    variance, axes = np.linalg.eigh(coasting.covariance[:2, :2])
+    ahead = coasting.T_map_base[:2, :2] @ axes[:, 1]
+    sigma_m = config.coasting_inflation * np.sqrt(np.maximum(variance, 0.0))
+    return np.maximum(sigma_m, config.min_coasting_sigma_m), ahead / np.linalg.norm(ahead)

@@ -19,6 +19,7 @@ from semloc_jax.inputs.mask_source import MaskSource, mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.maps import SemanticMap
 from semloc_jax.runtime.allocator import return_large_blocks
+from semloc_jax.runtime.effort import effort_for
 
 
 @runtime_checkable
@@ -55,10 +56,11 @@ def localize_frames(
     ('000000', True)
     """
     results = []
-    for result in iterate_frames(drive, semantic_map, masks, prior, frames, cameras, config):
-        results.append(result)
-        if on_frame is not None:
-            on_frame(result)
+    with effort_for(len(drive.frames[frames] if isinstance(frames, slice) else frames)):
+        for result in iterate_frames(drive, semantic_map, masks, prior, frames, cameras, config):
+            results.append(result)
+            if on_frame is not None:
+                on_frame(result)
     return results
 
 

@@ -3,7 +3,9 @@
 In: how each measured pose differs from the predicted one. Out: Innovations; how far a pose is in doubt where they do
 not, and a sentence.
 A clock that is late, an odometer that slips, times of frames that jump: each frame alone may pass, as its gate lets one
-in a thousand through and no more is asked of it; several in a row do not.
+in a thousand through and no more is asked of it; several in a row do not. Errors of masks that stay for a while enter
+with so large a variance that a filter may take them for new in every frame: squares are then smaller than they say, but
+a sum of differences to one side is as large as they say, so the sum is held against them as well.
 """
 
 from typing import NamedTuple
@@ -17,6 +19,14 @@ _PROBABILITY = 0.9
 """Of a mean that small where covariances are exact; those of sound drives are careful, their means a third of it."""
 _PROBABILITY_ALONE = 0.99
 """The same of one direction: a late clock shows along the way only, and the other five directions dilute it."""
+_SIDE_FRAMES = 10.0
+"""Memory of the sum to one side: a clock that is late makes a pose lag by less than its sigma in each frame."""
+_SIDE_SIGMAS = 3.29
+"""What one sum in a thousand exceeds where covariances are exact. Sound drives: 2.0 at most."""
+_SIDE_LEAST_FRAMES = 3.0
+"""A sum of fewer independent frames is that of one outlier."""
+_SIDE_MOST = 4.0
+"""One frame counts as no more standard deviations."""
 _DOF = 6
 _MOST = 60.0
 """A frame counts as no more."""
@@ -38,6 +48,10 @@ class Innovations(NamedTuple):
     away: Float[np.ndarray, "3"] = np.zeros(3)
     """Squared differences themselves [m^2, m^2, rad^2]."""
     num: Float[np.ndarray, ""] = np.float64(0.0)
+    side: Float[np.ndarray, "3"] = np.zeros(3)
+    """Sums, signed, of forward, left and heading over their standard deviations."""
+    side_variance: Float[np.ndarray, ""] = np.float64(0.0)
+    """Of these sums where covariances are exact."""
 
 
 def learned(
@@ -51,13 +65,19 @@ def learned(
         difference: Measured pose as seen from the predicted one (right tangent).
         covariance: Of the difference.
     """
-    away = np.square(difference)[_OF_PLANE]
-    squares = away / np.maximum(np.diagonal(covariance)[_OF_PLANE], 1e-18)
-    if not (np.isfinite(chi2) and np.isfinite(squares).all()):
+    away = difference[_OF_PLANE]
+    sigmas = away / np.sqrt(np.maximum(np.diagonal(covariance)[_OF_PLANE], 1e-18))
+    if not (np.isfinite(chi2) and np.isfinite(sigmas).all()):
         return state
-    new = (min(chi2, _MOST), np.minimum(squares, _MOST), away, 1.0)
-    keep = 1.0 - 1.0 / _MEMORY_FRAMES
-    return Innovations(*(np.asarray(keep * old + one, np.float64) for old, one in zip(state, new, strict=True)))
+    squares, to_side = np.minimum(sigmas**2, _MOST), np.clip(sigmas, -_SIDE_MOST, _SIDE_MOST)
+    keep, longer = 1.0 - 1.0 / _MEMORY_FRAMES, 1.0 - 1.0 / _SIDE_FRAMES
+    sums = zip(
+        (keep, keep, keep, keep, longer, longer**2),
+        state,
+        (min(chi2, _MOST), squares, away**2, 1.0, to_side, 1.0),
+        strict=True,
+    )
+    return Innovations(*(np.asarray(share * old + new, np.float64) for share, old, new in sums))
 
 
 class Doubt(NamedTuple):
@@ -78,10 +98,18 @@ def doubts(state: Innovations) -> tuple[Doubt, ...]:
     mean, alone = float(state.chi2) / num, state.squares / num
     most = float(chdtri(_DOF * num, 1.0 - _PROBABILITY)) / num
     most_alone = float(chdtri(num, 1.0 - _PROBABILITY_ALONE)) / num
+    variance = float(state.side_variance)
+    to_side = np.abs(state.side) / np.sqrt(variance) if variance >= _SIDE_LEAST_FRAMES else np.zeros(3)
     worst = int(np.argmax(alone))
-    if mean <= most and alone[worst] <= most_alone:
+    if mean > most:
+        size = f"squared innovations {mean:.0f}, at most {most:.0f}"
+    elif alone[worst] > most_alone:
+        size = f"squared innovations {alone[worst]:.0f}, at most {most_alone:.0f}"
+    elif to_side.max() > _SIDE_SIGMAS:
+        worst = int(np.argmax(to_side))
+        size = f"differences to one side, {to_side[worst]:.1f} standard deviations of their sum"
+    else:
         return ()
     ahead_m, left_m, turn_rad = np.sqrt(state.away / num).tolist()
-    size = f"{mean:.0f}, at most {most:.0f}" if mean > most else f"{alone[worst]:.0f}, at most {most_alone:.0f}"
-    told = f"masks and motion do not fit each other (squared innovations {size}), {_WORDS[worst]}"
+    told = f"masks and motion do not fit each other ({size}), {_WORDS[worst]}"
     return (Doubt(left_m, ahead_m, float(np.degrees(turn_rad)), told),)

@@ -12,7 +12,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.evaluation.held import held_text
 from semloc_jax.fusion import noise_scale
 from semloc_jax.fusion.measurements import FusedPose
-from semloc_jax.localization import health, innovations, phase, watch
+from semloc_jax.localization import course, health, innovations, phase, watch
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.integrity import (
     ProtectionLevels,
@@ -94,22 +94,41 @@ class PoseLevels(NamedTuple):
     misleading: float
 
 
+def spoken_for(state: TrackerState, rig: Rig, config: TrackConfig) -> list[watch.Separation]:
+    """What the last frames say against calibration, map and motion."""
+    doubts = (watch.Separation(*doubt) for doubt in innovations.doubts(state.innovations))
+    return [*doubts, *watch.spoken_for(state.watch, rig, config.watch)]
+
+
 def levels_of(
     state: TrackerState, fused: FusedPose, rig: Rig, map_sigma: tuple[float, float], config: TrackConfig
 ) -> PoseLevels:
     """The levels of a pose; arguments as `judged`."""
-    integrity = config.health.integrity
+    integrity, limit = config.health.integrity, config.health.integrity.limit
     freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
     known = fused.covariance, freedom, map_sigmas(*map_sigma)
     levels = protection_levels(*known, integrity)
-    faults = []
-    if state.tracks:
-        doubts = (watch.Separation(*doubt) for doubt in innovations.doubts(state.innovations))
-        faults = [*doubts, *watch.separations(state.watch, fused, rig, config.watch)]
-    causes = watch.causes(levels, faults, integrity.limit)
-    farthest = np.max([fault[:3] for fault in faults], axis=0) if faults else np.zeros(3)
-    misled = misleading(*known, farthest, integrity.limit)
-    return PoseLevels(watch.at_least(watch.with_faults(levels, faults), config.watch), causes, misled)
+    if not state.tracks:
+        return PoseLevels(watch.at_least(levels, config.watch), (), misleading(*known, np.zeros(3), limit))
+    spoken = spoken_for(state, rig, config)
+    lasting = watch.lasting(state.doubted, spoken)
+    faults = [*spoken, *lasting, *watch.separations(state.watch, rig, config.watch)]
+    farthest = np.max([np.zeros(3), *(np.array(fault[:3]) for fault in faults)], axis=0)
+    misled = misleading(*known, farthest, limit)
+    protection = watch.at_least(watch.with_faults(levels, faults), config.watch)
+    # Cameras that look aside: the pose with the heading of its course may be the right one instead.
+    way, aside_rad = course.course_of(fused), float(state.watch.aside_rad)
+    aside_deg = course.heading_level_deg(aside_rad, way, float(freedom[2]), integrity.risk / 6.0)
+    causes = watch.causes(levels, faults, limit)
+    if protection.heading_deg <= limit.heading_deg < aside_deg:
+        causes = (*causes, watch.aside_cause(way, aside_rad, aside_deg, rig))
+    misled += course.misleading(aside_rad, way, float(freedom[2]), limit.heading_deg)
+    aside_m = abs(way.off_rad) * watch.cameras_ahead_m(rig)
+    protection = protection._replace(
+        lateral_m=max(protection.lateral_m, levels.lateral_m + aside_m),
+        heading_deg=max(protection.heading_deg, aside_deg),
+    )
+    return PoseLevels(protection, causes, min(misled, 1.0))
 
 
 def _contradictions(state: TrackerState, reasons: tuple[str, ...], config: health.HealthConfig) -> tuple[str, ...]:

@@ -40,7 +40,7 @@ from semloc_jax.localization.following import (
 )
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
-from semloc_jax.localization.judging import judged
+from semloc_jax.localization.judging import judged, spoken_for
 from semloc_jax.localization.map_window import GRID_M, MapWindows
 from semloc_jax.localization.stage_timer import StageTimer
 from semloc_jax.localization.track_config import TrackConfig
@@ -210,6 +210,9 @@ class Localizer:
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
             state = self._acquired(state, frame)
             timer.lap("acquire")
+        if state.tracks:
+            spoken = spoken_for(state, frame.rig, self.config)
+            state = state._replace(doubted=watch.remembered(state.doubted, spoken, way_m, self.config.watch))
         return self._judged(state, view, frame, timer)
 
     def trust_in(self, state: TrackerState) -> Trust:
@@ -272,9 +275,8 @@ class Localizer:
         total = [float(t.penalty) + nats for t, nats in zip(tracks, against, strict=True)]
         order = np.argsort(total, kind="stable")
         best, view = tracks[order[0]], pairs[order[0]][1]
-        if order[0] != 0:  # what was seen from another place says nothing of this one
-            state = state._replace(watch=watch.WatchState(), elsewhere=Elsewhere())
-            state = state._replace(innovations=innovations.Innovations())
+        if order[0] != 0:
+            state = _as_new(state)
         kept = [best]
         for k in order[1:]:
             if total[k] - total[order[0]] < self.config.win_nats and not self._is_one_of(tracks[k], kept):
@@ -322,10 +324,10 @@ class Localizer:
         if self.area is not None and coasting is None:
             modes = self.acquisition.search_area(frame, self.area)
         else:
-            prior = self.acquisition.prior(state.fixes, coasting, frame.time_s) or frame.guess
-            if prior is None:
+            priors = self.acquisition.priors(state.fixes, coasting, frame.time_s) or [frame.guess]
+            if priors[0] is None:
                 return state
-            modes = self.acquisition.search(frame, prior)
+            modes = self.acquisition.search(frame, priors)
         state = state._replace(searched_s=np.float64(frame.time_s))
         if not modes:
             return state
@@ -337,7 +339,7 @@ class Localizer:
         )
         forgotten = noise_scale.without_poses(state.noise)
         state = state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten)
-        return state._replace(watch=watch.WatchState(), elsewhere=Elsewhere(), innovations=innovations.Innovations())
+        return _as_new(state)
 
     def _judged(
         self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, timer: StageTimer
@@ -385,3 +387,9 @@ class Localizer:
         """The pose in the map that goes out; None where there is none."""
         known = (*(track.fusion for track in state.tracks[:1]), *state.coasting)
         return self.fusion.pose(known[0]) if known else None
+
+
+def _as_new(state: TrackerState) -> TrackerState:
+    """The state at another place: what was seen from the one before says nothing there."""
+    fresh = {"watch": watch.WatchState(), "elsewhere": Elsewhere(), "innovations": innovations.Innovations()}
+    return state._replace(**fresh, doubted=np.zeros(3))

@@ -1,7 +1,7 @@
 """What says how a vehicle moved: wheels, cameras and inertial sensor, or both (room: localization; host).
 
 In: a Drive, a choice, its cameras and masks. Out: the MotionLog of a Localizer, the speeds that a map is made of.
-Cameras and inertial sensor become velocities: their error is one slowly changing scale, which a fusion estimates.
+Cameras and inertial sensor become velocities, whose errors last for seconds: a fusion estimates them.
 """
 
 import logging
@@ -15,7 +15,7 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.datasets.imu_check import require_usable
 from semloc_jax.datasets.sensors import WheelOdometry
 from semloc_jax.errors import SemlocError
-from semloc_jax.fusion.prediction import MotionLog, VelocitySample
+from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.inputs.mask_view import MaskSource, resized
 from semloc_jax.localization.odometry import OdometryConfig, OdometryFrame, ScenerySource, VisualInertialOdometry
 from semloc_jax.perception.class_table import ClassTable
@@ -26,9 +26,6 @@ _LOG = logging.getLogger(__name__)
 
 Motion = Literal["wheels", "vio", "both"]
 MotionChoice = Literal["auto", "wheels", "vio", "both"]
-VELOCITY_SIGMA_MPS = (0.05, 0.05, 0.1)
-"""Of a velocity by cameras and inertial sensor besides its scale, ahead, left and up; ours: half a percent of the speed
-ahead."""
 _LEAST_CORNERS = 10
 """With fewer the velocity is that of the inertial sensor alone, which the fusion has itself."""
 _SKY, _ROAD = ("sky",), ("road", "roads", "service_lane", "parking", "drivable")
@@ -114,9 +111,9 @@ def motion_log(drive: Drive, motion: Motion, masks: MaskSource) -> MotionLog:
         seen = seen_motion(drive, cameras, masks, motion == "both")
     except SemlocError as error:  # a gap of the inertial sensor: between the others it helps all the same
         seen = SeenMotion((), 0, str(error))
-    for frame in seen.frames[max(seen.num_start - 1, 0) :]:
-        if frame.num_followed >= _LEAST_CORNERS:
-            log.add_velocity(frame.time_s, velocity_of(frame))
+    for frame in seen.frames:
+        if frame.velocity is not None and frame.num_followed >= _LEAST_CORNERS:
+            log.add_velocity(frame.time_s, frame.velocity)
     if seen.frames:
         first_s = seen.frames[seen.num_start - 1].time_s
         _LOG.info("motion: %scameras (%s) from %.1f s on, inertial sensor", wheels, ", ".join(cameras), first_s)
@@ -139,7 +136,7 @@ def with_seen_speed(drive: Drive, masks: MaskSource, with_wheels: bool) -> Drive
         lacks = "" if drive.odometry is not None else "has no wheel odometry, and "
         raise SemlocError(f"drive {drive.name}: {lacks}cameras and inertial sensor gave no start: {seen.reason}")
     time_s = np.array([frame.time_s for frame in seen.frames])
-    speed = np.array([velocity_of(frame).velocity_base[0] for frame in seen.frames])
+    speed = np.array([frame.T_odom_base[:3, 0] @ frame.velocity_odom for frame in seen.frames])
     bias = np.array([frame.bias[2] for frame in seen.frames])
     imu = drive.imu
     inside = (imu.time_s >= time_s[0]) & (imu.time_s <= time_s[-1])
@@ -160,11 +157,6 @@ def seen_motion(drive: Drive, cameras: Sequence[str], masks: MaskSource | None, 
         num_start = num_start or len(new)
         found += new
     return SeenMotion(tuple(found), num_start, odometry.reason or "the drive is too short")
-
-
-def velocity_of(frame: OdometryFrame) -> VelocitySample:
-    """The velocity of one frame in the axes of the vehicle."""
-    return VelocitySample(frame.T_odom_base[:3, :3].T @ frame.velocity_odom, np.array(VELOCITY_SIGMA_MPS))
 
 
 def with_images(drive: Drive, cameras: Sequence[str]) -> tuple[str, ...]:

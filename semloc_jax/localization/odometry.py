@@ -23,6 +23,8 @@ from semloc_jax.fusion.inertial_samples import Steps, capacity_for, rotation_bet
 from semloc_jax.fusion.inertial_start import InertialStartConfig, started
 from semloc_jax.fusion.inertial_states import STATE
 from semloc_jax.fusion.inertial_window import InertialEstimate, InertialWindow
+from semloc_jax.fusion.seen_velocity import seen_velocity
+from semloc_jax.fusion.velocity_sample import VelocitySample
 from semloc_jax.geometry import rigid
 from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Scenery, Tracks
 
@@ -67,6 +69,8 @@ class OdometryFrame(NamedTuple):
     """Rotation vector that turns the axes of the inertial sensor into those of the base."""
     delay_s: float = 0.0
     """Clock of the inertial sensor less that of the cameras."""
+    velocity: VelocitySample | None = None
+    """In the axes of the vehicle, and how long its error lasts; None where a later image was needed to know it."""
 
 
 class VisualInertialOdometry:
@@ -234,7 +238,7 @@ def _frame_of(
     velocity_odom = T_odom_base[:3, :3] @ state.T_map_base[:3, :3].T @ state.velocity_map
     return OdometryFrame(
         moment.time_s, T_odom_base, velocity_odom, state.bias, sigma, moment.tracks.num_followed,
-        estimate.num_landmarks, moment.is_standing, state.mount_rad, float(state.delay_s[0]),
+        estimate.num_landmarks, moment.is_standing, state.mount_rad, float(state.delay_s[0]), seen_velocity(estimate),
     )  # fmt: skip
 
 

@@ -19,9 +19,10 @@ from semloc_jax.cameras import Rig
 from semloc_jax.cameras.other_lenses import with_distortion
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import ErrorLimit
-from semloc_jax.fusion.measurements import FusedPose, SensorBeliefs
+from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import lens_sign
+from semloc_jax.localization.course import Course, course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.integrity import ProtectionLevels
@@ -53,7 +54,6 @@ _PLANE = [0, 1, 5]
 _ADVICE = "run semloc calibrate"
 _OWN_TILT_RAD = np.deg2rad(RoadSigmas().roll_pitch_deg)
 _GROUP_WORDS = dict(zip(GROUPS, ("lines", "posts", "lines to the left", "lines to the right"), strict=True))
-_TRAVEL_SIGMA_DEG = SensorBeliefs().travel_sigma_deg
 
 
 class Separation(NamedTuple):
@@ -87,8 +87,7 @@ def looked(
         way_m: Way since the frame before [m].
         config: When a frame is looked at.
     """
-    remembered_rad = float(watch.aside_rad) * np.exp(-way_m / config.aside_m_memory)
-    aside = _aside(remembered_rad, fused, len(frame.rig.names), config)
+    aside = remembered_rad(float(watch.aside_rad), course_of(fused), way_m)
     way_m += float(watch.way_m)
     if int(watch.num_frames) > 0 and way_m < config.step_m:
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
@@ -103,7 +102,7 @@ def looked(
         watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))
     profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
     watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
-    return learned(watch, len(frame.rig.names), float(aside), tried, profiles, config)
+    return learned(watch, len(frame.rig.names), aside, tried, profiles, config)
 
 
 def _tried(
@@ -157,31 +156,59 @@ def _leaned(
     return leaned(watch, tilt_rad, np.array(spread)[1:3], way_m, config)
 
 
-def separations(watch: WatchState, fused: FusedPose, rig: Rig, config: WatchConfig) -> list[Separation]:
-    """Every fault that joins the protection levels.
-
-    Args:
-        watch: Sums over the last frames.
-        fused: The pose with its direction of travel.
-        rig: Cameras.
-        config: What counts.
-    """
-    mean = np.asarray(rig.T_base_cam, np.float64)[:, :3, 3].mean(axis=0)
+def spoken_for(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separation]:
+    """Every fault that the last frames speak for; arguments as `separations`."""
     found = []
     for suspected in suspicions(watch, len(rig.names), config):
         if suspected.nats >= (config.class_count_nats if suspected.name in CLASSES else config.count_nats):
             ahead, left, turned = np.abs(suspected.moved)
             found.append(Separation(left, ahead, float(np.degrees(turned)), _told(suspected, rig)))
+    return found
+
+
+def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separation]:
+    """Every fault that joins the protection levels whatever the last frames say.
+
+    Args:
+        watch: Sums over the last frames.
+        rig: Cameras.
+        config: What counts.
+    """
+    height_m, found = float(np.asarray(rig.T_base_cam, np.float64)[:, 2, 3].mean()), []
     speaks = lens_sign.nats(watch.sign, config.share)
     if watch.sign.num > 0 and speaks > -config.count_nats:
         ahead, left, turned = np.abs(lens_sign.mean_move(watch.sign))
         how = f"the other one fits {speaks:.0f} nats better" if speaks >= 1.0 else "the drive has not told yet"
         cause = f"the distortion of {_whose(rig)} may have the wrong sign: {how}"
         found.append(Separation(left, ahead, float(np.degrees(turned)), f"{cause}; {_ADVICE}"))
-    # A map that does not fit moves the pose while driving as well: what speaks of it comes first.
-    aside = _looking_aside(float(watch.aside_rad), float(mean[0]), rig, config)
-    tilted = _tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), float(mean[2]), rig)
-    return [*found, aside, *_untold(fused, rig, config), *tilted]
+    tilted = _tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), height_m, rig)
+    return [*found, *tilted]
+
+
+def remembered(
+    before: Float[np.ndarray, "3"], found: Sequence[Separation], way_m: float, config: WatchConfig
+) -> Float[np.ndarray, "3"]:
+    """How far the pose was in doubt of late: lateral [m], longitudinal [m], heading [deg].
+
+    A frame in which a fault happens not to show has not spoken against it.
+
+    Args:
+        before: At the frame before.
+        found: What the frames up to this one speak for.
+        way_m: Way since the frame before [m].
+        config: Memory.
+    """
+    kept = np.exp(-way_m / config.doubt_memory_m) * before
+    return np.max([kept, *(np.array(fault[:3]) for fault in found)], axis=0)
+
+
+def lasting(doubted: Float[np.ndarray, "3"], found: Sequence[Separation]) -> list[Separation]:
+    """What is remembered beyond that which is still spoken for; arguments as `remembered`."""
+    farthest = np.max([np.zeros(3), *(np.array(fault[:3]) for fault in found)], axis=0)
+    if (doubted <= farthest).all():
+        return []
+    cause = "what spoke against calibration, map or motion within the last metres has not been cleared yet"
+    return [Separation(*doubted.tolist(), cause)]
 
 
 def with_faults(levels: ProtectionLevels, found: list[Separation]) -> ProtectionLevels:
@@ -218,42 +245,22 @@ def causes(levels: ProtectionLevels, found: list[Separation], limit: ErrorLimit)
     )
 
 
-def _aside(remembered_rad: float, fused: FusedPose, num_cameras: int, config: WatchConfig) -> float:
-    """The direction of travel to be remembered: the largest of late, unless what the drive says by now is surer."""
-    travel, sigma = _travel_alone(fused, config)
-    if abs(travel) >= abs(remembered_rad):
-        return travel
-    most_rad = abs(travel) + config.aside_sigmas[num_cameras > 1] * sigma
-    return float(np.sign(remembered_rad)) * min(abs(remembered_rad), most_rad)
+def aside_cause(course: Course, aside_rad: float, level_deg: float, rig: Rig) -> str:
+    """A sentence for cameras that may look aside: by how much, or that the drive has not told yet.
 
-
-def _travel_alone(fused: FusedPose, config: WatchConfig) -> tuple[float, float]:
-    """The direction of travel as the drive alone has it, and its standard deviation: the fusion holds it near zero,
-    which hides a camera that looks aside until much of the way is driven."""
-    known, prior, wide = fused.travel_sigma_rad**2, np.deg2rad(_TRAVEL_SIGMA_DEG) ** 2, config.aside_sigma_rad**2
-    if not 0.0 < known < prior:
-        return fused.travel_rad, fused.travel_sigma_rad
-    information = 1.0 / known - 1.0 / prior + 1.0 / wide
-    return fused.travel_rad / known / information, float(1.0 / np.sqrt(information))
-
-
-def _untold(fused: FusedPose, rig: Rig, config: WatchConfig) -> list[Separation]:
-    """What a camera may look aside before the drive has said anything of the direction that it goes in; several that
-    are mounted each on its own do not look aside together."""
-    prior = np.deg2rad(_TRAVEL_SIGMA_DEG)
-    if len(rig.names) > 1 or not config.untold_share * prior**2 < fused.travel_sigma_rad**2 <= prior**2:
-        return []
-    cause = "the direction of travel is not known yet, and with it whether the camera looks aside: a few metres tell"
-    return [Separation(0.0, 0.0, float(np.degrees(config.aside_sigma_rad)), cause)]
-
-
-def _looking_aside(travel_rad: float, ahead_m: float, rig: Rig, config: WatchConfig) -> Separation:
-    """The rear axle does not slip: what looks like driving aside is a camera that looks aside."""
-    travel_deg = float(np.degrees(travel_rad))
-    side = "right" if travel_deg > 0.0 else "left"
-    cause = f"{_cameras(rig)} {abs(travel_deg):.1f} deg to the {side} of where the vehicle drives; {_ADVICE}"
-    share = float(np.interp(abs(travel_rad), config.aside_rad, (0.0, 1.0)))
-    return Separation(share * abs(travel_rad * ahead_m), 0.0, share * abs(travel_deg), cause)
+    Args:
+        course: Of the pose.
+        aside_rad: What is remembered of the way before.
+        level_deg: Level of the heading that holds if they do.
+        rig: Cameras.
+    """
+    told_rad = max(course.off_rad, aside_rad, key=abs)
+    told_deg = abs(float(np.degrees(told_rad)))
+    if told_deg < 0.5 * level_deg:
+        which = "the camera looks" if len(rig.names) == 1 else "the cameras look"
+        return f"the direction of travel is not known yet, and with it whether {which} aside: a few metres tell"
+    side = "right" if told_rad > 0.0 else "left"
+    return f"{_cameras(rig)} {told_deg:.1f} deg to the {side} of where the vehicle drives; {_ADVICE}"
 
 
 def _tilted(tilt_rad: np.ndarray, height_m: float, rig: Rig) -> list[Separation]:
@@ -265,6 +272,11 @@ def _tilted(tilt_rad: np.ndarray, height_m: float, rig: Rig) -> list[Separation]
         Separation(abs(float(roll)) * height_m, 0.0, 0.0, leans),
         Separation(0.0, abs(float(pitch)) * height_m, 0.0, nods),
     ]
+
+
+def cameras_ahead_m(rig: Rig) -> float:
+    """How far the cameras stand ahead of the base on average [m]."""
+    return float(np.asarray(rig.T_base_cam, np.float64)[:, 0, 3].mean())
 
 
 def _cameras(rig: Rig) -> str:

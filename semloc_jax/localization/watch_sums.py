@@ -53,8 +53,6 @@ class WatchConfig:
     memory_frames: float = 40.0
     share: float = 0.3
     """Share of what a frame says that is new: successive frames see the same map."""
-    aside_sigma_rad: float = 0.02
-    """How far aside cameras may look, before the drive says more [rad]."""
     least_levels: tuple[float, float, float] = LEAST_LEVELS
     """No level is smaller; that of the heading is so much in every pose, since no camera is mounted exactly, and joins
     what scatters."""
@@ -64,17 +62,6 @@ class WatchConfig:
     """Way over which road and vehicle keep their own tilt: bumps, nods, what the map has of the slope."""
     tilt_memory_m: ClassVar[float] = 200.0
     """Way over which tilts are averaged: a mount does not change while driving."""
-    aside_m_memory: float = 20.0
-    """Way over which a direction of travel is remembered: where the cameras look aside, the first lines and walls that
-    come into view or leave it move the pose, which passes for a drive to the other side."""
-    aside_sigmas: ClassVar[tuple[float, float]] = (1.0, 2.0)
-    """What is remembered counts no longer beyond so many standard deviations of what the drive says by now: of one
-    camera, of several. Several are believed from the first frame on, one not until the drive has told (`untold_share`):
-    what several once showed takes more to be dismissed."""
-    aside_rad: tuple[float, float] = (0.0052, 0.0063)
-    """A direction of travel up to the first is that of a sound vehicle, whose axle and inertial unit are never mounted
-    exactly along each other (a real one: 0.27 deg); from the second on it counts in full [rad]. The first is what the
-    least level of the heading covers."""
     least_gain_nats: float = 2.0
     """What a frame must gain at least: less is left by masks and maps that are not perfect, in every frame anew."""
     count_nats: float = 2.5
@@ -84,9 +71,9 @@ class WatchConfig:
     the pose is, to the frame."""
     class_count_nats: ClassVar[float] = 1.0
     """Elements of one kind that were moved join the levels from so much on."""
-    untold_share: ClassVar[float] = 2.0 / 3.0
-    """Until the drive leaves less than this share of the variance of its direction of travel, cameras may look aside as
-    far as they may without it."""
+    doubt_memory_m: ClassVar[float] = 5.0
+    """Way over which what was spoken for still widens the levels: errors of masks stay over metres, so that a frame
+    within them which does not say it again has not said otherwise."""
 
 
 STEPS = np.array([1.0, -1.0, 2.0, -2.0])
@@ -116,7 +103,7 @@ class WatchState(NamedTuple):
     profiles: Float[np.ndarray, " groups_n"] = np.zeros(0)
     """Costs of every one of `GROUPS` over the moves [nats]."""
     aside_rad: Float[np.ndarray, ""] = np.float64(0.0)
-    """Largest direction of travel that the drive alone gave of late."""
+    """How far aside the vehicle drove of late at the least; see `course`."""
     num_looks: Float[np.ndarray, ""] = np.float64(0.0)
     """Frames that the profiles were summed over."""
     num_frames: Int[np.ndarray, ""] = np.int64(0)

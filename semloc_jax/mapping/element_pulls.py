@@ -24,7 +24,8 @@ from semloc_jax.geometry import polyline
 from semloc_jax.mapping.sides import NUM_SIDES, side_at, sides_of
 from semloc_jax.mapping.sightings import UPRIGHT
 from semloc_jax.maps import LocalMap, MapElement, SemanticMap
-from semloc_jax.perception import ClassTable, CostMapConfig, cost_maps
+from semloc_jax.perception import ClassTable
+from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
 from semloc_jax.residuals.holder_terms import holder_terms
 from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.residuals.view import ViewConfig, view

@@ -60,7 +60,8 @@ class JointConfig:
         least_share: directions held this much less than the firmest one are left open.
         believed_rows: what the stated noise of pulls is worth, in rows of them, against how far they scatter.
         least_noise: no pull is taken to have less than this share of its stated variance: what all frames see alike, a
-            lens or a mount that is not quite as calibrated, scatters in none of them.
+            lens or a mount that is not quite as calibrated or a shape not quite as drawn, scatters in none of them.
+            With 1/16 pulls bent the way of a garage of 110 m by 3.5 cm against its odometer and loops, with 1/2 by 1.8.
     """
 
     sigma_xy_m: float = 0.5
@@ -71,7 +72,7 @@ class JointConfig:
     threshold: float = 12.0
     least_share: float = 1e-7
     believed_rows: float = 60.0
-    least_noise: float = 1.0 / 16.0
+    least_noise: float = 0.5
     solve: SolveConfig = field(default_factory=lambda: SolveConfig(tolerance=1e-4, max_steps=30))
 
     @property
@@ -95,8 +96,8 @@ class RefineConfig:
     """
 
     rounds: int = 4
-    every_m: float = 1.0
-    draft_every_m: float = 0.6
+    every_m: float = 2.0
+    draft_every_m: float = 1.0
     draft_spacing_m: float = 0.04
     reach_px: float = 8.0
     last_reach_px: float = 4.0

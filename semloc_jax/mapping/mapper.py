@@ -20,6 +20,7 @@ from semloc_jax.mapping.existence import Counting, ExistenceConfig
 from semloc_jax.mapping.joint import RefineConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
 from semloc_jax.mapping.parts import Parts
+from semloc_jax.mapping.row_lines import PaintAt
 from semloc_jax.mapping.settling import Progress, SettleConfig, settled_in
 from semloc_jax.mapping.slot_numbers import numbered
 from semloc_jax.mapping.slot_rows import MappedRow, draw_rows
@@ -167,7 +168,8 @@ def make_map(
     in_rows = [d.moved_with(drawn[d.id], lines[d.id]) for row in rows for d in row.dividers(set(lines))]
     beliefs = {e.id: b for e, b in kept}
     slots = find_slots(list(lines.values()), beliefs, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots, in_rows)
-    marks, numbers = numbered([known for known in kept if known[0].label == ElementClass.ROAD_MARK], slots)
+    marks = [known for known in kept if known[0].label == ElementClass.ROAD_MARK]
+    marks, numbers = numbered(marks, slots, _looks_at(gatherer, ElementClass.ROAD_MARK))
     kept = [known for known in kept if known[0].label != ElementClass.ROAD_MARK] + marks + numbers + slots
     made, changes = _map_of(kept, origin, drive.name), []
     if base is not None:
@@ -191,14 +193,20 @@ def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Bo
     elements = whole_again(elements_of(gatherer.paint, gatherer.layers, height_of, config.vector))
     lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
     others = [element for element in elements if element.label != ElementClass.SLOT_LINE]
+    paint_at = _looks_at(gatherer, ElementClass.SLOT_LINE)
+    drawn = draw_rows(lines, Ts_map_base[:, :2, 3], paint_at if lines else None, config.slots)
+    return _Born(others + split_crossbars(drawn.lines, config.slots), uprights, drawn.rows)
+
+
+def _looks_at(gatherer: Gatherer, label: ElementClass) -> PaintAt | None:
+    """Weight of all looks at places, and of those that show a class; None where masks do not show it."""
+    planes = [plane for layer in gatherer.layers if layer.label == label for plane in layer.planes]
 
     def paint_at(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        planes = [plane for layer in gatherer.layers if layer.label == ElementClass.SLOT_LINE for plane in layer.planes]
         found = [gatherer.paint.sums(xy, plane) for plane in planes]
         return found[0][0], sum(hits for _, hits in found)
 
-    drawn = draw_rows(lines, Ts_map_base[:, :2, 3], paint_at if lines else None, config.slots)
-    return _Born(others + split_crossbars(drawn.lines, config.slots), uprights, drawn.rows)
+    return paint_at if planes else None
 
 
 class _Told(NamedTuple):

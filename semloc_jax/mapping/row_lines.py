@@ -19,6 +19,8 @@ PaintAt = Callable[[Float[np.ndarray, "n 2"]], tuple[Float[np.ndarray, " n"], Fl
 _ROUNDS = 8
 _SIGMA_M = 0.03
 """Of a divider that was drawn from above; ours."""
+_PARALLEL_DEG = 0.1
+"""By which rows of one lot are askew, with the turn of the way between them; ours."""
 _BESIDE_M = 0.4
 """From a divider on nothing of its own smear shows; ours."""
 _AROUND_M = 0.3
@@ -27,6 +29,8 @@ _PROFILE_M, _SMOOTHED_M = 0.01, 0.05
 """Step of that profile, finer than the cells of the looks, and how far it is smoothed; ours."""
 _CLEAR, _LEAST_SHARE = 4.0, 0.04
 """By how much more often than the bare road, and how often at all, looks must show the line; ours."""
+_BEFORE_END_M, _LEAST_DROP = 0.6, 0.1
+"""So far to either side of its end dividers show paint, or none, and by how much more at least; ours."""
 _SAME_M = 0.15
 """Pieces of the line along the back are no farther off each other; ours."""
 _EVEN_M = 0.06
@@ -96,13 +100,26 @@ class DividerPiece(NamedTuple):
         return self.far_m - self.near_m
 
 
-def line_through(points: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
-    """A place on and the unit direction of the line that is nearest to most of the points."""
+def line_through(
+    points: Float[np.ndarray, "n 2"], beside: Float[np.ndarray, " 2"] | None = None
+) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
+    """A place on and the unit direction of the line that is nearest to most of the points.
+
+    Args:
+        points: on it, but for a few.
+        beside: direction of a row that it runs along with, as rows of one lot do; None for none.
+    """
     weight = np.ones(len(points))
     for _ in range(_ROUNDS):
         centre = np.average(points, axis=0, weights=weight)
         near = points - centre
-        along = np.linalg.eigh((weight[:, None] * near).T @ near)[1][:, 1]
+        if beside is None:
+            along = np.linalg.eigh((weight[:, None] * near).T @ near)[1][:, 1]
+        else:
+            s_m, t_m = near @ beside, near @ np.array([-beside[1], beside[0]])
+            slope = float(weight @ (s_m * t_m) / (weight @ s_m**2 + (_SIGMA_M / np.radians(_PARALLEL_DEG)) ** 2))
+            along = beside + slope * np.array([-beside[1], beside[0]])
+            along = along / np.linalg.norm(along)
         off_m = near @ np.array([-along[1], along[0]])
         weight = 1.0 / (1.0 + (off_m / _SIGMA_M) ** 2)
     return centre, along
@@ -173,22 +190,59 @@ def back_in_paint(
         paint_at: looks at places.
     """
     beside = np.concatenate([np.arange(a + _BESIDE_M, b - _BESIDE_M, 0.1) for a, b in pairwise(s_m)] or [np.zeros(0)])
-    depth_m = np.arange(depths_m[0] - _AROUND_M, depths_m[1] + _AROUND_M, _PROFILE_M)
     if len(beside) < 10:
         return None
-    places = row.origin + beside[:, None, None] * row.along + depth_m[None, :, None] * row.inward
-    weight, hits = (part.reshape(places.shape[:2]).sum(axis=0) for part in paint_at(places.reshape(-1, 2)))
-    share = gaussian_filter1d(
-        np.divide(hits, weight, out=np.zeros_like(hits), where=weight > 0.0), _SMOOTHED_M / _PROFILE_M
-    )
+    depth_m, share, weight = _share_behind(row, beside, depths_m, _AROUND_M, paint_at)
+    looked = weight.any(axis=0)
     inner = (depth_m >= depths_m[0]) & (depth_m <= depths_m[1])
     peak = int(np.where(inner, share, 0.0).argmax())
-    ground = float(np.median(share[weight > 0.0])) if (weight > 0.0).any() else 1.0
+    ground = float(np.median(share[looked])) if looked.any() else 1.0
     if share[peak] < max(_CLEAR * ground, _LEAST_SHARE):
         return None
     near = np.abs(depth_m - depth_m[peak]) <= _AROUND_M
     above = np.where(near, np.maximum(share - 0.5 * (share[peak] + ground), 0.0), 0.0)
     return float((above * depth_m).sum() / above.sum())
+
+
+def ends_in_paint(
+    row: RowFrame, s_m: Float[np.ndarray, " n"], depths_m: tuple[float, float], paint_at: PaintAt
+) -> float | None:
+    """How far behind the entrance dividers without a line along their back end, from the looks at all of them.
+
+    Paint that is smeared alike to both sides falls to half where it ends: there the looks before it show the most more
+    than those behind it. Arguments as for `back_in_paint`.
+    """
+    half = 0.25 * row.width_m
+    on = (s_m[:, None] + np.array([-half, 0.0, half])).ravel()
+    depth_m, share, weight = _share_behind(row, on, depths_m, _BEFORE_END_M, paint_at)
+    num = round(_BEFORE_END_M / _PROFILE_M)
+
+    def before_and_behind(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        mean = np.apply_along_axis(np.convolve, -1, profile, np.full(num, 1.0 / num), "valid")
+        return mean[..., :-num], mean[..., num:]
+
+    before, behind = before_and_behind(share)
+    # Behind a vehicle nothing ends: most dividers must be in view there.
+    in_view = np.minimum(*before_and_behind((weight > 0.0).astype(float)))
+    drop = np.where((in_view.mean(axis=0) > 0.5) & (before > _CLEAR * behind), before - behind, 0.0)
+    end = int(drop.argmax())
+    return float(depth_m[end + num]) if drop[end] >= _LEAST_DROP else None
+
+
+def _share_behind(
+    row: RowFrame,
+    s_m: Float[np.ndarray, " n"],
+    depths_m: tuple[float, float],
+    around_m: float,
+    paint_at: PaintAt,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Steps behind the entrance [m], share of the looks there that show a line, and weight of those at every place."""
+    depth_m = np.arange(depths_m[0] - around_m, depths_m[1] + around_m, _PROFILE_M)
+    places = row.origin + s_m[:, None, None] * row.along + depth_m[None, :, None] * row.inward
+    weight, hits = (part.reshape(places.shape[:2]) for part in paint_at(places.reshape(-1, 2)))
+    looked, shown = weight.sum(axis=0), hits.sum(axis=0)
+    share = np.divide(shown, looked, out=np.zeros_like(shown), where=looked > 0.0)
+    return depth_m, gaussian_filter1d(share, _SMOOTHED_M / _PROFILE_M), weight
 
 
 def pieces_of(

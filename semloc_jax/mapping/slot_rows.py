@@ -20,6 +20,7 @@ from semloc_jax.mapping.row_lines import (
     back_of,
     bars_along,
     crossings,
+    ends_in_paint,
     evened,
     line_through,
     pieces_of,
@@ -40,6 +41,7 @@ class RowConfig:
         beside_m: pieces of one divider lie no farther beside each other.
         hidden_m: longest part of a divider at its mouth that something may hide.
         snap_m: ends nearer than this to the back of the row end there.
+        parallel_deg: rows whose mouths say that they are turned no more against each other are parallel.
         square_deg: dividers nearer to a right angle with the entrance stand at one.
         even_m: how far dividers are off even steps where they are painted in such.
         back_m: length of paint that shows where the back of a row is.
@@ -52,6 +54,7 @@ class RowConfig:
     beside_m: float = 0.25
     hidden_m: float = 2.0
     snap_m: float = 0.6
+    parallel_deg: float = 4.0
     square_deg: float = 3.0
     even_m: float = 0.02
     back_m: float = 2.0
@@ -139,7 +142,7 @@ def draw_rows(
         members = [divider for divider in group if divider.id in left]
         if len(members) < 2:
             continue
-        row = _entrance(members, left, config)
+        row = _entrance(members, left, rows, config)
         s_m = _grown(row, members, left, config)
         row = _with_depth(row, s_m, members, left, paint_at, slots, config)
         made, used, row = _drawn_anew(row, _beyond(s_m), left, config)
@@ -150,15 +153,20 @@ def draw_rows(
     return Drawn([*left.values(), *drawn], rows)
 
 
-def _entrance(members: list[Divider], lines: dict[str, MapElement], config: RowConfig) -> MappedRow:
-    """The line through the mouths of the dividers and the outer rims of the bars between them."""
+def _entrance(
+    members: list[Divider], lines: dict[str, MapElement], rows: list[MappedRow], config: RowConfig
+) -> MappedRow:
+    """The line through the mouths of the dividers and the outer rims of the bars between them.
+
+    A row of which little was seen runs as the longest of those before that it may be parallel to.
+    """
     mouths = np.array([divider.mouth for divider in members])
     inward = np.median([divider.inward for divider in members], axis=0)
     inward = inward / np.linalg.norm(inward)
     width_m = float(np.median([lines[divider.id].width_m for divider in members]))
-    points = mouths
+    points, beside = mouths, _parallel(line_through(mouths)[1], rows, config)
     for _ in range(3):
-        origin, along = line_through(points)
+        origin, along = line_through(points, beside)
         if along[0] * inward[1] - along[1] * inward[0] < 0.0:
             along = -along
         row = MappedRow(origin, along, inward, width_m)
@@ -166,11 +174,21 @@ def _entrance(members: list[Divider], lines: dict[str, MapElement], config: RowC
         bars = bars_along(
             row, _beyond(row.inside(mouths)[0]), list(lines.values()), config.bar_m, config.off_m, config.askew_deg
         )
-        rims = [bar.points[[0, -1], :2] + 0.5 * width_m * outward for bar in bars]
-        points = np.concatenate([mouths, *rims])
+        # A short bar seen from afar is drawn askew about its middle.
+        rims = [bar.points[[0, -1], :2].mean(axis=0) + 0.5 * width_m * outward for bar in bars]
+        points = np.vstack([mouths, *rims])
     if abs(np.degrees(np.arcsin(np.clip(inward @ along, -1.0, 1.0)))) < config.square_deg:
         row = replace(row, inward=np.array([-along[1], along[0]]))
     return row
+
+
+def _parallel(along: np.ndarray, rows: list[MappedRow], config: RowConfig) -> np.ndarray | None:
+    """Direction of the longest row that one of about this direction may be parallel to; None where there is none."""
+    near = [row for row in rows if abs(row.along @ along) > np.cos(np.deg2rad(config.parallel_deg))]
+    if not near:
+        return None
+    found = max(near, key=lambda row: len(row.places)).along
+    return found if found @ along > 0.0 else -found
 
 
 def _beyond(s_m: Float[np.ndarray, " n"]) -> tuple[float, float]:
@@ -207,23 +225,23 @@ def _with_depth(
     slots: SlotConfig,
     config: RowConfig,
 ) -> MappedRow:
-    """The row with its depth: of the line along its back, else where most of its dividers were seen to end."""
-    limits = slots.depth_m, slots.parallel_divider_m
-    whole = [d.length_m for d in members if d.is_whole and any(a <= d.length_m <= b for a, b in limits)]
-    ends_m = float(np.median(whole)) if whole else None
-    if paint_at is not None:
-        is_parallel = float(np.median(np.diff(s_m))) > slots.entrance_m[1]
-        around = limits[1] if is_parallel else limits[0]
-        if ends_m is not None:
-            around = ends_m - config.snap_m, ends_m + config.snap_m
-        depth_m = back_in_paint(row, s_m, around, paint_at)
+    """The row with its depth: of the line along its back, else where its dividers end."""
+    is_parallel = float(np.median(np.diff(s_m))) > slots.entrance_m[1]
+    around = slots.parallel_divider_m if is_parallel else slots.depth_m
+    for told in (back_in_paint, ends_in_paint) if paint_at is not None else ():
+        depth_m = told(row, s_m, around, paint_at)
         if depth_m is not None:
             return replace(row, depth_m=depth_m)
-    depth_m, paint_m = back_of(row, _beyond(s_m), list(lines.values()), limits, config.askew_deg)
+    whole = [d.length_m for d in members if d.is_whole and around[0] <= d.length_m <= around[1]]
+    ends_m = float(np.median(whole)) if whole else None
+    depth_m, paint_m = back_of(row, _beyond(s_m), list(lines.values()), [around], config.askew_deg)
     if paint_m >= config.back_m and (ends_m is None or abs(depth_m - ends_m) < config.snap_m):
         return replace(row, depth_m=depth_m)
     agreeing = [length for length in whole if abs(length - ends_m) < 0.5 * config.off_m]
-    return replace(row, depth_m=float(np.mean(agreeing)) if 2 * len(agreeing) > len(whole) else None)
+    # Where as many go on, paint that is out of sight or worn ended the others.
+    longer = sum(d.length_m > ends_m + 0.5 * config.off_m for d in members) if whole else 0
+    is_end = 2 * len(agreeing) > len(whole) and len(agreeing) > longer
+    return replace(row, depth_m=float(np.mean(agreeing)) if is_end else None)
 
 
 def _drawn_anew(

@@ -107,7 +107,7 @@ def find_slots(
     named = {divider.id for divider in in_rows}
     dividers = [*(d for d in find_dividers(lines, way, config) if d.id not in named), *in_rows]
     found = _neighbours(dividers, config)
-    shared = {d.id: _shared_depth(d, dividers) for _, *pair in found for d in pair}
+    shared = {(kind, d.id): _shared_depth(kind, d, dividers, config) for kind, *pair in found for d in pair}
     typical = _typical_depths(found, shared, config)
     slots = []
     for kind, one, other in found:
@@ -271,28 +271,33 @@ def _overlap(one: Divider, other: Divider, third: Divider, fourth: Divider) -> b
     return bool(min(length_m, spans[1]) - max(0.0, spans[0]) > 0.3 and one.inward @ third.inward > 0.0)
 
 
-def _shared_depth(divider: Divider, dividers: list[Divider]) -> float | None:
+_Shared = dict[tuple[str, str], float | None]
+"""Half of the way to the mouth behind, by the type of a slot and the id of its divider."""
+
+
+def _shared_depth(kind: str, divider: Divider, dividers: list[Divider], config: SlotConfig) -> float | None:
     """Half of the way to the mouth of the divider behind: two rows back to back share their back line."""
+    if kind == PARALLEL:  # two rows of these are not as deep together as one of others
+        return None
+    low, high = config.depth_m
     for other in dividers:
         if divider.inward @ other.inward > -np.cos(np.deg2rad(_OPPOSITE_DEG)):
             continue
         step = other.mouth - divider.mouth
         ahead_m = float(step @ divider.inward)
         off_m = abs(float(step[0] * divider.inward[1] - step[1] * divider.inward[0]))
-        if off_m < _OPPOSITE_M and _BACK_TO_BACK_M[0] <= ahead_m <= _BACK_TO_BACK_M[1]:
+        if off_m < _OPPOSITE_M and low <= 0.5 * ahead_m <= high:
             return 0.5 * ahead_m
     return None
 
 
-def _typical_depths(
-    found: list[tuple[str, Divider, Divider]], shared: dict[str, float | None], config: SlotConfig
-) -> dict[str, float]:
+def _typical_depths(found: list[tuple[str, Divider, Divider]], shared: _Shared, config: SlotConfig) -> dict[str, float]:
     """Typical depth of the slots of each type: by the rows back to back, else by the dividers that were seen whole."""
     behind: dict[str, list[float]] = {}
     whole: dict[str, list[float]] = {}
     for kind, *pair in found:
         for divider in pair:
-            if (half := shared[divider.id]) is not None:
+            if (half := shared[kind, divider.id]) is not None:
                 behind.setdefault(kind, []).append(half)
             elif _is_deep(kind, divider, config):
                 whole.setdefault(kind, []).append(divider.length_m)
@@ -308,17 +313,16 @@ def _is_deep(kind: str, divider: Divider, config: SlotConfig) -> bool:
 def _depth_of(
     kind: str,
     pair: list[Divider],
-    shared: dict[str, float | None],
+    shared: _Shared,
     typical_m: float | None,
     config: SlotConfig,
 ) -> float | None:
-    """Depth of a slot: by the row behind, else by its own dividers where they agree with the typical one, else that."""
-    behind = [half for divider in pair if (half := shared[divider.id]) is not None]
-    if behind:
-        return float(np.mean(behind))
-    own = [d.length_m for d in pair if _is_deep(kind, d, config)]
-    near = [length for length in own if typical_m is None or abs(length - typical_m) < _SAME_DEPTH_M]
-    return float(np.mean(near)) if near else typical_m
+    """Depth of a slot: the typical one of its type, where what it shows itself is not clearly another one."""
+    own = [half for divider in pair if (half := shared[kind, divider.id]) is not None]
+    own = own or [d.length_m for d in pair if _is_deep(kind, d, config)]
+    if not own or (typical_m is not None and abs(np.mean(own) - typical_m) < _SAME_DEPTH_M):
+        return typical_m
+    return float(np.mean(own))
 
 
 def _taken(corners: Float[np.ndarray, "4 2"], vehicles: EvidenceGrid, covered_share: float) -> float | None:

@@ -23,8 +23,8 @@ HeightOf = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
 _PLACES = 8
 """Places along the axis of each that are looked at."""
 _NEAR_M, _FAR_M = 3.0, 30.0
-_LEAST_PX = 1.5
-"""A thinner thing need not show."""
+_LEAST_PX, _LEAST_BOARD_PX = 1.5, 4.0
+"""A thinner thing need not show, nor a board that is narrower as it is seen: masks lose small patches."""
 _BESIDE_PX = (-1, 0, 1)
 _DECOYS_M = np.array([[2.5, 0.0], [0.0, 2.5]])
 """What is seen where nothing stands tells how often masks show what is not there."""
@@ -117,6 +117,9 @@ class UprightCounting(KeptCounts):
         self._places = np.concatenate([places, *decoys])
         widths = [_width_m(upright.element) for upright in uprights]
         self._width_m = np.tile(widths, 1 + len(decoys))
+        normals = [np.zeros(2) if u.element.normal is None else u.element.normal[:2] for u in uprights]
+        self._normal = np.tile(np.array(normals).reshape(-1, 2), (1 + len(decoys), 1))
+        self._least_px = np.where(self._normal.any(axis=1), _LEAST_BOARD_PX, _LEAST_PX)
         labels = np.array([int(upright.element.label) for upright in uprights], dtype=np.int64)
         self._label = np.tile(labels, 1 + len(decoys))
         own, hides = np.zeros((2, len(ElementClass), 256), bool)
@@ -125,6 +128,9 @@ class UprightCounting(KeptCounts):
             if channel >= 0:
                 own[label, list(table.channels[channel].mask_ids)] = True
         hides[:, list(table.unusable_ids)] = True
+        pillars = table.channel_of(ElementClass.PILLAR)
+        if pillars >= 0:  # in a garage one stands before most things
+            hides[:, list(table.channels[pillars].mask_ids)] = True
         hides |= own.any(axis=0) & ~own
         self._own, self._hides = own, hides
         n = len(self._places)
@@ -153,7 +159,7 @@ class UprightCounting(KeptCounts):
         p_base = (self._places[near] - T_map_base[:3, 3]) @ T_map_base[:3, :3]
         shown, hits = np.zeros(len(near)), np.zeros(len(near))
         for mask, table in zip(masks, tables, strict=True):
-            thick = self._width_m[near] / away_m[near] >= _LEAST_PX * table.px_rad
+            thick = self._width_rad(near, T_map_base, away_m[near]) >= self._least_px[near] * table.px_rad
             visible, is_hit = self._look(mask, table, p_base, self._label[near])
             shown += visible.sum(axis=1) * thick
             hits += (visible & is_hit).sum(axis=1) * thick
@@ -164,6 +170,13 @@ class UprightCounting(KeptCounts):
         self.num_missed[near[enough & (share <= self.config.missed_share)]] += 1
         self.first_s[seen] = np.minimum(self.first_s[seen], time_s)
         self.last_s[seen] = np.maximum(self.last_s[seen], time_s)
+
+    def _width_rad(self, near: np.ndarray, T_map_base: np.ndarray, away_m: np.ndarray) -> np.ndarray:
+        """How wide things look [rad]: a board from aside is narrow."""
+        is_board = self._normal[near].any(axis=1)
+        ray = (self._places[near, 0, :2] - T_map_base[:2, 3]) / away_m[:, None]
+        facing = np.abs(np.einsum("ij,ij->i", self._normal[near], ray))
+        return self._width_m[near] * np.where(is_board, facing, 1.0) / away_m
 
     def _look(
         self, mask: np.ndarray, table: RayTable, p_base: np.ndarray, label: np.ndarray

@@ -3,52 +3,55 @@
 In: map files. Out: SemanticMap -> LocalMap -> MapSamples.
 """
 
-from semloc_jax.maps.beliefs import Belief, BeliefMap
-from semloc_jax.maps.elements import GeoOrigin, MapElement
-from semloc_jax.maps.from_arrays import map_from_arrays
-from semloc_jax.maps.ground import GroundModel, RoadPlane, RoadSpread
-from semloc_jax.maps.inspect import MapReport, inspect_map
-from semloc_jax.maps.io import (
-    Lanelet2Style,
-    OpenDriveStyle,
-    read_lane_centers,
-    read_map,
-    write_drive_geojson,
-    write_geojson,
-    write_map,
-)
-from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_packed
-from semloc_jax.maps.losses import Losses, compare
-from semloc_jax.maps.sampling import sample
-from semloc_jax.maps.semantic_map import LocalMap, SemanticMap
-from semloc_jax.maps.shared_sigmas import SharedSigmas, with_map_accuracy
+from semloc_jax.door import door
 
-__all__ = [
-    "Belief",
-    "BeliefMap",
-    "GeoOrigin",
-    "GroundModel",
-    "Lanelet2Style",
-    "LocalMap",
-    "Losses",
-    "MapElement",
-    "MapReport",
-    "OpenDriveStyle",
-    "PackedDrive",
-    "RoadPlane",
-    "RoadSpread",
-    "SemanticMap",
-    "SharedSigmas",
-    "with_map_accuracy",
-    "compare",
-    "inspect_map",
-    "map_from_arrays",
-    "read_lane_centers",
-    "read_map",
-    "read_packed",
-    "sample",
-    "write_drive_geojson",
-    "write_geojson",
-    "write_map",
-    "write_packed",
-]
+__getattr__, __dir__, __all__ = door(
+    __name__,
+    {
+        "elements": (
+            "GeoOrigin",
+            "MapElement",
+        ),
+        "semantic_map": (
+            "LocalMap",
+            "SemanticMap",
+        ),
+        "ground": (
+            "GroundModel",
+            "RoadPlane",
+            "RoadSpread",
+        ),
+        "sampling": ("sample",),
+        "from_arrays": ("map_from_arrays",),
+        "beliefs": (
+            "Belief",
+            "BeliefMap",
+        ),
+        "shared_sigmas": (
+            "SharedSigmas",
+            "with_map_accuracy",
+        ),
+        "io.formats": (
+            "read_map",
+            "write_map",
+        ),
+        "io.drive_geojson": ("write_drive_geojson",),
+        "io.geojson": ("write_geojson",),
+        "io.lanelet2_ways": ("Lanelet2Style",),
+        "io.opendrive": ("OpenDriveStyle",),
+        "io.lanes": ("read_lane_centers",),
+        "io.packed_drive": (
+            "PackedDrive",
+            "read_packed",
+            "write_packed",
+        ),
+        "inspect": (
+            "MapReport",
+            "inspect_map",
+        ),
+        "losses": (
+            "Losses",
+            "compare",
+        ),
+    },
+)

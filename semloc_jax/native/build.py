@@ -1,8 +1,9 @@
 """Build and load the kernels (room: native; host).
 
 In: C++ sources, the system's compiler. Out: custom calls registered with JAX, or the reason why there are none.
-The library is built once for each version of the sources and of jaxlib and each kind of processor, and kept behind this
-user's seal: what is loaded are the bytes that were checked.
+They come in parts, each a library that is built when it is first asked for: a drive of one camera model does not wait
+for the others. A part is built once for each version of the sources and of jaxlib and each kind of processor, and kept
+behind this user's seal: what is loaded are the bytes that were checked.
 """
 
 import ctypes
@@ -22,21 +23,15 @@ from semloc_jax.storage import private_folder, read_sealed, sweep_once, temporar
 from semloc_jax.storage.sealed import home_folder
 
 SOURCES = Path(__file__).parent / "src"
-CALLS = (
-    "semloc_normal_equations",
-    "semloc_accumulate",
-    "semloc_lookup",
-    "semloc_pack",
-    "semloc_damped_step",
-    "semloc_visible_weight",
-    "semloc_project",
-    "semloc_ramp_values",
-    "semloc_sums_by_index",
-    "semloc_view",
-    "semloc_robust_cost",
-    "semloc_seen",
-    "semloc_eliminated",
-)
+COMMON = "common"
+"""What every frame needs."""
+_CAMERA_CALLS = ("normal_equations", "visible_weight", "robust_cost", "project", "view", "ramp_values")
+_CALLS = {
+    COMMON: ("damped_step", "sums_by_index", "pack"),
+    "any_camera": ("lookup", "accumulate"),
+    "landmark_calls": ("seen", "eliminated"),
+}
+"""The parts but for the camera models, by their source; each of those is camera.cc for a class of cameras.h."""
 SWITCH = "SEMLOC_NATIVE"
 """Environment variable; 0 turns the kernels off."""
 # The parts of -ffast-math that loops need to be vectorised. The flag itself would make every process that loads the
@@ -49,35 +44,48 @@ _TIMEOUT_S = 120
 _log = logging.getLogger(__name__)
 
 
+_loaded_parts: list[str] = []
+
+
 def is_available() -> bool:
-    """Whether the kernels are built, loaded and registered; the first call builds them if need be."""
+    """Whether the common kernels are built, loaded and registered; the first call builds them if need be."""
     return status().available
 
 
-def status() -> NativeStatus:
-    """Builds, loads and registers the kernels on the first call; never raises."""
-    return _loaded()[0]
+def status(part: str = COMMON) -> NativeStatus:
+    """Builds, loads and registers a part of the kernels on the first call; never raises.
+
+    Args:
+        part: "common", "any_camera", "landmark_calls" or a class of native/src/cameras.h.
+    """
+    return _loaded(part)[0]
+
+
+def loaded_parts() -> tuple[str, ...]:
+    """The parts that this process has loaded."""
+    return tuple(_loaded_parts)
 
 
 def library() -> ctypes.CDLL | None:
     """The kernels that are called without XLA; None where there are none."""
-    return _loaded()[1]
+    return _loaded(COMMON)[1]
 
 
 @functools.cache
-def _loaded() -> tuple[NativeStatus, ctypes.CDLL | None]:
+def _loaded(part: str) -> tuple[NativeStatus, ctypes.CDLL | None]:
     if os.environ.get(SWITCH, "1") == "0":
         return NativeStatus(False, f"off: {SWITCH}=0"), None
     try:
-        content, text = _library_content()
+        content, text = _library_content(part)
         loaded = _loaded_library(content)
-        _register(loaded)
+        _register(loaded, part)
     except _NotBuilt as reason:
         if os.environ.get("CXX"):  # whoever names a compiler wants the kernels
             _log.warning("kernels: %s; pure JAX is used", reason)
         return NativeStatus(False, str(reason)), None
     except OSError as error:
         return NativeStatus(False, f"not loaded: {error}"), None
+    _loaded_parts.append(part)
     return NativeStatus(True, text), loaded
 
 
@@ -85,16 +93,16 @@ class _NotBuilt(Exception):
     pass
 
 
-def _library_content() -> tuple[bytes, str]:
+def _library_content(part: str) -> tuple[bytes, str]:
     """The library and where it comes from."""
-    path = _cache_folder() / f"kernels-{_fingerprint()}.bin"
+    path = _cache_folder() / f"kernels-{part}-{_fingerprint()}.bin"
     content = read_sealed(path)
     if content is not None:
         return content, f"loaded from {path}"
     command = compiler()
     if command is None:
         raise _NotBuilt("not built: no C++ compiler found (Debian: apt-get install g++); pure JAX is used")
-    content = _compiled(command)
+    content = _compiled(command, part)
     if not write_sealed(path, content):
         _log.debug("kernels: not kept in %s; the next process builds them anew", path.parent)
     return content, f"built with {' '.join(command)}"
@@ -107,12 +115,15 @@ def compiler() -> list[str] | None:
     return words or ([found] if found else None)
 
 
-def _compiled(command: list[str]) -> bytes:
+def _compiled(command: list[str], part: str) -> bytes:
     import jax.ffi
 
     with tempfile.TemporaryDirectory(prefix="semloc-kernels-") as folder:
         made = Path(folder) / "kernels.so"
-        words = [*command, *_FLAGS, f"-I{jax.ffi.include_dir()}", str(SOURCES / "calls.cc"), "-o", str(made)]
+        what = (
+            [str(SOURCES / f"{part}.cc")] if part in _CALLS else [f"-DSEMLOC_CAMERA={part}", str(SOURCES / "camera.cc")]
+        )
+        words = [*command, *_FLAGS, f"-I{jax.ffi.include_dir()}", *what, "-o", str(made)]
         try:
             done = subprocess.run(words, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
             if done.returncode != 0:
@@ -136,11 +147,14 @@ def _loaded_library(content: bytes) -> ctypes.CDLL:
         return ctypes.CDLL(str(path))
 
 
-def _register(library: ctypes.CDLL) -> None:
+def _register(library: ctypes.CDLL, part: str) -> None:
+    """Tell XLA the kernels of a part; those of a camera model are named after it, too."""
     import jax
 
-    for name in CALLS:
-        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(library, name)), platform="cpu")
+    ending = "" if part in _CALLS else f"_{part}"
+    for call in _CALLS.get(part, _CAMERA_CALLS):
+        kernel = jax.ffi.pycapsule(getattr(library, f"semloc_{call}"))
+        jax.ffi.register_ffi_target(f"semloc_{call}{ending}", kernel, platform="cpu")
 
 
 def _cache_folder() -> Path:

@@ -17,16 +17,13 @@ from semloc_jax.perception.class_table import UNLABELED_ID, ClassTable
 from semloc_jax.perception.colour_balance import ColourBalance
 from semloc_jax.perception.picture_stitch import PictureStitch
 from semloc_jax.perception.seams import SEAM_SIGMA_M, Blend, seam_weights
+from semloc_jax.perception.view_tables import Car, camera_table, own_car
 from semloc_jax.structs import ElementClass
 
 PAINT = frozenset(label for label in ElementClass if label <= ElementClass.SPEED_BUMP)
 """What lies flat on the road; everything else is drawn out by inverse perspective mapping."""
 UPRIGHT_WORDS = ("building", "wall", "fence", "vegetation", "sky", "mountain", "tunnel", "barrier", "bridge")
 """Names of background that stands upright and so hides the road behind it."""
-Car = tuple[float, float, float, float]
-"""Rear, front, right and left end of a car in the base frame [m]."""
-_RIM_M = 0.05
-"""The body of a car is rounded: a camera at its rim looks past the outermost part."""
 
 
 @dataclass(frozen=True)
@@ -98,25 +95,18 @@ class SurroundView:
             own_body: For each camera bool[h w], True where its picture shows the own car; None where nothing is known.
         """
         p_base = _places(bev, T_base_bev)
-        under = np.zeros(p_base.shape[:2], bool) if own_car_m is None else _inside(p_base, own_car_m)
-        tables, fineness = [], []
         bodies = tuple(own_body) or (None,) * len(rig)
-        for camera, T_base_cam, body in zip(
-            rig.cameras, np.asarray(rig.T_base_cam, dtype=np.float64), bodies, strict=True
-        ):
-            uv, valid = (np.array(part) for part in camera.project((p_base - T_base_cam[:3, 3]) @ T_base_cam[:3, :3]))
-            px_per_m = _finest_detail(uv) * float(bev.fx)
-            seen = valid & np.asarray(camera.in_image(uv[..., 0], uv[..., 1])) & (px_per_m * max_pixel_m > 1.0) & ~under
-            if own_car_m is not None:
-                seen &= ~_behind_car(T_base_cam[:2, 3], p_base, own_car_m)
-            if body is not None:
-                seen &= ~_at(body, uv, seen)
-            uv[~seen] = -1e4
-            tables.append(uv.astype(np.float32))
-            fineness.append(np.where(seen, px_per_m, 0.0))
+        least_detail = 1.0 / (float(bev.fx) * max_pixel_m)
+        tables, fineness = zip(
+            *(
+                camera_table(camera, np.asarray(T_base_cam, np.float64), p_base, own_car_m, body, least_detail)
+                for camera, T_base_cam, body in zip(rig.cameras, rig.T_base_cam, bodies, strict=True)
+            ),
+            strict=True,
+        )
         sizes = tuple(camera.resolution for camera in rig.cameras)
         order = np.argsort(-np.stack(fineness), axis=0, kind="stable")
-        return cls(tuple(tables), order, bev, np.asarray(T_base_bev, np.float64), sizes, blend)
+        return cls(tables, order, bev, np.asarray(T_base_bev, np.float64), sizes, blend)
 
     @property
     def metres_per_px(self) -> float:
@@ -238,17 +228,6 @@ def top_view(rig: Rig, range_m: float = 9.0, metres_per_px: float = 0.025) -> tu
     return BevCamera.covering(range_m, range_m, range_m, range_m, metres_per_px), T
 
 
-def own_car(rig: Rig) -> Car | None:
-    """Rear, front, right and left end [m] of the car that carries the cameras; None where they do not surround it.
-
-    Cameras of a surround view sit at the rim of the body: grille, tailgate, mirrors.
-    """
-    low, high = (edge(np.asarray(rig.T_base_cam)[:, :2, 3], axis=0) for edge in (np.min, np.max))
-    if len(rig) < 3 or (high - low).min() < 1.0:
-        return None
-    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
-
-
 def ground_table(table: ClassTable) -> ClassTable:
     """The class table of top views: only paint has channels; what stands upright is ignored.
 
@@ -273,39 +252,6 @@ def _places(bev: BevCamera, T_base_bev: np.ndarray) -> np.ndarray:
     width, height = bev.resolution
     grid = np.stack(np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)), axis=-1)
     return np.asarray(bev.unproject(grid)[0], dtype=np.float64) @ T_base_bev[:3, :3].T + T_base_bev[:3, 3]
-
-
-def _inside(p_base: np.ndarray, car_m: Car) -> np.ndarray:
-    rear, front, right, left = car_m
-    x, y = p_base[..., 0], p_base[..., 1]
-    return (x > rear) & (x < front) & (y > right) & (y < left)
-
-
-def _behind_car(camera_xy: np.ndarray, p_base: np.ndarray, car_m: Car) -> np.ndarray:
-    """Whether the own car stands between a camera and a place: a camera at the rear sees nothing ahead of it."""
-    rear, front, right, left = car_m
-    enters, leaves = np.zeros(p_base.shape[:2]), np.ones(p_base.shape[:2])
-    for axis, (low, high) in enumerate(((rear, front), (right, left))):
-        step = p_base[..., axis] - camera_xy[axis]
-        step = np.where(np.abs(step) < 1e-9, 1e-9, step)
-        ends = [(edge - camera_xy[axis]) / step for edge in (low + _RIM_M, high - _RIM_M)]
-        enters, leaves = np.maximum(enters, np.minimum(*ends)), np.minimum(leaves, np.maximum(*ends))
-    return enters < leaves
-
-
-def _at(body: np.ndarray, uv: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Whether the picture shows the own car where a pixel of the top view lies, or right beside it."""
-    grown = cv2.dilate(body.astype(np.uint8), np.ones((5, 5), np.uint8))
-    place = np.where(seen[..., None], uv, -10.0).astype(np.float32)
-    return cv2.remap(grown, place, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
-
-
-def _finest_detail(uv: np.ndarray) -> np.ndarray:
-    """Smaller singular value of the map from top-view pixels to image pixels: image pixels in the worst direction."""
-    du, dv = np.gradient(uv, axis=1), np.gradient(uv, axis=0)
-    square = np.sum(du * du + dv * dv, axis=-1)
-    area = np.abs(du[..., 0] * dv[..., 1] - du[..., 1] * dv[..., 0])
-    return np.sqrt(np.maximum(square - np.sqrt(np.maximum(square**2 - 4.0 * area**2, 0.0)), 0.0) / 2.0)
 
 
 def _looked_up(mask: np.ndarray, uv: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 from semloc_jax.perception.networks.eyes import Eyes
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.reports.folder import make_folder, write_record
+from semloc_jax.reports.lesson import LessonReport
 from semloc_jax.storage import write_text
 from semloc_jax.viz.eyes import RoundLook, draw_looks, draw_rounds
 from semloc_jax.viz.style import save
@@ -55,14 +56,7 @@ class EyesDrives(NamedTuple):
     begin: Eyes | None = None
 
 
-class EyesReport(NamedTuple):
-    """Where everything was written, and the table for people."""
-
-    folder: Path
-    text: str
-
-
-def report_eyes(drives: EyesDrives, config: EyesConfig | None = None, out: Path | None = None) -> EyesReport:
+def report_eyes(drives: EyesDrives, config: EyesConfig | None = None, out: Path | None = None) -> LessonReport:
     """Teach, judge each round, write everything.
 
     Raises:
@@ -98,7 +92,7 @@ def report_eyes(drives: EyesDrives, config: EyesConfig | None = None, out: Path 
     write_record(folder, config, {"masks": drives.masks, "map": drives.map, "held_out": str(judge)})
     save(draw_rounds([found.score for found in rounds]), folder / "rounds.png")
     save(draw_looks(_looks(held_out, rounds)), folder / "frames.png")
-    return EyesReport(folder, text)
+    return LessonReport(folder, text)
 
 
 def _open(path: Path, drives: EyesDrives) -> Inputs:

@@ -13,7 +13,7 @@ from semloc_jax.storage import writing
 
 
 class Film:
-    """A film that is being written."""
+    """A film that is being written; as a context it is put in its place, or dropped where the run fails."""
 
     def __init__(self, path: Path, rate_hz: float):
         """Where it goes, and its pictures a second."""
@@ -36,6 +36,17 @@ class Film:
             if not self._writer.isOpened():
                 raise SemlocError(f"film {self.path}: OpenCV cannot write mp4 here; leave out --video")
         self._writer.write(np.ascontiguousarray(picture[..., ::-1]))
+
+    def __enter__(self) -> "Film":
+        """Itself."""
+        return self
+
+    def __exit__(self, failed: type[BaseException] | None, *details: object) -> None:
+        """Close it, or drop it where the run failed."""
+        if failed is None:
+            self.close()
+        else:
+            self.drop()
 
     def close(self) -> Path:
         """Put the film in its place."""

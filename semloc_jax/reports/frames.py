@@ -17,10 +17,11 @@ from semloc_jax.datasets import Frame
 from semloc_jax.inputs.drive_inputs import Inputs
 from semloc_jax.localization import frame_by_frame
 from semloc_jax.maps import write_drive_geojson
-from semloc_jax.reports import localize_log, pictures, run_inputs
+from semloc_jax.reports import localize_log, run_inputs
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.metrics import shift_text, shifts, truth_of, write_metrics_of
 from semloc_jax.reports.tables import write_tables
+from semloc_jax.runtime.effort import effort_for
 
 _NUM_NAMED = 5
 """So many frames that were not localized are named in the text."""
@@ -78,9 +79,10 @@ def report_frames(
     started = time.perf_counter()
     found = localize_log.read(folder, frames)
     try:
-        for result in _rest(inputs, frames, settings, found, localizer):
-            localize_log.append(folder, result)
-            found.append(result)
+        with effort_for(len(frames)):
+            for result in _rest(inputs, frames, settings, found, localizer):
+                localize_log.append(folder, result)
+                found.append(result)
     except KeyboardInterrupt:
         write_tables(found, truth_of(inputs.drive, found), folder)
         raise
@@ -90,6 +92,8 @@ def report_frames(
     write_record(folder, settings, options or {})
     lines = [write_metrics_of(found, truth, folder)] if truth else []
     if num_overlays > 0:
+        from semloc_jax.reports import pictures
+
         pictures.write_overlays(folder, inputs.map, inputs.masks, found, num_overlays)
     lines.append(summary(found, wall_s))
     if (shift := shift_text(shifts(found))) is not None:

@@ -5,12 +5,9 @@ In: SlotLearningConfig, drives that judge. Out: slots.weights, slots.onnx, metri
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-import cv2
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from semloc_jax.datasets import open_drive
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
@@ -23,27 +20,19 @@ from semloc_jax.perception.networks.marking_net import CONFIG, METRES_PER_PX, OU
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.perception.networks.weights import save_weights
 from semloc_jax.reports.folder import make_folder, write_record
+from semloc_jax.reports.lesson import RANDOM, LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz.marking_points import draw_points
+from semloc_jax.viz.sheet import sheet
 from semloc_jax.viz.style import save
 
 WEIGHTS = "slots.weights"
-RANDOM = "random"
 _PICTURES = 12
-_EVERY = 20
-"""Steps whose mean loss is one line of the curve."""
-
-
-class SlotLearningReport(NamedTuple):
-    """Where everything was written, and the table for people."""
-
-    folder: Path
-    text: str
 
 
 def report_marking_points(
     config: SlotLearningConfig, held_out: Sequence[Path] = (), frames: slice = slice(None), out: Path | None = None
-) -> SlotLearningReport:
+) -> LessonReport:
     """Teach the network, judge it by pictures and drives it never saw, write everything.
 
     Args:
@@ -53,15 +42,8 @@ def report_marking_points(
         out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
     """
     folder = make_folder(out)
-    losses: list[float] = []
-    with tqdm(total=config.training.num_steps, unit="step", desc="learn slots", disable=None) as bar:
-
-        def on_step(step: int, loss: float) -> None:
-            losses.append(loss)
-            bar.update(step - bar.n)
-
+    with watched_loss(folder, "learn slots", config.training.num_steps) as on_step:
         network = taught(config, folder / "checkpoint", on_step)
-    write_curve(folder, losses, config.training.num_steps)
     sets = {RANDOM: unseen_pictures(config), **{path.name: _of_drive(path, frames) for path in held_out}}
     scores = {name: judged(network, pictures) for name, pictures in sets.items()}
     threshold = threshold_of(scores[RANDOM], config.precision)
@@ -81,7 +63,7 @@ def report_marking_points(
     write_metrics(metrics, folder / "metrics.json")
     write_record(folder, config, {"held_out": [str(path) for path in held_out]})
     said = f"{sum(leaf.size for leaf in jax.tree.leaves(network))} parameters, threshold {threshold:g}"
-    return SlotLearningReport(folder, "\n".join([said, format_metrics(metrics), f"results: {folder}"]))
+    return LessonReport(folder, "\n".join([said, format_metrics(metrics), f"results: {folder}"]))
 
 
 def _of_drive(path: Path, frames: slice) -> list[ShownPoints]:
@@ -129,17 +111,7 @@ def _write_network(
     write_onnx(folder / "slots.onnx", network, CONFIG.num_outputs, output="points")
 
 
-def write_curve(folder: Path, losses: Sequence[float], num_steps: int) -> None:
-    """Mean loss of every few steps that this run made."""
-    first = num_steps - len(losses)
-    means = [(first + k + 1, f"{float(np.mean(losses[k : k + _EVERY])):.4f}") for k in range(0, len(losses), _EVERY)]
-    write_csv(folder / "loss.csv", ("step", "loss"), means)
-
-
 def _drawn(net: MarkingNet, pictures: Sequence[ShownPoints]) -> np.ndarray:
     """Some pictures side by side: truth as rings, what was found as arrows."""
     tiles = [draw_points(one.picture, METRES_PER_PX, net(one.picture, METRES_PER_PX), one.uv_m) for one in pictures]
-    columns = 4
-    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
-    rows = [cv2.hconcat(tiles[k : k + columns]) for k in range(0, len(tiles), columns)]
-    return cv2.vconcat(rows)
+    return sheet(tiles, columns=4)

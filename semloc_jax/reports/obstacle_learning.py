@@ -6,12 +6,9 @@ loss.csv, pictures.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-import cv2
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from semloc_jax.datasets import open_drive
 from semloc_jax.evaluation import Metric, format_metrics, write_metrics
@@ -32,21 +29,15 @@ from semloc_jax.perception.networks.obstacle_net import CONFIG, OUTPUTS, PX_PER_
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.perception.networks.weights import read_card, save_weights
 from semloc_jax.reports.folder import make_folder, write_record
-from semloc_jax.reports.marking_points import RANDOM, write_curve
+from semloc_jax.reports.lesson import RANDOM, LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz.obstacle_boxes import draw_boxes
+from semloc_jax.viz.sheet import sheet
 from semloc_jax.viz.style import save
 
 WEIGHTS = "obstacles.weights"
 RANGES_M = ((0.0, np.inf), (0.0, 3.0), (3.0, 6.0), (6.0, 10.0))
-_PICTURES, _COLUMNS = 12, 2
-
-
-class ObstacleLearningReport(NamedTuple):
-    """Where everything was written, and the table for people."""
-
-    folder: Path
-    text: str
+_PICTURES = 12
 
 
 def report_obstacle_learning(
@@ -55,7 +46,7 @@ def report_obstacle_learning(
     frames: slice = slice(None),
     begin_with: Path | None = None,
     out: Path | None = None,
-) -> ObstacleLearningReport:
+) -> LessonReport:
     """Teach the network, judge it by pictures and drives it never saw, write everything.
 
     Args:
@@ -66,15 +57,8 @@ def report_obstacle_learning(
         out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
     """
     folder = make_folder(out)
-    losses: list[float] = []
-    with tqdm(total=config.training.num_steps, unit="step", desc="learn obstacles", disable=None) as bar:
-
-        def on_step(step: int, loss: float) -> None:
-            losses.append(loss)
-            bar.update(step - bar.n)
-
+    with watched_loss(folder, "learn obstacles", config.training.num_steps) as on_step:
         network = taught(config, folder / "checkpoint", on_step, begin_with)
-    write_curve(folder, losses, config.training.num_steps)
     random_views = unseen_views(config)
     net = ObstacleNet(network, threshold_of(network, random_views, config.precision))
     metrics: list[Metric] = []
@@ -90,7 +74,7 @@ def report_obstacle_learning(
     write_metrics(metrics, folder / "metrics.json")
     write_record(folder, config, {"held_out": [str(path) for path in held_out], "begin_with": str(begin_with or "")})
     said = f"{sum(leaf.size for leaf in jax.tree.leaves(network))} parameters, threshold {net.threshold:g}"
-    return ObstacleLearningReport(folder, "\n".join([said, format_metrics(metrics), f"results: {folder}"]))
+    return LessonReport(folder, "\n".join([said, format_metrics(metrics), f"results: {folder}"]))
 
 
 def obstacle_views(path: Path, frames: slice) -> list[ShownObstacles]:
@@ -150,5 +134,4 @@ def _drawn(net: ObstacleNet, pictures: Sequence[ShownObstacles]) -> np.ndarray:
     """Some pictures with what was found in them, those with most to find first."""
     chosen = sorted(pictures, key=lambda one: -int(one.is_asked.sum()))[:_PICTURES]
     tiles = [draw_boxes(one.picture, net(one.picture), one.box, one.is_asked) for one in chosen]
-    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % _COLUMNS)
-    return cv2.vconcat([cv2.hconcat(tiles[k : k + _COLUMNS]) for k in range(0, len(tiles), _COLUMNS)])
+    return sheet(tiles)

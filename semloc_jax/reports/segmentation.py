@@ -13,10 +13,11 @@ from semloc_jax.inputs.segmentation import Segmented, segment_drive
 from semloc_jax.perception import ClassTable, load_class_table, read_mask
 from semloc_jax.perception.network import NetworkPreset
 from semloc_jax.viz.overlay import mask_picture
+from semloc_jax.viz.sheet import sheet
 from semloc_jax.viz.style import save
 
 LOOK = "look.jpg"
-_SHOWN, _COLUMNS, _WIDTH_PX = 10, 2, 640
+_SHOWN, _WIDTH_PX = 10, 640
 
 
 def report_segmentation(
@@ -55,12 +56,3 @@ def _tile(image: np.ndarray, mask: np.ndarray, table: ClassTable) -> np.ndarray:
     over = np.minimum(mask_picture(ids, table).astype(np.float32) / 0.55, 255.0)
     mixed = np.where(shown[..., None], 0.25 * below + 0.75 * over, 0.8 * below)
     return mixed.astype(np.uint8)
-
-
-def sheet(tiles: list[np.ndarray]) -> np.ndarray:
-    """Pictures of one width in two columns, each in a cell of the height of the tallest."""
-    height = max(tile.shape[0] for tile in tiles)
-    cells = [np.pad(tile, ((0, height - tile.shape[0]), (0, 0), (0, 0))) for tile in tiles]
-    cells += [np.zeros_like(cells[0])] * (-len(cells) % min(_COLUMNS, len(cells)))
-    columns = min(_COLUMNS, len(tiles))
-    return np.vstack([np.hstack(cells[k : k + columns]) for k in range(0, len(cells), columns)])

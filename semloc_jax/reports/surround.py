@@ -6,6 +6,7 @@ In: a drive, or pictures and a calibration. Out: a picture for each frame, a fil
 import logging
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,17 +20,21 @@ from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.surround_inputs import SurroundPictures, own_bodies, surround_pictures
 from semloc_jax.maps import MapElement, read_map
+from semloc_jax.perception.bowl import BowlView
 from semloc_jax.perception.camera_order import belonging, named_order
 from semloc_jax.perception.colour_balance import ColourBalance
 from semloc_jax.perception.seams import Blend
-from semloc_jax.perception.surround import Car, SurroundView
+from semloc_jax.perception.surround import SurroundView
 from semloc_jax.perception.surround_quality import inner_neighbours, neighbours, overlap_matches, seam_step
 from semloc_jax.perception.surveyed_paint import CornerError, corner_errors
+from semloc_jax.perception.view_tables import Car
 from semloc_jax.reports.film import Film
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.storage import output_path, writing
 
 _LOG = logging.getLogger(__name__)
+_TOP, _BOWL = "top_view", "bowl"
+_FILMS = {_TOP: "surround.mp4", _BOWL: "bowl.mp4"}
 _NEAR_M = 3.0
 _CHECKED = 5
 _SHARE_OF_NEW_GAINS = 0.2
@@ -45,12 +50,15 @@ class SurroundSettings:
         size_m: side of the square around the car.
         metres_per_px: size of a pixel.
         height_aware: where two cameras contradict each other, since something stands up, show one of them alone.
+        bowl_from_deg: also the surroundings on a bowl, seen from behind (0), the right (90), ahead (180) or the left
+            (270); None: only from above.
     """
 
     blend: Blend = "gaussian"
     size_m: float = 12.0
     metres_per_px: float = 0.012
     height_aware: bool = False
+    bowl_from_deg: float | None = None
 
     def __post_init__(self) -> None:
         if not (1.0 <= self.size_m <= 100.0 and 0.001 <= self.metres_per_px <= 1.0):
@@ -95,29 +103,29 @@ def report_surround(
     """
     settings = settings or SurroundSettings()
     pictures = surround_pictures(path, calib, cameras, frames)
-    view = SurroundView.around(
-        pictures.rig, settings.size_m, settings.metres_per_px, settings.blend, own_bodies(pictures), own_car_m
-    )
+    bodies = own_bodies(pictures)
+    view = SurroundView.around(pictures.rig, settings.size_m, settings.metres_per_px, settings.blend, bodies, own_car_m)
     if not view.seen.any():
         raise SemlocError(
             f"{path}: no camera sees the road within {0.5 * settings.size_m:g} m; check T_base_cam (semloc check-calib)"
         )
     warnings = _refuse_what_does_not_fit(view, pictures) if check else []
+    bowl = None
+    if settings.bowl_from_deg is not None:
+        bowl = BowlView.around(pictures.rig, settings.bowl_from_deg, own_body=bodies, own_car_m=own_car_m)
     folder = make_folder(out)
-    run = _Run(view, pictures, settings)
-    film = Film(folder / "surround.mp4", pictures.rate_hz) if video else None
-    try:
+    run = _Run(view, bowl, pictures, settings)
+    with ExitStack() as stack:
+        films = {
+            kind: stack.enter_context(Film(folder / name, pictures.rate_hz))
+            for kind, name in _FILMS.items()
+            if video and (kind != _BOWL or bowl is not None)
+        }
         for index in tqdm(range(len(pictures)), unit="frame", desc="top views", disable=None):
-            top = run.next(index)
-            _write(output_path(folder, "top_view", pictures.names[index], suffix=".png"), top)
-            if film is not None:
-                film.add(top[..., ::-1])
-    except BaseException:
-        if film is not None:
-            film.drop()
-        raise
-    if film is not None:
-        film.close()
+            for kind, picture in run.next(index).items():
+                _write(output_path(folder, kind, pictures.names[index], suffix=".png"), picture)
+                if kind in films:
+                    films[kind].add(picture[..., ::-1])
     if masks is not None:
         _write_masks(folder, masks, pictures, settings, own_car_m)
     write_metrics(run.metrics(), folder / "metrics.json")
@@ -131,8 +139,10 @@ def report_surround(
 class _Run:
     """The frames of a run, one after the other, with what was measured in them."""
 
-    def __init__(self, view: SurroundView, pictures: SurroundPictures, settings: SurroundSettings):
-        self.view, self.pictures, self.settings = view, pictures, settings
+    def __init__(
+        self, view: SurroundView, bowl: BowlView | None, pictures: SurroundPictures, settings: SurroundSettings
+    ):
+        self.view, self.bowl, self.pictures, self.settings = view, bowl, pictures, settings
         self.bands, self.inner = neighbours(view), inner_neighbours(view)
         self.balance: ColourBalance | None = None
         self.apart: list[np.ndarray] = []
@@ -142,8 +152,8 @@ class _Run:
         self.elements = _surveyed(pictures)
         view.pictures  # noqa: B018 - tables are made once, before the clock runs
 
-    def next(self, index: int) -> np.ndarray:
-        """The top view of a frame, blue green red."""
+    def next(self, index: int) -> dict[str, np.ndarray]:
+        """The views of a frame, blue green red."""
         images = self.pictures.images(index)
         started = time.perf_counter()
         now = self.view.balance(images)
@@ -155,7 +165,7 @@ class _Run:
         T_map_base = self.pictures.truth(index)
         if self.elements and T_map_base is not None:
             self.corners += corner_errors(top, self.view, self.elements, T_map_base)
-        return top
+        return {_TOP: top} if self.bowl is None else {_TOP: top, _BOWL: self.bowl.stitch(images, self.balance)}
 
     def metrics(self) -> list[Metric]:
         """Surveyed corners, disagreement and seams, apart from each other."""

@@ -52,9 +52,5 @@ def top_view_film(
         yield None
         return
     made = TopViewFilm(path, drive, masks, chosen)
-    try:
+    with made.film:
         yield made
-    except BaseException:
-        made.film.drop()
-        raise
-    made.film.close()

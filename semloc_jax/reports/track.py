@@ -38,6 +38,7 @@ from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.map_changes import write_map_changes
 from semloc_jax.reports.track_fusions import FUSIONS
 from semloc_jax.reports.track_log import TrackLog, TrackTable
+from semloc_jax.runtime.effort import effort_for
 
 CHECKPOINT = "state.npz"
 
@@ -155,7 +156,8 @@ def report_track(
     write_record(folder, plan.settings, options or {})
     log = TrackLog(folder, inputs.drive, keep=start.next_frame if start else 0)
     try:
-        last = _drive(pipeline, frames, start, log, folder / CHECKPOINT)
+        with effort_for(len(frames)):
+            last = _drive(pipeline, frames, start, log, folder / CHECKPOINT)
     finally:
         log.close()
     table = TrackTable.read(folder)

@@ -121,14 +121,10 @@ def write_video(path: Path, overlay: Overlay, frames: list[Frame], rate_hz: floa
     """
     if not frames:
         raise SemlocError(f"video {path}: no frame to show; leave out --video")
-    film = Film(path, rate_hz)
-    try:
+    with Film(path, rate_hz) as film:
         for frame in frames:
             film.add(overlay.picture(frame))
-    except BaseException:
-        film.drop()
-        raise
-    return film.close()
+    return path
 
 
 def write_strip(folder: Path, overlay: Overlay, frames: list[Frame], count: int) -> list[Path]:

@@ -26,7 +26,11 @@ def forward_only(what: str, tree: Tree) -> Tree:
         SemlocError: While JAX differentiates by one of them (grad, jacobian, jvp, linearize).
     """
     leaves, structure = jax.tree.flatten(tree)
-    return jax.tree.unflatten(structure, [_checked(what, leaf) if _is_float(leaf) else leaf for leaf in leaves])
+    place = [k for k, leaf in enumerate(leaves) if _is_float(leaf)]
+    if place:  # one rule for all of them: each that is traced costs a millisecond
+        for k, leaf in zip(place, _checked(what, [leaves[k] for k in place]), strict=True):
+            leaves[k] = leaf
+    return jax.tree.unflatten(structure, leaves)
 
 
 def _is_float(leaf: object) -> bool:
@@ -35,8 +39,8 @@ def _is_float(leaf: object) -> bool:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _checked(what: str, leaf: jax.Array) -> jax.Array:
-    return leaf
+def _checked(what: str, leaves: list[jax.Array]) -> list[jax.Array]:
+    return leaves
 
 
 @_checked.defjvp

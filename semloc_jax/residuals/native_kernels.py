@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from numpy.typing import DTypeLike
 
 from semloc_jax.cameras import Camera
-from semloc_jax.cameras.models import native_number_of
+from semloc_jax.cameras.models import native_class_of
 from semloc_jax.errors import SemlocError
 from semloc_jax.host import native_status
 from semloc_jax.residuals.chart import Chart
@@ -26,6 +26,9 @@ from semloc_jax.structs import MapSamples
 Path = Literal["auto", "analytic", "autodiff", "xla"]
 """How residuals are evaluated: `analytic`: kernels with the derivative of the camera written out; `autodiff`: kernels
 around JAX's derivative of any camera; `xla`: JAX alone; `auto`: the first of these that is possible."""
+
+_ANY_CAMERA = "any_camera"
+"""The part of the kernels around JAX's derivative."""
 
 Points = tuple[Float[Array, "3 p"], Int[Array, " p"], Float[Array, " p"]]
 """Position [m], channel and weight of each sample."""
@@ -39,12 +42,16 @@ def use(path: Path, camera: Camera, kernel: Kernel, dtype: DTypeLike) -> Path:
     """
     if path == "xla":
         return path
-    why_not = _why_not(kernel, dtype)
-    known = native_number_of(camera) is not None
+    why_not, model = _why_not(kernel, dtype), native_class_of(camera)
     if path == "auto":
-        return "xla" if why_not else "analytic" if known else "autodiff"
-    if not why_not and path == "analytic" and not known:
+        if why_not:
+            return "xla"
+        if model and native_status(model).available:
+            return "analytic"
+        return "autodiff" if native_status(_ANY_CAMERA).available else "xla"
+    if not why_not and path == "analytic" and not model:
         why_not = f"there is no kernel for {type(camera).__name__}"
+    why_not = why_not or _missing(model if path == "analytic" else _ANY_CAMERA)
     if why_not:
         raise SemlocError(f"evaluation path '{path}': {why_not}; choose 'auto', which takes what is possible")
     return path
@@ -62,12 +69,17 @@ def _why_not(kernel: Kernel, dtype: DTypeLike) -> str:
         return f"the kernels are for float32, not {jnp.dtype(dtype).name}"
     if jax.default_backend() != "cpu":
         return f"the kernels are for CPUs, not {jax.default_backend()}"
-    status = native_status()
+    return _missing("common")
+
+
+def _missing(part: str) -> str:
+    status = native_status(part)
     return "" if status.available else f"native kernels {status.text}"
 
 
-def _model(camera: Camera) -> np.int32:
-    return np.int32(native_number_of(camera))
+def _of_model(name: str, camera: Camera) -> str:
+    """The kernel of a camera's model."""
+    return f"{name}_{native_class_of(camera)}"
 
 
 def _texture(texture: RampTexture, index: Int[Array, ""]) -> tuple[Array, ...]:
@@ -111,8 +123,8 @@ def normal_equations(
         index: Place of the camera in the cost maps.
     """
     operands = (*chart, skip, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
-    numbers = {"model": _model(camera), "num_channels": texture.num_channels}
-    return tuple(_call("semloc_normal_equations", [(6, 6), (6,), ()], *operands, **numbers))
+    name, number = _of_model("semloc_normal_equations", camera), texture.num_channels
+    return tuple(_call(name, [(6, 6), (6,), ()], *operands, num_channels=number))
 
 
 def lookup(
@@ -167,15 +179,13 @@ def visible_weight(
     """
     numbers = jnp.float32(scale), index, jnp.float32(margin_px)
     operands = (T_map_base, T_cam_base, *points, usable, *numbers, *jax.tree.leaves(camera))
-    (weight,) = _call("semloc_visible_weight", [(points[0].shape[-1],)], *operands, model=_model(camera))
-    return weight
+    return _call(_of_model("semloc_visible_weight", camera), [(points[0].shape[-1],)], *operands)[0]
 
 
 def project(camera: Camera, p_cam: Float[Array, "3 p"]) -> Float[Array, "9 p"]:
     """Pixel u, v of each point, how far it is inside what the camera can see (positive: valid), and the derivatives of
     u, then of v, by the point in the camera frame [px / m]."""
-    leaves = jax.tree.leaves(camera)
-    return _call("semloc_project", [(9, p_cam.shape[-1])], p_cam, *leaves, model=_model(camera))[0]
+    return _call(_of_model("semloc_project", camera), [(9, p_cam.shape[-1])], p_cam, *jax.tree.leaves(camera))[0]
 
 
 def sums_by_index(values: Float[Array, "k n"], index: Int[Array, " n"], num: int) -> Float[Array, "k num"]:
@@ -227,8 +237,8 @@ def view(
     shapes = [whole, (3, capacity), (3, capacity), floats, whole, whole, whole]
     rows = (getattr(samples, field.name) for field in dataclasses.fields(MapSamples))
     operands = (T_map_base, T_base_cam, *rows, channel_of_label, class_weight, grain, numbers)
-    attributes = {"model": _model(camera), "num_ground": num_ground}
-    return Bucket(*_call("semloc_view", shapes, *operands, *jax.tree.leaves(camera), **attributes))
+    operands = (*operands, *jax.tree.leaves(camera))
+    return Bucket(*_call(_of_model("semloc_view", camera), shapes, *operands, num_ground=num_ground))
 
 
 def ramp_values(
@@ -241,8 +251,8 @@ def ramp_values(
 ) -> Float[Array, " p"]:
     """Signed ramp value in [-1, 1] of each sample of one camera; arguments as above."""
     operands = (T_map_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
-    numbers = {"model": _model(camera), "num_channels": texture.num_channels}
-    return _call("semloc_ramp_values", [(points[0].shape[-1],)], *operands, **numbers)[0]
+    name, number = _of_model("semloc_ramp_values", camera), texture.num_channels
+    return _call(name, [(points[0].shape[-1],)], *operands, num_channels=number)[0]
 
 
 def robust_cost(
@@ -255,5 +265,5 @@ def robust_cost(
 ) -> Float[Array, ""]:
     """Sum of weight x Tukey cost of one camera, 1 for each sample beyond the ramp; arguments as above."""
     operands = (T_map_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
-    numbers = {"model": _model(camera), "num_channels": texture.num_channels}
-    return _call("semloc_robust_cost", [()], *operands, **numbers)[0]
+    name, number = _of_model("semloc_robust_cost", camera), texture.num_channels
+    return _call(name, [()], *operands, num_channels=number)[0]

@@ -19,6 +19,8 @@ LEAST_COMPILE_S = 0.2
 _FATAL_ONLY = 3
 """Loading a cached program logs, as an error of some thousand letters, that pseudo features (prefer-no-gather) are
 missing on the very machine that compiled it. Each kind of processor has its own folder: none is truly missing."""
+_LINES_OF_CODE = 0
+"""So many callers each operation of a program remembers (JAX: 10), for profilers; they take 4 % of a cold start."""
 LIBRARIES = (
     "semloc-jax",
     "jax",
@@ -57,6 +59,7 @@ def prepare_jax() -> None:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(LEAST_COMPILE_S))
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", str(_FATAL_ONLY))
+    os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", str(_LINES_OF_CODE))
 
 
 def _with_flags(given: str) -> str:

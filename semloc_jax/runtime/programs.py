@@ -18,21 +18,24 @@ import jax
 import numpy as np
 
 from semloc_jax.native import build
+from semloc_jax.runtime import effort
 from semloc_jax.runtime.prepare import versions
 from semloc_jax.runtime.stored_program import StoredProgram
 from semloc_jax.storage import read_sealed, write_sealed
 from semloc_jax.storage.sources import hash_of_sources
 
 _MOST_FILES = 256
-_UNFUSED = {"xla_cpu_use_fusion_emitters": False}
-"""Compiles in two thirds of the CPU time. A solve, whose inner loops are native kernels, runs as fast as before; a
-program that is one long chain of array operations (`fused`) runs a third slower. Measured, jaxlib 0.10.1."""
 _log = logging.getLogger(__name__)
 
 
 def is_open() -> bool:
     """Whether programs are kept: JAX has a compilation cache on disk and nobody switched them off."""
     return _folder() is not None
+
+
+def is_quick() -> bool:
+    """Whether programs are compiled for a run of few frames at present; see `runtime.effort`."""
+    return effort.is_quick()
 
 
 def obtain(program: StoredProgram, static: dict, tree: Any, leaves: list) -> tuple[Callable, Any, tuple]:
@@ -52,7 +55,7 @@ def obtain(program: StoredProgram, static: dict, tree: Any, leaves: list) -> tup
         return tuple(jax.tree.leaves(result))
 
     flat.__name__ = name
-    compiled = _compile_afresh(flat, leaves, {} if program.fused else _UNFUSED)
+    compiled = _compile_afresh(flat, leaves, effort.options(program.fused))
     skeleton = skeletons[-1]
     _store(path, compiled, skeleton)
     return compiled, skeleton, compiled(*leaves)
@@ -60,7 +63,8 @@ def obtain(program: StoredProgram, static: dict, tree: Any, leaves: list) -> tup
 
 def _fingerprint(program: StoredProgram, static: dict, tree: Any, leaves: list) -> str:
     shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
-    parts = (program.__module__, program.fused, static, str(tree), shapes, jax.config.jax_enable_x64, _environment())
+    options = effort.options(program.fused)
+    parts = (program.__module__, options, static, str(tree), shapes, jax.config.jax_enable_x64, _environment())
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
 
 
@@ -107,7 +111,9 @@ def _load(path: Path, leaves: list) -> tuple[Callable, Any, tuple] | None:
         return None
     try:
         # Both pickles, this one and that in the payload, were written by `_store`: the seal says so.
-        payload, skeleton = pickle.loads(content)
+        payload, skeleton, parts = pickle.loads(content)
+        if not all(build.status(part).available for part in parts):
+            return None
         _prepare_linear_algebra()
         in_tree = jax.tree.structure(((0,) * len(leaves), {}))
         out_tree = jax.tree.structure((0,) * len(jax.tree.leaves(skeleton)))
@@ -130,7 +136,7 @@ def _store(path: Path, compiled: Any, skeleton: Any) -> None:
 
     try:
         payload, _, _ = serialize_executable.serialize(compiled)
-        write_sealed(path, pickle.dumps((payload, skeleton)))
+        write_sealed(path, pickle.dumps((payload, skeleton, build.loaded_parts())))
         _forget_oldest(path.parent)
     except Exception as error:  # a platform that cannot store programs, a full or read-only disk
         _log.debug("program %s: not stored (%s)", path, error)

@@ -50,7 +50,7 @@ class StoredProgram:
             return self.jitted(*args, **kwargs)
         leaves = [_array(leaf) for leaf in leaves]
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
-        key = (tuple(static.items()), tree, shapes, jax.config.jax_enable_x64)
+        key = (tuple(static.items()), tree, shapes, jax.config.jax_enable_x64, store.is_quick())
         if key in self._programs:
             program, structure = self._programs[key]
             found = program(*leaves)

@@ -11,9 +11,8 @@ import equinox as eqx
 from semloc_jax.solvers.arrow import ArrowProblem, arrow_problem
 from semloc_jax.solvers.dense import DenseProblem
 from semloc_jax.solvers.graph import FactorGraph, Values
-from semloc_jax.solvers.levenberg_marquardt import SolveConfig, levenberg_marquardt, levenberg_marquardt_on_host
+from semloc_jax.solvers.levenberg_marquardt import SolveConfig, levenberg_marquardt_on_host
 from semloc_jax.solvers.problem import LeastSquaresProblem, Solution
-from semloc_jax.solvers.sparse import SparseProblem
 
 
 @dataclass(frozen=True)
@@ -40,9 +39,11 @@ class Sparse:
 Structure = Dense | Arrow | Sparse
 
 
-def structured(graph: FactorGraph, structure: Structure) -> DenseProblem | ArrowProblem | SparseProblem:
+def structured(graph: FactorGraph, structure: Structure) -> LeastSquaresProblem:
     """The graph as a problem with normal equations of one structure."""
     if isinstance(structure, Sparse):
+        from semloc_jax.solvers.sparse import SparseProblem
+
         return SparseProblem(graph, structure.first)
     return arrow_problem(graph, structure.chain) if isinstance(structure, Arrow) else DenseProblem(graph)
 
@@ -67,12 +68,18 @@ def solve(
     config = config or SolveConfig()
     if isinstance(problem, FactorGraph):
         problem = structured(problem, structure or Dense())
-    if isinstance(problem, SparseProblem):
+    if getattr(problem, "is_led_by_host", False):
         return levenberg_marquardt_on_host(problem, start, config)
     if isinstance(problem, DenseProblem | ArrowProblem):
         return _compiled(problem, start, config)
+    return _in_one_program(problem, start, config)
+
+
+def _in_one_program(problem: LeastSquaresProblem, start: Any, config: SolveConfig) -> Solution:
+    from semloc_jax.solvers.optimistix_loop import levenberg_marquardt
+
     return levenberg_marquardt(problem, start, config)
 
 
-_compiled = eqx.filter_jit(levenberg_marquardt)
+_compiled = eqx.filter_jit(_in_one_program)
 """Graphs are also solved outside of jit; those of equal shapes then share one program."""

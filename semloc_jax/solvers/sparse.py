@@ -55,6 +55,8 @@ class SparseProblem:
     Its steps are taken by the host: not inside jit.
     """
 
+    is_led_by_host = True
+
     def __init__(self, graph: FactorGraph, first: tuple[str, ...] = ()) -> None:
         """Analyse the graph: order of elimination, place of every block.
 

@@ -10,7 +10,7 @@ import numpy as np
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.analysis.landscape import frame_landscape
 from semloc_jax.cameras import Rig
-from semloc_jax.viz.landscape import DIRECTIONS, CostSlice
+from semloc_jax.viz.cost_slices import DIRECTIONS, CostSlice
 
 
 def slices_of_frame(

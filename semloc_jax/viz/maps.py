@@ -86,7 +86,7 @@ def changes_from_above(
         changed: added or moved, by id of an element.
         title: text above the picture.
     """
-    figure = new_figure(*_size_in([*elements, *gone]), dark=True)
+    figure = new_figure(*_size_in([*elements, *gone], least_high_in=1.8), dark=True)
     axes = plain_axes(figure.add_subplot(), dark=True)
     groups = [([e for e in elements if e.id not in changed], "#5d6b7d", 0.9), (list(gone), CHANGES["removed"], 1.8)]
     groups += [([e for e in elements if changed.get(e.id) == w], CHANGES[w], 1.8) for w in ("added", "moved")]
@@ -108,7 +108,7 @@ def existence_from_above(elements: Sequence[MapElement], beliefs: Mapping[str, B
         beliefs: by id.
         title: text above the picture.
     """
-    width_in, height_in = _size_in(elements)
+    width_in, height_in = _size_in(elements, least_high_in=1.8)
     figure = new_figure(width_in, 2.0 * height_in, dark=True)
     shown = [element for element in elements if not element.is_logical]
     held = [beliefs[element.id] for element in shown]
@@ -150,13 +150,14 @@ def _outline(element: MapElement) -> np.ndarray:
     return np.vstack([xy, xy[:1]]) if element.closed else xy
 
 
-def _size_in(elements: Sequence[MapElement]) -> tuple[float, float]:
+def _size_in(elements: Sequence[MapElement], least_high_in: float = 4.0) -> tuple[float, float]:
+    """Width and height of a picture of a map; a long road would leave no room for a scale of colours."""
     if not elements:
         return 8.0, 6.0
     points = np.vstack([element.points[:, :2] for element in elements])
     width, height = np.maximum(np.ptp(points, axis=0), 1.0)
     scale = 16.0 / max(width, height)
-    return max(scale * width, 6.0) + 1.0, max(scale * height, 4.0) + 0.8
+    return max(scale * width, 6.0) + 1.0, max(scale * height, least_high_in) + 0.8
 
 
 def _finished(figure: Figure, axes: Axes, title: str) -> Figure:

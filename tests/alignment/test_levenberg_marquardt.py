@@ -11,7 +11,8 @@ from semloc_jax.alignment.pose import AlignConfig, level_problem, visible_views
 from semloc_jax.alignment.problem import POSE_DAMPING, pose_of, prior_offset, residual
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.chart import right_jacobian
-from semloc_jax.solvers.levenberg_marquardt import SolveConfig, levenberg_marquardt
+from semloc_jax.solvers.levenberg_marquardt import SolveConfig
+from semloc_jax.solvers.optimistix_loop import levenberg_marquardt
 from tests.contracts.ground_scene import scene
 
 STARTS = np.array([[0.25, -0.15, 0.02, 0.004, -0.003, 0.02], [-0.3, 0.1, 0.0, -0.003, 0.002, -0.015]])

@@ -7,7 +7,8 @@ import pytest
 from semloc_jax import native
 from semloc_jax.alignment import mask_image
 from semloc_jax.alignment.single_frame import image_input
-from semloc_jax.perception import CostMapConfig, cost_maps, load_class_table
+from semloc_jax.perception import load_class_table
+from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
 from semloc_jax.runtime import allocator
 
 TABLE = load_class_table("lane_paint")

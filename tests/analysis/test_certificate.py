@@ -16,7 +16,7 @@ from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import read_map
-from semloc_jax.perception import cost_maps
+from semloc_jax.perception.cost_maps import cost_maps
 from semloc_jax.residuals.texture import lookup, pack
 from semloc_jax.structs import CostMaps
 

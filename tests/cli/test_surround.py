@@ -43,6 +43,14 @@ def test_four_pictures_become_one_top_view(folder, tmp_path, capsys):
     assert "1 top view of 360 x 360 px, 25 mm a pixel" in capsys.readouterr().out
 
 
+def test_a_bowl_is_seen_from_the_side_that_is_asked_for(folder, tmp_path):
+    out = tmp_path / "out"
+    assert main(["surround", str(folder), "--out", str(out), "--bowl-from-deg", "90", "--video", *SMALL]) == 0
+    view = cv2.imread(str(out / "bowl" / "0.png"))
+    assert view.shape == (540, 960, 3) and (view.max(axis=2) > 0).mean() > 0.6
+    assert cv2.VideoCapture(str(out / "bowl.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 1
+
+
 def _exchange(folder, pictures):
     cv2.imwrite(str(folder / "car_left.png"), pictures[3])
     cv2.imwrite(str(folder / "car_right.png"), pictures[1])

@@ -1,5 +1,7 @@
 """Measured poses and an inertial sensor without wheels: derivatives, consistency, what is left without poses."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,8 @@ from semloc_jax.fusion.clock import BELIEFS, CameraTimeLog, learned, unknown_off
 from semloc_jax.fusion.inertial_fusion import InertialBeliefs, InertialFusion, error_transition
 from semloc_jax.fusion.inertial_motion import Moving
 from semloc_jax.fusion.measurements import Fusion, GnssMeasurement, PoseMeasurement
-from semloc_jax.fusion.prediction import MotionLog, MotionQuality, VelocitySample
+from semloc_jax.fusion.prediction import MotionLog, MotionQuality
+from semloc_jax.fusion.velocity_sample import VelocitySample
 from semloc_jax.geometry import rigid
 from tests.fusion.inertial_world import World
 
@@ -36,7 +39,7 @@ def test_transition_of_the_error_is_the_finite_difference():
 
     def after(error):
         turned = T @ rigid.exp(error[:6])
-        mount = rigid.exp(np.concatenate([np.zeros(3), error[18:]]))[:3, :3]
+        mount = rigid.exp(np.concatenate([np.zeros(3), error[18:21]]))[:3, :3]
         start = Moving(turned[:3, :3], moving.velocity_map + error[6:9], error[9:15], np.zeros((3, 3)), mount)
         motion = log.increment(0.3, 0.5, moving=start).inertial
         step, velocity = motion.after(start)
@@ -44,9 +47,9 @@ def test_transition_of_the_error_is_the_finite_difference():
 
     motion = log.increment(0.3, 0.5, moving=moving).inertial
     F, _ = error_transition(motion, moving)
-    T_end, v_end = after(np.zeros(21))
+    T_end, v_end = after(np.zeros(24))
     for column in (*range(15), 18, 19, 20):
-        step = np.zeros(21)
+        step = np.zeros(24)
         step[column] = 1e-4
         (T_more, v_more), (T_less, v_less) = after(step), after(-step)
         there = [rigid.log(rigid.inverse(T_end) @ found) for found in (T_more, T_less)]
@@ -56,22 +59,42 @@ def test_transition_of_the_error_is_the_finite_difference():
     assert T_end == pytest.approx(world.pose(0.5), abs=3e-4) and v_end == pytest.approx(world.velocity(0.5), abs=3e-3)
 
 
-def followed(seed, num=60, map_until_s=np.inf, velocity=None):
+class Seen(NamedTuple):
+    """Velocities by cameras: scale, what is new in every error [m/s], what lasts [m/s] and for how long [s]."""
+
+    scale: float
+    new_mps: float
+    lasting_mps: float = 0.0
+    lasts_s: float = 1.0
+
+    def samples(self, velocities, rng):
+        """One for each velocity in the axes of the vehicle."""
+        kept, lasting = np.exp(-STEP_S / self.lasts_s), rng.normal(size=3)
+        for v in velocities:
+            error = self.lasting_mps * lasting + self.new_mps * rng.normal(size=3)
+            yield VelocitySample(
+                v / self.scale + error, *np.full((2, 3), [[self.new_mps], [self.lasting_mps]]), np.full(3, self.lasts_s)
+            )
+            lasting = kept * lasting + np.sqrt(1.0 - kept**2) * rng.normal(size=3)
+
+
+def followed(seed, num=60, map_until_s=np.inf, seen=None):
     """The errors, the covariances and the states of a drive with poses at 5 Hz.
 
     Args:
         seed: Of the drive.
         num: Poses.
         map_until_s: Later poses are not measured.
-        velocity: Scale and noise [m/s] of velocities by cameras; None for none.
+        seen: What velocities by cameras are off by; None for none.
     """
     world, rng = World(seed=seed), np.random.default_rng(100 + seed)
     imu, bias = world.imu(num * STEP_S, rng)
     log, fusion = log_of(imu), InertialFusion()
-    T_true = world.pose(STEP_S * np.arange(num))
-    for k in range(num if velocity else 0):
-        v = T_true[k, :3, :3].T @ world.velocity(k * STEP_S) / velocity[0] + velocity[1] * rng.normal(size=3)
-        log.add_velocity(k * STEP_S, VelocitySample(v, np.full(3, velocity[1])))
+    time_s = STEP_S * np.arange(num)
+    T_true = world.pose(time_s)
+    in_base = np.einsum("nji,nj->ni", T_true[:, :3, :3], world.velocity(time_s))
+    for t, sample in zip(time_s, [] if seen is None else seen.samples(in_base, rng), strict=seen is not None):
+        log.add_velocity(t, sample)
 
     def measured(k):
         return PoseMeasurement(k * STEP_S, T_true[k] @ rigid.exp(SIGMA * rng.normal(size=6)), np.diag(SIGMA**2))
@@ -117,7 +140,7 @@ def test_without_poses_the_inertial_sensor_carries_on_and_says_how_well():
 
 def test_velocities_by_cameras_give_the_way_and_poses_their_scale():
     alone = [followed(seed, 120, map_until_s=12.0)[0][-1, 0] for seed in range(4)]
-    seen = [followed(seed, 120, 12.0, (1.03, 0.05)) for seed in range(4)]
+    seen = [followed(seed, 120, 12.0, Seen(1.03, 0.05)) for seed in range(4)]
     scales = np.array([float(state.odometer_scale) for _, _, state, _ in seen])
     sigma = np.sqrt([state.covariance[15, 15] for _, _, state, _ in seen])
     assert np.abs((scales - 1.03) / sigma).max() < 3.0 and np.mean(scales) == pytest.approx(1.03, abs=0.01)
@@ -126,11 +149,25 @@ def test_velocities_by_cameras_give_the_way_and_poses_their_scale():
     assert np.sqrt(np.mean(along**2)) < 0.005 * 108 < np.sqrt(np.mean(np.square(alone)))
 
 
+def test_the_doubt_about_a_way_without_a_map_holds_where_errors_of_the_velocity_last():
+    """Gaps of 2, 6 and 20 s: velocities 1 % of 9 m/s wrong for 8 s, as a window has them. Taken for new at every image
+    they would leave 0.2 m of doubt after 20 s (180 m), five times too little."""
+    seen = Seen(1.0, 0.05, 0.09, 8.0)
+    drives = [followed(seed, 141, 8.0, seen) for seed in range(8)]
+    for gap_s in (2.0, 6.0, 20.0):
+        k = round((8.0 + gap_s) / STEP_S) - 1
+        squares = [e[k] @ np.linalg.solve(P[k], e[k]) / 6 for e, P, *_ in drives]
+        # Eight drives of six numbers: 3 sigma of their mean is 0.61.
+        assert 0.39 < np.mean(squares) < 1.61, f"{gap_s} s"
+    along = np.sqrt([P[k, 0, 0] for _, P, *_ in drives])
+    assert 0.6 < along.mean() < 1.2, "with errors of 9 cm/s that last: 0.4 to 0.7 % of the way"
+
+
 def test_a_silent_sensor_keeps_the_velocity_and_the_doubt_grows():
     fusion = InertialFusion()
     T = rigid.planar_pose(1.0, 2.0, 0.5)
     state = fusion.start(PoseMeasurement(0.0, T, 1e-4 * np.eye(6)))
-    state = state._replace(velocity_map=10.0 * T[:3, 0], covariance=1e-4 * np.eye(21))
+    state = state._replace(velocity_map=10.0 * T[:3, 0], covariance=1e-4 * np.eye(24))
     increment = MotionLog().increment(0.0, 0.5, moving=fusion.pose(state).moving)
     assert increment.quality is MotionQuality.MISSING and increment.inertial is None
     gone = fusion.pose(fusion.predict(state, increment))

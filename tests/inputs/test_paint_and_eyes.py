@@ -5,10 +5,11 @@ import pytest
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.paint_and_eyes import paint_channel, with_paint
-from semloc_jax.perception import cost_maps, load_class_table
+from semloc_jax.perception import load_class_table
 from semloc_jax.perception.border_distance import border_distances
 from semloc_jax.perception.border_mask import BorderMask, SeenBorders
 from semloc_jax.perception.class_table import part_of_table
+from semloc_jax.perception.cost_maps import cost_maps
 from semloc_jax.structs import ElementClass
 
 TABLE = load_class_table("street")

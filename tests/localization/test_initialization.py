@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from semloc_jax.alignment.pose_prior import PosePrior
-from semloc_jax.fusion.measurements import GnssMeasurement
+from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement
 from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.geometry import rigid
+from semloc_jax.localization.acquisition import AcquisitionConfig, places_around
 from semloc_jax.localization.initialization import (
     NUM_FIXES,
     InitializationConfig,
@@ -156,3 +158,22 @@ def test_a_fast_vehicle_waits_for_the_heading_while_fixes_keep_coming():
     for t in np.arange(0.0, 6.0, 0.02):
         slow.add_wheels(float(t), 3.0, 0.0)
     assert "more come at once" not in why_no_prior(fixes, slow, 0.4, None, config)
+
+
+def test_dead_reckoning_that_is_unsure_along_the_way_is_searched_along_it():
+    T = rigid.planar_pose(10.0, 5.0, HEADING)
+
+    def places(along_m, across_m):
+        covariance = np.diag([along_m, across_m, 0.1, 0.01, 0.01, 0.01]) ** 2
+        coasting = FusedPose(5.0, T, covariance, 1.0, 0.0, np.zeros(2))
+        return places_around(coasting, AcquisitionConfig())
+
+    (one,) = places(1.5, 0.5)
+    assert (one.x_m, one.y_m, one.sigma_xy_m) == pytest.approx((10.0, 5.0, 3.0))
+    found = places(5.0, 0.5)
+    ahead = np.array([np.cos(HEADING), np.sin(HEADING)])
+    along = np.array([(p.x_m, p.y_m) - T[:2, 3] for p in found]) @ ahead
+    assert len(found) == 3 and sorted(along) == pytest.approx([-8.0, 0.0, 8.0]), "10 m either way"
+    assert {p.sigma_xy_m for p in found} == {4.0} and found[0].x_m == 10.0
+    assert len(places(3.9, 3.9)) == 3 and places(4.1, 4.1) == [], "across the way one search reaches 8 m"
+    assert places(12.0, 0.5) == [], "more places than a search may take"

@@ -50,8 +50,21 @@ def test_a_clock_that_is_late_shows_along_the_way_alone():
         state = learned(state, 6.25, behind, COVARIANCE)
     (doubt,) = doubts(state)
     assert "odometer or its clock" in doubt.cause and doubt.longitudinal_m == pytest.approx(0.25)
-    for _ in range(12):
-        state = learned(state, 2.25, np.array([-0.15, 0.0, 0.0, 0.0, 0.0, 0.0]), COVARIANCE)
+
+
+@pytest.mark.parametrize(("sigmas", "told_at"), [(1.5, 5), (0.5, None)])
+def test_a_lag_within_its_sigma_shows_as_a_sum_to_one_side(sigmas, told_at):
+    """Twenty frames 1.5 standard deviations behind; their squares are below the limit of one direction, 3.0. After n
+    of them the sum is 1.5 (1 - 0.9^n) / 0.1 over the root of (1 - 0.81^n) / 0.19: 3.31 for five."""
+    state, found = Innovations(), []
+    for _ in range(20):
+        behind = np.array([-0.1 * sigmas, 0.0, 0.0, 0.0, 0.0, 0.0])
+        state = learned(state, sigmas**2, behind, COVARIANCE)
+        found.append(bool(doubts(state)))
+    assert (1 + found.index(True) if any(found) else None) == told_at
+    for _ in range(20):  # as often ahead as behind
+        for side in (1.0, -1.0):
+            state = learned(state, 2.25, side * np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0]), COVARIANCE)
     assert doubts(state) == ()
 
 

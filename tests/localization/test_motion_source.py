@@ -9,6 +9,7 @@ from semloc_jax.datasets import open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.inertial_motion import Moving
 from semloc_jax.fusion.inertial_states import STATE
+from semloc_jax.fusion.velocity_sample import VelocitySample
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.localization import motion_source
 from semloc_jax.localization.motion_source import (
@@ -45,6 +46,9 @@ def seen_of(drive, num_start=1, num_followed=50):
         OdometryFrame(float(t), T, v, bias, np.full(STATE, np.nan), num_followed, 30, False)
         for t, T, v in zip(time_s, Ts, velocity, strict=True)
     ]
+    for k in range(num_start - 1, len(frames)):
+        sample = VelocitySample(Ts[k, :3, :3].T @ velocity[k], np.full(3, 0.05), np.full(3, 0.1), np.full(3, 8.0))
+        frames[k] = frames[k]._replace(velocity=sample)
     return SeenMotion(tuple(frames), num_start, "")
 
 
@@ -85,6 +89,7 @@ def test_cameras_give_each_frame_after_the_start_one_velocity(drive, masks, monk
     assert found[1] is None, "no image ends there"
     truth = seen_of(drive).frames[1]
     assert found[0].velocity_base == pytest.approx(truth.T_odom_base[:3, :3].T @ truth.velocity_odom)
+    assert found[0].lasting_sigma == pytest.approx(0.1) and found[0].lasts_s == pytest.approx(8.0)
     monkeypatch.setattr(motion_source, "seen_motion", lambda *_: seen_of(drive, num_followed=3))
     blind = motion_log(drive, "vio", masks).increment(first_s, second_s, moving=moving)
     assert blind.velocity is None, "the inertial sensor is not counted twice, and wheels are not vio"

@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.cameras import BrownConradyCamera, PinholeCamera, Rig
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
-from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.localization import lens_sign, watch
 from semloc_jax.localization.integrity import ProtectionLevels
 from semloc_jax.localization.watch_sums import (
@@ -29,15 +28,6 @@ from semloc_jax.localization.watch_sums import (
 
 CONFIG = WatchConfig()
 LEVELS = ProtectionLevels(0.05, 0.1, 0.12)
-
-
-def fused(travel_deg: float = 0.0, sigma_deg: float = 0.1) -> FusedPose:
-    angles = np.deg2rad([travel_deg, sigma_deg])
-    return FusedPose(0.0, np.eye(4), np.eye(6), 1.0, 0.0, np.zeros(2), float(angles[0]), float(angles[1]))
-
-
-TOLD = fused()
-"""A drive that knows which way it goes."""
 
 
 def rig(num: int) -> Rig:
@@ -135,27 +125,25 @@ def test_posts_are_doubted_as_soon_as_lines_alone_fit_elsewhere_in_every_frame()
     ahead = moves(CONFIG)[:, 0] == 1.0
     profiles[0][ahead] = -1.0
     state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 12)
-    found = watch.separations(state, TOLD, rig(1), CONFIG)
+    found = watch.spoken_for(state, rig(1), CONFIG)
     assert watch.with_faults(LEVELS, found).longitudinal_m == pytest.approx(LEVELS.longitudinal_m + 1.0)
     after_one = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 1)
-    assert watch.with_faults(LEVELS, watch.separations(after_one, TOLD, rig(1), CONFIG)) == LEVELS
+    assert watch.with_faults(LEVELS, watch.spoken_for(after_one, rig(1), CONFIG)) == LEVELS
 
 
-def test_before_the_drive_says_which_way_it_goes_cameras_may_look_aside():
-    """The prior of 0.3 deg says nothing; 0.25 deg leave 0.69 of its variance, 0.24 deg less than two thirds."""
-    for sigma_deg, more_deg in ((0.3, np.degrees(CONFIG.aside_sigma_rad)), (0.25, 1.146), (0.24, 0.0), (0.0, 0.0)):
-        found = watch.separations(WatchState(), fused(0.0, sigma_deg), rig(1), CONFIG)
-        heading_deg = watch.with_faults(LEVELS, found).heading_deg
-        assert heading_deg == pytest.approx(LEVELS.heading_deg + more_deg, abs=1e-3)
-    # Several cameras do not look aside together.
-    assert watch.with_faults(LEVELS, watch.separations(WatchState(), fused(0.0, 0.3), rig(2), CONFIG)) == LEVELS
-
-
-def test_a_sound_axle_is_no_fault():
-    """A real vehicle travels 0.27 deg beside its inertial unit."""
-    state = WatchState(aside_rad=np.float64(np.deg2rad(0.27)))
-    found = watch.separations(state, TOLD, rig(1), CONFIG)
-    assert watch.with_faults(LEVELS, found) == LEVELS and watch.causes(LEVELS, found, ALERT_LIMITS[0]) == ()
+def test_what_one_frame_does_not_say_again_is_doubted_on():
+    """Half a metre; a metre further nothing is said: exp(-1 / 5) of it. Then a smaller doubt, and a larger one."""
+    said = [watch.Separation(0.0, 0.5, 0.0, "lines fit 0.5 m ahead")]
+    at_first = watch.remembered(np.zeros(3), said, 1.0, CONFIG)
+    assert watch.lasting(at_first, said) == []
+    later = watch.remembered(at_first, [], 1.0, CONFIG)
+    (doubt,) = watch.lasting(later, [])
+    assert doubt.longitudinal_m == pytest.approx(0.5 * np.exp(-0.2)) and "not been cleared" in doubt.cause
+    smaller = [watch.Separation(0.1, 0.2, 0.0, "")]
+    np.testing.assert_allclose(watch.remembered(later, smaller, 0.0, CONFIG), [0.1, doubt.longitudinal_m, 0.0])
+    assert watch.remembered(later, [], 50.0, CONFIG).max() < 1e-4
+    # A vehicle that stands sees the same errors again and clears nothing.
+    np.testing.assert_array_equal(watch.remembered(later, [], 0.0, CONFIG), later)
 
 
 def test_frames_without_numbers_leave_the_sums_alone():
@@ -195,16 +183,6 @@ def test_the_other_calibrations_differ_as_they_say():
             np.testing.assert_allclose(other.T_base_cam[1 - camera], given.T_base_cam[1 - camera])
 
 
-def test_cameras_that_look_aside_end_tracking_with_a_sentence():
-    state = WatchState(aside_rad=np.float64(np.deg2rad(0.7)))
-    found = watch.separations(state, TOLD, rig(1), CONFIG)
-    levels = watch.with_faults(LEVELS, found)
-    assert levels.heading_deg == pytest.approx(0.82) and levels.longitudinal_m == pytest.approx(0.1)
-    assert levels.lateral_m == pytest.approx(0.05 + 1.5 * np.deg2rad(0.7))
-    told = "camera camera0 looks 0.7 deg to the right of where the vehicle drives; run semloc calibrate"
-    assert watch.causes(LEVELS, found, ALERT_LIMITS[0]) == (told,)
-
-
 def rolled(roll_deg, open_deg: float, way_m: float) -> WatchState:
     """A drive past looks 2 m apart; `roll_deg` of the number of the look."""
     state = WatchState()
@@ -234,7 +212,7 @@ def test_a_crown_that_the_map_has_not_is_no_tilt_of_the_camera():
 
 
 def test_a_rolled_camera_is_not_above_where_it_would_be():
-    found = watch.separations(rolled(lambda k: 2.0, 0.0, 200.0), TOLD, rig(1), CONFIG)
+    found = watch.separations(rolled(lambda k: 2.0, 0.0, 200.0), rig(1), CONFIG)
     assert watch.with_faults(LEVELS, found).lateral_m == pytest.approx(0.05 + 1.4 * np.deg2rad(2.0), rel=0.02)
 
 
@@ -244,26 +222,6 @@ def test_levels_never_promise_more_than_a_survey():
     assert heading_deg == pytest.approx(np.hypot(LEVELS.heading_deg, 0.3))  # a camera is mounted to tenths of a degree
     wide = ProtectionLevels(1.0, 2.0, np.inf)
     assert watch.at_least(wide, CONFIG) == wide
-
-
-def test_the_drive_alone_says_more_than_the_fusion_that_holds_it_near_zero():
-    """A mean of 0.7 deg with 0.3 deg, held by a prior of 0.3 deg, comes out as 0.35 deg: the drive alone said 0.7."""
-    known = 0.3 / np.sqrt(2.0)
-    alone, sigma = watch._travel_alone(fused(0.35, known), CONFIG)
-    wide = np.degrees(CONFIG.aside_sigma_rad)
-    assert np.degrees(alone) == pytest.approx(0.7 / (1.0 + (0.3 / wide) ** 2), rel=1e-6)
-    assert np.degrees(sigma) == pytest.approx(0.3 / np.hypot(1.0, 0.3 / wide), rel=1e-6)
-    assert watch._travel_alone(fused(0.35, 0.0), CONFIG) == pytest.approx((np.deg2rad(0.35), 0.0))
-
-
-def test_a_direction_that_few_metres_gave_does_not_outlast_what_many_say():
-    """1 deg is remembered; a drive that says 0.1 deg with 0.05 deg leaves 0.15 of it, one that knows nothing all."""
-    one = np.deg2rad(1.0)
-    assert np.degrees(watch._aside(one, fused(0.1, 0.05), 1, CONFIG)) == pytest.approx(0.154, abs=0.003)
-    # Of several cameras, which are believed from the first frame on, two standard deviations are left.
-    assert np.degrees(watch._aside(one, fused(0.1, 0.05), 4, CONFIG)) == pytest.approx(0.205, abs=0.003)
-    assert watch._aside(-one, fused(0.0, 0.299), 1, CONFIG) == -one
-    assert watch._aside(one, fused(2.0, 0.05), 1, CONFIG) > np.deg2rad(2.0)
 
 
 def test_every_suspicion_has_a_sentence():
@@ -287,7 +245,7 @@ def test_levels_reach_to_the_pose_of_the_other_sign_until_the_drive_speaks_again
     state = lens_sign.SignState()
     for gain in (*gains, np.nan):
         state = lens_sign.learned(state, gain, np.array([-0.35, 0.02, 0.001]))
-    found = watch.separations(WatchState(sign=state), TOLD, bent_rig(), CONFIG)
+    found = watch.separations(WatchState(sign=state), bent_rig(), CONFIG)
     wide = watch.with_faults(LEVELS, found)
     assert wide.longitudinal_m == pytest.approx(LEVELS.longitudinal_m + (0.35 if told else 0.0))
     causes = watch.causes(LEVELS, found, ALERT_LIMITS[0])

@@ -153,7 +153,7 @@ def test_pulls_are_as_sure_as_they_scatter(share):
     """31 frames that each see some 8 elements, whose pulls scatter half or twice as far as they state: noise is told
     within 10 %, but for what the stated one is believed, and the errors of the last pose over 12 drives are those that
     its covariance states within a factor of 1.3."""
-    num, information, config = 31, np.diag([1e4, 1e4, 1e4, 1e4, 1e4, 1e4]), JointConfig(sigma_metre=1e-6)
+    num, information, config = 31, np.diag([1e4] * 6), JointConfig(sigma_metre=1e-6, least_noise=1.0 / 16.0)
     true = straight(num)
     elements = elements_at([(2.0 * k + 0.5, 3.0 if k % 2 else -3.0) for k in range(16)])
     frames = np.arange(num)

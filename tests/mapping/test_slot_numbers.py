@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.evaluation import compare_maps
+from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.mapping.slot_numbers import numbered
 from semloc_jax.maps import Belief, MapElement, SemanticMap, read_map, write_map
 from semloc_jax.maps.io.drive_geojson import write_drive_geojson
@@ -50,3 +51,32 @@ def test_a_long_mark_in_a_slot_is_no_number():
     long = known("l", ElementClass.ROAD_MARK, (1.0, 0.5), (1.3, 4.5))
     assert numbered([long], [SLOT]) == ([long], [])
     assert numbered([ARROW], []) == ([ARROW], [])
+
+
+def test_one_stencil_tells_where_numbers_stand_in_slots_of_one_type():
+    """Faint looks that make no mark, one in six at strokes over half of the box: five of six slots have a number, its
+    middle within 5 cm, its size but for the smear, the sixth has none; pieces that are marks belong to it."""
+    rng = np.random.default_rng(5)
+    grid = EvidenceGrid(0.04, 1)
+    y, x = np.mgrid[0.02:5.2:0.04, 0.02:15.0:0.04]
+    u, slot = np.mod(x, 2.5) - 1.25, np.floor(x / 2.5)
+    strokes = (np.abs(u) < 0.56) & (np.abs(y - 0.61) < 0.26) & (np.mod(u, 0.16) < 0.08) & (slot != 3)
+    xy = np.stack([x.ravel(), y.ravel()], axis=1)
+    for _ in range(12):
+        shows = rng.random(x.shape) < np.where(strokes, 0.17, 0.002)
+        grid.add(xy, np.ones(len(xy)), shows.ravel().astype(int) - 1, np.ones(len(xy), bool))
+    slots = []
+    for k in range(6):
+        corners = np.array([[2.5 * k, 0, 0], [2.5 * k + 2.5, 0, 0], [2.5 * k + 2.5, 5.2, 0], [2.5 * k, 5.2, 0]])
+        words = {"kind": "perpendicular"}
+        slot = MapElement(f"s{k}", ElementClass.PARKING_SLOT, corners, closed=True, attributes=words)
+        slots.append((slot, Belief(0.05, 0.05, 1.0, 5, 0)))
+    piece = MapElement("m", ElementClass.ROAD_MARK, [[0.8, 0.4, 0], [1.0, 0.4, 0], [1.0, 0.8, 0]], closed=True)
+    marks, numbers = numbered([(piece, slots[0][1])], slots, lambda xy: grid.sums(xy, 0))
+    assert marks == []
+    assert [number.attributes["slot"] for number, _ in numbers] == ["s0", "s1", "s2", "s4", "s5"]
+    for number, _ in numbers:
+        low, high = number.points[:, :2].min(axis=0), number.points[:, :2].max(axis=0)
+        middle_m = 2.5 * int(number.attributes["slot"][1:]) + 1.25
+        np.testing.assert_allclose(0.5 * (low + high), [middle_m, 0.61], atol=0.05)
+        np.testing.assert_allclose(high - low, [1.12, 0.52], atol=0.12)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
-from semloc_jax.mapping.row_lines import back_in_paint, crossings, evened
+from semloc_jax.mapping.row_lines import back_in_paint, crossings, ends_in_paint, evened
 from semloc_jax.mapping.slot_rows import MappedRow, RowConfig, _back, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_double
 from semloc_jax.maps import Belief, MapElement
@@ -113,6 +113,41 @@ def test_the_back_is_found_in_looks_too_faint_for_a_line():
     places = np.array([0.0, 2.5, 5.0, 7.5])
     assert back_in_paint(row, places, (4.8, 6.0), lambda xy: grid.sums(xy, 0)) == pytest.approx(5.2, abs=0.02)
     assert back_in_paint(row, places, (2.0, 4.0), lambda xy: grid.sums(xy, 0)) is None
+
+
+def test_dividers_without_a_line_along_the_back_tell_its_depth_together():
+    """Half of the looks at paint show it, smeared over 0.3 m; where a vehicle hides what is behind, nothing ends."""
+    y, x = np.mgrid[0.0125:7.5:0.025, -0.5:8.0:0.025]
+    away = np.abs(x - STEP_M * np.round(x / STEP_M))
+    rate = 0.5 * (away < 0.06) / (1.0 + np.exp((y - 5.2) / 0.08)) + 0.01
+    xy = np.stack([x.ravel(), y.ravel()], axis=1)
+    row = MappedRow(np.zeros(2), np.array([1.0, 0.0]), np.array([0.0, 1.0]), WIDTH_M)
+    places = np.array([0.0, 2.5, 5.0, 7.5])
+    for is_open, depth_m in ((np.ones(len(xy), bool), 5.2), (xy[:, 1] < 4.6, None)):
+        grid = EvidenceGrid(0.025, 1)
+        for _ in range(10):
+            shows = RNG.random(y.shape) < rate
+            grid.add(xy, np.ones(len(xy)), shows.ravel().astype(int) - 1, is_open)
+        found = ends_in_paint(row, places, (4.0, 6.5), lambda xy, grid=grid: grid.sums(xy, 0))
+        assert found == (None if depth_m is None else pytest.approx(depth_m, abs=0.03))
+
+
+def test_gaps_in_worn_dividers_are_no_back_of_a_shallow_row():
+    """Three of five dividers end at a gap 2.4 m in: no depth that slots one drives into have."""
+    lines = [divider(k, far=2.4) for k in range(3)] + [divider(k, far=4.5, ends=(True, False)) for k in (3, 4)]
+    assert draw_rows(lines, WAY).rows[0].depth_m is None
+    lines = [divider(0, far=4.9)] + [divider(k, far=5.15, ends=(True, False)) for k in (1, 2)]
+    assert draw_rows(lines, WAY).rows[0].depth_m is None, "two go on beyond where one was seen to end"
+
+
+def test_a_row_of_which_little_was_seen_runs_as_its_long_neighbour():
+    """Three mouths that scatter by 10 cm would turn their row by 2 deg."""
+    lines = [divider(k) for k in range(9)]
+    mouths = [(30.0, 0.1), (32.5, -0.1), (35.0, -0.1)]
+    lines += [line(f"e{k}", (x, y), (x, DEPTH_M)) for k, (x, y) in enumerate(mouths)]
+    rows = draw_rows(lines, WAY + [5.0, 0.0]).rows
+    assert [len(row.places) for row in rows] == [9, 3]
+    np.testing.assert_allclose(rows[1].along, [1.0, 0.0], atol=np.deg2rad(0.1))
 
 
 def test_a_line_through_two_rows_is_a_divider_of_each():

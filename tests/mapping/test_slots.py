@@ -84,6 +84,21 @@ def test_a_slot_whose_back_nobody_saw_takes_half_of_the_way_to_the_row_behind():
     assert slots_of(front) == []
 
 
+def test_slots_along_the_aisle_do_not_meet_those_behind_them():
+    way = np.vstack([WAY, WAY + [0.0, 16.4]])
+    found = slots_of([*row(3, 6.1, 2.35), *row(3, 6.1, 2.35, y=10.4, up=-1.0)], way=way)
+    assert [e.attributes["kind"] for e, _ in found] == ["parallel"] * 4
+    for element, _ in found:
+        assert np.linalg.norm(element.points[2] - element.points[1]) == pytest.approx(2.35, abs=1e-6)
+
+
+def test_slots_of_a_type_are_as_deep_as_most_but_for_those_that_are_clearly_not():
+    far = [line(f"far_{k}", (20 + 2.5 * k, 0.0), (20 + 2.5 * k, 4.6)) for k in range(2)]
+    lines = [*row(4, 2.5, 5.2), line("short", (10.0, 0.0), (10.0, 5.12)), *far]
+    depths = {round(float(e.points[0, 0]), 1): np.linalg.norm(e.points[2] - e.points[1]) for e, _ in slots_of(lines)}
+    assert depths == pytest.approx({0.0: 5.2, 2.5: 5.2, 5.0: 5.2, 7.5: 5.2, 20.0: 4.6}, abs=1e-6)
+
+
 def test_lines_at_other_distances_and_angles_hold_nothing():
     assert slots_of(row(2, 1.5, 5.2)) == []
     assert slots_of(row(2, 3.6, 5.2)) == []

@@ -1,5 +1,7 @@
 """Poles, signs and traffic lights out of masks drawn along a straight drive, to a few centimetres, and no ghosts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ T_BASE_CAM = np.array([[0, 0, 1, 1.5], [-1, 0, 0, 0], [0, -1, 0, 1.4], [0, 0, 0,
 POLES = {"lamp": (30.0, 5.0, 0.2, 5.5, 0.1), "post": (41.0, -4.0, 0.0, 2.0, 0.05), "mast": (55.0, 6.0, 0.1, 6.0, 0.12)}
 SIGN = (36.0, -5.0, 2.2, 0.7)
 """x, y, z of its middle and side of a square board that faces the drive [m]."""
-POLE_ID, SIGN_ID, CAR_ID, ROAD_ID = 20, 21, 7, 1
+POLE_ID, SIGN_ID, CAR_ID, ROAD_ID, PILLAR_ID = 20, 21, 7, 1, 23
 
 
 def pose(x_m):
@@ -98,6 +100,23 @@ def test_what_is_not_there_is_missed_and_what_is_hidden_is_not(table, uprights):
     after = counting.beliefs("drive")
     assert all(b.num_missed >= b.num_seen for b in after)
     assert not counting.stays().any()
+
+
+def test_a_board_from_aside_far_away_or_behind_a_pillar_is_not_missed(table, uprights):
+    """Bare road at a board of 0.7 m is a miss from 14 m, none where it is seen along its face or is 2 px high; nor is a
+    pillar."""
+    (board,) = [u for u in uprights if u.element.label == ElementClass.SIGN]
+    bare, pillar = (np.full((300, 480), number, np.uint8) for number in (ROAD_ID, PILLAR_ID))
+
+    def missed(mask, T, element=board.element):
+        counting = UprightCounting([replace(board, element=element)], TABLE)
+        counting.add([mask], [table], T, 0.0)
+        return counting.beliefs("drive")[0].num_missed
+
+    small = replace(board.element, points=SIGN[:3] + 0.08 * (board.element.points - SIGN[:3]))
+    aside = replace(board.element, normal=np.array([0.336, 0.942, 0.0]))
+    assert missed(bare, pose(22.0)) == 1
+    assert missed(bare, pose(22.0), small) == missed(bare, pose(22.0), aside) == missed(pillar, pose(22.0)) == 0
 
 
 def test_bearings_to_different_things_are_no_thing(table):

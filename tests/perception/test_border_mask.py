@@ -6,9 +6,10 @@ import pytest
 from semloc_jax.cameras import PinholeCamera, Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.inputs.mask_view import MaskSource
-from semloc_jax.perception import CostMapConfig, cost_maps, load_class_table
+from semloc_jax.perception import load_class_table
 from semloc_jax.perception.border_distance import border_distances
 from semloc_jax.perception.border_mask import SURE_PX, BorderMask, SeenBorders, borders_of
+from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
 
 TABLE = load_class_table("lane_paint")
 NAME = TABLE.channels[0].name

@@ -12,12 +12,11 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.perception import (
     Channel,
     ClassTable,
-    CostMapConfig,
-    cost_maps,
     distance,
     load_class_table,
     read_mask,
 )
+from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
 from semloc_jax.structs import ElementClass
 from tests.perception.shapes import rendered
 

@@ -8,7 +8,8 @@ import pytest
 
 from semloc_jax.cameras import PinholeCamera, Rig
 from semloc_jax.geometry import lie
-from semloc_jax.perception import cost_maps, load_class_table
+from semloc_jax.perception import load_class_table
+from semloc_jax.perception.cost_maps import cost_maps
 from semloc_jax.residuals.alignment import Usable, alignment_residual, camera_views
 from semloc_jax.residuals.normal_equations import normal_equations
 from semloc_jax.residuals.robust import KERNELS

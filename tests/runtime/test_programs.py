@@ -15,7 +15,8 @@ import pytest
 
 import semloc_jax
 from semloc_jax.mapping.crowd import kept_cells
-from semloc_jax.runtime import prepare, programs
+from semloc_jax.native import build
+from semloc_jax.runtime import effort, prepare, programs
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.storage.sources import hash_of_sources
 
@@ -153,7 +154,7 @@ def test_inside_another_function_it_is_traced_as_usual(cache):
 
 def test_a_release_without_the_option_compiles_all_the_same(cache, monkeypatch):
     """Options of the compiler come and go with its releases; the program must not."""
-    monkeypatch.setattr(programs, "_UNFUSED", {"xla_option_of_no_release": False})
+    monkeypatch.setattr(effort, "UNFUSED", {"xla_option_of_no_release": False})
 
     def doubled(value):
         return 2 * value
@@ -222,3 +223,30 @@ def test_a_cache_that_others_write_to_is_not_used(tmp_path):
     shared.chmod(0o755)
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(shared) and done.stderr == ""
+
+
+def test_a_run_of_few_frames_has_programs_of_its_own(cache, monkeypatch):
+    """Whatever is on disk already, a run gets the programs of its own effort: they round differently."""
+    asked = []
+    monkeypatch.setattr(effort, "options", lambda fused: asked.append(effort.is_quick()) or {})
+    squares = stored_program()(lambda x: x**2)
+    for num_frames in (effort.FEW_FRAMES, effort.FEW_FRAMES + 1, effort.FEW_FRAMES):
+        with effort.effort_for(num_frames):
+            assert float(squares(np.float32(3))) == 9
+    assert not effort.is_quick()
+    assert set(asked) == {True, False} and len(squares._programs) == 2
+
+
+def test_a_program_whose_kernels_are_missing_is_made_anew(cache, monkeypatch):
+    """A program from disk needs the kernels that its process had loaded; one that cannot load them does not crash."""
+    monkeypatch.setattr(build, "loaded_parts", lambda: ("NoSuchCamera",))
+    monkeypatch.setattr(build, "_compiled", lambda command, part: (_ for _ in ()).throw(build._NotBuilt("no compiler")))
+    traced = []
+
+    def halved(x):
+        traced.append(x)
+        return x / 2
+
+    for _ in range(2):
+        assert float(stored_program()(halved)(np.float32(3))) == 1.5
+    assert len(traced) == 2 and not build.status("NoSuchCamera").available

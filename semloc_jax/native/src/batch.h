@@ -8,11 +8,9 @@
 #include <mutex>
 #include <vector>
 
-#include "xla/ffi/api/ffi.h"
+#include "frame.h"
 
 namespace semloc {
-
-namespace ffi = xla::ffi;
 
 constexpr int kMaxBatchRank = 4;
 
@@ -22,7 +20,7 @@ struct Batch {
   std::array<int64_t, kMaxBatchRank> shape{};
   int64_t size = 1;
 
-  Batch(ffi::AnyBuffer result, int core_rank) {
+  Batch(const Buffer& result, int core_rank) {
     const auto dims = result.dimensions();
     rank = static_cast<int>(dims.size()) - core_rank;
     for (int k = 0; k < rank && k < kMaxBatchRank; ++k) size *= shape[k] = dims[k];
@@ -38,7 +36,7 @@ struct Operand {
   bool is_shared = true;  // one value for the whole batch
 
   Operand() = default;
-  Operand(ffi::AnyBuffer buffer, const Batch& batch) : data(static_cast<const T*>(buffer.untyped_data())) {
+  Operand(const Buffer& buffer, const Batch& batch) : data(static_cast<const T*>(buffer.data())) {
     const auto dims = buffer.dimensions();
     if (dims.size() > 0) length = dims.back();
     int64_t step = 1;
@@ -68,7 +66,7 @@ struct Work {
 
 // Calls work(item) for every item. The caller works too and waits only for pieces in progress, so that a pool whose
 // threads all wait here cannot lock up; pieces that find nothing left return at once.
-inline void share_items(ffi::ThreadPool& pool, int64_t num_items, int64_t points_per_item, const Work work) {
+inline void share_items(const Call& pool, int64_t num_items, int64_t points_per_item, const Work work) {
   constexpr int64_t kPointsPerPiece = 16384;
   const int64_t piece = std::max<int64_t>(1, kPointsPerPiece / std::max<int64_t>(points_per_item, 1));
   const int64_t helpers = std::min<int64_t>(pool.num_threads() - 1, (num_items - 1) / piece);
@@ -88,18 +86,27 @@ inline void share_items(ffi::ThreadPool& pool, int64_t num_items, int64_t points
     for (int64_t first; (first = state.next.fetch_add(piece)) < num_items;)
       for (int64_t item = first; item < std::min(first + piece, num_items); ++item) work(item);
   };
+  using Drain = decltype(drain);
+  struct Piece {
+    std::shared_ptr<Shared> shared;
+    const Drain* drain;
+  };
   for (int64_t k = 0; k < helpers; ++k) {
     // `drain` refers to the caller's frame: it is touched only between joining and leaving, while the caller waits.
-    pool.Schedule([shared, drain = &drain] {
+    auto own = std::make_unique<Piece>(Piece{shared, &drain});
+    const auto run = [](void* data) {
+      const std::unique_ptr<Piece> piece(static_cast<Piece*>(data));
+      Shared& state = *piece->shared;
       {
-        std::lock_guard<std::mutex> lock(shared->mutex);
-        if (shared->closed) return;
-        ++shared->busy;
+        std::lock_guard<std::mutex> lock(state.mutex);
+        if (state.closed) return;
+        ++state.busy;
       }
-      (*drain)(*shared);
-      std::lock_guard<std::mutex> lock(shared->mutex);
-      if (--shared->busy == 0) shared->idle.notify_all();
-    });
+      (*piece->drain)(state);
+      std::lock_guard<std::mutex> lock(state.mutex);
+      if (--state.busy == 0) state.idle.notify_all();
+    };
+    if (pool.schedule(run, own.get())) own.release();
   }
   drain(*shared);
   std::unique_lock<std::mutex> lock(shared->mutex);
@@ -108,7 +115,7 @@ inline void share_items(ffi::ThreadPool& pool, int64_t num_items, int64_t points
 }
 
 template <typename Function>
-void for_each_item(ffi::ThreadPool& pool, int64_t num_items, int64_t points_per_item, const Function& function) {
+void for_each_item(const Call& pool, int64_t num_items, int64_t points_per_item, const Function& function) {
   const auto call = [](const void* of, int64_t item) { (*static_cast<const Function*>(of))(item); };
   share_items(pool, num_items, points_per_item, {&function, call});
 }

@@ -1,0 +1,95 @@
+"""What the way of a vehicle says of its heading (room: localization; host).
+
+In: FusedPose with its direction of travel. Out: Course; a level of the heading that holds where the cameras look aside.
+Cameras that look aside and an axle that is not mounted across the vehicle look the same to masks: in both the vehicle
+seems to drive aside. If it is the cameras, the heading is the direction in which the vehicle drives, and that is known
+from the way, whatever the cameras say. So a level reaches from the heading to the farther side of the course, which has
+an uncertainty of its own, large until some way is driven: an estimate near zero alone says nothing.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import stdtr, stdtrit
+
+from semloc_jax.fusion.measurements import FusedPose, SensorBeliefs
+
+_WIDE_RAD = 0.02
+"""How far aside cameras may look, one standard deviation. Ours."""
+_PROBABILITY = 0.005
+"""Of cameras that look aside by more than mounts are exact: one vehicle in two hundred. Ours."""
+_MEMORY_M = 20.0
+"""Way over which a course is remembered: where the cameras look aside, the first lines and walls that come into view or
+leave it move the pose, which passes for a drive to the other side."""
+_MEMORY_SIGMAS = 2.0
+"""What is remembered counts no longer beyond so many standard deviations of what the drive says by now."""
+_PRIOR_RAD = np.deg2rad(SensorBeliefs().travel_sigma_deg)
+
+
+class Course(NamedTuple):
+    """Where the drive alone, without what is believed of axle and mount, has the vehicle going.
+
+    Attributes:
+        off_rad: against the heading of the pose, positive to the left.
+        sigma_rad: standard deviation of that direction in the map.
+    """
+
+    off_rad: float
+    sigma_rad: float
+
+
+def course_of(fused: FusedPose) -> Course:
+    """The course of a pose.
+
+    The fusion holds the direction of travel near zero, which hides cameras that look aside until much of the way is
+    driven: its prior is taken off, and one that is wide put in its place. Where no direction of travel is estimated,
+    the vehicle drives where it looks.
+    """
+    mean, variance = fused.travel_rad, fused.travel_sigma_rad**2
+    if variance <= 0.0:
+        return Course(mean, 0.0)
+    heading, joint = float(fused.covariance[5, 5]), fused.travel_heading_covariance
+    information = np.linalg.inv(np.array([[heading, joint], [joint, variance]]))
+    # What walks of calibrations added to the prior since is no information.
+    known = min(1.0 / _PRIOR_RAD**2, float(information[1, 1]))
+    covariance = np.linalg.inv(information + np.diag([0.0, 1.0 / _WIDE_RAD**2 - known]))
+    turned, travel = covariance @ information @ np.array([0.0, mean])
+    return Course(float(turned + travel), float(np.sqrt(covariance.sum())))
+
+
+def remembered_rad(before_rad: float, course: Course, way_m: float) -> float:
+    """How far aside the vehicle drove of late at the least, for sure by one standard deviation [rad].
+
+    Args:
+        before_rad: At the frame before.
+        course: Now.
+        way_m: Way since the frame before [m].
+    """
+    most_rad = abs(course.off_rad) + _MEMORY_SIGMAS * course.sigma_rad
+    kept_rad = min(np.exp(-way_m / _MEMORY_M) * abs(before_rad), most_rad)
+    least_rad = max(abs(course.off_rad) - course.sigma_rad, 0.0)
+    return float(np.copysign(max(kept_rad, least_rad), course.off_rad if least_rad >= kept_rad else before_rad))
+
+
+def heading_level_deg(aside_rad: float, course: Course, freedom: float, share: float) -> float:
+    """A level of the heading [deg] that holds where the cameras look aside.
+
+    Args:
+        aside_rad: What is remembered of the way before.
+        course: Now.
+        freedom: Degrees of freedom that the scale of its standard deviation stands on.
+        share: Risk that the level may have on either side; that the cameras do look aside is improbable already.
+    """
+    if course.sigma_rad <= 0.0:
+        return float(np.degrees(abs(course.off_rad)))
+    sigmas = float(stdtrit(freedom, 1.0 - min(share / _PROBABILITY, 0.5)))
+    return float(np.degrees(max(abs(course.off_rad), abs(aside_rad)) + sigmas * course.sigma_rad))
+
+
+def misleading(aside_rad: float, course: Course, freedom: float, limit_deg: float) -> float:
+    """Probability that cameras look aside and the heading is beyond a limit [deg]; other arguments as
+    `heading_level_deg`."""
+    off_deg = float(np.degrees(max(abs(course.off_rad), abs(aside_rad))))
+    sigma_deg = max(float(np.degrees(course.sigma_rad)), 1e-9)
+    beyond = stdtr(freedom, (off_deg - limit_deg) / sigma_deg) + stdtr(freedom, (-off_deg - limit_deg) / sigma_deg)
+    return _PROBABILITY * float(beyond)
