@@ -90,7 +90,8 @@ class JointSolve:
         ahead = world.along[j]
         axes = np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)], axis=1)
         sigma = things.sigma_m[i].copy()
-        sigma[~things.has_ends[i], 0] = 10.0  # a part tells nothing along
+        if not drive.sights.is_base:
+            sigma[~things.has_ends[i], 0] = 10.0  # a part tells nothing along
         shift = np.einsum("nak,nkp->nap", axes, drive.thing_rows[i]) / sigma[:, :, None]
         start = np.einsum("nak,nk->na", axes, world.centre[j] if not self.moves else np.zeros((len(j), 2)))
         own = np.einsum("nak,nk->na", axes, things.centre[i])

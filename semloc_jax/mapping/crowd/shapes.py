@@ -33,9 +33,12 @@ def shapes_of(found: Fused) -> Shapes:
     weight, total = np.zeros(len(found.world.kind)), np.zeros((len(found.world.kind), 2))
     for drive, seen, own in zip(found.drives, found.seen, counted, strict=True):
         i, j = seen.pairs[own].T
-        sure = 1.0 / np.square(drive.sights.things.sigma_m[i]).sum(axis=1)
+        things, ahead, seen_at = drive.sights.things, found.world.along[j], drive.moved_things()[i]
+        # The middle of a part says nothing along the thing.
+        past_m = np.where(things.has_ends[i], 0.0, ((seen_at - found.world.centre[j]) * ahead).sum(axis=1))
+        sure = 1.0 / np.square(things.sigma_m[i]).sum(axis=1)
         np.add.at(weight, j, sure)
-        np.add.at(total, j, sure[:, None] * drive.moved_things()[i])
+        np.add.at(total, j, sure[:, None] * (seen_at - past_m[:, None] * ahead))
     mean = total / np.maximum(weight, 1e-12)[:, None]
     return Shapes(np.where(weight[:, None] > 0.0, mean, found.world.centre), along, half_m)
 

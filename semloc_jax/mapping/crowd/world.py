@@ -81,11 +81,12 @@ class CrowdWorld:
         c = np.einsum("ijk,jk->ij", offset, np.stack([-ahead[:, 1], ahead[:, 0]], axis=1))
         off_m = np.abs(things.half_m[rows][:, None, 0] - self.half_m[columns][None, :, 0])
         # The middle of a part is off by up to what is missing of it. Of a stop line two drives may see two parts.
+        open_ended = ~things.has_ends[rows][:, None]
         both_m = things.half_m[rows][:, None, 0] + self.half_m[columns][None, :, 0] - _OVERLAP_M
         slack_m = np.maximum(both_m, off_m) if (things.kind[rows] == "stop_line").all() else off_m
-        a = np.where(things.has_ends[rows][:, None], a, np.maximum(np.abs(a) - slack_m, 0.0))
+        a = np.where(open_ended, np.maximum(np.abs(a) - slack_m, 0.0), a)
         squared = a**2 + (2.0 * c) ** 2
-        is_other = things.has_ends[rows][:, None] & (off_m > _SAME_HALF_M)
+        is_other = ~open_ended & (off_m > _SAME_HALF_M)
         turned = np.abs(np.einsum("ik,jk->ij", along[rows], ahead)) < np.cos(SAME_TURN_RAD)
         is_long = (things.half_m[rows][:, None, 0] > _LONG_HALF_M) & (self.half_m[columns][None, :, 0] > _LONG_HALF_M)
         return np.where(is_other | (turned & is_long), np.inf, squared)
