@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from semloc_jax.evaluation.map_shapes import POSTS, is_line, thing_of
 from semloc_jax.mapping.crowd.elements import stepped
-from semloc_jax.mapping.crowd.frame_motion import Known
+from semloc_jax.mapping.crowd.merged import Known
 from semloc_jax.maps import Belief, MapElement
 
 _LIKELY = 11.8

@@ -15,7 +15,9 @@ from scipy.optimize import linear_sum_assignment
 from semloc_jax.evaluation.map_shapes import is_line, kind_of, thing_of
 from semloc_jax.mapping.crowd.edition_lines import line_pairs, spliced
 from semloc_jax.mapping.crowd.edition_news import News, coarse
-from semloc_jax.mapping.crowd.frame_motion import Known, frame_motion
+from semloc_jax.mapping.crowd.elements import on_grid
+from semloc_jax.mapping.crowd.frame_motion import frame_motion
+from semloc_jax.mapping.crowd.merged import Known
 from semloc_jax.maps import MapElement
 from semloc_jax.maps.versions.datum import CELL_MM, STILL, Datum
 
@@ -94,7 +96,7 @@ def _told(old: Known, new: Known, news: News) -> Known:
         f = replace(f, points=spliced(e.points, f.points, news.aside_m(belief), belief.sigma_along_m))
     else:
         f = news.told(e, new)
-    return news.after(old, (replace(f, points=_on_grid(f.points)), belief))
+    return news.after(old, (replace(f, points=on_grid(f.points, _CELL_M)), belief))
 
 
 def _back(points: Float[np.ndarray, "n 3"], datum: Datum) -> Float[np.ndarray, "n 3"]:
@@ -102,11 +104,7 @@ def _back(points: Float[np.ndarray, "n 3"], datum: Datum) -> Float[np.ndarray, "
     found = points
     for _ in range(2):
         found = points - (datum.moved(found) - np.rint(found * 1000.0) / 1000.0)
-    return _on_grid(found)
-
-
-def _on_grid(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    return np.rint(np.rint(points / _CELL_M) * CELL_MM) / 1000.0 + 0.0
+    return on_grid(found, _CELL_M)
 
 
 def _named(before: Sequence[Known], made: Sequence[Known]) -> list[tuple[int, int]]:

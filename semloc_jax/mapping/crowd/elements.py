@@ -65,7 +65,7 @@ def things_of(found: Fused, z: Float[np.ndarray, " n"]) -> list[MapElement]:
         middle = np.array([*shapes.centre[k], low])
         if found.is_surveyed and sights.is_base:  # all of it moves by the same cells
             before = np.array([*things.centre[row], element.points[:, 2].min()])
-            points = _on_grid(element.points + _on_grid(middle - before, cell_m), 0.001)
+            points = on_grid(element.points + on_grid(middle - before, cell_m), 0.001)
             elements.append(replace(element, points=points))
             continue
         offset = element.points - [*things.centre[row], element.points[:, 2].min()]
@@ -76,7 +76,7 @@ def things_of(found: Fused, z: Float[np.ndarray, " n"]) -> list[MapElement]:
             grown = np.where(things.half_m[row] > 0.05, grown, 1.0)
             offset[:, :2] = (offset[:, :2] @ old.T * grown) @ new
         attributes = element.attributes if sights.is_base else {}
-        points = _on_grid(middle, cell_m) + offset
+        points = on_grid(middle, cell_m) + offset
         elements.append(rounded(replace(element, id=id_of(sights, element), points=points, attributes=attributes)))
     return elements
 
@@ -150,7 +150,8 @@ def stepped(sigma: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     return np.exp(_SIGMA_STEP * np.ceil(np.log(np.maximum(sigma, _TINY)) / _SIGMA_STEP))
 
 
-def _on_grid(points: np.ndarray, cell_m: float) -> np.ndarray:
+def on_grid(points: np.ndarray, cell_m: float) -> np.ndarray:
+    """Points on a grid, in whole millimetres."""
     return np.rint(np.rint(points / cell_m) * cell_m * 1000.0) / 1000.0 + 0.0
 
 
@@ -159,7 +160,7 @@ def rounded(element: MapElement) -> MapElement:
     points = element.points
     if not element.closed and len(points) > 2:
         points = simplify(points, _THIN_M)
-    points = _on_grid(points, _CELL_M)
+    points = on_grid(points, _CELL_M)
     if not element.closed and len(points) > 1:
         steps = polyline.arc_length(points)
         points = points[np.append(True, np.diff(steps) > 0.0)] if steps[-1] > 0.0 else points

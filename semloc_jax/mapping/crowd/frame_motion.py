@@ -15,7 +15,8 @@ from scipy.sparse.linalg import splu
 
 from semloc_jax.evaluation.map_shapes import POSTS, is_line, thing_of
 from semloc_jax.geometry import polyline
-from semloc_jax.maps import Belief, MapElement
+from semloc_jax.mapping.crowd.merged import Known
+from semloc_jax.maps import MapElement
 from semloc_jax.maps.versions.datum import NODE_MM, Datum
 
 _NODE_M, _STEP_MM = NODE_MM / 1000.0, 5
@@ -30,8 +31,6 @@ _STATION_M, _LINE_SIGMA_M, _HEIGHT_SIGMA_M = 5.0, 0.03, 0.1
 _BESIDE_M = 0.5
 """A line farther aside is another one."""
 _CORNERS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
-
-Known = tuple[MapElement, Belief]
 
 
 class FrameSights(NamedTuple):
