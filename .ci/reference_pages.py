@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 with mkdocs_gen_files.open("index.md", "w") as page:
     readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](notebooks/", "](")
     # What is no page of the site is a file of the repository.
-    page.write(re.sub(r"\[([^\]]+)\]\((?!http|pictures|\d\d_|OWN_DATA|FIGURES)[^)]+\)", r"\1", readme))
+    page.write(re.sub(r"\[([^\]]+)\]\((?!http|pictures|\d\d_|OWN_DATA|FIGURES|figures)[^)]+\)", r"\1", readme))
 
 with mkdocs_gen_files.open("reference.md", "w") as page:
     page.write("# Reference\n\nThe public names, in the order of the data flow: `import semloc_jax as sj`.\n")

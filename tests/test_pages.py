@@ -15,6 +15,7 @@ from semloc_jax.inputs.config_files import flags
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ["README.md", "notebooks/FIGURES.md", "notebooks/OWN_DATA.md", ".github/CONTRIBUTING.md", "CHANGELOG.md"]
+PAGES += sorted(str(path.relative_to(ROOT)) for path in (ROOT / "notebooks" / "figures").glob("*.md"))
 COMMAND = re.compile(r"(?:^|`)semloc ([a-z-]+)([^`#|\n]*)", re.MULTILINE)
 
 
@@ -33,6 +34,11 @@ def known_options(verb):
 
 def test_the_readme_is_read_to_its_end():
     assert len(text_of("README.md").splitlines()) <= 200
+
+
+def test_the_index_of_the_figures_names_all_pages():
+    linked = set(re.findall(r"\]\((figures/\w+\.md)\)", text_of("notebooks/FIGURES.md")))
+    assert linked == {page.removeprefix("notebooks/") for page in PAGES if "/figures/" in page}
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -20,7 +20,7 @@ QUICK: dict[str, Any] = {
 times as long (chains of array operations). Measured, jaxlib 0.10.1."""
 _PARTS = {"xla_cpu_parallel_codegen_split_count": 4}
 """LLVM compiles a program in so many parts, which may run side by side. By default 32, of which each costs: together a
-tenth of the CPU time. The machine code is the same."""
+tenth of the CPU time."""
 UNFUSED: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} | _PARTS
 """Compiles in two thirds of the CPU time. A solve, whose inner loops are native kernels, runs as fast as before; a
 program that is one long chain of array operations (`fused`) runs a third slower. Measured, jaxlib 0.10.1."""
