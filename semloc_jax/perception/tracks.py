@@ -21,7 +21,7 @@ from semloc_jax.perception.sight_lines import SightLines, sight_lines
 
 @dataclass(frozen=True)
 class CornerConfig:
-    """How corners are followed. All values are ours; the size of the window is measured (see notebooks/figures/inertial.md)."""
+    """How corners are followed. All values are ours; the window is measured (notebooks/figures/inertial.md)."""
 
     num_tracks: int = 200
     """Slots, shared evenly by the cameras."""
