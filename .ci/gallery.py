@@ -2,11 +2,13 @@
 
     python .ci/gallery.py [NAME...]    # all of them take about a quarter of an hour of two cores
 
-The figure is the last one of the notebook, or that of the cell with the tag `gallery`.
+The figure is the last one of the notebook, or that of the cell with the tag `gallery`. `demo` draws the first picture
+of the README: what `semloc demo` finds in its first frame.
 """
 
 import base64
 import io
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -16,6 +18,7 @@ import nbformat
 from PIL import Image
 
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
+DEMO = "demo"
 WIDTH_PX = 900
 """As wide as a code host shows a page."""
 
@@ -23,9 +26,11 @@ WIDTH_PX = 900
 def main(names: list[str]) -> None:
     """Run the named notebooks (none named: all), then write the page of all that have a picture."""
     paths = sorted(NOTEBOOKS.glob("*.ipynb"))
-    unknown = set(names) - {path.stem for path in paths}
+    unknown = set(names) - {DEMO, *(path.stem for path in paths)}
     if unknown:
-        sys.exit(f"no notebook is called {', '.join(sorted(unknown))}; there are {', '.join(p.stem for p in paths)}")
+        sys.exit(f"unknown: {', '.join(sorted(unknown))}; expected {', '.join([DEMO, *(p.stem for p in paths)])}")
+    if not names or DEMO in names:
+        _save(_demo(), NOTEBOOKS / "pictures" / f"{DEMO}.jpg", width_px=1520)
     for path in paths:
         if not names or path.stem in names:
             print(f"runs {path.name}", flush=True)
@@ -41,6 +46,13 @@ def _executed(path: Path) -> nbformat.NotebookNode:
         return client.execute()
 
 
+def _demo() -> Image.Image:
+    """A frame of the demo before and after, see `semloc demo`."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([sys.executable, "-m", "semloc_jax.cli.main", "demo", "--out", folder], check=True)
+        return Image.open(Path(folder) / "overlays" / "000000.png").convert("RGB")
+
+
 def _figure(notebook: nbformat.NotebookNode) -> Image.Image:
     """The picture that stands for the notebook."""
     cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
@@ -51,8 +63,8 @@ def _figure(notebook: nbformat.NotebookNode) -> Image.Image:
     return Image.open(io.BytesIO(base64.b64decode(pictures[-1]))).convert("RGB")
 
 
-def _save(picture: Image.Image, path: Path) -> None:
-    picture.thumbnail((WIDTH_PX, WIDTH_PX))
+def _save(picture: Image.Image, path: Path, width_px: int = WIDTH_PX) -> None:
+    picture.thumbnail((width_px, width_px))
     picture.save(path, quality=80, optimize=True)
 
 
