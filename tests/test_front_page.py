@@ -9,6 +9,8 @@ import pytest
 
 import semloc_jax
 
+ROOT = Path(semloc_jax.__file__).parent
+
 
 @pytest.mark.parametrize("name", semloc_jax.__all__)
 def test_every_public_name_is_there(name):
@@ -44,6 +46,17 @@ def test_every_name_at_the_door_of_a_room_is_there(room):
         value = getattr(loaded, name)
         assert value is not None
         assert not isinstance(value, ModuleType), f"{name} of {room} is hidden by a module of the same name"
+
+
+LATE = [path for path in sorted(ROOT.rglob("__init__.py")) if "door(" in path.read_text(encoding="utf-8")]
+
+
+@pytest.mark.parametrize("init", LATE, ids=lambda path: path.parent.name)
+def test_no_name_that_is_loaded_late_is_that_of_a_module_behind_the_door(init):
+    """Whoever imports the module first would get it instead of what the door shows."""
+    package = ".".join(init.parent.relative_to(ROOT.parent).parts)
+    behind = {path.stem for path in init.parent.iterdir()}
+    assert behind.isdisjoint(getattr(importlib.import_module(package), "__all__", ())), package
 
 
 def test_unknown_name_is_refused():

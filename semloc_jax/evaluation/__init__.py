@@ -16,7 +16,7 @@ __getattr__, __dir__, __all__ = door(
             "format_verdicts",
             "is_passed",
         ),
-        "drift": ("drift",),
+        "way_drift": ("drift",),
         "held": (
             "held_directions",
             "held_text",
