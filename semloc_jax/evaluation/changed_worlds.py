@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from semloc_jax.evaluation.map_shapes import Comparable, is_line, kind_of, thing_of
@@ -54,7 +54,7 @@ class ChangeFigures:
     """How well a map knows what has changed, counted in things.
 
     Attributes:
-        came, gone: `int[k 2]` for each thing that came, or went: drives that have looked since, and 1 where the map
+        came, gone: for each thing that came, or went: drives that have looked since, and 1 where the map
             knows it.
         num_there: things of the last world that were there from the first drive on and that a drive looked at.
         deleted: of them, those that the map had and has told to be removed.
@@ -62,8 +62,8 @@ class ChangeFigures:
         num_old: of these, those where one was that has gone.
     """
 
-    came: np.ndarray
-    gone: np.ndarray
+    came: Int[np.ndarray, "k 2"]
+    gone: Int[np.ndarray, "k 2"]
     num_there: int
     deleted: int
     num_invented: int
@@ -73,10 +73,9 @@ class ChangeFigures:
         """The figures in words; the length is that of the road."""
         rows = []
         for least in (ENOUGH_LOOKS, FEW_LOOKS):
-            counts = [
-                f"{word} {self.found(which, least)[0]} of {self.found(which, least)[1]}" for word, which in _WORDS
-            ]
-            rows.append(f"found of what {least} or more drives have looked at since: {', '.join(counts)}")
+            counts = [(word, *known(table, least)) for word, table in (("gone", self.gone), ("come", self.came))]
+            told = ", ".join(f"{word} {num} of {of}" for word, num, of in counts)
+            rows.append(f"found of what {least} or more drives have looked at since: {told}")
         per_km = 1000.0 * self.num_invented / max(length_m, 1.0)
         rows.append(
             f"in the map and not in the world: {self.num_invented} ({per_km:.0f} per km), {self.num_old} of them were "
@@ -84,14 +83,11 @@ class ChangeFigures:
         )
         return "\n".join(rows)
 
-    def found(self, which: str, least_looks: int) -> tuple[int, int]:
-        """How many of what came or went are known, and how many there are, looked at so often at least."""
-        table = getattr(self, which)
-        rows = table[table[:, 0] >= least_looks]
-        return int(rows[:, 1].sum()), len(rows)
 
-
-_WORDS = (("gone", "gone"), ("come", "came"))
+def known(table: Int[np.ndarray, "k 2"], least_looks: int) -> tuple[int, int]:
+    """How many of what came or went (`ChangeFigures`) are known, and how many were looked at so often at least."""
+    rows = table[table[:, 0] >= least_looks]
+    return int(rows[:, 1].sum()), len(rows)
 
 
 def change_figures(
@@ -113,13 +109,13 @@ def change_figures(
     things = [_moved(e, T_world_made) for e in made if not is_line(e)]
     now = np.flatnonzero(worlds.there[:, -1])
     pairs = pairs_of(things, [worlds.elements[k] for k in now], NEAR_M)
-    known = {int(now[j]) for _, j in pairs}
+    placed = {int(now[j]) for _, j in pairs}
     spare = [things[i] for i in sorted(set(range(len(things))) - {i for i, _ in pairs})]
     past = np.flatnonzero(~worlds.there[:, -1])
     old = {int(past[j]) for _, j in pairs_of(spare, [worlds.elements[k] for k in past], NEAR_M)}
     first, last = worlds.there.argmax(axis=1), worlds.there.shape[1] - 1 - worlds.there[:, ::-1].argmax(axis=1)
     since = [int(looked[k, first[k] :].sum()) for k in now if first[k]]
-    came = [(num, int(k) in known) for num, k in zip(since, (k for k in now if first[k]), strict=True)]
+    came = [(num, int(k) in placed) for num, k in zip(since, (k for k in now if first[k]), strict=True)]
     gone = [(int(looked[k, last[k] + 1 :].sum()), int(k) not in old) for k in past]
     stayed = [int(k) for k in now if not first[k] and looked[k].any()]
     lost = [_moved(e, T_world_made) for e in removed if not is_line(e)]
@@ -128,7 +124,7 @@ def change_figures(
         np.array(came, dtype=int).reshape(-1, 2),
         np.array(gone, dtype=int).reshape(-1, 2),
         len(stayed),
-        len(wrongly - known),
+        len(wrongly - placed),
         len(spare),
         len(old),
     )

@@ -20,11 +20,14 @@ from semloc_jax.perception.seams import seam_weights
 from semloc_jax.perception.view_tables import Car, camera_table, own_car
 
 _SEAM_SIGMA_PX = 12.0
+"""Standard deviation of the blend at a seam, in the view from outside; ours."""
 _FARTHEST_M = 60.0
 _FOCAL_SHARE = 0.55
 """Of the width of the view: 85 degrees wide."""
 _HALVINGS = 24
 """60 m halved as often are 4 micrometres."""
+_AWAY_M, _UP_M, _DOWN_DEG = 3.2, 3.6, 30.0
+"""Where the view is taken from: beyond the end of the car, above the road, and how far it looks down; ours."""
 _CAR_HEIGHT_M = 1.4
 _ROOF, _SIDE, _END = (150, 140, 130), (110, 102, 95), (85, 78, 72)
 """Blue, green and red of the box that stands for the car."""
@@ -161,9 +164,9 @@ def _outside(car_m: Car, from_deg: float, size_px: tuple[int, int]) -> tuple[Pin
     rear, front, right, left = car_m
     middle, turned = np.array([0.5 * (rear + front), 0.5 * (right + left)]), np.deg2rad(from_deg)
     # Behind the car is -x; 90 degrees to its right -y.
-    away_m = 0.5 * (front - rear) + 3.2
+    away_m = 0.5 * (front - rear) + _AWAY_M
     eye = middle - away_m * np.array([np.cos(turned), np.sin(turned)])
-    T = mounted((float(eye[0]), float(eye[1]), 3.6), down_deg=30.0, yaw_deg=float(np.rad2deg(turned)))
+    T = mounted((float(eye[0]), float(eye[1]), _UP_M), down_deg=_DOWN_DEG, yaw_deg=float(np.rad2deg(turned)))
     width, height = size_px
     focal = _FOCAL_SHARE * width
     camera = PinholeCamera(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), width, height)

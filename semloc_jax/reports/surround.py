@@ -116,11 +116,8 @@ def report_surround(
     folder = make_folder(out)
     run = _Run(view, bowl, pictures, settings)
     with ExitStack() as stack:
-        films = {
-            kind: stack.enter_context(Film(folder / name, pictures.rate_hz))
-            for kind, name in _FILMS.items()
-            if video and (kind != _BOWL or bowl is not None)
-        }
+        kinds = (_TOP,) if bowl is None else (_TOP, _BOWL)
+        films = {kind: stack.enter_context(Film(folder / _FILMS[kind], pictures.rate_hz)) for kind in kinds if video}
         for index in tqdm(range(len(pictures)), unit="frame", desc="top views", disable=None):
             for kind, picture in run.next(index).items():
                 _write(output_path(folder, kind, pictures.names[index], suffix=".png"), picture)

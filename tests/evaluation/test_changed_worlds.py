@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from semloc_jax.evaluation.changed_worlds import WorldThings, change_figures, pairs_of
+from semloc_jax.evaluation.changed_worlds import WorldThings, change_figures, known, pairs_of
 from semloc_jax.maps import MapElement
 
 
@@ -33,14 +33,14 @@ def test_a_right_map_is_right_wherever_it_lies():
     T = np.eye(4)
     T[:2, 3] = [0.0, -5.0]
     found = figures([replace(e, points=e.points + [0.0, 5.0, 0.0]) for e in AFTER], T=T)
-    assert (found.found("came", 3), found.found("gone", 3)) == ((2, 2), (2, 2))
-    assert found.found("came", 4) == (0, 0)  # nobody has looked so often since
+    assert (known(found.came, 3), known(found.gone, 3)) == ((2, 2), (2, 2))
+    assert known(found.came, 4) == (0, 0)  # nobody has looked so often since
     assert (found.num_invented, found.deleted, found.num_there) == (0, 0, 2)
 
 
 def test_an_old_map_knows_nothing_and_keeps_what_has_gone():
     found = figures(BEFORE)
-    assert (found.found("came", 3), found.found("gone", 3)) == ((0, 2), (0, 2))
+    assert (known(found.came, 3), known(found.gone, 3)) == ((0, 2), (0, 2))
     assert (found.num_invented, found.num_old) == (2, 2)
 
 

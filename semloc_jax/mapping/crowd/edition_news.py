@@ -113,17 +113,19 @@ def coarse(belief: Belief) -> Belief:
 
 def _retold(before: Belief, now: Belief) -> Belief:
     """A belief that is told again: what has hardly changed of it stays as cars hold it."""
-    told = {}
-    for name, value in asdict(coarse(now)).items():
-        old = getattr(before, name)
-        if isinstance(value, float | int) and isinstance(old, float | int):
-            is_close = (
-                abs(value - old) < _LOGIT if name == "existence_logit" else 0.5 < (value + 1e-9) / (old + 1e-9) < 2.0
-            )
-            told[name] = old if is_close else value
-        else:
-            told[name] = value
+    told = asdict(coarse(now))
+    for name, old in asdict(before).items():
+        numbers = isinstance(told[name], float | int) and isinstance(old, float | int)
+        if numbers and _is_close(name, old, told[name]):
+            told[name] = old
     return Belief(**told)
+
+
+def _is_close(name: str, old: float | int, new: float | int) -> bool:
+    """Whether a number of a belief has hardly changed."""
+    if name == "existence_logit":
+        return abs(new - old) < _LOGIT
+    return 0.5 < (new + 1e-9) / (old + 1e-9) < 2.0
 
 
 def _is_as_large(old: MapElement, new: MapElement) -> bool:

@@ -20,8 +20,9 @@ from semloc_jax.mapping.crowd.sights import CROWD, Sights
 from semloc_jax.mapping.crowd.world import HUNG
 from semloc_jax.maps import Belief, MapElement
 from semloc_jax.maps.curves import simplify
+from semloc_jax.maps.versions.datum import CELL_MM
 
-_CELL_M, _SURVEYED_CELL_M = 0.005, 0.02
+_CELL_M, _SURVEYED_CELL_M = CELL_MM / 1000.0, 0.02
 """Grid of the map; of what is new to a survey, which is told by few drives."""
 _THIN_M = 0.01
 _LEAST_SIGMA_M = 0.005

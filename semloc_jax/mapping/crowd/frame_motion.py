@@ -28,8 +28,8 @@ _UPWARDS = 5.0
 _KERNEL, _ROUNDS = 2.0, 6
 _STATION_M, _LINE_SIGMA_M, _HEIGHT_SIGMA_M = 5.0, 0.03, 0.1
 """Step of places on lines; what neighbouring ones are off alike; the same of heights."""
-_BESIDE_M = 0.5
-"""A line farther aside is another one."""
+_PAST_M, _ASIDE_M = 0.5, 5.0
+"""Where the nearest place of the other line lies farther along, that line has ended; farther aside, it is another."""
 _CORNERS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 
 
@@ -95,8 +95,8 @@ def _of_line(before: Known, now: Known) -> FrameSights:
     axis = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
     offset = near - at
     across_m = (offset[:, :2] * axis).sum(axis=1)
-    beside = np.abs((offset[:, :2] * ahead).sum(axis=1)) < _BESIDE_M
-    kept = beside & (np.abs(across_m) < 10.0 * _BESIDE_M)
+    beside = np.abs((offset[:, :2] * ahead).sum(axis=1)) < _PAST_M
+    kept = beside & (np.abs(across_m) < _ASIDE_M)
     sigma_m = np.full(len(s_m), np.hypot(_LINE_SIGMA_M, np.hypot(before[1].sigma_across_m, now[1].sigma_across_m)))
     return FrameSights(at[kept, :2], axis[kept], across_m[kept], offset[kept, 2], sigma_m[kept])
 

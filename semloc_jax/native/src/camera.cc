@@ -63,10 +63,11 @@ Problem VisibleWeight(const Call& call) {
   return nullptr;
 }
 
-// T_map_base, T_cam_base, points (weight: visible), texture, camera -> sum of w rho / rho(1) [].
-Problem RobustCost(const Call& call) {
+// Calls function(item, camera, motion into it, points, texture) for T_map_base, T_cam_base, points, texture, camera.
+template <typename Function>
+Problem for_each_texture(const Call& call, int core_rank, const Function& function) {
   const int32_t num_channels = call.attribute<int32_t>("num_channels");
-  const Batch batch(call.result(0), 0);
+  const Batch batch(call.result(0), core_rank);
   if (batch.rank > kMaxBatchRank) return kTooManyAxes;
   Operands operands(call, batch);
   const auto T_map_base = operands.take<float>();
@@ -74,13 +75,30 @@ Problem RobustCost(const Call& call) {
   const PointOperands points(operands);
   const TextureOperands texture(operands, num_channels);
   const CameraOperands camera(operands);
-  float* cost = call.result_data<float>(0);
   for_each_item(call, batch.size, points.p_map.length, [&](int64_t item) {
-    cost[item] = robust_cost(camera.at<Camera>(batch, item),
-                             Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
-                             points.at(batch, item), texture.at(batch, item));
+    function(item, camera.at<Camera>(batch, item),
+             Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)), points.at(batch, item),
+             texture.at(batch, item));
   });
   return nullptr;
+}
+
+// Operands of for_each_texture, weights: visible -> sum of w rho / rho(1) [].
+Problem RobustCost(const Call& call) {
+  float* cost = call.result_data<float>(0);
+  return for_each_texture(call, 0, [&](int64_t item, const Camera& camera, const Motion& T_cam_map, const Points& points,
+                                       const Texture& texture) {
+    cost[item] = robust_cost(camera, T_cam_map, points, texture);
+  });
+}
+
+// Operands of for_each_texture -> ramp value [p].
+Problem RampValues(const Call& call) {
+  float* value = call.result_data<float>(0);
+  return for_each_texture(call, 1, [&](int64_t item, const Camera& camera, const Motion& T_cam_map, const Points& points,
+                                       const Texture& texture) {
+    ramp_values(camera, T_cam_map, points, texture, value + int64_t{points.count} * item);
+  });
 }
 
 // Points in the camera frame [3 p], camera -> rows [9 p]: pixel u, v, margin of validity, their derivatives by x y z.
@@ -142,26 +160,6 @@ Problem View(const Call& call) {
     view(AnyCamera(model), T_map_base.at(batch, item), T_base_cam.at(batch, item),
          samples.at(batch, item), Labels{channel.at(batch, item), class_weight.at(batch, item), num_ground},
          *grain.at(batch, item), config, slots(item));
-  });
-  return nullptr;
-}
-
-// T_map_base, T_cam_base, points, texture, camera -> ramp value [p].
-Problem RampValues(const Call& call) {
-  const int32_t num_channels = call.attribute<int32_t>("num_channels");
-  const Batch batch(call.result(0), 1);
-  if (batch.rank > kMaxBatchRank) return kTooManyAxes;
-  Operands operands(call, batch);
-  const auto T_map_base = operands.take<float>();
-  const auto T_cam_base = operands.take<float>();
-  const PointOperands points(operands);
-  const TextureOperands texture(operands, num_channels);
-  const CameraOperands camera(operands);
-  float* value = call.result_data<float>(0);
-  for_each_item(call, batch.size, points.p_map.length, [&](int64_t item) {
-    ramp_values(camera.at<Camera>(batch, item),
-                Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
-                points.at(batch, item), texture.at(batch, item), value + points.p_map.length * item);
   });
   return nullptr;
 }
