@@ -28,6 +28,7 @@ _DECODER = json.JSONDecoder()
 _STRING = rb'"(?:[^"\\]++|\\.)' + ANY_TIMES + rb'(?:"|\Z)'
 _TOKEN = re.compile(_STRING + rb"|[\[\]{},]", re.DOTALL)
 _PLAIN = rb'[^"\[\]{}]'
+_BRACKETS = (b"{", b"[", b"}", b"]")
 _POINTS = rb"\[(?:" + _PLAIN + rb"++|\[" + _PLAIN + rb"*+\])" + ANY_TIMES + rb"\]"
 
 
@@ -36,11 +37,9 @@ def _object_of(*parts: bytes) -> bytes:
 
 
 _FEATURE = _object_of(_POINTS, _object_of(_POINTS))
-_TO_BRACKET = re.compile(
-    rb"(?:" + rb"|".join((_PLAIN + rb"++", _STRING, _POINTS, _FEATURE)) + rb")" + ANY_TIMES + rb"([\[\]{}])", re.DOTALL
-)
+_PASSED = re.compile(rb"(?:" + rb"|".join((_PLAIN + rb"++", _STRING, _POINTS, _FEATURE)) + rb"){1,64}", re.DOTALL)
 """Lists of points, and objects of such lists and of objects with such lists, as features are, are passed in one step: a
-map has few other brackets."""
+map has few other brackets. Not all of a map at once: until a match ends, Python before 3.11.5 keeps its way back."""
 _KEY = re.compile(rb'\s*("(?:[^"\\]++|\\.)' + ANY_TIMES + rb'")\s*:', re.DOTALL)
 _START = re.compile(rb"\s*")
 _FILE_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*")
@@ -230,11 +229,13 @@ def _after(text: mmap.mmap | bytes, start: int, where: str) -> int:
     """Returns the place after the bracket that closes the one at `start`."""
     depth, position = 1, start + 1
     while True:
-        found = _TO_BRACKET.match(text, position)
-        if found is None:
+        while (passed := _PASSED.match(text, position)) is not None:
+            position = passed.end()
+        bracket = text[position : position + 1]
+        if bracket not in _BRACKETS:
             raise _broken(where, "it ends in the middle")
-        position = found.end()
-        depth += 1 if found.group(1) in b"{[" else -1
+        position += 1
+        depth += 1 if bracket in _BRACKETS[:2] else -1
         if depth == 0:
             return position
         if depth > _DEEPEST:
