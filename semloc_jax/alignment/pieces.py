@@ -205,11 +205,6 @@ def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chanc
     return nats * stands_for[:, channel]
 
 
-def nats_of(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, " pose"]:
-    """Cost [nats] of every pose; see `nats_by_piece`."""
-    return jnp.sum(nats_by_piece(costs, channel, masks), axis=1)
-
-
 def believed(nats: Float[Array, "pose piece"], best: Int[Array, ""], least: float) -> Float[Array, " pose"]:
     """How far the nats of one pose over each other one may be believed, `least` to 1.
 

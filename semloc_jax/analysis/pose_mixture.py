@@ -35,15 +35,6 @@ class PoseMixture:
     Ts_map_base: Float[np.ndarray, "mode 4 4"]
     covariance: Float[np.ndarray, "mode 6 6"]
 
-    def log_density(self, T_map_base: Float[np.ndarray, "4 4"]) -> float:
-        """Logarithm of the density at a pose [nats, of 1 / (m^3 rad^3)]."""
-        terms = []
-        for weight, T, C in zip(self.weight, self.Ts_map_base, self.covariance, strict=True):
-            xi = rigid.log(rigid.inverse(T) @ T_map_base)
-            volume = np.linalg.slogdet(2 * np.pi * C)[1]
-            terms.append(np.log(max(weight, 1e-300)) - 0.5 * (xi @ np.linalg.solve(C, xi) + volume))
-        return float(logsumexp(terms))
-
     def about_best(self) -> tuple[Float[np.ndarray, "mode 6"], Float[np.ndarray, "mode 6 6"]]:
         """Means and covariances of all modes in the right tangent of the first."""
         means, covariances = [], []

@@ -96,15 +96,6 @@ class Observability:
         """One parameter by name."""
         return next(parameter for parameter in self.parameters if parameter.name == name)
 
-    def observable_part(self, values: np.ndarray) -> np.ndarray:
-        """What of a vector of parameters (in their units) lies in the observable directions."""
-        return self._part(values, Knowledge.OBSERVABLE)
-
-    def _part(self, values: np.ndarray, verdict: Knowledge) -> np.ndarray:
-        unit = np.array([parameter.prior_sigma for parameter in self.parameters])
-        kept = np.array([d.vector for d in self.directions if d.verdict is verdict]).reshape(-1, len(unit))
-        return unit * (kept.T @ (kept @ (values / unit)))
-
 
 def observe(
     information: np.ndarray,

@@ -131,12 +131,6 @@ def so3_right_jacobian(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"
     return jnp.swapaxes(so3_left_jacobian(omega), -1, -2)
 
 
-def so3_right_jacobian_inverse(omega: Float[ArrayLike, "*b 3"]) -> Float[Array, "*b 3 3"]:
-    """Inverse of `so3_right_jacobian`: the derivative of so3_log under a right perturbation."""
-    omega = _floating(omega)
-    return jaxlie.SO3.exp(omega).jlog().astype(omega.dtype)
-
-
 def se3_right_jacobian_inverse(xi: Float[ArrayLike, "*b 6"]) -> Float[Array, "*b 6 6"]:
     """d log(exp(xi) exp(d)) / dd at d = 0, for rotations below 360 deg.
 
@@ -184,21 +178,6 @@ def yaw(T: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b"]:
     """Heading of the x axis [rad] in (-pi, pi]."""
     T = _floating(T)
     return jnp.arctan2(T[..., 1, 0], T[..., 0, 0])
-
-
-def from_quaternion_xyzw(t: Float[ArrayLike, "*b 3"], q: Float[ArrayLike, "*b 4"]) -> Float[Array, "*b 4 4"]:
-    """Rigid motion of a translation [m] and a quaternion (x y z w, normalised here)."""
-    t, q = _floating(t), _floating(q)
-    q = q / jnp.linalg.norm(q, axis=-1, keepdims=True)
-    R = jaxlie.SO3.from_quaternion_xyzw(q).as_matrix().astype(q.dtype)
-    return _from_rotation_translation(R, t)
-
-
-def to_quaternion_xyzw(T: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 4"]:
-    """Unit quaternion (x y z w) with w >= 0 of the rotation of T."""
-    T = _floating(T)
-    q = jnp.roll(_quaternion_wxyz(T[..., :3, :3]), -1, axis=-1)
-    return jnp.where(q[..., 3:] < 0, -q, q)
 
 
 def _series(coefficients: Sequence[float], s: Array) -> Array:

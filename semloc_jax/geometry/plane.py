@@ -1,13 +1,13 @@
-"""Planes: a robust fit to points and where lines of sight meet them (room: geometry; pure JAX, and numpy alike).
+"""Planes: a robust fit to points (room: geometry; pure JAX, and numpy alike).
 
-In: points [n 3], rays. Out: Plane, distances, intersections, in the library (numpy or JAX) of the input.
+In: points [n 3]. Out: Plane, distances, in the library (numpy or JAX) of the input.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 Points = Float[Array | np.ndarray, "*n 3"]
 _NUM_STEPS = 12
@@ -53,15 +53,6 @@ def fit_plane(
 def signed_distance(plane: Plane, p: Points) -> Float[ArrayLike, "*n"]:
     """Distance of points from the plane [m], positive on the side of the normal."""
     return ((p - plane.point) * plane.normal).sum(axis=-1)
-
-
-def intersect(plane: Plane, start: Points, ray: Points) -> tuple[Points, Bool[ArrayLike, "*n"]]:
-    """Where rays from `start` meet the plane, and whether they do so ahead of the start."""
-    xp = plane.normal.__array_namespace__()
-    closing = -(ray * plane.normal).sum(axis=-1)
-    meets = xp.abs(closing) > 1e-9
-    range_m = signed_distance(plane, start) / xp.where(meets, closing, xp.ones_like(closing))
-    return start + range_m[..., None] * ray, meets & (range_m > 0)
 
 
 def _least_squares(points: Array | np.ndarray, weight: Array | np.ndarray) -> Plane:

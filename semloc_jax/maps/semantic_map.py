@@ -15,7 +15,7 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps.assumed_dashes import joined_dashes
 from semloc_jax.maps.curves import clip_to_circle, without_repeats
 from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
-from semloc_jax.maps.ground import GroundModel, RoadPlane, RoadSpread
+from semloc_jax.maps.ground import GroundModel, RoadSpread
 from semloc_jax.maps.heights import lifted
 from semloc_jax.maps.plan_index import PlanIndex
 from semloc_jax.maps.tiled_ground import TiledGround
@@ -174,10 +174,6 @@ class SemanticMap:
         if not self.elements:
             raise SemlocError(f"map {self.name} has no elements; expected at least one marking, pole or sign")
         return LocalMap(self.elements, np.round(self.extent.mean(axis=0)), self.ground)
-
-    def ground_plane(self, center_xy: Place, radius_m: float = 4.0, near_z_m: float | None = None) -> RoadPlane:
-        """Returns the plane of the road around a place; see `GroundModel.plane`."""
-        return self.ground.plane(center_xy, radius_m, near_z_m)
 
     def road_pose(self, x: float, y: float, yaw: float, near_z_m: float | None = None) -> np.ndarray:
         """Returns `T_map_base` `[4 4]` of a vehicle on the road at (x, y) [m] with heading yaw [rad].

@@ -4,7 +4,7 @@ In: widths of ramps, scatter of residuals [px]. Out: NoiseModel: floors, gains a
 Views weigh map samples by it, solvers turn the robust cost into nats with it, covariances come from it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -69,10 +69,6 @@ class NoiseModel:
         a share of what the model has. Told by the scatter about a solved pose [px]; never above 1, see `excess`."""
         share = _NOISE_OF_SCATTER * scatter_px / self.noise_px
         return -_at_least(-_at_least(share, _LEAST_GRAIN), -1.0)
-
-    def of_grain(self, grain: float) -> "NoiseModel":
-        """The model of masks of one grain."""
-        return replace(self, noise_px=self.noise_px * grain, correlation_px=self.correlation_px * grain)
 
     @property
     def observations_per_px(self) -> float:

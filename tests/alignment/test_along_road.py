@@ -15,7 +15,7 @@ import pytest
 from semloc_jax.alignment.along_road import AlongRoadConfig, beyond_reach, weighed_along_road, widened
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.hypotheses import prior_cost
-from semloc_jax.alignment.pieces import chances, nats_of, piece_costs, pieces_of
+from semloc_jax.alignment.pieces import chances, nats_by_piece, piece_costs, pieces_of
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.single_frame import SingleFrameConfig, evidence_from
@@ -107,7 +107,7 @@ def _cost_of(Ts, evidence, align):
     at_random = jax.lax.map(lambda T: piece_costs(T, 2, evidence, piece_of, align), elsewhere)
     num_channels = evidence.textures.num_channels
     masks = chances(jax.tree.map(lambda leaf: leaf[best], costs), at_random, channel, num_channels)
-    return nats_of(costs, channel, masks)
+    return jnp.sum(nats_by_piece(costs, channel, masks), axis=1)
 
 
 @pytest.mark.parametrize("at_m", [8.0, 22.0, 34.0])

@@ -21,7 +21,7 @@ def _flattened(hilly: SemanticMap) -> SemanticMap:
     """The map without heights; what stands keeps its height over the road."""
 
     def flat(points: np.ndarray, is_painted: bool) -> np.ndarray:
-        road_m = hilly.ground_plane(points[0, :2], 15.0).height_at(points[:1, :2])
+        road_m = hilly.ground.plane(points[0, :2], 15.0).height_at(points[:1, :2])
         return np.column_stack([points[:, :2], np.zeros(len(points)) if is_painted else points[:, 2] - road_m])
 
     return hilly.with_elements(

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.pieces import Chances, PieceCosts, _runs, believed, chances, nats_of
+from semloc_jax.alignment.pieces import Chances, PieceCosts, _runs, believed, chances, nats_by_piece
 
 LINES, POSTS = 0, 1
 CHANNEL = jnp.asarray([LINES] * 8 + [POSTS] * 2)
@@ -17,6 +17,11 @@ def costs(*poses):
     return PieceCosts(jnp.asarray(np.nan_to_num(nats)), jnp.asarray(np.isfinite(nats), jnp.float32))
 
 
+def nats_of_poses(costs, channel, masks):
+    """Cost [nats] of every pose: the sum over its pieces."""
+    return np.asarray(nats_by_piece(costs, channel, masks), float).sum(axis=1)
+
+
 def test_contour_is_cut_where_an_edge_ends_and_where_one_observation_is_full():
     edge = jnp.asarray([0, 0, 0, 0, 0, 1, 2, 2])
     weight = jnp.asarray([10.0, 10.0, 10.0, 10.0, 10.0, 4.0, 10.0, 10.0])
@@ -26,22 +31,22 @@ def test_contour_is_cut_where_an_edge_ends_and_where_one_observation_is_full():
 def test_a_piece_that_is_missed_costs_no_more_than_its_rate_says():
     """Oracle: the mixture P exp(-nats) / p0 + 1 - P, by hand."""
     matched, missed = [0.0] * 10, [40.0] + [0.0] * 9
-    both = np.asarray(nats_of(costs(matched, missed), CHANNEL, MASKS), float)
+    both = nats_of_poses(costs(matched, missed), CHANNEL, MASKS)
     assert both[1] - both[0] == pytest.approx(np.log(0.1 + 0.9 / 0.1) - np.log(0.1), rel=1e-4)
     worse = [400.0] + [0.0] * 9
-    assert nats_of(costs(worse), CHANNEL, MASKS)[0] == pytest.approx(both[1], rel=1e-4)
+    assert nats_of_poses(costs(worse), CHANNEL, MASKS)[0] == pytest.approx(both[1], rel=1e-4)
 
 
 def test_a_post_that_the_masks_never_show_hardly_pulls_a_pose_away_from_itself():
     """Robust costs would give a pose 15 nats for turning its back on one post of 60 px."""
     in_view, out_of_view = [0.1] * 8 + [7.0, 7.0], [0.1] * 8 + [7.0, np.nan]
-    both = np.asarray(nats_of(costs(in_view, out_of_view), CHANNEL, MASKS), float)
+    both = nats_of_poses(costs(in_view, out_of_view), CHANNEL, MASKS)
     assert abs(both[0] - both[1]) < 0.25
 
 
 def test_lines_that_leave_the_image_change_nothing_where_the_rest_fits():
     whole, part = [0.1] * 10, [np.nan] * 3 + [0.1] * 7
-    both = np.asarray(nats_of(costs(whole, part), CHANNEL, MASKS), float)
+    both = nats_of_poses(costs(whole, part), CHANNEL, MASKS)
     assert both[0] == pytest.approx(both[1], abs=1e-3)
 
 

@@ -31,8 +31,3 @@ def test_sigmas_are_those_of_the_inverse():
     assert np.isclose(seen.parameter("front yaw").sigma, 2.0 / 20.0)
     assert seen.parameter("front x").verdict is Knowledge.WEAK
     assert np.isclose(np.sqrt(seen.covariance[3, 3]), 2.0 / 5.0)
-
-
-def test_only_the_observable_part_of_an_error_is_kept():
-    part = observed().observable_part(np.array([0.04, 0.3, 0.02, -0.1]))
-    np.testing.assert_allclose(part, [0.01, 0.3, -0.01, -0.1], atol=1e-12)

@@ -59,4 +59,3 @@ def test_fine_masks_hold_more_by_the_cube_of_their_grain():
     # Half the noise is four times the information of an observation, half the correlation twice the observations.
     model, ramp_px = NoiseModel(), 3.0
     assert model.gain(ramp_px, 0.5) == pytest.approx(8.0 * model.gain(ramp_px, 1.0))
-    assert model.of_grain(0.5).gain(ramp_px) == pytest.approx(model.gain(ramp_px, 0.5))
