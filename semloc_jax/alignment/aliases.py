@@ -55,7 +55,7 @@ def alias_shifts(
         return np.zeros((0, 2))
     road = road_direction(tangents_xy, length_m, T_map_base[:2, 0])
     frame = np.array([[road[0], road[1]], [-road[1], road[0]]])
-    overlap = _overlap(points_xy @ frame.T, channel, length_m, config)
+    overlap = _overlap(*_drawn(points_xy @ frame.T, tangents_xy @ frame.T, channel, length_m, config.cell_m), config)
     num = round(config.along_m / config.cell_m), round(config.across_m / config.cell_m)
     # A band of half a metre: lines are not quite straight.
     band = round(0.5 / config.cell_m)
@@ -75,6 +75,17 @@ def road_direction(tangents_xy: np.ndarray, length_m: np.ndarray, ahead_xy: np.n
     values, vectors = np.linalg.eigh(scatter)
     road = vectors[:, -1] if values[-1] > 1.2 * values[0] else ahead_xy / max(np.linalg.norm(ahead_xy), 1e-9)
     return road if road @ ahead_xy >= 0 else -road
+
+
+def _drawn(
+    points: np.ndarray, tangents: np.ndarray, channel: np.ndarray, length_m: np.ndarray, cell_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, channels and lengths of samples drawn as the contour that each stands for: a solid line whose samples are
+    farther apart than cells would repeat itself after their distance."""
+    num = max(int(np.ceil(length_m.max() / cell_m)), 1)
+    steps = (np.arange(num) + 0.5) / num - 0.5
+    drawn = points[:, None] + (steps[:, None] * length_m[:, None, None]) * tangents[:, None]
+    return drawn.reshape(-1, 2), np.repeat(channel, num), np.repeat(length_m / num, num)
 
 
 def _overlap(points: np.ndarray, channel: np.ndarray, length_m: np.ndarray, config: AliasConfig) -> np.ndarray:

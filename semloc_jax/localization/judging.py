@@ -100,6 +100,13 @@ def spoken_for(state: TrackerState, rig: Rig, config: TrackConfig) -> list[watch
     return [*doubts, *watch.spoken_for(state.watch, rig, config.watch)]
 
 
+def _faults(state: TrackerState, rig: Rig, config: TrackConfig) -> list[watch.Separation]:
+    """Every fault that a level has to hold under."""
+    spoken = spoken_for(state, rig, config)
+    lasting = watch.lasting(state.doubted, spoken)
+    return [*spoken, *lasting, *watch.separations(state.watch, rig, config.watch)]
+
+
 def levels_of(
     state: TrackerState, fused: FusedPose, rig: Rig, map_sigma: tuple[float, float], config: TrackConfig
 ) -> PoseLevels:
@@ -107,13 +114,12 @@ def levels_of(
     integrity, limit = config.health.integrity, config.health.integrity.limit
     freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
     known = fused.covariance, freedom, map_sigmas(*map_sigma)
-    levels = protection_levels(*known, integrity)
-    if not state.tracks:
-        return PoseLevels(watch.at_least(levels, config.watch), (), misleading(*known, np.zeros(3), limit))
-    spoken = spoken_for(state, rig, config)
-    lasting = watch.lasting(state.doubted, spoken)
-    faults = [*spoken, *lasting, *watch.separations(state.watch, rig, config.watch)]
+    faults = _faults(state, rig, config) if state.tracks else []
     farthest = np.max([np.zeros(3), *(np.array(fault[:3]) for fault in faults)], axis=0)
+    room = np.array(watch.room_in(limit, config.watch)) - farthest
+    levels = protection_levels(*known, room, integrity)
+    if not state.tracks:
+        return PoseLevels(watch.at_least(levels, config.watch), (), misleading(*known, farthest, limit))
     misled = misleading(*known, farthest, limit)
     protection = watch.at_least(watch.with_faults(levels, faults), config.watch)
     # Cameras that look aside: the pose with the heading of its course may be the right one instead.

@@ -229,6 +229,12 @@ def at_least(levels: ProtectionLevels, config: WatchConfig) -> ProtectionLevels:
     )
 
 
+def room_in(limit: ErrorLimit, config: WatchConfig) -> tuple[float, float, float]:
+    """What the alert limits leave to levels that `at_least` joins with others."""
+    heading_deg = limit.heading_deg**2 - config.least_levels[2] ** 2
+    return limit.lateral_m, limit.longitudinal_m, float(np.sqrt(max(heading_deg, 0.0)))
+
+
 def causes(levels: ProtectionLevels, found: list[Separation], limit: ErrorLimit) -> tuple[str, ...]:
     """A sentence for each fault that alone takes a level beyond its alert limit.
 

@@ -30,6 +30,17 @@ def test_dashes_come_back_after_their_period(period_m, heading_deg):
         assert np.abs(along - side * period_m).min() < 0.3
 
 
+def test_samples_of_a_solid_line_are_no_period():
+    """Samples 0.75 m apart fall on one another after every 0.75 m, which says nothing of the road."""
+    points, tangents, channel, _ = road(6.0, 0.0)
+    few = slice(None, None, 3)
+    length_m = np.full(len(points[few]), 0.75)
+    shifts = alias_shifts(points[few], tangents[few], channel[few], length_m, np.eye(4), AliasConfig(along_m=20.0))
+    along = shifts[np.abs(shifts[:, 1]) < 0.3, 0]
+    np.testing.assert_allclose(np.mod(along + 1.0, 6.0), 1.0, atol=0.6)
+    assert len(along) >= 4
+
+
 def test_shifts_are_those_of_the_vehicle_not_of_the_road():
     """A vehicle turned by 30 deg against the road finds the period where the road runs."""
     turn = np.deg2rad(30.0)

@@ -19,6 +19,8 @@ WIDE = IntegrityConfig(risk=0.03)
 KNOWN = np.full(3, 1e6)
 """Degrees of freedom of a scale that is known."""
 NO_MAP = np.zeros(3)
+AMPLE = np.full(3, np.inf)
+"""Room that no level fills."""
 
 
 def share_beyond(errors, levels):
@@ -29,10 +31,10 @@ def share_beyond(errors, levels):
 
 def test_levels_are_exceeded_as_often_as_the_risk_says():
     errors = np.random.default_rng(0).normal(size=(100_000, 3)) * np.sqrt(np.diag(COVARIANCE))[[0, 1, 5]]
-    levels = protection_levels(COVARIANCE, KNOWN, NO_MAP, WIDE)
+    levels = protection_levels(COVARIANCE, KNOWN, NO_MAP, AMPLE, WIDE)
     assert share_beyond(errors, levels) == pytest.approx(0.03, abs=0.002)
     assert levels.lateral_m == pytest.approx(0.01 * 2.576, rel=0.01)  # 1 % in two tails
-    assert share_beyond(errors, protection_levels(COVARIANCE, KNOWN, NO_MAP, IntegrityConfig(risk=1e-3))) < 2e-3
+    assert share_beyond(errors, protection_levels(COVARIANCE, KNOWN, NO_MAP, AMPLE, IntegrityConfig(risk=1e-3))) < 2e-3
 
 
 def test_levels_hold_where_the_scale_is_told_by_few_errors():
@@ -41,18 +43,34 @@ def test_levels_hold_where_the_scale_is_told_by_few_errors():
     draws = rng.normal(size=(20_000, 3))
     scale = np.sqrt(rng.chisquare(10.0, size=(20_000, 3)) / 10.0)
     errors = draws / scale * np.sqrt(np.diag(COVARIANCE))[[0, 1, 5]]
-    assert share_beyond(errors, protection_levels(COVARIANCE, np.full(3, 10.0), NO_MAP, WIDE)) == pytest.approx(
+    assert share_beyond(errors, protection_levels(COVARIANCE, np.full(3, 10.0), NO_MAP, AMPLE, WIDE)) == pytest.approx(
         0.03, abs=0.004
     )
-    assert share_beyond(errors, protection_levels(COVARIANCE, KNOWN, NO_MAP, WIDE)) > 0.06
+    assert share_beyond(errors, protection_levels(COVARIANCE, KNOWN, NO_MAP, AMPLE, WIDE)) > 0.06
+
+
+def test_risk_that_one_direction_does_not_need_is_left_to_the_others():
+    """Across has room to spare, along has not: the levels fit in and errors exceed them as often as before."""
+    equal = protection_levels(COVARIANCE, KNOWN, NO_MAP, AMPLE, WIDE)
+    room = np.array([10.0 * equal.lateral_m, 0.95 * equal.longitudinal_m, 10.0 * equal.heading_deg])
+    shared = protection_levels(COVARIANCE, KNOWN, NO_MAP, room, WIDE)
+    assert (np.array(shared) <= room).all() and shared.lateral_m < 2.0 * equal.lateral_m
+    errors = np.random.default_rng(2).normal(size=(100_000, 3)) * np.sqrt(np.diag(COVARIANCE))[[0, 1, 5]]
+    assert share_beyond(errors, shared) == pytest.approx(0.03, abs=0.002)
+
+
+def test_levels_that_do_not_fit_share_the_risk_equally():
+    equal = protection_levels(COVARIANCE, KNOWN, NO_MAP, AMPLE, WIDE)
+    for room in (0.5 * np.array(equal), np.array([1.0, -0.1, 1.0])):
+        assert protection_levels(COVARIANCE, KNOWN, NO_MAP, room, WIDE) == equal
 
 
 def test_what_the_maker_states_of_the_map_has_the_tails_of_a_gaussian():
     few = np.full(3, 4.0)
-    of_map = protection_levels(np.zeros((6, 6)), few, map_sigmas(0.05, 0.0025), WIDE)
+    of_map = protection_levels(np.zeros((6, 6)), few, map_sigmas(0.05, 0.0025), AMPLE, WIDE)
     assert of_map == pytest.approx((0.05 * 2.576, 0.05 * 2.576, np.degrees(0.0025) * 2.576), rel=1e-3)
-    alone = protection_levels(COVARIANCE, few, NO_MAP, WIDE)
-    both = protection_levels(COVARIANCE, few, map_sigmas(0.05, 0.0025), WIDE)
+    alone = protection_levels(COVARIANCE, few, NO_MAP, AMPLE, WIDE)
+    both = protection_levels(COVARIANCE, few, map_sigmas(0.05, 0.0025), AMPLE, WIDE)
     np.testing.assert_allclose(both, np.hypot(alone, of_map))
 
 
