@@ -98,7 +98,8 @@ def _image(
     """The colour image of a view."""
     if isinstance(lighting, Lighting):
         return shade(view, T_map_cam[:3, 3], lighting, rng)
-    return random_picture(view, T_map_cam, camera, scene.surface, rng, is_indoors=scene.backdrop == CLASS_IDS["wall"])
+    indoors = scene.solids if scene.backdrop == CLASS_IDS["wall"] else None
+    return random_picture(view, T_map_cam, camera, scene.surface, rng, indoors=indoors)
 
 
 _SUFFIX = {"sem": ".png", "sem_net": ".png", "rgb": ".jpg"}

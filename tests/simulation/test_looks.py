@@ -7,12 +7,14 @@ import pytest
 
 from semloc_jax.cameras import BrownConradyCamera, mounted
 from semloc_jax.datasets.drive import CLASS_IDS
+from semloc_jax.simulation.looks.floor import polished
 from semloc_jax.simulation.looks.light import DAY, INDOORS, NIGHT, drawn_light, lit
 from semloc_jax.simulation.looks.look import random_picture
 from semloc_jax.simulation.looks.materials import PAINT, YELLOW, Materials, Pixels
 from semloc_jax.simulation.looks.noise import noise, texture
 from semloc_jax.simulation.render import PixelRays, render
 from semloc_jax.simulation.road import build_road
+from semloc_jax.simulation.solids import Box
 
 CAMERA = BrownConradyCamera(130.0, 130.0, 79.5, 40.0, 160, 96)
 
@@ -87,3 +89,24 @@ def test_light_by_the_time_of_day():
     assert (back > far) == (night.retro > 1.0)
     for time in (DAY, INDOORS):
         assert np.all(np.isfinite(lit(drawn_light(rng, time), places, facing, retro)))
+
+
+def test_a_smooth_floor_mirrors_what_stands_on_it():
+    """A red pillar 5.7 m ahead of a camera 1 m above a level floor: its image in the floor begins at its foot, reaches
+    towards the camera, and lies straight below it."""
+    u, v = np.meshgrid(np.arange(640) - 319.5, np.arange(384) - 80.0)
+    ray = np.stack([np.full(u.shape, 400.0), -u, -v], axis=-1)
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    is_ground = ray[..., 2] < -0.005
+    away = np.where(is_ground, -1.0 / np.minimum(ray[..., 2], -0.005), 0.0)[..., None] * ray
+    pillar = Box(0, (0.0, 0.0, 1.0), np.array([6.0, 0.0, 1.4]), (0.6, 0.6, 2.8), np.eye(3))
+    light, black = drawn_light(np.random.default_rng(1), INDOORS), np.zeros((*is_ground.shape, 3), np.float32)
+    changed = np.zeros(is_ground.shape)
+    for seed in range(4):
+        spots = black, is_ground, ray, away, np.array([0.0, 0.0, 1.0])
+        shown = [polished(*spots, solids, light, np.random.default_rng(seed)) for solids in ((pillar,), ())]
+        changed += np.abs(shown[0] - shown[1]).sum(axis=-1)
+    foot = 80 + round(400.0 / 5.7)
+    columns = changed[foot:].sum(axis=0)
+    assert columns[260:380].sum() > 0.8 * columns.sum() and abs(np.average(u[0], weights=columns)) < 4.0
+    assert changed[foot + 30 : foot + 60].mean() > 5.0 * changed[84 : foot - 40].mean()

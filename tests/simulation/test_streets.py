@@ -1,10 +1,13 @@
 """Random streets and garages: what views of them hold."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.simulation.looks.materials import CLASS_MASK, DARK_PATCH, TAR, variant_id
+from semloc_jax.simulation.streets.hall import random_hall
 from semloc_jax.simulation.streets.street import random_street
 from semloc_jax.simulation.streets.views import FINER, street_views
 
@@ -30,3 +33,20 @@ def test_streets_show_what_is_to_be_learned():
     assert {CLASS_IDS[name] for name in ("pole", "sign", "vehicle", "vegetation")} <= standing
     assert {CLASS_IDS["lane_solid"], CLASS_IDS["lane_dashed"]} <= {kind & CLASS_MASK for kind in painted}
     assert {variant_id("road", kind) for kind in (DARK_PATCH, TAR)} & painted
+
+
+def test_halls_show_what_is_to_be_learned():
+    """Pillars and cars stand there, slots are painted, and the own path is free of all that stands."""
+    standing, painted = set(), set()
+    for seed in range(2):
+        hall = random_hall(np.random.default_rng(seed))
+        standing |= {solid.class_id & CLASS_MASK for solid in hall.solids}
+        s, d = np.meshgrid(np.arange(0.0, 20.0, 0.2), np.arange(-6.0, 6.0, 0.05))
+        kinds = np.unique(hall.ground.class_at(hall.path.at(s.ravel(), d.ravel())))
+        painted |= {kind & CLASS_MASK for kind in kinds.tolist()}
+        way = hall.surface.drape(hall.path.at(np.arange(0.0, 30.0, 3.0), 0.0)) + [0.0, 0.0, 1.0]
+        for start, end in pairwise(way):
+            length = np.linalg.norm(end - start)
+            assert all(solid.hit(start, (end - start)[None] / length)[0] > length for solid in hall.solids)
+    assert {CLASS_IDS[name] for name in ("pillar", "vehicle", "wall")} <= standing
+    assert CLASS_IDS["slot_line"] in painted

@@ -14,7 +14,7 @@ from semloc_jax.learning.eyes.shapes import Surfaces
 from semloc_jax.maps.elements import PAINT_CLASSES, MapElement
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.perception.distance import signed_distance
-from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX
+from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX, Said
 
 _FINE = 4
 """Drawn pixels along each side of a cell."""
@@ -101,6 +101,22 @@ def _fill(ids: np.ndarray, corners: np.ndarray, owner: np.ndarray, k: int, value
     cv2.fillPoly(ids, [np.round(shape * 2**_SHIFT).astype(np.int32)], value, cv2.LINE_8, _SHIFT)
 
 
+def with_kept(labels: Labels, told: Sequence[bool], said: Said) -> Labels:
+    """Labels that ask for what a network says already wherever the map tells nothing: of classes that the map has none
+    of, and of what hides it. Otherwise these drift as the features do that all classes share.
+
+    Args:
+        labels: By the map, of the channels of the table.
+        told: Of each channel, whether the map has any of its classes.
+        said: Of the cells of the image, one class more than channels where the network tells what hides the map.
+    """
+    signed = np.clip(np.moveaxis(said.signed_px, -1, 0), -REACH_PX, REACH_PX)
+    sigma = np.exp(np.moveaxis(said.log_sigma, -1, 0))
+    for k in np.flatnonzero(told).tolist():
+        signed[k], sigma[k] = labels.signed_px[k], labels.sigma_px[k]
+    return Labels(signed, sigma, labels.known)
+
+
 def _plane(
     ids: np.ndarray, value: int, surfaces: Surfaces, corners: np.ndarray, chosen: np.ndarray, scale: float
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
@@ -120,8 +136,8 @@ def cell_distances(inside: UInt8[np.ndarray, "_h _w"], outset: float = 0.0) -> F
         outset: how far it was drawn too large on each side [drawn pixels].
     """
     rows, columns = (side // _FINE for side in inside.shape)
-    if not inside.any():
-        return np.full((rows, columns), REACH_PX, np.float32)
+    if not inside.any() or inside.all():  # no border at all
+        return np.full((rows, columns), -REACH_PX if inside.any() else REACH_PX, np.float32)
     signed = (signed_distance(inside, 1.0) + outset) * _DRAWN_PX
     # The middle of a cell lies between the four drawn pixels in its middle.
     first = _FINE // 2 - 1

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semloc_jax.learning.eyes.batches import LabelledImage, draw_batch
+from semloc_jax.learning.eyes.batches import ImagePool, LabelledImage, draw_batch
 from semloc_jax.learning.eyes.loss import eyes_loss
 from semloc_jax.learning.eyes.streets import TEACHES, StreetsConfig, drawn_scenes, labelled
 from semloc_jax.learning.training import train
@@ -65,8 +65,10 @@ def taught_on_streets(
         images = [image for view in views for image in labelled(view, eyes.table)]
         (teaching if entry.part == TEACHES else judging).extend(images)
 
+    pool = ImagePool(teaching)
+
     def batch_of(rng: np.random.Generator):
-        return draw_batch(teaching, config.crops, eyes.config.step_px, rng)
+        return draw_batch(pool, config.crops, eyes.config.step_px, rng)
 
     network = train(eyes.network, eyes_loss, batch_of, config.training, folder / "streets.checkpoint", on_step)
     taught_on = {"streets": config.num_streets, "garages": config.num_garages, "pictures": len(teaching)}

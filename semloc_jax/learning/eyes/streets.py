@@ -31,19 +31,19 @@ _MOST_BYTES = 2**28
 class StreetsConfig:
     """How many random scenes are drawn. All values are ours."""
 
-    num_streets: int = 24
-    num_garages: int = 4
+    num_streets: int = 28
+    num_garages: int = 20
     """Seen by fisheyes."""
     views: int = 7
     """Of each scene, each by another camera."""
-    looks: int = 2
+    looks: int = 3
     """Of each view: other light, weather, surfaces, lens."""
-    size_px: tuple[int, int] = (384, 256)
+    size_px: tuple[int, int] = (320, 224)
     """Width and height of a picture, in pixels of the network's image."""
     held_out: int = 4
     """So many of the streets, and a quarter as many of the garages, judge."""
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=4500, rate=3e-3))
-    crops: CropConfig = field(default_factory=lambda: CropConfig(crop_px=(192, 160)))
+    crops: CropConfig = field(default_factory=lambda: CropConfig(crop_px=(224, 192)))
 
     def __post_init__(self) -> None:
         least = min(self.num_streets, self.views, self.looks, self.held_out)

@@ -19,9 +19,9 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_source import MaskSource, eyes_source
 from semloc_jax.inputs.mask_view import resized
-from semloc_jax.learning.eyes.batches import CropConfig, LabelledImage, draw_batch
+from semloc_jax.learning.eyes.batches import CropConfig, ImagePool, LabelledImage, draw_batch
 from semloc_jax.learning.eyes.judge import RoundScore, judged
-from semloc_jax.learning.eyes.labels import drawn_labels
+from semloc_jax.learning.eyes.labels import drawn_labels, with_kept
 from semloc_jax.learning.eyes.loss import eyes_loss
 from semloc_jax.learning.eyes.poses import TeacherLimits, TeacherPose, teacher_poses
 from semloc_jax.learning.eyes.shapes import Surfaces, seen_surfaces
@@ -202,6 +202,7 @@ def _images_of(
     for k, camera in enumerate(lesson.masks.cameras):
         image, hidden = pose.frame.image(camera), pose.frame.dynamic_mask(camera)
         elements, surfaces = _surfaces(lesson, pose, k, lesson.masks.cameras, config)
+        picture = student.picture(image)
         labels = drawn_labels(
             surfaces,
             elements,
@@ -211,7 +212,10 @@ def _images_of(
             trust.is_trusted(elements),
             None if hidden is None else resized(hidden, image[..., 0]),
         )
-        found.append(LabelledImage.of(student.picture(image), labels))
+        if student.card:  # else it has not learned anything
+            told = [bool(set(channel.classes) & set(lesson.map.labels)) for channel in student.table.channels]
+            labels = with_kept(labels, told, student.said(picture))
+        found.append(LabelledImage.of(picture, labels))
     return found
 
 
@@ -227,10 +231,10 @@ def _surfaces(
 
 def _trained(eyes: Eyes, images: Sequence[LabelledImage], config: EyesConfig, folder: Path, number: int) -> Eyes:
     """The eyes after a round; its weights and checkpoint are in the folder."""
-    step_px = eyes.config.step_px
+    step_px, pool = eyes.config.step_px, ImagePool(images)
 
     def batch_of(rng: np.random.Generator):
-        return draw_batch(images, config.crops, step_px, rng)
+        return draw_batch(pool, config.crops, step_px, rng)
 
     checkpoint = folder / f"round_{number}.checkpoint"
     network = train(eyes.network, eyes_loss, batch_of, config.training, checkpoint)

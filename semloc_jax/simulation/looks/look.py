@@ -3,6 +3,7 @@
 In: a rendered view. Out: the picture of it.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -12,9 +13,11 @@ from jaxtyping import Float, UInt8
 from semloc_jax.cameras import Camera
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.simulation.looks import light as lights
+from semloc_jax.simulation.looks.floor import polished
 from semloc_jax.simulation.looks.lens import photographed
 from semloc_jax.simulation.looks.materials import CLASS_BITS, CLASS_MASK, GLOWING, PAINT, Materials, Pixels, plain_ids
 from semloc_jax.simulation.render import RenderedView
+from semloc_jax.simulation.solids import Solid
 from semloc_jax.simulation.surface import Surface
 
 
@@ -35,7 +38,7 @@ def random_picture(
     surface: Surface,
     rng: np.random.Generator,
     finer: int = 1,
-    is_indoors: bool = False,
+    indoors: Sequence[Solid] | None = None,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The view as some camera may show it.
 
@@ -46,10 +49,11 @@ def random_picture(
         surface: the ground, which tells how high a place is above it.
         rng: all that is random.
         finer: pixels of the view along a side of one of the picture.
-        is_indoors: whether there is a ceiling with lamps.
+        indoors: what stands on a floor that mirrors it, below a ceiling with lamps; None for the open.
     """
-    materials, light = Materials(rng), lights.drawn_light(rng, lights.INDOORS if is_indoors else None)
-    radiance = _radiance(view, T_map_cam, camera, surface, materials, light, rng)
+    is_indoors = indoors is not None
+    materials, light = Materials(rng, is_indoors), lights.drawn_light(rng, lights.INDOORS if is_indoors else None)
+    radiance = _radiance(view, T_map_cam, camera, surface, materials, light, indoors or (), rng)
     if finer > 1:
         size = radiance.shape[1] // finer, radiance.shape[0] // finer
         radiance = cv2.resize(radiance, size, interpolation=cv2.INTER_AREA)
@@ -65,6 +69,7 @@ def _radiance(
     surface: Surface,
     materials: Materials,
     light: lights.Light,
+    solids: Sequence[Solid],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "h w 3"]:
     """Radiance of every pixel, 0 beyond the field of view."""
@@ -99,39 +104,11 @@ def _radiance(
     picture = out.reshape(*shape, 3).astype(np.float32)
     is_ground = hit & np.isnan(color[:, 0]) & np.isin(plain_ids(ids), [CLASS_IDS[n] for n in (*_GROUND,)] + list(PAINT))
     if light.time == lights.INDOORS:
-        return _polished(picture, is_ground.reshape(shape), view.ray_map, away.reshape(*shape, 3), light, rng)
+        spots = is_ground.reshape(shape), view.ray_map, away.reshape(*shape, 3)
+        return polished(picture, *spots, origin, solids, light, rng)
     if light.wet > 0.0:
         is_wet = (is_ground & (plain_ids(ids) != CLASS_IDS["terrain"])).reshape(shape)
         picture[is_wet] *= 1.0 - 0.5 * light.wet
         place = away.reshape(*shape, 3)
         picture = lights.mirrored(light, picture, is_wet, view.ray_map, place, camera, T_map_cam[:3, :3])
     return picture
-
-
-def _polished(
-    picture: np.ndarray,
-    is_ground: np.ndarray,
-    ray: np.ndarray,
-    away: np.ndarray,
-    light: lights.Light,
-    rng: np.random.Generator,
-) -> np.ndarray:
-    """A floor that mirrors the lamps of its ceiling."""
-    shine = rng.uniform(0.0, 0.6) * (rng.random() < 0.7)
-    up = ray[is_ground] * [1.0, 1.0, -1.0]
-    mirrored = np.zeros_like(picture)
-    mirrored[is_ground] = lights.ceiling(light, _towards_ceiling(up, away[is_ground]))
-    # A floor is no glass: what it mirrors is drawn out towards whoever looks.
-    soft_px = rng.uniform(2.0, 12.0)
-    mirrored = cv2.GaussianBlur(mirrored, (0, 0), sigmaX=soft_px, sigmaY=3.0 * soft_px)
-    out = picture.copy()
-    out[is_ground] += shine * (0.1 + 0.9 * (1.0 - up[:, 2:]) ** 3).astype(np.float32) * mirrored[is_ground]
-    return out
-
-
-def _towards_ceiling(up: np.ndarray, away: np.ndarray) -> np.ndarray:
-    """Rays from the camera to where mirrored rays meet the ceiling, which hangs a fixed height above it."""
-    height = lights.CEILING_M
-    t = (height - away[:, 2]) / np.maximum(up[:, 2], 1e-2)
-    at = away[:, :2] + t[:, None] * up[:, :2]
-    return np.column_stack([at, np.full(len(at), height)]) / height

@@ -48,8 +48,8 @@ class Pixels(NamedTuple):
 class Materials:
     """The materials of one look; everything random is drawn once."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
-        """Draw them."""
+    def __init__(self, rng: np.random.Generator, is_smooth: bool = False) -> None:
+        """Draw them; `is_smooth` for a floor of concrete or paint in place of asphalt."""
         self._rng = rng
         self.road = np.exp(rng.uniform(np.log(0.05), np.log(0.42))) * (1.0 + rng.normal(0.0, 0.04, 3))
         self.contrast = rng.uniform(0.25, 0.9)
@@ -62,6 +62,11 @@ class Materials:
         self.blotches = rng.uniform(0.02, 0.2)
         self.window_m = rng.uniform(1.2, 4.0), rng.uniform(2.2, 4.0)
         self.offset = rng.uniform(0.0, 500.0, 2)
+        if is_smooth and rng.random() < 0.85:
+            self.road = np.exp(rng.uniform(np.log(0.12), np.log(0.6))) * (1.0 + rng.normal(0.0, 0.04, 3))
+            if rng.random() < 0.2:  # painted
+                self.road = self.road * rng.uniform(0.4, 1.2, 3)
+            self.grain *= rng.uniform(0.0, 0.3)
 
     def albedo(self, class_id: int, pixels: Pixels) -> Float[np.ndarray, "n 3"]:
         """What share of the light the pixels of a class throw back."""

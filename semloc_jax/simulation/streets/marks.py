@@ -162,18 +162,18 @@ def junction_marks(path: PlanePath, lanes: CrossSection, s: float, rng: np.rando
                 shape = (_ARROW, _TURN, _TURN * [1.0, -1.0])[int(rng.integers(3))] * rng.uniform(0.7, 1.3)
                 marks.append((_placed(path, shape, s - back_m, d, is_oncoming), variant_id("arrow", WHITE)))
         if rng.random() < 0.35:
-            marks += _word(path, s - rng.uniform(28.0, 34.0), d, rng)
+            marks += strokes(path, s - rng.uniform(28.0, 34.0), d - 0.7, 2.4, rng)
     return marks
 
 
-def _word(path: PlanePath, s: float, d: float, rng: np.random.Generator) -> list[Mark]:
-    """Strokes as letters and symbols on the road have them."""
+def strokes(path: PlanePath, s: float, d: float, high_m: float, rng: np.random.Generator) -> list[Mark]:
+    """Strokes as letters, numbers and symbols on the ground have them, from (s, d) on; `high_m` along the path."""
     kind = variant_id("arrow", (WHITE, WHITE, YELLOW, BLUE, RED)[int(rng.integers(5))])
     marks: list[Mark] = []
     for column in range(int(rng.integers(1, 5))):
         for _ in range(int(rng.integers(2, 5))):
-            a = np.array([rng.uniform(0.0, 2.4), 0.45 * column - 0.7 + rng.uniform(0.0, 0.35)])
-            b = np.array([a[0], a[1] + 0.35]) if rng.random() < 0.5 else np.array([rng.uniform(0.0, 2.4), a[1]])
+            a = np.array([rng.uniform(0.0, high_m), 0.45 * column + rng.uniform(0.0, 0.35)])
+            b = np.array([a[0], a[1] + 0.35]) if rng.random() < 0.5 else np.array([rng.uniform(0.0, high_m), a[1]])
             line = shapely.LineString(path.at(s + np.array([a[0], b[0]]), d + np.array([a[1], b[1]])))
             if line.length > 0.1:
                 marks.append((line.buffer(rng.uniform(0.05, 0.09), cap_style="square"), kind))

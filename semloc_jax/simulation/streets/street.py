@@ -37,7 +37,7 @@ def random_street(rng: np.random.Generator) -> Scene:
     lanes = random_cross_section(rng, start, end)
     marks = list(decoys(path, lanes, rng))
     marks += lane_marks(path, lanes, rng)
-    junctions = np.arange(rng.uniform(5.0, 45.0), end, rng.uniform(50.0, 120.0)) if rng.random() < 0.6 else np.zeros(0)
+    junctions = np.arange(rng.uniform(2.0, 30.0), end, rng.uniform(18.0, 90.0)) if rng.random() < 0.75 else np.zeros(0)
     for s in junctions.tolist():
         marks += junction_marks(path, lanes, s, rng)
     if rng.random() < 0.25:
@@ -94,13 +94,16 @@ class _Roadside:
         for chance, pitch_m, made in (
             (0.5, (12.0, 50.0), lambda s: things.delineator(self.place(s, 0.0, 0.5), rng)),
             (0.5, (18.0, 45.0), lambda s: things.lamp(self.place(s, 0.0, 1.5), self.street.across(s, -self.side), rng)),
-            (0.75, (10.0, 45.0), self.sign),
+            (0.85, (8.0, 35.0), self.sign),
+            (0.3, (25.0, 60.0), self.large_sign),
             (0.35, (12.0, 40.0), lambda s: things.plain_pole(self.place(s, 0.0, 3.0), rng)),
             (0.7, (5.0, 25.0), lambda s: things.tree(self.place(s, 1.5, 12.0), rng)),
             (0.5, (2.0, 9.0), lambda s: things.bush(self.place(s, 1.0, 6.0), rng)),
+            (0.25, (1.0, 5.0), lambda s: things.trunk(self.place(s, 2.5, 14.0), rng)),
+            (0.25, (5.0, 9.0), lambda s: things.fence(self.place(s, 1.0, 4.0), self.street.heading(s), rng)),
         ):
             solids += _row(lanes, rng, chance, pitch_m, made)
-        away = rng.uniform(3.0, 20.0)
+        away = rng.uniform(1.5, 20.0)
         return solids + _row(lanes, rng, 0.5, (14.0, 30.0), lambda s: self.front(s, away))
 
     def sign(self, s: float) -> list[Solid]:
@@ -108,6 +111,11 @@ class _Roadside:
         base = self.place(s, 0.0, 1.5)
         facing = self.street.heading(s) + np.pi * self.rng.integers(2) + self.rng.normal(0.0, 0.2)
         return things.sign(base, facing, self.rng)
+
+    def large_sign(self, s: float) -> list[Solid]:
+        """A board that faces either direction."""
+        facing = self.street.heading(s) + np.pi * self.rng.integers(2) + self.rng.normal(0.0, 0.1)
+        return things.large_sign(self.place(s, 0.5, 4.0), facing, self.rng)
 
     def front(self, s: float, away_m: float) -> list[Solid]:
         """A house."""

@@ -26,7 +26,8 @@ _CORNERS = {"circle": 20, "triangle": 3, "rectangle": 4, "octagon": 8, "diamond"
 _VEHICLE, _POLE, _SIGN = CLASS_IDS["vehicle"], CLASS_IDS["pole"], CLASS_IDS["sign"]
 
 
-def _grey(rng: np.random.Generator, low: float = 0.1, high: float = 0.85) -> tuple[float, float, float]:
+def grey(rng: np.random.Generator, low: float = 0.1, high: float = 0.85) -> tuple[float, float, float]:
+    """A colour near grey, as bright as may be between two shares of white."""
     tone = rng.uniform(low, high) * (1.0 + rng.normal(0.0, 0.06, 3))
     return tuple(np.clip(tone, 0.02, 0.95).tolist())
 
@@ -48,7 +49,7 @@ def bar(class_id: int, color: tuple, start: np.ndarray, end: np.ndarray, thick_m
 def delineator(base: np.ndarray, rng: np.random.Generator) -> list[Solid]:
     """A post beside the road: white with a band, plain, or a striped bollard."""
     kind = int(rng.choice(3, p=(0.7, 0.2, 0.1)))
-    variant, color = (BANDED, 0, STRIPED)[kind], ((0.9, 0.9, 0.9), _grey(rng), (0.15, 0.5, 0.9))[kind]
+    variant, color = (BANDED, 0, STRIPED)[kind], ((0.9, 0.9, 0.9), grey(rng), (0.15, 0.5, 0.9))[kind]
     radius = rng.uniform(0.04, 0.08)
     return [
         Frustum(
@@ -59,7 +60,7 @@ def delineator(base: np.ndarray, rng: np.random.Generator) -> list[Solid]:
 
 def lamp(base: np.ndarray, towards: np.ndarray, rng: np.random.Generator) -> list[Solid]:
     """A lamp post with an arm over the street, or one without."""
-    height, radius, color = rng.uniform(4.0, 11.0), rng.uniform(0.05, 0.15), _grey(rng)
+    height, radius, color = rng.uniform(4.0, 11.0), rng.uniform(0.05, 0.15), grey(rng)
     solids: list[Solid] = [Frustum(_POLE, color, base, height, radius, radius * rng.uniform(0.5, 1.0))]
     top = base + [0.0, 0.0, height - 0.05]
     if rng.random() < 0.7:
@@ -73,20 +74,32 @@ def lamp(base: np.ndarray, towards: np.ndarray, rng: np.random.Generator) -> lis
 def plain_pole(base: np.ndarray, rng: np.random.Generator) -> list[Solid]:
     """Poles of wood, of wires, of flags."""
     radius = rng.uniform(0.03, 0.16)
-    color = (0.2, 0.28, 0.36) if rng.random() < 0.3 else _grey(rng)
+    color = (0.2, 0.28, 0.36) if rng.random() < 0.3 else grey(rng)
     return [Frustum(_POLE, color, base, rng.uniform(2.0, 9.0), radius, radius * rng.uniform(0.6, 1.0))]
 
 
 def sign(base: np.ndarray, facing_rad: float, rng: np.random.Generator) -> list[Solid]:
     """One or two signs on a post, seen from the front or the back."""
     top_m, radius = rng.uniform(1.6, 2.9), rng.uniform(0.025, 0.05)
-    solids: list[Solid] = [Frustum(_POLE, _grey(rng, 0.3, 0.7), base, top_m + 0.4, radius, radius)]
-    size, center = rng.uniform(0.45, 1.0), base + [0.0, 0.0, top_m]
+    solids: list[Solid] = [Frustum(_POLE, grey(rng, 0.3, 0.7), base, top_m + 0.4, radius, radius)]
+    size, center = float(np.exp(rng.uniform(np.log(0.4), np.log(1.5)))), base + [0.0, 0.0, top_m]
     solids += board(center, facing_rad, str(rng.choice(list(_CORNERS))), (size, size), radius + 0.02, rng)
     if rng.random() < 0.3:
         below = center - [0.0, 0.0, 0.5 * size + 0.25]
         solids += board(below, facing_rad, "rectangle", (size, 0.35), radius + 0.02, rng)
     return solids
+
+
+def large_sign(base: np.ndarray, facing_rad: float, rng: np.random.Generator) -> list[Solid]:
+    """A board of some metres on two posts: directions, place names."""
+    size, low_m = (rng.uniform(1.2, 4.0), rng.uniform(0.7, 2.5)), rng.uniform(0.6, 2.4)
+    right, color, radius = np.array([np.sin(facing_rad), -np.cos(facing_rad), 0.0]), grey(rng, 0.3, 0.7), 0.05
+    solids: list[Solid] = [
+        Frustum(_POLE, color, base + share * size[0] * right, low_m + size[1], radius, radius)
+        for share in (-0.35, 0.35)
+    ]
+    center = base + [0.0, 0.0, low_m + 0.5 * size[1]]
+    return solids + board(center, facing_rad, "rectangle", size, radius + 0.02, rng)
 
 
 def board(
@@ -147,7 +160,7 @@ def signal(center: np.ndarray, facing_rad: float, rng: np.random.Generator) -> l
 
 def signal_mast(base: np.ndarray, towards: np.ndarray, facing_rad: float, rng: np.random.Generator) -> list[Solid]:
     """A post with traffic lights, often with an arm over the street."""
-    color, tall = _grey(rng), rng.random() < 0.6
+    color, tall = grey(rng), rng.random() < 0.6
     height = rng.uniform(5.0, 6.5) if tall else rng.uniform(2.8, 3.8)
     solids: list[Solid] = [Frustum(_POLE, color, base, height, 0.09, 0.07)]
     solids += signal(base + [0.0, 0.0, rng.uniform(2.2, 2.7)] + 0.25 * towards, facing_rad, rng)
@@ -161,7 +174,7 @@ def signal_mast(base: np.ndarray, towards: np.ndarray, facing_rad: float, rng: n
 
 def gantry(left: np.ndarray, right: np.ndarray, facing_rad: float, rng: np.random.Generator) -> list[Solid]:
     """A beam over the street with large boards."""
-    color, height = _grey(rng, 0.4, 0.8), rng.uniform(5.5, 7.0)
+    color, height = grey(rng, 0.4, 0.8), rng.uniform(5.5, 7.0)
     lift = np.array([0.0, 0.0, height])
     solids: list[Solid] = [Frustum(_POLE, color, base, height, 0.16, 0.14) for base in (left, right)]
     solids.append(bar(_POLE, color, left + lift, right + lift, 0.2))
@@ -183,6 +196,13 @@ def tree(base: np.ndarray, rng: np.random.Generator) -> list[Solid]:
         center = base + [0.0, 0.0, height + wide] + off
         solids.append(Ball(vegetation, (0.1, 0.4, 0.2), center, wide * rng.uniform(0.35, 0.75)))
     return solids
+
+
+def trunk(base: np.ndarray, rng: np.random.Generator) -> list[Solid]:
+    """A tree of a wood, whose crown is far above."""
+    radius, bark = rng.uniform(0.05, 0.3), tuple((rng.uniform(0.05, 0.5) * np.array([0.8, 0.9, 1.0])).tolist())
+    tall = rng.uniform(4.0, 14.0)
+    return [Frustum(variant_id("vegetation", 1), bark, base, tall, radius, radius * rng.uniform(0.5, 0.9))]
 
 
 def bush(base: np.ndarray, rng: np.random.Generator) -> list[Solid]:
@@ -207,16 +227,44 @@ def front(base: np.ndarray, heading_rad: float, depth_side: float, rng: np.rando
         (rng.uniform(0.1, 0.85) * np.array([0.8, 0.9, 1.0]) * (1.0 + rng.normal(0.0, 0.12, 3))).clip(0.03, 0.95)
     )
     center = base + 0.5 * depth * depth_side * R[:, 1] + [0.0, 0.0, 0.5 * height - 1.0]
-    return [Box(CLASS_IDS["building"], color, center, (width, depth, height + 2.0), R)]
+    building = CLASS_IDS["building"]
+    solids: list[Solid] = [Box(building, color, center, (width, depth, height + 2.0), R)]
+    for _ in range(int(rng.integers(0, 8))):  # pipes, pilasters, doors, shop windows: upright edges that are no posts
+        x, wide = rng.uniform(-0.5, 0.5) * width, float(np.exp(rng.uniform(np.log(0.08), np.log(1.6))))
+        tall = rng.uniform(0.5, 1.0) * height if wide < 0.5 else rng.uniform(1.8, 2.8)
+        middle = base + x * R[:, 0] + [0.0, 0.0, 0.5 * tall]
+        solids.append(Box(variant_id("building", 1), grey(rng, 0.03, 0.9), middle, (wide, 0.2, tall), R))
+    return solids
 
 
-def vehicle(base: np.ndarray, heading_rad: float, rng: np.random.Generator) -> list[Solid]:
-    """A car, a van or a lorry on dark wheels, with glass, lamps and a plate."""
+def fence(start: np.ndarray, heading_rad: float, rng: np.random.Generator) -> list[Solid]:
+    """Some metres of pickets or a hedge."""
+    R, color = rotation_about_z(heading_rad), grey(rng, 0.05, 0.9)
+    high, length = rng.uniform(0.7, 1.8), rng.uniform(3.0, 6.0)
+    if rng.random() < 0.4:
+        middle = start + 0.5 * length * R[:, 0] + [0.0, 0.0, 0.5 * high]
+        return [Box(CLASS_IDS["vegetation"], (0.1, 0.4, 0.2), middle, (length, 0.6, high), R)]
+    kind, pitch, thick = variant_id("wall", 1), rng.uniform(0.3, 1.2), rng.uniform(0.02, 0.09)
+    solids: list[Solid] = [
+        Box(kind, color, start + x * R[:, 0] + [0.0, 0.0, 0.5 * high], (thick, thick, high), R)
+        for x in np.arange(0.0, length, pitch)
+    ]
+    along = start + 0.5 * length * R[:, 0]
+    return solids + [Box(kind, color, along + [0.0, 0.0, z * high], (length, 0.04, 0.05), R) for z in (0.25, 0.9)]
+
+
+def vehicle(
+    base: np.ndarray,
+    heading_rad: float,
+    rng: np.random.Generator,
+    kinds: tuple[float, float, float] = (0.7, 0.15, 0.15),
+) -> list[Solid]:
+    """A car, a van or a lorry (shares `kinds`) on dark wheels with rims, with glass, lamps and a plate."""
     R, lift = rotation_about_z(heading_rad), np.array([0.0, 0.0, 1.0])
-    color = _grey(rng, 0.03, 0.95) if rng.random() < 0.7 else tuple(rng.uniform(0.03, 0.8, 3))
-    kind = int(rng.choice(3, p=(0.7, 0.15, 0.15)))
+    color = grey(rng, 0.03, 0.95) if rng.random() < 0.7 else tuple(rng.uniform(0.03, 0.8, 3))
+    kind = int(rng.choice(3, p=kinds))
     length, width, height, cabin = ((4.4, 1.8, 0.8, 0.6), (5.0, 1.95, 1.9, 0.0), (9.0, 2.5, 3.2, 0.0))[kind]
-    ground_m, shadow = 0.28 if kind < 2 else 0.7, (0.02, 0.02, 0.02)
+    ground_m, shadow, rim = 0.28 if kind < 2 else 0.7, (0.02, 0.02, 0.02), grey(rng, 0.2, 0.9)
 
     def box(x: float, y: float, z: float, size: tuple, tone: tuple, variant: int = 0) -> Box:
         center = base + x * R[:, 0] + y * R[:, 1] + z * lift
@@ -237,7 +285,11 @@ def vehicle(base: np.ndarray, heading_rad: float, rng: np.random.Generator) -> l
             )
         )
     for x in (-0.32 * length, 0.32 * length):
-        solids.append(box(x, 0.0, 0.32, (0.66, width + 0.01, 0.64), shadow))
+        solids.append(box(x, 0.0, 0.2, (0.5, width - 0.1, 0.4), shadow))
+        for side in (-0.5, 0.5):
+            middle = base + x * R[:, 0] + side * (width + 0.02) * R[:, 1] + 0.33 * lift
+            solids.append(_wheel(middle, 0.34, shadow, R))
+            solids.append(_wheel(middle + 0.02 * side * R[:, 1], 0.2, rim, R))
     glow = GLOWING if rng.random() < 0.5 else 0
     for end, tone in ((-1.0, (0.1, 0.08, 0.7)), (1.0, (0.85, 0.9, 0.9))):
         for side in (-0.38, 0.38):
@@ -248,9 +300,16 @@ def vehicle(base: np.ndarray, heading_rad: float, rng: np.random.Generator) -> l
     return solids
 
 
+def _wheel(center: np.ndarray, radius_m: float, color: tuple, R_map_car: np.ndarray) -> Plate:
+    """A disc at the side of a vehicle."""
+    angle = 2.0 * np.pi * np.arange(12) / 12
+    outline = center + radius_m * (np.cos(angle)[:, None] * R_map_car[:, 0] + np.sin(angle)[:, None] * R_map_car[:, 2])
+    return Plate(_VEHICLE, color, outline)
+
+
 def rail(points: np.ndarray, rng: np.random.Generator) -> list[Solid]:
     """A guard rail or a low wall through ground points [n 3]."""
-    kind, color = CLASS_IDS["guardrail"], _grey(rng, 0.3, 0.7)
+    kind, color = CLASS_IDS["guardrail"], grey(rng, 0.3, 0.7)
     lift, thick = (np.array([0.0, 0.0, 0.6]), 0.28) if rng.random() < 0.7 else (np.array([0.0, 0.0, 0.4]), 0.8)
     solids: list[Solid] = []
     for a, b in pairwise(points):

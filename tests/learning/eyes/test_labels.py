@@ -5,12 +5,12 @@ import pytest
 
 import semloc_jax as sj
 from semloc_jax.geometry import rigid
-from semloc_jax.learning.eyes.labels import drawn_labels
+from semloc_jax.learning.eyes.labels import Labels, drawn_labels, with_kept
 from semloc_jax.learning.eyes.shapes import seen_surfaces
 from semloc_jax.learning.eyes.trust import ElementLooks
 from semloc_jax.perception import load_class_table
 from semloc_jax.perception.border_distance import BorderDistances
-from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX, eyes_table
+from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX, Said, eyes_table
 from semloc_jax.structs import ElementClass
 
 SIZE = (640, 400)
@@ -133,3 +133,12 @@ def test_elements_that_no_frame_shows_are_denied(street, rig, table):
     looks.look(surfaces, street.elements, seen, 0, table, 1.0)
     expected = [element.label != ElementClass.STOP_LINE for element in street.elements]
     assert looks.is_trusted(street.elements).tolist() == expected and looks.num_distrusted == 1
+
+
+def test_what_the_map_does_not_tell_is_kept():
+    """The map tells the first class; the second and what moves stay as the network says, its sigma included."""
+    labels = Labels(np.full((2, 3, 4), 5.0), np.full((2, 3, 4), 0.5), np.ones((3, 4), bool))
+    said = Said(np.stack([np.full((3, 4), value) for value in (1.0, 7.0, 90.0)], -1), np.full((3, 4, 3), 0.7), 0.0)
+    kept = with_kept(labels, (True, False), said)
+    assert kept.signed_px[:, 1, 2].tolist() == [5.0, 7.0, REACH_PX]
+    np.testing.assert_allclose(kept.sigma_px[:, 1, 2], [0.5, np.exp(0.7), np.exp(0.7)])

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.learning.eyes.batches import CropConfig, LabelledImage, draw_batch
+from semloc_jax.learning.eyes.batches import CropConfig, ImagePool, LabelledImage, draw_batch
 from semloc_jax.learning.eyes.judge import RoundScore
 from semloc_jax.learning.eyes.loss import Batch, distance_nll, eyes_loss, inside_loss
 from semloc_jax.learning.eyes.teach import Round, best_round
@@ -71,7 +71,8 @@ def test_crops_keep_their_labels():
         picture, signed[None].astype(np.float16), np.ones((1, 48, 64), np.float16), np.ones((48, 64), bool)
     )
     config = CropConfig(size=8, crop_px=(64, 64))
-    batch = draw_batch([image], config, 32, np.random.default_rng(0))
+    pool = ImagePool([image])
+    batch = draw_batch(pool, config, 32, np.random.default_rng(0))
     assert batch.picture.shape == (8, 64, 64, 3) and batch.signed_px.shape == (8, 32, 32, 1)
     cells = batch.picture.reshape(8, 32, 2, 32, 2, 3).mean((2, 4, 5))
     shown = 0
@@ -81,8 +82,23 @@ def test_crops_keep_their_labels():
             shown += 1
             assert cell[inside].mean() > cell[outside].mean() + 0.2
     assert shown >= 4
-    again = draw_batch([image], config, 32, np.random.default_rng(0))
+    again = draw_batch(pool, config, 32, np.random.default_rng(0))
     assert np.array_equal(again.picture, batch.picture)
+
+
+def test_what_is_rare_is_drawn_more_often():
+    """One image in 25 shows the second class: a sixth of the crops about borders are of it, and about its place."""
+    far = np.full((2, 64, 64), REACH_PX, np.float16)
+    usual, rare = far.copy(), far.copy()
+    usual[0, 10], rare[1, 40, 40] = -1.0, -1.0
+    rest = np.ones_like(far), np.ones((64, 64), bool)
+    picture = np.zeros((128, 128, 3), np.uint8)
+    pool = ImagePool([LabelledImage(picture, plane, *rest) for plane in (*[usual] * 25, rare)])
+    rng = np.random.default_rng(0)
+    drawn = [pool.drawn(1.0, rng) for _ in range(600)]
+    places = np.array([place for image, *place in drawn if image is pool.images[25]])
+    assert len(places) / 600 == pytest.approx(1.0 / 6.0, abs=0.05)
+    assert np.abs(places - 40).max() <= 40
 
 
 def score(accepted, false, along):
