@@ -20,10 +20,18 @@ class Options:
 
     x_m, y_m are the middle of the entrance, yaw_rad is the direction from there into the slot. A slot is confirmed when
     three of the first five frames that look at it show it, and ends after five visible misses.
+
+    Top views without a drive: `semloc slots FOLDER --metres-per-px 0.0167` finds the slots of each picture of a folder
+    by itself (600 x 600 px of 10 m, as those of ps2.0; up is ahead, metres from the middle of the picture). Writes
+    slots.csv (corners in px; middle of the entrance, direction, width, depth in m; the depth is assumed), points.csv
+    (marking points: the middle of the paint, px and m, L or T, confidence down to 0.1) and pictures/.
     """
 
-    drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]
-    """The drive: a folder or a bag (.bag, .db3, .mcap) with wheel odometry, its type is guessed."""
+    drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE|FOLDER")]
+    """The drive: a folder or a bag (.bag, .db3, .mcap) with wheel odometry, its type is guessed; with --metres-per-px a
+    top view or a folder of them."""
+    metres_per_px: float | None = None
+    """The pictures are top views with pixels of this size, each by itself: there is no drive."""
     calib: Path | None = None
     """Calibration file, where the drive has none of its own or another one is to be used."""
     front: Literal["masks", "net"] = "masks"
@@ -60,13 +68,19 @@ def run(options: Options) -> int:
     from semloc_jax.reports.slots import report_slots
 
     log_to_console()
-    if options.weights is not None and options.front != "net":
+    has_net = options.front == "net" or options.metres_per_px is not None
+    if options.weights is not None and not has_net:
         raise UsageError("--weights is for --front net; give both, or leave it out")
     net = None
-    if options.front == "net":
+    if has_net:
         from semloc_jax.perception.networks.marking_net import SHIPPED, MarkingNet
 
         net = MarkingNet.load(options.weights or SHIPPED)
+    if net is not None and options.metres_per_px is not None:
+        from semloc_jax.reports.view_slots import report_view_slots
+
+        print(report_view_slots(options.drive, options.metres_per_px, net, options.out))
+        return OK
     drive = open_drive(options.drive, options.calib)
     chosen = chosen_frames(drive, options.frames)
     masks = mask_source(options.masks or best_masks(drive), drive, parse_names(options.cameras), options.class_table)

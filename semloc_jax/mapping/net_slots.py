@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.datasets.base import IMAGE
@@ -58,12 +58,10 @@ class NetSlotObserver(SlotObserver):
         """No lines; the dividers that begin at the marking points of the frame."""
         picture = self.view.stitch([self._frame.image(name) for name in self.masks.cameras])
         found = self.net(picture, METRES_PER_PX)
-        side = picture.shape[0]
-        inside = ((found.uv > RIM_SHARE * side) & (found.uv < (1.0 - RIM_SHARE) * side - 1)).all(axis=1)
+        inside = in_view(found.uv, picture.shape[1::-1])
         base, ahead = self._in_base(found.uv[inside], found.yaw_rad[inside])
         R = T[:2, :2]
-        dividers = dividers_of(base @ R.T + T[:2, 3], ahead @ R.T, float(T[2, 3]), self.config.slots)
-        return [], [replace(d, mouth=d.mouth - 0.5 * _PAINT_M * d.inward) for d in dividers]
+        return [], painted_dividers(base @ R.T + T[:2, 3], ahead @ R.T, float(T[2, 3]), self.config.slots)
 
     def _in_base(
         self, uv: Float[np.ndarray, "n 2"], yaw_rad: Float[np.ndarray, " n"]
@@ -73,6 +71,19 @@ class NetSlotObserver(SlotObserver):
         p_bev = (uv - [float(bev.cx), float(bev.cy)]) / float(bev.fx)
         turn = np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=1)
         return p_bev @ T[:2, :2].T + T[:2, 3], turn @ T[:2, :2].T
+
+
+def in_view(uv: Float[np.ndarray, "n 2"], side_px: Sequence[int]) -> Bool[np.ndarray, " n"]:
+    """Which points of a top view are so far from its rim that they count; width and height."""
+    side = np.asarray(side_px)
+    return ((uv > RIM_SHARE * side) & (uv < (1.0 - RIM_SHARE) * side - 1)).all(axis=1)
+
+
+def painted_dividers(
+    places: Float[np.ndarray, "n 2"], inward: Float[np.ndarray, "n 2"], z_m: float, config: SlotConfig
+) -> list[Divider]:
+    """As `dividers_of`, from the outer edge of the paint on."""
+    return [replace(d, mouth=d.mouth - 0.5 * _PAINT_M * d.inward) for d in dividers_of(places, inward, z_m, config)]
 
 
 def dividers_of(

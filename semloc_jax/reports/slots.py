@@ -86,7 +86,7 @@ def report_slots(
                 recording.add(frame.time_s, T, [_recorded(track) for track in tracker.tracks])
             if film is not None:
                 drawn = _drawn(tracker.tracks, T)
-                film.add(frame, lambda top, view, drawn=drawn: draw_slots(top, view, drawn))
+                film.add(frame, lambda top, view, drawn=drawn: draw_slots(top, view.pixels, drawn))
     final = tracker.final()
     last = last_poses(final, drive, chain.Ts_odom_base)
     write_csv(folder / "slots.csv", ("t", "track", "type", *OBJECT_POSE, *SIZE, "confirmed"), rows)

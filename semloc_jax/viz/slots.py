@@ -3,13 +3,12 @@
 In: a top view, slots in the base frame. Out: image arrays.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from semloc_jax.perception.surround import SurroundView
 from semloc_jax.viz.style import rgb
 
 FREE, TAKEN, UNSURE = "#00e676", "#ff5252", "#90a4ae"
@@ -31,12 +30,20 @@ def colour_of(occupied: bool | None) -> str:
     return TAKEN if occupied else FREE
 
 
-def draw_slots(picture: np.ndarray, view: SurroundView, slots: Sequence[DrawnSlot]) -> np.ndarray:
-    """A copy of a top view, uint8[h w 3] red green blue, with slots: free green, taken red, not confirmed grey."""
+def draw_slots(
+    picture: np.ndarray, pixels: Callable[[np.ndarray], np.ndarray], slots: Sequence[DrawnSlot]
+) -> np.ndarray:
+    """A copy of a top view, uint8[h w 3] red green blue, with slots: free green, taken red, not confirmed grey.
+
+    Args:
+        picture: the top view.
+        pixels: of places [n 2] of its base frame in it.
+        slots: what is drawn.
+    """
     shown = np.ascontiguousarray(picture).copy()
     thick = max(1, round(shown.shape[1] / 350))
     for slot in sorted(slots, key=lambda s: s.confirmed):
-        uv = view.pixels(slot.corners_base)
+        uv = pixels(slot.corners_base)
         colour = rgb(colour_of(slot.occupied) if slot.confirmed else UNSURE)
         fixed = np.round(uv * 2**_SHIFT).astype(np.int32)
         if slot.confirmed:
