@@ -3,6 +3,10 @@
 In: TrackerState. Out: an npz file, written whole or not at all; and back.
 """
 
+import json
+import math
+from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +18,8 @@ from semloc_jax.localization.track_state import ElementTrust, TrackerState
 from semloc_jax.storage import npz_arrays, writing
 
 _META = "next_frame", "is_initialised"
+_INDEX = "index"
+"""Name, type and shape of each leaf, as JSON: leaves of one type lie in one array, as a frame writes some 85 of them."""
 
 
 class Checkpoint(NamedTuple):
@@ -28,11 +34,17 @@ class Checkpoint(NamedTuple):
 
 def save(checkpoint: Checkpoint, path: Path) -> None:
     """Write a checkpoint; a kill while it is written leaves the one before."""
-    leaves = {name: np.asarray(leaf) for name, leaf in _named(checkpoint.state)}
+    leaves, structure = jax.tree.flatten(checkpoint.state)
+    arrays = [np.asarray(leaf) for leaf in leaves]
+    kinds: dict[str, list[np.ndarray]] = {}
+    for array in arrays:
+        kinds.setdefault(array.dtype.str, []).append(array.reshape(-1))
+    index = [(name, array.dtype.str, array.shape) for name, array in zip(_names(structure), arrays, strict=True)]
     sizes = {"num_tracks": len(checkpoint.state.tracks), "num_coasting": len(checkpoint.state.coasting)}
     meta = {key: getattr(checkpoint, key) for key in _META}
     with writing(path) as partial, partial.open("wb") as file:
-        np.savez(file, **leaves, **sizes, **meta)
+        packed = {kind: np.concatenate(parts) for kind, parts in kinds.items()}
+        np.savez(file, **packed, **sizes, **meta, **{_INDEX: json.dumps(index)})
 
 
 def load(path: Path, template: TrackerState) -> Checkpoint:
@@ -47,11 +59,13 @@ def load(path: Path, template: TrackerState) -> Checkpoint:
     """
     try:
         content = npz_arrays(path, f"checkpoint {path}")
+        state_of = _unpacked(content)
         tracks = template.tracks * int(content["num_tracks"])
         coasting = template.coasting * int(content["num_coasting"])
         wanted = template._replace(tracks=tracks, coasting=coasting)
-        leaves = [_checked(content[name], leaf, name) for name, leaf in _named(wanted)]
-        state = jax.tree.unflatten(jax.tree.structure(wanted), leaves)
+        like, structure = jax.tree.flatten(wanted)
+        leaves = [_checked(state_of[n], leaf, n) for n, leaf in zip(_names(structure), like, strict=True)]
+        state = jax.tree.unflatten(structure, leaves)
         _require_same_map(state.trust, template.trust)
         return Checkpoint(state, int(content["next_frame"]), bool(content["is_initialised"]))
     except FileNotFoundError as error:
@@ -62,8 +76,21 @@ def load(path: Path, template: TrackerState) -> Checkpoint:
         ) from error
 
 
-def _named(state: TrackerState) -> list[tuple[str, Any]]:
-    return [(jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_flatten_with_path(state)[0]]
+@lru_cache(maxsize=16)
+def _names(structure: jax.tree_util.PyTreeDef) -> tuple[str, ...]:
+    """Where each leaf of a state stands in it."""
+    places = jax.tree.unflatten(structure, range(structure.num_leaves))
+    return tuple(jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_flatten_with_path(places)[0])
+
+
+def _unpacked(content: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Every leaf by its name, from one array for each type."""
+    found, used = {}, dict.fromkeys(content, 0)
+    for name, kind, shape in json.loads(str(content[_INDEX])):
+        size = math.prod(shape)
+        found[name] = content[kind][used[kind] : used[kind] + size].reshape(shape)
+        used[kind] += size
+    return found
 
 
 def _require_same_map(found: ElementTrust, like: ElementTrust) -> None:
