@@ -20,19 +20,23 @@ from semloc_jax.maps import Belief, MapElement
 _LIKELY = 11.8
 """Squared distance over variances in two directions that 99.7 % of what has not changed stay below: of some hundred
 elements of a tile hardly one is told for nothing."""
-_LEAST_SIGMA_M = 0.005
-"""What is nearer is nowhere seen: the grid of the map."""
+_LEAST_SIGMA_M = np.array([0.02, 0.007])
+"""Along and across; with the number above what is 7 cm along or 2.4 cm aside is news. Less moves no car by as much as
+its own masks do."""
 _STEP = 2.0
 """Standard deviations in a step: less than what is news."""
 _HALF_M, _HEIGHT_M, _POST_HEIGHT_M = np.array([0.08, 0.03]), 0.1, 0.4
 """How much half the length and half the width of paint may differ, and heights, of paint and of posts: the borders of
 masks and the heights of drives say no more of one thing; ours."""
 _SIZE_M, _TURN = 0.01, 0.99
-_SURER = 4.0
+_SURER = 16.0
 """An element is told again once so many times, to twice that, as many drives have seen it, each at its own share: not
 all at once. Their number is its information; how noisy drives are is guessed anew in every solve."""
-_LOGIT, _LOGIT_STEP = 3.0, 2.0
-"""So much more doubtful is news, and to be rather gone than there; how finely it is told."""
+_DOUBT, _TRUST = -1.0, 2.0
+"""Log odds at which something that was there is told as rather gone, and that again as there: what lies between them is
+as it was, so that one look to and fro tells nothing."""
+_LOGIT_STEP = 2.0
+"""How finely existence is told."""
 _LEAST_TOLD = 8
 """Fewer elements do not tell how far all of them go."""
 _MEDIAN_OF_NORMAL, _ROUNDING = 0.6745, 0.08
@@ -60,7 +64,7 @@ class News:
 
     def aside_m(self, belief: Belief) -> float:
         """How far aside a place of a line may lie that still is on it; of many places the farthest counts."""
-        sigma_m = max(belief.sigma_across_m, _LEAST_SIGMA_M)
+        sigma_m = max(belief.sigma_across_m, float(_LEAST_SIGMA_M[1]))
         return float(np.sqrt(_LIKELY) * self.spread[1] * sigma_m)
 
     def told(self, old: MapElement, new: Known) -> MapElement:
@@ -91,7 +95,7 @@ class News:
         faces = (e.normal is None) == (f.normal is None) and (e.normal is None or float(e.normal @ f.normal) > _TURN)
         was, now = b.existence_logit, c.existence_logit
         # That an element is surer, its number of drives says in time.
-        stays = (was > 0.0) == (now > 0.0) and (was <= 0.0 or now > was - _LOGIT)
+        stays = now > _DOUBT if was > 0.0 else now < _TRUST
         if looks[0] != looks[1] or max(sizes) > _SIZE_M or not faces or not stays or _is_surer(e.id, b, c):
             return replace(f, id=e.id), _retold(b, c)
         return old if np.array_equal(e.points, f.points) else (replace(e, points=f.points), b)
@@ -124,7 +128,7 @@ def _retold(before: Belief, now: Belief) -> Belief:
 def _is_close(name: str, old: float | int, new: float | int) -> bool:
     """Whether a number of a belief has hardly changed."""
     if name == "existence_logit":
-        return abs(new - old) < _LOGIT
+        return (new > 0.0) == (old > 0.0)
     return 0.5 < (new + 1e-9) / (old + 1e-9) < 2.0
 
 

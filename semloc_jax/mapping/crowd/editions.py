@@ -16,7 +16,7 @@ from semloc_jax.evaluation.map_shapes import is_line, kind_of, thing_of
 from semloc_jax.mapping.crowd.edition_lines import line_pairs, spliced
 from semloc_jax.mapping.crowd.edition_news import News, coarse
 from semloc_jax.mapping.crowd.elements import on_grid
-from semloc_jax.mapping.crowd.frame_motion import frame_motion
+from semloc_jax.mapping.crowd.frame_motion import frame_motion, told_motion
 from semloc_jax.mapping.crowd.merged import Known
 from semloc_jax.maps import MapElement
 from semloc_jax.maps.versions.datum import CELL_MM, STILL, Datum
@@ -58,12 +58,13 @@ def prefixes(num_drives: int) -> list[int]:
     return [*(num for num in stands if num < num_drives), num_drives]
 
 
-def next_edition(before: Edition | None, made: Sequence[Known]) -> Edition:
+def next_edition(before: Edition | None, made: Sequence[Known], sigma_m: float) -> Edition:
     """What cars are told of a map, when they hold an edition.
 
     Args:
         before: what they hold; None for nothing.
         made: the map by now.
+        sigma_m: how far all of it may be off.
     """
     if before is None:
         return Edition(tuple((element, coarse(belief)) for element, belief in made))
@@ -86,7 +87,8 @@ def next_edition(before: Edition | None, made: Sequence[Known]) -> Edition:
             name, k = f"{element.id}+{k}", k + 1
         names.add(name)
         published.append((replace(element, id=name), coarse(belief)))
-    return Edition(tuple(published), datum)
+    # Elements lie in the frame as it is; how it has moved is told when that is news.
+    return Edition(tuple(published), told_motion(before.datum, datum, published, sigma_m))
 
 
 def _told(old: Known, new: Known, news: News) -> Known:

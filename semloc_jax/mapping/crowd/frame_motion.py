@@ -30,6 +30,11 @@ _STATION_M, _LINE_SIGMA_M, _HEIGHT_SIGMA_M = 5.0, 0.03, 0.1
 """Step of places on lines; what neighbouring ones are off alike; the same of heights."""
 _PAST_M, _ASIDE_M = 0.5, 5.0
 """Where the nearest place of the other line lies farther along, that line has ended; farther aside, it is another."""
+_SHARE = 0.4
+"""A frame that has moved by a smaller share of what it may be off itself is told again by no number: the error of what
+cars hold then is 1.08 times that of the estimate at most."""
+_LEAST_PLACE_M, _LEAST_UP_M = 0.025, 0.1
+"""What a map shares around a place is no surer, and heights not: less is nowhere seen; ours."""
 _CORNERS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 
 
@@ -67,6 +72,32 @@ def frame_motion(pairs: Sequence[tuple[Known, Known]], reach: Sequence[MapElemen
     shifts = np.column_stack([*np.split(xy, 2), z])
     cells = (_STEP_MM * np.rint(1000.0 * shifts / _STEP_MM)).astype(int).tolist()
     return Datum({(a, b): (x, y, up) for (a, b), (x, y, up) in zip(nodes.tolist(), cells, strict=True)})
+
+
+def told_motion(held: Datum, found: Datum, known: Sequence[Known], sigma_m: float) -> Datum:
+    """The motion that cars are told: the one they hold, as long as that is as good as the one that was found.
+
+    As a whole the map may be off by what satellite fixes leave open, around each place by what its drives share.
+
+    Args:
+        held: how cars have it that the frame has moved.
+        found: how it has moved.
+        known: published elements, and how sure they are.
+        sigma_m: how far all of the map may be off.
+    """
+    if not found.shifts_mm.keys() <= held.shifts_mm.keys():
+        return found
+    places = np.array([e.points.mean(axis=0) for e, _ in known])
+    off = found.moved(places) - held.moved(places)
+    arm = places[:, :2] - places[:, :2].mean(axis=0)
+    arm = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
+    shift = off[:, :2].mean(axis=0)
+    rigid = shift + (off[:, :2] * arm).sum() / max(np.square(arm).sum(), 1.0) * arm
+    around_m = np.array([max(b.sigma_place_m, _LEAST_PLACE_M) for _, b in known])
+    whole = np.sqrt(np.square(rigid).sum(axis=1).mean()) / sigma_m
+    bent = np.sqrt((np.square(off[:, :2] - rigid).sum(axis=1) / around_m**2).mean())
+    up = np.sqrt(np.square(off[:, 2]).mean()) / _LEAST_UP_M
+    return held if max(whole, bent, up) < _SHARE else found
 
 
 _NOTHING = FrameSights(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))

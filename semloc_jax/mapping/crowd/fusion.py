@@ -111,6 +111,9 @@ def _fused_once(
     for k, drive in enumerate(drives):
         if k not in distrusted:
             world.take(k, drive, config.gate_m * widen[0])
+    for k, drive in enumerate(drives):
+        if k not in distrusted:
+            world.take_parts(k, drive, config.gate_m * widen[0])
     for factor in (*widen, widen[-1]):
         seen, solve = _solved(world, drives, distrusted, config, factor)
         seen_in = np.zeros((len(world.kind), len(drives)), dtype=bool)
@@ -152,6 +155,7 @@ def _placed(drives: list[Correction], config: FusionConfig, progress: Progress) 
             lost[k] = Distrusted(drives[k].sights.name, "fits no other drive and not the base map: left out")
             continue
         world.take(k, drives[k], 2.0 * config.gate_m)
+        world.take_parts(k, drives[k], 2.0 * config.gate_m)
     return lost
 
 

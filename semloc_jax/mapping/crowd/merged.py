@@ -19,6 +19,7 @@ from semloc_jax.mapping.crowd.line_runs import LineRun, lines_of
 from semloc_jax.mapping.crowd.looks import looks_of
 from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.presence import Presence, presence
+from semloc_jax.mapping.crowd.shapes import are_placed
 from semloc_jax.mapping.crowd.sights import CROWD, Base, Sights, base_sights, sights_of
 from semloc_jax.mapping.way_sigmas import WaySigmas
 from semloc_jax.maps import Belief, BeliefMap, GeoOrigin, MapElement, SemanticMap
@@ -152,6 +153,8 @@ def merged_sights(
     looks, station_looks, columns = looks_of(found, config.presence)
     there, along_lines = presence(looks, config.presence), presence(station_looks, config.presence)
     there = one_in_each_place(found.world, looks, there, config.presence)
+    placed = are_placed(found)
+    there = replace(there, stays=there.stays & placed, was=there.was & placed)
     z, station_z = heights(found)
     names = [sights[k].name for k in columns]
     elements, changes = identified(things_of(found, z), looks, there, names, config.changes)

@@ -6,8 +6,9 @@ In: Fused. Out: Shapes; under a survey by the first of its sights alone, so that
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from semloc_jax.mapping.crowd.fragments import FRAGMENTED
 from semloc_jax.mapping.crowd.fusion import Fused
 from semloc_jax.mapping.crowd.world import turned_by
 
@@ -41,6 +42,17 @@ def shapes_of(found: Fused) -> Shapes:
         np.add.at(total, j, sure[:, None] * (seen_at - past_m[:, None] * ahead))
     mean = total / np.maximum(weight, 1e-12)[:, None]
     return Shapes(np.where(weight[:, None] > 0.0, mean, found.world.centre), along, half_m)
+
+
+def are_placed(found: Fused) -> Bool[np.ndarray, " n"]:
+    """Which things lie where they are drawn: of dashes and bars that no drive has seen whole only a part is known."""
+    world = found.world
+    placed = ~np.isin(world.kind.astype(str), FRAGMENTED)
+    for k, (drive, seen) in enumerate(zip(found.drives, found.seen, strict=True)):
+        i, j = seen.pairs.T
+        if k not in found.distrusted:
+            placed[j[drive.sights.things.has_ends[i] | drive.sights.is_base]] = True
+    return placed
 
 
 def counted_sights(found: Fused) -> list[np.ndarray]:

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from semloc_jax.evaluation.map_shapes import POSTS, is_line, kind_of, thing_of
 from semloc_jax.geometry import polyline, rigid
 from semloc_jax.geometry.geodesy import enu_from_wgs84, wgs84_from_enu
+from semloc_jax.mapping.crowd.fragments import are_fragments
 from semloc_jax.mapping.crowd.rejoined import rejoined
 from semloc_jax.maps import Belief, BeliefMap, GeoOrigin, MapElement
 from semloc_jax.maps.io.packed_drive import PackedDrive
@@ -67,16 +68,18 @@ class Things:
         # Of a post the corners are the two ends of its axis.
         half = [[0.0, 0.0] if e.label in POSTS else h for (e, _), h in zip(known, half, strict=True)]
         # Of a stop line a drive often sees a part: traffic hides it, its own lane ends.
-        has_ends = [all(s.ends) and kind_of(e) != "stop_line" for s, (e, _) in zip(shapes, known, strict=True)]
+        kind, centre = np.array([kind_of(e) for e, _ in known], dtype=object), np.array([s.centre for s in shapes])
+        centre, half_m = centre.reshape(n, 2), 0.5 * np.array(half).reshape(n, 2)
+        has_ends = np.array([all(s.ends) for s in shapes], dtype=bool) & (kind != "stop_line")
         sigma = np.array([[b.sigma_along_m, b.sigma_across_m] for _, b in known]).reshape(n, 2)
         return cls(
             tuple(e for e, _ in known),
             tuple(b for _, b in known),
-            np.array([kind_of(e) for e, _ in known], dtype=object),
-            np.array([s.centre for s in shapes]).reshape(n, 2),
+            kind,
+            centre,
             along,
-            0.5 * np.array(half).reshape(n, 2),
-            np.array(has_ends, dtype=bool),
+            half_m,
+            has_ends & ~are_fragments(kind, centre, along, half_m),
             np.maximum(sigma, np.outer([num_drives_of(b) ** -0.5 for _, b in known], _LEAST_SIGMA_M)),
         )
 

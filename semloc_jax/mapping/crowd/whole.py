@@ -9,6 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from semloc_jax.errors import SemlocError
 from semloc_jax.mapping.crowd.cell_map import CellMap, DriveRow
 from semloc_jax.mapping.crowd.cell_work import CellTask, merge_cell
@@ -117,7 +119,8 @@ def merge_whole(
         if not known:
             raise SemlocError(f"merge: nothing stays of {num} drives; do they show the same road?")
         # Under a survey a merge itself says no more than what has changed in meaning.
-        edition = Edition(tuple(known)) if is_surveyed else next_edition(edition, known)
+        sigma_m = float(np.median([made.sigma_place_m for made in cells.values()]))
+        edition = Edition(tuple(known)) if is_surveyed else next_edition(edition, known, sigma_m)
         num_solved += solved
     return _whole(edition, ledger.base, origin, cells, num_solved)
 

@@ -92,25 +92,35 @@ class CrowdWorld:
         return np.where(is_other | (turned & is_long), np.inf, squared)
 
     def take(self, place: int, correction: Correction, gate_m: float) -> None:
-        """Takes in what a drive saw: things that are there move towards it, others are born.
+        """Takes in what a drive saw: things that are there move towards it, others are born; see `take_parts`.
 
         Args:
             place: of the drive among all.
             correction: where it lies by now.
             gate_m: see `paired`.
         """
+        self._take_things(place, correction, gate_m, True)
+        self._take_lines(place, correction, gate_m)
+
+    def take_parts(self, place: int, correction: Correction, gate_m: float) -> None:
+        """Takes in those parts of things that are none of any thing that is there: after all drives, since a part that
+        one drive saw is of what another one sees whole."""
+        self._take_things(place, correction, gate_m, False)
+
+    def _take_things(self, place: int, correction: Correction, gate_m: float, whole: bool) -> None:
         things = correction.sights.things
         centre, along = correction.moved_things(), turned_by(things.along, correction.turn(things.centre))
         pairs = self.paired(things, centre, along, gate_m)
+        is_whole = things.has_ends | correction.sights.is_base
+        i, j = pairs[is_whole[pairs[:, 0]]].T
         # Half way: the next drives then decide; the joint solve makes it exact.
-        self.centre[pairs[:, 1]] = 0.5 * (self.centre[pairs[:, 1]] + centre[pairs[:, 0]])
-        new = np.setdiff1d(np.arange(len(things)), pairs[:, 0])
+        self.centre[j] = 0.5 * (self.centre[j] + centre[i])
+        new = np.setdiff1d(np.flatnonzero(is_whole == whole), pairs[:, 0])
         self.kind = np.concatenate([self.kind, things.kind[new]])
         self.source = np.vstack([self.source, np.stack([np.full(len(new), place), new], axis=1)])
         self.centre = np.vstack([self.centre, centre[new]])
         self.along = np.vstack([self.along, along[new]])
         self.half_m = np.vstack([self.half_m, things.half_m[new]])
-        self._take_lines(place, correction, gate_m)
 
     def _take_lines(self, place: int, correction: Correction, gate_m: float) -> None:
         """Lines of a drive, or runs of them, that are none of those known before; a base map names each of its own."""
