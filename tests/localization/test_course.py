@@ -51,21 +51,20 @@ def test_the_way_says_how_probable_cameras_that_look_aside_are():
         found = told(1e-3, 0.2, off_deg)
         exact, aside = norm(0.0, np.hypot(0.2, 0.3)), norm(0.0, np.hypot(0.2, np.degrees(0.02)))
         odds = 0.005 / 0.995 * aside.pdf(off_deg) / exact.pdf(off_deg)
-        probable = course.probability(0.0, course_of(found))
+        probable = course.probability(0.0, course_of(found), True)
         assert probable == pytest.approx(odds / (1.0 + odds), rel=1e-3) and (probable < 0.005) == less
+        assert course.probability(0.0, course_of(found), False) == 0.005
     unknown = Course(0.0, np.deg2rad(3.0))
-    assert course.probability(0.0, unknown) == pytest.approx(0.005, rel=1e-2)
+    assert course.probability(0.0, unknown, True) == pytest.approx(0.005, rel=1e-2)
 
 
 def test_a_level_reaches_to_the_far_side_of_the_course_with_what_is_left_of_the_risk():
     found = Course(np.deg2rad(0.2), np.deg2rad(0.1))
-    for aside_deg in (0.0, -0.3):
-        far_deg, aside_rad = max(0.2, abs(aside_deg)), np.deg2rad(aside_deg)
-        sigmas = norm.ppf(1.0 - SHARE / course.probability(aside_rad, found))
-        level_deg = heading_level_deg(aside_rad, found, np.inf, SHARE)
-        assert sigmas > 1.0 and level_deg == pytest.approx(far_deg + 0.1 * sigmas, abs=1e-4)
+    for far_deg, aside_deg in ((0.2, 0.0), (0.3, -0.3)):
+        level_deg = heading_level_deg(np.deg2rad(aside_deg), found, np.inf, 0.03)
+        assert level_deg == pytest.approx(far_deg + 0.1 * norm.ppf(0.97), abs=1e-4)
         # At its level the probability is what the risk leaves; on the far side of zero there is next to nothing.
-        assert course.misleading(aside_rad, found, np.inf, level_deg) == pytest.approx(SHARE, rel=1e-2)
+        assert course.misleading(np.deg2rad(aside_deg), found, np.inf, level_deg) == pytest.approx(0.03, rel=1e-2)
 
 
 def test_what_was_sure_is_remembered_and_what_was_not_is_not():
