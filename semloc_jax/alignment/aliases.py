@@ -105,11 +105,20 @@ def _overlap(points: np.ndarray, channel: np.ndarray, length_m: np.ndarray, conf
 
 
 def _peaks(profile: np.ndarray, config: AliasConfig, least_m: float, most: int) -> list[float]:
-    """Shifts [m] of the highest local maxima, those near no shift left out."""
+    """Shifts [m] of the local maxima that stand out most, those near no shift left out: long lines overlap the more the
+    smaller a shift is, which is no period."""
     middle = len(profile) // 2
     inner = profile[1:-1]
-    is_peak = (inner >= profile[:-2]) & (inner > profile[2:]) & (inner > config.least_share)
-    shifts_m = (np.flatnonzero(is_peak) + 1 - middle) * config.cell_m
-    shifts_m = shifts_m[np.abs(shifts_m) >= least_m]
-    height = profile[np.round(shifts_m / config.cell_m).astype(int) + middle]
-    return [float(shift) for shift in shifts_m[np.argsort(-height, kind="stable")][:most]]
+    at = np.flatnonzero((inner >= profile[:-2]) & (inner > profile[2:]) & (inner > config.least_share)) + 1
+    at = at[np.abs(at - middle) * config.cell_m >= least_m]
+    prominence = np.array([_prominence(profile, k) for k in at.tolist()])
+    return [float(k - middle) * config.cell_m for k in at[np.argsort(-prominence, kind="stable")][:most]]
+
+
+def _prominence(profile: np.ndarray, at: int) -> float:
+    """How far one has to go down from a maximum before a higher place is reached, on the side where it is less."""
+    lowest = []
+    for side in (profile[at::-1], profile[at:]):
+        higher = np.flatnonzero(side > profile[at])
+        lowest.append(side[: higher[0] if len(higher) else len(side)].min())
+    return float(profile[at] - max(lowest))

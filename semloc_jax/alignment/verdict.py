@@ -27,8 +27,9 @@ class VerdictConfig:
     """Share of the pieces of map in view that must lie on borders of their class."""
     min_nats_per_piece: float = 0.5
     """Evidence of one piece of map against seeing the map elsewhere."""
-    min_weight: float = 0.9
-    """Share of the posterior that the best mode must hold against modes elsewhere."""
+    min_weight: float = 0.95
+    """Share of the posterior that the best mode must hold against modes elsewhere: of real images for which less was
+    stated, one in five was elsewhere."""
     max_border_offset_px: float = 2.5
     """Borders of the map farther outside or inside of those of the masks do not say where along the road; in pixels of
     an image of usual size."""

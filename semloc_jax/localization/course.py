@@ -10,14 +10,15 @@ an uncertainty of its own, large until some way is driven: an estimate near zero
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import expit, logit, stdtr, stdtrit
 
 from semloc_jax.fusion.measurements import FusedPose, SensorBeliefs
 
 _WIDE_RAD = 0.02
 """How far aside cameras may look, one standard deviation. Ours."""
 _PROBABILITY = 0.005
-"""Of cameras that look aside by more than mounts are exact: one vehicle in two hundred. Ours."""
+"""Of cameras that look aside by more than mounts are exact, before the way says more: one vehicle in two hundred.
+Ours."""
 _MEMORY_M = 20.0
 """Way over which a course is remembered: where the cameras look aside, the first lines and walls that come into view or
 leave it move the pose, which passes for a drive to the other side."""
@@ -71,6 +72,29 @@ def remembered_rad(before_rad: float, course: Course, way_m: float) -> float:
     return float(np.copysign(max(kept_rad, least_rad), course.off_rad if least_rad >= kept_rad else before_rad))
 
 
+def probability(aside_rad: float, course: Course, is_ahead: bool) -> float:
+    """Probability that the cameras look aside, by the way: a vehicle that drives straight ahead would do so by chance
+    if they did; one that drives far aside has an axle that is far from straight if they do not.
+
+    Cameras that also look to the side and back say nothing of it yet: what they hold the pose by is ahead of the
+    vehicle first and behind it later, so that cameras which look aside move the pose to the other side, for as long.
+
+    Args:
+        aside_rad: What is remembered of the way before.
+        course: Now.
+        is_ahead: Whether all cameras look ahead.
+    """
+    if not is_ahead:
+        return _PROBABILITY
+    wide, variance = _WIDE_RAD**2, max(course.sigma_rad, 1e-9) ** 2
+    # What the way alone says, without the wide prior that is in the course.
+    alone = wide * variance / max(wide - variance, 1e-3 * wide)
+    off_rad = max(abs(course.off_rad), abs(aside_rad)) * alone / variance
+    exact, aside = alone + _PRIOR_RAD**2, alone + wide
+    nats = 0.5 * (off_rad**2 * (1.0 / exact - 1.0 / aside) - np.log(aside / exact))
+    return float(expit(logit(_PROBABILITY) + nats))
+
+
 def heading_level_deg(aside_rad: float, course: Course, freedom: float, share: float) -> float:
     """A level of the heading [deg] that holds where the cameras look aside.
 
@@ -78,18 +102,18 @@ def heading_level_deg(aside_rad: float, course: Course, freedom: float, share: f
         aside_rad: What is remembered of the way before.
         course: Now.
         freedom: Degrees of freedom that the scale of its standard deviation stands on.
-        share: Risk that the level may have on either side; that the cameras do look aside is improbable already.
+        share: Risk that the level may have on either side, where they do.
     """
     if course.sigma_rad <= 0.0:
         return float(np.degrees(abs(course.off_rad)))
-    sigmas = float(stdtrit(freedom, 1.0 - min(share / _PROBABILITY, 0.5)))
+    sigmas = float(stdtrit(freedom, 1.0 - min(share, 0.5)))
     return float(np.degrees(max(abs(course.off_rad), abs(aside_rad)) + sigmas * course.sigma_rad))
 
 
 def misleading(aside_rad: float, course: Course, freedom: float, limit_deg: float) -> float:
-    """Probability that cameras look aside and the heading is beyond a limit [deg]; other arguments as
+    """Probability that the heading is beyond a limit [deg] where the cameras look aside; other arguments as
     `heading_level_deg`."""
     off_deg = float(np.degrees(max(abs(course.off_rad), abs(aside_rad))))
     sigma_deg = max(float(np.degrees(course.sigma_rad)), 1e-9)
     beyond = stdtr(freedom, (off_deg - limit_deg) / sigma_deg) + stdtr(freedom, (-off_deg - limit_deg) / sigma_deg)
-    return _PROBABILITY * float(beyond)
+    return float(beyond)

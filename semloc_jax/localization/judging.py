@@ -124,11 +124,12 @@ def levels_of(
     protection = watch.at_least(watch.with_faults(levels, faults), config.watch)
     # Cameras that look aside: the pose with the heading of its course may be the right one instead.
     way, aside_rad = course.course_of(fused), float(state.watch.aside_rad)
-    aside_deg = course.heading_level_deg(aside_rad, way, float(freedom[2]), integrity.risk / 6.0)
+    probable = course.probability(aside_rad, way, watch.is_ahead(rig))
+    aside_deg = course.heading_level_deg(aside_rad, way, float(freedom[2]), integrity.risk / 6.0 / probable)
     causes = watch.causes(levels, faults, limit)
     if protection.heading_deg <= limit.heading_deg < aside_deg:
         causes = (*causes, watch.aside_cause(way, aside_rad, aside_deg, rig))
-    misled += course.misleading(aside_rad, way, float(freedom[2]), limit.heading_deg)
+    misled += probable * course.misleading(aside_rad, way, float(freedom[2]), limit.heading_deg)
     aside_m = abs(way.off_rad) * watch.cameras_ahead_m(rig)
     protection = protection._replace(
         lateral_m=max(protection.lateral_m, levels.lateral_m + aside_m),

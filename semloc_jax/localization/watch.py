@@ -285,6 +285,11 @@ def cameras_ahead_m(rig: Rig) -> float:
     return float(np.asarray(rig.T_base_cam, np.float64)[:, 0, 3].mean())
 
 
+def is_ahead(rig: Rig) -> bool:
+    """Whether all cameras look ahead, by no more than 60 deg aside."""
+    return bool((np.asarray(rig.T_base_cam, np.float64)[:, 0, 2] > 0.5).all())
+
+
 def _cameras(rig: Rig) -> str:
     return f"camera {rig.names[0]} looks" if len(rig.names) == 1 else "the cameras look"
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.localization import course, watch
@@ -44,13 +45,26 @@ def test_before_any_way_is_driven_cameras_may_look_aside_as_far_as_mounts_allow(
     assert course_of(FusedPose(0.0, np.eye(4), np.eye(6), 1.0, 0.0, np.zeros(2))) == Course(0.0, 0.0)
 
 
+def test_the_way_says_how_probable_cameras_that_look_aside_are():
+    """Against densities: the way with 0.2 deg, an axle with 0.3 deg, cameras with the wide prior besides."""
+    for off_deg, less in ((0.0, True), (0.3, True), (1.0, False)):
+        found = told(1e-3, 0.2, off_deg)
+        exact, aside = norm(0.0, np.hypot(0.2, 0.3)), norm(0.0, np.hypot(0.2, np.degrees(0.02)))
+        odds = 0.005 / 0.995 * aside.pdf(off_deg) / exact.pdf(off_deg)
+        probable = course.probability(0.0, course_of(found), True)
+        assert probable == pytest.approx(odds / (1.0 + odds), rel=1e-3) and (probable < 0.005) == less
+        assert course.probability(0.0, course_of(found), False) == 0.005
+    unknown = Course(0.0, np.deg2rad(3.0))
+    assert course.probability(0.0, unknown, True) == pytest.approx(0.005, rel=1e-2)
+
+
 def test_a_level_reaches_to_the_far_side_of_the_course_with_what_is_left_of_the_risk():
-    """One vehicle in two hundred: a risk of 1e-3 / 6 leaves a thirtieth for it, 1.83 sigmas of a Gaussian."""
     found = Course(np.deg2rad(0.2), np.deg2rad(0.1))
-    assert heading_level_deg(0.0, found, np.inf, SHARE) == pytest.approx(0.2 + 0.1834, abs=1e-3)
-    assert heading_level_deg(np.deg2rad(-0.3), found, np.inf, SHARE) == pytest.approx(0.3 + 0.1834, abs=1e-3)
-    # At its level the probability is what the risk leaves; on the far side of zero there is next to nothing.
-    assert course.misleading(0.0, found, np.inf, 0.2 + 0.1834) == pytest.approx(SHARE, rel=1e-3)
+    for far_deg, aside_deg in ((0.2, 0.0), (0.3, -0.3)):
+        level_deg = heading_level_deg(np.deg2rad(aside_deg), found, np.inf, 0.03)
+        assert level_deg == pytest.approx(far_deg + 0.1 * norm.ppf(0.97), abs=1e-4)
+        # At its level the probability is what the risk leaves; on the far side of zero there is next to nothing.
+        assert course.misleading(np.deg2rad(aside_deg), found, np.inf, level_deg) == pytest.approx(0.03, rel=1e-2)
 
 
 def test_what_was_sure_is_remembered_and_what_was_not_is_not():
