@@ -21,7 +21,7 @@ class Options:
 
     x_m, y_m are the middle of the footprint; yaw_rad is the direction of its shorter side, 0 with a sigma of pi / 2
     where nothing tells it. An obstacle is confirmed when three of the first five frames that look at it show it, and
-    ends after five visible misses.
+    ends after five visible misses; with --front net also not before its foot was near or lines of sight cross.
     """
 
     drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]

@@ -76,7 +76,7 @@ class ObjectTrack:
         kalman: the same by the plain filter, `float64[3]`.
         existence_logit: log odds that it is there.
         num_seen, num_missed: frames that showed it, and that looked and did not.
-        confirmed: whether it was seen often enough in its first frames.
+        confirmed: whether it was seen often enough in its first frames, and is placed.
         last_s: when it was seen last.
         sights: what was seen of it, and the way driven until then [m].
     """
@@ -103,6 +103,10 @@ class ObjectTrack:
     def may_be(self, sight: Any, config: ObjectTrackConfig) -> bool:
         """Whether a sight is one of such a thing at all, wherever it is."""
         raise NotImplementedError
+
+    def is_placed(self) -> bool:
+        """Whether its sights tell where it is; before that it cannot be confirmed."""
+        return True
 
 
 AnyTrack = TypeVar("AnyTrack", bound=ObjectTrack)
@@ -139,6 +143,8 @@ class Tracker(Generic[AnyTrack]):
         for k, sight in enumerate(sights):
             if found[k] is None:
                 found[k] = self._birth(sight, time_s, way_m)
+        for track in self.tracks:
+            track.confirmed = track.confirmed or (self._is_born(track) and track.is_placed())
         over = [t for t in self.tracks if t.misses_on_end >= self.config.forget or self._is_stillborn(t)]
         self.ended += [t for t in over if t.confirmed and t.misses_on_end < self.config.forget]
         self.tracks = [t for t in self.tracks if t not in over]
@@ -148,15 +154,17 @@ class Tracker(Generic[AnyTrack]):
         """Confirmed tracks that were not denied."""
         return [t for t in [*self.ended, *self.tracks] if t.confirmed]
 
+    def _is_born(self, track: AnyTrack) -> bool:
+        return sum(track.born) >= self.config.confirm[0]
+
     def _is_stillborn(self, track: AnyTrack) -> bool:
-        return not track.confirmed and len(track.born) >= self.config.confirm[1]
+        return len(track.born) >= self.config.confirm[1] and not self._is_born(track)
 
     def _count_look(self, track: AnyTrack, seen: bool, visible: bool) -> None:
         if not (seen or visible):
             return
         if not track.confirmed and len(track.born) < self.config.confirm[1]:
             track.born.append(seen)
-            track.confirmed = sum(track.born) >= self.config.confirm[0]
         told = (self.config.detected, self.config.false) if seen else (1 - self.config.detected, 1 - self.config.false)
         track.existence_logit = float(np.clip(track.existence_logit + np.log(told[0] / told[1]), -8.0, 8.0))
         track.num_seen += seen

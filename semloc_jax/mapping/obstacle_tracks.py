@@ -24,6 +24,9 @@ _WIDTH_SIGMA_M, _OUTLIER = 0.03, 2.0
 """Of a width, and the width of Cauchy's kernel in these."""
 _UNTOLD_RAD, _SQUARE = 0.2, 3.0
 """A direction that is known no better, or of a box whose sides differ by fewer sigmas, is not told."""
+_TOLD_M, _CROSSED_RAD = 0.25, 0.35
+"""Standard deviation of a place that one sight tells: a foot up to about 4 m away. Lines that cross at 20 deg tell a
+range of 6 m to half a metre where each is a degree off: half of what one thing may be off."""
 _LIKELY = 0.5 * 3.84
 """Half of chi-square of one degree of freedom at 95 %: directions that fit worse are ruled out."""
 
@@ -90,6 +93,20 @@ class ObstacleTrack(ObjectTrack):
         return bool(sight.kind == self.kind)
 
 
+class NetObstacleTrack(ObstacleTrack):
+    """One thing that is followed by boxes of a network.
+
+    Where a box ends too high or too low, so it does in the next frame: sights from one side are wrong together, and
+    three that agree say little. A foot that is near needs no more than itself, else lines of sight have to cross.
+    """
+
+    def is_placed(self) -> bool:
+        """Whether one sight tells the range by itself, or lines of sight from two places do where they cross."""
+        least = min(np.linalg.eigvalsh(sight.covariance[:2, :2])[-1] ** 0.5 for sight, _ in self.sights)
+        offset = np.array([self.pose[:2] - sight.camera_xy for sight, _ in self.sights])
+        return bool(least < _TOLD_M or _spread(np.arctan2(offset[:, 1], offset[:, 0])) > _CROSSED_RAD)
+
+
 class ObstacleFollower:
     """Finds the obstacles of one frame after the other and follows them."""
 
@@ -111,7 +128,7 @@ class ObstacleFollower:
             if net is None
             else NetObstacleObserver(drive, masks, net, sights)
         )
-        self.tracker = Tracker(ObstacleTrack, tracks)
+        self.tracker = Tracker(ObstacleTrack if net is None else NetObstacleTrack, tracks)
 
     def step(self, frame: Frame, index: int, chain: Chain) -> tuple[list[Obstacle], list[ObstacleTrack | None]]:
         """Take one frame in; returns its sights, and the track of each.

@@ -1,7 +1,7 @@
 """The parking slots of top views without a drive (room: reports; host).
 
-In: pictures seen from above. Out: what `semloc slots FOLDER --metres-per-px` writes: points.csv, slots.csv, a picture
-of each, config.yaml, text.
+In: pictures seen from above. Out: points.csv, slots.csv, a picture of each, config.yaml, text: what `semloc slots`
+writes with --metres-per-px.
 """
 
 from pathlib import Path

@@ -9,6 +9,9 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.net_obstacles import NetObstacleObserver
+from semloc_jax.mapping.object_tracks import Tracker
+from semloc_jax.mapping.obstacle_sights import Obstacle
+from semloc_jax.mapping.obstacle_tracks import NetObstacleTrack
 from semloc_jax.perception.class_table import table_of
 from semloc_jax.perception.networks.obstacle_net import KINDS, FoundObstacles, ObstacleNet, net_view
 from tests.mapping.test_obstacles import corners, pose
@@ -95,3 +98,28 @@ def test_without_a_foot_nothing_is_told(looking):
 def test_a_camera_without_images_is_told(rig, ground):
     with pytest.raises(SemlocError, match="camera front has no images.*--front masks"):
         made(rig, ground, Knowing(rig, []), has_images=False)
+
+
+def sighted(xy_camera, xy, sigma_m):
+    """A cone as a camera sees it: exact across the line of sight, `sigma_m` along it."""
+    along = (np.asarray(xy) - xy_camera) / np.linalg.norm(np.asarray(xy) - xy_camera)
+    covariance = np.diag([0.0, 0.0, 9.0])
+    covariance[:2, :2] = 0.02**2 * np.eye(2) + sigma_m**2 * np.outer(along, along)
+    return Obstacle("cone", np.array([*xy, 0.0]), covariance, np.zeros(3), 0.1, np.asarray(xy_camera), True)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "sigma_m", "confirmed"),
+    [
+        ([(0.0, 0.0), (0.5, 0.0), (1.0, 0.0)], 0.6, [False] * 3),  # far off, from one side
+        ([(0.0, 0.0), (1.5, 0.0), (3.0, 0.0)], 0.6, [False, False, True]),  # far off, lines of sight cross at 30 deg
+        ([(0.0, 0.0), (0.5, 0.0), (1.0, 0.0)], 0.1, [False, False, True]),  # a foot that is near
+        ([(0.0, 0.0)] * 6 + [(3.0, 0.0)], 0.6, [False] * 6 + [True]),  # it waits until they cross
+    ],
+)
+def test_what_three_frames_show_from_one_side_is_not_confirmed(cameras, sigma_m, confirmed):
+    tracker = Tracker(NetObstacleTrack)
+    for k, (camera, expected) in enumerate(zip(cameras, confirmed, strict=True)):
+        (track,) = tracker.step([sighted(camera, (4.0, 5.0), sigma_m)], 0.2 * k, camera[0], np.ones(min(k, 1), bool))
+        assert track.confirmed is expected
+    assert len(tracker.final()) == confirmed[-1]

@@ -5,6 +5,7 @@ Cars, people and posts hide and confuse; light, road, colours, shadows, mirrors,
 every picture.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -106,7 +107,8 @@ def cylinder_sample(rng: np.random.Generator, geometry: Geometry) -> CylinderSam
     for number, body in enumerate(far_first, 1):
         body.paint(canvas, number)
     _own_car(rng, canvas)
-    things = [_seen(canvas, body, k) for k, body in enumerate(far_first, 1) if body.kind]
+    alone = replace(canvas, picture=np.zeros_like(canvas.picture))
+    things = [_seen(canvas, alone, body, k) for k, body in enumerate(far_first, 1) if body.kind]
     return CylinderSample(_finished(rng, canvas, geometry), [t for t in things if t is not None], geometry.centre_v)
 
 
@@ -186,14 +188,14 @@ def _own_car(rng: np.random.Generator, canvas: Canvas) -> None:
         )
 
 
-def _seen(canvas: Canvas, body: Body, number: int) -> SeenThing | None:
-    """What is seen of a thing; None where it is nothing."""
+def _seen(canvas: Canvas, alone: Canvas, body: Body, number: int) -> SeenThing | None:
+    """What is seen of a thing; None where it is nothing. It is painted once more, where nothing hides it."""
     own = canvas.ids == number
     rows = np.flatnonzero(own.any(axis=1))
     if not len(rows):
         return None
     columns = np.flatnonzero(own.any(axis=0))
-    alone = Canvas(canvas.focal_px, canvas.centre_px, canvas.height_m, canvas.light, 1.0, np.zeros_like(canvas.picture))
+    alone.ids[:] = 0
     body.paint(alone, 1)
     whole = alone.ids > 0
     low = np.flatnonzero(whole.any(axis=1))
