@@ -19,7 +19,7 @@ from semloc_jax.storage import npz_arrays, writing
 
 _META = "next_frame", "is_initialised"
 _INDEX = "index"
-"""Name, type and shape of each leaf, as JSON: leaves of one type lie in one array, as a frame writes some 85 of them."""
+"""Name, type and shape of each leaf, as JSON. Leaves of one type lie in one array: there are some 85, at each frame."""
 
 
 class Checkpoint(NamedTuple):
