@@ -87,8 +87,7 @@ def levelled(
     """
     T = frame.to_map(T_local_found)
     try:
-        T = semantic_map.road_pose(T[0, 3], T[1, 3], float(np.arctan2(T[1, 0], T[0, 0])), near_z_m=float(T[2, 3]))
-        spread = semantic_map.road_spread(T)
+        T, spread = semantic_map.road_under(*T[:2, 3], float(np.arctan2(T[1, 0], T[0, 0])), near_z_m=float(T[2, 3]))
     except SemlocError:
         return T_local_found, prior
     T_local_base = frame.from_map(T, np.float64)

@@ -214,8 +214,7 @@ class FrameAligner:
         return self._road_at(*T_map_base[:3, 3].tolist(), heading)
 
     def _road_at(self, x: float, y: float, z: float, heading: float) -> tuple[Float[np.ndarray, "4 4"], RoadSpread]:
-        T_road = self.map.road_pose(x, y, heading, near_z_m=z)
-        return T_road, self.map.road_spread(T_road)
+        return self.map.road_under(x, y, heading, near_z_m=z)
 
     def prior_sigma(self, covariance: Float[np.ndarray, "6 6"], spread: RoadSpread) -> Float[np.ndarray, "6"]:
         """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) that hold a solve on a road of this spread."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from semloc_jax.alignment.pose_prior import PriorSource
+from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.fusion.measurements import GnssMeasurement
 from semloc_jax.inputs.mask_view import MaskSource
@@ -97,6 +98,7 @@ class Pipeline:
         """
         self.drive, self.source, self.localizer, self.guess, self.terms = drive, source, localizer, guess, terms
         self.config, self.timing = config or PipelineConfig(), Timing()
+        self._rigs: tuple[Rig, Rig] | None = None
 
     def fixes(self, after_s: float, to_s: float) -> tuple[GnssMeasurement, ...]:
         """Satellite fixes of a stretch of time, its end included."""
@@ -109,13 +111,20 @@ class Pipeline:
     def features(self, frame: Frame, before_s: float) -> FrameFeatures:
         """Masks and cost maps of a frame, with the fixes since the frame before it."""
         started = time.perf_counter()
-        rig = self.source.seen_by(frame.rig.select(self.source.cameras))
+        rig = self._rig_of(frame)
         fixes = self.fixes(before_s, frame.time_s)
         guess = self.guess(frame) if self.guess is not None and np.isfinite(frame.time_s) else None
         terms = () if self.terms is None else self.terms(frame)
         features = self.localizer.features(frame, self.source.masks(frame), rig, fixes, guess, terms)
         self.timing.feature_ms.append(1e3 * (time.perf_counter() - started))
         return features
+
+    def _rig_of(self, frame: Frame) -> Rig:
+        """The rig of the masks: the same object as long as the frames have the same one, so that what is made of it is
+        made once."""
+        if self._rigs is None or self._rigs[0] is not frame.rig:
+            self._rigs = frame.rig, self.source.seen_by(frame.rig.select(self.source.cameras))
+        return self._rigs[1]
 
     def run(
         self,

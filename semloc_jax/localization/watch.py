@@ -46,12 +46,14 @@ from semloc_jax.localization.watch_sums import (
     moves,
     suspicions,
 )
+from semloc_jax.runtime.same_object import once_for_each
 
 _LOOSE = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
 """How far a pose may move with another calibration."""
 _PLANE = [0, 1, 5]
 """Forward, left and heading in a tangent."""
 _ADVICE = "run semloc calibrate"
+_WITH_OTHER_SIGN = once_for_each(with_distortion)
 _OWN_TILT_RAD = np.deg2rad(RoadSigmas().roll_pitch_deg)
 _GROUP_WORDS = dict(zip(GROUPS, ("lines", "posts", "lines to the left", "lines to the right"), strict=True))
 
@@ -96,7 +98,7 @@ def looked(
     names = asked_now(watch, len(frame.rig.names), config)
     sides = [far_side(watch, len(frame.rig.names), name) for name in names]
     tried = [_tried(*one, frame.rig, again, config) for one in zip(names, sides, strict=True)]
-    other = with_distortion(frame.rig, -1.0) if RADIAL in names else None
+    other = _WITH_OTHER_SIGN(frame.rig, -1.0) if RADIAL in names else None
     if other is not None:
         gain, moved = again((other,))
         watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))

@@ -21,6 +21,7 @@ from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
 from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer
 from semloc_jax.evaluation.mixture_bounds import LEAST_LEVELS
 from semloc_jax.localization.lens_sign import SignState
+from semloc_jax.runtime.same_object import once_for_each
 
 FOCAL, RADIAL = "focal", "radial"
 _TURNS = ("pitch", "yaw")
@@ -160,6 +161,7 @@ def far_side(watch: WatchState, num_cameras: int, name: str) -> int | None:
     return side if mean[side] > 0.0 else None
 
 
+@once_for_each
 def changed_rigs(rig: Rig, name: str, config: WatchConfig) -> tuple[Rig, ...]:
     """The calibrations that a frame is solved with again: one alternative in its `STEPS`."""
     return tuple(_changed(rig, name, step * unit_of(name, config)) for step in STEPS)

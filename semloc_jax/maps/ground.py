@@ -3,6 +3,7 @@
 In: map elements. Out: GroundModel, which gives a RoadPlane or a vehicle pose on the road for a place.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -33,6 +34,8 @@ _NUM_ROBUST_STEPS = 6
 _ALONG, _ACROSS = 2.5, 0.6
 """Where the direction of the road is known, a fit reaches along and, at first, across by so many radii: far enough
 along to hold a dash of either side, no farther across than to the lines beside the lane. Beyond 10 m floors bend."""
+_RADIUS_M = 4.0
+"""Radius of the fit around one place."""
 _WHOLE_M = 10.0
 """Radius of what is called the whole road."""
 _BESIDE_M = 1.5
@@ -106,7 +109,7 @@ class GroundModel:
     def plane(
         self,
         center: Place,
-        radius_m: float = 4.0,
+        radius_m: float = _RADIUS_M,
         near_z_m: float | None = None,
         heading_rad: float | None = None,
     ) -> RoadPlane:
@@ -125,12 +128,10 @@ class GroundModel:
         Raises:
             SemlocError: the map has no ground points within 60 m of the place.
         """
-        center = np.asarray(center, dtype=np.float64)[:2]
-        points, radius_m, stretch = self._neighbours(center, radius_m, near_z_m, heading_rad)
-        return _fit_plane(points, center, radius_m, _scaling(heading_rad, stretch))
+        return _fit_planes([self._neighbours(np.asarray(center, np.float64)[:2], radius_m, near_z_m, heading_rad)])[0]
 
     def road_pose(
-        self, x: float, y: float, yaw: float, radius_m: float = 4.0, near_z_m: float | None = None
+        self, x: float, y: float, yaw: float, radius_m: float = _RADIUS_M, near_z_m: float | None = None
     ) -> np.ndarray:
         """Returns `T_map_base` `[4 4]` of a vehicle that stands on the road at (x, y) with heading `yaw`.
 
@@ -144,15 +145,7 @@ class GroundModel:
             radius_m: see `plane`.
             near_z_m: see `plane`.
         """
-        plane = self.plane(np.array([x, y]), radius_m, near_z_m, yaw)
-        direction = np.array([np.cos(yaw), np.sin(yaw)])
-        forward = np.append(direction, plane.slope @ direction)
-        forward /= np.linalg.norm(forward)
-        up = plane.normal
-        pose = np.eye(4)
-        pose[:3, :3] = np.stack([forward, np.cross(up, forward), up], axis=1)
-        pose[:3, 3] = x, y, plane.height_m
-        return pose
+        return _on_plane(self.plane(np.array([x, y]), radius_m, near_z_m, yaw), yaw)
 
     def road_spread(self, x: float, y: float, yaw: float, near_z_m: float | None = None) -> RoadSpread:
         """Returns how far the surface under a vehicle at (x, y) with heading `yaw` differs from the road as a whole.
@@ -161,48 +154,80 @@ class GroundModel:
         which is what the few lines of a map leave open of the slope between them; on the crown itself, where the plane
         is that of neither side, by half the bend between both. Arguments as `road_pose`.
         """
+        return self.road_under(x, y, yaw, near_z_m)[1]
+
+    def road_under(
+        self, x: float, y: float, yaw: float, near_z_m: float | None = None
+    ) -> tuple[np.ndarray, RoadSpread]:
+        """Returns `road_pose` and `road_spread` of a place in one go."""
         center = np.array([x, y])
         forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
-        own = self.plane(center, near_z_m=near_z_m, heading_rad=yaw)
-        whole = self.plane(center, _WHOLE_M, near_z_m)
-        beside = [self.plane(center + d * left, near_z_m=near_z_m, heading_rad=yaw) for d in (-_BESIDE_M, _BESIDE_M)]
+        around = [self._neighbours(center + d * left, _RADIUS_M, near_z_m, yaw) for d in (0.0, -_BESIDE_M, _BESIDE_M)]
+        own, *beside, whole = _fit_planes([*around, self._neighbours(center, _WHOLE_M, near_z_m, None)])
         bend = max(abs((side.slope - own.slope) @ left) for side in beside)
         differs = np.abs([whole.height_m - own.height_m, *((whole.slope - own.slope) @ np.stack([left, forward]).T)])
-        return RoadSpread(float(differs[0]), max(float(differs[1]), 0.5 * float(bend)), float(differs[2]))
+        spread = RoadSpread(float(differs[0]), max(float(differs[1]), 0.5 * float(bend)), float(differs[2]))
+        return _on_plane(own, yaw), spread
 
     def _neighbours(
         self, center: np.ndarray, radius_m: float, near_z_m: float | None, heading_rad: float | None
-    ) -> tuple[np.ndarray, float, float]:
-        """Returns ground points around a place `[n 3]`, enough for both slopes where possible, the radius, and how many
-        times it they reach along the heading."""
-        found, stretch, along_m = np.zeros((0, 3)), 1.0, _ALONG * radius_m
+    ) -> "_Neighbours":
+        """Returns ground points around a place, enough for both slopes where possible."""
+        found, asked_m, reach_m, along_m = np.zeros((0, 3)), 0.0, 1.0, 0.0
+        axes = _axes(heading_rad)
         if heading_rad is not None:
-            radius_m, stretch = _ACROSS * radius_m, _ALONG / _ACROSS
+            radius_m, along_m = _ACROSS * radius_m, _ALONG * radius_m
         while self._tree is not None:
-            found = self.points[self._tree.query_ball_point(center, stretch * radius_m)]
-            if near_z_m is not None:
-                found = found[np.abs(found[:, 2] - near_z_m) < _LEVEL_M]
-            away = (found[:, :2] - center) @ _scaling(heading_rad, stretch)
-            found, away = (rows[np.einsum("ij,ij->i", away, away) <= radius_m**2] for rows in (found, away))
+            reach_m = max(along_m, radius_m)
+            if reach_m > asked_m:
+                asked_m = reach_m
+                around = self.points[self._tree.query_ball_point(center, reach_m)]
+                if near_z_m is not None:
+                    around = around[np.abs(around[:, 2] - near_z_m) < _LEVEL_M]
+                squares = ((around[:, :2] - center) @ axes) ** 2
+            found = around[squares @ (1.0 / reach_m**2, 1.0 / radius_m**2) <= 1.0]
             is_enough = len(found) >= _MIN_POINTS and _spread_m(found[:, :2]) >= _MIN_SPREAD_M
             if is_enough or radius_m >= _MAX_RADIUS_M:
                 break
             radius_m = min(1.25 * radius_m, _MAX_RADIUS_M)
-            stretch = max(along_m / radius_m, 1.0) if heading_rad is not None else 1.0
         if len(found) == 0:
             raise SemlocError(
                 f"no ground of the map within {_MAX_RADIUS_M:.0f} m of ({center[0]:.1f}, {center[1]:.1f}); "
                 "expected paint, curbs or pole feet there: check the start position and the map"
             )
-        return found, radius_m, stretch
+        return _Neighbours(found, center, radius_m, axes / (reach_m, radius_m))
 
 
-def _scaling(heading_rad: float | None, stretch: float) -> np.ndarray:
-    """Matrix `[2 2]` by which rows of offsets are shortened along the heading and kept across it."""
-    if heading_rad is None or stretch == 1.0:
+class _Neighbours(NamedTuple):
+    """What the plane of one place is fitted to."""
+
+    points: np.ndarray
+    """Ground points, `[n 3]`."""
+    center: np.ndarray
+    radius_m: float
+    """How far the fit had to look across the heading."""
+    scaled_axes: np.ndarray
+    """Columns along and across, by how far the points reach that way [1 / m]."""
+
+
+def _on_plane(plane: RoadPlane, yaw: float) -> np.ndarray:
+    """Returns `T_map_base` of a vehicle that stands on a plane where it was fitted."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    rise = plane.slope[0] * c + plane.slope[1] * s
+    x, y, z = np.array([c, s, rise]) / math.hypot(1.0, rise)
+    up = plane.normal
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 2], pose[:3, 3] = (x, y, z), up, (*plane.center, plane.height_m)
+    pose[:3, 1] = up[1] * z - up[2] * y, up[2] * x - up[0] * z, up[0] * y - up[1] * x
+    return pose
+
+
+def _axes(heading_rad: float | None) -> np.ndarray:
+    """Columns `[2 2]`: along the heading and across it; any where there is none."""
+    if heading_rad is None:
         return np.eye(2)
-    forward = np.array([np.cos(heading_rad), np.sin(heading_rad)])
-    return np.eye(2) - (1.0 - 1.0 / stretch) * np.outer(forward, forward)
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    return np.array([[c, -s], [s, c]])
 
 
 _SURFACE_CLASSES = frozenset({ElementClass.CURB, ElementClass.PARKING_SLOT})
@@ -229,29 +254,39 @@ def _spread_m(xy: np.ndarray) -> float:
     """Returns the root of the smaller principal variance of `xy` `[n 2]`, n > 1."""
     off = xy - np.add.reduce(xy) / len(xy)
     (xx, both), (_, yy) = (off.T @ off / (len(xy) - 1)).tolist()
-    return max(0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), both), 0.0) ** 0.5
+    return max(0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), both), 0.0) ** 0.5
 
 
-def _median(values: np.ndarray) -> float:
-    """Returns the median; several times faster than that of numpy for the few points of a road."""
-    ordered = np.sort(values)
-    return 0.5 * float(ordered[(len(values) - 1) // 2] + ordered[len(values) // 2])
+def _fit_planes(places: Sequence[_Neighbours]) -> list[RoadPlane]:
+    """Returns the planes through points by Cauchy-weighted least squares from the median height on.
 
+    All at once: the points of a road are few, and the calls cost more than the numbers.
+    """
+    counts = np.array([[len(place.points)] for place in places])
+    height, near, beyond = np.zeros((3, len(places), counts.max()))
+    design = np.zeros((*height.shape, 3))
+    design[..., 0] = 1.0
+    middle = np.arange(len(places))[:, None], np.hstack([(counts - 1) // 2, counts // 2])
 
-def _fit_plane(points: np.ndarray, center: np.ndarray, radius_m: float, scaling: np.ndarray) -> RoadPlane:
-    """Returns the plane through `points` `[n 3]` by Cauchy-weighted least squares from the median height on."""
-    offset, height = points[:, :2] - center, points[:, 2]
-    scaled = (2.0 / radius_m) * (offset @ scaling)
-    near = np.exp(-0.5 * np.einsum("ij,ij->i", scaled, scaled))
-    design = np.column_stack([np.ones(len(points)), offset])
+    def medians(values: np.ndarray) -> np.ndarray:
+        return 0.5 * np.add.reduce(np.sort(values + beyond)[middle], axis=1, keepdims=True)
+
+    for row, (points, center, _, scaled_axes) in enumerate(places):
+        offset, num = points[:, :2] - center, len(points)
+        near[row, :num] = np.exp(-2.0 * np.add.reduce((offset @ scaled_axes) ** 2, axis=1))
+        design[row, :num, 1:], height[row, :num] = offset, points[:, 2]
+        beyond[row, num:] = np.inf
     prior = np.diag([0.0, 1.0, 1.0]) * (_NOISE_M / _SLOPE_SIGMA) ** 2 + 1e-9 * np.eye(3)
-    residual, scale = height - _median(height), np.inf
+    residual, scale = height - medians(height), np.full(counts.shape, np.inf)
     for _ in range(_NUM_ROBUST_STEPS):
         weight = near / (1.0 + (residual / scale) ** 2)
-        weighted = (design * weight[:, None]).T
-        plane = np.linalg.solve(weighted @ design + prior, weighted @ height)
-        residual = height - design @ plane
-        scale = max(2.4 * 1.4826 * _median(np.abs(residual)), _NOISE_M)
+        weighted = design.swapaxes(1, 2) * weight[:, None]
+        plane = np.linalg.solve(weighted @ design + prior, weighted @ height[..., None])
+        residual = height - (design @ plane)[..., 0]
+        scale = np.maximum(2.4 * 1.4826 * medians(np.abs(residual)), _NOISE_M)
     weight = near / (1.0 + (residual / scale) ** 2)
-    rms_m = float(np.sqrt(weight @ residual**2 / np.add.reduce(weight)))
-    return RoadPlane(center, float(plane[0]), plane[1:], rms_m, len(points), radius_m)
+    rms_m = np.sqrt(np.sum(weight * residual**2, axis=1) / np.sum(weight, axis=1))
+    return [
+        RoadPlane(place.center, float(z), np.array([dx, dy]), float(rms), len(place.points), place.radius_m)
+        for place, (z, dx, dy), rms in zip(places, plane[..., 0].tolist(), rms_m, strict=True)
+    ]
