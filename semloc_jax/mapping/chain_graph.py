@@ -1,8 +1,9 @@
 """The way of a drive with all that ties it down: start, satellite fixes, loops (room: mapping; host).
 
 In: Chain, Loops, GnssTrack, Start. Out: ChainSolution: poses in the map, calibration, loops kept, covariances.
-One sparse graph: motions between frames with odometer scale, gyro scale and direction of travel as unknowns of the whole
-drive, a gyro bias that wanders, one GNSS-to-map offset, the vertical, and loops of which some may be wrong (graduated non-convexity).
+One sparse graph: motions between frames with odometer scale, gyro scale and direction of travel as unknowns of the
+whole drive, a gyro bias that wanders, one GNSS-to-map offset, the vertical, and loops of which some may be wrong
+(graduated non-convexity).
 """
 
 from dataclasses import dataclass, field

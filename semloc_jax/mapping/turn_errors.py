@@ -1,7 +1,7 @@
 """Motion between frames whose turn is off by a scale and by a bias that wanders (room: mapping; host around JAX).
 
-In: motions by wheels and gyroscope, their derivatives. Out: factors on poses, calibration ("odometer": scale of the way,
-scale of the turn, direction of travel) and on what is left of the gyro bias at every frame ("wander", in standard
+In: motions by wheels and gyroscope, their derivatives. Out: factors on poses, calibration ("odometer": scale of the
+way, scale of the turn, direction of travel) and on what is left of the gyro bias at every frame ("wander", in standard
 deviations). What a smoother leaves of a bias that walks stays the same for a while and is forgotten (an Ornstein and
 Uhlenbeck process): over seconds a gyroscope is far better than over minutes.
 """
