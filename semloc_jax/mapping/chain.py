@@ -1,7 +1,7 @@
 """The way of a drive without any map: wheels and inertial sensor from frame to frame (room: mapping; host).
 
 In: a Drive with wheel odometry. Out: Chain: poses in a level frame `odom`, motion between frames with its covariance
-and its derivative by odometer scale, gyro bias and direction of travel.
+and its derivative by odometer scale, gyro scale, direction of travel and what is left of the gyro bias.
 """
 
 from dataclasses import dataclass, field, replace
@@ -25,11 +25,16 @@ class ChainConfig:
     """How the way of a drive is put together. All values are ours."""
 
     inertial: InertialConfig = field(default_factory=InertialConfig)
-    noise: MotionNoise = field(default_factory=lambda: MotionNoise(tilt_density_degps=0.05, heave_share=0.004))
+    noise: MotionNoise = field(
+        default_factory=lambda: MotionNoise(tilt_density_degps=0.05, heave_share=0.004, gyro_turn_share=0.001)
+    )
     """Of the motion between frames when the gyro biases are taken off. Roads and springs lift a vehicle by 0.5 to 2 cm
-    in 5 m: where each frame may stand 5 cm higher than the last one, paint tells no distance along the road."""
+    in 5 m: where each frame may stand 5 cm higher than the last one, paint tells no distance along the road. The scale
+    of the turn is an unknown of the drive."""
     odometer_sigma: float = 0.02
     """Of the scale where no accelerometer tells it."""
+    gyro_scale_sigma: float = 0.01
+    """Of a micromechanical gyroscope; where there is none, wheels turn with `noise.wheel_turn_share`."""
     travel_sigma_deg: float = 0.3
 
 
@@ -44,9 +49,13 @@ class Chain(NamedTuple):
     steps_covariance: Float[np.ndarray, "e 6 6"]
     """Of the right tangent of each motion T_from_to [m, rad]; errors of the calibration are not in it."""
     steps_jacobian: Float[np.ndarray, "e 6 3"]
-    """Derivative of the right tangent by odometer scale, gyro bias [rad/s] and direction of travel [rad]."""
+    """Derivative of the right tangent by odometer scale, scale of the turn and direction of travel [rad]."""
+    steps_by_wander: Float[np.ndarray, "e 6"]
+    """The same by what is left of the gyro bias, in standard deviations of it."""
+    wander_memory_s: float
+    """For how long that stays the same."""
     calibration: Float[np.ndarray, "3"]
-    """Odometer scale, gyro bias that is left [rad/s], direction of travel [rad] that the chain was made with."""
+    """Odometer scale, scale of the turn, direction of travel [rad] that the chain was made with."""
     calibration_sigma: Float[np.ndarray, "3"]
     way_m: Float[np.ndarray, " n"]
     """Way driven since the first pose, forth and back added."""
@@ -82,10 +91,7 @@ def drive_chain(drive: Drive, config: ChainConfig | None = None) -> Chain:
         noise = config.noise
         return _by_increments(MotionLog.of_drive(replace(drive, imu=None), noise), time_s, None, config)
     states = inertial_states(drive, time_s, config.inertial)
-    # A bias that walks leaves a heading that is as good as that of the wheels in the long run.
-    density = np.hypot(config.noise.gyro_density_degps, config.inertial.wheel_yaw_density_degps)
-    noise = replace(config.noise, gyro_density_degps=float(density))
-    log = MotionLog.of_drive(replace(drive, imu=_without_bias(drive.imu, states)), noise)
+    log = MotionLog.of_drive(replace(drive, imu=_without_bias(drive.imu, states)), config.noise)
     return _by_increments(log, time_s, states, config)
 
 
@@ -123,24 +129,35 @@ def _by_increments(log: MotionLog, time_s: np.ndarray, states: InertialStates | 
     travel = np.deg2rad(config.travel_sigma_deg)
     if states is None:
         slope = np.deg2rad(config.inertial.road_slope_deg)
-        sigma = np.array([config.odometer_sigma, 1e-6, travel])
-        tilt, bias = np.full(len(time_s), slope), np.zeros((len(time_s), 3))
+        sigma = np.array([config.odometer_sigma, config.noise.wheel_turn_share, travel])
+        tilt, bias, left = np.full(len(time_s), slope), np.zeros((len(time_s), 3)), np.zeros(len(time_s))
     else:
-        remaining = float(np.mean(states.gyro_bias_sigma_radps[:, 2]))
-        sigma = np.array([states.odometer_scale_sigma, remaining, travel])
-        tilt, bias = states.tilt_sigma_rad, states.gyro_bias_radps
+        sigma = np.array([states.odometer_scale_sigma, config.gyro_scale_sigma, travel])
+        tilt, bias, left = states.tilt_sigma_rad, states.gyro_bias_radps, states.gyro_bias_sigma_radps[:, 2]
     way_m = [log.way_m(*ends) for ends in pairwise(time_s)]
     return Chain(
         times_s=time_s,
         Ts_odom_base=_chained(increments, states),
         steps_covariance=np.array([increment.covariance for increment in increments]),
-        steps_jacobian=np.array([increment.jacobian for increment in increments]),
-        calibration=np.array(calibration),
+        steps_jacobian=_by_calibration(increments),
+        steps_by_wander=np.array([i.jacobian[:, 1] for i in increments]) * (0.5 * (left[1:] + left[:-1]))[:, None],
+        wander_memory_s=config.inertial.bias_memory_s,
+        calibration=np.array([scale, 1.0, calibration.travel_rad]),
         calibration_sigma=sigma,
         way_m=np.concatenate([[0.0], scale * np.cumsum(way_m)]),
         tilt_sigma_rad=tilt,
         gyro_bias_radps=bias,
     )
+
+
+def _by_calibration(increments: list[MotionIncrement]) -> Float[np.ndarray, "e 6 3"]:
+    """Derivative of each right tangent by odometer scale, scale of the turn and direction of travel: within a step
+    the rate is even, and a share of it is a bias."""
+    jacobian = np.array([increment.jacobian for increment in increments])
+    turn = rigid.log(np.array([increment.T_from_to for increment in increments]))[:, 5]
+    step_s = np.array([increment.to_s - increment.from_s for increment in increments])
+    jacobian[:, :, 1] *= -(turn / step_s)[:, None]
+    return jacobian
 
 
 def _chained(increments: list[MotionIncrement], states: InertialStates | None) -> np.ndarray:

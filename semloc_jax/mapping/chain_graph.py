@@ -1,8 +1,9 @@
 """The way of a drive with all that ties it down: start, satellite fixes, loops (room: mapping; host).
 
 In: Chain, Loops, GnssTrack, Start. Out: ChainSolution: poses in the map, calibration, loops kept, covariances.
-One sparse graph: motions between frames with odometer scale, gyro bias and direction of travel as unknowns of the whole
-drive, one GNSS-to-map offset, the vertical, and loops of which some may be wrong (graduated non-convexity).
+One sparse graph: motions between frames with odometer scale, gyro scale and direction of travel as unknowns of the
+whole drive, a gyro bias that wanders, one GNSS-to-map offset, the vertical, and loops of which some may be wrong
+(graduated non-convexity).
 """
 
 from dataclasses import dataclass, field
@@ -20,7 +21,6 @@ from semloc_jax.fusion.pose_factors import (
     fixes,
     measured_poses,
     motions,
-    odometry,
     pose_graph,
     prior,
     values_of,
@@ -30,6 +30,7 @@ from semloc_jax.fusion.window_state import sqrt_information
 from semloc_jax.geometry import rigid
 from semloc_jax.geometry.umeyama import umeyama
 from semloc_jax.mapping.chain import Chain
+from semloc_jax.mapping.turn_errors import turning_odometry, wandering, wanders
 from semloc_jax.solvers.factors import Factors
 from semloc_jax.solvers.front import Sparse
 from semloc_jax.solvers.gnc import GncConfig, solve_robustly
@@ -94,7 +95,7 @@ class ChainSolution:
 
     Attributes:
         Ts_map_base: poses of the frames.
-        calibration: odometer scale, gyro bias that the chain has left [rad/s], direction of travel [rad].
+        calibration: odometer scale, scale of the turn, direction of travel [rad].
         gnss_offset_m: how far the fixes lie off the map, east and north.
         is_kept: of every loop, False where it was let go of.
         loop_nats: cost of every loop at the solution, whether kept or not.
@@ -224,10 +225,11 @@ def chain_graph(
     known = np.zeros((11, 11))
     known[:6, :6] = start.covariance
     known[6:, 6:] = np.diag(np.concatenate([chain.calibration_sigma, np.full(2, config.gnss_bias_m)]) ** 2)
-    made_with = np.tile(chain.calibration, (num - 1, 1))
+    jacobian = np.concatenate([chain.steps_jacobian, chain.steps_by_wander[:, :, None]], axis=2)
     info = _sqrt_informations(chain.steps_covariance)
     factors = [
-        odometry(frames[:-1], frames[1:], chain.steps, chain.steps_jacobian, made_with, info),
+        turning_odometry(chain.steps, jacobian, chain.calibration, info),
+        *wandering(chain.times_s, chain.wander_memory_s),
         verticals(frames, chain.Ts_odom_base[:, 2, :3].copy(), _vertical_info(chain, config)),
         prior(start.T_map_base, calibration, sqrt_information(known)),
     ]
@@ -237,7 +239,9 @@ def chain_graph(
         factors.append(measured_poses(places.Ts_map_base, places.sqrt_info, config.place_threshold))
     if len(loops.a):
         factors.append(_loop_factors(loops))
-    return pose_graph(np.ones(num, bool), tuple(factors)), values_of(Ts_map_base, calibration)
+    graph = pose_graph(np.ones(num, bool), tuple(factors))
+    values = {**values_of(Ts_map_base, calibration), "wander": np.zeros((num, 1))}
+    return FactorGraph((*graph.families, wanders(num)), graph.factors, graph.free), values
 
 
 def _loop_factors(loops: Loops) -> Factors:

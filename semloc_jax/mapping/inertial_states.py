@@ -47,6 +47,11 @@ class InertialConfig:
     longest_s: float = 0.25
     """Motion is taken as even within intervals no longer than this."""
 
+    @property
+    def bias_memory_s(self) -> float:
+        """For how long what a smoother leaves of a bias stays the same: a walk that the turn of the wheels shows."""
+        return self.wheel_yaw_density_degps / self.gyro_walk_degps
+
 
 class InertialStates(NamedTuple):
     """States at the given times, from all that the drive says before and after."""

@@ -19,6 +19,8 @@ _EVERY_M = 5.0
 _MOST = 150
 """Their joint covariance is dense: this bounds its time and memory, and nothing of it changes within metres."""
 _PLANE = np.array([0, 1, 5])
+_AROUND_M = 7.0
+"""How far from a place, in the mean square, what is seen from it lies: half of the 14 m that frames are compared in."""
 
 
 class WaySigmas(NamedTuple):
@@ -60,7 +62,7 @@ def places_apart(way_m: Float[np.ndarray, " n"], looking: Sequence[int]) -> Int[
 def way_sigmas(Ts_map_base: Float[np.ndarray, "k 4 4"], covariance: Float[np.ndarray, "m m"]) -> WaySigmas:
     """The sigmas of a way.
 
-    Which frame its map lies in is no error of the map: the motion in the plane that fits all places best is taken out.
+    Which frame its map lies in is no error of the map: the motion in the plane that fits it best is taken out.
 
     Args:
         Ts_map_base: some poses of the way.
@@ -76,7 +78,10 @@ def way_sigmas(Ts_map_base: Float[np.ndarray, "k 4 4"], covariance: Float[np.nda
 
 
 def planar_sigmas(xy_map: Float[np.ndarray, "k 2"], covariance: Float[np.ndarray, "m m"]) -> WaySigmas:
-    """The sigmas at places, with the motion in the plane that fits all of them best taken out.
+    """The sigmas at places, with the motion in the plane that fits best what is seen from all of them taken out.
+
+    The frame of a map is that of its elements, which lie around the places: where the way is as short as they are far,
+    its places alone would make an error of the map of what is a turn of all of it.
 
     Args:
         xy_map: places.
@@ -85,10 +90,8 @@ def planar_sigmas(xy_map: Float[np.ndarray, "k 2"], covariance: Float[np.ndarray
     num = len(xy_map)
     common = np.tile(np.eye(3), (num, 1, 1))
     common[:, 0, 2], common[:, 1, 2] = -(xy_map - xy_map.mean(axis=0)).T[1], (xy_map - xy_map.mean(axis=0)).T[0]
-    on_places = common[:, :2].reshape(2 * num, 3)
-    is_place = np.tile([True, True, False], num)
-    fit = np.zeros((3, 3 * num))
-    fit[:, is_place] = np.linalg.pinv(on_places)
-    rest = np.eye(3 * num) - common.reshape(3 * num, 3) @ fit
+    common = common.reshape(3 * num, 3)
+    weight = np.tile([1.0, 1.0, _AROUND_M], num)
+    rest = np.eye(3 * num) - common @ np.linalg.pinv(weight[:, None] * common) * weight
     variance = np.maximum(np.diagonal(rest @ covariance @ rest.T), 0.0).reshape(num, 3)
     return WaySigmas(xy_map, np.sqrt(variance[:, :2].mean(axis=1)), np.sqrt(variance[:, 2]))

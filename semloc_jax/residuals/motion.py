@@ -169,14 +169,19 @@ def odometry_linearised(
 ) -> tuple[Float[Array, " k"], Float[Array, "k 6"], Float[Array, "k 6"], Float[Array, "k c"]]:
     """`odometry_residual` and its derivatives by the right tangents of both poses and by the calibration.
 
-    The last one holds to first order in jacobian x calibration_change, as the correction itself does.
+    The last one holds to second order in jacobian x calibration_change.
     """
     T_moved = lie.compose(lie.inverse(T_map_from), T_map_to)
-    correction = lie.exp(_mul(jacobian, calibration_change))
+    change = _mul(jacobian, calibration_change)
+    correction = lie.exp(change)
     r, J_to = pose_linearised(T_moved, lie.compose(T_from_to, correction), sqrt_info)
     J_from = -_mul(J_to, lie.adjoint(lie.inverse(T_moved)))
     T_to_measured = lie.compose(lie.inverse(T_moved), lie.compose(T_from_to, correction))
-    return r, J_from, J_to, -_mul(J_to, _mul(lie.adjoint(T_to_measured), jacobian))
+    # d exp(c) = exp(c) (1 - ad / 2 + ad^2 / 6 - ...) dc
+    W, V = lie.skew(change[3:]), lie.skew(change[:3])
+    ad = jnp.block([[W, V], [jnp.zeros_like(W), W]])
+    by_calibration = jacobian - _mul(ad, jacobian / 2.0 - _mul(ad, jacobian / 6.0))
+    return r, J_from, J_to, -_mul(J_to, _mul(lie.adjoint(T_to_measured), by_calibration))
 
 
 def fix_linearised(

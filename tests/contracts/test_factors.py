@@ -8,6 +8,7 @@ import pytest
 import semloc_jax as sj
 from semloc_jax.fusion.pose_factors import GNSS, ODOMETER, fixes, measured_poses, motions, odometry, prior, verticals
 from semloc_jax.geometry import rigid
+from semloc_jax.mapping.turn_errors import WANDER, turning_odometry, wandering
 from semloc_jax.residuals import motion, road_contact, vehicle_motion
 from semloc_jax.residuals.inverse_depth import (
     Sight,
@@ -31,6 +32,7 @@ KINDS = {
     "metre": vector(0.01),
     "odometer": ODOMETER,
     "gnss": GNSS,
+    "wander": WANDER,
     "stance": vector(0.1, 0.01, 0.01),
     "velocity": vector(1.0, 1.0, 1.0),
     "bias": vector(0.01, 0.01, 0.01, 0.1, 0.1, 0.1),
@@ -129,6 +131,11 @@ FACTORS = {
     "metre of the images": Factors(motion.metre_residual, ("metre",), (ZERO,), (), RNG.normal(size=(1, 1))),
     "vertical": verticals(ZERO, np.array([[0.1, -0.2, 0.97]]), RNG.normal(size=(1, 2))),
     "odometry": odometry(ZERO, ONE, near()[None], RNG.normal(size=(1, 6, 3)), np.array([[1.0, 0.0, 0.0]]), info(6)),
+    "odometry that turns too far": turning_odometry(
+        near()[None], RNG.normal(size=(1, 6, 4)), np.array([1.0, 0.0, 0.0]), info(6)
+    ),
+    "wander of the gyro bias": wandering(np.array([0.0, 0.3]), 2.0)[0],
+    "gyro bias at first": wandering(np.array([0.0, 0.3]), 2.0)[1],
     "satellite fix": fixes(RNG.normal(size=(2, 2)), RNG.normal(size=(2, 3)), RNG.normal(size=(2, 2)), 1e6),
     "prior": prior(near(), np.array([1.0, 0.0, 0.0, 0.5, -0.5]), RNG.normal(size=(11, 11))),
     "road": Factors(
@@ -266,6 +273,7 @@ VALUES = {
     "bend": jnp.array([[4e-4], [-2e-4]]),
     "mount": jnp.array([[0.02, -0.01, 0.03]]),
     "delay": jnp.array([[0.004]]),
+    "wander": jnp.array([[0.0], [0.3]]),
 }
 
 

@@ -22,6 +22,8 @@ EXACT = ChainGraphConfig(solve=SolveConfig(tolerance=1e-9, max_steps=100))
 SIGMA = np.array([0.02, 0.01, 0.01, 0.001, 0.001, 0.003])
 LOOP_SIGMA = np.array([0.05, 0.03, 0.05, 0.005, 0.005, 0.003])
 SCALE, TRAVEL = 1.02, 0.004
+WANDER, MEMORY = 0.002, 5
+"""What is left of the gyro bias turns each step by so much [rad], and stays the same for so many."""
 
 
 def true_poses(num, lap):
@@ -34,14 +36,24 @@ def true_poses(num, lap):
 NUM, LAP, LOOPS = 28, 10, [(k, k + 10) for k in range(12)]
 
 
+def wander(num, seed):
+    """A bias that wanders, in standard deviations."""
+    rng, kept = np.random.default_rng([seed, 1]), np.exp(-1.0 / MEMORY)
+    left = [rng.normal()]
+    while len(left) < num:
+        left.append(kept * left[-1] + np.sqrt(1.0 - kept**2) * rng.normal())
+    return np.array(left)
+
+
 def made_chain(num=NUM, lap=LAP, seed=0, scale=SCALE):
     """Rounds whose wheels are off by a scale and roll a little askew, and the true poses."""
     rng = np.random.default_rng(seed)
     poses = true_poses(num, lap)
     steps = rigid.inverse(poses[:-1]) @ poses[1:]
     jacobian = np.zeros((num - 1, 6, 3))
-    jacobian[:, 0, 0], jacobian[:, 5, 1], jacobian[:, 1, 2] = 2.0, -0.2, 2.0
+    jacobian[:, 0, 0], jacobian[:, 5, 1], jacobian[:, 1, 2] = 2.0, 2 * np.pi / lap, 2.0
     off = jacobian @ np.array([1.0 - scale, 0.0, -TRAVEL]) + SIGMA * rng.normal(size=(num - 1, 6))
+    off[:, 5] += WANDER * wander(num - 1, seed)
     measured = steps @ rigid.exp(off)
     Ts = [poses[0]]
     for step in measured:
@@ -51,7 +63,9 @@ def made_chain(num=NUM, lap=LAP, seed=0, scale=SCALE):
         Ts_odom_base=np.array(Ts),
         steps_covariance=np.tile(np.diag(SIGMA**2), (num - 1, 1, 1)),
         steps_jacobian=jacobian,
-        calibration=np.array([1.0, 0.0, 0.0]),
+        steps_by_wander=np.tile([0.0, 0.0, 0.0, 0.0, 0.0, -WANDER], (num - 1, 1)),
+        wander_memory_s=0.2 * MEMORY,
+        calibration=np.array([1.0, 1.0, 0.0]),
         calibration_sigma=np.array([0.03, 1e-3, 0.01]),
         way_m=2.0 * np.arange(num),
         tilt_sigma_rad=np.full(num, 0.05),
@@ -74,7 +88,8 @@ def dense_optimum(graph, values):
 
     def at(x, values):
         poses = lie.compose(values["pose"], lie.exp(x[:split].reshape(num, 6)))
-        return {"pose": poses, "odometer": values["odometer"] + x[split : split + 3], "gnss": values["gnss"] + x[-2:]}
+        odometer, gnss = values["odometer"] + x[split : split + 3], values["gnss"] + x[split + 3 : split + 5]
+        return {"pose": poses, "odometer": odometer, "gnss": gnss, "wander": values["wander"] + x[split + 5 :, None]}
 
     def residuals(x, values):
         values = at(x, values)
@@ -82,7 +97,7 @@ def dense_optimum(graph, values):
 
     values_at, rows, slopes = jit_quickly(at), jit_quickly(residuals), jit_quickly(jax.jacfwd(residuals))
     for _ in range(2):  # the second time from the optimum: its tangents are those of the covariance
-        found = least_squares(rows, np.zeros(split + 5), slopes, x_scale="jac", xtol=1e-12, args=(values,))
+        found = least_squares(rows, np.zeros(split + 5 + num), slopes, x_scale="jac", xtol=1e-12, args=(values,))
         values = jax.tree.map(np.asarray, values_at(found.x, values))
     return values, np.linalg.inv(found.jac.T @ found.jac)
 
