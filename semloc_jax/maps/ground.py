@@ -37,6 +37,8 @@ _WHOLE_M = 10.0
 """Radius of what is called the whole road."""
 _BESIDE_M = 1.5
 """How far beside a vehicle the slope is looked at to see how much the road bends: about half a lane."""
+_BENDS_PER_M = 1.0 / 500.0
+"""Curvature of a road in height: crests and dips of town and country roads have radii of 500 m and more. Ours."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,8 @@ class GroundModel:
 
         Zero on a plane. On a crowned road the slope across differs by as much as the road bends from side to side,
         which is what the few lines of a map leave open of the slope between them; on the crown itself, where the plane
-        is that of neither side, by half the bend between both. Arguments as `road_pose`.
+        is that of neither side, by half the bend between both. Where the nearest ground is farther than the whole of a
+        fit reaches, the plane is that of another place, and the road has bent on the way. Arguments as `road_pose`.
         """
         center = np.array([x, y])
         forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
@@ -168,7 +171,10 @@ class GroundModel:
         beside = [self.plane(center + d * left, near_z_m=near_z_m, heading_rad=yaw) for d in (-_BESIDE_M, _BESIDE_M)]
         bend = max(abs((side.slope - own.slope) @ left) for side in beside)
         differs = np.abs([whole.height_m - own.height_m, *((whole.slope - own.slope) @ np.stack([left, forward]).T)])
-        return RoadSpread(float(differs[0]), max(float(differs[1]), 0.5 * float(bend)), float(differs[2]))
+        away_m = float(np.sqrt(max(float(self._tree.query(center)[0]) ** 2 - _WHOLE_M**2, 0.0)))
+        bent_m, bent_rad = 0.5 * _BENDS_PER_M * away_m**2, _BENDS_PER_M * away_m
+        roll_rad = max(float(differs[1]), 0.5 * float(bend))
+        return RoadSpread(*np.hypot([differs[0], roll_rad, differs[2]], [bent_m, bent_rad, bent_rad]).tolist())
 
     def _neighbours(
         self, center: np.ndarray, radius_m: float, near_z_m: float | None, heading_rad: float | None
