@@ -22,7 +22,6 @@ from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.track_state import FrameFeatures, Track, TrackerState
 
-
 _OUTSIDE = "outside of the map"
 
 

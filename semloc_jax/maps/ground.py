@@ -165,16 +165,25 @@ class GroundModel:
         fit reaches, the plane is that of another place, and the road has bent on the way. Arguments as `road_pose`.
         """
         center = np.array([x, y])
+        if self._tree is None:
+            return RoadSpread()
+        away_m = float(np.sqrt(max(float(self._tree.query(center)[0]) ** 2 - _WHOLE_M**2, 0.0)))
+        bent_m, bent_rad = 0.5 * _BENDS_PER_M * away_m**2, _BENDS_PER_M * away_m
+        try:
+            crown = self._crown(center, yaw, near_z_m)
+        except SemlocError:  # beside the place, paint is too far to be looked for: what the way to it bends decides
+            crown = RoadSpread()
+        return RoadSpread(*np.hypot(crown, [bent_m, bent_rad, bent_rad]).tolist())
+
+    def _crown(self, center: np.ndarray, yaw: float, near_z_m: float | None) -> RoadSpread:
+        """Returns how far one side of a road differs from both together."""
         forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
         own = self.plane(center, near_z_m=near_z_m, heading_rad=yaw)
         whole = self.plane(center, _WHOLE_M, near_z_m)
         beside = [self.plane(center + d * left, near_z_m=near_z_m, heading_rad=yaw) for d in (-_BESIDE_M, _BESIDE_M)]
         bend = max(abs((side.slope - own.slope) @ left) for side in beside)
         differs = np.abs([whole.height_m - own.height_m, *((whole.slope - own.slope) @ np.stack([left, forward]).T)])
-        away_m = float(np.sqrt(max(float(self._tree.query(center)[0]) ** 2 - _WHOLE_M**2, 0.0)))
-        bent_m, bent_rad = 0.5 * _BENDS_PER_M * away_m**2, _BENDS_PER_M * away_m
-        roll_rad = max(float(differs[1]), 0.5 * float(bend))
-        return RoadSpread(*np.hypot([differs[0], roll_rad, differs[2]], [bent_m, bent_rad, bent_rad]).tolist())
+        return RoadSpread(float(differs[0]), max(float(differs[1]), 0.5 * float(bend)), float(differs[2]))
 
     def _neighbours(
         self, center: np.ndarray, radius_m: float, near_z_m: float | None, heading_rad: float | None

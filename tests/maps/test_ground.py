@@ -93,6 +93,8 @@ def test_a_road_is_in_doubt_where_the_map_ends():
     at_end, beyond = (ground.road_spread(end_m + away, 0.0, 0.0) for away in (0.0, 30.0))
     assert at_end.height_m < 0.01
     assert 0.4 < beyond.height_m < 1.2 and 2.0 < np.degrees(beyond.pitch_rad) < 5.0
+    # Where paint is as far as it is looked for, a place may have a plane and the one beside it none.
+    assert ground.road_spread(end_m + 70.0, 0.0, 0.0).height_m > beyond.height_m
 
 
 def test_road_pose_keeps_heading_and_stands_on_the_plane():
