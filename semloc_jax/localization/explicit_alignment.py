@@ -38,7 +38,8 @@ class ExplicitAligner(FrameAligner):
         T_road = self.on_road(T_map_predicted)
         T_start, window = self.standing(T_road, stance)
         local = window.local_map.frame
-        sigma = self.prior_sigma(covariance, self.map.road_spread(T_road))
+        spread = self.map.road_spread(T_road)
+        sigma = self.prior_sigma(covariance, spread)
         landmarks = landmarks_of(window)
         rows = self.map.rows_of(window.element_ids[mark.element] for mark in landmarks)
         found = explicit_frame(
@@ -52,7 +53,7 @@ class ExplicitAligner(FrameAligner):
         T = rigid.normalised(local.to_map(found.pose.T_local_base))
         own = masks_covariance(found.pose.covariance, sigma, self.config.min_information)
         answer = _alignment(found, PoseMeasurement(frame.time_s, T, own), rows)
-        return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ T)[2:5])
+        return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ T)[2:5], road_spread=spread)
 
 
 def landmarks_of(window: MapWindow) -> tuple[Landmark, ...]:

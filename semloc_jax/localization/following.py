@@ -22,6 +22,8 @@ from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.track_state import FrameFeatures, Track, TrackerState
 
+_OUTSIDE = "outside of the map"
+
 
 @dataclass(frozen=True)
 class FollowConfig:
@@ -70,6 +72,21 @@ def new_track(fusion: Fusion, measurement: PoseMeasurement, penalty: float) -> T
         num_refused=np.float64(0.0),
         along_sigma_m=np.float64(0.0),
     )
+
+
+def regained(fusion: Fusion, coasting: Any, measurement: PoseMeasurement, penalty: float) -> Track:
+    """A track that begins at a measured pose, with what dead reckoning still knows where the two fit each other: place,
+    velocity and biases stay as sure as they were.
+
+    Args:
+        fusion: What tracks are made of.
+        coasting: Its state by dead reckoning at the time of the pose.
+        measurement: The pose.
+        penalty: Of the track [nats].
+    """
+    state, innovation = fusion.correct(coasting, measurement)
+    track = new_track(fusion, measurement, penalty)
+    return track._replace(fusion=state) if innovation.accepted else track
 
 
 def rehearse(fusion: Fusion, num_frames: int = 16) -> None:
@@ -167,14 +184,21 @@ def seen(
     grain: np.ndarray,
     config: HealthConfig,
 ) -> FrameReport:
-    """What the masks of a frame say about a predicted track."""
+    """What the masks of a frame say about a predicted track.
+
+    A vehicle that stands where the map holds nothing may look at a part of it that begins farther ahead.
+    """
     pose = fusion.pose(track.fusion)
-    if aligner.windows.around(pose.T_map_base[:3, 3]).nearest_m(pose.T_map_base[:2, 3]) > config.off_map_m:
-        return FrameReport(None, False, True, ("outside of the map",))
+    window, outside = aligner.windows.around(pose.T_map_base[:3, 3]), FrameReport(None, False, True, (_OUTSIDE,))
+    if not window.local_map.elements:
+        return outside
     try:
         found = aligner.align(frame, pose.T_map_base, pose.covariance, float(track.along_sigma_m), trust, stance, grain)
     except SemlocError:
-        return FrameReport(None, False, True, ("outside of the map: no road there",))
+        return outside._replace(reasons=(f"{_OUTSIDE}: no road there",))
+    is_far = window.nearest_m(pose.T_map_base[:2, 3]) > config.off_map_m
+    if is_far and found.in_view_px < config.min_in_view_px:
+        return outside
     is_occluded, reasons = health.frame_problems(found, frame.usable_share, config)
     return FrameReport(found, is_occluded, False, reasons)
 

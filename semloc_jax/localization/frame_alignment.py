@@ -81,6 +81,8 @@ class Alignment(NamedTuple):
     """Of the masks of this frame alone, see `NoiseModel.grain`."""
     stance: Float[np.ndarray, "3"] = np.zeros(3)
     """Height [m], roll and pitch [rad] of the vehicle over the road, as measured."""
+    road_spread: RoadSpread = RoadSpread()
+    """How far the road there may be from the plane that the stance is over."""
     rows: Int[np.ndarray, " element"] = np.arange(0)
     """Which elements of the map these are, ascending."""
     matched: Int[np.ndarray, " match"] = np.arange(0)
@@ -148,7 +150,8 @@ class FrameAligner:
             align_predicted(np.asarray(T_local_base, np.float32), prior, inputs, local_trust, self.step)
         )
         answer = self._answer(found, frame.time_s, local, sigma, index, moved_m)
-        return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ answer.measurement.T_map_base)[2:5])
+        stance = rigid.log(rigid.inverse(T_road) @ answer.measurement.T_map_base)[2:5]
+        return answer._replace(stance=stance, road_spread=self.road_under(T_map_predicted)[1])
 
     def costs_beside(
         self,

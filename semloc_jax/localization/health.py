@@ -35,7 +35,7 @@ class HealthConfig:
     max_off_map: float = 4.0
     """Lost (a): frames in a row outside of the map."""
     off_map_m: float = 10.0
-    """Farther from every element than this is outside of the map."""
+    """Farther from every element than this is outside of the map, unless enough of it is in view all the same."""
     max_conflicts: float = 3.0
     """Lost: satellite fixes in a row that contradict the pose."""
     conflict_m: float = 6.0

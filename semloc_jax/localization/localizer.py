@@ -33,6 +33,7 @@ from semloc_jax.localization.following import (
     corrected,
     grain_after,
     new_track,
+    regained,
     seen,
     stance_after,
     way_since,
@@ -286,7 +287,9 @@ class Localizer:
         if len(kept) == 1 and view.is_accepted:
             found = view.found
             trust = map_faults.updated(trust, found.visible_px, found.missed_px, self.config.trust, found.rows)
-            road, covariance = self.config.scene.road, found.measurement.covariance
+            road = self.config.scene.road
+            # Where the map leaves the road open, a stance over it says little.
+            covariance = found.measurement.covariance + np.diag([0.0, 0.0, *found.road_spread, 0.0]) ** 2
             stance = stance_after(state.stance, found.stance, covariance, road, self.config.follow)
             state = state._replace(stance=stance)
         if view.is_accepted:
@@ -333,10 +336,12 @@ class Localizer:
             return state
         measured = [self.acquisition.measurement(mode, frame.time_s) for mode in modes]
         penalties = [mode.score - modes[0].score for mode in modes]
-        tracks = tuple(
-            new_track(self.fusion, m, self.config.follow.penalty_share * max(p, 0.0))
-            for m, p in zip(measured, penalties, strict=True)
-        )
+        begun = partial(new_track, self.fusion)
+        # What satellites contradict is no dead reckoning to go on with.
+        if state.coasting and state.counters.conflicts < self.config.health.max_conflicts:
+            begun = partial(regained, self.fusion, state.coasting[0])
+        share = self.config.follow.penalty_share
+        tracks = tuple(begun(m, share * max(p, 0.0)) for m, p in zip(measured, penalties, strict=True))
         forgotten = noise_scale.without_poses(state.noise)
         state = state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten)
         return _as_new(state)

@@ -40,6 +40,8 @@ _WHOLE_M = 10.0
 """Radius of what is called the whole road."""
 _BESIDE_M = 1.5
 """How far beside a vehicle the slope is looked at to see how much the road bends: about half a lane."""
+_BENDS_PER_M = 1.0 / 500.0
+"""Curvature of a road in height: crests and dips of town and country roads have radii of 500 m and more. Ours."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,8 @@ class GroundModel:
 
         Zero on a plane. On a crowned road the slope across differs by as much as the road bends from side to side,
         which is what the few lines of a map leave open of the slope between them; on the crown itself, where the plane
-        is that of neither side, by half the bend between both. Arguments as `road_pose`.
+        is that of neither side, by half the bend between both. Where the nearest ground is farther than the whole of a
+        fit reaches, the plane is that of another place, and the road has bent on the way. Arguments as `road_pose`.
         """
         return self.road_under(x, y, yaw, near_z_m)[1]
 
@@ -161,6 +164,18 @@ class GroundModel:
     ) -> tuple[np.ndarray, RoadSpread]:
         """Returns `road_pose` and `road_spread` of a place in one go."""
         center = np.array([x, y])
+        if self._tree is None:
+            return RoadSpread()
+        away_m = float(np.sqrt(max(float(self._tree.query(center)[0]) ** 2 - _WHOLE_M**2, 0.0)))
+        bent_m, bent_rad = 0.5 * _BENDS_PER_M * away_m**2, _BENDS_PER_M * away_m
+        try:
+            crown = self._crown(center, yaw, near_z_m)
+        except SemlocError:  # beside the place, paint is too far to be looked for: what the way to it bends decides
+            crown = RoadSpread()
+        return RoadSpread(*np.hypot(crown, [bent_m, bent_rad, bent_rad]).tolist())
+
+    def _crown(self, center: np.ndarray, yaw: float, near_z_m: float | None) -> RoadSpread:
+        """Returns how far one side of a road differs from both together."""
         forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
         around = [self._neighbours(center + d * left, _RADIUS_M, near_z_m, yaw) for d in (0.0, -_BESIDE_M, _BESIDE_M)]
         own, *beside, whole = _fit_planes([*around, self._neighbours(center, _WHOLE_M, near_z_m, None)])

@@ -8,6 +8,7 @@ from semloc_jax.fusion.measurements import PoseMeasurement
 from semloc_jax.fusion.noise_scale import (
     DIRECTIONS,
     NoiseConfig,
+    contour_distance_m,
     correlation_m,
     factors,
     learned,
@@ -80,3 +81,20 @@ def test_poses_of_another_path_are_not_compared():
         PoseMeasurement(9.0, T, MODEL))), increment(0), 1.0, CONFIG)  # fmt: skip
     assert np.array_equal(again.far, noise.far)
     assert np.array_equal(factors(again, CONFIG), factors(noise, CONFIG))
+
+
+def test_contours_far_ahead_are_one_measurement_for_longer():
+    """Poses that a map 32 m ahead held were off by the same 13 cm and 0.2 deg for 20 frames; taken for new in each of
+    them, they made a pose six times too sure. Along the way errors were new in every frame."""
+    fresh, shared = unknown_noise(), []
+    for distance_m in (8.0, 32.0):
+        seen = np.diag([1.0, 0.0, 1.0, 1.0, 1.0, 0.0]) * 1e-4
+        across, heading = np.array([0, 1, 0, 0, 0, distance_m]), np.array([0, 0, 0, 0, 0, 1.0])
+        jacobian = np.stack([across, heading])[:, [1, 5]]
+        own = np.linalg.inv(jacobian.T @ np.diag([1 / 0.02**2, 1 / 0.003**2]) @ jacobian)
+        seen[np.ix_([1, 5], [1, 5])] = own
+        assert contour_distance_m(seen) == pytest.approx(distance_m)
+        shared.append(np.diagonal(of_a_series(seen, 1.1, fresh, CONFIG)) / np.diagonal(seen))
+    near, far = shared
+    assert far[0] == pytest.approx(near[0])
+    assert far[1] > 8.0 * near[1] and far[5] > 8.0 * near[5]

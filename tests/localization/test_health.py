@@ -5,9 +5,11 @@ import pytest
 
 from semloc_jax.alignment.longitudinal import LongitudinalConfig, is_searched
 from semloc_jax.alignment.pose_prior import RoadSigmas
+from semloc_jax.fusion.inertial_fusion import InertialFusion
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, Innovation, PoseMeasurement
+from semloc_jax.geometry import rigid
 from semloc_jax.localization import health, map_faults
-from semloc_jax.localization.following import FollowConfig, FrameReport, conflicts_after, stance_after
+from semloc_jax.localization.following import FollowConfig, FrameReport, conflicts_after, regained, stance_after
 from semloc_jax.localization.frame_alignment import Alignment, masks_covariance
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.map_faults import TrustConfig
@@ -130,6 +132,21 @@ def test_a_lasting_tilt_is_learned_and_a_weak_view_hardly_moves_it():
     for _ in range(200):
         stance = stance_after(stance, 10 * measured, sharp, road, config)
     assert np.degrees(stance[2]) == pytest.approx(config.max_tilt_deg)
+
+
+def test_a_track_that_is_found_again_keeps_what_dead_reckoning_knows():
+    """Velocity and biases are those of before the map was lost, unless the pose contradicts dead reckoning."""
+    fusion, moving = InertialFusion(), np.array([12.0, 0.0, 0.0])
+    coasting = fusion.start(PoseMeasurement(0.0, np.eye(4), 1e-2 * np.eye(6)))
+    known = coasting.covariance.copy()
+    known[6:9, 6:9] = 0.01 * np.eye(3)
+    coasting = coasting._replace(velocity_map=moving, covariance=known)
+    for ahead_m, is_kept in ((0.1, True), (5.0, False)):
+        found = PoseMeasurement(0.0, rigid.exp(np.array([ahead_m, 0, 0, 0, 0, 0])), 1e-2 * np.eye(6))
+        track = regained(fusion, coasting, found, 0.5)
+        assert np.allclose(track.fusion.velocity_map, moving if is_kept else 0.0)
+        assert track.fusion.T_map_base[0, 3] == pytest.approx(0.5 * ahead_m if is_kept else ahead_m)
+        assert int(track.num_accepted) == 0 and float(track.penalty) == 0.5
 
 
 def three_elements() -> SemanticMap:
