@@ -155,11 +155,6 @@ def targets(sample: CylinderSample) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     return heat, asked, told, share
 
 
-def lesson_loss(network: Callable[[Array], Array], batches: Sequence[ObstacleBatch]) -> Float[Array, ""]:
-    """Mean of the losses of batches of windows of different sizes."""
-    return sum((obstacle_loss(network, batch) for batch in batches), jnp.zeros(())) / len(batches)
-
-
 def obstacle_loss(network: Callable[[Array], Array], batch: ObstacleBatch) -> Float[Array, ""]:
     """Focal loss of the classes (Law and Deng 2018); errors of boxes and feet as shares of the sides of the box."""
     said, num_kinds = jax.vmap(network)(jnp.asarray(batch.picture)), len(KINDS)

@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.average_precision import BoxScore, BoxSet, box_score
-from semloc_jax.learning.obstacle_boxes import CylinderPool, is_asked, lesson_loss
+from semloc_jax.learning.obstacle_boxes import CylinderPool, is_asked, obstacle_loss
 from semloc_jax.learning.sureness import UNSEEN_SEED, begun
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.perception.networks.dense_net import DenseNet
@@ -35,29 +35,24 @@ class ObstacleLearningConfig:
         num_pictures: random views that are drawn; each step cuts windows from some of them.
         width_px: their width.
         window_px: width and height of the windows; lower ones never show a near pillar whole.
-        batch: so many of them in one step.
-        close_px: width and height of windows about single things: the same time shows many more of them.
-        num_close: so many of those in one step.
+        batch: windows of one step.
         num_judged: random views that judge.
         precision: the threshold is the lowest one with this precision on them.
         training: steps, rate, seed.
     """
 
-    num_pictures: int = 700
+    num_pictures: int = 1600
     width_px: int = 256
     window_px: tuple[int, int] = (96, 320)
-    batch: int = 2
-    close_px: tuple[int, int] = (96, 96)
-    num_close: int = 8
+    batch: int = 16
     num_judged: int = 150
     precision: float = 0.85
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=4000))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=2000))
 
     def __post_init__(self) -> None:
-        step, sides = CONFIG.step_px, (*self.window_px, *self.close_px, self.width_px)
-        fits = all(w <= self.width_px and h <= SIZE_PX[1] for w, h in (self.window_px, self.close_px))
-        least = min(self.num_pictures, self.batch, self.num_close, self.num_judged, *sides)
-        if least < 1 or not fits or any(side % step for side in sides):
+        step, (width, height) = CONFIG.step_px, self.window_px
+        fits = width <= self.width_px and height <= SIZE_PX[1] and not (width % step or height % step)
+        if min(self.num_pictures, self.batch, self.num_judged, width, height) < 1 or not fits or self.width_px % step:
             raise SemlocError(
                 f"learn obstacles: {self}; expected counts of at least 1, sides that are multiples of {step}, and "
                 f"windows of at most width_px x {SIZE_PX[1]}"
@@ -105,11 +100,8 @@ def taught(
     pool = CylinderPool(config.num_pictures, config.width_px, config.training.seed)
     return train(
         network,
-        lesson_loss,
-        lambda rng: (
-            pool.batch(rng, config.batch, config.window_px),
-            pool.batch(rng, config.num_close, config.close_px),
-        ),
+        obstacle_loss,
+        lambda rng: pool.batch(rng, config.batch, config.window_px),
         config.training,
         checkpoint,
         on_step,

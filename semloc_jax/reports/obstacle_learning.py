@@ -109,7 +109,7 @@ def _write_network(
     lesson = {
         "pictures": config.num_pictures,
         "steps": config.training.num_steps,
-        "windows": [[*config.window_px, config.batch], [*config.close_px, config.num_close]],
+        "batch": config.batch,
         "seed": config.training.seed,
     }
     before = [] if begin_with is None else list(read_card(begin_with).get("lessons", ()))

@@ -133,7 +133,6 @@ def test_a_random_view_is_judged_like_a_drive(samples):
 @pytest.mark.usefixtures("single_precision")
 def test_a_tiny_lesson_writes_everything(tmp_path, capsys):
     words = ["--num-pictures", "3", "--width-px", "96", "--window-px", "64", "96", "--batch", "2", "--num-judged", "2"]
-    words += ["--close-px", "64", "64", "--num-close", "1"]
     words += ["--training.num-steps", "2", "--out", str(tmp_path)]
     assert main(["learn", "obstacles", *words]) == 0
     assert "parameters, threshold" in capsys.readouterr().out

@@ -76,7 +76,7 @@ def paint_on_road(rng: np.random.Generator, canvas: Canvas, layout: Layout, size
         flat = np.asarray(quad) + shift
         if np.linalg.norm(flat, axis=1).min() < 14.0:
             canvas.area(np.column_stack([flat, np.zeros(len(flat))]), colour, 0, 8)
-    if rng.random() < 0.3:
+    if rng.random() < 0.2:
         _bump(rng, canvas)
     worn = rng.uniform(0.5, 1.0)
     canvas.picture[:] = worn * canvas.picture + (1.0 - worn) * before
