@@ -95,6 +95,10 @@ def looked(
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
     T = view.found.measurement.T_map_base
     again = partial(_again, view=view, frame=frame, aligner=aligner, known=known, config=config)
+    try:
+        profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
+    except SemlocError:  # the pose was measured where the map has no road: such a frame says nothing of it
+        return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
     names = asked_now(watch, len(frame.rig.names), config)
     sides = [far_side(watch, len(frame.rig.names), name) for name in names]
     tried = [_tried(*one, frame.rig, again, config) for one in zip(names, sides, strict=True)]
@@ -102,7 +106,6 @@ def looked(
     if other is not None:
         gain, moved = again((other,))
         watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))
-    profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
     watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
     return learned(watch, len(frame.rig.names), aside, tried, profiles, config)
 
