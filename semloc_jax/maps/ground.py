@@ -157,32 +157,40 @@ class GroundModel:
         is that of neither side, by half the bend between both. Where the nearest ground is farther than the whole of a
         fit reaches, the plane is that of another place, and the road has bent on the way. Arguments as `road_pose`.
         """
-        return self.road_under(x, y, yaw, near_z_m)[1]
+        center = np.array([x, y])
+        try:
+            crown = self._own_and_crown(center, yaw, near_z_m)[1]
+        except SemlocError:  # beside the place, paint is too far to be looked for: what the way to it bends decides
+            crown = RoadSpread()
+        return self._bent(center, crown)
 
     def road_under(
         self, x: float, y: float, yaw: float, near_z_m: float | None = None
     ) -> tuple[np.ndarray, RoadSpread]:
         """Returns `road_pose` and `road_spread` of a place in one go."""
         center = np.array([x, y])
-        if self._tree is None:
-            return RoadSpread()
-        away_m = float(np.sqrt(max(float(self._tree.query(center)[0]) ** 2 - _WHOLE_M**2, 0.0)))
-        bent_m, bent_rad = 0.5 * _BENDS_PER_M * away_m**2, _BENDS_PER_M * away_m
         try:
-            crown = self._crown(center, yaw, near_z_m)
-        except SemlocError:  # beside the place, paint is too far to be looked for: what the way to it bends decides
-            crown = RoadSpread()
-        return RoadSpread(*np.hypot(crown, [bent_m, bent_rad, bent_rad]).tolist())
+            own, crown = self._own_and_crown(center, yaw, near_z_m)
+        except SemlocError:
+            own, crown = self.plane(center, near_z_m=near_z_m, heading_rad=yaw), RoadSpread()
+        return _on_plane(own, yaw), self._bent(center, crown)
 
-    def _crown(self, center: np.ndarray, yaw: float, near_z_m: float | None) -> RoadSpread:
-        """Returns how far one side of a road differs from both together."""
+    def _own_and_crown(self, center: np.ndarray, yaw: float, near_z_m: float | None) -> tuple[RoadPlane, RoadSpread]:
+        """Returns the plane of one side of a road and how far it differs from both together."""
         forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
         around = [self._neighbours(center + d * left, _RADIUS_M, near_z_m, yaw) for d in (0.0, -_BESIDE_M, _BESIDE_M)]
         own, *beside, whole = _fit_planes([*around, self._neighbours(center, _WHOLE_M, near_z_m, None)])
         bend = max(abs((side.slope - own.slope) @ left) for side in beside)
         differs = np.abs([whole.height_m - own.height_m, *((whole.slope - own.slope) @ np.stack([left, forward]).T)])
-        spread = RoadSpread(float(differs[0]), max(float(differs[1]), 0.5 * float(bend)), float(differs[2]))
-        return _on_plane(own, yaw), spread
+        return own, RoadSpread(float(differs[0]), max(float(differs[1]), 0.5 * float(bend)), float(differs[2]))
+
+    def _bent(self, center: np.ndarray, crown: RoadSpread) -> RoadSpread:
+        """Returns the spread of a place with what a road bends on the way to it from the nearest ground."""
+        if self._tree is None:
+            return RoadSpread()
+        away_m = float(np.sqrt(max(float(self._tree.query(center)[0]) ** 2 - _WHOLE_M**2, 0.0)))
+        bent_m, bent_rad = 0.5 * _BENDS_PER_M * away_m**2, _BENDS_PER_M * away_m
+        return RoadSpread(*np.hypot(crown, [bent_m, bent_rad, bent_rad]).tolist())
 
     def _neighbours(
         self, center: np.ndarray, radius_m: float, near_z_m: float | None, heading_rad: float | None
