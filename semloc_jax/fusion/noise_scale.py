@@ -152,7 +152,7 @@ def of_a_series(
 
     The mean of many errors with correlation exp(-way / length) between neighbours has (1 + rho) / (1 - rho) times the
     variance that independent ones would have. A vehicle that stands learns next to nothing, and one that looks at
-    contours far ahead little across and in heading.
+    contours far ahead little.
 
     Args:
         covariance: Of the measured pose alone, see `of_one_pose`.
@@ -160,8 +160,8 @@ def of_a_series(
         noise: What the drive says.
         config: Beliefs.
     """
-    seen_m = np.array([way_m, *[way_in_view_m(covariance, way_m, config)] * 2])
-    rho = np.exp(-np.maximum(seen_m, config.standing_m) / correlation_m(noise, config))
+    seen_m = max(way_in_view_m(covariance, way_m, config), config.standing_m)
+    rho = np.exp(-seen_m / correlation_m(noise, config))
     return _scaled(covariance, (1.0 + rho) / (1.0 - rho))
 
 

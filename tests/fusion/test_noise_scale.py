@@ -85,7 +85,7 @@ def test_poses_of_another_path_are_not_compared():
 
 def test_contours_far_ahead_are_one_measurement_for_longer():
     """Poses that a map 32 m ahead held were off by the same 13 cm and 0.2 deg for 20 frames; taken for new in each of
-    them, they made a pose six times too sure. Along the way errors were new in every frame."""
+    them, they made a pose six times too sure."""
     fresh, shared = unknown_noise(), []
     for distance_m in (8.0, 32.0):
         seen = np.diag([1.0, 0.0, 1.0, 1.0, 1.0, 0.0]) * 1e-4
@@ -96,5 +96,4 @@ def test_contours_far_ahead_are_one_measurement_for_longer():
         assert contour_distance_m(seen) == pytest.approx(distance_m)
         shared.append(np.diagonal(of_a_series(seen, 1.1, fresh, CONFIG)) / np.diagonal(seen))
     near, far = shared
-    assert far[0] == pytest.approx(near[0])
-    assert far[1] > 8.0 * near[1] and far[5] > 8.0 * near[5]
+    assert (far > 8.0 * near).all()
