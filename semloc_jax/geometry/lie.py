@@ -146,10 +146,16 @@ def se3_right_jacobian_inverse(xi: Float[ArrayLike, "*b 6"]) -> Float[Array, "*b
     slope = (1 / jnp.sin(half) ** 2 - 1 / (half * jnp.tan(half))) / 8
     a = jnp.where(small, _series([(1 - n) * c for n, c in enumerate(_BERNOULLI)], s), 2 * rest / safe - slope)
     b = jnp.where(small, _series([n * c for n, c in enumerate(_BERNOULLI)][1:], s), (slope * safe - rest) / safe**2)
-    W, V = skew(xi[..., 3:]), skew(xi[..., :3])
-    ad = jnp.concatenate([jnp.concatenate([W, V], -1), jnp.concatenate([jnp.zeros_like(W), W], -1)], -2)
+    ad = small_adjoint(xi)
     ad2 = jnp.matmul(ad, ad, precision=_HIGHEST)
     return jnp.eye(6, dtype=xi.dtype) + ad / 2 + a * ad2 + b * jnp.matmul(ad2, ad2, precision=_HIGHEST)
+
+
+def small_adjoint(xi: Float[ArrayLike, "*b 6"]) -> Float[Array, "*b 6 6"]:
+    """ad with Ad of exp(xi) = exp(ad)."""
+    xi = _floating(xi)
+    W, V = skew(xi[..., 3:]), skew(xi[..., :3])
+    return jnp.concatenate([jnp.concatenate([W, V], -1), jnp.concatenate([jnp.zeros_like(W), W], -1)], -2)
 
 
 def adjoint(T_a_b: Float[ArrayLike, "*b 4 4"]) -> Float[Array, "*b 6 6"]:

@@ -194,7 +194,7 @@ class SemanticMap:
     def road_under(
         self, x: float, y: float, yaw: float, near_z_m: float | None = None
     ) -> tuple[np.ndarray, RoadSpread]:
-        """Returns `road_pose` and `road_spread` of a place, for half of what both cost; arguments as `road_pose`."""
+        """Returns `road_pose` and `road_spread` of a place in one go; arguments as `road_pose`."""
         return self.ground.road_under(x, y, yaw, near_z_m)
 
     @staticmethod

@@ -178,8 +178,7 @@ def odometry_linearised(
     J_from = -_mul(J_to, lie.adjoint(lie.inverse(T_moved)))
     T_to_measured = lie.compose(lie.inverse(T_moved), lie.compose(T_from_to, correction))
     # d exp(c) = exp(c) (1 - ad / 2 + ad^2 / 6 - ...) dc
-    W, V = lie.skew(change[3:]), lie.skew(change[:3])
-    ad = jnp.block([[W, V], [jnp.zeros_like(W), W]])
+    ad = lie.small_adjoint(change)
     by_calibration = jacobian - _mul(ad, jacobian / 2.0 - _mul(ad, jacobian / 6.0))
     return r, J_from, J_to, -_mul(J_to, _mul(lie.adjoint(T_to_measured), by_calibration))
 

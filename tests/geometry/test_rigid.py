@@ -27,6 +27,8 @@ def test_exp_is_the_matrix_exponential_and_log_its_inverse(size):
     assert np.allclose(T, [expm(hat(x)) for x in xi], atol=1e-12)
     assert np.allclose(rigid.log(T), xi, atol=1e-9)
     assert np.allclose(rigid.inverse(T) @ T, np.eye(4), atol=1e-12)
+    for one, motion in zip(xi, T, strict=True):  # alone they are computed another way
+        assert np.allclose(rigid.exp(one), motion, atol=1e-14) and np.allclose(rigid.log(motion), one, atol=1e-9)
 
 
 def test_same_numbers_as_the_jax_room():

@@ -86,6 +86,14 @@ def test_the_spread_of_a_road_is_its_crown():
     np.testing.assert_allclose(flat, 0.0, atol=2e-3)
 
 
+@pytest.mark.parametrize("x", [0.0, 38.0, 60.0, 99.0], ids=["within", "at the end", "beyond", "nothing beside"])
+def test_pose_and_spread_in_one_go_are_those_alone(x):
+    ground = GroundModel.from_elements([_lane(y, f"lane{y}", np.random.default_rng(1)) for y in (-3.5, 0.0, 3.5)])
+    T, spread = ground.road_under(x, 1.0, 0.3)
+    np.testing.assert_allclose(T, ground.road_pose(x, 1.0, 0.3), atol=1e-12)
+    np.testing.assert_allclose(spread, ground.road_spread(x, 1.0, 0.3), atol=1e-12)
+
+
 def test_a_road_is_in_doubt_where_the_map_ends():
     """A plane that goes on 30 m beyond its last paint was 1.2 m and 2.6 deg off a rendered road, at a sigma of 3 cm."""
     ground = GroundModel.from_elements([_lane(y, f"lane{y}") for y in (-3.5, 0.0, 3.5)])
