@@ -11,27 +11,26 @@ import numpy as np
 from tqdm import tqdm
 
 from semloc_jax.datasets import Drive
-from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.inputs.surround_masks import check_surround_masks
 from semloc_jax.mapping.chain import drive_chain
-from semloc_jax.mapping.object_tracks import ObjectTrackConfig, wrapped
+from semloc_jax.mapping.object_tracks import ObjectTrackConfig
 from semloc_jax.mapping.obstacle_sights import ObstacleConfig
 from semloc_jax.mapping.obstacle_tracks import ObstacleFollower, ObstacleTrack
-from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
+from semloc_jax.maps import BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.io.drive_geojson import write_drive_geojson
 from semloc_jax.perception.networks.obstacle_net import ObstacleNet
 from semloc_jax.perception.obstacle_classes import OBSTACLES
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.object_errors import is_slow, last_poses
+from semloc_jax.reports.objects import Tables, belief_of, placed, write_objects
 from semloc_jax.reports.obstacle_errors import obstacle_errors
-from semloc_jax.reports.tables import OBJECT_POSE, write_csv
 from semloc_jax.reports.top_view_film import SIZE_M, top_view_film
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz.object_recording import RecordedThing, object_recording
 from semloc_jax.viz.obstacles import COLOURS, DrawnObstacle, draw_obstacles, ellipse
 
-SIZE = ("length_m", "width_m", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
+_TABLES = Tables("obstacles", "class", ("length_m", "width_m"))
 _PILLAR_M = 2.5
 """Drawn height of a pillar whose top nobody saw."""
 
@@ -84,33 +83,21 @@ def report_obstacles(
                 film.add(frame, lambda top, view, drawn=drawn: draw_obstacles(top, view, drawn))
     final = follower.tracker.final()
     last = last_poses(final, drive, chain.Ts_odom_base)
-    write_csv(folder / "obstacles.csv", ("t", "track", "class", *OBJECT_POSE, *SIZE, "confirmed"), rows)
-    columns = ("t_last", "track", "class", *OBJECT_POSE, *SIZE, "num_seen", "num_missed")
-    table = [(*_row(t.last_s, t, last[t.id])[:-1], t.num_seen, t.num_missed) for t in final]
-    write_csv(folder / "obstacles_final.csv", columns, table)
     _write_map(folder, final, drive.name)
-    metrics = [
-        Metric("frames", float(len(chosen)), "frames", "report"),
-        Metric("obstacles.sights", float(len(rows)), "sights", "report"),
-        Metric("obstacles.final", float(len(final)), "obstacles", "report"),
-        *errors.metrics(final, last),
-    ]
-    write_metrics(metrics, folder / "metrics.json")
     write_record(folder, {"sights": follower.observer.config, "tracks": follower.tracker.config}, options or {})
-    said = f"{len(chosen)} frames: {len(rows)} sights of obstacles, {len(final)} obstacles confirmed"
-    return "\n".join([said, format_metrics(metrics), *notes, f"results: {folder}"])
+    return write_objects(
+        folder, _TABLES, rows, final, lambda track: _row(track.last_s, track, last[track.id]), len(chosen),
+        errors.metrics(final, last), notes,
+    )  # fmt: skip
 
 
 def _row(time_s: float, track: ObstacleTrack, T_odom_base: np.ndarray) -> tuple:
     """One line of a table: the fused obstacle in base and odom; sigmas are along x and y of the base frame."""
-    R, print_of = T_odom_base[:2, :2], track.footprint()
-    x, y = R.T @ (track.pose[:2] - T_odom_base[:2, 3])
-    yaw = wrapped(print_of.yaw_rad - float(np.arctan2(R[1, 0], R[0, 0])))
-    C = R.T @ track.covariance[:2, :2] @ R
-    numbers = [f"{value:.4f}" for value in (x, y, yaw, *track.pose[:2], print_of.yaw_rad)]
+    print_of = track.footprint()
+    pose, sigmas = placed(track, print_of.yaw_rad, T_odom_base)
     size = [f"{value:.3f}" for value in (print_of.length_m, print_of.width_m)]
-    told = [f"{value:.4f}" for value in (*np.sqrt([C[0, 0], C[1, 1]]), print_of.sigma_yaw_rad, track.existence)]
-    return (f"{time_s:.3f}", track.id, track.kind, *numbers, *size, *told, int(track.confirmed))
+    told = [f"{value:.4f}" for value in (*sigmas, print_of.sigma_yaw_rad, track.existence)]
+    return (f"{time_s:.3f}", track.id, track.kind, *pose, *size, *told, int(track.confirmed))
 
 
 def outline_of(track: ObstacleTrack) -> np.ndarray:
@@ -141,14 +128,10 @@ def _write_map(folder: Path, final: Sequence[ObstacleTrack], name: str) -> None:
     """Cones and pillars as elements with their beliefs, locks and signs as points with the same; in odom."""
     elements, beliefs, more = [], {}, []
     for track in final:
-        sigma = float(np.sqrt(0.5 * np.trace(track.covariance[:2, :2])))
-        belief = Belief(
-            sigma, sigma, track.existence_logit, track.num_seen, track.num_missed, last_seen_s=track.last_s,
-            provenance=name,
-        )  # fmt: skip
+        belief = belief_of(track, name)
         kind, name_of = OBSTACLES[track.kind], f"{track.kind}_{track.id}"
         if kind.label is None:
-            more.append(_point(track, name_of, sigma))
+            more.append(_point(track, name_of, belief.sigma_across_m))
             continue
         beliefs[name_of] = belief
         elements.append(_element(track, name_of, kind.label))

@@ -11,28 +11,27 @@ import numpy as np
 from tqdm import tqdm
 
 from semloc_jax.datasets import Drive
-from semloc_jax.evaluation import Metric, format_metrics, write_metrics
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.inputs.surround_masks import check_surround_masks
 from semloc_jax.mapping.chain import drive_chain
 from semloc_jax.mapping.net_slots import NetSlotObserver
-from semloc_jax.mapping.object_tracks import ObjectTrackConfig, Tracker, wrapped
+from semloc_jax.mapping.object_tracks import ObjectTrackConfig, Tracker
 from semloc_jax.mapping.obstacle_tracks import ObstacleFollower
 from semloc_jax.mapping.slot_sights import SlotObserver, SlotSightConfig
 from semloc_jax.mapping.slot_tracks import SlotTrack
-from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap, write_map
+from semloc_jax.maps import BeliefMap, MapElement, SemanticMap, write_map
 from semloc_jax.perception.networks.marking_net import MarkingNet
 from semloc_jax.perception.obstacle_classes import obstacle_ids
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.object_errors import is_slow, last_poses
+from semloc_jax.reports.objects import Tables, belief_of, placed, write_objects
 from semloc_jax.reports.slot_errors import SlotErrors
-from semloc_jax.reports.tables import OBJECT_POSE, write_csv
 from semloc_jax.reports.top_view_film import SIZE_M, top_view_film
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz.object_recording import RecordedThing, object_recording
 from semloc_jax.viz.slots import DrawnSlot, colour_of, draw_slots
 
-SIZE = ("width_m", "depth_m", "occupied", "obstacle", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad", "existence")
+_TABLES = Tables("slots", "type", ("width_m", "depth_m", "occupied", "obstacle"))
 
 
 def report_slots(
@@ -89,38 +88,23 @@ def report_slots(
                 film.add(frame, lambda top, view, drawn=drawn: draw_slots(top, view.pixels, drawn))
     final = tracker.final()
     last = last_poses(final, drive, chain.Ts_odom_base)
-    write_csv(folder / "slots.csv", ("t", "track", "type", *OBJECT_POSE, *SIZE, "confirmed"), rows)
-    table = [_row(t.last_s, t, last[t.id], obstacles)[:-1] for t in final]
-    counts = [(t.num_seen, t.num_missed) for t in final]
-    columns = ("t_last", "track", "type", *OBJECT_POSE, *SIZE, "num_seen", "num_missed")
-    write_csv(folder / "slots_final.csv", columns, [(*r, *c) for r, c in zip(table, counts, strict=True)])
     _write_map(folder, final, drive.name)
-    metrics = [
-        Metric("frames", float(len(chosen)), "frames", "report"),
-        Metric("slots.sights", float(len(rows)), "slots", "report"),
-        Metric("slots.final", float(len(final)), "slots", "report"),
-        *errors.metrics(final, last),
-    ]
-    write_metrics(metrics, folder / "metrics.json")
     write_record(folder, {"sights": observer.config, "tracks": tracker.config}, options or {})
-    said = f"{len(chosen)} frames: {len(rows)} sights of slots, {len(final)} slots confirmed"
-    return "\n".join([said, format_metrics(metrics), *notes, f"results: {folder}"])
+    return write_objects(
+        folder, _TABLES, rows, final, lambda track: _row(track.last_s, track, last[track.id], obstacles), len(chosen),
+        errors.metrics(final, last), notes,
+    )  # fmt: skip
 
 
 def _row(time_s: float, track: SlotTrack, T_odom_base: np.ndarray, obstacles: ObstacleFollower | None) -> tuple:
     """One line of a table: the fused slot in base and odom; sigmas are along x and y of the base frame."""
-    R = T_odom_base[:2, :2]
-    x, y = R.T @ (track.pose[:2] - T_odom_base[:2, 3])
-    yaw = wrapped(float(track.pose[2] - np.arctan2(R[1, 0], R[0, 0])))
-    C = R.T @ track.covariance[:2, :2] @ R
-    sigmas = np.sqrt([C[0, 0], C[1, 1], track.covariance[2, 2]])
+    pose, sigmas = placed(track, float(track.pose[2]), T_odom_base)
     taken = "" if track.occupied is None else int(track.occupied)
     corners = corners_of(track.pose, track.width_m, track.depth_m)
     stands = (None if obstacles is None else obstacles.standing_in(corners)) or ""
-    numbers = [f"{value:.4f}" for value in (x, y, yaw, *track.pose[:2], wrapped(float(track.pose[2])))]
     size = [f"{value:.3f}" for value in (track.width_m, track.depth_m)]
-    told = [f"{value:.4f}" for value in (*sigmas, track.existence)]
-    return (f"{time_s:.3f}", track.id, track.kind, *numbers, *size, taken, stands, *told, int(track.confirmed))
+    told = [f"{value:.4f}" for value in (*sigmas, np.sqrt(track.covariance[2, 2]), track.existence)]
+    return (f"{time_s:.3f}", track.id, track.kind, *pose, *size, taken, stands, *told, int(track.confirmed))
 
 
 def corners_of(pose: np.ndarray, width_m: float, depth_m: float) -> np.ndarray:
@@ -150,11 +134,7 @@ def _write_map(folder: Path, final: Sequence[SlotTrack], name: str) -> None:
             closed=True,
             attributes=words,
         )
-        sigma = float(np.sqrt(0.5 * np.trace(track.covariance[:2, :2])))
-        beliefs[element.id] = Belief(
-            sigma, sigma, track.existence_logit, track.num_seen, track.num_missed, last_seen_s=track.last_s,
-            provenance=name,
-        )  # fmt: skip
+        beliefs[element.id] = belief_of(track, name)
         elements.append(element)
     if elements:
         write_map(BeliefMap(SemanticMap(tuple(elements), None, name), beliefs).as_map(), folder / "slots.geojson")
