@@ -104,22 +104,28 @@ class SearchSteps:
         spanning = self.T_prior @ planar(corners[:, 0], corners[:, 1], 0.0)
         wrong = null_poses(BATCH - len(corners), self.T_prior, frame_config.seed)
         self.spanning = self.observed(self.road.place(spanning))
-        few = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[:: config.null_every], self.samples))
-        self.null = EvidenceNull(
-            self.observed(self.road.place(wrong), few),
+        self.null = self._by_chance(wrong)
+
+    def _by_chance(self, Ts_wrong: np.ndarray) -> EvidenceNull:
+        """What poses that are wrong explain of the masks, by every n-th sample."""
+        few = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[:: self.config.null_every], self.samples))
+        usable = self.frame.usable
+        cells = BorderCells.of(
+            self.borders,
+            np.unique(self.channel[self.channel >= 0]),
+            np.asarray(usable.mask),
+            float(usable.stride),
+            self.observe_config.cell_px,
+            self.image_size,
+        )
+        return EvidenceNull(
+            self.observed(self.road.place(Ts_wrong), few),
             self.channel,
             np.maximum(np.asarray(self.samples.element), 0),
             self.unit_px,
-            config.null,
-            config.null_every,
-            BorderCells.of(
-                self.borders,
-                np.unique(self.channel[self.channel >= 0]),
-                np.asarray(frame.usable.mask),
-                float(frame.usable.stride),
-                self.observe_config.cell_px,
-                self.image_size,
-            ),
+            self.config.null,
+            self.config.null_every,
+            cells,
         )
 
     def observed(self, Ts: np.ndarray, samples: MapSamples | None = None) -> Observed:

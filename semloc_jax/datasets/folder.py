@@ -56,25 +56,7 @@ def read_folder(
     by_kind = {kind: _files_of(folder, rig) for kind, folder in kind_folders(path).items()}
     if not by_kind:
         raise SemlocError(f"folder {path}: no images; expected a folder images/ or masks/ with png or jpg files")
-    stems = _shared_stems(by_kind, rig)
-    if not stems:
-        told_apart = _without_affixes(by_kind)
-        stems = _shared_stems(told_apart, rig)
-        # Numbers of which each side has some alone may count from 0 here and from 1 there: no guess is made.
-        fewest = min(len(files) for cameras in told_apart.values() for files in cameras.values())
-        stems = stems if len(stems) == fewest else []
-        if stems:
-            _log.warning(
-                "folder %s: names are compared without the words that all in a folder share: %s",
-                *(path, _names_of(by_kind)),
-            )
-            by_kind = told_apart
-    if not stems:
-        raise SemlocError(
-            f"folder {path}: no file name is shared by all of {', '.join(by_kind)} and all cameras: "
-            f"{_names_of(by_kind)}; expected the same name for an image and its mask, e.g. images/front/000.png and "
-            "masks/front/000.png"
-        )
+    stems, by_kind = _named_alike(path, by_kind, rig)
     logs = logs_beside(path)
     truth = logs.truth
     times = _frame_times(path, stems, truth, rate_hz)
@@ -136,6 +118,30 @@ def _find_calibration(path: Path) -> Path:
             f"'semloc init {path}' write one to fill in"
         )
     return found
+
+
+def _named_alike(path: Path, by_kind: _ByKind, rig: Rig) -> tuple[list[str], _ByKind]:
+    """Names of the frames, and the files by them.
+
+    Raises:
+        SemlocError: no name is shared by all kinds and cameras.
+    """
+    stems = _shared_stems(by_kind, rig)
+    if stems:
+        return stems, by_kind
+    told_apart = _without_affixes(by_kind)
+    stems = _shared_stems(told_apart, rig)
+    # Numbers of which each side has some alone may count from 0 here and from 1 there: no guess is made.
+    fewest = min(len(files) for cameras in told_apart.values() for files in cameras.values())
+    if stems and len(stems) == fewest:
+        names = _names_of(by_kind)
+        _log.warning("folder %s: names are compared without the words that all in a folder share: %s", path, names)
+        return stems, told_apart
+    raise SemlocError(
+        f"folder {path}: no file name is shared by all of {', '.join(by_kind)} and all cameras: "
+        f"{_names_of(by_kind)}; expected the same name for an image and its mask, e.g. images/front/000.png and "
+        "masks/front/000.png"
+    )
 
 
 def _shared_stems(by_kind: _ByKind, rig: Rig) -> list[str]:
