@@ -16,7 +16,7 @@ from semloc_jax.learning.parameters import Parameters
 from semloc_jax.learning.scenes import TrainingFrame
 from semloc_jax.structs import SolveStatus
 
-_POLISH = SmoothConfig()
+POLISH = SmoothConfig()
 """How exact a solve is before its derivative is taken; learning never needed it otherwise."""
 
 PLANAR = np.array([0, 1, 5])
@@ -53,14 +53,24 @@ def solved(parameters: Parameters, frame: TrainingFrame, config: LearningConfig)
     learned."""
     model, nats_per_px = parameters.model(frame.place, config)
     scene = eqx.tree_at(lambda s: (s.model, s.nats_per_px), frame.scene, (model, nats_per_px))
-    return smooth_optimum(frame.T_start, scene, parameters.road(frame.prior), _POLISH)
+    return smooth_optimum(frame.T_start, scene, parameters.road(frame.prior), POLISH)
 
 
 def frame_score(parameters: Parameters, frame: TrainingFrame, config: LearningConfig) -> FrameScore:
     """Error, covariance and likelihood of a frame."""
-    estimate = solved(parameters, frame, config)
-    error = lie.log(lie.compose(lie.inverse(frame.T_true), estimate.T_map_base))[PLANAR]
-    covariance = estimate.covariance[PLANAR][:, PLANAR]
+    return scored(solved(parameters, frame, config), frame.T_true)
+
+
+def scored(estimate: SmoothEstimate, T_true: Float[Array, "4 4"], doubt: Array | float = 0.0) -> FrameScore:
+    """Error, covariance and likelihood of an estimate.
+
+    Args:
+        estimate: With its covariance.
+        T_true: True pose.
+        doubt: Covariance of the true pose along and across [m] and in heading [rad], where it was measured.
+    """
+    error = lie.log(lie.compose(lie.inverse(T_true), estimate.T_map_base))[PLANAR]
+    covariance = estimate.covariance[PLANAR][:, PLANAR] + doubt
     nll, nees = pose_nll(error, covariance)
     used = (estimate.status == SolveStatus.CONVERGED) & jnp.isfinite(nll)
     return FrameScore(error, covariance, nll, nees, used)

@@ -11,7 +11,7 @@ import numpy as np
 
 SURE_PX = 2.0
 """Standard deviation of a border that counts as in any mask, a larger one counts less [px]: what solvers assume."""
-_LEAST_SHARE = 0.3
+LEAST_SHARE = 0.3
 """A border never counts less than this: a wrong place must not look right because everything is unsure. Ours."""
 
 
@@ -40,7 +40,7 @@ class SeenBorders:
         if name not in self.names:
             return None
         k = self.names.index(name)
-        share = np.clip(SURE_PX / np.maximum(self.sigma_px[k], 1e-3), _LEAST_SHARE, 1.0)
+        share = np.clip(SURE_PX / np.maximum(self.sigma_px[k], 1e-3), LEAST_SHARE, 1.0)
         counted = self.signed_px[k] * share
         # Far away stays far away: only what is near a border has a distance that a sigma is of.
         return np.where(np.abs(self.signed_px[k]) < 0.9 * self.reach_px, counted, self.signed_px[k])

@@ -13,7 +13,8 @@ import numpy as np
 
 from semloc_jax.errors import UsageError
 from semloc_jax.inputs.drive_inputs import InputOptions, Inputs, open_inputs
-from semloc_jax.learning.eyes.teach import EyesConfig, Lesson, Round, best_round, taught
+from semloc_jax.learning.eyes.lessons import Lesson
+from semloc_jax.learning.eyes.teach import EyesConfig, Round, best_round, taught
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 from semloc_jax.perception.networks.eyes import Eyes
 from semloc_jax.perception.networks.onnx_graph import write_onnx
@@ -123,8 +124,9 @@ def round_row(number: int, found: Round) -> str:
     score = found.score
     across, along, heading = (f"{a:.3f} / {b:.2f}" for a, b in zip(score.median, score.p95, strict=True))
     within = " / ".join(f"{100 * share:.0f}" for share in score.within)
+    name = str(number) if found.lesson == "labels" else f"{number}, {found.lesson}"
     return (
-        f"| {number} | {found.num_poses} | {found.num_distrusted} | {score.num_accepted} of {score.num_frames} "
+        f"| {name} | {found.num_poses} | {found.num_distrusted} | {score.num_accepted} of {score.num_frames} "
         f"| {score.num_false} | {across} | {along} | {heading} | {within} |"
     )
 
@@ -144,7 +146,8 @@ def rounds_table(rounds: Sequence[Round], best: int) -> str:
 
 def _write_json(path: Path, rounds: Sequence[Round], best: int) -> None:
     content = [
-        found.score._asdict() | {"num_poses": found.num_poses, "num_distrusted": found.num_distrusted}
+        found.score._asdict()
+        | {"num_poses": found.num_poses, "num_distrusted": found.num_distrusted, "lesson": found.lesson}
         for found in rounds
     ]
     write_text(path, json.dumps({"best": best, "rounds": content}, indent=1) + "\n")

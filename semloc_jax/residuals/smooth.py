@@ -21,7 +21,7 @@ class DistanceMaps(eqx.Module):
 
     distance_px: Float[Array, "cam channel h w"]
     """Pixels of the full mask; saturates where the stored ramp ends."""
-    stride: int = eqx.field(static=True)
+    stride: int | float = eqx.field(static=True)
 
 
 class ChannelModel(eqx.Module):
