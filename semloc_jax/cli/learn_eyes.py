@@ -31,6 +31,9 @@ class Options:
     loss.csv, loss.png, held_out.png, and scenes/ with manifest.json (seeds and which scenes teach). A lesson that
     stopped goes on where --out names its folder.
 
+    With --through.num-steps N a last lesson follows: N steps for the poses themselves, through the solver
+    (through.weights), and beside it as many by the labels alone (labels_alone.weights); both are judged like a round.
+
     Every value of the configuration is an option too, e.g. --rounds 2, --training.num-steps 3000 or
     --streets.num-streets 100.
     """

@@ -8,6 +8,7 @@ trusted. It is a differentiable function of every distance that the eyes tell; s
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -159,6 +160,7 @@ def sight_score(network: eqx.Module, sight: PoseSight, most_pull: float) -> Fram
 def through_loss(network: eqx.Module, batch: ThroughBatch, config: ThroughConfig, dof: float) -> Array:
     """Mean heavy-tailed negative log-likelihood of the poses, and the loss of the labels beside it."""
 
+    @jax.checkpoint  # what a network keeps for the way back is a gigabyte a frame
     def one(sight: PoseSight) -> Array:
         loss = heavy_tailed_nll(sight_score(network, sight, config.most_pull), dof)
         return jnp.where(jnp.isfinite(loss), loss, 0.0)
@@ -166,20 +168,20 @@ def through_loss(network: eqx.Module, batch: ThroughBatch, config: ThroughConfig
     return jnp.mean(jax.lax.map(one, batch.sights)) + config.labels_share * eyes_loss(network, batch.crops)
 
 
-@jax.custom_vjp
+@partial(jax.custom_vjp, nondiff_argnums=(1,))
 def _bounded(values: Array, most: float) -> Array:
     """The values; their derivative is no longer than `most`."""
     return values
 
 
-def _bounded_forward(values: Array, most: float) -> tuple[Array, float]:
-    return values, most
+def _bounded_forward(values: Array, most: float) -> tuple[Array, None]:
+    return values, None
 
 
-def _bounded_back(most: float, slope: Array) -> tuple[Array, None]:
+def _bounded_back(most: float, _: None, slope: Array) -> tuple[Array]:
     size = jnp.sqrt(jnp.sum(slope * slope))
-    sane = jnp.isfinite(size)
-    return jnp.where(sane, slope * jnp.minimum(1.0, most / jnp.maximum(size, 1e-12)), 0.0), None
+    shorter = slope * jnp.minimum(1.0, most / jnp.maximum(size, 1e-12))
+    return (jnp.where(jnp.isfinite(size), shorter, 0.0),)
 
 
 _bounded.defvjp(_bounded_forward, _bounded_back)
