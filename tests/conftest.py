@@ -25,9 +25,9 @@ import jax  # noqa: E402 - reads its environment now
 jax.config.update("jax_enable_x64", True)
 
 if os.environ.get("SEMLOC_TYPECHECK", "1") != "0":
-    import jaxtyping
+    from tests.type_checks import check_types_of
 
-    jaxtyping.install_import_hook("semloc_jax", "beartype.beartype")
+    check_types_of("semloc_jax")
 
 from semloc_jax.runtime.allocator import return_large_blocks  # noqa: E402 - after the hook
 

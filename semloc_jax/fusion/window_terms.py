@@ -16,6 +16,9 @@ from semloc_jax.fusion.measurements import Innovation
 from semloc_jax.residuals.pose_terms import Terms, terms_linearised
 from semloc_jax.solvers.factors import Factors
 
+_linearised = jax.jit(terms_linearised)
+"""One program for each kind of term and number of observations."""
+
 
 class TermRows(NamedTuple):
     """All observations of one kind of term: leading axes are states and observations of a state."""
@@ -104,7 +107,7 @@ def fit(
 ) -> tuple[Innovation, Float[np.ndarray, " k"], Float[np.ndarray, "k 6"]]:
     """How a term fits a predicted pose (not yet judged), its whitened residuals and their derivatives."""
     with jax.enable_x64(True):
-        r, J = (np.asarray(leaf) for leaf in terms_linearised((term,), np.asarray(T_map_base, np.float64)))
+        r, J = (np.asarray(leaf) for leaf in _linearised((term,), np.asarray(T_map_base, np.float64)))
     square = float(r @ np.linalg.solve(np.eye(len(r)) + J @ covariance @ J.T, r))
     return Innovation(square, len(r), False), r, J
 

@@ -31,7 +31,7 @@ from semloc_jax.geometry import rigid
 from semloc_jax.geometry.umeyama import umeyama
 from semloc_jax.mapping.chain import Chain
 from semloc_jax.mapping.turn_errors import turning_odometry, wandering, wanders
-from semloc_jax.solvers.factors import Factors
+from semloc_jax.solvers.factors import Factors, costs_of
 from semloc_jax.solvers.front import Sparse
 from semloc_jax.solvers.gnc import GncConfig, solve_robustly
 from semloc_jax.solvers.graph import FactorGraph, Values
@@ -167,7 +167,7 @@ def solve_chain(
     with jax.enable_x64(True):
         found = solve_robustly(graph, values, (place,) if has_loops else (), gnc, Sparse())
         value = found.solution.value
-        nats = np.asarray(graph.factors[place].costs(value))[: len(loops.a)] if has_loops else np.zeros(0)
+        nats = np.asarray(costs_of(graph.factors[place], value))[: len(loops.a)] if has_loops else np.zeros(0)
         problem = SparseProblem(graph)
     return ChainSolution(
         Ts_map_base=np.array(value["pose"]),

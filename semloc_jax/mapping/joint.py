@@ -27,7 +27,7 @@ from semloc_jax.residuals.motion import (
     pulled_linearised,
     pulled_residual,
 )
-from semloc_jax.solvers.factors import POSE, Factors, vector
+from semloc_jax.solvers.factors import POSE, Factors, costs_of, vector
 from semloc_jax.solvers.front import solve
 from semloc_jax.solvers.graph import FactorGraph, Family, Values
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
@@ -177,7 +177,7 @@ def told_noise(seen: Factors, value: Values, num_unknowns: int, config: JointCon
     """
     num_rows = np.count_nonzero(np.abs(np.asarray(seen.sqrt_info)).max(axis=2) > 0.0)
     spare = max(num_rows - num_unknowns, 0)
-    square = 2.0 * float(np.sum(seen.costs(value)))
+    square = 2.0 * float(np.sum(costs_of(seen, value)))
     told = (square + config.believed_rows) / (spare + config.believed_rows)
     return max(told, config.least_noise)
 

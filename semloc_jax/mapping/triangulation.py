@@ -17,9 +17,14 @@ _CELL_M = 0.5
 _STEP_M = 0.125
 _ROUNDS = 8
 _MOST_THINGS = 2000
+_MOST_AT_ONCE = 64
+"""Places tried together. Where things end, hundreds of crossings of bearings to different things follow each other."""
 _LEAST_TOLD = 3
 _ENDS = (("low", "is_foot", 0.1), ("high", "is_top", 0.9))
 """Columns of the ends of a sighting, and the quantile of what is seen where no end is."""
+
+_Meeting = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Rows of the sightings that meet, their place [m], and its information [1/m^2]."""
 
 
 @dataclass(frozen=True)
@@ -83,17 +88,22 @@ def stand(sightings: Float[np.ndarray, "n 13"], config: TriangulationConfig | No
         return []
     free, is_open = np.ones(len(sightings), bool), np.ones(len(places), bool)
     found: list[Standing] = []
-    for _ in range(_MOST_THINGS):
+    at_once = 1
+    while len(found) < _MOST_THINGS:
         count = np.bincount(cell, free[owner], minlength=len(places)) * is_open
-        best = int(count.argmax())
-        if count[best] < config.min_frames:
+        best = np.argsort(-count, kind="stable")[:at_once]
+        best = best[count[best] >= config.min_frames]
+        if not len(best):
             break
-        thing = _solved(sightings, np.flatnonzero(free), places[best], config)
-        if thing is None:
-            is_open[best] = False
-            continue
-        free[thing.rows] = False
-        found.append(thing)
+        at_once = min(2 * at_once, _MOST_AT_ONCE)
+        for place, meeting in zip(best, _meetings(sightings, np.flatnonzero(free), places[best], config), strict=True):
+            thing = None if meeting is None else _checked(sightings, *meeting, config)
+            if thing is not None:  # the others were solved with its sightings
+                free[thing.rows] = False
+                found.append(thing)
+                at_once = 1
+                break
+            is_open[place] = False
     return found
 
 
@@ -117,33 +127,43 @@ def _votes(sightings: np.ndarray, config: TriangulationConfig) -> tuple[np.ndarr
     return owner[kept], cell, places
 
 
-def _solved(sightings: np.ndarray, free: np.ndarray, start: np.ndarray, config: TriangulationConfig) -> Standing | None:
-    """The thing near a place; None where the bearings or the heights do not agree.
+def _meetings(
+    sightings: np.ndarray, free: np.ndarray, starts: np.ndarray, config: TriangulationConfig
+) -> list[_Meeting | None]:
+    """Where bearings meet near each of some places: None where they do not.
 
     Bearings miss the place by `off_m`, across them along `normal`; `range_m` is the way along them.
     """
-    near = free[np.linalg.norm(sightings[free, 2:4] - start, axis=1) < config.range_m[1]]
-    rows = sightings[near]
-    bearing, sigma_rad = column(rows, "bearing"), column(rows, "sigma")
-    along = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    xy, information, member = start, np.zeros((2, 2)), np.zeros(len(near), bool)
+    near, is_there = _near(sightings, free, starts, config.range_m[1])
+    bearing, sigma_rad = (column(sightings, name)[near] for name in ("bearing", "sigma"))
+    along = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    xy, information, member = starts, np.zeros((len(starts), 2, 2)), is_there
+    meets = np.ones(len(starts), bool)
     for k in range(_ROUNDS):
-        offset = xy - rows[:, 2:4]
-        off_m, range_m = (offset * normal).sum(axis=1), (offset * along).sum(axis=1)
+        offset = xy[:, None] - sightings[near, 2:4]
+        off_m, range_m = (offset * normal).sum(axis=-1), (offset * along).sum(axis=-1)
         sigma_m = np.hypot(sigma_rad * np.abs(range_m), config.place_m)
         # The first rounds take in what votes for the cell.
         gate = config.gate_sigmas * sigma_m + (_CELL_M if k < 2 else 0.0)
-        member = (np.abs(off_m) < gate) & (range_m > 0.5 * config.range_m[0])
-        if member.sum() < config.min_frames:
-            return None
-        weight = 1.0 / sigma_m[member] ** 2 / (1.0 + (off_m[member] / sigma_m[member]) ** 2)
-        information = (normal[member] * weight[:, None]).T @ normal[member]
-        step = np.linalg.solve(information + 1e-6 * np.eye(2), normal[member].T @ (weight * off_m[member]))
-        xy = xy - step
-    if np.linalg.norm(xy - start) > 4.0 * _CELL_M:
-        return None
-    return _checked(sightings, near[member], xy, information, config)
+        member = is_there & (np.abs(off_m) < gate) & (range_m > 0.5 * config.range_m[0])
+        meets &= member.sum(axis=1) >= config.min_frames
+        weight = member / sigma_m**2 / (1.0 + (off_m / sigma_m) ** 2)
+        information = np.swapaxes(normal * weight[..., None], 1, 2) @ normal
+        pull = np.swapaxes(normal, 1, 2) @ (weight * off_m)[..., None]
+        xy = xy - np.linalg.solve(information + 1e-6 * np.eye(2), pull)[..., 0]
+    meets &= np.linalg.norm(xy - starts, axis=1) <= 4.0 * _CELL_M
+    return [(near[i][member[i]], xy[i], information[i]) if meets[i] else None for i in range(len(starts))]
+
+
+def _near(sightings: np.ndarray, free: np.ndarray, places: np.ndarray, most_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Sightings from around each place [k m], and which of them are no filling [k m]."""
+    is_near = np.linalg.norm(sightings[free, 2:4] - places[:, None], axis=-1) < most_m
+    count = is_near.sum(axis=1)
+    is_there = np.arange(count.max()) < count[:, None]
+    near = np.full(is_there.shape, free[0])
+    near[is_there] = free[np.nonzero(is_near)[1]]
+    return near, is_there
 
 
 def _checked(

@@ -142,3 +142,13 @@ class Factors(eqx.Module):
         if self.weight is not None:
             cost, root = self.weight * cost, jnp.sqrt(jnp.asarray(self.weight)) * root
         return cost, root
+
+
+def costs_of(factors: Factors, values: dict[str, Array | np.ndarray]) -> Float[Array, " f"]:
+    """`Factors.costs`, for the host: one program for all families of one shape, instead of a hundred operations."""
+    return _costs(factors, {name: values[name] for name in factors.on})
+
+
+@eqx.filter_jit
+def _costs(factors: Factors, values: dict[str, Array | np.ndarray]) -> Float[Array, " f"]:
+    return factors.costs(values)

@@ -8,13 +8,11 @@ squares, eqs. (11)-(14). A robust kernel only bends the cost; this lets go of wh
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.solvers.factors import Factors
+from semloc_jax.solvers.factors import Factors, costs_of
 from semloc_jax.solvers.front import Dense, Structure, solve, structured
 from semloc_jax.solvers.graph import FactorGraph, Values
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
@@ -103,9 +101,4 @@ def _weighted(graph: FactorGraph, weights: dict[int, np.ndarray]) -> FactorGraph
 
 
 def _costs(graph: FactorGraph, values: Values, places: tuple[int, ...]) -> dict[int, np.ndarray]:
-    return {place: np.asarray(_cost_of(graph.factors[place], values)) for place in places}
-
-
-@eqx.filter_jit
-def _cost_of(factors: Factors, values: Values) -> jax.Array:
-    return factors.costs(values)
+    return {place: np.asarray(costs_of(graph.factors[place], values)) for place in places}

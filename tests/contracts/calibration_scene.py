@@ -48,18 +48,18 @@ def build(name, turns_rad, fields=(), num=200, level=0):
         row = np.repeat(np.arange(frames), len(group.index))
         camera = np.tile(np.array(group.index), frames)
         local = np.tile(np.arange(len(group.index)), frames)
-        views = jax.tree.map(lambda leaf, k=local: leaf[k], view)
+        views = jax.tree.map(lambda leaf, k=local: jnp.asarray(np.asarray(leaf)[k]), view)
         moved = np.stack([Ts[i] @ np.linalg.inv(T_TRUE) for i in row])
         p_map = np.einsum("rij,rjp->rip", moved[:, :3, :3], np.asarray(views.p_map)) + moved[:, :3, 3:]
         # The scene of one frame serves all: every picture is that of its camera.
         views = eqx.tree_at(lambda v: (v.p_map, v.index), views, (jnp.asarray(p_map), jnp.asarray(camera)))
         names = fields[len(groups)] if fields else ()
-        still = jnp.broadcast_to(jnp.eye(4), (len(row), 4, 4))
+        still = jnp.asarray(np.tile(np.eye(4), (len(row), 1, 1)))
         groups.append(PictureRows(views, jnp.asarray(row), jnp.asarray(camera), still, names))
     state = CalibrationState(
         jnp.asarray(Ts),
         jnp.asarray(rig.T_base_cam),
-        jnp.zeros((cameras, width)),
+        jnp.asarray(np.zeros((cameras, width))),
         jnp.asarray(np.array([SCALE, BIAS, *OFFSET, *[0.0] * 5])),
     )
     sigma = np.concatenate(
