@@ -23,6 +23,8 @@ from semloc_jax.maps.versions.datum import CELL_MM, STILL, Datum
 
 FIRST_DRIVES = 4
 """Fewer drives are told as they are."""
+_STANDS = 8
+"""So many editions stand while the number of drives doubles; ours."""
 _SAME_M = 0.28
 """What lies nearer to something of its kind under another name is it: as far as sights of one thing may be apart."""
 _CELL_M = CELL_MM / 1000.0
@@ -51,11 +53,14 @@ class Edition:
 def prefixes(num_drives: int) -> list[int]:
     """After how many drives, in the order of time, the editions stand that each next one follows from; and the last.
 
-    4, 6, 8, 12, 16, 24 ...: so few that all drives at once cost three times what the last edition costs, and so many
-    that little is told twice.
+    4, 5, 6 ... 16, 18, 20 ... 32, 36 ...: between two of them all editions follow from the same one, so that what one
+    of these tells for nothing the next one takes back. A stand comes for each eighth of the drives that there are.
     """
-    stands = sorted(FIRST_DRIVES * factor * 2**k // 2 for k in range(num_drives.bit_length()) for factor in (2, 3))
-    return [*(num for num in stands if num < num_drives), num_drives]
+    stands, num = [], FIRST_DRIVES
+    while num < num_drives:
+        stands.append(num)
+        num += max(1, 2 ** (num.bit_length() - 1) // _STANDS)
+    return [*stands, num_drives]
 
 
 def next_edition(before: Edition | None, made: Sequence[Known], sigma_m: float) -> Edition:
