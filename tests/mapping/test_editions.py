@@ -6,7 +6,7 @@ import numpy as np
 
 from semloc_jax.evaluation import compare_maps
 from semloc_jax.mapping.crowd.edition_lines import line_pairs, spliced
-from semloc_jax.mapping.crowd.edition_news import News, coarse
+from semloc_jax.mapping.crowd.edition_news import News, coarse, newcomer
 from semloc_jax.mapping.crowd.editions import Edition, next_edition, prefixes
 from semloc_jax.mapping.crowd.frame_motion import frame_motion, told_motion
 from semloc_jax.mapping.crowd.kept_cells import KeptCells
@@ -162,6 +162,23 @@ def test_cars_are_told_sigmas_in_steps_that_stay():
         assert coarse(once) == once and once.num_seen == 8
         assert 0.92 * sigma_m <= once.sigma_across_m == once.sigma_place_m < 1.55 * sigma_m
     assert coarse(SURE).sigma_turn_rad == 0.0
+
+
+def test_a_new_element_shares_what_cars_hold_of_its_neighbour():
+    belief = replace(SURE, sigma_place_m=0.03, sigma_turn_rad=1e-3)
+    for held_m, told_m in ((0.044, 0.044), (0.07, 0.031), (0.02, 0.031)):  # theirs, unless it is much more, or less
+        assert newcomer(belief, replace(SURE, sigma_place_m=held_m)) == replace(coarse(belief), sigma_place_m=told_m)
+    assert newcomer(belief, None) == coarse(belief)
+
+
+def test_where_a_line_was_seen_to_end_is_told_with_its_places_only():
+    first = next_edition(None, made(), 0.4)
+    now = [(replace(e, true_ends=(False, True)) if e.style == "solid" else e, b) for e, b in made()]
+    assert told(next_edition(first, now, 0.4)) == told(first)
+    longer = [(replace(e, points=e.points[:-8]) if e.style == "solid" else e, b) for e, b in now]
+    assert [e.true_ends for e, _ in next_edition(first, longer, 0.4).published if e.style == "solid"] == [
+        (False, True)
+    ] * 2
 
 
 def test_one_more_drive_is_a_small_exact_difference_and_the_map_as_good_as_its_estimate(tmp_path):
