@@ -69,8 +69,9 @@ class _Stroke:
         aside_m = np.abs(off @ [-along[1], along[0]])
         own, its = np.array([0.0, self.length_m]), np.sort(off @ along)
         gap_m = max(its[0] - own[1], own[0] - its[1])
-        # Two whole dashes never overlap; what fades out may go on beside what was seen from elsewhere.
-        overlaps = gap_m <= 0.0 and not (self.is_whole and other.is_whole)
+        # Two whole dashes never overlap; what fades out goes on in what was seen from elsewhere, if that is a part too.
+        is_full = any(s.is_whole and s.length_m > (1.0 - _AS_LONG) * usual_m for s in (self, other))
+        overlaps = gap_m <= 0.0 and not is_full and not (self.is_whole and other.is_whole)
         if aside_m.max() > (_SEEN_TWICE_M if overlaps else _OFF_M) or 0.5 * abs(self.width_m - other.width_m) > _OFF_M:
             return None
         if not (overlaps or 0.0 < gap_m < _LONGEST_GAP * usual_m):

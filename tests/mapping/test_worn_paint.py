@@ -62,6 +62,8 @@ def test_a_dash_seen_from_near_and_from_far_is_one():
     assert all(e.true_ends == (True, True) for e in found)
     beside = whole_again([*(dash(*span) for span in ROW), dash(30.0, 32.6), dash(31.2, 34.0, 0.15)])
     assert len(beside) == 5  # two whole ones are never one
+    stays = whole_again([*(dash(*span) for span in ROW), dash(30.0, 34.0), faded(33.0, 34.5, 0.1)])
+    assert spans(stays) == [*ROW, (30.0, 34.0)]  # what is whole is not stretched by what fades out beside it
 
 
 @pytest.mark.parametrize(
