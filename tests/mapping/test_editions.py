@@ -6,7 +6,7 @@ import numpy as np
 
 from semloc_jax.evaluation import compare_maps
 from semloc_jax.mapping.crowd.edition_lines import line_pairs, spliced
-from semloc_jax.mapping.crowd.edition_news import News, coarse
+from semloc_jax.mapping.crowd.edition_news import News, coarse, newcomer
 from semloc_jax.mapping.crowd.editions import Edition, next_edition, prefixes
 from semloc_jax.mapping.crowd.frame_motion import frame_motion, told_motion
 from semloc_jax.mapping.crowd.kept_cells import KeptCells
@@ -47,8 +47,10 @@ def whole(xy):
 
 
 def test_editions_follow_from_those_of_fewer_drives():
-    assert [prefixes(n) for n in (1, 4, 5, 8, 9)] == [[1], [4], [4, 5], [4, 6, 8], [4, 6, 8, 9]]
-    assert prefixes(33) == [4, 6, 8, 12, 16, 24, 32, 33]
+    assert [prefixes(n) for n in (1, 4, 5, 8)] == [[1], [4], [4, 5], [4, 5, 6, 7, 8]]
+    assert prefixes(33) == [*range(4, 17), *range(18, 33, 2), 33]
+    # What one edition has told for nothing, the next one takes back only where both follow from the same third one.
+    assert all(prefixes(n + 1)[-2] == n for n in range(4, 16))
 
 
 def test_the_motion_of_the_frame_is_found_and_what_moved_by_itself_does_not_matter():
@@ -162,10 +164,27 @@ def test_cars_are_told_sigmas_in_steps_that_stay():
     assert coarse(SURE).sigma_turn_rad == 0.0
 
 
-def test_one_more_drive_is_a_small_exact_difference_and_the_map_as_good_as_its_estimate():
+def test_a_new_element_shares_what_cars_hold_of_its_neighbour():
+    belief = replace(SURE, sigma_place_m=0.03, sigma_turn_rad=1e-3)
+    for held_m, told_m in ((0.044, 0.044), (0.07, 0.031), (0.02, 0.031)):  # theirs, unless it is much more, or less
+        assert newcomer(belief, replace(SURE, sigma_place_m=held_m)) == replace(coarse(belief), sigma_place_m=told_m)
+    assert newcomer(belief, None) == coarse(belief)
+
+
+def test_where_a_line_was_seen_to_end_is_told_with_its_places_only():
+    first = next_edition(None, made(), 0.4)
+    now = [(replace(e, true_ends=(False, True)) if e.style == "solid" else e, b) for e, b in made()]
+    assert told(next_edition(first, now, 0.4)) == told(first)
+    longer = [(replace(e, points=e.points[:-8]) if e.style == "solid" else e, b) for e, b in now]
+    assert [e.true_ends for e, _ in next_edition(first, longer, 0.4).published if e.style == "solid"] == [
+        (False, True)
+    ] * 2
+
+
+def test_one_more_drive_is_a_small_exact_difference_and_the_map_as_good_as_its_estimate(tmp_path):
     drives = [drive(ROAD, k) for k in range(6)]
     contents = [packed_bytes(d) for d in drives]
-    kept, states = KeptCells(None), []
+    kept, states = KeptCells(tmp_path / "map.gpkg"), []
     for num in (5, 6):
         ledger = Ledger(None, {}).joined(contents[:num])
         found = merge_whole(ledger, kept=kept)

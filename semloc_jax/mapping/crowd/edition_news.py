@@ -37,6 +37,7 @@ _DOUBT, _TRUST = -1.0, 2.0
 as it was, so that one look to and fro tells nothing."""
 _LOGIT_STEP = 2.0
 """How finely existence is told."""
+_SHARED = ("sigma_place_m", "sigma_turn_rad")
 _LEAST_TOLD = 8
 """Fewer elements do not tell how far all of them go."""
 _MEDIAN_OF_NORMAL, _ROUNDING = 0.6745, 0.08
@@ -90,7 +91,7 @@ class News:
             new: what it is now, where cars shall hold it; see `told`.
         """
         (e, b), (f, c) = old, new
-        looks = [(x.label, x.style, x.shape, x.closed, x.true_ends) for x in (e, f)]
+        looks = [(x.label, x.style, x.shape, x.closed, is_line(x) or x.true_ends) for x in (e, f)]
         sizes = [abs(getattr(e, n) - getattr(f, n)) for n in ("width_m", "radius_m", "radius_top_m", "height_m")]
         faces = (e.normal is None) == (f.normal is None) and (e.normal is None or float(e.normal @ f.normal) > _TURN)
         was, now = b.existence_logit, c.existence_logit
@@ -98,7 +99,21 @@ class News:
         stays = now > _DOUBT if was > 0.0 else now < _TRUST
         if looks[0] != looks[1] or max(sizes) > _SIZE_M or not faces or not stays or _is_surer(e.id, b, c):
             return replace(f, id=e.id), _retold(b, c)
-        return old if np.array_equal(e.points, f.points) else (replace(e, points=f.points), b)
+        # Whether a line was seen to end where it ends, is told with its places: one drive more says it now so, now so.
+        return old if np.array_equal(e.points, f.points) else (replace(e, points=f.points, true_ends=f.true_ends), b)
+
+
+def newcomer(belief: Belief, beside: Belief | None) -> Belief:
+    """A belief as cars are told of an element that is new to them.
+
+    Args:
+        belief: in the element.
+        beside: as cars hold it, in the nearest element: what lies around a place shares its sigma. Theirs is as good,
+            unless it says too little.
+    """
+    told = coarse(belief)
+    held = {} if beside is None else {name: getattr(beside, name) for name in _SHARED}
+    return replace(told, **{n: v for n, v in held.items() if getattr(told, n) <= v < 2.0 * getattr(told, n)})
 
 
 def coarse(belief: Belief) -> Belief:

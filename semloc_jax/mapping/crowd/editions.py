@@ -11,18 +11,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
 
 from semloc_jax.evaluation.map_shapes import is_line, kind_of, thing_of
 from semloc_jax.mapping.crowd.edition_lines import line_pairs, spliced
-from semloc_jax.mapping.crowd.edition_news import News, coarse
+from semloc_jax.mapping.crowd.edition_news import News, coarse, newcomer
 from semloc_jax.mapping.crowd.elements import on_grid
 from semloc_jax.mapping.crowd.frame_motion import frame_motion, told_motion
 from semloc_jax.mapping.crowd.merged import Known
-from semloc_jax.maps import MapElement
+from semloc_jax.maps import Belief, MapElement
 from semloc_jax.maps.versions.datum import CELL_MM, STILL, Datum
 
 FIRST_DRIVES = 4
 """Fewer drives are told as they are."""
+_STANDS = 8
+"""So many editions stand while the number of drives doubles; ours."""
 _SAME_M = 0.28
 """What lies nearer to something of its kind under another name is it: as far as sights of one thing may be apart."""
 _CELL_M = CELL_MM / 1000.0
@@ -51,11 +54,14 @@ class Edition:
 def prefixes(num_drives: int) -> list[int]:
     """After how many drives, in the order of time, the editions stand that each next one follows from; and the last.
 
-    4, 6, 8, 12, 16, 24 ...: so few that all drives at once cost three times what the last edition costs, and so many
-    that little is told twice.
+    4, 5, 6 ... 16, 18, 20 ... 32, 36 ...: between two of them all editions follow from the same one, so that what one
+    of these tells for nothing the next one takes back. A stand comes for each eighth of the drives that there are.
     """
-    stands = sorted(FIRST_DRIVES * factor * 2**k // 2 for k in range(num_drives.bit_length()) for factor in (2, 3))
-    return [*(num for num in stands if num < num_drives), num_drives]
+    stands, num = [], FIRST_DRIVES
+    while num < num_drives:
+        stands.append(num)
+        num += max(1, 2 ** (num.bit_length() - 1) // _STANDS)
+    return [*stands, num_drives]
 
 
 def next_edition(before: Edition | None, made: Sequence[Known], sigma_m: float) -> Edition:
@@ -77,6 +83,7 @@ def next_edition(before: Edition | None, made: Sequence[Known], sigma_m: float) 
     old_of = {j: old[i] for i, j in pairs}
     news = News.of([(one, back[j]) for j, one in old_of.items()])
     names = {element.id for element, _ in old_of.values()}
+    beside = _nearest_held(old, {j: e for j, (e, _) in enumerate(back) if j not in old_of})
     published: list[Known] = []
     for j, (element, belief) in enumerate(back):
         if j in old_of:
@@ -86,9 +93,17 @@ def next_edition(before: Edition | None, made: Sequence[Known], sigma_m: float) 
         while name in names:  # it has become the name of another part of its line
             name, k = f"{element.id}+{k}", k + 1
         names.add(name)
-        published.append((replace(element, id=name), coarse(belief)))
+        published.append((replace(element, id=name), newcomer(belief, beside.get(j))))
     # Elements lie in the frame as it is; how it has moved is told when that is news.
     return Edition(tuple(published), told_motion(before.datum, datum, published, sigma_m))
+
+
+def _nearest_held(old: Sequence[Known], new: dict[int, MapElement]) -> dict[int, Belief]:
+    """What cars hold of the element that is nearest to each new one."""
+    if not old or not new:
+        return {}
+    tree = cKDTree([e.points[0, :2] for e, _ in old])
+    return {j: old[int(tree.query(e.points[0, :2])[1])][1] for j, e in new.items()}
 
 
 def _told(old: Known, new: Known, news: News) -> Known:
