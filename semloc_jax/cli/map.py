@@ -62,6 +62,8 @@ class Options:
     again."""
     overlays: int = 4
     """Number of frames with the map drawn into their images; 0 for none."""
+    video: bool = False
+    """Write map.mp4: the map as it grows, in the images of the first camera and from above."""
     config: Path | None = None
     """YAML file with values of the configuration."""
     out: Path | None = None
@@ -132,6 +134,7 @@ def run(options: Options) -> int:
         loops,
         options.resume,
         options.base,
+        options.video,
     )
     print(report.text)
     if options.baseline is not None:
