@@ -128,11 +128,8 @@ def nats_of_groups(
     groups: Float[Array, "group n"],
     config: AlignConfig,
 ) -> Float[Array, "group pose"]:
-    """Cost [nats] of poses by parts of the map, each as if it were all that the map has, against the good pose.
-
-    Only what both poses see counts. A few bars of slots that are slid along themselves, under parked cars, fit as well
-    as before in what is left of them: taken for all of them, that would be better than the good pose, which also sees
-    those that masks have missed.
+    """Cost [nats] of poses by parts of the map, each as if it were all that the map has, as `against_first`
+    has it.
 
     Args:
         groups: 1 for the samples that belong to each group, in the order of `alignment_residual`, else 0. A piece
@@ -147,12 +144,28 @@ def nats_of_groups(
     def of_one(belongs: Float[Array, " n"]) -> Float[Array, " pose"]:
         kept = 2.0 * jax.ops.segment_sum(belongs, piece_of, len(piece_of)) > num_samples
         own = [PieceCosts(c.nats, jnp.where(kept, c.observations, 0.0)) for c in (at_poses, at_random)]
-        masks = _masks_at_best(*own, channel, evidence.textures.num_channels)
-        nats = _against_chance(own[0], channel, masks)
-        both = jnp.minimum(own[0].observations[1:], own[0].observations[0])
-        return jnp.sum((nats[1:] - nats[0]) * both, axis=1)
+        return against_first(*own, channel, evidence.textures.num_channels)
 
     return jax.lax.map(of_one, groups)
+
+
+def against_first(
+    costs: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int
+) -> Float[Array, " pose"]:
+    """Cost [nats] of every pose but the first, against the first, by what both see.
+
+    A few bars of slots that are slid along themselves, under parked cars, fit as well as before in what is left of
+    them: taken for all of them, that would be better than the first pose, which also sees those that masks have missed.
+
+    Args:
+        costs: Of the poses, `[pose piece]`.
+        at_random: Of poses that are surely wrong.
+        channel: Of every piece.
+        num_channels: Of the masks.
+    """
+    nats = _against_chance(costs, channel, _masks_at_best(costs, at_random, channel, num_channels))
+    both = jnp.minimum(costs.observations[1:], costs.observations[0])
+    return jnp.sum((nats[1:] - nats[0]) * both, axis=1)
 
 
 def _looked_at(

@@ -18,7 +18,7 @@ _NEW = "#ffffff"
 _SHIFT = 4
 """Lines are drawn in sixteenths of a pixel."""
 _POST_PX = 2.5
-_SHARE = 0.46
+_SHARE = 0.36
 """Of the height of a picture that its plan may have, and of its width."""
 _SPAN_M = 60.0
 """A larger map is shown around the vehicle, in a plan of this width."""
