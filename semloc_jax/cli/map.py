@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class Options:
     """Make a map of a drive from its masks and its motion, with a sigma and an existence for every element.
 
-    It holds paint, curbs, poles, pillars, signs and traffic lights. Writes map.gpkg and map.geojson (open with every verb),
+    It holds paint, curbs, poles, pillars, signs and lights. Writes map.gpkg and map.geojson (open with every verb),
     trajectory.tum (T_map_base of every frame), loops.csv (places that the drive came to again), elements.csv,
     config.yaml (resolved; reads back with --config), map.png, overlays/*.png, and metrics.json: against the poses and
     the map of the drive, where it has them, after one motion in the plane. What is finished is kept in parts/ until

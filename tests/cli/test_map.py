@@ -37,8 +37,8 @@ def small_parts():
 @pytest.fixture(scope="module")
 def made(drive_dir, small_parts, tmp_path_factory):
     out = tmp_path_factory.mktemp("made")
-    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "1", "--video", "--out", str(out)]
-    assert main(words) == OK
+    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "1", "--video"]
+    assert main([*words, "--out", str(out)]) == OK
     return out
 
 
