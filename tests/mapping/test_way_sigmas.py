@@ -52,7 +52,7 @@ def test_errors_of_each_place_and_of_the_scale_are_what_they_are():
 
 def test_an_element_is_laid_by_all_that_look_at_it():
     """Headings that are all off alike shear the map along a straight way, which turns it by half of that; those that
-    are off each on its own outvote each other. On a bend all of the first is a turn no more than on a straight way."""
+    are off each on its own outvote each other."""
     Ts = np.array([rigid.planar_pose(5.0 * k, 0.0, 0.0, 0.0) for k in range(21)])
     alike, alone = np.zeros((len(Ts), 6)), np.tile([0, 0, 0, 0, 0, 0.001], len(Ts))
     alike[:, 5] = 0.001
