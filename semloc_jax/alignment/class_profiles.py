@@ -27,7 +27,7 @@ def class_profiles(
     config: TrackAlignConfig,
     level: int,
 ) -> Float[Array, "4 n"]:
-    """Costs [nats], against seeing the map by chance, of every one of `GROUPS`.
+    """Costs [nats] of every one of `GROUPS`, against the pose itself, by what is seen from both.
 
     Args:
         T_map_base: Solved pose, relative to the local origin.

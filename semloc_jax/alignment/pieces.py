@@ -128,21 +128,44 @@ def nats_of_groups(
     groups: Float[Array, "group n"],
     config: AlignConfig,
 ) -> Float[Array, "group pose"]:
-    """Cost [nats] of poses by parts of the map, each as if it were all that the map has; arguments as `nats_at`.
+    """Cost [nats] of poses by parts of the map, each as if it were all that the map has, as `against_first`
+    has it.
 
     Args:
         groups: 1 for the samples that belong to each group, in the order of `alignment_residual`, else 0. A piece
             belongs to the groups that most of its samples are in.
+
+    The other arguments as `nats_at`.
     """
-    at_poses, at_random, piece_of, channel = _looked_at(Ts_map_base, T_good, level, evidence, config, 1)
+    poses = jnp.concatenate([T_good[None], Ts_map_base])
+    at_poses, at_random, piece_of, channel = _looked_at(poses, T_good, level, evidence, config, 1)
     num_samples = jax.ops.segment_sum(jnp.ones_like(groups[0]), piece_of, len(piece_of))
 
     def of_one(belongs: Float[Array, " n"]) -> Float[Array, " pose"]:
         kept = 2.0 * jax.ops.segment_sum(belongs, piece_of, len(piece_of)) > num_samples
         own = [PieceCosts(c.nats, jnp.where(kept, c.observations, 0.0)) for c in (at_poses, at_random)]
-        return jnp.sum(compared(*own, channel, evidence.textures.num_channels), axis=1)
+        return against_first(*own, channel, evidence.textures.num_channels)
 
     return jax.lax.map(of_one, groups)
+
+
+def against_first(
+    costs: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int
+) -> Float[Array, " pose"]:
+    """Cost [nats] of every pose but the first, against the first, by what both see.
+
+    A few bars of slots that are slid along themselves, under parked cars, fit as well as before in what is left of
+    them: taken for all of them, that would be better than the first pose, which also sees those that masks have missed.
+
+    Args:
+        costs: Of the poses, `[pose piece]`.
+        at_random: Of poses that are surely wrong.
+        channel: Of every piece.
+        num_channels: Of the masks.
+    """
+    nats = _against_chance(costs, channel, _masks_at_best(costs, at_random, channel, num_channels))
+    both = jnp.minimum(costs.observations[1:], costs.observations[0])
+    return jnp.sum((nats[1:] - nats[0]) * both, axis=1)
 
 
 def _looked_at(
@@ -197,12 +220,17 @@ def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chanc
     What one pose sees of a channel stands for as much of it as the pose does that sees most: none gains or loses by
     looking away.
     """
-    rate, by_chance = masks.detection[channel], masks.by_chance[channel]
-    nats = -jnp.log((1 - rate) + rate * jnp.exp(-costs.nats) / by_chance) * costs.observations
+    nats = _against_chance(costs, channel, masks) * costs.observations
     num_channels = masks.detection.shape[0]
     visible = _by_channel(costs.observations, channel, num_channels)
     stands_for = jnp.max(visible, axis=0) / jnp.maximum(visible, _LEAST_OBSERVATIONS)
     return nats * stands_for[:, channel]
+
+
+def _against_chance(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, "pose piece"]:
+    """Cost [nats] of one observation of each piece, against seeing it by chance."""
+    rate, by_chance = masks.detection[channel], masks.by_chance[channel]
+    return -jnp.log((1 - rate) + rate * jnp.exp(-costs.nats) / by_chance)
 
 
 def believed(nats: Float[Array, "pose piece"], best: Int[Array, ""], least: float) -> Float[Array, " pose"]:
@@ -223,7 +251,12 @@ def compared(
     costs: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int
 ) -> Float[Array, "pose piece"]:
     """Cost [nats] of every pose by piece, against seeing the map by chance; the best one tells what masks are like."""
+    return nats_by_piece(costs, channel, _masks_at_best(costs, at_random, channel, num_channels))
+
+
+def _masks_at_best(
+    costs: PieceCosts, at_random: PieceCosts, channel: Int[Array, " piece"], num_channels: int
+) -> Chances:
     simple = jnp.sum(costs.nats * costs.observations, axis=1) / jnp.maximum(jnp.sum(costs.observations, axis=1), 1.0)
     best = jnp.nanargmin(simple)
-    masks = chances(jax.tree.map(lambda leaf: leaf[best], costs), at_random, channel, num_channels)
-    return nats_by_piece(costs, channel, masks)
+    return chances(jax.tree.map(lambda leaf: leaf[best], costs), at_random, channel, num_channels)

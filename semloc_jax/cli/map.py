@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class Options:
     """Make a map of a drive from its masks and its motion, with a sigma and an existence for every element.
 
-    It holds paint, poles, signs and traffic lights. Writes map.gpkg and map.geojson (open with every verb),
+    It holds paint, curbs, poles, pillars, signs and lights. Writes map.gpkg and map.geojson (open with every verb),
     trajectory.tum (T_map_base of every frame), loops.csv (places that the drive came to again), elements.csv,
     config.yaml (resolved; reads back with --config), map.png, overlays/*.png, and metrics.json: against the poses and
     the map of the drive, where it has them, after one motion in the plane. What is finished is kept in parts/ until
@@ -62,6 +62,8 @@ class Options:
     again."""
     overlays: int = 4
     """Number of frames with the map drawn into their images; 0 for none."""
+    video: bool = False
+    """Write map.mp4: the map as it grows, in the images of the first camera and from above."""
     config: Path | None = None
     """YAML file with values of the configuration."""
     out: Path | None = None
@@ -132,6 +134,7 @@ def run(options: Options) -> int:
         loops,
         options.resume,
         options.base,
+        options.video,
     )
     print(report.text)
     if options.baseline is not None:

@@ -20,6 +20,7 @@ from semloc_jax.fusion.measurements import (
     PoseMeasurement,
     SensorBeliefs,
     check_same_time,
+    needs_no_offset,
     normalised_square,
 )
 from semloc_jax.fusion.prediction import MotionIncrement
@@ -154,7 +155,9 @@ class InertialFusion:
         H = np.zeros((2, _NUM))
         H[:, :3] = state.T_map_base[:2, :3]
         H[:, _OFFSET] = np.eye(2)
-        return self._gated(state, difference, H, np.diag(measurement.sigma_m[:2] ** 2))
+        known = state.T_map_base, state.covariance[_POSE, _POSE]
+        is_taken = needs_no_offset(measurement, *known, self.beliefs.gate_probability)
+        return self._gated(state, difference, H, np.diag(measurement.sigma_m[:2] ** 2), is_taken)
 
     def correct_term(self, state: InertialFusionState, term: Factors) -> tuple[InertialFusionState, Innovation]:
         """State with a term that was measured at the time of the state, unless the chi-square test refuses it."""
@@ -203,13 +206,19 @@ class InertialFusion:
         return self._gated(state, difference, H, np.diag(sample.sigma**2))[0]
 
     def _gated(
-        self, state: InertialFusionState, difference: np.ndarray, H: np.ndarray, R: np.ndarray
+        self,
+        state: InertialFusionState,
+        difference: np.ndarray,
+        H: np.ndarray,
+        R: np.ndarray,
+        is_taken: bool = False,
     ) -> tuple[InertialFusionState, Innovation]:
-        """One linear correction, in the covariance form that stays positive (Joseph)."""
+        """One linear correction, in the covariance form that stays positive (Joseph), unless the chi-square test
+        refuses it; what is taken anyway is not tested."""
         P = state.covariance
         S = H @ P @ H.T + R
         square, dof = normalised_square(difference, S), len(difference)
-        if square > chdtri(dof, 1.0 - self.beliefs.gate_probability):
+        if square > chdtri(dof, 1.0 - self.beliefs.gate_probability) and not is_taken:
             return state, Innovation(square, dof, False)
         gain = np.linalg.solve(S, H @ P).T
         step, rest = gain @ difference, np.eye(_NUM) - gain @ H

@@ -17,6 +17,7 @@ from semloc_jax.fusion.measurements import (
     PoseMeasurement,
     SensorBeliefs,
     check_same_time,
+    needs_no_offset,
     normalised_square,
 )
 from semloc_jax.fusion.prediction import Calibration, MotionIncrement, MotionQuality, coasted
@@ -118,7 +119,9 @@ class KalmanFusion:
         H[:, :3] = state.T_map_base[:2, :3]
         H[:, 9:] = np.eye(2)
         corrected, square = _update(state, difference, H, np.diag(measurement.sigma_m[:2] ** 2))
-        accepted = square <= float(chdtri(2, 1.0 - self.config.gate_probability))
+        gate = self.config.gate_probability
+        fits = needs_no_offset(measurement, state.T_map_base, state.covariance[:6, :6], gate)
+        accepted = fits or square <= float(chdtri(2, 1.0 - gate))
         return (corrected if accepted else state), Innovation(square, 2, accepted)
 
     def correct_term(self, state: KalmanState, term: Factors) -> tuple[KalmanState, Innovation]:

@@ -9,6 +9,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import chdtri
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.inertial_motion import Moving
@@ -200,6 +201,23 @@ def check_same_time(what: str, time_s: float, state_s: float) -> None:
         raise SemlocError(
             f"{what} at {time_s:.4f} s for a state at {state_s:.4f} s; expected the same time; predict up to it first"
         )
+
+
+def needs_no_offset(
+    fix: GnssMeasurement,
+    T_map_base: Float[np.ndarray, "4 4"],
+    covariance: Float[np.ndarray, "6 6"],
+    gate_probability: float,
+) -> bool:
+    """Whether a fix fits a pose as it stands.
+
+    Such a fix has not gone astray, whatever the fixes before it say of the offset that they share: a first one that is
+    metres off would else be all that is believed, and every right one after it be refused.
+    """
+    H = T_map_base[:2, :3]
+    spread = H @ covariance[:3, :3] @ H.T + np.diag(fix.sigma_m[:2] ** 2)
+    square = normalised_square(fix.p_map[:2] - T_map_base[:2, 3], spread)
+    return square <= float(chdtri(2, 1.0 - gate_probability))
 
 
 def normalised_square(difference: np.ndarray, covariance: np.ndarray) -> float:

@@ -21,6 +21,7 @@ from semloc_jax.fusion.measurements import (
     PoseMeasurement,
     SensorBeliefs,
     check_same_time,
+    needs_no_offset,
     normalised_square,
 )
 from semloc_jax.fusion.pose_factors import GraphConfig, calibration_of
@@ -148,7 +149,8 @@ class SlidingWindow:
         difference = measurement.p_map[:2] - T[:2, 3] - state.calibration[3:]
         spread = H @ joint @ H.T + np.diag(measurement.sigma_m[:2] ** 2)
         square = normalised_square(difference, spread)
-        if square > chdtri(2, 1.0 - self.config.gate_probability):
+        gate = self.config.gate_probability
+        if square > chdtri(2, 1.0 - gate) and not needs_no_offset(measurement, T, joint[:6, :6], gate):
             return state, Innovation(square, 2, False)
         if state.fix_sqrt_info[int(state.num) - 1].any():
             state = self._with_new_state(state)

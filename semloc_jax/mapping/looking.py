@@ -22,11 +22,14 @@ from semloc_jax.mapping.vectorize import Layer
 from semloc_jax.perception import ClassTable
 from semloc_jax.perception.surround import PAINT, UPRIGHT_WORDS
 from semloc_jax.storage import making
+from semloc_jax.structs import ElementClass
 
 _HEIGHTS_REACH_M = 25.0
 _RIM_PX = 2
 """Masks of what hides the road are this much larger than drawn: their rims wobble."""
 _VEHICLE_CELL_M = 0.1
+ON_ROAD = PAINT | {ElementClass.CURB}
+"""What is drawn from above: paint, and curbs, which stand in the road by a hand's breadth."""
 
 
 @dataclass(frozen=True)
@@ -158,14 +161,14 @@ class Gatherer:
 
 
 def paint_layers(table: ClassTable) -> tuple[list[Layer], np.ndarray]:
-    """What masks show of paint: layers, and the plane of the grid of each mask id, -1 for none, `int64[256]`.
+    """What masks show of paint and curbs: layers, and the plane of the grid of each mask id, -1 for none, `int64[256]`.
 
     Raises:
         SemlocError: the masks show no paint.
     """
     layers, plane_of_id, count = [], np.full(256, -1, np.int64), 0
     for channel in table.channels:
-        labels = [label for label in channel.classes if label in PAINT]
+        labels = [label for label in channel.classes if label in ON_ROAD]
         if not labels:
             continue
         dashed = [i for i in channel.mask_ids if "dash" in table.id_names.get(i, "")]
@@ -176,7 +179,7 @@ def paint_layers(table: ClassTable) -> tuple[list[Layer], np.ndarray]:
         is_told = bool(dashed) and len(groups) == 2
         layers.append(Layer(labels[0], planes, planes[-1:] if is_told else (), is_told))
         count += len(groups)
-    if not layers:
+    if not any(layer.label in PAINT for layer in layers):
         names = ", ".join(channel.name for channel in table.channels)
         raise SemlocError(
             f"class table {table.name}: shows no paint on the road (channels: {names}); a map is made of paint: give "
@@ -189,7 +192,7 @@ def hiding_ids(table: ClassTable) -> np.ndarray:
     """Which ids hide the road: the own car, other road users, everything upright, ignored pixels; `bool[256]`."""
     hides = np.isin(np.arange(256), table.unusable_ids)
     for channel in table.channels:
-        if not set(channel.classes) & PAINT:
+        if not set(channel.classes) & ON_ROAD:
             hides[list(channel.mask_ids)] = True
     for number, name in table.id_names.items():
         hides[number] |= any(word in name for word in (*UPRIGHT_WORDS, "unlabeled"))

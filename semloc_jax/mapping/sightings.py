@@ -1,4 +1,4 @@
-"""What masks show of poles, signs and traffic lights: directions in which they stand (room: mapping; host).
+"""What masks show of poles, pillars, signs and traffic lights: directions in which they stand (room: mapping; host).
 
 In: masks, their cameras, poses. Out: Sightings: for each thing in each image its bearing, elevations and width.
 A pole is upright, so that all its pixels lie in one vertical plane through the camera, whatever the lens.
@@ -17,7 +17,9 @@ from semloc_jax.perception import ClassTable
 from semloc_jax.storage import npz_arrays, write_npz
 from semloc_jax.structs import ElementClass
 
-UPRIGHT = (ElementClass.POLE, ElementClass.SIGN, ElementClass.TRAFFIC_LIGHT)
+UPRIGHT = (ElementClass.POLE, ElementClass.SIGN, ElementClass.TRAFFIC_LIGHT, ElementClass.PILLAR)
+_MAY_BE_CUT = (ElementClass.POLE, ElementClass.PILLAR)
+"""What is told by a part of it."""
 COLUMNS = (
     "label",
     "frame",
@@ -37,6 +39,8 @@ COLUMNS = (
 width [rad]; share of its box that it fills; whether its low and its high end were seen."""
 _BIN_RAD = np.deg2rad(0.3)
 _RIM_PX = 2
+_ONE_SIDE = 0.6
+"""Share of the heights of a pillar at which it must be as wide as at most."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,7 @@ class Sightings:
         ids = {label: self._ids(label) for label in UPRIGHT if self.table.channel_of(label) >= 0}
         for label, own in ids.items():
             blocks = self._unusable
-            if label == ElementClass.POLE:
+            if label in _MAY_BE_CUT:
                 # A sign on a pole cuts it in two.
                 blocks = np.any([blocks, *(other for key, other in ids.items() if key != label)], axis=0)
             found = _things(own[mask], blocks[mask], table, T_map_base, label, self.config)
@@ -180,12 +184,16 @@ def _things(
             continue
         box = slice(y, y + height), slice(x, x + width)
         own = labels[box] == index
+        ends = _ends(own, (x, y), shows.shape, unusable)
+        if label == ElementClass.PILLAR:
+            own = _uncut(own, (x, y), unusable)
+            if np.count_nonzero(own) < config.min_px:
+                continue
         rays = table.rays_base[box][own] @ T_map_base[:3, :3].T.astype(np.float32)
         if not rays.any(axis=1).all():
             continue
-        ends = _ends(own, (x, y), shows.shape, unusable)
-        row = _pole(rays, table, config) if label == ElementClass.POLE else _board(rays, table, config)
-        if row is not None and (label == ElementClass.POLE or all(ends)):
+        row = _ROWS[label](rays, table, config)
+        if row is not None and (label in _MAY_BE_CUT or all(ends)):
             found.append([*row, *ends])
     return np.array(found).reshape(-1, 8)
 
@@ -200,6 +208,16 @@ def _ends(own: np.ndarray, corner: tuple[int, int], shape: tuple, unusable: np.n
         inside = _RIM_PX <= column < shape[1] - _RIM_PX and 0 <= beyond < shape[0]
         ends.append(bool(inside and not unusable[beyond, column]))
     return ends[0], ends[1]
+
+
+def _uncut(own: np.ndarray, corner: tuple[int, int], unusable: np.ndarray) -> np.ndarray:
+    """The rows of a patch whose first and last pixels are its sides: nothing beside them can stand before it."""
+    left = own.argmax(axis=1) + corner[0] - _RIM_PX
+    right = own.shape[1] - 1 - own[:, ::-1].argmax(axis=1) + corner[0] + _RIM_PX
+    rows, last = corner[1] + np.arange(len(own)), unusable.shape[1] - 1
+    is_inside = (left >= 0) & (right <= last)
+    is_cut = unusable[rows, np.maximum(left, 0)] | unusable[rows, np.minimum(right, last)]
+    return own & (is_inside & ~is_cut)[:, None]
 
 
 def _angles(rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -241,3 +259,33 @@ def _board(rays: np.ndarray, table: RayTable, config: SightConfig) -> tuple[floa
     fill = len(rays) * table.px_rad**2 / max((high - low) * (right - left), 1e-12)
     sigma = np.hypot(config.border_px * table.px_rad, np.deg2rad(config.heading_deg))
     return middle + 0.5 * (left + right), float(sigma), low, high, right - left, min(float(fill), 1.0)
+
+
+def _pillar(rays: np.ndarray, table: RayTable, config: SightConfig) -> tuple[float, ...] | None:
+    """A box: the bearings of its two sides, which are as straight as those of a pole."""
+    off, elevation, middle = _angles(rays)
+    low, high = float(elevation.min()), float(elevation.max())
+    if high - low < np.deg2rad(config.min_height_deg):
+        return None
+    bins = ((elevation - low) / _BIN_RAD).astype(int)
+    left, right = np.full(bins.max() + 1, -np.inf), np.full(bins.max() + 1, np.inf)
+    np.maximum.at(left, bins, off)
+    np.minimum.at(right, bins, off)
+    left, right = left[np.isfinite(left)], right[np.isfinite(right)]
+    edges = float(np.median(left)), float(np.median(right))
+    # Something before it, or another one behind it, makes it narrower or wider at some heights.
+    off_rad = np.maximum(np.abs(left - edges[0]), np.abs(right - edges[1]))
+    share = float((off_rad <= 2.0 * table.px_rad).mean())
+    if share < _ONE_SIDE:
+        return None
+    sigma = np.hypot(config.border_px * table.px_rad, np.deg2rad(config.heading_deg))
+    width = edges[0] - edges[1] + table.px_rad
+    return middle + 0.5 * (edges[0] + edges[1]), float(sigma), low, high, width, share
+
+
+_ROWS = {
+    ElementClass.POLE: _pole,
+    ElementClass.SIGN: _board,
+    ElementClass.TRAFFIC_LIGHT: _board,
+    ElementClass.PILLAR: _pillar,
+}

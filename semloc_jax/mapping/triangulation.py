@@ -5,6 +5,7 @@ Every sighting votes for the places along its bearing; where most frames agree a
 taken away, and so on. A crossing of bearings to different things is told by its heights, which do not agree.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,9 @@ from jaxtyping import Float, Int
 from semloc_jax.mapping.sightings import column
 from semloc_jax.structs import ElementClass
 
+HeightOf = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
+"""Height of the road at places [m]."""
+
 _CELL_M = 0.5
 _STEP_M = 0.125
 _ROUNDS = 8
@@ -20,6 +24,7 @@ _MOST_THINGS = 2000
 _MOST_AT_ONCE = 64
 """Places tried together. Where things end, hundreds of crossings of bearings to different things follow each other."""
 _LEAST_TOLD = 3
+_MAY_BE_CUT = (float(ElementClass.POLE), float(ElementClass.PILLAR))
 _ENDS = (("low", "is_foot", 0.1), ("high", "is_top", 0.9))
 """Columns of the ends of a sighting, and the quantile of what is seen where no end is."""
 
@@ -178,8 +183,8 @@ def _checked(
         return None
     range_m = np.linalg.norm(own[:, 2:4] - xy, axis=1)
     (foot_m, foot_off_m), (top_m, top_off_m) = (_end(own, range_m, *names) for names in _ENDS)
-    # A pole is cut by much that stands before it; a board is seen whole or not at all.
-    if column(own, "label")[0] != float(ElementClass.POLE) and max(foot_off_m, top_off_m) > config.most_height_m:
+    # A pole or a pillar is cut by much that stands before it; a board is seen whole or not at all.
+    if column(own, "label")[0] not in _MAY_BE_CUT and max(foot_off_m, top_off_m) > config.most_height_m:
         return None
     # Errors of the way are shared by neighbouring frames: a metre of way tells one thing once.
     way_m = float(np.linalg.norm(np.diff(_by_frame(own), axis=0), axis=1).sum())

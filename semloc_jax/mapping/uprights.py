@@ -1,9 +1,9 @@
-"""Poles, signs and traffic lights of a map: elements, and how often each was seen (room: mapping; host).
+"""Poles, pillars, signs and traffic lights of a map: elements, and how often each was seen (room: mapping; host).
 
 In: Sightings, then masks and poses. Out: MapElements; Belief of each.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,14 +11,12 @@ from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.mapping.existence import ExistenceConfig, existence_logit, raised
 from semloc_jax.mapping.kept_counts import KeptCounts
+from semloc_jax.mapping.pillars import pillar
 from semloc_jax.mapping.sightings import UPRIGHT, RayTable, column
-from semloc_jax.mapping.triangulation import Standing, TriangulationConfig, stand
+from semloc_jax.mapping.triangulation import HeightOf, Standing, TriangulationConfig, stand
 from semloc_jax.maps import Belief, MapElement
 from semloc_jax.perception import ClassTable
 from semloc_jax.structs import ElementClass
-
-HeightOf = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
-"""Height of the road at places [m]."""
 
 _PLACES = 8
 """Places along the axis of each that are looked at."""
@@ -45,7 +43,7 @@ class Upright:
 def uprights_of(
     sightings: Float[np.ndarray, "n 13"], height_of: HeightOf, config: TriangulationConfig | None = None
 ) -> list[Upright]:
-    """Every pole, sign and traffic light that the sightings of a drive agree on.
+    """Every pole, pillar, sign and traffic light that the sightings of a drive agree on.
 
     Args:
         sightings: rows, see `sightings.COLUMNS`.
@@ -101,7 +99,12 @@ def _outline(shape: str) -> Float[np.ndarray, "k 2"]:
     return np.array(corners[shape], dtype=np.float64)
 
 
-_SHAPES = {ElementClass.POLE: _pole, ElementClass.SIGN: _sign, ElementClass.TRAFFIC_LIGHT: _light}
+_SHAPES = {
+    ElementClass.POLE: _pole,
+    ElementClass.SIGN: _sign,
+    ElementClass.TRAFFIC_LIGHT: _light,
+    ElementClass.PILLAR: pillar,
+}
 
 
 class UprightCounting(KeptCounts):
@@ -128,9 +131,6 @@ class UprightCounting(KeptCounts):
             if channel >= 0:
                 own[label, list(table.channels[channel].mask_ids)] = True
         hides[:, list(table.unusable_ids)] = True
-        pillars = table.channel_of(ElementClass.PILLAR)
-        if pillars >= 0:  # in a garage one stands before most things
-            hides[:, list(table.channels[pillars].mask_ids)] = True
         hides |= own.any(axis=0) & ~own
         self._own, self._hides = own, hides
         n = len(self._places)
@@ -240,7 +240,10 @@ class UprightCounting(KeptCounts):
 
 def _axis(element: MapElement) -> Float[np.ndarray, "k 3"]:
     """Places on the axis of a thing [m]: of a pole above what stands around its foot."""
-    if element.closed:
+    if element.label == ElementClass.PILLAR:
+        low = element.points.mean(axis=0)
+        high = low + [0.0, 0.0, element.height_m]
+    elif element.closed:
         middle, top = element.points.mean(axis=0), element.points[:, 2].max()
         low = middle - [0.0, 0.0, 0.7 * (top - middle[2])]
         high = 2.0 * middle - low
@@ -253,4 +256,6 @@ def _axis(element: MapElement) -> Float[np.ndarray, "k 3"]:
 def _width_m(element: MapElement) -> float:
     if element.label == ElementClass.POLE:
         return 2.0 * element.radius_m
+    if element.label == ElementClass.PILLAR:
+        return float(np.linalg.norm(np.diff(element.points[:3, :2], axis=0), axis=1).min())
     return element.width_m if not element.closed else float(np.ptp(element.points[:, 2]))

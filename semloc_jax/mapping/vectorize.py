@@ -1,4 +1,4 @@
-"""Elements out of the picture of the road from above: dashes, lines, bars, outlines (room: mapping; host).
+"""Elements out of the picture of the road from above: dashes, lines, curbs, bars, outlines (room: mapping; host).
 
 In: EvidenceGrid, what its layers mean, height of the road. Out: MapElements.
 """
@@ -22,7 +22,7 @@ from semloc_jax.structs import ElementClass
 HeightOf = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
 """Height of the road at places [m]."""
 
-STROKES = (ElementClass.LANE_MARKING, ElementClass.SLOT_LINE)
+STROKES = (ElementClass.LANE_MARKING, ElementClass.SLOT_LINE, ElementClass.CURB)
 RECTANGLES = (ElementClass.CROSSWALK, ElementClass.STOP_LINE, ElementClass.SPEED_BUMP)
 _BLOCK_TILES = 4
 """Tiles along the side of a block: 51 m at 2.5 cm."""
@@ -187,6 +187,8 @@ def _is_short(
     length_m = stroke.length * cell_m
     if layer.label == ElementClass.SLOT_LINE:
         return length_m <= _MARGIN_M
+    if layer.label == ElementClass.CURB:
+        return False
     return length_m <= config.longest_dash_m and (not layer.says_style or _vote(dashed, share, stroke) > _SOLID_VOTE)
 
 
@@ -216,14 +218,14 @@ def _elements(layer: Layer, found: _Found, to_map: "_ToMap", config: VectorConfi
     if layer.label not in STROKES:
         return [_polygon(layer.label, to_map(rim)) for rim in found.rims]
     is_slot = layer.label == ElementClass.SLOT_LINE
-    style = "" if is_slot else "dashed"
+    style, whole_style = ("dashed", "solid") if layer.label == ElementClass.LANE_MARKING else ("", "")
     elements = [_line(layer.label, _straightened(s, cell_m), s, style, to_map) for s in found.dashes]
     # Pieces of one line by a slot that were not cut were followed to the end: only what was cut is joined.
     longest_m, off_m = (_CUT_GAP_M, _CUT_GAP_M) if is_slot else (config.joined_gap_m, config.joined_off_m)
     for stroke in joined(found.lines, cell_m, longest_m, off_m):
         if stroke.length * cell_m >= 2.0 * config.shortest_line_m:
             shape = _straightened if is_slot else _smoothed
-            elements.append(_line(layer.label, shape(stroke, cell_m), stroke, "" if is_slot else "solid", to_map))
+            elements.append(_line(layer.label, shape(stroke, cell_m), stroke, whole_style, to_map))
     return elements
 
 

@@ -1,8 +1,8 @@
 """How far a map may be off as a whole around each place, from what is known of the way (room: mapping; host).
 
 In: the joint covariance of some poses of the way that a map was drawn along. Out: WaySigmas, a BeliefMap that states
-them. All that is seen from one stretch of the way shares the error of its poses: a drive in the map cannot notice it,
-and no number of looks at an element takes it out.
+them. All that is seen from one stretch of the way shares what its poses are off by: a drive in the map cannot notice
+it, and no number of looks at an element takes it out.
 """
 
 from collections.abc import Sequence
@@ -21,6 +21,9 @@ _MOST = 150
 _PLANE = np.array([0, 1, 5])
 _AROUND_M = 7.0
 """How far from a place, in the mean square, what is seen from it lies: half of the 14 m that frames are compared in."""
+_LOOKED_M = (3.0, 14.0)
+"""What lies in this reach of a place is laid by it, the nearer the more; ours."""
+_DIRECTIONS = 16
 
 
 class WaySigmas(NamedTuple):
@@ -74,7 +77,35 @@ def way_sigmas(Ts_map_base: Float[np.ndarray, "k 4 4"], covariance: Float[np.nda
     axes[:, :2, :3] = Ts_map_base[:, :2, :3]
     axes[:, 2, _PLANE[2]] = 1.0
     joint = np.einsum("iab,ibjd,jcd->iajc", axes, covariance.reshape(num, 6, num, 6), axes).reshape(3 * num, 3 * num)
-    return planar_sigmas(Ts_map_base[:, :2, 3], joint)
+    laid = _laid(Ts_map_base[:, :2, 3])
+    return planar_sigmas(Ts_map_base[:, :2, 3], laid @ joint @ laid.T)
+
+
+def _laid(xy_map: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "m m"]:
+    """How errors of places of a way, three rows each as for `planar_sigmas`, become errors of the map around them.
+
+    An element is laid by all poses that look at it. Where one heading is off, the others hold the element; where all
+    are off alike, it is turned about each of them, and what is ahead of one is behind another: of a turn of all
+    headings against the way half is left.
+    """
+    num = len(xy_map)
+    angle = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    arm = _AROUND_M * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    # From place j to element m around place i.
+    ray = xy_map[:, None, None] + arm[None, :, None] - xy_map[None, None]
+    range_m = np.linalg.norm(ray, axis=-1)
+    weight = np.where(range_m <= _LOOKED_M[1], np.maximum(range_m, _LOOKED_M[0]) ** -2.0, 0.0)
+    weight /= weight.sum(axis=2, keepdims=True)
+    # The motion of an element by x, y and heading of each place, then the motion in the plane that fits all of them.
+    by_turn = np.stack([-ray[..., 1], ray[..., 0]], axis=-1)
+    across = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / _AROUND_M**2
+    found = np.zeros((num, 3, num, 3))
+    for k in range(2):
+        found[:, k, :, k] = weight.mean(axis=1)
+        found[:, 2, :, k] = np.einsum("m,imj->ij", across[:, k], weight) / _DIRECTIONS
+        found[:, k, :, 2] = (weight * by_turn[..., k]).mean(axis=1)
+    found[:, 2, :, 2] = np.einsum("mk,imj,imjk->ij", across, weight, by_turn) / _DIRECTIONS
+    return found.reshape(3 * num, 3 * num)
 
 
 def planar_sigmas(xy_map: Float[np.ndarray, "k 2"], covariance: Float[np.ndarray, "m m"]) -> WaySigmas:

@@ -43,6 +43,7 @@ from semloc_jax.mapping.seen_area import MadeFrame, seen_area, sensor_scale, wri
 from semloc_jax.maps import BeliefMap, read_map, write_drive_geojson, write_map
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.reports.folder import make_folder, write_record
+from semloc_jax.reports.map_film import MapFilm, write_map_film
 from semloc_jax.reports.pictures import element_panels
 from semloc_jax.reports.run_inputs import FILE as INPUTS
 from semloc_jax.reports.run_inputs import begun, file_digest, fingerprint_without_map
@@ -84,6 +85,7 @@ def report_map(
     loops: bool = True,
     resume: Path | None = None,
     base: Path | None = None,
+    has_video: bool = False,
 ) -> MadeMapReport:
     """Make a map of a drive and write everything about it.
 
@@ -99,6 +101,7 @@ def report_map(
         loops: whether places that the drive comes to again tie its way down.
         resume: folder of a run that was killed, to go on with.
         base: map that is there already: the drive is found in it, updates its beliefs and adds to it.
+        has_video: whether map.mp4 is written.
 
     Raises:
         SemlocError: no wheel odometry, nothing that fixes the frame as asked, or no map came out.
@@ -160,6 +163,10 @@ def report_map(
         metrics += base_metrics(closed.places, made.changes)
     write_metrics(metrics, folder / "metrics.json")
     _draw(drive, masks, frames, made, Ts_map_base, num_overlays, folder)
+    if has_video:
+        write_map_film(
+            folder / "map.mp4", MapFilm(made.belief_map, masks, frames, Ts_map_base[looking], drive.name), shown
+        )
     remove_folder(parts.folder)
     return MadeMapReport(folder, _text(made, closed, metrics, comparison), made.belief_map.map.num_elements)
 
@@ -187,7 +194,7 @@ def _made_of(
     drive: Drive, masks: MaskSource, settings: MapConfig, options: Mapping[str, Any], base: Path | None
 ) -> dict[str, str]:
     """A hash for each part of what a map depends on."""
-    same = {name: value for name, value in options.items() if name != "overlays"}
+    same = {name: value for name, value in options.items() if name not in ("overlays", "video")}
     made_of = fingerprint_without_map(drive, masks, settings, same)
     return made_of if base is None else {**made_of, "base": file_digest(base)}
 

@@ -13,8 +13,9 @@ from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.inputs.mask_source import MaskSource
-from semloc_jax.maps import SemanticMap, sample
+from semloc_jax.maps import LocalMap, SemanticMap, sample
 from semloc_jax.storage import output_path
+from semloc_jax.structs import MapSamples
 from semloc_jax.viz.overlay import Contours, Panel, dim
 
 RADIUS_M, SPACING_M = 65.0, 0.25
@@ -58,19 +59,33 @@ def element_panels(
     semantic_map: SemanticMap, source: MaskSource, frame: Frame, T_map_base: np.ndarray
 ) -> list[tuple[str, np.ndarray, dict[str, Contours]]]:
     """Name of each camera, its image, else its mask, and the contours of each map element in it by the element's id."""
-    local_map = semantic_map.query(T_map_base[:3, 3], RADIUS_M)
+    found, local_map = [], semantic_map.query(T_map_base[:3, 3], RADIUS_M)
     samples = sample(local_map, SPACING_M)
-    rig = frame.rig.select(source.cameras)
-    masks_rig, found = source.camera_rig(rig), []
-    for index, name in enumerate(rig.names):
-        if frame.has("rgb", name):
-            image, camera = dim(frame.image(name)[..., ::-1]), rig.cameras[index]
-        else:
-            image, camera = viz.mask_picture(source.segment(frame, name), source.table), masks_rig.cameras[index]
-        seen = viz.project_contours(samples, local_map.frame, T_map_base, camera, rig.T_base_cam[index])
-        ids = np.array([local_map.elements[row].id for row in seen.element], dtype=object)
-        found.append((name, image, {key: Contours(seen.uv[ids == key], seen.label[ids == key]) for key in set(ids)}))
+    for index, name in enumerate(source.cameras):
+        image, seen, ids = camera_picture(local_map, samples, source, frame, T_map_base, index)
+        found.append((name, image, {key: seen.where(ids == key) for key in set(ids)}))
     return found
+
+
+def camera_picture(
+    local_map: LocalMap,
+    samples: MapSamples,
+    source: MaskSource,
+    frame: Frame,
+    T_map_base: np.ndarray,
+    index: int = 0,
+) -> tuple[np.ndarray, Contours, np.ndarray]:
+    """The image of one camera, else its mask, the contours of the map in it, and the id of the element of each."""
+    rig, name = frame.rig.select(source.cameras), source.cameras[index]
+    if frame.has("rgb", name):
+        image, camera = dim(frame.image(name)[..., ::-1]), rig.cameras[index]
+    else:
+        image, camera = (
+            viz.mask_picture(source.segment(frame, name), source.table),
+            source.camera_rig(rig).cameras[index],
+        )
+    seen = viz.project_contours(samples, local_map.frame, T_map_base, camera, rig.T_base_cam[index])
+    return image, seen, np.array([local_map.elements[row].id for row in seen.element], dtype=object)
 
 
 def calibration_panels(

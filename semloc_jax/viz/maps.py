@@ -36,7 +36,7 @@ def maps_over_each_other(made: Sequence[MapElement], reference: Sequence[MapElem
     figure = new_figure(*_size_in([*made, *reference]), dark=True)
     axes = plain_axes(figure.add_subplot(), dark=True)
     for elements, colour, width in ((reference, REFERENCE, 2.2), (made, MADE, 0.9)):
-        axes.add_collection(LineCollection([_outline(e) for e in elements], colors=colour, linewidths=width, alpha=0.9))
+        axes.add_collection(LineCollection([outline(e) for e in elements], colors=colour, linewidths=width, alpha=0.9))
         _draw_posts(axes, [e for e in elements if _is_post(e)], 10 * width, colour, width)
     handles = [Line2D([], [], color=REFERENCE, label="reference"), Line2D([], [], color=MADE, label="made")]
     axes.legend(handles=handles, fontsize=8, frameon=False, labelcolor="#e8edf4")
@@ -59,7 +59,7 @@ def sigmas_from_above(
     colours = ScalarMappable(LogNorm(*_SIGMAS_M, clip=True), "turbo")
     sigma_m = np.array([beliefs[element.id].sigma_across_m for element in elements])
     draw_map(axes, [element for element in elements if element.is_logical], linewidth=0.4)
-    shown = [(_outline(e), s) for e, s in zip(elements, sigma_m, strict=True) if not e.is_logical]
+    shown = [(outline(e), s) for e, s in zip(elements, sigma_m, strict=True) if not e.is_logical]
     lines = LineCollection([line for line, _ in shown], colors=colours.to_rgba([s for _, s in shown]), linewidths=1.4)
     axes.add_collection(lines)
     posts = [(e, s) for e, s in zip(elements, sigma_m, strict=True) if _is_post(e)]
@@ -92,7 +92,7 @@ def changes_from_above(
     groups += [([e for e in elements if changed.get(e.id) == w], CHANGES[w], 1.8) for w in ("added", "moved")]
     for group, colour, width in groups:
         shown = [e for e in group if not e.is_logical]
-        axes.add_collection(LineCollection([_outline(e) for e in shown], colors=colour, linewidths=width))
+        axes.add_collection(LineCollection([outline(e) for e in shown], colors=colour, linewidths=width))
         _draw_posts(axes, [e for e in shown if _is_post(e)], 22.0 * width, colour, width)
     counts = {"removed": len(gone)} | {w: sum(v == w for v in changed.values()) for w in ("added", "moved")}
     handles = [Line2D([], [], color=CHANGES[word], label=f"{count} {word}") for word, count in counts.items()]
@@ -121,7 +121,7 @@ def existence_from_above(elements: Sequence[MapElement], beliefs: Mapping[str, B
         axes = plain_axes(figure.add_subplot(2, 1, row), dark=True)
         colours = ScalarMappable(scale, name)
         rgba = colours.to_rgba(values)
-        axes.add_collection(LineCollection([_outline(e) for e in shown], colors=rgba, linewidths=1.4))
+        axes.add_collection(LineCollection([outline(e) for e in shown], colors=rgba, linewidths=1.4))
         posts = [k for k, e in enumerate(shown) if _is_post(e)]
         _draw_posts(axes, [shown[k] for k in posts], 22.0, rgba[posts], 1.4)
         bar = figure.colorbar(colours, ax=axes, shrink=0.8, pad=0.01)
@@ -142,7 +142,7 @@ def _draw_posts(axes: Axes, posts: Sequence[MapElement], size: float, colour: st
         axes.scatter(*xy.T, s=size, facecolors="none", edgecolors=colour, linewidths=width)
 
 
-def _outline(element: MapElement) -> np.ndarray:
+def outline(element: MapElement) -> np.ndarray:
     """The rim of an element from above, `[k 2]`."""
     if element.is_painted and not element.closed and element.width_m > 0.0:
         return np.asarray(painted_polygon(element).exterior.coords)

@@ -47,6 +47,11 @@ class Contours:
         """Nothing in view."""
         return cls(np.zeros((0, 2, 2)), np.zeros(0, int))
 
+    def where(self, chosen: Bool[np.ndarray, " n"]) -> "Contours":
+        """Some of the pieces."""
+        element = None if self.element is None else self.element[chosen]
+        return Contours(self.uv[chosen], self.label[chosen], element)
+
     @property
     def classes(self) -> tuple[ElementClass, ...]:
         """Classes in view."""

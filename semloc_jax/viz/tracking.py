@@ -98,20 +98,25 @@ def status_banner(image: np.ndarray, status: TrackStatus, text: str, why: str = 
         text: What it says.
         why: What keeps the frame from being TRACKING; what does not fit is cut at a word.
     """
+    return banner(image, STATUS_COLOURS[status], text, why)
+
+
+def banner(image: np.ndarray, colour: str, text: str, more: str = "") -> np.ndarray:
+    """The image with a bar below in a colour, and two lines of text in it; as `status_banner`."""
     import cv2
 
     from semloc_jax.viz.style import rgb
 
     height = max(image.shape[1] // 24, 24)
     bar = np.full((2 * height, image.shape[1], 3), 20, np.uint8)
-    bar[:, : height // 2] = rgb(STATUS_COLOURS[status])
+    bar[:, : height // 2] = rgb(colour)
     font, scale, grey = cv2.FONT_HERSHEY_SIMPLEX, height / 50.0, (235, 240, 245)
     cv2.putText(bar, text, (height, int(0.7 * height)), font, scale, grey, 1, cv2.LINE_AA)
 
     def is_fitting(line: str) -> bool:
         return cv2.getTextSize(line, font, 0.8 * scale, 1)[0][0] <= image.shape[1] - 1.5 * height
 
-    words, line = why.split(), ""
+    words, line = more.split(), ""
     while words and is_fitting(" ".join([line, words[0], "..."])):
         line = " ".join([line, words.pop(0)]).strip()
     line += " ..." if words else ""

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.pieces import Chances, PieceCosts, _runs, believed, chances, nats_by_piece
+from semloc_jax.alignment.pieces import Chances, PieceCosts, _runs, against_first, believed, chances, nats_by_piece
 
 LINES, POSTS = 0, 1
 CHANNEL = jnp.asarray([LINES] * 8 + [POSTS] * 2)
@@ -68,3 +68,16 @@ def test_nats_that_few_pieces_decide_are_believed_less():
     # One piece counts as two of half: their variance is 2 x (5^2 + 0) / 1.
     assert share[2] == pytest.approx(2 * 10.0 / (2 * 25.0), rel=1e-4)
     assert share[3] == pytest.approx(2 * 5.0 / (10 * 10 * 6.25 / 9), rel=1e-4)
+
+
+def test_what_only_one_pose_sees_is_not_held_against_it():
+    """Bars slid under parked cars: three of those that fit are left, and none of the four that masks missed. That is
+    worth nothing; a place where also the missed ones fit is worth what they say, and one where none fits costs it."""
+    nan = np.nan
+    here = [0.3] * 6 + [7.0] * 4
+    slid, better, worse = [0.3] * 3 + [nan] * 7, [0.3] * 10, [7.0] * 10
+    at_random = costs(*[[7.0] * 10] * 3, [0.3] * 10)
+    channel = jnp.zeros(10, int)
+    found = np.asarray(against_first(costs(here, slid, better, worse), at_random, channel, 1))
+    assert found[0] == pytest.approx(0.0, abs=1e-5)
+    assert found[1] < -4.0 and found[2] > 6.0

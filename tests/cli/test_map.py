@@ -3,6 +3,7 @@
 import csv
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,6 +16,7 @@ from semloc_jax.mapping.found_loops import COLUMNS
 from semloc_jax.mapping.looking import Looker
 from semloc_jax.mapping.mapper import make_map
 from semloc_jax.maps import BeliefMap, MapElement, read_map
+from semloc_jax.reports.map_film import MapFilm
 from semloc_jax.simulation import SimulationConfig, simulate
 
 
@@ -35,8 +37,8 @@ def small_parts():
 @pytest.fixture(scope="module")
 def made(drive_dir, small_parts, tmp_path_factory):
     out = tmp_path_factory.mktemp("made")
-    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "1", "--out", str(out)]
-    assert main(words) == OK
+    words = ["map", str(drive_dir), "--masks", "sem", "--start", "truth", "--overlays", "1", "--video"]
+    assert main([*words, "--out", str(out)]) == OK
     return out
 
 
@@ -61,6 +63,22 @@ def test_both_files_hold_one_map_with_its_beliefs(made):
     assert (made / "config.yaml").is_file()
     assert (made / "map.png").stat().st_size > 5000
     assert len(list((made / "overlays").iterdir())) == 1
+
+
+def test_the_film_shows_what_was_seen_by_then(made, drive_dir):
+    """A picture for each frame; of the first frame on the plan holds more and more, at last all of the map."""
+    video = cv2.VideoCapture(str(made / "map.mp4"))
+    assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == 14
+    video.release()
+    drive = open_drive(drive_dir)
+    held = BeliefMap.of(read_map(made / "map.gpkg"))
+    poses = read_trajectory(made / "trajectory.tum").T_map_base
+    film = MapFilm(held, mask_source("sem", drive, None, None), drive.frames, poses, drive.name)
+    known = [int(film.known(frame.time_s).sum()) for frame in drive.frames]
+    assert 0 < known[0] < known[-1] == held.map.num_elements
+    assert known == sorted(known)
+    first, last = (film.picture(row, 320) for row in (0, 13))
+    assert first.shape == last.shape and not np.array_equal(first[-20:], last[-20:])
 
 
 def test_the_trajectory_has_every_frame(made, drive_dir):

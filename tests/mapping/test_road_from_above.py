@@ -8,10 +8,12 @@ import pytest
 
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.mapping.line_pieces import cut_to, joined
+from semloc_jax.mapping.looking import paint_layers
 from semloc_jax.mapping.outlines import find_outlines, find_rectangles
 from semloc_jax.mapping.road_table import RoadHeights
 from semloc_jax.mapping.strokes import PaintTrace, TraceLimits, find_strokes
 from semloc_jax.mapping.vectorize import Layer, VectorConfig, elements_of
+from semloc_jax.perception import load_class_table
 from semloc_jax.structs import ElementClass
 
 CELL_M = 0.025
@@ -143,6 +145,25 @@ def test_a_map_comes_out_of_the_grid_in_metres():
     np.testing.assert_allclose(np.sort(dash.points[[0, -1], 0]), [-7 + 2.5, -7 + 5.525], atol=0.03)
     np.testing.assert_allclose(dash.points[:, 1:], np.tile([3.0 + 3.0125, 2.5], (len(dash.points), 1)), atol=0.02)
     assert line.length_m == pytest.approx(12.5, abs=0.1)
+
+
+def test_a_curb_is_a_line_and_no_dash():
+    """Six metres of a curb of 15 cm: masks of the layout show it, and it is called neither broken nor solid."""
+    layers, plane_of_id = paint_layers(load_class_table("drive"))
+    (layer,) = [layer for layer in layers if layer.label == ElementClass.CURB]
+    assert plane_of_id[26] == layer.planes[0]
+    grid = EvidenceGrid(CELL_M, int(plane_of_id.max()) + 1)
+    ys, xs = np.mgrid[0:120, 0:300]
+    cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
+    is_curb = (cells[:, 0] >= 20) & (cells[:, 0] < 260) & (cells[:, 1] >= 40) & (cells[:, 1] < 46)
+    for _ in range(3):
+        planes = np.where(is_curb, layer.planes[0], -1)
+        grid.add((cells + 0.5) * CELL_M, np.ones(len(cells)), planes, np.ones(len(cells), bool))
+    (curb,) = elements_of(grid, layers, lambda xy: np.zeros(len(xy)), VectorConfig())
+    assert (curb.id, curb.label, curb.style) == ("curb_0", ElementClass.CURB, "")
+    assert curb.length_m == pytest.approx(6.0, abs=0.1)
+    assert curb.width_m == pytest.approx(0.15, abs=0.02)
+    np.testing.assert_allclose(curb.points[:, 1], 43.0 * CELL_M, atol=0.01)
 
 
 def test_the_road_goes_up_and_down_where_the_vehicle_does():

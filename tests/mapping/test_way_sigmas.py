@@ -35,7 +35,8 @@ def test_the_frame_of_a_map_is_no_error_of_it():
 
 
 def test_errors_of_each_place_and_of_the_scale_are_what_they_are():
-    Ts = way()
+    """Places so far apart that none sees what another one sees."""
+    Ts = way(every_m=60.0)
     num = len(Ts)
     own = np.tile([0.02, 0.02, 0.1, 0.0, 0.0, 0.001], num)
     alone = way_sigmas(Ts, np.diag(own**2))
@@ -47,6 +48,17 @@ def test_errors_of_each_place_and_of_the_scale_are_what_they_are():
     scaled = way_sigmas(Ts, 1e-6 * np.outer(outwards, outwards))
     off_m = 1e-3 * np.linalg.norm(Ts[:, :2, 3] - Ts[:, :2, 3].mean(axis=0), axis=1)
     np.testing.assert_allclose(scaled.place_m, off_m / np.sqrt(2.0), atol=1e-6)
+
+
+def test_an_element_is_laid_by_all_that_look_at_it():
+    """Headings that are all off alike shear the map along a straight way, which turns it by half of that; those that
+    are off each on its own outvote each other."""
+    Ts = np.array([rigid.planar_pose(5.0 * k, 0.0, 0.0, 0.0) for k in range(21)])
+    alike, alone = np.zeros((len(Ts), 6)), np.tile([0, 0, 0, 0, 0, 0.001], len(Ts))
+    alike[:, 5] = 0.001
+    of_all = way_sigmas(Ts, np.outer(alike, alike)).turn_rad[3:-3]
+    assert of_all == pytest.approx(np.full(15, 0.0005), rel=0.25)
+    assert way_sigmas(Ts, np.diag(alone**2)).turn_rad.max() < 0.0006
 
 
 def test_places_are_metres_apart_and_not_many():
