@@ -190,7 +190,7 @@ class _Born(NamedTuple):
 def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Born:
     height_of: HeightOf = road_height(Ts_map_base)
     uprights = uprights_of(gatherer.sightings.all(), height_of, config.triangulation)
-    elements = whole_again(elements_of(gatherer.paint, gatherer.layers, height_of, config.vector, open_dashes=True))
+    elements = whole_again(elements_of(gatherer.paint, gatherer.layers, height_of, config.vector))
     lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
     others = [element for element in elements if element.label != ElementClass.SLOT_LINE]
     paint_at = _looks_at(gatherer, ElementClass.SLOT_LINE)

@@ -94,11 +94,7 @@ class _Found:
 
 
 def elements_of(
-    grid: EvidenceGrid,
-    layers: Sequence[Layer],
-    height_of: HeightOf,
-    config: VectorConfig | None = None,
-    open_dashes: bool = False,
+    grid: EvidenceGrid, layers: Sequence[Layer], height_of: HeightOf, config: VectorConfig | None = None
 ) -> list[MapElement]:
     """Every element that the grid shows, with ids that count within each class.
 
@@ -110,7 +106,6 @@ def elements_of(
         layers: what its layers mean.
         height_of: height of the road.
         config: None for the defaults.
-        open_dashes: whether dashes come too of which an end is not clear, as `true_ends` says: for `whole_again`.
     """
     config = config or VectorConfig()
     found = [_Found() for _ in layers]
@@ -124,7 +119,7 @@ def elements_of(
         low, high = np.maximum(low, near.min(axis=0)), np.minimum(high, near.max(axis=0) + TILE)
         window = _Window(grid, low, high - low, config)
         for layer, own in zip(layers, found, strict=True):
-            _look_at(window, layer, own, core, config, open_dashes)
+            _look_at(window, layer, own, core, config)
     to_map = _ToMap(grid.cell_m, height_of)
     return [
         _named(element, k)
@@ -148,9 +143,7 @@ class _Window:
         return whole
 
 
-def _look_at(
-    window: _Window, layer: Layer, found: _Found, core: np.ndarray, config: VectorConfig, open_dashes: bool
-) -> None:
+def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, config: VectorConfig) -> None:
     """Adds what one block shows of a layer."""
     cell_m = window.cell_m
     share = window.share(layer.planes)
@@ -171,7 +164,7 @@ def _look_at(
     dashed = window.share(layer.dashed) if layer.dashed else None
     short = [s for s in strokes if _is_short(s, layer, dashed, share, cell_m, config)]
     kept = [s for s in short if s.length * cell_m >= config.shortest_line_m]
-    if layer.label == ElementClass.LANE_MARKING and not open_dashes:
+    if layer.label == ElementClass.LANE_MARKING:
         kept = [s for s in kept if all(s.is_end)]
     _take(found.dashes, [_moved(s, window.low) for s in kept], core, lambda s: _centre(s.middle))
     taken = {id(s) for s in short}

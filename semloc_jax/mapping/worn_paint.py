@@ -1,9 +1,8 @@
-"""Pieces of one dash or one bar are one again (room: mapping; host).
+"""Pieces that wear has left of one dash or one bar are one again (room: mapping; host).
 
 In: elements as they were drawn. Out: the same, pieces joined that together are as long as the others around them.
 Dashes of one lane, bars of one crosswalk are painted alike: what lies in line, with a gap that no painter leaves, and
-is whole with it, is one of them. Where looks from near and from far disagree, one dash is drawn as two pieces that
-overlap, or an end of it fades out: that end is where the length of the others puts it. A dash without two ends goes.
+is whole with it, is one of them.
 """
 
 from collections.abc import Sequence
@@ -24,10 +23,6 @@ _LONGEST_GAP = 0.35
 """Share of the length of the others that may be worn off between two pieces."""
 _OFF_M = 0.08
 """How far the ends of one piece may be off the line of the other, and either side of one off that of the other."""
-_SEEN_TWICE_M = 0.25
-"""The same of pieces that overlap: looks from near and far, which place a dash as far apart as headings bend."""
-_FROM = 3
-"""So many whole dashes around say how long they are."""
 _BARS = frozenset({ElementClass.CROSSWALK, ElementClass.STOP_LINE})
 
 
@@ -37,15 +32,13 @@ class _Stroke:
 
     ends: Float[np.ndarray, "2 3"]
     width_m: float
-    clear: tuple[bool, bool] = (True, True)
-    """Whether the paint is known to end at each of the ends."""
 
     @classmethod
     def of(cls, element: MapElement) -> "_Stroke | None":
         """None for what is neither a dash nor a bar."""
         points = element.points
         if element.label == ElementClass.LANE_MARKING and element.style == "dashed":
-            return cls(points[[0, -1]], element.width_m, (bool(element.true_ends[0]), bool(element.true_ends[1])))
+            return cls(points[[0, -1]], element.width_m)
         if element.label not in _BARS or not element.closed or len(points) != 4:
             return None
         middles = 0.5 * (points + np.roll(points, -1, axis=0))
@@ -57,11 +50,6 @@ class _Stroke:
     def length_m(self) -> float:
         return float(np.linalg.norm(self.ends[1] - self.ends[0]))
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether both ends are known."""
-        return all(self.clear)
-
     def joined(self, other: "_Stroke", usual_m: float) -> "_Stroke | None":
         """Both as one, None where they are not pieces of one that is as long as usual."""
         along = (self.ends[1] - self.ends[0])[:2] / max(self.length_m, 1e-9)
@@ -69,38 +57,24 @@ class _Stroke:
         aside_m = np.abs(off @ [-along[1], along[0]])
         own, its = np.array([0.0, self.length_m]), np.sort(off @ along)
         gap_m = max(its[0] - own[1], own[0] - its[1])
-        # Two whole dashes never overlap; what fades out goes on in what was seen from elsewhere, if that is a part too.
-        is_full = any(s.is_whole and s.length_m > (1.0 - _AS_LONG) * usual_m for s in (self, other))
-        overlaps = gap_m <= 0.0 and not is_full and not (self.is_whole and other.is_whole)
-        if aside_m.max() > (_SEEN_TWICE_M if overlaps else _OFF_M) or 0.5 * abs(self.width_m - other.width_m) > _OFF_M:
+        if aside_m.max() > _OFF_M or 0.5 * abs(self.width_m - other.width_m) > _OFF_M:
             return None
-        if not (overlaps or 0.0 < gap_m < _LONGEST_GAP * usual_m):
+        if not 0.0 < gap_m < _LONGEST_GAP * usual_m:
             return None
-        both, clear = np.concatenate([self.ends, other.ends]), np.array([*self.clear, *other.clear])
+        both = np.concatenate([self.ends, other.ends])
         order = np.argsort((both - self.ends[0])[:, :2] @ along)
-        ends, first, last = both[order[[0, -1]]], bool(clear[order[0]]), bool(clear[order[-1]])
+        ends = both[order[[0, -1]]]
         share = float(np.linalg.norm(ends[1] - ends[0])) / usual_m
-        if abs(share - 1.0) > _AS_LONG or not (first or last):
+        if abs(share - 1.0) > _AS_LONG:
             return None
         lengths_m = np.array([self.length_m, other.length_m])
-        return _Stroke(ends, float(lengths_m @ [self.width_m, other.width_m] / lengths_m.sum()), (first, last))
-
-    def completed(self, usual_m: float) -> "_Stroke | None":
-        """With both ends, where one is known and the paint goes on to about where the other must be."""
-        if self.is_whole:
-            return self
-        if not any(self.clear) or abs(self.length_m / usual_m - 1.0) > _AS_LONG:
-            return None
-        reach = (self.ends[1] - self.ends[0]) * (usual_m / self.length_m)
-        first, last = self.ends
-        ends = [first, first + reach] if self.clear[0] else [last - reach, last]
-        return _Stroke(np.array(ends), self.width_m)
+        return _Stroke(ends, float(lengths_m @ [self.width_m, other.width_m] / lengths_m.sum()))
 
     def element(self, like: MapElement) -> MapElement:
         """An element of this shape."""
         if not like.closed:
             num = max(round(self.length_m), 1) + 1
-            return replace(like, points=np.linspace(*self.ends, num), width_m=self.width_m, true_ends=self.clear)
+            return replace(like, points=np.linspace(*self.ends, num), width_m=self.width_m)
         along = (self.ends[1] - self.ends[0]) / self.length_m
         side = 0.5 * self.width_m * np.array([-along[1], along[0], 0.0])
         first, last = self.ends
@@ -108,48 +82,27 @@ class _Stroke:
 
 
 def whole_again(elements: Sequence[MapElement]) -> list[MapElement]:
-    """The elements, pieces of one dash or bar joined under the id of the first, dashes without two ends left out."""
+    """The elements, worn pieces of one dash or bar joined under the id of the first."""
     found = dict(enumerate(elements))
     strokes = {k: stroke for k, element in found.items() if (stroke := _Stroke.of(element)) is not None}
     for label in {elements[k].label for k in strokes}:
-        own = {k: stroke for k, stroke in strokes.items() if elements[k].label == label}
-        _join(own, found, _lengths(own))
+        _join({k: stroke for k, stroke in strokes.items() if elements[k].label == label}, found)
     return list(found.values())
 
 
-def _join(strokes: dict[int, _Stroke], found: dict[int, MapElement], usual_m: dict[int, float]) -> None:
-    """Joins the pieces among dashes or bars of one class in `found`, and leaves out what has no two ends."""
+def _join(strokes: dict[int, _Stroke], found: dict[int, MapElement]) -> None:
+    """Joins the pieces among dashes or bars of one class in `found`."""
     rows = list(strokes)
     tree = cKDTree([stroke.ends[:, :2].mean(axis=0) for stroke in strokes.values()])
-    longest_m = max(stroke.length_m for stroke in strokes.values())
-    for one, other in sorted(tree.query_pairs(longest_m)):
+    lengths_m = np.array([stroke.length_m for stroke in strokes.values()])
+    around = tree.query_ball_point(tree.data, _ALIKE_WITHIN_M)
+    for one, other in sorted(tree.query_pairs(float(lengths_m.max()))):
         a, b = rows[one], rows[other]
         if a in found and b in found:
-            whole = strokes[a].joined(strokes[b], usual_m[a])
+            whole = strokes[a].joined(strokes[b], _usual(lengths_m[around[one]]))
             if whole is not None:
                 found[a], strokes[a] = whole.element(found[a]), whole
                 del found[b]
-    for k in [k for k in rows if k in found and not strokes[k].is_whole]:
-        whole = strokes[k].completed(usual_m[k])
-        if whole is None:
-            del found[k]
-        else:
-            found[k] = whole.element(found[k])
-
-
-def _lengths(strokes: dict[int, _Stroke]) -> dict[int, float]:
-    """The usual length of the whole ones around each [m]; too few of them tell an open one nothing."""
-    rows = [k for k, stroke in strokes.items() if stroke.is_whole]
-    lengths_m = np.array([strokes[k].length_m for k in rows])
-    if not rows:
-        return dict.fromkeys(strokes, np.inf)
-    tree = cKDTree([strokes[k].ends[:, :2].mean(axis=0) for k in rows])
-    usual_m = {}
-    for k, stroke in strokes.items():
-        near = tree.query_ball_point(stroke.ends[:, :2].mean(axis=0), _ALIKE_WITHIN_M)
-        is_told = len(near) >= (1 if stroke.is_whole else _FROM)
-        usual_m[k] = _usual(lengths_m[near]) if is_told else np.inf
-    return usual_m
 
 
 def _usual(lengths_m: Float[np.ndarray, " k"]) -> float:

@@ -1,7 +1,5 @@
 """What wear has cut is one dash or bar again; what is painted apart stays apart."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -46,40 +44,6 @@ def test_dashes_that_are_painted_so_stay(gap_m, left_m):
     assert len(whole_again(short)) == 8
     among_others = [*short, *(dash(40.0 + 10.0 * k, 44.0 + 10.0 * k) for k in range(2))]
     assert len(whole_again(among_others)) == 10
-
-
-ROW = [(10.0 * k, 10.0 * k + 4.0) for k in range(3)]
-
-
-def faded(start_m, end_m, left_m=0.0, clear=(True, False)):
-    return replace(dash(start_m, end_m, left_m), true_ends=clear)
-
-
-def test_a_dash_seen_from_near_and_from_far_is_one():
-    """Headings bend between the looks: two pieces overlap 15 cm apart, each with the end that was seen well."""
-    found = whole_again([*(dash(*span) for span in ROW), faded(30.0, 32.6), faded(31.2, 34.0, 0.15, (False, True))])
-    assert spans(found) == [*ROW, (30.0, 34.0)]
-    assert all(e.true_ends == (True, True) for e in found)
-    beside = whole_again([*(dash(*span) for span in ROW), dash(30.0, 32.6), dash(31.2, 34.0, 0.15)])
-    assert len(beside) == 5  # two whole ones are never one
-    stays = whole_again([*(dash(*span) for span in ROW), dash(30.0, 34.0), faded(33.0, 34.5, 0.1)])
-    assert spans(stays) == [*ROW, (30.0, 34.0)]  # what is whole is not stretched by what fades out beside it
-
-
-@pytest.mark.parametrize(
-    "end_m, clear, becomes",
-    [
-        (33.6, (True, False), (30.0, 34.0)),
-        (33.6, (False, True), (29.6, 33.6)),
-        (33.6, (False, False), None),  # somewhere within half a metre
-        (32.5, (True, False), None),  # a part, and nothing says where the rest was
-    ],
-)
-def test_an_end_that_fades_out_is_where_the_length_of_the_others_puts_it(end_m, clear, becomes):
-    others = [dash(*span) for span in ROW]
-    found = spans(whole_again([*others, faded(30.0, end_m, clear=clear)]))
-    assert found == sorted([*ROW, *([becomes] if becomes else [])])
-    assert spans(whole_again([*others[:2], faded(30.0, end_m, clear=clear)])) == ROW[:2]  # two tell no length
 
 
 def test_no_element_is_no_element():
