@@ -116,8 +116,9 @@ def choose_paint(strokes: Sequence[Stroke], view: TopView) -> list[Stroke]:
     along, across, continued = _passing(strokes, numbers, view)
     ray = numbers.middle - view.foot_uv
     distance_m = np.linalg.norm(ray, axis=-1) * view.metres_per_px
-    chosen = across & (_turn(numbers.angle, np.arctan2(ray[:, 1], ray[:, 0])) >= _RADIAL_RAD)
-    direction = _road_direction(numbers, distance_m, np.flatnonzero(along))
+    radial = _turn(numbers.angle, np.arctan2(ray[:, 1], ray[:, 0])) < _RADIAL_RAD
+    chosen = across & ~radial
+    direction = _road_direction(numbers, distance_m, along, radial)
     if direction is not None:
         chosen |= along & (_turn(numbers.angle, direction) < _tolerance_rad(distance_m))
     rest = np.flatnonzero(~chosen & continued)
@@ -147,16 +148,24 @@ def _grey_sides(strokes: Sequence[Stroke], view: TopView) -> np.ndarray:
     return np.where(is_white_or_yellow(middle), np.sum([is_no_grass(side) for side in sides], axis=0), 0)
 
 
-def _road_direction(numbers: _Numbers, distance_m: np.ndarray, of: np.ndarray) -> float | None:
-    """Direction [rad] in the top view that most of some strokes share, near ones most; None where there are too few."""
-    if not len(of):
-        return None
-    angle, length_m = numbers.angle[of], numbers.length_m[of]
-    weight = length_m * numbers.contrast[of] / (1.0 + distance_m[of] / 10.0)
-    turn = _turn(angle[:, None], angle[None])
-    votes = (np.exp(-0.5 * (turn / 0.03) ** 2) * weight[None]).sum(axis=1)
-    best = int(votes.argmax())
-    return float(angle[best]) if (turn[best] < 0.05) @ length_m > 3.0 else None
+def _road_direction(
+    numbers: _Numbers, distance_m: np.ndarray, along: np.ndarray, radial: np.ndarray
+) -> float | None:
+    """Direction [rad] in the top view that most of some strokes share, near ones most; None where there are too few.
+
+    Strokes along their own ray have no say where others agree: trunks in the sun all run as the camera looks at them.
+    """
+    for of in (np.flatnonzero(along & ~radial), np.flatnonzero(along)):
+        if not len(of):
+            continue
+        angle, length_m = numbers.angle[of], numbers.length_m[of]
+        weight = length_m * numbers.contrast[of] / (1.0 + distance_m[of] / 10.0)
+        turn = _turn(angle[:, None], angle[None])
+        votes = (np.exp(-0.5 * (turn / 0.03) ** 2) * weight[None]).sum(axis=1)
+        best = int(votes.argmax())
+        if (turn[best] < 0.05) @ length_m > 3.0:
+            return float(angle[best])
+    return None
 
 
 def _turn(angle: np.ndarray, direction: np.ndarray | float) -> np.ndarray:

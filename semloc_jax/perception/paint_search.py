@@ -46,9 +46,9 @@ def search_strokes(
         for points, sign in ((bright, -1), (ridges, 1)):
             u, v = points.uv[points.contrast > ALONG.min_contrast].astype(int).T
             sharp[v, u] = sign
-        found = find_strokes(fine, ridges, scale.max_half_width_m, config.metres_per_px, MAX_SCATTER_M)
-        strokes += choose_paint(found, colours)
-    return strokes, sharp
+        strokes += find_strokes(fine, ridges, scale.max_half_width_m, config.metres_per_px, MAX_SCATTER_M)
+    # Together: thin and wide strokes share one road.
+    return choose_paint(strokes, colours), sharp
 
 
 def _ridges(
