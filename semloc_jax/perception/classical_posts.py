@@ -133,10 +133,12 @@ def _edges(level: np.ndarray, box: tuple[int, int, int, int]) -> tuple[float, fl
 
 
 def _sides(values: np.ndarray, box: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of a bar: the values of its columns, and of as many columns to the left and right of it [rows columns ...]."""
+    """Values in the rows of a bar: in its own columns, to its left and to its right, [rows columns ...] each."""
     u, v, width, height = box
-    padded = np.pad(values[v : v + height], [(0, 0), (width + 2, width + 2)] + [(0, 0)] * (values.ndim - 2), "edge")
-    return padded[:, u + width + 2 : u + 2 * width + 2], padded[:, u : u + width + 1], padded[:, u + 2 * width + 3 : u + 3 * width + 4]
+    reach = width + 2
+    padded = np.pad(values[v : v + height], [(0, 0), (reach, reach)] + [(0, 0)] * (values.ndim - 2), "edge")
+    left, own, right = padded[:, u : u + reach - 1], padded[:, u + reach :], padded[:, u + reach + width + 1 :]
+    return own[:, :width], left, right[:, : reach - 1]
 
 
 def _stands_out(level: np.ndarray, box: tuple[int, int, int, int], config: PostConfig) -> bool:

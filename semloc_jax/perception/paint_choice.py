@@ -37,13 +37,18 @@ class StrokeLimits:
     """Median contrast of the weaker side, in log brightness."""
     grey_sides: int
     """On how many sides the ground must have no colour of grass."""
+    max_width_m: float
+    thin_length_m: float
+    """Least length of strokes thinner than `_THIN_M`."""
 
 
-ALONG = StrokeLimits(1.2, 2.0, 0.03, 0.25, 0.2, 1)
+_THIN_M = 0.25
+ALONG = StrokeLimits(1.2, 2.0, 0.03, 0.25, 0.2, 1, 0.52, 0.0)
 """Strokes that run with the road."""
-ACROSS = StrokeLimits(1.2, 4.0, 0.02, 0.12, 0.3, 2)
-"""Strokes of any direction: stop lines, crosswalks, arrows."""
-CONTINUED = StrokeLimits(0.6, 1.0, 0.03, 0.3, 0.12, 1)
+ACROSS = StrokeLimits(1.2, 4.0, 0.02, 0.12, 0.3, 2, 0.72, 3.0)
+"""Strokes of any direction: stop lines, crosswalks, arrows. Thin ones are lines of a crossing road or of a parking
+slot, which are long; specks of sun are not."""
+CONTINUED = StrokeLimits(0.6, 1.0, 0.03, 0.3, 0.12, 1, 0.52, 0.0)
 """Strokes in line with one that is paint."""
 
 
@@ -84,12 +89,17 @@ class _Numbers:
     def have_shape(self, limits: StrokeLimits) -> np.ndarray:
         """Which strokes keep the limits in all but colour, bool[n]."""
         wide = np.where(self.across_px_m > self.along_px_m, _MIN_WIDTH_PX * self.across_px_m, 0.0)
+        least_m = np.where(self.width_m < _THIN_M, limits.thin_length_m, limits.min_length_m)
         return (
-            (self.length_m >= np.maximum(limits.min_length_m, limits.min_length_px * self.along_px_m))
+            (
+                self.length_m
+                >= np.maximum(np.maximum(least_m, limits.min_length_m), limits.min_length_px * self.along_px_m)
+            )
             & (self.scatter_m <= limits.max_scatter_m)
             & (self.width_scatter <= limits.max_width_scatter)
             & (self.contrast >= limits.min_contrast)
             & (self.width_m > np.maximum(0.06, wide))
+            & (self.width_m < limits.max_width_m)
             & (self.rise_m < _SOFT_M + _SOFT_PX * self.across_px_m)
         )
 
@@ -148,9 +158,7 @@ def _grey_sides(strokes: Sequence[Stroke], view: TopView) -> np.ndarray:
     return np.where(is_white_or_yellow(middle), np.sum([is_no_grass(side) for side in sides], axis=0), 0)
 
 
-def _road_direction(
-    numbers: _Numbers, distance_m: np.ndarray, along: np.ndarray, radial: np.ndarray
-) -> float | None:
+def _road_direction(numbers: _Numbers, distance_m: np.ndarray, along: np.ndarray, radial: np.ndarray) -> float | None:
     """Direction [rad] in the top view that most of some strokes share, near ones most; None where there are too few.
 
     Strokes along their own ray have no say where others agree: trunks in the sun all run as the camera looks at them.

@@ -13,6 +13,12 @@ from semloc_jax.perception.ground_view import GroundView
 _GREEN = 0.012
 """Share by which green exceeds both red and blue in grass; white paint, yellow paint and road have none."""
 _RED = 0.1
+_YELLOW_BLUE = 0.6
+"""Largest share of blue in what yellow paint has more of than the road, of the smaller of green and red."""
+_YELLOW_RED = 0.9
+"""Least share of red there, of green: grass in the sun is yellow, too, but has no more red than green."""
+_BESIDE_M = 0.3
+"""Where the road beside a stroke is looked at."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,47 @@ class TopView:
         """BGR at places, float32[n 3]."""
         u, v = (np.clip(np.round(uv[..., i]).astype(int), 0, self.picture.shape[1 - i] - 1) for i in (0, 1))
         return self.picture[v, u].astype(np.float32) + np.float32(1.0)
+
+
+def whiteness(image: np.ndarray) -> np.ndarray:
+    """Least of the three colours, float32[...]: white has all of them, grass in the sun lacks blue.
+
+    Args:
+        image: BGR, uint8[... 3].
+    """
+    return image.min(axis=-1).astype(np.float32)
+
+
+def are_white(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Whether places may be white paint, or yellow as pale as white, bool[n].
+
+    Concrete between two strokes of yellow has more blue than they, but less green and red. Beside an edge line, grass
+    in the sun may have more, but not on both sides.
+
+    Args:
+        view: the top view.
+        uv: places, float[n 2].
+        normal: unit vectors across, float[n 2].
+    """
+    own = view.colours(uv)
+    darker = _beside(view, uv, normal)[..., 1:].sum(axis=-1).min(axis=0)
+    return is_white_or_yellow(own) & (own[:, 1:].sum(axis=-1) > darker)
+
+
+def are_yellow(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Whether places are yellower than the darker of both sides, bool[n]; arguments as `are_white`."""
+    own = view.colours(uv)
+    left, right = _beside(view, uv, normal)
+    left_is_darker = left.sum(axis=-1) < right.sum(axis=-1)
+    blue, green, red = (own - np.where(left_is_darker[:, None], left, right)).T
+    more = (blue < _YELLOW_BLUE * np.minimum(green, red)) & (red > _YELLOW_RED * green)
+    return more & is_white_or_yellow(own)
+
+
+def _beside(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Colours to both sides of places, float32[2 n 3]."""
+    step = (_BESIDE_M / view.metres_per_px) * normal
+    return np.stack([view.colours(uv - step), view.colours(uv + step)])
 
 
 def is_white_or_yellow(bgr: np.ndarray) -> np.ndarray:

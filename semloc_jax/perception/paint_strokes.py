@@ -136,9 +136,10 @@ def _measured(curves: PaintCurves, profiles: RidgeProfiles) -> list[Stroke]:
     contrast, width_m = profiles.contrast, profiles.width_m
     own_width_m = groups.median(width_m, curves.own)
     deviation_m = np.abs(width_m - own_width_m[groups.number])
-    painted = (contrast > np.maximum(0.5 * _contrast_nearby(contrast, groups), MIN_CONTRAST)) & (
-        deviation_m < 0.5 * own_width_m[groups.number] + 0.03
-    )
+    usual_m = own_width_m[groups.number]
+    # A seam of the road may go on where a dash ends; it is thinner.
+    as_wide = (width_m > 0.5 * usual_m) & (width_m < 1.5 * usual_m + 0.03)
+    painted = (contrast > np.maximum(0.5 * _contrast_nearby(contrast, groups), MIN_CONTRAST)) & as_wide
     count = groups.total(painted.astype(int))
     counted = painted | (count == 0)[groups.number]
     columns = (
