@@ -18,6 +18,10 @@ _SOFT_M, _SOFT_PX = 0.06, 1.0
 """Edges of paint are as sharp as the picture; those of shade are softer by the width of the sun."""
 _MIN_WIDTH_PX = 1.5
 """A bar across the view that is no wider in the image may be anything that is bright."""
+_SEAM = 0.2
+"""Less light than this share of what a stroke in line with it has comes from a seam of the road between two dashes."""
+_IN_LINE_RAD, _SEAM_RAD = np.deg2rad(2.0), np.deg2rad(6.0)
+"""Turn of a stroke that continues another; what is faint is short, and its direction is not as sure."""
 _RADIAL_RAD = 0.1
 """What stands is smeared along its ray."""
 
@@ -134,7 +138,8 @@ def choose_paint(strokes: Sequence[Stroke], view: TopView) -> list[Stroke]:
     rest = np.flatnonzero(~chosen & continued)
     first = np.flatnonzero(chosen)
     found = rest[_continue(numbers, rest, first, view.metres_per_px).any(axis=1)]
-    return [strokes[i] for i in (*first, *found)]
+    kept = np.append(first, found).astype(int)
+    return [strokes[i] for i in kept[~_are_seams(numbers, kept, view.metres_per_px)]]
 
 
 def _passing(strokes: Sequence[Stroke], numbers: _Numbers, view: TopView) -> list[np.ndarray]:
@@ -186,8 +191,20 @@ def _tolerance_rad(distance_m: np.ndarray) -> np.ndarray:
     return np.deg2rad(3.0 + 0.25 * np.maximum(distance_m - 10.0, 0.0))
 
 
-def _continue(numbers: _Numbers, some: np.ndarray, of: np.ndarray, metres_per_px: float) -> np.ndarray:
-    """Whether strokes lie on the straight prolongation of others, within 0.1 m and 2 deg of them and 12 m away.
+def _are_seams(numbers: _Numbers, of: np.ndarray, metres_per_px: float) -> np.ndarray:
+    """Which strokes are far fainter than one that they are in line with, bool[of].
+
+    A seam is thinner than paint, and where it is thinner than a pixel it is less bright instead: the product is both.
+    """
+    light_m = np.expm1(numbers.contrast[of]) * numbers.width_m[of]
+    fainter = light_m[:, None] < _SEAM * light_m
+    return (fainter & _continue(numbers, of, of, metres_per_px, _SEAM_RAD)).any(axis=1)
+
+
+def _continue(
+    numbers: _Numbers, some: np.ndarray, of: np.ndarray, metres_per_px: float, turn_rad: float = _IN_LINE_RAD
+) -> np.ndarray:
+    """Whether strokes lie on the straight prolongation of others, within 0.1 m, some deg of them and 12 m away.
 
     Returns:
         bool[some of].
@@ -197,4 +214,4 @@ def _continue(numbers: _Numbers, some: np.ndarray, of: np.ndarray, metres_per_px
     along = np.abs((offset * tangent).sum(axis=-1))
     across = np.abs(offset[..., 0] * tangent[:, 1] - offset[..., 1] * tangent[:, 0])
     turn = _turn(numbers.angle[some, None], numbers.angle[of])
-    return (along < 12.0) & (across < 0.1 + 0.01 * along) & (turn < np.deg2rad(2.0))
+    return (along < 12.0) & (across < 0.1 + 0.01 * along) & (turn < turn_rad)
