@@ -10,7 +10,7 @@ import numpy as np
 
 from semloc_jax.perception.paint_colours import TopView, is_no_grass, is_white_or_yellow
 from semloc_jax.perception.paint_profiles import MIN_CONTRAST, RidgeProfiles
-from semloc_jax.perception.paint_strokes import Stroke
+from semloc_jax.perception.paint_strokes import SEAM, Stroke
 from semloc_jax.perception.point_groups import PointGroups
 
 _FLANK_M = 0.12
@@ -18,8 +18,6 @@ _SOFT_M, _SOFT_PX = 0.06, 1.0
 """Edges of paint are as sharp as the picture; those of shade are softer by the width of the sun."""
 _MIN_WIDTH_PX = 1.5
 """A bar across the view that is no wider in the image may be anything that is bright."""
-_SEAM = 0.2
-"""Less light than this share of what a stroke in line with it has comes from a seam of the road between two dashes."""
 _IN_LINE_RAD, _SEAM_RAD = np.deg2rad(2.0), np.deg2rad(6.0)
 """Turn of a stroke that continues another; what is faint is short, and its direction is not as sure."""
 _RADIAL_RAD = 0.1
@@ -197,7 +195,7 @@ def _are_seams(numbers: _Numbers, of: np.ndarray, metres_per_px: float) -> np.nd
     A seam is thinner than paint, and where it is thinner than a pixel it is less bright instead: the product is both.
     """
     light_m = np.expm1(numbers.contrast[of]) * numbers.width_m[of]
-    fainter = light_m[:, None] < _SEAM * light_m
+    fainter = light_m[:, None] < SEAM * light_m
     return (fainter & _continue(numbers, of, of, metres_per_px, _SEAM_RAD)).any(axis=1)
 
 
