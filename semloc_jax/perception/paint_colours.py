@@ -17,6 +17,8 @@ _YELLOW_BLUE = 0.6
 """Largest share of blue in what yellow paint has more of than the road, of the smaller of green and red."""
 _YELLOW_RED = 0.9
 """Least share of red there, of green: grass in the sun is yellow, too, but has no more red than green."""
+_GREY = 0.05
+"""Largest share by which blue is less than both green and red on a grey road."""
 _BESIDE_M = 0.3
 """Where the road beside a stroke is looked at."""
 
@@ -92,14 +94,18 @@ def are_white(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return is_white_or_yellow(own) & (own[:, 1:].sum(axis=-1) > darker)
 
 
-def are_yellow(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Whether places are yellower than the darker of both sides, bool[n]; arguments as `are_white`."""
-    own = view.colours(uv)
-    left, right = _beside(view, uv, normal)
+def are_on_grey(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Whether places may be paint on a grey road, or are yellower than the darker of both sides, bool[n].
+
+    Arguments as `are_white`. On grey, green and red show paint of either colour with the least noise.
+    """
+    own, sides = view.colours(uv), _beside(view, uv, normal)
+    on_grey = (_yellowness(sides) < _GREY).all(axis=0)
+    left, right = sides
     left_is_darker = left.sum(axis=-1) < right.sum(axis=-1)
     blue, green, red = (own - np.where(left_is_darker[:, None], left, right)).T
-    more = (blue < _YELLOW_BLUE * np.minimum(green, red)) & (red > _YELLOW_RED * green)
-    return more & is_white_or_yellow(own)
+    is_yellower = (blue < _YELLOW_BLUE * np.minimum(green, red)) & (red > _YELLOW_RED * green)
+    return (on_grey | is_yellower) & is_white_or_yellow(own)
 
 
 def _beside(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -117,6 +123,10 @@ def is_white_or_yellow(bgr: np.ndarray) -> np.ndarray:
 def is_no_grass(bgr: np.ndarray) -> np.ndarray:
     """Whether colours may be those of the ground beside paint, bool[n] of float32[n 3]."""
     return _greenness(bgr) < 2 * _GREEN
+
+
+def _yellowness(bgr: np.ndarray) -> np.ndarray:
+    return (np.minimum(bgr[..., 1], bgr[..., 2]) - bgr[..., 0]) / bgr.sum(axis=-1)
 
 
 def _greenness(bgr: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from semloc_jax.perception.paint_candidates import PaintCandidates, PaintConfig, paint_brightness
 from semloc_jax.perception.paint_choice import ALONG, MAX_SCATTER_M, are_sharp, choose_paint
-from semloc_jax.perception.paint_colours import TopView, are_white, are_yellow, whiteness
+from semloc_jax.perception.paint_colours import TopView, are_on_grey, are_white, whiteness
 from semloc_jax.perception.paint_profiles import (
     THIN,
     WIDE,
@@ -40,7 +40,7 @@ class _Colour:
     fits: Callable[[TopView, np.ndarray, np.ndarray], np.ndarray]
 
 
-_YELLOW = _Colour(paint_brightness, are_yellow)
+_ON_GREY = _Colour(paint_brightness, are_on_grey)
 _WHITE = _Colour(whiteness, are_white)
 
 
@@ -50,7 +50,7 @@ def search_strokes(
     """Strokes of paint, and the ridges in candidates: 1 with two sharp edges, -1 others, 0 none, int8[h w].
 
     White is looked for where all three colours are bright: beside it, grass in the sun is as bright in two of them.
-    Yellow is no brighter than light concrete but for the blue that it lacks.
+    On a grey road green and red show it best, and yellow by the blue that it lacks.
 
     Args:
         image: BGR, uint8[h w 3].
@@ -61,7 +61,7 @@ def search_strokes(
     """
     columns = np.ascontiguousarray(np.moveaxis(colours.view.image_uv, -1, 0))
     strokes, sharp = {THIN: [], WIDE: []}, np.zeros(candidates.visible.shape, np.int8)
-    for colour in (_YELLOW, _WHITE):
+    for colour in (_ON_GREY, _WHITE):
         grey = np.where(candidates.visible, colour.brightness(top), np.float32(_UNSEEN))
         fine = partial(_brightness_at, colour.brightness(image), *columns)
         for scale, found in strokes.items():
