@@ -85,7 +85,7 @@ class ClassicalPaintSegmenter:
             visible = visible & (covered == 0)
         pose = self._pose[1]
         candidates = find_candidates(top, visible, self.config)
-        strokes, sharp = search_strokes(image, candidates, TopView.of(top, view, pose), self.config)
+        strokes, sharp = search_strokes(image, top, candidates, TopView.of(top, view, pose), self.config)
         drawn = draw_strokes(strokes, view)
         mask = _beside(_spots(image, view, top, candidates, sharp, self.config), drawn)
         mask[drawn] = PAINT_ID

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from semloc_jax.perception.ground_view import GroundView
-from semloc_jax.perception.paint_candidates import paint_brightness
 from semloc_jax.perception.paint_profiles import log_brightness
 from semloc_jax.perception.point_groups import extremes
 
@@ -24,8 +23,12 @@ class PostConfig:
     max_width_m: float = 0.25
     min_height_m: float = 0.45
     max_height_m: float = 1.5
-    min_contrast: float = 0.35
-    """Of the darker side's difference of log brightness."""
+    min_contrast: float = 0.25
+    """Of the brighter side's difference of the logarithm of the least of the three colours."""
+    min_texture: float = 2.5
+    """The same,  in the root mean square of the differences between neighbouring pixels around."""
+    min_blue: float = 0.7
+    """Least blue, as a share of green and of red, in what a post has more of than what is beside it."""
     gap_m: float = 0.35
     """The black band with the reflector cuts the white in two."""
 
@@ -41,14 +44,15 @@ def find_posts(image: np.ndarray, view: GroundView, config: PostConfig | None = 
         config: None for the defaults.
     """
     config = config or PostConfig()
-    level = log_brightness(paint_brightness(image))
+    # White has all three colours, grass in the sun lacks blue.
+    level = log_brightness(image.min(axis=2).astype(np.float32))
     out = np.zeros(level.shape, bool)
     for width in _WIDTHS_PX:
         # A post of this many pixels in width stands where a pixel is this large.
         near = (view.column_m * (width + 1) >= config.min_width_m) & (view.column_m * width <= config.max_width_m)
         if near.any():
             bars = _upright_bars(level, width, config.min_contrast)
-            _draw_posts(out, bars, level, view.column_m, config)
+            _draw_posts(out, bars, level, image, view.column_m, config)
     return out
 
 
@@ -62,7 +66,7 @@ def _upright_bars(level: np.ndarray, width: int, min_contrast: float) -> np.ndar
 
 
 def _draw_posts(
-    out: np.ndarray, bars: np.ndarray, level: np.ndarray, lateral_m: np.ndarray, config: PostConfig
+    out: np.ndarray, bars: np.ndarray, level: np.ndarray, image: np.ndarray, lateral_m: np.ndarray, config: PostConfig
 ) -> None:
     """Adds the posts among bars to `out`."""
     boxes = _boxes(bars)
@@ -83,7 +87,8 @@ def _draw_posts(
             continue
         height_m, width_m = whole[3] * scale, (edges[1] - edges[0]) * scale
         is_high = config.min_height_m <= height_m <= config.max_height_m
-        if is_high and config.min_width_m <= width_m <= config.max_width_m:
+        is_slim = config.min_width_m <= width_m <= config.max_width_m
+        if is_high and is_slim and _is_white(image, whole, config) and _stands_out(level, whole, config):
             out[whole[1] : whole[1] + whole[3], (columns > edges[0]) & (columns < edges[1])] = True
 
 
@@ -125,3 +130,35 @@ def _edges(level: np.ndarray, box: tuple[int, int, int, int]) -> tuple[float, fl
         at = int(below[0])
         borders.append(at - 1 + float((side[at - 1] - half) / max(side[at - 1] - side[at], 1e-6)))
     return first + peak - borders[0], first + peak + borders[1]
+
+
+def _sides(values: np.ndarray, box: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values in the rows of a bar: in its own columns, to its left and to its right, [rows columns ...] each."""
+    u, v, width, height = box
+    reach = width + 2
+    padded = np.pad(values[v : v + height], [(0, 0), (reach, reach)] + [(0, 0)] * (values.ndim - 2), "edge")
+    left, own, right = padded[:, u : u + reach - 1], padded[:, u + reach :], padded[:, u + reach + width + 1 :]
+    return own[:, :width], left, right[:, : reach - 1]
+
+
+def _stands_out(level: np.ndarray, box: tuple[int, int, int, int], config: PostConfig) -> bool:
+    """Whether a bar is brighter than both its sides by more than what is around it varies: leaves are full of bars."""
+    own, left, right = _sides(level, box)
+    contrast = np.median(own.max(axis=1) - np.maximum(left.mean(axis=1), right.mean(axis=1)))
+    u, v, width, height = box
+    around = level[max(v - height // 2, 0) : v + height + height // 2, max(u - 3 * height, 0) : u + width + 3 * height]
+    texture = np.sqrt(np.mean(np.diff(around, axis=1) ** 2))
+    return bool(contrast >= config.min_texture * texture)
+
+
+def _is_white(image: np.ndarray, box: tuple[int, int, int, int], config: PostConfig) -> bool:
+    """Whether a bar has as much more blue than its sides as it has more green and red.
+
+    A pixel that the bar fills in part has the same shares, so bars far away do, too. Leaves in the sun before leaves
+    in the shade have little more blue.
+    """
+    own, left, right = _sides(image.astype(np.float32), box)
+    body = own.min(axis=(1, 2))
+    lit = body >= np.median(body)
+    blue, green, red = own[lit].mean(axis=(0, 1)) - 0.5 * (left[lit] + right[lit]).mean(axis=(0, 1))
+    return bool(blue >= config.min_blue * max(green, red, 1.0))

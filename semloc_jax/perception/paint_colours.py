@@ -13,6 +13,14 @@ from semloc_jax.perception.ground_view import GroundView
 _GREEN = 0.012
 """Share by which green exceeds both red and blue in grass; white paint, yellow paint and road have none."""
 _RED = 0.1
+_YELLOW_BLUE = 0.6
+"""Largest share of blue in what yellow paint has more of than the road, of the smaller of green and red."""
+_YELLOW_RED = 0.9
+"""Least share of red there, of green: grass in the sun is yellow, too, but has no more red than green."""
+_GREY = 0.05
+"""Largest share by which blue is less than both green and red on a grey road."""
+_BESIDE_M = 0.3
+"""Where the road beside a stroke is looked at."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +69,51 @@ class TopView:
         return self.picture[v, u].astype(np.float32) + np.float32(1.0)
 
 
+def whiteness(image: np.ndarray) -> np.ndarray:
+    """Least of the three colours, float32[...]: white has all of them, grass in the sun lacks blue.
+
+    Args:
+        image: BGR, uint8[... 3].
+    """
+    return image.min(axis=-1).astype(np.float32)
+
+
+def are_white(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Whether places may be white paint, or yellow as pale as white, bool[n].
+
+    Concrete between two strokes of yellow has more blue than they, but less green and red. Beside an edge line, grass
+    in the sun may have more, but not on both sides.
+
+    Args:
+        view: the top view.
+        uv: places, float[n 2].
+        normal: unit vectors across, float[n 2].
+    """
+    own = view.colours(uv)
+    darker = _beside(view, uv, normal)[..., 1:].sum(axis=-1).min(axis=0)
+    return is_white_or_yellow(own) & (own[:, 1:].sum(axis=-1) > darker)
+
+
+def are_on_grey(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Whether places may be paint on a grey road, or are yellower than the darker of both sides, bool[n].
+
+    Arguments as `are_white`. On grey, green and red show paint of either colour with the least noise.
+    """
+    own, sides = view.colours(uv), _beside(view, uv, normal)
+    on_grey = (_yellowness(sides) < _GREY).all(axis=0)
+    left, right = sides
+    left_is_darker = left.sum(axis=-1) < right.sum(axis=-1)
+    blue, green, red = (own - np.where(left_is_darker[:, None], left, right)).T
+    is_yellower = (blue < _YELLOW_BLUE * np.minimum(green, red)) & (red > _YELLOW_RED * green)
+    return (on_grey | is_yellower) & is_white_or_yellow(own)
+
+
+def _beside(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Colours to both sides of places, float32[2 n 3]."""
+    step = (_BESIDE_M / view.metres_per_px) * normal
+    return np.stack([view.colours(uv - step), view.colours(uv + step)])
+
+
 def is_white_or_yellow(bgr: np.ndarray) -> np.ndarray:
     """Whether colours may be those of paint, bool[n] of float32[n 3]."""
     red = bgr[:, 2] - bgr[:, 1] > _RED * bgr.sum(axis=1)
@@ -70,6 +123,10 @@ def is_white_or_yellow(bgr: np.ndarray) -> np.ndarray:
 def is_no_grass(bgr: np.ndarray) -> np.ndarray:
     """Whether colours may be those of the ground beside paint, bool[n] of float32[n 3]."""
     return _greenness(bgr) < 2 * _GREEN
+
+
+def _yellowness(bgr: np.ndarray) -> np.ndarray:
+    return (np.minimum(bgr[..., 1], bgr[..., 2]) - bgr[..., 0]) / bgr.sum(axis=-1)
 
 
 def _greenness(bgr: np.ndarray) -> np.ndarray:

@@ -16,6 +16,8 @@ from semloc_jax.perception.point_groups import PointGroups
 _BINS = 6
 """Directions in which points are linked; bins overlap by half."""
 _FINE_M = 0.01
+SEAM = 0.2
+"""Less light, excess of brightness times width, than this share of what is painted comes from a seam of the road."""
 _MAX_LENGTH_M = 12.0
 """Longer strokes are cut: a low polynomial follows so much of any lane line."""
 _MOST_POINTS = 4000
@@ -136,9 +138,12 @@ def _measured(curves: PaintCurves, profiles: RidgeProfiles) -> list[Stroke]:
     contrast, width_m = profiles.contrast, profiles.width_m
     own_width_m = groups.median(width_m, curves.own)
     deviation_m = np.abs(width_m - own_width_m[groups.number])
-    painted = (contrast > np.maximum(0.5 * _contrast_nearby(contrast, groups), MIN_CONTRAST)) & (
-        deviation_m < 0.5 * own_width_m[groups.number] + 0.03
-    )
+    usual_m = own_width_m[groups.number]
+    # A seam of the road may go on where a dash ends: it is thinner, or less bright where it is thinner than a pixel.
+    light_m = np.expm1(np.maximum(contrast, 0.0)) * width_m
+    bright = light_m > SEAM * groups.quantiles(light_m, 0.9)[0, groups.number]
+    as_wide = (width_m > 0.5 * usual_m) & (width_m < 1.5 * usual_m + 0.03) & bright
+    painted = (contrast > np.maximum(0.5 * _contrast_nearby(contrast, groups), MIN_CONTRAST)) & as_wide
     count = groups.total(painted.astype(int))
     counted = painted | (count == 0)[groups.number]
     columns = (

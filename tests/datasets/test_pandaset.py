@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.datasets import open_drive
 from semloc_jax.datasets.pandaset import build_map, calibrated
 from semloc_jax.datasets.pandaset.cuboids import read_cuboids
-from semloc_jax.datasets.pandaset.reader import CAMERAS, FRONT, LANE_LINE, _camera_poses
+from semloc_jax.datasets.pandaset.reader import CAMERAS, FRONT, LANE_LINE, _camera_poses, _course_rate
 from semloc_jax.datasets.pandaset.strips import look_for
 from semloc_jax.datasets.pandaset.vectorize import trace_lines, trace_signs
 from semloc_jax.errors import SemlocError
@@ -184,3 +184,15 @@ def test_wrong_folders_are_named(tmp_path, drive):
     (tmp_path / "camera" / FRONT / "poses.json").write_text("[]")
     with pytest.raises(SemlocError, match=r"timestamps.json: no such file"):
         open_drive(tmp_path)
+
+
+def test_a_course_turns_by_no_more_than_its_noise_lets_it_say():
+    """Half a degree a second of noise when slow, a tenth of a turn when it is one; the velocity is off by 0.03 m/s."""
+    time_s = np.arange(0.0, 8.0, 0.1)
+    speed, rate = np.clip(2.0 * (time_s - 2.0), 0.0, 5.0), np.where(time_s > 5.0, np.deg2rad(15.0), 0.0)
+    yaw = np.cumsum(rate) * 0.1
+    velocity = speed[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1) + [0.01, 0.03]
+    found = _course_rate(time_s, velocity)
+    straight, turning = time_s < 4.4, time_s > 5.6
+    assert abs(np.degrees(found[straight].sum() * 0.1)) < 0.1
+    np.testing.assert_allclose(found[turning], rate[turning], rtol=0.1)

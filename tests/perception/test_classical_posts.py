@@ -44,3 +44,17 @@ def test_a_post_is_found_between_its_borders(scale, post_m):
 def test_what_is_too_low_too_tall_or_too_wide_is_no_post(height_m, radius_m):
     image, view, _ = picture(0.5, (9.0, 3.0), height_m, radius_m)
     assert not find_posts(image, view).any()
+
+
+def test_a_post_is_found_before_grass_in_the_sun_and_leaves_are_none():
+    image, view, uv = picture(0.5, (9.0, 5.0))
+    rng = np.random.default_rng(1)
+    meadow = np.abs(image.astype(float) - np.array([40, 75, 60])).max(axis=-1) < 25
+    bright = image.copy()
+    bright[meadow] = np.clip(np.array([80, 215, 220]) + rng.normal(0, 4, (meadow.sum(), 3)), 0, 255).astype(np.uint8)
+    rows, columns = np.nonzero(find_posts(bright, view))
+    assert len(rows) and abs(columns.mean() - uv[:, 0].mean()) < 0.6
+    # Upright stems and leaves in the sun, as yellow as grass, or as white as a post.
+    for colour in ([0.35, 0.95, 1.0], [1.0, 1.0, 1.0]):
+        stems = np.repeat(rng.uniform(20, 230, (image.shape[0] // 25 + 1, image.shape[1])), 25, axis=0)
+        assert not find_posts((stems[: image.shape[0], :, None] * colour).astype(np.uint8), view).any()

@@ -38,8 +38,9 @@ FRONT_CAMERA_X_M = 1.7
 """Front camera ahead of the rear axle; our choice, the data set does not state it."""
 _GNSS_SIGMA_M = 0.5
 _MOVING_M = 0.15
-_MOVING_MPS = 1.0
-"""Below this the direction of the velocity is noise; our choice."""
+_VELOCITY_SIGMA_MPS = 0.1
+"""Of a component of the satellite velocity, ten a second, were they independent: 0.02 m/s that stays the same for
+seconds, so that slopes of the course feel it as six times as much. The course's is this through the speed."""
 _COURSE_HALF_S = 0.5
 """Course differences of neighbours, 0.1 s apart, are noise of some degrees per second; our choice."""
 _ROAD_UNDER_M = (2.0, 4.0, 12.0)
@@ -245,8 +246,8 @@ def _gnss(path: Path, truth: Trajectory) -> tuple[GeoOrigin | None, GnssTrack | 
 def _course_rate(time_s: np.ndarray, velocity: Float[np.ndarray, "n 2"]) -> np.ndarray:
     """Rate of the direction of travel [rad/s]: slope of the course over `_COURSE_HALF_S` to both sides.
 
-    The course of a slow vehicle is noise, as 1 / speed: every sample counts by its squared speed, and a vehicle that
-    stands does not turn.
+    The course of a slow vehicle is noise, as 1 / speed: every sample counts by its squared speed. Of a slope no more is
+    believed than exceeds its own noise (James and Stein), so a vehicle that stands or starts does not turn.
     """
     course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
     moving = np.sum(velocity**2, axis=1)
@@ -254,11 +255,13 @@ def _course_rate(time_s: np.ndarray, velocity: Float[np.ndarray, "n 2"]) -> np.n
     for k, now_s in enumerate(time_s):
         weight = moving * (np.abs(time_s - now_s) <= _COURSE_HALF_S)
         total = weight.sum()
-        if total < _MOVING_MPS**2 * np.count_nonzero(weight):
+        if total <= 0.0:
             continue
         lag = time_s - weight @ time_s / total
         spread = weight @ lag**2
-        rate[k] = weight @ (lag * course) / spread if spread > 0.0 else 0.0
+        slope = weight @ (lag * course) / spread if spread > 0.0 else 0.0
+        if spread * slope**2 > _VELOCITY_SIGMA_MPS**2:
+            rate[k] = slope - _VELOCITY_SIGMA_MPS**2 / (spread * slope)
     return rate
 
 
