@@ -27,7 +27,7 @@ def class_profiles(
     config: TrackAlignConfig,
     level: int,
 ) -> Float[Array, "4 n"]:
-    """Costs [nats] of every one of `GROUPS`, against the pose itself, by what is seen from both.
+    """Costs [nats] of every one of `GROUPS`, against the pose itself.
 
     Args:
         T_map_base: Solved pose, relative to the local origin.
@@ -46,7 +46,8 @@ def class_profiles(
     lies = 1.0 - stands
     groups = jnp.stack([lies, stands, lies * (left_m > 0.0), lies * (left_m <= 0.0)])
     moved = displaced(T_map_base, moves.astype(T_map_base.dtype))
-    return nats_of_groups(moved, T_map_base, level, evidence, groups, config.align)
+    slides = jnp.array([name.endswith("side") for name in GROUPS])
+    return nats_of_groups(moved, T_map_base, level, evidence, groups, slides, config.align)
 
 
 def _left_of(T_map_base: Float[Array, "4 4"], p_map: Float[Array, "cam 3 p"]) -> Float[Array, "cam p"]:

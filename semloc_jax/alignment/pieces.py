@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.pose import AlignConfig, Evidence, in_chunks, visible_ramps
 from semloc_jax.alignment.proposals import displaced
@@ -126,14 +126,17 @@ def nats_of_groups(
     level: Int[Array, ""] | int,
     evidence: Evidence,
     groups: Float[Array, "group n"],
+    slides: Bool[Array, " group"],
     config: AlignConfig,
 ) -> Float[Array, "group pose"]:
-    """Cost [nats] of poses by parts of the map, each as if it were all that the map has, as `against_first`
-    has it.
+    """Cost [nats] of poses by parts of the map against the good pose, each as if it were all that the map has.
 
     Args:
         groups: 1 for the samples that belong to each group, in the order of `alignment_residual`, else 0. A piece
             belongs to the groups that most of its samples are in.
+        slides: Whether a group may go out of sight as it is slid along itself: what lies on one side, a few bars under
+            parked cars, may. Such a one is compared by what both poses see (`against_first`); of all lines or all posts
+            what is seen stands for what is not, as in `nats_at`, and tells sooner.
 
     The other arguments as `nats_at`.
     """
@@ -141,12 +144,15 @@ def nats_of_groups(
     at_poses, at_random, piece_of, channel = _looked_at(poses, T_good, level, evidence, config, 1)
     num_samples = jax.ops.segment_sum(jnp.ones_like(groups[0]), piece_of, len(piece_of))
 
-    def of_one(belongs: Float[Array, " n"]) -> Float[Array, " pose"]:
+    def of_one(group: tuple[Float[Array, " n"], Bool[Array, ""]]) -> Float[Array, " pose"]:
+        belongs, may_slide = group
         kept = 2.0 * jax.ops.segment_sum(belongs, piece_of, len(piece_of)) > num_samples
         own = [PieceCosts(c.nats, jnp.where(kept, c.observations, 0.0)) for c in (at_poses, at_random)]
-        return against_first(*own, channel, evidence.textures.num_channels)
+        known = (*own, channel, evidence.textures.num_channels)
+        nats = jnp.sum(compared(*known), axis=1)
+        return jnp.where(may_slide, against_first(*known), nats[1:] - nats[0])
 
-    return jax.lax.map(of_one, groups)
+    return jax.lax.map(of_one, (groups, slides))
 
 
 def against_first(
