@@ -62,8 +62,8 @@ class ChangeFigures:
         num_old: of these, those where one was that has gone.
     """
 
-    came: Int[np.ndarray, "k 2"]
-    gone: Int[np.ndarray, "k 2"]
+    came: Int[np.ndarray, "came 2"]
+    gone: Int[np.ndarray, "gone 2"]
     num_there: int
     deleted: int
     num_invented: int
