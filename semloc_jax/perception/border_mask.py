@@ -13,6 +13,8 @@ SURE_PX = 2.0
 """Standard deviation of a border that counts as in any mask, a larger one counts less [px]: what solvers assume."""
 LEAST_SHARE = 0.3
 """A border never counts less than this: a wrong place must not look right because everything is unsure. Ours."""
+NEAR_SHARE = 0.9
+"""Of the reach: only distances within it are those to a border, and a sigma is of them."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class SeenBorders:
         share = np.clip(SURE_PX / np.maximum(self.sigma_px[k], 1e-3), LEAST_SHARE, 1.0)
         counted = self.signed_px[k] * share
         # Far away stays far away: only what is near a border has a distance that a sigma is of.
-        return np.where(np.abs(self.signed_px[k]) < 0.9 * self.reach_px, counted, self.signed_px[k])
+        return np.where(np.abs(self.signed_px[k]) < NEAR_SHARE * self.reach_px, counted, self.signed_px[k])
 
     def without(self, name: str) -> "SeenBorders":
         """The same but for one class, of which the class ids tell."""

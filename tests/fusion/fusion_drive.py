@@ -68,3 +68,18 @@ def fix(k, T, offset=(0.0, 0.0), rng=None, sigma=0.5):
 def error(T_estimate, T_true):
     """Right tangent from estimate to truth."""
     return rigid.log(rigid.inverse(T_estimate) @ T_true)
+
+
+def check_a_first_fix_that_is_astray(fusion):
+    """The first fix is 6.8 m off and taken, since nothing is known of the satellites; those after it, which fit the
+    pose, outvote it within 3 s, and another one that is astray is refused."""
+    rng, poses = np.random.default_rng(3), true_poses(30)
+    state = fusion.start(measured(0, poses[0], rng))
+    for k in range(30):
+        state = fusion.predict(state, increment(k, rng))
+        state, _ = fusion.correct(state, measured(k + 1, poses[k + 1], rng))
+        offset = (-4.4, 5.1) if k == 0 else (0.5, -0.6)
+        state, innovation = fusion.correct_gnss(state, fix(k + 1, poses[k + 1], offset, rng))
+        assert innovation.accepted
+    assert np.hypot(*(fusion.pose(state).gnss_offset_m - [0.5, -0.6])) < 1.5
+    assert not fusion.correct_gnss(state, fix(30, poses[30], (-4.4, 5.1)))[1].accepted

@@ -116,19 +116,7 @@ def test_offset_of_the_fixes_is_learned_and_carries_the_pose_when_masks_are_miss
 
 
 def test_a_first_fix_that_is_astray_does_not_shut_out_the_right_ones():
-    """The first fix is 6.8 m off and taken, since nothing is known of the satellites; those after it, which fit the
-    pose, outvote it within 3 s, and another one that is astray is refused."""
-    rng, fusion = np.random.default_rng(3), KalmanFusion()
-    poses = drive.true_poses(30)
-    state = fusion.start(drive.measured(0, poses[0], rng))
-    for k in range(30):
-        state = fusion.predict(state, drive.increment(k, rng))
-        state, _ = fusion.correct(state, drive.measured(k + 1, poses[k + 1], rng))
-        offset = (-4.4, 5.1) if k == 0 else (0.5, -0.6)
-        state, innovation = fusion.correct_gnss(state, drive.fix(k + 1, poses[k + 1], offset, rng))
-        assert innovation.accepted
-    assert np.hypot(*(fusion.pose(state).gnss_offset_m - [0.5, -0.6])) < 1.5
-    assert not fusion.correct_gnss(state, drive.fix(30, poses[30], (-4.4, 5.1)))[1].accepted
+    drive.check_a_first_fix_that_is_astray(KalmanFusion())
 
 
 def test_jumps_are_refused_and_the_state_is_kept():

@@ -111,10 +111,8 @@ def taught(
         if k < config.rounds:
             best = best_round(rounds)
             if best != by:  # a round that was worse teaches nobody
-                labelled, by = (
-                    labelled_by_map(lessons, rounds[best].eyes, eyes, config.limits, config.map_sigma_m),
-                    best,
-                )
+                labelled = labelled_by_map(lessons, rounds[best].eyes, eyes, config.limits, config.map_sigma_m)
+                by = best
             eyes = _trained(eyes, labelled.images, config.training, config, folder, f"round_{k + 1}")
     if config.through.num_steps:
         eyes = rounds[best_round(rounds)].eyes or eyes

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.implicit import smooth_optimum
@@ -31,10 +31,12 @@ from semloc_jax.learning.loss import PLANAR, POLISH, FrameScore, heavy_tailed_nl
 from semloc_jax.learning.scenes import TrainingFrame, training_frame
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.maps import SemanticMap
-from semloc_jax.perception.border_mask import LEAST_SHARE, SURE_PX
+from semloc_jax.perception.border_mask import LEAST_SHARE, NEAR_SHARE, SURE_PX
 from semloc_jax.perception.networks.dense_net import filled_up
 from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX, Eyes, Said, read_out, ready, working_scale
 from semloc_jax.residuals.smooth import DistanceMaps
+
+_PRIOR_SEED = 7
 
 
 @dataclass(frozen=True)
@@ -66,9 +68,7 @@ class PoseSight(eqx.Module):
     picture: Float[Array, "cam h w c"]
     """As the network takes it, filled up."""
     frame: TrainingFrame
-    """Its cost maps are those that the eyes will tell."""
-    channel: Int[Array, " channel"]
-    """Which of the classes of the eyes each channel of the scene is."""
+    """Its cost maps are those that the eyes will tell; its `place` says which of their classes each channel is."""
     doubt: Float[Array, "3 3"]
     """Covariance of the pose along and across [m] and in heading [rad]."""
     stride: float = eqx.field(static=True)
@@ -111,7 +111,6 @@ def pose_sights(
             PoseSight(
                 jax.vmap(lambda picture, step_px=step_px: filled_up(picture, step_px))(jnp.asarray(pictures)),
                 frame,
-                frame.place,
                 jnp.asarray(pose.covariance[np.ix_(PLANAR, PLANAR)], dtype),
                 float(CELL_PX / working_scale(images[0].shape[1])),
                 (rows, columns),
@@ -122,14 +121,11 @@ def pose_sights(
 
 def _prior_beside(pose: TeacherPose, config: ThroughConfig) -> PosePrior:
     """The prior of a frame, off by noise that follows from its place in the drive."""
-    sigma_rad = np.deg2rad(config.sigma_deg)
-    along, across, turn = np.random.default_rng((7, pose.frame.index)).normal(size=3) * [
-        config.sigma_m,
-        config.sigma_m,
-        sigma_rad,
-    ]
+    sigma_rad = float(np.deg2rad(config.sigma_deg))
+    rng = np.random.default_rng((_PRIOR_SEED, pose.frame.index))
+    along, across, turn = rng.normal(size=3) * [config.sigma_m, config.sigma_m, sigma_rad]
     T = pose.T_map_base @ rigid.exp(np.array([along, across, 0.0, 0.0, 0.0, turn]))
-    return PosePrior(T[0, 3], T[1, 3], float(np.arctan2(T[1, 0], T[0, 0])), config.sigma_m, float(sigma_rad))
+    return PosePrior(T[0, 3], T[1, 3], float(np.arctan2(T[1, 0], T[0, 0])), config.sigma_m, sigma_rad)
 
 
 def counted_px(said: Said, scale: float) -> Float[Array, "*b h w k"]:
@@ -141,14 +137,14 @@ def counted_px(said: Said, scale: float) -> Float[Array, "*b h w k"]:
     """
     share = jnp.clip(SURE_PX / jnp.maximum(jnp.exp(said.log_sigma) / scale, 1e-3), LEAST_SHARE, 1.0)
     signed = jnp.clip(said.signed_px, -REACH_PX, REACH_PX)
-    return jnp.where(jnp.abs(signed) < 0.9 * REACH_PX, signed * share, signed) / scale
+    return jnp.where(jnp.abs(signed) < NEAR_SHARE * REACH_PX, signed * share, signed) / scale
 
 
 def sight_score(network: eqx.Module, sight: PoseSight, most_pull: float) -> FrameScore:
     """How well the eyes foretell the pose of a frame: what they tell is solved, differentiable by their weights."""
     rows, columns = sight.cells
     said = read_out(jax.vmap(network)(sight.picture)[:, :rows, :columns])
-    planes = jnp.moveaxis(counted_px(said, CELL_PX / sight.stride)[..., sight.channel], -1, 1)
+    planes = jnp.moveaxis(counted_px(said, CELL_PX / sight.stride)[..., sight.frame.place], -1, 1)
     scene = sight.frame.scene
     planes = _bounded(planes.astype(scene.views[0].p_map.dtype), most_pull)
     scene = eqx.tree_at(lambda s: s.maps, scene, DistanceMaps(planes, sight.stride))

@@ -54,7 +54,7 @@ def scene_of(seed):
     frame = TrainingFrame(trial.scene, place, trial.prior, trial.T_true, trial.T_true)
     planes = np.moveaxis(np.asarray(trial.scene.maps.distance_px)[0], 0, -1)
     picture = jnp.zeros((1, 4, 4, 3))
-    sight = PoseSight(picture, frame, place, jnp.zeros((3, 3)), CELL_PX, planes.shape[:2])
+    sight = PoseSight(picture, frame, jnp.zeros((3, 3)), CELL_PX, planes.shape[:2])
     assert trial.scene.maps.stride == CELL_PX  # the network's image is the image
     return sight, Drawn(lambda: planes, jnp.zeros(2), jnp.log(0.5))
 
