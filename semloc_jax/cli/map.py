@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from semloc_jax.datasets import Drive
     from semloc_jax.inputs.mask_view import MaskSource
     from semloc_jax.mapping.mapper import MapConfig
+    from semloc_jax.reports.map_request import MapRequest
 
 
 @dataclass(frozen=True)
@@ -84,70 +85,77 @@ def default_settings() -> "MapConfig":
 
 def run(options: Options) -> int:
     """Make the map, print how good it is."""
+    from semloc_jax.reports.mapping import report_map
+
+    log_to_console()
+    request = _request(options)
+    # Beside a baseline, a map that is there already is not made again.
+    known = options.baseline is not None and options.out is not None and options.resume is None
+    if known and request.is_made(options.out):
+        return _beside(options, request, options.out)
+    report = report_map(request, options.out, options.resume, options.overlays, options.video)
+    print(report.text)
+    if options.baseline is not None:
+        return _beside(options, request, report.folder)
+    print(f"results: {report.folder}")
+    return OK
+
+
+def _request(options: Options) -> "MapRequest":
+    """What the words of the command line ask for."""
     import dataclasses
 
     from semloc_jax.datasets import open_drive
     from semloc_jax.errors import SemlocError, UsageError
     from semloc_jax.inputs.choices import parse_names, parse_slice
-    from semloc_jax.inputs.mask_files import CLASSICAL
-    from semloc_jax.inputs.mask_source import TOP_VIEW, mask_source
-    from semloc_jax.localization.motion_source import resolved, with_seen_speed
-    from semloc_jax.reports.mapping import is_made, report_map
+    from semloc_jax.inputs.mask_source import mask_source
+    from semloc_jax.reports.map_request import MapRequest
 
-    log_to_console()
     chosen = parse_slice(options.frames)
     if options.no_gnss and options.start == "gnss":
         raise UsageError("--start gnss with --no-gnss: choose one of them")
     drive = open_drive(options.drive, options.calib)
     if options.no_gnss:
         drive = dataclasses.replace(drive, gnss=None)
+    masks = mask_source(_masks_of(options, drive), drive, parse_names(options.cameras), options.class_table)
+    frames = drive.frames[chosen]
+    if not frames:
+        raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames {options.frames}")
+    given = {field.name: getattr(options, field.name) for field in dataclasses.fields(Options)}
+    kept = {k: v for k, v in given.items() if k not in NOT_KEPT and v is not None and v is not False}
+    kept |= {"masks": masks.name, "cameras": ",".join(masks.cameras)}
+    drive = _with_motion(options, drive, masks)
+    return MapRequest(drive, masks, frames, options.settings, options.start, options.base, not options.no_loops, kept)
+
+
+def _masks_of(options: Options, drive: "Drive") -> str:
+    """The name of the masks: those asked for, else the best that there are."""
+    from semloc_jax.errors import UsageError
+    from semloc_jax.inputs.mask_files import CLASSICAL
+    from semloc_jax.inputs.mask_source import TOP_VIEW
+
     if options.front == CLASSICAL and options.masks not in (None, CLASSICAL):
         raise UsageError(f"--front {CLASSICAL} with --masks {options.masks}: choose one of them")
     best = CLASSICAL if options.front == CLASSICAL or not drive.mask_sources else drive.mask_sources[0]
     name = options.masks or best
     if name.startswith(TOP_VIEW):
         raise UsageError(f"--masks {name}: a map is made from the masks of cameras; give {name[len(TOP_VIEW) :]}")
-    masks = mask_source(name, drive, parse_names(options.cameras), options.class_table)
-    frames = drive.frames[chosen]
-    if not frames:
-        raise SemlocError(f"drive {drive.name}: no frames chosen of {len(drive)}; check --frames {options.frames}")
+    return name
+
+
+def _with_motion(options: Options, drive: "Drive", masks: "MaskSource") -> "Drive":
+    """The drive with the motion that is asked for."""
+    from semloc_jax.localization.motion_source import resolved, with_seen_speed
+
     motion = resolved(drive, options.motion)
-    if motion != "wheels":
-        drive = with_seen_speed(drive, masks, motion == "both")
-    given = {field.name: getattr(options, field.name) for field in dataclasses.fields(Options)}
-    kept = {k: v for k, v in given.items() if k not in NOT_KEPT and v is not None and v is not False}
-    kept |= {"masks": masks.name, "cameras": ",".join(masks.cameras)}
-    settings = options.settings
-    loops = not options.no_loops
-    if options.baseline is not None and options.out is not None and options.resume is None:
-        if is_made(options.out, drive, masks, settings, kept, options.base):
-            return _beside(options, drive, masks, options.out)
-    report = report_map(
-        drive,
-        masks,
-        frames,
-        settings,
-        options.start,
-        options.out,
-        options.overlays,
-        kept,
-        loops,
-        options.resume,
-        options.base,
-        options.video,
-    )
-    print(report.text)
-    if options.baseline is not None:
-        return _beside(options, drive, masks, report.folder)
-    print(f"results: {report.folder}")
-    return OK
+    return drive if motion == "wheels" else with_seen_speed(drive, masks, motion == "both")
 
 
-def _beside(options: Options, drive: "Drive", masks: "MaskSource", folder: Path) -> int:
+def _beside(options: Options, request: "MapRequest", folder: Path) -> int:
     """Make the baseline and print it beside the map that is in the folder."""
     from semloc_jax.reports.literature import report_baseline
 
     print(f"\nthe way and its loops, beside those of the baseline {options.baseline}:")
-    print(report_baseline(options.baseline, drive, masks, options.start, folder))
+    print(report_baseline(options.baseline, request.drive, request.masks, options.start, folder))
     print(f"results: {folder}")
     return OK

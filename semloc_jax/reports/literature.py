@@ -25,7 +25,7 @@ from semloc_jax.mapping.gauge import Gauge, gauge_of
 from semloc_jax.mapping.literature.avp import avp_map
 from semloc_jax.mapping.literature.point_loops import LiteratureMap
 from semloc_jax.mapping.literature.road_slam import road_slam_map
-from semloc_jax.reports.mapping import loop_metrics, true_poses
+from semloc_jax.reports.map_judgement import loop_metrics, true_poses
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.structs import ElementClass
 from semloc_jax.viz import points_from_above, save

@@ -9,7 +9,7 @@ from semloc_jax.mapping.literature.avp import AvpConfig, matched
 from semloc_jax.mapping.literature.point_loops import loops_by
 from semloc_jax.mapping.revisits import Revisit
 from semloc_jax.reports.literature import side_by_side, true_loops
-from semloc_jax.reports.mapping import loop_metrics
+from semloc_jax.reports.map_judgement import loop_metrics
 from semloc_jax.structs import ElementClass
 from tests.mapping.ring_of_points import LAP, NUM, ring_maps
 

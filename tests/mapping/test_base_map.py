@@ -20,7 +20,8 @@ from semloc_jax.mapping.loops import LoopConfig
 from semloc_jax.mapping.revisits import RevisitConfig
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.perception import load_class_table
-from semloc_jax.reports.mapping import base_metrics, write_changes
+from semloc_jax.reports.map_judgement import base_metrics
+from semloc_jax.reports.mapping import write_changes
 from tests.mapping.test_chain_graph import made_chain
 
 

@@ -21,7 +21,7 @@ from semloc_jax.mapping.gauge import gauge_of
 from semloc_jax.mapping.stretch_maps import StretchMaps
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.perception import load_class_table
-from semloc_jax.reports.mapping import loop_metrics
+from semloc_jax.reports.map_judgement import loop_metrics
 from tests.mapping.test_chain_graph import NUM, made_chain
 
 
