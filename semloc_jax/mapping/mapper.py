@@ -22,10 +22,11 @@ from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
 from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.row_lines import PaintAt
 from semloc_jax.mapping.settling import Progress, SettleConfig, settled_in
-from semloc_jax.mapping.slot_numbers import numbered
+from semloc_jax.mapping.slot_numbers import numbered, outside_of_rows
 from semloc_jax.mapping.slot_rows import MappedRow, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
 from semloc_jax.mapping.triangulation import TriangulationConfig
+from semloc_jax.mapping.twins import without_twins
 from semloc_jax.mapping.uprights import HeightOf, Upright, UprightCounting, uprights_of
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
 from semloc_jax.mapping.worn_paint import whole_again
@@ -163,14 +164,15 @@ def make_map(
     rejected = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if not stay]
     drawn = {e.id: e for e, _ in kept}
     laid = settled_in(list(drawn.values()), masks, frames, Ts_map_base, config.settle, progress)
-    kept = [(e, b) for e, (_, b) in zip(laid, kept, strict=True)]
-    lines = {e.id: e for e in laid if e.label == ElementClass.SLOT_LINE}
+    kept = without_twins([(e, b) for e, (_, b) in zip(laid, kept, strict=True)])
+    lines = {e.id: e for e, _ in kept if e.label == ElementClass.SLOT_LINE}
     in_rows = [d.moved_with(drawn[d.id], lines[d.id]) for row in rows for d in row.dividers(set(lines))]
     beliefs = {e.id: b for e, b in kept}
     slots = find_slots(list(lines.values()), beliefs, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots, in_rows)
     marks = [known for known in kept if known[0].label == ElementClass.ROAD_MARK]
     marks, numbers = numbered(marks, slots, _looks_at(gatherer, ElementClass.ROAD_MARK))
-    kept = [known for known in kept if known[0].label != ElementClass.ROAD_MARK] + marks + numbers + slots
+    marks = outside_of_rows(marks, rows) + numbers
+    kept = [known for known in kept if known[0].label != ElementClass.ROAD_MARK] + marks + slots
     made, changes = _map_of(kept, origin, drive.name), []
     if base is not None:
         made, changes = taken_in(base, looked_at, kept, config.base)

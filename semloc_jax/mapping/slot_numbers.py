@@ -15,6 +15,7 @@ from jaxtyping import Float
 from scipy.ndimage import binary_closing, gaussian_filter, label
 
 from semloc_jax.mapping.row_lines import PaintAt
+from semloc_jax.mapping.slot_rows import MappedRow
 from semloc_jax.maps import Belief, MapElement
 from semloc_jax.maps.elements import VIRTUAL
 from semloc_jax.structs import ElementClass
@@ -33,6 +34,33 @@ _LEAST_SHARE, _CLEAR, _OWN_PART = 0.05, 4.0, 0.25
 """Share of the looks that must show a stencil, how many times that of bare road, and part of it from which a slot has
 one of its own; ours."""
 Known = tuple[MapElement, Belief]
+
+
+def outside_of_rows(marks: Sequence[Known], rows: Sequence[MappedRow]) -> list[Known]:
+    """The marks that are no pieces of numbers of slots that were not found.
+
+    Behind the entrance of a row nothing but numbers is painted: arrows are in the aisle. A slot on which a vehicle
+    stood, or whose dividers were not seen, shows parts of its number all the same, each with the outline of no sign.
+
+    Args:
+        marks: marks on the road with their beliefs, without those of slots.
+        rows: of slots; the first and the last divider may be those beside slots that were not found.
+    """
+    return [mark for mark in marks if not any(_is_behind(mark[0], row) for row in rows)]
+
+
+def _is_behind(mark: MapElement, row: MappedRow) -> bool:
+    """Whether a mark no longer than a number lies behind the entrance of a row, up to a slot beside its dividers."""
+    xy = mark.points[:, :2]
+    if len(row.places) < 2 or np.linalg.norm(np.ptp(xy, axis=0)) > _LONGEST_M:
+        return False
+    at_m = np.array([place.s_m for place in row.places])
+    beside_m = float(np.median(np.diff(at_m)))
+    s_m, t_m = row.inside(xy)
+    low_m, high_m = at_m[0] - beside_m, at_m[-1] + beside_m
+    return bool(
+        t_m.min() > 0.0 and t_m.max() < (row.depth_m or _LONGEST_M) and low_m < s_m.min() and s_m.max() < high_m
+    )
 
 
 class _Frame(NamedTuple):

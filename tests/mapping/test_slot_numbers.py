@@ -5,7 +5,8 @@ import pytest
 
 from semloc_jax.evaluation import compare_maps
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
-from semloc_jax.mapping.slot_numbers import numbered
+from semloc_jax.mapping.slot_numbers import numbered, outside_of_rows
+from semloc_jax.mapping.slot_rows import MappedRow, RowPlace
 from semloc_jax.maps import Belief, MapElement, SemanticMap, read_map, write_map
 from semloc_jax.maps.io.drive_geojson import write_drive_geojson
 from semloc_jax.structs import ElementClass
@@ -80,3 +81,17 @@ def test_one_stencil_tells_where_numbers_stand_in_slots_of_one_type():
         middle_m = 2.5 * int(number.attributes["slot"][1:]) + 1.25
         np.testing.assert_allclose(0.5 * (low + high), [middle_m, 0.61], atol=0.05)
         np.testing.assert_allclose(high - low, [1.12, 0.52], atol=0.12)
+
+
+def test_pieces_in_a_row_without_their_slot_are_no_marks():
+    """Beside the dividers of a row, too; what is before its entrance, behind its back or long stays a mark."""
+    places = tuple(RowPlace(2.5 * k, (f"d{k}",), 0.2) for k in range(3))
+    row = MappedRow(np.zeros(2), TURN[:, 0], TURN[:, 1], 0.12, 5.2, places)
+    within = [known(f"in{k}", ElementClass.ROAD_MARK, (x, 0.4), (x + 0.3, 0.8)) for k, x in enumerate((-1.4, 0.8, 6.0))]
+    outside = [
+        known("before", ElementClass.ROAD_MARK, (0.8, -0.6), (1.1, -0.2)),
+        known("far", ElementClass.ROAD_MARK, (8.0, 0.4), (8.3, 0.8)),
+        known("behind", ElementClass.ROAD_MARK, (0.8, 5.4), (1.1, 5.8)),
+        known("long", ElementClass.ROAD_MARK, (0.8, 0.5), (1.1, 4.5)),
+    ]
+    assert outside_of_rows([*within, *outside, ARROW], [row]) == [*outside, ARROW]
