@@ -28,6 +28,7 @@ from semloc_jax.datasets.pandaset.reader import (
 from semloc_jax.datasets.pandaset.strips import Sighting, look_for
 from semloc_jax.datasets.pandaset.surface import road_profiles
 from semloc_jax.datasets.pandaset.vectorize import TracedLine, trace_lines, trace_signs
+from semloc_jax.datasets.pandaset.worn_lines import trace_paint
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.structs import ElementClass
@@ -40,6 +41,9 @@ _DEFAULT_WIDTH_M = 0.10
 """Width of lane lines in California: 4 inches."""
 _SIGMA_LEFT_M, _SIGMA_TURN_RAD = 0.02, np.radians(0.2)
 _SIGMA_AHEAD_PX = 1.0
+_AWAY = 0.9
+"""Cosine between a stroke and the line of sight below which an image does not tell where it is: across the sight one
+pixel is a decimetre of road at 20 m."""
 _SIGMA_LABEL_LEFT_M, _SIGMA_LABEL_AHEAD_M = 0.05, 0.15
 
 
@@ -65,7 +69,7 @@ def calibrated(drive: PandaSetDrive, sweeps: slice = slice(None)) -> PandaSetDri
     dashes = [line for line in trace_lines(drive.points.of(LANE_LINE, sweeps)) if line.is_isolated]
     ends = [line.points for line in dashes]
     sightings = look_for(ends, [True] * len(ends), _looks(drive, sweeps), FRONT)
-    sightings = [s for s in sightings if np.isfinite(s.left_m) and abs(s.away) > 0.9]
+    sightings = [s for s in sightings if np.isfinite(s.left_m) and abs(s.away) > _AWAY]
     lines = sorted({s.line for s in sightings})
     if len(lines) < 2 or len(sightings) < 6:
         raise SemlocError(
@@ -120,7 +124,9 @@ def build_map(drive: PandaSetDrive, sweeps: slice = slice(None)) -> SemanticMap:
         (LANE_LINE, ElementClass.LANE_MARKING, "lane"),
         (OTHER_MARK, ElementClass.ROAD_MARK, "mark"),
     ):
-        lines = trace_lines(drive.points.of(class_id, sweeps))
+        lines = trace_paint(drive.points, class_id, sweeps)
+        elements += [_as_traced(line, label, f"{name}_paint_{k}") for k, line in enumerate(lines) if line.width_m]
+        lines = [line for line in lines if not line.width_m]
         pieces = [piece for index, line in enumerate(lines) for piece in _pieces(index, line)]
         dashes = [line.points for line in lines if line.is_isolated]
         strokes = [piece.ends for piece in pieces] + dashes
@@ -176,9 +182,7 @@ def _drawn_to_paint(pieces: list[_Piece], looks: list[list[Sighting]]) -> list[t
     seen = [[s for s in own if np.isfinite(s.left_m)] for own in looks]
     is_seen = [len(own) >= 2 and 2 * len(own) >= len(all_looks) for own, all_looks in zip(seen, looks, strict=True)]
     is_gone = [not found and len(own) >= _MIN_LOOKS for found, own in zip(is_seen, looks, strict=True)]
-    shift = np.array(
-        [np.median([s.left_m for s in own]) if ok else np.nan for own, ok in zip(seen, is_seen, strict=True)]
-    )
+    shift = np.array([_shift_m(own) if ok else np.nan for own, ok in zip(seen, is_seen, strict=True)])
     drawn = []
     for k, piece in enumerate(pieces):
         if is_gone[k]:
@@ -193,11 +197,17 @@ def _drawn_to_paint(pieces: list[_Piece], looks: list[list[Sighting]]) -> list[t
     return drawn
 
 
+def _shift_m(seen: list[Sighting]) -> float:
+    """How far to its left the paint of a piece is seen [m]; 0 where it lies across the line of sight in every image."""
+    along = [s.left_m for s in seen if abs(s.away) > _AWAY]
+    return float(np.median(along)) if along else 0.0
+
+
 def _drawn_dash(ends: np.ndarray, halves: list[_Piece], looks: list[Sighting]) -> np.ndarray:
     """A dash through the middles of its two drawn halves, moved along itself to where images show its ends."""
     start, end = (half.ends.mean(axis=0) for half in halves)
     dash = np.array([1.5 * start - 0.5 * end, 1.5 * end - 0.5 * start])
-    ahead = [s.ahead_m for s in looks if np.isfinite(s.ahead_m)]
+    ahead = [s.ahead_m for s in looks if np.isfinite(s.ahead_m) and abs(s.away) > _AWAY]
     axis = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     return dash + (float(np.median(ahead)) * axis if ahead else 0.0)
 
@@ -238,6 +248,21 @@ def _elements_of(
             )
         )
     return elements
+
+
+def _as_traced(line: TracedLine, label: ElementClass, name: str) -> MapElement:
+    """A stroke whose own light shows where it is."""
+    kind = "road_mark" if label == ElementClass.ROAD_MARK else "lane_dashed" if line.is_isolated else "lane_solid"
+    width_m = round(line.width_m, 3)
+    return MapElement(
+        id=name,
+        label=label,
+        points=line.points,
+        width_m=width_m,
+        style="dashed" if kind == "lane_dashed" else "solid",
+        true_ends=(line.is_isolated, line.is_isolated),
+        attributes={"class": kind, "width": width_m},
+    )
 
 
 def _joined(pieces: list[Float[np.ndarray, "2 3"]]) -> np.ndarray:

@@ -65,10 +65,16 @@ class LabelledPoints:
     class_id: np.ndarray
     sweep: np.ndarray
 
+    def seen(self, class_id: int, sweeps: slice = slice(None)) -> "LabelledPoints":
+        """What the given sweeps saw of a class."""
+        wanted = np.arange(int(self.sweep.max()) + 1)[sweeps]
+        rows = (self.class_id == class_id) & np.isin(self.sweep, wanted)
+        columns = (self.p_map, self.intensity, self.sensor, self.class_id, self.sweep)
+        return LabelledPoints(*(column[rows] for column in columns))
+
     def of(self, class_id: int, sweeps: slice = slice(None)) -> Float[np.ndarray, "m 3"]:
         """Points of a class seen in the given sweeps."""
-        wanted = np.arange(int(self.sweep.max()) + 1)[sweeps]
-        return self.p_map[(self.class_id == class_id) & np.isin(self.sweep, wanted)]
+        return self.seen(class_id, sweeps).p_map
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-_CELLS_M = (0.04, 0.12)
+CELLS_M = (0.04, 0.12)
 """Rasters: fine where points are dense, coarse for what is left, far from the vehicle."""
-_MIN_POINTS = 40
-_MIN_DASH_POINTS = 100
-"""With fewer points the ends of a piece are gaps between the rings of the lidar, not ends of paint."""
-_MIN_LENGTH_M = 0.8
 _MAX_DASH_M = 5.5
 _MAX_DASH_RMS_M = 0.07
 """A piece with less spread than this about its axis is one straight line."""
@@ -28,35 +24,61 @@ _MIN_SIGN_POINTS = 60
 
 
 @dataclass(frozen=True)
+class StrokeSizes:
+    """What is traced as a stroke. All values are ours.
+
+    Args:
+        min_points: of a connected piece.
+        min_dash_points: with fewer points the ends of a piece are gaps between the rings of the lidar, not ends of
+            paint.
+        min_length_m: of a stroke.
+    """
+
+    min_points: int = 40
+    min_dash_points: int = 100
+    min_length_m: float = 0.8
+
+
+@dataclass(frozen=True)
 class TracedLine:
     """Centre line of one painted stroke.
 
     Args:
         points: vertices in the map frame [m].
         is_isolated: no other paint touches it, and it is short and straight: a dash, whose ends are real.
+        width_m: where the points tell it.
     """
 
     points: Float[np.ndarray, "k 3"]
     is_isolated: bool
+    width_m: float | None = None
 
 
-def trace_lines(points: Float[np.ndarray, "n 3"]) -> list[TracedLine]:
+LABELS = StrokeSizes()
+"""For points as they are labelled."""
+
+
+def trace_lines(
+    points: Float[np.ndarray, "n 3"], sizes: StrokeSizes = LABELS, cells_m: tuple[float, ...] = CELLS_M
+) -> list[TracedLine]:
     """Strokes of paint among the points of one class.
 
     Points are drawn into a raster; a connected piece that is short and straight is one line along its principal axis;
     any other piece is thinned to a skeleton, cut at its junctions, and each branch is drawn to the mean of its points.
     """
     lines: list[TracedLine] = []
-    for cell_m in _CELLS_M:
+    for cell_m in cells_m:
         traced = np.zeros(len(points), dtype=bool)
-        if len(points) >= _MIN_POINTS:
-            found, traced = _trace_at(points, cell_m, is_finest=cell_m == _CELLS_M[0])
+        if len(points) >= sizes.min_points:
+            found, traced = _trace_at(points, cell_m, cell_m == CELLS_M[0], sizes)
             lines += found
         points = points[~traced]
     return lines
 
 
-def _trace_at(points: np.ndarray, cell_m: float, is_finest: bool) -> tuple[list[TracedLine], np.ndarray]:
+def _trace_at(
+    points: np.ndarray, cell_m: float, is_finest: bool, sizes: StrokeSizes
+) -> tuple[list[TracedLine], np.ndarray]:
     """Strokes in a raster of one cell size, and which points bool[n] belong to them."""
     low = points[:, :2].min(axis=0) - 10 * cell_m
     cell = np.floor((points[:, :2] - low) / cell_m).astype(int)
@@ -67,30 +89,31 @@ def _trace_at(points: np.ndarray, cell_m: float, is_finest: bool) -> tuple[list[
     piece_of = pieces[cell[:, 1], cell[:, 0]]
     lines: list[TracedLine] = []
     traced = np.zeros(len(points), dtype=bool)
-    for piece in np.flatnonzero(np.bincount(piece_of) >= _MIN_POINTS):
+    for piece in np.flatnonzero(np.bincount(piece_of) >= sizes.min_points):
         own = points[piece_of == piece]
-        dash = _straight_line(own)
-        found = [TracedLine(dash, is_finest and len(own) >= _MIN_DASH_POINTS)] if dash is not None else []
-        for branch in [] if found else _branches(pieces == piece, cell_m):
-            found += [TracedLine(line, False) for line in _strokes_along(low + (branch + 0.5) * cell_m, own)]
+        dash = _straight_line(own, sizes.min_length_m)
+        found = [TracedLine(dash, is_finest and len(own) >= sizes.min_dash_points)] if dash is not None else []
+        for branch in [] if found else _branches(pieces == piece, cell_m, sizes.min_length_m):
+            strokes = _strokes_along(low + (branch + 0.5) * cell_m, own, sizes.min_length_m)
+            found += [TracedLine(line, False) for line in strokes]
         traced |= (piece_of == piece) & bool(found)
         lines += found
     return lines, traced
 
 
-def _straight_line(points: np.ndarray) -> np.ndarray | None:
+def _straight_line(points: np.ndarray, min_length_m: float) -> np.ndarray | None:
     """Ends of the principal axis of a short straight piece, else None."""
     center = points.mean(axis=0)
     axis = np.linalg.svd(points - center, full_matrices=False)[2][0]
     along = (points - center) @ axis
     across = np.linalg.norm((points - center)[:, :2] - np.outer(along, axis[:2]), axis=1)
     low, high = np.percentile(along, [0.5, 99.5])
-    if not _MIN_LENGTH_M <= high - low <= _MAX_DASH_M or np.sqrt(np.mean(across**2)) > _MAX_DASH_RMS_M:
+    if not min_length_m <= high - low <= _MAX_DASH_M or np.sqrt(np.mean(across**2)) > _MAX_DASH_RMS_M:
         return None
     return center + np.outer([low, high], axis)
 
 
-def _branches(piece: np.ndarray, cell_m: float) -> list[np.ndarray]:
+def _branches(piece: np.ndarray, cell_m: float, min_length_m: float) -> list[np.ndarray]:
     """Ordered pixels (column, row) of each branch of the skeleton between its junctions."""
     from skimage.morphology import skeletonize  # slow to import, and most drives are not of this kind
 
@@ -103,7 +126,7 @@ def _branches(piece: np.ndarray, cell_m: float) -> list[np.ndarray]:
     branches = []
     for part in range(1, count):
         pixels = np.argwhere(parts == part)[:, ::-1]
-        if len(pixels) * cell_m >= _MIN_LENGTH_M:
+        if len(pixels) * cell_m >= min_length_m:
             branches.append(_walked(pixels) + [left, top])
     return branches
 
@@ -123,10 +146,10 @@ def _walked(pixels: np.ndarray) -> np.ndarray:
     return pixels[order]
 
 
-def _strokes_along(path_xy: np.ndarray, points: np.ndarray) -> list[np.ndarray]:
+def _strokes_along(path_xy: np.ndarray, points: np.ndarray, min_length_m: float) -> list[np.ndarray]:
     """One line through the points beside a path, or two where they are a double line; none if the path is too short."""
     knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path_xy, axis=0), axis=1))])
-    if knots[-1] < _MIN_LENGTH_M:
+    if knots[-1] < min_length_m:
         return []
     at = np.linspace(0.0, knots[-1], max(2, round(knots[-1] / _STATION_M) + 1))
     xy = np.column_stack([np.interp(at, knots, path_xy[:, axis]) for axis in range(2)])
