@@ -10,10 +10,10 @@ from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
 from semloc_jax.localization import following, health, map_faults
 from semloc_jax.localization.following import FrameReport
-from semloc_jax.localization.frame_alignment import Alignment
+from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.initialization import no_fixes
 from semloc_jax.localization.learning import with_learned
-from semloc_jax.localization.track_state import TrackerState
+from semloc_jax.localization.track_state import FrameFeatures, TrackerState
 from semloc_jax.structs import SolveStatus
 
 SPEED_MPS, SIGMAS = 10.0, np.array([0.05, 0.02, 0.03, 0.01, 0.01, 0.002])
@@ -63,9 +63,10 @@ def test_a_first_pose_is_as_sure_as_any_later_one_where_a_second_solve_ends_ther
     """Its variance is that of one pose of a series; a search that ended elsewhere keeps the four times larger one."""
     first = PoseMeasurement(0.0, at(0.0), 4.0 * np.diag(SIGMAS**2) + 0.05**2 * np.diag([1, 1, 1, 0.02, 0.02, 0.02]))
     monkeypatch.setattr(following, "seen", lambda *_: seen_at(0.0, at(0.0, off_m)))
-    monkeypatch.setattr(following, "new_track", lambda *_: None)
     known = (lambda rows: rows, np.zeros(3), np.ones(()))
-    parts = (SlidingWindow(), None, None, known, noise_scale.unknown_noise(), health.HealthConfig())
+    # Neither map nor frame is asked: what a solve finds is given above.
+    aligner, frame = object.__new__(FrameAligner), tuple.__new__(FrameFeatures, [None] * len(FrameFeatures._fields))
+    parts = (SlidingWindow(), aligner, frame, known, noise_scale.unknown_noise(), health.HealthConfig())
     found = following.solved_again(first, *parts)
     assert found.T_map_base[1, 3] == (off_m if is_taken else 0.0)
     sigma_m = float(np.sqrt(found.covariance[1, 1]))
