@@ -69,6 +69,12 @@ class FusedPose(NamedTuple):
         """What the next motion increment takes off."""
         return Calibration(self.odometer_scale, self.gyro_bias_radps, self.travel_rad)
 
+    def moved(self, left_m: float, ahead_m: float, turn_deg: float) -> "FusedPose":
+        """The pose beside itself, of a vehicle that drives where it did; its heading turned to the left."""
+        turn_rad = float(np.deg2rad(turn_deg))
+        step = rigid.exp(np.array([ahead_m, left_m, 0.0, 0.0, 0.0, turn_rad]))
+        return self._replace(T_map_base=self.T_map_base @ step, travel_rad=self.travel_rad - turn_rad)
+
 
 class Innovation(NamedTuple):
     """How well a measurement fits the state: squared normalised difference, degrees of freedom, verdict."""

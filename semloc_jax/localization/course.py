@@ -110,6 +110,29 @@ def heading_level_deg(aside_rad: float, course: Course, freedom: float, share: f
     return float(np.degrees(max(abs(course.off_rad), abs(aside_rad)) + sigmas * course.sigma_rad))
 
 
+def turn_rad(aside_rad: float, course: Course, freedom: float, share: float, limit_deg: float) -> float:
+    """The least turn of a heading [rad], positive to the left, with which `heading_level_deg` is within a limit [deg];
+    0 where none is needed or none helps.
+
+    The heading of the cameras may be right, or that of the course: a heading between the two is nearer to either than
+    they are to each other. Arguments as `heading_level_deg`; the level of the cameras' own heading grows by the turn.
+    """
+    wide_rad, limit = float(stdtrit(freedom, 1.0 - min(share, 0.5))) * course.sigma_rad, float(np.deg2rad(limit_deg))
+    off_rad = course.off_rad
+    # What is remembered counts where it is farther aside than the course, or to the other side.
+    other_rad = aside_rad if abs(aside_rad) > abs(off_rad) or aside_rad * off_rad < 0.0 else off_rad
+    most, least = max(off_rad, other_rad) + wide_rad, min(off_rad, other_rad) - wide_rad
+    if most - least > 2.0 * limit:
+        return 0.0
+    return max(most - limit, 0.0) + min(least + limit, 0.0)
+
+
+def turned(aside_rad: float, course: Course, by_rad: float) -> tuple[float, Course]:
+    """What is remembered, and the course, as seen from a heading that was turned."""
+    remembers_rad = max(abs(aside_rad) - by_rad * float(np.sign(aside_rad)), 0.0)
+    return float(np.copysign(remembers_rad, aside_rad)), course._replace(off_rad=course.off_rad - by_rad)
+
+
 def misleading(aside_rad: float, course: Course, freedom: float, limit_deg: float) -> float:
     """Probability that the heading is beyond a limit [deg] where the cameras look aside; other arguments as
     `heading_level_deg`."""

@@ -35,14 +35,18 @@ from semloc_jax.localization.following import (
     new_track,
     regained,
     seen,
+    solved_again,
     stance_after,
     way_since,
     weighed,
 )
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
-from semloc_jax.localization.judging import judged, spoken_for
+from semloc_jax.localization.judging import judged
+from semloc_jax.localization.learning import with_learned
 from semloc_jax.localization.map_window import GRID_M, MapWindows
+from semloc_jax.localization.pose_levels import spoken_for
+from semloc_jax.localization.separation import remembered
 from semloc_jax.localization.stage_timer import StageTimer
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import (
@@ -200,8 +204,8 @@ class Localizer:
             state = state._replace(matched=view.found.matched)
         known = (trust, state.stance, np.asarray(state.grain))
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
-            state = self._learned(state, view, motion, before, way_m)
             fused = self.fusion.pose(state.tracks[0].fusion)
+            state = with_learned(state, view, fused, motion, before, way_m)
             sums = watch.looked(state.watch, view, fused, frame, self.aligner, known, way_m, self.config.watch)
             state = state._replace(watch=sums)
         timer.lap("fuse")
@@ -213,7 +217,7 @@ class Localizer:
             timer.lap("acquire")
         if state.tracks:
             spoken = spoken_for(state, frame.rig, self.config)
-            state = state._replace(doubted=watch.remembered(state.doubted, spoken, way_m, self.config.watch))
+            state = state._replace(doubted=remembered(state.doubted, spoken, way_m, self.config.watch))
         return self._judged(state, view, frame, timer)
 
     def trust_in(self, state: TrackerState) -> Trust:
@@ -222,19 +226,6 @@ class Localizer:
         if not len(state.matched):
             return weights
         return lambda rows: weights(rows) * np.isin(rows, state.matched)
-
-    def _learned(
-        self, state: TrackerState, view: FrameReport, motion: CameraTimeLog, before: FusedPose, way_m: float
-    ) -> TrackerState:
-        """The state with what a frame whose pose was taken says of clock and noise."""
-        now_s, before_s = float(state.time_s), before.time_s
-        slope = motion.slope(before_s, now_s, moving=before.moving)
-        offset = clock.learned(state.clock, slope, view.difference, view.covariance, now_s - before_s, clock.BELIEFS)
-        fused, measured = self.fusion.pose(state.tracks[0].fusion), view.found.measurement
-        taken_s = max(noise_scale.last_taken_s(state.noise), before_s)
-        step = motion.increment(taken_s, now_s, fused.calibration, before.moving)
-        noise = noise_scale.learned(state.noise, measured, fused, step, way_m, noise_scale.BELIEFS)
-        return state._replace(noise=noise, clock=offset)
 
     def _predicted(self, state: TrackerState, frame: FrameFeatures, motion: CameraTimeLog) -> TrackerState:
         """Every track at the time of the frame, with the fixes on the way."""
@@ -334,7 +325,10 @@ class Localizer:
         state = state._replace(searched_s=np.float64(frame.time_s))
         if not modes:
             return state
-        measured = [self.acquisition.measurement(mode, frame.time_s) for mode in modes]
+        forgotten = noise_scale.without_poses(state.noise)
+        known = (self.trust_in(state), state.stance, np.asarray(state.grain))
+        parts = (self.fusion, self.aligner, frame, known, forgotten, self.config.health)
+        measured = [solved_again(self.acquisition.measurement(mode, frame.time_s), *parts) for mode in modes]
         penalties = [mode.score - modes[0].score for mode in modes]
         begun = partial(new_track, self.fusion)
         # What satellites contradict is no dead reckoning to go on with.
@@ -342,7 +336,6 @@ class Localizer:
             begun = partial(regained, self.fusion, state.coasting[0])
         share = self.config.follow.penalty_share
         tracks = tuple(begun(m, share * max(p, 0.0)) for m, p in zip(measured, penalties, strict=True))
-        forgotten = noise_scale.without_poses(state.noise)
         state = state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten)
         return _as_new(state)
 
@@ -358,6 +351,7 @@ class Localizer:
         if fused is not None:
             self.windows.prepare(fused.T_map_base[:3, 3] + GRID_M * fused.T_map_base[:3, 0])
             fused = fused._replace(covariance=with_map_accuracy(fused.covariance, *map_sigma))
+            fused = fused.moved(*verdict.move)
         found = view.found if view is not None else None
         return state, TrackResult(
             frame.frame_id,
@@ -397,4 +391,4 @@ class Localizer:
 def _as_new(state: TrackerState) -> TrackerState:
     """The state at another place: what was seen from the one before says nothing there."""
     fresh = {"watch": watch.WatchState(), "elsewhere": Elsewhere(), "innovations": innovations.Innovations()}
-    return state._replace(**fresh, doubted=np.zeros(3))
+    return state._replace(**fresh, doubted=np.zeros((2, 3)))

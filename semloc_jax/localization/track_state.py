@@ -127,8 +127,9 @@ class TrackerState(NamedTuple):
     elsewhere: Elsewhere = Elsewhere()
     innovations: Innovations = Innovations()
     """How measured poses fitted the motion of late."""
-    doubted: Float[np.ndarray, "3"] = np.zeros(3)
-    """How far the pose was in doubt of late: lateral [m], longitudinal [m], heading [deg]."""
+    doubted: Float[np.ndarray, "2 3"] = np.zeros((2, 3))
+    """Where the right pose might be of late as seen from the one that was told: least and most of left [m], ahead [m],
+    heading [deg]."""
     matched: Int[np.ndarray, " match"] = np.zeros(0, np.int64)
     """Elements of the map that shapes of the last frame were associated with (`--association explicit`)."""
 

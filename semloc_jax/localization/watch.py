@@ -8,7 +8,6 @@ one to the farther side of the other.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,15 +17,14 @@ from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.other_lenses import with_distortion
 from semloc_jax.errors import SemlocError
-from semloc_jax.evaluation.metrics import ErrorLimit
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import lens_sign
 from semloc_jax.localization.course import Course, course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
-from semloc_jax.localization.integrity import ProtectionLevels
 from semloc_jax.localization.rivals import Known
+from semloc_jax.localization.separation import Separation, separated
 from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.localization.watch_sums import (
     CLASSES,
@@ -45,6 +43,7 @@ from semloc_jax.localization.watch_sums import (
     mount_tilt_rad,
     moves,
     suspicions,
+    unit_of,
 )
 from semloc_jax.runtime.same_object import once_for_each
 
@@ -56,15 +55,6 @@ _ADVICE = "run semloc calibrate"
 _WITH_OTHER_SIGN = once_for_each(with_distortion)
 _OWN_TILT_RAD = np.deg2rad(RoadSigmas().roll_pitch_deg)
 _GROUP_WORDS = dict(zip(GROUPS, ("lines", "posts", "lines to the left", "lines to the right"), strict=True))
-
-
-class Separation(NamedTuple):
-    """How far the pose would be off under one fault, and what is told of it."""
-
-    lateral_m: float
-    longitudinal_m: float
-    heading_deg: float
-    cause: str
 
 
 def looked(
@@ -166,8 +156,9 @@ def spoken_for(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separat
     found = []
     for suspected in suspicions(watch, len(rig.names), config):
         if suspected.nats >= (config.class_count_nats if suspected.name in CLASSES else config.count_nats):
-            ahead, left, turned = np.abs(suspected.moved)
-            found.append(Separation(left, ahead, float(np.degrees(turned)), _told(suspected, rig)))
+            # Elements that were moved say where they are, not where the pose is: it lies between them and all others.
+            is_lens = suspected.name not in CLASSES
+            found.append(separated(suspected.moved, _told(suspected, rig), is_sided=is_lens))
     return found
 
 
@@ -182,78 +173,35 @@ def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separa
     height_m, found = float(np.asarray(rig.T_base_cam, np.float64)[:, 2, 3].mean()), []
     speaks = lens_sign.nats(watch.sign, config.share)
     if watch.sign.num > 0 and speaks > -config.count_nats:
-        ahead, left, turned = np.abs(lens_sign.mean_move(watch.sign))
+        moved = lens_sign.mean_move(watch.sign)
         how = f"the other one fits {speaks:.0f} nats better" if speaks >= 1.0 else "the drive has not told yet"
         cause = f"the distortion of {_whose(rig)} may have the wrong sign: {how}"
-        found.append(Separation(left, ahead, float(np.degrees(turned)), f"{cause}; {_ADVICE}"))
+        found.append(separated(moved, f"{cause}; {_ADVICE}"))
+    told = {one.name for one in suspicions(watch, len(rig.names), config) if one.nats >= config.count_nats}
+    for lens in untold(watch, config):
+        if lens.name not in told:
+            cause = f"masks may fit as well with {_lens(lens, rig)}: the drive has not told yet; {_ADVICE}"
+            found.append(separated(lens.moved, cause))
     tilted = _tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), height_m, rig)
     return [*found, *tilted]
 
 
-def remembered(
-    before: Float[np.ndarray, "3"], found: Sequence[Separation], way_m: float, config: WatchConfig
-) -> Float[np.ndarray, "3"]:
-    """How far the pose was in doubt of late: lateral [m], longitudinal [m], heading [deg].
+def untold(watch: WatchState, config: WatchConfig) -> list[Suspicion]:
+    """Every other lens, a step longer or shorter, wider or narrower, that the drive does not speak against yet.
 
-    A frame in which a fault happens not to show has not spoken against it.
-
-    Args:
-        before: At the frame before.
-        found: What the frames up to this one speak for.
-        way_m: Way since the frame before [m].
-        config: Memory.
+    A lens that is off moves the pose along the road in every frame by the same: before it is told, no level of a pose
+    knows of it. One vehicle in two hundred has such a lens, so what speaks against it must make up for the rest of the
+    risk.
     """
-    kept = np.exp(-way_m / config.doubt_memory_m) * before
-    return np.max([kept, *(np.array(fault[:3]) for fault in found)], axis=0)
-
-
-def lasting(doubted: Float[np.ndarray, "3"], found: Sequence[Separation]) -> list[Separation]:
-    """What is remembered beyond that which is still spoken for; arguments as `remembered`."""
-    farthest = np.max([np.zeros(3), *(np.array(fault[:3]) for fault in found)], axis=0)
-    if (doubted <= farthest).all():
-        return []
-    cause = "what spoke against calibration, map or motion within the last metres has not been cleared yet"
-    return [Separation(*doubted.tolist(), cause)]
-
-
-def with_faults(levels: ProtectionLevels, found: list[Separation]) -> ProtectionLevels:
-    """Levels that hold under any one of the faults."""
-    if not found:
-        return levels
-    farthest = np.max([fault[:3] for fault in found], axis=0)
-    return ProtectionLevels(*(float(level + more) for level, more in zip(levels, farthest, strict=True)))
-
-
-def at_least(levels: ProtectionLevels, config: WatchConfig) -> ProtectionLevels:
-    """Levels that leave room for faults that are too small to be seen."""
-    lateral_m, longitudinal_m, heading_deg = config.least_levels
-    return ProtectionLevels(
-        max(levels.lateral_m, lateral_m),
-        max(levels.longitudinal_m, longitudinal_m),
-        float(np.hypot(levels.heading_deg, heading_deg)),
-    )
-
-
-def room_in(limit: ErrorLimit, config: WatchConfig) -> tuple[float, float, float]:
-    """What the alert limits leave to levels that `at_least` joins with others."""
-    heading_deg = limit.heading_deg**2 - config.least_levels[2] ** 2
-    return limit.lateral_m, limit.longitudinal_m, float(np.sqrt(max(heading_deg, 0.0)))
-
-
-def causes(levels: ProtectionLevels, found: list[Separation], limit: ErrorLimit) -> tuple[str, ...]:
-    """A sentence for each fault that alone takes a level beyond its alert limit.
-
-    Args:
-        levels: Without faults.
-        found: The faults.
-        limit: The alert limits.
-    """
-    limits = (limit.lateral_m, limit.longitudinal_m, limit.heading_deg)
-    return tuple(
-        fault.cause
-        for fault in found
-        if any(level <= limit < level + more for level, more, limit in zip(levels, fault[:3], limits, strict=True))
-    )
+    found, num_steps = [], len(STEPS)
+    for k, name in enumerate((FOCAL, RADIAL)):
+        for row in (num_steps * k, num_steps * k + 1) if len(watch.num) else ():
+            if watch.num[row] < 0.5 or config.share * watch.gain[row] < -config.count_nats:
+                continue
+            moved = watch.moved.reshape(-1, 3)[row] / watch.num[row]
+            size = float(STEPS[row - num_steps * k]) * unit_of(name, config)
+            found.append(Suspicion(name, size, config.share * float(watch.gain[row]), moved))
+    return found
 
 
 def aside_cause(course: Course, aside_rad: float, level_deg: float, rig: Rig) -> str:
@@ -314,13 +262,16 @@ def _told(suspected: Suspicion, rig: Rig) -> str:
             f"{_GROUP_WORDS[group]} of the map, taken alone, fit {abs(size):.2f} m {side}: {one_state} are not of one "
             "state of the road; see map_changes.csv"
         )
-    which = _whose(rig)
-    if name == FOCAL:
-        return f"masks fit better with focal lengths of {which} that are {100 * size:+.1f} % different; {_ADVICE}"
-    if name == RADIAL:
-        return (
-            f"masks fit better with a distortion of {which} that makes the sides of the image "
-            f"{100 * abs(size):.1f} % {'wider' if size > 0.0 else 'narrower'}; {_ADVICE}"
-        )
+    if name in (FOCAL, RADIAL):
+        return f"masks fit better with {_lens(suspected, rig)}; {_ADVICE}"
     turn, index = name.split()
     return f"camera {rig.names[int(index)]} does not fit the others: {np.degrees(size):+.1f} deg in {turn}; {_ADVICE}"
+
+
+def _lens(suspected: Suspicion, rig: Rig) -> str:
+    """A lens that is another one, with its size."""
+    which, share = _whose(rig), 100 * suspected.size
+    if suspected.name == FOCAL:
+        return f"focal lengths of {which} that are {share:+.1f} % different"
+    wider = "wider" if share > 0.0 else "narrower"
+    return f"a distortion of {which} that makes the sides of the image {abs(share):.1f} % {wider}"

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.cameras import BrownConradyCamera, PinholeCamera, Rig
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
-from semloc_jax.localization import lens_sign, watch
+from semloc_jax.localization import lens_sign, separation, watch
 from semloc_jax.localization.integrity import ProtectionLevels
 from semloc_jax.localization.watch_sums import (
     STEPS,
@@ -51,6 +51,11 @@ def after_frames(num_cameras: int, cost, pose, profiles, num: int = 24) -> Watch
             tried.append(Tried(name, np.where(asked, gains, np.nan), steps))
         state = learned(state, num_cameras, 0.0, tried, profiles, CONFIG)
     return state
+
+
+def with_faults(found: list[separation.Separation]) -> ProtectionLevels:
+    """Levels of a pose that stays where it is."""
+    return separation.with_faults(LEVELS, separation.farthest(separation.reach(found), np.zeros(3)))
 
 
 def flat() -> np.ndarray:
@@ -126,24 +131,26 @@ def test_posts_are_doubted_as_soon_as_lines_alone_fit_elsewhere_in_every_frame()
     profiles[0][ahead] = -1.0
     state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 12)
     found = watch.spoken_for(state, rig(1), CONFIG)
-    assert watch.with_faults(LEVELS, found).longitudinal_m == pytest.approx(LEVELS.longitudinal_m + 1.0)
+    assert with_faults(found).longitudinal_m == pytest.approx(LEVELS.longitudinal_m + 1.0)
     after_one = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 1)
-    assert watch.with_faults(LEVELS, watch.spoken_for(after_one, rig(1), CONFIG)) == LEVELS
+    assert with_faults(watch.spoken_for(after_one, rig(1), CONFIG)) == LEVELS
 
 
 def test_what_one_frame_does_not_say_again_is_doubted_on():
     """Half a metre; a metre further nothing is said: exp(-1 / 8) of it. Then a smaller doubt, and a larger one."""
-    said = [watch.Separation(0.0, 0.5, 0.0, "lines fit 0.5 m ahead")]
-    at_first = watch.remembered(np.zeros(3), said, 1.0, CONFIG)
-    assert watch.lasting(at_first, said) == []
-    later = watch.remembered(at_first, [], 1.0, CONFIG)
-    (doubt,) = watch.lasting(later, [])
-    assert doubt.longitudinal_m == pytest.approx(0.5 * np.exp(-0.125)) and "not been cleared" in doubt.cause
-    smaller = [watch.Separation(0.1, 0.2, 0.0, "")]
-    np.testing.assert_allclose(watch.remembered(later, smaller, 0.0, CONFIG), [0.1, doubt.longitudinal_m, 0.0])
-    assert watch.remembered(later, [], 80.0, CONFIG).max() < 1e-4
+    said = [separation.Separation(0.0, 0.5, 0.0, "lines fit 0.5 m ahead")]
+    at_first = separation.remembered(np.zeros((2, 3)), said, 1.0, CONFIG)
+    assert separation.lasting(at_first, said) == []
+    later = separation.remembered(at_first, [], 1.0, CONFIG)
+    behind, ahead = separation.lasting(later, [])
+    assert ahead.longitudinal_m == pytest.approx(0.5 * np.exp(-0.125)) and "not been cleared" in ahead.cause
+    assert (behind.side[1], ahead.side[1]) == (-1.0, 1.0)
+    smaller = [separation.Separation(0.1, 0.2, 0.0, "")]
+    both = separation.remembered(later, smaller, 0.0, CONFIG)
+    np.testing.assert_allclose(both, np.outer([-1.0, 1.0], [0.1, ahead.longitudinal_m, 0.0]))
+    assert np.abs(separation.remembered(later, [], 80.0, CONFIG)).max() < 1e-4
     # A vehicle that stands sees the same errors again and clears nothing.
-    np.testing.assert_array_equal(watch.remembered(later, [], 0.0, CONFIG), later)
+    np.testing.assert_array_equal(separation.remembered(later, [], 0.0, CONFIG), later)
 
 
 def test_frames_without_numbers_leave_the_sums_alone():
@@ -213,15 +220,15 @@ def test_a_crown_that_the_map_has_not_is_no_tilt_of_the_camera():
 
 def test_a_rolled_camera_is_not_above_where_it_would_be():
     found = watch.separations(rolled(lambda k: 2.0, 0.0, 200.0), rig(1), CONFIG)
-    assert watch.with_faults(LEVELS, found).lateral_m == pytest.approx(0.05 + 1.4 * np.deg2rad(2.0), rel=0.02)
+    assert with_faults(found).lateral_m == pytest.approx(0.05 + 1.4 * np.deg2rad(2.0), rel=0.02)
 
 
 def test_levels_never_promise_more_than_a_survey():
-    lateral_m, longitudinal_m, heading_deg = watch.at_least(LEVELS, CONFIG)
+    lateral_m, longitudinal_m, heading_deg = separation.at_least(LEVELS, CONFIG)
     assert (lateral_m, longitudinal_m) == CONFIG.least_levels[:2]
     assert heading_deg == pytest.approx(np.hypot(LEVELS.heading_deg, 0.3))  # a camera is mounted to tenths of a degree
     wide = ProtectionLevels(1.0, 2.0, np.inf)
-    assert watch.at_least(wide, CONFIG) == wide
+    assert separation.at_least(wide, CONFIG) == wide
 
 
 def test_every_suspicion_has_a_sentence():
@@ -231,6 +238,19 @@ def test_every_suspicion_has_a_sentence():
         told = watch._told(Suspicion(name, -0.03, 9.0, np.zeros(3)), rig(2))
         assert ("map_changes.csv" if name in CLASSES else "semloc calibrate") in told
     assert "fit 0.50 m to the left" in watch._told(Suspicion("posts_left", 0.5, 9.0, np.zeros(3)), rig(1))
+
+
+@pytest.mark.parametrize(("gain", "is_open"), [(-2.0, True), (-9.0, False), (0.0, True)])
+def test_levels_reach_to_the_pose_of_another_lens_until_the_drive_speaks_against_it(gain, is_open):
+    """A lens 2.5 % longer: 0.4 m behind. Nine nats, of which 0.3 are new, are more than 2.5."""
+    state = WatchState()
+    gains = {"focal": np.array([gain, -40.0, np.nan, np.nan]), "radial": np.array([-40.0, -40.0, np.nan, np.nan])}
+    moved = np.outer(STEPS, [-0.4, 0.0, 0.0])
+    tried = [Tried(name, gains[name], moved) for name in asked_now(state, 1, CONFIG)]
+    state = learned(state, 1, 0.0, tried, flat(), CONFIG)
+    found = [one for one in watch.separations(state, rig(1), CONFIG) if "not told" in one.cause]
+    assert [(one.longitudinal_m, one.side[1]) for one in found] == [(pytest.approx(0.4), -1.0)] * is_open
+    assert all("focal lengths of camera camera0 that are +2.5 % different" in one.cause for one in found)
 
 
 def bent_rig() -> Rig:
@@ -246,7 +266,7 @@ def test_levels_reach_to_the_pose_of_the_other_sign_until_the_drive_speaks_again
     for gain in (*gains, np.nan):
         state = lens_sign.learned(state, gain, np.array([-0.35, 0.02, 0.001]))
     found = watch.separations(WatchState(sign=state), bent_rig(), CONFIG)
-    wide = watch.with_faults(LEVELS, found)
+    wide = with_faults(found)
     assert wide.longitudinal_m == pytest.approx(LEVELS.longitudinal_m + (0.35 if told else 0.0))
-    causes = watch.causes(LEVELS, found, ALERT_LIMITS[0])
+    causes = separation.causes(LEVELS, found, ALERT_LIMITS[0])
     assert [("distortion of camera front may have the wrong sign" in cause) for cause in causes] == [True] * told

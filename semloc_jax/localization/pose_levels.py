@@ -1,0 +1,161 @@
+"""Protection levels of a pose under every fault that is suspected (room: localization; host).
+
+In: TrackerState, the fused pose, cameras. Out: PoseLevels; the pose that goes out may be moved for them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from semloc_jax.cameras import Rig
+from semloc_jax.evaluation.metrics import ErrorLimit
+from semloc_jax.fusion import noise_scale
+from semloc_jax.fusion.measurements import FusedPose
+from semloc_jax.localization import course, innovations, separation, watch
+from semloc_jax.localization.integrity import (
+    ProtectionLevels,
+    beyond_alert,
+    map_sigmas,
+    misleading,
+    protection_levels,
+)
+from semloc_jax.localization.separation import Separation
+from semloc_jax.localization.track_config import TrackConfig
+from semloc_jax.localization.track_state import TrackerState
+
+_AS_LEVELS = [1, 0, 2]
+"""Lateral, longitudinal, heading among the directions of `noise_scale`."""
+STAY = np.zeros(3)
+
+
+class PoseLevels(NamedTuple):
+    """Protection levels of a pose under every suspected fault.
+
+    Attributes:
+        protection: The levels.
+        causes: A sentence for each fault that takes one beyond its alert limit, or that the pose is moved for.
+        misleading: Probability that an error is beyond its alert limit.
+        move: How far the pose is moved for them: left [m], ahead [m], heading [deg], positive to the left.
+    """
+
+    protection: ProtectionLevels
+    causes: tuple[str, ...]
+    misleading: float
+    move: Float[np.ndarray, "3"] = STAY
+
+
+class Known(NamedTuple):
+    """What levels are made of.
+
+    Attributes:
+        errors: Covariance of the pose, degrees of freedom and what the map leaves open, as `protection_levels`.
+        faults: Every fault that a level has to hold under.
+        way: Course of the pose, and what is remembered of it [rad]; None where there is no track.
+        aside: Probability that the cameras look aside.
+        rig: Cameras.
+        config: Limits.
+    """
+
+    errors: tuple[np.ndarray, np.ndarray, np.ndarray]
+    faults: list[Separation]
+    way: tuple[course.Course, float] | None
+    aside: float
+    rig: Rig
+    config: TrackConfig
+
+    @property
+    def limit(self) -> ErrorLimit:
+        """The alert limits."""
+        return self.config.health.integrity.limit
+
+    @property
+    def share(self) -> float:
+        """Risk that the level of the heading may have on either side where the cameras look aside."""
+        return self.config.health.integrity.risk / 6.0 / self.aside
+
+
+def spoken_for(state: TrackerState, rig: Rig, config: TrackConfig) -> list[Separation]:
+    """What the last frames say against calibration, map and motion."""
+    doubts = (Separation(*doubt) for doubt in innovations.doubts(state.innovations))
+    return [*doubts, *watch.spoken_for(state.watch, rig, config.watch)]
+
+
+def known_of(
+    state: TrackerState, fused: FusedPose, rig: Rig, map_sigma: tuple[float, float], config: TrackConfig
+) -> Known:
+    """What is known of a pose.
+
+    Args:
+        state: After the frame.
+        fused: The pose in the map.
+        rig: Cameras.
+        map_sigma: What the map leaves open around the pose: place [m], direction [rad].
+        config: Limits.
+    """
+    freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
+    errors = fused.covariance, freedom, map_sigmas(*map_sigma)
+    if not state.tracks:
+        return Known(errors, [], None, 0.0, rig, config)
+    spoken = spoken_for(state, rig, config)
+    lasting = separation.lasting(state.doubted, spoken)
+    faults = [*spoken, *lasting, *watch.separations(state.watch, rig, config.watch)]
+    way, aside_rad = course.course_of(fused), float(state.watch.aside_rad)
+    probable = course.probability(aside_rad, way, watch.is_ahead(rig))
+    return Known(errors, faults, (way, aside_rad), probable, rig, config)
+
+
+def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
+    """The levels of a pose that is moved, see `PoseLevels`."""
+    limit, config = known.limit, known.config
+    far = separation.farthest(separation.reach(known.faults), move)
+    own = _own(known, far)
+    misled = misleading(*known.errors, far, limit)
+    if known.way is None:
+        return PoseLevels(separation.at_least(own, config.watch), (), misled)
+    protection = separation.at_least(separation.with_faults(own, far), config.watch)
+    # Cameras that look aside: the pose with the heading of its course may be the right one instead.
+    way, aside_rad = known.way
+    turned_rad, free = float(np.deg2rad(move[2])), float(known.errors[1][2])
+    left = *course.turned(aside_rad, way, turned_rad), free
+    aside_deg = course.heading_level_deg(*left, known.share)
+    causes = separation.causes(own, known.faults, limit)
+    if turned_rad or protection.heading_deg <= limit.heading_deg < aside_deg:
+        causes = (*causes, watch.aside_cause(way, aside_rad, aside_deg, known.rig))
+    misled += known.aside * course.misleading(*left, limit.heading_deg)
+    aside_m = abs(way.off_rad) * watch.cameras_ahead_m(known.rig)
+    protection = protection._replace(
+        lateral_m=max(protection.lateral_m, own.lateral_m + aside_m),
+        heading_deg=max(protection.heading_deg, aside_deg),
+    )
+    return PoseLevels(protection, causes, min(misled, 1.0), move)
+
+
+def within(known: Known, levels: PoseLevels) -> PoseLevels:
+    """The levels of a pose that is moved as little as brings all of them within their alert limits; those it has where
+    nothing does.
+
+    The pose with a fault and the one without it may be right, so the pose between the two is off by no more than half
+    of what they differ.
+
+    Args:
+        known: Of the pose.
+        levels: Its levels where it is.
+    """
+    way, aside_rad = known.way
+    reached, room = separation.reach(known.faults), separation.room_in(known.limit, known.config.watch)
+    half = 0.5 * (reached[1] - reached[0])
+    own = _own(known, np.array([*half[:2], np.abs(reached[:, 2]).max()]))
+    move = separation.least_move(own, reached, room)
+    if watch.is_ahead(known.rig):
+        free = float(known.errors[1][2])
+        turn_rad = course.turn_rad(aside_rad, way, free, known.share, known.limit.heading_deg)
+        move[2] = float(np.degrees(turn_rad))
+    moved = levels_of(known, move)
+    return levels if beyond_alert(moved.protection, known.limit) else moved
+
+
+def _own(known: Known, far: np.ndarray) -> ProtectionLevels:
+    """The levels of a pose without faults, which leave what room they can to poses so far away."""
+    room = np.array(separation.room_in(known.limit, known.config.watch)) - far
+    return protection_levels(*known.errors, room, known.config.health.integrity)
