@@ -183,7 +183,7 @@ def _refined_in_one_call(
     rule = solve_config(config).damping
     numbers = (1 / evidence.usable.stride, config.border_px, config.tolerance)
     numbers = jnp.asarray((*numbers, rule.first, rule.good_fall, rule.ease, rule.press), jnp.float32)
-    gain = jax.vmap(lambda ramp_px: config.noise.gain(ramp_px, evidence.grain))(evidence.textures.ramp_px[levels])
+    gain = jax.vmap(lambda ramp_px: config.noise.gain(ramp_px, evidence.grain))(evidence.textures.ramp_px)
     held = prior.T_map_base, prior.sigma, levels, gain, numbers
     seen = evidence.views[0], evidence.usable, evidence.textures, config.max_steps
     return tuple(native_kernels.refine(T_start, *held, *seen))

@@ -303,7 +303,7 @@ def refine(
     T_prior: Float[Array, "4 4"],
     sigma: Float[Array, "6"],
     levels: Int[Array, " level"],
-    gain: Float[Array, " level"],
+    gain: Float[Array, " all"],
     numbers: Float[Array, "7"],
     view: CameraViews,
     usable: Usable,
@@ -317,7 +317,7 @@ def refine(
         T_prior: Centre of the prior.
         sigma: Its standard deviations.
         levels: Of the cost maps, in their order.
-        gain: Nats for each unit of cost on each of them.
+        gain: Nats for each unit of cost on every level there is: what is visited besides does not change a level.
         numbers: In the order of `SolveNumbers` in native/src/refine.h.
         view: Cameras of one model with what they see.
         usable: Usable pixels.

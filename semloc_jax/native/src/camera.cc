@@ -148,7 +148,7 @@ Problem PieceSums(const Call& call) {
   return nullptr;
 }
 
-// T_start, T_prior, sigma, levels [l] and their gains [l], SolveNumbers, then of all cameras of this model: T_cam_base
+// T_start, T_prior, sigma, levels [l], gains of all levels, SolveNumbers, then of all cameras of this model: T_cam_base
 // [cam 4 4], points [cam ...], place in the cost maps [cam]; usable, texels, then of all levels: start, height, width,
 // stride; camera [cam] -> pose after each level [l 4 4], evaluations spent there [l], whether it converged [l].
 Problem Refine(const Call& call) {
@@ -188,7 +188,7 @@ Problem Refine(const Call& call) {
     }
     float T[12];
     std::copy_n(T_start.at(batch, item), 12, T);
-    std::vector<float> weight;
+    Row<float> weight;
     std::vector<Texture> textures;
     for (int64_t n = 0; n < num_levels; ++n) {
       const int32_t level = levels.at(batch, item)[n];
@@ -198,7 +198,7 @@ Problem Refine(const Call& call) {
                               width.at(batch, item)[level], stride.at(batch, item)[level],
                               place.at(batch, item)[k] * num_channels);
       const Ended ended = solve_level(cameras, textures, T_prior.at(batch, item), sigma.at(batch, item),
-                                      gain.at(batch, item)[n], config, max_steps, weight, T);
+                                      gain.at(batch, item)[level], config, max_steps, weight, T);
       const int64_t at = item * num_levels + n;
       std::copy_n(T, 12, poses + 16 * at);
       for (int k = 0; k < 4; ++k) poses[16 * at + 12 + k] = k == 3;

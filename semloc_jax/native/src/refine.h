@@ -1,6 +1,8 @@
 // A pose refined from one start, coarse to fine: what semloc_jax/alignment/pose.py has as `refine`, with the loop of
 // semloc_jax/solvers/levenberg_marquardt.py, for cameras of one model. The tests hold it to them.
 #pragma once
+#include <cstdlib>
+#include <memory>
 #include <vector>
 
 #include "alignment.h"
@@ -14,27 +16,49 @@ struct SolveNumbers {
 
 constexpr float kLeastFall = 0.01f, kLeastDamping = 1e-12f, kMostDamping = 1e12f;
 
+// Memory that begins where those of XLA do: loops round alike wherever a row lies, and a solve is always the same.
+template <typename T>
+class Row {
+ public:
+  T* sized(size_t count) {
+    constexpr size_t kAlign = 64;
+    if (count > count_) {
+      data_.reset(static_cast<T*>(std::aligned_alloc(kAlign, (count * sizeof(T) + kAlign - 1) / kAlign * kAlign)));
+      count_ = count;
+    }
+    return data_.get();
+  }
+  T* data() const { return data_.get(); }
+
+ private:
+  struct Free {
+    void operator()(T* data) const { std::free(data); }
+  };
+  std::unique_ptr<T, Free> data_;
+  size_t count_ = 0;
+};
+
 // The points that count, packed: what is hidden or empty costs nothing in any evaluation.
 class VisiblePoints {
  public:
   void take(const Points& points, const float* weight) {
-    count_ = 0;
-    const size_t size = points.count;
-    if (x_.size() < size) {
-      for (auto* row : {&x_, &y_, &z_, &weight_}) row->resize(size);
-      channel_.resize(size);
-    }
+    const size_t size = std::max(points.count, 1);
+    float *x = x_.sized(size), *y = y_.sized(size), *z = z_.sized(size), *kept = weight_.sized(size);
+    int32_t* channel = channel_.sized(size);
+    int count = 0;
     for (int n = 0; n < points.count; ++n) {
-      x_[count_] = points.x[n], y_[count_] = points.y[n], z_[count_] = points.z[n];
-      channel_[count_] = points.channel[n], weight_[count_] = weight[n];
-      count_ += weight[n] != 0;
+      if (weight[n] == 0) continue;
+      x[count] = points.x[n], y[count] = points.y[n], z[count] = points.z[n];
+      channel[count] = points.channel[n], kept[count] = weight[n];
+      ++count;
     }
+    count_ = count;
   }
   Points points() const { return {x_.data(), y_.data(), z_.data(), channel_.data(), weight_.data(), count_}; }
 
  private:
-  std::vector<float> x_, y_, z_, weight_;
-  std::vector<int32_t> channel_;
+  Row<float> x_, y_, z_, weight_;
+  Row<int32_t> channel_;
   int count_ = 0;
 };
 
@@ -134,13 +158,12 @@ struct Ended {
 // One level: T becomes the pose at its end.
 template <typename Camera>
 Ended solve_level(std::vector<OneCamera<Camera>>& cameras, const std::vector<Texture>& textures, const float* T_prior,
-                  const float* sigma, float gain, const SolveNumbers& config, int max_steps, std::vector<float>& weight,
+                  const float* sigma, float gain, const SolveNumbers& config, int max_steps, Row<float>& weight,
                   float* T) {
   for (auto& own : cameras) {
-    weight.resize(own.points.count);
-    visible_weight(own.camera, Motion::camera_from_map(own.T_cam_base, T), own.points, own.usable, config.margin_px,
-                   weight.data());
-    own.visible.take(own.points, weight.data());
+    float* seen = weight.sized(own.points.count);
+    visible_weight(own.camera, Motion::camera_from_map(own.T_cam_base, T), own.points, own.usable, config.margin_px, seen);
+    own.visible.take(own.points, seen);
   }
   float offset[6], value[6] = {}, candidate[6] = {}, change = 0, length = 0, damping = config.first_damping;
   relative_log(T, T_prior, offset);
@@ -181,10 +204,10 @@ Ended solve_level(std::vector<OneCamera<Camera>>& cameras, const std::vector<Tex
 template <typename Camera>
 void piece_sums(const Camera& camera, const Motion& T, const Points& points, const Usable& usable, const Texture& texture,
                 float margin_px, const int32_t* piece, int num, float* sums) {
-  thread_local std::vector<float> weight, value;
-  weight.resize(points.count), value.resize(points.count);
-  visible_weight(camera, T, points, usable, margin_px, weight.data());
-  ramp_values(camera, T, points, texture, value.data());
+  thread_local Row<float> weights, values;
+  float *weight = weights.sized(points.count), *value = values.sized(points.count);
+  visible_weight(camera, T, points, usable, margin_px, weight);
+  ramp_values(camera, T, points, texture, value);
   std::fill_n(sums, 2 * num, 0.0f);
   // Samples of a piece follow each other: its sums stay in registers until the next one begins.
   int32_t open = -1;
