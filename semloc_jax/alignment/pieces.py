@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from semloc_jax.alignment.pose import AlignConfig, Evidence, in_chunks, visible_ramps
+from semloc_jax.alignment.pose import AlignConfig, Evidence, in_chunks
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.residuals.robust import KERNELS
-from semloc_jax.residuals.scoring import sums_by_index
+from semloc_jax.residuals.scoring import sums_by_piece
 
 _USUAL_RATE = 0.6
 """How often masks show what the map has, before the frame is looked at; as for `evidence_null.NullConfig`."""
@@ -81,11 +81,11 @@ def piece_costs(
     config: AlignConfig,
 ) -> PieceCosts:
     """The pieces as one pose sees them on one level of the cost maps."""
-    r, weight = visible_ramps(T_map_base, level, evidence, config)
-    terms = jnp.stack([weight, weight * KERNELS[config.kernel].rho(r)])
-    seen_px, summed = sums_by_index(terms, piece_of, len(piece_of), config.path)
+    texture, kernel = evidence.textures.level(level), KERNELS[config.kernel]
+    known = texture, evidence.usable, kernel, config.border_px, config.path
+    seen_px, summed = sums_by_piece(T_map_base, evidence.views, piece_of, *known)
     length_px = jnp.asarray(config.noise.correlation_px * evidence.grain)
-    of_one = config.noise.gain(evidence.textures.level(level).ramp_px, evidence.grain) * length_px
+    of_one = config.noise.gain(texture.ramp_px, evidence.grain) * length_px
     return PieceCosts(of_one * summed / jnp.maximum(seen_px, 1e-6), jnp.minimum(seen_px / length_px, 1.0))
 
 
@@ -141,7 +141,7 @@ def nats_of_groups(
     The other arguments as `nats_at`.
     """
     poses = jnp.concatenate([T_good[None], Ts_map_base])
-    at_poses, at_random, piece_of, channel = _looked_at(poses, T_good, level, evidence, config, 1)
+    at_poses, at_random, piece_of, channel = _looked_at(poses, T_good, level, evidence, config, None)
     num_samples = jax.ops.segment_sum(jnp.ones_like(groups[0]), piece_of, len(piece_of))
 
     def of_one(group: tuple[Float[Array, " n"], Bool[Array, ""]]) -> Float[Array, " pose"]:
@@ -149,8 +149,12 @@ def nats_of_groups(
         kept = 2.0 * jax.ops.segment_sum(belongs, piece_of, len(piece_of)) > num_samples
         own = [PieceCosts(c.nats, jnp.where(kept, c.observations, 0.0)) for c in (at_poses, at_random)]
         known = (*own, channel, evidence.textures.num_channels)
-        nats = jnp.sum(compared(*known), axis=1)
-        return jnp.where(may_slide, against_first(*known), nats[1:] - nats[0])
+
+        def all_of_it() -> Float[Array, " pose"]:
+            nats = jnp.sum(compared(*known), axis=1)
+            return nats[1:] - nats[0]
+
+        return jax.lax.cond(may_slide, lambda: against_first(*known), all_of_it)
 
     return jax.lax.map(of_one, (groups, slides))
 

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from semloc_jax.alignment.level_choice import MIN_INLIER_RATIO, finest_held
 from semloc_jax.alignment.problem import POSE_DAMPING, AlignmentProblem, known_model, pose_of, quadratic_model
 from semloc_jax.geometry import lie
+from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.forward_only import forward_only
 from semloc_jax.residuals.native_kernels import Path
@@ -155,6 +156,9 @@ def refine(
         "the fast solve (align_one, align_many, search)", (T_start, evidence, prior)
     )
 
+    if _is_in_one_call(T_start, evidence, prior, config):
+        return _refined_in_one_call(T_start, evidence, prior, config, levels)
+
     def one_level(T: Array, level: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         T, num_steps, converged = solve_level(T, level, evidence, prior, config)
         return T, (T, num_steps, converged)
@@ -162,6 +166,27 @@ def refine(
     # A loop over levels, not a chain of them: the solver is compiled once.
     _, visited = jax.lax.scan(one_level, T_start, levels)
     return visited
+
+
+def _is_in_one_call(T_start: Array, evidence: Evidence, prior: Prior, config: AlignConfig) -> bool:
+    """Whether a kernel does a whole solve: cameras of one model that has kernels, and nothing known but the prior."""
+    if len(evidence.views) != 1 or prior.terms:
+        return False
+    camera, kernel = evidence.views[0].camera, KERNELS[config.kernel]
+    return native_kernels.use(config.path, camera, kernel, T_start.dtype) == "analytic"
+
+
+def _refined_in_one_call(
+    T_start: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: AlignConfig, levels: Int[Array, " level"]
+) -> tuple[Float[Array, "level 4 4"], Int[Array, " level"], Bool[Array, " level"]]:
+    """`refine` without a loop of XLA, whose every small operation costs as much as an evaluation."""
+    rule = solve_config(config).damping
+    numbers = (1 / evidence.usable.stride, config.border_px, config.tolerance)
+    numbers = jnp.asarray((*numbers, rule.first, rule.good_fall, rule.ease, rule.press), jnp.float32)
+    gain = jax.vmap(lambda ramp_px: config.noise.gain(ramp_px, evidence.grain))(evidence.textures.ramp_px)
+    held = prior.T_map_base, prior.sigma, levels, gain, numbers
+    seen = evidence.views[0], evidence.usable, evidence.textures, config.max_steps
+    return tuple(native_kernels.refine(T_start, *held, *seen))
 
 
 def _held_rms(r: Float[Array, " n"], weight: Float[Array, " n"], config: AlignConfig) -> Float[Array, ""]:
@@ -274,18 +299,39 @@ def align_one(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, con
     >>> sj.SolveStatus(int(estimate.status)).name, estimate.covariance.shape
     ('CONVERGED', (6, 6))
     """
+    end = descended(T_init, evidence, prior, config)
+    return assessed(end, assess(end.T_map_base, end.level, evidence, prior, config))
+
+
+class Descent(NamedTuple):
+    """Where a solve ended, before anything is said of how good that is."""
+
+    T_map_base: Float[Array, "4 4"]
+    level: Int[Array, ""]
+    """The finest that holds the pose."""
+    num_steps: Int[Array, ""]
+    converged: Bool[Array, ""]
+    sane: Bool[Array, ""]
+    """Whether every pose on the way was finite; the pose is that of the start otherwise."""
+
+
+def descended(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: AlignConfig) -> Descent:
+    """The end of one solve; arguments as `align_one`. Of many ends, few are worth the covariance."""
     levels = jnp.asarray(config.levels)
     Ts, num_steps, converged = refine(T_init, evidence, prior, config)
     sane = jnp.all(jnp.isfinite(Ts))
     Ts = jnp.where(sane, Ts, _first_finite(T_init, prior.T_map_base))
-    visited = jax.vmap(lambda T, level: assess(T, level, evidence, prior, config))(Ts, levels)
-    last = finest_held(visited.inlier_ratio, config.min_inlier_ratio)
-    estimate = jax.tree.map(lambda leaf: leaf[last], visited)
-    status = jnp.where(
-        (estimate.status == SolveStatus.CONVERGED) & ~converged[last], SolveStatus.MAX_STEPS, estimate.status
-    )
-    status = jnp.where(sane, status, SolveStatus.NOT_FINITE)
-    return eqx.tree_at(lambda e: (e.num_steps, e.status), estimate, (jnp.sum(num_steps), status))
+    held = jax.vmap(lambda T, level: fit_at(T, level, evidence, config).inlier_ratio)(Ts, levels)
+    last = finest_held(held, config.min_inlier_ratio)
+    return Descent(Ts[last], levels[last], jnp.sum(num_steps), converged[last], sane)
+
+
+def assessed(end: Descent, estimate: PoseEstimate) -> PoseEstimate:
+    """The estimate at the end of a solve with how it got there."""
+    stopped = (estimate.status == SolveStatus.CONVERGED) & ~end.converged
+    status = jnp.where(stopped, SolveStatus.MAX_STEPS, estimate.status)
+    status = jnp.where(end.sane, status, SolveStatus.NOT_FINITE)
+    return eqx.tree_at(lambda e: (e.num_steps, e.status), estimate, (end.num_steps, status))
 
 
 def _first_finite(*poses: Float[Array, "4 4"]) -> Float[Array, "4 4"]:

@@ -11,24 +11,31 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.along_road import AlongRoadConfig, beyond_reach, places_along
 from semloc_jax.alignment.hypotheses import prior_cost, score
 from semloc_jax.alignment.level_choice import telling
+from semloc_jax.alignment.longitudinal import LongitudinalConfig
 from semloc_jax.alignment.pieces import nats_at
 from semloc_jax.alignment.pose import (
     AlignConfig,
+    Descent,
     Evidence,
     Prior,
-    align_one,
+    assess,
+    assessed,
+    descended,
     fit_at,
+    in_chunks,
     total_weight,
     typical_px,
     visible_ramps,
 )
 from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.single_frame import FrameInput
+from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, camera_views
 from semloc_jax.residuals.robust import KERNELS
@@ -59,6 +66,8 @@ class TrackAlignConfig:
     """A valley that goes on beyond the places measured has at most this many times their variance (sigma 2.4 m)."""
     rank_level: int = 2
     """Level on which the elements are judged, and the coarsest one on which the starts are ranked."""
+    search: LongitudinalConfig = field(default_factory=LongitudinalConfig)
+    """The search along the road; no drive needed other values."""
 
 
 class ElementEvidence(NamedTuple):
@@ -88,6 +97,8 @@ class TrackedFrame(NamedTuple):
     elements: ElementEvidence
     typical_px: Float[Array, ""]
     """How far the contours within reach lie from the boundaries of their class; see `pose.typical_px`."""
+    moved_m: Float[Array, ""] = np.float32(0.0)
+    """Correction along the road before the solve."""
 
 
 @stored_program("config")
@@ -96,35 +107,120 @@ def align_predicted(
     prior: Prior,
     frame: FrameInput,
     trust: Float[Array, " element"],
+    sigma_along_m: Float[Array, ""],
+    is_searched: Bool[Array, ""],
     config: TrackAlignConfig,
 ) -> TrackedFrame:
     """The pose of a frame near a prediction.
 
     Args:
-        T_predicted: Where the vehicle should be, relative to the local origin; the map is seen from there.
+        T_predicted: Where the vehicle should be, relative to the local origin.
         prior: What holds directions that the masks do not.
         frame: Samples, cost maps, cameras.
         trust: Weight of each map element, 1 for those nothing speaks against.
+        sigma_along_m: Standard deviation of the prediction along the road.
+        is_searched: Whether the position along the road is searched first, see `longitudinal.is_searched`.
         config: View, levels, starts.
     """
+    parts = prior, frame, trust, config
+    T_start, moved_m = jax.lax.cond(
+        is_searched,
+        lambda: moved_along(T_predicted, sigma_along_m, *parts),
+        lambda: (T_predicted, jnp.zeros((), T_predicted.dtype)),
+    )
+    return _aligned(T_start, *parts)._replace(moved_m=moved_m)
+
+
+class WithRig(NamedTuple):
+    """The answers of one frame with other calibrations; NaN for those that were not asked for."""
+
+    Ts_map_base: Float[Array, "rig 4 4"]
+    """Relative to the local origin."""
+    scores: Float[Array, " rig"]
+    """As `TrackedFrame.score` [nats]."""
+
+
+@stored_program("config")
+def align_with_rigs(
+    T_predicted: Float[Array, "4 4"],
+    prior: Prior,
+    frame: FrameInput,
+    trust: Float[Array, " element"],
+    sigma_along_m: Float[Array, ""],
+    rigs: Rig,
+    asked: Int[Array, " rig"],
+    num_asked: Int[Array, ""],
+    config: TrackAlignConfig,
+) -> WithRig:
+    """The same frame solved with other calibrations in one call, each after a search along the road.
+
+    Args:
+        T_predicted, prior, frame, trust, sigma_along_m, config: As `align_predicted`; the rig of the frame is not used.
+        rigs: The calibrations; every leaf of the rig has a leading axis.
+        asked: Which of them, those that are asked for first.
+        num_asked: How many of these: the others cost nothing.
+    """
+
+    def one(n: Array, found: WithRig) -> WithRig:
+        own = frame._replace(rig=jax.tree.map(lambda leaf: jnp.asarray(leaf)[asked[n]], rigs))
+        T_start, _ = moved_along(T_predicted, sigma_along_m, prior, own, trust, config)
+        answer = _aligned(T_start, prior, own, trust, config)
+        Ts = found.Ts_map_base.at[asked[n]].set(answer.estimate.T_map_base)
+        return WithRig(Ts, found.scores.at[asked[n]].set(answer.score))
+
+    none = jnp.full(asked.shape, jnp.nan, T_predicted.dtype)
+    return jax.lax.fori_loop(0, num_asked, one, WithRig(none[:, None, None] + T_predicted, none))
+
+
+def moved_along(
+    T_predicted: Float[Array, "4 4"],
+    sigma_m: Float[Array, ""],
+    prior: Prior,
+    frame: FrameInput,
+    trust: Float[Array, " element"],
+    config: TrackAlignConfig,
+) -> tuple[Float[Array, "4 4"], Float[Array, ""]]:
+    """A predicted pose moved to where stop lines, dash ends, poles and signs fit best, and by how much [m]; `sigma_m`:
+    standard deviation of the prediction along the road."""
+    search = config.search
+    evidence, _ = trusted_evidence(T_predicted, frame, trust, config.view)
+    reach_m = jnp.clip(search.reach_sigmas * sigma_m, search.basin_m, search.max_reach_m)
+    offsets_m = jnp.linspace(-reach_m, reach_m, search.num_offsets, dtype=T_predicted.dtype)
+    moved = displaced(T_predicted, jnp.zeros((search.num_offsets, 3), T_predicted.dtype).at[:, 0].set(offsets_m))
+    free = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(jnp.inf))
+    held = jax.vmap(prior_cost, (0, None))(moved, free)
+    costs = jnp.sum(nats_at(moved, T_predicted, search.level, evidence, config.align, None), axis=1) + held
+    # The prior of a solve is loose; which of several dashes is meant, the prediction itself helps to tell.
+    best_m = offsets_m[jnp.argmin(config.score_share * costs + 0.5 * (offsets_m / sigma_m) ** 2)]
+    return T_predicted.at[:3, 3].add(best_m * T_predicted[:3, 0]), best_m
+
+
+def _aligned(
+    T_predicted: Float[Array, "4 4"],
+    prior: Prior,
+    frame: FrameInput,
+    trust: Float[Array, " element"],
+    config: TrackAlignConfig,
+) -> TrackedFrame:
+    """The pose near `T_predicted`, from which the map is seen."""
     evidence, element = trusted_evidence(T_predicted, frame, trust, config.view)
     along = jnp.zeros((len(config.starts_m), 3), T_predicted.dtype)
     starts = displaced(T_predicted, along.at[:, 0].set(jnp.asarray(config.starts_m, T_predicted.dtype)))
 
     level = telling(frame.textures.ramp_px, config.align.noise.noise_px * frame.grain, config.rank_level)
 
-    def one(T_start: Array) -> tuple[PoseEstimate, Array]:
-        estimate = align_one(T_start, evidence, prior, config.align)
-        judged = fit_at(estimate.T_map_base, level, evidence, config.align)
-        estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, (judged.cost, judged.inlier_ratio))
-        return estimate, score(estimate.T_map_base, level, evidence, prior, config.align)
+    def one(T_start: Array) -> tuple[Descent, Array]:
+        end = descended(T_start, evidence, prior, config.align)
+        return end, score(end.T_map_base, level, evidence, prior, config.align)
 
-    estimates, scores = jax.lax.map(one, starts)
+    ends, scores = in_chunks(one, starts, None)
     scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
-    best = jnp.argmin(scores)
-    chosen = jax.tree.map(lambda leaf: leaf[best], estimates)
-    steps = lie.log(lie.inverse(chosen.T_map_base) @ estimates.T_map_base)
-    spread = _spread(estimates.T_map_base, scores, steps, prior, config.score_share)
+    best = jax.tree.map(lambda leaf: leaf[jnp.argmin(scores)], ends)
+    chosen = assessed(best, assess(best.T_map_base, best.level, evidence, prior, config.align))
+    judged = fit_at(chosen.T_map_base, level, evidence, config.align)
+    chosen = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), chosen, (judged.cost, judged.inlier_ratio))
+    steps = lie.log(lie.inverse(chosen.T_map_base) @ ends.T_map_base)
+    spread = _spread(ends.T_map_base, scores, steps, prior, config.score_share)
     mean, valley, nats = valley_along(chosen.T_map_base, evidence, prior, config)
     chosen = eqx.tree_at(lambda e: e.T_map_base, chosen, chosen.T_map_base @ lie.exp(mean))
     seen = element_evidence(chosen.T_map_base, evidence, element, config)
@@ -164,7 +260,7 @@ def valley_along(
     its prediction, and its curvature says centimetres: fused, the prediction would confirm itself.
     """
     free = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(jnp.inf))  # 0 would lock it
-    Ts, scores, noise = places_along(T_map_base, evidence, free, config.align, config.valley, 1)
+    Ts, scores, noise = places_along(T_map_base, evidence, free, config.align, config.valley, None)
     steps = lie.log(lie.inverse(T_map_base) @ Ts)
     usable = jnp.isfinite(scores) & jnp.all(jnp.isfinite(steps), axis=1)
     held = jax.vmap(prior_cost, (0, None))(Ts, free)
@@ -190,7 +286,7 @@ def profile_beside(
     evidence, _ = trusted_evidence(T_predicted, frame, trust, config.view)
     moved = displaced(T_predicted, moves.astype(T_predicted.dtype))
     held = jax.vmap(prior_cost, (0, None))(moved, prior)
-    return jnp.sum(nats_at(moved, T_predicted, level, evidence, config.align), axis=1) + held
+    return jnp.sum(nats_at(moved, T_predicted, level, evidence, config.align, None), axis=1) + held
 
 
 def trusted_evidence(

@@ -3,13 +3,14 @@
 In: FrameFeatures with primitives, prediction with covariance. Out: Alignment, as `FrameAligner` has it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from semloc_jax.alignment.explicit.frame import ExplicitConfig, ExplicitFrame, SeenShapes, explicit_frame
 from semloc_jax.alignment.explicit.landmarks import Landmark, compact_landmarks
+from semloc_jax.cameras import Rig
 from semloc_jax.fusion.measurements import PoseMeasurement
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner, masks_covariance
@@ -54,6 +55,21 @@ class ExplicitAligner(FrameAligner):
         own = masks_covariance(found.pose.covariance, sigma, self.config.min_information)
         answer = _alignment(found, PoseMeasurement(frame.time_s, T, own), rows)
         return answer._replace(stance=rigid.log(rigid.inverse(T_road) @ T)[2:5], road_spread=spread)
+
+    def align_again(
+        self,
+        rigs: Sequence[Rig],
+        frame: FrameFeatures,
+        T_map_base: Float[np.ndarray, "4 4"],
+        covariance: Float[np.ndarray, "6 6"],
+        trust: Trust,
+        stance: Float[np.ndarray, "3"],
+        grain: Float[np.ndarray, ""],
+    ) -> tuple[Float[np.ndarray, " rig"], Float[np.ndarray, "rig 4 4"]]:
+        """Scores and poses of a frame with other calibrations; see `FrameAligner.align_again`."""
+        parts = T_map_base, covariance, 0.0, trust, stance, grain
+        found = [self.align(frame._replace(rig=rig), *parts) for rig in rigs]
+        return np.array([one.score for one in found]), np.stack([one.measurement.T_map_base for one in found])
 
 
 def landmarks_of(window: MapWindow) -> tuple[Landmark, ...]:

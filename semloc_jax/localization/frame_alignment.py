@@ -4,7 +4,7 @@ In: FrameFeatures, prediction with covariance, trust in map elements. Out: Align
 its covariance, its quality.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from semloc_jax.alignment.class_profiles import class_profiles
-from semloc_jax.alignment.longitudinal import LongitudinalConfig, corrected_along, is_searched
+from semloc_jax.alignment.longitudinal import is_searched as is_searched_along
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.alignment.single_frame import FrameInput
@@ -24,8 +24,10 @@ from semloc_jax.alignment.tracking_step import (
     TrackAlignConfig,
     TrackedFrame,
     align_predicted,
+    align_with_rigs,
     profile_beside,
 )
+from semloc_jax.cameras import Rig
 from semloc_jax.fusion.measurements import PoseMeasurement
 from semloc_jax.geometry import rigid
 from semloc_jax.geometry.local_frame import LocalFrame
@@ -33,10 +35,6 @@ from semloc_jax.localization.map_window import MapWindow, MapWindows
 from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.maps import RoadSpread, SemanticMap
 from semloc_jax.structs import SolveStatus
-
-_LONGITUDINAL = LongitudinalConfig()
-"""The search along the road; no drive needed other values."""
-
 
 _FREE = 1e3
 """Factor on a sigma of the prior that leaves a direction free."""
@@ -136,22 +134,36 @@ class FrameAligner:
         Raises:
             SemlocError: the map has no road near the prediction.
         """
-        T_road, local, inputs, T_local_base, sigma, index, local_trust = self._prepared(
-            frame, T_map_predicted, covariance, trust, stance, grain
-        )
-        prior = Prior(np.asarray(T_local_base, np.float32), np.asarray(sigma, np.float32))
-        sigma_along = float(np.sqrt(covariance[0, 0]))
-        moved_m = 0.0
-        if is_searched(sigma_along, last_sigma_along_m, _LONGITUDINAL):
-            T_local_base, moved_m = corrected_along(
-                T_local_base, sigma_along, prior, inputs, local_trust, self.step, _LONGITUDINAL
-            )
-        found: TrackedFrame = jax.device_get(
-            align_predicted(np.asarray(T_local_base, np.float32), prior, inputs, local_trust, self.step)
-        )
-        answer = self._answer(found, frame.time_s, local, sigma, index, moved_m)
-        stance = rigid.log(rigid.inverse(T_road) @ answer.measurement.T_map_base)[2:5]
-        return answer._replace(stance=stance, road_spread=self.road_under(T_map_predicted)[1])
+        ready = self._prepared(frame, T_map_predicted, covariance, trust, stance, grain)
+        sigma_along = np.sqrt(np.float32(covariance[0, 0]))
+        is_searched = np.asarray(is_searched_along(float(sigma_along), last_sigma_along_m, self.step.search))
+        found: TrackedFrame = jax.device_get(align_predicted(*ready.solved, sigma_along, is_searched, self.step))
+        answer = self._answer(found, frame.time_s, ready)
+        stance = rigid.log(rigid.inverse(ready.T_road) @ answer.measurement.T_map_base)[2:5]
+        return answer._replace(stance=stance, road_spread=ready.spread)
+
+    def align_again(
+        self,
+        rigs: Sequence[Rig],
+        frame: FrameFeatures,
+        T_map_base: Float[np.ndarray, "4 4"],
+        covariance: Float[np.ndarray, "6 6"],
+        trust: Callable[[np.ndarray], np.ndarray],
+        stance: Float[np.ndarray, "3"],
+        grain: Float[np.ndarray, ""],
+    ) -> tuple[Float[np.ndarray, " rig"], Float[np.ndarray, "rig 4 4"]]:
+        """Scores [nats] and poses of a frame solved near a pose with some calibrations, at most `MOST_RIGS` of the same
+        camera models; other arguments as `align`.
+
+        Raises:
+            SemlocError: the map has no road near the pose.
+        """
+        ready, num = self._prepared(frame, T_map_base, covariance, trust, stance, grain), len(rigs)
+        sigma_along = np.sqrt(np.float32(covariance[0, 0]))
+        asked = np.arange(MOST_RIGS, dtype=np.int32), np.int32(num)
+        found = jax.device_get(align_with_rigs(*ready.solved, sigma_along, _side_by_side(rigs), *asked, self.step))
+        Ts = ready.local.to_map(found.Ts_map_base[:num])
+        return found.scores[:num].astype(np.float64), np.stack([rigid.normalised(T) for T in Ts])
 
     def costs_beside(
         self,
@@ -164,13 +176,11 @@ class FrameAligner:
     ) -> Float[np.ndarray, " n"]:
         """Cost [nats] of the masks at a pose after each move (forward [m], left [m], turned [rad]), not refined; other
         arguments as `align`."""
-        _, _, inputs, T_local_base, sigma, _, local_trust = self._prepared(
-            frame, T_map_base, np.eye(6), trust, stance, grain
-        )
-        T = np.asarray(T_local_base, np.float32)
-        prior = Prior(T, np.asarray(sigma * np.array([_FREE, _FREE, 1.0, 1.0, 1.0, _FREE]), np.float32))
-        known = np.asarray(moves, np.float32), prior, inputs, local_trust
-        return np.asarray(profile_beside(T, *known, self.step, np.asarray(self.step.rank_level)))
+        ready = self._prepared(frame, T_map_base, np.eye(6), trust, stance, grain)
+        T, prior, *rest = ready.solved
+        free = Prior(T, prior.sigma * np.array([_FREE, _FREE, 1.0, 1.0, 1.0, _FREE], np.float32))
+        level = np.asarray(self.step.rank_level)
+        return np.asarray(profile_beside(T, np.asarray(moves, np.float32), free, *rest, self.step, level))
 
     def costs_of_classes(
         self,
@@ -182,25 +192,33 @@ class FrameAligner:
         level: int,
     ) -> Float[np.ndarray, "4 n"]:
         """Costs [nats] of parts of the map, each alone, at a pose and beside it; see `class_profiles`."""
-        T_road, local, inputs, *_ = self._prepared(frame, T_map_base, np.eye(6), _full_trust, stance, grain)
-        is_standing = self.standing(T_road, stance)[1].is_standing[:ELEMENT_CAPACITY]
+        ready = self._prepared(frame, T_map_base, np.eye(6), _full_trust, stance, grain)
+        is_standing = ready.window.is_standing[:ELEMENT_CAPACITY]
         stands = np.zeros(ELEMENT_CAPACITY, np.float32)
         stands[: len(is_standing)] = is_standing
-        T = np.asarray(local.from_map(T_map_base, np.float64), np.float32)
-        known = np.asarray(moves, np.float32), inputs, stands
+        T = np.asarray(ready.local.from_map(T_map_base, np.float64), np.float32)
+        known = np.asarray(moves, np.float32), ready.inputs, stands
         return np.asarray(class_profiles(T, *known, self.step, level), np.float64)
 
-    def _prepared(self, frame, T_map_predicted, covariance, trust, stance, grain) -> tuple:
-        """The road pose, local frame, input, start, sigmas of the prior, rows of the elements and their trust."""
+    def _prepared(
+        self,
+        frame: FrameFeatures,
+        T_map_predicted: Float[np.ndarray, "4 4"],
+        covariance: Float[np.ndarray, "6 6"],
+        trust: Callable[[np.ndarray], np.ndarray],
+        stance: Float[np.ndarray, "3"],
+        grain: Float[np.ndarray, ""],
+    ) -> "_Prepared":
+        """Everything that a program needs to know; arguments as `align`."""
         T_road, spread = self.road_under(T_map_predicted)
         T_start, window = self.standing(T_road, stance)
-        inputs = self.frame_input(frame, window)._replace(grain=np.asarray(grain, np.float32))
-        local = window.local_map.frame
-        sigma = self.prior_sigma(covariance, spread)
-        index = self.map.rows_of(window.element_ids[:ELEMENT_CAPACITY])
+        index = window.rows[:ELEMENT_CAPACITY]
         local_trust = np.ones(ELEMENT_CAPACITY, np.float32)
         local_trust[: len(index)] = trust(index)
-        return T_road, local, inputs, local.from_map(T_start, np.float64), sigma, index, local_trust
+        inputs = self.frame_input(frame, window)._replace(grain=np.asarray(grain, np.float32))
+        T_local_base = window.local_map.frame.from_map(T_start, np.float64).astype(np.float32)
+        sigma = self.prior_sigma(covariance, spread)
+        return _Prepared(T_road, spread, window, index, sigma, T_local_base, inputs, local_trust)
 
     def standing(self, T_road: np.ndarray, stance: np.ndarray) -> tuple[np.ndarray, MapWindow]:
         """The pose of a vehicle with this stance where it would stand on the road without, and the map there."""
@@ -228,23 +246,17 @@ class FrameAligner:
         yaw = np.clip(predicted[5], *np.deg2rad([config.min_sigma_heading_deg, config.max_sigma_heading_deg]))
         return np.array([along, across, *self.scene.road.on(spread), yaw])
 
-    def _answer(
-        self,
-        found: TrackedFrame,
-        time_s: float,
-        local: LocalFrame,
-        sigma: np.ndarray,
-        index: np.ndarray,
-        moved_m: float,
-    ) -> Alignment:
+    def _answer(self, found: TrackedFrame, time_s: float, ready: "_Prepared") -> Alignment:
         estimate = found.estimate
-        T = local.to_map(estimate.T_map_base)
+        T = ready.local.to_map(estimate.T_map_base)
         # The parts of a line that the window cuts belong to one element.
-        rows, part_of = np.unique(index, return_inverse=True)
-        visible, missed = np.zeros(len(rows)), np.zeros(len(rows))
-        np.add.at(visible, part_of, found.elements.visible_px[: len(index)].astype(np.float64))
-        np.add.at(missed, part_of, found.elements.missed_px[: len(index)].astype(np.float64))
-        covariance = masks_covariance(estimate.covariance.astype(np.float64), sigma, self.config.min_information)
+        rows, part_of = np.unique(ready.index, return_inverse=True)
+        num = len(ready.index)
+        visible, missed = (
+            np.bincount(part_of, of_part[:num].astype(np.float64), len(rows))
+            for of_part in (found.elements.visible_px, found.elements.missed_px)
+        )
+        covariance = masks_covariance(estimate.covariance.astype(np.float64), ready.sigma, self.config.min_information)
         covariance = covariance + found.spread.astype(np.float64)
         # No surer along the road than the valley that the pose lies in is long.
         valley = found.valley.astype(np.float64)
@@ -257,13 +269,52 @@ class FrameAligner:
             inlier_ratio=float(estimate.inlier_ratio),
             score=float(found.score),
             in_view_px=float(found.in_view_px),
-            moved_m=moved_m,
+            moved_m=float(found.moved_m),
             information_eigenvalues=estimate.information_eigenvalues.astype(np.float64),
             visible_px=visible,
             missed_px=missed,
             rows=rows,
             grain=float(self.step.align.noise.grain(float(found.typical_px))),
         )
+
+
+class _Prepared(NamedTuple):
+    """A frame at a place of the map, ready for a program."""
+
+    T_road: Float[np.ndarray, "4 4"]
+    """The pose on the road of the map there."""
+    spread: RoadSpread
+    """How far that road may be from a plane."""
+    window: MapWindow
+    index: Int[np.ndarray, " part"]
+    """Which element of the map each element of the window is a part of."""
+    sigma: Float[np.ndarray, "6"]
+    """Of the prior [m, rad]."""
+    T_local_base: Float[np.ndarray, "4 4"]
+    """Start, and centre of the prior, relative to the local origin."""
+    inputs: FrameInput
+    trust: Float[np.ndarray, " element"]
+
+    @property
+    def local(self) -> LocalFrame:
+        """Frame of the solver."""
+        return self.window.local_map.frame
+
+    @property
+    def solved(self) -> tuple[np.ndarray, Prior, FrameInput, np.ndarray]:
+        """What every solve takes: start, prior, frame, trust."""
+        prior = Prior(self.T_local_base, self.sigma.astype(np.float32))
+        return self.T_local_base, prior, self.inputs, self.trust
+
+
+MOST_RIGS = 4
+"""Calibrations that one call solves a frame with at most."""
+
+
+def _side_by_side(rigs: Sequence[Rig]) -> Rig:
+    """Calibrations of the same camera models as one, with a leading axis on every leaf; filled with the first."""
+    filled = [*rigs, *[rigs[0]] * (MOST_RIGS - len(rigs))]
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf, np.float32) for leaf in leaves]), *filled)
 
 
 def _full_trust(rows: np.ndarray) -> np.ndarray:

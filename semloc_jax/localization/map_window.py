@@ -29,10 +29,12 @@ class MapWindow:
     Attributes:
         local_map: Elements, lines cut at the radius.
         samples: Samples in `local_map.frame`, of fixed capacity.
+        rows: Which element of the map each element is, or is a part of, `int64[element]`.
     """
 
     local_map: LocalMap
     samples: MapSamples
+    rows: np.ndarray
 
     @cached_property
     def element_ids(self) -> tuple[str, ...]:
@@ -102,7 +104,9 @@ class MapWindows:
         center = np.array(key, dtype=np.float64) * GRID_M
         try:
             local_map = self.map.query(center, self.radius_m + 0.71 * GRID_M)
-            window.set_result(MapWindow(local_map, sample_within(local_map, self.spacing_m, self.capacity)))
+            samples = sample_within(local_map, self.spacing_m, self.capacity)
+            rows = self.map.rows_of(element.id for element in local_map.elements)
+            window.set_result(MapWindow(local_map, samples, rows))
         except BaseException as error:
             with self._lock:
                 self._windows.pop(key, None)

@@ -22,7 +22,7 @@ from semloc_jax.geometry import rigid
 from semloc_jax.localization import lens_sign
 from semloc_jax.localization.course import Course, course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
-from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
+from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.rivals import Known
 from semloc_jax.localization.separation import Separation, separated
 from semloc_jax.localization.track_state import FrameFeatures
@@ -125,19 +125,17 @@ def _again(
     """By how much a frame fits better with each of the calibrations [nats], NaN where there is no road, and how far its
     pose moves then: forward [m], left [m], heading [rad]."""
     T = view.found.measurement.T_map_base
-
-    def solved(rig: Rig) -> Alignment:
-        return aligner.align(frame._replace(rig=rig), T, _LOOSE, 0.0, *known)
-
+    parts = frame, T, _LOOSE, *known
     try:
-        found = [solved(rig) for rig in rigs]
-        gain = view.found.score - np.array([one.score for one in found])
+        scores, Ts = aligner.align_again(rigs, *parts)
+        gain = view.found.score - scores
         if gain.max() > config.least_gain_nats:
             # A frame that has not found its own best place yet gains by any second solve.
-            gain -= max(view.found.score - solved(frame.rig).score, 0.0)
+            own, _ = aligner.align_again((frame.rig,), *parts)
+            gain -= max(view.found.score - own[0], 0.0)
     except SemlocError:
         return np.full(len(rigs), np.nan), np.zeros((len(rigs), 3))
-    return gain, np.array([rigid.log(rigid.inverse(T) @ one.measurement.T_map_base)[_PLANE] for one in found])
+    return gain, np.array([rigid.log(rigid.inverse(T) @ other)[_PLANE] for other in Ts])
 
 
 def _leaned(

@@ -25,7 +25,10 @@ from semloc_jax.storage.sealed import home_folder
 SOURCES = Path(__file__).parent / "src"
 COMMON = "common"
 """What every frame needs."""
-_CAMERA_CALLS = ("normal_equations", "visible_weight", "robust_cost", "project", "view", "ramp_values")
+_CAMERA_CALLS = (
+    *("normal_equations", "visible_weight", "robust_cost", "project", "view", "ramp_values"),
+    *("piece_sums", "refine"),
+)
 _CALLS = {
     COMMON: ("damped_step", "sums_by_index", "pack"),
     "any_camera": ("lookup", "accumulate"),

@@ -17,10 +17,11 @@ from semloc_jax.cameras import Camera
 from semloc_jax.cameras.models import native_class_of
 from semloc_jax.errors import SemlocError
 from semloc_jax.host import native_status
+from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.forward_only import forward_only
 from semloc_jax.residuals.robust import KERNELS, Kernel
-from semloc_jax.residuals.texture import RampTexture
+from semloc_jax.residuals.texture import RampTexture, RampTextures
 from semloc_jax.structs import MapSamples
 
 Path = Literal["auto", "analytic", "autodiff", "xla"]
@@ -267,3 +268,68 @@ def robust_cost(
     operands = (T_map_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
     name, number = _of_model("semloc_robust_cost", camera), texture.num_channels
     return _call(name, [()], *operands, num_channels=number)[0]
+
+
+def piece_sums(
+    T_map_base: Float[Array, "4 4"],
+    camera: Camera,
+    T_cam_base: Float[Array, "4 4"],
+    points: Points,
+    piece: Int[Array, " p"],
+    usable: Bool[Array, "cam h w"],
+    scale: float,
+    margin_px: float,
+    texture: RampTexture,
+    index: Int[Array, ""],
+) -> Float[Array, "2 p"]:
+    """Weight of the samples of each piece that one camera can see, and the same times Tukey's rho of their ramp values;
+    `piece` is the place of each sample's piece among as many as there are samples, the rest as above."""
+    numbers = jnp.float32(scale), jnp.float32(margin_px)
+    operands = (T_map_base, T_cam_base, *points, piece, usable, *numbers, *_texture(texture, index))
+    name, number = _of_model("semloc_piece_sums", camera), texture.num_channels
+    return _call(name, [(2, len(piece))], *operands, *jax.tree.leaves(camera), num_channels=number)[0]
+
+
+class Visited(NamedTuple):
+    """A pose after each level of a solve."""
+
+    Ts: Float[Array, "level 4 4"]
+    num_steps: Int[Array, " level"]
+    converged: Bool[Array, " level"]
+
+
+def refine(
+    T_start: Float[Array, "4 4"],
+    T_prior: Float[Array, "4 4"],
+    sigma: Float[Array, "6"],
+    levels: Int[Array, " level"],
+    gain: Float[Array, " all"],
+    numbers: Float[Array, "7"],
+    view: CameraViews,
+    usable: Usable,
+    textures: RampTextures,
+    max_steps: int,
+) -> Visited:
+    """A pose refined level by level, as `alignment.pose` has it: every evaluation of a solve in one call.
+
+    Args:
+        T_start: Start.
+        T_prior: Centre of the prior.
+        sigma: Its standard deviations.
+        levels: Of the cost maps, in their order.
+        gain: Nats for each unit of cost on every level there is: what is visited besides does not change a level.
+        numbers: In the order of `SolveNumbers` in native/src/refine.h.
+        view: Cameras of one model with what they see.
+        usable: Usable pixels.
+        textures: All levels.
+        max_steps: Most evaluations on each level.
+    """
+    num, whole = len(levels), jax.ShapeDtypeStruct((len(levels),), jnp.int32)
+    operands = (T_start, T_prior, sigma, levels, gain, numbers, view.T_cam_base)
+    operands = (*operands, view.p_map, view.channel, view.weight, view.index, usable.mask, textures.texels)
+    operands = (*operands, textures.start, textures.height, textures.width, textures.stride)
+    name, counts = _of_model("semloc_refine", view.camera), {"num_channels": textures.num_channels}
+    found = _call(
+        name, [(num, 4, 4), whole, whole], *operands, *jax.tree.leaves(view.camera), **counts, max_steps=max_steps
+    )
+    return Visited(found[0], found[1], found[2] != 0)

@@ -83,6 +83,50 @@ def ramp_values(
     return jnp.concatenate(values), jnp.concatenate([view.weight.reshape(-1) for view in views])
 
 
+def sums_by_piece(
+    T_map_base: Float[Array, "4 4"],
+    views: tuple[CameraViews, ...],
+    piece_of: Int[Array, " n"],
+    texture: RampTexture,
+    usable: Usable,
+    kernel: Kernel,
+    border_px: float,
+    path: native_kernels.Path = "auto",
+) -> Float[Array, "2 n"]:
+    """What a pose shows of each piece of contour: weight of its samples that can be seen, and the same times rho.
+
+    Args:
+        T_map_base: The pose.
+        views: Of all cameras.
+        piece_of: Piece of every sample, in the order of `alignment_residual`; those of a camera are numbered from that
+            of its first sample on, at most one a sample.
+        texture: One level of the cost maps.
+        usable: Usable pixels.
+        kernel: Of the cost.
+        border_px: Samples nearer to the border of the image are not used.
+        path: As `normal_equations`.
+    """
+    if any(native_kernels.use(path, v.camera, kernel, T_map_base.dtype) != "analytic" for v in views):
+        seen = [visible_weight(T_map_base, v, usable, border_px, path) for v in views]
+        views = tuple(eqx.tree_at(lambda v: v.weight, v, weight) for v, weight in zip(views, seen, strict=True))
+        r, weight = ramp_values(T_map_base, views, texture, path)
+        return sums_by_index(jnp.stack([weight, weight * kernel.rho(r)]), piece_of, len(piece_of), path)
+
+    def one_camera(view: CameraViews, piece: Int[Array, " p"]) -> Array:
+        points, camera = (view.p_map, view.channel, view.weight), (view.camera, view.T_cam_base)
+        seen = usable.mask, 1 / usable.stride, border_px
+        return native_kernels.piece_sums(T_map_base, *camera, points, piece, *seen, texture, view.index)
+
+    found, first = [], 0
+    for view in views:
+        num = view.weight.size
+        own = piece_of[first : first + num].reshape(view.weight.shape)
+        starts = first + view.weight.shape[1] * jnp.arange(len(own))
+        found.append(jnp.moveaxis(jax.vmap(one_camera)(view, own - starts[:, None]), 1, 0).reshape(2, num))
+        first += num
+    return jnp.concatenate(found, axis=1)
+
+
 def sums_by_index(
     values: Float[Array, "k n"], index: Int[Array, " n"], num: int, path: native_kernels.Path = "auto"
 ) -> Float[Array, "k num"]:

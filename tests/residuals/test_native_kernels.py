@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from semloc_jax import native
+from semloc_jax.alignment import pose as pose_module
+from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, refine
 from semloc_jax.cameras import (
     BevCamera,
     BrownConradyCamera,
@@ -28,7 +30,7 @@ from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.normal_equations import chart_equations
 from semloc_jax.residuals.projection import projected
 from semloc_jax.residuals.robust import KERNELS
-from semloc_jax.residuals.scoring import ramp_values, robust_cost, sums_by_index, visible_weight
+from semloc_jax.residuals.scoring import ramp_values, robust_cost, sums_by_index, sums_by_piece, visible_weight
 from semloc_jax.residuals.texture import pack
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.simulation.cameras import mounted
@@ -254,3 +256,45 @@ def test_views_are_those_of_jax(name):
     np.testing.assert_allclose(found.p_map[:, filled], expected.p_map[:, filled], atol=1e-4)
     for column in ("channel", "element", "edge", "tangent_map"):
         np.testing.assert_array_equal(getattr(found, column)[..., filled], getattr(expected, column)[..., filled])
+
+
+def two_cameras(name: str):
+    """Two cameras of one model that see points of their own in the same cost maps."""
+    parts = [scene(CAMERAS[name], seed) for seed in (0, 5)]
+    views = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *(part[0][0] for part in parts))
+    return (views,), *parts[0][1:]
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_a_solve_in_one_call_takes_the_steps_of_the_solver(name, monkeypatch):
+    views, textures, usable = two_cameras(name)
+    T = chart_at(np.zeros(6)).pose()
+    evidence = Evidence(views, textures, usable, jnp.float32(0.8))
+    sigma = jnp.asarray([0.5, 0.0, 0.05, 0.02, 0.02, 0.05], jnp.float32)  # one direction is locked
+    prior = Prior(T @ lie.exp(jnp.asarray([0.1, 0.0, 0.02, 0.01, 0.0, 0.02], jnp.float32)), sigma)
+    config = AlignConfig(levels=(0, 1), max_steps=6)
+    starts = T @ lie.exp(jnp.asarray([[x, 0.0, 0.0, 0.0, 0.0, 0.0] for x in (0.0, 0.3, -0.2)], jnp.float32))
+
+    def solved():
+        return jax.jit(jax.vmap(lambda start: refine(start, evidence, prior, config)))(starts)
+
+    found = solved()
+    monkeypatch.setattr(pose_module, "_is_in_one_call", lambda *_: False)
+    expected = solved()
+    np.testing.assert_allclose(found[0], expected[0], atol=2e-4)
+    assert np.abs(np.asarray(expected[0][:, -1] - starts)).max() > 1e-2  # the solver went somewhere
+    np.testing.assert_array_equal(found[1], expected[1])
+    np.testing.assert_array_equal(found[2], expected[2])
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_sums_by_piece_are_those_of_jax(name):
+    views, textures, usable = two_cameras(name)
+    num = views[0].weight.shape[1]
+    piece_of = jnp.asarray(np.concatenate([np.arange(num) // 30, num + np.arange(num) // 17]), jnp.int32)
+    known = textures.level(1), usable, KERNELS["tukey"], 2.0
+    T = chart_at(np.zeros(6)).pose()
+    summed = jax.jit(lambda path: sums_by_piece(T, views, piece_of, *known, path), static_argnums=0)
+    found, expected = (np.asarray(summed(path)) for path in PATHS)
+    assert (expected[0] > 0).sum() > 10
+    np.testing.assert_allclose(found, expected, atol=5e-3 * expected.max())

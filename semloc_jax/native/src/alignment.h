@@ -131,7 +131,7 @@ struct Seen {
 };
 
 template <typename Camera>
-Sums normal_equations(const Camera& camera, const Motion& T, const Points& points, const Texture& texture) {
+__attribute__((noinline)) Sums normal_equations(const Camera& camera, const Motion& T, const Points& points, const Texture& texture) {
   Sums sums{};
   Seen seen;
   Block block;
@@ -230,7 +230,7 @@ struct Usable {
 
 // Weight of each point where it is in front of the camera, in the image and on a usable pixel; else 0.
 template <typename Camera>
-void visible_weight(const Camera& camera, const Motion& T, const Points& points, const Usable& usable, float margin_px,
+__attribute__((noinline)) void visible_weight(const Camera& camera, const Motion& T, const Points& points, const Usable& usable, float margin_px,
                     float* weight) {
   const float low = margin_px - 0.5f, high_u = camera.width - 1 - low, high_v = camera.height - 1 - low;
   float inside[kBlock];

@@ -1,6 +1,7 @@
 // XLA custom calls of one camera model, SEMLOC_CAMERA. Every operand may be batched by jax.vmap; see
 // semloc_jax/residuals/native_kernels.py for them.
 #include "operands.h"
+#include "refine.h"
 #include "view.h"
 
 namespace semloc {
@@ -36,6 +37,13 @@ Problem NormalEquations(const Call& call) {
   return nullptr;
 }
 
+// Usable pixels of all cameras [cam h w] for one of them.
+Usable usable_of(const Buffer& buffer, const uint8_t* mask, int32_t camera, float scale) {
+  const auto dims = buffer.dimensions();
+  const int width = static_cast<int>(dims.back()), height = static_cast<int>(dims[dims.size() - 2]);
+  return {mask + static_cast<int64_t>(camera) * height * width, height, width, scale};
+}
+
 // T_map_base, T_cam_base, points, usable [cam h w], its scale, camera's place, margin, camera -> weight [p].
 Problem VisibleWeight(const Call& call) {
   const Batch batch(call.result(0), 1);
@@ -44,20 +52,18 @@ Problem VisibleWeight(const Call& call) {
   const auto T_map_base = operands.take<float>();
   const auto T_cam_base = operands.take<float>();
   const PointOperands points(operands);
-  const auto usable_dims = call.operand(5).dimensions();
+  const auto usable_buffer = call.operand(5);
   const auto usable = operands.take<uint8_t>();
   const auto scale = operands.take<float>();
   const auto index = operands.take<int32_t>();
   const auto margin_px = operands.take<float>();
   const CameraOperands camera(operands);
-  const int width = static_cast<int>(usable_dims.back()), height = static_cast<int>(usable_dims[usable_dims.size() - 2]);
   float* weight = call.result_data<float>(0);
   for_each_item(call, batch.size, points.p_map.length, [&](int64_t item) {
     visible_weight(camera.at<Camera>(batch, item),
                    Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
                    points.at(batch, item),
-                   Usable{usable.at(batch, item) + static_cast<int64_t>(*index.at(batch, item)) * height * width, height,
-                          width, *scale.at(batch, item)},
+                   usable_of(usable_buffer, usable.at(batch, item), *index.at(batch, item), *scale.at(batch, item)),
                    *margin_px.at(batch, item), weight + points.p_map.length * item);
   });
   return nullptr;
@@ -111,6 +117,93 @@ Problem Project(const Call& call) {
   float* rows = call.result_data<float>(0);
   for_each_item(call, batch.size, p_cam.length, [&](int64_t item) {
     project(camera.at<Camera>(batch, item), p_cam.at(batch, item), p_cam.length, rows + 9 * p_cam.length * item);
+  });
+  return nullptr;
+}
+
+// T_map_base, T_cam_base, points, piece of each [p], usable, its scale, margin, texture, camera -> by piece: weight that
+// is seen, and weight times rho [2 p].
+Problem PieceSums(const Call& call) {
+  const int32_t num_channels = call.attribute<int32_t>("num_channels");
+  const Batch batch(call.result(0), 2);
+  if (batch.rank > kMaxBatchRank) return kTooManyAxes;
+  Operands operands(call, batch);
+  const auto T_map_base = operands.take<float>(), T_cam_base = operands.take<float>();
+  const PointOperands points(operands);
+  const auto piece = operands.take<int32_t>();
+  const auto mask_buffer = call.operand(6);
+  const auto mask = operands.take<uint8_t>();
+  const auto scale = operands.take<float>(), margin_px = operands.take<float>();
+  const TextureOperands texture(operands, num_channels);
+  const CameraOperands camera(operands);
+  float* sums = call.result_data<float>(0);
+  const int num = static_cast<int>(points.p_map.length);
+  for_each_item(call, batch.size, num, [&](int64_t item) {
+    const Usable usable = usable_of(mask_buffer, mask.at(batch, item), *texture.camera.at(batch, item), *scale.at(batch, item));
+    piece_sums(camera.at<Camera>(batch, item),
+               Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)), points.at(batch, item),
+               usable, texture.at(batch, item), *margin_px.at(batch, item), piece.at(batch, item), num,
+               sums + 2 * int64_t{num} * item);
+  });
+  return nullptr;
+}
+
+// T_start, T_prior, sigma, levels [l], gains of all levels, SolveNumbers, then of all cameras of this model: T_cam_base
+// [cam 4 4], points [cam ...], place in the cost maps [cam]; usable, texels, then of all levels: start, height, width,
+// stride; camera [cam] -> pose after each level [l 4 4], evaluations spent there [l], whether it converged [l].
+Problem Refine(const Call& call) {
+  const int32_t num_channels = call.attribute<int32_t>("num_channels"), max_steps = call.attribute<int32_t>("max_steps");
+  const Batch batch(call.result(1), 1);
+  if (batch.rank > kMaxBatchRank) return kTooManyAxes;
+  Operands operands(call, batch);
+  const auto T_start = operands.take<float>(), T_prior = operands.take<float>(), sigma = operands.take<float>();
+  const auto levels = operands.take<int32_t>();
+  const auto gain = operands.take<float>(), numbers = operands.take<float>(), T_cam_base = operands.take<float>();
+  const PointOperands points(operands);
+  const auto place = operands.take<int32_t>();
+  const auto mask_buffer = call.operand(11);
+  const auto mask = operands.take<uint8_t>();
+  const auto texels = operands.take<uint32_t>();
+  const auto start = operands.take<int32_t>(), height = operands.take<int32_t>(), width = operands.take<int32_t>();
+  const auto stride = operands.take<float>();
+  const CameraOperands leaves(operands);
+  const int64_t num_cameras = place.length, num_levels = levels.length, num_points = points.p_map.length;
+  float* poses = call.result_data<float>(0);
+  int32_t *num_steps = call.result_data<int32_t>(1), *converged = call.result_data<int32_t>(2);
+  constexpr int64_t kUsualSteps = 4;
+  for_each_item(call, batch.size, num_cameras * num_points * num_levels * kUsualSteps, [&](int64_t item) {
+    const float* number = numbers.at(batch, item);
+    const SolveNumbers config{number[0], number[1], number[2], number[3], number[4], number[5], number[6]};
+    const Points all = points.at(batch, item);
+    const float* p = points.p_map.at(batch, item);
+    std::vector<OneCamera<Camera>> cameras;
+    for (int64_t k = 0; k < num_cameras; ++k) {
+      std::array<const float*, CameraOperands::kMaxLeaves> leaf{};
+      for (int n = 0; n < leaves.count; ++n) leaf[n] = leaves.leaf[n].at(batch, item) + k;
+      const float* own = p + 3 * num_points * k;
+      const Points part{own, own + num_points, own + 2 * num_points, all.channel + num_points * k,
+                        all.weight + num_points * k, static_cast<int>(num_points)};
+      cameras.push_back({Camera(leaf.data()), T_cam_base.at(batch, item) + 16 * k, part,
+                         usable_of(mask_buffer, mask.at(batch, item), place.at(batch, item)[k], config.usable_scale), {}});
+    }
+    float T[12];
+    std::copy_n(T_start.at(batch, item), 12, T);
+    Row<float> weight;
+    std::vector<Texture> textures;
+    for (int64_t n = 0; n < num_levels; ++n) {
+      const int32_t level = levels.at(batch, item)[n];
+      textures.clear();
+      for (int64_t k = 0; k < num_cameras; ++k)
+        textures.emplace_back(texels.at(batch, item), start.at(batch, item)[level], height.at(batch, item)[level],
+                              width.at(batch, item)[level], stride.at(batch, item)[level],
+                              place.at(batch, item)[k] * num_channels);
+      const Ended ended = solve_level(cameras, textures, T_prior.at(batch, item), sigma.at(batch, item),
+                                      gain.at(batch, item)[level], config, max_steps, weight, T);
+      const int64_t at = item * num_levels + n;
+      std::copy_n(T, 12, poses + 16 * at);
+      for (int k = 0; k < 4; ++k) poses[16 * at + 12 + k] = k == 3;
+      num_steps[at] = ended.num_steps, converged[at] = ended.converged;
+    }
   });
   return nullptr;
 }
@@ -173,3 +266,5 @@ SEMLOC_CALL(semloc_robust_cost, semloc::RobustCost)
 SEMLOC_CALL(semloc_project, semloc::Project)
 SEMLOC_CALL(semloc_view, semloc::View)
 SEMLOC_CALL(semloc_ramp_values, semloc::RampValues)
+SEMLOC_CALL(semloc_piece_sums, semloc::PieceSums)
+SEMLOC_CALL(semloc_refine, semloc::Refine)

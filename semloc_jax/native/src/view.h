@@ -45,27 +45,28 @@ SEMLOC_INLINE float length_of(float a, float b) { return std::sqrt(a * a + b * b
 
 // A camera behind a pointer: one view is compiled for all models.
 struct AnyCamera {
-  struct Look {
-    Pixel pixel;
+  struct Slope {
     Gradient by_u, by_v;  // rows of the derivative of the pixel
   };
   const void* model;
-  Look (*look)(const void* model, const Position& p);
+  Pixel (*project)(const void* model, const Position& p);
+  Slope (*slope)(const void* model, const Position& p);
   float width, height;
 
   template <typename Camera>
   explicit AnyCamera(const Camera& camera)
-      : model(&camera), look([](const void* model, const Position& p) {
+      : model(&camera), project([](const void* model, const Position& p) {
+          return static_cast<const Camera*>(model)->project(p.x, p.y, p.z);
+        }),
+        slope([](const void* model, const Position& p) {
           const Camera& own = *static_cast<const Camera*>(model);
-          return Look{own.project(p.x, p.y, p.z), own.pull_back(p.x, p.y, p.z, 1.0f, 0.0f),
-                      own.pull_back(p.x, p.y, p.z, 0.0f, 1.0f)};
+          return Slope{own.pull_back(p.x, p.y, p.z, 1.0f, 0.0f), own.pull_back(p.x, p.y, p.z, 0.0f, 1.0f)};
         }),
         width(camera.width), height(camera.height) {}
 };
 
-// Whether a sample is seen, and how. `position`: of the camera in the map.
-inline bool sight(const AnyCamera& camera, const Motion& T, const float* position, float ground_z, const MapSamples& samples,
-           bool on_ground, const ViewNumbers& config, Sighting& seen) {
+// Whether a round thing or a corner has a silhouette at a sample, and where it lies. `position`: of the camera in the map.
+inline bool silhouette(const MapSamples& samples, Sighting& seen, const float* position, float* contour) {
   const int64_t at = 3 * static_cast<int64_t>(seen.index);
   const float *p = samples.p + at, *along = samples.tangent + at, *center = samples.center + at;
   const float to[3] = {p[0] - position[0], p[1] - position[1], p[2] - position[2]};
@@ -73,27 +74,39 @@ inline bool sight(const AnyCamera& camera, const Motion& T, const float* positio
                    along[0] * to[1] - along[1] * to[0]};
   const float distance = greatest(std::sqrt(side[0] * side[0] + side[1] * side[1] + side[2] * side[2]), 1e-6f);
   for (float& s : side) s /= distance;
-  const int32_t kind = samples.kind[seen.index];
-  if (kind == kCorner) {
+  if (samples.kind[seen.index] == kCorner) {
     const float reach = (p[0] - center[0]) * side[0] + (p[1] - center[1]) * side[1] + (p[2] - center[2]) * side[2];
-    if (std::fabs(reach) < samples.offset[seen.index]) return false;
+    return std::fabs(reach) >= samples.offset[seen.index];
   }
-  const float radius = kind == kRound ? samples.offset[seen.index] : 0.0f;
+  const float radius = samples.offset[seen.index];
   const float share = least(greatest(radius / distance, -0.9f), 0.9f), rest = std::sqrt(1 - share * share);
   const float back[3] = {along[1] * side[2] - along[2] * side[1], along[2] * side[0] - along[0] * side[2],
                          along[0] * side[1] - along[1] * side[0]};
-  float contour[3];
   for (int k = 0; k < 3; ++k) {
     seen.offset[k] = radius * (rest * side[k] + share * back[k]);
     contour[k] = p[k] + seen.offset[k];
   }
+  return true;
+}
 
+// Whether a sample is seen, and how. `position`: of the camera in the map.
+inline bool sight(const AnyCamera& camera, const Motion& T, const float* position, float ground_z, const MapSamples& samples,
+           bool on_ground, const ViewNumbers& config, Sighting& seen) {
+  const int64_t at = 3 * static_cast<int64_t>(seen.index);
+  const float *p = samples.p + at, *along = samples.tangent + at;
+  const int32_t kind = samples.kind[seen.index];
+  float contour[3] = {p[0], p[1], p[2]};
+  seen.offset[0] = seen.offset[1] = seen.offset[2] = 0;
+  // Most samples lie out of the image: what has no silhouette of its own is settled before its sides are looked at.
+  if (kind == kRound && !silhouette(samples, seen, position, contour)) return false;
   const Position q = T.apply(contour[0], contour[1], contour[2]);
   if (!(q.x * q.x + q.y * q.y + q.z * q.z < config.max_range * config.max_range)) return false;
-  const auto [pixel, by_u, by_v] = camera.look(camera.model, q);
+  const Pixel pixel = camera.project(camera.model, q);
   const float low = -config.margin_share * camera.width - 0.5f;
   const float high_u = camera.width - 1 - low, high_v = camera.height - 1 - low;
   if (!(pixel.margin > 0 && pixel.u >= low && pixel.v >= low && pixel.u <= high_u && pixel.v <= high_v)) return false;
+  if (kind == kCorner && !silhouette(samples, seen, position, contour)) return false;
+  const auto [by_u, by_v] = camera.slope(camera.model, q);
 
   struct Moved {
     float u, v;
