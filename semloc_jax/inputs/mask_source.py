@@ -120,6 +120,12 @@ def _classical(drive: Drive, names: tuple[str, ...]) -> MaskSource:
     return MaskSource(CLASSICAL, load_class_table("classical" if shows_posts else "lane_paint"), names, segment)
 
 
+def made_of_images(name: str) -> bool:
+    """Whether masks of this name are made while they are asked for, not read from files."""
+    plain = name.removeprefix(TOP_VIEW)
+    return plain == CLASSICAL or plain.startswith(CLASSICAL_AND) or is_network(name)
+
+
 def is_network(name: str) -> bool:
     """Whether masks of this name come from a network that runs on the images."""
     return Path(name.removeprefix(TOP_VIEW)).suffix.lower() in (".onnx", ".yaml", ".yml") or is_eyes(name)

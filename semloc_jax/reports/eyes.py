@@ -19,7 +19,7 @@ from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 from semloc_jax.perception.networks.eyes import Eyes
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.reports.folder import make_folder, write_record
-from semloc_jax.reports.lesson import LessonReport
+from semloc_jax.reports.lesson import LessonReport, step_bar
 from semloc_jax.storage import write_text
 from semloc_jax.viz.eyes import RoundLook, draw_looks, draw_rounds
 from semloc_jax.viz.style import save
@@ -81,7 +81,7 @@ def report_eyes(drives: EyesDrives, config: EyesConfig | None = None, out: Path 
     def on_round(k: int, found: Round) -> None:
         _LOG.info("%s", round_row(k, found))
 
-    rounds = taught(lessons, held_out, config, folder, on_round, helper, drives.begin)
+    rounds = taught(lessons, held_out, config, folder, on_round, helper, drives.begin, step_bar)
     best = best_round(rounds)
     if best:
         rounds[best].eyes.save(folder / BEST)

@@ -30,6 +30,18 @@ class LessonReport(NamedTuple):
 
 
 @contextmanager
+def step_bar(what: str, num_steps: int) -> Iterator[Callable[[int, float], None]]:
+    """Show the steps of a lesson; arguments and what it yields as `watched_loss`."""
+    with tqdm(total=num_steps, unit="step", desc=what, disable=None) as bar:
+
+        def on_step(step: int, loss: float) -> None:
+            bar.set_postfix(loss=f"{loss:.3f}", refresh=False)
+            bar.update(step - bar.n)
+
+        yield on_step
+
+
+@contextmanager
 def watched_loss(folder: Path, what: str, num_steps: int) -> Iterator[Callable[[int, float], None]]:
     """Show the steps of a lesson and keep their losses, also those of a lesson that is stopped and goes on.
 
@@ -42,11 +54,11 @@ def watched_loss(folder: Path, what: str, num_steps: int) -> Iterator[Callable[[
         What is called with the number of a step and its loss.
     """
     path, recent = folder / "loss.csv", []
-    with tqdm(total=num_steps, unit="step", desc=what, disable=None) as bar:
+    with step_bar(what, num_steps) as show:
 
         def on_step(step: int, loss: float) -> None:
             recent.append(loss)
-            bar.update(step - bar.n)
+            show(step, loss)
             if step % _EVERY == 0 or step == num_steps:
                 append_line(path, f"{step},{np.mean(recent):.5f}")
                 recent.clear()

@@ -15,6 +15,8 @@ from tqdm import tqdm
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import MapComparison, Metric, Trajectory, format_metrics, write_metrics, write_tum
+from semloc_jax.inputs.kept_masks import kept
+from semloc_jax.inputs.mask_source import made_of_images
 from semloc_jax.mapping.base_map import Change
 from semloc_jax.mapping.base_places import write_places
 from semloc_jax.mapping.chain import Chain, drive_chain
@@ -78,6 +80,8 @@ def report_map(
     folder = make_folder(out, resume)
     parts = request.parts(folder, is_resumed=resume is not None)
     write_record(folder, request.settings, request.options)
+    if made_of_images(request.masks.name):  # they are looked at some ten times
+        request = request._replace(masks=kept(request.masks, parts.folder / "masks"))
     drawn = _drawn(request, chain, gauge, base, parts)
     trajectory = Trajectory(chain.times_s, drawn.Ts_map_base)
     _write(drawn, trajectory, request, folder)

@@ -7,6 +7,7 @@ What the teacher gets wrong in every frame is learned for ever, since poses move
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -28,6 +29,12 @@ from semloc_jax.perception.networks.eyes import Eyes, eyes_table
 
 TABLE = "drive"
 """The preset whose channels tell the classes of a map apart as finely as any."""
+Watched = Callable[[str, int], AbstractContextManager[Callable[[int, float], None] | None]]
+"""Watches the steps of a lesson: told its name and their number, it gives what is told each step and its loss."""
+
+
+def _unwatched(name: str, num_steps: int) -> AbstractContextManager[None]:
+    return nullcontext()
 
 
 @dataclass(frozen=True)
@@ -80,6 +87,7 @@ def taught(
     on_round: Callable[[int, Round], None] | None = None,
     helper: NetworkSegmenter | None = None,
     begin: Eyes | None = None,
+    watched: Watched = _unwatched,
 ) -> list[Round]:
     """The rounds, what there was at the beginning first; `best_round` says which to keep.
 
@@ -91,6 +99,7 @@ def taught(
         on_round: Called after each round.
         helper: Another network whose scores the eyes see: they are a small adapter on top of it then.
         begin: Eyes to go on with; None for new ones.
+        watched: Watches the steps of every lesson.
 
     Raises:
         SemlocError: no pose is good enough to teach, or the frames held out have no truth.
@@ -113,23 +122,30 @@ def taught(
             if best != by:  # a round that was worse teaches nobody
                 labelled = labelled_by_map(lessons, rounds[best].eyes, eyes, config.limits, config.map_sigma_m)
                 by = best
-            eyes = _trained(eyes, labelled.images, config.training, config, folder, f"round_{k + 1}")
+            eyes = _trained(eyes, labelled.images, config.training, config, folder, f"round_{k + 1}", watched)
     if config.through.num_steps:
         eyes = rounds[best_round(rounds)].eyes or eyes
         more = replace(config.training, num_steps=config.through.num_steps, rate=config.through.rate)
-        add(_trained(eyes, labelled.images, more, config, folder, "labels_alone"), "as many steps by labels alone")
-        add(_for_the_pose(eyes, lessons, labelled, config, folder), "through the solver")
+        alone = _trained(eyes, labelled.images, more, config, folder, "labels_alone", watched)
+        add(alone, "as many steps by labels alone")
+        add(_for_the_pose(eyes, lessons, labelled, config, folder, watched), "through the solver")
     return rounds
 
 
-def _for_the_pose(eyes: Eyes, lessons: Sequence[Lesson], labelled: Labelled, config: EyesConfig, folder: Path) -> Eyes:
+def _for_the_pose(
+    eyes: Eyes, lessons: Sequence[Lesson], labelled: Labelled, config: EyesConfig, folder: Path, watched: Watched
+) -> Eyes:
     """The eyes after the last lesson; its weights are in the folder."""
     drives = [
         pose_sights(poses, lesson.map, lesson.seen_with(eyes), eyes, config.through)
         for lesson, poses in zip(lessons, labelled.poses, strict=True)
     ]
-    eyes = taught_through(eyes, drives, ImagePool(labelled.images), config.crops, config.through, config.training.seed)
+    pool, checkpoint = ImagePool(labelled.images), folder / "through.checkpoint"
+    with watched("through", config.through.num_steps) as on_step:
+        parts = drives, pool, config.crops, config.through, config.training.seed
+        eyes = taught_through(eyes, *parts, on_step, checkpoint)
     eyes.save(folder / "through.weights")
+    checkpoint.unlink(missing_ok=True)
     return eyes
 
 
@@ -148,7 +164,13 @@ def _score(lesson: Lesson, eyes: Eyes | None, config: EyesConfig) -> RoundScore:
 
 
 def _trained(
-    eyes: Eyes, images: Sequence[LabelledImage], training: TrainingConfig, config: EyesConfig, folder: Path, name: str
+    eyes: Eyes,
+    images: Sequence[LabelledImage],
+    training: TrainingConfig,
+    config: EyesConfig,
+    folder: Path,
+    name: str,
+    watched: Watched,
 ) -> Eyes:
     """The eyes after steps by labels; weights and checkpoint of that name are in the folder."""
     step_px, pool = eyes.config.step_px, ImagePool(images)
@@ -157,7 +179,8 @@ def _trained(
         return draw_batch(pool, config.crops, step_px, rng)
 
     checkpoint = folder / f"{name}.checkpoint"
-    network = train(eyes.network, eyes_loss, batch_of, training, checkpoint)
+    with watched(name, training.num_steps) as on_step:
+        network = train(eyes.network, eyes_loss, batch_of, training, checkpoint, on_step)
     taught_on = {"lesson": name, "images": len(images), "steps": training.num_steps}
     eyes = replace(eyes, network=network, card={"taught": taught_on})
     eyes.save(folder / f"{name}.weights")

@@ -9,6 +9,7 @@ trusted. It is a differentiable function of every distance that the eyes tell; s
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
@@ -37,6 +38,8 @@ from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX, Eyes, Said, r
 from semloc_jax.residuals.smooth import DistanceMaps
 
 _PRIOR_SEED = 7
+_SAVE_EVERY = 5
+"""Steps between checkpoints: one takes seconds."""
 
 
 @dataclass(frozen=True)
@@ -191,6 +194,7 @@ def taught_through(
     config: ThroughConfig,
     seed: int,
     on_step: Callable[[int, float], None] | None = None,
+    checkpoint: Path | None = None,
 ) -> Eyes:
     """The eyes after the last lesson.
 
@@ -202,6 +206,7 @@ def taught_through(
         config: Steps, rate.
         seed: Of the batches.
         on_step: Called with the number of a step and its loss.
+        checkpoint: File to go on from where it is there.
 
     Raises:
         SemlocError: no drive has any pose.
@@ -221,7 +226,7 @@ def taught_through(
     def loss(network: eqx.Module, batch: ThroughBatch) -> Array:
         return through_loss(network, batch, config, dof)
 
-    training = TrainingConfig(num_steps=config.num_steps, rate=config.rate, seed=seed)
-    network = train(eyes.network, loss, batch_of, training, None, on_step)
+    training = TrainingConfig(num_steps=config.num_steps, rate=config.rate, seed=seed, save_every=_SAVE_EVERY)
+    network = train(eyes.network, loss, batch_of, training, checkpoint, on_step)
     taught_on = eyes.card.get("taught", {}) | {"through_steps": config.num_steps}
     return replace(eyes, network=network, card={"taught": taught_on})
