@@ -170,3 +170,16 @@ def test_a_board_cut_by_its_own_pole_is_one(table, pole_m, num_boards):
         points = boards[0].element.points
         assert np.hypot(*(points.mean(axis=0)[:2] - (x, y))) < 0.15
         assert np.linalg.norm(np.ptp(points[:, :2], axis=0)) == pytest.approx(side, abs=0.12)
+
+
+def test_a_board_that_was_seen_from_both_sides_faces_them():
+    """As many looks from either side, all of them from one side of the aisle: not across it, where it is an edge."""
+    rows, height = [], lambda range_m: (np.arctan2(0.4, range_m), np.arctan2(1.0, range_m))
+    for frame, x_m in enumerate([*np.arange(3.0, 12.0), *-np.arange(3.0, 12.0)]):
+        range_m, bearing = np.hypot(x_m, 2.0), np.arctan2(-2.0, -x_m)
+        width = 0.6 * abs(x_m) / range_m**2
+        rows.append([ElementClass.SIGN, frame, x_m, 2.0, 1.5, bearing, 0.003, *height(range_m), width, 1.0, 1.0, 1.0])
+    (board,) = uprights_of(np.array(rows, float), lambda xy: np.zeros(len(xy)))
+    np.testing.assert_allclose(board.element.points.mean(axis=0), [0.0, 0.0, 2.2], atol=0.02)
+    assert abs(board.element.normal[0]) > 0.99
+    assert np.ptp(board.element.points[:, 1]) == pytest.approx(0.6, abs=0.06)
