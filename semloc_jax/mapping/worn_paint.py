@@ -35,14 +35,14 @@ _BARS = frozenset({ElementClass.CROSSWALK, ElementClass.STOP_LINE})
 
 
 @dataclass(frozen=True)
-class Stroke:
+class WornStroke:
     """A dash or bar as its middle line."""
 
     ends: Float[np.ndarray, "2 3"]
     width_m: float
 
     @classmethod
-    def of(cls, element: MapElement) -> "Stroke | None":
+    def of(cls, element: MapElement) -> "WornStroke | None":
         """None for what is neither a dash nor a bar."""
         points = element.points
         if element.label == ElementClass.LANE_MARKING and element.style == "dashed":
@@ -64,13 +64,13 @@ class Stroke:
         """Unit direction in the plane."""
         return (self.ends[1] - self.ends[0])[:2] / max(self.length_m, 1e-9)
 
-    def holds(self, other: "Stroke") -> bool:
+    def holds(self, other: "WornStroke") -> bool:
         """Whether the middle of another one lies in this one."""
         off = other.ends[:, :2].mean(axis=0) - self.ends[:, :2].mean(axis=0)
         aside_m = abs(float(off @ [-self.along[1], self.along[0]]))
         return aside_m < 0.5 * self.width_m and abs(float(off @ self.along)) < 0.5 * self.length_m
 
-    def joined(self, other: "Stroke", usual_m: float) -> "Stroke | None":
+    def joined(self, other: "WornStroke", usual_m: float) -> "WornStroke | None":
         """Both as one, None where they are not pieces of one that is as long as usual."""
         if other.length_m > self.length_m:  # a short piece does not say where the line of both goes on
             return other.joined(self, usual_m)
@@ -90,7 +90,7 @@ class Stroke:
         if abs(share - 1.0) > _AS_LONG:
             return None
         lengths_m = np.array([self.length_m, other.length_m])
-        return Stroke(ends, float(lengths_m @ [self.width_m, other.width_m] / lengths_m.sum()))
+        return WornStroke(ends, float(lengths_m @ [self.width_m, other.width_m] / lengths_m.sum()))
 
     def element(self, like: MapElement) -> MapElement:
         """An element of this shape."""
@@ -106,11 +106,11 @@ class Stroke:
 def whole_again(elements: Sequence[MapElement]) -> list[MapElement]:
     """The elements, worn pieces of one dash or bar joined under the id of the first."""
     found = dict(enumerate(elements))
-    strokes = {k: stroke for k, element in found.items() if (stroke := Stroke.of(element)) is not None}
+    strokes = {k: stroke for k, element in found.items() if (stroke := WornStroke.of(element)) is not None}
     for label in {elements[k].label for k in strokes}:
         _join({k: stroke for k, stroke in strokes.items() if elements[k].label == label}, found)
     bars = [k for k in strokes if k in found and found[k].label == ElementClass.CROSSWALK]
-    for k, bar in completed([Stroke.of(found[k]) for k in bars]).items():
+    for k, bar in completed([WornStroke.of(found[k]) for k in bars]).items():
         if bar is None:
             del found[bars[k]]
         else:
@@ -118,7 +118,7 @@ def whole_again(elements: Sequence[MapElement]) -> list[MapElement]:
     return list(found.values())
 
 
-def completed(bars: Sequence[Stroke]) -> dict[int, Stroke | None]:
+def completed(bars: Sequence[WornStroke]) -> dict[int, WornStroke | None]:
     """The bars of crosswalks that were drawn anew, by row: pieces of one reach from border to border of the others.
 
     Bars of a crosswalk begin on one line and end on another. Where at least `_WHOLE` of them around a piece do, the
@@ -126,7 +126,7 @@ def completed(bars: Sequence[Stroke]) -> dict[int, Stroke | None]:
     """
     lengths_m = np.array([bar.length_m for bar in bars])
     middles = np.array([bar.ends[:, :2].mean(axis=0) for bar in bars]).reshape(-1, 2)
-    found: dict[int, Stroke | None] = {}
+    found: dict[int, WornStroke | None] = {}
     for k in np.argsort(-lengths_m, kind="stable"):
         near = np.flatnonzero(np.linalg.norm(middles - middles[k], axis=1) < _CROSSWALK_M)
         usual_m = _usual(lengths_m[near])
@@ -141,7 +141,7 @@ def completed(bars: Sequence[Stroke]) -> dict[int, Stroke | None]:
     return found
 
 
-def _between_borders(piece: Stroke, whole: Sequence[Stroke]) -> Stroke | None:
+def _between_borders(piece: WornStroke, whole: Sequence[WornStroke]) -> WornStroke | None:
     """The bar that a piece is of, by bars that are whole; None where these do not tell, or it is of another kind."""
     along = piece.along
     signs = [1.0 if bar.along @ along > 0.0 else -1.0 for bar in whole]
@@ -164,10 +164,10 @@ def _between_borders(piece: Stroke, whole: Sequence[Stroke]) -> Stroke | None:
     if abs(piece.width_m - width_m) > 2.0 * _OFF_M:
         return None
     xy = middle + np.array([[low_m], [high_m]]) * direction
-    return Stroke(np.column_stack([xy, np.full(2, piece.ends[:, 2].mean())]), width_m)
+    return WornStroke(np.column_stack([xy, np.full(2, piece.ends[:, 2].mean())]), width_m)
 
 
-def _join(strokes: dict[int, Stroke], found: dict[int, MapElement]) -> None:
+def _join(strokes: dict[int, WornStroke], found: dict[int, MapElement]) -> None:
     """Joins the pieces among dashes or bars of one class in `found`."""
     rows = list(strokes)
     tree = cKDTree([stroke.ends[:, :2].mean(axis=0) for stroke in strokes.values()])
