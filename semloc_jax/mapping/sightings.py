@@ -39,6 +39,8 @@ COLUMNS = (
 width [rad]; share of its box that it fills; whether its low and its high end were seen."""
 _BIN_RAD = np.deg2rad(0.3)
 _RIM_PX = 2
+_POLE_PX = (2, 4, 8, 16)
+"""Widths of poles that stand before the board which they carry; ours."""
 _ONE_SIDE = 0.6
 """Share of the heights of a pillar at which it must be as wide as at most."""
 
@@ -126,7 +128,10 @@ class Sightings:
             if label in _MAY_BE_CUT:
                 # A sign on a pole cuts it in two.
                 blocks = np.any([blocks, *(other for key, other in ids.items() if key != label)], axis=0)
-            found = _things(own[mask], blocks[mask], table, T_map_base, label, self.config)
+            shows = own[mask]
+            if label == ElementClass.SIGN and ElementClass.POLE in ids:
+                shows = _behind_pole(shows, ids[ElementClass.POLE][mask])
+            found = _things(shows, blocks[mask], table, T_map_base, label, self.config)
             if len(found):
                 place = T_map_base[:3, :3] @ table.camera_base + T_map_base[:3, 3]
                 head = np.broadcast_to([float(label), float(frame), *place], (len(found), 5))
@@ -196,6 +201,24 @@ def _things(
         if row is not None and (label in _MAY_BE_CUT or all(ends)):
             found.append([*row, *ends])
     return np.array(found).reshape(-1, 8)
+
+
+def _behind_pole(shows: np.ndarray, is_pole: np.ndarray) -> np.ndarray:
+    """A board with what its pole hides of it: seen from behind it is cut in two, and neither half is a board.
+
+    A pole that is no wider than either half beside it stands before the board; a wider one is the end of two boards.
+    """
+    whole = shows.copy()
+    columns = np.flatnonzero(shows.any(axis=0))
+    if len(columns) < 2:
+        return whole
+    box = slice(columns[0], columns[-1] + 1)
+    board, pole = shows[:, box].astype(np.uint8), is_pole[:, box]
+    for width_px in _POLE_PX:
+        wide = cv2.morphologyEx(board, cv2.MORPH_OPEN, np.ones((1, width_px), np.uint8))
+        closed = cv2.morphologyEx(wide, cv2.MORPH_CLOSE, np.ones((1, width_px + 1), np.uint8))
+        whole[:, box] |= (closed > 0) & pole
+    return whole
 
 
 def _ends(own: np.ndarray, corner: tuple[int, int], shape: tuple, unusable: np.ndarray) -> tuple[bool, bool]:

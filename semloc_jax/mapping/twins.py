@@ -14,6 +14,8 @@ from semloc_jax.maps import Belief, MapElement
 
 _SHARE = 0.5
 """Of the smaller one that lies in the larger one from which both are one; ours."""
+_REST_M = 1.0
+"""A line that goes on farther beyond the larger one is no twin of it; ours."""
 _LEAST_WIDTH_M = 0.1
 """Of a line or a post: by so much two lines of one piece of paint may be off each other; ours."""
 Known = tuple[MapElement, Belief]
@@ -38,7 +40,10 @@ def without_twins(known: Sequence[Known]) -> list[Known]:
     stays = np.ones(len(known), bool)
     for k in order:
         over = [shapes[k].intersection(shapes[other]).area for other in larger.get(k, []) if stays[other]]
-        stays[k] = max(over, default=0.0) <= _SHARE * shapes[k].area
+        most_rest = (1.0 - _SHARE) * shapes[k].area
+        if not known[k][0].closed:
+            most_rest = min(most_rest, _REST_M * max(known[k][0].width_m, _LEAST_WIDTH_M))
+        stays[k] = shapes[k].area - max(over, default=0.0) >= most_rest
     return [item for item, stay in zip(known, stays, strict=True) if stay]
 
 

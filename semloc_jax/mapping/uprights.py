@@ -72,12 +72,14 @@ def _light(name: str, thing: Standing, rows: np.ndarray, height_of: HeightOf) ->
 
 
 def _sign(name: str, thing: Standing, rows: np.ndarray, height_of: HeightOf) -> MapElement:
-    """A board that faces those who saw it; seen askew it looks narrower than it is."""
+    """A board that faces those who saw it, from either side; seen askew it looks narrower than it is."""
     to_camera = rows[:, 2:4] - thing.xy
     range_m = np.linalg.norm(to_camera, axis=1)
     near = range_m <= np.median(range_m)
-    normal = (to_camera[near] / range_m[near, None]).mean(axis=0)
-    normal = np.append(normal / max(float(np.linalg.norm(normal)), 1e-9), 0.0)
+    ray = to_camera[near] / range_m[near, None]
+    # Those before it and those behind it see along one axis: their mean would face neither.
+    axis = np.linalg.eigh(ray.T @ ray)[1][:, -1]
+    normal = np.append(axis if axis @ ray.sum(axis=0) >= 0.0 else -axis, 0.0)
     fill = float(np.median(column(rows, "fill")[near]))
     shape = next(word for most, word in _FILLS if fill < most)
     height_m = max(thing.top_m - thing.foot_m, 0.1)

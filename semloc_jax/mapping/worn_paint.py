@@ -23,18 +23,26 @@ _LONGEST_GAP = 0.35
 """Share of the length of the others that may be worn off between two pieces."""
 _OFF_M = 0.08
 """How far the ends of one piece may be off the line of the other, and either side of one off that of the other."""
+_WHOLE = 3
+"""Bars around a piece that must be whole to tell how far it reaches; ours."""
+_CROSSWALK_M = 6.0
+"""How far from a piece these are; ours."""
+_LEAST_SHORT = 0.05
+"""Share of the usual length by which a bar is no whole one; ours."""
+_COS_ASKEW = float(np.cos(np.deg2rad(10.0)))
+"""A short piece is turned no more against the bar that it is of; ours."""
 _BARS = frozenset({ElementClass.CROSSWALK, ElementClass.STOP_LINE})
 
 
 @dataclass(frozen=True)
-class _Stroke:
+class WornStroke:
     """A dash or bar as its middle line."""
 
     ends: Float[np.ndarray, "2 3"]
     width_m: float
 
     @classmethod
-    def of(cls, element: MapElement) -> "_Stroke | None":
+    def of(cls, element: MapElement) -> "WornStroke | None":
         """None for what is neither a dash nor a bar."""
         points = element.points
         if element.label == ElementClass.LANE_MARKING and element.style == "dashed":
@@ -48,10 +56,24 @@ class _Stroke:
 
     @property
     def length_m(self) -> float:
+        """From end to end."""
         return float(np.linalg.norm(self.ends[1] - self.ends[0]))
 
-    def joined(self, other: "_Stroke", usual_m: float) -> "_Stroke | None":
+    @property
+    def along(self) -> Float[np.ndarray, " 2"]:
+        """Unit direction in the plane."""
+        return (self.ends[1] - self.ends[0])[:2] / max(self.length_m, 1e-9)
+
+    def holds(self, other: "WornStroke") -> bool:
+        """Whether the middle of another one lies in this one."""
+        off = other.ends[:, :2].mean(axis=0) - self.ends[:, :2].mean(axis=0)
+        aside_m = abs(float(off @ [-self.along[1], self.along[0]]))
+        return aside_m < 0.5 * self.width_m and abs(float(off @ self.along)) < 0.5 * self.length_m
+
+    def joined(self, other: "WornStroke", usual_m: float) -> "WornStroke | None":
         """Both as one, None where they are not pieces of one that is as long as usual."""
+        if other.length_m > self.length_m:  # a short piece does not say where the line of both goes on
+            return other.joined(self, usual_m)
         along = (self.ends[1] - self.ends[0])[:2] / max(self.length_m, 1e-9)
         off = (other.ends - self.ends[0])[:, :2]
         aside_m = np.abs(off @ [-along[1], along[0]])
@@ -68,7 +90,7 @@ class _Stroke:
         if abs(share - 1.0) > _AS_LONG:
             return None
         lengths_m = np.array([self.length_m, other.length_m])
-        return _Stroke(ends, float(lengths_m @ [self.width_m, other.width_m] / lengths_m.sum()))
+        return WornStroke(ends, float(lengths_m @ [self.width_m, other.width_m] / lengths_m.sum()))
 
     def element(self, like: MapElement) -> MapElement:
         """An element of this shape."""
@@ -84,13 +106,68 @@ class _Stroke:
 def whole_again(elements: Sequence[MapElement]) -> list[MapElement]:
     """The elements, worn pieces of one dash or bar joined under the id of the first."""
     found = dict(enumerate(elements))
-    strokes = {k: stroke for k, element in found.items() if (stroke := _Stroke.of(element)) is not None}
+    strokes = {k: stroke for k, element in found.items() if (stroke := WornStroke.of(element)) is not None}
     for label in {elements[k].label for k in strokes}:
         _join({k: stroke for k, stroke in strokes.items() if elements[k].label == label}, found)
+    bars = [k for k in strokes if k in found and found[k].label == ElementClass.CROSSWALK]
+    for k, bar in completed([WornStroke.of(found[k]) for k in bars]).items():
+        if bar is None:
+            del found[bars[k]]
+        else:
+            found[bars[k]] = bar.element(found[bars[k]])
     return list(found.values())
 
 
-def _join(strokes: dict[int, _Stroke], found: dict[int, MapElement]) -> None:
+def completed(bars: Sequence[WornStroke]) -> dict[int, WornStroke | None]:
+    """The bars of crosswalks that were drawn anew, by row: pieces of one reach from border to border of the others.
+
+    Bars of a crosswalk begin on one line and end on another. Where at least `_WHOLE` of them around a piece do, the
+    piece is of a bar that does, too: the longest piece of each becomes that bar, the others (None) are parts of it.
+    """
+    lengths_m = np.array([bar.length_m for bar in bars])
+    middles = np.array([bar.ends[:, :2].mean(axis=0) for bar in bars]).reshape(-1, 2)
+    found: dict[int, WornStroke | None] = {}
+    for k in np.argsort(-lengths_m, kind="stable"):
+        near = np.flatnonzero(np.linalg.norm(middles - middles[k], axis=1) < _CROSSWALK_M)
+        usual_m = _usual(lengths_m[near])
+        if int(k) in found or lengths_m[k] > (1.0 - _LEAST_SHORT) * usual_m:
+            continue
+        whole = [bars[j] for j in near if abs(lengths_m[j] / usual_m - 1.0) < _LEAST_SHORT]
+        bar = _between_borders(bars[k], whole)
+        if bar is None:
+            continue
+        found[int(k)] = bar
+        found |= {int(j): None for j in near if j != k and int(j) not in found and bar.holds(bars[j])}
+    return found
+
+
+def _between_borders(piece: WornStroke, whole: Sequence[WornStroke]) -> WornStroke | None:
+    """The bar that a piece is of, by bars that are whole; None where these do not tell, or it is of another kind."""
+    along = piece.along
+    signs = [1.0 if bar.along @ along > 0.0 else -1.0 for bar in whole]
+    alike = [(bar, sign) for bar, sign in zip(whole, signs, strict=True) if sign * (bar.along @ along) > _COS_ASKEW]
+    if len(alike) < _WHOLE:
+        return None
+    direction = np.mean([sign * bar.along for bar, sign in alike], axis=0)
+    direction /= np.linalg.norm(direction)
+    across = np.array([-direction[1], direction[0]])
+    middle = piece.ends[:, :2].mean(axis=0)
+    ends = np.array([bar.ends[:: int(sign)] for bar, sign in alike])
+    s_m, t_m = (ends[..., :2] - middle) @ across, (ends[..., :2] - middle) @ direction
+    borders = [np.polynomial.Polynomial.fit(s_m[:, k], t_m[:, k], 1) for k in (0, 1)]
+    off_m = max(np.abs(border(s_m[:, k]) - t_m[:, k]).max() for k, border in enumerate(borders))
+    low_m, high_m = (float(border(0.0)) for border in borders)
+    own_m = (piece.ends[:, :2] - middle) @ direction
+    if off_m > _OFF_M or own_m.min() < low_m - _OFF_M or own_m.max() > high_m + _OFF_M:
+        return None
+    width_m = float(np.median([bar.width_m for bar, _ in alike]))
+    if abs(piece.width_m - width_m) > 2.0 * _OFF_M:
+        return None
+    xy = middle + np.array([[low_m], [high_m]]) * direction
+    return WornStroke(np.column_stack([xy, np.full(2, piece.ends[:, 2].mean())]), width_m)
+
+
+def _join(strokes: dict[int, WornStroke], found: dict[int, MapElement]) -> None:
     """Joins the pieces among dashes or bars of one class in `found`."""
     rows = list(strokes)
     tree = cKDTree([stroke.ends[:, :2].mean(axis=0) for stroke in strokes.values()])

@@ -37,6 +37,8 @@ def test_what_meets_or_lies_beside_stays():
     """Dividers of rows back to back that overlap at the back, a bar at a mouth, a double line, other classes."""
     both = [line("a", (0.0, 0.0), (5.2, 0.0)), line("b", (10.0, 0.01), (4.0, 0.01))]
     bar, beside = line("bar", (0.0, -0.5), (0.0, 0.5)), line("double", (0.0, 0.25), (5.2, 0.25))
+    on_both = [line("first", (0.0, 9.0), (40.0, 9.0)), line("goes on", (20.0, 9.02), (52.0, 9.02))]
+    assert names(without_twins(on_both)) == ["first", "goes on"]
     stop = known("stop", "stop_line", both[0][0].points, width_m=0.3)
     assert names(without_twins([*both, bar, beside, stop])) == ["a", "b", "bar", "double", "stop"]
     assert without_twins([]) == []

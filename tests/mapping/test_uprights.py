@@ -151,3 +151,35 @@ def test_one_frame_alone_makes_no_thing(table):
     seen.add(drawn(0.0), table, 0, pose(0.0))
     assert len(seen.all()) > 0
     assert uprights_of(seen.all(), lambda xy: np.zeros(len(xy))) == []
+
+
+@pytest.mark.parametrize("pole_m, num_boards", [(0.1, 1), (0.3, 2)])
+def test_a_board_cut_by_its_own_pole_is_one(table, pole_m, num_boards):
+    """Seen from behind; what is cut by more than is left to either side may be two boards."""
+    x, y, z, side = SIGN
+    found = Sightings(TABLE)
+    for frame, x_m in enumerate(np.arange(0.0, 30.0, 1.0)):
+        mask, ahead = drawn(x_m), x - x_m - T_BASE_CAM[0, 3]
+        columns, rows = np.meshgrid(np.arange(480), np.arange(300))
+        beside = np.abs(columns - (239.5 - 400.0 * y / ahead)) <= 200.0 * pole_m / ahead
+        mask[beside & (rows >= 149.5 + 400.0 * (1.0 - z) / ahead) & (mask != CAR_ID)] = POLE_ID
+        found.add(mask, table, frame, pose(x_m))
+    boards = [u for u in uprights_of(found.all(), lambda xy: np.zeros(len(xy))) if u.element.label == ElementClass.SIGN]
+    assert len(boards) == num_boards
+    if num_boards == 1:
+        points = boards[0].element.points
+        assert np.hypot(*(points.mean(axis=0)[:2] - (x, y))) < 0.15
+        assert np.linalg.norm(np.ptp(points[:, :2], axis=0)) == pytest.approx(side, abs=0.12)
+
+
+def test_a_board_that_was_seen_from_both_sides_faces_them():
+    """As many looks from either side, all of them from one side of the aisle: not across it, where it is an edge."""
+    rows, height = [], lambda range_m: (np.arctan2(0.4, range_m), np.arctan2(1.0, range_m))
+    for frame, x_m in enumerate([*np.arange(3.0, 12.0), *-np.arange(3.0, 12.0)]):
+        range_m, bearing = np.hypot(x_m, 2.0), np.arctan2(-2.0, -x_m)
+        width = 0.6 * abs(x_m) / range_m**2
+        rows.append([ElementClass.SIGN, frame, x_m, 2.0, 1.5, bearing, 0.003, *height(range_m), width, 1.0, 1.0, 1.0])
+    (board,) = uprights_of(np.array(rows, float), lambda xy: np.zeros(len(xy)))
+    np.testing.assert_allclose(board.element.points.mean(axis=0), [0.0, 0.0, 2.2], atol=0.02)
+    assert abs(board.element.normal[0]) > 0.99
+    assert np.ptp(board.element.points[:, 1]) == pytest.approx(0.6, abs=0.06)

@@ -32,7 +32,7 @@ def test_two_pieces_of_a_dash_are_one_as_long_as_the_others():
 def test_pieces_of_bars_keep_their_width():
     whole = [bar(0.0, 3.0, left_m) for left_m in (0.0, 0.9, 1.8)]
     found = whole_again([*whole, bar(0.0, 1.1, 2.7), bar(1.3, 3.0, 2.7), bar(0.0, 2.0, 3.6)])
-    assert spans(found) == [(0.0, 2.0), *[(0.0, 3.0)] * 4]
+    assert spans(found) == [(0.0, 3.0)] * 5
     (joined,) = [e for e in found if abs(e.points[:, 1].mean() - 2.7) < 0.1]
     assert np.ptp(joined.points[:, 1]) == pytest.approx(0.45)
 
@@ -48,3 +48,35 @@ def test_dashes_that_are_painted_so_stay(gap_m, left_m):
 
 def test_no_element_is_no_element():
     assert whole_again([]) == []
+
+
+def test_pieces_reach_from_border_to_border_of_a_crosswalk():
+    """A worn end, a middle that is gone with one end, a short piece drawn askew: as long as the bars beside."""
+    whole = [bar(0.1 * left_m, 3.0 + 0.1 * left_m, left_m) for left_m in (0.0, 1.0, 2.0, 6.0)]
+    worn = [bar(0.3, 1.6, 3.0), bar(0.4, 1.1, 4.0), bar(1.7, 2.2, 4.0), bar(2.0, 3.5, 5.0)]
+    found = whole_again([*whole, *worn])
+    at = {round(e.points[:, 1].mean()): (e.points[:, 0].min(), e.points[:, 0].max()) for e in found}
+    assert len(found) == len(at) == 7
+    for left_m, ends_m in at.items():
+        np.testing.assert_allclose(ends_m, (0.1 * left_m, 3.0 + 0.1 * left_m), atol=0.06)
+
+
+def test_what_is_no_piece_of_a_bar_between_borders_stays():
+    """Beyond the border, of another width, turned, or with too few whole bars around it."""
+    whole = [bar(0.0, 3.0, left_m) for left_m in (0.0, 1.0, 2.0)]
+    turned = MapElement("turned", "crosswalk", bar(0.0, 1.0, 3.0).points[:, [1, 0, 2]], closed=True)
+    for piece in (bar(2.5, 4.0, 3.0), bar(0.5, 1.5, 3.0, width_m=0.2), turned):
+        assert whole_again([*whole, piece])[-1] is piece
+    piece = bar(0.5, 1.5, 2.0)
+    assert whole_again([*whole[:2], piece])[-1] is piece
+
+
+def test_a_short_piece_drawn_askew_is_joined_along_the_longer_one():
+    """Two degrees: over three metres its own line leaves that of the bar by more than paint is apart."""
+    long, short = bar(0.0, 1.5, 0.0), bar(2.1, 3.0, 0.0)
+    c, s = np.cos(0.05), np.sin(0.05)
+    middle = short.points.mean(axis=0)
+    askew = short.with_points((short.points - middle) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + middle)
+    whole = [bar(0.0, 3.0, left_m) for left_m in (20.0, 21.0)]
+    for pieces in ([askew, long], [long, askew]):
+        assert len(whole_again([*pieces, *whole])) == 3
