@@ -54,6 +54,7 @@ _PLANE = [0, 1, 5]
 """Forward, left and heading in a tangent."""
 _ADVICE = "run semloc calibrate"
 _WITH_OTHER_SIGN = once_for_each(with_distortion)
+_ALONE = once_for_each(lambda rig: (rig,))
 _OWN_TILT_RAD = np.deg2rad(RoadSigmas().roll_pitch_deg)
 _GROUP_WORDS = dict(zip(GROUPS, ("lines", "posts", "lines to the left", "lines to the right"), strict=True))
 
@@ -104,7 +105,7 @@ def looked(
     tried = [_tried(*one, frame.rig, again, config) for one in zip(names, sides, strict=True)]
     other = _WITH_OTHER_SIGN(frame.rig, -1.0) if RADIAL in names else None
     if other is not None:
-        gain, moved = again((other,))
+        gain, moved = again(_ALONE(other), [0])
         watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))
     watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
     return learned(watch, len(frame.rig.names), aside, tried, profiles, config)
@@ -114,37 +115,38 @@ def _tried(
     name: str,
     side: int | None,
     rig: Rig,
-    again: Callable[[Sequence[Rig]], tuple[np.ndarray, np.ndarray]],
+    again: Callable[[tuple[Rig, ...], Sequence[int]], tuple[np.ndarray, np.ndarray]],
     config: WatchConfig,
 ) -> Tried:
     """The frame solved `again` with one thing of the calibration changed, farther on one side where it is given."""
     rigs, asked = changed_rigs(rig, name, config), [0, 1] if side is None else [0, 1, side + 2]
     gain, moved = np.full(len(STEPS), np.nan), np.zeros((len(STEPS), 3))
-    gain[asked], moved[asked] = again([rigs[k] for k in asked])
+    gain[asked], moved[asked] = again(rigs, asked)
     return Tried(name, gain, moved)
 
 
 def _again(
-    rigs: Sequence[Rig],
+    rigs: tuple[Rig, ...],
+    asked: Sequence[int],
     view: FrameReport,
     frame: FrameFeatures,
     aligner: FrameAligner,
     known: Known,
     config: WatchConfig,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """By how much a frame fits better with each of the calibrations [nats], NaN where there is no road, and how far its
-    pose moves then: forward [m], left [m], heading [rad]."""
+    """By how much a frame fits better with each calibration that is asked for [nats], NaN where there is no road, and
+    how far its pose moves then: forward [m], left [m], heading [rad]."""
     T = view.found.measurement.T_map_base
     parts = frame, T, _LOOSE, *known
     try:
-        scores, Ts = aligner.align_again(rigs, *parts)
+        scores, Ts = aligner.align_again(rigs, asked, *parts)
         gain = view.found.score - scores
         if gain.max() > config.least_gain_nats:
             # A frame that has not found its own best place yet gains by any second solve.
-            own, _ = aligner.align_again((frame.rig,), *parts)
+            own, _ = aligner.align_again(_ALONE(frame.rig), [0], *parts)
             gain -= max(view.found.score - own[0], 0.0)
     except SemlocError:
-        return np.full(len(rigs), np.nan), np.zeros((len(rigs), 3))
+        return np.full(len(asked), np.nan), np.zeros((len(asked), 3))
     return gain, np.array([rigid.log(rigid.inverse(T) @ other)[_PLANE] for other in Ts])
 
 
