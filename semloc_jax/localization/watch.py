@@ -7,7 +7,7 @@ one to the farther side of the other.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -95,7 +95,10 @@ def looked(
     if int(watch.num_frames) > 0 and way_m < config.step_m:
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
     T = view.found.measurement.T_map_base
-    again = partial(_again, view=view, frame=frame, aligner=aligner, known=known, config=config)
+    solved = partial(aligner.align_again, frame=frame, T_map_base=T, covariance=_LOOSE, trust=known[0])
+    solved = partial(solved, stance=known[1], grain=known[2])
+    own = cache(lambda: float(solved(_ALONE(frame.rig), [0])[0][0]))
+    again = partial(_again, solved=solved, own=own, T=T, score=view.found.score, config=config)
     try:
         profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
     except SemlocError:  # the pose was measured where the map has no road: such a frame says nothing of it
@@ -128,23 +131,20 @@ def _tried(
 def _again(
     rigs: tuple[Rig, ...],
     asked: Sequence[int],
-    view: FrameReport,
-    frame: FrameFeatures,
-    aligner: FrameAligner,
-    known: Known,
+    solved: Callable[[tuple[Rig, ...], Sequence[int]], tuple[np.ndarray, np.ndarray]],
+    own: Callable[[], float],
+    T: Float[np.ndarray, "4 4"],
+    score: float,
     config: WatchConfig,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """By how much a frame fits better with each calibration that is asked for [nats], NaN where there is no road, and
-    how far its pose moves then: forward [m], left [m], heading [rad]."""
-    T = view.found.measurement.T_map_base
-    parts = frame, T, _LOOSE, *known
+    how far its pose moves then: forward [m], left [m], heading [rad]; `own`: its score solved again with its own."""
     try:
-        scores, Ts = aligner.align_again(rigs, asked, *parts)
-        gain = view.found.score - scores
+        scores, Ts = solved(rigs, asked)
+        gain = score - scores
         if gain.max() > config.least_gain_nats:
             # A frame that has not found its own best place yet gains by any second solve.
-            own, _ = aligner.align_again(_ALONE(frame.rig), [0], *parts)
-            gain -= max(view.found.score - own[0], 0.0)
+            gain -= max(score - own(), 0.0)
     except SemlocError:
         return np.full(len(asked), np.nan), np.zeros((len(asked), 3))
     return gain, np.array([rigid.log(rigid.inverse(T) @ other)[_PLANE] for other in Ts])

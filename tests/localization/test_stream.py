@@ -14,7 +14,7 @@ from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
-from semloc_jax.localization import elsewhere, phase
+from semloc_jax.localization import elsewhere, phase, rivals
 from semloc_jax.localization.drive import track_frames
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.initialization import no_fixes, with_fix
@@ -104,8 +104,8 @@ def test_a_new_localizer_compiles_nothing_and_leaves_nothing_behind(pipeline):
 
 
 def test_a_frame_is_solved_once_and_with_each_kind_of_lens_once(pipeline, monkeypatch):
-    """One program for the frame, its search along the road included, and one for all lenses of a kind; no more of them
-    than kinds are asked for, each of which may ask for its own lens again, and the other sign."""
+    """One program for the frame, its search along the road included; one for all lenses of each of two kinds, one for
+    the other sign, one for its own lenses again."""
     called, call = [], StoredProgram.__call__
 
     def counted(program, *args, **kwargs):
@@ -113,6 +113,7 @@ def test_a_frame_is_solved_once_and_with_each_kind_of_lens_once(pipeline, monkey
         return call(program, *args, **kwargs)
 
     monkeypatch.setattr(StoredProgram, "__call__", counted)
+    monkeypatch.setattr(rivals, "joined", lambda state, *_: state)  # other places have solves of their own
     state, before_s, counts = pipeline.localizer.start(), -np.inf, []
     for frame in pipeline.drive.frames:
         features = pipeline.features(frame, before_s)
@@ -122,7 +123,7 @@ def test_a_frame_is_solved_once_and_with_each_kind_of_lens_once(pipeline, monkey
         before_s = frame.time_s
     assert result.accepted and int(state.watch.num_frames) == 2
     assert counts[-1]["align_predicted"] == 1 and counts[-1]["profile_beside"] == 0
-    assert 2 <= counts[-1]["align_with_rigs"] <= 5
+    assert 2 <= counts[-1]["align_with_rigs"] <= 4
 
 
 def test_a_lens_among_others_is_solved_as_it_is_alone(pipeline):
