@@ -112,12 +112,12 @@ def solve_all(
         own = Ts_start[first : first + BATCH]
         Ts = filled(own, BATCH)
         solved = solve_batch(
-            jnp.asarray(Ts, jnp.float32),
-            jnp.asarray(road.place(Ts), jnp.float32),
+            np.asarray(Ts, np.float32),
+            np.asarray(road.place(Ts), np.float32),
             np.resize(part[first : first + BATCH], BATCH).astype(np.int32),
             np.int32(len(own)),
             parts,
-            jnp.asarray(sigma, jnp.float32),
+            np.asarray(sigma, np.float32),
             frame,
             np.float32(in_view_px),
             config,
@@ -265,7 +265,7 @@ def coarse_search(
         found = []
         for first in range(0, len(rows), COARSE_BATCH):
             own = Ts[rows[first : first + COARSE_BATCH]]
-            poses, num = jnp.asarray(filled(own, COARSE_BATCH), jnp.float32), np.int32(len(own))
+            poses, num = np.asarray(filled(own, COARSE_BATCH), np.float32), np.int32(len(own))
             part = coarse_evidence(poses, num, samples, np.int32(num_parts), frame.rig, gain, stride, config)
             found.append(np.asarray(part)[: len(own)])
         return np.concatenate(found).astype(np.float64) + log_prior[rows]

@@ -10,7 +10,6 @@ from dataclasses import asdict, replace
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax.alignment.agreement import NUM_KINDS, disagreement, kinds_apart
@@ -83,9 +82,9 @@ class ModeFinder(SearchSteps):
         own = own[apart(Ts[own], places.log_weight[own], config.num_final, 0.3)]
         covariance = np.asarray(solved.estimates.covariance[places.best[0]], dtype=np.float64)
         restarts = best @ along_weak(covariance, config.lever_m, config.restarts, config.restart_step_m)
-        centre = jnp.asarray(self.road.place(best[None])[0], jnp.float32)
-        centre = Prior(centre, jnp.asarray(self.wide_sigma, jnp.float32))
-        _, grain = sharpest(jnp.asarray(best, jnp.float32), self.frame, centre, self.frame_config)
+        centre = np.asarray(self.road.place(best[None])[0], np.float32)
+        centre = Prior(centre, np.asarray(self.wide_sigma, np.float32))
+        _, grain = sharpest(np.asarray(best, np.float32), self.frame, centre, self.frame_config)
         frame = self.frame._replace(grain=grain)
         road_through = partial(self._road_through, frame=frame, prior=centre)
         road = road_through(best)
@@ -121,7 +120,7 @@ class ModeFinder(SearchSteps):
 
     def _road_through(self, T_map_base: np.ndarray, frame: FrameInput, prior: Prior) -> RoadPosterior:
         """Places along the road through a pose."""
-        T = jnp.asarray(T_map_base, jnp.float32)
+        T = np.asarray(T_map_base, np.float32)
         closer = evidence_from(T, frame, self.frame_config.polish_view)
         config = self.frame_config
         return jax.device_get(

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import SemanticMap
 
@@ -51,13 +50,14 @@ class RoadPatch:
         axes = np.array([[np.cos(heading_rad), np.sin(heading_rad)], [-np.sin(heading_rad), np.cos(heading_rad)]])
         height_m, slope = np.zeros(2 * steps + 1), np.zeros((*(2 * steps + 1), 2))
         own_slope = -T_map_base[:2, 2] / T_map_base[2, 2]
-        for node in np.ndindex(*height_m.shape):
-            away = (np.array(node) / steps - 1.0) * half_m @ axes
-            try:
-                T = semantic_map.road_pose(*(T_map_base[:2, 3] + away), heading_rad)
+        nodes = list(np.ndindex(*height_m.shape))
+        away = [(np.array(node) / steps - 1.0) * half_m @ axes for node in nodes]
+        poses = semantic_map.road_poses([T_map_base[:2, 3] + off for off in away], heading_rad)
+        for node, off, T in zip(nodes, away, poses, strict=True):
+            if T is None:
+                height_m[node], slope[node] = T_map_base[2, 3] + own_slope @ off, own_slope
+            else:
                 height_m[node], slope[node] = T[2, 3], -T[:2, 2] / T[2, 2]
-            except SemlocError:
-                height_m[node], slope[node] = T_map_base[2, 3] + own_slope @ away, own_slope
         center_xy = frame.from_map(T_map_base[:2, 3], np.float64)
         return cls(center_xy, axes, half_m / steps, height_m - frame.origin_map[2], slope)
 

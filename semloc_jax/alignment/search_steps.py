@@ -134,7 +134,7 @@ class SearchSteps:
         for first in range(0, len(Ts), BATCH):
             own = Ts[first : first + BATCH]
             seen = observe(
-                jnp.asarray(filled(own, BATCH), jnp.float32),
+                np.asarray(filled(own, BATCH), np.float32),
                 np.int32(len(own)),
                 samples,
                 self.frame.rig,

@@ -58,7 +58,8 @@ class ExplicitAligner(FrameAligner):
 
     def align_again(
         self,
-        rigs: Sequence[Rig],
+        rigs: tuple[Rig, ...],
+        asked: Sequence[int],
         frame: FrameFeatures,
         T_map_base: Float[np.ndarray, "4 4"],
         covariance: Float[np.ndarray, "6 6"],
@@ -68,7 +69,7 @@ class ExplicitAligner(FrameAligner):
     ) -> tuple[Float[np.ndarray, " rig"], Float[np.ndarray, "rig 4 4"]]:
         """Scores and poses of a frame with other calibrations; see `FrameAligner.align_again`."""
         parts = T_map_base, covariance, 0.0, trust, stance, grain
-        found = [self.align(frame._replace(rig=rig), *parts) for rig in rigs]
+        found = [self.align(frame._replace(rig=rigs[k]), *parts) for k in asked]
         return np.array([one.score for one in found]), np.stack([one.measurement.T_map_base for one in found])
 
 

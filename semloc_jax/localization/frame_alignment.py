@@ -34,6 +34,7 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.localization.map_window import MapWindow, MapWindows
 from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.maps import RoadSpread, SemanticMap
+from semloc_jax.runtime.same_object import once_for_each
 from semloc_jax.structs import SolveStatus
 
 _FREE = 1e3
@@ -103,12 +104,14 @@ class FrameAligner:
         base = TrackAlignConfig()
         self.step = replace(base, view=scene.view_of(base.view), align=scene.align_of(base.align))
         self.channel_of_label = jnp.asarray(channel_of_label)
+        # Kept here, not for the process: arrays of the device go with the tracker.
+        self._on_device, self._side_by_side = once_for_each(_on_device), once_for_each(_side_by_side)
         # A frame is solved several times from one place.
         self._road_at = lru_cache(maxsize=8)(self._road_at)
 
     def frame_input(self, frame: FrameFeatures, window: MapWindow) -> FrameInput:
         """The frame with the samples of a window."""
-        return FrameInput(window.samples, frame.rig, self.channel_of_label, *frame.image)
+        return FrameInput(window.samples, self._on_device(frame.rig), self.channel_of_label, *frame.image)
 
     def align(
         self,
@@ -144,7 +147,8 @@ class FrameAligner:
 
     def align_again(
         self,
-        rigs: Sequence[Rig],
+        rigs: tuple[Rig, ...],
+        asked: Sequence[int],
         frame: FrameFeatures,
         T_map_base: Float[np.ndarray, "4 4"],
         covariance: Float[np.ndarray, "6 6"],
@@ -152,18 +156,23 @@ class FrameAligner:
         stance: Float[np.ndarray, "3"],
         grain: Float[np.ndarray, ""],
     ) -> tuple[Float[np.ndarray, " rig"], Float[np.ndarray, "rig 4 4"]]:
-        """Scores [nats] and poses of a frame solved near a pose with some calibrations, at most `MOST_RIGS` of the same
-        camera models; other arguments as `align`.
+        """Scores [nats] and poses of a frame solved near a pose with other calibrations; further arguments as `align`.
+
+        Args:
+            rigs: At most `MOST_RIGS` of the same camera models. What a program needs of them is made once for each
+                tuple, by its identity.
+            asked: Which of them.
 
         Raises:
             SemlocError: the map has no road near the pose.
         """
-        ready, num = self._prepared(frame, T_map_base, covariance, trust, stance, grain), len(rigs)
-        sigma_along = np.sqrt(np.float32(covariance[0, 0]))
-        asked = np.arange(MOST_RIGS, dtype=np.int32), np.int32(num)
-        found = jax.device_get(align_with_rigs(*ready.solved, sigma_along, _side_by_side(rigs), *asked, self.step))
-        Ts = ready.local.to_map(found.Ts_map_base[:num])
-        return found.scores[:num].astype(np.float64), np.stack([rigid.normalised(T) for T in Ts])
+        ready = self._prepared(frame, T_map_base, covariance, trust, stance, grain)
+        first = np.zeros(MOST_RIGS, np.int32)
+        first[: len(asked)] = asked
+        known = np.sqrt(np.float32(covariance[0, 0])), self._side_by_side(rigs), first, np.int32(len(asked)), self.step
+        found = jax.device_get(align_with_rigs(*ready.solved, *known))
+        Ts = ready.local.to_map(found.Ts_map_base[list(asked)])
+        return found.scores[list(asked)].astype(np.float64), np.stack([rigid.normalised(T) for T in Ts])
 
     def costs_beside(
         self,
@@ -311,10 +320,15 @@ MOST_RIGS = 4
 """Calibrations that one call solves a frame with at most."""
 
 
-def _side_by_side(rigs: Sequence[Rig]) -> Rig:
+def _side_by_side(rigs: tuple[Rig, ...]) -> Rig:
     """Calibrations of the same camera models as one, with a leading axis on every leaf; filled with the first."""
     filled = [*rigs, *[rigs[0]] * (MOST_RIGS - len(rigs))]
-    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf, np.float32) for leaf in leaves]), *filled)
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves])), *filled)
+
+
+def _on_device(rig: Rig) -> Rig:
+    """The rig as arrays of the device: its many numbers are brought there once, not for every program."""
+    return jax.tree.map(jnp.asarray, rig)
 
 
 def _full_trust(rows: np.ndarray) -> np.ndarray:

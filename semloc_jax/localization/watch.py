@@ -7,7 +7,7 @@ one to the farther side of the other.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from jaxtyping import Float
@@ -53,6 +53,7 @@ _PLANE = [0, 1, 5]
 """Forward, left and heading in a tangent."""
 _ADVICE = "run semloc calibrate"
 _WITH_OTHER_SIGN = once_for_each(with_distortion)
+_ALONE = once_for_each(lambda rig: (rig,))
 _OWN_TILT_RAD = np.deg2rad(RoadSigmas().roll_pitch_deg)
 _GROUP_WORDS = dict(zip(GROUPS, ("lines", "posts", "lines to the left", "lines to the right"), strict=True))
 
@@ -84,7 +85,10 @@ def looked(
     if int(watch.num_frames) > 0 and way_m < config.step_m:
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
     T = view.found.measurement.T_map_base
-    again = partial(_again, view=view, frame=frame, aligner=aligner, known=known, config=config)
+    solved = partial(aligner.align_again, frame=frame, T_map_base=T, covariance=_LOOSE, trust=known[0])
+    solved = partial(solved, stance=known[1], grain=known[2])
+    own = cache(lambda: float(solved(_ALONE(frame.rig), [0])[0][0]))
+    again = partial(_again, solved=solved, own=own, T=T, score=view.found.score, config=config)
     try:
         profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
     except SemlocError:  # the pose was measured where the map has no road: such a frame says nothing of it
@@ -94,7 +98,7 @@ def looked(
     tried = [_tried(*one, frame.rig, again, config) for one in zip(names, sides, strict=True)]
     other = _WITH_OTHER_SIGN(frame.rig, -1.0) if RADIAL in names else None
     if other is not None:
-        gain, moved = again((other,))
+        gain, moved = again(_ALONE(other), [0])
         watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))
     watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
     return learned(watch, len(frame.rig.names), aside, tried, profiles, config)
@@ -104,37 +108,35 @@ def _tried(
     name: str,
     side: int | None,
     rig: Rig,
-    again: Callable[[Sequence[Rig]], tuple[np.ndarray, np.ndarray]],
+    again: Callable[[tuple[Rig, ...], Sequence[int]], tuple[np.ndarray, np.ndarray]],
     config: WatchConfig,
 ) -> Tried:
     """The frame solved `again` with one thing of the calibration changed, farther on one side where it is given."""
     rigs, asked = changed_rigs(rig, name, config), [0, 1] if side is None else [0, 1, side + 2]
     gain, moved = np.full(len(STEPS), np.nan), np.zeros((len(STEPS), 3))
-    gain[asked], moved[asked] = again([rigs[k] for k in asked])
+    gain[asked], moved[asked] = again(rigs, asked)
     return Tried(name, gain, moved)
 
 
 def _again(
-    rigs: Sequence[Rig],
-    view: FrameReport,
-    frame: FrameFeatures,
-    aligner: FrameAligner,
-    known: Known,
+    rigs: tuple[Rig, ...],
+    asked: Sequence[int],
+    solved: Callable[[tuple[Rig, ...], Sequence[int]], tuple[np.ndarray, np.ndarray]],
+    own: Callable[[], float],
+    T: Float[np.ndarray, "4 4"],
+    score: float,
     config: WatchConfig,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """By how much a frame fits better with each of the calibrations [nats], NaN where there is no road, and how far its
-    pose moves then: forward [m], left [m], heading [rad]."""
-    T = view.found.measurement.T_map_base
-    parts = frame, T, _LOOSE, *known
+    """By how much a frame fits better with each calibration that is asked for [nats], NaN where there is no road, and
+    how far its pose moves then: forward [m], left [m], heading [rad]; `own`: its score solved again with its own."""
     try:
-        scores, Ts = aligner.align_again(rigs, *parts)
-        gain = view.found.score - scores
+        scores, Ts = solved(rigs, asked)
+        gain = score - scores
         if gain.max() > config.least_gain_nats:
             # A frame that has not found its own best place yet gains by any second solve.
-            own, _ = aligner.align_again((frame.rig,), *parts)
-            gain -= max(view.found.score - own[0], 0.0)
+            gain -= max(score - own(), 0.0)
     except SemlocError:
-        return np.full(len(rigs), np.nan), np.zeros((len(rigs), 3))
+        return np.full(len(asked), np.nan), np.zeros((len(asked), 3))
     return gain, np.array([rigid.log(rigid.inverse(T) @ other)[_PLANE] for other in Ts])
 
 

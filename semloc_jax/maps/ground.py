@@ -149,6 +149,18 @@ class GroundModel:
         """
         return _on_plane(self.plane(np.array([x, y]), radius_m, near_z_m, yaw), yaw)
 
+    def road_poses(self, xy: Sequence[Place], yaw: float) -> list[np.ndarray | None]:
+        """Returns `road_pose` of vehicles at places with one heading, all in one go; None where there is no road."""
+        around: list[_Neighbours | None] = []
+        for place in xy:
+            try:
+                around.append(self._neighbours(np.asarray(place, np.float64)[:2], _RADIUS_M, None, yaw))
+            except SemlocError:
+                around.append(None)
+        found = [one for one in around if one is not None]
+        planes = iter(_fit_planes(found) if found else [])
+        return [None if one is None else _on_plane(next(planes), yaw) for one in around]
+
     def road_spread(self, x: float, y: float, yaw: float, near_z_m: float | None = None) -> RoadSpread:
         """Returns how far the surface under a vehicle at (x, y) with heading `yaw` differs from the road as a whole.
 

@@ -186,6 +186,10 @@ class SemanticMap:
         """
         return self.ground.road_pose(x, y, yaw, near_z_m=near_z_m)
 
+    def road_poses(self, xy: Sequence[Place], yaw: float) -> list[np.ndarray | None]:
+        """Returns `road_pose` at places `[n 2]` of one heading in one go; None where the map has no road."""
+        return self.ground.road_poses(xy, yaw)
+
     def road_spread(self, T_map_base: np.ndarray) -> RoadSpread:
         """Returns how far the road is from a plane around a vehicle; see `GroundModel.road_spread`."""
         x, y, z = (float(value) for value in T_map_base[:3, 3])

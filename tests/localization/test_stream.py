@@ -14,7 +14,7 @@ from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
-from semloc_jax.localization import elsewhere, phase
+from semloc_jax.localization import elsewhere, phase, rivals
 from semloc_jax.localization.drive import track_frames
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.initialization import no_fixes, with_fix
@@ -23,6 +23,7 @@ from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.localization.watch_sums import WatchConfig, changed_rigs, moves
 from semloc_jax.maps import read_map
+from semloc_jax.runtime.stored_program import StoredProgram
 from semloc_jax.simulation import with_fault
 from tests.contracts.test_pose_terms import ranges
 
@@ -100,6 +101,40 @@ def test_a_new_localizer_compiles_nothing_and_leaves_nothing_behind(pipeline):
         assert count[0] == 1  # it is heard
     finally:
         jax.monitoring.unregister_event_duration_listener(on_event)
+
+
+def test_a_frame_is_solved_once_and_with_each_kind_of_lens_once(pipeline, monkeypatch):
+    """One program for the frame, its search along the road included; one for all lenses of each of two kinds, one for
+    the other sign, one for its own lenses again."""
+    called, call = [], StoredProgram.__call__
+
+    def counted(program, *args, **kwargs):
+        called.append(program.__name__)
+        return call(program, *args, **kwargs)
+
+    monkeypatch.setattr(StoredProgram, "__call__", counted)
+    monkeypatch.setattr(rivals, "joined", lambda state, *_: state)  # other places have solves of their own
+    state, before_s, counts = pipeline.localizer.start(), -np.inf, []
+    for frame in pipeline.drive.frames:
+        features = pipeline.features(frame, before_s)
+        called.clear()
+        state, result = pipeline.localizer.step(state, features)
+        counts.append({name: called.count(name) for name in ("align_predicted", "align_with_rigs", "profile_beside")})
+        before_s = frame.time_s
+    assert result.accepted and int(state.watch.num_frames) == 2
+    assert counts[-1]["align_predicted"] == 1 and counts[-1]["profile_beside"] == 0
+    assert 2 <= counts[-1]["align_with_rigs"] <= 4
+
+
+def test_a_lens_among_others_is_solved_as_it_is_alone(pipeline):
+    localizer, features, T = _at_truth(pipeline)
+    rigs = changed_rigs(features.rig, "focal", WatchConfig())
+    known = features, T, 0.01 * np.eye(6), localizer.trust_in(localizer.start()), np.zeros(3), np.ones((), np.float32)
+    scores, Ts = localizer.aligner.align_again(rigs, [0, 1, 3], *known)
+    alone, T_alone = localizer.aligner.align_again((rigs[3],), [0], *known)
+    assert scores.shape == (3,) and np.ptp(scores) > 1.0
+    np.testing.assert_allclose(scores[2], alone[0], atol=1e-4)
+    np.testing.assert_allclose(Ts[2], T_alone[0], atol=1e-5)
 
 
 @pytest.mark.parametrize("sigma_m", [0.0, -1.0, np.nan])

@@ -94,6 +94,16 @@ def test_pose_and_spread_in_one_go_are_those_alone(x):
     np.testing.assert_allclose(spread, ground.road_spread(x, 1.0, 0.3), atol=1e-12)
 
 
+def test_poses_in_one_go_are_those_alone():
+    ground = GroundModel.from_elements([_lane(y, f"lane{y}", np.random.default_rng(1)) for y in (-3.5, 0.0, 3.5)])
+    places = [(0.0, 1.0), (38.0, -2.0), (500.0, 0.0), (20.0, 3.0)]
+    poses = ground.road_poses(places, 0.3)
+    assert poses[2] is None  # no road there
+    for (x, y), T in zip(places, poses, strict=True):
+        if T is not None:
+            np.testing.assert_allclose(T, ground.road_pose(x, y, 0.3), atol=1e-12)
+
+
 def test_a_road_is_in_doubt_where_the_map_ends():
     """A plane that goes on 30 m beyond its last paint was 1.2 m and 2.6 deg off a rendered road, at a sigma of 3 cm."""
     ground = GroundModel.from_elements([_lane(y, f"lane{y}") for y in (-3.5, 0.0, 3.5)])
