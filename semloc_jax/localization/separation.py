@@ -109,12 +109,15 @@ def with_faults(own: ProtectionLevels, far: Float[np.ndarray, "3"]) -> Protectio
     return ProtectionLevels(*(np.array(own) + far).tolist())
 
 
-def at_least(levels: ProtectionLevels, config: WatchConfig) -> ProtectionLevels:
-    """Levels that leave room for faults that are too small to be seen."""
+def at_least(
+    levels: ProtectionLevels, config: WatchConfig, move: Float[np.ndarray, "3"] = np.zeros(3)
+) -> ProtectionLevels:
+    """Levels that leave room for faults that are too small to be seen; such a one and that for which a pose was moved
+    are independent. `move` as `least_move`."""
     lateral_m, longitudinal_m, heading_deg = config.least_levels
     return ProtectionLevels(
-        max(levels.lateral_m, lateral_m),
-        max(levels.longitudinal_m, longitudinal_m),
+        max(levels.lateral_m, float(np.hypot(lateral_m, move[0]))),
+        max(levels.longitudinal_m, float(np.hypot(longitudinal_m, move[1]))),
         float(np.hypot(levels.heading_deg, heading_deg)),
     )
 
