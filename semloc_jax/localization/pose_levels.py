@@ -20,13 +20,12 @@ from semloc_jax.localization.integrity import (
     misleading,
     protection_levels,
 )
-from semloc_jax.localization.separation import Separation
+from semloc_jax.localization.separation import STAY, Separation
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import TrackerState
 
 _AS_LEVELS = [1, 0, 2]
 """Lateral, longitudinal, heading among the directions of `noise_scale`."""
-STAY = np.zeros(3)
 
 
 class PoseLevels(NamedTuple):
