@@ -44,11 +44,12 @@ class FollowConfig:
     penalty_memory: float = 0.9
     refused_nats: float = 5.0
     """Cost of a frame that contradicts the track."""
-    regained: float = 0.25
-    """Contradictions that one agreeing frame cancels: after many of them a track needs several frames to recover."""
-    most_left: float = 1.5
-    """Contradictions that the first agreeing frame leaves at most: a track that four frames in a row agree with is as
-    good as a new one, which is confirmed by as many."""
+    regained: float = 0.5
+    """Contradictions that one agreeing frame cancels."""
+    most_left: float = 1.0
+    """Contradictions that count once a frame agrees again: a pose that had drifted, or stands elsewhere, no frame would
+    find again within its gate, so what contradicted was the frame. Frames that agree by chance are told by how they
+    fit the motion, see `innovations`."""
     stance_gain: float = 0.1
     """Weight of a new frame in the mean stance of the vehicle on the road."""
     grain_gain: float = 0.1

@@ -21,8 +21,8 @@ _PROBABILITY_ALONE = 0.99
 """The same of one direction: a late clock shows along the way only, and the other five directions dilute it."""
 _SIDE_FRAMES = 10.0
 """Memory of the sum to one side: a clock that is late makes a pose lag by less than its sigma in each frame."""
-_SIDE_SIGMAS = 3.29
-"""What one sum in a thousand exceeds where covariances are exact. Sound drives: 2.0 at most."""
+_SIDE_SIGMAS = 2.58
+"""What one sum in a hundred exceeds where covariances are exact, as for squares. Sound drives: 2.2 at most."""
 _SIDE_LEAST_FRAMES = 3.0
 """A sum of fewer independent frames is that of one outlier."""
 _SIDE_MOST = 4.0

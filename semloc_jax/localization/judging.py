@@ -16,6 +16,7 @@ from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.localization import health, phase, pose_levels
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.integrity import ProtectionLevels, beyond_alert
+from semloc_jax.localization.separation import STAY
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import TrackerState, TrackStatus
 
@@ -30,7 +31,7 @@ class FrameVerdict(NamedTuple):
     protection: ProtectionLevels
     held: tuple[str, ...] = ()
     misleading: float = 1.0
-    move: Float[np.ndarray, "3"] = pose_levels.STAY
+    move: Float[np.ndarray, "3"] = STAY
     """How far the pose that goes out is moved, see `PoseLevels`."""
 
 

@@ -20,13 +20,12 @@ from semloc_jax.localization.integrity import (
     misleading,
     protection_levels,
 )
-from semloc_jax.localization.separation import Separation
+from semloc_jax.localization.separation import STAY, Separation
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import TrackerState
 
 _AS_LEVELS = [1, 0, 2]
 """Lateral, longitudinal, heading among the directions of `noise_scale`."""
-STAY = np.zeros(3)
 
 
 class PoseLevels(NamedTuple):
@@ -113,7 +112,7 @@ def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
     misled = misleading(*known.errors, far, limit)
     if known.way is None:
         return PoseLevels(separation.at_least(own, config.watch), (), misled)
-    protection = separation.at_least(separation.with_faults(own, far), config.watch)
+    protection = separation.at_least(separation.with_faults(own, far), config.watch, move)
     # Cameras that look aside: the pose with the heading of its course may be the right one instead.
     way, aside_rad = known.way
     turned_rad, free = float(np.deg2rad(move[2])), float(known.errors[1][2])

@@ -16,6 +16,8 @@ from semloc_jax.evaluation.metrics import ErrorLimit
 from semloc_jax.localization.integrity import ProtectionLevels
 from semloc_jax.localization.watch_sums import WatchConfig
 
+STAY = np.zeros(3)
+"""The move of a pose that stays where it is."""
 _UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
 
 
@@ -109,12 +111,13 @@ def with_faults(own: ProtectionLevels, far: Float[np.ndarray, "3"]) -> Protectio
     return ProtectionLevels(*(np.array(own) + far).tolist())
 
 
-def at_least(levels: ProtectionLevels, config: WatchConfig) -> ProtectionLevels:
-    """Levels that leave room for faults that are too small to be seen."""
+def at_least(levels: ProtectionLevels, config: WatchConfig, move: Float[np.ndarray, "3"] = STAY) -> ProtectionLevels:
+    """Levels that leave room for faults that are too small to be seen; such a one and that for which a pose was moved
+    are independent. `move` as `least_move`."""
     lateral_m, longitudinal_m, heading_deg = config.least_levels
     return ProtectionLevels(
-        max(levels.lateral_m, lateral_m),
-        max(levels.longitudinal_m, longitudinal_m),
+        max(levels.lateral_m, float(np.hypot(lateral_m, move[0]))),
+        max(levels.longitudinal_m, float(np.hypot(longitudinal_m, move[1]))),
         float(np.hypot(levels.heading_deg, heading_deg)),
     )
 
