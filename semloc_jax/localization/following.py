@@ -9,19 +9,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, SupportsInt
 
 import numpy as np
-from scipy.special import chdtri
 
 from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.clock import CameraTimeLog
-from semloc_jax.fusion.measurements import (
-    FusedPose,
-    Fusion,
-    GnssMeasurement,
-    Innovation,
-    PoseMeasurement,
-    normalised_square,
-)
+from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.fusion.noise_scale import BELIEFS, NoiseScale, of_a_series, of_one_pose
 from semloc_jax.fusion.prediction import MotionIncrement, MotionQuality
 from semloc_jax.geometry import rigid
@@ -31,8 +23,6 @@ from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.track_state import FrameFeatures, Track, TrackerState
 
 _OUTSIDE = "outside of the map"
-_SAME_POSE = float(chdtri(6, 0.001))
-"""Squared distance up to which two solves of one frame found the same pose: one pair in a thousand is farther apart."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +34,8 @@ class FollowConfig:
     penalty_memory: float = 0.9
     refused_nats: float = 5.0
     """Cost of a frame that contradicts the track."""
-    regained: float = 0.5
-    """Contradictions that one agreeing frame cancels."""
-    most_left: float = 1.0
-    """Contradictions that count once a frame agrees again: a pose that had drifted, or stands elsewhere, no frame would
-    find again within its gate, so what contradicted was the frame. Frames that agree by chance are told by how they
-    fit the motion, see `innovations`."""
+    regained: float = 0.25
+    """Contradictions that one agreeing frame cancels: after many of them a track needs several frames to recover."""
     stance_gain: float = 0.1
     """Weight of a new frame in the mean stance of the vehicle on the road."""
     grain_gain: float = 0.1
@@ -101,38 +87,6 @@ def regained(fusion: Fusion, coasting: Any, measurement: PoseMeasurement, penalt
     state, innovation = fusion.correct(coasting, measurement)
     track = new_track(fusion, measurement, penalty)
     return track._replace(fusion=state) if innovation.accepted else track
-
-
-def solved_again(
-    measurement: PoseMeasurement,
-    fusion: Fusion,
-    aligner: FrameAligner,
-    frame: FrameFeatures,
-    known: tuple[Callable[[np.ndarray], np.ndarray], np.ndarray, np.ndarray],
-    noise: NoiseScale,
-    config: HealthConfig,
-) -> PoseMeasurement:
-    """A first pose as a tracked frame measures it from there, where the two agree: a search may have ended beside its
-    minimum, and what a second solve confirms is as sure as any pose later.
-
-    Args:
-        measurement: By the search, with what it leaves open.
-        fusion: What tracks are made of.
-        aligner: The map.
-        frame: The frame.
-        known: Trust in map elements, stance of the vehicle, grain of the masks; see `FrameAligner.align`.
-        noise: What is known of errors of measured poses.
-        config: When a frame shows nothing.
-    """
-    view = seen(new_track(fusion, measurement, 0.0), fusion, aligner, frame, *known, config)
-    if view.found is None or view.is_occluded or view.reasons:
-        return measurement
-    found = view.found.measurement
-    off = rigid.log(rigid.inverse(measurement.T_map_base) @ found.T_map_base)
-    if normalised_square(off, measurement.covariance) > _SAME_POSE:
-        return measurement
-    alone = of_one_pose(found.covariance, noise, BELIEFS)
-    return found._replace(covariance=of_a_series(alone, BELIEFS.correlation_m, noise, BELIEFS))
 
 
 def rehearse(fusion: Fusion, num_frames: int = 16) -> None:
@@ -272,7 +226,7 @@ def corrected(
     return track._replace(
         fusion=state,
         num_accepted=track.num_accepted + 1,
-        num_refused=np.maximum(np.minimum(track.num_refused, config.most_left) - config.regained, 0.0),
+        num_refused=np.maximum(track.num_refused - config.regained, 0.0),
         along_sigma_m=sigma_along,
     ), view
 

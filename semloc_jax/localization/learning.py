@@ -3,8 +3,6 @@
 In: TrackerState after the frame, the motion since the last pose. Out: the state that has learned it.
 """
 
-import numpy as np
-
 from semloc_jax.fusion import clock, noise_scale
 from semloc_jax.fusion.clock import CameraTimeLog
 from semloc_jax.fusion.measurements import FusedPose
@@ -28,12 +26,7 @@ def with_learned(
     now_s, before_s = float(state.time_s), before.time_s
     slope = motion.slope(before_s, now_s, moving=before.moving)
     offset = clock.learned(state.clock, slope, view.difference, view.covariance, now_s - before_s, clock.BELIEFS)
-    taken_s, noise = noise_scale.last_taken_s(state.noise), state.noise
-    if taken_s < before_s and before.moving is not None:  # how it moved at that time is not kept: a new path begins
-        noise = noise_scale.without_poses(noise)
-    # Poses are compared over the way between them, which frames that were refused do not shorten.
-    begin_s = taken_s if np.isfinite(taken_s) and before.moving is None else before_s
-    step = motion.increment(begin_s, now_s, fused.calibration, before.moving)
-    way_m = max(way_m, float(np.linalg.norm(step.T_from_to[:3, 3])))
-    noise = noise_scale.learned(noise, view.found.measurement, fused, step, way_m, noise_scale.BELIEFS)
+    taken_s = max(noise_scale.last_taken_s(state.noise), before_s)
+    step = motion.increment(taken_s, now_s, fused.calibration, before.moving)
+    noise = noise_scale.learned(state.noise, view.found.measurement, fused, step, way_m, noise_scale.BELIEFS)
     return state._replace(noise=noise, clock=offset)

@@ -35,7 +35,6 @@ from semloc_jax.localization.following import (
     new_track,
     regained,
     seen,
-    solved_again,
     stance_after,
     way_since,
     weighed,
@@ -326,9 +325,7 @@ class Localizer:
         if not modes:
             return state
         forgotten = noise_scale.without_poses(state.noise)
-        known = (self.trust_in(state), state.stance, np.asarray(state.grain))
-        parts = (self.fusion, self.aligner, frame, known, forgotten, self.config.health)
-        measured = [solved_again(self.acquisition.measurement(mode, frame.time_s), *parts) for mode in modes]
+        measured = [self.acquisition.measurement(mode, frame.time_s) for mode in modes]
         penalties = [mode.score - modes[0].score for mode in modes]
         begun = partial(new_track, self.fusion)
         # What satellites contradict is no dead reckoning to go on with.

@@ -43,7 +43,6 @@ from semloc_jax.localization.watch_sums import (
     mount_tilt_rad,
     moves,
     suspicions,
-    unit_of,
 )
 from semloc_jax.runtime.same_object import once_for_each
 
@@ -177,31 +176,8 @@ def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separa
         how = f"the other one fits {speaks:.0f} nats better" if speaks >= 1.0 else "the drive has not told yet"
         cause = f"the distortion of {_whose(rig)} may have the wrong sign: {how}"
         found.append(separated(moved, f"{cause}; {_ADVICE}"))
-    told = {one.name for one in suspicions(watch, len(rig.names), config) if one.nats >= config.count_nats}
-    for lens in untold(watch, config):
-        if lens.name not in told:
-            cause = f"masks may fit as well with {_lens(lens, rig)}: the drive has not told yet; {_ADVICE}"
-            found.append(separated(lens.moved, cause))
     tilted = _tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), height_m, rig)
     return [*found, *tilted]
-
-
-def untold(watch: WatchState, config: WatchConfig) -> list[Suspicion]:
-    """Every other lens, a step longer or shorter, wider or narrower, that the drive does not speak against yet.
-
-    A lens that is off moves the pose along the road in every frame by the same: before it is told, no level of a pose
-    knows of it. One vehicle in two hundred has such a lens, so what speaks against it must make up for the rest of the
-    risk.
-    """
-    found, num_steps = [], len(STEPS)
-    for k, name in enumerate((FOCAL, RADIAL)):
-        for row in (num_steps * k, num_steps * k + 1) if len(watch.num) else ():
-            if watch.num[row] < 0.5 or config.share * watch.gain[row] < -config.count_nats:
-                continue
-            moved = watch.moved.reshape(-1, 3)[row] / watch.num[row]
-            size = float(STEPS[row - num_steps * k]) * unit_of(name, config)
-            found.append(Suspicion(name, size, config.share * float(watch.gain[row]), moved))
-    return found
 
 
 def aside_cause(course: Course, aside_rad: float, level_deg: float, rig: Rig) -> str:

@@ -240,19 +240,6 @@ def test_every_suspicion_has_a_sentence():
     assert "fit 0.50 m to the left" in watch._told(Suspicion("posts_left", 0.5, 9.0, np.zeros(3)), rig(1))
 
 
-@pytest.mark.parametrize(("gain", "is_open"), [(-2.0, True), (-9.0, False), (0.0, True)])
-def test_levels_reach_to_the_pose_of_another_lens_until_the_drive_speaks_against_it(gain, is_open):
-    """A lens 2.5 % longer: 0.4 m behind. Nine nats, of which 0.3 are new, are more than 2.5."""
-    state = WatchState()
-    gains = {"focal": np.array([gain, -40.0, np.nan, np.nan]), "radial": np.array([-40.0, -40.0, np.nan, np.nan])}
-    moved = np.outer(STEPS, [-0.4, 0.0, 0.0])
-    tried = [Tried(name, gains[name], moved) for name in asked_now(state, 1, CONFIG)]
-    state = learned(state, 1, 0.0, tried, flat(), CONFIG)
-    found = [one for one in watch.separations(state, rig(1), CONFIG) if "not told" in one.cause]
-    assert [(one.longitudinal_m, one.side[1]) for one in found] == [(pytest.approx(0.4), -1.0)] * is_open
-    assert all("focal lengths of camera camera0 that are +2.5 % different" in one.cause for one in found)
-
-
 def bent_rig() -> Rig:
     straight = rig(1)
     return Rig([BrownConradyCamera(500.0, 510.0, 320.0, 200.0, 640, 400, -0.3, 0.1)], straight.T_base_cam, ["front"])
