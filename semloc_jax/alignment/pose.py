@@ -303,7 +303,7 @@ def align_one(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, con
     return assessed(end, assess(end.T_map_base, end.level, evidence, prior, config))
 
 
-class Descent(NamedTuple):
+class SolveEnd(NamedTuple):
     """Where a solve ended, before anything is said of how good that is."""
 
     T_map_base: Float[Array, "4 4"]
@@ -315,7 +315,7 @@ class Descent(NamedTuple):
     """Whether every pose on the way was finite; the pose is that of the start otherwise."""
 
 
-def descended(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: AlignConfig) -> Descent:
+def descended(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: AlignConfig) -> SolveEnd:
     """The end of one solve; arguments as `align_one`. Of many ends, few are worth the covariance."""
     levels = jnp.asarray(config.levels)
     Ts, num_steps, converged = refine(T_init, evidence, prior, config)
@@ -323,10 +323,10 @@ def descended(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, con
     Ts = jnp.where(sane, Ts, _first_finite(T_init, prior.T_map_base))
     held = jax.vmap(lambda T, level: fit_at(T, level, evidence, config).inlier_ratio)(Ts, levels)
     last = finest_held(held, config.min_inlier_ratio)
-    return Descent(Ts[last], levels[last], jnp.sum(num_steps), converged[last], sane)
+    return SolveEnd(Ts[last], levels[last], jnp.sum(num_steps), converged[last], sane)
 
 
-def assessed(end: Descent, estimate: PoseEstimate) -> PoseEstimate:
+def assessed(end: SolveEnd, estimate: PoseEstimate) -> PoseEstimate:
     """The estimate at the end of a solve with how it got there."""
     stopped = (estimate.status == SolveStatus.CONVERGED) & ~end.converged
     status = jnp.where(stopped, SolveStatus.MAX_STEPS, estimate.status)

@@ -21,9 +21,9 @@ from semloc_jax.alignment.longitudinal import LongitudinalConfig
 from semloc_jax.alignment.pieces import nats_at
 from semloc_jax.alignment.pose import (
     AlignConfig,
-    Descent,
     Evidence,
     Prior,
+    SolveEnd,
     assess,
     assessed,
     descended,
@@ -209,7 +209,7 @@ def _aligned(
 
     level = telling(frame.textures.ramp_px, config.align.noise.noise_px * frame.grain, config.rank_level)
 
-    def one(T_start: Array) -> tuple[Descent, Array]:
+    def one(T_start: Array) -> tuple[SolveEnd, Array]:
         end = descended(T_start, evidence, prior, config.align)
         return end, score(end.T_map_base, level, evidence, prior, config.align)
 

@@ -8,7 +8,7 @@ from semloc_jax.errors import SemlocError
 VERBS = {
     "localize": ("results.jsonl", "semloc_jax.reports.run_inputs.begun"),
     "track": ("state.npz", "semloc_jax.reports.run_inputs.begun"),
-    "map": ("parts/old.npz", "semloc_jax.reports.mapping.begun"),
+    "map": ("parts/old.npz", "semloc_jax.reports.map_request.begun"),
 }
 
 
