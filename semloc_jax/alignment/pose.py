@@ -26,7 +26,7 @@ from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.scoring import ramp_values, visible_weight
 from semloc_jax.residuals.texture import RampTextures
 from semloc_jax.solvers.front import solve
-from semloc_jax.solvers.levenberg_marquardt import SolveConfig
+from semloc_jax.solvers.levenberg_marquardt import LEAST_DAMPING, LEAST_FALL, MOST_DAMPING, SolveConfig
 from semloc_jax.structs import PoseEstimate, SolveStatus
 
 
@@ -182,7 +182,8 @@ def _refined_in_one_call(
     """`refine` without a loop of XLA, whose every small operation costs as much as an evaluation."""
     rule = solve_config(config).damping
     numbers = (1 / evidence.usable.stride, config.border_px, config.tolerance)
-    numbers = jnp.asarray((*numbers, rule.first, rule.good_fall, rule.ease, rule.press), jnp.float32)
+    numbers = (*numbers, rule.first, rule.good_fall, rule.ease, rule.press, LEAST_FALL, LEAST_DAMPING, MOST_DAMPING)
+    numbers = jnp.asarray(numbers, jnp.float32)
     gain = jax.vmap(lambda ramp_px: config.noise.gain(ramp_px, evidence.grain))(evidence.textures.ramp_px)
     held = prior.T_map_base, prior.sigma, levels, gain, numbers
     seen = evidence.views[0], evidence.usable, evidence.textures, config.max_steps

@@ -304,7 +304,7 @@ def refine(
     sigma: Float[Array, "6"],
     levels: Int[Array, " level"],
     gain: Float[Array, " all"],
-    numbers: Float[Array, "7"],
+    numbers: Float[Array, "10"],
     view: CameraViews,
     usable: Usable,
     textures: RampTextures,

@@ -17,9 +17,10 @@ from jaxtyping import Array, Bool, Float, Int
 from semloc_jax.solvers.problem import LeastSquaresProblem, Solution, Step
 from semloc_jax.structs import SolveStatus
 
-_LEAST_FALL = 0.01
+LEAST_FALL = 0.01
 """A step is accepted when the cost falls by this share of the promise (Nocedal, Wright, Numerical Optimization, 4)."""
-_LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e12
+LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e12
+"""Bounds of the damping; so far any problem is solved or given up."""
 _FREE_DAMPING = 0.1
 """Below this damping a step is as long as the model wants it."""
 
@@ -91,7 +92,7 @@ def judged(state: Iterate, equations: Any, config: SolveConfig) -> Iterate:
     """The state with the candidate accepted or refused, given its normal equations, and the next damping."""
     rule, is_first = config.damping, state.num_steps == 0
     change = equations.cost - state.equations.cost
-    accept = is_first | (change <= _LEAST_FALL * state.change)
+    accept = is_first | (change <= LEAST_FALL * state.change)
     is_good = accept & ~is_first & (change < rule.good_fall * state.change)
     factor = jnp.where(accept, jnp.where(is_good, rule.ease, 1.0), rule.press)
     is_small = state.length < config.tolerance
@@ -106,7 +107,7 @@ def judged(state: Iterate, equations: Any, config: SolveConfig) -> Iterate:
         candidate=value,
         change=state.change,
         length=state.length,
-        damping=jnp.clip(state.damping * factor, _LEAST_DAMPING, _MOST_DAMPING).astype(state.damping.dtype),
+        damping=jnp.clip(state.damping * factor, LEAST_DAMPING, MOST_DAMPING).astype(state.damping.dtype),
         num_steps=state.num_steps + 1,
         num_accepted=state.num_accepted + accept,
         status=status,

@@ -1,5 +1,7 @@
 // XLA custom calls of one camera model, SEMLOC_CAMERA. Every operand may be batched by jax.vmap; see
 // semloc_jax/residuals/native_kernels.py for them.
+#include <cstring>
+
 #include "operands.h"
 #include "refine.h"
 #include "view.h"
@@ -172,8 +174,9 @@ Problem Refine(const Call& call) {
   int32_t *num_steps = call.result_data<int32_t>(1), *converged = call.result_data<int32_t>(2);
   constexpr int64_t kUsualSteps = 4;
   for_each_item(call, batch.size, num_cameras * num_points * num_levels * kUsualSteps, [&](int64_t item) {
-    const float* number = numbers.at(batch, item);
-    const SolveNumbers config{number[0], number[1], number[2], number[3], number[4], number[5], number[6]};
+    SolveNumbers config;
+    static_assert(sizeof(config) == 10 * sizeof(float), "the numbers of native_kernels.refine, in their order");
+    std::memcpy(&config, numbers.at(batch, item), sizeof(config));
     const Points all = points.at(batch, item);
     const float* p = points.p_map.at(batch, item);
     std::vector<OneCamera<Camera>> cameras;

@@ -11,10 +11,8 @@ namespace semloc {
 
 // The numbers of a solve, in this order.
 struct SolveNumbers {
-  float usable_scale, margin_px, tolerance, first_damping, good_fall, ease, press;
+  float usable_scale, margin_px, tolerance, first_damping, good_fall, ease, press, least_fall, least_damping, most_damping;
 };
-
-constexpr float kLeastFall = 0.01f, kLeastDamping = 1e-12f, kMostDamping = 1e12f;
 
 // Memory that begins where those of XLA do: loops round alike wherever a row lies, and a solve is always the same.
 template <typename T>
@@ -175,13 +173,13 @@ Ended solve_level(std::vector<OneCamera<Camera>>& cameras, const std::vector<Tex
     linearise(cameras, textures, T, sigma, candidate, offset, gain, model);
     const bool is_first = ended.num_steps++ == 0;
     const float fall = model.cost - best.cost;
-    const bool accept = is_first || fall <= kLeastFall * change;
+    const bool accept = is_first || fall <= config.least_fall * change;
     const bool is_good = accept && !is_first && fall < config.good_fall * change;
     if (accept) std::copy_n(candidate, 6, value), best = model;
     for (float v : value) is_finite = is_finite && std::isfinite(v);
     ended.converged = is_finite && !is_first && length < config.tolerance;
-    damping = clamp(damping * (accept ? (is_good ? config.ease : 1.0f) : config.press), kMostDamping);
-    damping = greatest(damping, kLeastDamping);
+    damping = clamp(damping * (accept ? (is_good ? config.ease : 1.0f) : config.press), config.most_damping);
+    damping = greatest(damping, config.least_damping);
     float step[6];
     damped_step(best.hessian, best.gradient, damping, step);
     change = length = 0;
