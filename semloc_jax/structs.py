@@ -42,6 +42,24 @@ STANDING_CLASSES = frozenset(
 """What stands on the ground: new paint does not move it."""
 
 
+class InertialNoise(eqx.Module):
+    """Noise of an inertial sensor, as Kalibr and OpenVINS state it; the defaults are ours, of a production car."""
+
+    gyro_density: float = 3e-4
+    """White noise [rad/s per root of Hz]."""
+    accel_density: float = 6e-3
+    """White noise [m/s^2 per root of Hz]."""
+    gyro_walk: float = 3e-4
+    """Change of the bias [rad/s per root of s]."""
+    accel_walk: float = 2e-3
+    """Change of the bias [m/s^2 per root of s]."""
+
+    @property
+    def bias_walk(self) -> tuple[float, ...]:
+        """Change of the six biases, gyroscope first [per root of s]."""
+        return (self.gyro_walk,) * 3 + (self.accel_walk,) * 3
+
+
 class SampleKind(enum.IntEnum):
     """How the visible contour of a sample depends on where it is seen from."""
 

@@ -12,7 +12,7 @@ from semloc_jax.calibration.turns_of_cameras import CameraTurns
 from semloc_jax.cameras.plausibility import Finding
 from semloc_jax.datasets import Imu
 from semloc_jax.datasets.imu_check import wrong_forces
-from semloc_jax.datasets.imu_noise import ImuNoise
+from semloc_jax.structs import InertialNoise
 
 LEAST_TURNS, _LEAST_SAMPLES = 20, 50
 _LATEST_S, _STEP_S = 0.12, 0.004
@@ -61,7 +61,7 @@ def implausible_inertial(imu: Imu, turns: CameraTurns | None) -> list[Finding]:
     return [Finding("imu", "inertial", text) for text in texts]
 
 
-def implausible_noise(imu: Imu, stated: ImuNoise) -> list[Finding]:
+def implausible_noise(imu: Imu, stated: InertialNoise) -> list[Finding]:
     """What looks wrong in the stated white noise of a sensor: a density that its own log contradicts."""
     if len(imu.time_s) < _LEAST_SAMPLES:
         return []

@@ -33,7 +33,8 @@ class Options:
     """Calibration file, where the drive has none of its own or another one is to be used; of Kalibr's camchain-imucam
     the shift of the clocks is used too."""
     imu: Path | None = None
-    """imu.yaml of Kalibr: noise of the inertial sensor; default: that of a production car."""
+    """imu.yaml of Kalibr: noise of the inertial sensor; default: imu.yaml beside the calibration or in the drive, else
+    that of a production car."""
     motion: Literal["auto", "vio", "wheels", "both"] = "auto"
     """vio: cameras and inertial sensor; both: wheel speeds as well; wheels: wheels and gyroscope, no images; auto: what
     the drive has of these."""
@@ -68,16 +69,14 @@ def run(options: Options) -> int:
     from semloc_jax.datasets import open_drive
     from semloc_jax.datasets.imu_noise import read_imu_noise
     from semloc_jax.inputs.choices import parse_names
-    from semloc_jax.inputs.inertial_calibration import in_camera_time
     from semloc_jax.inputs.mask_source import mask_source
     from semloc_jax.localization.motion_source import resolved_without_map
     from semloc_jax.reports.odometry import report_odometry
 
     log_to_console()
-    drive = in_camera_time(open_drive(options.drive, options.calib), options.calib)
-    settings = options.settings
-    if options.imu is not None:
-        settings = dataclasses.replace(settings, window=settings.window.with_noise(read_imu_noise(options.imu)))
+    drive = open_drive(options.drive, options.calib)
+    if options.imu is not None and drive.imu is not None:
+        drive = dataclasses.replace(drive, imu=dataclasses.replace(drive.imu, noise=read_imu_noise(options.imu)))
     with_images = [name for name in drive.rig.names if drive.frames and drive.frames[0].has("rgb", name)]
     cameras = parse_names(options.cameras) or with_images or list(drive.rig.names)
     whole = [source for source in drive.mask_sources if all(drive.frames[0].has(source, camera) for camera in cameras)]
@@ -88,7 +87,7 @@ def run(options: Options) -> int:
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(Options)}
     kept = {key: value for key, value in given.items() if key not in NOT_KEPT and value is not None}
     kept |= {"masks": name, "cameras": ",".join(cameras), "motion": motion}
-    report = report_odometry(drive, motion, cameras, masks, settings, options.out, kept)
+    report = report_odometry(drive, motion, cameras, masks, options.settings, options.out, kept)
     print(report.text)
     print(f"results: {report.folder}")
     return OK

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from semloc_jax.datasets.base import Drive
 from semloc_jax.datasets.entry import checked
 from semloc_jax.datasets.folder import has_pictures, read_folder
+from semloc_jax.datasets.inertial_calibration import with_inertial_calibration
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import reading
 
@@ -75,14 +76,15 @@ def open_drive(path: str | Path, calibration: str | Path | None = None) -> Drive
                     f"data set {path}: {kind.name} brings its own calibration; leave --calib {calibration} out"
                 )
             with reading(f"{kind.name} {path}"):
-                return checked(kind.read(path) if calibration is None else kind.read(path, calibration))
+                drive = kind.read(path) if calibration is None else kind.read(path, calibration)
+                return checked(with_inertial_calibration(drive, calibration))
     if not path.is_dir():
         raise SemlocError(
             f"data set {path}: unknown type '{path.suffix}'; expected .bag, .db3, .mcap, .mp4, "
             ".avi, .mkv, .mov or a folder"
         )
     with reading(f"folder {path}"):
-        return checked(read_folder(path, calibration))
+        return checked(with_inertial_calibration(read_folder(path, calibration), calibration))
 
 
 def is_recording(path: Path) -> bool:

@@ -17,11 +17,13 @@ from semloc_jax.cameras.io.fields import load_yaml, numbers, perspective, requir
 from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import maps_beside
 from semloc_jax.datasets.clock import seconds
+from semloc_jax.datasets.imu_noise import imu_noise_in
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step
 from semloc_jax.datasets.sensors import Imu
 from semloc_jax.datasets.tables import read_cells
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
+from semloc_jax.structs import InertialNoise
 
 _TRUTH = ("state_groundtruth_estimate0", "mocap0", "vicon0", "leica0", "groundtruth")
 
@@ -94,8 +96,12 @@ def _body(content: Mapping[str, Any], where: str) -> np.ndarray:
 
 def _imu(folder: Path) -> Imu:
     table = _table(folder / "data.csv", 7)
-    T = _body(*_sensor(folder)) if (folder / "sensor.yaml").is_file() else np.eye(4)
-    return Imu(table[0], table[1][:, :3] @ T[:3, :3].T, table[1][:, 3:6] @ T[:3, :3].T)
+    if not (folder / "sensor.yaml").is_file():
+        return Imu(table[0], table[1][:, :3], table[1][:, 3:6])
+    content, where = _sensor(folder)
+    R = _body(content, where)[:3, :3]
+    noise = imu_noise_in(content, where) if "gyroscope_noise_density" in content else InertialNoise()
+    return Imu(table[0], table[1][:, :3] @ R.T, table[1][:, 3:6] @ R.T, noise)
 
 
 def _truth(path: Path) -> Trajectory:

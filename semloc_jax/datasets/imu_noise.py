@@ -1,55 +1,50 @@
 """What Kalibr's files say of an inertial sensor: imu.yaml and the clock in camchain-imucam.yaml (room: datasets; host).
 
-In: the files. Out: ImuNoise, the shift between the clocks.
+In: the files. Out: InertialNoise, the shift between the clocks.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from semloc_jax.cameras.io.fields import load_yaml, numbers, required
 from semloc_jax.errors import SemlocError
+from semloc_jax.structs import InertialNoise
 
+IMU_NOISE = "imu.yaml"
+"""Kalibr's name for the noise of an inertial sensor."""
 _LARGEST_SHIFT_S = 1.0
+_KEYS = (
+    "gyroscope_noise_density", "accelerometer_noise_density", "gyroscope_random_walk", "accelerometer_random_walk"
+)  # fmt: skip
+"""In the order of `InertialNoise`."""
 
 
-@dataclass(frozen=True)
-class ImuNoise:
-    """Noise of an inertial sensor, as Kalibr and OpenVINS state it.
-
-    Args:
-        gyro_density: white noise [rad/s per root of Hz].
-        accel_density: white noise [m/s^2 per root of Hz].
-        gyro_walk: change of the bias [rad/s per root of s].
-        accel_walk: change of the bias [m/s^2 per root of s].
-    """
-
-    gyro_density: float
-    accel_density: float
-    gyro_walk: float
-    accel_walk: float
-
-
-def read_imu_noise(path: str | Path) -> ImuNoise:
-    """The noise that an imu.yaml states, its keys at the top or under imu0.
+def read_imu_noise(path: str | Path) -> InertialNoise:
+    """The noise that an imu.yaml or the sensor.yaml of EuRoC states, its keys at the top or under imu0.
 
     Raises:
         SemlocError: a value is missing or is not positive.
     """
-    content: Mapping[str, Any] = load_yaml(Path(path))
-    where = f"imu noise {path}"
+    return imu_noise_in(load_yaml(Path(path)), f"imu noise {path}")
+
+
+def imu_noise_in(content: Mapping[str, Any], where: str) -> InertialNoise:
+    """The same of what the file holds; `where` names it in errors.
+
+    Raises:
+        SemlocError: a value is missing or is not positive.
+    """
     inner = content.get("imu0", content)
     if not isinstance(inner, Mapping):
         raise SemlocError(f"{where}: given {repr(inner)[:80]}; expected gyroscope_noise_density and the like")
-    keys = ("gyroscope_noise_density", "accelerometer_noise_density", "gyroscope_random_walk")
     values = []
-    for key in (*keys, "accelerometer_random_walk"):
+    for key in _KEYS:
         value = float(numbers(required(inner, key, where), (1,), f"{where} {key}")[0])
         if not value > 0.0:
             raise SemlocError(f"{where}: {key} = {value:g}; expected a positive density")
         values.append(value)
-    return ImuNoise(*values)
+    return InertialNoise(*values)
 
 
 def clock_shift_s(path: str | Path) -> float:
@@ -67,3 +62,9 @@ def clock_shift_s(path: str | Path) -> float:
     if not abs(shift) <= _LARGEST_SHIFT_S:
         raise SemlocError(f"{where} = {shift:g}; expected seconds, at most {_LARGEST_SHIFT_S:g}")
     return shift
+
+
+def imu_yaml(noise: InertialNoise) -> str:
+    """The text of an imu.yaml."""
+    values = noise.gyro_density, noise.accel_density, noise.gyro_walk, noise.accel_walk
+    return "".join(f"{key}: {value:g}\n" for key, value in zip(_KEYS, values, strict=True))

@@ -3,7 +3,7 @@
 In: csv files of the drive layout. Out: GnssTrack, WheelOdometry, Imu.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from semloc_jax.datasets.tables import column_names, find_columns
 from semloc_jax.datasets.templates import GNSS_COLUMNS
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import Geodetic, enu_from_wgs84, wgs84_from_enu
+from semloc_jax.structs import InertialNoise
 
 _FASTEST_MPS, _HIGHEST_M = 150.0, 1e5
 """No vehicle is faster, no road is higher."""
@@ -170,11 +171,13 @@ class Imu:
         time_s: sample times [s].
         gyro_radps: angular rate about base x, y, z [rad/s].
         accel_mps2: specific force along base x, y, z [m/s^2].
+        noise: of the sensor, as a file states it; else that of a production car.
     """
 
     time_s: Float[np.ndarray, " n"]
     gyro_radps: Float[np.ndarray, "n 3"]
     accel_mps2: Float[np.ndarray, "n 3"]
+    noise: InertialNoise = field(default_factory=InertialNoise)
 
     def __post_init__(self) -> None:
         readings = np.column_stack([self.gyro_radps, self.accel_mps2])

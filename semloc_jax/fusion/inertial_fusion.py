@@ -28,6 +28,7 @@ from semloc_jax.fusion.velocity_sample import VelocitySample
 from semloc_jax.fusion.window_terms import fit, is_finite
 from semloc_jax.geometry import rigid
 from semloc_jax.solvers.factors import Factors
+from semloc_jax.structs import InertialNoise
 
 _POSE, _VELOCITY, _BIAS, _SCALE, _OFFSET = slice(0, 6), slice(6, 9), slice(9, 15), 15, slice(16, 18)
 _MOUNT = slice(18, 21)
@@ -46,10 +47,6 @@ class InertialBeliefs:
     """Of the first velocity, across the vehicle."""
     gyro_bias_sigma_radps: float = 0.01
     accel_bias_sigma_mps2: float = 0.1
-    gyro_walk: float = 3e-4
-    """Change of the bias [rad/s per root of s]."""
-    accel_walk: float = 2e-3
-    """Change of the bias [m/s^2 per root of s]."""
     mount_sigma_deg: float = 0.3
     """Of the axes of the inertial sensor against those of the vehicle that the cameras show: tolerance of a mount."""
     gate_probability: float = 0.999
@@ -59,11 +56,6 @@ class InertialBeliefs:
     def bias_sigma(self) -> Float[np.ndarray, "6"]:
         """Standard deviations of the biases before anything is known."""
         return np.repeat([self.gyro_bias_sigma_radps, self.accel_bias_sigma_mps2], 3)
-
-    @property
-    def bias_walk(self) -> Float[np.ndarray, "6"]:
-        """How fast they change [per root of s]."""
-        return np.repeat([self.gyro_walk, self.accel_walk], 3)
 
 
 class InertialFusionState(NamedTuple):
@@ -127,7 +119,7 @@ class InertialFusion:
             clock = increment.covariance - increment.inertial.covariance_after(moving)
             state = _moved(state, increment.inertial, moving, clock)
         walk = np.zeros(_NUM)
-        walk[_BIAS] = self.beliefs.bias_walk
+        walk[_BIAS] = (InertialNoise() if increment.inertial is None else increment.inertial.noise).bias_walk
         walk[_SCALE] = self.beliefs.sensors.scale_walk
         walk[_OFFSET] = self.beliefs.sensors.gnss_offset_walk_m
         state = state._replace(

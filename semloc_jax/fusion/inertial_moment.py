@@ -4,17 +4,17 @@ In: InertialMoments of a window. Out: its StateFactors, without the inertial ste
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.datasets.imu_noise import ImuNoise
 from semloc_jax.fusion.inertial_graph import StateFactors
 from semloc_jax.fusion.inertial_samples import Steps
 from semloc_jax.fusion.landmark_pool import RoadBeliefs
 from semloc_jax.perception.tracks import Tracks
+from semloc_jax.structs import InertialNoise
 
 _LEAST_SIGMA = 1e-6
 """Of what is believed to be known: the window holds it."""
@@ -39,14 +39,6 @@ class InertialWindowConfig:
     cauchy_sigmas: float = 2.0
     refuse_sigmas: float = 5.0
     """A landmark that is farther off in some view is let go."""
-    gyro_density: float = 3e-4
-    """White noise [rad/s per root of Hz]."""
-    accel_density: float = 6e-3
-    """White noise [m/s^2 per root of Hz]."""
-    gyro_walk: float = 3e-4
-    """Change of the bias [rad/s per root of s]."""
-    accel_walk: float = 2e-3
-    """Change of the bias [m/s^2 per root of s]."""
     side_sigma_mps: float = 0.05
     """Velocity of the rear axle to the side; 0: not a vehicle on wheels."""
     up_sigma_mps: float = 0.3
@@ -71,10 +63,6 @@ class InertialWindowConfig:
     max_steps: int = 8
     least_step_sigmas: float = 0.3
     """A solve ends when a step moves the states by less, all together: the next images move them by more."""
-
-    def with_noise(self, noise: ImuNoise) -> "InertialWindowConfig":
-        """The same with the stated noise of an inertial sensor."""
-        return replace(self, **asdict(noise))
 
 
 class InertialMoment(NamedTuple):
@@ -118,7 +106,10 @@ def first_sigma(
 
 
 def state_factors(
-    moments: Sequence[InertialMoment], config: InertialWindowConfig, way_m: Float[np.ndarray, " e"]
+    moments: Sequence[InertialMoment],
+    config: InertialWindowConfig,
+    way_m: Float[np.ndarray, " e"],
+    noise: InertialNoise,
 ) -> StateFactors:
     """What the moments say of their states beside the landmarks; the inertial steps are put together later.
 
@@ -126,12 +117,13 @@ def state_factors(
         moments: Of all states.
         config: Beliefs.
         way_m: From each state to the next.
+        noise: Of the inertial sensor.
     """
     num = len(moments)
     step_s = np.array([moment.steps.step_s.sum() for moment in moments[1:]])
     walks = {
         "height": [config.height_walk],
-        "bias": np.repeat([config.gyro_walk, config.accel_walk], 3),
+        "bias": noise.bias_walk,
         "scale": [config.scale_walk],
         "mount": [config.mount_walk] * 3,
         "delay": [config.delay_walk],

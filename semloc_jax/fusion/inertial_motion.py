@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from semloc_jax.fusion.inertial_samples import Steps
 from semloc_jax.geometry import rigid
-from semloc_jax.residuals.preintegration import InertialNoise, Preintegrated, preintegrate
+from semloc_jax.residuals.preintegration import Preintegrated, preintegrate
+from semloc_jax.structs import InertialNoise
 
 GRAVITY_MAP = np.array([0.0, 0.0, -9.81])
 _PADDED_TO = 32
@@ -41,6 +42,8 @@ class InertialMotion(NamedTuple):
     duration_s: float
     covariance: Float[np.ndarray, "9 9"]
     by_bias: Float[np.ndarray, "9 6"]
+    noise: InertialNoise
+    """Of the sensor: its biases change as it says."""
 
     def turned(self, R_base_imu: Float[np.ndarray, "3 3"]) -> "InertialMotion":
         """The motion of a base to which the sensor is turned: what is integrated turns with the samples."""
@@ -79,7 +82,7 @@ def inertial_motion(steps: Steps, bias: Float[np.ndarray, "6"], noise: InertialN
     Args:
         steps: Without padding, or with it.
         bias: Of gyroscope and accelerometer, taken off.
-        noise: White noise of the sensor.
+        noise: Of the sensor.
     """
     pad = -len(steps.step_s) % _PADDED_TO
     gyro, accel = (np.pad(rows, ((0, pad), (0, 0))) for rows in (steps.gyro_radps, steps.accel_mps2))
@@ -87,7 +90,7 @@ def inertial_motion(steps: Steps, bias: Float[np.ndarray, "6"], noise: InertialN
         found = _preintegrated(gyro, accel, np.pad(steps.step_s, (0, pad)), np.asarray(bias, float), noise)
         found = jax.tree.map(np.asarray, found)
     return InertialMotion(
-        found.rotation, found.position, found.velocity, float(found.duration_s), found.covariance, found.by_bias
+        found.rotation, found.position, found.velocity, float(found.duration_s), found.covariance, found.by_bias, noise
     )
 
 

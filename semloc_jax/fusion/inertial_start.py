@@ -19,6 +19,7 @@ from semloc_jax.fusion.inertial_samples import Steps, rotation_between
 from semloc_jax.fusion.inertial_states import AT, unknowns_of
 from semloc_jax.fusion.inertial_window import InertialEstimate, InertialWindow
 from semloc_jax.solvers.graph import Values
+from semloc_jax.structs import InertialNoise
 
 _NUM_SOLVES = 4
 """Each goes on from the one before, without the landmarks that did not fit."""
@@ -62,22 +63,28 @@ class InertialStart(NamedTuple):
     """Why there is none; empty where there is one."""
 
 
-def started(moments: list[InertialMoment], config: InertialWindowConfig, rules: InertialStartConfig) -> InertialStart:
+def started(
+    moments: list[InertialMoment],
+    config: InertialWindowConfig,
+    rules: InertialStartConfig,
+    noise: InertialNoise | None = None,
+) -> InertialStart:
     """A window of the first times, the frame at the first of them: z up, x ahead.
 
     Args:
         moments: At least as many as the window has states, the first without inertial steps.
         config: Beliefs of the window.
         rules: When a start is believed.
+        noise: Of the inertial sensor; None: that of a production car.
     """
     standing = [moment.is_standing for moment in moments]
     is_standing = all(standing[: max(len(moments) // 4, 2)])
     wheels = all(moment.speed_mps is not None for moment in moments)
     if is_standing or wheels:
         speeds = np.array([moment.speed_mps or 0.0 for moment in moments])
-        window = _window(moments, speeds, is_standing, config, rules)
+        window = _window(moments, speeds, is_standing, config, rules, noise)
         return _judged(window, _finished(window), rules)
-    guesses = [_window(moments, np.full(len(moments), speed), False, config, rules) for speed in _speeds(rules)]
+    guesses = [_window(moments, np.full(len(moments), speed), False, config, rules, noise) for speed in _speeds(rules)]
     num_seen = len(guesses[0].pool.chosen(config.num_landmarks, config.min_views))
     if num_seen < rules.least_landmarks:  # no solve finds more
         return InertialStart(None, None, _few_corners(num_seen, rules))
@@ -114,7 +121,7 @@ def _speeds(rules: InertialStartConfig) -> Float[np.ndarray, " n"]:
 
 
 def _with_all_landmarks(window: InertialWindow) -> InertialWindow:
-    return InertialWindow.of(window.moments, window.values, window.prior, window.config)
+    return InertialWindow.of(window.moments, window.values, window.prior, window.config, window.noise)
 
 
 def _next_nats(tried: list[_Tried], best: _Tried, rules: InertialStartConfig) -> float:
@@ -167,6 +174,7 @@ def _window(
     is_standing: bool,
     config: InertialWindowConfig,
     rules: InertialStartConfig,
+    noise: InertialNoise | None,
 ) -> InertialWindow:
     """A window at a first guess: attitude by gyroscope and mean force, positions by speeds along the heading."""
     quiet = [m.steps for m in moments[1:] if m.steps is not None and m.is_standing] if is_standing else []
@@ -203,7 +211,7 @@ def _window(
     # The first guess of a bias is data of this start: the belief is around zero.
     at = unknowns_of(np.zeros(1, int), num)[AT["bias"]]
     prior.gradient[at] = bias / of_bias**2
-    return InertialWindow.of(moments, values, prior, config)
+    return InertialWindow.of(moments, values, prior, config, noise)
 
 
 def _mean_force(steps: list[Steps], rotations: list[np.ndarray], num: int | None) -> Float[np.ndarray, "3"]:

@@ -24,11 +24,12 @@ from semloc_jax.fusion.inertial_sights import step_residuals
 from semloc_jax.fusion.inertial_states import SIZES, STATE, unknowns_of
 from semloc_jax.fusion.landmark_pool import LandmarkPool
 from semloc_jax.geometry import rigid
-from semloc_jax.residuals.preintegration import InertialNoise, Preintegrated, preintegrate
+from semloc_jax.residuals.preintegration import Preintegrated, preintegrate
 from semloc_jax.solvers.dense import DenseEquations
 from semloc_jax.solvers.graph import Values
 from semloc_jax.solvers.levenberg_marquardt import Damping, SolveConfig
 from semloc_jax.solvers.optimistix_loop import levenberg_marquardt
+from semloc_jax.structs import InertialNoise
 
 _LARGEST_INVERSE_DEPTH = 5.0
 _MAD = 1.4826
@@ -79,6 +80,8 @@ class InertialWindow:
     """The states, the landmarks that they see and the prior of what went before; all changed by `add`."""
 
     config: InertialWindowConfig
+    noise: InertialNoise
+    """Of the inertial sensor."""
     num_states: int
     pool: LandmarkPool
     moments: list[InertialMoment] = field(default_factory=list)
@@ -94,11 +97,12 @@ class InertialWindow:
         values: Values,
         prior: WindowPrior,
         config: InertialWindowConfig,
+        noise: InertialNoise | None = None,
         pool_rows: int = 1024,
     ) -> "InertialWindow":
-        """A window of the first times, with guesses of their states."""
-        pool = LandmarkPool(pool_rows, len(moments))
-        window = cls(config, len(moments), pool, list(moments), dict(values), prior, config.step_px)
+        """A window of the first times, with guesses of their states; noise None: that of a production car."""
+        pool, noise = LandmarkPool(pool_rows, len(moments)), noise or InertialNoise()
+        window = cls(config, noise, len(moments), pool, list(moments), dict(values), prior, config.step_px)
         for index, moment in enumerate(moments):
             window.pool.add(moment.tracks, index)
         return window
@@ -194,7 +198,7 @@ class InertialWindow:
         prior = WindowPrior(first, prior.touched[here], prior.held[here], prior.gradient[kept], information)
         values = {name: array[here].copy() for name, array in self.values.items()}
         return InertialWindow(
-            self.config, num_states, self.pool.first(num_states), self.moments, values, prior, self.step_px
+            self.config, self.noise, num_states, self.pool.first(num_states), self.moments, values, prior, self.step_px
         )
 
     def state(self, index: int) -> MotionState:
@@ -207,11 +211,6 @@ class InertialWindow:
         Ts = self.values["pose"]
         return rigid.inverse(Ts[from_state]) @ Ts[to_state]
 
-    @property
-    def noise(self) -> InertialNoise:
-        """White noise of the inertial sensor."""
-        return InertialNoise(self.config.gyro_density, self.config.accel_density)
-
     def _problem(self, solved_only: bool = False) -> tuple[np.ndarray, WindowProblem, Values]:
         """Rows of the landmarks, the problem without its inertial steps, the values."""
         config, pool = self.config, self.pool
@@ -221,9 +220,8 @@ class InertialWindow:
         rows = rows[pool.is_solved[rows]] if solved_only else rows
         pool.prepare(rows, np.asarray(self.values["pose"]), T_base_cam)
         views, landmarks = pool.views(rows, num, (config.sigma_px, self.step_px), T_base_cam, config.road)
-        problem = WindowProblem(
-            state_factors(self._all_moments(), self.config, self._ways_m()), views, self.prior, config.cauchy_sigmas
-        )
+        factors = state_factors(self._all_moments(), config, self._ways_m(), self.noise)
+        problem = WindowProblem(factors, views, self.prior, config.cauchy_sigmas)
         return rows, problem, self.values | {"landmark": landmarks}
 
     def _all_moments(self) -> list[InertialMoment]:

@@ -29,10 +29,6 @@ class MotionNoise:
     wheel_yaw_density_degps: float = 0.15
     wheel_turn_share: float = 0.02
     tilt_without_gyro_degps: float = 1.0
-    inertial_gyro_density: float = 3e-4
-    """White noise of the rates [rad/s per root of Hz], where biases and velocity are estimated too."""
-    inertial_accel_density: float = 6e-3
-    """White noise of the forces [m/s^2 per root of Hz], where biases and velocity are estimated too."""
     wheel_velocity_mps: tuple[float, float, float] = (0.05, 0.15, 0.3)
     """Of one velocity of the rear axle besides its scale: slip ahead, direction of travel and slip to the side,
     suspension up and down."""

@@ -17,7 +17,7 @@ from semloc_jax.fusion.motion_noise import MotionNoise
 from semloc_jax.fusion.sample_stream import SampleStream
 from semloc_jax.fusion.velocity_sample import VelocitySample
 from semloc_jax.geometry import rigid
-from semloc_jax.residuals.preintegration import InertialNoise
+from semloc_jax.structs import InertialNoise
 
 
 class MotionQuality(enum.StrEnum):
@@ -106,6 +106,8 @@ class MotionLog:
     def __init__(self, noise: MotionNoise | None = None, max_gap_s: float = 0.15, max_hold_s: float = 5.0) -> None:
         """An empty log; samples closer than `max_gap_s` [s] are joined by straight lines."""
         self.noise, self.max_gap_s, self.max_hold_s = noise or MotionNoise(), max_gap_s, max_hold_s
+        self.inertial_noise = InertialNoise()
+        """Where biases and velocity are estimated too."""
         self._wheels, self._imu, self._velocity = SampleStream(2), SampleStream(6), SampleStream(12)
 
     @classmethod
@@ -119,6 +121,7 @@ class MotionLog:
         if drive.imu is not None:
             order = np.argsort(drive.imu.time_s, kind="stable")
             log._imu.times = [float(t) for t in drive.imu.time_s[order]]
+            log.inertial_noise = drive.imu.noise
             log._imu.rows = list(np.column_stack([drive.imu.gyro_radps, drive.imu.accel_mps2])[order])
         return log
 
@@ -261,9 +264,8 @@ class MotionLog:
         rows, age_s = self._imu.at(knots_s, self.max_gap_s)
         if age_s.any() or not rows[:, 3:].any():
             return None
-        noise = InertialNoise(self.noise.inertial_gyro_density, self.noise.inertial_accel_density)
         steps = steps_of(knots_s, rows[:, :3], rows[:, 3:])
-        return inertial_motion(steps, moving.bias, noise).turned(moving.R_base_imu)
+        return inertial_motion(steps, moving.bias, self.inertial_noise).turned(moving.R_base_imu)
 
     def _velocity_at(self, from_s: float, to_s: float, calibration: Calibration) -> VelocitySample | None:
         """The velocity that was measured at the end of a stretch of time, each one for one stretch only."""

@@ -132,7 +132,7 @@ class VisualInertialOdometry:
         lasted_s = moment.time_s - self._waiting[0].time_s
         if lasted_s < rules.duration_s - 1e-6 or len(self._waiting) < needed:
             return []
-        start = started(self._waiting, self.config.window, rules)
+        start = started(self._waiting, self.config.window, rules, self.drive.imu.noise)
         if start.window is None:
             self.reason = start.reason
             first_s = self._waiting[0].time_s + self.config.retry_s

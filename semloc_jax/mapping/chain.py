@@ -119,7 +119,7 @@ def _check(drive: Drive, time_s: np.ndarray) -> None:
 def _without_bias(imu: Imu, states: InertialStates) -> Imu:
     """The inertial data with the smoothed gyro bias taken off."""
     bias = np.column_stack([np.interp(imu.time_s, states.time_s, column) for column in states.gyro_bias_radps.T])
-    return Imu(imu.time_s, imu.gyro_radps - bias, imu.accel_mps2)
+    return replace(imu, gyro_radps=imu.gyro_radps - bias)
 
 
 def _by_increments(log: MotionLog, time_s: np.ndarray, states: InertialStates | None, config: ChainConfig) -> Chain:

@@ -22,7 +22,6 @@ from semloc_jax.datasets.imu_noise import read_imu_noise
 from semloc_jax.datasets.pictures import as_colour, read_picture
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import read_trajectory
-from semloc_jax.inputs.inertial_calibration import in_camera_time
 from semloc_jax.inputs.surround_inputs import pictures_by_camera
 from semloc_jax.maps import LocalMap, SemanticMap, read_map
 from semloc_jax.reports.folder import make_folder
@@ -119,7 +118,7 @@ def _open(check: CalibrationCheck) -> tuple[Rig, Drive | None, dict[str, np.ndar
 def _drive(check: CalibrationCheck) -> Drive | None:
     """The drive; None, with a warning, where it cannot be opened but its calibration can be read."""
     try:
-        return in_camera_time(open_drive(check.path, check.calib), check.calib)
+        return open_drive(check.path, check.calib)
     except SemlocError as error:
         try:
             read_calibration(check.calib or check.path)

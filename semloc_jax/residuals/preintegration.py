@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from semloc_jax.geometry import lie
+from semloc_jax.structs import InertialNoise
 
 
 class Preintegrated(eqx.Module):
@@ -39,15 +40,6 @@ class Preintegrated(eqx.Module):
         change = _mul(self.by_bias, bias - self.bias) + self.by_delay * later_s
         rotation = _mul(self.rotation, lie.so3_exp(change[:3]))
         return rotation, self.position + change[3:6], self.velocity + change[6:]
-
-
-class InertialNoise(eqx.Module):
-    """White noise of the sensor; the defaults are ours, of a sensor in a production car."""
-
-    gyro_density: float = 3.5e-4
-    """[rad/s per root of Hz]."""
-    accel_density: float = 5e-3
-    """[m/s^2 per root of Hz]."""
 
 
 class InertialState(eqx.Module):

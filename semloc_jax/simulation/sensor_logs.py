@@ -3,16 +3,18 @@
 In: the true motion. Out: rows of gps.csv, wheel_odom.csv and imu.csv.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from semloc_jax.datasets.imu_noise import IMU_NOISE, imu_yaml
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import GeoOrigin
 from semloc_jax.simulation.motion import TrueMotion
 from semloc_jax.storage import write_text
+from semloc_jax.structs import InertialNoise
 
 _GRAVITY_MPS2 = 9.80665
 _EARTH_RADIUS_M = 6_378_137.0
@@ -35,6 +37,7 @@ class SensorErrors:
         yaw_rate_noise_radps: standard deviation of the yaw rate.
         gyro_bias_radps: standard deviation of the gyroscope bias.
         accel_bias_mps2: standard deviation of the accelerometer bias.
+        inertial: noise of the inertial sensor and change of its biases.
     """
 
     gnss_bias_m: float = 1.0
@@ -48,6 +51,7 @@ class SensorErrors:
     yaw_rate_noise_radps: float = 0.004
     gyro_bias_radps: float = 0.001
     accel_bias_mps2: float = 0.05
+    inertial: InertialNoise = field(default_factory=lambda: InertialNoise(2e-4, 3e-3, 2e-5, 1e-3))
 
 
 @dataclass(frozen=True)
@@ -106,8 +110,8 @@ def write_sensor_logs(
     else:
         told |= {"gps_bias": None, "gps_dropout": None}
     _write_wheel(folder / "wheel_odom.csv", motion, np.arange(start_s, end_s, 0.02), errors, scales, rng)
-    step_s = 1.0 / plan.imu_rate_hz
-    _write_imu(folder / "imu.csv", motion, np.arange(start_s, end_s, step_s), plan.imu_offset_s, biases, rng)
+    _write_imu(folder / "imu.csv", motion, (start_s, end_s), plan, biases, rng)
+    write_text(folder / IMU_NOISE, imu_yaml(errors.inertial))
     return told | {"imu_rate_hz": plan.imu_rate_hz, "imu_offset_s": plan.imu_offset_s}
 
 
@@ -182,26 +186,30 @@ def _write_wheel(
 def _write_imu(
     path: Path,
     motion: TrueMotion,
-    time_s: np.ndarray,
-    offset_s: float,
+    ends_s: tuple[float, float],
+    plan: SensorPlan,
     biases: dict[str, list[float]],
     rng: np.random.Generator,
 ) -> None:
-    half = 0.005
+    step_s, half, noise = 1.0 / plan.imu_rate_hz, 0.005, plan.errors.inertial
+    time_s = np.arange(*ends_s, step_s)
+    # A stream of its own: what is drawn from the other one stays what it is.
+    walk = np.random.Generator(rng.bit_generator.jumped()).normal(size=(len(time_s), 6)) * noise.bias_walk
+    gyro_walk, accel_walk = np.split(np.sqrt(step_s) * np.cumsum(walk, axis=0), 2, axis=1)
     poses = [motion.poses(time_s + offset) for offset in (-half, 0.0, half)]
     turn = np.swapaxes(poses[0][:, :3, :3], 1, 2) @ poses[2][:, :3, :3]
-    gyro = Rotation.from_matrix(turn).as_rotvec() / (2.0 * half) + biases["gyro_bias"]
-    gyro += 0.002 * rng.normal(size=gyro.shape)
+    gyro = Rotation.from_matrix(turn).as_rotvec() / (2.0 * half) + biases["gyro_bias"] + gyro_walk
+    gyro += noise.gyro_density / np.sqrt(step_s) * rng.normal(size=gyro.shape)
     # A wider stencil for the second derivative keeps rounding and the knots of the path out of it.
     wide = 0.1
     before, after = motion.poses(time_s - wide)[:, :3, 3], motion.poses(time_s + wide)[:, :3, 3]
     accel_map = (before - 2.0 * poses[1][:, :3, 3] + after) / wide**2 + [0.0, 0.0, _GRAVITY_MPS2]
-    accel = np.einsum("nji,nj->ni", poses[1][:, :3, :3], accel_map) + biases["acc_bias"]
-    accel += 0.03 * rng.normal(size=accel.shape)
+    accel = np.einsum("nji,nj->ni", poses[1][:, :3, :3], accel_map) + biases["acc_bias"] + accel_walk
+    accel += noise.accel_density / np.sqrt(step_s) * rng.normal(size=accel.shape)
     lines = ["t,gx_rad_s,gy,gz,ax_m_s2,ay,az"]
     lines += [
         f"{t:.5f}," + ",".join(f"{value:.5f}" for value in (*w, *a))
-        for t, w, a in zip(time_s + offset_s, gyro, accel, strict=True)
+        for t, w, a in zip(time_s + plan.imu_offset_s, gyro, accel, strict=True)
     ]
     write_text(path, "\n".join(lines) + "\n")
 

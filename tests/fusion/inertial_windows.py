@@ -43,7 +43,7 @@ def begun(seed, num, noise=1.0, world=None, config=CONFIG, speed_sigma_mps=0.1):
     values["scale"][:] = 1.0 + drawn[AT["scale"]]
     for name in ("mount", "delay"):
         values[name][:] = 0.0
-    window = InertialWindow.of(moments[:NUM], values, first_prior(values, sigma, T[:3, :3]), config)
+    window = InertialWindow.of(moments[:NUM], values, first_prior(values, sigma, T[:3, :3]), config, world.sensor)
     for _ in range(2):
         window.solve()
     return window, moments, truth

@@ -14,10 +14,12 @@ from semloc_jax.fusion.inertial_states import SIZES
 from semloc_jax.geometry import rigid
 from semloc_jax.perception.sight_lines import sight_lines
 from semloc_jax.perception.tracks import Tracks
+from semloc_jax.structs import InertialNoise
 
 CAMERA = PinholeCamera(500.0, 500.0, 399.5, 299.5, 800.0, 600.0)
 AHEAD = np.array([[0.0, 0.0, 1.0, 1.5], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 1.4], [0.0, 0.0, 0.0, 1.0]])
 FRAME_S = 0.1
+USUAL = InertialNoise()
 
 
 @dataclass(frozen=True)
@@ -28,8 +30,7 @@ class World:
     num_slots: int = 60
     step_px: float = InertialWindowConfig.step_px
     """What a track slips from one image to the next."""
-    gyro_density: float = 3e-4
-    accel_density: float = 6e-3
+    sensor: InertialNoise = USUAL
     noise: float = 1.0
     """0: perfect sensors without biases."""
     has_road: bool = False
@@ -68,13 +69,13 @@ class World:
         gyro = rigid.log(rigid.inverse(before) @ after)[:, 3:] / (2 * h)
         accel = (before[:, :3, 3] - 2 * here[:, :3, 3] + after[:, :3, 3]) / h**2 + [0, 0, 9.81]
         accel = np.einsum("nji,nj->ni", here[:, :3, :3], accel)
-        sigma = np.repeat([self.gyro_density, self.accel_density], 3) * np.sqrt(self.rate_hz)
-        walk = np.repeat([InertialWindowConfig.gyro_walk, InertialWindowConfig.accel_walk], 3) / np.sqrt(self.rate_hz)
+        sigma = np.repeat([self.sensor.gyro_density, self.sensor.accel_density], 3) * np.sqrt(self.rate_hz)
+        walk = np.array(self.sensor.bias_walk) / np.sqrt(self.rate_hz)
         bias = rng.normal(size=6) * np.repeat([0.002, 0.05], 3) + np.cumsum(walk * rng.normal(size=(len(t), 6)), axis=0)
         R = rigid.exp(np.concatenate([np.zeros(3), np.deg2rad(self.mount_deg)]))[:3, :3]
         in_sensor = np.column_stack([gyro @ R, accel @ R])
         noisy = in_sensor + self.noise * (sigma * rng.normal(size=(len(t), 6)) + bias)
-        return Imu(t + self.delay_s, noisy[:, :3], noisy[:, 3:]), self.noise * bias
+        return Imu(t + self.delay_s, noisy[:, :3], noisy[:, 3:], self.sensor), self.noise * bias
 
     def moments(self, num, T_base_cam=None):
         """So many image times, the true states there {pose, velocity, bias, scale}."""

@@ -17,6 +17,7 @@ from semloc_jax.fusion.landmark_pool import RoadBeliefs, _road_weights
 from semloc_jax.fusion.seen_velocity import seen_velocity
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.inverse_depth import on_road_residual
+from semloc_jax.structs import InertialNoise
 from tests.fusion.inertial_windows import CONFIG, NUM, SIGMA, begun, difference
 from tests.fusion.inertial_world import World
 
@@ -161,11 +162,11 @@ def gtsam_batch(gtsam, moments, truth, config, T_measured, pose_sigma):
     from gtsam.symbol_shorthand import B, V, X
 
     params = gtsam.PreintegrationCombinedParams.MakeSharedU(9.81)
-    params.setGyroscopeCovariance(config.gyro_density**2 * np.eye(3))
-    params.setAccelerometerCovariance(config.accel_density**2 * np.eye(3))
+    params.setGyroscopeCovariance(InertialNoise().gyro_density ** 2 * np.eye(3))
+    params.setAccelerometerCovariance(InertialNoise().accel_density ** 2 * np.eye(3))
     params.setIntegrationCovariance(1e-14 * np.eye(3))
-    params.setBiasOmegaCovariance(config.gyro_walk**2 * np.eye(3))
-    params.setBiasAccCovariance(config.accel_walk**2 * np.eye(3))
+    params.setBiasOmegaCovariance(InertialNoise().gyro_walk ** 2 * np.eye(3))
+    params.setBiasAccCovariance(InertialNoise().accel_walk ** 2 * np.eye(3))
     graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
 
     def pose(T):

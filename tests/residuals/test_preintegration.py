@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from semloc_jax.geometry import lie, rigid
-from semloc_jax.residuals.preintegration import InertialNoise, InertialState, imu_residual, preintegrate
+from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
+from semloc_jax.structs import InertialNoise
 
 GRAVITY = jnp.array([0.0, 0.0, -9.81])
 NOISE = InertialNoise()

@@ -11,6 +11,7 @@ from semloc_jax.calibration.inertial_plausibility import compared, implausible_i
 from semloc_jax.calibration.turns_of_cameras import turns_of_cameras
 from semloc_jax.cli.main import OK, main
 from semloc_jax.datasets import Imu, open_drive, write_bag
+from semloc_jax.datasets.imu_noise import imu_yaml
 from semloc_jax.evaluation import read_trajectory
 from semloc_jax.geometry import rigid
 from tests.fusion.inertial_world import AHEAD, FRAME_S, World
@@ -71,9 +72,7 @@ def write_recording(folder):
         "timeshift_cam_imu": LATE_S,
     }
     (folder / "camchain-imucam.yaml").write_text(yaml.safe_dump({"cam0": camera}))
-    noise = {"gyroscope_noise_density": world.gyro_density, "accelerometer_noise_density": world.accel_density}
-    noise |= {"gyroscope_random_walk": 3e-4, "accelerometer_random_walk": 2e-3, "update_rate": 100.0}
-    (folder / "imu.yaml").write_text(yaml.safe_dump(noise))
+    (folder / "imu.yaml").write_text(imu_yaml(world.sensor) + "update_rate: 100.0\n")
     return folder
 
 
