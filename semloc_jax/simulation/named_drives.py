@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from semloc_jax.datasets.base import Drive
-from semloc_jax.datasets.drive import read_drive
+from semloc_jax.datasets.detect import open_drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.degrade import Degradation
 from semloc_jax.simulation.sensor_logs import SensorErrors
@@ -121,7 +121,7 @@ def make_named_drive(name: str, folder: Path) -> Drive:
     named, place = named_drive(name), folder / name
     recipe, stated = f"{named!r}\n", place / "recipe.txt"
     if stated.is_file() and stated.read_text(encoding="utf-8") == recipe:
-        return read_drive(place)
+        return open_drive(place)
     if not stated.is_file() and place.is_dir() and any(place.iterdir()):
         raise SemlocError(f"{place}: holds something else; give another --out, nothing is overwritten")
     place.mkdir(parents=True, exist_ok=True)

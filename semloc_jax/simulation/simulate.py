@@ -13,7 +13,8 @@ import numpy as np
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.io import write_calibration
 from semloc_jax.datasets.base import Drive
-from semloc_jax.datasets.drive import CLASS_IDS, read_drive
+from semloc_jax.datasets.detect import open_drive
+from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory, write_tum
 from semloc_jax.maps import GeoOrigin, SemanticMap, write_drive_geojson
@@ -249,7 +250,7 @@ def write_drive(out: Path, staging: Staging, rig: Rig, config: SimulationConfig,
     write_text(out / "meta.json", json.dumps(meta, indent=1) + "\n")
     _write_frame_list(out, time_s, lightings)
     (out / UNFINISHED).unlink()
-    return read_drive(out)
+    return open_drive(out)
 
 
 def _recipe(staging: Staging, config: SimulationConfig, rig: Rig) -> str:

@@ -9,11 +9,15 @@ import shapely
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.datasets import read_drive
+from semloc_jax.datasets.imu_noise import read_imu_noise
+from semloc_jax.datasets.sensors import read_imu
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps import read_map
+from semloc_jax.maps import GeoOrigin, read_map
 from semloc_jax.simulation import Degradation, SimulationConfig, degrade, simulate
+from semloc_jax.simulation.motion import TrueMotion
 from semloc_jax.simulation.render import render
-from semloc_jax.structs import ElementClass
+from semloc_jax.simulation.sensor_logs import SensorErrors, SensorPlan, write_sensor_logs
+from semloc_jax.structs import ElementClass, InertialNoise
 
 CLEAN = SimulationConfig(num_frames=3, width_px=640, height_px=400, wear_share=0.0, has_images=False)
 
@@ -193,6 +197,32 @@ def test_sensors_have_the_stated_errors(road):
     turn = Rotation.from_matrix(motion[:3, :3]).as_rotvec() / span
     np.testing.assert_allclose(drive.imu.gyro_radps[inside].mean(axis=0), turn, atol=0.006)
     assert np.linalg.norm(drive.imu.accel_mps2.mean(axis=0)) == pytest.approx(9.81, abs=0.3)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 400.0])
+def test_the_inertial_log_has_the_noise_of_its_imu_yaml(tmp_path, rate_hz):
+    errors = SensorErrors(inertial=InertialNoise(4e-4, 8e-3, 1e-3, 2e-2))
+    plan, origin = SensorPlan(errors, rate_hz, has_gnss=False), GeoOrigin(48.0, 11.0, 0.0)
+    write_sensor_logs(tmp_path, Standing(), 0.0, 400.0, plan, origin, np.random.default_rng(3))
+    noise, imu = read_imu_noise(tmp_path / "imu.yaml"), read_imu(tmp_path / "imu.csv")
+    assert noise == errors.inertial
+    for readings, density, walk in (
+        (imu.gyro_radps, noise.gyro_density, noise.gyro_walk),
+        (imu.accel_mps2, noise.accel_density, noise.accel_walk),
+    ):
+        white = np.diff(readings, axis=0).std() / np.sqrt(2.0 * rate_hz)
+        assert white == pytest.approx(density, rel=0.03)
+        # Means of 10 s differ by what the bias does in between: two thirds of 10 s of its walk.
+        means = readings[: 40 * round(10 * rate_hz)].reshape(40, -1, 3).mean(axis=1)
+        expected = np.sqrt(walk**2 * 10.0 * 2 / 3 + 2 * density**2 / 10.0)
+        assert np.diff(means, axis=0).std() == pytest.approx(expected, rel=0.25)
+
+
+class Standing(TrueMotion):
+    """A vehicle that does not move."""
+
+    def poses(self, time_s):
+        return np.tile(np.eye(4), (len(time_s), 1, 1))
 
 
 def test_the_prior_of_a_simulated_drive_is_usable(road):
