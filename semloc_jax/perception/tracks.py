@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from semloc_jax.cameras import Rig
 from semloc_jax.perception.corners import new_corners
 from semloc_jax.perception.epipolar_gate import moves_with_the_world
+from semloc_jax.perception.patches import Patches, cut_out, laid_over, no_patches
 from semloc_jax.perception.sight_lines import SightLines, sight_lines
 
 
@@ -36,6 +37,12 @@ class CornerConfig:
     gate_px: float = 2.0
     """Largest distance from the epipolar plane of the motion."""
     border_px: int = 8
+    largest_slip_px: float = 1.5
+    """Between where the last image and where the first one leads to."""
+    least_alike: float = 0.8
+    """Correlation with what the corner looked like when it was found."""
+    grown: float = 1.6
+    """A patch that has grown by so much is cut out anew."""
 
 
 class Scenery(NamedTuple):
@@ -72,6 +79,7 @@ class _View(NamedTuple):
     uv: Float[np.ndarray, "s 2"]
     sight: SightLines
     on_road: Bool[np.ndarray, " s"]
+    patches: Patches
 
 
 class FeatureTracker:
@@ -129,8 +137,9 @@ class FeatureTracker:
         if before is None or before.grey.shape != grey.shape or not (before.id >= 0).any():
             uv = np.zeros((self.num_slots, 2))
             nowhere = np.zeros(self.num_slots, bool)
-            return _View(grey, empty, uv, sight_lines(rig.cameras[index], uv), nowhere), np.zeros(0)
-        uv, found = self._flow(before, grey)
+            none = no_patches(self.num_slots)
+            return _View(grey, empty, uv, sight_lines(rig.cameras[index], uv), nowhere, none), np.zeros(0)
+        uv, found, patches = self._laid_over(before, grey, *self._flow(before, grey))
         sight = sight_lines(rig.cameras[index], uv)
         kept = np.flatnonzero(found & sight.valid)
         scale = px_per_rad(sight)[kept]
@@ -139,7 +148,7 @@ class FeatureTracker:
         ids = empty.copy()
         ids[kept[good]] = before.id[kept[good]]
         moved_px = np.linalg.norm(np.cross(rays[0] @ R_cam.T, rays[1]), axis=1) * scale
-        return _View(grey, ids, uv, sight, before.on_road), moved_px[good]
+        return _View(grey, ids, uv, sight, before.on_road, patches), moved_px[good]
 
     def _flow(self, before: _View, grey: np.ndarray) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"]]:
         """Where the corners are now, and which of them came back when followed backwards."""
@@ -165,6 +174,28 @@ class FeatureTracker:
         uv[here[good]], found[here[good]] = new[good], True
         return uv, found
 
+    def _laid_over(
+        self, before: _View, grey: np.ndarray, uv: Float[np.ndarray, "s 2"], found: Bool[np.ndarray, " s"]
+    ) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"], Patches]:
+        """Where the corners are as they were when they were found; what looks otherwise has slipped."""
+        config, rows = self.config, np.flatnonzero(found)
+        laid = laid_over(before.patches.at(rows), grey, uv[rows])
+        height, width = grey.shape
+        off = np.linalg.norm(laid.uv - uv[rows], axis=1)
+        border = config.border_px
+        inside = (laid.uv >= border).all(axis=1) & (laid.uv < np.array([width, height]) - border).all(axis=1)
+        size = np.sqrt(np.abs(np.linalg.det(laid.affine)))
+        good = inside & (off < config.largest_slip_px) & (laid.alike > config.least_alike) & (size > 0.5)
+        uv, found, patches = uv.copy(), np.zeros_like(found), before.patches
+        kept = rows[good]
+        uv[kept], found[kept] = laid.uv[good], True
+        affine = patches.affine.copy()
+        affine[kept] = laid.affine[good]
+        patches = patches._replace(affine=affine)
+        # A patch that has grown shows what the old one could not; it is cut out anew.
+        grown = kept[size[good] > config.grown]
+        return uv, found, patches.replaced(grown, cut_out(grey, uv[grown]))
+
     def _filled(self, view: _View, rig: Rig, index: int, scenery: Scenery | None) -> _View:
         """The view with new corners in its empty slots."""
         free = np.flatnonzero(view.id < 0)
@@ -180,7 +211,8 @@ class FeatureTracker:
         self._next_id += len(slots)
         sight = sight_lines(rig.cameras[index], uv)
         ids[~sight.valid] = -1
-        return _View(view.grey, ids, uv, sight, on_road)
+        patches = view.patches.replaced(slots, cut_out(view.grey, uv[slots]))
+        return _View(view.grey, ids, uv, sight, on_road, patches)
 
 
 def px_per_rad(sight: SightLines) -> Float[np.ndarray, " n"]:

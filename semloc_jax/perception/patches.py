@@ -1,0 +1,122 @@
+"""What a corner looked like when it was found, laid over later images (room: perception; host).
+
+In: a grey image, corners uv. Out: Patches; the same corners in a later image, by what all of the patch shows.
+Followed from image to image a corner slips by a third of a pixel each time, and slips add up. Here every image is
+compared with the one in which the corner was found: inverse compositional alignment of an affine patch, free of gain
+and offset of the light (Baker and Matthews, IJCV 2004; Evangelidis and Psarakis, PAMI 2008).
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+_HALF_PX = 6
+"""A patch reaches so far to each side."""
+_WEIGHT_PX = 3.5
+"""Standard deviation of the weights of its pixels: what is near the corner lies at its depth."""
+_NUM_STEPS = 5
+_AFFINE_SIGMA = 0.15
+"""How far one step may stretch or shear a patch; small patches tell it badly."""
+_GREY_SIGMA = 0.1
+"""Standard deviation of what a patch of unit contrast does not explain, for that."""
+_LEAST_CONTRAST = 2.0
+"""Grey levels (weighted standard deviation) that a patch needs."""
+
+
+def _grid(half: int) -> Float[np.ndarray, "n 2"]:
+    side = np.arange(-half, half + 1, dtype=np.float32)
+    return np.stack(np.meshgrid(side, side, indexing="xy"), axis=-1).reshape(-1, 2)
+
+
+_AT = _grid(_HALF_PX)
+_ROOT_WEIGHT = np.exp(-0.25 * (_AT**2).sum(axis=1) / _WEIGHT_PX**2).astype(np.float32)
+_ROOT_WEIGHT /= np.linalg.norm(_ROOT_WEIGHT)
+
+
+class Patches(NamedTuple):
+    """Patches of some corners, each as it was when it was cut out."""
+
+    look: Float[np.ndarray, "s n"]
+    """Weighted, without mean, of unit length."""
+    slopes: Float[np.ndarray, "s n 6"]
+    """Derivatives of the look by the affine part (row by row) and the shift, what gain and offset explain taken out."""
+    gain: Float[np.ndarray, "s 6 n"]
+    """Step by what a later image shows otherwise."""
+    affine: Float[np.ndarray, "s 2 2"]
+    """From the patch to the image in which it was found last."""
+
+    def at(self, rows: Int[np.ndarray, " k"]) -> "Patches":
+        """Those of some slots."""
+        return Patches(*(part[rows] for part in self))
+
+    def replaced(self, rows: Int[np.ndarray, " k"], others: "Patches") -> "Patches":
+        """The patches with others in some slots."""
+        parts = [part.copy() for part in self]
+        for part, other in zip(parts, others, strict=True):
+            part[rows] = other
+        return Patches(*parts)
+
+
+def no_patches(num: int) -> Patches:
+    """Empty slots."""
+    n = len(_AT)
+    zeros = (np.zeros((num, *shape), np.float32) for shape in ((n,), (n, 6), (6, n)))
+    return Patches(*zeros, np.tile(np.eye(2, dtype=np.float32), (num, 1, 1)))
+
+
+def cut_out(grey: UInt8[np.ndarray, "h w"], uv: Float[np.ndarray, "s 2"]) -> Patches:
+    """The patches around corners [px]."""
+    num, size = len(uv), 2 * _HALF_PX + 3
+    around = _sampled(grey, uv[:, None] + _grid(_HALF_PX + 1)).reshape(num, size, size)
+    look, length = _normalised(around[:, 1:-1, 1:-1].reshape(num, len(_AT)))
+    along_u = 0.5 * (around[:, 1:-1, 2:] - around[:, 1:-1, :-2]).reshape(num, len(_AT))
+    along_v = 0.5 * (around[:, 2:, 1:-1] - around[:, :-2, 1:-1]).reshape(num, len(_AT))
+    x, y = _AT.T
+    by_each = (along_u * x, along_u * y, along_v * x, along_v * y, along_u, along_v)
+    slopes = np.stack(by_each, axis=-1) * (_ROOT_WEIGHT / length[:, None])[..., None]
+    for taken in (np.broadcast_to(_ROOT_WEIGHT, look.shape), look):
+        slopes = slopes - taken[..., None] * np.einsum("sn,snk->sk", taken, slopes)[:, None]
+    prior = np.diag(np.repeat([(_GREY_SIGMA / _AFFINE_SIGMA) ** 2, 1e-6], [4, 2])).astype(np.float32)
+    gain = np.linalg.solve(np.swapaxes(slopes, 1, 2) @ slopes + prior, np.swapaxes(slopes, 1, 2))
+    return Patches(look, slopes, gain, np.tile(np.eye(2, dtype=np.float32), (num, 1, 1)))
+
+
+class Found(NamedTuple):
+    """Where patches are in a later image."""
+
+    uv: Float[np.ndarray, "s 2"]
+    affine: Float[np.ndarray, "s 2 2"]
+    alike: Float[np.ndarray, " s"]
+    """Correlation of what is there with the patch."""
+
+
+def laid_over(patches: Patches, grey: UInt8[np.ndarray, "h w"], uv: Float[np.ndarray, "s 2"]) -> Found:
+    """The corners in a later image, from places [px] a pixel or two off."""
+    affine, at = patches.affine.copy(), np.asarray(uv, np.float32).copy()
+    for step in range(_NUM_STEPS + 1):
+        seen, _ = _normalised(_sampled(grey, at[:, None] + _AT @ np.swapaxes(affine, 1, 2)))
+        if step == _NUM_STEPS:
+            break
+        move = np.einsum("skn,sn->sk", patches.gain, seen - patches.look)
+        # The step moves the patch; its inverse moves the image.
+        back = np.linalg.inv(np.eye(2, dtype=np.float32) + move[:, :4].reshape(-1, 2, 2))
+        affine = affine @ back
+        at = at - np.einsum("sij,sj->si", affine, move[:, 4:])
+    return Found(at, affine, np.einsum("sn,sn->s", seen, patches.look))
+
+
+def _sampled(grey: np.ndarray, uv: Float[np.ndarray, "s n 2"]) -> Float[np.ndarray, "s n"]:
+    uv = np.asarray(uv, np.float32)
+    if not len(uv):
+        return np.zeros(uv.shape[:2], np.float32)
+    return cv2.remap(grey, uv[..., 0], uv[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+
+
+def _normalised(grey: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], Float[np.ndarray, " s"]]:
+    """Weighted, without mean, of unit length; and the length that it had [grey levels]."""
+    weighted = grey * _ROOT_WEIGHT
+    weighted = weighted - (weighted @ _ROOT_WEIGHT)[:, None] * _ROOT_WEIGHT
+    length = np.maximum(np.linalg.norm(weighted, axis=1), _LEAST_CONTRAST)
+    return weighted / length[:, None], length
