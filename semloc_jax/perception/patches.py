@@ -10,13 +10,14 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 
-_HALF_PX = 6
+_HALF_PX = 8
 """A patch reaches so far to each side."""
-_WEIGHT_PX = 3.5
+_WEIGHT_PX = 5.5
 """Standard deviation of the weights of its pixels: what is near the corner lies at its depth."""
-_NUM_STEPS = 5
+_NUM_STEPS = 2
+"""From where it is followed to from the last image; more change nothing (notebooks/figures/inertial.md)."""
 _AFFINE_SIGMA = 0.15
 """How far one step may stretch or shear a patch; small patches tell it badly."""
 _GREY_SIGMA = 0.1

@@ -36,7 +36,7 @@ class CornerConfig:
     """Side of the squares of which each gives one new corner."""
     gate_px: float = 2.0
     """Largest distance from the epipolar plane of the motion."""
-    border_px: int = 8
+    border_px: int = 10
     largest_slip_px: float = 1.5
     """Between where the last image and where the first one leads to."""
     least_alike: float = 0.8
