@@ -43,8 +43,8 @@ def test_a_corner_is_where_it_was_found_after_eleven_images(wall):
         last = tracker.step([seen(wall, k)], RIG, ROLL)
     same = (first.id >= 0) & (first.id == last.id)
     off_px = np.linalg.norm(last.uv[same] - moved(first.uv[same], NUM), axis=1)
-    # 71 % nearer at the end: patches were cut out anew on the way, and keep the slip of that moment. Followed from image
-    # to image alone these corners end 1.8 px off in the median: what comes nearer draws small windows along.
+    # 71 % nearer at the end: patches were cut out anew on the way, and keep the slip of that moment. Followed from
+    # image to image alone these corners end 1.8 px off in the median: what comes nearer draws small windows along.
     assert same.sum() >= 8 and np.median(off_px) < 0.1 and np.percentile(off_px, 90) < 0.25
 
 
@@ -69,4 +69,4 @@ def test_a_corner_that_looks_otherwise_is_let_go(wall):
     assert same.sum() >= 20 and second.uv[same, 0].max() < 174.0, "half of a patch is 8 px"
     flat = cut_out(np.full((240, 320), 90, np.uint8), np.array([[100.0, 100.0]]))
     nothing = laid_over(flat, seen(wall, 0), np.array([[100.0, 100.0]]))
-    assert np.isfinite(nothing.uv).all() and np.isfinite(nothing.affine).all() and nothing.alike[0] == 0.0
+    assert np.isfinite(nothing.uv).all() and np.isfinite(nothing.affine).all() and abs(nothing.alike[0]) < 1e-6
