@@ -1,8 +1,9 @@
 """Corners followed from image to image: the front end of visual odometry (room: perception; host).
 
 In: grey images of the cameras, rotations between, where nothing may be taken. Out: Tracks: ids, pixels, lines of sight.
-Pyramidal Lucas-Kanade with small windows (large ones are bent by foreshortening and turn the yaw), a check backwards
-in time, and the epipolar plane. Slots are fixed: a slot holds one track of one camera, or none.
+Pyramidal Lucas-Kanade with small windows finds them in the next image (large windows are bent by foreshortening and
+turn the yaw), a check backwards in time and the epipolar plane keep what is the same; where it is exactly, what it
+looked like when it was found says (`patches`). Slots are fixed: a slot holds one track of one camera, or none.
 """
 
 from collections.abc import Sequence
@@ -37,6 +38,7 @@ class CornerConfig:
     gate_px: float = 2.0
     """Largest distance from the epipolar plane of the motion."""
     border_px: int = 10
+    """More than half of a patch and a pixel."""
     largest_slip_px: float = 1.5
     """Between where the last image and where the first one leads to."""
     least_alike: float = 0.8
