@@ -23,7 +23,7 @@ from semloc_jax.evaluation.mixture_bounds import LEAST_LEVELS
 from semloc_jax.localization.lens_sign import SignState
 from semloc_jax.runtime.same_object import once_for_each
 
-FOCAL, RADIAL = "focal", "radial"
+FOCAL, RADIAL, WIDTH = "focal", "radial", "width"
 _TURNS = ("pitch", "yaw")
 _SIDES = GROUPS[2:]
 """Of the way. A road that was made wider is told by them; along the road each holds too little alone."""
@@ -45,12 +45,14 @@ class WatchConfig:
     radial_share: ClassVar[float] = 0.05
     """By how much a lens of another distortion is wider or narrower at the side of the image: as much as the distortion
     of usual lenses there."""
+    width_m: ClassVar[float] = 0.2
+    """By how much another road is wider or narrower than in the map."""
     turn_rad: ClassVar[float] = 0.015
     step_m: float = 0.5
     """Way between two frames that are looked at: from one place the same errors are seen again."""
     eager_looks: int = 12
-    """So many frames at the start of a drive are asked for all that may be wrong with the lenses: calibrations that are
-    wrong are wrong from the first frame on."""
+    """So many frames at the start of a drive are asked for all that may be wrong with lenses and width: what is wrong
+    is wrong from the first frame on."""
     memory_frames: float = 40.0
     share: float = 0.3
     """Share of what a frame says that is new: successive frames see the same map."""
@@ -129,20 +131,23 @@ class Suspicion(NamedTuple):
 
 
 def alternatives(num_cameras: int) -> tuple[str, ...]:
-    """What is changed in the other calibrations, each a little up and a little down."""
+    """What is changed in the other calibrations, each a little up and a little down; and the width of the road in the
+    map, which height and lens make up for."""
     turns = [f"{turn} {k}" for k in range(num_cameras) for turn in _TURNS] if num_cameras > 1 else []
-    return (FOCAL, RADIAL, *turns)
+    return (FOCAL, RADIAL, WIDTH, *turns)
 
 
 def unit_of(name: str, config: WatchConfig) -> float:
-    """By how much one of `alternatives` is changed: a share of the image, or an angle [rad]."""
-    return {FOCAL: FOCAL_SHARE, RADIAL: config.radial_share}.get(name, config.turn_rad)
+    """By how much one of `alternatives` is changed: a share of the image, a width [m] or an angle [rad]."""
+    units = {FOCAL: FOCAL_SHARE, RADIAL: config.radial_share, WIDTH: config.width_m}
+    return units.get(name, config.turn_rad)
 
 
 def asked_now(watch: WatchState, num_cameras: int, config: WatchConfig) -> tuple[str, ...]:
-    """What the next frame is asked for: the lenses at the start of a drive, later one alternative after another."""
+    """What the next frame is asked for: lenses and width at the start of a drive, later one alternative after
+    another."""
     if int(watch.num_frames) < config.eager_looks:
-        return (FOCAL, RADIAL)
+        return (FOCAL, RADIAL, WIDTH)
     names = alternatives(num_cameras)
     return (names[int(watch.num_frames) % len(names)],)
 
@@ -167,7 +172,14 @@ def changed_rigs(rig: Rig, name: str, config: WatchConfig) -> tuple[Rig, ...]:
     return tuple(_changed(rig, name, step * unit_of(name, config)) for step in STEPS)
 
 
+def widths(name: str, config: WatchConfig) -> Float[np.ndarray, "4"]:
+    """By how much the road is wider with each of `changed_rigs` [m]."""
+    return STEPS * (config.width_m if name == WIDTH else 0.0)
+
+
 def _changed(rig: Rig, name: str, by: float) -> Rig:
+    if name == WIDTH:
+        return rig
     if name == FOCAL:
         return longer(rig, by)
     if name == RADIAL:

@@ -21,7 +21,7 @@ from semloc_jax.localization.initialization import no_fixes, with_fix
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
-from semloc_jax.localization.watch_sums import WatchConfig, changed_rigs, moves
+from semloc_jax.localization.watch_sums import WIDTH, WatchConfig, changed_rigs, moves, widths
 from semloc_jax.maps import read_map
 from semloc_jax.runtime.stored_program import StoredProgram
 from semloc_jax.simulation import with_fault
@@ -105,7 +105,7 @@ def test_a_new_localizer_compiles_nothing_and_leaves_nothing_behind(pipeline):
 
 def test_a_frame_is_solved_once_and_with_each_kind_of_lens_once(pipeline, monkeypatch):
     """One program for the frame, its search along the road included; one for all lenses of each of two kinds, one for
-    the other sign, one for its own lenses again."""
+    all widths of the road, one for the other sign, one for its own lenses again."""
     called, call = [], StoredProgram.__call__
 
     def counted(program, *args, **kwargs):
@@ -123,15 +123,15 @@ def test_a_frame_is_solved_once_and_with_each_kind_of_lens_once(pipeline, monkey
         before_s = frame.time_s
     assert result.accepted and int(state.watch.num_frames) == 2
     assert counts[-1]["align_predicted"] == 1 and counts[-1]["profile_beside"] == 0
-    assert 2 <= counts[-1]["align_with_rigs"] <= 4
+    assert 3 <= counts[-1]["align_with_rigs"] <= 5
 
 
 def test_a_lens_among_others_is_solved_as_it_is_alone(pipeline):
     localizer, features, T = _at_truth(pipeline)
     rigs = changed_rigs(features.rig, "focal", WatchConfig())
     known = features, T, 0.01 * np.eye(6), localizer.trust_in(localizer.start()), np.zeros(3), np.ones((), np.float32)
-    scores, Ts = localizer.aligner.align_again(rigs, [0, 1, 3], *known)
-    alone, T_alone = localizer.aligner.align_again((rigs[3],), [0], *known)
+    scores, Ts = localizer.aligner.align_again(rigs, np.zeros(4), [0, 1, 3], *known)
+    alone, T_alone = localizer.aligner.align_again((rigs[3],), [0.0], [0], *known)
     assert scores.shape == (3,) and np.ptp(scores) > 1.0
     np.testing.assert_allclose(scores[2], alone[0], atol=1e-4)
     np.testing.assert_allclose(Ts[2], T_alone[0], atol=1e-5)
@@ -183,6 +183,25 @@ def test_each_side_of_the_road_is_least_costly_where_it_is(pipeline):
     left, right = localizer.aligner.costs_of_classes(features, T, *known)[2:, :31]
     assert aside[np.argmin(left)] == pytest.approx(0.5, abs=0.11)
     assert aside[np.argmin(right)] == pytest.approx(0.0, abs=0.11)
+
+
+def test_a_road_that_the_map_has_too_wide_fits_better_when_it_is_made_narrower(pipeline):
+    """All to the left of the way is 0.3 m aside in the map, so the middle of both sides is 0.15 m to the left of where
+    the vehicle stands: from there it is found with the narrower road, not with one as wide as the map's."""
+    wider = with_fault("one_side_moved:1", pipeline.drive, pipeline.localizer.map).semantic_map
+    config = WatchConfig()
+    gains = []
+    for semantic_map, middle_m in ((pipeline.localizer.map, 0.0), (wider, 0.15)):
+        localizer, features, T = _at_truth(pipeline, semantic_map)
+        spread = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
+        known = features, T, spread, localizer.trust_in(localizer.start()), np.zeros(3), np.ones((), np.float32)
+        wider_m = [0.0, *widths(WIDTH, config)[:2]]
+        (own, broader, narrower), Ts = localizer.aligner.align_again((features.rig,) * 3, wider_m, [0, 1, 2], *known)
+        gains.append((own - broader, own - narrower))
+        off = rigid.log(rigid.inverse(T) @ Ts[2 if middle_m else 0])
+        assert off[:2] == pytest.approx([0.0, middle_m], abs=0.08)
+    (sound_up, sound_down), (up, down) = gains
+    assert max(sound_up, sound_down) < 0.0 and up < 0.0 and down > config.least_gain_nats
 
 
 @pytest.mark.parametrize(("fault", "name"), [("focal:2", "focal"), ("distortion:3", "radial")])

@@ -24,6 +24,7 @@ from semloc_jax.localization.watch_sums import (
     moves,
     suspicions,
     unit_of,
+    widths,
 )
 
 CONFIG = WatchConfig()
@@ -63,7 +64,7 @@ def flat() -> np.ndarray:
     return np.tile(20.0 * np.minimum(np.linalg.norm(moves(CONFIG), axis=1), 1.0), (len(GROUPS), 1))
 
 
-@pytest.mark.parametrize("wrong", ["focal", "radial"])
+@pytest.mark.parametrize("wrong", ["focal", "radial", "width"])
 def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong):
     """The cost has its least value 4 % narrower, and a lens 1 % wider moves the pose 0.2 m back."""
 
@@ -77,9 +78,9 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
     first = suspicions(state, 1, CONFIG)[0]
     assert (first.name, first.size) == (wrong, pytest.approx(-0.04, abs=1e-9))
     np.testing.assert_allclose(first.moved, [0.8, 0.0, 0.0], atol=1e-9)
-    # Every frame asks for it at first, twice, later every other; each gains 8 nats, of which two do not count and three
+    # Every frame asks for it at first, twice, later every third; each gains 8 nats, of which two do not count and three
     # tenths are new.
-    asked = np.r_[: CONFIG.eager_looks, CONFIG.eager_looks + (wrong == "radial") : 24 : 2]
+    asked = np.r_[: CONFIG.eager_looks, CONFIG.eager_looks + alternatives(1).index(wrong) : 24 : 3]
     worth = 2.0 * np.sum(np.exp(-(23 - asked) / 40.0))
     assert first.nats == pytest.approx(0.3 * worth * (8.0 - CONFIG.least_gain_nats), rel=1e-6)
 
@@ -87,7 +88,7 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
 def test_a_drive_that_fits_raises_no_suspicion():
     state = after_frames(2, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat())
     found = suspicions(state, 2, CONFIG)
-    assert len(found) == 12 and max(s.nats for s in found) < 1e-9
+    assert len(found) == 13 and max(s.nats for s in found) < 1e-9
     assert suspicions(WatchState(), 1, CONFIG) == []
 
 
@@ -164,30 +165,54 @@ def test_frames_without_numbers_leave_the_sums_alone():
 
 
 def test_the_other_calibrations_take_turns():
-    """Lenses at first; then they and every camera's pitch and yaw."""
-    at = [asked_now(WatchState(num_frames=np.int64(k)), 2, CONFIG) for k in range(CONFIG.eager_looks + 6)]
-    assert set(at[: CONFIG.eager_looks]) == {("focal", "radial")}
+    """Lenses and the width of the road at first; then they and every camera's pitch and yaw."""
+    at = [asked_now(WatchState(num_frames=np.int64(k)), 2, CONFIG) for k in range(CONFIG.eager_looks + 7)]
+    assert set(at[: CONFIG.eager_looks]) == {("focal", "radial", "width")}
     assert sorted(name for (name,) in at[CONFIG.eager_looks :]) == sorted(alternatives(2))
 
 
 def test_the_other_calibrations_differ_as_they_say():
     """Longer and shorter, bent and unbent, every camera down and up, left and right; axes as in scipy."""
     given = rig(2)
-    told = [changed_rigs(given, name, CONFIG) for name in alternatives(2)]
-    assert [float(t.cameras[0].fx) for t in (*told[0], told[2][0])] == pytest.approx(
+    told = {name: changed_rigs(given, name, CONFIG) for name in alternatives(2)}
+    assert [float(t.cameras[0].fx) for t in (*told["focal"], told["pitch 0"][0])] == pytest.approx(
         [512.5, 487.5, 525.0, 475.0, 500.0]
     )
     # At the side of the image, 320 px from its centre, a ray lies 5 % farther out or in.
     side = np.array([[0.64, 0.0, 1.0]])
-    shifts = [float(t.cameras[1].project(side)[0][0, 0]) - 640.0 for t in told[1]]
+    shifts = [float(t.cameras[1].project(side)[0][0, 0]) - 640.0 for t in told["radial"]]
     assert shifts == pytest.approx([16.0, -16.0, 32.0, -32.0], abs=0.01)
-    for k, axis, camera in ((2, "y", 0), (3, "z", 0), (5, "z", 1)):
-        for sign, other in zip(STEPS, told[k], strict=True):
+    for name, axis, camera in (("pitch 0", "y", 0), ("yaw 0", "z", 0), ("yaw 1", "z", 1)):
+        for sign, other in zip(STEPS, told[name], strict=True):
             turn = Rotation.from_euler(axis, sign * CONFIG.turn_rad).as_matrix()
             np.testing.assert_allclose(
                 other.T_base_cam[camera, :3, :3], turn @ np.asarray(given.T_base_cam)[camera, :3, :3], atol=1e-9
             )
             np.testing.assert_allclose(other.T_base_cam[1 - camera], given.T_base_cam[1 - camera])
+
+
+def test_a_road_of_another_width_moves_the_lenses_nowhere():
+    given = rig(2)
+    assert all(other is given for other in changed_rigs(given, "width", CONFIG))
+    np.testing.assert_allclose(widths("width", CONFIG), [0.2, -0.2, 0.4, -0.4])
+    assert not widths("focal", CONFIG).any()
+
+
+def test_which_side_of_a_narrower_road_was_moved_is_not_known():
+    """0.3 m narrower, the pose 0.4 m ahead and 0.1 m to the left of the middle: 0.05 m to the right, or 0.25 m left."""
+
+    def cost(name, change):
+        return 0.5 * ((change + (0.3 if name == "width" else 0.0)) / 0.05) ** 2
+
+    def pose(name, change):
+        return np.array([0.4, 0.1, 0.0]) * change / -0.3
+
+    found = watch.spoken_for(after_frames(1, cost, pose, flat(), 2), rig(1), CONFIG)
+    reached = separation.reach(found)
+    np.testing.assert_allclose(reached, [[-0.05, 0.0, 0.0], [0.25, 0.4, 0.0]], atol=1e-9)
+    assert {one.cause for one in found} == {
+        "masks fit better with a road that is 0.30 m narrower than in the map; see map_changes.csv"
+    }
 
 
 def rolled(roll_deg, open_deg: float, way_m: float) -> WatchState:
@@ -236,7 +261,7 @@ def test_every_suspicion_has_a_sentence():
 
     for name in (*alternatives(2), *CLASSES):
         told = watch._told(Suspicion(name, -0.03, 9.0, np.zeros(3)), rig(2))
-        assert ("map_changes.csv" if name in CLASSES else "semloc calibrate") in told
+        assert ("map_changes.csv" if name in (*CLASSES, "width") else "semloc calibrate") in told
     assert "fit 0.50 m to the left" in watch._told(Suspicion("posts_left", 0.5, 9.0, np.zeros(3)), rig(1))
 
 
