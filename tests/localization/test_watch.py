@@ -78,11 +78,12 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
     first = suspicions(state, 1, CONFIG)[0]
     assert (first.name, first.size) == (wrong, pytest.approx(-0.04, abs=1e-9))
     np.testing.assert_allclose(first.moved, [0.8, 0.0, 0.0], atol=1e-9)
-    # Every frame asks for it at first, twice, later every third; each gains 8 nats, of which two do not count and three
-    # tenths are new.
+    # Every frame asks for it at first, twice, later every third; each gains 8 nats, of which two (of a width: four) do
+    # not count and three tenths are new.
     asked = np.r_[: CONFIG.eager_looks, CONFIG.eager_looks + alternatives(1).index(wrong) : 24 : 3]
     worth = 2.0 * np.sum(np.exp(-(23 - asked) / 40.0))
-    assert first.nats == pytest.approx(0.3 * worth * (8.0 - CONFIG.least_gain_nats), rel=1e-6)
+    least_nats = CONFIG.width_gain_nats if wrong == "width" else CONFIG.least_gain_nats
+    assert first.nats == pytest.approx(0.3 * worth * (8.0 - least_nats), rel=1e-6)
 
 
 def test_a_drive_that_fits_raises_no_suspicion():
