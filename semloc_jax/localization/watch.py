@@ -145,8 +145,8 @@ def _leaned(
         T_road, spread = aligner.road_under(T_map_base)
     except SemlocError:  # no road there
         return watch
-    tilt_rad = rigid.log(rigid.inverse(T_road) @ T_map_base)[3:5]
-    return leaned(watch, tilt_rad, np.array(spread)[1:3], way_m, config)
+    stance = rigid.log(rigid.inverse(T_road) @ T_map_base)[2:5]
+    return leaned(watch, stance, np.array(spread), way_m, config)
 
 
 def spoken_for(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separation]:

@@ -67,9 +67,13 @@ class WatchConfig:
     """Way over which tilts are averaged: a mount does not change while driving."""
     least_gain_nats: float = 2.0
     """What a frame must gain at least: less is left by masks and maps that are not perfect, in every frame anew."""
-    width_gain_nats: ClassVar[float] = 4.0
-    """The same of the width of the road, which a map that is not perfect has wrong as a whole: 2.6 nats are the most
-    that a real drive said, 5 to 8 where lines of one side are 0.3 m aside."""
+    width_gain_nats: ClassVar[tuple[float, float]] = (4.0, 0.5)
+    """The same of the width of the road, where the pose has the height of its mounts, and where it has another one as
+    if for that width. The first is beyond what a real drive said (2.6); lines of one side 0.2 m aside say 3, 0.3 m 5 to
+    8, and sound drives lose 6 and more."""
+    width_height_m: ClassVar[tuple[float, float]] = (0.01, 0.03)
+    """From the first height to the second. On sound drives, a real one among them, it is less than 0.005 m on average,
+    with lines of one side 0.2 or 0.3 m aside 0.03 to 0.07 m."""
     count_nats: float = 2.5
     """A calibration that so much speaks for joins the protection levels: less is what chance does among a dozen."""
     class_gain_nats: ClassVar[float] = 0.5
@@ -115,9 +119,9 @@ class WatchState(NamedTuple):
     num_frames: Int[np.ndarray, ""] = np.int64(0)
     way_m: Float[np.ndarray, ""] = np.float64(0.0)
     """Since the last frame that was looked at."""
-    tilt: Float[np.ndarray, "5"] = np.zeros(5)
-    """Number of independent stretches of road that were driven; sums over them of roll and pitch [rad] and of the
-    variances of both that the map leaves open [rad^2]."""
+    stance: Float[np.ndarray, "7"] = np.zeros(7)
+    """Number of independent stretches of road that were driven; sums over them of height [m], roll and pitch [rad] and
+    of the variances of these that the map leaves open."""
     sign: SignState = SignState()
     """What was said of lenses with the other sign of distortion."""
 
@@ -246,7 +250,7 @@ def learned(
     size = len(STEPS) * len(names)
     if watch.num.shape != (size,):
         zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
-        watch = WatchState(*zeros, num_frames=watch.num_frames, tilt=watch.tilt, sign=watch.sign)
+        watch = WatchState(*zeros, num_frames=watch.num_frames, stance=watch.stance, sign=watch.sign)
     keep = np.exp(-1.0 / config.memory_frames)
     new, gain, moved = np.zeros(size), np.zeros(size), np.zeros((size, 3))
     for one in tried:
@@ -263,15 +267,15 @@ def learned(
         np.float64(keep * watch.num_looks + usable),
         np.int64(watch.num_frames + 1),
         np.float64(0.0),
-        watch.tilt,
+        watch.stance,
         watch.sign,
     )
 
 
 def leaned(
     watch: WatchState,
-    tilt_rad: Float[np.ndarray, "2"],
-    open_rad: Float[np.ndarray, "2"],
+    stance: Float[np.ndarray, "3"],
+    left_open: Float[np.ndarray, "3"],
     way_m: float,
     config: WatchConfig,
 ) -> WatchState:
@@ -279,14 +283,22 @@ def leaned(
 
     Args:
         watch: Before.
-        tilt_rad: Roll and pitch against the road of the map.
-        open_rad: Standard deviations of both that the surface of the map leaves open.
+        stance: Height [m], roll and pitch [rad] over the road of the map.
+        left_open: Standard deviations of these that the surface of the map leaves open.
         way_m: Since the look before.
         config: Memory.
     """
-    new = min(way_m / config.surface_m, 1.0) if watch.tilt[0] > 0.0 else 1.0
+    new = min(way_m / config.surface_m, 1.0) if watch.stance[0] > 0.0 else 1.0
     keep = np.exp(-way_m / config.tilt_memory_m)
-    return watch._replace(tilt=keep * watch.tilt + new * np.array([1.0, *tilt_rad, *np.square(open_rad)]))
+    return watch._replace(stance=keep * watch.stance + new * np.array([1.0, *stance, *np.square(left_open)]))
+
+
+def height_m(watch: WatchState) -> float:
+    """How much higher than its mounts say the vehicle stands over the road of the map, beyond what that leaves open."""
+    num, height, open_m2 = watch.stance[[0, 1, 4]]
+    if num <= 0.0:
+        return 0.0
+    return float(np.sign(height) * max(abs(height / num) - np.sqrt(open_m2 / num), 0.0))
 
 
 def mount_tilt_rad(watch: WatchState, own_rad: float, config: WatchConfig) -> Float[np.ndarray, "2"]:
@@ -300,10 +312,10 @@ def mount_tilt_rad(watch: WatchState, own_rad: float, config: WatchConfig) -> Fl
         own_rad: Standard deviation of roll and pitch of a vehicle on a flat road.
         config: How far a mount may be off.
     """
-    num = watch.tilt[0]
+    num = watch.stance[0]
     if num <= 0.0:
         return np.zeros(2)
-    mean, left_open = watch.tilt[1:3] / num, watch.tilt[3:5] / num
+    mean, left_open = watch.stance[2:4] / num, watch.stance[5:7] / num
     variance, prior = left_open + own_rad**2 / max(num, 1.0), np.deg2rad(config.mount_sigma_deg) ** 2
     return mean * prior / (prior + variance)
 
@@ -357,10 +369,19 @@ def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> l
             at, better = _between(gain[0], gain[1])
             step = at * 0.5 * (moved[0] - moved[1])
         # Both neighbours say it, as often as they were asked.
-        least_nats = config.width_gain_nats if name == WIDTH else config.least_gain_nats
+        least_nats = _least_of_width(watch, at, config) if name == WIDTH else config.least_gain_nats
         nats = config.share * float(num[:2].sum()) * max(better - least_nats, 0.0)
         found.append(Suspicion(name, at * unit_of(name, config), nats, step))
     return found
+
+
+def _least_of_width(watch: WatchState, at: float, config: WatchConfig) -> float:
+    """What a frame must gain at least by a road that is wider (`at` above 0) or narrower.
+
+    A map that has the road wider than it is makes the vehicle stand higher: both sides then fit, and what lies ahead
+    fits from somewhere else along the road.
+    """
+    return float(np.interp(-np.sign(at) * height_m(watch), config.width_height_m, config.width_gain_nats))
 
 
 def _between(gain_up: float, gain_down: float) -> tuple[float, float]:

@@ -82,7 +82,7 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
     # not count and three tenths are new.
     asked = np.r_[: CONFIG.eager_looks, CONFIG.eager_looks + alternatives(1).index(wrong) : 24 : 3]
     worth = 2.0 * np.sum(np.exp(-(23 - asked) / 40.0))
-    least_nats = CONFIG.width_gain_nats if wrong == "width" else CONFIG.least_gain_nats
+    least_nats = CONFIG.width_gain_nats[0] if wrong == "width" else CONFIG.least_gain_nats
     assert first.nats == pytest.approx(0.3 * worth * (8.0 - least_nats), rel=1e-6)
 
 
@@ -199,6 +199,21 @@ def test_a_road_of_another_width_moves_the_lenses_nowhere():
     assert not widths("focal", CONFIG).any()
 
 
+@pytest.mark.parametrize(
+    ("height_m", "open_m", "is_told"), [(0.0, 0.0, False), (0.04, 0.0, True), (-0.04, 0.0, False), (0.04, 0.03, False)]
+)
+def test_a_narrower_road_is_doubted_sooner_where_the_vehicle_stands_higher(height_m, open_m, is_told):
+    """Three nats a frame are what a real drive may say; with a height that the width would account for they are not.
+    What the map leaves open of the height says nothing."""
+
+    def cost(name, change):
+        return 0.0 if name != "width" else 3.0 * ((change + 0.2) / 0.2) ** 2
+
+    state = after_frames(1, cost, lambda name, change: np.array([change, 0.0, 0.0]), flat(), 3)
+    state = leaned(state, np.array([height_m, 0.0, 0.0]), np.array([open_m, 0.0, 0.0]), 1.0, CONFIG)
+    assert bool(watch.spoken_for(state, rig(1), CONFIG)) == is_told
+
+
 def test_which_side_of_a_narrower_road_was_moved_is_not_known():
     """0.3 m narrower, the pose 0.4 m ahead and 0.1 m to the left of the middle: 0.05 m to the right, or 0.25 m left."""
 
@@ -220,7 +235,7 @@ def rolled(roll_deg, open_deg: float, way_m: float) -> WatchState:
     """A drive past looks 2 m apart; `roll_deg` of the number of the look."""
     state = WatchState()
     for k in range(int(way_m / 2.0)):
-        state = leaned(state, np.deg2rad([roll_deg(k), 0.0]), np.deg2rad([open_deg, 0.0]), 2.0, CONFIG)
+        state = leaned(state, np.deg2rad([0.0, roll_deg(k), 0.0]), np.deg2rad([0.0, open_deg, 0.0]), 2.0, CONFIG)
     return state
 
 
