@@ -179,9 +179,9 @@ def changed_rigs(rig: Rig, name: str, config: WatchConfig) -> tuple[Rig, ...]:
     return tuple(_changed(rig, name, step * unit_of(name, config)) for step in STEPS)
 
 
-def widths(name: str, config: WatchConfig) -> Float[np.ndarray, "4"]:
+def widths(name: str, config: WatchConfig) -> tuple[float, ...]:
     """By how much the road is wider with each of `changed_rigs` [m]."""
-    return STEPS * (config.width_m if name == WIDTH else 0.0)
+    return tuple((STEPS * (config.width_m if name == WIDTH else 0.0)).tolist())
 
 
 def _changed(rig: Rig, name: str, by: float) -> Rig:

@@ -130,7 +130,7 @@ def test_a_lens_among_others_is_solved_as_it_is_alone(pipeline):
     localizer, features, T = _at_truth(pipeline)
     rigs = changed_rigs(features.rig, "focal", WatchConfig())
     known = features, T, 0.01 * np.eye(6), localizer.trust_in(localizer.start()), np.zeros(3), np.ones((), np.float32)
-    scores, Ts = localizer.aligner.align_again(rigs, np.zeros(4), [0, 1, 3], *known)
+    scores, Ts = localizer.aligner.align_again(rigs, [0.0] * 4, [0, 1, 3], *known)
     alone, T_alone = localizer.aligner.align_again((rigs[3],), [0.0], [0], *known)
     assert scores.shape == (3,) and np.ptp(scores) > 1.0
     np.testing.assert_allclose(scores[2], alone[0], atol=1e-4)

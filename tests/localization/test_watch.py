@@ -196,7 +196,7 @@ def test_a_road_of_another_width_moves_the_lenses_nowhere():
     given = rig(2)
     assert all(other is given for other in changed_rigs(given, "width", CONFIG))
     np.testing.assert_allclose(widths("width", CONFIG), [0.2, -0.2, 0.4, -0.4])
-    assert not widths("focal", CONFIG).any()
+    assert not any(widths("focal", CONFIG))
 
 
 @pytest.mark.parametrize(
