@@ -1,8 +1,8 @@
 """Whether calibration and map fit what the drive shows: one fault at a time, over the last frames (room: localization;
 host).
 
-In: how much better a frame fits with another calibration, what lines and posts say alone. Out: WatchState; Suspicion: a
-fault that the drive speaks for, its size, and how far the pose would move.
+In: how much better a frame fits with another calibration or another width of the road, what lines and posts say alone.
+Out: WatchState; Suspicion: a fault that the drive speaks for, its size, and how far the pose would move.
 A fault of calibration or map hides in each single pose. A frame that is solved again with a lens a little longer or
 shorter says by the difference which one is right, and where the vehicle then is; lines and posts that are held against
 the masks each alone say whether they belong to one state of the road. What single frames say is summed up.

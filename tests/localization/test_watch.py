@@ -268,6 +268,8 @@ def test_levels_never_promise_more_than_a_survey():
     lateral_m, longitudinal_m, heading_deg = separation.at_least(LEVELS, CONFIG)
     assert (lateral_m, longitudinal_m) == CONFIG.least_levels[:2]
     assert heading_deg == pytest.approx(np.hypot(LEVELS.heading_deg, 0.3))  # a camera is mounted to tenths of a degree
+    rolled_m = np.array([0.06, 0.0, 0.0])  # what is seen and what is too small for it are independent
+    assert separation.at_least(LEVELS, CONFIG, rolled_m).lateral_m == pytest.approx(np.hypot(lateral_m, 0.06))
     wide = ProtectionLevels(1.0, 2.0, np.inf)
     assert separation.at_least(wide, CONFIG) == wide
 
