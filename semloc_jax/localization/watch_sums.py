@@ -69,8 +69,8 @@ class WatchConfig:
     """What a frame must gain at least: less is left by masks and maps that are not perfect, in every frame anew."""
     width_gain_nats: ClassVar[tuple[float, float]] = (4.0, 0.5)
     """The same of the width of the road, where the pose has the height of its mounts, and where it has another one as
-    if for that width. The first is beyond what a real drive said (2.6); lines of one side 0.2 m aside say 3, 0.3 m 5 to
-    8, and sound drives lose 6 and more."""
+    if for that width. The first is beyond what a real drive said (2.6); lines of one side 0.2 m aside say 3, 0.3 m 3.5
+    to 8, and sound simulated drives lose 6 and more."""
     width_height_m: ClassVar[tuple[float, float]] = (0.01, 0.03)
     """From the first height to the second. On sound drives, a real one among them, it is less than 0.005 m on average,
     with lines of one side 0.2 or 0.3 m aside 0.03 to 0.07 m."""
