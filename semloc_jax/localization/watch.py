@@ -19,7 +19,7 @@ from semloc_jax.cameras.other_lenses import with_distortion
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import lens_sign
+from semloc_jax.localization import lens_sign, stance_sums
 from semloc_jax.localization.course import Course, course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_alignment import FrameAligner
@@ -39,9 +39,7 @@ from semloc_jax.localization.watch_sums import (
     asked_now,
     changed_rigs,
     far_side,
-    leaned,
     learned,
-    mount_tilt_rad,
     moves,
     suspicions,
     widths,
@@ -103,7 +101,7 @@ def looked(
     if other is not None:
         gain, moved = again(_ALONE(other), [0.0], [0])
         watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))
-    watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
+    watch = _leaned(watch, fused.T_map_base, aligner, way_m)
     return learned(watch, len(frame.rig.names), aside, tried, profiles, config)
 
 
@@ -138,15 +136,13 @@ def _again(
     return gain, np.array([rigid.log(rigid.inverse(T) @ other)[_PLANE] for other in Ts])
 
 
-def _leaned(
-    watch: WatchState, T_map_base: np.ndarray, aligner: FrameAligner, way_m: float, config: WatchConfig
-) -> WatchState:
+def _leaned(watch: WatchState, T_map_base: np.ndarray, aligner: FrameAligner, way_m: float) -> WatchState:
     try:
         T_road, spread = aligner.road_under(T_map_base)
     except SemlocError:  # no road there
         return watch
     stance = rigid.log(rigid.inverse(T_road) @ T_map_base)[2:5]
-    return leaned(watch, stance, np.array(spread), way_m, config)
+    return watch._replace(stance=stance_sums.learned(watch.stance, stance, np.array(spread), way_m))
 
 
 def spoken_for(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separation]:
@@ -187,7 +183,7 @@ def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separa
         how = f"the other one fits {speaks:.0f} nats better" if speaks >= 1.0 else "the drive has not told yet"
         cause = f"the distortion of {_whose(rig)} may have the wrong sign: {how}"
         found.append(separated(moved, f"{cause}; {_ADVICE}"))
-    tilted = _tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), height_m, rig)
+    tilted = _tilted(stance_sums.mount_tilt_rad(watch.stance, _OWN_TILT_RAD, config.mount_sigma_deg), height_m, rig)
     return [*found, *tilted]
 
 

@@ -21,6 +21,7 @@ from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
 from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer
 from semloc_jax.evaluation.mixture_bounds import LEAST_LEVELS
 from semloc_jax.localization.lens_sign import SignState
+from semloc_jax.localization.stance_sums import StanceState, height_m
 from semloc_jax.runtime.same_object import once_for_each
 
 FOCAL, RADIAL, WIDTH = "focal", "radial", "width"
@@ -61,10 +62,6 @@ class WatchConfig:
     what scatters."""
     mount_sigma_deg: float = 1.0
     """How far a camera may be rolled or pitched in its mount, before the drive says more."""
-    surface_m: ClassVar[float] = 10.0
-    """Way over which road and vehicle keep their own tilt: bumps, nods, what the map has of the slope."""
-    tilt_memory_m: ClassVar[float] = 200.0
-    """Way over which tilts are averaged: a mount does not change while driving."""
     least_gain_nats: float = 2.0
     """What a frame must gain at least: less is left by masks and maps that are not perfect, in every frame anew."""
     width_gain_nats: ClassVar[tuple[float, float]] = (4.0, 0.5)
@@ -119,9 +116,8 @@ class WatchState(NamedTuple):
     num_frames: Int[np.ndarray, ""] = np.int64(0)
     way_m: Float[np.ndarray, ""] = np.float64(0.0)
     """Since the last frame that was looked at."""
-    stance: Float[np.ndarray, "7"] = np.zeros(7)
-    """Number of independent stretches of road that were driven; sums over them of height [m], roll and pitch [rad] and
-    of the variances of these that the map leaves open."""
+    stance: StanceState = StanceState()
+    """How the vehicle stood on the road."""
     sign: SignState = SignState()
     """What was said of lenses with the other sign of distortion."""
 
@@ -272,54 +268,6 @@ def learned(
     )
 
 
-def leaned(
-    watch: WatchState,
-    stance: Float[np.ndarray, "3"],
-    left_open: Float[np.ndarray, "3"],
-    way_m: float,
-    config: WatchConfig,
-) -> WatchState:
-    """The sums after one more look at how the vehicle stands on the road.
-
-    Args:
-        watch: Before.
-        stance: Height [m], roll and pitch [rad] over the road of the map.
-        left_open: Standard deviations of these that the surface of the map leaves open.
-        way_m: Since the look before.
-        config: Memory.
-    """
-    new = min(way_m / config.surface_m, 1.0) if watch.stance[0] > 0.0 else 1.0
-    keep = np.exp(-way_m / config.tilt_memory_m)
-    return watch._replace(stance=keep * watch.stance + new * np.array([1.0, *stance, *np.square(left_open)]))
-
-
-def height_m(watch: WatchState) -> float:
-    """How much higher than its mounts say the vehicle stands over the road of the map, beyond what that leaves open."""
-    num, height, open_m2 = watch.stance[[0, 1, 4]]
-    if num <= 0.0:
-        return 0.0
-    return float(np.sign(height) * max(abs(height / num) - np.sqrt(open_m2 / num), 0.0))
-
-
-def mount_tilt_rad(watch: WatchState, own_rad: float, config: WatchConfig) -> Float[np.ndarray, "2"]:
-    """Roll and pitch of the cameras in their mount that the drive speaks for.
-
-    A mount is tilted by the same in every place. Nods and bumps average out over the way; a crown that the map has not
-    lies on one side all along and does not.
-
-    Args:
-        watch: What was seen.
-        own_rad: Standard deviation of roll and pitch of a vehicle on a flat road.
-        config: How far a mount may be off.
-    """
-    num = watch.stance[0]
-    if num <= 0.0:
-        return np.zeros(2)
-    mean, left_open = watch.stance[2:4] / num, watch.stance[5:7] / num
-    variance, prior = left_open + own_rad**2 / max(num, 1.0), np.deg2rad(config.mount_sigma_deg) ** 2
-    return mean * prior / (prior + variance)
-
-
 def suspicions(watch: WatchState, num_cameras: int, config: WatchConfig) -> list[Suspicion]:
     """Every fault that the drive speaks for, the clearest first."""
     if not len(watch.num):
@@ -381,7 +329,7 @@ def _least_of_width(watch: WatchState, at: float, config: WatchConfig) -> float:
     A map that has the road wider than it is makes the vehicle stand higher: both sides then fit, and what lies ahead
     fits from somewhere else along the road.
     """
-    return float(np.interp(-np.sign(at) * height_m(watch), config.width_height_m, config.width_gain_nats))
+    return float(np.interp(-np.sign(at) * height_m(watch.stance), config.width_height_m, config.width_gain_nats))
 
 
 def _between(gain_up: float, gain_down: float) -> tuple[float, float]:

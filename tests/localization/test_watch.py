@@ -9,6 +9,8 @@ from semloc_jax.cameras import BrownConradyCamera, PinholeCamera, Rig
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.localization import lens_sign, separation, watch
 from semloc_jax.localization.integrity import ProtectionLevels
+from semloc_jax.localization.stance_sums import StanceState, mount_tilt_rad
+from semloc_jax.localization.stance_sums import learned as stood
 from semloc_jax.localization.watch_sums import (
     STEPS,
     Tried,
@@ -18,9 +20,7 @@ from semloc_jax.localization.watch_sums import (
     asked_now,
     changed_rigs,
     far_side,
-    leaned,
     learned,
-    mount_tilt_rad,
     moves,
     suspicions,
     unit_of,
@@ -210,7 +210,8 @@ def test_a_narrower_road_is_doubted_sooner_where_the_vehicle_stands_higher(heigh
         return 0.0 if name != "width" else 3.0 * ((change + 0.2) / 0.2) ** 2
 
     state = after_frames(1, cost, lambda name, change: np.array([change, 0.0, 0.0]), flat(), 3)
-    state = leaned(state, np.array([height_m, 0.0, 0.0]), np.array([open_m, 0.0, 0.0]), 1.0, CONFIG)
+    stance = stood(state.stance, np.array([height_m, 0.0, 0.0]), np.array([open_m, 0.0, 0.0]), 1.0)
+    state = state._replace(stance=stance)
     assert bool(watch.spoken_for(state, rig(1), CONFIG)) == is_told
 
 
@@ -231,11 +232,11 @@ def test_which_side_of_a_narrower_road_was_moved_is_not_known():
     }
 
 
-def rolled(roll_deg, open_deg: float, way_m: float) -> WatchState:
+def rolled(roll_deg, open_deg: float, way_m: float) -> StanceState:
     """A drive past looks 2 m apart; `roll_deg` of the number of the look."""
-    state = WatchState()
+    state = StanceState()
     for k in range(int(way_m / 2.0)):
-        state = leaned(state, np.deg2rad([0.0, roll_deg(k), 0.0]), np.deg2rad([0.0, open_deg, 0.0]), 2.0, CONFIG)
+        state = stood(state, np.deg2rad([0.0, roll_deg(k), 0.0]), np.deg2rad([0.0, open_deg, 0.0]), 2.0)
     return state
 
 
@@ -243,24 +244,24 @@ OWN_RAD = np.deg2rad(0.5)
 
 
 def test_a_camera_that_is_rolled_in_every_place_is_told_from_a_vehicle_that_nods():
-    lasting = mount_tilt_rad(rolled(lambda k: 2.0, 0.0, 200.0), OWN_RAD, CONFIG)
+    lasting = mount_tilt_rad(rolled(lambda k: 2.0, 0.0, 200.0), OWN_RAD, CONFIG.mount_sigma_deg)
     assert np.degrees(lasting) == pytest.approx([2.0, 0.0], abs=0.1)
-    nodding = mount_tilt_rad(rolled(lambda k: 2.0 * np.sin(0.7 * k), 0.0, 200.0), OWN_RAD, CONFIG)
+    nodding = mount_tilt_rad(rolled(lambda k: 2.0 * np.sin(0.7 * k), 0.0, 200.0), OWN_RAD, CONFIG.mount_sigma_deg)
     assert abs(np.degrees(nodding[0])) < 0.1
     # One look says little: half a degree of its own against a degree of the mount leaves four fifths.
-    first = mount_tilt_rad(rolled(lambda k: 2.0, 0.0, 2.0), OWN_RAD, CONFIG)
+    first = mount_tilt_rad(rolled(lambda k: 2.0, 0.0, 2.0), OWN_RAD, CONFIG.mount_sigma_deg)
     assert np.degrees(first[0]) == pytest.approx(1.6)
-    assert (mount_tilt_rad(WatchState(), OWN_RAD, CONFIG) == 0.0).all()
+    assert (mount_tilt_rad(StanceState(), OWN_RAD, CONFIG.mount_sigma_deg) == 0.0).all()
 
 
 def test_a_crown_that_the_map_has_not_is_no_tilt_of_the_camera():
     """The map leaves 2 deg open, on one side all along the road: averaging does not take that away."""
-    crowned = mount_tilt_rad(rolled(lambda k: 1.2, 2.0, 400.0), OWN_RAD, CONFIG)
+    crowned = mount_tilt_rad(rolled(lambda k: 1.2, 2.0, 400.0), OWN_RAD, CONFIG.mount_sigma_deg)
     assert np.degrees(crowned[0]) == pytest.approx(1.2 / (1.0 + 4.0), rel=0.02)
 
 
 def test_a_rolled_camera_is_not_above_where_it_would_be():
-    found = watch.separations(rolled(lambda k: 2.0, 0.0, 200.0), rig(1), CONFIG)
+    found = watch.separations(WatchState(stance=rolled(lambda k: 2.0, 0.0, 200.0)), rig(1), CONFIG)
     assert with_faults(found).lateral_m == pytest.approx(0.05 + 1.4 * np.deg2rad(2.0), rel=0.02)
 
 
