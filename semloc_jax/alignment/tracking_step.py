@@ -18,6 +18,7 @@ from semloc_jax.alignment.along_road import AlongRoadConfig, beyond_reach, place
 from semloc_jax.alignment.hypotheses import prior_cost, score
 from semloc_jax.alignment.level_choice import telling
 from semloc_jax.alignment.longitudinal import LongitudinalConfig
+from semloc_jax.alignment.other_width import with_other_width
 from semloc_jax.alignment.pieces import nats_at
 from semloc_jax.alignment.pose import (
     AlignConfig,
@@ -148,6 +149,7 @@ def align_with_rigs(
     trust: Float[Array, " element"],
     sigma_along_m: Float[Array, ""],
     rigs: Rig,
+    wider_m: Float[Array, " rig"],
     asked: Int[Array, " rig"],
     num_asked: Int[Array, ""],
     config: TrackAlignConfig,
@@ -157,12 +159,14 @@ def align_with_rigs(
     Args:
         T_predicted, prior, frame, trust, sigma_along_m, config: As `align_predicted`; the rig of the frame is not used.
         rigs: The calibrations; every leaf of the rig has a leading axis.
+        wider_m: By how much the road is taken to be wider with each of them than the map has it.
         asked: Which of them, those that are asked for first.
         num_asked: How many of these: the others cost nothing.
     """
 
     def one(n: Array, found: WithRig) -> WithRig:
-        own = frame._replace(rig=jax.tree.map(lambda leaf: jnp.asarray(leaf)[asked[n]], rigs))
+        rig = jax.tree.map(lambda leaf: jnp.asarray(leaf)[asked[n]], rigs)
+        own = frame._replace(rig=rig, samples=with_other_width(frame.samples, T_predicted, wider_m[asked[n]]))
         T_start, _ = moved_along(T_predicted, sigma_along_m, prior, own, trust, config)
         answer = _aligned(T_start, prior, own, trust, config)
         Ts = found.Ts_map_base.at[asked[n]].set(answer.estimate.T_map_base)

@@ -59,6 +59,7 @@ class ExplicitAligner(FrameAligner):
     def align_again(
         self,
         rigs: tuple[Rig, ...],
+        wider_m: Sequence[float],
         asked: Sequence[int],
         frame: FrameFeatures,
         T_map_base: Float[np.ndarray, "4 4"],
@@ -67,10 +68,12 @@ class ExplicitAligner(FrameAligner):
         stance: Float[np.ndarray, "3"],
         grain: Float[np.ndarray, ""],
     ) -> tuple[Float[np.ndarray, " rig"], Float[np.ndarray, "rig 4 4"]]:
-        """Scores and poses of a frame with other calibrations; see `FrameAligner.align_again`."""
+        """Scores and poses of a frame with other calibrations; see `FrameAligner.align_again`. Landmarks stay where the
+        map has them: scores with another width of the road are NaN."""
         parts = T_map_base, covariance, 0.0, trust, stance, grain
         found = [self.align(frame._replace(rig=rigs[k]), *parts) for k in asked]
-        return np.array([one.score for one in found]), np.stack([one.measurement.T_map_base for one in found])
+        scores = np.array([np.nan if wider_m[k] else one.score for k, one in zip(asked, found, strict=True)])
+        return scores, np.stack([one.measurement.T_map_base for one in found])
 
 
 def landmarks_of(window: MapWindow) -> tuple[Landmark, ...]:

@@ -148,6 +148,7 @@ class FrameAligner:
     def align_again(
         self,
         rigs: tuple[Rig, ...],
+        wider_m: Sequence[float],
         asked: Sequence[int],
         frame: FrameFeatures,
         T_map_base: Float[np.ndarray, "4 4"],
@@ -161,15 +162,17 @@ class FrameAligner:
         Args:
             rigs: At most `MOST_RIGS` of the same camera models. What a program needs of them is made once for each
                 tuple, by its identity.
+            wider_m: By how much the road is taken to be wider with each of them than the map has it.
             asked: Which of them.
 
         Raises:
             SemlocError: the map has no road near the pose.
         """
         ready = self._prepared(frame, T_map_base, covariance, trust, stance, grain)
-        first = np.zeros(MOST_RIGS, np.int32)
-        first[: len(asked)] = asked
-        known = np.sqrt(np.float32(covariance[0, 0])), self._side_by_side(rigs), first, np.int32(len(asked)), self.step
+        first, widths = np.zeros(MOST_RIGS, np.int32), np.zeros(MOST_RIGS, np.float32)
+        first[: len(asked)], widths[: len(wider_m)] = asked, wider_m
+        sigma_along, num = np.sqrt(np.float32(covariance[0, 0])), np.int32(len(asked))
+        known = sigma_along, self._side_by_side(rigs), widths, first, num, self.step
         found = jax.device_get(align_with_rigs(*ready.solved, *known))
         Ts = ready.local.to_map(found.Ts_map_base[list(asked)])
         return found.scores[list(asked)].astype(np.float64), np.stack([rigid.normalised(T) for T in Ts])

@@ -50,6 +50,8 @@ class Known(NamedTuple):
     Attributes:
         errors: Covariance of the pose, degrees of freedom and what the map leaves open, as `protection_levels`.
         faults: Every fault that a level has to hold under.
+        standing: How far the right pose may be under those that are considered whatever the last frames say: left [m],
+            ahead [m], heading [deg].
         way: Course of the pose, and what is remembered of it [rad]; None where there is no track.
         aside: Probability that the cameras look aside.
         rig: Cameras.
@@ -58,6 +60,7 @@ class Known(NamedTuple):
 
     errors: tuple[np.ndarray, np.ndarray, np.ndarray]
     faults: list[Separation]
+    standing: Float[np.ndarray, "3"]
     way: tuple[course.Course, float] | None
     aside: float
     rig: Rig
@@ -95,13 +98,15 @@ def known_of(
     freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
     errors = fused.covariance, freedom, map_sigmas(*map_sigma)
     if not state.tracks:
-        return Known(errors, [], None, 0.0, rig, config)
+        return Known(errors, [], STAY, None, 0.0, rig, config)
     spoken = spoken_for(state, rig, config)
     lasting = separation.lasting(state.doubted, spoken)
-    faults = [*spoken, *lasting, *watch.separations(state.watch, rig, config.watch)]
+    standing = watch.separations(state.watch, rig, config.watch)
+    faults = [*spoken, *lasting, *standing]
+    reached = separation.farthest(separation.reach(standing), STAY)
     way, aside_rad = course.course_of(fused), float(state.watch.aside_rad)
     probable = course.probability(aside_rad, way, watch.is_ahead(rig))
-    return Known(errors, faults, (way, aside_rad), probable, rig, config)
+    return Known(errors, faults, reached, (way, aside_rad), probable, rig, config)
 
 
 def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
@@ -112,7 +117,8 @@ def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
     misled = misleading(*known.errors, far, limit)
     if known.way is None:
         return PoseLevels(separation.at_least(own, config.watch), (), misled)
-    protection = separation.at_least(separation.with_faults(own, far), config.watch, move)
+    seen = np.maximum(np.abs(move), known.standing)
+    protection = separation.at_least(separation.with_faults(own, far), config.watch, seen)
     # Cameras that look aside: the pose with the heading of its course may be the right one instead.
     way, aside_rad = known.way
     turned_rad, free = float(np.deg2rad(move[2])), float(known.errors[1][2])

@@ -111,13 +111,19 @@ def with_faults(own: ProtectionLevels, far: Float[np.ndarray, "3"]) -> Protectio
     return ProtectionLevels(*(np.array(own) + far).tolist())
 
 
-def at_least(levels: ProtectionLevels, config: WatchConfig, move: Float[np.ndarray, "3"] = STAY) -> ProtectionLevels:
-    """Levels that leave room for faults that are too small to be seen; such a one and that for which a pose was moved
-    are independent. `move` as `least_move`."""
+def at_least(levels: ProtectionLevels, config: WatchConfig, seen: Float[np.ndarray, "3"] = STAY) -> ProtectionLevels:
+    """Levels that leave room for faults that are too small to be seen; such a one and those that are seen are
+    independent.
+
+    Args:
+        levels: Without that room.
+        config: How much it is.
+        seen: How far off faults that are seen leave the pose: left [m], ahead [m], heading [deg].
+    """
     lateral_m, longitudinal_m, heading_deg = config.least_levels
     return ProtectionLevels(
-        max(levels.lateral_m, float(np.hypot(lateral_m, move[0]))),
-        max(levels.longitudinal_m, float(np.hypot(longitudinal_m, move[1]))),
+        max(levels.lateral_m, float(np.hypot(lateral_m, seen[0]))),
+        max(levels.longitudinal_m, float(np.hypot(longitudinal_m, seen[1]))),
         float(np.hypot(levels.heading_deg, heading_deg)),
     )
 

@@ -19,7 +19,7 @@ from semloc_jax.cameras.other_lenses import with_distortion
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import lens_sign
+from semloc_jax.localization import lens_sign, stance_sums
 from semloc_jax.localization.course import Course, course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_alignment import FrameAligner
@@ -31,6 +31,7 @@ from semloc_jax.localization.watch_sums import (
     FOCAL,
     RADIAL,
     STEPS,
+    WIDTH,
     Suspicion,
     Tried,
     WatchConfig,
@@ -38,14 +39,15 @@ from semloc_jax.localization.watch_sums import (
     asked_now,
     changed_rigs,
     far_side,
-    leaned,
     learned,
-    mount_tilt_rad,
     moves,
     suspicions,
+    widths,
 )
 from semloc_jax.runtime.same_object import once_for_each
 
+_Again = Callable[[tuple[Rig, ...], Sequence[float], Sequence[int]], tuple[np.ndarray, np.ndarray]]
+"""Solves a frame again with other calibrations, other widths of the road [m], those that are asked for."""
 _LOOSE = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
 """How far a pose may move with another calibration."""
 _PLANE = [0, 1, 5]
@@ -86,7 +88,7 @@ def looked(
     T = view.found.measurement.T_map_base
     solved = partial(aligner.align_again, frame=frame, T_map_base=T, covariance=_LOOSE, trust=known[0])
     solved = partial(solved, stance=known[1], grain=known[2])
-    own = cache(lambda: float(solved(_ALONE(frame.rig), [0])[0][0]))
+    own = cache(lambda: float(solved(_ALONE(frame.rig), [0.0], [0])[0][0]))
     again = partial(_again, solved=solved, own=own, T=T, score=view.found.score, config=config)
     try:
         profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
@@ -97,30 +99,25 @@ def looked(
     tried = [_tried(*one, frame.rig, again, config) for one in zip(names, sides, strict=True)]
     other = _WITH_OTHER_SIGN(frame.rig, -1.0) if RADIAL in names else None
     if other is not None:
-        gain, moved = again(_ALONE(other), [0])
+        gain, moved = again(_ALONE(other), [0.0], [0])
         watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))
-    watch = _leaned(watch, fused.T_map_base, aligner, way_m, config)
+    watch = _leaned(watch, fused.T_map_base, aligner, way_m)
     return learned(watch, len(frame.rig.names), aside, tried, profiles, config)
 
 
-def _tried(
-    name: str,
-    side: int | None,
-    rig: Rig,
-    again: Callable[[tuple[Rig, ...], Sequence[int]], tuple[np.ndarray, np.ndarray]],
-    config: WatchConfig,
-) -> Tried:
-    """The frame solved `again` with one thing of the calibration changed, farther on one side where it is given."""
-    rigs, asked = changed_rigs(rig, name, config), [0, 1] if side is None else [0, 1, side + 2]
+def _tried(name: str, side: int | None, rig: Rig, again: _Again, config: WatchConfig) -> Tried:
+    """The frame solved `again` with one thing of calibration or map changed, farther on one side where it is given."""
+    asked = [0, 1] if side is None else [0, 1, side + 2]
     gain, moved = np.full(len(STEPS), np.nan), np.zeros((len(STEPS), 3))
-    gain[asked], moved[asked] = again(rigs, asked)
+    gain[asked], moved[asked] = again(changed_rigs(rig, name, config), widths(name, config), asked)
     return Tried(name, gain, moved)
 
 
 def _again(
     rigs: tuple[Rig, ...],
+    wider_m: Sequence[float],
     asked: Sequence[int],
-    solved: Callable[[tuple[Rig, ...], Sequence[int]], tuple[np.ndarray, np.ndarray]],
+    solved: _Again,
     own: Callable[[], float],
     T: Float[np.ndarray, "4 4"],
     score: float,
@@ -129,7 +126,7 @@ def _again(
     """By how much a frame fits better with each calibration that is asked for [nats], NaN where there is no road, and
     how far its pose moves then: forward [m], left [m], heading [rad]; `own`: its score solved again with its own."""
     try:
-        scores, Ts = solved(rigs, asked)
+        scores, Ts = solved(rigs, wider_m, asked)
         gain = score - scores
         if gain.max() > config.least_gain_nats:
             # A frame that has not found its own best place yet gains by any second solve.
@@ -139,15 +136,13 @@ def _again(
     return gain, np.array([rigid.log(rigid.inverse(T) @ other)[_PLANE] for other in Ts])
 
 
-def _leaned(
-    watch: WatchState, T_map_base: np.ndarray, aligner: FrameAligner, way_m: float, config: WatchConfig
-) -> WatchState:
+def _leaned(watch: WatchState, T_map_base: np.ndarray, aligner: FrameAligner, way_m: float) -> WatchState:
     try:
         T_road, spread = aligner.road_under(T_map_base)
     except SemlocError:  # no road there
         return watch
-    tilt_rad = rigid.log(rigid.inverse(T_road) @ T_map_base)[3:5]
-    return leaned(watch, tilt_rad, np.array(spread)[1:3], way_m, config)
+    stance = rigid.log(rigid.inverse(T_road) @ T_map_base)[2:5]
+    return watch._replace(stance=stance_sums.learned(watch.stance, stance, np.array(spread), way_m))
 
 
 def spoken_for(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separation]:
@@ -156,9 +151,21 @@ def spoken_for(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separat
     for suspected in suspicions(watch, len(rig.names), config):
         if suspected.nats >= (config.class_count_nats if suspected.name in CLASSES else config.count_nats):
             # Elements that were moved say where they are, not where the pose is: it lies between them and all others.
-            is_lens = suspected.name not in CLASSES
-            found.append(separated(suspected.moved, _told(suspected, rig), is_sided=is_lens))
+            is_sided = suspected.name not in CLASSES
+            told = _told(suspected, rig)
+            found += [separated(moved, told, is_sided) for moved in _right_poses(suspected)]
     return found
+
+
+def _right_poses(suspected: Suspicion) -> list[np.ndarray]:
+    """How far the pose would be off: forward [m], left [m], heading [rad].
+
+    Which side of a road of another width was moved nothing tells; the pose that was found lies in the middle between
+    those with one side in its place and with the other.
+    """
+    if suspected.name != WIDTH:
+        return [suspected.moved]
+    return [suspected.moved + np.array([0.0, half_m, 0.0]) for half_m in (0.5 * suspected.size, -0.5 * suspected.size)]
 
 
 def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separation]:
@@ -176,7 +183,7 @@ def separations(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separa
         how = f"the other one fits {speaks:.0f} nats better" if speaks >= 1.0 else "the drive has not told yet"
         cause = f"the distortion of {_whose(rig)} may have the wrong sign: {how}"
         found.append(separated(moved, f"{cause}; {_ADVICE}"))
-    tilted = _tilted(mount_tilt_rad(watch, _OWN_TILT_RAD, config), height_m, rig)
+    tilted = _tilted(stance_sums.mount_tilt_rad(watch.stance, _OWN_TILT_RAD, config.mount_sigma_deg), height_m, rig)
     return [*found, *tilted]
 
 
@@ -238,6 +245,9 @@ def _told(suspected: Suspicion, rig: Rig) -> str:
             f"{_GROUP_WORDS[group]} of the map, taken alone, fit {abs(size):.2f} m {side}: {one_state} are not of one "
             "state of the road; see map_changes.csv"
         )
+    if name == WIDTH:
+        wider = "wider" if size > 0.0 else "narrower"
+        return f"masks fit better with a road that is {abs(size):.2f} m {wider} than in the map; see map_changes.csv"
     if name in (FOCAL, RADIAL):
         return f"masks fit better with {_lens(suspected, rig)}; {_ADVICE}"
     turn, index = name.split()

@@ -1,8 +1,8 @@
 """Whether calibration and map fit what the drive shows: one fault at a time, over the last frames (room: localization;
 host).
 
-In: how much better a frame fits with another calibration, what lines and posts say alone. Out: WatchState; Suspicion: a
-fault that the drive speaks for, its size, and how far the pose would move.
+In: how much better a frame fits with another calibration or another width of the road, what lines and posts say alone.
+Out: WatchState; Suspicion: a fault that the drive speaks for, its size, and how far the pose would move.
 A fault of calibration or map hides in each single pose. A frame that is solved again with a lens a little longer or
 shorter says by the difference which one is right, and where the vehicle then is; lines and posts that are held against
 the masks each alone say whether they belong to one state of the road. What single frames say is summed up.
@@ -21,9 +21,10 @@ from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
 from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer
 from semloc_jax.evaluation.mixture_bounds import LEAST_LEVELS
 from semloc_jax.localization.lens_sign import SignState
+from semloc_jax.localization.stance_sums import StanceState, height_m
 from semloc_jax.runtime.same_object import once_for_each
 
-FOCAL, RADIAL = "focal", "radial"
+FOCAL, RADIAL, WIDTH = "focal", "radial", "width"
 _TURNS = ("pitch", "yaw")
 _SIDES = GROUPS[2:]
 """Of the way. A road that was made wider is told by them; along the road each holds too little alone."""
@@ -45,12 +46,14 @@ class WatchConfig:
     radial_share: ClassVar[float] = 0.05
     """By how much a lens of another distortion is wider or narrower at the side of the image: as much as the distortion
     of usual lenses there."""
+    width_m: ClassVar[float] = 0.2
+    """By how much another road is wider or narrower than in the map."""
     turn_rad: ClassVar[float] = 0.015
     step_m: float = 0.5
     """Way between two frames that are looked at: from one place the same errors are seen again."""
     eager_looks: int = 12
-    """So many frames at the start of a drive are asked for all that may be wrong with the lenses: calibrations that are
-    wrong are wrong from the first frame on."""
+    """So many frames at the start of a drive are asked for all that may be wrong with lenses and width: what is wrong
+    is wrong from the first frame on."""
     memory_frames: float = 40.0
     share: float = 0.3
     """Share of what a frame says that is new: successive frames see the same map."""
@@ -59,12 +62,15 @@ class WatchConfig:
     what scatters."""
     mount_sigma_deg: float = 1.0
     """How far a camera may be rolled or pitched in its mount, before the drive says more."""
-    surface_m: ClassVar[float] = 10.0
-    """Way over which road and vehicle keep their own tilt: bumps, nods, what the map has of the slope."""
-    tilt_memory_m: ClassVar[float] = 200.0
-    """Way over which tilts are averaged: a mount does not change while driving."""
     least_gain_nats: float = 2.0
     """What a frame must gain at least: less is left by masks and maps that are not perfect, in every frame anew."""
+    width_gain_nats: ClassVar[tuple[float, float]] = (4.0, 0.5)
+    """The same of the width of the road, where the pose has the height of its mounts, and where it has another one as
+    if for that width. The first is beyond what a real drive said (2.6); lines of one side 0.2 m aside say 3, 0.3 m 3.5
+    to 8, and sound simulated drives lose 6 and more."""
+    width_height_m: ClassVar[tuple[float, float]] = (0.01, 0.03)
+    """From the first height to the second. On sound drives, a real one among them, it is less than 0.005 m on average,
+    with lines of one side 0.2 or 0.3 m aside 0.03 to 0.07 m."""
     count_nats: float = 2.5
     """A calibration that so much speaks for joins the protection levels: less is what chance does among a dozen."""
     class_gain_nats: ClassVar[float] = 0.5
@@ -110,9 +116,8 @@ class WatchState(NamedTuple):
     num_frames: Int[np.ndarray, ""] = np.int64(0)
     way_m: Float[np.ndarray, ""] = np.float64(0.0)
     """Since the last frame that was looked at."""
-    tilt: Float[np.ndarray, "5"] = np.zeros(5)
-    """Number of independent stretches of road that were driven; sums over them of roll and pitch [rad] and of the
-    variances of both that the map leaves open [rad^2]."""
+    stance: StanceState = StanceState()
+    """How the vehicle stood on the road."""
     sign: SignState = SignState()
     """What was said of lenses with the other sign of distortion."""
 
@@ -129,20 +134,23 @@ class Suspicion(NamedTuple):
 
 
 def alternatives(num_cameras: int) -> tuple[str, ...]:
-    """What is changed in the other calibrations, each a little up and a little down."""
+    """What is changed in the other calibrations, each a little up and a little down; and the width of the road in the
+    map, which height and lens make up for."""
     turns = [f"{turn} {k}" for k in range(num_cameras) for turn in _TURNS] if num_cameras > 1 else []
-    return (FOCAL, RADIAL, *turns)
+    return (FOCAL, RADIAL, WIDTH, *turns)
 
 
 def unit_of(name: str, config: WatchConfig) -> float:
-    """By how much one of `alternatives` is changed: a share of the image, or an angle [rad]."""
-    return {FOCAL: FOCAL_SHARE, RADIAL: config.radial_share}.get(name, config.turn_rad)
+    """By how much one of `alternatives` is changed: a share of the image, a width [m] or an angle [rad]."""
+    units = {FOCAL: FOCAL_SHARE, RADIAL: config.radial_share, WIDTH: config.width_m}
+    return units.get(name, config.turn_rad)
 
 
 def asked_now(watch: WatchState, num_cameras: int, config: WatchConfig) -> tuple[str, ...]:
-    """What the next frame is asked for: the lenses at the start of a drive, later one alternative after another."""
+    """What the next frame is asked for: lenses and width at the start of a drive, later one alternative after
+    another."""
     if int(watch.num_frames) < config.eager_looks:
-        return (FOCAL, RADIAL)
+        return (FOCAL, RADIAL, WIDTH)
     names = alternatives(num_cameras)
     return (names[int(watch.num_frames) % len(names)],)
 
@@ -167,7 +175,14 @@ def changed_rigs(rig: Rig, name: str, config: WatchConfig) -> tuple[Rig, ...]:
     return tuple(_changed(rig, name, step * unit_of(name, config)) for step in STEPS)
 
 
+def widths(name: str, config: WatchConfig) -> tuple[float, ...]:
+    """By how much the road is wider with each of `changed_rigs` [m]."""
+    return tuple((STEPS * (config.width_m if name == WIDTH else 0.0)).tolist())
+
+
 def _changed(rig: Rig, name: str, by: float) -> Rig:
+    if name == WIDTH:
+        return rig
     if name == FOCAL:
         return longer(rig, by)
     if name == RADIAL:
@@ -231,7 +246,7 @@ def learned(
     size = len(STEPS) * len(names)
     if watch.num.shape != (size,):
         zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
-        watch = WatchState(*zeros, num_frames=watch.num_frames, tilt=watch.tilt, sign=watch.sign)
+        watch = WatchState(*zeros, num_frames=watch.num_frames, stance=watch.stance, sign=watch.sign)
     keep = np.exp(-1.0 / config.memory_frames)
     new, gain, moved = np.zeros(size), np.zeros(size), np.zeros((size, 3))
     for one in tried:
@@ -248,49 +263,9 @@ def learned(
         np.float64(keep * watch.num_looks + usable),
         np.int64(watch.num_frames + 1),
         np.float64(0.0),
-        watch.tilt,
+        watch.stance,
         watch.sign,
     )
-
-
-def leaned(
-    watch: WatchState,
-    tilt_rad: Float[np.ndarray, "2"],
-    open_rad: Float[np.ndarray, "2"],
-    way_m: float,
-    config: WatchConfig,
-) -> WatchState:
-    """The sums after one more look at how the vehicle stands on the road.
-
-    Args:
-        watch: Before.
-        tilt_rad: Roll and pitch against the road of the map.
-        open_rad: Standard deviations of both that the surface of the map leaves open.
-        way_m: Since the look before.
-        config: Memory.
-    """
-    new = min(way_m / config.surface_m, 1.0) if watch.tilt[0] > 0.0 else 1.0
-    keep = np.exp(-way_m / config.tilt_memory_m)
-    return watch._replace(tilt=keep * watch.tilt + new * np.array([1.0, *tilt_rad, *np.square(open_rad)]))
-
-
-def mount_tilt_rad(watch: WatchState, own_rad: float, config: WatchConfig) -> Float[np.ndarray, "2"]:
-    """Roll and pitch of the cameras in their mount that the drive speaks for.
-
-    A mount is tilted by the same in every place. Nods and bumps average out over the way; a crown that the map has not
-    lies on one side all along and does not.
-
-    Args:
-        watch: What was seen.
-        own_rad: Standard deviation of roll and pitch of a vehicle on a flat road.
-        config: How far a mount may be off.
-    """
-    num = watch.tilt[0]
-    if num <= 0.0:
-        return np.zeros(2)
-    mean, left_open = watch.tilt[1:3] / num, watch.tilt[3:5] / num
-    variance, prior = left_open + own_rad**2 / max(num, 1.0), np.deg2rad(config.mount_sigma_deg) ** 2
-    return mean * prior / (prior + variance)
 
 
 def suspicions(watch: WatchState, num_cameras: int, config: WatchConfig) -> list[Suspicion]:
@@ -342,9 +317,19 @@ def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> l
             at, better = _between(gain[0], gain[1])
             step = at * 0.5 * (moved[0] - moved[1])
         # Both neighbours say it, as often as they were asked.
-        nats = config.share * float(num[:2].sum()) * max(better - config.least_gain_nats, 0.0)
+        least_nats = _least_of_width(watch, at, config) if name == WIDTH else config.least_gain_nats
+        nats = config.share * float(num[:2].sum()) * max(better - least_nats, 0.0)
         found.append(Suspicion(name, at * unit_of(name, config), nats, step))
     return found
+
+
+def _least_of_width(watch: WatchState, at: float, config: WatchConfig) -> float:
+    """What a frame must gain at least by a road that is wider (`at` above 0) or narrower.
+
+    A map that has the road wider than it is makes the vehicle stand higher: both sides then fit, and what lies ahead
+    fits from somewhere else along the road.
+    """
+    return float(np.interp(-np.sign(at) * height_m(watch.stance), config.width_height_m, config.width_gain_nats))
 
 
 def _between(gain_up: float, gain_down: float) -> tuple[float, float]:

@@ -105,7 +105,7 @@ def test_a_new_localizer_compiles_nothing_and_leaves_nothing_behind(pipeline):
 
 def test_a_frame_is_solved_once_and_with_each_kind_of_lens_once(pipeline, monkeypatch):
     """One program for the frame, its search along the road included; one for all lenses of each of two kinds, one for
-    the other sign, one for its own lenses again."""
+    all widths of the road, one for the other sign, one for its own lenses again."""
     called, call = [], StoredProgram.__call__
 
     def counted(program, *args, **kwargs):
@@ -123,15 +123,15 @@ def test_a_frame_is_solved_once_and_with_each_kind_of_lens_once(pipeline, monkey
         before_s = frame.time_s
     assert result.accepted and int(state.watch.num_frames) == 2
     assert counts[-1]["align_predicted"] == 1 and counts[-1]["profile_beside"] == 0
-    assert 2 <= counts[-1]["align_with_rigs"] <= 4
+    assert 3 <= counts[-1]["align_with_rigs"] <= 5
 
 
 def test_a_lens_among_others_is_solved_as_it_is_alone(pipeline):
     localizer, features, T = _at_truth(pipeline)
     rigs = changed_rigs(features.rig, "focal", WatchConfig())
     known = features, T, 0.01 * np.eye(6), localizer.trust_in(localizer.start()), np.zeros(3), np.ones((), np.float32)
-    scores, Ts = localizer.aligner.align_again(rigs, [0, 1, 3], *known)
-    alone, T_alone = localizer.aligner.align_again((rigs[3],), [0], *known)
+    scores, Ts = localizer.aligner.align_again(rigs, [0.0] * 4, [0, 1, 3], *known)
+    alone, T_alone = localizer.aligner.align_again((rigs[3],), [0.0], [0], *known)
     assert scores.shape == (3,) and np.ptp(scores) > 1.0
     np.testing.assert_allclose(scores[2], alone[0], atol=1e-4)
     np.testing.assert_allclose(Ts[2], T_alone[0], atol=1e-5)
@@ -183,6 +183,21 @@ def test_each_side_of_the_road_is_least_costly_where_it_is(pipeline):
     left, right = localizer.aligner.costs_of_classes(features, T, *known)[2:, :31]
     assert aside[np.argmin(left)] == pytest.approx(0.5, abs=0.11)
     assert aside[np.argmin(right)] == pytest.approx(0.0, abs=0.11)
+
+
+def test_a_road_that_the_map_has_too_wide_fits_better_when_it_is_made_narrower(pipeline):
+    """All to the left of the way is 0.3 m aside in the map, so the middle of both sides is 0.15 m to the left of where
+    the vehicle stands: from there it is found with a road that is so much narrower."""
+    wider = with_fault("one_side_moved:1", pipeline.drive, pipeline.localizer.map).semantic_map
+    spread, gains = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2, []
+    for semantic_map, best, middle_m in ((pipeline.localizer.map, 0, 0.0), (wider, 2, 0.15)):
+        localizer, features, T = _at_truth(pipeline, semantic_map)
+        known = features, T, spread, localizer.trust_in(localizer.start()), np.zeros(3), np.ones((), np.float32)
+        (own, *others), Ts = localizer.aligner.align_again((features.rig,) * 3, [0.0, 0.3, -0.3], [0, 1, 2], *known)
+        gains += [own - score for score in others]
+        off = rigid.log(rigid.inverse(T) @ Ts[best])
+        assert off[:2] == pytest.approx([0.0, middle_m], abs=0.08)
+    assert max(gains[:3]) < -5.0 and gains[3] > 3.0  # nats
 
 
 @pytest.mark.parametrize(("fault", "name"), [("focal:2", "focal"), ("distortion:3", "radial")])

@@ -9,6 +9,8 @@ from semloc_jax.cameras import BrownConradyCamera, PinholeCamera, Rig
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.localization import lens_sign, separation, watch
 from semloc_jax.localization.integrity import ProtectionLevels
+from semloc_jax.localization.stance_sums import StanceState, mount_tilt_rad
+from semloc_jax.localization.stance_sums import learned as stood
 from semloc_jax.localization.watch_sums import (
     STEPS,
     Tried,
@@ -18,12 +20,11 @@ from semloc_jax.localization.watch_sums import (
     asked_now,
     changed_rigs,
     far_side,
-    leaned,
     learned,
-    mount_tilt_rad,
     moves,
     suspicions,
     unit_of,
+    widths,
 )
 
 CONFIG = WatchConfig()
@@ -63,7 +64,7 @@ def flat() -> np.ndarray:
     return np.tile(20.0 * np.minimum(np.linalg.norm(moves(CONFIG), axis=1), 1.0), (len(GROUPS), 1))
 
 
-@pytest.mark.parametrize("wrong", ["focal", "radial"])
+@pytest.mark.parametrize("wrong", ["focal", "radial", "width"])
 def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong):
     """The cost has its least value 4 % narrower, and a lens 1 % wider moves the pose 0.2 m back."""
 
@@ -77,17 +78,18 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
     first = suspicions(state, 1, CONFIG)[0]
     assert (first.name, first.size) == (wrong, pytest.approx(-0.04, abs=1e-9))
     np.testing.assert_allclose(first.moved, [0.8, 0.0, 0.0], atol=1e-9)
-    # Every frame asks for it at first, twice, later every other; each gains 8 nats, of which two do not count and three
-    # tenths are new.
-    asked = np.r_[: CONFIG.eager_looks, CONFIG.eager_looks + (wrong == "radial") : 24 : 2]
+    # Every frame asks for it at first, twice, later every third; each gains 8 nats, of which two (of a width: four) do
+    # not count and three tenths are new.
+    asked = np.r_[: CONFIG.eager_looks, CONFIG.eager_looks + alternatives(1).index(wrong) : 24 : 3]
     worth = 2.0 * np.sum(np.exp(-(23 - asked) / 40.0))
-    assert first.nats == pytest.approx(0.3 * worth * (8.0 - CONFIG.least_gain_nats), rel=1e-6)
+    least_nats = CONFIG.width_gain_nats[0] if wrong == "width" else CONFIG.least_gain_nats
+    assert first.nats == pytest.approx(0.3 * worth * (8.0 - least_nats), rel=1e-6)
 
 
 def test_a_drive_that_fits_raises_no_suspicion():
     state = after_frames(2, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat())
     found = suspicions(state, 2, CONFIG)
-    assert len(found) == 12 and max(s.nats for s in found) < 1e-9
+    assert len(found) == 13 and max(s.nats for s in found) < 1e-9
     assert suspicions(WatchState(), 1, CONFIG) == []
 
 
@@ -164,25 +166,25 @@ def test_frames_without_numbers_leave_the_sums_alone():
 
 
 def test_the_other_calibrations_take_turns():
-    """Lenses at first; then they and every camera's pitch and yaw."""
-    at = [asked_now(WatchState(num_frames=np.int64(k)), 2, CONFIG) for k in range(CONFIG.eager_looks + 6)]
-    assert set(at[: CONFIG.eager_looks]) == {("focal", "radial")}
+    """Lenses and the width of the road at first; then they and every camera's pitch and yaw."""
+    at = [asked_now(WatchState(num_frames=np.int64(k)), 2, CONFIG) for k in range(CONFIG.eager_looks + 7)]
+    assert set(at[: CONFIG.eager_looks]) == {("focal", "radial", "width")}
     assert sorted(name for (name,) in at[CONFIG.eager_looks :]) == sorted(alternatives(2))
 
 
 def test_the_other_calibrations_differ_as_they_say():
     """Longer and shorter, bent and unbent, every camera down and up, left and right; axes as in scipy."""
     given = rig(2)
-    told = [changed_rigs(given, name, CONFIG) for name in alternatives(2)]
-    assert [float(t.cameras[0].fx) for t in (*told[0], told[2][0])] == pytest.approx(
+    told = {name: changed_rigs(given, name, CONFIG) for name in alternatives(2)}
+    assert [float(t.cameras[0].fx) for t in (*told["focal"], told["pitch 0"][0])] == pytest.approx(
         [512.5, 487.5, 525.0, 475.0, 500.0]
     )
     # At the side of the image, 320 px from its centre, a ray lies 5 % farther out or in.
     side = np.array([[0.64, 0.0, 1.0]])
-    shifts = [float(t.cameras[1].project(side)[0][0, 0]) - 640.0 for t in told[1]]
+    shifts = [float(t.cameras[1].project(side)[0][0, 0]) - 640.0 for t in told["radial"]]
     assert shifts == pytest.approx([16.0, -16.0, 32.0, -32.0], abs=0.01)
-    for k, axis, camera in ((2, "y", 0), (3, "z", 0), (5, "z", 1)):
-        for sign, other in zip(STEPS, told[k], strict=True):
+    for name, axis, camera in (("pitch 0", "y", 0), ("yaw 0", "z", 0), ("yaw 1", "z", 1)):
+        for sign, other in zip(STEPS, told[name], strict=True):
             turn = Rotation.from_euler(axis, sign * CONFIG.turn_rad).as_matrix()
             np.testing.assert_allclose(
                 other.T_base_cam[camera, :3, :3], turn @ np.asarray(given.T_base_cam)[camera, :3, :3], atol=1e-9
@@ -190,11 +192,51 @@ def test_the_other_calibrations_differ_as_they_say():
             np.testing.assert_allclose(other.T_base_cam[1 - camera], given.T_base_cam[1 - camera])
 
 
-def rolled(roll_deg, open_deg: float, way_m: float) -> WatchState:
+def test_a_road_of_another_width_moves_the_lenses_nowhere():
+    given = rig(2)
+    assert all(other is given for other in changed_rigs(given, "width", CONFIG))
+    np.testing.assert_allclose(widths("width", CONFIG), [0.2, -0.2, 0.4, -0.4])
+    assert not any(widths("focal", CONFIG))
+
+
+@pytest.mark.parametrize(
+    ("height_m", "open_m", "is_told"), [(0.0, 0.0, False), (0.04, 0.0, True), (-0.04, 0.0, False), (0.04, 0.03, False)]
+)
+def test_a_narrower_road_is_doubted_sooner_where_the_vehicle_stands_higher(height_m, open_m, is_told):
+    """Three nats a frame are what a real drive may say; with a height that the width would account for they are not.
+    What the map leaves open of the height says nothing."""
+
+    def cost(name, change):
+        return 0.0 if name != "width" else 3.0 * ((change + 0.2) / 0.2) ** 2
+
+    state = after_frames(1, cost, lambda name, change: np.array([change, 0.0, 0.0]), flat(), 3)
+    stance = stood(state.stance, np.array([height_m, 0.0, 0.0]), np.array([open_m, 0.0, 0.0]), 1.0)
+    state = state._replace(stance=stance)
+    assert bool(watch.spoken_for(state, rig(1), CONFIG)) == is_told
+
+
+def test_which_side_of_a_narrower_road_was_moved_is_not_known():
+    """0.3 m narrower, the pose 0.4 m ahead and 0.1 m to the left of the middle: 0.05 m to the right, or 0.25 m left."""
+
+    def cost(name, change):
+        return 0.5 * ((change + (0.3 if name == "width" else 0.0)) / 0.05) ** 2
+
+    def pose(name, change):
+        return np.array([0.4, 0.1, 0.0]) * change / -0.3
+
+    found = watch.spoken_for(after_frames(1, cost, pose, flat(), 2), rig(1), CONFIG)
+    reached = separation.reach(found)
+    np.testing.assert_allclose(reached, [[-0.05, 0.0, 0.0], [0.25, 0.4, 0.0]], atol=1e-9)
+    assert {one.cause for one in found} == {
+        "masks fit better with a road that is 0.30 m narrower than in the map; see map_changes.csv"
+    }
+
+
+def rolled(roll_deg, open_deg: float, way_m: float) -> StanceState:
     """A drive past looks 2 m apart; `roll_deg` of the number of the look."""
-    state = WatchState()
+    state = StanceState()
     for k in range(int(way_m / 2.0)):
-        state = leaned(state, np.deg2rad([roll_deg(k), 0.0]), np.deg2rad([open_deg, 0.0]), 2.0, CONFIG)
+        state = stood(state, np.deg2rad([0.0, roll_deg(k), 0.0]), np.deg2rad([0.0, open_deg, 0.0]), 2.0)
     return state
 
 
@@ -202,24 +244,24 @@ OWN_RAD = np.deg2rad(0.5)
 
 
 def test_a_camera_that_is_rolled_in_every_place_is_told_from_a_vehicle_that_nods():
-    lasting = mount_tilt_rad(rolled(lambda k: 2.0, 0.0, 200.0), OWN_RAD, CONFIG)
+    lasting = mount_tilt_rad(rolled(lambda k: 2.0, 0.0, 200.0), OWN_RAD, CONFIG.mount_sigma_deg)
     assert np.degrees(lasting) == pytest.approx([2.0, 0.0], abs=0.1)
-    nodding = mount_tilt_rad(rolled(lambda k: 2.0 * np.sin(0.7 * k), 0.0, 200.0), OWN_RAD, CONFIG)
+    nodding = mount_tilt_rad(rolled(lambda k: 2.0 * np.sin(0.7 * k), 0.0, 200.0), OWN_RAD, CONFIG.mount_sigma_deg)
     assert abs(np.degrees(nodding[0])) < 0.1
     # One look says little: half a degree of its own against a degree of the mount leaves four fifths.
-    first = mount_tilt_rad(rolled(lambda k: 2.0, 0.0, 2.0), OWN_RAD, CONFIG)
+    first = mount_tilt_rad(rolled(lambda k: 2.0, 0.0, 2.0), OWN_RAD, CONFIG.mount_sigma_deg)
     assert np.degrees(first[0]) == pytest.approx(1.6)
-    assert (mount_tilt_rad(WatchState(), OWN_RAD, CONFIG) == 0.0).all()
+    assert (mount_tilt_rad(StanceState(), OWN_RAD, CONFIG.mount_sigma_deg) == 0.0).all()
 
 
 def test_a_crown_that_the_map_has_not_is_no_tilt_of_the_camera():
     """The map leaves 2 deg open, on one side all along the road: averaging does not take that away."""
-    crowned = mount_tilt_rad(rolled(lambda k: 1.2, 2.0, 400.0), OWN_RAD, CONFIG)
+    crowned = mount_tilt_rad(rolled(lambda k: 1.2, 2.0, 400.0), OWN_RAD, CONFIG.mount_sigma_deg)
     assert np.degrees(crowned[0]) == pytest.approx(1.2 / (1.0 + 4.0), rel=0.02)
 
 
 def test_a_rolled_camera_is_not_above_where_it_would_be():
-    found = watch.separations(rolled(lambda k: 2.0, 0.0, 200.0), rig(1), CONFIG)
+    found = watch.separations(WatchState(stance=rolled(lambda k: 2.0, 0.0, 200.0)), rig(1), CONFIG)
     assert with_faults(found).lateral_m == pytest.approx(0.05 + 1.4 * np.deg2rad(2.0), rel=0.02)
 
 
@@ -227,6 +269,8 @@ def test_levels_never_promise_more_than_a_survey():
     lateral_m, longitudinal_m, heading_deg = separation.at_least(LEVELS, CONFIG)
     assert (lateral_m, longitudinal_m) == CONFIG.least_levels[:2]
     assert heading_deg == pytest.approx(np.hypot(LEVELS.heading_deg, 0.3))  # a camera is mounted to tenths of a degree
+    rolled_m = np.array([0.06, 0.0, 0.0])  # what is seen and what is too small for it are independent
+    assert separation.at_least(LEVELS, CONFIG, rolled_m).lateral_m == pytest.approx(np.hypot(lateral_m, 0.06))
     wide = ProtectionLevels(1.0, 2.0, np.inf)
     assert separation.at_least(wide, CONFIG) == wide
 
@@ -236,7 +280,7 @@ def test_every_suspicion_has_a_sentence():
 
     for name in (*alternatives(2), *CLASSES):
         told = watch._told(Suspicion(name, -0.03, 9.0, np.zeros(3)), rig(2))
-        assert ("map_changes.csv" if name in CLASSES else "semloc calibrate") in told
+        assert ("map_changes.csv" if name in (*CLASSES, "width") else "semloc calibrate") in told
     assert "fit 0.50 m to the left" in watch._told(Suspicion("posts_left", 0.5, 9.0, np.zeros(3)), rig(1))
 
 
