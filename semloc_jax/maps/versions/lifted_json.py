@@ -13,18 +13,13 @@ from collections.abc import Callable
 from typing import Any
 
 from semloc_jax.maps.io.varints import unpack_integers
+from semloc_jax.maps.versions.terse import WORDS
 
 _MARK = "#"
 _LIST = re.compile(r"#(\d+)(?:x(\d+))?(?:\*(\d+))?(/)?")
 _THOUSAND = 1000
-_WORDS = (
-    *("class", "style", "shape", "closed", "width", "radius", "radius_top", "height", "normal", "true_ends"),
-    *("+points", "points", "keys", "+keys", "mm", "all", "crowd", "sigma_across_m", "sigma_along_m"),
-    *("existence_logit", "num_seen", "num_missed", "provenance", "a.sigma_across_m", "a.sigma_along_m"),
-    *("a.existence_logit", "a.num_seen", "a.num_missed", "+a.num_seen", "+a.num_missed", "a.provenance"),
-    *("~points", "map_version", "num_drives", "a.sigma_place_m", "a.sigma_turn_rad"),
-)
-"""What is told by one letter."""
+_WORDS = WORDS[: WORDS.index("canonical")]
+"""What is told by one letter: the words of today that were there then."""
 _LETTERS = string.ascii_letters
 _LAST_BYTE = 128
 """A varint ends with the first byte below."""

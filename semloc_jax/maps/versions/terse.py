@@ -14,7 +14,7 @@ import numpy as np
 from semloc_jax.maps.io.varints import pack_integers, unpack_integers
 from semloc_jax.maps.versions.records import json_bytes
 
-_WORDS = (
+WORDS = (
     *("class", "style", "shape", "closed", "width", "radius", "radius_top", "height", "normal", "true_ends"),
     *("+points", "points", "keys", "+keys", "mm", "all", "crowd", "sigma_across_m", "sigma_along_m"),
     *("existence_logit", "num_seen", "num_missed", "provenance", "a.sigma_across_m", "a.sigma_along_m"),
@@ -54,8 +54,8 @@ def from_terse(content: bytes) -> Any:
 def _tell(value: Any, tokens: bytearray, numbers: list[int]) -> None:
     if value is None or isinstance(value, bool):
         tokens.append(_NONE if value is None else _TRUE if value else _FALSE)
-    elif isinstance(value, str) and value in _WORDS:
-        tokens.append(_FIRST_WORD + _WORDS.index(value))
+    elif isinstance(value, str) and value in WORDS:
+        tokens.append(_FIRST_WORD + WORDS.index(value))
     elif isinstance(value, str | bytes):
         content = value if isinstance(value, bytes) else value.encode("utf-8", "surrogatepass")
         tokens.append(_BYTES if isinstance(value, bytes) else _TEXT)
@@ -150,7 +150,7 @@ class _Told:
         """
         token = self._content(1)[0]
         if token >= _FIRST_WORD:
-            return _WORDS[self._at_most(token - _FIRST_WORD, len(_WORDS) - 1)]
+            return WORDS[self._at_most(token - _FIRST_WORD, len(WORDS) - 1)]
         if depth > _DEEPEST:
             raise ValueError("lists within lists without end")
         if token in (_NONE, _FALSE, _TRUE):
