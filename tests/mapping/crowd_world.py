@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from semloc_jax.geometry import rigid
+from semloc_jax.mapping.crowd.looks_chain import Looks
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.io.packed_drive import PackedDrive, packed_bytes, unpacked
 
@@ -175,3 +176,21 @@ def _left(heading: np.ndarray) -> np.ndarray:
 
 def _moved(T: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ T[:3, :3].T + T[:3, 3]
+
+
+def looks(seen, visible=None, **more) -> Looks:
+    """Looks of drives a step apart at things of one class, all as likely to be shown."""
+    seen = np.array(seen, dtype=bool)
+    n, d = seen.shape
+    held = {
+        "visible": np.ones((n, d), bool) if visible is None else np.array(visible, bool),
+        "seen": seen,
+        "group": np.zeros((n, d), int),
+        "kind": np.zeros(n, int),
+        "is_based": np.zeros(n, bool),
+        "steps": np.ones(d),
+        "before": np.full(n, 0.3),
+        "counted": np.zeros((n, 2), int),
+        "hidden": np.zeros(n),
+    }
+    return Looks(**{**held, **more})

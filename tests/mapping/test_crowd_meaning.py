@@ -10,7 +10,7 @@ from semloc_jax.evaluation.map_shapes import thing_of
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.exclusion import one_in_each_place
 from semloc_jax.mapping.crowd.facing import passes_its_face
-from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
+from semloc_jax.mapping.crowd.looks_chain import PresenceConfig
 from semloc_jax.mapping.crowd.merged import merged
 from semloc_jax.mapping.crowd.presence import presence
 from semloc_jax.mapping.crowd.rejoined import rejoined
@@ -20,7 +20,7 @@ from semloc_jax.mapping.crowd.world_lines import WorldLine, all_of, distance_m
 from semloc_jax.maps import Belief, BeliefMap, MapElement
 from semloc_jax.maps.versions.difference import difference
 from semloc_jax.maps.versions.state import MapState
-from tests.mapping.crowd_world import DriveNoise, Road, drive
+from tests.mapping.crowd_world import DriveNoise, Road, drive, looks
 
 ROAD = Road.of(150.0)
 SURE = Belief(0.02, 0.05, 4.0, 5, 0)
@@ -65,23 +65,6 @@ def test_the_shared_sigmas_are_as_large_as_the_errors():
                 squares.append(near @ near / own)
                 assert 0.002 < belief.sigma_place_m < 0.5 and 0.0 < belief.sigma_turn_rad < 0.02
     assert 0.3 < np.mean(squares) < 2.0
-
-
-def looks(seen, visible=None, **more):
-    seen = np.array(seen, dtype=bool)
-    n, d = seen.shape
-    held = {
-        "visible": np.ones((n, d), bool) if visible is None else np.array(visible, bool),
-        "seen": seen,
-        "group": np.zeros((n, d), int),
-        "kind": np.zeros(n, int),
-        "is_based": np.zeros(n, bool),
-        "steps": np.ones(d),
-        "before": np.full(n, 0.3),
-        "counted": np.zeros((n, 2), int),
-        "hidden": np.zeros(n),
-    }
-    return Looks(**{**held, **more})
 
 
 def world_of(centres, half_m=(1.5, 0.25)):

@@ -81,7 +81,7 @@ def test_changes_are_known_and_one_more_drive_tells_them_and_little_else(worlds,
     states, found = versions(drives, (11, 12, 13, 14), tmp_path / "map.gpkg")
     steps = [told(*pair) for pair in pairwise(states)]
     # The first drive of an epoch, and two more that make it sure; what has not changed is hardly told at all.
-    assert [share < most for (_, share), most in zip(steps, (0.11, 0.10, 0.08), strict=True)] == [True] * 3
+    assert [share < most for (_, share), most in zip(steps, (0.07, 0.08, 0.06), strict=True)] == [True] * 3
     assert all(len(step.modified) < 12 for step, _ in steps)
     reference = read_map(worlds / DRIVES[-1] / "map.geojson").elements
     print(compare_maps(states[-1].map.elements, reference, "se2").to_text())
@@ -89,7 +89,7 @@ def test_changes_are_known_and_one_more_drive_tells_them_and_little_else(worlds,
     figures, length_m = judged_changes(states[-1].map.elements, gone, drives, None, worlds)
     print(figures.to_text(length_m))
     gone_known, came_known = (looked[looked[:, 0] >= 5, 1].mean() for looked in (figures.gone, figures.came))
-    assert gone_known >= 0.9 and came_known >= 0.75  # 20 of 20 and 15 of 19: what comes is asked at 0.9, too
+    assert gone_known >= 0.9 and came_known >= 0.9  # as asked: 20 of 20 and 18 of 19
     assert figures.deleted <= 0.01 * figures.num_there and figures.num_invented - figures.num_old <= 1
 
 

@@ -67,7 +67,7 @@ def _things(fused: Fused, rows: list[int], steps: np.ndarray, config: PresenceCo
     low = np.array([[*e.points[:, :2].mean(axis=0), e.points[:, 2].min()] for e in elements]).reshape(-1, 3)
     hangs = low[:, 2] - Ground.of(fused).height_m(low[:, :2]) > _HIGH_M
     hidden = np.where(based[0] & hangs, config.hidden, 0.0)
-    return Looks(visible, seen, group.reshape(n, len(rows)), kind, based[0], steps, *based[1:], hidden)
+    return Looks(visible, seen, group.reshape(n, len(rows)), kind, based[0], steps, *based[1:], hidden, world.centre)
 
 
 def _stations(fused: Fused, rows: list[int], steps: np.ndarray, config: PresenceConfig) -> Looks:

@@ -1,9 +1,10 @@
 """The chain of looks at a thing: it vanishes and appears at a small rate, looks show it or not (room: mapping; host).
 
-In: Looks, P_D and P_F. Out: presence at each drive and at the last one.
+In: Looks, P_D and P_F, how often things come and go. Out: presence at each drive and at the last one.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,6 +20,10 @@ class PresenceConfig:
         vanish: probability that a thing is gone when the next drive comes, before any look.
         steps: so many things watched over a step that belief is worth.
         appear: probability that one has come where there was none.
+        works_m: works change what lies so near together at once.
+        works_things: before any look, what lies near by says as much as so many things that are as everywhere.
+        most_go, most_come: no works are taken to change a larger share: two drives that miss what stands there, behind
+            one parked lorry, say, do not yet take it away.
         days: drives so many days apart count as one step; closer ones as less, down to a tenth.
         surely: what was more probable than that was there.
         gone: it goes once it is less probable than that, and not at one half: a gap in a map costs more than something
@@ -37,6 +42,10 @@ class PresenceConfig:
     vanish: float = 0.005
     steps: float = 500.0
     appear: float = 0.005
+    works_m: float = 20.0
+    works_things: float = 5.0
+    most_go: float = 0.05
+    most_come: float = 0.2
     days: float = 30.0
     surely: float = 0.8
     gone: float = 0.3
@@ -66,6 +75,7 @@ class Looks:
         before: `float[n]` probability that it was there before any of these drives.
         counted: `int[n 2]` how many drives before saw and missed it.
         hidden: `float[n]` probability that no drive can see it, however often one passes.
+        place: `float[n 2]` where it lies [m]; None where what lies near by says nothing of it.
     """
 
     visible: Bool[np.ndarray, "n d"]
@@ -77,6 +87,7 @@ class Looks:
     before: Float[np.ndarray, " n"]
     counted: Int[np.ndarray, "n 2"]
     hidden: Float[np.ndarray, " n"]
+    place: Float[np.ndarray, "n 2"] | None = None
 
     @property
     def counts(self) -> Int[np.ndarray, "n 2"]:
@@ -95,45 +106,64 @@ def likelihood(
     return np.where(visible[:, :, None], like, 1.0)
 
 
-def smoothed(
-    looks: Looks, like: Float[np.ndarray, "n d 2"], vanish: float, c: PresenceConfig
-) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """Presence at each drive given all looks `[n d]`, at the last given those before it `[n]`; how many went; evidence.
+class ChangeRates(NamedTuple):
+    """How likely things change in the step before each drive."""
 
-    The evidence `[n]` is how likely all looks at a thing are together.
-    """
+    go: Float[np.ndarray, "n d"]
+    """That what was there is gone."""
+    come: Float[np.ndarray, "n d"]
+    """That what was not there has come."""
+
+
+class Chain(NamedTuple):
+    """What all looks at things say together."""
+
+    present: Float[np.ndarray, "n d"]
+    """Probability that each was there at each drive."""
+    now: Float[np.ndarray, " n"]
+    """The same at the last drive, by the looks up to it."""
+    went: Float[np.ndarray, "n d"]
+    """Probability that it went in the step before each drive."""
+    came: Float[np.ndarray, "n d"]
+    """The same, that it came; 0 before the first drive."""
+    evidence: Float[np.ndarray, " n"]
+    """How likely all looks at it are together."""
+
+
+def smoothed(looks: Looks, like: Float[np.ndarray, "n d 2"], rates: ChangeRates) -> Chain:
+    """The chain of each thing, by all looks before and after each drive."""
     n, d = looks.seen.shape
-    gone, come = 1.0 - (1.0 - vanish) ** looks.steps, 1.0 - (1.0 - c.appear) ** looks.steps
-    stay = np.array([[1.0 - come, come], [gone, 1.0 - gone]])  # [before after d]
+    stay = np.array([[1.0 - rates.come, rates.come], [rates.go, 1.0 - rates.go]]).transpose(2, 3, 0, 1)
     ahead, evidence = np.zeros((n, d, 2)), np.ones(n)
     state = looks.before
     state = np.stack([1.0 - state, state], axis=1)
     for k in range(d):
         # What a drive is the first to look at was not there longer than anybody knows.
-        state = (state @ stay[..., k] if k else state) * like[:, k]
+        state = (np.einsum("na,nab->nb", state, stay[:, k]) if k else state) * like[:, k]
         total = np.maximum(state.sum(axis=1, keepdims=True), _TINY)
         state, evidence = state / total, evidence * total[:, 0]
         ahead[:, k] = state
     now, behind = ahead[:, -1, 1].copy() if d else state[:, 1], np.ones((n, 2))
-    both, vanished = ahead.copy(), 0.0
+    both, went, came = ahead.copy(), np.zeros((n, d)), np.zeros((n, d))
     for k in range(d - 2, -1, -1):
         after = behind * like[:, k + 1]
-        pairs = ahead[:, k, :, None] * stay[..., k + 1] * after[:, None]
-        vanished += float((pairs[:, 1, 0] / np.maximum(pairs.sum(axis=(1, 2)), _TINY)).sum())
-        behind = after @ stay[..., k + 1].T
+        pairs = ahead[:, k, :, None] * stay[:, k + 1] * after[:, None]
+        pairs /= np.maximum(pairs.sum(axis=(1, 2), keepdims=True), _TINY)
+        went[:, k + 1], came[:, k + 1] = pairs[:, 1, 0], pairs[:, 0, 1]
+        behind = np.einsum("nab,nb->na", stay[:, k + 1], after)
         behind /= np.maximum(behind.sum(axis=1, keepdims=True), _TINY)
         both[:, k] = ahead[:, k] * behind
     present = both[:, :, 1] / np.maximum(both.sum(axis=2), _TINY)
-    return present, now, vanished, evidence
+    return Chain(present, now, went, came, evidence)
 
 
 def smoothed_or_hidden(
-    looks: Looks, like: Float[np.ndarray, "n d 2"], vanish: float, c: PresenceConfig
+    looks: Looks, like: Float[np.ndarray, "n d 2"], rates: ChangeRates
 ) -> tuple[np.ndarray, np.ndarray]:
     """Presence at each drive and at the last, when looks may say nothing of what nobody has ever seen."""
-    present, now, _, evidence = smoothed(looks, like, vanish, c)
-    blind, blind_now, _, _ = smoothed(looks, np.ones_like(like), vanish, c)
+    chain, blind = smoothed(looks, like, rates), smoothed(looks, np.ones_like(like), rates)
     is_unseen = ~looks.seen.any(axis=1) & (looks.counted[:, 0] == 0)
     hidden = np.where(is_unseen, looks.hidden, 0.0)
-    hidden = hidden / np.maximum(hidden + (1.0 - hidden) * evidence, _TINY)
-    return present + hidden[:, None] * (blind - present), now + hidden * (blind_now - now)
+    hidden = hidden / np.maximum(hidden + (1.0 - hidden) * chain.evidence, _TINY)
+    present = chain.present + hidden[:, None] * (blind.present - chain.present)
+    return present, chain.now + hidden * (blind.now - chain.now)

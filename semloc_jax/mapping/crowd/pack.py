@@ -17,9 +17,10 @@ from semloc_jax.evaluation import read_trajectory
 from semloc_jax.geometry import polyline, rigid
 from semloc_jax.mapping.gauge import GNSS, IDENTITY
 from semloc_jax.mapping.seen_area import FILE, read_seen_area
-from semloc_jax.maps import BeliefMap, read_map
+from semloc_jax.maps import BeliefMap, MapElement, read_map
 from semloc_jax.maps.io.packed_drive import PackedDrive
 from semloc_jax.maps.versions.state import MapState
+from semloc_jax.structs import ElementClass
 
 _EVERY_M = 10.0
 _A_DATE_S = 1e8
@@ -27,6 +28,8 @@ _A_DATE_S = 1e8
 _HOUR_S = 3600.0
 _BESIDE_M = 30.0
 _RING_M = 0.8
+_CURB_M, _BESIDE = 0.4, 0.7
+"""Two curbs of a road are farther apart; one is another one where so large a share of it lies nearer."""
 _GNSS_SIGMA_M, _STATED_SIGMA_M, _NOWHERE_M = 1.5, 0.3, 1e4
 """How far the frame of a map is off that satellite fixes placed, that somebody placed, and that nothing did; ours."""
 
@@ -62,12 +65,12 @@ def packed(folder: Path, when: str | None = None) -> PackedDrive:
             normal=None if element.normal is None else T_odom_map[:3, :3] @ element.normal,
             attributes={},
         )
-        for element in beliefs.map.elements
+        for element in each_curb_once(beliefs)
     ]
     names = Counter(b.provenance for b in beliefs.beliefs.values())
     return PackedDrive(
         name=names.most_common(1)[0][0] or made.name,
-        beliefs=BeliefMap(beliefs.map.with_elements(elements), beliefs.beliefs),
+        beliefs=BeliefMap(beliefs.map.with_elements(elements), {e.id: beliefs.beliefs[e.id] for e in elements}),
         place=place,
         sigma_place_m={GNSS: _GNSS_SIGMA_M, IDENTITY: _NOWHERE_M}.get(frame.gauge, _STATED_SIGMA_M),
         scale=frame.scale,
@@ -77,6 +80,21 @@ def packed(folder: Path, when: str | None = None) -> PackedDrive:
         when_s=_when(when, float(trajectory.time_s[0])),
         source=MapState(made).content,
     )
+
+
+def each_curb_once(beliefs: BeliefMap) -> list[MapElement]:
+    """All elements, of curbs that lie beside each other the longest: from frame to frame a border without paint is seen
+    now here, now there, and is drawn anew."""
+    curbs = [e for e in beliefs.map.elements if e.label == ElementClass.CURB]
+    kept: list[MapElement] = []
+    for curb in sorted(curbs, key=lambda e: -polyline.arc_length(e.points[:, :2])[-1]):
+        length_m = float(polyline.arc_length(curb.points[:, :2])[-1])
+        places = polyline.interpolate(curb.points[:, :2], np.linspace(0.0, length_m, max(round(length_m), 1) + 1))
+        apart_m = [polyline.nearest(other.points[:, :2], places).distance_m for other in kept]
+        if np.mean(np.min(apart_m, axis=0, initial=np.inf) < _CURB_M) < _BESIDE:
+            kept.append(curb)
+    names = {e.id for e in kept}
+    return [e for e in beliefs.map.elements if e.label != ElementClass.CURB or e.id in names]
 
 
 def _thinned(ring: np.ndarray) -> np.ndarray:

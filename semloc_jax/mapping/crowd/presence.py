@@ -4,6 +4,8 @@ In: who looked at each thing and who saw it. Out: probability that each is there
 A chain of two states: things vanish and appear at a small rate between drives, so every certainty fades; a look that
 shows the thing has probability P_D if it is there and P_F if not. They, and how many things go, are learned from the
 drives themselves, P_D by class, distance from the way and drive (rain shows less), by expectation maximisation.
+Things do not change one by one: works lay a whole crosswalk elsewhere. What goes and comes near by says how likely a
+thing itself has, see `works`.
 """
 
 from dataclasses import dataclass
@@ -12,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig, likelihood, smoothed, smoothed_or_hidden
+from semloc_jax.mapping.crowd.works import change_rates, things_near
 
 _ROUNDS = 5
 
@@ -48,13 +51,17 @@ def presence(looks: Looks, config: PresenceConfig | None = None) -> Presence:
     # A look that shows a thing is one, whatever the outline of the area says.
     visible = looks.visible | looks.seen
     good, vanish = np.ones(visible.shape[1]), c.vanish
+    near = things_near(looks, c)
+    rates = change_rates(looks, near, None, vanish, c)
     # A thing that never was is known by one false sight at least: that one says nothing about how frequent they are.
     spare = np.where(looks.is_based, 0.0, 1.0)
     for _ in range(_ROUNDS):
         like = likelihood(looks, visible, detected, false, good, c)
-        present, now, vanished, _ = smoothed(looks, like, vanish, c)
+        chain = smoothed(looks, like, rates)
+        present = chain.present
         watched = float((present[:, :-1] * looks.steps[1:]).sum())
-        vanish = (vanished + c.steps * c.vanish) / (watched + c.steps)
+        vanish = (float(chain.went.sum()) + c.steps * c.vanish) / (watched + c.steps)
+        rates = change_rates(looks, near, chain, vanish, c)
         there = np.where(visible, present, 0.0)
         gone = np.where(visible, 1.0 - present, 0.0)
         hits = np.bincount(looks.group.ravel(), (there * looks.seen).ravel(), num_groups) + c.looks * c.detected
@@ -71,7 +78,7 @@ def presence(looks: Looks, config: PresenceConfig | None = None) -> Presence:
         prior = 4.0 * c.looks
         shown, looked = np.maximum(shown, 0.0) + prior * c.false, np.maximum(looked, 0.0) + prior
         false = np.clip(shown / looked, c.least_false, c.most_false)
-    present, now = smoothed_or_hidden(looks, like, vanish, c)
+    present, now = smoothed_or_hidden(looks, like, rates)
     was = looks.is_based | (present.max(axis=1, initial=0.0) > c.surely)
     return Presence(now, present, was, belongs(now, was, c), detected, false, vanish)
 

@@ -36,7 +36,7 @@ _CELLS = np.array([100.0, 100.0, 10.0])
 _COARSE = np.array([2.0, 2.0, 10.0])
 """The same of the way and of what was looked at."""
 _THIN_M, _FLATTER = 0.05, np.array([1.0, 1.0, 0.2])
-"""How far the middle of a line may move, and by how much less its height counts there."""
+"""How far the middle of a line may move that is known as well, and by how much less its height counts there."""
 _SIZES, _NORMALS, _ANGLES, _LOG_STEPS, _LOGIT_STEPS = 100.0, 100.0, 500.0, 4.0, 1.0
 _MOST_LOGIT = 12.0
 MOST_SCALE = 0.1
@@ -81,10 +81,14 @@ class PackedDrive:
 def packed_bytes(drive: PackedDrive) -> bytes:
     """The file of a drive; the same bytes for the same drive.
 
-    What is too fine for the file is rounded: places to 1 cm, heights to 10 cm, lines within 5 cm, sigmas to an eighth,
-    existence to a nat. Elements lie in the order of the way and lose their names.
+    What is too fine for the file is rounded: places to 1 cm, heights to 10 cm, lines within 5 cm or their sigma
+    across, sigmas to an eighth, existence to a nat. Elements lie in the order of the way and lose their names.
     """
-    elements = sorted((_thinned(e) for e in drive.beliefs.map.elements), key=lambda e: (_kind(e), *e.points[0]))
+    known = drive.beliefs.beliefs
+    elements = sorted(
+        (_thinned(e, known[e.id].sigma_across_m) for e in drive.beliefs.map.elements),
+        key=lambda e: (_kind(e), *e.points[0]),
+    )
     kinds = sorted({_kind(e) for e in elements})
     header = {
         "name": drive.name,
@@ -174,10 +178,10 @@ def _kind(e: MapElement) -> tuple:
     return (e.label.name, e.style, e.shape, bool(e.closed), *ends, bool(e.has_height), e.normal is not None, *sizes)
 
 
-def _thinned(element: MapElement) -> MapElement:
+def _thinned(element: MapElement, sigma_across_m: float) -> MapElement:
     if element.closed or element.label in UPRIGHT_CLASSES or len(element.points) < 3:
         return element
-    flat = simplify(element.points * _FLATTER, _THIN_M)
+    flat = simplify(element.points * _FLATTER, max(_THIN_M, sigma_across_m))
     return element.with_points(flat / _FLATTER)
 
 

@@ -1,44 +1,28 @@
-"""JSON whose lists of whole numbers stand apart, in few bytes (room: maps; host).
+"""JSON whose lists of whole numbers stand apart: what differences of before are written in (room: maps; host).
 
-In: what JSON keeps. Out: bytes, and the same back. Layout: size of the text as a varint, the text, varints.
+In: bytes. Out: what JSON keeps. Layout: size of the text as a varint, the text, varints.
 In the text a list of whole numbers is "#6": the next six of the varints; "#3x6" is three lists of six, "#6*5" six that
 are multiples of five, "#6/" six numbers that are whole thousandths, "#b" one of the words that most differences hold.
-A string that begins with # gets another one.
+A string that begins with # has another one.
 """
 
 import json
-import math
 import re
 import string
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from semloc_jax.maps.io.varints import pack_integers, unpack_integers
-from semloc_jax.maps.versions.records import json_bytes
+from semloc_jax.maps.io.varints import unpack_integers
+from semloc_jax.maps.versions.terse import WORDS
 
 _MARK = "#"
 _LIST = re.compile(r"#(\d+)(?:x(\d+))?(?:\*(\d+))?(/)?")
-_MOST, _THOUSAND = 2**62, 1000
-_WORDS = (
-    *("class", "style", "shape", "closed", "width", "radius", "radius_top", "height", "normal", "true_ends"),
-    *("+points", "points", "keys", "+keys", "mm", "all", "crowd", "sigma_across_m", "sigma_along_m"),
-    *("existence_logit", "num_seen", "num_missed", "provenance", "a.sigma_across_m", "a.sigma_along_m"),
-    *("a.existence_logit", "a.num_seen", "a.num_missed", "+a.num_seen", "+a.num_missed", "a.provenance"),
-    *("~points", "map_version", "num_drives", "a.sigma_place_m", "a.sigma_turn_rad"),
-)
-"""What is told by one letter; a file keeps its meaning only while this list stays as it is, or grows at its end."""
+_THOUSAND = 1000
+_WORDS = WORDS[: WORDS.index("canonical")]
+"""What is told by one letter: the words of today that were there then."""
 _LETTERS = string.ascii_letters
 _LAST_BYTE = 128
 """A varint ends with the first byte below."""
-
-
-def lifted_bytes(value: Any) -> bytes:
-    """The bytes of a value; the same bytes for the same value."""
-    numbers: list[int] = []
-    text = json_bytes(_lifted(value, numbers))
-    return pack_integers(np.array([len(text)])) + text + pack_integers(np.array(numbers, dtype=np.int64))
 
 
 def from_lifted(content: bytes) -> Any:
@@ -66,44 +50,6 @@ def from_lifted(content: bytes) -> Any:
     if taken != len(numbers):
         raise ValueError("more numbers than the text names")
     return value
-
-
-def _lifted(value: Any, numbers: list[int]) -> Any:
-    if isinstance(value, dict):
-        return {key: _lifted(item, numbers) for key, item in value.items()}
-    if isinstance(value, str):
-        if value in _WORDS:
-            return _MARK + _LETTERS[_WORDS.index(value)]
-        return _MARK + value if value.startswith(_MARK) else value
-    if not isinstance(value, list | tuple) or not value:
-        return value
-    if _is_whole(value):
-        return f"{_MARK}{len(value)}{_put(value, numbers)}"
-    thousandths = [_thousandths(v) for v in value]
-    if None not in thousandths:
-        return f"{_MARK}{len(value)}{_put(thousandths, numbers)}/"
-    if all(isinstance(row, list | tuple) and len(row) == len(value[0]) and _is_whole(row) for row in value):
-        flat = [number for row in value for number in row]
-        return f"{_MARK}{len(value)}x{len(value[0])}{_put(flat, numbers)}"
-    return [_lifted(item, numbers) for item in value]
-
-
-def _is_whole(values: list | tuple) -> bool:
-    return bool(values) and all(type(v) is int and abs(v) < _MOST for v in values)
-
-
-def _thousandths(value: Any) -> int | None:
-    """How many thousandths a number with a point is, if it is that to the bit."""
-    if type(value) is not float or not abs(value) < _MOST / _THOUSAND:
-        return None
-    whole = round(value * _THOUSAND)
-    return whole if repr(whole / _THOUSAND) == repr(value) else None
-
-
-def _put(values: list | tuple, numbers: list[int]) -> str:
-    unit = math.gcd(*values)
-    numbers += [v // max(unit, 1) for v in values]
-    return f"*{unit}" if unit > 1 else ""
 
 
 def _set_back(value: Any, take: Callable[[int], list[int]]) -> Any:

@@ -1,7 +1,7 @@
 """New elements told as what makes them differ from those that are known (room: maps; host).
 
 In: records of a base map, new records. Out: what each is like, an element of the base or a new one before it, and the
-columns that differ; and the records back. Names are told by how much of the one before they begin with.
+columns that differ; and the records back. A name is told by how much it begins with of that of what it is like.
 """
 
 import base64
@@ -13,14 +13,15 @@ from scipy.spatial import cKDTree
 
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.maps.versions.difference import changed_columns
-from semloc_jax.maps.versions.records import Record, is_column, json_bytes, points_of
+from semloc_jax.maps.versions.records import Record, is_column, points_of
 from semloc_jax.maps.versions.state import MapState
 from semloc_jax.maps.versions.tables import against, rows_of, upon
+from semloc_jax.maps.versions.terse import terse_bytes
 
-_HASH_DIGITS = 8
-_HASH = re.compile(f"(.*_)([0-9a-f]{{{_HASH_DIGITS}}})", re.DOTALL)
+_HASH_BYTES = 4
+_HASH = re.compile(f"(.*_)([0-9a-f]{{{2 * _HASH_BYTES}}})", re.DOTALL)
 """A name that ends in a hash, as those of things that drives have found."""
-_LIKE = 3
+_LIKE = 8
 """So many of the nearest elements of its class are tried as what a new one is like."""
 _NOTHING: Record = {}
 """What the first element of its class is like."""
@@ -35,7 +36,7 @@ def likened(added: Mapping[str, Record], base: MapState) -> Iterator[tuple[int, 
         rows = near.of(record)
         rows += [last[record["class"]]] if record["class"] in last else []
         tried = [(k, against(changed_columns(known[k], record), known[k])) for k in rows or [0]]
-        yield min(tried, key=lambda item: (len(json_bytes(item[1])), item[0]))
+        yield min(tried, key=lambda item: (len(terse_bytes(item[1])), item[0]))
         last[record["class"]] = len(known)
         known.append(record)
 
@@ -71,14 +72,15 @@ def told_records(ids: Sequence[str], like: Sequence[int], columns: list, base: M
     return found
 
 
-def coded_names(names: Iterable[str]) -> list:
-    """Names as how many letters each shares with the one before, the rest of each, and their hashes if all end so."""
-    names, hashes = list(names), ""
+def coded_names(names: Iterable[str], like: Sequence[int], base: MapState) -> list:
+    """Names: how many letters each shares with that of what it is like, the rest of each, the hashes all end in."""
+    names, hashes = list(names), b""
+    known = ["", *base.records, *names]
     found = [_HASH.fullmatch(name) for name in names]
     if names and all(found):
-        hashes = base64.b64encode(bytes.fromhex("".join(part[2] for part in found if part))).decode()
+        hashes = bytes.fromhex("".join(part[2] for part in found if part))
         names = [part[1] for part in found if part]
-    shared = [_num_shared(before, name) for before, name in zip(["", *names], names, strict=False)]
+    shared = [_num_shared(known[row], name) for row, name in zip(like, names, strict=True)]
     return [shared, [name[k:] for name, k in zip(names, shared, strict=True)], hashes]
 
 
@@ -87,14 +89,15 @@ def _num_shared(one: str, other: str) -> int:
     return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
 
 
-def decoded_names(coded: Sequence) -> list[str]:
-    """The names that `coded_names` told."""
-    names: list[str] = []
-    shared, rests, hashes = coded
-    for num, rest in zip(shared, rests, strict=True):
-        names.append((names[-1][:num] if names else "") + str(rest))
-    if not hashes:
-        return names
-    digits = base64.b64decode(hashes, validate=True).hex()
-    ends = [digits[k : k + _HASH_DIGITS] for k in range(0, len(digits), _HASH_DIGITS)]
-    return [name + end for name, end in zip(names, ends, strict=True)]
+def decoded_names(coded: Sequence, like: Sequence[int], base: MapState) -> list[str]:
+    """The names that `coded_names` told; in files of before, against the name before each and with hashes as text."""
+    shared, rests, told = coded
+    hashes = base64.b64decode(told, validate=True) if isinstance(told, str) else told
+    known = ["", *base.records]
+    first = len(known)
+    for k, (num, rest, row) in enumerate(zip(shared, rests, like, strict=True)):
+        name = known[-1 if isinstance(told, str) else row][:num] + str(rest)
+        known.append(name + hashes[_HASH_BYTES * k : _HASH_BYTES * (k + 1)].hex())
+    if len(hashes) not in (0, _HASH_BYTES * len(shared)):
+        raise ValueError("names with other hashes")
+    return known[first:]

@@ -2,9 +2,9 @@
 
 In: MapDifference, the version it belongs on. Out: bytes, and the difference back.
 Layout: b"SDIF", version, CRC-32 of the rest, the first 8 bytes of the digest of the base, the digest of the target,
-LZMA of `lifted_json`. Elements of the base are named by their place in it, a new one is told as what makes it differ
-from one that is known; columns of many elements stand together, coordinates and counts as differences.
-How the frame of the map has moved stands last, where it has.
+LZMA of `terse`; in version 2, which is read still, of `lifted_json`. Elements of the base are named by their place in
+it, a new one is told as what makes it differ from one that is known; columns of many elements stand together,
+coordinates and counts as differences. How the frame of the map has moved stands last, where it has.
 """
 
 import lzma
@@ -16,13 +16,14 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.maps.versions.counting import steps
 from semloc_jax.maps.versions.datum import Datum
 from semloc_jax.maps.versions.difference import CANONICAL, MapDifference
-from semloc_jax.maps.versions.lifted_json import from_lifted, lifted_bytes
+from semloc_jax.maps.versions.lifted_json import from_lifted
 from semloc_jax.maps.versions.likeness import coded_names, decoded_names, likened, told_records
 from semloc_jax.maps.versions.state import DATUM, VERSION, MapState, datum_of
 from semloc_jax.maps.versions.tables import against, rows_of, table, upon
+from semloc_jax.maps.versions.terse import from_terse, terse_bytes
 from semloc_jax.storage import reading, write_bytes
 
-MAGIC = b"SDIF\x02"
+MAGIC, _BEFORE = b"SDIF\x03", b"SDIF\x02"
 CHECK_BYTES = 4
 _BASE_BYTES, _TARGET_BYTES = 8, 32
 _FILTERS = [{"id": lzma.FILTER_LZMA1, "preset": 9, "dict_size": 1 << 24, "lc": 0, "lp": 0, "pb": 0}]
@@ -45,14 +46,14 @@ def sdiff_bytes(step: MapDifference, base: MapState) -> bytes:
         [len(step.removed), len(modified), len(like)],
         steps([row[name] for name in step.removed]),
         table({row[name]: columns for name, columns in modified.items()}),
-        coded_names(step.added),
+        coded_names(step.added, [k for k, _ in like], base),
         [k for k, _ in like],
         table(dict(enumerate(columns for _, columns in like)))[1],
     ]
     datum = datum_of(step.members.get(DATUM))
     if datum != base.datum:
         document.append(datum.against(base.datum))
-    packed = lzma.compress(lifted_bytes(document), format=lzma.FORMAT_RAW, filters=_FILTERS)
+    packed = lzma.compress(terse_bytes(document), format=lzma.FORMAT_RAW, filters=_FILTERS)
     rest = bytes.fromhex(step.base)[:_BASE_BYTES] + bytes.fromhex(step.target) + packed
     return MAGIC + _check(rest) + rest
 
@@ -74,16 +75,16 @@ class SdiffFile:
             SemlocError: no difference, cut short, or altered.
         """
         begin = len(MAGIC) + CHECK_BYTES
-        if not content.startswith(MAGIC):
+        if not content.startswith((MAGIC, _BEFORE)):
             raise SemlocError(f"{where}: no difference of two maps; expected a file of `semloc diff`")
-        rest = content[begin:]
+        rest, read = content[begin:], from_terse if content.startswith(MAGIC) else from_lifted
         if len(rest) <= _BASE_BYTES + _TARGET_BYTES or _check(rest) != content[len(MAGIC) : begin]:
             raise SemlocError(f"{where}: its content is not what was written (cut short or altered); get it anew")
         self.base, self.target = rest[:_BASE_BYTES].hex(), rest[_BASE_BYTES : _BASE_BYTES + _TARGET_BYTES].hex()
         with reading(where):
             decoder = lzma.LZMADecompressor(format=lzma.FORMAT_RAW, filters=_FILTERS)
             text = decoder.decompress(rest[_BASE_BYTES + _TARGET_BYTES :], max_length=_LARGEST_PAYLOAD)
-            base_version, members, self._order, note, counts, *self._body = from_lifted(text)
+            base_version, members, self._order, note, counts, *self._body = read(text)
             told = members if isinstance(members, dict) else dict(zip(members[::2], members[1::2], strict=True))
             self.base_version, self._members, self.note = int(base_version), dict(told), str(note)
             self.version = int(self._members.get(VERSION, base_version))
@@ -129,7 +130,7 @@ class SdiffFile:
                 still | self._members | ({} if datum.is_still else {DATUM: datum.to_json()}),
                 tuple(names[k] for k in accumulate(removed)),
                 {names[k]: upon(columns, base.records[names[k]]) for k, columns in rows_of(modified).items()},
-                told_records(decoded_names(ids), like, added, base),
+                told_records(decoded_names(ids, like, base), like, added, base),
                 self._order if self._order in (None, CANONICAL) else tuple(accumulate(self._order)),
                 self.note,
             )

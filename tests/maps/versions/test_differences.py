@@ -1,5 +1,6 @@
 """Differences of maps: applied they give the other map to the byte, on the right base only, damaged never."""
 
+import base64
 import zlib
 from dataclasses import replace
 
@@ -152,6 +153,24 @@ def test_a_few_changes_are_a_small_file():
     assert len(sdiff_bytes(step, old)) < 180 and whole < 600  # told one by one, 199 dashes were 900 bytes
     counted = MapState(road(200, seen=4), 2)
     assert len(sdiff_bytes(difference(old, counted), old)) < 150  # one more look at each of 200
+
+
+BEFORE = (
+    "U0RJRgI0MKq+K45J8CtShWXu2qnn/6/Ym6xV+F6atxMGDA7uys5oz4rmZr8n9B58UQBTAIgd/GtKvucVvZLRpEw2yeB8bLW1FMng5HuBHFxQnViKr2Bw"
+    "n728GMN2fF8gncI3rvNjL5+tnlffGzBhx3FY1ZTZPx2qG4I0xWc/ut7vogNjHupGTC0a6QRq8fC54BgsWOvRY+rI9Lbt7y0iooOjQCOSczUT+do5KF+l"
+    "0Nfw/54ZQAA="
+)
+
+
+def test_a_difference_of_the_form_before_is_read():
+    """A history may hold such files: one dash gone, one moved, three come with hashes for names."""
+    old, kept = MapState(road(6)), [e for k, e in enumerate(road(6).elements) if k != 2]
+    kept[3] = kept[3].with_points(kept[3].points + [0.0, 0.4, 0.0])
+    aside = [replace(e, id=f"dash_{k:08x}", points=e.points + [0, 3.5, 0]) for k, e in enumerate(road(3).elements, 77)]
+    new, held = MapState(old.map.with_elements([*kept, *aside]), 2), base64.b64decode(BEFORE)
+    assert applied(old, SdiffFile(held, "d").on(old)).digest == new.digest
+    now = sdiff_bytes(difference(old, new, "before"), old)
+    assert len(held) == 182 and len(now) < 150 and applied(old, SdiffFile(now, "d").on(old)).digest == new.digest
 
 
 def test_two_elements_of_one_id_have_no_version():
