@@ -163,7 +163,7 @@ def through_slope(network: Net, batch: ThroughBatch, config: ThroughConfig, dof:
     """Mean heavy-tailed negative log-likelihood of the poses with the loss of the labels beside it, and the gradient.
 
     Frame by frame, in parts that are compiled by themselves: what the eyes tell, the slope of the pose by it, the way
-    back through the network. One program that loops over the frames takes ten times as long on a CPU.
+    back through the network. One program that looped over the frames took six times as long on a CPU.
     """
     value, gradient = _label_slope(network, batch.crops, config.labels_share)
     for sight in batch.sights:
