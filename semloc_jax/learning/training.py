@@ -47,11 +47,25 @@ def train(
     checkpoint: Path | None = None,
     on_step: Callable[[int, float], None] | None = None,
 ) -> T:
-    """The network after Adam's steps down the loss of batches.
+    """The network after Adam's steps down the loss of batches, a scalar of a network and a batch; see `descend`."""
+    slope = eqx.filter_jit(eqx.filter_value_and_grad(loss))
+    return descend(network, slope, batch_of, config, checkpoint, on_step)
+
+
+def descend(
+    network: T,
+    slope: Callable[[T, Any], tuple[jax.Array, T]],
+    batch_of: Callable[[np.random.Generator], Any],
+    config: TrainingConfig,
+    checkpoint: Path | None = None,
+    on_step: Callable[[int, float], None] | None = None,
+) -> T:
+    """The network after Adam's steps down a loss whose gradient is given.
 
     Args:
         network: To begin with.
-        loss: Of a network and a batch, a scalar; steps whose gradient is not finite are left out.
+        slope: Loss of a network and a batch, and its gradient by the arrays of the network; steps whose gradient is not
+            finite are left out.
         batch_of: Draws a batch, always of the same shapes.
         config: Steps, rate, seed.
         checkpoint: File to go on from where it is there, and to write now and then; it is left there at the end.
@@ -63,12 +77,11 @@ def train(
     parameters, rest = eqx.partition(network, eqx.is_inexact_array)
 
     @jax.jit
-    def advance(parameters: Any, adam: AdamState, batch: Any, rate: jax.Array) -> tuple[Any, AdamState, jax.Array]:
-        value, gradient = jax.value_and_grad(lambda p: loss(eqx.combine(p, rest), batch))(parameters)
+    def advance(parameters: Any, gradient: Any, adam: AdamState, rate: jax.Array) -> tuple[Any, AdamState]:
         size = jnp.sqrt(sum(jnp.sum(g * g) for g in jax.tree.leaves(gradient)))
         scale = jnp.where(jnp.isfinite(size), jnp.minimum(1.0, config.most_gradient / jnp.maximum(size, 1e-12)), 0.0)
         gradient = jax.tree.map(lambda g: jnp.where(scale > 0, scale * g, 0.0), gradient)
-        return *adam_step(parameters, gradient, adam, rate), value
+        return adam_step(parameters, gradient, adam, rate)
 
     adam = AdamState.begin(parameters)
     done, parameters, adam = _resumed(checkpoint, parameters, adam, config)
@@ -76,7 +89,8 @@ def train(
         batch = batch_of(np.random.default_rng((config.seed, step)))
         adam = adam._replace(step=jnp.asarray(step - 1, jnp.float32))
         rate = jnp.asarray(falling_rate(config.rate, step, config.num_steps), jnp.float32)
-        parameters, adam, value = advance(parameters, adam, batch, rate)
+        value, gradient = slope(eqx.combine(parameters, rest), batch)
+        parameters, adam = advance(parameters, gradient, adam, rate)
         if on_step is not None:
             on_step(step, float(value))
         if checkpoint is not None and (step % config.save_every == 0 or step == config.num_steps):
