@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from semloc_jax.perception.ground_view import GroundView
+from semloc_jax.perception.paint_colours import whiteness
 from semloc_jax.perception.paint_profiles import log_brightness
 from semloc_jax.perception.point_groups import extremes
 
@@ -45,7 +46,7 @@ def find_posts(image: np.ndarray, view: GroundView, config: PostConfig | None = 
     """
     config = config or PostConfig()
     # White has all three colours, grass in the sun lacks blue.
-    level = log_brightness(image.min(axis=2).astype(np.float32))
+    level = log_brightness(whiteness(image))
     out = np.zeros(level.shape, bool)
     for width in _WIDTHS_PX:
         # A post of this many pixels in width stands where a pixel is this large.
