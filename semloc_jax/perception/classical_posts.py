@@ -50,8 +50,9 @@ def find_posts(image: np.ndarray, view: GroundView, config: PostConfig | None = 
     out = np.zeros(level.shape, bool)
     for width in _WIDTHS_PX:
         # A post of this many pixels in width stands where a pixel is this large.
-        near = (view.column_m * (width + 1) >= config.min_width_m) & (view.column_m * width <= config.max_width_m)
-        if near.any():
+        limits_m = config.min_width_m / (width + 1), config.max_width_m / width
+        first, last = np.searchsorted(view.column_sizes_m, limits_m)
+        if first < last:
             bars = _upright_bars(level, width, config.min_contrast)
             _draw_posts(out, bars, level, image, view.column_m, config)
     return out
@@ -62,8 +63,9 @@ def _upright_bars(level: np.ndarray, width: int, min_contrast: float) -> np.ndar
     mean = cv2.blur(level, (width, 1), borderType=cv2.BORDER_REPLICATE)
     padded = cv2.copyMakeBorder(mean, 0, 0, width + 1, width + 1, cv2.BORDER_REPLICATE)
     left, right = padded[:, : level.shape[1]], padded[:, 2 * (width + 1) :]
-    bars = (mean - np.maximum(left, right) > min_contrast).astype(np.uint8)
-    return cv2.morphologyEx(bars, cv2.MORPH_OPEN, np.ones((max(2 * width, 3), 1), np.uint8))
+    excess = np.maximum(left, right)
+    bars = np.subtract(mean, excess, out=excess) > min_contrast
+    return cv2.morphologyEx(bars.view(np.uint8), cv2.MORPH_OPEN, np.ones((max(2 * width, 3), 1), np.uint8))
 
 
 def _draw_posts(

@@ -121,7 +121,6 @@ def choose_paint(strokes: Sequence[Stroke], view: TopView) -> list[Stroke]:
         strokes: from `find_strokes`.
         view: the top view.
     """
-    strokes = [stroke for stroke in strokes if stroke.length_m >= 0.5]
     if not strokes:
         return []
     numbers = _Numbers.of(strokes, view)

@@ -19,6 +19,8 @@ SEAM = 0.2
 """Less light, excess of brightness times width, than this share of what is painted comes from a seam of the road."""
 _MAX_LENGTH_M = 12.0
 """Longer strokes are cut: a low polynomial follows so much of any lane line."""
+_SHORTEST_M = 0.5
+"""Shorter strokes are paint in no direction."""
 _SHORTEST_GROUP_M = 0.5
 """Groups with fewer points than pixels on this length are specks."""
 _MOST_POINTS = 4000
@@ -68,7 +70,7 @@ def find_strokes(
     metres_per_px: float,
     max_scatter_m: float,
 ) -> list[Stroke]:
-    """Strokes through the points of ridges, longest first.
+    """Strokes of at least half a metre through the points of ridges, longest first.
 
     Args:
         brightness: of the image at places of the top view: strokes are measured where it is sharpest.
@@ -180,8 +182,11 @@ def _measured(curves: PaintCurves, profiles: RidgeProfiles) -> list[Stroke]:
         groups.median(profiles.rise_m, painted),
     )
     numbers = zip(*(column.tolist() if column.ndim == 1 else column for column in columns), strict=True)
+    is_long = STEP_M * count >= _SHORTEST_M
     return [
-        Stroke(profiles.at(part), painted[part], *values) for part, values in zip(groups.slices, numbers, strict=True)
+        Stroke(profiles.at(part), painted[part], *values)
+        for part, values, keep in zip(groups.slices, numbers, is_long, strict=True)
+        if keep
     ]
 
 
