@@ -6,6 +6,7 @@ In: the top view of one image. Out: RidgeProfiles, one row for each point of a r
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,8 +17,8 @@ _DARK = 10.0
 """Added to brightness before the logarithm: noise of dark pixels must not count as contrast."""
 _ALONG_M = (-0.3, -0.15, 0.0, 0.15, 0.3)
 """Profiles are means over these places along the stroke."""
-_HALF_MEAN_M = 0.3
-"""Those of points that follow each other on a curve are means over their neighbours up to here."""
+_BETWEEN_M = 0.05
+"""All of these places lie on such a grid along a curve whose points do."""
 MIN_CONTRAST = 0.08
 """Least difference of log brightness between a stroke and the road on either side."""
 _CORE_M = 0.025
@@ -140,20 +141,46 @@ def measure_along(
     max_half_width_m: float,
     metres_per_px: float,
 ) -> RidgeProfiles:
-    """The same at points that follow each other on curves, with finer steps: each place is looked at once.
+    """The same at points that follow each other on curves, with finer steps; neighbours share the places they look at.
 
     Arguments as `measure_profiles`, and
 
     Args:
-        curves: which points make a curve.
+        curves: which points make a curve, two at least.
         point_m: distance of the points of a curve.
     """
+    shared = _shared_places(curves, round(point_m / _BETWEEN_M), round(max(_ALONG_M) / _BETWEEN_M))
     across_m = _across_m(max_half_width_m, _FINE_M)
-    profile = _sampled(brightness, uv, normal, across_m, metres_per_px, along_m=(0.0,))
-    size = (2 * round(_HALF_MEAN_M / point_m) + 1, 1)
-    for part in curves.slices:
-        profile[:, part] = cv2.blur(profile[:, part], size, borderType=cv2.BORDER_REPLICATE)
-    return _edges(profile, uv, normal, max_half_width_m, _FINE_M)
+    looked = _sampled(brightness, *shared.between(uv, normal), across_m, metres_per_px, along_m=(0.0,))
+    profile = sum(looked.take(shared.own + round(along / _BETWEEN_M), axis=1) for along in _ALONG_M)
+    return _edges(profile / np.float32(len(_ALONG_M)), uv, normal, max_half_width_m, _FINE_M)
+
+
+class _SharedPlaces(NamedTuple):
+    """Places along curves at which the profiles of several points look."""
+
+    before: np.ndarray
+    """The point before each place, or the first two of a curve before its start, int[m]."""
+    share: np.ndarray
+    """Share of the way from there to the next point; beyond the ends of a curve below 0 or above 1, float64[m 1]."""
+    own: np.ndarray
+    """Which place is that of each point, int[n]."""
+
+    def between(self, uv: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places and unit vectors across, float[m 2] both, from those of the points."""
+        inner = np.clip(self.share, 0.0, 1.0)
+        across = normal[self.before] * (1.0 - inner) + normal[self.before + 1] * inner
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        return uv[self.before] * (1.0 - self.share) + uv[self.before + 1] * self.share, across
+
+
+def _shared_places(curves: PointGroups, steps: int, beyond: int) -> _SharedPlaces:
+    """Places with `steps` of them from each point of a curve to the next, and `beyond` more before and after it."""
+    places = PointGroups(steps * (curves.sizes - 1) + 1 + 2 * beyond)
+    step = places.rank - beyond
+    inside = np.clip(step // steps, 0, curves.sizes[places.number] - 2)
+    own = places.start[curves.number] + beyond + steps * curves.rank
+    return _SharedPlaces(curves.start[places.number] + inside, (step / steps - inside)[:, None], own)
 
 
 def _across_m(max_half_width_m: float, step_m: float) -> np.ndarray:
