@@ -136,10 +136,11 @@ def _edges(level: np.ndarray, box: tuple[int, int, int, int]) -> tuple[float, fl
 
 
 def _sides(values: np.ndarray, box: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values in the rows of a bar: in its own columns, to its left and to its right, [rows columns ...] each."""
+    """Values in the rows of a bar: in its own columns, to its left and right, float32[rows columns ...] each."""
     u, v, width, height = box
     reach = width + 2
-    padded = np.pad(values[v : v + height], [(0, 0), (reach, reach)] + [(0, 0)] * (values.ndim - 2), "edge")
+    rows = values[v : v + height].astype(np.float32, copy=False)
+    padded = np.pad(rows, [(0, 0), (reach, reach)] + [(0, 0)] * (values.ndim - 2), "edge")
     left, own, right = padded[:, u : u + reach - 1], padded[:, u + reach :], padded[:, u + reach + width + 1 :]
     return own[:, :width], left, right[:, : reach - 1]
 
@@ -160,7 +161,7 @@ def _is_white(image: np.ndarray, box: tuple[int, int, int, int], config: PostCon
     A pixel that the bar fills in part has the same shares, so bars far away do, too. Leaves in the sun before leaves
     in the shade have little more blue.
     """
-    own, left, right = _sides(image.astype(np.float32), box)
+    own, left, right = _sides(image, box)
     body = own.min(axis=(1, 2))
     lit = body >= np.median(body)
     blue, green, red = own[lit].mean(axis=(0, 1)) - 0.5 * (left[lit] + right[lit]).mean(axis=(0, 1))

@@ -115,9 +115,12 @@ def _spot(
 
 def _joins_two(label: np.ndarray, spot: _Spot, accepted: np.ndarray) -> bool:
     """True for a piece of a line between two good ones: where it crosses the edge of a shadow its ring is uneven."""
-    around = cv2.dilate((label[spot.window] == spot.number).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    beside = label[spot.window][around]
-    return len(np.unique(beside[accepted[beside]])) >= 2
+    near = label[spot.window]
+    good = accepted[near]
+    if not good.any():
+        return False
+    around = cv2.dilate((near == spot.number).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return len(np.unique(near[around & good])) >= 2
 
 
 def _measures(spots: list[_Spot], grey: np.ndarray, top: np.ndarray) -> SpotMeasures:
