@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-import cv2
 import numpy as np
 
 from semloc_jax.perception.paint_candidates import PaintCandidates, PaintConfig, paint_brightness
@@ -60,10 +59,11 @@ def search_strokes(
         colours: the top view with its colours.
         config: what counts as paint.
     """
+    columns = np.ascontiguousarray(np.moveaxis(colours.view.image_uv, -1, 0))
     strokes, sharp = {THIN: [], WIDE: []}, np.zeros(candidates.visible.shape, np.int8)
     for colour in (_ON_GREY, _WHITE):
         grey = np.where(candidates.visible, colour.brightness(top), np.float32(_UNSEEN))
-        fine = partial(_brightness_at, colour.brightness(image), colours.view.image_uv)
+        fine = partial(_brightness_at, colour.brightness(image), *columns)
         for scale, found in strokes.items():
             bright, keep = _ridges(grey, candidates, colours, scale, colour)
             ridges = bright.at(keep)
@@ -89,9 +89,11 @@ def _ridges(
     return bright, coloured[wanted] & are_sharp(bright, colours)
 
 
-def _brightness_at(grey: np.ndarray, image_uv: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _brightness_at(
+    grey: np.ndarray, image_u: np.ndarray, image_v: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> np.ndarray:
     """Brightness of the image at places of the top view, float32[n k]; as of nothing dark beyond the picture."""
-    at = cv2.remap(image_uv, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    found = cv2.remap(grey, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    found[(at[..., 0] < 0.0) | (at[..., 1] < 0.0)] = _UNSEEN
+    columns, rows = lookup(image_u, u, v), lookup(image_v, u, v)  # OpenCV rounds pictures of two planes otherwise
+    found = lookup(grey, columns, rows)
+    found[(columns < 0.0) | (rows < 0.0)] = _UNSEEN
     return found
