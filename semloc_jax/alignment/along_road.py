@@ -74,8 +74,6 @@ class Places(NamedTuple):
     Ts_map_base: Float[Array, "n 4 4"]
     scores: Float[Array, " n"]
     """Their costs [nats]; infinite where there is none."""
-    held: Float[Array, " n"]
-    """What of them is the prior's [nats]."""
     noise: Float[Array, ""]
     """Scatter of the boundaries in this frame over what is assumed: costs of the masks are worth 1 / noise^2."""
 
@@ -104,7 +102,7 @@ def places_along(
     scores = nats[best] + believed(by_piece, best, config.least_believed) * (nats - nats[best]) + held
     ramp_px = evidence.textures.level(level).ramp_px
     noise = align.noise.excess(scatter_px(Ts[best], level, evidence, align), ramp_px, evidence.grain)
-    return Places(Ts, jnp.where(jnp.isfinite(scores), scores, jnp.inf), held, noise)
+    return Places(Ts, jnp.where(jnp.isfinite(scores), scores, jnp.inf), noise)
 
 
 def _valley(
@@ -128,10 +126,7 @@ def _valley(
     information = contour_information(T_map_base, views, gain * weight * KERNELS[align.kernel].weight(r))
     sigma = prior.sigma.at[0].set(config.reach_m)
     known = information + terms_equations(prior.terms, T_map_base).hessian
-    one = jnp.eye(6, dtype=sigma.dtype)
-    # Positive definite, and less to compile than an inverse.
-    factor = jax.scipy.linalg.cho_factor(sigma[:, None] * known * sigma + one)
-    column = sigma * jax.scipy.linalg.cho_solve(factor, one[:, 0])
+    column = sigma * jnp.linalg.inv(sigma[:, None] * known * sigma + jnp.eye(6, dtype=sigma.dtype))[:, 0]
     return jnp.where(jnp.isfinite(column), column / column[0], 0.0).at[0].set(1.0)
 
 
@@ -154,9 +149,10 @@ def weighed_along_road(
         config: Offsets and level.
         chunk: Poses side by side; None for what suits the device.
     """
-    Ts, scores, guessed, noise = places_along(T_map_base, evidence, prior, align, config, chunk)
+    Ts, scores, noise = places_along(T_map_base, evidence, prior, align, config, chunk)
     index, filled = keep_distinct(Ts, scores, config.keep, config.apart)
     away = lie.log(lie.inverse(Ts[index[0]]) @ Ts)
+    guessed = jax.vmap(prior_cost, (0, None))(Ts, prior)
     share = jax.nn.softmax(-((scores - guessed) / noise**2 + guessed))
     spread = jnp.einsum("k,ki,kj->ij", share, away, away)
     spread = jnp.where(jnp.all(jnp.isfinite(spread)), spread, 0.0)

@@ -260,9 +260,10 @@ def valley_along(
     its prediction, and its curvature says centimetres: fused, the prediction would confirm itself.
     """
     free = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(jnp.inf))  # 0 would lock it
-    Ts, scores, held, noise = places_along(T_map_base, evidence, free, config.align, config.valley, None)
+    Ts, scores, noise = places_along(T_map_base, evidence, free, config.align, config.valley, None)
     steps = lie.log(lie.inverse(T_map_base) @ Ts)
     usable = jnp.isfinite(scores) & jnp.all(jnp.isfinite(steps), axis=1)
+    held = jax.vmap(prior_cost, (0, None))(Ts, free)
     share = jax.nn.softmax(jnp.where(usable, -((scores - held) / noise**2 + held), -1e9))
     share, steps = jnp.where(usable, share, 0.0), jnp.where(usable[:, None], steps, 0.0)
     mean = share @ steps

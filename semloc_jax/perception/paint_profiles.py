@@ -3,22 +3,17 @@
 In: the top view of one image. Out: RidgeProfiles, one row for each point of a ridge, of paint and of much else.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import cv2
 import numpy as np
-
-from semloc_jax.perception.point_groups import PointGroups
 
 _DARK = 10.0
 """Added to brightness before the logarithm: noise of dark pixels must not count as contrast."""
 _ALONG_M = (-0.3, -0.15, 0.0, 0.15, 0.3)
 """Profiles are means over these places along the stroke."""
-_BETWEEN_M = 0.05
-"""All of these places lie on such a grid along a curve whose points do."""
 MIN_CONTRAST = 0.08
 """Least difference of log brightness between a stroke and the road on either side."""
 _CORE_M = 0.025
@@ -28,8 +23,6 @@ _STRIP_M = 0.075
 """The darkest strip of this width counts there: beside an edge line a bright verge may begin soon."""
 
 
-_STEP_M, _FINE_M = 0.025, 0.01
-"""Distance of samples across: at points of ridges, and along the curves through them."""
 _BLOCK = 30_000
 """Samples taken at once: they stay in the processor's cache, and OpenCV's pictures must be below 32768 pixels wide."""
 
@@ -115,8 +108,9 @@ def measure_profiles(
     normal: np.ndarray,
     max_half_width_m: float,
     metres_per_px: float,
+    step_m: float = 0.025,
 ) -> RidgeProfiles:
-    """Edges and contrasts of strokes at points whose directions are known.
+    """Edges and contrasts of strokes whose centres and directions are known.
 
     The edges lie halfway between the brightness of the stroke and that of the road beside it.
 
@@ -126,74 +120,12 @@ def measure_profiles(
         normal: unit vectors across, float[n 2].
         max_half_width_m: edges are looked for up to here.
         metres_per_px: size of a pixel of the top view.
+        step_m: distance of the samples across.
     """
-    across_m = _across_m(max_half_width_m, _STEP_M)
-    profile = _sampled(brightness, uv, normal, across_m, metres_per_px)
-    return _edges(profile, uv, normal, max_half_width_m, _STEP_M)
-
-
-def measure_along(
-    brightness: Brightness,
-    uv: np.ndarray,
-    normal: np.ndarray,
-    curves: PointGroups,
-    point_m: float,
-    max_half_width_m: float,
-    metres_per_px: float,
-) -> RidgeProfiles:
-    """The same at points that follow each other on curves, with finer steps; neighbours share the places they look at.
-
-    Arguments as `measure_profiles`, and
-
-    Args:
-        curves: which points make a curve, two at least.
-        point_m: distance of the points of a curve.
-    """
-    shared = _shared_places(curves, round(point_m / _BETWEEN_M), round(max(_ALONG_M) / _BETWEEN_M))
-    across_m = _across_m(max_half_width_m, _FINE_M)
-    looked = _sampled(brightness, *shared.between(uv, normal), across_m, metres_per_px, along_m=(0.0,))
-    profile = sum(looked.take(shared.own + round(along / _BETWEEN_M), axis=1) for along in _ALONG_M)
-    return _edges(profile / np.float32(len(_ALONG_M)), uv, normal, max_half_width_m, _FINE_M)
-
-
-class _SharedPlaces(NamedTuple):
-    """Places along curves at which the profiles of several points look."""
-
-    before: np.ndarray
-    """The point before each place, or the first two of a curve before its start, int[m]."""
-    share: np.ndarray
-    """Share of the way from there to the next point; beyond the ends of a curve below 0 or above 1, float64[m 1]."""
-    own: np.ndarray
-    """Which place is that of each point, int[n]."""
-
-    def between(self, uv: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Places and unit vectors across, float[m 2] both, from those of the points."""
-        inner = np.clip(self.share, 0.0, 1.0)
-        across = normal[self.before] * (1.0 - inner) + normal[self.before + 1] * inner
-        across /= np.linalg.norm(across, axis=1, keepdims=True)
-        return uv[self.before] * (1.0 - self.share) + uv[self.before + 1] * self.share, across
-
-
-def _shared_places(curves: PointGroups, steps: int, beyond: int) -> _SharedPlaces:
-    """Places with `steps` of them from each point of a curve to the next, and `beyond` more before and after it."""
-    places = PointGroups(steps * (curves.sizes - 1) + 1 + 2 * beyond)
-    step = places.rank - beyond
-    inside = np.clip(step // steps, 0, curves.sizes[places.number] - 2)
-    own = places.start[curves.number] + beyond + steps * curves.rank
-    return _SharedPlaces(curves.start[places.number] + inside, (step / steps - inside)[:, None], own)
-
-
-def _across_m(max_half_width_m: float, step_m: float) -> np.ndarray:
-    """Where a profile is looked at [m], as far to both sides."""
-    half = round((max_half_width_m + _FLANK_M[1]) / step_m)
-    return np.arange(-half, half + 1) * step_m
-
-
-def _edges(
-    profile: np.ndarray, uv: np.ndarray, normal: np.ndarray, max_half_width_m: float, step_m: float
-) -> RidgeProfiles:
-    """Both edges of profiles, float32[k n], whose middle row is the middle of the stroke."""
-    half, core = len(profile) // 2, round(_CORE_M / step_m)
+    reach = max_half_width_m + _FLANK_M[1]
+    half, core = round(reach / step_m), round(_CORE_M / step_m)
+    across = np.arange(-half, half + 1) * step_m
+    profile = _sampled(brightness, uv, normal, across, metres_per_px)
     middle = profile[half - core : half + core + 1].mean(axis=0)
     left, contrast_left, rise_left = _side(profile[half::-1], middle, max_half_width_m, step_m)
     right, contrast_right, rise_right = _side(profile[half:], middle, max_half_width_m, step_m)
@@ -249,12 +181,7 @@ def _crossing(outward: np.ndarray, middle: np.ndarray, flank: np.ndarray, share:
 
 
 def _sampled(
-    brightness: Brightness,
-    uv: np.ndarray,
-    normal: np.ndarray,
-    across_m: np.ndarray,
-    metres_per_px: float,
-    along_m: Sequence[float] = _ALONG_M,
+    brightness: Brightness, uv: np.ndarray, normal: np.ndarray, across_m: np.ndarray, metres_per_px: float
 ) -> np.ndarray:
     """Mean brightness along the strokes at distances across them, float32[k n]."""
     places = uv.T.astype(np.float32)
@@ -266,10 +193,10 @@ def _sampled(
     for part in (slice(first, first + size) for first in range(0, len(uv), size)):
         offset = normals[:, None, part] * offsets_px
         at, total = np.empty_like(offset), np.float32(0)
-        for distance in along_m:
+        for distance in _ALONG_M:
             place = places[:, part] + along[:, part] * np.float32(distance / metres_per_px)
             total = total + brightness(*np.add(place[:, None], offset, out=at))
-        profile[:, part] = total / np.float32(len(along_m))
+        profile[:, part] = total / np.float32(len(_ALONG_M))
     return profile
 
 

@@ -10,11 +10,12 @@ import cv2
 import numpy as np
 
 from semloc_jax.perception.paint_curves import STEP_M, PaintCurves, fit_curves
-from semloc_jax.perception.paint_profiles import MIN_CONTRAST, Brightness, RidgeProfiles, measure_along
+from semloc_jax.perception.paint_profiles import MIN_CONTRAST, Brightness, RidgeProfiles, measure_profiles
 from semloc_jax.perception.point_groups import PointGroups
 
 _BINS = 6
 """Directions in which points are linked; bins overlap by half."""
+_FINE_M = 0.01
 SEAM = 0.2
 """Less light, excess of brightness times width, than this share of what is painted comes from a seam of the road."""
 _MAX_LENGTH_M = 12.0
@@ -83,9 +84,7 @@ def find_strokes(
     if not found:
         return []
     curves = fit_curves(ridges.at(np.concatenate(found)), _sizes(found), metres_per_px, max_scatter_m)
-    profiles = measure_along(
-        brightness, curves.uv, curves.normal, curves.groups, STEP_M, max_half_width_m, metres_per_px
-    )
+    profiles = measure_profiles(brightness, curves.uv, curves.normal, max_half_width_m, metres_per_px, _FINE_M)
     return sorted(_measured(curves, profiles), key=lambda stroke: -stroke.length_m)
 
 

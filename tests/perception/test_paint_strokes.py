@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from semloc_jax.perception.paint_profiles import THIN, find_ridges, lookup, measure_along, measure_profiles
+from semloc_jax.perception.paint_profiles import THIN, find_ridges, lookup, measure_profiles
 from semloc_jax.perception.paint_strokes import find_strokes
-from semloc_jax.perception.point_groups import PointGroups
 
 METRES_PER_PX = 0.05
 WIDTH_M = 0.12
@@ -73,19 +72,6 @@ def test_many_strokes_at_once_are_those_found_alone(grey):
         assert own.painted.tolist() == stroke.painted.tolist()
         for name in ("width_m", "length_m", "contrast", "scatter_m", "width_scatter", "rise_m"):
             assert getattr(own, name) == pytest.approx(getattr(stroke, name), abs=1e-6), name
-
-
-def test_points_that_share_their_places_see_what_each_sees_alone(grey):
-    """Two curves along the straight line, the second of them nearly up to its painted end."""
-    v = np.concatenate([4.6 + 0.1 * np.arange(14), 5.0 + 0.1 * np.arange(19)]) / METRES_PER_PX
-    uv = np.stack([np.full(len(v), 3.0 / METRES_PER_PX + 0.3), v], axis=-1)
-    normal, curves = np.tile([1.0, 0.0], (len(v), 1)), PointGroups([14, 19])
-    brightness = partial(lookup, grey)
-    alone = measure_profiles(brightness, uv, normal, THIN.max_half_width_m, METRES_PER_PX)
-    shared = measure_along(brightness, uv, normal, curves, 0.1, THIN.max_half_width_m, METRES_PER_PX)
-    np.testing.assert_allclose(shared.left_m, alone.left_m, atol=2e-3)
-    np.testing.assert_allclose(shared.right_m, alone.right_m, atol=2e-3)
-    np.testing.assert_allclose(shared.contrast, alone.contrast, atol=0.02)
 
 
 def test_points_on_no_curve_are_left_out_and_the_others_stay(grey):
