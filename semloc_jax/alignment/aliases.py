@@ -93,15 +93,14 @@ def _overlap(points: np.ndarray, channel: np.ndarray, length_m: np.ndarray, conf
     cell = np.floor((points - points.min(axis=0)) / config.cell_m).astype(int)
     reach = round(config.along_m / config.cell_m), round(config.across_m / config.cell_m)
     size = tuple(next_fast_len(int(cell[:, axis].max()) + 1 + reach[axis], True) for axis in (0, 1))
-    total = np.zeros((2 * reach[0] + 1, 2 * reach[1] + 1))
+    power: np.ndarray | float = 0.0
     for own in np.unique(channel):
         rows = channel == own
         plan = np.zeros(size, np.float32)
         np.add.at(plan, tuple(cell[rows].T), length_m[rows])
         spectrum = rfft2(plan)
-        repeated = irfft2(spectrum.real**2 + spectrum.imag**2, s=size)
-        total += repeated[np.ix_(np.arange(-reach[0], reach[0] + 1), np.arange(-reach[1], reach[1] + 1))]
-    return total
+        power = power + spectrum.real**2 + spectrum.imag**2
+    return irfft2(power, s=size)[np.ix_(*(np.arange(-most, most + 1) for most in reach))]
 
 
 def _peaks(profile: np.ndarray, config: AliasConfig, least_m: float, most: int) -> list[float]:

@@ -3,7 +3,7 @@
 In: the frame, a window, poses to start from. Out: poses that differ, and what a solve makes of each.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,6 +22,7 @@ from semloc_jax.alignment.proposals import LATTICE_STEPS
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import units_apart
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from
+from semloc_jax.cameras import Rig
 from semloc_jax.perception.border_distance import BorderDistances
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import MapSamples, PoseEstimate
@@ -53,6 +54,7 @@ def solve_batch(
     Ts_start: Float[Array, "n 4 4"],
     Ts_road: Float[Array, "n 4 4"],
     part: Int[Array, " n"],
+    rigs: Rig,
     num: Int[Array, ""],
     parts: Bool[Array, "part p"],
     sigma: Float[Array, "6"],
@@ -67,10 +69,11 @@ def solve_batch(
         Ts_start: Starts relative to the local origin.
         Ts_road: Centres of their priors: the same places on the plane of the road.
         part: Row of `parts` that each is solved with.
+        rigs: Cameras that each is solved through, stacked: a leading axis n on every leaf.
         num: How many of them are asked for; the others stay zero.
         parts: Which samples count.
         sigma: Of the priors (x, y, z [m], roll, pitch, yaw [rad]); wide along the road, so that they do not pull.
-        frame: Map samples, cost maps, cameras.
+        frame: Map samples and cost maps.
         in_view_px: Length of contour that costs are scaled by.
         config: View and level on which costs are compared.
         align_config: Levels and steps.
@@ -79,18 +82,18 @@ def solve_batch(
     noise_px = align_config.noise.noise_px * frame.grain
     level = telling(frame.textures.ramp_px, noise_px, config.rank_level)
 
-    def one(row: tuple[Array, Array, Array]) -> SolvedPoses:
-        T_start, T_road, part = row
+    def one(row: tuple[Array, Array, Array, Rig]) -> SolvedPoses:
+        T_start, T_road, part, rig = row
         prior = Prior(T_road, sigma)
         shown = eqx.tree_at(lambda s: s.valid, frame.samples, frame.samples.valid & parts[part])
-        evidence = evidence_from(T_start, frame._replace(samples=shown), config.polish_view)
+        evidence = evidence_from(T_start, frame._replace(samples=shown, rig=rig), config.polish_view)
         estimate = align_one(T_start, evidence, prior, align_config)
         judged = fit_at(estimate.T_map_base, level, evidence, align_config)
         measured = (judged.cost, judged.inlier_ratio)
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, measured)
         return SolvedPoses(estimate, score(estimate.T_map_base, level, evidence, prior, align_config, in_view_px))
 
-    return map_filled(one, (Ts_start, Ts_road, part), num)
+    return map_filled(one, (Ts_start, Ts_road, part, rigs), num)
 
 
 def solve_all(
@@ -103,18 +106,26 @@ def solve_all(
     align_config: AlignConfig,
     parts: np.ndarray,
     part: np.ndarray | None = None,
+    rigs: Sequence[Rig] = (),
+    lens: np.ndarray | None = None,
 ) -> SolvedPoses:
-    """`solve_batch` of any number of starts, on the host; the centres of their priors stand on the road, and without
-    `part` the first of the parts is solved."""
-    part = np.zeros(len(Ts_start), int) if part is None else part
+    """`solve_batch` of any number of starts, on the host; the centres of their priors stand on the road.
+
+    Without `part` the first of the parts is solved; without `rigs` all through the cameras of the frame, else through
+    those of the number `lens`.
+    """
+    part, lens = (np.zeros(len(Ts_start), int) if index is None else index for index in (part, lens))
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *(rigs or (frame.rig,)))
+    frame = frame._replace(rig=None)  # each start has its own
     found = []
     for first in range(0, len(Ts_start), BATCH):
         own = Ts_start[first : first + BATCH]
-        Ts = filled(own, BATCH)
+        own_lens = np.resize(lens[first : first + BATCH], BATCH)
         solved = solve_batch(
-            np.asarray(Ts, np.float32),
-            np.asarray(road.place(Ts), np.float32),
+            np.asarray(filled(own, BATCH), np.float32),
+            np.asarray(filled(road.place(own), BATCH), np.float32),
             np.resize(part[first : first + BATCH], BATCH).astype(np.int32),
+            jax.tree.map(lambda leaf, own=own_lens: leaf[own], stacked),
             np.int32(len(own)),
             parts,
             np.asarray(sigma, np.float32),
@@ -123,7 +134,7 @@ def solve_all(
             config,
             align_config,
         )
-        found.append(jax.device_get(solved))
+        found.append(jax.tree.map(np.asarray, solved))
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
     return joined.rows(np.arange(len(Ts_start)))
 

@@ -5,6 +5,8 @@ A wrong lens and elements that were moved are paid with another place along the 
 that no solve crosses from the pose that was found: they are tried from places before and behind it.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from semloc_jax.alignment.agreement import NUM_KINDS
@@ -37,16 +39,19 @@ class FaultSearch:
         """The lens that the frame speaks for, and the pose with each; the covariance is that of the pose."""
         return doubted(self.frame.rig, self._through, covariance, config)
 
-    def _through(self, rig: Rig) -> ThroughLens:
-        steps = self.steps
-        few = steps.solved_with_few(self._starts(_LENS_STARTS_M), self.in_view_px, rig=rig)
+    def _through(self, rigs: Sequence[Rig]) -> list[ThroughLens]:
+        """The best pose through each of some cameras, all solved at once."""
+        steps, ahead = self.steps, self._starts(_LENS_STARTS_M)
+        lens = np.repeat(np.arange(len(rigs)), len(ahead))
+        few = steps.solved_with_few(np.tile(ahead, (len(rigs), 1, 1)), self.in_view_px, rigs=rigs, lens=lens)
         # Few samples rank places roughly: from the pose itself it is solved to the end as well.
-        other = np.asarray(few.estimates.T_map_base, np.float64)[int(np.argmin(np.nan_to_num(few.score, nan=np.inf)))]
-        starts = np.stack([self.T, other])
-        known = steps.road, steps.wide_sigma, self.frame._replace(rig=rig), self.in_view_px, steps.frame_config
-        solved = solve_all(starts, *known, steps.final_align, self.whole)
-        best = int(np.argmin(np.nan_to_num(solved.score, nan=np.inf)))
-        return ThroughLens(float(solved.score[best]), np.asarray(solved.estimates.T_map_base[best], np.float64))
+        others = np.asarray(few.estimates.T_map_base, np.float64)[_least_of_each(few.score, len(rigs))]
+        starts = np.stack([np.repeat(self.T[None], len(rigs), axis=0), others], axis=1).reshape(-1, 4, 4)
+        known = steps.road, steps.wide_sigma, self.frame, self.in_view_px, steps.frame_config
+        lens = np.repeat(np.arange(len(rigs)), 2)
+        solved = solve_all(starts, *known, steps.final_align, self.whole, rigs=rigs, lens=lens)
+        Ts = np.asarray(solved.estimates.T_map_base, np.float64)
+        return [ThroughLens(float(solved.score[row]), Ts[row]) for row in _least_of_each(solved.score, len(rigs))]
 
     def kinds(self, rates: Rates, config: FaultConfig) -> list[FaultMode]:
         """The poses that the map has without lane lines, and without what stands."""
@@ -76,3 +81,9 @@ class FaultSearch:
 
     def _starts(self, ahead_m: np.ndarray) -> np.ndarray:
         return self.steps.road.place(self.T @ planar(ahead_m, np.zeros_like(ahead_m), np.zeros_like(ahead_m)))
+
+
+def _least_of_each(score: np.ndarray, num: int) -> np.ndarray:
+    """Rows of the least of the scores of each of `num` groups that follow one another, int[num]."""
+    each = np.nan_to_num(np.asarray(score), nan=np.inf).reshape(num, -1)
+    return each.argmin(axis=1) + np.arange(num) * each.shape[1]

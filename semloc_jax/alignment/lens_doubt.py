@@ -5,7 +5,7 @@ A wrong focal length moves near and far borders of a frame by different pixels, 
 shows both, it says so. What moves all of them alike (a camera that looks aside, a shifted image) one frame cannot tell.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,33 +39,36 @@ class LensDoubt:
 
 
 def doubted(
-    rig: Rig, solved_through: Callable[[Rig], ThroughLens], covariance: np.ndarray, config: FaultConfig
+    rig: Rig,
+    solved_through: Callable[[Sequence[Rig]], Sequence[ThroughLens]],
+    covariance: np.ndarray,
+    config: FaultConfig,
 ) -> tuple[LensDoubt, list[FaultMode]]:
     """The lens that a frame speaks for most, and where the vehicle would be with each kind of them.
 
     Args:
         rig: Cameras as stated.
-        solved_through: The best pose near the one found, through given cameras.
+        solved_through: The best pose near the one found, through each of given cameras.
         covariance: Of the pose: forward [m], left [m], heading [rad].
         config: How often lenses are wrong.
     """
-    stated, found, modes = solved_through(rig), [LensDoubt()], []
-
-    def beside(solved: ThroughLens) -> np.ndarray:
-        return rigid.log(rigid.inverse(stated.T_map_base) @ solved.T_map_base)[list(PLANE)]
-
-    for change, words in ((longer, "focal lengths"), (wider, "horizontal focal lengths")):
-        sides = [solved_through(change(rig, side * FOCAL_SHARE)) for side in (1.0, -1.0)]
-        up, down = (stated.cost - side.cost for side in sides)
-        moved = np.array([beside(side) for side in sides])
-        modes.append(lens_mode((up, down), moved, covariance, FOCAL_SHARE, f"other {words}", config))
+    kinds = ((longer, "focal lengths"), (wider, "horizontal focal lengths"))
+    other = with_distortion(rig, -1.0)
+    rigs = [change(rig, side * FOCAL_SHARE) for change, _ in kinds for side in (1.0, -1.0)]
+    stated, *solved = solved_through([rig, *rigs] if other is None else [rig, *rigs, other])
+    gain = [stated.cost - one.cost for one in solved]
+    moved = [rigid.log(rigid.inverse(stated.T_map_base) @ one.T_map_base)[list(PLANE)] for one in solved]
+    found, modes = [LensDoubt()], []
+    for first, (_, words) in zip((0, 2), kinds, strict=True):
+        up, down = gain[first : first + 2]
+        sides = np.array(moved[first : first + 2])
+        modes.append(lens_mode((up, down), sides, covariance, FOCAL_SHARE, f"other {words}", config))
         # A frame that has not found its own best place yet gains by any second solve.
         if min(up, down) <= 0.0:
             side = "longer" if up > down else "shorter"
             found.append(LensDoubt(max(up, down), f"{words} that are {100 * FOCAL_SHARE:.1f} % {side}"))
-    other = with_distortion(rig, -1.0)
     if other is not None:
-        solved, words = solved_through(other), "the distortion with the other sign"
-        found.append(LensDoubt(stated.cost - solved.cost, words))
-        modes.append(sign_mode(stated.cost - solved.cost, beside(solved), covariance, words, config))
+        words = "the distortion with the other sign"
+        found.append(LensDoubt(gain[-1], words))
+        modes.append(sign_mode(gain[-1], moved[-1], covariance, words, config))
     return max(found, key=lambda doubt: np.nan_to_num(doubt.lens_nats, nan=-np.inf)), modes

@@ -81,14 +81,11 @@ class RoadPatch:
         last = np.array(self.height_m.shape) - 1
         grid = np.clip((xy - self.center_xy) @ self.axes.T / self.step_m + 0.5 * last, 0.0, last - 1e-9)
         cell = grid.astype(int)
-        share = grid - cell
-        height_m, slope = np.zeros(len(xy)), np.zeros((len(xy), 2))
-        for di in (0, 1):
-            for dj in (0, 1):
-                i, j = cell[:, 0] + di, cell[:, 1] + dj
-                weight = np.abs(1 - di - share[:, 0]) * np.abs(1 - dj - share[:, 1])
-                node_xy = self.center_xy + (np.column_stack([i, j]) - 0.5 * last) * self.step_m @ self.axes
-                rise_m = (self.slope[i, j] * (xy - node_xy)).sum(axis=1)
-                height_m += weight * (self.height_m[i, j] + rise_m)
-                slope += weight[:, None] * self.slope[i, j]
-        return height_m, slope
+        corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
+        weight = np.abs(1 - corners - (grid - cell)[:, None]).prod(axis=-1)
+        node = cell[:, None] + corners
+        node_xy = self.center_xy + (node - 0.5 * last) * self.step_m @ self.axes
+        i, j = node[..., 0], node[..., 1]
+        slope = self.slope[i, j]
+        height_m = self.height_m[i, j] + (slope * (xy[:, None] - node_xy)).sum(axis=-1)
+        return (weight * height_m).sum(axis=1), (weight[..., None] * slope).sum(axis=1)

@@ -3,6 +3,7 @@
 In: one frame, its prior, distances to mask borders. Out: SearchSteps, which `complete_modes` puts together.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
@@ -185,13 +186,19 @@ class SearchSteps:
         return found.rows(apart(ends, -found.score.astype(np.float64), len(ends), ONE_OPTIMUM))
 
     def solved_with_few(
-        self, Ts: np.ndarray, in_view_px: float, part: np.ndarray | None = None, rig: Rig | None = None
+        self,
+        Ts: np.ndarray,
+        in_view_px: float,
+        part: np.ndarray | None = None,
+        rigs: Sequence[Rig] = (),
+        lens: np.ndarray | None = None,
     ) -> SolvedPoses:
-        """Every start refined with few samples, each with its part of the map; through other cameras where given."""
-        frame = self.frame._replace(samples=self.samples, rig=self.frame.rig if rig is None else rig)
+        """Every start refined with few samples, each with its part of the map and through its cameras."""
+        frame = self.frame._replace(samples=self.samples)
         view = replace(self.frame_config.polish_view, capacity=self.config.view_samples)
         config = replace(self.frame_config, polish_view=view)
-        return solve_all(Ts, self.road, self.wide_sigma, frame, in_view_px, config, self.align, self.parts, part)
+        known = self.road, self.wide_sigma, frame, in_view_px, config, self.align
+        return solve_all(Ts, *known, self.parts, part, rigs, lens)
 
     def pieces(self, Ts: np.ndarray, part: np.ndarray | None = None) -> Pieces:
         """The pieces of map, or of the samples bool[p] of a part of it, that each pose sees."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from semloc_jax.maps.curves import as_ring, parallel, without_repeats
+from semloc_jax.maps.curves import as_ring, both_sides, without_repeats
 from semloc_jax.maps.elements import PAINT_CLASSES, MapElement
 from semloc_jax.structs import ElementClass, SampleKind
 
@@ -74,7 +74,7 @@ def _element_contours(element: MapElement, caps: tuple[bool, bool]) -> list[Cont
     if label == ElementClass.GUARDRAIL and element.height_m > 0:
         return [Contour(points + [0.0, 0.0, dz]) for dz in (-_HALF_BEAM_M, _HALF_BEAM_M)]
     if element.width_m > 0 and label != ElementClass.SIGN:
-        return _ribbon(points, element.width_m, caps)
+        return _ribbon(element, points, caps)
     return [Contour(points)]
 
 
@@ -92,7 +92,7 @@ def _painted_polygon(element: MapElement) -> shapely.Polygon:
         return shapely.Polygon(points[:, :2]) if len(points) >= 3 else shapely.Polygon()
     if len(points) < 2 or element.width_m <= 0:
         return shapely.Polygon()
-    left, right = _sides(points, element.width_m)
+    left, right = _sides(element)
     return shapely.Polygon(np.vstack([right, left[::-1]])[:, :2])
 
 
@@ -148,16 +148,23 @@ def _counter_clockwise(points: np.ndarray) -> np.ndarray:
     return points[::-1] if x[:-1] @ y[1:] - x[1:] @ y[:-1] < 0 else points
 
 
-def _sides(points: np.ndarray, width_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the left and the right edge of a line."""
-    is_loop = len(points) > 3 and bool(np.linalg.norm(points[0] - points[-1]) < _JOIN_M)
-    return parallel(points, 0.5 * width_m, is_loop), parallel(points, -0.5 * width_m, is_loop)
+def _sides(element: MapElement) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the left and the right edge of a line, cached with the element."""
+    kept = element.__dict__
+    if "_sides" not in kept:
+        points = without_repeats(element.points, element.closed)
+        kept["_sides"] = both_sides(points, 0.5 * element.width_m, _is_loop(points))
+    return kept["_sides"]
 
 
-def _ribbon(points: np.ndarray, width_m: float, caps: tuple[bool, bool]) -> list[Contour]:
-    left, right = _sides(points, width_m)
+def _is_loop(points: np.ndarray) -> bool:
+    return len(points) > 3 and bool(np.linalg.norm(points[0] - points[-1]) < _JOIN_M)
+
+
+def _ribbon(element: MapElement, points: np.ndarray, caps: tuple[bool, bool]) -> list[Contour]:
+    left, right = _sides(element)
     contours = [Contour(right), Contour(left[::-1])]
-    if len(points) > 3 and np.linalg.norm(points[0] - points[-1]) < _JOIN_M:
+    if _is_loop(points):
         return contours
     if caps[0]:
         contours.append(Contour(np.stack([left[0], right[0]])))

@@ -97,18 +97,33 @@ def parallel(points: np.ndarray, offset_m: float, is_loop: bool = False) -> np.n
         offset_m: signed distance, positive to the left of the direction of travel.
         is_loop: the last vertex is the first one; its corner is mitred too.
     """
-    steps = np.diff(points[:, :2], axis=0)
-    lengths = np.linalg.norm(steps, axis=1, keepdims=True)
-    left = np.stack([-steps[:, 1], steps[:, 0]], axis=1) / np.maximum(lengths, 1e-12)
-    before = np.vstack([left[-1:] if is_loop else left[:1], left])
-    after = np.vstack([left, left[:1] if is_loop else left[-1:]])
-    bisector = before + after
-    size = np.linalg.norm(bisector, axis=1, keepdims=True)
-    bisector = np.where(size > 1e-9, bisector / np.maximum(size, 1e-12), after)
-    stretch = 1.0 / np.maximum(np.sum(bisector * after, axis=1, keepdims=True), 1.0 / _MITRE_LIMIT)
+    return _shifted(points, offset_m * _mitres(points, is_loop))
+
+
+def both_sides(points: np.ndarray, half_m: float, is_loop: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the lines `half_m` to the left and to the right; see `parallel`."""
+    aside = half_m * _mitres(points, is_loop)
+    return _shifted(points, aside), _shifted(points, -aside)
+
+
+def _shifted(points: np.ndarray, aside: np.ndarray) -> np.ndarray:
     shifted = points.copy()
-    shifted[:, :2] += offset_m * stretch * bisector
+    shifted[:, :2] += aside
     return shifted
+
+
+def _mitres(points: np.ndarray, is_loop: bool) -> np.ndarray:
+    """Returns how far each vertex goes for a line one metre to the left, `[k 2]`."""
+    steps = np.diff(points[:, :2], axis=0)
+    lengths = np.sqrt(np.einsum("ij,ij->i", steps, steps))[:, None]
+    left = np.stack([-steps[:, 1], steps[:, 0]], axis=1) / np.maximum(lengths, 1e-12)
+    before = np.concatenate([left[-1:] if is_loop else left[:1], left])
+    after = np.concatenate([left, left[:1] if is_loop else left[-1:]])
+    bisector = before + after
+    size = np.sqrt(np.einsum("ij,ij->i", bisector, bisector))[:, None]
+    bisector = np.where(size > 1e-9, bisector / np.maximum(size, 1e-12), after)
+    along = np.einsum("ij,ij->i", bisector, after)[:, None]
+    return bisector / np.maximum(along, 1.0 / _MITRE_LIMIT)
 
 
 def simplify(points: np.ndarray, tolerance_m: float) -> np.ndarray:

@@ -4,6 +4,7 @@ In: an image and, if known, its camera above the road. Out: class ids of the tab
 """
 
 from dataclasses import replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -96,7 +97,7 @@ class ClassicalPaintSegmenter:
             mask[hidden] = UNLABELED_ID
         return mask
 
-    @property
+    @cached_property
     def shows_posts(self) -> bool:
         """Whether uprights stand along the columns of the image, so that posts are looked for; False before a guess."""
         return self._camera is not None and _is_upright(self._camera, np.asarray(self._T_base_cam))

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from semloc_jax.perception.ground_view import GroundView
+from semloc_jax.perception.paint_colours import whiteness
 from semloc_jax.perception.paint_profiles import log_brightness
 from semloc_jax.perception.point_groups import extremes
 
@@ -45,12 +46,13 @@ def find_posts(image: np.ndarray, view: GroundView, config: PostConfig | None = 
     """
     config = config or PostConfig()
     # White has all three colours, grass in the sun lacks blue.
-    level = log_brightness(image.min(axis=2).astype(np.float32))
+    level = log_brightness(whiteness(image))
     out = np.zeros(level.shape, bool)
     for width in _WIDTHS_PX:
         # A post of this many pixels in width stands where a pixel is this large.
-        near = (view.column_m * (width + 1) >= config.min_width_m) & (view.column_m * width <= config.max_width_m)
-        if near.any():
+        limits_m = config.min_width_m / (width + 1), config.max_width_m / width
+        first, last = np.searchsorted(view.column_sizes_m, limits_m)
+        if first < last:
             bars = _upright_bars(level, width, config.min_contrast)
             _draw_posts(out, bars, level, image, view.column_m, config)
     return out
@@ -61,8 +63,9 @@ def _upright_bars(level: np.ndarray, width: int, min_contrast: float) -> np.ndar
     mean = cv2.blur(level, (width, 1), borderType=cv2.BORDER_REPLICATE)
     padded = cv2.copyMakeBorder(mean, 0, 0, width + 1, width + 1, cv2.BORDER_REPLICATE)
     left, right = padded[:, : level.shape[1]], padded[:, 2 * (width + 1) :]
-    bars = (mean - np.maximum(left, right) > min_contrast).astype(np.uint8)
-    return cv2.morphologyEx(bars, cv2.MORPH_OPEN, np.ones((max(2 * width, 3), 1), np.uint8))
+    excess = np.maximum(left, right)
+    bars = np.subtract(mean, excess, out=excess) > min_contrast
+    return cv2.morphologyEx(bars.view(np.uint8), cv2.MORPH_OPEN, np.ones((max(2 * width, 3), 1), np.uint8))
 
 
 def _draw_posts(
@@ -133,10 +136,11 @@ def _edges(level: np.ndarray, box: tuple[int, int, int, int]) -> tuple[float, fl
 
 
 def _sides(values: np.ndarray, box: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values in the rows of a bar: in its own columns, to its left and to its right, [rows columns ...] each."""
+    """Values in the rows of a bar: in its own columns, to its left and right, float32[rows columns ...] each."""
     u, v, width, height = box
     reach = width + 2
-    padded = np.pad(values[v : v + height], [(0, 0), (reach, reach)] + [(0, 0)] * (values.ndim - 2), "edge")
+    rows = values[v : v + height].astype(np.float32, copy=False)
+    padded = np.pad(rows, [(0, 0), (reach, reach)] + [(0, 0)] * (values.ndim - 2), "edge")
     left, own, right = padded[:, u : u + reach - 1], padded[:, u + reach :], padded[:, u + reach + width + 1 :]
     return own[:, :width], left, right[:, : reach - 1]
 
@@ -157,7 +161,7 @@ def _is_white(image: np.ndarray, box: tuple[int, int, int, int], config: PostCon
     A pixel that the bar fills in part has the same shares, so bars far away do, too. Leaves in the sun before leaves
     in the shade have little more blue.
     """
-    own, left, right = _sides(image.astype(np.float32), box)
+    own, left, right = _sides(image, box)
     body = own.min(axis=(1, 2))
     lit = body >= np.median(body)
     blue, green, red = own[lit].mean(axis=(0, 1)) - 0.5 * (left[lit] + right[lit]).mean(axis=(0, 1))

@@ -82,6 +82,11 @@ class GroundView:
         return np.where(known, step, 0.0)
 
     @cached_property
+    def column_sizes_m(self) -> np.ndarray:
+        """All that `column_m` has on the road, in order, float[n]."""
+        return np.sort(self.column_m[self.column_m > 0.0])
+
+    @cached_property
     def _samples(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each halving of the image the visible top-view pixels that are taken from it, and where they lie in it.
 

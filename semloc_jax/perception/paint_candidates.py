@@ -113,9 +113,14 @@ def paint_brightness(image: np.ndarray) -> np.ndarray:
     Args:
         image: BGR, uint8[h w 3].
     """
-    blue, green, red = (plane.astype(np.float32) for plane in cv2.split(image))
-    yellow = np.minimum(green, red) - blue
-    return 0.5 * (green + red) + _YELLOW_GAIN * np.maximum(yellow, 0.0)
+    blue, green, red = cv2.split(image)
+    brightness = cv2.add(green, red, dtype=cv2.CV_32F)
+    brightness *= np.float32(0.5)
+    # Bytes do not fall below 0: no lack of blue counts as none.
+    yellow = cv2.subtract(cv2.min(green, red), blue).astype(np.float32)
+    yellow *= np.float32(_YELLOW_GAIN)
+    brightness += yellow
+    return brightness
 
 
 def _texture(excess: np.ndarray, visible: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarray]:

@@ -121,7 +121,6 @@ def choose_paint(strokes: Sequence[Stroke], view: TopView) -> list[Stroke]:
         strokes: from `find_strokes`.
         view: the top view.
     """
-    strokes = [stroke for stroke in strokes if stroke.length_m >= 0.5]
     if not strokes:
         return []
     numbers = _Numbers.of(strokes, view)
@@ -157,7 +156,7 @@ def _grey_sides(strokes: Sequence[Stroke], view: TopView) -> np.ndarray:
     beside = np.concatenate(
         [stroke.normal[stroke.painted] * ((0.5 * stroke.width_m + _FLANK_M) / view.metres_per_px) for stroke in strokes]
     )
-    middle, *sides = (groups.mean(view.colours(uv + side * beside)) for side in (0.0, -1.0, 1.0))
+    middle, *sides = (groups.mean(view.colours(uv + side * beside).T).T for side in (0.0, -1.0, 1.0))
     return np.where(is_white_or_yellow(middle), np.sum([is_no_grass(side) for side in sides], axis=0), 0)
 
 

@@ -56,26 +56,30 @@ class TopView:
         """Metres of road in one pixel of the image at places of the top view, along directions; float[n]."""
         ends = []
         for sign in (-1.0, 1.0):
-            at = np.round(uv + 2.0 * sign * direction).astype(int)
-            u, v = (np.clip(at[..., i], 0, self.view.visible.shape[1 - i] - 1) for i in (0, 1))
-            ends.append(self.view.image_uv[v, u])
-        image_px = np.linalg.norm(ends[1] - ends[0], axis=-1)
+            ends.append(self.view.image_uv.reshape(-1, 2).take(self._pixels(uv + 2.0 * sign * direction), axis=0))
+        image_px = np.hypot(*(ends[1] - ends[0]).T)
         # Over the rim of what is seen the difference says nothing: such points count as fine.
         return np.where(image_px > 1e3, 0.0, 4.0 * self.metres_per_px / np.maximum(image_px, 1e-3))
 
     def colours(self, uv: np.ndarray) -> np.ndarray:
-        """BGR at places, float32[n 3]."""
-        u, v = (np.clip(np.round(uv[..., i]).astype(int), 0, self.picture.shape[1 - i] - 1) for i in (0, 1))
-        return self.picture[v, u].astype(np.float32) + np.float32(1.0)
+        """BGR at places, float32[3 n]."""
+        return self.picture.reshape(-1, 3).take(self._pixels(uv), axis=0).T.astype(np.float32) + np.float32(1.0)
+
+    def _pixels(self, uv: np.ndarray) -> np.ndarray:
+        """Numbers of the pixels next to places, int[n]."""
+        height, width = self.picture.shape[:2]
+        u, v = (np.rint(uv[:, i]).astype(np.intp).clip(0, size - 1) for i, size in enumerate((width, height)))
+        return v * width + u
 
 
 def whiteness(image: np.ndarray) -> np.ndarray:
-    """Least of the three colours, float32[...]: white has all of them, grass in the sun lacks blue.
+    """Least of the three colours, float32[h w]: white has all of them, grass in the sun lacks blue.
 
     Args:
-        image: BGR, uint8[... 3].
+        image: BGR, uint8[h w 3].
     """
-    return image.min(axis=-1).astype(np.float32)
+    blue, green, red = cv2.split(image)
+    return cv2.min(blue, cv2.min(green, red)).astype(np.float32)
 
 
 def are_white(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -90,8 +94,8 @@ def are_white(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
         normal: unit vectors across, float[n 2].
     """
     own = view.colours(uv)
-    darker = _beside(view, uv, normal)[..., 1:].sum(axis=-1).min(axis=0)
-    return is_white_or_yellow(own) & (own[:, 1:].sum(axis=-1) > darker)
+    darker = np.minimum(*(side[1] + side[2] for side in _beside(view, uv, normal)))
+    return is_white_or_yellow(own) & (own[1] + own[2] > darker)
 
 
 def are_on_grey(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -99,35 +103,33 @@ def are_on_grey(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray
 
     Arguments as `are_white`. On grey, green and red show paint of either colour with the least noise.
     """
-    own, sides = view.colours(uv), _beside(view, uv, normal)
-    on_grey = (_yellowness(sides) < _GREY).all(axis=0)
-    left, right = sides
-    left_is_darker = left.sum(axis=-1) < right.sum(axis=-1)
-    blue, green, red = (own - np.where(left_is_darker[:, None], left, right)).T
+    own, (left, right) = view.colours(uv), _beside(view, uv, normal)
+    on_grey = (_yellowness(left) < _GREY) & (_yellowness(right) < _GREY)
+    blue, green, red = own - np.where(left.sum(axis=0) < right.sum(axis=0), left, right)
     is_yellower = (blue < _YELLOW_BLUE * np.minimum(green, red)) & (red > _YELLOW_RED * green)
     return (on_grey | is_yellower) & is_white_or_yellow(own)
 
 
-def _beside(view: TopView, uv: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Colours to both sides of places, float32[2 n 3]."""
+def _beside(view: TopView, uv: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Colours to both sides of places, float32[3 n] each."""
     step = (_BESIDE_M / view.metres_per_px) * normal
-    return np.stack([view.colours(uv - step), view.colours(uv + step)])
+    return view.colours(uv - step), view.colours(uv + step)
 
 
 def is_white_or_yellow(bgr: np.ndarray) -> np.ndarray:
-    """Whether colours may be those of paint, bool[n] of float32[n 3]."""
-    red = bgr[:, 2] - bgr[:, 1] > _RED * bgr.sum(axis=1)
+    """Whether colours may be those of paint, bool[n] of float[3 n]."""
+    red = bgr[2] - bgr[1] > _RED * bgr.sum(axis=0)
     return ~red & (_greenness(bgr) < _GREEN)
 
 
 def is_no_grass(bgr: np.ndarray) -> np.ndarray:
-    """Whether colours may be those of the ground beside paint, bool[n] of float32[n 3]."""
+    """Whether colours may be those of the ground beside paint, bool[n] of float[3 n]."""
     return _greenness(bgr) < 2 * _GREEN
 
 
 def _yellowness(bgr: np.ndarray) -> np.ndarray:
-    return (np.minimum(bgr[..., 1], bgr[..., 2]) - bgr[..., 0]) / bgr.sum(axis=-1)
+    return (np.minimum(bgr[1], bgr[2]) - bgr[0]) / bgr.sum(axis=0)
 
 
 def _greenness(bgr: np.ndarray) -> np.ndarray:
-    return np.minimum(bgr[..., 1] - bgr[..., 0], bgr[..., 1] - bgr[..., 2]) / bgr.sum(axis=-1)
+    return np.minimum(bgr[1] - bgr[0], bgr[1] - bgr[2]) / bgr.sum(axis=0)

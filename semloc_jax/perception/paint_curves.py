@@ -108,13 +108,11 @@ def _in_own_axes(points: RidgeProfiles, groups: PointGroups, metres_per_px: floa
     """Middles between both edges along and across the main direction of their group."""
     middle_m = 0.5 * (points.left_m + points.right_m)
     uv = points.uv + points.normal * (middle_m / metres_per_px)[:, None]
-    centre, axes, places_m = [], [], [np.zeros((0, 2))]
-    for part in groups.slices:
-        offset = uv[part] - (mean := uv[part].mean(axis=0))
-        centre.append(mean)
-        axes.append(np.linalg.eigh(offset.T @ offset)[1][:, ::-1])
-        places_m.append(offset @ axes[-1] * metres_per_px)
-    return _Sides(groups, np.array(centre), np.array(axes), *np.concatenate(places_m).T)
+    centre = groups.mean(uv)
+    offset = uv - centre[groups.number]
+    axes = np.linalg.eigh(groups.total(offset[:, :, None] * offset[:, None, :]))[1][..., ::-1]
+    along_m, across_m = (offset[:, :, None] * axes[groups.number]).sum(axis=1).T * metres_per_px
+    return _Sides(groups, centre, axes, along_m, across_m)
 
 
 def _robust_polynomials(sides: _Sides) -> _Polynomials:

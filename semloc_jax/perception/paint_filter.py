@@ -73,7 +73,8 @@ def keep_paint(candidates: PaintCandidates, top: np.ndarray, config: PaintConfig
         top: top view, uint8[h w 3] BGR.
     """
     road = candidates.visible & (candidates.label == 0)
-    spots = [_spot(candidates.label, road, number, box, config) for number, box in candidates.boxes.items()]
+    disks = config.disk(_RING_OUTER_M), config.disk(_RING_INNER_M)
+    spots = [_spot(candidates.label, road, number, box, disks, config) for number, box in candidates.boxes.items()]
     spots = [spot for spot in spots if len(spot.ring_vu) >= _FEWEST_RING_PX and spot.stroke_m <= config.max_width_m]
     accepted = np.zeros(candidates.label.max() + 1, bool)
     if not spots:
@@ -85,12 +86,19 @@ def keep_paint(candidates: PaintCandidates, top: np.ndarray, config: PaintConfig
     return accepted[candidates.label]
 
 
-def _spot(label: np.ndarray, road: np.ndarray, number: int, box: tuple[slice, slice], config: PaintConfig) -> _Spot:
+def _spot(
+    label: np.ndarray,
+    road: np.ndarray,
+    number: int,
+    box: tuple[slice, slice],
+    disks: tuple[np.ndarray, np.ndarray],
+    config: PaintConfig,
+) -> _Spot:
     """One spot with its ring of road, bool[h w]."""
     margin = round(_RING_OUTER_M / 2 / config.metres_per_px) + 2
     window = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
     mask = (label[window] == number).astype(np.uint8)
-    outer, inner = (cv2.dilate(mask, config.disk(size_m)) for size_m in (_RING_OUTER_M, _RING_INNER_M))
+    outer, inner = (cv2.dilate(mask, disk) for disk in disks)
     full = outer > inner
     padded = cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     first = [side.start for side in window]
@@ -107,9 +115,12 @@ def _spot(label: np.ndarray, road: np.ndarray, number: int, box: tuple[slice, sl
 
 def _joins_two(label: np.ndarray, spot: _Spot, accepted: np.ndarray) -> bool:
     """True for a piece of a line between two good ones: where it crosses the edge of a shadow its ring is uneven."""
-    around = cv2.dilate((label[spot.window] == spot.number).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    beside = label[spot.window][around]
-    return len(np.unique(beside[accepted[beside]])) >= 2
+    near = label[spot.window]
+    good = accepted[near]
+    if not good.any():
+        return False
+    around = cv2.dilate((near == spot.number).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return len(np.unique(near[around & good])) >= 2
 
 
 def _measures(spots: list[_Spot], grey: np.ndarray, top: np.ndarray) -> SpotMeasures:

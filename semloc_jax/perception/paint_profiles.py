@@ -143,11 +143,22 @@ def _side(outward: np.ndarray, middle: np.ndarray, max_half_width_m: float, step
     # Twice: the lowest level finds the road, the level of the road the edge.
     for _ in range(2):
         edge = _crossing(outward, middle, flank, 0.5)
-        at = np.minimum(np.round(edge).astype(int) + np.arange(inner, outer + 1)[:, None], len(outward) - 1)
-        beside = np.cumsum(np.take_along_axis(outward, at, axis=0), axis=0)
-        flank = (beside[strip:] - beside[:-strip]).min(axis=0) / strip
+        flank = _darkest_strip(outward, np.rint(edge).astype(np.intp) + inner + 1, outer - inner, strip)
     high, low = (_crossing(outward, middle, flank, share) for share in (0.75, 0.25))
     return edge * step_m, _contrast(middle, flank), (low - high) * step_m
+
+
+def _darkest_strip(outward: np.ndarray, first: np.ndarray, count: int, width: int) -> np.ndarray:
+    """Least mean brightness of `width` steps among `count` of them from the first on; the last one goes on."""
+    columns = np.arange(len(first))
+    beside = [outward.take(np.minimum(first + step, len(outward) - 1) * len(first) + columns) for step in range(count)]
+    total = sum(beside[1:width], start=beside[0])
+    least = total.copy()
+    for entering, leaving in zip(beside[width:], beside, strict=False):
+        total += entering
+        total -= leaving
+        np.minimum(least, total, out=least)
+    return least / np.float32(width)
 
 
 def _contrast(middle: np.ndarray, flank: np.ndarray) -> np.ndarray:
@@ -157,13 +168,15 @@ def _contrast(middle: np.ndarray, flank: np.ndarray) -> np.ndarray:
 
 def _crossing(outward: np.ndarray, middle: np.ndarray, flank: np.ndarray, share: float) -> np.ndarray:
     """Step at which profiles first fall below a share of the way from the flank to the middle."""
-    columns = np.arange(outward.shape[1])
-    limit = flank + share * (middle - flank)
-    below = outward < limit
-    below[0] = False
-    first = below.argmax(axis=0)
-    first[~below[first, columns]] = len(outward) - 1
-    before, after = outward[np.maximum(first - 1, 0), columns], outward[first, columns]
+    limit = flank + np.float32(share) * (middle - flank)
+    above = np.ones(limit.shape, bool)
+    first = np.ones(limit.shape, np.intp)
+    # Row by row: numpy looks for a first element along rows only slowly. The last step counts as below.
+    for row in outward[1:-1]:
+        above &= row >= limit
+        first += above
+    at = first * limit.size + np.arange(limit.size)
+    after, before = outward.take(at), outward.take(at - limit.size)
     return first - 1 + np.clip((before - limit) / np.maximum(before - after, 1e-6), 0.0, 1.0)
 
 
@@ -171,17 +184,20 @@ def _sampled(
     brightness: Brightness, uv: np.ndarray, normal: np.ndarray, across_m: np.ndarray, metres_per_px: float
 ) -> np.ndarray:
     """Mean brightness along the strokes at distances across them, float32[k n]."""
-    along = np.stack([-normal[:, 1], normal[:, 0]])
-    total = np.zeros((len(across_m), len(uv)), np.float32)
+    places = uv.T.astype(np.float32)
+    normals = normal.T.astype(np.float32)
+    along = np.stack([-normals[1], normals[0]])
+    offsets_px = (across_m / metres_per_px).astype(np.float32)[:, None]
+    profile = np.empty((len(across_m), len(uv)), np.float32)
     size = max(_BLOCK // len(across_m), 1)
     for part in (slice(first, first + size) for first in range(0, len(uv), size)):
-        offset = normal[part].T[:, None] * (across_m / metres_per_px)[:, None]
-        at = np.empty(offset.shape, np.float32)
+        offset = normals[:, None, part] * offsets_px
+        at, total = np.empty_like(offset), np.float32(0)
         for distance in _ALONG_M:
-            place = uv[part].T + along[:, part] * (distance / metres_per_px)
-            total[:, part] += brightness(*np.add(place[:, None], offset, out=at, casting="same_kind"))
-    total /= len(_ALONG_M)
-    return total
+            place = places[:, part] + along[:, part] * np.float32(distance / metres_per_px)
+            total = total + brightness(*np.add(place[:, None], offset, out=at))
+        profile[:, part] = total / np.float32(len(_ALONG_M))
+    return profile
 
 
 def lookup(values: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -201,15 +217,25 @@ def _ridge_points(
     sigma = scale.sigma_m / metres_per_px
     smooth = cv2.GaussianBlur(level, (0, 0), sigma)
     uu, vv, uv = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.25) for order in ((2, 0), (0, 2), (1, 1)))
-    root = np.sqrt(0.25 * (uu - vv) ** 2 + uv * uv)
-    strength = (root - 0.5 * (uu + vv)) * np.float32(sigma**2)
+    half = (uu - vv) * np.float32(0.5)
+    root = np.sqrt(half * half + uv * uv)
+    strength = root - (uu + vv) * np.float32(0.5)
+    strength *= np.float32(sigma**2)
     inner = cv2.erode(visible.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
     number = np.flatnonzero(inner & (strength > scale.min_strength))
-    own, uu, vv, uv = (values.ravel()[number] for values in (strength, uu, vv, uv))
-    angle = 0.5 * np.arctan2(2 * uv, uu - vv) + np.pi / 2
-    at = np.stack([number % level.shape[1], number // level.shape[1]]).astype(np.float32)
-    normal = np.stack([np.cos(angle), np.sin(angle)])
+    own, half, root, uv = (values.take(number) for values in (strength, half, root, uv))
+    row, column = np.divmod(number.astype(np.int32), np.int32(level.shape[1]))
+    at, normal = np.stack([column, row]).astype(np.float32), _across(half, uv, root)
     for is_below, side in ((np.less_equal, 1), (np.less, -1)):
-        peak = is_below(lookup(strength, *(at + side * normal)), own)
-        own, at, normal = own[peak], at[:, peak], normal[:, peak]
+        peak = np.flatnonzero(is_below(lookup(strength, *(at + side * normal)), own))
+        own, at, normal = own.take(peak), at.take(peak, axis=1), normal.take(peak, axis=1)
     return at.T.astype(np.float64), np.ascontiguousarray(normal.T)
+
+
+def _across(half: np.ndarray, uv: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """Unit vectors, float32[2 n], of the least curvature: half the difference of both, the mixed one, their root."""
+    root = np.maximum(root, np.float32(1e-12))
+    cosine, sine = half / root, uv / root
+    larger = np.sqrt(np.float32(0.5) + np.float32(0.5) * np.abs(cosine))
+    smaller = np.float32(0.5) * sine / larger
+    return np.where(cosine < 0.0, [np.copysign(larger, -sine), np.abs(smaller)], [-smaller, larger])

@@ -93,7 +93,7 @@ def _brightness_at(
     grey: np.ndarray, image_u: np.ndarray, image_v: np.ndarray, u: np.ndarray, v: np.ndarray
 ) -> np.ndarray:
     """Brightness of the image at places of the top view, float32[n k]; as of nothing dark beyond the picture."""
-    columns, rows = lookup(image_u, u, v), lookup(image_v, u, v)
+    columns, rows = lookup(image_u, u, v), lookup(image_v, u, v)  # OpenCV rounds pictures of two planes otherwise
     found = lookup(grey, columns, rows)
     found[(columns < 0.0) | (rows < 0.0)] = _UNSEEN
     return found

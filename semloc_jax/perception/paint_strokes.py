@@ -3,7 +3,7 @@
 In: RidgeProfiles and the top view they come from. Out: Strokes with a smooth middle, a width and both ends.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +20,10 @@ SEAM = 0.2
 """Less light, excess of brightness times width, than this share of what is painted comes from a seam of the road."""
 _MAX_LENGTH_M = 12.0
 """Longer strokes are cut: a low polynomial follows so much of any lane line."""
+_SHORTEST_M = 0.5
+"""Shorter strokes are paint in no direction."""
+_SHORTEST_GROUP_M = 0.5
+"""Groups with fewer points than pixels on this length are specks."""
 _MOST_POINTS = 4000
 
 
@@ -67,7 +71,7 @@ def find_strokes(
     metres_per_px: float,
     max_scatter_m: float,
 ) -> list[Stroke]:
-    """Strokes through the points of ridges, longest first.
+    """Strokes of at least half a metre through the points of ridges, longest first.
 
     Args:
         brightness: of the image at places of the top view: strokes are measured where it is sharpest.
@@ -76,17 +80,28 @@ def find_strokes(
         metres_per_px: size of a pixel of the top view.
         max_scatter_m: points that lie on no curve, by root mean square, are not measured.
     """
-    contrast = ridges.contrast
-    found = [part for part in _groups(ridges, metres_per_px) if np.median(contrast[part]) >= MIN_CONTRAST]
+    found = _contrasting(_groups(ridges, metres_per_px), ridges.contrast)
     if not found:
         return []
-    groups = PointGroups([len(part) for part in found])
-    curves = fit_curves(ridges.at(np.concatenate(found)), groups, metres_per_px, max_scatter_m)
+    curves = fit_curves(ridges.at(np.concatenate(found)), _sizes(found), metres_per_px, max_scatter_m)
     profiles = measure_profiles(brightness, curves.uv, curves.normal, max_half_width_m, metres_per_px, _FINE_M)
     return sorted(_measured(curves, profiles), key=lambda stroke: -stroke.length_m)
 
 
-def _groups(ridges: RidgeProfiles, metres_per_px: float) -> Iterator[np.ndarray]:
+def _sizes(parts: Sequence[np.ndarray]) -> PointGroups:
+    return PointGroups([len(part) for part in parts])
+
+
+def _contrasting(parts: list[np.ndarray], contrast: np.ndarray) -> list[np.ndarray]:
+    """Groups of points, by index, whose median contrast is that of a stroke."""
+    if not parts:
+        return []
+    own = contrast[np.concatenate(parts)]
+    medians = _sizes(parts).median(own, np.ones(len(own), bool))
+    return [part for part, median in zip(parts, medians, strict=True) if median >= MIN_CONTRAST]
+
+
+def _groups(ridges: RidgeProfiles, metres_per_px: float) -> list[np.ndarray]:
     """Indices of points that touch each other and run the same way."""
     angle = np.arctan2(-ridges.normal[:, 0], ridges.normal[:, 1]) % np.pi
     found = []
@@ -95,15 +110,30 @@ def _groups(ridges: RidgeProfiles, metres_per_px: float) -> Iterator[np.ndarray]
         turn = np.abs((angle - np.pi * number / _BINS + np.pi / 2) % np.pi - np.pi / 2)
         member = np.flatnonzero(turn < np.pi / _BINS * 0.75)
         label = _touching(u[member], v[member], metres_per_px)
-        order = np.argsort(label, kind="stable")
-        cuts = np.flatnonzero(np.diff(label[order])) + 1
-        found += [member[part] for part in np.split(order, cuts) if len(part) * metres_per_px > 0.5]
+        # Most groups are specks: only the others are put in order.
+        long = np.flatnonzero((np.bincount(label) * metres_per_px > _SHORTEST_GROUP_M)[label])
+        order = long[np.argsort(label[long], kind="stable")]
+        found += np.split(member[order], np.flatnonzero(np.diff(label[order])) + 1) if len(order) else []
     taken = np.zeros(len(ridges.uv), bool)
+    groups = []
     for group in sorted(found, key=len, reverse=True):
         free = group[~taken[group]]
         if len(free) >= 0.5 * len(group):
             taken[free] = True
-            yield from _cut(ridges.uv[free], free, metres_per_px)
+            groups.append(free)
+    return _cut_long(ridges.uv, groups, metres_per_px)
+
+
+def _cut_long(uv: np.ndarray, groups: list[np.ndarray], metres_per_px: float) -> list[np.ndarray]:
+    """Groups of points, by index, none of them longer than a stroke may be, and none with fewer than it must have."""
+    if not groups:
+        return []
+    parts, sizes = [], _sizes(groups)
+    u, v = uv[np.concatenate(groups)].T
+    extent_m = np.hypot(*(sizes.most(side) - sizes.least(side) for side in (u, v))) * metres_per_px
+    for group, is_long in zip(groups, extent_m >= _MAX_LENGTH_M, strict=True):
+        parts += _cut(uv[group], group, metres_per_px) if is_long else [group]
+    return [part[:: len(part) // _MOST_POINTS + 1] for part in parts if len(part) * metres_per_px > _SHORTEST_GROUP_M]
 
 
 def _touching(u: np.ndarray, v: np.ndarray, metres_per_px: float) -> np.ndarray:
@@ -118,18 +148,13 @@ def _touching(u: np.ndarray, v: np.ndarray, metres_per_px: float) -> np.ndarray:
     return cv2.connectedComponents(joined, connectivity=8)[1][row, column]
 
 
-def _cut(uv: np.ndarray, group: np.ndarray, metres_per_px: float) -> Iterator[np.ndarray]:
+def _cut(uv: np.ndarray, group: np.ndarray, metres_per_px: float) -> list[np.ndarray]:
     """The group in parts of equal length along its main direction."""
-    number, parts = np.zeros(len(group), int), 1
-    if np.hypot(*np.ptp(uv, axis=0)) * metres_per_px >= _MAX_LENGTH_M:
-        offset = uv - uv.mean(axis=0)
-        along = offset @ np.linalg.eigh(offset.T @ offset)[1][:, 1] * metres_per_px
-        parts = int(np.ceil(np.ptp(along) / _MAX_LENGTH_M))
-        number = np.minimum(((along - along.min()) / np.ptp(along) * parts).astype(int), parts - 1)
-    for part in range(parts):
-        members = group[number == part]
-        if len(members) * metres_per_px > 0.5:
-            yield members[:: len(members) // _MOST_POINTS + 1]
+    offset = uv - uv.mean(axis=0)
+    along = offset @ np.linalg.eigh(offset.T @ offset)[1][:, 1] * metres_per_px
+    parts = int(np.ceil(np.ptp(along) / _MAX_LENGTH_M))
+    number = np.minimum(((along - along.min()) / np.ptp(along) * parts).astype(int), parts - 1)
+    return [group[number == part] for part in range(parts)]
 
 
 def _measured(curves: PaintCurves, profiles: RidgeProfiles) -> list[Stroke]:
@@ -156,8 +181,11 @@ def _measured(curves: PaintCurves, profiles: RidgeProfiles) -> list[Stroke]:
         groups.median(profiles.rise_m, painted),
     )
     numbers = zip(*(column.tolist() if column.ndim == 1 else column for column in columns), strict=True)
+    is_long = STEP_M * count >= _SHORTEST_M
     return [
-        Stroke(profiles.at(part), painted[part], *values) for part, values in zip(groups.slices, numbers, strict=True)
+        Stroke(profiles.at(part), painted[part], *values)
+        for part, values, keep in zip(groups.slices, numbers, is_long, strict=True)
+        if keep
     ]
 
 

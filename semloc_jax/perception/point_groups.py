@@ -19,7 +19,8 @@ class PointGroups:
         self.sizes = np.asarray(sizes, int)
         self.number = np.repeat(np.arange(len(self.sizes)), self.sizes)
         """Group of each point, int[n]."""
-        self._start = np.cumsum(self.sizes) - self.sizes
+        self.start = np.cumsum(self.sizes) - self.sizes
+        """First point of each group, int[groups]."""
 
     def __len__(self) -> int:
         return len(self.sizes)
@@ -27,25 +28,25 @@ class PointGroups:
     @property
     def rank(self) -> np.ndarray:
         """Place of each point in its group, from 0, int[n]."""
-        return np.arange(len(self.number)) - self._start[self.number]
+        return np.arange(len(self.number)) - self.start[self.number]
 
     @property
     def slices(self) -> list[slice]:
         """Where the points of each group lie."""
-        ends = self._start + self.sizes
-        return [slice(*part) for part in zip(self._start.tolist(), ends.tolist(), strict=True)]
+        ends = self.start + self.sizes
+        return [slice(*part) for part in zip(self.start.tolist(), ends.tolist(), strict=True)]
 
     def total(self, values: np.ndarray) -> np.ndarray:
         """Sum over each group, [groups ...]."""
-        return np.add.reduceat(values, self._start, axis=0)
+        return np.add.reduceat(values, self.start, axis=0)
 
     def least(self, values: np.ndarray) -> np.ndarray:
         """Least value of each group."""
-        return np.minimum.reduceat(values, self._start)
+        return np.minimum.reduceat(values, self.start)
 
     def most(self, values: np.ndarray) -> np.ndarray:
         """Largest value of each group."""
-        return np.maximum.reduceat(values, self._start)
+        return np.maximum.reduceat(values, self.start)
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Mean over each group, float[groups ...]."""
@@ -60,7 +61,7 @@ class PointGroups:
         """
         groups = PointGroups(np.bincount(self.number[among], minlength=len(self)))
         ordered = np.append(groups._sorted(values[among]), np.asarray(np.inf, values.dtype))
-        middle = 0.5 * (ordered[groups._start + (groups.sizes - 1) // 2] + ordered[groups._start + groups.sizes // 2])
+        middle = 0.5 * (ordered[groups.start + (groups.sizes - 1) // 2] + ordered[groups.start + groups.sizes // 2])
         return np.where(groups.sizes > 0, middle, np.inf)
 
     def quantiles(self, values: np.ndarray, *shares: float) -> np.ndarray:
@@ -68,7 +69,7 @@ class PointGroups:
         ordered = self._sorted(values)
         place = np.multiply.outer(shares, self.sizes - 1)
         before = place.astype(int)
-        low, high = (ordered[self._start + np.minimum(at, self.sizes - 1)] for at in (before, before + 1))
+        low, high = (ordered[self.start + np.minimum(at, self.sizes - 1)] for at in (before, before + 1))
         return low + (place - before) * (high - low)
 
     def _sorted(self, values: np.ndarray) -> np.ndarray:

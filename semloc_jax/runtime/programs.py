@@ -29,8 +29,12 @@ _log = logging.getLogger(__name__)
 
 
 def is_open() -> bool:
-    """Whether programs are kept: JAX has a compilation cache on disk and nobody switched them off."""
-    return _folder() is not None
+    """Whether programs are kept: JAX has a compilation cache on disk, and SEMLOC_PROGRAMS=0 does not switch them off.
+
+    Whoever edits the package is better off without: every edit makes all programs anew, and JAX's own cache knows which
+    of them did change.
+    """
+    return bool(jax.config.jax_compilation_cache_dir) and os.environ.get("SEMLOC_PROGRAMS") != "0"
 
 
 def is_quick() -> bool:
@@ -68,14 +72,9 @@ def _fingerprint(program: StoredProgram, static: dict, tree: Any, leaves: list) 
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
 
 
-def _folder() -> Path | None:
-    """Where programs are kept; None where JAX keeps nothing, or where SEMLOC_PROGRAMS=0 switches it off.
-
-    Whoever edits the package is better off without: every edit makes all programs anew, and JAX's own cache knows which
-    of them did change.
-    """
-    cache = jax.config.jax_compilation_cache_dir
-    return Path(cache) / "programs" if cache and os.environ.get("SEMLOC_PROGRAMS") != "0" else None
+def _folder() -> Path:
+    """Where programs are kept, in the folder of JAX's own cache."""
+    return Path(jax.config.jax_compilation_cache_dir) / "programs"
 
 
 @functools.cache

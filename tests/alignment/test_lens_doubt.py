@@ -18,7 +18,7 @@ def lens_of(cost_through) -> LensDoubt:
         ahead_m = 1e-3 * (float(rig.cameras[0].fx) - 500.0)
         return ThroughLens(cost_through(rig), planar(np.array([ahead_m]), np.zeros(1), 0.0)[0])
 
-    doubt, modes = doubted(RIG, solved_through, np.zeros((3, 3)), FaultConfig())
+    doubt, modes = doubted(RIG, lambda rigs: [solved_through(rig) for rig in rigs], np.zeros((3, 3)), FaultConfig())
     assert len(modes) == 3 and all(np.isfinite(mode.odds) for mode in modes)
     return doubt
 

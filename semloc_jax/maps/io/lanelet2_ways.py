@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from semloc_jax.maps.curves import parallel, without_repeats
+from semloc_jax.maps.curves import both_sides, without_repeats
 from semloc_jax.maps.elements import VIRTUAL, MapElement
 from semloc_jax.maps.io.paint import assuming, bars, strokes
 from semloc_jax.structs import ElementClass
@@ -137,7 +137,7 @@ def _upright(base: MapElement, label: ElementClass, height_m: float) -> MapEleme
 
 
 def _parking_slot(base: MapElement, width_m: float) -> MapElement:
-    left, right = parallel(base.points, 0.5 * width_m), parallel(base.points, -0.5 * width_m)
+    left, right = both_sides(base.points, 0.5 * width_m)
     return _of(base, ElementClass.PARKING_SLOT, np.vstack([right, left[::-1]]), closed=True)
 
 

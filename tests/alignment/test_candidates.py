@@ -1,0 +1,34 @@
+"""Solves of many starts: each through cameras of its own, as it would be alone."""
+
+import jax
+import numpy as np
+import pytest
+
+from semloc_jax.alignment.candidates import planar
+from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.cameras.other_lenses import longer
+from tests.alignment.test_along_road import RIG, SIGMA_M, TABLE, X_TRUE, across, drawn, street
+
+
+@pytest.mark.slow
+def test_starts_through_several_rigs_at_once_end_as_through_each_alone():
+    """A stop line ahead tells the way along the road: through a lens that is longer it seems farther away."""
+    semantic_map = street(across(12.0, 0.4))
+    localizer = FrameLocalizer(semantic_map, TABLE)
+    mask, prior = drawn(semantic_map), PosePrior(X_TRUE, 0.0, 0.0, SIGMA_M, np.radians(2.0))
+    with jax.enable_x64(False):
+        T_map_prior = prior.on_road(semantic_map)
+        inputs, local_map = localizer.prepare([mask], RIG, T_map_prior)
+        steps = localizer.mode_finder([mask], inputs, prior, T_map_prior, local_map.frame)
+        rigs = [longer(RIG, share) for share in (0.0, 0.03, -0.03)]
+        starts = steps.T_prior @ planar(np.array([0.0, 0.1]), np.zeros(2), 0.0)
+        lens = np.repeat(np.arange(3), 2)
+        together = steps.solved_with_few(np.tile(starts, (3, 1, 1)), 1e3, rigs=rigs, lens=lens)
+        for number, rig in enumerate(rigs):
+            alone = steps.solved_with_few(starts, 1e3, rigs=[rig])
+            np.testing.assert_array_equal(together.estimates.T_map_base[lens == number], alone.estimates.T_map_base)
+            np.testing.assert_array_equal(together.score[lens == number], alone.score)
+    stated_m, longer_m, shorter_m = together.estimates.T_map_base[::2, 0, 3] - steps.T_prior[0, 3]
+    assert abs(stated_m) < 0.08  # few samples
+    assert longer_m < stated_m - 0.1 and shorter_m > stated_m + 0.1
