@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from semloc_jax.analysis.row_outcome import RowOutcome
 from semloc_jax.analysis.told import most_told
 from semloc_jax.datasets import Drive
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors
@@ -27,52 +28,21 @@ MakeLocalizer = Callable[[SemanticMap, MotionLog], Localizer]
 
 
 @dataclass(frozen=True)
-class FaultOutcome:
-    """One row of the hostile suite.
+class FaultOutcome(RowOutcome):
+    """A row of a tracked drive.
 
     Args:
-        fault: its name.
-        severity: 1, 2 or 3; 0 without a fault.
-        size: of the fault, with its unit.
-        family: what is wrong.
-        apart: why nothing can see it; empty where something can.
-        frames: number of frames.
         tracking: frames called TRACKING.
-        false: of them those with an error beyond a protection level.
-        beyond_alert: of them those with an error beyond an alert limit.
-        refused_right: frames whose pose is within the alert limits and that are not called TRACKING.
         noticed_s: time from the begin of the fault to the first frame that is not called TRACKING [s]; nan where none
             is: the fault was ridden out.
         recovered_s: time from the end of the fault until TRACKING lasts again [s]; nan where it does not.
-        max_lateral_m: largest error of a frame called TRACKING [m].
-        max_longitudinal_m: the same along the vehicle [m].
-        max_heading_deg: the same of the heading [deg].
         max_any_m: largest horizontal error of any frame with a pose after the first that was called TRACKING [m].
-        reason: what was told most often where a frame was not called TRACKING.
     """
 
-    fault: str
-    severity: int
-    size: str
-    family: str
-    apart: str
-    frames: int
     tracking: int
-    false: int
-    beyond_alert: int
-    refused_right: int
     noticed_s: float
     recovered_s: float
-    max_lateral_m: float
-    max_longitudinal_m: float
-    max_heading_deg: float
     max_any_m: float
-    reason: str
-
-    @property
-    def counts(self) -> bool:
-        """Whether the row is one of what was asked for: a fault that something can see."""
-        return bool(self.severity) and not self.apart
 
 
 class JudgedRun(NamedTuple):

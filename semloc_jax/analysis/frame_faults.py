@@ -11,6 +11,7 @@ import numpy as np
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.alignment.pose_prior import PriorSource
 from semloc_jax.alignment.result import LocalizationResult
+from semloc_jax.analysis.row_outcome import RowOutcome
 from semloc_jax.analysis.told import most_told
 from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
@@ -27,47 +28,16 @@ MakePrior = Callable[[Drive], PriorSource]
 
 
 @dataclass(frozen=True)
-class FrameFaultOutcome:
-    """One row of the hostile suite.
+class FrameFaultOutcome(RowOutcome):
+    """A row of single frames.
 
     Args:
-        fault: its name.
-        severity: 1, 2 or 3; 0 without a fault.
-        size: of the fault, with its unit.
-        family: what is wrong.
-        apart: why nothing can see it; empty where something can.
-        frames: number of frames.
         right: frames whose best pose is right, localized or not.
         localized: frames called localized.
-        false: of them those with an error beyond a protection level.
-        beyond_alert: of them those with an error beyond an alert limit.
-        refused_right: frames that are right and not called localized.
-        max_lateral_m: largest error of a frame called localized [m].
-        max_longitudinal_m: the same along the vehicle [m].
-        max_heading_deg: the same of the heading [deg].
-        reason: what was told most often where a frame was not localized.
     """
 
-    fault: str
-    severity: int
-    size: str
-    family: str
-    apart: str
-    frames: int
     right: int
     localized: int
-    false: int
-    beyond_alert: int
-    refused_right: int
-    max_lateral_m: float
-    max_longitudinal_m: float
-    max_heading_deg: float
-    reason: str = ""
-
-    @property
-    def counts(self) -> bool:
-        """Whether the row is one of what was asked for: a fault that something can see."""
-        return bool(self.severity) and not self.apart
 
 
 _LIKE_A_TURN = ("camera_yaw", "principal_point", "masks_shifted")

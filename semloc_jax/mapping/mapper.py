@@ -15,6 +15,7 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.base_map import BaseConfig, Change, Countable, Known, aged_logit, taken_in
+from semloc_jax.mapping.drive_looks import DriveLooks
 from semloc_jax.mapping.evidence_grid import TILE
 from semloc_jax.mapping.existence import Counting, ExistenceConfig
 from semloc_jax.mapping.joint import RefineConfig
@@ -36,8 +37,6 @@ from semloc_jax.structs import ElementClass
 
 _BARE_SHARE = 0.2
 """Cells with a smaller share of paint are bare road."""
-_STILL_M = 0.05
-"""A vehicle that has not moved sees the same mistakes again."""
 
 
 @dataclass(frozen=True)
@@ -130,40 +129,73 @@ def make_map(
             "finite pose for each"
         )
     looker = looker or Looker(drive, masks, config.look)
-    moving = _moving(Ts_map_base)
     gatherer = Gatherer(masks.table, config.look.spacing_m)
-    for index in progress(parts.gathered(gatherer, moving) if parts else moving, "looking"):
-        for camera, look in enumerate(looker.looks(frames[index], index, Ts_map_base)):
-            gatherer.add(look, looker.rays[camera] if config.uprights else None)
-    paint, uprights, rows = _born(gatherer, Ts_map_base, config)
+    looks = DriveLooks(looker, frames, Ts_map_base, progress, parts)
+    looks.gather(gatherer, config.uprights)
+    born = _born(gatherer, Ts_map_base, config)
     planes = {layer.label: layer.planes for layer in gatherer.layers}
     old = Countable.of(base, Ts_map_base[:, :2, 3], planes, config.uprights)
-    off_m = [0.0] * len(paint) + [config.base.off_m] * len(old.paint)
-    counting = Counting([*paint, *old.paint], planes, gatherer.layer_of_id, config.existence, off_m)
-    standing = UprightCounting([*uprights, *old.uprights], masks.table, config.existence)
-    for index in progress(parts.counted(counting, standing, moving) if parts else moving, "counting"):
-        looks = list(looker.looks(frames[index], index, Ts_map_base))
-        counting.add(looks, frames[index].time_s)
-        if standing.uprights:
-            standing.add([look.mask for look in looks], looker.rays, Ts_map_base[index], frames[index].time_s)
-    false_rates = _false_rates(gatherer)
-    in_row = {name for row in rows for place in row.places for name in place.ids}
-    priors = [config.existence.row_logit if e.id in in_row else config.existence.prior_logit for e in paint]
-    flat = _told(counting.elements, priors, counting.beliefs, base, config, false_rates, drive.name)
-    priors = [config.existence.prior_logit] * len(uprights)
-    upright = _told([u.element for u in standing.uprights], priors, standing.beliefs, base, config, drive.name)
+    off_m = [0.0] * len(born.paint) + [config.base.off_m] * len(old.paint)
+    counting = Counting([*born.paint, *old.paint], planes, gatherer.layer_of_id, config.existence, off_m)
+    standing = UprightCounting([*born.uprights, *old.uprights], masks.table, config.existence)
+    looks.count(counting, standing)
+    told = _all_told((counting, standing), born, base, config, _false_rates(gatherer), drive.name)
+    if not any(told.stays) and not told.looked_at:
+        raise SemlocError(
+            f"drive {drive.name}: none of {len(told.stays)} candidates was seen in {config.min_seen} frames; check "
+            f"that masks '{masks.name}' show paint near the vehicle and that the cameras are where the calibration says"
+        )
+    kept = [known for known, stay in zip(told.new, told.stays, strict=True) if stay]
+    rejected = [known for known, stay in zip(told.new, told.stays, strict=True) if not stay]
+    laid = settled_in([e for e, _ in kept], masks, frames, Ts_map_base, config.settle, progress)
+    kept = _with_slots(kept, laid, born.rows, Ts_map_base, gatherer, config)
+    made, changes = _map_of(kept, origin, drive.name), []
+    if base is not None:
+        made, changes = taken_in(base, told.looked_at, kept, config.base)
+    rates = counting.detection_rates() | standing.detection_rates()
+    rejected_map = _map_of(rejected, origin, drive.name)
+    return MadeMap(made, rejected_map, rates, told.false_rates, gatherer, tuple(changes))
+
+
+class _AllTold(NamedTuple):
+    """What a drive says of all elements together: of its own, which of these stay, and of those of a base map."""
+
+    new: list[Known]
+    stays: list[bool]
+    looked_at: dict[str, Belief]
+    false_rates: dict[ElementClass, float]
+
+
+def _all_told(
+    counted: tuple[Counting, UprightCounting],
+    born: "_Born",
+    base: BeliefMap | None,
+    config: MapConfig,
+    false_rates: dict[ElementClass, float],
+    name: str,
+) -> _AllTold:
+    in_row = {own for row in born.rows for place in row.places for own in place.ids}
+    (counting, standing), existence = counted, config.existence
+    priors = [existence.row_logit if e.id in in_row else existence.prior_logit for e in born.paint]
+    flat = _told(counting.elements, priors, counting.beliefs, base, config, false_rates, name)
+    priors = [existence.prior_logit] * len(born.uprights)
+    upright = _told([u.element for u in standing.uprights], priors, standing.beliefs, base, config, name)
     stays = [_stays(b, config) for _, b in flat.new]
     stays += [often and _stays(b, config) for (_, b), often in zip(upright.new, standing.stays(), strict=False)]
-    looked_at = flat.old | upright.old
-    if not any(stays) and not looked_at:
-        raise SemlocError(
-            f"drive {drive.name}: none of {len(stays)} candidates was seen in {config.min_seen} frames; check that "
-            f"masks '{masks.name}' show paint near the vehicle and that the cameras are where the calibration says"
-        )
-    kept = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if stay]
-    rejected = [known for known, stay in zip(flat.new + upright.new, stays, strict=True) if not stay]
+    false_rates = false_rates | standing.false_rates()
+    return _AllTold(flat.new + upright.new, stays, flat.old | upright.old, false_rates)
+
+
+def _with_slots(
+    kept: list[Known],
+    laid: Sequence[MapElement],
+    rows: Sequence[MappedRow],
+    Ts_map_base: Float[np.ndarray, "n 4 4"],
+    gatherer: Gatherer,
+    config: MapConfig,
+) -> list[Known]:
+    """What stays where it was laid, once each, with the slots between its lines and the numbers in them."""
     drawn = {e.id: e for e, _ in kept}
-    laid = settled_in(list(drawn.values()), masks, frames, Ts_map_base, config.settle, progress)
     kept = without_twins([(e, b) for e, (_, b) in zip(laid, kept, strict=True)])
     lines = {e.id: e for e, _ in kept if e.label == ElementClass.SLOT_LINE}
     in_rows = [d.moved_with(drawn[d.id], lines[d.id]) for row in rows for d in row.dividers(set(lines))]
@@ -172,13 +204,7 @@ def make_map(
     marks = [known for known in kept if known[0].label == ElementClass.ROAD_MARK]
     marks, numbers = numbered(marks, slots, _looks_at(gatherer, ElementClass.ROAD_MARK))
     marks = outside_of_rows(marks, rows) + numbers
-    kept = [known for known in kept if known[0].label != ElementClass.ROAD_MARK] + marks + slots
-    made, changes = _map_of(kept, origin, drive.name), []
-    if base is not None:
-        made, changes = taken_in(base, looked_at, kept, config.base)
-    rates = counting.detection_rates() | standing.detection_rates()
-    false_rates |= standing.false_rates()
-    return MadeMap(made, _map_of(rejected, origin, drive.name), rates, false_rates, gatherer, tuple(changes))
+    return [known for known in kept if known[0].label != ElementClass.ROAD_MARK] + marks + slots
 
 
 class _Born(NamedTuple):
@@ -255,15 +281,6 @@ def road_height(Ts_map_base: Float[np.ndarray, "n 4 4"]) -> Callable[[Float[np.n
         return (T[..., 2, 3] - (normal[..., :2] * offset).sum(axis=-1) / normal[..., 2]).mean(axis=1)
 
     return height_of
-
-
-def _moving(Ts_map_base: np.ndarray) -> list[int]:
-    """Frames in which the vehicle has moved on since the last one that counts."""
-    chosen = [0]
-    for index in range(1, len(Ts_map_base)):
-        if np.linalg.norm(Ts_map_base[index, :2, 3] - Ts_map_base[chosen[-1], :2, 3]) >= _STILL_M:
-            chosen.append(index)
-    return chosen
 
 
 def _false_rates(gatherer: Gatherer) -> dict[ElementClass, float]:

@@ -32,8 +32,21 @@ def test_the_suite_is_written_line_by_line_and_goes_on_after_a_kill(tmp_path, mo
         if row.fault == "kidnapped":
             raise SemlocError("fault 'kidnapped': drive made goes on for 3 m only; expected more than 30 m")
         false = 2 * (row.name == "occlusion:2") + 5 * bool(row.apart)
-        numbers = (40, 30, false, 0, 4, np.nan, 0.1, 0.01, 0.02, 0.03, 0.04)
-        outcome = FaultOutcome(row.fault, row.severity, row.size, row.family, row.apart, *numbers, "poor fit, at 3 m")
+        outcome = FaultOutcome(
+            *(row.fault, row.severity, row.size, row.family, row.apart),
+            frames=40,
+            tracking=30,
+            false=false,
+            beyond_alert=0,
+            refused_right=4,
+            noticed_s=np.nan,
+            recovered_s=0.1,
+            max_lateral_m=0.01,
+            max_longitudinal_m=0.02,
+            max_heading_deg=0.03,
+            max_any_m=0.04,
+            reason="poor fit, at 3 m",
+        )
         errors, level = np.array([[0.01, 0.02, 0.1]]), np.array([[0.1, 0.1, 0.5]])
         judged = JudgedRun(np.zeros(1), np.ones(1, bool), np.ones(1, bool), errors, level, 0.3 * level)
         return outcome, judged
