@@ -36,7 +36,7 @@ class CameraTurns(NamedTuple):
 
 def turns_of_cameras(frames: Sequence[Frame], camera: str) -> CameraTurns:
     """Rates of one camera over consecutive frames; pairs of frames that show no turn are left out."""
-    tracker, rows = FeatureTracker(1, CornerConfig(gate_px=np.inf)), []
+    tracker, rows = FeatureTracker(1, CornerConfig(gate_px=np.inf, by_first_look=False)), []
     before = None
     for frame in frames:
         rig = frame.rig.select([camera])

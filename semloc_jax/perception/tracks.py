@@ -37,8 +37,10 @@ class CornerConfig:
     """Side of the squares of which each gives one new corner."""
     gate_px: float = 2.0
     """Largest distance from the epipolar plane of the motion."""
-    border_px: int = 10
-    """More than half of a patch and a pixel."""
+    border_px: int = 8
+    by_first_look: bool = True
+    """Whether corners are laid over what they looked like when they were found. Motions between two images alone take
+    what the last one says: their errors are new each time."""
     largest_slip_px: float = 1.5
     """Between where the last image and where the first one leads to."""
     least_alike: float = 0.8
@@ -141,7 +143,10 @@ class FeatureTracker:
             nowhere = np.zeros(self.num_slots, bool)
             none = no_patches(self.num_slots)
             return _View(grey, empty, uv, sight_lines(rig.cameras[index], uv), nowhere, none), np.zeros(0)
-        uv, found, patches = self._laid_over(before, grey, *self._flow(before, grey))
+        uv, found = self._flow(before, grey)
+        patches = before.patches
+        if self.config.by_first_look:
+            uv, found, patches = self._laid_over(before, grey, uv, found)
         sight = sight_lines(rig.cameras[index], uv)
         kept = np.flatnonzero(found & sight.valid)
         scale = px_per_rad(sight)[kept]

@@ -110,7 +110,7 @@ def test_units_and_axes_are_told_by_turns_and_forces(recording):
     turns, imu = turns_of_cameras(drive.frames, drive.rig.names[0]), drive.imu
 
     def told(gyro, accel=imu.accel_mps2):
-        return " ".join(finding.text for finding in implausible_inertial(Imu(imu.time_s - LATE_S, gyro, accel), turns))
+        return " ".join(finding.text for finding in implausible_inertial(Imu(imu.time_s, gyro, accel), turns))
 
     assert told(imu.gyro_radps) == ""
     standing = 1e-3 * np.random.default_rng(0).normal(size=imu.gyro_radps.shape)
@@ -121,7 +121,7 @@ def test_units_and_axes_are_told_by_turns_and_forces(recording):
     assert "its y shows minus x" in turned and "its x shows y" in turned
     assert "points down" in told(imu.gyro_radps, -imu.accel_mps2)
     R = rigid.exp(np.concatenate([np.zeros(3), np.deg2rad([0.0, 0.0, 8.0])]))[:3, :3]
-    found = compared(Imu(imu.time_s - LATE_S, imu.gyro_radps @ R, imu.accel_mps2), turns)
+    found = compared(Imu(imu.time_s, imu.gyro_radps @ R, imu.accel_mps2), turns)
     assert found.turn_deg[2] == pytest.approx(8.0, abs=4 * found.turn_sigma_deg[2]) and not found.swapped
 
 

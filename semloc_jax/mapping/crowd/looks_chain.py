@@ -115,7 +115,7 @@ class ChangeRates(NamedTuple):
     """That what was not there has come."""
 
 
-class Chain(NamedTuple):
+class PresenceChain(NamedTuple):
     """What all looks at things say together."""
 
     present: Float[np.ndarray, "n d"]
@@ -130,7 +130,7 @@ class Chain(NamedTuple):
     """How likely all looks at it are together."""
 
 
-def smoothed(looks: Looks, like: Float[np.ndarray, "n d 2"], rates: ChangeRates) -> Chain:
+def smoothed(looks: Looks, like: Float[np.ndarray, "n d 2"], rates: ChangeRates) -> PresenceChain:
     """The chain of each thing, by all looks before and after each drive."""
     n, d = looks.seen.shape
     stay = np.array([[1.0 - rates.come, rates.come], [rates.go, 1.0 - rates.go]]).transpose(2, 3, 0, 1)
@@ -154,7 +154,7 @@ def smoothed(looks: Looks, like: Float[np.ndarray, "n d 2"], rates: ChangeRates)
         behind /= np.maximum(behind.sum(axis=1, keepdims=True), _TINY)
         both[:, k] = ahead[:, k] * behind
     present = both[:, :, 1] / np.maximum(both.sum(axis=2), _TINY)
-    return Chain(present, now, went, came, evidence)
+    return PresenceChain(present, now, went, came, evidence)
 
 
 def smoothed_or_hidden(

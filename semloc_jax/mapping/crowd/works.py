@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
-from semloc_jax.mapping.crowd.looks_chain import Chain, ChangeRates, Looks, PresenceConfig
+from semloc_jax.mapping.crowd.looks_chain import ChangeRates, Looks, PresenceChain, PresenceConfig
 
 _RATHER = 0.5
 
@@ -24,7 +24,9 @@ def things_near(looks: Looks, c: PresenceConfig) -> csr_array:
     return csr_array(coo_array((np.ones(2 * len(a)), (np.append(a, b), np.append(b, a))), shape=(n, n)))
 
 
-def change_rates(looks: Looks, near: csr_array, chain: Chain | None, vanish: float, c: PresenceConfig) -> ChangeRates:
+def change_rates(
+    looks: Looks, near: csr_array, chain: PresenceChain | None, vanish: float, c: PresenceConfig
+) -> ChangeRates:
     """How likely each thing changes in each step.
 
     Args:
