@@ -22,6 +22,10 @@ GRID_M = 10.0
 _KEPT = 8
 
 
+AHEAD = "map sampled ahead"
+"""Name of the threads that do it: each keeps its map until it ends."""
+
+
 @dataclass(frozen=True)
 class MapWindow:
     """Elements and samples around a place.
@@ -85,7 +89,7 @@ class MapWindows:
         """Begin to sample the window of a place that will be asked for, in a thread of its own."""
         key, window, is_new = self._entry(p_map)
         if is_new:
-            threading.Thread(target=self._sample, args=(key, window), daemon=True).start()
+            threading.Thread(target=self._sample, args=(key, window), name=AHEAD, daemon=True).start()
 
     def _entry(self, p_map: np.ndarray) -> tuple[tuple[int, ...], Future[MapWindow], bool]:
         """The key of a place, its window, and whether whoever asked has to fill it."""
