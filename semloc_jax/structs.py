@@ -1,6 +1,6 @@
 """Containers that cross a room border, on one page (room: structs; pure JAX and standard library).
 
-In: nothing. Out: ElementClass, Channel, MapSamples, ViewSamples, CostMaps, PoseEstimate, SolveStatus.
+In: nothing. Out: ElementClass, InertialNoise, Channel, MapSamples, ViewSamples, CostMaps, PoseEstimate, SolveStatus.
 Every array container is an equinox module (a JAX pytree) of fixed capacity; padding has `valid` False or weight 0.
 """
 

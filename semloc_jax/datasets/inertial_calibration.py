@@ -3,11 +3,15 @@
 In: a Drive, its calibration. Out: the Drive in the clock of its cameras, with the noise that is stated.
 """
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
 from semloc_jax.datasets.base import Drive
 from semloc_jax.datasets.imu_noise import IMU_NOISE, clock_shift_s, read_imu_noise
+from semloc_jax.errors import SemlocError
+
+_LOG = logging.getLogger(__name__)
 
 
 def with_inertial_calibration(drive: Drive, calibration: str | Path | None = None) -> Drive:
@@ -18,7 +22,7 @@ def with_inertial_calibration(drive: Drive, calibration: str | Path | None = Non
         calibration: A camchain states the clock (`timeshift_cam_imu`); an `imu.yaml` beside it goes before the drive's.
 
     Raises:
-        SemlocError: a file is there and is not what its name says.
+        SemlocError: the camchain states a shift that is none. An `imu.yaml` that nobody named costs itself only.
     """
     if drive.imu is None:
         return drive
@@ -29,5 +33,8 @@ def with_inertial_calibration(drive: Drive, calibration: str | Path | None = Non
     places = [own] if given is None else [given if given.is_dir() else given.parent, own]
     stated = next((place / IMU_NOISE for place in places if (place / IMU_NOISE).is_file()), None)
     if stated is not None:
-        imu = replace(imu, noise=read_imu_noise(stated))
+        try:
+            imu = replace(imu, noise=read_imu_noise(stated))
+        except SemlocError as error:
+            _LOG.warning("%s; that of a production car is taken", error)
     return replace(drive, imu=imu)

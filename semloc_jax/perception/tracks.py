@@ -20,6 +20,9 @@ from semloc_jax.perception.epipolar_gate import moves_with_the_world
 from semloc_jax.perception.patches import Patches, cut_out, laid_over, no_patches
 from semloc_jax.perception.sight_lines import SightLines, sight_lines
 
+_LEAST_SIZE = 0.5
+"""A patch that is smaller than this share of what it was shows nothing of it any more."""
+
 
 @dataclass(frozen=True)
 class CornerConfig:
@@ -192,7 +195,7 @@ class FeatureTracker:
         border = config.border_px
         inside = (laid.uv >= border).all(axis=1) & (laid.uv < np.array([width, height]) - border).all(axis=1)
         size = np.sqrt(np.abs(np.linalg.det(laid.affine)))
-        good = inside & (off < config.largest_slip_px) & (laid.alike > config.least_alike) & (size > 0.5)
+        good = inside & (off < config.largest_slip_px) & (laid.alike > config.least_alike) & (size > _LEAST_SIZE)
         uv, found, patches = uv.copy(), np.zeros_like(found), before.patches
         kept = rows[good]
         uv[kept], found[kept] = laid.uv[good], True

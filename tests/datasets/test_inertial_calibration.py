@@ -28,6 +28,14 @@ def test_a_drive_has_the_noise_of_its_imu_yaml_and_of_one_beside_a_calibration_b
     assert open_drive(drive).imu.noise == InertialNoise()
 
 
+def test_an_imu_yaml_of_something_else_costs_itself_only(simulated_road, tmp_path, caplog):
+    drive = tmp_path / "drive"
+    shutil.copytree(simulated_road, drive)
+    (drive / "imu.yaml").write_text("topic: /imu0\n")
+    assert open_drive(drive).imu.noise == InertialNoise()
+    assert "gyroscope_noise_density" in caplog.text
+
+
 def test_the_clock_of_a_camchain_counts_for_every_verb(simulated_road, tmp_path):
     chain = yaml.safe_load((simulated_road / "calib.yaml").read_text())
     chain["cam0"]["timeshift_cam_imu"] = 0.02
