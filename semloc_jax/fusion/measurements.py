@@ -75,6 +75,11 @@ class FusedPose(NamedTuple):
         step = rigid.exp(np.array([ahead_m, left_m, 0.0, 0.0, 0.0, turn_rad]))
         return self._replace(T_map_base=self.T_map_base @ step, travel_rad=self.travel_rad - turn_rad)
 
+    def less_sure(self, left_m2: float, ahead_m2: float, turn_deg2: float) -> "FusedPose":
+        """The pose with variances added to its own: what the fusion knows nothing of."""
+        more = np.diag([ahead_m2, left_m2, 0.0, 0.0, 0.0, np.deg2rad(np.deg2rad(turn_deg2))])
+        return self._replace(covariance=self.covariance + more)
+
 
 class Innovation(NamedTuple):
     """How well a measurement fits the state: squared normalised difference, degrees of freedom, verdict."""

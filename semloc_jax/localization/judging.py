@@ -33,6 +33,8 @@ class FrameVerdict(NamedTuple):
     misleading: float = 1.0
     move: Float[np.ndarray, "3"] = STAY
     """How far the pose that goes out is moved, see `PoseLevels`."""
+    left_open: Float[np.ndarray, "3"] = STAY
+    """Variance that faults add to that of the pose, see `PoseLevels`."""
 
 
 def judged(
@@ -77,7 +79,7 @@ def judged(
         held = health.held_of(protection, limit, bool(elsewhere))
     told = filter(None, [held_text(protection, held)])
     all_told = tuple(dict.fromkeys((*levels.causes, *serious, *reasons, *told)))
-    return FrameVerdict(status, all_told, protection, held, levels.misleading, levels.move)
+    return FrameVerdict(status, all_told, protection, held, levels.misleading, levels.move, levels.left_open)
 
 
 def _contradictions(state: TrackerState, reasons: tuple[str, ...], config: health.HealthConfig) -> tuple[str, ...]:

@@ -348,7 +348,7 @@ class Localizer:
         if fused is not None:
             self.windows.prepare(fused.T_map_base[:3, 3] + GRID_M * fused.T_map_base[:3, 0])
             fused = fused._replace(covariance=with_map_accuracy(fused.covariance, *map_sigma))
-            fused = fused.moved(*verdict.move)
+            fused = fused.moved(*verdict.move).less_sure(*verdict.left_open)
         found = view.found if view is not None else None
         return state, TrackResult(
             frame.frame_id,

@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import ndtri
 
 from semloc_jax.cameras import Rig
 from semloc_jax.evaluation.metrics import ErrorLimit
+from semloc_jax.evaluation.mixture_bounds import LEAST_LEVELS, RISK, Causes, beyond
 from semloc_jax.fusion import noise_scale
 from semloc_jax.fusion.measurements import FusedPose
-from semloc_jax.localization import course, innovations, separation, watch
+from semloc_jax.localization import course, innovations, separation, watch, weighed_faults
 from semloc_jax.localization.integrity import (
     ProtectionLevels,
     beyond_alert,
@@ -26,6 +28,14 @@ from semloc_jax.localization.track_state import TrackerState
 
 _AS_LEVELS = [1, 0, 2]
 """Lateral, longitudinal, heading among the directions of `noise_scale`."""
+_OF_LEVELS = [1, 0, 5]
+"""The same in a tangent."""
+_UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
+_MOUNT_SIGMA_DEG = LEAST_LEVELS[2] / float(-ndtri(0.5 * RISK))
+"""How exactly cameras are mounted, where the least level of the heading is what they exceed at the stated risk."""
+_NOT_EXCLUDED = (
+    "another lens, another width of the road or elements that were moved are not excluded yet: more way tells"
+)
 
 
 class PoseLevels(NamedTuple):
@@ -36,12 +46,14 @@ class PoseLevels(NamedTuple):
         causes: A sentence for each fault that takes one beyond its alert limit, or that the pose is moved for.
         misleading: Probability that an error is beyond its alert limit.
         move: How far the pose is moved for them: left [m], ahead [m], heading [deg], positive to the left.
+        left_open: Variance that they add to that of the pose, in the same order and units.
     """
 
     protection: ProtectionLevels
     causes: tuple[str, ...]
     misleading: float
     move: Float[np.ndarray, "3"] = STAY
+    left_open: Float[np.ndarray, "3"] = STAY
 
 
 class Known(NamedTuple):
@@ -50,19 +62,25 @@ class Known(NamedTuple):
     Attributes:
         errors: Covariance of the pose, degrees of freedom and what the map leaves open, as `protection_levels`.
         faults: Every fault that a level has to hold under.
+        spoken: Those among them that the last frames speak for, or did of late.
         standing: How far the right pose may be under those that are considered whatever the last frames say: left [m],
             ahead [m], heading [deg].
         way: Course of the pose, and what is remembered of it [rad]; None where there is no track.
         aside: Probability that the cameras look aside.
+        weighed: Faults that the drive has neither told nor excluded; None where there is no track.
+        sound: Variance by what calibrations that are as they should be are off all the same, as levels.
         rig: Cameras.
         config: Limits.
     """
 
     errors: tuple[np.ndarray, np.ndarray, np.ndarray]
     faults: list[Separation]
+    spoken: list[Separation]
     standing: Float[np.ndarray, "3"]
     way: tuple[course.Course, float] | None
     aside: float
+    weighed: Causes | None
+    sound: Float[np.ndarray, "3"]
     rig: Rig
     config: TrackConfig
 
@@ -70,6 +88,10 @@ class Known(NamedTuple):
     def limit(self) -> ErrorLimit:
         """The alert limits."""
         return self.config.health.integrity.limit
+
+    def reach_of(self, causes: Causes) -> Float[np.ndarray, "2 3"]:
+        """Where the right pose may be under faults that are weighed, at the stated risk."""
+        return weighed_faults.reach(causes, self.config.health.integrity.risk / 6.0)
 
     @property
     def share(self) -> float:
@@ -98,15 +120,19 @@ def known_of(
     freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
     errors = fused.covariance, freedom, map_sigmas(*map_sigma)
     if not state.tracks:
-        return Known(errors, [], STAY, None, 0.0, rig, config)
+        return Known(errors, [], [], STAY, None, 0.0, None, STAY, rig, config)
     spoken = spoken_for(state, rig, config)
     lasting = separation.lasting(state.doubted, spoken)
     standing = watch.separations(state.watch, rig, config.watch)
-    faults = [*spoken, *lasting, *standing]
+    spoken = [*spoken, *lasting]
+    faults = [*spoken, *standing]
     reached = separation.farthest(separation.reach(standing), STAY)
     way, aside_rad = course.course_of(fused), float(state.watch.aside_rad)
     probable = course.probability(aside_rad, way, watch.is_ahead(rig))
-    return Known(errors, faults, reached, (way, aside_rad), probable, rig, config)
+    sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), 0.0))[_OF_LEVELS] * _UNITS
+    weighed = weighed_faults.weighed(state.watch, len(rig.names), sigma, freedom, config.watch)
+    sound = weighed_faults.of_sound_ones(state.watch, len(rig.names), config.watch)
+    return Known(errors, faults, spoken, reached, (way, aside_rad), probable, weighed, sound, rig, config)
 
 
 def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
@@ -128,12 +154,33 @@ def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
     if turned_rad or protection.heading_deg <= limit.heading_deg < aside_deg:
         causes = (*causes, watch.aside_cause(way, aside_rad, aside_deg, known.rig))
     misled += known.aside * course.misleading(*left, limit.heading_deg)
+    open_still = weighed_faults.moved(known.weighed, move)
+    most = np.abs(known.reach_of(open_still)).max(axis=0)
+    if beyond_alert(ProtectionLevels(*most.tolist()), limit):
+        causes = (*causes, _NOT_EXCLUDED)
+    protection = ProtectionLevels(*np.maximum(protection, most).tolist())
+    misled += float(beyond(open_still, np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])).sum())
     aside_m = abs(way.off_rad) * watch.cameras_ahead_m(known.rig)
     protection = protection._replace(
         lateral_m=max(protection.lateral_m, own.lateral_m + aside_m),
         heading_deg=max(protection.heading_deg, aside_deg),
     )
-    return PoseLevels(protection, causes, min(misled, 1.0), move)
+    return PoseLevels(protection, causes, min(misled, 1.0), move, left_open(known, move))
+
+
+def left_open(known: Known, move: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Variance about a pose that was moved which faults leave open beside its own: left [m], ahead [m], heading [deg].
+
+    A pose that stands between two explanations is off by the way to one of them.
+    """
+    causes = weighed_faults.moved(known.weighed, move)
+    sound = max(1.0 - float(causes.probability.sum()), 0.0)
+    weighed = causes.probability @ (causes.mean**2 + causes.sigma**2) + sound * np.square(move)
+    spoken = [separation.second_moment(fault, move) for fault in known.spoken]
+    way, _ = known.way
+    aside = known.aside * (way.off_rad**2 + way.sigma_rad**2)
+    mount = np.array([0.0, 0.0, _MOUNT_SIGMA_DEG**2 + np.degrees(np.degrees(aside))])
+    return np.max([weighed, *spoken], axis=0) + known.sound + mount
 
 
 def within(known: Known, levels: PoseLevels) -> PoseLevels:
@@ -149,6 +196,8 @@ def within(known: Known, levels: PoseLevels) -> PoseLevels:
     """
     way, aside_rad = known.way
     reached, room = separation.reach(known.faults), separation.room_in(known.limit, known.config.watch)
+    alone, still = np.array(_own(known, STAY)), known.reach_of(known.weighed)
+    reached = np.array([np.minimum(reached[0], still[0] + alone), np.maximum(reached[1], still[1] - alone)])
     half = 0.5 * (reached[1] - reached[0])
     own = _own(known, np.array([*half[:2], np.abs(reached[:, 2]).max()]))
     move = separation.least_move(own, reached, room)

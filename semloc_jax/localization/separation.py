@@ -106,6 +106,13 @@ def least_move(
     return np.where((farthest(reached, move) <= left + 1e-9) & (np.arange(3) < 2), move, 0.0)
 
 
+def second_moment(fault: Separation, move: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Mean squared error [m^2, m^2, deg^2] of a pose that was moved, where the fault is there as probably as not."""
+    size, side = np.array(fault[:3]), np.array(fault.side)
+    there = np.where(side == 0.0, np.square(size) + np.square(move), np.square(side * size - move))
+    return 0.5 * (there + np.square(move))
+
+
 def with_faults(own: ProtectionLevels, far: Float[np.ndarray, "3"]) -> ProtectionLevels:
     """Levels of a pose from which the right one may be so `far`."""
     return ProtectionLevels(*(np.array(own) + far).tolist())

@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
@@ -301,14 +301,11 @@ def moved_elements(watch: WatchState, config: WatchConfig) -> Moved:
 
 def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> list[Suspicion]:
     """Where a parabola through the costs of the calibration and of those beside it has its minimum."""
-    found, num_steps = [], len(STEPS)
+    found = []
     for k, name in enumerate(alternatives(num_cameras)):
-        rows = slice(num_steps * k, num_steps * (k + 1))
-        num = watch.num[rows]
+        num, gain, moved = means_of(watch, k)
         if (num[:2] < 0.5).any():
             continue
-        gain = watch.gain[rows] / np.maximum(num, 1e-9)
-        moved = watch.moved.reshape(-1, 3)[rows] / np.maximum(num, 1e-9)[:, None]
         side = int(np.argmax(gain[:2]))
         if num[side + 2] >= 0.5 and gain[side] > 0.0:
             at, better, step = _on_one_side(gain[side], gain[side + 2], moved[side], moved[side + 2])
@@ -321,6 +318,17 @@ def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> l
         nats = config.share * float(num[:2].sum()) * max(better - least_nats, 0.0)
         found.append(Suspicion(name, at * unit_of(name, config), nats, step))
     return found
+
+
+def means_of(
+    watch: WatchState, k: int
+) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "4"], Float[np.ndarray, "4 3"]]:
+    """Of each of the `STEPS` of one of `alternatives`: how many frames were asked, by how much one fits better [nats],
+    and how far its pose moves: forward [m], left [m], heading [rad]."""
+    rows = slice(len(STEPS) * k, len(STEPS) * (k + 1))
+    num = watch.num[rows]
+    asked = np.maximum(num, 1e-9)
+    return num, watch.gain[rows] / asked, watch.moved.reshape(-1, 3)[rows] / asked[:, None]
 
 
 def _least_of_width(watch: WatchState, at: float, config: WatchConfig) -> float:
@@ -354,18 +362,29 @@ def _on_one_side(
 def _classes_apart(watch: WatchState, config: WatchConfig) -> list[Suspicion]:
     """Whether lines or posts, or what lies on one side, each alone, fit better beside the pose: they then do not
     belong to one map."""
-    table, num_aside, found = moves(config), len(_places(config.aside_m)), []
-    for group, costs in zip(GROUPS, watch.profiles.reshape(len(GROUPS), -1), strict=True):
-        for axis, word, step_m in ((1, "left", config.aside_m[1]), (0, "ahead", config.ahead_m[1])):
-            if f"{group}_{word}" not in CLASSES:
-                continue
-            of_axis = slice(num_aside) if axis == 1 else slice(num_aside, None)
-            places, cost = table[of_axis, axis], costs[of_axis]
-            is_here = np.abs(places) <= 1.5 * step_m
-            best = int(np.argmin(np.where(is_here, np.inf, cost)))
-            moved = np.zeros(3)
-            moved[axis] = places[best]
-            better = float(np.min(cost[is_here]) - cost[best]) - config.class_gain_nats * float(watch.num_looks)
-            nats = config.share * max(better, 0.0)
-            found.append(Suspicion(f"{group}_{word}", float(places[best]), nats, moved))
+    found = []
+    for name in CLASSES:
+        places, cost = profile_of(watch, name, config)
+        is_here = near(places)
+        best = int(np.argmin(np.where(is_here, np.inf, cost)))
+        moved = np.zeros(3)
+        moved[int(name.endswith("left"))] = places[best]
+        better = float(np.min(cost[is_here]) - cost[best]) - config.class_gain_nats * float(watch.num_looks)
+        found.append(Suspicion(name, float(places[best]), config.share * max(better, 0.0), moved))
     return found
+
+
+def profile_of(
+    watch: WatchState, name: str, config: WatchConfig
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Places ahead or to the left [m] where one of `CLASSES` was looked at, and what all frames cost there [nats]."""
+    group, axis = name.split("_")
+    num_aside = len(_places(config.aside_m))
+    of_axis = slice(num_aside) if axis == "left" else slice(num_aside, None)
+    costs = watch.profiles.reshape(len(GROUPS), -1)[GROUPS.index(group)]
+    return moves(config)[of_axis, int(axis == "left")], costs[of_axis]
+
+
+def near(places_m: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Which places are the pose itself, for what masks tell."""
+    return np.abs(places_m) <= 1.5 * (places_m[1] - places_m[0])

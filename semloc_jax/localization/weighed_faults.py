@@ -1,0 +1,165 @@
+"""Faults of calibration and map that the drive has neither told nor excluded, weighed by Bayes (room: localization;
+host).
+
+In: WatchState. Out: Causes: where the right pose would be under each fault, how sure, and how probable the fault is.
+What a drive speaks for is no yes or no: a lens of which it says -1.6 % with 1 % of doubt may be exact, and one of which
+it says nothing may be 5 % off. So each fault is what it is before the drive, one vehicle or map in two hundred, times
+what the frames say of it; its sizes are left as open as the frames leave them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import expit, logit, stdtr
+
+from semloc_jax.evaluation.mixture_bounds import Causes
+from semloc_jax.localization.watch_sums import (
+    CLASSES,
+    WIDTH,
+    WatchConfig,
+    WatchState,
+    alternatives,
+    means_of,
+    near,
+    profile_of,
+)
+
+_PROBABILITY = 0.005
+"""Of each fault before the drive: one in two hundred. Ours."""
+_WIDE_STEPS = 1.0
+"""How far such a lens, or width, is off, one standard deviation, in the steps of the watch. Ours."""
+_EXACT_STEPS = 0.1
+"""How far one is that is as it should be."""
+_LEAST_BEND_NATS = 0.8
+"""What a step off must cost a frame at least for a frame to tell: where masks are so coarse that a lens which is 2.5 %
+off costs less, what they like is told by their pixels. A real drive of 400 x 120 px has 0.4, simulated ones 1 to 4."""
+_AS_LEVELS = [1, 0, 2]
+_UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
+_HALVINGS = 24
+_FAR = 32.0
+"""Bounds are no larger [m, deg]; they are found to micrometres."""
+_NEGLIGIBLE = 0.01
+"""Places that together have less than this share of the risk are left out: most of them."""
+_MOST_NATS = 50.0
+"""More is certainty."""
+
+
+_Rows = tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
+"""Probability, mean and sigma of places: left [m], ahead [m], heading [rad]."""
+_NOTHING: _Rows = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
+
+
+def weighed(
+    watch: WatchState,
+    num_cameras: int,
+    own_sigma: Float[np.ndarray, "3"],
+    freedom: Float[np.ndarray, "3"],
+    config: WatchConfig,
+) -> Causes:
+    """Every fault with the places that it leaves to the right pose: left [m], ahead [m], heading [deg].
+
+    Args:
+        watch: Sums over the last frames.
+        num_cameras: Of the rig.
+        own_sigma: Standard deviations of the pose without faults, in the same order and units.
+        freedom: Degrees of freedom that these stand on.
+        config: Steps of the watch.
+    """
+    rows = [_NOTHING]
+    if len(watch.num):
+        rows += [_of_calibration(watch, k, name, config) for k, name in enumerate(alternatives(num_cameras))]
+        rows += [_of_class(watch, name, config) for name in CLASSES]
+    probability, mean, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    free = np.broadcast_to(freedom, mean.shape)
+    return Causes(probability, mean * _UNITS, np.hypot(sigma * _UNITS, own_sigma), free)
+
+
+class _Told(NamedTuple):
+    """What the frames say of the size of one of `alternatives`, in steps, and how far the pose moves for each."""
+
+    at: float
+    variance: float
+    moved: Float[np.ndarray, "3"]
+    """Left [m], ahead [m], heading [rad]."""
+
+
+def _told(watch: WatchState, k: int, config: WatchConfig) -> _Told | None:
+    """A Gaussian about what a parabola through the costs says; None where they say nothing.
+
+    A frame says so much of a size as its costs bend; of the frames, `WatchConfig.share` is new.
+    """
+    num, gain, moves = (column[:2] for column in means_of(watch, k))
+    slope, bend = 0.5 * (gain[1] - gain[0]), -0.5 * (gain[0] + gain[1])
+    if (num < 0.5).any() or bend < _LEAST_BEND_NATS:
+        return None
+    variance = 0.5 / (bend * config.share * float(num.mean()))
+    return _Told(-0.5 * slope / bend, variance, (0.5 * (moves[0] - moves[1]))[_AS_LEVELS])
+
+
+def _of_calibration(watch: WatchState, k: int, name: str, config: WatchConfig) -> _Rows:
+    """One of `alternatives` that is off by far more than calibrations and maps are."""
+    told = _told(watch, k, config)
+    if told is None:
+        return _NOTHING
+    exact, aside = told.variance + _EXACT_STEPS**2, told.variance + _WIDE_STEPS**2
+    nats = 0.5 * (told.at**2 * (1.0 / exact - 1.0 / aside) - np.log(aside / exact))
+    probability = float(expit(logit(_PROBABILITY) + nats))
+    kept = _WIDE_STEPS**2 / aside
+    size, spread = told.at * kept, np.sqrt(told.variance * kept)
+    sigma = np.abs(spread * told.moved)
+    if name == WIDTH:  # either side may have been moved, and the pose lies in the middle
+        sigma[0] = np.hypot(sigma[0], 0.5 * config.width_m * np.hypot(size, spread))
+    return np.array([probability]), (size * told.moved)[None], sigma[None]
+
+
+def of_sound_ones(watch: WatchState, num_cameras: int, config: WatchConfig) -> Float[np.ndarray, "3"]:
+    """Variance of a pose, left [m], ahead [m], heading [deg], by what calibrations and maps that are as they should be
+    are off all the same."""
+    told = (_told(watch, k, config) for k in range(len(alternatives(num_cameras)) if len(watch.num) else 0))
+    rows = [one.moved**2 / (1.0 / one.variance + 1.0 / _EXACT_STEPS**2) for one in told if one is not None]
+    return np.sum(rows, axis=0, initial=0.0) * _UNITS**2 if rows else np.zeros(3)
+
+
+def _of_class(watch: WatchState, name: str, config: WatchConfig) -> _Rows:
+    """Elements of one kind that were moved: any of the places where they are looked at may be theirs.
+
+    The pose that was found is that of all others; if it is these that are right, it is where they fit.
+    """
+    places, costs = profile_of(watch, name, config)
+    nats = -config.share * costs
+    here = float(np.max(nats[near(places)]))
+    odds = _PROBABILITY / (1.0 - _PROBABILITY) * np.exp(np.minimum(nats - here, _MOST_NATS)) / len(places)
+    mean = np.zeros((len(places), 3))
+    mean[:, int(name.endswith("ahead"))] = places
+    return odds / (1.0 + odds.sum()), mean, np.zeros_like(mean)
+
+
+def moved(causes: Causes, move: Float[np.ndarray, "3"]) -> Causes:
+    """The same as seen from a pose that was moved."""
+    return causes._replace(mean=causes.mean - move)
+
+
+def reach(causes: Causes, share: float) -> Float[np.ndarray, "2 3"]:
+    """Least and most of left [m], ahead [m], heading [deg] that the right pose is not beyond but for a risk on either
+    side; 0 where none is needed.
+
+    Args:
+        causes: From `weighed`.
+        share: The risk.
+    """
+    rising = np.argsort(causes.probability)
+    kept = rising[np.cumsum(causes.probability[rising]) > _NEGLIGIBLE * share]
+    if not len(kept):
+        return np.zeros((2, 3))
+    causes = Causes(*(column[kept] for column in causes))
+
+    def most(side: float) -> np.ndarray:
+        low, high = np.zeros(3), np.full(3, _FAR)
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            beyond = causes.probability @ stdtr(causes.freedom, (side * causes.mean - middle) / causes.sigma)
+            low, high = np.where(beyond > share, middle, low), np.where(beyond > share, high, middle)
+        return high
+
+    return np.array([-most(-1.0), most(1.0)])
