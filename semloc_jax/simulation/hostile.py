@@ -47,8 +47,8 @@ def suite(wanted: str = ALL) -> tuple[FaultRow, ...]:
     """
     rows = [FaultRow("none", 0, "", "")]
     for name, fault in (*STANDING.items(), *PASSING.items()):
-        apart = fault.apart if name in STANDING else ""
         for k in range(NUM_SEVERITIES):
+            apart = fault.apart if name in STANDING and k < fault.apart_to else ""
             rows.append(FaultRow(name, k + 1, f"{fault.sizes[k]:g} {fault.unit}", fault.family, apart))
     if wanted == ALL:
         return tuple(rows)

@@ -18,6 +18,10 @@ MAP, CALIBRATION, TIME, ODOMETRY, GNSS, MASKS = "map", "calibration", "time", "o
 FAMILIES = (MAP, CALIBRATION, TIME, ODOMETRY, GNSS, MASKS)
 _WHOLE_MAP = "the map and all that is in it move together: nothing on the vehicle can see it"
 _STRETCHED = "a map that is evenly too large is a shift that grows; a few percent lie within tyres and camera height"
+_EARLY = (
+    "masks of the next frame are, at constant speed, those of a camera that stands farther ahead: only a change of "
+    "speed tells, or satellites that are surer than the way between two frames"
+)
 _MOUNT = "a pure shift of the mount moves all cameras with the pose: nothing on the vehicle can see it"
 
 
@@ -31,6 +35,7 @@ class StandingFault:
         unit: of the sizes.
         family: what is wrong, one of FAMILIES.
         apart: why nothing can see it; empty where something can.
+        apart_to: the last severity of which that holds.
     """
 
     make: Callable[[Maker, float], FaultyDrive]
@@ -38,6 +43,7 @@ class StandingFault:
     unit: str
     family: str
     apart: str = ""
+    apart_to: int = NUM_SEVERITIES
 
 
 _SHARE, _OF_ELEMENTS = "share", "share of its elements"
@@ -106,7 +112,7 @@ STANDING: dict[str, StandingFault] = {
     "paint_lost": StandingFault(masks.paint_lost, (0.3, 0.6, 0.9), "share of the paint", MASKS),
     "false_lines": StandingFault(masks.false_lines, (10.0, 20.0, 40.0), "px", MASKS),
     "own_lane_only": StandingFault(masks.own_lane_only, (0.5, 0.35, 0.2), "share of the width", MASKS),
-    "other_masks": StandingFault(masks.other_masks, (0.02, 0.2, 0.5), "share of the drive", MASKS),
+    "other_masks": StandingFault(masks.other_masks, (0.02, 0.2, 0.5), "share of the drive", MASKS, _EARLY, apart_to=1),
 }
 """Faults by name."""
 

@@ -11,6 +11,7 @@ from semloc_jax.datasets import read_drive
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, write_tum
+from semloc_jax.geometry import rigid
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.simulation.faults import FAULTS, FaultSizes, with_fault
 from semloc_jax.simulation.hostile import is_suite, suite
@@ -208,13 +209,23 @@ def _told_apart(fault):
     return repr(told)
 
 
+def test_masks_of_the_next_frame_are_those_of_a_camera_farther_ahead(drive, road):
+    """At constant speed: one way for every frame, which no pose of the vehicle differs by. Masks of a place a fifth of
+    the drive away are seen at its end, where they begin anew, and by satellites."""
+    frames = with_fault("other_masks:1", drive, road).drive.frames[:-1]
+    ways = [rigid.inverse(drive.truth_at(frame)) @ drive.truth_at(frame.shown) for frame in frames]
+    np.testing.assert_allclose(ways, np.broadcast_to(ways[0], (len(ways), 4, 4)), atol=1e-6)
+    np.testing.assert_allclose(ways[0], rigid.exp(np.array([10.0, 0.0, 0.0, 0.0, 0.0, 0.0])), atol=1e-6)
+    assert [bool(row.apart) for row in suite("other_masks")] == [True, False, False]
+
+
 def test_the_suite_is_wide_and_every_row_has_a_size():
     rows = suite()
     faults = {row.fault for row in rows if row.severity}
     assert len(faults) >= 40 and len(rows) == 3 * len(faults) + 1
     assert {row.family for row in rows if row.severity} == set(FAMILIES)
     assert all(row.size for row in rows if row.severity)
-    unseen = {"map_shifted", "map_turned", "map_scaled", "camera_ahead", "camera_aside"}
+    unseen = {"map_shifted", "map_turned", "map_scaled", "camera_ahead", "camera_aside", "other_masks"}
     assert {row.fault for row in rows if row.apart} == unseen
     assert [row.name for row in suite("focal, none")] == ["none", "focal:1", "focal:2", "focal:3"]
     assert {row.family for row in suite("time")} == {"time"} and is_suite("time") and not is_suite("focal:2")
