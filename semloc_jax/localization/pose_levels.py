@@ -68,6 +68,7 @@ class Known(NamedTuple):
         way: Course of the pose, and what is remembered of it [rad]; None where there is no track.
         aside: Probability that the cameras look aside.
         weighed: Faults that the drive has neither told nor excluded; None where there is no track.
+        still: Where they leave the right pose at the stated risk, least and most, as `standing`.
         sound: Variance by what calibrations that are as they should be are off all the same, as levels.
         rig: Cameras.
         config: Limits.
@@ -80,6 +81,7 @@ class Known(NamedTuple):
     way: tuple[course.Course, float] | None
     aside: float
     weighed: Causes | None
+    still: Float[np.ndarray, "2 3"]
     sound: Float[np.ndarray, "3"]
     rig: Rig
     config: TrackConfig
@@ -88,10 +90,6 @@ class Known(NamedTuple):
     def limit(self) -> ErrorLimit:
         """The alert limits."""
         return self.config.health.integrity.limit
-
-    def reach_of(self, causes: Causes) -> Float[np.ndarray, "2 3"]:
-        """Where the right pose may be under faults that are weighed, at the stated risk."""
-        return weighed_faults.reach(causes, self.config.health.integrity.risk / 6.0)
 
     @property
     def share(self) -> float:
@@ -120,7 +118,7 @@ def known_of(
     freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
     errors = fused.covariance, freedom, map_sigmas(*map_sigma)
     if not state.tracks:
-        return Known(errors, [], [], STAY, None, 0.0, None, STAY, rig, config)
+        return Known(errors, [], [], STAY, None, 0.0, None, np.zeros((2, 3)), STAY, rig, config)
     spoken = spoken_for(state, rig, config)
     lasting = separation.lasting(state.doubted, spoken)
     standing = watch.separations(state.watch, rig, config.watch)
@@ -131,8 +129,9 @@ def known_of(
     probable = course.probability(aside_rad, way, watch.is_ahead(rig))
     sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), 0.0))[_OF_LEVELS] * _UNITS
     weighed = weighed_faults.weighed(state.watch, len(rig.names), sigma, freedom, config.watch)
+    still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)
     sound = weighed_faults.of_sound_ones(state.watch, len(rig.names), config.watch)
-    return Known(errors, faults, spoken, reached, (way, aside_rad), probable, weighed, sound, rig, config)
+    return Known(errors, faults, spoken, reached, (way, aside_rad), probable, weighed, still, sound, rig, config)
 
 
 def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
@@ -154,12 +153,12 @@ def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
     if turned_rad or protection.heading_deg <= limit.heading_deg < aside_deg:
         causes = (*causes, watch.aside_cause(way, aside_rad, aside_deg, known.rig))
     misled += known.aside * course.misleading(*left, limit.heading_deg)
-    open_still = weighed_faults.moved(known.weighed, move)
-    most = np.abs(known.reach_of(open_still)).max(axis=0)
+    most = np.maximum(separation.farthest(known.still, move), 0.0)
     if beyond_alert(ProtectionLevels(*most.tolist()), limit):
         causes = (*causes, _NOT_EXCLUDED)
     protection = ProtectionLevels(*np.maximum(protection, most).tolist())
-    misled += float(beyond(open_still, np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])).sum())
+    still = known.weighed._replace(mean=known.weighed.mean - move)
+    misled += float(beyond(still, np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])).sum())
     aside_m = abs(way.off_rad) * watch.cameras_ahead_m(known.rig)
     protection = protection._replace(
         lateral_m=max(protection.lateral_m, own.lateral_m + aside_m),
@@ -173,14 +172,14 @@ def left_open(known: Known, move: Float[np.ndarray, "3"]) -> Float[np.ndarray, "
 
     A pose that stands between two explanations is off by the way to one of them.
     """
-    causes = weighed_faults.moved(known.weighed, move)
+    causes = known.weighed._replace(mean=known.weighed.mean - move)
     sound = max(1.0 - float(causes.probability.sum()), 0.0)
     weighed = causes.probability @ (causes.mean**2 + causes.sigma**2) + sound * np.square(move)
     spoken = [separation.second_moment(fault, move) for fault in known.spoken]
     way, _ = known.way
     aside = known.aside * (way.off_rad**2 + way.sigma_rad**2)
     mount = np.array([0.0, 0.0, _MOUNT_SIGMA_DEG**2 + np.degrees(np.degrees(aside))])
-    return np.max([weighed, *spoken], axis=0) + known.sound + mount
+    return np.max([weighed, *spoken], axis=0) + known.sound + np.square(known.standing) + mount
 
 
 def within(known: Known, levels: PoseLevels) -> PoseLevels:
@@ -196,8 +195,8 @@ def within(known: Known, levels: PoseLevels) -> PoseLevels:
     """
     way, aside_rad = known.way
     reached, room = separation.reach(known.faults), separation.room_in(known.limit, known.config.watch)
-    alone, still = np.array(_own(known, STAY)), known.reach_of(known.weighed)
-    reached = np.array([np.minimum(reached[0], still[0] + alone), np.maximum(reached[1], still[1] - alone)])
+    alone, (least, most) = np.array(_own(known, STAY)), known.still
+    reached = np.array([np.minimum(reached[0], least + alone), np.maximum(reached[1], most - alone)])
     half = 0.5 * (reached[1] - reached[0])
     own = _own(known, np.array([*half[:2], np.abs(reached[:, 2]).max()]))
     move = separation.least_move(own, reached, room)

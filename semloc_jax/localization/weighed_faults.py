@@ -29,7 +29,7 @@ _PROBABILITY = 0.005
 """Of each fault before the drive: one in two hundred. Ours."""
 _WIDE_STEPS = 1.0
 """How far such a lens, or width, is off, one standard deviation, in the steps of the watch. Ours."""
-_EXACT_STEPS = 0.1
+_EXACT_STEPS = 0.05
 """How far one is that is as it should be."""
 _LEAST_BEND_NATS = 0.8
 """What a step off must cost a frame at least for a frame to tell: where masks are so coarse that a lens which is 2.5 %
@@ -71,8 +71,9 @@ def weighed(
         rows += [_of_calibration(watch, k, name, config) for k, name in enumerate(alternatives(num_cameras))]
         rows += [_of_class(watch, name, config) for name in CLASSES]
     probability, mean, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-    free = np.broadcast_to(freedom, mean.shape)
-    return Causes(probability, mean * _UNITS, np.hypot(sigma * _UNITS, own_sigma), free)
+    total = np.hypot(sigma * _UNITS, own_sigma)
+    # What costs leave open has the tails of a Gaussian (Welch and Satterthwaite).
+    return Causes(probability, mean * _UNITS, total, freedom * (total / own_sigma) ** 4)
 
 
 class _Told(NamedTuple):
@@ -135,14 +136,10 @@ def _of_class(watch: WatchState, name: str, config: WatchConfig) -> _Rows:
     return odds / (1.0 + odds.sum()), mean, np.zeros_like(mean)
 
 
-def moved(causes: Causes, move: Float[np.ndarray, "3"]) -> Causes:
-    """The same as seen from a pose that was moved."""
-    return causes._replace(mean=causes.mean - move)
-
-
 def reach(causes: Causes, share: float) -> Float[np.ndarray, "2 3"]:
-    """Least and most of left [m], ahead [m], heading [deg] that the right pose is not beyond but for a risk on either
-    side; 0 where none is needed.
+    """Between which left [m], ahead [m], heading [deg] the right pose is but for a risk on either side.
+
+    Where faults are less probable than the risk the least lies beyond the most: anywhere holds.
 
     Args:
         causes: From `weighed`.
@@ -151,11 +148,11 @@ def reach(causes: Causes, share: float) -> Float[np.ndarray, "2 3"]:
     rising = np.argsort(causes.probability)
     kept = rising[np.cumsum(causes.probability[rising]) > _NEGLIGIBLE * share]
     if not len(kept):
-        return np.zeros((2, 3))
+        return np.array([np.full(3, _FAR), np.full(3, -_FAR)])
     causes = Causes(*(column[kept] for column in causes))
 
     def most(side: float) -> np.ndarray:
-        low, high = np.zeros(3), np.full(3, _FAR)
+        low, high = np.full(3, -_FAR), np.full(3, _FAR)
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             beyond = causes.probability @ stdtr(causes.freedom, (side * causes.mean - middle) / causes.sigma)

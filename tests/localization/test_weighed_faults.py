@@ -41,7 +41,8 @@ def after(num: int, gains: tuple[float, float], lines_at_m: float = 0.0, nats: f
 def most(state: WatchState) -> np.ndarray:
     """How far the right pose may be: left [m], ahead [m], heading [deg]."""
     causes = weighed_faults.weighed(state, 1, OWN, np.full(3, 20.0), CONFIG)
-    return np.abs(weighed_faults.reach(causes, SHARE)).max(axis=0)
+    least, farthest = weighed_faults.reach(causes, SHARE)
+    return np.max([-least, farthest, np.zeros(3)], axis=0)
 
 
 def test_a_sound_lens_is_excluded_by_two_looks_and_a_moved_map_by_one():
@@ -61,7 +62,7 @@ def test_the_place_that_a_wrong_lens_leaves_is_on_its_side():
     causes = weighed_faults.weighed(after(20, (-6.5, 1.0)), 1, OWN, np.full(3, 20.0), CONFIG)
     least, farthest = weighed_faults.reach(causes, SHARE)[:, 1]
     assert farthest > 0.3 and least > -0.05
-    there = weighed_faults.moved(causes, np.array([0.0, farthest, 0.0]))
+    there = causes._replace(mean=causes.mean - np.array([0.0, farthest, 0.0]))
     assert weighed_faults.reach(there, SHARE)[1, 1] == pytest.approx(0.0, abs=1e-4)
 
 
