@@ -31,6 +31,8 @@ _AS_LEVELS = [1, 0, 2]
 _OF_LEVELS = [1, 0, 5]
 """The same in a tangent."""
 _UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
+_LEAST_VARIANCE = 1e-12
+"""Of a pose [m^2, rad^2]: none is surer."""
 _MOUNT_SIGMA_DEG = LEAST_LEVELS[2] / float(-ndtri(0.5 * RISK))
 """How exactly cameras are mounted, where the least level of the heading is what they exceed at the stated risk."""
 _NOT_EXCLUDED = (
@@ -127,7 +129,7 @@ def known_of(
     reached = separation.farthest(separation.reach(standing), STAY)
     way, aside_rad = course.course_of(fused), float(state.watch.aside_rad)
     probable = course.probability(aside_rad, way, watch.is_ahead(rig))
-    sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), 0.0))[_OF_LEVELS] * _UNITS
+    sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), _LEAST_VARIANCE))[_OF_LEVELS] * _UNITS
     weighed = weighed_faults.weighed(state.watch, len(rig.names), sigma, freedom, config.watch)
     still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)
     sound = weighed_faults.of_sound_ones(state.watch, len(rig.names), config.watch)
