@@ -35,9 +35,7 @@ _LEAST_VARIANCE = 1e-12
 """Of a pose [m^2, rad^2]: none is surer."""
 _MOUNT_SIGMA_DEG = LEAST_LEVELS[2] / float(-ndtri(0.5 * RISK))
 """How exactly cameras are mounted, where the least level of the heading is what they exceed at the stated risk."""
-_NOT_EXCLUDED = (
-    "another lens, another width of the road or elements that were moved are not excluded yet: more way tells"
-)
+_NOT_EXCLUDED = "another lens or elements of the map that were moved are not excluded yet: more way tells"
 
 
 class PoseLevels(NamedTuple):
