@@ -14,7 +14,7 @@ from jaxtyping import Float, Int, UInt8
 
 _HALF_PX = 8
 """A patch reaches so far to each side."""
-_WEIGHTS_PX = 5.5, 2.75
+_WEIGHTS_PX = 5.5, 2.0
 """Standard deviations of the weights of its pixels: of all of it, which tells how it is stretched, and of its middle,
 which tells where the corner is. What is near the corner lies at its depth, and what of perspective no affine patch can
 follow shifts all of it by the square of its size: of a patch on the road by 0.15 px in two images."""
