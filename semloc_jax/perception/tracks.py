@@ -37,7 +37,7 @@ class CornerConfig:
     back_check_px: float = 0.7
     """A corner that is followed there and back returns within this."""
     bucket_px: int = 60
-    """Side of the squares of which each gives one new corner."""
+    """Side of the squares of which each gives one new corner; at most, as there are to be as many squares as slots."""
     gate_px: float = 2.0
     """Largest distance from the epipolar plane of the motion."""
     border_px: int = 8
@@ -213,7 +213,7 @@ class FeatureTracker:
         free = np.flatnonzero(view.id < 0)
         config, taken = self.config, view.uv[view.id >= 0]
         usable = None if scenery is None else scenery.usable
-        # Where an image is so small that there are fewer squares than slots, squares are smaller.
+        # An image of 640 x 400 px has 70 squares of 60 px: more than half of the slots would stay empty.
         bucket_px = min(config.bucket_px, int(np.sqrt(view.grey.size / self.num_slots)))
         corners = new_corners(view.grey, usable, taken, len(free), bucket_px, config.border_px)
         slots = free[: len(corners)]
