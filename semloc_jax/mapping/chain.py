@@ -141,7 +141,7 @@ def _by_increments(log: MotionLog, time_s: np.ndarray, states: InertialStates | 
         steps_covariance=np.array([increment.covariance for increment in increments]),
         steps_jacobian=_by_calibration(increments),
         steps_by_wander=np.array([i.jacobian[:, 1] for i in increments]) * (0.5 * (left[1:] + left[:-1]))[:, None],
-        wander_memory_s=config.inertial.bias_memory_s(log.inertial_noise),
+        wander_memory_s=config.inertial.bias_memory_s,
         calibration=np.array([scale, 1.0, calibration.travel_rad]),
         calibration_sigma=sigma,
         way_m=np.concatenate([[0.0], scale * np.cumsum(way_m)]),

@@ -23,9 +23,11 @@ _NUM = 11
 
 @dataclass(frozen=True)
 class InertialConfig:
-    """Beliefs about the sensors beside the noise of the inertial one. All values are ours, of a production car."""
+    """Beliefs about the sensors beside the white noise of the gyroscope. All values are ours, of a production car."""
 
     gravity_mps2: float = 9.81
+    gyro_walk_degps: float = 0.01
+    """Change of a gyro bias [deg/s per root of s], over a whole drive; ours."""
     gyro_bias_degps: float = 0.5
     accel_density_mps2: tuple[float, float, float] = (0.1, 0.04, 0.1)
     """Error of the acceleration along base x, y, z [m/s^2 per root of the rate in Hz]: road, suspension, and along x
@@ -44,9 +46,10 @@ class InertialConfig:
     longest_s: float = 0.25
     """Motion is taken as even within intervals no longer than this."""
 
-    def bias_memory_s(self, noise: InertialNoise) -> float:
+    @property
+    def bias_memory_s(self) -> float:
         """For how long what a smoother leaves of a bias stays the same: a walk that the turn of the wheels shows."""
-        return float(np.deg2rad(self.wheel_yaw_density_degps) / noise.gyro_walk)
+        return self.wheel_yaw_density_degps / self.gyro_walk_degps
 
 
 _Beliefs = tuple[InertialConfig, InertialNoise]
@@ -92,7 +95,7 @@ def inertial_states(drive: Drive, time_s: Float[np.ndarray, " n"], config: Inert
     """
     knots_s, of_time = _knots(time_s, config.longest_s)
     means = _intervals(drive, knots_s, config)
-    x, P = (states[of_time] for states in _filtered(means, config, drive.imu.noise))
+    x, P = (states[of_time] for states in _filtered(means, (config, drive.imu.noise)))
     variance = np.diagonal(P, axis1=1, axis2=2)
     up = x[:, _UP] / np.linalg.norm(x[:, _UP], axis=1, keepdims=True)
     return InertialStates(
@@ -150,16 +153,16 @@ def _is_covered(at_s: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> np.nd
     return ~overlap.any(axis=1)
 
 
-def _filtered(means: _Intervals, config: InertialConfig, noise: InertialNoise) -> tuple[np.ndarray, np.ndarray]:
+def _filtered(means: _Intervals, beliefs: _Beliefs) -> tuple[np.ndarray, np.ndarray]:
     """States and covariances at every time, smoothed (Rauch, Tung, Striebel)."""
     num = len(means.step_s) + 1
     x, P = np.zeros((num, _NUM)), np.zeros((num, _NUM, _NUM))
     ahead, spread, moved = x.copy(), P.copy(), P.copy()
-    x[0], P[0] = _first(config)
+    x[0], P[0] = _first(beliefs[0])
     for k in range(num - 1):
         ahead[k + 1], moved[k + 1] = _predicted(x[k], means, k)
-        spread[k + 1] = moved[k + 1] @ P[k] @ moved[k + 1].T + _process(means.step_s[k], means.has_imu[k], noise)
-        x[k + 1], P[k + 1] = _corrected(ahead[k + 1], spread[k + 1], means, k, (config, noise))
+        spread[k + 1] = moved[k + 1] @ P[k] @ moved[k + 1].T + _process(means.step_s[k], means.has_imu[k], beliefs)
+        x[k + 1], P[k + 1] = _corrected(ahead[k + 1], spread[k + 1], means, k, beliefs)
     for k in range(num - 2, -1, -1):
         gain = np.linalg.solve(spread[k + 1], moved[k + 1] @ P[k]).T
         x[k] += gain @ (x[k + 1] - ahead[k + 1])
@@ -187,10 +190,10 @@ def _predicted(x: np.ndarray, means: _Intervals, k: int) -> tuple[np.ndarray, np
     return after, F
 
 
-def _process(step_s: float, has_imu: np.bool_, noise: InertialNoise) -> np.ndarray:
-    sigma = np.zeros(_NUM)
+def _process(step_s: float, has_imu: np.bool_, beliefs: _Beliefs) -> np.ndarray:
+    sigma, (config, noise) = np.zeros(_NUM), beliefs
     sigma[_UP] = noise.gyro_density if has_imu else 10.0 * noise.gyro_density
-    sigma[_GYRO] = noise.gyro_walk
+    sigma[_GYRO] = np.deg2rad(config.gyro_walk_degps)
     return np.diag(sigma**2 * step_s)
 
 
