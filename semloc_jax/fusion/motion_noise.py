@@ -1,4 +1,4 @@
-"""Errors of wheels and inertial sensor (room: fusion; host).
+"""Errors of wheels, and of the inertial sensor beside its own noise (room: fusion; host).
 
 In: nothing. Out: MotionNoise, which says how sure an increment is.
 """
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class MotionNoise:
-    """Errors of wheels and inertial sensor beside scale and bias; all values are ours, of a production car.
+    """Errors of wheels and inertial sensor beside scale, bias and `InertialNoise`; all values are ours, of a production
+    car.
 
     Shares act on the distance and are the same over `slip_length_m`; densities grow with the root of the time.
     """
@@ -21,7 +22,6 @@ class MotionNoise:
     """Further side slip as a share of the distance for each m/s^2 of lateral acceleration."""
     heave_share: float = 0.01
     slip_length_m: float = 5.0
-    gyro_density_degps: float = 0.02
     gyro_turn_share: float = 0.005
     """Scale error of the gyroscope as a share of the turn."""
     tilt_density_degps: float = 0.2

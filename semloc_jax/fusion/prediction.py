@@ -107,7 +107,7 @@ class MotionLog:
         """An empty log; samples closer than `max_gap_s` [s] are joined by straight lines."""
         self.noise, self.max_gap_s, self.max_hold_s = noise or MotionNoise(), max_gap_s, max_hold_s
         self.inertial_noise = InertialNoise()
-        """Where biases and velocity are estimated too."""
+        """White noise of its rates; where biases and velocity are estimated too, all of it."""
         self._wheels, self._imu, self._velocity = SampleStream(2), SampleStream(6), SampleStream(12)
 
     @classmethod
@@ -304,7 +304,8 @@ class MotionLog:
         driven = wheels[:, 0] * step_s
         distance = calibration.odometer_scale * driven
 
-        yaw_density = np.deg2rad(np.where(has_gyro, noise.gyro_density_degps, noise.wheel_yaw_density_degps))
+        wheel_density = np.deg2rad(noise.wheel_yaw_density_degps)
+        yaw_density = np.where(has_gyro, self.inertial_noise.gyro_density, wheel_density)
         tilt_density = np.deg2rad(np.where(imu_age == 0.0, noise.tilt_density_degps, noise.tilt_without_gyro_degps))
         turn_share = np.where(has_gyro, noise.gyro_turn_share, noise.wheel_turn_share)
         variance = np.zeros((len(step_s), 6))

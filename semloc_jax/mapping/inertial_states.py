@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from semloc_jax.datasets import Drive
 from semloc_jax.geometry import rigid
+from semloc_jax.structs import InertialNoise
 
 _Measurement = tuple[np.ndarray, np.ndarray, np.ndarray]
 _UP, _GYRO, _ACCEL, _SCALE, _TURN = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10
@@ -22,13 +23,11 @@ _NUM = 11
 
 @dataclass(frozen=True)
 class InertialConfig:
-    """Beliefs about the sensors. All values are ours, of a production car."""
+    """Beliefs about the sensors beside the white noise of the gyroscope. All values are ours, of a production car."""
 
     gravity_mps2: float = 9.81
-    gyro_density_degps: float = 0.02
-    """White noise of the rates [deg per root of s]."""
     gyro_walk_degps: float = 0.01
-    """Change of a gyro bias [deg/s per root of s]."""
+    """Change of a gyro bias [deg/s per root of s], over a whole drive; ours."""
     gyro_bias_degps: float = 0.5
     accel_density_mps2: tuple[float, float, float] = (0.1, 0.04, 0.1)
     """Error of the acceleration along base x, y, z [m/s^2 per root of the rate in Hz]: road, suspension, and along x
@@ -51,6 +50,9 @@ class InertialConfig:
     def bias_memory_s(self) -> float:
         """For how long what a smoother leaves of a bias stays the same: a walk that the turn of the wheels shows."""
         return self.wheel_yaw_density_degps / self.gyro_walk_degps
+
+
+_Beliefs = tuple[InertialConfig, InertialNoise]
 
 
 class InertialStates(NamedTuple):
@@ -93,7 +95,7 @@ def inertial_states(drive: Drive, time_s: Float[np.ndarray, " n"], config: Inert
     """
     knots_s, of_time = _knots(time_s, config.longest_s)
     means = _intervals(drive, knots_s, config)
-    x, P = (states[of_time] for states in _filtered(means, config))
+    x, P = (states[of_time] for states in _filtered(means, (config, drive.imu.noise)))
     variance = np.diagonal(P, axis1=1, axis2=2)
     up = x[:, _UP] / np.linalg.norm(x[:, _UP], axis=1, keepdims=True)
     return InertialStates(
@@ -151,16 +153,16 @@ def _is_covered(at_s: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> np.nd
     return ~overlap.any(axis=1)
 
 
-def _filtered(means: _Intervals, config: InertialConfig) -> tuple[np.ndarray, np.ndarray]:
+def _filtered(means: _Intervals, beliefs: _Beliefs) -> tuple[np.ndarray, np.ndarray]:
     """States and covariances at every time, smoothed (Rauch, Tung, Striebel)."""
     num = len(means.step_s) + 1
     x, P = np.zeros((num, _NUM)), np.zeros((num, _NUM, _NUM))
     ahead, spread, moved = x.copy(), P.copy(), P.copy()
-    x[0], P[0] = _first(config)
+    x[0], P[0] = _first(beliefs[0])
     for k in range(num - 1):
         ahead[k + 1], moved[k + 1] = _predicted(x[k], means, k)
-        spread[k + 1] = moved[k + 1] @ P[k] @ moved[k + 1].T + _process(means.step_s[k], means.has_imu[k], config)
-        x[k + 1], P[k + 1] = _corrected(ahead[k + 1], spread[k + 1], means, k, config)
+        spread[k + 1] = moved[k + 1] @ P[k] @ moved[k + 1].T + _process(means.step_s[k], means.has_imu[k], beliefs)
+        x[k + 1], P[k + 1] = _corrected(ahead[k + 1], spread[k + 1], means, k, beliefs)
     for k in range(num - 2, -1, -1):
         gain = np.linalg.solve(spread[k + 1], moved[k + 1] @ P[k]).T
         x[k] += gain @ (x[k + 1] - ahead[k + 1])
@@ -188,18 +190,18 @@ def _predicted(x: np.ndarray, means: _Intervals, k: int) -> tuple[np.ndarray, np
     return after, F
 
 
-def _process(step_s: float, has_imu: np.bool_, config: InertialConfig) -> np.ndarray:
-    sigma = np.zeros(_NUM)
-    density = config.gyro_density_degps if has_imu else 10.0 * config.gyro_density_degps
-    sigma[_UP], sigma[_GYRO] = np.deg2rad(density), np.deg2rad(config.gyro_walk_degps)
+def _process(step_s: float, has_imu: np.bool_, beliefs: _Beliefs) -> np.ndarray:
+    sigma, (config, noise) = np.zeros(_NUM), beliefs
+    sigma[_UP] = noise.gyro_density if has_imu else 10.0 * noise.gyro_density
+    sigma[_GYRO] = np.deg2rad(config.gyro_walk_degps)
     return np.diag(sigma**2 * step_s)
 
 
 def _corrected(
-    x: np.ndarray, P: np.ndarray, means: _Intervals, k: int, config: InertialConfig
+    x: np.ndarray, P: np.ndarray, means: _Intervals, k: int, beliefs: _Beliefs
 ) -> tuple[np.ndarray, np.ndarray]:
     """State after what the sensors say of one interval."""
-    for H, measured, sigma in _measurements(x, means, k, config):
+    for H, measured, sigma in _measurements(x, means, k, beliefs):
         gain = np.linalg.solve(H @ P @ H.T + np.diag(sigma**2 / means.step_s[k]), H @ P).T
         x = x + gain @ (measured - H @ x)
         P = P - gain @ H @ P
@@ -207,9 +209,9 @@ def _corrected(
     return x, P
 
 
-def _measurements(x: np.ndarray, means: _Intervals, k: int, config: InertialConfig) -> Iterator[_Measurement]:
+def _measurements(x: np.ndarray, means: _Intervals, k: int, beliefs: _Beliefs) -> Iterator[_Measurement]:
     """Derivative by the state, value and noise density of what was measured in an interval."""
-    H = np.zeros((3, _NUM))
+    H, (config, noise) = np.zeros((3, _NUM)), beliefs
     if not means.has_accelerometer:
         slope = np.deg2rad(config.road_slope_deg) * np.sqrt(config.road_slope_s)
         H[:, _UP] = np.eye(3)
@@ -227,7 +229,7 @@ def _measurements(x: np.ndarray, means: _Intervals, k: int, config: InertialConf
     H = np.zeros((3, _NUM))
     H[:, _GYRO] = np.eye(3)
     if means.is_standing[k]:
-        yield H, means.rate[k], np.full(3, np.deg2rad(config.gyro_density_degps))
+        yield H, means.rate[k], np.full(3, noise.gyro_density)
     elif means.has_wheels[k]:
         H[2, _TURN] = means.wheel_rate[k]
         yield H[2:], means.rate[k, 2:], np.full(1, np.deg2rad(config.wheel_yaw_density_degps))

@@ -14,8 +14,10 @@ from jaxtyping import Float, Int, UInt8
 
 _HALF_PX = 8
 """A patch reaches so far to each side."""
-_WEIGHT_PX = 5.5
-"""Standard deviation of the weights of its pixels: what is near the corner lies at its depth."""
+_WEIGHTS_PX = 5.5, 2.0
+"""Standard deviations of the weights of its pixels: of all of it, which tells how it is stretched, and of its middle,
+which tells where the corner is. What is near the corner lies at its depth, and what of perspective no affine patch can
+follow shifts all of it by the square of its size: of a patch on the road by 0.15 px in two images."""
 _NUM_STEPS = 2
 """From where it is followed to from the last image; more change nothing (notebooks/figures/inertial.md)."""
 _AFFINE_SIGMA = 0.15
@@ -24,6 +26,8 @@ _GREY_SIGMA = 0.1
 """Standard deviation of what a patch of unit contrast does not explain, for that."""
 _LEAST_CONTRAST = 2.0
 """Grey levels (weighted standard deviation) that a patch needs."""
+_LEAST_SQUARE = 1e-6
+"""Of slopes: a patch that shows nothing goes nowhere."""
 
 
 def _grid(half: int) -> Float[np.ndarray, "n 2"]:
@@ -32,7 +36,8 @@ def _grid(half: int) -> Float[np.ndarray, "n 2"]:
 
 
 _AT = _grid(_HALF_PX)
-_ROOT_WEIGHT = np.exp(-0.25 * (_AT**2).sum(axis=1) / _WEIGHT_PX**2).astype(np.float32)
+_ROOT_WEIGHT, _MIDDLE = (np.exp(-0.25 * (_AT**2).sum(axis=1) / px**2).astype(np.float32) for px in _WEIGHTS_PX)
+_MIDDLE_SHARE = _MIDDLE / _ROOT_WEIGHT
 _ROOT_WEIGHT /= np.linalg.norm(_ROOT_WEIGHT)
 
 
@@ -41,10 +46,10 @@ class Patches(NamedTuple):
 
     look: Float[np.ndarray, "s n"]
     """Weighted, without mean, of unit length."""
-    slopes: Float[np.ndarray, "s n 6"]
-    """Derivatives of the look by the affine part (row by row) and the shift, what gain and offset explain taken out."""
     gain: Float[np.ndarray, "s 6 n"]
-    """Step by what a later image shows otherwise."""
+    """Step of the affine part (row by row) and the shift by what a later image shows otherwise."""
+    middle: Float[np.ndarray, "s 2 n"]
+    """The same of the shift of its middle."""
     affine: Float[np.ndarray, "s 2 2"]
     """From the patch to the image in which it was found last."""
 
@@ -52,18 +57,16 @@ class Patches(NamedTuple):
         """Those of some slots."""
         return Patches(*(part[rows] for part in self))
 
-    def replaced(self, rows: Int[np.ndarray, " k"], others: "Patches") -> "Patches":
-        """The patches with others in some slots."""
-        parts = [part.copy() for part in self]
-        for part, other in zip(parts, others, strict=True):
+    def put(self, rows: Int[np.ndarray, " k"], others: "Patches") -> None:
+        """Other patches into some slots, in place: all of them are some megabytes."""
+        for part, other in zip(self, others, strict=True):
             part[rows] = other
-        return Patches(*parts)
 
 
 def no_patches(num: int) -> Patches:
     """Empty slots."""
     n = len(_AT)
-    zeros = (np.zeros((num, *shape), np.float32) for shape in ((n,), (n, 6), (6, n)))
+    zeros = (np.zeros((num, *shape), np.float32) for shape in ((n,), (6, n), (2, n)))
     return Patches(*zeros, np.tile(np.eye(2, dtype=np.float32), (num, 1, 1)))
 
 
@@ -77,17 +80,26 @@ def cut_out(grey: UInt8[np.ndarray, "h w"], uv: Float[np.ndarray, "s 2"]) -> Pat
     x, y = _AT.T
     by_each = (along_u * x, along_u * y, along_v * x, along_v * y, along_u, along_v)
     slopes = np.stack(by_each, axis=-1) * (_ROOT_WEIGHT / length[:, None])[..., None]
+    # What gain and offset of the light explain moves nothing.
     for taken in (np.broadcast_to(_ROOT_WEIGHT, look.shape), look):
         slopes = slopes - taken[..., None] * np.einsum("sn,snk->sk", taken, slopes)[:, None]
-    prior = np.diag(np.repeat([(_GREY_SIGMA / _AFFINE_SIGMA) ** 2, 1e-6], [4, 2])).astype(np.float32)
-    gain = np.linalg.solve(np.swapaxes(slopes, 1, 2) @ slopes + prior, np.swapaxes(slopes, 1, 2))
-    return Patches(look, slopes, gain, np.tile(np.eye(2, dtype=np.float32), (num, 1, 1)))
+    prior = np.repeat([(_GREY_SIGMA / _AFFINE_SIGMA) ** 2, _LEAST_SQUARE], [4, 2])
+    shifts = slopes[..., 4:] * _MIDDLE_SHARE[:, None]
+    parts = _steps(slopes, prior), _steps(shifts, np.full(2, _LEAST_SQUARE)) * _MIDDLE_SHARE
+    return Patches(look, *parts, np.tile(np.eye(2, dtype=np.float32), (num, 1, 1)))
+
+
+def _steps(slopes: Float[np.ndarray, "s n k"], prior: Float[np.ndarray, " k"]) -> Float[np.ndarray, "s k n"]:
+    """Least squares: the step that explains a difference best."""
+    across = np.swapaxes(slopes, 1, 2)
+    return np.linalg.inv(across @ slopes + np.diag(prior).astype(np.float32)) @ across
 
 
 class Found(NamedTuple):
     """Where patches are in a later image."""
 
     uv: Float[np.ndarray, "s 2"]
+    """Of their middle."""
     affine: Float[np.ndarray, "s 2 2"]
     alike: Float[np.ndarray, " s"]
     """Correlation of what is there with the patch."""
@@ -96,16 +108,24 @@ class Found(NamedTuple):
 def laid_over(patches: Patches, grey: UInt8[np.ndarray, "h w"], uv: Float[np.ndarray, "s 2"]) -> Found:
     """The corners in a later image, from places [px] a pixel or two off."""
     affine, at = patches.affine.copy(), np.asarray(uv, np.float32).copy()
-    for step in range(_NUM_STEPS + 1):
-        seen, _ = _normalised(_sampled(grey, at[:, None] + _AT @ np.swapaxes(affine, 1, 2)))
-        if step == _NUM_STEPS:
-            break
+    for _ in range(_NUM_STEPS):
+        seen = _seen(grey, at, affine)
         move = np.einsum("skn,sn->sk", patches.gain, seen - patches.look)
         # The step moves the patch; its inverse moves the image.
         back = np.linalg.inv(np.eye(2, dtype=np.float32) + move[:, :4].reshape(-1, 2, 2))
         affine = affine @ back
         at = at - np.einsum("sij,sj->si", affine, move[:, 4:])
+    seen = _seen(grey, at, affine)
+    shift = np.einsum("skn,sn->sk", patches.middle, seen - patches.look)
+    at = at - np.einsum("sij,sj->si", affine, shift)
     return Found(at, affine, np.einsum("sn,sn->s", seen, patches.look))
+
+
+def _seen(
+    grey: UInt8[np.ndarray, "h w"], at: Float[np.ndarray, "s 2"], affine: Float[np.ndarray, "s 2 2"]
+) -> Float[np.ndarray, "s n"]:
+    """What an image shows where patches lie, as their looks are."""
+    return _normalised(_sampled(grey, at[:, None] + _AT @ np.swapaxes(affine, 1, 2)))[0]
 
 
 def _sampled(grey: np.ndarray, uv: Float[np.ndarray, "s n 2"]) -> Float[np.ndarray, "s n"]:

@@ -6,12 +6,15 @@ In: a camera, pixels uv. Out: SightLines: unit rays in the camera frame, maps fr
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from semloc_jax.cameras import Camera
 
 _STEP_PX = 0.25
+_FLAT = 1e-12
+"""Where pixels span less of directions [rad^2] the model cannot be inverted."""
 
 
 class SightLines(NamedTuple):
@@ -33,20 +36,28 @@ def sight_lines(camera: Camera, uv: Float[np.ndarray, "n 2"]) -> SightLines:
         camera: Any model.
         uv: Pixels; those that the camera cannot see have `valid` False and finite values.
     """
-    steps = _STEP_PX * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
     with jax.enable_x64(True):
-        rays, seen = camera.unproject((uv[None] + steps[:, None]).reshape(-1, 2).astype(np.float64))
-    rays = np.asarray(rays, np.float64).reshape(5, -1, 3)
-    valid = np.asarray(seen).reshape(5, -1).all(axis=0) & np.isfinite(rays).all(axis=(0, 2))
-    rays = np.where(valid[None, :, None], rays, [0.0, 0.0, 1.0])
-    z = rays[0] / np.linalg.norm(rays[0], axis=1, keepdims=True)
-    by_uv = np.stack([rays[1] - rays[2], rays[3] - rays[4]], axis=-1) / (2 * _STEP_PX)
-    across = tangents(z)
-    slope = across @ by_uv
-    slope[~valid] = np.eye(2)
-    flat = np.abs(np.linalg.det(slope)) < 1e-12
-    slope[flat] = np.eye(2)
-    return SightLines(z, np.linalg.solve(slope, across), valid & ~flat)
+        found = _sight_lines(camera, np.asarray(uv, np.float64))
+    return SightLines(*(np.array(part) for part in found))
+
+
+@jax.jit
+def _sight_lines(camera: Camera, uv: Float[Array, "n 2"]) -> tuple[Array, Array, Array]:
+    # One program for each number of pixels: operation by operation it took a third of the time of following corners.
+    steps = _STEP_PX * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    rays, seen = camera.unproject((uv[None] + steps[:, None]).reshape(-1, 2))
+    rays = rays.reshape(5, -1, 3)
+    valid = seen.reshape(5, -1).all(axis=0) & jnp.isfinite(rays).all(axis=(0, 2))
+    rays = jnp.where(valid[None, :, None], rays, jnp.array([0.0, 0.0, 1.0]))
+    z = rays[0] / jnp.linalg.norm(rays[0], axis=1, keepdims=True)
+    by_uv = jnp.stack([rays[1] - rays[2], rays[3] - rays[4]], axis=1) / (2 * _STEP_PX)
+    by_uv = by_uv - jnp.sum(by_uv * z[:, None], axis=2, keepdims=True) * z[:, None]
+    (uu, mixed), (_, vv) = jnp.moveaxis(by_uv @ by_uv.swapaxes(1, 2), 0, -1)
+    area = uu * vv - mixed**2
+    valid &= area > _FLAT**2
+    adjugate = jnp.stack([jnp.stack([vv, -mixed], axis=-1), jnp.stack([-mixed, uu], axis=-1)], axis=1)
+    pixels = adjugate @ by_uv / jnp.where(valid, area, 1.0)[:, None, None]
+    return z, jnp.where(valid[:, None, None], pixels, jnp.eye(2, 3)), valid
 
 
 def tangents(ray: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2 3"]:

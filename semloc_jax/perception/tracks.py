@@ -37,7 +37,7 @@ class CornerConfig:
     back_check_px: float = 0.7
     """A corner that is followed there and back returns within this."""
     bucket_px: int = 60
-    """Side of the squares of which each gives one new corner."""
+    """Side of the squares of which each gives one new corner; at most, as there are to be as many squares as slots."""
     gate_px: float = 2.0
     """Largest distance from the epipolar plane of the motion."""
     border_px: int = 8
@@ -87,6 +87,8 @@ class _View(NamedTuple):
     sight: SightLines
     on_road: Bool[np.ndarray, " s"]
     patches: Patches
+    is_cut: Bool[np.ndarray, " s"]
+    """Whether a patch is there already: most new corners are not found again, and need none."""
 
 
 class FeatureTracker:
@@ -145,11 +147,11 @@ class FeatureTracker:
             uv = np.zeros((self.num_slots, 2))
             nowhere = np.zeros(self.num_slots, bool)
             none = no_patches(self.num_slots)
-            return _View(grey, empty, uv, sight_lines(rig.cameras[index], uv), nowhere, none), np.zeros(0)
+            return _View(grey, empty, uv, sight_lines(rig.cameras[index], uv), nowhere, none, nowhere), np.zeros(0)
         uv, found = self._flow(before, grey)
-        patches = before.patches
+        is_cut = before.is_cut
         if self.config.by_first_look:
-            uv, found, patches = self._laid_over(before, grey, uv, found)
+            uv, found, is_cut = self._laid_over(before, grey, uv, found)
         sight = sight_lines(rig.cameras[index], uv)
         kept = np.flatnonzero(found & sight.valid)
         scale = px_per_rad(sight)[kept]
@@ -158,7 +160,7 @@ class FeatureTracker:
         ids = empty.copy()
         ids[kept[good]] = before.id[kept[good]]
         moved_px = np.linalg.norm(np.cross(rays[0] @ R_cam.T, rays[1]), axis=1) * scale
-        return _View(grey, ids, uv, sight, before.on_road, patches), moved_px[good]
+        return _View(grey, ids, uv, sight, before.on_road, before.patches, is_cut), moved_px[good]
 
     def _flow(self, before: _View, grey: np.ndarray) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"]]:
         """Where the corners are now, and which of them came back when followed backwards."""
@@ -186,9 +188,11 @@ class FeatureTracker:
 
     def _laid_over(
         self, before: _View, grey: np.ndarray, uv: Float[np.ndarray, "s 2"], found: Bool[np.ndarray, " s"]
-    ) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"], Patches]:
+    ) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"], Bool[np.ndarray, " s"]]:
         """Where the corners are as they were when they were found; what looks otherwise has slipped."""
         config, rows = self.config, np.flatnonzero(found)
+        first = rows[~before.is_cut[rows]]
+        before.patches.put(first, cut_out(before.grey, before.uv[first]))
         laid = laid_over(before.patches.at(rows), grey, uv[rows])
         height, width = grey.shape
         off = np.linalg.norm(laid.uv - uv[rows], axis=1)
@@ -198,20 +202,20 @@ class FeatureTracker:
         good = inside & (off < config.largest_slip_px) & (laid.alike > config.least_alike) & (size > _LEAST_SIZE)
         uv, found, patches = uv.copy(), np.zeros_like(found), before.patches
         kept = rows[good]
-        uv[kept], found[kept] = laid.uv[good], True
-        affine = patches.affine.copy()
-        affine[kept] = laid.affine[good]
-        patches = patches._replace(affine=affine)
+        uv[kept], found[kept], patches.affine[kept] = laid.uv[good], True, laid.affine[good]
         # A patch that has grown shows what the old one could not; it is cut out anew.
-        grown = kept[size[good] > config.grown]
-        return uv, found, patches.replaced(grown, cut_out(grey, uv[grown]))
+        is_cut = found.copy()
+        is_cut[kept[size[good] > config.grown]] = False
+        return uv, found, is_cut
 
     def _filled(self, view: _View, rig: Rig, index: int, scenery: Scenery | None) -> _View:
         """The view with new corners in its empty slots."""
         free = np.flatnonzero(view.id < 0)
         config, taken = self.config, view.uv[view.id >= 0]
         usable = None if scenery is None else scenery.usable
-        corners = new_corners(view.grey, usable, taken, len(free), config.bucket_px, config.border_px)
+        # An image of 640 x 400 px has 70 squares of 60 px: more than half of the slots would stay empty.
+        bucket_px = min(config.bucket_px, int(np.sqrt(view.grey.size / self.num_slots)))
+        corners = new_corners(view.grey, usable, taken, len(free), bucket_px, config.border_px)
         slots = free[: len(corners)]
         ids, uv, on_road = view.id.copy(), view.uv.copy(), view.on_road.copy()
         ids[slots], uv[slots] = self._next_id + np.arange(len(slots)), corners
@@ -221,8 +225,9 @@ class FeatureTracker:
         self._next_id += len(slots)
         sight = sight_lines(rig.cameras[index], uv)
         ids[~sight.valid] = -1
-        patches = view.patches.replaced(slots, cut_out(view.grey, uv[slots]))
-        return _View(view.grey, ids, uv, sight, on_road, patches)
+        is_cut = view.is_cut.copy()
+        is_cut[slots] = False
+        return _View(view.grey, ids, uv, sight, on_road, view.patches, is_cut)
 
 
 def px_per_rad(sight: SightLines) -> Float[np.ndarray, " n"]:

@@ -7,6 +7,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.motion_noise import MotionNoise
 from semloc_jax.fusion.prediction import Calibration, MotionLog, MotionQuality
 from semloc_jax.geometry import rigid
+from semloc_jax.structs import InertialNoise
 
 STILL = np.array([0.0, 0.0, 9.81])
 
@@ -119,14 +120,15 @@ def test_right_calibration_removes_the_errors_of_the_sensors():
 
 def test_covariance_is_the_scatter_of_noisy_logs():
     """250 logs whose samples carry the white noise that the model states, no slip: the spread is the stated one."""
-    noise = MotionNoise(slip_share=0.0, gyro_turn_share=0.0)
+    noise, sensor = MotionNoise(slip_share=0.0, gyro_turn_share=0.0), InertialNoise(gyro_density=1e-3)
     rng = np.random.default_rng(2)
     ends = []
     for _ in range(250):
         log = MotionLog(noise)
+        log.inertial_noise = sensor
         for t in np.arange(0.0, 1.001, 0.1):
             log.add_wheels(t, 10.0 + noise.speed_density_mps / np.sqrt(0.1) * rng.normal(), 0.0)
-            gyro = np.array([0.0, 0.0, np.deg2rad(noise.gyro_density_degps) / np.sqrt(0.1) * rng.normal()])
+            gyro = np.array([0.0, 0.0, sensor.gyro_density / np.sqrt(0.1) * rng.normal()])
             log.add_imu(t, gyro, STILL)
         increment = log.increment(0.0, 1.0)
         ends.append(rigid.log(increment.T_from_to)[[0, 5]])
