@@ -105,7 +105,7 @@ def test_lists_that_cannot_be_meant_are_refused(tmp_path):
 
 
 def test_from_pictures_to_a_calibration(tmp_path, capsys):
-    folder, plan = tmp_path / "targets", TargetPlan(num_views=10, noise_px=0.1)
+    folder, plan = tmp_path / "targets", TargetPlan(num_views=15, noise_px=0.1)
     simulate_targets(folder, 3, plan, surround_rig().select(["front", "left"]))
     assert main(["calibrate", "--targets", str(folder), "--out", str(tmp_path / "out")]) == 0
     numbers = {m["key"]: m["value"] for m in json.loads((tmp_path / "out" / "metrics.json").read_text())["metrics"]}

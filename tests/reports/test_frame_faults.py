@@ -16,9 +16,9 @@ def test_rows_are_written_the_worst_told_and_false_frames_counted(tmp_path, monk
     """Two false frames count; those under a fault that no frame can see do not."""
 
     def localized(row, *_):
-        if row.fault == "focal":
-            raise SemlocError("fault 'focal': this camera has none")
-        false = {"occlusion": 2}.get(row.fault, 3 if row.apart else 0) if row.severity in (0, 2) else 0
+        if row.fault == "distortion":
+            raise SemlocError("fault 'distortion': this camera has none")
+        false = {"focal": 2}.get(row.fault, 3 if row.apart else 0) if row.severity in (0, 2) else 0
         return FrameFaultOutcome(
             *(row.fault, row.severity, row.size, row.family, row.apart),
             frames=10,
@@ -36,12 +36,12 @@ def test_rows_are_written_the_worst_told_and_false_frames_counted(tmp_path, monk
     monkeypatch.setattr(frame_faults, "frame_fault", localized)
     monkeypatch.setattr(run_inputs, "fingerprint", lambda *_: {})
     inputs = Inputs(SimpleNamespace(name="made"), None, None, None)
-    wanted = "none,occlusion,focal,camera_yaw"
+    wanted = "none,focal,distortion,camera_yaw"
     folder, told, false = report.report_frame_faults(inputs, wanted, None, slice(None), LocalizeConfig(), tmp_path)
     rows = list(csv.DictReader((folder / "faults.csv").open()))
-    fits = [row for row in frame_faults.frame_rows(wanted) if row.fault != "focal"]
+    fits = [row for row in frame_faults.frame_rows(wanted) if row.fault != "distortion"]
     assert [(row["fault"], int(row["severity"])) for row in rows] == [(row.fault, row.severity) for row in fits]
     counted = [row for row in fits if row.severity and not row.apart]
     assert false == 2 and f"{len(counted)} rows: 2 of {7 * len(counted)} localized frames false" in told
-    assert told.count("left out: fault 'focal'") == 1
-    assert "occlusion" in (folder / "faults.md").read_text()
+    assert told.count("left out: fault 'distortion'") == 1
+    assert "focal" in (folder / "faults.md").read_text()
