@@ -48,7 +48,7 @@ def one_effort() -> Iterator[None]:
         yield
 
 
-_LONG = ("cli", "mapping", "alignment", "fusion", "system", "test_notebooks.py", "analysis")
+_LONG = ("cli", "mapping", "alignment", "contracts", "system", "fusion", "calibration", "test_notebooks.py")
 """Rooms of tests that take longest, in this order."""
 _FEW_PROCESSES = 4
 """For more, the longest room would be the time of all."""
