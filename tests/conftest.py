@@ -7,6 +7,7 @@ SEMLOC_LITTLE_EFFORT=0 compiles as for users, which takes two to three times as 
 import gc
 import os
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ import pytest
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 from semloc_jax.runtime.prepare import prepare_jax
-from tests.effort import take_little_effort
+from tests.effort import is_little, take_little_effort
 
 take_little_effort()
 # The flags and the cache of the command line: what it, the notebooks and the test processes compile is compiled once.
@@ -30,6 +31,7 @@ if os.environ.get("SEMLOC_TYPECHECK", "1") != "0":
     check_types_of("semloc_jax")
 
 from semloc_jax.runtime.allocator import return_large_blocks  # noqa: E402 - after the hook
+from semloc_jax.runtime.effort import effort_for  # noqa: E402
 
 return_large_blocks()
 # Tracing makes many small objects and little garbage. As often as by default, a collection that looks at all objects
@@ -37,13 +39,33 @@ return_large_blocks()
 gc.set_threshold(100_000, 20, 20)
 
 
-_LONG = {"test_notebooks.py", "system", "cli"}
-"""Files and folders whose tests take longest."""
+@pytest.fixture(scope="session", autouse=True)
+def one_effort() -> Iterator[None]:
+    """A program that runs of many and of few frames have in common is compiled once, with the effort for few."""
+    with ExitStack() as stack:
+        if is_little():
+            stack.enter_context(effort_for(1))
+        yield
 
 
+_LONG = ("cli", "mapping", "alignment", "contracts", "system", "fusion", "calibration", "test_notebooks.py")
+"""Rooms of tests that take longest, in this order."""
+_FEW_PROCESSES = 4
+"""For more, the longest room would be the time of all."""
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files first: one that a test process starts last would keep the others waiting."""
-    items.sort(key=lambda item: _LONG.isdisjoint(item.path.parts))
+    """Long rooms first: one that a test process starts last would keep the others waiting.
+
+    With `--dist loadgroup` each room is tested by one process, so that its files share what is traced and compiled;
+    where there are many processes, each file.
+    """
+    are_few = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) <= _FEW_PROCESSES
+    rooms = {item: item.path.relative_to(Path(__file__).parent).parts[0] for item in items}
+    items.sort(key=lambda item: _LONG.index(rooms[item]) if rooms[item] in _LONG else len(_LONG))
+    for item, room in rooms.items():
+        item.add_marker(pytest.mark.xdist_group(room if are_few else str(item.path)))
 
 
 _MOST_MAPPINGS = 20_000

@@ -6,6 +6,11 @@ _LITTLE = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=fals
 """Compiles in a third to a half of the time that the effort for users takes; what it compiles runs half as fast."""
 
 
+def is_little() -> bool:
+    """Whether the tests of this process compile quickly."""
+    return os.environ.get("SEMLOC_LITTLE_EFFORT", "1") != "0"
+
+
 def take_little_effort() -> None:
     """Compile quickly in this process and in those it starts, unless SEMLOC_LITTLE_EFFORT=0.
 
@@ -14,7 +19,7 @@ def take_little_effort() -> None:
     as it is for users.
     """
     flags = os.environ.get("XLA_FLAGS", "")
-    if os.environ.get("SEMLOC_LITTLE_EFFORT", "1") != "0" and _LITTLE not in flags:
+    if is_little() and _LITTLE not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {_LITTLE}".strip()
 
 

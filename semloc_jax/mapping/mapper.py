@@ -123,11 +123,7 @@ def make_map(
         SemlocError: no frames, poses that are not finite, masks without paint, or nothing that stays.
     """
     config = config or MapConfig()
-    if not len(frames) or len(frames) != len(Ts_map_base) or not np.isfinite(Ts_map_base).all():
-        raise SemlocError(
-            f"drive {drive.name}: {len(frames)} frames and {len(Ts_map_base)} poses; expected at least one frame and a "
-            "finite pose for each"
-        )
+    _check_poses(drive, frames, Ts_map_base)
     looker = looker or Looker(drive, masks, config.look)
     gatherer = Gatherer(masks.table, config.look.spacing_m)
     looks = DriveLooks(looker, frames, Ts_map_base, progress, parts)
@@ -155,6 +151,14 @@ def make_map(
     rates = counting.detection_rates() | standing.detection_rates()
     rejected_map = _map_of(rejected, origin, drive.name)
     return MadeMap(made, rejected_map, rates, told.false_rates, gatherer, tuple(changes))
+
+
+def _check_poses(drive: Drive, frames: Sequence[Frame], Ts_map_base: np.ndarray) -> None:
+    if not len(frames) or len(frames) != len(Ts_map_base) or not np.isfinite(Ts_map_base).all():
+        raise SemlocError(
+            f"drive {drive.name}: {len(frames)} frames and {len(Ts_map_base)} poses; expected at least one frame and a "
+            "finite pose for each"
+        )
 
 
 class _AllTold(NamedTuple):

@@ -13,6 +13,7 @@ from semloc_jax.inputs.drive_inputs import Inputs
 if TYPE_CHECKING:
     from semloc_jax.alignment.frame_localizer import LocalizeConfig
     from semloc_jax.alignment.pose_prior import PriorSource
+    from semloc_jax.analysis.frame_faults import FrameFaultOutcome
     from semloc_jax.datasets import Drive
 
 _NUM_WORST = 10
@@ -51,12 +52,11 @@ def report_frame_faults(
     """
     from tqdm import tqdm
 
-    from semloc_jax.analysis.frame_faults import FrameFaultOutcome, frame_fault, frame_rows, to_markdown, worst_first
+    from semloc_jax.analysis.frame_faults import FrameFaultOutcome, frame_fault, frame_rows
     from semloc_jax.errors import SemlocError
     from semloc_jax.reports import run_inputs
     from semloc_jax.reports.fault_tables import TABLE, append, taken_up
     from semloc_jax.reports.folder import make_folder, write_record
-    from semloc_jax.storage import write_text
 
     rows = frame_rows(wanted)
     folder = make_folder(out, resume)
@@ -78,6 +78,14 @@ def report_frame_faults(
         outcomes.append(outcome)
     if not outcomes:
         raise SemlocError("\n".join([f"drive {inputs.drive.name}: no fault could be put into it", *left_out]))
+    return folder, *_told(outcomes, left_out, folder)
+
+
+def _told(outcomes: "list[FrameFaultOutcome]", left_out: list[str], folder: Path) -> tuple[str, int]:
+    """Writes all faults, the worst first; the worst ten as text, and the number of false frames that count."""
+    from semloc_jax.analysis.frame_faults import to_markdown, worst_first
+    from semloc_jax.storage import write_text
+
     ranked = worst_first(outcomes)
     write_text(folder / "faults.md", to_markdown(ranked) + "\n")
     shown = [o for o in ranked if not o.severity] + [o for o in ranked if o.severity][:_NUM_WORST]
@@ -86,4 +94,4 @@ def report_frame_faults(
     told = (
         f"{len({o.fault for o in counted})} faults, {len(counted)} rows: {false} of {localized} localized frames false"
     )
-    return folder, "\n".join([*dict.fromkeys(left_out), to_markdown(shown), told]), false
+    return "\n".join([*dict.fromkeys(left_out), to_markdown(shown), told]), false

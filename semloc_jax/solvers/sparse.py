@@ -37,6 +37,7 @@ class SparsePattern(NamedTuple):
     starts: tuple[Int[np.ndarray, " f"], ...]
     """Where the block of every factor begins in `entries`, in the order of `FactorGraph.blocks(upper=True)`."""
     num_entries: int
+    """Room for all blocks, rounded up: a loop more does not make another program."""
     diagonal: Int[np.ndarray, " d"]
     """Place of every coordinate's own entry."""
     order: Int[np.ndarray, " d"]
@@ -173,13 +174,19 @@ def _pattern(graph: FactorGraph, first: tuple[str, ...]) -> SparsePattern:
         raise SemlocError(f"sparse graph: families {first} have sizes {first_sizes}; expected one size to go first")
     return SparsePattern(
         starts=tuple(starts[np.searchsorted(codes, pair)].astype(np.int32) for pair in pairs),
-        num_entries=int(starts[-1]),
+        num_entries=_rounded_up(int(starts[-1])),
         diagonal=diagonal.astype(np.int32),
         order=coordinates,
         matrix=_matrix(low, high, starts, sizes, offsets, coordinates),
         num_first=int(np.sum(sizes[is_first])),
         block_first=first_sizes.pop() if first_sizes else 1,
     )
+
+
+def _rounded_up(num: int) -> int:
+    """The next of eight sizes in each octave, so that few programs serve graphs that grow."""
+    step = 1 << max(num.bit_length() - 4, 0)
+    return -(-num // step) * step
 
 
 def _within(sizes: Int[np.ndarray, " n"]) -> Int[np.ndarray, " d"]:

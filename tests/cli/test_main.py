@@ -23,17 +23,30 @@ def test_help_names_every_verb_and_exit_code(capsys):
     assert "0 done, 1 failed, 2 wrong usage, 3 ran but is lost" in text
 
 
-@pytest.mark.parametrize("words", [["--help"], *([verb, "--help"] for verb in VERBS)])
-def test_help_imports_nothing_heavy(words):
-    code = (
-        f"import sys\nfrom semloc_jax.cli.main import main\ncode = main({words!r})\n"
-        f"print('LOADED', *[n for n in {HEAVY!r} if n in sys.modules])\nprint(len(sys.modules))\nsys.exit(code)"
-    )
+IN_FORKS = """
+import os, sys
+from semloc_jax.cli.main import main
+
+for words in {calls!r}:
+    if os.fork() == 0:
+        code = main(words)
+        print("CALL", code, len(sys.modules), *[name for name in {heavy!r} if name in sys.modules], flush=True)
+        os._exit(0)
+    os.wait()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_help_imports_nothing_heavy():
+    """Each call in a process that has imported the command line and nothing else."""
+    calls = [["--help"], *([verb, "--help"] for verb in VERBS)]
+    code = IN_FORKS.format(calls=calls, heavy=HEAVY)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
-    assert done.returncode == OK, done.stderr
-    loaded, count = done.stdout.splitlines()[-2:]
-    assert loaded == "LOADED"
-    assert int(count) <= MOST_MODULES["VERB --help" if len(words) > 1 else "--help"]
+    told = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("CALL")]
+    assert len(told) == len(calls), done.stderr
+    for words, (returned, count, *loaded) in zip(calls, told, strict=True):
+        assert (int(returned), loaded) == (OK, []), words
+        assert int(count) <= MOST_MODULES["VERB --help" if len(words) > 1 else "--help"], words
 
 
 @pytest.mark.parametrize("words", [["--help"], *([*verb.split(), "--help"] for verb in (*VERBS, "learn eyes"))])

@@ -16,6 +16,7 @@ from semloc_jax.geometry import lie, rigid
 from semloc_jax.mapping.chain import Chain, drive_chain
 from semloc_jax.mapping.chain_graph import NO_LOOPS, ChainGraphConfig, Loops, Start, chain_graph, solve_chain
 from semloc_jax.solvers.levenberg_marquardt import SolveConfig
+from semloc_jax.solvers.sparse import SparseProblem
 from tests.compiling import jit_quickly
 
 EXACT = ChainGraphConfig(solve=SolveConfig(tolerance=1e-9, max_steps=100))
@@ -117,6 +118,18 @@ def test_poses_and_covariances_are_those_of_dense_least_squares():
     by_sigma = found.covariance(np.array([3, 9])) / np.outer(sigma, sigma)
     # Gauss-Newton takes the derivative of the calibration to first order in its change, 2 %.
     np.testing.assert_allclose(by_sigma, covariance[np.ix_(rows, rows)] / np.outer(sigma, sigma), atol=1e-3)
+
+
+def test_one_more_loop_rarely_makes_another_program():
+    """It makes one where the room for blocks is another; of that an eighth at most is spare."""
+    chain, poses = made_chain()
+    start, rooms = Start(poses[0], np.diag(np.repeat([0.01, 0.001], 3) ** 2)), set()
+    for num in range(1, 13):
+        graph, _ = chain_graph(chain, poses, start, measured_loops(poses, LOOPS[:num]), None, EXACT)
+        pattern = SparseProblem(graph).pattern
+        rooms.add(pattern.num_entries)
+        assert 1.0 <= pattern.num_entries / (pattern.matrix.data.max() + 1) <= 1.125
+    assert len(rooms) <= 3
 
 
 def test_a_relative_covariance_is_that_of_many_drives():

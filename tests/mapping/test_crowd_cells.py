@@ -1,6 +1,7 @@
 """A map in cells is the map of one solve: each thing once, lines that meet, only what changed is solved again."""
 
 import hashlib
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -48,6 +49,14 @@ def made(three):
     return merge_whole(three)
 
 
+@pytest.fixture(scope="module")
+def stored(three, made, tmp_path_factory):
+    """The folder of that map with its cells, to be copied."""
+    folder = tmp_path_factory.mktemp("stored")
+    assert same(merge_whole(three, kept=KeptCells(folder / "m.gpkg")), made)
+    return folder
+
+
 def same(a, b):
     return [(e.id, record_of(e)) for e in a.beliefs.map.elements] == [
         (e.id, record_of(e)) for e in b.beliefs.map.elements
@@ -74,10 +83,8 @@ def test_each_thing_is_there_once_and_lines_meet_at_the_border(made):
         assert abs(ahead[0] * step[1] - ahead[1] * step[0]) < 0.06
 
 
-def test_a_cell_whose_drives_are_the_same_is_not_solved_again(three, made, tmp_path):
-    kept = KeptCells(tmp_path / "m.gpkg")
-    first = merge_whole(three, kept=kept)
-    assert same(first, made)
+def test_a_cell_whose_drives_are_the_same_is_not_solved_again(three, made, stored, tmp_path):
+    shutil.copytree(stored, tmp_path, dirs_exist_ok=True)
     assert merge_whole(three, kept=KeptCells(tmp_path / "m.gpkg")).num_solved == 0
     more = Ledger(None, three.drives | ledger(moved_drive(7, SHORT)).drives)
     again = KeptCells(tmp_path / "m.gpkg")
@@ -87,14 +94,14 @@ def test_a_cell_whose_drives_are_the_same_is_not_solved_again(three, made, tmp_p
     assert same(after, fresh) and fresh.num_solved == 2
     right = [e for e in after.beliefs.map.elements if cell_of(e) == Cell(1, 0)]
     assert [record_of(e) for e in right] == [
-        record_of(e) for e in first.beliefs.map.elements if cell_of(e) == Cell(1, 0)
+        record_of(e) for e in made.beliefs.map.elements if cell_of(e) == Cell(1, 0)
     ]
     again.drop_others()
     assert len(list((tmp_path / "m.gpkg.history" / "cells").iterdir())) == 2
 
 
-def test_a_damaged_cell_is_refused(three, tmp_path):
-    merge_whole(three, kept=KeptCells(tmp_path / "m.gpkg"))
+def test_a_damaged_cell_is_refused(three, stored, tmp_path):
+    shutil.copytree(stored, tmp_path, dirs_exist_ok=True)
     for path in (tmp_path / "m.gpkg.history" / "cells").iterdir():
         path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(SemlocError, match="delete it"):
@@ -105,18 +112,18 @@ def test_a_damaged_cell_is_refused(three, tmp_path):
 
 def test_blocks_in_time_make_one_map_that_keeps_its_ids(tmp_path):
     """The cost of a drive is that of its block; the map goes on to be better."""
-    drives = [drive(ROAD, k) for k in range(8)]
-    whole, blocks = merge_whole(ledger(*drives)), merge_whole(ledger(*drives), MergeConfig(block=4))
-    bias = np.mean([np.random.default_rng([0, k]).normal(0.0, 1.0, 2) for k in range(8)], axis=0)
-    for made in (whole, blocks):
-        theirs = compare_maps(made.beliefs.map.elements, ROAD.elements, "se2")
-        assert theirs.classes["dash"].f1 > 0.95 and not made.distrusted
-        assert np.abs(shift_of(theirs, made) - bias).max() < 0.15
-    first = merge_whole(ledger(*drives[:4]), MergeConfig(block=4))
-    kept = {e.id for e in first.beliefs.map.elements}
-    assert len(kept & {e.id for e in blocks.beliefs.map.elements}) >= 0.95 * len(kept)
+    drives = [replace(drive(ROAD, k), when_s=3.6e6 * k) for k in range(6)]
+    config, kept = MergeConfig(block=3), KeptCells(tmp_path / "m.gpkg")
+    first = merge_whole(ledger(*drives[:3]), config, kept=kept)
+    blocks = merge_whole(ledger(*drives), config, kept=kept)
+    bias = np.mean([np.random.default_rng([0, k]).normal(0.0, 1.0, 2) for k in range(6)], axis=0)
+    theirs = compare_maps(blocks.beliefs.map.elements, ROAD.elements, "se2")
+    assert theirs.classes["dash"].f1 > 0.95 and not blocks.distrusted
+    assert np.abs(shift_of(theirs, blocks) - bias).max() < 0.15
+    names = {e.id for e in first.beliefs.map.elements}
+    assert len(names & {e.id for e in blocks.beliefs.map.elements}) >= 0.95 * len(names)
     dashes = sum(e.style == "dashed" for e in ROAD.elements)
-    assert blocks.rates["dash"].visible >= 7 * dashes  # the looks of both blocks count
+    assert blocks.rates["dash"].visible >= 5 * dashes  # the looks of both blocks count
 
 
 def shift_of(comparison, made):
@@ -127,16 +134,16 @@ def shift_of(comparison, made):
 
 
 def test_blocks_are_kept_and_any_order_makes_the_same_map(tmp_path):
-    drives = [replace(drive(SHORT, k), when_s=3.6e6 * k) for k in range(5)]
+    drives = [replace(drive(SHORT, k), when_s=3.6e6 * k) for k in range(4)]
     expected = merge_whole(ledger(*drives), FEW)
-    for order in ((0, 1, 2, 3, 4), (4, 0, 3, 1, 2)):
+    for order in ((0, 1, 2, 3), (3, 0, 2, 1)):
         kept = KeptCells(tmp_path / f"m{order[0]}.gpkg")
         found = None
-        for k in range(1, 6):
+        for k in range(1, 5):
             found = merge_whole(ledger(*(drives[i] for i in order[:k])), FEW, kept=kept)
         assert same(found, expected)
     name = f"m{0}.gpkg.history"
-    assert len(list((tmp_path / name / "cells").iterdir())) == 5  # one for each drive, as they came
+    assert len(list((tmp_path / name / "cells").iterdir())) == 4  # one for each drive, as they came
 
 
 def test_what_no_drive_passed_stays_to_the_bit():

@@ -30,7 +30,7 @@ def state_of(drives):
     return MapState(merged(BeliefMap.of(ROAD.map), drives).beliefs.as_map())
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_another_drive_of_the_same_world_rewrites_nothing(seed):
     """A dash went and a pole came: that is told once. Later drives say it again, which is no news."""
     pole = next(e for e in ROAD.elements if e.id == "pole_4")

@@ -148,7 +148,7 @@ def test_odometer_and_images_tell_the_scale_as_sure_as_each_of_them_is(sigma_odo
         assert abs(found.motions[element.id][0, 3] - (T[0, 3] if left == 0.0 else 0.0)) < within_m
 
 
-@pytest.mark.parametrize("share", [0.25, 4.0])
+@pytest.mark.parametrize("share", [pytest.param(0.25, marks=pytest.mark.slow), 4.0])
 def test_pulls_are_as_sure_as_they_scatter(share):
     """31 frames that each see some 8 elements, whose pulls scatter half or twice as far as they state: noise is told
     within 10 %, but for what the stated one is believed, and the errors of the last pose over 12 drives are those that

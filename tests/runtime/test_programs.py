@@ -60,6 +60,7 @@ class Pair(NamedTuple):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
+    monkeypatch.setattr(effort, "_runs_of_few", [])  # whatever the effort of the other tests
     monkeypatch.setattr(programs, "is_open", lambda: True)
     monkeypatch.setattr(programs, "_folder", lambda: tmp_path / "programs")
     return tmp_path / "programs"
