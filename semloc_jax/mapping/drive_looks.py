@@ -52,6 +52,12 @@ class DriveLooks:
                 standing.add([look.mask for look in looks], self.looker.rays, self.Ts_map_base[index], time_s)
 
 
+def step_between_m(Ts_map_base: Float[np.ndarray, "n 4 4"]) -> float:
+    """Way between the frames of a drive that count [m], in the median; 0 where it stands."""
+    way_m = np.linalg.norm(np.diff(Ts_map_base[_moving(Ts_map_base), :2, 3], axis=0), axis=1)
+    return float(np.median(way_m)) if len(way_m) else 0.0
+
+
 def _moving(Ts_map_base: np.ndarray) -> list[int]:
     """Frames in which the vehicle has moved on since the last one that counts."""
     chosen = [0]

@@ -86,13 +86,14 @@ class Look:
 class Looker:
     """Looks at the road with all cameras of a drive; the tables of the cameras are made once."""
 
-    def __init__(self, drive: Drive, masks: MaskSource, config: RoadLookConfig | None = None):
+    def __init__(self, drive: Drive, masks: MaskSource, config: RoadLookConfig | None = None, step_m: float = 0.0):
+        """Make the tables; `step_m`: way from frame to frame, see `RoadTable.of`."""
         self.masks = masks
         self.config = config or RoadLookConfig()
         rig = masks.seen_by(drive.rig.select(masks.cameras))
         poses = np.asarray(rig.T_base_cam, dtype=np.float64)
         self.tables = [
-            RoadTable.of(camera, T, self.config.range_m, self.config.spacing_m)
+            RoadTable.of(camera, T, self.config.range_m, self.config.spacing_m, step_m)
             for camera, T in zip(rig.cameras, poses, strict=True)
         ]
         if not any(len(table.pixel) for table in self.tables):

@@ -15,7 +15,7 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.base_map import BaseConfig, Change, Countable, Known, aged_logit, taken_in
-from semloc_jax.mapping.drive_looks import DriveLooks
+from semloc_jax.mapping.drive_looks import DriveLooks, step_between_m
 from semloc_jax.mapping.evidence_grid import TILE
 from semloc_jax.mapping.existence import Counting, ExistenceConfig
 from semloc_jax.mapping.joint import RefineConfig
@@ -124,7 +124,7 @@ def make_map(
     """
     config = config or MapConfig()
     _check_poses(drive, frames, Ts_map_base)
-    looker = looker or Looker(drive, masks, config.look)
+    looker = looker or Looker(drive, masks, config.look, step_between_m(Ts_map_base))
     gatherer = Gatherer(masks.table, config.look.spacing_m)
     looks = DriveLooks(looker, frames, Ts_map_base, progress, parts)
     looks.gather(gatherer, config.uprights)

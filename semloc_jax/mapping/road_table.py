@@ -12,7 +12,11 @@ from jaxtyping import Float, Int
 from semloc_jax.cameras import Camera
 
 COARSEST_PX_PER_M = 4.0
-"""Where a metre of road is fewer pixels in the coarser direction, a mask says too little about paint; our choice."""
+"""Where a metre of road is fewer pixels in the coarser direction, a mask says little about paint; our choice."""
+_LEAST_PX_PER_M = 1.5
+"""The same where a drive shows no place finely often enough; lines across the view are not to be told any more."""
+_LOOKS = 4
+"""Frames that shall show a place as the vehicle drives towards it: those that must, and one in which it is hidden."""
 FINE_PX_PER_M = 25.0
 """Where one pixel covers 4 cm or less, finer views count no more: several looks say more than the nearest one alone."""
 _DELTA_M = 0.01
@@ -47,7 +51,14 @@ class RoadTable:
     camera_base: Float[np.ndarray, " 3"]
 
     @classmethod
-    def of(cls, camera: Camera, T_base_cam: Float[np.ndarray, "4 4"], range_m: float, spacing_m: float) -> "RoadTable":
+    def of(
+        cls,
+        camera: Camera,
+        T_base_cam: Float[np.ndarray, "4 4"],
+        range_m: float,
+        spacing_m: float,
+        step_m: float = 0.0,
+    ) -> "RoadTable":
         """The table of a camera.
 
         Args:
@@ -55,16 +66,18 @@ class RoadTable:
             T_base_cam: its pose; z of the base frame is 0 on the road.
             range_m: reach on the road around the base frame.
             spacing_m: distance of neighbouring places.
+            step_m: way from frame to frame: a vehicle that passes fast what a small image shows near it looks farther.
         """
         T_base_cam = np.asarray(T_base_cam, dtype=np.float64)
+        coarsest = _coarsest_px_per_m(camera, T_base_cam, range_m, step_m)
         line = np.arange(-range_m, range_m, spacing_m)
         skipped = max(round(_COARSE_M / spacing_m), 1)
         coarse = np.stack(np.meshgrid(line[::skipped], line[::skipped]), axis=-1).reshape(-1, 2)
-        near = coarse[_shown(camera, T_base_cam, coarse)[1]]
+        near = coarse[_shown(camera, T_base_cam, coarse, coarsest)[1]]
         low, high = (near.min(axis=0), near.max(axis=0)) if len(near) else (np.zeros(2), np.zeros(2))
         axes = [np.arange(low[k] - _COARSE_M, high[k] + _COARSE_M, spacing_m) for k in (0, 1)]
         xy = np.stack(np.meshgrid(*axes), axis=-1)
-        uv, shown, scales = _shown(camera, T_base_cam, xy.reshape(-1, 2))
+        uv, shown, scales = _shown(camera, T_base_cam, xy.reshape(-1, 2), coarsest)
         row = np.where(shown, np.cumsum(shown) - 1, -1).astype(np.int32).reshape(xy.shape[:2])
         width, _ = camera.resolution
         pixel = np.rint(uv[shown, 1]).astype(np.int32) * width + np.rint(uv[shown, 0]).astype(np.int32)
@@ -178,7 +191,19 @@ def _averaged(values: np.ndarray, at_m: np.ndarray) -> np.ndarray:
     return near @ values / near.sum(axis=1)
 
 
-def _shown(camera: Camera, T_base_cam: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _coarsest_px_per_m(camera: Camera, T_base_cam: np.ndarray, range_m: float, step_m: float) -> float:
+    """How coarsely a place may be shown, so that enough frames show each place on the way of the vehicle."""
+    way_m = np.arange(0.0, range_m, _COARSE_M)
+    _, seen, scales = _shown(camera, T_base_cam, np.column_stack([way_m, np.zeros(len(way_m))]), 0.0)
+    if not seen.any():  # a camera to the side or to the back: what it shows is near
+        return COARSEST_PX_PER_M
+    needed = seen & (way_m <= way_m[seen][0] + _LOOKS * step_m)
+    return float(np.clip(scales[0, needed].min(), _LEAST_PX_PER_M, COARSEST_PX_PER_M))
+
+
+def _shown(
+    camera: Camera, T_base_cam: np.ndarray, xy: np.ndarray, coarsest_px_per_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixels of places on the plane, whether they are shown finely enough, and pixels per metre, coarse and fine."""
     ahead = _pixels(camera, T_base_cam, xy + [_DELTA_M, 0.0])[0]
     aside = _pixels(camera, T_base_cam, xy + [0.0, _DELTA_M])[0]
@@ -188,7 +213,7 @@ def _shown(camera: Camera, T_base_cam: np.ndarray, xy: np.ndarray) -> tuple[np.n
     area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     spread = np.sqrt(np.maximum(trace**2 - 4.0 * area**2, 0.0))
     scales = np.sqrt(np.maximum(0.5 * np.stack([trace - spread, trace + spread]), 0.0))
-    return uv, seen & (scales[0] >= COARSEST_PX_PER_M), scales
+    return uv, seen & (scales[0] >= coarsest_px_per_m), scales
 
 
 def _pixels(camera: Camera, T_base_cam: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

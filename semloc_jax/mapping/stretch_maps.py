@@ -15,6 +15,7 @@ from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.chain import Chain
+from semloc_jax.mapping.drive_looks import step_between_m
 from semloc_jax.mapping.looking import Looker
 from semloc_jax.mapping.mapper import MapConfig, make_map
 from semloc_jax.maps import SemanticMap
@@ -55,10 +56,10 @@ class StretchMaps:
         return self._made[key]
 
     def _map_of(self, rows: np.ndarray) -> SemanticMap | None:
-        if self._looker is None:
-            self._looker = Looker(self.drive, self.masks, self.config.look)
         frames = [self.drive.frames[row] for row in rows]
         poses = self.chain.Ts_odom_base[rows]
+        if self._looker is None:
+            self._looker = Looker(self.drive, self.masks, self.config.look, step_between_m(poses))
         try:
             made = make_map(self.drive, self.masks, frames, poses, self.config, looker=self._looker)
         # Nothing that stays was seen along the stretch; what is wrong with the whole drive, its own map will say.
