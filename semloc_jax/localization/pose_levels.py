@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import ndtri
 
 from semloc_jax.cameras import Rig
 from semloc_jax.evaluation.metrics import ErrorLimit
-from semloc_jax.evaluation.mixture_bounds import LEAST_LEVELS, RISK, Causes, beyond
+from semloc_jax.evaluation.mixture_bounds import Causes, beyond
 from semloc_jax.fusion import noise_scale
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.localization import course, innovations, separation, watch, weighed_faults
@@ -33,8 +32,8 @@ _OF_LEVELS = [1, 0, 5]
 _UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
 _LEAST_VARIANCE = 1e-12
 """Of a pose [m^2, rad^2]: none is surer."""
-_MOUNT_SIGMA_DEG = LEAST_LEVELS[2] / float(-ndtri(0.5 * RISK))
-"""How exactly cameras are mounted, where the least level of the heading is what they exceed at the stated risk."""
+_UNTOLD_DEG = float(np.degrees(0.5 / 600.0))
+"""What no frame tells of the heading of sound cameras: masks that lie half a pixel aside, at 600 px a radian."""
 _NOT_EXCLUDED = "another lens or elements of the map that were moved are not excluded yet: more way tells"
 
 
@@ -178,8 +177,8 @@ def left_open(known: Known, move: Float[np.ndarray, "3"]) -> Float[np.ndarray, "
     spoken = [separation.second_moment(fault, move) for fault in known.spoken]
     way, _ = known.way
     aside = known.aside * (way.off_rad**2 + way.sigma_rad**2)
-    mount = np.array([0.0, 0.0, _MOUNT_SIGMA_DEG**2 + np.degrees(np.degrees(aside))])
-    return np.max([weighed, *spoken], axis=0) + known.sound + np.square(known.standing) + mount
+    turned = np.array([0.0, 0.0, _UNTOLD_DEG**2 + np.degrees(np.degrees(aside))])
+    return np.max([weighed, *spoken], axis=0) + known.sound + np.square(known.standing) + turned
 
 
 def within(known: Known, levels: PoseLevels) -> PoseLevels:
