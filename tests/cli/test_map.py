@@ -19,7 +19,7 @@ from semloc_jax.maps import BeliefMap, MapElement, read_map
 from semloc_jax.reports.map_film import MapFilm
 from semloc_jax.simulation import SimulationConfig, simulate
 
-NUM = 10
+NUM = 14
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_a_second_look_along_the_same_way_adds_nothing_and_takes_phantoms_away(m
     drive = open_drive(drive_dir)
     poses = read_trajectory(made / "trajectory.tum").T_map_base
     places = [[6.0, 1.0, 0.0, 1.0], [9.0, 1.0, 0.0, 1.0], [12.0, -5.0, 0.0, 1.0], [12.0, -5.0, 3.0, 1.0]]
-    ahead = poses[3] @ np.array(places).T
+    ahead = poses[6] @ np.array(places).T
     phantoms = [
         MapElement("phantom_dash", "lane_marking", ahead[:3, :2].T, width_m=0.15, style="dashed"),
         MapElement("phantom_pole", "pole", ahead[:3, 2:].T, radius_m=0.08),
