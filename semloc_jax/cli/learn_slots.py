@@ -22,7 +22,7 @@ class Options:
     every threshold), loss.csv, a picture of each set (rings: truth, arrows: found) and config.yaml. A lesson that
     stopped goes on where --out names its folder.
 
-    Every value of the configuration is an option too, e.g. --num-pictures 5000 or --training.num-steps 6000.
+    Every value of the configuration is an option too, e.g. --num-pictures 16000 or --training.num-steps 20000.
     """
 
     held_out: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DRIVE...")] = ()

@@ -36,13 +36,13 @@ class SlotLearningConfig:
         training: steps, rate, seed.
     """
 
-    num_pictures: int = 2000
+    num_pictures: int = 8000
     size_px: int = 128
     batch: int = 16
     num_judged: int = 200
     judged_px: int = 192
-    precision: float = 0.75
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=2600))
+    precision: float = 0.85
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=10_000))
 
     def __post_init__(self) -> None:
         step = CONFIG.step_px

@@ -178,7 +178,8 @@ def left_open(known: Known, move: Float[np.ndarray, "3"]) -> Float[np.ndarray, "
     way, _ = known.way
     aside = known.aside * (way.off_rad**2 + way.sigma_rad**2)
     turned = np.array([0.0, 0.0, _UNTOLD_DEG**2 + np.degrees(np.degrees(aside))])
-    return np.max([weighed, *spoken], axis=0) + known.sound + np.square(known.standing) + turned
+    anywhere = np.square(known.standing) / 3.0  # within its reach the right pose is anywhere: a uniform variance
+    return np.max([weighed, *spoken], axis=0) + known.sound + anywhere + turned
 
 
 def within(known: Known, levels: PoseLevels) -> PoseLevels:
