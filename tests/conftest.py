@@ -50,22 +50,12 @@ def one_effort() -> Iterator[None]:
 
 _LONG = ("cli", "mapping", "alignment", "contracts", "system", "fusion", "calibration", "test_notebooks.py")
 """Rooms of tests that take longest, in this order."""
-_FEW_PROCESSES = 4
-"""For more, the longest room would be the time of all."""
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long rooms first: one that a test process starts last would keep the others waiting.
-
-    With `--dist loadgroup` each room is tested by one process, so that its files share what is traced and compiled;
-    where there are many processes, each file.
-    """
-    are_few = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) <= _FEW_PROCESSES
+    """Long rooms first: a file that a test process starts last would keep the others waiting."""
     rooms = {item: item.path.relative_to(Path(__file__).parent).parts[0] for item in items}
     items.sort(key=lambda item: _LONG.index(rooms[item]) if rooms[item] in _LONG else len(_LONG))
-    for item, room in rooms.items():
-        item.add_marker(pytest.mark.xdist_group(room if are_few else str(item.path)))
 
 
 _MOST_MAPPINGS = 20_000
