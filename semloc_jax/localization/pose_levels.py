@@ -95,6 +95,10 @@ class Known(NamedTuple):
         """Risk that the level of the heading may have on either side where the cameras look aside."""
         return self.config.health.integrity.risk / 6.0 / self.aside
 
+    def weighed_about(self, move: Float[np.ndarray, "3"]) -> Causes:
+        """The weighed faults about a pose that was moved."""
+        return self.weighed._replace(mean=self.weighed.mean - move)
+
 
 def spoken_for(state: TrackerState, rig: Rig, config: TrackConfig) -> list[Separation]:
     """What the last frames say against calibration, map and motion."""
@@ -156,8 +160,8 @@ def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
     if beyond_alert(ProtectionLevels(*most.tolist()), limit):
         causes = (*causes, _NOT_EXCLUDED)
     protection = ProtectionLevels(*np.maximum(protection, most).tolist())
-    still = known.weighed._replace(mean=known.weighed.mean - move)
-    misled += float(beyond(still, np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])).sum())
+    room = np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])
+    misled += float(beyond(known.weighed_about(move), room).sum())
     aside_m = abs(way.off_rad) * watch.cameras_ahead_m(known.rig)
     protection = protection._replace(
         lateral_m=max(protection.lateral_m, own.lateral_m + aside_m),
@@ -171,7 +175,7 @@ def left_open(known: Known, move: Float[np.ndarray, "3"]) -> Float[np.ndarray, "
 
     A pose that stands between two explanations is off by the way to one of them.
     """
-    causes = known.weighed._replace(mean=known.weighed.mean - move)
+    causes = known.weighed_about(move)
     sound = max(1.0 - float(causes.probability.sum()), 0.0)
     weighed = causes.probability @ (causes.mean**2 + causes.sigma**2) + sound * np.square(move)
     spoken = [separation.second_moment(fault, move) for fault in known.spoken]
