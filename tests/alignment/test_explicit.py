@@ -78,6 +78,7 @@ def test_all_shapes_of_a_frame_without_noise_are_their_landmarks(world):
     assert num == len(seen.sights) >= 6
 
 
+@pytest.mark.slow
 def test_errors_of_single_frames_are_as_large_as_stated(world):
     """Twelve frames with 2 px and 5 cm of noise: mean square error over the stated variance, in the plane."""
     rng, squares, errors = np.random.default_rng(1), [], []

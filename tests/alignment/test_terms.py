@@ -32,6 +32,7 @@ def assert_held(estimate):
     assert 0.03 < np.sqrt(estimate.covariance[0, 0]) < 0.1
 
 
+@pytest.mark.slow
 def test_align_is_held_along_the_road_by_a_beacon(two_lines):
     given, term = two_lines
     assert_held(sj.align(*given, classes=CLASSES, terms=(term,)))

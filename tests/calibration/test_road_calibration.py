@@ -96,6 +96,7 @@ def off(rig, T_base_cam):
     return found
 
 
+@pytest.mark.slow
 def test_mounts_come_back_on_a_curve_and_what_is_free_is_named_on_a_straight():
     rig = four_fisheyes()
     start_rig, config = knocked(rig), RoadCalibrationConfig()

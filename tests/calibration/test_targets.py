@@ -104,6 +104,7 @@ def test_lists_that_cannot_be_meant_are_refused(tmp_path):
         read_survey(tmp_path, Board(5, 4, 0.2))
 
 
+@pytest.mark.slow
 def test_from_pictures_to_a_calibration(tmp_path, capsys):
     folder, plan = tmp_path / "targets", TargetPlan(num_views=15, noise_px=0.1)
     simulate_targets(folder, 3, plan, surround_rig().select(["front", "left"]))

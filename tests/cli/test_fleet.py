@@ -36,6 +36,7 @@ def rows(folder):
         return {row["drive"]: row for row in csv.DictReader(file)}
 
 
+@pytest.mark.slow
 def test_processes_give_what_single_runs_give(drives, tmp_path, capsys):
     for name in ("one", "two"):
         localize(drives, [name], "--out", tmp_path / "alone" / name, "--min-localized-share", 0)

@@ -183,6 +183,7 @@ def test_without_wheels_it_says_what_is_missing(drive_dir, tmp_path, capsys):
     assert "no wheel odometry" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_start_from_a_file_moves_the_map(drive_dir, tmp_path):
     poses = np.loadtxt(drive_dir / "poses_body.tum")
     poses[:, 1] += 100.0

@@ -148,6 +148,7 @@ def test_signs_are_upright_rectangles_of_the_right_size():
     np.testing.assert_allclose(np.ptp(outline[:, 2]), 0.6, atol=0.05)
 
 
+@pytest.mark.slow
 def test_the_map_lies_on_the_paint_of_frames_it_was_not_made_from(drive):
     """Dashes, in pixels of the front camera: 1 px median and no bias, across and along."""
     corrected = calibrated(drive, MAP_SWEEPS)

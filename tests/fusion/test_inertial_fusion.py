@@ -149,6 +149,7 @@ def test_velocities_by_cameras_give_the_way_and_poses_their_scale():
     assert np.sqrt(np.mean(along**2)) < 0.005 * 108 < np.sqrt(np.mean(np.square(alone)))
 
 
+@pytest.mark.slow
 def test_the_doubt_about_a_way_without_a_map_holds_where_errors_of_the_velocity_last():
     """Gaps of 2, 6 and 20 s: velocities 1 % of 9 m/s wrong for 8 s, as a window has them. Taken for new at every image
     they would leave 0.2 m of doubt after 20 s (180 m), five times too little."""
@@ -186,6 +187,7 @@ def test_what_does_not_fit_is_refused_and_changes_nothing():
     assert innovation.accepted and innovation.dof == 2 and np.linalg.norm(fitted.gnss_offset_m) > 1.0
 
 
+@pytest.mark.slow
 def test_clock_and_mount_of_the_sensor_are_found_while_driving():
     """A sensor 20 ms late and turned by 1 deg about an oblique axis, poses of 1 cm and 0.03 deg at 5 Hz, 40 s."""
     mount_deg, late_s, found = np.array([0.6, -0.6, 0.53]), 0.02, []

@@ -131,6 +131,7 @@ def test_a_random_view_is_judged_like_a_drive(samples):
 
 
 @pytest.mark.usefixtures("single_precision")
+@pytest.mark.slow
 def test_a_tiny_lesson_writes_everything(tmp_path, capsys):
     words = ["--num-pictures", "3", "--width-px", "96", "--window-px", "64", "96", "--batch", "2", "--num-judged", "2"]
     words += ["--training.num-steps", "2", "--out", str(tmp_path)]

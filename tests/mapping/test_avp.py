@@ -36,6 +36,7 @@ def test_local_maps_are_carried_by_odometry(ring):
     assert len(maps.around(10, 200.0, 300.0).xy) == 0
 
 
+@pytest.mark.slow
 def test_loops_of_a_ring_are_true_and_tie_the_way_down(ring):
     maps, poses, chain = ring
     start = Start(poses[0], np.diag(np.repeat([1e-3, 1e-4], 3) ** 2))

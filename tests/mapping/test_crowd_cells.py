@@ -110,6 +110,7 @@ def test_a_damaged_cell_is_refused(three, stored, tmp_path):
         CellMap.from_bytes(b"junk", "cell 0,0")
 
 
+@pytest.mark.slow
 def test_blocks_in_time_make_one_map_that_keeps_its_ids(tmp_path):
     """The cost of a drive is that of its block; the map goes on to be better."""
     drives = [replace(drive(ROAD, k), when_s=3.6e6 * k) for k in range(6)]

@@ -49,6 +49,7 @@ def test_another_drive_of_the_same_world_rewrites_nothing(seed):
     assert told.isdisjoint(names) and len(told) <= 2
 
 
+@pytest.mark.slow
 def test_the_shared_sigmas_are_as_large_as_the_errors():
     """Over worlds: the error of the map around a place, after one motion in the plane, over what is stated there."""
     squares = []

@@ -33,6 +33,7 @@ def test_a_seed_gives_the_same_marks_of_every_class():
         assert one.shape != other.shape or np.abs(one - other).max() > 0.0
 
 
+@pytest.mark.slow
 def test_a_small_forest_tells_most_marks_apart_and_is_the_same_for_a_seed():
     pytest.importorskip("sklearn", reason="scikit-learn, the extra roadslam, is not installed")
     config = ForestConfig(num_samples=25, num_trees=40)

@@ -73,7 +73,7 @@ def zeros_of(column):
     return [centres[i] - column[i] * CELL_PX / (column[i + 1] - column[i]) for i in near]
 
 
-@pytest.mark.parametrize("scale", [1.0, 2.0])
+@pytest.mark.parametrize("scale", [1.0, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_borders_are_drawn_where_they_project(street, rig, table, scale):
     """The near and far edge of the bar in the column of its middle from 12 places: none is more than half a drawn pixel
     off, and the mean is right to 0.08 px of the network's image."""
