@@ -16,9 +16,6 @@ from semloc_jax.fusion.measurements import FusedPose, SensorBeliefs
 
 _WIDE_RAD = 0.02
 """How far aside cameras may look, one standard deviation. Ours."""
-_PROBABILITY = 0.005
-"""Of cameras that look aside by more than mounts are exact, before the way says more: one vehicle in two hundred.
-Ours."""
 _MEMORY_M = 20.0
 """Way over which a course is remembered: where the cameras look aside, the first lines and walls that come into view or
 leave it move the pose, which passes for a drive to the other side."""
@@ -72,7 +69,7 @@ def remembered_rad(before_rad: float, course: Course, way_m: float) -> float:
     return float(np.copysign(max(kept_rad, least_rad), course.off_rad if least_rad >= kept_rad else before_rad))
 
 
-def probability(aside_rad: float, course: Course, is_ahead: bool) -> float:
+def probability(aside_rad: float, course: Course, is_ahead: bool, before: float) -> float:
     """Probability that the cameras look aside, by the way: a vehicle that drives straight ahead would do so by chance
     if they did; one that drives far aside has an axle that is far from straight if they do not.
 
@@ -83,16 +80,17 @@ def probability(aside_rad: float, course: Course, is_ahead: bool) -> float:
         aside_rad: What is remembered of the way before.
         course: Now.
         is_ahead: Whether all cameras look ahead.
+        before: What it is before the way says more.
     """
     if not is_ahead:
-        return _PROBABILITY
+        return before
     wide, variance = _WIDE_RAD**2, max(course.sigma_rad, 1e-9) ** 2
     # What the way alone says, without the wide prior that is in the course.
     alone = wide * variance / max(wide - variance, 1e-3 * wide)
     off_rad = max(abs(course.off_rad), abs(aside_rad)) * alone / variance
     exact, aside = alone + _PRIOR_RAD**2, alone + wide
     nats = 0.5 * (off_rad**2 * (1.0 / exact - 1.0 / aside) - np.log(aside / exact))
-    return float(expit(logit(_PROBABILITY) + nats))
+    return float(expit(logit(before) + nats))
 
 
 def heading_level_deg(aside_rad: float, course: Course, freedom: float, share: float) -> float:

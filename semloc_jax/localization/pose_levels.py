@@ -129,7 +129,8 @@ def known_of(
     faults = [*spoken, *standing]
     reached = separation.farthest(separation.reach(standing), STAY)
     way, aside_rad = course.course_of(fused), float(state.watch.aside_rad)
-    probable = course.probability(aside_rad, way, watch.is_ahead(rig))
+    by_masks = weighed_faults.aside(state.watch, len(rig.names), config.watch)
+    probable = course.probability(aside_rad, way, watch.is_ahead(rig), by_masks)
     sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), _LEAST_VARIANCE))[_OF_LEVELS] * _UNITS
     weighed = weighed_faults.weighed(state.watch, len(rig.names), sigma, freedom, config.watch)
     still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)

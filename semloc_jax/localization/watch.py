@@ -27,6 +27,7 @@ from semloc_jax.localization.rivals import Known
 from semloc_jax.localization.separation import Separation, separated
 from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.localization.watch_sums import (
+    ASIDE,
     CLASSES,
     FOCAL,
     RADIAL,
@@ -250,6 +251,8 @@ def _told(suspected: Suspicion, rig: Rig) -> str:
         return f"masks fit better with a road that is {abs(size):.2f} m {wider} than in the map; see map_changes.csv"
     if name in (FOCAL, RADIAL):
         return f"masks fit better with {_lens(suspected, rig)}; {_ADVICE}"
+    if name == ASIDE:
+        return f"masks fit better with all cameras turned by {np.degrees(size):+.1f} deg to the left; {_ADVICE}"
     turn, index = name.split()
     return f"camera {rig.names[int(index)]} does not fit the others: {np.degrees(size):+.1f} deg in {turn}; {_ADVICE}"
 

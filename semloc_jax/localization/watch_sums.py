@@ -26,6 +26,9 @@ from semloc_jax.runtime.same_object import once_for_each
 
 FOCAL, RADIAL, WIDTH = "focal", "radial", "width"
 _TURNS = ("pitch", "yaw")
+ASIDE = "yaw all"
+"""All cameras look aside alike: those at the front and at the rear then do not agree how far to the side the vehicle
+stands."""
 _SIDES = GROUPS[2:]
 """Of the way. A road that was made wider is told by them; along the road each holds too little alone."""
 CLASSES = tuple(
@@ -52,8 +55,8 @@ class WatchConfig:
     step_m: float = 0.5
     """Way between two frames that are looked at: from one place the same errors are seen again."""
     eager_looks: int = 12
-    """So many frames at the start of a drive are asked for all that may be wrong with lenses and width: what is wrong
-    is wrong from the first frame on."""
+    """So many frames at the start of a drive are asked for all that may be wrong with lenses, width and the yaw of all
+    cameras: what is wrong is wrong from the first frame on."""
     memory_frames: float = 40.0
     share: float = 0.3
     """Share of what a frame says that is new: successive frames see the same map."""
@@ -136,7 +139,7 @@ class Suspicion(NamedTuple):
 def alternatives(num_cameras: int) -> tuple[str, ...]:
     """What is changed in the other calibrations, each a little up and a little down; and the width of the road in the
     map, which height and lens make up for."""
-    turns = [f"{turn} {k}" for k in range(num_cameras) for turn in _TURNS] if num_cameras > 1 else []
+    turns = [ASIDE, *(f"{turn} {k}" for k in range(num_cameras) for turn in _TURNS)] if num_cameras > 1 else []
     return (FOCAL, RADIAL, WIDTH, *turns)
 
 
@@ -147,11 +150,11 @@ def unit_of(name: str, config: WatchConfig) -> float:
 
 
 def asked_now(watch: WatchState, num_cameras: int, config: WatchConfig) -> tuple[str, ...]:
-    """What the next frame is asked for: lenses and width at the start of a drive, later one alternative after
-    another."""
-    if int(watch.num_frames) < config.eager_looks:
-        return (FOCAL, RADIAL, WIDTH)
+    """What the next frame is asked for: all but turns of single cameras at the start of a drive, later one alternative
+    after another."""
     names = alternatives(num_cameras)
+    if int(watch.num_frames) < config.eager_looks:
+        return tuple(name for name in names if name in (FOCAL, RADIAL, WIDTH, ASIDE))
     return (names[int(watch.num_frames) % len(names)],)
 
 
@@ -187,9 +190,10 @@ def _changed(rig: Rig, name: str, by: float) -> Rig:
         return longer(rig, by)
     if name == RADIAL:
         return Rig(tuple(_bent(camera, by) for camera in rig.cameras), rig.T_base_cam, rig.names)
-    turn, index = name.split()
+    turn, which = name.split()
+    cameras = slice(None) if name == ASIDE else int(which)
     T_base_cam = np.array(rig.T_base_cam, dtype=np.float64)
-    T_base_cam[int(index), :3, :3] = _about(turn, by) @ T_base_cam[int(index), :3, :3]
+    T_base_cam[cameras, :3, :3] = _about(turn, by) @ T_base_cam[cameras, :3, :3]
     return Rig(rig.cameras, T_base_cam, rig.names)
 
 

@@ -15,6 +15,7 @@ from scipy.special import expit, logit, stdtr
 
 from semloc_jax.evaluation.mixture_bounds import Causes
 from semloc_jax.localization.watch_sums import (
+    ASIDE,
     CLASSES,
     WIDTH,
     WatchConfig,
@@ -118,6 +119,15 @@ def _of_calibration(watch: WatchState, k: int, config: WatchConfig) -> _Rows:
     kept = _WIDE_STEPS**2 / aside
     size, spread = told.at * kept, np.sqrt(told.variance * kept)
     return np.array([probability]), (size * told.moved)[None], np.abs(spread * told.moved)[None]
+
+
+def aside(watch: WatchState, num_cameras: int, config: WatchConfig) -> float:
+    """Probability that all cameras look aside alike, by the masks; arguments as `weighed`."""
+    names = alternatives(num_cameras)
+    if ASIDE not in names or not len(watch.num):
+        return _PROBABILITY
+    told, _, _ = _of_calibration(watch, names.index(ASIDE), config)
+    return float(told[0]) if len(told) else _PROBABILITY
 
 
 def of_sound_ones(watch: WatchState, num_cameras: int, config: WatchConfig) -> Float[np.ndarray, "3"]:

@@ -51,11 +51,11 @@ def test_the_way_says_how_probable_cameras_that_look_aside_are():
         found = told(1e-3, 0.2, off_deg)
         exact, aside = norm(0.0, np.hypot(0.2, 0.3)), norm(0.0, np.hypot(0.2, np.degrees(0.02)))
         odds = 0.005 / 0.995 * aside.pdf(off_deg) / exact.pdf(off_deg)
-        probable = course.probability(0.0, course_of(found), True)
+        probable = course.probability(0.0, course_of(found), True, 0.005)
         assert probable == pytest.approx(odds / (1.0 + odds), rel=1e-3) and (probable < 0.005) == less
-        assert course.probability(0.0, course_of(found), False) == 0.005
+        assert course.probability(0.0, course_of(found), False, 0.005) == 0.005
     unknown = Course(0.0, np.deg2rad(3.0))
-    assert course.probability(0.0, unknown, True) == pytest.approx(0.005, rel=1e-2)
+    assert course.probability(0.0, unknown, True, 0.005) == pytest.approx(0.005, rel=1e-2)
 
 
 def test_a_level_reaches_to_the_far_side_of_the_course_with_what_is_left_of_the_risk():

@@ -89,7 +89,7 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
 def test_a_drive_that_fits_raises_no_suspicion():
     state = after_frames(2, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat())
     found = suspicions(state, 2, CONFIG)
-    assert len(found) == 13 and max(s.nats for s in found) < 1e-9
+    assert len(found) == 14 and max(s.nats for s in found) < 1e-9
     assert suspicions(WatchState(), 1, CONFIG) == []
 
 
@@ -166,9 +166,9 @@ def test_frames_without_numbers_leave_the_sums_alone():
 
 
 def test_the_other_calibrations_take_turns():
-    """Lenses and the width of the road at first; then they and every camera's pitch and yaw."""
-    at = [asked_now(WatchState(num_frames=np.int64(k)), 2, CONFIG) for k in range(CONFIG.eager_looks + 7)]
-    assert set(at[: CONFIG.eager_looks]) == {("focal", "radial", "width")}
+    """Lenses, the width of the road and the yaw of all cameras at first; then they and every camera's pitch and yaw."""
+    at = [asked_now(WatchState(num_frames=np.int64(k)), 2, CONFIG) for k in range(CONFIG.eager_looks + 8)]
+    assert set(at[: CONFIG.eager_looks]) == {("focal", "radial", "width", "yaw all")}
     assert sorted(name for (name,) in at[CONFIG.eager_looks :]) == sorted(alternatives(2))
 
 
@@ -190,6 +190,10 @@ def test_the_other_calibrations_differ_as_they_say():
                 other.T_base_cam[camera, :3, :3], turn @ np.asarray(given.T_base_cam)[camera, :3, :3], atol=1e-9
             )
             np.testing.assert_allclose(other.T_base_cam[1 - camera], given.T_base_cam[1 - camera])
+            if name == "yaw 1":
+                both = told["yaw all"][STEPS.tolist().index(sign)]
+                np.testing.assert_allclose(both.T_base_cam[1], other.T_base_cam[1])
+                np.testing.assert_allclose(both.T_base_cam[0], told["yaw 0"][STEPS.tolist().index(sign)].T_base_cam[0])
 
 
 def test_a_road_of_another_width_moves_the_lenses_nowhere():

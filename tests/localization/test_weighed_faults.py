@@ -6,7 +6,7 @@ import pytest
 from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.evaluation.mixture_bounds import RISK
 from semloc_jax.localization import separation, weighed_faults
-from semloc_jax.localization.watch_sums import STEPS, Tried, WatchConfig, WatchState, learned, moves
+from semloc_jax.localization.watch_sums import ASIDE, STEPS, Tried, WatchConfig, WatchState, learned, moves
 
 CONFIG = WatchConfig()
 SHARE = RISK / 6.0
@@ -89,3 +89,23 @@ def test_a_sound_lens_leaves_the_place_as_open_as_lenses_are_exact():
     variance = weighed_faults.of_sound_ones(after(2, (-5.0, -5.0)), 1, CONFIG)
     assert 0.01 < np.sqrt(variance[1]) <= 0.015
     assert variance[0] == variance[2] == 0.0
+
+
+def test_cameras_at_the_front_and_at_the_rear_tell_whether_all_look_aside():
+    """Gains of a garage of a seed on which nothing was chosen: sound cameras, and cameras turned by 0.5 deg, which the
+    way denied for the first three metres, since what held the pose was ahead first and behind it later."""
+    found = []
+    for gains in ((-3.1, -3.2), (-4.1, 1.2)):
+        state = WatchState()
+        for _ in range(8):
+            moved = np.array([[0.0, 0.0, np.deg2rad(-0.7) * step] for step in STEPS])
+            state = learned(
+                state, 4, 0.0, [Tried(ASIDE, np.array([*gains, np.nan, np.nan]), moved)], profiles(0, 0), CONFIG
+            )
+        causes = weighed_faults.weighed(state, 4, OWN, np.full(3, 20.0), CONFIG)
+        level_deg = weighed_faults.reach(causes, SHARE)[1, 2]
+        found.append((weighed_faults.aside(state, 4, CONFIG), level_deg))
+    (sound, sound_deg), (turned, turned_deg) = found
+    assert sound < 0.002 and sound_deg < 0.3
+    assert turned > 0.01 and turned_deg > 0.5
+    assert weighed_faults.aside(state, 1, CONFIG) == weighed_faults.aside(WatchState(), 4, CONFIG) == 0.005
