@@ -44,6 +44,7 @@ from semloc_jax.localization.initialization import newest, no_fixes, with_fix
 from semloc_jax.localization.judging import judged
 from semloc_jax.localization.learning import with_learned
 from semloc_jax.localization.map_window import GRID_M, MapWindows
+from semloc_jax.localization.moved_elements import moved_elements
 from semloc_jax.localization.pose_levels import spoken_for
 from semloc_jax.localization.separation import remembered
 from semloc_jax.localization.stage_timer import StageTimer
@@ -56,7 +57,6 @@ from semloc_jax.localization.track_state import (
     TrackResult,
     TrackStatus,
 )
-from semloc_jax.localization.watch_sums import moved_elements
 from semloc_jax.maps import SemanticMap, SharedSigmas, with_map_accuracy
 from semloc_jax.perception import ClassTable
 from semloc_jax.perception.primitives import primitives_of

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from semloc_jax.evaluation.metrics import ErrorLimit
 from semloc_jax.localization.integrity import ProtectionLevels
-from semloc_jax.localization.watch_sums import WatchConfig
+from semloc_jax.localization.watch_config import WatchConfig
 
 STAY = np.zeros(3)
 """The move of a pose that stays where it is."""

@@ -12,7 +12,7 @@ from semloc_jax.localization.following import FollowConfig
 from semloc_jax.localization.frame_alignment import AlignmentConfig
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.map_faults import TrustConfig
-from semloc_jax.localization.watch_sums import WatchConfig
+from semloc_jax.localization.watch_config import WatchConfig
 
 Association = Literal["contours", "explicit"]
 

@@ -18,7 +18,8 @@ from semloc_jax.fusion.clock import ClockOffset
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, PoseMeasurement
 from semloc_jax.fusion.noise_scale import NoiseScale
 from semloc_jax.localization.innovations import Innovations
-from semloc_jax.localization.watch_sums import NOTHING_MOVED, Moved, WatchState
+from semloc_jax.localization.moved_elements import NOTHING_MOVED, Moved
+from semloc_jax.localization.watch_sums import WatchState
 from semloc_jax.perception.primitives import Primitives
 from semloc_jax.residuals.pose_terms import Terms
 

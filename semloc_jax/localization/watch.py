@@ -23,28 +23,14 @@ from semloc_jax.localization import lens_sign, stance_sums
 from semloc_jax.localization.course import Course, course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_alignment import FrameAligner
+from semloc_jax.localization.moved_elements import CLASSES, moves
+from semloc_jax.localization.other_calibrations import ASIDE, FOCAL, RADIAL, STEPS, WIDTH, changed_rigs, widths
 from semloc_jax.localization.rivals import Known
 from semloc_jax.localization.separation import Separation, separated
+from semloc_jax.localization.suspicions import suspicions
 from semloc_jax.localization.track_state import FrameFeatures
-from semloc_jax.localization.watch_sums import (
-    ASIDE,
-    CLASSES,
-    FOCAL,
-    RADIAL,
-    STEPS,
-    WIDTH,
-    Suspicion,
-    Tried,
-    WatchConfig,
-    WatchState,
-    asked_now,
-    changed_rigs,
-    far_side,
-    learned,
-    moves,
-    suspicions,
-    widths,
-)
+from semloc_jax.localization.watch_config import WatchConfig
+from semloc_jax.localization.watch_sums import Suspicion, Tried, WatchState, asked_now, far_side, learned
 from semloc_jax.runtime.same_object import once_for_each
 
 _Again = Callable[[tuple[Rig, ...], Sequence[float], Sequence[int]], tuple[np.ndarray, np.ndarray]]

@@ -14,17 +14,10 @@ from jaxtyping import Float
 from scipy.special import expit, logit, stdtr
 
 from semloc_jax.evaluation.mixture_bounds import Causes
-from semloc_jax.localization.watch_sums import (
-    ASIDE,
-    CLASSES,
-    WIDTH,
-    WatchConfig,
-    WatchState,
-    alternatives,
-    means_of,
-    near,
-    profile_of,
-)
+from semloc_jax.localization.moved_elements import CLASSES, near, profile_of
+from semloc_jax.localization.other_calibrations import ASIDE, WIDTH, alternatives
+from semloc_jax.localization.watch_config import WatchConfig
+from semloc_jax.localization.watch_sums import WatchState, means_of
 
 _PROBABILITY = 0.005
 """Of each fault before the drive: one in two hundred. Ours."""

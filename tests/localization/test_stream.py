@@ -20,9 +20,11 @@ from semloc_jax.localization.drive import track_frames
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.initialization import no_fixes, with_fix
 from semloc_jax.localization.localizer import Localizer
+from semloc_jax.localization.moved_elements import moves
+from semloc_jax.localization.other_calibrations import changed_rigs
 from semloc_jax.localization.pipeline import Pipeline, PipelineConfig
 from semloc_jax.localization.track_state import TrackStatus
-from semloc_jax.localization.watch_sums import WatchConfig, changed_rigs, moves
+from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.maps import read_map
 from semloc_jax.runtime.stored_program import StoredProgram
 from semloc_jax.simulation import with_fault

@@ -9,23 +9,13 @@ from semloc_jax.cameras import BrownConradyCamera, PinholeCamera, Rig
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.localization import lens_sign, separation, watch
 from semloc_jax.localization.integrity import ProtectionLevels
+from semloc_jax.localization.moved_elements import moves
+from semloc_jax.localization.other_calibrations import STEPS, alternatives, changed_rigs, unit_of, widths
 from semloc_jax.localization.stance_sums import StanceState, mount_tilt_rad
 from semloc_jax.localization.stance_sums import learned as stood
-from semloc_jax.localization.watch_sums import (
-    STEPS,
-    Tried,
-    WatchConfig,
-    WatchState,
-    alternatives,
-    asked_now,
-    changed_rigs,
-    far_side,
-    learned,
-    moves,
-    suspicions,
-    unit_of,
-    widths,
-)
+from semloc_jax.localization.suspicions import suspicions
+from semloc_jax.localization.watch_config import WatchConfig
+from semloc_jax.localization.watch_sums import Tried, WatchState, asked_now, far_side, learned
 
 CONFIG = WatchConfig()
 LEVELS = ProtectionLevels(0.05, 0.1, 0.12)
@@ -280,7 +270,8 @@ def test_levels_never_promise_more_than_a_survey():
 
 
 def test_every_suspicion_has_a_sentence():
-    from semloc_jax.localization.watch_sums import CLASSES, Suspicion
+    from semloc_jax.localization.moved_elements import CLASSES
+    from semloc_jax.localization.watch_sums import Suspicion
 
     for name in (*alternatives(2), *CLASSES):
         told = watch._told(Suspicion(name, -0.03, 9.0, np.zeros(3)), rig(2))

@@ -6,7 +6,10 @@ import pytest
 from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.evaluation.mixture_bounds import RISK
 from semloc_jax.localization import separation, weighed_faults
-from semloc_jax.localization.watch_sums import ASIDE, STEPS, Tried, WatchConfig, WatchState, learned, moves
+from semloc_jax.localization.moved_elements import moves
+from semloc_jax.localization.other_calibrations import ASIDE, STEPS
+from semloc_jax.localization.watch_config import WatchConfig
+from semloc_jax.localization.watch_sums import Tried, WatchState, learned
 
 CONFIG = WatchConfig()
 SHARE = RISK / 6.0
