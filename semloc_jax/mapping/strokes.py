@@ -3,6 +3,7 @@
 In: share of looks that show paint, by cell. Out: PaintTrace: middle, width and ends, to a fraction of a cell.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -12,7 +13,10 @@ from scipy.ndimage import map_coordinates
 
 _STEP = 4
 """Cells from one place of a stroke to the next: 10 cm at 2.5 cm."""
-_ALONG = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+_NUM_ALONG = 5
+"""Cells along a stroke over which a profile is averaged."""
+_ACROSS = 0.5
+"""Cells from one value of a profile to the next."""
 _PEAK_PART = 0.8
 """Part of the least share that the mean over half a metre along a stroke must reach."""
 _CLEAR = 6.0
@@ -163,21 +167,37 @@ def _profile(
     share: np.ndarray, place: np.ndarray, direction: np.ndarray, limits: TraceLimits
 ) -> tuple[float, float] | None:
     """Offset of the middle of the paint across a place, and its width; None where there is none near the middle."""
-    offsets = np.arange(-limits.reach, limits.reach + 0.25, 0.5)
-    at = place + offsets[:, None, None] * _normal(direction) + _ALONG[None, :, None] * direction
-    across = _looked_up(share, at).mean(axis=1)
-    near = np.abs(offsets) < 0.34 * limits.reach
-    peak = across[near].max()
+    across = _across(share, place, direction, limits.reach)
+    middle, around = len(across) // 2, int(0.34 * limits.reach / _ACROSS)
+    near = across[middle - around : middle + around + 1]
+    centre = middle - around + int(near.argmax())
+    peak = float(across[centre])
     if peak < _PEAK_PART * limits.least_share:
         return None
     paint = across > 0.5 * peak
-    centre = int(np.flatnonzero(near)[across[near].argmax()])
-    low = centre - int(np.argmin(paint[centre::-1])) + 1 if not paint[: centre + 1].all() else 0
-    high = centre + int(np.argmin(paint[centre:])) if not paint[centre:].all() else len(paint)
+    to_left, to_right = _length(paint[centre::-1]), _length(paint[centre:])
     # The soft rims belong to the paint: half of it would be cut off at the threshold.
-    low, high = max(low - 3, 0), min(high + 3, len(paint))
+    low, high = max(centre + 1 - to_left - 3, 0), min(centre + to_right + 3, len(paint))
     weight = across[low:high]
-    return float((weight * offsets[low:high]).sum() / weight.sum()), float(0.5 * weight.sum() / max(peak, 0.8))
+    total = float(weight.sum())
+    offset = float(weight @ np.arange(low - middle, high - middle)) * _ACROSS / total
+    return offset, _ACROSS * total / max(peak, 0.8)
+
+
+def _across(share: np.ndarray, place: np.ndarray, direction: np.ndarray, reach: float) -> np.ndarray:
+    """Paint across a place, from `reach` to the right to `reach` to the left of the direction, averaged along it."""
+    num = 2 * round(reach / _ACROSS) + 1
+    aside = _ACROSS * _normal(direction)
+    first = place - 0.5 * (num - 1) * aside - 0.5 * (_NUM_ALONG - 1) * direction
+    turn = np.array([[aside[0], direction[0], first[0]], [aside[1], direction[1], first[1]]])
+    seen = cv2.warpAffine(share, turn, (num, _NUM_ALONG), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    return cv2.reduce(seen, 0, cv2.REDUCE_AVG)[0]
+
+
+def _length(paint: np.ndarray) -> int:
+    """How many values from the first on are paint."""
+    first = int(paint.argmin())
+    return first if not paint[first] else len(paint)
 
 
 def _one_way(
@@ -212,7 +232,9 @@ def _one_way(
 
 def _straight(places: np.ndarray, direction: np.ndarray) -> np.ndarray:
     near = places - places.mean(axis=0)
-    found = np.linalg.eigh(near.T @ near)[1][:, 1]
+    (xx, xy), (_, yy) = (near.T @ near).tolist()
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+    found = np.array([math.cos(angle), math.sin(angle)])
     return found if found @ direction > 0 else -found
 
 
