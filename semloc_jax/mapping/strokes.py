@@ -108,16 +108,25 @@ def _strokes_of(
         depth = cv2.distanceTransform(own.astype(np.uint8), cv2.DIST_L2, 3)
         seed = np.array(np.unravel_index(int(depth.argmax()), depth.shape), dtype=float)[::-1]
         stroke = _followed(share, looked, own, seed, limits)
-        taken = np.zeros(own.shape, np.uint8)
         if stroke is None:
+            taken = np.zeros(own.shape, np.uint8)
             cv2.circle(taken, tuple(np.rint(seed).astype(int).tolist()), int(limits.reach), 1, -1)
         else:
-            line = np.rint(stroke.middle * 8).astype(np.int32)[None]
-            cv2.polylines(taken, line, False, 1, max(int(stroke.width + 5), 3), cv2.LINE_8, 3)
-            found.append(PaintTrace(stroke.middle + origin, stroke.width, stroke.is_end))
+            taken = _covered(stroke.middle, stroke.width + 5.0, own.shape)
+            if not found or (own & (taken > 0)).sum() >= limits.smallest:
+                found.append(PaintTrace(stroke.middle + origin, stroke.width, stroke.is_end))
+            else:  # a stroke that is there already, found again from what is left of its rims
+                taken = _covered(stroke.middle, 2.0 * limits.reach, own.shape)
         own &= taken == 0
         free[taken > 0] = 0
     return found
+
+
+def _covered(middle: np.ndarray, width: float, shape: tuple[int, int]) -> np.ndarray:
+    """Cells that a line of some width covers."""
+    taken = np.zeros(shape, np.uint8)
+    cv2.polylines(taken, np.rint(middle * 8).astype(np.int32)[None], False, 1, max(int(width), 3), cv2.LINE_8, 3)
+    return taken
 
 
 def _followed(
