@@ -101,32 +101,48 @@ def _strokes_of(
     limits: TraceLimits,
 ) -> list[PaintTrace]:
     """The strokes of one patch of connected paint; what they cover is taken out of `free`."""
-    found = []
+    found, covered = [], np.zeros(own.shape, np.uint8)
     for _ in range(200):
         if own.sum() < limits.smallest:
             break
         depth = cv2.distanceTransform(own.astype(np.uint8), cv2.DIST_L2, 3)
         seed = np.array(np.unravel_index(int(depth.argmax()), depth.shape), dtype=float)[::-1]
         stroke = _followed(share, looked, own, seed, limits)
+        stroke = None if stroke is None else _new_part(stroke, seed, covered)
+        taken = np.zeros(own.shape, np.uint8)
         if stroke is None:
-            taken = np.zeros(own.shape, np.uint8)
             cv2.circle(taken, tuple(np.rint(seed).astype(int).tolist()), int(limits.reach), 1, -1)
         else:
-            taken = _covered(stroke.middle, stroke.width + 5.0, own.shape)
-            if not found or (own & (taken > 0)).sum() >= limits.smallest:
-                found.append(PaintTrace(stroke.middle + origin, stroke.width, stroke.is_end))
-            else:  # a stroke that is there already, found again from what is left of its rims
-                taken = _covered(stroke.middle, 2.0 * limits.reach, own.shape)
-        own &= taken == 0
+            line = np.rint(stroke.middle * 8).astype(np.int32)[None]
+            cv2.polylines(taken, line, False, 1, max(int(stroke.width + 5), 3), cv2.LINE_8, 3)
+            found.append(PaintTrace(stroke.middle + origin, stroke.width, stroke.is_end))
+            covered |= taken
+        own = _without_crumbs(own & (taken == 0), limits.smallest)
         free[taken > 0] = 0
     return found
 
 
-def _covered(middle: np.ndarray, width: float, shape: tuple[int, int]) -> np.ndarray:
-    """Cells that a line of some width covers."""
-    taken = np.zeros(shape, np.uint8)
-    cv2.polylines(taken, np.rint(middle * 8).astype(np.int32)[None], False, 1, max(int(width), 3), cv2.LINE_8, 3)
-    return taken
+def _new_part(stroke: PaintTrace, seed: np.ndarray, covered: np.ndarray) -> PaintTrace | None:
+    """What of a stroke goes on from its seed without a place that another one covers; None where the seed leads to
+    one: the rim of paint leads back to its middle."""
+    x, y = np.clip(np.rint(stroke.middle).astype(int), 0, np.array(covered.shape)[::-1] - 1).T
+    is_old = covered[y, x] > 0
+    start = int(np.linalg.norm(stroke.middle - seed, axis=1).argmin())
+    if is_old[start]:
+        return None
+    before, after = np.flatnonzero(is_old[:start]), np.flatnonzero(is_old[start:])
+    low = int(before[-1]) + 1 if len(before) else 0
+    high = start + int(after[0]) if len(after) else len(is_old)
+    ends = stroke.is_end[0] and low == 0, stroke.is_end[1] and high == len(is_old)
+    return PaintTrace(stroke.middle[low:high], stroke.width, ends) if high - low >= 2 else None
+
+
+def _without_crumbs(own: np.ndarray, smallest: float) -> np.ndarray:
+    """Without the parts that are smaller than paint is: the rims that a stroke leaves."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(own.astype(np.uint8), connectivity=8)
+    is_kept = stats[:, cv2.CC_STAT_AREA] >= smallest
+    is_kept[0] = False
+    return is_kept[labels]
 
 
 def _followed(

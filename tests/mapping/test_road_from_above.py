@@ -51,6 +51,16 @@ def test_a_dash_is_found_with_its_ends(turn_deg):
     assert stroke.is_end == (True, True)
 
 
+def test_a_ragged_band_is_one_stroke():
+    """What is left beside a stroke leads back to it: such a curb was drawn 200 times."""
+    x = np.arange(60.0, 640.0, 5.0)
+    rim = 6.0 + np.random.default_rng(1).choice([0.0, 7.0], len(x), p=(0.8, 0.2))
+    share = painted([np.vstack([np.c_[x, 200 - rim], np.c_[x, 200 + rim[::-1]][::-1]])])
+    (stroke,) = find_strokes(share, ALL)
+    assert np.abs(stroke.middle[:, 1] - 200).max() < 3.0
+    assert stroke.length == pytest.approx(575.0, abs=8.0)
+
+
 def test_a_curve_is_followed_and_twins_stay_apart():
     x = np.linspace(20, 680, 200)
     y = 150 + 0.0004 * (x - 350) ** 2
