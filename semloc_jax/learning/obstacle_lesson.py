@@ -51,7 +51,7 @@ class ObstacleLearningConfig:
     wide_batch: int = 12
     num_judged: int = 150
     precision: float = 0.85
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=7000, level_share=0.6))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=5000, level_share=0.6))
 
     def __post_init__(self) -> None:
         step, sides = CONFIG.step_px, (self.window_px, self.wide_px)

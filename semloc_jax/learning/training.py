@@ -89,13 +89,15 @@ def descend(
 
     adam = AdamState.begin(parameters)
     done, parameters, adam = _resumed(checkpoint, parameters, adam, config)
+    batch = batch_of(np.random.default_rng((config.seed, done + 1))) if done < config.num_steps else None
     for step in range(done + 1, config.num_steps + 1):
-        batch = batch_of(np.random.default_rng((config.seed, step)))
         adam = adam._replace(step=jnp.asarray(step - 1, jnp.float32))
         now = falling_rate(config.rate, step, config.num_steps, config.level_share)
         rate = jnp.asarray(now, jnp.float32)
         value, gradient = slope(eqx.combine(parameters, rest), batch)
         parameters, adam = advance(parameters, gradient, adam, rate)
+        if step < config.num_steps:  # drawn while JAX still computes
+            batch = batch_of(np.random.default_rng((config.seed, step + 1)))
         if on_step is not None:
             on_step(step, float(value))
         if checkpoint is not None and (step % config.save_every == 0 or step == config.num_steps):
