@@ -7,7 +7,7 @@ be.
 import numpy as np
 
 from semloc_jax.localization.moved_elements import classes_apart
-from semloc_jax.localization.other_calibrations import STEPS, WIDTH, alternatives, unit_of
+from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, alternatives, unit_of
 from semloc_jax.localization.stance_sums import height_m
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import Suspicion, WatchState, means_of
@@ -26,7 +26,8 @@ def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> l
     found = []
     for k, name in enumerate(alternatives(num_cameras)):
         num, gain, moved = means_of(watch, k)
-        if (num[:2] < 0.5).any():
+        # All cameras together are weighed only, see `weighed_faults`: one look from one place may like it by 7 nats.
+        if name == ASIDE or (num[:2] < 0.5).any():
             continue
         side = int(np.argmax(gain[:2]))
         if num[side + 2] >= 0.5 and gain[side] > 0.0:

@@ -24,7 +24,7 @@ from semloc_jax.localization.course import Course, course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.moved_elements import CLASSES, moves
-from semloc_jax.localization.other_calibrations import ASIDE, FOCAL, RADIAL, STEPS, WIDTH, changed_rigs, widths
+from semloc_jax.localization.other_calibrations import FOCAL, RADIAL, STEPS, WIDTH, changed_rigs, widths
 from semloc_jax.localization.rivals import Known
 from semloc_jax.localization.separation import Separation, separated
 from semloc_jax.localization.suspicions import suspicions
@@ -237,8 +237,6 @@ def _told(suspected: Suspicion, rig: Rig) -> str:
         return f"masks fit better with a road that is {abs(size):.2f} m {wider} than in the map; see map_changes.csv"
     if name in (FOCAL, RADIAL):
         return f"masks fit better with {_lens(suspected, rig)}; {_ADVICE}"
-    if name == ASIDE:
-        return f"masks fit better with all cameras turned by {np.degrees(size):+.1f} deg to the left; {_ADVICE}"
     turn, index = name.split()
     return f"camera {rig.names[int(index)]} does not fit the others: {np.degrees(size):+.1f} deg in {turn}; {_ADVICE}"
 
