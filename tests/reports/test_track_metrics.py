@@ -12,7 +12,7 @@ from semloc_jax.reports.track_metrics import told_apart
 def test_what_the_map_is_off_is_told_once_where_poses_are_places_in_it():
     """Two poses, beside what is off by 3 cm and by 20 cm; on the earth it is in the sigmas of each pose."""
     columns = {name: np.zeros(2) for name in COLUMNS}
-    columns["x_m"], columns["qw"] = np.array([0.0, 500.0]), np.ones(2)
+    columns["x_m"], columns["time_s"], columns["qw"] = np.array([0.0, 500.0]), np.arange(2.0), np.ones(2)
     table = TrackTable(("0", "1"), ("",) * 2, (TrackStatus.TRACKING,) * 2, ("",) * 2, ("",) * 2, columns)
     elements, beliefs = [], {}
     for k in range(10):
