@@ -8,7 +8,7 @@ one file reaches all of them.
 import dataclasses
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.pose_prior import RoadSigmas
@@ -18,6 +18,8 @@ from semloc_jax.perception import CostMapConfig
 from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel
 from semloc_jax.residuals.view import ViewConfig
+
+PlaceIn = Literal["earth", "map"]
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,10 @@ class SceneConfig:
     map_sigma_m: float = 0.0
     """How accurate the map is, as its maker states: joins the covariance of every pose that goes out, beside what the
     map itself states of what is around."""
+    place_in: PlaceIn = "earth"
+    """What poses are places in. earth: with what the map itself states that all around a pose is off by, as maps of
+    drives do. map: where the vehicle is among the elements around it, for whoever takes lanes and signs from the same
+    map; that error is then told apart, once."""
     map_reach_m: float = 20.0
     """Distance over which the position error of the map changes by its own size: the heading error is their ratio."""
     sample_spacing_m: float = 0.25

@@ -36,6 +36,7 @@ def adam_step(parameters: Any, gradient: Any, state: AdamState, rate: Any) -> tu
     return moved, AdamState(step, first, second)
 
 
-def falling_rate(rate: float, step: int, num_steps: int) -> float:
-    """The rate of a step 1 ... `num_steps`: half a cosine from `rate` down to nothing."""
-    return rate * 0.5 * (1 + math.cos(math.pi * (step - 1) / num_steps))
+def falling_rate(rate: float, step: int, num_steps: int, level_share: float = 0.0) -> float:
+    """The rate of a step 1 ... `num_steps`: level for a share of them, then half a cosine down to nothing."""
+    share = max((step - 1) / num_steps - level_share, 0.0) / (1.0 - level_share)
+    return rate * 0.5 * (1 + math.cos(math.pi * share))

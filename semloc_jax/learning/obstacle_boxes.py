@@ -78,7 +78,8 @@ def cut(rng: np.random.Generator, sample: CylinderSample, size_px: tuple[int, in
     """A window of a view, mirrored or not; most show the middle of a thing."""
     room = np.array([sample.picture.shape[1] - size_px[0], sample.picture.shape[0] - size_px[1]])
     corner = rng.integers(room + 1)
-    asked = [thing for thing in sample.things if is_asked(thing)]
+    # One that does not fit into the window is no reason to cut one here.
+    asked = [t for t in sample.things if is_asked(t) and t.box[3] - t.box[1] <= size_px[1]]
     if asked and rng.random() < _ABOUT_THINGS:
         box = asked[int(rng.integers(len(asked)))].box
         corner = np.rint(0.5 * (box[:2] + box[2:]) - np.array(size_px) * rng.uniform(0.05, 0.95, 2)).astype(int)

@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.average_precision import BoxScore, BoxSet, box_score
-from semloc_jax.learning.obstacle_boxes import CylinderPool, is_asked, obstacle_loss
+from semloc_jax.learning.obstacle_boxes import CylinderPool, ObstacleBatch, is_asked, obstacle_loss
 from semloc_jax.learning.sureness import UNSEEN_SEED, begun
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.perception.networks.dense_net import DenseNet
@@ -34,25 +34,30 @@ class ObstacleLearningConfig:
     Args:
         num_pictures: random views that are drawn; each step cuts windows from some of them.
         width_px: their width.
-        window_px: width and height of the windows; lower ones never show a near pillar whole.
-        batch: windows of one step.
+        window_px: width and height of the windows of half of the steps; lower ones never show a near pillar whole.
+        batch: so many of them.
+        wide_px: the same of the other half: what is far is within a few rows, of which as many pixels show more.
+        wide_batch: so many of these.
         num_judged: random views that judge.
         precision: the threshold is the lowest one with this precision on them.
         training: steps, rate, seed.
     """
 
-    num_pictures: int = 1600
+    num_pictures: int = 2400
     width_px: int = 256
     window_px: tuple[int, int] = (96, 320)
-    batch: int = 16
+    batch: int = 8
+    wide_px: tuple[int, int] = (160, 128)
+    wide_batch: int = 12
     num_judged: int = 150
     precision: float = 0.85
-    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=2000))
+    training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=5000, level_share=0.6))
 
     def __post_init__(self) -> None:
-        step, (width, height) = CONFIG.step_px, self.window_px
-        fits = width <= self.width_px and height <= SIZE_PX[1] and not (width % step or height % step)
-        if min(self.num_pictures, self.batch, self.num_judged, width, height) < 1 or not fits or self.width_px % step:
+        step, sides = CONFIG.step_px, (self.window_px, self.wide_px)
+        fits = all(w <= self.width_px and h <= SIZE_PX[1] and not (w % step or h % step) for w, h in sides)
+        counts = (self.num_pictures, self.batch, self.wide_batch, self.num_judged, *self.window_px, *self.wide_px)
+        if min(counts) < 1 or not fits or self.width_px % step:
             raise SemlocError(
                 f"learn obstacles: {self}; expected counts of at least 1, sides that are multiples of {step}, and "
                 f"windows of at most width_px x {SIZE_PX[1]}"
@@ -98,14 +103,13 @@ def taught(
     if begin_with is not None:
         network = load_weights(begin_with, network)
     pool = CylinderPool(config.num_pictures, config.width_px, config.training.seed)
-    return train(
-        network,
-        obstacle_loss,
-        lambda rng: pool.batch(rng, config.batch, config.window_px),
-        config.training,
-        checkpoint,
-        on_step,
-    )
+
+    def batch(rng: np.random.Generator) -> ObstacleBatch:
+        if rng.random() < 0.5:
+            return pool.batch(rng, config.batch, config.window_px)
+        return pool.batch(rng, config.wide_batch, config.wide_px)
+
+    return train(network, obstacle_loss, batch, config.training, checkpoint, on_step)
 
 
 def unseen_views(config: ObstacleLearningConfig) -> list[ShownObstacles]:

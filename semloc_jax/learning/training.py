@@ -27,6 +27,8 @@ class TrainingConfig:
     num_steps: int = 1000
     rate: float = 2e-3
     """Of Adam at its begin; it falls to zero over all steps."""
+    level_share: float = 0.0
+    """Of the steps, before it begins to fall."""
     most_gradient: float = 1.0
     """Longest gradient of a batch: one bad label shall not throw the network."""
     seed: int = 0
@@ -37,6 +39,8 @@ class TrainingConfig:
     def __post_init__(self) -> None:
         if min(self.num_steps, self.save_every) < 1 or min(self.rate, self.most_gradient) <= 0.0:
             raise SemlocError(f"training: {self}; expected steps of at least 1, rate and longest gradient above 0")
+        if not 0.0 <= self.level_share < 1.0:
+            raise SemlocError(f"training: level_share {self.level_share:g}; expected 0 <= level_share < 1")
 
 
 def train(
@@ -85,12 +89,15 @@ def descend(
 
     adam = AdamState.begin(parameters)
     done, parameters, adam = _resumed(checkpoint, parameters, adam, config)
+    batch = batch_of(np.random.default_rng((config.seed, done + 1))) if done < config.num_steps else None
     for step in range(done + 1, config.num_steps + 1):
-        batch = batch_of(np.random.default_rng((config.seed, step)))
         adam = adam._replace(step=jnp.asarray(step - 1, jnp.float32))
-        rate = jnp.asarray(falling_rate(config.rate, step, config.num_steps), jnp.float32)
+        now = falling_rate(config.rate, step, config.num_steps, config.level_share)
+        rate = jnp.asarray(now, jnp.float32)
         value, gradient = slope(eqx.combine(parameters, rest), batch)
         parameters, adam = advance(parameters, gradient, adam, rate)
+        if step < config.num_steps:  # drawn while JAX still computes
+            batch = batch_of(np.random.default_rng((config.seed, step + 1)))
         if on_step is not None:
             on_step(step, float(value))
         if checkpoint is not None and (step % config.save_every == 0 or step == config.num_steps):
@@ -100,7 +107,8 @@ def descend(
 
 def _settings(config: TrainingConfig) -> dict[str, int | float]:
     """What must be the same for a run to go on."""
-    return {"num_steps": config.num_steps, "rate": config.rate, "seed": config.seed}
+    level = {"level_share": config.level_share} if config.level_share else {}
+    return {"num_steps": config.num_steps, "rate": config.rate, "seed": config.seed} | level
 
 
 def _resumed(

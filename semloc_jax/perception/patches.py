@@ -18,12 +18,12 @@ _WEIGHTS_PX = 5.5, 2.0
 """Standard deviations of the weights of its pixels: of all of it, which tells how it is stretched, and of its middle,
 which tells where the corner is. What is near the corner lies at its depth, and what of perspective no affine patch can
 follow shifts all of it by the square of its size: of a patch on the road by 0.15 px in two images."""
-_NUM_STEPS = 2
-"""From where it is followed to from the last image; more change nothing (notebooks/figures/inertial.md)."""
 _AFFINE_SIGMA = 0.15
 """How far one step may stretch or shear a patch; small patches tell it badly."""
 _GREY_SIGMA = 0.1
 """Standard deviation of what a patch of unit contrast does not explain, for that."""
+_NEAR_PX = 0.1
+"""A corner that a second look moves by less is there; for the others a third one changes nothing beyond this."""
 _LEAST_CONTRAST = 2.0
 """Grey levels (weighted standard deviation) that a patch needs."""
 _LEAST_SQUARE = 1e-6
@@ -35,7 +35,7 @@ def _grid(half: int) -> Float[np.ndarray, "n 2"]:
     return np.stack(np.meshgrid(side, side, indexing="xy"), axis=-1).reshape(-1, 2)
 
 
-_AT = _grid(_HALF_PX)
+_AT, _AROUND = _grid(_HALF_PX), _grid(_HALF_PX + 1)
 _ROOT_WEIGHT, _MIDDLE = (np.exp(-0.25 * (_AT**2).sum(axis=1) / px**2).astype(np.float32) for px in _WEIGHTS_PX)
 _MIDDLE_SHARE = _MIDDLE / _ROOT_WEIGHT
 _ROOT_WEIGHT /= np.linalg.norm(_ROOT_WEIGHT)
@@ -49,7 +49,7 @@ class Patches(NamedTuple):
     gain: Float[np.ndarray, "s 6 n"]
     """Step of the affine part (row by row) and the shift by what a later image shows otherwise."""
     middle: Float[np.ndarray, "s 2 n"]
-    """The same of the shift of its middle."""
+    """The same of the shift of its middle, when all of it has been stretched as `gain` tells."""
     affine: Float[np.ndarray, "s 2 2"]
     """From the patch to the image in which it was found last."""
 
@@ -72,27 +72,29 @@ def no_patches(num: int) -> Patches:
 
 def cut_out(grey: UInt8[np.ndarray, "h w"], uv: Float[np.ndarray, "s 2"]) -> Patches:
     """The patches around corners [px]."""
-    num, size = len(uv), 2 * _HALF_PX + 3
-    around = _sampled(grey, uv[:, None] + _grid(_HALF_PX + 1)).reshape(num, size, size)
-    look, length = _normalised(around[:, 1:-1, 1:-1].reshape(num, len(_AT)))
-    along_u = 0.5 * (around[:, 1:-1, 2:] - around[:, 1:-1, :-2]).reshape(num, len(_AT))
-    along_v = 0.5 * (around[:, 2:, 1:-1] - around[:, :-2, 1:-1]).reshape(num, len(_AT))
-    x, y = _AT.T
-    by_each = (along_u * x, along_u * y, along_v * x, along_v * y, along_u, along_v)
-    slopes = np.stack(by_each, axis=-1) * (_ROOT_WEIGHT / length[:, None])[..., None]
+    num, size, n = len(uv), 2 * _HALF_PX + 3, len(_AT)
+    eye = np.tile(np.eye(2, dtype=np.float32), (num, 1, 1))
+    around = _sampled(grey, uv, eye, _AROUND).reshape(num, size, size)
+    look, length = _normalised(around[:, 1:-1, 1:-1].reshape(num, n))
+    scale = 0.5 * _ROOT_WEIGHT / length[:, None]
+    slopes = np.empty((num, 6, n), np.float32)
+    slopes[:, 4] = (around[:, 1:-1, 2:] - around[:, 1:-1, :-2]).reshape(num, n) * scale
+    slopes[:, 5] = (around[:, 2:, 1:-1] - around[:, :-2, 1:-1]).reshape(num, n) * scale
+    for k in range(4):
+        np.multiply(slopes[:, 4 + k // 2], _AT[:, k % 2], out=slopes[:, k])
     # What gain and offset of the light explain moves nothing.
-    for taken in (np.broadcast_to(_ROOT_WEIGHT, look.shape), look):
-        slopes = slopes - taken[..., None] * np.einsum("sn,snk->sk", taken, slopes)[:, None]
+    slopes -= (slopes @ _ROOT_WEIGHT)[..., None] * _ROOT_WEIGHT
+    slopes -= (slopes @ look[..., None]) * look[:, None]
     prior = np.repeat([(_GREY_SIGMA / _AFFINE_SIGMA) ** 2, _LEAST_SQUARE], [4, 2])
-    shifts = slopes[..., 4:] * _MIDDLE_SHARE[:, None]
-    parts = _steps(slopes, prior), _steps(shifts, np.full(2, _LEAST_SQUARE)) * _MIDDLE_SHARE
-    return Patches(look, *parts, np.tile(np.eye(2, dtype=np.float32), (num, 1, 1)))
+    gain = _steps(slopes, prior)
+    middle = _steps(slopes[:, 4:] * _MIDDLE_SHARE, np.full(2, _LEAST_SQUARE)) * _MIDDLE_SHARE
+    middle -= (middle @ np.swapaxes(slopes[:, :4], 1, 2)) @ gain[:, :4]
+    return Patches(look, gain, middle, eye)
 
 
-def _steps(slopes: Float[np.ndarray, "s n k"], prior: Float[np.ndarray, " k"]) -> Float[np.ndarray, "s k n"]:
+def _steps(slopes: Float[np.ndarray, "s k n"], prior: Float[np.ndarray, " k"]) -> Float[np.ndarray, "s k n"]:
     """Least squares: the step that explains a difference best."""
-    across = np.swapaxes(slopes, 1, 2)
-    return np.linalg.inv(across @ slopes + np.diag(prior).astype(np.float32)) @ across
+    return np.linalg.inv(slopes @ np.swapaxes(slopes, 1, 2) + np.diag(prior).astype(np.float32)) @ slopes
 
 
 class Found(NamedTuple):
@@ -102,37 +104,46 @@ class Found(NamedTuple):
     """Of their middle."""
     affine: Float[np.ndarray, "s 2 2"]
     alike: Float[np.ndarray, " s"]
-    """Correlation of what is there with the patch."""
+    """Correlation of the last look at it with the patch."""
 
 
 def laid_over(patches: Patches, grey: UInt8[np.ndarray, "h w"], uv: Float[np.ndarray, "s 2"]) -> Found:
     """The corners in a later image, from places [px] a pixel or two off."""
-    affine, at = patches.affine.copy(), np.asarray(uv, np.float32).copy()
-    for _ in range(_NUM_STEPS):
-        seen = _seen(grey, at, affine)
-        move = np.einsum("skn,sn->sk", patches.gain, seen - patches.look)
-        # The step moves the patch; its inverse moves the image.
-        back = np.linalg.inv(np.eye(2, dtype=np.float32) + move[:, :4].reshape(-1, 2, 2))
-        affine = affine @ back
-        at = at - np.einsum("sij,sj->si", affine, move[:, 4:])
-    seen = _seen(grey, at, affine)
-    shift = np.einsum("skn,sn->sk", patches.middle, seen - patches.look)
-    at = at - np.einsum("sij,sj->si", affine, shift)
-    return Found(at, affine, np.einsum("sn,sn->s", seen, patches.look))
+    at = np.asarray(uv, np.float32)
+    found, _ = _nearer(patches, grey, Found(at, patches.affine, np.zeros(len(at))), patches.gain[:, 4:])
+    found, moved_px = _nearer(patches, grey, found, patches.middle)
+    far = np.flatnonzero(moved_px > _NEAR_PX)
+    again, _ = _nearer(patches.at(far), grey, Found(*(part[far] for part in found)), patches.middle[far])
+    for part, other in zip(found, again, strict=True):
+        part[far] = other
+    return found
 
 
-def _seen(
-    grey: UInt8[np.ndarray, "h w"], at: Float[np.ndarray, "s 2"], affine: Float[np.ndarray, "s 2 2"]
+def _nearer(
+    patches: Patches, grey: UInt8[np.ndarray, "h w"], found: Found, shifts: Float[np.ndarray, "s 2 n"]
+) -> tuple[Found, Float[np.ndarray, " s"]]:
+    """One look more: where the corners are by it, how alike it was, and how far they moved [px]."""
+    seen = _normalised(_sampled(grey, found.uv, found.affine, _AT))[0]
+    beyond = (seen - patches.look)[..., None]
+    # The step moves the patch; its inverse moves the image.
+    stretch = (patches.gain[:, :4] @ beyond).reshape(-1, 2, 2)
+    affine = found.affine @ np.linalg.inv(np.eye(2, dtype=np.float32) + stretch)
+    move = (affine @ (shifts @ beyond))[..., 0]
+    alike = np.einsum("sn,sn->s", seen, patches.look)
+    return Found(found.uv - move, affine, alike), np.linalg.norm(move, axis=1)
+
+
+def _sampled(
+    grey: UInt8[np.ndarray, "h w"],
+    at: Float[np.ndarray, "s 2"],
+    affine: Float[np.ndarray, "s 2 2"],
+    grid: Float[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "s n"]:
-    """What an image shows where patches lie, as their looks are."""
-    return _normalised(_sampled(grey, at[:, None] + _AT @ np.swapaxes(affine, 1, 2)))[0]
-
-
-def _sampled(grey: np.ndarray, uv: Float[np.ndarray, "s n 2"]) -> Float[np.ndarray, "s n"]:
-    uv = np.asarray(uv, np.float32)
-    if not len(uv):
-        return np.zeros(uv.shape[:2], np.float32)
-    return cv2.remap(grey, uv[..., 0], uv[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+    """What an image shows where the points of a grid lie."""
+    if not len(at):
+        return np.zeros((0, len(grid)), np.float32)
+    u, v = (np.asarray(at[:, k, None], np.float32) + affine[:, k] @ grid.T for k in range(2))
+    return cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
 
 
 def _normalised(grey: Float[np.ndarray, "s n"]) -> tuple[Float[np.ndarray, "s n"], Float[np.ndarray, " s"]]:

@@ -168,6 +168,12 @@ def _merge_in_words(
             for name in found.alone
         ),
         *(f"not trusted: drive {drive.name}: {drive.reason}" for drive in found.distrusted),
+        *(
+            f"bent: drive {row.drive}: its way may bend {row.bent:g} times as far as those of the others: they say how "
+            "the road runs"
+            for _, row in found.drives
+            if row.bent > 1.0
+        ),
     ]
     for name, comparison in judged.items():
         lines += [_TITLES[name], comparison.to_text()]

@@ -109,7 +109,7 @@ def _write_network(
     lesson = {
         "pictures": config.num_pictures,
         "steps": config.training.num_steps,
-        "batch": config.batch,
+        "batches": [config.batch, config.wide_batch],
         "seed": config.training.seed,
     }
     before = [] if begin_with is None else list(read_card(begin_with).get("lessons", ()))

@@ -169,7 +169,8 @@ def report_track(
     _draw(folder, inputs, table, pictures or TrackPictures())
     is_lost = not len(table) or table.status[-1] == TrackStatus.LOST
     share = float(table.is_tracking.mean()) if len(table) else 0.0
-    told = [part for part in (text, track_metrics.summary(table, pipeline.timing)) if part]
+    apart = track_metrics.told_apart(table, pipeline.localizer.map, plan.settings.scene)
+    told = [part for part in (text, apart, track_metrics.summary(table, pipeline.timing)) if part]
     return TrackReport(folder, "\n".join(told), share, is_lost)
 
 

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.datasets import Drive
 from semloc_jax.evaluation import Metric, Trajectory, evaluate, integrity, within, write_metrics
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, statistics
 from semloc_jax.localization.pipeline import Timing
 from semloc_jax.localization.track_state import TrackStatus
+from semloc_jax.maps import SemanticMap, SharedSigmas
 from semloc_jax.reports.metrics import OF_VARIANT, error_table
 from semloc_jax.reports.tables import ERRORS, MISLEADING, PROTECTION, SIGMAS
 from semloc_jax.reports.track_log import NEES, TrackTable
@@ -40,6 +42,20 @@ def write_track_metrics(folder: Path, table: TrackTable, drive: Drive, timing: T
                 metrics += [Metric(f"{variant}.{m.key}", m.value, m.unit, m.direction, m.tolerance) for m in part]
     write_metrics(metrics, folder / "metrics.json")
     return "\n".join(said)
+
+
+def told_apart(table: TrackTable, semantic_map: SemanticMap, scene: SceneConfig) -> str:
+    """What is not in the sigmas of poses that are places in the map: how far this says that it is off around them."""
+    places = table.trajectory().T_map_base[:, :2, 3]
+    if scene.place_in == "earth" or not len(places):
+        return ""
+    stated = SharedSigmas(semantic_map.walk())
+    place_m, turn_rad = np.array([stated.at(xy) for xy in places]).T
+    low, high = np.degrees([turn_rad.min(), turn_rad.max()])
+    return (
+        f"placed in the map: beside these sigmas it states to be off on the earth by {place_m.min():.2f} to "
+        f"{place_m.max():.2f} m and {low:.2f} to {high:.2f} deg; errors against the truth and NEES have that in them"
+    )
 
 
 def _held_text(metrics: list[Metric], table: TrackTable) -> list[str]:

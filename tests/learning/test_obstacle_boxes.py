@@ -16,6 +16,7 @@ from semloc_jax.simulation.cylinder_views.bodies import Body, box, rectangle
 from semloc_jax.simulation.cylinder_views.canvas import Canvas
 from semloc_jax.simulation.cylinder_views.kept_free import obstacle
 from semloc_jax.simulation.cylinder_views.picture import Geometry, cylinder_sample
+from semloc_jax.simulation.cylinder_views.placing import placed
 
 WIDTH = 192
 
@@ -123,6 +124,16 @@ def test_the_loss_is_least_where_everything_is_right(samples):
     assert loss(unasked) == pytest.approx(loss(best), abs=1e-6)
 
 
+def test_far_things_are_as_common_as_near_ones_and_most_have_a_neighbour():
+    """By the logarithm of the range alone one in four is beyond 6 m."""
+    scenes = [placed(np.random.default_rng((9, k)), 0.6, None)[0] for k in range(40)]
+    things = [(body, [b for b in bodies if b is not body]) for bodies in scenes for body in bodies if body.kind]
+    range_m = np.array([np.linalg.norm(body.middle) for body, _ in things])
+    assert len(things) > 300 and 0.35 < (range_m > 6.0).mean() < 0.55
+    free_m = [min(np.linalg.norm(b.footprint - body.middle, axis=1).min() for b in others) for body, others in things]
+    assert np.median(free_m) < 0.8
+
+
 def test_a_random_view_is_judged_like_a_drive(samples):
     for sample in samples:
         one = shown(sample)
@@ -134,6 +145,7 @@ def test_a_random_view_is_judged_like_a_drive(samples):
 @pytest.mark.slow
 def test_a_tiny_lesson_writes_everything(tmp_path, capsys):
     words = ["--num-pictures", "3", "--width-px", "96", "--window-px", "64", "96", "--batch", "2", "--num-judged", "2"]
+    words += ["--wide-px", "96", "64", "--wide-batch", "3"]
     words += ["--training.num-steps", "2", "--out", str(tmp_path)]
     assert main(["learn", "obstacles", *words]) == 0
     assert "parameters, threshold" in capsys.readouterr().out

@@ -38,6 +38,14 @@ def test_the_first_step_of_adam_is_the_rate_against_the_sign():
     assert falling_rate(0.1, 1, 10) == pytest.approx(0.1) and falling_rate(0.1, 6, 10) == pytest.approx(0.05)
 
 
+def test_a_rate_that_is_level_at_first_tells_nothing_of_the_end():
+    """So that a lesson may be made longer as long as its rate has not begun to fall."""
+    assert [falling_rate(0.1, step, 20, 0.5) for step in (1, 5, 11)] == [0.1] * 3
+    assert falling_rate(0.1, 16, 20, 0.5) == pytest.approx(0.05)
+    with pytest.raises(SemlocError, match="level_share"):
+        TrainingConfig(level_share=1.0)
+
+
 def test_a_line_is_learned():
     line = train(begin(), loss, batch_of, TrainingConfig(num_steps=300, rate=0.1))
     assert (float(line.slope), float(line.offset)) == pytest.approx((3.0, -1.0), abs=0.02)

@@ -14,12 +14,13 @@ _REACH_M = 9.0
 
 @dataclass(frozen=True)
 class DriveNoise:
-    """Errors of a drive, one standard deviation each."""
+    """Errors of a drive, one standard deviation each; `curl_rad` is by how much its heading goes in ten metres."""
 
     gnss_m: float = 1.0
     turn_rad: float = 0.003
     scale: float = 0.003
     bend_rad: float = 0.0005
+    curl_rad: float = 0.0
     across_m: float = 0.03
     along_m: float = 0.08
     detected: float = 0.9
@@ -99,7 +100,7 @@ def drive(road: Road, number: int, noise: DriveNoise | None = None, seed: int = 
     xy, heading = _at(s)
     bias = random.normal(0.0, noise.gnss_m, 2)
     turn, scale = random.normal(0.0, noise.turn_rad), 1.0 + random.normal(0.0, noise.scale)
-    bends = np.cumsum(random.normal(0.0, noise.bend_rad, len(s))) + turn
+    bends = np.cumsum(random.normal(0.0, noise.bend_rad, len(s)) + noise.curl_rad) + turn
     steps = np.diff(xy, axis=0) * scale
     c, sn = np.cos(bends[:-1])[:, None], np.sin(bends[:-1])[:, None]
     walked = np.cumsum(np.hstack([c, sn]) * steps[:, :1] + np.hstack([-sn, c]) * steps[:, 1:], axis=0)

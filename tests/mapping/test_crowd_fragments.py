@@ -45,3 +45,21 @@ def test_a_part_is_of_what_another_drive_sees_whole_and_alone_it_is_not_placed()
     assert is_dash.sum() == num and placed[is_dash].sum() == num - 1 and placed[~is_dash].all()
     unplaced = found.world.half_m[~placed]
     assert unplaced.shape == (1, 2) and abs(2.0 * unplaced[0, 0] - 1.5) < 0.05
+
+
+def test_what_three_drives_show_as_short_as_each_other_is_short_and_what_they_cut_off_differently_is_not():
+    """A dash of 1.5 m among such of 3 m, and one of which each drive sees another part."""
+    road, drives = Road.of(120.0), []
+    for k, share in enumerate((0.45, 0.6, 0.75)):
+        cut = []
+        for e in worn(road, "dash_5").elements:
+            end = e.points[0] + share * (e.points[-1] - e.points[0])
+            cut.append(replace(e, points=np.vstack([e.points[0], end])) if e.id == "dash_8" else e)
+        drives.append(drive(replace(road, elements=tuple(cut)), k, EXACT))
+    found = fused([sights_of(d, None) for d in drives])
+    placed, is_dash = are_placed(found), found.world.kind == "dash"
+    short = is_dash & (found.world.half_m[:, 0] < 1.2)
+    assert placed[is_dash & ~short].all() and placed[short].sum() == 1
+    assert abs(found.world.half_m[short & placed][0, 0] - 0.75) < 0.05
+    two = fused([sights_of(d, None) for d in drives[:2]])
+    assert not are_placed(two)[(two.world.kind == "dash") & (two.world.half_m[:, 0] < 1.2)].any()

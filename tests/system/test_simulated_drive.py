@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import pose_errors
@@ -122,10 +122,13 @@ def test_same_frame_same_bits(drive, road_map, exact):
 def test_what_a_map_says_that_it_is_off_joins_the_covariance(drive, road_map, exact):
     known = BeliefMap.of(road_map)
     off = {key: replace(belief, sigma_place_m=0.04, sigma_turn_rad=0.001) for key, belief in known.beliefs.items()}
-    found = localize_frames(drive, replace(known, beliefs=off).as_map(), "sem", "gnss", drive.frames[3:4])[0]
+    stated, frame = replace(known, beliefs=off).as_map(), drive.frames[3:4]
+    found = localize_frames(drive, stated, "sem", "gnss", frame)[0]
     joined = np.diag([0.04, 0.04, 0.04, 0.0, 0.0, 0.001]) ** 2
     np.testing.assert_allclose(found.covariance - exact.results[3].covariance, joined, atol=1e-9)
     assert np.array_equal(found.T_map_base, exact.results[3].T_map_base)
+    within = localize_frames(drive, stated, "sem", "gnss", frame, config=LocalizeConfig(place_in="map"))[0]
+    assert np.array_equal(within.covariance, exact.results[3].covariance)  # among the elements around it
 
 
 def test_modes_are_a_posterior(exact):

@@ -20,7 +20,7 @@ from semloc_jax.maps import Belief
 from semloc_jax.maps.versions.records import element_of, json_bytes, record_of
 from semloc_jax.storage import reading
 
-_MAGIC = b"SCEL\x01"
+_MAGIC = b"SCEL\x02"
 _HASH_BYTES, _PRESET, _LARGEST_BYTES = 32, 1, 1 << 28
 _CHANGE = ("id", "change", "existence", "moved_m", "drive", "num_seen", "num_missed")
 
@@ -38,6 +38,8 @@ class DriveRow(NamedTuple):
     scale: float
     noise: float
     """How much larger its errors are than it says."""
+    bent: float
+    """How many times as much as usual its way may bend; 1 where it does as those of the others do."""
     distrusted: str
     """Why it counts less; empty where it does not."""
 
@@ -127,7 +129,8 @@ def drive_rows(fused: Fused) -> tuple[DriveRow, ...]:
         placed = [round(v, 5) for v in (x_m, y_m, float(np.degrees(turn)), 1.0 + scale)]
         reason = fused.distrusted[k].reason if k in fused.distrusted else ""
         noise = round(float(seen.factor.max()), 2)
-        rows.append(DriveRow(drive.sights.name, len(drive.sights.things), len(seen.pairs), *placed, noise, reason))
+        told = noise, round(drive.bent, 2), reason
+        rows.append(DriveRow(drive.sights.name, len(drive.sights.things), len(seen.pairs), *placed, *told))
     return tuple(rows)
 
 

@@ -25,6 +25,8 @@ _NODE_M = 25.0
 _HELD_RAD = 1e-5
 SCALE = 3
 """Place of the scale among the unknowns, after a shift and a turn."""
+_TURN = 2
+"""Place of the turn among the three unknowns of a node, which stand behind the scale."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,8 @@ class Correction:
         self.centre = points.mean(axis=0) if len(points) else np.zeros(2)
         self.size = 4 + 3 * self.num_nodes
         self.value = np.zeros(self.size)
+        self.bent = 1.0
+        """How many times as much its way may bend as is usual; see `bends`."""
 
     @property
     def is_held(self) -> bool:
@@ -153,6 +157,15 @@ class Correction:
         """By how much directions of the drive turn at points [rad]."""
         return self.turn_rows(xy) @ self.value
 
+    @property
+    def bend(self) -> float:
+        """How far its way is bent: mean square of its headings against their mean, in what such a walk gives; 0 where
+        nothing can bend."""
+        turns = self.value[4 + _TURN :: 3]
+        if len(turns) < 2:
+            return 0.0
+        return float(6.0 * np.var(turns) / (len(turns) * self.config.bend_rad**2))
+
     def known(self) -> tuple[csr_array, Float[np.ndarray, " k"]]:
         """Whitened rows of what is known of the unknowns, and what they should give."""
         c, place_m = self.config, self.sights.sigma_place_m
@@ -163,13 +176,14 @@ class Correction:
         if self.num_nodes:
             nodes_m = np.linspace(0.0, float(self._s_m[-1]), self.num_nodes)
             step = _turned(np.diff(polyline.interpolate(self.sights.way, nodes_m), axis=0))
+            bend_rad = self.bent * c.bend_rad
             walk = np.zeros((3 * (self.num_nodes - 1), self.size))
             for k in range(self.num_nodes - 1):
                 here, there = 4 + 3 * k, 7 + 3 * k
                 for axis in (0, 1):
                     walk[3 * k + axis, [there + axis, here + axis]] = np.array([1.0, -1.0]) / c.slip_m
                     walk[3 * k + axis, here + 2] = -step[k, axis] / c.slip_m
-                walk[3 * k + 2, [there + 2, here + 2]] = np.array([1.0, -1.0]) / c.bend_rad
+                walk[3 * k + 2, [there + 2, here + 2]] = np.array([1.0, -1.0]) / bend_rad
             blocks.append(walk)
         rows = np.vstack(blocks)
         target = np.zeros(len(rows))

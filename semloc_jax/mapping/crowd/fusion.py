@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.mapping.crowd.bends import judge_bends
 from semloc_jax.mapping.crowd.correction import Correction, CorrectionConfig
 from semloc_jax.mapping.crowd.joint import JointSolve
 from semloc_jax.mapping.crowd.placing import place
@@ -115,6 +116,8 @@ def _fused_once(
         if k not in distrusted:
             world.take_parts(k, drive, config.gate_m * widen[0])
     for factor in (*widen, widen[-1]):
+        if widen == _WIDEN[-1]:  # before, a sight may still be taken for that of a neighbour
+            judge_bends([drive for k, drive in enumerate(drives) if k not in distrusted])
         seen, solve = _solved(world, drives, distrusted, config, factor)
         seen_in = np.zeros((len(world.kind), len(drives)), dtype=bool)
         for k, own in enumerate(seen):

@@ -115,7 +115,7 @@ class JointSolve:
         if self.moves and m:
             column = 2 * len(world.kind) + self._first_station[seen.line] + seen.station
             entries.append((2 * n + np.arange(m), 1.0 / seen.sigma_m, column))
-        dense = np.vstack([shift.reshape(2 * n, -1), aside]) if n or m else np.zeros((0, drive.size))
+        dense = np.vstack([shift.reshape(2 * n, drive.size), aside]) if n or m else np.zeros((0, drive.size))
         r, c = np.nonzero(dense)
         entries.append((r, -dense[r, c], self._first_drive[k] + c))
         rows, values, columns = (np.concatenate(parts) for parts in zip(*entries, strict=True))

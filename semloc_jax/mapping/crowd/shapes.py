@@ -15,6 +15,9 @@ from semloc_jax.mapping.crowd.world import turned_by
 _FIRST, _MORE = 2, 4
 """What is new to a survey is told by its first sights, and again once so many times as many have seen it; ours."""
 
+_ALIKE, _SAME_HALF_M = 3, 0.1
+"""So many drives that have a short thing as long as each other, to twice this, have seen all of it; ours."""
+
 
 class Shapes(NamedTuple):
     """Things from above."""
@@ -45,14 +48,30 @@ def shapes_of(found: Fused) -> Shapes:
 
 
 def are_placed(found: Fused) -> Bool[np.ndarray, " n"]:
-    """Which things lie where they are drawn: of dashes and bars that no drive has seen whole only a part is known."""
+    """Which things lie where they are drawn: of dashes and bars that no drive has seen whole only a part is known.
+
+    What is shorter than those around it is whole all the same where several drives show both of its ends alike: traffic
+    and dirt cut off now more, now less.
+    """
     world = found.world
-    placed = ~np.isin(world.kind.astype(str), FRAGMENTED)
+    placed = ~np.isin(world.kind.astype(str), FRAGMENTED) | _are_short(found)
     for k, (drive, seen) in enumerate(zip(found.drives, found.seen, strict=True)):
         i, j = seen.pairs.T
         if k not in found.distrusted:
             placed[j[drive.sights.things.has_ends[i] | drive.sights.is_base]] = True
     return placed
+
+
+def _are_short(found: Fused) -> Bool[np.ndarray, " n"]:
+    """Which things several drives show with two clear ends and as long as each other."""
+    halves: list[list[float]] = [[] for _ in found.world.kind]
+    for k, (drive, seen) in enumerate(zip(found.drives, found.seen, strict=True)):
+        things = drive.sights.things
+        for i, j in seen.pairs.tolist() if k not in found.distrusted else []:
+            if all(things.elements[i].true_ends):
+                halves[j].append(float(things.half_m[i, 0]))
+    alike = [sum(abs(half - np.median(own)) < _SAME_HALF_M for half in own) for own in halves]
+    return np.array([num >= _ALIKE for num in alike], dtype=bool)
 
 
 def counted_sights(found: Fused) -> list[np.ndarray]:

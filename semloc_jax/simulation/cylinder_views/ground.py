@@ -37,6 +37,18 @@ def sky_and_road(rng: np.random.Generator, canvas: Canvas, is_hall: bool) -> Non
     if rng.random() < 0.08:
         colour = np.array([0.3, 0.45, 0.6]) * rng.uniform(0.5, 1.3)  # bricks, or a painted floor
     canvas.picture[horizon:] = colour * _texture(rng, canvas, horizon, width, height)[..., None]
+    if not is_hall and rng.random() < 0.4:
+        _lawn(rng, canvas, horizon)
+
+
+def _lawn(rng: np.random.Generator, canvas: Canvas, horizon: int) -> None:
+    """Grass, earth or bushes where the lot ends, and hills behind."""
+    ends = horizon + round(canvas.focal_px * canvas.height_m / rng.uniform(7.0, 30.0))
+    top = horizon - round(canvas.focal_px * rng.choice([0.0, rng.uniform(0.0, 0.15)]))
+    colour = (np.array([0.2, 0.45, 0.32]) if rng.random() < 0.75 else np.array([0.3, 0.4, 0.5])) * rng.uniform(0.4, 1.6)
+    level = np.linspace(rng.uniform(0.7, 1.2), rng.uniform(0.7, 1.2), max(ends - top, 1), dtype=np.float32)
+    rows = canvas.picture[max(top, 0) : ends]
+    rows[:] = colour * level[max(-top, 0) :, None, None][: len(rows)]
 
 
 def _texture(rng: np.random.Generator, canvas: Canvas, horizon: int, width: int, height: int) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from semloc_jax.simulation.cylinder_views.bodies import Body
-from semloc_jax.simulation.cylinder_views.bystanders import background, bystander, car
+from semloc_jax.simulation.cylinder_views.bystanders import background
 from semloc_jax.simulation.cylinder_views.canvas import Canvas
 from semloc_jax.simulation.cylinder_views.ground import (
     lamps,
@@ -22,18 +22,12 @@ from semloc_jax.simulation.cylinder_views.ground import (
     sky_and_road,
     thrown_back,
 )
-from semloc_jax.simulation.cylinder_views.kept_free import obstacle
-from semloc_jax.simulation.top_views.slot_layout import random_layout
+from semloc_jax.simulation.cylinder_views.placing import SIZE_M, placed
 
 _FINER = 2
 """Pictures are painted so many times finer and averaged."""
-KINDS = ("cone", "pillar", "ground_lock", "no_parking_sign")
-_SHARES = (0.28, 0.12, 0.33, 0.27)
-_RANGE_M = (0.8, 12.0)
-_SIZE_M = 16.0
-"""Side of the square with painted slots around the car."""
-_AT_ONCE = 60
-"""Most things in one picture: their numbers are those in `Canvas.ids`."""
+_SLOPE_RAD = 0.01
+"""Standard deviation of the road against the level, and of the mount against what is known of it."""
 
 
 class Geometry(NamedTuple):
@@ -91,11 +85,11 @@ def cylinder_sample(rng: np.random.Generator, geometry: Geometry) -> CylinderSam
     is_hall = bool(rng.random() < 0.45)
     ceiling_m = float(rng.uniform(2.1, 3.8)) if is_hall else None
     canvas = _canvas(rng, geometry)
-    bodies, slots = _placed(rng, canvas, ceiling_m)
+    bodies, slots = placed(rng, 0.5 * canvas.picture.shape[1] / canvas.focal_px, ceiling_m)
     sky_and_road(rng, canvas, is_hall)
     if is_hall and rng.random() < 0.7:
         lamps(rng, canvas)
-    paint_on_road(rng, canvas, slots, _SIZE_M, np.full(2, -0.5 * _SIZE_M))
+    paint_on_road(rng, canvas, slots, SIZE_M, np.full(2, -0.5 * SIZE_M))
     shadows_on_road(rng, canvas, bodies, is_hall)
     far_first = sorted(bodies, key=lambda body: -float(np.linalg.norm(body.middle)))
     if rng.random() < (0.6 if is_hall else 0.12):
@@ -117,56 +111,10 @@ def _canvas(rng: np.random.Generator, geometry: Geometry) -> Canvas:
     light = np.array([np.cos(sun) * np.cos(low), np.sin(sun) * np.cos(low), np.sin(low)])
     picture = np.zeros((_FINER * geometry.height, _FINER * geometry.width, 3), np.float32)
     # Pixel centres are at whole numbers: those of the finer picture lie half a step off.
-    centre = (_FINER * 0.5 * geometry.width - 0.5, _FINER * (geometry.centre_v + 0.5) - 0.5)
+    centre_v = geometry.centre_v + geometry.focal_px * _SLOPE_RAD * rng.standard_normal()
+    centre = (_FINER * 0.5 * geometry.width - 0.5, _FINER * (centre_v + 0.5) - 0.5)
     ambient = rng.uniform(0.35, 0.9)
     return Canvas(_FINER * geometry.focal_px, centre, rng.uniform(0.5, 1.5), light, ambient, picture)
-
-
-def _placed(rng: np.random.Generator, canvas: Canvas, ceiling_m: float | None) -> tuple[list[Body], object]:
-    """Things at random places, none in another, and the painted slots, some with cars."""
-    layout, half_rad = random_layout(rng, _SIZE_M), 0.5 * canvas.picture.shape[1] / canvas.focal_px
-    bodies: list[Body] = []
-
-    def add(body: Body, gap_m: float) -> None:
-        reach = [np.linalg.norm(b.footprint - b.middle, axis=1).max() for b in (*bodies, body)]
-        away = [float(np.linalg.norm(b.middle - body.middle)) for b in bodies]
-        nearest = float(np.linalg.norm(body.footprint, axis=1).min())
-        if (
-            nearest > 0.55
-            and len(bodies) < _AT_ONCE
-            and all(a > 0.75 * r + gap_m for a, r in zip(away, reach[:-1], strict=True))
-        ):
-            bodies.append(body)
-
-    same_look = int(rng.integers(2**32))
-    for _ in range(int(rng.integers(1, 6)) if ceiling_m is not None else 0):
-        # Pillars of one hall look alike.
-        add(obstacle(np.random.default_rng(same_look), "pillar", _place(rng, half_rad), ceiling_m), 0.25)
-    for _ in range(int(rng.integers(0, 12))):
-        add(obstacle(rng, str(rng.choice(KINDS, p=_SHARES)), _place(rng, half_rad), ceiling_m), 0.25)
-    full = rng.choice([0.0, 0.3, 0.7], p=(0.2, 0.4, 0.4))
-    for slot in layout.slots:
-        middle = slot.mean(axis=0) - 0.5 * _SIZE_M
-        if rng.random() < full and 2.6 < np.linalg.norm(middle) < 16.0:
-            long_side = slot[3] - slot[0]
-            if np.linalg.norm(slot[1] - slot[0]) > np.linalg.norm(long_side):
-                long_side = slot[1] - slot[0]
-            turned = float(np.arctan2(long_side[1], long_side[0])) + np.pi * rng.integers(2)
-            add(car(rng, middle, turned), 0.6)
-    if rng.random() < 0.35:
-        place = _place(rng, half_rad)
-        if np.linalg.norm(place) > 3.5:
-            add(car(rng, place, rng.uniform(-np.pi, np.pi)), 0.9)
-    for _ in range(int(rng.integers(0, 6))):
-        add(bystander(rng, _place(rng, half_rad)), 0.3)
-    return bodies, layout
-
-
-def _place(rng: np.random.Generator, half_rad: float) -> Float[np.ndarray, " 2"]:
-    """As many near as far by the logarithm of the range."""
-    range_m = float(np.exp(rng.uniform(*np.log(_RANGE_M))))
-    phi = rng.uniform(-1.1, 1.1) * half_rad
-    return range_m * np.array([np.sin(phi), np.cos(phi)])
 
 
 def _own_car(rng: np.random.Generator, canvas: Canvas) -> None:
@@ -222,7 +170,7 @@ def _finished(rng: np.random.Generator, canvas: Canvas, geometry: Geometry) -> U
         row = np.linspace(rng.uniform(0.4, 1.0), rng.uniform(0.6, 1.2), len(picture), dtype=np.float32)
         picture = picture * row[:, None, None]
     if rng.random() < 0.75:
-        picture = cv2.GaussianBlur(picture, None, rng.uniform(0.5, 2.6))
+        picture = cv2.GaussianBlur(picture, None, rng.uniform(0.5, 2.0))
     small = cv2.resize(picture, (geometry.width, geometry.height), interpolation=cv2.INTER_AREA)
     gamma, gain = rng.uniform(0.7, 1.3), rng.uniform(0.65, 1.4)
     small = np.maximum(small, np.float32(1e-3)) ** np.float32(gamma) * np.float32(gain)
