@@ -15,7 +15,7 @@ from scipy.special import expit, logit, stdtr
 
 from semloc_jax.evaluation.mixture_bounds import Causes
 from semloc_jax.localization.moved_elements import CLASSES, near, profile_of
-from semloc_jax.localization.other_calibrations import ASIDE, WIDTH, alternatives
+from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, alternatives
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import WatchState, means_of
 
@@ -28,6 +28,8 @@ _EXACT_STEPS = 0.05
 _LEAST_BEND_NATS = 0.8
 """What a step off must cost a frame at least for a frame to tell: where masks are so coarse that a lens which is 2.5 %
 off costs less, what they like is told by their pixels. A real drive of 400 x 120 px has 0.4, simulated ones 1 to 4."""
+_ASIDE_ROW = alternatives(2).index(ASIDE)
+"""Its place among `alternatives` of rigs of several cameras."""
 _AS_LEVELS = [1, 0, 2]
 _UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
 _HALVINGS = 24
@@ -93,12 +95,18 @@ def _told(watch: WatchState, k: int, config: WatchConfig) -> _Told | None:
 
     A frame says so much of a size as its costs bend; of the frames, `WatchConfig.share` is new.
     """
-    num, gain, moves = (column[:2] for column in means_of(watch, k))
-    slope, bend = 0.5 * (gain[1] - gain[0]), -0.5 * (gain[0] + gain[1])
-    if (num < 0.5).any() or bend < _LEAST_BEND_NATS:
+    num, gain, moves = means_of(watch, k)
+    if (num[:2] < 0.5).any():
         return None
-    variance = 0.5 / (bend * config.share * float(num.mean()))
-    return _Told(-0.5 * slope / bend, variance, (0.5 * (moves[0] - moves[1]))[_AS_LEVELS])
+    # Cameras that look aside by a step show a slope between the near steps and no bend. Lenses that are a step off are
+    # told by `suspicions`.
+    asked = num * (np.arange(len(num)) < (len(num) if k == _ASIDE_ROW else 2))
+    terms = np.sqrt(asked)[:, None] * np.stack([STEPS, -(STEPS**2)], axis=1)
+    slope, bend = np.linalg.lstsq(terms, np.sqrt(asked) * gain, rcond=None)[0]
+    if bend < _LEAST_BEND_NATS:
+        return None
+    variance = 0.5 / (bend * config.share * float(num[:2].mean()))
+    return _Told(0.5 * slope / bend, variance, (0.5 * (moves[0] - moves[1]))[_AS_LEVELS])
 
 
 def _of_calibration(watch: WatchState, k: int, config: WatchConfig) -> _Rows:
@@ -116,10 +124,9 @@ def _of_calibration(watch: WatchState, k: int, config: WatchConfig) -> _Rows:
 
 def aside(watch: WatchState, num_cameras: int, config: WatchConfig) -> float:
     """Probability that all cameras look aside alike, by the masks; arguments as `weighed`."""
-    names = alternatives(num_cameras)
-    if ASIDE not in names or not len(watch.num):
+    if num_cameras < 2 or not len(watch.num):
         return _PROBABILITY
-    told, _, _ = _of_calibration(watch, names.index(ASIDE), config)
+    told, _, _ = _of_calibration(watch, _ASIDE_ROW, config)
     return float(told[0]) if len(told) else _PROBABILITY
 
 

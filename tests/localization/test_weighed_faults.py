@@ -95,20 +95,19 @@ def test_a_sound_lens_leaves_the_place_as_open_as_lenses_are_exact():
 
 
 def test_cameras_at_the_front_and_at_the_rear_tell_whether_all_look_aside():
-    """Gains of a garage of a seed on which nothing was chosen: sound cameras, and cameras turned by 0.5 deg, which the
-    way denied for the first three metres, since what held the pose was ahead first and behind it later."""
+    """Gains of garages of seeds on which nothing was chosen: sound cameras, and cameras turned by 0.5 and 0.7 deg. The
+    way denied them for three metres, since what held the pose was ahead first and behind it later. Of the last, near
+    steps alone show a slope and no bend."""
     found = []
-    for gains in ((-3.1, -3.2), (-4.1, 1.2)):
+    for gains in ((-3.1, -3.2, np.nan, np.nan), (-4.1, 1.2, np.nan, -5.7), (-3.5, 2.9, np.nan, -2.8)):
         state = WatchState()
         for _ in range(8):
             moved = np.array([[0.0, 0.0, np.deg2rad(-0.7) * step] for step in STEPS])
-            state = learned(
-                state, 4, 0.0, [Tried(ASIDE, np.array([*gains, np.nan, np.nan]), moved)], profiles(0, 0), CONFIG
-            )
+            state = learned(state, 4, 0.0, [Tried(ASIDE, np.array(gains), moved)], profiles(0, 0), CONFIG)
         causes = weighed_faults.weighed(state, 4, OWN, np.full(3, 20.0), CONFIG)
         level_deg = weighed_faults.reach(causes, SHARE)[1, 2]
         found.append((weighed_faults.aside(state, 4, CONFIG), level_deg))
-    (sound, sound_deg), (turned, turned_deg) = found
+    (sound, sound_deg), *turned = found
     assert sound < 0.002 and sound_deg < 0.3
-    assert turned > 0.01 and turned_deg > 0.5
+    assert all(share > 2.0 * sound and level_deg > 0.6 for share, level_deg in turned)
     assert weighed_faults.aside(state, 1, CONFIG) == weighed_faults.aside(WatchState(), 4, CONFIG) == 0.005
