@@ -108,9 +108,8 @@ def _strokes_of(
         depth = cv2.distanceTransform(own.astype(np.uint8), cv2.DIST_L2, 3)
         seed = np.array(np.unravel_index(int(depth.argmax()), depth.shape), dtype=float)[::-1]
         stroke = _followed(share, looked, own, seed, limits)
-        stroke = None if stroke is None else _new_part(stroke, seed, covered)
         taken = np.zeros(own.shape, np.uint8)
-        if stroke is None:
+        if stroke is None or not _is_new(stroke, seed, covered):
             cv2.circle(taken, tuple(np.rint(seed).astype(int).tolist()), int(limits.reach), 1, -1)
         else:
             line = np.rint(stroke.middle * 8).astype(np.int32)[None]
@@ -122,19 +121,11 @@ def _strokes_of(
     return found
 
 
-def _new_part(stroke: PaintTrace, seed: np.ndarray, covered: np.ndarray) -> PaintTrace | None:
-    """What of a stroke goes on from its seed without a place that another one covers; None where the seed leads to
-    one: the rim of paint leads back to its middle."""
-    x, y = np.clip(np.rint(stroke.middle).astype(int), 0, np.array(covered.shape)[::-1] - 1).T
-    is_old = covered[y, x] > 0
-    start = int(np.linalg.norm(stroke.middle - seed, axis=1).argmin())
-    if is_old[start]:
-        return None
-    before, after = np.flatnonzero(is_old[:start]), np.flatnonzero(is_old[start:])
-    low = int(before[-1]) + 1 if len(before) else 0
-    high = start + int(after[0]) if len(after) else len(is_old)
-    ends = stroke.is_end[0] and low == 0, stroke.is_end[1] and high == len(is_old)
-    return PaintTrace(stroke.middle[low:high], stroke.width, ends) if high - low >= 2 else None
+def _is_new(stroke: PaintTrace, seed: np.ndarray, covered: np.ndarray) -> bool:
+    """Whether a stroke is another one than those that cover paint: the rims of a stroke lead back to its middle."""
+    x, y = np.rint(stroke.middle[np.linalg.norm(stroke.middle - seed, axis=1).argmin()]).astype(int)
+    height, width = covered.shape
+    return not covered[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
 
 
 def _without_crumbs(own: np.ndarray, smallest: float) -> np.ndarray:
