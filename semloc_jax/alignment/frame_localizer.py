@@ -156,7 +156,7 @@ class FrameLocalizer:
         local_map: LocalMap | None = None,
     ) -> LocalizationResult:
         elements = () if local_map is None else local_map.elements
-        map_sigmas = SharedSigmas(elements, self.config.map_sigma, self.config.place_in == "earth")
+        map_sigmas = SharedSigmas(elements, self.config.map_sigma, on_earth=self.config.place_in == "earth")
         best = found.modes[0].T_map_base if found.modes else T_map_prior
         of_map = np.square(map_sigmas.at(best[:2, 3]))
         shared = of_map[[0, 0, 1]] + mount_variance(rig, self.config.faults)

@@ -101,7 +101,7 @@ class Localizer:
         self.is_explicit = self.config.association == "explicit"
         kind = ExplicitAligner if self.is_explicit else FrameAligner
         self.aligner = kind(semantic_map, self.windows, self.channel_of_label, scene, self.config.alignment)
-        self._map_sigmas = SharedSigmas(semantic_map.walk(), scene.map_sigma, scene.place_in == "earth")
+        self._map_sigmas = SharedSigmas(semantic_map.walk(), scene.map_sigma, on_earth=scene.place_in == "earth")
         searching = ExplicitAcquisition if self.is_explicit else Acquisition
         self.acquisition = searching(self.aligner, motion, self.config.acquisition)
 

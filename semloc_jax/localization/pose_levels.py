@@ -35,10 +35,6 @@ _LEAST_VARIANCE = 1e-12
 _UNTOLD_DEG = float(np.degrees(0.5 / 600.0))
 """What no frame tells of the heading of sound cameras: masks that lie half a pixel aside, at 600 px a radian."""
 _NOT_EXCLUDED = "another lens or elements of the map that were moved are not excluded yet: more way tells"
-_ASIDE = (
-    "all cameras look aside: those at the front and at the rear do not agree how far to the side the vehicle stands; "
-    "run semloc calibrate"
-)
 
 
 class PoseLevels(NamedTuple):
@@ -164,7 +160,7 @@ def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
     most = np.maximum(separation.farthest(known.still, move), 0.0)
     if beyond_alert(ProtectionLevels(*most.tolist()), limit):
         is_told = known.aside > 0.5 and not watch.is_ahead(known.rig)
-        causes = (*causes, _ASIDE if is_told else _NOT_EXCLUDED)
+        causes = (*causes, watch.ALL_ASIDE if is_told else _NOT_EXCLUDED)
     protection = ProtectionLevels(*np.maximum(protection, most).tolist())
     room = np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])
     misled += float(beyond(known.weighed_about(move), room).sum())

@@ -40,6 +40,10 @@ _LOOSE = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
 _PLANE = [0, 1, 5]
 """Forward, left and heading in a tangent."""
 _ADVICE = "run semloc calibrate"
+ALL_ASIDE = (
+    "all cameras look aside: those at the front and at the rear do not agree how far to the side the vehicle stands; "
+    f"{_ADVICE}"
+)
 _WITH_OTHER_SIGN = once_for_each(with_distortion)
 _ALONE = once_for_each(lambda rig: (rig,))
 _OWN_TILT_RAD = np.deg2rad(RoadSigmas().roll_pitch_deg)

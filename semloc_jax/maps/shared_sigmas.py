@@ -20,19 +20,19 @@ class SharedSigmas:
     """The errors that all elements around a place share."""
 
     def __init__(
-        self, elements: Iterable[MapElement], everywhere: tuple[float, float] = (0.0, 0.0), counts: bool = True
+        self, elements: Iterable[MapElement], everywhere: tuple[float, float] = (0.0, 0.0), on_earth: bool = True
     ):
         """Elements that state none share no error.
 
         Args:
             elements: of a map.
             everywhere: what is known of the whole map beside: standard deviations of place [m] and direction [rad].
-            counts: whether what the elements state is an error: not of a place that is meant in the map.
+            on_earth: whether places are meant on the earth; in the map itself what the elements state is no error.
 
         Raises:
             SemlocError: a belief of the map cannot be read.
         """
-        beliefs = ((element, stated_belief(element)) for element in (elements if counts else ()))
+        beliefs = ((element, stated_belief(element)) for element in (elements if on_earth else ()))
         told = [(e, b) for e, b in beliefs if b is not None and (b.sigma_place_m or b.sigma_turn_rad)]
         self._everywhere = everywhere
         self._tree = cKDTree([e.points[:, :2].mean(axis=0) for e, _ in told]) if told else None
