@@ -5,6 +5,7 @@ In: share of looks that show paint, by cell. Out: PaintTrace: middle, width and 
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,6 +22,8 @@ _PEAK_PART = 0.8
 """Part of the least share that the mean over half a metre along a stroke must reach."""
 _CLEAR = 6.0
 """Ratio of the moments of paint from which its direction is clear."""
+_BACK_FROM_END = 24.0
+"""Cells before the last place of a stroke whose paint says where its end is."""
 _BACK = 14
 """Places whose straight line gives the direction of the next step."""
 
@@ -35,6 +38,8 @@ class TraceLimits:
         bridged: longest gap that is passed over.
         smallest: area below which paint is noise.
         least_share: of the looks that show paint; narrow paint far away is smeared over more cells than it covers.
+        faint_share: what a stroke that was begun is followed through: masks that miss paint in most looks show bare
+            road as paint in far fewer.
     """
 
     widest: float = 14.0
@@ -42,6 +47,7 @@ class TraceLimits:
     bridged: float = 16.0
     smallest: float = 40.0
     least_share: float = 0.5
+    faint_share: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -77,18 +83,14 @@ def find_strokes(
     limits = limits or TraceLimits()
     free = ((share > limits.least_share) & looked).astype(np.uint8)
     num, labels, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=8)
-    found = []
+    found, covered = [], np.zeros(free.shape, np.uint8)
     for index in range(1, num):
         x, y, width, height, area = (int(v) for v in stats[index])
-        if area < limits.smallest:
-            continue
-        margin = int(limits.bridged) + int(limits.reach) + 8
-        top, left = max(y - margin, 0), max(x - margin, 0)
-        box = slice(top, y + height + margin), slice(left, x + width + margin)
-        own = labels[box] == index
-        # Paint already taken by a stroke that bridged a gap is not followed again.
-        own &= free[box] > 0
-        found += _strokes_of(share[box], looked[box], own, free[box], np.array([left, top], float), limits)
+        if area >= limits.smallest:
+            box = slice(y, y + height), slice(x, x + width)
+            # Paint already taken by a stroke that bridged a gap is not followed again.
+            own = (labels[box] == index) & (free[box] > 0)
+            found += _strokes_of(share, looked, own, box, free, covered, limits)
     return found
 
 
@@ -96,28 +98,39 @@ def _strokes_of(
     share: np.ndarray,
     looked: np.ndarray,
     own: np.ndarray,
+    box: tuple[slice, slice],
     free: np.ndarray,
-    origin: np.ndarray,
+    covered: np.ndarray,
     limits: TraceLimits,
 ) -> list[PaintTrace]:
-    """The strokes of one patch of connected paint; what they cover is taken out of `free`."""
-    found, covered = [], np.zeros(own.shape, np.uint8)
+    """The strokes that begin in one patch of connected paint; they are followed out of it.
+
+    Args:
+        share: paint by cell of the whole picture.
+        looked: cells that were seen often enough.
+        own: cells of the patch.
+        box: where these lie in the picture.
+        free: paint that no stroke has; what is looked at here is taken out of it.
+        covered: cells on the strokes of the picture; those found here are added.
+        limits: what counts as a stroke.
+    """
+    found, origin = [], np.array([box[1].start, box[0].start], float)
     for _ in range(200):
         if own.sum() < limits.smallest:
             break
-        depth = cv2.distanceTransform(own.astype(np.uint8), cv2.DIST_L2, 3)
+        # Cells around a patch are not of it, also where it fills its box.
+        depth = cv2.distanceTransform(np.pad(own.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
         seed = np.array(np.unravel_index(int(depth.argmax()), depth.shape), dtype=float)[::-1]
-        stroke = _followed(share, looked, own, seed, limits)
-        taken = np.zeros(own.shape, np.uint8)
-        if stroke is None or not _is_new(stroke, seed, covered):
-            cv2.circle(taken, tuple(np.rint(seed).astype(int).tolist()), int(limits.reach), 1, -1)
+        stroke = _followed(share, looked, own, seed, origin, limits)
+        if stroke is None or not _is_new(stroke, seed + origin, covered):
+            cv2.circle(free, tuple(np.rint(seed + origin).astype(int).tolist()), int(limits.reach), 0, -1)
         else:
             line = np.rint(stroke.middle * 8).astype(np.int32)[None]
-            cv2.polylines(taken, line, False, 1, max(int(stroke.width + 5), 3), cv2.LINE_8, 3)
-            found.append(PaintTrace(stroke.middle + origin, stroke.width, stroke.is_end))
-            covered |= taken
-        own = _without_crumbs(own & (taken == 0), limits.smallest)
-        free[taken > 0] = 0
+            wide = max(int(stroke.width + 5), 3)
+            cv2.polylines(free, line, False, 0, wide, cv2.LINE_8, 3)
+            cv2.polylines(covered, line, False, 1, wide, cv2.LINE_8, 3)
+            found.append(stroke)
+        own = _without_crumbs(own & (free[box] > 0), limits.smallest)
     return found
 
 
@@ -137,17 +150,24 @@ def _without_crumbs(own: np.ndarray, smallest: float) -> np.ndarray:
 
 
 def _followed(
-    share: np.ndarray, looked: np.ndarray, own: np.ndarray, seed: np.ndarray, limits: TraceLimits
+    share: np.ndarray,
+    looked: np.ndarray,
+    own: np.ndarray,
+    seed: np.ndarray,
+    origin: np.ndarray,
+    limits: TraceLimits,
 ) -> PaintTrace | None:
-    direction = _direction(share, own, seed, limits)
+    """The stroke through a place of a patch, which begins at `origin` in the picture."""
+    place = seed + origin
+    direction = _direction(share, own, seed, origin, limits)
     if direction is None:
         return None
-    first = _profile(share, seed, direction, limits)
-    if first is None:
+    first = _profile(share, place, direction, limits)
+    if first is None or first.peak < _PEAK_PART * limits.least_share:
         return None
     ways = []
     for sign in (1.0, -1.0):
-        ways.append(_one_way(share, looked, seed + first[0] * _normal(direction), sign * direction, limits))
+        ways.append(_one_way(share, looked, place + first.offset * _normal(direction), sign * direction, limits))
     middle = np.vstack([ways[1][0][::-1], ways[0][0][1:]])
     middle = middle[np.append(True, np.linalg.norm(np.diff(middle, axis=0), axis=1) > 1e-3)]
     widths = np.concatenate([ways[0][1], ways[1][1]])
@@ -156,7 +176,9 @@ def _followed(
     return PaintTrace(middle, float(np.median(widths)), (ways[1][2], ways[0][2]))
 
 
-def _direction(share: np.ndarray, own: np.ndarray, seed: np.ndarray, limits: TraceLimits) -> np.ndarray | None:
+def _direction(
+    share: np.ndarray, own: np.ndarray, seed: np.ndarray, origin: np.ndarray, limits: TraceLimits
+) -> np.ndarray | None:
     """Main direction of the paint around a place; where lines meet, that in which paint goes on longest."""
     r = 30
     x, y = np.rint(seed).astype(int)
@@ -170,7 +192,7 @@ def _direction(share: np.ndarray, own: np.ndarray, seed: np.ndarray, limits: Tra
     angles = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
     ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     reach = np.arange(2.0, 80.0, 2.0)
-    paint = _looked_up(share, seed + reach[None, :, None] * ways[:, None]) > _PEAK_PART * limits.least_share
+    paint = _looked_up(share, seed + origin + reach[None, :, None] * ways[:, None]) > _PEAK_PART * limits.least_share
     length = np.where(paint.all(axis=1), len(reach), paint.argmin(axis=1))
     return ways[int(length.argmax())] if length.max() >= 4 else None
 
@@ -179,16 +201,22 @@ def _normal(direction: np.ndarray) -> np.ndarray:
     return np.array([-direction[1], direction[0]])
 
 
-def _profile(
-    share: np.ndarray, place: np.ndarray, direction: np.ndarray, limits: TraceLimits
-) -> tuple[float, float] | None:
-    """Offset of the middle of the paint across a place, and its width; None where there is none near the middle."""
+class _Profile(NamedTuple):
+    """Paint across a place, in cells: how far its middle is off the place, its width, the largest share in it."""
+
+    offset: float
+    width: float
+    peak: float
+
+
+def _profile(share: np.ndarray, place: np.ndarray, direction: np.ndarray, limits: TraceLimits) -> _Profile | None:
+    """The paint across a place; None where there is none near the middle, not even faint."""
     across = _across(share, place, direction, limits.reach)
     middle, around = len(across) // 2, int(0.34 * limits.reach / _ACROSS)
     near = across[middle - around : middle + around + 1]
     centre = middle - around + int(near.argmax())
     peak = float(across[centre])
-    if peak < _PEAK_PART * limits.least_share:
+    if peak < limits.faint_share:
         return None
     paint = across > 0.5 * peak
     to_left, to_right = _length(paint[centre::-1]), _length(paint[centre:])
@@ -197,7 +225,7 @@ def _profile(
     weight = across[low:high]
     total = float(weight.sum())
     offset = float(weight @ np.arange(low - middle, high - middle)) * _ACROSS / total
-    return offset, _ACROSS * total / max(peak, 0.8)
+    return _Profile(offset, _ACROSS * total / max(peak, 0.8), peak)
 
 
 def _across(share: np.ndarray, place: np.ndarray, direction: np.ndarray, reach: float) -> np.ndarray:
@@ -234,11 +262,11 @@ def _one_way(
                 break
             continue
         gap = 0.0
-        offset, wide = found
-        if wide <= limits.widest:
-            at = at + float(np.clip(offset, -1.5, 1.5)) * _normal(direction)
-            widths.append(wide)
+        if found.width <= limits.widest:
+            at = at + float(np.clip(found.offset, -1.5, 1.5)) * _normal(direction)
             places.append(at)
+            if found.peak >= _PEAK_PART * limits.least_share:
+                widths.append(found.width)
         recent = np.array(places[-_BACK:])
         if len(recent) >= 4:
             direction = _straight(recent, direction)
@@ -258,17 +286,17 @@ def _end(
     share: np.ndarray, looked: np.ndarray, last: np.ndarray, direction: np.ndarray, limits: TraceLimits
 ) -> tuple[np.ndarray, bool]:
     """Where paint falls below half, past the last place, and whether the road behind was looked at."""
-    s = np.arange(-2.0 * _STEP, limits.bridged + 0.25, 0.5)
+    s = np.arange(-_BACK_FROM_END, limits.bridged + 0.25, 0.5)
     offsets = np.array([-1.5, -0.5, 0.5, 1.5])
     at = last + s[:, None, None] * direction + offsets[None, :, None] * _normal(direction)
     along = _looked_up(share, at).mean(axis=1)
-    top = max(float(along[:8].max()), limits.least_share)
-    below = np.flatnonzero((along < 0.5 * top) & (s > -_STEP))
-    if not len(below):
+    # Masks that miss the last piece of paint leave it faint: it ends where it falls to half of what it is there.
+    half = 0.5 * max(float(np.quantile(along[s <= 0.0], 0.75)), 2.0 * limits.faint_share)
+    k = int(np.flatnonzero(along >= half)[-1]) + 1 if (along >= half).any() else len(s)
+    if k >= len(s):
         return last, False
-    k = max(int(below[0]), 1)
     step = along[k - 1] - along[k]
-    part = np.clip((along[k - 1] - 0.5 * top) / step, 0.0, 1.0) if step > 1e-6 else 0.0
+    part = np.clip((along[k - 1] - half) / step, 0.0, 1.0) if step > 1e-6 else 0.0
     end = s[k - 1] + 0.5 * part
     behind = last + (end + 8.0) * direction
     seen = _looked_up(looked.astype(np.float32), behind[None, None])[0, 0] > 0.5

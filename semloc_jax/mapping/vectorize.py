@@ -35,6 +35,8 @@ _CUT_GAP_M = 0.3
 _KNOT_M = 1.0
 _SMOOTHED_M = 2.0
 _SOLID_VOTE = 0.5
+_LEAST_WEIGHT = 1e-6
+"""Of all looks around a cell together: less is the rounding of a blur."""
 
 
 @dataclass(frozen=True)
@@ -129,18 +131,25 @@ def elements_of(
 
 
 class _Window:
-    """Part of a grid: share of paint and what was looked at."""
+    """Part of a grid: share of paint and what was looked at.
+
+    A look says something at places as far apart as cells are, but not in line with them: a cell that it misses lies
+    between cells that it hits. So looks are those at a cell or beside it, and paint and weights are blurred apart.
+    """
 
     def __init__(self, grid: EvidenceGrid, low: np.ndarray, size: np.ndarray, config: VectorConfig):
         self.low, self.cell_m, self._grid, self._size = low, grid.cell_m, grid, size
-        self.looked = grid.plane(1, low, size) >= config.min_looks
+        self._blur_cells = config.blur_cells
+        self.looked = cv2.dilate(grid.plane(1, low, size), np.ones((3, 3), np.uint8)) >= config.min_looks
+        self._weight = self._blurred(grid.plane(0, low, size))
 
     def share(self, planes: Sequence[int]) -> np.ndarray:
-        """Share of the looks that show any of some layers."""
-        whole = np.zeros((int(self._size[1]), int(self._size[0])), np.float32)
-        for plane in planes:
-            whole += self._grid.share(plane, self.low, self._size)
-        return whole
+        """Share of the looks around a cell that show any of some layers."""
+        shown = self._blurred(sum(self._grid.plane(2 + plane, self.low, self._size) for plane in planes))
+        return np.divide(shown, self._weight, out=np.zeros_like(shown), where=self._weight > _LEAST_WEIGHT)
+
+    def _blurred(self, plane: np.ndarray) -> np.ndarray:
+        return cv2.GaussianBlur(plane, (0, 0), self._blur_cells)
 
 
 def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, config: VectorConfig) -> None:
@@ -149,7 +158,6 @@ def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, con
     share = window.share(layer.planes)
     if not share.any():
         return
-    share = cv2.GaussianBlur(share, (0, 0), config.blur_cells)
     smallest = config.min_area_m2 / cell_m**2
     if layer.label not in STROKES:
         find = find_rectangles if layer.label in RECTANGLES else find_outlines
