@@ -167,11 +167,11 @@ def _followed(
         return None
     ways = []
     for sign in (1.0, -1.0):
-        ways.append(_one_way(share, looked, place + first.offset * _normal(direction), sign * direction, limits))
+        ways.append(_one_way(share, looked, place + first.offset * _normal(direction), sign * direction, first.width, limits))
     middle = np.vstack([ways[1][0][::-1], ways[0][0][1:]])
     middle = middle[np.append(True, np.linalg.norm(np.diff(middle, axis=0), axis=1) > 1e-3)]
-    widths = np.concatenate([ways[0][1], ways[1][1]])
-    if len(middle) < 2 or not len(widths):
+    widths = np.concatenate([ways[0][1], ways[1][1][1:]])
+    if len(middle) < 2:
         return None
     return PaintTrace(middle, float(np.median(widths)), (ways[1][2], ways[0][2]))
 
@@ -202,11 +202,27 @@ def _normal(direction: np.ndarray) -> np.ndarray:
 
 
 class _Profile(NamedTuple):
-    """Paint across a place, in cells: how far its middle is off the place, its width, the largest share in it."""
+    """Paint across a place.
+
+    Attributes:
+        offset: how far its middle is off the place, in cells.
+        amount: of cells of full paint, the shares of all cells together.
+        peak: the largest share.
+    """
 
     offset: float
-    width: float
+    amount: float
     peak: float
+
+    @property
+    def width(self) -> float:
+        """Width where most looks show the paint, in cells."""
+        return self.amount / max(self.peak, 0.8)
+
+    def is_of(self, width: float, limits: TraceLimits) -> bool:
+        """Whether it can be paint of a stroke of this width: a mask that is off in one look leaves a thin streak."""
+        is_strong = self.peak >= _PEAK_PART * limits.least_share
+        return is_strong or self.amount >= limits.faint_share * width
 
 
 def _profile(share: np.ndarray, place: np.ndarray, direction: np.ndarray, limits: TraceLimits) -> _Profile | None:
@@ -225,7 +241,7 @@ def _profile(share: np.ndarray, place: np.ndarray, direction: np.ndarray, limits
     weight = across[low:high]
     total = float(weight.sum())
     offset = float(weight @ np.arange(low - middle, high - middle)) * _ACROSS / total
-    return _Profile(offset, _ACROSS * total / max(peak, 0.8), peak)
+    return _Profile(offset, _ACROSS * total, peak)
 
 
 def _across(share: np.ndarray, place: np.ndarray, direction: np.ndarray, reach: float) -> np.ndarray:
@@ -245,10 +261,15 @@ def _length(paint: np.ndarray) -> int:
 
 
 def _one_way(
-    share: np.ndarray, looked: np.ndarray, start: np.ndarray, direction: np.ndarray, limits: TraceLimits
+    share: np.ndarray,
+    looked: np.ndarray,
+    start: np.ndarray,
+    direction: np.ndarray,
+    width_there: float,
+    limits: TraceLimits,
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Places from a start to the end of the paint, widths there, and whether bare road was seen behind the end."""
-    places, widths = [start], []
+    places, widths = [start], [width_there]
     at, gap = start, 0.0
     height, width = share.shape
     while True:
@@ -256,7 +277,7 @@ def _one_way(
         if not (2 < at[0] < width - 3 and 2 < at[1] < height - 3):
             break
         found = _profile(share, at, direction, limits)
-        if found is None:
+        if found is None or not found.is_of(widths[-1], limits):
             gap += _STEP
             if gap > limits.bridged:
                 break

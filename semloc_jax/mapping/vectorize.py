@@ -35,8 +35,6 @@ _CUT_GAP_M = 0.3
 _KNOT_M = 1.0
 _SMOOTHED_M = 2.0
 _SOLID_VOTE = 0.5
-_LEAST_WEIGHT = 1e-6
-"""Of all looks around a cell together: less is the rounding of a blur."""
 
 
 @dataclass(frozen=True)
@@ -133,20 +131,21 @@ def elements_of(
 class _Window:
     """Part of a grid: share of paint and what was looked at.
 
-    A look says something at places as far apart as cells are, but not in line with them: a cell that it misses lies
-    between cells that it hits. So looks are those at a cell or beside it, and paint and weights are blurred apart.
+    A look says something at places as far apart as cells are, but not in line with them: it misses cells between those
+    that it hits. So such gaps are closed, and paint and weights are blurred apart.
     """
 
     def __init__(self, grid: EvidenceGrid, low: np.ndarray, size: np.ndarray, config: VectorConfig):
         self.low, self.cell_m, self._grid, self._size = low, grid.cell_m, grid, size
         self._blur_cells = config.blur_cells
-        self.looked = cv2.dilate(grid.plane(1, low, size), np.ones((3, 3), np.uint8)) >= config.min_looks
+        num_looks = cv2.morphologyEx(grid.plane(1, low, size), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+        self.looked, self._is_known = num_looks >= config.min_looks, num_looks > 0
         self._weight = self._blurred(grid.plane(0, low, size))
 
     def share(self, planes: Sequence[int]) -> np.ndarray:
         """Share of the looks around a cell that show any of some layers."""
         shown = self._blurred(sum(self._grid.plane(2 + plane, self.low, self._size) for plane in planes))
-        return np.divide(shown, self._weight, out=np.zeros_like(shown), where=self._weight > _LEAST_WEIGHT)
+        return np.divide(shown, self._weight, out=np.zeros_like(shown), where=self._is_known)
 
     def _blurred(self, plane: np.ndarray) -> np.ndarray:
         return cv2.GaussianBlur(plane, (0, 0), self._blur_cells)
