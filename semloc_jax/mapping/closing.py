@@ -28,6 +28,9 @@ _GUESS_M, _GUESS_RAD = 2.0, 0.05
 """How far a start that is given may be off in a map that is there already; ours."""
 _PLACES_EVERY_M = 25.0
 """Way between the groups of frames that are searched in it; ours."""
+_PLACE_SIGMA_M = 0.5
+"""How far a place in it may be open: it is where the map is, and may hold nothing but lines, which tie the way across
+the road all the same; ours."""
 
 
 class ClosedWay(NamedTuple):
@@ -81,7 +84,8 @@ def closed_way(
     known: MapPlaces | None = None
     if base is not None:
         gauge = gauge.guessed(_GUESS_M, _GUESS_RAD)
-        config_here = replace(loop_config, revisit=replace(loop_config.revisit, every_m=_PLACES_EVERY_M))
+        revisit = replace(loop_config.revisit, every_m=_PLACES_EVERY_M)
+        config_here = replace(loop_config, revisit=revisit, max_sigma_m=_PLACE_SIGMA_M)
         places, solution = find_places(
             chain, look, base, masks.table, lambda p: gauge.solve(chain, places=p), config_here, once, told
         )

@@ -49,8 +49,8 @@ class LoopConfig:
     """Share of the frames that must have a mode at the place."""
     min_explained: float = 0.25
     """Mean share of the map in view that must lie on borders of the masks."""
-    max_sigma_m: float = 0.5
-    """A place that is open by more says little of the way; a wrong one would not be noticed."""
+    max_sigma_m: float = 0.2
+    """A place that is open by more may be half a metre off, which is another place."""
     probability: float = 0.999
     """Quantile of chi-square that the agreement of the frames keeps."""
     way_probability: float = 0.99
@@ -178,7 +178,7 @@ def against(best: Place, lead: float, off: np.ndarray, covariance: np.ndarray, c
         yield f"{lead:.1f} nats over the second place"
     sigma_m = float(np.sqrt(np.linalg.eigvalsh(best.covariance[:2, :2])[-1]))
     if sigma_m > config.max_sigma_m:
-        yield f"the place is open by {sigma_m:.1f} m"
+        yield f"the place is open by {sigma_m:.2f} m"
     if best.explained < config.min_explained:
         yield f"{best.explained:.0%} of the map in view on borders of the masks"
     if best.chi_square > chdtri(max(3 * (seen - 1), 1), 1.0 - config.probability):

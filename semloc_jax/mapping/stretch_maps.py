@@ -2,7 +2,7 @@
 
 In: a drive, its masks, its chain. Out: what a mapper makes of a stretch, in the frame `odom` of the chain.
 Along so short a way the chain hardly drifts. A stretch is mapped as a whole: at the seams of smaller pieces elements
-are seen too seldom to stay.
+are seen too seldom to stay. Posts and signs are in it: along solid lines they alone tell how far the vehicle has come.
 """
 
 from collections import OrderedDict
@@ -36,7 +36,7 @@ class StretchMaps:
         config = config or MapConfig()
         self.drive, self.masks, self.chain = drive, masks, chain
         look, settle = replace(config.look, spacing_m=SPACING_M), replace(config.settle, rounds=0)
-        self.config = replace(config, look=look, settle=settle, uprights=False)
+        self.config = replace(config, look=look, settle=settle)
         self._looker: Looker | None = None
         self._made: OrderedDict[tuple[int, int], SemanticMap | None] = OrderedDict()
 

@@ -40,6 +40,7 @@ class TraceLimits:
         least_share: of the looks that show paint; narrow paint far away is smeared over more cells than it covers.
         faint_share: what a stroke that was begun is followed through: masks that miss paint in most looks show bare
             road as paint in far fewer.
+        along: a stroke ends where it runs along another for longer than this; what it crosses or meets is shorter.
     """
 
     widest: float = 14.0
@@ -48,6 +49,7 @@ class TraceLimits:
     smallest: float = 40.0
     least_share: float = 0.5
     faint_share: float = 0.2
+    along: float = 24.0
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,8 @@ def _strokes_of(
         depth = cv2.distanceTransform(np.pad(own.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
         seed = np.array(np.unravel_index(int(depth.argmax()), depth.shape), dtype=float)[::-1]
         stroke = _followed(share, looked, own, seed, origin, limits)
-        if stroke is None or not _is_new(stroke, seed + origin, covered):
+        stroke = None if stroke is None else _own_part(stroke, seed + origin, covered, limits.along)
+        if stroke is None:
             cv2.circle(free, tuple(np.rint(seed + origin).astype(int).tolist()), int(limits.reach), 0, -1)
         else:
             line = np.rint(stroke.middle * 8).astype(np.int32)[None]
@@ -134,11 +137,29 @@ def _strokes_of(
     return found
 
 
-def _is_new(stroke: PaintTrace, seed: np.ndarray, covered: np.ndarray) -> bool:
-    """Whether a stroke is another one than those that cover paint: the rims of a stroke lead back to its middle."""
-    x, y = np.rint(stroke.middle[np.linalg.norm(stroke.middle - seed, axis=1).argmin()]).astype(int)
-    height, width = covered.shape
-    return not covered[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+def _own_part(stroke: PaintTrace, seed: np.ndarray, covered: np.ndarray, along: float) -> PaintTrace | None:
+    """What of a stroke goes on from its seed to where it runs along another one; None where the seed leads to one.
+
+    The rims of a stroke lead back to its middle, and where two lines come together the paint of both is one. A line
+    that crosses or meets another shares but its width with it, and keeps its end there.
+    """
+    middle, (height, width) = stroke.middle, covered.shape
+    x, y = np.rint(middle).astype(int).T
+    is_shared = covered[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)] > 0
+    start = int(np.linalg.norm(middle - seed, axis=1).argmin())
+    if is_shared[start]:
+        return None
+    s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1)))
+    low, high = 0, len(middle)
+    for first, end in np.flatnonzero(np.diff(np.pad(is_shared, 1).astype(int))).reshape(-1, 2):
+        if s[end - 1] - s[first] <= along:
+            continue
+        if end <= start:
+            low = int(end)
+        else:
+            high = min(high, int(first))
+    ends = stroke.is_end[0] and low == 0, stroke.is_end[1] and high == len(middle)
+    return PaintTrace(middle[low:high], stroke.width, ends) if high - low >= 2 else None
 
 
 def _without_crumbs(own: np.ndarray, smallest: float) -> np.ndarray:

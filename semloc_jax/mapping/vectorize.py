@@ -32,6 +32,8 @@ _BORDER = 3.0
 """Cells by which the middles of one element may differ as two blocks see it."""
 _CUT_GAP_M = 0.3
 """Between the pieces of a line that was cut at the border of a block."""
+_ALONG_M = 0.6
+"""A line that runs along another for longer than this is the same line from there on."""
 _KNOT_M = 1.0
 _SMOOTHED_M = 2.0
 _SOLID_VOTE = 0.5
@@ -166,6 +168,7 @@ def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, con
         widest=config.widest_line_m / cell_m,
         smallest=smallest,
         least_share=config.slot_line_share if layer.label == ElementClass.SLOT_LINE else config.line_share,
+        along=_ALONG_M / cell_m,
     )
     strokes = find_strokes(share, window.looked, limits)
     dashed = window.share(layer.dashed) if layer.dashed else None

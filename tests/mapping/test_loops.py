@@ -76,8 +76,10 @@ def test_a_loop_needs_uniqueness_agreement_and_the_way():
 
 
 def test_an_open_place_is_no_loop():
-    wide = place(300.0)._replace(covariance=np.diag([0.36, 0.01, 0.04, 1e-5, 1e-5, 1e-5]))
-    assert reasons(wide, 60.0) == ["the place is open by 0.6 m"]
+    """A loop that says 0.27 m was 0.64 m off: half a metre is another place."""
+    wide = place(300.0)._replace(covariance=np.diag([0.27**2, 0.01, 0.04, 1e-5, 1e-5, 1e-5]))
+    assert reasons(wide, 60.0) == ["the place is open by 0.27 m"]
+    assert reasons(wide._replace(covariance=np.diag([0.15**2, 0.01, 0.04, 1e-5, 1e-5, 1e-5])), 60.0) == []
 
 
 def test_the_way_tells_twins_apart_that_look_alike():

@@ -61,6 +61,28 @@ def test_a_ragged_band_is_one_stroke():
     assert stroke.length == pytest.approx(575.0, abs=8.0)
 
 
+def test_a_line_that_runs_into_another_ends_where_it_does():
+    """A lane that ends: its line comes in at 6 deg, and their paint is one from there on."""
+    share = painted([bar(40, 200, 600, 6), bar(60, 252, 500, 5, -6.0)])
+    whole, other = sorted(find_strokes(share, ALL), key=lambda stroke: -stroke.length)
+    assert whole.length == pytest.approx(600, abs=3)
+    first, last = other.middle[np.argsort(other.middle[[0, -1], 0]) * (len(other.middle) - 1)]
+    np.testing.assert_allclose(first, [60, 252], atol=1.0)
+    # Where 4 cells of bare road are left between both sides, give or take what one stroke takes of the rims.
+    assert last[0] == pytest.approx(60 + (252 - 200 - 9.5) / np.tan(np.deg2rad(6.0)), abs=25)
+    assert sum(other.is_end) == 1
+
+
+def test_a_line_that_crosses_or_meets_another_keeps_its_ends():
+    share = painted([bar(40, 200, 600, 6), bar(200, 100, 200, 5, 90.0), bar(400, 202, 150, 5, 90.0)])
+    found = find_strokes(share, ALL)
+    upright = sorted((s for s in found if np.ptp(s.middle[:, 1]) > 50), key=lambda s: s.middle[0, 0])
+    assert len(found) == 3 and len(upright) == 2
+    np.testing.assert_allclose(np.sort(upright[0].middle[[0, -1], 1]), [100, 300], atol=1.0)
+    low, high = np.sort(upright[1].middle[[0, -1], 1])
+    assert 194 < low < 206 and high == pytest.approx(352, abs=1.0)
+
+
 def test_a_curve_is_followed_and_twins_stay_apart():
     x = np.linspace(20, 680, 200)
     y = 150 + 0.0004 * (x - 350) ** 2
