@@ -22,6 +22,11 @@ take_little_effort()
 prepare_jax()
 
 import jax  # noqa: E402 - reads its environment now
+import scipy.linalg  # noqa: E402, F401 - brings matrices of its own, whose threads are set below
+from threadpoolctl import threadpool_limits  # noqa: E402
+
+# As `prepare_jax` sets it for users: here a plugin of pytest has imported NumPy before.
+threadpool_limits(1, "blas")
 
 jax.config.update("jax_enable_x64", True)
 

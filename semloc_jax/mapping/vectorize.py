@@ -15,7 +15,8 @@ from semloc_jax.geometry import polyline
 from semloc_jax.mapping.evidence_grid import TILE, EvidenceGrid
 from semloc_jax.mapping.line_pieces import cut_to, joined
 from semloc_jax.mapping.outlines import find_outlines, find_rectangles
-from semloc_jax.mapping.strokes import PaintTrace, TraceLimits, find_strokes
+from semloc_jax.mapping.stroke_profiles import TraceLimits
+from semloc_jax.mapping.strokes import PaintTrace, find_strokes
 from semloc_jax.maps import MapElement
 from semloc_jax.structs import ElementClass
 

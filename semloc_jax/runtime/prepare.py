@@ -19,6 +19,9 @@ LEAST_COMPILE_S = 0.2
 _FATAL_ONLY = 3
 """Loading a cached program logs, as an error of some thousand letters, that pseudo features (prefer-no-gather) are
 missing on the very machine that compiled it. Each kind of processor has its own folder: none is truly missing."""
+_BLAS_THREADS = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+"""NumPy's threads, where they are not set. Our matrices are small: two threads wait for each other longer than they
+calculate, and a window of an inertial drive takes twice the processor time."""
 _LINES_OF_CODE = 0
 """So many callers each operation of a program remembers (JAX: 10), for profilers; they take 4 % of a cold start."""
 LIBRARIES = (
@@ -39,10 +42,13 @@ LIBRARIES = (
 def prepare_jax() -> None:
     """Set JAX up: wide vectors where the processor has them, and a compilation cache in the user's cache folder.
 
-    The command line calls this first, and so does the first use of a public name. Whatever the user has set stays as it
-    is, but for a cache that other users can write to: what JAX loads from it runs. SEMLOC_CACHE=0 in the environment
-    leaves the cache off. Where JAX is imported already, only the cache can still be set.
+    NumPy gets one thread for its matrices, unless it is imported already. The command line calls this first, and so
+    does the first use of a public name. Whatever the user has set stays as it is, but for a cache that other users can
+    write to: what JAX loads from it runs. SEMLOC_CACHE=0 in the environment leaves the cache off. Where JAX is imported
+    already, only the cache can still be set.
     """
+    if "numpy" not in sys.modules:
+        os.environ |= {name: number for name, number in _BLAS_THREADS.items() if name not in os.environ}
     if "jax" in sys.modules:
         _set_cache_of_loaded_jax()
         return

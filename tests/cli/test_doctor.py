@@ -62,7 +62,7 @@ def test_what_is_printed_to_install_works_from_every_folder(monkeypatch, capsys)
 
 def _environment(code: str, **extra: str) -> list[str]:
     """Lines printed by a fresh process in which JAX has not been loaded."""
-    drop = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "TF_CPP_MIN_LOG_LEVEL")
+    drop = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "TF_CPP_MIN_LOG_LEVEL", "OPENBLAS_NUM_THREADS")
     environment = {key: value for key, value in os.environ.items() if key not in drop} | extra
     code = f"import os\nfrom semloc_jax.runtime import prepare as runtime\n{code}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
@@ -88,6 +88,13 @@ def test_what_the_user_has_set_stays(tmp_path):
     assert cache == mine["JAX_COMPILATION_CACHE_DIR"]
     other, _ = _environment(SHOW, XLA_FLAGS="--xla_force_host_platform_device_count=1", XDG_CACHE_HOME=str(tmp_path))
     assert other.startswith("--xla_force_host_platform_device_count=1")
+
+
+def test_small_matrices_get_one_thread_unless_the_user_says_otherwise():
+    show = "runtime.prepare_jax()\nprint(os.environ.get('OPENBLAS_NUM_THREADS', '-'))"
+    assert _environment(show) == ["1"]
+    assert _environment(show, OPENBLAS_NUM_THREADS="3") == ["3"]
+    assert _environment(f"import numpy\n{show}") == ["-"]  # it would say what is not so
 
 
 def test_a_home_that_cannot_be_written_to_turns_the_cache_off(tmp_path):

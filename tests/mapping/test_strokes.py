@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
+from semloc_jax.mapping.stroke_profiles import paint_across
 
-from semloc_jax.mapping.strokes import _across, find_strokes
+from semloc_jax.mapping.strokes import find_strokes
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 37.0, 90.0, 161.0])
@@ -17,7 +18,7 @@ def test_paint_across_a_place_is_that_of_scipy(angle_deg):
     offsets, along = np.arange(-reach, reach + 0.25, 0.5), np.arange(-2.0, 2.5)
     x, y = np.moveaxis(place + offsets[:, None, None] * left + along[None, :, None] * ahead, -1, 0)
     expected = map_coordinates(share, [y, x], order=1).mean(axis=1)
-    np.testing.assert_allclose(_across(share, place, ahead, reach), expected, atol=1e-3)
+    np.testing.assert_allclose(paint_across(share, place, ahead, reach), expected, atol=1e-3)
 
 
 def dash(*parts: tuple[int, int, float]) -> np.ndarray:
