@@ -144,7 +144,8 @@ def _bar(row: MappedRow, side: _Side, reach_m: float, lines: Sequence[MapElement
     s_m = side.s_m + side.sign * np.array([half, reach_m])
     xy = row.origin + s_m[:, None] * row.along + half * normal
     points = np.column_stack([xy, np.full(2, place.z_m)])
-    name = f"{divider.id}_bar_{'left' if side.sign > 0 else 'right'}"
+    # One bar may show two places where no divider was seen.
+    name = f"{divider.id}_bar_{side.place}_{'left' if side.sign > 0 else 'right'}"
     return replace(divider, id=name, points=points, width_m=row.width_m, true_ends=(True, True))
 
 

@@ -43,10 +43,10 @@ def found(paint_at, lines=(*DIVIDERS, *BARS)):
 def test_a_bar_that_a_quarter_of_the_looks_show_is_as_long_as_the_others():
     at = 3 * STEP_M
     bars, (row,) = found(smeared((at - REACH_M, at + REACH_M)))
-    assert sorted(bars) == ["d3_bar_left", "d3_bar_right"]
-    np.testing.assert_allclose(bars["d3_bar_left"], [[at + 0.06, 0.06], [at + REACH_M, 0.06]], atol=5e-3)
-    np.testing.assert_allclose(bars["d3_bar_right"], [[at - 0.06, 0.06], [at - REACH_M, 0.06]], atol=5e-3)
-    assert row.places[3].ids == ("d3", "d3_bar_right", "d3_bar_left")
+    assert sorted(bars) == ["d3_bar_3_left", "d3_bar_3_right"]
+    np.testing.assert_allclose(bars["d3_bar_3_left"], [[at + 0.06, 0.06], [at + REACH_M, 0.06]], atol=5e-3)
+    np.testing.assert_allclose(bars["d3_bar_3_right"], [[at - 0.06, 0.06], [at - REACH_M, 0.06]], atol=5e-3)
+    assert row.places[3].ids == ("d3", "d3_bar_3_right", "d3_bar_3_left")
     assert all("bar" not in " ".join(place.ids) for k, place in enumerate(row.places) if k != 3)
 
 
@@ -68,3 +68,13 @@ def test_two_bars_tell_no_length_and_no_looks_change_nothing():
     at = 3 * STEP_M
     assert found(smeared((at - REACH_M, at + REACH_M)), (*DIVIDERS, BARS[0]))[0] == {}
     assert found(None)[0] == {}
+
+
+def test_bars_beside_places_that_one_line_shows_have_names_of_their_own():
+    """A bar from one unseen divider to the next shows both; on the other side of each a bar is due."""
+    between = line("between", (3 * STEP_M + 0.06, 0.06), (4 * STEP_M - 0.06, 0.06))
+    dividers = [*DIVIDERS[:3], line("d5", (5 * STEP_M, 0.0), (5 * STEP_M, DEPTH_M))]
+    spans = [(k * STEP_M - REACH_M, k * STEP_M + REACH_M) for k in (3, 4)]
+    drawn = with_bars(draw_rows((*dividers, *BARS, between), WAY), smeared(*spans))
+    names = [element.id for element in drawn.lines]
+    assert len(names) == len(set(names))
