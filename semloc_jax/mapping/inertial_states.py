@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import chdtri
 
 from semloc_jax.datasets import Drive
 from semloc_jax.geometry import rigid
@@ -43,6 +44,8 @@ class InertialConfig:
     """A speed below this, all through an interval, is that of a vehicle that stands."""
     max_gap_s: float = 0.15
     """An interval with a longer gap of a sensor is not a measurement of it."""
+    outlier: float = 1e-3
+    """Measurements that are less likely than this count as much less as they are farther off."""
     longest_s: float = 0.25
     """Motion is taken as even within intervals no longer than this."""
 
@@ -202,8 +205,12 @@ def _corrected(
 ) -> tuple[np.ndarray, np.ndarray]:
     """State after what the sensors say of one interval."""
     for H, measured, sigma in _measurements(x, means, k, beliefs):
-        gain = np.linalg.solve(H @ P @ H.T + np.diag(sigma**2 / means.step_s[k]), H @ P).T
-        x = x + gain @ (measured - H @ x)
+        noise, off = np.diag(sigma**2 / means.step_s[k]), measured - H @ x
+        S = H @ P @ H.T + noise
+        # A wheel in a pothole, or a turn that its interval does not resolve, would outweigh a drive.
+        S += max(float(off @ np.linalg.solve(S, off)) / chdtri(len(off), beliefs[0].outlier) - 1.0, 0.0) * noise
+        gain = np.linalg.solve(S, H @ P).T
+        x = x + gain @ off
         P = P - gain @ H @ P
         P = 0.5 * (P + P.T)
     return x, P

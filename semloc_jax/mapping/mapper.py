@@ -21,6 +21,7 @@ from semloc_jax.mapping.existence import Counting, ExistenceConfig
 from semloc_jax.mapping.joint import RefineConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
 from semloc_jax.mapping.parts import Parts
+from semloc_jax.mapping.row_bars import with_bars
 from semloc_jax.mapping.row_lines import PaintAt
 from semloc_jax.mapping.settling import Progress, SettleConfig, settled_in
 from semloc_jax.mapping.slot_numbers import numbered, outside_of_rows
@@ -226,7 +227,7 @@ def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Bo
     lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
     others = [element for element in elements if element.label != ElementClass.SLOT_LINE]
     paint_at = _looks_at(gatherer, ElementClass.SLOT_LINE)
-    drawn = draw_rows(lines, Ts_map_base[:, :2, 3], paint_at if lines else None, config.slots)
+    drawn = with_bars(draw_rows(lines, Ts_map_base[:, :2, 3], paint_at if lines else None, config.slots), paint_at)
     return _Born(others + split_crossbars(drawn.lines, config.slots), uprights, drawn.rows)
 
 

@@ -1,5 +1,6 @@
 """The way of a drive by its own sensors: biases and scale found, without gyroscope, without wheels, real drives."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,17 @@ def test_scale_and_biases_are_found_from_curves_and_standstill():
     assert abs(chain.way_m[-1] / np.sum(np.linalg.norm(np.diff(truth.T_map_base[:, :3, 3], axis=0), axis=1)) - 1) < 0.1
     up = chain.Ts_odom_base[:, 2, :3]
     assert np.degrees(np.abs(up[:, :2])).max() < 0.3
+
+
+def test_a_pothole_and_a_corner_leave_the_scale():
+    """A second of 6 m/s^2 aside that the gyroscope does not show moves the scale by 1.3 % where it counts in full."""
+    wheels, imu, _ = sensors()
+    accel = imu.accel_mps2.copy()
+    turning = np.abs(imu.time_s - 10.0) < 0.5
+    accel[turning, 1] -= 6.0 * np.sign(accel[turning, 1])
+    plain, chain = drive_chain(drive(wheels, imu)), drive_chain(drive(wheels, replace(imu, accel_mps2=accel)))
+    assert abs(chain.calibration[0] - SCALE) < 3.0 * chain.calibration_sigma[0] < 0.03
+    assert abs(chain.calibration[0] - plain.calibration[0]) < chain.calibration_sigma[0]
 
 
 def test_covariances_hold_what_the_steps_are_off_by():

@@ -1,7 +1,6 @@
 """Loops: where they are looked for, when they are accepted, their file, and twins of a rendered garage and road."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -252,7 +251,7 @@ def test_a_group_that_is_told_to_be_bays_further_finds_its_own_bay(garage, bays)
         moved = chain.Ts_odom_base.copy()
         T_b = moved[frames[2]]
         moved[list(frames)] = T_b @ rigid.planar_pose(2.5 * bays, 0.0) @ rigid.inverse(T_b) @ moved[list(frames)]
-        told = SimpleNamespace(Ts_map_base=moved)
+        told = replace(solve_chain(chain), Ts_map_base=moved)
         sigma = np.array([2.5, 2.5, 0.1, 0.01, 0.01, 0.03])
         loop = garage.search().searched(Revisit(a, frames[2], frames, np.diag(sigma**2)), told)
         assert loop.is_accepted, loop.reasons
