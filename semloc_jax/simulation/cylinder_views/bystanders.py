@@ -40,21 +40,43 @@ def car(rng: np.random.Generator, middle: Float[np.ndarray, " 2"], yaw: float) -
     size = (rng.uniform(3.6, 4.9), rng.uniform(1.65, 1.95))
     colour = varied(rng, (BLUE, RED, WHITE, np.full(3, 0.3), any_colour(rng))[int(rng.integers(5))])
     low_m, hood_m, roof_m = rng.uniform(0.16, 0.3), rng.uniform(0.75, 1.0), rng.uniform(1.4, 1.95)
-    lamp = varied(rng, WHITE if rng.random() < 0.6 else YELLOW) * rng.uniform(0.7, 1.6)
-    tail = np.array([0.1, 0.1, 0.8]) * rng.uniform(0.6, 1.6)
+    is_lit = rng.random() < 0.3
+    lamp = varied(rng, WHITE if rng.random() < 0.6 else YELLOW) * (
+        rng.uniform(1.5, 3.0) if is_lit else rng.uniform(0.7, 1.2)
+    )
+    tail = (
+        np.array([0.3, 0.35, 1.0]) * rng.uniform(1.0, 2.5) if is_lit else np.array([0.1, 0.1, rng.uniform(0.45, 0.9)])
+    )
     skirt = varied(rng, np.full(3, 0.12)) if rng.random() < 0.6 else colour
     plate = varied(rng, (WHITE, YELLOW, BLUE)[rng.choice(3, p=(0.7, 0.15, 0.15))])
 
-    def end(light: Colour) -> tuple[Patch, ...]:
+    inset, around, lamp_low = (
+        rng.choice([0.0, 0.03]),
+        rng.choice([0.0, rng.uniform(0.01, 0.07)]),
+        rng.uniform(0.45, 0.65),
+    )
+    lamp_size, tail_size = (np.array([rng.uniform(0.1, 0.28), rng.uniform(0.12, 0.34)]) for _ in range(2))
+
+    def end(light: Colour, lit_size: np.ndarray) -> tuple[Patch, ...]:
         return (
             Patch(UNIT * [1.0, 0.3], skirt),
-            Patch(np.array([0.03, 0.6]) + UNIT * [0.22, 0.22], light),
-            Patch(np.array([0.75, 0.6]) + UNIT * [0.22, 0.22], light),
+            Patch(np.array([inset, lamp_low]) + UNIT * lit_size, light),
+            Patch(np.array([1.0 - inset - lit_size[0], lamp_low]) + UNIT * lit_size, light),
             Patch(np.array([0.36, 0.3]) + UNIT * [0.28, 0.18], plate),
         )
 
-    side = (Patch(UNIT * [1.0, 0.18], skirt),)
-    hull = box(middle, size, yaw, low_m, hood_m, colour, (side, end(lamp), side, end(tail)), 0.97)
+    def side(first: Colour, first_high: float, last: Colour, last_high: float) -> tuple[Patch, ...]:
+        """Lamps reach around the corners of many cars."""
+        ends = (
+            Patch(np.array([0.0, lamp_low]) + UNIT * [around, first_high], first),
+            Patch(np.array([1.0 - around, lamp_low]) + UNIT * [around, last_high], last),
+        )
+        return (Patch(UNIT * [1.0, 0.18], skirt), *(ends if around else ()))
+
+    right = side(tail, tail_size[1], lamp, lamp_size[1])
+    left = side(lamp, lamp_size[1], tail, tail_size[1])
+    sides = (right, end(lamp, lamp_size), left, end(tail, tail_size))
+    hull = box(middle, size, yaw, low_m, hood_m, colour, sides, 0.97)
     ahead, aside = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     glass = varied(rng, np.full(3, rng.uniform(0.05, 0.3)))
     back_m, front_m, top_m = rng.uniform(0.32, 0.48), rng.uniform(0.12, 0.28), rng.uniform(0.55, 0.85)
