@@ -13,8 +13,8 @@ from semloc_jax.learning.obstacle_boxes import CylinderPool, batch_of, cut, is_a
 from semloc_jax.learning.obstacle_lesson import ObstacleLearningConfig, shown
 from semloc_jax.perception.networks.obstacle_net import HORIZON_V, KINDS, PX_PER_RAD, SIZE_PX, ObstacleNet, decoded
 from semloc_jax.simulation.cylinder_views.bodies import Body, box, rectangle
-from semloc_jax.simulation.cylinder_views.bystanders import car
 from semloc_jax.simulation.cylinder_views.canvas import Canvas
+from semloc_jax.simulation.cylinder_views.cars import car
 from semloc_jax.simulation.cylinder_views.kept_free import obstacle
 from semloc_jax.simulation.cylinder_views.picture import Geometry, cylinder_sample
 from semloc_jax.simulation.cylinder_views.placing import placed

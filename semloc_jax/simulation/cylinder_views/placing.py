@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.simulation.cylinder_views.bodies import Body
-from semloc_jax.simulation.cylinder_views.bystanders import bystander, car
+from semloc_jax.simulation.cylinder_views.bystanders import bystander
+from semloc_jax.simulation.cylinder_views.cars import car
 from semloc_jax.simulation.cylinder_views.kept_free import obstacle
 from semloc_jax.simulation.top_views.slot_layout import Layout, random_layout
 
