@@ -14,7 +14,9 @@ from semloc_jax.perception.networks.obstacle_net import (
     PX_PER_RAD,
     SHIPPED,
     SIZE_PX,
+    FoundObstacles,
     ObstacleNet,
+    _feet_of,
     decoded,
     far_strip,
     net_view,
@@ -90,6 +92,30 @@ def test_what_is_low_and_far_is_seen_enlarged():
         assert np.abs(middle[k] - at).max() <= 2.0  # within the cell
         np.testing.assert_allclose(side[k], 8.0 if name == "far" else 16.0, rtol=1e-5)
         np.testing.assert_allclose(found.foot_uv[k], [middle[k, 0], found.box[k, 3]])
+
+
+def test_pillars_stand_where_the_strip_shows_their_feet():
+    """One of two: the other stands too near for the strip."""
+    kind = np.full(2, KINDS.index("pillar"))
+    near = FoundObstacles(
+        kind,
+        np.array([[100.0, 0.0, 120.0, HORIZON_V + 35.0], [200.0, 0.0, 260.0, HORIZON_V + 90.0]]),
+        np.array([[110.0, HORIZON_V + 34.0], [230.0, HORIZON_V + 85.0]]),
+        np.array([False, True]),
+        np.array([0.9, 0.8]),
+    )
+    box = np.array([[101.0, 110.0, 119.0, HORIZON_V + 30.0], [201.0, 110.0, 259.0, HORIZON_V + 47.0]])
+    far = near._replace(box=box, foot_uv=near.foot_uv - [0.0, 5.0], has_foot=np.array([True, False]))
+    found = _feet_of(near, far)
+    np.testing.assert_allclose(found.box[0], [100.0, 0.0, 120.0, HORIZON_V + 30.0])
+    np.testing.assert_allclose(found.foot_uv[0], far.foot_uv[0])
+    np.testing.assert_allclose(found.box[1], near.box[1])
+    np.testing.assert_allclose(found.foot_uv[1], near.foot_uv[1])
+    assert found.has_foot.all() and near.box[0, 3] == HORIZON_V + 35.0
+    nobody = near.where(np.zeros(2, bool))
+    np.testing.assert_allclose(_feet_of(near, nobody).box, near.box)
+    aside = far._replace(box=box + [15.0, 0.0, 15.0, 0.0])
+    np.testing.assert_allclose(_feet_of(near, aside).box, near.box)
 
 
 def test_the_strip_shows_the_horizon_where_it_says():
