@@ -109,6 +109,8 @@ def _write_network(
     lesson = {
         "pictures": config.num_pictures,
         "steps": config.training.num_steps,
+        "rate": config.training.rate,
+        "level_share": config.training.level_share,
         "batches": [config.batch, config.wide_batch],
         "seed": config.training.seed,
     }

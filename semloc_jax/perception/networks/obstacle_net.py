@@ -27,7 +27,7 @@ from semloc_jax.perception.networks.weights import load_weights, read_card
 from semloc_jax.perception.obstacle_classes import OBSTACLES
 
 SHIPPED = Path(__file__).with_name("obstacles.weights")
-"""What lessons of `semloc learn obstacles` wrote, one after the other; its card says how, its figures and its limits."""
+"""What lessons of `semloc learn obstacles` wrote, one after the other; its card says how and gives its limits."""
 KINDS = tuple(OBSTACLES)
 OUTPUTS = (*KINDS, "du", "dv", "log_width", "log_height", "foot_u", "foot_v", "has_foot")
 """Logit of each class; offset of the middle of the box [cells]; logarithms of its sides [`SIDE_PX`]; middle of the
