@@ -59,7 +59,7 @@ class CylinderPool:
             seed: picture k is drawn by (seed, k) alone.
         """
         geometry = Geometry(PX_PER_RAD, width_px, SIZE_PX[1], HORIZON_V)
-        self.samples = [cylinder_sample(np.random.default_rng((seed, k)), geometry) for k in range(num)]
+        self.samples = [cylinder_sample(np.random.default_rng((seed, k)), geometry, is_lesson=True) for k in range(num)]
 
     def batch(self, rng: np.random.Generator, num: int, size_px: tuple[int, int]) -> ObstacleBatch:
         """Windows of some of them: width and height."""

@@ -109,6 +109,8 @@ def _write_network(
     lesson = {
         "pictures": config.num_pictures,
         "steps": config.training.num_steps,
+        "rate": config.training.rate,
+        "level_share": config.training.level_share,
         "batches": [config.batch, config.wide_batch],
         "seed": config.training.seed,
     }
@@ -120,6 +122,7 @@ def _write_network(
         "threshold": net.threshold,
         "threshold_by": f"the lowest one with a precision of {config.precision:g} on random views",
         "taught_on": "windows of random views, no real picture, no drive",
+        "looks_at": "the picture, and its strip at the horizon twice as large, for what is low and far",
         "lessons": [*before, lesson],
         "figures": {metric.key: round(metric.value, 4) for metric in metrics if np.isfinite(metric.value)},
         "limits": "rendered views only; cameras 0.5 to 1.5 m over the road; things up to 10 m away of at least 4 x 8 "

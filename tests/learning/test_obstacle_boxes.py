@@ -14,6 +14,7 @@ from semloc_jax.learning.obstacle_lesson import ObstacleLearningConfig, shown
 from semloc_jax.perception.networks.obstacle_net import HORIZON_V, KINDS, PX_PER_RAD, SIZE_PX, ObstacleNet, decoded
 from semloc_jax.simulation.cylinder_views.bodies import Body, box, rectangle
 from semloc_jax.simulation.cylinder_views.canvas import Canvas
+from semloc_jax.simulation.cylinder_views.cars import car
 from semloc_jax.simulation.cylinder_views.kept_free import obstacle
 from semloc_jax.simulation.cylinder_views.picture import Geometry, cylinder_sample
 from semloc_jax.simulation.cylinder_views.placing import placed
@@ -126,12 +127,36 @@ def test_the_loss_is_least_where_everything_is_right(samples):
 
 def test_far_things_are_as_common_as_near_ones_and_most_have_a_neighbour():
     """By the logarithm of the range alone one in four is beyond 6 m."""
-    scenes = [placed(np.random.default_rng((9, k)), 0.6, None)[0] for k in range(40)]
+    scenes = [placed(np.random.default_rng((9, k)), 0.6, None)[0] for k in range(60)]
     things = [(body, [b for b in bodies if b is not body]) for bodies in scenes for body in bodies if body.kind]
     range_m = np.array([np.linalg.norm(body.middle) for body, _ in things])
     assert len(things) > 300 and 0.35 < (range_m > 6.0).mean() < 0.55
     free_m = [min(np.linalg.norm(b.footprint - body.middle, axis=1).min() for b in others) for body, others in things]
     assert np.median(free_m) < 0.8
+
+
+def test_in_lessons_what_is_low_stands_as_near_as_strips_show_it():
+    """Pillars are not enlarged: they stand as far off as for a camera."""
+    bodies = [b for k in range(60) for b in placed(np.random.default_rng((9, k)), 0.6, 3.0, is_lesson=True)[0]]
+    range_m = {kind: [np.linalg.norm(b.middle) for b in bodies if b.kind == kind] for kind in KINDS}
+    low = np.concatenate([own for kind, own in range_m.items() if kind != "pillar"])
+    # Some stand beside others, or beside cars, that are farther off.
+    assert len(low) > 200 and (low > 7.5).mean() < 0.15 and max(range_m["pillar"]) > 11.0
+
+
+def test_lamps_of_some_cars_reach_around_their_corners():
+    """Of four sides, the long ones show their skirt, and the lamps of those that do have their brightness."""
+    around = 0
+    for seed in range(30):
+        hull = car(np.random.default_rng(seed), np.zeros(2), 0.0).parts[0]
+        right, front, left, back = hull.patches
+        assert len(front) == len(back) == 4 and len(right) == len(left)
+        if len(right) == 3:
+            around += 1
+            # The first corner of the right side is at the back, that of the left side at the front.
+            np.testing.assert_array_equal(right[1].colour, back[1].colour)
+            np.testing.assert_array_equal(left[1].colour, front[1].colour)
+    assert 8 < around < 22
 
 
 def test_a_random_view_is_judged_like_a_drive(samples):

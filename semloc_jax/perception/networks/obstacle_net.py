@@ -4,6 +4,8 @@ In: a picture of `net_view`, uint8[h w 3]. Out: FoundObstacles: class, box, midd
 One head says of each cell of four pixels: a confidence for each class, where the middle of the box is, its sides, where
 the thing stands, and whether its foot is seen. The elevation of each row goes in beside the colours: on the road it
 tells the range, and with it how large things are.
+The strip at the horizon is looked at once more, twice as large: what is low and stands far off is seen there as if it
+stood at half of its range, so that the network need not know it in few pixels, too.
 """
 
 from collections.abc import Sequence
@@ -25,7 +27,7 @@ from semloc_jax.perception.networks.weights import load_weights, read_card
 from semloc_jax.perception.obstacle_classes import OBSTACLES
 
 SHIPPED = Path(__file__).with_name("obstacles.weights")
-"""What `semloc learn obstacles lot_seed4 rendered_garage` wrote; its card says how, its figures and its limits."""
+"""What lessons of `semloc learn obstacles` wrote, one after the other; its card says how and gives its limits."""
 KINDS = tuple(OBSTACLES)
 OUTPUTS = (*KINDS, "du", "dv", "log_width", "log_height", "foot_u", "foot_v", "has_foot")
 """Logit of each class; offset of the middle of the box [cells]; logarithms of its sides [`SIDE_PX`]; middle of the
@@ -41,6 +43,13 @@ SIZE_PX = (672, 320)
 HORIZON_V = 134.0
 _SAME = 0.5
 """Boxes that share so much of their union are of one thing."""
+FAR_SCALE = 2
+_FAR_ROWS = (24, 56)
+"""Rows above and below the horizon that are enlarged; pillars reach out of them."""
+_FAR_FOOT_PX = (42.0, 48.0)
+"""Lower borders so far below the horizon are told by either: higher ones by the enlarged strip, lower ones by the
+picture. From cameras 0.6 to 1 m over the road that is 3 to 4.5 m away."""
+_HIGH = KINDS.index("pillar")
 
 
 class FoundObstacles(NamedTuple):
@@ -58,7 +67,11 @@ class FoundObstacles(NamedTuple):
 
     def above(self, threshold: float) -> "FoundObstacles":
         """Those that are at least so sure."""
-        return FoundObstacles(*(part[self.confidence >= threshold] for part in self))
+        return self.where(self.confidence >= threshold)
+
+    def where(self, chosen: Bool[np.ndarray, " n"]) -> "FoundObstacles":
+        """Those that are chosen."""
+        return FoundObstacles(*(part[chosen] for part in self))
 
 
 class ObstacleNet:
@@ -86,8 +99,18 @@ class ObstacleNet:
             picture: sides that are multiples of 32.
             threshold: another one than that of the network.
         """
-        said = np.asarray(_said(self.network, jnp.asarray(prepared(picture, HORIZON_V))))
-        return decoded(said, self.threshold if threshold is None else threshold)
+        least = self.threshold if threshold is None else threshold
+        near = decoded(self._said(picture, HORIZON_V), least)
+        strip, horizon_v = far_strip(picture)
+        far = _shrunk(decoded(self._said(strip, horizon_v), least))
+        below_px = [found.box[:, 3] - HORIZON_V for found in (near, far)]
+        near = _feet_of(near, far.where((far.kind == _HIGH) & (below_px[1] < _FAR_FOOT_PX[1])))
+        of_near = near.where((near.kind == _HIGH) | (below_px[0] >= _FAR_FOOT_PX[0]))
+        of_far = far.where((far.kind != _HIGH) & (below_px[1] < _FAR_FOOT_PX[1]))
+        return _apart(FoundObstacles(*(np.concatenate(pair) for pair in zip(of_near, of_far, strict=True))))
+
+    def _said(self, picture: UInt8[np.ndarray, "h w 3"], horizon_v: float) -> Float[np.ndarray, "i j n"]:
+        return np.asarray(_said(self.network, jnp.asarray(prepared(picture, horizon_v))))
 
 
 @eqx.filter_jit
@@ -117,6 +140,37 @@ def prepared(picture: UInt8[np.ndarray, "h w 3"], horizon_v: float) -> Float[np.
     return prepared_picture
 
 
+def far_strip(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[UInt8[np.ndarray, "i j 3"], float]:
+    """The strip at the horizon of a picture of `net_view`, enlarged, and the row of the horizon in it."""
+    horizon, (above, below) = round(HORIZON_V), _FAR_ROWS
+    strip = picture[horizon - above : horizon + below]
+    enlarged = cv2.resize(strip, None, fx=FAR_SCALE, fy=FAR_SCALE, interpolation=cv2.INTER_LINEAR)
+    return enlarged, FAR_SCALE * (above + 0.5) - 0.5  # pixel centres are at whole numbers
+
+
+def _shrunk(found: FoundObstacles) -> FoundObstacles:
+    """What was found in the enlarged strip, in pixels of the picture."""
+    shift = np.array([0.0, round(HORIZON_V) - _FAR_ROWS[0]])
+    foot = (found.foot_uv + 0.5) / FAR_SCALE - 0.5 + shift
+    return found._replace(box=(found.box + 0.5) / FAR_SCALE - 0.5 + np.tile(shift, 2), foot_uv=foot)
+
+
+def _feet_of(near: FoundObstacles, far: FoundObstacles) -> FoundObstacles:
+    """Pillars with lower border and foot as the strip has them, where it shows the same one.
+
+    Errors of a box are shares of its sides: the lower border of one that reaches the ceiling is 4 to 8 px off, that of
+    what the strip shows of it 3 px.
+    """
+    box, foot, has_foot = near.box.copy(), near.foot_uv.copy(), near.has_foot.copy()
+    for k in np.flatnonzero(near.kind == _HIGH) if len(far.box) else ():
+        common = np.minimum(box[k, 2], far.box[:, 2]) - np.maximum(box[k, 0], far.box[:, 0])
+        both = np.maximum(box[k, 2], far.box[:, 2]) - np.minimum(box[k, 0], far.box[:, 0])
+        same = int((common / both).argmax())
+        if common[same] > _SAME * both[same] and box[k, 3] - HORIZON_V < _FAR_FOOT_PX[1]:
+            box[k, 3], foot[k], has_foot[k] = far.box[same, 3], far.foot_uv[same], far.has_foot[same]
+    return near._replace(box=box, foot_uv=foot, has_foot=has_foot)
+
+
 def decoded(said: Float[np.ndarray, "h w n"], threshold: float) -> FoundObstacles:
     """The cells that are surer than their neighbours, and what they say; of boxes that overlap the surest stays."""
     num = len(KINDS)
@@ -131,8 +185,13 @@ def decoded(said: Float[np.ndarray, "h w n"], threshold: float) -> FoundObstacle
     side = SIDE_PX * np.exp(np.clip(cell[:, 2:4], -4.0, 4.0))
     box = np.concatenate([middle - 0.5 * side, middle + 0.5 * side], axis=1)
     foot = np.column_stack([middle[:, 0], box[:, 3]]) + cell[:, 4:6] * side
+    return _apart(FoundObstacles(kind, box, foot, cell[:, 6] > 0.0, sure[v, u].astype(np.float64)))
+
+
+def _apart(found: FoundObstacles) -> FoundObstacles:
+    """The surest of those that are of one thing, the surest first."""
     kept: list[int] = []
-    for k in range(len(box)):
-        if not kept or box_overlap(box[k], box[kept]).max() < _SAME:
-            kept.append(k)
-    return FoundObstacles(kind[kept], box[kept], foot[kept], cell[kept, 6] > 0.0, sure[v, u][kept].astype(np.float64))
+    for k in np.argsort(-found.confidence, kind="stable"):
+        if not kept or box_overlap(found.box[k], found.box[kept]).max() < _SAME:
+            kept.append(int(k))
+    return FoundObstacles(*(part[kept] for part in found))

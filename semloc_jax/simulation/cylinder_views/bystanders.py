@@ -1,10 +1,9 @@
 """What else stands on parking lots and is none of the four classes (room: simulation; host).
 
-In: a random generator, a place. Out: Body: cars, people, posts, bins, wheel stops, boxes, trees, walls, houses.
+In: a random generator, a place. Out: Body: people, posts, bins, wheel stops, boxes, trees, walls, houses.
 """
 
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -13,8 +12,6 @@ from semloc_jax.simulation.cylinder_views.bodies import (
     UNIT,
     Band,
     Body,
-    BoxPart,
-    Part,
     Patch,
     RoundPart,
     Sheet,
@@ -22,76 +19,17 @@ from semloc_jax.simulation.cylinder_views.bodies import (
     rectangle,
     stripes,
 )
-from semloc_jax.simulation.cylinder_views.canvas import Canvas, Colour
-from semloc_jax.simulation.cylinder_views.cones_and_pillars import BLACK, BLUE, ORANGE, RED, WHITE, YELLOW, varied
-
-_WHEEL = np.linspace(0.0, 2.0 * np.pi, 13)[:-1]
-
-
-def any_colour(rng: np.random.Generator) -> Colour:
-    """Grey mostly, seldom strong."""
-    grey = rng.uniform(0.04, 0.95)
-    strong = rng.random(3) if rng.random() < 0.45 else np.full(3, grey)
-    return np.clip(0.6 * strong + 0.4 * grey, 0.03, 1.0)
-
-
-def car(rng: np.random.Generator, middle: Float[np.ndarray, " 2"], yaw: float) -> Body:
-    """Body, cabin, wheels, lights, plates."""
-    size = (rng.uniform(3.6, 4.9), rng.uniform(1.65, 1.95))
-    colour = varied(rng, (BLUE, RED, WHITE, np.full(3, 0.3), any_colour(rng))[int(rng.integers(5))])
-    low_m, hood_m, roof_m = rng.uniform(0.16, 0.3), rng.uniform(0.75, 1.0), rng.uniform(1.4, 1.95)
-    lamp = varied(rng, WHITE if rng.random() < 0.6 else YELLOW) * rng.uniform(0.7, 1.6)
-    tail = np.array([0.1, 0.1, 0.8]) * rng.uniform(0.6, 1.6)
-    skirt = varied(rng, np.full(3, 0.12)) if rng.random() < 0.6 else colour
-    plate = varied(rng, (WHITE, YELLOW, BLUE)[rng.choice(3, p=(0.7, 0.15, 0.15))])
-
-    def end(light: Colour) -> tuple[Patch, ...]:
-        return (
-            Patch(UNIT * [1.0, 0.3], skirt),
-            Patch(np.array([0.03, 0.6]) + UNIT * [0.22, 0.22], light),
-            Patch(np.array([0.75, 0.6]) + UNIT * [0.22, 0.22], light),
-            Patch(np.array([0.36, 0.3]) + UNIT * [0.28, 0.18], plate),
-        )
-
-    side = (Patch(UNIT * [1.0, 0.18], skirt),)
-    hull = box(middle, size, yaw, low_m, hood_m, colour, (side, end(lamp), side, end(tail)), 0.97)
-    ahead, aside = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
-    glass = varied(rng, np.full(3, rng.uniform(0.05, 0.3)))
-    back_m, front_m, top_m = rng.uniform(0.32, 0.48), rng.uniform(0.12, 0.28), rng.uniform(0.55, 0.85)
-    ends = np.array([-back_m, front_m, front_m, -back_m]) * size[0]
-    half = np.array([-0.48, -0.48, 0.48, 0.48]) * size[1]
-    low = middle + ends[:, None] * ahead + half[:, None] * aside
-    high = middle + (top_m * ends)[:, None] * ahead + (0.85 * half)[:, None] * aside
-    cabin = BoxPart(
-        np.column_stack([low, np.full(4, hood_m)]),
-        np.column_stack([high, np.full(4, roof_m)]),
-        colour,
-        ((Patch(0.08 + 0.84 * UNIT, glass),),) * 4,
-    )
-    parts: list[Part] = [hull, cabin]
-    for along in (-0.31, 0.31):
-        for across in (-0.5, 0.5):
-            at = middle + along * size[0] * ahead + 1.01 * across * size[1] * aside
-            parts.append(_Wheel(at, ahead * np.sign(-across), rng.uniform(0.28, 0.36), varied(rng, np.full(3, 0.55))))
-    return Body(middle, middle + rectangle(size, yaw), roof_m, parts=parts)
-
-
-class _Wheel(NamedTuple):
-    """A tyre with its rim on the side of a car; seen from outside only."""
-
-    middle: Float[np.ndarray, " 2"]
-    ahead: Float[np.ndarray, " 2"]
-    radius_m: float
-    rim: Colour
-
-    def paint(self, canvas: Canvas, thing: int) -> None:
-        """Two discs."""
-        circle = np.cos(_WHEEL)[:, None] * np.append(self.ahead, 0.0) + np.sin(_WHEEL)[:, None] * [0.0, 0.0, 1.0]
-        centre = np.append(self.middle, self.radius_m)
-        for share, colour in ((1.0, BLACK), (0.66, self.rim)):
-            places = centre + share * self.radius_m * circle
-            if canvas.faces_us(places[::-1]):
-                canvas.area(places, colour, thing)
+from semloc_jax.simulation.cylinder_views.canvas import Colour
+from semloc_jax.simulation.cylinder_views.cones_and_pillars import (
+    BLACK,
+    BLUE,
+    ORANGE,
+    RED,
+    WHITE,
+    YELLOW,
+    any_colour,
+    varied,
+)
 
 
 def _upright(rng: np.random.Generator, middle: np.ndarray, radius_m: float, high_m: float, *colours: Colour) -> Body:

@@ -33,6 +33,13 @@ def varied(rng: np.random.Generator, colour: Colour, by: float = 0.12) -> Colour
     return np.clip(level * faded + 0.3 * by * rng.standard_normal(3), 0.02, 1.0)
 
 
+def any_colour(rng: np.random.Generator) -> Colour:
+    """Grey mostly, seldom strong."""
+    grey = rng.uniform(0.04, 0.95)
+    strong = rng.random(3) if rng.random() < 0.45 else np.full(3, grey)
+    return np.clip(0.6 * strong + 0.4 * grey, 0.03, 1.0)
+
+
 def cone(rng: np.random.Generator, middle: Float[np.ndarray, " 2"]) -> Body:
     """A traffic cone of any size on its plate, with up to three bands."""
     high_m = rng.uniform(0.42, 1.0)

@@ -88,19 +88,20 @@ def paint_on_road(rng: np.random.Generator, canvas: Canvas, layout: Layout, size
         flat = np.asarray(quad) + shift
         if np.linalg.norm(flat, axis=1).min() < 14.0:
             canvas.area(np.column_stack([flat, np.zeros(len(flat))]), colour, 0, 8)
-    if rng.random() < 0.2:
+    if rng.random() < 0.35:
         _bump(rng, canvas)
     worn = rng.uniform(0.5, 1.0)
     canvas.picture[:] = worn * canvas.picture + (1.0 - worn) * before
 
 
 def _bump(rng: np.random.Generator, canvas: Canvas) -> None:
-    """A striped bump or hatched area."""
-    start, yaw = rng.uniform(-5.0, 5.0, 2) + [0.0, 3.0], rng.uniform(-np.pi, np.pi)
+    """A striped bump or hatched area, as often near as far."""
+    range_m, phi, yaw = np.exp(rng.uniform(-0.3, 2.2)), rng.uniform(-1.2, 1.2), rng.uniform(-np.pi, np.pi)
     along, across = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     step, wide = rng.uniform(0.2, 0.5) * along, rng.uniform(0.2, 0.6) * across
-    two = (varied(rng, YELLOW), varied(rng, BLACK))
-    for k in range(int(rng.integers(4, 16))):
+    two, num = (varied(rng, YELLOW), varied(rng, BLACK)), int(rng.integers(4, 16))
+    start = range_m * np.array([np.sin(phi), np.cos(phi)]) - rng.uniform(0.2, 0.8) * num * step
+    for k in range(num):
         flat = start + np.array([k * step, (k + 1) * step, (k + 1) * step + wide, k * step + wide])
         canvas.area(np.column_stack([flat, [0.0, 0.0, 0.04, 0.04]]), two[k % 2], 0, 3)
 

@@ -51,10 +51,12 @@ def obstacle(
 
 
 def _ground_lock(rng: np.random.Generator, middle: np.ndarray) -> Body:
-    wide_m, long_m, high_m = rng.uniform(0.35, 0.7), rng.uniform(0.12, 0.4), rng.uniform(0.24, 0.5)
+    is_slim = rng.random() < 0.75  # a tube over a flat foot, as most are
+    wide_m, high_m = rng.uniform(0.35, 0.7), rng.uniform(0.24, 0.5)
+    long_m = rng.uniform(0.1, 0.22) if is_slim else rng.uniform(0.2, 0.4)
     yaw, two = rng.uniform(-np.pi, np.pi), signal(rng)
     base = varied(rng, (BLACK, np.full(3, 0.3), two[0])[rng.choice(3, p=(0.5, 0.3, 0.2))])
-    foot_m = rng.uniform(0.03, 0.13)
+    foot_m = rng.uniform(0.03, 0.07) if is_slim else rng.uniform(0.05, 0.13)
     foot = box(middle, (long_m, wide_m), yaw, 0.0, foot_m, base)
     body = Body(middle, middle + rectangle((long_m, wide_m), yaw), high_m, parts=[foot])
     ahead, aside = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])

@@ -75,17 +75,18 @@ class CylinderSample(NamedTuple):
     centre_v: float
 
 
-def cylinder_sample(rng: np.random.Generator, geometry: Geometry) -> CylinderSample:
+def cylinder_sample(rng: np.random.Generator, geometry: Geometry, is_lesson: bool = False) -> CylinderSample:
     """A picture with its obstacles.
 
     Args:
         rng: all that is random.
         geometry: of the window.
+        is_lesson: as a network sees what it looks at, enlarged strips among it; else as a camera sees it.
     """
     is_hall = bool(rng.random() < 0.45)
     ceiling_m = float(rng.uniform(2.1, 3.8)) if is_hall else None
     canvas = _canvas(rng, geometry)
-    bodies, slots = placed(rng, 0.5 * canvas.picture.shape[1] / canvas.focal_px, ceiling_m)
+    bodies, slots = placed(rng, 0.5 * canvas.picture.shape[1] / canvas.focal_px, ceiling_m, is_lesson)
     sky_and_road(rng, canvas, is_hall)
     if is_hall and rng.random() < 0.7:
         lamps(rng, canvas)
@@ -103,7 +104,9 @@ def cylinder_sample(rng: np.random.Generator, geometry: Geometry) -> CylinderSam
     _own_car(rng, canvas)
     alone = replace(canvas, picture=np.zeros_like(canvas.picture))
     things = [_seen(canvas, alone, body, k) for k, body in enumerate(far_first, 1) if body.kind]
-    return CylinderSample(_finished(rng, canvas, geometry), [t for t in things if t is not None], geometry.centre_v)
+    return CylinderSample(
+        _finished(rng, canvas, geometry, is_lesson), [t for t in things if t is not None], geometry.centre_v
+    )
 
 
 def _canvas(rng: np.random.Generator, geometry: Geometry) -> Canvas:
@@ -163,15 +166,23 @@ def _seen(canvas: Canvas, alone: Canvas, body: Body, number: int) -> SeenThing |
     )
 
 
-def _finished(rng: np.random.Generator, canvas: Canvas, geometry: Geometry) -> UInt8[np.ndarray, "h w 3"]:
+def _finished(
+    rng: np.random.Generator, canvas: Canvas, geometry: Geometry, is_lesson: bool
+) -> UInt8[np.ndarray, "h w 3"]:
     """Lens, exposure, tint, haze, noise, compression."""
     picture = canvas.picture
     if rng.random() < 0.25:  # light falls off
         row = np.linspace(rng.uniform(0.4, 1.0), rng.uniform(0.6, 1.2), len(picture), dtype=np.float32)
         picture = picture * row[:, None, None]
+    if rng.random() < 0.5:  # glare of lamps and of what the sun shines on
+        glare = cv2.GaussianBlur(np.maximum(picture - 1.0, 0.0), None, rng.uniform(2.0, 10.0))
+        picture = picture + np.float32(rng.uniform(0.3, 1.5)) * glare
     if rng.random() < 0.75:
         picture = cv2.GaussianBlur(picture, None, rng.uniform(0.5, 2.0))
-    small = cv2.resize(picture, (geometry.width, geometry.height), interpolation=cv2.INTER_AREA)
+    size = (geometry.width, geometry.height)
+    # The strip at the horizon is enlarged: it was taken with half of the pixels.
+    taken = (size[0] // 2, size[1] // 2) if is_lesson and rng.random() < 0.5 else size
+    small = cv2.resize(picture, taken, interpolation=cv2.INTER_AREA)
     gamma, gain = rng.uniform(0.7, 1.3), rng.uniform(0.65, 1.4)
     small = np.maximum(small, np.float32(1e-3)) ** np.float32(gamma) * np.float32(gain)
     small = small * (1.0 + 0.05 * rng.standard_normal(3)).astype(np.float32)
@@ -184,4 +195,4 @@ def _finished(rng: np.random.Generator, canvas: Canvas, geometry: Geometry) -> U
     if rng.random() < 0.5:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(45, 95))]
         shown = cv2.imdecode(cv2.imencode(".jpg", shown, quality)[1], cv2.IMREAD_COLOR)
-    return shown
+    return shown if taken == size else cv2.resize(shown, size, interpolation=cv2.INTER_LINEAR)

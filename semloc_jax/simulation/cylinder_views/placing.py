@@ -7,13 +7,16 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.simulation.cylinder_views.bodies import Body
-from semloc_jax.simulation.cylinder_views.bystanders import bystander, car
+from semloc_jax.simulation.cylinder_views.bystanders import bystander
+from semloc_jax.simulation.cylinder_views.cars import car
 from semloc_jax.simulation.cylinder_views.kept_free import obstacle
 from semloc_jax.simulation.top_views.slot_layout import Layout, random_layout
 
 KINDS = ("cone", "pillar", "ground_lock", "no_parking_sign")
 _SHARES = (0.28, 0.12, 0.33, 0.27)
 _RANGE_M = (0.8, 12.0)
+_LOW_ENLARGED_M = (0.8, 7.5)
+"""What is low and farther off is shown enlarged, as if it stood at half of its range; see `far_strip`."""
 _FAR_SHARE = 0.5
 """Of the things, as many on each metre of the range; of the others as many near as far by its logarithm."""
 SIZE_M = 16.0
@@ -22,14 +25,18 @@ _AT_ONCE = 60
 """Most things in one picture: their numbers are those in `Canvas.ids`."""
 
 
-def placed(rng: np.random.Generator, half_rad: float, ceiling_m: float | None) -> tuple[list[Body], Layout]:
+def placed(
+    rng: np.random.Generator, half_rad: float, ceiling_m: float | None, is_lesson: bool = False
+) -> tuple[list[Body], Layout]:
     """Things at random places, none in another, and the painted slots, some with cars.
 
     Args:
         rng: all that is random.
         half_rad: half of the width of the view.
         ceiling_m: of the hall; None outside.
+        is_lesson: what is low stands as near as enlarged strips show it.
     """
+    low_m = _LOW_ENLARGED_M if is_lesson else _RANGE_M
     layout = random_layout(rng, SIZE_M)
     bodies: list[Body] = []
 
@@ -48,9 +55,12 @@ def placed(rng: np.random.Generator, half_rad: float, ceiling_m: float | None) -
     for _ in range(int(rng.integers(1, 6)) if ceiling_m is not None else 0):
         # Pillars of one hall look alike.
         add(obstacle(np.random.default_rng(same_look), "pillar", _place(rng, half_rad), ceiling_m), 0.25)
-    for _ in range(int(rng.integers(0, 16))):
-        add(obstacle(rng, str(rng.choice(KINDS, p=_SHARES)), _place(rng, half_rad), ceiling_m), 0.25)
-    full = rng.choice([0.0, 0.3, 0.7], p=(0.2, 0.4, 0.4))
+    # On real lots few things stand, and cars beside them look like some.
+    for _ in range(int(rng.integers(0, rng.choice([6, 16])))):
+        kind = str(rng.choice(KINDS, p=_SHARES))
+        place = _place(rng, half_rad, _RANGE_M if kind == "pillar" else low_m)
+        add(obstacle(rng, kind, place, ceiling_m), 0.25)
+    full = rng.choice([0.0, 0.3, 0.8], p=(0.1, 0.35, 0.55))
     for slot in layout.slots:
         middle = slot.mean(axis=0) - 0.5 * SIZE_M
         if rng.random() < full and 2.6 < np.linalg.norm(middle) < 16.0:
@@ -74,10 +84,12 @@ def placed(rng: np.random.Generator, half_rad: float, ceiling_m: float | None) -
     return bodies, layout
 
 
-def _place(rng: np.random.Generator, half_rad: float) -> Float[np.ndarray, " 2"]:
+def _place(
+    rng: np.random.Generator, half_rad: float, limits_m: tuple[float, float] = _RANGE_M
+) -> Float[np.ndarray, " 2"]:
     """Ahead or aside, at any range."""
     is_far = rng.random() < _FAR_SHARE
-    range_m = float(rng.uniform(*_RANGE_M) if is_far else np.exp(rng.uniform(*np.log(_RANGE_M))))
+    range_m = float(rng.uniform(*limits_m) if is_far else np.exp(rng.uniform(*np.log(limits_m))))
     phi = rng.uniform(-1.1, 1.1) * half_rad
     return range_m * np.array([np.sin(phi), np.cos(phi)])
 

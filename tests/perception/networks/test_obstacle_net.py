@@ -4,16 +4,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from semloc_jax.perception.networks.dense_net import STRIDE
 from semloc_jax.perception.networks.obstacle_net import (
     CONFIG,
+    FAR_SCALE,
     HORIZON_V,
     KINDS,
     OUTPUTS,
     PX_PER_RAD,
     SHIPPED,
     SIZE_PX,
+    FoundObstacles,
     ObstacleNet,
+    _feet_of,
     decoded,
+    far_strip,
     net_view,
     prepared,
 )
@@ -51,6 +56,76 @@ def test_cells_say_class_box_and_foot():
     np.testing.assert_allclose(found.foot_uv, [[50.5 + 3.2, 43.5 - 4.0]], atol=1e-4)
     assert found.confidence[0] == pytest.approx(1.0 / (1.0 + np.exp(-3.0)))
     assert len(found.above(0.99).box) == 0
+
+
+class ByColour(ObstacleNet):
+    """Says of red spots that they are cones and of blue ones that they are pillars, all of them 16 x 16 px."""
+
+    def __init__(self, threshold):
+        self.threshold = threshold
+
+    def _said(self, picture, horizon_v):
+        rows, columns = picture.shape[0] // STRIDE, picture.shape[1] // STRIDE
+        cells = prepared(picture, horizon_v).reshape(rows, STRIDE, columns, STRIDE, 4).mean(axis=(1, 3))
+        said = np.zeros((rows, columns, len(OUTPUTS)), np.float32)
+        said[..., : len(KINDS)] = -9.0
+        for kind, channel in (("cone", 0), ("pillar", 2)):
+            said[..., KINDS.index(kind)] = 4.0 * cells[..., channel]
+        return said
+
+
+def test_what_is_low_and_far_is_seen_enlarged():
+    """A cone 25 px below the horizon is told by the strip, in which 16 px are 8; one 90 px below it and a pillar are
+    told by the picture."""
+    picture = np.zeros((SIZE_PX[1], 320, 3), np.uint8)
+    v, u = np.mgrid[: SIZE_PX[1], :320]
+    spots = {"far": (81.5, HORIZON_V + 25.0, 2), "near": (161.5, HORIZON_V + 90.0, 2), "pillar": (241.5, 145.5, 0)}
+    for at_u, at_v, channel in spots.values():
+        near = np.exp(-0.5 * ((u - at_u) ** 2 + (v - at_v) ** 2) / 5.0**2)
+        picture[..., channel] = np.maximum(picture[..., channel], 255.0 * near)
+    found = ByColour(0.5)(picture)
+    assert sorted(KINDS[k] for k in found.kind) == ["cone", "cone", "pillar"]
+    assert (np.diff(found.confidence) <= 0.0).all()
+    middle, side = 0.5 * (found.box[:, :2] + found.box[:, 2:]), found.box[:, 2:] - found.box[:, :2]
+    for name, (*at, _) in spots.items():
+        k = int(np.linalg.norm(middle - at, axis=1).argmin())
+        assert np.abs(middle[k] - at).max() <= 2.0  # within the cell
+        np.testing.assert_allclose(side[k], 8.0 if name == "far" else 16.0, rtol=1e-5)
+        np.testing.assert_allclose(found.foot_uv[k], [middle[k, 0], found.box[k, 3]])
+
+
+def test_pillars_stand_where_the_strip_shows_their_feet():
+    """One of two: the other stands too near for the strip."""
+    kind = np.full(2, KINDS.index("pillar"))
+    near = FoundObstacles(
+        kind,
+        np.array([[100.0, 0.0, 120.0, HORIZON_V + 35.0], [200.0, 0.0, 260.0, HORIZON_V + 90.0]]),
+        np.array([[110.0, HORIZON_V + 34.0], [230.0, HORIZON_V + 85.0]]),
+        np.array([False, True]),
+        np.array([0.9, 0.8]),
+    )
+    box = np.array([[101.0, 110.0, 119.0, HORIZON_V + 30.0], [201.0, 110.0, 259.0, HORIZON_V + 47.0]])
+    far = near._replace(box=box, foot_uv=near.foot_uv - [0.0, 5.0], has_foot=np.array([True, False]))
+    found = _feet_of(near, far)
+    np.testing.assert_allclose(found.box[0], [100.0, 0.0, 120.0, HORIZON_V + 30.0])
+    np.testing.assert_allclose(found.foot_uv[0], far.foot_uv[0])
+    np.testing.assert_allclose(found.box[1], near.box[1])
+    np.testing.assert_allclose(found.foot_uv[1], near.foot_uv[1])
+    assert found.has_foot.all() and near.box[0, 3] == HORIZON_V + 35.0
+    nobody = near.where(np.zeros(2, bool))
+    np.testing.assert_allclose(_feet_of(near, nobody).box, near.box)
+    aside = far._replace(box=box + [15.0, 0.0, 15.0, 0.0])
+    np.testing.assert_allclose(_feet_of(near, aside).box, near.box)
+
+
+def test_the_strip_shows_the_horizon_where_it_says():
+    picture = np.zeros((SIZE_PX[1], 64, 3), np.uint8)
+    picture[int(HORIZON_V) + 1 :] = 200
+    strip, horizon_v = far_strip(picture)
+    bright = strip[:, 0, 0] / 200.0
+    # Row 135 is the first bright one, so half of the brightness is half a row below the horizon: one of the strip.
+    assert np.interp(0.5, bright, np.arange(len(strip))) == pytest.approx(horizon_v + 0.5 * FAR_SCALE, abs=0.05)
+    assert strip.shape[1] == 64 * FAR_SCALE and strip.shape[0] % CONFIG.step_px == 0
 
 
 @pytest.fixture(scope="module")
