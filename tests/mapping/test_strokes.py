@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
-from semloc_jax.mapping.stroke_profiles import paint_across
 
+from semloc_jax.mapping.stroke_profiles import paint_across
 from semloc_jax.mapping.strokes import find_strokes
 
 
