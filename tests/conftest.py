@@ -53,14 +53,25 @@ def one_effort() -> Iterator[None]:
         yield
 
 
-_LONG = ("cli", "mapping", "alignment", "contracts", "system", "fusion", "calibration", "test_notebooks.py")
-"""Rooms of tests that take longest, in this order."""
+_FIRST = (
+    "fuzz",
+    "cli",
+    "mapping",
+    "alignment",
+    "contracts",
+    "system",
+    "fusion",
+    "calibration",
+    "test_notebooks.py",
+)
+"""Rooms of tests that run first: fuzz forks a process for each input, which copies the tables of what this one holds (at
+its end twice the time); then those that take longest, in this order."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long rooms first: a file that a test process starts last would keep the others waiting."""
     rooms = {item: item.path.relative_to(Path(__file__).parent).parts[0] for item in items}
-    items.sort(key=lambda item: _LONG.index(rooms[item]) if rooms[item] in _LONG else len(_LONG))
+    items.sort(key=lambda item: _FIRST.index(rooms[item]) if rooms[item] in _FIRST else len(_FIRST))
 
 
 _MOST_MAPPINGS = 20_000

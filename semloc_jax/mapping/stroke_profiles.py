@@ -1,6 +1,6 @@
 """Paint across and along a stroke: its middle, its width, its end (room: mapping; host).
 
-In: share of looks that show paint, by cell, a place and a direction. Out: Profile; where the paint ends.
+In: share of looks that show paint, by cell, a place and a direction. Out: StrokeProfile; where the paint ends.
 """
 
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class TraceLimits:
         return _PEAK_PART * self.least_share
 
 
-class Profile(NamedTuple):
+class StrokeProfile(NamedTuple):
     """Paint across a place.
 
     Attributes:
@@ -74,7 +74,9 @@ class Profile(NamedTuple):
         return self.peak >= limits.strong_share or self.amount >= limits.faint_share * width
 
 
-def profile_across(share: np.ndarray, place: np.ndarray, direction: np.ndarray, limits: TraceLimits) -> Profile | None:
+def profile_across(
+    share: np.ndarray, place: np.ndarray, direction: np.ndarray, limits: TraceLimits
+) -> StrokeProfile | None:
     """The paint across a place; None where there is none near the middle, not even faint."""
     across = paint_across(share, place, direction, limits.reach)
     middle, around = len(across) // 2, int(0.34 * limits.reach / _ACROSS)
@@ -90,7 +92,7 @@ def profile_across(share: np.ndarray, place: np.ndarray, direction: np.ndarray, 
     weight = across[low:high]
     total = float(weight.sum())
     offset = float(weight @ np.arange(low - middle, high - middle)) * _ACROSS / total
-    return Profile(offset, _ACROSS * total, peak)
+    return StrokeProfile(offset, _ACROSS * total, peak)
 
 
 def paint_across(share: np.ndarray, place: np.ndarray, direction: np.ndarray, reach: float) -> np.ndarray:

@@ -132,26 +132,21 @@ def elements_of(
 
 
 class _Window:
-    """Part of a grid: share of paint and what was looked at.
-
-    A look says something at places as far apart as cells are, but not in line with them: it misses cells between those
-    that it hits. So such gaps are closed, and paint and weights are blurred apart.
-    """
+    """Part of a grid: share of paint and what was looked at."""
 
     def __init__(self, grid: EvidenceGrid, low: np.ndarray, size: np.ndarray, config: VectorConfig):
         self.low, self.cell_m, self._grid, self._size = low, grid.cell_m, grid, size
-        self._blur_cells = config.blur_cells
+        # A look says something at places as far apart as cells are, but not in line with them: it misses cells between
+        # those that it hits.
         num_looks = cv2.morphologyEx(grid.plane(1, low, size), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-        self.looked, self._is_known = num_looks >= config.min_looks, num_looks > 0
-        self._weight = self._blurred(grid.plane(0, low, size))
+        self.looked = num_looks >= config.min_looks
 
     def share(self, planes: Sequence[int]) -> np.ndarray:
-        """Share of the looks around a cell that show any of some layers."""
-        shown = self._blurred(sum(self._grid.plane(2 + plane, self.low, self._size) for plane in planes))
-        return np.divide(shown, self._weight, out=np.zeros_like(shown), where=self._is_known)
-
-    def _blurred(self, plane: np.ndarray) -> np.ndarray:
-        return cv2.GaussianBlur(plane, (0, 0), self._blur_cells)
+        """Share of the looks that show any of some layers."""
+        whole = np.zeros((int(self._size[1]), int(self._size[0])), np.float32)
+        for plane in planes:
+            whole += self._grid.share(plane, self.low, self._size)
+        return whole
 
 
 def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, config: VectorConfig) -> None:
@@ -160,6 +155,7 @@ def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, con
     share = window.share(layer.planes)
     if not share.any():
         return
+    share = cv2.GaussianBlur(share, (0, 0), config.blur_cells)
     smallest = config.min_area_m2 / cell_m**2
     if layer.label not in STROKES:
         find = find_rectangles if layer.label in RECTANGLES else find_outlines
