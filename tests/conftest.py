@@ -64,8 +64,8 @@ _FIRST = (
     "calibration",
     "test_notebooks.py",
 )
-"""Rooms of tests that run first: fuzz forks a process for each input, which copies the tables of what this one holds and
-takes twice the time at its end; then those that take longest, in this order."""
+"""Rooms of tests that run first: fuzz forks a process for each input, which copies the tables of what this one holds;
+then those that take longest, in this order."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
