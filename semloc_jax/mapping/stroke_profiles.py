@@ -17,7 +17,7 @@ _NUM_ALONG = 5
 _ACROSS = 0.5
 """Cells from one value of a profile to the next."""
 _PEAK_PART = 0.8
-"""Part of the least share that the mean over half a metre along a stroke must reach."""
+"""Part of the least share that a profile must reach where most looks show the paint."""
 _BACK_FROM_END = 24.0
 """Cells before the last place of a stroke whose paint says where its end is."""
 
@@ -47,7 +47,7 @@ class TraceLimits:
 
     @property
     def strong_share(self) -> float:
-        """What the mean over some cells along a stroke reaches where most looks show it."""
+        """What the largest share of a profile reaches where most looks show the paint."""
         return _PEAK_PART * self.least_share
 
 

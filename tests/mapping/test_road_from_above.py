@@ -297,3 +297,18 @@ def test_a_line_that_leaves_the_window_of_a_block_is_whole():
     (line,) = elements_of(grid, layers, lambda xy: np.zeros(len(xy)))
     assert line.length_m == pytest.approx(80.0, abs=0.3)
     np.testing.assert_allclose(line.points[:, 1], 12 * CELL_M, atol=0.01)
+
+
+def test_a_dash_has_its_ends_though_every_look_misses_cells():
+    """Places of a look are not in line with cells: here three looks miss every fourth cell each, the last two of three."""
+    grid, (ys, xs) = EvidenceGrid(CELL_M, 2), np.mgrid[0:80, 0:300]
+    cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
+    is_paint = (np.abs(cells[:, 0] - 150) <= 60) & (np.abs(cells[:, 1] - 40) <= 3)
+    for look in range(4):
+        hit = cells[(cells[:, 0] + 2 * cells[:, 1] + look) % 4 != 0] if look < 3 else cells[cells.sum(axis=1) % 3 == 0]
+        paint = is_paint[hit[:, 1] * 300 + hit[:, 0]]
+        grid.add((hit + 0.5) * CELL_M, np.ones(len(hit)), paint.astype(int) - 1, np.ones(len(hit), bool))
+    layers = [Layer(ElementClass.LANE_MARKING, (0, 1), (0,), says_style=True)]
+    (dash,) = elements_of(grid, layers, lambda xy: np.zeros(len(xy)), VectorConfig())
+    assert dash.style == "dashed" and dash.true_ends == (True, True)
+    assert dash.length_m == pytest.approx(121 * CELL_M, abs=0.05)
