@@ -300,7 +300,7 @@ def test_a_line_that_leaves_the_window_of_a_block_is_whole():
 
 
 def test_a_dash_has_its_ends_though_every_look_misses_cells():
-    """Places of a look are not in line with cells: three looks miss every fourth cell each here, the last two of three."""
+    """Places of a look are not in line with cells: three looks miss a fourth of them each, the last one two thirds."""
     grid, (ys, xs) = EvidenceGrid(CELL_M, 2), np.mgrid[0:80, 0:300]
     cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
     is_paint = (np.abs(cells[:, 0] - 150) <= 60) & (np.abs(cells[:, 1] - 40) <= 3)
