@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.alike_marks import painted_alike
 from semloc_jax.mapping.base_map import BaseConfig, Change, Countable, Known, aged_logit, taken_in
 from semloc_jax.mapping.drive_looks import DriveLooks, step_between_m
 from semloc_jax.mapping.evidence_grid import TILE
@@ -208,7 +209,9 @@ def _with_slots(
     slots = find_slots(list(lines.values()), beliefs, Ts_map_base[:, :2, 3], gatherer.vehicles, config.slots, in_rows)
     marks = [known for known in kept if known[0].label == ElementClass.ROAD_MARK]
     marks, numbers = numbered(marks, slots, _looks_at(gatherer, ElementClass.ROAD_MARK))
-    marks = outside_of_rows(marks, rows) + numbers
+    marks = outside_of_rows(marks, rows)
+    whole = painted_alike([mark for mark, _ in marks])
+    marks = [(mark, belief) for mark, (_, belief) in zip(whole, marks, strict=True)] + numbers
     return [known for known in kept if known[0].label != ElementClass.ROAD_MARK] + marks + slots
 
 
