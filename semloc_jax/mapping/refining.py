@@ -144,8 +144,7 @@ def _agreed(
     sure = places_apart(chain.way_m, rows.tolist()).tolist()
     joint = config.joint(len(masks.cameras))
     for k in range(config.rounds):
-        reach_px = config.reach_px if 2 * k < config.rounds else config.last_reach_px
-        pulling = ElementPulls(SemanticMap(tuple(elements)), masks.table, PullConfig(reach_px=reach_px))
+        pulling = ElementPulls(SemanticMap(tuple(elements)), masks.table, PullConfig(reach_px=config.reach_of(k)))
 
         def pull(row: int, Ts: np.ndarray = Ts, pulling: ElementPulls = pulling) -> Pulls:
             frame = drive.frames[row]

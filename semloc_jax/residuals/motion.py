@@ -49,9 +49,11 @@ def pulled_residual(
     Half its square is the cost of the element around the pose T_element_base where the masks were compared: with R =
     `sqrt_info`, R^T R is the information there and R^T `offset` the force. What the masks leave open, such as the way
     along a line, has no row. The images show the vehicle farther from the element than it is by the share `metre`: so
-    does a camera that stands a little lower than calibrated.
+    does a camera that stands a little lower than calibrated. It is a share of the way between them where the masks
+    were compared, not of the one that is solved for: else the errors of single frames would cost less in a smaller
+    world, and a way with many of them would shrink.
     """
-    T_map_seen = _farther(T_map_element, T_map_base, metre)
+    T_map_seen = _farther(T_map_element, T_map_base, metre, T_element_base)
     return between_residual(T_map_element, T_map_seen, T_element_base, sqrt_info) + offset
 
 
@@ -60,9 +62,9 @@ def metre_residual(metre: Float[Array, "1"], sqrt_info: Float[Array, "1"]) -> Fl
     return sqrt_info * metre
 
 
-def _farther(T_map_element: Array, T_map_base: Array, metre: Array) -> Array:
-    """Where images have the vehicle: moved away from the element by a share of the way between them."""
-    return T_map_base.at[:3, 3].add(metre[0] * (T_map_base[:3, 3] - T_map_element[:3, 3]))
+def _farther(T_map_element: Array, T_map_base: Array, metre: Array, T_element_base: Array) -> Array:
+    """Where images have the vehicle: moved away from the element by a share of the way that was between them."""
+    return T_map_base.at[:3, 3].add(metre[0] * _mul(T_map_element[:3, :3], T_element_base[:3, 3]))
 
 
 def odometry_residual(
@@ -148,15 +150,13 @@ def pulled_linearised(
     sqrt_info: Float[Array, "k 6"],
 ) -> tuple[Float[Array, " k"], Float[Array, "k 6"], Float[Array, "k 6"], Float[Array, "k 1"]]:
     """`pulled_residual` and its derivatives by the right tangents of element and vehicle, and by the metre."""
-    T_map_seen = _farther(T_map_element, T_map_base, metre)
+    T_map_seen = _farther(T_map_element, T_map_base, metre, T_element_base)
     r, J_element, J_seen = between_linearised(T_map_element, T_map_seen, T_element_base, sqrt_info)
-    # The place of the vehicle that is seen follows the places of all three, its direction that of the vehicle alone.
-    J_place, J_turn = J_seen[:, :3], J_seen[:, 3:]
-    R_base_map = T_map_base[:3, :3].T
-    J_moved = -metre[0] * _mul(J_place, R_base_map @ T_map_element[:3, :3])
-    J_away = _mul(J_place, R_base_map @ (T_map_base[:3, 3] - T_map_element[:3, 3]))
-    J_base = jnp.concatenate([(1.0 + metre[0]) * J_place, J_turn], axis=1)
-    return r + offset, J_element.at[:, :3].add(J_moved), J_base, J_away[:, None]
+    away = _mul(T_map_element[:3, :3], T_element_base[:3, 3])
+    # An element that turns takes the way to the vehicle with it.
+    J_place = _mul(J_seen[:, :3], T_map_base[:3, :3].T)
+    J_turn = -metre[0] * _mul(J_place, _mul(T_map_element[:3, :3], lie.skew(T_element_base[:3, 3])))
+    return r + offset, J_element.at[:, 3:].add(J_turn), J_seen, _mul(J_place, away)[:, None]
 
 
 def odometry_linearised(
