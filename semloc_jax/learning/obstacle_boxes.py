@@ -29,7 +29,7 @@ _TELLS = 0.3
 """Cells with so much heat tell the box too."""
 _BOX, _FOOT, _HAS_FOOT = 1.0, 1.0, 0.2
 """Weights of the parts of the loss beside the confidence; ours."""
-_ABOUT_THINGS = 0.75
+_ABOUT_THINGS = 0.65
 """Share of windows that are cut about a thing."""
 
 
@@ -70,7 +70,7 @@ class CylinderPool:
 def batch_of(samples: Sequence[CylinderSample]) -> ObstacleBatch:
     """The batch of some pictures of one size."""
     parts = [targets(sample) for sample in samples]
-    pictures = np.stack([prepared(sample.picture, sample.centre_v) for sample in samples])
+    pictures = np.stack([np.asarray(prepared(sample.picture, sample.centre_v)) for sample in samples])
     return ObstacleBatch(pictures, *(np.stack([part[k] for part in parts]) for k in range(4)))
 
 

@@ -12,12 +12,12 @@ from semloc_jax.cli.main import main
 from semloc_jax.learning.obstacle_boxes import CylinderPool, batch_of, cut, is_asked, obstacle_loss
 from semloc_jax.learning.obstacle_lesson import ObstacleLearningConfig, shown
 from semloc_jax.perception.networks.obstacle_net import HORIZON_V, KINDS, PX_PER_RAD, SIZE_PX, ObstacleNet, decoded
-from semloc_jax.simulation.cylinder_views.bodies import Body, box, rectangle
+from semloc_jax.simulation.cylinder_views.bodies import Body, Sheet, box, rectangle
 from semloc_jax.simulation.cylinder_views.canvas import Canvas
 from semloc_jax.simulation.cylinder_views.cars import car
 from semloc_jax.simulation.cylinder_views.kept_free import obstacle
 from semloc_jax.simulation.cylinder_views.picture import Geometry, cylinder_sample
-from semloc_jax.simulation.cylinder_views.placing import placed
+from semloc_jax.simulation.cylinder_views.placing import _beside, placed
 
 WIDTH = 192
 
@@ -133,6 +133,25 @@ def test_far_things_are_as_common_as_near_ones_and_most_have_a_neighbour():
     assert len(things) > 300 and 0.35 < (range_m > 6.0).mean() < 0.55
     free_m = [min(np.linalg.norm(b.footprint - body.middle, axis=1).min() for b in others) for body, others in things]
     assert np.median(free_m) < 0.8
+
+
+def test_boards_are_written_on_or_not_and_some_are_one_piece():
+    """Colour of the inside and writing of two boards that lean against each other."""
+    bodies = [obstacle(np.random.default_rng((2, k)), "no_parking_sign", np.array([0.0, 3.0])) for k in range(300)]
+    boards = [[part for part in body.parts if isinstance(part, Sheet)] for body in bodies]
+    frames = [two for two in boards if len(two) == 2]
+    assert 0.5 < len(frames) / len(bodies) < 0.7
+    assert 0.15 < np.mean([not near.patches for _, near in frames]) < 0.35
+    assert 0.4 < np.mean([np.array_equal(far.colour, near.colour) for far, near in frames]) < 0.6
+
+
+def test_of_what_stands_beside_something_much_hides_a_part_of_it():
+    """Within 20 deg of the way from it to the camera: one in nine by chance."""
+    body = obstacle(np.random.default_rng(1), "no_parking_sign", np.array([1.0, 4.0]))
+    places = np.array([_beside(np.random.default_rng((4, k)), body) for k in range(300)]) - body.middle
+    towards = -body.middle / np.linalg.norm(body.middle)
+    cosine = places @ towards / np.linalg.norm(places, axis=1)
+    assert 0.25 < (cosine > np.cos(np.deg2rad(20.0))).mean() < 0.5
 
 
 def test_in_lessons_what_is_low_stands_as_near_as_strips_show_it():

@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from semloc_jax.cameras import Camera, CylindricalCamera
 from semloc_jax.evaluation.average_precision import box_overlap
@@ -44,8 +44,10 @@ HORIZON_V = 134.0
 _SAME = 0.5
 """Boxes that share so much of their union are of one thing."""
 FAR_SCALE = 2
-_FAR_ROWS = (24, 56)
+_FAR_ROWS = (14, 50)
 """Rows above and below the horizon that are enlarged; pillars reach out of them."""
+_SKY_ROWS = 32
+"""Rows at the top of the picture that are not looked at: 29 deg above the horizon only pillars are left."""
 _FAR_FOOT_PX = (42.0, 48.0)
 """Lower borders so far below the horizon are told by either: higher ones by the enlarged strip, lower ones by the
 picture. From cameras 0.6 to 1 m over the road that is 3 to 4.5 m away."""
@@ -100,7 +102,7 @@ class ObstacleNet:
             threshold: another one than that of the network.
         """
         least = self.threshold if threshold is None else threshold
-        near = decoded(self._said(picture, HORIZON_V), least)
+        near = _moved(decoded(self._said(picture[_SKY_ROWS:], HORIZON_V - _SKY_ROWS), least), _SKY_ROWS)
         strip, horizon_v = far_strip(picture)
         far = _shrunk(decoded(self._said(strip, horizon_v), least))
         below_px = [found.box[:, 3] - HORIZON_V for found in (near, far)]
@@ -110,12 +112,13 @@ class ObstacleNet:
         return _apart(FoundObstacles(*(np.concatenate(pair) for pair in zip(of_near, of_far, strict=True))))
 
     def _said(self, picture: UInt8[np.ndarray, "h w 3"], horizon_v: float) -> Float[np.ndarray, "i j n"]:
-        return np.asarray(_said(self.network, jnp.asarray(prepared(picture, horizon_v))))
+        # Prepared where it is looked at: bytes are copied, not floats.
+        return np.asarray(_said(self.network, jnp.asarray(picture), jnp.asarray(horizon_v, jnp.float32)))
 
 
 @eqx.filter_jit
-def _said(network: DenseNet, picture: jax.Array) -> jax.Array:
-    return network(picture)
+def _said(network: DenseNet, picture: jax.Array, horizon_v: jax.Array) -> jax.Array:
+    return network(prepared(picture, horizon_v))
 
 
 def net_view(
@@ -131,13 +134,13 @@ def net_view(
     return CylinderView.on(cylinder, camera, T_base_cam, up_base)
 
 
-def prepared(picture: UInt8[np.ndarray, "h w 3"], horizon_v: float) -> Float[np.ndarray, "h w 4"]:
+def prepared(picture: UInt8[Array | np.ndarray, "h w 3"], horizon_v: float | Float[Array, ""]) -> Float[Array, "h w 4"]:
     """Red, green, blue in -1 ... 1 and the tangent of the elevation, positive below the horizon; float32."""
     height, width, _ = picture.shape
-    prepared_picture = np.empty((height, width, 4), np.float32)
-    prepared_picture[..., :3] = picture[..., ::-1] * np.float32(2.0 / 255.0) - np.float32(1.0)
-    prepared_picture[..., 3] = ((np.arange(height, dtype=np.float32) - horizon_v) / PX_PER_RAD)[:, None]
-    return prepared_picture
+    colours = jnp.asarray(picture)[..., ::-1] * jnp.float32(2.0 / 255.0) - jnp.float32(1.0)
+    row = jnp.arange(height, dtype=jnp.float32)
+    tangent = (row - jnp.asarray(horizon_v, jnp.float32)) / jnp.float32(PX_PER_RAD)
+    return jnp.concatenate([colours, jnp.broadcast_to(tangent[:, None, None], (height, width, 1))], axis=-1)
 
 
 def far_strip(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[UInt8[np.ndarray, "i j 3"], float]:
@@ -150,9 +153,13 @@ def far_strip(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[UInt8[np.ndarray, "i
 
 def _shrunk(found: FoundObstacles) -> FoundObstacles:
     """What was found in the enlarged strip, in pixels of the picture."""
-    shift = np.array([0.0, round(HORIZON_V) - _FAR_ROWS[0]])
-    foot = (found.foot_uv + 0.5) / FAR_SCALE - 0.5 + shift
-    return found._replace(box=(found.box + 0.5) / FAR_SCALE - 0.5 + np.tile(shift, 2), foot_uv=foot)
+    box, foot = ((uv + 0.5) / FAR_SCALE - 0.5 for uv in (found.box, found.foot_uv))
+    return _moved(found._replace(box=box, foot_uv=foot), round(HORIZON_V) - _FAR_ROWS[0])
+
+
+def _moved(found: FoundObstacles, rows: int) -> FoundObstacles:
+    """What was found in a part of the picture that begins so many rows below its top."""
+    return found._replace(box=found.box + [0, rows, 0, rows], foot_uv=found.foot_uv + [0, rows])
 
 
 def _feet_of(near: FoundObstacles, far: FoundObstacles) -> FoundObstacles:
@@ -174,18 +181,18 @@ def _feet_of(near: FoundObstacles, far: FoundObstacles) -> FoundObstacles:
 def decoded(said: Float[np.ndarray, "h w n"], threshold: float) -> FoundObstacles:
     """The cells that are surer than their neighbours, and what they say; of boxes that overlap the surest stays."""
     num = len(KINDS)
-    logit = said[..., :num].max(axis=-1)
-    sure = (1.0 / (1.0 + np.exp(-logit.astype(np.float64)))).astype(np.float32)
-    peak = (sure >= threshold) & (sure >= cv2.dilate(sure, np.ones((3, 3), np.uint8)))
-    v, u = np.nonzero(peak)
-    order = np.argsort(-sure[v, u], kind="stable")
+    logit = np.ascontiguousarray(said[..., :num].max(axis=-1))
+    least = np.log(max(threshold, 1e-9) / max(1.0 - threshold, 1e-9))
+    v, u = np.nonzero((logit >= least) & (logit >= cv2.dilate(logit, np.ones((3, 3), np.uint8))))
+    order = np.argsort(-logit[v, u], kind="stable")
     v, u = v[order], u[order]
+    sure = 1.0 / (1.0 + np.exp(-logit[v, u].astype(np.float64)))
     cell, kind = said[v, u, num:].astype(np.float64), said[v, u, :num].argmax(axis=-1)
     middle = STRIDE * (np.column_stack([u, v]) + cell[:, :2]) + 0.5 * (STRIDE - 1)
     side = SIDE_PX * np.exp(np.clip(cell[:, 2:4], -4.0, 4.0))
     box = np.concatenate([middle - 0.5 * side, middle + 0.5 * side], axis=1)
     foot = np.column_stack([middle[:, 0], box[:, 3]]) + cell[:, 4:6] * side
-    return _apart(FoundObstacles(kind, box, foot, cell[:, 6] > 0.0, sure[v, u].astype(np.float64)))
+    return _apart(FoundObstacles(kind, box, foot, cell[:, 6] > 0.0, sure))
 
 
 def _apart(found: FoundObstacles) -> FoundObstacles:

@@ -36,6 +36,10 @@ from semloc_jax.simulation.cylinder_views.cones_and_pillars import (
 )
 
 _CIRCLE = 0.5 + 0.5 * ROUND
+_ONE_PIECE = 0.5
+"""Share of folding boards whose inside has the colour of the outside."""
+_PLAIN = 0.25
+"""Share of boards that show no writing: faded, or too far off for it."""
 
 
 def obstacle(
@@ -114,7 +118,8 @@ def _a_frame(rng: np.random.Generator, middle: np.ndarray) -> Body:
     low_m = rng.uniform(0.0, 0.12) if rng.random() < 0.4 else 0.0
     low, high = np.column_stack([middle + flat, np.full(4, low_m)]), np.column_stack([middle + top, np.full(4, high_m)])
     back, front = np.array([low[3], low[0], high[0], high[3]]), np.array([low[1], low[2], high[2], high[1]])
-    inner = varied(rng, np.full(3, rng.uniform(0.2, 0.8)))
+    # Folding boards are one piece of plastic, or metal that is painted outside.
+    inner = colour if rng.random() < _ONE_PIECE else varied(rng, np.full(3, rng.uniform(0.2, 0.8)))
     far, near = (
         (back, front)
         if np.linalg.norm(back[:2, :2].mean(axis=0)) > np.linalg.norm(front[:2, :2].mean(axis=0))
@@ -142,7 +147,7 @@ def _disc_on_post(rng: np.random.Generator, middle: np.ndarray) -> Body:
     if rng.random() < 0.5:
         bar = 0.5 + (bar - 0.5) @ np.array([[0.7, -0.7], [0.7, 0.7]])
     sign.append(Patch(bar, WHITE if inside[2] > 0.5 and inside[0] < 0.5 else ring))
-    post = Bar(ends, rng.uniform(0.03, 0.06), post_colours)
+    post = Bar(ends, rng.uniform(0.022, 0.06), post_colours)
     circle = middle + radius_m * ROUND
     return Body(middle, circle, high_m, parts=[foot, post, _Spots(corners, tuple(sign))])
 
@@ -164,12 +169,12 @@ class _Spots(NamedTuple):
 
 def _board_colour(rng: np.random.Generator) -> Colour:
     grey = np.full(3, rng.uniform(0.3, 0.8))
-    return varied(rng, (YELLOW, RED, WHITE, BLUE, grey)[rng.choice(5, p=(0.28, 0.2, 0.24, 0.08, 0.2))])
+    return varied(rng, (YELLOW, RED, WHITE, BLUE, grey)[rng.choice(5, p=(0.24, 0.28, 0.2, 0.08, 0.2))])
 
 
 def _writing(rng: np.random.Generator, board: Colour) -> tuple[Patch, ...]:
     """A ring with a bar, or lines of text, or nothing."""
-    if rng.random() < 0.12:
+    if rng.random() < _PLAIN:
         return ()
     size = np.array([rng.uniform(0.5, 0.9), rng.uniform(0.3, 0.5)])
     at = np.array([0.5 - 0.5 * size[0], rng.uniform(0.35, 0.95 - size[1])])

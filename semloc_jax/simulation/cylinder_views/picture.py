@@ -26,6 +26,8 @@ from semloc_jax.simulation.cylinder_views.placing import SIZE_M, placed
 
 _FINER = 2
 """Pictures are painted so many times finer and averaged."""
+_BLURRED, _ALIASED = 0.7, 0.25
+"""Shares of the pictures."""
 _SLOPE_RAD = 0.01
 """Standard deviation of the road against the level, and of the mount against what is known of it."""
 
@@ -177,12 +179,14 @@ def _finished(
     if rng.random() < 0.5:  # glare of lamps and of what the sun shines on
         glare = cv2.GaussianBlur(np.maximum(picture - 1.0, 0.0), None, rng.uniform(2.0, 10.0))
         picture = picture + np.float32(rng.uniform(0.3, 1.5)) * glare
-    if rng.random() < 0.75:
+    if rng.random() < _BLURRED:
         picture = cv2.GaussianBlur(picture, None, rng.uniform(0.5, 2.0))
     size = (geometry.width, geometry.height)
     # The strip at the horizon is enlarged: it was taken with half of the pixels.
     taken = (size[0] // 2, size[1] // 2) if is_lesson and rng.random() < 0.5 else size
-    small = cv2.resize(picture, taken, interpolation=cv2.INTER_AREA)
+    # Cameras without an optical low pass alias: far lines become dots.
+    is_sampled = rng.random() < _ALIASED
+    small = cv2.resize(picture, taken, interpolation=cv2.INTER_NEAREST if is_sampled else cv2.INTER_AREA)
     gamma, gain = rng.uniform(0.7, 1.3), rng.uniform(0.65, 1.4)
     small = np.maximum(small, np.float32(1e-3)) ** np.float32(gamma) * np.float32(gain)
     small = small * (1.0 + 0.05 * rng.standard_normal(3)).astype(np.float32)

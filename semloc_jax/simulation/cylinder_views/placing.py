@@ -13,10 +13,14 @@ from semloc_jax.simulation.cylinder_views.kept_free import obstacle
 from semloc_jax.simulation.top_views.slot_layout import Layout, random_layout
 
 KINDS = ("cone", "pillar", "ground_lock", "no_parking_sign")
-_SHARES = (0.28, 0.12, 0.33, 0.27)
+_SHARES = (0.26, 0.12, 0.29, 0.33)
 _RANGE_M = (0.8, 12.0)
 _LOW_ENLARGED_M = (0.8, 7.5)
 """What is low and farther off is shown enlarged, as if it stood at half of its range; see `far_strip`."""
+_CAR_M = (2.8, 10.0)
+"""Of the middle of a car that stands in no slot."""
+_IN_LINE = 0.35
+"""Of the things beside others, those that stand before them, as cones before signs do."""
 _FAR_SHARE = 0.5
 """Of the things, as many on each metre of the range; of the others as many near as far by its logarithm."""
 SIZE_M = 16.0
@@ -69,10 +73,10 @@ def placed(
                 long_side = slot[1] - slot[0]
             turned = float(np.arctan2(long_side[1], long_side[0])) + np.pi * rng.integers(2)
             add(car(rng, middle, turned), 0.6)
-    if rng.random() < 0.35:
-        place = _place(rng, half_rad)
-        if np.linalg.norm(place) > 3.5:
-            add(car(rng, place, rng.uniform(-np.pi, np.pi)), 0.9)
+    if rng.random() < 0.5:
+        # Tyres and lamps look like signs where a strip shows them as near as this.
+        place = _place(rng, half_rad, _CAR_M)
+        add(car(rng, place, rng.uniform(-np.pi, np.pi)), 0.9)
     for _ in range(int(rng.integers(0, 8)) if bodies else 0):
         # Cones stand around signs, locks before bumpers: one hides the other, or is behind it.
         near = bodies[int(rng.integers(len(bodies)))]
@@ -95,7 +99,9 @@ def _place(
 
 
 def _beside(rng: np.random.Generator, body: Body) -> Float[np.ndarray, " 2"]:
-    """A place around a thing, less than a metre from the circle about its footprint."""
+    """A place around a thing, less than a metre from the circle about its footprint; some hide a part of it."""
     reach_m, phi = np.linalg.norm(body.footprint - body.middle, axis=1).max(), rng.uniform(-np.pi, np.pi)
+    if rng.random() < _IN_LINE:
+        phi = float(np.arctan2(*-body.middle)) + rng.normal(scale=0.35)
     away_m = rng.uniform(0.8, 1.1) * reach_m + rng.uniform(0.1, 0.8)
     return body.middle + away_m * np.array([np.sin(phi), np.cos(phi)])

@@ -1,6 +1,5 @@
 """The network for obstacles: where its cylinder lies, what its cells say, the weights that ship, ONNX."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -38,7 +37,7 @@ def test_a_place_on_the_road_is_where_its_angles_say():
     np.testing.assert_allclose(uv, [across, HORIZON_V + PX_PER_RAD * 0.9 / range_m], atol=1e-3)
     assert shown and view.seen.shape == SIZE_PX[::-1] and view.seen.mean() > 0.6
     picture = prepared(np.full((*SIZE_PX[::-1], 3), 255, np.uint8), HORIZON_V)
-    assert picture.max() == 1.0 + 0.0 and picture[int(HORIZON_V), 0, 3] == 0.0
+    assert picture.max() == 1.0 + 0.0 and picture[int(HORIZON_V), 0, 3] == 0.0 and picture.dtype == np.float32
     assert picture[round(uv[1]), 0, 3] == pytest.approx(0.9 / range_m, abs=0.5 / PX_PER_RAD)
 
 
@@ -66,7 +65,7 @@ class ByColour(ObstacleNet):
 
     def _said(self, picture, horizon_v):
         rows, columns = picture.shape[0] // STRIDE, picture.shape[1] // STRIDE
-        cells = prepared(picture, horizon_v).reshape(rows, STRIDE, columns, STRIDE, 4).mean(axis=(1, 3))
+        cells = np.asarray(prepared(picture, horizon_v)).reshape(rows, STRIDE, columns, STRIDE, 4).mean(axis=(1, 3))
         said = np.zeros((rows, columns, len(OUTPUTS)), np.float32)
         said[..., : len(KINDS)] = -9.0
         for kind, channel in (("cone", 0), ("pillar", 2)):
@@ -147,8 +146,8 @@ def test_onnx_is_the_same_to_1e_4(shipped, tmp_path):
     session = onnxruntime.InferenceSession(str(tmp_path / "net.onnx"))
     sample = cylinder_sample(np.random.default_rng(5), Geometry(PX_PER_RAD, 128, SIZE_PX[1], HORIZON_V))
     picture = prepared(sample.picture, HORIZON_V)
-    (found,) = session.run(None, {"picture": picture.transpose(2, 0, 1)[None]})
-    expected = np.asarray(shipped.network(jnp.asarray(picture)))
+    (found,) = session.run(None, {"picture": np.asarray(picture).transpose(2, 0, 1)[None]})
+    expected = np.asarray(shipped.network(picture))
     assert np.ptp(expected) > 1.0
     np.testing.assert_allclose(found[0].transpose(1, 2, 0), expected, atol=1e-4, rtol=1e-4)
 
