@@ -14,7 +14,14 @@ pytest.importorskip("ipykernel")
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-SLOW = {"01_cost_landscape", "03_jacobians", "04_tracking", "05_learning_through_the_solver", "06_self_calibration"}
+SLOW = {
+    "01_cost_landscape",
+    "02_initialization",
+    "03_jacobians",
+    "04_tracking",
+    "05_learning_through_the_solver",
+    "06_self_calibration",
+}
 SLOW |= {"07_uncertainty_and_integrity", "08_localizability", "09_roofline", "10_explain_the_pose"}
 SLOW |= {
     "11_a_map_from_a_drive",

@@ -47,6 +47,7 @@ def test_bounds_fall_with_what_is_known(driven):
             assert np.trace(frame.window_covariance) > 0.5 * np.trace(frame.bounds.window)
 
 
+@pytest.mark.slow
 def test_a_window_without_landmarks_is_its_fixes():
     """Exact odometry makes three fixes one, of a third of the variance."""
     size, sigma = WindowSize(3, 8, 1), np.array([1.0, 1.0, 0.1, 0.01, 0.01, 0.1])

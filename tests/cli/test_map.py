@@ -115,6 +115,7 @@ def test_a_drive_that_never_comes_back_has_no_loops(made):
     assert (metrics["loops.searched"], metrics["loops.accepted"]) == (0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_and_makes_the_same_map(made, drive_dir, tmp_path, monkeypatch, capsys):
     """It dies in the draft, while it looks and while it counts; what is finished is not done again."""
     seen = []

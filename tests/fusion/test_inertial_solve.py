@@ -69,6 +69,7 @@ def residuals_of(problem: WindowProblem, start: dict, x: jax.Array) -> jax.Array
     return jnp.concatenate(parts)
 
 
+@pytest.mark.slow
 def test_a_window_that_goes_somewhere_as_a_whole_gets_there_and_ends():
     """Steps that tear it were refused to the limit, and it stayed where it was."""
     window = window_that_goes_somewhere()
