@@ -111,6 +111,17 @@ def test_of_two_in_one_place_the_map_holds_one_and_what_lies_askew_is_not_new():
         assert found.stays.sum() <= 1 and (not found.stays.any() or found.stays[found.now.argmax()])
 
 
+def test_a_part_that_no_map_holds_takes_no_place():
+    seen, config = looks([[1, 1, 1, 0, 0], [0, 0, 0, 1, 1]]), PresenceConfig()
+    alone = replace(presence(seen, config), now=np.array([0.9, 0.9]), was=np.array([True, True]))
+    world = world_of([[0.0, 0.0], [0.2, 0.0]])
+    both = [
+        one_in_each_place(world, seen, alone, config, np.array(placed)).stays
+        for placed in ([True, True], [False, True])
+    ]
+    assert both[0].sum() == 1 and both[1].all()
+
+
 def test_two_signs_that_no_drive_shows_together_are_one_and_posts_need_room():
     """A sign is placed from afar: half a metre apart, each seen by some, and never both. Poles so close are two."""
     apart = CrowdWorld(

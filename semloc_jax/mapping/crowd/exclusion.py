@@ -34,8 +34,22 @@ _ELSEWHERE_M = ChangeConfig().moved_m
 """What lies nearer to the old paint was not laid anew: a drive has placed the old one so."""
 
 
-def one_in_each_place(world: CrowdWorld, looks: Looks, there: Presence, config: PresenceConfig) -> Presence:
-    """Presence of things, each given that what overlaps it is not there with it."""
+def one_in_each_place(
+    world: CrowdWorld,
+    looks: Looks,
+    there: Presence,
+    config: PresenceConfig,
+    placed: Bool[np.ndarray, " n"] | None = None,
+) -> Presence:
+    """Presence of things, each given that what overlaps it is not there with it.
+
+    Args:
+        world: where they lie.
+        looks: who looked at them.
+        there: presence of each alone.
+        config: how things come and go.
+        placed: which of them a map may hold: a part takes no place from what is whole; None for all.
+    """
     p = np.clip(there.now, 0.0, _SURE)
     odds, others = p / (1.0 - p), np.zeros(len(p))
     rivals = _rivals(world, looks)
@@ -48,13 +62,14 @@ def one_in_each_place(world: CrowdWorld, looks: Looks, there: Presence, config: 
     weight = np.where(is_new, _REPLACED, np.where(is_old, 1.0 / _REPLACED, 1.0))
     np.add.at(others, a, weight * odds[b])
     now = np.where(others > 0.0, odds / (1.0 + odds + others), there.now)
+    rivals = rivals if placed is None else rivals[placed[rivals].all(axis=1)]
     return replace(there, now=now, stays=_likeliest(belongs(now, there.was, config), now, rivals))
 
 
 def _likeliest(
     stays: Bool[np.ndarray, " n"], now: Float[np.ndarray, " n"], rivals: Int[np.ndarray, "k 2"]
 ) -> Bool[np.ndarray, " n"]:
-    """What stays when of two in one place only the likelier does, the surest first; of two alike the one known first."""
+    """What stays when of two in one place only the likelier does; of two alike the one known first."""
     stays, beside = stays.copy(), dict[int, list[int]]()
     for a, b in rivals.tolist():
         beside.setdefault(a, []).append(b)
