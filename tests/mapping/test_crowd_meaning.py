@@ -96,6 +96,32 @@ def test_what_is_painted_anew_takes_the_place_of_the_old():
     assert np.array_equal(one_in_each_place(world_of([[0.0, 0.0], [1.2, 0.0]]), together, alone, config).now, alone.now)
 
 
+def test_of_two_in_one_place_the_map_holds_one_and_what_lies_askew_is_not_new():
+    """As bars of a crosswalk were: one that three drives have shown, and that the twelfth placed 0.28 m on."""
+    seen, config = looks([[0, 0, 1, 0, 0, 1, 0, 0, 1, 0, 0], [0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0]]), PresenceConfig()
+    alone = replace(presence(seen, config), now=np.array([0.89, 0.76]), was=np.array([True, False]))
+    near, far = (one_in_each_place(world_of([[0.0, 0.0], [x, 0.0]]), seen, alone, config) for x in (0.28, 1.2))
+    assert near.stays.tolist() == [True, False] and near.now == pytest.approx([0.66, 0.26], abs=0.01)
+    assert far.stays.tolist() == [False, True] and far.now == pytest.approx([0.33, 0.54], abs=0.01)
+    rng = np.random.default_rng(3)
+    for _ in range(200):  # whatever the looks say, and whichever of them is the surer one
+        first = rng.random(9) < 0.5
+        seen = looks(np.stack([first, ~first & (rng.random(9) < 0.5)]).astype(int).tolist())
+        found = one_in_each_place(world_of([[0.0, 0.0], [rng.uniform(0.0, 2.2), 0.0]]), seen, presence(seen), config)
+        assert found.stays.sum() <= 1 and (not found.stays.any() or found.stays[found.now.argmax()])
+
+
+def test_a_part_that_no_map_holds_takes_no_place():
+    seen, config = looks([[1, 1, 1, 0, 0], [0, 0, 0, 1, 1]]), PresenceConfig()
+    alone = replace(presence(seen, config), now=np.array([0.9, 0.9]), was=np.array([True, True]))
+    world = world_of([[0.0, 0.0], [0.2, 0.0]])
+    both = [
+        one_in_each_place(world, seen, alone, config, np.array(placed)).stays
+        for placed in ([True, True], [False, True])
+    ]
+    assert both[0].sum() == 1 and both[1].all()
+
+
 def test_two_signs_that_no_drive_shows_together_are_one_and_posts_need_room():
     """A sign is placed from afar: half a metre apart, each seen by some, and never both. Poles so close are two."""
     apart = CrowdWorld(

@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from semloc_jax.evaluation.map_shapes import POSTS
+from semloc_jax.mapping.crowd.changes import ChangeConfig
 from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.presence import Presence, belongs
 from semloc_jax.mapping.crowd.world import CrowdWorld
@@ -29,22 +30,54 @@ _REPLACED = 5.0
 """Paint that goes is laid anew beside its place so many times as often as paint comes by itself; ours."""
 _SURE = 0.995
 """No existence counts as surer against another thing: what stands in its place may be it."""
+_ELSEWHERE_M = ChangeConfig().moved_m
+"""What lies nearer to the old paint was not laid anew: a drive has placed the old one so."""
 
 
-def one_in_each_place(world: CrowdWorld, looks: Looks, there: Presence, config: PresenceConfig) -> Presence:
-    """Presence of things, each given that what overlaps it is not there with it."""
+def one_in_each_place(
+    world: CrowdWorld,
+    looks: Looks,
+    there: Presence,
+    config: PresenceConfig,
+    placed: Bool[np.ndarray, " n"] | None = None,
+) -> Presence:
+    """Presence of things, each given that what overlaps it is not there with it.
+
+    Args:
+        world: where they lie.
+        looks: who looked at them.
+        there: presence of each alone.
+        config: how things come and go.
+        placed: which of them a map may hold: a part takes no place from what is whole; None for all.
+    """
     p = np.clip(there.now, 0.0, _SURE)
     odds, others = p / (1.0 - p), np.zeros(len(p))
     rivals = _rivals(world, looks)
     a, b = np.concatenate([rivals, rivals[:, ::-1]]).T
     first = np.where(looks.is_based, -1, looks.seen.argmax(axis=1)) if looks.seen.shape[1] else np.zeros(len(p))
     # Against the old paint the new one weighs more, if it is rather there; against nothing at all it does not.
-    is_new = there.was[a] & (first[b] > first[a]) & (there.now[b] > 0.5)
-    is_old = there.was[b] & (first[a] > first[b]) & (there.now[a] > 0.5)
+    is_anew = np.linalg.norm(world.centre[a] - world.centre[b], axis=1) > _ELSEWHERE_M
+    is_new = is_anew & there.was[a] & (first[b] > first[a]) & (there.now[b] > 0.5)
+    is_old = is_anew & there.was[b] & (first[a] > first[b]) & (there.now[a] > 0.5)
     weight = np.where(is_new, _REPLACED, np.where(is_old, 1.0 / _REPLACED, 1.0))
     np.add.at(others, a, weight * odds[b])
     now = np.where(others > 0.0, odds / (1.0 + odds + others), there.now)
-    return replace(there, now=now, stays=belongs(now, there.was, config))
+    rivals = rivals if placed is None else rivals[placed[rivals].all(axis=1)]
+    return replace(there, now=now, stays=_likeliest(belongs(now, there.was, config), now, rivals))
+
+
+def _likeliest(
+    stays: Bool[np.ndarray, " n"], now: Float[np.ndarray, " n"], rivals: Int[np.ndarray, "k 2"]
+) -> Bool[np.ndarray, " n"]:
+    """What stays when of two in one place only the likelier does; of two alike the one known first."""
+    stays, beside = stays.copy(), dict[int, list[int]]()
+    for a, b in rivals.tolist():
+        beside.setdefault(a, []).append(b)
+        beside.setdefault(b, []).append(a)
+    for k in sorted(beside, key=lambda k: (-now[k], k)):
+        if stays[k]:
+            stays[beside[k]] = False
+    return stays
 
 
 def _rivals(world: CrowdWorld, looks: Looks) -> Int[np.ndarray, "k 2"]:

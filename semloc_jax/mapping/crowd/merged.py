@@ -152,8 +152,8 @@ def merged_sights(
     found = fused(list(sights), config.fusion, progress)
     looks, station_looks, columns = looks_of(found, config.presence)
     there, along_lines = presence(looks, config.presence), presence(station_looks, config.presence)
-    there = one_in_each_place(found.world, looks, there, config.presence)
     placed = are_placed(found)
+    there = one_in_each_place(found.world, looks, there, config.presence, placed)
     there = replace(there, stays=there.stays & placed, was=there.was & placed)
     z, station_z = heights(found)
     names = [sights[k].name for k in columns]
