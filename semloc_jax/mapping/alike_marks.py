@@ -22,6 +22,13 @@ _NUM_ALIKE = 3
 """Marks that fit each other show a stencil."""
 _LEFT = 0.6
 """Share of its stencil's area that a worn mark still has."""
+_LEFT_ONE_SIDED = 0.8
+"""The same of a stencil that is not its own mirror image: an arrow of another kind, which lacks the branch to one side,
+lies within it just as well and has three quarters of its area."""
+_AREA_OFF = 0.25
+"""Share of their area by which two marks of one stencil differ at most."""
+_OUTSIDE_M2 = 1e-3
+"""Paint outside of a stencil that counts as none."""
 _BORDER_LEFT = 0.65
 """Share of the border of a worn mark that is that of its stencil; the rest is where paint is worn off."""
 _CLEARLY = 0.1
@@ -64,10 +71,10 @@ def painted_alike(marks: Sequence[MapElement]) -> list[MapElement]:
 
 def _of_outline(mark: MapElement, xy: Float[np.ndarray, "k 2"]) -> MapElement:
     """A mark with another outline, on the plane of its corners."""
-    flat = np.column_stack([mark.points[:, :2] - mark.points[:, :2].mean(axis=0), np.ones(len(mark.points))])
-    plane = np.linalg.lstsq(flat, mark.points[:, 2], rcond=None)[0]
-    at = np.column_stack([xy - mark.points[:, :2].mean(axis=0), np.ones(len(xy))])
-    return mark.with_points(np.column_stack([xy, at @ plane]))
+    middle = mark.points[:, :2].mean(axis=0)
+    own, new = (np.column_stack([places - middle, np.ones(len(places))]) for places in (mark.points[:, :2], xy))
+    plane = np.linalg.lstsq(own, mark.points[:, 2], rcond=None)[0]
+    return mark.with_points(np.column_stack([xy, new @ plane]))
 
 
 def _kinds(outlines: dict[int, Float[np.ndarray, "k 2"]]) -> list[list[int]]:
@@ -84,7 +91,7 @@ def _kinds(outlines: dict[int, Float[np.ndarray, "k 2"]]) -> list[list[int]]:
 
 def _is_alike(one: Float[np.ndarray, "k 2"], other: Float[np.ndarray, "m 2"]) -> bool:
     areas = [shapely.Polygon(xy).area for xy in (one, other)]
-    if abs(areas[0] - areas[1]) > 0.25 * max(areas):
+    if abs(areas[0] - areas[1]) > _AREA_OFF * max(areas):
         return False
     fit = _fit(one, other)
     if fit is None or fit.share < _LIKE:
@@ -102,8 +109,9 @@ def _whole(worn: Float[np.ndarray, "m 2"], stencils: Sequence[np.ndarray]) -> Fl
         if fit is None:
             continue
         whole = shapely.Polygon(fit.xy).buffer(0.0)
-        is_within = mark.difference(whole.buffer(_ALIKE_M)).area < 1e-3
-        if is_within and fit.share >= _BORDER_LEFT and mark.area >= _LEFT * whole.area:
+        is_within = mark.difference(whole.buffer(_ALIKE_M)).area < _OUTSIDE_M2
+        left = _LEFT if _is_alike(stencil * [1.0, -1.0], stencil) else _LEFT_ONE_SIDED
+        if is_within and fit.share >= _BORDER_LEFT and mark.area >= left * whole.area:
             fits.append(fit)
     fits.sort(key=lambda fit: -fit.share)
     if not fits or (len(fits) > 1 and fits[0].share - fits[1].share < _CLEARLY):
@@ -127,19 +135,23 @@ def _edge_on_edge(stencil: np.ndarray, mark: np.ndarray) -> Iterator[np.ndarray]
     """The stencil with each of its longer edges on each longer edge of the mark, beginning or ending with it."""
     for begin, along, length_m in _edges(mark):
         for own_begin, own_along, own_length_m in _edges(stencil):
-            cosine, sine = own_along @ along, own_along[0] * along[1] - own_along[1] * along[0]
-            turned = (stencil - own_begin) @ np.array([[cosine, sine], [-sine, cosine]]) + begin
+            turned = _turned(stencil - own_begin, np.arctan2(*along[::-1]) - np.arctan2(*own_along[::-1])) + begin
             yield turned
             yield turned + (length_m - own_length_m) * along
 
 
 def _edges(xy: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
-    """Begin, unit direction and length of the longer edges, counter-clockwise."""
+    """Begin, unit direction and length [m] of the longer edges, counter-clockwise."""
     ring = xy if shapely.LinearRing(xy).is_ccw else xy[::-1]
     step = np.roll(ring, -1, axis=0) - ring
-    length = np.linalg.norm(step, axis=1)
-    for k in np.flatnonzero(length >= _LEAST_EDGE_M):
-        yield ring[k], step[k] / length[k], float(length[k])
+    length_m = np.linalg.norm(step, axis=1)
+    for k in np.flatnonzero(length_m >= _LEAST_EDGE_M):
+        yield ring[k], step[k] / length_m[k], float(length_m[k])
+
+
+def _turned(xy: np.ndarray, angle_rad: float) -> np.ndarray:
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    return xy @ np.array([[cosine, sine], [-sine, cosine]])
 
 
 def _places(xy: np.ndarray) -> Float[np.ndarray, "n 2"]:
@@ -156,14 +168,12 @@ def _share(xy: np.ndarray, places: np.ndarray) -> float:
 def _made_exact(xy: np.ndarray, places: np.ndarray) -> _Fit:
     """The stencil moved so that what both borders share lies together best, across its edges (Chen, Medioni 1991)."""
     for _ in range(_ROUNDS):
-        off, normal = _off_edges(xy, places)
-        near = np.abs(off) < 2.0 * _ALIKE_M
-        arm = places - xy.mean(axis=0)
+        off_m, normal = _off_edges(xy, places)
+        near, middle = np.abs(off_m) < 2.0 * _ALIKE_M, xy.mean(axis=0)
+        arm = places - middle
         J = np.column_stack([normal, arm[:, 0] * normal[:, 1] - arm[:, 1] * normal[:, 0]])[near]
-        x, y, turn = np.linalg.lstsq(J, off[near], rcond=1e-6)[0]
-        cosine, sine = np.cos(turn), np.sin(turn)
-        middle = xy.mean(axis=0)
-        xy = (xy - middle) @ np.array([[cosine, sine], [-sine, cosine]]) + middle + [x, y]
+        x_m, y_m, turn_rad = np.linalg.lstsq(J, off_m[near], rcond=1e-6)[0]
+        xy = _turned(xy - middle, turn_rad) + middle + [x_m, y_m]
     return _Fit(xy, _share(xy, places))
 
 

@@ -9,8 +9,8 @@ from semloc_jax.maps import MapElement
 from semloc_jax.structs import ElementClass
 
 _STRAIGHT = np.array([[0.0, 0.1], [1.9, 0.1], [1.9, 0.4], [3.0, 0.0], [1.9, -0.4], [1.9, -0.1], [0.0, -0.1]])
-_BRANCH = np.array([[0.8, -0.1], [0.8, -0.5], [0.5, -0.5], [0.9, -1.0], [1.3, -0.5], [1.0, -0.5], [1.0, -0.1]])
-_FORKED = np.concatenate([_STRAIGHT, _BRANCH[::-1]])
+_BRANCH = np.array([[1.0, -0.1], [1.0, -0.5], [1.3, -0.5], [0.9, -1.0], [0.5, -0.5], [0.8, -0.5], [0.8, -0.1]])
+_FORKED = np.concatenate([_STRAIGHT[:-1], _BRANCH, _STRAIGHT[-1:]])
 """Straight on and to the right."""
 
 
@@ -40,7 +40,7 @@ def _cut(xy: np.ndarray, part: shapely.Geometry) -> np.ndarray:
 @pytest.mark.parametrize("worn", ["tail", "tip", "side"])
 def test_a_worn_arrow_is_as_long_as_the_others(worn: str) -> None:
     part = {
-        "tail": shapely.box(-1.0, -1.0, 0.7, 1.0),
+        "tail": shapely.box(-1.0, -1.0, 0.6, 1.0),
         "tip": shapely.box(2.7, -1.0, 4.0, 1.0),
         "side": shapely.box(1.8, 0.15, 2.6, 1.0),
     }[worn]
@@ -72,14 +72,15 @@ def test_a_mirrored_arrow_is_none_of_the_stencil() -> None:
 
 
 def test_two_stencils_that_explain_a_piece_leave_it() -> None:
-    """The stem of an arrow may be of a straight one or of one that turns."""
+    """A long stem without its head may be of a straight arrow or of one that turns; with one stencil it is whole."""
     rng = np.random.default_rng(7)
-    turning = np.array([[0.0, 0.1], [2.2, 0.1], [2.2, -0.6], [2.5, -0.6], [2.0, -1.2], [1.5, -0.6], [1.8, -0.6],
-                        [1.8, -0.1], [0.0, -0.1]])  # fmt: skip
-    marks = [_mark(_STRAIGHT, k, rng) for k in range(3)] + [_mark(turning, k, rng) for k in range(3, 6)]
-    stem = np.array([[0.0, 0.1], [1.7, 0.1], [1.7, -0.1], [0.0, -0.1]])
-    marks.append(_mark(stem, 6, rng))
-    assert painted_alike(marks)[6] is marks[6]
+    stem = np.array([[0.0, 0.15], [4.0, 0.15], [4.0, -0.15], [0.0, -0.15]])
+    straight = np.concatenate([stem[:2], [[4.0, 0.3], [4.5, 0.0], [4.0, -0.3]], stem[2:]])
+    turning = np.concatenate([stem[:3], [[3.9, -0.15], [3.9, -0.5], [3.6, -0.5], [3.6, -0.15]], stem[3:]])
+    marks = [_mark(straight, k, rng) for k in range(3)] + [_mark(stem, 6, rng)]
+    assert painted_alike(marks)[-1] is not marks[-1]
+    marks = [_mark(turning, k, rng) for k in range(3, 6)] + marks
+    assert painted_alike(marks)[-1] is marks[-1]
 
 
 def test_two_marks_show_no_stencil() -> None:

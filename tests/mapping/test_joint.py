@@ -187,7 +187,7 @@ def test_pulls_are_as_sure_as_they_scatter(share):
 def test_errors_of_single_frames_do_not_make_the_world_smaller():
     """Frames that jump by 10 cm, an odometer and a metre that are known to 1 % each: the size is right in the mean.
 
-    Where the metre was a share of the solved distance, a small world with a large metre had smaller jumps: 0.4 % of
+    Where the metre was a share of the solved distance, a small world with a large metre had smaller jumps: 0.7 % of
     the way were lost.
     """
     num, sigma_m = 31, 0.1
