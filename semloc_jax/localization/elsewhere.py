@@ -9,15 +9,13 @@ Along the way that holds only as far as masks are of the time that they state (`
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import FusedPose, Fusion
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import health, phase
+from semloc_jax.localization import phase
 from semloc_jax.localization.following import FrameReport
-from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
-from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.rivals import Known
-from semloc_jax.localization.track_state import Elsewhere, Fixes, FrameFeatures, TrackerState
+from semloc_jax.localization.frame_alignment import Alignment
+from semloc_jax.localization.frame_in_map import FrameInMap
+from semloc_jax.localization.track_state import Elsewhere, Fixes, TrackerState
 
 _EVERY_S = 0.5
 """As often as other places along the road are looked for."""
@@ -36,13 +34,7 @@ _SPREAD = np.diag([0.5, 0.3, 0.05, 0.01, 0.01, 0.03]) ** 2
 
 
 def with_nats_elsewhere(
-    state: TrackerState,
-    view: FrameReport | None,
-    frame: FrameFeatures,
-    known: Known,
-    fusion: Fusion,
-    aligner: FrameAligner,
-    config: HealthConfig,
+    state: TrackerState, view: FrameReport | None, frame: FrameInMap, fusion: Fusion
 ) -> TrackerState:
     """The state with how many nats every other place is behind, where satellites contradict the pose and it is time.
 
@@ -50,10 +42,7 @@ def with_nats_elsewhere(
         state: After the frame.
         view: What the frame said about the best track.
         frame: The frame.
-        known: What is known beside the pose.
         fusion: What tracks are made of.
-        aligner: The map.
-        config: When a frame shows nothing.
     """
     if len(state.tracks) != 1 or view is None or not view.is_accepted:
         return state
@@ -63,52 +52,39 @@ def with_nats_elsewhere(
         return state._replace(elsewhere=Elsewhere())
     if is_contradicted:  # fixes that were refused: the offset of the satellites has not followed them
         pose = pose._replace(gnss_offset_m=state.fixes.p_map[-1, :2] - pose.T_map_base[:2, 3])
-    elif frame.time_s < state.elsewhere.time_s + _EVERY_S - 1e-6:
+    elif state.time_s < state.elsewhere.time_s + _EVERY_S - 1e-6:
         return state
-    nats = _behind(pose, view.found, state.fixes, frame, known, aligner, config)
-    state = state._replace(elsewhere=Elsewhere(np.float64(nats), np.float64(frame.time_s)))
+    nats = _behind(pose, view.found, state.fixes, frame)
+    state = state._replace(elsewhere=Elsewhere(np.float64(nats), state.time_s))
     if is_contradicted and nats >= phase.SETTLED_NATS and phase.may_be_settled(pose, state.fixes):
         state = state._replace(counters=state.counters._replace(conflicts=np.int64(0)))
     return state
 
 
-def _behind(
-    pose: FusedPose,
-    found: Alignment,
-    fixes: Fixes,
-    frame: FrameFeatures,
-    known: Known,
-    aligner: FrameAligner,
-    config: HealthConfig,
-) -> float:
+def _behind(pose: FusedPose, found: Alignment, fixes: Fixes, frame: FrameInMap) -> float:
     """By how much the best of all other places is less probable than the pose [nats]; infinite where none fits."""
     T, here = pose.T_map_base, phase.nats_against(pose, fixes)
     asked = T.copy()
     asked[:2, 3] += pose.gnss_offset_m
     best = np.inf
-    for start in _starts(T, asked, frame, known, aligner):
-        try:
-            answer = aligner.align(frame, start, _SPREAD, _STEP_M[0], *known)
-        except SemlocError:  # no road there
+    for start in _starts(T, asked, frame):
+        answer = frame.explained_from(start, _SPREAD, _STEP_M[0])
+        if answer is None:
             continue
-        is_occluded, reasons = health.frame_problems(answer, frame.usable_share, config)
         moved_m = (answer.measurement.T_map_base - T)[:2, 3]
-        if is_occluded or reasons or float(np.hypot(*moved_m)) < _APART_M:
+        if float(np.hypot(*moved_m)) < _APART_M:
             continue
         there = phase.nats_against(pose._replace(gnss_offset_m=pose.gnss_offset_m - moved_m), fixes)
         best = min(best, _SHARE * (answer.score - found.score) + there - here)
     return best
 
 
-def _starts(
-    T_here: np.ndarray, T_asked: np.ndarray, frame: FrameFeatures, known: Known, aligner: FrameAligner
-) -> list[np.ndarray]:
+def _starts(T_here: np.ndarray, T_asked: np.ndarray, frame: FrameInMap) -> list[np.ndarray]:
     """Poses to solve from: the place that is asked for, and the best ones around it and around the pose."""
     starts, moves = [T_asked], crossing()
     for T in (T_here, T_asked):
-        try:
-            costs = aligner.costs_beside(frame, T, moves, *known)
-        except SemlocError:  # no road there
+        costs = frame.costs_beside(T, moves)
+        if costs is None:
             continue
         for row in _apart(moves, costs):
             starts.append(T @ rigid.exp(np.array([*moves[row, :2], 0.0, 0.0, 0.0, 0.0])))

@@ -1,26 +1,25 @@
 """One track through one frame: carried on by motion and fixes, held against the masks, corrected (room: localization;
 host).
 
-In: Track, FrameFeatures. Out: the next Track and the result of the frame for it.
+In: Track, FrameInMap. Out: the next Track and the result of the frame for it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, SupportsInt
 
 import numpy as np
 
 from semloc_jax.alignment.pose_prior import RoadSigmas
-from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.clock import CameraTimeLog
 from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.fusion.noise_scale import BELIEFS, NoiseScale, of_a_series, of_one_pose
 from semloc_jax.fusion.prediction import MotionIncrement, MotionQuality
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import health
-from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
+from semloc_jax.localization.frame_alignment import Alignment
+from semloc_jax.localization.frame_in_map import FrameInMap
 from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.track_state import FrameFeatures, Track, TrackerState
+from semloc_jax.localization.track_state import Track, TrackerState
 
 _OUTSIDE = "outside of the map"
 
@@ -174,32 +173,22 @@ def stance_after(
     return np.clip(stance + gain * (measured - stance), -limit, limit)
 
 
-def seen(
-    track: Track,
-    fusion: Fusion,
-    aligner: FrameAligner,
-    frame: FrameFeatures,
-    trust: Callable[[np.ndarray], np.ndarray],
-    stance: np.ndarray,
-    grain: np.ndarray,
-    config: HealthConfig,
-) -> FrameReport:
+def seen(track: Track, fusion: Fusion, frame: FrameInMap) -> FrameReport:
     """What the masks of a frame say about a predicted track.
 
     A vehicle that stands where the map holds nothing may look at a part of it that begins farther ahead.
     """
     pose = fusion.pose(track.fusion)
-    window, outside = aligner.windows.around(pose.T_map_base[:3, 3]), FrameReport(None, False, True, (_OUTSIDE,))
+    window, outside = frame.window(pose.T_map_base[:3, 3]), FrameReport(None, False, True, (_OUTSIDE,))
     if not window.local_map.elements:
         return outside
-    try:
-        found = aligner.align(frame, pose.T_map_base, pose.covariance, float(track.along_sigma_m), trust, stance, grain)
-    except SemlocError:
+    found = frame.align(pose.T_map_base, pose.covariance, float(track.along_sigma_m))
+    if found is None:
         return outside._replace(reasons=(f"{_OUTSIDE}: no road there",))
-    is_far = window.nearest_m(pose.T_map_base[:2, 3]) > config.off_map_m
-    if is_far and found.in_view_px < config.min_in_view_px:
+    is_far = window.nearest_m(pose.T_map_base[:2, 3]) > frame.limits.off_map_m
+    if is_far and found.in_view_px < frame.limits.min_in_view_px:
         return outside
-    is_occluded, reasons = health.frame_problems(found, frame.usable_share, config)
+    is_occluded, reasons = frame.problems(found)
     return FrameReport(found, is_occluded, False, reasons)
 
 

@@ -29,6 +29,8 @@ class FrameVerdict(NamedTuple):
     status: TrackStatus
     reasons: tuple[str, ...]
     protection: ProtectionLevels
+    doubted: Float[np.ndarray, "2 3"]
+    """Where the right pose might be of late, see `TrackerState`."""
     held: tuple[str, ...] = ()
     misleading: float = 1.0
     move: Float[np.ndarray, "3"] = STAY
@@ -42,6 +44,7 @@ def judged(
     view: FrameReport | None,
     fused: FusedPose | None,
     rig: Rig,
+    way_m: float,
     map_sigma: tuple[float, float],
     config: TrackConfig,
     why_no_start: Callable[[], str],
@@ -53,18 +56,20 @@ def judged(
         view: What the frame said about the best track; None where none was followed.
         fused: The pose in the map; None before there is any.
         rig: Cameras.
+        way_m: Way since the frame before [m].
         map_sigma: What the map leaves open around the pose: place [m], direction [rad].
         config: Limits.
         why_no_start: Why the vehicle was not found.
     """
     reasons = view.reasons if view is not None else ()
     if fused is None:
-        return FrameVerdict(TrackStatus.INITIALIZING, (f"no pose yet: {why_no_start()}",), _NO_LEVELS)
-    known = pose_levels.known_of(state, fused, rig, map_sigma, config)
+        return FrameVerdict(TrackStatus.INITIALIZING, (f"no pose yet: {why_no_start()}",), _NO_LEVELS, state.doubted)
+    known = pose_levels.known_of(state, fused, rig, way_m, map_sigma, config)
     levels, limit = pose_levels.levels_of(known), known.limit
     protection = levels.protection
     if not state.tracks:
-        return FrameVerdict(TrackStatus.LOST, health.lost_because(state.counters, config.health) + reasons, protection)
+        lost = health.lost_because(state.counters, config.health)
+        return FrameVerdict(TrackStatus.LOST, lost + reasons, protection, state.doubted)
     against = _contradictions(state, reasons, config.health)
     elsewhere = phase.doubts(fused, state.fixes, float(state.elsewhere.nats))
     is_confirmed = bool(state.tracks[0].num_accepted >= config.confirm_frames)
@@ -79,7 +84,8 @@ def judged(
         held = health.held_of(protection, limit, bool(elsewhere))
     told = filter(None, [held_text(protection, held)])
     all_told = tuple(dict.fromkeys((*levels.causes, *serious, *reasons, *told)))
-    return FrameVerdict(status, all_told, protection, held, levels.misleading, levels.move, levels.left_open)
+    far = levels.misleading, levels.move, levels.left_open
+    return FrameVerdict(status, all_told, protection, known.doubted, held, *far)
 
 
 def _contradictions(state: TrackerState, reasons: tuple[str, ...], config: health.HealthConfig) -> tuple[str, ...]:

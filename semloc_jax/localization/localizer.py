@@ -40,13 +40,12 @@ from semloc_jax.localization.following import (
     weighed,
 )
 from semloc_jax.localization.frame_alignment import FrameAligner
+from semloc_jax.localization.frame_in_map import FrameInMap
 from semloc_jax.localization.initialization import newest, no_fixes, with_fix
 from semloc_jax.localization.judging import judged
 from semloc_jax.localization.learning import with_learned
 from semloc_jax.localization.map_window import GRID_M, MapWindows
 from semloc_jax.localization.moved_elements import moved_elements
-from semloc_jax.localization.pose_levels import spoken_for
-from semloc_jax.localization.separation import remembered
 from semloc_jax.localization.stage_timer import StageTimer
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import (
@@ -192,8 +191,8 @@ class Localizer:
                 for _ in state.tracks
             ]
         else:
-            known = (trust, state.stance, np.asarray(state.grain))
-            views = [seen(t, self.fusion, self.aligner, frame, *known, self.config.health) for t in state.tracks]
+            in_map = self._in_map(frame, state, trust)
+            views = [seen(track, self.fusion, in_map) for track in state.tracks]
         timer.lap("align")
         state, view = self._fused(state, views, way_m)
         if view is not None and view.innovation is not None:
@@ -201,23 +200,24 @@ class Localizer:
             state = state._replace(innovations=fit)
         if view is not None and view.found is not None:
             state = state._replace(matched=view.found.matched)
-        known = (trust, state.stance, np.asarray(state.grain))
+        in_map = self._in_map(frame, state, trust)
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
             fused = self.fusion.pose(state.tracks[0].fusion)
             state = with_learned(state, view, fused, motion, before, way_m)
-            sums = watch.looked(state.watch, view, fused, frame, self.aligner, known, way_m, self.config.watch)
+            sums = watch.looked(state.watch, view, fused, in_map, way_m, self.config.watch)
             state = state._replace(watch=sums)
         timer.lap("fuse")
-        parts = (view, frame, known, self.fusion, self.aligner, self.config.health)
-        state = elsewhere.with_nats_elsewhere(rivals.joined(state, *parts), *parts)
+        state = rivals.joined(state, view, in_map, self.fusion)
+        state = elsewhere.with_nats_elsewhere(state, view, in_map, self.fusion)
         state = self._given_up(state)
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
             state = self._acquired(state, frame)
             timer.lap("acquire")
-        if state.tracks:
-            spoken = spoken_for(state, frame.rig, self.config)
-            state = state._replace(doubted=remembered(state.doubted, spoken, way_m, self.config.watch))
-        return self._judged(state, view, frame, timer)
+        return self._judged(state, view, frame, way_m, timer)
+
+    def _in_map(self, frame: FrameFeatures, state: TrackerState, trust: Trust) -> FrameInMap:
+        """The frame with all but the pose that is needed to hold it against the map."""
+        return FrameInMap(frame, self.aligner, trust, state.stance, np.asarray(state.grain), self.config.health)
 
     def trust_in(self, state: TrackerState) -> Trust:
         """Weights of elements of the map; explicit ones count from the second frame on in which they are matched."""
@@ -337,14 +337,14 @@ class Localizer:
         return _as_new(state)
 
     def _judged(
-        self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, timer: StageTimer
+        self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, way_m: float, timer: StageTimer
     ) -> tuple[TrackerState, TrackResult]:
         """The status of the frame with its reasons."""
         fused = self._output(state)
         map_sigma = self._map_sigmas.at(np.zeros(2) if fused is None else fused.T_map_base[:2, 3])
         why = partial(self._why_no_start, state, frame)
-        verdict = judged(state, view, fused, frame.rig, map_sigma, self.config, why)
-        state = state._replace(status=np.int64(verdict.status))
+        verdict = judged(state, view, fused, frame.rig, way_m, map_sigma, self.config, why)
+        state = state._replace(status=np.int64(verdict.status), doubted=verdict.doubted)
         if fused is not None:
             self.windows.prepare(fused.T_map_base[:3, 3] + GRID_M * fused.T_map_base[:3, 0])
             fused = fused._replace(covariance=with_map_accuracy(fused.covariance, *map_sigma))

@@ -62,6 +62,7 @@ class Known(NamedTuple):
         errors: Covariance of the pose, degrees of freedom and what the map leaves open, as `protection_levels`.
         faults: Every fault that a level has to hold under.
         spoken: Those among them that the last frames speak for, or did of late.
+        doubted: Where they leave the right pose, as remembered; see `TrackerState`.
         standing: How far the right pose may be under those that are considered whatever the last frames say: left [m],
             ahead [m], heading [deg].
         way: Course of the pose, and what is remembered of it [rad]; None where there is no track.
@@ -76,6 +77,7 @@ class Known(NamedTuple):
     errors: tuple[np.ndarray, np.ndarray, np.ndarray]
     faults: list[Separation]
     spoken: list[Separation]
+    doubted: Float[np.ndarray, "2 3"]
     standing: Float[np.ndarray, "3"]
     way: tuple[course.Course, float] | None
     aside: float
@@ -100,14 +102,14 @@ class Known(NamedTuple):
         return self.weighed._replace(mean=self.weighed.mean - move)
 
 
-def spoken_for(state: TrackerState, rig: Rig, config: TrackConfig) -> list[Separation]:
+def _spoken_for(state: TrackerState, rig: Rig, config: TrackConfig) -> list[Separation]:
     """What the last frames say against calibration, map and motion."""
     doubts = (Separation(*doubt) for doubt in innovations.doubts(state.innovations))
     return [*doubts, *watch.spoken_for(state.watch, rig, config.watch)]
 
 
 def known_of(
-    state: TrackerState, fused: FusedPose, rig: Rig, map_sigma: tuple[float, float], config: TrackConfig
+    state: TrackerState, fused: FusedPose, rig: Rig, way_m: float, map_sigma: tuple[float, float], config: TrackConfig
 ) -> Known:
     """What is known of a pose.
 
@@ -115,15 +117,17 @@ def known_of(
         state: After the frame.
         fused: The pose in the map.
         rig: Cameras.
+        way_m: Way since the frame before [m].
         map_sigma: What the map leaves open around the pose: place [m], direction [rad].
         config: Limits.
     """
     freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
     errors = fused.covariance, freedom, map_sigmas(*map_sigma)
     if not state.tracks:
-        return Known(errors, [], [], STAY, None, 0.0, None, np.zeros((2, 3)), STAY, rig, config)
-    spoken = spoken_for(state, rig, config)
-    lasting = separation.lasting(state.doubted, spoken)
+        return Known(errors, [], [], state.doubted, STAY, None, 0.0, None, np.zeros((2, 3)), STAY, rig, config)
+    spoken = _spoken_for(state, rig, config)
+    doubted = separation.remembered(state.doubted, spoken, way_m, config.watch)
+    lasting = separation.lasting(doubted, spoken)
     standing = watch.separations(state.watch, rig, config.watch)
     spoken = [*spoken, *lasting]
     faults = [*spoken, *standing]
@@ -135,7 +139,8 @@ def known_of(
     weighed = weighed_faults.weighed(state.watch, len(rig.names), sigma, freedom, config.watch)
     still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)
     sound = weighed_faults.of_sound_ones(state.watch, len(rig.names), config.watch)
-    return Known(errors, faults, spoken, reached, (way, aside_rad), probable, weighed, still, sound, rig, config)
+    remembered = (way, aside_rad)
+    return Known(errors, faults, spoken, doubted, reached, remembered, probable, weighed, still, sound, rig, config)
 
 
 def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:

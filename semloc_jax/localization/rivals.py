@@ -6,23 +6,17 @@ valley. So a frame is held against the map at all places within reach of the sat
 better, it is followed beside the track until frames, odometry and fixes have decided.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
-from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import Fusion
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import health, phase
+from semloc_jax.localization import phase
 from semloc_jax.localization.following import FrameReport, new_track
-from semloc_jax.localization.frame_alignment import FrameAligner
-from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.track_state import Fixes, FrameFeatures, Track, TrackerState
-
-Known = tuple[Callable[[np.ndarray], np.ndarray], np.ndarray, np.ndarray]
-"""Trust in map elements, stance of the vehicle, grain of the masks; see `FrameAligner.align`."""
+from semloc_jax.localization.frame_in_map import FrameInMap
+from semloc_jax.localization.track_state import Fixes, Track, TrackerState
 
 
 @dataclass(frozen=True)
@@ -46,47 +40,27 @@ class RivalConfig:
 _CONFIG = RivalConfig()
 
 
-def joined(
-    state: TrackerState,
-    view: FrameReport | None,
-    frame: FrameFeatures,
-    known: Known,
-    fusion: Fusion,
-    aligner: FrameAligner,
-    config: HealthConfig,
-) -> TrackerState:
+def joined(state: TrackerState, view: FrameReport | None, frame: FrameInMap, fusion: Fusion) -> TrackerState:
     """Returns the state with tracks at other places along the road, where it is time to look for them.
 
     Args:
         state: After the frame.
         view: What the frame said about the best track.
         frame: The frame.
-        known: What is known beside the pose.
         fusion: What tracks are made of.
-        aligner: The map.
-        config: When a frame shows nothing.
     """
-    too_early = frame.time_s < state.searched_s + _CONFIG.every_s - 1e-6
+    too_early = state.time_s < state.searched_s + _CONFIG.every_s - 1e-6
     if too_early or view is None or not view.is_accepted or len(state.tracks) >= _CONFIG.max_tracks:
         return state
     kept = list(state.tracks)
-    for rival in rivals(kept[0], view.found.score, state.fixes, fusion, aligner, frame, known, config):
+    for rival in rivals(kept[0], view.found.score, state.fixes, fusion, frame):
         T = fusion.pose(rival.fusion).T_map_base
         if all(units_apart(T, fusion.pose(track.fusion).T_map_base) >= ONE_TRACK for track in kept):
             kept.append(rival)
-    return state._replace(tracks=tuple(kept), searched_s=np.float64(frame.time_s))
+    return state._replace(tracks=tuple(kept), searched_s=state.time_s)
 
 
-def rivals(
-    track: Track,
-    score: float,
-    fixes: Fixes,
-    fusion: Fusion,
-    aligner: FrameAligner,
-    frame: FrameFeatures,
-    known: Known,
-    config: HealthConfig,
-) -> list[Track]:
+def rivals(track: Track, score: float, fixes: Fixes, fusion: Fusion, frame: FrameInMap) -> list[Track]:
     """Returns a track for each place along the road that explains the frame clearly better; best first.
 
     Args:
@@ -94,34 +68,28 @@ def rivals(
         score: Cost of the frame there [nats].
         fixes: The last satellite fixes: what they are off by at either place counts, too.
         fusion: What tracks are made of.
-        aligner: The map.
         frame: The frame.
-        known: What is known beside the pose.
-        config: When a frame shows nothing.
     """
     pose = fusion.pose(track.fusion)
     T = pose.T_map_base
     num = round(_CONFIG.reach_m / _CONFIG.step_m)
     offsets = _CONFIG.step_m * np.arange(-num, num + 1)
-    try:
-        costs = aligner.costs_beside(frame, T, offsets[:, None] * np.array([1.0, 0.0, 0.0]), *known)
-    except SemlocError:
+    costs = frame.costs_beside(T, offsets[:, None] * np.array([1.0, 0.0, 0.0]))
+    if costs is None:
         return []
     found = []
     for offset_m in offsets[_valleys(costs, offsets)][: _CONFIG.most]:
         moved = T @ rigid.exp(np.array([offset_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
         spread = np.diag([0.5, 0.1, 0.05, 0.01, 0.01, 0.01]) ** 2
-        try:
-            answer = aligner.align(frame, moved, spread, _CONFIG.step_m, *known)
-        except SemlocError:
+        answer = frame.explained_from(moved, spread, _CONFIG.step_m)
+        if answer is None:
             continue
-        is_occluded, reasons = health.frame_problems(answer, frame.usable_share, config)
         moved_m = (answer.measurement.T_map_base - T)[:2, 3]
         there = pose._replace(gnss_offset_m=pose.gnss_offset_m - moved_m)
         for_fixes = phase.nats_against(pose, fixes) - phase.nats_against(there, fixes)
         gain = score - answer.score + for_fixes
         away_m = np.hypot(*moved_m)
-        if is_occluded or reasons or gain < phase.EVEN_NATS or away_m < _CONFIG.apart_m:
+        if gain < phase.EVEN_NATS or away_m < _CONFIG.apart_m:
             continue
         floor = np.diag(np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02]) * _CONFIG.min_sigma_m) ** 2
         covariance = _CONFIG.inflation * answer.measurement.covariance + floor

@@ -16,19 +16,16 @@ from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.other_lenses import with_distortion
-from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import lens_sign, stance_sums
 from semloc_jax.localization.course import Course, course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
-from semloc_jax.localization.frame_alignment import FrameAligner
+from semloc_jax.localization.frame_in_map import FrameInMap
 from semloc_jax.localization.moved_elements import CLASSES, moves
 from semloc_jax.localization.other_calibrations import FOCAL, RADIAL, STEPS, WIDTH, changed_rigs, widths
-from semloc_jax.localization.rivals import Known
 from semloc_jax.localization.separation import Separation, separated
 from semloc_jax.localization.suspicions import suspicions
-from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import Suspicion, Tried, WatchState, asked_now, far_side, learned
 from semloc_jax.runtime.same_object import once_for_each
@@ -54,9 +51,7 @@ def looked(
     watch: WatchState,
     view: FrameReport,
     fused: FusedPose,
-    frame: FrameFeatures,
-    aligner: FrameAligner,
-    known: Known,
+    frame: FrameInMap,
     way_m: float,
     config: WatchConfig,
 ) -> WatchState:
@@ -67,8 +62,6 @@ def looked(
         view: What the frame measured.
         fused: The pose after it.
         frame: The frame.
-        aligner: The map.
-        known: What is known beside the pose.
         way_m: Way since the frame before [m].
         config: When a frame is looked at.
     """
@@ -77,23 +70,22 @@ def looked(
     if int(watch.num_frames) > 0 and way_m < config.step_m:
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
     T = view.found.measurement.T_map_base
-    solved = partial(aligner.align_again, frame=frame, T_map_base=T, covariance=_LOOSE, trust=known[0])
-    solved = partial(solved, stance=known[1], grain=known[2])
-    own = cache(lambda: float(solved(_ALONE(frame.rig), [0.0], [0])[0][0]))
-    again = partial(_again, solved=solved, own=own, T=T, score=view.found.score, config=config)
-    try:
-        profiles = aligner.costs_of_classes(frame, T, moves(config), *known[1:], config.level)
-    except SemlocError:  # the pose was measured where the map has no road: such a frame says nothing of it
+    profiles = frame.costs_of_classes(T, moves(config), config.level)
+    if profiles is None:  # the pose was measured where the map has no road: such a frame says nothing of it
         return watch._replace(way_m=np.float64(way_m), aside_rad=np.float64(aside))
-    names = asked_now(watch, len(frame.rig.names), config)
-    sides = [far_side(watch, len(frame.rig.names), name) for name in names]
-    tried = [_tried(*one, frame.rig, again, config) for one in zip(names, sides, strict=True)]
-    other = _WITH_OTHER_SIGN(frame.rig, -1.0) if RADIAL in names else None
+    rig = frame.frame.rig
+    solved = partial(frame.align_again, T_map_base=T, covariance=_LOOSE)
+    own = cache(lambda: float(solved(_ALONE(rig), [0.0], [0])[0][0]))
+    again = partial(_again, solved=solved, own=own, T=T, score=view.found.score, config=config)
+    names = asked_now(watch, len(rig.names), config)
+    sides = [far_side(watch, len(rig.names), name) for name in names]
+    tried = [_tried(*one, rig, again, config) for one in zip(names, sides, strict=True)]
+    other = _WITH_OTHER_SIGN(rig, -1.0) if RADIAL in names else None
     if other is not None:
         gain, moved = again(_ALONE(other), [0.0], [0])
         watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))
-    watch = _leaned(watch, fused.T_map_base, aligner, way_m)
-    return learned(watch, len(frame.rig.names), aside, tried, profiles, config)
+    watch = _leaned(watch, fused.T_map_base, frame, way_m)
+    return learned(watch, len(rig.names), aside, tried, profiles, config)
 
 
 def _tried(name: str, side: int | None, rig: Rig, again: _Again, config: WatchConfig) -> Tried:
@@ -108,7 +100,7 @@ def _again(
     rigs: tuple[Rig, ...],
     wider_m: Sequence[float],
     asked: Sequence[int],
-    solved: _Again,
+    solved: Callable[..., tuple[np.ndarray, np.ndarray] | None],
     own: Callable[[], float],
     T: Float[np.ndarray, "4 4"],
     score: float,
@@ -116,22 +108,22 @@ def _again(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """By how much a frame fits better with each calibration that is asked for [nats], NaN where there is no road, and
     how far its pose moves then: forward [m], left [m], heading [rad]; `own`: its score solved again with its own."""
-    try:
-        scores, Ts = solved(rigs, wider_m, asked)
-        gain = score - scores
-        if gain.max() > config.least_gain_nats:
-            # A frame that has not found its own best place yet gains by any second solve.
-            gain -= max(score - own(), 0.0)
-    except SemlocError:
+    found = solved(rigs, wider_m, asked)
+    if found is None:
         return np.full(len(asked), np.nan), np.zeros((len(asked), 3))
+    scores, Ts = found
+    gain = score - scores
+    if gain.max() > config.least_gain_nats:
+        # A frame that has not found its own best place yet gains by any second solve.
+        gain -= max(score - own(), 0.0)
     return gain, np.array([rigid.log(rigid.inverse(T) @ other)[_PLANE] for other in Ts])
 
 
-def _leaned(watch: WatchState, T_map_base: np.ndarray, aligner: FrameAligner, way_m: float) -> WatchState:
-    try:
-        T_road, spread = aligner.road_under(T_map_base)
-    except SemlocError:  # no road there
+def _leaned(watch: WatchState, T_map_base: np.ndarray, frame: FrameInMap, way_m: float) -> WatchState:
+    road = frame.road_under(T_map_base)
+    if road is None:
         return watch
+    T_road, spread = road
     stance = rigid.log(rigid.inverse(T_road) @ T_map_base)[2:5]
     return watch._replace(stance=stance_sums.learned(watch.stance, stance, np.array(spread), way_m))
 

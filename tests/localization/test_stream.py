@@ -17,6 +17,7 @@ from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.localization import elsewhere, map_window, phase, rivals
 from semloc_jax.localization.drive import track_frames
+from semloc_jax.localization.frame_in_map import FrameInMap
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.initialization import no_fixes, with_fix
 from semloc_jax.localization.localizer import Localizer
@@ -230,12 +231,13 @@ def test_masks_settle_a_lane_that_satellites_ask_for(pipeline, aside_m):
     localizer, features, T = _at_truth(pipeline)
     T = T @ rigid.exp(np.array([0.0, aside_m, 0.0, 0.0, 0.0, 0.0]))
     known = lambda rows: np.ones(len(rows)), np.zeros(3), np.ones((), np.float32)
-    found = localizer.aligner.align(features, T, np.diag([0.1, 0.1, 0.05, 0.01, 0.01, 0.01]) ** 2, 0.0, *known)
+    frame = FrameInMap(features, localizer.aligner, *known, HealthConfig())
+    found = frame.align(T, np.diag([0.1, 0.1, 0.05, 0.01, 0.01, 0.01]) ** 2, 0.0)
     asked_m = 3.5 * T[:2, 1]
     fixes = no_fixes()
     for k in range(8):
         fixes = with_fix(fixes, GnssMeasurement(0.1 * k, T[:3, 3] + [*asked_m, 0.0], np.full(3, 0.5)))
     pose = FusedPose(features.time_s, T, 1e-4 * np.eye(6), 1.0, 0.0, asked_m)
-    nats = elsewhere._behind(pose, found, fixes, features, known, localizer.aligner, HealthConfig())
+    nats = elsewhere._behind(pose, found, fixes, frame)
     assert (phase.doubts(pose, fixes, nats) == ()) == (aside_m == 0.0)
     assert aside_m == 0.0 or nats < 0.0  # the other place is the better one
