@@ -8,6 +8,7 @@ from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.base import Camera, stack_cameras
 from semloc_jax.cameras.bev import BevCamera
 from semloc_jax.cameras.cylinder import CylindricalCamera
+from semloc_jax.cameras.double_sphere import DoubleSphereCamera
 from semloc_jax.cameras.fisheye import KannalaBrandtCamera
 from semloc_jax.cameras.mounting import mounted
 from semloc_jax.cameras.pinhole import BrownConradyCamera, PinholeCamera
@@ -18,6 +19,7 @@ __all__ = [
     "BrownConradyCamera",
     "Camera",
     "CylindricalCamera",
+    "DoubleSphereCamera",
     "KannalaBrandtCamera",
     "PinholeCamera",
     "PolynomialFisheyeCamera",

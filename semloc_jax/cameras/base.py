@@ -38,8 +38,8 @@ class Camera(eqx.Module):
     (`tests/contracts/test_cameras.py`, add an example to CAMERAS there) holds it to this:
 
     - The first fields are fx fy cx cy [px] and width height [px]. Every field is an array leaf (`as_leaf`). The
-      constructor takes fx fy cx cy width height and the coefficients of its row in this order, or the class overrides
-      `of_numbers`. Limits of the view have a default.
+      constructor takes fx fy cx cy width height, then the `leading` fields and the `coefficients` of its row, in this
+      order, or the class overrides `of_numbers`. Limits of the view have a default.
     - A lens that can see beyond 90 deg from its axis has the field `max_theta_rad`: half its field of view. Where it
       is symmetric about the axis, `RadialCamera` does the rest: the subclass gives the radius for an angle. Any other
       model that cannot be inverted everywhere has a limit of its own, such as `max_radius`.
@@ -68,7 +68,7 @@ class Camera(eqx.Module):
 
     @classmethod
     def of_numbers(cls: type[AnyCamera], pixels: Sequence[ArrayLike], coefficients: Sequence[ArrayLike]) -> AnyCamera:
-        """The camera of fx fy cx cy width height [px] and the coefficients of its row in `cameras.models`."""
+        """The camera of fx fy cx cy width height [px] and the leading fields and coefficients of its row."""
         return cls(*pixels, *coefficients)
 
     def project_xyz(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array, Array]:

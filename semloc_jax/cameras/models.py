@@ -10,6 +10,7 @@ from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.base import Camera
 from semloc_jax.cameras.bev import BevCamera
 from semloc_jax.cameras.cylinder import CylindricalCamera
+from semloc_jax.cameras.double_sphere import DoubleSphereCamera
 from semloc_jax.cameras.fisheye import KannalaBrandtCamera
 from semloc_jax.cameras.pinhole import BrownConradyCamera, PinholeCamera
 
@@ -23,6 +24,7 @@ class CameraModel:
         projection: `camera_model` of a camchain.
         distortion: names of `distortion_model`; the first is written, all are read.
         coefficients: fields that are the `distortion_coeffs`, in the order of the file.
+        leading: fields that stand in `intrinsics` before fx fy cx cy; the constructor takes them before `coefficients`.
         limits: fields with a key of their own, each a limit of the view.
         num_optional: coefficients at the end that files may leave out; they are 0 then.
         ros: distortion model of a ROS CameraInfo; empty where ROS has none.
@@ -33,10 +35,16 @@ class CameraModel:
     projection: str = "pinhole"
     distortion: tuple[str, ...] = ()
     coefficients: tuple[str, ...] = ()
+    leading: tuple[str, ...] = ()
     limits: tuple[str, ...] = ()
     num_optional: int = 0
     ros: str = ""
     native: str = ""
+
+    @property
+    def intrinsics(self) -> tuple[str, ...]:
+        """Fields that are the `intrinsics`, in the order of the file."""
+        return (*self.leading, "fx", "fy", "cx", "cy")
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -69,6 +77,9 @@ MODELS = (
         distortion=("angle_polynomial",),
         coefficients=("c2", "c3", "c4"),
         limits=("max_theta_rad",),
+    ),
+    CameraModel(
+        DoubleSphereCamera, projection="ds", distortion=("none", ""), leading=("xi", "alpha"), limits=("max_theta_rad",)
     ),
     CameraModel(CylindricalCamera, projection="cylindrical", limits=("max_phi_rad",), native="Cylindrical"),
     CameraModel(BevCamera, projection="bev", limits=("max_height_m",), native="Bev"),

@@ -11,7 +11,6 @@ from semloc_jax.datasets.sensors import GnssTrack, Imu, WheelOdometry, read_gnss
 from semloc_jax.evaluation.trajectory import Trajectory, read_trajectory
 
 CALIBRATIONS = ("calib.yaml", "camchain.yaml", "calibration.yaml", "camera_info.yaml", "calib.xml", "calib.json")
-MAPS = ("map.geojson", "map.gpkg", "map.osm", "map.xodr")
 POSES = ("poses_body.tum", "poses.tum", "poses.txt", "poses.npy")
 FIXES = ("gps.csv", "gnss.csv", "gps.nmea", "gnss.nmea", "nmea.txt", "gps.txt")
 
@@ -31,13 +30,18 @@ def calibration_beside(path: Path) -> Path | None:
     return next((place / name for place in _places(path) for name in CALIBRATIONS if (place / name).is_file()), None)
 
 
+def maps_in(folder: Path) -> dict[str, Path]:
+    """Maps in a folder by their suffix: files called `map` of any format, in the order of the table of formats."""
+    from semloc_jax.maps.io.formats import MAP_SUFFIXES  # loads all readers: only whoever looks for maps pays for them
+
+    return {suffix[1:]: folder / f"map{suffix}" for suffix in MAP_SUFFIXES if (folder / f"map{suffix}").is_file()}
+
+
 def maps_beside(path: Path) -> dict[str, Path]:
-    """Maps in a recording's folder or beside it, by the name of their format."""
+    """Maps in a recording's folder or beside it; of one format the nearest."""
     found: dict[str, Path] = {}
     for place in _places(path):
-        for name in MAPS:
-            if (place / name).is_file():
-                found.setdefault(name.split(".")[1], place / name)
+        found = found | {kind: file for kind, file in maps_in(place).items() if kind not in found}
     return found
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets.base import IMAGE, Drive, Frame
-from semloc_jax.datasets.beside import CALIBRATIONS, MAPS, folder_file, logs_beside
+from semloc_jax.datasets.beside import CALIBRATIONS, folder_file, logs_beside, maps_in
 from semloc_jax.datasets.clock import TIME_NAMES, seconds
 from semloc_jax.datasets.tables import column_names, read_numbers, read_rows
 from semloc_jax.datasets.templates import COLUMNS
@@ -80,7 +80,7 @@ def read_folder(
         rig=rig,
         table_name=table_name,
         mask_sources=tuple(kind for kind in by_kind if kind != IMAGE),
-        maps={name.split(".")[1]: path / name for name in MAPS if (path / name).is_file()},
+        maps=maps_in(path),
         truth=truth,
         gnss=logs.gnss,
         odometry=logs.odometry,

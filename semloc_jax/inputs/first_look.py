@@ -13,7 +13,7 @@ import numpy as np
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.datasets import Drive, open_drive, overlap_report
 from semloc_jax.datasets.base import IMAGE
-from semloc_jax.datasets.beside import CALIBRATIONS, FIXES, MAPS, calibration_beside, folder_file, read_fixes
+from semloc_jax.datasets.beside import CALIBRATIONS, FIXES, calibration_beside, folder_file, maps_in, read_fixes
 from semloc_jax.datasets.drive import is_drive
 from semloc_jax.datasets.folder import are_times, has_pictures, kind_folders
 from semloc_jax.datasets.pictures import read_picture
@@ -150,7 +150,7 @@ def _of_folder(path: Path) -> FirstLook:
         written += _write(path / "classes.yaml", CLASSES)
     _look_at_times(path, found, missing)
     _look_at_logs(path, found, missing)
-    own = folder_file(path, MAPS)
+    own = next(iter(maps_in(path).values()), None)
     near = [place for folder in (path, path.parent) for place in _files_with(folder, MAP_SUFFIXES)]
     near = [place for place in near if place.parent == near[0].parent]
     given = "" if own else f" --map {near[0] if len(near) == 1 else 'MAP'}"

@@ -1,6 +1,7 @@
 """Robust kernels on normalised residuals (room: residuals; pure JAX).
 
-In: v, the signed distance to a mask boundary as a share of the ramp, in [-1, 1]. Out: rho(v) and the weight rho'(v)/v.
+In: v, the signed distance to a mask boundary as a share of the ramp, in [-1, 1]: a kernel is as wide as the ramp,
+`CostMapConfig.ramp_px`. Out: rho(v) and the weight rho'(v)/v.
 Every kernel has rho(0) = 0, weight(0) = 1 and `worst` = rho(1), so that rho / worst is a cost in [0, 1].
 """
 

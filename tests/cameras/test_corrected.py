@@ -8,7 +8,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.cameras import Rig
+from semloc_jax.cameras import DoubleSphereCamera, Rig
 from semloc_jax.cameras.io import read_calibration, write_calibration
 from semloc_jax.cameras.io.corrected import write_corrected
 from semloc_jax.simulation.cameras import surround_rig
@@ -47,6 +47,14 @@ def test_camchains_keep_their_keys(tmp_path, key):
     np.testing.assert_allclose(again.T_base_cam, better.T_base_cam, atol=1e-12)
     assert (float(again.cameras[0].fx), float(again.cameras[0].k1)) == (200.0, -0.02)
     assert after["cam1"]["intrinsics"] == content["cam1"]["intrinsics"]
+
+
+def test_what_stands_before_the_focal_lengths_stays_there(tmp_path):
+    lens = DoubleSphereCamera(196.1, 196.3, 318.6, 240.6, 640, 480, -0.18, 0.59)
+    write_calibration(Rig([lens], np.eye(4)[None], ["left"]), tmp_path / "calib.yaml")
+    rig = Rig([eqx.tree_at(lambda c: (c.fx, c.xi), lens, (np.asarray(200.0), np.asarray(-0.2)))], MOVE[None], ["left"])
+    (path,) = write_corrected(rig, tmp_path, tmp_path / "out")
+    assert yaml.safe_load(path.read_text())["cam0"]["intrinsics"] == [-0.2, 0.59, 200.0, 196.3, 318.6, 240.6]
 
 
 def test_a_mounting_becomes_the_matrix_that_was_found(tmp_path):

@@ -14,6 +14,7 @@ from semloc_jax.cameras import (
     BevCamera,
     BrownConradyCamera,
     CylindricalCamera,
+    DoubleSphereCamera,
     KannalaBrandtCamera,
     PinholeCamera,
     PolynomialFisheyeCamera,
@@ -128,6 +129,15 @@ def test_kalibr_poses_are_inverted_and_chained(write):
     assert [type(camera) for camera in rig.cameras] == [KannalaBrandtCamera, BrownConradyCamera]
     assert np.allclose(rig.T_base_cam[0], np.linalg.inv(T_CAM_IMU), atol=1e-12)
     assert np.allclose(rig.T_base_cam[1], np.linalg.inv(T_CN_CNM1 @ T_CAM_IMU), atol=1e-12)
+
+
+def test_a_kalibr_file_of_a_double_sphere(write):
+    """Two numbers stand before the focal lengths, and there is no distortion."""
+    lens = {"camera_model": "ds", "intrinsics": [-0.18, 0.59, 186.2, 186.1, 252.8, 254.9], "distortion_model": "none"}
+    entry = KALIBR["cam0"] | lens | {"distortion_coeffs": [], "resolution": [512, 512]}
+    (camera,) = read_calibration(write({"cam0": entry}, "camchain-imucam.yaml")).cameras
+    assert type(camera) is DoubleSphereCamera and camera.resolution == (512, 512)
+    assert numbers_of(camera, "xi", "alpha", "fx", "fy", "cx", "cy") == lens["intrinsics"]
 
 
 def test_openvins_poses_and_directive(write):
@@ -260,6 +270,7 @@ T_NAN[0, 3] = np.nan
 
 OPENCV_OTHER = "%YAML:1.0\n---\nA: !!opencv-matrix\n   rows: 1\n   cols: 1\n   dt: d\n   data: [ 1. ]\n"
 
+UNDISTORTED = changed(DRIVE, ["cam0", "distortion_model"], "none")
 BAD_FILES = [
     ("", "holds no keys"),
     ("cam0: [1, 2", "line 1"),
@@ -273,8 +284,9 @@ BAD_FILES = [
     (changed(DRIVE, ["cam0", "intrinsics"], ["a", 743.1, 476.4, 300]), "expected 4 numbers"),
     (changed(DRIVE, ["cam0", "distortion_coeffs"], [0.1, 0.2]), "given 2 numbers; expected 4 or 5"),
     (changed(DRIVE, ["cam0", "distortion_coeffs"], [0.1, 0.2, float("nan"), 0]), "expected finite"),
-    (changed(DRIVE, ["cam0", "distortion_model"], "fov"), "'fov' is not supported"),
-    (changed(DRIVE, ["cam0", "camera_model"], "omni"), "'omni' is not supported"),
+    (changed(DRIVE, ["cam0", "distortion_model"], "nobodys"), "'nobodys' is not supported"),
+    (changed(DRIVE, ["cam0", "camera_model"], "nobodys"), "'nobodys' is not supported; expected one of pinhole"),
+    (changed(UNDISTORTED, ["cam0", "camera_model"], "ds"), "given 4 numbers; expected 6"),
     (changed(DRIVE, ["cam0", "resolution"], [960.5, 600]), "whole pixels"),
     (changed(DRIVE, ["cam0", "resolution"], [960, 0]), "whole pixels"),
     (changed(DRIVE, ["cam0", "T_body_cam"], T_MIRRORED.tolist()), "mirrored"),

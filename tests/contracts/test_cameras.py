@@ -11,6 +11,7 @@ from semloc_jax.cameras import (
     BevCamera,
     BrownConradyCamera,
     CylindricalCamera,
+    DoubleSphereCamera,
     KannalaBrandtCamera,
     PinholeCamera,
     PolynomialFisheyeCamera,
@@ -33,6 +34,8 @@ CAMERAS = {
     "fisheye": KannalaBrandtCamera(*SIDE, -0.013, -0.0042, 0.0011, -0.0002),
     "fisheye_that_turns": KannalaBrandtCamera(303.3, 322.3, 486.5, 323.9, 960, 640, -0.0355, -0.0198, 0.0261, -0.00972),
     "angle_polynomial": PolynomialFisheyeCamera(*SIDE, 0.05, -0.09, -0.01),
+    "double_sphere": DoubleSphereCamera(*SIDE, -0.18, 0.59),
+    "double_sphere_that_turns": DoubleSphereCamera(300.0, 301.0, 318.6, 240.6, 640, 480, -0.3, 0.8),
     "cylinder": CylindricalCamera(150.0, 479.5, 120.0, 960, 400, fy=170.0),
     "bev": BevCamera.covering(12.0, 6.0, 7.0, 7.0, 0.02),
 }
@@ -125,7 +128,7 @@ def test_every_limit_of_the_view_is_written(camera):
     """A field that is neither a pixel number nor in the row would be lost between writer and reader."""
     model = model_of(camera)
     pixel_fields = ("fx", "fy", "cx", "cy", "width", "height")
-    assert set(vars(camera)) == {*pixel_fields, *model.coefficients, *model.limits}
+    assert set(vars(camera)) == {*pixel_fields, *model.leading, *model.coefficients, *model.limits}
 
 
 def test_a_written_calibration_gives_the_same_pixels(camera, tmp_path):
@@ -259,6 +262,18 @@ def test_equals_opencv(name):
     uv, jacobian = opencv(camera, p_cam)
     assert np.abs(np.asarray(projected(camera, p_cam)[0]) - uv).max() < 1e-8
     assert np.abs(jacobian_of(camera, p_cam) - jacobian).max() < 1e-7 * np.abs(jacobian).max()
+
+
+@pytest.mark.parametrize("name", ["double_sphere", "double_sphere_that_turns"])
+def test_a_double_sphere_is_that_of_its_authors(name):
+    """Equations 40 to 42 of Usenko, Demmel and Cremers, in Cartesian coordinates."""
+    camera, p_cam = CAMERAS[name], points_in_view(CAMERAS[name])
+    x, y, z = p_cam.T
+    d1 = np.sqrt(x**2 + y**2 + z**2)
+    d2 = np.sqrt(x**2 + y**2 + (camera.xi * d1 + z) ** 2)
+    below = camera.alpha * d2 + (1.0 - camera.alpha) * (camera.xi * d1 + z)
+    uv = np.stack([camera.fx * x / below + camera.cx, camera.fy * y / below + camera.cy], axis=-1)
+    np.testing.assert_allclose(projected(camera, p_cam)[0], uv, atol=1e-8)
 
 
 def test_derivatives_of_the_calibration_equal_opencv():

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from semloc_jax.datasets import open_drive
+from semloc_jax.datasets.beside import maps_beside
 from semloc_jax.datasets.in_step import odometry_from_poses
 from semloc_jax.datasets.nmea import read_nmea
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory
 from semloc_jax.geometry.geodesy import enu_from_wgs84
+from semloc_jax.maps.io.formats import MAP_SUFFIXES
 from tests.datasets.layouts import (
     START_NS,
     STEP_NS,
@@ -29,6 +31,17 @@ def assert_pictures(drive, camera, num):
     assert len(drive) == num
     for number, frame in enumerate(drive.frames):
         assert frame.image(camera).mean() == pytest.approx(40 + 20 * number, abs=1.0)
+
+
+def test_a_map_of_any_format_is_found_beside_a_recording(tmp_path):
+    """Whatever has a row in the table of formats; the nearest of one format, the first row first."""
+    (tmp_path / "drive").mkdir()
+    for suffix in MAP_SUFFIXES:
+        (tmp_path / f"map{suffix}").touch()
+    (tmp_path / "drive" / "map.osm").touch()
+    found = maps_beside(tmp_path / "drive")
+    assert {f".{name}" for name in found} == set(MAP_SUFFIXES) and found["osm"].parent.name == "drive"
+    assert list(maps_beside(tmp_path / "video.mp4"))[:4] == ["geojson", "gpkg", "osm", "xodr"]
 
 
 # ---------------------------------------------------------------- EuRoC

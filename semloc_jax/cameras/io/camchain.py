@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from semloc_jax.cameras.base import Camera, as_leaf
 from semloc_jax.cameras.io.fields import camera_of, numbers, perspective, required, resolution, rigid
-from semloc_jax.cameras.models import MODELS, model_of
+from semloc_jax.cameras.models import MODELS, find_model, model_of
 from semloc_jax.cameras.mounting import mounted
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
@@ -68,13 +68,17 @@ def write_calibration(rig: Rig, path: str | Path) -> None:
 
 def _camera(entry: Mapping[str, Any], where: str) -> Camera:
     projection = str(entry.get("camera_model", "pinhole")).strip().lower()
-    intrinsics = numbers(required(entry, "intrinsics", where), (4,), f"{where} intrinsics")
+    row = find_model(projection, str(entry.get("distortion_model", "")))
+    num_leading = 0 if row is None else len(row.leading)
+    given = numbers(required(entry, "intrinsics", where), (num_leading + 4,), f"{where} intrinsics")
+    leading, intrinsics = given[:num_leading], given[num_leading:]
     size = resolution(required(entry, "resolution", where), f"{where} resolution")
     coefficients = entry.get("distortion_coeffs", [])
     if projection == "pinhole":
         camera = perspective(intrinsics, size, str(required(entry, "distortion_model", where)), coefficients, where)
     else:
-        camera = camera_of(projection, str(entry.get("distortion_model", "")), intrinsics, size, coefficients, where)
+        distortion = str(entry.get("distortion_model", ""))
+        camera = camera_of(projection, distortion, intrinsics, size, coefficients, where, leading)
     model = model_of(camera)
     for limit in model.limits if model else ():
         if limit in entry:
@@ -128,7 +132,7 @@ def _entry(rig: Rig, index: int) -> dict[str, Any]:
         entry["distortion_model"] = model.distortion[0]
     if model.distortion or model.coefficients:
         entry["distortion_coeffs"] = [float(getattr(camera, name)) for name in model.coefficients]
-    entry["intrinsics"] = [float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
+    entry["intrinsics"] = [float(getattr(camera, name)) for name in model.intrinsics]
     entry["resolution"] = list(camera.resolution)
     entry |= {limit: float(getattr(camera, limit)) for limit in model.limits}
     entry["T_body_cam"] = [[float(value) for value in row] for row in rig.T_base_cam[index]]

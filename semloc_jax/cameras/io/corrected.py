@@ -82,10 +82,10 @@ def _first_content(lines: list[str]) -> int:
 
 def _write_lens(entry: dict[str, Any], before: Camera, after: Camera) -> None:
     """Numbers of the lens that changed; the file has as many coefficients as it had."""
-    focal = ("fx", "fy", "cx", "cy")
-    if _changed(before, after, focal):
-        entry["intrinsics"] = [float(getattr(after, name)) for name in focal]
     model = model_of(after)
+    intrinsics = ("fx", "fy", "cx", "cy") if model is None else model.intrinsics
+    if _changed(before, after, intrinsics):
+        entry["intrinsics"] = [float(getattr(after, name)) for name in intrinsics]
     names = () if model is None else model.coefficients
     if names and _changed(before, after, names):
         values = [float(getattr(after, name)) for name in names]

@@ -4,7 +4,7 @@ In: parsed content and its place in the file, for messages. Out: arrays of the r
 """
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -165,8 +165,18 @@ def camera_of(
     size: Float[np.ndarray, " 2"],
     coefficients: Any,
     where: str,
+    leading: Sequence[float] | np.ndarray = (),
 ) -> Camera:
     """The camera of the names and numbers of a file, by the table of models.
+
+    Args:
+        projection: `camera_model` of the file.
+        distortion: `distortion_model` of the file.
+        intrinsics: fx fy cx cy [px].
+        size: width and height [px].
+        coefficients: `distortion_coeffs` of the file.
+        where: place in the file, for messages.
+        leading: what the file has before fx in its `intrinsics`.
 
     Raises:
         SemlocError: no such model, no such number of coefficients, focal lengths that no camera has.
@@ -183,7 +193,7 @@ def camera_of(
         )
     names = " ".join(model.coefficients)
     given = numbers(coefficients, model.counts, f"{where} (distortion {distortion}: {names})") if names else ()
-    return model.camera.of_numbers((*intrinsics, *size), tuple(given))
+    return model.camera.of_numbers((*intrinsics, *size), (*leading, *given))
 
 
 def rational(

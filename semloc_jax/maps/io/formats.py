@@ -92,14 +92,15 @@ def _write_geojson(semantic_map: SemanticMap, path: Path) -> None:
 
 FORMATS = {
     "GeoJSON": MapFormat((".geojson", ".json"), _read_json, _write_geojson),
+    "GeoPackage": MapFormat((".gpkg",), lambda path, _: read_geopackage(path), write_geopackage),
     "Lanelet2": MapFormat((".osm", ".xml"), read_lanelet2, write_lanelet2),
     "OpenDRIVE": MapFormat((".xodr",), read_opendrive),
-    "GeoPackage": MapFormat((".gpkg",), lambda path, _: read_geopackage(path), write_geopackage),
     "compact": MapFormat((".smap",), lambda path, _: read_compact(path), write_compact),
     "packed drive": MapFormat((".slocal",), lambda path, _: read_packed_map(path)),
     "Apollo": MapFormat(tuple(apollo.SUFFIXES), apollo.read_apollo),
 }
-"""Formats by name; the suffixes of a row belong to it alone, the first is the one that is written."""
+"""Formats by name; the suffixes of a row belong to it alone, the first is the one that is written. Of several maps
+beside a recording that of the first row is taken."""
 
 JSON_FORMATS = (
     JsonFormat(is_argoverse2, map_from_argoverse2),
