@@ -67,8 +67,6 @@ class DrivenFrame(NamedTuple):
 
     num_in_view: int
     """Signs and posts that are detected."""
-    num_matched: int
-    """All landmarks that were associated."""
     window_error_m: Float[np.ndarray, "2"]
     alone_error_m: Float[np.ndarray, "2"]
     window_covariance: Float[np.ndarray, "2 2"]
@@ -132,7 +130,7 @@ class _Drive:
             bounds = self._bounds(exact) if k % self.plan.bound_every == 0 else None
             num = len(shown.signs) + len(shown.lamps)
             errors = [rigid.log(rigid.inverse(T) @ found)[:2] for found in (last.T_local_base, alone)]
-            frames.append(DrivenFrame(num, len(matches), *errors, last.covariance[_PLAN], bounds))
+            frames.append(DrivenFrame(num, *errors, last.covariance[_PLAN], bounds))
         return Driven(self.world.config.road_m, self.world.seed, tuple(frames), self.plan.num_frames - len(frames))
 
     def _noisy(self, T: np.ndarray, sigma: np.ndarray) -> np.ndarray:

@@ -31,11 +31,6 @@ class NeesReport:
     high: float
     num_independent: float
 
-    @property
-    def is_consistent(self) -> bool:
-        """Whether the mean lies in the band."""
-        return self.low <= self.mean <= self.high
-
 
 def normalised_squares(
     errors: Float[np.ndarray, "n k"], covariance: Float[np.ndarray, "n k k"]
@@ -154,11 +149,6 @@ class StanfordCounts:
     def num_frames(self) -> int:
         """All frames."""
         return self.available + self.unavailable + self.misleading + self.hazardous
-
-    @property
-    def violations(self) -> float:
-        """Share of frames whose error is larger than the level."""
-        return (self.misleading + self.hazardous) / self.num_frames if self.num_frames else float("nan")
 
 
 def stanford_counts(error: Float[np.ndarray, " n"], level: Float[np.ndarray, " n"], limit: float) -> StanfordCounts:

@@ -19,6 +19,7 @@ from semloc_jax.alignment.single_frame import localize_frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.measurements import FusedPose, PoseMeasurement
 from semloc_jax.fusion.prediction import MotionLog
+from semloc_jax.localization.following import cautious
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import (
     InitializationConfig,
@@ -51,9 +52,6 @@ class AcquisitionConfig:
     """Answers with less of the posterior are not followed."""
     max_cost: float = 0.75
     min_inlier_ratio: float = 0.3
-    covariance_inflation: float = 4.0
-    """One frame may have ended in a local minimum: its covariance is taken this many times larger."""
-    min_sigma_m: float = 0.05
     coasting_inflation: float = 2.0
     """The window around dead reckoning in units of its sigma, over that of the search."""
     min_coasting_sigma_m: float = 0.5
@@ -143,9 +141,7 @@ class Acquisition:
 
     def measurement(self, mode: Mode, time_s: float) -> PoseMeasurement:
         """A mode as the first measurement of a track."""
-        config = self.config
-        floor = np.diag(np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02]) * config.min_sigma_m) ** 2
-        return PoseMeasurement(time_s, mode.T_map_base, config.covariance_inflation * mode.covariance + floor)
+        return PoseMeasurement(time_s, mode.T_map_base, cautious(mode.covariance))
 
 
 def places_around(coasting: FusedPose, config: AcquisitionConfig) -> list[PosePrior]:

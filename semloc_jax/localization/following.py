@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, SupportsInt
 
 import numpy as np
+from jaxtyping import Float
 
 from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.fusion.clock import CameraTimeLog
@@ -60,6 +61,17 @@ class FrameReport(NamedTuple):
     def is_accepted(self) -> bool:
         """Whether the measured pose was taken."""
         return self.innovation is not None and self.innovation.accepted
+
+
+_INFLATION = 4.0
+"""A frame that is searched may have ended in a local minimum: its variance is taken this many times larger. Ours."""
+_LEAST_SIGMA = 0.05 * np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
+"""Of the pose that a track begins with [m, rad]. Ours."""
+
+
+def cautious(covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6 6"]:
+    """Covariance of a pose that a track begins with: one frame found it, and no prediction says that it is right."""
+    return _INFLATION * covariance + np.diag(_LEAST_SIGMA) ** 2
 
 
 def new_track(fusion: Fusion, measurement: PoseMeasurement, penalty: float) -> Track:

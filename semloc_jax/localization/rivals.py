@@ -14,7 +14,7 @@ from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
 from semloc_jax.fusion.measurements import Fusion
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import phase
-from semloc_jax.localization.following import FrameReport, new_track
+from semloc_jax.localization.following import FrameReport, cautious, new_track
 from semloc_jax.localization.frame_in_map import FrameInMap
 from semloc_jax.localization.track_state import Fixes, Track, TrackerState
 
@@ -32,9 +32,6 @@ class RivalConfig:
     most: int = 2
     max_tracks: int = 4
     """While as many tracks are followed, no more are begun."""
-    inflation: float = 4.0
-    """The variance of one frame, which may have ended in a local minimum, is taken this many times larger."""
-    min_sigma_m: float = 0.05
 
 
 _CONFIG = RivalConfig()
@@ -91,8 +88,7 @@ def rivals(track: Track, score: float, fixes: Fixes, fusion: Fusion, frame: Fram
         away_m = np.hypot(*moved_m)
         if gain < phase.EVEN_NATS or away_m < _CONFIG.apart_m:
             continue
-        floor = np.diag(np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02]) * _CONFIG.min_sigma_m) ** 2
-        covariance = _CONFIG.inflation * answer.measurement.covariance + floor
+        covariance = cautious(answer.measurement.covariance)
         # It begins as probable as the track; as this one frame is forgotten, others must pay for what fixes say.
         penalty = float(track.penalty) + for_fixes
         found.append((gain, new_track(fusion, answer.measurement._replace(covariance=covariance), penalty)))

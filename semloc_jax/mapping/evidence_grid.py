@@ -27,11 +27,9 @@ class EvidenceGrid:
 
     Attributes:
         cell_m: side of a cell [m].
-        num_layers: layers of paint and the like.
     """
 
     cell_m: float
-    num_layers: int
     _tiles: dict[tuple[int, int], dict[int, np.ndarray]] = field(default_factory=dict)
     """Planes of each tile that hold anything: most of the road is bare."""
     _parts: dict[tuple[int, int], list[Path]] = field(default_factory=dict)

@@ -131,8 +131,8 @@ class Gatherer:
 
     def __init__(self, table: ClassTable, cell_m: float):
         self.layers, self.layer_of_id = paint_layers(table)
-        self.paint = EvidenceGrid(cell_m, int(self.layer_of_id.max()) + 1)
-        self.vehicles = EvidenceGrid(_VEHICLE_CELL_M, 1)
+        self.paint = EvidenceGrid(cell_m)
+        self.vehicles = EvidenceGrid(_VEHICLE_CELL_M)
         self.sightings = Sightings(table)
 
     def add(self, look: Look, rays: RayTable | None = None) -> None:

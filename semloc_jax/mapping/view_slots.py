@@ -48,7 +48,7 @@ def slots_of_view(
     dividers = painted_dividers(in_metres(uv, side_px, metres_per_px), inward, 0.0, config)
     logits = np.log(sure / (1.0 - sure))
     beliefs = {d.id: Belief(_SIGMA_M, _SIGMA_M, float(own)) for d, own in zip(dividers, logits, strict=True)}
-    found = find_slots([], beliefs, np.zeros((1, 2)), EvidenceGrid(1.0, 1), config, dividers)
+    found = find_slots([], beliefs, np.zeros((1, 2)), EvidenceGrid(1.0), config, dividers)
     logit_of = {element.id: belief.existence_logit for element, belief in found}
     elements = upright([element for element, _ in found], [], config)
     slots = []

@@ -192,29 +192,6 @@ class SurroundView:
                 )
 
 
-def stitch_masks(
-    masks: Sequence[np.ndarray],
-    rig: Rig,
-    bev: BevCamera,
-    T_base_bev: np.ndarray,
-    hidden_ids: Sequence[int] = (),
-    height_m: float = 0.0,
-) -> np.ndarray:
-    """Class ids of one top view, uint8[h w]; for many frames keep a `SurroundView`.
-
-    Args:
-        masks: Class ids uint8[h w] of every camera, in the order of the rig.
-        rig: Their cameras.
-        bev: The top view.
-        T_base_bev: Its pose in the base frame.
-        hidden_ids: Ids of what hides the road; they become 255.
-        height_m: Height of the road above the plane of the top view [m].
-    """
-    road = np.array(T_base_bev, dtype=np.float64)
-    road[:3, 3] -= height_m * road[:3, 2]  # z of `bev` points down
-    return SurroundView.of(rig, bev, road).stitch(masks, hidden_ids)
-
-
 def top_view(rig: Rig, range_m: float = 9.0, metres_per_px: float = 0.025) -> tuple[BevCamera, np.ndarray]:
     """A square top view around the middle of the cameras, and its pose T_base_bev [4 4] on the plane of the road.
 

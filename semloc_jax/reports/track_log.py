@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import Trajectory, pose_errors
+from semloc_jax.evaluation.integrity import normalised_squares
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
 from semloc_jax.reports.tables import ERRORS, MISLEADING, POSE, PROTECTION, SIGMAS
 from semloc_jax.storage import reading, writing
@@ -214,7 +215,7 @@ def _nees(errors: dict[str, Any], covariance: np.ndarray) -> float:
     """Squared normalised error of longitudinal, lateral and heading together: 3 on average where sigmas are right."""
     x = np.array([errors["longitudinal_m"], errors["lateral_m"], np.radians(errors["heading_deg"])])
     plane = covariance[np.ix_([0, 1, 5], [0, 1, 5])]
-    return float(x @ np.linalg.solve(plane, x))
+    return float(normalised_squares(x[None], plane[None])[0])
 
 
 def _numbers(names: Sequence[str], values: Sequence[float]) -> dict[str, str]:

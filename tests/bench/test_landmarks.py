@@ -68,7 +68,7 @@ def test_a_window_without_landmarks_is_its_fixes():
 def test_rows_are_root_mean_squares_over_bounds():
     """Frames 3 cm off each way, bounds of 2 and 4 cm each way; those without bounds do not count."""
     off, unit = np.array([0.03, -0.03]), np.eye(2)
-    frame = DrivenFrame(4, 5, off, 2 * off, 0.03**2 * unit, Bounds(0.02**2 * unit, 0.04**2 * unit))
+    frame = DrivenFrame(4, off, 2 * off, 0.03**2 * unit, Bounds(0.02**2 * unit, 0.04**2 * unit))
     driven = [Driven(500.0, seed, (frame, frame._replace(bounds=None)), 0) for seed in (0, 1)]
     row, total = roads(driven)
     assert (row.group, row.num_frames, row.in_view) == ("500 m", 2, 4.0)

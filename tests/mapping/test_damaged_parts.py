@@ -18,13 +18,13 @@ TABLE = load_class_table("drive")
 def test_tiles_have_a_place(tmp_path, name):
     write_npz(tmp_path / "part.npz", {name: np.zeros((TILE, TILE), np.float32)})
     with pytest.raises(SemlocError, match="part of a map"):
-        EvidenceGrid(0.5, 2).attach(tmp_path / "part.npz")
+        EvidenceGrid(0.5).attach(tmp_path / "part.npz")
 
 
 @pytest.mark.parametrize("values", [np.zeros((3, TILE), np.float32), np.zeros((TILE, TILE)), np.float32(1.0)])
 def test_tiles_have_a_size(tmp_path, values):
     write_npz(tmp_path / "part.npz", {"0_0_0": values})
-    grid = EvidenceGrid(0.5, 2)
+    grid = EvidenceGrid(0.5)
     grid.attach(tmp_path / "part.npz")
     with pytest.raises(SemlocError, match="0_0_0 is no tile; begin anew"):
         grid.plane(0, np.array([0, 0]), np.array([5, 5]))

@@ -28,7 +28,7 @@ def test_a_row_of_points_is_a_row_of_slots(kind):
     dividers = dividers_of(places, inward, 0.0, CONFIG)
     beliefs = dict.fromkeys([d.id for d in dividers], Belief(0.1, 0.1, 0.0, num_seen=1))
     way = np.stack([np.linspace(-5.0, 25.0, 61), np.zeros(61)], axis=1)
-    found = [element for element, _ in find_slots([], beliefs, way, EvidenceGrid(0.1, 1), CONFIG, dividers)]
+    found = [element for element, _ in find_slots([], beliefs, way, EvidenceGrid(0.1), CONFIG, dividers)]
     assert [element.attributes["kind"] for element in found] == [kind] * (len(places) - 1)
     for element in found:
         step = element.points[1, :2] - element.points[0, :2]

@@ -143,7 +143,7 @@ def test_a_patch_that_goes_on_unseen_has_no_outline():
 
 
 def test_the_grid_says_what_share_of_the_looks_shows_paint():
-    grid = EvidenceGrid(0.5, 2)
+    grid = EvidenceGrid(0.5)
     xy = np.array([[0.1, 0.1], [0.1, 0.2], [-200.0, 300.0], [5.0, 5.0]])
     grid.add(xy, np.array([1.0, 3.0, 2.0, 1.0]), np.array([0, -1, 1, 0]), np.array([True, True, True, False]))
     low, size = np.floor(xy.min(axis=0) / 0.5).astype(int) - 3, np.array([450, 650])
@@ -161,7 +161,7 @@ def test_the_grid_says_what_share_of_the_looks_shows_paint():
 
 def test_a_map_comes_out_of_the_grid_in_metres():
     """A dash and two pieces of one solid line in map coordinates; the masks tell broken lines from solid ones."""
-    grid = EvidenceGrid(CELL_M, 2)
+    grid = EvidenceGrid(CELL_M)
     shapes = [(0, bar(0, 40, 200, 6)), (0, bar(300, 40, 200, 6)), (1, bar(100, 120, 120, 6))]
     ys, xs = np.mgrid[0:200, 0:560]
     cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
@@ -185,7 +185,7 @@ def test_a_curb_is_a_line_and_no_dash():
     layers, plane_of_id = paint_layers(load_class_table("drive"))
     (layer,) = [layer for layer in layers if layer.label == ElementClass.CURB]
     assert plane_of_id[26] == layer.planes[0]
-    grid = EvidenceGrid(CELL_M, int(plane_of_id.max()) + 1)
+    grid = EvidenceGrid(CELL_M)
     ys, xs = np.mgrid[0:120, 0:300]
     cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
     is_curb = (cells[:, 0] >= 20) & (cells[:, 0] < 260) & (cells[:, 1] >= 40) & (cells[:, 1] < 46)
@@ -232,7 +232,7 @@ def test_what_leaves_memory_still_counts(tmp_path):
     rng = np.random.default_rng(3)
     xy = rng.uniform(-100.0, 100.0, (3, 500, 2))
     weight, layer = rng.uniform(0.5, 1.0, (3, 500)), rng.integers(-1, 2, (3, 500))
-    whole, parts, again = EvidenceGrid(0.5, 2), EvidenceGrid(0.5, 2), EvidenceGrid(0.5, 2)
+    whole, parts, again = EvidenceGrid(0.5), EvidenceGrid(0.5), EvidenceGrid(0.5)
     for k in range(3):
         for grid in (whole, parts):
             grid.add(xy[k], weight[k], layer[k], np.ones(500, bool))
@@ -275,7 +275,7 @@ def test_the_map_does_not_depend_on_where_blocks_end():
         layer[((cells >= low) & (cells <= high)).all(axis=1)] = plane
     found = []
     for shift in (np.array([-280, -80]), np.array([600, 600])):
-        grid = EvidenceGrid(CELL_M, 2)
+        grid = EvidenceGrid(CELL_M)
         for _ in range(3):
             grid.add((cells + shift + 0.5) * CELL_M, np.ones(len(cells)), layer, np.ones(len(cells), bool))
         layers = [Layer(ElementClass.LANE_MARKING, (0, 1), (0,), says_style=True)]
@@ -290,7 +290,7 @@ def test_a_line_that_leaves_the_window_of_a_block_is_whole():
     ys, xs = np.mgrid[0:24, -400:2800]
     cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
     layer = np.where((cells[:, 1] >= 9) & (cells[:, 1] < 15), 0, -1)
-    grid = EvidenceGrid(CELL_M, 2)
+    grid = EvidenceGrid(CELL_M)
     for _ in range(3):
         grid.add((cells + 0.5) * CELL_M, np.ones(len(cells)), layer, np.ones(len(cells), bool))
     layers = [Layer(ElementClass.LANE_MARKING, (0, 1), (1,), says_style=True)]
@@ -301,7 +301,7 @@ def test_a_line_that_leaves_the_window_of_a_block_is_whole():
 
 def test_a_dash_has_its_ends_though_every_look_misses_cells():
     """Places of a look are not in line with cells: three looks miss a fourth of them each, the last one two thirds."""
-    grid, (ys, xs) = EvidenceGrid(CELL_M, 2), np.mgrid[0:80, 0:300]
+    grid, (ys, xs) = EvidenceGrid(CELL_M), np.mgrid[0:80, 0:300]
     cells = np.stack([xs.ravel(), ys.ravel()], axis=1)
     is_paint = (np.abs(cells[:, 0] - 150) <= 60) & (np.abs(cells[:, 1] - 40) <= 3)
     for look in range(4):

@@ -7,11 +7,12 @@ import pytest
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
-from semloc_jax.mapping.literature.mark_forest import ForestConfig, MarkForest, f1_scores, simulated_marks
+from semloc_jax.mapping.literature.mark_forest import ForestConfig, MarkForest, simulated_marks
 from semloc_jax.mapping.literature.mark_pairs import MarkPairsConfig, SeenMark, merged, motion_by_pairs
 from semloc_jax.mapping.literature.road_slam import MarkMaps, RoadSlamConfig, matched
 from semloc_jax.mapping.revisits import Revisit
 from semloc_jax.simulation.mark_samples import MarkKind, mark_sample
+from tests.mapping.mark_scores import f1_scores
 from tests.mapping.ring_of_points import LAP, ring_maps
 
 CONFIG = MarkPairsConfig()

@@ -58,7 +58,7 @@ def test_one_stencil_tells_where_numbers_stand_in_slots_of_one_type():
     """Faint looks that make no mark, one in six at strokes over half of the box: five of six slots have a number, its
     middle within 5 cm, its size but for the smear, the sixth has none; pieces that are marks belong to it."""
     rng = np.random.default_rng(5)
-    grid = EvidenceGrid(0.04, 1)
+    grid = EvidenceGrid(0.04)
     y, x = np.mgrid[0.02:5.2:0.04, 0.02:15.0:0.04]
     u, slot = np.mod(x, 2.5) - 1.25, np.floor(x / 2.5)
     strokes = (np.abs(u) < 0.56) & (np.abs(y - 0.61) < 0.26) & (np.mod(u, 0.16) < 0.08) & (slot != 3)

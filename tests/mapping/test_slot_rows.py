@@ -63,7 +63,7 @@ def test_bars_show_a_divider_that_nobody_saw():
     assert len(places) == 5
     np.testing.assert_allclose(places[2].mouth, [5.0, 0.0], atol=5e-3)
     beliefs = {element.id: Belief(0.02, 0.05, 3.0, 9, 1) for element in drawn.lines}
-    slots = find_slots(drawn.lines, beliefs, WAY, EvidenceGrid(0.1, 1), None, places)
+    slots = find_slots(drawn.lines, beliefs, WAY, EvidenceGrid(0.1), None, places)
     assert len(slots) == 4
     for element, _ in slots:
         np.testing.assert_allclose(element.points[2:, 1], DEPTH_M, atol=5e-3)
@@ -104,7 +104,7 @@ def test_the_back_is_found_in_looks_too_faint_for_a_line():
     """A line of 12 cm that one look in seven shows, smeared over half a metre."""
     y, x = np.mgrid[0.0125:7.0:0.025, 0.0125:7.5:0.025]
     rate = 0.15 * np.exp(-0.5 * ((y - 5.2) / 0.12) ** 2) + 0.01
-    grid = EvidenceGrid(0.025, 1)
+    grid = EvidenceGrid(0.025)
     for _ in range(10):
         shows = RNG.random(y.shape) < rate
         xy = np.stack([x.ravel(), y.ravel()], axis=1)
@@ -124,7 +124,7 @@ def test_dividers_without_a_line_along_the_back_tell_its_depth_together():
     row = MappedRow(np.zeros(2), np.array([1.0, 0.0]), np.array([0.0, 1.0]), WIDTH_M)
     places = np.array([0.0, 2.5, 5.0, 7.5])
     for is_open, depth_m in ((np.ones(len(xy), bool), 5.2), (xy[:, 1] < 4.6, None)):
-        grid = EvidenceGrid(0.025, 1)
+        grid = EvidenceGrid(0.025)
         for _ in range(10):
             shows = RNG.random(y.shape) < rate
             grid.add(xy, np.ones(len(xy)), shows.ravel().astype(int) - 1, is_open)

@@ -25,7 +25,7 @@ def row(count, step, depth, lean=0.0, y=0.0, up=1.0, ends=(True, True)):
 
 def slots_of(lines, vehicles=None, config=None, way=WAY):
     beliefs = {e.id: Belief(0.02 + 0.01 * k, 0.05, 3.0 - k, 9 - k, k) for k, e in enumerate(lines)}
-    return find_slots(lines, beliefs, way, vehicles or EvidenceGrid(0.1, 1), config)
+    return find_slots(lines, beliefs, way, vehicles or EvidenceGrid(0.1), config)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_lines_at_other_distances_and_angles_hold_nothing():
 
 
 def test_a_vehicle_in_the_front_half_takes_the_slot():
-    vehicles = EvidenceGrid(0.1, 1)
+    vehicles = EvidenceGrid(0.1)
     xy = np.stack(np.meshgrid(np.arange(0.05, 5.0, 0.1), np.arange(0.05, 3.0, 0.1)), axis=-1).reshape(-1, 2)
     is_vehicle = xy[:, 0] > 2.5
     vehicles.add(xy, np.ones(len(xy)), is_vehicle.astype(int) - 1, np.ones(len(xy), bool))

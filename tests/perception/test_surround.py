@@ -6,7 +6,7 @@ import pytest
 from semloc_jax.cameras import BevCamera
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception import load_class_table
-from semloc_jax.perception.surround import SurroundView, ground_table, stitch_masks, top_view
+from semloc_jax.perception.surround import SurroundView, ground_table, top_view
 from semloc_jax.structs import ElementClass
 from tests.perception.four_fisheyes import four_fisheyes, painted
 
@@ -34,7 +34,7 @@ def test_a_line_lands_within_half_a_pixel(rig, angle_deg):
     def offset(ground):
         return ground @ across - at_m
 
-    top = stitch_masks(painted(rig, lambda ground: np.abs(offset(ground)) < half_m), rig, bev, T_base_bev)
+    top = SurroundView.of(rig, bev, T_base_bev).stitch(painted(rig, lambda ground: np.abs(offset(ground)) < half_m))
     away = offset(places(bev, T_base_bev))
     found = top == PAINT
     assert found.sum() * 0.04**2 > 0.5
@@ -49,7 +49,9 @@ def test_a_road_above_the_plane_is_stated_by_its_height(rig):
     bev, T_base_bev = top_view(rig, range_m=6.0, metres_per_px=0.04)
     masks = painted(rig, lambda ground: np.abs(ground[..., 1] - 3.0) < 0.15, height_m=0.1)
     for height_m, off_m in ((0.1, 0.0), (0.0, 0.25)):  # 2 m from a camera 0.9 m high: 2 * 0.9 / (0.9 - 0.1) - 2
-        top, ground = stitch_masks(masks, rig, bev, T_base_bev, height_m=height_m), places(bev, T_base_bev)
+        road = T_base_bev.copy()
+        road[2, 3] += height_m
+        top, ground = SurroundView.of(rig, bev, road).stitch(masks), places(bev, T_base_bev)
         abreast = np.abs(ground[..., 0] - 1.9) < 0.8
         assert abs(ground[(top == PAINT) & abreast, 1].mean() - 3.0 - off_m) < 0.02
 
@@ -98,4 +100,5 @@ def test_only_paint_has_channels_and_the_rest_hides_the_road():
 
 def test_one_mask_for_each_camera(rig):
     with pytest.raises(SemlocError, match="given 1 masks; expected one for each of 4"):
-        stitch_masks([np.zeros((480, 640), np.uint8)], rig, BevCamera.covering(5, 5, 5, 5, 0.1), top_view(rig)[1])
+        view = SurroundView.of(rig, BevCamera.covering(5, 5, 5, 5, 0.1), top_view(rig)[1])
+        view.stitch([np.zeros((480, 640), np.uint8)])

@@ -9,12 +9,13 @@ import shapely
 
 from semloc_jax.datasets import open_drive
 from semloc_jax.inputs.mask_source import mask_source
-from semloc_jax.mapping.literature.mark_forest import MarkForest, f1_scores, simulated_marks
+from semloc_jax.mapping.literature.mark_forest import MarkForest, simulated_marks
 from semloc_jax.mapping.literature.mark_views import MarkViews
 from semloc_jax.maps import read_map
 from semloc_jax.maps.contours import painted_polygon
 from semloc_jax.simulation.mark_samples import MarkKind
 from semloc_jax.structs import ElementClass
+from tests.mapping.mark_scores import f1_scores
 
 pytestmark = pytest.mark.slow
 _SURE = 0.7

@@ -17,13 +17,11 @@ class CameraTopics:
     """Topics of one camera.
 
     Args:
-        namespace: what its topics begin with.
         image: topic of its images, None where only masks were recorded.
         info: topic of its CameraInfo.
         masks: topic of each kind of masks.
     """
 
-    namespace: str
     image: str | None
     info: str | None
     masks: Mapping[str, str] = field(default_factory=dict)
@@ -64,7 +62,7 @@ def camera_topics(images: Mapping[str, int], infos: Iterable[str]) -> dict[str, 
     namespaces = sorted({*pictures, *masks})
     names = _short_names(namespaces)
     return {
-        names[space]: CameraTopics(space, pictures.get(space), _info_of(space, info_of), masks.get(space, {}))
+        names[space]: CameraTopics(pictures.get(space), _info_of(space, info_of), masks.get(space, {}))
         for space in namespaces
     }
 

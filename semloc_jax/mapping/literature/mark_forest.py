@@ -71,21 +71,5 @@ def simulated_marks(num: int, seed: int) -> tuple[list[RoadMark], Int[np.ndarray
     return marks, np.array([int(kind) for kind, _ in each])
 
 
-def f1_scores(
-    true: Int[np.ndarray, " n"], found: Int[np.ndarray, " n"]
-) -> dict[MarkKind, tuple[int, float, float, float]]:
-    """Number, precision, recall and F1 of every class that is there or was found."""
-    scores = {}
-    for kind in MarkKind:
-        is_true, is_found = true == kind, found == kind
-        if not (is_true | is_found).any():
-            continue
-        hits = float((is_true & is_found).sum())
-        precision, recall = hits / max(is_found.sum(), 1), hits / max(is_true.sum(), 1)
-        f1 = 2 * hits / (is_true.sum() + is_found.sum())
-        scores[kind] = int(is_true.sum()), float(precision), float(recall), float(f1)
-    return scores
-
-
 def _rows(marks: Sequence[RoadMark], config: ForestConfig) -> Float[np.ndarray, "n 644"]:
     return np.array([mark.features(config.marks.shape) for mark in marks])

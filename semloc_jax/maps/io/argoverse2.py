@@ -78,12 +78,6 @@ def map_from_argoverse2(
     return SemanticMap(tuple(moved), origin, name, frame=f"ENU, from {_frame(name)}")
 
 
-def drivable_areas(document: Mapping[str, Any], name: str) -> list[np.ndarray]:
-    """Returns the outlines of the drivable areas in the city frame, each `float64[k 3]` [m]."""
-    areas = _items(document, "drivable_areas", name)
-    return [_points(area, "area_boundary", f"map {name}: drivable area {key}") for key, area in areas]
-
-
 def lane_bounds(document: Mapping[str, Any], name: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yields the left and the right boundary of each lane for cars in its direction of travel, `[k 3]` [m]."""
     for key, lane in _items(document, "lane_segments", name):

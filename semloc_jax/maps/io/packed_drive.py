@@ -25,8 +25,6 @@ from semloc_jax.maps.versions.records import json_bytes
 from semloc_jax.storage import reading, write_bytes
 
 MAGIC, _ANY_VERSION = b"SLOC\x03", 4
-MOST_BYTES = 4 << 20
-"""No drive needs more; a server takes no more."""
 _HASH_BYTES = 32
 _FILTERS = [{"id": lzma.FILTER_LZMA1, "preset": 9, "dict_size": 1 << 22, "lc": 3, "pb": 0}]
 _LARGEST_PAYLOAD = 1 << 25

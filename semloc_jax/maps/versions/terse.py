@@ -107,13 +107,6 @@ def _is_whole(values: list | tuple) -> bool:
     return bool(values) and all(type(v) is int and abs(v) < _MOST for v in values)
 
 
-def _is_table(rows: list | tuple) -> bool:
-    """Whether there are rows of as many whole numbers each."""
-    return len(rows) > 1 and all(
-        isinstance(row, list | tuple) and len(row) == len(rows[0]) and _is_whole(row) for row in rows
-    )
-
-
 def _decimals(values: list | tuple) -> tuple[int, list[int]] | None:
     """How many decimals say numbers with a point to the bit, and these; None where too few do."""
     if not all(type(v) is float and abs(v) < _MOST / 10**_MOST_DECIMALS for v in values):

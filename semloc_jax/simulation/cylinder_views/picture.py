@@ -55,7 +55,6 @@ class SeenThing(NamedTuple):
         box: left, top, right, lower border of what is seen of it [px].
         foot_uv: pixel of the middle of its footprint on the road, seen or not.
         range_m: of that from the camera.
-        num_px: that show it.
         shown: share of it that nothing hides.
         has_foot: whether its lower end is seen.
     """
@@ -64,7 +63,6 @@ class SeenThing(NamedTuple):
     box: Float[np.ndarray, " 4"]
     foot_uv: Float[np.ndarray, " 2"]
     range_m: float
-    num_px: int
     shown: float
     has_foot: bool
 
@@ -162,7 +160,6 @@ def _seen(canvas: Canvas, alone: Canvas, body: Body, number: int) -> SeenThing |
         box,
         (foot + 0.5) / _FINER - 0.5,
         float(np.linalg.norm(body.middle)),
-        int(own.sum()) // _FINER**2,
         float(own.sum() / max(whole.sum(), 1)),
         bool(inside and (own & last).sum() > 0.5 * last.sum()),
     )

@@ -12,7 +12,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import wgs84_from_enu
 from semloc_jax.maps import GeoOrigin, read_map
 from semloc_jax.maps.curves import resample
-from semloc_jax.maps.io.argoverse2 import drivable_areas, map_from_argoverse2
+from semloc_jax.maps.io.argoverse2 import map_from_argoverse2
 from semloc_jax.structs import ElementClass
 
 
@@ -31,9 +31,9 @@ def _table(path):
 @pytest.mark.data
 def test_every_ego_pose_lies_in_the_drivable_area(log):
     (path,) = (log / "map").glob("log_map_archive_*.json")
-    areas = drivable_areas(json.loads(path.read_text()), path.name)
+    outlines = [area["area_boundary"] for area in json.loads(path.read_text())["drivable_areas"].values()]
     poses = _table(log / "city_SE3_egovehicle.feather")
-    area = shapely.unary_union([shapely.Polygon(outline[:, :2]) for outline in areas])
+    area = shapely.unary_union([shapely.Polygon([(p["x"], p["y"]) for p in outline]) for outline in outlines])
     inside = shapely.contains_xy(area, poses["tx_m"], poses["ty_m"])
     assert len(inside) == 2706 and inside.all()
 
