@@ -4,7 +4,7 @@ In: a SemanticMap, masks, cameras, a PosePrior. Out: LocalizationResult.
 """
 
 import time
-from collections.abc import Sequence as Frames
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -80,7 +80,7 @@ class FrameLocalizer:
         self.channel_of_label = np.asarray(self.shown.channel_by_class, dtype=np.int32)
 
     def prepare(
-        self, masks: Frames[np.ndarray], rig: Rig, T_map_near: np.ndarray, more_m: float = 0.0
+        self, masks: Sequence[np.ndarray], rig: Rig, T_map_near: np.ndarray, more_m: float = 0.0
     ) -> tuple[FrameInput, LocalMap]:
         """Map samples around a place and cost maps of one frame, ready for the solver.
 
@@ -97,7 +97,7 @@ class FrameLocalizer:
         return FrameInput(samples, rig, jnp.asarray(self.channel_of_label), *image), local_map
 
     def localize(
-        self, frame: Frame | None, masks: Frames[np.ndarray], prior: PosePrior, rig: Rig | None = None
+        self, frame: Frame | None, masks: Sequence[np.ndarray], prior: PosePrior, rig: Rig | None = None
     ) -> LocalizationResult:
         """The pose of one frame from masks of its cameras.
 
@@ -174,7 +174,7 @@ class FrameLocalizer:
 
     def mode_finder(
         self,
-        masks: Frames[np.ndarray],
+        masks: Sequence[np.ndarray],
         inputs: FrameInput,
         prior: PosePrior,
         T_map_prior: np.ndarray,

@@ -311,21 +311,22 @@ class Localizer:
     def _acquired(self, state: TrackerState, frame: FrameFeatures) -> TrackerState:
         """The state with a track for each answer of a search, where one is due and finds something."""
         config = self.config.acquisition
-        if frame.time_s < state.searched_s + config.every_s - 1e-6:
+        now_s = float(state.time_s)
+        if now_s < state.searched_s + config.every_s - 1e-6:
             return state
         coasting = self.fusion.pose(state.coasting[0]) if state.coasting else None
         if self.area is not None and coasting is None:
             modes = self.acquisition.search_area(frame, self.area)
         else:
-            priors = self.acquisition.priors(state.fixes, coasting, frame.time_s) or [frame.guess]
+            priors = self.acquisition.priors(state.fixes, coasting, now_s) or [frame.guess]
             if priors[0] is None:
                 return state
             modes = self.acquisition.search(frame, priors)
-        state = state._replace(searched_s=np.float64(frame.time_s))
+        state = state._replace(searched_s=np.float64(now_s))
         if not modes:
             return state
         forgotten = noise_scale.without_poses(state.noise)
-        measured = [self.acquisition.measurement(mode, frame.time_s) for mode in modes]
+        measured = [self.acquisition.measurement(mode, now_s) for mode in modes]
         penalties = [mode.score - modes[0].score for mode in modes]
         begun = partial(new_track, self.fusion)
         # What satellites contradict is no dead reckoning to go on with.
@@ -342,7 +343,7 @@ class Localizer:
         """The status of the frame with its reasons."""
         fused = self._output(state)
         map_sigma = self._map_sigmas.at(np.zeros(2) if fused is None else fused.T_map_base[:2, 3])
-        why = partial(self._why_no_start, state, frame)
+        why = partial(self._why_no_start, state, frame.guess)
         verdict = judged(state, view, fused, frame.rig, way_m, map_sigma, self.config, why)
         state = state._replace(status=np.int64(verdict.status), doubted=verdict.doubted)
         if fused is not None:
@@ -371,9 +372,10 @@ class Localizer:
             moved_elements(state.watch, self.config.watch),
         )
 
-    def _why_no_start(self, state: TrackerState, frame: FrameFeatures) -> str:
+    def _why_no_start(self, state: TrackerState, guess: PosePrior | None) -> str:
         """What keeps the vehicle from being found, and what would help."""
-        why = self.acquisition.why_not(state.fixes, frame.time_s) if frame.guess is None and self.area is None else ""
+        is_by_fixes = guess is None and self.area is None
+        why = self.acquisition.why_not(state.fixes, float(state.time_s)) if is_by_fixes else ""
         found_none = (
             "a search around where it should be found no pose that explains the masks; is the map, its place or "
         )
