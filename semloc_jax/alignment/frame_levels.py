@@ -16,7 +16,7 @@ from semloc_jax.evaluation.mixture_bounds import LEAST_LEVELS, Causes, beyond, b
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.noise import POSE_FREEDOM
 
-_AS_LEVELS = [1, 0, 2]
+AS_LEVELS = [1, 0, 2]
 """Lateral, longitudinal, heading among forward, left, heading."""
 _TO_DEG = np.array([1.0, 1.0, np.degrees(1.0)])
 
@@ -62,10 +62,10 @@ def levels_of(found: FoundModes, shared: Float[np.ndarray, "3"], limit: ErrorLim
         rows.append((mode.weight, away, mode.covariance[plane]))
     probability, mean, covariance = (np.array(column, np.float64) for column in zip(*rows, strict=True))
     own = np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 1e-18)
-    sigma, scale = np.sqrt(own + shared)[:, _AS_LEVELS], _TO_DEG[_AS_LEVELS]
+    sigma, scale = np.sqrt(own + shared)[:, AS_LEVELS], _TO_DEG[AS_LEVELS]
     # What is stated has the tails of a Gaussian (Welch and Satterthwaite).
-    freedom = POSE_FREEDOM * ((own + shared) / own)[:, _AS_LEVELS] ** 2
-    causes = Causes(probability, scale * mean[:, _AS_LEVELS], scale * sigma, freedom)
+    freedom = POSE_FREEDOM * ((own + shared) / own)[:, AS_LEVELS] ** 2
+    causes = Causes(probability, scale * mean[:, AS_LEVELS], scale * sigma, freedom)
     limits = np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])
     levels = np.maximum(bounds(causes), LEAST_LEVELS)
     return FrameLevels(tuple(levels.tolist()), min(float(beyond(causes, limits).sum()), 1.0))

@@ -12,9 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from semloc_jax.datasets.base import Drive, Frame
-from semloc_jax.datasets.sensors import FARTHEST_M
 from semloc_jax.errors import SemlocError
-from semloc_jax.storage import is_plain_name
+from semloc_jax.storage import FARTHEST_M, is_plain_name
 
 _LOG = logging.getLogger(__name__)
 _WINDOW_M = 15.0

@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 
 from semloc_jax.errors import DamagedPicture, SemlocError
+from semloc_jax.storage import MOST_PIXELS
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_MOST_PIXELS = 2**27
-"""A small file can state any size; no camera has so many pixels."""
 
 
 @runtime_checkable
@@ -46,7 +45,7 @@ def decode_picture(data: np.ndarray, where: str) -> np.ndarray:
     """
     if data[:8].tobytes() == _PNG and data.size > 24:
         width, height = (int.from_bytes(data[at : at + 4].tobytes(), "big") for at in (16, 20))
-        if not 0 < width * height <= _MOST_PIXELS:
+        if not 0 < width * height <= MOST_PIXELS:
             raise DamagedPicture(f"{where}: states {width}x{height} px; expected the size of an image; write it again")
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong is said below
     try:

@@ -15,12 +15,11 @@ from semloc_jax.datasets.tables import column_names, find_columns
 from semloc_jax.datasets.templates import GNSS_COLUMNS
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.geodesy import Geodetic, enu_from_wgs84, wgs84_from_enu
+from semloc_jax.storage import FARTHEST_M
 from semloc_jax.structs import InertialNoise
 
 _FASTEST_MPS, _HIGHEST_M = 150.0, 1e5
 """No vehicle is faster, no road is higher."""
-FARTHEST_M = 1e8
-"""No place on the earth, in any coordinates, is farther from its origin."""
 _LARGEST_READING = 1e6
 """Beyond what a sensor reads, in any unit; computed with in float32, 1e39 would be infinite."""
 _DECIMALS = 4

@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from semloc_jax.evaluation.map_shapes import (
-    POSTS,
+    POST_NAMES,
     STEP_M,
     Comparable,
     LinePlaces,
@@ -30,7 +30,6 @@ Seen = Callable[[Float[np.ndarray, "n 2"]], Bool[np.ndarray, " n"]]
 """Which places of the reference were looked at: what was never seen cannot be missing."""
 MapAlignment = Literal["none", "se2"]
 
-_POST_NAMES = {label.name.lower() for label in POSTS}
 _SLOT = ElementClass.PARKING_SLOT.name.lower()
 _GATES_M = (2.0, 1.0, 0.5, 0.3, 0.3, 0.3)
 """How far counterparts may be apart while the SE(2) alignment converges."""
@@ -219,7 +218,7 @@ class _Side:
                     e.id,
                     e.corners @ R.T + t,
                     e.centre @ R.T + t,
-                    e.along if name in _POST_NAMES else R @ e.along,
+                    e.along if name in POST_NAMES else R @ e.along,
                     e.ends,
                     e.attributes,
                 )
@@ -308,7 +307,7 @@ def _pairs(made: Sequence[Thing], reference: Sequence[Thing], reach_m: float) ->
 
 def _errors(name: str, made: Thing, reference: Thing) -> tuple[np.ndarray, np.ndarray]:
     """Signed errors across (one of the middle, or of every corner) and along (of both ends) [m]."""
-    if name in _POST_NAMES:
+    if name in POST_NAMES:
         offset = made.centre - reference.centre
         return np.zeros(0), np.array([np.hypot(*offset)])
     if name == _SLOT:

@@ -26,6 +26,7 @@ LINES = frozenset({ElementClass.CURB, ElementClass.GUARDRAIL})
 POSTS = frozenset(
     {ElementClass.POLE, ElementClass.TRAFFIC_LIGHT, ElementClass.CONE, ElementClass.SIGN, ElementClass.PILLAR}
 )
+POST_NAMES = frozenset(label.name.lower() for label in POSTS)
 
 
 @runtime_checkable

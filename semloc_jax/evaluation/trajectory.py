@@ -11,10 +11,8 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.storage import npy_array, writing
+from semloc_jax.storage import FARTHEST_M, npy_array, writing
 
-_FARTHEST_M = 1e8
-"""No place on the earth, in any coordinates, is farther from its origin."""
 _LARGEST_SKEW = 0.01
 """Of the products of the rows of a rotation matrix: files hold six digits; ours."""
 _UPRIGHT = 0.97
@@ -198,7 +196,7 @@ def _upright(quaternion_xyzw: np.ndarray) -> float:
 
 def _require_near(t_m: np.ndarray, path: Path) -> None:
     far = np.abs(t_m).max(axis=1, initial=0.0)
-    if far.max(initial=0.0) > _FARTHEST_M:
+    if far.max(initial=0.0) > FARTHEST_M:
         raise SemlocError(
             f"trajectory {path}: pose {int(np.argmax(far))} lies {far.max():.3g} m from the origin; expected a place "
             "on the earth; check the columns"

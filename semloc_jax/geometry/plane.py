@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 Points = Float[Array | np.ndarray, "*n 3"]
 _NUM_STEPS = 12
-_SIGMA_OF_MAD = 1.4826
+SIGMA_OF_MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 class Plane(NamedTuple):
@@ -41,7 +42,7 @@ def fit_plane(
     xp = points.__array_namespace__()
     base = xp.ones_like(points[:, 0]) if weight is None else weight
     plane = _least_squares(points, base)
-    width = _SIGMA_OF_MAD * _weighted_median(xp.abs(signed_distance(plane, points)), base) * 3
+    width = SIGMA_OF_MAD * _weighted_median(xp.abs(signed_distance(plane, points)), base) * 3
     for _ in range(_NUM_STEPS):
         width = xp.maximum(width, xp.asarray(3 * noise_m, dtype=points.dtype))
         robust = base / (1 + (signed_distance(plane, points) / width) ** 2) ** 2

@@ -19,8 +19,8 @@ from semloc_jax.datasets.pictures import as_colour, read_picture
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception import load_class_table
 from semloc_jax.perception.blind_pixels import blind_pixels
+from semloc_jax.perception.target_pictures import PICTURE_SUFFIXES
 
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _BLACK, _FLAT = 6.0, 2.0
 """Mean and spread of grey levels below which a picture shows nothing."""
 _NUM_SAMPLES = 6
@@ -100,7 +100,7 @@ def surround_pictures(
 
 def pictures_by_camera(folder: Path, names: tuple[str, ...]) -> dict[str, Path]:
     """The file of a folder that has the name of a camera in its own, for each camera that has one."""
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES)
+    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES)
     found = {name: next((file for file in files if name.lower() in file.stem.lower()), None) for name in names}
     return {name: file for name, file in found.items() if file is not None}
 
@@ -165,7 +165,7 @@ def _of_folder(path: Path, calib: Path | None, cameras: tuple[str, ...] | None) 
     files = pictures_by_camera(path, rig.names) if path.is_dir() else {}
     missing = [name for name in rig.names if name not in files]
     if missing:
-        there = ", ".join(sorted(f.name for f in path.iterdir() if f.suffix.lower() in _SUFFIXES)[:8]) or "none"
+        there = ", ".join(sorted(f.name for f in path.iterdir() if f.suffix.lower() in PICTURE_SUFFIXES)[:8]) or "none"
         left = ",".join(name for name in rig.names if name in files)
         raise SemlocError(
             f"{path}: no picture of camera {', '.join(missing)} (there: {there}); expected one with the name of each "

@@ -17,7 +17,7 @@ from semloc_jax.localization.frame_alignment import Alignment, FrameAligner, mas
 from semloc_jax.localization.map_window import MapWindow
 from semloc_jax.localization.track_state import FrameFeatures
 
-_CONFIG = ExplicitConfig()
+EXPLICIT = ExplicitConfig()
 """No drive needed other values."""
 Trust = Callable[[np.ndarray], np.ndarray]
 
@@ -49,7 +49,7 @@ class ExplicitAligner(FrameAligner):
             trust(rows) > 0.0,
             local.from_map(T_start, np.float64),
             sigma,
-            _CONFIG,
+            EXPLICIT,
         )
         T = rigid.normalised(local.to_map(found.pose.T_local_base))
         own = masks_covariance(found.pose.covariance, sigma, self.config.min_information)

@@ -16,7 +16,8 @@ from semloc_jax.evaluation.mixture_bounds import RISK, Causes, beyond
 
 _DIRECTIONS = [1, 0, 5]
 """Lateral, longitudinal and heading in a tangent."""
-_UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
+LEVEL_UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
+"""Of lateral, longitudinal and heading in levels [m, m, deg] for those in tangents [m, m, rad]."""
 _LEAST_PART = 0.01
 """No direction is left with less of the risk: tails are not known beyond."""
 _NUM_PARTS, _HALVINGS = 25, 30
@@ -85,7 +86,7 @@ def protection_levels(
 
     def bounds(share: np.ndarray) -> np.ndarray:
         """For risks on either side."""
-        return np.hypot(stdtrit(freedom, 1.0 - share) * sigma, -ndtri(share) * of_map) * _UNITS
+        return np.hypot(stdtrit(freedom, 1.0 - share) * sigma, -ndtri(share) * of_map) * LEVEL_UNITS
 
     levels = bounds(np.full(3, config.risk / 6.0))
     if not (levels <= room).all() and (room > 0.0).all():
@@ -125,7 +126,7 @@ def misleading(
     variance = np.maximum(np.diagonal(covariance), 1e-18)[_DIRECTIONS]
     total = variance + of_map**2
     # What is stated has the tails of a Gaussian (Welch and Satterthwaite).
-    scale = _UNITS * np.sqrt(total)
+    scale = LEVEL_UNITS * np.sqrt(total)
     causes = Causes(np.ones(1), fault[None], scale[None], (freedom * (total / variance) ** 2)[None])
     limits = np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])
     return float(min(beyond(causes, limits).sum(), 1.0))

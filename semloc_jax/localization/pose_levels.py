@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.alignment.frame_levels import AS_LEVELS
 from semloc_jax.cameras import Rig
 from semloc_jax.evaluation.metrics import ErrorLimit
 from semloc_jax.evaluation.mixture_bounds import Causes, beyond
@@ -15,6 +16,7 @@ from semloc_jax.fusion import noise_scale
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.localization import course, innovations, separation, watch, weighed_faults
 from semloc_jax.localization.integrity import (
+    LEVEL_UNITS,
     ProtectionLevels,
     beyond_alert,
     map_sigmas,
@@ -25,11 +27,8 @@ from semloc_jax.localization.separation import STAY, Separation
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import TrackerState
 
-_AS_LEVELS = [1, 0, 2]
-"""Lateral, longitudinal, heading among the directions of `noise_scale`."""
 _OF_LEVELS = [1, 0, 5]
-"""The same in a tangent."""
-_UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
+"""Lateral, longitudinal, heading in a tangent."""
 _LEAST_VARIANCE = 1e-12
 """Of a pose [m^2, rad^2]: none is surer."""
 _UNTOLD_DEG = float(np.degrees(0.5 / 600.0))
@@ -121,7 +120,7 @@ def known_of(
         map_sigma: What the map leaves open around the pose: place [m], direction [rad].
         config: Limits.
     """
-    freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[_AS_LEVELS]
+    freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[AS_LEVELS]
     errors = fused.covariance, freedom, map_sigmas(*map_sigma)
     if not state.tracks:
         return Known(errors, [], [], state.doubted, STAY, None, 0.0, None, np.zeros((2, 3)), STAY, rig, config)
@@ -135,7 +134,7 @@ def known_of(
     way, aside_rad = course.course_of(fused), float(state.watch.aside_rad)
     by_masks = weighed_faults.aside(state.watch, len(rig.names), config.watch)
     probable = course.probability(aside_rad, way, watch.is_ahead(rig), by_masks)
-    sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), _LEAST_VARIANCE))[_OF_LEVELS] * _UNITS
+    sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), _LEAST_VARIANCE))[_OF_LEVELS] * LEVEL_UNITS
     weighed = weighed_faults.weighed(state.watch, len(rig.names), sigma, freedom, config.watch)
     still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)
     sound = weighed_faults.of_sound_ones(state.watch, len(rig.names), config.watch)

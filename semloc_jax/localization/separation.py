@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.alignment.frame_levels import AS_LEVELS
 from semloc_jax.evaluation.metrics import ErrorLimit
-from semloc_jax.localization.integrity import ProtectionLevels
+from semloc_jax.localization.integrity import LEVEL_UNITS, ProtectionLevels
 from semloc_jax.localization.watch_config import WatchConfig
 
 STAY = np.zeros(3)
 """The move of a pose that stays where it is."""
-_UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
 
 
 class Separation(NamedTuple):
@@ -41,7 +41,7 @@ def separated(moved: Float[np.ndarray, "3"], cause: str, is_sided: bool = True) 
         cause: What is told of it.
         is_sided: Whether the right pose would be there, not as far away on either side.
     """
-    off = np.asarray(moved, np.float64)[[1, 0, 2]] * _UNITS
+    off = np.asarray(moved, np.float64)[AS_LEVELS] * LEVEL_UNITS
     side = np.sign(off) if is_sided else np.zeros(3)
     return Separation(*np.abs(off).tolist(), cause, tuple(side.tolist()))
 

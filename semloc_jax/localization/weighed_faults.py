@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit, logit, stdtr
 
+from semloc_jax.alignment.frame_levels import AS_LEVELS
 from semloc_jax.evaluation.mixture_bounds import Causes
+from semloc_jax.localization.integrity import LEVEL_UNITS
 from semloc_jax.localization.moved_elements import CLASSES, near, profile_of
 from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, alternatives
 from semloc_jax.localization.watch_config import WatchConfig
@@ -30,8 +32,6 @@ _LEAST_BEND_NATS = 0.8
 off costs less, what they like is told by their pixels. A real drive of 400 x 120 px has 0.4, simulated ones 1 to 4."""
 _ASIDE_ROW = alternatives(2).index(ASIDE)
 """Its place among `alternatives` of rigs of several cameras."""
-_AS_LEVELS = [1, 0, 2]
-_UNITS = np.array([1.0, 1.0, np.degrees(1.0)])
 _HALVINGS = 24
 _FAR = 32.0
 """Bounds are no larger [m, deg]; they are found to micrometres."""
@@ -67,9 +67,9 @@ def weighed(
         rows += [_of_calibration(watch, k, config) for k in _lenses(num_cameras)]
         rows += [_of_class(watch, name, config) for name in CLASSES]
     probability, mean, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-    total = np.hypot(sigma * _UNITS, own_sigma)
+    total = np.hypot(sigma * LEVEL_UNITS, own_sigma)
     # What costs leave open has the tails of a Gaussian (Welch and Satterthwaite).
-    return Causes(probability, mean * _UNITS, total, freedom * (total / own_sigma) ** 4)
+    return Causes(probability, mean * LEVEL_UNITS, total, freedom * (total / own_sigma) ** 4)
 
 
 def _lenses(num_cameras: int) -> list[int]:
@@ -106,7 +106,7 @@ def _told(watch: WatchState, k: int, config: WatchConfig) -> _Told | None:
     if bend < _LEAST_BEND_NATS:
         return None
     variance = 0.5 / (bend * config.share * float(num[:2].mean()))
-    return _Told(0.5 * slope / bend, variance, (0.5 * (moves[0] - moves[1]))[_AS_LEVELS])
+    return _Told(0.5 * slope / bend, variance, (0.5 * (moves[0] - moves[1]))[AS_LEVELS])
 
 
 def _of_calibration(watch: WatchState, k: int, config: WatchConfig) -> _Rows:
@@ -138,7 +138,7 @@ def of_sound_ones(watch: WatchState, num_cameras: int, config: WatchConfig) -> F
         told = _told(watch, k, config)
         if told is not None:
             variance += told.moved**2 / (1.0 / told.variance + 1.0 / _EXACT_STEPS**2)
-    return variance * _UNITS**2
+    return variance * LEVEL_UNITS**2
 
 
 def _of_class(watch: WatchState, name: str, config: WatchConfig) -> _Rows:

@@ -17,8 +17,6 @@ from semloc_jax.structs import ElementClass
 Place = Sequence[float | int] | np.ndarray | Array
 """Coordinates of one place, `[2]` or `[3]`."""
 
-FARTHEST_M = 1e8
-"""Beyond any coordinate on the earth in metres, projected grids included."""
 
 LARGEST_M = 1e3
 """Beyond the size of anything that stands or is painted on a road."""

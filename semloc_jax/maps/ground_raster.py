@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps.elements import FARTHEST_M
-from semloc_jax.storage import npy_array, reading
+from semloc_jax.storage import FARTHEST_M, npy_array, reading
 
 RASTER_SIGMA_M = 0.05
 """Of a raster whose maker says nothing: about the spread of lidar ground on a road."""

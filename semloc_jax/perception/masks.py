@@ -13,6 +13,7 @@ import numpy as np
 from semloc_jax.errors import DamagedPicture, SemlocError
 from semloc_jax.perception.class_table import Channel, ClassTable, TableReport, load_class_table, preset_names
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset
+from semloc_jax.storage import MOST_PIXELS
 
 __all__ = [
     "Channel",
@@ -27,8 +28,6 @@ __all__ = [
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY = 0
-_MOST_PIXELS = 2**27
-"""A small file can state any size; no camera has so many pixels."""
 _LAYOUTS = {2: "RGB colour", 4: "grey with alpha", 6: "RGB with alpha"}
 
 
@@ -60,7 +59,7 @@ def read_mask(path: str | Path, size_px: tuple[int, int] | None = None) -> np.nd
             "a colour picture of the classes is not a mask: map its colours back to ids first"
         )
     width, height = struct.unpack_from(">II", chunks[0][1])
-    if not 0 < width * height <= _MOST_PIXELS:
+    if not 0 < width * height <= MOST_PIXELS:
         raise SemlocError(f"mask {path}: states {width}x{height} px; expected the size of an image; write it again")
     try:
         mask = cv2.imdecode(np.frombuffer(_as_grey(chunks), np.uint8), cv2.IMREAD_UNCHANGED)

@@ -19,7 +19,7 @@ from semloc_jax.cameras.bev import T_base_bev
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import reading
 
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _PATCH_PX_M = 0.008
 _MARGIN_M = 0.45
 """Around a mat: mounts by drawing are off by as much on the ground."""
@@ -146,7 +146,7 @@ def _filled(place: np.ndarray) -> np.ndarray:
 
 def grey_pictures(folder: Path) -> dict[str, np.ndarray]:
     """Grey pictures of a folder by file name."""
-    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _SUFFIXES) if folder.is_dir() else []
+    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in PICTURE_SUFFIXES) if folder.is_dir() else []
     found = {
         file.name: cv2.imdecode(np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE) for file in files
     }

@@ -15,13 +15,13 @@ from semloc_jax.mapping.net_slots import in_view
 from semloc_jax.mapping.slot_sights import SlotSightConfig
 from semloc_jax.mapping.view_slots import ViewSlot, in_metres, in_pixels, slots_of_view
 from semloc_jax.perception.networks.marking_net import MarkingNet, MarkingPoints
+from semloc_jax.perception.target_pictures import PICTURE_SUFFIXES
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.storage import output_path
 from semloc_jax.viz.slots import DrawnSlot, draw_slots
 from semloc_jax.viz.style import save
 
-_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp")
 _LEAST = 0.1
 """Points down to this confidence are written, so that recall and precision can be weighed afterwards."""
 _SHOWS_M = (4.0, 60.0)
@@ -71,13 +71,13 @@ def report_view_slots(path: Path, metres_per_px: float, net: MarkingNet, out: Pa
 def _pictures(path: Path) -> list[Path]:
     """The pictures of a folder by name, or the one that is given."""
     if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES and file.is_file())
         if files:
             return files
-    elif path.suffix.lower() in _SUFFIXES:
+    elif path.suffix.lower() in PICTURE_SUFFIXES:
         return [path]
     raise SemlocError(
-        f"slots {path}: no top views; expected a picture or a folder of pictures ({', '.join(_SUFFIXES)})"
+        f"slots {path}: no top views; expected a picture or a folder of pictures ({', '.join(PICTURE_SUFFIXES)})"
     )
 
 

@@ -20,7 +20,8 @@ _SPACING_M = 1.0
 
 _STYLES = {"lane_solid": "solid", "lane_dashed": "dashed", "lane_boundary": VIRTUAL}
 
-_ARROW = np.array([(-2.5, -0.08), (0.9, -0.08), (0.9, -0.4), (2.5, 0.0), (0.9, 0.4), (0.9, 0.08), (-2.5, 0.08)])
+ARROW = np.array([(-2.5, -0.08), (0.9, -0.08), (0.9, -0.4), (2.5, 0.0), (0.9, 0.4), (0.9, 0.08), (-2.5, 0.08)])
+"""Outline of a straight arrow: along it and across [m], the tip ahead."""
 
 ARROW_TIP = 4 * 3
 """Which point of an arrow is its tip: its edges are divided into four."""
@@ -90,7 +91,7 @@ class Painter:
         """An arrow 5 m long whose middle is at (s, d)."""
         sign = 1.0 if is_forward else -1.0
         return self.area(
-            name, "arrow", ElementClass.ROAD_MARK, s_m + sign * _ARROW[:, 0], d_m + sign * _ARROW[:, 1], kind="straight"
+            name, "arrow", ElementClass.ROAD_MARK, s_m + sign * ARROW[:, 0], d_m + sign * ARROW[:, 1], kind="straight"
         )
 
     def place(self, s_m: float, d_m: float) -> np.ndarray:

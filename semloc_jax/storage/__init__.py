@@ -8,6 +8,8 @@ from semloc_jax.storage.claims import claim, release_claims
 from semloc_jax.storage.garbage import rare_collection
 from semloc_jax.storage.leftovers import sweep, sweep_once, temporary_prefix
 from semloc_jax.storage.limits import (
+    FARTHEST_M,
+    MOST_PIXELS,
     decompressed,
     json_document,
     npy_array,
@@ -30,6 +32,8 @@ from semloc_jax.storage.writing import (
 )
 
 __all__ = [
+    "FARTHEST_M",
+    "MOST_PIXELS",
     "append_line",
     "claim",
     "decompressed",

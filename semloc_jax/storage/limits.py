@@ -17,6 +17,10 @@ from semloc_jax.errors import SemlocError, UsageError
 
 MOST_UNPACKED_BYTES = 1 << 30
 """Of one compressed file; a sweep of a lidar has some 10 MB."""
+FARTHEST_M = 1e8
+"""No place on the earth, in any coordinates, projected grids included, is farther from its origin."""
+MOST_PIXELS = 2**27
+"""A small file can state any size of a picture; no camera has so many pixels."""
 _GZIP = 16 + zlib.MAX_WBITS
 _STEP_BYTES = 1 << 20
 

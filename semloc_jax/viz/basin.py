@@ -16,7 +16,7 @@ from semloc_jax.analysis.basin import Basin
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.viz.bev import draw_map, draw_vehicle
-from semloc_jax.viz.style import INK, REFERENCE, new_figure, plain_axes
+from semloc_jax.viz.style import INK, LIGHT, REFERENCE, new_figure, plain_axes
 
 FOUND, LOST = "#1565c0", "#ff6d00"
 _SHADES = ("#0d47a1", "#00897b", "#8e24aa", "#6d4c41")
@@ -97,20 +97,17 @@ def basin_on_map(
     axes.set_xlim(T_true[0, 3] - reach_m, T_true[0, 3] + reach_m)
     axes.set_ylim(T_true[1, 3] - reach_m, T_true[1, 3] + reach_m)
     axes.set_aspect("equal")
-    axes.set_title(title, fontsize=9, color=_LIGHT)
-    axes.set_xlabel("x east [m]", fontsize=9, color=_LIGHT)
-    axes.set_ylabel("y north [m]", fontsize=9, color=_LIGHT)
+    axes.set_title(title, fontsize=9, color=LIGHT)
+    axes.set_xlabel("x east [m]", fontsize=9, color=LIGHT)
+    axes.set_ylabel("y north [m]", fontsize=9, color=LIGHT)
     bar = figure.colorbar(points, ax=axes, pad=0.02, shrink=0.8)
-    bar.set_label("start, coloured by how far from the truth it ended [m]", fontsize=8, color=_LIGHT)
+    bar.set_label("start, coloured by how far from the truth it ended [m]", fontsize=8, color=LIGHT)
     bar.ax.yaxis.set_major_formatter("{x:g}")
-    bar.ax.tick_params(labelsize=8, colors=_LIGHT, which="both")
+    bar.ax.tick_params(labelsize=8, colors=LIGHT, which="both")
     bar.outline.set_visible(False)
     for row, name in enumerate(("longitudinal offset of the start [m]", "lateral offset [m]", "heading offset [deg]")):
         _draw_success(plain_axes(figure.add_subplot(grid[row, 1]), dark=True), start[:, row], found, name)
     return figure
-
-
-_LIGHT = "#e8edf4"
 
 
 def _draw_on_map(axes: Axes, start: np.ndarray, ends_m: np.ndarray, T_true: np.ndarray) -> PathCollection:
@@ -133,5 +130,5 @@ def _draw_success(axes: Axes, offset: np.ndarray, found: np.ndarray, name: str) 
     colours = colormaps["RdYlBu"](np.nan_to_num(share) / 100.0)
     axes.bar(0.5 * (edges[1:] + edges[:-1]), share, 0.92 * np.diff(edges), color=colours)
     axes.set_ylim(0, 105)
-    axes.set_xlabel(name, fontsize=9, color=_LIGHT)
-    axes.set_ylabel("found [%]", fontsize=9, color=_LIGHT)
+    axes.set_xlabel(name, fontsize=9, color=LIGHT)
+    axes.set_ylabel("found [%]", fontsize=9, color=LIGHT)

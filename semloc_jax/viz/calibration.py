@@ -15,7 +15,7 @@ from semloc_jax.maps import LocalMap, sample
 from semloc_jax.perception.surround import SurroundView
 from semloc_jax.viz.bev import VEHICLE_M
 from semloc_jax.viz.overlay import draw_contours, project_contours
-from semloc_jax.viz.style import new_figure
+from semloc_jax.viz.style import SHIFT, new_figure
 
 _ALONG, _ACROSS, _HORIZON = (64, 196, 255), (255, 179, 0), (255, 255, 255)
 """Grid lines along x, across it, and the horizon, red green blue."""
@@ -23,7 +23,6 @@ _GRID_M, _STEP_M = (30.0, 10.0), (5.0, 2.0)
 """Half length and step of the grid along x and y around a narrow camera."""
 _WIDE_GRID_M, _WIDE_STEP_M = (12.0, 12.0), (2.0, 2.0)
 _LEGEND = "white: horizon   blue: lines ahead   amber: lines across, on the road"
-_SHIFT = 4
 _FAR_M = 1e6
 _FISHEYE_DEG = 100.0
 """Wider pictures are drawn on an upright cylinder instead of a plane."""
@@ -201,8 +200,8 @@ def _seen(
 
 
 def _draw(picture: np.ndarray, pieces: list[np.ndarray], colour: tuple[int, int, int], thickness_px: int) -> None:
-    fixed = [np.round(piece * 2**_SHIFT).astype(np.int32) for piece in pieces]
-    cv2.polylines(picture, fixed, False, colour, thickness_px, cv2.LINE_AA, _SHIFT)
+    fixed = [np.round(piece * 2**SHIFT).astype(np.int32) for piece in pieces]
+    cv2.polylines(picture, fixed, False, colour, thickness_px, cv2.LINE_AA, SHIFT)
 
 
 def _write_labels(

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from semloc_jax.viz.style import rgb
+from semloc_jax.viz.style import PLAN_BACK, PLAN_INK, rgb
 
-_BACK, _INK = (18, 20, 24), (215, 222, 230)
 _LIMIT, _LEVEL, _SIGMA, _REFERENCE = "#ef5350", "#90caf9", "#ffffff", "#66bb6a"
 _SIGMAS = 3.0
 _REACH = 1.6
@@ -45,7 +44,7 @@ def with_inset(image: np.ndarray, errors: FrameErrors) -> np.ndarray:
         errors: Of the frame.
     """
     size = int(np.clip(0.42 * image.shape[0], 96, 260))
-    plan = np.full((size, size, 3), _BACK, np.uint8)
+    plan = np.full((size, size, 3), PLAN_BACK, np.uint8)
     reach_m, middle = _REACH * max(errors.limit_m), 0.5 * size
     scale = middle / reach_m
 
@@ -68,7 +67,7 @@ def with_inset(image: np.ndarray, errors: FrameErrors) -> np.ndarray:
         centre = (round(middle + across), round(middle + along))
         cv2.drawMarker(plan, centre, rgb(_REFERENCE), cv2.MARKER_CROSS, 13, 2, cv2.LINE_AA)
     text = f"{2 * reach_m:.1f} m"
-    cv2.putText(plan, text, (5, size - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.36, _INK, 1, cv2.LINE_AA)
+    cv2.putText(plan, text, (5, size - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.36, PLAN_INK, 1, cv2.LINE_AA)
     picture, edge = image.copy(), max(size // 24, 4)
     picture[edge : edge + size, image.shape[1] - edge - size : image.shape[1] - edge] = plan
     return picture

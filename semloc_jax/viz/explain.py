@@ -21,12 +21,11 @@ from semloc_jax.maps.contours import painted_polygon
 from semloc_jax.maps.elements import UPRIGHT_CLASSES, MapElement
 from semloc_jax.viz.bev import VEHICLE_M
 from semloc_jax.viz.overlay import Contours
-from semloc_jax.viz.style import COLOURS, class_name, new_figure, plain_axes
+from semloc_jax.viz.style import COLOURS, LIGHT, SHIFT, class_name, new_figure, plain_axes
 
-_LIGHT, _FAINT = "#e8edf4", "#4a5462"
+_FAINT = "#4a5462"
 _HEAT = LinearSegmentedColormap.from_list("share", ["#3d5a80", "#2ec4b6", "#ffd166", "#ff7b54", "#ff2e63"])
 """From what hardly holds the pose to what holds it; all of it legible on asphalt."""
-_SHIFT = 4
 _NAMES = ("longitudinal", "lateral", "heading")
 _PRIOR_COLOURS = {"prior": "#ffb300", "road": "#8d99ae"}
 
@@ -70,17 +69,17 @@ def explained_image(
         axes.imshow(picture, interpolation="antialiased")
         _name_elements(axes, [(holder, contours[holder.id].uv) for holder in strong if holder.id in contours], picture)
         if len(panels) > 1:
-            axes.set_title(name, color=_LIGHT, fontsize=9, loc="left", pad=3)
-    figure.suptitle(title, color=_LIGHT, fontsize=11, x=0.01, ha="left")
+            axes.set_title(name, color=LIGHT, fontsize=9, loc="left", pad=3)
+    figure.suptitle(title, color=LIGHT, fontsize=11, x=0.01, ha="left")
     _colour_bar(figure, list(grid.flat), norm)
     return figure
 
 
 def _draw(picture: np.ndarray, uv: np.ndarray, colour: tuple[float, ...]) -> None:
-    fixed = list(np.round(uv * 2**_SHIFT).astype(np.int32))
+    fixed = list(np.round(uv * 2**SHIFT).astype(np.int32))
     thick = max(2, round(picture.shape[1] / 480))
-    cv2.polylines(picture, fixed, False, (8, 10, 14), thick + 2, cv2.LINE_AA, _SHIFT)
-    cv2.polylines(picture, fixed, False, tuple(255.0 * c for c in colour[:3]), thick, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(picture, fixed, False, (8, 10, 14), thick + 2, cv2.LINE_AA, SHIFT)
+    cv2.polylines(picture, fixed, False, tuple(255.0 * c for c in colour[:3]), thick, cv2.LINE_AA, SHIFT)
 
 
 def _name_elements(axes: Axes, shown: Sequence[tuple[Holder, np.ndarray]], picture: np.ndarray) -> None:
@@ -101,11 +100,11 @@ def _name_elements(axes: Axes, shown: Sequence[tuple[Holder, np.ndarray]], pictu
             f"{holder.id[:24]}  {_strongest(holder)}",
             (u, v),
             (text_u, text_v),
-            color=_LIGHT,
+            color=LIGHT,
             fontsize=8.5,
             ha="left" if side > 0 else "right",
             bbox={"facecolor": "#10141a", "alpha": 0.72, "edgecolor": "none", "pad": 2.5},
-            arrowprops={"arrowstyle": "-", "color": _LIGHT, "linewidth": 0.7, "alpha": 0.8},
+            arrowprops={"arrowstyle": "-", "color": LIGHT, "linewidth": 0.7, "alpha": 0.8},
             annotation_clip=True,
         )
 
@@ -151,7 +150,7 @@ def explained_map(
     shift_cm = 100.0 * explanation.shift_m
     above.set_title(
         f"arrow: where the car goes if the element is wrong by {shift_cm:g} cm; 1 cm is {enlarged / 100:g} m long",
-        color=_LIGHT,
+        color=LIGHT,
         fontsize=9,
         loc="left",
     )
@@ -159,7 +158,7 @@ def explained_map(
     above.set_ylabel("ahead [m]")
     _colour_bar(figure, [above, bars], norm)
     _draw_bars(plain_axes(bars, dark=True), explanation)
-    figure.suptitle(title, color=_LIGHT, fontsize=11, x=0.01, ha="left")
+    figure.suptitle(title, color=LIGHT, fontsize=11, x=0.01, ha="left")
     return figure
 
 
@@ -204,7 +203,7 @@ def _draw_arrows(axes: Axes, explanation: Explanation, T_up_map: np.ndarray, cou
             "",
             start + step,
             start,
-            arrowprops={"arrowstyle": "-|>", "color": _LIGHT, "linewidth": 1.6, "mutation_scale": 11, "shrinkB": 0},
+            arrowprops={"arrowstyle": "-|>", "color": LIGHT, "linewidth": 1.6, "mutation_scale": 11, "shrinkB": 0},
             zorder=8,
         )
         # Names stand beside the view: in it they would lie on what they name.
@@ -212,10 +211,10 @@ def _draw_arrows(axes: Axes, explanation: Explanation, T_up_map: np.ndarray, cou
             f"{holder.id[:20]}  {100.0 * np.hypot(*holder.shifted[:2]):.1f} cm",
             start,
             (right, place),
-            color=_LIGHT,
+            color=LIGHT,
             fontsize=8,
             va="center",
-            arrowprops={"arrowstyle": "-", "color": _LIGHT, "linewidth": 0.5, "alpha": 0.45},
+            arrowprops={"arrowstyle": "-", "color": LIGHT, "linewidth": 0.5, "alpha": 0.45},
             zorder=7,
         )
     return enlarged
@@ -265,7 +264,7 @@ def _draw_bars(axes: Axes, explanation: Explanation) -> None:
     axes.set_xticks(range(3), [f"{name}\nsigma {text}" for name, text in zip(_NAMES, texts, strict=True)])
     axes.set_ylim(0.0, 100.0)
     axes.grid(False)
-    axes.set_title("what holds each direction [%]", color=_LIGHT, fontsize=9, loc="left")
+    axes.set_title("what holds each direction [%]", color=LIGHT, fontsize=9, loc="left")
     handles = [Patch(color=colour, label=name) for name, colour, share in groups if share.max() > 0.004]
     axes.legend(
         handles=handles[::-1],
@@ -273,7 +272,7 @@ def _draw_bars(axes: Axes, explanation: Explanation) -> None:
         bbox_to_anchor=(1.0, 0.5),
         fontsize=8,
         frameon=False,
-        labelcolor=_LIGHT,
+        labelcolor=LIGHT,
         handlelength=0.9,
         handleheight=0.9,
     )
@@ -283,6 +282,6 @@ def _colour_bar(figure: Figure, axes: list[Axes], norm: PowerNorm) -> None:
     bar = figure.colorbar(
         ScalarMappable(norm, _HEAT), ax=axes, location="bottom", aspect=60, fraction=0.03, pad=0.015, shrink=0.6
     )
-    bar.set_label("share of what holds the pose, mean of the three directions [%]", color=_LIGHT, fontsize=8)
-    bar.ax.tick_params(labelsize=8, colors=_LIGHT)
+    bar.set_label("share of what holds the pose, mean of the three directions [%]", color=LIGHT, fontsize=8)
+    bar.ax.tick_params(labelsize=8, colors=LIGHT)
     bar.outline.set_visible(False)

@@ -11,12 +11,9 @@ from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.viz.maps import outline
-from semloc_jax.viz.style import COLOURS, ESTIMATE, rgb
+from semloc_jax.viz.style import COLOURS, ESTIMATE, PLAN_BACK, PLAN_INK, SHIFT, rgb
 
-_BACK, _INK = (18, 20, 24), (215, 222, 230)
 _NEW = "#ffffff"
-_SHIFT = 4
-"""Lines are drawn in sixteenths of a pixel."""
 _POST_PX = 2.5
 _SHARE = 0.36
 """Of the height of a picture that its plan may have, and of its width."""
@@ -53,24 +50,24 @@ class GrowingPlan:
         span_m = np.minimum(self._span_m, _SPAN_M)
         scale = min(_SHARE * image.shape[0] / span_m[1], _SHARE * image.shape[1] / span_m[0])
         width, height = (round(float(length)) for length in np.maximum(scale * span_m, 48.0))
-        plan = np.full((height, width, 3), _BACK, np.uint8)
+        plan = np.full((height, width, 3), PLAN_BACK, np.uint8)
         here = np.where(self._span_m > _SPAN_M, self._way[row], self._middle)
 
         def px(xy: np.ndarray) -> np.ndarray:
             off = (xy - here) * [scale, -scale] + [0.5 * width, 0.5 * height]
-            return np.round(np.clip(off, -1e4, 1e4) * 2**_SHIFT).astype(np.int32)
+            return np.round(np.clip(off, -1e4, 1e4) * 2**SHIFT).astype(np.int32)
 
         for k in np.flatnonzero(is_known):
             colour = rgb(_NEW if is_new[k] else COLOURS[self._labels[k]])
             line = self._outlines[k]
             if np.ptp(line, axis=0).max() * scale < _POST_PX:
-                cv2.circle(plan, px(line[0]), round(_POST_PX * 2**_SHIFT), colour, 1, cv2.LINE_AA, _SHIFT)
+                cv2.circle(plan, px(line[0]), round(_POST_PX * 2**SHIFT), colour, 1, cv2.LINE_AA, SHIFT)
             else:
-                cv2.polylines(plan, [px(line)], False, colour, 1, cv2.LINE_AA, _SHIFT)
-        cv2.polylines(plan, [px(self._way[: row + 1])], False, rgb(ESTIMATE), 1, cv2.LINE_AA, _SHIFT)
-        cv2.circle(plan, px(self._way[row]), 4 * 2**_SHIFT, rgb(ESTIMATE), -1, cv2.LINE_AA, _SHIFT)
+                cv2.polylines(plan, [px(line)], False, colour, 1, cv2.LINE_AA, SHIFT)
+        cv2.polylines(plan, [px(self._way[: row + 1])], False, rgb(ESTIMATE), 1, cv2.LINE_AA, SHIFT)
+        cv2.circle(plan, px(self._way[row]), 4 * 2**SHIFT, rgb(ESTIMATE), -1, cv2.LINE_AA, SHIFT)
         text = f"{span_m[0]:.0f} m"
-        cv2.putText(plan, text, (5, height - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.36, _INK, 1, cv2.LINE_AA)
+        cv2.putText(plan, text, (5, height - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.36, PLAN_INK, 1, cv2.LINE_AA)
         picture, edge = image.copy(), max(image.shape[0] // 50, 4)
         picture[edge : edge + height, image.shape[1] - edge - width : image.shape[1] - edge] = plan
         return picture

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from semloc_jax.perception.networks.marking_net import MarkingPoints
-from semloc_jax.viz.style import rgb
+from semloc_jax.viz.style import SHIFT, rgb
 
 FOUND, CORNER, TRUE = "#00e676", "#ffd600", "#ff4fa3"
-_ENLARGED, _SHIFT, _ARROW_M = 2, 4, 0.8
+_ENLARGED, _ARROW_M = 2, 0.8
 
 
 def draw_points(
@@ -30,10 +30,10 @@ def draw_points(
     """
     size = picture.shape[1] * _ENLARGED, picture.shape[0] * _ENLARGED
     shown = np.ascontiguousarray(cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC)[..., ::-1])
-    scale = _ENLARGED * 2**_SHIFT
+    scale = _ENLARGED * 2**SHIFT
     for place in true_uv_m / metres_per_px:
-        at = np.rint(place * scale - 2 ** (_SHIFT - 1)).astype(int)
-        cv2.circle(shown, tuple(at.tolist()), 6 * 2**_SHIFT, rgb(TRUE), 1, cv2.LINE_AA, _SHIFT)
+        at = np.rint(place * scale - 2 ** (SHIFT - 1)).astype(int)
+        cv2.circle(shown, tuple(at.tolist()), 6 * 2**SHIFT, rgb(TRUE), 1, cv2.LINE_AA, SHIFT)
     for uv, yaw, is_corner in zip(found.uv, found.yaw_rad, found.is_corner, strict=True):
         start = (uv + 0.5) * _ENLARGED
         end = start + _ENLARGED * _ARROW_M / metres_per_px * np.array([np.cos(yaw), np.sin(yaw)])

@@ -11,10 +11,9 @@ from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.perception.networks.obstacle_net import KINDS, FoundObstacles
 from semloc_jax.viz.obstacles import COLOURS
-from semloc_jax.viz.style import rgb
+from semloc_jax.viz.style import SHIFT, rgb
 
 _TRUE, _OPEN = "#ffffff", "#808080"
-_SHIFT = 4
 
 
 def draw_boxes(
@@ -45,5 +44,5 @@ def draw_boxes(
 
 
 def _frame(shown: np.ndarray, box: Float[np.ndarray, " 4"], colour: tuple[int, int, int]) -> None:
-    left, top, right, low = np.rint(box * 2**_SHIFT).astype(int).tolist()
-    cv2.rectangle(shown, (left, top), (right, low), colour, 1, cv2.LINE_AA, _SHIFT)
+    left, top, right, low = np.rint(box * 2**SHIFT).astype(int).tolist()
+    cv2.rectangle(shown, (left, top), (right, low), colour, 1, cv2.LINE_AA, SHIFT)

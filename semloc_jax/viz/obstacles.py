@@ -11,11 +11,10 @@ import numpy as np
 
 from semloc_jax.perception.surround import SurroundView
 from semloc_jax.viz.slots import UNSURE
-from semloc_jax.viz.style import rgb
+from semloc_jax.viz.style import SHIFT, rgb
 
 COLOURS = {"cone": "#ff6d00", "pillar": "#ff8a80", "ground_lock": "#ffd600", "no_parking_sign": "#ff1744"}
 
-_SHIFT = 4
 _ELLIPSE = 32
 
 
@@ -46,14 +45,13 @@ def draw_obstacles(picture: np.ndarray, view: SurroundView, obstacles: Sequence[
     for thing in sorted(obstacles, key=lambda o: o.confirmed):
         colour = rgb(COLOURS[thing.kind] if thing.confirmed else UNSURE)
         outline, around = (
-            np.round(view.pixels(part) * 2**_SHIFT).astype(np.int32)
-            for part in (thing.outline_base, thing.ellipse_base)
+            np.round(view.pixels(part) * 2**SHIFT).astype(np.int32) for part in (thing.outline_base, thing.ellipse_base)
         )
         filled = shown.copy()
-        cv2.fillPoly(filled, [outline], colour, cv2.LINE_AA, _SHIFT)
+        cv2.fillPoly(filled, [outline], colour, cv2.LINE_AA, SHIFT)
         shown = cv2.addWeighted(filled, 0.6, shown, 0.4, 0.0)
-        cv2.polylines(shown, [outline], True, colour, thick, cv2.LINE_AA, _SHIFT)
-        cv2.polylines(shown, [around], True, (255, 255, 255), max(1, thick // 2), cv2.LINE_AA, _SHIFT)
+        cv2.polylines(shown, [outline], True, colour, thick, cv2.LINE_AA, SHIFT)
+        cv2.polylines(shown, [around], True, (255, 255, 255), max(1, thick // 2), cv2.LINE_AA, SHIFT)
         at = view.pixels(thing.outline_base).max(axis=0).round().astype(int) + [2 * thick, 0]
         for ink, width in (((8, 10, 14), thick + 2), ((240, 244, 248), max(1, thick // 2))):
             place = int(at[0]), int(at[1])

@@ -20,10 +20,8 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.residuals.view import contour_points
 from semloc_jax.structs import ElementClass, MapSamples
-from semloc_jax.viz.style import COLOURS, class_name, new_figure, rgb
+from semloc_jax.viz.style import COLOURS, SHIFT, class_name, new_figure, rgb
 
-_SHIFT = 4
-"""Lines are drawn in sixteenths of a pixel."""
 _MAX_SEGMENT_PX = 400.0
 """A longer piece comes from a contour that passes right by the lens: it would only smear."""
 
@@ -122,11 +120,11 @@ def draw_contours(
         colour: One colour `#rrggbb` for all classes.
     """
     picture = np.ascontiguousarray(image).copy()
-    fixed = np.round(contours.uv * 2**_SHIFT).astype(np.int32)
-    cv2.polylines(picture, list(fixed), False, (8, 10, 14), thickness_px + 2, cv2.LINE_AA, _SHIFT)
+    fixed = np.round(contours.uv * 2**SHIFT).astype(np.int32)
+    cv2.polylines(picture, list(fixed), False, (8, 10, 14), thickness_px + 2, cv2.LINE_AA, SHIFT)
     for label in contours.classes:
         pieces = list(fixed[contours.label == label])
-        cv2.polylines(picture, pieces, False, rgb(colour or COLOURS[label]), thickness_px, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(picture, pieces, False, rgb(colour or COLOURS[label]), thickness_px, cv2.LINE_AA, SHIFT)
     return picture
 
 

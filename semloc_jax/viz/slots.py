@@ -9,10 +9,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from semloc_jax.viz.style import rgb
+from semloc_jax.viz.style import SHIFT, rgb
 
 FREE, TAKEN, UNSURE = "#00e676", "#ff5252", "#90a4ae"
-_SHIFT = 4
 
 
 class DrawnSlot(NamedTuple):
@@ -45,13 +44,13 @@ def draw_slots(
     for slot in sorted(slots, key=lambda s: s.confirmed):
         uv = pixels(slot.corners_base)
         colour = rgb(colour_of(slot.occupied) if slot.confirmed else UNSURE)
-        fixed = np.round(uv * 2**_SHIFT).astype(np.int32)
+        fixed = np.round(uv * 2**SHIFT).astype(np.int32)
         if slot.confirmed:
             filled = shown.copy()
-            cv2.fillPoly(filled, [fixed], colour, cv2.LINE_AA, _SHIFT)
+            cv2.fillPoly(filled, [fixed], colour, cv2.LINE_AA, SHIFT)
             shown = cv2.addWeighted(filled, 0.22, shown, 0.78, 0.0)
-        cv2.polylines(shown, [fixed], True, colour, thick, cv2.LINE_AA, _SHIFT)
-        cv2.polylines(shown, [fixed[:2]], False, (255, 255, 255), thick + 1, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(shown, [fixed], True, colour, thick, cv2.LINE_AA, SHIFT)
+        cv2.polylines(shown, [fixed[:2]], False, (255, 255, 255), thick + 1, cv2.LINE_AA, SHIFT)
         middle = uv.mean(axis=0).round().astype(int)
         size = cv2.getTextSize(slot.name, cv2.FONT_HERSHEY_SIMPLEX, 0.22 * thick, thick)[0]
         at = int(middle[0] - size[0] / 2), int(middle[1] + size[1] / 2)

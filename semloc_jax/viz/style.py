@@ -35,6 +35,12 @@ COLOURS: dict[ElementClass, str] = {
 """Bright and far apart in hue: legible on asphalt, on sky and at night."""
 
 ASPHALT = "#161a21"
+LIGHT = "#e8edf4"
+"""Words on asphalt."""
+PLAN_BACK, PLAN_INK = (18, 20, 24), (215, 222, 230)
+"""Ground and words of plans that are drawn into films."""
+SHIFT = 4
+"""Lines are drawn in sixteenths of a pixel."""
 PAPER = "#ffffff"
 INK = "#20242c"
 ESTIMATE, REFERENCE, PRIOR = "#ffffff", "#00e676", "#ffb300"

@@ -14,9 +14,7 @@ from semloc_jax.analysis.placement import PlacementReport
 from semloc_jax.analysis.survey import Survey
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.viz.bev import draw_map
-from semloc_jax.viz.style import new_figure, plain_axes
-
-_LIGHT = "#e8edf4"
+from semloc_jax.viz.style import LIGHT, new_figure, plain_axes
 
 
 def survey_view(elements: Sequence[MapElement], survey: Survey, title: str = "") -> Figure:
@@ -58,15 +56,15 @@ def survey_view(elements: Sequence[MapElement], survey: Survey, title: str = "")
             bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             bar.ax.yaxis.set_minor_formatter(NullFormatter())
         bar.ax.yaxis.set_major_formatter("{x:g}")
-        bar.ax.tick_params(labelsize=8, colors=_LIGHT, which="both")
+        bar.ax.tick_params(labelsize=8, colors=LIGHT, which="both")
         bar.outline.set_visible(False)
         axes.set_aspect("equal")
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
-        axes.set_title(f"{name}; red rim: above {limit:g}", fontsize=9, color=_LIGHT)
-    figure.supxlabel("x east [m]", fontsize=9, color=_LIGHT)
-    figure.supylabel("y north [m]", fontsize=9, color=_LIGHT)
-    figure.suptitle(title, fontsize=10, color=_LIGHT)
+        axes.set_title(f"{name}; red rim: above {limit:g}", fontsize=9, color=LIGHT)
+    figure.supxlabel("x east [m]", fontsize=9, color=LIGHT)
+    figure.supylabel("y north [m]", fontsize=9, color=LIGHT)
+    figure.suptitle(title, fontsize=10, color=LIGHT)
     return figure
 
 

@@ -15,9 +15,8 @@ from jaxtyping import Bool, Float
 
 from semloc_jax.cameras import Camera
 from semloc_jax.datasets.pandaset.projection import project
-from semloc_jax.datasets.sensors import FARTHEST_M
 from semloc_jax.errors import SemlocError
-from semloc_jax.storage import decompressed
+from semloc_jax.storage import FARTHEST_M, decompressed
 
 MOVABLE = (
     "Car",

@@ -20,13 +20,13 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.cameras import PinholeCamera, Rig
 from semloc_jax.datasets.base import IMAGE, Drive, Frame
 from semloc_jax.datasets.pandaset.cuboids import draw_cuboids, read_cuboids
-from semloc_jax.datasets.sensors import FARTHEST_M, GnssTrack, WheelOdometry
+from semloc_jax.datasets.sensors import GnssTrack, WheelOdometry
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
 from semloc_jax.geometry.geodesy import enu_from_wgs84
 from semloc_jax.geometry.plane import fit_plane
 from semloc_jax.maps import GeoOrigin
-from semloc_jax.storage import npz_arrays
+from semloc_jax.storage import FARTHEST_M, npz_arrays
 
 FRONT = "front_camera"
 CAMERAS = (FRONT, "front_left_camera", "front_right_camera", "left_camera", "right_camera", "back_camera")

@@ -12,13 +12,12 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from semloc_jax.evaluation.map_shapes import POSTS
+from semloc_jax.evaluation.map_shapes import POST_NAMES
 from semloc_jax.mapping.crowd.changes import ChangeConfig
 from semloc_jax.mapping.crowd.looks_chain import Looks, PresenceConfig
 from semloc_jax.mapping.crowd.presence import Presence, belongs
 from semloc_jax.mapping.crowd.world import CrowdWorld
 
-POST_NAMES = sorted(label.name.lower() for label in POSTS)
 _WIDER_M = 0.1
 """By how much a place may be off."""
 _SHARE = 0.2
@@ -88,7 +87,7 @@ def _rivals(world: CrowdWorld, looks: Looks) -> Int[np.ndarray, "k 2"]:
     shared = shapely.area(shapely.intersection(outlines[a], outlines[b]))
     least = np.minimum(shapely.area(outlines[a]), shapely.area(outlines[b]))
     a, b, lies = flat[a], flat[b], shared > _SHARE * least
-    stands = np.flatnonzero(np.isin(world.kind.astype(str), POST_NAMES))
+    stands = np.flatnonzero(np.isin(world.kind.astype(str), sorted(POST_NAMES)))
     close = cKDTree(world.centre[stands]).query_pairs(_ROOM_M, output_type="ndarray") if len(stands) > 1 else _NONE
     a, b = np.concatenate([a, stands[close[:, 0]]]), np.concatenate([b, stands[close[:, 1]]])
     lies = np.concatenate([lies, np.ones(len(close), dtype=bool)])

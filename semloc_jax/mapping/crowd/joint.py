@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.sparse import coo_array, csr_array, vstack
 from scipy.sparse.linalg import splu
 
+from semloc_jax.geometry.plane import SIGMA_OF_MAD
 from semloc_jax.mapping.crowd.correction import SCALE, Correction
 from semloc_jax.mapping.crowd.seen import Seen
 from semloc_jax.mapping.crowd.world import CrowdWorld
@@ -24,7 +25,6 @@ _TOGETHER = np.array([1e-3, 1e-3, 1e-6, 1e-6])
 _PLACED_SIGMAS = 2.0
 """A drive that is not trusted counts for the mean place if it is no farther from the others; ours."""
 _ROUNDS = 4
-_SIGMA_OF_MAD = 1.4826
 _FREE = 0.01
 
 
@@ -194,7 +194,7 @@ class JointSolve:
         for which in range(3):
             own = np.abs(r * grown)[(group[1] == which) & (num > 1)]
             if len(own) >= 4:
-                found = _SIGMA_OF_MAD * float(np.median(own))
+                found = SIGMA_OF_MAD * float(np.median(own))
                 self.seen[group[0]].factor[which] = np.clip(found, _LEAST_FACTOR[which], _MOST_FACTOR)
 
     def _num_drives(self) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from semloc_jax.evaluation.map_shapes import POSTS, kind_of
+from semloc_jax.evaluation.map_shapes import POST_NAMES, kind_of
 from semloc_jax.geometry import polyline
 from semloc_jax.mapping.crowd.correction import Correction
 from semloc_jax.mapping.crowd.facing import passes_its_face
@@ -28,7 +28,6 @@ _INSIDE = 0.8
 """Share of the half length at which the ends of a thing must lie in the area that was looked at."""
 _HIGH_M = 4.5
 """What hangs higher above the ground lets every vehicle pass below."""
-_POST_NAMES = {label.name.lower() for label in POSTS}
 
 
 def looks_of(fused: Fused, config: PresenceConfig) -> tuple[Looks, Looks, list[int]]:
@@ -50,7 +49,7 @@ def _things(fused: Fused, rows: list[int], steps: np.ndarray, config: PresenceCo
     tip = _INSIDE * world.half_m[:, :1] * world.along
     places = np.stack([world.centre, world.centre - tip, world.centre + tip], axis=1)
     visible, seen, band = (np.zeros((n, len(rows)), dtype=t) for t in (bool, bool, int))
-    is_post = np.isin(world.kind.astype(str), sorted(_POST_NAMES))
+    is_post = np.isin(world.kind.astype(str), sorted(POST_NAMES))
     elements = [fused.drives[place].sights.things.elements[row] for place, row in world.source.tolist()]
     faces = np.array([np.zeros(2) if e.normal is None else e.normal[:2] for e in elements]).reshape(-1, 2)
     for column, k in enumerate(rows):

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps.elements import FARTHEST_M, LARGEST_M, UPRIGHT_CLASSES, VIRTUAL, MapElement
-from semloc_jax.storage import write_text
+from semloc_jax.maps.elements import LARGEST_M, UPRIGHT_CLASSES, VIRTUAL, MapElement
+from semloc_jax.storage import FARTHEST_M, write_text
 from semloc_jax.structs import ElementClass
 
 _LINE, _AREA, _ANY = frozenset({"LineString"}), frozenset({"Polygon"}), frozenset({"LineString", "Polygon"})

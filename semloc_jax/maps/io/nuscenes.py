@@ -14,9 +14,10 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.curves import without_repeats
-from semloc_jax.maps.elements import FARTHEST_M, VIRTUAL, MapElement
+from semloc_jax.maps.elements import VIRTUAL, MapElement
 from semloc_jax.maps.io.paint import assuming, strokes
 from semloc_jax.maps.semantic_map import SemanticMap
+from semloc_jax.storage import FARTHEST_M
 from semloc_jax.structs import ElementClass
 
 _PAINTED_STOPS = frozenset({"STOP_SIGN", "TRAFFIC_LIGHT", "YIELD"})

@@ -17,12 +17,12 @@ from jaxtyping import Float
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.beliefs import BeliefMap
-from semloc_jax.maps.elements import FARTHEST_M, GeoOrigin
+from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.maps.io.packed_elements import elements_of, told_elements
 from semloc_jax.maps.io.varints import joined_columns, split_columns
 from semloc_jax.maps.semantic_map import SemanticMap, require_place
 from semloc_jax.maps.versions.records import json_bytes
-from semloc_jax.storage import reading, write_bytes
+from semloc_jax.storage import FARTHEST_M, reading, write_bytes
 
 MAGIC, _ANY_VERSION = b"SLOC\x03", 4
 _HASH_BYTES = 32

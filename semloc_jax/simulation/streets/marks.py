@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
+from semloc_jax.simulation.elements import ARROW
 from semloc_jax.simulation.looks.materials import (
     BLUE,
     DARK_PATCH,
@@ -27,7 +28,6 @@ from semloc_jax.simulation.path import PlanePath
 
 Mark = tuple[shapely.Geometry, int]
 _STEP_M = 1.0
-_ARROW = np.array([(-2.5, -0.08), (0.9, -0.08), (0.9, -0.4), (2.5, 0.0), (0.9, 0.4), (0.9, 0.08), (-2.5, 0.08)])
 _TURN = np.array(
     [(-2.5, -0.08), (1.0, -0.08), (1.4, 0.5), (1.1, 0.7), (2.0, 1.2), (2.2, 0.1), (1.9, 0.3), (1.2, 0.08), (-2.5, 0.08)]
 )
@@ -159,7 +159,7 @@ def junction_marks(path: PlanePath, lanes: CrossSection, s: float, rng: np.rando
         is_oncoming = lanes.center > 0 and d > own_left
         for back_m in (rng.uniform(4.0, 9.0), rng.uniform(14.0, 25.0)):
             if rng.random() < 0.6:
-                shape = (_ARROW, _TURN, _TURN * [1.0, -1.0])[int(rng.integers(3))] * rng.uniform(0.7, 1.3)
+                shape = (ARROW, _TURN, _TURN * [1.0, -1.0])[int(rng.integers(3))] * rng.uniform(0.7, 1.3)
                 marks.append((_placed(path, shape, s - back_m, d, is_oncoming), variant_id("arrow", WHITE)))
         if rng.random() < 0.35:
             marks += strokes(path, s - rng.uniform(28.0, 34.0), d - 0.7, 2.4, rng)

@@ -16,7 +16,7 @@ import shapely
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps.assumed_dashes import joined_dashes
-from semloc_jax.maps.elements import FARTHEST_M, GeoOrigin, MapElement, Place
+from semloc_jax.maps.elements import GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel
 from semloc_jax.maps.heights import lifted
 from semloc_jax.maps.io.features import FEATURE_CLASSES
@@ -32,6 +32,7 @@ from semloc_jax.maps.semantic_map import (
 )
 from semloc_jax.maps.soundness import fault_of, faults_of, tell
 from semloc_jax.maps.tiled_ground import TiledGround
+from semloc_jax.storage import FARTHEST_M
 from semloc_jax.structs import ElementClass
 
 _MOST_CACHED = 50_000
