@@ -170,7 +170,18 @@ def _measured(verb: str, case: DriveCase, drive: Path, folder: Path) -> DriveRun
     units_ms.append(yardstick(masks, case.num_frames))
     spread = max(max(taken) / min(taken) - 1 for taken in (starts_s, units_ms))
     unit_ms, start_s = float(np.mean(units_ms)), float(np.mean(starts_s))
-    return DriveRun(verb, case, cold, warm, whole, stages_ms, unit_ms, good, start_s, spread)
+    return DriveRun(
+        verb=verb,
+        case=case,
+        cold=cold,
+        warm=warm,
+        whole=whole,
+        stages_ms=stages_ms,
+        yardstick_ms=unit_ms,
+        good=good,
+        start_s=start_s,
+        spread=spread,
+    )
 
 
 def _start_s(folder: Path) -> float:

@@ -110,20 +110,20 @@ def calibrate_on_road(drive: Drive, masks: MaskSource, config: RoadCalibrationCo
             break
         fit = refitted(fit, start, rig, motion, streaks, config.gates_m[-1], settings, spots)
     return RoadCalibration(
-        rig,
-        Rig(rig.cameras, fit.T_base_cam, rig.names),
-        float(fit.odometer[0]),
-        float(fit.odometer[1]),
-        observability(rig, fit, settings),
-        frames,
-        fit.T_odom_base,
-        _spread_m(start, streaks, fit.members),
-        _spread_m(fit, streaks, fit.members),
-        len(fit.members),
-        sum(len({streaks[k].camera for k in line}) > 1 for line in fit.members),
-        0 if spots is None else len(spots.camera),
-        _seen(start, fit, streaks),
-        fit.converged,
+        rig_before=rig,
+        rig=Rig(rig.cameras, fit.T_base_cam, rig.names),
+        odometer_scale=float(fit.odometer[0]),
+        gyro_bias_radps=float(fit.odometer[1]),
+        observability=observability(rig, fit, settings),
+        frames=frames,
+        T_odom_base=fit.T_odom_base,
+        before_m=_spread_m(start, streaks, fit.members),
+        after_m=_spread_m(fit, streaks, fit.members),
+        num_lines=len(fit.members),
+        num_across=sum(len({streaks[k].camera for k in line}) > 1 for line in fit.members),
+        num_spots=0 if spots is None else len(spots.camera),
+        seen=_seen(start, fit, streaks),
+        converged=fit.converged,
     )
 
 

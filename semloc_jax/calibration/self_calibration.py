@@ -144,16 +144,16 @@ def calibrate_from(
     T_map_base = local.to_map(solution.state.T_map_base)
     vehicle = dict(zip(COMMON, np.asarray(solution.state.common).tolist(), strict=True))
     return SelfCalibration(
-        nominal,
-        _corrected(nominal, pictures.rig, solution.state, config),
-        vehicle,
-        observability,
-        start.frames,
-        T_map_base,
-        float(solution.inlier_ratio),
-        level_px,
-        bool(solution.converged),
-        _notes(drive, start.motion is not None, T_map_base),
+        rig_before=nominal,
+        rig=_corrected(nominal, pictures.rig, solution.state, config),
+        vehicle=vehicle,
+        observability=observability,
+        frames=start.frames,
+        T_map_base=T_map_base,
+        inlier_ratio=float(solution.inlier_ratio),
+        level_px=level_px,
+        converged=bool(solution.converged),
+        notes=_notes(drive, start.motion is not None, T_map_base),
     )
 
 

@@ -92,16 +92,16 @@ def run(options: Options) -> int:
         print(f"results: {report.folder}")
         return OK
     drives = EyesDrives(
-        options.drives,
-        options.held_out,
-        options.map,
-        options.masks,
-        parse_slice(options.frames),
-        parse_slice(options.held_out_frames),
-        parse_names(options.cameras),
-        options.prior,
-        network_preset(Path(options.network)) if options.network is not None else None,
-        begin,
+        learned_from=options.drives,
+        held_out=options.held_out,
+        map=options.map,
+        masks=options.masks,
+        frames=parse_slice(options.frames),
+        held_out_frames=parse_slice(options.held_out_frames),
+        cameras=parse_names(options.cameras),
+        prior=options.prior,
+        network=network_preset(Path(options.network)) if options.network is not None else None,
+        begin=begin,
     )
     report = report_eyes(drives, options.settings, options.out)
     print(report.text)

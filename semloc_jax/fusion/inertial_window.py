@@ -148,11 +148,17 @@ class InertialWindow:
         is_good = (off < config.refuse_sigmas) & (rho > _BEHIND) & (rho < _LARGEST_INVERSE_DEPTH)
         self.pool.keep(rows, found.values["landmark"][:num], is_good)
         return InertialEstimate(
-            self.moments[-1].time_s, self.state(-1), found.covariance[:STATE, :STATE], int(is_good.sum()),
-            int(found.num_steps), float(found.cost),
-            self._measured_step(found.residuals[:num], problem.views.sqrt_info[:num]),
-            self.moments[0].time_s, self.state(0), found.covariance[:STATE, STATE:],
-        )  # fmt: skip
+            time_s=self.moments[-1].time_s,
+            state=self.state(-1),
+            covariance=found.covariance[:STATE, :STATE],
+            num_landmarks=int(is_good.sum()),
+            num_steps=int(found.num_steps),
+            cost=float(found.cost),
+            step_px=self._measured_step(found.residuals[:num], problem.views.sqrt_info[:num]),
+            oldest_s=self.moments[0].time_s,
+            oldest=self.state(0),
+            across_oldest=found.covariance[:STATE, STATE:],
+        )
 
     def _learn_steps(self, found_px: float) -> None:
         """Believe of the next images what these showed."""

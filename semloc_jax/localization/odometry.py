@@ -237,15 +237,31 @@ def _frame_of(
     sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
     velocity_odom = T_odom_base[:3, :3] @ state.T_map_base[:3, :3].T @ state.velocity_map
     return OdometryFrame(
-        moment.time_s, T_odom_base, velocity_odom, state.bias, sigma, moment.tracks.num_followed,
-        estimate.num_landmarks, moment.is_standing, state.mount_rad, float(state.delay_s[0]), seen_velocity(estimate),
-    )  # fmt: skip
+        time_s=moment.time_s,
+        T_odom_base=T_odom_base,
+        velocity_odom=velocity_odom,
+        bias=state.bias,
+        sigma=sigma,
+        num_followed=moment.tracks.num_followed,
+        num_landmarks=estimate.num_landmarks,
+        is_standing=moment.is_standing,
+        mount_rad=state.mount_rad,
+        delay_s=float(state.delay_s[0]),
+        velocity=seen_velocity(estimate),
+    )
 
 
 def _frame_at(window: InertialWindow, index: int) -> OdometryFrame:
     state, moment = window.state(index), window.moments[index]
     return OdometryFrame(
-        moment.time_s, state.T_map_base, state.velocity_map, state.bias, np.full(STATE, np.nan),
-        moment.tracks.num_followed, int(window.pool.seen[:, index].sum()), moment.is_standing, state.mount_rad,
-        float(state.delay_s[0]),
-    )  # fmt: skip
+        time_s=moment.time_s,
+        T_odom_base=state.T_map_base,
+        velocity_odom=state.velocity_map,
+        bias=state.bias,
+        sigma=np.full(STATE, np.nan),
+        num_followed=moment.tracks.num_followed,
+        num_landmarks=int(window.pool.seen[:, index].sum()),
+        is_standing=moment.is_standing,
+        mount_rad=state.mount_rad,
+        delay_s=float(state.delay_s[0]),
+    )

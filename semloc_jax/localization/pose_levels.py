@@ -123,7 +123,20 @@ def known_of(
     freedom = noise_scale.freedom(state.noise, noise_scale.BELIEFS)[AS_LEVELS]
     errors = fused.covariance, freedom, map_sigmas(*map_sigma)
     if not state.tracks:
-        return Known(errors, [], [], state.doubted, STAY, None, 0.0, None, np.zeros((2, 3)), STAY, rig, config)
+        return Known(
+            errors=errors,
+            faults=[],
+            spoken=[],
+            doubted=state.doubted,
+            standing=STAY,
+            way=None,
+            aside=0.0,
+            weighed=None,
+            still=np.zeros((2, 3)),
+            sound=STAY,
+            rig=rig,
+            config=config,
+        )
     spoken = _spoken_for(state, rig, config)
     doubted = separation.remembered(state.doubted, spoken, way_m, config.watch)
     lasting = separation.lasting(doubted, spoken)
@@ -139,7 +152,20 @@ def known_of(
     still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)
     sound = weighed_faults.of_sound_ones(state.watch, len(rig.names), config.watch)
     remembered = (way, aside_rad)
-    return Known(errors, faults, spoken, doubted, reached, remembered, probable, weighed, still, sound, rig, config)
+    return Known(
+        errors=errors,
+        faults=faults,
+        spoken=spoken,
+        doubted=doubted,
+        standing=reached,
+        way=remembered,
+        aside=probable,
+        weighed=weighed,
+        still=still,
+        sound=sound,
+        rig=rig,
+        config=config,
+    )
 
 
 def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:

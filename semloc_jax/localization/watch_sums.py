@@ -119,16 +119,16 @@ def learned(
         new[rows], gain[rows], moved[rows] = 1.0, one.gain_nats[asked], one.moved[asked]
     usable = np.isfinite(profiles).all()
     return WatchState(
-        keep * watch.num + new,
-        keep * watch.gain + gain,
-        keep * watch.moved + moved.ravel(),
-        keep * watch.profiles + (np.asarray(profiles, np.float64).ravel() if usable else 0.0),
-        np.float64(aside_rad),
-        np.float64(keep * watch.num_looks + usable),
-        np.int64(watch.num_frames + 1),
-        np.float64(0.0),
-        watch.stance,
-        watch.sign,
+        num=keep * watch.num + new,
+        gain=keep * watch.gain + gain,
+        moved=keep * watch.moved + moved.ravel(),
+        profiles=keep * watch.profiles + (np.asarray(profiles, np.float64).ravel() if usable else 0.0),
+        aside_rad=np.float64(aside_rad),
+        num_looks=np.float64(keep * watch.num_looks + usable),
+        num_frames=np.int64(watch.num_frames + 1),
+        way_m=np.float64(0.0),
+        stance=watch.stance,
+        sign=watch.sign,
     )
 
 

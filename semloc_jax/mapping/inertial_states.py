@@ -130,9 +130,17 @@ def _intervals(drive: Drive, time_s: np.ndarray, config: InertialConfig) -> _Int
     top = _mean(wheels.time_s, np.abs(wheels.speed_mps)[:, None], time_s)[:, 0]
     standing = has_wheels & (np.maximum(top, np.maximum(np.abs(speed[1:]), np.abs(speed[:-1]))) < config.standing_mps)
     return _Intervals(
-        step_s, mean[:, :3], mean[:, 3:], turned[:, 0], np.diff(speed) / step_s, turned[:, 1],
-        bool(imu.accel_mps2.any()), has_imu, has_wheels, standing,
-    )  # fmt: skip
+        step_s=step_s,
+        rate=mean[:, :3],
+        force=mean[:, 3:],
+        speed=turned[:, 0],
+        acceleration=np.diff(speed) / step_s,
+        wheel_rate=turned[:, 1],
+        has_accelerometer=bool(imu.accel_mps2.any()),
+        has_imu=has_imu,
+        has_wheels=has_wheels,
+        is_standing=standing,
+    )
 
 
 def _mean(at_s: np.ndarray, rows: np.ndarray, time_s: np.ndarray) -> np.ndarray:

@@ -155,7 +155,18 @@ def simulate(
     told = {"epoch": config.epoch, "drive": config.drive, **tour.told}
     name = f"{kind} seed {seed}"
     scene = world.scene()
-    staging = Staging(kind, seed, scene, tour.motion, _ORIGIN, name, told, changes, tour.has_gnss, world.features)
+    staging = Staging(
+        kind=kind,
+        seed=seed,
+        scene=scene,
+        motion=tour.motion,
+        origin=_ORIGIN,
+        map_name=name,
+        told=told,
+        changes=changes,
+        has_gnss=tour.has_gnss,
+        features=world.features,
+    )
     return write_drive(Path(out), staging, rig, config, own)
 
 

@@ -163,7 +163,18 @@ def _drive(header: Sequence[Any], columns: list[np.ndarray]) -> PackedDrive:
         raise ValueError("no way, no elements, or a ring of fewer than three places")
     held = SemanticMap(tuple(e for e, _ in known), None, name, frame=f"odom of {name}: x ahead at its first pose")
     beliefs = BeliefMap(held, {e.id: b for e, b in known})
-    return PackedDrive(name, beliefs, numbers, sigma_m, origin, way, rings, when_s, str(source), scale)
+    return PackedDrive(
+        name=name,
+        beliefs=beliefs,
+        place=numbers,
+        sigma_place_m=sigma_m,
+        origin=origin,
+        way=way,
+        rings=rings,
+        when_s=when_s,
+        source=str(source),
+        scale=scale,
+    )
 
 
 def _way(columns: Sequence[np.ndarray] | np.ndarray) -> Float[np.ndarray, "k 4"]:

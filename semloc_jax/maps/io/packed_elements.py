@@ -89,19 +89,19 @@ def elements_of(
         points = _places(np.cumsum(np.vstack([first, steps[bounds[k] : bounds[k + 1]]]), axis=0), way)
         width_m, radius_m, height_m, more_m = sizes[k].tolist()
         element = MapElement(
-            f"{ElementClass[label].name.lower()}_{k}",
-            ElementClass[label],
-            _round(points, int(corners)) if corners else points,
-            bool(flags & _CLOSED),
-            width_m,
-            radius_m,
-            round(radius_m + more_m, 2),
-            height_m,
-            str(style),
-            str(shape),
-            _unit(next(faces)) if flags & _HAS_NORMAL else None,
-            (bool(flags & _START), bool(flags & _END)),
-            bool(flags & _HAS_HEIGHT),
+            id=f"{ElementClass[label].name.lower()}_{k}",
+            label=ElementClass[label],
+            points=_round(points, int(corners)) if corners else points,
+            closed=bool(flags & _CLOSED),
+            width_m=width_m,
+            radius_m=radius_m,
+            radius_top_m=round(radius_m + more_m, 2),
+            height_m=height_m,
+            style=str(style),
+            shape=str(shape),
+            normal=_unit(next(faces)) if flags & _HAS_NORMAL else None,
+            true_ends=(bool(flags & _START), bool(flags & _END)),
+            has_height=bool(flags & _HAS_HEIGHT),
         )
         sigmas_m = np.exp(np.array([across[k], along[k]]) / _LOG_STEPS).tolist()
         counts = int(seen[k]), int(missed[k])

@@ -52,17 +52,17 @@ def drawn_light(rng: np.random.Generator, time: str | None = None) -> Light:
         for _ in range(int(rng.integers(0, 7)))
     )
     return Light(
-        time,
-        sun,
-        strength * warm,
-        ambient[time] * (2.0 - warm) * (1.0 + rng.normal(0.0, 0.03, 3)),
-        rng.uniform(0.4, 2.5) * (time == NIGHT or (time == DUSK and rng.random() < 0.5)),
-        rng.uniform(0.5, 5.0),
-        float(np.exp(rng.uniform(np.log(60.0), np.log(2000.0)))),
-        rng.uniform(0.2, 1.0) * (rng.random() < (0.5 if time == NIGHT else 0.25)),
-        rng.uniform(0.0, 1.0) * (rng.random() < 0.4),
-        shadows,
-        rng.uniform(0.0, 500.0, 2),
+        time=time,
+        sun=sun,
+        sun_bgr=strength * warm,
+        ambient_bgr=ambient[time] * (2.0 - warm) * (1.0 + rng.normal(0.0, 0.03, 3)),
+        headlight=rng.uniform(0.4, 2.5) * (time == NIGHT or (time == DUSK and rng.random() < 0.5)),
+        retro=rng.uniform(0.5, 5.0),
+        haze_m=float(np.exp(rng.uniform(np.log(60.0), np.log(2000.0)))),
+        wet=rng.uniform(0.2, 1.0) * (rng.random() < (0.5 if time == NIGHT else 0.25)),
+        leafy=rng.uniform(0.0, 1.0) * (rng.random() < 0.4),
+        bands=shadows,
+        offset=rng.uniform(0.0, 500.0, 2),
     )
 
 
