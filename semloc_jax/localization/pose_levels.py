@@ -23,6 +23,7 @@ from semloc_jax.localization.integrity import (
     misleading,
     protection_levels,
 )
+from semloc_jax.localization.other_calibrations import alternatives
 from semloc_jax.localization.separation import STAY, Separation
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import TrackerState
@@ -145,12 +146,13 @@ def known_of(
     faults = [*spoken, *standing]
     reached = separation.farthest(separation.reach(standing), STAY)
     way, aside_rad = course.course_of(fused), float(state.watch.aside_rad)
-    by_masks = weighed_faults.aside(state.watch, len(rig.names), config.watch)
+    names = alternatives(len(rig.names))
+    by_masks = weighed_faults.aside(state.watch, names, config.watch)
     probable = course.probability(aside_rad, way, watch.is_ahead(rig), by_masks)
     sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), _LEAST_VARIANCE))[_OF_LEVELS] * LEVEL_UNITS
-    weighed = weighed_faults.weighed(state.watch, len(rig.names), sigma, freedom, config.watch)
+    weighed = weighed_faults.weighed(state.watch, names, sigma, freedom, config.watch)
     still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)
-    sound = weighed_faults.of_sound_ones(state.watch, len(rig.names), config.watch)
+    sound = weighed_faults.of_sound_ones(state.watch, names, config.watch)
     remembered = (way, aside_rad)
     return Known(
         errors=errors,

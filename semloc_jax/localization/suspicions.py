@@ -7,24 +7,24 @@ be.
 import numpy as np
 
 from semloc_jax.localization.moved_elements import classes_apart
-from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, alternatives, unit_of
+from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, unit_of
 from semloc_jax.localization.stance_sums import height_m
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import Suspicion, WatchState, means_of
 
 
-def suspicions(watch: WatchState, num_cameras: int, config: WatchConfig) -> list[Suspicion]:
-    """Every fault that the drive speaks for, the clearest first."""
+def suspicions(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> list[Suspicion]:
+    """Every fault that the drive speaks for, the clearest first; `names`: the `alternatives` of the rig."""
     if not len(watch.num):
         return []
-    found = [*_calibrations(watch, num_cameras, config), *classes_apart(watch, config)]
+    found = [*_calibrations(watch, names, config), *classes_apart(watch, config)]
     return sorted(found, key=lambda s: -s.nats)
 
 
-def _calibrations(watch: WatchState, num_cameras: int, config: WatchConfig) -> list[Suspicion]:
+def _calibrations(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> list[Suspicion]:
     """Where a parabola through the costs of the calibration and of those beside it has its minimum."""
     found = []
-    for k, name in enumerate(alternatives(num_cameras)):
+    for k, name in enumerate(names):
         num, gain, moved = means_of(watch, k)
         # All cameras together are weighed only, see `weighed_faults`: one look from one place may like it by 7 nats.
         if name == ASIDE or (num[:2] < 0.5).any():

@@ -23,7 +23,7 @@ from semloc_jax.localization.course import Course, course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_in_map import FrameInMap
 from semloc_jax.localization.moved_elements import CLASSES, moves
-from semloc_jax.localization.other_calibrations import FOCAL, RADIAL, STEPS, WIDTH, changed_rigs, widths
+from semloc_jax.localization.other_calibrations import FOCAL, RADIAL, STEPS, WIDTH, alternatives, changed_rigs, widths
 from semloc_jax.localization.separation import Separation, separated
 from semloc_jax.localization.suspicions import suspicions
 from semloc_jax.localization.watch_config import WatchConfig
@@ -77,15 +77,16 @@ def looked(
     solved = partial(frame.align_again, T_map_base=T, covariance=_LOOSE)
     own = cache(lambda: float(solved(_ALONE(rig), [0.0], [0])[0][0]))
     again = partial(_again, solved=solved, own=own, T=T, score=view.found.score, config=config)
-    names = asked_now(watch, len(rig.names), config)
-    sides = [far_side(watch, len(rig.names), name) for name in names]
+    every = alternatives(len(rig.names))
+    names = asked_now(watch, every, config)
+    sides = [far_side(watch, every, name) for name in names]
     tried = [_tried(*one, rig, again, config) for one in zip(names, sides, strict=True)]
     other = _WITH_OTHER_SIGN(rig, -1.0) if RADIAL in names else None
     if other is not None:
         gain, moved = again(_ALONE(other), [0.0], [0])
         watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))
     watch = _leaned(watch, fused.T_map_base, frame, way_m)
-    return learned(watch, len(rig.names), aside, tried, profiles, config)
+    return learned(watch, every, aside, tried, profiles, config)
 
 
 def _tried(name: str, side: int | None, rig: Rig, again: _Again, config: WatchConfig) -> Tried:
@@ -131,7 +132,7 @@ def _leaned(watch: WatchState, T_map_base: np.ndarray, frame: FrameInMap, way_m:
 def spoken_for(watch: WatchState, rig: Rig, config: WatchConfig) -> list[Separation]:
     """Every fault that the last frames speak for; arguments as `separations`."""
     found = []
-    for suspected in suspicions(watch, len(rig.names), config):
+    for suspected in suspicions(watch, alternatives(len(rig.names)), config):
         if suspected.nats >= (config.class_count_nats if suspected.name in CLASSES else config.count_nats):
             # Elements that were moved say where they are, not where the pose is: it lies between them and all others.
             is_sided = suspected.name not in CLASSES

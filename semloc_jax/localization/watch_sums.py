@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from semloc_jax.localization.lens_sign import SignState
-from semloc_jax.localization.other_calibrations import ASIDE, FOCAL, RADIAL, STEPS, WIDTH, alternatives
+from semloc_jax.localization.other_calibrations import ASIDE, FOCAL, RADIAL, STEPS, WIDTH
 from semloc_jax.localization.stance_sums import StanceState
 from semloc_jax.localization.watch_config import WatchConfig
 
@@ -65,22 +65,21 @@ class Suspicion(NamedTuple):
     """How far the pose would be off: forward [m], left [m], heading [rad]."""
 
 
-def asked_now(watch: WatchState, num_cameras: int, config: WatchConfig) -> tuple[str, ...]:
-    """What the next frame is asked for: all but turns of single cameras at the start of a drive, later one alternative
-    after another."""
-    names = alternatives(num_cameras)
+def asked_now(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> tuple[str, ...]:
+    """Which of the `alternatives` the next frame is asked for: all but turns of single cameras at the start of a drive,
+    later one after another."""
     if int(watch.num_frames) < config.eager_looks:
         return tuple(name for name in names if name in (FOCAL, RADIAL, WIDTH, ASIDE))
     return (names[int(watch.num_frames) % len(names)],)
 
 
-def far_side(watch: WatchState, num_cameras: int, name: str) -> int | None:
+def far_side(watch: WatchState, names: tuple[str, ...], name: str) -> int | None:
     """The side (0 up, 1 down) on which an alternative fits better on average so far; None where there is none.
 
     There a far change is asked for, too. Not the frame itself decides: one that happens to like a near change likes a
     far one.
     """
-    k = len(STEPS) * alternatives(num_cameras).index(name)
+    k = len(STEPS) * names.index(name)
     if len(watch.num) <= k or (watch.num[k : k + 2] <= 0.0).any():
         return None
     mean = watch.gain[k : k + 2] / watch.num[k : k + 2]
@@ -90,7 +89,7 @@ def far_side(watch: WatchState, num_cameras: int, name: str) -> int | None:
 
 def learned(
     watch: WatchState,
-    num_cameras: int,
+    names: tuple[str, ...],
     aside_rad: float,
     tried: Sequence[Tried],
     profiles: Float[np.ndarray, "group n"],
@@ -100,13 +99,12 @@ def learned(
 
     Args:
         watch: Before.
-        num_cameras: Of the rig.
+        names: The `alternatives` of the rig.
         aside_rad: Direction of travel to be remembered.
         tried: The frame with `changed_rigs` of every one of `asked_now`.
         profiles: Costs of every one of `GROUPS` at `moves`.
         config: Memory.
     """
-    names = alternatives(num_cameras)
     size = len(STEPS) * len(names)
     if watch.num.shape != (size,):
         zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))

@@ -48,7 +48,7 @@ _NOTHING: _Rows = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
 
 def weighed(
     watch: WatchState,
-    num_cameras: int,
+    names: tuple[str, ...],
     own_sigma: Float[np.ndarray, "3"],
     freedom: Float[np.ndarray, "3"],
     config: WatchConfig,
@@ -57,14 +57,14 @@ def weighed(
 
     Args:
         watch: Sums over the last frames.
-        num_cameras: Of the rig.
+        names: The `alternatives` of the rig.
         own_sigma: Standard deviations of the pose without faults, in the same order and units.
         freedom: Degrees of freedom that these stand on.
         config: Steps of the watch.
     """
     rows = [_NOTHING]
     if len(watch.num):
-        rows += [_of_calibration(watch, k, config) for k in _lenses(num_cameras)]
+        rows += [_of_calibration(watch, k, config) for k in _lenses(names)]
         rows += [_of_class(watch, name, config) for name in CLASSES]
     probability, mean, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     total = np.hypot(sigma * LEVEL_UNITS, own_sigma)
@@ -72,13 +72,13 @@ def weighed(
     return Causes(probability, mean * LEVEL_UNITS, total, freedom * (total / own_sigma) ** 4)
 
 
-def _lenses(num_cameras: int) -> list[int]:
+def _lenses(names: tuple[str, ...]) -> list[int]:
     """Which of `alternatives` are weighed.
 
     A road of another width is told with the height of the vehicle: a real drive with exact masks likes one that is
     0.1 m wider, from 0.35 m behind, and stands as high as its mounts say.
     """
-    return [k for k, name in enumerate(alternatives(num_cameras)) if name != WIDTH]
+    return [k for k, name in enumerate(names) if name != WIDTH]
 
 
 class _Told(NamedTuple):
@@ -122,19 +122,19 @@ def _of_calibration(watch: WatchState, k: int, config: WatchConfig) -> _Rows:
     return np.array([probability]), (size * told.moved)[None], np.abs(spread * told.moved)[None]
 
 
-def aside(watch: WatchState, num_cameras: int, config: WatchConfig) -> float:
+def aside(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> float:
     """Probability that all cameras look aside alike, by the masks; arguments as `weighed`."""
-    if num_cameras < 2 or not len(watch.num):
+    if ASIDE not in names or not len(watch.num):
         return _PROBABILITY
     told, _, _ = _of_calibration(watch, _ASIDE_ROW, config)
     return float(told[0]) if len(told) else _PROBABILITY
 
 
-def of_sound_ones(watch: WatchState, num_cameras: int, config: WatchConfig) -> Float[np.ndarray, "3"]:
+def of_sound_ones(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> Float[np.ndarray, "3"]:
     """Variance of a pose, left [m], ahead [m], heading [deg], by what calibrations that are as they should be are off
     all the same."""
     variance = np.zeros(3)
-    for k in _lenses(num_cameras) if len(watch.num) else ():
+    for k in _lenses(names) if len(watch.num) else ():
         told = _told(watch, k, config)
         if told is not None:
             variance += told.moved**2 / (1.0 / told.variance + 1.0 / _EXACT_STEPS**2)

@@ -31,16 +31,16 @@ def rig(num: int) -> Rig:
 
 def after_frames(num_cameras: int, cost, pose, profiles, num: int = 24) -> WatchState:
     """Frames whose cost and pose are given functions of the calibration's change, as `next_rigs` asks for it."""
-    state = WatchState()
+    state, names = WatchState(), alternatives(num_cameras)
     for _ in range(num):
         tried = []
-        for name in asked_now(state, num_cameras, CONFIG):
+        for name in asked_now(state, names, CONFIG):
             changes = STEPS * unit_of(name, CONFIG)
             gains = np.array([cost(name, 0.0) - cost(name, change) for change in changes])
-            asked = [True, True, *(far_side(state, num_cameras, name) == side for side in (0, 1))]
+            asked = [True, True, *(far_side(state, names, name) == side for side in (0, 1))]
             steps = np.array([pose(name, change) for change in changes])
             tried.append(Tried(name, np.where(asked, gains, np.nan), steps))
-        state = learned(state, num_cameras, 0.0, tried, profiles, CONFIG)
+        state = learned(state, names, 0.0, tried, profiles, CONFIG)
     return state
 
 
@@ -65,7 +65,7 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
         return 0.5 * ((change + (0.04 if name == wrong else 0.0)) / 0.01) ** 2
 
     state = after_frames(1, cost, pose, flat())
-    first = suspicions(state, 1, CONFIG)[0]
+    first = suspicions(state, alternatives(1), CONFIG)[0]
     assert (first.name, first.size) == (wrong, pytest.approx(-0.04, abs=1e-9))
     np.testing.assert_allclose(first.moved, [0.8, 0.0, 0.0], atol=1e-9)
     # Every frame asks for it at first, twice, later every third; each gains 8 nats, of which two (of a width: four) do
@@ -78,26 +78,26 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
 
 def test_a_drive_that_fits_raises_no_suspicion():
     state = after_frames(2, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat())
-    found = suspicions(state, 2, CONFIG)
+    found = suspicions(state, alternatives(2), CONFIG)
     assert len(found) == 13 and max(s.nats for s in found) < 1e-9
-    assert suspicions(WatchState(), 1, CONFIG) == []
+    assert suspicions(WatchState(), alternatives(1), CONFIG) == []
 
 
 def test_one_frame_that_likes_another_lens_is_no_suspicion():
     state = WatchState()
     for k in range(24):
         gains = np.array([6.0 if k == 7 else -3.0, -3.0, np.nan, np.nan])
-        assert far_side(state, 1, "focal") is None
-        tried = [Tried(name, gains, np.ones((4, 3))) for name in asked_now(state, 1, CONFIG)]
-        state = learned(state, 1, 0.0, tried, flat(), CONFIG)
-    assert max(s.nats for s in suspicions(state, 1, CONFIG)) == 0.0
+        assert far_side(state, alternatives(1), "focal") is None
+        tried = [Tried(name, gains, np.ones((4, 3))) for name in asked_now(state, alternatives(1), CONFIG)]
+        state = learned(state, alternatives(1), 0.0, tried, flat(), CONFIG)
+    assert max(s.nats for s in suspicions(state, alternatives(1), CONFIG)) == 0.0
 
 
 def test_one_camera_of_two_is_named():
     def cost(name, change):
         return 0.5 * ((change - (0.02 if name == "yaw 1" else 0.0)) / 0.005) ** 2
 
-    first = suspicions(after_frames(2, cost, lambda name, c: np.zeros(3), flat(), 40), 2, CONFIG)[0]
+    first = suspicions(after_frames(2, cost, lambda name, c: np.zeros(3), flat(), 40), alternatives(2), CONFIG)[0]
     assert (first.name, first.size) == ("yaw 1", pytest.approx(0.02))
 
 
@@ -110,7 +110,7 @@ def test_what_fits_beside_all_else_is_found(group, axis, off_m):
     there[axis] = off_m
     profiles[group] = 20.0 * np.minimum(np.linalg.norm(moves(CONFIG) - there, axis=1), 1.0)
     state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 6)
-    first = suspicions(state, 1, CONFIG)[0]
+    first = suspicions(state, alternatives(1), CONFIG)[0]
     assert first.name == GROUPS[group] + ("_ahead", "_left")[axis]
     assert first.size == pytest.approx(off_m) and first.nats > CONFIG.count_nats
     assert first.moved[axis] == pytest.approx(off_m)
@@ -148,7 +148,12 @@ def test_what_one_frame_does_not_say_again_is_doubted_on():
 def test_frames_without_numbers_leave_the_sums_alone():
     state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat(), 4)
     after = learned(
-        state, 1, 0.0, [Tried("focal", np.full(4, np.nan), np.zeros((4, 3)))], np.full_like(flat(), np.nan), CONFIG
+        state,
+        alternatives(1),
+        0.0,
+        [Tried("focal", np.full(4, np.nan), np.zeros((4, 3)))],
+        np.full_like(flat(), np.nan),
+        CONFIG,
     )
     keep = np.exp(-1.0 / CONFIG.memory_frames)
     np.testing.assert_allclose(after.gain, keep * state.gain)
@@ -157,7 +162,7 @@ def test_frames_without_numbers_leave_the_sums_alone():
 
 def test_the_other_calibrations_take_turns():
     """Lenses, the width of the road and the yaw of all cameras at first; then they and every camera's pitch and yaw."""
-    at = [asked_now(WatchState(num_frames=np.int64(k)), 2, CONFIG) for k in range(CONFIG.eager_looks + 8)]
+    at = [asked_now(WatchState(num_frames=np.int64(k)), alternatives(2), CONFIG) for k in range(CONFIG.eager_looks + 8)]
     assert set(at[: CONFIG.eager_looks]) == {("focal", "radial", "width", "yaw all")}
     assert sorted(name for (name,) in at[CONFIG.eager_looks :]) == sorted(alternatives(2))
 

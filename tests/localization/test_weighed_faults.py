@@ -7,7 +7,7 @@ from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.evaluation.mixture_bounds import RISK
 from semloc_jax.localization import separation, weighed_faults
 from semloc_jax.localization.moved_elements import moves
-from semloc_jax.localization.other_calibrations import ASIDE, STEPS
+from semloc_jax.localization.other_calibrations import ASIDE, STEPS, alternatives
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import Tried, WatchState, learned
 
@@ -37,13 +37,13 @@ def after(num: int, gains: tuple[float, float], lines_at_m: float = 0.0, nats: f
     state = WatchState()
     for _ in range(num):
         gain = np.array([*gains, np.nan, np.nan])
-        state = learned(state, 1, 0.0, [Tried("focal", gain, moved)], profiles(lines_at_m, nats), CONFIG)
+        state = learned(state, alternatives(1), 0.0, [Tried("focal", gain, moved)], profiles(lines_at_m, nats), CONFIG)
     return state
 
 
 def most(state: WatchState) -> np.ndarray:
     """How far the right pose may be: left [m], ahead [m], heading [deg]."""
-    causes = weighed_faults.weighed(state, 1, OWN, np.full(3, 20.0), CONFIG)
+    causes = weighed_faults.weighed(state, alternatives(1), OWN, np.full(3, 20.0), CONFIG)
     least, farthest = weighed_faults.reach(causes, SHARE)
     return np.max([-least, farthest, np.zeros(3)], axis=0)
 
@@ -62,7 +62,7 @@ def test_a_lens_that_is_2_percent_off_holds_the_level_open_where_each_frame_gain
 
 
 def test_the_place_that_a_wrong_lens_leaves_is_on_its_side():
-    causes = weighed_faults.weighed(after(20, (-6.5, 1.0)), 1, OWN, np.full(3, 20.0), CONFIG)
+    causes = weighed_faults.weighed(after(20, (-6.5, 1.0)), alternatives(1), OWN, np.full(3, 20.0), CONFIG)
     least, farthest = weighed_faults.reach(causes, SHARE)[:, 1]
     assert farthest > 0.3 and least > -0.05
     there = causes._replace(mean=causes.mean - np.array([0.0, farthest, 0.0]))
@@ -89,7 +89,7 @@ def test_a_pose_between_two_explanations_is_off_by_the_way_to_one_of_them():
 
 def test_a_sound_lens_leaves_the_place_as_open_as_lenses_are_exact():
     """0.125 % at 0.3 m for 2.5 %."""
-    variance = weighed_faults.of_sound_ones(after(2, (-5.0, -5.0)), 1, CONFIG)
+    variance = weighed_faults.of_sound_ones(after(2, (-5.0, -5.0)), alternatives(1), CONFIG)
     assert 0.01 < np.sqrt(variance[1]) <= 0.015
     assert variance[0] == variance[2] == 0.0
 
@@ -103,11 +103,12 @@ def test_cameras_at_the_front_and_at_the_rear_tell_whether_all_look_aside():
         state = WatchState()
         for _ in range(8):
             moved = np.array([[0.0, 0.0, np.deg2rad(-0.7) * step] for step in STEPS])
-            state = learned(state, 4, 0.0, [Tried(ASIDE, np.array(gains), moved)], profiles(0, 0), CONFIG)
-        causes = weighed_faults.weighed(state, 4, OWN, np.full(3, 20.0), CONFIG)
+            state = learned(state, alternatives(4), 0.0, [Tried(ASIDE, np.array(gains), moved)], profiles(0, 0), CONFIG)
+        causes = weighed_faults.weighed(state, alternatives(4), OWN, np.full(3, 20.0), CONFIG)
         level_deg = weighed_faults.reach(causes, SHARE)[1, 2]
-        found.append((weighed_faults.aside(state, 4, CONFIG), level_deg))
+        found.append((weighed_faults.aside(state, alternatives(4), CONFIG), level_deg))
     (sound, sound_deg), *turned = found
     assert sound < 0.002 and sound_deg < 0.3
     assert all(share > 2.0 * sound and level_deg > 0.6 for share, level_deg in turned)
-    assert weighed_faults.aside(state, 1, CONFIG) == weighed_faults.aside(WatchState(), 4, CONFIG) == 0.005
+    assert weighed_faults.aside(state, alternatives(1), CONFIG) == 0.005
+    assert weighed_faults.aside(WatchState(), alternatives(4), CONFIG) == 0.005
