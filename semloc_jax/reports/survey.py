@@ -20,7 +20,8 @@ from semloc_jax.cameras.io import read_calibration
 from semloc_jax.evaluation import read_trajectory
 from semloc_jax.geometry.geodesy import wgs84_from_enu
 from semloc_jax.maps import SemanticMap, read_map
-from semloc_jax.maps.io import write_compact, write_drive_geojson, write_geojson, write_lanelet2
+from semloc_jax.maps.io import write_drive_geojson, write_geojson
+from semloc_jax.maps.io.formats import FORMATS, format_of
 from semloc_jax.perception import ClassTable, load_class_table
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.survey_placement import Ranges, write_placement
@@ -171,12 +172,13 @@ def _write_small_map(road: SurveyRoad, places: np.ndarray, keep: float, settings
 
 def _format(path: Path) -> tuple[Callable[[SemanticMap, Path], None], str]:
     """Writer and suffix of the format of a map, the drive layout for what cannot be written."""
-    suffix = path.suffix.lower()
-    if suffix in (".osm", ".smap"):
-        return {".osm": write_lanelet2, ".smap": write_compact}[suffix], suffix
-    if suffix in (".geojson", ".json") and '"frame"' not in path.read_text(encoding="utf-8")[:4000]:
-        return write_geojson, ".geojson"
-    return write_drive_geojson, ".geojson"
+    if path.suffix.lower() in FORMATS["GeoJSON"].suffixes:
+        is_drive = '"frame"' in path.read_text(encoding="utf-8")[:4000]
+        return (write_drive_geojson if is_drive else write_geojson), ".geojson"
+    row = format_of(path)
+    if row is None or row.write is None or row is FORMATS["GeoPackage"]:  # an empty GeoPackage has 100 kB
+        return write_drive_geojson, ".geojson"
+    return row.write, row.suffixes[0]
 
 
 def _write_placement(

@@ -1,12 +1,26 @@
 """`semloc survey`: places, weak stretches, a small map, where a camera should look."""
 
 import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cli.main import FAILED, OK, main
+from semloc_jax.maps.io import write_drive_geojson
+from semloc_jax.maps.io.formats import format_of
+from semloc_jax.reports import survey
+
+
+@pytest.mark.parametrize(
+    ("name", "written"), [("m.osm", ".osm"), ("m.xml", ".osm"), ("m.smap", ".smap"), ("m.gpkg", None), ("m.xodr", None)]
+)
+def test_a_small_map_has_the_format_of_the_whole_one(name, written):
+    """Where that can be written and has no size of its own; else it is GeoJSON in metres."""
+    write, suffix = survey._format(Path(name))
+    assert suffix == (written or ".geojson")
+    assert write is (format_of(Path(name)).write if written else write_drive_geojson)
 
 
 def test_a_camera_that_is_not_there_is_told_before_the_work(simulated_road, capsys):

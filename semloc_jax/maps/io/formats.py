@@ -115,6 +115,11 @@ MAP_SUFFIXES = tuple(suffix for suffix in READ_SUFFIXES if suffix not in (".json
 WRITTEN_SUFFIXES = tuple(row.suffixes[0] for row in FORMATS.values() if row.write)
 
 
+def format_of(path: Path) -> MapFormat | None:
+    """The row of a file by its suffix; None where there is none."""
+    return next((row for row in FORMATS.values() if path.suffix.lower() in row.suffixes), None)
+
+
 def read_map(path: str | Path, origin: GeoOrigin | None = None) -> SemanticMap:
     """Returns the map in a file of any known format.
 
@@ -169,9 +174,9 @@ def _reader(path: Path) -> Reader:
     if not path.is_file():
         known = path.suffix.lower() in READ_SUFFIXES
         raise SemlocError(f"map {path}: no such file" + ("" if known else f"; give a {', '.join(READ_SUFFIXES)} map"))
-    for row in FORMATS.values():
-        if path.suffix.lower() in row.suffixes:
-            return row.read
+    row = format_of(path)
+    if row is not None:
+        return row.read
     raise SemlocError(f"map {path.name}: unknown type '{path.suffix}'; expected {', '.join(READ_SUFFIXES)}")
 
 
@@ -192,7 +197,8 @@ def write_map(semantic_map: SemanticMap, path: str | Path, in_degrees: bool | No
     3
     """
     path = Path(path)
-    write = next((row.write for row in FORMATS.values() if row.write and path.suffix.lower() in row.suffixes), None)
+    row = format_of(path)
+    write = None if row is None else row.write
     if write is None:
         raise SemlocError(f"map {path}: cannot write '{path.suffix.lower()}'; expected {', '.join(WRITTEN_SUFFIXES)}")
     if write is _write_geojson and in_degrees is not None:
