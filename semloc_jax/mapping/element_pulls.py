@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig, sample_within
 from semloc_jax.alignment.implicit import smooth_scene
@@ -26,8 +26,7 @@ from semloc_jax.mapping.sightings import UPRIGHT
 from semloc_jax.maps import LocalMap, MapElement, SemanticMap
 from semloc_jax.perception import ClassTable
 from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
-from semloc_jax.residuals.holder_terms import holder_terms
-from semloc_jax.residuals.smooth import SmoothScene
+from semloc_jax.residuals.contour_pulls import contour_pulls
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.structs import ViewSamples
 
@@ -35,13 +34,7 @@ _LEAST_CAPACITY = 64
 _PIECE_M = 4.0
 """Length of the pieces of a long line; ours."""
 _view = jax.jit(view, static_argnames="config")
-
-
-@jax.jit
-def _terms(T_local_base: Array, scene: SmoothScene, holder: tuple[Array, ...], none: Array) -> tuple[Array, ...]:
-    """Force, information and what pulls of each element: without the curvature nothing of it is compiled."""
-    terms = holder_terms(T_local_base, scene, holder, none)
-    return terms.force, terms.information, terms.pulling
+_pulls = jax.jit(contour_pulls)
 
 
 @dataclass(frozen=True)
@@ -145,7 +138,7 @@ class ElementPulls:
         holder = tuple(jnp.asarray(side[np.asarray(part.index)]) for part in evidence.views)
         capacity = max(_LEAST_CAPACITY, 1 << (len(ids) - 1).bit_length())
         none = jnp.zeros(NUM_SIDES * capacity, scene.nats_per_px.dtype)
-        terms = jax.device_get(_terms(jnp.asarray(T_local), scene, holder, none))
+        terms = jax.device_get(_pulls(jnp.asarray(T_local), scene, holder, none))
         force, information, pulling = (_by_side(part, len(ids)) for part in terms)
         held = np.flatnonzero(pulling.sum(axis=1) >= config.min_observations)
         force, information = (part[held] / config.excess**2 for part in (force, information))
