@@ -165,7 +165,8 @@ def _agreed(
     sure = places_apart(chain.way_m, rows.tolist()).tolist()
     joint = config.joint(len(masks.cameras))
     for k in range(config.rounds):
-        pulling = ElementPulls(SemanticMap(tuple(elements)), masks.table, PullConfig(reach_px=config.reach_of(k)))
+        config_k = PullConfig(reach_px=config.reach_of(k), by_contours=held is not None)
+        pulling = ElementPulls(SemanticMap(tuple(elements)), masks.table, config_k)
 
         def pull(row: int, Ts: np.ndarray = Ts, pulling: ElementPulls = pulling) -> Pulls:
             frame = drive.frames[row]

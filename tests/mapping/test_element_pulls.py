@@ -53,7 +53,7 @@ def test_a_straight_line_holds_nothing_along_itself(simulated_road):
     semantic_map, T_true = read_map(drive.map_path), drive.truth_at(frame)
     masks, rig = source.masks(frame), source.seen_by(frame.rig.select(source.cameras))
     pieces = [p for e in semantic_map.elements if not e.is_logical for p in pieces_of(e)]
-    pulling = ElementPulls(semantic_map.with_elements(pieces), source.table, PullConfig(range_m=30.0))
+    pulling = ElementPulls(semantic_map.with_elements(pieces), source.table, PullConfig(range_m=30.0, by_contours=True))
     T = T_true @ rigid.exp(np.array([0.06, 0.0, 0.0, 0.0, 0.0, 0.0]))
     pulls, by_id = pulling.of(masks, rig, T), {piece.id: piece for piece in pieces}
     lines = [k for k, name in enumerate(pulls.ids) if by_id[name].style == "solid" and not any(by_id[name].true_ends)]
