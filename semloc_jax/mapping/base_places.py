@@ -122,6 +122,15 @@ def places_of(found: Iterable[FoundLoop], num: int) -> MapPlaces:
     return MapPlaces(Ts, info)
 
 
+def heights_of(found: Iterable[FoundLoop], num: int) -> MapPlaces:
+    """What the accepted ones say of heights alone, for a graph in which the same masks say the rest themselves."""
+    Ts, info = places_of(found, num)
+    height = np.zeros_like(info)
+    for k in np.flatnonzero(info.any(axis=(1, 2))):
+        height[k, 2, 2] = np.linalg.inv(info[k].T @ info[k])[2, 2] ** -0.5
+    return MapPlaces(Ts, height)
+
+
 def write_places(path: str | Path, found: Sequence[FoundLoop], times_s: Float[np.ndarray, " n"]) -> None:
     """Write `places.csv`: every place in the base map that was searched.
 

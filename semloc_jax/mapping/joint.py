@@ -24,6 +24,8 @@ from semloc_jax.residuals.motion import (
     between_residual,
     cauchy,
     metre_residual,
+    pose_linearised,
+    pose_residual,
     pulled_linearised,
     pulled_residual,
 )
@@ -59,6 +61,8 @@ class JointConfig:
         sigma_turn_deg: how far it may be turned.
         sigma_metre: share by which the metre of the images may be off, with one camera: it was 0.2 to 0.5 % on drives
             with one camera and 0.06 to 0.2 % with four. Frames that are all wrong alike do not scatter.
+        held_threshold: norm of the whitened way of an element from its place in a map that is there already beyond
+            which that place holds it no more: it was moved.
         threshold: norm of a whitened pull (6 numbers, 2.4 together) beyond which it grows no more.
         least_share: directions held this much less than the firmest one are left open.
         believed_rows: what the stated noise of pulls is worth, in rows of them, against how far they scatter.
@@ -73,6 +77,7 @@ class JointConfig:
     sigma_pitch_deg: float = 0.15
     sigma_turn_deg: float = 10.0
     sigma_metre: float = 0.004
+    held_threshold: float = 3.0
     threshold: float = 12.0
     least_share: float = 1e-7
     believed_rows: float = 60.0
@@ -138,6 +143,7 @@ def solve_together(
     elements: Sequence[MapElement],
     config: JointConfig | None = None,
     sure_of: Sequence[int] = (),
+    held: Float[np.ndarray, "e 2 2"] | None = None,
 ) -> JointSolution:
     """The most likely poses and elements.
 
@@ -149,6 +155,8 @@ def solve_together(
         elements: of the map they were held against.
         config: noise; None for the defaults.
         sure_of: rows of the poses whose covariance is asked for.
+        held: of elements of a map that is there already, square root of the information [1/m] of how far each may be
+            from its place along x and y of the map; None where the drive drew them itself.
     """
     config = config or JointConfig()
     row = {element.id: k for k, element in enumerate(elements)}
@@ -159,9 +167,10 @@ def solve_together(
     seen, drawn = pull_factors(values["pose"], Ts_map_element, pose, element, pulls, np.asarray(frames, int), config)
     families = (*graph.families, Family(ELEMENT, POSE, len(Ts_map_element)), Family(METRE, _METRE, 1))
     metre = Factors(metre_residual, (METRE,), (np.zeros(1, int),), (), np.full((1, 1), 1.0 / config.sigma_metre))
+    stand = (drawn, metre) if held is None else (drawn, metre, held_factors(Ts_map_element, held, config))
 
     def solved(seen: Factors, start: Values) -> tuple[SparseProblem, Solution]:
-        problem = SparseProblem(FactorGraph(families, (*graph.factors, seen, drawn, metre), graph.free), (ELEMENT,))
+        problem = SparseProblem(FactorGraph(families, (*graph.factors, seen, *stand), graph.free), (ELEMENT,))
         return problem, solve(problem, start, config.solve)
 
     with jax.enable_x64(True):
@@ -244,6 +253,23 @@ def pull_factors(
     T_base_element = rigid.inverse(Ts_map_base[nearest]) @ Ts_map_element
     drawn = Factors(between_residual, ("pose", ELEMENT), keys, (T_base_element,), info, linearised=between_linearised)
     return seen, drawn
+
+
+def held_factors(
+    Ts_map_element: Float[np.ndarray, "m 4 4"], held: Float[np.ndarray, "e 2 2"], config: JointConfig
+) -> Factors:
+    """How far elements of a map that is there already may be from their places in it: aside, not up or tilted.
+
+    Args:
+        Ts_map_element: their places, without a turn, and those of elements that fill up.
+        held: square root of their information [1/m] along x and y of the map.
+        config: when a place holds an element no more.
+    """
+    info = np.zeros((len(Ts_map_element), 2, 6))
+    info[: len(held), :, :2] = held
+    keys, robust = (np.arange(len(Ts_map_element)),), cauchy(config.held_threshold)
+    data = (np.asarray(Ts_map_element),)
+    return Factors(pose_residual, (ELEMENT,), keys, data, info, robust=robust, linearised=pose_linearised)
 
 
 def square_roots(

@@ -3,6 +3,7 @@
 In: the way with its loops closed. Out: poses at which all frames see the same map, and how sure they are.
 A draft of the map is drawn along the way; every frame says how each element of the draft should lie; poses and elements
 are solved together, looked at again from there, and so on. The map itself is then drawn anew along the new way.
+Where a map is there already, its elements take the place of the draft, each held where the map has it.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -14,7 +15,10 @@ from jaxtyping import Float
 
 from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
+from semloc_jax.evaluation.map_shapes import POSTS, thing_of
 from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.mapping.base_map import Countable
+from semloc_jax.mapping.base_places import heights_of
 from semloc_jax.mapping.chain import Chain
 from semloc_jax.mapping.chain_graph import ChainGraphConfig, way_graph
 from semloc_jax.mapping.closing import ClosedWay
@@ -25,7 +29,7 @@ from semloc_jax.mapping.mapper import MapConfig, make_map
 from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.sizing import sized
 from semloc_jax.mapping.way_sigmas import WaySigmas, places_apart, way_sigmas
-from semloc_jax.maps import MapElement, SemanticMap
+from semloc_jax.maps import BeliefMap, MapElement, SemanticMap
 from semloc_jax.structs import ElementClass
 
 _DRAFT = "draft"
@@ -47,6 +51,7 @@ def refined_way(
     config: MapConfig,
     told: Callable[[Iterable, str], Iterable] = lambda items, _: items,
     parts: Parts | None = None,
+    base: BeliefMap | None = None,
 ) -> RefinedWay:
     """Poses of all frames of a drive, after what its frames say of the elements around them, and their sigmas.
 
@@ -59,26 +64,23 @@ def refined_way(
         config: how maps are made; `config.refine` says how often and how closely.
         told: shows how far it has come.
         parts: keeps the draft, and the way when it is done.
+        base: map that is there already, in whose frame the drive was laid.
     """
     if config.refine.rounds == 0:
         return _as_closed(chain, looking, closed)
 
     def solved() -> RefinedWay:
-        rows = _apart(chain.way_m, looking, config.refine.draft_every_m)
-        draft_parts = None if parts is None else Parts(parts.folder / _DRAFT)
-        elements = _draft(drive, masks, rows, closed.Ts_map_base, config, told, draft_parts)
+        if base is None:
+            rows = _apart(chain.way_m, looking, config.refine.draft_every_m)
+            draft_parts = None if parts is None else Parts(parts.folder / _DRAFT)
+            elements = _draft(drive, masks, rows, closed.Ts_map_base, config, told, draft_parts)
+            held = None
+        else:
+            elements, held = _held(base, closed.Ts_map_base[:, :2, 3], config)
         if not elements:
             return _as_closed(chain, looking, closed)
-        return _agreed(
-            drive,
-            masks,
-            _apart(chain.way_m, looking, config.refine.every_m),
-            chain,
-            closed,
-            elements,
-            config.refine,
-            told,
-        )
+        rows = _apart(chain.way_m, looking, config.refine.every_m)
+        return _agreed(drive, masks, rows, chain, closed, elements, held, config.refine, told)
 
     if parts is None:
         return solved()
@@ -128,6 +130,23 @@ def _draft(
     return [piece for element in paint for piece in pieces_of(element)]
 
 
+def _held(
+    base: BeliefMap, way: Float[np.ndarray, "n 2"], config: MapConfig
+) -> tuple[list[MapElement], Float[np.ndarray, "e 2 2"]]:
+    """Elements of a map near a way [m] and how it holds them, along and across each as it believes."""
+    labels = {element.label for element in base.map.elements} - {ElementClass.PARKING_SLOT}
+    near = Countable.of(base, way, labels, config.uprights)
+    elements, held = [], []
+    for element in [*near.paint, *(upright.element for upright in near.uprights)]:
+        belief, along = base.beliefs[element.id], thing_of(element).along
+        sigma_along_m = belief.sigma_across_m if element.label in POSTS else belief.sigma_along_m
+        own = np.array([along / sigma_along_m, np.array([-along[1], along[0]]) / belief.sigma_across_m])
+        pieces = pieces_of(element)
+        elements += pieces
+        held += [own] * len(pieces)
+    return elements, np.reshape(held, (-1, 2, 2))
+
+
 def _agreed(
     drive: Drive,
     masks: MaskSource,
@@ -135,24 +154,28 @@ def _agreed(
     chain: Chain,
     closed: ClosedWay,
     elements: list[MapElement],
+    held: Float[np.ndarray, "e 2 2"] | None,
     config: RefineConfig,
     told: Callable[[Iterable, str], Iterable],
 ) -> RefinedWay:
     """The way after all rounds."""
     gauge, Ts = closed.gauge, closed.Ts_map_base
-    graph, values = way_graph(chain, loops_of(closed.loops), gauge.gnss, gauge.start, ChainGraphConfig(), None)
+    places = None if held is None else heights_of(closed.places, len(chain.times_s))
+    graph, values = way_graph(chain, loops_of(closed.loops), gauge.gnss, gauge.start, ChainGraphConfig(), places)
     sure = places_apart(chain.way_m, rows.tolist()).tolist()
     joint = config.joint(len(masks.cameras))
     for k in range(config.rounds):
-        pulling = ElementPulls(SemanticMap(tuple(elements)), masks.table, PullConfig(reach_px=config.reach_of(k)))
+        config_k = PullConfig(reach_px=config.reach_of(k), by_contours=held is not None)
+        pulling = ElementPulls(SemanticMap(tuple(elements)), masks.table, config_k)
 
         def pull(row: int, Ts: np.ndarray = Ts, pulling: ElementPulls = pulling) -> Pulls:
             frame = drive.frames[row]
             return pulling.of(masks.masks(frame), masks.seen_by(frame.rig), Ts[row])
 
         pulls = [pull(int(row)) for row in told(rows, f"agreeing, round {k + 1} of {config.rounds}")]
-        elements, pulls = sized(elements, pulls, Ts[rows])
-        found = solve_together(graph, {**values, "pose": Ts}, rows.tolist(), pulls, elements, joint, sure)
+        of_size, pulls = sized(elements, pulls, Ts[rows])
+        found = solve_together(graph, {**values, "pose": Ts}, rows.tolist(), pulls, of_size, joint, sure, held)
         Ts = found.Ts_map_base
-        elements = [moved(e, found.motions[e.id]) if e.id in found.motions else e for e in elements]
+        if held is None:
+            elements = [moved(e, found.motions[e.id]) if e.id in found.motions else e for e in of_size]
     return RefinedWay(Ts, way_sigmas(Ts[sure], found.covariance))

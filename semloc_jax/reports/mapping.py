@@ -111,10 +111,7 @@ class _Drawn(NamedTuple):
 
 
 def _drawn(request: MapRequest, chain: Chain, gauge: Gauge, base: BeliefMap | None, parts: Parts) -> _Drawn:
-    """The way closed and made to agree with what is seen, and the map along it.
-
-    In a base map the way stays as its places tell it, so that elements are held against those that are there.
-    """
+    """The way closed and made to agree with what is seen, and the map along it."""
     drive, masks, settings, looking = request.drive, request.masks, request.settings, request.looking
 
     def groups(items: Iterable) -> Iterable:
@@ -122,23 +119,22 @@ def _drawn(request: MapRequest, chain: Chain, gauge: Gauge, base: BeliefMap | No
 
     known = None if base is None else base.map
     closed = closed_way(drive, masks, chain, gauge, settings, groups, request.has_loops, parts=parts, base=known)
-    way = None if base is not None else refined_way(drive, masks, looking, chain, closed, settings, _shown, parts)
-    Ts_map_base = closed.Ts_map_base if way is None else way.Ts_map_base
+    way = refined_way(drive, masks, looking, chain, closed, settings, _shown, parts, base)
     origin = drive.gnss.origin if gauge.name == GNSS and drive.gnss is not None and base is None else None
     made = make_map(
         drive,
         masks,
         request.frames,
-        Ts_map_base[looking],
+        way.Ts_map_base[looking],
         settings,
         None if origin is None else GeoOrigin(*origin),
         _shown,
         parts=parts,
         base=base,
     )
-    if way is not None:
+    if base is None:  # else the sigmas of what is around it there are stated
         made = replace(made, belief_map=way.sigmas.stated(made.belief_map))
-    return _Drawn(made, closed, Ts_map_base)
+    return _Drawn(made, closed, way.Ts_map_base)
 
 
 def _shown(items: Iterable, name: str, unit: str = "frame") -> Iterable:
