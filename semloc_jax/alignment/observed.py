@@ -22,6 +22,8 @@ from semloc_jax.structs import MapSamples
 
 CELL_COLUMNS = 1024
 """Cells of one row of the image; the number of a cell is row x CELL_COLUMNS + column."""
+LONGEST_PX = 50.0
+"""A sample stands for no more contour than this in the image; as kLongestPx of native/src/view.h."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,7 @@ def _one_camera(
     cell = jnp.where(seen, down * CELL_COLUMNS + across, 0)
     return Observed(
         top + fv * (bottom - top),
-        jnp.where(seen, length_px, 0.0),
+        jnp.where(seen, jnp.minimum(length_px, LONGEST_PX), 0.0),
         cell.astype(jnp.int32),
         jnp.where(seen, range_m, 0.0),
     )
