@@ -97,8 +97,18 @@ class BorderCells:
             num_poses: Number of poses.
         """
         here = np.flatnonzero(row >= 0)
-        found = np.bincount(pose[here] * len(self.key) + row[here], length_px[here], num_poses * len(self.key))
-        return 1.0 - np.minimum(found.reshape(num_poses, -1) / np.maximum(self.length_px, 1e-9), 1.0)
+        return 1.0 - self.covered(pose[here] * len(self.key) + row[here], length_px[here], num_poses)
+
+    def covered(self, place: np.ndarray, length_px: np.ndarray, num_poses: int) -> np.ndarray:
+        """Returns the share of every border that has contours of the map on it, `float[num_poses k]`.
+
+        Args:
+            place: `int[s]`, number of the pose times that of the borders, and row of the border, of pieces of contour.
+            length_px: `float[s]`, their lengths.
+            num_poses: Number of poses.
+        """
+        found = np.bincount(place, length_px, num_poses * len(self.key)).reshape(num_poses, len(self.key))
+        return np.minimum(found / np.maximum(self.length_px, 1e-9), 1.0)
 
 
 def block_of(camera: np.ndarray, cell: np.ndarray, cell_px: float, image_size: tuple[int, int]) -> np.ndarray:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -17,12 +16,12 @@ from semloc_jax.alignment.evidence_null import EvidenceNull
 from semloc_jax.alignment.filled_rows import map_filled
 from semloc_jax.alignment.hypotheses import score
 from semloc_jax.alignment.level_choice import telling
-from semloc_jax.alignment.observed import LONGEST_PX, CoarseSamples, ObserveConfig, coarse_evidence
+from semloc_jax.alignment.observed import LONGEST_PX, CoarseSamples, ObserveConfig
 from semloc_jax.alignment.pose import AlignConfig, Prior, align_one, fit_at
 from semloc_jax.alignment.proposals import LATTICE_STEPS
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import units_apart
-from semloc_jax.alignment.seen_samples import SeenSamples
+from semloc_jax.alignment.seen_samples import SeenSamples, coarse_nats
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from
 from semloc_jax.cameras import Rig
 from semloc_jax.perception.border_distance import BorderDistances
@@ -31,8 +30,8 @@ from semloc_jax.structs import MapSamples, PoseEstimate
 
 BATCH = 64
 """Most poses that are solved or observed in one call; of fewer, only those asked for cost time."""
-COARSE_BATCH, CLOSER_BATCH = 2048, 512
-"""Most poses of a first look in one call, and of what number those of a closer one are a multiple."""
+CLOSER_BATCH = 512
+"""Poses of a closer look are a multiple of so many."""
 COARSE_SAMPLES, COARSE_EVERY = 768, 4
 """Samples of the closer look; the first one takes every so many of them."""
 _CLOSER_SHARE = 8
@@ -280,17 +279,11 @@ def coarse_search(
         log_prior: Of each pose, float[n].
         config: Range and border.
     """
-    gain, stride = jnp.asarray(gain), np.float32(stride)
     few = samples._replace(weight=samples.weight * COARSE_EVERY)
 
     def nats(rows: np.ndarray, samples: CoarseSamples, num_parts: int) -> np.ndarray:
-        found = []
-        for first in range(0, len(rows), COARSE_BATCH):
-            own = Ts[rows[first : first + COARSE_BATCH]]
-            poses, num = np.asarray(filled(own, COARSE_BATCH), np.float32), np.int32(len(own))
-            part = coarse_evidence(poses, num, samples, np.int32(num_parts), frame.rig, gain, stride, config)
-            found.append(np.asarray(part)[: len(own)])
-        return np.concatenate(found).astype(np.float64) + log_prior[rows]
+        found = coarse_nats(Ts[rows], samples, num_parts, frame.rig, gain, float(stride), config)
+        return found.astype(np.float64) + log_prior[rows]
 
     first = nats(np.arange(len(Ts)), few, 1)
     num_closer = max(len(Ts) // _CLOSER_SHARE // CLOSER_BATCH, 1) * CLOSER_BATCH

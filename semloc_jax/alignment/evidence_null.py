@@ -136,9 +136,13 @@ class EvidenceNull:
 
     def left_over(self, pieces: Pieces, scale_px: np.ndarray) -> np.ndarray:
         """Share of every border on which no contour of the map lies, float[pose border]."""
+        return 1.0 - self._covered(pieces, scale_px)
+
+    def _covered(self, pieces: Pieces, scale_px: np.ndarray) -> np.ndarray:
         near = pieces.on_borders
-        rows = near.away_px < (self.config.on_border * scale_px)[near.channel]
-        return self.cells.left_over(near.pose[rows], near.border[rows], near.weight[rows], pieces.num_poses)
+        rows = np.flatnonzero(near.away_px < (self.config.on_border * scale_px)[near.channel])
+        place = near.pose[rows] * len(self.cells.key) + near.border[rows]
+        return self.cells.covered(place, near.weight[rows], pieces.num_poses)
 
     def pieces(self, seen: SeenSamples, image_size: tuple[int, int], cell_px: float) -> Pieces:
         """The samples of every pose gathered by element and cell of the image.
@@ -213,20 +217,28 @@ class EvidenceNull:
     def total_nats(self, pieces: Pieces, rates: Rates) -> np.ndarray:
         """Sum of the nats of all blocks of every pose, float[n]."""
         nats = self._of_pieces(pieces, rates, self.match(pieces, rates))
-        return np.bincount(pieces.pose, nats, pieces.num_poses) + self._of_borders(pieces, rates).nats.sum(axis=1)
+        worth = self._border_worth(rates)
+        beside = (1.0 - self._at_random_of_border) @ worth - self._covered(pieces, rates.scale_px) @ worth
+        return np.bincount(pieces.pose, nats, pieces.num_poses) + beside
 
     def _of_pieces(self, pieces: Pieces, rates: Rates, match: np.ndarray) -> np.ndarray:
         """Nats of each piece, which was seen or not."""
         detection = rates.detection[pieces.channel, pieces.range_bin]
         return pieces.observations * np.log(1.0 - detection + detection * np.exp(match))
 
+    @property
+    def _at_random_of_border(self) -> np.ndarray:
+        return self.left_over_at_random[self.cells.channel]
+
+    def _border_worth(self, rates: Rates) -> np.ndarray:
+        """Nats of each border that is left over; against what random poses leave over, so that they hold nothing on
+        the mean."""
+        return self._border_observations * np.log(rates.left_over / self.left_over_at_random)[self.cells.channel]
+
     def _of_borders(self, pieces: Pieces, rates: Rates) -> "_Beside":
         """Nats of each border of every pose for what the map leaves over of it."""
         left = self.left_over(pieces, rates.scale_px)
-        # Against what random poses leave over, so that they hold nothing on the mean.
-        rarer = np.log(rates.left_over / self.left_over_at_random)[self.cells.channel]
-        at_random = self.left_over_at_random[self.cells.channel]
-        return _Beside(left, (left - at_random) * (self._border_observations * rarer))
+        return _Beside(left, (left - self._at_random_of_border) * self._border_worth(rates))
 
     def _by_block(self, of_border: np.ndarray, blocks: int) -> np.ndarray:
         """Sums over the borders in each part of the image, float[pose block]."""

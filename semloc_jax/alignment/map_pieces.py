@@ -75,9 +75,8 @@ class Pieces:
         border = self.border[self.sample_piece]
         rows = np.flatnonzero(border >= 0)
         piece = self.sample_piece[rows]
-        return OnBorders(
-            self.pose[piece], border[rows], self.channel[piece], np.abs(self.sample_px[rows]), self.sample_weight[rows]
-        )
+        away_px = np.abs(self.sample_px[rows])
+        return OnBorders(self.pose[piece], border[rows], self.channel[piece], away_px, self.sample_weight[rows])
 
 
 class OnBorders(NamedTuple):

@@ -165,6 +165,10 @@ class CoarseSamples(NamedTuple):
     """Observations that a sample stands for; 0 for padding."""
 
 
+COARSE_CHUNK = 16
+"""Poses of a first look side by side."""
+
+
 @stored_program("config", "chunk", fused=True)
 def coarse_evidence(
     Ts_map_base: Float[Array, "n 4 4"],
@@ -175,7 +179,7 @@ def coarse_evidence(
     gain: Float[Array, "cam channel h w"],
     stride: Float[Array, ""],
     config: ObserveConfig,
-    chunk: int = 16,
+    chunk: int = COARSE_CHUNK,
 ) -> Float[Array, " n"]:
     """Nats that the masks hold for every pose against seeing the map elsewhere, from few samples.
 

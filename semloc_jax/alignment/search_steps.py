@@ -14,7 +14,6 @@ from semloc_jax.alignment.aliases import alias_shifts
 from semloc_jax.alignment.border_cells import BorderCells
 from semloc_jax.alignment.candidates import (
     BATCH,
-    COARSE_BATCH,
     SolvedPoses,
     apart,
     coarse_gain,
@@ -38,7 +37,7 @@ from semloc_jax.alignment.pose import Prior, total_weight
 from semloc_jax.alignment.posterior import Ridges, log_prior, ridges, same_ridge
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import ONE_OPTIMUM
-from semloc_jax.alignment.seen_samples import SeenSamples, seen_from
+from semloc_jax.alignment.seen_samples import COARSE_BATCH, SeenSamples, seen_from
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, search_starts
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry.local_frame import LocalFrame

@@ -12,17 +12,26 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from semloc_jax.alignment.observed import CELL_COLUMNS, Borders, ObserveConfig, Observed, observe
+from semloc_jax.alignment.observed import (
+    CELL_COLUMNS,
+    COARSE_CHUNK,
+    Borders,
+    CoarseSamples,
+    ObserveConfig,
+    Observed,
+    coarse_evidence,
+    observe,
+)
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.models import native_class_of
-from semloc_jax.native.seen_rows import Field, rows_seen
+from semloc_jax.native.seen_rows import Field, add_gains, rows_seen
 from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.robust import KERNELS
 from semloc_jax.residuals.view import GROUND_CLASSES
 from semloc_jax.structs import MapSamples
 
-_BATCH = 64
-"""Most poses that JAX looks at in one call; of fewer, only those asked for cost time."""
+_BATCH, COARSE_BATCH = 64, 2048
+"""Most poses that JAX looks at in one call, closely and coarsely; of fewer, only those asked for cost time."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +89,12 @@ def seen_from(
     config: ObserveConfig,
 ) -> SeenSamples:
     """What each pose sees; arguments as `observe`, all of them arrays of the host."""
-    ways = {native_kernels.use(config.path, camera, KERNELS["tukey"], np.float32) for camera in rig.cameras}
     known = samples, rig, channel_of_label, borders, config
-    return _by_kernels(Ts_map_base, *known) if ways == {"analytic"} else _by_jax(Ts_map_base, *known)
+    return _by_kernels(Ts_map_base, *known) if _has_kernels(rig, config) else _by_jax(Ts_map_base, *known)
+
+
+def _has_kernels(rig: Rig, config: ObserveConfig) -> bool:
+    return all(native_kernels.use(config.path, c, KERNELS["tukey"], np.float32) == "analytic" for c in rig.cameras)
 
 
 def _by_kernels(
@@ -129,3 +141,44 @@ def _by_jax(
         part = SeenSamples.of(jax.tree.map(lambda leaf, own=own: np.asarray(leaf)[: len(own)], seen))
         found = part if found is None else found.joined(part)
     return found
+
+
+def coarse_nats(
+    Ts_map_base: Float[np.ndarray, "n 4 4"],
+    samples: CoarseSamples,
+    num_parts: int,
+    rig: Rig,
+    gain: Float[np.ndarray, "cam channel h w"],
+    stride: float,
+    config: ObserveConfig,
+) -> Float[np.ndarray, " n"]:
+    """`coarse_evidence` of any number of poses, on the host; `num_parts` of the samples count."""
+    if not _has_kernels(rig, config):
+        return _coarse_by_jax(Ts_map_base, samples, num_parts, rig, gain, stride, config)
+    nats = np.zeros(len(Ts_map_base), np.float32)
+    p_map = np.concatenate(samples.p_map[:num_parts], axis=1)
+    channel, weight = (leaf[:num_parts].reshape(-1) for leaf in (samples.channel, samples.weight))
+    numbers = stride, config.border_px, config.max_range_m
+    for index, (camera, T_base_cam) in enumerate(zip(rig.cameras, rig.T_base_cam, strict=True)):
+        known = native_class_of(camera), jax.tree.leaves(camera), T_base_cam, Ts_map_base
+        add_gains(*known, (p_map, channel, weight), gain[index], numbers, nats)
+    return nats
+
+
+def _coarse_by_jax(
+    Ts_map_base: np.ndarray,
+    samples: CoarseSamples,
+    num_parts: int,
+    rig: Rig,
+    gain: np.ndarray,
+    stride: float,
+    config: ObserveConfig,
+) -> np.ndarray:
+    found = []
+    for first in range(0, len(Ts_map_base), COARSE_BATCH):
+        own = Ts_map_base[first : first + COARSE_BATCH]
+        poses = np.resize(np.asarray(own, np.float32), (COARSE_BATCH, 4, 4))
+        num = np.int32(-(-len(own) // COARSE_CHUNK) * COARSE_CHUNK)
+        known = samples, np.int32(num_parts), rig, gain, np.float32(stride), config
+        found.append(np.asarray(coarse_evidence(poses, num, *known))[: len(own)])
+    return np.concatenate(found)

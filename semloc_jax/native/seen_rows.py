@@ -87,6 +87,45 @@ def rows_seen(
     return Rows(*(array[:count] for array in (*whole, *real)))
 
 
+def add_gains(
+    part: str,
+    camera: Sequence[np.ndarray],
+    T_base_cam: Float[np.ndarray, "4 4"],
+    Ts_map_base: Float[np.ndarray, "n 4 4"],
+    samples: tuple[Float[np.ndarray, "3 p"], Int[np.ndarray, " p"], Float[np.ndarray, " p"]],
+    gain: Float[np.ndarray, "channel h w"],
+    numbers: tuple[float, float, float],
+    nats: Float[np.ndarray, " n"],
+) -> None:
+    """Adds to each pose what samples gain by the pixels of one camera that they fall on.
+
+    Args:
+        part, camera, T_base_cam, Ts_map_base: As `rows_seen`.
+        samples: Position relative to the local origin [m], channel and weight of each.
+        gain: Float32.
+        numbers: Stride of the gain, margin at the border of the image [px], largest range [m].
+        nats: Float32, added to.
+    """
+    floats = [np.ascontiguousarray(leaf, np.float32) for leaf in camera]
+    mount, poses, p_map, weight, gain, known = (
+        np.ascontiguousarray(array, np.float32)
+        for array in (T_base_cam, Ts_map_base, samples[0], samples[2], gain, numbers)
+    )
+    channel, sizes = np.ascontiguousarray(samples[1], np.int32), np.array(gain.shape[1:], np.int32)
+    pointer, number = ctypes.c_void_p, ctypes.c_int32
+    call = build.library(part).semloc_coarse_look
+    call.restype = None
+    call.argtypes = [pointer, pointer, pointer, number, *[pointer] * 3, number, *[pointer] * 4]
+    call(
+        _pointers(floats),
+        *(array.ctypes.data for array in (mount, poses)),
+        len(poses),
+        *(array.ctypes.data for array in (p_map, channel, weight)),
+        len(channel),
+        *(array.ctypes.data for array in (gain, sizes, known, nats)),
+    )
+
+
 def _observe(part: str) -> ctypes._CFuncPtr:
     call = build.library(part).semloc_observe
     pointer, number = ctypes.c_void_p, ctypes.c_int32

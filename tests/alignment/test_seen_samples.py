@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from semloc_jax.alignment.observed import Borders, ObserveConfig
-from semloc_jax.alignment.seen_samples import SeenSamples, seen_from
+from semloc_jax.alignment.observed import Borders, CoarseSamples, ObserveConfig
+from semloc_jax.alignment.seen_samples import SeenSamples, coarse_nats, seen_from
 from semloc_jax.cameras import KannalaBrandtCamera, PinholeCamera, Rig
 from semloc_jax.geometry import rigid
 from semloc_jax.host import native_status
@@ -84,6 +84,21 @@ def test_kernels_see_what_jax_sees(rig):
     np.testing.assert_allclose(by_kernel.length_px[here], by_jax.length_px[there], rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(by_kernel.range_m[here], by_jax.range_m[there], rtol=1e-5)
     assert np.mean(by_kernel.cell[here] != by_jax.cell[there]) < 0.01
+
+
+@pytest.mark.parametrize("rig", [RIG, FISHEYE], ids=["two pinholes", "fisheye"])
+@pytest.mark.parametrize("num_parts", [1, 3])
+def test_kernels_gain_what_jax_gains_at_a_first_look(rig, num_parts):
+    if not native_status(type(rig.cameras[0]).__name__.removesuffix("Camera")).available:
+        pytest.skip("no kernels on this machine")
+    random = np.random.default_rng(5)
+    p_map = random.uniform((-40.0, -30.0, 0.0), (40.0, 30.0, 3.0), (3, 50, 3)).swapaxes(1, 2).astype(np.float32)
+    channel, weight = random.integers(0, 2, (3, 50)).astype(np.int32), random.random((3, 50), np.float32)
+    gain = random.normal(size=(len(rig), 2, HEIGHT // 4, WIDTH // 4)).astype(np.float32)
+    known = poses(90), CoarseSamples(p_map, channel, weight), num_parts, rig, gain, 4.0
+    one, other = (coarse_nats(*known, replace(CONFIG, path=path)) for path in ("analytic", "xla"))
+    # A sample that rounding moves to the next pixel gains another random number.
+    assert one.shape == (90,) and np.mean(np.abs(one - other) > 1e-3) <= 0.02 and np.abs(other).max() > 1.0
 
 
 def test_poses_one_after_another_are_those_seen_together():

@@ -62,12 +62,15 @@ Problem VisibleWeight(const Call& call) {
   const auto margin_px = operands.take<float>();
   const CameraOperands camera(operands);
   float* weight = call.result_data<float>(0);
-  for_each_item(call, batch.size, points.p_map.length, [&](int64_t item) {
+  const int64_t num = points.p_map.length;
+  for_each_item(call, batch.size, num, [&](int64_t item) {
+    const Points filled = points.at(batch, item).filled();
+    float* own = weight + num * item;
     visible_weight(camera.at<Camera>(batch, item),
-                   Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
-                   points.at(batch, item),
+                   Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)), filled,
                    usable_of(usable_buffer, usable.at(batch, item), *index.at(batch, item), *scale.at(batch, item)),
-                   *margin_px.at(batch, item), weight + points.p_map.length * item);
+                   *margin_px.at(batch, item), own);
+    std::fill(own + filled.count, own + num, 0.0f);
   });
   return nullptr;
 }
@@ -92,12 +95,52 @@ Problem for_each_texture(const Call& call, int core_rank, const Function& functi
   return nullptr;
 }
 
-// Operands of for_each_texture, weights: visible -> sum of w rho / rho(1) [].
-Problem RobustCost(const Call& call) {
-  float* cost = call.result_data<float>(0);
-  return for_each_texture(call, 0, [&](int64_t item, const Camera& camera, const Motion& T_cam_map, const Points& points,
-                                       const Texture& texture) {
-    cost[item] = robust_cost(camera, T_cam_map, points, texture);
+// Calls function(item, camera, motion into it, filled points, texture, usable, margin) for T_map_base, T_cam_base, points,
+// usable [cam h w], its scale, margin, texture, camera.
+template <typename Function>
+Problem for_each_seen_texture(const Call& call, int core_rank, const Function& function) {
+  const int32_t num_channels = call.attribute<int32_t>("num_channels");
+  const Batch batch(call.result(0), core_rank);
+  if (batch.rank > kMaxBatchRank) return kTooManyAxes;
+  Operands operands(call, batch);
+  const auto T_map_base = operands.take<float>(), T_cam_base = operands.take<float>();
+  const PointOperands points(operands);
+  const auto mask_buffer = call.operand(5);
+  const auto mask = operands.take<uint8_t>();
+  const auto scale = operands.take<float>(), margin_px = operands.take<float>();
+  const TextureOperands texture(operands, num_channels);
+  const CameraOperands camera(operands);
+  for_each_item(call, batch.size, points.p_map.length, [&](int64_t item) {
+    const Usable usable = usable_of(mask_buffer, mask.at(batch, item), *texture.camera.at(batch, item), *scale.at(batch, item));
+    function(item, camera.at<Camera>(batch, item),
+             Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
+             points.at(batch, item).filled(), texture.at(batch, item), usable, *margin_px.at(batch, item));
+  });
+  return nullptr;
+}
+
+// Operands of for_each_seen_texture -> sum of w rho / rho(1) over what can be seen [], sum of w [].
+Problem SeenCostOf(const Call& call) {
+  float *summed = call.result_data<float>(0), *visible = call.result_data<float>(1);
+  return for_each_seen_texture(call, 0, [&](int64_t item, const Camera& camera, const Motion& T_cam_map,
+                                            const Points& points, const Texture& texture, const Usable& usable,
+                                            float margin_px) {
+    const SeenCost cost = seen_cost(camera, T_cam_map, points, texture, usable, margin_px);
+    summed[item] = cost.summed, visible[item] = cost.visible;
+  });
+}
+
+// Operands of for_each_seen_texture -> ramp value [p], weight where it can be seen, else 0 [p]; both 0 for padding.
+Problem SeenRamps(const Call& call) {
+  float *value = call.result_data<float>(0), *weight = call.result_data<float>(1);
+  const int64_t num = call.result(0).dimensions().back();
+  return for_each_seen_texture(call, 1, [&](int64_t item, const Camera& camera, const Motion& T_cam_map,
+                                            const Points& points, const Texture& texture, const Usable& usable,
+                                            float margin_px) {
+    float *own_value = value + num * item, *own_weight = weight + num * item;
+    seen_ramps(camera, T_cam_map, points, texture, usable, margin_px, own_weight, own_value);
+    std::fill(own_value + points.count, own_value + num, 0.0f);
+    std::fill(own_weight + points.count, own_weight + num, 0.0f);
   });
 }
 
@@ -144,8 +187,9 @@ Problem PieceSums(const Call& call) {
   for_each_item(call, batch.size, num, [&](int64_t item) {
     const Usable usable = usable_of(mask_buffer, mask.at(batch, item), *texture.camera.at(batch, item), *scale.at(batch, item));
     piece_sums(camera.at<Camera>(batch, item),
-               Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)), points.at(batch, item),
-               usable, texture.at(batch, item), *margin_px.at(batch, item), piece.at(batch, item), num,
+               Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
+               points.at(batch, item).filled(), usable, texture.at(batch, item), *margin_px.at(batch, item),
+               piece.at(batch, item), num,
                sums + 2 * int64_t{num} * item);
   });
   return nullptr;
@@ -187,7 +231,7 @@ Problem Refine(const Call& call) {
       const float* own = p + 3 * num_points * k;
       const Points part{own, own + num_points, own + 2 * num_points, all.channel + num_points * k,
                         all.weight + num_points * k, static_cast<int>(num_points)};
-      cameras.push_back({Camera(leaf.data()), T_cam_base.at(batch, item) + 16 * k, part,
+      cameras.push_back({Camera(leaf.data()), T_cam_base.at(batch, item) + 16 * k, part.filled(),
                          usable_of(mask_buffer, mask.at(batch, item), place.at(batch, item)[k], config.usable_scale), {}});
     }
     float T[12];
@@ -272,7 +316,8 @@ Problem View(const Call& call) {
 
 SEMLOC_CALL(semloc_normal_equations, semloc::NormalEquations)
 SEMLOC_CALL(semloc_visible_weight, semloc::VisibleWeight)
-SEMLOC_CALL(semloc_robust_cost, semloc::RobustCost)
+SEMLOC_CALL(semloc_seen_cost, semloc::SeenCostOf)
+SEMLOC_CALL(semloc_seen_ramps, semloc::SeenRamps)
 SEMLOC_CALL(semloc_project, semloc::Project)
 SEMLOC_CALL(semloc_view, semloc::View)
 SEMLOC_CALL(semloc_ramp_values, semloc::RampValues)
@@ -299,4 +344,18 @@ extern "C" int64_t semloc_observe(const float* const* leaves, const float* T_bas
   const SeenRows rows{whole[0], whole[1], whole[2], real[0], real[1], real[2]};
   return observe(camera, Ts_map_base, num_poses, T_base_cam, samples,
                  Labels{channel_of_label, nullptr, num_ground}, borders, limits, numbers[4], numbers[5], cell_columns, rows);
+}
+
+// Adds to nats [n] what samples [3 p] gain at poses [n 4 4], not through XLA; sizes of the gain: height, width; numbers:
+// its stride, margin, largest range.
+extern "C" void semloc_coarse_look(const float* const* leaves, const float* T_base_cam, const float* Ts_map_base,
+                                   int32_t num_poses, const float* p, const int32_t* channel, const float* weight,
+                                   int32_t num_samples, const float* gain, const int32_t* sizes, const float* numbers,
+                                   float* nats) {
+  using namespace semloc;
+  const SEMLOC_CAMERA camera(leaves);
+  const float low = numbers[1] - 0.5f;
+  const Limits limits{low, camera.width - 1 - low, camera.height - 1 - low, numbers[2]};
+  const Points points{p, p + num_samples, p + 2 * num_samples, channel, weight, num_samples};
+  coarse_look(camera, Ts_map_base, num_poses, T_base_cam, points, gain, sizes[0], sizes[1], numbers[0], limits, nats);
 }

@@ -59,4 +59,34 @@ int64_t observe(const Camera& camera, const float* Ts_map_base, int num_poses, c
   return filled;
 }
 
+// Adds to each pose what the samples under its camera gain, by the pixel of `gain` [channel h w] that each falls on.
+template <typename Camera>
+void coarse_look(const Camera& camera, const float* Ts_map_base, int num_poses, const float* T_base_cam, const Points& points,
+                 const float* gain, int height, int width, float stride, const Limits& limits, float* nats) {
+  const float per_pixel = 1.0f / stride;
+  float inside[kBlock];
+  int32_t index[kBlock];
+  for (int pose = 0; pose < num_poses; ++pose) {
+    const Motion T = Stand(Ts_map_base + 16 * static_cast<int64_t>(pose), T_base_cam).T;
+    float total = 0;
+    for (int first = 0; first < points.count; first += kBlock) {
+      const int count = std::min(kBlock, points.count - first);
+      for (int n = 0; n < count; ++n) {
+        const Position q = T.apply(points.x[first + n], points.y[first + n], points.z[first + n]);
+        const Pixel pixel = camera.project(q.x, q.y, q.z);
+        const float border = least(least(pixel.u - limits.low, limits.high_u - pixel.u),
+                                   least(pixel.v - limits.low, limits.high_v - pixel.v));
+        const float full = points.weight[first + n], in_image = border >= 0 ? full : 0.0f;
+        const float near = q.x * q.x + q.y * q.y + q.z * q.z < limits.max_range * limits.max_range ? in_image : 0.0f;
+        inside[n] = pixel.margin > 0 ? near : 0.0f;
+        const int32_t column = static_cast<int32_t>(clamp(pixel.u * per_pixel, width - 1.0f));
+        const int32_t row = static_cast<int32_t>(clamp(pixel.v * per_pixel, height - 1.0f));
+        index[n] = (points.channel[first + n] * height + row) * width + column;
+      }
+      for (int n = 0; n < count; ++n) total += inside[n] * gain[index[n]];
+    }
+    nats[pose] += total;
+  }
+}
+
 }  // namespace semloc
