@@ -45,7 +45,7 @@ class SolvedPoses(NamedTuple):
     score: Float[Array, " n"]
     """Ramp cost and prior [nats]."""
 
-    def rows(self, index: np.ndarray) -> "SolvedPoses":
+    def rows(self, index: np.ndarray | slice) -> "SolvedPoses":
         """Some of them."""
         return jax.tree.map(lambda leaf: leaf[index], self)
 

@@ -173,7 +173,7 @@ class EvidenceNull:
             range_bin=np.searchsorted(RANGE_EDGES_M, range_m, side="right"),
             block=block_of(camera, cell, cell_px, image_size),
             observations=np.where(length_px < config.least_px, 0.0, counted),
-            bin_share=of_bin.reshape(num, -1) / np.maximum(total_px, 1e-9)[:, None],
+            bin_share=of_bin.reshape(num, self.num_bins) / np.maximum(total_px, 1e-9)[:, None],
             sample_piece=piece,
             sample_px=seen.signed_px.astype(np.float64),
             sample_weight=weight,

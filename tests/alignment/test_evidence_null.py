@@ -171,3 +171,13 @@ def test_the_total_is_the_sum_over_the_parts_of_the_image():
     assert null.total_nats(pieces, rates) == pytest.approx(
         null.evidence(pieces, rates).block_nats.sum(axis=1), abs=1e-9
     )
+
+
+def test_poses_that_see_nothing_at_all_have_no_pieces():
+    null = null_of()
+    blind = SeenSamples.of(scene(2, 160, 7)[0]._replace(length_px=np.zeros((2, 1, 160))))
+    pieces = null.pieces(blind, SIZE, CELL_PX)
+    rates = best_rates(null, pieces, np.zeros(2), np.array([0, 1]))
+    found = null.evidence(pieces, rates)
+    assert len(pieces.pose) == 0 and found.nats.tolist() == found.observations.tolist() == [0.0, 0.0]
+    assert null.total_nats(pieces, rates).tolist() == [0.0, 0.0]

@@ -19,7 +19,8 @@ struct Borders {
     const int column = static_cast<int>(x), row = static_cast<int>(y);
     const float fu = x - column, fv = y - row;
     const float* p = signed_px + (static_cast<int64_t>(channel) * height + row) * width + column;
-    const float top = p[0] + fu * (p[1] - p[0]), bottom = p[width] + fu * (p[width + 1] - p[width]);
+    const int right = width > 1, down = height > 1 ? width : 0;  // a field of one row or column has no neighbours there
+    const float top = p[0] + fu * (p[right] - p[0]), bottom = p[down] + fu * (p[down + right] - p[down]);
     return top + fv * (bottom - top);
   }
   bool may_use(float u, float v) const {
