@@ -23,7 +23,7 @@ from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel, is_inlier
 from semloc_jax.residuals.pose_terms import Terms
 from semloc_jax.residuals.robust import KERNELS
-from semloc_jax.residuals.scoring import ramp_values, seen_ramps, visible_weight
+from semloc_jax.residuals.scoring import ramp_values, visible_weight
 from semloc_jax.residuals.texture import RampTextures
 from semloc_jax.solvers.front import solve
 from semloc_jax.solvers.levenberg_marquardt import LEAST_DAMPING, LEAST_FALL, MOST_DAMPING, SolveConfig
@@ -94,8 +94,8 @@ def visible_ramps(
     T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """Signed ramp value of every sample on one level, and its weight where it can be seen from the pose, else 0."""
-    known = evidence.textures.level(level), evidence.usable, config.border_px, config.path
-    return seen_ramps(T_map_base, evidence.views, *known)
+    views = visible_views(T_map_base, evidence, config.border_px, config.path)
+    return ramp_values(T_map_base, views, evidence.textures.level(level), config.path)
 
 
 def total_weight(views: tuple[CameraViews, ...]) -> Float[Array, ""]:

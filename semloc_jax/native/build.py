@@ -26,8 +26,8 @@ SOURCES = Path(__file__).parent / "src"
 COMMON = "common"
 """What every frame needs."""
 _CAMERA_CALLS = (
-    *("normal_equations", "visible_weight", "seen_cost", "project", "view", "ramp_values"),
-    *("seen_ramps", "piece_sums", "refine"),
+    *("normal_equations", "visible_weight", "robust_cost", "project", "view", "ramp_values"),
+    *("piece_sums", "refine"),
 )
 _CALLS = {
     COMMON: ("damped_step", "sums_by_index", "pack"),

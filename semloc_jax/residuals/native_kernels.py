@@ -256,57 +256,18 @@ def ramp_values(
     return _call(name, [(points[0].shape[-1],)], *operands, num_channels=number)[0]
 
 
-def seen_ramps(
+def robust_cost(
     T_map_base: Float[Array, "4 4"],
     camera: Camera,
     T_cam_base: Float[Array, "4 4"],
     points: Points,
-    usable: Bool[Array, "cam h w"],
-    scale: float,
-    margin_px: float,
     texture: RampTexture,
     index: Int[Array, ""],
-) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-    """`ramp_values` and `visible_weight` of one camera from one projection; both are 0 for padding at the end."""
-    num = points[0].shape[-1]
-    return tuple(_seen("seen_ramps", [(num,), (num,)], T_map_base, camera, T_cam_base, points, usable, scale, margin_px,
-                       texture, index))  # fmt: skip
-
-
-def seen_cost(
-    T_map_base: Float[Array, "4 4"],
-    camera: Camera,
-    T_cam_base: Float[Array, "4 4"],
-    points: Points,
-    usable: Bool[Array, "cam h w"],
-    scale: float,
-    margin_px: float,
-    texture: RampTexture,
-    index: Int[Array, ""],
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Sum of weight x Tukey cost of one camera over what can be seen, 1 for each sample beyond the ramp, and sum of the
-    weight; arguments as above."""
-    return tuple(_seen("seen_cost", [(), ()], T_map_base, camera, T_cam_base, points, usable, scale, margin_px, texture,
-                       index))  # fmt: skip
-
-
-def _seen(
-    name: str,
-    shapes: list[tuple[int, ...]],
-    T_map_base: Array,
-    camera: Camera,
-    T_cam_base: Array,
-    points: Points,
-    usable: Array,
-    scale: float,
-    margin_px: float,
-    texture: RampTexture,
-    index: Array,
-) -> list[Array]:
-    numbers = jnp.float32(scale), jnp.float32(margin_px)
-    operands = (T_map_base, T_cam_base, *points, usable, *numbers, *_texture(texture, index))
-    kernel, number = _of_model(f"semloc_{name}", camera), texture.num_channels
-    return _call(kernel, shapes, *operands, *jax.tree.leaves(camera), num_channels=number)
+) -> Float[Array, ""]:
+    """Sum of weight x Tukey cost of one camera, 1 for each sample beyond the ramp; arguments as above."""
+    operands = (T_map_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
+    name, number = _of_model("semloc_robust_cost", camera), texture.num_channels
+    return _call(name, [()], *operands, num_channels=number)[0]
 
 
 def piece_sums(

@@ -4,8 +4,6 @@ In: pose, views, one level of textures, usable pixels. Out: summed robust cost a
 One evaluation of this costs a quarter of the normal equations: it ranks thousands of hypotheses.
 """
 
-from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -41,12 +39,8 @@ def robust_cost(
     """Summed robust cost and visible weight of a pose on one level of the cost maps; `path` as `normal_equations`."""
     summed, visible = jnp.zeros((), T_map_base.dtype), jnp.zeros((), T_map_base.dtype)
     for view in views:
-        if native_kernels.use(path, view.camera, kernel, T_map_base.dtype) == "analytic":
-            own = jax.vmap(partial(_by_kernel, native_kernels.seen_cost, T_map_base, texture, usable, border_px))(view)
-            summed, visible = summed + jnp.sum(own[0]), visible + jnp.sum(own[1])
-            continue
         view = eqx.tree_at(lambda v: v.weight, view, visible_weight(T_map_base, view, usable, border_px, path))
-        summed = summed + jnp.sum(_summed(T_map_base, view, texture, kernel))
+        summed = summed + jnp.sum(_summed(T_map_base, view, texture, kernel, path))
         ones = jnp.ones_like(view.weight[0])
         visible = visible + jnp.sum(jnp.dot(view.weight, ones, precision=jax.lax.Precision.HIGHEST))
     return RobustCost(summed, visible)
@@ -89,25 +83,6 @@ def ramp_values(
     return jnp.concatenate(values), jnp.concatenate([view.weight.reshape(-1) for view in views])
 
 
-def seen_ramps(
-    T_map_base: Float[Array, "4 4"],
-    views: tuple[CameraViews, ...],
-    texture: RampTexture,
-    usable: Usable,
-    border_px: float,
-    path: native_kernels.Path = "auto",
-) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """`ramp_values` of every sample, and its `visible_weight`."""
-    if any(native_kernels.use(path, v.camera, KERNELS["tukey"], T_map_base.dtype) != "analytic" for v in views):
-        seen = [visible_weight(T_map_base, v, usable, border_px, path) for v in views]
-        views = tuple(eqx.tree_at(lambda v: v.weight, v, weight) for v, weight in zip(views, seen, strict=True))
-        return ramp_values(T_map_base, views, texture, path)
-    one_camera = partial(_by_kernel, native_kernels.seen_ramps, T_map_base, texture, usable, border_px)
-    found = [jax.vmap(one_camera)(view) for view in views]
-    values, weights = (jnp.concatenate([part.reshape(-1) for part in parts]) for parts in zip(*found, strict=True))
-    return values, weights
-
-
 def sums_by_piece(
     T_map_base: Float[Array, "4 4"],
     views: tuple[CameraViews, ...],
@@ -132,7 +107,9 @@ def sums_by_piece(
         path: As `normal_equations`.
     """
     if any(native_kernels.use(path, v.camera, kernel, T_map_base.dtype) != "analytic" for v in views):
-        r, weight = seen_ramps(T_map_base, views, texture, usable, border_px, path)
+        seen = [visible_weight(T_map_base, v, usable, border_px, path) for v in views]
+        views = tuple(eqx.tree_at(lambda v: v.weight, v, weight) for v, weight in zip(views, seen, strict=True))
+        r, weight = ramp_values(T_map_base, views, texture, path)
         return sums_by_index(jnp.stack([weight, weight * kernel.rho(r)]), piece_of, len(piece_of), path)
 
     def one_camera(view: CameraViews, piece: Int[Array, " p"]) -> Array:
@@ -159,24 +136,16 @@ def sums_by_index(
     return jax.vmap(lambda row: jax.ops.segment_sum(row, index, num))(values)
 
 
-def _by_kernel(
-    call: Callable[..., tuple[Array, Array]],
-    T_map_base: Array,
-    texture: RampTexture,
-    usable: Usable,
-    border_px: float,
-    view: CameraViews,
-) -> tuple[Array, Array]:
-    """`native_kernels.seen_cost` or `seen_ramps` of one camera."""
-    points = view.p_map, view.channel, view.weight
-    known = usable.mask, 1 / usable.stride, border_px, texture, view.index
-    return call(T_map_base, view.camera, view.T_cam_base, points, *known)
-
-
-def _summed(T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel) -> Float[Array, " cam"]:
+def _summed(
+    T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel, path: native_kernels.Path
+) -> Float[Array, " cam"]:
     """sum_i w_i rho(r_i) / rho(1) of each camera."""
+    native = native_kernels.use(path, view.camera, kernel, T_map_base.dtype) == "analytic"
 
     def one_camera(view: CameraViews) -> Array:
+        if native:
+            points = view.p_map, view.channel, view.weight
+            return native_kernels.robust_cost(T_map_base, view.camera, view.T_cam_base, points, texture, view.index)
         x, y, z = points_in_camera(view.T_cam_base, T_map_base, view.p_map)
         walls = Walls.of(texture)
         (uv,) = stored(walls.odd, jax.lax.complex(*view.camera.project_xyz(x, y, z)[:2]))

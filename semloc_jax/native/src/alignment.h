@@ -287,49 +287,16 @@ __attribute__((noinline)) void ramp_values(const Camera& camera, const Motion& T
   }
 }
 
-// Weight of each point as visible_weight has it, and its ramp value, from one projection.
+// Sum of w rho / rho(1) for points with the given weights.
 template <typename Camera>
-__attribute__((noinline)) void seen_ramps(const Camera& camera, const Motion& T, const Points& points,
-                                          const Texture& texture, const Usable& usable, float margin_px, float* weight,
-                                          float* value) {
-  const float low = margin_px - 0.5f, high_u = camera.width - 1 - low, high_v = camera.height - 1 - low;
-  float inside[kBlock], fu[kBlock], fv[kBlock];
-  int32_t cell[kBlock], index[kBlock];
-  for (int first = 0; first < points.count; first += kBlock) {
-    const int count = std::min(kBlock, points.count - first);
-    for (int n = 0; n < count; ++n) {
-      const Position p = T.apply(points.x[first + n], points.y[first + n], points.z[first + n]);
-      const Pixel pixel = camera.project(p.x, p.y, p.z);
-      const Texel texel = locate(texture, points.channel[first + n], pixel.u, pixel.v);
-      index[n] = texel.index, fu[n] = texel.fu, fv[n] = texel.fv, cell[n] = usable.index(pixel.u, pixel.v);
-      const float border = least(least(pixel.u - low, high_u - pixel.u), least(pixel.v - low, high_v - pixel.v));
-      const float full = points.weight[first + n], in_image = border >= 0 ? full : 0.0f;
-      inside[n] = pixel.margin > 0 ? in_image : 0.0f;
-    }
-    for (int n = 0; n < count; ++n) {
-      weight[first + n] = inside[n] * usable.mask[cell[n]];
-      value[first + n] = blend(texture, texture.texels[index[n]], fu[n], fv[n]).value;
-    }
-  }
-}
-
-// Sum of w rho / rho(1) and of w over the points that can be seen.
-struct SeenCost {
-  float summed, visible;
-};
-
-template <typename Camera>
-SeenCost seen_cost(const Camera& camera, const Motion& T, const Points& points, const Texture& texture,
-                   const Usable& usable, float margin_px) {
-  float weight[kBlock], value[kBlock];
-  SeenCost cost{0, 0};
+float robust_cost(const Camera& camera, const Motion& T, const Points& points, const Texture& texture) {
+  float value[kBlock], cost = 0;
   for (int first = 0; first < points.count; first += kBlock) {
     const Points block = points.part(first, std::min(kBlock, points.count - first));
-    seen_ramps(camera, T, block, texture, usable, margin_px, weight, value);
-    for (int n = 0; n < block.count; ++n) cost.summed += weight[n] * tukey(value[n]), cost.visible += weight[n];
+    ramp_values(camera, T, block, texture, value);
+    for (int n = 0; n < block.count; ++n) cost += block.weight[n] * tukey(value[n]);
   }
-  cost.summed *= 6;
-  return cost;
+  return 6 * cost;
 }
 
 }  // namespace semloc

@@ -95,52 +95,12 @@ Problem for_each_texture(const Call& call, int core_rank, const Function& functi
   return nullptr;
 }
 
-// Calls function(item, camera, motion into it, filled points, texture, usable, margin) for T_map_base, T_cam_base, points,
-// usable [cam h w], its scale, margin, texture, camera.
-template <typename Function>
-Problem for_each_seen_texture(const Call& call, int core_rank, const Function& function) {
-  const int32_t num_channels = call.attribute<int32_t>("num_channels");
-  const Batch batch(call.result(0), core_rank);
-  if (batch.rank > kMaxBatchRank) return kTooManyAxes;
-  Operands operands(call, batch);
-  const auto T_map_base = operands.take<float>(), T_cam_base = operands.take<float>();
-  const PointOperands points(operands);
-  const auto mask_buffer = call.operand(5);
-  const auto mask = operands.take<uint8_t>();
-  const auto scale = operands.take<float>(), margin_px = operands.take<float>();
-  const TextureOperands texture(operands, num_channels);
-  const CameraOperands camera(operands);
-  for_each_item(call, batch.size, points.p_map.length, [&](int64_t item) {
-    const Usable usable = usable_of(mask_buffer, mask.at(batch, item), *texture.camera.at(batch, item), *scale.at(batch, item));
-    function(item, camera.at<Camera>(batch, item),
-             Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
-             points.at(batch, item).filled(), texture.at(batch, item), usable, *margin_px.at(batch, item));
-  });
-  return nullptr;
-}
-
-// Operands of for_each_seen_texture -> sum of w rho / rho(1) over what can be seen [], sum of w [].
-Problem SeenCostOf(const Call& call) {
-  float *summed = call.result_data<float>(0), *visible = call.result_data<float>(1);
-  return for_each_seen_texture(call, 0, [&](int64_t item, const Camera& camera, const Motion& T_cam_map,
-                                            const Points& points, const Texture& texture, const Usable& usable,
-                                            float margin_px) {
-    const SeenCost cost = seen_cost(camera, T_cam_map, points, texture, usable, margin_px);
-    summed[item] = cost.summed, visible[item] = cost.visible;
-  });
-}
-
-// Operands of for_each_seen_texture -> ramp value [p], weight where it can be seen, else 0 [p]; both 0 for padding.
-Problem SeenRamps(const Call& call) {
-  float *value = call.result_data<float>(0), *weight = call.result_data<float>(1);
-  const int64_t num = call.result(0).dimensions().back();
-  return for_each_seen_texture(call, 1, [&](int64_t item, const Camera& camera, const Motion& T_cam_map,
-                                            const Points& points, const Texture& texture, const Usable& usable,
-                                            float margin_px) {
-    float *own_value = value + num * item, *own_weight = weight + num * item;
-    seen_ramps(camera, T_cam_map, points, texture, usable, margin_px, own_weight, own_value);
-    std::fill(own_value + points.count, own_value + num, 0.0f);
-    std::fill(own_weight + points.count, own_weight + num, 0.0f);
+// Operands of for_each_texture, weights: visible -> sum of w rho / rho(1) [].
+Problem RobustCost(const Call& call) {
+  float* cost = call.result_data<float>(0);
+  return for_each_texture(call, 0, [&](int64_t item, const Camera& camera, const Motion& T_cam_map, const Points& points,
+                                       const Texture& texture) {
+    cost[item] = robust_cost(camera, T_cam_map, points.filled(), texture);
   });
 }
 
@@ -316,8 +276,7 @@ Problem View(const Call& call) {
 
 SEMLOC_CALL(semloc_normal_equations, semloc::NormalEquations)
 SEMLOC_CALL(semloc_visible_weight, semloc::VisibleWeight)
-SEMLOC_CALL(semloc_seen_cost, semloc::SeenCostOf)
-SEMLOC_CALL(semloc_seen_ramps, semloc::SeenRamps)
+SEMLOC_CALL(semloc_robust_cost, semloc::RobustCost)
 SEMLOC_CALL(semloc_project, semloc::Project)
 SEMLOC_CALL(semloc_view, semloc::View)
 SEMLOC_CALL(semloc_ramp_values, semloc::RampValues)

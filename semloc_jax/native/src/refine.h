@@ -204,7 +204,8 @@ void piece_sums(const Camera& camera, const Motion& T, const Points& points, con
                 float margin_px, const int32_t* piece, int num, float* sums) {
   thread_local Row<float> weights, values;
   float *weight = weights.sized(points.count), *value = values.sized(points.count);
-  seen_ramps(camera, T, points, texture, usable, margin_px, weight, value);
+  visible_weight(camera, T, points, usable, margin_px, weight);
+  ramp_values(camera, T, points, texture, value);
   std::fill_n(sums, 2 * num, 0.0f);
   // Samples of a piece follow each other: its sums stay in registers until the next one begins.
   int32_t open = -1;
