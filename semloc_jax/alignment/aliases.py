@@ -96,9 +96,9 @@ def _overlap(points: np.ndarray, channel: np.ndarray, length_m: np.ndarray, conf
     power: np.ndarray | float = 0.0
     for own in np.unique(channel):
         rows = channel == own
-        plan = np.zeros(size, np.float32)
-        np.add.at(plan, tuple(cell[rows].T), length_m[rows])
-        spectrum = rfft2(plan)
+        where = cell[rows, 0] * size[1] + cell[rows, 1]
+        plan = np.bincount(where, length_m[rows], size[0] * size[1]).reshape(size)
+        spectrum = rfft2(plan.astype(np.float32))
         power = power + spectrum.real**2 + spectrum.imag**2
     return irfft2(power, s=size)[np.ix_(*(np.arange(-most, most + 1) for most in reach))]
 

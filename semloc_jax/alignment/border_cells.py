@@ -56,18 +56,18 @@ class BorderCells:
             cell_px: Size of a cell [px].
             image_size: Width and height of the largest mask [px].
         """
-        inside = np.asarray(borders.signed_px) < 0
-        steps = np.zeros(inside.shape, np.float32)
-        steps[:, :, :-1] += inside[:, :, 1:] != inside[:, :, :-1]
-        steps[:, :, :, :-1] += inside[:, :, :, 1:] != inside[:, :, :, :-1]
-        steps[:, np.setdiff1d(np.arange(steps.shape[1]), channels)] = 0.0
-        camera, channel, row, column = np.nonzero(steps)
-        v, u = ((place + 1.0) * borders.stride for place in (row, column))
+        channels = np.intersect1d(channels, np.arange(borders.signed_px.shape[1]))
+        inside = borders.signed_px[:, channels] < 0
+        steps = inside[:, :, 1:] != inside[:, :, :-1], inside[:, :, :, 1:] != inside[:, :, :, :-1]
+        found = [np.unravel_index(np.flatnonzero(step), step.shape) for step in steps]
+        camera, which, row, column = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        channel = channels[which]
+        v, u = ((place + 1) * borders.stride for place in (row, column))
         at = (
             np.minimum((place / usable_stride).astype(int), size - 1)
             for place, size in zip((v, u), usable.shape[1:], strict=True)
         )
-        length_px = steps[camera, channel, row, column] * usable[(camera, *at)] * borders.stride * _ROUND
+        length_px = usable[(camera, *at)] * (borders.stride * _ROUND)
         cell = (v // cell_px).astype(np.int64) * CELL_COLUMNS + (u // cell_px).astype(np.int64)
         key, first, whose = np.unique(_key(camera, channel, cell), return_index=True, return_inverse=True)
         block = block_of(camera[first], cell[first], cell_px, image_size)
@@ -96,9 +96,19 @@ class BorderCells:
             length_px: `float[s]`, their lengths.
             num_poses: Number of poses.
         """
-        here = row >= 0
-        found = np.bincount(pose[here] * len(self.key) + row[here], length_px[here], num_poses * len(self.key))
-        return 1.0 - np.minimum(found.reshape(num_poses, -1) / np.maximum(self.length_px, 1e-9), 1.0)
+        here = np.flatnonzero(row >= 0)
+        return 1.0 - self.covered(pose[here] * len(self.key) + row[here], length_px[here], num_poses)
+
+    def covered(self, place: np.ndarray, length_px: np.ndarray, num_poses: int) -> np.ndarray:
+        """Returns the share of every border that has contours of the map on it, `float[num_poses k]`.
+
+        Args:
+            place: `int[s]`, number of the pose times that of the borders, and row of the border, of pieces of contour.
+            length_px: `float[s]`, their lengths.
+            num_poses: Number of poses.
+        """
+        found = np.bincount(place, length_px, num_poses * len(self.key)).reshape(num_poses, len(self.key))
+        return np.minimum(found / np.maximum(self.length_px, 1e-9), 1.0)
 
 
 def block_of(camera: np.ndarray, cell: np.ndarray, cell_px: float, image_size: tuple[int, int]) -> np.ndarray:

@@ -4,11 +4,11 @@ In: the frame, a window, poses to start from. Out: poses that differ, and what a
 """
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -16,11 +16,12 @@ from semloc_jax.alignment.evidence_null import EvidenceNull
 from semloc_jax.alignment.filled_rows import map_filled
 from semloc_jax.alignment.hypotheses import score
 from semloc_jax.alignment.level_choice import telling
-from semloc_jax.alignment.observed import CoarseSamples, ObserveConfig, Observed, coarse_evidence
+from semloc_jax.alignment.observed import LONGEST_PX, CoarseSamples, ObserveConfig
 from semloc_jax.alignment.pose import AlignConfig, Prior, align_one, fit_at
 from semloc_jax.alignment.proposals import LATTICE_STEPS
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import units_apart
+from semloc_jax.alignment.seen_samples import SeenSamples, coarse_nats
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from
 from semloc_jax.cameras import Rig
 from semloc_jax.perception.border_distance import BorderDistances
@@ -29,8 +30,8 @@ from semloc_jax.structs import MapSamples, PoseEstimate
 
 BATCH = 64
 """Most poses that are solved or observed in one call; of fewer, only those asked for cost time."""
-COARSE_BATCH, CLOSER_BATCH = 2048, 512
-"""Most poses of a first look in one call, and of what number those of a closer one are a multiple."""
+CLOSER_BATCH = 512
+"""Poses of a closer look are a multiple of so many."""
 COARSE_SAMPLES, COARSE_EVERY = 768, 4
 """Samples of the closer look; the first one takes every so many of them."""
 _CLOSER_SHARE = 8
@@ -44,7 +45,7 @@ class SolvedPoses(NamedTuple):
     score: Float[Array, " n"]
     """Ramp cost and prior [nats]."""
 
-    def rows(self, index: np.ndarray) -> "SolvedPoses":
+    def rows(self, index: np.ndarray | slice) -> "SolvedPoses":
         """Some of them."""
         return jax.tree.map(lambda leaf: leaf[index], self)
 
@@ -182,11 +183,18 @@ def along_weak(
 
 def lattice_in_window(num: int, T_prior: np.ndarray, half_xy_m: float, half_heading_rad: float) -> np.ndarray:
     """Poses that fill a window, denser in its middle where a prior puts them, the prior first, float64[num 4 4]."""
+    x, y, heading = _lattice(num)
+    return T_prior @ planar(half_xy_m * x, half_xy_m * y, half_heading_rad * heading)
+
+
+@lru_cache(maxsize=4)
+def _lattice(num: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places and headings of a window of +-1 each, the middle first."""
     # On the host: the number of poses follows the prior, and JAX would compile for each.
     unit = 2.0 * np.mod(0.5 + np.outer(np.arange(num), LATTICE_STEPS), 1.0) - 1.0
     unit[0] = 0.0
-    xy = half_xy_m * np.sign(unit[:, :2]) * np.abs(unit[:, :2]) ** 1.5
-    return T_prior @ planar(xy[:, 0], xy[:, 1], half_heading_rad * unit[:, 2])
+    x, y = (np.sign(unit[:, :2]) * np.abs(unit[:, :2]) ** 1.5).T
+    return x, y, unit[:, 2]
 
 
 def null_poses(num: int, T_prior: np.ndarray, seed: int) -> np.ndarray:
@@ -197,16 +205,18 @@ def null_poses(num: int, T_prior: np.ndarray, seed: int) -> np.ndarray:
     return T_prior @ planar(away_m * np.cos(angle), away_m * np.sin(angle), turn)
 
 
-def coarse_samples(observed: Observed, samples: MapSamples, channel: np.ndarray, unit_px: float) -> CoarseSamples:
+def coarse_samples(seen: SeenSamples, samples: MapSamples, channel: np.ndarray, unit_px: float) -> CoarseSamples:
     """Samples that stand for equal lengths of contour in the images of the poses they were observed from.
 
     Args:
-        observed: from some poses that span the window.
+        seen: from some poses that span the window.
         samples: the map.
         channel: of each sample.
         unit_px: pixels of this image that stand for one of a usual one.
     """
-    length_px = np.minimum(observed.length_px.max(axis=(0, 1)), 50.0 * unit_px)
+    length_px = np.zeros(len(channel), np.float32)
+    np.maximum.at(length_px, seen.sample, seen.length_px)
+    length_px = np.minimum(length_px, LONGEST_PX * unit_px)
     total = float(length_px.sum())
     p_map = np.zeros((3, COARSE_SAMPLES), np.float32)
     chosen_channel, weight = np.zeros(COARSE_SAMPLES, np.int32), np.zeros(COARSE_SAMPLES, np.float32)
@@ -269,17 +279,11 @@ def coarse_search(
         log_prior: Of each pose, float[n].
         config: Range and border.
     """
-    gain, stride = jnp.asarray(gain), np.float32(stride)
     few = samples._replace(weight=samples.weight * COARSE_EVERY)
 
     def nats(rows: np.ndarray, samples: CoarseSamples, num_parts: int) -> np.ndarray:
-        found = []
-        for first in range(0, len(rows), COARSE_BATCH):
-            own = Ts[rows[first : first + COARSE_BATCH]]
-            poses, num = np.asarray(filled(own, COARSE_BATCH), np.float32), np.int32(len(own))
-            part = coarse_evidence(poses, num, samples, np.int32(num_parts), frame.rig, gain, stride, config)
-            found.append(np.asarray(part)[: len(own)])
-        return np.concatenate(found).astype(np.float64) + log_prior[rows]
+        found = coarse_nats(Ts[rows], samples, num_parts, frame.rig, gain, float(stride), config)
+        return found.astype(np.float64) + log_prior[rows]
 
     first = nats(np.arange(len(Ts)), few, 1)
     num_closer = max(len(Ts) // _CLOSER_SHARE // CLOSER_BATCH, 1) * CLOSER_BATCH

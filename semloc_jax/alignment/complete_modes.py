@@ -56,9 +56,8 @@ class ModeFinder(SearchSteps):
         if len(shifted):
             more = self.candidates(shifted, in_view_px)
             also = self.observed(np.asarray(more.estimates.T_map_base, dtype=np.float64))
-            solved, seen = (
-                jax.tree.map(lambda *leaves: np.concatenate(leaves), *pair) for pair in ((solved, more), (seen, also))
-            )
+            solved = jax.tree.map(lambda *leaves: np.concatenate(leaves), solved, more)
+            seen = seen.joined(also)
             Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
         pieces = self.null.pieces(seen, self.image_size, self.observe_config.cell_px)
         found, rates = self._evidence_of(Ts, pieces, None)
@@ -111,12 +110,11 @@ class ModeFinder(SearchSteps):
         best, plane = found.modes[0], np.ix_(PLANE, PLANE)
         sound = best.covariance[plane]
         search = FaultSearch(self, frame, self.local.from_map(best.T_map_base, np.float64), in_view_px)
-        doubt, of_lenses = search.lenses(sound, self.faults)
-        faults = (*of_lenses, *search.kinds(rates, self.faults))
+        doubt, faults = search.weighed(sound, rates, self.faults)
         covariance = best.covariance.copy()
         covariance[plane] = joined(sound, faults)
         best = replace(best, covariance=covariance, evidence=replace(best.evidence, **asdict(doubt)))
-        return replace(found, modes=(best, *found.modes[1:]), sound=sound, faults=faults)
+        return replace(found, modes=(best, *found.modes[1:]), sound=sound, faults=tuple(faults))
 
     def _road_through(self, T_map_base: np.ndarray, frame: FrameInput, prior: Prior) -> RoadPosterior:
         """Places along the road through a pose."""

@@ -1,6 +1,6 @@
 """Evidence with a null: what the masks hold for a pose against seeing the map elsewhere (room: alignment; host).
 
-In: Observed of several poses. Out: nats, explained share and border offset of every pose; rates estimated of the frame.
+In: SeenSamples of several poses. Out: nats, explained share and border offset of every pose; rates of the frame.
 The samples of one element in one cell of the image are one observation, a piece. Each piece was either seen, and its
 samples lie near the border of a mask, or it was not (worn, hidden, not there), and they lie where samples of a random
 pose lie. A map that is not matched costs log(1 - P): poses that see different amounts of map can be compared. A border
@@ -8,14 +8,15 @@ of a mask on which no contour of the map lies was made by something else: rarely
 the pose is wrong.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import erf
 
 from semloc_jax.alignment.border_cells import BorderCells, block_of
 from semloc_jax.alignment.map_pieces import Pieces, PoseEvidence, Rates
-from semloc_jax.alignment.observed import Observed
+from semloc_jax.alignment.seen_samples import SeenSamples
 
 RANGE_EDGES_M = (15.0, 25.0, 40.0)
 """Beyond each of them the rate of detection is another one."""
@@ -60,12 +61,19 @@ _LEAST_SAMPLES = 8
 """Of fewer samples no offset is told."""
 
 
+class _Beside(NamedTuple):
+    """Borders of every pose: the share that is left over, and what it says [nats]."""
+
+    left: np.ndarray
+    nats: np.ndarray
+
+
 class EvidenceNull:
     """The likelihood of one frame: null from random poses, rates from the best poses."""
 
     def __init__(
         self,
-        null: Observed,
+        null: SeenSamples,
         channel: np.ndarray,
         element: np.ndarray,
         unit_px: float,
@@ -76,7 +84,7 @@ class EvidenceNull:
         """Learn where samples lie when the pose is wrong.
 
         Args:
-            null: Observed from random poses, of every `null_every`-th sample.
+            null: What random poses see of every `null_every`-th sample.
             channel, element: of each sample, int[p].
             unit_px: pixels of this image that stand for one of a usual one.
             config: Constants.
@@ -99,24 +107,24 @@ class EvidenceNull:
         """Number of bins of distance."""
         return len(self.edges_px) + 1
 
-    def _histogram(self, observed: Observed, channels: np.ndarray) -> np.ndarray:
-        rows = observed.length_px > 0
-        bins = np.digitize(np.abs(observed.signed_px[rows]), self.edges_px)
-        channel = np.broadcast_to(channels, rows.shape)[rows]
-        weight = np.minimum(observed.length_px[rows], 50.0)
-        size = self.num_channels * self.num_bins
-        counts = np.bincount(channel * self.num_bins + bins, weight, size).reshape(-1, self.num_bins)
+    def _histogram(self, seen: SeenSamples, channels: np.ndarray) -> np.ndarray:
+        bins, size = self._bins(seen.signed_px), self.num_channels * self.num_bins
+        counts = np.bincount(channels[seen.sample] * self.num_bins + bins, seen.length_px, size)
+        counts = counts.reshape(-1, self.num_bins)
         total = counts.sum(axis=1, keepdims=True)
         share = np.where(total > 0, counts / np.maximum(total, 1e-9), 1.0 / self.num_bins)
         return (1.0 - self.config.uniform) * share + self.config.uniform / self.num_bins
 
-    def _at_random(self, null: Observed, channels: np.ndarray, every: int) -> np.ndarray:
+    def _bins(self, signed_px: np.ndarray) -> np.ndarray:
+        return np.searchsorted(self.edges_px, np.abs(signed_px), side="right")
+
+    def _at_random(self, null: SeenSamples, channels: np.ndarray, every: int) -> np.ndarray:
         """Share of the borders of each channel that random poses leave over, float[channel]; 1 for no borders."""
-        near_px = self.config.on_border * self.start_scale_px
-        rows = np.nonzero((null.length_px > 0) & (np.abs(null.signed_px) < near_px[channels]))
-        border = self.cells.rows(rows[1], channels[rows[2]], null.cell[rows].astype(np.int64))
-        length_px = every * np.minimum(null.length_px[rows], 50.0)
-        left = self.cells.left_over(rows[0], border, length_px, len(null.length_px))
+        near_px, channel = self.config.on_border * self.start_scale_px, channels[null.sample]
+        near = np.flatnonzero(np.abs(null.signed_px) < near_px[channel])
+        border = self.cells.rows(null.camera[near], channel[near], null.cell[near].astype(np.int64))
+        length_px = every * null.length_px[near]
+        left = self.cells.left_over(null.pose[near], border, length_px, null.num_poses)
         return self._by_channel(left.mean(axis=0), np.ones(self.num_channels))
 
     def _by_channel(self, left_over: np.ndarray, expected: np.ndarray) -> np.ndarray:
@@ -128,53 +136,48 @@ class EvidenceNull:
 
     def left_over(self, pieces: Pieces, scale_px: np.ndarray) -> np.ndarray:
         """Share of every border on which no contour of the map lies, float[pose border]."""
-        channel = pieces.channel[pieces.sample_piece]
-        rows = np.abs(pieces.sample_px) < self.config.on_border * scale_px[channel]
-        piece = pieces.sample_piece[rows]
-        return self.cells.left_over(
-            pieces.pose[piece], pieces.border[piece], pieces.sample_weight[rows], pieces.num_poses
-        )
+        return 1.0 - self._covered(pieces, scale_px)
 
-    def pieces(self, observed: Observed, image_size: tuple[int, int], cell_px: float) -> Pieces:
+    def _covered(self, pieces: Pieces, scale_px: np.ndarray) -> np.ndarray:
+        near = pieces.on_borders
+        rows = np.flatnonzero(near.away_px < (self.config.on_border * scale_px)[near.channel])
+        place = near.pose[rows] * len(self.cells.key) + near.border[rows]
+        return self.cells.covered(place, near.weight[rows], pieces.num_poses)
+
+    def pieces(self, seen: SeenSamples, image_size: tuple[int, int], cell_px: float) -> Pieces:
         """The samples of every pose gathered by element and cell of the image.
 
         Args:
-            observed: of n poses.
+            seen: of n poses.
             image_size: width and height of the largest mask [px].
             cell_px: size of the cells.
         """
-        shape = observed.length_px.shape
-        pose, camera, sample = np.nonzero(observed.length_px > 0)
-        rows = (pose, camera, sample)
-        cell = observed.cell[rows].astype(np.int64)
-        num_elements = int(self.element.max(initial=0)) + 1
-        most_cells = int(cell.max(initial=0)) + 1
-        key = ((pose * shape[1] + camera) * num_elements + self.element[sample]) * most_cells + cell
+        num_elements, most_cells = int(self.element.max(initial=0)) + 1, int(seen.cell.max(initial=0)) + 1
+        own = (seen.pose.astype(np.int64) * seen.num_cameras + seen.camera) * num_elements + self.element[seen.sample]
+        key = own * most_cells + seen.cell
         # Neighbours of a contour fall together: runs first, then what is left is short enough to be sorted.
         starts = np.flatnonzero(np.diff(key, prepend=-1))
-        run = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(key)))
         _, first, of_run = np.unique(key[starts], return_index=True, return_inverse=True)
-        piece, first = of_run[run], starts[first]
-        weight = np.minimum(observed.length_px[rows], 50.0).astype(np.float64)
-        length_px = np.bincount(piece, weight, len(first)) / self.unit_px
-        range_m = np.bincount(piece, weight * observed.range_m[rows], len(first)) / np.maximum(
-            length_px * self.unit_px, 1e-9
-        )
-        config = self.config
+        piece, first = np.repeat(of_run, np.diff(starts, append=len(key))), starts[first]
+        weight, config, num = seen.length_px.astype(np.float64), self.config, len(first)
+        total_px = np.bincount(piece, weight, num)
+        length_px = total_px / self.unit_px
+        range_m = np.bincount(piece, weight * seen.range_m, num) / np.maximum(total_px, 1e-9)
         counted = np.clip(length_px / config.observation_px, config.least_observation, 1.0)
-        signed = observed.signed_px[rows].astype(np.float64)
+        of_bin = np.bincount(piece * self.num_bins + self._bins(seen.signed_px), weight, num * self.num_bins)
+        channel, camera, cell = self.channel[seen.sample[first]], seen.camera[first], seen.cell[first].astype(np.int64)
         return Pieces(
-            num_poses=shape[0],
-            pose=pose[first],
-            channel=self.channel[sample[first]],
-            range_bin=np.digitize(range_m, RANGE_EDGES_M),
-            block=block_of(camera[first], cell[first], cell_px, image_size),
+            num_poses=seen.num_poses,
+            pose=seen.pose[first].astype(np.int64),
+            channel=channel,
+            range_bin=np.searchsorted(RANGE_EDGES_M, range_m, side="right"),
+            block=block_of(camera, cell, cell_px, image_size),
             observations=np.where(length_px < config.least_px, 0.0, counted),
+            bin_share=of_bin.reshape(num, self.num_bins) / np.maximum(total_px, 1e-9)[:, None],
             sample_piece=piece,
-            sample_px=signed,
+            sample_px=seen.signed_px.astype(np.float64),
             sample_weight=weight,
-            sample_bin=np.digitize(np.abs(signed), self.edges_px),
-            border=self.cells.rows(camera[first], self.channel[sample[first]], cell[first]),
+            border=self.cells.rows(camera, channel, cell),
         )
 
     def seen(self, scale_px: np.ndarray) -> np.ndarray:
@@ -187,35 +190,60 @@ class EvidenceNull:
 
     def log_ratio(self, scale_px: np.ndarray) -> np.ndarray:
         """Nats of one observation at each distance, float[channel bin]."""
-        ratio = np.log(self.seen(scale_px) / self.null)
-        return np.clip(ratio, -self.config.most_nats, self.config.most_nats)
+        return self._clipped_log(self.seen(scale_px) / self.null)
+
+    def _clipped_log(self, ratio: np.ndarray) -> np.ndarray:
+        return np.clip(np.log(ratio), -self.config.most_nats, self.config.most_nats)
 
     def match(self, pieces: Pieces, rates: Rates) -> np.ndarray:
         """Nats for each piece that it was seen rather than not, had it to be one of both alone."""
-        table = self.log_ratio(rates.scale_px)
-        nats = table[pieces.channel[pieces.sample_piece], pieces.sample_bin]
-        num = len(pieces.channel)
-        total = np.bincount(pieces.sample_piece, pieces.sample_weight, num)
-        return np.bincount(pieces.sample_piece, pieces.sample_weight * nats, num) / np.maximum(total, 1e-9)
+        of_channels = pieces.bin_share @ self.log_ratio(rates.scale_px).T
+        return of_channels[np.arange(len(of_channels)), pieces.channel]
 
     def evidence(self, pieces: Pieces, rates: Rates) -> PoseEvidence:
         """What the masks hold for every pose."""
         match = self.match(pieces, rates)
-        detection = rates.detection[pieces.channel, pieces.range_bin]
-        nats = pieces.observations * np.log(1.0 - detection + detection * np.exp(match))
+        nats, beside = self._of_pieces(pieces, rates, match), self._of_borders(pieces, rates)
         num = pieces.num_poses
         blocks = int(max(pieces.block.max(initial=0), self.cells.block.max(initial=0))) + 1
         observations = np.bincount(pieces.pose, pieces.observations, num)
         matched = np.bincount(pieces.pose, pieces.observations * (match > self.config.matched_nats), num)
         by_block = np.bincount(pieces.pose * blocks + pieces.block, nats, num * blocks).reshape(num, blocks)
-        left = self.left_over(pieces, rates.scale_px)
+        both = by_block + self._by_block(beside.nats, blocks)
         weight = self._border_observations
-        # Against what random poses leave over, so that they hold nothing on the mean.
-        rarer = np.log(rates.left_over / self.left_over_at_random)[self.cells.channel]
-        beside = (left - self.left_over_at_random[self.cells.channel]) * weight * rarer
-        both = by_block + np.stack([np.bincount(self.cells.block, row, blocks) for row in beside])
-        share = left @ weight / max(weight.sum(), 1e-9)
+        share = beside.left @ weight / max(weight.sum(), 1e-9)
         return PoseEvidence(by_block.sum(axis=1), observations, matched / np.maximum(observations, 1e-9), both, share)
+
+    def total_nats(self, pieces: Pieces, rates: Rates) -> np.ndarray:
+        """Sum of the nats of all blocks of every pose, float[n]."""
+        nats = self._of_pieces(pieces, rates, self.match(pieces, rates))
+        worth = self._border_worth(rates)
+        beside = (1.0 - self._at_random_of_border) @ worth - self._covered(pieces, rates.scale_px) @ worth
+        return np.bincount(pieces.pose, nats, pieces.num_poses) + beside
+
+    def _of_pieces(self, pieces: Pieces, rates: Rates, match: np.ndarray) -> np.ndarray:
+        """Nats of each piece, which was seen or not."""
+        detection = rates.detection[pieces.channel, pieces.range_bin]
+        return pieces.observations * np.log(1.0 - detection + detection * np.exp(match))
+
+    @property
+    def _at_random_of_border(self) -> np.ndarray:
+        return self.left_over_at_random[self.cells.channel]
+
+    def _border_worth(self, rates: Rates) -> np.ndarray:
+        """Nats of each border that is left over; against what random poses leave over, so that they hold nothing on
+        the mean."""
+        return self._border_observations * np.log(rates.left_over / self.left_over_at_random)[self.cells.channel]
+
+    def _of_borders(self, pieces: Pieces, rates: Rates) -> "_Beside":
+        """Nats of each border of every pose for what the map leaves over of it."""
+        left = self.left_over(pieces, rates.scale_px)
+        return _Beside(left, (left - self._at_random_of_border) * self._border_worth(rates))
+
+    def _by_block(self, of_border: np.ndarray, blocks: int) -> np.ndarray:
+        """Sums over the borders in each part of the image, float[pose block]."""
+        where = np.arange(len(of_border))[:, None] * blocks + self.cells.block
+        return np.bincount(where.ravel(), of_border.ravel(), len(of_border) * blocks).reshape(-1, blocks)
 
     def start_rates(self) -> Rates:
         """Rates before anything is known of the frame."""
@@ -230,31 +258,48 @@ class EvidenceNull:
 
     def fit(self, pieces: Pieces) -> Rates:
         """Rates with which the pieces of one pose are likeliest: expectation-maximisation with a prior."""
-        config, rates = self.config, self.start_rates()
-        low, high = (self.unit_px * limit for limit in config.scale_px)
-        for _ in range(config.rounds):
-            odds = rates.detection[pieces.channel, pieces.range_bin] * np.exp(self.match(pieces, rates))
-            seen = odds / (1.0 - rates.detection[pieces.channel, pieces.range_bin] + odds)
-            held = (pieces.observations * seen)[pieces.sample_piece] * pieces.sample_weight
-            channel = pieces.channel[pieces.sample_piece]
-            precision, share = self._within_scale(pieces, rates.scale_px[channel])
-            squared = np.bincount(channel, held * precision * pieces.sample_px**2, self.num_channels)
-            total = np.bincount(channel, held * share, self.num_channels)
-            scale_px = np.sqrt(squared / np.maximum(total, 1e-9))
-            scale_px = np.where(total > 0, np.clip(scale_px, low, high), rates.scale_px)
-            key = pieces.channel * rates.detection.shape[1] + pieces.range_bin
-            size, shape = rates.detection.size, rates.detection.shape
-            hits = np.bincount(key, pieces.observations * seen, size).reshape(shape)
-            tries = np.bincount(key, pieces.observations, size).reshape(shape)
-            prior = config.rate_strength
-            rates = replace(rates, scale_px=scale_px, detection=(prior * config.rate + hits) / (prior + tries))
-        left = self._by_channel(self.left_over(pieces, rates.scale_px)[0], rates.left_over)
-        return replace(rates, left_over=np.minimum(left, self.left_over_at_random))
+        return self.fit_each(pieces)[0]
 
-    def _within_scale(self, pieces: Pieces, scale_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def fit_each(self, pieces: Pieces) -> list[Rates]:
+        """Rates with which the pieces of each pose are likeliest, every pose on its own."""
+        num, config, start = pieces.num_poses, self.config, self.start_rates()
+        scale_px = np.tile(start.scale_px, num)
+        detection = np.tile(start.detection, (num, 1))
+        low, high = (self.unit_px * limit for limit in config.scale_px)
+        # Channels of all poses beside each other: those of one pose are told apart by its number.
+        channel = pieces.pose * self.num_channels + pieces.channel
+        null = np.tile(self.null, (num, 1))
+        of_sample, squares = channel[pieces.sample_piece], pieces.sample_px**2
+        key, size = channel * detection.shape[1] + pieces.range_bin, detection.size
+        tries = np.bincount(key, pieces.observations, size).reshape(detection.shape)
+        for _ in range(config.rounds):
+            table = self._clipped_log(self.seen(scale_px) / null)
+            match = np.einsum("pb,pb->p", pieces.bin_share, table[channel])
+            rate = detection[channel, pieces.range_bin]
+            odds = rate * np.exp(match)
+            seen = odds / (1.0 - rate + odds)
+            held = (pieces.observations * seen)[pieces.sample_piece] * pieces.sample_weight
+            precision, share = self._within_scale(pieces.sample_px, scale_px[of_sample])
+            squared = np.bincount(of_sample, held * precision * squares, len(scale_px))
+            total = np.bincount(of_sample, held * share, len(scale_px))
+            found_px = np.sqrt(squared / np.maximum(total, 1e-9))
+            scale_px = np.where(total > 0, np.clip(found_px, low, high), scale_px)
+            hits = np.bincount(key, pieces.observations * seen, size).reshape(detection.shape)
+            prior = config.rate_strength
+            detection = (prior * config.rate + hits) / (prior + tries)
+        found = []
+        for pose, (scale, rate) in enumerate(
+            zip(scale_px.reshape(num, -1), detection.reshape(num, self.num_channels, -1), strict=True)
+        ):
+            left = self.left_over(pieces.of_pose(pose), scale)[0]
+            left = self._by_channel(left, start.left_over)
+            found.append(Rates(scale, rate, np.minimum(left, self.left_over_at_random)))
+        return found
+
+    def _within_scale(self, sample_px: np.ndarray, scale_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For each sample the weight of its square and of itself in the scale: narrow, wide or stray."""
         config = self.config
-        scaled = pieces.sample_px / scale_px
+        scaled = sample_px / scale_px
         narrow = config.narrow * np.exp(-0.5 * scaled**2) / scale_px
         wide = (1.0 - config.narrow) * np.exp(-0.5 * (scaled / config.wide) ** 2) / (config.wide * scale_px)
         total = narrow + wide + config.floor / self.unit_px
@@ -285,9 +330,8 @@ def best_rates(null: EvidenceNull, pieces: Pieces, log_prior: np.ndarray, candid
     A fit at one wrong winner would confirm itself.
     """
     best, best_nats = null.start_rates(), -np.inf
-    for index in candidates:
-        rates = null.fit(pieces.of_pose(int(index)))
-        nats = float(np.max(null.evidence(pieces, rates).block_nats.sum(axis=1) + log_prior))
+    for rates in null.fit_each(pieces.of_poses(candidates)):
+        nats = float(np.max(null.total_nats(pieces, rates) + log_prior))
         if nats > best_nats:
             best, best_nats = rates, nats
     return best

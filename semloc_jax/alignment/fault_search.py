@@ -35,33 +35,40 @@ class FaultSearch:
         self.steps, self.frame, self.T, self.in_view_px = steps, frame, T_map_base, in_view_px
         self.whole = np.ones((1, len(frame.samples.label)), bool)
 
-    def lenses(self, covariance: np.ndarray, config: FaultConfig) -> tuple[LensDoubt, list[FaultMode]]:
-        """The lens that the frame speaks for, and the pose with each; the covariance is that of the pose."""
-        return doubted(self.frame.rig, self._through, covariance, config)
+    def weighed(self, covariance: np.ndarray, rates: Rates, config: FaultConfig) -> tuple[LensDoubt, list[FaultMode]]:
+        """The lens that the frame speaks for; the poses with other lenses, and those that the map has without lane
+        lines and without what stands. The covariance is that of the pose."""
+        doubt, of_lenses = doubted(self.frame.rig, self._through, covariance, config)
+        return doubt, [*of_lenses, *self._kinds(rates, config)]
 
     def _through(self, rigs: Sequence[Rig]) -> list[ThroughLens]:
-        """The best pose through each of some cameras, all solved at once."""
-        steps, ahead = self.steps, self._starts(_LENS_STARTS_M)
-        lens = np.repeat(np.arange(len(rigs)), len(ahead))
-        few = steps.solved_with_few(np.tile(ahead, (len(rigs), 1, 1)), self.in_view_px, rigs=rigs, lens=lens)
+        """The best pose through each of some cameras, the stated ones first; the kinds are solved in the same call."""
+        steps, ahead, num = self.steps, self._starts(_LENS_STARTS_M), len(rigs)
+        parts, beside = self._kind_parts(), self._starts(_KIND_STARTS_M)
+        lens = np.concatenate([np.repeat(np.arange(num), len(ahead)), np.zeros(len(parts) * len(beside), int)])
+        part = np.concatenate([np.zeros(num * len(ahead), int), np.repeat(parts, len(beside))])
+        starts = np.concatenate([np.tile(ahead, (num, 1, 1)), np.tile(beside, (len(parts), 1, 1))])
+        found = steps.solved_with_few(starts, self.in_view_px, part, rigs, lens)
+        few, self._without = found.rows(slice(num * len(ahead))), found.rows(slice(num * len(ahead), None))
         # Few samples rank places roughly: from the pose itself it is solved to the end as well.
-        others = np.asarray(few.estimates.T_map_base, np.float64)[_least_of_each(few.score, len(rigs))]
-        starts = np.stack([np.repeat(self.T[None], len(rigs), axis=0), others], axis=1).reshape(-1, 4, 4)
+        others = np.asarray(few.estimates.T_map_base, np.float64)[_least_of_each(few.score, num)]
+        starts = np.stack([np.repeat(self.T[None], num, axis=0), others], axis=1).reshape(-1, 4, 4)
         known = steps.road, steps.wide_sigma, self.frame, self.in_view_px, steps.frame_config
-        lens = np.repeat(np.arange(len(rigs)), 2)
+        lens = np.repeat(np.arange(num), 2)
         solved = solve_all(starts, *known, steps.final_align, self.whole, rigs=rigs, lens=lens)
         Ts = np.asarray(solved.estimates.T_map_base, np.float64)
-        return [ThroughLens(float(solved.score[row]), Ts[row]) for row in _least_of_each(solved.score, len(rigs))]
+        return [ThroughLens(float(solved.score[row]), Ts[row]) for row in _least_of_each(solved.score, num)]
 
-    def kinds(self, rates: Rates, config: FaultConfig) -> list[FaultMode]:
+    def _kind_parts(self) -> np.ndarray:
+        """The parts of the map without each of the kinds."""
+        return len(self.steps.parts) - NUM_KINDS + 1 + 2 * np.arange(len(_KINDS))
+
+    def _kinds(self, rates: Rates, config: FaultConfig) -> list[FaultMode]:
         """The poses that the map has without lane lines, and without what stands."""
-        first = len(self.steps.parts) - NUM_KINDS
-        rests = first + 1 + 2 * np.arange(len(_KINDS))
-        starts = self._starts(_KIND_STARTS_M)
-        part = np.repeat(rests, len(starts))
-        solved = self.steps.solved_with_few(np.tile(starts, (len(_KINDS), 1, 1)), self.in_view_px, part)
-        Ts = np.asarray(solved.estimates.T_map_base, np.float64)
-        covariance = np.asarray(solved.estimates.covariance, np.float64)[:, PLANE][:, :, PLANE]
+        rests = self._kind_parts()
+        part = np.repeat(rests, len(_KIND_STARTS_M))
+        Ts = np.asarray(self._without.estimates.T_map_base, np.float64)
+        covariance = np.asarray(self._without.estimates.covariance, np.float64)[:, PLANE][:, :, PLANE]
         found = []
         for rest, kind in zip(rests, _KINDS, strict=True):
             own = part == rest

@@ -11,6 +11,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, in_chunks, refine, total_weight
@@ -74,9 +75,9 @@ class Modes(eqx.Module):
 
     estimates: PoseEstimate
     """Leading axis: modes."""
-    score: Float[Array, " mode"]
+    score: Float[Array | np.ndarray, " mode"]
     """Cost of evidence and prior [nats]; infinite for padding."""
-    weight: Float[Array, " mode"]
+    weight: Float[Array | np.ndarray, " mode"]
     """Posterior weight of the mode (Laplace: exp(-score) sqrt(det covariance)), sums to 1."""
 
 

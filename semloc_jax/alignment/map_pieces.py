@@ -3,7 +3,10 @@
 In: the counts of `evidence_null`. Out: Pieces of several poses, the Rates of a frame, the evidence of every pose.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +35,8 @@ class Pieces:
         pose, channel, range_bin: of each piece.
         block: coarse part of the image that each piece lies in.
         observations: how much each piece counts.
+        bin_share: share of the length of each piece whose distance is in each bin, float[piece bin].
         sample_piece, sample_px, sample_weight: piece, signed distance and length of each sample.
-        sample_bin: bin of its distance.
         border: row of the border of its class in its cell, -1 for none.
     """
 
@@ -43,21 +46,47 @@ class Pieces:
     range_bin: np.ndarray
     block: np.ndarray
     observations: np.ndarray
+    bin_share: np.ndarray
     sample_piece: np.ndarray
     sample_px: np.ndarray
     sample_weight: np.ndarray
-    sample_bin: np.ndarray
     border: np.ndarray
 
     def of_pose(self, index: int) -> "Pieces":
         """The pieces of one pose alone."""
-        kept = self.pose == index
+        return self.of_poses([index])
+
+    def of_poses(self, indices: Sequence[int] | np.ndarray) -> "Pieces":
+        """The pieces of some poses, which are numbered anew in the order of `indices`."""
+        place = np.full(self.num_poses, -1)
+        place[np.asarray(indices, int)] = np.arange(len(indices))
+        kept = place[self.pose] >= 0
         number = np.cumsum(kept) - 1
         own = kept[self.sample_piece]
-        rows = {name: getattr(self, name)[kept] for name in ("channel", "range_bin", "block", "border", "observations")}
-        samples = {name: getattr(self, name)[own] for name in ("sample_px", "sample_weight", "sample_bin")}
-        pose = np.zeros(int(kept.sum()), int)
-        return Pieces(1, pose=pose, sample_piece=number[self.sample_piece[own]], **rows, **samples)
+        names = ("channel", "range_bin", "block", "border", "observations", "bin_share")
+        rows = {name: getattr(self, name)[kept] for name in names}
+        samples = {name: getattr(self, name)[own] for name in ("sample_px", "sample_weight")}
+        known = {"pose": place[self.pose[kept]], "sample_piece": number[self.sample_piece[own]]}
+        return Pieces(len(indices), **known, **rows, **samples)
+
+    @cached_property
+    def on_borders(self) -> "OnBorders":
+        """The samples whose class has a border in their cell."""
+        border = self.border[self.sample_piece]
+        rows = np.flatnonzero(border >= 0)
+        piece = self.sample_piece[rows]
+        away_px = np.abs(self.sample_px[rows])
+        return OnBorders(self.pose[piece], border[rows], self.channel[piece], away_px, self.sample_weight[rows])
+
+
+class OnBorders(NamedTuple):
+    """Samples in cells with borders of their class."""
+
+    pose: np.ndarray
+    border: np.ndarray
+    channel: np.ndarray
+    away_px: np.ndarray
+    weight: np.ndarray
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,9 @@ _SIZE = 64
 
 def weighed(estimates: PoseEstimate, rows: np.ndarray, nats: np.ndarray) -> Modes:
     """Some estimates weighed against each other by their cost [nats]; padded, so that one program serves any number."""
+    if len(rows) == 1:  # against nothing
+        alone = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], estimates)
+        return Modes(alone, np.asarray(nats, np.float32), np.ones(1, np.float32))
     padded = np.full(-(-len(rows) // _SIZE) * _SIZE, rows[0])
     padded[: len(rows)] = rows
     scores = np.full(len(padded), np.inf, np.float32)

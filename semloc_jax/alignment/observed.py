@@ -22,6 +22,8 @@ from semloc_jax.structs import MapSamples
 
 CELL_COLUMNS = 1024
 """Cells of one row of the image; the number of a cell is row x CELL_COLUMNS + column."""
+LONGEST_PX = 50.0
+"""A sample stands for no more contour than this in the image; as kLongestPx of native/src/view.h."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,7 @@ def _one_camera(
     cell = jnp.where(seen, down * CELL_COLUMNS + across, 0)
     return Observed(
         top + fv * (bottom - top),
-        jnp.where(seen, length_px, 0.0),
+        jnp.where(seen, jnp.minimum(length_px, LONGEST_PX), 0.0),
         cell.astype(jnp.int32),
         jnp.where(seen, range_m, 0.0),
     )
@@ -163,6 +165,10 @@ class CoarseSamples(NamedTuple):
     """Observations that a sample stands for; 0 for padding."""
 
 
+COARSE_CHUNK = 16
+"""Poses of a first look side by side."""
+
+
 @stored_program("config", "chunk", fused=True)
 def coarse_evidence(
     Ts_map_base: Float[Array, "n 4 4"],
@@ -173,7 +179,7 @@ def coarse_evidence(
     gain: Float[Array, "cam channel h w"],
     stride: Float[Array, ""],
     config: ObserveConfig,
-    chunk: int = 16,
+    chunk: int = COARSE_CHUNK,
 ) -> Float[Array, " n"]:
     """Nats that the masks hold for every pose against seeing the map elsewhere, from few samples.
 

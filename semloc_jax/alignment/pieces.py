@@ -9,6 +9,7 @@ it is out of view. `evidence_null` weighs modes by the same likelihood.
 """
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -144,19 +145,57 @@ def nats_of_groups(
     at_poses, at_random, piece_of, channel = _looked_at(poses, T_good, level, evidence, config, None)
     num_samples = jax.ops.segment_sum(jnp.ones_like(groups[0]), piece_of, len(piece_of))
 
-    def of_one(group: tuple[Float[Array, " n"], Bool[Array, ""]]) -> Float[Array, " pose"]:
-        belongs, may_slide = group
-        kept = 2.0 * jax.ops.segment_sum(belongs, piece_of, len(piece_of)) > num_samples
-        own = [PieceCosts(c.nats, jnp.where(kept, c.observations, 0.0)) for c in (at_poses, at_random)]
-        known = (*own, channel, evidence.textures.num_channels)
+    kept = 2.0 * jax.vmap(lambda group: jax.ops.segment_sum(group, piece_of, len(piece_of)))(groups) > num_samples
 
-        def all_of_it() -> Float[Array, " pose"]:
-            nats = jnp.sum(compared(*known), axis=1)
-            return nats[1:] - nats[0]
+    def of_groups(
+        at_poses: PieceCosts, at_random: PieceCosts, channel: Array, kept: Bool[Array, "group piece"]
+    ) -> Float[Array, "group pose"]:
+        def of_one(group: tuple[Bool[Array, " piece"], Bool[Array, ""]]) -> Float[Array, " pose"]:
+            kept, may_slide = group
+            own = [PieceCosts(c.nats, jnp.where(kept, c.observations, 0.0)) for c in (at_poses, at_random)]
+            known = (*own, channel, evidence.textures.num_channels)
 
-        return jax.lax.cond(may_slide, lambda: against_first(*known), all_of_it)
+            def all_of_it() -> Float[Array, " pose"]:
+                nats = jnp.sum(compared(*known), axis=1)
+                return nats[1:] - nats[0]
 
-    return jax.lax.map(of_one, (groups, slides))
+            return jax.lax.cond(may_slide, lambda: against_first(*known), all_of_it)
+
+        return jax.lax.map(of_one, (kept, slides))
+
+    return _of_seen(of_groups, evidence, at_poses, at_random, channel, kept)
+
+
+_FEW = 4
+"""Pieces of a camera are fewer than a quarter of its samples as a rule: usual contours have several samples a piece."""
+
+
+def _of_seen(
+    work: Callable[..., Array], evidence: Evidence, at_poses: PieceCosts, at_random: PieceCosts, *columns: Array
+) -> Array:
+    """`work` with as many pieces as there are as a rule, which come first, else with all there is room for: a
+    comparison takes an exponential and a logarithm of each pose and piece.
+
+    Args:
+        work: A function of the arguments that come after the next, with any number of pieces; those without
+            observations say nothing.
+        evidence: Whose views the pieces are of.
+        at_poses: Costs of the poses.
+        at_random: Of poses that are surely wrong.
+        columns: What else is known, with pieces along the last axis.
+    """
+    capacity = evidence.views[0].weight.shape[1]
+    few, known = max(capacity // _FEW, 1), (at_poses, at_random, *columns)
+
+    def by_camera(leaf: Array) -> Array:
+        return leaf.reshape(*leaf.shape[:-1], -1, capacity)
+
+    def with_few() -> Array:
+        first = jax.tree.map(lambda leaf: by_camera(leaf)[..., :few], known)
+        return work(*jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:-2], -1), first))
+
+    beyond = [by_camera(costs.observations)[..., few:] > 0 for costs in (at_poses, at_random)]
+    return jax.lax.cond(jnp.any(beyond[0]) | jnp.any(beyond[1]), lambda: work(*known), with_few)
 
 
 def against_first(

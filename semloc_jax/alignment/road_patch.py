@@ -6,6 +6,7 @@ refused for its tilt.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -63,29 +64,43 @@ class RoadPatch:
 
     def place(self, Ts: np.ndarray) -> np.ndarray:
         """The poses with their x, y and heading kept and the rest from the road there, float64[n 4 4]."""
-        xy = np.asarray(Ts[:, :2, 3], dtype=np.float64)
+        x, y = np.asarray(Ts[:, :2, 3].T, dtype=np.float64)
         heading = np.arctan2(Ts[:, 1, 0], Ts[:, 0, 0]).astype(np.float64)
-        height_m, slope = self._at(xy)
-        direction = np.column_stack([np.cos(heading), np.sin(heading)])
-        forward = np.column_stack([direction, (slope * direction).sum(axis=1)])
-        forward /= np.linalg.norm(forward, axis=1, keepdims=True)
-        up = np.column_stack([-slope, np.ones(len(xy))])
-        up /= np.linalg.norm(up, axis=1, keepdims=True)
-        T = np.tile(np.eye(4), (len(xy), 1, 1))
-        T[:, :3, :3] = np.stack([forward, np.cross(up, forward), up], axis=2)
-        T[:, :2, 3], T[:, 2, 3] = xy, height_m
+        height_m, by_x, by_y = self._at(x, y)
+        c, s = np.cos(heading), np.sin(heading)
+        rise = by_x * c + by_y * s
+        forward = np.stack([c, s, rise]) / np.sqrt(1.0 + rise**2)
+        up = np.stack([-by_x, -by_y, np.ones_like(c)]) / np.sqrt(1.0 + by_x**2 + by_y**2)
+        T = np.zeros((len(x), 4, 4))
+        T[:, :3, 0], T[:, :3, 2] = forward.T, up.T
+        T[:, 0, 1] = up[1] * forward[2] - up[2] * forward[1]
+        T[:, 1, 1] = up[2] * forward[0] - up[0] * forward[2]
+        T[:, 2, 1] = up[0] * forward[1] - up[1] * forward[0]
+        T[:, 0, 3], T[:, 1, 3], T[:, 2, 3], T[:, 3, 3] = x, y, height_m, 1.0
         return T
 
-    def _at(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Height float64[n] and slope float64[n 2], blended from the planes of the four nodes around."""
+    @cached_property
+    def _planes(self) -> np.ndarray:
+        """Height at the local origin and slopes towards x and y of the plane of each node, float64[node 3]."""
         last = np.array(self.height_m.shape) - 1
-        grid = np.clip((xy - self.center_xy) @ self.axes.T / self.step_m + 0.5 * last, 0.0, last - 1e-9)
-        cell = grid.astype(int)
-        corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
-        weight = np.abs(1 - corners - (grid - cell)[:, None]).prod(axis=-1)
-        node = cell[:, None] + corners
-        node_xy = self.center_xy + (node - 0.5 * last) * self.step_m @ self.axes
-        i, j = node[..., 0], node[..., 1]
-        slope = self.slope[i, j]
-        height_m = self.height_m[i, j] + (slope * (xy[:, None] - node_xy)).sum(axis=-1)
-        return (weight * height_m).sum(axis=1), (weight[..., None] * slope).sum(axis=1)
+        nodes = np.stack(np.meshgrid(*(np.arange(size + 1) for size in last), indexing="ij"), axis=-1)
+        node_xy = self.center_xy + (nodes - 0.5 * last) * self.step_m @ self.axes
+        at_origin = self.height_m - (self.slope * node_xy).sum(axis=-1)
+        return np.concatenate([at_origin[..., None], self.slope], axis=-1).reshape(-1, 3)
+
+    def _at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Height and slopes towards x and y, float64[n] each, blended from the planes of the four nodes around."""
+        last = np.array(self.height_m.shape) - 1
+        away = (x - self.center_xy[0], y - self.center_xy[1])
+        cells, shares = [], []
+        for axis, step_m, count in zip(self.axes, self.step_m, last, strict=True):
+            grid = np.clip((away[0] * axis[0] + away[1] * axis[1]) / step_m + 0.5 * count, 0.0, count - 1e-9)
+            cells.append(grid.astype(int))
+            shares.append(grid - cells[-1])
+        (i, j), (down, across) = cells, shares
+        first, plane = i * (last[1] + 1) + j, 0.0
+        for row, along in ((0, 1.0 - down), (1, down)):
+            for column, beside in ((0, 1.0 - across), (1, across)):
+                plane = plane + self._planes[first + row * (last[1] + 1) + column] * (along * beside)[:, None]
+        height_m, by_x, by_y = plane.T
+        return height_m + by_x * x + by_y * y, by_x, by_y

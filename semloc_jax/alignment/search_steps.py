@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from semloc_jax.alignment.agreement import halves, kinds
@@ -15,13 +14,11 @@ from semloc_jax.alignment.aliases import alias_shifts
 from semloc_jax.alignment.border_cells import BorderCells
 from semloc_jax.alignment.candidates import (
     BATCH,
-    COARSE_BATCH,
     SolvedPoses,
     apart,
     coarse_gain,
     coarse_samples,
     coarse_search,
-    filled,
     lattice_in_window,
     null_poses,
     planar,
@@ -35,11 +32,12 @@ from semloc_jax.alignment.fault_modes import FaultConfig
 from semloc_jax.alignment.hypotheses import search_from
 from semloc_jax.alignment.map_pieces import Pieces, PoseEvidence, Rates
 from semloc_jax.alignment.mode_search import ALIAS_SIGMAS, CompleteModesConfig, FrameImage, half_window_m
-from semloc_jax.alignment.observed import Borders, ObserveConfig, Observed, observe
+from semloc_jax.alignment.observed import Borders, ObserveConfig
 from semloc_jax.alignment.pose import Prior, total_weight
 from semloc_jax.alignment.posterior import Ridges, log_prior, ridges, same_ridge
 from semloc_jax.alignment.road_patch import RoadPatch
 from semloc_jax.alignment.same_pose import ONE_OPTIMUM
+from semloc_jax.alignment.seen_samples import COARSE_BATCH, SeenSamples, seen_from
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, search_starts
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry.local_frame import LocalFrame
@@ -85,17 +83,19 @@ class SearchSteps:
         self.sigma = np.asarray(prior.sigma, dtype=np.float64)
         # The prior of a solve must not pull.
         self.wide_sigma = wide_sigma(self.sigma, config.least_sigma_m, np.deg2rad(config.least_sigma_deg))
-        self.samples = thinned(frame.samples, np.asarray(frame.channel_of_label), config.num_samples)
-        self.channel = np.asarray(frame.channel_of_label)[np.asarray(self.samples.label)]
-        label = np.where(self.channel >= 0, np.asarray(self.samples.label), -1)
-        self.parts = np.concatenate([halves(np.asarray(self.samples.element), config.agreement), kinds(label)])
+        self.channel_of_label = np.asarray(frame.channel_of_label)
+        self.samples = thinned(frame.samples, self.channel_of_label, config.num_samples)
+        self.host_samples = jax.tree.map(np.asarray, self.samples)
+        self.channel = self.channel_of_label[self.host_samples.label]
+        label = np.where(self.channel >= 0, self.host_samples.label, -1)
+        self.parts = np.concatenate([halves(self.host_samples.element, config.agreement), kinds(label)])
         view = frame_config.search_view
         limits = view.max_range_m, view.min_ground_px_per_m, 48.0 * self.unit_px
         self.observe_config = ObserveConfig(*limits, path=view.path)
         self.fields = Borders(
-            jnp.asarray(self.borders.signed_px),
+            self.borders.signed_px,
             np.float32(self.borders.stride),
-            frame.usable.mask,
+            np.asarray(frame.usable.mask),
             np.float32(frame.usable.stride),
         )
         self.half_xy_m = half_window_m(float(self.sigma[0]), config)
@@ -109,7 +109,7 @@ class SearchSteps:
 
     def _by_chance(self, Ts_wrong: np.ndarray) -> EvidenceNull:
         """What poses that are wrong explain of the masks, by every n-th sample."""
-        few = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[:: self.config.null_every], self.samples))
+        few = jax.tree.map(lambda leaf: leaf[:: self.config.null_every], self.host_samples)
         usable = self.frame.usable
         cells = BorderCells.of(
             self.borders,
@@ -122,29 +122,17 @@ class SearchSteps:
         return EvidenceNull(
             self.observed(self.road.place(Ts_wrong), few),
             self.channel,
-            np.maximum(np.asarray(self.samples.element), 0),
+            np.maximum(self.host_samples.element, 0),
             self.unit_px,
             self.config.null,
             self.config.null_every,
             cells,
         )
 
-    def observed(self, Ts: np.ndarray, samples: MapSamples | None = None) -> Observed:
-        """What each pose sees of all samples that evidence is counted of, or of others, on the host."""
-        samples, parts = self.samples if samples is None else samples, []
-        for first in range(0, len(Ts), BATCH):
-            own = Ts[first : first + BATCH]
-            seen = observe(
-                np.asarray(filled(own, BATCH), np.float32),
-                np.int32(len(own)),
-                samples,
-                self.frame.rig,
-                self.frame.channel_of_label,
-                self.fields,
-                self.observe_config,
-            )
-            parts.append(jax.tree.map(lambda leaf, own=own: np.asarray(leaf)[: len(own)], seen))
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    def observed(self, Ts: np.ndarray, samples: MapSamples | None = None) -> SeenSamples:
+        """What each pose sees of all samples that evidence is counted of, or of others."""
+        samples = self.host_samples if samples is None else samples
+        return seen_from(Ts, samples, self.frame.rig, self.channel_of_label, self.fields, self.observe_config)
 
     def log_prior(self, Ts: np.ndarray) -> np.ndarray:
         """Log prior of each pose."""
@@ -157,7 +145,7 @@ class SearchSteps:
         batches = 1 if sigma_m <= 1.0 else 2 if sigma_m <= 5.0 else 12
         Ts = lattice_in_window(batches * COARSE_BATCH, self.T_prior, self.half_xy_m, self.half_heading_rad)
         Ts = self.road.place(Ts)
-        samples = coarse_samples(self.spanning, self.samples, self.channel, self.unit_px)
+        samples = coarse_samples(self.spanning, self.host_samples, self.channel, self.unit_px)
         usable = np.asarray(self.frame.usable.mask)
         gain = coarse_gain(self.null, self.borders, usable, config.coarse_scale_px * self.unit_px)
         best, nats = coarse_search(
@@ -203,8 +191,7 @@ class SearchSteps:
     def pieces(self, Ts: np.ndarray, part: np.ndarray | None = None) -> Pieces:
         """The pieces of map, or of the samples bool[p] of a part of it, that each pose sees."""
         seen = self.observed(Ts)
-        if part is not None:
-            seen = seen._replace(length_px=np.where(part, seen.length_px, 0.0).astype(np.float32))
+        seen = seen if part is None else seen.only(part)
         return self.null.pieces(seen, self.image_size, self.observe_config.cell_px)
 
     def evidence(self, Ts: np.ndarray, rates: Rates | None = None) -> tuple[PoseEvidence, Rates]:
@@ -214,7 +201,7 @@ class SearchSteps:
     def _evidence_of(self, Ts: np.ndarray, pieces: Pieces, rates: Rates | None) -> tuple[PoseEvidence, Rates]:
         if rates is None:
             prior = self.log_prior(Ts)
-            first = self.null.evidence(pieces, self.null.start_rates()).block_nats.sum(axis=1) + prior
+            first = self.null.total_nats(pieces, self.null.start_rates()) + prior
             rates = best_rates(self.null, pieces, prior, np.argsort(-first, kind="stable")[:6])
         return self.null.evidence(pieces, rates), rates
 
@@ -232,7 +219,7 @@ class SearchSteps:
 
     def aliases(self, T_map_base: np.ndarray) -> np.ndarray:
         """Poses at which the map looks as it does from this one."""
-        samples = jax.tree.map(np.asarray, self.samples)
+        samples = self.host_samples
         rows = samples.valid & (self.channel >= 0)
         rows &= np.hypot(*(samples.p_map[:, :2] - T_map_base[:2, 3]).T) < self.observe_config.max_range_m
         shifts = alias_shifts(

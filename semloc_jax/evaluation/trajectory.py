@@ -59,12 +59,17 @@ class Trajectory:
                 f"trajectory: time {time_s[outside][0]:.3f} s lies outside {self.time_s[0]:.3f} .. "
                 f"{self.time_s[-1]:.3f} s; ask for times inside the trajectory"
             )
-        if len(self) == 1:
-            return np.repeat(self.T_map_base, len(time_s), axis=0)
+        if len(self) == 1 or len(time_s) == 0:
+            return np.repeat(self.T_map_base[:1], len(time_s), axis=0)
+        # Only the poses around these times: a frame of a long drive asks for one.
+        first = max(int(np.searchsorted(self.time_s, time_s.min(), side="right")) - 1, 0)
+        last = min(max(int(np.searchsorted(self.time_s, time_s.max())), first + 1), len(self) - 1)
+        near = slice(min(first, last - 1), last + 1)
+        known_s, Ts = self.time_s[near], self.T_map_base[near]
         T = np.tile(np.eye(4), (len(time_s), 1, 1))
-        T[:, :3, :3] = Slerp(self.time_s, Rotation.from_matrix(self.T_map_base[:, :3, :3]))(time_s).as_matrix()
+        T[:, :3, :3] = Slerp(known_s, Rotation.from_matrix(Ts[:, :3, :3]))(time_s).as_matrix()
         for axis in range(3):
-            T[:, axis, 3] = np.interp(time_s, self.time_s, self.T_map_base[:, axis, 3])
+            T[:, axis, 3] = np.interp(time_s, known_s, Ts[:, axis, 3])
         return T
 
 

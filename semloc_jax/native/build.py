@@ -69,9 +69,9 @@ def loaded_parts() -> tuple[str, ...]:
     return tuple(_loaded_parts)
 
 
-def library() -> ctypes.CDLL | None:
-    """The kernels that are called without XLA; None where there are none."""
-    return _loaded(COMMON)[1]
+def library(part: str = COMMON) -> ctypes.CDLL | None:
+    """The kernels of a part that are called without XLA; None where there are none."""
+    return _loaded(part)[1]
 
 
 @functools.cache

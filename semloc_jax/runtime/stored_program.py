@@ -35,6 +35,7 @@ class StoredProgram:
         self.static_argnames, self.fused = static_argnames, fused
         self.jitted = jax.jit(function, static_argnames=static_argnames)
         self._signature = inspect.signature(function)
+        self._names = tuple(self._signature.parameters)
         self._programs: dict[tuple, tuple[Callable, Any]] = {}
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
@@ -42,14 +43,13 @@ class StoredProgram:
         store = program_store()
         if store is None or not store.is_open():
             return self.jitted(*args, **kwargs)
-        bound = self._signature.bind(*args, **kwargs)
-        bound.apply_defaults()
-        static = {name: bound.arguments.pop(name) for name in self.static_argnames}
-        leaves, tree = jax.tree.flatten(dict(bound.arguments))
+        arguments = self._by_name(args, kwargs)
+        static = {name: arguments.pop(name) for name in self.static_argnames}
+        leaves, tree = jax.tree.flatten(arguments)
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return self.jitted(*args, **kwargs)
         leaves = [_array(leaf) for leaf in leaves]
-        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        shapes = tuple([(leaf.shape, leaf.dtype) for leaf in leaves])
         key = (tuple(static.items()), tree, shapes, jax.config.jax_enable_x64, store.is_quick())
         if key in self._programs:
             program, structure = self._programs[key]
@@ -61,6 +61,14 @@ class StoredProgram:
             structure = jax.tree.structure(skeleton)
             self._programs[key] = program, structure
         return jax.tree.unflatten(structure, found)
+
+    def _by_name(self, args: tuple, kwargs: dict[str, Any]) -> dict[str, Any]:
+        """All arguments by their names, defaults included."""
+        if not kwargs and len(args) == len(self._names):  # binding them takes as long as all else here
+            return dict(zip(self._names, args, strict=True))
+        bound = self._signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        return dict(bound.arguments)
 
 
 _ADDRESS = " at 0x"

@@ -9,6 +9,7 @@ from semloc_jax.alignment.candidates import coarse_gain
 from semloc_jax.alignment.evidence_null import EvidenceNull, NullConfig
 from semloc_jax.alignment.map_pieces import Rates
 from semloc_jax.alignment.observed import CELL_COLUMNS, Observed
+from semloc_jax.alignment.seen_samples import SeenSamples
 from semloc_jax.perception.border_distance import BorderDistances
 
 STRIDE, CELL_PX, SIZE = 2, 48.0, (480, 288)
@@ -64,7 +65,8 @@ def seen(signed_px, cell, num_poses=1):
     """Samples of 10 px length, each on an element of its own."""
     shape = (num_poses, 1, len(cell))
     signed_px = np.broadcast_to(signed_px, shape).copy()
-    return Observed(signed_px, np.full(shape, 10.0), np.broadcast_to(cell, shape).copy(), np.full(shape, 12.0))
+    cells = np.broadcast_to(cell, shape).copy()
+    return SeenSamples.of(Observed(signed_px, np.full(shape, 10.0), cells, np.full(shape, 12.0)))
 
 
 def test_two_poses_that_see_the_same_differ_by_the_borders_they_leave():
@@ -75,7 +77,7 @@ def test_two_poses_that_see_the_same_differ_by_the_borders_they_leave():
     random = np.random.default_rng(0)
     wrong = seen(random.uniform(-44, 44, (40, 1, 6)), both, 40)
     null = EvidenceNull(wrong, np.zeros(6, int), np.arange(6), 1.0, NullConfig(), cells=cells)
-    poses = Observed(*(np.concatenate(pair) for pair in zip(seen(0.5, both), seen(0.5, one), strict=True)))
+    poses = seen(0.5, both).joined(seen(0.5, one))
     rates = Rates(np.array([2.0]), np.full((1, 4), 0.7), np.array([0.5]))
     pieces = null.pieces(poses, SIZE, CELL_PX)
     found = null.evidence(pieces, rates)

@@ -94,3 +94,15 @@ def test_the_header_says_whose_poses_they_are(tmp_path):
     for what in ("base", "camera front"):
         write_tum(poses, tmp_path / "poses.tum", what)
         assert (tmp_path / "poses.tum").read_text().splitlines()[0].endswith(f": {what} in map")
+
+
+def test_a_few_times_have_the_poses_that_they_have_among_many():
+    random = np.random.default_rng(0)
+    T = np.tile(np.eye(4), (40, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = Rotation.random(40, random_state=1).as_matrix(), random.normal(size=(40, 3))
+    known = Trajectory(np.cumsum(random.uniform(0.1, 1.0, 40)), T)
+    every = np.sort(np.concatenate([known.time_s, random.uniform(known.time_s[0], known.time_s[-1], 60)]))
+    whole = known.interpolate(every)
+    for rows in ([0], [99], [3, 4], [70, 20], range(100)):
+        np.testing.assert_allclose(known.interpolate(every[list(rows)]), whole[list(rows)], atol=1e-14)
+    assert known.interpolate(every[:0]).shape == (0, 4, 4)

@@ -4,6 +4,7 @@ Measured on seeds 7, 8 and 9 with 640 x 400 px: exact masks put 17 of 18 poses w
 along the road, masks like a network's all of them within 1.4 cm and, but for one, 2.2 cm; the bounds are twice that.
 """
 
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import jax
@@ -14,10 +15,12 @@ from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import pose_errors
+from semloc_jax.host import native_status
 from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.inputs.priors import prior_source
 from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import BeliefMap, read_map
+from semloc_jax.runtime.stored_program import StoredProgram
 from semloc_jax.simulation import SimulationConfig, simulate
 from semloc_jax.structs import SolveStatus
 
@@ -107,6 +110,24 @@ def test_everything_is_compiled_with_the_first_frame(exact, like_a_network):
     """One capacity of map samples and one size of images: the frames after it, of other masks too, compile nothing."""
     assert exact.compilations[1:] == [0] * 5
     assert like_a_network.compilations[1:] == [0] * 5
+
+
+def test_a_frame_calls_few_programs(drive, road_map, exact, monkeypatch):
+    """Every call costs its dispatch. What kernels do without JAX, the many looks at samples, is no program."""
+    called, call = Counter(), StoredProgram.__call__
+
+    def counted(program, *args, **kwargs):
+        called[program.__name__] += 1
+        return call(program, *args, **kwargs)
+
+    monkeypatch.setattr(StoredProgram, "__call__", counted)
+    localize_frames(drive, road_map, "sem", "truth", drive.frames[3:4])
+    # Candidates, where the map repeats itself, the end, halves of the map, lenses and kinds, lenses to the end.
+    assert called["solve_batch"] <= 6
+    assert called["weigh"] <= 1
+    if native_status("Pinhole").available:
+        assert called["observe"] == called["coarse_evidence"] == 0
+    assert called.total() <= 20, called
 
 
 def test_same_frame_same_bits(drive, road_map, exact):

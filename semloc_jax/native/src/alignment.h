@@ -108,6 +108,12 @@ struct Points {
   Points part(int first, int num) const {
     return {x + first, y + first, z + first, channel + first, weight + first, num};
   }
+  // Without the padding at the end, whose weight is 0.
+  Points filled() const {
+    int last = count;
+    while (last > 0 && weight[last - 1] == 0) --last;
+    return part(0, last);
+  }
 };
 
 // Points of a block in camera coordinates with their texels.

@@ -2,6 +2,7 @@
 // semloc_jax/residuals/native_kernels.py for them.
 #include <cstring>
 
+#include "observe.h"
 #include "operands.h"
 #include "refine.h"
 #include "view.h"
@@ -61,12 +62,15 @@ Problem VisibleWeight(const Call& call) {
   const auto margin_px = operands.take<float>();
   const CameraOperands camera(operands);
   float* weight = call.result_data<float>(0);
-  for_each_item(call, batch.size, points.p_map.length, [&](int64_t item) {
+  const int64_t num = points.p_map.length;
+  for_each_item(call, batch.size, num, [&](int64_t item) {
+    const Points filled = points.at(batch, item).filled();
+    float* own = weight + num * item;
     visible_weight(camera.at<Camera>(batch, item),
-                   Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
-                   points.at(batch, item),
+                   Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)), filled,
                    usable_of(usable_buffer, usable.at(batch, item), *index.at(batch, item), *scale.at(batch, item)),
-                   *margin_px.at(batch, item), weight + points.p_map.length * item);
+                   *margin_px.at(batch, item), own);
+    std::fill(own + filled.count, own + num, 0.0f);
   });
   return nullptr;
 }
@@ -96,7 +100,7 @@ Problem RobustCost(const Call& call) {
   float* cost = call.result_data<float>(0);
   return for_each_texture(call, 0, [&](int64_t item, const Camera& camera, const Motion& T_cam_map, const Points& points,
                                        const Texture& texture) {
-    cost[item] = robust_cost(camera, T_cam_map, points, texture);
+    cost[item] = robust_cost(camera, T_cam_map, points.filled(), texture);
   });
 }
 
@@ -143,8 +147,9 @@ Problem PieceSums(const Call& call) {
   for_each_item(call, batch.size, num, [&](int64_t item) {
     const Usable usable = usable_of(mask_buffer, mask.at(batch, item), *texture.camera.at(batch, item), *scale.at(batch, item));
     piece_sums(camera.at<Camera>(batch, item),
-               Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)), points.at(batch, item),
-               usable, texture.at(batch, item), *margin_px.at(batch, item), piece.at(batch, item), num,
+               Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
+               points.at(batch, item).filled(), usable, texture.at(batch, item), *margin_px.at(batch, item),
+               piece.at(batch, item), num,
                sums + 2 * int64_t{num} * item);
   });
   return nullptr;
@@ -186,7 +191,7 @@ Problem Refine(const Call& call) {
       const float* own = p + 3 * num_points * k;
       const Points part{own, own + num_points, own + 2 * num_points, all.channel + num_points * k,
                         all.weight + num_points * k, static_cast<int>(num_points)};
-      cameras.push_back({Camera(leaf.data()), T_cam_base.at(batch, item) + 16 * k, part,
+      cameras.push_back({Camera(leaf.data()), T_cam_base.at(batch, item) + 16 * k, part.filled(),
                          usable_of(mask_buffer, mask.at(batch, item), place.at(batch, item)[k], config.usable_scale), {}});
     }
     float T[12];
@@ -253,9 +258,15 @@ Problem View(const Call& call) {
     const ViewNumbers config{number[0], number[1], number[2], number[3], number[4],
                              number[5], number[6], number[7], number[8], number[9]};
     const Camera model = camera.at<Camera>(batch, item);
-    view(AnyCamera(model), T_map_base.at(batch, item), T_base_cam.at(batch, item),
-         samples.at(batch, item), Labels{channel.at(batch, item), class_weight.at(batch, item), num_ground},
-         *grain.at(batch, item), config, slots(item));
+    const float low = -config.margin_share * model.width - 0.5f;
+    const Limits limits{low, model.width - 1 - low, model.height - 1 - low, config.max_range};
+    const MapSamples all = samples.at(batch, item);
+    const Labels labels{channel.at(batch, item), class_weight.at(batch, item), num_ground};
+    std::vector<int32_t> nearby;
+    std::vector<Sighting> seen;
+    sightings(model, Stand(T_map_base.at(batch, item), T_base_cam.at(batch, item)), all, labels, limits, config.min_ground,
+              nearby, seen);
+    view(seen, all, labels, *grain.at(batch, item), config, slots(item));
   });
   return nullptr;
 }
@@ -271,3 +282,39 @@ SEMLOC_CALL(semloc_view, semloc::View)
 SEMLOC_CALL(semloc_ramp_values, semloc::RampValues)
 SEMLOC_CALL(semloc_piece_sums, semloc::PieceSums)
 SEMLOC_CALL(semloc_refine, semloc::Refine)
+
+// What poses [n 4 4] see of the map, not through XLA: how many rows there are is known only afterwards, and most samples
+// are out of view. Rows of samples in the order of MapSamples; numbers of the borders: stride, stride of the usable
+// pixels, margin, largest range, least pixels of a metre on the ground, size of a cell.
+extern "C" int64_t semloc_observe(const float* const* leaves, const float* T_base_cam, const float* Ts_map_base,
+                                  int32_t num_poses, const void* const* sample, int32_t num_samples,
+                                  const int32_t* channel_of_label, int32_t num_ground, const float* signed_px,
+                                  const uint8_t* usable, const int32_t* sizes, const float* numbers, int32_t cell_columns,
+                                  int32_t* const* whole, float* const* real) {
+  using namespace semloc;
+  const auto floats = [&](int k) { return static_cast<const float*>(sample[k]); };
+  const auto ints = [&](int k) { return static_cast<const int32_t*>(sample[k]); };
+  const MapSamples samples{floats(0), floats(1), floats(2), floats(3), ints(4),    ints(5),
+                           ints(6),   floats(7), floats(8), static_cast<const uint8_t*>(sample[9]), num_samples};
+  const SEMLOC_CAMERA camera(leaves);
+  const float low = numbers[2] - 0.5f;
+  const Limits limits{low, camera.width - 1 - low, camera.height - 1 - low, numbers[3]};
+  const Borders borders{signed_px, sizes[0], sizes[1], numbers[0], usable, sizes[2], sizes[3], numbers[1]};
+  const SeenRows rows{whole[0], whole[1], whole[2], real[0], real[1], real[2]};
+  return observe(camera, Ts_map_base, num_poses, T_base_cam, samples,
+                 Labels{channel_of_label, nullptr, num_ground}, borders, limits, numbers[4], numbers[5], cell_columns, rows);
+}
+
+// Adds to nats [n] what samples [3 p] gain at poses [n 4 4], not through XLA; sizes of the gain: height, width; numbers:
+// its stride, margin, largest range.
+extern "C" void semloc_coarse_look(const float* const* leaves, const float* T_base_cam, const float* Ts_map_base,
+                                   int32_t num_poses, const float* p, const int32_t* channel, const float* weight,
+                                   int32_t num_samples, const float* gain, const int32_t* sizes, const float* numbers,
+                                   float* nats) {
+  using namespace semloc;
+  const SEMLOC_CAMERA camera(leaves);
+  const float low = numbers[1] - 0.5f;
+  const Limits limits{low, camera.width - 1 - low, camera.height - 1 - low, numbers[2]};
+  const Points points{p, p + num_samples, p + 2 * num_samples, channel, weight, num_samples};
+  coarse_look(camera, Ts_map_base, num_poses, T_base_cam, points, gain, sizes[0], sizes[1], numbers[0], limits, nats);
+}
