@@ -72,6 +72,19 @@ def test_distances_beyond_the_reach_are_still_learned():
     assert float(said.signed_px[0, 0, 0]) > REACH_PX
 
 
+def test_a_sigma_beyond_its_bounds_is_led_back_and_not_farther_out():
+    """Logarithms from -9 to 9: told within 0.2 to 60 px; the slope is there where descending it leads inside."""
+    raw = jnp.asarray([-9.0, 0.0, 9.0])
+
+    def told(raw, sign):
+        return jnp.sum(sign * read_out(jnp.stack([raw, raw, raw], -1)[None, None]).log_sigma)
+
+    np.testing.assert_allclose(told(raw[:1], 1.0), np.log(0.2), rtol=1e-6)
+    np.testing.assert_allclose(told(raw[2:], 1.0), np.log(60.0), rtol=1e-6)
+    np.testing.assert_allclose(jax.grad(told)(raw, 1.0), [0.0, 1.0, 1.0])
+    np.testing.assert_allclose(jax.grad(told)(raw, -1.0), [-1.0, -1.0, 0.0])
+
+
 def test_eyes_come_back_with_their_table(eyes, tmp_path):
     eyes.save(tmp_path / "a.weights")
     assert (tmp_path / "a.weights").stat().st_size < 2.5e6
