@@ -30,6 +30,8 @@ from semloc_jax.storage import reading
 KIND = "eyes"
 SHIPPED = Path(__file__).with_name("street.weights")
 """What `semloc learn eyes --simulated` wrote; its card says how, its figures and its limits."""
+SHIPPED_GARAGE = Path(__file__).with_name("garage.weights")
+"""The same, taught further on as many garages seen by fisheyes as streets; not for roads."""
 REACH_PX = 40.0
 """Distances are clipped here [px of the network's image]: the coarsest ramp of the localizer."""
 _DETAIL = 2
