@@ -176,8 +176,8 @@ def test_the_eyes_that_ship_see_lines():
 
 
 def test_the_eyes_for_garages_see_slot_lines_and_pillars():
-    """Views of two halls that taught nobody: pillars, which the others never tell; paint to two pixels, and more of what
-    is called paint is paint. They state what they are for."""
+    """Views of two halls that taught nobody: pillars, which the others never tell; paint to two pixels, and more of
+    what they call paint is paint. They state what they are for."""
     for_roads, for_garages = Eyes.load(SHIPPED), Eyes.load(SHIPPED_GARAGE)
     assert SHIPPED_GARAGE.stat().st_size < 2.5e6 and {"taught", "figures", "limits", "for"} <= set(for_garages.card)
     views = [view for seed in (901, 902) for view in street_views(np.random.default_rng(seed), 5, (320, 224), 1, True)]
