@@ -38,8 +38,9 @@ class InputOptions:
     it of labelled lidar sweeps (PandaSet); default: the drive's own, else sweeps:::2."""
     masks: str | None = None
     """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or a segmenter that runs on the images
-    (net, which ships; classical; FILE.weights; FILE.onnx with its preset FILE.yaml beside it, or the preset itself; see
-    semloc segment); ipm: before it (ipm:sem) makes one top view of all cameras; default: the drive's best masks."""
+    (net and, for fisheyes in garages, net:garage, which ship; classical; FILE.weights; FILE.onnx with its preset
+    FILE.yaml beside it, or the preset itself; see semloc segment); ipm: before it (ipm:sem) makes one top view of all
+    cameras; default: the drive's best masks."""
     class_table: str | None = None
     """What the ids in the masks mean: a preset or a YAML file; default: the drive's own."""
     cameras: str | None = None

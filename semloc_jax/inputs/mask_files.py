@@ -21,7 +21,9 @@ RECORD = "segment.yaml"
 CLASSICAL = "classical"
 """Name of the built-in segmenter of road paint for plain images."""
 NET = "net"
-"""Name of the eyes that ship."""
+"""Name of the eyes that ship, for cameras that look along a road."""
+NET_GARAGE = "net:garage"
+"""Name of those that ship for fisheyes in garages."""
 _MOST_STRETCH = 0.02
 """A network that works on whole cells may cut this share of a side; our choice."""
 
@@ -115,7 +117,16 @@ def _reader(name: str, drive: Drive, cameras: tuple[str, ...]) -> tuple[Callable
     if Path(name).is_dir():
         return _from_folder(Path(name), cameras), _recorded_table(Path(name)) or drive.table_name
     known = ", ".join(
-        (*drive.mask_sources, CLASSICAL, NET, "FILE.onnx", "PRESET.yaml", "FILE.weights", "a folder CAMERA/FRAME.png")
+        (
+            *drive.mask_sources,
+            CLASSICAL,
+            NET,
+            NET_GARAGE,
+            "FILE.onnx",
+            "PRESET.yaml",
+            "FILE.weights",
+            "a folder CAMERA/FRAME.png",
+        )
     )
     raise SemlocError(f"masks '{name}': drive {drive.name} has no such folder; expected one of {known}")
 

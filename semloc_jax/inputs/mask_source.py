@@ -12,7 +12,7 @@ import numpy as np
 
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
-from semloc_jax.inputs.mask_files import CLASSICAL, NET, MaskFiles
+from semloc_jax.inputs.mask_files import CLASSICAL, NET, NET_GARAGE, MaskFiles
 from semloc_jax.inputs.mask_view import MaskSource, TopViewSource, resized
 from semloc_jax.inputs.paint_and_eyes import paint_channel, with_paint
 from semloc_jax.perception import load_class_table, preset_names
@@ -20,7 +20,7 @@ from semloc_jax.perception.class_table import part_of_table
 from semloc_jax.perception.classical_paint import ClassicalPaintSegmenter
 from semloc_jax.perception.mask_offset import MaskOffset, estimate_mask_offset, offsets_of_cameras
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter, load_network_preset
-from semloc_jax.perception.networks.eyes import SHIPPED, Eyes
+from semloc_jax.perception.networks.eyes import SHIPPED, SHIPPED_GARAGE, Eyes
 from semloc_jax.perception.surround import ground_table, top_view
 from semloc_jax.runtime.memory import remembered
 
@@ -31,6 +31,7 @@ _MAX_OFFSET_PX = 2.0
 lines that fix only one direction."""
 CLASSICAL_AND = CLASSICAL + "+"
 """Before the name of eyes: paint by the built-in segmenter, all else by the eyes."""
+_SHIPPED = {NET: SHIPPED, NET_GARAGE: SHIPPED_GARAGE}
 TOP_VIEW = "ipm:"
 """Before the name of masks: all cameras as one top view of the road (inverse perspective mapping)."""
 
@@ -47,9 +48,9 @@ def mask_source(
     Args:
         name: A mask folder of the drive, any folder with CAMERA/FRAME.png, a network `FILE.onnx` (with its preset
             FILE.yaml beside it) or its preset `FILE.yaml`, eyes that a map or random streets have taught
-            `FILE.weights`, `net` for the eyes that ship, `classical` for the built-in segmenter of road
-            paint, or `classical+FILE.weights` for its paint and the other classes of eyes; `ipm:` before any of them
-            makes one top view of the road of all cameras.
+            `FILE.weights`, those that ship, `net` for roads and `net:garage` for fisheyes in garages, `classical` for
+            the built-in segmenter of road paint, or `classical+FILE.weights` for its paint and the other classes of
+            eyes; `ipm:` before any of them makes one top view of the road of all cameras.
         drive: The drive.
         cameras: Names; None for all that have such masks.
         table: Class table, a preset or a YAML file; None for that of the drive or of the network's preset. Eyes have
@@ -134,12 +135,12 @@ def is_network(name: str) -> bool:
 def is_eyes(name: str) -> bool:
     """Whether masks of this name come from eyes that a map has taught: they know how far and how sure a border is."""
     plain = name.removeprefix(TOP_VIEW)
-    return plain == NET or Path(plain).suffix.lower() == ".weights"
+    return plain in _SHIPPED or Path(plain).suffix.lower() == ".weights"
 
 
 def _eyes(name: str) -> Eyes:
     """Those that ship, or those of a file."""
-    return Eyes.load(SHIPPED if name == NET else name)
+    return Eyes.load(_SHIPPED.get(name, name))
 
 
 def eyes_source(eyes: Eyes, drive: Drive, names: Sequence[str], name: str = "eyes") -> MaskSource:

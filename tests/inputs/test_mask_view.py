@@ -5,7 +5,7 @@ import pytest
 
 from semloc_jax.cameras import PinholeCamera, Rig
 from semloc_jax.datasets import Frame, open_drive
-from semloc_jax.inputs.mask_source import MaskSource, mask_source
+from semloc_jax.inputs.mask_source import MaskSource, is_eyes, is_network, made_of_images, mask_source
 from semloc_jax.perception import load_class_table
 
 RIG = Rig([PinholeCamera(800.0, 800.0, 639.5, 359.5, 1280, 720)], np.eye(4)[None], ["front"])
@@ -43,3 +43,10 @@ def test_masks_of_one_camera_leave_the_others_out(data_dir):
     assert source.cameras == ("front_camera",)
     assert source.seen_by(drive.rig.select(source.cameras)).cameras[0].resolution == (640, 360)
     assert source.masks(drive.frames[50])[0].shape == (360, 640)
+
+
+def test_eyes_that_ship_are_known_by_name():
+    """Both make masks of images; a folder of such a name would have to be given by its path."""
+    for name in ("net", "net:garage", "ipm:net:garage", "mine.weights"):
+        assert is_eyes(name) and is_network(name) and made_of_images(name)
+    assert not any(map(is_eyes, ("net:lot", "sem_net", "classical")))

@@ -8,7 +8,7 @@ import pytest
 from semloc_jax.cameras import BrownConradyCamera, mounted
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.simulation.looks.floor import polished
-from semloc_jax.simulation.looks.light import DAY, INDOORS, NIGHT, drawn_light, lit
+from semloc_jax.simulation.looks.light import DAY, INDOORS, NIGHT, ceiling, drawn_light, lit
 from semloc_jax.simulation.looks.look import random_picture
 from semloc_jax.simulation.looks.materials import PAINT, YELLOW, Materials, Pixels
 from semloc_jax.simulation.looks.noise import noise, texture
@@ -110,3 +110,24 @@ def test_a_smooth_floor_mirrors_what_stands_on_it():
     columns = changed[foot:].sum(axis=0)
     assert columns[260:380].sum() > 0.8 * columns.sum() and abs(np.average(u[0], weights=columns)) < 4.0
     assert changed[foot + 30 : foot + 60].mean() > 5.0 * changed[84 : foot - 40].mean()
+
+
+def test_a_smooth_floor_mirrors_lamps_as_bright_as_paint():
+    """Where one looks down at 45 deg and more: some floors throw back more light of a lamp than white paint, most less;
+    between lamps it is a tenth of that. A ceiling shows as much of them as is asked for."""
+    rows, columns = 160, 240
+    v, u = np.mgrid[0:rows, 0:columns]
+    ray = np.stack([np.ones(u.shape), (119.5 - u) / 120.0, -1.0 - v / 80.0], axis=-1)
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    away, floor = ray / -ray[..., 2:], np.ones(u.shape, bool)
+    light = drawn_light(np.random.default_rng(1), INDOORS)
+    black, above = np.zeros((rows, columns, 3), np.float32), np.array([0.0, 0.0, 1.0])
+    shown = [polished(black, floor, ray, away, above, (), light, np.random.default_rng(seed)) for seed in range(40)]
+    white = 0.9 * float(light.ambient_bgr.mean())
+    brightest = np.array([np.percentile(one.mean(axis=-1), 99.5) for one in shown])
+    usual = np.array([np.median(one.mean(axis=-1)) for one in shown])
+    assert 3 <= (brightest > white).sum() <= 20
+    assert np.all(usual <= 0.1 * white)
+    up = ray * [1.0, 1.0, -1.0]
+    dim, bright = (ceiling(light, up.reshape(-1, 3), lamp) for lamp in (2.5, 25.0))
+    assert bright.max() == pytest.approx(25.3 / 2.8 * dim.max(), rel=0.1) and np.median(bright / dim) == 1.0

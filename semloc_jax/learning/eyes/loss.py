@@ -12,12 +12,12 @@ from jaxtyping import Array, Float
 
 from semloc_jax.perception.networks.eyes import REACH_PX, Said, read_out
 
-_NEAR_PX, _FAR_WEIGHT = 8.0, 0.05
-"""What lies within this distance of a border decides a pose; what is farther weighs little: it only has to be far."""
+_NEAR_PX, _LEAST_WEIGHT = 8.0, 0.05
+"""What lies within this distance of a border decides a pose; what is farther weighs little."""
 _INSIDE_WEIGHT = 2.0
 """Of the loss of being inside: where a class is has to be known before how far its border is."""
 _FEW_CELLS = 200.0
-"""Fewer cells inside than this count for less: a post far away shall not outweigh a crosswalk."""
+"""Fewer cells inside, or near a border, than this count for less: a post far away shall not outweigh a crosswalk."""
 
 
 class Batch(NamedTuple):
@@ -39,16 +39,46 @@ def eyes_loss(network: eqx.Module, batch: Batch) -> Array:
     said = read_out(jax.vmap(network)(batch.picture))
     # A map tells its classes and not what hides it, which eyes tell last.
     said = jax.tree.map(lambda plane: plane[..., : batch.signed_px.shape[-1]], said)
-    weight = batch.weight[..., None] * _closeness(batch.signed_px)
-    # Each class by itself: a post has a hundredth of the cells of a line and says as much.
-    distance = jnp.sum(weight * distance_nll(said, batch), (0, 1, 2)) / jnp.maximum(jnp.sum(weight, (0, 1, 2)), 1.0)
-    return jnp.mean(distance + _INSIDE_WEIGHT * inside_loss(said, batch))
+    return jnp.mean(distance_loss(said, batch) + _INSIDE_WEIGHT * inside_loss(said, batch))
+
+
+def distance_loss(said: Said, batch: Batch) -> Float[Array, " k"]:
+    """Of the distances, for each class: cells about its borders weigh as much as all those that have none near.
+
+    A pillar is in one crop of twenty and there has a hundredth of the cells of the floor: counted cell by cell, saying
+    that it is far everywhere costs nothing.
+    """
+    is_near = jnp.abs(batch.signed_px) < REACH_PX
+    known = batch.weight[..., None]
+    near = known * is_near * jnp.maximum(jnp.exp(-jnp.abs(batch.signed_px) / _NEAR_PX), _LEAST_WEIGHT)
+    far = known * ~is_near
+    told, beyond = distance_nll(said, batch), beyond_nll(said, batch)
+    of_near = jnp.sum(near * told, (0, 1, 2)) / (jnp.sum(near, (0, 1, 2)) + _FEW_CELLS)
+    return of_near + jnp.sum(far * beyond, (0, 1, 2)) / jnp.maximum(jnp.sum(far, (0, 1, 2)), 1.0)
 
 
 def distance_nll(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
     """Of the distance of each cell and class."""
-    scale = jnp.sqrt((jnp.exp(2.0 * said.log_sigma) + batch.sigma_px**2) / 2.0)
+    scale = _scale(said, batch)
     return jnp.abs(said.signed_px - batch.signed_px) / scale + jnp.log(scale)
+
+
+def beyond_nll(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
+    """Of no border within reach: that the distance is larger than the label, which is clipped there.
+
+    It falls to zero and not below. Were the label taken for a distance, each such cell would be told exactly, its sigma
+    would shrink without end, and a class that is rare would be told far everywhere, and be sure of it.
+    """
+    side = jnp.where(batch.signed_px < 0.0, -1.0, 1.0)
+    past = side * (said.signed_px - batch.signed_px) / _scale(said, batch)
+    # Both sides of Laplace's distribution; each is finite, with finite slope, where the other one holds.
+    over = -jnp.log1p(-0.5 * jnp.exp(-jnp.maximum(past, 0.0)))
+    return jnp.where(past > 0.0, over, jnp.log(2.0) - past)
+
+
+def _scale(said: Said, batch: Batch) -> Array:
+    """Mean absolute error of Laplace's distribution with both sigmas."""
+    return jnp.sqrt((jnp.exp(2.0 * said.log_sigma) + batch.sigma_px**2) / 2.0)
 
 
 def inside_loss(said: Said, batch: Batch) -> Float[Array, " k"]:
@@ -62,9 +92,3 @@ def inside_loss(said: Said, batch: Batch) -> Float[Array, " k"]:
 
     missed, invented = -jax.nn.log_sigmoid(said.logit), -jax.nn.log_sigmoid(-said.logit)
     return mean(batch.weight[..., None] * share, missed) + mean(near * (1.0 - share), invented)
-
-
-def _closeness(signed_px: Array) -> Array:
-    """Weight of a cell by its distance to the border."""
-    near = jnp.exp(-jnp.abs(signed_px) / _NEAR_PX)
-    return jnp.where(jnp.abs(signed_px) < REACH_PX, jnp.maximum(near, _FAR_WEIGHT), _FAR_WEIGHT)

@@ -30,6 +30,8 @@ from semloc_jax.storage import reading
 KIND = "eyes"
 SHIPPED = Path(__file__).with_name("street.weights")
 """What `semloc learn eyes --simulated` wrote; its card says how, its figures and its limits."""
+SHIPPED_GARAGE = Path(__file__).with_name("garage.weights")
+"""The same, taught further on as many garages seen by fisheyes as streets; not for roads."""
 REACH_PX = 40.0
 """Distances are clipped here [px of the network's image]: the coarsest ramp of the localizer."""
 _DETAIL = 2
@@ -58,7 +60,27 @@ def read_out(raw: Float[Array, "*b h w n"]) -> Said:
     The distance is not clipped here: beyond a clip nothing would be learned any more.
     """
     distance, log_sigma, logit = jnp.split(raw, 3, axis=-1)
-    return Said(_UNIT_PX * distance + 0.5 * REACH_PX, jnp.clip(log_sigma + jnp.log(_UNIT_PX), *_LOG_SIGMA), logit)
+    return Said(_UNIT_PX * distance + 0.5 * REACH_PX, _bounded(log_sigma + jnp.log(_UNIT_PX)), logit)
+
+
+@jax.custom_vjp
+def _bounded(log_sigma: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """The logarithm within its bounds. What is beyond one keeps the slope that leads back: else a class that was once
+    told with the least sigma everywhere would never be told again; any other slope would lead farther out for ever."""
+    return jnp.clip(log_sigma, *_LOG_SIGMA)
+
+
+def _bounded_forward(log_sigma: Array) -> tuple[Array, Array]:
+    return _bounded(log_sigma), log_sigma
+
+
+def _bounded_back(log_sigma: Array, slope: Array) -> tuple[Array]:
+    least, most = _LOG_SIGMA
+    leads_out = ((log_sigma < least) & (slope > 0.0)) | ((log_sigma > most) & (slope < 0.0))
+    return (jnp.where(leads_out, 0.0, slope),)
+
+
+_bounded.defvjp(_bounded_forward, _bounded_back)
 
 
 def network_config(num_classes: int, num_more: int = 0) -> DenseNetConfig:

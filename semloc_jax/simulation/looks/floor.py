@@ -15,6 +15,9 @@ from semloc_jax.simulation.solids import Solid
 _COARSE = 4
 """Pixels along a side of one that is mirrored: a floor is no glass, and what it mirrors is soft."""
 _NEAR_M = 60.0
+_LAMP = (2.5, 60.0)
+"""Radiance of a lamp over that of a white floor. A tube has some hundred times as much as the floor that it lights; a
+camera shows both as white, but the floor throws back a share of it: streaks as bright as paint where one looks down."""
 
 
 def polished(
@@ -40,7 +43,8 @@ def polished(
         rng: how smooth the floor is.
     """
     shine = rng.uniform(0.0, 0.7) * (rng.random() < 0.75)
-    soft_px = rng.uniform(1.0, 10.0)
+    soft_px = float(np.exp(rng.uniform(np.log(1.0), np.log(20.0))))
+    lamp = float(np.exp(rng.uniform(*np.log(_LAMP))))
     part = np.s_[_COARSE // 2 :: _COARSE, _COARSE // 2 :: _COARSE]
     rows, columns = np.nonzero(is_ground[part])
     if shine == 0.0 or len(rows) == 0:
@@ -48,7 +52,7 @@ def polished(
     small = np.zeros((*is_ground[part].shape, 3), np.float32)
     up = ray[part][rows, columns] * [1.0, 1.0, -1.0]
     spot = away[part][rows, columns]
-    small[rows, columns] = _mirrored(up, spot, origin, solids, light)
+    small[rows, columns] = _mirrored(up, spot, origin, solids, light, lamp)
     # A floor is no glass: what it mirrors is drawn out towards whoever looks. Beyond its border it mirrors the same.
     weight = np.zeros(small.shape[:2], np.float32)
     weight[rows, columns] = 1.0
@@ -63,13 +67,18 @@ def polished(
 
 
 def _mirrored(
-    up: np.ndarray, spot: np.ndarray, origin: np.ndarray, solids: Sequence[Solid], light: lights.Light
+    up: np.ndarray,
+    spot: np.ndarray,
+    origin: np.ndarray,
+    solids: Sequence[Solid],
+    light: lights.Light,
+    lamp: float,
 ) -> Float[np.ndarray, "n 3"]:
     """Radiance along mirrored rays `up` from floor points `spot` (from the camera).
 
     Seen from the camera mirrored below the floor, all of these rays start in one place.
     """
-    seen = lights.ceiling(light, _towards_ceiling(up, spot)).astype(np.float32)
+    seen = lights.ceiling(light, _towards_ceiling(up, spot), lamp).astype(np.float32)
     below = origin + [0.0, 0.0, 2.0 * float(np.median(spot[:, 2]))]
     least = np.linalg.norm(spot, axis=1) - 0.02
     nearest = np.full(len(up), np.inf)

@@ -123,12 +123,18 @@ def _lamps(light: Light, x: np.ndarray, y: np.ndarray, soft_m: float) -> np.ndar
     )
 
 
-def ceiling(light: Light, ray: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """What is seen of a ceiling with lamps along rays that rise."""
+def ceiling(light: Light, ray: Float[np.ndarray, "n 3"], lamp: float = 2.5) -> Float[np.ndarray, "n 3"]:
+    """What is seen of a ceiling with lamps along rays that rise.
+
+    Args:
+        light: of a garage.
+        ray: unit rays [n 3].
+        lamp: radiance of a lamp over that of a white floor; by default just more than any camera shows.
+    """
     t = CEILING_M / np.maximum(ray[:, 2], 1e-2)
     lamps = _lamps(light, ray[:, 0] * t, ray[:, 1] * t, 0.15)
     beams = 0.25 + 0.1 * (np.abs((ray[:, 0] * t) % 4.0 - 2.0) < 0.3)
-    return (beams + 2.5 * lamps)[:, None] * light.ambient_bgr
+    return (beams + lamp * lamps)[:, None] * light.ambient_bgr
 
 
 def sky(light: Light, ray: Float[np.ndarray, "n 3"], rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:

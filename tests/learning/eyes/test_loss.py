@@ -7,7 +7,7 @@ import pytest
 
 from semloc_jax.learning.eyes.batches import CropConfig, ImagePool, LabelledImage, draw_batch
 from semloc_jax.learning.eyes.judge import RoundScore
-from semloc_jax.learning.eyes.loss import Batch, distance_nll, eyes_loss, inside_loss
+from semloc_jax.learning.eyes.loss import Batch, beyond_nll, distance_loss, distance_nll, eyes_loss, inside_loss
 from semloc_jax.learning.eyes.teach import Round, best_round
 from semloc_jax.perception.networks.dense_net import DenseNet
 from semloc_jax.perception.networks.eyes import REACH_PX, Said, network_config
@@ -49,6 +49,53 @@ def test_what_the_label_does_not_know_is_not_learned():
     assert slopes[1] == pytest.approx(float(by_hand.sum()) / (2 * step), rel=1e-4)
     inside = [float(inside_loss(said(0.0, 0.0, logit), one_cell(-5.0, 1.0)).sum()) for logit in (-3.0, 3.0)]
     assert inside[0] > 10 * inside[1]
+
+
+def test_a_border_out_of_reach_is_told_far_and_not_exactly():
+    """Beyond the reach all is one: how far, and how sure, costs nothing more; nearer costs in sigmas, as a distance."""
+    label = one_cell(REACH_PX)
+    sure = [float(beyond_nll(said(REACH_PX + 6.0, np.log(s)), label).sum()) for s in (0.2, 1.0, 5.0)]
+    assert sure[0] < 1e-6 and sure[0] < sure[1] < sure[2] < np.log(2.0)
+    for sigma_px in (0.5, 4.0):
+        scale = sigma_px / np.sqrt(2.0)
+        nearer = [float(beyond_nll(said(d, np.log(sigma_px)), label).sum()) for d in (REACH_PX, 30.0, 5.0)]
+        np.testing.assert_allclose(nearer, np.log(2.0) + np.array([0.0, 10.0, 35.0]) / scale, rtol=1e-4)
+    inside = [float(beyond_nll(said(d), one_cell(-REACH_PX)).sum()) for d in (-REACH_PX - 9.0, 0.0)]
+    assert inside[0] < 1e-5 and inside[1] > 40.0
+
+
+@pytest.mark.parametrize("far_cells", [100, 10_000])
+def test_what_is_rare_weighs_as_much_as_all_that_is_far(far_cells):
+    """Many cells far from every border, or few: the slope by those at one is the same, and that by the far ones too."""
+    signed = jnp.concatenate([jnp.zeros(400), jnp.full(far_cells, REACH_PX)]).reshape(1, 1, -1, 1)
+    batch = Batch(jnp.zeros((1, 2, 2, 3)), signed, jnp.full_like(signed, 1e-3), jnp.ones(signed.shape[:3]))
+
+    def loss(told):
+        return distance_loss(Said(told, jnp.zeros_like(told), jnp.zeros_like(told)), batch).sum()
+
+    slope = jax.grad(loss)(jnp.full_like(signed, 20.0)).ravel()
+    assert float(slope[:400].sum()) == pytest.approx(np.sqrt(2.0) * 400 / 600, rel=1e-3)
+    assert float(slope[400:].sum()) == pytest.approx(-np.sqrt(2.0), rel=1e-3)
+
+
+def test_the_slope_of_the_distances_is_that_of_their_loss():
+    """Finite differences, about borders, beyond the reach on both sides of it, and inside."""
+    rng = np.random.default_rng(3)
+    signed = jnp.asarray(np.r_[rng.uniform(-12, 38, 20), [REACH_PX] * 12, [-REACH_PX] * 8]).reshape(1, 5, 8, 1)
+    batch = Batch(jnp.zeros((1, 2, 2, 3)), signed, jnp.full_like(signed, 0.3), jnp.ones((1, 5, 8)))
+    told = signed + jnp.asarray(rng.normal(0.0, 6.0, signed.shape))
+    log_sigma = jnp.asarray(rng.uniform(-1.0, 3.0, signed.shape))
+
+    def loss(told, log_sigma):
+        return distance_loss(Said(told, log_sigma, jnp.zeros_like(told)), batch).sum()
+
+    by_told, by_sigma = jax.grad(loss, (0, 1))(told, log_sigma)
+    step = 1e-5
+    for _ in range(3):
+        way = jnp.asarray(rng.normal(size=signed.shape))
+        for k, slope in enumerate((by_told, by_sigma)):
+            ends = [loss(told + (k == 0) * s * way, log_sigma + (k == 1) * s * way) for s in (step, -step)]
+            assert float(jnp.sum(slope * way)) == pytest.approx(float(ends[0] - ends[1]) / (2 * step), rel=1e-5)
 
 
 def test_cells_of_which_nothing_is_known_move_nothing():
