@@ -225,7 +225,7 @@ def test_the_report_says_what_changed(tmp_path):
 
 @pytest.mark.slow
 def test_a_drive_of_a_later_epoch_tells_what_changed(data_dir, tmp_path):
-    """The exact map before the changes, a drive after them: laid on it to 5 cm; nothing that stayed is taken away."""
+    """The exact map before the changes, a drive after them: laid on it to 3 cm; nothing that stayed is taken away."""
     drive, before = data_dir / "crowd_seed3" / "e1d8", data_dir / "crowd_seed3" / "e0d0" / "map.geojson"
     if not drive.is_dir():
         pytest.skip(f"no drive {drive}")
@@ -233,7 +233,7 @@ def test_a_drive_of_a_later_epoch_tells_what_changed(data_dir, tmp_path):
     assert main(words) == OK
     metrics = {metric.key: metric.value for metric in read_metrics(tmp_path / "metrics.json")}
     assert metrics["base.found"] == metrics["base.searched"] == 11
-    assert metrics["horizontal.max"] < 0.05
+    assert metrics["horizontal.max"] < 0.03
     assert metrics["height.max"] < 0.1
     assert metrics["map.pole.recall"] > 0.95
     changes = json.loads((drive / "changes.json").read_text())["since_epoch_0"]
