@@ -62,8 +62,8 @@ class PullConfig:
             rise and fall along a contour, and as information they hold a vehicle along solid lines: half of all that
             holds it along a road. In a map that is there already this is wrong, and places stayed 7 cm behind. In the
             map that a drive draws itself the size of the way is nearly free (camera heights, where masks lie in
-            images), and what is too firm keeps it near what odometer, fixes and loops say: without it a way came out
-            0.4 % too small that is right within 0.02 %.
+            images), and what is too firm keeps it near what odometer, fixes and loops say: by contours a road of 260 m
+            came out 21 cm off after one motion, by slopes 4 cm.
     """
 
     range_m: float = 14.0
