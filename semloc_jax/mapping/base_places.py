@@ -18,8 +18,8 @@ from semloc_jax.geometry import rigid
 from semloc_jax.mapping.chain import Chain
 from semloc_jax.mapping.chain_graph import ChainSolution, MapPlaces
 from semloc_jax.mapping.found_loops import FoundLoop, row_of
-from semloc_jax.mapping.loops import Look, LoopConfig, Once, against, weighed_by_way
-from semloc_jax.mapping.place_search import View, lead_nats, search_places
+from semloc_jax.mapping.loops import LoopConfig, Once, against, weighed_by_way
+from semloc_jax.mapping.place_search import Look, lead_nats, search_places, views_of
 from semloc_jax.mapping.revisits import Revisit, groups
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable
@@ -93,7 +93,7 @@ def _searched(
 ) -> FoundLoop | None:
     T = solution.Ts_map_base[revisit.b]
     T_b_map = rigid.inverse(T)
-    views = [View(*look(k), T_b_map @ solution.Ts_map_base[k]) for k in revisit.frames]
+    views = views_of(look, revisit.frames, revisit.b, solution)
     sigma_xy_m = max(revisit.sigma_xy_m, config.least_prior_m)
     sigma_heading_rad = max(revisit.sigma_heading_rad, float(np.deg2rad(config.least_prior_deg)))
     try:

@@ -14,13 +14,12 @@ import numpy as np
 from scipy.special import chdtri
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
-from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import rigid
 from semloc_jax.mapping.chain import Chain
 from semloc_jax.mapping.chain_graph import ChainSolution, Loops
 from semloc_jax.mapping.found_loops import FoundLoop, loops_of, without_outvoted
-from semloc_jax.mapping.place_search import PLANE, Place, View, lead_nats, search_places
+from semloc_jax.mapping.place_search import PLANE, Look, Place, lead_nats, search_places, views_of
 from semloc_jax.mapping.revisits import Revisit, RevisitConfig, groups, revisits
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable
@@ -29,8 +28,6 @@ MapOf = Callable[[np.ndarray], SemanticMap | None]
 """Frames of a stretch -> what a mapper made of them, in the frame `odom` of the chain; None where it has nothing."""
 Once = Callable[[Revisit, Callable[[], "FoundLoop | None"]], "FoundLoop | None"]
 """A revisit and the search for its loop -> what it gives."""
-Look = Callable[[int], tuple[Sequence[np.ndarray], Rig]]
-"""Frame -> masks and their cameras."""
 
 
 @dataclass(frozen=True)
@@ -132,9 +129,8 @@ class LoopSearch:
         if semantic_map is None or semantic_map.num_elements == 0:
             return None
         Ts, T_odom_a = solution.Ts_map_base, chain.Ts_odom_base[revisit.a]
-        T_b_map = rigid.inverse(Ts[revisit.b])
         T_a_b = rigid.inverse(Ts[revisit.a]) @ Ts[revisit.b]
-        views = [View(*self.look(k), T_b_map @ Ts[k]) for k in revisit.frames]
+        views = views_of(self.look, revisit.frames, revisit.b, solution)
         sigma_xy_m = max(revisit.sigma_xy_m, config.least_prior_m)
         sigma_heading_rad = max(revisit.sigma_heading_rad, float(np.deg2rad(config.least_prior_deg)))
         try:

@@ -6,7 +6,7 @@ Every frame is localized alone, with all its modes; each mode says where the who
 says what its masks hold for that.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,10 @@ from semloc_jax.alignment.result import Mode
 from semloc_jax.alignment.same_pose import ONE_PLACE, units_apart
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import rigid
+from semloc_jax.mapping.chain_graph import ChainSolution
+
+Look = Callable[[int], tuple[Sequence[np.ndarray], Rig]]
+"""Frame -> masks and their cameras."""
 
 PLANE = [0, 1, 5]
 _OTHER_PLACE = 2.0
@@ -32,6 +36,9 @@ class View(NamedTuple):
     rig: Rig
     T_middle_base: Float[np.ndarray, "4 4"]
     """Its pose seen from the middle frame, by odometry."""
+    covariance: Float[np.ndarray, "6 6"]
+    """Of the right tangent of that [m, rad]: with an odometer whose scale nobody knows yet, frames 8 m away lie 13 cm
+    off."""
 
 
 class Place(NamedTuple):
@@ -48,6 +55,13 @@ class Place(NamedTuple):
     """Mean share of the map in view that lies on borders of the masks, of those frames."""
     chi_square: float
     """Squared normalised differences of their modes from the place; 3 numbers each, 3 of them used up."""
+
+
+def views_of(look: Look, frames: Sequence[int], middle: int, way: ChainSolution) -> list[View]:
+    """The frames of a stretch as the way has them around its middle one."""
+    T_middle_map = rigid.inverse(way.Ts_map_base[middle])
+    covariance = way.relative_covariance([middle] * len(frames), list(frames))
+    return [View(*look(k), T_middle_map @ way.Ts_map_base[k], own) for k, own in zip(frames, covariance, strict=True)]
 
 
 class _Seen(NamedTuple):
@@ -132,7 +146,7 @@ def _place(views: Sequence[View], seen: Sequence[_Seen], T_map_middle: np.ndarra
         mode = max(near, key=lambda mode: mode.evidence.nats if mode.evidence else -np.inf)
         steps.append(rigid.log(rigid.inverse(T_map_middle) @ mode.T_map_base @ rigid.inverse(view.T_middle_base)))
         Ad = rigid.adjoint(view.T_middle_base)
-        covariances.append(Ad @ mode.covariance @ Ad.T)
+        covariances.append(Ad @ (mode.covariance + view.covariance) @ Ad.T)
         explained.append(mode.evidence.explained if mode.evidence else 0.0)
         is_seen[k] = True
     if not steps:
