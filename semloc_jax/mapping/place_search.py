@@ -98,7 +98,8 @@ def search_places(
     if not proposed:
         return []
     nats = sum(_nats(view, frame, np.array(proposed)) for view, frame in zip(views, seen, strict=True))
-    places = [_place(views, seen, T, float(total)) for T, total in zip(proposed, nats, strict=True)]
+    modes = [frame.modes for frame in seen]
+    places = [place_of_stretch(views, modes, T, float(total)) for T, total in zip(proposed, nats, strict=True)]
     return sorted(places, key=lambda place: -place.nats)
 
 
@@ -135,12 +136,21 @@ def _nats(view: View, seen: _Seen, Ts_map_middle: np.ndarray) -> np.ndarray:
     return best
 
 
-def _place(views: Sequence[View], seen: Sequence[_Seen], T_map_middle: np.ndarray, nats: float) -> Place:
-    """The mean of the modes of all frames that lie at a place."""
+def place_of_stretch(
+    views: Sequence[View], modes: Sequence[Sequence[Mode]], T_map_middle: Float[np.ndarray, "4 4"], nats: float
+) -> Place:
+    """The mean of the modes of all frames that lie at a place, each as sure as it is and its way from the middle is.
+
+    Args:
+        views: The frames.
+        modes: What each of them found.
+        T_map_middle: The place.
+        nats: Evidence of all frames for it.
+    """
     steps, covariances, explained, is_seen = [], [], [], np.zeros(len(views), bool)
-    for k, (view, frame) in enumerate(zip(views, seen, strict=True)):
+    for k, (view, own) in enumerate(zip(views, modes, strict=True)):
         T_middle = T_map_middle @ view.T_middle_base
-        near = [mode for mode in frame.modes if units_apart(mode.T_map_base, T_middle) < ONE_PLACE]
+        near = [mode for mode in own if units_apart(mode.T_map_base, T_middle) < ONE_PLACE]
         if not near:
             continue
         mode = max(near, key=lambda mode: mode.evidence.nats if mode.evidence else -np.inf)

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
+from semloc_jax.alignment.result import Mode
 from semloc_jax.datasets import read_drive
 from semloc_jax.geometry import rigid
 from semloc_jax.inputs.mask_source import mask_source
@@ -12,11 +14,11 @@ from semloc_jax.mapping.chain import drive_chain
 from semloc_jax.mapping.chain_graph import Loops, Start, solve_chain
 from semloc_jax.mapping.found_loops import COLUMNS, FoundLoop, loops_of, write_loops
 from semloc_jax.mapping.loops import LoopConfig, LoopSearch, against, weighed_by_way
-from semloc_jax.mapping.place_search import Place, lead_nats
+from semloc_jax.mapping.place_search import Place, lead_nats, place_of_stretch, views_of
 from semloc_jax.mapping.revisits import Revisit, RevisitConfig, groups, revisits
 from semloc_jax.maps import SemanticMap, read_map
 from semloc_jax.perception import load_class_table
-from tests.mapping.test_chain_graph import LAP, NUM, made_chain
+from tests.mapping.test_chain_graph import LAP, NUM, SCALE, made_chain
 
 CONFIG = LoopConfig()
 
@@ -46,6 +48,26 @@ def test_revisits_are_earlier_passes_within_what_the_way_may_be_off():
     assert revisits(solution, chain.way_m, frames, replace(config, min_way_m=60.0)) == []
     assert revisits(solution, chain.way_m, frames, replace(config, max_sigma_m=1e-4)) == []
     assert NUM > frames[-1] and len(poses) == NUM
+
+
+def test_frames_agree_as_well_as_the_motion_between_them_is_known():
+    """An odometer that is 2 % off before anything tells: frames that each lie right to 1 cm do not disagree for it."""
+    chain, poses = made_chain(scale=SCALE)
+    way, frames, middle = solve_chain(chain, start=Start(poses[0], np.diag([1e-6] * 6))), (8, 10, 12, 14), 12
+    views = views_of(lambda _: ([], None), frames, middle, way)
+    assert np.abs(views[2].T_middle_base - np.eye(4)).max() < 1e-9
+    sigma_m = [np.sqrt(np.trace(view.covariance[:2, :2])) for view in views]
+    assert sigma_m[2] < 1e-6
+    assert min(sigma_m[:2] + sigma_m[3:]) > 0.03
+    covariance = np.diag(np.array([0.01, 0.01, 0.01, 0.001, 0.001, 0.001]) ** 2)
+    modes = [(Mode(1.0, poses[k], covariance, 10.0, 0.1, 1.0, 0.8, np.eye(6)[0]),) for k in frames]
+
+    def chi_square(views):
+        return place_of_stretch(views, modes, poses[middle], 100.0).chi_square
+
+    most = chdtri(3 * (len(frames) - 1), 1.0 - CONFIG.probability)
+    assert chi_square(views) < most
+    assert chi_square([view._replace(covariance=np.zeros((6, 6))) for view in views]) > 2.0 * most
 
 
 def place(nats, T=None, seen=(True,) * 4, explained=0.5, chi_square=5.0):
