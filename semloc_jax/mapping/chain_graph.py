@@ -115,6 +115,11 @@ class ChainSolution:
         """Joint covariance of the right tangents of some poses, six rows each [m, rad]."""
         return self.problem.covariance(self.solution.equations, (6 * frames[:, None] + np.arange(6)).ravel())
 
+    @property
+    def calibration_covariance(self) -> Float[np.ndarray, "3 3"]:
+        """Of odometer scale, scale of the turn, direction of travel [rad]."""
+        return self.problem.covariance(self.solution.equations, 6 * len(self.Ts_map_base) + np.arange(3))
+
     def relative_covariance(
         self, a: Int[np.ndarray, " k"] | list[int], b: Int[np.ndarray, " k"] | list[int]
     ) -> Float[np.ndarray, "k 6 6"]:

@@ -25,6 +25,8 @@ Look = Callable[[int], tuple[Sequence[np.ndarray], Rig]]
 """Frame -> masks and their cameras."""
 
 PLANE = [0, 1, 5]
+_ALONG_AND_ASIDE = [0, 2]
+"""Scale of the odometer and direction of travel in the calibration of a way."""
 _OTHER_PLACE = 2.0
 """Poses more than 1 m or 2 deg apart are different places (`alignment.same_pose`); ours."""
 
@@ -58,10 +60,21 @@ class Place(NamedTuple):
 
 
 def views_of(look: Look, frames: Sequence[int], middle: int, way: ChainSolution) -> list[View]:
-    """The frames of a stretch as the way has them around its middle one."""
-    T_middle_map = rigid.inverse(way.Ts_map_base[middle])
-    covariance = way.relative_covariance([middle] * len(frames), list(frames))
-    return [View(*look(k), T_middle_map @ way.Ts_map_base[k], own) for k, own in zip(frames, covariance, strict=True)]
+    """The frames of a stretch as the way has them around its middle one.
+
+    How sure that is, scale of the odometer and direction of travel say: the difference of two poses that may both be a
+    hundred metres off would be lost in rounding.
+    """
+    known = way.calibration_covariance[np.ix_(_ALONG_AND_ASIDE, _ALONG_AND_ASIDE)]
+    views = []
+    for k in frames:
+        T = rigid.inverse(way.Ts_map_base[middle]) @ way.Ts_map_base[k]
+        x, y, z = T[:3, 3]
+        by_calibration = T[:3, :3].T @ np.array([[x, -y], [y, x], [z, 0.0]])
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = by_calibration @ known @ by_calibration.T
+        views.append(View(*look(k), T, covariance))
+    return views
 
 
 class _Seen(NamedTuple):

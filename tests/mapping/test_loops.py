@@ -1,6 +1,7 @@
 """Loops: where they are looked for, when they are accepted, their file, and twins of a rendered garage and road."""
 
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 import pytest
@@ -53,12 +54,25 @@ def test_revisits_are_earlier_passes_within_what_the_way_may_be_off():
 def test_frames_agree_as_well_as_the_motion_between_them_is_known():
     """An odometer that is 2 % off before anything tells: frames that each lie right to 1 cm do not disagree for it."""
     chain, poses = made_chain(scale=SCALE)
+    # But for the scale the chain is right.
+    steps = rigid.inverse(poses[:-1]) @ poses[1:]
+    steps[:, :3, 3] /= SCALE
+    way = np.array(list(accumulate(steps, np.matmul, initial=poses[0])))
+    chain = chain._replace(Ts_odom_base=way)
     way, frames, middle = solve_chain(chain, start=Start(poses[0], np.diag([1e-6] * 6))), (8, 10, 12, 14), 12
     views = views_of(lambda _: ([], None), frames, middle, way)
     assert np.abs(views[2].T_middle_base - np.eye(4)).max() < 1e-9
-    sigma_m = [np.sqrt(np.trace(view.covariance[:2, :2])) for view in views]
-    assert sigma_m[2] < 1e-6
-    assert min(sigma_m[:2] + sigma_m[3:]) > 0.03
+    np.testing.assert_allclose(np.sqrt(np.diag(way.calibration_covariance)), chain.calibration_sigma, rtol=0.05)
+    for view in views:
+        far_m = np.linalg.norm(view.T_middle_base[:3, 3])
+        along = view.T_middle_base[:3, :3].T @ view.T_middle_base[:3, 3]
+        sigma2 = along @ view.covariance[:3, :3] @ along
+        assert np.sqrt(sigma2) == pytest.approx(chain.calibration_sigma[0] * far_m**2, rel=0.05)
+        assert np.linalg.eigvalsh(view.covariance).min() > -1e-12
+    # Where the drive lies is open by a kilometre: no variance of the motion within it is lost in rounding for that.
+    lost = solve_chain(chain, start=Start(poses[0], np.diag([1e6] * 3 + [1e-2] * 3)))
+    for view, known in zip(views_of(lambda _: ([], None), frames, middle, lost), views, strict=True):
+        np.testing.assert_allclose(view.covariance, known.covariance, atol=1e-4)
     covariance = np.diag(np.array([0.01, 0.01, 0.01, 0.001, 0.001, 0.001]) ** 2)
     modes = [(Mode(1.0, poses[k], covariance, 10.0, 0.1, 1.0, 0.8, np.eye(6)[0]),) for k in frames]
 
