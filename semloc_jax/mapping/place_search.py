@@ -31,6 +31,9 @@ _OTHER_PLACE = 2.0
 """Poses more than 1 m or 2 deg apart are different places (`alignment.same_pose`); ours."""
 
 
+_EXACT = np.zeros((6, 6))
+
+
 class View(NamedTuple):
     """One frame of the stretch."""
 
@@ -38,7 +41,7 @@ class View(NamedTuple):
     rig: Rig
     T_middle_base: Float[np.ndarray, "4 4"]
     """Its pose seen from the middle frame, by odometry."""
-    covariance: Float[np.ndarray, "6 6"]
+    covariance: Float[np.ndarray, "6 6"] = _EXACT
     """Of the right tangent of that [m, rad]: with an odometer whose scale nobody knows yet, frames 8 m away lie 13 cm
     off."""
 
