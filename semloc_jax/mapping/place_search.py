@@ -32,6 +32,7 @@ _OTHER_PLACE = 2.0
 
 
 _EXACT = np.zeros((6, 6))
+"""Covariance of a motion that is taken as it is."""
 
 
 class View(NamedTuple):

@@ -89,8 +89,8 @@ def refined_way(
         way = solved()
         return {"Ts_map_base": way.Ts_map_base, **way.sigmas._asdict()}
 
-    held = parts.way(arrays)
-    return RefinedWay(held.pop("Ts_map_base"), WaySigmas(**held))
+    stored = parts.way(arrays)
+    return RefinedWay(stored.pop("Ts_map_base"), WaySigmas(**stored))
 
 
 def _as_closed(chain: Chain, looking: Sequence[int], closed: ClosedWay) -> RefinedWay:
