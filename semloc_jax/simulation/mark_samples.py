@@ -2,7 +2,8 @@
 
 In: a class, a generator. Out: cells of the mark [m], x along the driving direction.
 Sizes are ours, of the order of road marking manuals: dashes of 0.1 to 0.2 m by 1.5 to 6 m, zebra bars of 0.4 to 0.6 m,
-stop lines of 0.3 to 0.6 m, arrows of 2 to 6 m, letters of 0.5 to 2.4 m, lines of slots of 0.08 to 0.15 m.
+stop lines of 0.3 to 0.6 m, arrows of 2 to 6 m, letters of 0.5 to 2.4 m, lines of slots of 0.08 to 0.15 m and bars at
+their entrances of 0.6 to 1.6 m.
 """
 
 from enum import IntEnum
@@ -122,8 +123,9 @@ def _draw_crosswalk(picture: np.ndarray, rng: np.random.Generator) -> None:
 
 
 def _draw_other(picture: np.ndarray, rng: np.random.Generator) -> None:
-    """Stop lines, lines of slots, pieces of solid lines, diamonds, triangles, corners, tees and combs of slots."""
-    which = rng.integers(8)
+    """Stop lines, lines of slots, pieces of solid lines, diamonds, triangles; corners, tees and combs of slots; dividers
+    with a bar at the entrance, and these bars alone."""
+    which = rng.integers(11)
     if which == 0:
         _fill(picture, _turned(_bar(rng.uniform(2.2, 8.0), rng.uniform(0.3, 0.6)), True, rng))
     elif which == 1:
@@ -136,8 +138,21 @@ def _draw_other(picture: np.ndarray, rng: np.random.Generator) -> None:
     elif which == 4:
         a, b = rng.uniform(0.5, 1.5), rng.uniform(0.3, 0.8)
         _fill(picture, _turned(np.array([(-a, -b), (a, 0.0), (-a, b)]), False, rng))
-    else:
+    elif which < 8:
         _draw_slots(picture, rng)
+    else:
+        _draw_barred_divider(picture, rng)
+
+
+def _draw_barred_divider(picture: np.ndarray, rng: np.random.Generator) -> None:
+    """A divider of slots with a bar across its end, at any heading; of some, traffic leaves the bar alone to see."""
+    width_m, bar_m = rng.uniform(0.08, 0.15), rng.uniform(0.6, 1.6)
+    length_m = rng.uniform(0.0, 5.5) * (rng.random() < 0.6)
+    angle = rng.uniform(0.0, 2 * np.pi)
+    R = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    middle_m = 0.5 * length_m
+    _fill(picture, _bar(width_m, bar_m, (-middle_m, rng.uniform(-0.1, 0.1) * bar_m)) @ R)
+    _fill(picture, _bar(length_m + width_m, width_m) @ R)
 
 
 def _draw_slots(picture: np.ndarray, rng: np.random.Generator) -> None:

@@ -21,7 +21,7 @@ from semloc_jax.simulation.mark_samples import MarkKind, mark_sample
 class ForestConfig:
     """How the forest is grown. All values are ours."""
 
-    num_samples: int = 240
+    num_samples: int = 400
     """Marks of each class."""
     num_trees: int = 200
     num_features: int = 120

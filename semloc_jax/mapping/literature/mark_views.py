@@ -95,7 +95,7 @@ def _places(view: GroundView) -> Float[np.ndarray, "h w 2"]:
 
 def _is_line(mark: RoadMark) -> bool:
     length_m, width_m = mark.size_m
-    return length_m >= max(_LINE_LENGTH_M, _LINE_SHAPE * width_m) and mark.turn_rad <= _LINE_TURN_RAD
+    return bool(length_m >= max(_LINE_LENGTH_M, _LINE_SHAPE * width_m) and mark.turn_rad <= _LINE_TURN_RAD)
 
 
 def _along(mark: RoadMark) -> Float[np.ndarray, "k 2"]:
