@@ -123,8 +123,10 @@ def _draw_crosswalk(picture: np.ndarray, rng: np.random.Generator) -> None:
 
 
 def _draw_other(picture: np.ndarray, rng: np.random.Generator) -> None:
-    """Stop lines, lines of slots, pieces of solid lines, diamonds, triangles; corners, tees and combs of slots; dividers
-    with a bar at the entrance, and these bars alone."""
+    """Stop lines, lines of slots, pieces of solid lines, diamonds, triangles; corners, tees and combs of slots.
+
+    Dividers with a bar at the entrance, and these bars alone, too.
+    """
     which = rng.integers(11)
     if which == 0:
         _fill(picture, _turned(_bar(rng.uniform(2.2, 8.0), rng.uniform(0.3, 0.6)), True, rng))
