@@ -3,7 +3,6 @@
 In: a random generator. Out: where the own car is, wedges along lines of sight, cones, posts, pillars as ColouredArea.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +13,6 @@ from semloc_jax.simulation.top_views.clutter import ColouredArea
 _CAR_M = ((4.0, 5.0), (1.7, 2.0))
 _VIEW_M = 10.0
 """Side of the whole view that a crop is cut from: the car stands in its middle."""
-_AT_MOUTHS, _BESIDE_M = 0.5, 0.4
-"""Pillars stand between slots and cones before them: share of what stands up, and how far from the mouth of a divider
-(standard deviation)."""
 _SIGNALS = np.array([[0.1, 0.4, 0.95], [0.1, 0.8, 0.95], [0.2, 0.2, 0.8], [0.9, 0.9, 0.9], [0.05, 0.05, 0.05]])
 """Colours of cones, posts and bumps, blue green red: orange, yellow, red, white, black."""
 
@@ -44,12 +40,7 @@ def own_car(rng: np.random.Generator, size_m: float) -> OwnCar:
 
 
 def wedge(
-    rng: np.random.Generator,
-    car: OwnCar,
-    size_m: float,
-    wide_m: float,
-    long_m: float,
-    foot: Float[np.ndarray, " 2"] | None = None,
+    rng: np.random.Generator, car: OwnCar, size_m: float, wide_m: float, long_m: float
 ) -> Float[np.ndarray, "4 2"]:
     """An area that begins somewhere on the road and runs away from the nearest camera, ever wider.
 
@@ -59,9 +50,8 @@ def wedge(
         size_m: side of the picture.
         wide_m: where it begins.
         long_m: its length.
-        foot: middle of its begin, from the upper left corner; None for any place.
     """
-    foot = size_m * rng.random(2) if foot is None else foot
+    foot = size_m * rng.random(2)
     sides = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
     cameras = car.middle_m + sides * car.size_m
     camera = cameras[np.linalg.norm(cameras - foot, axis=1).argmin()]
@@ -72,26 +62,20 @@ def wedge(
     return np.array([foot - aside, foot + aside, end + grown * aside, end - grown * aside])
 
 
-def drawn_out(
-    rng: np.random.Generator, car: OwnCar, size_m: float, mouths: Sequence[Float[np.ndarray, " 2"]]
-) -> list[ColouredArea]:
-    """Cones, posts and pillars, plain or striped, many beside mouths of dividers; a striped bump across the way."""
+def drawn_out(rng: np.random.Generator, car: OwnCar, size_m: float) -> list[ColouredArea]:
+    """Cones, posts and pillars, plain or striped, and a striped bump across the way."""
     found: list[ColouredArea] = []
     if rng.random() < 0.35:
         for _ in range(int(rng.integers(1, 6))):
-            beside = mouths[int(rng.integers(len(mouths)))] if mouths and rng.random() < _AT_MOUTHS else None
-            found += _standing(rng, car, size_m, beside)
+            found += _standing(rng, car, size_m)
     if rng.random() < 0.15:
         found += _bump(rng, car, size_m)
     return found
 
 
-def _standing(
-    rng: np.random.Generator, car: OwnCar, size_m: float, beside: Float[np.ndarray, " 2"] | None
-) -> list[ColouredArea]:
-    """One thing that stands up, beside a place or anywhere, in bands or in stripes along it."""
-    foot = None if beside is None else beside + rng.normal(0.0, _BESIDE_M, 2)
-    outline = wedge(rng, car, size_m, rng.uniform(0.08, 0.7), rng.uniform(0.3, 5.0), foot)
+def _standing(rng: np.random.Generator, car: OwnCar, size_m: float) -> list[ColouredArea]:
+    """One thing that stands up, in bands or in stripes along it."""
+    outline = wedge(rng, car, size_m, rng.uniform(0.08, 0.7), rng.uniform(0.3, 5.0))
     colours = _SIGNALS[rng.choice(len(_SIGNALS), 2, replace=False)] * rng.uniform(0.5, 1.0)
     if rng.random() < 0.3:
         colours = np.tile(np.full(3, rng.uniform(0.2, 0.8)), (2, 1))

@@ -23,8 +23,6 @@ _RIM_M = 0.15
 """Nor one so near to the border of the picture or of what is shown."""
 _WORN_OUT = 0.25
 """Nor one of whose paint less is left."""
-_POLISHED = 0.4
-"""Share of the pictures whose floor mirrors lamps and walls."""
 _OPEN_PX = 6
 """So far around such a point nothing is asked."""
 
@@ -59,11 +57,9 @@ def top_view_sample(rng: np.random.Generator, size_px: int, metres_per_px: float
     colour = _paint_colour(rng, ground)
     picture = ground + alpha[..., None] * (colour - ground)
     car = own_car(rng, size_m)
-    # What a floor mirrors comes on top of its own colour: paint under it stands out less.
-    picture = picture * _light(rng, size_m, n, fine)[..., None] + _mirrored(rng, car, size_m, n, fine)[..., None]
-    covered, mouths = np.zeros((n, n), np.uint8), [point.uv_m for point in layout.points]
-    mouths = [place for place in mouths if ((place > 0.0) & (place < size_m)).all()]
-    for area in [*things(rng, layout, size_m), *drawn_out(rng, car, size_m, mouths)]:
+    picture *= _light(rng, size_m, n, fine)[..., None] * _reflections(rng, car, size_m, n, fine)[..., None]
+    covered = np.zeros((n, n), np.uint8)
+    for area in [*things(rng, layout, size_m), *drawn_out(rng, car, size_m)]:
         filled(picture, area.outline_m, fine, tuple(float(value) for value in area.colour))
         if area.is_high:
             filled(covered, area.outline_m, fine, 255)
@@ -135,17 +131,15 @@ def _light(rng: np.random.Generator, size_m: float, n: int, fine: float) -> Floa
     return light * (1.0 + rng.uniform(-0.4, 0.4) * ramp[None]) * (1.0 + rng.uniform(-0.4, 0.4) * ramp[:, None])
 
 
-def _mirrored(rng: np.random.Generator, car: OwnCar, size_m: float, n: int, fine: float) -> Float[np.ndarray, "n n"]:
-    """Light of lamps and bright walls from a wet or polished floor: streaks along lines of sight, many to the rim."""
-    light = np.zeros((n, n), np.float32)
-    if rng.random() > _POLISHED:
+def _reflections(rng: np.random.Generator, car: OwnCar, size_m: float, n: int, fine: float) -> Float[np.ndarray, "n n"]:
+    """Lamps and bright walls that a wet or polished floor throws back: they run along the lines of sight."""
+    light = np.ones((n, n), np.float32)
+    if rng.random() < 0.75:
         return light
-    num, most = int(rng.integers(4, 32)), rng.uniform(0.1, 0.7)
-    for _ in range(num):
+    for _ in range(int(rng.integers(4, 24))):
         part = np.zeros((n, n), np.float32)
-        long_m = rng.uniform(0.3, 4.0) if rng.random() < 0.5 else size_m
-        filled(part, wedge(rng, car, size_m, rng.uniform(0.03, 0.3), long_m), fine, 1.0)
-        light += most * rng.uniform(0.2, 1.0) * cv2.GaussianBlur(part, None, rng.uniform(1.0, 6.0))
+        filled(part, wedge(rng, car, size_m, rng.uniform(0.03, 0.2), rng.uniform(0.3, 4.0)), fine, 1.0)
+        light += rng.uniform(0.2, 1.2) * cv2.GaussianBlur(part, None, rng.uniform(1.0, 6.0))
     return light
 
 
