@@ -29,6 +29,8 @@ class Options:
     """Drives to judge by."""
     frames: str = "::4"
     """Frames of these, as a Python slice."""
+    begin_with: Path | None = None
+    """Weights of an earlier lesson to go on from; give another --training.seed, so that other views are drawn."""
     config: Path | None = None
     """YAML file with values of the configuration."""
     out: Path | None = None
@@ -49,5 +51,5 @@ def run(options: Options) -> int:
 
     log_to_console()
     frames = parse_slice(options.frames)
-    print(report_marking_points(options.settings, options.held_out, frames, options.out).text)
+    print(report_marking_points(options.settings, options.held_out, frames, options.begin_with, options.out).text)
     return OK

@@ -17,6 +17,7 @@ from semloc_jax.learning.sureness import UNSEEN_SEED, begun
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.perception.networks.dense_net import DenseNet
 from semloc_jax.perception.networks.marking_net import CONFIG, METRES_PER_PX, MarkingNet
+from semloc_jax.perception.networks.weights import load_weights
 from semloc_jax.simulation.top_views.picture import TopViewSample, top_view_sample
 
 THRESHOLDS = (0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7)
@@ -53,7 +54,10 @@ class SlotLearningConfig:
 
 
 def taught(
-    config: SlotLearningConfig, checkpoint: Path | None = None, on_step: Callable[[int, float], None] | None = None
+    config: SlotLearningConfig,
+    checkpoint: Path | None = None,
+    on_step: Callable[[int, float], None] | None = None,
+    begin_with: Path | None = None,
 ) -> DenseNet:
     """The trained network.
 
@@ -61,9 +65,15 @@ def taught(
         config: pictures and steps.
         checkpoint: file to go on from, and to write now and then.
         on_step: called with the number of a step and its loss.
+        begin_with: weights of an earlier lesson; None begins with random ones.
+
+    Raises:
+        SemlocError: those weights are of another network.
     """
-    pool = TopViewPool(config.num_pictures, config.size_px, config.training.seed)
     network = begun(DenseNet.create(jax.random.key(config.training.seed), CONFIG), 1)
+    if begin_with is not None:
+        network = load_weights(begin_with, network)
+    pool = TopViewPool(config.num_pictures, config.size_px, config.training.seed)
     return train(network, marking_loss, lambda rng: pool.batch(rng, config.batch), config.training, checkpoint, on_step)
 
 

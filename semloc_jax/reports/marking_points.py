@@ -18,7 +18,7 @@ from semloc_jax.learning.marking_points import PointScore
 from semloc_jax.perception.networks.dense_net import DenseNet
 from semloc_jax.perception.networks.marking_net import CONFIG, METRES_PER_PX, OUTPUTS, MarkingNet
 from semloc_jax.perception.networks.onnx_graph import write_onnx
-from semloc_jax.perception.networks.weights import save_weights
+from semloc_jax.perception.networks.weights import read_card, save_weights
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.lesson import RANDOM, LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
@@ -31,7 +31,11 @@ _PICTURES = 12
 
 
 def report_marking_points(
-    config: SlotLearningConfig, held_out: Sequence[Path] = (), frames: slice = slice(None), out: Path | None = None
+    config: SlotLearningConfig,
+    held_out: Sequence[Path] = (),
+    frames: slice = slice(None),
+    begin_with: Path | None = None,
+    out: Path | None = None,
 ) -> LessonReport:
     """Teach the network, judge it by pictures and drives it never saw, write everything.
 
@@ -39,16 +43,17 @@ def report_marking_points(
         config: pictures and steps.
         held_out: drives with images, exact masks, a map with slots and true poses; none of them teaches.
         frames: of those drives.
+        begin_with: weights of an earlier lesson to go on from, with other pictures and steps.
         out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
     """
     folder = make_folder(out)
     with watched_loss(folder, "learn slots", config.training.num_steps) as on_step:
-        network = taught(config, folder / "checkpoint", on_step)
+        network = taught(config, folder / "checkpoint", on_step, begin_with)
     sets = {RANDOM: unseen_pictures(config), **{path.name: _of_drive(path, frames) for path in held_out}}
     scores = {name: judged(network, pictures) for name, pictures in sets.items()}
     threshold = threshold_of(scores[RANDOM], config.precision)
     metrics = [metric for name, of in scores.items() for metric in _metrics(name, of[threshold])]
-    _write_network(folder, network, threshold, config, metrics)
+    _write_network(folder, network, threshold, config, metrics, begin_with)
     rows = [
         (name, f"{limit:.2f}", own.num_true, own.num_found, f"{own.recall:.4f}", f"{own.precision:.4f}", *_errors(own))
         for name, of in scores.items()
@@ -61,7 +66,7 @@ def report_marking_points(
         chosen = pictures[:: max(len(pictures) // _PICTURES, 1)][:_PICTURES]
         save(_drawn(net, chosen), folder / f"{name}.png")
     write_metrics(metrics, folder / "metrics.json")
-    write_record(folder, config, {"held_out": [str(path) for path in held_out]})
+    write_record(folder, config, {"held_out": [str(path) for path in held_out], "begin_with": str(begin_with or "")})
     said = f"{sum(leaf.size for leaf in jax.tree.leaves(network))} parameters, threshold {threshold:g}"
     return LessonReport(folder, "\n".join([said, format_metrics(metrics), f"results: {folder}"]))
 
@@ -91,24 +96,40 @@ def _metrics(name: str, own: PointScore) -> list[Metric]:
 
 
 def _write_network(
-    folder: Path, network: DenseNet, threshold: float, config: SlotLearningConfig, metrics: Sequence[Metric]
+    folder: Path,
+    network: DenseNet,
+    threshold: float,
+    config: SlotLearningConfig,
+    metrics: Sequence[Metric],
+    begin_with: Path | None,
 ) -> None:
+    lesson = {
+        "pictures": config.num_pictures,
+        "steps": config.training.num_steps,
+        "rate": config.training.rate,
+        "batch": config.batch,
+        "seed": config.training.seed,
+    }
+    before = [] if begin_with is None else _lessons(read_card(begin_with))
     card = {
         "kind": "marking points of parking slots",
         "outputs": OUTPUTS,
         "metres_per_px": METRES_PER_PX,
         "threshold": threshold,
         "threshold_by": f"the lowest one with a precision of {config.precision:g} on random top views",
-        "taught_on": f"{config.num_pictures} random top views of {config.size_px} px, eight positions, no real picture",
-        "steps": config.training.num_steps,
-        "batch": config.batch,
-        "seed": config.training.seed,
+        "taught_on": f"random top views of {config.size_px} px, eight positions, no real picture, no drive",
+        "lessons": [*before, lesson],
         "figures": {metric.key: round(metric.value, 4) for metric in metrics},
         "limits": "rendered top views only; polished floors and worn paint cost a third of the points; backs of slots "
         "look like mouths; occupied or free is not told",
     }
     save_weights(folder / WEIGHTS, network, card)
     write_onnx(folder / "slots.onnx", network, CONFIG.num_outputs, output="points")
+
+
+def _lessons(card: dict) -> list[dict]:
+    """Those of earlier weights, as their card has them; cards of one lesson had its values beside all others."""
+    return list(card.get("lessons", [{key: card[key] for key in ("steps", "batch", "seed") if key in card}]))
 
 
 def _drawn(net: MarkingNet, pictures: Sequence[ShownPoints]) -> np.ndarray:

@@ -19,7 +19,16 @@ from semloc_jax.learning.marking_points import (
     moved,
     score,
 )
-from semloc_jax.perception.networks.marking_net import METRES_PER_PX, MarkingNet, MarkingPoints, decoded, levelled_view
+from semloc_jax.perception.networks.marking_net import (
+    METRES_PER_PX,
+    SHIPPED,
+    MarkingNet,
+    MarkingPoints,
+    decoded,
+    levelled_view,
+)
+from semloc_jax.perception.networks.weights import read_card
+from semloc_jax.reports.marking_points import _lessons
 from semloc_jax.simulation.top_views.drawn_out import own_car, wedge
 from semloc_jax.simulation.top_views.picture import top_view_sample
 from semloc_jax.simulation.top_views.slot_layout import random_layout
@@ -169,6 +178,14 @@ def test_a_tiny_lesson_writes_everything(tmp_path, capsys):
     net = MarkingNet.load(tmp_path / "slots.weights")
     found = net(np.zeros((150, 200, 3), np.uint8), 0.02, threshold=0.0)
     assert len(found.uv) and (found.uv < [200.0, 150.0]).all()
+    # A lesson that goes on begins where that one ended, and its card has both; the shipped one had its values apart.
+    again = [*words[:-1], str(tmp_path / "again"), "--training.rate", "1e-9", "--training.seed", "1"]
+    assert main(["learn", "slots", "--begin-with", str(tmp_path / "slots.weights"), *again]) == 0
+    later = tmp_path / "again" / "slots.weights"
+    np.testing.assert_allclose(MarkingNet.load(later).network.head.bias, net.network.head.bias, atol=1e-6)
+    assert [lesson["seed"] for lesson in read_card(later)["lessons"]] == [0, 1]
+    assert _lessons(read_card(SHIPPED)) == [{"steps": 10000, "batch": 16, "seed": 0}]
+    capsys.readouterr()
     assert main(["learn", "slots", "--size-px", "60"]) == 1
     assert "multiples of" in capsys.readouterr().err
 
