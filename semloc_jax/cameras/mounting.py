@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.geometry.rigid import pose_from
+
 _R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera that looks along base x, upright."""
 
@@ -31,7 +33,4 @@ def mounted(
     yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
     down = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
     roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    T = np.eye(4)
-    T[:3, :3] = yaw @ down @ roll @ _R_BODY_CAM
-    T[:3, 3] = position_m
-    return T
+    return pose_from(yaw @ down @ roll @ _R_BODY_CAM, position_m)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.polyline import arc_length
 from semloc_jax.simulation.path import PlanePath
 
 _STEP_M = 0.1
@@ -132,6 +133,6 @@ def _comes_near_itself(line: ClosedLine) -> bool:
 def _evenly(ring: np.ndarray) -> np.ndarray:
     """Places `_STEP_M` apart along a closed line."""
     closed = np.vstack([ring, ring[:1]])
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    s = arc_length(closed)
     at = np.linspace(0.0, s[-1], round(s[-1] / _STEP_M), endpoint=False)
     return np.column_stack([np.interp(at, s, closed[:, axis]) for axis in range(2)])

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from semloc_jax.geometry.polyline import arc_length
 from semloc_jax.maps.curves import without_repeats
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.maps.io import apollo
@@ -68,9 +69,7 @@ def _center(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     left, right = (without_repeats(np.asarray(side, dtype=np.float64)) for side in (left, right))
     if min(len(left), len(right)) < 2:
         return np.zeros((0, 3))
-    along = [
-        np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(side, axis=0), axis=1))]) for side in (left, right)
-    ]
+    along = [arc_length(side) for side in (left, right)]
     count = max(2, int(max(part[-1] for part in along) / _SPACING_M) + 1)
     share = np.linspace(0.0, 1.0, count)
     pair = [
