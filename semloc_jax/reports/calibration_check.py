@@ -71,7 +71,6 @@ def report_calibration_check(check: CalibrationCheck, out: Path | None = None) -
 
     Args:
         check: What is checked.
-        out: Folder for the pictures; None for a new one in results/.
 
     Raises:
         SemlocError: neither a drive nor a calibration can be read.

@@ -81,8 +81,6 @@ def report_explanation(
         shift_m: How far each element is taken to be wrong [m].
         extras: What is computed besides; None for nothing.
         num_listed: Number of elements in the text.
-        out: Folder to write; None for a new one in results/.
-        options: What config.yaml keeps besides the configuration.
     """
     settings, extras = settings or LocalizeConfig(), extras or Extras()
     frame = inputs.frame(index)

@@ -62,7 +62,6 @@ def report_landscape(
         settings: Of cost maps and views; None for the defaults.
         level: Of the cost maps; 0 is the coarsest.
         is_around_truth: The true pose in the middle, where the drive has one; else the prior.
-        out: Folder to write; None for a new one in results/.
     """
     settings = settings or LocalizeConfig()
     frame = inputs.frame(index)
@@ -106,7 +105,6 @@ def report_basin(
         num_starts: Number of starts.
         seed: Of their places.
         is_proven: Whether regions without another pose are proven, too.
-        out: Folder to write; None for a new one in results/.
     """
     frame = inputs.frame(index)
     localize = replace(settings or LocalizeConfig(), cost_maps=WIDE_COST_MAPS)
@@ -132,7 +130,6 @@ def report_search(
         inputs: Drive, map, masks and prior.
         index: Of the frame.
         settings: Of the search; None for the defaults.
-        out: Folder to write; None for a new one in results/.
     """
     settings = settings or LocalizeConfig()
     frame = inputs.frame(index)

@@ -39,7 +39,6 @@ def report_marking_points(
         config: pictures and steps.
         held_out: drives with images, exact masks, a map with slots and true poses; none of them teaches.
         frames: of those drives.
-        out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
     """
     folder = make_folder(out)
     with watched_loss(folder, "learn slots", config.training.num_steps) as on_step:

@@ -54,7 +54,6 @@ def report_obstacle_learning(
         held_out: drives with images and exact masks that show obstacles; none of them teaches.
         frames: of those drives.
         begin_with: weights of an earlier lesson to go on from, with other pictures and steps.
-        out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
     """
     folder = make_folder(out)
     with watched_loss(folder, "learn obstacles", config.training.num_steps) as on_step:

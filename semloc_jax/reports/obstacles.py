@@ -53,12 +53,9 @@ def report_obstacles(
         drive: with wheel odometry.
         masks: of its cameras; they show obstacles, or what hides the road where a network finds them.
         frames: which frames; the way is that of the whole drive.
-        sights, tracks: None for the defaults.
         net: finds obstacles in the images instead of the masks.
         video: write a film of the top view.
         rrd: where a recording for Rerun is written; None for none.
-        out: folder to write; None for a new one in results/.
-        options: what config.yaml keeps.
 
     Raises:
         SemlocError: no odometry, masks that know no obstacles, or that do not fit the cameras.

@@ -52,12 +52,9 @@ def report_slots(
         drive: with wheel odometry.
         masks: of its cameras; they show the lines of slots.
         frames: which frames; the way is that of the whole drive.
-        sights, tracks: None for the defaults.
         net: finds the marking points of slots in the images; None follows the lines in the masks.
         video: write a film of the top view.
         rrd: where a recording for Rerun is written; None for none.
-        out: folder to write; None for a new one in results/.
-        options: what config.yaml keeps.
 
     Raises:
         SemlocError: no odometry, masks that show no slot lines, or that do not fit the cameras.

@@ -32,7 +32,6 @@ def report_street_eyes(config: EyesConfig, begin: Eyes | None = None, out: Path 
     Args:
         config: `streets` of it.
         begin: eyes to go on with; None for new ones.
-        out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
     """
     folder = make_folder(out)
     with watched_loss(folder, "learn eyes", config.streets.training.num_steps) as on_step:

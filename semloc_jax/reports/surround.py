@@ -89,14 +89,12 @@ def report_surround(
     Args:
         path: a drive of any kind, or a folder with one picture for each camera.
         calib: calibration file, where the drive has none of its own.
-        settings: None for the defaults.
         frames: which frames of the drive.
         cameras: names; None for all.
         masks: masks of the drive that are laid out as well; None for none.
         own_car_m: rear, front, right and left end of the car [m]; None takes the rectangle of the cameras.
         video: write a film too.
         check: refuse pictures that contradict the calibration.
-        out: folder to write; None for a new one in results/.
 
     Raises:
         SemlocError: pictures are missing, black, of another size, in another order, or of another car.

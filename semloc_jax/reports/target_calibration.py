@@ -33,7 +33,6 @@ def report_target_calibration(folder: Path, calib: Path | None = None, out: Path
         folder: targets.yaml, boards/CAMERA/*.png and, for the mounts, mats/CAMERA.png and mats.csv; truth/calib.yaml,
             where it is there, is compared with.
         calib: lenses by data sheet and mounts by drawing; None takes calib.yaml of the folder.
-        out: folder to write; None for a new one in results/.
 
     Raises:
         SemlocError: files are missing, or the views are too few or on one side.

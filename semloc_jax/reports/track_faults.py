@@ -61,7 +61,6 @@ def write_suite(
         inputs: Drive with truth, map, masks.
         make_localizer: Of a map and a motion log.
         rows: The faults.
-        folder: Of the run.
         seed: Of the faults.
 
     Returns:

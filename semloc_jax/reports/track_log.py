@@ -50,7 +50,6 @@ class TrackLog:
         """Open the table.
 
         Args:
-            folder: Of the run.
             drive: Gives the truth, where it has one.
             keep: Lines of an earlier run that stay; later ones are written anew.
         """
