@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from semloc_jax.analysis.row_outcome import RowOutcome
-from semloc_jax.analysis.told import most_told
+from semloc_jax.analysis.row_outcome import RowOutcome, most_told
 from semloc_jax.datasets import Drive
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors
 from semloc_jax.fusion.prediction import MotionLog

@@ -21,7 +21,7 @@ from semloc_jax.inputs.drive_inputs import Inputs
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz.basin import basin_on_map
-from semloc_jax.viz.frame_slices import slices_of_frame
+from semloc_jax.viz.cost_slices import slices_of_frame
 from semloc_jax.viz.search import search_stages
 
 _ERRORS = ("longitudinal_m", "lateral_m", "heading_deg")

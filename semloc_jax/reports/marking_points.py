@@ -22,9 +22,8 @@ from semloc_jax.perception.networks.weights import save_weights
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.lesson import RANDOM, LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.viz.marking_points import draw_points
-from semloc_jax.viz.sheet import sheet
-from semloc_jax.viz.style import save
+from semloc_jax.viz.slots import draw_points
+from semloc_jax.viz.style import save, sheet
 
 WEIGHTS = "slots.weights"
 _PICTURES = 12

@@ -31,9 +31,8 @@ from semloc_jax.perception.networks.weights import read_card, save_weights
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.lesson import RANDOM, LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.viz.obstacle_boxes import draw_boxes
-from semloc_jax.viz.sheet import sheet
-from semloc_jax.viz.style import save
+from semloc_jax.viz.obstacles import draw_boxes
+from semloc_jax.viz.style import save, sheet
 
 WEIGHTS = "obstacles.weights"
 RANGES_M = ((0.0, np.inf), (0.0, 3.0), (3.0, 6.0), (6.0, 10.0))

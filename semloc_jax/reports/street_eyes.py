@@ -19,8 +19,7 @@ from semloc_jax.reports.eyes import BEST
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.lesson import LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.viz.sheet import sheet
-from semloc_jax.viz.style import save
+from semloc_jax.viz.style import save, sheet
 
 _PICTURES = 24
 _COLOURS = ((0, 229, 255), (255, 79, 163), (179, 136, 255), (118, 255, 3), (255, 138, 128), (40, 80, 255))

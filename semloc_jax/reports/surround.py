@@ -23,11 +23,10 @@ from semloc_jax.maps import MapElement, read_map
 from semloc_jax.perception.bowl import BowlView
 from semloc_jax.perception.camera_order import belonging, named_order
 from semloc_jax.perception.colour_balance import ColourBalance
-from semloc_jax.perception.seams import Blend
 from semloc_jax.perception.surround import SurroundView
 from semloc_jax.perception.surround_quality import inner_neighbours, neighbours, overlap_matches, seam_step
 from semloc_jax.perception.surveyed_paint import CornerError, corner_errors
-from semloc_jax.perception.view_tables import Car
+from semloc_jax.perception.view_tables import Blend, Car
 from semloc_jax.reports.film import Film
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.storage import output_path, writing

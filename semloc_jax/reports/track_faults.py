@@ -70,7 +70,7 @@ def write_suite(
     from tqdm import tqdm
 
     from semloc_jax.analysis.fault_matrix import FaultOutcome, run_fault, to_markdown, worst_first
-    from semloc_jax.reports.fault_figures import write_figures
+    from semloc_jax.reports.fault_tables import write_figures
 
     done = {(o.fault, o.severity): o for o in taken_up(folder / TABLE, FaultOutcome)}
     _cut(folder / FRAMES, set(done))

@@ -21,7 +21,7 @@ from semloc_jax.simulation.faulty_drive import (
     seen_through,
     with_late_sensors,
 )
-from semloc_jax.simulation.passing_faults import PASSING
+from semloc_jax.simulation.hostile import PASSING
 from semloc_jax.simulation.standing_cameras import with_mounts
 from semloc_jax.simulation.standing_faults import STANDING, require_severity, standing_fault
 

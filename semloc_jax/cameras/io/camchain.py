@@ -18,8 +18,7 @@ from jaxtyping import Float
 from semloc_jax.cameras.base import Camera, as_leaf
 from semloc_jax.cameras.io.fields import camera_of, numbers, perspective, required, resolution, rigid
 from semloc_jax.cameras.models import MODELS, find_model, model_of
-from semloc_jax.cameras.mounting import mounted
-from semloc_jax.cameras.rig import Rig
+from semloc_jax.cameras.rig import Rig, mounted
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.rigid import inverse
 from semloc_jax.storage import write_text

@@ -13,8 +13,7 @@ from itertools import accumulate
 from pathlib import Path
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps.versions.counting import steps
-from semloc_jax.maps.versions.datum import Datum
+from semloc_jax.maps.versions.datum import Datum, steps
 from semloc_jax.maps.versions.difference import CANONICAL, MapDifference
 from semloc_jax.maps.versions.lifted_json import from_lifted
 from semloc_jax.maps.versions.likeness import coded_names, decoded_names, likened, told_records
