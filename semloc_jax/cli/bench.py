@@ -84,8 +84,7 @@ def _landmarks(options: Options) -> int:
 
 
 def _drives(options: Options, files: tuple[Path | None, ...]) -> int:
-    from semloc_jax.reports.benchmark import BenchmarkFiles
-    from semloc_jax.reports.drive_benchmark import report_drive_benchmark
+    from semloc_jax.reports.benchmark import BenchmarkFiles, report_drive_benchmark
 
     if options.plot is not None:
         raise UsageError(f"--plot {options.plot}: --drives draws nothing; --json has all numbers")

@@ -17,8 +17,8 @@ from semloc_jax.cameras.io.fields import load_yaml, numbers, perspective, requir
 from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import maps_beside
 from semloc_jax.datasets.clock import seconds
-from semloc_jax.datasets.imu_noise import imu_noise_in
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step
+from semloc_jax.datasets.inertial import imu_noise_in
 from semloc_jax.datasets.sensors import Imu
 from semloc_jax.datasets.tables import read_cells
 from semloc_jax.errors import SemlocError
