@@ -19,7 +19,7 @@ from semloc_jax.cameras.io.fields import intrinsics_of, load_yaml, numbers, pers
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
 
-KEYS = ("project_matrix", "scale_xy", "shift_xy")
+GROUND_KEYS = ("project_matrix", "scale_xy", "shift_xy")
 _WIDTH_PX, _HEIGHT_PX, _PX_PER_M = 1200.0, 1600.0, 100.0
 """The top view of these tools: 12 m x 16 m, one pixel a centimetre."""
 _REACH_PX = 480.0
