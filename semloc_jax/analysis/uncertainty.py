@@ -21,7 +21,7 @@ from scipy.stats import t as student
 from semloc_jax.alignment.level_choice import holds
 from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig
-from semloc_jax.analysis.boundary_noise import BoundaryNoise
+from semloc_jax.analysis.expected import BoundaryNoise
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import Usable, visibility

@@ -15,7 +15,7 @@ from semloc_jax.alignment.one_start import WIDE_COST_MAPS
 from semloc_jax.analysis.basin import Basin, BasinConfig, BasinWindow, basins_of
 from semloc_jax.analysis.certificate import CertificateConfig
 from semloc_jax.analysis.frame_certificate import certify_frame
-from semloc_jax.analysis.search_trace import trace_search
+from semloc_jax.analysis.landscape import trace_search
 from semloc_jax.datasets import Frame
 from semloc_jax.inputs.drive_inputs import Inputs
 from semloc_jax.reports.folder import make_folder

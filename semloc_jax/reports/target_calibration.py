@@ -19,7 +19,7 @@ from semloc_jax.evaluation import Metric, write_metrics
 from semloc_jax.perception.target_pictures import Board, find_mat, grey_pictures, read_boards, read_survey
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.storage import writing
-from semloc_jax.viz.targets import target_figure
+from semloc_jax.viz.self_calibration import target_figure
 
 _LOG = logging.getLogger(__name__)
 _NEAR_M = 3.0

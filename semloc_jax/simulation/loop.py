@@ -14,7 +14,6 @@ from jaxtyping import Float
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.maps import MapElement
 from semloc_jax.simulation import elements as make
-from semloc_jax.simulation.closed_line import ClosedLine, closed_line
 from semloc_jax.simulation.elements import Painter
 from semloc_jax.simulation.intersection import (
     LANE_M,
@@ -25,6 +24,7 @@ from semloc_jax.simulation.intersection import (
     random_look,
 )
 from semloc_jax.simulation.paint import GroundArea, wear_pattern
+from semloc_jax.simulation.path import ClosedLine, closed_line
 from semloc_jax.simulation.scene import World
 from semloc_jax.simulation.solids import Solid, house, rotation_about_z, tree
 from semloc_jax.simulation.surface import rolling_surface

@@ -11,8 +11,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from semloc_jax.simulation.intersection import LANE_M
 from semloc_jax.simulation.loop import LoopPlan
+from semloc_jax.simulation.motion import DrivingStyle, RouteMotion, driven_line, on_table, timed
 from semloc_jax.simulation.path import PlanePath
-from semloc_jax.simulation.route_motion import DrivingStyle, RouteMotion, driven_line, on_table, timed
 from semloc_jax.simulation.solids import Solid, car
 from semloc_jax.simulation.surface import Surface
 

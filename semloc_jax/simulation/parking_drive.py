@@ -11,9 +11,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.polyline import arc_length
+from semloc_jax.simulation.motion import DrivingStyle, RouteMotion, driven_line, on_table, timed
 from semloc_jax.simulation.parking_plan import ParkingPlan
 from semloc_jax.simulation.path import PlanePath
-from semloc_jax.simulation.route_motion import DrivingStyle, RouteMotion, driven_line, on_table, timed
 from semloc_jax.simulation.slot_rows import SlotRow
 from semloc_jax.simulation.surface import Surface
 

@@ -15,10 +15,10 @@ from semloc_jax.simulation import SimulationConfig, simulate
 from semloc_jax.simulation.cameras import front_rig
 from semloc_jax.simulation.loop import build_loop, plan_loop
 from semloc_jax.simulation.loop_drive import drive_loop, loop_traffic
+from semloc_jax.simulation.motion import DrivingStyle
 from semloc_jax.simulation.paint import painted_shape
 from semloc_jax.simulation.render import PixelRays, render
 from semloc_jax.simulation.render_classes import MaskRenderer
-from semloc_jax.simulation.route_motion import DrivingStyle
 
 SEEDS = range(3)
 
