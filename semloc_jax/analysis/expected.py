@@ -4,11 +4,11 @@ In: map samples around a place, a pose, cameras. Out: information of the pose an
 Where masks are perfect, the ramp of a class rises across the contour and nowhere else: the gradient of a residual is
 the image normal of its contour over the ramp. The rest is as in `alignment.pose.assess`: the same samples, weights,
 limits for each element and noise of a mask boundary.
-How boundaries of real masks are displaced (BoundaryNoise) was measured at true poses on simulated drives (degraded masks,
-pinhole and fisheye, 640x400 to 960x600): neighbours on one edge of one element are wrong together, mostly over 10 px, a
-little along the whole line; the opposite edge of a stripe and other elements know nothing of it; and all masks are too
-thin or too thick by the same. Lengths are pixels of the mask, whatever the size of the image: the network displaces
-boundaries, not the camera.
+How boundaries of real masks are displaced (BoundaryNoise) was measured at true poses on simulated drives (degraded
+masks, pinhole and fisheye, 640x400 to 960x600): neighbours on one edge of one element are wrong together, mostly over
+10 px, a little along the whole line; the opposite edge of a stripe and other elements know nothing of it; and all masks
+are too thin or too thick by the same. Lengths are pixels of the mask, whatever the size of the image: the network
+displaces boundaries, not the camera.
 """
 
 from dataclasses import dataclass, field, replace

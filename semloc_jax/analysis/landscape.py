@@ -1,7 +1,7 @@
 """The cost around a pose over two of its six directions, and the search stage by stage (room: analysis; JAX).
 
-In: evidence of one frame, a pose, offsets; what `FrameLocalizer.localize` takes. Out: robust costs on a grid, all classes
-together and each alone; the hypotheses that each stage leaves, in the map frame.
+In: evidence of one frame, a pose, offsets; what `FrameLocalizer.localize` takes. Out: robust costs on a grid, all
+classes together and each alone; the hypotheses that each stage leaves, in the map frame.
 """
 
 from collections.abc import Sequence

@@ -55,14 +55,14 @@ class Options:
 
 def run(options: Options) -> int:
     """Make the top views, print how well they fit together."""
-    from semloc_jax.inputs.choices import parse_names, parse_numbers, parse_slice
+    from semloc_jax.inputs.choices import parse_names, parse_own_car, parse_slice
     from semloc_jax.reports.surround import SurroundSettings, report_surround
 
     log_to_console()
     settings = SurroundSettings(
         options.blend, options.size_m, options.metres_per_px, options.height_aware, options.bowl_from_deg
     )
-    car = None if options.own_car is None else parse_numbers(options.own_car, "--own-car", "REAR,FRONT,RIGHT,LEFT")
+    car = None if options.own_car is None else parse_own_car(options.own_car)
     text = report_surround(
         options.drive,
         options.calib,

@@ -113,13 +113,16 @@ _DIRECTIONS = (
 """Name, coordinate of the tangent, factor, digits, unit."""
 
 
-def posterior_text(mixture: "PoseMixture", probability: float = 0.95) -> str:
+_PROBABILITY = 0.95
+
+
+def posterior_text(mixture: "PoseMixture") -> str:
     """The modes of a pose with their weights, and the interval of each direction about the first one."""
     weights = " ".join(f"{weight:.3f}" for weight in mixture.weight if weight >= 5e-4)
     lines = [f"posterior: {len(mixture.weight)} modes, weights {weights}"]
     for name, direction, scale, digits, unit in _DIRECTIONS:
-        low, high = (scale * end for end in mixture.interval(direction, probability))
-        lines.append(f"{100 * probability:.0f} % interval of {name}: {low:+.{digits}f} to {high:+.{digits}f} {unit}")
+        low, high = (scale * end for end in mixture.interval(direction, _PROBABILITY))
+        lines.append(f"{100 * _PROBABILITY:.0f} % interval of {name}: {low:+.{digits}f} to {high:+.{digits}f} {unit}")
     return "\n".join(lines)
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 from scipy.spatial.transform import Rotation
 
+from semloc_jax.geometry.polyline import arc_length
 from semloc_jax.simulation.path import PlanePath
 from semloc_jax.simulation.surface import Surface
 
@@ -185,9 +186,7 @@ def _braked(fastest: np.ndarray, braking_mps2: float) -> np.ndarray:
     return np.sqrt(np.maximum(np.minimum.accumulate(squared - index) + index, 0.0))
 
 
-def driven_line(xy: Float[np.ndarray, "n 2"], first_m: float = 0.0) -> PlanePath:
+def driven_line(xy: Float[np.ndarray, "n 2"]) -> PlanePath:
     """A path through places about 0.1 m apart; the heading is that of the motion."""
-    step = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-    s = first_m + np.concatenate([[0.0], np.cumsum(step)])
     dx, dy = np.gradient(xy, axis=0).T
-    return PlanePath(s, xy, np.unwrap(np.arctan2(dy, dx)))
+    return PlanePath(arc_length(xy), xy, np.unwrap(np.arctan2(dy, dx)))

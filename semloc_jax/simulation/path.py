@@ -1,7 +1,7 @@
 """Curved lines in the plane by arc length, open and closed (room: simulation; host).
 
-In: curvature along the line, or a random generator. Out: places and headings at distance s and lateral offset; ClosedLine,
-the middle of a closed road with rounded corners and one long straight.
+In: curvature along the line, or a random generator. Out: places and headings at distance s and lateral offset;
+ClosedLine, the middle of a closed road with rounded corners and one long straight.
 """
 
 from dataclasses import dataclass

@@ -117,19 +117,18 @@ def npz_names(path: Path, where: str) -> list[str]:
         return [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
 
 
-def json_document(text: str | bytes, where: str, kind: type = dict) -> Any:
-    """The JSON of a file, whose outermost value is of the kind (dict or list).
+def json_document(text: str | bytes, where: str) -> dict[str, Any]:
+    """The JSON of a file, whose outermost value is an object.
 
     Raises:
-        SemlocError: no JSON, nested without end, or another kind.
+        SemlocError: no JSON, nested without end, or no object.
     """
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise SemlocError(f"{where}: {str(error)[:120] or type(error).__name__}; expected JSON") from error
-    if not isinstance(found, kind):
-        wanted = {dict: "an object {...}", list: "a list [...]"}[kind]
-        raise SemlocError(f"{where}: holds {type(found).__name__}; expected {wanted}")
+    if not isinstance(found, dict):
+        raise SemlocError(f"{where}: holds {type(found).__name__}; expected an object {{...}}")
     return found
 
 

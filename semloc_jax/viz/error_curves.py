@@ -12,22 +12,23 @@ from matplotlib.figure import Figure
 
 from semloc_jax.viz.style import INK, PRIOR, REFERENCE, new_figure, plain_axes
 
+_BIAS_M = 1.0
+"""Error of the satellite fixes that a drive shares, one standard deviation of each direction."""
 _STEPS_M = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 
-def error_against_drives(rows: Sequence[tuple[int, int, float, float, float]], bias_m: float = 1.0) -> Figure:
+def error_against_drives(rows: Sequence[tuple[int, int, float, float, float]]) -> Figure:
     """Absolute and relative errors against the number of drives, with what nothing can beat.
 
     Args:
         rows: number of drives, number of maps, absolute error, error across and along after one motion [m].
-        bias_m: error of the satellite fixes that a drive shares, one standard deviation of each direction.
     """
     figure = new_figure(7.5, 4.6)
     axes = plain_axes(figure.add_subplot())
     table = np.array(rows, dtype=np.float64)
     num = table[:, 0]
-    bound = np.sqrt(2.0) * bias_m / np.sqrt(num)
-    axes.plot(num, bound, "--", color=REFERENCE, label=f"bound: {bias_m:g} m of bias each way, by the root of N")
+    bound = np.sqrt(2.0) * _BIAS_M / np.sqrt(num)
+    axes.plot(num, bound, "--", color=REFERENCE, label=f"bound: {_BIAS_M:g} m of bias each way, by the root of N")
     for column, colour, mark, name in (
         (2, "#1f6fd0", "o", "as it lies"),
         (4, PRIOR, "s", "dashes along, after one motion"),
