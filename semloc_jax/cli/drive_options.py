@@ -44,7 +44,7 @@ class FleetOptions(DriveOptions):
 
     others: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[DRIVE...]")] = ()
     """More drives: each is run as if alone, into a folder of --out with its name; fleet.csv and the console say how it
-    went, and --resume DIR goes on with the drives that are not done."""
+    went, and --resume DIR continues with the drives that are not finished."""
     jobs: int = 1
     """Drives that are run at the same time, each in a process of its own."""
     ray: bool = False

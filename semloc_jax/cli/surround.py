@@ -24,7 +24,7 @@ class Options:
     drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE|FOLDER")]
     """A drive of any kind, or a folder with one picture for each camera."""
     calib: Path | None = None
-    """Calibration file or folder, where the drive has none of its own or another one is to be used."""
+    """Calibration file or folder; default: the drive's own."""
     blend: Literal["gaussian", "linear", "hard"] = "gaussian"
     """How pictures meet at the seams: normal distribution over the distance to the seam, a ramp, or a cut."""
     height_aware: bool = False

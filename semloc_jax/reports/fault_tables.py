@@ -46,7 +46,7 @@ def read_outcomes(path: Path, kind: type[Row]) -> list[Row]:
     with reading(f"table {path}"), path.open(newline="", encoding="utf-8") as file:
         lines = list(csv.reader(file))
         if not lines or lines[0] != names:
-            raise ValueError("columns are not those of this version; begin anew with another --out")
+            raise ValueError("columns are not those of this version; start again with another --out")
         whole = [line for line in lines[1:] if len(line) == len(names)]
         return [kind(*(types[n](cell) for n, cell in zip(names, line, strict=True))) for line in whole]
 

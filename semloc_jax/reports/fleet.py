@@ -144,5 +144,5 @@ def _row(path: Path, row: dict[str, str]) -> FleetRow:
 def _not_ours(path: Path) -> SemlocError:
     return SemlocError(
         f"{path}: expected the columns {', '.join(FleetRow._fields)} of 'semloc localize' or 'track' with several "
-        "drives; give the folder of such a run, or begin anew with another --out"
+        "drives; give the folder of such a run, or start again with another --out"
     )

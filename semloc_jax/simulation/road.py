@@ -115,9 +115,9 @@ def _roadside(
         facing = painter.heading(float(s)) + np.pi + rng.uniform(-0.1, 0.1)
         center = base + [0.05 * np.cos(facing), 0.05 * np.sin(facing), rng.uniform(2.1, 2.5)]
         shape = str(rng.choice(["circle", "triangle", "rectangle"]))
-        elements += make.posted_sign(
-            ("sign_post", "sign"), str(number), base, center, facing, shape, rng.uniform(0.6, 0.9)
-        )
+        height_m = float(center[2] - base[2]) + 0.4
+        elements.append(make.pole(f"sign_post_{number}", base, height_m, 0.035, 0.035, "sign_post"))
+        elements.append(make.sign(f"sign_{number}", center, facing, shape, rng.uniform(0.6, 0.9)))
     return elements
 
 

@@ -223,7 +223,7 @@ def _labelled_points(path: Path) -> LabelledPoints:
     if data.ndim != 2 or data.shape[1] != 7 or not (np.abs(data) < FARTHEST_M).all():
         raise SemlocError(
             f"PandaSet {path}: an array {data.shape}, or numbers that are NaN, infinite or beyond the earth; expected "
-            "labelled points [x y z intensity sensor class sweep]; get the file anew"
+            "labelled points [x y z intensity sensor class sweep]; get the file again"
         )
     integers = data[:, 4:].astype(np.int64)
     return LabelledPoints(data[:, :3].astype(np.float64), data[:, 3].astype(np.float64), *integers.T)
