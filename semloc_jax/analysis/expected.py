@@ -43,7 +43,7 @@ class BoundaryNoise:
     """Variance of what all masks of an image are too thin or too thick by."""
     efficiency: float = 0.36
     """Curvature of the robust cost over that of squared distances to all that the map has in view: parts are missing,
-    the kernel lets go, and ramps on smoothed stairs rise by less than a pixel for each pixel."""
+    the loss lets go, and ramps on smoothed stairs rise by less than a pixel for each pixel."""
     height_m: float = 0.01
     """How far vehicles really stand off the plane of the road; the prior of the solver leaves room for much more."""
     roll_pitch_deg: float = 0.15

@@ -20,7 +20,7 @@ from semloc_jax.alignment.single_frame import evidence_from, search_starts
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import robust_cost
 from semloc_jax.runtime.stored_program import stored_program
 
@@ -49,7 +49,7 @@ def cost_landscape(
         directions: Two of `DIRECTIONS`.
         offset_a, offset_b: Offsets along them [m or rad].
         level: Level of the cost maps.
-        config: Kernel and limits.
+        config: Robust loss and limits.
         channel: Mask channel that is scored alone; None scores all of them.
 
     Raises:
@@ -120,8 +120,8 @@ def costs_around(
     texture = evidence.textures.level(level)
 
     def one(offset: Array) -> Array:
-        pose, kernel = T_map_base @ lie.exp(offset), KERNELS[config.kernel]
-        cost = robust_cost(pose, evidence.views, texture, evidence.usable, kernel, config.border_px, config.path)
+        pose, loss = T_map_base @ lie.exp(offset), LOSSES[config.loss]
+        cost = robust_cost(pose, evidence.views, texture, evidence.usable, loss, config.border_px, config.path)
         enough = cost.visible >= config.min_visible_px
         return jnp.where(enough, cost.summed / jnp.maximum(cost.visible, 1e-6), jnp.nan)
 

@@ -218,7 +218,7 @@ class _Model:
         given = BoundaryResiduals(*(np.asarray(leaf) for leaf in residuals))
         given = BoundaryResiduals(*(leaf[given.weight > 0] for leaf in given))
         ramp, self.weight, rise = (leaf.astype(np.float64) for leaf in (given.ramp, given.weight, given.rise))
-        # Tukey's kernel, as `residuals.robust` has it: weight, and the derivative of weight times residual.
+        # Tukey's loss, as `residuals.robust` has it: weight, and the derivative of weight times residual.
         inside = np.maximum(1 - ramp**2, 0.0)
         held, bent = inside**2, inside * (1 - 5 * ramp**2)
         slope, gradient = given.slope * sigma, given.gradient * sigma

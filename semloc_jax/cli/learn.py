@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Options:
     """Learn from drives with truth what the localizer assumes: a weight for each class of map elements, the finest ramp
-    (where the robust kernel lets go), how far the vehicle tilts against the road, and the length of contour that is one
+    (where the robust loss lets go), how far the vehicle tilts against the road, and the length of contour that is one
     observation.
 
     It minimises the negative log-likelihood of the true poses, with derivatives through the solve: accuracy and a right

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from semloc_jax.residuals.alignment import CameraViews, points_in_camera
 from semloc_jax.residuals.contour_rows import contour_rows
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.smooth import SmoothScene, cubic_value, distance_patch, reach_and_gain, seen_share
 
 
@@ -26,7 +26,7 @@ class ContourPulls(NamedTuple):
     information: Float[Array, "h 6 6"]
     """Gauss-Newton information of the same with robust weights."""
     pulling: Float[Array, " h"]
-    """Independent observations that the kernel has not let go of."""
+    """Independent observations that the loss has not let go of."""
 
 
 def contour_pulls(
@@ -59,7 +59,7 @@ def _by_sample(T_map_base: Array, view: CameraViews, scene: SmoothScene) -> tupl
     ratio = cubic_value(patch) / reach_px
     rise = sum(cubic_value(patch, *order) * part for order, part in zip(((1, 0), (0, 1)), normal, strict=True))
     rise = rise / (scene.maps.stride * reach_px)
-    held = KERNELS["tukey"].weight(ratio)
+    held = LOSSES["tukey"].weight(ratio)
     weight = scene.nats_per_px * view.weight * seen_share(u, v, view, scene.usable, scene.border)[0]
     # What lies behind the camera has no finite place in the image and no weight either.
     seen = valid & (weight > 0) & jnp.isfinite(rows).all(axis=0)

@@ -17,7 +17,7 @@ from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.residuals.smooth_curvature import sample_expansion
 
 _INSIDE = (1 - INLIER_REACH**2) ** 2
-"""Weight of the kernel at the limit of an inlier."""
+"""Weight of the loss at the limit of an inlier."""
 
 
 class HolderTerms(NamedTuple):
@@ -36,7 +36,7 @@ class HolderTerms(NamedTuple):
     weight: Float[Array, " h"]
     """Independent observations in view."""
     pulling: Float[Array, " h"]
-    """What the kernel leaves of them."""
+    """What the loss leaves of them."""
     inlier: Float[Array, " h"]
     """Those within reach of a boundary of their class."""
     absolute_px: Float[Array, " h"]

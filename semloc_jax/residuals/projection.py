@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from semloc_jax.cameras import Camera
 from semloc_jax.residuals import native_kernels
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 
 
 class Projected(NamedTuple):
@@ -37,7 +37,7 @@ def projected(camera: Camera, p_cam: Float[Array, "3 p"], path: native_kernels.P
 
     XLA computes the lens again for each of the numbers that use it, and compiles it as often; a kernel does it once.
     """
-    if native_kernels.use(path, camera, KERNELS["tukey"], p_cam.dtype) == "analytic":
+    if native_kernels.use(path, camera, LOSSES["tukey"], p_cam.dtype) == "analytic":
         rows = native_kernels.project(camera, p_cam)
         return Projected(rows[0], rows[1], rows[2] > 0, rows[3:6], rows[6:9])
     (u, v, valid), push = jax.linearize(camera.project_xyz, *p_cam)
