@@ -90,7 +90,5 @@ def test_a_door_less_leaves_its_module_out():
 
 
 def test_a_name_behind_the_door_of_a_room_leads_to_its_module():
-    assert _behind_doors()["viz", "sigmas_from_above"] == "semloc_jax.viz.maps"
-    assert "semloc_jax.viz.maps" in unreached(
-        _doors() - {f"semloc_jax.cli.{verb}" for verb in ("map", "pack", "merge", "evaluate")}
-    )
+    assert _behind_doors()["viz", "points_from_above"] == "semloc_jax.viz.point_map"
+    assert "semloc_jax.viz.point_map" in unreached(_doors() - {"semloc_jax.cli.map"})

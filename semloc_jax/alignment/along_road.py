@@ -20,9 +20,9 @@ from semloc_jax.alignment.level_choice import telling
 from semloc_jax.alignment.pieces import believed, nats_at
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, assess, in_chunks, refine, scatter_px, visible_views
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.contour_rows import contour_information
 from semloc_jax.residuals.pose_terms import terms_equations
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.projection import contour_information
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import ramp_values
 from semloc_jax.runtime.stored_program import stored_program
 
@@ -123,7 +123,7 @@ def _valley(
     r, weight = ramp_values(T_map_base, views, texture, align.path)
     excess = align.noise.excess(scatter_px(T_map_base, level, evidence, align), texture.ramp_px, evidence.grain)
     gain = align.noise.gain(texture.ramp_px, evidence.grain) / (texture.ramp_px * excess) ** 2
-    information = contour_information(T_map_base, views, gain * weight * KERNELS[align.kernel].weight(r))
+    information = contour_information(T_map_base, views, gain * weight * LOSSES[align.loss].weight(r))
     sigma = prior.sigma.at[0].set(config.reach_m)
     known = information + terms_equations(prior.terms, T_map_base).hessian
     column = sigma * jnp.linalg.inv(sigma[:, None] * known * sigma + jnp.eye(6, dtype=sigma.dtype))[:, 0]
@@ -145,7 +145,7 @@ def weighed_along_road(
         T_map_base: The best pose of a search, relative to the local origin.
         evidence: What the cameras saw, with the map as seen from there.
         prior: Gaussian prior.
-        align: Kernel and noise.
+        align: Robust loss and noise.
         config: Offsets and level.
         chunk: Poses side by side; None for what suits the device.
     """

@@ -35,7 +35,7 @@ def class_profiles(
         frame: Samples, cost maps, cameras.
         is_upright: 1 for the elements that stand, 0 for those that lie on the road. All are trusted: what is outdated
             would otherwise fall silent before it is told.
-        config: View, kernel and noise.
+        config: View, loss and noise.
         level: Of the cost maps.
     """
     evidence, element = trusted_evidence(T_map_base, frame, jnp.ones_like(is_upright), config.view)

@@ -198,7 +198,7 @@ def pose_term(
             by JAX, 0 where `sqrt_info` is 0. A function of a module, not a lambda: it is known by what it is.
         data: What was measured: arrays with a leading axis over the observations, in the map frame.
         sqrt_info: The last argument of the residual, with that axis too.
-        robust: Kernel of each observation, such as `residuals.motion.cauchy(2.0)`; None for squares.
+        robust: RobustLoss of each observation, such as `residuals.motion.cauchy(2.0)`; None for squares.
 
     Raises:
         SemlocError: arrays without one leading axis.

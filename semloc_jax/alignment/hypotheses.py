@@ -19,7 +19,7 @@ from semloc_jax.alignment.proposals import displaced
 from semloc_jax.alignment.same_pose import units_apart
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.pose_terms import terms_cost
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import decimated, robust_cost
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import PoseEstimate
@@ -99,7 +99,7 @@ def score(
         level: Level of the cost maps.
         evidence: What the cameras saw.
         prior: Gaussian prior.
-        config: Kernel and noise.
+        config: Robust loss and noise.
         in_view_px: Weighted contour length that the normalised cost is scaled by; one value for all poses that are
             compared. None takes that of the evidence.
     """
@@ -109,14 +109,14 @@ def score(
         evidence.views,
         texture,
         evidence.usable,
-        KERNELS[config.kernel],
+        LOSSES[config.loss],
         config.border_px,
         config.path,
     )
     share = cost.summed / jnp.maximum(cost.visible, config.min_visible_px)
     unseen = jnp.maximum(1 - cost.visible / config.min_visible_px, 0.0)
     in_view_px = total_weight(evidence.views) if in_view_px is None else in_view_px
-    nats = in_view_px * KERNELS[config.kernel].worst * config.noise.gain(texture.ramp_px, evidence.grain)
+    nats = in_view_px * LOSSES[config.loss].worst * config.noise.gain(texture.ramp_px, evidence.grain)
     return nats * (share + unseen) + prior_cost(T_map_base, prior)
 
 

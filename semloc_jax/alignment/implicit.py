@@ -7,9 +7,9 @@ Contract
   `smooth_optimum`, Newton's method on the smooth cost down to the precision of the float type.
 - The derivative is that of the implicit function F(y, theta) = 0, F the force (gradient of the cost by the pose):
   dy = -J^-1 (dF/dtheta) dtheta with J = dF/dy. J is the full Hessian. The Gauss-Newton matrix leaves out the curvature
-  of kernel and boundary, which is no small part of it: derivatives would be wrong by tens of per cent.
+  of loss and boundary, which is no small part of it: derivatives would be wrong by tens of per cent.
 - Forward and reverse mode, jit and vmap work. Derivatives are of first order: the derivative of a derivative is wrong.
-- Differentiable by: scene.maps.distance_px (cost-map values), scene.model (class weights, ramp widths, kernel scales,
+- Differentiable by: scene.maps.distance_px (cost-map values), scene.model (class weights, ramp widths, loss scales,
   noise), scene.views (intrinsics, extrinsics T_cam_base, map points, sample weights), scene.nats_per_px, prior
   (T_map_base: offset of GNSS to map; sigma; data of its terms). Not by T_init and not by textures: the optimum does
   not depend on them.
@@ -31,7 +31,7 @@ from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, align_one
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.pose_terms import terms_cost, terms_equations
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.smooth import (
     ChannelModel,
     SmoothBorder,
@@ -189,7 +189,7 @@ def _numbers(leaf: Array) -> Array:
 
 def _positive(model: ChannelModel) -> ChannelModel:
     """The model with lengths that may stand below a fraction line."""
-    lengths = (model.ramp_px, model.kernel_scale, model.noise_px)
+    lengths = (model.ramp_px, model.loss_scale, model.noise_px)
     return ChannelModel(model.weight, *(jnp.maximum(length, 1e-3) for length in lengths))
 
 
@@ -340,8 +340,8 @@ def _estimate(
     everything = scene.nats_per_px * sum(jnp.sum(view.weight) for view in scene.views)
     cost, inlier = jnp.zeros((), T.dtype), jnp.zeros((), T.dtype)
     for view, weight, distance in zip(scene.views, weights, distances, strict=True):
-        v = distance / (model.ramp_px * model.kernel_scale)[view.channel]
-        cost = cost + jnp.sum(weight * KERNELS["tukey"].rho(v)) / KERNELS["tukey"].worst
+        v = distance / (model.ramp_px * model.loss_scale)[view.channel]
+        cost = cost + jnp.sum(weight * LOSSES["tukey"].rho(v)) / LOSSES["tukey"].worst
         inlier = inlier + jnp.sum(weight * is_inlier(v))
     per_seen = 1 / jnp.maximum(seen, 1e-9)
     exact = remainder < 30 * _tolerance(T.dtype)
@@ -378,9 +378,9 @@ def _information(T: Array, scene: SmoothScene) -> tuple:
     information = jnp.zeros((6, 6), T.dtype)
     held, scatter = jnp.zeros((), T.dtype), jnp.zeros((), T.dtype)
     for view, weight, distance, slope in zip(scene.views, weights, distances, slopes, strict=True):
-        reach_px = (model.ramp_px * model.kernel_scale)[view.channel]
+        reach_px = (model.ramp_px * model.loss_scale)[view.channel]
         precision = model.weight[view.channel] / model.noise_px[view.channel] ** 2
-        pull = weight * KERNELS["tukey"].weight(distance / reach_px)
+        pull = weight * LOSSES["tukey"].weight(distance / reach_px)
         information = information + jnp.einsum("icp,cp,jcp->ij", slope, precision * pull, slope, precision=_HIGHEST)
         held = held + jnp.sum(pull)
         scatter = scatter + jnp.sum(pull * (distance / model.noise_px[view.channel]) ** 2)

@@ -1,14 +1,37 @@
-"""Which level of the cost maps holds a pose (room: alignment; pure JAX).
+"""Which level of the cost maps holds a pose, and how much a pose must explain (room: alignment; pure JAX).
 
-In: share of the visible contour that is explained on each level. Out: index of the finest level that holds.
+In: share of the visible contour that is explained on each level. Out: index of the finest level that holds; the limits
+on that share, each with its use.
 """
+
+from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-MIN_INLIER_RATIO = 0.5
-"""A finer level is rejected where less than this share of the visible contour lies within its ramp; our choice."""
+
+@dataclass(frozen=True)
+class InlierLimits:
+    """Least share of the visible contour within the ramp of its class, by what asks for it. All values are our choice.
+
+    Nearest points of the literature's localizers have limits of their own: they count matched points.
+    """
+
+    level: float = 0.5
+    """A finer level of one pose: below, it fits noise."""
+    calibration: float = 0.35
+    """A level of a calibration. Less than one pose needs: the scatter of single frames averages out."""
+    found: float = 0.3
+    """An answer of the search for a vehicle that is not tracked; below, it is not followed."""
+    tracked: float = 0.28
+    """The pose of a tracked frame. Less than `found`: what a search has just found does not fail in the next frame."""
+    single_frame: float = 0.15
+    """The pose of a frame by itself. Weak: traffic may hide most of the paint in view, and the limits on pieces of the
+    map and their evidence (`VerdictConfig`) ask for what is left."""
+
+
+INLIER_LIMITS = InlierLimits()
 
 
 def holds(inlier_ratio: float | Float[Array, "*n"] | Float[np.ndarray, "*n"], least: float):

@@ -50,7 +50,7 @@ class OneStartConfig:
     view: ViewConfig = field(default_factory=lambda: ViewConfig(margin_share=0.3, metric_exponent=1.0))
     """How the map is seen: with a margin, since the truth looks elsewhere, and evenly by length in the world."""
     align: AlignConfig = field(default_factory=AlignConfig)
-    """Kernel, noise and limits; levels, steps and noise share are those of the looks."""
+    """Loss, noise and limits; levels, steps and noise share are those of the looks."""
 
 
 def from_one_start(

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.alignment.pose import AlignConfig, Evidence, in_chunks
 from semloc_jax.alignment.proposals import displaced
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import sums_by_piece
 
 _USUAL_RATE = 0.6
@@ -82,8 +82,8 @@ def piece_costs(
     config: AlignConfig,
 ) -> PieceCosts:
     """The pieces as one pose sees them on one level of the cost maps."""
-    texture, kernel = evidence.textures.level(level), KERNELS[config.kernel]
-    known = texture, evidence.usable, kernel, config.border_px, config.path
+    texture, loss = evidence.textures.level(level), LOSSES[config.loss]
+    known = texture, evidence.usable, loss, config.border_px, config.path
     seen_px, summed = sums_by_piece(T_map_base, evidence.views, piece_of, *known)
     length_px = jnp.asarray(config.noise.correlation_px * evidence.grain)
     of_one = config.noise.gain(texture.ramp_px, evidence.grain) * length_px
@@ -114,7 +114,7 @@ def nats_at(
         T_good: About this one, poses that are surely wrong tell what fits by chance.
         level: Of the cost maps.
         evidence: What the cameras saw.
-        config: Kernel and noise.
+        config: Robust loss and noise.
         chunk: Poses side by side; None for what suits the device.
     """
     at_poses, at_random, _, channel = _looked_at(Ts_map_base, T_good, level, evidence, config, chunk)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from semloc_jax.alignment.level_choice import MIN_INLIER_RATIO, finest_held
+from semloc_jax.alignment.level_choice import INLIER_LIMITS, finest_held
 from semloc_jax.alignment.problem import POSE_DAMPING, AlignmentProblem, known_model, pose_of, quadratic_model
 from semloc_jax.geometry import lie
 from semloc_jax.residuals import native_kernels
@@ -22,7 +22,7 @@ from semloc_jax.residuals.forward_only import forward_only
 from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel, is_inlier
 from semloc_jax.residuals.pose_terms import Terms
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import ramp_values, visible_weight
 from semloc_jax.residuals.texture import RampTextures
 from semloc_jax.solvers.front import solve
@@ -66,11 +66,11 @@ class AlignConfig:
     """Most evaluations on each level."""
     tolerance: float = 2e-3
     """A level ends when a step is below this share of the prior's sigma in every direction."""
-    kernel: str = "tukey"
+    loss: str = "tukey"
     path: Path = "auto"
     """How residuals are evaluated: by native kernels (`analytic`, `autodiff`) or by JAX alone (`xla`)."""
     noise: NoiseModel = field(default_factory=NoiseModel)
-    min_inlier_ratio: float = MIN_INLIER_RATIO
+    min_inlier_ratio: float = INLIER_LIMITS.level
     """Share of the visible contour within the ramp that a finer level needs to hold the pose."""
     border_px: float = 2.0
     """Samples nearer to the border of the image are not used."""
@@ -122,7 +122,7 @@ def level_problem(
         views,
         texture,
         gain.astype(T_start.dtype),
-        config.kernel,
+        config.loss,
         config.path,
         prior.terms,
     )
@@ -172,8 +172,8 @@ def _is_in_one_call(T_start: Array, evidence: Evidence, prior: Prior, config: Al
     """Whether a kernel does a whole solve: cameras of one model that has kernels, and nothing known but the prior."""
     if len(evidence.views) != 1 or prior.terms:
         return False
-    camera, kernel = evidence.views[0].camera, KERNELS[config.kernel]
-    return native_kernels.use(config.path, camera, kernel, T_start.dtype) == "analytic"
+    camera, loss = evidence.views[0].camera, LOSSES[config.loss]
+    return native_kernels.use(config.path, camera, loss, T_start.dtype) == "analytic"
 
 
 def _refined_in_one_call(
@@ -191,15 +191,15 @@ def _refined_in_one_call(
 
 
 def _held_rms(r: Float[Array, " n"], weight: Float[Array, " n"], config: AlignConfig) -> Float[Array, ""]:
-    """Root mean square of the ramp values that the robust kernel holds on to."""
-    held = weight * KERNELS[config.kernel].weight(r)
+    """Root mean square of the ramp values that the robust loss holds on to."""
+    held = weight * LOSSES[config.loss].weight(r)
     return jnp.sqrt(jnp.sum(held * r * r) / jnp.maximum(jnp.sum(held), 1e-6))
 
 
 def scatter_px(
     T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
 ) -> Float[Array, ""]:
-    """How far the contours that the kernel holds on to lie from the boundaries of their class [px RMS]."""
+    """How far the contours that the loss holds on to lie from the boundaries of their class [px RMS]."""
     r, weight = visible_ramps(T_map_base, level, evidence, config)
     return evidence.textures.level(level).ramp_px * _held_rms(r, weight, config)
 
@@ -236,10 +236,10 @@ def fit_at(
 
 
 def _fit(r: Float[Array, " n"], weight: Float[Array, " n"], evidence: Evidence, config: AlignConfig) -> MaskFit:
-    kernel, visible = KERNELS[config.kernel], jnp.sum(weight)
+    loss, visible = LOSSES[config.loss], jnp.sum(weight)
     per_visible = 1 / jnp.maximum(visible, 1e-6)
     return MaskFit(
-        cost=jnp.where(visible > 0, jnp.sum(weight * kernel.rho(r)) * per_visible / kernel.worst, 1.0),
+        cost=jnp.where(visible > 0, jnp.sum(weight * loss.rho(r)) * per_visible / loss.worst, 1.0),
         coverage=visible / jnp.maximum(total_weight(evidence.views), 1e-6),
         inlier_ratio=jnp.sum(weight * is_inlier(r)) * per_visible,
     )
@@ -288,7 +288,7 @@ def align_one(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, con
         T_init: Start pose T_map_base relative to the local origin.
         evidence: Views, textures and usable pixels.
         prior: Gaussian prior; its sigmas are also the scale of the damping. A sigma of 0 locks a direction.
-        config: Levels, steps, kernel, noise.
+        config: Levels, steps, robust loss, noise.
 
     Returns:
         PoseEstimate; `status` says MAX_STEPS, NO_EVIDENCE or NOT_FINITE where it is not CONVERGED. The pose is finite

@@ -15,7 +15,7 @@ from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.normal_equations import chart_equations
 from semloc_jax.residuals.pose_terms import Terms, terms_equations, terms_residual
-from semloc_jax.residuals.robust import KERNELS, robust_root
+from semloc_jax.residuals.robust import LOSSES, robust_root
 from semloc_jax.residuals.texture import RampTexture
 from semloc_jax.solvers.levenberg_marquardt import Damping
 from semloc_jax.solvers.problem import Step
@@ -38,7 +38,7 @@ class AlignmentProblem(eqx.Module):
     texture: RampTexture
     gain: Float[Array, ""]
     """Independent observations for each unit of sample weight x (ramp / boundary noise)^2: turns rho into nats."""
-    kernel: str = eqx.field(static=True, default="tukey")
+    loss: str = eqx.field(static=True, default="tukey")
     path: Path = eqx.field(static=True, default="auto")
     """How the evidence is evaluated; see `semloc_jax.residuals.native_kernels`."""
     terms: Terms = ()
@@ -86,7 +86,7 @@ def residual(y: Float[Array, "6"], problem: AlignmentProblem) -> Float[Array, " 
     """
     T_map_base = pose_of(y, problem)
     r, weight = alignment_residual(T_map_base, problem.views, problem.texture)
-    evidence = jnp.sqrt(problem.gain * weight) * robust_root(r, KERNELS[problem.kernel])
+    evidence = jnp.sqrt(problem.gain * weight) * robust_root(r, LOSSES[problem.loss])
     return jnp.concatenate([evidence, y - prior_offset(problem), terms_residual(problem.terms, T_map_base)])
 
 
@@ -102,7 +102,7 @@ def quadratic_model(
         chart,
         problem.views,
         problem.texture,
-        KERNELS[problem.kernel],
+        LOSSES[problem.loss],
         problem.path,
         skip,
     )

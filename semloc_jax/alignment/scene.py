@@ -75,7 +75,7 @@ class SceneConfig:
     noise: NoiseModel = field(default_factory=NoiseModel)
     view: ViewLimits = field(default_factory=ViewLimits)
     search: FrameSearch = field(default_factory=FrameSearch)
-    kernel: str = AlignConfig.kernel
+    loss: str = AlignConfig.loss
     """Robust function of the contours; see `residuals.robust`."""
     backend: Path = AlignConfig.path
     """How residuals are evaluated: by native kernels (analytic, autodiff) or by JAX alone (xla); auto takes the fastest
@@ -103,7 +103,7 @@ class SceneConfig:
 
     def align_of(self, base: AlignConfig) -> AlignConfig:
         """A refinement with the values of the scene; levels, steps and limits are those of the base."""
-        return dataclasses.replace(base, kernel=self.kernel, path=self.backend, noise=self.noise)
+        return dataclasses.replace(base, loss=self.loss, path=self.backend, noise=self.noise)
 
     @cached_property
     def frame(self) -> SingleFrameConfig:

@@ -26,7 +26,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.cameras.models import native_class_of
 from semloc_jax.native.seen_rows import Field, add_gains, rows_seen
 from semloc_jax.residuals import native_kernels
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.view import GROUND_CLASSES
 from semloc_jax.structs import MapSamples
 
@@ -94,7 +94,7 @@ def seen_from(
 
 
 def _has_kernels(rig: Rig, config: ObserveConfig) -> bool:
-    return all(native_kernels.use(config.path, c, KERNELS["tukey"], np.float32) == "analytic" for c in rig.cameras)
+    return all(native_kernels.use(config.path, c, LOSSES["tukey"], np.float32) == "analytic" for c in rig.cameras)
 
 
 def _by_kernels(

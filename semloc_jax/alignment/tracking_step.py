@@ -39,7 +39,7 @@ from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, camera_views
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import sums_by_index
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.runtime.stored_program import stored_program
@@ -312,12 +312,12 @@ def element_evidence(
     T_map_base: Float[Array, "4 4"], evidence: Evidence, element: tuple[Array, ...], config: TrackAlignConfig
 ) -> ElementEvidence:
     """How a pose explains each element, from the level of `config.rank_level`."""
-    kernel = KERNELS[config.align.kernel]
+    loss = LOSSES[config.align.loss]
     r, weight = visible_ramps(T_map_base, config.rank_level, evidence, config.align)
     owner = jnp.concatenate([part.reshape(-1) for part in element])
     owner = jnp.where(owner >= 0, owner, ELEMENT_CAPACITY)
 
-    missed_px = weight * kernel.rho(r) / kernel.worst
-    offset_px = weight * kernel.weight(r) * r * evidence.textures.ramp_px[config.rank_level]
+    missed_px = weight * loss.rho(r) / loss.worst
+    offset_px = weight * loss.weight(r) * r * evidence.textures.ramp_px[config.rank_level]
     terms = jnp.stack([weight, missed_px, offset_px])
     return ElementEvidence(*sums_by_index(terms, owner, ELEMENT_CAPACITY + 1, config.align.path)[:, :-1])

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from semloc_jax.alignment.fault_modes import PLANE, probabilities
+from semloc_jax.alignment.level_choice import INLIER_LIMITS
 from semloc_jax.alignment.result import FoundModes, Mode
 from semloc_jax.evaluation.held import held_directions
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
@@ -20,8 +21,7 @@ class VerdictConfig:
     """Limits beyond which a pose is not called localized. All values are ours."""
 
     max_cost: float = 0.9
-    min_inlier_ratio: float = 0.15
-    """Weak: traffic may hide most of the paint in view, and the next two limits ask for what is left."""
+    min_inlier_ratio: float = INLIER_LIMITS.single_frame
     min_coverage: float = 0.2
     min_explained: float = 0.35
     """Share of the pieces of map in view that must lie on borders of their class."""

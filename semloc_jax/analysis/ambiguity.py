@@ -17,7 +17,7 @@ from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import points_in_camera
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.structs import MapSamples, ViewSamples
 
@@ -136,7 +136,7 @@ def _cost(
     squared = jnp.maximum(jnp.sum(away * away, axis=0) - along * along, 0.0) + beyond * beyond
     same = (near.channel[index][:, None] == near.channel[index]) & visible
     distance = jnp.sqrt(jnp.min(jnp.where(same, squared, jnp.inf), axis=1))
-    kernel = KERNELS["tukey"]
-    cost = kernel.rho(jnp.minimum(distance / ramp_px, 1.0)) / kernel.worst
+    loss = LOSSES["tukey"]
+    cost = loss.rho(jnp.minimum(distance / ramp_px, 1.0)) / loss.worst
     weight = jnp.where(rig.cameras[index].in_image(*uv), near.weight[index], 0.0)
     return jnp.sum(weight * cost), jnp.sum(weight)

@@ -10,7 +10,7 @@ So there is no minimum, saddle or lower cost between the boxes.
 `falls` could never be given on real masks: over a small box the slope of a ramp, with its stairs, corners and the
 middle of thin lines, varies by as much as itself, so that boxes must be 1/30 as wide as they lie off the minimum, which
 are 100,000 for each doubling of the region. Linear bounds, in which samples cancel before they are bounded, need as
-many: the slope is what is loose, not kernel or camera. `higher` takes seconds, and reaches metres in rich scenes.
+many: the slope is what is loose, not loss or camera. `higher` takes seconds, and reaches metres in rich scenes.
 How: the outer box is cut into small boxes. Over each, interval arithmetic bounds where every sample can fall in the
 image, the ramp and its slope there, and so C or its derivative along the line from below. A box whose bound is not
 positive is cut further, until a budget is spent. Rounding is covered by margins ten times its size.
@@ -32,7 +32,7 @@ from semloc_jax.analysis.ramp_bounds import RampBounds, ramp_bounds
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.texture import RampTexture, lookup
 
 Claim = Literal["falls", "higher"]
@@ -123,16 +123,16 @@ def certify(
     Args:
         T_start: Pose relative to the local origin, from which the minimum is sought.
         evidence: Views, textures and usable pixels of the frame.
-        align: Kernel and border; the kernel must be `tukey`.
+        align: Robust loss and border; the loss must be `tukey`.
         config: None for the defaults.
         claims: What to prove.
 
     Raises:
-        SemlocError: another kernel.
+        SemlocError: another loss.
     """
     config = config or CertificateConfig()
-    if align.kernel != "tukey":
-        raise SemlocError(f"certificate: kernel '{align.kernel}' has no bounds here; expected 'tukey'")
+    if align.loss != "tukey":
+        raise SemlocError(f"certificate: loss '{align.loss}' has no bounds here; expected 'tukey'")
     problem = plane_problem(T_start, evidence, align, config.level)
     in_middle = float(plane_cost(jnp.zeros(3, problem.unit.dtype), problem))
     found: dict[str, Region | None] = dict.fromkeys(CLAIMS)
@@ -186,10 +186,10 @@ def plane_problem(T_start: Float[Array, "4 4"], evidence: Evidence, align: Align
 @jax.jit
 def _plane_hessian(problem: PlaneProblem) -> Float[Array, "3 3"]:
     """Gauss-Newton Hessian of the cost at the minimum."""
-    kernel, zero = KERNELS["tukey"], jnp.zeros(3, problem.T_map_base.dtype)
+    loss, zero = LOSSES["tukey"], jnp.zeros(3, problem.T_map_base.dtype)
     value, weight = plane_residual(zero, problem)
     J = jax.jacfwd(lambda q: plane_residual(q, problem)[0])(zero)
-    return jnp.einsum("pi,p,pj->ij", J, weight * kernel.weight(value), J) + 1e-6 * jnp.eye(3, dtype=J.dtype)
+    return jnp.einsum("pi,p,pj->ij", J, weight * loss.weight(value), J) + 1e-6 * jnp.eye(3, dtype=J.dtype)
 
 
 def _plane_minimum(T_start: Array, evidence: Evidence, align: AlignConfig, level: int) -> Array:
@@ -284,7 +284,7 @@ def plane_cost(q: Float[Array, "3"], problem: PlaneProblem) -> Float[Array, ""]:
         problem: Of one level.
     """
     value, weight = plane_residual(q, problem)
-    return jnp.sum(weight * KERNELS["tukey"].rho(value))
+    return jnp.sum(weight * LOSSES["tukey"].rho(value))
 
 
 def plane_residual(q: Float[Array, "3"], problem: PlaneProblem) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
@@ -366,7 +366,7 @@ def _turned(T: Float[Array, "4 4"], xyz: Sequence[Interval], is_place: bool) -> 
 
 def _tukey(r: Interval) -> Interval:
     """rho(r) over r in [-1, 1]; it rises with |r|."""
-    rho = KERNELS["tukey"].rho
+    rho = LOSSES["tukey"].rho
     ends = [rho(value) for value in r]
     low = jnp.where((r.low <= 0) & (r.high >= 0), 0.0, jnp.minimum(*ends))
     return Interval(low, jnp.maximum(*ends))

@@ -37,7 +37,7 @@ from semloc_jax.residuals.view import view
 from semloc_jax.structs import CostMaps, ElementClass
 
 LETS_GO = 5**-0.5
-"""Share of the kernel's reach at which it pulls most: from there on it pulls the less the farther a boundary is."""
+"""Share of the reach of the loss at which it pulls most: from there on it pulls the less the farther a boundary is."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ class Holder:
         middle_map: where it is [m].
         num_samples: points of its contour in view.
         observations: number of independent observations they are worth, after the limit for one element.
-        pull: what the robust kernel leaves of them, 0 .. 1.
+        pull: what the robust loss leaves of them, 0 .. 1.
         residual_px: mean distance of the mask boundary from what pulls.
         share: of the variance of each direction that comes from it; all elements and parts of the prior sum to 1.
         sigma_without: standard deviation of each direction if it were not there.
@@ -31,9 +31,9 @@ class Holder:
         by_turn: d(direction) / d(turn about the vertical through its middle), metres or radians for each radian.
         worst_map: unit direction of the map along which a shift moves the vehicle farthest: horizontal, upward for the
             road.
-        linear_to_m: a shift along it up to which the kernel holds on to what it pulls.
+        linear_to_m: a shift along it up to which the loss holds on to what it pulls.
         linear: what a shift by `shift_m` along it does to each direction by the derivative.
-        shifted: the same by the solver, whose robust kernel rejects what is too far off.
+        shifted: the same by the solver, whose robust loss rejects what is too far off.
         removed: what leaving it out does, as the solver answers it.
     """
 

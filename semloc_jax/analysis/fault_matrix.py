@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from semloc_jax.analysis.row_outcome import RowOutcome
-from semloc_jax.analysis.told import most_told
+from semloc_jax.analysis.row_outcome import RowOutcome, most_told
 from semloc_jax.datasets import Drive
-from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors
+from semloc_jax.evaluation.metrics import ALERT_LIMITS, pose_errors
 from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.localization.localizer import Localizer
@@ -93,21 +92,18 @@ def judged(drive: Drive, results: Sequence[TrackResult]) -> JudgedRun:
     )
 
 
-def judge_fault(
-    row: FaultRow, fault: FaultyDrive, results: Sequence[TrackResult], limit: ErrorLimit = ALERT_LIMITS[0]
-) -> FaultOutcome:
+def judge_fault(row: FaultRow, fault: FaultyDrive, results: Sequence[TrackResult]) -> FaultOutcome:
     """What a run on a faulty drive comes to.
 
     Args:
         row: The fault.
         fault: The drive, with truth.
         results: One for each frame.
-        limit: The alert limits.
 
     Raises:
         SemlocError: the drive has no truth.
     """
-    run = judged(fault.drive, results)
+    run, limit = judged(fault.drive, results), ALERT_LIMITS[0]
     time_s, is_tracking = run.time_s, run.is_tracking
     since = np.arange(len(results)) >= (np.argmax(is_tracking) if is_tracking.any() else len(results))
     horizontal = np.hypot(run.errors[:, 0], run.errors[:, 1])

@@ -11,8 +11,7 @@ import numpy as np
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
 from semloc_jax.alignment.pose_prior import PriorSource
 from semloc_jax.alignment.result import LocalizationResult
-from semloc_jax.analysis.row_outcome import RowOutcome
-from semloc_jax.analysis.told import most_told
+from semloc_jax.analysis.row_outcome import RowOutcome, most_told
 from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, ErrorLimit, pose_errors, within
@@ -20,8 +19,7 @@ from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.localization.frame_by_frame import localize_frames
 from semloc_jax.maps import SemanticMap
 from semloc_jax.simulation.faults import with_fault
-from semloc_jax.simulation.hostile import FaultRow, suite
-from semloc_jax.simulation.passing_faults import PASSING
+from semloc_jax.simulation.hostile import PASSING, FaultRow, suite
 from semloc_jax.simulation.standing_faults import ODOMETRY, TIME
 
 MakePrior = Callable[[Drive], PriorSource]

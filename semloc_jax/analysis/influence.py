@@ -169,20 +169,21 @@ class Influence(NamedTuple):
     curvature: float
 
 
-def influence(
-    terms: HolderTerms, sigma: Float[np.ndarray, "6"], noise_excess: float = 1.0, singular_below: float = 0.05
-) -> Influence:
+_SINGULAR_BELOW = 0.05
+"""Curvature below which derivatives are damped, as in `alignment.implicit`."""
+
+
+def influence(terms: HolderTerms, sigma: Float[np.ndarray, "6"], noise_excess: float = 1.0) -> Influence:
     """The influence of every holder at the pose where the forces balance.
 
     Args:
         terms: Of `balance`.
         sigma: Standard deviations of the prior; 0 locks a direction.
         noise_excess: How many times more the residuals scatter than the model says; see `alignment.pose.assess`.
-        singular_below: Curvature below which derivatives are damped, as in `alignment.implicit`.
     """
     _, J = _scaled(terms, sigma)
     U, s, Vt = np.linalg.svd(J)
-    inverse = (Vt.T / np.maximum(s, singular_below)) @ U.T
+    inverse = (Vt.T / np.maximum(s, _SINGULAR_BELOW)) @ U.T
     motion = -np.einsum("a,ab,b,hbc->hac", sigma, inverse, sigma, terms.by_motion)
     information = sigma[:, None] * terms.information * sigma
     information[: -len(PRIOR_PARTS)] /= noise_excess**2

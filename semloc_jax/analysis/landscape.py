@@ -1,6 +1,7 @@
-"""The cost around a pose over two of its six directions, for each class of the masks (room: analysis; JAX).
+"""The cost around a pose over two of its six directions, and the search stage by stage (room: analysis; JAX).
 
-In: evidence of one frame, a pose, offsets. Out: robust costs on a grid, all classes together and each alone.
+In: evidence of one frame, a pose, offsets; what `FrameLocalizer.localize` takes. Out: robust costs on a grid, all
+classes together and each alone; the hypotheses that each stage leaves, in the map frame.
 """
 
 from collections.abc import Sequence
@@ -12,12 +13,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
+from semloc_jax.alignment.hypotheses import cull, refine_and_score
 from semloc_jax.alignment.pose import AlignConfig, Evidence
-from semloc_jax.alignment.single_frame import evidence_from
+from semloc_jax.alignment.pose_prior import PosePrior
+from semloc_jax.alignment.single_frame import evidence_from, search_starts
 from semloc_jax.cameras import Rig
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import robust_cost
 from semloc_jax.runtime.stored_program import stored_program
 
@@ -46,7 +49,7 @@ def cost_landscape(
         directions: Two of `DIRECTIONS`.
         offset_a, offset_b: Offsets along them [m or rad].
         level: Level of the cost maps.
-        config: Kernel and limits.
+        config: Robust loss and limits.
         channel: Mask channel that is scored alone; None scores all of them.
 
     Raises:
@@ -117,9 +120,41 @@ def costs_around(
     texture = evidence.textures.level(level)
 
     def one(offset: Array) -> Array:
-        pose, kernel = T_map_base @ lie.exp(offset), KERNELS[config.kernel]
-        cost = robust_cost(pose, evidence.views, texture, evidence.usable, kernel, config.border_px, config.path)
+        pose, loss = T_map_base @ lie.exp(offset), LOSSES[config.loss]
+        cost = robust_cost(pose, evidence.views, texture, evidence.usable, loss, config.border_px, config.path)
         enough = cost.visible >= config.min_visible_px
         return jnp.where(enough, cost.summed / jnp.maximum(cost.visible, 1e-6), jnp.nan)
 
     return jax.lax.map(one, xi, batch_size=min(32, xi.shape[0]))
+
+
+def trace_search(
+    localizer: FrameLocalizer, masks: Sequence[np.ndarray], rig: Rig, prior: PosePrior
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Poses T_map_base `[n 4 4]` and scores `[n]` [nats] of the proposals and after each stage, by the stage's name.
+
+    An empty place has an infinite score. The polish that ends a localization is not part of the search.
+
+    Args:
+        localizer: Map, class table and configuration.
+        masks: Class ids of every camera of the rig.
+        rig: Cameras of the masks.
+        prior: First guess.
+    """
+    config = localizer.config.frame
+    T_map_prior = prior.on_road(localizer.map)
+    inputs, local_map = localizer.prepare(masks, rig, T_map_prior)
+    spread = localizer.map.road_spread(T_map_prior)
+    around = prior.to_solver(T_map_prior, local_map.frame, localizer.config.road, spread)
+    evidence = evidence_from(around.T_map_base, inputs, config.search_view)
+    Ts = search_starts(around, config)
+    first = config.search.stages[0]
+    level, align, chunk = jnp.asarray(first.score_level), config.search_align, config.search.chunk
+    found = {f"{len(Ts)} proposals": refine_and_score(Ts, level, evidence, around, align, chunk)}
+    for number, stage in enumerate(config.search.stages, start=1):
+        Ts, scores = cull(Ts, stage, evidence, around, align, chunk)
+        left = int(np.isfinite(scores).sum())
+        ramps = ", ".join(f"{localizer.config.cost_maps.ramp_px[index]:g}" for index in stage.levels)
+        done = f"refined on ramps of {ramps} px" if ramps else "scored"
+        found[f"stage {number}: {done}, {left} left"] = Ts, scores
+    return {name: (local_map.frame.to_map(Ts), np.asarray(scores)) for name, (Ts, scores) in found.items()}

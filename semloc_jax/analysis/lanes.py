@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from semloc_jax.analysis.survey import Way
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.polyline import arc_length
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.maps.curves import resample, without_repeats
 from semloc_jax.structs import ElementClass
@@ -36,7 +37,10 @@ class LaneConfig:
     """Shorter ways are left out."""
 
 
-def lane_ways(semantic_map: SemanticMap, spacing_m: float, config: LaneConfig | None = None) -> tuple[Way, ...]:
+_LANE = LaneConfig()
+
+
+def lane_ways(semantic_map: SemanticMap, spacing_m: float) -> tuple[Way, ...]:
     """The ways along the lanes of a map, longest first, with a place each `spacing_m`.
 
     Raises:
@@ -44,17 +48,16 @@ def lane_ways(semantic_map: SemanticMap, spacing_m: float, config: LaneConfig | 
     """
     if not spacing_m > 0:
         raise SemlocError(f"survey: spacing {spacing_m} m; expected a positive number such as 5")
-    config = config or LaneConfig()
     lines = _Lines.of(semantic_map.elements)
     walks: list[np.ndarray] = []
-    for index in lines.seeds(config):
+    for index in lines.seeds():
         direction = lines.direction[index]
-        for start in lines.lanes_beside(lines.xy[index], direction, config):
-            if _is_taken(walks, start, config.apart_m):
+        for start in lines.lanes_beside(lines.xy[index], direction):
+            if _is_taken(walks, start, _LANE.apart_m):
                 continue
-            back, ahead = (_walk(lines, start, sign * direction, walks, config) for sign in (-1.0, 1.0))
+            back, ahead = (_walk(lines, start, sign * direction, walks) for sign in (-1.0, 1.0))
             walk = np.concatenate([back[::-1], start[None], ahead])
-            if config.stride_m * (len(walk) - 1) >= config.min_length_m:
+            if _LANE.stride_m * (len(walk) - 1) >= _LANE.min_length_m:
                 walks.append(walk)
     if not walks:
         raise SemlocError(
@@ -82,9 +85,9 @@ class _Lines:
         position, tangent, *_ = resample(found, 1.0)
         return cls(position[:, :2], tangent[:, :2], cKDTree(position[:, :2]))
 
-    def seeds(self, config: LaneConfig) -> np.ndarray:
+    def seeds(self) -> np.ndarray:
         """Points from which a walk may start: a few on each stretch of line."""
-        return np.arange(0, len(self.xy), max(1, int(config.min_length_m / 4)))
+        return np.arange(0, len(self.xy), max(1, int(_LANE.min_length_m / 4)))
 
     def beside(
         self, at: np.ndarray, direction: np.ndarray, reach_m: float
@@ -100,56 +103,52 @@ class _Lines:
         left = offset @ np.array([-direction[1], direction[0]])
         return left[keep], ahead[keep], (self.direction[near] * np.sign(cosine)[:, None])[keep]
 
-    def lanes_beside(self, at: np.ndarray, direction: np.ndarray, config: LaneConfig) -> list[np.ndarray]:
+    def lanes_beside(self, at: np.ndarray, direction: np.ndarray) -> list[np.ndarray]:
         """Middles of the lanes to the right and to the left of a line point."""
-        left, *_ = self.beside(at, direction, config.max_width_m + 3.0)
+        left, *_ = self.beside(at, direction, _LANE.max_width_m + 3.0)
         normal, found = np.array([-direction[1], direction[0]]), []
         for side in (-1.0, 1.0):
             across = side * left
             across = across[across > 0.5]
-            if len(across) and config.min_width_m < (width := across.min()) < config.max_width_m:
+            if len(across) and _LANE.min_width_m < (width := across.min()) < _LANE.max_width_m:
                 found.append(at + 0.5 * side * width * normal)
         return found
 
 
-def _walk(
-    lines: _Lines, at: np.ndarray, direction: np.ndarray, walks: list[np.ndarray], config: LaneConfig
-) -> np.ndarray:
+def _walk(lines: _Lines, at: np.ndarray, direction: np.ndarray, walks: list[np.ndarray]) -> np.ndarray:
     """Middle of the lane from a place on, step by step, `[k 2]`, until its lines end or another way is met."""
     found, width_m, blind_m, last = [], 3.5, 0.0, 0
-    while blind_m < config.gap_m and len(found) < 100_000:
-        at = at + config.stride_m * direction
-        left, ahead, along = lines.beside(at, direction, 0.5 * config.max_width_m + 4.5)
-        inner = (np.abs(left) < 0.5 * config.max_width_m + 0.5) & (np.abs(left) > 0.4)
+    while blind_m < _LANE.gap_m and len(found) < 100_000:
+        at = at + _LANE.stride_m * direction
+        left, ahead, along = lines.beside(at, direction, 0.5 * _LANE.max_width_m + 4.5)
+        inner = (np.abs(left) < 0.5 * _LANE.max_width_m + 0.5) & (np.abs(left) > 0.4)
         if inner.any():
             blind_m = 0.0
-            at, width_m = _centred(at, direction, left[inner], width_m, config)
+            at, width_m = _centred(at, direction, left[inner], width_m)
             mean = along[inner].mean(axis=0)
             direction = direction + 0.3 * (mean / np.linalg.norm(mean) - direction)
             direction /= np.linalg.norm(direction)
         else:
-            blind_m += config.stride_m
-        if _is_taken([*walks, np.array(found[:-20])], at, config.apart_m):
+            blind_m += _LANE.stride_m
+        if _is_taken([*walks, np.array(found[:-20])], at, _LANE.apart_m):
             break
         found.append(at)
-        if (inner & (np.abs(ahead) < config.stride_m)).any():
+        if (inner & (np.abs(ahead) < _LANE.stride_m)).any():
             last = len(found)
     return np.array(found[:last]).reshape(-1, 2)
 
 
-def _centred(
-    at: np.ndarray, direction: np.ndarray, left: np.ndarray, width_m: float, config: LaneConfig
-) -> tuple[np.ndarray, float]:
+def _centred(at: np.ndarray, direction: np.ndarray, left: np.ndarray, width_m: float) -> tuple[np.ndarray, float]:
     """The place moved towards the middle of the lines beside it, and the width of the lane."""
     sides = [np.median(part) if len(part) else None for part in (left[left > 0], left[left < 0])]
     if sides[0] is not None and sides[1] is not None:
         width = float(sides[0] - sides[1])
-        if config.min_width_m < width < config.max_width_m:
+        if _LANE.min_width_m < width < _LANE.max_width_m:
             width_m = width
         shift = 0.5 * (sides[0] + sides[1])
     else:
         shift = sides[0] - 0.5 * width_m if sides[0] is not None else sides[1] + 0.5 * width_m
-    limit = 0.25 * config.stride_m
+    limit = 0.25 * _LANE.stride_m
     return at + np.clip(shift, -limit, limit) * np.array([-direction[1], direction[0]]), width_m
 
 
@@ -158,8 +157,7 @@ def _is_taken(walks: Sequence[np.ndarray], at: np.ndarray, apart_m: float) -> bo
 
 
 def _way(semantic_map: SemanticMap, name: str, walk: np.ndarray, spacing_m: float) -> Way:
-    steps = np.linalg.norm(np.diff(walk, axis=0), axis=1)
-    along_m = np.concatenate([[0.0], np.cumsum(steps)])
+    along_m = arc_length(walk)
     station_m = np.arange(0.0, along_m[-1] + 1e-9, spacing_m)
     x, y = (np.interp(station_m, along_m, walk[:, axis]) for axis in range(2))
     ahead = [np.interp(station_m + 2.0, along_m, c) - np.interp(station_m - 2.0, along_m, c) for c in walk.T]

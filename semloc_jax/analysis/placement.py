@@ -23,7 +23,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable
-from semloc_jax.residuals.contour_rows import contour_rows
+from semloc_jax.residuals.projection import contour_rows
 from semloc_jax.residuals.smooth import smooth_step
 from semloc_jax.residuals.view import GROUND_CLASSES, contour_points
 from semloc_jax.structs import MapSamples
@@ -77,14 +77,12 @@ class PlacementReport:
         rig: the cameras with it.
         sigma_before, sigma_after: expected longitudinal [m], lateral [m], heading [deg] sigma of each place, by the
             survey itself and not by its smooth counterpart.
-        num_evaluations: of the gradient.
     """
 
     placement: CameraPlacement
     rig: Rig
     sigma_before: Float[np.ndarray, "n 3"]
     sigma_after: Float[np.ndarray, "n 3"]
-    num_evaluations: int
 
     @property
     def gain(self) -> Float[np.ndarray, "3"]:
@@ -196,7 +194,7 @@ def place_camera(
     placement = CameraPlacement(down_deg, rise_m, zoom)
     placed = placement.applied(rig, name)
     before, after = (_exact_sigma(semantic_map, cameras, table, Ts_map_base, config) for cameras in (rig, placed))
-    return PlacementReport(placement, placed, before, after, sum(end.nfev for end in found))
+    return PlacementReport(placement, placed, before, after)
 
 
 def _placement(x: Array | np.ndarray) -> CameraPlacement:

@@ -22,7 +22,7 @@ from semloc_jax.alignment.trace import LevelPath, trace_level
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import CameraViews, alignment_residual, camera_views, points_in_camera
 from semloc_jax.residuals.noise import is_inlier
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import PoseEstimate, SolveStatus, ViewSamples
@@ -132,7 +132,7 @@ def probe(
         samples: The samples of `seen_from`.
         prior: Its sigmas also scale the covariance.
         T_map_truth: The true pose; any other one where it is not known.
-        config: Kernel, noise and limits.
+        config: Robust loss, noise and limits.
     """
     views = visible_views(T_map_base, evidence, config.border_px, config.path)
     model = quadratic_model(
@@ -183,7 +183,7 @@ def _projected(T_map_base: Array, group: CameraViews, tangent_map: Array) -> tup
 
 
 def _fit_of_channels(drawn: ImageSamples, ramp_px: Array, num_channels: int, config: AlignConfig) -> ChannelFit:
-    kernel = KERNELS[config.kernel]
+    loss = LOSSES[config.loss]
     r, weight = drawn.residual, drawn.weight
     within = weight * is_inlier(r)
 
@@ -195,7 +195,7 @@ def _fit_of_channels(drawn: ImageSamples, ramp_px: Array, num_channels: int, con
     return ChannelFit(
         summed(drawn.in_view),
         visible,
-        summed(weight * kernel.rho(r)) * per_visible / kernel.worst,
+        summed(weight * loss.rho(r)) * per_visible / loss.worst,
         held * per_visible,
         ramp_px * jnp.sqrt(summed(within * r * r) / jnp.maximum(held, 1e-6)),
     )

@@ -16,9 +16,9 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, sample_within
 from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.analysis.ambiguity import AmbiguityConfig, second_pose
-from semloc_jax.analysis.boundary_noise import BoundaryNoise
 from semloc_jax.analysis.expected import (
     DIRECTIONS,
+    BoundaryNoise,
     ExpectedConfig,
     expected_scatter,
     expected_sigma,

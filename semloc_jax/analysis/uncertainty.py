@@ -21,13 +21,13 @@ from scipy.stats import t as student
 from semloc_jax.alignment.level_choice import holds
 from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig
-from semloc_jax.analysis.boundary_noise import BoundaryNoise
+from semloc_jax.analysis.expected import BoundaryNoise
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import Usable, visibility
 from semloc_jax.residuals.alignment import camera_views as group_views
-from semloc_jax.residuals.contour_rows import contour_rows, image_rows
 from semloc_jax.residuals.noise import is_inlier
+from semloc_jax.residuals.projection import contour_rows, image_rows
 from semloc_jax.residuals.texture import RampTexture, lookup
 from semloc_jax.residuals.view import view
 from semloc_jax.runtime.stored_program import stored_program
@@ -218,7 +218,7 @@ class _Model:
         given = BoundaryResiduals(*(np.asarray(leaf) for leaf in residuals))
         given = BoundaryResiduals(*(leaf[given.weight > 0] for leaf in given))
         ramp, self.weight, rise = (leaf.astype(np.float64) for leaf in (given.ramp, given.weight, given.rise))
-        # Tukey's kernel, as `residuals.robust` has it: weight, and the derivative of weight times residual.
+        # Tukey's loss, as `residuals.robust` has it: weight, and the derivative of weight times residual.
         inside = np.maximum(1 - ramp**2, 0.0)
         held, bent = inside**2, inside * (1 - 5 * ramp**2)
         slope, gradient = given.slope * sigma, given.gradient * sigma

@@ -15,8 +15,8 @@ from semloc_jax.alignment.explicit.landmarks import Landmark
 from semloc_jax.alignment.explicit.prediction import AssociationConfig, Prediction
 from semloc_jax.alignment.explicit.sights import projected
 from semloc_jax.cameras import Rig
-from semloc_jax.cameras.mounting import mounted
 from semloc_jax.cameras.pinhole import PinholeCamera
+from semloc_jax.cameras.rig import mounted
 from semloc_jax.geometry import rigid
 from semloc_jax.perception.primitives import LampLine, Primitives
 from semloc_jax.perception.row_curves import RowCurve

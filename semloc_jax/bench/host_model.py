@@ -84,7 +84,7 @@ class LevelModel:
 
 
 def _root(value: np.ndarray) -> np.ndarray:
-    """sqrt(2 rho(v)) / |v| of Tukey's kernel."""
+    """sqrt(2 rho(v)) / |v| of Tukey's loss."""
     s = np.minimum(value * value, 1)
     return np.sqrt((3 - 3 * s + s * s) / 3)
 

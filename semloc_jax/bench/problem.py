@@ -31,7 +31,7 @@ MAGIC = 0x534C4231  # "1BLS" in a little-endian file
 class Problem:
     """Arrays of one problem; poses in float64, what a solver reads at every evaluation in float32.
 
-    Cost of a pose at one level: sum_i gain weight_i rho(ramp_i) + |y - y_prior|^2 / 2, rho Tukey's kernel, y the
+    Cost of a pose at one level: sum_i gain weight_i rho(ramp_i) + |y - y_prior|^2 / 2, rho Tukey's loss, y the
     tangent from the start of the level in units of `sigma`. Points outside the image at the start of a level weigh
     nothing in it. A level ends after `max_steps` evaluations or with a step below `tolerance` in every component of y.
     """

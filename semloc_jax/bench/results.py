@@ -1,6 +1,6 @@
 """What the measurements say: ratios with their spread, the table, the JSON file, the gate (room: bench; host).
 
-In: Measurements of a run. Out: text, plain data, Metrics for `evaluation.benchmark`.
+In: Measurements of a run. Out: text, plain data, Metrics for `evaluation.report`.
 Times depend on the machine and its load; the gate compares ratios within one run and success rates only.
 """
 

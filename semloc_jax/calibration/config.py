@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from semloc_jax.alignment.frame_localizer import LocalizeConfig
+from semloc_jax.alignment.level_choice import INLIER_LIMITS
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.motion_noise import MotionNoise
 
@@ -77,9 +78,8 @@ class SelfCalibrationConfig:
     """Most evaluations on each level."""
     tolerance: float = 2e-3
     """A level ends when a step is below this, in sigmas of the priors and in units of 10 cm and 0.6 deg of poses."""
-    min_inlier_ratio: float = 0.35
-    """A level with a smaller share of the visible contour within its ramp is left out. Less than a single
-    frame needs: the scatter of single frames averages out."""
+    min_inlier_ratio: float = INLIER_LIMITS.calibration
+    """A level with a smaller share of the visible contour within its ramp is left out."""
     observable_ratio: float = 0.35
     """A direction is observable where the drive leaves less than this share of its prior's sigma."""
     held_ratio: float = 0.8

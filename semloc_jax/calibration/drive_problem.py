@@ -18,7 +18,7 @@ from semloc_jax.residuals.motion import cauchy_cost, fix_linearised, odometry_li
 from semloc_jax.residuals.noise import is_inlier
 from semloc_jax.residuals.pose_terms import Terms
 from semloc_jax.residuals.road_contact import road_linearised
-from semloc_jax.residuals.robust import KERNELS, robust_root
+from semloc_jax.residuals.robust import LOSSES, robust_root
 from semloc_jax.residuals.texture import RampTexture
 from semloc_jax.solvers.arrow import ArrowEquations
 from semloc_jax.solvers.factors import POSE
@@ -33,7 +33,7 @@ COMMON = VEHICLE + MASKS
 images, since one network and one resizing made them all."""
 MIN_GAIN_NATS = 3e-3
 """A calibration solve ends when a step gains less: it then moved everything by a small share of its sigma."""
-_KERNEL = KERNELS["tukey"]
+_LOSS = LOSSES["tukey"]
 
 
 class CalibrationState(eqx.Module):
@@ -159,7 +159,7 @@ class CalibrationProblem(eqx.Module):
         for group in self.pictures:
             rows = self.rows(state, group)
             r, weight = alignment_residual(jnp.eye(4, dtype=rows.p_map.dtype), (rows,), self.texture)
-            parts.append(jnp.sqrt(self.gain * weight) * robust_root(r, _KERNEL))
+            parts.append(jnp.sqrt(self.gain * weight) * robust_root(r, _LOSS))
         for r, threshold in self._factors(state):
             cost = jax.vmap(lambda row, t=threshold: cauchy_cost(row, t)[0])(r) if threshold else 0.5 * r.ravel() ** 2
             parts.append(jnp.sqrt(2 * cost))
@@ -167,7 +167,7 @@ class CalibrationProblem(eqx.Module):
         return jnp.concatenate([*parts, self._prior_terms(state)[0]])
 
     def _factors(self, state: CalibrationState) -> list[tuple[Array, float]]:
-        """Whitened residuals of motion and anchors with the threshold of their kernels; 0 for none."""
+        """Whitened residuals of motion and anchors with the threshold of their losses; 0 for none."""
         fixes, road, reference = (r for r, *_ in self._anchor_terms(state))
         return [
             (self._motion_terms(state)[0], self.edge_threshold),
@@ -190,7 +190,7 @@ class CalibrationProblem(eqx.Module):
     def _pictures(self, state: CalibrationState, group: PictureRows) -> ArrowEquations:
         num_cameras, width = state.intrinsics.shape
         size, dtype = self.sigma.shape[0], self.sigma.dtype
-        found = camera_equations(self.rows(state, group), group.names, width, self.texture, _KERNEL)
+        found = camera_equations(self.rows(state, group), group.names, width, self.texture, _LOSS)
         T_frame_cam = lie.compose(group.T_frame_then, state.T_base_cam[group.camera])
         tangent = lie.adjoint(lie.inverse(T_frame_cam))
         by_pose = jnp.pad(tangent, ((0, 0), (0, width + len(MASKS)), (0, 0)))

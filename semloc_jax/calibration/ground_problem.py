@@ -109,13 +109,13 @@ class GroundPointProblem(eqx.Module):
 
 @eqx.filter_jit
 def solve_ground_points(
-    problem: GroundPointProblem, start: GroundState, weights: Float[Array, "fold p"], max_steps: int = 100
+    problem: GroundPointProblem, start: GroundState, weights: Float[Array, "fold p"]
 ) -> tuple[GroundState, DenseEquations, Array]:
     """Best states, normal equations there and distances [fold p] of all points, for each row of weights."""
 
     def one(weight: Array) -> tuple[GroundState, DenseEquations, Array]:
         own = eqx.tree_at(lambda p: p.weight, problem, weight)
-        solution = solve(own, start, SolveConfig(1e-4, max_steps, min_gain_nats=MIN_GAIN_NATS))
+        solution = solve(own, start, SolveConfig(1e-4, 100, min_gain_nats=MIN_GAIN_NATS))
         return solution.value, solution.equations, jnp.linalg.norm(own.distances(solution.value), axis=1)
 
     return jax.lax.map(one, weights)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from semloc_jax.calibration.turns_of_cameras import CameraTurns
 from semloc_jax.cameras.plausibility import Finding
 from semloc_jax.datasets import Imu
-from semloc_jax.datasets.imu_check import wrong_forces
+from semloc_jax.datasets.inertial import wrong_forces
 from semloc_jax.structs import InertialNoise
 
 LEAST_TURNS, _LEAST_SAMPLES = 20, 50

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from semloc_jax.calibration.ground_problem import GroundPointProblem, GroundState, solve_ground_points
 from semloc_jax.cameras import Camera, PinholeCamera, Rig
+from semloc_jax.cameras.bev import T_base_bev
 from semloc_jax.errors import SemlocError
 
 _ABOVE_M, _ABOVE_PX = 20.0, 1000.0
@@ -54,13 +55,16 @@ class MountFit:
     p_base: np.ndarray
 
 
-def fit_mounts(rig: Rig, seen: Sequence[MatCorners], sigma_m: float = 0.1, sigma_deg: float = 3.0) -> MountFit:
+_DRAWN_M, _DRAWN_DEG = 0.1, 3.0
+"""How far a drawing may be off."""
+
+
+def fit_mounts(rig: Rig, seen: Sequence[MatCorners]) -> MountFit:
     """Mounts under which each camera sees the corners where they were surveyed.
 
     Args:
         rig: calibrated lenses, mounts by drawing.
         seen: what each camera sees of each mat.
-        sigma_m, sigma_deg: how far the drawing may be off.
 
     Raises:
         SemlocError: a camera sees too few corners.
@@ -79,7 +83,7 @@ def fit_mounts(rig: Rig, seen: Sequence[MatCorners], sigma_m: float = 0.1, sigma
     num = len(rig)
     above, T_above = _survey_camera()
     uv_above = -_ABOVE_PX / _ABOVE_M * p_base[:, ::-1]
-    sigma = np.tile([sigma_m] * 3 + [np.deg2rad(sigma_deg)] * 3, num + 1)
+    sigma = np.tile([_DRAWN_M] * 3 + [np.deg2rad(_DRAWN_DEG)] * 3, num + 1)
     sigma[6 * num :] = 0.0
     with jax.enable_x64(True):
         T_prior = jnp.asarray(np.concatenate([np.asarray(rig.T_base_cam, np.float64), T_above[None]]))
@@ -110,10 +114,9 @@ def fit_mounts(rig: Rig, seen: Sequence[MatCorners], sigma_m: float = 0.1, sigma
 
 def _survey_camera() -> tuple[Camera, np.ndarray]:
     """A camera above the vehicle whose picture is the survey."""
-    T = np.eye(4)
-    T[:3, :3] = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    T[2, 3] = _ABOVE_M
-    return PinholeCamera(_ABOVE_PX, _ABOVE_PX, 0.0, 0.0, 10, 10), T
+    T_base_cam = T_base_bev()
+    T_base_cam[2, 3] = _ABOVE_M
+    return PinholeCamera(_ABOVE_PX, _ABOVE_PX, 0.0, 0.0, 10, 10), T_base_cam
 
 
 def _weights(rig: Rig, camera: np.ndarray, uv: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.datasets.base import IMAGE
 from semloc_jax.geometry import rigid
+from semloc_jax.geometry.polyline import arc_length
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.mapping.looking import hiding_ids
 from semloc_jax.perception.ground_contact import SightErrors, ground_covariance
@@ -144,7 +145,7 @@ def _even(top: np.ndarray, shown: np.ndarray) -> UInt8[np.ndarray, "h w"]:
 
 def _frames_apart(Ts_odom_base: Float[np.ndarray, "n 4 4"]) -> Iterator[tuple[int, int]]:
     """Every second frame with itself, and with the frames that come some ways later."""
-    way_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(Ts_odom_base[:, :2, 3], axis=0), axis=1))])
+    way_m = arc_length(Ts_odom_base[:, :2, 3])
     for first in range(0, len(way_m), 2):
         later = {int(np.abs(way_m - way_m[first] - apart_m).argmin()) for apart_m in _LATER_M}
         yield from ((first, one) for one in sorted(later) if one >= first)

@@ -10,9 +10,8 @@ from semloc_jax.cameras.bev import BevCamera
 from semloc_jax.cameras.cylinder import CylindricalCamera
 from semloc_jax.cameras.double_sphere import DoubleSphereCamera
 from semloc_jax.cameras.fisheye import KannalaBrandtCamera
-from semloc_jax.cameras.mounting import mounted
 from semloc_jax.cameras.pinhole import BrownConradyCamera, PinholeCamera
-from semloc_jax.cameras.rig import Rig
+from semloc_jax.cameras.rig import Rig, mounted
 
 __all__ = [
     "BevCamera",

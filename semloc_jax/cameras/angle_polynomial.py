@@ -4,10 +4,9 @@ In: points `p_cam`, also beside and behind the lens. Out: model coordinates = di
 """
 
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from semloc_jax.cameras.base import Scalar, as_leaf
+from semloc_jax.cameras.base import Scalar, as_leaf, number
 from semloc_jax.cameras.elementwise import MIN_SLOPE, derivative, horner, positive_roots
 from semloc_jax.cameras.radial import LARGEST_THETA_RAD, RadialCamera
 
@@ -19,40 +18,15 @@ class PolynomialFisheyeCamera(RadialCamera):
     in pixels: fx = k1 and cN = kN / k1. Beyond `max_theta_rad` theta_d continues linearly and `valid` is False.
     """
 
-    fx: Scalar
-    fy: Scalar
-    cx: Scalar
-    cy: Scalar
-    width: Scalar
-    height: Scalar
-    c2: Scalar
-    c3: Scalar
-    c4: Scalar
-    max_theta_rad: Scalar
+    c2: Scalar = number(0.0)
+    c3: Scalar = number(0.0)
+    c4: Scalar = number(0.0)
+    max_theta_rad: Scalar = number(None)
 
-    def __init__(
-        self,
-        fx: ArrayLike,
-        fy: ArrayLike,
-        cx: ArrayLike,
-        cy: ArrayLike,
-        width: ArrayLike,
-        height: ArrayLike,
-        c2: ArrayLike = 0.0,
-        c3: ArrayLike = 0.0,
-        c4: ArrayLike = 0.0,
-        max_theta_rad: ArrayLike | None = None,
-    ) -> None:
-        """Focal lengths and centre [px], image size [px], polynomial, half field of view [rad].
-
-        `max_theta_rad` None takes the angle at which the polynomial is about to turn, at most LARGEST_THETA_RAD.
-        """
-        self.fx, self.fy, self.cx, self.cy = as_leaf(fx), as_leaf(fy), as_leaf(cx), as_leaf(cy)
-        self.width, self.height = as_leaf(width), as_leaf(height)
-        self.c2, self.c3, self.c4 = (as_leaf(c) for c in (c2, c3, c4))
-        if max_theta_rad is None:
-            max_theta_rad = _usable_angle(derivative(self._polynomial()))
-        self.max_theta_rad = as_leaf(max_theta_rad)
+    def __post_init__(self) -> None:
+        """Without `max_theta_rad`: the angle at which the polynomial is about to turn, at most LARGEST_THETA_RAD."""
+        if self.max_theta_rad is None:
+            self.max_theta_rad = as_leaf(_usable_angle(derivative(self._polynomial())))
 
     def _polynomial(self) -> tuple:
         return 0.0, 1.0, self.c2, self.c3, self.c4

@@ -7,8 +7,9 @@ pixels (scale, crop, offset, border) lives here once. Every field is an array le
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import MISSING
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -27,6 +28,11 @@ def as_leaf(value: ArrayLike) -> Scalar:
     return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
 
 
+def number(default: ArrayLike | None = MISSING) -> Any:
+    """A field of a camera: a number as an array leaf; None, where that is the default, until `__post_init__` knows."""
+    return eqx.field(converter=lambda value: None if value is None else as_leaf(value), default=default)
+
+
 class Camera(eqx.Module):
     """A camera: `project` sees points, `unproject` sees pixels.
 
@@ -37,9 +43,9 @@ class Camera(eqx.Module):
     A new model is one file with a subclass and one row in `cameras.models.MODELS`. The contract
     (`tests/contracts/test_cameras.py`, add an example to CAMERAS there) holds it to this:
 
-    - The first fields are fx fy cx cy [px] and width height [px]. Every field is an array leaf (`as_leaf`). The
-      constructor takes fx fy cx cy width height, then the `leading` fields and the `coefficients` of its row, in this
-      order, or the class overrides `of_numbers`. Limits of the view have a default.
+    - Every field is an array leaf (`number`). The constructor, which equinox makes, takes the fields in their order:
+      fx fy cx cy width height [px], then the `leading` fields and the `coefficients` of its row, then limits of the
+      view, which have a default; or the class overrides `of_numbers`.
     - A lens that can see beyond 90 deg from its axis has the field `max_theta_rad`: half its field of view. Where it
       is symmetric about the axis, `RadialCamera` does the rest: the subclass gives the radius for an angle. Any other
       model that cannot be inverted everywhere has a limit of its own, such as `max_radius`.
@@ -51,12 +57,12 @@ class Camera(eqx.Module):
     - What `write_calibration` writes is read back as a camera with the same pixels, to 1e-6 px.
     """
 
-    fx: eqx.AbstractVar[Scalar]
-    fy: eqx.AbstractVar[Scalar]
-    cx: eqx.AbstractVar[Scalar]
-    cy: eqx.AbstractVar[Scalar]
-    width: eqx.AbstractVar[Scalar]
-    height: eqx.AbstractVar[Scalar]
+    fx: Scalar = number()
+    fy: Scalar = number()
+    cx: Scalar = number()
+    cy: Scalar = number()
+    width: Scalar = number()
+    height: Scalar = number()
 
     @abstractmethod
     def _to_model(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:

@@ -24,12 +24,6 @@ class BevCamera(Camera):
     Lines of sight are parallel, so `unproject` returns the point of the road plane in metres, not a unit ray.
     """
 
-    fx: Scalar
-    fy: Scalar
-    cx: Scalar
-    cy: Scalar
-    width: Scalar
-    height: Scalar
     max_height_m: Scalar
 
     def __init__(

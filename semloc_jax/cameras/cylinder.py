@@ -24,12 +24,6 @@ class CylindricalCamera(Camera):
     `max_phi_rad` from the z axis.
     """
 
-    fx: Scalar
-    fy: Scalar
-    cx: Scalar
-    cy: Scalar
-    width: Scalar
-    height: Scalar
     max_phi_rad: Scalar
 
     def __init__(

@@ -10,7 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from semloc_jax.cameras.base import Scalar, as_leaf
+from semloc_jax.cameras.base import Scalar, as_leaf, number
 from semloc_jax.cameras.elementwise import MIN_SLOPE
 from semloc_jax.cameras.radial import LARGEST_THETA_RAD, RadialCamera
 
@@ -22,39 +22,14 @@ class DoubleSphereCamera(RadialCamera):
     Beyond `max_theta_rad` the radius continues linearly and `valid` is False.
     """
 
-    fx: Scalar
-    fy: Scalar
-    cx: Scalar
-    cy: Scalar
-    width: Scalar
-    height: Scalar
-    xi: Scalar
-    alpha: Scalar
-    max_theta_rad: Scalar
+    xi: Scalar = number(0.0)
+    alpha: Scalar = number(0.5)
+    max_theta_rad: Scalar = number(None)
 
-    def __init__(
-        self,
-        fx: ArrayLike,
-        fy: ArrayLike,
-        cx: ArrayLike,
-        cy: ArrayLike,
-        width: ArrayLike,
-        height: ArrayLike,
-        xi: ArrayLike = 0.0,
-        alpha: ArrayLike = 0.5,
-        max_theta_rad: ArrayLike | None = None,
-    ) -> None:
-        """Focal lengths and centre [px], image size [px], distance of the spheres, share of the second, half field of
-        view [rad].
-
-        `max_theta_rad` None takes the angle at which the radius is about to turn, at most LARGEST_THETA_RAD.
-        """
-        self.fx, self.fy, self.cx, self.cy = as_leaf(fx), as_leaf(fy), as_leaf(cx), as_leaf(cy)
-        self.width, self.height = as_leaf(width), as_leaf(height)
-        self.xi, self.alpha = as_leaf(xi), as_leaf(alpha)
-        if max_theta_rad is None:
-            max_theta_rad = _usable_angle(float(self.xi), float(self.alpha))
-        self.max_theta_rad = as_leaf(max_theta_rad)
+    def __post_init__(self) -> None:
+        """Without `max_theta_rad`: the angle at which the radius is about to turn, at most LARGEST_THETA_RAD."""
+        if self.max_theta_rad is None:
+            self.max_theta_rad = as_leaf(_usable_angle(float(self.xi), float(self.alpha)))
 
     def _radius(self, theta: Array) -> Array:
         return _radius(theta, self.xi, self.alpha, jnp)

@@ -3,10 +3,9 @@
 In: points `p_cam`, also beside and behind the lens. Out: model coordinates = distorted angle x direction.
 """
 
-from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from semloc_jax.cameras.base import Scalar, as_leaf
+from semloc_jax.cameras.base import Scalar, as_leaf, number
 from semloc_jax.cameras.elementwise import horner, slope, usable_radius
 from semloc_jax.cameras.radial import LARGEST_THETA_RAD, RadialCamera
 
@@ -18,42 +17,16 @@ class KannalaBrandtCamera(RadialCamera):
     and `valid` is False.
     """
 
-    fx: Scalar
-    fy: Scalar
-    cx: Scalar
-    cy: Scalar
-    width: Scalar
-    height: Scalar
-    k1: Scalar
-    k2: Scalar
-    k3: Scalar
-    k4: Scalar
-    max_theta_rad: Scalar
+    k1: Scalar = number(0.0)
+    k2: Scalar = number(0.0)
+    k3: Scalar = number(0.0)
+    k4: Scalar = number(0.0)
+    max_theta_rad: Scalar = number(None)
 
-    def __init__(
-        self,
-        fx: ArrayLike,
-        fy: ArrayLike,
-        cx: ArrayLike,
-        cy: ArrayLike,
-        width: ArrayLike,
-        height: ArrayLike,
-        k1: ArrayLike = 0.0,
-        k2: ArrayLike = 0.0,
-        k3: ArrayLike = 0.0,
-        k4: ArrayLike = 0.0,
-        max_theta_rad: ArrayLike | None = None,
-    ) -> None:
-        """Focal lengths and centre [px], image size [px], distortion, half field of view [rad].
-
-        `max_theta_rad` None takes the angle at which the polynomial is about to turn, at most LARGEST_THETA_RAD.
-        """
-        self.fx, self.fy, self.cx, self.cy = as_leaf(fx), as_leaf(fy), as_leaf(cx), as_leaf(cy)
-        self.width, self.height = as_leaf(width), as_leaf(height)
-        self.k1, self.k2, self.k3, self.k4 = (as_leaf(k) for k in (k1, k2, k3, k4))
-        if max_theta_rad is None:
-            max_theta_rad = usable_radius(self._polynomial(), LARGEST_THETA_RAD)
-        self.max_theta_rad = as_leaf(max_theta_rad)
+    def __post_init__(self) -> None:
+        """Without `max_theta_rad`: the angle at which the polynomial is about to turn, at most LARGEST_THETA_RAD."""
+        if self.max_theta_rad is None:
+            self.max_theta_rad = as_leaf(usable_radius(self._polynomial(), LARGEST_THETA_RAD))
 
     def _polynomial(self) -> tuple:
         return 1.0, self.k1, self.k2, self.k3, self.k4

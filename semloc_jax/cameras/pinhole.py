@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from semloc_jax.cameras.base import Camera, Scalar, as_leaf
+from semloc_jax.cameras.base import Camera, Scalar, as_leaf, number
 from semloc_jax.cameras.elementwise import at_least, at_most, derivative, horner, usable_radius
 
 MIN_DEPTH_M = 1e-2
@@ -18,21 +18,7 @@ _NEWTON_STEPS = 12
 
 
 class PinholeCamera(Camera):
-    """Ideal pinhole: u = fx x / z + cx."""
-
-    fx: Scalar
-    fy: Scalar
-    cx: Scalar
-    cy: Scalar
-    width: Scalar
-    height: Scalar
-
-    def __init__(
-        self, fx: ArrayLike, fy: ArrayLike, cx: ArrayLike, cy: ArrayLike, width: ArrayLike, height: ArrayLike
-    ) -> None:
-        """Focal lengths and centre [px], image size [px]."""
-        self.fx, self.fy, self.cx, self.cy = as_leaf(fx), as_leaf(fy), as_leaf(cx), as_leaf(cy)
-        self.width, self.height = as_leaf(width), as_leaf(height)
+    """Ideal pinhole: u = fx x / z + cx; focal lengths, centre and image size in px."""
 
     def _to_model(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         inverse_depth = 1 / at_least(z, MIN_DEPTH_M)
@@ -49,39 +35,17 @@ class BrownConradyCamera(Camera):
     like a straight line, and `valid` is False.
     """
 
-    fx: Scalar
-    fy: Scalar
-    cx: Scalar
-    cy: Scalar
-    width: Scalar
-    height: Scalar
-    k1: Scalar
-    k2: Scalar
-    p1: Scalar
-    p2: Scalar
-    k3: Scalar
-    max_radius: Scalar
+    k1: Scalar = number(0.0)
+    k2: Scalar = number(0.0)
+    p1: Scalar = number(0.0)
+    p2: Scalar = number(0.0)
+    k3: Scalar = number(0.0)
+    max_radius: Scalar = number(None)
 
-    def __init__(
-        self,
-        fx: ArrayLike,
-        fy: ArrayLike,
-        cx: ArrayLike,
-        cy: ArrayLike,
-        width: ArrayLike,
-        height: ArrayLike,
-        k1: ArrayLike = 0.0,
-        k2: ArrayLike = 0.0,
-        p1: ArrayLike = 0.0,
-        p2: ArrayLike = 0.0,
-        k3: ArrayLike = 0.0,
-        max_radius: ArrayLike | None = None,
-    ) -> None:
-        """Focal lengths and centre [px], image size [px], distortion; `max_radius` is found from k1 k2 k3 if None."""
-        self.fx, self.fy, self.cx, self.cy = as_leaf(fx), as_leaf(fy), as_leaf(cx), as_leaf(cy)
-        self.width, self.height = as_leaf(width), as_leaf(height)
-        self.k1, self.k2, self.p1, self.p2, self.k3 = (as_leaf(k) for k in (k1, k2, p1, p2, k3))
-        self.max_radius = as_leaf(usable_radius(self._radial(), _LARGEST_RADIUS) if max_radius is None else max_radius)
+    def __post_init__(self) -> None:
+        """Find `max_radius` from k1 k2 k3 where it is not given."""
+        if self.max_radius is None:
+            self.max_radius = as_leaf(usable_radius(self._radial(), _LARGEST_RADIUS))
 
     def _radial(self) -> tuple:
         return 1.0, self.k1, self.k2, self.k3

@@ -13,6 +13,7 @@ from semloc_jax.cameras.base import Camera
 from semloc_jax.cameras.bev import BevCamera
 from semloc_jax.cameras.cylinder import CylindricalCamera
 from semloc_jax.cameras.rig import Rig
+from semloc_jax.geometry.rigid import inverse
 
 _HEIGHT_M = (0.15, 4.5)
 _REACH_M = (15.0, 3.0)
@@ -110,7 +111,7 @@ def _axes(T: np.ndarray) -> list[str]:
     if abs(pitch) < 80.0 and abs(roll) < 45.0 and pitch > -45.0:
         return []
     state = f"looks {abs(pitch):.0f} deg {'down' if pitch > 0 else 'up'}, rolled by {roll:.0f} deg, {yaw:.0f} deg left"
-    if _looks_level(_inverse(T)):
+    if _looks_level(inverse(T)):
         return [f"{state}; its inverse looks level: the matrix is T_cam_base; invert it"]
     # A frame with x ahead, y left, z up where x right, y down, z ahead is meant.
     for columns in (_FROM_VEHICLE_AXES, _FROM_VEHICLE_AXES.T):
@@ -132,13 +133,6 @@ _FROM_VEHICLE_AXES = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0
 def _looks_level(T: np.ndarray) -> bool:
     _, pitch, roll = view_angles_deg(T)
     return bool(-15.0 < pitch < 60.0 and abs(roll) < 20.0 and T[2, 3] > -0.01)
-
-
-def _inverse(T: np.ndarray) -> np.ndarray:
-    inverse = np.eye(4)
-    inverse[:3, :3] = T[:3, :3].T
-    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return inverse
 
 
 def _side(name: str, T: np.ndarray) -> list[str]:

@@ -1,6 +1,6 @@
-"""The cameras of one vehicle and where they sit (room: cameras; pure JAX).
+"""The cameras of one vehicle, where they sit, and the same with other lenses (room: cameras; pure JAX).
 
-In: cameras and extrinsics. Out: Rig, its selections and groups of one camera model.
+In: cameras and extrinsics, or what one measures with a rule. Out: Rig, its selections and groups of one camera model.
 """
 
 from collections.abc import Sequence
@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from semloc_jax.cameras.base import Camera, stack_cameras
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.rigid import pose_from
 
 
 class CameraGroup(NamedTuple):
@@ -80,3 +81,57 @@ class Rig(eqx.Module):
             camera = stack_cameras([self.cameras[i] for i in index])
             groups.append(CameraGroup(index, camera, self.T_base_cam[np.array(index)]))
         return tuple(groups)
+
+
+FOCAL_SHARE = 0.025
+"""By how much the focal lengths of another lens differ: less is told by its own slope. Ours."""
+_DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+
+
+def longer(rig: Rig, share: float) -> Rig:
+    """Focal lengths longer by a share."""
+    cameras = (eqx.tree_at(lambda c: (c.fx, c.fy), c, ((1 + share) * c.fx, (1 + share) * c.fy)) for c in rig.cameras)
+    return Rig(tuple(cameras), rig.T_base_cam, rig.names)
+
+
+def wider(rig: Rig, share: float) -> Rig:
+    """Only the horizontal focal lengths longer: images are wider."""
+    cameras = (eqx.tree_at(lambda c: c.fx, c, (1.0 + share) * c.fx) for c in rig.cameras)
+    return Rig(tuple(cameras), rig.T_base_cam, rig.names)
+
+
+def with_distortion(rig: Rig, factor: float) -> Rig | None:
+    """The distortion of every lens multiplied: -1 is what calibrations confuse; None where no lens has any."""
+    cameras = []
+    for camera in rig.cameras:
+        names = [name for name in _DISTORTION if hasattr(camera, name)]
+        stated = [factor * getattr(camera, name) for name in names]
+        cameras.append(eqx.tree_at(lambda c, n=names: [getattr(c, k) for k in n], camera, stated) if names else camera)
+    is_bent = any(float(getattr(camera, name, 0.0)) for camera in rig.cameras for name in _DISTORTION)
+    return Rig(tuple(cameras), rig.T_base_cam, rig.names) if is_bent else None
+
+
+_R_BODY_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""A camera that looks along base x, upright."""
+
+
+def mounted(
+    position_m: Sequence[float | int], yaw_deg: float | int = 0, down_deg: float | int = 0, roll_deg: float | int = 0
+) -> Float[np.ndarray, "4 4"]:
+    """T_base_cam [4 4] of a camera that looks `yaw_deg` to the left of straight ahead and `down_deg` below the horizon.
+
+    Args:
+        position_m: Centre of the lens in the base frame [m]: x forward of the rear axle, y to the left, z above ground.
+        yaw_deg: 0 looks ahead, 90 to the left, -90 to the right, 180 back.
+        down_deg: Tilt towards the road.
+        roll_deg: Turn about the line of sight.
+
+    >>> T_base_cam = sj.mounted((1.6, 0.0, 1.4), down_deg=3.0)
+    >>> T_base_cam[:3, 2].round(3)  # the line of sight: ahead and a little down
+    array([ 0.999,  0.   , -0.052])
+    """
+    (cy, cp, cr), (sy, sp, sr) = (turn(np.radians([yaw_deg, down_deg, roll_deg])) for turn in (np.cos, np.sin))
+    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    down = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return pose_from(yaw @ down @ roll @ _R_BODY_CAM, position_m)

@@ -11,14 +11,14 @@ from semloc_jax.cli.main import OK
 
 @dataclass(frozen=True)
 class Options:
-    """Make the version that a difference leads to, equal to the byte with the one it was taken from.
+    """Make the version that a difference describes, byte for byte.
 
-    A difference that belongs on another version, was cut short or altered is refused, and nothing changes. The map
+    A difference that is for another version, cut short or altered is refused, and nothing changes. The map
     keeps its history in OUT.history, for log and rollback.
     """
 
     base: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="BASE")]
-    """The version that the difference belongs on."""
+    """The version that the difference applies to."""
     difference: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIFF")]
     """A file of 'semloc diff'."""
     out: Path

@@ -44,11 +44,11 @@ class Options:
     repeats: int = 5
     """Rounds."""
     core: int | None = None
-    """Core to pin to; by default the last one that is free to us."""
+    """Core to pin to; default: the last one that this process may use."""
     gate: bool = False
     """Compare ratios and success rates with the baseline."""
     baseline: Path | None = None
-    """Another baseline than the one in the package."""
+    """A baseline to use instead of that of the package."""
     write_baseline: Path | None = None
     """Write the ratios and success rates of this run as a baseline."""
 
@@ -84,8 +84,7 @@ def _landmarks(options: Options) -> int:
 
 
 def _drives(options: Options, files: tuple[Path | None, ...]) -> int:
-    from semloc_jax.reports.benchmark import BenchmarkFiles
-    from semloc_jax.reports.drive_benchmark import report_drive_benchmark
+    from semloc_jax.reports.benchmark import BenchmarkFiles, report_drive_benchmark
 
     if options.plot is not None:
         raise UsageError(f"--plot {options.plot}: --drives draws nothing; --json has all numbers")

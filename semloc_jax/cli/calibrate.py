@@ -41,7 +41,7 @@ class Options(DriveOptions):
     mats/CAMERA.png, mats.csv (mat, column, row, x_m, y_m), and calib.yaml or --calib: lenses by data sheet, mounts by
     drawing. `semloc simulate OUT --kind targets` makes one."""
     against: Literal["map", "road"] | None = None
-    """What the cameras are held against: the map, or the road itself; default: the map where there is one."""
+    """What the cameras are compared with: the map, or the road itself; default: the map where there is one."""
     reference: str | None = None
     """Poses of the vehicle from elsewhere: truth, or a trajectory file in the frame of the map. They give the position
     of the cameras on the vehicle, which a drive alone hardly constrains."""

@@ -20,9 +20,8 @@ class Options:
 
     The output is a valid --config file: 'semloc config > mine.yaml', then 'semloc localize DRIVE --config mine.yaml'.
     One file serves every verb: its top level describes the scene, a section named after a verb (track, calibrate,
-    learn, survey) is for that verb alone and left aside by the others. What map, odometry and simulate can be told
-    stands in files of their own; they leave the scene of the others aside.
-    You do not need one: every value has a default, and every value is an option of the verb too.
+    learn, survey) is for that verb alone; the others ignore it. map, odometry and simulate have files of their own,
+    without the scene. You do not need one: every value has a default, and every value is an option of the verb too.
     """
 
     verb: Annotated[tyro.conf.Positional[Configured], tyro.conf.arg(metavar="VERB")] = "localize"

@@ -26,14 +26,14 @@ class Options:
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
     """The file to write; its suffix is the format."""
     origin: str | None = None
-    """Place of the local frame: latitude,longitude,height in degrees and metres. A map that does not know its place
-    gets it: its zero lies there, x points east, y north."""
+    """Place of the local frame: latitude,longitude,height in degrees and metres. A map without a place on the earth
+    gets this one: its origin lies there, x points east, y north."""
     only: str | None = None
     """Classes to keep, separated by commas: pole,sign,lane_marking."""
     geojson: Literal["auto", "rfc7946", "drive"] = "auto"
     """GeoJSON in degrees or in the metres of the drive layout; auto: degrees where the map has a place on the earth."""
     heights: Path | None = None
-    """Where elements without heights get them: an .asc grid, the folder of an Argoverse 2 log, a map with heights."""
+    """Source of heights for elements without: an .asc grid, the folder of an Argoverse 2 log, a map with heights."""
     resolution_m: float = 0.01
     """Compact form: grid of coordinates, and how far a line may move when vertices are left out."""
     strict: bool = False

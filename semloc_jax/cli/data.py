@@ -17,9 +17,9 @@ class Options:
     """
 
     names: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="NAME")] = ()
-    """Which ones; all: every one. A drive that is there already is left as it is."""
+    """Names of the drives; all: every one. A drive that is there already is left as it is."""
     out: Path = Path()
-    """Folder that the folders of the drives are written to; default: where you are."""
+    """Parent folder of the drives; default: the current folder."""
 
 
 def run(options: Options) -> int:

@@ -13,8 +13,8 @@ from semloc_jax.cli.main import OK
 class Options:
     """What was added, modified and removed between two versions of a map; elements are known by their ids.
 
-    With --out the step is written to a file: 'semloc apply BASE FILE --out TARGET' then makes the target again, to the
-    byte.
+    With --out the step is written to a file: 'semloc apply BASE FILE --out TARGET' then makes the target again, byte
+    for byte.
     """
 
     base: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="BASE")]
@@ -24,7 +24,7 @@ class Options:
     out: Path | None = None
     """The file to write (.sdiff)."""
     list: int = 20
-    """At most so many changed elements are named."""
+    """Number of changed elements that are listed, at most."""
 
 
 def run(options: Options) -> int:

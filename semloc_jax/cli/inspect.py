@@ -21,7 +21,7 @@ class Options:
     map: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP")]
     """The map file."""
     max_defects: int = 20
-    """At most so many defects are spelled out."""
+    """Number of defects that are described, at most."""
     strict: bool = False
     """Exit code 3 when the map has a defect."""
     picture: Path | None = None

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Options:
     """Learn from drives with truth what the localizer assumes: a weight for each class of map elements, the finest ramp
-    (where the robust kernel lets go), how far the vehicle tilts against the road, and the length of contour that is one
+    (where the robust loss lets go), how far the vehicle tilts against the road, and the length of contour that is one
     observation.
 
-    What is minimised is the negative log-likelihood of the true poses, with derivatives through the solve: accuracy and
-    honesty of the covariance together. Drives for validation decide when to stop and how wide the covariance is. Writes
-    learned.yaml, which every verb takes as its --config, report.md and report.json with the errors on every drive
-    before and after, and config.yaml.
+    It minimises the negative log-likelihood of the true poses, with derivatives through the solve: accuracy and a right
+    covariance together. Drives for validation decide when to stop and how wide the covariance is. Writes learned.yaml,
+    which every verb takes as its --config, report.md and report.json with the errors on every drive before and after,
+    and config.yaml.
 
     Judge it by the drives that are held out. Every value of the configuration is an option too, e.g. --num-frames 30.
     """

@@ -20,7 +20,7 @@ class Options:
 
     Each round localizes the drives with the masks that there are, projects the map into their images, trains on it with
     the sigma of pose and map, and localizes frames held out, whose truth judges. The first masks are --masks, e.g.
-    classical, a folder or another network. Elements of the map that the frames deny do not teach.
+    classical, a folder or another network. Map elements that the frames contradict are left out.
 
     Writes round_N.weights, eyes.weights (the last round that was better than all before, if any was), eyes.onnx,
     rounds.json, report.md, rounds.png (errors and honesty by round), frames.png (five frames held out in every round)
@@ -50,7 +50,7 @@ class Options:
     """What there is at the beginning, as for semloc localize."""
     network: str | None = None
     """An ONNX network (FILE.onnx, with its preset FILE.yaml beside it, or the preset) whose scores the eyes see beside
-    the colours: a small adapter on top of it is taught, not eyes of their own."""
+    the colours: a small adapter on top of it is trained, instead of a network of its own."""
     frames: str = ":"
     """Frames to learn from, as a Python slice."""
     held_out: Path | None = None

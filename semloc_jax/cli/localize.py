@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from semloc_jax.cli.fleet import FleetOptions, run_each
+from semloc_jax.cli.drive_options import FleetOptions, run_each
 from semloc_jax.cli.main import LOST, OK, log_to_console
 from semloc_jax.inputs.choices import parse_slice
 from semloc_jax.inputs.drive_inputs import Inputs, open_inputs
@@ -30,8 +30,8 @@ class Options(FleetOptions):
     frames: str = ":"
     """Which frames, as a Python slice: ::5, 10:20, 7."""
     method: Literal["search", "icp"] = "search"
-    """search: ours. icp: the light localizer of the literature, a baseline: contours of the masks as points in the top
-    view, laid on the nearest points of the map from the prior, one pose, a simple verdict; no configuration."""
+    """search: ours. icp: a baseline of the literature: contours of the masks in the top view are matched to the nearest
+    points of the map, starting at the prior; one pose, a simple verdict, no configuration."""
     ipm_points: Path | None = None
     """For --method icp: the top view of a camera by four points instead of the calibration: a csv file with the columns
     camera, u_px, v_px, x_m, y_m (on the road, forward and left of the rear axle), four rows for each camera."""

@@ -31,7 +31,7 @@ class Options:
     drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]
     """The drive: a folder or a bag (.bag, .db3, .mcap), its type is guessed."""
     calib: Path | None = None
-    """Calibration file, where the drive has none of its own or another one is to be used."""
+    """Calibration file; default: the drive's own."""
     masks: str | None = None
     """Mask folder of the drive (sem, sem_net ...), any folder CAMERA/FRAME.png, or a segmenter that runs on the images
     (classical, FILE.onnx); default: the drive's best masks."""

@@ -11,8 +11,8 @@ from semloc_jax.cli.main import OK
 
 @dataclass(frozen=True)
 class Options:
-    """Merge packed drives into a map: each is placed in it, what it saw is fused with what all others saw, what is gone
-    goes, what has come comes. Ids stay, also of what moved by less than a metre.
+    """Merge packed drives into a map: each is placed in it, what it saw is fused with what all others saw; elements
+    that are gone are removed, new ones are added. Elements keep their ids, also where they moved by less than a metre.
 
     Writes the map (.gpkg) and its history beside it (OUT.history: steps back, drives); with --report also changes.csv,
     drives.csv, metrics.json and pictures. The result depends on the set of all drives that were ever merged, not on
@@ -32,7 +32,7 @@ class Options:
     """A reference map, to judge the result by, with the rule 'replace within 5 m if more confident' beside it."""
     worlds: Path | None = None
     """With --truth: the folder of the simulated drives; WORLDS/NAME/map.geojson is the exact world of drive NAME. Says
-    how much of what came and went is known after so many looks, what was invented, what was removed wrongly."""
+    which share of the changes is found after how many looks, and how many elements were added or removed wrongly."""
     jobs: int = 1
     """Processes that merge cells of 1024 m at the same time; the map is the same for any number."""
     ray: bool = False

@@ -27,7 +27,7 @@ class Options:
     drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE")]
     """The drive: a folder or a bag (.bag, .db3, .mcap) with wheel odometry, its type is guessed."""
     calib: Path | None = None
-    """Calibration file, where the drive has none of its own or another one is to be used."""
+    """Calibration file; default: the drive's own."""
     front: Literal["masks", "net"] = "masks"
     """What finds obstacles in a frame: masks: their patches in them; net: a network's boxes in the images. Masks then
     say only what hides the road."""
@@ -47,7 +47,7 @@ class Options:
     video: bool = False
     """Write obstacles.mp4: the top view with the obstacles."""
     rrd: Path | None = None
-    """Write a recording for the Rerun viewer there; needs the extra `viz`."""
+    """Write a recording for the Rerun viewer to this file; needs the extra `viz`."""
     out: Path | None = None
     """Folder for the results; default: results/TIME, to which results/latest points."""
 

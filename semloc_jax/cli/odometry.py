@@ -67,7 +67,7 @@ def run(options: Options) -> int:
     import dataclasses
 
     from semloc_jax.datasets import open_drive
-    from semloc_jax.datasets.imu_noise import read_imu_noise
+    from semloc_jax.datasets.inertial import read_imu_noise
     from semloc_jax.inputs.choices import parse_names
     from semloc_jax.inputs.mask_source import mask_source
     from semloc_jax.localization.motion_source import resolved_without_map

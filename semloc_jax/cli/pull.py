@@ -13,7 +13,7 @@ from semloc_jax.cli.main import OK
 class Options:
     """Bring a map to the newest version of a server: the whole map once, then differences only.
 
-    A difference that does not belong on the map, was cut short or altered is refused, and the map stays as it was.
+    A difference that is for another map, cut short or altered is refused, and the map stays as it was.
     """
 
     url: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="URL")]

@@ -13,8 +13,8 @@ from semloc_jax.cli.main import OK
 class Options:
     """Go back to an earlier version of a map.
 
-    Numbers of versions only grow: the old content becomes the next version of MAP, so that whoever follows it by
-    differences goes back too. With --out the old version is written there as it was, to the byte, and MAP stays.
+    Numbers of versions only grow: the old content becomes the next version of MAP, so that clients that follow it by
+    differences go back too. With --out the old version is written there, byte for byte, and MAP stays.
     """
 
     map: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP")]

@@ -51,7 +51,7 @@ class Options:
     backend: Literal["auto", "onnxruntime", "opencv"] | None = None
     """What runs the network; default: onnxruntime where it is installed."""
     calib: Path | None = None
-    """Calibration file, where the drive has none of its own."""
+    """Calibration file; default: the drive's own."""
     cameras: str | None = None
     """Names of cameras, separated by commas; default: all with images."""
     frames: str = ":"

@@ -37,7 +37,7 @@ class Options:
     lot; targets: no drive, but boards before every fisheye and surveyed mats on the ground for semloc calibrate
     --targets. Without --map."""
     noise_px: float = 0.0
-    """With --kind targets: error of the place of a corner in a picture, one standard deviation."""
+    """With --kind targets: standard deviation of the place of a corner in a picture."""
     map: Path | None = None
     """Drive on this map: Lanelet2, OpenDRIVE, Argoverse 2, GeoJSON ..., whatever 'semloc inspect' reads."""
     start: str | None = None
@@ -45,7 +45,7 @@ class Options:
     heading: float | None = None
     """With --map: direction to start in [deg], counter-clockwise from x; default: that of the lane."""
     length_m: float = 150.0
-    """With --map: way to drive."""
+    """With --map: distance to drive."""
     path: Path | None = None
     """With --map: the way itself, a TUM trajectory or a csv file with columns x and y."""
     seed: int = 0
@@ -55,7 +55,7 @@ class Options:
     obstacles: bool = False
     """Ground locks, no-parking signs and cones on free slots: of a lot, and of a garage with --laps."""
     masks_only: bool = False
-    """No images: a fraction of the time, and all that masks need."""
+    """No images: takes a fraction of the time and is enough for all that works on masks."""
     config: Path | None = None
     """YAML file with values of the simulation."""
 

@@ -33,7 +33,7 @@ class Options:
     metres_per_px: float | None = None
     """The pictures are top views with pixels of this size, each by itself: there is no drive."""
     calib: Path | None = None
-    """Calibration file, where the drive has none of its own or another one is to be used."""
+    """Calibration file; default: the drive's own."""
     front: Literal["masks", "net"] = "masks"
     """What finds slots in a frame: masks: the lines of slots in them; net: a network's marking points in the top view
     of the images. Masks then say only what hides the road and who parks."""
@@ -53,7 +53,7 @@ class Options:
     video: bool = False
     """Write slots.mp4: the top view with the slots."""
     rrd: Path | None = None
-    """Write a recording for the Rerun viewer there; needs the extra `viz`."""
+    """Write a recording for the Rerun viewer to this file; needs the extra `viz`."""
     out: Path | None = None
     """Folder for the results; default: results/TIME, to which results/latest points."""
 

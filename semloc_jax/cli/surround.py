@@ -24,7 +24,7 @@ class Options:
     drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE|FOLDER")]
     """A drive of any kind, or a folder with one picture for each camera."""
     calib: Path | None = None
-    """Calibration file or folder, where the drive has none of its own or another one is to be used."""
+    """Calibration file or folder; default: the drive's own."""
     blend: Literal["gaussian", "linear", "hard"] = "gaussian"
     """How pictures meet at the seams: normal distribution over the distance to the seam, a ramp, or a cut."""
     height_aware: bool = False
@@ -55,14 +55,14 @@ class Options:
 
 def run(options: Options) -> int:
     """Make the top views, print how well they fit together."""
-    from semloc_jax.inputs.choices import parse_names, parse_numbers, parse_slice
+    from semloc_jax.inputs.choices import parse_names, parse_own_car, parse_slice
     from semloc_jax.reports.surround import SurroundSettings, report_surround
 
     log_to_console()
     settings = SurroundSettings(
         options.blend, options.size_m, options.metres_per_px, options.height_aware, options.bowl_from_deg
     )
-    car = None if options.own_car is None else parse_numbers(options.own_car, "--own-car", "REAR,FRONT,RIGHT,LEFT")
+    car = None if options.own_car is None else parse_own_car(options.own_car)
     text = report_surround(
         options.drive,
         options.calib,

@@ -36,7 +36,7 @@ class Options:
     keep: float | None = None
     """Also write a map with this share of the bytes that holds the pose best, e.g. 0.2."""
     place: str | None = None
-    """Also say how this camera should be turned, raised and zoomed to know its place best, e.g. front."""
+    """Also say how this camera should be turned, raised and zoomed to know the pose best, e.g. front."""
     place_down_deg: tuple[float, float] = (-10.0, 25.0)
     """How far it may be turned downwards from how it is mounted; equal ends hold it."""
     place_rise_m: tuple[float, float] = (-0.5, 0.8)
@@ -44,7 +44,7 @@ class Options:
     place_zoom: tuple[float, float] = (0.6, 2.0)
     """Its focal length against the given one: below 1 the view is wider."""
     place_count: int = 12
-    """Number of places that it is judged by, spread evenly over all ways."""
+    """Number of places that this is based on, spread evenly over all ways."""
     config: Path | None = None
     """YAML file with values of the configuration."""
     out: Path | None = None

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from semloc_jax.cli.fleet import FleetOptions, run_each
+from semloc_jax.cli.drive_options import FleetOptions, run_each
 from semloc_jax.cli.main import LOST, OK, log_to_console
 from semloc_jax.inputs.choices import parse_slice
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from semloc_jax.datasets.base import Drive
 from semloc_jax.datasets.entry import checked
 from semloc_jax.datasets.folder import has_pictures, read_folder
-from semloc_jax.datasets.inertial_calibration import with_inertial_calibration
+from semloc_jax.datasets.inertial import with_inertial_calibration
 from semloc_jax.errors import SemlocError
 from semloc_jax.storage import reading
 

@@ -17,12 +17,13 @@ from semloc_jax.cameras.io.fields import load_yaml, numbers, perspective, requir
 from semloc_jax.datasets.base import IMAGE, Drive
 from semloc_jax.datasets.beside import maps_beside
 from semloc_jax.datasets.clock import seconds
-from semloc_jax.datasets.imu_noise import imu_noise_in
 from semloc_jax.datasets.in_step import PictureStream, frames_in_step
+from semloc_jax.datasets.inertial import imu_noise_in
 from semloc_jax.datasets.sensors import Imu
 from semloc_jax.datasets.tables import read_cells
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
+from semloc_jax.geometry.rigid import pose_from
 from semloc_jax.structs import InertialNoise
 
 _TRUTH = ("state_groundtruth_estimate0", "mocap0", "vicon0", "leica0", "groundtruth")
@@ -109,9 +110,7 @@ def _truth(path: Path) -> Trajectory:
     norm = np.linalg.norm(rows[:, 3:7], axis=1)
     if not np.allclose(norm, 1.0, atol=0.01):
         raise SemlocError(f"EuRoC {path}: quaternions of length {norm.min():.3f}; expected t, x y z, qw qx qy qz")
-    T = np.tile(np.eye(4), (len(rows), 1, 1))
-    T[:, :3, :3] = Rotation.from_quat(rows[:, [4, 5, 6, 3]]).as_matrix()
-    T[:, :3, 3] = rows[:, :3]
+    T = pose_from(Rotation.from_quat(rows[:, [4, 5, 6, 3]]).as_matrix(), rows[:, :3])
     return Trajectory(time_s, T)
 
 

@@ -155,10 +155,10 @@ def _sigma_heading(
     return float(np.clip(sigma, _MIN_SIGMA_HEADING_RAD, np.pi))
 
 
-def _prior_from_parabola(fixes: GnssTrack, time_s: float, half_window_s: float = 1.5) -> GnssPrior:
+def _prior_from_parabola(fixes: GnssTrack, time_s: float) -> GnssPrior:
     """Robust parabola through the fixes of +-1.5 s; through the nearest six where those are fewer."""
     nearest = np.argsort(np.abs(fixes.time_s - time_s), kind="stable")
-    inside = int(np.sum(np.abs(fixes.time_s - time_s) <= half_window_s))
+    inside = int(np.sum(np.abs(fixes.time_s - time_s) <= 1.5))
     chosen = nearest[: max(inside, 6)]
     tau = fixes.time_s[chosen] - time_s
     degree = 2 if len(chosen) >= 6 and tau.min() < 0.0 < tau.max() else min(1, len(chosen) - 1)

@@ -9,13 +9,6 @@ __getattr__, __dir__, __all__ = door(
             "Alignment",
             "aligned",
         ),
-        "benchmark": (
-            "Outcome",
-            "Verdict",
-            "compare",
-            "format_verdicts",
-            "is_passed",
-        ),
         "way_drift": ("drift",),
         "held": (
             "held_directions",
@@ -43,7 +36,12 @@ __getattr__, __dir__, __all__ = door(
             "within",
         ),
         "report": (
+            "Outcome",
+            "Verdict",
+            "compare",
             "format_metrics",
+            "format_verdicts",
+            "is_passed",
             "read_metrics",
             "write_metrics",
         ),

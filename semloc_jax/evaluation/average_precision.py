@@ -42,7 +42,11 @@ class BoxScore(NamedTuple):
     precision: float
 
 
-def box_score(pictures: Sequence[BoxSet], threshold: float = 0.5, least_overlap: float = 0.5) -> BoxScore:
+_LEAST_OVERLAP = 0.5
+"""Share of the union that a box and the true one must have in common."""
+
+
+def box_score(pictures: Sequence[BoxSet], threshold: float = 0.5) -> BoxScore:
     """Average precision of one class over some pictures.
 
     Each found box, the surest first, takes the true box that it overlaps most, if nobody took that before. One that
@@ -51,13 +55,12 @@ def box_score(pictures: Sequence[BoxSet], threshold: float = 0.5, least_overlap:
     Args:
         pictures: found and true boxes of each.
         threshold: confidence from which recall and precision are told.
-        least_overlap: share of the union.
     """
     sure, right = [], []
     for picture in pictures:
         order, taken = np.argsort(-picture.confidence, kind="stable"), np.zeros(len(picture.true), bool)
         for k in order:
-            said = _judged(picture.found[k], picture, taken, least_overlap)
+            said = _judged(picture.found[k], picture, taken)
             if said is not None:
                 sure.append(float(picture.confidence[k]))
                 right.append(said)
@@ -74,17 +77,17 @@ def box_score(pictures: Sequence[BoxSet], threshold: float = 0.5, least_overlap:
     return BoxScore(float(falling[hits].sum() / num), num, recall, precision)
 
 
-def _judged(box: np.ndarray, picture: BoxSet, taken: np.ndarray, least_overlap: float) -> bool | None:
+def _judged(box: np.ndarray, picture: BoxSet, taken: np.ndarray) -> bool | None:
     """Whether a box is right; None where it counts for nothing."""
     if len(picture.true):
         shared = box_overlap(box, picture.true)
         free = np.where(taken, -1.0, shared)
         best = int(free.argmax())
-        if free[best] >= least_overlap:
+        if free[best] >= _LEAST_OVERLAP:
             taken[best] = True
             return True if picture.is_asked[best] else None
         others = picture.true[~picture.is_asked]
-        if len(others) and _inside(box, others).max() > least_overlap:
+        if len(others) and _inside(box, others).max() > _LEAST_OVERLAP:
             return None
     return False
 

@@ -268,7 +268,7 @@ def _compare_things(
 ) -> ClassComparison:
     pairs = _pairs(made, reference, tolerance.moved_m)
     errors = {(i, j): _errors(name, made[i], reference[j]) for i, j in pairs}
-    right = {pair for pair, error in errors.items() if _is_right(name, error, tolerance)}
+    right = {pair for pair, error in errors.items() if _is_right(error, tolerance)}
     moved = [(i, j) for i, j in pairs if (i, j) not in right]
     paired_made = {i for i, _ in pairs}
     paired_reference = {j for _, j in pairs}
@@ -330,7 +330,7 @@ def _corner_errors(made: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return min((np.linalg.norm(order - reference, axis=1) for order in orders), key=lambda d: float(d.max()))
 
 
-def _is_right(name: str, error: tuple[np.ndarray, np.ndarray], tolerance: MapTolerance) -> bool:
+def _is_right(error: tuple[np.ndarray, np.ndarray], tolerance: MapTolerance) -> bool:
     across_m, along_m = (np.abs(part).max(initial=0.0) for part in error)
     return bool(across_m <= tolerance.across_m and along_m <= tolerance.along_m)
 

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.rigid import pose_from
 from semloc_jax.storage import FARTHEST_M, npy_array, writing
 
 _LARGEST_SKEW = 0.01
@@ -188,9 +189,7 @@ def _from_tum_rows(rows: np.ndarray, path: Path) -> Trajectory:
             f"trajectory {path}: read as qx qy qz qw the vehicle leans, read as qw qx qy qz it stands on its wheels; "
             "expected qx qy qz qw; put qw last"
         )
-    T = np.tile(np.eye(4), (len(rows), 1, 1))
-    T[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
-    T[:, :3, 3] = rows[:, 1:4]
+    T = pose_from(Rotation.from_quat(rows[:, 4:]).as_matrix(), rows[:, 1:4])
     return Trajectory(rows[:, 0].copy(), T)
 
 

@@ -12,6 +12,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.metrics import Metric
 from semloc_jax.evaluation.trajectory import Trajectory, associate
 from semloc_jax.geometry import rigid
+from semloc_jax.geometry.polyline import arc_length
 
 KITTI_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 _SHORT_SHARES = (0.25, 0.5, 0.75)
@@ -35,7 +36,7 @@ def drift(estimate: Trajectory, reference: Trajectory, max_difference_s: float =
     if len(a) < 2:
         raise SemlocError(f"drift: {len(a)} poses have a reference at their time; expected at least 2; check the times")
     T_est, T_ref = estimate.T_map_base[a], reference.T_map_base[b]
-    way_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(T_ref[:, :3, 3], axis=0), axis=1))])
+    way_m = arc_length(T_ref[:, :3, 3])
     if way_m[-1] < 1.0:
         raise SemlocError(f"drift: the vehicle moved {way_m[-1]:.2f} m; expected at least 1 m")
     lengths = [length for length in KITTI_M if length <= way_m[-1]] or [share * way_m[-1] for share in _SHORT_SHARES]

@@ -23,10 +23,9 @@ from semloc_jax.analysis.probe import descend, probe, seen_from
 from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.explorer import scene
-from semloc_jax.explorer.answers import path_of, sample_arrays, summary
+from semloc_jax.explorer.answers import SliceGrid, path_of, sample_arrays, slice_grid, summary
 from semloc_jax.explorer.messages import PoseQuery
 from semloc_jax.explorer.placement import Placement
-from semloc_jax.explorer.slices import SliceGrid, slice_grid
 from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.mask_source import MaskSource
 from semloc_jax.maps import LocalMap

@@ -73,7 +73,7 @@ class SlidingWindow:
     """Fixed-lag smoother over the last poses, one calibration, and what is left of everything before.
 
     A measured pose or fix that fails the chi-square test against the predicted pose is refused; one that passes is
-    still held by a robust kernel, so that later frames can outvote it.
+    still held by a robust loss, so that later frames can outvote it.
     """
 
     def __init__(self, config: WindowConfig | None = None, terms: Terms = ()) -> None:

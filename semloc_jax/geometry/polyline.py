@@ -28,7 +28,7 @@ def arc_length(points: Points) -> Float[Array | np.ndarray, " k"]:
     """Length along the line from its start to each vertex [m]."""
     xp = points.__array_namespace__()
     steps = xp.linalg.norm(points[1:] - points[:-1], axis=-1)
-    return xp.concatenate([xp.zeros_like(steps[:1]), xp.cumsum(steps)])
+    return xp.concatenate([xp.zeros(1, dtype=steps.dtype), xp.cumsum(steps)])
 
 
 def interpolate(points: Points, s_m: Numbers) -> Float[Array | np.ndarray, "n d"]:

@@ -5,6 +5,7 @@ A filter in map coordinates needs float64 whatever JAX is set to, and takes step
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -113,6 +114,13 @@ def planar_pose(
     """
     c, s = np.cos(heading_rad), np.sin(heading_rad)
     return np.array([[c, -s, 0.0, x_m], [s, c, 0.0, y_m], [0.0, 0.0, 1.0, z_m], [0.0, 0.0, 0.0, 1.0]])
+
+
+def pose_from(R_a_b: Float[np.ndarray, "*b 3 3"], t_a_b: Sequence | np.ndarray) -> Float[np.ndarray, "*b 4 4"]:
+    """T_a_b of a rotation and a translation [m] `*b 3`."""
+    T = np.zeros((*R_a_b.shape[:-2], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R_a_b, t_a_b, 1.0
+    return T
 
 
 def inverse(T_a_b: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 4 4"]:

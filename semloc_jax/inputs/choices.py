@@ -48,21 +48,17 @@ def parse_names(text: str | None) -> tuple[str, ...] | None:
     return names or None
 
 
-def parse_numbers(text: str, option: str, form: str) -> tuple[float, ...]:
-    """Numbers separated by commas, as many as the form has words.
-
-    Args:
-        text: as typed.
-        option: for messages.
-        form: e.g. `X,Y`.
+def parse_own_car(text: str) -> tuple[float, ...]:
+    """Rear, front, right and left end of the own car [m], separated by commas.
 
     Raises:
         UsageError: too few or too many, or one is not a finite number.
     """
+    form = "REAR,FRONT,RIGHT,LEFT"
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError as error:
-        raise UsageError(f"{option} '{text}': expected numbers as {form}") from error
-    if len(numbers) != len(form.split(",")) or not all(abs(number) < float("inf") for number in numbers):
-        raise UsageError(f"{option} '{text}': expected {len(form.split(','))} finite numbers as {form}")
+        raise UsageError(f"--own-car '{text}': expected numbers as {form}") from error
+    if len(numbers) != 4 or not all(abs(number) < float("inf") for number in numbers):
+        raise UsageError(f"--own-car '{text}': expected 4 finite numbers as {form}")
     return numbers

@@ -32,7 +32,7 @@ class InputOptions:
     drive: Path
     """The drive: a folder or a bag (.bag, .db3, .mcap), its type is guessed."""
     calib: Path | None = None
-    """Calibration file, where the drive has none of its own or another one is to be used."""
+    """Calibration file; default: the drive's own."""
     map: str | None = None
     """Map file (.osm, .xodr, .geojson, .gpkg ...), or the name of a map of the drive, or sweeps:START:STOP:STEP to make
     it of labelled lidar sweeps (PandaSet); default: the drive's own, else sweeps:::2."""
@@ -48,11 +48,11 @@ class InputOptions:
     prior: str | None = None
     """gnss, truth (plus seeded noise) or a trajectory file; default: gnss where the drive has fixes."""
     prior_sigma_xy_m: float | None = None
-    """Standard deviation of the prior's position; default: as the source states, else 1."""
+    """Standard deviation of the prior's position; default: that of its source, else 1."""
     prior_sigma_yaw_deg: float | None = None
-    """Standard deviation of the prior's heading; default: as the source states, else 3."""
+    """Standard deviation of the prior's heading; default: that of its source, else 3."""
     seed: int = 0
-    """Of the noise of --prior truth and of random hypotheses."""
+    """Seed of the noise of --prior truth and of the random hypotheses."""
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,7 @@ def _of_folder(path: Path) -> FirstLook:
     _look_at_times(path, found, missing)
     _look_at_logs(path, found, missing)
     own = next(iter(maps_in(path).values()), None)
-    near = [place for folder in (path, path.parent) for place in _files_with(folder, MAP_SUFFIXES)]
+    near = [place for folder in (path, path.parent) for place in _maps_of(folder)]
     near = [place for place in near if place.parent == near[0].parent]
     given = "" if own else f" --map {near[0] if len(near) == 1 else 'MAP'}"
     absent = "map: give --map FILE" + (f"; there: {', '.join(map(str, near))}" if near else "")
@@ -228,8 +228,8 @@ def _other_calibrations(path: Path) -> str:
     return f"; intrinsics are in {', '.join(readable)}" if readable else ""
 
 
-def _files_with(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in suffixes and file.is_file())
+def _maps_of(folder: Path) -> list[Path]:
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in MAP_SUFFIXES and file.is_file())
 
 
 def _tables_of(ids: list[int]) -> str:

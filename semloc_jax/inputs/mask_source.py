@@ -74,7 +74,7 @@ def mask_source(
     if name.startswith(CLASSICAL_AND):
         return _paint_and_eyes(name, drive, names)
     if is_eyes(name):
-        source = eyes_source(_eyes(name), drive, names, name)
+        source = eyes_source(_eyes(name), names, name)
         return source if table is None else replace(source, table=part_of_table(source.table, load_class_table(table)))
     if is_network(name):
         return _network(name, drive, names, table)
@@ -143,13 +143,12 @@ def _eyes(name: str) -> Eyes:
     return Eyes.load(_SHIPPED.get(name, name))
 
 
-def eyes_source(eyes: Eyes, drive: Drive, names: Sequence[str], name: str = "eyes") -> MaskSource:
+def eyes_source(eyes: Eyes, names: Sequence[str], name: str = "eyes") -> MaskSource:
     """Masks of eyes on the images of a drive; the last frames are kept, since they are asked for more than once.
 
     Args:
         eyes: The network.
-        drive: The drive.
-        names: Of its cameras.
+        names: Of the cameras.
         name: Of the masks, for messages.
     """
 

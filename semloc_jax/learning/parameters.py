@@ -25,7 +25,7 @@ class Parameters(eqx.Module):
     weight: Float[Array, " channel"]
     """Of each channel of the class table."""
     ramp: Float[Array, ""]
-    """Of the finest ramp, where the robust kernel saturates."""
+    """Of the finest ramp, where the robust loss saturates."""
     tilt: Float[Array, ""]
     """Of the standard deviation of roll and pitch against the road: a tilt that the solver makes up moves the place
     along the road."""

@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.alignment.level_choice import INLIER_LIMITS
 from semloc_jax.alignment.modes import modes_in_map
 from semloc_jax.alignment.pose_prior import PosePrior, levelled
 from semloc_jax.alignment.result import Mode
@@ -51,7 +52,7 @@ class AcquisitionConfig:
     min_weight: float = 0.02
     """Answers with less of the posterior are not followed."""
     max_cost: float = 0.75
-    min_inlier_ratio: float = 0.3
+    min_inlier_ratio: float = INLIER_LIMITS.found
     coasting_inflation: float = 2.0
     """The window around dead reckoning in units of its sigma, over that of the search."""
     min_coasting_sigma_m: float = 0.5

@@ -34,7 +34,7 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.localization.map_window import MapWindow, MapWindows
 from semloc_jax.localization.track_state import FrameFeatures
 from semloc_jax.maps import RoadSpread, SemanticMap
-from semloc_jax.runtime.same_object import once_for_each
+from semloc_jax.runtime.memory import once_for_each
 from semloc_jax.structs import SolveStatus
 
 _FREE = 1e3

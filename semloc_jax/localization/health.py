@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from semloc_jax.alignment.level_choice import INLIER_LIMITS
 from semloc_jax.evaluation.held import held_directions
 from semloc_jax.evaluation.metrics import ErrorLimit
 from semloc_jax.localization.frame_alignment import Alignment
@@ -22,7 +23,7 @@ class HealthConfig:
     """Limits of the rules. All values are ours."""
 
     max_cost: float = 0.78
-    min_inlier_ratio: float = 0.28
+    min_inlier_ratio: float = INLIER_LIMITS.tracked
     min_coverage: float = 0.15
     min_in_view_px: float = 150.0
     """Less map in view than this cannot contradict anything."""

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from semloc_jax.datasets import Drive, Frame
-from semloc_jax.datasets.imu_check import require_usable
+from semloc_jax.datasets.inertial import require_usable
 from semloc_jax.datasets.sensors import WheelOdometry
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.prediction import MotionLog

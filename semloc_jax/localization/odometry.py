@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.datasets import Drive, Frame
-from semloc_jax.datasets.imu_check import require_usable
+from semloc_jax.datasets.inertial import require_usable
 from semloc_jax.errors import SemlocError
 from semloc_jax.fusion.inertial_moment import InertialMoment, InertialWindowConfig
 from semloc_jax.fusion.inertial_samples import Steps, capacity_for, rotation_between, steps_between

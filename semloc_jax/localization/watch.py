@@ -15,7 +15,7 @@ from jaxtyping import Float
 from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.cameras import Rig
-from semloc_jax.cameras.other_lenses import with_distortion
+from semloc_jax.cameras.rig import with_distortion
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import lens_sign, stance_sums
@@ -28,7 +28,7 @@ from semloc_jax.localization.separation import Separation, separated
 from semloc_jax.localization.suspicions import suspicions
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import Suspicion, Tried, WatchState, asked_now, far_side, learned
-from semloc_jax.runtime.same_object import once_for_each
+from semloc_jax.runtime.memory import once_for_each
 
 _Again = Callable[[tuple[Rig, ...], Sequence[float], Sequence[int]], tuple[np.ndarray, np.ndarray]]
 """Solves a frame again with other calibrations, other widths of the road [m], those that are asked for."""

@@ -45,7 +45,7 @@ class ObjectTrackConfig:
         forget: visible misses on end after which a track ends.
         detected, false: share of the visible looks that show a thing, and of those at none that do; for the existence.
         drift_share: error of the odometry by way driven: older sights count less for where the thing is now.
-        outlier_sigmas: width of Cauchy's kernel.
+        outlier_sigmas: width of Cauchy's loss.
         calibrated: sights of one thing agree better than pixel, pitch and height by themselves: their common error
             moves with the car. Factor on the covariance within a track.
         kalman_m: noise of a sight that the baseline assumes, the same at every range.
@@ -217,7 +217,7 @@ def associated(
 def fused(
     sights: Sequence[tuple[ObjectSight, float]], way_m: float, config: ObjectTrackConfig
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-    """The pose that all sights of a thing say together, with Cauchy's kernel, and its covariance.
+    """The pose that all sights of a thing say together, with Cauchy's loss, and its covariance.
 
     What a camera knows of a place falls with the range; what a sight says of the thing's place relative to the vehicle
     now falls with the way driven since, by which the odometry drifts. The road below a thing has one height, whoever

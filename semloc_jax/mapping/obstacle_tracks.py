@@ -21,7 +21,7 @@ _STEP_DEG = 2.0
 _FEWEST, _LEAST_SPREAD_RAD = 4, 0.35
 """Widths from fewer sides tell no direction."""
 _WIDTH_SIGMA_M, _OUTLIER = 0.03, 2.0
-"""Of a width, and the width of Cauchy's kernel in these."""
+"""Of a width, and the width of Cauchy's loss in these."""
 _UNTOLD_RAD, _SQUARE = 0.2, 3.0
 """A direction that is known no better, or of a box whose sides differ by fewer sigmas, is not told."""
 _TOLD_M, _CROSSED_RAD = 0.25, 0.35

@@ -11,7 +11,7 @@ from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.maps.ground_raster import read_ground_raster
 from semloc_jax.maps.heights import with_heights
 from semloc_jax.maps.io import read_map, write_compact, write_map
-from semloc_jax.maps.io.left_out import left_out
+from semloc_jax.maps.io.lanes import left_out
 from semloc_jax.maps.losses import Losses, compare
 from semloc_jax.maps.semantic_map import SemanticMap
 from semloc_jax.structs import ElementClass

@@ -71,7 +71,7 @@ def read_ground_raster(path: str | Path) -> GroundRaster:
         found = [*path.glob("*ground_height_surface*.npy"), *path.glob("map/*ground_height_surface*.npy")]
         path = found[0] if found else path
     if not path.is_file():
-        raise SemlocError(f"ground heights {path}: not there; give an .asc grid or the folder of an Argoverse 2 log")
+        raise SemlocError(f"ground heights {path}: no such file; give an .asc grid or the folder of an Argoverse 2 log")
     with reading(f"ground heights {path.name}"):
         return _argoverse2(path) if path.suffix == ".npy" else _ascii_grid(path)
 

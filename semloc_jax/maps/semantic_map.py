@@ -12,13 +12,12 @@ import numpy as np
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.geometry.local_frame import LocalFrame
+from semloc_jax.maps.around_place import PlanIndex, TiledGround
 from semloc_jax.maps.assumed_dashes import joined_dashes
 from semloc_jax.maps.curves import clip_to_circle, without_repeats
 from semloc_jax.maps.elements import LARGEST_M, UPRIGHT_CLASSES, GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel, RoadSpread
 from semloc_jax.maps.heights import lifted
-from semloc_jax.maps.plan_index import PlanIndex
-from semloc_jax.maps.tiled_ground import TiledGround
 from semloc_jax.storage import FARTHEST_M
 from semloc_jax.structs import ElementClass
 

@@ -16,8 +16,7 @@ from semloc_jax.cameras import PinholeCamera, Rig, mounted
 from semloc_jax.errors import SemlocError
 from semloc_jax.perception.colour_balance import ColourBalance
 from semloc_jax.perception.picture_stitch import PictureStitch
-from semloc_jax.perception.seams import seam_weights
-from semloc_jax.perception.view_tables import Car, camera_table, own_car
+from semloc_jax.perception.view_tables import Car, camera_table, own_car, seam_weights
 
 _SEAM_SIGMA_PX = 12.0
 """Standard deviation of the blend at a seam, in the view from outside; ours."""

@@ -37,8 +37,6 @@ class TableReport:
 
     share: dict[str, float]
     """Share of all pixels for each channel."""
-    unknown_ids: tuple[int, ...]
-    """Ids in the masks that the table does not list."""
     problems: tuple[str, ...]
     """One sentence for each thing that looks wrong; empty if the table fits."""
 
@@ -236,7 +234,7 @@ def _fit(table: ClassTable, counts: np.ndarray) -> TableReport:
                 f"channel '{name}' of class table {table.name} covers {100.0 * part:.0f} % of the masks; "
                 "landmarks are small, so the ids probably mean something else: choose another table"
             )
-    return TableReport(share, unknown, tuple(problems))
+    return TableReport(share, tuple(problems))
 
 
 def _check_channels(table: ClassTable) -> None:

@@ -16,9 +16,8 @@ from semloc_jax.perception.classical_posts import find_posts
 from semloc_jax.perception.ground_view import GroundView
 from semloc_jax.perception.paint_candidates import PaintCandidates, PaintConfig, find_candidates, paint_brightness
 from semloc_jax.perception.paint_colours import TopView
-from semloc_jax.perception.paint_drawing import draw_strokes
 from semloc_jax.perception.paint_filter import keep_paint
-from semloc_jax.perception.paint_search import search_strokes
+from semloc_jax.perception.paint_search import draw_strokes, search_strokes
 
 PAINT_ID, POST_ID = 1, 2
 _CLEAR_PX = 1

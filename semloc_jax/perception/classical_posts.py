@@ -34,7 +34,10 @@ class PostConfig:
     """The black band with the reflector cuts the white in two."""
 
 
-def find_posts(image: np.ndarray, view: GroundView, config: PostConfig | None = None) -> np.ndarray:
+_POST = PostConfig()
+
+
+def find_posts(image: np.ndarray, view: GroundView) -> np.ndarray:
     """Pixels of posts, bool[h w].
 
     Verticals must be upright in the image within some degrees, as they are for cameras that look ahead.
@@ -42,19 +45,17 @@ def find_posts(image: np.ndarray, view: GroundView, config: PostConfig | None = 
     Args:
         image: BGR, uint8[h w 3].
         view: ground view of the camera.
-        config: None for the defaults.
     """
-    config = config or PostConfig()
     # White has all three colours, grass in the sun lacks blue.
     level = log_brightness(whiteness(image))
     out = np.zeros(level.shape, bool)
     for width in _WIDTHS_PX:
         # A post of this many pixels in width stands where a pixel is this large.
-        limits_m = config.min_width_m / (width + 1), config.max_width_m / width
+        limits_m = _POST.min_width_m / (width + 1), _POST.max_width_m / width
         first, last = np.searchsorted(view.column_sizes_m, limits_m)
         if first < last:
-            bars = _upright_bars(level, width, config.min_contrast)
-            _draw_posts(out, bars, level, image, view.column_m, config)
+            bars = _upright_bars(level, width, _POST.min_contrast)
+            _draw_posts(out, bars, level, image, view.column_m)
     return out
 
 
@@ -68,9 +69,7 @@ def _upright_bars(level: np.ndarray, width: int, min_contrast: float) -> np.ndar
     return cv2.morphologyEx(bars.view(np.uint8), cv2.MORPH_OPEN, np.ones((max(2 * width, 3), 1), np.uint8))
 
 
-def _draw_posts(
-    out: np.ndarray, bars: np.ndarray, level: np.ndarray, image: np.ndarray, lateral_m: np.ndarray, config: PostConfig
-) -> None:
+def _draw_posts(out: np.ndarray, bars: np.ndarray, level: np.ndarray, image: np.ndarray, lateral_m: np.ndarray) -> None:
     """Adds the posts among bars to `out`."""
     boxes = _boxes(bars)
     boxes = boxes[np.argsort(-(boxes[:, 1] + boxes[:, 3]), kind="stable")]
@@ -80,18 +79,18 @@ def _draw_posts(
         foot = min(int(box[1] + box[3]), level.shape[0] - 1)
         scale = float(lateral_m[foot, min(int(box[0] + box[2] // 2), level.shape[1] - 1)])
         # No bar of three times its height reaches the least height: nothing that is joined to it helps.
-        if used[number] or scale <= 0.0 or 3 * box[3] * scale < config.min_height_m:
+        if used[number] or scale <= 0.0 or 3 * box[3] * scale < _POST.min_height_m:
             continue
-        above = number + np.flatnonzero(_stand_above(boxes[number:], box, config.gap_m / scale))
+        above = number + np.flatnonzero(_stand_above(boxes[number:], box, _POST.gap_m / scale))
         used[above] = True
         whole = _around(boxes[np.append(above, number)])
         edges = _edges(level, whole)
         if edges is None or whole[3] < 4:
             continue
         height_m, width_m = whole[3] * scale, (edges[1] - edges[0]) * scale
-        is_high = config.min_height_m <= height_m <= config.max_height_m
-        is_slim = config.min_width_m <= width_m <= config.max_width_m
-        if is_high and is_slim and _is_white(image, whole, config) and _stands_out(level, whole, config):
+        is_high = _POST.min_height_m <= height_m <= _POST.max_height_m
+        is_slim = _POST.min_width_m <= width_m <= _POST.max_width_m
+        if is_high and is_slim and _is_white(image, whole) and _stands_out(level, whole):
             out[whole[1] : whole[1] + whole[3], (columns > edges[0]) & (columns < edges[1])] = True
 
 
@@ -145,17 +144,17 @@ def _sides(values: np.ndarray, box: tuple[int, int, int, int]) -> tuple[np.ndarr
     return own[:, :width], left, right[:, : reach - 1]
 
 
-def _stands_out(level: np.ndarray, box: tuple[int, int, int, int], config: PostConfig) -> bool:
+def _stands_out(level: np.ndarray, box: tuple[int, int, int, int]) -> bool:
     """Whether a bar is brighter than both its sides by more than what is around it varies: leaves are full of bars."""
     own, left, right = _sides(level, box)
     contrast = np.median(own.max(axis=1) - np.maximum(left.mean(axis=1), right.mean(axis=1)))
     u, v, width, height = box
     around = level[max(v - height // 2, 0) : v + height + height // 2, max(u - 3 * height, 0) : u + width + 3 * height]
     texture = np.sqrt(np.mean(np.diff(around, axis=1) ** 2))
-    return bool(contrast >= config.min_texture * texture)
+    return bool(contrast >= _POST.min_texture * texture)
 
 
-def _is_white(image: np.ndarray, box: tuple[int, int, int, int], config: PostConfig) -> bool:
+def _is_white(image: np.ndarray, box: tuple[int, int, int, int]) -> bool:
     """Whether a bar has as much more blue than its sides as it has more green and red.
 
     A pixel that the bar fills in part has the same shares, so bars far away do, too. Leaves in the sun before leaves
@@ -165,4 +164,4 @@ def _is_white(image: np.ndarray, box: tuple[int, int, int, int], config: PostCon
     body = own.min(axis=(1, 2))
     lit = body >= np.median(body)
     blue, green, red = own[lit].mean(axis=(0, 1)) - 0.5 * (left[lit] + right[lit]).mean(axis=(0, 1))
-    return bool(blue >= config.min_blue * max(green, red, 1.0))
+    return bool(blue >= _POST.min_blue * max(green, red, 1.0))

@@ -53,7 +53,7 @@ def balance_of(values: Float[np.ndarray, "m n 3"], seen: Bool[np.ndarray, "m n"]
     """Gains and offsets under which cameras agree on what they see of the same places.
 
     Solves min sum over places and pairs of cameras of rho(g_i I_i + o_i - g_j I_j - o_j) + priors (g = 1, o = 0), where
-    rho is Cauchy's kernel: what stands up looks different from two sides and must not count.
+    rho is Cauchy's loss: what stands up looks different from two sides and must not count.
 
     Args:
         values: grey value of each camera at each place.

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 
 from semloc_jax.cameras import Camera, CylindricalCamera
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.rigid import pose_from
 from semloc_jax.perception.ground_contact import SightErrors, along_and_across, contact_range
 
 UP = (0.0, 0.0, 1.0)
@@ -214,10 +215,7 @@ def _levelled(T_base_cam: np.ndarray, up_base: np.ndarray) -> Float[np.ndarray, 
     if np.linalg.norm(level) < _LOOKS_DOWN:  # straight down or up: ahead is where the upper edge of the image is
         level = np.sign(ahead @ up) * (down - (down @ up) * up)
     level = level / np.linalg.norm(level)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([np.cross(-up, level), -up, level], axis=1)
-    T[:3, 3] = T_base_cam[:3, 3]
-    return T
+    return pose_from(np.stack([np.cross(-up, level), -up, level], axis=1), T_base_cam[:3, 3])
 
 
 def _azimuths(camera: Camera, R_cylinder_cam: np.ndarray) -> tuple[float, float]:

@@ -78,9 +78,7 @@ class _Edges(NamedTuple):
     """Number of the image tile and frame [n]."""
 
 
-def estimate_mask_offset(
-    images: Sequence[np.ndarray], masks: Sequence[np.ndarray], table: ClassTable, channels: Sequence[int] | None = None
-) -> MaskOffset:
+def estimate_mask_offset(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], table: ClassTable) -> MaskOffset:
     """The offset of masks against images, as networks of reduced resolution leave it, with its standard error.
 
     Along the normal n of each mask boundary the image edge is found at t; over all points t = e_c - n . (du, dv) is
@@ -90,7 +88,6 @@ def estimate_mask_offset(
         images: uint8[h w] or uint8[h w 3], of the size of the masks; ten frames or more of one camera.
         masks: class ids, uint8[h w], of the same frames.
         table: class table of the masks.
-        channels: indices of the channels to use, None for paint, poles, signs, lights and pillars.
 
     Raises:
         SemlocError: numbers or sizes differ, or too few mask boundaries have an edge in the image.
@@ -98,13 +95,12 @@ def estimate_mask_offset(
     if len(images) != len(masks) or len(images) == 0:
         raise SemlocError(f"mask offset: given {len(images)} images and {len(masks)} masks, expected pairs")
     sharp = [index for index, channel in enumerate(table.channels) if _SHARP & set(channel.classes)]
-    wanted = sharp if channels is None else channels
     groups: list[list[_Edges]] = [[] for _ in range(min(_NUM_GROUPS, max(len(images), 2)))]
     for frame, (image, mask) in enumerate(zip(images, masks, strict=True)):
         if image.shape[:2] != mask.shape:
             sizes = f"{image.shape[1]}x{image.shape[0]} and {mask.shape[1]}x{mask.shape[0]}"
             raise SemlocError(f"mask offset: image and mask {frame} have the sizes {sizes} px; resize the masks first")
-        groups[frame % len(groups)] += _frame_edges(image, mask, table, wanted, frame)
+        groups[frame % len(groups)] += _frame_edges(image, mask, table, sharp, frame)
     parts = [part for group in groups for part in group]
     num_found = sum(len(part.layer) for part in parts)
     if num_found < _MIN_POINTS:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from semloc_jax.perception.colour_balance import ColourBalance, balance_of
-from semloc_jax.perception.seams import strongest_two
+from semloc_jax.perception.view_tables import strongest_two
 
 _NUM_LEVELS = 4
 _ROW = 1024

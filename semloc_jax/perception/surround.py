@@ -16,8 +16,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.perception.class_table import UNLABELED_ID, ClassTable
 from semloc_jax.perception.colour_balance import ColourBalance
 from semloc_jax.perception.picture_stitch import PictureStitch
-from semloc_jax.perception.seams import SEAM_SIGMA_M, Blend, seam_weights
-from semloc_jax.perception.view_tables import Car, camera_table, own_car
+from semloc_jax.perception.view_tables import SEAM_SIGMA_M, Blend, Car, camera_table, own_car, seam_weights
 from semloc_jax.structs import ElementClass
 
 PAINT = frozenset(label for label in ElementClass if label <= ElementClass.SPEED_BUMP)

@@ -50,11 +50,8 @@ def report_calibration(
     Args:
         inputs: Drive, map, masks and prior.
         source: The calibration that the drive came with; the corrected one keeps its layout and keys.
-        settings: None for the defaults.
         reference: `truth` or a trajectory file: poses of the vehicle from elsewhere.
         num_overlays: Number of before/after pictures, spread over the frames.
-        out: Folder to write; None for a new one in results/.
-        options: What config.yaml keeps besides the configuration.
 
     Raises:
         SemlocError: the drive has no truth that `reference` asks for, or there is no such file.
@@ -87,9 +84,6 @@ def report_road_calibration(
         drive: Frames, wheels and the calibration to start from.
         masks: Masks of its cameras.
         source: The calibration that the drive came with; the corrected one keeps its layout and keys.
-        settings: None for the defaults.
-        out: Folder to write; None for a new one in results/.
-        options: What config.yaml keeps besides the configuration.
     """
     settings = settings or SelfCalibrationConfig()
     result = calibrate_on_road(drive, masks, RoadCalibrationConfig(calibration=settings))
@@ -108,7 +102,6 @@ def report_ground_calibration(source: Path, points: Path, intrinsics: str, out: 
         source: The calibration to correct.
         points: Table camera_a,u_a,v_a,camera_b,u_b,v_b [px].
         intrinsics: Which intrinsics are estimated, as in the configuration.
-        out: Folder to write; None for a new one in results/.
     """
     pairs, rig = read_ground_pairs(points), read_calibration(source)
     folder = make_folder(out)

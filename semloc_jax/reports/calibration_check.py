@@ -18,7 +18,7 @@ from semloc_jax.cameras.io import read_calibration
 from semloc_jax.cameras.plausibility import Finding, implausible, view_angles_deg
 from semloc_jax.datasets import Drive, Frame, open_drive
 from semloc_jax.datasets.detect import is_recording
-from semloc_jax.datasets.imu_noise import read_imu_noise
+from semloc_jax.datasets.inertial import read_imu_noise
 from semloc_jax.datasets.pictures import as_colour, read_picture
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import read_trajectory
@@ -71,7 +71,6 @@ def report_calibration_check(check: CalibrationCheck, out: Path | None = None) -
 
     Args:
         check: What is checked.
-        out: Folder for the pictures; None for a new one in results/.
 
     Raises:
         SemlocError: neither a drive nor a calibration can be read.

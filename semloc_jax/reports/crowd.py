@@ -24,8 +24,7 @@ from semloc_jax.maps import read_map
 from semloc_jax.maps.io.packed_drive import PackedDrive, read_packed, write_packed
 from semloc_jax.maps.versions.history import write_version
 from semloc_jax.maps.versions.state import MapState, read_state
-from semloc_jax.reports.crowd_curve import write_curve
-from semloc_jax.reports.crowd_worlds import judged_changes
+from semloc_jax.reports.crowd_curve import judged_changes, write_curve
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz import changes_from_above, existence_from_above, save

@@ -26,9 +26,8 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.inputs.drive_inputs import Inputs
 from semloc_jax.reports import pictures
 from semloc_jax.reports.explain_files import COLUMNS, ROLE_COLUMNS, explanation_record, holder_row, role_row
-from semloc_jax.reports.explain_tables import check_table, explained_elements, role_table
+from semloc_jax.reports.explain_tables import check_table, explained_elements, posterior_text, role_table, scatter_text
 from semloc_jax.reports.folder import make_folder, write_record
-from semloc_jax.reports.pose_posterior import posterior_text, scatter_text
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.storage import write_text
 from semloc_jax.viz.explain import explained_image, explained_map
@@ -81,8 +80,6 @@ def report_explanation(
         shift_m: How far each element is taken to be wrong [m].
         extras: What is computed besides; None for nothing.
         num_listed: Number of elements in the text.
-        out: Folder to write; None for a new one in results/.
-        options: What config.yaml keeps besides the configuration.
     """
     settings, extras = settings or LocalizeConfig(), extras or Extras()
     frame = inputs.frame(index)

@@ -1,9 +1,10 @@
-"""What `semloc explain` prints: tables of elements, of checks and of a drive (room: reports; host).
+"""What `semloc explain` prints: tables of elements, of checks, of a drive and of a posterior (room: reports; host).
 
-In: an Explanation, checks, roles of elements in a drive. Out: text for a console of 120 columns.
+In: an Explanation, checks, roles of elements in a drive, a PoseMixture. Out: text for a console of 120 columns.
 """
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,11 @@ from semloc_jax.analysis.explain_check import ElementEffect
 from semloc_jax.analysis.explain_drive import ElementRole, is_irreplaceable
 from semloc_jax.analysis.explanation import Explanation, Holder
 from semloc_jax.reports.explain_files import DIRECTIONS, in_units
+
+if TYPE_CHECKING:
+    from semloc_jax.analysis.pose_mixture import PoseMixture
+    from semloc_jax.analysis.seed_errors import SeedErrors
+
 
 _FAR_CM = 100.0
 """No map is wrong by more: a derivative that holds farther holds."""
@@ -97,3 +103,33 @@ def role_table(roles: Sequence[ElementRole], num_frames: int, top: int) -> str:
     alone = sorted((role for role in roles if role.num_irreplaceable), key=lambda role: -role.num_irreplaceable)
     lines += [f"no stand-in: {role.id} in {role.num_irreplaceable} of {num_frames} frames" for role in alone[:top]]
     return "\n".join(lines)
+
+
+_DIRECTIONS = (
+    ("longitudinal", 0, 100.0, 1, "cm"),
+    ("lateral", 1, 100.0, 1, "cm"),
+    ("heading", 5, 180.0 / np.pi, 2, "deg"),
+)
+"""Name, coordinate of the tangent, factor, digits, unit."""
+
+
+_PROBABILITY = 0.95
+
+
+def posterior_text(mixture: "PoseMixture") -> str:
+    """The modes of a pose with their weights, and the interval of each direction about the first one."""
+    weights = " ".join(f"{weight:.3f}" for weight in mixture.weight if weight >= 5e-4)
+    lines = [f"posterior: {len(mixture.weight)} modes, weights {weights}"]
+    for name, direction, scale, digits, unit in _DIRECTIONS:
+        low, high = (scale * end for end in mixture.interval(direction, _PROBABILITY))
+        lines.append(f"{100 * _PROBABILITY:.0f} % interval of {name}: {low:+.{digits}f} to {high:+.{digits}f} {unit}")
+    return "\n".join(lines)
+
+
+def scatter_text(found: "SeedErrors") -> str:
+    """How far the pose of one frame scatters when only the noise of the masks changes."""
+    (longitudinal_m, lateral_m, heading_deg), num = found.rms[0], found.error.shape[1]
+    return (
+        f"{num} draws of a network's noise: RMS error longitudinal {100 * longitudinal_m:.1f} cm, "
+        f"lateral {100 * lateral_m:.1f} cm, heading {heading_deg:.2f} deg"
+    )

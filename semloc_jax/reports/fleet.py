@@ -87,8 +87,6 @@ def report_fleet(
     Args:
         work: What is done with one drive; it is sent to the processes. What it raises ends the fleet.
         drives: Their names tell their folders apart.
-        out: Folder to write; None for a new one in results/.
-        resume: Folder of a fleet that was killed: drives that are done stay, one that was begun goes on.
         jobs: Processes; 1 works in this one.
         on_ray: On a Ray cluster instead.
 
@@ -146,5 +144,5 @@ def _row(path: Path, row: dict[str, str]) -> FleetRow:
 def _not_ours(path: Path) -> SemlocError:
     return SemlocError(
         f"{path}: expected the columns {', '.join(FleetRow._fields)} of 'semloc localize' or 'track' with several "
-        "drives; give the folder of such a run, or begin anew with another --out"
+        "drives; give the folder of such a run, or start again with another --out"
     )

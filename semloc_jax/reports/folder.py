@@ -60,7 +60,6 @@ def write_record(folder: Path, settings: Any, options: Mapping[str, Any]) -> Non
     """Write config.yaml: the resolved configuration, which can be read back, and how the run came about.
 
     Args:
-        folder: Where to write.
         settings: The configuration.
         options: Options of the verb that a configuration file may hold too.
     """

@@ -41,7 +41,6 @@ def report_frame_faults(
         out: Folder; None for the usual one.
         options: What the record keeps of the options.
         seed: Of the faults.
-        resume: Folder of a suite that was killed, to go on with.
 
     Returns:
         The folder, the worst ten with what was left out, and the number of false frames under faults that something can

@@ -62,10 +62,7 @@ def report_frames(
         inputs: Drive, map, masks and prior.
         chosen: Which frames.
         settings: How a frame is localized; None for the defaults.
-        out: Folder to write; None for a new one in results/.
         num_overlays: Number of before/after pictures, spread over the frames.
-        options: What config.yaml keeps besides the configuration.
-        resume: Folder of a run that was killed, to go on with.
         localizer: What places a frame; None for a `FrameLocalizer` with the settings.
     """
     settings = settings or LocalizeConfig()

@@ -14,7 +14,7 @@ import numpy as np
 
 from semloc_jax.bench.landmarks import Driven, DrivenFrame, LandmarkPlan, drive_all
 from semloc_jax.storage import write_text
-from semloc_jax.viz.landmarks import landmark_figure
+from semloc_jax.viz.error_curves import landmark_figure
 from semloc_jax.viz.style import save
 
 _IN_VIEW = (1, 3, 5, 8, 12, 18, 100)

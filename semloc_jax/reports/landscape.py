@@ -15,13 +15,13 @@ from semloc_jax.alignment.one_start import WIDE_COST_MAPS
 from semloc_jax.analysis.basin import Basin, BasinConfig, BasinWindow, basins_of
 from semloc_jax.analysis.certificate import CertificateConfig
 from semloc_jax.analysis.frame_certificate import certify_frame
-from semloc_jax.analysis.search_trace import trace_search
+from semloc_jax.analysis.landscape import trace_search
 from semloc_jax.datasets import Frame
 from semloc_jax.inputs.drive_inputs import Inputs
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.viz.basin import basin_on_map
-from semloc_jax.viz.frame_slices import slices_of_frame
+from semloc_jax.viz.cost_slices import slices_of_frame
 from semloc_jax.viz.search import search_stages
 
 _ERRORS = ("longitudinal_m", "lateral_m", "heading_deg")
@@ -62,7 +62,6 @@ def report_landscape(
         settings: Of cost maps and views; None for the defaults.
         level: Of the cost maps; 0 is the coarsest.
         is_around_truth: The true pose in the middle, where the drive has one; else the prior.
-        out: Folder to write; None for a new one in results/.
     """
     settings = settings or LocalizeConfig()
     frame = inputs.frame(index)
@@ -106,7 +105,6 @@ def report_basin(
         num_starts: Number of starts.
         seed: Of their places.
         is_proven: Whether regions without another pose are proven, too.
-        out: Folder to write; None for a new one in results/.
     """
     frame = inputs.frame(index)
     localize = replace(settings or LocalizeConfig(), cost_maps=WIDE_COST_MAPS)
@@ -132,7 +130,6 @@ def report_search(
         inputs: Drive, map, masks and prior.
         index: Of the frame.
         settings: Of the search; None for the defaults.
-        out: Folder to write; None for a new one in results/.
     """
     settings = settings or LocalizeConfig()
     frame = inputs.frame(index)

@@ -124,7 +124,10 @@ def _name(path: Path, name: str | None) -> str:
 def _common_table(inputs: Mapping[Key, Inputs]) -> ClassTable:
     tables = {given.masks.table.name: given.masks.table for given in inputs.values()}
     if len(tables) > 1:
-        raise SemlocError(f"learn: the drives have class tables {', '.join(tables)}; expected one; learn one by one")
+        raise SemlocError(
+            f"learn: the drives have class tables {', '.join(tables)}; expected one for all; learn from drives of one "
+            "table at a time"
+        )
     return next(iter(tables.values()))
 
 

@@ -102,7 +102,7 @@ def _result(line: dict[str, Any], by_id: dict[str, Frame]) -> LocalizationResult
         raise SemlocError(f"holds a result of frame {line['frame']}, which is not chosen; give the --frames of the run")
     if line["time_s"] != frame.time_s:
         raise SemlocError(
-            f"frame {frame.id}: its result is of {line['time_s']} s, the drive says {frame.time_s} s; begin anew with "
+            f"frame {frame.id}: its result is of {line['time_s']} s, the drive says {frame.time_s} s; start again with "
             "another --out"
         )
     return LocalizationResult(

@@ -21,7 +21,7 @@ from semloc_jax.reports.film import Film
 from semloc_jax.reports.pictures import RADIUS_M, SPACING_M, camera_picture
 from semloc_jax.reports.track_pictures import VIDEO_WIDTH_PX
 from semloc_jax.structs import ElementClass
-from semloc_jax.viz.growing import GrowingPlan
+from semloc_jax.viz.insets import GrowingPlan
 from semloc_jax.viz.style import class_name
 from semloc_jax.viz.tracking import banner
 

@@ -65,8 +65,6 @@ def report_map(
 
     Args:
         request: what the map is made of.
-        out: folder to write; None for a new one in results/.
-        resume: folder of a run that was killed, to go on with.
         num_overlays: pictures of the map over images.
         has_video: whether map.mp4 is written.
 

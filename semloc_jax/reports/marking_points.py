@@ -22,9 +22,8 @@ from semloc_jax.perception.networks.weights import read_card, save_weights
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.lesson import RANDOM, LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.viz.marking_points import draw_points
-from semloc_jax.viz.sheet import sheet
-from semloc_jax.viz.style import save
+from semloc_jax.viz.slots import draw_points
+from semloc_jax.viz.style import save, sheet
 
 WEIGHTS = "slots.weights"
 _PICTURES = 12
@@ -44,7 +43,6 @@ def report_marking_points(
         held_out: drives with images, exact masks, a map with slots and true poses; none of them teaches.
         frames: of those drives.
         begin_with: weights of an earlier lesson to go on from, with other pictures and steps.
-        out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
     """
     folder = make_folder(out)
     with watched_loss(folder, "learn slots", config.training.num_steps) as on_step:

@@ -62,7 +62,6 @@ def write_objects(
     """Write the table of all sights, that of all things and metrics.json; the text for people.
 
     Args:
-        folder: Where to write.
         tables: What the things are called.
         sights: Lines of the first table; the last cell says whether the track was confirmed.
         final: What was found in the end.

@@ -31,9 +31,8 @@ from semloc_jax.perception.networks.weights import read_card, save_weights
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.lesson import RANDOM, LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.viz.obstacle_boxes import draw_boxes
-from semloc_jax.viz.sheet import sheet
-from semloc_jax.viz.style import save
+from semloc_jax.viz.obstacles import draw_boxes
+from semloc_jax.viz.style import save, sheet
 
 WEIGHTS = "obstacles.weights"
 RANGES_M = ((0.0, np.inf), (0.0, 3.0), (3.0, 6.0), (6.0, 10.0))
@@ -54,7 +53,6 @@ def report_obstacle_learning(
         held_out: drives with images and exact masks that show obstacles; none of them teaches.
         frames: of those drives.
         begin_with: weights of an earlier lesson to go on from, with other pictures and steps.
-        out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
     """
     folder = make_folder(out)
     with watched_loss(folder, "learn obstacles", config.training.num_steps) as on_step:

@@ -21,14 +21,14 @@ from semloc_jax.maps import BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.io.drive_geojson import write_drive_geojson
 from semloc_jax.perception.networks.obstacle_net import ObstacleNet
 from semloc_jax.perception.obstacle_classes import OBSTACLES
+from semloc_jax.reports.film import SIZE_M, top_view_film
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.object_errors import is_slow, last_poses
 from semloc_jax.reports.objects import Tables, belief_of, placed, write_objects
-from semloc_jax.reports.obstacle_errors import obstacle_errors
-from semloc_jax.reports.top_view_film import SIZE_M, top_view_film
+from semloc_jax.reports.true_objects import obstacle_errors
 from semloc_jax.structs import ElementClass
-from semloc_jax.viz.object_recording import RecordedThing, object_recording
 from semloc_jax.viz.obstacles import COLOURS, DrawnObstacle, draw_obstacles, ellipse
+from semloc_jax.viz.recording import RecordedThing, object_recording
 
 _TABLES = Tables("obstacles", "class", ("length_m", "width_m"))
 _PILLAR_M = 2.5
@@ -53,12 +53,9 @@ def report_obstacles(
         drive: with wheel odometry.
         masks: of its cameras; they show obstacles, or what hides the road where a network finds them.
         frames: which frames; the way is that of the whole drive.
-        sights, tracks: None for the defaults.
         net: finds obstacles in the images instead of the masks.
         video: write a film of the top view.
         rrd: where a recording for Rerun is written; None for none.
-        out: folder to write; None for a new one in results/.
-        options: what config.yaml keeps.
 
     Raises:
         SemlocError: no odometry, masks that know no obstacles, or that do not fit the cameras.

@@ -56,8 +56,6 @@ def report_odometry(
         cameras: names of the cameras that vio follows corners in.
         masks: where they say traffic, sky or the vehicle, no corner is taken; None for no masks.
         settings: how cameras and inertial sensor are used.
-        out: folder to write; None for a new one in results/.
-        options: what config.yaml keeps besides the configuration.
 
     Raises:
         SemlocError: the drive lacks what the motion needs, or no start was found.

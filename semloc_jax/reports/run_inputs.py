@@ -76,7 +76,7 @@ def _require_same(folder: Path, parts: Mapping[str, str]) -> None:
     other = [name for name, digest in parts.items() if made.get(name) != digest]
     if other:
         raise SemlocError(
-            f"--resume {folder}: began with other {', '.join(other)}; give the same as then, or begin anew with "
+            f"--resume {folder}: began with other {', '.join(other)}; give the same as then, or start again with "
             "another --out"
         )
 

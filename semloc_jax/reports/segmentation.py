@@ -13,8 +13,7 @@ from semloc_jax.inputs.segmentation import Segmented, segment_drive
 from semloc_jax.perception import ClassTable, load_class_table, read_mask
 from semloc_jax.perception.network import NetworkPreset
 from semloc_jax.viz.overlay import mask_picture
-from semloc_jax.viz.sheet import sheet
-from semloc_jax.viz.style import save
+from semloc_jax.viz.style import save, sheet
 
 LOOK = "look.jpg"
 _SHOWN, _WIDTH_PX = 10, 640

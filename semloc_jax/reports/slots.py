@@ -22,13 +22,13 @@ from semloc_jax.mapping.slot_tracks import SlotTrack
 from semloc_jax.maps import BeliefMap, MapElement, SemanticMap, write_map
 from semloc_jax.perception.networks.marking_net import MarkingNet
 from semloc_jax.perception.obstacle_classes import obstacle_ids
+from semloc_jax.reports.film import SIZE_M, top_view_film
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.object_errors import is_slow, last_poses
 from semloc_jax.reports.objects import Tables, belief_of, placed, write_objects
-from semloc_jax.reports.slot_errors import SlotErrors
-from semloc_jax.reports.top_view_film import SIZE_M, top_view_film
+from semloc_jax.reports.true_objects import SlotErrors
 from semloc_jax.structs import ElementClass
-from semloc_jax.viz.object_recording import RecordedThing, object_recording
+from semloc_jax.viz.recording import RecordedThing, object_recording
 from semloc_jax.viz.slots import DrawnSlot, colour_of, draw_slots
 
 _TABLES = Tables("slots", "type", ("width_m", "depth_m", "occupied", "obstacle"))
@@ -52,12 +52,9 @@ def report_slots(
         drive: with wheel odometry.
         masks: of its cameras; they show the lines of slots.
         frames: which frames; the way is that of the whole drive.
-        sights, tracks: None for the defaults.
         net: finds the marking points of slots in the images; None follows the lines in the masks.
         video: write a film of the top view.
         rrd: where a recording for Rerun is written; None for none.
-        out: folder to write; None for a new one in results/.
-        options: what config.yaml keeps.
 
     Raises:
         SemlocError: no odometry, masks that show no slot lines, or that do not fit the cameras.

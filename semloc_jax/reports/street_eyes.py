@@ -19,8 +19,7 @@ from semloc_jax.reports.eyes import BEST
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.lesson import LessonReport, watched_loss
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.viz.sheet import sheet
-from semloc_jax.viz.style import save
+from semloc_jax.viz.style import save, sheet
 
 _PICTURES = 24
 _COLOURS = ((0, 229, 255), (255, 79, 163), (179, 136, 255), (118, 255, 3), (255, 138, 128), (40, 80, 255))
@@ -32,7 +31,6 @@ def report_street_eyes(config: EyesConfig, begin: Eyes | None = None, out: Path 
     Args:
         config: `streets` of it.
         begin: eyes to go on with; None for new ones.
-        out: folder to write, where a lesson that stopped goes on; None for a new one in results/.
     """
     folder = make_folder(out)
     with watched_loss(folder, "learn eyes", config.streets.training.num_steps) as on_step:

@@ -23,11 +23,10 @@ from semloc_jax.maps import MapElement, read_map
 from semloc_jax.perception.bowl import BowlView
 from semloc_jax.perception.camera_order import belonging, named_order
 from semloc_jax.perception.colour_balance import ColourBalance
-from semloc_jax.perception.seams import Blend
 from semloc_jax.perception.surround import SurroundView
 from semloc_jax.perception.surround_quality import inner_neighbours, neighbours, overlap_matches, seam_step
 from semloc_jax.perception.surveyed_paint import CornerError, corner_errors
-from semloc_jax.perception.view_tables import Car
+from semloc_jax.perception.view_tables import Blend, Car
 from semloc_jax.reports.film import Film
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.storage import output_path, writing
@@ -89,14 +88,12 @@ def report_surround(
     Args:
         path: a drive of any kind, or a folder with one picture for each camera.
         calib: calibration file, where the drive has none of its own.
-        settings: None for the defaults.
         frames: which frames of the drive.
         cameras: names; None for all.
         masks: masks of the drive that are laid out as well; None for none.
         own_car_m: rear, front, right and left end of the car [m]; None takes the rectangle of the cameras.
         video: write a film too.
         check: refuse pictures that contradict the calibration.
-        out: folder to write; None for a new one in results/.
 
     Raises:
         SemlocError: pictures are missing, black, of another size, in another order, or of another car.

@@ -102,11 +102,8 @@ def report_survey(
 
     Args:
         road: What is surveyed.
-        settings: None for the defaults.
         keep: Share of the bytes of a small map that is written as well; None for none.
         placement: A camera to place as well; None for none.
-        out: Folder to write; None for a new one in results/.
-        options: What config.yaml keeps besides the configuration.
     """
     settings = settings or SurveyConfig()
     if placement is not None:

@@ -40,7 +40,6 @@ def write_tables(results: Sequence[LocalizationResult], truth: Mapping[str, np.n
     Args:
         results: One for each frame.
         truth: True T_map_base by frame id; may be empty.
-        folder: Where to write.
     """
     write_tum(localized_trajectory(results), folder / "trajectory.tum")
     error_columns = [f"error_{key}" for key in ERRORS] if truth else []

@@ -19,7 +19,7 @@ from semloc_jax.evaluation import Metric, write_metrics
 from semloc_jax.perception.target_pictures import Board, find_mat, grey_pictures, read_boards, read_survey
 from semloc_jax.reports.folder import make_folder
 from semloc_jax.storage import writing
-from semloc_jax.viz.targets import target_figure
+from semloc_jax.viz.self_calibration import target_figure
 
 _LOG = logging.getLogger(__name__)
 _NEAR_M = 3.0
@@ -33,7 +33,6 @@ def report_target_calibration(folder: Path, calib: Path | None = None, out: Path
         folder: targets.yaml, boards/CAMERA/*.png and, for the mounts, mats/CAMERA.png and mats.csv; truth/calib.yaml,
             where it is there, is compared with.
         calib: lenses by data sheet and mounts by drawing; None takes calib.yaml of the folder.
-        out: folder to write; None for a new one in results/.
 
     Raises:
         SemlocError: files are missing, or the views are too few or on one side.

@@ -139,10 +139,7 @@ def report_track(
         inputs: Drive, map, masks and prior.
         plan: How the drive is followed.
         frames: In time order.
-        out: Folder to write; None for a new one in results/.
         pictures: What is drawn; None for the defaults.
-        resume: Folder of a run that was killed, to go on with.
-        options: What config.yaml keeps besides the configuration.
     """
     if not frames:
         raise SemlocError(f"drive {inputs.drive.name}: no frames chosen of {len(inputs.drive)}; check --frames")
@@ -246,9 +243,6 @@ def report_faults(
         plan: How the drive is followed.
         wanted: Which faults, see `simulation.hostile.suite`.
         chosen: Which frames; the faults are put into these.
-        out: Folder to write; None for a new one in results/.
-        resume: Folder of a suite that was killed, to go on with.
-        options: What config.yaml keeps besides the configuration.
     """
     from semloc_jax.simulation.hostile import suite
 

@@ -61,7 +61,6 @@ def write_suite(
         inputs: Drive with truth, map, masks.
         make_localizer: Of a map and a motion log.
         rows: The faults.
-        folder: Of the run.
         seed: Of the faults.
 
     Returns:
@@ -71,7 +70,7 @@ def write_suite(
     from tqdm import tqdm
 
     from semloc_jax.analysis.fault_matrix import FaultOutcome, run_fault, to_markdown, worst_first
-    from semloc_jax.reports.fault_figures import write_figures
+    from semloc_jax.reports.fault_tables import write_figures
 
     done = {(o.fault, o.severity): o for o in taken_up(folder / TABLE, FaultOutcome)}
     _cut(folder / FRAMES, set(done))

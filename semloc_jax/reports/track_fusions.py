@@ -62,7 +62,6 @@ def write_comparison(
     Args:
         pipelines: By fusion; they share drive and masks, each has its own localizer.
         frames: In time order.
-        folder: For the results.
         progress: Wraps an iterable of frames.
 
     Raises:

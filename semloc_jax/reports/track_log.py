@@ -50,7 +50,6 @@ class TrackLog:
         """Open the table.
 
         Args:
-            folder: Of the run.
             drive: Gives the truth, where it has one.
             keep: Lines of an earlier run that stay; later ones are written anew.
         """
@@ -109,7 +108,7 @@ def require_lines(folder: Path, frames: Sequence[Frame], where: str) -> None:
         place = next((k for k, (a, b) in enumerate(zip(found, wanted, strict=False)) if a != b), len(found))
         raise SemlocError(
             f"{where}: line {place + 1} of {FILE} is not that of frame {' at '.join(wanted[place])} s; expected one "
-            f"line for each of the {len(wanted)} frames that the state has seen; begin anew with another --out"
+            f"line for each of the {len(wanted)} frames that the state has seen; start again with another --out"
         )
 
 

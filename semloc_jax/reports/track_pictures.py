@@ -18,10 +18,9 @@ from semloc_jax.reports.film import Film
 from semloc_jax.reports.tables import PROTECTION, SIGMAS
 from semloc_jax.reports.track_log import TrackTable
 from semloc_jax.storage import output_path
-from semloc_jax.viz.error_inset import FrameErrors, with_inset
-from semloc_jax.viz.integrity import IntegrityErrors, stanford_diagram
+from semloc_jax.viz.insets import FrameErrors, with_inset
 from semloc_jax.viz.overlay import dim
-from semloc_jax.viz.tracking import status_banner, tracking_over_time
+from semloc_jax.viz.tracking import IntegrityErrors, stanford_diagram, status_banner, tracking_over_time
 
 VIDEO_WIDTH_PX = 960
 _PLAN = ("lateral", "longitudinal")

@@ -38,7 +38,6 @@ def report_view_slots(path: Path, metres_per_px: float, net: MarkingNet, out: Pa
         path: a picture, or a folder of them, each seen from above.
         metres_per_px: size of their pixels.
         net: finds the marking points.
-        out: folder to write; None for a new one in results/.
 
     Raises:
         SemlocError: no pictures, or pixels of a size that shows no slots.

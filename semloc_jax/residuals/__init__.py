@@ -17,6 +17,6 @@ __getattr__, __dir__, __all__ = door(
             "locate",
             "pack",
         ),
-        "robust": ("KERNELS",),
+        "robust": ("LOSSES",),
     },
 )

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from semloc_jax.cameras import Camera
 from semloc_jax.residuals.alignment import CameraViews, points_in_camera
-from semloc_jax.residuals.robust import Kernel
+from semloc_jax.residuals.robust import RobustLoss
 from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
 
 
@@ -38,7 +38,7 @@ def with_fields(camera: Camera, names: tuple[str, ...], change: Float[Array, " k
 
 
 def camera_equations(
-    rows: CameraViews, names: tuple[str, ...], num_intrinsics: int, texture: RampTexture, kernel: Kernel
+    rows: CameraViews, names: tuple[str, ...], num_intrinsics: int, texture: RampTexture, loss: RobustLoss
 ) -> RowEquations:
     """Gauss-Newton model of sum_i w_i rho(r_i) of each row.
 
@@ -47,16 +47,16 @@ def camera_equations(
         names: Fields of the camera model that are unknown, all differentiated automatically.
         num_intrinsics: Columns for them, at least as many as there are names; the others are zero.
         texture: One level of the cost maps, with a camera axis as long as all rows of all models.
-        kernel: Robust kernel.
+        loss: Robust loss.
     """
 
     def one_row(row: CameraViews) -> tuple[Array, Array, Array]:
         r, J = _linearised(row, names, num_intrinsics, texture)
-        root = jnp.sqrt(row.weight * kernel.weight(r))
+        root = jnp.sqrt(row.weight * loss.weight(r))
         J, r_weighted = J * root, r * root
         hessian = jnp.matmul(J, J.T, precision=jax.lax.Precision.HIGHEST)
         gradient = jnp.matmul(J, r_weighted, precision=jax.lax.Precision.HIGHEST)
-        return hessian, gradient, jnp.sum(row.weight * kernel.rho(r))
+        return hessian, gradient, jnp.sum(row.weight * loss.rho(r))
 
     return RowEquations(*jax.vmap(one_row)(rows))
 

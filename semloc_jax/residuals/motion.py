@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.robust import CAUCHY_SCALE, KERNELS
+from semloc_jax.residuals.robust import CAUCHY_SCALE, LOSSES
 
 
 def pose_residual(
@@ -210,9 +210,9 @@ def cauchy_cost(r: Float[Array, " k"], threshold: float) -> tuple[Float[Array, "
 
     Half the squared norm near zero; beyond `threshold` the cost grows with the logarithm of the norm.
     """
-    kernel, scale = KERNELS["cauchy"], CAUCHY_SCALE / threshold
+    loss, scale = LOSSES["cauchy"], CAUCHY_SCALE / threshold
     v = scale * jnp.linalg.norm(r)
-    return kernel.rho(v) / scale**2, jnp.sqrt(kernel.weight(v))
+    return loss.rho(v) / scale**2, jnp.sqrt(loss.weight(v))
 
 
 @cache

@@ -1,6 +1,6 @@
 """The hand-written kernels as JAX functions (room: residuals; pure JAX).
 
-In: arrays of one camera. Out: what the functions of the same names in this room return, for Tukey's kernel in float32.
+In: arrays of one camera. Out: what the functions of the same names in this room return, for Tukey's loss in float32.
 Each may be vmapped; operands that are the same for the whole batch are not copied. `use` says which way is taken.
 """
 
@@ -20,7 +20,7 @@ from semloc_jax.host import native_status
 from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.forward_only import forward_only
-from semloc_jax.residuals.robust import KERNELS, Kernel
+from semloc_jax.residuals.robust import LOSSES, RobustLoss
 from semloc_jax.residuals.texture import RampTexture, RampTextures
 from semloc_jax.structs import MapSamples
 
@@ -35,7 +35,7 @@ Points = tuple[Float[Array, "3 p"], Int[Array, " p"], Float[Array, " p"]]
 """Position [m], channel and weight of each sample."""
 
 
-def use(path: Path, camera: Camera, kernel: Kernel, dtype: DTypeLike) -> Path:
+def use(path: Path, camera: Camera, loss: RobustLoss, dtype: DTypeLike) -> Path:
     """The way that is taken for a camera model: `path` itself, or for `auto` the fastest one that is possible.
 
     Raises:
@@ -43,7 +43,7 @@ def use(path: Path, camera: Camera, kernel: Kernel, dtype: DTypeLike) -> Path:
     """
     if path == "xla":
         return path
-    why_not, model = _why_not(kernel, dtype), native_class_of(camera)
+    why_not, model = _why_not(loss, dtype), native_class_of(camera)
     if path == "auto":
         if why_not:
             return "xla"
@@ -60,11 +60,11 @@ def use(path: Path, camera: Camera, kernel: Kernel, dtype: DTypeLike) -> Path:
 
 def are_used(path: Path, dtype: DTypeLike) -> bool:
     """Whether what does not depend on camera or robust function is left to the kernels."""
-    return path != "xla" and not _why_not(KERNELS["tukey"], dtype)
+    return path != "xla" and not _why_not(LOSSES["tukey"], dtype)
 
 
-def _why_not(kernel: Kernel, dtype: DTypeLike) -> str:
-    if kernel is not KERNELS["tukey"]:
+def _why_not(loss: RobustLoss, dtype: DTypeLike) -> str:
+    if loss is not LOSSES["tukey"]:
         return "the kernels know the robust function 'tukey' only"
     if jnp.dtype(dtype) != jnp.float32:
         return f"the kernels are for float32, not {jnp.dtype(dtype).name}"

@@ -1,6 +1,6 @@
 """Fused normal equations of the alignment residual (room: residuals; pure JAX).
 
-In: pose, views, texture, kernel. Out: gradient and Gauss-Newton Hessian in the right tangent of T_map_base, and cost.
+In: pose, views, texture, loss. Out: gradient and Gauss-Newton Hessian in the right tangent of T_map_base, and cost.
 Residual i depends on point i only, so one reverse pass with the gradient of the texture gives the derivative by the
 point for any camera model; the pose enters by the cross product. Nothing of size n x 6 x 6 is ever stored.
 """
@@ -19,7 +19,7 @@ from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.alignment import CameraViews, points_in_camera
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.fusion_barrier import Walls, stored
-from semloc_jax.residuals.robust import Kernel
+from semloc_jax.residuals.robust import RobustLoss
 from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
 
 
@@ -36,7 +36,7 @@ def normal_equations(
     T_map_base: Float[Array, "4 4"],
     views: tuple[CameraViews, ...],
     texture: RampTexture,
-    kernel: Kernel,
+    loss: RobustLoss,
     path: native_kernels.Path = "auto",
 ) -> NormalEquations:
     """Gradient and Gauss-Newton Hessian of sum_i w_i rho(r_i) by the right tangent xi of T_map_base exp(xi).
@@ -45,20 +45,20 @@ def normal_equations(
         T_map_base: Vehicle pose relative to the local origin.
         views: Views of all cameras.
         texture: One level of the cost maps.
-        kernel: Robust kernel.
+        loss: Robust loss.
         path: How it is computed; all paths give the same numbers.
 
     Raises:
         SemlocError: the path is not possible here.
     """
-    return chart_equations(Chart.at(T_map_base), views, texture, kernel, path)
+    return chart_equations(Chart.at(T_map_base), views, texture, loss, path)
 
 
 def chart_equations(
     chart: Chart,
     views: tuple[CameraViews, ...],
     texture: RampTexture,
-    kernel: Kernel,
+    loss: RobustLoss,
     path: native_kernels.Path = "auto",
     skip: Bool[Array, ""] | bool = False,
 ) -> NormalEquations:
@@ -66,14 +66,14 @@ def chart_equations(
 
     Args:
         chart: Where the pose is, and its coordinates.
-        views, texture, kernel, path: as `normal_equations`.
+        views, texture, loss, path: as `normal_equations`.
         skip: True where the result is not needed: the kernels then compute nothing.
     """
     dtype = chart.y.dtype
     total = NormalEquations(jnp.zeros((6, 6), dtype), jnp.zeros(6, dtype), jnp.zeros((), dtype))
     for view in views:
-        chosen = native_kernels.use(path, view.camera, kernel, dtype)
-        one = partial(_PATHS[chosen], chart, texture=texture, kernel=kernel, skip=jnp.asarray(skip))
+        chosen = native_kernels.use(path, view.camera, loss, dtype)
+        one = partial(_PATHS[chosen], chart, texture=texture, loss=loss, skip=jnp.asarray(skip))
         parts = jax.vmap(one)(view)
         total = jax.tree.map(lambda whole, part: whole + jnp.sum(part, axis=0), total, NormalEquations(*parts))
     return total
@@ -94,8 +94,8 @@ def _autodiff(chart: Chart, view: CameraViews, *, texture: RampTexture, **_: obj
     return native_kernels.accumulate(chart, view.T_cam_base, points, jax.lax.complex(ax, ay), az, value)
 
 
-def _xla(chart: Chart, view: CameraViews, *, texture: RampTexture, kernel: Kernel, **_: object) -> tuple:
-    matrix, cost = _one_camera(chart.pose(), view, texture, kernel)
+def _xla(chart: Chart, view: CameraViews, *, texture: RampTexture, loss: RobustLoss, **_: object) -> tuple:
+    matrix, cost = _one_camera(chart.pose(), view, texture, loss)
     J = chart.jacobian()
     hessian = jnp.einsum("ki,kl,lj->ij", J, matrix[:6, :6], J, precision=jax.lax.Precision.HIGHEST)
     return hessian, jnp.einsum("ki,k->i", J, matrix[:6, 6], precision=jax.lax.Precision.HIGHEST), cost
@@ -104,7 +104,7 @@ def _xla(chart: Chart, view: CameraViews, *, texture: RampTexture, kernel: Kerne
 _PATHS = {"analytic": _analytic, "autodiff": _autodiff, "xla": _xla}
 
 
-def _one_camera(T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel) -> tuple[Array, Array]:
+def _one_camera(T_map_base: Array, view: CameraViews, texture: RampTexture, loss: RobustLoss) -> tuple[Array, Array]:
     """Augmented matrix [[H g] [g' .]] in the vehicle's tangent, and cost, of one camera."""
     # What several consumers need is stored: each would compute it again.
     walls = Walls.of(texture)
@@ -113,12 +113,12 @@ def _one_camera(T_map_base: Array, view: CameraViews, texture: RampTexture, kern
     texel = locate(texture, uv.real, uv.imag)
     (taps,) = stored(walls.odd, fetch(texture, texture.image_index(view.index, view.channel), texel))
     value, du, dv = blend(texture, taps, texel)
-    root = jnp.sqrt(view.weight * kernel.weight(value))
+    root = jnp.sqrt(view.weight * loss.weight(value))
     value, slope_uv = stored(walls.even, value, jax.lax.complex(root * du, root * dv))
 
     _, pull = jax.vjp(partial(_pixel, view.camera), x, y, z)
     ax, ay, az = pull((slope_uv.real, slope_uv.imag))
-    root = jnp.sqrt(view.weight * kernel.weight(value))
+    root = jnp.sqrt(view.weight * loss.weight(value))
     # Moving the camera by xi moves the point by -v - omega x p, hence the residual by -a.v + (a x p).omega.
     (linear,) = stored(walls.odd, _rows(-ax, -ay, -az, root * value))
     nx, ny, nz, _ = linear
@@ -128,7 +128,7 @@ def _one_camera(T_map_base: Array, view: CameraViews, texture: RampTexture, kern
     tangent = jnp.pad(lie.adjoint(view.T_cam_base), ((0, 0), (0, 1)))
     carry = jnp.concatenate([tangent[:3], jnp.eye(7, dtype=x.dtype)[6:], tangent[3:]])  # rows: v, residual, omega
     carried = jnp.einsum("ik,ij,jl->kl", carry, matrix, carry, precision=jax.lax.Precision.HIGHEST)
-    return carried, _total(view.weight * kernel.rho(value))
+    return carried, _total(view.weight * loss.rho(value))
 
 
 def _pixel(camera: Camera, x: Array, y: Array, z: Array) -> tuple[Array, Array]:

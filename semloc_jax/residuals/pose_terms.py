@@ -118,7 +118,7 @@ def terms_equations(terms: Terms, T_map_base: Float[Array, "4 4"]) -> Local:
 def terms_linearised(
     terms: Terms, T_map_base: Float[ArrayLike, "4 4"]
 ) -> tuple[Float[Array, " n"], Float[Array, "n 6"]]:
-    """Whitened residuals before any robust kernel, and their derivatives by the right tangent of the pose."""
+    """Whitened residuals before any robust loss, and their derivatives by the right tangent of the pose."""
     T_map_base = jnp.asarray(T_map_base)
     found = [_like(term, T_map_base).derivatives({"pose": T_map_base[None]}, {"pose": POSE}) for term in terms]
     return jnp.concatenate([r.ravel() for r, _ in found]), jnp.concatenate([J.reshape(-1, 6) for _, J in found])

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.alignment import CameraViews, Usable, alignment_residual, points_in_camera, visibility
 from semloc_jax.residuals.fusion_barrier import Walls, stored
-from semloc_jax.residuals.robust import KERNELS, Kernel
+from semloc_jax.residuals.robust import LOSSES, RobustLoss
 from semloc_jax.residuals.texture import RampTexture, blend, fetch, locate
 
 
@@ -32,7 +32,7 @@ def robust_cost(
     views: tuple[CameraViews, ...],
     texture: RampTexture,
     usable: Usable,
-    kernel: Kernel,
+    loss: RobustLoss,
     border_px: float,
     path: native_kernels.Path = "auto",
 ) -> RobustCost:
@@ -40,7 +40,7 @@ def robust_cost(
     summed, visible = jnp.zeros((), T_map_base.dtype), jnp.zeros((), T_map_base.dtype)
     for view in views:
         view = eqx.tree_at(lambda v: v.weight, view, visible_weight(T_map_base, view, usable, border_px, path))
-        summed = summed + jnp.sum(_summed(T_map_base, view, texture, kernel, path))
+        summed = summed + jnp.sum(_summed(T_map_base, view, texture, loss, path))
         ones = jnp.ones_like(view.weight[0])
         visible = visible + jnp.sum(jnp.dot(view.weight, ones, precision=jax.lax.Precision.HIGHEST))
     return RobustCost(summed, visible)
@@ -54,7 +54,7 @@ def visible_weight(
     path: native_kernels.Path = "auto",
 ) -> Float[Array, "cam p"]:
     """Weight of each sample where it can be seen from a pose, else 0."""
-    if native_kernels.use(path, view.camera, KERNELS["tukey"], T_map_base.dtype) != "analytic":
+    if native_kernels.use(path, view.camera, LOSSES["tukey"], T_map_base.dtype) != "analytic":
         return view.weight * visibility(T_map_base, view, usable, border_px)
 
     def one_camera(view: CameraViews) -> Array:
@@ -72,7 +72,7 @@ def ramp_values(
     path: native_kernels.Path = "auto",
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """`alignment_residual` where no derivative is wanted: by the kernels where they know the camera."""
-    if any(native_kernels.use(path, v.camera, KERNELS["tukey"], T_map_base.dtype) != "analytic" for v in views):
+    if any(native_kernels.use(path, v.camera, LOSSES["tukey"], T_map_base.dtype) != "analytic" for v in views):
         return alignment_residual(T_map_base, views, texture)
 
     def one_camera(view: CameraViews) -> Array:
@@ -89,7 +89,7 @@ def sums_by_piece(
     piece_of: Int[Array, " n"],
     texture: RampTexture,
     usable: Usable,
-    kernel: Kernel,
+    loss: RobustLoss,
     border_px: float,
     path: native_kernels.Path = "auto",
 ) -> Float[Array, "2 n"]:
@@ -102,15 +102,15 @@ def sums_by_piece(
             of its first sample on, at most one a sample.
         texture: One level of the cost maps.
         usable: Usable pixels.
-        kernel: Of the cost.
+        loss: Of the cost.
         border_px: Samples nearer to the border of the image are not used.
         path: As `normal_equations`.
     """
-    if any(native_kernels.use(path, v.camera, kernel, T_map_base.dtype) != "analytic" for v in views):
+    if any(native_kernels.use(path, v.camera, loss, T_map_base.dtype) != "analytic" for v in views):
         seen = [visible_weight(T_map_base, v, usable, border_px, path) for v in views]
         views = tuple(eqx.tree_at(lambda v: v.weight, v, weight) for v, weight in zip(views, seen, strict=True))
         r, weight = ramp_values(T_map_base, views, texture, path)
-        return sums_by_index(jnp.stack([weight, weight * kernel.rho(r)]), piece_of, len(piece_of), path)
+        return sums_by_index(jnp.stack([weight, weight * loss.rho(r)]), piece_of, len(piece_of), path)
 
     def one_camera(view: CameraViews, piece: Int[Array, " p"]) -> Array:
         points, camera = (view.p_map, view.channel, view.weight), (view.camera, view.T_cam_base)
@@ -137,10 +137,10 @@ def sums_by_index(
 
 
 def _summed(
-    T_map_base: Array, view: CameraViews, texture: RampTexture, kernel: Kernel, path: native_kernels.Path
+    T_map_base: Array, view: CameraViews, texture: RampTexture, loss: RobustLoss, path: native_kernels.Path
 ) -> Float[Array, " cam"]:
     """sum_i w_i rho(r_i) / rho(1) of each camera."""
-    native = native_kernels.use(path, view.camera, kernel, T_map_base.dtype) == "analytic"
+    native = native_kernels.use(path, view.camera, loss, T_map_base.dtype) == "analytic"
 
     def one_camera(view: CameraViews) -> Array:
         if native:
@@ -153,7 +153,7 @@ def _summed(
         (taps,) = stored(walls.even, fetch(texture, texture.image_index(view.index, view.channel), texel))
         value, _, _ = blend(texture, taps, texel)
         ones = jnp.ones_like(view.weight)
-        return jnp.dot(view.weight * kernel.rho(value), ones, precision=jax.lax.Precision.HIGHEST) / kernel.worst
+        return jnp.dot(view.weight * loss.rho(value), ones, precision=jax.lax.Precision.HIGHEST) / loss.worst
 
     return jax.vmap(one_camera)(view)
 

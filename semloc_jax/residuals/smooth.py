@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from semloc_jax.residuals.alignment import CameraViews, Usable, points_in_camera
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.structs import CostMaps
 
 
@@ -31,8 +31,8 @@ class ChannelModel(eqx.Module):
     """Factor on the weight of the samples of the channel."""
     ramp_px: Float[Array, " channel"]
     """Distance at which the ramp ends [px]; of effect up to the ramp of the stored cost map."""
-    kernel_scale: Float[Array, " channel"]
-    """Where the robust kernel saturates, as a share of the ramp."""
+    loss_scale: Float[Array, " channel"]
+    """Where the robust loss saturates, as a share of the ramp."""
     noise_px: Float[Array, " channel"]
     """Standard deviation of the boundary [px]."""
 
@@ -156,11 +156,11 @@ def distance_patch(u: Array, v: Array, view: CameraViews, maps: DistanceMaps) ->
 
 
 def reach_and_gain(channel: Int[Array, "*n"], model: ChannelModel) -> tuple[Array, Array]:
-    """Distance at which the kernel saturates [px], and nats of one observation for each unit of its penalty.
+    """Distance at which the loss saturates [px], and nats of one observation for each unit of its penalty.
 
-    Tukey's kernel: where it saturates slope and curvature are zero on both sides, so second derivatives are continuous.
+    Tukey's loss: where it saturates slope and curvature are zero on both sides, so second derivatives are continuous.
     """
-    reach_px = (model.ramp_px * model.kernel_scale)[channel]
+    reach_px = (model.ramp_px * model.loss_scale)[channel]
     return reach_px, model.weight[channel] * (reach_px / model.noise_px[channel]) ** 2
 
 
@@ -200,5 +200,5 @@ def smooth_cost(
     total = jnp.zeros((), T_map_base.dtype)
     for view, weight, distance in zip(scene.views, weights, smooth_distances(T_map_base, scene), strict=True):
         reach_px, gain = reach_and_gain(view.channel, scene.model)
-        total = total + jnp.sum(weight * gain * KERNELS["tukey"].rho(distance / reach_px))
+        total = total + jnp.sum(weight * gain * LOSSES["tukey"].rho(distance / reach_px))
     return total

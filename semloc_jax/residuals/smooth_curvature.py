@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from semloc_jax.residuals.alignment import CameraViews, points_in_camera
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.smooth import (
     SmoothScene,
     cubic_value,
@@ -61,11 +61,11 @@ class SampleExpansion(NamedTuple):
     hessian: Float[Array, "3 3 p"]
     """Derivative of the gradient (first index), weights following the place of the sample."""
     information: Float[Array, "3 3 p"]
-    """What is left of the curvature in Gauss-Newton's approximation, with the weight of the kernel."""
+    """What is left of the curvature in Gauss-Newton's approximation, with the weight of the loss."""
     distance_px: Float[Array, " p"]
     """Signed distance to the boundary of its own channel."""
     pull: Float[Array, " p"]
-    """Weight of the kernel: 1 on the boundary, 0 where it has let go."""
+    """Weight of the loss: 1 on the boundary, 0 where it has let go."""
 
 
 def sample_expansion(T_map_base: Float[Array, "4 4"], view: CameraViews, scene: SmoothScene) -> SampleExpansion:
@@ -79,7 +79,7 @@ def sample_expansion(T_map_base: Float[Array, "4 4"], view: CameraViews, scene: 
     first = [cubic_value(patch, *order) / (stride * reach_px) for order in ((1, 0), (0, 1))]
     second = [cubic_value(patch, *order) / (stride * stride * reach_px) for order in ((2, 0), (1, 1), (0, 2))]
 
-    held = KERNELS["tukey"].weight(ratio)
+    held = LOSSES["tukey"].weight(ratio)
     push, curve = gain * ratio * held, gain * _rho_curvature(ratio)
     by_uv = [push * first[0], push * first[1]]
     twice_uv = [curve * first[i] * first[j] + push * second[i + j] for i, j in ((0, 0), (0, 1), (1, 1))]
@@ -98,7 +98,7 @@ def sample_expansion(T_map_base: Float[Array, "4 4"], view: CameraViews, scene: 
         return weight * evidence + full * by_p[i] * fade_by_p[j]
 
     return SampleExpansion(
-        gain * KERNELS["tukey"].rho(ratio),
+        gain * LOSSES["tukey"].rho(ratio),
         weight,
         weight * jnp.stack(by_p),
         jnp.stack([jnp.stack([twice(i, j) for j in range(3)]) for i in range(3)]),

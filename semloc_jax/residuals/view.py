@@ -20,7 +20,7 @@ from semloc_jax.residuals import native_kernels
 from semloc_jax.residuals.native_kernels import Path
 from semloc_jax.residuals.noise import NoiseModel
 from semloc_jax.residuals.projection import projected
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.structs import ElementClass, MapSamples, SampleKind, ViewSamples
 
 
@@ -113,7 +113,7 @@ def view(
     dtype = T_map_base.dtype
     buckets = []
     for camera, T_base_cam in zip(rig.cameras, rig.T_base_cam, strict=True):
-        native = native_kernels.use(config.path, camera, KERNELS["tukey"], dtype) == "analytic"
+        native = native_kernels.use(config.path, camera, LOSSES["tukey"], dtype) == "analytic"
         one_camera = _native_view if native else _camera_view
         T_base_cam = jnp.asarray(T_base_cam, dtype)
         buckets.append(one_camera(samples, points, T_map_base, T_base_cam, camera, channel_of_label, config, grain))

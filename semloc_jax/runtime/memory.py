@@ -1,13 +1,16 @@
-"""Small results that are worth keeping between processes (room: runtime; host).
+"""Results that are worth keeping: between processes on disk, or for the object they were made from (room: runtime;
+host).
 
-In: what a result depends on, a function that finds it. Out: the result, from disk where it was found before.
+In: what a result depends on, a function that finds it. Out: the result, which is found once.
 """
 
 import hashlib
 import json
+from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 
@@ -50,3 +53,24 @@ def _stat(path: Path) -> tuple[int, int]:
     except OSError:
         return 0, 0
     return stat.st_mtime_ns, stat.st_size
+
+
+Result = TypeVar("Result")
+_KEPT = 16
+"""Results of each function: those of one drive, whose frames share their rig."""
+
+
+def once_for_each(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Decorator: the last results, by the identity of the first argument, which must not change, and the others."""
+    kept: OrderedDict[tuple, tuple[object, Result]] = OrderedDict()
+
+    @wraps(function)
+    def remembered(first: object, *others: object) -> Result:
+        key = (id(first), *others)
+        if key not in kept:
+            kept[key] = first, function(first, *others)  # with the object, so that no other one gets its id
+            while len(kept) > _KEPT:
+                kept.popitem(last=False)
+        return kept[key][1]
+
+    return remembered

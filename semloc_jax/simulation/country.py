@@ -14,22 +14,17 @@ from semloc_jax.simulation.elements import Painter
 from semloc_jax.simulation.paint import GroundArea, wear_pattern
 from semloc_jax.simulation.path import winding_path
 from semloc_jax.simulation.scene import World
-from semloc_jax.simulation.solids import Ball, Frustum, Solid
+from semloc_jax.simulation.solids import Solid, tree
 from semloc_jax.simulation.surface import rolling_surface
 
 LANE_M = 3.0
 _BEHIND_M, _AHEAD_M = 40.0, 160.0
 _POSTS_M = 50.0
 _VERGE_M = 1.0
+_DASH_AND_GAP_M = 4.0, 8.0
 
 
-def build_country_road(
-    rng: np.random.Generator,
-    length_m: float,
-    wear_share: float,
-    crown: float,
-    dash_and_gap_m: tuple[float, float] = (4.0, 8.0),
-) -> World:
+def build_country_road(rng: np.random.Generator, length_m: float, wear_share: float, crown: float) -> World:
     """A road of two lanes whose right one the vehicle drives from s = 0 to s = `length_m`.
 
     Lateral offsets d are from the middle of that lane: the right edge line at -1.5, the dashes on the crown at 1.5, the
@@ -40,7 +35,6 @@ def build_country_road(
         length_m: way to drive.
         wear_share: share of the paint that is worn off.
         crown: share by which the road falls to both sides.
-        dash_and_gap_m: lengths of dashes and of the gaps between them.
     """
     start, end = -_BEHIND_M, length_m + _AHEAD_M
     path = winding_path(rng, start - 60.0, end + 60.0, start_heading_rad=rng.uniform(-np.pi, np.pi))
@@ -49,14 +43,14 @@ def build_country_road(
     elements = [
         painter.line("edge_right", "lane_solid", -0.5 * LANE_M, start, end, 0.12),
         painter.line("edge_left", "lane_solid", 1.5 * LANE_M, start, end, 0.12),
-        *painter.dashes("dash", 0.5 * LANE_M, start + rng.uniform(0.0, sum(dash_and_gap_m)), end, *dash_and_gap_m),
+        *painter.dashes("dash", 0.5 * LANE_M, start + rng.uniform(0.0, sum(_DASH_AND_GAP_M)), end, *_DASH_AND_GAP_M),
         *_posts(painter, rng, start, end),
     ]
     areas = (_asphalt(painter, start, end),)
     worn = wear_pattern(wear_share, rng)
     trees = tuple(_trees(painter, rng, start, end))
     rest, sky = CLASS_IDS["terrain"], CLASS_IDS["sky"]
-    return World(tuple(elements), painter.surface, areas, rest, worn, trees, lambda time_s: (), path, sky)
+    return World(tuple(elements), painter.surface, areas, rest, worn, path, sky, trees)
 
 
 def _posts(painter: Painter, rng: np.random.Generator, start: float, end: float) -> list[MapElement]:
@@ -82,7 +76,5 @@ def _trees(painter: Painter, rng: np.random.Generator, start: float, end: float)
     for d in (-0.5 * LANE_M - 6.0, 1.5 * LANE_M + 6.0):
         for s in np.arange(start, end, 17.0):
             base = painter.place(float(s + rng.uniform(-6.0, 6.0)), d + float(np.sign(d) * rng.uniform(0.0, 4.0)))
-            crown = rng.uniform(1.5, 3.0)
-            solids.append(Frustum(CLASS_IDS["vegetation"], (0.2, 0.28, 0.35), base, 4.0, 0.2, 0.15))
-            solids.append(Ball(CLASS_IDS["vegetation"], (0.15, 0.4, 0.22), base + [0.0, 0.0, 3.6 + crown], crown))
+            solids += tree(base, rng.uniform(1.5, 3.0), 3.6, (4.0, 0.2, 0.15))
     return solids

@@ -20,6 +20,9 @@ _SPACING_M = 1.0
 
 _STYLES = {"lane_solid": "solid", "lane_dashed": "dashed", "lane_boundary": VIRTUAL}
 
+_LIGHT_M = 0.32, 0.95
+"""Width and height of a traffic light."""
+
 ARROW = np.array([(-2.5, -0.08), (0.9, -0.08), (0.9, -0.4), (2.5, 0.0), (0.9, 0.4), (0.9, 0.08), (-2.5, 0.08)])
 """Outline of a straight arrow: along it and across [m], the tip ahead."""
 
@@ -119,11 +122,11 @@ def cone(name: str, base: np.ndarray) -> MapElement:
     return MapElement(name, ElementClass.CONE, points, radius_m=0.15, attributes=attributes)
 
 
-def traffic_light(name: str, foot: np.ndarray, width_m: float = 0.32, height_m: float = 0.95) -> MapElement:
+def traffic_light(name: str, foot: np.ndarray) -> MapElement:
     """The housing of a traffic light above `foot`."""
-    points = np.array([foot, foot + [0.0, 0.0, height_m]])
-    attributes = {"class": "traffic_light", "width": width_m}
-    return MapElement(name, ElementClass.TRAFFIC_LIGHT, points, width_m=width_m, attributes=attributes)
+    points = np.array([foot, foot + [0.0, 0.0, _LIGHT_M[1]]])
+    attributes = {"class": "traffic_light", "width": _LIGHT_M[0]}
+    return MapElement(name, ElementClass.TRAFFIC_LIGHT, points, width_m=_LIGHT_M[0], attributes=attributes)
 
 
 def sign(name: str, center: np.ndarray, facing_rad: float, shape: str, size_m: float) -> MapElement:

@@ -39,19 +39,21 @@ class ChangeShares:
     repainted: float = 0.04
 
 
-def at_epoch(world: World, key: Sequence[int], epoch: int, shares: ChangeShares | None = None) -> tuple[World, dict]:
+_SHARES = ChangeShares()
+
+
+def at_epoch(world: World, key: Sequence[int], epoch: int) -> tuple[World, dict]:
     """The world after all changes up to an epoch, and the content of changes.json.
 
     Args:
         world: that of epoch 0.
         key: seed of the world; an epoch changes what it changes whichever epoch is asked for.
         epoch: 0 leaves everything as it is.
-        shares: how much changes.
     """
     before = now = world
     for number in range(1, epoch + 1):
         before = now
-        now = _next(now, np.random.default_rng([*key, number]), number, shares or ChangeShares())
+        now = _next(now, np.random.default_rng([*key, number]), number)
     return now, {
         "epoch": epoch,
         "since_epoch_0": changes_between(world.elements, now.elements),
@@ -87,12 +89,12 @@ def changes_between(before: Sequence[MapElement], after: Sequence[MapElement]) -
     return changes
 
 
-def _next(world: World, rng: np.random.Generator, epoch: int, shares: ChangeShares) -> World:
+def _next(world: World, rng: np.random.Generator, epoch: int) -> World:
     """The world one epoch later."""
     things = _things(world.elements)
     loose = [thing for thing in things if _is_loose(thing)]
     order = rng.permutation(len(loose)).tolist()
-    counts = [max(1, round(share * len(loose))) for share in (shares.removed, shares.moved, shares.added)]
+    counts = [max(1, round(share * len(loose))) for share in (_SHARES.removed, _SHARES.moved, _SHARES.added)]
     ends = np.cumsum(counts).tolist()
     removed = {e.id for k in order[: ends[0]] for e in loose[k]}
     changed: dict[str, MapElement] = {}
@@ -101,7 +103,7 @@ def _next(world: World, rng: np.random.Generator, epoch: int, shares: ChangeShar
         changed |= {e.id: e for e in site.moved(loose[k], rng)}
     added = [e for k in order[ends[1] : ends[2]] for e in site.copied(loose[k], rng, f"new{epoch}_")]
     plates = [e for e in world.elements if _look(e) and e.id not in removed and e.id not in changed]
-    for k in rng.permutation(len(plates))[: max(1, round(shares.repainted * len(plates)))].tolist():
+    for k in rng.permutation(len(plates))[: max(1, round(_SHARES.repainted * len(plates)))].tolist():
         changed[plates[k].id] = _repainted(plates[k], rng)
     kept = [changed.get(e.id, e) for e in world.elements if e.id not in removed]
     return replace(world, elements=(*kept, *added))

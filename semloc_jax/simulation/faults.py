@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from semloc_jax.cameras import Rig
 from semloc_jax.datasets.base import Drive
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import MapElement, SemanticMap
@@ -20,8 +19,10 @@ from semloc_jax.simulation.faulty_drive import (
     MaskChange,
     log_rows,
     seen_through,
+    with_late_sensors,
 )
-from semloc_jax.simulation.passing_faults import PASSING
+from semloc_jax.simulation.hostile import PASSING
+from semloc_jax.simulation.standing_cameras import with_mounts
 from semloc_jax.simulation.standing_faults import STANDING, require_severity, standing_fault
 
 _USUAL_SEVERITY = 2
@@ -119,12 +120,7 @@ def _no_odometry(maker: Maker) -> FaultyDrive:
 
 def _time_offset(maker: Maker) -> FaultyDrive:
     # The truth is that of the exposures: what a frame is off by is what the sensors make of it.
-    late = {
-        name: replace(log, time_s=log.time_s + maker.sizes.clock_s)
-        for name in ("gnss", "odometry", "imu")
-        if (log := getattr(maker.drive, name)) is not None
-    }
-    return maker.made(replace(maker.drive, **late), maker.drive.frames[0].time_s, maker.end_s)
+    return maker.whole(drive=with_late_sensors(maker.drive, maker.sizes.clock_s))
 
 
 def _camera_pitch(maker: Maker) -> FaultyDrive:
@@ -132,16 +128,10 @@ def _camera_pitch(maker: Maker) -> FaultyDrive:
     turn = np.eye(4)
     turn[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
 
-    def bumped(rig: Rig) -> Rig:
-        T_base_cam = np.array(rig.T_base_cam, dtype=np.float64)
-        T_base_cam[0] = T_base_cam[0] @ turn
-        return Rig(rig.cameras, T_base_cam, rig.names)
+    def bump(Ts_base_cam: np.ndarray) -> None:
+        Ts_base_cam[0] = Ts_base_cam[0] @ turn
 
-    rig = bumped(maker.drive.rig)
-    frames = tuple(
-        replace(frame, rig=rig if frame.rig is maker.drive.rig else bumped(frame.rig)) for frame in maker.drive.frames
-    )
-    return maker.made(replace(maker.drive, rig=rig, frames=frames), frames[0].time_s, maker.end_s)
+    return with_mounts(maker, bump)
 
 
 def _kidnapped(maker: Maker) -> FaultyDrive:

@@ -112,23 +112,30 @@ class Maker:
         begin_s, end_s = drive.frames[0].time_s, drive.frames[-1].time_s
         return FaultyDrive(self.name, drive, semantic_map or self.semantic_map, begin_s, end_s)
 
+    def with_log(self, name: str, **columns: np.ndarray) -> FaultyDrive:
+        """The whole drive with other columns in its `gnss`, `odometry` or `imu`."""
+        return self.whole(drive=replace(self.drive, **{name: replace(getattr(self, name), **columns)}))
+
     @property
     def truth(self) -> Trajectory:
-        if self.drive.truth is None:
-            raise SemlocError(f"fault '{self.name}': drive {self.drive.name} has no truth to say where its way runs")
-        return self.drive.truth
+        return self._needed(self.drive.truth, "truth to say where its way runs")
 
     @property
     def gnss(self) -> GnssTrack:
-        if self.drive.gnss is None:
-            raise SemlocError(f"fault '{self.name}': drive {self.drive.name} has no satellite fixes to disturb")
-        return self.drive.gnss
+        return self._needed(self.drive.gnss, "satellite fixes to disturb")
 
     @property
     def odometry(self) -> WheelOdometry:
-        if self.drive.odometry is None:
-            raise SemlocError(f"fault '{self.name}': drive {self.drive.name} has no wheel odometry to disturb")
-        return self.drive.odometry
+        return self._needed(self.drive.odometry, "wheel odometry to disturb")
+
+    @property
+    def imu(self) -> Imu:
+        return self._needed(self.drive.imu, "inertial sensor to disturb")
+
+    def _needed(self, log: Log | None, what: str) -> Log:
+        if log is None:
+            raise SemlocError(f"fault '{self.name}': drive {self.drive.name} has no {what}")
+        return log
 
 
 def seen_through(
@@ -149,3 +156,9 @@ def log_rows(log: Log, is_kept: np.ndarray) -> Log:
     """A log with some of its samples."""
     columns: dict[str, Any] = {field.name: getattr(log, field.name) for field in fields(log)}
     return replace(log, **{name: rows[is_kept] for name, rows in columns.items() if isinstance(rows, np.ndarray)})
+
+
+def with_late_sensors(drive: Drive, size_s: float) -> Drive:
+    """The drive whose wheels, inertial sensor and receiver state a time later than that of its cameras."""
+    logs = {name: log for name in ("gnss", "odometry", "imu") if (log := getattr(drive, name)) is not None}
+    return replace(drive, **{name: replace(log, time_s=log.time_s + size_s) for name, log in logs.items()})

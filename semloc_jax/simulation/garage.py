@@ -64,11 +64,9 @@ def build_garage(
         areas=(GroundArea(CLASS_IDS["road"], floor),),
         rest=CLASS_IDS["wall"],
         worn=worn,
-        bodies=(),
-        traffic=lambda time_s: (),
         path=driven,
         backdrop=CLASS_IDS["wall"],
-        ego=(own_body(CLASS_IDS["ego"]),),
+        ego=(own_body(),),
         parked=tuple(solids),
         along=aisle,
     )
@@ -157,5 +155,5 @@ def _parked_cars(
             base = painter.place(x + 0.5 * _SLOT_M[0] + rng.uniform(-0.15, 0.15), y)
             turned = rotation_about_z(0.5 * np.pi * rng.choice([-1.0, 1.0]) + rng.uniform(-0.03, 0.03))
             color = tuple(rng.uniform(0.1, 0.85, 3))
-            solids += car(base, turned, CLASS_IDS["vehicle"], color)
+            solids += car(base, turned, color)
     return solids

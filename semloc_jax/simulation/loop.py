@@ -14,7 +14,6 @@ from jaxtyping import Float
 from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.maps import MapElement
 from semloc_jax.simulation import elements as make
-from semloc_jax.simulation.closed_line import ClosedLine, closed_line
 from semloc_jax.simulation.elements import Painter
 from semloc_jax.simulation.intersection import (
     LANE_M,
@@ -25,8 +24,9 @@ from semloc_jax.simulation.intersection import (
     random_look,
 )
 from semloc_jax.simulation.paint import GroundArea, wear_pattern
+from semloc_jax.simulation.path import ClosedLine, closed_line
 from semloc_jax.simulation.scene import World
-from semloc_jax.simulation.solids import Ball, Box, Frustum, Solid, rotation_about_z
+from semloc_jax.simulation.solids import Solid, house, rotation_about_z, tree
 from semloc_jax.simulation.surface import rolling_surface
 
 _TAPER_M = 35.0
@@ -128,7 +128,7 @@ def build_loop(plan: LoopPlan, rng: np.random.Generator, wear_share: float) -> W
     worn = wear_pattern(wear_share, rng)
     bodies = _surroundings(painter, plan, rng)
     rest, sky = CLASS_IDS["terrain"], CLASS_IDS["sky"]
-    return World(tuple(elements), surface, tuple(areas), rest, worn, tuple(bodies), lambda time_s: (), road, sky)
+    return World(tuple(elements), surface, tuple(areas), rest, worn, road, sky, tuple(bodies))
 
 
 def _stretches(plan: LoopPlan) -> list[tuple[str, float, float]]:
@@ -282,9 +282,7 @@ def _house(
     corners = base[:2] + corners @ turned[:2, :2].T
     if not exists or streets.intersects(shapely.Polygon(corners)):
         return []
-    color = tuple(shade * np.array([0.75, 0.9, 1.0]))
-    size = (float(width), float(depth), float(height) + 4.0)
-    return [Box(CLASS_IDS["building"], color, base + [0.0, 0.0, 0.5 * height - 2.0], size, turned)]
+    return [house(base, turned, (float(width), float(depth), float(height)), shade)]
 
 
 def _tree(
@@ -295,8 +293,4 @@ def _tree(
     base = painter.place(s, d)
     if streets.intersects(shapely.Point(base[:2]).buffer(0.3)):
         return []
-    green = CLASS_IDS["vegetation"]
-    return [
-        Frustum(green, (0.2, 0.28, 0.35), base, 3.0, 0.16, 0.12),
-        Ball(green, (0.15, 0.4, 0.22), base + [0.0, 0.0, 3.0 + crown], crown),
-    ]
+    return tree(base, crown, 3.0)

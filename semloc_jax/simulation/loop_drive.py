@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.simulation.intersection import LANE_M
 from semloc_jax.simulation.loop import LoopPlan
+from semloc_jax.simulation.motion import DrivingStyle, RouteMotion, driven_line, on_table, timed
 from semloc_jax.simulation.path import PlanePath
-from semloc_jax.simulation.route_motion import DrivingStyle, RouteMotion, driven_line, on_table, timed
 from semloc_jax.simulation.solids import Solid, car
 from semloc_jax.simulation.surface import Surface
 
@@ -125,10 +124,6 @@ def loop_traffic(
         near = np.linalg.norm(xy - here, axis=1) < _SEEN_M
         stands = surface.stand(xy[near], heading[near])
         shown = [color for color, is_near in zip(colors, near, strict=False) if is_near]
-        return [
-            solid
-            for T, color in zip(stands, shown, strict=True)
-            for solid in car(T[:3, 3], T[:3, :3], CLASS_IDS["vehicle"], color)
-        ]
+        return [solid for T, color in zip(stands, shown, strict=True) for solid in car(T[:3, 3], T[:3, :3], color)]
 
     return cars

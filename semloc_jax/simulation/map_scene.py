@@ -299,4 +299,4 @@ def _car_ahead(path: PlanePath, surface: Surface, s_m: float, color: tuple) -> l
         return []
     s = np.array([s_m])
     T = surface.stand(path.at(s), path.heading_at(s))[0]
-    return car(T[:3, 3], T[:3, :3], CLASS_IDS["vehicle"], color)
+    return car(T[:3, 3], T[:3, :3], color)

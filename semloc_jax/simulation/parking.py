@@ -45,11 +45,9 @@ def build_hall(plan: ParkingPlan, rng: np.random.Generator, wear_share: float) -
         areas=(GroundArea(CLASS_IDS["road"], floor_outline(plan, 0.0)),),
         rest=wall,
         worn=wear_pattern(wear_share, rng),
-        bodies=(),
-        traffic=lambda time_s: (),
         path=painter.path,
         backdrop=wall,
-        ego=(own_body(CLASS_IDS["ego"]),),
+        ego=(own_body(),),
         glyphs=tuple((number_paint(row, slot), paint) for row, slot in numbered),
         features=tuple(_number_feature(painter, row, slot) for row, slot in numbered),
     )
@@ -77,7 +75,7 @@ def _parked_car(world: World, row: SlotRow, slot: int, rng: np.random.Generator)
     a, b = row.pitch_m * (slot + 0.5) + rng.uniform(-0.12, 0.12), row.depth_m * 0.5 + rng.uniform(-0.12, 0.08)
     base = world.surface.drape(row.at(np.array([a]), np.array([b])))[0]
     yaw = row.heading_in() + np.pi * rng.integers(2) + rng.uniform(-0.03, 0.03)
-    return car(base, rotation_about_z(float(yaw)), CLASS_IDS["vehicle"], tuple(rng.uniform(0.1, 0.85, 3)))
+    return car(base, rotation_about_z(float(yaw)), tuple(rng.uniform(0.1, 0.85, 3)))
 
 
 def square_painter(plan: ParkingPlan, surface: Surface) -> Painter:

@@ -10,9 +10,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.polyline import arc_length
+from semloc_jax.simulation.motion import DrivingStyle, RouteMotion, driven_line, on_table, timed
 from semloc_jax.simulation.parking_plan import ParkingPlan
 from semloc_jax.simulation.path import PlanePath
-from semloc_jax.simulation.route_motion import DrivingStyle, RouteMotion, driven_line, on_table, timed
 from semloc_jax.simulation.slot_rows import SlotRow
 from semloc_jax.simulation.surface import Surface
 
@@ -145,7 +146,7 @@ def _rounded(corners: Sequence[tuple[float, float]]) -> np.ndarray:
 
 
 def _evenly(line: np.ndarray) -> np.ndarray:
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    s = arc_length(line)
     at = np.linspace(0.0, s[-1], round(s[-1] / 0.1) + 1)
     return np.column_stack([np.interp(at, s, line[:, axis]) for axis in range(2)])
 

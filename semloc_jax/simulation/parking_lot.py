@@ -21,7 +21,7 @@ from semloc_jax.simulation.parking import (
 from semloc_jax.simulation.parking_plan import ParkingPlan
 from semloc_jax.simulation.scene import World
 from semloc_jax.simulation.slot_rows import row_elements
-from semloc_jax.simulation.solids import Ball, Box, Frustum, Solid, own_body
+from semloc_jax.simulation.solids import Solid, house, own_body, tree
 from semloc_jax.simulation.surface import rolling_surface
 
 _SIDEWALK_M = 2.2
@@ -46,10 +46,9 @@ def build_lot(plan: ParkingPlan, rng: np.random.Generator, wear_share: float) ->
         rest=CLASS_IDS["terrain"],
         worn=wear_pattern(wear_share, rng),
         bodies=tuple(_surroundings(painter, plan, rng)),
-        traffic=lambda time_s: (),
         path=painter.path,
         backdrop=CLASS_IDS["sky"],
-        ego=(own_body(CLASS_IDS["ego"]),),
+        ego=(own_body(),),
     )
 
 
@@ -69,7 +68,7 @@ def _lamps(painter: Painter, plan: ParkingPlan, rng: np.random.Generator) -> lis
 def _surroundings(painter: Painter, plan: ParkingPlan, rng: np.random.Generator) -> list[Solid]:
     """Trees behind the sidewalk all around, and houses on one side."""
     (x0, y0), (x1, y1) = plan.low_xy, plan.high_xy
-    beyond_m, green = _SIDEWALK_M + 2.6, CLASS_IDS["vegetation"]
+    beyond_m = _SIDEWALK_M + 2.6
     across = np.arange(x0, x1, float(rng.uniform(9.0, 14.0))).tolist()
     upward = np.arange(y0, y1, float(rng.uniform(9.0, 14.0))).tolist()
     places = [(x, y) for x in across for y in (y0 - beyond_m, y1 + beyond_m)]
@@ -79,12 +78,10 @@ def _surroundings(painter: Painter, plan: ParkingPlan, rng: np.random.Generator)
         crown, exists = float(rng.uniform(1.3, 2.2)), rng.random() < 0.75
         base = painter.place(x + float(rng.uniform(-1.0, 1.0)), y)
         if exists:
-            solids.append(Frustum(green, (0.2, 0.28, 0.35), base, 3.0, 0.16, 0.12))
-            solids.append(Ball(green, (0.15, 0.4, 0.22), base + [0.0, 0.0, 2.8 + crown], crown))
+            solids += tree(base, crown, 2.8)
     for x in np.arange(x0 + 8.0, x1, 24.0).tolist():
         height_m = float(rng.uniform(6.0, 14.0))
         base = painter.place(x, y1 + beyond_m + 12.0)
-        size = (float(rng.uniform(13.0, 20.0)), 11.0, height_m + 4.0)
-        color = tuple(rng.uniform(0.35, 0.75) * np.array([0.75, 0.9, 1.0]))
-        solids.append(Box(CLASS_IDS["building"], color, base + [0.0, 0.0, 0.5 * height_m - 2.0], size, np.eye(3)))
+        size = (float(rng.uniform(13.0, 20.0)), 11.0, height_m)
+        solids.append(house(base, np.eye(3), size, rng.uniform(0.35, 0.75)))
     return solids

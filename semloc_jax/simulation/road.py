@@ -15,7 +15,7 @@ from semloc_jax.simulation.elements import Painter
 from semloc_jax.simulation.paint import GroundArea, wear_pattern
 from semloc_jax.simulation.path import winding_path
 from semloc_jax.simulation.scene import World
-from semloc_jax.simulation.solids import Ball, Box, Frustum, Solid, car, rotation_about_z
+from semloc_jax.simulation.solids import Solid, car, house, rotation_about_z, tree
 from semloc_jax.simulation.surface import rolling_surface
 from semloc_jax.structs import ElementClass
 
@@ -61,7 +61,7 @@ def build_road(
         return [solid for plan in cars for solid in _car_at(painter, time_s, *plan)]
 
     rest, sky = CLASS_IDS["terrain"], CLASS_IDS["sky"]
-    return World(tuple(elements), surface, tuple(areas), rest, worn, tuple(bodies), traffic, path, sky)
+    return World(tuple(elements), surface, tuple(areas), rest, worn, path, sky, tuple(bodies), traffic)
 
 
 def _lane_lines(painter: Painter, start: float, end: float, junctions: list[float]) -> list[MapElement]:
@@ -115,9 +115,8 @@ def _roadside(
         facing = painter.heading(float(s)) + np.pi + rng.uniform(-0.1, 0.1)
         center = base + [0.05 * np.cos(facing), 0.05 * np.sin(facing), rng.uniform(2.1, 2.5)]
         shape = str(rng.choice(["circle", "triangle", "rectangle"]))
-        elements.append(
-            make.pole(f"sign_post_{number}", base, float(center[2] - base[2]) + 0.4, 0.035, 0.035, "sign_post")
-        )
+        height_m = float(center[2] - base[2]) + 0.4
+        elements.append(make.pole(f"sign_post_{number}", base, height_m, 0.035, 0.035, "sign_post"))
         elements.append(make.sign(f"sign_{number}", center, facing, shape, rng.uniform(0.6, 0.9)))
     return elements
 
@@ -142,14 +141,10 @@ def _surroundings(painter: Painter, rng: np.random.Generator, start: float, end:
             depth, width, height = rng.uniform(8.0, 14.0), rng.uniform(12.0, 20.0), rng.uniform(6.0, 18.0)
             base = painter.place(float(s), d + side * (9.0 + 0.5 * depth))
             wall = rotation_about_z(painter.heading(float(s)))
-            color = tuple(rng.uniform(0.35, 0.75) * np.array([0.75, 0.9, 1.0]))
-            size = (width, depth, height + 4.0)
-            solids.append(Box(CLASS_IDS["building"], color, base + [0.0, 0.0, 0.5 * height - 2.0], size, wall))
+            solids.append(house(base, wall, (width, depth, height), rng.uniform(0.35, 0.75)))
         for s in np.arange(start, end, 33.0) + rng.uniform(-8.0, 8.0):
             base = painter.place(float(s), d + side * 5.5)
-            crown = rng.uniform(1.3, 2.0)
-            solids.append(Frustum(CLASS_IDS["vegetation"], (0.2, 0.28, 0.35), base, 3.0, 0.16, 0.12))
-            solids.append(Ball(CLASS_IDS["vegetation"], (0.15, 0.4, 0.22), base + [0.0, 0.0, 2.6 + crown], crown))
+            solids += tree(base, rng.uniform(1.3, 2.0), 2.6)
     return solids
 
 
@@ -168,4 +163,4 @@ def _car_at(painter: Painter, time_s: float, start_m: float, speed_mps: float, d
         return []
     base = painter.place(s, d_m)
     T = painter.surface.stand(base[None, :2], np.array([painter.heading(s)]))[0]
-    return car(base, T[:3, :3], CLASS_IDS["vehicle"], color)
+    return car(base, T[:3, :3], color)

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from semloc_jax.datasets.tables import read_columns
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import read_trajectory
+from semloc_jax.geometry.polyline import arc_length
 from semloc_jax.maps import MapElement
 from semloc_jax.simulation.path import PlanePath
 from semloc_jax.structs import ElementClass
@@ -224,7 +225,7 @@ def _cut(places: np.ndarray, length_m: float) -> np.ndarray:
 
 def _resampled(places: np.ndarray, step_m: float) -> np.ndarray:
     """Places `step_m` apart along a line, its ends included."""
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
+    s = arc_length(places)
     kept = np.concatenate([[True], np.diff(s) > 1e-9])
     s, places = s[kept], places[kept]
     if len(s) < 2:

@@ -60,10 +60,10 @@ class World:
         areas: stretches of ground, later ones over earlier ones.
         rest: class id of the ground beyond them.
         worn: repeating pattern of places where paint is gone, one cell 3 cm wide; None for none.
-        bodies: what stands still and is no element of the map.
-        traffic: what moves, by time [s].
         path: line the rear axle follows.
         backdrop: class id of rays that hit nothing.
+        bodies: what stands still and is no element of the map.
+        traffic: what moves, by time [s].
         ego: body of the vehicle in the base frame.
         parked: cars that stand there on this drive.
         along: line that things are lined up along; None takes the path.
@@ -76,10 +76,10 @@ class World:
     areas: tuple[GroundArea, ...]
     rest: int
     worn: Bool[np.ndarray, "n n"] | None
-    bodies: tuple[Solid, ...]
-    traffic: Callable[[float], Sequence[Solid]]
     path: PlanePath
     backdrop: int
+    bodies: tuple[Solid, ...] = ()
+    traffic: Callable[[float], Sequence[Solid]] = lambda time_s: ()
     ego: tuple[Solid, ...] = ()
     parked: tuple[Solid, ...] = ()
     along: PlanePath | None = None

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semloc_jax.datasets.imu_noise import IMU_NOISE, imu_yaml
+from semloc_jax.datasets.inertial import IMU_NOISE, imu_yaml
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import GeoOrigin
 from semloc_jax.simulation.motion import TrueMotion

@@ -149,7 +149,7 @@ def simulate(
         config = replace(config, num_frames=num_frames)
     elif (config.num_frames - 1) / config.rate_hz > tour.end_s:
         most = int(tour.end_s * config.rate_hz) + 1
-        raise SemlocError(f"num_frames = {config.num_frames}: the way has {most}; leave it out to drive the whole way")
+        raise SemlocError(f"num_frames = {config.num_frames}: the whole drive has {most}; leave it out for all of them")
     if rig is None:
         rig = (surround_rig if kind in ("garage", "lot") else front_rig)(config.width_px, config.height_px)
     told = {"epoch": config.epoch, "drive": config.drive, **tour.told}

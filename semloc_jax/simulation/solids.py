@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.datasets.drive import CLASS_IDS
+
 Points = Float[np.ndarray, "n 3"]
 
 
@@ -164,14 +166,29 @@ def rotation_about_z(yaw_rad: float) -> np.ndarray:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
-def car(base: np.ndarray, R_map_car: np.ndarray, class_id: int, color: tuple[float, float, float]) -> list[Solid]:
+def car(base: np.ndarray, R_map_car: np.ndarray, color: tuple[float, float, float]) -> list[Solid]:
     """Body and cabin of a car whose centre stands on the ground at `base`."""
-    forward, up = R_map_car[:, 0], R_map_car[:, 2]
+    forward, up, class_id = R_map_car[:, 0], R_map_car[:, 2], CLASS_IDS["vehicle"]
     body = Box(class_id, color, base + 0.55 * up, (4.5, 1.8, 0.75), R_map_car)
     cabin = Box(class_id, (0.18, 0.17, 0.16), base + 1.2 * up - 0.2 * forward, (2.4, 1.6, 0.55), R_map_car)
     return [body, cabin]
 
 
-def own_body(class_id: int) -> Box:
+def own_body() -> Box:
     """The body of the own vehicle in the base frame, as its fisheyes see it."""
-    return Box(class_id, (0.3, 0.3, 0.32), np.array([1.4, 0.0, 0.55]), (4.62, 1.86, 0.6), np.eye(3))
+    return Box(CLASS_IDS["ego"], (0.3, 0.3, 0.32), np.array([1.4, 0.0, 0.55]), (4.62, 1.86, 0.6), np.eye(3))
+
+
+def tree(
+    base: np.ndarray, crown_m: float, foot_m: float, stem_m: tuple[float, float, float] = (3.0, 0.16, 0.12)
+) -> list[Solid]:
+    """A stem (height, radius below and above) and a round crown of this radius, which begins at `foot_m` [m]."""
+    green, top = CLASS_IDS["vegetation"], base + [0.0, 0.0, foot_m + crown_m]
+    return [Frustum(green, (0.2, 0.28, 0.35), base, *stem_m), Ball(green, (0.15, 0.4, 0.22), top, crown_m)]
+
+
+def house(base: np.ndarray, R_map_wall: np.ndarray, size_m: tuple[float, float, float], shade: float) -> Box:
+    """A house of this width, depth and height over the ground in its middle; it stands some metres in it, too."""
+    width, depth, height = size_m
+    color, middle = tuple(shade * np.array([0.75, 0.9, 1.0])), base + [0.0, 0.0, 0.5 * height - 2.0]
+    return Box(CLASS_IDS["building"], color, middle, (width, depth, height + 4.0), R_map_wall)

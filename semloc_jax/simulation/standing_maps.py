@@ -47,56 +47,61 @@ def map_scattered(maker: Maker, size_m: float) -> FaultyDrive:
     return map_of(maker, lambda element: moved(element, size_m * maker.rng.normal(size=2)))
 
 
-def across(maker: Maker, point: np.ndarray) -> np.ndarray:
-    """Unit vector to the left of the way where it comes nearest to a place, float64[2]."""
+def _way_at(maker: Maker, p_map: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of the way where it comes nearest to a place, and the unit vector to its left, float64[4 4], [2]."""
     way = maker.truth.T_map_base
-    near = int(np.argmin(np.hypot(*(way[:, :2, 3] - point[:2]).T)))
-    return way[near, :2, 1] / np.linalg.norm(way[near, :2, 1])
+    T = way[int(np.argmin(np.hypot(*(way[:, :2, 3] - p_map[:2]).T)))]
+    return T, T[:2, 1] / np.linalg.norm(T[:2, 1])
 
 
-def moved_across(maker: Maker, labels: tuple[ElementClass, ...], size_m: float) -> FaultyDrive:
-    """The elements of these classes moved to the left of the way."""
+def across(maker: Maker, element: MapElement) -> np.ndarray:
+    """Unit vector to the left of the way where it comes nearest to an element, float64[2]."""
+    return _way_at(maker, element.points.mean(axis=0))[1]
 
-    def aside(element: MapElement) -> MapElement:
-        if element.label not in labels:
-            return element
-        return moved(element, size_m * across(maker, element.points.mean(axis=0)))
 
-    return map_of(maker, aside)
+def along(maker: Maker, element: MapElement) -> np.ndarray:
+    """Unit vector along the way where it comes nearest to an element, float64[2]."""
+    left = across(maker, element)
+    return np.array([left[1], -left[0]])
+
+
+def _moved_where(
+    maker: Maker,
+    is_moved: Callable[[MapElement], bool],
+    size_m: float,
+    towards: Callable[[Maker, MapElement], np.ndarray] = across,
+) -> FaultyDrive:
+    """Some elements moved across or along the way."""
+    return map_of(maker, lambda e: moved(e, size_m * towards(maker, e)) if is_moved(e) else e)
 
 
 def lines_repainted(maker: Maker, size_m: float) -> FaultyDrive:
     """All lines lie aside of where the map has them; what stands is where it was."""
-    return moved_across(maker, _LINES, size_m)
+    return _moved_where(maker, lambda e: e.label in _LINES, size_m)
 
 
 def posts_aside(maker: Maker, size_m: float) -> FaultyDrive:
     """All that stands is aside of where the map has it."""
-    return moved_across(maker, _UPRIGHT, size_m)
+    return _moved_where(maker, lambda e: e.label in _UPRIGHT, size_m)
+
+
+def posts_along(maker: Maker, size_m: float) -> FaultyDrive:
+    """All that stands is ahead of where the map has it."""
+    return _moved_where(maker, lambda e: e.label in _UPRIGHT, -size_m, along)
 
 
 def dashes_along(maker: Maker, size_m: float) -> FaultyDrive:
     """The dashes lie ahead of where the map has them."""
-
-    def along(element: MapElement) -> MapElement:
-        if element.style != "dashed":
-            return element
-        left = across(maker, element.points.mean(axis=0))
-        return moved(element, size_m * np.array([left[1], -left[0]]))
-
-    return map_of(maker, along)
+    return _moved_where(maker, lambda e: e.style == "dashed", size_m, along)
 
 
 def map_mirrored(maker: Maker, share: float) -> FaultyDrive:
     """The map as in a mirror along the way; `share` of its elements, the others are missing."""
-    way = maker.truth.T_map_base
 
     def mirrored(element: MapElement) -> MapElement | None:
         if maker.rng.random() > share:
             return None
-        middle = element.points.mean(axis=0)
-        near = way[int(np.argmin(np.hypot(*(way[:, :2, 3] - middle[:2]).T)))]
-        left = near[:2, 1] / np.linalg.norm(near[:2, 1])
+        near, left = _way_at(maker, element.points.mean(axis=0))
         offset_m = (element.points[:, :2] - near[:2, 3]) @ left
         points = element.points.copy()
         points[:, :2] -= 2.0 * offset_m[:, None] * left
@@ -124,26 +129,21 @@ def stretch_repainted(maker: Maker, size_m: float) -> FaultyDrive:
     """The lines of the second half of the way lie aside: the map is right until then."""
     T = _middle(maker)
 
-    def aside(element: MapElement) -> MapElement:
-        place = element.points.mean(axis=0)
-        if element.label not in _LINES or (place - T[:3, 3]) @ T[:3, 0] < 0.0:
-            return element
-        return moved(element, size_m * across(maker, place))
+    def is_ahead(element: MapElement) -> bool:
+        return element.label in _LINES and bool((element.points.mean(axis=0) - T[:3, 3]) @ T[:3, 0] >= 0.0)
 
-    return map_of(maker, aside)
+    return _moved_where(maker, is_ahead, size_m)
 
 
 def one_side_moved(maker: Maker, size_m: float) -> FaultyDrive:
     """The road was made wider: all that lies to the left of the way is farther to the left."""
-    way = maker.truth.T_map_base
 
-    def wider(element: MapElement) -> MapElement:
+    def is_left(element: MapElement) -> bool:
         place = element.points.mean(axis=0)
-        near = way[int(np.argmin(np.hypot(*(way[:, :2, 3] - place[:2]).T)))]
-        left = across(maker, place)
-        return moved(element, size_m * left) if (place[:2] - near[:2, 3]) @ left > 0.0 else element
+        near, left = _way_at(maker, place)
+        return bool((place[:2] - near[:2, 3]) @ left > 0.0)
 
-    return map_of(maker, wider)
+    return _moved_where(maker, is_left, size_m)
 
 
 def posts_missing(maker: Maker, share: float) -> FaultyDrive:
@@ -151,24 +151,13 @@ def posts_missing(maker: Maker, share: float) -> FaultyDrive:
     return map_of(maker, lambda element: None if element.label in _UPRIGHT and maker.rng.random() < share else element)
 
 
-def posts_along(maker: Maker, size_m: float) -> FaultyDrive:
-    """All that stands is ahead of where the map has it."""
-
-    def ahead(element: MapElement) -> MapElement:
-        if element.label not in _UPRIGHT:
-            return element
-        left = across(maker, element.points.mean(axis=0))
-        return moved(element, size_m * np.array([-left[1], left[0]]))
-
-    return map_of(maker, ahead)
-
-
 def phantoms(maker: Maker, share: float) -> FaultyDrive:
     """A share of the elements stands a second time some metres aside."""
     elements = list(maker.semantic_map.elements)
     for element in maker.semantic_map.elements:
         if maker.rng.random() < share:
-            shift_m = maker.rng.uniform(1.5, 4.0) * maker.rng.choice([-1.0, 1.0]) * across(maker, element.points[0])
+            left = _way_at(maker, element.points[0])[1]
+            shift_m = maker.rng.uniform(1.5, 4.0) * maker.rng.choice([-1.0, 1.0]) * left
             elements.append(replace(moved(element, shift_m), id=f"{element.id}-phantom"))
     return maker.whole(semantic_map=maker.semantic_map.with_elements(elements))
 
@@ -194,7 +183,7 @@ def old_lanes(maker: Maker, size_m: float) -> FaultyDrive:
     elements = list(maker.semantic_map.elements)
     for element in maker.semantic_map.elements:
         if element.label == ElementClass.LANE_MARKING:
-            old = moved(element, size_m * across(maker, element.points.mean(axis=0)))
+            old = moved(element, size_m * across(maker, element))
             elements.append(replace(old, id=f"{element.id}-old"))
     return maker.whole(semantic_map=maker.semantic_map.with_elements(elements))
 

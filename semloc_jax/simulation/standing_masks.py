@@ -16,8 +16,7 @@ from semloc_jax.simulation.faulty_drive import FaultyDrive, Maker, MaskChange, s
 
 def masks_through(maker: Maker, change: MaskChange) -> FaultyDrive:
     """The drive seen through one change of masks and images."""
-    frames = seen_through(maker.drive.frames, change, change)
-    return maker.whole(drive=replace(maker.drive, frames=frames))
+    return maker.whole(drive=replace(maker.drive, frames=seen_through(maker.drive.frames, change, change)))
 
 
 def masks_mirrored(maker: Maker, share: float) -> FaultyDrive:
@@ -56,20 +55,6 @@ def own_lane_only(maker: Maker, share: float) -> FaultyDrive:
         return out
 
     return masks_through(maker, jam)
-
-
-def masks_thin(maker: Maker, size_px: float) -> FaultyDrive:
-    """Every class loses its border to its surroundings."""
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(size_px) + 1,) * 2)
-
-    def thin(mask: np.ndarray) -> np.ndarray:
-        if mask.ndim != 2:
-            return mask
-        ground = np.bincount(mask.ravel()).argmax()
-        inside = cv2.erode((mask != ground).astype(np.uint8), kernel) > 0
-        return np.where(inside, mask, ground).astype(mask.dtype)
-
-    return masks_through(maker, thin)
 
 
 def other_masks(maker: Maker, share: float) -> FaultyDrive:
@@ -144,18 +129,35 @@ def masks_trembling(maker: Maker, size_px: float) -> FaultyDrive:
     return _each_frame(maker, make)
 
 
+def masks_thin(maker: Maker, size_px: float) -> FaultyDrive:
+    """Every class loses its border to its surroundings."""
+
+    def thin(mask: np.ndarray) -> np.ndarray:
+        ground = np.bincount(mask.ravel()).argmax()
+        inside = cv2.erode((mask != ground).astype(np.uint8), _disc(size_px)) > 0
+        return np.where(inside, mask, ground).astype(mask.dtype)
+
+    return _masks_alone(maker, thin)
+
+
 def masks_fat(maker: Maker, size_px: float) -> FaultyDrive:
     """Every class grows over its surroundings."""
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(size_px) + 1,) * 2)
 
     def fat(mask: np.ndarray) -> np.ndarray:
-        if mask.ndim != 2:
-            return mask
         ground = np.bincount(mask.ravel()).argmax()
-        grown = cv2.dilate(np.where(mask == ground, 0, mask), kernel)
+        grown = cv2.dilate(np.where(mask == ground, 0, mask), _disc(size_px))
         return np.where((mask == ground) & (grown > 0), grown, mask).astype(mask.dtype)
 
-    return masks_through(maker, fat)
+    return _masks_alone(maker, fat)
+
+
+def _disc(size_px: float) -> np.ndarray:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(size_px) + 1,) * 2)
+
+
+def _masks_alone(maker: Maker, change: MaskChange) -> FaultyDrive:
+    """The drive with other masks of the same images."""
+    return maker.whole(drive=replace(maker.drive, frames=seen_through(maker.drive.frames, change)))
 
 
 def masks_spotted(maker: Maker, share: float) -> FaultyDrive:
@@ -213,12 +215,10 @@ def false_lines(maker: Maker, size_px: float) -> FaultyDrive:
     paint = [value for name, value in maker.drive.class_ids.items() if name in _PAINT]
 
     def doubled(mask: np.ndarray) -> np.ndarray:
-        if mask.ndim != 2:
-            return mask
         beside = np.roll(mask, round(size_px), axis=1)
         return np.where(np.isin(beside, paint), beside, mask).astype(mask.dtype)
 
-    return masks_through(maker, doubled)
+    return _masks_alone(maker, doubled)
 
 
 _PAINT = {"lane_solid", "lane_dashed", "stop_line", "crosswalk", "arrow", "slot_line"}

@@ -8,12 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from semloc_jax.datasets.sensors import Imu
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
-from semloc_jax.simulation.faulty_drive import FaultyDrive, Maker, log_rows
+from semloc_jax.simulation.faulty_drive import FaultyDrive, Maker, log_rows, with_late_sensors
 
-_SENSORS = ("gnss", "odometry", "imu")
 _START_S = 2.0
 
 
@@ -25,7 +23,7 @@ def fixes_moved(maker: Maker, ahead_m: float, left_m: float, sigma_m: float | No
     T = truth.interpolate(np.clip(fixes.time_s, truth.time_s[0], truth.time_s[-1]))
     shift = inside[:, None] * (ahead_m * T[:, :3, 0] + left_m * T[:, :3, 1])
     sigma = fixes.sigma_m if sigma_m is None else np.full_like(fixes.sigma_m, sigma_m)
-    return maker.whole(drive=replace(maker.drive, gnss=replace(fixes, p_enu=fixes.p_enu + shift, sigma_m=sigma)))
+    return maker.with_log("gnss", p_enu=fixes.p_enu + shift, sigma_m=sigma)
 
 
 def fixes_left(maker: Maker, size_m: float) -> FaultyDrive:
@@ -52,28 +50,25 @@ def fixes_spoofed(maker: Maker, size_m: float) -> FaultyDrive:
     share = np.clip((fixes.time_s - frames[0].time_s) / (maker.end_s - frames[0].time_s), 0.0, 1.0)
     # A spoofed receiver shows what it is made to show: the true place and the pull.
     p_enu = T[:, :3, 3] + size_m * share[:, None] * T[:, :3, 1]
-    spoofed = replace(fixes, p_enu=p_enu, sigma_m=np.full_like(fixes.sigma_m, 0.05))
-    return maker.whole(drive=replace(maker.drive, gnss=spoofed))
+    return maker.with_log("gnss", p_enu=p_enu, sigma_m=np.full_like(fixes.sigma_m, 0.05))
 
 
 def fixes_jump(maker: Maker, size_m: float) -> FaultyDrive:
     """From the middle of the drive on all fixes are off to the left."""
     moved = fixes_moved(maker, 0.0, size_m).drive.gnss
     late = maker.gnss.time_s >= 0.5 * (maker.drive.frames[0].time_s + maker.end_s)
-    p_enu = np.where(late[:, None], moved.p_enu, maker.gnss.p_enu)
-    return maker.whole(drive=replace(maker.drive, gnss=replace(maker.gnss, p_enu=p_enu)))
+    return maker.with_log("gnss", p_enu=np.where(late[:, None], moved.p_enu, maker.gnss.p_enu))
 
 
 def fixes_noisy(maker: Maker, size_m: float) -> FaultyDrive:
     """Fixes that scatter more than they state."""
-    noise = size_m * maker.rng.normal(size=maker.gnss.p_enu.shape)
-    return maker.whole(drive=replace(maker.drive, gnss=replace(maker.gnss, p_enu=maker.gnss.p_enu + noise)))
+    p_enu = maker.gnss.p_enu
+    return maker.with_log("gnss", p_enu=p_enu + size_m * maker.rng.normal(size=p_enu.shape))
 
 
 def fixes_late(maker: Maker, size_s: float) -> FaultyDrive:
     """Fixes state a time later than theirs."""
-    late = replace(maker.gnss, time_s=maker.gnss.time_s + size_s)
-    return maker.whole(drive=replace(maker.drive, gnss=late))
+    return maker.with_log("gnss", time_s=maker.gnss.time_s + size_s)
 
 
 def start_along(maker: Maker, size_m: float) -> FaultyDrive:
@@ -85,19 +80,12 @@ def start_along(maker: Maker, size_m: float) -> FaultyDrive:
 
 def sensors_late(maker: Maker, size_s: float) -> FaultyDrive:
     """The clock of wheels, inertial sensor and receiver is late against that of the cameras."""
-    late = {
-        name: replace(log, time_s=log.time_s + size_s)
-        for name in _SENSORS
-        if (log := getattr(maker.drive, name)) is not None
-    }
-    return maker.whole(drive=replace(maker.drive, **late))
+    return maker.whole(drive=with_late_sensors(maker.drive, size_s))
 
 
 def wheels_late(maker: Maker, size_s: float) -> FaultyDrive:
     """Only the wheels are late."""
-    return maker.whole(
-        drive=replace(maker.drive, odometry=replace(maker.odometry, time_s=maker.odometry.time_s + size_s))
-    )
+    return maker.with_log("odometry", time_s=maker.odometry.time_s + size_s)
 
 
 def frames_jitter(maker: Maker, size_s: float) -> FaultyDrive:
@@ -120,53 +108,40 @@ def frames_missing(maker: Maker, share: float) -> FaultyDrive:
 
 def odometer_scale(maker: Maker, share: float) -> FaultyDrive:
     """The wheels count more than is driven."""
-    odometry = maker.odometry
-    return maker.whole(
-        drive=replace(maker.drive, odometry=replace(odometry, speed_mps=(1.0 + share) * odometry.speed_mps))
-    )
+    return maker.with_log("odometry", speed_mps=(1.0 + share) * maker.odometry.speed_mps)
 
 
 def odometer_slips(maker: Maker, share: float) -> FaultyDrive:
     """For half a second in every three the wheels spin faster than the road goes by."""
     odometry = maker.odometry
     slips = np.mod(odometry.time_s - odometry.time_s[0], 3.0) < 0.5
-    speed = np.where(slips, 1.0 + share, 1.0) * odometry.speed_mps
-    return maker.whole(drive=replace(maker.drive, odometry=replace(odometry, speed_mps=speed)))
+    return maker.with_log("odometry", speed_mps=np.where(slips, 1.0 + share, 1.0) * odometry.speed_mps)
 
 
 def odometer_stuck(maker: Maker, size_s: float) -> FaultyDrive:
     """From the middle of the drive on the wheels say the last speed again and again for some time."""
-    odometry = maker.odometry
-    from_s = 0.5 * (maker.drive.frames[0].time_s + maker.end_s)
-    stuck = (odometry.time_s >= from_s) & (odometry.time_s < from_s + size_s)
-    speed = np.where(stuck, np.interp(from_s - 1.0, odometry.time_s, odometry.speed_mps), odometry.speed_mps)
-    return maker.whole(drive=replace(maker.drive, odometry=replace(odometry, speed_mps=speed)))
+    odometry, (from_s, within) = maker.odometry, _in_the_middle(maker, size_s)
+    said_mps = np.interp(from_s - 1.0, odometry.time_s, odometry.speed_mps)
+    return maker.with_log("odometry", speed_mps=np.where(within, said_mps, odometry.speed_mps))
 
 
 def odometer_silent(maker: Maker, size_s: float) -> FaultyDrive:
     """The wheels say zero for some time in the middle of the drive, while the vehicle drives on."""
-    odometry = maker.odometry
-    from_s = 0.5 * (maker.drive.frames[0].time_s + maker.end_s)
-    silent = (odometry.time_s >= from_s) & (odometry.time_s < from_s + size_s)
-    speed = np.where(silent, 0.0, odometry.speed_mps)
-    return maker.whole(drive=replace(maker.drive, odometry=replace(odometry, speed_mps=speed)))
+    _, within = _in_the_middle(maker, size_s)
+    return maker.with_log("odometry", speed_mps=np.where(within, 0.0, maker.odometry.speed_mps))
 
 
-def _imu(maker: Maker) -> Imu:
-    if maker.drive.imu is None:
-        raise SemlocError(f"fault '{maker.name}': drive {maker.drive.name} has no inertial sensor to disturb")
-    return maker.drive.imu
+def _in_the_middle(maker: Maker, size_s: float) -> tuple[float, np.ndarray]:
+    """The middle of the drive [s], and which samples of the wheels lie in the stretch of time that begins there."""
+    from_s, time_s = 0.5 * (maker.drive.frames[0].time_s + maker.end_s), maker.odometry.time_s
+    return from_s, (time_s >= from_s) & (time_s < from_s + size_s)
 
 
 def gyro_bias(maker: Maker, size_degps: float) -> FaultyDrive:
     """The gyroscope turns while the vehicle does not."""
-    imu = _imu(maker)
-    gyro = imu.gyro_radps + np.array([0.0, 0.0, np.deg2rad(size_degps)])
-    return maker.whole(drive=replace(maker.drive, imu=replace(imu, gyro_radps=gyro)))
+    return maker.with_log("imu", gyro_radps=maker.imu.gyro_radps + np.array([0.0, 0.0, np.deg2rad(size_degps)]))
 
 
 def gyro_scale(maker: Maker, share: float) -> FaultyDrive:
     """The gyroscope says too little; a share of 2 is the wrong sign."""
-    imu = _imu(maker)
-    gyro = imu.gyro_radps * np.array([1.0, 1.0, 1.0 - share])
-    return maker.whole(drive=replace(maker.drive, imu=replace(imu, gyro_radps=gyro)))
+    return maker.with_log("imu", gyro_radps=maker.imu.gyro_radps * np.array([1.0, 1.0, 1.0 - share]))

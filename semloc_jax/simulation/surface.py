@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.geometry.rigid import pose_from
+
 _MAX_STEPS = 200
 _TOLERANCE = 1e-7
 """Height above ground over distance at which a ray counts as arrived: far below a millionth of a pixel."""
@@ -99,10 +101,7 @@ class Surface(ABC):
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
         up = np.cross(ahead, np.column_stack([left, bank]))
         up /= np.linalg.norm(up, axis=1, keepdims=True)
-        T = np.tile(np.eye(4), (len(xy), 1, 1))
-        T[:, :3, :3] = np.stack([ahead, np.cross(up, ahead), up], axis=2)
-        T[:, :3, 3] = np.column_stack([xy, z[:2].mean(axis=0)])
-        return T
+        return pose_from(np.stack([ahead, np.cross(up, ahead), up], axis=2), np.column_stack([xy, z[:2].mean(axis=0)]))
 
 
 def _step(above: np.ndarray, before: np.ndarray, last: np.ndarray, rate: np.ndarray) -> np.ndarray:

@@ -11,13 +11,12 @@ from semloc_jax.maps import MapElement
 from semloc_jax.simulation.elements import ARROW_TIP
 from semloc_jax.simulation.loop import build_loop, plan_loop
 from semloc_jax.simulation.loop_drive import drive_loop, loop_traffic
-from semloc_jax.simulation.motion import TrueMotion
+from semloc_jax.simulation.motion import DrivingStyle, TrueMotion
 from semloc_jax.simulation.obstacles import with_obstacles
 from semloc_jax.simulation.parking import build_hall, with_cars
 from semloc_jax.simulation.parking_drive import choose_target, drive_parking
 from semloc_jax.simulation.parking_lot import build_lot
 from semloc_jax.simulation.parking_plan import ParkingPlan, plan_parking
-from semloc_jax.simulation.route_motion import DrivingStyle
 from semloc_jax.simulation.scene import World
 from semloc_jax.structs import ElementClass
 

@@ -2,7 +2,7 @@
 
 In: a FactorGraph, which of its families are doubtful. Out: Solution and a weight in [0, 1] for every doubtful factor.
 Yang, Antonante, Tzoumas, Carlone, Graduated Non-Convexity for Robust Spatial Perception, RA-L 2020: truncated least
-squares, eqs. (11)-(14). A robust kernel only bends the cost; this lets go of what does not fit, whatever it pulls.
+squares, eqs. (11)-(14). A robust loss only bends the cost; this lets go of what does not fit, whatever it pulls.
 """
 
 from dataclasses import dataclass, field, replace

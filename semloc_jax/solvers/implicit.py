@@ -3,7 +3,7 @@
 In: the force (gradient of the cost by the unknowns) at the solution and its Jacobian. Out: a step of length zero that
 carries the derivative.
 The solution y solves F(y, theta) = 0, so dy = -J^-1 (dF/dtheta) dtheta with J = dF/dy, the full Hessian. The Gauss-
-Newton matrix leaves out the curvature of residuals and kernels: with it derivatives are only about right.
+Newton matrix leaves out the curvature of residuals and losses: with it derivatives are only about right.
 """
 
 import jax

@@ -4,7 +4,6 @@ In: paths and names as given. Out: places inside the output folder, files that a
 Readers take their limits from here, writers their paths, whole files and claims, caches their sealed entries.
 """
 
-from semloc_jax.storage.claims import claim, release_claims
 from semloc_jax.storage.garbage import rare_collection
 from semloc_jax.storage.leftovers import sweep, sweep_once, temporary_prefix
 from semloc_jax.storage.limits import (
@@ -18,7 +17,7 @@ from semloc_jax.storage.limits import (
     reading,
     require_room,
 )
-from semloc_jax.storage.output import file_name, is_plain_name, output_path
+from semloc_jax.storage.output import claim, file_name, is_plain_name, output_path, release_claims
 from semloc_jax.storage.sealed import others_can_write, private_folder, read_sealed, write_sealed
 from semloc_jax.storage.writing import (
     append_line,

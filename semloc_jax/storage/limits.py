@@ -47,12 +47,12 @@ def decompressed(content: bytes, where: str, most_bytes: int = MOST_UNPACKED_BYT
                 if len(found) > most_bytes:
                     raise SemlocError(
                         f"{where}: unpacks to more than {most_bytes / 1e6:.0f} MB from {len(content) / 1e6:.1f} MB; "
-                        "expected a sweep of a recording; get the file anew"
+                        "expected a sweep of a recording; get the file again"
                     )
                 if not part and not member.eof and not rest:
-                    raise SemlocError(f"{where}: ends before its gzip stream does; get the file anew")
+                    raise SemlocError(f"{where}: ends before its gzip stream does; get the file again")
     except zlib.error as error:
-        raise SemlocError(f"{where}: is no gzip file ({error}); get the file anew") from error
+        raise SemlocError(f"{where}: is no gzip file ({error}); get the file again") from error
     return bytes(found)
 
 
@@ -89,7 +89,7 @@ def npz_arrays(
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
         if names is not None:
             members = [member for member in members if member.filename.removesuffix(".npy") in names]
-        require_room(sum(m.file_size for m in members), most_bytes, where, "bytes", "get the file anew")
+        require_room(sum(m.file_size for m in members), most_bytes, where, "bytes", "get the file again")
         for member in members:
             with archive.open(member) as stream:
                 version = np.lib.format.read_magic(stream)
@@ -100,7 +100,7 @@ def npz_arrays(
                 if dtype.hasobject:
                     raise ValueError("an array of objects")
                 size = math.prod(shape) * dtype.itemsize
-                require_room(size, member.file_size, f"{where}: {member.filename}", "bytes", "get the file anew")
+                require_room(size, member.file_size, f"{where}: {member.filename}", "bytes", "get the file again")
                 flat = np.frombuffer(stream.read(size), dtype)
                 name = member.filename.removesuffix(".npy")
                 found[name] = flat.reshape(shape, order="F" if is_fortran else "C").copy()
@@ -117,19 +117,18 @@ def npz_names(path: Path, where: str) -> list[str]:
         return [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
 
 
-def json_document(text: str | bytes, where: str, kind: type = dict) -> Any:
-    """The JSON of a file, whose outermost value is of the kind (dict or list).
+def json_document(text: str | bytes, where: str) -> dict[str, Any]:
+    """The JSON of a file, whose outermost value is an object.
 
     Raises:
-        SemlocError: no JSON, nested without end, or another kind.
+        SemlocError: no JSON, nested without end, or no object.
     """
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise SemlocError(f"{where}: {str(error)[:120] or type(error).__name__}; expected JSON") from error
-    if not isinstance(found, kind):
-        wanted = {dict: "an object {...}", list: "a list [...]"}[kind]
-        raise SemlocError(f"{where}: holds {type(found).__name__}; expected {wanted}")
+    if not isinstance(found, dict):
+        raise SemlocError(f"{where}: holds {type(found).__name__}; expected an object {{...}}")
     return found
 
 
@@ -157,6 +156,6 @@ def reading(where: str) -> Iterator[None]:
     except Exception as error:  # parsers pass on whatever they stumble over
         said = " ".join(str(error).split())[:120]
         raise SemlocError(
-            f"{where}: its content is not what such a file holds ({type(error).__name__}: {said}); get the file anew, "
+            f"{where}: its content is not what such a file holds ({type(error).__name__}: {said}); get the file again, "
             "or see --debug"
         ) from error

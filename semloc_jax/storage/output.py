@@ -1,14 +1,19 @@
-"""Where an output file goes: always below the folder of the run (room: ground; host).
+"""Where an output file goes, always below the folder of the run, and who may write there (room: ground; host).
 
-In: a folder, and names that come from a recording (frames, cameras, classes). Out: a path inside the folder.
+In: a folder, and names that come from a recording (frames, cameras, classes). Out: a path inside the folder; a claim on
+the folder, which ends with the process however that ends; a sentence where it is taken.
 Names of recordings are text of strangers: `/etc/x`, `../..` and `CON` are names like any other and must stay so.
+The claim is a lock of the system on the folder itself: no file is left behind, and a kill cannot leave it locked.
 """
 
+import errno
 import hashlib
+import os
 import re
 from pathlib import Path
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.storage.leftovers import sweep
 
 _UNSAFE = re.compile(r'[\x00-\x1f\x7f<>:"/\\|?*\ud800-\udfff]')
 _RESERVED = {"con", "prn", "aux", "nul", *(f"{name}{digit}" for name in ("com", "lpt") for digit in range(1, 10))}
@@ -55,3 +60,43 @@ def output_path(folder: Path, *names: str, suffix: str = "") -> Path:
     if not path.parent.resolve().is_relative_to(folder.resolve()):
         raise SemlocError(f"output {path}: a link leads out of {folder}; remove the link or give another --out")
     return path
+
+
+try:
+    import fcntl
+except ImportError:  # no such locks on Windows
+    fcntl = None
+
+_claims: dict[Path, int] = {}
+_TAKEN = (errno.EWOULDBLOCK, errno.EACCES)
+
+
+def claim(folder: Path) -> None:
+    """Claim a folder for this process until `release_claims` or its end; a second claim by the same process is free.
+
+    File systems without locks give none: there the claim does nothing. What a killed run left in the folder goes.
+
+    Raises:
+        SemlocError: another process writes to the folder.
+    """
+    place = folder.resolve()
+    if fcntl is None or place in _claims:
+        return
+    handle = os.open(place, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(handle)
+        if error.errno in _TAKEN:
+            raise SemlocError(
+                f"output folder {folder}: another run is writing to it; wait for its end or give another --out"
+            ) from error
+        return
+    _claims[place] = handle
+    sweep(place)
+
+
+def release_claims() -> None:
+    """Give every folder back that this process has claimed."""
+    while _claims:
+        os.close(_claims.popitem()[1])

@@ -4,6 +4,7 @@ In: classes, figures, image arrays. Out: colours, matplotlib Figures on the Agg 
 Image arrays are uint8[h w 3] in the order red green blue, as matplotlib shows them.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -107,3 +108,14 @@ def save(picture: Figure | np.ndarray, path: str | Path) -> Path:
             f"picture {path}: cannot be written; give a path ending in .png in a folder that exists"
         ) from error
     return path
+
+
+def sheet(tiles: Sequence[np.ndarray], columns: int = 2) -> np.ndarray:
+    """Pictures of one width side by side and below each other, each in a cell of the height of the tallest.
+
+    Cells that nothing fills are black. One picture stands alone.
+    """
+    height, columns = max(tile.shape[0] for tile in tiles), min(columns, len(tiles))
+    cells = [np.pad(tile, ((0, height - tile.shape[0]), (0, 0), (0, 0))) for tile in tiles]
+    cells += [np.zeros_like(cells[0])] * (-len(cells) % columns)
+    return np.vstack([np.hstack(cells[k : k + columns]) for k in range(0, len(cells), columns)])

@@ -1,18 +1,21 @@
-"""How a tracked drive went: errors inside their protection levels, status, timing (room: viz).
+"""How a tracked drive went: errors inside their protection levels, status, timing, Stanford diagram (room: viz).
 
-In: columns of a tracked drive. Out: Figures.
+In: columns of a tracked drive; errors, protection levels and limits by direction. Out: Figures.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from semloc_jax.evaluation.integrity import stanford_counts
 from semloc_jax.localization.track_state import TrackStatus
-from semloc_jax.viz.style import new_figure, plain_axes
+from semloc_jax.viz.style import INK, new_figure, plain_axes
 
 STATUS_COLOURS = {
     TrackStatus.INITIALIZING: "#90a4ae",
@@ -122,3 +125,63 @@ def banner(image: np.ndarray, colour: str, text: str, more: str = "") -> np.ndar
     line += " ..." if words else ""
     cv2.putText(bar, line, (height, int(1.6 * height)), font, 0.8 * scale, (176, 184, 194), 1, cv2.LINE_AA)
     return np.vstack([image, bar])
+
+
+_FINE, _SAFE, _WRONG, _HAZARD = "#2e7d32", "#90a4ae", "#ff8f00", "#d50000"
+
+
+class IntegrityErrors(NamedTuple):
+    """Errors, protection levels and the alert limit of one direction, in one unit."""
+
+    error: Float[np.ndarray, " n"]
+    level: Float[np.ndarray, " n"]
+    limit: float
+    unit: str
+
+
+def stanford_diagram(directions: Mapping[str, IntegrityErrors]) -> Figure:
+    """A Stanford diagram for each direction, side by side.
+
+    Points above the diagonal are frames whose protection level bounds the error; left of the vertical alert limit the
+    frame was usable; the field below the limit in level and beyond it in error is hazardous.
+
+    Args:
+        directions: By name.
+    """
+    figure = new_figure(3.6 * len(directions), 3.9)
+    axes = np.atleast_1d(figure.subplots(1, len(directions)))
+    for place, (name, direction) in zip(axes, directions.items(), strict=True):
+        _draw(plain_axes(place), name, direction)
+    return figure
+
+
+def _draw(axes: Axes, name: str, direction: IntegrityErrors) -> None:
+    limit, unit = direction.limit, direction.unit
+    size = np.abs(direction.error)
+    known = np.isfinite(size) & ~np.isnan(direction.level)
+    size, level = size[known], direction.level[known]
+    counts = stanford_counts(size, level, limit)
+    largest = 1.6 * limit
+    top = np.minimum(level, 0.985 * largest)
+    axes.fill_between([0, limit], [0, limit], [limit, limit], color=_FINE, alpha=0.07, linewidth=0)
+    axes.fill_between([limit, largest], 0, limit, color=_HAZARD, alpha=0.10, linewidth=0)
+    axes.plot([0, largest], [0, largest], color=INK, linewidth=0.8)
+    axes.axhline(limit, color=_HAZARD, linewidth=0.9, linestyle=(0, (5, 3)))
+    axes.axvline(limit, color=_HAZARD, linewidth=0.9, linestyle=(0, (5, 3)))
+    hazard = (level <= limit) & (size > limit)
+    colour = np.where(hazard, _HAZARD, np.where(size > level, _WRONG, np.where(level <= limit, _FINE, _SAFE)))
+    axes.scatter(np.minimum(size, 0.985 * largest), top, s=9, c=colour, linewidths=0, alpha=0.8, clip_on=False)
+    axes.set_xlim(0, largest)
+    axes.set_ylim(0, largest)
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"{name} error [{unit}]")
+    axes.set_ylabel(f"protection level [{unit}]")
+    num = max(counts.num_frames, 1)
+    axes.set_title(
+        f"available {counts.available / num:.1%}, misleading {counts.misleading / num:.1%}, "
+        f"hazardous {counts.hazardous}",
+        fontsize=8,
+        color=INK,
+    )
+    said = f"alert limit {limit:g} {unit}"
+    axes.text(0.98 * largest, 1.02 * limit, said, fontsize=7, color=_HAZARD, va="bottom", ha="right")

@@ -22,7 +22,7 @@ KINDS = {
     "cost-map values": (lambda t: t.scene.maps.distance_px, 1.0),
     "class weights": (lambda t: t.scene.model.weight, 1.0),
     "ramp widths": (lambda t: t.scene.model.ramp_px, 8.0),
-    "kernel scales": (lambda t: t.scene.model.kernel_scale, 1.0),
+    "loss scales": (lambda t: t.scene.model.loss_scale, 1.0),
     "boundary noise": (lambda t: t.scene.model.noise_px, 2.0),
     "correlation": (lambda t: t.scene.nats_per_px, 0.01),
     "sample weights": (lambda t: t.scene.views[0].weight, 5.0),
@@ -85,7 +85,7 @@ def solved():
 def two_lines(nats_per_px):
     """Samples on one column of the image between two lines that pull alike: no force, and a curvature below zero."""
     trial = random_trial(0)
-    reach_px = np.asarray(trial.scene.model.ramp_px * trial.scene.model.kernel_scale)
+    reach_px = np.asarray(trial.scene.model.ramp_px * trial.scene.model.loss_scale)
     column = (np.arange(WIDTH // STRIDE) + 0.5) * STRIDE - 0.5
     off = (column - float(RIG.cameras[0].cx)) + np.array([[0.7], [-0.7]]) * reach_px[0]
     maps = np.broadcast_to(off[None, :, None], trial.scene.maps.distance_px.shape)

@@ -27,12 +27,12 @@ compiled_residual = eqx.filter_jit(residual)
 compiled_jacobian = eqx.filter_jit(jax.jacfwd(residual))
 
 
-def problem_of(name, start, level, kernel="tukey"):
+def problem_of(name, start, level, loss="tukey"):
     world = scene(name)
     T_start = world.moved(start)
     views = visible_views(T_start, world.evidence, 2.0)
     prior = world.prior([0.05, 0.02, 0.0, 0.001, 0.0, -0.004])
-    return level_problem(T_start, views, level, world.evidence, prior, AlignConfig(kernel=kernel))
+    return level_problem(T_start, views, level, world.evidence, prior, AlignConfig(loss=loss))
 
 
 @pytest.mark.parametrize("level", [0, 1])

@@ -150,4 +150,4 @@ def test_ten_thousand_trials_find_no_false_claim(simulated_road):
 def test_other_kernels_have_no_bounds(simulated_road):
     scene = Scene(simulated_road, "sem", 1)
     with pytest.raises(SemlocError, match="expected 'tukey'"):
-        certify(scene.T_true, scene.evidence, AlignConfig(kernel="huber"))
+        certify(scene.T_true, scene.evidence, AlignConfig(loss="huber"))

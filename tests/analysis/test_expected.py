@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from semloc_jax.analysis.boundary_noise import BoundaryNoise
+from semloc_jax.analysis.expected import BoundaryNoise
 from semloc_jax.analysis.seed_errors import errors_by_seed
 from semloc_jax.analysis.survey import Way, survey_ways
 from semloc_jax.maps import read_map

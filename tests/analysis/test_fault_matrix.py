@@ -13,7 +13,7 @@ from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.track_state import TrackResult, TrackStatus
 from semloc_jax.maps import SemanticMap
-from semloc_jax.reports.fault_figures import reliability
+from semloc_jax.reports.fault_tables import reliability
 from semloc_jax.simulation.faults import FaultyDrive
 from semloc_jax.simulation.hostile import FaultRow
 

@@ -5,8 +5,7 @@ import pytest
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.pose_prior import PosePrior
-from semloc_jax.analysis.boundary_noise import BoundaryNoise
-from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION, ExpectedConfig
+from semloc_jax.analysis.expected import TANGENT_OF_DIRECTION, BoundaryNoise, ExpectedConfig
 from semloc_jax.analysis.pose_mixture import frame_mixture, laplace_mixture
 from semloc_jax.analysis.seed_errors import noisy_solves
 from semloc_jax.analysis.uncertainty import (

@@ -9,7 +9,7 @@ from semloc_jax.bench import drives
 from semloc_jax.bench.drives import DriveCase, DriveRun, FleetRun, Spent
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import compare, is_passed, read_metrics
-from semloc_jax.reports.drive_benchmark import fleet_lines, run_lines
+from semloc_jax.reports.benchmark import fleet_lines, run_lines
 
 CASE = DriveCase("road, 1 camera", "road", 43)
 RUN = DriveRun(

@@ -193,7 +193,7 @@ def test_a_configuration_fits_on_a_page_or_two(verb, most):
     assert len(values) <= most, "make what nobody changes a named constant with its reason"
 
 
-@pytest.mark.parametrize("word", ["noise-px", "correlation-px", "ramp-share", "class-weight", "max-range-m", "kernel"])
+@pytest.mark.parametrize("word", ["noise-px", "correlation-px", "ramp-share", "class-weight", "max-range-m", "loss"])
 @pytest.mark.parametrize("verb", VERBS)
 def test_what_a_scene_says_it_says_once(verb, word):
     said = [flag for flag in flags(MODULES[verb].default_settings()) if flag.endswith((f".{word}", f"-{word}"))]

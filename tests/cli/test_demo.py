@@ -8,7 +8,7 @@ import time
 import pytest
 
 from semloc_jax.cli.main import OK, main
-from semloc_jax.reports import story
+from semloc_jax.reports import demo as story
 
 pytestmark = pytest.mark.usefixtures("single_precision")
 

@@ -14,7 +14,7 @@ from semloc_jax.alignment.problem import quadratic_model, residual
 from semloc_jax.geometry import lie, rigid
 from semloc_jax.residuals.alignment import alignment_residual, camera_views, points_in_camera
 from semloc_jax.residuals.normal_equations import normal_equations
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import decimated, robust_cost
 from tests.compiling import jit_quickly
 from tests.contracts.ground_scene import RIGS, STRIDE, samples_of, scene
@@ -28,7 +28,7 @@ FAR = {
     "ten kilometres up": np.array([0.0, 0, 1e4, 0, 0, 0]),
     "rolled over": np.array([0.0, 0, 0, 1.5, 1.2, 0.3]),
 }
-TUKEY = KERNELS["tukey"]
+TUKEY = LOSSES["tukey"]
 
 world_of = cache(scene)
 compiled_residual = eqx.filter_jit(alignment_residual)
@@ -66,8 +66,8 @@ def jacobian(world, xi):
     return np.asarray(compiled_jacobian(world.moved(xi), world.views, world.textures.level(1)))
 
 
-def fused(world, xi, kernel=TUKEY):
-    return compiled_normal_equations(world.moved(xi), world.views, world.textures.level(1), kernel)
+def fused(world, xi, loss=TUKEY):
+    return compiled_normal_equations(world.moved(xi), world.views, world.textures.level(1), loss)
 
 
 def pixels(world, xi):
@@ -115,13 +115,13 @@ def test_derivative_is_a_central_difference(rig_name):
     assert np.abs(numeric - exact)[smooth].max() < 1e-6 * np.abs(exact).max()
 
 
-def assert_fused_is_dense(name, kernel):
+def assert_fused_is_dense(name, loss):
     world = world_of(name)
     r, weight = at(world, OFF)
     J = jacobian(world, OFF)
-    w, rho = jax.tree.map(np.asarray, jit_quickly(lambda r: (kernel.weight(r), kernel.rho(r)))(r))
+    w, rho = jax.tree.map(np.asarray, jit_quickly(lambda r: (loss.weight(r), loss.rho(r)))(r))
     w = weight * w
-    given = fused(world, OFF, kernel)
+    given = fused(world, OFF, loss)
     assert close(given.hessian, J.T @ (w[:, None] * J), 1e-9)
     assert close(given.gradient, J.T @ (w * r), 1e-9)
     assert float(given.cost) == pytest.approx(float(weight @ rho), rel=1e-12)
@@ -131,9 +131,9 @@ def test_fused_normal_equations_are_the_dense_ones(rig_name):
     assert_fused_is_dense(rig_name, TUKEY)
 
 
-@pytest.mark.parametrize("kernel", sorted(set(KERNELS) - {"tukey"}))
-def test_fused_normal_equations_with_every_kernel(kernel):
-    assert_fused_is_dense("radtan", KERNELS[kernel])
+@pytest.mark.parametrize("loss", sorted(set(LOSSES) - {"tukey"}))
+def test_fused_normal_equations_with_every_loss(loss):
+    assert_fused_is_dense("radtan", LOSSES[loss])
 
 
 def test_fused_normal_equations_in_float32(rig_name):
@@ -145,12 +145,12 @@ def test_fused_normal_equations_in_float32(rig_name):
     assert float(short.cost) == pytest.approx(float(exact.cost), rel=1e-4)
 
 
-@pytest.mark.parametrize(("name", "kernel"), [("radtan", "tukey"), ("radtan", "huber"), ("mixed", "tukey")])
-def test_quadratic_model_has_the_gradient_of_the_residual(name, kernel):
+@pytest.mark.parametrize(("name", "loss"), [("radtan", "tukey"), ("radtan", "huber"), ("mixed", "tukey")])
+def test_quadratic_model_has_the_gradient_of_the_residual(name, loss):
     """The fused gradient is that of half the squared residual, away from the origin of the chart too."""
     world = world_of(name)
     prior = world.prior(-0.5 * OFF)
-    problem = level_problem(world.moved(OFF), world.views, 1, world.evidence, prior, AlignConfig(kernel=kernel))
+    problem = level_problem(world.moved(OFF), world.views, 1, world.evidence, prior, AlignConfig(loss=loss))
     (cost, gradient), model = gradients(jnp.array([0.05, -0.1, 0.2, 0.3, -0.2, 0.1]), problem)
     assert float(model.cost) == pytest.approx(float(cost), rel=1e-10)
     assert close(model.gradient, gradient, 1e-8)
@@ -234,14 +234,14 @@ def test_a_pose_without_rotation_has_a_derivative(name):
     """The logarithm and the chart at the identity are where naive code divides zero by zero."""
     world = world_of(name)
     problem = level_problem(
-        jnp.eye(4), world.views, 1, world.evidence, Prior(jnp.eye(4), world.sigma), AlignConfig(kernel="tukey")
+        jnp.eye(4), world.views, 1, world.evidence, Prior(jnp.eye(4), world.sigma), AlignConfig(loss="tukey")
     )
     (cost, gradient), model = gradients(jnp.zeros(6), problem)
     assert np.isfinite(cost) and np.isfinite(gradient).all()
     assert np.isfinite(model.gradient).all() and np.isfinite(model.hessian).all()
 
 
-def test_the_score_is_the_kernel_over_what_is_visible(rig_name):
+def test_the_score_is_the_loss_over_what_is_visible(rig_name):
     world = world_of(rig_name)
     texture = world.textures.level(1)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.datasets import Imu
-from semloc_jax.datasets.imu_check import require_usable, wrong_forces, wrong_rates
+from semloc_jax.datasets.inertial import require_usable, wrong_forces, wrong_rates
 from semloc_jax.errors import SemlocError
 
 

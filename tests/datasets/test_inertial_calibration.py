@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from semloc_jax.datasets import open_drive
-from semloc_jax.datasets.imu_noise import imu_yaml, read_imu_noise
+from semloc_jax.datasets.inertial import imu_yaml, read_imu_noise
 from semloc_jax.errors import SemlocError
 from semloc_jax.structs import InertialNoise
 from tests.datasets.layouts import write_euroc

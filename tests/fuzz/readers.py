@@ -21,7 +21,7 @@ from semloc_jax.inputs.config_files import read_yaml
 from semloc_jax.maps import SemanticMap, read_lane_centers, read_map
 from semloc_jax.maps.ground_raster import read_ground_raster
 from semloc_jax.maps.io import write_map
-from semloc_jax.maps.io.left_out import left_out
+from semloc_jax.maps.io.lanes import left_out
 from semloc_jax.perception import class_table, load_class_table
 from semloc_jax.perception.masks import read_mask
 from semloc_jax.perception.network import load_network_preset

@@ -18,7 +18,7 @@ from semloc_jax.maps.io.packed_drive import packed_bytes
 from semloc_jax.maps.versions.difference import difference
 from semloc_jax.maps.versions.sdiff import sdiff_bytes
 from semloc_jax.maps.versions.state import MapState
-from semloc_jax.reports.crowd_worlds import judged_changes
+from semloc_jax.reports.crowd_curve import judged_changes
 from tests.mapping.crowd_sights import SightNoise, sights_of_world
 
 DRIVES = [*(f"e0d{k}" for k in range(8)), *(f"e1d{k}" for k in (8, 9, 10)), *(f"e2d{k}" for k in (11, 12, 13))]

@@ -70,5 +70,5 @@ def test_a_file_tells_round_boards_by_two_sides_and_painted_outlines_no_finer_th
 
 
 def test_a_file_of_another_version_says_so():
-    with pytest.raises(SemlocError, match="another version of this package; pack the drive anew"):
+    with pytest.raises(SemlocError, match="another version of this package; pack the drive again"):
         unpacked(b"SLOC\x02" + bytes(40), "d")

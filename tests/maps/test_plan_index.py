@@ -4,10 +4,9 @@ import numpy as np
 import shapely
 
 from semloc_jax.maps import SemanticMap
+from semloc_jax.maps.around_place import PlanIndex, TiledGround, plan_geometry
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.maps.ground import GroundModel
-from semloc_jax.maps.plan_index import PlanIndex, plan_geometry
-from semloc_jax.maps.tiled_ground import TiledGround
 from semloc_jax.structs import ElementClass
 
 SLOPE = np.array([0.02, -0.01])

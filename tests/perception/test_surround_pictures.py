@@ -13,10 +13,10 @@ from semloc_jax.maps import map_from_arrays
 from semloc_jax.perception.blind_pixels import blind_pixels
 from semloc_jax.perception.camera_order import belonging
 from semloc_jax.perception.colour_balance import ColourBalance
-from semloc_jax.perception.seams import seam_weights, strongest_two
 from semloc_jax.perception.surround import SurroundView, own_car
 from semloc_jax.perception.surround_quality import overlap_matches, seam_step
 from semloc_jax.perception.surveyed_paint import corner_errors
+from semloc_jax.perception.view_tables import seam_weights, strongest_two
 from tests.perception.four_fisheyes import four_fisheyes, photographed, road_picture, texel
 
 BARS = [(x - 0.06, y0, x + 0.06, y0 + side * 3.0) for x in (-3.0, 0.0, 3.0, 5.5) for side, y0 in ((1, 1.8), (-1, -1.8))]

@@ -15,9 +15,9 @@ from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import read_map
 from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
 from semloc_jax.residuals.alignment import points_in_camera
-from semloc_jax.residuals.contour_pulls import contour_pulls
-from semloc_jax.residuals.contour_rows import contour_rows
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.holder_terms import contour_pulls
+from semloc_jax.residuals.projection import contour_rows
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.smooth import cubic_value, distance_patch, reach_and_gain, seen_share
 from semloc_jax.residuals.view import ViewConfig
 
@@ -53,7 +53,7 @@ def held_cost(T_map_base, scene, seen_from):
             reach_px, gain = reach_and_gain(view.channel, scene.model)
             weight = scene.nats_per_px * view.weight * seen_share(*uv, view, scene.usable, scene.border)[0]
             ratio = cubic_value(distance_patch(u, v, view, scene.maps)) / reach_px
-            total += jnp.sum(jnp.where(weight > 0, weight * gain * KERNELS["tukey"].rho(ratio), 0.0))
+            total += jnp.sum(jnp.where(weight > 0, weight * gain * LOSSES["tukey"].rho(ratio), 0.0))
     return total
 
 

@@ -29,7 +29,7 @@ from semloc_jax.residuals.alignment import CameraViews, Usable
 from semloc_jax.residuals.chart import Chart
 from semloc_jax.residuals.normal_equations import chart_equations
 from semloc_jax.residuals.projection import projected
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import ramp_values, robust_cost, sums_by_index, sums_by_piece, visible_weight
 from semloc_jax.residuals.texture import pack
 from semloc_jax.residuals.view import ViewConfig, view
@@ -75,7 +75,7 @@ def scene(camera: Camera, seed: int = 0, num: int = 700):
 
 @partial(jax.jit, static_argnames="path")
 def equations(path: str, chart: Chart, views, texture):
-    return chart_equations(chart, views, texture, KERNELS["tukey"], path)
+    return chart_equations(chart, views, texture, LOSSES["tukey"], path)
 
 
 @partial(jax.jit, static_argnames="path")
@@ -118,7 +118,7 @@ def test_normal_equations_are_those_of_jax(name, path):
 def test_visibility_and_cost_are_those_of_jax(name):
     views, textures, usable = scene(CAMERAS[name])
     T = chart_at(np.zeros(6)).pose()
-    texture, tukey = textures.level(1), KERNELS["tukey"]
+    texture, tukey = textures.level(1), LOSSES["tukey"]
     weigh = jax.jit(visible_weight, static_argnames=("border_px", "path"))
     seen = {path: weigh(T, views[0], usable, border_px=2.0, path=path) for path in ("analytic", "xla")}
     assert 0.02 < np.mean(np.asarray(seen["xla"]) > 0) < 0.9
@@ -164,7 +164,7 @@ def test_what_is_skipped_is_zero_and_the_rest_is_not():
     chart = chart_at(np.zeros(6))
 
     def one(skip):
-        return chart_equations(chart, views, textures.level(0), KERNELS["tukey"], "analytic", skip)
+        return chart_equations(chart, views, textures.level(0), LOSSES["tukey"], "analytic", skip)
 
     found = jax.jit(jax.vmap(one))(jnp.asarray([True, False]))
     assert all(np.all(np.asarray(part[0]) == 0) for part in found)
@@ -184,9 +184,9 @@ def test_a_path_that_is_not_possible_is_refused_in_words():
     class OwnCamera(PinholeCamera):
         pass
 
-    camera, tukey = OwnCamera(1.0, 1.0, 0.0, 0.0, 1, 1), KERNELS["tukey"]
+    camera, tukey = OwnCamera(1.0, 1.0, 0.0, 0.0, 1, 1), LOSSES["tukey"]
     assert native_kernels.use("auto", camera, tukey, jnp.float32) == "autodiff"
-    assert native_kernels.use("auto", camera, KERNELS["huber"], jnp.float32) == "xla"
+    assert native_kernels.use("auto", camera, LOSSES["huber"], jnp.float32) == "xla"
     with pytest.raises(SemlocError, match="no kernel for OwnCamera"):
         native_kernels.use("analytic", camera, tukey, jnp.float32)
     with pytest.raises(SemlocError, match="float32, not float64"):
@@ -292,7 +292,7 @@ def test_sums_by_piece_are_those_of_jax(name):
     views, textures, usable = two_cameras(name)
     num = views[0].weight.shape[1]
     piece_of = jnp.asarray(np.concatenate([np.arange(num) // 30, num + np.arange(num) // 17]), jnp.int32)
-    known = textures.level(1), usable, KERNELS["tukey"], 2.0
+    known = textures.level(1), usable, LOSSES["tukey"], 2.0
     T = chart_at(np.zeros(6)).pose()
     summed = jax.jit(lambda path: sums_by_piece(T, views, piece_of, *known, path), static_argnums=0)
     found, expected = (np.asarray(summed(path)) for path in PATHS)

@@ -12,7 +12,7 @@ from semloc_jax.perception import load_class_table
 from semloc_jax.perception.cost_maps import cost_maps
 from semloc_jax.residuals.alignment import Usable, alignment_residual, camera_views
 from semloc_jax.residuals.normal_equations import normal_equations
-from semloc_jax.residuals.robust import KERNELS
+from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import robust_cost
 from semloc_jax.residuals.texture import pack
 from semloc_jax.simulation.cameras import mounted
@@ -52,7 +52,7 @@ def evidence_of(mask_id, background=ROAD):
 
 
 def cost_of(views, textures, usable):
-    cost = compiled_cost(jnp.eye(4), views, textures.level(1), usable, KERNELS["tukey"], 2.0)
+    cost = compiled_cost(jnp.eye(4), views, textures.level(1), usable, LOSSES["tukey"], 2.0)
     return float(cost.summed), float(cost.visible)
 
 
@@ -63,7 +63,7 @@ def test_paint_feels_no_mask_of_another_class(mask_id):
     for level in range(4):
         r, _ = compiled_residual(jnp.eye(4), views, textures.level(level))
         assert np.array_equal(r, np.ones(200))
-    slopes = compiled_normal_equations(jnp.eye(4), views, textures.level(0), KERNELS["squared"])
+    slopes = compiled_normal_equations(jnp.eye(4), views, textures.level(0), LOSSES["squared"])
     assert np.array_equal(slopes.hessian, np.zeros((6, 6))) and np.array_equal(slopes.gradient, np.zeros(6))
     summed, visible = cost_of(views, textures, usable)
     assert visible > 100
@@ -74,7 +74,7 @@ def test_the_same_samples_feel_the_mask_of_their_own_class():
     textures, usable = evidence_of(POLE)
     r, _ = compiled_residual(jnp.eye(4), views_of(ElementClass.POLE), textures.level(0))
     assert np.mean(np.abs(r) < 0.9) > 0.5
-    slopes = compiled_normal_equations(jnp.eye(4), views_of(ElementClass.POLE), textures.level(0), KERNELS["squared"])
+    slopes = compiled_normal_equations(jnp.eye(4), views_of(ElementClass.POLE), textures.level(0), LOSSES["squared"])
     assert float(jnp.linalg.norm(slopes.gradient)) > 1.0
     summed, visible = cost_of(views_of(ElementClass.POLE), textures, usable)
     assert summed < 0.95 * visible

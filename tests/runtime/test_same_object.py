@@ -1,6 +1,6 @@
 """What is made of an object is made once for it, and never taken for that of another one."""
 
-from semloc_jax.runtime.same_object import once_for_each
+from semloc_jax.runtime.memory import once_for_each
 
 
 def test_a_result_is_made_once_for_each_object_and_argument():

@@ -12,10 +12,10 @@ from semloc_jax.maps import read_map
 from semloc_jax.simulation import SimulationConfig, simulate
 from semloc_jax.simulation.epochs import at_epoch
 from semloc_jax.simulation.garage import build_garage
+from semloc_jax.simulation.motion import DrivingStyle
 from semloc_jax.simulation.parking import build_hall, with_cars
 from semloc_jax.simulation.parking_drive import choose_target, drive_parking
 from semloc_jax.simulation.parking_plan import plan_parking
-from semloc_jax.simulation.route_motion import DrivingStyle
 from semloc_jax.simulation.slot_rows import LETTERS, number_box, number_paint
 
 STYLE = DrivingStyle(2.4, 0.9, 0.8)

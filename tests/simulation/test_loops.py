@@ -15,10 +15,10 @@ from semloc_jax.simulation import SimulationConfig, simulate
 from semloc_jax.simulation.cameras import front_rig
 from semloc_jax.simulation.loop import build_loop, plan_loop
 from semloc_jax.simulation.loop_drive import drive_loop, loop_traffic
+from semloc_jax.simulation.motion import DrivingStyle
 from semloc_jax.simulation.paint import painted_shape
 from semloc_jax.simulation.render import PixelRays, render
 from semloc_jax.simulation.render_classes import MaskRenderer
-from semloc_jax.simulation.route_motion import DrivingStyle
 
 SEEDS = range(3)
 
@@ -188,7 +188,7 @@ def test_laps_and_frames_that_cannot_be_are_refused(tmp_path):
     small = SimulationConfig(width_px=64, height_px=40, has_images=False)
     with pytest.raises(SemlocError, match="a road has no laps"):
         simulate("road", 1, tmp_path / "a", replace(small, laps=2))
-    with pytest.raises(SemlocError, match="leave it out to drive the whole way"):
+    with pytest.raises(SemlocError, match="leave it out for all of them"):
         simulate("loop", 1, tmp_path / "b", replace(small, laps=1, num_frames=100_000))
 
 

@@ -9,7 +9,7 @@ import shapely
 from scipy.spatial.transform import Rotation
 
 from semloc_jax.datasets import read_drive
-from semloc_jax.datasets.imu_noise import read_imu_noise
+from semloc_jax.datasets.inertial import read_imu_noise
 from semloc_jax.datasets.sensors import read_imu
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import GeoOrigin, read_map

@@ -158,7 +158,7 @@ def test_gzip_is_unpacked_up_to_a_limit():
     with pytest.raises(SemlocError, match=r"x\.pkl\.gz: unpacks to more than 2 MB"):
         decompressed(gzip.compress(bytes(50_000_000)), "x.pkl.gz", 2_000_000)
     for broken in (gzip.compress(content)[:-9], b"no gzip", zlib.compress(content)):
-        with pytest.raises(SemlocError, match="get the file anew"):
+        with pytest.raises(SemlocError, match="get the file again"):
             decompressed(broken, "x.pkl.gz")
 
 

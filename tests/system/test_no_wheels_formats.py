@@ -12,7 +12,7 @@ from semloc_jax.calibration.inertial_plausibility import compared, implausible_i
 from semloc_jax.calibration.turns_of_cameras import turns_of_cameras
 from semloc_jax.cli.main import OK, main
 from semloc_jax.datasets import Imu, open_drive, write_bag
-from semloc_jax.datasets.imu_noise import imu_yaml
+from semloc_jax.datasets.inertial import imu_yaml
 from semloc_jax.evaluation import read_trajectory
 from semloc_jax.geometry import rigid
 from tests.fusion.inertial_world import AHEAD, FRAME_S, World

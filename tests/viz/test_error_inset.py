@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from semloc_jax.viz.error_inset import FrameErrors, with_inset
+from semloc_jax.viz.insets import FrameErrors, with_inset
 from semloc_jax.viz.style import rgb
 
 IMAGE = np.full((300, 900, 3), 90, np.uint8)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from semloc_jax.viz.integrity import IntegrityErrors, stanford_diagram
 from semloc_jax.viz.style import to_image
+from semloc_jax.viz.tracking import IntegrityErrors, stanford_diagram
 
 
 def diagram(error, level):

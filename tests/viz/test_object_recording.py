@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.viz.object_recording import RecordedThing, object_recording
+from semloc_jax.viz.recording import RecordedThing, object_recording
 
 
 def things(num):

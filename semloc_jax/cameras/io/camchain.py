@@ -18,9 +18,9 @@ from jaxtyping import Float
 from semloc_jax.cameras.base import Camera, as_leaf
 from semloc_jax.cameras.io.fields import camera_of, numbers, perspective, required, resolution, rigid
 from semloc_jax.cameras.models import MODELS, find_model, model_of
-from semloc_jax.cameras.mounting import mounted
-from semloc_jax.cameras.rig import Rig
+from semloc_jax.cameras.rig import Rig, mounted
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.rigid import inverse
 from semloc_jax.storage import write_text
 
 _log = logging.getLogger(__name__)
@@ -94,9 +94,9 @@ def _pose(entry: Mapping[str, Any], previous: np.ndarray | None, where: str) -> 
     if "mounted" in entry:
         return _mounted(entry["mounted"], f"{where} mounted")
     if "T_cam_imu" in entry:
-        return _inverse(rigid(entry["T_cam_imu"], f"{where} T_cam_imu"))
+        return inverse(rigid(entry["T_cam_imu"], f"{where} T_cam_imu"))
     if "T_cn_cnm1" in entry and previous is not None:
-        return previous @ _inverse(rigid(entry["T_cn_cnm1"], f"{where} T_cn_cnm1"))
+        return previous @ inverse(rigid(entry["T_cn_cnm1"], f"{where} T_cn_cnm1"))
     if previous is not None:
         raise SemlocError(f"{where}: no pose; expected T_body_cam, mounted, T_cam_imu or T_cn_cnm1")
     _log.warning("%s: no pose; this camera is taken as the base frame (add T_body_cam or mounted)", where)
@@ -110,13 +110,6 @@ def _mounted(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
     position_m = numbers(required(value, "position_m", where), (3,), f"{where} position_m")
     angles_deg = [numbers(value.get(name, 0.0), (1,), f"{where} {name}")[0] for name in _ANGLES]
     return rigid(mounted(position_m.tolist(), *angles_deg), where)
-
-
-def _inverse(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    inverse = np.eye(4)
-    inverse[:3, :3] = T[:3, :3].T
-    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return inverse
 
 
 def _entry(rig: Rig, index: int) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from semloc_jax.cameras.io.fields import check_focal, intrinsics_of, numbers, re
 from semloc_jax.cameras.pinhole import PinholeCamera
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.rigid import pose_from
 
 RESOLUTION = (1600, 900)
 """Size of every image of the data set."""
@@ -65,10 +66,10 @@ def pose_of(row: Row, where: str) -> np.ndarray:
     quaternion = numbers(required(row, "rotation", where), (4,), f"{where} rotation")
     if np.linalg.norm(quaternion) < 1e-6:
         raise SemlocError(f"{where}: rotation {quaternion.tolist()}; expected a unit quaternion w x y z")
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat(quaternion[[1, 2, 3, 0]]).as_matrix()
-    T[:3, 3] = numbers(required(row, "translation", where), (3,), f"{where} translation")
-    return T
+    return pose_from(
+        Rotation.from_quat(quaternion[[1, 2, 3, 0]]).as_matrix(),
+        numbers(required(row, "translation", where), (3,), f"{where} translation"),
+    )
 
 
 def read_rows(path: Path) -> Sequence[Row]:

@@ -15,6 +15,7 @@ from semloc_jax.cameras.angle_polynomial import PolynomialFisheyeCamera
 from semloc_jax.cameras.io.fields import check_focal, numbers, required, resolution
 from semloc_jax.cameras.rig import Rig
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.rigid import pose_from
 
 
 def is_woodscape(content: Mapping[str, Any]) -> bool:
@@ -45,7 +46,7 @@ def _pose(content: Mapping[str, Any], where: str) -> np.ndarray:
     quaternion = numbers(required(place, "quaternion", where), (4,), f"{where} quaternion")
     if np.linalg.norm(quaternion) < 1e-6:
         raise SemlocError(f"{where}: quaternion {quaternion.tolist()}; expected x y z w of length one")
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-    T[:3, 3] = numbers(required(place, "translation", where), (3,), f"{where} translation")
-    return T
+    return pose_from(
+        Rotation.from_quat(quaternion).as_matrix(),
+        numbers(required(place, "translation", where), (3,), f"{where} translation"),
+    )

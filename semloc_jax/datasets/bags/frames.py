@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
+from semloc_jax.geometry.rigid import pose_from
 
 _LOG = logging.getLogger(__name__)
 BASE_FRAMES = ("base_link", "base_footprint", "rear_axle", "ego_vehicle", "base", "body", "vehicle")
@@ -123,10 +124,7 @@ def motion(translation: list[float], quaternion_xyzw: list[float], where: str) -
     values = np.array([*translation, *quaternion_xyzw], dtype=np.float64)
     if not np.isfinite(values).all() or np.linalg.norm(values[3:]) < 1e-6:
         raise SemlocError(f"{where}: transform {values.tolist()}; expected finite numbers and a unit quaternion")
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat(values[3:]).as_matrix()
-    T[:3, 3] = values[:3]
-    return T
+    return pose_from(Rotation.from_quat(values[3:]).as_matrix(), values[:3])
 
 
 def _moves(a: np.ndarray, b: np.ndarray) -> bool:

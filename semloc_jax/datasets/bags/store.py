@@ -151,7 +151,7 @@ class BagStore:
         if not isinstance(raw, bytes | bytearray | memoryview):
             raise SemlocError(
                 f"bag {self.path}: {topic}: a message holds {type(raw).__name__}; expected bytes; copy the bag "
-                "again or record it anew"
+                "again or record it again"
             )
 
 

@@ -30,6 +30,7 @@ from semloc_jax.datasets.pandaset.surface import road_profiles
 from semloc_jax.datasets.pandaset.vectorize import TracedLine, trace_lines, trace_signs
 from semloc_jax.datasets.pandaset.worn_lines import trace_paint
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry.polyline import arc_length
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.structs import ElementClass
 
@@ -170,7 +171,7 @@ def _looks(drive: PandaSetDrive, sweeps: slice) -> Iterator[tuple[Frame, object,
 
 def _pieces(index: int, line: TracedLine) -> list[_Piece]:
     """Straight pieces of a line, each about 1.5 m; a dash has two halves."""
-    knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line.points, axis=0), axis=1))])
+    knots = arc_length(line.points)
     count = 2 if line.is_isolated else max(1, round(knots[-1] / _PIECE_M))
     at = np.linspace(0.0, knots[-1], count + 1)
     points = np.column_stack([np.interp(at, knots, line.points[:, axis]) for axis in range(3)])

@@ -94,7 +94,7 @@ def read_cuboids(path: Path) -> Cuboids:
     if not (np.abs(numbers) < FARTHEST_M).all():
         raise SemlocError(
             f"cuboids {path}: a box has a place, size or heading that is NaN, infinite or beyond the earth; expected "
-            "metres and radians; get the file anew"
+            "metres and radians; get the file again"
         )
     return Cuboids(labels, numbers[:, :3], numbers[:, 3:6], numbers[:, 6])
 

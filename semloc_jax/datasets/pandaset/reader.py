@@ -25,6 +25,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation.trajectory import Trajectory
 from semloc_jax.geometry.geodesy import enu_from_wgs84
 from semloc_jax.geometry.plane import fit_plane
+from semloc_jax.geometry.rigid import pose_from
 from semloc_jax.maps import GeoOrigin
 from semloc_jax.storage import FARTHEST_M, npz_arrays
 
@@ -173,10 +174,7 @@ def _constant_extrinsics(truth: Trajectory, camera: Trajectory) -> np.ndarray:
     """T_base_cam as the mean over all frames, each at the time of that camera's own trigger."""
     inside = (camera.time_s >= truth.time_s[0]) & (camera.time_s <= truth.time_s[-1])
     T = np.linalg.inv(truth.interpolate(camera.time_s[inside])) @ camera.T_map_base[inside]
-    mean = np.eye(4)
-    mean[:3, :3] = Rotation.from_matrix(T[:, :3, :3]).mean().as_matrix()
-    mean[:3, 3] = np.median(T[:, :3, 3], axis=0)
-    return mean
+    return pose_from(Rotation.from_matrix(T[:, :3, :3]).mean().as_matrix(), np.median(T[:, :3, 3], axis=0))
 
 
 def _base_in_front_camera(front: Trajectory, points: LabelledPoints) -> np.ndarray:
@@ -196,18 +194,16 @@ def _base_in_front_camera(front: Trajectory, points: LabelledPoints) -> np.ndarr
     forward = np.median(steps[moving] / length[moving, None], axis=0) if moving.any() else np.array([0.0, 0.0, 1.0])
     forward -= (forward @ up) * up
     forward /= np.linalg.norm(forward)
-    T_front_base = np.eye(4)
-    T_front_base[:3, :3] = np.stack([forward, np.cross(up, forward), up], axis=1)
-    T_front_base[:3, 3] = -height * up - FRONT_CAMERA_X_M * forward
-    return T_front_base
+    return pose_from(np.stack([forward, np.cross(up, forward), up], axis=1), -height * up - FRONT_CAMERA_X_M * forward)
 
 
 def _camera_poses(folder: Path) -> Trajectory:
     """Poses of a camera, camera to map."""
     rows, time_s = _json(folder / "poses.json"), _json(folder / "timestamps.json")
-    T = np.tile(np.eye(4), (len(rows), 1, 1))
-    T[:, :3, :3] = Rotation.from_quat([[row["heading"][key] for key in "xyzw"] for row in rows]).as_matrix()
-    T[:, :3, 3] = [[row["position"][key] for key in "xyz"] for row in rows]
+    T = pose_from(
+        Rotation.from_quat([[row["heading"][key] for key in "xyzw"] for row in rows]).as_matrix(),
+        [[row["position"][key] for key in "xyz"] for row in rows],
+    )
     return Trajectory(np.array(time_s, dtype=np.float64), T)
 
 
@@ -227,7 +223,7 @@ def _labelled_points(path: Path) -> LabelledPoints:
     if data.ndim != 2 or data.shape[1] != 7 or not (np.abs(data) < FARTHEST_M).all():
         raise SemlocError(
             f"PandaSet {path}: an array {data.shape}, or numbers that are NaN, infinite or beyond the earth; expected "
-            "labelled points [x y z intensity sensor class sweep]; get the file anew"
+            "labelled points [x y z intensity sensor class sweep]; get the file again"
         )
     integers = data[:, 4:].astype(np.int64)
     return LabelledPoints(data[:, :3].astype(np.float64), data[:, 3].astype(np.float64), *integers.T)

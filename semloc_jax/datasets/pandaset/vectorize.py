@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.geometry.polyline import arc_length
+
 CELLS_M = (0.04, 0.12)
 """Rasters: fine where points are dense, coarse for what is left, far from the vehicle."""
 _MAX_DASH_M = 5.5
@@ -148,7 +150,7 @@ def _walked(pixels: np.ndarray) -> np.ndarray:
 
 def _strokes_along(path_xy: np.ndarray, points: np.ndarray, min_length_m: float) -> list[np.ndarray]:
     """One line through the points beside a path, or two where they are a double line; none if the path is too short."""
-    knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path_xy, axis=0), axis=1))])
+    knots = arc_length(path_xy)
     if knots[-1] < min_length_m:
         return []
     at = np.linspace(0.0, knots[-1], max(2, round(knots[-1] / _STATION_M) + 1))

@@ -50,7 +50,7 @@ class Lesson:
 
     def seen_with(self, eyes: Eyes | None) -> MaskSource:
         """The masks of the eyes; those there are where there are no eyes yet."""
-        return self.masks if eyes is None else eyes_source(eyes, self.drive, self.masks.cameras)
+        return self.masks if eyes is None else eyes_source(eyes, self.masks.cameras)
 
 
 class Labelled(NamedTuple):

@@ -167,8 +167,8 @@ def _city(name: str) -> tuple[np.ndarray, str]:
     city = _city_name(name)
     if city not in _CITIES:
         raise SemlocError(
-            f"map {name}: its name holds no known city ({', '.join(_CITIES)}), so it cannot be put at an origin; "
-            "leave the origin out"
+            f"map {name}: its name holds no known city ({', '.join(_CITIES)}), so its place on the earth is "
+            "unknown; leave the origin out"
         )
     lat, lon, crs = _CITIES[city]
     return np.array([*pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat), 0.0]), crs

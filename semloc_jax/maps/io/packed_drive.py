@@ -126,11 +126,11 @@ def unpacked(content: bytes, where: str) -> PackedDrive:
     """The drive of the bytes of a file; see `read_packed`."""
     begin = len(MAGIC) + _HASH_BYTES
     if content.startswith(MAGIC[:_ANY_VERSION]) and not content.startswith(MAGIC):
-        raise SemlocError(f"{where}: a packed drive of another version of this package; pack the drive anew")
+        raise SemlocError(f"{where}: a packed drive of another version of this package; pack the drive again")
     if not content.startswith(MAGIC):
         raise SemlocError(f"{where}: no packed drive; expected a file of `semloc pack`")
     if hashlib.sha256(content[begin:]).digest() != content[len(MAGIC) : begin]:
-        raise SemlocError(f"{where}: its content is not what was written (cut short or altered); get it anew")
+        raise SemlocError(f"{where}: its content is not what was written (cut short or altered); get it again")
     with reading(where):
         decoder = lzma.LZMADecompressor(format=lzma.FORMAT_RAW, filters=_FILTERS)
         text = decoder.decompress(content[begin:], max_length=_LARGEST_PAYLOAD)

@@ -6,15 +6,13 @@ new map; told once, for all of them, it is a few numbers. Elements keep the coor
 whole `CELL_MM`; where they lie by now follows in whole numbers, alike on every machine.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
-
-from semloc_jax.maps.versions.counting import steps
 
 CELL_MM = 5
 """Published coordinates are multiples: far enough apart that a small bend never brings two of them together."""
@@ -144,3 +142,9 @@ STILL = Datum({})
 def _keys(nodes: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
     """One number for each node."""
     return nodes[:, 0] * (4 * _MOST_NODE) + nodes[:, 1]
+
+
+def steps(numbers: Iterable[int]) -> list[int]:
+    """Each number less the one before it; `itertools.accumulate` gives them back."""
+    held = [0, *numbers]
+    return [b - a for a, b in pairwise(held)]

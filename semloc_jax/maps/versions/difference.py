@@ -84,12 +84,12 @@ def applied(base: MapState, step: MapDifference) -> MapState:
     """
     if step.base != base.digest:
         raise SemlocError(
-            f"map {base.map.name}: version {base.version} ({base.digest[:12]}), and the difference belongs on version "
+            f"map {base.map.name}: version {base.version} ({base.digest[:12]}), and the difference is for version "
             f"{step.base_version} ({step.base[:12]}); apply it to that one"
         )
     gone = set(step.removed)
     if not gone.union(step.modified) <= base.records.keys() or not base.records.keys().isdisjoint(step.added):
-        raise SemlocError(f"difference to version {step.version}: names elements that are not there; get it anew")
+        raise SemlocError(f"difference to version {step.version}: names elements that are not there; get it again")
     names = [name for name in base.records if name not in gone]
     datum = datum_of(step.members.get(DATUM))
     elements = {e.id: e for e in base.map.elements} if datum == base.datum else {}
@@ -101,8 +101,8 @@ def applied(base: MapState, step: MapDifference) -> MapState:
     found = state_of(_ordered([elements[name] for name in (*names, *step.added)], step.order), step.members)
     if found.digest != step.target:
         raise SemlocError(
-            f"difference to version {step.version}: leads to {found.digest[:12]} and promises {step.target[:12]}; get "
-            "it anew"
+            f"difference to version {step.version}: gives {found.digest[:12]} but states {step.target[:12]}; "
+            "get it again"
         )
     return found
 
@@ -123,5 +123,5 @@ def _ordered(elements: Sequence[MapElement], order: Sequence[int] | str | None) 
     if isinstance(order, str):
         return in_canonical_order(elements)
     if sorted(order) != list(range(len(elements))):
-        raise SemlocError("difference: its order names elements twice or not at all; get it anew")
+        raise SemlocError("difference: its order names elements twice or not at all; get it again")
     return [elements[k] for k in order]

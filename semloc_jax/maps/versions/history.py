@@ -150,7 +150,7 @@ def _steps_back(folder: Path, digest: str) -> Iterator[tuple[Path, SdiffFile]]:
             return
         step = SdiffFile.read(path)
         if not step.is_on(digest):
-            raise SemlocError(f"history {path}: is not the step back from {digest[:12]}; get the folder anew")
+            raise SemlocError(f"history {path}: is not the step back from {digest[:12]}; get the folder again")
         yield path, step
         digest = step.target
 

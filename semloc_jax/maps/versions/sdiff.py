@@ -13,8 +13,7 @@ from itertools import accumulate
 from pathlib import Path
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.maps.versions.counting import steps
-from semloc_jax.maps.versions.datum import Datum
+from semloc_jax.maps.versions.datum import Datum, steps
 from semloc_jax.maps.versions.difference import CANONICAL, MapDifference
 from semloc_jax.maps.versions.lifted_json import from_lifted
 from semloc_jax.maps.versions.likeness import coded_names, decoded_names, likened, told_records
@@ -79,7 +78,7 @@ class SdiffFile:
             raise SemlocError(f"{where}: no difference of two maps; expected a file of `semloc diff`")
         rest, read = content[begin:], from_terse if content.startswith(MAGIC) else from_lifted
         if len(rest) <= _BASE_BYTES + _TARGET_BYTES or _check(rest) != content[len(MAGIC) : begin]:
-            raise SemlocError(f"{where}: its content is not what was written (cut short or altered); get it anew")
+            raise SemlocError(f"{where}: its content is not what was written (cut short or altered); get it again")
         self.base, self.target = rest[:_BASE_BYTES].hex(), rest[_BASE_BYTES : _BASE_BYTES + _TARGET_BYTES].hex()
         with reading(where):
             decoder = lzma.LZMADecompressor(format=lzma.FORMAT_RAW, filters=_FILTERS)
@@ -115,7 +114,7 @@ class SdiffFile:
         """
         if not self.is_on(base.digest):
             raise SemlocError(
-                f"{self._where}: belongs on version {self.base_version} ({self.base[:12]}), and map {base.map.name} is "
+                f"{self._where}: is for version {self.base_version} ({self.base[:12]}), and map {base.map.name} is "
                 f"version {base.version} ({base.digest[:12]}); apply it to that one"
             )
         names = list(base.records)

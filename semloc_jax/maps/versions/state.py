@@ -173,4 +173,4 @@ def _stated(path: Path) -> tuple[int, int, Datum]:
         numbers = int(json.loads(members.get(VERSION, "1"))), int(json.loads(members.get(NUM_DRIVES, "0")))
         return *numbers, datum_of(json.loads(members.get(DATUM, "null")))
     except (TypeError, ValueError) as error:
-        raise SemlocError(f"map {path.name}: its version cannot be read ({error}); get the file anew") from error
+        raise SemlocError(f"map {path.name}: its version cannot be read ({error}); get the file again") from error

@@ -8,7 +8,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from semloc_jax.maps.versions.counting import steps
+from semloc_jax.maps.versions.datum import steps
 from semloc_jax.maps.versions.records import KEYS, POINTS, Record, whole_mm
 
 _BY = "+"

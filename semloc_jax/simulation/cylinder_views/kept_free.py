@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from semloc_jax.geometry.polyline import arc_length
 from semloc_jax.simulation.cylinder_views.bodies import (
     UNIT,
     Band,
@@ -97,7 +98,7 @@ def _arm(rng: np.random.Generator, wide_m: float, low_m: float, high_m: float) -
     }
     name = str(rng.choice(list(shapes), p=(0.28, 0.22, 0.26, 0.08, 0.1, 0.06)))
     corners = shapes[name]
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    s = arc_length(corners)
     at = np.linspace(0.0, s[-1], int(np.ceil(s[-1] / rng.uniform(0.05, 0.14))) + 1)
     # The corners themselves stay, so that a gate is one.
     at = np.unique(np.concatenate([at, s]))

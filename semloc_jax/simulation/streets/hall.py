@@ -84,7 +84,7 @@ def random_hall(rng: np.random.Generator) -> Scene:
         CLASS_IDS["wall"],
         wear_pattern(rng.uniform(0.0, 0.06), rng) if rng.random() < 0.4 else None,
     )
-    own = own_body(CLASS_IDS["ego"])
+    own = own_body()
     ego = (Box(own.class_id, tuple(rng.uniform(0.03, 0.9) * np.ones(3)), own.center, own.size_m, own.R_map_box),)
     return Scene((), hall.floor, ground, tuple(solids), lambda time_s: (), path, CLASS_IDS["wall"], ego)
 

@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.maps.around_place import TiledGround, plan_geometry
 from semloc_jax.maps.assumed_dashes import joined_dashes
 from semloc_jax.maps.elements import GeoOrigin, MapElement, Place
 from semloc_jax.maps.ground import GroundModel
@@ -22,7 +23,6 @@ from semloc_jax.maps.heights import lifted
 from semloc_jax.maps.io.features import FEATURE_CLASSES
 from semloc_jax.maps.io.geopackage import schema
 from semloc_jax.maps.io.geopackage.geometry import from_blob
-from semloc_jax.maps.plan_index import plan_geometry
 from semloc_jax.maps.semantic_map import (
     LocalMap,
     SemanticMap,
@@ -31,7 +31,6 @@ from semloc_jax.maps.semantic_map import (
     require_place,
 )
 from semloc_jax.maps.soundness import fault_of, faults_of, tell
-from semloc_jax.maps.tiled_ground import TiledGround
 from semloc_jax.storage import FARTHEST_M
 from semloc_jax.structs import ElementClass
 

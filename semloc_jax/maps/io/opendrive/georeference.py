@@ -81,7 +81,7 @@ class Georeference:
     def require(self, where: str) -> None:
         """Raises where an origin was given and the file has no grid."""
         if not self.crs:
-            raise SemlocError(f"{where}: has no geoReference, so it cannot be put at an origin; leave the origin out")
+            raise SemlocError(f"{where}: has no geoReference: its place on the earth is unknown; leave the origin out")
 
 
 def _is_crs(text: str) -> bool:
