@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from semloc_jax.alignment.fault_modes import PLANE, FaultConfig, probabilities
-from semloc_jax.alignment.result import FoundModes, Mode
+from semloc_jax.alignment.result import FoundModes, Mode, ModeEvidence
 from semloc_jax.evaluation.held import held_directions
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
 
@@ -42,8 +42,9 @@ class VerdictConfig:
     max_kinds_chi2: float = 30.0
     """Lane lines against all else in the map, or what stands against all else: farther apart than this (three degrees
     of freedom), one of both is not where the map says."""
-    max_weak_kinds_chi2: float = 16.3
-    """The same where masks hold little for each piece: one in a thousand (three degrees of freedom)."""
+    max_weak_kinds_chi2: float = 11.3
+    """The same where masks hold little for each piece: one in a hundred (three degrees of freedom). There kinds may not
+    be farther apart than a direction may be unsure, either: pillars that are seen badly contradict nothing."""
     max_lens_nats: float = 3.0
     """Through another lens the frame may fit better by chance; by more than this, the stated one is doubted."""
     min_confirmed: int = 1
@@ -152,13 +153,22 @@ def _fit(best: Mode, margin_nats: float, config: VerdictConfig) -> Reasons:
         yield SolveStatus.POOR_FIT, f"{text} a piece: so weak masks must tell the place by more than {margin_nats:.1f}"
     elif is_weak and evidence.lens_left_nats > -FaultConfig.excluded_nats:
         yield SolveStatus.POOR_FIT, f"{text} a piece: so weak masks do not tell the lens from others"
-    if evidence.kinds_chi2 > (config.max_weak_kinds_chi2 if is_weak else config.max_kinds_chi2):
+    if _are_kinds_apart(evidence, is_weak, config):
         text = f"{abs(evidence.kinds_left_m):.2f} m across and {abs(evidence.kinds_ahead_m):.2f} m along"
         text += " from where the rest of the map does"
         yield SolveStatus.POOR_FIT, f"lane lines, or posts and signs, put the vehicle {text}: one of both was moved"
     if evidence.lens_nats > config.max_lens_nats:
         text = f"masks fit {evidence.lens_nats:.0f} nats better through {evidence.lens}: calibration or map is wrong"
         yield SolveStatus.POOR_FIT, text
+
+
+def _are_kinds_apart(evidence: ModeEvidence, is_weak: bool, config: VerdictConfig) -> bool:
+    """Whether kinds of elements put the vehicle at two places."""
+    if not is_weak:
+        return evidence.kinds_chi2 > config.max_kinds_chi2
+    is_far = abs(evidence.kinds_left_m) > config.max_sigma_lateral_m
+    is_far |= abs(evidence.kinds_ahead_m) > config.max_sigma_longitudinal_m
+    return is_far or evidence.kinds_chi2 > config.max_weak_kinds_chi2
 
 
 def _rivals(modes: tuple[Mode, ...], config: VerdictConfig) -> Reasons:

@@ -128,8 +128,11 @@ def test_weak_masks_must_exclude_every_other_place_and_lens(margin_nats, lens_le
     weak = seen(nats_per_piece=0.2, lens_left_nats=lens_left_nats)
     found = FoundModes((weak,), SolveStatus.CONVERGED, 3, margin_nats=margin_nats)
     status, reasons = judge(found, np.eye(4), 2.0, LIMITS)
-    apart = replace(weak, evidence=replace(weak.evidence, kinds_chi2=17.0))
-    assert "one of both was moved" in judge(replace(found, modes=(apart,)), np.eye(4), 2.0, LIMITS)[1][-1]
+    for values in ({"kinds_chi2": 11.4}, {"kinds_left_m": -0.26}, {"kinds_ahead_m": 0.51}):
+        apart = replace(weak, evidence=replace(weak.evidence, **values))
+        assert "one of both was moved" in judge(replace(found, modes=(apart,)), np.eye(4), 2.0, LIMITS)[1][-1]
+        strong = replace(apart, evidence=replace(apart.evidence, nats_per_piece=0.6))
+        assert judge(replace(found, modes=(strong,)), np.eye(4), 2.0, LIMITS)[1] == ()
     if says is None:
         assert (status, reasons) == (SolveStatus.CONVERGED, ())
     else:
