@@ -62,8 +62,12 @@ def alias_shifts(
     along = overlap[:, num[1] - band : num[1] + band + 1].max(axis=1)
     across = overlap[num[0] - band : num[0] + band + 1].max(axis=0)
     whole = max(float(overlap[num[0], num[1]]), 1e-9)
-    shifts = [(s, 0.0) for s in _peaks(along / whole, config, config.least_along_m, config.num_along)]
-    shifts += [(0.0, s) for s in _peaks(across / whole, config, config.least_across_m, config.num_across)]
+    own, beside = along / whole, across / whole
+    shifts = [(s, 0.0) for s in _peaks(own, config, config.least_along_m, config.num_along)]
+    shifts += [(0.0, s) for s in _peaks(beside, config, config.least_across_m, config.num_across)]
+    known = [(s, 0.0) for s in _shortest(own, config, config.least_along_m)]
+    known += [(0.0, s) for s in _shortest(beside, config, config.least_across_m)]
+    shifts += [one for one in known if all(np.hypot(*np.subtract(one, s)) > 2.0 * config.cell_m for s in shifts)]
     shifts += [(0.0, side * lane) for lane in config.lanes_m for side in (-1.0, 1.0)]
     vehicle = T_map_base[:2, :2].T @ frame.T
     return np.asarray(shifts) @ vehicle.T
@@ -112,6 +116,15 @@ def _peaks(profile: np.ndarray, config: AliasConfig, least_m: float, most: int) 
     at = at[np.abs(at - middle) * config.cell_m >= least_m]
     prominence = np.array([_prominence(profile, k) for k in at.tolist()])
     return [float(k - middle) * config.cell_m for k in at[np.argsort(-prominence, kind="stable")][:most]]
+
+
+def _shortest(profile: np.ndarray, config: AliasConfig, least_m: float) -> list[float]:
+    """The shortest period to both sides [m], one slot aside, which longer ones may hide: of lines thinner than a cell
+    that come back between two cells each holds a part, so cells are taken with their neighbours."""
+    whole = np.convolve(profile, (0.5, 1.0, 0.5), mode="same")
+    found = np.array(_peaks(whole / whole.max(), config, least_m, len(profile)))
+    sides = (found[found > 0.0], -found[found < 0.0])
+    return [sign * float(side.min()) for sign, side in zip((1.0, -1.0), sides, strict=True) if len(side)]
 
 
 def _prominence(profile: np.ndarray, at: int) -> float:

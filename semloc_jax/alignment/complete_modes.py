@@ -101,6 +101,7 @@ class ModeFinder(SearchSteps):
         if not len(last.best):
             return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
         found = self._in_map(solved, Ts_end, (pieces, found), last, rates, road_through, in_view_px)
+        found = replace(found, margin_nats=min(places.margin_nats, last.margin_nats))
         return self._with_faults(found, frame, rates, in_view_px)
 
     def _with_faults(self, found: FoundModes, frame: FrameInput, rates: Rates, in_view_px: float) -> FoundModes:

@@ -37,6 +37,8 @@ class FaultConfig:
     """Calibrations whose focal lengths are off, and those whose distortion has the wrong sign."""
     lens_sigma: float = 0.02
     """By how much they are off then, as a share."""
+    excluded_nats: ClassVar[float] = 3.0
+    """A lens that the evidence of the masks makes so much less probable is none, whatever the cost of its pose."""
     mount_sigma_deg: float = 0.15
     """How far cameras may be turned in their mounts, in each direction: one frame cannot tell it from the heading."""
 

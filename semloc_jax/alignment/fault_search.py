@@ -6,6 +6,7 @@ that no solve crosses from the pose that was found: they are tried from places b
 """
 
 from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 
@@ -14,8 +15,9 @@ from semloc_jax.alignment.candidates import planar, solve_all
 from semloc_jax.alignment.fault_modes import PLANE, FaultConfig, FaultMode, places_without
 from semloc_jax.alignment.lens_doubt import LensDoubt, ThroughLens, doubted
 from semloc_jax.alignment.map_pieces import Rates
-from semloc_jax.alignment.posterior import temper
+from semloc_jax.alignment.posterior import PosteriorConfig, temper
 from semloc_jax.alignment.search_steps import SearchSteps
+from semloc_jax.alignment.seen_samples import SeenSamples
 from semloc_jax.alignment.single_frame import FrameInput
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import rigid
@@ -38,10 +40,10 @@ class FaultSearch:
     def weighed(self, covariance: np.ndarray, rates: Rates, config: FaultConfig) -> tuple[LensDoubt, list[FaultMode]]:
         """The lens that the frame speaks for; the poses with other lenses, and those that the map has without lane
         lines and without what stands. The covariance is that of the pose."""
-        doubt, of_lenses = doubted(self.frame.rig, self._through, covariance, config)
+        doubt, of_lenses = doubted(self.frame.rig, lambda rigs: self._through(rigs, rates), covariance, config)
         return doubt, [*of_lenses, *self._kinds(rates, config)]
 
-    def _through(self, rigs: Sequence[Rig]) -> list[ThroughLens]:
+    def _through(self, rigs: Sequence[Rig], rates: Rates) -> list[ThroughLens]:
         """The best pose through each of some cameras, the stated ones first; the kinds are solved in the same call."""
         steps, ahead, num = self.steps, self._starts(_LENS_STARTS_M), len(rigs)
         parts, beside = self._kind_parts(), self._starts(_KIND_STARTS_M)
@@ -56,8 +58,17 @@ class FaultSearch:
         known = steps.road, steps.wide_sigma, self.frame, self.in_view_px, steps.frame_config
         lens = np.repeat(np.arange(num), 2)
         solved = solve_all(starts, *known, steps.final_align, self.whole, rigs=rigs, lens=lens)
-        Ts = np.asarray(solved.estimates.T_map_base, np.float64)
-        return [ThroughLens(float(solved.score[row]), Ts[row]) for row in _least_of_each(solved.score, num)]
+        rows = _least_of_each(solved.score, num)
+        Ts = np.asarray(solved.estimates.T_map_base, np.float64)[rows]
+        known = zip(np.asarray(solved.score)[rows].tolist(), Ts, self._nats_through(rigs, Ts, rates), strict=True)
+        return [ThroughLens(*one) for one in known]
+
+    def _nats_through(self, rigs: Sequence[Rig], Ts: np.ndarray, rates: Rates) -> list[float]:
+        """By how much the evidence is higher through each of some cameras at its pose than through the first ones."""
+        steps = self.steps
+        seen = [steps.observed(T[None], rig=rig) for rig, T in zip(rigs, Ts, strict=True)]
+        pieces = steps.null.pieces(reduce(SeenSamples.joined, seen), steps.image_size, steps.observe_config.cell_px)
+        return _gained(steps.null.evidence(pieces, rates).block_nats, steps.config.posterior).tolist()
 
     def _kind_parts(self) -> np.ndarray:
         """The parts of the map without each of the kinds."""
@@ -83,11 +94,15 @@ class FaultSearch:
         """By how much a part of the map fits better at each pose than at the one that is told [nats], as far as the
         scatter of that over the image can be believed."""
         pieces = self.steps.pieces(np.concatenate([self.T[None], Ts]), part)
-        nats = self.steps.null.evidence(pieces, rates).block_nats
-        return ((nats.sum(axis=1) - nats[0].sum()) * temper(nats, 0, self.steps.config.posterior))[1:]
+        return _gained(self.steps.null.evidence(pieces, rates).block_nats, self.steps.config.posterior)[1:]
 
     def _starts(self, ahead_m: np.ndarray) -> np.ndarray:
         return self.steps.road.place(self.T @ planar(ahead_m, np.zeros_like(ahead_m), np.zeros_like(ahead_m)))
+
+
+def _gained(block_nats: np.ndarray, config: PosteriorConfig) -> np.ndarray:
+    """Evidence of each row over the first one [nats], as far as its scatter over the image can be believed."""
+    return (block_nats.sum(axis=1) - block_nats[0].sum()) * temper(block_nats, 0, config)
 
 
 def _least_of_each(score: np.ndarray, num: int) -> np.ndarray:

@@ -3,10 +3,13 @@
 In: cameras; the cost of the best pose through others, and where it is. Out: LensDoubt, FaultMode of each kind of lens.
 A wrong focal length moves near and far borders of a frame by different pixels, which no pose mends: where the frame
 shows both, it says so. What moves all of them alike (a camera that looks aside, a shifted image) one frame cannot tell.
+Two witnesses are asked. The cost that poses are solved by takes what masks have missed for far off, so that under poor
+masks a lens gains by what it takes out of sight. The evidence knows what this frame's masks miss, but its own best pose
+is another one. So a lens that the cost likes is none where the evidence excludes it.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +26,9 @@ class ThroughLens(NamedTuple):
     cost: float
     """[nats]"""
     T_map_base: np.ndarray
+    nats: float = 0.0
+    """By how much the evidence of the masks is higher than through the stated ones, as far as its scatter can be
+    believed."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +38,13 @@ class LensDoubt:
     Attributes:
         lens_nats: by how much better; 0 where the stated lens fits best.
         lens: what is other about it.
+        lens_left_nats: by how much the evidence of the masks is higher through that of the other lenses which it likes
+            most; far below zero it excludes all of them.
     """
 
     lens_nats: float = 0.0
     lens: str = ""
+    lens_left_nats: float = 0.0
 
 
 def doubted(
@@ -56,7 +65,8 @@ def doubted(
     other = with_distortion(rig, -1.0)
     rigs = [change(rig, side * FOCAL_SHARE) for change, _ in kinds for side in (1.0, -1.0)]
     stated, *solved = solved_through([rig, *rigs] if other is None else [rig, *rigs, other])
-    gain = [stated.cost - one.cost for one in solved]
+    by_cost = [stated.cost - one.cost for one in solved]
+    gain = [min(g, one.nats) if one.nats < -config.excluded_nats else g for g, one in zip(by_cost, solved, strict=True)]
     moved = [rigid.log(rigid.inverse(stated.T_map_base) @ one.T_map_base)[list(PLANE)] for one in solved]
     found, modes = [LensDoubt()], []
     for first, (_, words) in zip((0, 2), kinds, strict=True):
@@ -64,11 +74,12 @@ def doubted(
         sides = np.array(moved[first : first + 2])
         modes.append(lens_mode((up, down), sides, covariance, FOCAL_SHARE, f"other {words}", config))
         # A frame that has not found its own best place yet gains by any second solve.
-        if min(up, down) <= 0.0:
+        if min(by_cost[first : first + 2]) <= 0.0:
             side = "longer" if up > down else "shorter"
             found.append(LensDoubt(max(up, down), f"{words} that are {100 * FOCAL_SHARE:.1f} % {side}"))
     if other is not None:
         words = "the distortion with the other sign"
         found.append(LensDoubt(gain[-1], words))
         modes.append(sign_mode(gain[-1], moved[-1], covariance, words, config))
-    return max(found, key=lambda doubt: np.nan_to_num(doubt.lens_nats, nan=-np.inf)), modes
+    doubt = max(found, key=lambda doubt: np.nan_to_num(doubt.lens_nats, nan=-np.inf))
+    return replace(doubt, lens_left_nats=max(one.nats for one in solved)), modes

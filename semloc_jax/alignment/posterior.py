@@ -43,6 +43,11 @@ class Ridges:
     home: np.ndarray
     log_weight: np.ndarray
 
+    @property
+    def margin_nats(self) -> float:
+        """By how much the best place is more probable than the next one; infinite where there is no other [nats]."""
+        return float(np.subtract(*self.log_weight[self.best[:2]])) if len(self.best) > 1 else np.inf
+
 
 def log_prior(Ts: np.ndarray, T_prior: np.ndarray, sigma_xy_m: float, sigma_heading_rad: float) -> np.ndarray:
     """Log density of Student's t around the prior, up to a constant, float[n]."""

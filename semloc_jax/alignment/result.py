@@ -27,8 +27,8 @@ class ModeEvidence:
         status: how its last solve ended.
         kinds_chi2, kinds_ahead_m, kinds_left_m: how far kinds of elements of the map contradict each other; see
             `agreement.KindsApart`. Measured for the best mode, 0 for others.
-        lens_nats, lens: by how much the frame fits better through another lens, and through which; see
-            `lens_doubt.LensDoubt`. Measured for the best mode.
+        lens_nats, lens, lens_left_nats: by how much the frame fits better through another lens, through which, and what
+            the evidence leaves for any; see `lens_doubt.LensDoubt`. Measured for the best mode.
     """
 
     nats: float
@@ -43,6 +43,7 @@ class ModeEvidence:
     kinds_left_m: float = 0.0
     lens_nats: float = 0.0
     lens: str = ""
+    lens_left_nats: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,8 @@ class FoundModes:
         sound: covariance of the best one had nothing been wrong: forward [m], left [m], heading [rad]; None where
             nobody asked, and it is that of the mode.
         faults: what may be wrong with the best one.
+        margin_nats: by how much the best one is more probable than the next of all places that were looked at, those
+            that were solved to the end and those that were not [nats]; infinite where there was no other.
     """
 
     modes: tuple[Mode, ...]
@@ -105,6 +108,7 @@ class FoundModes:
     confirmed: int | None = 0
     sound: np.ndarray | None = None
     faults: tuple[FaultMode, ...] = ()
+    margin_nats: float = np.inf
 
 
 @dataclass(frozen=True)

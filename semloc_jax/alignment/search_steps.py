@@ -129,10 +129,10 @@ class SearchSteps:
             cells,
         )
 
-    def observed(self, Ts: np.ndarray, samples: MapSamples | None = None) -> SeenSamples:
-        """What each pose sees of all samples that evidence is counted of, or of others."""
-        samples = self.host_samples if samples is None else samples
-        return seen_from(Ts, samples, self.frame.rig, self.channel_of_label, self.fields, self.observe_config)
+    def observed(self, Ts: np.ndarray, samples: MapSamples | None = None, rig: Rig | None = None) -> SeenSamples:
+        """What each pose sees of all samples that evidence is counted of, or of others, or through other cameras."""
+        samples, rig = self.host_samples if samples is None else samples, self.frame.rig if rig is None else rig
+        return seen_from(Ts, samples, rig, self.channel_of_label, self.fields, self.observe_config)
 
     def log_prior(self, Ts: np.ndarray) -> np.ndarray:
         """Log prior of each pose."""

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semloc_jax.alignment.fault_modes import PLANE, probabilities
+from semloc_jax.alignment.fault_modes import PLANE, FaultConfig, probabilities
 from semloc_jax.alignment.level_choice import INLIER_LIMITS
-from semloc_jax.alignment.result import FoundModes, Mode
+from semloc_jax.alignment.result import FoundModes, Mode, ModeEvidence
 from semloc_jax.evaluation.held import held_directions
 from semloc_jax.structs import STATUS_TEXT, SolveStatus
 
@@ -26,7 +26,13 @@ class VerdictConfig:
     min_explained: float = 0.35
     """Share of the pieces of map in view that must lie on borders of their class."""
     min_nats_per_piece: float = 0.5
-    """Evidence of one piece of map against seeing the map elsewhere."""
+    """Evidence of one piece of map against seeing the map elsewhere: of less, see `min_margin_nats`."""
+    min_margin_nats: float = 7.0
+    """Where masks hold less for each piece, since they miss much or are coarse, all pieces together must decide: no
+    other place of those looked at may hold more than a thousandth of what the pose does, the evidence must exclude
+    every other lens (`FaultConfig.excluded_nats`), and kinds of elements must agree (`max_weak_kinds_chi2`). With masks
+    of elsewhere the next place is 4 nats behind at most, at right poses 7 to 40; through a wrong lens the evidence
+    excludes none."""
     min_weight: float = 0.95
     """Share of the posterior that the best mode must hold against modes elsewhere: of real images for which less was
     stated, one in five was elsewhere."""
@@ -36,6 +42,9 @@ class VerdictConfig:
     max_kinds_chi2: float = 30.0
     """Lane lines against all else in the map, or what stands against all else: farther apart than this (three degrees
     of freedom), one of both is not where the map says."""
+    max_weak_kinds_chi2: float = 11.3
+    """The same where masks hold little for each piece: one in a hundred (three degrees of freedom). There kinds may not
+    be farther apart than a direction may be unsure, either: pillars that are seen badly contradict nothing."""
     max_lens_nats: float = 3.0
     """Through another lens the frame may fit better by chance; by more than this, the stated one is doubted."""
     min_confirmed: int = 1
@@ -112,7 +121,7 @@ Reasons = Iterator[tuple[SolveStatus, str]]
 def _against(found: FoundModes, T_map_prior: np.ndarray, sigma_xy_m: float, config: VerdictConfig) -> Reasons:
     """Every reason against the best mode."""
     modes = found.modes
-    yield from _fit(modes[0], config)
+    yield from _fit(modes[0], found.margin_nats, config)
     yield from _rivals(modes, config)
     yield from _directions(modes[0], sigma_xy_m, config)
     yield from _faults(found, config)
@@ -126,7 +135,7 @@ def _against(found: FoundModes, T_map_prior: np.ndarray, sigma_xy_m: float, conf
         yield SolveStatus.AT_SEARCH_BORDER, text
 
 
-def _fit(best: Mode, config: VerdictConfig) -> Reasons:
+def _fit(best: Mode, margin_nats: float, config: VerdictConfig) -> Reasons:
     """Whether the masks show the map at all."""
     if best.coverage < config.min_coverage:
         yield SolveStatus.NO_EVIDENCE, f"only {best.coverage:.0%} of the map in view falls on usable pixels"
@@ -136,18 +145,30 @@ def _fit(best: Mode, config: VerdictConfig) -> Reasons:
     evidence = best.evidence
     if evidence is None:
         return
-    if evidence.explained < config.min_explained or evidence.nats_per_piece < config.min_nats_per_piece:
-        text = (
-            f"{evidence.explained:.0%} of the map in view on borders of the masks, {evidence.nats_per_piece:.2f} nats"
-        )
+    is_weak = evidence.nats_per_piece < config.min_nats_per_piece
+    text = f"{evidence.explained:.0%} of the map in view on borders of the masks, {evidence.nats_per_piece:.2f} nats"
+    if evidence.explained < config.min_explained:
         yield SolveStatus.POOR_FIT, f"{text} a piece"
-    if evidence.kinds_chi2 > config.max_kinds_chi2:
+    elif is_weak and margin_nats < config.min_margin_nats:
+        yield SolveStatus.POOR_FIT, f"{text} a piece: so weak masks must tell the place by more than {margin_nats:.1f}"
+    elif is_weak and evidence.lens_left_nats > -FaultConfig.excluded_nats:
+        yield SolveStatus.POOR_FIT, f"{text} a piece: so weak masks do not tell the lens from others"
+    if _are_kinds_apart(evidence, is_weak, config):
         text = f"{abs(evidence.kinds_left_m):.2f} m across and {abs(evidence.kinds_ahead_m):.2f} m along"
         text += " from where the rest of the map does"
         yield SolveStatus.POOR_FIT, f"lane lines, or posts and signs, put the vehicle {text}: one of both was moved"
     if evidence.lens_nats > config.max_lens_nats:
         text = f"masks fit {evidence.lens_nats:.0f} nats better through {evidence.lens}: calibration or map is wrong"
         yield SolveStatus.POOR_FIT, text
+
+
+def _are_kinds_apart(evidence: ModeEvidence, is_weak: bool, config: VerdictConfig) -> bool:
+    """Whether kinds of elements put the vehicle at two places."""
+    if not is_weak:
+        return evidence.kinds_chi2 > config.max_kinds_chi2
+    is_far = abs(evidence.kinds_left_m) > config.max_sigma_lateral_m
+    is_far |= abs(evidence.kinds_ahead_m) > config.max_sigma_longitudinal_m
+    return is_far or evidence.kinds_chi2 > config.max_weak_kinds_chi2
 
 
 def _rivals(modes: tuple[Mode, ...], config: VerdictConfig) -> Reasons:

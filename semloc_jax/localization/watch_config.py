@@ -30,6 +30,9 @@ class WatchConfig:
     """So many frames at the start of a drive are asked for all that may be wrong with lenses, width and the yaw of all
     cameras: what is wrong is wrong from the first frame on."""
     memory_frames: float = 40.0
+    memory_looks: ClassVar[float] = 10.0
+    """Of each of the other calibrations at the least: with several cameras one of a dozen is asked a frame, and what
+    the start of a drive has told would be forgotten three times as fast as it is told again."""
     share: float = 0.3
     """Share of what a frame says that is new: successive frames see the same map."""
     least_levels: tuple[float, float, float] = LEAST_LEVELS

@@ -110,6 +110,7 @@ def learned(
         zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
         watch = WatchState(*zeros, num_frames=watch.num_frames, stance=watch.stance, sign=watch.sign)
     keep = np.exp(-1.0 / config.memory_frames)
+    kept = np.exp(-1.0 / max(config.memory_frames, config.memory_looks * len(names)))
     new, gain, moved = np.zeros(size), np.zeros(size), np.zeros((size, 3))
     for one in tried:
         asked = np.isfinite(one.gain_nats) & np.isfinite(one.moved).all(axis=1)
@@ -117,9 +118,9 @@ def learned(
         new[rows], gain[rows], moved[rows] = 1.0, one.gain_nats[asked], one.moved[asked]
     usable = np.isfinite(profiles).all()
     return WatchState(
-        num=keep * watch.num + new,
-        gain=keep * watch.gain + gain,
-        moved=keep * watch.moved + moved.ravel(),
+        num=kept * watch.num + new,
+        gain=kept * watch.gain + gain,
+        moved=kept * watch.moved + moved.ravel(),
         profiles=keep * watch.profiles + (np.asarray(profiles, np.float64).ravel() if usable else 0.0),
         aside_rad=np.float64(aside_rad),
         num_looks=np.float64(keep * watch.num_looks + usable),

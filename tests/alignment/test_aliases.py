@@ -57,6 +57,34 @@ def test_lanes_are_proposed_from_the_lines():
     assert np.abs(across - 3.75).min() < 0.3 and np.abs(across + 3.75).min() < 0.3
 
 
+def hall(slot_m, num=21):
+    """Samples of a hall: slot lines on both sides of an aisle, 0.12 m wide, and after every third slot the upright
+    edges of a pillar, all samples of which have one place."""
+    at = slot_m * (np.arange(num) - num // 2)
+    deep = np.arange(3.0, 8.0, 0.25)
+    points, tangents, channel = [], [], []
+    for side in (-1.0, 1.0):
+        for edge in (-0.06, 0.06):
+            x, y = np.meshgrid(at + edge, side * deep)
+            points.append(np.column_stack([x.ravel(), y.ravel()]))
+            tangents.append(np.tile([0.0, 1.0], (x.size, 1)))
+            channel.append(np.zeros(x.size, int))
+        for centre in at[::3]:
+            for corner in ((-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)):
+                points.append(np.tile([centre, side * 3.0] + np.array(corner), (8, 1)))
+                tangents.append(np.tile([0.0, 0.0], (8, 1)))
+                channel.append(np.ones(8, int))
+    return np.vstack(points), np.vstack(tangents), np.concatenate(channel), np.full(sum(map(len, channel)), 0.25)
+
+
+@pytest.mark.parametrize("slot_m", [2.4, 2.5, 2.58, 2.63])
+def test_the_slot_aside_is_proposed_beside_the_bay_of_pillars(slot_m):
+    """Lines are thinner than a cell, a slot is no whole number of cells, and the bays are the stronger periods."""
+    shifts = alias_shifts(*hall(slot_m), np.eye(4), AliasConfig(along_m=20.0, num_along=2, num_across=2))
+    for side in (-1.0, 1.0):
+        assert np.linalg.norm(shifts - [side * slot_m, 0.0], axis=1).min() < 0.3
+
+
 def test_no_map_has_no_aliases():
     empty = np.zeros((0, 2))
     assert alias_shifts(empty, empty, np.zeros(0, int), np.zeros(0), np.eye(4), AliasConfig()).shape == (0, 2)

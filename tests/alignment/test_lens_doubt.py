@@ -52,6 +52,19 @@ def test_a_sound_lens_is_not_doubted():
     assert lens_of(parabola(500.0, 500.0, -0.2)).lens_nats == 0.0
 
 
+@pytest.mark.parametrize(("nats", "is_doubted"), [(4.0, True), (-2.9, True), (-3.1, False)])
+def test_a_lens_that_the_evidence_excludes_is_none_whatever_the_cost_says(nats, is_doubted):
+    cost_through = parabola(525.0, 525.0, -0.2)
+
+    def solved_through(rigs):
+        return [ThroughLens(cost_through(rig), np.eye(4), 0.0 if rig is rigs[0] else nats) for rig in rigs]
+
+    doubt, modes = doubted(RIG, solved_through, np.zeros((3, 3)), FaultConfig())
+    assert (doubt.lens_nats > 3.0) == is_doubted
+    assert doubt.lens_left_nats == nats
+    assert (modes[0].odds > 1.0) == is_doubted
+
+
 def test_a_frame_that_gains_by_any_second_solve_says_nothing():
     """The pose that was found is no best one yet: every other lens, longer or shorter, costs less."""
 

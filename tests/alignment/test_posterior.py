@@ -27,6 +27,9 @@ def test_probabilities_are_the_brute_force_posterior_where_evidence_is_believed(
     expected = weight / weight.sum()
     assert found.probability == pytest.approx(np.sort(expected)[::-1], abs=1e-9)
     assert list(found.best) == list(np.argsort(-expected))
+    best, second = np.sort(expected)[:-3:-1]
+    assert found.margin_nats == pytest.approx(np.log(best / second))
+    assert ridges(Ts[:1], in_blocks(nats[:1]), prior[:1], CONFIG).margin_nats == np.inf
 
 
 def test_neighbours_are_one_place_with_the_weight_of_the_best():

@@ -120,6 +120,26 @@ def test_a_pose_far_from_the_prior_was_found_at_the_border():
     assert reasons == ("4.3 sigmas from the prior, which states 2 m: one of both is wrong",)
 
 
+@pytest.mark.parametrize(
+    ("margin_nats", "lens_left_nats", "says"),
+    [(7.1, -3.1, None), (6.9, -9.0, "must tell the place by more than 6.9"), (30.0, -2.9, "do not tell the lens")],
+)
+def test_weak_masks_must_exclude_every_other_place_and_lens(margin_nats, lens_left_nats, says):
+    weak = seen(nats_per_piece=0.2, lens_left_nats=lens_left_nats)
+    found = FoundModes((weak,), SolveStatus.CONVERGED, 3, margin_nats=margin_nats)
+    status, reasons = judge(found, np.eye(4), 2.0, LIMITS)
+    for values in ({"kinds_chi2": 11.4}, {"kinds_left_m": -0.26}, {"kinds_ahead_m": 0.51}):
+        apart = replace(weak, evidence=replace(weak.evidence, **values))
+        assert "one of both was moved" in judge(replace(found, modes=(apart,)), np.eye(4), 2.0, LIMITS)[1][-1]
+        strong = replace(apart, evidence=replace(apart.evidence, nats_per_piece=0.6))
+        assert judge(replace(found, modes=(strong,)), np.eye(4), 2.0, LIMITS)[1] == ()
+    if says is None:
+        assert (status, reasons) == (SolveStatus.CONVERGED, ())
+    else:
+        assert status == SolveStatus.POOR_FIT
+        assert len(reasons) == 1 and "0.20 nats a piece" in reasons[0] and says in reasons[0]
+
+
 def test_all_reasons_are_told_and_the_first_names_the_status():
     status, reasons = verdict(replace(with_sigma(1, 1.0), coverage=0.1, cost=0.9), away=9.0)
     assert status == SolveStatus.NO_EVIDENCE

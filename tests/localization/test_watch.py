@@ -167,6 +167,20 @@ def test_the_other_calibrations_take_turns():
     assert sorted(name for (name,) in at[CONFIG.eager_looks :]) == sorted(alternatives(2))
 
 
+def test_four_cameras_do_not_forget_what_the_start_of_a_drive_told():
+    """One of a dozen calibrations is asked a frame: what all frames have told of one gets no less on the way."""
+    names = alternatives(4)
+    row = len(STEPS) * names.index(ASIDE)
+
+    def looks(num: int) -> float:
+        state = after_frames(4, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat(), num)
+        return float(state.num[row])
+
+    start = looks(CONFIG.eager_looks)
+    assert start > 10.0
+    assert all(looks(CONFIG.eager_looks + num * len(names)) > 0.9 * start for num in (1, 5, 12))
+
+
 def test_the_other_calibrations_differ_as_they_say():
     """Longer and shorter, bent and unbent, every camera down and up, left and right; axes as in scipy."""
     given = rig(2)
