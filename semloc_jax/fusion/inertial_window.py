@@ -115,12 +115,6 @@ class InertialWindow:
         newest = self.predicted(moment.steps)
         for name, new in zip(SIZES, newest, strict=True):
             self.values[name][-1] = new
-        first = {name: np.array(self.prior.first[name]) for name in SIZES}
-        for name in SIZES:
-            first[name][-1] = self.values[name][-1]
-        self.prior = WindowPrior(
-            first, self.prior.touched, self.prior.held, self.prior.gradient, self.prior.information
-        )
         self.pool.add(moment.tracks, self.num_states - 1)
         estimate = self.solve()
         if not moment.is_standing:  # corners of a vehicle that stands do not slip

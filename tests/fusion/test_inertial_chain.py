@@ -9,8 +9,9 @@ from semloc_jax.fusion.inertial_chain import chain_equations
 from semloc_jax.fusion.inertial_graph import frame_graph, left_by_oldest
 from semloc_jax.fusion.inertial_intervals import Interval, stacked
 from semloc_jax.fusion.inertial_states import SIZES, unknowns_of
-from semloc_jax.geometry import lie, rigid
+from semloc_jax.geometry import rigid
 from semloc_jax.solvers.dense import dense_hessian, marginal
+from tests.compiling import jit_quickly
 from tests.fusion.inertial_windows import NUM, begun
 
 _EDGES, _STATES = ("inertial", "walk", "still"), ("rolling", "wheels", "standing", "measured")
@@ -35,21 +36,27 @@ def moved(values, scale, seed):
     return beside | {"pose": values["pose"] @ rigid.exp(scale * rng.normal(size=(NUM, 6)))}
 
 
+def both(factors, value, at):
+    """Equations of a window by neighbours, and by every family of factors alone."""
+    value, at = jax.tree.map(jnp.asarray, (value, at))
+    graph = frame_graph(factors)
+    local = graph.local(value, at)
+    g = graph.gradients(local)
+    gradient = jnp.concatenate([g[family.name].ravel() for family in graph.families])
+    cost = sum(jnp.sum(part.cost) for part in local)
+    return chain_equations(graph, value, at, NUM), (cost, gradient, dense_hessian(graph, local, graph.families))
+
+
 def test_rows_of_neighbours_squared_at_once_are_the_sums_of_all_factors(window):
     _, problem, values = window._problem()
     with jax.enable_x64(True):
         values = {name: np.asarray(values[name], float) for name in SIZES}
-        value, at = (jax.tree.map(jnp.asarray, moved(values, 1e-3, seed)) for seed in (0, 1))
-        graph = frame_graph(problem.factors)
-        local = graph.local(value, at)
-        g = graph.gradients(local)
-        found = chain_equations(graph, value, at, NUM)
-        expected = dense_hessian(graph, local, graph.families)
-    np.testing.assert_allclose(found.cost, sum(float(jnp.sum(part.cost)) for part in local), rtol=1e-12)
-    gradient = np.concatenate([np.ravel(g[family.name]) for family in graph.families])
-    np.testing.assert_allclose(found.gradient, gradient, rtol=1e-9, atol=1e-12 * np.abs(gradient).max())
-    size = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(found.information / size / size[:, None], expected / size / size[:, None], atol=1e-11)
+        value, at = (moved(values, 1e-3, seed) for seed in (0, 1))
+        found, (cost, g, H) = jit_quickly(both)(problem.factors, value, at)
+    np.testing.assert_allclose(found.cost, cost, rtol=1e-12)
+    np.testing.assert_allclose(found.gradient, g, rtol=1e-9, atol=1e-12 * np.abs(g).max())
+    size = np.sqrt(np.diag(H))
+    np.testing.assert_allclose(found.information / size / size[:, None], H / size / size[:, None], atol=1e-11)
 
 
 @pytest.mark.parametrize("num_gone", [1, 2])
@@ -71,8 +78,9 @@ def test_what_the_oldest_leave_is_what_their_factors_and_landmarks_say(window, n
     gone, kept = unknowns_of(np.arange(num_gone), NUM), unknowns_of(np.arange(num_gone, NUM), NUM)
     with jax.enable_x64(True):
         values = {name: jnp.asarray(array, jnp.float64) for name, array in values.items()}
-        found = left_by_oldest(problem, values, num_gone)
-        expected = marginal(alone.linearise(values, jnp.asarray(False)).reduced(), gone, kept)
+        found = jit_quickly(lambda p, v: left_by_oldest(p, v, num_gone))(problem, values)
+        whole = jit_quickly(lambda p, v: p.linearise(v, jnp.asarray(False)).reduced())(alone, values)
+        expected = marginal(whole, gone, kept)
     size = np.abs(np.asarray(expected.information)).max()
     assert size > 1e3
     np.testing.assert_allclose(found.information, expected.information, atol=1e-9 * size)
@@ -87,9 +95,11 @@ def test_an_interval_holds_at_biases_a_little_off_and_is_made_anew_beyond(window
     assert first.holds(steps, near) and not first.holds(steps, far) and not first.holds(window.moments[-2].steps, near)
     there = Interval.of(steps, near, noise)
     with jax.enable_x64(True):
-        (R, *rest), (R_there, *rest_there) = (one.moved.corrected(jnp.asarray(near)) for one in (first, there))
-        turn = lie.so3_log(R.T @ R_there)
-    off = np.concatenate([turn, *(np.asarray(a - b) for a, b in zip(rest, rest_there, strict=True))])
+        corrected = jit_quickly(lambda moved: moved.corrected(jnp.asarray(near)))
+        (R, *rest), (R_there, *rest_there) = (corrected(one.moved) for one in (first, there))
+        T = np.eye(4)
+        T[:3, :3] = np.asarray(R).T @ np.asarray(R_there)
+    off = np.concatenate([rigid.log(T)[3:], *(np.asarray(a - b) for a, b in zip(rest, rest_there, strict=True))])
     assert np.abs(there.root @ off).max() < 1e-3
     # What is left out would show if it were not corrected at all.
     assert np.abs(there.root @ (np.asarray(first.moved.by_bias) @ near)).max() > 0.1
