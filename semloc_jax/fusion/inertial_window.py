@@ -116,7 +116,7 @@ class InertialWindow:
         for name, new in zip(SIZES, newest, strict=True):
             self.values[name][-1] = new
         self.pool.add(moment.tracks, self.num_states - 1)
-        estimate = self.solve()
+        estimate = self.solve(takes_short=True)
         if not moment.is_standing:  # corners of a vehicle that stands do not slip
             self._learn_steps(estimate.step_px)
         return estimate
@@ -130,12 +130,16 @@ class InertialWindow:
         T_from_to, velocity = motion.turned(turn).after(moving)
         return self.state(-1)._replace(T_map_base=rigid.normalised(T @ T_from_to), velocity_map=velocity)
 
-    def solve(self) -> InertialEstimate:
-        """Solve all states and landmarks together, let go of landmarks that do not fit, judge the newest state."""
+    def solve(self, takes_short: bool = False) -> InertialEstimate:
+        """Solve all states and landmarks together, let go of landmarks that do not fit, judge the newest state.
+
+        Args:
+            takes_short: Whether the last step, which moves little, is taken without looking at where it leads.
+        """
         rows, problem, values = self._problem()
         config = self.config
         with jax.enable_x64(True):
-            found = _solved(problem, values, config.max_steps, config.least_step_sigmas)
+            found = _solved(problem, values, config.max_steps, config.least_step_sigmas, takes_short)
         found = jax.tree.map(np.array, found)
         self.values = {name: found.values[name] for name in SIZES}
         num = len(rows)
@@ -253,9 +257,11 @@ class _Found(NamedTuple):
     num_steps: Array
 
 
-@partial(jax.jit, static_argnames=("max_steps", "least_step_sigmas"))
-def _solved(problem: WindowProblem, values: Values, max_steps: int, least_step_sigmas: float) -> _Found:
-    rules = SolveConfig(least_step_sigmas, max_steps, damping=Damping(1e-6), takes_short=True)
+@partial(jax.jit, static_argnames=("max_steps", "least_step_sigmas", "takes_short"))
+def _solved(
+    problem: WindowProblem, values: Values, max_steps: int, least_step_sigmas: float, takes_short: bool
+) -> _Found:
+    rules = SolveConfig(least_step_sigmas, max_steps, damping=Damping(1e-6), takes_short=takes_short)
     solution = levenberg_marquardt(problem, values, rules)
     left = solution.equations.reduced()
     num = len(problem.prior.touched)

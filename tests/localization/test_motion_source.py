@@ -1,6 +1,7 @@
 """Which sensors say how a vehicle moved, and what cameras and inertial sensor become for a localizer and for a map."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,10 +18,12 @@ from semloc_jax.localization.motion_source import (
     motion_log,
     resolved,
     resolved_without_map,
+    scenery_of,
     with_seen_speed,
 )
 from semloc_jax.localization.odometry import OdometryFrame
 from semloc_jax.mapping.chain import drive_chain
+from semloc_jax.perception import load_class_table
 
 GYRO_BIAS = 0.01
 """About z, as the odometry found it [rad/s]."""
@@ -110,3 +113,21 @@ def test_a_map_without_wheels_and_without_a_start_says_both(drive, masks, monkey
     monkeypatch.setattr(motion_source, "seen_motion", lambda *_: SeenMotion((), 0, "the images are dark"))
     with pytest.raises(SemlocError, match="no wheel odometry, and .* no start: the images are dark"):
         with_seen_speed(replace(drive, odometry=None), masks, False)
+
+
+@pytest.mark.parametrize("share", [1, 2])
+def test_masks_hide_sky_and_traffic_and_say_where_the_road_is(share):
+    """In the size of the image: a pixel is usable, or road, where all of its part of the mask is."""
+    road, building, sky, car, unknown = 0, 2, 10, 13, 255
+    mask = np.full((4, 6), road, np.uint8)
+    mask[:2] = building
+    mask[0, 2:] = sky
+    mask[2, 0], mask[3, 5] = car, unknown
+    camera = SimpleNamespace(resolution=(6 // share, 4 // share))
+    frame = SimpleNamespace(dynamic_mask=lambda name: None, rig=SimpleNamespace(index=lambda name: 0, cameras=[camera]))
+    masks = SimpleNamespace(table=load_class_table("cityscapes"), segment=lambda frame, name: mask)
+    scenery = scenery_of(masks)(frame, "front")
+    parts = mask.reshape(4 // share, share, 6 // share, share)
+    np.testing.assert_array_equal(scenery.usable, ~np.isin(parts, [sky, car]).any(axis=(1, 3)))
+    np.testing.assert_array_equal(scenery.road, (parts == road).all(axis=(1, 3)))
+    assert scenery.usable.dtype == scenery.road.dtype == bool
