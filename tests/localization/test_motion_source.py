@@ -1,7 +1,6 @@
 """Which sensors say how a vehicle moved, and what cameras and inertial sensor become for a localizer and for a map."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from semloc_jax.fusion.inertial_motion import Moving
 from semloc_jax.fusion.inertial_states import STATE
 from semloc_jax.fusion.velocity_sample import VelocitySample
 from semloc_jax.inputs.mask_source import mask_source
+from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.localization import motion_source
 from semloc_jax.localization.motion_source import (
     SeenMotion,
@@ -116,18 +116,16 @@ def test_a_map_without_wheels_and_without_a_start_says_both(drive, masks, monkey
 
 
 @pytest.mark.parametrize("share", [1, 2])
-def test_masks_hide_sky_and_traffic_and_say_where_the_road_is(share):
+def test_masks_hide_sky_and_traffic_and_say_where_the_road_is(drive, share):
     """In the size of the image: a pixel is usable, or road, where all of its part of the mask is."""
     road, building, sky, car, unknown = 0, 2, 10, 13, 255
-    mask = np.full((4, 6), road, np.uint8)
-    mask[:2] = building
-    mask[0, 2:] = sky
-    mask[2, 0], mask[3, 5] = car, unknown
-    camera = SimpleNamespace(resolution=(6 // share, 4 // share))
-    frame = SimpleNamespace(dynamic_mask=lambda name: None, rig=SimpleNamespace(index=lambda name: 0, cameras=[camera]))
-    masks = SimpleNamespace(table=load_class_table("cityscapes"), segment=lambda frame, name: mask)
-    scenery = scenery_of(masks)(frame, "front")
-    parts = mask.reshape(4 // share, share, 6 // share, share)
+    camera, frame = drive.rig.names[0], replace(drive.frames[0], draw_dynamic=None)
+    width, height = drive.rig.cameras[0].resolution
+    ids = np.array([road, building, sky, car, unknown], np.uint8)
+    mask = ids[np.random.default_rng(0).choice(5, (height * share, width * share), p=[0.6, 0.2, 0.1, 0.05, 0.05])]
+    masks = MaskSource("drawn", load_class_table("cityscapes"), (camera,), lambda frame, name: mask)
+    scenery = scenery_of(masks)(frame, camera)
+    parts = mask.reshape(height, share, width, share)
     np.testing.assert_array_equal(scenery.usable, ~np.isin(parts, [sky, car]).any(axis=(1, 3)))
     np.testing.assert_array_equal(scenery.road, (parts == road).all(axis=(1, 3)))
     assert scenery.usable.dtype == scenery.road.dtype == bool
