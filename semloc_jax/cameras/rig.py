@@ -69,6 +69,8 @@ class Rig(eqx.Module):
 
     def select(self, names: Sequence[str]) -> "Rig":
         """The rig with these cameras only, in this order."""
+        if tuple(names) == tuple(self.names):
+            return self
         index = [self.index(name) for name in names]
         return Rig([self.cameras[i] for i in index], self.T_base_cam[np.array(index, dtype=int)], names)
 

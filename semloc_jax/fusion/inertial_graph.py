@@ -12,19 +12,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from semloc_jax.fusion.inertial_chain import chain_equations
 from semloc_jax.fusion.inertial_prior import WindowPrior
 from semloc_jax.fusion.inertial_sights import Views, seen_equations
 from semloc_jax.fusion.inertial_states import families_of, unknowns_of
-from semloc_jax.residuals.motion import between_residual, cauchy, pose_residual
+from semloc_jax.residuals.motion import between_linearised, between_residual, cauchy, pose_linearised, pose_residual
 from semloc_jax.residuals.preintegration import InertialState, Preintegrated, imu_residual
 from semloc_jax.residuals.vehicle_motion import (
-    change_residual,
+    fading_linearised,
     fading_residual,
     rolling_residual,
     standing_residual,
     wheel_speed_residual,
 )
-from semloc_jax.solvers.dense import DenseEquations, dense_hessian, marginal
+from semloc_jax.solvers.dense import DenseEquations, marginal
 from semloc_jax.solvers.factors import Factors
 from semloc_jax.solvers.graph import FactorGraph, Steps, Values, split, units_of
 from semloc_jax.solvers.problem import Step
@@ -33,21 +34,21 @@ from semloc_jax.solvers.schur import SchurEquations
 GRAVITY_MAP = (0.0, 0.0, -9.81)
 _HIGHEST = jax.lax.Precision.HIGHEST
 LANDMARK_UNITS = (0.01, 0.01, 0.05)
+SLOW = "height", "bend", "bias", "scale", "mount", "delay"
+"""Families that change slowly."""
 
 
 class StateFactors(NamedTuple):
     """What sensors say of the states; `sqrt_info` 0 switches a factor off."""
 
-    steps: Preintegrated | None
-    """Of every interval, with a leading axis; None until they are integrated at the present biases."""
+    steps: Preintegrated
+    """Of every interval, with a leading axis."""
     inertial: Float[Array | np.ndarray, "e 9 9"]
     delay_s: Float[Array | np.ndarray, " e"]
     """How far the clock of the inertial sensor was taken to be ahead when `steps` were read from its log."""
-    walk: dict[str, Float[Array | np.ndarray, "e k"]]
-    """Of each family that changes slowly: 1 / standard deviation of its change."""
-    bend_kept: Float[Array | np.ndarray, " e"]
-    """Share of the bend of the road at one state that is left at the next."""
-    bend: Float[Array | np.ndarray, "e 1"]
+    kept: Float[Array | np.ndarray, "e k"]
+    """Share of what changes slowly, in the order of `SLOW`, that is left at the next state."""
+    walk: Float[Array | np.ndarray, "e k"]
     """1 / standard deviation of what comes in its place."""
     rolling: Float[Array | np.ndarray, "f 2"]
     speed_mps: Float[Array | np.ndarray, " f"]
@@ -71,19 +72,17 @@ class WindowProblem(eqx.Module):
     def linearise(self, value: Values, skip: Bool[Array, ""]) -> SchurEquations:
         """Normal equations; derivatives of touched states at their first estimates."""
         at = self.prior.slopes_at(value)
-        graph = frame_graph(self.factors)
-        local = graph.local(value, at)
-        g = graph.gradients(local)
-        gradient = jnp.concatenate([g[family.name].ravel() for family in graph.families])
-        information = dense_hessian(graph, local, graph.families)
-        cost = sum(jnp.sum(part.cost) for part in local)
         seen = seen_equations(self.views, value, at, self.threshold)
-        num = len(seen.gradient)
-        before = self.prior.equations(value)
-        cost += seen.cost + before.cost
-        gradient = (gradient + before.gradient).at[:num].add(seen.gradient)
-        information = (information + before.information).at[:num, :num].add(seen.information)
-        return SchurEquations(cost, gradient, information, seen.landmark_gradient, seen.landmark, seen.across)
+        chain = chain_equations(frame_graph(self.factors), value, at, len(self.prior.touched))
+        before, more = self.prior.equations(value), len(chain.gradient) - len(seen.gradient)
+        return SchurEquations(
+            chain.cost + before.cost + seen.cost,
+            chain.gradient + before.gradient + jnp.pad(seen.gradient, (0, more)),
+            chain.information + before.information + jnp.pad(seen.information, (0, more)),
+            seen.landmark_gradient,
+            seen.landmark,
+            seen.across,
+        )
 
     def step(self, equations: SchurEquations, damping: Float[Array, ""]) -> Step:
         """The damped step of every variable."""
@@ -111,8 +110,8 @@ class WindowProblem(eqx.Module):
 
 def frame_graph(factors: StateFactors) -> FactorGraph:
     """Everything but landmarks and prior."""
-    num = len(factors.rolling)
-    here, before = np.arange(num), np.arange(num - 1)
+    factors, num = jax.tree.map(jnp.asarray, factors), len(factors.inertial) + 1
+    here, before = np.arange(len(factors.rolling)), np.arange(num - 1)
     after, robust = before + 1, cauchy(4.0)
     parts = (
         Factors(
@@ -122,11 +121,14 @@ def frame_graph(factors: StateFactors) -> FactorGraph:
             (factors.steps, factors.delay_s),
             factors.inertial,
         ),
-        *(
-            Factors(change_residual, (name, name), (before, after), (), sqrt_info)
-            for name, sqrt_info in factors.walk.items()
+        Factors(
+            _slow,
+            (*SLOW, *SLOW),
+            (*(before,) * len(SLOW), *(after,) * len(SLOW)),
+            (factors.kept,),
+            factors.walk,
+            linearised=_slow_linearised,
         ),
-        Factors(fading_residual, ("bend", "bend"), (before, after), (factors.bend_kept,), factors.bend),
         Factors(rolling_residual, ("pose", "velocity"), (here, here), (), factors.rolling, robust=cauchy(3.0)),
         Factors(
             wheel_speed_residual,
@@ -137,10 +139,18 @@ def frame_graph(factors: StateFactors) -> FactorGraph:
             robust=cauchy(3.0),
         ),
         Factors(standing_residual, ("velocity",), (here,), (), factors.standing),
-        Factors(_still, ("pose", "pose"), (before, after), (), factors.still),
-        Factors(pose_residual, ("pose",), (here,), (factors.T_measured,), factors.measured, robust=robust),
+        Factors(_still, ("pose", "pose"), (before, after), (), factors.still, linearised=_still_linearised),
+        Factors(
+            pose_residual,
+            ("pose",),
+            (here,),
+            (factors.T_measured,),
+            factors.measured,
+            robust=robust,
+            linearised=pose_linearised,
+        ),
     )
-    return FactorGraph(families_of(num), jax.tree.map(jnp.asarray, parts))
+    return FactorGraph(families_of(num), parts)
 
 
 def left_by_oldest(problem: WindowProblem, value: Values, num_gone: int) -> DenseEquations:
@@ -148,20 +158,12 @@ def left_by_oldest(problem: WindowProblem, value: Values, num_gone: int) -> Dens
 
     The unknowns are those of the other states, at their places in a window that is so many states shorter.
     """
-    factors, num = problem.factors, len(problem.prior.touched)
-    on_edge, on_state = (jnp.arange(n) < num_gone for n in (num - 1, num))
-
-    def masked(sqrt_info: Array, mask: Array) -> Array:
-        return jnp.where(mask.reshape(-1, *(1,) * (jnp.ndim(sqrt_info) - 1)), sqrt_info, 0.0)
-
-    own = factors._replace(
-        walk={name: masked(sqrt_info, on_edge) for name, sqrt_info in factors.walk.items()},
-        **{name: masked(getattr(factors, name), on_edge) for name in ("inertial", "still", "bend")},
-        **{name: masked(getattr(factors, name), on_state) for name in ("rolling", "wheels", "standing", "measured")},
-    )
+    num = len(problem.prior.touched)
+    own = StateFactors(*jax.tree.map(lambda rows: rows[:num_gone], tuple(problem.factors)))
     is_gone = jnp.asarray(problem.views.anchor) < num_gone
     views = problem.views._replace(
-        sqrt_info=masked(problem.views.sqrt_info, is_gone), on_road=masked(problem.views.on_road, is_gone)
+        sqrt_info=jnp.where(is_gone[:, None], problem.views.sqrt_info, 0.0),
+        on_road=jnp.where(is_gone, problem.views.on_road, 0.0),
     )
     oldest = eqx.tree_at(lambda p: (p.factors, p.views), problem, (own, views))
     left = oldest.linearise(value, jnp.asarray(False)).reduced()
@@ -185,5 +187,24 @@ def _inertial(
     return imu_residual(start, end, bias, gravity, steps, sqrt_info, mount, later_s)
 
 
+def _slow(*arguments: Array) -> Float[Array, " k"]:
+    return fading_residual(*_ends(arguments))
+
+
+def _slow_linearised(*arguments: Array) -> tuple[Float[Array, " k"], Float[Array, "k k"], Float[Array, "k k"]]:
+    return fading_linearised(*_ends(arguments))
+
+
+def _ends(arguments: tuple[Array, ...]) -> tuple[Array, Array, Array, Array]:
+    """All that changes slowly at the start and at the end, then the rest of the arguments."""
+    *states, kept, sqrt_info = arguments
+    start, end = (jnp.concatenate(part) for part in (states[: len(SLOW)], states[len(SLOW) :]))
+    return start, end, kept, sqrt_info
+
+
 def _still(T_from: Array, T_to: Array, sqrt_info: Array) -> Float[Array, "6"]:
     return between_residual(T_from, T_to, jnp.eye(4, dtype=T_from.dtype), sqrt_info)
+
+
+def _still_linearised(T_from: Array, T_to: Array, sqrt_info: Array) -> tuple[Array, Array, Array]:
+    return between_linearised(T_from, T_to, jnp.eye(4, dtype=T_from.dtype), sqrt_info)

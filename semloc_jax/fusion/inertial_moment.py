@@ -10,10 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from semloc_jax.fusion.inertial_graph import StateFactors
+from semloc_jax.fusion.inertial_graph import SLOW, StateFactors
 from semloc_jax.fusion.inertial_samples import Steps
+from semloc_jax.fusion.inertial_states import SIZES
 from semloc_jax.fusion.landmark_pool import RoadBeliefs
 from semloc_jax.perception.tracks import Tracks
+from semloc_jax.residuals.preintegration import Preintegrated
 from semloc_jax.structs import InertialNoise
 
 _LEAST_SIGMA = 1e-6
@@ -110,39 +112,37 @@ def state_factors(
     config: InertialWindowConfig,
     way_m: Float[np.ndarray, " e"],
     noise: InertialNoise,
+    intervals: tuple[Preintegrated, Float[np.ndarray, "e 9 9"]],
 ) -> StateFactors:
-    """What the moments say of their states beside the landmarks; the inertial steps are put together later.
+    """What the moments say of their states beside the landmarks.
 
     Args:
         moments: Of all states.
         config: Beliefs.
         way_m: From each state to the next.
         noise: Of the inertial sensor.
+        intervals: Its steps from each state to the next, put together, and the roots of their information.
     """
     num = len(moments)
     step_s = np.array([moment.steps.step_s.sum() for moment in moments[1:]])
-    walks = {
-        "height": [config.height_walk],
-        "bias": noise.bias_walk,
-        "scale": [config.scale_walk],
-        "mount": [config.mount_walk] * 3,
-        "delay": [config.delay_walk],
-    }
     has_speed = np.array([moment.speed_mps is not None for moment in moments])
     standing = np.array([moment.is_standing for moment in moments])
     sides = np.array([config.side_sigma_mps, config.up_sigma_mps])
     rolling = np.tile(1.0 / sides if config.side_sigma_mps > 0 else np.zeros(2), (num, 1))
     # However slowly a vehicle goes on, the road under it is another one then.
     kept = np.exp(-np.maximum(way_m, _LEAST_WAY_M) / config.road.bend_length_m)
+    changes = _changes(config, noise) * np.sqrt(step_s)[:, None]
+    share, bend = np.ones_like(changes), sum(SIZES[name] for name in SLOW[: SLOW.index("bend")])
+    share[:, bend] = kept
+    changes[:, bend] = max(config.road.bend_per_m, _LEAST_SIGMA) * np.sqrt(1.0 - kept**2)
     both = standing[1:] & standing[:-1]
     still = np.diag(1.0 / np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4]))
     return StateFactors(
-        steps=None,
-        inertial=np.zeros((num - 1, 9, 9)),
+        steps=intervals[0],
+        inertial=intervals[1],
         delay_s=np.array([moment.delay_s for moment in moments[1:]]),
-        walk={name: 1.0 / (np.asarray(walk) * np.sqrt(step_s)[:, None]) for name, walk in walks.items()},
-        bend_kept=kept,
-        bend=1.0 / (max(config.road.bend_per_m, _LEAST_SIGMA) * np.sqrt(1.0 - kept**2))[:, None],
+        kept=share,
+        walk=1.0 / changes,
         rolling=rolling,
         speed_mps=np.array([moment.speed_mps or 0.0 for moment in moments]),
         wheels=np.where(has_speed, 1.0 / config.speed_sigma_mps, 0.0)[:, None],
@@ -151,6 +151,19 @@ def state_factors(
         T_measured=np.stack([np.eye(4) if m.T_measured is None else m.T_measured for m in moments]),
         measured=np.stack([_root(m.information) for m in moments]),
     )
+
+
+def _changes(config: InertialWindowConfig, noise: InertialNoise) -> Float[np.ndarray, " k"]:
+    """Of what changes slowly, in the order of `SLOW`: standard deviation of its walk in a second."""
+    walk = {
+        "height": [config.height_walk],
+        "bend": [1.0],  # it fades with the way, not with time
+        "bias": noise.bias_walk,
+        "scale": [config.scale_walk],
+        "mount": [config.mount_walk] * 3,
+        "delay": [config.delay_walk],
+    }
+    return np.concatenate([walk[name] for name in SLOW])
 
 
 def _root(information: np.ndarray | None) -> np.ndarray:

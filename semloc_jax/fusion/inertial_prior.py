@@ -128,7 +128,7 @@ def first_prior(values: Values, sigma: Float[np.ndarray, "22"], R_map_base: Floa
 def moved_prior(
     prior: WindowPrior, left: DenseEquations, slopes_at: Values, values: Values, num_gone: int
 ) -> WindowPrior:
-    """The prior some states later, around the first estimates of all states that it knows of now.
+    """The prior some states later, around the first estimates of all states that it knows of now (pure JAX).
 
     Args:
         prior: Before.
@@ -138,27 +138,19 @@ def moved_prior(
         num_gone: States that leave.
     """
     num = len(prior.touched)
-    new = unknowns_of(np.arange(num - num_gone), num)
-    first, now = (
-        {name: shifted(np.asarray(of[name], float), num_gone) for name in SIZES} for of in (slopes_at, values)
-    )
-    information, gradient = np.zeros((STATE * num, STATE * num)), np.zeros(STATE * num)
-    information[np.ix_(new, new)] = 0.5 * (left.information + left.information.T)
-    size = np.abs(information).max(axis=1)
-    touched = np.array([size[unknowns_of(np.array([state]), num)].max() > 0 for state in range(num)])
+    source = np.full(STATE * num, len(left.gradient))
+    source[unknowns_of(np.arange(num - num_gone), num)] = np.arange(len(left.gradient))
+    g = jnp.pad(left.gradient, (0, 1))[source]
+    H = jnp.pad(0.5 * (left.information + left.information.T), (0, 1))[source[:, None], source]
+    size = jnp.max(jnp.abs(H), axis=1)[np.stack([unknowns_of(np.array([k]), num) for k in range(num)])]
+    touched = jnp.max(size, axis=1) > 0
+    first, now = ({name: shifted(jnp.asarray(of[name]), num_gone) for name in SIZES} for of in (slopes_at, values))
     # The gradient was taken at the values, not at the first estimates.
-    moved = WindowPrior(first, touched, touched.copy(), gradient, information)
-    with jax.enable_x64(True):
-        d, per = map(np.asarray, _departed(moved, now))
-    gradient[new] = left.gradient / per[new]
-    return WindowPrior(first, touched, touched.copy(), gradient - information @ d, information)
+    moved = WindowPrior(first, touched, touched, g, H)
+    at_first = g / moved.per_drawing(now) - jnp.matmul(H, moved.deviation(now), precision=_HIGHEST)
+    return WindowPrior(first, touched, touched, at_first, H)
 
 
-@jax.jit
-def _departed(prior: WindowPrior, value: Values) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
-    return prior.deviation(value), prior.per_drawing(value)
-
-
-def shifted(array: np.ndarray, num_gone: int) -> np.ndarray:
+def shifted(array: Array | np.ndarray, num_gone: int) -> Array | np.ndarray:
     """Some states later; the last is repeated."""
-    return np.concatenate([array[num_gone:], np.repeat(array[-1:], num_gone, axis=0)])
+    return array[np.minimum(np.arange(len(array)) + num_gone, len(array) - 1)]

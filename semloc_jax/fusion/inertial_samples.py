@@ -33,18 +33,22 @@ def steps_between(imu: Imu, from_s: float, to_s: float, capacity: int) -> Steps:
     Raises:
         SemlocError: the times are not covered by samples, or there are more steps than fit.
     """
-    inside = imu.time_s[(imu.time_s > from_s) & (imu.time_s < to_s)]
-    knots = np.concatenate([[from_s], inside, [to_s]])
-    around = np.concatenate([[np.searchsorted(imu.time_s, from_s, "right") - 1], [len(imu.time_s)]])
-    if around[0] < 0 or to_s > imu.time_s[-1] + _LONGEST_GAP_S or _largest_gap(imu, from_s, to_s) > _LONGEST_GAP_S:
+    after = int(np.searchsorted(imu.time_s, from_s, "right"))
+    # A log of minutes is not looked through for the samples of a tenth of a second.
+    end = int(np.searchsorted(imu.time_s, to_s))
+    knots = np.concatenate([[from_s], imu.time_s[after:end], [to_s]])
+    if after < 1 or to_s > imu.time_s[-1] + _LONGEST_GAP_S or _largest_gap(imu, from_s, to_s) > _LONGEST_GAP_S:
         raise SemlocError(
             f"imu: no samples within {_LONGEST_GAP_S} s between {from_s:.3f} and {to_s:.3f} s; expected a log "
             "without gaps over the whole drive; leave those frames out"
         )
     if len(knots) - 1 > capacity:
         raise SemlocError(f"imu: {len(knots) - 1} samples between two images; expected at most {capacity}")
-    gyro = np.stack([np.interp(knots, imu.time_s, column) for column in imu.gyro_radps.T], axis=1)
-    force = np.stack([np.interp(knots, imu.time_s, column) for column in imu.accel_mps2.T], axis=1)
+    near = slice(after - 1, end + 1)
+    gyro, force = (
+        np.stack([np.interp(knots, imu.time_s[near], column) for column in rows[near].T], axis=1)
+        for rows in (imu.gyro_radps, imu.accel_mps2)
+    )
     steps = steps_of(knots, gyro, force)
     pad = capacity - len(steps.step_s)
     return Steps(*(np.pad(rows, ((0, pad), *((0, 0),) * (rows.ndim - 1))) for rows in steps))

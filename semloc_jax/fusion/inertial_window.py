@@ -15,17 +15,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from semloc_jax.fusion.inertial_graph import WindowPrior, WindowProblem, left_by_oldest
+from semloc_jax.fusion.inertial_graph import WindowProblem, left_by_oldest
+from semloc_jax.fusion.inertial_intervals import Interval, stacked
 from semloc_jax.fusion.inertial_moment import InertialMoment, InertialWindowConfig, state_factors
-from semloc_jax.fusion.inertial_motion import Moving, inertial_motion
-from semloc_jax.fusion.inertial_prior import moved_prior, shifted
+from semloc_jax.fusion.inertial_motion import Moving
+from semloc_jax.fusion.inertial_prior import WindowPrior, moved_prior, shifted
 from semloc_jax.fusion.inertial_samples import Steps
 from semloc_jax.fusion.inertial_sights import step_residuals
 from semloc_jax.fusion.inertial_states import SIZES, STATE, unknowns_of
 from semloc_jax.fusion.landmark_pool import LandmarkPool
 from semloc_jax.geometry import rigid
-from semloc_jax.residuals.preintegration import Preintegrated, preintegrate
-from semloc_jax.solvers.dense import DenseEquations
 from semloc_jax.solvers.graph import Values
 from semloc_jax.solvers.levenberg_marquardt import Damping, SolveConfig
 from semloc_jax.solvers.optimistix_loop import levenberg_marquardt
@@ -89,6 +88,8 @@ class InertialWindow:
     prior: WindowPrior | None = None
     step_px: float = 0.0
     """What corners slip from one image to the next, as the images so far show it."""
+    _intervals: list[Interval] = field(default_factory=list)
+    """Those of the last solve, which the next one takes as they are."""
 
     @classmethod
     def of(
@@ -114,14 +115,8 @@ class InertialWindow:
         newest = self.predicted(moment.steps)
         for name, new in zip(SIZES, newest, strict=True):
             self.values[name][-1] = new
-        first = {name: np.array(self.prior.first[name]) for name in SIZES}
-        for name in SIZES:
-            first[name][-1] = self.values[name][-1]
-        self.prior = WindowPrior(
-            first, self.prior.touched, self.prior.held, self.prior.gradient, self.prior.information
-        )
         self.pool.add(moment.tracks, self.num_states - 1)
-        estimate = self.solve()
+        estimate = self.solve(takes_short=True)
         if not moment.is_standing:  # corners of a vehicle that stands do not slip
             self._learn_steps(estimate.step_px)
         return estimate
@@ -131,15 +126,20 @@ class InertialWindow:
         T, v, bias = (self.values[name][-1] for name in ("pose", "velocity", "bias"))
         turn = rigid.exp(np.concatenate([np.zeros(3), self.values["mount"][-1]]))[:3, :3]
         moving = Moving(T[:3, :3], v, bias, np.zeros((3, 3)), turn)
-        T_from_to, velocity = inertial_motion(steps, bias, self.noise).turned(turn).after(moving)
+        motion = self._interval(steps, bias).motion(self.noise)
+        T_from_to, velocity = motion.turned(turn).after(moving)
         return self.state(-1)._replace(T_map_base=rigid.normalised(T @ T_from_to), velocity_map=velocity)
 
-    def solve(self) -> InertialEstimate:
-        """Solve all states and landmarks together, let go of landmarks that do not fit, judge the newest state."""
+    def solve(self, takes_short: bool = False) -> InertialEstimate:
+        """Solve all states and landmarks together, let go of landmarks that do not fit, judge the newest state.
+
+        Args:
+            takes_short: Whether the last step, which moves little, is taken without looking at where it leads.
+        """
         rows, problem, values = self._problem()
         config = self.config
         with jax.enable_x64(True):
-            found = _solved(problem, self._steps(), values, self.noise, config.max_steps, config.least_step_sigmas)
+            found = _solved(problem, values, config.max_steps, config.least_step_sigmas, takes_short)
         found = jax.tree.map(np.array, found)
         self.values = {name: found.values[name] for name in SIZES}
         num = len(rows)
@@ -184,8 +184,7 @@ class InertialWindow:
         """Give up the oldest states: what they and their landmarks say becomes a prior of the others."""
         rows, problem, values = self._problem(solved_only=True)
         with jax.enable_x64(True):
-            left, at = jax.tree.map(np.array, _left(problem, self._steps(), values, self.noise, num_gone))
-        self.prior = moved_prior(self.prior, left, at, self.values, num_gone)
+            self.prior = jax.tree.map(np.array, _left(problem, values, num_gone))
         self.values = {name: shifted(array, num_gone) for name, array in self.values.items()}
         used = np.zeros(self.pool.num_rows, bool)
         used[rows[self.pool.anchors()[rows] < num_gone]] = True
@@ -218,7 +217,7 @@ class InertialWindow:
         return rigid.inverse(Ts[from_state]) @ Ts[to_state]
 
     def _problem(self, solved_only: bool = False) -> tuple[np.ndarray, WindowProblem, Values]:
-        """Rows of the landmarks, the problem without its inertial steps, the values."""
+        """Rows of the landmarks, the problem, the values."""
         config, pool = self.config, self.pool
         num = config.num_landmarks
         T_base_cam = np.stack([moment.T_base_cam for moment in self._all_moments()])
@@ -226,7 +225,9 @@ class InertialWindow:
         rows = rows[pool.is_solved[rows]] if solved_only else rows
         pool.prepare(rows, np.asarray(self.values["pose"]), T_base_cam)
         views, landmarks = pool.views(rows, num, (config.sigma_px, self.step_px), T_base_cam, config.road)
-        factors = state_factors(self._all_moments(), config, self._ways_m(), self.noise)
+        moments, bias = self._all_moments(), self.values["bias"]
+        self._intervals = [self._interval(m.steps, b) for m, b in zip(moments[1:], bias[:-1], strict=True)]
+        factors = state_factors(moments, config, self._ways_m(), self.noise, stacked(self._intervals))
         problem = WindowProblem(factors, views, self.prior, config.cauchy_sigmas)
         return rows, problem, self.values | {"landmark": landmarks}
 
@@ -238,9 +239,13 @@ class InertialWindow:
         """From each state to the next."""
         return np.linalg.norm(np.diff(self.values["pose"][:, :3, 3], axis=0), axis=1)
 
-    def _steps(self) -> Steps:
-        steps = [moment.steps for moment in self._all_moments()[1:]]
-        return Steps(*(np.stack(parts) for parts in zip(*steps, strict=True)))
+    def _interval(self, steps: Steps, bias: Float[np.ndarray, "6"]) -> Interval:
+        """The steps put together, or those that were, where they hold."""
+        known = next((one for one in self._intervals if one.holds(steps, bias)), None)
+        if known is None:
+            known = Interval.of(steps, bias, self.noise)
+            self._intervals.append(known)
+        return known
 
 
 class _Found(NamedTuple):
@@ -252,33 +257,11 @@ class _Found(NamedTuple):
     num_steps: Array
 
 
-def _with_steps(problem: WindowProblem, steps: Steps, biases: Array, noise: InertialNoise) -> WindowProblem:
-    """The problem with its inertial steps, integrated at the present biases."""
-    moved = _preintegrated(*steps, biases[:-1], noise)
-    lower = jnp.linalg.cholesky(moved.covariance)
-    eye = jnp.broadcast_to(jnp.eye(9, dtype=lower.dtype), lower.shape)
-    root = jax.scipy.linalg.solve_triangular(lower, eye, lower=True)
-    return WindowProblem(
-        problem.factors._replace(steps=moved, inertial=root), problem.views, problem.prior, problem.threshold
-    )
-
-
-@jax.jit
-def _preintegrated(gyro: Array, accel: Array, step_s: Array, bias: Array, noise: InertialNoise) -> Preintegrated:
-    return jax.vmap(preintegrate, in_axes=(0, 0, 0, 0, None))(gyro, accel, step_s, bias, noise)
-
-
-@partial(jax.jit, static_argnames=("max_steps", "least_step_sigmas"))
+@partial(jax.jit, static_argnames=("max_steps", "least_step_sigmas", "takes_short"))
 def _solved(
-    problem: WindowProblem,
-    steps: Steps,
-    values: Values,
-    noise: InertialNoise,
-    max_steps: int,
-    least_step_sigmas: float,
+    problem: WindowProblem, values: Values, max_steps: int, least_step_sigmas: float, takes_short: bool
 ) -> _Found:
-    problem = _with_steps(problem, steps, jnp.asarray(values["bias"]), noise)
-    rules = SolveConfig(least_step_sigmas, max_steps, damping=Damping(1e-6))
+    rules = SolveConfig(least_step_sigmas, max_steps, damping=Damping(1e-6), takes_short=takes_short)
     solution = levenberg_marquardt(problem, values, rules)
     left = solution.equations.reduced()
     num = len(problem.prior.touched)
@@ -288,9 +271,7 @@ def _solved(
 
 
 @partial(jax.jit, static_argnames="num_gone")
-def _left(
-    problem: WindowProblem, steps: Steps, values: Values, noise: InertialNoise, num_gone: int
-) -> tuple[DenseEquations, Values]:
-    problem = _with_steps(problem, steps, jnp.asarray(values["bias"]), noise)
+def _left(problem: WindowProblem, values: Values, num_gone: int) -> WindowPrior:
     values = jax.tree.map(jnp.asarray, values)
-    return left_by_oldest(problem, values, num_gone), problem.prior.slopes_at(values)
+    left = left_by_oldest(problem, values, num_gone)
+    return moved_prior(problem.prior, left, problem.prior.slopes_at(values), values, num_gone)

@@ -27,19 +27,21 @@ def wheel_speed_residual(
     return sqrt_info * (_in_base(T_map_base, velocity_map)[:1] - scale * speed_mps)
 
 
-def change_residual(
-    start: Float[Array, " d"], end: Float[Array, " d"], sqrt_info: Float[Array, " d"]
-) -> Float[Array, " d"]:
-    """Change of a slow quantity (bias, scale) over the standard deviation of its walk."""
-    return sqrt_info * (end - start)
-
-
 def fading_residual(
-    start: Float[Array, " d"], end: Float[Array, " d"], share: Float[Array, ""], sqrt_info: Float[Array, " d"]
+    start: Float[Array, " d"], end: Float[Array, " d"], share: Float[Array, " d"], sqrt_info: Float[Array, " d"]
 ) -> Float[Array, " d"]:
-    """Change of a quantity of which a share is left, such as the bend of a road, over the standard deviation of what
-    comes in its place."""
+    """Change of slow quantities of which a share is left, over the standard deviation of what comes in its place.
+
+    All of a bias or a scale is left, and of the bend of a road the less the longer the way.
+    """
     return sqrt_info * (end - share * start)
+
+
+def fading_linearised(
+    start: Float[Array, " d"], end: Float[Array, " d"], share: Float[Array, " d"], sqrt_info: Float[Array, " d"]
+) -> tuple[Float[Array, " d"], Float[Array, "d d"], Float[Array, "d d"]]:
+    """`fading_residual` and its derivatives by start and end."""
+    return fading_residual(start, end, share, sqrt_info), jnp.diag(-sqrt_info * share), jnp.diag(sqrt_info)
 
 
 def standing_residual(velocity_map: Float[Array, "3"], sqrt_info: Float[Array, "3"]) -> Float[Array, "3"]:

@@ -38,8 +38,9 @@ class DenseEquations(eqx.Module):
         """Joint covariance of the named coordinates, the others unknown; None for all."""
         wanted = jnp.eye(len(self.gradient), dtype=self.gradient.dtype)
         wanted = wanted if of is None else wanted[:, of]
-        solved = jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(self.information), wanted)
-        return _mul(wanted.T, solved)
+        lower = jnp.linalg.cholesky(self.information)
+        half = jax.scipy.linalg.solve_triangular(lower, wanted, lower=True)
+        return _mul(half.T, half)
 
 
 def marginal(equations: DenseEquations, gone: Int[np.ndarray, " g"], kept: Int[np.ndarray, " k"]) -> DenseEquations:

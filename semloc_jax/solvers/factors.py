@@ -55,6 +55,15 @@ class Local(NamedTuple):
     hessian: Float[Array, "f k k"]
 
 
+class Rows(NamedTuple):
+    """Costs of the factors of one family, and their rows in reweighted least squares."""
+
+    cost: Float[Array, " f"]
+    residuals: Float[Array, "f r"]
+    by_tangent: Float[Array, "f r k"]
+    """By the coordinates of the variables that each of them binds."""
+
+
 class Factors(eqx.Module):
     """A family of factors: the same residual on different variables."""
 
@@ -100,15 +109,24 @@ class Factors(eqx.Module):
             kinds: Manifolds of the families.
             slopes_at: Where the derivatives are taken (first estimates); None: at the values.
         """
+        cost, r, J = self.rows(values, kinds, slopes_at)
+        highest = jax.lax.Precision.HIGHEST
+        gradient = jnp.einsum("fri,fr->fi", J, r, precision=highest)
+        return Local(cost, gradient, jnp.einsum("fri,frj->fij", J, J, precision=highest))
+
+    def rows(
+        self,
+        values: dict[str, Array | np.ndarray],
+        kinds: dict[str, Kind],
+        slopes_at: dict[str, Array | np.ndarray] | None = None,
+    ) -> Rows:
+        """Costs, residuals and their derivatives, reweighted; arguments as `local`."""
         at = values if slopes_at is None else slopes_at
         r, J = self.derivatives(at, kinds)
         if slopes_at is not None:
             r = self.residuals(values)
         cost, root = self._weighed(r)
-        r, J = r * root[:, None], J * root[:, None, None]
-        highest = jax.lax.Precision.HIGHEST
-        gradient = jnp.einsum("fri,fr->fi", J, r, precision=highest)
-        return Local(cost, gradient, jnp.einsum("fri,frj->fij", J, J, precision=highest))
+        return Rows(cost, r * root[:, None], J * root[:, None, None])
 
     def derivatives(
         self, values: dict[str, Array | np.ndarray], kinds: dict[str, Kind]

@@ -50,6 +50,9 @@ class SolveConfig:
     min_gain_nats: float = 0.0
     """A solve also ends when an accepted, hardly damped step gains less than this."""
     damping: Damping = Damping()
+    takes_short: bool = False
+    """A step below the tolerance is taken as it is, without an evaluation: the model is trusted so far. The equations
+    of the solution are then those before it."""
 
 
 class Iterate(eqx.Module):
@@ -121,9 +124,30 @@ def proposed(problem: LeastSquaresProblem, state: Iterate, step: Step) -> Iterat
 
 
 def advance(problem: LeastSquaresProblem, state: Iterate, config: SolveConfig) -> Iterate:
-    """One evaluation: judge the candidate, then propose the next."""
+    """One evaluation: judge the candidate, then propose the next, unless nothing is left to do."""
     state = judged(state, problem.linearise(state.candidate, state.ended), config)
-    return proposed(problem, state, problem.step(state.equations, state.damping))
+
+    def next_of(state: Iterate) -> tuple:
+        return _step_of(proposed(problem, state, problem.step(state.equations, state.damping)))
+
+    # A step is half of an evaluation: the last one would be for nothing.
+    step = jax.lax.cond(state.ended, _step_of, next_of, state)
+    return settled(eqx.tree_at(_step_of, state, step), config)
+
+
+def _step_of(state: Iterate) -> tuple:
+    return state.candidate, state.change, state.length
+
+
+def settled(state: Iterate, config: SolveConfig) -> Iterate:
+    """The state at the end of a step so short that it is taken without being judged, where that is asked for."""
+    if not config.takes_short:
+        return state
+    is_short = ~state.ended & (state.length < config.tolerance)
+    cost = state.equations.cost + jnp.where(is_short, state.change, 0.0)
+    status = jnp.where(is_short, int(SolveStatus.CONVERGED), state.status).astype(state.status.dtype)
+    value = _chosen(is_short, state.candidate, state.value)
+    return eqx.tree_at(lambda s: (s.value, s.equations.cost, s.status), state, (value, cost, status))
 
 
 def levenberg_marquardt_on_host(problem: LeastSquaresProblem, start: Any, config: SolveConfig) -> Solution:
@@ -135,7 +159,7 @@ def levenberg_marquardt_on_host(problem: LeastSquaresProblem, start: Any, config
     while not bool(state.ended) and int(state.num_steps) < config.max_steps:
         state = _judged(state, problem.linearise(state.candidate, state.ended), config)
         if not bool(state.ended):
-            state = proposed(problem, state, problem.step(state.equations, state.damping))
+            state = settled(proposed(problem, state, problem.step(state.equations, state.damping)), config)
     return Solution(state.value, state.equations, state.num_steps, state.status)
 
 

@@ -179,9 +179,6 @@ FACTORS = {
         (np.array([7.0]),),
         RNG.normal(size=(1, 1)),
     ),
-    "change": Factors(
-        vehicle_motion.change_residual, ("velocity", "velocity"), (ZERO, ONE), (), RNG.normal(size=(1, 3))
-    ),
     "place on a line of the road": Factors(
         on_line_residual, ("camera_mount", "pose", "line"), (ZERO, ZERO, ZERO), (RAY, ALONG), np.array([3.0])
     ),
@@ -259,8 +256,13 @@ FACTORS = {
         np.array([[3.0]]),
         linearised=on_road_linearised,
     ),
-    "bend that fades": Factors(
-        vehicle_motion.fading_residual, ("bend", "bend"), (ZERO, ONE), (np.array([0.9]),), np.array([[300.0]])
+    "what fades or walks": Factors(
+        vehicle_motion.fading_residual,
+        ("velocity", "velocity"),
+        (ZERO, ONE),
+        (np.array([[0.9, 1.0, 1.0]]),),
+        RNG.normal(size=(1, 3)),
+        linearised=vehicle_motion.fading_linearised,
     ),
 }
 VALUES = {

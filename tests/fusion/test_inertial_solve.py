@@ -10,7 +10,7 @@ from semloc_jax.fusion.inertial_graph import WindowProblem, frame_graph
 from semloc_jax.fusion.inertial_prior import WindowPrior, first_prior
 from semloc_jax.fusion.inertial_sights import step_residuals
 from semloc_jax.fusion.inertial_states import KINDS, SIZES, families_of
-from semloc_jax.fusion.inertial_window import InertialWindow, _with_steps
+from semloc_jax.fusion.inertial_window import InertialWindow
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.motion import cauchy_cost
 from semloc_jax.solvers.graph import split
@@ -85,7 +85,6 @@ def test_a_solve_ends_where_scipy_ends_on_the_same_cost():
     _, problem, values = window._problem()
     estimate = window.solve()
     with jax.enable_x64(True):
-        problem = _with_steps(problem, window._steps(), jnp.asarray(values["bias"]), window.noise)
         start = {name: jnp.asarray(array, jnp.float64) for name, array in values.items()}
         residuals = jax.jit(lambda x: residuals_of(problem, start, x))
         slopes = jax.jit(jax.jacfwd(lambda x: residuals_of(problem, start, x)))
@@ -104,7 +103,6 @@ def test_a_step_of_the_whole_window_tears_nothing_apart():
     window = window_that_goes_somewhere()
     _, problem, values = window._problem()
     with jax.enable_x64(True):
-        problem = _with_steps(problem, window._steps(), jnp.asarray(values["bias"]), window.noise)
         value = {name: jnp.asarray(array, jnp.float64) for name, array in values.items()}
         at = problem.prior.slopes_at(value)
         tangent = {name: jnp.zeros((NUM, size)) for name, size in SIZES.items()}

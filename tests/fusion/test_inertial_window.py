@@ -12,7 +12,7 @@ from semloc_jax.fusion.inertial_moment import InertialWindowConfig
 from semloc_jax.fusion.inertial_prior import WindowPrior, first_prior
 from semloc_jax.fusion.inertial_start import InertialStartConfig, started
 from semloc_jax.fusion.inertial_states import AT, SIZES, STATE, unknowns_of
-from semloc_jax.fusion.inertial_window import InertialWindow, _with_steps
+from semloc_jax.fusion.inertial_window import InertialWindow
 from semloc_jax.fusion.landmark_pool import RoadBeliefs, _road_weights
 from semloc_jax.fusion.seen_velocity import seen_velocity
 from semloc_jax.geometry import rigid
@@ -23,10 +23,9 @@ from tests.fusion.inertial_world import World
 
 
 @jax.jit
-def reduced(problem, steps, values, noise):
+def reduced(problem, values):
     """Information on the states with all landmarks eliminated, and where its derivatives were taken."""
     values = jax.tree.map(jnp.asarray, values)
-    problem = _with_steps(problem, steps, values["bias"], noise)
     left = problem.linearise(values, jnp.asarray(False)).reduced()
     return left.information, problem.prior.slopes_at(values)
 
@@ -34,7 +33,7 @@ def reduced(problem, steps, values, noise):
 def information(window):
     """`reduced` of a window as it is."""
     _, problem, values = window._problem()
-    return jax.device_get(reduced(problem, window._steps(), values, window.noise))
+    return jax.device_get(reduced(problem, values))
 
 
 def gauge(at):

@@ -11,16 +11,19 @@ from semloc_jax.fusion.inertial_motion import Moving
 from semloc_jax.fusion.inertial_states import STATE
 from semloc_jax.fusion.velocity_sample import VelocitySample
 from semloc_jax.inputs.mask_source import mask_source
+from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.localization import motion_source
 from semloc_jax.localization.motion_source import (
     SeenMotion,
     motion_log,
     resolved,
     resolved_without_map,
+    scenery_of,
     with_seen_speed,
 )
 from semloc_jax.localization.odometry import OdometryFrame
 from semloc_jax.mapping.chain import drive_chain
+from semloc_jax.perception import load_class_table
 
 GYRO_BIAS = 0.01
 """About z, as the odometry found it [rad/s]."""
@@ -110,3 +113,19 @@ def test_a_map_without_wheels_and_without_a_start_says_both(drive, masks, monkey
     monkeypatch.setattr(motion_source, "seen_motion", lambda *_: SeenMotion((), 0, "the images are dark"))
     with pytest.raises(SemlocError, match="no wheel odometry, and .* no start: the images are dark"):
         with_seen_speed(replace(drive, odometry=None), masks, False)
+
+
+@pytest.mark.parametrize("share", [1, 2])
+def test_masks_hide_sky_and_traffic_and_say_where_the_road_is(drive, share):
+    """In the size of the image: a pixel is usable, or road, where all of its part of the mask is."""
+    road, building, sky, car, unknown = 0, 2, 10, 13, 255
+    camera, frame = drive.rig.names[0], replace(drive.frames[0], draw_dynamic=None)
+    width, height = drive.rig.cameras[0].resolution
+    ids = np.array([road, building, sky, car, unknown], np.uint8)
+    mask = ids[np.random.default_rng(0).choice(5, (height * share, width * share), p=[0.6, 0.2, 0.1, 0.05, 0.05])]
+    masks = MaskSource("drawn", load_class_table("cityscapes"), (camera,), lambda frame, name: mask)
+    scenery = scenery_of(masks)(frame, camera)
+    parts = mask.reshape(height, share, width, share)
+    np.testing.assert_array_equal(scenery.usable, ~np.isin(parts, [sky, car]).any(axis=(1, 3)))
+    np.testing.assert_array_equal(scenery.road, (parts == road).all(axis=(1, 3)))
+    assert scenery.usable.dtype == scenery.road.dtype == bool

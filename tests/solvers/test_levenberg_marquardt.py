@@ -9,12 +9,13 @@ import pytest
 from scipy.optimize import least_squares
 
 from semloc_jax.errors import SemlocError
+from semloc_jax.solvers.dense import DenseProblem
 from semloc_jax.solvers.factors import Factors, vector
 from semloc_jax.solvers.front import Arrow, solve
 from semloc_jax.solvers.gnc import GncConfig, solve_robustly
 from semloc_jax.solvers.graph import FactorGraph, Family
 from semloc_jax.solvers.implicit import damped_inverse, implicit_step
-from semloc_jax.solvers.levenberg_marquardt import SolveConfig
+from semloc_jax.solvers.levenberg_marquardt import SolveConfig, levenberg_marquardt_on_host
 from semloc_jax.structs import SolveStatus
 from tests.compiling import jit_quickly
 from tests.solvers import drives
@@ -66,6 +67,19 @@ def test_how_a_solve_ends_is_data():
     full, early = (solve(graph, start, SolveConfig(1e-9, 200, gain)) for gain in (0.0, 1e-3))
     assert bool(early.converged) and int(early.num_steps) < int(full.num_steps)
     assert float(early.cost) - float(full.cost) < 1e-2
+
+
+def test_a_short_step_is_taken_without_an_evaluation_where_that_is_asked_for():
+    graph, start = valley_graph(), {"x": jnp.array([[-1.2, 1.0]])}
+    rules = SolveConfig(tolerance=1e-2, max_steps=60)
+    judged, taken = (solve(graph, start, each) for each in (rules, replace(rules, takes_short=True)))
+    assert int(taken.num_steps) == int(judged.num_steps) - 1 and bool(taken.converged)
+    np.testing.assert_allclose(taken.value["x"], judged.value["x"], atol=1e-12)
+    # The cost is what the model foretells: off by the cube of a short step.
+    np.testing.assert_allclose(taken.cost, judged.cost, atol=1e-5)
+    on_host = levenberg_marquardt_on_host(DenseProblem(graph), start, replace(rules, takes_short=True))
+    assert int(on_host.num_steps) == int(taken.num_steps)
+    np.testing.assert_allclose(on_host.value["x"], taken.value["x"], atol=1e-12)
 
 
 def test_derivative_of_a_solution_is_that_of_solving_again():
