@@ -63,7 +63,7 @@ def element_panels(
     samples = sample(local_map, SPACING_M)
     for index, name in enumerate(source.cameras):
         image, seen, ids = camera_picture(local_map, samples, source, frame, T_map_base, index)
-        found.append((name, image, {key: seen.where(ids == key) for key in set(ids)}))
+        found.append((name, image, {key: seen.where(ids == key) for key in dict.fromkeys(ids)}))
     return found
 
 
