@@ -109,7 +109,8 @@ def _by_kernels(
     strides = float(borders.stride), float(borders.usable_stride)
     limits = config.border_px, config.max_range_m, config.min_ground_px_per_m, config.cell_px
     for index, (camera, T_base_cam) in enumerate(zip(rig.cameras, rig.T_base_cam, strict=True)):
-        known = native_class_of(camera), jax.tree.leaves(camera), T_base_cam, Ts_map_base, columns
+        leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(camera)]
+        known = native_class_of(camera), leaves, T_base_cam, Ts_map_base, columns
         field = Field(borders.signed_px[index], strides[0], borders.usable[index], strides[1])
         parts.append(rows_seen(*known, channel_of_label, len(GROUND_CLASSES), field, limits, CELL_COLUMNS))
     camera = np.repeat(np.arange(len(parts)), [len(part.pose) for part in parts])

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from semloc_jax.fusion.inertial_states import AT, KINDS, STATE, unknowns_of
 from semloc_jax.solvers.dense import DenseEquations
-from semloc_jax.solvers.factors import Factors, Rows
+from semloc_jax.solvers.factors import Factors, WeighedRows
 from semloc_jax.solvers.graph import FactorGraph, Values
 
 _HIGHEST = jax.lax.Precision.HIGHEST
@@ -43,7 +43,7 @@ def chain_equations(graph: FactorGraph, value: Values, at: Values, num: int) -> 
     return DenseEquations(sum(jnp.sum(part.cost) for part in rows), gradient, flat[_places(num)])
 
 
-def _placed(factors: Factors, rows: Rows) -> Float[Array, "n r p"]:
+def _placed(factors: Factors, rows: WeighedRows) -> Float[Array, "n r p"]:
     """Derivatives by all unknowns of two neighbours."""
     source, column = np.full(_PAIR, rows.by_tangent.shape[-1]), 0
     for name, key in zip(factors.on, factors.keys, strict=True):

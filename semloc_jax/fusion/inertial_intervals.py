@@ -1,6 +1,6 @@
 """Inertial steps between the states of a window, put together once (room: fusion; host around JAX).
 
-In: steps between two image times, the biases of the state before. Out: Interval, and all of a window stacked.
+In: steps between two image times, the biases of the state before. Out: InertialInterval, and all of a window stacked.
 Biases move little from one solve to the next, and to first order an interval holds at other biases than its own: to
 put all of them together anew in every solve took as long as an evaluation.
 """
@@ -23,7 +23,7 @@ _SAME_BIAS = np.repeat([5e-4, 0.05], 3)
 second order, 1e-9 rad and 4e-9 m in 0.1 s."""
 
 
-class Interval(NamedTuple):
+class InertialInterval(NamedTuple):
     """The steps between two states."""
 
     steps: Steps
@@ -33,7 +33,7 @@ class Interval(NamedTuple):
     """R with R^T R = inverse of its covariance."""
 
     @classmethod
-    def of(cls, steps: Steps, bias: Float[np.ndarray, "6"], noise: InertialNoise) -> "Interval":
+    def of(cls, steps: Steps, bias: Float[np.ndarray, "6"], noise: InertialNoise) -> "InertialInterval":
         """The steps put together at the biases of gyroscope and accelerometer."""
         with jax.enable_x64(True):
             moved, root = jax.tree.map(np.asarray, _together(*steps, np.asarray(bias, np.float64), noise))
@@ -50,7 +50,7 @@ class Interval(NamedTuple):
         return InertialMotion(*parts, noise)
 
 
-def stacked(intervals: Sequence[Interval]) -> tuple[Preintegrated, Float[np.ndarray, "e 9 9"]]:
+def stacked(intervals: Sequence[InertialInterval]) -> tuple[Preintegrated, Float[np.ndarray, "e 9 9"]]:
     """All of them with a leading axis, and their roots."""
     moved = jax.tree.map(lambda *parts: np.stack(parts), *(one.moved for one in intervals))
     return moved, np.stack([one.root for one in intervals])

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from semloc_jax.fusion.inertial_graph import WindowProblem, left_by_oldest
-from semloc_jax.fusion.inertial_intervals import Interval, stacked
+from semloc_jax.fusion.inertial_intervals import InertialInterval, stacked
 from semloc_jax.fusion.inertial_moment import InertialMoment, InertialWindowConfig, state_factors
 from semloc_jax.fusion.inertial_motion import Moving
 from semloc_jax.fusion.inertial_prior import WindowPrior, moved_prior, shifted
@@ -88,7 +88,7 @@ class InertialWindow:
     prior: WindowPrior | None = None
     step_px: float = 0.0
     """What corners slip from one image to the next, as the images so far show it."""
-    _intervals: list[Interval] = field(default_factory=list)
+    _intervals: list[InertialInterval] = field(default_factory=list)
     """Those of the last solve, which the next one takes as they are."""
 
     @classmethod
@@ -239,11 +239,11 @@ class InertialWindow:
         """From each state to the next."""
         return np.linalg.norm(np.diff(self.values["pose"][:, :3, 3], axis=0), axis=1)
 
-    def _interval(self, steps: Steps, bias: Float[np.ndarray, "6"]) -> Interval:
+    def _interval(self, steps: Steps, bias: Float[np.ndarray, "6"]) -> InertialInterval:
         """The steps put together, or those that were, where they hold."""
         known = next((one for one in self._intervals if one.holds(steps, bias)), None)
         if known is None:
-            known = Interval.of(steps, bias, self.noise)
+            known = InertialInterval.of(steps, bias, self.noise)
             self._intervals.append(known)
         return known
 

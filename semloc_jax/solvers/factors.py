@@ -55,7 +55,7 @@ class Local(NamedTuple):
     hessian: Float[Array, "f k k"]
 
 
-class Rows(NamedTuple):
+class WeighedRows(NamedTuple):
     """Costs of the factors of one family, and their rows in reweighted least squares."""
 
     cost: Float[Array, " f"]
@@ -119,14 +119,14 @@ class Factors(eqx.Module):
         values: dict[str, Array | np.ndarray],
         kinds: dict[str, Kind],
         slopes_at: dict[str, Array | np.ndarray] | None = None,
-    ) -> Rows:
+    ) -> WeighedRows:
         """Costs, residuals and their derivatives, reweighted; arguments as `local`."""
         at = values if slopes_at is None else slopes_at
         r, J = self.derivatives(at, kinds)
         if slopes_at is not None:
             r = self.residuals(values)
         cost, root = self._weighed(r)
-        return Rows(cost, r * root[:, None], J * root[:, None, None])
+        return WeighedRows(cost, r * root[:, None], J * root[:, None, None])
 
     def derivatives(
         self, values: dict[str, Array | np.ndarray], kinds: dict[str, Kind]

@@ -7,7 +7,7 @@ import pytest
 
 from semloc_jax.fusion.inertial_chain import chain_equations
 from semloc_jax.fusion.inertial_graph import frame_graph, left_by_oldest
-from semloc_jax.fusion.inertial_intervals import Interval, stacked
+from semloc_jax.fusion.inertial_intervals import InertialInterval, stacked
 from semloc_jax.fusion.inertial_states import SIZES, unknowns_of
 from semloc_jax.geometry import rigid
 from semloc_jax.solvers.dense import dense_hessian, marginal
@@ -90,10 +90,10 @@ def test_what_the_oldest_leave_is_what_their_factors_and_landmarks_say(window, n
 def test_an_interval_holds_at_biases_a_little_off_and_is_made_anew_beyond(window):
     """Taken at other biases it says what one made there says, to less than a thousandth of what noise does."""
     steps, noise = window.moments[-1].steps, window.noise
-    first = Interval.of(steps, np.zeros(6), noise)
+    first = InertialInterval.of(steps, np.zeros(6), noise)
     near, far = np.repeat([4.9e-4, 0.049], 3), np.repeat([6e-4, 0.0], 3)
     assert first.holds(steps, near) and not first.holds(steps, far) and not first.holds(window.moments[-2].steps, near)
-    there = Interval.of(steps, near, noise)
+    there = InertialInterval.of(steps, near, noise)
     with jax.enable_x64(True):
         corrected = jit_quickly(lambda moved: moved.corrected(jnp.asarray(near)))
         (R, *rest), (R_there, *rest_there) = (corrected(one.moved) for one in (first, there))
