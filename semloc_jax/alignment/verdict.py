@@ -150,7 +150,8 @@ def _fit(best: Mode, margin_nats: float, config: VerdictConfig) -> Reasons:
     if evidence.explained < config.min_explained:
         yield SolveStatus.POOR_FIT, f"{text} a piece"
     elif is_weak and margin_nats < config.min_margin_nats:
-        yield SolveStatus.POOR_FIT, f"{text} a piece: so weak masks must tell the place by more than {margin_nats:.1f}"
+        told = f"tell the place from the next one by {margin_nats:.1f} nats, {config.min_margin_nats:g} are asked for"
+        yield SolveStatus.POOR_FIT, f"{text} a piece: so weak masks {told}"
     elif is_weak and evidence.lens_left_nats > -FaultConfig.excluded_nats:
         yield SolveStatus.POOR_FIT, f"{text} a piece: so weak masks do not tell the lens from others"
     if _are_kinds_apart(evidence, is_weak, config):
