@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.signal import savgol_filter
 
 from semloc_jax.geometry import polyline
+from semloc_jax.mapping.crossing_curbs import uncrossed
 from semloc_jax.mapping.evidence_grid import TILE, EvidenceGrid
 from semloc_jax.mapping.line_pieces import cut_to, joined
 from semloc_jax.mapping.outlines import find_outlines, find_rectangles
@@ -226,7 +227,7 @@ def _elements(layer: Layer, found: _Found, to_map: "_ToMap", config: VectorConfi
         if stroke.length * cell_m >= 2.0 * config.shortest_line_m:
             shape = _straightened if is_slot else _smoothed
             elements.append(_line(layer.label, shape(stroke, cell_m), stroke, whole_style, to_map))
-    return elements
+    return uncrossed(elements) if layer.label == ElementClass.CURB else elements
 
 
 @dataclass(frozen=True)
