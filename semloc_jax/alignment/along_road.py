@@ -20,8 +20,8 @@ from semloc_jax.alignment.level_choice import telling
 from semloc_jax.alignment.pieces import believed, nats_at
 from semloc_jax.alignment.pose import AlignConfig, Evidence, Prior, assess, in_chunks, refine, scatter_px, visible_views
 from semloc_jax.geometry import lie
+from semloc_jax.residuals.contour_rows import contour_information
 from semloc_jax.residuals.pose_terms import terms_equations
-from semloc_jax.residuals.projection import contour_information
 from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.scoring import ramp_values
 from semloc_jax.runtime.stored_program import stored_program

@@ -16,7 +16,7 @@ import numpy as np
 
 from semloc_jax.alignment.fault_modes import PLANE, FaultConfig, FaultMode, lens_mode, sign_mode
 from semloc_jax.cameras import Rig
-from semloc_jax.cameras.rig import FOCAL_SHARE, longer, wider, with_distortion
+from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer, wider, with_distortion
 from semloc_jax.geometry import rigid
 
 

@@ -24,7 +24,7 @@ from semloc_jax.alignment.pose import AlignConfig
 from semloc_jax.alignment.scene import SceneConfig
 from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
-from semloc_jax.residuals.projection import contour_rows
+from semloc_jax.residuals.contour_rows import contour_rows
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.structs import MapSamples, ViewSamples
 

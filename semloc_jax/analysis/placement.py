@@ -23,7 +23,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.geometry import lie
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable
-from semloc_jax.residuals.projection import contour_rows
+from semloc_jax.residuals.contour_rows import contour_rows
 from semloc_jax.residuals.smooth import smooth_step
 from semloc_jax.residuals.view import GROUND_CLASSES, contour_points
 from semloc_jax.structs import MapSamples

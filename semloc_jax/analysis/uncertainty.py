@@ -26,8 +26,8 @@ from semloc_jax.cameras import Rig
 from semloc_jax.geometry import lie
 from semloc_jax.residuals.alignment import Usable, visibility
 from semloc_jax.residuals.alignment import camera_views as group_views
+from semloc_jax.residuals.contour_rows import contour_rows, image_rows
 from semloc_jax.residuals.noise import is_inlier
-from semloc_jax.residuals.projection import contour_rows, image_rows
 from semloc_jax.residuals.texture import RampTexture, lookup
 from semloc_jax.residuals.view import view
 from semloc_jax.runtime.stored_program import stored_program

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
-from semloc_jax.cameras.rig import FOCAL_SHARE, longer
+from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.runtime.memory import once_for_each
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.alignment.pose_prior import RoadSigmas
 from semloc_jax.cameras import Rig
-from semloc_jax.cameras.rig import with_distortion
+from semloc_jax.cameras.other_lenses import with_distortion
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import lens_sign, stance_sums

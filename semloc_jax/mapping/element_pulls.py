@@ -26,7 +26,8 @@ from semloc_jax.mapping.sightings import UPRIGHT
 from semloc_jax.maps import LocalMap, MapElement, SemanticMap
 from semloc_jax.perception import ClassTable
 from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
-from semloc_jax.residuals.holder_terms import ContourPulls, contour_pulls, holder_terms
+from semloc_jax.residuals.contour_pulls import ContourPulls, contour_pulls
+from semloc_jax.residuals.holder_terms import holder_terms
 from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.residuals.view import ViewConfig, view
 from semloc_jax.structs import ViewSamples

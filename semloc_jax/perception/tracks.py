@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from semloc_jax.cameras import Rig
-from semloc_jax.perception.corners import moves_with_the_world, new_corners
+from semloc_jax.perception.corners import new_corners
+from semloc_jax.perception.epipolar_gate import moves_with_the_world
 from semloc_jax.perception.patches import Patches, cut_out, laid_over, no_patches
 from semloc_jax.perception.sight_lines import SightLines, sight_lines
 

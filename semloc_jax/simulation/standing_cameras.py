@@ -11,7 +11,7 @@ import numpy as np
 
 from semloc_jax.cameras import Rig
 from semloc_jax.cameras.base import Camera
-from semloc_jax.cameras.rig import longer, wider, with_distortion
+from semloc_jax.cameras.other_lenses import longer, wider, with_distortion
 from semloc_jax.errors import SemlocError
 from semloc_jax.simulation.faulty_drive import FaultyDrive, Maker
 

@@ -7,7 +7,7 @@ import pytest
 from semloc_jax.alignment.candidates import planar
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.pose_prior import PosePrior
-from semloc_jax.cameras.rig import longer
+from semloc_jax.cameras.other_lenses import longer
 from tests.alignment.test_along_road import RIG, SIGMA_M, TABLE, X_TRUE, across, drawn, street
 
 

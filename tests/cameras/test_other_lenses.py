@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.cameras import BrownConradyCamera, PinholeCamera, Rig
-from semloc_jax.cameras.rig import longer, wider, with_distortion
+from semloc_jax.cameras.other_lenses import longer, wider, with_distortion
 
 POINT = np.array([0.6, 0.35, 1.0])
 CENTRE = np.array([320.0, 200.0])

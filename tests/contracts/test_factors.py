@@ -17,19 +17,13 @@ from semloc_jax.residuals.inverse_depth import (
     sight_linearised,
     sight_residual,
 )
-from semloc_jax.residuals.landmark_shapes import (
-    MOST_CORNERS,
-    MOST_PLACES,
-    CurveSight,
-    LineSight,
-    circle_residual,
-    corners_residual,
-    lamp_residual,
-    lane_residual,
-)
+from semloc_jax.residuals.lamp_line import LineSight, lamp_residual
+from semloc_jax.residuals.lane_curve import MOST_PLACES, CurveSight, lane_residual
 from semloc_jax.residuals.preintegration import InertialState, imu_residual, preintegrate
 from semloc_jax.residuals.road_sight import at_end_residual, on_line_residual, same_spot_residual
 from semloc_jax.residuals.seen_point import PointSight, shift_residual
+from semloc_jax.residuals.sign_circle import circle_residual
+from semloc_jax.residuals.sign_corners import MOST_CORNERS, corners_residual
 from semloc_jax.solvers.factors import POSE, Factors, vector
 
 RNG = np.random.default_rng(5)

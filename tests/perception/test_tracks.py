@@ -6,7 +6,8 @@ import pytest
 
 from semloc_jax.cameras import KannalaBrandtCamera, PinholeCamera, Rig
 from semloc_jax.geometry import rigid
-from semloc_jax.perception.corners import moves_with_the_world, new_corners
+from semloc_jax.perception.corners import new_corners
+from semloc_jax.perception.epipolar_gate import moves_with_the_world
 from semloc_jax.perception.sight_lines import sight_lines
 from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Scenery, px_per_rad
 

@@ -15,8 +15,8 @@ from semloc_jax.inputs.mask_source import mask_source
 from semloc_jax.maps import read_map
 from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
 from semloc_jax.residuals.alignment import points_in_camera
-from semloc_jax.residuals.holder_terms import contour_pulls
-from semloc_jax.residuals.projection import contour_rows
+from semloc_jax.residuals.contour_pulls import contour_pulls
+from semloc_jax.residuals.contour_rows import contour_rows
 from semloc_jax.residuals.robust import LOSSES
 from semloc_jax.residuals.smooth import cubic_value, distance_patch, reach_and_gain, seen_share
 from semloc_jax.residuals.view import ViewConfig

@@ -15,18 +15,12 @@ from jaxtyping import Float
 from semloc_jax.alignment.explicit.landmarks import Landmark
 from semloc_jax.alignment.explicit.pairs import ROUNDING_PX, Match, lane_noise
 from semloc_jax.alignment.explicit.prediction import AssociationConfig, offsets
-from semloc_jax.residuals.landmark_shapes import (
-    MOST_CORNERS,
-    MOST_PLACES,
-    CurveSight,
-    LineSight,
-    circle_residual,
-    corners_residual,
-    lamp_residual,
-    lane_residual,
-)
+from semloc_jax.residuals.lamp_line import LineSight, lamp_residual
+from semloc_jax.residuals.lane_curve import MOST_PLACES, CurveSight, lane_residual
 from semloc_jax.residuals.motion import cauchy
 from semloc_jax.residuals.seen_point import PointSight
+from semloc_jax.residuals.sign_circle import circle_residual
+from semloc_jax.residuals.sign_corners import MOST_CORNERS, corners_residual
 from semloc_jax.solvers.factors import Factors
 from semloc_jax.structs import ElementClass
 

@@ -17,7 +17,7 @@ from semloc_jax.perception.primitives import LampLine, Primitives
 from semloc_jax.perception.row_curves import RowCurve
 from semloc_jax.perception.sight_lines import sight_lines
 from semloc_jax.perception.sign_outlines import SignOutline
-from semloc_jax.residuals.landmark_shapes import MOST_PLACES
+from semloc_jax.residuals.lane_curve import MOST_PLACES
 from semloc_jax.residuals.seen_point import PointSight
 from semloc_jax.structs import ElementClass
 
