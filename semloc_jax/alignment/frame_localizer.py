@@ -34,6 +34,7 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import LocalMap, SemanticMap, SharedSigmas, sample, with_map_accuracy
 from semloc_jax.perception import ClassTable
 from semloc_jax.perception.border_distance import border_distances, pixel_unit
+from semloc_jax.perception.finer_masks import rig_of
 from semloc_jax.structs import SolveStatus
 
 _MOST_MORE_M = 40.0
@@ -105,7 +106,7 @@ class FrameLocalizer:
             frame: The frame (time, id, rig); None where masks came as arrays, with their rig.
             masks: Class ids uint8[h w], one for each camera of the rig.
             prior: First guess.
-            rig: Cameras of the masks; None for those of the frame.
+            rig: Cameras of the masks; None for those of the frame, with more pixels where the masks have.
 
         Returns:
             LocalizationResult; bad evidence gives a status, never an exception.
@@ -113,7 +114,7 @@ class FrameLocalizer:
         started = time.perf_counter()
         T_map_prior = prior.on_road(self.map)
         more_m = min(max(self.config.modes.window_sigmas * (prior.sigma_xy_m - 1.0), 0.0), _MOST_MORE_M)
-        inputs, local_map = self.prepare(masks, rig or frame.rig, T_map_prior, more_m)
+        inputs, local_map = self.prepare(masks, rig or rig_of(masks, frame.rig), T_map_prior, more_m)
         finder = self.mode_finder(masks, inputs, prior, T_map_prior, local_map.frame)
         prepared = time.perf_counter()
         found = finder.find()

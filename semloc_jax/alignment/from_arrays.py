@@ -27,6 +27,7 @@ from semloc_jax.geometry.local_frame import LocalFrame
 from semloc_jax.maps import SemanticMap
 from semloc_jax.perception import ClassTable, load_class_table, table_of
 from semloc_jax.perception.cost_maps import CostMapConfig, cost_maps
+from semloc_jax.perception.finer_masks import finer, rig_of
 from semloc_jax.residuals.pose_terms import Terms, from_origin
 from semloc_jax.residuals.smooth import SmoothScene
 from semloc_jax.runtime.stored_program import stored_program
@@ -236,7 +237,8 @@ def _given(
     terms: Terms,
 ) -> _Arrays:
     rig = cameras if isinstance(cameras, Rig) else _alone(cameras, prior)
-    listed = _masks(masks, rig)
+    listed = finer(_masks(masks, rig))
+    rig = rig_of(listed, rig)
     if isinstance(classes, str):
         table = load_class_table(classes)
     else:

@@ -90,7 +90,7 @@ class SearchSteps:
         label = np.where(self.channel >= 0, self.host_samples.label, -1)
         self.parts = np.concatenate([halves(self.host_samples.element, config.agreement), kinds(label)])
         view = frame_config.search_view
-        limits = view.max_range_m, view.min_ground_px_per_m, 48.0 * self.unit_px
+        limits = view.max_range_m, frame.rig.finer * view.min_ground_px_per_m, 48.0 * self.unit_px
         self.observe_config = ObserveConfig(*limits, path=view.path)
         self.fields = Borders(
             self.borders.signed_px,

@@ -49,7 +49,7 @@ class CameraPlacement(NamedTuple):
         focal = tuple(self.zoom * jnp.asarray(value) for value in (camera.fx, camera.fy))
         zoomed = eqx.tree_at(lambda c: (c.fx, c.fy), camera, focal)
         cameras = [zoomed if k == index else other for k, other in enumerate(rig.cameras)]
-        return Rig(cameras, T_base_cam.at[index].set(moved), rig.names)
+        return rig.with_cameras(cameras).with_places(T_base_cam.at[index].set(moved))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig,
 from semloc_jax.alignment.pose import Prior, align_one
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, frame_input
 from semloc_jax.analysis.expected import ExpectedConfig
-from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.evaluation.metrics import pose_errors
 from semloc_jax.inputs.mask_source import mask_source
@@ -113,8 +112,8 @@ def noisy_solves(
     source = mask_source(masks, drive, offset_px=(0.0, 0.0))
     localizer = FrameLocalizer(semantic_map, source.table, config)
     sigma = jnp.asarray(expected.prior_sigma, jnp.float32)
-    T_true, rig = drive.truth_at(frame), frame.rig.select(source.cameras)
-    shifted = Rig([camera.shifted(_SHIFT_PX, _SHIFT_PX) for camera in rig.cameras], rig.T_base_cam, rig.names)
+    T_true, rig = drive.truth_at(frame), source.seen_by(frame.rig.select(source.cameras))
+    shifted = rig.with_cameras([camera.shifted(_SHIFT_PX, _SHIFT_PX) for camera in rig.cameras])
     heading = float(np.arctan2(T_true[1, 0], T_true[0, 0]))
     local_map = semantic_map.query(T_true[:3, 3], config.search_radius_m, heading if len(rig) == 1 else None)
     samples = sample_within(local_map, config.sample_spacing_m, config.sample_capacity)

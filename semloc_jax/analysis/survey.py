@@ -204,7 +204,7 @@ class PlaceViewer:
     def rig(rig: Rig) -> Rig:
         """The cameras in the float type of the samples."""
         cameras = [camera.astype(jnp.float32) for camera in rig.cameras]
-        return Rig(cameras, jnp.asarray(rig.T_base_cam, jnp.float32), rig.names)
+        return rig.with_cameras(cameras).with_places(jnp.asarray(rig.T_base_cam, jnp.float32))
 
 
 def path_way(name: str, Ts_map_base: Float[np.ndarray, "n 4 4"], spacing_m: float) -> Way:

@@ -15,13 +15,13 @@ _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 def longer(rig: Rig, share: float) -> Rig:
     """Focal lengths longer by a share."""
     cameras = (eqx.tree_at(lambda c: (c.fx, c.fy), c, ((1 + share) * c.fx, (1 + share) * c.fy)) for c in rig.cameras)
-    return Rig(tuple(cameras), rig.T_base_cam, rig.names)
+    return rig.with_cameras(tuple(cameras))
 
 
 def wider(rig: Rig, share: float) -> Rig:
     """Only the horizontal focal lengths longer: images are wider."""
     cameras = (eqx.tree_at(lambda c: c.fx, c, (1.0 + share) * c.fx) for c in rig.cameras)
-    return Rig(tuple(cameras), rig.T_base_cam, rig.names)
+    return rig.with_cameras(tuple(cameras))
 
 
 def with_distortion(rig: Rig, factor: float) -> Rig | None:
@@ -32,4 +32,4 @@ def with_distortion(rig: Rig, factor: float) -> Rig | None:
         stated = [factor * getattr(camera, name) for name in names]
         cameras.append(eqx.tree_at(lambda c, n=names: [getattr(c, k) for k in n], camera, stated) if names else camera)
     is_bent = any(float(getattr(camera, name, 0.0)) for camera in rig.cameras for name in _DISTORTION)
-    return Rig(tuple(cameras), rig.T_base_cam, rig.names) if is_bent else None
+    return rig.with_cameras(tuple(cameras)) if is_bent else None

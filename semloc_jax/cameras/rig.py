@@ -33,12 +33,18 @@ class Rig(eqx.Module):
     cameras: tuple[Camera, ...]
     T_base_cam: Float[Array | np.ndarray, "n 4 4"]
     names: tuple[str, ...] = eqx.field(static=True)
+    finer: int = eqx.field(static=True, default=1)
+    """Pixels on a side for one that the cameras took; see `perception.finer_masks`."""
 
     def __init__(
-        self, cameras: Sequence[Camera], T_base_cam: Float[Array | np.ndarray, "n 4 4"] | Sequence, names: Sequence[str]
+        self,
+        cameras: Sequence[Camera],
+        T_base_cam: Float[Array | np.ndarray, "n 4 4"] | Sequence,
+        names: Sequence[str],
+        finer: int = 1,
     ) -> None:
         """Cameras, extrinsics and names, in one order."""
-        self.cameras, self.names = tuple(cameras), tuple(names)
+        self.cameras, self.names, self.finer = tuple(cameras), tuple(names), finer
         if not isinstance(T_base_cam, jax.Array) and any(isinstance(T, jax.Array) for T in T_base_cam):
             T_base_cam = jnp.stack([jnp.asarray(T) for T in T_base_cam])
         self.T_base_cam = T_base_cam if isinstance(T_base_cam, jax.Array) else np.asarray(T_base_cam, dtype=np.float64)
@@ -72,7 +78,22 @@ class Rig(eqx.Module):
         if tuple(names) == tuple(self.names):
             return self
         index = [self.index(name) for name in names]
-        return Rig([self.cameras[i] for i in index], self.T_base_cam[np.array(index, dtype=int)], names)
+        return Rig([self.cameras[i] for i in index], self.T_base_cam[np.array(index, dtype=int)], names, self.finer)
+
+    def with_cameras(self, cameras: Sequence[Camera]) -> "Rig":
+        """Other cameras in the same places."""
+        return Rig(cameras, self.T_base_cam, self.names, self.finer)
+
+    def with_places(self, T_base_cam: Float[Array | np.ndarray, "n 4 4"]) -> "Rig":
+        """The same cameras in other places."""
+        return Rig(self.cameras, T_base_cam, self.names, self.finer)
+
+    def with_pixels(self, times: int) -> "Rig":
+        """The rig of pictures with `times` pixels on a side for each."""
+        if times == 1:
+            return self
+        cameras = [camera.resized(times * camera.width, times * camera.height) for camera in self.cameras]
+        return Rig(cameras, self.T_base_cam, self.names, times * self.finer)
 
     def groups(self) -> tuple[CameraGroup, ...]:
         """The cameras grouped by model, each group stacked."""

@@ -155,7 +155,7 @@ def eyes_source(eyes: Eyes, names: Sequence[str], name: str = "eyes") -> MaskSou
     def see(frame: Frame, camera: str) -> np.ndarray:
         return eyes(frame.image(camera))
 
-    return MaskSource(name, eyes.table, tuple(names), _kept(see, 2 * len(names)))
+    return MaskSource(name, eyes.table, tuple(names), _kept(see, 2 * len(names)), knows_borders=True)
 
 
 def _paint_and_eyes(name: str, drive: Drive, names: tuple[str, ...]) -> MaskSource:
@@ -166,7 +166,7 @@ def _paint_and_eyes(name: str, drive: Drive, names: tuple[str, ...]) -> MaskSour
     def see(frame: Frame, camera: str) -> np.ndarray:
         return with_paint(eyes(frame.image(camera)), classical.segment(frame, camera), drawn_id, channel)
 
-    return MaskSource(name, eyes.table, names, _kept(see, 2 * len(names)))
+    return MaskSource(name, eyes.table, names, _kept(see, 2 * len(names)), knows_borders=True)
 
 
 def _kept(see: Callable[[Frame, str], np.ndarray], most: int) -> Callable[[Frame, str], np.ndarray]:

@@ -14,6 +14,7 @@ from semloc_jax.cameras import BevCamera, Rig
 from semloc_jax.datasets import Frame
 from semloc_jax.perception import ClassTable
 from semloc_jax.perception.border_mask import BorderMask
+from semloc_jax.perception.finer_masks import finer, times_finer
 from semloc_jax.perception.surround import SurroundView
 
 _IGNORED = 255
@@ -31,6 +32,8 @@ class MaskSource:
         offset_px: (du, dv) by which a camera's masks are off its images; what is at uv in the image, scaled to the size
             of the mask, is at uv + offset.
         size_px: (width, height) of a camera's masks where they are not of the size of its images.
+        knows_borders: whether masks tell parts of a pixel themselves (`BorderMask`): others get more pixels where they
+            are small.
     """
 
     name: str
@@ -39,22 +42,33 @@ class MaskSource:
     segment: Callable[[Frame, str], np.ndarray]
     offset_px: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     size_px: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    knows_borders: bool = False
 
     def masks(self, frame: Frame) -> list[np.ndarray]:
-        """Class ids of every camera; moving objects that the data set knows are set to 255 (ignored)."""
+        """Class ids of every camera; moving objects that the data set knows are set to 255 (ignored).
+
+        Small ones have more pixels than `segment` gives, see `perception.finer_masks`.
+        """
         masks = []
         for camera in self.cameras:
             mask = self.segment(frame, camera)
             dynamic = frame.dynamic_mask(camera)
             masks.append(mask if dynamic is None else _without(mask, resized(dynamic, mask)))
-        return masks
+        return finer(masks)
 
     def seen_by(self, rig: Rig) -> Rig:
         """The rig that sees the masks of `masks`, one camera for each of them."""
         return self.camera_rig(rig)
 
     def camera_rig(self, rig: Rig) -> Rig:
-        """The rig whose pixels are those of the masks of each camera: of their size, moved by their offset."""
+        """The rig whose pixels are those of `masks`, camera by camera."""
+        seen = self.segment_rig(rig)
+        if self.knows_borders:
+            return seen
+        return seen.with_pixels(times_finer([camera.resolution[::-1] for camera in seen.cameras]))
+
+    def segment_rig(self, rig: Rig) -> Rig:
+        """The rig whose pixels are those of `segment`: of the size of the masks, moved by their offset."""
         cameras = []
         for name, camera in zip(rig.names, rig.cameras, strict=True):
             scaled = camera.resized(*self.size_px[name]) if name in self.size_px else camera

@@ -51,12 +51,12 @@ def _changed(rig: Rig, name: str, by: float) -> Rig:
     if name == FOCAL:
         return longer(rig, by)
     if name == RADIAL:
-        return Rig(tuple(_bent(camera, by) for camera in rig.cameras), rig.T_base_cam, rig.names)
+        return rig.with_cameras(tuple(_bent(camera, by) for camera in rig.cameras))
     turn, which = name.split()
     cameras = slice(None) if name == ASIDE else int(which)
     T_base_cam = np.array(rig.T_base_cam, dtype=np.float64)
     T_base_cam[cameras, :3, :3] = _about(turn, by) @ T_base_cam[cameras, :3, :3]
-    return Rig(rig.cameras, T_base_cam, rig.names)
+    return rig.with_places(T_base_cam)
 
 
 def _bent(camera: Camera, share: float) -> Camera:

@@ -39,7 +39,7 @@ def write_overlays(
 def panels(semantic_map: SemanticMap, source: MaskSource, result: LocalizationResult) -> list[Panel]:
     """One panel for each camera: its image, else its mask, with the map as seen from the prior and from the pose."""
     rig = result.frame.rig.select(source.cameras)
-    masks_rig = source.camera_rig(rig)
+    masks_rig = source.segment_rig(rig)
     contours = []
     for T_map_base in (result.T_map_prior, result.T_map_base):
         local_map = semantic_map.query(T_map_base[:3, 3], RADIUS_M)
@@ -82,7 +82,7 @@ def camera_picture(
     else:
         image, camera = (
             viz.mask_picture(source.segment(frame, name), source.table),
-            source.camera_rig(rig).cameras[index],
+            source.segment_rig(rig).cameras[index],
         )
     seen = viz.project_contours(samples, local_map.frame, T_map_base, camera, rig.T_base_cam[index])
     return image, seen, np.array([local_map.elements[row].id for row in seen.element], dtype=object)
@@ -104,7 +104,7 @@ def calibration_panels(
         )
         contours = []
         for rig in (before.select([name]), after.select([name])):
-            camera = (rig if has_image else source.camera_rig(rig)).cameras[0]
+            camera = (rig if has_image else source.segment_rig(rig)).cameras[0]
             contours.append(
                 viz.project_contours(samples, local_map.frame, T_map_base, camera, np.asarray(rig.T_base_cam[0]))
             )

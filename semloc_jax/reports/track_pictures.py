@@ -79,7 +79,7 @@ class Overlay:
             image, camera = dim(frame.image(name)[..., ::-1], 0.75), rig.cameras[0]
         else:
             mask = self.source.segment(frame, name)
-            image, camera = viz.mask_picture(mask, self.source.table), self.source.camera_rig(rig).cameras[0]
+            image, camera = viz.mask_picture(mask, self.source.table), self.source.segment_rig(rig).cameras[0]
         contours = viz.Contours.none()
         if row in self._pose:
             T = self._pose[row]

@@ -5,7 +5,7 @@ In: MapSamples, an approximate pose, the rig. Out: ViewSamples, one bucket of fi
 What is decided here depends so weakly on the pose that it is kept while the pose is searched within metres.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import jax
@@ -35,7 +35,8 @@ class ViewConfig:
     max_range_m: float = 60.0
     """Samples farther from the camera are left out: they are too small for the mask and hidden too often."""
     min_ground_px_per_m: float = 0.6
-    """What lies on the ground is left out where one metre away from the camera is fewer pixels than this: seen at such
+    """What lies on the ground is left out where one metre away from the camera is fewer pixels than this (of those that
+    the camera took, see `Rig.finer`): seen at such
     a grazing angle paint is mostly hidden and its mask is noise (f h / r^2: 42 m for a usual front camera)."""
     min_spacing_px: float = 1.5
     """Closest spacing of samples along a contour in the image [px]."""
@@ -110,6 +111,7 @@ def view(
     """
     points = samples.p_map
     samples, T_map_base, rig = jax.lax.stop_gradient((samples, T_map_base, rig))
+    config = replace(config, min_ground_px_per_m=rig.finer * config.min_ground_px_per_m)
     dtype = T_map_base.dtype
     buckets = []
     for camera, T_base_cam in zip(rig.cameras, rig.T_base_cam, strict=True):

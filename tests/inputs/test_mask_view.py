@@ -20,10 +20,13 @@ def test_the_camera_of_small_masks_sees_the_same_points():
         "net", load_class_table("lane_paint"), ("front",), small, {"front": (0.5, -1.0)}, {"front": (320, 180)}
     )
     (camera,) = source.seen_by(RIG).cameras
-    assert camera.resolution == (320, 180)
+    (seen,) = source.segment_rig(RIG).cameras
+    assert seen.resolution == (320, 180) and camera.resolution == (640, 360)
     p_cam = np.array([[1.0, 0.5, 4.0], [-3.0, 1.0, 9.0]])
     uv = 800.0 * p_cam[:, :2] / p_cam[:, 2:] + [639.5, 359.5]
-    np.testing.assert_allclose(np.asarray(camera.project(p_cam)[0]), (uv + 0.5) / 4 - 0.5 + [0.5, -1.0], atol=1e-9)
+    in_mask = (uv + 0.5) / 4 - 0.5 + [0.5, -1.0]
+    np.testing.assert_allclose(np.asarray(seen.project(p_cam)[0]), in_mask, atol=1e-9)
+    np.testing.assert_allclose(np.asarray(camera.project(p_cam)[0]), 2.0 * (in_mask + 0.5) - 0.5, atol=1e-9)
 
 
 def test_moving_objects_are_drawn_in_the_size_of_the_masks():
@@ -31,7 +34,7 @@ def test_moving_objects_are_drawn_in_the_size_of_the_masks():
     dynamic[401, 800] = True
     frame = Frame(0, "0", 0.0, "", RIG, {}, lambda camera: dynamic)
     (mask,) = MaskSource("net", load_class_table("lane_paint"), ("front",), small).masks(frame)
-    assert np.argwhere(mask == 255).tolist() == [[100, 200]]
+    assert np.argwhere(mask == 255).tolist() == [[200, 400], [200, 401], [201, 400], [201, 401]]
 
 
 def test_masks_of_one_camera_leave_the_others_out(data_dir):

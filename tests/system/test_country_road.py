@@ -32,7 +32,7 @@ def localized(folder, width_px: int, height_px: int) -> tuple[np.ndarray, np.nda
         found = localizer.localize(frame, seen, prior)
         accepted.append(found.localized)
         errors.append(rigid.log(rigid.inverse(T) @ found.T_map_base)[[1, 0]])
-        inputs, local_map = localizer.prepare(seen, frame.rig, T)
+        inputs, local_map = localizer.prepare(seen, masks.seen_by(frame.rig), T)
         T_local = jnp.asarray(local_map.frame.from_map(T), jnp.float32)
         solver = PosePrior(*T[:2, 3], heading, 100.0, 1.0).to_solver(
             T, local_map.frame, localizer.config.road, road.road_spread(T)
