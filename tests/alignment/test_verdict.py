@@ -97,6 +97,15 @@ def test_a_second_place_makes_it_ambiguous():
     assert reasons == (said,)
 
 
+def test_a_rival_of_lower_cost_is_not_dismissed_by_the_evidence_alone():
+    """Frame 02 of PandaSet 002: 98 % for a place 0.6 m and 3.4 deg off, 1.6 % and a lower cost for the right one."""
+    best, rival = replace(GOOD, weight=0.982, cost=0.596), replace(far(0.016), cost=0.578)
+    status, reasons = verdict(best, rival)
+    assert status == SolveStatus.AMBIGUOUS and "its cost is lower: 0.58 for 0.60" in reasons[0]
+    assert verdict(best, replace(rival, cost=0.60))[1] == ()
+    assert verdict(best, replace(rival, weight=0.002))[1] == ()
+
+
 @pytest.mark.parametrize(
     ("status", "confirmed", "says"),
     [(SolveStatus.MAX_STEPS, 3, "no solve of this place converged"), (SolveStatus.CONVERGED, 0, "no second start")],
