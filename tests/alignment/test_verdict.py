@@ -87,7 +87,7 @@ def test_each_limit_is_a_reason(mode, status, says):
 def test_just_inside_of_every_limit_is_good():
     covariance = np.diag(np.array([0.499, 0.249, 0, 0, 0, np.radians(0.499)]) ** 2)
     edge = replace(GOOD, cost=0.75, coverage=0.2, inlier_ratio=0.35, weight=0.6, covariance=covariance)
-    assert verdict(edge, far(0.4), away=4.0) == (SolveStatus.CONVERGED, ())
+    assert verdict(edge, replace(far(0.4), cost=0.75), away=4.0) == (SolveStatus.CONVERGED, ())
 
 
 def test_a_second_place_makes_it_ambiguous():
