@@ -73,7 +73,10 @@ class SeenSamples:
 
     def only(self, part: Bool[np.ndarray, " p"]) -> "SeenSamples":
         """What is seen of a part of the samples."""
-        kept = part[self.sample]
+        return self.rows(part[self.sample])
+
+    def rows(self, kept: Bool[np.ndarray, " row"]) -> "SeenSamples":
+        """Some of the rows."""
         return replace(self, **{name: getattr(self, name)[kept] for name in _ROWS})
 
 
