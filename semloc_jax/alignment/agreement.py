@@ -61,13 +61,6 @@ def disagreement(T_map_base: np.ndarray, Ts_half: np.ndarray, variance: np.ndarr
     return found * np.array([again, again, 1.0])
 
 
-def scattered(T_map_base: np.ndarray, Ts_half: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Which halves lie farther from a pose than two of the standard deviations that the residuals promise, bool[n];
-    arguments as `disagreement`."""
-    away, turn = differences(T_map_base, Ts_half)
-    return (np.column_stack([away, turn]) ** 2 > 4.0 * variance).any(axis=1)
-
-
 @dataclass(frozen=True)
 class KindsApart:
     """Where one kind of element puts the vehicle, as seen from where all else puts it.

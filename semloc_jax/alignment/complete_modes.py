@@ -12,7 +12,7 @@ from functools import partial
 import jax
 import numpy as np
 
-from semloc_jax.alignment.agreement import NUM_KINDS, disagreement, kinds_apart, scattered
+from semloc_jax.alignment.agreement import NUM_KINDS, disagreement, kinds_apart
 from semloc_jax.alignment.along_road import RoadPosterior, weighed_along_road, widened
 from semloc_jax.alignment.candidates import (
     SolvedPoses,
@@ -31,7 +31,6 @@ from semloc_jax.alignment.result import FoundModes, ModeEvidence
 from semloc_jax.alignment.same_pose import ONE_PLACE, ONE_TRACK, units_apart
 from semloc_jax.alignment.search_steps import SearchSteps
 from semloc_jax.alignment.single_frame import FrameInput, evidence_from, sharpest
-from semloc_jax.alignment.taken_borders import without_taken
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.noise import POSE_SHARE
 from semloc_jax.runtime.stored_program import stored_program
@@ -156,8 +155,7 @@ class ModeFinder(SearchSteps):
                 # Through the pose that is told: one that candidates proposed may lie in a valley beside it.
                 along = self._spread_along(Ts[chosen], road_through(Ts[chosen]), rates)
                 moments = spread(Ts[chosen], Ts[members], held).diagonal()
-                known = Ts[chosen], along, moments, in_view_px, rates
-                covariance, contradiction = self._covariance(covariance, *known)
+                covariance, contradiction = self._covariance(covariance, Ts[chosen], along, moments, in_view_px)
                 row = chosen
             evidence = self._mode_evidence(Ts[row], row, seen, rates, int(solved.estimates.status[row]))
             if place == 0:
@@ -168,13 +166,7 @@ class ModeFinder(SearchSteps):
         return FoundModes(tuple(modes), SolveStatus(int(solved.estimates.status[chosen])), confirmed)
 
     def _covariance(
-        self,
-        of_noise: np.ndarray,
-        T_map_base: np.ndarray,
-        along: np.ndarray,
-        moments: np.ndarray,
-        in_view_px: float,
-        rates: Rates,
+        self, of_noise: np.ndarray, T_map_base: np.ndarray, along: np.ndarray, moments: np.ndarray, in_view_px: float
     ) -> tuple[np.ndarray, dict[str, float]]:
         """Covariance of the best pose, and whether kinds of elements agree about it.
 
@@ -187,19 +179,18 @@ class ModeFinder(SearchSteps):
             along: Of `_spread_along`.
             moments: float[3], of the poses of its place.
             in_view_px: Length of contour in view.
-            rates: Of the frame.
         """
         plane = np.array(PLANE)
         told, promised = (_widened((c * of_noise).astype(np.float32), along) for c in (POSE_SHARE, 1.0))
         # Halves are solved with few samples: they are held against what the noise model promises for them.
         known = np.maximum(moments, np.asarray(promised).diagonal()[plane])
-        of_halves, contradiction = self.disagreement(T_map_base, in_view_px, known, rates)
+        of_halves, contradiction = self.disagreement(T_map_base, in_view_px, known)
         covariance = np.array(told, dtype=np.float64)
         covariance[plane, plane] = np.maximum.reduce([moments, covariance.diagonal()[plane], of_halves])
         return covariance, contradiction
 
     def disagreement(
-        self, T_map_base: np.ndarray, in_view_px: float, variance: np.ndarray, rates: Rates
+        self, T_map_base: np.ndarray, in_view_px: float, variance: np.ndarray
     ) -> tuple[np.ndarray, dict[str, float]]:
         """Variance of the best pose by those of halves of the map, and whether kinds of elements agree about it."""
         # All of it once more as well, with as few samples: like is compared with like.
@@ -208,30 +199,7 @@ class ModeFinder(SearchSteps):
         Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
         first = len(part) - NUM_KINDS
         covariance = np.asarray(solved.estimates.covariance, dtype=np.float64)[first:][:, PLANE][:, :, PLANE]
-        halves = Ts[1:first]
-        found = disagreement(Ts[0], halves, variance)
-        # A neighbour's paint lies to the side: along the road what all halves say counts.
-        told = halves[self._are_told(Ts[0], halves, variance, rates)]
-        if 2 * len(told) >= len(halves):
-            found[1:] = disagreement(Ts[0], told, variance)[1:]
-        return found, asdict(kinds_apart(Ts[first:], covariance))
-
-    def _are_told(self, T_map_base: np.ndarray, Ts: np.ndarray, variance: np.ndarray, rates: Rates) -> np.ndarray:
-        """Which halves of the map end where their own borders put them. One that ends far from the pose, and explains
-        no more there than at the pose by borders that the other half does not, has met the paint of a neighbour."""
-        far = np.flatnonzero(scattered(T_map_base, Ts, variance))
-        told = np.ones(len(Ts), bool)
-        if not len(far):
-            return told
-        parts = self.parts[1 + far]
-        seen = self.observed(np.concatenate([Ts[far], np.repeat(T_map_base[None], len(far), axis=0)]))
-        seen = seen.rows(np.concatenate([parts, parts])[seen.pose, seen.sample])
-        known = T_map_base, Ts[far], parts, self.host_samples, self.channel
-        seen = without_taken(seen, *known, self.borders.reach_px)
-        pieces = self.null.pieces(seen, self.image_size, self.observe_config.cell_px)
-        nats = self.null.evidence(pieces, rates).nats
-        told[far] = nats[: len(far)] > nats[len(far) :]
-        return told
+        return disagreement(Ts[0], Ts[1:first], variance), asdict(kinds_apart(Ts[first:], covariance))
 
     def _spread_along(self, T_map_base: np.ndarray, road: RoadPosterior, rates: Rates) -> np.ndarray:
         """Second moment of the posterior over places along the road about a pose, in its right tangent, float32[6 6].

@@ -73,10 +73,7 @@ class SeenSamples:
 
     def only(self, part: Bool[np.ndarray, " p"]) -> "SeenSamples":
         """What is seen of a part of the samples."""
-        return self.rows(part[self.sample])
-
-    def rows(self, kept: Bool[np.ndarray, " row"]) -> "SeenSamples":
-        """Some of the rows."""
+        kept = part[self.sample]
         return replace(self, **{name: getattr(self, name)[kept] for name in _ROWS})
 
 
