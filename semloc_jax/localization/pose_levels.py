@@ -150,9 +150,10 @@ def known_of(
     by_masks = weighed_faults.aside(state.watch, names, config.watch)
     probable = course.probability(aside_rad, way, watch.is_ahead(rig), by_masks)
     sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), _LEAST_VARIANCE))[_OF_LEVELS] * LEVEL_UNITS
-    weighed = weighed_faults.weighed(state.watch, names, sigma, freedom, config.watch)
+    is_small = rig.finer > 1
+    weighed = weighed_faults.weighed(state.watch, names, sigma, freedom, config.watch, is_small)
     still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)
-    sound = weighed_faults.of_sound_ones(state.watch, names, config.watch)
+    sound = weighed_faults.of_sound_ones(state.watch, names, config.watch, is_small)
     remembered = (way, aside_rad)
     return Known(
         errors=errors,

@@ -27,9 +27,14 @@ _WIDE_STEPS = 1.0
 """How far such a lens is off, one standard deviation, in the steps of the watch. Ours."""
 _EXACT_STEPS = 0.05
 """How far one is that is as it should be: 0.125 % of a focal length. Ours."""
-_LEAST_BEND_NATS = 0.8
-"""What a step off must cost a frame at least for a frame to tell: where masks are so coarse that a lens which is 2.5 %
-off costs less, what they like is told by their pixels. A real drive of 400 x 120 px has 0.4, simulated ones 1 to 4."""
+_LEAST_BEND_NATS = 0.05
+"""What a step off must cost a frame at least for a frame to tell. Country roads with lines, dashes and posts alone have
+0.1 to 0.6, streets 1 to 5: with less a lens may be anything that lenses are before the drive."""
+_LEAST_BEND_OF_SMALL_NATS = 0.8
+"""The same of small masks (`perception.finer_masks`): there what they like is told by their pixels. A real drive of
+400 x 120 px with exact masks likes a lens that is 2.5 % longer by 0.4 to 0.8 nats a frame."""
+_OPEN_STEPS = 10.0
+"""Standard deviation of a size that frames do not tell. Ours."""
 _ASIDE_ROW = alternatives(2).index(ASIDE)
 """Its place among `alternatives` of rigs of several cameras."""
 _HALVINGS = 24
@@ -52,6 +57,7 @@ def weighed(
     own_sigma: Float[np.ndarray, "3"],
     freedom: Float[np.ndarray, "3"],
     config: WatchConfig,
+    is_small: bool = False,
 ) -> Causes:
     """Every fault with the places that it leaves to the right pose: left [m], ahead [m], heading [deg].
 
@@ -61,10 +67,11 @@ def weighed(
         own_sigma: Standard deviations of the pose without faults, in the same order and units.
         freedom: Degrees of freedom that these stand on.
         config: Steps of the watch.
+        is_small: Whether masks are small: what they say of lenses is told by their pixels.
     """
     rows = [_NOTHING]
     if len(watch.num):
-        rows += [_of_calibration(watch, k, config) for k in _lenses(names)]
+        rows += [_of_calibration(watch, k, config, is_small) for k in _lenses(names)]
         rows += [_of_class(watch, name, config) for name in CLASSES]
     probability, mean, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     total = np.hypot(sigma * LEVEL_UNITS, own_sigma)
@@ -90,8 +97,9 @@ class _Told(NamedTuple):
     """Left [m], ahead [m], heading [rad]."""
 
 
-def _told(watch: WatchState, k: int, config: WatchConfig) -> _Told | None:
-    """A Gaussian about what a parabola through the costs says; None where they say nothing.
+def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> _Told | None:
+    """A Gaussian about what a parabola through the costs says, wide open where they say nothing; None where nothing was
+    asked, or where small masks say nothing.
 
     A frame says so much of a size as its costs bend; of the frames, `WatchConfig.share` is new.
     """
@@ -103,15 +111,18 @@ def _told(watch: WatchState, k: int, config: WatchConfig) -> _Told | None:
     asked = num * (np.arange(len(num)) < (len(num) if k == _ASIDE_ROW else 2))
     terms = np.sqrt(asked)[:, None] * np.stack([STEPS, -(STEPS**2)], axis=1)
     slope, bend = np.linalg.lstsq(terms, np.sqrt(asked) * gain, rcond=None)[0]
-    if bend < _LEAST_BEND_NATS:
+    moved = (0.5 * (moves[0] - moves[1]))[AS_LEVELS]
+    if is_small and bend < _LEAST_BEND_OF_SMALL_NATS:
         return None
+    if bend < _LEAST_BEND_NATS:
+        return _Told(0.0, _OPEN_STEPS**2, moved)
     variance = 0.5 / (bend * config.share * float(num[:2].mean()))
-    return _Told(0.5 * slope / bend, variance, (0.5 * (moves[0] - moves[1]))[AS_LEVELS])
+    return _Told(0.5 * slope / bend, variance, moved)
 
 
-def _of_calibration(watch: WatchState, k: int, config: WatchConfig) -> _Rows:
+def _of_calibration(watch: WatchState, k: int, config: WatchConfig, is_small: bool = False) -> _Rows:
     """One of `alternatives` that is off by far more than calibrations are."""
-    told = _told(watch, k, config)
+    told = _told(watch, k, config, is_small)
     if told is None:
         return _NOTHING
     exact, aside = told.variance + _EXACT_STEPS**2, told.variance + _WIDE_STEPS**2
@@ -130,12 +141,14 @@ def aside(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> flo
     return float(told[0]) if len(told) else _PROBABILITY
 
 
-def of_sound_ones(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> Float[np.ndarray, "3"]:
+def of_sound_ones(
+    watch: WatchState, names: tuple[str, ...], config: WatchConfig, is_small: bool = False
+) -> Float[np.ndarray, "3"]:
     """Variance of a pose, left [m], ahead [m], heading [deg], by what calibrations that are as they should be are off
-    all the same."""
+    all the same; arguments as `weighed`."""
     variance = np.zeros(3)
     for k in _lenses(names) if len(watch.num) else ():
-        told = _told(watch, k, config)
+        told = _told(watch, k, config, is_small)
         if told is not None:
             variance += told.moved**2 / (1.0 / told.variance + 1.0 / _EXACT_STEPS**2)
     return variance * LEVEL_UNITS**2

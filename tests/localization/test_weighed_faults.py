@@ -71,7 +71,18 @@ def test_the_place_that_a_wrong_lens_leaves_is_on_its_side():
 
 def test_masks_too_coarse_for_a_lens_say_nothing_of_it():
     """A real drive of 400 x 120 px likes a lens that is 2.5 % longer by 0.8 nats a frame; its lens is exact."""
-    assert most(after(20, (0.8, -1.6)))[1] < 0.05
+    state = after(20, (0.8, -1.6))
+    small = weighed_faults.weighed(state, alternatives(1), OWN, np.full(3, 20.0), CONFIG, is_small=True)
+    assert np.max([-1.0, 1.0] @ weighed_faults.reach(small, SHARE)) < 0.1
+    # In usual images pixels are no reason: the lens is in doubt.
+    assert most(state)[1] > ALERT_M
+
+
+@pytest.mark.parametrize("gains", [(-0.1, -0.2), (0.0, 0.0), (0.3, -0.1)])
+def test_frames_that_do_not_tell_the_lens_leave_it_what_it_is_before_the_drive(gains):
+    """Gains on country roads with lines, dashes and posts alone. Of 90 frames with a lens 5 % off 32 were called good,
+    0.65 m off along the road."""
+    assert most(after(12, gains))[1] > 0.2
 
 
 def test_lines_that_fit_ahead_of_posts_count_before_they_are_sure():
