@@ -99,7 +99,7 @@ class _Told(NamedTuple):
 
 def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> _Told | None:
     """A Gaussian about what a parabola through the costs says, wide open where they say nothing; None where nothing was
-    asked, or where small masks say nothing.
+    asked, or where small masks say little.
 
     A frame says so much of a size as its costs bend; of the frames, `WatchConfig.share` is new.
     """
@@ -112,10 +112,10 @@ def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> _To
     terms = np.sqrt(asked)[:, None] * np.stack([STEPS, -(STEPS**2)], axis=1)
     slope, bend = np.linalg.lstsq(terms, np.sqrt(asked) * gain, rcond=None)[0]
     moved = (0.5 * (moves[0] - moves[1]))[AS_LEVELS]
-    if is_small and bend < _LEAST_BEND_OF_SMALL_NATS:
-        return None
     if bend < _LEAST_BEND_NATS:
         return _Told(0.0, _OPEN_STEPS**2, moved)
+    if is_small and bend < _LEAST_BEND_OF_SMALL_NATS:
+        return None
     variance = 0.5 / (bend * config.share * float(num[:2].mean()))
     return _Told(0.5 * slope / bend, variance, moved)
 

@@ -82,7 +82,10 @@ def test_masks_too_coarse_for_a_lens_say_nothing_of_it():
 def test_frames_that_do_not_tell_the_lens_leave_it_what_it_is_before_the_drive(gains):
     """Gains on country roads with lines, dashes and posts alone. Of 90 frames with a lens 5 % off 32 were called good,
     0.65 m off along the road."""
-    assert most(after(12, gains))[1] > 0.2
+    state = after(12, gains)
+    assert most(state)[1] > 0.2
+    small = weighed_faults.weighed(state, alternatives(1), OWN, np.full(3, 20.0), CONFIG, is_small=gains[0] >= 0.0)
+    assert np.max([-1.0, 1.0] @ weighed_faults.reach(small, SHARE)) > 0.2
 
 
 def test_lines_that_fit_ahead_of_posts_count_before_they_are_sure():
