@@ -38,7 +38,7 @@ class VerdictConfig:
     stated, one in five was elsewhere."""
     least_rival_weight: float = 0.003
     """Evidence and ramp cost tell the same masks by other means. Where a mode elsewhere has the lower cost and no less
-    than this share of the posterior, the two do not agree which is the place: so it was with two of three false poses
+    than this share of the posterior, the two do not agree which is the place: so it was with two of four false poses
     of real images that were accepted, one of them a period of dashes off, and with two of 140 right ones."""
     max_border_offset_px: float = 2.5
     """Borders of the map farther outside or inside of those of the masks do not say where along the road; in pixels of
