@@ -58,7 +58,7 @@ def test_a_mask_of_another_size_costs_its_own_frame(tmp_path, caplog):
     source = mask_source("masks", drive, table="drive")
     seen = [np.unique(source.masks(frame)[0]).tolist() for frame in drive.frames]
     assert seen == [[1, 10], [255], [1, 10], [255]]
-    assert all(source.masks(frame)[0].shape == (40, 64) for frame in drive.frames)
+    assert all(source.segment(frame, "front").shape == (40, 64) for frame in drive.frames)
     assert caplog.text.count("of front: frame 001 has 60x40 px, the first one 64x40") == 1
     assert "frame 003" not in caplog.text  # one line for a size
 

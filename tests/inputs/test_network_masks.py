@@ -51,7 +51,7 @@ def test_a_network_sees_the_images_with_the_preset_beside_it(drive, network, tmp
     (tmp_path / "net.yaml").write_text(yaml.safe_dump(words))
     source = mask_source(str(tmp_path / name), drive)
     assert source.table.name == "colours"
-    (mask,) = source.masks(drive.frames[0])
+    mask = source.segment(drive.frames[0], source.cameras[0])
     assert mask[:, :46].max() == 0 and mask[:, 46:].min() == mask.max() == 1
 
 
