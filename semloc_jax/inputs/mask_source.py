@@ -225,6 +225,7 @@ def _top_view(source: MaskSource, drive: Drive) -> TopViewSource:
         source.segment,
         source.offset_px,
         source.size_px,
+        source.knows_borders,
         *top_view(rig),
     )
 
