@@ -230,9 +230,9 @@ def test_masks_settle_a_lane_that_satellites_ask_for(pipeline, aside_m):
     """Fixes 3.5 m to the left of a pose that is right are wrong; of a pose that is a lane to the right they are not."""
     localizer, features, T = _at_truth(pipeline)
     T = T @ rigid.exp(np.array([0.0, aside_m, 0.0, 0.0, 0.0, 0.0]))
-    known = lambda rows: np.ones(len(rows)), np.zeros(3), np.ones((), np.float32)
-    frame = FrameInMap(features, localizer.aligner, *known, HealthConfig())
-    found = frame.align(T, np.diag([0.1, 0.1, 0.05, 0.01, 0.01, 0.01]) ** 2, 0.0)
+    trust = lambda rows: np.ones(len(rows))  # noqa: E731
+    frame = FrameInMap(features, localizer.aligner, trust, localizer.start(), HealthConfig())
+    found = frame.align(T, np.diag([0.1, 0.1, 0.05, 0.01, 0.01, 0.01]) ** 2, 0.0).found
     asked_m = 3.5 * T[:2, 1]
     fixes = no_fixes()
     for k in range(8):
