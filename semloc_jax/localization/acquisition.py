@@ -103,7 +103,8 @@ class Acquisition:
 
     def search(self, frame: FrameFeatures, priors: Sequence[PosePrior]) -> tuple[Mode, ...]:
         """Every answer of one frame around priors of one heading that is worth following, best first."""
-        return self.around(frame, priors[0]) if len(priors) == 1 else self._best_of(frame, priors)
+        found = [self.around(frame, prior) for prior in priors]
+        return found[0] if len(found) == 1 else self._best_of(found)
 
     def around(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
         """Every answer of one frame around a prior of one heading, best first."""
@@ -130,9 +131,9 @@ class Acquisition:
         good = [m for m in modes if m.cost <= config.max_cost and m.inlier_ratio >= config.min_inlier_ratio]
         return tuple([m for m in good if m.weight >= config.min_weight][: config.max_tracks])
 
-    def _best_of(self, frame: FrameFeatures, priors: Sequence[PosePrior]) -> tuple[Mode, ...]:
+    def _best_of(self, searches: Sequence[tuple[Mode, ...]]) -> tuple[Mode, ...]:
         """The best answers of several searches."""
-        found = [mode for prior in priors for mode in self.around(frame, prior)]
+        found = [mode for modes in searches for mode in modes]
         # A cost that leaves out what cannot be seen favours poses that see little: what is explained decides.
         found.sort(key=lambda mode: mode.cost - mode.coverage * mode.inlier_ratio)
         kept: list[Mode] = []
