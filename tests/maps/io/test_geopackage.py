@@ -17,8 +17,6 @@ from tests.counting import num_calls
 from tests.maps.io.town import town
 
 ROOT = Path(__file__).parents[3]
-LARGE_KM = 64
-"""Some 8,000 elements: an hour of driving in a town."""
 
 
 def _counted(monkeypatch) -> list[tuple[str, int]]:
@@ -109,23 +107,11 @@ def test_gdal_reads_the_layer(stored_road):
     assert road.elements[0].id in ids and len(ids) < len(road.elements)
 
 
-@pytest.fixture(scope="module")
-def town_file(tmp_path_factory):
-    """The file of a town of so many kilometres, each made once; by another process, whose memory goes with it."""
-    folder = tmp_path_factory.mktemp("store")
-
-    def of(num_km):
-        path = folder / f"{num_km}.gpkg"
-        if not path.is_file():
-            subprocess.run([sys.executable, "-m", "tests.maps.io.town", str(num_km), str(path)], check=True, cwd=ROOT)
-        return path
-
-    return of
-
-
-@pytest.fixture(scope="module", params=[LARGE_KM, pytest.param(1000, marks=pytest.mark.slow)], ids="{} km".format)
-def large_map(town_file, request):
-    return town_file(request.param), request.param
+@pytest.fixture(scope="module", params=[100, pytest.param(1000, marks=pytest.mark.slow)], ids="{} km".format)
+def large_map(tmp_path_factory, request):
+    path = tmp_path_factory.mktemp("store") / "town.gpkg"
+    subprocess.run([sys.executable, "-m", "tests.maps.io.town", str(request.param), str(path)], check=True, cwd=ROOT)
+    return path, request.param
 
 
 def test_a_large_map_is_opened_without_its_elements_and_read_around_the_places_only(large_map, monkeypatch):
@@ -144,11 +130,13 @@ def test_a_large_map_is_opened_without_its_elements_and_read_around_the_places_o
     assert path.stat().st_size < 40e3 * num_km
 
 
-def test_the_work_of_a_query_does_not_grow_with_the_file(town_file):
+def test_the_work_of_a_query_does_not_grow_with_the_file(tmp_path):
     """Eight times the road in the file: the same calls for the same place."""
     calls = []
-    for num_km in (LARGE_KM // 8, LARGE_KM):
-        stored = read_map(town_file(num_km))
+    for num_km in (8, 64):
+        path = tmp_path / f"{num_km}.gpkg"
+        write_geopackage(town(num_km), path)
+        stored = read_map(path)
         stored.query([500.0, 0.0], 100.0)
         calls.append(num_calls(lambda stored=stored: stored.query([500.0, 0.0], 100.0)))
     assert calls[1] < 1.2 * calls[0]
@@ -164,7 +152,7 @@ def test_rows_name_the_elements_of_a_large_map_without_reading_it(large_map, mon
     path, num_km = large_map
     stored = read_map(path)
     assert stored.num_elements == num_km * (2 * 10 + 83 + 20)
-    found = stored.query([5005.0, 400.0], 50.0).elements
+    found = stored.query([5005.0, 800.0], 50.0).elements
     rows = stored.rows_of(element.id for element in found)
     assert [stored.element_at(int(row)).id for row in rows] == [element.id for element in found]
     assert len(found) > 10 and rows.max() < stored.num_elements
