@@ -41,7 +41,7 @@ The names, in the order of the data flow
     one frame    align, search, localize_frames, iterate_frames, FrameLocalizer, LocalizeConfig, LocalizationResult
     derivatives  align(..., differentiable=True), differentiable_scene, align_differentiable, smooth_scene
     a drive      track_frames, Localizer, TrackConfig, TrackResult
-    judge        evaluate, pose_errors, read_trajectory, write_tum, Metric
+    judge        evaluate, compare_maps, pose_errors, read_trajectory, write_tum, Metric
     solver       evidence_from, Evidence, Prior, pose_term, AlignConfig, align_one, align_many
 
 Frames: map (metres, z up), base (rear axle on the ground, x forward, y left, z up), cam (z forward, x right, y down);
@@ -110,6 +110,7 @@ _ROOMS = {
         "write_tum",
         "pose_errors",
         "evaluate",
+        "compare_maps",
         "Metric",
     ),
 }

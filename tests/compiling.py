@@ -4,8 +4,12 @@ from functools import partial
 
 import jax
 
-_LITTLE_EFFORT = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
-"""Compiles formulas four times as fast as the effort that users get. Both are options of XLA, not of JAX."""
+_LITTLE_EFFORT = {
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_parallel_codegen_split_count": 1,
+}
+"""Compiles formulas four times as fast as the effort that users get. These are options of XLA, not of JAX."""
 
 jit_quickly = partial(jax.jit, compiler_options=_LITTLE_EFFORT)
 """`jax.jit` for what a test would otherwise do operation by operation. Not for programs that the package compiles for

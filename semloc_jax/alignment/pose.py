@@ -152,12 +152,11 @@ def refine(
 ) -> tuple[Float[Array, "level 4 4"], Int[Array, " level"], Bool[Array, " level"]]:
     """Pose after each level (None: those of the configuration), evaluations spent there, and whether it converged."""
     levels = jnp.asarray(config.levels) if levels is None else levels
+    if _is_in_one_call(T_start, evidence, prior, config):
+        return _refined_in_one_call(T_start, evidence, prior, config, levels)
     T_start, evidence, prior = forward_only(
         "the fast solve (align_one, align_many, search)", (T_start, evidence, prior)
     )
-
-    if _is_in_one_call(T_start, evidence, prior, config):
-        return _refined_in_one_call(T_start, evidence, prior, config, levels)
 
     def one_level(T: Array, level: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         T, num_steps, converged = solve_level(T, level, evidence, prior, config)

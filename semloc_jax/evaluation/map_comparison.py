@@ -165,6 +165,10 @@ def compare_maps(
         tolerance: when an element counts as found; None for 0.10 m across and 0.25 m along.
         seen: which places of the reference were looked at; None for all.
         T_reference_made: a first guess of the motion, for maps in frames of their own; None: within two metres.
+
+    >>> compared = sj.compare_maps(street.elements[1:], street.elements)
+    >>> {name: (item.precision, item.recall) for name, item in compared.classes.items()}
+    {'line': (1.0, 0.5), 'stop_line': (1.0, 1.0)}
     """
     tolerance = tolerance or MapTolerance()
     guess = np.eye(4) if T_reference_made is None else np.asarray(T_reference_made, dtype=np.float64)

@@ -18,9 +18,8 @@ from semloc_jax.alignment.result import Mode
 from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
 from semloc_jax.alignment.single_frame import localize_frame
 from semloc_jax.errors import SemlocError
-from semloc_jax.fusion.measurements import FusedPose, PoseMeasurement
+from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.fusion.prediction import MotionLog
-from semloc_jax.localization.following import cautious
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.initialization import (
     InitializationConfig,
@@ -92,10 +91,20 @@ class Acquisition:
         """Why a search around the fixes cannot start, and what would help; empty where it can."""
         return why_no_prior(fixes, self.motion, time_s, None, self.config.fixes)
 
+    def in_sectors(self, priors: Sequence[PosePrior]) -> list[PosePrior]:
+        """The priors in parts of which each has one heading."""
+        return [part for prior in priors for part in sectors(prior, self.config.fixes)]
+
+    def tiles(self, area: Area) -> list[PosePrior]:
+        """An area in parts of which each has one heading."""
+        return tile_priors(
+            np.array([area.x_m, area.y_m]), area.radius_m, self.config.tile_m, self.config.tile_heading_deg
+        )
+
     def search(self, frame: FrameFeatures, priors: Sequence[PosePrior]) -> tuple[Mode, ...]:
-        """Every answer of one frame around the priors that is worth following, best first."""
-        parts = [part for prior in priors for part in sectors(prior, self.config.fixes)]
-        return self.around(frame, parts[0]) if len(parts) == 1 else self._best_of(frame, parts)
+        """Every answer of one frame around priors of one heading that is worth following, best first."""
+        found = [self.around(frame, prior) for prior in priors]
+        return found[0] if len(found) == 1 else self._best_of(found)
 
     def around(self, frame: FrameFeatures, prior: PosePrior) -> tuple[Mode, ...]:
         """Every answer of one frame around a prior of one heading, best first."""
@@ -122,16 +131,9 @@ class Acquisition:
         good = [m for m in modes if m.cost <= config.max_cost and m.inlier_ratio >= config.min_inlier_ratio]
         return tuple([m for m in good if m.weight >= config.min_weight][: config.max_tracks])
 
-    def search_area(self, frame: FrameFeatures, area: Area) -> tuple[Mode, ...]:
-        """Every answer of one frame anywhere in an area, best first."""
-        tiles = tile_priors(
-            np.array([area.x_m, area.y_m]), area.radius_m, self.config.tile_m, self.config.tile_heading_deg
-        )
-        return self._best_of(frame, tiles)
-
-    def _best_of(self, frame: FrameFeatures, priors: list[PosePrior]) -> tuple[Mode, ...]:
+    def _best_of(self, searches: Sequence[tuple[Mode, ...]]) -> tuple[Mode, ...]:
         """The best answers of several searches."""
-        found = [mode for prior in priors for mode in self.around(frame, prior)]
+        found = [mode for modes in searches for mode in modes]
         # A cost that leaves out what cannot be seen favours poses that see little: what is explained decides.
         found.sort(key=lambda mode: mode.cost - mode.coverage * mode.inlier_ratio)
         kept: list[Mode] = []
@@ -139,10 +141,6 @@ class Acquisition:
             if not any(units_apart(mode.T_map_base, other.T_map_base) < ONE_TRACK for other in kept):
                 kept.append(mode)
         return tuple(kept[: self.config.max_tracks])
-
-    def measurement(self, mode: Mode, time_s: float) -> PoseMeasurement:
-        """A mode as the first measurement of a track."""
-        return PoseMeasurement(time_s, mode.T_map_base, cautious(mode.covariance))
 
 
 def places_around(coasting: FusedPose, config: AcquisitionConfig) -> list[PosePrior]:

@@ -44,7 +44,7 @@ class ExplicitAligner(FrameAligner):
         landmarks = landmarks_of(window)
         rows = self.map.rows_of(window.element_ids[mark.element] for mark in landmarks)
         found = explicit_frame(
-            SeenShapes.by(frame.rig, frame.primitives),
+            frame.shapes,
             landmarks,
             trust(rows) > 0.0,
             local.from_map(T_start, np.float64),
@@ -71,7 +71,9 @@ class ExplicitAligner(FrameAligner):
         """Scores and poses of a frame with other calibrations; see `FrameAligner.align_again`. Landmarks stay where the
         map has them: scores with another width of the road are NaN."""
         parts = T_map_base, covariance, 0.0, trust, stance, grain
-        found = [self.align(frame._replace(rig=rigs[k]), *parts) for k in asked]
+        primitives = frame.shapes.primitives
+        seen = [frame._replace(rig=rigs[k], shapes=SeenShapes.by(rigs[k], primitives)) for k in asked]
+        found = [self.align(one, *parts) for one in seen]
         scores = np.array([np.nan if wider_m[k] else one.score for k, one in zip(asked, found, strict=True)])
         return scores, np.stack([one.measurement.T_map_base for one in found])
 

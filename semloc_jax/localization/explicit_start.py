@@ -5,7 +5,7 @@ In: one frame and what is known of its place. Out: poses to follow side by side,
 
 import numpy as np
 
-from semloc_jax.alignment.explicit.frame import ExplicitFrame, SeenShapes
+from semloc_jax.alignment.explicit.frame import ExplicitFrame
 from semloc_jax.alignment.explicit.start import explicit_starts
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import Mode
@@ -31,7 +31,7 @@ class ExplicitAcquisition(Acquisition):
         road = self.aligner.scene.road.on(self.aligner.map.road_spread(T_map_prior))
         sigma = np.array([prior.sigma_xy_m, prior.sigma_xy_m, *road, prior.sigma_heading_rad])
         T_prior = local.from_map(T_map_prior, np.float64)
-        found = explicit_starts(SeenShapes.by(frame.rig, frame.primitives), landmarks, T_prior, sigma, EXPLICIT)
+        found = explicit_starts(frame.shapes, landmarks, T_prior, sigma, EXPLICIT)
         weights = np.exp(-np.array([answer.nats for answer in found]) + min((a.nats for a in found), default=0.0))
         modes: list[Mode] = []
         for answer, weight in zip(found, weights / max(weights.sum(), 1e-12), strict=True):

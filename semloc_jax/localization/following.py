@@ -1,26 +1,21 @@
-"""One track through one frame: carried on by motion and fixes, held against the masks, corrected (room: localization;
-host).
+"""One track through one frame: held against the masks, corrected, weighed (room: localization; host).
 
 In: Track, FrameInMap. Out: the next Track and the result of the frame for it.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, SupportsInt
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from semloc_jax.alignment.pose_prior import RoadSigmas
-from semloc_jax.fusion.clock import CameraTimeLog
-from semloc_jax.fusion.measurements import FusedPose, Fusion, GnssMeasurement, Innovation, PoseMeasurement
+from semloc_jax.fusion.measurements import Fusion, Innovation
 from semloc_jax.fusion.noise_scale import BELIEFS, NoiseScale, of_a_series, of_one_pose
-from semloc_jax.fusion.prediction import MotionIncrement, MotionQuality
 from semloc_jax.geometry import rigid
 from semloc_jax.localization.frame_alignment import Alignment
 from semloc_jax.localization.frame_in_map import FrameInMap
-from semloc_jax.localization.health import HealthConfig
-from semloc_jax.localization.track_state import Track, TrackerState
+from semloc_jax.localization.track_state import Track
 
 _OUTSIDE = "outside of the map"
 
@@ -63,114 +58,6 @@ class FrameReport(NamedTuple):
         return self.innovation is not None and self.innovation.accepted
 
 
-_INFLATION = 4.0
-"""A frame that is searched may have ended in a local minimum: its variance is taken this many times larger. Ours."""
-_LEAST_SIGMA = 0.05 * np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
-"""Of the pose that a track begins with [m, rad]. Ours."""
-
-
-def cautious(covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6 6"]:
-    """Covariance of a pose that a track begins with: one frame found it, and no prediction says that it is right."""
-    return _INFLATION * covariance + np.diag(_LEAST_SIGMA) ** 2
-
-
-def new_track(fusion: Fusion, measurement: PoseMeasurement, penalty: float) -> Track:
-    """A track that begins at a measured pose."""
-    return Track(
-        fusion=fusion.start(measurement),
-        penalty=np.float64(penalty),
-        num_accepted=np.int64(0),
-        num_refused=np.float64(0.0),
-        along_sigma_m=np.float64(0.0),
-    )
-
-
-def regained(fusion: Fusion, coasting: Any, measurement: PoseMeasurement, penalty: float) -> Track:
-    """A track that begins at a measured pose, with what dead reckoning still knows where the two fit each other: place,
-    velocity and biases stay as sure as they were.
-
-    Args:
-        fusion: What tracks are made of.
-        coasting: Its state by dead reckoning at the time of the pose.
-        measurement: The pose.
-        penalty: Of the track [nats].
-    """
-    state, innovation = fusion.correct(coasting, measurement)
-    track = new_track(fusion, measurement, penalty)
-    return track._replace(fusion=state) if innovation.accepted else track
-
-
-def rehearse(fusion: Fusion, num_frames: int = 16) -> None:
-    """Let a fusion run for some frames of an invented drive, so that what it compiles is compiled before a real one."""
-    pose = PoseMeasurement(0.0, np.eye(4), 1e-3 * np.eye(6))
-    state = fusion.start(pose)
-    step = np.eye(4)
-    step[0, 3] = 1.0
-    for k in range(num_frames):
-        increment = MotionIncrement(step, 1e-4 * np.eye(6), float(k), float(k + 1), np.zeros((6, 3)), MotionQuality.OK)
-        state = fusion.predict(state, increment)
-        pose = PoseMeasurement(float(k + 1), pose.T_map_base @ step, pose.covariance)
-        state, _ = fusion.correct(state, pose)
-        fix = GnssMeasurement(float(k + 1), pose.T_map_base[:3, 3], np.ones(3))
-        state, _ = fusion.correct_gnss(state, fix)
-
-
-def carried(
-    state: Any, fusion: Fusion, motion: CameraTimeLog, fixes: Sequence[GnssMeasurement], to_s: float
-) -> tuple[Any, list[tuple[GnssMeasurement, Innovation, FusedPose]]]:
-    """The state of a fusion at a later time, and how each fix on the way fitted the pose before it.
-
-    Fixes that come too late for their time are left out.
-    """
-    fitted = []
-    for fix in sorted(fixes, key=lambda fix: fix.time_s):
-        if not float(fusion.pose(state).time_s) <= fix.time_s <= to_s:
-            continue
-        state = _moved(state, fusion, motion, fix.time_s)
-        before = fusion.pose(state)
-        state, innovation = fusion.correct_gnss(state, fix)
-        fitted.append((fix, innovation, before))
-    return _moved(state, fusion, motion, to_s), fitted
-
-
-def _moved(state: Any, fusion: Fusion, motion: CameraTimeLog, to_s: float) -> Any:
-    pose = fusion.pose(state)
-    if to_s <= pose.time_s:
-        return state
-    return fusion.predict(state, motion.increment(pose.time_s, to_s, pose.calibration, pose.moving))
-
-
-def way_since(
-    before_s: float, before: FusedPose | None, state: TrackerState, fusion: Fusion, motion: CameraTimeLog
-) -> float:
-    """Way since the frame before [m]: by the wheels, or as the best track was predicted where velocity is estimated.
-
-    Args:
-        before_s: Time of that frame; -inf where there was none.
-        before: Pose of the best track then.
-        state: Predicted to the time of this frame.
-        fusion: Of the tracks.
-        motion: The log.
-    """
-    if before is not None and before.moving is not None:
-        off = fusion.pose(state.tracks[0].fusion).T_map_base - before.T_map_base
-        return float(np.linalg.norm(off[:3, 3]))
-    return motion.way_m(before_s, float(state.time_s)) if np.isfinite(before_s) else 0.0
-
-
-def conflicts_after(
-    conflicts: SupportsInt, fitted: Sequence[tuple[GnssMeasurement, Innovation, FusedPose]], config: HealthConfig
-) -> np.int64:
-    """Number of fixes in a row that contradict the pose, after some more of them."""
-    in_a_row = int(conflicts)
-    for fix, innovation, pose in fitted:
-        off_m = float(np.hypot(*(fix.p_map - pose.T_map_base[:3, 3])[:2]))
-        sigma_m = float(np.hypot(np.max(fix.sigma_m[:2]), np.sqrt(np.max(np.diagonal(pose.covariance)[:2]))))
-        is_conflict = not innovation.accepted and off_m > max(config.conflict_m, 5.0 * sigma_m)
-        in_a_row = in_a_row + 1 if is_conflict else 0
-    return np.int64(in_a_row)
-
-
 def stance_after(
     stance: np.ndarray, measured: np.ndarray, covariance: np.ndarray, road: RoadSigmas, config: FollowConfig
 ) -> np.ndarray:
@@ -194,14 +81,13 @@ def seen(track: Track, fusion: Fusion, frame: FrameInMap) -> FrameReport:
     window, outside = frame.window(pose.T_map_base[:3, 3]), FrameReport(None, False, True, (_OUTSIDE,))
     if not window.local_map.elements:
         return outside
-    found = frame.align(pose.T_map_base, pose.covariance, float(track.along_sigma_m))
-    if found is None:
+    answer = frame.align(pose.T_map_base, pose.covariance, float(track.along_sigma_m))
+    if answer is None:
         return outside._replace(reasons=(f"{_OUTSIDE}: no road there",))
     is_far = window.nearest_m(pose.T_map_base[:2, 3]) > frame.limits.off_map_m
-    if is_far and found.in_view_px < frame.limits.min_in_view_px:
+    if is_far and answer.found.in_view_px < frame.limits.min_in_view_px:
         return outside
-    is_occluded, reasons = frame.problems(found)
-    return FrameReport(found, is_occluded, False, reasons)
+    return FrameReport(answer.found, answer.is_occluded, False, answer.reasons)
 
 
 def corrected(

@@ -5,6 +5,7 @@ In: FrameFeatures, a FrameAligner, what is known of the frame beside its pose. O
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -15,8 +16,17 @@ from semloc_jax.localization import health
 from semloc_jax.localization.frame_alignment import Alignment, FrameAligner
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.map_window import MapWindow
-from semloc_jax.localization.track_state import FrameFeatures
+from semloc_jax.localization.track_state import FrameFeatures, TrackerState
 from semloc_jax.maps import RoadSpread
+
+
+class Answer(NamedTuple):
+    """What a frame says near a pose."""
+
+    found: Alignment
+    is_occluded: bool
+    reasons: tuple[str, ...]
+    """Why it is of no use; none: it is."""
 
 
 @dataclass(frozen=True)
@@ -29,16 +39,14 @@ class FrameInMap:
         frame: what the cameras show.
         aligner: the map.
         trust: weights of the elements of the map that rows name.
-        stance: height [m], roll and pitch [rad] of the vehicle over the road of the map.
-        grain: of the masks, see `NoiseModel.grain`.
+        state: how the vehicle stands on the road, and the grain of its masks so far.
         limits: when what a frame measures is of no use.
     """
 
     frame: FrameFeatures
     aligner: FrameAligner
     trust: Callable[[np.ndarray], np.ndarray]
-    stance: Float[np.ndarray, "3"]
-    grain: Float[np.ndarray, ""]
+    state: TrackerState
     limits: HealthConfig
 
     def window(self, p_map: Float[np.ndarray, "3"]) -> MapWindow:
@@ -47,33 +55,30 @@ class FrameInMap:
 
     def align(
         self, T_map_base: np.ndarray, covariance: Float[np.ndarray, "6 6"], last_sigma_along_m: float
-    ) -> Alignment | None:
-        """The pose near a predicted one; see `FrameAligner.align`."""
+    ) -> Answer | None:
+        """The pose near a predicted one, see `FrameAligner.align`, and what speaks against it."""
         try:
-            return self.aligner.align(
-                self.frame, T_map_base, covariance, last_sigma_along_m, self.trust, self.stance, self.grain
-            )
+            found = self.aligner.align(self.frame, T_map_base, covariance, last_sigma_along_m, self.trust, *self._known)
         except SemlocError:  # no road there
             return None
+        return Answer(found, *health.frame_problems(found, self.frame.usable_share, self.limits))
 
-    def problems(self, found: Alignment) -> tuple[bool, tuple[str, ...]]:
-        """Whether the frame was occluded, and every reason not to use what it measured."""
-        return health.frame_problems(found, self.frame.usable_share, self.limits)
+    @property
+    def _known(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, ""]]:
+        """Stance and grain."""
+        return self.state.stance, np.asarray(self.state.grain)
 
     def explained_from(
         self, T_map_start: np.ndarray, spread: Float[np.ndarray, "6 6"], step_m: float
     ) -> Alignment | None:
         """The pose near a start, where it explains the frame; None where nothing there does."""
-        found = self.align(T_map_start, spread, step_m)
-        if found is None:
-            return None
-        is_occluded, reasons = self.problems(found)
-        return None if is_occluded or reasons else found
+        answer = self.align(T_map_start, spread, step_m)
+        return None if answer is None or answer.is_occluded or answer.reasons else answer.found
 
     def costs_beside(self, T_map_base: np.ndarray, moves: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"] | None:
         """Costs [nats] at a pose after each move; see `FrameAligner.costs_beside`."""
         try:
-            return self.aligner.costs_beside(self.frame, T_map_base, moves, self.trust, self.stance, self.grain)
+            return self.aligner.costs_beside(self.frame, T_map_base, moves, self.trust, *self._known)
         except SemlocError:
             return None
 
@@ -82,7 +87,7 @@ class FrameInMap:
     ) -> Float[np.ndarray, "4 n"] | None:
         """Costs [nats] of parts of the map; see `FrameAligner.costs_of_classes`."""
         try:
-            return self.aligner.costs_of_classes(self.frame, T_map_base, moves, self.stance, self.grain, level)
+            return self.aligner.costs_of_classes(self.frame, T_map_base, moves, *self._known, level)
         except SemlocError:
             return None
 
@@ -102,7 +107,7 @@ class FrameInMap:
         covariance: Float[np.ndarray, "6 6"],
     ) -> tuple[Float[np.ndarray, " rig"], Float[np.ndarray, "rig 4 4"]] | None:
         """Scores and poses with other calibrations; see `FrameAligner.align_again`."""
-        known = self.frame, T_map_base, covariance, self.trust, self.stance, self.grain
+        known = self.frame, T_map_base, covariance, self.trust, *self._known
         try:
             return self.aligner.align_again(rigs, wider_m, asked, *known)
         except SemlocError:

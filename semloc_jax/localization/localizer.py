@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from semloc_jax.alignment.explicit.frame import SeenShapes
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.mask_image import mask_image
 from semloc_jax.alignment.pose_prior import PosePrior
@@ -24,32 +25,21 @@ from semloc_jax.fusion.prediction import MotionLog
 from semloc_jax.fusion.window import SlidingWindow
 from semloc_jax.localization import elsewhere, health, innovations, map_faults, passed_over, phase, rivals, watch
 from semloc_jax.localization.acquisition import Acquisition, Area
+from semloc_jax.localization.beginning import acquired, new_track
 from semloc_jax.localization.explicit_alignment import ExplicitAligner, Trust
 from semloc_jax.localization.explicit_start import ExplicitAcquisition
-from semloc_jax.localization.following import (
-    FrameReport,
-    carried,
-    conflicts_after,
-    corrected,
-    grain_after,
-    new_track,
-    regained,
-    seen,
-    stance_after,
-    way_since,
-    weighed,
-)
+from semloc_jax.localization.following import FrameReport, corrected, grain_after, seen, stance_after, weighed
 from semloc_jax.localization.frame_alignment import FrameAligner
 from semloc_jax.localization.frame_in_map import FrameInMap
-from semloc_jax.localization.initialization import newest, no_fixes, with_fix
+from semloc_jax.localization.initialization import newest, no_fixes
 from semloc_jax.localization.judging import judged
 from semloc_jax.localization.learning import with_learned
 from semloc_jax.localization.map_window import GRID_M, MapWindows
 from semloc_jax.localization.moved_elements import moved_elements
+from semloc_jax.localization.predicting import predicted, way_since
 from semloc_jax.localization.stage_timer import StageTimer
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import (
-    Elsewhere,
     FrameFeatures,
     Track,
     TrackerState,
@@ -163,7 +153,9 @@ class Localizer:
             digest=digest,
             guess=guess,
             terms=tuple(terms),
-            primitives=tuple(primitives_of(mask, self.table) for mask in masks) if self.is_explicit else (),
+            shapes=SeenShapes.by(rig, [primitives_of(mask, self.table) for mask in masks])
+            if self.is_explicit
+            else None,
         )
 
     def step(self, state: TrackerState, frame: FrameFeatures) -> tuple[TrackerState, TrackResult]:
@@ -180,7 +172,7 @@ class Localizer:
         motion = CameraTimeLog(self.motion, state.clock)
         before = self.fusion.pose(state.tracks[0].fusion) if state.tracks else None
         is_same_image = np.isfinite(before_s) and frame.digest == int(state.digest)
-        state = self._predicted(state, frame, motion)
+        state = predicted(state, frame, self.fusion, motion, self.config.health)
         way_m = way_since(before_s, before, state, self.fusion, motion)
         state = state._replace(driven_m=np.float64(state.driven_m + way_m if is_same_image else 0.0))
         timer.lap("predict")
@@ -191,7 +183,7 @@ class Localizer:
                 for _ in state.tracks
             ]
         else:
-            in_map = self._in_map(frame, state, trust)
+            in_map = FrameInMap(frame, self.aligner, trust, state, self.config.health)
             views = [seen(track, self.fusion, in_map) for track in state.tracks]
         timer.lap("align")
         state, view = self._fused(state, views, way_m)
@@ -200,7 +192,7 @@ class Localizer:
             state = state._replace(innovations=fit)
         if view is not None and view.found is not None:
             state = state._replace(matched=view.found.matched)
-        in_map = self._in_map(frame, state, trust)
+        in_map = FrameInMap(frame, self.aligner, trust, state, self.config.health)
         if len(state.tracks) == 1 and view is not None and view.is_accepted:
             fused = self.fusion.pose(state.tracks[0].fusion)
             state = with_learned(state, view, fused, motion, before, way_m)
@@ -211,13 +203,9 @@ class Localizer:
         state = elsewhere.with_nats_elsewhere(state, view, in_map, self.fusion)
         state = self._given_up(state)
         if not state.tracks and state.driven_m <= self.config.health.frozen_m:
-            state = self._acquired(state, frame)
+            state = acquired(state, frame, self.acquisition, self.area, self.fusion, self.config)
             timer.lap("acquire")
         return self._judged(state, view, frame, way_m, timer)
-
-    def _in_map(self, frame: FrameFeatures, state: TrackerState, trust: Trust) -> FrameInMap:
-        """The frame with all but the pose that is needed to hold it against the map."""
-        return FrameInMap(frame, self.aligner, trust, state.stance, np.asarray(state.grain), self.config.health)
 
     def trust_in(self, state: TrackerState) -> Trust:
         """Weights of elements of the map; explicit ones count from the second frame on in which they are matched."""
@@ -225,30 +213,6 @@ class Localizer:
         if not len(state.matched):
             return weights
         return lambda rows: weights(rows) * np.isin(rows, state.matched)
-
-    def _predicted(self, state: TrackerState, frame: FrameFeatures, motion: CameraTimeLog) -> TrackerState:
-        """Every track at the time of the frame, with the fixes on the way."""
-        fixes, counters = state.fixes, state.counters
-        for fix in frame.fixes:
-            fixes = with_fix(fixes, fix)
-        tracks = []
-        for rank, track in enumerate(state.tracks):
-            carried_on, fitted = carried(track.fusion, self.fusion, motion, frame.fixes, frame.time_s)
-            for term in frame.terms:
-                carried_on, _ = self.fusion.correct_term(carried_on, term)
-            tracks.append(track._replace(fusion=carried_on))
-            if rank == 0:
-                conflicts = conflicts_after(counters.conflicts, fitted, self.config.health)
-                counters = counters._replace(conflicts=conflicts)
-        coasting = tuple(carried(c, self.fusion, motion, (), frame.time_s)[0] for c in state.coasting)
-        return state._replace(
-            time_s=np.float64(frame.time_s),
-            tracks=tuple(tracks),
-            coasting=coasting,
-            fixes=fixes,
-            counters=counters,
-            digest=np.uint32(frame.digest),
-        )
 
     def _fused(
         self, state: TrackerState, views: list[FrameReport], way_m: float
@@ -267,7 +231,7 @@ class Localizer:
         order = np.argsort(total, kind="stable")
         best, view = tracks[order[0]], pairs[order[0]][1]
         if order[0] != 0:
-            state = _as_new(state)
+            state = state.at_another_place()
         kept = [best]
         for k in order[1:]:
             if total[k] - total[order[0]] < self.config.win_nats and not self._is_one_of(tracks[k], kept):
@@ -307,35 +271,6 @@ class Localizer:
         if best.num_refused >= self.config.drop_refused or state.counters.off_map > 0:
             return state._replace(tracks=())
         return state
-
-    def _acquired(self, state: TrackerState, frame: FrameFeatures) -> TrackerState:
-        """The state with a track for each answer of a search, where one is due and finds something."""
-        config = self.config.acquisition
-        now_s = float(state.time_s)
-        if now_s < state.searched_s + config.every_s - 1e-6:
-            return state
-        coasting = self.fusion.pose(state.coasting[0]) if state.coasting else None
-        if self.area is not None and coasting is None:
-            modes = self.acquisition.search_area(frame, self.area)
-        else:
-            priors = self.acquisition.priors(state.fixes, coasting, now_s) or [frame.guess]
-            if priors[0] is None:
-                return state
-            modes = self.acquisition.search(frame, priors)
-        state = state._replace(searched_s=np.float64(now_s))
-        if not modes:
-            return state
-        forgotten = noise_scale.without_poses(state.noise)
-        measured = [self.acquisition.measurement(mode, now_s) for mode in modes]
-        penalties = [mode.score - modes[0].score for mode in modes]
-        begun = partial(new_track, self.fusion)
-        # What satellites contradict is no dead reckoning to go on with.
-        if state.coasting and state.counters.conflicts < self.config.health.max_conflicts:
-            begun = partial(regained, self.fusion, state.coasting[0])
-        share = self.config.follow.penalty_share
-        tracks = tuple(begun(m, share * max(p, 0.0)) for m, p in zip(measured, penalties, strict=True))
-        state = state._replace(tracks=tracks, counters=health.no_counts(), noise=forgotten)
-        return _as_new(state)
 
     def _judged(
         self, state: TrackerState, view: FrameReport | None, frame: FrameFeatures, way_m: float, timer: StageTimer
@@ -385,9 +320,3 @@ class Localizer:
         """The pose in the map that goes out; None where there is none."""
         known = (*(track.fusion for track in state.tracks[:1]), *state.coasting)
         return self.fusion.pose(known[0]) if known else None
-
-
-def _as_new(state: TrackerState) -> TrackerState:
-    """The state at another place: what was seen from the one before says nothing there."""
-    fresh = {"watch": watch.WatchState(), "elsewhere": Elsewhere(), "innovations": innovations.Innovations()}
-    return state._replace(**fresh, doubted=np.zeros((2, 3)))

@@ -18,8 +18,8 @@ from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.fusion.measurements import GnssMeasurement
 from semloc_jax.inputs.mask_view import MaskSource
+from semloc_jax.localization.beginning import rehearse
 from semloc_jax.localization.checkpoint import Checkpoint
-from semloc_jax.localization.following import rehearse
 from semloc_jax.localization.localizer import Localizer
 from semloc_jax.localization.track_state import FrameFeatures, TrackResult, TrackStatus
 from semloc_jax.residuals.pose_terms import TermSource

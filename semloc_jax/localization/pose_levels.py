@@ -14,7 +14,7 @@ from semloc_jax.evaluation.metrics import ErrorLimit
 from semloc_jax.evaluation.mixture_bounds import Causes, beyond
 from semloc_jax.fusion import noise_scale
 from semloc_jax.fusion.measurements import FusedPose
-from semloc_jax.localization import course, innovations, separation, watch, weighed_faults
+from semloc_jax.localization import course, innovations, separation, told_faults, weighed_faults
 from semloc_jax.localization.integrity import (
     LEVEL_UNITS,
     ProtectionLevels,
@@ -105,7 +105,7 @@ class Known(NamedTuple):
 def _spoken_for(state: TrackerState, rig: Rig, config: TrackConfig) -> list[Separation]:
     """What the last frames say against calibration, map and motion."""
     doubts = (Separation(*doubt) for doubt in innovations.doubts(state.innovations))
-    return [*doubts, *watch.spoken_for(state.watch, rig, config.watch)]
+    return [*doubts, *told_faults.spoken_for(state.watch, rig, config.watch)]
 
 
 def known_of(
@@ -141,14 +141,14 @@ def known_of(
     spoken = _spoken_for(state, rig, config)
     doubted = separation.remembered(state.doubted, spoken, way_m, config.watch)
     lasting = separation.lasting(doubted, spoken)
-    standing = watch.separations(state.watch, rig, config.watch)
+    standing = told_faults.separations(state.watch, rig, config.watch)
     spoken = [*spoken, *lasting]
     faults = [*spoken, *standing]
     reached = separation.farthest(separation.reach(standing), STAY)
     way, aside_rad = course.course_of(fused), float(state.watch.aside_rad)
     names = alternatives(len(rig.names))
     by_masks = weighed_faults.aside(state.watch, names, config.watch)
-    probable = course.probability(aside_rad, way, watch.is_ahead(rig), by_masks)
+    probable = course.probability(aside_rad, way, told_faults.is_ahead(rig), by_masks)
     sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), _LEAST_VARIANCE))[_OF_LEVELS] * LEVEL_UNITS
     is_small = rig.finer > 1
     weighed = weighed_faults.weighed(state.watch, names, sigma, freedom, config.watch, is_small)
@@ -188,16 +188,16 @@ def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
     aside_deg = course.heading_level_deg(*left, known.share)
     causes = separation.causes(own, known.faults, limit)
     if turned_rad or protection.heading_deg <= limit.heading_deg < aside_deg:
-        causes = (*causes, watch.aside_cause(way, aside_rad, aside_deg, known.rig))
+        causes = (*causes, told_faults.aside_cause(way, aside_rad, aside_deg, known.rig))
     misled += known.aside * course.misleading(*left, limit.heading_deg)
     most = np.maximum(separation.farthest(known.still, move), 0.0)
     if beyond_alert(ProtectionLevels(*most.tolist()), limit):
-        is_told = known.aside > 0.5 and not watch.is_ahead(known.rig)
-        causes = (*causes, watch.ALL_ASIDE if is_told else _NOT_EXCLUDED)
+        is_told = known.aside > 0.5 and not told_faults.is_ahead(known.rig)
+        causes = (*causes, told_faults.ALL_ASIDE if is_told else _NOT_EXCLUDED)
     protection = ProtectionLevels(*np.maximum(protection, most).tolist())
     room = np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])
     misled += float(beyond(known.weighed_about(move), room).sum())
-    aside_m = abs(way.off_rad) * watch.cameras_ahead_m(known.rig)
+    aside_m = abs(way.off_rad) * told_faults.cameras_ahead_m(known.rig)
     protection = protection._replace(
         lateral_m=max(protection.lateral_m, own.lateral_m + aside_m),
         heading_deg=max(protection.heading_deg, aside_deg),
@@ -239,7 +239,7 @@ def within(known: Known, levels: PoseLevels) -> PoseLevels:
     half = 0.5 * (reached[1] - reached[0])
     own = _own(known, np.array([*half[:2], np.abs(reached[:, 2]).max()]))
     move = separation.least_move(own, reached, room)
-    if watch.is_ahead(known.rig):
+    if told_faults.is_ahead(known.rig):
         free = float(known.errors[1][2])
         turn_rad = course.turn_rad(aside_rad, way, free, known.share, known.limit.heading_deg)
         move[2] = float(np.degrees(turn_rad))

@@ -14,7 +14,8 @@ from semloc_jax.alignment.same_pose import ONE_TRACK, units_apart
 from semloc_jax.fusion.measurements import Fusion
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import phase
-from semloc_jax.localization.following import FrameReport, cautious, new_track
+from semloc_jax.localization.beginning import cautious, new_track
+from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_in_map import FrameInMap
 from semloc_jax.localization.track_state import Fixes, Track, TrackerState
 

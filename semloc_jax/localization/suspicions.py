@@ -7,17 +7,17 @@ be.
 import numpy as np
 
 from semloc_jax.localization.moved_elements import classes_apart
-from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, unit_of
+from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, alternatives, unit_of
 from semloc_jax.localization.stance_sums import height_m
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import Suspicion, WatchState, means_of
 
 
-def suspicions(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> list[Suspicion]:
-    """Every fault that the drive speaks for, the clearest first; `names`: the `alternatives` of the rig."""
+def suspicions(watch: WatchState, num_cameras: int, config: WatchConfig) -> list[Suspicion]:
+    """Every fault that the drive speaks for, the clearest first."""
     if not len(watch.num):
         return []
-    found = [*_calibrations(watch, names, config), *classes_apart(watch, config)]
+    found = [*_calibrations(watch, alternatives(num_cameras), config), *classes_apart(watch, config)]
     return sorted(found, key=lambda s: -s.nats)
 
 

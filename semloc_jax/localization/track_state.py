@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, Num, UInt32
 
+from semloc_jax.alignment.explicit.frame import SeenShapes
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.single_frame import ImageInput
 from semloc_jax.cameras import Rig
@@ -20,7 +21,6 @@ from semloc_jax.fusion.noise_scale import NoiseScale
 from semloc_jax.localization.innovations import Innovations
 from semloc_jax.localization.moved_elements import NOTHING_MOVED, Moved
 from semloc_jax.localization.watch_sums import WatchState
-from semloc_jax.perception.primitives import Primitives
 from semloc_jax.residuals.pose_terms import Terms
 
 
@@ -134,6 +134,11 @@ class TrackerState(NamedTuple):
     matched: Int[np.ndarray, " match"] = np.zeros(0, np.int64)
     """Elements of the map that shapes of the last frame were associated with (`--association explicit`)."""
 
+    def at_another_place(self) -> "TrackerState":
+        """The state where the best track is another one: what was seen from the one before says nothing there."""
+        fresh = {"watch": WatchState(), "elsewhere": Elsewhere(), "innovations": Innovations()}
+        return self._replace(**fresh, doubted=np.zeros((2, 3)))
+
 
 class FrameFeatures(NamedTuple):
     """One frame without the map: what the feature stage hands to the localization stage."""
@@ -152,8 +157,8 @@ class FrameFeatures(NamedTuple):
     """First guess of the pose, where something else than satellites knows it."""
     terms: Terms = ()
     """Other measurements of the pose at the time of the frame, in the map frame; see `pose_term`."""
-    primitives: tuple[Primitives, ...] = ()
-    """Explicit shapes of each camera, where they are associated."""
+    shapes: SeenShapes | None = None
+    """Explicit shapes of all cameras, where they are associated."""
 
 
 @dataclass(frozen=True)

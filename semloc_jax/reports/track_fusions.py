@@ -16,7 +16,7 @@ from semloc_jax.fusion.inertial_fusion import InertialFusion
 from semloc_jax.fusion.kalman import KalmanFusion
 from semloc_jax.fusion.measurements import Fusion, SingleFrameFusion
 from semloc_jax.fusion.window import SlidingWindow, WindowConfig
-from semloc_jax.localization.following import rehearse
+from semloc_jax.localization.beginning import rehearse
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.reports.tables import write_csv
 from semloc_jax.reports.track_log import TrackLog, TrackTable

@@ -11,11 +11,16 @@ from semloc_jax.alignment.pose import AlignConfig, Prior
 from semloc_jax.alignment.proposals import propose
 from semloc_jax.geometry import lie
 from semloc_jax.structs import PoseEstimate
+from tests.compiling import jit_quickly
 from tests.contracts.ground_scene import scene
+
+# Operation by operation each would be some forty programs.
+exp, se2_to_se3 = jit_quickly(lie.exp), jit_quickly(lie.se2_to_se3)
+prior_cost, weigh = jit_quickly(prior_cost), jit_quickly(weigh)
 
 
 def poses(x, y, yaw_deg):
-    return lie.se2_to_se3(jnp.asarray(x, float), jnp.asarray(y, float), jnp.radians(jnp.asarray(yaw_deg, float)))
+    return se2_to_se3(jnp.asarray(x, float), jnp.asarray(y, float), jnp.radians(jnp.asarray(yaw_deg, float)))
 
 
 def test_survivors_differ_from_every_better_one():
@@ -94,13 +99,13 @@ def test_modes_without_any_finite_score_weigh_nothing():
 
 
 def test_prior_costs_half_the_squared_sigmas():
-    T = lie.exp(jnp.array([3.0, 1.0, 0.0, 0.0, 0.01, 0.4]))
+    T = exp(jnp.array([3.0, 1.0, 0.0, 0.0, 0.01, 0.4]))
     xi = jnp.array([0.3, -0.2, 0.01, 0.001, 0.0, 0.02])
     sigma = jnp.array([0.5, 0.5, 0.02, 0.01, 0.01, 0.04])
     expected = 0.5 * np.sum((np.asarray(xi) / np.asarray(sigma)) ** 2)
-    assert float(prior_cost(T @ lie.exp(xi), Prior(T, sigma))) == pytest.approx(expected, rel=1e-9)
+    assert float(prior_cost(T @ exp(xi), Prior(T, sigma))) == pytest.approx(expected, rel=1e-9)
     locked = 0.5 * ((0.3 / 0.5) ** 2 + (0.2 / 0.5) ** 2)
-    assert float(prior_cost(T @ lie.exp(xi), Prior(T, sigma.at[2:].set(0.0)))) == pytest.approx(locked, rel=1e-9)
+    assert float(prior_cost(T @ exp(xi), Prior(T, sigma.at[2:].set(0.0)))) == pytest.approx(locked, rel=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from semloc_jax.fusion.kalman import KalmanFusion
 from semloc_jax.fusion.measurements import PoseMeasurement
 from semloc_jax.fusion.noise_scale import unknown_noise
 from semloc_jax.localization import health, map_faults
+from semloc_jax.localization.beginning import new_track
 from semloc_jax.localization.checkpoint import Checkpoint, load, save
-from semloc_jax.localization.following import new_track
 from semloc_jax.localization.initialization import no_fixes
 from semloc_jax.localization.map_faults import TrustConfig
 from semloc_jax.localization.track_state import TrackerState

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from semloc_jax.fusion.measurements import FusedPose
-from semloc_jax.localization import course, watch
+from semloc_jax.localization import course, told_faults
 from semloc_jax.localization.course import Course, course_of, heading_level_deg, remembered_rad
 from tests.localization.test_watch import rig
 
@@ -91,4 +91,4 @@ def test_what_was_sure_is_remembered_and_what_was_not_is_not():
 )
 def test_the_sentence_says_by_how_much_or_that_nothing_is_known_yet(off_deg, num, said):
     found = Course(np.deg2rad(off_deg), np.deg2rad(0.25))
-    assert watch.aside_cause(found, 0.0, 0.6, rig(num)) == said
+    assert told_faults.aside_cause(found, 0.0, 0.6, rig(num)) == said

@@ -9,10 +9,12 @@ from semloc_jax.fusion.inertial_fusion import InertialFusion
 from semloc_jax.fusion.measurements import FusedPose, GnssMeasurement, Innovation, PoseMeasurement
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import health, map_faults
-from semloc_jax.localization.following import FollowConfig, FrameReport, conflicts_after, regained, stance_after
+from semloc_jax.localization.beginning import regained
+from semloc_jax.localization.following import FollowConfig, FrameReport, stance_after
 from semloc_jax.localization.frame_alignment import Alignment, masks_covariance
 from semloc_jax.localization.health import HealthConfig
 from semloc_jax.localization.map_faults import TrustConfig
+from semloc_jax.localization.predicting import conflicts_after
 from semloc_jax.localization.track_state import TrackStatus
 from semloc_jax.maps import MapElement, SemanticMap
 from semloc_jax.structs import ElementClass, SolveStatus

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.cameras import BrownConradyCamera, PinholeCamera, Rig
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
-from semloc_jax.localization import lens_sign, separation, watch
+from semloc_jax.localization import lens_sign, separation, told_faults
 from semloc_jax.localization.integrity import ProtectionLevels
 from semloc_jax.localization.moved_elements import moves
 from semloc_jax.localization.other_calibrations import ASIDE, STEPS, alternatives, changed_rigs, unit_of, widths
@@ -65,7 +65,7 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
         return 0.5 * ((change + (0.04 if name == wrong else 0.0)) / 0.01) ** 2
 
     state = after_frames(1, cost, pose, flat())
-    first = suspicions(state, alternatives(1), CONFIG)[0]
+    first = suspicions(state, 1, CONFIG)[0]
     assert (first.name, first.size) == (wrong, pytest.approx(-0.04, abs=1e-9))
     np.testing.assert_allclose(first.moved, [0.8, 0.0, 0.0], atol=1e-9)
     # Every frame asks for it at first, twice, later every third; each gains 8 nats, of which two (of a width: four) do
@@ -78,9 +78,9 @@ def test_a_wrong_lens_is_found_with_its_size_and_what_it_does_to_the_pose(wrong)
 
 def test_a_drive_that_fits_raises_no_suspicion():
     state = after_frames(2, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), flat())
-    found = suspicions(state, alternatives(2), CONFIG)
+    found = suspicions(state, 2, CONFIG)
     assert len(found) == 13 and max(s.nats for s in found) < 1e-9
-    assert suspicions(WatchState(), alternatives(1), CONFIG) == []
+    assert suspicions(WatchState(), 1, CONFIG) == []
 
 
 def test_one_frame_that_likes_another_lens_is_no_suspicion():
@@ -90,14 +90,14 @@ def test_one_frame_that_likes_another_lens_is_no_suspicion():
         assert far_side(state, alternatives(1), "focal") is None
         tried = [Tried(name, gains, np.ones((4, 3))) for name in asked_now(state, alternatives(1), CONFIG)]
         state = learned(state, alternatives(1), 0.0, tried, flat(), CONFIG)
-    assert max(s.nats for s in suspicions(state, alternatives(1), CONFIG)) == 0.0
+    assert max(s.nats for s in suspicions(state, 1, CONFIG)) == 0.0
 
 
 def test_one_camera_of_two_is_named():
     def cost(name, change):
         return 0.5 * ((change - (0.02 if name == "yaw 1" else 0.0)) / 0.005) ** 2
 
-    first = suspicions(after_frames(2, cost, lambda name, c: np.zeros(3), flat(), 40), alternatives(2), CONFIG)[0]
+    first = suspicions(after_frames(2, cost, lambda name, c: np.zeros(3), flat(), 40), 2, CONFIG)[0]
     assert (first.name, first.size) == ("yaw 1", pytest.approx(0.02))
 
 
@@ -110,7 +110,7 @@ def test_what_fits_beside_all_else_is_found(group, axis, off_m):
     there[axis] = off_m
     profiles[group] = 20.0 * np.minimum(np.linalg.norm(moves(CONFIG) - there, axis=1), 1.0)
     state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 6)
-    first = suspicions(state, alternatives(1), CONFIG)[0]
+    first = suspicions(state, 1, CONFIG)[0]
     assert first.name == GROUPS[group] + ("_ahead", "_left")[axis]
     assert first.size == pytest.approx(off_m) and first.nats > CONFIG.count_nats
     assert first.moved[axis] == pytest.approx(off_m)
@@ -122,10 +122,10 @@ def test_posts_are_doubted_as_soon_as_lines_alone_fit_elsewhere_in_every_frame()
     ahead = moves(CONFIG)[:, 0] == 1.0
     profiles[0][ahead] = -1.0
     state = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 12)
-    found = watch.spoken_for(state, rig(1), CONFIG)
+    found = told_faults.spoken_for(state, rig(1), CONFIG)
     assert with_faults(found).longitudinal_m == pytest.approx(LEVELS.longitudinal_m + 1.0)
     after_one = after_frames(1, lambda name, c: 0.5 * (c / 0.01) ** 2, lambda name, c: np.zeros(3), profiles, 1)
-    assert with_faults(watch.spoken_for(after_one, rig(1), CONFIG)) == LEVELS
+    assert with_faults(told_faults.spoken_for(after_one, rig(1), CONFIG)) == LEVELS
 
 
 def test_what_one_frame_does_not_say_again_is_doubted_on():
@@ -225,7 +225,7 @@ def test_a_narrower_road_is_doubted_sooner_where_the_vehicle_stands_higher(heigh
     state = after_frames(1, cost, lambda name, change: np.array([change, 0.0, 0.0]), flat(), 3)
     stance = stood(state.stance, np.array([height_m, 0.0, 0.0]), np.array([open_m, 0.0, 0.0]), 1.0)
     state = state._replace(stance=stance)
-    assert bool(watch.spoken_for(state, rig(1), CONFIG)) == is_told
+    assert bool(told_faults.spoken_for(state, rig(1), CONFIG)) == is_told
 
 
 def test_which_side_of_a_narrower_road_was_moved_is_not_known():
@@ -237,7 +237,7 @@ def test_which_side_of_a_narrower_road_was_moved_is_not_known():
     def pose(name, change):
         return np.array([0.4, 0.1, 0.0]) * change / -0.3
 
-    found = watch.spoken_for(after_frames(1, cost, pose, flat(), 2), rig(1), CONFIG)
+    found = told_faults.spoken_for(after_frames(1, cost, pose, flat(), 2), rig(1), CONFIG)
     reached = separation.reach(found)
     np.testing.assert_allclose(reached, [[-0.05, 0.0, 0.0], [0.25, 0.4, 0.0]], atol=1e-9)
     assert {one.cause for one in found} == {
@@ -274,7 +274,7 @@ def test_a_crown_that_the_map_has_not_is_no_tilt_of_the_camera():
 
 
 def test_a_rolled_camera_is_not_above_where_it_would_be():
-    found = watch.separations(WatchState(stance=rolled(lambda k: 2.0, 0.0, 200.0)), rig(1), CONFIG)
+    found = told_faults.separations(WatchState(stance=rolled(lambda k: 2.0, 0.0, 200.0)), rig(1), CONFIG)
     assert with_faults(found).lateral_m == pytest.approx(0.05 + 1.4 * np.deg2rad(2.0), rel=0.02)
 
 
@@ -295,9 +295,9 @@ def test_every_suspicion_has_a_sentence():
     for name in (*alternatives(2), *CLASSES):
         if name == ASIDE:  # weighed, and told by its levels
             continue
-        told = watch._told(Suspicion(name, -0.03, 9.0, np.zeros(3)), rig(2))
+        told = told_faults._told(Suspicion(name, -0.03, 9.0, np.zeros(3)), rig(2))
         assert ("map_changes.csv" if name in (*CLASSES, "width") else "semloc calibrate") in told
-    assert "fit 0.50 m to the left" in watch._told(Suspicion("posts_left", 0.5, 9.0, np.zeros(3)), rig(1))
+    assert "fit 0.50 m to the left" in told_faults._told(Suspicion("posts_left", 0.5, 9.0, np.zeros(3)), rig(1))
 
 
 def bent_rig() -> Rig:
@@ -312,7 +312,7 @@ def test_levels_reach_to_the_pose_of_the_other_sign_until_the_drive_speaks_again
     state = lens_sign.SignState()
     for gain in (*gains, np.nan):
         state = lens_sign.learned(state, gain, np.array([-0.35, 0.02, 0.001]))
-    found = watch.separations(WatchState(sign=state), bent_rig(), CONFIG)
+    found = told_faults.separations(WatchState(sign=state), bent_rig(), CONFIG)
     wide = with_faults(found)
     assert wide.longitudinal_m == pytest.approx(LEVELS.longitudinal_m + (0.35 if told else 0.0))
     causes = separation.causes(LEVELS, found, ALERT_LIMITS[0])

@@ -44,7 +44,7 @@ def compact_landmarks(local_map: LocalMap) -> tuple[Landmark, ...]:
     """The landmarks of a local map; everything else in it is left out."""
     found = []
     for index, element in enumerate(local_map.elements):
-        landmark = _landmark(element, element.points - local_map.origin_map)
+        landmark = _landmark(element, local_map.frame.from_map(element.points, np.float64))
         if landmark is not None:
             found.append(landmark._replace(element=index))
     return tuple(found)

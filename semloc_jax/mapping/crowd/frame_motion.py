@@ -25,7 +25,7 @@ _FREE_M, _SLOPE_M, _BEND_M = 30.0, 1.0, 0.04
 """What is known of shifts before, one standard deviation: of one node, two side by side, three in a row; ours."""
 _UPWARDS = 5.0
 """Heights are so many times as free: satellites and odometry tell less of them."""
-_KERNEL, _ROUNDS = 2.0, 6
+_LOSS_WIDTH, _ROUNDS = 2.0, 6
 _STATION_M, _LINE_SIGMA_M, _HEIGHT_SIGMA_M = 5.0, 0.03, 0.1
 """Step of places on lines; what neighbouring ones are off alike; the same of heights."""
 _PAST_M, _ASIDE_M = 0.5, 5.0
@@ -169,5 +169,5 @@ def _solved(
         normal = (held.T @ held + white.T @ white.multiply(weight[:, None])).tocsc()
         value = splu(normal).solve(white.T @ (weight * target))
         # Cauchy first, which finds its way from far; then what has moved by itself is let go of (Geman and McClure).
-        weight = (1.0 + ((target - white @ value) / _KERNEL) ** 2) ** (-1.0 if round_ < _ROUNDS // 2 else -2.0)
+        weight = (1.0 + ((target - white @ value) / _LOSS_WIDTH) ** 2) ** (-1.0 if round_ < _ROUNDS // 2 else -2.0)
     return value

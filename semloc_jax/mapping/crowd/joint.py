@@ -17,7 +17,7 @@ from semloc_jax.mapping.crowd.world import CrowdWorld
 
 _SMOOTH_M = 0.02
 """By how much a line bends within a metre that is not its curvature."""
-_KERNEL = 2.5
+_LOSS_WIDTH = 2.5
 _LEAST_FACTOR, _MOST_FACTOR = np.array([0.2, 0.2, 1.0]), 4.0
 """Neighbouring stations share their error: that they agree does not make them surer."""
 _TOGETHER = np.array([1e-3, 1e-3, 1e-6, 1e-6])
@@ -56,7 +56,7 @@ class JointSolve:
                 weight = 1.0 / factor
                 if round_:
                     r = (b - A @ self._value) / factor
-                    weight = weight / (1.0 + (r / _KERNEL) ** 2)
+                    weight = weight / (1.0 + (r / _LOSS_WIDTH) ** 2)
                 weight = weight * np.sqrt(self.weights[group[0]])
                 rows.append(csr_array(A.multiply(weight[:, None])))
                 targets.append(b * weight)
