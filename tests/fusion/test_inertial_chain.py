@@ -107,7 +107,7 @@ def test_an_interval_holds_at_biases_a_little_off_and_is_made_anew_beyond(window
 
 def test_intervals_of_a_solve_are_those_of_the_one_before(window):
     window._problem()
-    before = list(window._intervals)
+    before = list(window._intervals.values())
     window._problem()
-    assert all(a is b for a, b in zip(before, window._intervals, strict=True))
+    assert all(a is b for a, b in zip(before, window._intervals.values(), strict=True))
     assert stacked(before)[1].shape == (NUM - 1, 9, 9)
