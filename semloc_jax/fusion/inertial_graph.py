@@ -161,11 +161,7 @@ def left_by_oldest(problem: WindowProblem, value: Values, num_gone: int) -> Dens
     num = len(problem.prior.touched)
     own = StateFactors(*jax.tree.map(lambda rows: rows[:num_gone], tuple(problem.factors)))
     is_gone = jnp.asarray(problem.views.anchor) < num_gone
-    views = problem.views._replace(
-        sqrt_info=jnp.where(is_gone[:, None], problem.views.sqrt_info, 0.0),
-        on_road=jnp.where(is_gone, problem.views.on_road, 0.0),
-    )
-    oldest = eqx.tree_at(lambda p: (p.factors, p.views), problem, (own, views))
+    oldest = eqx.tree_at(lambda p: (p.factors, p.views), problem, (own, problem.views.only(is_gone)))
     left = oldest.linearise(value, jnp.asarray(False)).reduced()
     return marginal(left, unknowns_of(np.arange(num_gone), num), unknowns_of(np.arange(num_gone, num), num))
 

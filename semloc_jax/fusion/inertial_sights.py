@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from semloc_jax.fusion.inertial_states import SEEN, SIZES
 from semloc_jax.residuals.inverse_depth import (
@@ -49,6 +49,13 @@ class Views(NamedTuple):
     """How far from the camera its line of sight meets a flat road, over ground."""
     on_road: Float[Array | np.ndarray, " l"]
     """See `on_road_residual`: its weight; 0 for a landmark that is not known to lie on the road."""
+
+    def only(self, is_kept: Bool[Array | np.ndarray, " l"]) -> "Views":
+        """With weights for these landmarks alone."""
+        where = jnp.where if isinstance(is_kept, Array) else np.where
+        return self._replace(
+            sqrt_info=where(is_kept[:, None], self.sqrt_info, 0.0), on_road=where(is_kept, self.on_road, 0.0)
+        )
 
 
 class SeenEquations(NamedTuple):

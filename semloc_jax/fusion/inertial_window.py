@@ -88,8 +88,10 @@ class InertialWindow:
     prior: WindowPrior | None = None
     step_px: float = 0.0
     """What corners slip from one image to the next, as the images so far show it."""
-    _intervals: list[InertialInterval] = field(default_factory=list)
-    """Those of the last solve, which the next one takes as they are."""
+    _intervals: dict[int, InertialInterval] = field(default_factory=dict)
+    """Those of the last solve, by the identity of their steps; the next one takes them as they are."""
+    _last: tuple[np.ndarray, WindowProblem] | None = None
+    """Rows of the landmarks and the problem of the last solve, until states leave."""
 
     @classmethod
     def of(
@@ -147,6 +149,7 @@ class InertialWindow:
         rho = found.values["landmark"][:num, 2]
         is_good = (off < config.refuse_sigmas) & (rho > _BEHIND) & (rho < _LARGEST_INVERSE_DEPTH)
         self.pool.keep(rows, found.values["landmark"][:num], is_good)
+        self._last = rows, problem
         return InertialEstimate(
             time_s=self.moments[-1].time_s,
             state=self.state(-1),
@@ -182,14 +185,14 @@ class InertialWindow:
 
     def slide(self, num_gone: int = 1) -> None:
         """Give up the oldest states: what they and their landmarks say becomes a prior of the others."""
-        rows, problem, values = self._problem(solved_only=True)
+        rows, problem, values = self._solved_problem()
         with jax.enable_x64(True):
             self.prior = jax.tree.map(np.array, _left(problem, values, num_gone))
         self.values = {name: shifted(array, num_gone) for name, array in self.values.items()}
         used = np.zeros(self.pool.num_rows, bool)
         used[rows[self.pool.anchors()[rows] < num_gone]] = True
         self.pool.slide(used, num_gone)
-        self.moments = self.moments[num_gone:]
+        self.moments, self._last = self.moments[num_gone:], None
 
     def shrunk(self, num_states: int) -> "InertialWindow":
         """The window of the newest states; the others are given up."""
@@ -216,6 +219,17 @@ class InertialWindow:
         Ts = self.values["pose"]
         return rigid.inverse(Ts[from_state]) @ Ts[to_state]
 
+    def _solved_problem(self) -> tuple[np.ndarray, WindowProblem, Values]:
+        """What was solved last, without the landmarks that it let go: put together anew only after other changes."""
+        if self._last is None:
+            return self._problem(solved_only=True)
+        (rows, problem), pool = self._last, self.pool
+        kept = pool.is_solved[rows]
+        landmarks, is_kept = pool.values_of(rows[kept], np.flatnonzero(kept), self.config.num_landmarks)
+        views = problem.views.only(is_kept)
+        solved = WindowProblem(problem.factors, views, self.prior, problem.threshold)
+        return rows[kept], solved, self.values | {"landmark": landmarks}
+
     def _problem(self, solved_only: bool = False) -> tuple[np.ndarray, WindowProblem, Values]:
         """Rows of the landmarks, the problem, the values."""
         config, pool = self.config, self.pool
@@ -226,8 +240,9 @@ class InertialWindow:
         pool.prepare(rows, np.asarray(self.values["pose"]), T_base_cam)
         views, landmarks = pool.views(rows, num, (config.sigma_px, self.step_px), T_base_cam, config.road)
         moments, bias = self._all_moments(), self.values["bias"]
-        self._intervals = [self._interval(m.steps, b) for m, b in zip(moments[1:], bias[:-1], strict=True)]
-        factors = state_factors(moments, config, self._ways_m(), self.noise, stacked(self._intervals))
+        intervals = [self._interval(m.steps, b) for m, b in zip(moments[1:], bias[:-1], strict=True)]
+        self._intervals = {id(one.steps): one for one in intervals}
+        factors = state_factors(moments, config, self._ways_m(), self.noise, stacked(intervals))
         problem = WindowProblem(factors, views, self.prior, config.cauchy_sigmas)
         return rows, problem, self.values | {"landmark": landmarks}
 
@@ -241,10 +256,9 @@ class InertialWindow:
 
     def _interval(self, steps: Steps, bias: Float[np.ndarray, "6"]) -> InertialInterval:
         """The steps put together, or those that were, where they hold."""
-        known = next((one for one in self._intervals if one.holds(steps, bias)), None)
-        if known is None:
-            known = InertialInterval.of(steps, bias, self.noise)
-            self._intervals.append(known)
+        known = self._intervals.get(id(steps))
+        if known is None or not known.holds(steps, bias):
+            known = self._intervals[id(steps)] = InertialInterval.of(steps, bias, self.noise)
         return known
 
 

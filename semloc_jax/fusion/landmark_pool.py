@@ -72,23 +72,21 @@ class LandmarkPool:
 
     def add(self, tracks: Tracks, state: int) -> None:
         """What is seen at the time of one state."""
-        slots = [s for s in np.flatnonzero(tracks.id >= 0).tolist() if int(tracks.id[s]) not in self.refused]
-        row_of = {track: row for row, track in enumerate(self.id.tolist()) if track >= 0}
+        slots = np.array([s for s in np.flatnonzero(tracks.id >= 0) if int(tracks.id[s]) not in self.refused], int)
         # A track that the prior has just used up holds its row, though nothing is seen there yet.
-        alive = {row_of[track] for track in tracks.id[slots].tolist() if track in row_of}
-        free = iter([row for row in self._free_rows() if row not in alive])
-        for slot in slots:
-            track = int(tracks.id[slot])
-            row = row_of.get(track)
-            if row is None:
-                row = next(free, None)
-                if row is None:
-                    break
-                self.id[row], self.camera[row] = track, tracks.camera[slot]
-                self.seen[row], self.is_solved[row], self.on_road[row] = False, False, tracks.on_road[slot]
-            self.ray_cam[row, state] = tracks.sight.ray_cam[slot]
-            self.pixels[row, state] = tracks.sight.pixels[slot]
-            self.seen[row, state] = True
+        order = np.argsort(self.id, kind="stable")
+        row = order[np.minimum(np.searchsorted(self.id, tracks.id[slots], sorter=order), self.num_rows - 1)]
+        is_new = self.id[row] != tracks.id[slots]
+        free = self._free_rows()
+        free = free[~np.isin(free, row[~is_new])]
+        new, fits = np.flatnonzero(is_new), np.ones(len(slots), bool)
+        row[new[: len(free)]], fits[new[len(free) :]] = free[: len(new)], False
+        slots, row, is_new = slots[fits], row[fits], is_new[fits]
+        begun, by = row[is_new], slots[is_new]
+        self.id[begun], self.camera[begun], self.on_road[begun] = tracks.id[by], tracks.camera[by], tracks.on_road[by]
+        self.seen[begun], self.is_solved[begun] = False, False
+        self.ray_cam[row, state], self.pixels[row, state] = tracks.sight.ray_cam[slots], tracks.sight.pixels[slots]
+        self.seen[row, state] = True
 
     def slide(self, used: Bool[np.ndarray, " p"], num_gone: int) -> None:
         """Some times later: the oldest leave.
@@ -196,7 +194,16 @@ class LandmarkPool:
             lift_m=lift_m,
             away_m=away_m,
             on_road=_road_weights(up[:, 2], lift_m, (away_m, aside_m), anchor, is_real & self.on_road[at], road),
-        ), np.where(is_real[:, None], self.value[at], [0.0, 0.0, _FIRST_INVERSE_DEPTH])
+        ), self.values_of(rows, np.arange(len(rows)), num)[0]
+
+    def values_of(
+        self, rows: Int[np.ndarray, " k"], places: Int[np.ndarray, " k"], num: int
+    ) -> tuple[Float[np.ndarray, "l 3"], Bool[np.ndarray, " l"]]:
+        """Values of rows at their places among `num` landmarks, and which places those are; the others hold what
+        makes no sight infinite."""
+        values, is_there = np.tile([0.0, 0.0, _FIRST_INVERSE_DEPTH], (num, 1)), np.zeros(num, bool)
+        values[places], is_there[places] = self.value[rows], True
+        return values, is_there
 
     def keep(
         self, rows: Int[np.ndarray, " k"], values: Float[np.ndarray, "k 3"], is_good: Bool[np.ndarray, " k"]
@@ -207,13 +214,12 @@ class LandmarkPool:
         self.refused |= set(self.id[bad].tolist())
         self.id[bad], self.seen[bad], self.is_solved[bad] = -1, False, False
 
-    def _free_rows(self) -> list[int]:
+    def _free_rows(self) -> Int[np.ndarray, " k"]:
         """Rows without a track, then those whose track was seen least and is not seen any more."""
         count = self.seen.sum(axis=1)
         gone = (self.id < 0) | (count == 0)
-        stale = ~gone & ~self.seen[:, max(self.num_states - 2, 0) :].any(axis=1)
-        order = np.flatnonzero(stale)
-        return [*np.flatnonzero(gone).tolist(), *order[np.argsort(count[order], kind="stable")].tolist()]
+        order = np.flatnonzero(~gone & ~self.seen[:, max(self.num_states - 2, 0) :].any(axis=1))
+        return np.concatenate([np.flatnonzero(gone), order[np.argsort(count[order], kind="stable")]])
 
 
 def _without_gap(seen: Bool[np.ndarray, "l f"]) -> Bool[np.ndarray, "l f"]:

@@ -7,6 +7,8 @@ so two points give the direction of motion, and a few dozen pairs are enough to 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from semloc_jax.geometry import rigid
+
 _NUM_PAIRS = 96
 _LEAST_ANGLE_RAD = 0.02
 _LEAST_POINTS = 8
@@ -35,7 +37,7 @@ def moves_with_the_world(
     if num < _LEAST_POINTS:
         return np.ones(num, bool)
     turned = ray_before @ R_now_before.T
-    normal = np.cross(turned, ray_now)
+    normal = rigid.cross(turned, ray_now)
     flow_px = np.linalg.norm(normal, axis=1) * px_per_rad
     moving = np.flatnonzero(flow_px > gate_px)
     if len(moving) < _LEAST_POINTS:
@@ -44,7 +46,7 @@ def moves_with_the_world(
     rng = np.random.default_rng(seed)
     first = rng.integers(len(moving), size=_NUM_PAIRS)
     second = (first + rng.integers(1, len(moving), size=_NUM_PAIRS)) % len(moving)
-    crossed = np.cross(_unit(normal[moving[first]]), _unit(normal[moving[second]]))
+    crossed = rigid.cross(_unit(normal[moving[first]]), _unit(normal[moving[second]]))
     # Two planes that are nearly the same have no direction in common.
     crossed = crossed[np.linalg.norm(crossed, axis=1) > _LEAST_ANGLE_RAD]
     if not len(crossed):
@@ -65,7 +67,8 @@ def _distance_px(
     direction: np.ndarray, turned: np.ndarray, normal: np.ndarray, px_per_rad: np.ndarray, flow_px: np.ndarray
 ) -> Float[np.ndarray, "k n"]:
     """Distance of every point from the plane of its old line of sight and each direction."""
-    lift = np.linalg.norm(np.cross(direction[:, None], turned[None]), axis=2)
+    # Unit vectors: the sine by the cosine costs one product of matrices.
+    lift = np.sqrt(np.maximum(1.0 - (direction @ turned.T) ** 2, 0.0))
     off = np.abs(direction @ normal.T) / np.maximum(lift, 1e-9) * px_per_rad
     # Near the direction itself the plane is not defined: there the flow is the distance.
     return np.minimum(off, flow_px)

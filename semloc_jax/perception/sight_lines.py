@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from semloc_jax.cameras import Camera
+from semloc_jax.geometry import rigid
 
 _STEP_PX = 0.25
 _FLAT = 1e-12
@@ -64,6 +65,6 @@ def tangents(ray: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2 3"]:
     """Two unit vectors across each unit ray and across each other."""
     # The axis that lies farthest from the ray keeps the product away from zero.
     axis = np.eye(3)[np.argmin(np.abs(ray), axis=1)]
-    first = np.cross(axis, ray)
+    first = rigid.cross(axis, ray)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(ray, first)], axis=1)
+    return np.stack([first, rigid.cross(ray, first)], axis=1)

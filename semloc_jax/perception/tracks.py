@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from semloc_jax.cameras import Rig
+from semloc_jax.geometry import rigid
 from semloc_jax.perception.corners import new_corners
 from semloc_jax.perception.epipolar_gate import moves_with_the_world
 from semloc_jax.perception.patches import Patches, cut_out, laid_over, no_patches
@@ -159,7 +160,7 @@ class FeatureTracker:
         good = moves_with_the_world(*rays, scale, R_cam, self.config.gate_px, self._next_id)
         ids = empty.copy()
         ids[kept[good]] = before.id[kept[good]]
-        moved_px = np.linalg.norm(np.cross(rays[0] @ R_cam.T, rays[1]), axis=1) * scale
+        moved_px = np.linalg.norm(rigid.cross(rays[0] @ R_cam.T, rays[1]), axis=1) * scale
         return _View(grey, ids, uv, sight, before.on_road, before.patches, is_cut), moved_px[good]
 
     def _flow(self, before: _View, grey: np.ndarray) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"]]:

@@ -55,3 +55,10 @@ def test_normalised_removes_rounding():
     R = rigid.normalised(rough)[:3, :3]
     assert np.allclose(R.T @ R, np.eye(3), atol=1e-14)
     assert np.allclose(R, T[:3, :3], atol=3e-6)
+
+
+def test_cross_products_are_those_of_numpy_also_of_one_and_many():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(2, 5, 3))
+    np.testing.assert_allclose(rigid.cross(a, b), np.cross(a, b), atol=1e-15)
+    np.testing.assert_allclose(rigid.cross(a[:, None], b[None]), np.cross(a[:, None], b[None]), atol=1e-15)
