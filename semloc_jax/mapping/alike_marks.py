@@ -1,8 +1,9 @@
 """Worn marks on the road become whole by others that are painted alike (room: mapping; host).
 
 In: outlines of marks as they were drawn. Out: the same, a mark that lacks a part with the outline that others have.
-Arrows, letters and symbols come from a few stencils. Three outlines that fit each other show a stencil; a mark that
-fits none of them, but lies within one and shares most of its border with it, is what wear has left of it.
+Arrows, letters and symbols come from a few stencils. Three outlines that fit each other show a stencil: its outline is
+that of the larger ones among them, since paint is lost and none is added. The others have it, too, and so has a mark
+that fits none of them, but lies within one and shares most of its border with it: it is what wear has left of it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,6 +26,9 @@ _LEFT = 0.6
 _LEFT_ONE_SIDED = 0.8
 """The same of a stencil that is not its own mirror image: an arrow of another kind, which lacks the branch to one side,
 lies within it just as well and has three quarters of its area."""
+_WHOLE = 0.9
+"""Share of the marks of a stencil that are smaller than it: ends of arrows are worn off, and their tips are narrower
+than masks show. Among many the very largest may have what does not belong to it."""
 _AREA_OFF = 0.25
 """Share of their area by which two marks of one stencil differ at most."""
 _OUTSIDE_M2 = 1e-3
@@ -59,14 +63,39 @@ def painted_alike(marks: Sequence[MapElement]) -> list[MapElement]:
     """
     outlines = {k: mark.points[:, :2] for k, mark in enumerate(marks) if mark.closed and len(mark.points) >= 3}
     kinds = _kinds(outlines)
-    stencils = [outlines[kind[0]] for kind in kinds if len(kind) >= _NUM_ALIKE]
+    size_m = {k: _size_m(xy) for k, xy in outlines.items()}
+    stencil_of = {kind[0]: _most_whole(kind, size_m) for kind in kinds if len(kind) >= _NUM_ALIKE}
+    stencils = [outlines[k] for k in stencil_of.values()]
     found = list(marks)
     for kind in kinds:
-        for k in kind if len(kind) < _NUM_ALIKE else ():
-            whole = _whole(outlines[k], stencils)
+        own = stencil_of.get(kind[0])
+        for k in kind:
+            if own is None:
+                whole = _whole(outlines[k], stencils)
+            else:
+                whole = _laid(outlines[own], outlines[k]) if size_m[k] < size_m[own] else None
             if whole is not None:
                 found[k] = _of_outline(marks[k], whole)
     return found
+
+
+def _size_m(xy: Float[np.ndarray, "k 2"]) -> float:
+    """Length and width of a mark together: a shaft that is drawn 1 cm wider has more area than an end that is lost."""
+    return 0.5 * float(shapely.oriented_envelope(shapely.Polygon(xy)).length)
+
+
+def _most_whole(kind: Sequence[int], size_m: dict[int, float]) -> int:
+    """The mark of a kind that most of the others are smaller than."""
+    return sorted(kind, key=lambda k: size_m[k])[int(np.ceil(_WHOLE * (len(kind) - 1)))]
+
+
+def _laid(stencil: Float[np.ndarray, "k 2"], mark: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "k 2"] | None:
+    """A stencil laid on a mark of its kind; None where the mark lacks nothing, or they share too little after all."""
+    fit = _fit(stencil, mark)
+    if fit is None or fit.share < _LIKE:
+        return None
+    off_m = shapely.distance(shapely.LinearRing(mark), shapely.points(_places(fit.xy)))
+    return fit.xy if off_m.max() > _ALIKE_M else None
 
 
 def _of_outline(mark: MapElement, xy: Float[np.ndarray, "k 2"]) -> MapElement:

@@ -58,6 +58,19 @@ def test_a_worn_arrow_is_as_long_as_the_others(worn: str) -> None:
     assert all(a is b for a, b in zip(found[:4], marks[:4], strict=True))
 
 
+def test_arrows_that_all_lack_a_little_are_as_long_as_the_longest() -> None:
+    """Each of them fits the first one, whose shaft is the shortest; the larger ones show how long they were painted."""
+    rng = np.random.default_rng(4)
+    long = _STRAIGHT - [[2.0, 0.0]] * (_STRAIGHT[:, :1] == 0.0)
+    lacking_m = [0.18, 0.0, 0.2, 0.15, 0.0, 0.17, 0.19]
+    marks = [_mark(_cut(long, shapely.box(-3.0, -1.0, lost - 2.0, 1.0)), k, rng) for k, lost in enumerate(lacking_m)]
+    for k, mark in enumerate(painted_alike(marks)):
+        tail = _true(long, k)[[0, -1], :2]
+        off_m = np.linalg.norm(mark.points[:, None, :2] - tail, axis=2).min(axis=0)
+        assert off_m.max() < 0.06, lacking_m[k]
+        assert (mark is marks[k]) == (lacking_m[k] == 0.0), lacking_m[k]
+
+
 def test_an_arrow_of_another_kind_stays_as_it_is() -> None:
     rng = np.random.default_rng(5)
     marks = [_mark(_FORKED, k, rng) for k in range(4)] + [_mark(_STRAIGHT, 4, rng)]
