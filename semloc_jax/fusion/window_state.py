@@ -63,9 +63,19 @@ BY_EDGE = ("T_edge", "edge_covariance", "edge_jacobian", "edge_calibration")
 
 
 def sqrt_information(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
-    """R with R^T R = covariance^-1: whitens a difference of this covariance."""
+    """R with R^T R = covariance^-1: whitens a difference of this covariance.
+
+    A wide one of nearly dependent directions, which rounding of float32 has left without a root, counts as ten times
+    as open there as rounding is large.
+    """
     scale = np.sqrt(np.diag(covariance))
-    return np.linalg.inv(np.linalg.cholesky(covariance / np.outer(scale, scale))) / scale
+    scaled = covariance / np.outer(scale, scale)
+    try:
+        return np.linalg.inv(np.linalg.cholesky(scaled)) / scale
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        least = 10.0 * max(-float(values.min()), 1e-6)
+        return (vectors / np.sqrt(np.maximum(values, least))).T / scale
 
 
 def graph_of(state: WindowState, config: GraphConfig, kinds: Terms = ()) -> tuple[FactorGraph, Values]:
