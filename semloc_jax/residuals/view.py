@@ -35,9 +35,9 @@ class ViewConfig:
     max_range_m: float = 60.0
     """Samples farther from the camera are left out: they are too small for the mask and hidden too often."""
     min_ground_px_per_m: float = 0.6
-    """What lies on the ground is left out where one metre away from the camera is fewer pixels than this (of those that
-    the camera took, see `Rig.finer`): seen at such
-    a grazing angle paint is mostly hidden and its mask is noise (f h / r^2: 42 m for a usual front camera)."""
+    """What lies on the ground is left out where one metre away from the camera is fewer pixels than this, of those
+    that the camera took (`Rig.finer`): seen at such a grazing angle paint is mostly hidden and its mask is noise
+    (f h / r^2: 42 m for a usual front camera)."""
     min_spacing_px: float = 1.5
     """Closest spacing of samples along a contour in the image [px]."""
     metric_exponent: float = 0.0

@@ -293,3 +293,17 @@ def test_ends_of_dashes_count_as_observations_of_their_own():
     side = ~is_end & (weight > 0) & (at_x < 12.0)
     assert weight[side].sum() > 120.0
     np.testing.assert_allclose(more[side], weight[side], rtol=1e-5)
+
+
+@pytest.mark.parametrize("path", ["auto", "xla"])
+def test_more_pixels_show_no_farther_road(path):
+    """f h / r^2 is that of the camera's own pixels: 0.6 px for a metre 20.5 m away (focal length 180 px), not 29 m."""
+    rig = Rig([PinholeCamera(180.0, 180.0, 200.0, 60.0, 400, 120)], RIG.T_base_cam, ["front"])
+    samples, origin = road_lines()
+    farthest_m = []
+    for seen_through in (rig, rig.with_pixels(2)):
+        found = seen_by(samples, pose(3.0, origin), seen_through, CHANNELS, config=replace(PLAIN, path=path))
+        p_map, weight = np.asarray(found.p_map[0], np.float64), np.asarray(found.weight[0])
+        farthest_m.append((p_map[0, weight > 0] + origin[0] - 4.6).max())
+    assert farthest_m[0] == pytest.approx(np.sqrt(180.0 * 1.4 / 0.6), abs=1.0)
+    assert farthest_m[1] == pytest.approx(farthest_m[0], abs=0.5)
