@@ -163,7 +163,7 @@ class CostMaps(eqx.Module):
 class PoseEstimate(eqx.Module):
     """A pose with all that says how far to trust it. Tangent (vx, vy, vz, wx, wy, wz), right perturbation."""
 
-    T_map_base: Float[Array, "*batch 4 4"]
+    T_local_base: Float[Array, "*batch 4 4"]
     """Vehicle pose relative to the local origin [m]."""
     covariance: Float[Array, "*batch 6 6"]
     """Covariance of the right tangent [m, rad]."""

@@ -42,7 +42,7 @@ def halves(element: np.ndarray, config: AgreementConfig) -> np.ndarray:
     return np.concatenate([np.ones((1, len(element)), bool), first, ~first])
 
 
-def disagreement(T_map_base: np.ndarray, Ts_half: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def disagreement(T_local_base: np.ndarray, Ts_half: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Variance of a pose as the halves have it, float[3] (forward, left [m^2], heading [rad^2]).
 
     The halves of a mean scatter about it as it does about the truth (the delete-half jackknife). An estimate that drops
@@ -51,11 +51,11 @@ def disagreement(T_map_base: np.ndarray, Ts_half: np.ndarray, variance: np.ndarr
     another basin by chance: the largest deviation along each axis is left out.
 
     Args:
-        T_map_base: float[4 4], the pose that all elements lead to.
+        T_local_base: float[4 4], the pose that all elements lead to.
         Ts_half: float[n 4 4], those of the halves.
         variance: float[3], what the residuals promise.
     """
-    away, turn = differences(T_map_base, Ts_half)
+    away, turn = differences(T_local_base, Ts_half)
     found = np.sort(np.column_stack([away, turn]) ** 2, axis=0)[:-1].mean(axis=0)
     again = max(float((found / np.maximum(variance, 1e-12))[1:].min()), 1.0)
     return found * np.array([again, again, 1.0])

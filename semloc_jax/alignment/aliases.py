@@ -38,7 +38,7 @@ def alias_shifts(
     tangents_xy: np.ndarray,
     channel: np.ndarray,
     length_m: np.ndarray,
-    T_map_base: np.ndarray,
+    T_local_base: np.ndarray,
     config: AliasConfig,
 ) -> np.ndarray:
     """Shifts (forward, left [m]) in the vehicle frame at which the map repeats itself, strongest first, float[k 2].
@@ -48,12 +48,12 @@ def alias_shifts(
         tangents_xy: float[n 2], directions of their contours; their common one is the direction of the road.
         channel: int[n], classes that masks tell apart.
         length_m: float[n], length of contour that each sample stands for.
-        T_map_base: float[4 4], the pose.
+        T_local_base: float[4 4], the pose.
         config: Reach and resolution.
     """
     if len(points_xy) == 0:
         return np.zeros((0, 2))
-    road = road_direction(tangents_xy, length_m, T_map_base[:2, 0])
+    road = road_direction(tangents_xy, length_m, T_local_base[:2, 0])
     frame = np.array([[road[0], road[1]], [-road[1], road[0]]])
     overlap = _overlap(*_drawn(points_xy @ frame.T, tangents_xy @ frame.T, channel, length_m, config.cell_m), config)
     num = round(config.along_m / config.cell_m), round(config.across_m / config.cell_m)
@@ -69,7 +69,7 @@ def alias_shifts(
     known += [(0.0, s) for s in _shortest(beside, config, config.least_across_m)]
     shifts += [one for one in known if all(np.hypot(*np.subtract(one, s)) > 2.0 * config.cell_m for s in shifts)]
     shifts += [(0.0, side * lane) for lane in config.lanes_m for side in (-1.0, 1.0)]
-    vehicle = T_map_base[:2, :2].T @ frame.T
+    vehicle = T_local_base[:2, :2].T @ frame.T
     return np.asarray(shifts) @ vehicle.T
 
 

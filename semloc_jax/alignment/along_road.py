@@ -54,7 +54,7 @@ class AlongRoadConfig:
 class RoadPosterior(NamedTuple):
     """The posterior along the road."""
 
-    Ts_map_base: Float[Array, "keep 4 4"]
+    Ts_local_base: Float[Array, "keep 4 4"]
     """The best poses that differ, relative to the local origin."""
     scores: Float[Array, " keep"]
     """Their costs [nats]; infinite: empty slot."""
@@ -71,7 +71,7 @@ class RoadPosterior(NamedTuple):
 class Places(NamedTuple):
     """Poses along the road through one of them, each solved in all other directions."""
 
-    Ts_map_base: Float[Array, "n 4 4"]
+    Ts_local_base: Float[Array, "n 4 4"]
     scores: Float[Array, " n"]
     """Their costs [nats]; infinite where there is none."""
     noise: Float[Array, ""]
@@ -79,7 +79,7 @@ class Places(NamedTuple):
 
 
 def places_along(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     evidence: Evidence,
     prior: Prior,
     align: AlignConfig,
@@ -87,16 +87,16 @@ def places_along(
     chunk: int | None,
 ) -> Places:
     """Poses along the road; arguments as `weighed_along_road`. A prior along it is in their costs, but holds none."""
-    offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=T_map_base.dtype)
+    offsets_m = jnp.linspace(-config.reach_m, config.reach_m, config.num_offsets, dtype=T_local_base.dtype)
     offsets_m = jnp.where(prior.sigma[0] > 0, offsets_m, 0.0)  # a locked direction stays locked
     still = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(0.0))
     short = dataclasses.replace(align, max_steps=config.max_steps)
     level = telling(evidence.textures.ramp_px, align.noise.noise_px * evidence.grain, config.level)
 
-    starts = T_map_base @ lie.exp(offsets_m[:, None] * _valley(T_map_base, level, evidence, prior, align, config))
+    starts = T_local_base @ lie.exp(offsets_m[:, None] * _valley(T_local_base, level, evidence, prior, align, config))
     Ts = in_chunks(lambda T: refine(T, evidence, still, short, level[None])[0][-1], starts, chunk)
     held = jax.vmap(prior_cost, (0, None))(Ts, prior)
-    by_piece = nats_at(Ts, T_map_base, level, evidence, align, chunk)
+    by_piece = nats_at(Ts, T_local_base, level, evidence, align, chunk)
     nats = jnp.sum(by_piece, axis=1)
     best = jnp.nanargmin(nats + held)
     scores = nats[best] + believed(by_piece, best, config.least_believed) * (nats - nats[best]) + held
@@ -106,7 +106,7 @@ def places_along(
 
 
 def _valley(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
     evidence: Evidence,
     prior: Prior,
@@ -117,22 +117,22 @@ def _valley(
     look along the road, with a nod where that hides a shift. Solves of few steps do not find back from beside it."""
     if not config.by_contours:
         loose = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(config.reach_m))
-        column = assess(T_map_base, level, evidence, loose, align).covariance[:, 0]
+        column = assess(T_local_base, level, evidence, loose, align).covariance[:, 0]
         return jnp.where(jnp.isfinite(column), column / column[0], 0.0).at[0].set(1.0)
-    views, texture = visible_views(T_map_base, evidence, align.border_px, align.path), evidence.textures.level(level)
-    r, weight = ramp_values(T_map_base, views, texture, align.path)
-    excess = align.noise.excess(scatter_px(T_map_base, level, evidence, align), texture.ramp_px, evidence.grain)
+    views, texture = visible_views(T_local_base, evidence, align.border_px, align.path), evidence.textures.level(level)
+    r, weight = ramp_values(T_local_base, views, texture, align.path)
+    excess = align.noise.excess(scatter_px(T_local_base, level, evidence, align), texture.ramp_px, evidence.grain)
     gain = align.noise.gain(texture.ramp_px, evidence.grain) / (texture.ramp_px * excess) ** 2
-    information = contour_information(T_map_base, views, gain * weight * LOSSES[align.loss].weight(r))
+    information = contour_information(T_local_base, views, gain * weight * LOSSES[align.loss].weight(r))
     sigma = prior.sigma.at[0].set(config.reach_m)
-    known = information + terms_equations(prior.terms, T_map_base).hessian
+    known = information + terms_equations(prior.terms, T_local_base).hessian
     column = sigma * jnp.linalg.inv(sigma[:, None] * known * sigma + jnp.eye(6, dtype=sigma.dtype))[:, 0]
     return jnp.where(jnp.isfinite(column), column / column[0], 0.0).at[0].set(1.0)
 
 
 @stored_program("align", "config", "chunk")
 def weighed_along_road(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     evidence: Evidence,
     prior: Prior,
     align: AlignConfig,
@@ -142,14 +142,14 @@ def weighed_along_road(
     """The posterior over places along the road through the best pose of a search.
 
     Args:
-        T_map_base: The best pose of a search, relative to the local origin.
+        T_local_base: The best pose of a search, relative to the local origin.
         evidence: What the cameras saw, with the map as seen from there.
         prior: Gaussian prior.
         align: Robust loss and noise.
         config: Offsets and level.
         chunk: Poses side by side; None for what suits the device.
     """
-    Ts, scores, noise = places_along(T_map_base, evidence, prior, align, config, chunk)
+    Ts, scores, noise = places_along(T_local_base, evidence, prior, align, config, chunk)
     index, filled = keep_distinct(Ts, scores, config.keep, config.apart)
     away = lie.log(lie.inverse(Ts[index[0]]) @ Ts)
     guessed = jax.vmap(prior_cost, (0, None))(Ts, prior)

@@ -89,10 +89,10 @@ def solve_batch(
         shown = eqx.tree_at(lambda s: s.valid, frame.samples, frame.samples.valid & parts[part])
         evidence = evidence_from(T_start, frame._replace(samples=shown, rig=rig), config.polish_view)
         estimate = align_one(T_start, evidence, prior, align_config)
-        judged = fit_at(estimate.T_map_base, level, evidence, align_config)
+        judged = fit_at(estimate.T_local_base, level, evidence, align_config)
         measured = (judged.cost, judged.inlier_ratio)
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), estimate, measured)
-        return SolvedPoses(estimate, score(estimate.T_map_base, level, evidence, prior, align_config, in_view_px))
+        return SolvedPoses(estimate, score(estimate.T_local_base, level, evidence, prior, align_config, in_view_px))
 
     return map_filled(one, (Ts_start, Ts_road, part, rigs), num)
 

@@ -20,7 +20,7 @@ GROUPS = ("lines", "posts", "left side", "right side")
 
 @stored_program("config", "level")
 def class_profiles(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     moves: Float[Array, "n 3"],
     frame: FrameInput,
     is_upright: Float[Array, " element"],
@@ -30,7 +30,7 @@ def class_profiles(
     """Costs [nats] of every one of `GROUPS`, against the pose itself.
 
     Args:
-        T_map_base: Solved pose, relative to the local origin.
+        T_local_base: Solved pose, relative to the local origin.
         moves: Forward [m], left [m], turned [rad].
         frame: Samples, cost maps, cameras.
         is_upright: 1 for the elements that stand, 0 for those that lie on the road. All are trusted: what is outdated
@@ -38,19 +38,19 @@ def class_profiles(
         config: View, loss and noise.
         level: Of the cost maps.
     """
-    evidence, element = trusted_evidence(T_map_base, frame, jnp.ones_like(is_upright), config.view)
+    evidence, element = trusted_evidence(T_local_base, frame, jnp.ones_like(is_upright), config.view)
     stands = jnp.concatenate(
         [jnp.where(owner >= 0, is_upright[jnp.clip(owner, 0)], 0.0).reshape(-1) for owner in element]
     )
-    left_m = jnp.concatenate([_left_of(T_map_base, view.p_map).reshape(-1) for view in evidence.views])
+    left_m = jnp.concatenate([_left_of(T_local_base, view.p_map).reshape(-1) for view in evidence.views])
     lies = 1.0 - stands
     groups = jnp.stack([lies, stands, lies * (left_m > 0.0), lies * (left_m <= 0.0)])
-    moved = displaced(T_map_base, moves.astype(T_map_base.dtype))
+    moved = displaced(T_local_base, moves.astype(T_local_base.dtype))
     slides = jnp.array([name.endswith("side") for name in GROUPS])
-    return nats_of_groups(moved, T_map_base, level, evidence, groups, slides, config.align)
+    return nats_of_groups(moved, T_local_base, level, evidence, groups, slides, config.align)
 
 
-def _left_of(T_map_base: Float[Array, "4 4"], p_map: Float[Array, "cam 3 p"]) -> Float[Array, "cam p"]:
+def _left_of(T_local_base: Float[Array, "4 4"], p_map: Float[Array, "cam 3 p"]) -> Float[Array, "cam p"]:
     """How far points lie to the left of the vehicle [m]."""
-    T = lie.inverse(T_map_base)
+    T = lie.inverse(T_local_base)
     return jnp.einsum("i,cip->cp", T[1, :3], p_map) + T[1, 3]

@@ -46,7 +46,7 @@ class ModeFinder(SearchSteps):
         """All places, best first."""
         ramps, in_view_px = self.by_ramps()
         solved = self.candidates(np.concatenate([self.coarse(), ramps]), in_view_px)
-        Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
+        Ts = np.asarray(solved.estimates.T_local_base, dtype=np.float64)
         seen = self.observed(Ts)
         found, rates = self._evidence_of(Ts, self.null.pieces(seen, self.image_size, self.observe_config.cell_px), None)
         first = self.ridges(Ts, found, np.asarray(solved.estimates.status))
@@ -55,10 +55,10 @@ class ModeFinder(SearchSteps):
         shifted = not_near(np.concatenate([self.aliases(T) for T in leaders]), Ts, ONE_TRACK)
         if len(shifted):
             more = self.candidates(shifted, in_view_px)
-            also = self.observed(np.asarray(more.estimates.T_map_base, dtype=np.float64))
+            also = self.observed(np.asarray(more.estimates.T_local_base, dtype=np.float64))
             solved = jax.tree.map(lambda *leaves: np.concatenate(leaves), solved, more)
             seen = seen.joined(also)
-            Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
+            Ts = np.asarray(solved.estimates.T_local_base, dtype=np.float64)
         pieces = self.null.pieces(seen, self.image_size, self.observe_config.cell_px)
         found, rates = self._evidence_of(Ts, pieces, None)
         places = self.ridges(Ts, found, np.asarray(solved.estimates.status))
@@ -73,7 +73,7 @@ class ModeFinder(SearchSteps):
     ) -> FoundModes:
         """The best places solved to the end, weighed and brought into the map frame."""
         config = self.config
-        Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
+        Ts = np.asarray(solved.estimates.T_local_base, dtype=np.float64)
         if not len(places.best):
             return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
         best = Ts[places.best[0]]
@@ -87,14 +87,14 @@ class ModeFinder(SearchSteps):
         frame = self.frame._replace(grain=grain)
         road_through = partial(self._road_through, frame=frame, prior=centre)
         road = road_through(best)
-        beside = np.asarray(road.Ts_map_base, dtype=np.float64)[np.isfinite(road.scores)]
+        beside = np.asarray(road.Ts_local_base, dtype=np.float64)[np.isfinite(road.scores)]
         others = Ts[places.best[1 : config.num_final + 1]]
         starts = np.concatenate([Ts[own], beside, restarts, others])
         whole = np.ones((1, len(frame.samples.label)), bool)
         solved = solve_all(
             starts, self.road, self.wide_sigma, frame, in_view_px, self.frame_config, self.final_align, whole
         )
-        Ts_end = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
+        Ts_end = np.asarray(solved.estimates.T_local_base, dtype=np.float64)
         pieces = self.pieces(Ts_end)
         found, rates = self._evidence_of(Ts_end, pieces, rates)
         last = self.ridges(Ts_end, found, np.asarray(solved.estimates.status))
@@ -117,9 +117,9 @@ class ModeFinder(SearchSteps):
         best = replace(best, covariance=covariance, evidence=replace(best.evidence, **asdict(doubt)))
         return replace(found, modes=(best, *found.modes[1:]), sound=sound, faults=tuple(faults))
 
-    def _road_through(self, T_map_base: np.ndarray, frame: FrameInput, prior: Prior) -> RoadPosterior:
+    def _road_through(self, T_local_base: np.ndarray, frame: FrameInput, prior: Prior) -> RoadPosterior:
         """Places along the road through a pose."""
-        T = np.asarray(T_map_base, np.float32)
+        T = np.asarray(T_local_base, np.float32)
         closer = evidence_from(T, frame, self.frame_config.polish_view)
         config = self.frame_config
         return jax.device_get(
@@ -166,7 +166,7 @@ class ModeFinder(SearchSteps):
         return FoundModes(tuple(modes), SolveStatus(int(solved.estimates.status[chosen])), confirmed)
 
     def _covariance(
-        self, of_noise: np.ndarray, T_map_base: np.ndarray, along: np.ndarray, moments: np.ndarray, in_view_px: float
+        self, of_noise: np.ndarray, T_local_base: np.ndarray, along: np.ndarray, moments: np.ndarray, in_view_px: float
     ) -> tuple[np.ndarray, dict[str, float]]:
         """Covariance of the best pose, and whether kinds of elements agree about it.
 
@@ -175,7 +175,7 @@ class ModeFinder(SearchSteps):
 
         Args:
             of_noise: float[6 6], as the noise model has it.
-            T_map_base: The pose.
+            T_local_base: The pose.
             along: Of `_spread_along`.
             moments: float[3], of the poses of its place.
             in_view_px: Length of contour in view.
@@ -184,24 +184,24 @@ class ModeFinder(SearchSteps):
         told, promised = (_widened((c * of_noise).astype(np.float32), along) for c in (POSE_SHARE, 1.0))
         # Halves are solved with few samples: they are held against what the noise model promises for them.
         known = np.maximum(moments, np.asarray(promised).diagonal()[plane])
-        of_halves, contradiction = self.disagreement(T_map_base, in_view_px, known)
+        of_halves, contradiction = self.disagreement(T_local_base, in_view_px, known)
         covariance = np.array(told, dtype=np.float64)
         covariance[plane, plane] = np.maximum.reduce([moments, covariance.diagonal()[plane], of_halves])
         return covariance, contradiction
 
     def disagreement(
-        self, T_map_base: np.ndarray, in_view_px: float, variance: np.ndarray
+        self, T_local_base: np.ndarray, in_view_px: float, variance: np.ndarray
     ) -> tuple[np.ndarray, dict[str, float]]:
         """Variance of the best pose by those of halves of the map, and whether kinds of elements agree about it."""
         # All of it once more as well, with as few samples: like is compared with like.
         part = np.arange(len(self.parts))
-        solved = self.solved_with_few(np.repeat(T_map_base[None], len(part), axis=0), in_view_px, part)
-        Ts = np.asarray(solved.estimates.T_map_base, dtype=np.float64)
+        solved = self.solved_with_few(np.repeat(T_local_base[None], len(part), axis=0), in_view_px, part)
+        Ts = np.asarray(solved.estimates.T_local_base, dtype=np.float64)
         first = len(part) - NUM_KINDS
         covariance = np.asarray(solved.estimates.covariance, dtype=np.float64)[first:][:, PLANE][:, :, PLANE]
         return disagreement(Ts[0], Ts[1:first], variance), asdict(kinds_apart(Ts[first:], covariance))
 
-    def _spread_along(self, T_map_base: np.ndarray, road: RoadPosterior, rates: Rates) -> np.ndarray:
+    def _spread_along(self, T_local_base: np.ndarray, road: RoadPosterior, rates: Rates) -> np.ndarray:
         """Second moment of the posterior over places along the road about a pose, in its right tangent, float32[6 6].
 
         Solves end at local minima, dashes or not: where the sides of lines are all there is, the masks are flat between
@@ -209,7 +209,7 @@ class ModeFinder(SearchSteps):
         means and count half each; where variances are `POSE_SHARE` of what the noise model has, nats are worth more.
         """
         places = np.asarray(road.places, dtype=np.float64)
-        found, _ = self.evidence(np.concatenate([places, T_map_base[None]]), rates)
+        found, _ = self.evidence(np.concatenate([places, T_local_base[None]]), rates)
         tempered = temper(found.block_nats, len(places), self.config.posterior)
         nats = found.block_nats.sum(axis=1)
         evidence = (tempered * (nats - nats[-1]))[:-1]
@@ -217,7 +217,7 @@ class ModeFinder(SearchSteps):
         log_weight = log_masks + np.asarray(road.log_prior, np.float64)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -1e9)
         share = np.exp(log_weight - log_weight.max())
-        away = rigid.log(np.linalg.inv(T_map_base) @ places)
+        away = rigid.log(np.linalg.inv(T_local_base) @ places)
         return np.einsum("k,ki,kj->ij", share / share.sum(), away, away).astype(np.float32)
 
     def _mode_evidence(

@@ -32,9 +32,9 @@ _KINDS = ("lane lines", "posts and signs")
 class FaultSearch:
     """What may be wrong with one pose of a frame."""
 
-    def __init__(self, steps: SearchSteps, frame: FrameInput, T_map_base: np.ndarray, in_view_px: float):
+    def __init__(self, steps: SearchSteps, frame: FrameInput, T_local_base: np.ndarray, in_view_px: float):
         """The frame has its grain; the pose is relative to the local origin."""
-        self.steps, self.frame, self.T, self.in_view_px = steps, frame, T_map_base, in_view_px
+        self.steps, self.frame, self.T, self.in_view_px = steps, frame, T_local_base, in_view_px
         self.whole = np.ones((1, len(frame.samples.label)), bool)
 
     def weighed(self, covariance: np.ndarray, rates: Rates, config: FaultConfig) -> tuple[LensDoubt, list[FaultMode]]:
@@ -53,13 +53,13 @@ class FaultSearch:
         found = steps.solved_with_few(starts, self.in_view_px, part, rigs, lens)
         few, self._without = found.rows(slice(num * len(ahead))), found.rows(slice(num * len(ahead), None))
         # Few samples rank places roughly: from the pose itself it is solved to the end as well.
-        others = np.asarray(few.estimates.T_map_base, np.float64)[_least_of_each(few.score, num)]
+        others = np.asarray(few.estimates.T_local_base, np.float64)[_least_of_each(few.score, num)]
         starts = np.stack([np.repeat(self.T[None], num, axis=0), others], axis=1).reshape(-1, 4, 4)
         known = steps.road, steps.wide_sigma, self.frame, self.in_view_px, steps.frame_config
         lens = np.repeat(np.arange(num), 2)
         solved = solve_all(starts, *known, steps.final_align, self.whole, rigs=rigs, lens=lens)
         rows = _least_of_each(solved.score, num)
-        Ts = np.asarray(solved.estimates.T_map_base, np.float64)[rows]
+        Ts = np.asarray(solved.estimates.T_local_base, np.float64)[rows]
         known = zip(np.asarray(solved.score)[rows].tolist(), Ts, self._nats_through(rigs, Ts, rates), strict=True)
         return [ThroughLens(*one) for one in known]
 
@@ -78,7 +78,7 @@ class FaultSearch:
         """The poses that the map has without lane lines, and without what stands."""
         rests = self._kind_parts()
         part = np.repeat(rests, len(_KIND_STARTS_M))
-        Ts = np.asarray(self._without.estimates.T_map_base, np.float64)
+        Ts = np.asarray(self._without.estimates.T_local_base, np.float64)
         covariance = np.asarray(self._without.estimates.covariance, np.float64)[:, PLANE][:, :, PLANE]
         found = []
         for rest, kind in zip(rests, _KINDS, strict=True):

@@ -7,7 +7,6 @@ No folder, no drive: `align` refines one first guess, `search` looks all around 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,8 +15,9 @@ from jaxtyping import Array, Float
 
 from semloc_jax.alignment.frame_localizer import FrameLocalizer, LocalizeConfig
 from semloc_jax.alignment.hypotheses import Modes
-from semloc_jax.alignment.implicit import SmoothConfig, SmoothEstimate, smooth_optimum, smooth_scene
+from semloc_jax.alignment.implicit import SmoothConfig, smooth_optimum, smooth_scene
 from semloc_jax.alignment.pose import Prior, align_one
+from semloc_jax.alignment.pose_in_map import DifferentiablePose
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.alignment.result import LocalizationResult
 from semloc_jax.alignment.single_frame import FrameInput, SingleFrameConfig, evidence_from, localize_frame, settle
@@ -68,7 +68,7 @@ def align(
     config: LocalizeConfig | None = None,
     terms: Terms = (),
     differentiable: bool = False,
-) -> LocalizationResult | SmoothEstimate:
+) -> LocalizationResult | DifferentiablePose:
     """The pose that aligns the map with the masks, refined from one first guess.
 
     Along the road the covariance is measured from how far the masks leave the pose open, up to 2 m to both sides.
@@ -84,7 +84,7 @@ def align(
             direction. A PosePrior brings its own.
         config: None for the defaults.
         terms: Other measurements of the pose in the map frame, see `pose_term`.
-        differentiable: True: a SmoothEstimate in JAX, whose `T_map_base`, `covariance` and `tangent()` have derivatives
+        differentiable: True: a DifferentiablePose, whose `T_map_base`, `covariance` and `tangent()` have derivatives
             by cameras, `T_base_cam`, prior and sigma (jax.grad, jax.jacobian). By every number of the scene, map points
             and mask ramps among them: `differentiable_scene`.
 
@@ -110,7 +110,8 @@ def align(
     if differentiable:
         _require_fine(given.local.origin_map)
         scene = _scene(given)
-        return _in_map(smooth_optimum(scene.T_start, scene.scene, scene.prior, _smooth(given)), given.local.origin_map)
+        found = smooth_optimum(scene.T_start, scene.scene, scene.prior, _smooth(given))
+        return DifferentiablePose.of(found, given.local.origin_map)
     found = _settled(given)
     return _judged(given, found)
 
@@ -253,7 +254,7 @@ def _given(
         known = _known(prior, local, _six(sigma))
     if terms:
         _require_fine(local.origin_map)
-        known = Prior(known.T_map_base, known.sigma, from_origin(terms, local.origin_map))
+        known = Prior(known.T_local_base, known.sigma, from_origin(terms, local.origin_map))
     return _Arrays(localizer, listed, frame, local, T_near, known)
 
 
@@ -338,9 +339,9 @@ def _aligned(prior: Prior, frame: FrameInput, config: SingleFrameConfig) -> Floa
 
     def seen_anew(T: Array, _: None) -> tuple[Array, None]:
         evidence = evidence_from(T, frame, config.polish_view)
-        return align_one(T, evidence, prior, config.search_align).T_map_base, None
+        return align_one(T, evidence, prior, config.search_align).T_local_base, None
 
-    return jax.lax.scan(seen_anew, prior.T_map_base, length=_NUM_VIEWS)[0]
+    return jax.lax.scan(seen_anew, prior.T_local_base, length=_NUM_VIEWS)[0]
 
 
 def _settled(given: _Arrays) -> Modes:
@@ -372,15 +373,6 @@ def _scene(given: _Arrays) -> DifferentiableScene:
 
 def _smooth(given: _Arrays) -> SmoothConfig:
     return SmoothConfig(align=given.localizer.config.frame.polish_align)
-
-
-def _in_map(estimate: SmoothEstimate, origin_map: np.ndarray) -> SmoothEstimate:
-    """The estimate with its poses in the map frame."""
-    shift = np.zeros((4, 4))
-    shift[:3, 3] = origin_map
-    shift = jnp.asarray(shift, estimate.T_map_base.dtype)
-    poses = (estimate.T_map_base + shift, estimate.T_fixed + shift)
-    return eqx.tree_at(lambda e: (e.T_map_base, e.T_fixed), estimate, poses)
 
 
 def _require_fine(origin_map: np.ndarray) -> None:

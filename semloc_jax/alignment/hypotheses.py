@@ -82,7 +82,7 @@ class Modes(eqx.Module):
 
 
 def score(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
     evidence: Evidence,
     prior: Prior,
@@ -95,7 +95,7 @@ def score(
     does not gain by looking away from it.
 
     Args:
-        T_map_base: Pose relative to the local origin.
+        T_local_base: Pose relative to the local origin.
         level: Level of the cost maps.
         evidence: What the cameras saw.
         prior: Gaussian prior.
@@ -105,7 +105,7 @@ def score(
     """
     texture = evidence.textures.level(level)
     cost = robust_cost(
-        T_map_base,
+        T_local_base,
         evidence.views,
         texture,
         evidence.usable,
@@ -117,16 +117,16 @@ def score(
     unseen = jnp.maximum(1 - cost.visible / config.min_visible_px, 0.0)
     in_view_px = total_weight(evidence.views) if in_view_px is None else in_view_px
     nats = in_view_px * LOSSES[config.loss].worst * config.noise.gain(texture.ramp_px, evidence.grain)
-    return nats * (share + unseen) + prior_cost(T_map_base, prior)
+    return nats * (share + unseen) + prior_cost(T_local_base, prior)
 
 
-def prior_cost(T_map_base: Float[Array, "4 4"], prior: Prior) -> Float[Array, ""]:
+def prior_cost(T_local_base: Float[Array, "4 4"], prior: Prior) -> Float[Array, ""]:
     """Half the squared deviation from the prior, in sigmas, and the cost of its terms [nats]; locked directions do not
     count."""
-    xi = lie.log(lie.inverse(prior.T_map_base) @ T_map_base)
+    xi = lie.log(lie.inverse(prior.T_local_base) @ T_local_base)
     free = prior.sigma > 0
     deviation = jnp.where(free, xi / jnp.where(free, prior.sigma, 1.0), 0.0)
-    return 0.5 * jnp.sum(deviation**2) + terms_cost(prior.terms, T_map_base)
+    return 0.5 * jnp.sum(deviation**2) + terms_cost(prior.terms, T_local_base)
 
 
 def keep_distinct(

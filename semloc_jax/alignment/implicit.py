@@ -11,7 +11,7 @@ Contract
 - Forward and reverse mode, jit and vmap work. Derivatives are of first order: the derivative of a derivative is wrong.
 - Differentiable by: scene.maps.distance_px (cost-map values), scene.model (class weights, ramp widths, loss scales,
   noise), scene.views (intrinsics, extrinsics T_cam_base, map points, sample weights), scene.nats_per_px, prior
-  (T_map_base: offset of GNSS to map; sigma; data of its terms). Not by T_init and not by textures: the optimum does
+  (T_local_base: offset of GNSS to map; sigma; data of its terms). Not by T_init and not by textures: the optimum does
   not depend on them.
 - Rotations and poses enter as 4x4 matrices: differentiate by a tangent xi through T @ lie.exp(xi).
 - `estimate.tangent()` is zero, and its derivative is that of the pose as a right tangent (v, omega) in the vehicle.
@@ -73,7 +73,7 @@ class SmoothEstimate(PoseEstimate):
 
     def tangent(self) -> Float[Array, "*batch 6"]:
         """Zero; its derivative is that of the pose as a right tangent (v, omega) [m, rad]."""
-        T = lie.compose(lie.inverse(self.T_fixed), self.T_map_base)
+        T = lie.compose(lie.inverse(self.T_fixed), self.T_local_base)
         return jnp.concatenate([T[..., :3, 3], _axis_sine(T[..., :3, :3])], axis=-1)
 
 
@@ -141,7 +141,7 @@ def align_differentiable(
     """The pose that aligns the map with the masks, differentiable by everything in `scene` and `prior`.
 
     Args:
-        T_init: Start pose T_map_base relative to the local origin.
+        T_init: Start pose T_local_base relative to the local origin.
         scene: Views, distances, usable pixels and model; see `smooth_scene`.
         prior: Gaussian prior. A sigma of 0 locks a direction.
         config: None for the defaults.
@@ -161,7 +161,7 @@ def align_differentiable(
     if textures is not None:
         views, usable, start_prior = jax.lax.stop_gradient((scene.views, scene.usable, prior))
         evidence = Evidence(views, textures, usable)
-        T_start = align_one(jax.lax.stop_gradient(T_init), evidence, start_prior, config.align).T_map_base
+        T_start = align_one(jax.lax.stop_gradient(T_init), evidence, start_prior, config.align).T_local_base
     return smooth_optimum(T_start, scene, prior, config)
 
 
@@ -204,7 +204,7 @@ def _prior_cost(T: Float[Array, "4 4"], prior: Prior) -> Float[Array, ""]:
 
     Measured from the prior, not in the chart of a solve: the optimum must not depend on where it was started.
     """
-    D = lie.compose(lie.inverse(prior.T_map_base), T)
+    D = lie.compose(lie.inverse(prior.T_local_base), T)
     xi = jnp.concatenate([D[:3, 3], _axis_sine(D[:3, :3])])
     free = prior.sigma > 0
     r = jnp.where(free, xi / jnp.where(free, prior.sigma, 1.0), 0.0)
@@ -241,9 +241,9 @@ def _evaluate(T: Float[Array, "4 4"], scene: SmoothScene, prior: Prior) -> _Poin
     products = jnp.einsum("aij,bjk->abik", G, G, precision=_HIGHEST)
     twice = 0.5 * (products + products.transpose(1, 0, 2, 3))
     expansion = cost_expansion(T, scene)
-    T_base_map = lie.inverse(T)
-    J = -jnp.einsum("aij,jk->aik", G, T_base_map, precision=_HIGHEST)[:, :3]
-    bend = jnp.einsum("abij,jk->abik", twice, T_base_map, precision=_HIGHEST)[:, :, :3]
+    T_base_local = lie.inverse(T)
+    J = -jnp.einsum("aij,jk->aik", G, T_base_local, precision=_HIGHEST)[:, :3]
+    bend = jnp.einsum("abij,jk->abik", twice, T_base_local, precision=_HIGHEST)[:, :, :3]
     force = jnp.einsum("ik,aik->a", expansion.gradient, J, precision=_HIGHEST)
     hessian = jnp.einsum("aik,ikjl,bjl->ab", J, expansion.hessian, J, precision=_HIGHEST)
     hessian = hessian + jnp.einsum("ik,abik->ab", expansion.gradient, bend, precision=_HIGHEST)
@@ -350,7 +350,7 @@ def _estimate(
     too_few = seen < config.align.min_visible_px * scene.nats_per_px
     status = jnp.where(too_few, SolveStatus.NO_EVIDENCE, status)
     return SmoothEstimate(
-        T_map_base=T,
+        T_local_base=T,
         covariance=covariance,
         cost=jnp.where(seen > 0, cost * per_seen, 1.0),
         coverage=seen / jnp.maximum(everything, 1e-9),

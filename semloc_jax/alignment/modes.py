@@ -40,9 +40,9 @@ def modes_in_map(found: Modes, frame: LocalFrame, apart: float) -> tuple[Mode, .
     estimates = found.estimates
     modes: list[Mode] = []
     for i in np.argsort(found.score, kind="stable"):
-        if not np.isfinite(found.score[i]) or not np.isfinite(estimates.T_map_base[i]).all():
+        if not np.isfinite(found.score[i]) or not np.isfinite(estimates.T_local_base[i]).all():
             continue
-        T = frame.to_map(orthonormal(estimates.T_map_base[i]))
+        T = frame.to_map(orthonormal(estimates.T_local_base[i]))
         if any(units_apart(T, mode.T_map_base) < ONE_OPTIMUM for mode in modes):
             continue
         modes.append(

@@ -64,7 +64,7 @@ class Observed(NamedTuple):
 
 @stored_program("config", fused=True)
 def observe(
-    Ts_map_base: Float[Array, "n 4 4"],
+    Ts_local_base: Float[Array, "n 4 4"],
     num: Int[Array, ""],
     samples: MapSamples,
     rig: Rig,
@@ -75,7 +75,7 @@ def observe(
     """What every pose sees.
 
     Args:
-        Ts_map_base: Poses relative to the local origin.
+        Ts_local_base: Poses relative to the local origin.
         num: How many of them are asked for; what the others see stays zero.
         samples: Map samples.
         rig: Cameras.
@@ -85,20 +85,20 @@ def observe(
     """
     channel = channel_of_label[samples.label]
 
-    def one(T_map_base: Array) -> Observed:
+    def one(T_local_base: Array) -> Observed:
         parts = []
         for index, (camera, T_base_cam) in enumerate(zip(rig.cameras, rig.T_base_cam, strict=True)):
-            T_map_cam = T_map_base @ jnp.asarray(T_base_cam, T_map_base.dtype)
+            T_local_cam = T_local_base @ jnp.asarray(T_base_cam, T_local_base.dtype)
             fields = borders.signed_px[index], borders.usable[index]
-            camera = camera.astype(T_map_base.dtype)
-            parts.append(_one_camera(T_map_cam, samples, channel, camera, fields, borders, config))
+            camera = camera.astype(T_local_base.dtype)
+            parts.append(_one_camera(T_local_cam, samples, channel, camera, fields, borders, config))
         return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
 
-    return map_filled(one, Ts_map_base, num)
+    return map_filled(one, Ts_local_base, num)
 
 
 def _one_camera(
-    T_map_cam: Array,
+    T_local_cam: Array,
     samples: MapSamples,
     channel: Array,
     camera: Camera,
@@ -106,16 +106,16 @@ def _one_camera(
     borders: Borders,
     config: ObserveConfig,
 ) -> Observed:
-    p_map, is_contour = contour_points(samples, T_map_cam[:3, 3])
-    T_cam_map = lie.inverse(T_map_cam)
-    p_cam = lie.transform(T_cam_map, p_map)
+    p_map, is_contour = contour_points(samples, T_local_cam[:3, 3])
+    T_cam_local = lie.inverse(T_local_cam)
+    p_cam = lie.transform(T_cam_local, p_map)
     u, v, valid, *_ = pixels = projected(camera, p_cam.T, config.path)
 
     def moved_px(direction: Array) -> Array:
-        du, dv = pixels.moved_px(direction @ T_cam_map[:3, :3].T)
+        du, dv = pixels.moved_px(direction @ T_cam_local[:3, :3].T)
         return jnp.sqrt(du * du + dv * dv)
 
-    away = (p_map - T_map_cam[:3, 3]) * jnp.asarray([1.0, 1.0, 0.0], p_map.dtype)
+    away = (p_map - T_local_cam[:3, 3]) * jnp.asarray([1.0, 1.0, 0.0], p_map.dtype)
     away = away / jnp.maximum(jnp.linalg.norm(away, axis=-1, keepdims=True), 1e-3)
     length_px = moved_px(samples.tangent_map) * samples.length_m
     range_m = jnp.linalg.norm(p_cam, axis=-1)
@@ -171,7 +171,7 @@ COARSE_CHUNK = 16
 
 @stored_program("config", "chunk", fused=True)
 def coarse_evidence(
-    Ts_map_base: Float[Array, "n 4 4"],
+    Ts_local_base: Float[Array, "n 4 4"],
     num: Int[Array, ""],
     samples: CoarseSamples,
     num_parts: Int[Array, ""],
@@ -186,7 +186,7 @@ def coarse_evidence(
     How many poses and samples are asked for is data: many poses by few samples and few poses by all are one program.
 
     Args:
-        Ts_map_base: Poses relative to the local origin; their number is a multiple of `chunk`.
+        Ts_local_base: Poses relative to the local origin; their number is a multiple of `chunk`.
         num: How many of them are asked for, a multiple of `chunk`; the others stay zero.
         samples: Which samples, and how much each counts.
         num_parts: Parts of the samples that count, from the first on.
@@ -198,13 +198,13 @@ def coarse_evidence(
     """
     height, width = gain.shape[2:]
 
-    def of_part(part: Array, T_map_base: Array) -> Array:
+    def of_part(part: Array, T_local_base: Array) -> Array:
         p_map, channel, weight = jax.tree.map(lambda leaf: leaf[part], samples)
-        total = jnp.zeros((), T_map_base.dtype)
+        total = jnp.zeros((), T_local_base.dtype)
         for index, (camera, T_base_cam) in enumerate(zip(rig.cameras, rig.T_base_cam, strict=True)):
-            T_cam_map = lie.inverse(T_map_base @ jnp.asarray(T_base_cam, T_map_base.dtype))
-            x, y, z = (T_cam_map[k, :3] @ p_map + T_cam_map[k, 3] for k in range(3))
-            camera = camera.astype(T_map_base.dtype)
+            T_cam_local = lie.inverse(T_local_base @ jnp.asarray(T_base_cam, T_local_base.dtype))
+            x, y, z = (T_cam_local[k, :3] @ p_map + T_cam_local[k, 3] for k in range(3))
+            camera = camera.astype(T_local_base.dtype)
             u, v, valid = camera.project_xyz(x, y, z)
             seen = valid & camera.in_image(u, v, config.border_px) & (x * x + y * y + z * z < config.max_range_m**2)
             column = jnp.clip(jnp.nan_to_num(u / stride), 0, width - 1).astype(jnp.int32)
@@ -220,4 +220,4 @@ def coarse_evidence(
 
         return jax.lax.fori_loop(0, num_parts, with_part, jnp.zeros(chunk, Ts.dtype))
 
-    return map_filled(of_chunk, Ts_map_base.reshape(-1, chunk, 4, 4), num // chunk).reshape(-1)
+    return map_filled(of_chunk, Ts_local_base.reshape(-1, chunk, 4, 4), num // chunk).reshape(-1)

@@ -56,7 +56,7 @@ class OneStartConfig:
 def from_one_start(
     T_start: Float[Array, "4 4"], sigma: Float[Array, "6"], frame: FrameInput, config: OneStartConfig
 ) -> Float[Array, "4 4"]:
-    """Returns the pose T_map_base after all looks; pure JAX, to be mapped over starts.
+    """Returns the pose T_local_base after all looks; pure JAX, to be mapped over starts.
 
     Args:
         T_start: Start, also the centre of the prior, relative to the local origin.

@@ -75,7 +75,7 @@ def _runs(edge: Int[Array, " p"], weight: Float[Array, " p"], length_px: Float[A
 
 
 def piece_costs(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
     evidence: Evidence,
     piece_of: Int[Array, " n"],
@@ -84,7 +84,7 @@ def piece_costs(
     """The pieces as one pose sees them on one level of the cost maps."""
     texture, loss = evidence.textures.level(level), LOSSES[config.loss]
     known = texture, evidence.usable, loss, config.border_px, config.path
-    seen_px, summed = sums_by_piece(T_map_base, evidence.views, piece_of, *known)
+    seen_px, summed = sums_by_piece(T_local_base, evidence.views, piece_of, *known)
     length_px = jnp.asarray(config.noise.correlation_px * evidence.grain)
     of_one = config.noise.gain(texture.ramp_px, evidence.grain) * length_px
     return PieceCosts(of_one * summed / jnp.maximum(seen_px, 1e-6), jnp.minimum(seen_px / length_px, 1.0))
@@ -100,7 +100,7 @@ class Chances(NamedTuple):
 
 
 def nats_at(
-    Ts_map_base: Float[Array, "pose 4 4"],
+    Ts_local_base: Float[Array, "pose 4 4"],
     T_good: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
     evidence: Evidence,
@@ -110,19 +110,19 @@ def nats_at(
     """Cost [nats] of poses by piece, against seeing the map by chance.
 
     Args:
-        Ts_map_base: Poses that are compared; the best of them tells what the masks are like.
+        Ts_local_base: Poses that are compared; the best of them tells what the masks are like.
         T_good: About this one, poses that are surely wrong tell what fits by chance.
         level: Of the cost maps.
         evidence: What the cameras saw.
         config: Robust loss and noise.
         chunk: Poses side by side; None for what suits the device.
     """
-    at_poses, at_random, _, channel = _looked_at(Ts_map_base, T_good, level, evidence, config, chunk)
+    at_poses, at_random, _, channel = _looked_at(Ts_local_base, T_good, level, evidence, config, chunk)
     return compared(at_poses, at_random, channel, evidence.textures.num_channels)
 
 
 def nats_of_groups(
-    Ts_map_base: Float[Array, "pose 4 4"],
+    Ts_local_base: Float[Array, "pose 4 4"],
     T_good: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
     evidence: Evidence,
@@ -141,7 +141,7 @@ def nats_of_groups(
 
     The other arguments as `nats_at`.
     """
-    poses = jnp.concatenate([T_good[None], Ts_map_base])
+    poses = jnp.concatenate([T_good[None], Ts_local_base])
     at_poses, at_random, piece_of, channel = _looked_at(poses, T_good, level, evidence, config, None)
     num_samples = jax.ops.segment_sum(jnp.ones_like(groups[0]), piece_of, len(piece_of))
 
@@ -218,14 +218,14 @@ def against_first(
 
 
 def _looked_at(
-    Ts_map_base: Array, T_good: Array, level: Array | int, evidence: Evidence, config: AlignConfig, chunk: int | None
+    Ts_local_base: Array, T_good: Array, level: Array | int, evidence: Evidence, config: AlignConfig, chunk: int | None
 ) -> tuple[PieceCosts, PieceCosts, Array, Array]:
     """Costs at the poses and at random ones; the piece of every sample, the channel of every piece."""
     piece_of, channel = pieces_of(evidence, config)
     elsewhere = displaced(T_good, jnp.asarray(_ELSEWHERE, T_good.dtype))
-    poses = jnp.concatenate([Ts_map_base, elsewhere])
+    poses = jnp.concatenate([Ts_local_base, elsewhere])
     costs = in_chunks(lambda T: piece_costs(T, level, evidence, piece_of, config), poses, chunk)
-    num = len(Ts_map_base)
+    num = len(Ts_local_base)
     at_poses, at_random = (jax.tree.map(lambda leaf, k=part: leaf[k], costs) for part in (slice(num), slice(num, None)))
     return at_poses, at_random, piece_of, channel
 

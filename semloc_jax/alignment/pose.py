@@ -48,7 +48,7 @@ class Evidence(eqx.Module):
 class Prior(eqx.Module):
     """What is known of the vehicle pose before the masks: a Gaussian in its right tangent, and further terms."""
 
-    T_map_base: Float[Array | np.ndarray, "4 4"]
+    T_local_base: Float[Array | np.ndarray, "4 4"]
     """Centre, relative to the local origin."""
     sigma: Float[Array | np.ndarray, "6"]
     """Standard deviations (x, y, z [m], roll, pitch, yaw [rad]) in the vehicle frame; 0 locks a direction."""
@@ -79,23 +79,23 @@ class AlignConfig:
 
 
 def visible_views(
-    T_map_base: Float[Array, "4 4"], evidence: Evidence, border_px: float, path: Path = "auto"
+    T_local_base: Float[Array, "4 4"], evidence: Evidence, border_px: float, path: Path = "auto"
 ) -> tuple[CameraViews, ...]:
-    """The views with the weight of every sample that cannot be seen from `T_map_base` set to zero."""
+    """The views with the weight of every sample that cannot be seen from `T_local_base` set to zero."""
 
     def seen(view: CameraViews) -> CameraViews:
-        weight = visible_weight(T_map_base, view, evidence.usable, border_px, path)
+        weight = visible_weight(T_local_base, view, evidence.usable, border_px, path)
         return eqx.tree_at(lambda v: v.weight, view, weight)
 
     return tuple(seen(view) for view in evidence.views)
 
 
 def visible_ramps(
-    T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
+    T_local_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """Signed ramp value of every sample on one level, and its weight where it can be seen from the pose, else 0."""
-    views = visible_views(T_map_base, evidence, config.border_px, config.path)
-    return ramp_values(T_map_base, views, evidence.textures.level(level), config.path)
+    views = visible_views(T_local_base, evidence, config.border_px, config.path)
+    return ramp_values(T_local_base, views, evidence.textures.level(level), config.path)
 
 
 def total_weight(views: tuple[CameraViews, ...]) -> Float[Array, ""]:
@@ -114,7 +114,7 @@ def level_problem(
     """The problem of one level with its chart at `T_start`."""
     texture = evidence.textures.level(level)
     gain = config.noise.gain(texture.ramp_px, evidence.grain)
-    xi_prior = lie.log(lie.inverse(T_start) @ prior.T_map_base)
+    xi_prior = lie.log(lie.inverse(T_start) @ prior.T_local_base)
     return AlignmentProblem(
         T_start,
         xi_prior,
@@ -184,7 +184,7 @@ def _refined_in_one_call(
     numbers = (*numbers, rule.first, rule.good_fall, rule.ease, rule.press, LEAST_FALL, LEAST_DAMPING, MOST_DAMPING)
     numbers = jnp.asarray(numbers, jnp.float32)
     gain = jax.vmap(lambda ramp_px: config.noise.gain(ramp_px, evidence.grain))(evidence.textures.ramp_px)
-    held = prior.T_map_base, prior.sigma, levels, gain, numbers
+    held = prior.T_local_base, prior.sigma, levels, gain, numbers
     seen = evidence.views[0], evidence.usable, evidence.textures, config.max_steps
     return tuple(native_kernels.refine(T_start, *held, *seen))
 
@@ -196,19 +196,19 @@ def _held_rms(r: Float[Array, " n"], weight: Float[Array, " n"], config: AlignCo
 
 
 def scatter_px(
-    T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
+    T_local_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
 ) -> Float[Array, ""]:
     """How far the contours that the loss holds on to lie from the boundaries of their class [px RMS]."""
-    r, weight = visible_ramps(T_map_base, level, evidence, config)
+    r, weight = visible_ramps(T_local_base, level, evidence, config)
     return evidence.textures.level(level).ramp_px * _held_rms(r, weight, config)
 
 
 def typical_px(
-    T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
+    T_local_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
 ) -> Float[Array, ""]:
     """How far a contour within reach typically lies from the boundary of its class [px]: 1.48 times the median of the
     distances, the standard deviation of a Gaussian. The noise of the model where nothing is within reach."""
-    r, weight = visible_ramps(T_map_base, level, evidence, config)
+    r, weight = visible_ramps(T_local_base, level, evidence, config)
     weight = jnp.where(is_inlier(r), weight, 0.0)
     order = jnp.argsort(jnp.abs(r))
     running = jnp.cumsum(weight[order])
@@ -228,10 +228,10 @@ class MaskFit(NamedTuple):
 
 
 def fit_at(
-    T_map_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
+    T_local_base: Float[Array, "4 4"], level: Int[Array, ""] | int, evidence: Evidence, config: AlignConfig
 ) -> MaskFit:
     """How well a pose explains the masks on one level, without how well it is held."""
-    return _fit(*visible_ramps(T_map_base, level, evidence, config), evidence, config)
+    return _fit(*visible_ramps(T_local_base, level, evidence, config), evidence, config)
 
 
 def _fit(r: Float[Array, " n"], weight: Float[Array, " n"], evidence: Evidence, config: AlignConfig) -> MaskFit:
@@ -245,7 +245,7 @@ def _fit(r: Float[Array, " n"], weight: Float[Array, " n"], evidence: Evidence, 
 
 
 def assess(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     level: Int[Array, ""] | int,
     evidence: Evidence,
     prior: Prior,
@@ -255,11 +255,11 @@ def assess(
 
     Where the residuals scatter more than `config.noise` has it, the covariance of the evidence grows with them.
     """
-    views = visible_views(T_map_base, evidence, config.border_px, config.path)
-    problem = level_problem(T_map_base, views, level, evidence, prior, config)
-    here = jnp.zeros(6, T_map_base.dtype)
+    views = visible_views(T_local_base, evidence, config.border_px, config.path)
+    problem = level_problem(T_local_base, views, level, evidence, prior, config)
+    here = jnp.zeros(6, T_local_base.dtype)
     model, known = quadratic_model(here, problem), known_model(here, problem)
-    r, weight = ramp_values(T_map_base, views, problem.texture, config.path)
+    r, weight = ramp_values(T_local_base, views, problem.texture, config.path)
     ramp_px = problem.texture.ramp_px
     scatter_px = ramp_px * _held_rms(r, weight, config)
     excess = config.noise.excess(scatter_px, ramp_px, evidence.grain)
@@ -267,10 +267,10 @@ def assess(
     eigenvalues, eigenvectors = jnp.linalg.eigh(information)
     scale = jnp.where(prior.sigma > 0, prior.sigma, 0.0)
     covariance = scale[:, None] * jnp.linalg.inv(information) * scale
-    finite = jnp.all(jnp.isfinite(T_map_base)) & jnp.isfinite(model.cost) & jnp.all(jnp.isfinite(model.hessian))
+    finite = jnp.all(jnp.isfinite(T_local_base)) & jnp.isfinite(model.cost) & jnp.all(jnp.isfinite(model.hessian))
     status = jnp.where(jnp.sum(weight) < config.min_visible_px, SolveStatus.NO_EVIDENCE, SolveStatus.CONVERGED)
     return PoseEstimate(
-        T_map_base=T_map_base,
+        T_local_base=T_local_base,
         covariance=covariance,
         **_fit(r, weight, evidence, config)._asdict(),
         information_eigenvalues=eigenvalues,
@@ -284,7 +284,7 @@ def align_one(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, con
     """The pose that aligns the map with the masks, refined from one start.
 
     Args:
-        T_init: Start pose T_map_base relative to the local origin.
+        T_init: Start pose T_local_base relative to the local origin.
         evidence: Views, textures and usable pixels.
         prior: Gaussian prior; its sigmas are also the scale of the damping. A sigma of 0 locks a direction.
         config: Levels, steps, robust loss, noise.
@@ -295,18 +295,18 @@ def align_one(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, con
 
     >>> prior = sj.Prior(jnp.asarray(T_local), jnp.asarray([1, 1, 0.03, 0.01, 0.01, 0.05], jnp.float32))
     >>> solve = jax.jit(sj.align_one, static_argnames="config")
-    >>> estimate = solve(prior.T_map_base, evidence, prior, sj.AlignConfig())
+    >>> estimate = solve(prior.T_local_base, evidence, prior, sj.AlignConfig())
     >>> sj.SolveStatus(int(estimate.status)).name, estimate.covariance.shape
     ('CONVERGED', (6, 6))
     """
     end = descended(T_init, evidence, prior, config)
-    return assessed(end, assess(end.T_map_base, end.level, evidence, prior, config))
+    return assessed(end, assess(end.T_local_base, end.level, evidence, prior, config))
 
 
 class SolveEnd(NamedTuple):
     """Where a solve ended, before anything is said of how good that is."""
 
-    T_map_base: Float[Array, "4 4"]
+    T_local_base: Float[Array, "4 4"]
     level: Int[Array, ""]
     """The finest that holds the pose."""
     num_steps: Int[Array, ""]
@@ -320,7 +320,7 @@ def descended(T_init: Float[Array, "4 4"], evidence: Evidence, prior: Prior, con
     levels = jnp.asarray(config.levels)
     Ts, num_steps, converged = refine(T_init, evidence, prior, config)
     sane = jnp.all(jnp.isfinite(Ts))
-    Ts = jnp.where(sane, Ts, _first_finite(T_init, prior.T_map_base))
+    Ts = jnp.where(sane, Ts, _first_finite(T_init, prior.T_local_base))
     held = jax.vmap(lambda T, level: fit_at(T, level, evidence, config).inlier_ratio)(Ts, levels)
     last = finest_held(held, config.min_inlier_ratio)
     return SolveEnd(Ts[last], levels[last], jnp.sum(num_steps), converged[last], sane)
@@ -363,9 +363,9 @@ def align_many(
 ) -> PoseEstimate:
     """`align_one` from every start; all leaves of the estimate have a leading axis.
 
-    >>> starts = prior.T_map_base + jnp.zeros((2, 1, 1))
+    >>> starts = prior.T_local_base + jnp.zeros((2, 1, 1))
     >>> solve = jax.jit(sj.align_many, static_argnames=("config", "chunk"))
-    >>> solve(starts, evidence, prior, sj.AlignConfig()).T_map_base.shape
+    >>> solve(starts, evidence, prior, sj.AlignConfig()).T_local_base.shape
     (2, 4, 4)
     """
     return in_chunks(lambda T: align_one(T, evidence, prior, config), Ts_init, chunk)

@@ -92,7 +92,7 @@ def levelled(
         return T_local_found, prior
     T_local_base = frame.from_map(T, np.float64)
     planar = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-    back = rigid.log(rigid.inverse(T_local_base) @ np.asarray(prior.T_map_base, np.float64)) * planar
+    back = rigid.log(rigid.inverse(T_local_base) @ np.asarray(prior.T_local_base, np.float64)) * planar
     sigma = np.asarray(prior.sigma, np.float64).copy()
     sigma[2:5] = road.on(spread)
     T_around = jnp.asarray(T_local_base @ rigid.exp(back), jnp.float32)

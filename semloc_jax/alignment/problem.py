@@ -1,7 +1,8 @@
 """One alignment problem as data: chart, prior, evidence (room: alignment; pure JAX).
 
 In: start pose, prior, views, texture, weights. Out: AlignmentProblem, its residual and its fused normal equations.
-The unknown y is the right tangent of the start pose in units of the prior's sigmas: T_map_base = T_start exp(sigma y).
+The unknown y is the right tangent of the start pose in units of the prior's sigmas:
+T_local_base = T_start exp(sigma y).
 """
 
 import equinox as eqx
@@ -68,7 +69,7 @@ class QuadraticModel(eqx.Module):
 
 
 def pose_of(y: Float[Array, "6"], problem: AlignmentProblem) -> Float[Array, "4 4"]:
-    """T_map_base of a scaled tangent y."""
+    """T_local_base of a scaled tangent y."""
     return Chart(problem.T_start, problem.sigma, y).pose()
 
 
@@ -84,10 +85,10 @@ def residual(y: Float[Array, "6"], problem: AlignmentProblem) -> Float[Array, " 
     The solver works with the fused normal equations of the same cost; this definition is what they are tested against
     and what implicit derivatives go through.
     """
-    T_map_base = pose_of(y, problem)
-    r, weight = alignment_residual(T_map_base, problem.views, problem.texture)
+    T_local_base = pose_of(y, problem)
+    r, weight = alignment_residual(T_local_base, problem.views, problem.texture)
     evidence = jnp.sqrt(problem.gain * weight) * robust_root(r, LOSSES[problem.loss])
-    return jnp.concatenate([evidence, y - prior_offset(problem), terms_residual(problem.terms, T_map_base)])
+    return jnp.concatenate([evidence, y - prior_offset(problem), terms_residual(problem.terms, T_local_base)])
 
 
 def quadratic_model(

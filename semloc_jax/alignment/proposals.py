@@ -1,6 +1,6 @@
 """Where to start: pose hypotheses around a prior (room: alignment; pure JAX).
 
-In: prior pose, window or sigmas, number, key. Out: Ts_map_base [n 4 4] in the plane of the road of the prior pose.
+In: prior pose, window or sigmas, number, key. Out: Ts_local_base [n 4 4] in the plane of the road of the prior pose.
 """
 
 from typing import Literal
@@ -42,9 +42,9 @@ def propose(
     return displaced(T_prior, offsets.at[0].set(0.0) * sigma_xy_yaw)
 
 
-def displaced(T_map_base: Float[Array, "4 4"], xy_yaw: Float[Array, "n 3"]) -> Float[Array, "n 4 4"]:
+def displaced(T_local_base: Float[Array, "4 4"], xy_yaw: Float[Array, "n 3"]) -> Float[Array, "n 4 4"]:
     """The pose moved within its own ground plane by (x forward [m], y left [m], heading [rad])."""
-    return T_map_base @ lie.se2_to_se3(xy_yaw[:, 0], xy_yaw[:, 1], xy_yaw[:, 2])
+    return T_local_base @ lie.se2_to_se3(xy_yaw[:, 0], xy_yaw[:, 1], xy_yaw[:, 2])
 
 
 _G = 1.2207440846057596

@@ -79,7 +79,7 @@ class SearchSteps:
         align = frame_config.polish_align
         self.align = replace(align, levels=config.levels, max_steps=config.max_steps)
         self.final_align = replace(align, max_steps=config.final_max_steps, tolerance=config.final_tolerance)
-        self.T_prior = np.asarray(prior.T_map_base, dtype=np.float64)
+        self.T_prior = np.asarray(prior.T_local_base, dtype=np.float64)
         self.sigma = np.asarray(prior.sigma, dtype=np.float64)
         # The prior of a solve must not pull.
         self.wide_sigma = wide_sigma(self.sigma, config.least_sigma_m, np.deg2rad(config.least_sigma_deg))
@@ -158,7 +158,7 @@ class SearchSteps:
 
     def by_ramps(self) -> tuple[np.ndarray, float]:
         """Poses of the search by ramp costs, and the length of contour in view [px]."""
-        evidence = evidence_from(self.prior.T_map_base, self.frame, self.frame_config.search_view)
+        evidence = evidence_from(self.prior.T_local_base, self.frame, self.frame_config.search_view)
         config = self.frame_config
         # Its later stages refine, which the solves of all candidates do as well.
         search = replace(config.search, stages=config.search.stages[:2])
@@ -170,7 +170,7 @@ class SearchSteps:
     def candidates(self, Ts: np.ndarray, in_view_px: float) -> SolvedPoses:
         """Every start refined with few samples; of solves that end at one optimum the best."""
         found = self.solved_with_few(Ts, in_view_px)
-        ends = np.asarray(found.estimates.T_map_base, dtype=np.float64)
+        ends = np.asarray(found.estimates.T_local_base, dtype=np.float64)
         return found.rows(apart(ends, -found.score.astype(np.float64), len(ends), ONE_OPTIMUM))
 
     def solved_with_few(
@@ -217,18 +217,18 @@ class SearchSteps:
         reach_m = np.clip(ALIAS_SIGMAS * self.sigma[0], min(aliases.least_reach_m, aliases.along_m), aliases.along_m)
         return float(np.ceil(reach_m))
 
-    def aliases(self, T_map_base: np.ndarray) -> np.ndarray:
+    def aliases(self, T_local_base: np.ndarray) -> np.ndarray:
         """Poses at which the map looks as it does from this one."""
         samples = self.host_samples
         rows = samples.valid & (self.channel >= 0)
-        rows &= np.hypot(*(samples.p_map[:, :2] - T_map_base[:2, 3]).T) < self.observe_config.max_range_m
+        rows &= np.hypot(*(samples.p_map[:, :2] - T_local_base[:2, 3]).T) < self.observe_config.max_range_m
         shifts = alias_shifts(
             samples.p_map[rows, :2].astype(np.float64),
             samples.tangent_map[rows, :2].astype(np.float64),
             self.channel[rows],
             samples.length_m[rows].astype(np.float64),
-            T_map_base,
+            T_local_base,
             replace(self.config.aliases, along_m=self._alias_reach_m()),
         )
-        moved = T_map_base @ planar(shifts[:, 0], shifts[:, 1], 0.0)
+        moved = T_local_base @ planar(shifts[:, 0], shifts[:, 1], 0.0)
         return self.road.place(moved)

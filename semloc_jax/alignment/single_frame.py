@@ -84,7 +84,7 @@ def frame_input(
 _pack = stored_program("dtype")(pack)
 
 
-def evidence_from(T_map_base: Float[Array | np.ndarray, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
+def evidence_from(T_local_base: Float[Array | np.ndarray, "4 4"], frame: FrameInput, config: ViewConfig) -> Evidence:
     """The evidence of a frame with the map as it is seen from a pose.
 
     >>> localizer = sj.FrameLocalizer(street, sj.load_class_table("drive"))
@@ -95,13 +95,13 @@ def evidence_from(T_map_base: Float[Array | np.ndarray, "4 4"], frame: FrameInpu
     >>> evidence.views[0].p_map.shape
     (1, 3, 1024)
     """
-    views = _views(T_map_base, frame.samples, frame.rig, frame.channel_of_label, frame.grain, config)
+    views = _views(T_local_base, frame.samples, frame.rig, frame.channel_of_label, frame.grain, config)
     return Evidence(views, frame.textures, frame.usable, frame.grain)
 
 
 @stored_program("config")
 def _views(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     samples: MapSamples,
     rig: Rig,
     channel_of_label: Int[Array, " label"],
@@ -109,7 +109,7 @@ def _views(
     config: ViewConfig,
 ) -> tuple[CameraViews, ...]:
     # The textures stay outside: what passes through a compiled function is copied, 30 MB a camera.
-    return camera_views(rig, view(samples, T_map_base, rig, channel_of_label, config, grain))
+    return camera_views(rig, view(samples, T_local_base, rig, channel_of_label, config, grain))
 
 
 @stored_program("config")
@@ -118,7 +118,7 @@ def search_starts(prior: Prior, config: SingleFrameConfig) -> Float[Array, "n 4 
     sigma_xy_yaw = prior.sigma[np.array([0, 1, 5])]
     sigma_xy_yaw = sigma_xy_yaw.at[2].max(float(np.deg2rad(config.min_reach_deg)) / config.reach)
     key = jax.random.key(config.seed)
-    return propose(config.proposals, config.num_hypotheses, prior.T_map_base, sigma_xy_yaw, config.reach, key)
+    return propose(config.proposals, config.num_hypotheses, prior.T_local_base, sigma_xy_yaw, config.reach, key)
 
 
 OnRoad = Callable[[Float[np.ndarray, "4 4"], Prior], tuple[Float[np.ndarray, "4 4"], Prior]]
@@ -139,7 +139,7 @@ def localize_frame(
         on_road: A pose and the prior with height, roll and pitch of the road at that pose: a crowned road leans the
             other way a lane aside. None keeps both as they are.
     """
-    evidence = evidence_from(prior.T_map_base, frame, config.search_view)
+    evidence = evidence_from(prior.T_local_base, frame, config.search_view)
     candidates, scores = search_from(search_starts(prior, config), evidence, prior, config.search_align, config.search)
     return settle(candidates, scores, frame, prior, config, on_road)
 
@@ -170,23 +170,23 @@ def settle(
     frame = frame._replace(grain=grain)
     closer = evidence_from(best, frame, config.polish_view)
     road = weighed_along_road(best, closer, prior, config.search_align, config.along_road, config.search.chunk)
-    around = evidence_from(prior.T_map_base, frame, config.search_view).views
+    around = evidence_from(prior.T_local_base, frame, config.search_view).views
     in_view_px = np.float32(sum(np.sum(view.weight) for view in jax.device_get(around)))
     return polish(candidates, scores, road, frame, prior, config, in_view_px)
 
 
 @stored_program("config")
 def sharpest(
-    T_map_base: Float[Array, "4 4"], frame: FrameInput, prior: Prior, config: SingleFrameConfig
+    T_local_base: Float[Array, "4 4"], frame: FrameInput, prior: Prior, config: SingleFrameConfig
 ) -> tuple[Float[Array, "4 4"], Float[Array, ""]]:
     """The best pose of a search refined as in the finest masks, and the grain that the masks turn out to have.
 
     In the finest masks the prior hardly pulls: how far the boundaries lie off then is theirs, not the prior's.
     """
     align_config = config.polish_align
-    finest = frame._replace(grain=align_config.noise.grain(jnp.zeros((), T_map_base.dtype)))
-    evidence = evidence_from(T_map_base, finest, config.polish_view)
-    T = align_one(T_map_base, evidence, prior, align_config).T_map_base
+    finest = frame._replace(grain=align_config.noise.grain(jnp.zeros((), T_local_base.dtype)))
+    evidence = evidence_from(T_local_base, finest, config.polish_view)
+    T = align_one(T_local_base, evidence, prior, align_config).T_local_base
     return T, align_config.noise.grain(typical_px(T, config.rank_level, evidence, align_config))
 
 
@@ -208,15 +208,15 @@ def polish(
     noise_px = config.polish_align.noise.noise_px * frame.grain
     level = telling(frame.textures.ramp_px, noise_px, config.rank_level)
 
-    def one(T_map_base: Array) -> tuple[PoseEstimate, Array]:
-        evidence = evidence_from(T_map_base, frame, config.polish_view)
-        estimate = align_one(T_map_base, evidence, prior, config.polish_align)
+    def one(T_local_base: Array) -> tuple[PoseEstimate, Array]:
+        evidence = evidence_from(T_local_base, frame, config.polish_view)
+        estimate = align_one(T_local_base, evidence, prior, config.polish_align)
         # Every mode is judged on one level, whichever held its pose last.
-        judged = fit_at(estimate.T_map_base, level, evidence, config.polish_align)
+        judged = fit_at(estimate.T_local_base, level, evidence, config.polish_align)
         measured = (judged.cost, judged.inlier_ratio, widened(estimate.covariance, road.spread))
         estimate = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio, e.covariance), estimate, measured)
-        return estimate, score(estimate.T_map_base, level, evidence, prior, config.polish_align, in_view_px)
+        return estimate, score(estimate.T_local_base, level, evidence, prior, config.polish_align, in_view_px)
 
-    candidates, scores = jnp.concatenate([candidates, road.Ts_map_base]), jnp.concatenate([scores, road.scores])
+    candidates, scores = jnp.concatenate([candidates, road.Ts_local_base]), jnp.concatenate([scores, road.scores])
     estimates, polished = jax.lax.map(one, candidates)
     return weigh(estimates, jnp.where(jnp.isfinite(scores), polished, jnp.inf))

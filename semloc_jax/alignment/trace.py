@@ -58,7 +58,7 @@ def trace_level(
     Level and step limit are data: one program serves all of them, up to `config.max_steps` steps.
 
     Args:
-        T_start: Start pose T_map_base relative to the local origin.
+        T_start: Start pose T_local_base relative to the local origin.
         T_origin: The pose that tangents are relative to.
         level: Level of the cost maps.
         max_steps: Most evaluations, at most `config.max_steps`.

@@ -135,7 +135,7 @@ def align_predicted(
 class WithRig(NamedTuple):
     """The answers of one frame with other calibrations; NaN for those that were not asked for."""
 
-    Ts_map_base: Float[Array, "rig 4 4"]
+    Ts_local_base: Float[Array, "rig 4 4"]
     """Relative to the local origin."""
     scores: Float[Array, " rig"]
     """As `TrackedFrame.score` [nats]."""
@@ -169,7 +169,7 @@ def align_with_rigs(
         own = frame._replace(rig=rig, samples=with_other_width(frame.samples, T_predicted, wider_m[asked[n]]))
         T_start, _ = moved_along(T_predicted, sigma_along_m, prior, own, trust, config)
         answer = _aligned(T_start, prior, own, trust, config)
-        Ts = found.Ts_map_base.at[asked[n]].set(answer.estimate.T_map_base)
+        Ts = found.Ts_local_base.at[asked[n]].set(answer.estimate.T_local_base)
         return WithRig(Ts, found.scores.at[asked[n]].set(answer.score))
 
     none = jnp.full(asked.shape, jnp.nan, T_predicted.dtype)
@@ -215,19 +215,19 @@ def _aligned(
 
     def one(T_start: Array) -> tuple[SolveEnd, Array]:
         end = descended(T_start, evidence, prior, config.align)
-        return end, score(end.T_map_base, level, evidence, prior, config.align)
+        return end, score(end.T_local_base, level, evidence, prior, config.align)
 
     ends, scores = in_chunks(one, starts, None)
     scores = jnp.where(jnp.isfinite(scores), scores, jnp.inf)
     best = jax.tree.map(lambda leaf: leaf[jnp.argmin(scores)], ends)
-    chosen = assessed(best, assess(best.T_map_base, best.level, evidence, prior, config.align))
-    judged = fit_at(chosen.T_map_base, level, evidence, config.align)
+    chosen = assessed(best, assess(best.T_local_base, best.level, evidence, prior, config.align))
+    judged = fit_at(chosen.T_local_base, level, evidence, config.align)
     chosen = eqx.tree_at(lambda e: (e.cost, e.inlier_ratio), chosen, (judged.cost, judged.inlier_ratio))
-    steps = lie.log(lie.inverse(chosen.T_map_base) @ ends.T_map_base)
-    spread = _spread(ends.T_map_base, scores, steps, prior, config.score_share)
-    mean, valley, nats = valley_along(chosen.T_map_base, evidence, prior, config)
-    chosen = eqx.tree_at(lambda e: e.T_map_base, chosen, chosen.T_map_base @ lie.exp(mean))
-    seen = element_evidence(chosen.T_map_base, evidence, element, config)
+    steps = lie.log(lie.inverse(chosen.T_local_base) @ ends.T_local_base)
+    spread = _spread(ends.T_local_base, scores, steps, prior, config.score_share)
+    mean, valley, nats = valley_along(chosen.T_local_base, evidence, prior, config)
+    chosen = eqx.tree_at(lambda e: e.T_local_base, chosen, chosen.T_local_base @ lie.exp(mean))
+    seen = element_evidence(chosen.T_local_base, evidence, element, config)
     return TrackedFrame(
         estimate=chosen,
         score=nats,
@@ -235,7 +235,7 @@ def _aligned(
         valley=valley,
         in_view_px=total_weight(evidence.views),
         elements=seen,
-        typical_px=typical_px(chosen.T_map_base, config.rank_level, evidence, config.align),
+        typical_px=typical_px(chosen.T_local_base, config.rank_level, evidence, config.align),
     )
 
 
@@ -254,7 +254,7 @@ def _spread(
 
 
 def valley_along(
-    T_map_base: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: TrackAlignConfig
+    T_local_base: Float[Array, "4 4"], evidence: Evidence, prior: Prior, config: TrackAlignConfig
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"], Float[Array, ""]]:
     """Mean of the masks' posterior along the road through a pose, in its right tangent, second moment about it, and
     the cost of the best place [nats].
@@ -264,8 +264,8 @@ def valley_along(
     its prediction, and its curvature says centimetres: fused, the prediction would confirm itself.
     """
     free = eqx.tree_at(lambda p: p.sigma, prior, prior.sigma.at[0].set(jnp.inf))  # 0 would lock it
-    Ts, scores, noise = places_along(T_map_base, evidence, free, config.align, config.valley, None)
-    steps = lie.log(lie.inverse(T_map_base) @ Ts)
+    Ts, scores, noise = places_along(T_local_base, evidence, free, config.align, config.valley, None)
+    steps = lie.log(lie.inverse(T_local_base) @ Ts)
     usable = jnp.isfinite(scores) & jnp.all(jnp.isfinite(steps), axis=1)
     held = jax.vmap(prior_cost, (0, None))(Ts, free)
     share = jax.nn.softmax(jnp.where(usable, -((scores - held) / noise**2 + held), -1e9))
@@ -294,11 +294,11 @@ def profile_beside(
 
 
 def trusted_evidence(
-    T_map_base: Float[Array, "4 4"], frame: FrameInput, trust: Float[Array, " element"], config: ViewConfig
+    T_local_base: Float[Array, "4 4"], frame: FrameInput, trust: Float[Array, " element"], config: ViewConfig
 ) -> tuple[Evidence, tuple[Array, ...]]:
     """The evidence of a frame as seen from a pose, each element weighted by its trust; and the element of each sample
     of each group of cameras, in the order of the views."""
-    samples = view(frame.samples, T_map_base, frame.rig, frame.channel_of_label, config, frame.grain)
+    samples = view(frame.samples, T_local_base, frame.rig, frame.channel_of_label, config, frame.grain)
     known = (samples.element >= 0) & (samples.element < trust.shape[0])
     index = jnp.clip(samples.element, 0, trust.shape[0] - 1)
     weight = samples.weight * jnp.where(known, trust[index], 1.0).astype(samples.weight.dtype)
@@ -309,11 +309,11 @@ def trusted_evidence(
 
 
 def element_evidence(
-    T_map_base: Float[Array, "4 4"], evidence: Evidence, element: tuple[Array, ...], config: TrackAlignConfig
+    T_local_base: Float[Array, "4 4"], evidence: Evidence, element: tuple[Array, ...], config: TrackAlignConfig
 ) -> ElementEvidence:
     """How a pose explains each element, from the level of `config.rank_level`."""
     loss = LOSSES[config.align.loss]
-    r, weight = visible_ramps(T_map_base, config.rank_level, evidence, config.align)
+    r, weight = visible_ramps(T_local_base, config.rank_level, evidence, config.align)
     owner = jnp.concatenate([part.reshape(-1) for part in element])
     owner = jnp.where(owner >= 0, owner, ELEMENT_CAPACITY)
 

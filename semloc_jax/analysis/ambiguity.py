@@ -58,16 +58,16 @@ class SecondPose(NamedTuple):
 
 def second_pose(
     samples: MapSamples,
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     rig: Rig,
     channel_of_label: Int[Array, " label"],
     config: AmbiguityConfig,
     scene: SceneConfig,
 ) -> SecondPose:
-    """The best explanation of the view from `T_map_base` at least `apart_m` away that is no flank of a better one."""
+    """The best explanation of the view from `T_local_base` at least `apart_m` away that is no flank of a better one."""
     ahead, left = config.grid()
     shifts = np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1)
-    share = explained_share(samples, T_map_base, rig, channel_of_label, shifts.reshape(-1, 2), config, scene)
+    share = explained_share(samples, T_local_base, rig, channel_of_label, shifts.reshape(-1, 2), config, scene)
     share = share.reshape(shifts.shape[:2])
     border = jnp.pad(share, 1, mode="edge")
     beside = jnp.stack([border[2:, 1:-1], border[:-2, 1:-1], border[1:-1, 2:], border[1:-1, :-2]])
@@ -78,7 +78,7 @@ def second_pose(
 
 def explained_share(
     samples: MapSamples,
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     rig: Rig,
     channel_of_label: Int[Array, " label"],
     shifts: Float[Array | np.ndarray, "n 2"],
@@ -89,7 +89,7 @@ def explained_share(
 
     Args:
         samples: Map samples relative to the local origin.
-        T_map_base: The pose whose masks are imagined.
+        T_local_base: The pose whose masks are imagined.
         rig: Cameras.
         channel_of_label: Cost-map channel of each ElementClass.
         shifts: Longitudinal and lateral shift of the other poses [m].
@@ -98,26 +98,26 @@ def explained_share(
     """
     # With a margin: from a shifted pose other parts of the map are in view.
     wide = replace(scene.view_of(ViewConfig(margin_share=0.3)), capacity=config.capacity)
-    near = view(samples, T_map_base, rig, channel_of_label, wide)
-    here = [_contour(T_map_base, rig, index, near) for index in range(len(rig))]
+    near = view(samples, T_local_base, rig, channel_of_label, wide)
+    here = [_contour(T_local_base, rig, index, near) for index in range(len(rig))]
     visible = [rig.cameras[i].in_image(*here[i][0]) & (near.weight[i] > 0) for i in range(len(rig))]
 
     def at(shift: Array) -> Array:
-        offset = jnp.zeros(3, T_map_base.dtype).at[:2].set(shift)
-        T = T_map_base.at[:3, 3].add(T_map_base[:3, :3] @ offset)
+        offset = jnp.zeros(3, T_local_base.dtype).at[:2].set(shift)
+        T = T_local_base.at[:3, 3].add(T_local_base[:3, :3] @ offset)
         parts = [_cost(T, rig, i, near, here[i], visible[i], config.ramp_px) for i in range(len(rig))]
         cost, weight = (jnp.sum(jnp.stack(column)) for column in zip(*parts, strict=True))
         return 1 - jnp.where(weight > 0, cost / jnp.maximum(weight, 1e-6), 1.0)
 
-    share = jax.lax.map(at, jnp.asarray(shifts, T_map_base.dtype), batch_size=8)
+    share = jax.lax.map(at, jnp.asarray(shifts, T_local_base.dtype), batch_size=8)
     return jnp.clip(share, 0.0, 1.0)
 
 
-def _contour(T_map_base: Array, rig: Rig, index: int, seen: ViewSamples) -> tuple[Array, Array]:
+def _contour(T_local_base: Array, rig: Rig, index: int, seen: ViewSamples) -> tuple[Array, Array]:
     """Pixels of the samples of one camera, and unit directions of their contours in the image, both `[2 p]`."""
-    T_cam_base = lie.inverse(jnp.asarray(rig.T_base_cam[index], T_map_base.dtype))
-    R_cam_map = (T_cam_base @ lie.inverse(T_map_base))[:3, :3]
-    points = points_in_camera(T_cam_base, T_map_base, seen.p_map[index])
+    T_cam_base = lie.inverse(jnp.asarray(rig.T_base_cam[index], T_local_base.dtype))
+    R_cam_map = (T_cam_base @ lie.inverse(T_local_base))[:3, :3]
+    points = points_in_camera(T_cam_base, T_local_base, seen.p_map[index])
     along = tuple(R_cam_map @ seen.tangent_map[index])
     uv, direction = jax.jvp(lambda *p: jnp.stack(rig.cameras[index].project_xyz(*p)[:2]), points, along)
     return uv, direction / jnp.maximum(jnp.linalg.norm(direction, axis=0), 1e-6)

@@ -77,7 +77,7 @@ class Certificate:
     """What is proven around a pose, and what it took.
 
     Attributes:
-        T_map_base: the minimum, relative to the local origin.
+        T_local_base: the minimum, relative to the local origin.
         pivot: the point of the vehicle [m] whose place is meant and about which it is turned.
         falls: where the cost is proven to fall towards the middle; None where that is not proven anywhere.
         higher: where it is proven higher than in the middle; None where that is not proven anywhere.
@@ -85,7 +85,7 @@ class Certificate:
         level: of the cost maps.
     """
 
-    T_map_base: Float[np.ndarray, "4 4"]
+    T_local_base: Float[np.ndarray, "4 4"]
     pivot: Float[np.ndarray, "3"]
     falls: Region | None
     higher: Region | None
@@ -101,7 +101,7 @@ class Certificate:
 class PlaneProblem(NamedTuple):
     """The cost of one level over the plane around its minimum, and the tables that bound it."""
 
-    T_map_base: Float[Array, "4 4"]
+    T_local_base: Float[Array, "4 4"]
     views: tuple[CameraViews, ...]
     texture: RampTexture
     tables: RampBounds
@@ -146,8 +146,8 @@ def certify(
                 found[claim] = Region(_in_degrees(half), _in_degrees(proven * half))
                 break
         num_boxes += used
-    T_map_base, pivot = np.asarray(problem.T_map_base, np.float64), np.asarray(problem.pivot, np.float64)
-    return Certificate(T_map_base, pivot, found["falls"], found["higher"], num_boxes, config.level)
+    T_local_base, pivot = np.asarray(problem.T_local_base, np.float64), np.asarray(problem.pivot, np.float64)
+    return Certificate(T_local_base, pivot, found["falls"], found["higher"], num_boxes, config.level)
 
 
 def _grown(
@@ -186,7 +186,7 @@ def plane_problem(T_start: Float[Array, "4 4"], evidence: Evidence, align: Align
 @jax.jit
 def _plane_hessian(problem: PlaneProblem) -> Float[Array, "3 3"]:
     """Gauss-Newton Hessian of the cost at the minimum."""
-    loss, zero = LOSSES["tukey"], jnp.zeros(3, problem.T_map_base.dtype)
+    loss, zero = LOSSES["tukey"], jnp.zeros(3, problem.T_local_base.dtype)
     value, weight = plane_residual(zero, problem)
     J = jax.jacfwd(lambda q: plane_residual(q, problem)[0])(zero)
     return jnp.einsum("pi,p,pj->ij", J, weight * loss.weight(value), J) + 1e-6 * jnp.eye(3, dtype=J.dtype)
@@ -256,7 +256,7 @@ def _lower_bounds(
     boxes: Float[Array, "b 2 3"], problem: PlaneProblem, claim: Claim
 ) -> tuple[Float[Array, " b"], Float[Array, " b"]]:
     """Lower bound over each box of what must be positive for the claim to hold, and its value in the middle."""
-    boxes = boxes.astype(problem.T_map_base.dtype)
+    boxes = boxes.astype(problem.T_local_base.dtype)
     at_best = plane_cost(jnp.zeros(3, boxes.dtype), problem)
 
     def one(box: Array) -> tuple[Array, Array]:
@@ -302,8 +302,8 @@ def plane_residual(q: Float[Array, "3"], problem: PlaneProblem) -> tuple[Float[A
 
 def _plane_points(q: Float[Array, "3"], problem: PlaneProblem, view: CameraViews) -> tuple[Array, Array]:
     """Points `[3 p]` about the pivot of the unmoved vehicle, and in the camera of the moved one."""
-    T_base_map, pivot = lie.inverse(problem.T_map_base), problem.pivot[:, None]
-    p = T_base_map[:3, :3] @ view.p_map + T_base_map[:3, 3:] - pivot
+    T_base_local, pivot = lie.inverse(problem.T_local_base), problem.pivot[:, None]
+    p = T_base_local[:3, :3] @ view.p_map + T_base_local[:3, 3:] - pivot
     c, s = jnp.cos(q[2]), jnp.sin(q[2])
     dx, dy = p[0] - q[0], p[1] - q[1]
     moved = jnp.stack([c * dx + s * dy, c * dy - s * dx, p[2]]) + pivot

@@ -78,8 +78,8 @@ def _solve(
             weight = jnp.where(is_chosen, lane.keep * part.weight, part.weight)
             views.append(eqx.tree_at(lambda v: (v.p_map, v.weight), part, (p_map, weight)))
         changed = eqx.tree_at(lambda e: e.views, evidence, tuple(views))
-        T_prior = prior.T_map_base.at[:3, 3].add(jnp.where(lane.is_prior, lane.shift_map, 0.0))
-        return align_one(T_start, changed, Prior(T_prior, lane.sigma), config).T_map_base
+        T_prior = prior.T_local_base.at[:3, 3].add(jnp.where(lane.is_prior, lane.shift_map, 0.0))
+        return align_one(T_start, changed, Prior(T_prior, lane.sigma), config).T_local_base
 
     return jax.lax.map(one, lanes)
 

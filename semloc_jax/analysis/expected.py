@@ -99,17 +99,17 @@ class ExpectedConfig:
 
 
 def view_information(
-    T_map_base: Float[Array, "4 4"], rig: Rig, seen: ViewSamples, align: AlignConfig
+    T_local_base: Float[Array, "4 4"], rig: Rig, seen: ViewSamples, align: AlignConfig
 ) -> tuple[Float[Array, "cam p 6"], Float[Array, "cam p"]]:
     """Rows a and weights w of what is seen: the expected information is the sum of w a a'.
 
     Args:
-        T_map_base: Pose relative to the local origin.
+        T_local_base: Pose relative to the local origin.
         rig: Cameras.
         seen: Samples as they are seen from about that pose.
         align: Noise of mask boundaries.
     """
-    found = _contours(T_map_base, rig, seen, align)
+    found = _contours(T_local_base, rig, seen, align)
     return found.row, found.weight
 
 
@@ -122,11 +122,11 @@ class _Contours(NamedTuple):
     normal: Float[Array, "cam p 2"]
 
 
-def _contours(T_map_base: Array, rig: Rig, seen: ViewSamples, align: AlignConfig) -> _Contours:
+def _contours(T_local_base: Array, rig: Rig, seen: ViewSamples, align: AlignConfig) -> _Contours:
     parts = []
     for index, camera in enumerate(rig.cameras):
-        T_cam_base = lie.inverse(jnp.asarray(rig.T_base_cam[index], T_map_base.dtype))
-        a, uv, normal = contour_rows(T_map_base, T_cam_base, camera, seen.p_map[index], seen.tangent_map[index])
+        T_cam_base = lie.inverse(jnp.asarray(rig.T_base_cam[index], T_local_base.dtype))
+        a, uv, normal = contour_rows(T_local_base, T_cam_base, camera, seen.p_map[index], seen.tangent_map[index])
         inside = camera.in_image(*uv, align.border_px) & (seen.weight[index] > 0)
         weight = jnp.where(inside, seen.weight[index], 0.0) * align.noise.information_per_px
         parts.append((jnp.where(inside, a, 0.0).T, weight, uv.T, normal.T))
@@ -148,7 +148,7 @@ def expected_covariance(
 
 def expected_scatter(
     samples: MapSamples,
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     rig: Rig,
     channel_of_label: Int[Array, " label"],
     config: ExpectedConfig,
@@ -158,9 +158,9 @@ def expected_scatter(
     The sandwich of `analysis.uncertainty`, with what is believed of masks in place of residuals. The information is
     about the right tangent of the pose [1/m, 1/rad]^2.
     """
-    noise, dtype = config.boundary, T_map_base.dtype
-    seen = view(samples, T_map_base, rig, channel_of_label, config.view)
-    found = _contours(T_map_base, rig, seen, config.align)
+    noise, dtype = config.boundary, T_local_base.dtype
+    seen = view(samples, T_local_base, rig, channel_of_label, config.view)
+    found = _contours(T_local_base, rig, seen, config.align)
     information = jnp.einsum("cpi,cp,cpj->ij", found.row, found.weight, found.row)
     sigma = np.asarray(config.prior_sigma)
     score = jax.vmap(partial(_score_covariance, noise=noise))(found, seen.element)

@@ -78,7 +78,7 @@ def explain_frame(
     found, level = look.optimum(config.max_drift_m)
     sigma, holders = look.holders(found, level, config, look.elements_alone())
     _, classes = look.holders(found, level, config, look.classes_together())
-    T = look.local_map.frame.to_map(found.T_map_base)
+    T = look.local_map.frame.to_map(found.T_local_base)
     offset = rigid.log(rigid.inverse(result.T_map_base) @ T)[TANGENT_OF_DIRECTION]
     classes = [holder for holder in classes if holder.is_element]
     ranked = (tuple(sorted(some, key=lambda holder: -holder.strength)) for some in (holders, classes))
@@ -171,7 +171,7 @@ class SeenFrame:
         for level in reversed(self.align.levels):
             scene = smooth_scene(self.evidence, self.maps, self.align, level)
             found = balance(self.T_found, scene, self.prior, self.holder, self.capacity)
-            drift_m = np.hypot(*(found.T_map_base - self.T_found)[:2, 3])
+            drift_m = np.hypot(*(found.T_local_base - self.T_found)[:2, 3])
             inlier_ratio = found.terms.inlier.sum() / max(found.terms.weight.sum(), 1e-9)
             is_held = holds(inlier_ratio, self.align.min_inlier_ratio) or level == coarsest
             if found.is_exact and drift_m <= max_drift_m and is_held:
@@ -207,7 +207,7 @@ class SeenFrame:
         told = influence(
             terms, np.asarray(self.prior.sigma, np.float64), self.align.noise.excess(float(scatter_px), ramp_px)
         )
-        R = found.T_map_base[:3, :3]
+        R = found.T_local_base[:3, :3]
         rows = TANGENT_OF_DIRECTION
         by_shift = told.motion[:, rows, :3] @ R.T
         worst = np.stack([_worst(by_shift[k], group) for k, group in enumerate(groups)])
@@ -219,7 +219,7 @@ class SeenFrame:
             seen, pulling = terms.weight[k], max(terms.pulling[k], 1e-9)
             along = R.T @ worst[k]
             px_per_m = noise_px * np.sqrt(max(along @ terms.information[k, :3, :3] @ along, 1e-12) / pulling)
-            away = self.local_map.frame.to_map(found.T_map_base[:3, 3]) - group.middle_map
+            away = self.local_map.frame.to_map(found.T_local_base[:3, 3]) - group.middle_map
             turn = np.concatenate([R.T @ np.cross([0.0, 0.0, 1.0], away), R.T @ [0.0, 0.0, 1.0]])
             holders.append(
                 Holder(

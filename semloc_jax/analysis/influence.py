@@ -30,14 +30,14 @@ _GENERATORS[[0, 1, 2], [0, 1, 2], 3] = 1.0
 _GENERATORS[[3, 4, 5], [2, 0, 1], [1, 2, 0]], _GENERATORS[[3, 4, 5], [1, 2, 0], [2, 0, 1]] = 1.0, -1.0
 
 
-def prior_terms(T_map_base: Float[np.ndarray, "4 4"], prior: Prior) -> HolderTerms:
+def prior_terms(T_local_base: Float[np.ndarray, "4 4"], prior: Prior) -> HolderTerms:
     """The terms of both parts of the prior (`PRIOR_PARTS`), which have no samples.
 
     The deviation is measured as in `alignment.implicit`: translation and axis-times-sine of T_prior^-1 T.
     """
     sigma = np.asarray(prior.sigma, np.float64)
     precision = np.where(sigma > 0, 1 / np.where(sigma > 0, sigma, 1.0), 0.0) ** 2
-    D = rigid.inverse(np.asarray(prior.T_map_base, np.float64)) @ T_map_base
+    D = rigid.inverse(np.asarray(prior.T_local_base, np.float64)) @ T_local_base
     once = _deviation(D @ _GENERATORS)
     twice = _deviation(D @ _GENERATORS[:, None] @ _GENERATORS)
     parts = []
@@ -63,12 +63,12 @@ class Balance(NamedTuple):
     """The pose where all forces balance, and the terms there.
 
     Attributes:
-        T_map_base: relative to the local origin, float64.
+        T_local_base: relative to the local origin, float64.
         terms: float64; elements first, the parts of the prior last.
         is_exact: whether it is a minimum to the last digits of the float type.
     """
 
-    T_map_base: Float[np.ndarray, "4 4"]
+    T_local_base: Float[np.ndarray, "4 4"]
     terms: HolderTerms
     is_exact: bool
 
@@ -118,15 +118,15 @@ def balance(
 
 
 def unsettled(
-    T_map_base: Float[np.ndarray, "4 4"],
+    T_local_base: Float[np.ndarray, "4 4"],
     scene: SmoothScene,
     prior: Prior,
     holder: tuple[Int[Array, "cam p"], ...],
     num_elements: int,
 ) -> Balance:
     """A pose that is no optimum, with terms in Gauss-Newton's approximation; arguments as `balance`."""
-    terms = _evaluated(scene, prior, holder, num_elements)(np.asarray(T_map_base, np.float64))
-    return Balance(T_map_base, terms._replace(by_pose=terms.information, by_motion=-terms.information), False)
+    terms = _evaluated(scene, prior, holder, num_elements)(np.asarray(T_local_base, np.float64))
+    return Balance(T_local_base, terms._replace(by_pose=terms.information, by_motion=-terms.information), False)
 
 
 def _evaluated(

@@ -29,7 +29,7 @@ DIRECTIONS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def cost_landscape(
-    T_map_base: Float[np.ndarray | Array, "4 4"],
+    T_local_base: Float[np.ndarray | Array, "4 4"],
     evidence: Evidence,
     directions: tuple[str, str],
     offset_a: Float[np.ndarray, " na"],
@@ -38,13 +38,13 @@ def cost_landscape(
     config: AlignConfig,
     channel: int | None = None,
 ) -> Float[np.ndarray, "na nb"]:
-    """Robust cost in [0, 1] of every pose T_map_base exp(a e_i + b e_j): 0 explains all of the map in view, 1 nothing.
+    """Robust cost in [0, 1] of every pose T_local_base exp(a e_i + b e_j): 0 explains all map in view, 1 nothing.
 
     The cost is normalised by what is visible from each pose; where less than `config.min_visible_px` of contour is
     visible it is NaN.
 
     Args:
-        T_map_base: Pose in the middle of the grid, relative to the local origin.
+        T_local_base: Pose in the middle of the grid, relative to the local origin.
         evidence: What the cameras saw; take views with a margin, since they are kept for the whole grid.
         directions: Two of `DIRECTIONS`.
         offset_a, offset_b: Offsets along them [m or rad].
@@ -66,7 +66,7 @@ def cost_landscape(
     if channel is not None:
         only = [eqx.tree_at(lambda v: v.weight, v, v.weight * (v.channel == channel)) for v in evidence.views]
         evidence = eqx.tree_at(lambda e: e.views, evidence, tuple(only))
-    T = jnp.asarray(T_map_base, jnp.float32)
+    T = jnp.asarray(T_local_base, jnp.float32)
     cost = costs_around(jnp.asarray(xi.reshape(-1, 6)), T, evidence, np.int32(level), config)
     return np.asarray(cost).reshape(xi.shape[:2])
 
@@ -111,16 +111,16 @@ def frame_landscape(
 @stored_program("config")
 def costs_around(
     xi: Float[Array | np.ndarray, "n 6"],
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     evidence: Evidence,
     level: Int[Array | np.ndarray, ""],
     config: AlignConfig,
 ) -> Float[Array, " n"]:
-    """Robust cost in [0, 1] of the poses T_map_base exp(xi); NaN where too little is visible; see `cost_landscape`."""
+    """Robust cost in [0, 1] of the poses T_local_base exp(xi); NaN where too little is seen; see `cost_landscape`."""
     texture = evidence.textures.level(level)
 
     def one(offset: Array) -> Array:
-        pose, loss = T_map_base @ lie.exp(offset), LOSSES[config.loss]
+        pose, loss = T_local_base @ lie.exp(offset), LOSSES[config.loss]
         cost = robust_cost(pose, evidence.views, texture, evidence.usable, loss, config.border_px, config.path)
         enough = cost.visible >= config.min_visible_px
         return jnp.where(enough, cost.summed / jnp.maximum(cost.visible, 1e-6), jnp.nan)
@@ -146,7 +146,7 @@ def trace_search(
     inputs, local_map = localizer.prepare(masks, rig, T_map_prior)
     spread = localizer.map.road_spread(T_map_prior)
     around = prior.to_solver(T_map_prior, local_map.frame, localizer.config.road, spread)
-    evidence = evidence_from(around.T_map_base, inputs, config.search_view)
+    evidence = evidence_from(around.T_local_base, inputs, config.search_view)
     Ts = search_starts(around, config)
     first = config.search.stages[0]
     level, align, chunk = jnp.asarray(first.score_level), config.search_align, config.search.chunk

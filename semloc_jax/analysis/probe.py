@@ -98,84 +98,87 @@ class Descent(NamedTuple):
 
 @stored_program("config")
 def seen_from(
-    T_map_base: Float[Array, "4 4"], frame: FrameInput, shown: Float[Array | np.ndarray, " channel"], config: ViewConfig
+    T_local_base: Float[Array, "4 4"],
+    frame: FrameInput,
+    shown: Float[Array | np.ndarray, " channel"],
+    config: ViewConfig,
 ) -> tuple[tuple[CameraViews, ...], ViewSamples]:
     """The map as it is seen from a pose, for the solver and, with its tangents, to be drawn.
 
     Args:
-        T_map_base: Pose relative to the local origin.
+        T_local_base: Pose relative to the local origin.
         frame: Map samples and cameras.
         shown: Factor on the weight of each mask channel: 0 switches it off.
         config: Which samples are kept.
     """
-    samples = view(frame.samples, T_map_base, frame.rig, frame.channel_of_label, config)
+    samples = view(frame.samples, T_local_base, frame.rig, frame.channel_of_label, config)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight * shown[samples.channel])
     return camera_views(frame.rig, samples), samples
 
 
 @stored_program("config")
 def probe(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     level: Int[Array | np.ndarray, ""],
     evidence: Evidence,
     samples: ViewSamples,
     prior: Prior,
-    T_map_truth: Float[Array, "4 4"],
+    T_local_truth: Float[Array, "4 4"],
     config: AlignConfig,
 ) -> PoseProbe:
     """Residuals, fit by class, covariance and quadratic model at a pose.
 
     Args:
-        T_map_base: Pose relative to the local origin.
+        T_local_base: Pose relative to the local origin.
         level: Level of the cost maps.
         evidence: The views of `seen_from` with the textures of the frame.
         samples: The samples of `seen_from`.
         prior: Its sigmas also scale the covariance.
-        T_map_truth: The true pose; any other one where it is not known.
+        T_local_truth: The true pose; any other one where it is not known.
         config: Robust loss, noise and limits.
     """
-    views = visible_views(T_map_base, evidence, config.border_px, config.path)
+    views = visible_views(T_local_base, evidence, config.border_px, config.path)
     model = quadratic_model(
-        jnp.zeros(6, T_map_base.dtype), level_problem(T_map_base, views, level, evidence, prior, config)
+        jnp.zeros(6, T_local_base.dtype), level_problem(T_local_base, views, level, evidence, prior, config)
     )
     free = prior.sigma > 0
     per_sigma = jnp.where(free, 1 / jnp.where(free, prior.sigma, 1.0), 0.0)
-    drawn = _in_images(T_map_base, level, evidence, views, samples)
+    drawn = _in_images(T_local_base, level, evidence, views, samples)
     ramp_px = evidence.textures.ramp_px[level]
     return PoseProbe(
         drawn,
         _fit_of_channels(drawn, ramp_px, evidence.textures.num_channels, config),
-        assess(T_map_base, level, evidence, prior, config),
+        assess(T_local_base, level, evidence, prior, config),
         model.gradient * per_sigma,
         model.hessian * per_sigma[:, None] * per_sigma,
-        lie.log(lie.inverse(T_map_base) @ T_map_truth),
+        lie.log(lie.inverse(T_local_base) @ T_local_truth),
     )
 
 
 def _in_images(
-    T_map_base: Array, level: Array, evidence: Evidence, views: tuple[CameraViews, ...], samples: ViewSamples
+    T_local_base: Array, level: Array, evidence: Evidence, views: tuple[CameraViews, ...], samples: ViewSamples
 ) -> ImageSamples:
     texture = evidence.textures.level(level)
     shape = samples.weight.shape
-    dtype = T_map_base.dtype
+    dtype = T_local_base.dtype
     uv, slope = jnp.zeros((*shape, 2), dtype), jnp.zeros((*shape, 2), dtype)
     residual, weight = jnp.zeros(shape, dtype), jnp.zeros(shape, dtype)
     for group in views:
-        places, directions = jax.vmap(lambda v, t: _projected(T_map_base, v, t))(
+        places, directions = jax.vmap(lambda v, t: _projected(T_local_base, v, t))(
             group, samples.tangent_map[group.index]
         )
-        r, _ = alignment_residual(T_map_base, (group,), texture)
+        r, _ = alignment_residual(T_local_base, (group,), texture)
         uv, slope = uv.at[group.index].set(places), slope.at[group.index].set(directions)
         residual = residual.at[group.index].set(r.reshape(group.weight.shape))
         weight = weight.at[group.index].set(group.weight)
     return ImageSamples(uv, slope, residual, weight, samples.weight, samples.channel)
 
 
-def _projected(T_map_base: Array, group: CameraViews, tangent_map: Array) -> tuple[Array, Array]:
+def _projected(T_local_base: Array, group: CameraViews, tangent_map: Array) -> tuple[Array, Array]:
     """Pixels [p 2] of one camera's samples, and the unit direction of their contours there."""
 
     def pixel(p_map: Array) -> tuple[Array, Array]:
-        return group.camera.project_xyz(*points_in_camera(group.T_cam_base, T_map_base, p_map))[:2]
+        return group.camera.project_xyz(*points_in_camera(group.T_cam_base, T_local_base, p_map))[:2]
 
     places, moved = jax.jvp(pixel, (group.p_map,), (tangent_map,))
     direction = jnp.stack(moved, axis=-1)
@@ -229,7 +232,7 @@ def descend(
         settings = replace(align, levels=(), max_steps=most)
         for level in align.levels:
             path = trace_level(T, T_start, np.int32(level), np.int32(align.max_steps), evidence, prior, settings)
-            T = path.estimate.T_map_base
+            T = path.estimate.T_local_base
             legs.append(Leg(stage, level, path))
     return _judged(jax.device_get(legs), config.polish_align)
 
@@ -242,6 +245,6 @@ def _judged(legs: list[Leg], polish: AlignConfig) -> Descent:
     status = SolveStatus(int(legs[last].path.estimate.status))
     if status == SolveStatus.CONVERGED and not legs[last].path.converged:
         status = SolveStatus.MAX_STEPS
-    if not all(np.isfinite(leg.path.estimate.T_map_base).all() for leg in legs):
+    if not all(np.isfinite(leg.path.estimate.T_local_base).all() for leg in legs):
         status = SolveStatus.NOT_FINITE
     return Descent(tuple(legs), last, status)

@@ -138,6 +138,6 @@ def _refined(
 
     def again(T: Array, _: None) -> tuple[Array, None]:
         evidence = evidence_from(T, inputs, config.polish_view)
-        return align_one(T, evidence, prior, config.polish_align).T_map_base, None
+        return align_one(T, evidence, prior, config.polish_align).T_local_base, None
 
     return jax.lax.scan(again, T_start, None, length=2)[0]

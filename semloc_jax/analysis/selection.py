@@ -82,10 +82,10 @@ def element_information(
 
 @partial(jax.jit, static_argnames="config")
 def _by_sample(
-    samples: MapSamples, T_map_base: Array, rig: Rig, channel_of_label: Int[Array, " label"], config: ExpectedConfig
+    samples: MapSamples, T_local_base: Array, rig: Rig, channel_of_label: Int[Array, " label"], config: ExpectedConfig
 ) -> tuple[Array, Array, Array]:
-    seen = view(samples, T_map_base, rig, channel_of_label, config.view)
-    return *view_information(T_map_base, rig, seen, config.align), seen.element
+    seen = view(samples, T_local_base, rig, channel_of_label, config.view)
+    return *view_information(T_local_base, rig, seen, config.align), seen.element
 
 
 def relative_variance(total: Float[np.ndarray, "place 6 6"], whole: Float[np.ndarray, "place 3"]) -> float:

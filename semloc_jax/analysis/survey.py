@@ -225,14 +225,14 @@ def path_way(name: str, Ts_map_base: Float[np.ndarray, "n 4 4"], spacing_m: floa
 @partial(jax.jit, static_argnames="config")
 def _place(
     samples: MapSamples,
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     rig: Rig,
     channel_of_label: Int[Array, " label"],
     config: SurveyConfig,
 ) -> tuple[Array, Array, Array, Array]:
     """Sigmas [m, m, rad], ambiguity, place of the second pose, information."""
-    covariance, information = expected_scatter(samples, T_map_base, rig, channel_of_label, config.expected)
-    second = second_pose(samples, T_map_base, rig, channel_of_label, config.ambiguity, config.scene)
+    covariance, information = expected_scatter(samples, T_local_base, rig, channel_of_label, config.expected)
+    second = second_pose(samples, T_local_base, rig, channel_of_label, config.ambiguity, config.scene)
     return expected_sigma(covariance), second.share, second.shift_m, information
 
 

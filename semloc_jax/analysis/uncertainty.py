@@ -76,7 +76,7 @@ class BoundaryResiduals(NamedTuple):
 
 @stored_program("align")
 def boundary_residuals(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     rig: Rig,
     samples: ViewSamples,
     texture: RampTexture,
@@ -86,7 +86,7 @@ def boundary_residuals(
     """The residuals of all cameras at a pose.
 
     Args:
-        T_map_base: Pose relative to the local origin.
+        T_local_base: Pose relative to the local origin.
         rig: Cameras of the masks.
         samples: The map as it is seen from there; see `residuals.view`.
         texture: The level of the cost maps on which the pose was found.
@@ -95,38 +95,40 @@ def boundary_residuals(
     """
     seen = jnp.zeros(samples.weight.shape, bool)
     for group in group_views(rig, samples):
-        seen = seen.at[group.index].set(visibility(T_map_base, group, usable, align.border_px))
+        seen = seen.at[group.index].set(visibility(T_local_base, group, usable, align.border_px))
     parts = []
     for k, camera in enumerate(rig.cameras):
-        camera = camera.astype(T_map_base.dtype)
-        T_cam_base = lie.inverse(jnp.asarray(rig.T_base_cam[k], T_map_base.dtype))
-        slope, (u, v), normal = contour_rows(T_map_base, T_cam_base, camera, samples.p_map[k], samples.tangent_map[k])
+        camera = camera.astype(T_local_base.dtype)
+        T_cam_base = lie.inverse(jnp.asarray(rig.T_base_cam[k], T_local_base.dtype))
+        slope, (u, v), normal = contour_rows(T_local_base, T_cam_base, camera, samples.p_map[k], samples.tangent_map[k])
         image = texture.image_index(jnp.asarray(k), samples.channel[k])
         ramp, pull = jax.vjp(lambda u, v, image=image: lookup(texture, image, u, v), u, v)
         steep = texture.ramp_px * jnp.stack(pull(jnp.ones_like(ramp)))
         rise = jnp.sum(steep * normal, axis=0)
         out = jnp.where(rise >= 0, 1.0, -1.0)
         weight = jnp.where(seen[k], samples.weight[k], 0.0) * align.noise.information_per_px
-        gradient = image_rows(T_map_base, T_cam_base, camera, samples.p_map[k], steep)
+        gradient = image_rows(T_local_base, T_cam_base, camera, samples.p_map[k], steep)
         row = (out * slope).T, gradient.T, out * rise, ramp, jnp.full(u.shape, texture.ramp_px), weight
         row += jnp.stack([u, v], axis=-1), (out * normal).T, jnp.full(u.shape, k), samples.element[k]
         parts.append(row)
     return BoundaryResiduals(*(jnp.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def pose_residuals(T_map_base: Float[Array, "4 4"], inputs: FrameInput, config: SingleFrameConfig) -> BoundaryResiduals:
+def pose_residuals(
+    T_local_base: Float[Array, "4 4"], inputs: FrameInput, config: SingleFrameConfig
+) -> BoundaryResiduals:
     """The residuals of a frame at a pose that was found in it, on the finest level that held the pose.
 
     Args:
-        T_map_base: Pose relative to the local origin.
+        T_local_base: Pose relative to the local origin.
         inputs: Map samples, cost maps, cameras.
         config: How the pose was found.
     """
     align = config.polish_align
-    seen = view(inputs.samples, T_map_base, inputs.rig, inputs.channel_of_label, config.polish_view)
+    seen = view(inputs.samples, T_local_base, inputs.rig, inputs.channel_of_label, config.polish_view)
     for level in reversed(align.levels):
         texture = inputs.textures.level(level)
-        found = boundary_residuals(T_map_base, inputs.rig, seen, texture, inputs.usable, align)
+        found = boundary_residuals(T_local_base, inputs.rig, seen, texture, inputs.usable, align)
         weight = np.asarray(found.weight, np.float64)
         if holds(np.sum(weight * is_inlier(found.ramp)), align.min_inlier_ratio * np.sum(weight)):
             break

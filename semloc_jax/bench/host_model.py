@@ -2,7 +2,7 @@
 
 In: a Problem, a level and the pose at its start. Out: residuals and Jacobian by the scaled tangent y.
 It shares nothing with the package's residual but the definition: peers that want numpy arrays use it, and tests hold
-the two against each other. Chart: T_map_base = T_start [Exp(w) | v], (v, w) = sigma y.
+the two against each other. Chart: T_local_base = T_start [Exp(w) | v], (v, w) = sigma y.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ class LevelModel:
         self.y_prior = tangent(T @ problem.T_prior) / SIGMA
 
     def pose(self, y: np.ndarray) -> np.ndarray:
-        """T_map_base at y."""
+        """T_local_base at y."""
         return self.T_start @ displacement((SIGMA * y)[None])[0]
 
     def residual(self, y: np.ndarray) -> np.ndarray:

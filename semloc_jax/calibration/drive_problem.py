@@ -39,7 +39,7 @@ _LOSS = LOSSES["tukey"]
 class CalibrationState(eqx.Module):
     """Everything that is estimated."""
 
-    T_map_base: Float[Array, "n 4 4"]
+    T_local_base: Float[Array, "n 4 4"]
     """Vehicle poses of the frames, relative to the local origin."""
     T_base_cam: Float[Array, "c 4 4"]
     intrinsics: Float[Array, "c k"]
@@ -107,15 +107,15 @@ class CalibrationProblem(eqx.Module):
 
     def rows(self, state: CalibrationState, group: PictureRows) -> CameraViews:
         """The views of a group with cameras and poses of a state."""
-        T_map_then = lie.compose(state.T_map_base[group.frame], group.T_frame_then)
-        T_map_cam = lie.compose(T_map_then, state.T_base_cam[group.camera])
+        T_local_then = lie.compose(state.T_local_base[group.frame], group.T_frame_then)
+        T_local_cam = lie.compose(T_local_then, state.T_base_cam[group.camera])
         offset = state.common[-len(MASKS) :]
 
         def moved_camera(camera: Camera, change: Array) -> Camera:
             return with_fields(with_fields(camera, group.names, change), ("cx", "cy"), offset)
 
         moved = jax.vmap(moved_camera)(group.views.camera, state.intrinsics[group.camera])
-        return eqx.tree_at(lambda v: (v.camera, v.T_cam_base), group.views, (moved, lie.inverse(T_map_cam)))
+        return eqx.tree_at(lambda v: (v.camera, v.T_cam_base), group.views, (moved, lie.inverse(T_local_cam)))
 
     def linearise(self, value: CalibrationState, skip: Bool[Array, ""]) -> ArrowEquations:
         """Normal equations at a state; shared unknowns in units of their priors, locked ones as identity."""
@@ -147,7 +147,7 @@ class CalibrationProblem(eqx.Module):
         num, width = state.intrinsics.shape
         mounts, lenses = x[: 6 * num].reshape(num, 6), x[6 * num : (6 + width) * num].reshape(num, width)
         return CalibrationState(
-            lie.compose(state.T_map_base, lie.exp(poses)),
+            lie.compose(state.T_local_base, lie.exp(poses)),
             lie.compose(state.T_base_cam, lie.exp(mounts)),
             state.intrinsics + lenses,
             state.common + x[-len(COMMON) :],
@@ -163,7 +163,7 @@ class CalibrationProblem(eqx.Module):
         for r, threshold in self._factors(state):
             cost = jax.vmap(lambda row, t=threshold: cauchy_cost(row, t)[0])(r) if threshold else 0.5 * r.ravel() ** 2
             parts.append(jnp.sqrt(2 * cost))
-        parts += [jnp.sqrt(2 * term.costs({"pose": state.T_map_base})) for term in self.terms]
+        parts += [jnp.sqrt(2 * term.costs({"pose": state.T_local_base})) for term in self.terms]
         return jnp.concatenate([*parts, self._prior_terms(state)[0]])
 
     def _factors(self, state: CalibrationState) -> list[tuple[Array, float]]:
@@ -177,11 +177,11 @@ class CalibrationProblem(eqx.Module):
         ]
 
     def _terms(self, state: CalibrationState) -> list[ArrowEquations]:
-        num, size, dtype = len(state.T_map_base), self.sigma.shape[0], self.sigma.dtype
+        num, size, dtype = len(state.T_local_base), self.sigma.shape[0], self.sigma.dtype
         nothing = jnp.zeros((num, 6, 6), dtype), jnp.zeros((num, 6, size), dtype), jnp.zeros((size, size), dtype)
         parts = []
         for term in self.terms:
-            local, (frame,) = term.local({"pose": state.T_map_base}, {"pose": POSE}), term.keys
+            local, (frame,) = term.local({"pose": state.T_local_base}, {"pose": POSE}), term.keys
             hessian = jax.ops.segment_sum(local.hessian, frame, num)
             gradient = jax.ops.segment_sum(local.gradient, frame, num)
             parts.append(ArrowEquations(jnp.sum(local.cost), hessian, *nothing, gradient, jnp.zeros(size, dtype)))
@@ -204,7 +204,7 @@ class CalibrationProblem(eqx.Module):
         by_shared = by_shared.at[:, :6, : 6 * num_cameras].set(mounts)
         by_shared = by_shared.at[:, 6 : 6 + width, 6 * num_cameras : (6 + width) * num_cameras].set(lenses)
         H, g = self.gain * found.hessian, self.gain * found.gradient
-        num = state.T_map_base.shape[0]
+        num = state.T_local_base.shape[0]
 
         def by_frame(values: Array) -> Array:
             return jax.ops.segment_sum(values, group.frame, num)
@@ -220,7 +220,7 @@ class CalibrationProblem(eqx.Module):
         )
 
     def _motion_terms(self, state: CalibrationState) -> tuple[Array, Array, Array, Array]:
-        T = state.T_map_base
+        T = state.T_local_base
         after = jnp.concatenate([T[1:], T[-1:]])
         change = jnp.broadcast_to(state.common[:2] - self.common_prior[:2], (len(T), 2))
         edges = (self.motion.T_from_to, self.motion.jacobian, self.motion.sqrt_info)
@@ -248,7 +248,7 @@ class CalibrationProblem(eqx.Module):
         )
 
     def _anchor_terms(self, state: CalibrationState) -> list[tuple[Array, Array, Array | None]]:
-        T, a = state.T_map_base, self.anchors
+        T, a = state.T_local_base, self.anchors
         fixes = jax.vmap(fix_linearised, in_axes=(0, None, 0, 0, 0))(
             T, state.common[2:4], a.fix_base, a.p_fix, a.fix_sqrt_info
         )
@@ -290,7 +290,7 @@ class CalibrationProblem(eqx.Module):
 
     def _priors(self, state: CalibrationState) -> ArrowEquations:
         r, J = self._prior_terms(state)
-        num, size, dtype = state.T_map_base.shape[0], len(r), r.dtype
+        num, size, dtype = state.T_local_base.shape[0], len(r), r.dtype
         blocks = jnp.zeros((num, 6, 6), dtype)
         across, gradient = jnp.zeros((num, 6, size), dtype), jnp.zeros((num, 6), dtype)
         return ArrowEquations(0.5 * jnp.sum(r * r), blocks, blocks, across, J.T @ J, gradient, J.T @ r)

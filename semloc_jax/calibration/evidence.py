@@ -134,8 +134,8 @@ def _seen(
 
 
 @partial(jax.jit, static_argnames="config")
-def _views(samples, T_map_base, rig, channel_of_label, config: ViewConfig) -> ViewSamples:
-    return view(samples, T_map_base, rig, channel_of_label, config)
+def _views(samples, T_local_base, rig, channel_of_label, config: ViewConfig) -> ViewSamples:
+    return view(samples, T_local_base, rig, channel_of_label, config)
 
 
 def _motion_to_picture(pictures: Pictures, frame: int, camera: int) -> np.ndarray:

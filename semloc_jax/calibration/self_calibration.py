@@ -141,7 +141,7 @@ def calibrate_from(
         information = np.asarray(reduced(solution.equations)[0])
     nominal = drive.rig.select(masks.cameras)
     observability = _observability(information, sigma, solution, pictures.rig, config)
-    T_map_base = local.to_map(solution.state.T_map_base)
+    T_map_base = local.to_map(solution.state.T_local_base)
     vehicle = dict(zip(COMMON, np.asarray(solution.state.common).tolist(), strict=True))
     return SelfCalibration(
         rig_before=nominal,
@@ -186,7 +186,7 @@ def _coarse_to_fine(
     strides = [maps.stride[level] for level in config.levels]
     for ramp_px, stride in zip([maps.ramp_px[level] for level in config.levels], strides, strict=True):
         texture, usable = level_texture(pictures, ramp_px, stride, min(strides))
-        T_map_base = local.to_map(state.T_map_base)
+        T_map_base = local.to_map(state.T_local_base)
         moved = eqx.tree_at(lambda r: r.T_base_cam, rig, np.asarray(state.T_base_cam))
         rows = picture_rows(pictures, moved, T_map_base, local, config)
         gain = jnp.asarray(config.scene.noise.gain(ramp_px))

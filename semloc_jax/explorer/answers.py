@@ -118,7 +118,7 @@ def path_of(descent: Descent, local: LocalFrame) -> tuple[np.ndarray, dict[str, 
     """The pose a solve ends at in the map frame, and its steps as plain data."""
     steps = [step for leg in descent.legs for step in _steps(leg, local)]
     estimate = descent.estimate
-    T_map_end = local.to_map(estimate.T_map_base)
+    T_map_end = local.to_map(estimate.T_local_base)
     sigma = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 0.0)) * DEG
     return T_map_end, {
         "steps": steps,

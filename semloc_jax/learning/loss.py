@@ -69,7 +69,7 @@ def scored(estimate: SmoothEstimate, T_true: Float[Array, "4 4"], doubt: Array |
         T_true: True pose.
         doubt: Covariance of the true pose along and across [m] and in heading [rad], where it was measured.
     """
-    error = lie.log(lie.compose(lie.inverse(T_true), estimate.T_map_base))[PLANAR]
+    error = lie.log(lie.compose(lie.inverse(T_true), estimate.T_local_base))[PLANAR]
     covariance = estimate.covariance[PLANAR][:, PLANAR] + doubt
     nll, nees = pose_nll(error, covariance)
     used = (estimate.status == SolveStatus.CONVERGED) & jnp.isfinite(nll)

@@ -174,7 +174,7 @@ class FrameAligner:
         sigma_along, num = np.sqrt(np.float32(covariance[0, 0])), np.int32(len(asked))
         known = sigma_along, self._side_by_side(rigs), widths, first, num, self.step
         found = jax.device_get(align_with_rigs(*ready.solved, *known))
-        Ts = ready.local.to_map(found.Ts_map_base[list(asked)])
+        Ts = ready.local.to_map(found.Ts_local_base[list(asked)])
         return found.scores[list(asked)].astype(np.float64), np.stack([rigid.normalised(T) for T in Ts])
 
     def costs_beside(
@@ -260,7 +260,7 @@ class FrameAligner:
 
     def _answer(self, found: TrackedFrame, time_s: float, ready: "_Prepared") -> Alignment:
         estimate = found.estimate
-        T = ready.local.to_map(estimate.T_map_base)
+        T = ready.local.to_map(estimate.T_local_base)
         # The parts of a line that the window cuts belong to one element.
         rows, part_of = np.unique(ready.index, return_inverse=True)
         num = len(ready.index)

@@ -37,7 +37,7 @@ def rows_seen(
     part: str,
     camera: Sequence[np.ndarray],
     T_base_cam: Float[np.ndarray, "4 4"],
-    Ts_map_base: Float[np.ndarray, "n 4 4"],
+    Ts_local_base: Float[np.ndarray, "n 4 4"],
     samples: Sequence[np.ndarray],
     channel_of_label: Int[np.ndarray, " label"],
     num_ground: int,
@@ -51,7 +51,7 @@ def rows_seen(
         part: Class of the camera in native/src/cameras.h, whose part is loaded.
         camera: Leaves of the camera, in their order.
         T_base_cam: Extrinsics.
-        Ts_map_base: Poses relative to the local origin.
+        Ts_local_base: Poses relative to the local origin.
         samples: Leaves of the MapSamples, in their order.
         channel_of_label: Negative where no mask shows the class.
         num_ground: So many of the first labels are painted on the ground.
@@ -63,7 +63,7 @@ def rows_seen(
     floats = [np.ascontiguousarray(leaf, np.float32) for leaf in camera]
     kinds = [np.float32] * 4 + [np.int32] * 3 + [np.float32] * 2 + [np.uint8]
     columns = [np.ascontiguousarray(leaf).astype(kind, copy=False) for leaf, kind in zip(samples, kinds, strict=True)]
-    mount, poses = (np.ascontiguousarray(T, np.float32) for T in (T_base_cam, Ts_map_base))
+    mount, poses = (np.ascontiguousarray(T, np.float32) for T in (T_base_cam, Ts_local_base))
     channels, signed = np.ascontiguousarray(channel_of_label, np.int32), np.ascontiguousarray(field.signed_px)
     usable = np.ascontiguousarray(field.usable).view(np.uint8)
     sizes = np.array([*signed.shape[1:], *usable.shape], np.int32)
@@ -91,7 +91,7 @@ def add_gains(
     part: str,
     camera: Sequence[np.ndarray],
     T_base_cam: Float[np.ndarray, "4 4"],
-    Ts_map_base: Float[np.ndarray, "n 4 4"],
+    Ts_local_base: Float[np.ndarray, "n 4 4"],
     samples: tuple[Float[np.ndarray, "3 p"], Int[np.ndarray, " p"], Float[np.ndarray, " p"]],
     gain: Float[np.ndarray, "channel h w"],
     numbers: tuple[float, float, float],
@@ -100,7 +100,7 @@ def add_gains(
     """Adds to each pose what samples gain by the pixels of one camera that they fall on.
 
     Args:
-        part, camera, T_base_cam, Ts_map_base: As `rows_seen`.
+        part, camera, T_base_cam, Ts_local_base: As `rows_seen`.
         samples: Position relative to the local origin [m], channel and weight of each.
         gain: Float32.
         numbers: Stride of the gain, margin at the border of the image [px], largest range [m].
@@ -109,7 +109,7 @@ def add_gains(
     floats = [np.ascontiguousarray(leaf, np.float32) for leaf in camera]
     mount, poses, p_map, weight, gain, known = (
         np.ascontiguousarray(array, np.float32)
-        for array in (T_base_cam, Ts_map_base, samples[0], samples[2], gain, numbers)
+        for array in (T_base_cam, Ts_local_base, samples[0], samples[2], gain, numbers)
     )
     channel, sizes = np.ascontiguousarray(samples[1], np.int32), np.array(gain.shape[1:], np.int32)
     pointer, number = ctypes.c_void_p, ctypes.c_int32

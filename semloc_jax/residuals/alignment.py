@@ -2,7 +2,7 @@
 residuals; pure JAX).
 
 In: a vehicle pose, camera views, one level of cost-map textures. Out: signed ramp values and weights.
-r_i = ramp_c(i)(project(T_cam_base T_base_map p_i)), zero where contour i lies on a boundary of its class c(i).
+r_i = ramp_c(i)(project(T_cam_base T_base_local p_i)), zero where contour i lies on a boundary of its class c(i).
 """
 
 import equinox as eqx
@@ -54,27 +54,27 @@ def camera_views(rig: Rig, samples: ViewSamples) -> tuple[CameraViews, ...]:
 
 
 def points_in_camera(
-    T_cam_base: Float[Array, "4 4"], T_map_base: Float[Array, "4 4"], p_map: Float[Array, "3 p"]
+    T_cam_base: Float[Array, "4 4"], T_local_base: Float[Array, "4 4"], p_map: Float[Array, "3 p"]
 ) -> tuple[Array, Array, Array]:
     """Coordinates x, y, z in the camera frame [m] of points in the map frame."""
-    T = lie.compose(T_cam_base, lie.inverse(T_map_base))
+    T = lie.compose(T_cam_base, lie.inverse(T_local_base))
     x, y, z = p_map
     return tuple(T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3] for k in range(3))
 
 
 def alignment_residual(
-    T_map_base: Float[Array, "4 4"], views: tuple[CameraViews, ...], texture: RampTexture
+    T_local_base: Float[Array, "4 4"], views: tuple[CameraViews, ...], texture: RampTexture
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """Signed ramp value in [-1, 1] and weight of every sample of every camera; the one definition of the residual.
 
     Args:
-        T_map_base: Vehicle pose relative to the local origin.
+        T_local_base: Vehicle pose relative to the local origin.
         views: Views of all cameras of the rig.
         texture: One level of the cost maps.
     """
 
     def one_camera(view: CameraViews) -> tuple[Array, Array]:
-        x, y, z = points_in_camera(view.T_cam_base, T_map_base, view.p_map)
+        x, y, z = points_in_camera(view.T_cam_base, T_local_base, view.p_map)
         u, v, _ = view.camera.project_xyz(x, y, z)
         return lookup(texture, texture.image_index(view.index, view.channel), u, v), view.weight
 
@@ -90,12 +90,12 @@ class Usable(eqx.Module):
 
 
 def visibility(
-    T_map_base: Float[Array, "4 4"], view: CameraViews, usable: Usable, margin_px: float
+    T_local_base: Float[Array, "4 4"], view: CameraViews, usable: Usable, margin_px: float
 ) -> Bool[Array, "cam p"]:
     """Whether each sample projects into the image, in front of the camera and on a usable pixel."""
 
     def one_camera(view: CameraViews) -> Array:
-        u, v, valid = view.camera.project_xyz(*points_in_camera(view.T_cam_base, T_map_base, view.p_map))
+        u, v, valid = view.camera.project_xyz(*points_in_camera(view.T_cam_base, T_local_base, view.p_map))
         inside = valid & view.camera.in_image(u, v, margin_px)
         _, height, width = usable.mask.shape
         column = jnp.clip(jnp.nan_to_num(u / usable.stride), 0, width - 1).astype(jnp.int32)

@@ -3,7 +3,7 @@ pure JAX).
 
 In: views of many frames, one row for each picture. Out: for each row the quadratic model by the camera's own tangent,
 its intrinsics and a shift of its pixels. From these few numbers follow the derivatives by vehicle pose and mount alike:
-T_map_cam = T_map_base exp(xi) T_base_cam exp(e) moves in its own tangent by Ad(T_cam_base) xi + e.
+T_local_cam = T_local_base exp(xi) T_base_cam exp(e) moves in its own tangent by Ad(T_cam_base) xi + e.
 """
 
 import equinox as eqx
@@ -43,7 +43,7 @@ def camera_equations(
     """Gauss-Newton model of sum_i w_i rho(r_i) of each row.
 
     Args:
-        rows: One row for each picture of one camera model; `T_cam_base` holds T_cam_map of the row.
+        rows: One row for each picture of one camera model; `T_cam_base` holds T_cam_local of the row.
         names: Fields of the camera model that are unknown, all differentiated automatically.
         num_intrinsics: Columns for them, at least as many as there are names; the others are zero.
         texture: One level of the cost maps, with a camera axis as long as all rows of all models.

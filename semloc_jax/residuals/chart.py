@@ -14,7 +14,7 @@ from semloc_jax.geometry import lie
 
 
 class Chart(NamedTuple):
-    """T_map_base = T_start exp(sigma y): a place y in scaled tangent coordinates of a start pose."""
+    """T_local_base = T_start exp(sigma y): a place y in scaled tangent coordinates of a start pose."""
 
     T_start: Float[Array, "4 4"]
     """Origin of the chart, relative to the local origin."""
@@ -23,12 +23,12 @@ class Chart(NamedTuple):
     y: Float[Array, "6"]
 
     @classmethod
-    def at(cls, T_map_base: Float[Array, "4 4"]) -> "Chart":
+    def at(cls, T_local_base: Float[Array, "4 4"]) -> "Chart":
         """The chart in metres and radians whose origin is the pose itself."""
-        return cls(T_map_base, jnp.ones(6, T_map_base.dtype), jnp.zeros(6, T_map_base.dtype))
+        return cls(T_local_base, jnp.ones(6, T_local_base.dtype), jnp.zeros(6, T_local_base.dtype))
 
     def pose(self) -> Float[Array, "4 4"]:
-        """T_map_base."""
+        """T_local_base."""
         return self.T_start @ lie.exp(self.sigma * self.y)
 
     def jacobian(self) -> Float[Array, "6 6"]:

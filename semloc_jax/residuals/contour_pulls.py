@@ -30,12 +30,12 @@ class ContourPulls(NamedTuple):
 
 
 def contour_pulls(
-    T_map_base: Float[Array, "4 4"], scene: SmoothScene, holder: tuple[Int[Array, "cam p"], ...], none: Array
+    T_local_base: Float[Array, "4 4"], scene: SmoothScene, holder: tuple[Int[Array, "cam p"], ...], none: Array
 ) -> ContourPulls:
     """The pulls of all map elements at a pose.
 
     Args:
-        T_map_base: Pose relative to the local origin.
+        T_local_base: Pose relative to the local origin.
         scene: Views, distances and noise.
         holder: Holder of each sample of each view of the scene, -1 for padding.
         none: Zeros, one for each element; its length is the number of elements.
@@ -43,7 +43,7 @@ def contour_pulls(
     num = none.shape[0]
 
     def one_camera(view: CameraViews, element: Array) -> ContourPulls:
-        by_sample, seen = _by_sample(T_map_base, view, scene)
+        by_sample, seen = _by_sample(T_local_base, view, scene)
         row = jnp.where(seen & (element >= 0), element, num)
         return jax.tree.map(lambda leaf: jax.ops.segment_sum(leaf, row, num + 1)[:num], by_sample)
 
@@ -51,9 +51,9 @@ def contour_pulls(
     return jax.tree.map(lambda *leaves: sum(jnp.sum(leaf, axis=0) for leaf in leaves), *parts)
 
 
-def _by_sample(T_map_base: Array, view: CameraViews, scene: SmoothScene) -> tuple[ContourPulls, Array]:
-    rows, (u, v), normal = contour_rows(T_map_base, view.T_cam_base, view.camera, view.p_map, view.tangent_map)
-    valid = view.camera.project_xyz(*points_in_camera(view.T_cam_base, T_map_base, view.p_map))[2]
+def _by_sample(T_local_base: Array, view: CameraViews, scene: SmoothScene) -> tuple[ContourPulls, Array]:
+    rows, (u, v), normal = contour_rows(T_local_base, view.T_cam_base, view.camera, view.p_map, view.tangent_map)
+    valid = view.camera.project_xyz(*points_in_camera(view.T_cam_base, T_local_base, view.p_map))[2]
     patch = distance_patch(u, v, view, scene.maps)
     reach_px, gain = reach_and_gain(view.channel, scene.model)
     ratio = cubic_value(patch) / reach_px

@@ -49,12 +49,12 @@ class HolderTerms(NamedTuple):
 
 @jax.jit
 def holder_terms(
-    T_map_base: Float[Array, "4 4"], scene: SmoothScene, holder: tuple[Int[Array, "cam p"], ...], none: Array
+    T_local_base: Float[Array, "4 4"], scene: SmoothScene, holder: tuple[Int[Array, "cam p"], ...], none: Array
 ) -> HolderTerms:
     """The terms of all map elements at a pose.
 
     Args:
-        T_map_base: Pose relative to the local origin.
+        T_local_base: Pose relative to the local origin.
         scene: What is minimised.
         holder: Holder of each sample of each view of the scene, -1 for padding.
         none: Zeros, one for each element; its length is the number of elements.
@@ -62,13 +62,13 @@ def holder_terms(
     num = none.shape[0]
 
     def one_camera(view, element) -> HolderTerms:
-        samples = sample_expansion(T_map_base, view, scene)
+        samples = sample_expansion(T_local_base, view, scene)
         R = view.T_cam_base[:3, :3]
         gradient = R.T @ samples.gradient
         hessian, information = (
             jnp.einsum("ia,ijp,jb->abp", R, part, R) for part in (samples.hessian, samples.information)
         )
-        p_base = jnp.stack(points_in_camera(jnp.eye(4, dtype=R.dtype), T_map_base, view.p_map))
+        p_base = jnp.stack(points_in_camera(jnp.eye(4, dtype=R.dtype), T_local_base, view.p_map))
         once, twice = _moves(p_base)
         bent = jnp.einsum("ip,abip->abp", gradient, twice)
         curved = jnp.einsum("aip,ijp,bjp->abp", once, hessian, once)

@@ -157,7 +157,7 @@ def damped_step(
 
 
 def visible_weight(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     camera: Camera,
     T_cam_base: Float[Array, "4 4"],
     points: Points,
@@ -169,7 +169,7 @@ def visible_weight(
     """Weight of each sample that is in front of the camera, in its image and on a usable pixel; else 0.
 
     Args:
-        T_map_base: Vehicle pose.
+        T_local_base: Vehicle pose.
         camera: Intrinsics of a model with a kernel (`cameras.models`).
         T_cam_base: Extrinsics.
         points: Samples.
@@ -179,7 +179,7 @@ def visible_weight(
         margin_px: Samples nearer to the border of the image do not count.
     """
     numbers = jnp.float32(scale), index, jnp.float32(margin_px)
-    operands = (T_map_base, T_cam_base, *points, usable, *numbers, *jax.tree.leaves(camera))
+    operands = (T_local_base, T_cam_base, *points, usable, *numbers, *jax.tree.leaves(camera))
     return _call(_of_model("semloc_visible_weight", camera), [(points[0].shape[-1],)], *operands)[0]
 
 
@@ -209,7 +209,7 @@ class Bucket(NamedTuple):
 
 
 def view(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     T_base_cam: Float[Array, "4 4"],
     samples: MapSamples,
     channel_of_label: Int[Array, " label"],
@@ -223,7 +223,7 @@ def view(
     """The samples that one camera sees, as `residuals.view` has it.
 
     Args:
-        T_map_base: Vehicle pose.
+        T_local_base: Vehicle pose.
         T_base_cam: Extrinsics.
         samples: Of the local map.
         channel_of_label: Negative where no mask shows the class.
@@ -237,13 +237,13 @@ def view(
     floats, whole = jax.ShapeDtypeStruct((capacity,), jnp.float32), jax.ShapeDtypeStruct((capacity,), jnp.int32)
     shapes = [whole, (3, capacity), (3, capacity), floats, whole, whole, whole]
     rows = (getattr(samples, field.name) for field in dataclasses.fields(MapSamples))
-    operands = (T_map_base, T_base_cam, *rows, channel_of_label, class_weight, grain, numbers)
+    operands = (T_local_base, T_base_cam, *rows, channel_of_label, class_weight, grain, numbers)
     operands = (*operands, *jax.tree.leaves(camera))
     return Bucket(*_call(_of_model("semloc_view", camera), shapes, *operands, num_ground=num_ground))
 
 
 def ramp_values(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     camera: Camera,
     T_cam_base: Float[Array, "4 4"],
     points: Points,
@@ -251,13 +251,13 @@ def ramp_values(
     index: Int[Array, ""],
 ) -> Float[Array, " p"]:
     """Signed ramp value in [-1, 1] of each sample of one camera; arguments as above."""
-    operands = (T_map_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
+    operands = (T_local_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
     name, number = _of_model("semloc_ramp_values", camera), texture.num_channels
     return _call(name, [(points[0].shape[-1],)], *operands, num_channels=number)[0]
 
 
 def robust_cost(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     camera: Camera,
     T_cam_base: Float[Array, "4 4"],
     points: Points,
@@ -265,13 +265,13 @@ def robust_cost(
     index: Int[Array, ""],
 ) -> Float[Array, ""]:
     """Sum of weight x Tukey cost of one camera, 1 for each sample beyond the ramp; arguments as above."""
-    operands = (T_map_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
+    operands = (T_local_base, T_cam_base, *points, *_texture(texture, index), *jax.tree.leaves(camera))
     name, number = _of_model("semloc_robust_cost", camera), texture.num_channels
     return _call(name, [()], *operands, num_channels=number)[0]
 
 
 def piece_sums(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     camera: Camera,
     T_cam_base: Float[Array, "4 4"],
     points: Points,
@@ -285,7 +285,7 @@ def piece_sums(
     """Weight of the samples of each piece that one camera can see, and the same times Tukey's rho of their ramp values;
     `piece` is the place of each sample's piece among as many as there are samples, the rest as above."""
     numbers = jnp.float32(scale), jnp.float32(margin_px)
-    operands = (T_map_base, T_cam_base, *points, piece, usable, *numbers, *_texture(texture, index))
+    operands = (T_local_base, T_cam_base, *points, piece, usable, *numbers, *_texture(texture, index))
     name, number = _of_model("semloc_piece_sums", camera), texture.num_channels
     return _call(name, [(2, len(piece))], *operands, *jax.tree.leaves(camera), num_channels=number)[0]
 

@@ -1,6 +1,6 @@
 """Fused normal equations of the alignment residual (room: residuals; pure JAX).
 
-In: pose, views, texture, loss. Out: gradient and Gauss-Newton Hessian in the right tangent of T_map_base, and cost.
+In: pose, views, texture, loss. Out: gradient and Gauss-Newton Hessian in the right tangent of T_local_base, and cost.
 Residual i depends on point i only, so one reverse pass with the gradient of the texture gives the derivative by the
 point for any camera model; the pose enters by the cross product. Nothing of size n x 6 x 6 is ever stored.
 """
@@ -33,16 +33,16 @@ class NormalEquations(NamedTuple):
 
 
 def normal_equations(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     views: tuple[CameraViews, ...],
     texture: RampTexture,
     loss: RobustLoss,
     path: native_kernels.Path = "auto",
 ) -> NormalEquations:
-    """Gradient and Gauss-Newton Hessian of sum_i w_i rho(r_i) by the right tangent xi of T_map_base exp(xi).
+    """Gradient and Gauss-Newton Hessian of sum_i w_i rho(r_i) by the right tangent xi of T_local_base exp(xi).
 
     Args:
-        T_map_base: Vehicle pose relative to the local origin.
+        T_local_base: Vehicle pose relative to the local origin.
         views: Views of all cameras.
         texture: One level of the cost maps.
         loss: Robust loss.
@@ -51,7 +51,7 @@ def normal_equations(
     Raises:
         SemlocError: the path is not possible here.
     """
-    return chart_equations(Chart.at(T_map_base), views, texture, loss, path)
+    return chart_equations(Chart.at(T_local_base), views, texture, loss, path)
 
 
 def chart_equations(
@@ -104,11 +104,11 @@ def _xla(chart: Chart, view: CameraViews, *, texture: RampTexture, loss: RobustL
 _PATHS = {"analytic": _analytic, "autodiff": _autodiff, "xla": _xla}
 
 
-def _one_camera(T_map_base: Array, view: CameraViews, texture: RampTexture, loss: RobustLoss) -> tuple[Array, Array]:
+def _one_camera(T_local_base: Array, view: CameraViews, texture: RampTexture, loss: RobustLoss) -> tuple[Array, Array]:
     """Augmented matrix [[H g] [g' .]] in the vehicle's tangent, and cost, of one camera."""
     # What several consumers need is stored: each would compute it again.
     walls = Walls.of(texture)
-    x, y, z = stored(walls.odd, *points_in_camera(view.T_cam_base, T_map_base, view.p_map))
+    x, y, z = stored(walls.odd, *points_in_camera(view.T_cam_base, T_local_base, view.p_map))
     (uv,) = stored(walls.even, jax.lax.complex(*_pixel(view.camera, x, y, z)))
     texel = locate(texture, uv.real, uv.imag)
     (taps,) = stored(walls.odd, fetch(texture, texture.image_index(view.index, view.channel), texel))

@@ -84,18 +84,18 @@ def joined(terms_of_pose: Sequence[Terms]) -> Terms:
     return tuple(family(members) for members in kinds.values())
 
 
-def terms_cost(terms: Terms, T_map_base: Float[Array, "4 4"]) -> Float[Array, ""]:
+def terms_cost(terms: Terms, T_local_base: Float[Array, "4 4"]) -> Float[Array, ""]:
     """Cost of all terms at a pose [nats]."""
-    at = {"pose": T_map_base[None]}
-    costs = [jnp.sum(_like(term, T_map_base).costs(at)) for term in terms]
-    return sum(costs, jnp.zeros((), T_map_base.dtype))
+    at = {"pose": T_local_base[None]}
+    costs = [jnp.sum(_like(term, T_local_base).costs(at)) for term in terms]
+    return sum(costs, jnp.zeros((), T_local_base.dtype))
 
 
-def terms_residual(terms: Terms, T_map_base: Float[Array, "4 4"]) -> Float[Array, " n"]:
+def terms_residual(terms: Terms, T_local_base: Float[Array, "4 4"]) -> Float[Array, " n"]:
     """Residuals whose half squared norm is `terms_cost`."""
-    at, parts = {"pose": T_map_base[None]}, [jnp.zeros(0, T_map_base.dtype)]
+    at, parts = {"pose": T_local_base[None]}, [jnp.zeros(0, T_local_base.dtype)]
     for term in terms:
-        own = _like(term, T_map_base)
+        own = _like(term, T_local_base)
         r = own.residuals(at)
         squares = jnp.sum(r * r, axis=1)
         known = squares > 0.0
@@ -104,32 +104,32 @@ def terms_residual(terms: Terms, T_map_base: Float[Array, "4 4"]) -> Float[Array
     return jnp.concatenate(parts)
 
 
-def terms_equations(terms: Terms, T_map_base: Float[Array, "4 4"]) -> Local:
+def terms_equations(terms: Terms, T_local_base: Float[Array, "4 4"]) -> Local:
     """Cost [nats], gradient [6] and Gauss-Newton Hessian [6 6] of all terms by the right tangent of the pose."""
-    dtype = T_map_base.dtype
+    dtype = T_local_base.dtype
     cost, gradient, hessian = jnp.zeros((), dtype), jnp.zeros(6, dtype), jnp.zeros((6, 6), dtype)
     for term in terms:
-        local = _like(term, T_map_base).local({"pose": T_map_base[None]}, {"pose": POSE})
+        local = _like(term, T_local_base).local({"pose": T_local_base[None]}, {"pose": POSE})
         cost, gradient = cost + jnp.sum(local.cost), gradient + jnp.sum(local.gradient, axis=0)
         hessian = hessian + jnp.sum(local.hessian, axis=0)
     return Local(cost, gradient, hessian)
 
 
 def terms_linearised(
-    terms: Terms, T_map_base: Float[ArrayLike, "4 4"]
+    terms: Terms, T_local_base: Float[ArrayLike, "4 4"]
 ) -> tuple[Float[Array, " n"], Float[Array, "n 6"]]:
     """Whitened residuals before any robust loss, and their derivatives by the right tangent of the pose."""
-    T_map_base = jnp.asarray(T_map_base)
-    found = [_like(term, T_map_base).derivatives({"pose": T_map_base[None]}, {"pose": POSE}) for term in terms]
+    T_local_base = jnp.asarray(T_local_base)
+    found = [_like(term, T_local_base).derivatives({"pose": T_local_base[None]}, {"pose": POSE}) for term in terms]
     return jnp.concatenate([r.ravel() for r, _ in found]), jnp.concatenate([J.reshape(-1, 6) for _, J in found])
 
 
-def _like(term: Factors, T_map_base: Float[Array, "4 4"]) -> Factors:
+def _like(term: Factors, T_local_base: Float[Array, "4 4"]) -> Factors:
     """The term in the float type of the pose: measurements in float64 would make the whole solve so."""
 
     def cast(leaf: ArrayLike) -> Array:
         leaf = jnp.asarray(leaf)
-        return leaf.astype(T_map_base.dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+        return leaf.astype(T_local_base.dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
     data, sqrt_info, weight = jax.tree.map(cast, (term.data, term.sqrt_info, term.weight))
     return eqx.tree_at(

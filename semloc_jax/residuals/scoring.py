@@ -28,7 +28,7 @@ class RobustCost(NamedTuple):
 
 
 def robust_cost(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     views: tuple[CameraViews, ...],
     texture: RampTexture,
     usable: Usable,
@@ -37,54 +37,54 @@ def robust_cost(
     path: native_kernels.Path = "auto",
 ) -> RobustCost:
     """Summed robust cost and visible weight of a pose on one level of the cost maps; `path` as `normal_equations`."""
-    summed, visible = jnp.zeros((), T_map_base.dtype), jnp.zeros((), T_map_base.dtype)
+    summed, visible = jnp.zeros((), T_local_base.dtype), jnp.zeros((), T_local_base.dtype)
     for view in views:
-        view = eqx.tree_at(lambda v: v.weight, view, visible_weight(T_map_base, view, usable, border_px, path))
-        summed = summed + jnp.sum(_summed(T_map_base, view, texture, loss, path))
+        view = eqx.tree_at(lambda v: v.weight, view, visible_weight(T_local_base, view, usable, border_px, path))
+        summed = summed + jnp.sum(_summed(T_local_base, view, texture, loss, path))
         ones = jnp.ones_like(view.weight[0])
         visible = visible + jnp.sum(jnp.dot(view.weight, ones, precision=jax.lax.Precision.HIGHEST))
     return RobustCost(summed, visible)
 
 
 def visible_weight(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     view: CameraViews,
     usable: Usable,
     border_px: float,
     path: native_kernels.Path = "auto",
 ) -> Float[Array, "cam p"]:
     """Weight of each sample where it can be seen from a pose, else 0."""
-    if native_kernels.use(path, view.camera, LOSSES["tukey"], T_map_base.dtype) != "analytic":
-        return view.weight * visibility(T_map_base, view, usable, border_px)
+    if native_kernels.use(path, view.camera, LOSSES["tukey"], T_local_base.dtype) != "analytic":
+        return view.weight * visibility(T_local_base, view, usable, border_px)
 
     def one_camera(view: CameraViews) -> Array:
         points = view.p_map, view.channel, view.weight
         camera, scale = (view.camera, view.T_cam_base), 1 / usable.stride
-        return native_kernels.visible_weight(T_map_base, *camera, points, usable.mask, scale, view.index, border_px)
+        return native_kernels.visible_weight(T_local_base, *camera, points, usable.mask, scale, view.index, border_px)
 
     return jax.vmap(one_camera)(view)
 
 
 def ramp_values(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     views: tuple[CameraViews, ...],
     texture: RampTexture,
     path: native_kernels.Path = "auto",
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """`alignment_residual` where no derivative is wanted: by the kernels where they know the camera."""
-    if any(native_kernels.use(path, v.camera, LOSSES["tukey"], T_map_base.dtype) != "analytic" for v in views):
-        return alignment_residual(T_map_base, views, texture)
+    if any(native_kernels.use(path, v.camera, LOSSES["tukey"], T_local_base.dtype) != "analytic" for v in views):
+        return alignment_residual(T_local_base, views, texture)
 
     def one_camera(view: CameraViews) -> Array:
         points = view.p_map, view.channel, view.weight
-        return native_kernels.ramp_values(T_map_base, view.camera, view.T_cam_base, points, texture, view.index)
+        return native_kernels.ramp_values(T_local_base, view.camera, view.T_cam_base, points, texture, view.index)
 
     values = [jax.vmap(one_camera)(view).reshape(-1) for view in views]
     return jnp.concatenate(values), jnp.concatenate([view.weight.reshape(-1) for view in views])
 
 
 def sums_by_piece(
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     views: tuple[CameraViews, ...],
     piece_of: Int[Array, " n"],
     texture: RampTexture,
@@ -96,7 +96,7 @@ def sums_by_piece(
     """What a pose shows of each piece of contour: weight of its samples that can be seen, and the same times rho.
 
     Args:
-        T_map_base: The pose.
+        T_local_base: The pose.
         views: Of all cameras.
         piece_of: Piece of every sample, in the order of `alignment_residual`; those of a camera are numbered from that
             of its first sample on, at most one a sample.
@@ -106,16 +106,16 @@ def sums_by_piece(
         border_px: Samples nearer to the border of the image are not used.
         path: As `normal_equations`.
     """
-    if any(native_kernels.use(path, v.camera, loss, T_map_base.dtype) != "analytic" for v in views):
-        seen = [visible_weight(T_map_base, v, usable, border_px, path) for v in views]
+    if any(native_kernels.use(path, v.camera, loss, T_local_base.dtype) != "analytic" for v in views):
+        seen = [visible_weight(T_local_base, v, usable, border_px, path) for v in views]
         views = tuple(eqx.tree_at(lambda v: v.weight, v, weight) for v, weight in zip(views, seen, strict=True))
-        r, weight = ramp_values(T_map_base, views, texture, path)
+        r, weight = ramp_values(T_local_base, views, texture, path)
         return sums_by_index(jnp.stack([weight, weight * loss.rho(r)]), piece_of, len(piece_of), path)
 
     def one_camera(view: CameraViews, piece: Int[Array, " p"]) -> Array:
         points, camera = (view.p_map, view.channel, view.weight), (view.camera, view.T_cam_base)
         seen = usable.mask, 1 / usable.stride, border_px
-        return native_kernels.piece_sums(T_map_base, *camera, points, piece, *seen, texture, view.index)
+        return native_kernels.piece_sums(T_local_base, *camera, points, piece, *seen, texture, view.index)
 
     found, first = [], 0
     for view in views:
@@ -137,16 +137,16 @@ def sums_by_index(
 
 
 def _summed(
-    T_map_base: Array, view: CameraViews, texture: RampTexture, loss: RobustLoss, path: native_kernels.Path
+    T_local_base: Array, view: CameraViews, texture: RampTexture, loss: RobustLoss, path: native_kernels.Path
 ) -> Float[Array, " cam"]:
     """sum_i w_i rho(r_i) / rho(1) of each camera."""
-    native = native_kernels.use(path, view.camera, loss, T_map_base.dtype) == "analytic"
+    native = native_kernels.use(path, view.camera, loss, T_local_base.dtype) == "analytic"
 
     def one_camera(view: CameraViews) -> Array:
         if native:
             points = view.p_map, view.channel, view.weight
-            return native_kernels.robust_cost(T_map_base, view.camera, view.T_cam_base, points, texture, view.index)
-        x, y, z = points_in_camera(view.T_cam_base, T_map_base, view.p_map)
+            return native_kernels.robust_cost(T_local_base, view.camera, view.T_cam_base, points, texture, view.index)
+        x, y, z = points_in_camera(view.T_cam_base, T_local_base, view.p_map)
         walls = Walls.of(texture)
         (uv,) = stored(walls.odd, jax.lax.complex(*view.camera.project_xyz(x, y, z)[:2]))
         texel = locate(texture, uv.real, uv.imag)

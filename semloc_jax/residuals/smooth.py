@@ -164,41 +164,41 @@ def reach_and_gain(channel: Int[Array, "*n"], model: ChannelModel) -> tuple[Arra
     return reach_px, model.weight[channel] * (reach_px / model.noise_px[channel]) ** 2
 
 
-def _pixels(T_map_base: Array, view: CameraViews) -> tuple[Array, Array, Array]:
-    return view.camera.project_xyz(*points_in_camera(view.T_cam_base, T_map_base, view.p_map))
+def _pixels(T_local_base: Array, view: CameraViews) -> tuple[Array, Array, Array]:
+    return view.camera.project_xyz(*points_in_camera(view.T_cam_base, T_local_base, view.p_map))
 
 
-def smooth_weights(T_map_base: Float[Array, "4 4"], scene: SmoothScene) -> tuple[Float[Array, "cam p"], ...]:
+def smooth_weights(T_local_base: Float[Array, "4 4"], scene: SmoothScene) -> tuple[Float[Array, "cam p"], ...]:
     """Weight of every sample [independent observations], with visibility from a pose."""
 
     def one(view: CameraViews) -> Array:
-        u, v, valid = _pixels(T_map_base, view)
+        u, v, valid = _pixels(T_local_base, view)
         seen = jnp.where(valid, seen_share(u, v, view, scene.usable, scene.border)[0], 0.0)
         return scene.nats_per_px * view.weight * seen
 
     return tuple(jax.vmap(one)(view) for view in scene.views)
 
 
-def smooth_distances(T_map_base: Float[Array, "4 4"], scene: SmoothScene) -> tuple[Float[Array, "cam p"], ...]:
+def smooth_distances(T_local_base: Float[Array, "4 4"], scene: SmoothScene) -> tuple[Float[Array, "cam p"], ...]:
     """Signed distance [px] of every sample to the boundary of its own channel."""
 
     def one(view: CameraViews) -> Array:
-        u, v, _ = _pixels(T_map_base, view)
+        u, v, _ = _pixels(T_local_base, view)
         return cubic_value(distance_patch(u, v, view, scene.maps))
 
     return tuple(jax.vmap(one)(view) for view in scene.views)
 
 
 def smooth_cost(
-    T_map_base: Float[Array, "4 4"], weights: tuple[Float[Array, "cam p"], ...], scene: SmoothScene
+    T_local_base: Float[Array, "4 4"], weights: tuple[Float[Array, "cam p"], ...], scene: SmoothScene
 ) -> Float[Array, ""]:
     """Robust cost of the evidence [nats] with given weights; the one definition of what is minimised.
 
     The weights come in from outside: visibility that the solver may change is a force that pushes bad samples out of
     the image (12 cm on a road). They follow the pose, but the pose does not follow them.
     """
-    total = jnp.zeros((), T_map_base.dtype)
-    for view, weight, distance in zip(scene.views, weights, smooth_distances(T_map_base, scene), strict=True):
+    total = jnp.zeros((), T_local_base.dtype)
+    for view, weight, distance in zip(scene.views, weights, smooth_distances(T_local_base, scene), strict=True):
         reach_px, gain = reach_and_gain(view.channel, scene.model)
         total = total + jnp.sum(weight * gain * LOSSES["tukey"].rho(distance / reach_px))
     return total

@@ -1,8 +1,8 @@
 """Value, force and full curvature of the smooth alignment cost, written out (room: residuals; pure JAX).
 
-In: a vehicle pose and a SmoothScene. Out: CostExpansion, derivatives by the twelve numbers of T_base_map.
-A sample depends on the pose through its three coordinates in the camera, which are linear in T_base_map: everything of
-second order is a 3x3 matrix for each sample. Automatic derivatives of `smooth_cost` are the same, at three times the
+In: a vehicle pose and a SmoothScene. Out: CostExpansion, derivatives by the twelve numbers of T_base_local.
+A sample depends on the pose through its three coordinates in the camera, which are linear in T_base_local: everything
+of second order is a 3x3 matrix for each sample. Automatic derivatives of `smooth_cost` are the same, at three times the
 time and many times the compilation.
 """
 
@@ -33,14 +33,14 @@ class CostExpansion(NamedTuple):
     weight: tuple[Float[Array, "cam p"], ...]
     """Independent observations, with visibility."""
     gradient: Float[Array, "3 4"]
-    """By the numbers of T_base_map, weights held."""
+    """By the numbers of T_base_local, weights held."""
     hessian: Float[Array, "3 4 3 4"]
     """The derivative of the gradient, weights following the pose."""
 
 
-def cost_expansion(T_map_base: Float[Array, "4 4"], scene: SmoothScene) -> CostExpansion:
+def cost_expansion(T_local_base: Float[Array, "4 4"], scene: SmoothScene) -> CostExpansion:
     """The cost of all cameras to second order around a pose."""
-    parts = [jax.vmap(lambda view: _expansion(T_map_base, view, scene))(view) for view in scene.views]
+    parts = [jax.vmap(lambda view: _expansion(T_local_base, view, scene))(view) for view in scene.views]
     return CostExpansion(
         tuple(part.penalty for part in parts),
         tuple(part.weight for part in parts),
@@ -68,9 +68,9 @@ class SampleExpansion(NamedTuple):
     """Weight of the loss: 1 on the boundary, 0 where it has let go."""
 
 
-def sample_expansion(T_map_base: Float[Array, "4 4"], view: CameraViews, scene: SmoothScene) -> SampleExpansion:
+def sample_expansion(T_local_base: Float[Array, "4 4"], view: CameraViews, scene: SmoothScene) -> SampleExpansion:
     """The cost of each sample of one camera to second order; `cost_expansion` is their sum."""
-    p_cam = jnp.stack(points_in_camera(view.T_cam_base, T_map_base, view.p_map))
+    p_cam = jnp.stack(points_in_camera(view.T_cam_base, T_local_base, view.p_map))
     (u, v, valid), slopes = _slopes(view, p_cam)
     patch = distance_patch(u, v, view, scene.maps)
     reach_px, gain = reach_and_gain(view.channel, scene.model)
@@ -108,9 +108,9 @@ def sample_expansion(T_map_base: Float[Array, "4 4"], view: CameraViews, scene: 
     )
 
 
-def _expansion(T_map_base: Array, view: CameraViews, scene: SmoothScene) -> CostExpansion:
+def _expansion(T_local_base: Array, view: CameraViews, scene: SmoothScene) -> CostExpansion:
     p_one = jnp.concatenate([view.p_map, jnp.ones_like(view.p_map[:1])])
-    samples = sample_expansion(T_map_base, view, scene)
+    samples = sample_expansion(T_local_base, view, scene)
     gradient = jnp.einsum("ip,kp->ik", samples.gradient, p_one, precision=_HIGHEST)
     rows = (samples.hessian.reshape(9, 1, -1) * p_one[None]).reshape(36, -1)
     hessian = jnp.matmul(rows, p_one.T, precision=_HIGHEST).reshape(3, 3, 4, 4).transpose(0, 2, 1, 3)

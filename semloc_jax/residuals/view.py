@@ -90,17 +90,17 @@ def contour_points(samples: MapSamples, center_map: Float[Array, "3"]) -> tuple[
 
 def view(
     samples: MapSamples,
-    T_map_base: Float[Array, "4 4"],
+    T_local_base: Float[Array, "4 4"],
     rig: Rig,
     channel_of_label: Int[Array, " label"],
     config: ViewConfig,
     grain: Float[Array | np.ndarray, ""] | float = 1.0,
 ) -> ViewSamples:
-    """The samples that the rig sees from about `T_map_base`, thinned to uniform density along contours in the image.
+    """The samples that the rig sees from about `T_local_base`, thinned to uniform density along contours in the image.
 
     Args:
         samples: Samples in the map frame relative to the local origin [m].
-        T_map_base: Approximate vehicle pose in that frame.
+        T_local_base: Approximate vehicle pose in that frame.
         rig: Cameras.
         channel_of_label: Cost-map channel of each ElementClass; -1 where no mask shows the class.
         config: Ranges, density, capacity.
@@ -110,22 +110,22 @@ def view(
     as they are while the pose is solved. The points themselves are differentiable by `samples.p_map`.
     """
     points = samples.p_map
-    samples, T_map_base, rig = jax.lax.stop_gradient((samples, T_map_base, rig))
+    samples, T_local_base, rig = jax.lax.stop_gradient((samples, T_local_base, rig))
     config = replace(config, min_ground_px_per_m=rig.finer * config.min_ground_px_per_m)
-    dtype = T_map_base.dtype
+    dtype = T_local_base.dtype
     buckets = []
     for camera, T_base_cam in zip(rig.cameras, rig.T_base_cam, strict=True):
         native = native_kernels.use(config.path, camera, LOSSES["tukey"], dtype) == "analytic"
         one_camera = _native_view if native else _camera_view
         T_base_cam = jnp.asarray(T_base_cam, dtype)
-        buckets.append(one_camera(samples, points, T_map_base, T_base_cam, camera, channel_of_label, config, grain))
+        buckets.append(one_camera(samples, points, T_local_base, T_base_cam, camera, channel_of_label, config, grain))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *buckets)
 
 
 def _native_view(
     samples: MapSamples,
     points: Array,
-    T_map_base: Array,
+    T_local_base: Array,
     T_base_cam: Array,
     camera: Camera,
     channel_of_label: Array,
@@ -137,7 +137,7 @@ def _native_view(
     limits = config.margin_share, config.max_range_m, config.min_ground_px_per_m, config.min_spacing_px
     numbers = (*limits, config.metric_exponent, config.shared_error, *noise, config.most_alone, PX_PER_M)
     seen = native_kernels.view(
-        T_map_base,
+        T_local_base,
         T_base_cam,
         samples,
         jnp.asarray(channel_of_label),
@@ -155,16 +155,16 @@ def _native_view(
 def _camera_view(
     samples: MapSamples,
     points: Array,
-    T_map_base: Array,
+    T_local_base: Array,
     T_base_cam: Array,
     camera: Camera,
     channel_of_label: Array,
     config: ViewConfig,
     grain: Array | np.ndarray | float,
 ) -> ViewSamples:
-    T_map_cam, ground_z = T_map_base @ T_base_cam, T_map_base[2, 3]
-    p_map, is_contour = contour_points(samples, T_map_cam[:3, 3])
-    seen = _in_image(p_map, samples, T_map_cam, ground_z, camera, config)
+    T_local_cam, ground_z = T_local_base @ T_base_cam, T_local_base[2, 3]
+    p_map, is_contour = contour_points(samples, T_local_cam[:3, 3])
+    seen = _in_image(p_map, samples, T_local_cam, ground_z, camera, config)
     p_cam, length_px, depth_px_per_m = seen.p_cam, seen.length_px, seen.depth_px_per_m
     channel = jnp.asarray(channel_of_label)[samples.label]
     on_ground = jnp.isin(samples.label, jnp.asarray(GROUND_CLASSES))
@@ -238,12 +238,12 @@ class _InImage(NamedTuple):
 
 
 def _in_image(
-    p_map: Array, samples: MapSamples, T_map_cam: Array, ground_z: Array, camera: Camera, config: ViewConfig
+    p_map: Array, samples: MapSamples, T_local_cam: Array, ground_z: Array, camera: Camera, config: ViewConfig
 ) -> _InImage:
-    T_cam_map = lie.inverse(T_map_cam)
-    p_cam = lie.transform(T_cam_map, p_map)
-    rotation = T_cam_map.at[:3, 3].set(0.0)
-    away = (p_map - T_map_cam[:3, 3]) * jnp.asarray([1.0, 1.0, 0.0], p_map.dtype)
+    T_cam_local = lie.inverse(T_local_cam)
+    p_cam = lie.transform(T_cam_local, p_map)
+    rotation = T_cam_local.at[:3, 3].set(0.0)
+    away = (p_map - T_local_cam[:3, 3]) * jnp.asarray([1.0, 1.0, 0.0], p_map.dtype)
     away_m = jnp.linalg.norm(away, axis=-1)
     away = away / jnp.maximum(away_m, 1e-3)[:, None]
     seen = projected(camera, p_cam.T, config.path)

@@ -136,7 +136,7 @@ def test_the_spread_is_that_of_the_posterior_on_a_grid(at_m):
     mean = share @ moves[:, 0]
     expected = np.sqrt(share @ (moves[:, 0] - mean) ** 2)
     about_best = np.asarray(road.spread, float)[0, 0]
-    best = float((np.linalg.inv(np.asarray(T_true)) @ np.asarray(road.Ts_map_base[0]))[0, 3])
+    best = float((np.linalg.inv(np.asarray(T_true)) @ np.asarray(road.Ts_local_base[0]))[0, 3])
     assert np.sqrt(about_best) == pytest.approx(np.sqrt(expected**2 + (mean - best) ** 2), rel=0.2, abs=0.02)
 
 
@@ -151,8 +151,8 @@ def test_a_tracked_frame_knows_how_open_it_is_along_the_road(more, shortest_m, l
         frame, local_map = localizer.prepare([drawn(semantic_map)], RIG, T_road)
         prior = predicted.to_solver(T_road, local_map.frame, localizer.config.road)
         config = TrackAlignConfig()
-        evidence = evidence_from(prior.T_map_base, frame, config.view)
-        mean, moment, _ = jax.jit(valley_along, static_argnames="config")(prior.T_map_base, evidence, prior, config)
+        evidence = evidence_from(prior.T_local_base, frame, config.view)
+        mean, moment, _ = jax.jit(valley_along, static_argnames="config")(prior.T_local_base, evidence, prior, config)
     assert shortest_m < float(jnp.sqrt(moment[0, 0])) < longest_m
     assert abs(float(mean[0])) < 0.15
 

@@ -27,8 +27,8 @@ def test_starts_through_several_rigs_at_once_end_as_through_each_alone():
         together = steps.solved_with_few(np.tile(starts, (3, 1, 1)), 1e3, rigs=rigs, lens=lens)
         for number, rig in enumerate(rigs):
             alone = steps.solved_with_few(starts, 1e3, rigs=[rig])
-            np.testing.assert_array_equal(together.estimates.T_map_base[lens == number], alone.estimates.T_map_base)
+            np.testing.assert_array_equal(together.estimates.T_local_base[lens == number], alone.estimates.T_local_base)
             np.testing.assert_array_equal(together.score[lens == number], alone.score)
-    stated_m, longer_m, shorter_m = together.estimates.T_map_base[::2, 0, 3] - steps.T_prior[0, 3]
+    stated_m, longer_m, shorter_m = together.estimates.T_local_base[::2, 0, 3] - steps.T_prior[0, 3]
     assert abs(stated_m) < 0.08  # few samples
     assert longer_m < stated_m - 0.1 and shorter_m > stated_m + 0.1

@@ -83,7 +83,7 @@ def test_every_leaf_has_a_finite_derivative(street, rig, mask, kind):
     numbers = [leaf for leaf in found if jnp.issubdtype(leaf.dtype, jnp.floating)]
     assert len(numbers) >= 14 and all(np.isfinite(leaf).all() for leaf in numbers)
     by_scene, by_prior = slopes(scene, prior, T_start)
-    assert float(jnp.abs(by_prior.T_map_base).max()) > 0
+    assert float(jnp.abs(by_prior.T_local_base).max()) > 0
     seen = float(jnp.abs(by_scene.maps.distance_px).max()), float(jnp.abs(by_scene.views[0].p_map).max())
     assert min(seen) > 0 if kind in ("as it is", "locked") else max(seen) >= 0
 

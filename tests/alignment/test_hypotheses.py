@@ -58,7 +58,7 @@ def estimates(covariance, num):
         return jnp.broadcast_to(jnp.asarray(value), (num, *np.shape(value)))
 
     return PoseEstimate(
-        T_map_base=poses(np.arange(num), np.zeros(num), np.zeros(num)),
+        T_local_base=poses(np.arange(num), np.zeros(num), np.zeros(num)),
         covariance=jnp.asarray(covariance),
         cost=jnp.arange(num) / 10.0,
         coverage=row(1.0),

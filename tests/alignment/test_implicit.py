@@ -30,7 +30,7 @@ KINDS = {
     "focal lengths": (lambda t: (t.scene.views[0].camera.fx, t.scene.views[0].camera.fy), 1.0),
     "principal point": (lambda t: (t.scene.views[0].camera.cx, t.scene.views[0].camera.cy), 1.0),
     "sigmas of the prior": (lambda t: t.prior.sigma, SIGMA),
-    "offset of GNSS to map": (lambda t: t.prior.T_map_base, None),
+    "offset of GNSS to map": (lambda t: t.prior.T_local_base, None),
     "extrinsics": (lambda t: t.scene.views[0].T_cam_base, None),
 }
 
@@ -52,7 +52,7 @@ def changed(trial, amounts, seed):
 
 def solve(trial, amounts, seed=0):
     trial = changed(trial, amounts, seed)
-    return smooth_optimum(jax.lax.stop_gradient(trial.prior.T_map_base), trial.scene, trial.prior, CONFIG)
+    return smooth_optimum(jax.lax.stop_gradient(trial.prior.T_local_base), trial.scene, trial.prior, CONFIG)
 
 
 def tangents(trial, amounts):
@@ -98,7 +98,7 @@ def two_lines(nats_per_px):
         lambda t: t.scene.views[0].weight,
         lambda t: t.scene.model,
         lambda t: t.scene.nats_per_px,
-        lambda t: t.prior.T_map_base,
+        lambda t: t.prior.T_local_base,
     )
     alike = jax.tree.map(lambda leaf: jnp.full(2, leaf[0]), trial.scene.model)
     channel = np.repeat([0, 1], NUM // 2)[None]
@@ -119,7 +119,7 @@ def broken():
     trial = random_trial(1)
     nowhere = {
         "point": (lambda t: t.scene.views[0].p_map, lambda leaf: leaf.at[0, 0, 3].set(jnp.nan)),
-        "prior": (lambda t: t.prior.T_map_base, lambda leaf: leaf.at[0, 3].set(jnp.inf)),
+        "prior": (lambda t: t.prior.T_local_base, lambda leaf: leaf.at[0, 3].set(jnp.inf)),
         "noise": (lambda t: t.scene.model.noise_px, jnp.zeros_like),
         "pixels": (lambda t: t.scene.maps.distance_px, lambda leaf: jnp.full_like(leaf, jnp.nan)),
         "nothing": (lambda t: t.scene.usable.mask, jnp.zeros_like),
@@ -137,7 +137,7 @@ def test_every_scene_converges_to_the_optimum():
 def finite_differences(amounts, h=1e-5):
     """Change of the pose [sigma] in each of the hundred scenes along some amounts, by solving twice."""
     ahead, behind = (
-        np.asarray(differentiate()(trials(), jnp.asarray(step * amounts))[1].T_map_base)[:100] for step in (h, -h)
+        np.asarray(differentiate()(trials(), jnp.asarray(step * amounts))[1].T_local_base)[:100] for step in (h, -h)
     )
     return rigid.log(rigid.inverse(behind) @ ahead) / (2 * h) / SIGMA
 
@@ -214,7 +214,7 @@ def test_the_polish_stays_where_the_fast_solve_ends_and_a_gradient_adds_no_loop_
     estimate, gradient = pose(inexact), loss(inexact)
     assert SolveStatus(int(estimate.status)) == SolveStatus.CONVERGED
     fast = jax.jit(partial(align_one, config=coarse_to_fine))(start, world.evidence, prior)
-    moved = np.abs(np.asarray(lie.log(lie.inverse(fast.T_map_base) @ estimate.T_map_base)))
+    moved = np.abs(np.asarray(lie.log(lie.inverse(fast.T_local_base) @ estimate.T_local_base)))
     assert moved[:3].max() < 0.005
     assert np.degrees(moved[3:].max()) < 0.05
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))

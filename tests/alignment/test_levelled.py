@@ -38,7 +38,7 @@ def test_a_lane_aside_the_prior_leans_the_other_way_and_keeps_its_place():
     prior = Prior(jnp.asarray(frame.from_map(guess)), jnp.asarray([2.0, 2.0, 0.03, 0.01, 0.01, 0.05], jnp.float32))
     found = frame.from_map(road.road_pose(3.0, -1.75, 0.0))
     T, around = levelled(found, prior, road, frame, RoadSigmas())
-    centre = np.asarray(around.T_map_base, np.float64)
+    centre = np.asarray(around.T_local_base, np.float64)
     assert roll_deg(guess) == pytest.approx(-np.degrees(np.arctan(SLOPE)), abs=0.2)
     assert roll_deg(centre) == pytest.approx(np.degrees(np.arctan(SLOPE)), abs=0.2)
     np.testing.assert_allclose(centre[:2, 3], guess[:2, 3], atol=0.01)

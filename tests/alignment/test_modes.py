@@ -29,7 +29,7 @@ def modes_of(Ts, scores, weights, sigmas=None):
     sigmas = np.full((n, 6), 0.1) if sigmas is None else np.asarray(sigmas)
     ramp = jnp.arange(n, dtype=jnp.float32) / 10
     estimates = PoseEstimate(
-        T_map_base=jnp.asarray(np.stack(Ts), jnp.float32),
+        T_local_base=jnp.asarray(np.stack(Ts), jnp.float32),
         covariance=jnp.asarray(np.stack([np.diag(s**2) for s in sigmas]), jnp.float32),
         cost=ramp,
         coverage=1 - ramp,

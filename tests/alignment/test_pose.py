@@ -43,7 +43,7 @@ solve = jax.jit(align_one, static_argnames="config")
 
 def error(estimate, world):
     """Tangent from the truth to the estimate."""
-    return rigid.log(rigid.inverse(np.asarray(world.T_true, float)) @ np.asarray(estimate.T_map_base, float))
+    return rigid.log(rigid.inverse(np.asarray(world.T_true, float)) @ np.asarray(estimate.T_local_base, float))
 
 
 def assert_all_finite(estimate):
@@ -56,7 +56,7 @@ def test_finds_the_truth_from_half_a_metre_and_two_degrees(name):
     world = world_of(name)
     estimate = solve(world.moved(OFF), world.evidence, world.prior(OFF), config=LEVELS)
     assert SolveStatus(int(estimate.status)) == SolveStatus.CONVERGED
-    assert estimate.T_map_base.dtype == np.float32
+    assert estimate.T_local_base.dtype == np.float32
     found = error(estimate, world)
     # The prior is off by OFF and pulls by a few parts in a hundred; boundaries are exact to a hundredth of a pixel.
     assert np.abs(found[:2]).max() < 0.02
@@ -80,7 +80,7 @@ def test_many_starts_are_one_start_each():
     many = eqx.filter_jit(lambda Ts, e, p: align_many(Ts, e, p, LEVELS, chunk=2))(Ts, world.evidence, world.prior(OFF))
     for k, T in enumerate(Ts):
         one = solve(T, world.evidence, world.prior(OFF), config=LEVELS)
-        np.testing.assert_allclose(many.T_map_base[k], one.T_map_base, atol=2e-4)
+        np.testing.assert_allclose(many.T_local_base[k], one.T_local_base, atol=2e-4)
         assert int(many.status[k]) == int(one.status)
 
 
@@ -122,13 +122,13 @@ def test_locked_directions_do_not_move_at_all():
     world = world_of("radtan")
     level = jnp.asarray(rigid.planar_pose(31.2, -12.1, 0.72, 0.02).astype(np.float32))
     estimate = solve(level, world.evidence, Prior(level, world.sigma.at[2:5].set(0.0)), config=LEVELS)
-    T = np.asarray(estimate.T_map_base)
+    T = np.asarray(estimate.T_local_base)
     assert np.array_equal(T[2], [0.0, 0.0, 1.0, np.float32(0.02)])
     assert np.array_equal(T[:2, 2], [0.0, 0.0])
     assert np.linalg.norm(T[:2, 3] - [31.2, -12.1]) > 0.1
     assert np.array_equal(np.asarray(estimate.covariance)[2:5], np.zeros((3, 6)))
     everything = solve(world.moved(OFF), world.evidence, world.prior(sigma=np.zeros(6)), config=LEVELS)
-    assert np.array_equal(everything.T_map_base, world.moved(OFF))
+    assert np.array_equal(everything.T_local_base, world.moved(OFF))
 
 
 def broken(world, what):
@@ -164,7 +164,7 @@ def test_without_evidence_the_prior_stands(what, status):
     estimate = solve(start, evidence, prior, config=LEVELS)
     assert SolveStatus(int(estimate.status)) == status
     assert_all_finite(estimate)
-    np.testing.assert_allclose(estimate.T_map_base, prior.T_map_base, atol=8e-3)  # a hundredth of the sigmas
+    np.testing.assert_allclose(estimate.T_local_base, prior.T_local_base, atol=8e-3)  # a hundredth of the sigmas
     np.testing.assert_allclose(estimate.covariance, np.diag(np.asarray(prior.sigma) ** 2), rtol=1e-3, atol=1e-7)
     assert float(estimate.cost) == pytest.approx(1.0, abs=1e-5)
     assert float(estimate.inlier_ratio) == 0.0
@@ -177,7 +177,7 @@ def test_a_start_that_is_no_number_ends_at_the_prior(bad):
     estimate = solve(start, world.evidence, world.prior(), config=LEVELS)
     assert SolveStatus(int(estimate.status)) == SolveStatus.NOT_FINITE
     assert "NaN" in STATUS_TEXT[SolveStatus(int(estimate.status))]
-    assert np.array_equal(estimate.T_map_base, world.prior().T_map_base)
+    assert np.array_equal(estimate.T_local_base, world.prior().T_local_base)
 
 
 def test_a_prior_that_is_no_number_ends_at_the_start():
@@ -185,14 +185,14 @@ def test_a_prior_that_is_no_number_ends_at_the_start():
     for prior in (Prior(NOWHERE, world.sigma), Prior(world.T_true, jnp.full(6, jnp.nan, jnp.float32))):
         estimate = solve(world.moved(OFF), world.evidence, prior, config=LEVELS)
         assert SolveStatus(int(estimate.status)) == SolveStatus.NOT_FINITE
-        assert np.array_equal(estimate.T_map_base, world.moved(OFF))
+        assert np.array_equal(estimate.T_local_base, world.moved(OFF))
 
 
 def test_neither_start_nor_prior_still_gives_a_pose():
     world = world_of("radtan")
     estimate = solve(NOWHERE, world.evidence, Prior(NOWHERE, world.sigma), config=LEVELS)
     assert SolveStatus(int(estimate.status)) == SolveStatus.NOT_FINITE
-    assert np.array_equal(estimate.T_map_base, np.eye(4))
+    assert np.array_equal(estimate.T_local_base, np.eye(4))
 
 
 def test_too_few_steps_are_said():
@@ -211,9 +211,9 @@ def test_a_level_finer_than_the_scatter_is_left_again():
     evidence = eqx.tree_at(lambda e: e.views[0].p_map, world.evidence, scattered)
     both = solve(world.T_true, evidence, world.prior(), config=LEVELS)
     coarse = solve(world.T_true, evidence, world.prior(), config=replace(LEVELS, levels=(0,)))
-    fine = jax.jit(assess, static_argnames="config")(both.T_map_base, 1, evidence, world.prior(), config=LEVELS)
+    fine = jax.jit(assess, static_argnames="config")(both.T_local_base, 1, evidence, world.prior(), config=LEVELS)
     assert float(fine.inlier_ratio) < LEVELS.min_inlier_ratio
-    np.testing.assert_allclose(both.T_map_base, coarse.T_map_base, atol=1e-6)
+    np.testing.assert_allclose(both.T_local_base, coarse.T_local_base, atol=1e-6)
 
 
 def test_ignored_pixels_are_not_evidence():

@@ -44,12 +44,12 @@ class Scene:
     def cost_function(self, level: int, certificate):
         """Cost of places [n 3] (longitudinal, lateral [m], heading [rad]) about the pivot, in float64."""
         problem = plane_problem(self.T_true, self.evidence, ALIGN, level)
-        np.testing.assert_allclose(problem.T_map_base, certificate.T_map_base, atol=1e-6)
+        np.testing.assert_allclose(problem.T_local_base, certificate.T_local_base, atol=1e-6)
         (view,) = problem.views
         p_map, weight, channel = (np.asarray(leaf[0], np.float64) for leaf in (view.p_map, view.weight, view.channel))
         used = weight > 0
         p_map, weight, channel = p_map[:, used], weight[used], channel[used].astype(int)
-        T_base_map = np.linalg.inv(certificate.T_map_base)
+        T_base_map = np.linalg.inv(certificate.T_local_base)
         T_cam_base, pivot = np.asarray(view.T_cam_base[0], np.float64), certificate.pivot[:, None]
         p_pivot = T_base_map[:3, :3] @ p_map + T_base_map[:3, 3:] - pivot
         ramp = np.asarray(self.maps.ramps[level][0], np.float64) / 127.0 - 1.0

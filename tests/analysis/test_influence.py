@@ -26,7 +26,7 @@ def largest_difference(seeds, solve):
         trial, rng = random_trial(seed), np.random.default_rng(seed)
         found = balance(np.asarray(trial.T_true), trial.scene, trial.prior, ROWS, 4)
         assert found.is_exact
-        motion, T = influence(found.terms, SIGMA).motion, found.T_map_base
+        motion, T = influence(found.terms, SIGMA).motion, found.T_local_base
         np.testing.assert_allclose(motion.sum(axis=0), np.eye(6), atol=1e-8)
         for k in range(5):
             eta, ends = rng.normal(size=6) * [1, 1, 0.2, 0.05, 0.05, 0.05], []
@@ -36,9 +36,9 @@ def largest_difference(seeds, solve):
                 q = np.einsum("ij,cjp->cip", X[:3, :3], p) + X[:3, 3:]
                 is_own = (HOLDER == k)[:, None]
                 scene = eqx.tree_at(lambda s: s.views[0].p_map, trial.scene, jnp.asarray(np.where(is_own, q, p)))
-                T_prior = np.asarray(trial.prior.T_map_base)
+                T_prior = np.asarray(trial.prior.T_local_base)
                 moved = jnp.asarray(X @ T_prior if k == 4 else T_prior)
-                prior = eqx.tree_at(lambda p: p.T_map_base, trial.prior, moved)
+                prior = eqx.tree_at(lambda p: p.T_local_base, trial.prior, moved)
                 ends.append(np.asarray(solve(T, scene, prior)))
             finite = rigid.log(rigid.inverse(ends[0]) @ ends[1]) / 2e-5
             told = (motion[k] if k < 4 else motion[4] + motion[5]) @ eta
@@ -51,7 +51,7 @@ def test_derivatives_are_those_of_solving_again():
     """Elements and the prior moved and turned in five random scenes: within 1 %; in fact within 1e-6."""
 
     def again(T, scene, prior):
-        return balance(T, scene, prior, ROWS, 4).T_map_base
+        return balance(T, scene, prior, ROWS, 4).T_local_base
 
     assert largest_difference(range(5), again) < 1e-5
 
@@ -59,7 +59,7 @@ def test_derivatives_are_those_of_solving_again():
 @pytest.mark.slow
 def test_and_of_the_other_solver_in_a_hundred_scenes():
     """Where `alignment.implicit.smooth_optimum` solves again."""
-    solve = jax.jit(lambda T, scene, prior: smooth_optimum(T, scene, prior, SmoothConfig()).T_map_base)
+    solve = jax.jit(lambda T, scene, prior: smooth_optimum(T, scene, prior, SmoothConfig()).T_local_base)
     worst = largest_difference(range(100), solve)
     print(f"largest of 500 differences: {worst:.1e}")
     assert worst < 0.01
@@ -78,7 +78,7 @@ def test_so_are_those_of_a_frame(simulated_road):
         is_own = [(element == row)[:, None] for element in look.holder]
         moved = [view.p_map + own * step[:, None] for view, own in zip(scene.views, is_own, strict=True)]
         changed = eqx.tree_at(lambda s: [view.p_map for view in s.views], scene, moved)
-        return balance(T_local_base, changed, look.prior, look.holder, look.capacity).T_map_base
+        return balance(T_local_base, changed, look.prior, look.holder, look.capacity).T_local_base
 
     T_local_base = look.local_map.frame.from_map(found.T_map_base, np.float64)
     for holder in found.elements[:4]:

@@ -21,7 +21,7 @@ USABLE = Usable(jnp.ones((1, 75, 120), bool), 2)
 def moved(problem, state, seed, pose_scale, shared_scale):
     """The state after a seeded random step, shared unknowns in sigmas."""
     rng = np.random.default_rng(seed)
-    poses = rng.normal(size=(len(state.T_map_base), 6)) * pose_scale
+    poses = rng.normal(size=(len(state.T_local_base), 6)) * pose_scale
     shared = rng.normal(size=len(problem.sigma)) * shared_scale
     return jit_quickly(lambda *given: given[0].retract(*given[1:]))(problem, state, (poses, shared))
 
@@ -45,7 +45,7 @@ def lens_scene():
 
 def test_gradient_is_that_of_the_residuals_by_finite_differences(lens_scene):
     problem, state = lens_scene
-    num, size = len(state.T_map_base), len(problem.sigma)
+    num, size = len(state.T_local_base), len(problem.sigma)
 
     @jit_quickly
     def cost(x):

@@ -159,9 +159,9 @@ def test_a_whole_drive_takes_the_terms_of_all_its_poses():
 def test_calibration_takes_terms():
     """The normal equations with terms are those of the residuals, by finite differences."""
     problem, state = build("radtan", (0.05, 0.1, -0.02, 0.0), (), 150)
-    told = joined([(ranges(np.asarray(T) @ rigid.exp(OFF)),) for T in state.T_map_base])
+    told = joined([(ranges(np.asarray(T) @ rigid.exp(OFF)),) for T in state.T_local_base])
     with_terms = replace(problem, terms=told)
-    num, size = len(state.T_map_base), len(problem.sigma)
+    num, size = len(state.T_local_base), len(problem.sigma)
 
     @jit_quickly
     def cost(problem, x):

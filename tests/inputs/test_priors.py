@@ -116,8 +116,8 @@ def test_the_solvers_prior_is_local_and_holds_the_road(sloping_map):
     prior = PosePrior(1.0, 0.5, 0.0, 1.2, 0.05)
     T, origin = prior.on_road(sloping_map), np.array([0.5, 0.5, 7.0])
     solver = prior.to_solver(T, LocalFrame(origin), RoadSigmas(0.03, 0.5))
-    assert solver.T_map_base.dtype == np.float32
-    np.testing.assert_allclose(solver.T_map_base[:3, 3], T[:3, 3] - origin, atol=1e-6)
+    assert solver.T_local_base.dtype == np.float32
+    np.testing.assert_allclose(solver.T_local_base[:3, 3], T[:3, 3] - origin, atol=1e-6)
     tilt = np.radians(0.5)
     np.testing.assert_allclose(solver.sigma, [1.2, 1.2, 0.03, tilt, tilt, 0.05], rtol=1e-6)
 

@@ -85,8 +85,8 @@ class ShapeFactors:
 def _shifted(residual: Callable) -> Callable:
     """The residual of a landmark that is elsewhere; the same function object for the same residual."""
 
-    def of_shifted(T_map_base, shift, points_map, *rest):
-        return residual(T_map_base, points_map + shift, *rest)
+    def of_shifted(T_local_base, shift, points_map, *rest):
+        return residual(T_local_base, points_map + shift, *rest)
 
     return of_shifted
 

@@ -35,9 +35,9 @@ struct Motion {
     }
   }
 
-  // T_cam_base inverse(T_map_base).
-  static Motion camera_from_map(const float* T_cam_base, const float* T_map_base) {
-    const Motion cam(T_cam_base), base(T_map_base);
+  // T_cam_base inverse(T_local_base).
+  static Motion camera_from_map(const float* T_cam_base, const float* T_local_base) {
+    const Motion cam(T_cam_base), base(T_local_base);
     Motion out = cam;
     for (int i = 0; i < 3; ++i) {
       for (int j = 0; j < 3; ++j) {

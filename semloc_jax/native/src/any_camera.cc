@@ -37,7 +37,7 @@ Problem Accumulate(const Call& call) {
   for_each_item(call, batch.size, value.length, [&](int64_t item) {
     const auto place = chart.at(batch, item);
     const float* T = T_cam_base.at(batch, item);
-    const Sums sums = accumulate(Motion::camera_from_map(T, place.T_map_base), points.at(batch, item),
+    const Sums sums = accumulate(Motion::camera_from_map(T, place.T_local_base), points.at(batch, item),
                                  slope_xy.at(batch, item), slope_z.at(batch, item), value.at(batch, item));
     to_chart(sums, T, place.jacobian, place.sigma, hessian + 36 * item, gradient + 6 * item);
     cost[item] = sums.cost;

@@ -32,7 +32,7 @@ Problem NormalEquations(const Call& call) {
     if (*skip.at(batch, item)) return;
     const auto place = chart.at(batch, item);
     const float* T = T_cam_base.at(batch, item);
-    const Sums sums = normal_equations(camera.at<Camera>(batch, item), Motion::camera_from_map(T, place.T_map_base),
+    const Sums sums = normal_equations(camera.at<Camera>(batch, item), Motion::camera_from_map(T, place.T_local_base),
                                        points.at(batch, item), texture.at(batch, item));
     to_chart(sums, T, place.jacobian, place.sigma, hessian + 36 * item, gradient + 6 * item);
     cost[item] = sums.cost;
@@ -47,12 +47,12 @@ Usable usable_of(const Buffer& buffer, const uint8_t* mask, int32_t camera, floa
   return {mask + static_cast<int64_t>(camera) * height * width, height, width, scale};
 }
 
-// T_map_base, T_cam_base, points, usable [cam h w], its scale, camera's place, margin, camera -> weight [p].
+// T_local_base, T_cam_base, points, usable [cam h w], its scale, camera's place, margin, camera -> weight [p].
 Problem VisibleWeight(const Call& call) {
   const Batch batch(call.result(0), 1);
   if (batch.rank > kMaxBatchRank) return kTooManyAxes;
   Operands operands(call, batch);
-  const auto T_map_base = operands.take<float>();
+  const auto T_local_base = operands.take<float>();
   const auto T_cam_base = operands.take<float>();
   const PointOperands points(operands);
   const auto usable_buffer = call.operand(5);
@@ -67,7 +67,7 @@ Problem VisibleWeight(const Call& call) {
     const Points filled = points.at(batch, item).filled();
     float* own = weight + num * item;
     visible_weight(camera.at<Camera>(batch, item),
-                   Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)), filled,
+                   Motion::camera_from_map(T_cam_base.at(batch, item), T_local_base.at(batch, item)), filled,
                    usable_of(usable_buffer, usable.at(batch, item), *index.at(batch, item), *scale.at(batch, item)),
                    *margin_px.at(batch, item), own);
     std::fill(own + filled.count, own + num, 0.0f);
@@ -75,21 +75,21 @@ Problem VisibleWeight(const Call& call) {
   return nullptr;
 }
 
-// Calls function(item, camera, motion into it, points, texture) for T_map_base, T_cam_base, points, texture, camera.
+// Calls function(item, camera, motion into it, points, texture) for T_local_base, T_cam_base, points, texture, camera.
 template <typename Function>
 Problem for_each_texture(const Call& call, int core_rank, const Function& function) {
   const int32_t num_channels = call.attribute<int32_t>("num_channels");
   const Batch batch(call.result(0), core_rank);
   if (batch.rank > kMaxBatchRank) return kTooManyAxes;
   Operands operands(call, batch);
-  const auto T_map_base = operands.take<float>();
+  const auto T_local_base = operands.take<float>();
   const auto T_cam_base = operands.take<float>();
   const PointOperands points(operands);
   const TextureOperands texture(operands, num_channels);
   const CameraOperands camera(operands);
   for_each_item(call, batch.size, points.p_map.length, [&](int64_t item) {
     function(item, camera.at<Camera>(batch, item),
-             Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)), points.at(batch, item),
+             Motion::camera_from_map(T_cam_base.at(batch, item), T_local_base.at(batch, item)), points.at(batch, item),
              texture.at(batch, item));
   });
   return nullptr;
@@ -98,18 +98,18 @@ Problem for_each_texture(const Call& call, int core_rank, const Function& functi
 // Operands of for_each_texture, weights: visible -> sum of w rho / rho(1) [].
 Problem RobustCost(const Call& call) {
   float* cost = call.result_data<float>(0);
-  return for_each_texture(call, 0, [&](int64_t item, const Camera& camera, const Motion& T_cam_map, const Points& points,
+  return for_each_texture(call, 0, [&](int64_t item, const Camera& camera, const Motion& T_cam_local, const Points& points,
                                        const Texture& texture) {
-    cost[item] = robust_cost(camera, T_cam_map, points.filled(), texture);
+    cost[item] = robust_cost(camera, T_cam_local, points.filled(), texture);
   });
 }
 
 // Operands of for_each_texture -> ramp value [p].
 Problem RampValues(const Call& call) {
   float* value = call.result_data<float>(0);
-  return for_each_texture(call, 1, [&](int64_t item, const Camera& camera, const Motion& T_cam_map, const Points& points,
+  return for_each_texture(call, 1, [&](int64_t item, const Camera& camera, const Motion& T_cam_local, const Points& points,
                                        const Texture& texture) {
-    ramp_values(camera, T_cam_map, points, texture, value + int64_t{points.count} * item);
+    ramp_values(camera, T_cam_local, points, texture, value + int64_t{points.count} * item);
   });
 }
 
@@ -127,14 +127,14 @@ Problem Project(const Call& call) {
   return nullptr;
 }
 
-// T_map_base, T_cam_base, points, piece of each [p], usable, its scale, margin, texture, camera -> by piece: weight that
+// T_local_base, T_cam_base, points, piece of each [p], usable, its scale, margin, texture, camera -> by piece: weight that
 // is seen, and weight times rho [2 p].
 Problem PieceSums(const Call& call) {
   const int32_t num_channels = call.attribute<int32_t>("num_channels");
   const Batch batch(call.result(0), 2);
   if (batch.rank > kMaxBatchRank) return kTooManyAxes;
   Operands operands(call, batch);
-  const auto T_map_base = operands.take<float>(), T_cam_base = operands.take<float>();
+  const auto T_local_base = operands.take<float>(), T_cam_base = operands.take<float>();
   const PointOperands points(operands);
   const auto piece = operands.take<int32_t>();
   const auto mask_buffer = call.operand(6);
@@ -147,7 +147,7 @@ Problem PieceSums(const Call& call) {
   for_each_item(call, batch.size, num, [&](int64_t item) {
     const Usable usable = usable_of(mask_buffer, mask.at(batch, item), *texture.camera.at(batch, item), *scale.at(batch, item));
     piece_sums(camera.at<Camera>(batch, item),
-               Motion::camera_from_map(T_cam_base.at(batch, item), T_map_base.at(batch, item)),
+               Motion::camera_from_map(T_cam_base.at(batch, item), T_local_base.at(batch, item)),
                points.at(batch, item).filled(), usable, texture.at(batch, item), *margin_px.at(batch, item),
                piece.at(batch, item), num,
                sums + 2 * int64_t{num} * item);
@@ -233,14 +233,14 @@ struct SampleOperands {
   }
 };
 
-// T_map_base, T_base_cam, samples, channel and weight of labels, grain, numbers of the view, camera -> by slot: index of
+// T_local_base, T_base_cam, samples, channel and weight of labels, grain, numbers of the view, camera -> by slot: index of
 // the sample, silhouette [3], tangent [3], weight, channel, element, edge.
 Problem View(const Call& call) {
   const int32_t num_ground = call.attribute<int32_t>("num_ground");
   const Batch batch(call.result(0), 1);
   if (batch.rank > kMaxBatchRank) return kTooManyAxes;
   Operands operands(call, batch);
-  const auto T_map_base = operands.take<float>(), T_base_cam = operands.take<float>();
+  const auto T_local_base = operands.take<float>(), T_base_cam = operands.take<float>();
   const SampleOperands samples(operands);
   const auto channel = operands.take<int32_t>();
   const auto class_weight = operands.take<float>(), grain = operands.take<float>(), numbers = operands.take<float>();
@@ -264,7 +264,7 @@ Problem View(const Call& call) {
     const Labels labels{channel.at(batch, item), class_weight.at(batch, item), num_ground};
     std::vector<int32_t> nearby;
     std::vector<Sighting> seen;
-    sightings(model, Stand(T_map_base.at(batch, item), T_base_cam.at(batch, item)), all, labels, limits, config.min_ground,
+    sightings(model, Stand(T_local_base.at(batch, item), T_base_cam.at(batch, item)), all, labels, limits, config.min_ground,
               nearby, seen);
     view(seen, all, labels, *grain.at(batch, item), config, slots(item));
   });
@@ -286,7 +286,7 @@ SEMLOC_CALL(semloc_refine, semloc::Refine)
 // What poses [n 4 4] see of the map, not through XLA: how many rows there are is known only afterwards, and most samples
 // are out of view. Rows of samples in the order of MapSamples; numbers of the borders: stride, stride of the usable
 // pixels, margin, largest range, least pixels of a metre on the ground, size of a cell.
-extern "C" int64_t semloc_observe(const float* const* leaves, const float* T_base_cam, const float* Ts_map_base,
+extern "C" int64_t semloc_observe(const float* const* leaves, const float* T_base_cam, const float* Ts_local_base,
                                   int32_t num_poses, const void* const* sample, int32_t num_samples,
                                   const int32_t* channel_of_label, int32_t num_ground, const float* signed_px,
                                   const uint8_t* usable, const int32_t* sizes, const float* numbers, int32_t cell_columns,
@@ -301,13 +301,13 @@ extern "C" int64_t semloc_observe(const float* const* leaves, const float* T_bas
   const Limits limits{low, camera.width - 1 - low, camera.height - 1 - low, numbers[3]};
   const Borders borders{signed_px, sizes[0], sizes[1], numbers[0], usable, sizes[2], sizes[3], numbers[1]};
   const SeenRows rows{whole[0], whole[1], whole[2], real[0], real[1], real[2]};
-  return observe(camera, Ts_map_base, num_poses, T_base_cam, samples,
+  return observe(camera, Ts_local_base, num_poses, T_base_cam, samples,
                  Labels{channel_of_label, nullptr, num_ground}, borders, limits, numbers[4], numbers[5], cell_columns, rows);
 }
 
 // Adds to nats [n] what samples [3 p] gain at poses [n 4 4], not through XLA; sizes of the gain: height, width; numbers:
 // its stride, margin, largest range.
-extern "C" void semloc_coarse_look(const float* const* leaves, const float* T_base_cam, const float* Ts_map_base,
+extern "C" void semloc_coarse_look(const float* const* leaves, const float* T_base_cam, const float* Ts_local_base,
                                    int32_t num_poses, const float* p, const int32_t* channel, const float* weight,
                                    int32_t num_samples, const float* gain, const int32_t* sizes, const float* numbers,
                                    float* nats) {
@@ -316,5 +316,5 @@ extern "C" void semloc_coarse_look(const float* const* leaves, const float* T_ba
   const float low = numbers[1] - 0.5f;
   const Limits limits{low, camera.width - 1 - low, camera.height - 1 - low, numbers[2]};
   const Points points{p, p + num_samples, p + 2 * num_samples, channel, weight, num_samples};
-  coarse_look(camera, Ts_map_base, num_poses, T_base_cam, points, gain, sizes[0], sizes[1], numbers[0], limits, nats);
+  coarse_look(camera, Ts_local_base, num_poses, T_base_cam, points, gain, sizes[0], sizes[1], numbers[0], limits, nats);
 }

@@ -1,4 +1,4 @@
-// The chart of a solve, T_map_base = T_start exp(sigma y), and the damped step in it.
+// The chart of a solve, T_local_base = T_start exp(sigma y), and the damped step in it.
 #pragma once
 #include <cmath>
 

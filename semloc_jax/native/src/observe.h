@@ -38,7 +38,7 @@ struct SeenRows {
 
 // Fills the rows, pose by pose; returns how many there are.
 template <typename Camera>
-int64_t observe(const Camera& camera, const float* Ts_map_base, int num_poses, const float* T_base_cam,
+int64_t observe(const Camera& camera, const float* Ts_local_base, int num_poses, const float* T_base_cam,
                 const MapSamples& samples, const Labels& labels, const Borders& borders, const Limits& limits,
                 float min_ground, float cell_px, int32_t cell_columns, const SeenRows& rows) {
   std::vector<int32_t> nearby;
@@ -46,7 +46,7 @@ int64_t observe(const Camera& camera, const float* Ts_map_base, int num_poses, c
   const float per_cell = 1.0f / cell_px;
   int64_t filled = 0;
   for (int pose = 0; pose < num_poses; ++pose) {
-    const Stand stand(Ts_map_base + 16 * static_cast<int64_t>(pose), T_base_cam);
+    const Stand stand(Ts_local_base + 16 * static_cast<int64_t>(pose), T_base_cam);
     sightings(camera, stand, samples, labels, limits, min_ground, nearby, seen);
     for (const Sighting& one : seen) {
       if (!borders.may_use(one.u, one.v) || !(one.length_px > 0)) continue;
@@ -62,13 +62,13 @@ int64_t observe(const Camera& camera, const float* Ts_map_base, int num_poses, c
 
 // Adds to each pose what the samples under its camera gain, by the pixel of `gain` [channel h w] that each falls on.
 template <typename Camera>
-void coarse_look(const Camera& camera, const float* Ts_map_base, int num_poses, const float* T_base_cam, const Points& points,
+void coarse_look(const Camera& camera, const float* Ts_local_base, int num_poses, const float* T_base_cam, const Points& points,
                  const float* gain, int height, int width, float stride, const Limits& limits, float* nats) {
   const float per_pixel = 1.0f / stride;
   float inside[kBlock];
   int32_t index[kBlock];
   for (int pose = 0; pose < num_poses; ++pose) {
-    const Motion T = Stand(Ts_map_base + 16 * static_cast<int64_t>(pose), T_base_cam).T;
+    const Motion T = Stand(Ts_local_base + 16 * static_cast<int64_t>(pose), T_base_cam).T;
     float total = 0;
     for (int first = 0; first < points.count; first += kBlock) {
       const int count = std::min(kBlock, points.count - first);

@@ -73,7 +73,7 @@ struct ChartOperands {
   explicit ChartOperands(Operands& operands)
       : T_start(operands.take<float>()), sigma(operands.take<float>()), y(operands.take<float>()) {}
   struct Place {
-    float T_map_base[12];
+    float T_local_base[12];
     Dual jacobian;
     const float* sigma;
   };
@@ -83,7 +83,7 @@ struct ChartOperands {
     const float* scaled = y.at(batch, item);
     float xi[6];
     for (int k = 0; k < 6; ++k) xi[k] = place.sigma[k] * scaled[k];
-    retract(T_start.at(batch, item), xi, place.T_map_base);
+    retract(T_start.at(batch, item), xi, place.T_local_base);
     place.jacobian = right_jacobian(xi);
     return place;
   }

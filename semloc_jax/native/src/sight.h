@@ -47,8 +47,8 @@ struct Stand {
   float position[3], ground_z;
   Motion T;
 
-  Stand(const float* T_map_base, const float* T_base_cam) : T(T_map_base) {
-    const Motion base(T_map_base), mount(T_base_cam);
+  Stand(const float* T_local_base, const float* T_base_cam) : T(T_local_base) {
+    const Motion base(T_local_base), mount(T_base_cam);
     const Position at = base.apply(mount.t[0], mount.t[1], mount.t[2]);
     position[0] = at.x, position[1] = at.y, position[2] = at.z, ground_z = base.t[2];
     for (int i = 0; i < 3; ++i) {
