@@ -14,16 +14,11 @@ import numpy as np
 
 from semloc_jax.alignment.agreement import NUM_KINDS, disagreement, kinds_apart
 from semloc_jax.alignment.along_road import RoadPosterior, weighed_along_road, widened
-from semloc_jax.alignment.candidates import (
-    SolvedPoses,
-    along_weak,
-    apart,
-    not_near,
-    solve_all,
-)
+from semloc_jax.alignment.candidates import SolvedPoses, along_weak, apart, not_near, planar, solve_all
 from semloc_jax.alignment.fault_modes import PLANE, joined
 from semloc_jax.alignment.fault_search import FaultSearch
 from semloc_jax.alignment.map_pieces import Pieces, PoseEvidence, Rates
+from semloc_jax.alignment.mode_search import LONGEST_WALK_M, WALK_SIGMAS, best_along
 from semloc_jax.alignment.modes import modes_in_map, weighed
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.alignment.posterior import Ridges, spread, temper
@@ -51,8 +46,9 @@ class ModeFinder(SearchSteps):
         found, rates = self._evidence_of(Ts, self.null.pieces(seen, self.image_size, self.observe_config.cell_px), None)
         first = self.ridges(Ts, found, np.asarray(solved.estimates.status))
         leaders = Ts[first.best[:2]] if len(first.best) else self.T_prior[None]
+        again = [*(self.aliases(T) for T in leaders), self.walked(leaders[0])]
         # A solve from beside a place that was found ends there.
-        shifted = not_near(np.concatenate([self.aliases(T) for T in leaders]), Ts, ONE_TRACK)
+        shifted = not_near(np.concatenate(again), Ts, ONE_TRACK)
         if len(shifted):
             more = self.candidates(shifted, in_view_px)
             also = self.observed(np.asarray(more.estimates.T_local_base, dtype=np.float64))
@@ -116,6 +112,30 @@ class ModeFinder(SearchSteps):
         covariance[plane] = joined(sound, faults)
         best = replace(best, covariance=covariance, evidence=replace(best.evidence, **asdict(doubt)))
         return replace(found, modes=(best, *found.modes[1:]), sound=sound, faults=tuple(faults))
+
+    def walked(self, T_local_base: np.ndarray) -> np.ndarray:
+        """The best places along the road through a pose, as far as the prior may be wrong, float64[n 4 4].
+
+        A random search meets some of the places that fit along a road, which are half a metre long each. One of them
+        tells across and heading of all: what is left is a line, and all of it can be looked at.
+        """
+        reach_m = self.frame_config.along_road.reach_m
+        num = int(min(WALK_SIGMAS * self.sigma[0], LONGEST_WALK_M) // (2.0 * reach_m))
+        centre = self.road.place(T_local_base[None])[0]
+        prior = Prior(np.asarray(centre, np.float32), np.asarray(self.wide_sigma, np.float32))
+        found = []
+        for way in (-1, 1):
+            T = T_local_base
+            for _ in range(num):
+                # From where the last stretch ended, so that bends are followed.
+                T = self.road.place(T @ planar(np.array([way * reach_m]), np.zeros(1), 0.0))[0]
+                road = self._road_through(T, self.frame, prior)
+                places = np.asarray(road.places, np.float64)
+                if not np.isfinite(places).all():
+                    break
+                found.append(places[best_along(np.asarray(road.log_masks, np.float64))])
+                T = places[0 if way < 0 else -1]
+        return np.concatenate(found) if found else np.zeros((0, 4, 4))
 
     def _road_through(self, T_local_base: np.ndarray, frame: FrameInput, prior: Prior) -> RoadPosterior:
         """Places along the road through a pose."""

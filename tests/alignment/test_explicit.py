@@ -99,6 +99,7 @@ def test_errors_of_single_frames_are_as_large_as_stated(world):
     assert np.median(np.linalg.norm(np.array(errors)[:, :2], axis=1)) < 0.25
 
 
+@pytest.mark.slow
 def test_one_sign_gives_a_start_metres_away(world):
     """Two metres and three degrees of doubt: at least two thirds of the frames with a sign start within half a metre,
     and what fits best is what is taken."""

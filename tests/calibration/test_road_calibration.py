@@ -122,6 +122,7 @@ def test_mounts_come_back_on_a_curve_and_what_is_free_is_named_on_a_straight():
         assert known.parameter("front x").sigma > 0.03  # m, of 0.05
 
 
+@pytest.mark.slow
 def test_what_is_known_stays():
     rig, poses = four_fisheyes(), way(0.0)
     motion, streaks = driven(poses), seen(rig, poses, painted_slots())

@@ -120,6 +120,7 @@ print(jax.jit(lambda x: x * 3)(1.0))
 print(len(list(__import__('pathlib').Path(jax.config.jax_compilation_cache_dir).glob('*-cache'))))"""
 
 
+@pytest.mark.slow
 def test_the_python_api_has_the_cache_and_loads_from_it_without_a_word(tmp_path):
     """Whether JAX is imported already or has even compiled; XLA logs two lines of 2,500 letters for each program that
     it loads."""

@@ -156,6 +156,7 @@ def test_a_whole_drive_takes_the_terms_of_all_its_poses():
     assert np.abs(found.value["pose"][:, :3, 3] - poses[:, :3, 3]).max() < 0.02
 
 
+@pytest.mark.slow
 def test_calibration_takes_terms():
     """The normal equations with terms are those of the residuals, by finite differences."""
     problem, state = build("radtan", (0.05, 0.1, -0.02, 0.0), (), 150)

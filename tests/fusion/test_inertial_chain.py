@@ -60,7 +60,7 @@ def test_rows_of_neighbours_squared_at_once_are_the_sums_of_all_factors(window):
     np.testing.assert_allclose(found.information / size / size[:, None], H / size / size[:, None], atol=1e-11)
 
 
-@pytest.mark.parametrize("num_gone", [1, 2])
+@pytest.mark.parametrize("num_gone", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_what_the_oldest_leave_is_what_their_factors_and_landmarks_say(window, num_gone):
     """The same equations of the whole window, everything that binds others alone switched off."""
     _, problem, values = window._problem(solved_only=True)

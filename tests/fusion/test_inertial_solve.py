@@ -98,6 +98,7 @@ def test_a_solve_ends_where_scipy_ends_on_the_same_cost():
     assert np.abs(off[seen] / np.sqrt(np.diag(estimate.covariance)[seen])).max() < 0.3
 
 
+@pytest.mark.slow
 def test_a_step_of_the_whole_window_tears_nothing_apart():
     """Held states go along the axes in which their derivatives were taken: what the inertial sensor says stays."""
     window = window_that_goes_somewhere()

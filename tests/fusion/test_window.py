@@ -70,6 +70,7 @@ def test_marginalisation_loses_nothing_on_a_straight_drive():
     assert poor.covariance[6, 6] > 10 * scale_variance and poor.covariance[0, 0] > 1.1 * position_variance
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_stated_and_smaller_than_measured():
     fusion, squares, along_m = SlidingWindow(WindowConfig(6)), [], []
     for seed in range(4):

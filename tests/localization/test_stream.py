@@ -67,6 +67,7 @@ def test_frames_out_of_order_cost_themselves_only(pipeline, in_order):
     np.testing.assert_array_equal(_poses(mixed), _poses(in_order))
 
 
+@pytest.mark.slow
 def test_other_measurements_of_the_pose_are_taken_with_the_frame(pipeline, in_order):
     """Ranges of 1 mm to three beacons, at a place 3 cm beside the vehicle, pull the pose there; without, it is not."""
     drive, semantic_map = pipeline.drive, read_map(pipeline.drive.map_path)

@@ -174,7 +174,8 @@ def test_elements_of_a_map_hold_a_way_but_not_one_that_was_moved():
         assert off_m.max() < most_m
 
 
-@pytest.mark.parametrize("share", [pytest.param(0.25, marks=pytest.mark.slow), 4.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.25, 4.0])
 def test_pulls_are_as_sure_as_they_scatter(share):
     """31 frames that each see some 8 elements, whose pulls scatter half or twice as far as they state: noise is told
     within 10 %, but for what the stated one is believed, and the errors of the last pose over 12 drives are those that

@@ -22,6 +22,7 @@ def run(tmp_path, monkeypatch):
     return told
 
 
+@pytest.mark.slow
 def test_a_command_of_two_words_builds_and_a_damaged_library_is_built_anew(run, tmp_path, monkeypatch):
     quick = tmp_path / "quick"  # what is built is loaded and not run, so it need not be optimised
     quick.write_text('exec g++ "$@" -O0\n')

@@ -152,6 +152,7 @@ def test_mistakes_are_named():
         ClassicalPaintSegmenter()(np.zeros((480, 640), np.uint8))
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_rendered_drive_by_day_and_by_night(road_dir):
     rig = read_calibration(road_dir / "calib.yaml")

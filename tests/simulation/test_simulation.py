@@ -199,7 +199,7 @@ def test_sensors_have_the_stated_errors(road):
     assert np.linalg.norm(drive.imu.accel_mps2.mean(axis=0)) == pytest.approx(9.81, abs=0.3)
 
 
-@pytest.mark.parametrize("rate_hz", [100.0, 400.0])
+@pytest.mark.parametrize("rate_hz", [100.0, pytest.param(400.0, marks=pytest.mark.slow)])
 def test_the_inertial_log_has_the_noise_of_its_imu_yaml(tmp_path, rate_hz):
     errors = SensorErrors(inertial=InertialNoise(4e-4, 8e-3, 1e-3, 2e-2))
     plan, origin = SensorPlan(errors, rate_hz, has_gnss=False), GeoOrigin(48.0, 11.0, 0.0)

@@ -93,7 +93,7 @@ def dense_way(graph, start):
     return problem.step(problem.linearise(start, GOING), DAMPING), solve(problem, start, EXACT)
 
 
-@pytest.mark.parametrize("first", [(), ("landmark",)])
+@pytest.mark.parametrize("first", [pytest.param((), marks=pytest.mark.slow), ("landmark",)])
 def test_landmarks_first_or_not_is_the_dense_solution(first):
     """Poses and landmarks of the dense solve; every step is the dense one, whatever goes first."""
     graph, start = with_landmarks()

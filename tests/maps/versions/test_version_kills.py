@@ -77,6 +77,7 @@ def test_200_kills_leave_the_old_version_or_the_new(tmp_path):
     assert kills(tmp_path, [random.randint(1, 40) for _ in range(200)]) < 200
 
 
+@pytest.mark.slow
 def test_a_killed_rollback_leaves_the_old_version_or_the_new(tmp_path):
     path, second, _ = made(tmp_path)
     for step in range(1, 40, 4):

@@ -175,6 +175,7 @@ def test_the_eyes_that_ship_see_lines():
     assert (seen * cv2.dilate(ids, grown))[near].sum() > 0.8 * seen[near].sum()
 
 
+@pytest.mark.slow
 def test_the_eyes_for_garages_see_slot_lines_and_pillars():
     """Views of two halls that taught nobody: pillars, which the others never tell; paint to two pixels, and more of
     what they call paint is paint. They state what they are for."""
