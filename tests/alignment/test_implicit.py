@@ -127,7 +127,6 @@ def broken():
     return [eqx.tree_at(where, trial, change(where(trial))) for where, change in nowhere.values()]
 
 
-@pytest.mark.slow
 def test_every_scene_converges_to_the_optimum():
     _, estimate = solved()
     assert np.array_equal(estimate.status[:100], [SolveStatus.CONVERGED] * 100)
