@@ -125,8 +125,11 @@ def _against(found: FoundModes, T_map_prior: np.ndarray, sigma_xy_m: float, conf
     """Every reason against the best mode."""
     modes = found.modes
     yield from _fit(modes[0], found.margin_nats, config)
-    yield from _rivals(modes, config)
-    yield from _directions(modes[0], sigma_xy_m, config)
+    # A place that holds next to nothing is a doubt about a pose that is held, and none about one that is open.
+    rivals, directions = _rivals(modes, config), _directions(modes[0], sigma_xy_m, config)
+    first, second = (rivals, directions) if modes[0].weight < config.min_weight else (directions, rivals)
+    yield from first
+    yield from second
     yield from _faults(found, config)
     if found.status == SolveStatus.MAX_STEPS:
         yield found.status, "no solve of this place converged"

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Complex, Float, Int
 from numpy.typing import DTypeLike
 
@@ -88,7 +89,7 @@ def _texture(texture: RampTexture, index: Int[Array, ""]) -> tuple[Array, ...]:
 
 
 def _call(
-    name: str, shapes: list[tuple[int, ...] | jax.ShapeDtypeStruct], *operands: Array, **attributes: int | np.int32
+    name: str, shapes: list[tuple[int, ...] | jax.ShapeDtypeStruct], *operands: ArrayLike, **attributes: int | np.int32
 ) -> list[Array]:
     results = [jax.ShapeDtypeStruct(shape, jnp.float32) if isinstance(shape, tuple) else shape for shape in shapes]
     attributes = {key: np.int32(value) for key, value in attributes.items()}
@@ -96,7 +97,7 @@ def _call(
     return jax.ffi.ffi_call(name, results, vmap_method="expand_dims")(*map(_as_32_bit, operands), **attributes)
 
 
-def _as_32_bit(operand: Array) -> Array:
+def _as_32_bit(operand: ArrayLike) -> ArrayLike:
     """The operand as the kernels read it: with 64-bit types switched on, indices come as int64."""
     if jnp.issubdtype(operand.dtype, jnp.signedinteger):
         return operand.astype(jnp.int32)

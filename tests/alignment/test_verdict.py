@@ -104,6 +104,9 @@ def test_a_rival_of_lower_cost_is_not_dismissed_by_the_evidence_alone():
     assert status == SolveStatus.AMBIGUOUS and "its cost is lower: 0.58 for 0.60" in reasons[0]
     assert verdict(best, replace(rival, cost=0.60))[1] == ()
     assert verdict(best, replace(rival, weight=0.002))[1] == ()
+    loose = np.diag([0.9**2, *np.diag(best.covariance)[1:]])
+    status, reasons = verdict(replace(best, covariance=loose), rival)
+    assert status == SolveStatus.WEAK_DIRECTION and "its cost is lower" in reasons[1]
 
 
 @pytest.mark.parametrize(
