@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from semloc_jax.learning.sureness import focal_loss
 from semloc_jax.perception.networks.dense_net import STRIDE
-from semloc_jax.perception.networks.obstacle_net import HORIZON_V, KINDS, PX_PER_RAD, SIDE_PX, SIZE_PX, prepared
+from semloc_jax.perception.networks.obstacle_net import FAR, KINDS, NEAR, PX_PER_RAD, SIDE_PX, Look, prepared
 from semloc_jax.simulation.cylinder_views.picture import CylinderSample, Geometry, SeenThing, cylinder_sample
 
 LEAST_PX = (4.0, 8.0)
@@ -31,6 +31,8 @@ _BOX, _FOOT, _HAS_FOOT = 1.0, 1.0, 0.2
 """Weights of the parts of the loss beside the confidence; ours."""
 _ABOUT_THINGS = 0.65
 """Share of windows that are cut about a thing."""
+LOW_M = {NEAR: (0.6, 5.5), FAR: (2.3, 13.0)}
+"""Where in the two looks what is low stands: a metre or more beyond where the other one tells it."""
 
 
 class ObstacleBatch(NamedTuple):
@@ -48,23 +50,30 @@ class ObstacleBatch(NamedTuple):
 
 
 class CylinderPool:
-    """Random views that are drawn once, and cut, mirrored and lit anew ever after."""
+    """Random views as one of the looks shows them, drawn once, and cut, mirrored and lit anew ever after."""
 
-    def __init__(self, num: int, width_px: int, seed: int) -> None:
+    def __init__(self, look: Look, num: int, width_px: int, seed: int) -> None:
         """Draw them.
 
         Args:
+            look: which of the two.
             num: of them.
-            width_px: their width; they are as high as those of drives.
-            seed: picture k is drawn by (seed, k) alone.
+            width_px: their width; they are as high as the look is.
+            seed: picture k is drawn by (seed, k) and the look alone.
         """
-        geometry = Geometry(PX_PER_RAD, width_px, SIZE_PX[1], HORIZON_V)
-        self.samples = [cylinder_sample(np.random.default_rng((seed, k)), geometry, is_lesson=True) for k in range(num)]
+        geometry = look_geometry(look, width_px)
+        self.samples = [cylinder_sample(np.random.default_rng((seed, k)), geometry) for k in range(num)]
 
-    def batch(self, rng: np.random.Generator, num: int, size_px: tuple[int, int]) -> ObstacleBatch:
-        """Windows of some of them: width and height."""
+    def batch(self, rng: np.random.Generator, num: int, width_px: int) -> ObstacleBatch:
+        """Windows of some of them, as wide as given, of all rows."""
         chosen = [self.samples[k] for k in rng.integers(len(self.samples), size=num)]
-        return batch_of([lit_anew(rng, cut(rng, sample, size_px)) for sample in chosen])
+        cuts = (cut(rng, sample, (width_px, len(sample.picture))) for sample in chosen)
+        return batch_of([lit_anew(rng, sample) for sample in cuts])
+
+
+def look_geometry(look: Look, width_px: int) -> Geometry:
+    """Of random views as one of the looks shows them, so wide."""
+    return Geometry(PX_PER_RAD * look.scale, width_px, look.height, look.horizon_v, look.scale, LOW_M[look])
 
 
 def batch_of(samples: Sequence[CylinderSample]) -> ObstacleBatch:
@@ -79,7 +88,7 @@ def cut(rng: np.random.Generator, sample: CylinderSample, size_px: tuple[int, in
     room = np.array([sample.picture.shape[1] - size_px[0], sample.picture.shape[0] - size_px[1]])
     corner = rng.integers(room + 1)
     # One that does not fit into the window is no reason to cut one here.
-    asked = [t for t in sample.things if is_asked(t) and t.box[3] - t.box[1] <= size_px[1]]
+    asked = [t for t in sample.things if is_asked(t, sample.enlarged) and t.box[3] - t.box[1] <= size_px[1]]
     if asked and rng.random() < _ABOUT_THINGS:
         box = asked[int(rng.integers(len(asked)))].box
         corner = np.rint(0.5 * (box[:2] + box[2:]) - np.array(size_px) * rng.uniform(0.05, 0.95, 2)).astype(int)
@@ -90,7 +99,8 @@ def cut(rng: np.random.Generator, sample: CylinderSample, size_px: tuple[int, in
     things = [_moved(thing, np.array([left, top]), size_px) for thing in sample.things]
     if is_mirrored:
         picture, things = picture[:, ::-1], [_mirrored(thing, size_px[0]) for thing in things if thing is not None]
-    return CylinderSample(picture, [thing for thing in things if thing is not None], sample.centre_v - top)
+    seen = [thing for thing in things if thing is not None]
+    return sample._replace(picture=picture, things=seen, centre_v=sample.centre_v - top)
 
 
 def _moved(thing: SeenThing, corner: np.ndarray, size_px: tuple[int, int]) -> SeenThing | None:
@@ -120,9 +130,9 @@ def lit_anew(rng: np.random.Generator, sample: CylinderSample) -> CylinderSample
     return sample._replace(picture=np.clip(picture, 0.0, 255.0).astype(np.uint8))
 
 
-def is_asked(thing: SeenThing) -> bool:
-    """Whether a thing has to be found."""
-    side = thing.box[2:] - thing.box[:2]
+def is_asked(thing: SeenThing, enlarged: float = 1.0) -> bool:
+    """Whether a thing has to be found, in a picture so many times as large as that of `net_view`."""
+    side = (thing.box[2:] - thing.box[:2]) / enlarged
     return bool((side >= LEAST_PX).all() and thing.range_m <= MOST_M and thing.shown >= _LEAST_SHOWN)
 
 
@@ -135,7 +145,7 @@ def targets(sample: CylinderSample) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     # Small things last: where two are in one cell, the larger one is still told beside it.
     for thing in sorted(sample.things, key=lambda t: -float(np.prod(t.box[2:] - t.box[:2]))):
         box = (thing.box - 0.5 * (STRIDE - 1)) / STRIDE  # [cells], the centre of the first is 0
-        if not is_asked(thing):
+        if not is_asked(thing, sample.enlarged):
             inside = (column >= box[0] - 0.5) & (column <= box[2] + 0.5) & (row >= box[1] - 0.5) & (row <= box[3] + 0.5)
             asked[inside & (share == 0.0)] = 0.0
             continue

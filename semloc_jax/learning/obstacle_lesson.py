@@ -18,7 +18,16 @@ from semloc_jax.learning.obstacle_boxes import CylinderPool, ObstacleBatch, is_a
 from semloc_jax.learning.sureness import UNSEEN_SEED, begun
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.perception.networks.dense_net import DenseNet
-from semloc_jax.perception.networks.obstacle_net import CONFIG, HORIZON_V, KINDS, PX_PER_RAD, SIZE_PX, ObstacleNet
+from semloc_jax.perception.networks.obstacle_net import (
+    CONFIG,
+    FAR,
+    HORIZON_V,
+    KINDS,
+    NEAR,
+    PX_PER_RAD,
+    SIZE_PX,
+    ObstacleNet,
+)
 from semloc_jax.perception.networks.weights import load_weights
 from semloc_jax.simulation.cylinder_views.picture import CylinderSample, Geometry, cylinder_sample
 
@@ -33,35 +42,34 @@ class ObstacleLearningConfig:
 
     Args:
         num_pictures: random views that are drawn; each step cuts windows from some of them.
+        far_share: of them and of the steps, those of the strip at the horizon: what is far is hardest.
         width_px: their width.
-        window_px: width and height of the windows of half of the steps; lower ones never show a near pillar whole.
-        batch: so many of them.
-        wide_px: the same of the other half: what is far is within a few rows, of which as many pixels show more.
-        wide_batch: so many of these.
+        window_px: width of the windows.
+        batch: so many of them in a step.
         num_judged: random views that judge.
         precision: the threshold is the lowest one with this precision on them.
         training: steps, rate, seed.
     """
 
-    num_pictures: int = 2400
-    width_px: int = 256
-    window_px: tuple[int, int] = (96, 320)
-    batch: int = 8
-    wide_px: tuple[int, int] = (160, 128)
-    wide_batch: int = 12
+    num_pictures: int = 3200
+    far_share: float = 0.6
+    width_px: int = 320
+    window_px: int = 160
+    batch: int = 12
     num_judged: int = 150
     precision: float = 0.85
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=5000, level_share=0.6))
 
     def __post_init__(self) -> None:
-        step, sides = CONFIG.step_px, (self.window_px, self.wide_px)
-        fits = all(w <= self.width_px and h <= SIZE_PX[1] and not (w % step or h % step) for w, h in sides)
-        counts = (self.num_pictures, self.batch, self.wide_batch, self.num_judged, *self.window_px, *self.wide_px)
-        if min(counts) < 1 or not fits or self.width_px % step:
+        step = CONFIG.step_px
+        counts = (self.num_pictures, self.batch, self.num_judged, self.window_px)
+        if min(counts) < 1 or self.window_px > self.width_px or self.window_px % step:
             raise SemlocError(
-                f"learn obstacles: {self}; expected counts of at least 1, sides that are multiples of {step}, and "
-                f"windows of at most width_px x {SIZE_PX[1]}"
+                f"learn obstacles: {self}; expected counts of at least 1 and windows whose width is a multiple of "
+                f"{step} and at most width_px"
             )
+        if not 0.0 < self.far_share < 1.0:
+            raise SemlocError(f"learn obstacles: far_share {self.far_share:g}; expected 0 < far_share < 1")
 
 
 class ShownObstacles(NamedTuple):
@@ -102,12 +110,13 @@ def taught(
     network = begun(DenseNet.create(jax.random.key(config.training.seed), CONFIG), len(KINDS))
     if begin_with is not None:
         network = load_weights(begin_with, network)
-    pool = CylinderPool(config.num_pictures, config.width_px, config.training.seed)
+    num_far = max(round(config.far_share * config.num_pictures), 1)
+    far = CylinderPool(FAR, num_far, config.width_px, config.training.seed)
+    near = CylinderPool(NEAR, max(config.num_pictures - num_far, 1), config.width_px, config.training.seed)
 
     def batch(rng: np.random.Generator) -> ObstacleBatch:
-        if rng.random() < 0.5:
-            return pool.batch(rng, config.batch, config.window_px)
-        return pool.batch(rng, config.wide_batch, config.wide_px)
+        pool = far if rng.random() < config.far_share else near
+        return pool.batch(rng, config.batch, config.window_px)
 
     return train(network, obstacle_loss, batch, config.training, checkpoint, on_step)
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.cameras import Camera, CylindricalCamera
 from semloc_jax.errors import SemlocError
@@ -246,3 +246,10 @@ def _around(uv: np.ndarray, seen: np.ndarray, where: str) -> Float[np.ndarray, "
     if not seen.any():
         raise SemlocError(f"box: no part of it is shown by the {where}; give a box inside of both images")
     return np.concatenate([uv[seen].min(axis=0), uv[seen].max(axis=0)])
+
+
+def resized(picture: UInt8[np.ndarray, "h w 3"], size: tuple[int, int]) -> UInt8[np.ndarray, "i j 3"]:
+    """The picture with other width and height: smaller ones are averaged, larger ones bilinear."""
+    if picture.shape[1::-1] == size:
+        return picture
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA if size[0] < picture.shape[1] else cv2.INTER_LINEAR)

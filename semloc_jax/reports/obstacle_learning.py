@@ -25,7 +25,7 @@ from semloc_jax.learning.obstacle_lesson import (
     unseen_views,
 )
 from semloc_jax.perception.networks.dense_net import DenseNet
-from semloc_jax.perception.networks.obstacle_net import CONFIG, OUTPUTS, PX_PER_RAD, ObstacleNet
+from semloc_jax.perception.networks.obstacle_net import CONFIG, FAR, NEAR, OUTPUTS, PX_PER_RAD, ObstacleNet
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.perception.networks.weights import read_card, save_weights
 from semloc_jax.reports.folder import make_folder, write_record
@@ -109,7 +109,8 @@ def _write_network(
         "steps": config.training.num_steps,
         "rate": config.training.rate,
         "level_share": config.training.level_share,
-        "batches": [config.batch, config.wide_batch],
+        "far_share": config.far_share,
+        "batch": config.batch,
         "seed": config.training.seed,
     }
     before = [] if begin_with is None else list(read_card(begin_with).get("lessons", ()))
@@ -120,7 +121,7 @@ def _write_network(
         "threshold": net.threshold,
         "threshold_by": f"the lowest one with a precision of {config.precision:g} on random views",
         "taught_on": "windows of random views, no real picture, no drive",
-        "looks_at": "the picture, and its strip at the horizon twice as large, for what is low and far",
+        "looks_at": [{"rows": look.rows, "scale": round(look.scale, 4)} for look in (NEAR, FAR)],
         "lessons": [*before, lesson],
         "figures": {metric.key: round(metric.value, 4) for metric in metrics if np.isfinite(metric.value)},
         "limits": "rendered views only; cameras 0.5 to 1.5 m over the road; things up to 10 m away of at least 4 x 8 "

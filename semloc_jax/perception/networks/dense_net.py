@@ -32,6 +32,8 @@ class DenseNetConfig:
     """Residual blocks of two layers each."""
     num_dense: int = 2
     """So many of the finest strides have dense blocks, the others separable ones."""
+    is_end_dense: bool = True
+    """Whether the last block, at stride 4, is dense; a separable one takes a third of its time."""
 
     def __post_init__(self) -> None:
         counts = (self.num_outputs, self.num_inputs, *self.num_channels)
@@ -70,7 +72,7 @@ class DenseNet(eqx.Module):
             for level, n in enumerate(num)
         )
         up = tuple(Convolution.create(next(keys), 1, num[k], num[k - 1], gain=1.0) for k in range(len(num) - 1, 0, -1))
-        merged = Residual.create(next(keys), num[0], True)
+        merged = Residual.create(next(keys), num[0], config.is_end_dense)
         num_last = config.num_outputs * config.detail**2
         head = Convolution.create(next(keys), 1, num[0], num_last, gain=0.0)
         return cls(into, blocks, up, merged, head, config.detail)

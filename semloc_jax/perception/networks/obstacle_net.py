@@ -4,8 +4,8 @@ In: a picture of `net_view`, uint8[h w 3]. Out: FoundObstacles: class, box, midd
 One head says of each cell of four pixels: a confidence for each class, where the middle of the box is, its sides, where
 the thing stands, and whether its foot is seen. The elevation of each row goes in beside the colours: on the road it
 tells the range, and with it how large things are.
-The strip at the horizon is looked at once more, twice as large: what is low and stands far off is seen there as if it
-stood at half of its range, so that the network need not know it in few pixels, too.
+It looks at the whole in little more than half the size, and at the strip around the horizon twice as large: there is
+what is low and stands far off. So near and far things are of about one size, and the network need not know more.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from semloc_jax.cameras import Camera, CylindricalCamera
 from semloc_jax.evaluation.average_precision import box_overlap
-from semloc_jax.perception.cylinder_view import UP, CylinderView
+from semloc_jax.perception.cylinder_view import UP, CylinderView, resized
 from semloc_jax.perception.networks.dense_net import STRIDE, DenseNet, DenseNetConfig
 from semloc_jax.perception.networks.weights import load_weights, read_card
 from semloc_jax.perception.obstacle_classes import OBSTACLES
@@ -33,7 +33,12 @@ OUTPUTS = (*KINDS, "du", "dv", "log_width", "log_height", "foot_u", "foot_v", "h
 """Logit of each class; offset of the middle of the box [cells]; logarithms of its sides [`SIDE_PX`]; middle of the
 footprint from the middle of the lower border [sides of the box]; logit of a foot that is seen."""
 CONFIG = DenseNetConfig(
-    num_outputs=len(OUTPUTS), num_inputs=4, num_channels=(24, 48, 72, 96), num_blocks=(1, 1, 2, 2), num_dense=2
+    num_outputs=len(OUTPUTS),
+    num_inputs=4,
+    num_channels=(24, 48, 72, 96),
+    num_blocks=(1, 1, 2, 2),
+    num_dense=2,
+    is_end_dense=False,
 )
 SIDE_PX = 16.0
 PX_PER_RAD = 192.0
@@ -43,15 +48,50 @@ SIZE_PX = (672, 320)
 HORIZON_V = 134.0
 _SAME = 0.5
 """Boxes that share so much of their union are of one thing."""
-FAR_SCALE = 2
-_FAR_ROWS = (14, 50)
-"""Rows above and below the horizon that are enlarged; pillars reach out of them."""
-_SKY_ROWS = 32
-"""Rows at the top of the picture that are not looked at: 29 deg above the horizon only pillars are left."""
 _FAR_FOOT_PX = (42.0, 48.0)
 """Lower borders so far below the horizon are told by either: higher ones by the enlarged strip, lower ones by the
 picture. From cameras 0.6 to 1 m over the road that is 3 to 4.5 m away."""
 _HIGH = KINDS.index("pillar")
+
+
+class Look(NamedTuple):
+    """Some rows of a picture of `net_view`, in the size in which the network looks at them.
+
+    Attributes:
+        scale: so many times as large.
+        rows: the first one, and the one behind the last.
+    """
+
+    scale: float
+    rows: tuple[int, int]
+
+    @property
+    def horizon_v(self) -> float:
+        """Row of the horizon in it."""
+        return self.scale * (HORIZON_V - self.rows[0] + 0.5) - 0.5  # pixel centres are at whole numbers
+
+    @property
+    def height(self) -> int:
+        """Of it [px]."""
+        return round(self.scale * (self.rows[1] - self.rows[0]))
+
+    def at(self, picture: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "i j 3"]:
+        """The rows of a picture; what its width lacks for whole cells at every stride is black."""
+        part, step = picture[self.rows[0] : self.rows[1]], round(CONFIG.step_px / self.scale)
+        if part.shape[1] % step:
+            part = cv2.copyMakeBorder(part, 0, 0, 0, -part.shape[1] % step, cv2.BORDER_CONSTANT)
+        return resized(part, (round(self.scale * part.shape[1]), self.height))
+
+    def back(self, found: "FoundObstacles") -> "FoundObstacles":
+        """What was found in it, in pixels of the picture."""
+        box, foot = ((uv + 0.5) / self.scale - 0.5 for uv in (found.box, found.foot_uv))
+        return found._replace(box=box + [0, self.rows[0], 0, self.rows[0]], foot_uv=foot + [0, self.rows[0]])
+
+
+NEAR = Look(4 / 7, (40, SIZE_PX[1]))
+"""What is near is large, and pillars are. 26 deg above the horizon only they are left."""
+FAR = Look(2.0, (120, 184))
+"""Around the horizon; pillars reach out of it."""
 
 
 class FoundObstacles(NamedTuple):
@@ -98,15 +138,13 @@ class ObstacleNet:
         """The obstacles of a picture of `net_view`, blue green red.
 
         Args:
-            picture: sides that are multiples of 32.
+            picture: of any width.
             threshold: another one than that of the network.
         """
         least = self.threshold if threshold is None else threshold
-        near = _moved(decoded(self._said(picture[_SKY_ROWS:], HORIZON_V - _SKY_ROWS), least), _SKY_ROWS)
-        strip, horizon_v = far_strip(picture)
-        far = _shrunk(decoded(self._said(strip, horizon_v), least))
+        near, far = (look.back(decoded(self._said(look.at(picture), look.horizon_v), least)) for look in (NEAR, FAR))
         below_px = [found.box[:, 3] - HORIZON_V for found in (near, far)]
-        near = _feet_of(near, far.where((far.kind == _HIGH) & (below_px[1] < _FAR_FOOT_PX[1])))
+        near = _as_in_strip(near, far.where((far.kind == _HIGH) & (below_px[1] < _FAR_FOOT_PX[1])))
         of_near = near.where((near.kind == _HIGH) | (below_px[0] >= _FAR_FOOT_PX[0]))
         of_far = far.where((far.kind != _HIGH) & (below_px[1] < _FAR_FOOT_PX[1]))
         return _apart(FoundObstacles(*(np.concatenate(pair) for pair in zip(of_near, of_far, strict=True))))
@@ -143,30 +181,10 @@ def prepared(picture: UInt8[Array | np.ndarray, "h w 3"], horizon_v: float | Flo
     return jnp.concatenate([colours, jnp.broadcast_to(tangent[:, None, None], (height, width, 1))], axis=-1)
 
 
-def far_strip(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[UInt8[np.ndarray, "i j 3"], float]:
-    """The strip at the horizon of a picture of `net_view`, enlarged, and the row of the horizon in it."""
-    horizon, (above, below) = round(HORIZON_V), _FAR_ROWS
-    strip = picture[horizon - above : horizon + below]
-    enlarged = cv2.resize(strip, None, fx=FAR_SCALE, fy=FAR_SCALE, interpolation=cv2.INTER_LINEAR)
-    return enlarged, FAR_SCALE * (above + 0.5) - 0.5  # pixel centres are at whole numbers
+def _as_in_strip(near: FoundObstacles, far: FoundObstacles) -> FoundObstacles:
+    """Pillars with both sides, lower border and foot as the strip has them, where it shows the same one.
 
-
-def _shrunk(found: FoundObstacles) -> FoundObstacles:
-    """What was found in the enlarged strip, in pixels of the picture."""
-    box, foot = ((uv + 0.5) / FAR_SCALE - 0.5 for uv in (found.box, found.foot_uv))
-    return _moved(found._replace(box=box, foot_uv=foot), round(HORIZON_V) - _FAR_ROWS[0])
-
-
-def _moved(found: FoundObstacles, rows: int) -> FoundObstacles:
-    """What was found in a part of the picture that begins so many rows below its top."""
-    return found._replace(box=found.box + [0, rows, 0, rows], foot_uv=found.foot_uv + [0, rows])
-
-
-def _feet_of(near: FoundObstacles, far: FoundObstacles) -> FoundObstacles:
-    """Pillars with lower border and foot as the strip has them, where it shows the same one.
-
-    Errors of a box are shares of its sides: the lower border of one that reaches the ceiling is 4 to 8 px off, that of
-    what the strip shows of it 3 px.
+    Errors of a box are shares of its sides, and the whole is shown in two sevenths of the size of the strip.
     """
     box, foot, has_foot = near.box.copy(), near.foot_uv.copy(), near.has_foot.copy()
     for k in np.flatnonzero(near.kind == _HIGH) if len(far.box) else ():
@@ -174,7 +192,8 @@ def _feet_of(near: FoundObstacles, far: FoundObstacles) -> FoundObstacles:
         both = np.maximum(box[k, 2], far.box[:, 2]) - np.minimum(box[k, 0], far.box[:, 0])
         same = int((common / both).argmax())
         if common[same] > _SAME * both[same] and box[k, 3] - HORIZON_V < _FAR_FOOT_PX[1]:
-            box[k, 3], foot[k], has_foot[k] = far.box[same, 3], far.foot_uv[same], far.has_foot[same]
+            box[k, [0, 2, 3]] = far.box[same, [0, 2, 3]]
+            foot[k], has_foot[k] = far.foot_uv[same], far.has_foot[same]
     return near._replace(box=box, foot_uv=foot, has_foot=has_foot)
 
 

@@ -13,6 +13,8 @@ from semloc_jax.simulation.cylinder_views.canvas import Canvas, Colour
 from semloc_jax.simulation.cylinder_views.cones_and_pillars import BLACK, BLUE, RED, WHITE, YELLOW, any_colour, varied
 
 _WHEEL = np.linspace(0.0, 2.0 * np.pi, 13)[:-1]
+_COVERED_SHARE = 0.2
+"""Of the cars: under a cover, or trailers and skips, without lamps, windows and wheels."""
 _LIT_SHARE = 0.3
 """Of the cars: their lamps outshine everything, and glare."""
 
@@ -22,7 +24,8 @@ def car(rng: np.random.Generator, middle: Float[np.ndarray, " 2"], yaw: float) -
     size = (rng.uniform(3.6, 4.9), rng.uniform(1.65, 1.95))
     colour = varied(rng, (BLUE, RED, WHITE, np.full(3, 0.3), any_colour(rng))[int(rng.integers(5))])
     low_m, hood_m, roof_m = rng.uniform(0.16, 0.3), rng.uniform(0.75, 1.0), rng.uniform(1.4, 1.95)
-    hull = box(middle, size, yaw, low_m, hood_m, colour, _sides(rng, colour), 0.97)
+    is_covered, sides = bool(rng.random() < _COVERED_SHARE), _sides(rng, colour)
+    hull = box(middle, size, yaw, low_m, hood_m, colour, ((), (), (), ()) if is_covered else sides, 0.97)
     ahead, aside = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     glass = varied(rng, np.full(3, rng.uniform(0.05, 0.3)))
     back_m, front_m, top_m = rng.uniform(0.32, 0.48), rng.uniform(0.12, 0.28), rng.uniform(0.55, 0.85)
@@ -34,10 +37,10 @@ def car(rng: np.random.Generator, middle: Float[np.ndarray, " 2"], yaw: float) -
         np.column_stack([low, np.full(4, hood_m)]),
         np.column_stack([high, np.full(4, roof_m)]),
         colour,
-        ((Patch(0.08 + 0.84 * UNIT, glass),),) * 4,
+        (() if is_covered else (Patch(0.08 + 0.84 * UNIT, glass),),) * 4,
     )
     parts: list[Part] = [hull, cabin]
-    for along in (-0.31, 0.31):
+    for along in () if is_covered else (-0.31, 0.31):
         for across in (-0.5, 0.5):
             at = middle + along * size[0] * ahead + 1.01 * across * size[1] * aside
             parts.append(_Wheel(at, ahead * np.sign(-across), rng.uniform(0.28, 0.36), varied(rng, np.full(3, 0.55))))

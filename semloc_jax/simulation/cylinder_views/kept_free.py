@@ -39,7 +39,11 @@ from semloc_jax.simulation.cylinder_views.cones_and_pillars import (
 _CIRCLE = 0.5 + 0.5 * ROUND
 _ONE_PIECE = 0.5
 """Share of folding boards whose inside has the colour of the outside."""
-_PLAIN = 0.25
+_LOWERED = 0.35
+"""Share of ground locks that lie flat on their foot."""
+_BARE = 0.6
+"""Of these, bare slabs without a case, as dark or as grey as the road: only their sides tell them from it."""
+_PLAIN = 0.4
 """Share of boards that show no writing: faded, or too far off for it."""
 
 
@@ -61,15 +65,20 @@ def _ground_lock(rng: np.random.Generator, middle: np.ndarray) -> Body:
     long_m = rng.uniform(0.1, 0.22) if is_slim else rng.uniform(0.2, 0.4)
     yaw, two = rng.uniform(-np.pi, np.pi), signal(rng)
     base = varied(rng, (BLACK, np.full(3, 0.3), two[0])[rng.choice(3, p=(0.5, 0.3, 0.2))])
-    foot_m = rng.uniform(0.03, 0.07) if is_slim else rng.uniform(0.05, 0.13)
+    is_lowered = bool(rng.random() < _LOWERED)
+    is_bare = is_lowered and rng.random() < _BARE
+    if is_bare:
+        base = varied(rng, np.full(3, rng.uniform(0.08, 0.45)))
+    # An arm that is folded in makes the foot thicker.
+    foot_m = rng.uniform(0.03, 0.07) if is_slim and not is_lowered else rng.uniform(0.05, 0.13)
     foot = box(middle, (long_m, wide_m), yaw, 0.0, foot_m, base)
     body = Body(middle, middle + rectangle((long_m, wide_m), yaw), high_m, parts=[foot])
     ahead, aside = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
-    if rng.random() < 0.6:
+    if not is_bare and rng.random() < 0.6:
         case = (rng.uniform(0.1, 0.9) * long_m, rng.uniform(0.12, 0.3))
         colour = varied(rng, (YELLOW, BLACK, np.full(3, 0.4), WHITE)[rng.choice(4, p=(0.5, 0.2, 0.2, 0.1))])
         body.parts.append(box(middle, case, yaw, foot_m, foot_m + rng.uniform(0.03, 0.1), colour))
-    if rng.random() < 0.12:  # lowered
+    if is_lowered:
         body.height_m = 0.14
         return body
     lean = rng.uniform(-0.35, 0.35) * high_m * ahead

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from semloc_jax.perception.cylinder_view import resized
 from semloc_jax.simulation.cylinder_views.bodies import Body
 from semloc_jax.simulation.cylinder_views.bystanders import background
 from semloc_jax.simulation.cylinder_views.canvas import Canvas
@@ -22,12 +23,14 @@ from semloc_jax.simulation.cylinder_views.ground import (
     sky_and_road,
     thrown_back,
 )
-from semloc_jax.simulation.cylinder_views.placing import SIZE_M, placed
+from semloc_jax.simulation.cylinder_views.placing import RANGE_M, SIZE_M, placed
 
 _FINER = 2
 """Pictures are painted so many times finer and averaged."""
 _BLURRED, _ALIASED = 0.7, 0.25
 """Shares of the pictures."""
+_BLUR_PX = (0.25, 1.0)
+"""Standard deviations of the lens [px of the camera]."""
 _SLOPE_RAD = 0.01
 """Standard deviation of the road against the level, and of the mount against what is known of it."""
 
@@ -39,12 +42,16 @@ class Geometry(NamedTuple):
         focal_px: pixels a radian.
         width, height: of the window [px].
         centre_v: row of the horizon.
+        enlarged: so many times as large as the camera took it.
+        low_m: range of what is low; pillars stand at any.
     """
 
     focal_px: float
     width: int
     height: int
     centre_v: float
+    enlarged: float = 1.0
+    low_m: tuple[float, float] = RANGE_M
 
 
 class SeenThing(NamedTuple):
@@ -73,24 +80,25 @@ class CylinderSample(NamedTuple):
     picture: UInt8[np.ndarray, "h w 3"]
     things: list[SeenThing]
     centre_v: float
+    enlarged: float
 
 
-def cylinder_sample(rng: np.random.Generator, geometry: Geometry, is_lesson: bool = False) -> CylinderSample:
+def cylinder_sample(rng: np.random.Generator, geometry: Geometry) -> CylinderSample:
     """A picture with its obstacles.
 
     Args:
         rng: all that is random.
         geometry: of the window.
-        is_lesson: as a network sees what it looks at, enlarged strips among it; else as a camera sees it.
     """
     is_hall = bool(rng.random() < 0.45)
     ceiling_m = float(rng.uniform(2.1, 3.8)) if is_hall else None
     canvas = _canvas(rng, geometry)
-    bodies, slots = placed(rng, 0.5 * canvas.picture.shape[1] / canvas.focal_px, ceiling_m, is_lesson)
+    half_rad, size_m = 0.5 * canvas.picture.shape[1] / canvas.focal_px, max(SIZE_M, 2.0 * geometry.low_m[1])
+    bodies, slots = placed(rng, half_rad, ceiling_m, geometry.low_m, size_m)
     sky_and_road(rng, canvas, is_hall)
     if is_hall and rng.random() < 0.7:
         lamps(rng, canvas)
-    paint_on_road(rng, canvas, slots, SIZE_M, np.full(2, -0.5 * SIZE_M))
+    paint_on_road(rng, canvas, slots, size_m, np.full(2, -0.5 * size_m))
     shadows_on_road(rng, canvas, bodies, is_hall)
     far_first = sorted(bodies, key=lambda body: -float(np.linalg.norm(body.middle)))
     if rng.random() < (0.6 if is_hall else 0.12):
@@ -104,9 +112,8 @@ def cylinder_sample(rng: np.random.Generator, geometry: Geometry, is_lesson: boo
     _own_car(rng, canvas)
     alone = replace(canvas, picture=np.zeros_like(canvas.picture))
     things = [_seen(canvas, alone, body, k) for k, body in enumerate(far_first, 1) if body.kind]
-    return CylinderSample(
-        _finished(rng, canvas, geometry, is_lesson), [t for t in things if t is not None], geometry.centre_v
-    )
+    seen = [t for t in things if t is not None]
+    return CylinderSample(_finished(rng, canvas, geometry), seen, geometry.centre_v, geometry.enlarged)
 
 
 def _canvas(rng: np.random.Generator, geometry: Geometry) -> Canvas:
@@ -165,9 +172,7 @@ def _seen(canvas: Canvas, alone: Canvas, body: Body, number: int) -> SeenThing |
     )
 
 
-def _finished(
-    rng: np.random.Generator, canvas: Canvas, geometry: Geometry, is_lesson: bool
-) -> UInt8[np.ndarray, "h w 3"]:
+def _finished(rng: np.random.Generator, canvas: Canvas, geometry: Geometry) -> UInt8[np.ndarray, "h w 3"]:
     """Lens, exposure, tint, haze, noise, compression."""
     picture = canvas.picture
     if rng.random() < 0.25:  # light falls off
@@ -177,10 +182,10 @@ def _finished(
         glare = cv2.GaussianBlur(np.maximum(picture - 1.0, 0.0), None, rng.uniform(2.0, 10.0))
         picture = picture + np.float32(rng.uniform(0.3, 1.5)) * glare
     if rng.random() < _BLURRED:
-        picture = cv2.GaussianBlur(picture, None, rng.uniform(0.5, 2.0))
+        picture = cv2.GaussianBlur(picture, None, _FINER * geometry.enlarged * rng.uniform(*_BLUR_PX))
     size = (geometry.width, geometry.height)
-    # The strip at the horizon is enlarged: it was taken with half of the pixels.
-    taken = (size[0] // 2, size[1] // 2) if is_lesson and rng.random() < 0.5 else size
+    # Lens, noise and compression are of the pixels that the camera took.
+    taken = (round(size[0] / geometry.enlarged), round(size[1] / geometry.enlarged))
     # Cameras without an optical low pass alias: far lines become dots.
     is_sampled = rng.random() < _ALIASED
     small = cv2.resize(picture, taken, interpolation=cv2.INTER_NEAREST if is_sampled else cv2.INTER_AREA)
@@ -196,4 +201,4 @@ def _finished(
     if rng.random() < 0.5:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(45, 95))]
         shown = cv2.imdecode(cv2.imencode(".jpg", shown, quality)[1], cv2.IMREAD_COLOR)
-    return shown if taken == size else cv2.resize(shown, size, interpolation=cv2.INTER_LINEAR)
+    return resized(shown, size)

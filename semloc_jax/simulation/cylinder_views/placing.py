@@ -14,23 +14,28 @@ from semloc_jax.simulation.top_views.slot_layout import Layout, random_layout
 
 KINDS = ("cone", "pillar", "ground_lock", "no_parking_sign")
 _SHARES = (0.26, 0.12, 0.29, 0.33)
-_RANGE_M = (0.8, 12.0)
-_LOW_ENLARGED_M = (0.8, 7.5)
-"""What is low and farther off is shown enlarged, as if it stood at half of its range; see `far_strip`."""
+RANGE_M = (0.8, 12.0)
+"""Of what stands alone."""
 _CAR_M = (2.8, 10.0)
 """Of the middle of a car that stands in no slot."""
 _IN_LINE = 0.35
 """Of the things beside others, those that stand before them, as cones before signs do."""
+_HIDES = 0.6
+"""Of the nearest range of what is low: pillars and bystanders stand from here on."""
 _FAR_SHARE = 0.5
 """Of the things, as many on each metre of the range; of the others as many near as far by its logarithm."""
 SIZE_M = 16.0
-"""Side of the square with painted slots around the car."""
+"""Least side of the square with painted slots around the car."""
 _AT_ONCE = 60
 """Most things in one picture: their numbers are those in `Canvas.ids`."""
 
 
 def placed(
-    rng: np.random.Generator, half_rad: float, ceiling_m: float | None, is_lesson: bool = False
+    rng: np.random.Generator,
+    half_rad: float,
+    ceiling_m: float | None,
+    low_m: tuple[float, float] = RANGE_M,
+    size_m: float = SIZE_M,
 ) -> tuple[list[Body], Layout]:
     """Things at random places, none in another, and the painted slots, some with cars.
 
@@ -38,10 +43,12 @@ def placed(
         rng: all that is random.
         half_rad: half of the width of the view.
         ceiling_m: of the hall; None outside.
-        is_lesson: what is low stands as near as enlarged strips show it.
+        low_m: range of what is low.
+        size_m: side of the square with painted slots.
     """
-    low_m = _LOW_ENLARGED_M if is_lesson else _RANGE_M
-    layout = random_layout(rng, SIZE_M)
+    layout = random_layout(rng, size_m)
+    # What stands before all that has to be found hides it: some does, but not most.
+    any_m = (max(_HIDES * low_m[0], RANGE_M[0]), RANGE_M[1])
     bodies: list[Body] = []
 
     def add(body: Body, gap_m: float) -> None:
@@ -58,15 +65,15 @@ def placed(
     same_look = int(rng.integers(2**32))
     for _ in range(int(rng.integers(1, 6)) if ceiling_m is not None else 0):
         # Pillars of one hall look alike.
-        add(obstacle(np.random.default_rng(same_look), "pillar", _place(rng, half_rad), ceiling_m), 0.25)
+        add(obstacle(np.random.default_rng(same_look), "pillar", _place(rng, half_rad, any_m), ceiling_m), 0.25)
     # On real lots few things stand, and cars beside them look like some.
     for _ in range(int(rng.integers(0, rng.choice([6, 16])))):
         kind = str(rng.choice(KINDS, p=_SHARES))
-        place = _place(rng, half_rad, _RANGE_M if kind == "pillar" else low_m)
+        place = _place(rng, half_rad, any_m if kind == "pillar" else low_m)
         add(obstacle(rng, kind, place, ceiling_m), 0.25)
     full = rng.choice([0.0, 0.3, 0.8], p=(0.1, 0.35, 0.55))
     for slot in layout.slots:
-        middle = slot.mean(axis=0) - 0.5 * SIZE_M
+        middle = slot.mean(axis=0) - 0.5 * size_m
         if rng.random() < full and 2.6 < np.linalg.norm(middle) < 16.0:
             long_side = slot[3] - slot[0]
             if np.linalg.norm(slot[1] - slot[0]) > np.linalg.norm(long_side):
@@ -81,16 +88,14 @@ def placed(
         # Cones stand around signs, locks before bumpers: one hides the other, or is behind it.
         near = bodies[int(rng.integers(len(bodies)))]
         place = _beside(rng, near)
-        if np.linalg.norm(place) < _RANGE_M[1]:
+        if np.linalg.norm(place) < RANGE_M[1]:
             add(obstacle(rng, str(rng.choice(KINDS, p=_SHARES)), place, ceiling_m), 0.15)
     for _ in range(int(rng.integers(0, 6))):
-        add(bystander(rng, _place(rng, half_rad)), 0.3)
+        add(bystander(rng, _place(rng, half_rad, any_m)), 0.3)
     return bodies, layout
 
 
-def _place(
-    rng: np.random.Generator, half_rad: float, limits_m: tuple[float, float] = _RANGE_M
-) -> Float[np.ndarray, " 2"]:
+def _place(rng: np.random.Generator, half_rad: float, limits_m: tuple[float, float]) -> Float[np.ndarray, " 2"]:
     """Ahead or aside, at any range."""
     is_far = rng.random() < _FAR_SHARE
     range_m = float(rng.uniform(*limits_m) if is_far else np.exp(rng.uniform(*np.log(limits_m))))

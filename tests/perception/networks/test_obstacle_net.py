@@ -6,18 +6,18 @@ import pytest
 from semloc_jax.perception.networks.dense_net import STRIDE
 from semloc_jax.perception.networks.obstacle_net import (
     CONFIG,
-    FAR_SCALE,
+    FAR,
     HORIZON_V,
     KINDS,
+    NEAR,
     OUTPUTS,
     PX_PER_RAD,
     SHIPPED,
     SIZE_PX,
     FoundObstacles,
     ObstacleNet,
-    _feet_of,
+    _as_in_strip,
     decoded,
-    far_strip,
     net_view,
     prepared,
 )
@@ -74,11 +74,11 @@ class ByColour(ObstacleNet):
 
 
 def test_what_is_low_and_far_is_seen_enlarged():
-    """A cone 25 px below the horizon is told by the strip, in which 16 px are 8; one 90 px below it and a pillar are
-    told by the picture."""
+    """A cone 15 px below the horizon is told by the strip, in which 16 px are 8; one 90 px below it and a pillar are
+    told by the whole, in which 16 px are 28."""
     picture = np.zeros((SIZE_PX[1], 320, 3), np.uint8)
     v, u = np.mgrid[: SIZE_PX[1], :320]
-    spots = {"far": (81.5, HORIZON_V + 25.0, 2), "near": (161.5, HORIZON_V + 90.0, 2), "pillar": (241.5, 145.5, 0)}
+    spots = {"far": (81.5, HORIZON_V + 15.0, 2), "near": (161.5, HORIZON_V + 90.0, 2), "pillar": (241.5, 145.5, 0)}
     for at_u, at_v, channel in spots.values():
         near = np.exp(-0.5 * ((u - at_u) ** 2 + (v - at_v) ** 2) / 5.0**2)
         picture[..., channel] = np.maximum(picture[..., channel], 255.0 * near)
@@ -88,12 +88,13 @@ def test_what_is_low_and_far_is_seen_enlarged():
     middle, side = 0.5 * (found.box[:, :2] + found.box[:, 2:]), found.box[:, 2:] - found.box[:, :2]
     for name, (*at, _) in spots.items():
         k = int(np.linalg.norm(middle - at, axis=1).argmin())
-        assert np.abs(middle[k] - at).max() <= 2.0  # within the cell
-        np.testing.assert_allclose(side[k], 8.0 if name == "far" else 16.0, rtol=1e-5)
+        look = FAR if name == "far" else NEAR
+        assert np.abs(middle[k] - at).max() <= 0.5 * STRIDE / look.scale  # within the cell
+        np.testing.assert_allclose(side[k], 16.0 / look.scale, rtol=1e-5)
         np.testing.assert_allclose(found.foot_uv[k], [middle[k, 0], found.box[k, 3]])
 
 
-def test_pillars_stand_where_the_strip_shows_their_feet():
+def test_pillars_stand_where_the_strip_shows_them():
     """One of two: the other stands too near for the strip."""
     kind = np.full(2, KINDS.index("pillar"))
     near = FoundObstacles(
@@ -105,26 +106,34 @@ def test_pillars_stand_where_the_strip_shows_their_feet():
     )
     box = np.array([[101.0, 110.0, 119.0, HORIZON_V + 30.0], [201.0, 110.0, 259.0, HORIZON_V + 47.0]])
     far = near._replace(box=box, foot_uv=near.foot_uv - [0.0, 5.0], has_foot=np.array([True, False]))
-    found = _feet_of(near, far)
-    np.testing.assert_allclose(found.box[0], [100.0, 0.0, 120.0, HORIZON_V + 30.0])
+    found = _as_in_strip(near, far)
+    np.testing.assert_allclose(found.box[0], [101.0, 0.0, 119.0, HORIZON_V + 30.0])
     np.testing.assert_allclose(found.foot_uv[0], far.foot_uv[0])
     np.testing.assert_allclose(found.box[1], near.box[1])
     np.testing.assert_allclose(found.foot_uv[1], near.foot_uv[1])
     assert found.has_foot.all() and near.box[0, 3] == HORIZON_V + 35.0
     nobody = near.where(np.zeros(2, bool))
-    np.testing.assert_allclose(_feet_of(near, nobody).box, near.box)
+    np.testing.assert_allclose(_as_in_strip(near, nobody).box, near.box)
     aside = far._replace(box=box + [15.0, 0.0, 15.0, 0.0])
-    np.testing.assert_allclose(_feet_of(near, aside).box, near.box)
+    np.testing.assert_allclose(_as_in_strip(near, aside).box, near.box)
 
 
-def test_the_strip_shows_the_horizon_where_it_says():
-    picture = np.zeros((SIZE_PX[1], 64, 3), np.uint8)
+@pytest.mark.parametrize("look", [NEAR, FAR])
+def test_a_look_shows_the_horizon_where_it_says_and_leads_back(look):
+    picture = np.zeros((SIZE_PX[1], SIZE_PX[0], 3), np.uint8)
     picture[int(HORIZON_V) + 1 :] = 200
-    strip, horizon_v = far_strip(picture)
-    bright = strip[:, 0, 0] / 200.0
-    # Row 135 is the first bright one, so half of the brightness is half a row below the horizon: one of the strip.
-    assert np.interp(0.5, bright, np.arange(len(strip))) == pytest.approx(horizon_v + 0.5 * FAR_SCALE, abs=0.05)
-    assert strip.shape[1] == 64 * FAR_SCALE and strip.shape[0] % CONFIG.step_px == 0
+    shown = look.at(picture)
+    bright = shown[:, 0, 0] / 200.0
+    # Row 135 is the first bright one: the edge is half a row below the horizon.
+    edge_v = len(shown) - bright.sum() - 0.5
+    assert edge_v == pytest.approx(look.horizon_v + 0.5 * look.scale, abs=0.02)
+    assert len(shown) == look.height and shown.shape[1] == round(look.scale * SIZE_PX[0])
+    assert not any(side % CONFIG.step_px for side in shown.shape[:2])
+    assert not any(side % CONFIG.step_px for side in look.at(picture[:, :100]).shape[:2])
+    one = FoundObstacles(
+        np.zeros(1, int), np.zeros((1, 4)), np.array([[7.0, look.horizon_v]]), np.ones(1, bool), np.ones(1)
+    )
+    np.testing.assert_allclose(look.back(one).foot_uv, [[7.5 / look.scale - 0.5, HORIZON_V]])
 
 
 @pytest.fixture(scope="module")
@@ -161,3 +170,18 @@ def test_the_shipped_network_finds_what_is_drawn(shipped):
     scores = judged(shipped, views)
     assert sum(own.num_true for own in scores.values()) > 15
     assert mean_precision(scores) > 0.35 and scores["cone"].average_precision > 0.6
+
+
+def test_what_ships_is_the_same_as_an_onnx_graph(tmp_path):
+    """In both of its looks; written with the rows of the horizon beside the colours."""
+    onnxruntime = pytest.importorskip("onnxruntime")
+    net = ObstacleNet.load()
+    write_onnx(tmp_path / "net.onnx", net.network, CONFIG.num_outputs, CONFIG.num_inputs, output="obstacles")
+    session = onnxruntime.InferenceSession(str(tmp_path / "net.onnx"))
+    picture = np.random.default_rng(3).integers(0, 255, (SIZE_PX[1], 224, 3), np.uint8)
+    for look in (NEAR, FAR):
+        seen = np.asarray(prepared(look.at(picture), look.horizon_v), np.float32)
+        (found,) = session.run(None, {"picture": seen.transpose(2, 0, 1)[None]})
+        said = np.asarray(net.network(seen))
+        assert np.ptp(said) > 0.1
+        np.testing.assert_allclose(found[0].transpose(1, 2, 0), said, atol=1e-3 * np.ptp(said))
