@@ -112,7 +112,7 @@ def frame_mixture(
     prior_sigma: Float[np.ndarray, "6"],
     config: SandwichConfig | None = None,
 ) -> PoseMixture:
-    """The posterior of a localized frame: its modes with sandwich covariances.
+    """The posterior of a localized frame: its modes with their weights and with sandwich covariances.
 
     Args:
         localizer: That localized it.
@@ -134,5 +134,8 @@ def frame_mixture(
         covariances.append(sandwich_covariance(residuals, prior_sigma, config).covariance)
     if not covariances:
         raise SemlocError(f"frame {result.frame.id}: no pose explains the masks, so there is no posterior")
+    # By the verdict: the costs of a search do not weigh its places against each other.
+    weight = np.array([mode.weight for mode in result.modes])
+    order = np.argsort(-weight, kind="stable")
     poses = np.stack([mode.T_map_base for mode in result.modes])
-    return laplace_mixture([mode.score for mode in result.modes], poses, np.stack(covariances))
+    return PoseMixture(weight[order] / weight.sum(), poses[order], np.stack(covariances)[order])

@@ -189,7 +189,8 @@ def test_the_posterior_of_a_frame(simulated_road):
     heading = float(np.arctan2(T[1, 0], T[0, 0]))
     result = localizer.localize(frame, masks, PosePrior(T[0, 3] + 0.5, T[1, 3] - 0.3, heading, 1.0, 0.05), rig)
     mixture = frame_mixture(localizer, result, masks, rig, ExpectedConfig().prior_sigma)
-    assert mixture.weight.sum() == pytest.approx(1.0)
+    assert mixture.weight.sum() == pytest.approx(1.0) and mixture.weight[0] > 0.99
+    assert len(mixture.weight) > 1
     error = pose_errors(mixture.Ts_map_base[:1], T[None])
     assert abs(error["lateral_m"][0]) < 0.02 and abs(error["longitudinal_m"][0]) < 0.10
     sigma_m = np.sqrt(np.diag(mixture.covariance[0]))[:2]
