@@ -14,11 +14,10 @@ import numpy as np
 
 from semloc_jax.alignment.agreement import NUM_KINDS, disagreement, kinds_apart
 from semloc_jax.alignment.along_road import RoadPosterior, weighed_along_road, widened
-from semloc_jax.alignment.candidates import SolvedPoses, along_weak, apart, not_near, planar, solve_all
+from semloc_jax.alignment.candidates import SolvedPoses, along_weak, apart, not_near, solve_all
 from semloc_jax.alignment.fault_modes import PLANE, joined
 from semloc_jax.alignment.fault_search import FaultSearch
 from semloc_jax.alignment.map_pieces import Pieces, PoseEvidence, Rates
-from semloc_jax.alignment.mode_search import LONGEST_WALK_M, WALK_SIGMAS, best_along
 from semloc_jax.alignment.modes import modes_in_map, weighed
 from semloc_jax.alignment.pose import Prior
 from semloc_jax.alignment.posterior import Ridges, spread, temper
@@ -26,6 +25,7 @@ from semloc_jax.alignment.result import FoundModes, ModeEvidence
 from semloc_jax.alignment.same_pose import ONE_PLACE, ONE_TRACK, units_apart
 from semloc_jax.alignment.search_steps import SearchSteps
 from semloc_jax.alignment.single_frame import FrameInput, evidence_from, sharpest
+from semloc_jax.alignment.walk import walked
 from semloc_jax.geometry import rigid
 from semloc_jax.residuals.noise import POSE_SHARE
 from semloc_jax.runtime.stored_program import stored_program
@@ -114,28 +114,12 @@ class ModeFinder(SearchSteps):
         return replace(found, modes=(best, *found.modes[1:]), sound=sound, faults=tuple(faults))
 
     def walked(self, T_local_base: np.ndarray) -> np.ndarray:
-        """The best places along the road through a pose, as far as the prior may be wrong, float64[n 4 4].
-
-        A random search meets some of the places that fit along a road, which are half a metre long each. One of them
-        tells across and heading of all: what is left is a line, and all of it can be looked at.
-        """
-        reach_m = self.frame_config.along_road.reach_m
-        num = int(min(WALK_SIGMAS * self.sigma[0], LONGEST_WALK_M) // (2.0 * reach_m))
+        """Places along the road through a pose that fit as well, see `alignment.walk`."""
         centre = self.road.place(T_local_base[None])[0]
         prior = Prior(np.asarray(centre, np.float32), np.asarray(self.wide_sigma, np.float32))
-        found = []
-        for way in (-1, 1):
-            T = T_local_base
-            for _ in range(num):
-                # From where the last stretch ended, so that bends are followed.
-                T = self.road.place(T @ planar(np.array([way * reach_m]), np.zeros(1), 0.0))[0]
-                road = self._road_through(T, self.frame, prior)
-                places = np.asarray(road.places, np.float64)
-                if not np.isfinite(places).all():
-                    break
-                found.append(places[best_along(np.asarray(road.log_masks, np.float64))])
-                T = places[0 if way < 0 else -1]
-        return np.concatenate(found) if found else np.zeros((0, 4, 4))
+        through = partial(self._road_through, frame=self.frame, prior=prior)
+        reach_m = self.frame_config.along_road.reach_m
+        return walked(T_local_base, float(self.sigma[0]), reach_m, self.road.place, through)
 
     def _road_through(self, T_local_base: np.ndarray, frame: FrameInput, prior: Prior) -> RoadPosterior:
         """Places along the road through a pose."""

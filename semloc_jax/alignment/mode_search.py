@@ -5,9 +5,6 @@ In: nothing. Out: CompleteModesConfig; FrameImage, what a frame gives to it beyo
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from jaxtyping import Float, Int
-
 from semloc_jax.alignment.agreement import AgreementConfig
 from semloc_jax.alignment.aliases import AliasConfig
 from semloc_jax.alignment.evidence_null import NullConfig
@@ -16,18 +13,6 @@ from semloc_jax.perception.border_distance import BorderDistances
 
 ALIAS_SIGMAS = 5.0
 """Aliases are looked for so many sigmas of the prior away."""
-WALK_SIGMAS = 3.0
-LONGEST_WALK_M = 16.0
-"""The road through the best place is looked at place by place so many sigmas of the prior away, and no farther: two
-periods of most dashes."""
-
-
-def best_along(log_masks: Float[np.ndarray, " n"], num: int = 3) -> Int[np.ndarray, " k"]:
-    """The best places of a stretch that are better than both of their neighbours, or its best one."""
-    known = np.where(np.isfinite(log_masks), log_masks, -np.inf)
-    inner = np.flatnonzero((known[1:-1] > known[:-2]) & (known[1:-1] >= known[2:])) + 1
-    inner = inner if len(inner) else np.array([int(known.argmax())])
-    return inner[np.argsort(-known[inner], kind="stable")[:num]]
 
 
 @dataclass(frozen=True)
