@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from semloc_jax.learning.sureness import focal_loss
 from semloc_jax.perception.networks.dense_net import STRIDE
-from semloc_jax.perception.networks.obstacle_net import FAR, KINDS, NEAR, PX_PER_RAD, SIDE_PX, Look, prepared
+from semloc_jax.perception.networks.obstacle_net import FAR, KINDS, NEAR, PX_PER_RAD, SIDE_PX, ScaledRows, prepared
 from semloc_jax.simulation.cylinder_views.picture import CylinderSample, Geometry, SeenThing, cylinder_sample
 
 LEAST_PX = (4.0, 8.0)
@@ -52,7 +52,7 @@ class ObstacleBatch(NamedTuple):
 class CylinderPool:
     """Random views as one of the looks shows them, drawn once, and cut, mirrored and lit anew ever after."""
 
-    def __init__(self, look: Look, num: int, width_px: int, seed: int) -> None:
+    def __init__(self, look: ScaledRows, num: int, width_px: int, seed: int) -> None:
         """Draw them.
 
         Args:
@@ -71,7 +71,7 @@ class CylinderPool:
         return batch_of([lit_anew(rng, sample) for sample in cuts])
 
 
-def look_geometry(look: Look, width_px: int) -> Geometry:
+def look_geometry(look: ScaledRows, width_px: int) -> Geometry:
     """Of random views as one of the looks shows them, so wide."""
     return Geometry(PX_PER_RAD * look.scale, width_px, look.height, look.horizon_v, look.scale, LOW_M[look])
 

@@ -54,7 +54,7 @@ picture. From cameras 0.6 to 1 m over the road that is 3 to 4.5 m away."""
 _HIGH = KINDS.index("pillar")
 
 
-class Look(NamedTuple):
+class ScaledRows(NamedTuple):
     """Some rows of a picture of `net_view`, in the size in which the network looks at them.
 
     Attributes:
@@ -88,9 +88,9 @@ class Look(NamedTuple):
         return found._replace(box=box + [0, self.rows[0], 0, self.rows[0]], foot_uv=foot + [0, self.rows[0]])
 
 
-NEAR = Look(4 / 7, (40, SIZE_PX[1]))
+NEAR = ScaledRows(4 / 7, (40, SIZE_PX[1]))
 """What is near is large, and pillars are. 26 deg above the horizon only they are left."""
-FAR = Look(2.0, (120, 184))
+FAR = ScaledRows(2.0, (120, 184))
 """Around the horizon; pillars reach out of it."""
 
 
