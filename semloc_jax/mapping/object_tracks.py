@@ -108,6 +108,10 @@ class ObjectTrack:
         """Whether its sights tell where it is; before that it cannot be confirmed."""
         return True
 
+    def excludes(self, other: Any) -> bool:
+        """Whether another track cannot be a second thing beside this one, since both would stand in one place."""
+        return False
+
 
 AnyTrack = TypeVar("AnyTrack", bound=ObjectTrack)
 
@@ -151,8 +155,13 @@ class Tracker(Generic[AnyTrack]):
         return found
 
     def final(self) -> list[AnyTrack]:
-        """Confirmed tracks that were not denied."""
-        return [t for t in [*self.ended, *self.tracks] if t.confirmed]
+        """Confirmed tracks that were not denied; of those in one place the one that was seen most."""
+        found = [t for t in [*self.ended, *self.tracks] if t.confirmed]
+        kept: list[AnyTrack] = []
+        for track in sorted(found, key=lambda t: -t.num_seen):
+            if not any(other.excludes(track) for other in kept):
+                kept.append(track)
+        return [track for track in found if track in kept]
 
     def _is_born(self, track: AnyTrack) -> bool:
         return sum(track.born) >= self.config.confirm[0]

@@ -62,11 +62,9 @@ class ObstacleTrack(ObjectTrack):
         A box of length L along its direction and width W across it is seen from the direction a as wide as
         L |sin(a - yaw)| + W |cos(a - yaw)|: linear in L and W for each yaw.
         """
-        offset = np.array([self.pose[:2] - sight.camera_xy for sight, _ in self.sights])
-        width_m = np.array([sight.span_rad for sight, _ in self.sights]) * np.linalg.norm(offset, axis=1)
-        whole = np.array([sight.is_whole for sight, _ in self.sights])
+        offset, width_m, whole = self._seen_widths()
         bearing = np.arctan2(offset[:, 1], offset[:, 0])[whole]
-        typical_m = float(np.median(width_m[whole] if whole.any() else width_m))
+        typical_m = self.typical_m
         untold = Footprint(typical_m, typical_m, 0.0, 0.5 * np.pi)
         if len(bearing) < _FEWEST or _spread(bearing) < _LEAST_SPREAD_RAD:
             return untold
@@ -87,6 +85,23 @@ class ObstacleTrack(ObjectTrack):
         if sigma > _UNTOLD_RAD or long_m - length_m < _SQUARE * _WIDTH_SIGMA_M:
             return untold
         return Footprint(length_m, long_m, float(yaws[best]), float(max(sigma, np.deg2rad(_STEP_DEG))))
+
+    @property
+    def typical_m(self) -> float:
+        """Median of the widths as it was seen, from wherever."""
+        _, width_m, whole = self._seen_widths()
+        return float(np.median(width_m[whole] if whole.any() else width_m))
+
+    def excludes(self, other: "ObstacleTrack") -> bool:
+        """Whether the middle of one stands within the other, of whatever class: nothing stands in another thing."""
+        apart_m = float(np.linalg.norm(self.pose[:2] - other.pose[:2]))
+        return apart_m < 0.5 * max(self.typical_m, other.typical_m)
+
+    def _seen_widths(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of each sight the way from its camera [m], the width [m], and whether both sides were seen."""
+        offset = np.array([self.pose[:2] - sight.camera_xy for sight, _ in self.sights])
+        width_m = np.array([sight.span_rad for sight, _ in self.sights]) * np.linalg.norm(offset, axis=1)
+        return offset, width_m, np.array([sight.is_whole for sight, _ in self.sights])
 
     def may_be(self, sight: Obstacle, config: ObjectTrackConfig) -> bool:
         """Whether the sight is of the same class."""

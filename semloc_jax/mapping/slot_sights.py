@@ -148,7 +148,7 @@ class SlotObserver:
         gatherer = self._gathered(index, looks, Ts_odom_base)
         lines, in_row = self._lines(gatherer, T)
         beliefs = dict.fromkeys([part.id for part in (*lines, *in_row)], _ONE_FRAME)
-        found = find_slots(lines, beliefs, _way(T), gatherer.vehicles, self.config.slots, in_row)
+        found = find_slots(lines, beliefs, own_way(T), gatherer.vehicles, self.config.slots, in_row)
         elements = upright([element for element, _ in found], lines, self.config.slots)
         mouths = in_rows(elements)
         taken = [is_taken(element.points[:4, :2], gatherer.vehicles) for element in elements]
@@ -175,7 +175,7 @@ class SlotObserver:
         lines = elements_of(gatherer.paint, layers, lambda xy: np.full(len(xy), T[2, 3]), self.config.vector)
         if not self.config.is_by_rows:
             return split_crossbars(lines, self.config.slots), []
-        drawn = draw_rows(lines, _way(T), None, self.config.slots)
+        drawn = draw_rows(lines, own_way(T), None, self.config.slots)
         kept = {line.id for line in drawn.lines}
         return split_crossbars(drawn.lines, self.config.slots), [d for row in drawn.rows for d in row.dividers(kept)]
 
@@ -205,7 +205,7 @@ class SlotObserver:
         return ground_covariance(offset[k], float(self._places[k, 2]), float(self._focal_px[k]), self.config.errors)
 
 
-def _way(T: np.ndarray) -> Float[np.ndarray, "n 2"]:
+def own_way(T: np.ndarray) -> Float[np.ndarray, "n 2"]:
     """Where the vehicle drives, to which slots open: along its own axis, since a frame knows no more."""
     return T[:2, 3] + np.linspace(-_AHEAD_M, _AHEAD_M, 57)[:, None] * T[:2, 0] / np.linalg.norm(T[:2, 0])
 

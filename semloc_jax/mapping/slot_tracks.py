@@ -6,6 +6,7 @@ In: sights of slots. Out: SlotTrack: type, size and occupancy of a slot that is 
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from jaxtyping import Float
 
 from semloc_jax.mapping.object_tracks import ObjectTrack, ObjectTrackConfig, wrapped
@@ -14,6 +15,8 @@ from semloc_jax.mapping.slots import PARALLEL
 
 _LAST = 9
 """Sights that tell whether a slot is taken now."""
+_SHARED = 0.3
+"""Two slots that share more of the smaller one are not both there: a divider was missed, or the depth is a guess."""
 
 
 @dataclass
@@ -45,8 +48,25 @@ class SlotTrack(ObjectTrack):
 
     def corners(self) -> Float[np.ndarray, "2 2"]:
         """Both ends of the entrance in odom [m]."""
+        return self._rectangle(self.width_m)[:2]
+
+    def outline(self) -> Float[np.ndarray, "4 2"]:
+        """Corners in odom [m], both ends of the entrance first."""
+        return self._rectangle(self.width_m)
+
+    def excludes(self, other: "SlotTrack") -> bool:
+        """Whether both slots share more than their rims."""
+        one, two = (shapely.Polygon(track._rectangle(track._across_m())) for track in (self, other))
+        return bool(one.intersection(two).area > _SHARED * min(one.area, two.area))
+
+    def _across_m(self) -> float:
+        """From side to side: less than the entrance where the slot is at an angle to it."""
+        return float(np.median([slot.width_m * np.cos(slot.skew_rad) for slot, _ in self.sights]))
+
+    def _rectangle(self, width_m: float) -> Float[np.ndarray, "4 2"]:
         along = np.array([np.sin(self.pose[2]), -np.cos(self.pose[2])])
-        return self.pose[:2] + 0.5 * self.width_m * np.array([along, -along])
+        ends = self.pose[:2] + 0.5 * width_m * np.array([along, -along])
+        return np.concatenate([ends, ends[::-1] - self.depth_m * np.array([along[1], -along[0]])])
 
     def may_be(self, sight: Slot, config: ObjectTrackConfig) -> bool:
         """Whether the sight points the same way and is of the same kind: along the aisle or not."""

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
-from semloc_jax.mapping.net_slots import in_view, painted_dividers
+from semloc_jax.mapping.point_dividers import in_view, painted_dividers
 from semloc_jax.mapping.slot_sights import in_rows, upright
 from semloc_jax.mapping.slots import SlotConfig, find_slots
 from semloc_jax.maps import Belief

@@ -97,23 +97,15 @@ def _row(time_s: float, track: SlotTrack, T_odom_base: np.ndarray, obstacles: Ob
     """One line of a table: the fused slot in base and odom; sigmas are along x and y of the base frame."""
     pose, sigmas = placed(track, float(track.pose[2]), T_odom_base)
     taken = "" if track.occupied is None else int(track.occupied)
-    corners = corners_of(track.pose, track.width_m, track.depth_m)
+    corners = track.outline()
     stands = (None if obstacles is None else obstacles.standing_in(corners)) or ""
     size = [f"{value:.3f}" for value in (track.width_m, track.depth_m)]
     told = [f"{value:.4f}" for value in (*sigmas, np.sqrt(track.covariance[2, 2]), track.existence)]
     return (f"{time_s:.3f}", track.id, track.kind, *pose, *size, taken, stands, *told, int(track.confirmed))
 
 
-def corners_of(pose: np.ndarray, width_m: float, depth_m: float) -> np.ndarray:
-    """Corners of a slot, both ends of the entrance first, `float64[4 2]` [m]."""
-    inward = np.array([np.cos(pose[2]), np.sin(pose[2])])
-    along = np.array([inward[1], -inward[0]])
-    ends = pose[:2] + 0.5 * width_m * np.array([-along, along])[::-1]
-    return np.concatenate([ends, ends[::-1] + depth_m * inward])
-
-
 def _recorded(track: SlotTrack) -> RecordedThing:
-    corners = corners_of(track.pose, track.width_m, track.depth_m)
+    corners = track.outline()
     colour = colour_of(track.occupied)
     return RecordedThing(f"slot {track.id}", corners, colour, track.confirmed, track.existence)
 
@@ -122,7 +114,7 @@ def _write_map(folder: Path, final: Sequence[SlotTrack], name: str) -> None:
     """The slots with their beliefs, in odom."""
     elements, beliefs = [], {}
     for track in final:
-        corners = corners_of(track.pose, track.width_m, track.depth_m)
+        corners = track.outline()
         words = {"kind": track.kind} | ({} if track.occupied is None else {"occupied": bool(track.occupied)})
         element = MapElement(
             f"slot_{track.id}",
@@ -141,7 +133,7 @@ def _drawn(tracks: Sequence[SlotTrack], T_odom_base: np.ndarray) -> list[DrawnSl
     """The slots that a top view shows."""
     drawn = []
     for track in tracks:
-        corners = corners_of(track.pose, track.width_m, track.depth_m)
+        corners = track.outline()
         base = (corners - T_odom_base[:2, 3]) @ T_odom_base[:2, :2]
         if np.abs(base).max() < SIZE_M:
             drawn.append(DrawnSlot(base, str(track.id), track.occupied, track.confirmed))

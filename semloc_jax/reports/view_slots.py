@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from semloc_jax.datasets.pictures import as_colour, read_picture
 from semloc_jax.errors import SemlocError
-from semloc_jax.mapping.net_slots import in_view
+from semloc_jax.mapping.point_dividers import in_view
 from semloc_jax.mapping.slot_sights import SlotSightConfig
 from semloc_jax.mapping.view_slots import ViewSlot, in_metres, in_pixels, slots_of_view
 from semloc_jax.perception.networks.marking_net import MarkingNet, MarkingPoints

@@ -30,8 +30,8 @@ from semloc_jax.perception.networks.marking_net import (
 from semloc_jax.perception.networks.weights import read_card
 from semloc_jax.reports.marking_points import _lessons
 from semloc_jax.simulation.top_views.drawn_out import own_car, wedge
-from semloc_jax.simulation.top_views.picture import top_view_sample
-from semloc_jax.simulation.top_views.slot_layout import random_layout
+from semloc_jax.simulation.top_views.picture import _asked, top_view_sample
+from semloc_jax.simulation.top_views.slot_layout import DividerBack, MarkingPoint, random_layout
 
 SIZE_PX = 128
 
@@ -73,6 +73,31 @@ def test_turned_pictures_show_the_same_under_their_points(samples):
             for one, other in zip(sample.points, turned.points, strict=True):
                 a, b = (np.floor(p.uv_m / METRES_PER_PX).astype(int) for p in (one, other))
                 np.testing.assert_array_equal(sample.picture[a[1], a[0]], turned.picture[b[1], b[0]])
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_the_back_of_a_divider_is_asked_for_where_its_mouth_tells_it(is_told):
+    """Where paint differs and the mouth is in view, the network has to say that the back is none."""
+    mouth, back = np.array([2.0, 1.0]), np.array([2.0, 5.0])
+    alpha, picture = np.ones((256, 256), np.float32), np.zeros((128, 128, 3), np.uint8)
+    backs = [DividerBack(back, mouth if is_told else None)]
+    point = MarkingPoint(mouth, 0.5 * np.pi, False)
+    for points, is_shown in (([point], True), ([], False)):
+        sample = _asked(picture, points, backs, np.zeros((256, 256), np.uint8), alpha, 6.4, 40.0)
+        u, v = np.rint(back / METRES_PER_PX).astype(int)
+        assert sample.unasked[v, u] == (not (is_told and is_shown))
+
+
+def test_both_ends_of_a_divider_are_alike_only_where_the_same_paint_crosses_them():
+    """Of 200 rows; a line runs across the backs of some, the entrance of boxes is one, too."""
+    seen = set()
+    for seed in range(200):
+        layout = random_layout(np.random.default_rng(seed), 6.4)
+        seen |= {back.mouth_m is None for back in layout.backs}
+        for back in layout.backs:
+            if back.mouth_m is not None:
+                assert 1.8 < np.linalg.norm(back.uv_m - back.mouth_m) < 10.0
+    assert seen == {True, False}
 
 
 def test_points_lie_on_paint_and_point_into_slots():

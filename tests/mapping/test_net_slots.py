@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
-from semloc_jax.mapping.net_slots import dividers_of
+from semloc_jax.mapping.point_dividers import by_their_rows, dividers_of, open_to
 from semloc_jax.mapping.slots import ANGLED, PARALLEL, PERPENDICULAR, SlotConfig, find_slots
 from semloc_jax.maps import Belief
 
@@ -42,3 +42,40 @@ def test_two_rows_across_an_aisle_are_two():
     both = np.concatenate([places, places * [1.0, -1.0]])
     dividers = dividers_of(both, np.concatenate([inward, inward * [1.0, -1.0]]), 0.0, CONFIG)
     assert [np.sign(d.inward[1]) for d in dividers] == [1.0] * 5 + [-1.0] * 5
+
+
+def kinds_of(places, inward):
+    """Types of the slots between marking points beside a straight way."""
+    dividers = dividers_of(places, inward, 0.0, CONFIG)
+    beliefs = dict.fromkeys([d.id for d in dividers], Belief(0.1, 0.1, 0.0, num_seen=1))
+    way = np.stack([np.linspace(-5.0, 25.0, 61), np.zeros(61)], axis=1)
+    return [
+        element.attributes["kind"] for element, _ in find_slots([], beliefs, way, EvidenceGrid(0.1), CONFIG, dividers)
+    ]
+
+
+@pytest.mark.parametrize("num", [2, 3, 5])
+def test_an_l_between_its_legs_is_mended_by_the_neighbour(num):
+    """At both ends of a row along the aisle the network says 45 deg between divider and entrance."""
+    places, inward = row(5.5, 0.0, 0.0, num)
+    half = np.sqrt(0.5)
+    inward[0], inward[-1] = [half, half], [-half, half]
+    mended = by_their_rows(places, inward, CONFIG)
+    np.testing.assert_allclose(mended, np.tile([0.0, 1.0], (num, 1)), atol=1e-9)
+    assert kinds_of(places, inward) == [PARALLEL] * (num - 1)
+
+
+def test_rows_without_an_l_stay_as_the_network_says():
+    for pitch_m, skew_deg in KINDS.values():
+        places, inward = row(pitch_m, skew_deg, noise_deg=10.0)
+        np.testing.assert_array_equal(by_their_rows(places, inward, CONFIG), inward)
+
+
+def test_the_back_of_a_slot_does_not_open_to_the_way():
+    """Back corners of slots along the aisle, 2.2 m behind their mouths, point to the aisle; mouths do not."""
+    places, inward = row(5.5, 0.0, 10.0, num=2)
+    way = np.stack([np.linspace(-7.0, 7.0, 57), np.zeros(57)], axis=1)
+    both, turns = np.concatenate([places, places + [0.0, 2.2]]), np.concatenate([inward, -inward])
+    assert open_to(way, both, turns).tolist() == [True, True, False, False]
+    # Backing into a slot, the vehicle is between the mouths of both dividers.
+    assert open_to(way + [0.0, 3.0], places, inward).all()

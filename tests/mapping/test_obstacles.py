@@ -148,3 +148,16 @@ def test_masks_without_obstacles_are_told(rig):
     masks = MaskSource("drawn", table_of({1: "lane_marking"}), NAMES, lambda frame, name: None)
     with pytest.raises(SemlocError, match="knows no obstacles"):
         ObstacleObserver(rig, masks)
+
+
+def test_one_thing_in_each_place():
+    """A pillar that was told twice, 0.2 m apart, is the one seen more; one beside it stays."""
+    tracker = Tracker(ObstacleTrack)
+
+    def sight(kind, x):
+        return Obstacle(kind, np.array([x, 3.0, 0.0]), np.eye(3) * 1e-4, np.zeros(3), 0.2, np.array([x, 0.0]), True)
+
+    for k in range(6):
+        seen = [sight("pillar", 0.0), sight("pillar", 1.5)] + ([sight("cone", 0.2)] if k < 3 else [])
+        tracker.step(seen, float(k), 0.1 * k, np.zeros(len(tracker.tracks), bool))
+    assert [(t.kind, round(float(t.pose[0]), 2)) for t in tracker.final()] == [("pillar", 0.0), ("pillar", 1.5)]

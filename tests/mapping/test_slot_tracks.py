@@ -100,3 +100,27 @@ def test_a_slot_that_only_looks_askew_is_told_by_the_bar_at_its_entrance():
     assert upright([askew], [], SlotConfig())[0].attributes["kind"] == "angled"
     leaning = bar.with_points(np.array([[-0.66, -0.228, 0.0], [0.66, 0.228, 0.0]]))
     assert upright([askew], [leaning], SlotConfig())[0].attributes["kind"] == "angled"
+
+
+def test_of_two_slots_in_one_place_the_one_seen_more_stays():
+    """A missed divider makes one long slot of two; seen in three of ten frames it is none."""
+    tracker = Tracker(SlotTrack)
+    for frame in range(10):
+        slots = [sight(pose) for pose in row(4)]
+        if frame < 3:
+            slots.append(replace(sight([1.25, 4.0, np.pi / 2], kind="parallel"), width_m=5.0, depth_m=2.2))
+        tracker.step(slots, 0.2 * frame, 0.5 * frame, np.zeros(len(tracker.tracks), bool))
+    assert sum(t.confirmed for t in tracker.tracks) == 5
+    assert sorted(round(float(t.pose[0]), 1) for t in tracker.final()) == [0.0, 2.5, 5.0, 7.5]
+
+
+def test_slots_side_by_side_at_an_angle_are_all_kept():
+    """At 45 deg an entrance of 3.5 m leaves 2.5 m from side to side."""
+    tracker, turn = Tracker(SlotTrack), np.deg2rad(135.0)
+    slots = [
+        replace(sight([3.5 * k, 4.0, turn], kind="angled"), width_m=3.5, skew_rad=float(np.deg2rad(45.0)))
+        for k in range(4)
+    ]
+    for frame in range(4):
+        tracker.step(slots, 0.2 * frame, 0.5 * frame, np.zeros(len(tracker.tracks), bool))
+    assert len(tracker.final()) == 4

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from semloc_jax.simulation.top_views.clutter import filled, other_paint, shadows, things
 from semloc_jax.simulation.top_views.drawn_out import OwnCar, drawn_out, own_car, wedge
-from semloc_jax.simulation.top_views.slot_layout import Layout, MarkingPoint, random_layout
+from semloc_jax.simulation.top_views.slot_layout import DividerBack, Layout, MarkingPoint, random_layout
 
 _FINER = 2
 """Pictures are drawn so many times finer and averaged."""
@@ -23,6 +23,8 @@ _RIM_M = 0.15
 """Nor one so near to the border of the picture or of what is shown."""
 _WORN_OUT = 0.25
 """Nor one of whose paint less is left."""
+_SAME_M = 0.3
+"""Mounts that are off move a point from where it was painted by no more."""
 _OPEN_PX = 6
 """So far around such a point nothing is asked."""
 
@@ -232,13 +234,13 @@ def _finished(rng: np.random.Generator, picture: np.ndarray, size_px: int) -> UI
 def _asked(
     picture: np.ndarray,
     points: list[MarkingPoint],
-    backs: list[np.ndarray],
+    backs: list[DividerBack],
     covered: np.ndarray,
     alpha: np.ndarray,
     size_m: float,
     fine: float,
 ) -> TopViewSample:
-    """The points that the picture shows; those that it hides, and the backs of slots, are left open."""
+    """The points that the picture shows; what it hides, and backs of slots that it does not tell, are left open."""
     n, size_px = len(alpha), len(picture)
     near = round(_HIDDEN_M * fine)
     hidden = cv2.dilate(covered, np.ones((2 * near + 1, 2 * near + 1), np.uint8)) > 64
@@ -251,8 +253,10 @@ def _asked(
             kept.append(point)
         else:
             _leave_open(unasked, point.uv_m * fine / _FINER)
+    told = np.array([point.uv_m for point in kept]).reshape(-1, 2)
     for back in backs:
-        _leave_open(unasked, back * fine / _FINER)
+        if back.mouth_m is None or not (np.linalg.norm(told - back.mouth_m, axis=1) < _SAME_M).any():
+            _leave_open(unasked, back.uv_m * fine / _FINER)
     return TopViewSample(picture, kept, unasked)
 
 

@@ -12,10 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 _STYLES = ("box", "open", "bars", "double", "corners")
-_STYLE_SHARES = (0.4, 0.15, 0.25, 0.1, 0.1)
+_STYLE_SHARES = (0.36, 0.14, 0.34, 0.08, 0.08)
 """Closed boxes (most of Asia), dividers alone (North America), T bars (Europe), hairpins, marks at corners only."""
 _KINDS = ("perpendicular", "parallel", "angled")
-_KIND_SHARES = (0.6, 0.22, 0.18)
+_KIND_SHARES = (0.54, 0.3, 0.16)
+_PARALLEL_BACK = 0.7
+"""Slots along the aisle mostly end at a line beside a wall or a curb."""
+_ENDS_SHARE = 0.45
+"""Rows that end near the middle of the view, each way: only what is around an L tells the divider from the entrance."""
 
 
 class MarkingPoint(NamedTuple):
@@ -32,6 +36,18 @@ class MarkingPoint(NamedTuple):
     is_corner: bool
 
 
+class DividerBack(NamedTuple):
+    """Far end of a divider: it looks like a mouth where nothing tells which end is which.
+
+    Args:
+        uv_m: its place.
+        mouth_m: the mouth of the divider where its paint differs from that of the back; None where both ends are alike.
+    """
+
+    uv_m: Float[np.ndarray, " 2"]
+    mouth_m: Float[np.ndarray, " 2"] | None
+
+
 @dataclass
 class Layout:
     """What is painted.
@@ -39,14 +55,14 @@ class Layout:
     Attributes:
         quads: `float64[4 2]` each, painted areas.
         points: marking points.
-        backs: `float64[2]` each, far ends of dividers: seen alone they look like mouths.
+        backs: far ends of dividers.
         slots: `float64[4 2]` each, corners of slots, the entrance first.
         along: unit vector along the aisle.
     """
 
     quads: list[Float[np.ndarray, "4 2"]] = field(default_factory=list)
     points: list[MarkingPoint] = field(default_factory=list)
-    backs: list[Float[np.ndarray, " 2"]] = field(default_factory=list)
+    backs: list["DividerBack"] = field(default_factory=list)
     slots: list[Float[np.ndarray, "4 2"]] = field(default_factory=list)
     along: Float[np.ndarray, " 2"] = field(default_factory=lambda: np.array([1.0, 0.0]))
 
@@ -68,6 +84,11 @@ class _Style:
     gap_m: float
     has_back: bool
     is_dashed: bool
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether both ends of a divider look the same: a line across both, or across none."""
+        return (self.name, self.has_back) in (("box", True), ("open", False))
 
 
 def random_layout(rng: np.random.Generator, size_m: float) -> Layout:
@@ -106,7 +127,7 @@ def _random_style(rng: np.random.Generator) -> _Style:
         float(skew + rng.normal(0.0, 0.01)),
         float(rng.uniform(0.35, 1.6)),
         float(rng.uniform(0.22, 0.5)),
-        bool(rng.random() < 0.5),
+        bool(rng.random() < (_PARALLEL_BACK if is_parallel else 0.5)),
         bool(rng.random() < 0.12),
     )
 
@@ -123,16 +144,16 @@ def _row(
     """The dividers of a row, with the entrance to it; a row may end within the view."""
     num = int(np.ceil(2.0 * size_m / style.pitch_m)) + 1
     first, last = -num, num
-    if rng.random() < 0.3:
+    if rng.random() < _ENDS_SHARE:
         first = -int(rng.integers(0, 2))
-    if rng.random() < 0.3:
+    if rng.random() < _ENDS_SHARE:
         last = max(first, -2) + int(rng.integers(1, 5))
     c, s = np.cos(style.skew_rad), np.sin(style.skew_rad)
     into = c * inward + s * along
     length_m = style.depth_m / c
     mouths = [start + k * style.pitch_m * along for k in range(first, last + 1)]
     layout.slots += [np.array([a, b, b + length_m * into, a + length_m * into]) for a, b in pairwise(mouths)]
-    layout.backs += [mouth + length_m * into for mouth in mouths]
+    layout.backs += [DividerBack(mouth + length_m * into, None if style.is_alike else mouth) for mouth in mouths]
     yaw = float(np.arctan2(into[1], into[0]))
     for k, mouth in enumerate(mouths):
         is_end = k in (0, len(mouths) - 1)
