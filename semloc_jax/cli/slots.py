@@ -49,7 +49,8 @@ class Options:
     frames: str = ":"
     """Which frames, as a Python slice: ::2, 100:200; the way is that of the whole drive."""
     window: int = 5
-    """Frames whose looks at the road are laid over each other before lines are followed; 1: each by itself."""
+    """Frames whose looks at the road are laid over each other before lines are followed, or whose marking points have
+    to agree; 1: each by itself."""
     video: bool = False
     """Write slots.mp4: the top view with the slots."""
     rrd: Path | None = None

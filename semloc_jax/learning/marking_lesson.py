@@ -42,7 +42,7 @@ class SlotLearningConfig:
     batch: int = 16
     num_judged: int = 200
     judged_px: int = 192
-    precision: float = 0.85
+    precision: float = 0.8
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=10_000))
 
     def __post_init__(self) -> None:

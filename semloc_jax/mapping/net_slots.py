@@ -13,7 +13,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.gathered_points import FAINTEST, PointLook, agreed_points
 from semloc_jax.mapping.looking import Gatherer, Look
-from semloc_jax.mapping.point_dividers import in_view, open_to, painted_dividers
+from semloc_jax.mapping.point_dividers import by_their_rows, in_view, open_to, painted_dividers
 from semloc_jax.mapping.slot_sights import SlotFrame, SlotObserver, SlotSightConfig, own_way
 from semloc_jax.mapping.slots import Divider
 from semloc_jax.maps import MapElement
@@ -55,6 +55,7 @@ class NetSlotObserver(SlotObserver):
         frame, looks = next(reversed(recent.items()))
         self._points[frame] = self._look(looks, T)
         places, inward = agreed_points(list(self._points.values()), self.net.threshold)
+        inward = by_their_rows(places, inward, self.config.slots)
         kept = open_to(own_way(T), places, inward)
         return [], painted_dividers(places[kept], inward[kept], float(T[2, 3]), self.config.slots)
 

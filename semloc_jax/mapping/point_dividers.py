@@ -21,8 +21,9 @@ _UPRIGHT_DEG = 20.0
 _BETWEEN_DEG = (25.0, 70.0)
 """At the end of a row a mouth has two legs, the divider and the entrance. Where a picture does not tell which is which
 a network says something in between, so far from the direction of the row."""
-_FACES = 0.5
-"""A mouth opens to the aisle. What opens the other way by this cosine (60 deg) is the back of a slot, or no mouth."""
+_OPENS, _WITHIN_M = 0.3, 1.65
+"""A mouth opens to the aisle: cosine between the way to it and the direction into its slot, that of 73 deg. Nearer to
+the way it may be one of the slot that the vehicle drives into."""
 
 
 def in_view(uv: Float[np.ndarray, "n 2"], side_px: Sequence[int]) -> Bool[np.ndarray, " n"]:
@@ -34,7 +35,7 @@ def in_view(uv: Float[np.ndarray, "n 2"], side_px: Sequence[int]) -> Bool[np.nda
 def open_to(
     way: Float[np.ndarray, "m 2"], places: Float[np.ndarray, "n 2"], inward: Float[np.ndarray, "n 2"]
 ) -> Bool[np.ndarray, " n"]:
-    """Which points open to the way of the vehicle: the back of a slot, seen across the slot, does not.
+    """Which points open to the way of the vehicle: backs of slots do not, nor does the end of a row seen as a mouth.
 
     Args:
         way: places of the way [m].
@@ -44,7 +45,8 @@ def open_to(
     away = places[:, None] - way
     nearest = np.linalg.norm(away, axis=2).argmin(axis=1)
     away = away[np.arange(len(places)), nearest]
-    return (away * inward).sum(axis=1) >= -_FACES * np.linalg.norm(away, axis=1)
+    away_m = np.linalg.norm(away, axis=1)
+    return (away_m < _WITHIN_M) | ((away * inward).sum(axis=1) >= _OPENS * away_m)
 
 
 def by_their_rows(
@@ -88,8 +90,8 @@ def dividers_of(
 ) -> list[Divider]:
     """The dividers that begin at marking points, with the direction of their row.
 
-    A network tells where a divider begins, not how long it is: those whose neighbours are all as far away as those of
-    slots along the aisle are taken for short ones.
+    A network tells where a divider begins, not how long it is: those of a row whose points are all as far from each
+    other as those of slots along the aisle are taken for short ones.
 
     Args:
         places: of the points [m].
@@ -97,15 +99,18 @@ def dividers_of(
         z_m: height of the road.
         config: what makes a slot.
     """
-    inward = by_their_rows(places, inward, config)
     rows = [_row_of(k, places, inward, config) for k in range(len(places))]
     dividers = []
     for k, (place, row) in enumerate(zip(places, rows, strict=True)):
-        away_m = np.linalg.norm(places[row] - place, axis=1)
-        is_along = len(row) > 1 and bool(away_m[away_m > 0.0].min() >= config.parallel_m[0])
+        is_along = len(row) > 1 and _least_gap_m(places[row]) >= config.parallel_m[0]
         length_m = float(np.mean(config.parallel_divider_m if is_along else config.depth_m))
         dividers.append(Divider(f"point_{k}", place, _direction(places[row], inward[row]), length_m, is_along, z_m))
     return dividers
+
+
+def _least_gap_m(places: np.ndarray) -> float:
+    away_m = np.linalg.norm(places[:, None] - places, axis=2)
+    return float(away_m[away_m > 0.0].min(initial=np.inf))
 
 
 def _row_of(k: int, places: np.ndarray, inward: np.ndarray, config: SlotConfig) -> Sequence[int]:

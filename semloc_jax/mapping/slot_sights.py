@@ -46,7 +46,8 @@ class SlotSightConfig:
         vector: how paint becomes lines; a frame is one look.
         slots: what makes a slot.
         errors: of a camera, that make the covariance of a ground point.
-        window: frames whose looks are laid over each other before lines are followed: 1 is single frames.
+        window: frames whose looks are laid over each other before lines are followed, or whose marking points have to
+            agree: 1 is single frames.
         window_m: way that they may span; the odometry drifts.
         is_by_rows: whether what is seen of the other slots of a row says where a divider and its mouth are.
     """

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
-from semloc_jax.mapping.point_dividers import in_view, painted_dividers
+from semloc_jax.mapping.point_dividers import by_their_rows, in_view, painted_dividers
 from semloc_jax.mapping.slot_sights import in_rows, upright
 from semloc_jax.mapping.slots import SlotConfig, find_slots
 from semloc_jax.maps import Belief
@@ -45,7 +45,8 @@ def slots_of_view(
     inside = in_view(points.uv, side_px)
     uv, yaw, sure = points.uv[inside], points.yaw_rad[inside], np.clip(points.confidence[inside], *_SURE)
     inward = -np.stack([np.sin(yaw), np.cos(yaw)], axis=1)
-    dividers = painted_dividers(in_metres(uv, side_px, metres_per_px), inward, 0.0, config)
+    places = in_metres(uv, side_px, metres_per_px)
+    dividers = painted_dividers(places, by_their_rows(places, inward, config), 0.0, config)
     logits = np.log(sure / (1.0 - sure))
     beliefs = {d.id: Belief(_SIGMA_M, _SIGMA_M, float(own)) for d, own in zip(dividers, logits, strict=True)}
     found = find_slots([], beliefs, np.zeros((1, 2)), EvidenceGrid(1.0), config, dividers)

@@ -62,7 +62,7 @@ def test_an_l_between_its_legs_is_mended_by_the_neighbour(num):
     inward[0], inward[-1] = [half, half], [-half, half]
     mended = by_their_rows(places, inward, CONFIG)
     np.testing.assert_allclose(mended, np.tile([0.0, 1.0], (num, 1)), atol=1e-9)
-    assert kinds_of(places, inward) == [PARALLEL] * (num - 1)
+    assert kinds_of(places, mended) == [PARALLEL] * (num - 1)
 
 
 def test_rows_without_an_l_stay_as_the_network_says():
@@ -71,11 +71,20 @@ def test_rows_without_an_l_stay_as_the_network_says():
         np.testing.assert_array_equal(by_their_rows(places, inward, CONFIG), inward)
 
 
+def test_a_missed_point_makes_no_slot_along_the_aisle_of_two():
+    places, inward = row(2.5, 0.0, 5.0)
+    kept = [0, 2, 3, 4]
+    assert kinds_of(places[kept], inward[kept]) == [PERPENDICULAR] * 2
+
+
 def test_the_back_of_a_slot_does_not_open_to_the_way():
     """Back corners of slots along the aisle, 2.2 m behind their mouths, point to the aisle; mouths do not."""
     places, inward = row(5.5, 0.0, 10.0, num=2)
     way = np.stack([np.linspace(-7.0, 7.0, 57), np.zeros(57)], axis=1)
     both, turns = np.concatenate([places, places + [0.0, 2.2]]), np.concatenate([inward, -inward])
     assert open_to(way, both, turns).tolist() == [True, True, False, False]
+    # The divider at the end of such a row looks like an entrance from the side.
+    end = np.array([[0.0, 3.0], [0.0, 5.2]])
+    assert not open_to(way, end, np.array([[1.0, 0.0], [1.0, 0.0]])).any()
     # Backing into a slot, the vehicle is between the mouths of both dividers.
     assert open_to(way + [0.0, 3.0], places, inward).all()
