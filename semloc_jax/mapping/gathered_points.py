@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 FAINTEST = 0.15
 """Points that are less sure say nothing."""
-_AGREED = 0.4
+_AGREED = 0.3
 """Mean confidence of all looks at a place from which it counts, those that do not show it with 0."""
 _SAME_M, _SAME_WAY = 0.35, 0.5
 """Points so near to each other whose directions differ by less than 60 deg are one: at an L a network wavers between
