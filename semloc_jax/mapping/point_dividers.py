@@ -18,9 +18,9 @@ _SAME_WAY_DEG, _ROW_M = 30.0, 0.4
 """Points of one row point the same way but for the error of the network, and lie on one line so nearly."""
 _UPRIGHT_DEG = 20.0
 """Dividers so near to a right angle to their row are at one."""
-_BETWEEN_DEG = (25.0, 70.0)
+_BETWEEN_DEG = (25.0, 100.0)
 """At the end of a row a mouth has two legs, the divider and the entrance. Where a picture does not tell which is which
-a network says something in between, so far from the direction of the row."""
+a network says the wrong one or something in between, so far from the direction of the row."""
 _OPENS, _WITHIN_M = 0.3, 1.65
 """A mouth opens to the aisle: cosine between the way to it and the direction into its slot, that of 73 deg. Nearer to
 the way it may be one of the slot that the vehicle drives into."""
@@ -52,7 +52,7 @@ def open_to(
 def by_their_rows(
     places: Float[np.ndarray, "n 2"], inward: Float[np.ndarray, "n 2"], config: SlotConfig
 ) -> Float[np.ndarray, "n 2"]:
-    """Directions into the slots, those between both legs of an L mended by the neighbour that its slot shares.
+    """Directions into the slots, those along or between the legs of an L mended by the neighbour that its slot shares.
 
     A neighbour says it where the point lies on its entrance, or where both are such ends, turned to each other.
     """

@@ -54,12 +54,12 @@ def kinds_of(places, inward):
     ]
 
 
-@pytest.mark.parametrize("num", [2, 3, 5])
-def test_an_l_between_its_legs_is_mended_by_the_neighbour(num):
-    """At both ends of a row along the aisle the network says 45 deg between divider and entrance."""
+@pytest.mark.parametrize(("num", "off_deg"), [(2, 45.0), (3, 45.0), (5, 45.0), (5, 90.0)])
+def test_an_l_between_its_legs_is_mended_by_the_neighbour(num, off_deg):
+    """At both ends of a row along the aisle the network says the entrance, or half way between it and the divider."""
     places, inward = row(5.5, 0.0, 0.0, num)
-    half = np.sqrt(0.5)
-    inward[0], inward[-1] = [half, half], [-half, half]
+    across, into = np.sin(np.deg2rad(off_deg)), np.cos(np.deg2rad(off_deg))
+    inward[0], inward[-1] = [across, into], [-across, into]
     mended = by_their_rows(places, inward, CONFIG)
     np.testing.assert_allclose(mended, np.tile([0.0, 1.0], (num, 1)), atol=1e-9)
     assert kinds_of(places, mended) == [PARALLEL] * (num - 1)
