@@ -119,8 +119,8 @@ def _write_network(
         "lessons": [*before, lesson],
         "figures": {metric.key: round(metric.value, 4) for metric in metrics},
         "limits": "rendered top views only; polished floors and worn paint cost points; backs of slots look like "
-        "mouths where both ends of a divider are painted alike; at the end of a row the direction may lie between the divider "
-        "and the entrance; occupied or free is not told",
+        "mouths where both ends of a divider are painted alike; at the end of a row the direction may lie between "
+        "the divider and the entrance; occupied or free is not told",
     }
     save_weights(folder / WEIGHTS, network, card)
     write_onnx(folder / "slots.onnx", network, CONFIG.num_outputs, output="points")
