@@ -66,6 +66,15 @@ def test_what_is_told_of_cells_gives_the_points_back(samples):
     assert num > 40
 
 
+def test_a_network_that_is_as_sure_as_it_can_be_says_zero_and_one():
+    """Far from any paint a logit may be below -700, where a float has no exponential any more."""
+    said = np.full((4, 4, 6), -2000.0, np.float32)
+    said[1, 2] = [2000.0, 0.0, 0.0, 1.0, 0.0, -5.0]
+    found = decoded(said, 0.0)
+    assert found.confidence.max() == 1.0 and (found.above(0.5).confidence == 1.0).all()
+    assert len(decoded(said, 0.5).uv) == 1
+
+
 def test_turned_pictures_show_the_same_under_their_points(samples):
     for sample in samples:
         for quarters, is_mirrored in ((1, False), (2, True), (3, True)):

@@ -100,7 +100,7 @@ def levelled_view(picture: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w
 
 def decoded(said: Float[np.ndarray, "h w n"], threshold: float) -> MarkingPoints:
     """The cells that are surer than their neighbours, and what they say."""
-    sure = 1.0 / (1.0 + np.exp(-said[..., 0].astype(np.float64)))
+    sure = 0.5 * (1.0 + np.tanh(0.5 * said[..., 0].astype(np.float64)))
     peak = (sure >= threshold) & (sure >= cv2.dilate(sure, np.ones((3, 3), np.uint8)) - 1e-12)
     v, u = np.nonzero(peak)
     order = np.argsort(-sure[v, u], kind="stable")
