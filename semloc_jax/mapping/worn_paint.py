@@ -1,4 +1,4 @@
-"""Pieces that wear has left of one dash or one bar are one again (room: mapping; host).
+"""Pieces that wear has left of one dash, bar or bump are one again (room: mapping; host).
 
 In: elements as they were drawn. Out: the same, pieces joined that together are as long as the others around them.
 Dashes of one lane, bars of one crosswalk are painted alike: what lies in line, with a gap that no painter leaves, and
@@ -21,6 +21,9 @@ _AS_LONG = 0.15
 """Share by which the whole may be longer or shorter than the others."""
 _LONGEST_GAP = 0.35
 """Share of the length of the others that may be worn off between two pieces."""
+_BUMP_GAP_M = 0.6
+"""Pieces of a speed bump that are nearer are one, however long it is: humps that are set apart for wide axles leave
+0.75 m and more, and there may be no other one around; ours."""
 _OFF_M = 0.08
 """How far the ends of one piece may be off the line of the other, and either side of one off that of the other."""
 _WHOLE = 3
@@ -31,7 +34,7 @@ _LEAST_SHORT = 0.05
 """Share of the usual length by which a bar is no whole one; ours."""
 _COS_ASKEW = float(np.cos(np.deg2rad(10.0)))
 """A short piece is turned no more against the bar that it is of; ours."""
-_BARS = frozenset({ElementClass.CROSSWALK, ElementClass.STOP_LINE})
+_BARS = frozenset({ElementClass.CROSSWALK, ElementClass.STOP_LINE, ElementClass.SPEED_BUMP})
 
 
 @dataclass(frozen=True)
@@ -70,10 +73,10 @@ class WornStroke:
         aside_m = abs(float(off @ [-self.along[1], self.along[0]]))
         return aside_m < 0.5 * self.width_m and abs(float(off @ self.along)) < 0.5 * self.length_m
 
-    def joined(self, other: "WornStroke", usual_m: float) -> "WornStroke | None":
-        """Both as one, None where they are not pieces of one that is as long as usual."""
+    def joined(self, other: "WornStroke", usual_m: float, sure_gap_m: float = 0.0) -> "WornStroke | None":
+        """Both as one, None where they are not pieces of one that is as long as usual or nearer than a sure gap."""
         if other.length_m > self.length_m:  # a short piece does not say where the line of both goes on
-            return other.joined(self, usual_m)
+            return other.joined(self, usual_m, sure_gap_m)
         along = (self.ends[1] - self.ends[0])[:2] / max(self.length_m, 1e-9)
         off = (other.ends - self.ends[0])[:, :2]
         aside_m = np.abs(off @ [-along[1], along[0]])
@@ -81,13 +84,13 @@ class WornStroke:
         gap_m = max(its[0] - own[1], own[0] - its[1])
         if aside_m.max() > _OFF_M or 0.5 * abs(self.width_m - other.width_m) > _OFF_M:
             return None
-        if not 0.0 < gap_m < _LONGEST_GAP * usual_m:
+        if not 0.0 < gap_m < max(_LONGEST_GAP * usual_m, sure_gap_m):
             return None
         both = np.concatenate([self.ends, other.ends])
         order = np.argsort((both - self.ends[0])[:, :2] @ along)
         ends = both[order[[0, -1]]]
         share = float(np.linalg.norm(ends[1] - ends[0])) / usual_m
-        if abs(share - 1.0) > _AS_LONG:
+        if abs(share - 1.0) > _AS_LONG and gap_m >= sure_gap_m:
             return None
         lengths_m = np.array([self.length_m, other.length_m])
         return WornStroke(ends, float(lengths_m @ [self.width_m, other.width_m] / lengths_m.sum()))
@@ -173,13 +176,17 @@ def _join(strokes: dict[int, WornStroke], found: dict[int, MapElement]) -> None:
     tree = cKDTree([stroke.ends[:, :2].mean(axis=0) for stroke in strokes.values()])
     lengths_m = np.array([stroke.length_m for stroke in strokes.values()])
     around = tree.query_ball_point(tree.data, _ALIKE_WITHIN_M)
+    num = len(strokes)
     for one, other in sorted(tree.query_pairs(float(lengths_m.max()))):
         a, b = rows[one], rows[other]
-        if a in found and b in found:
-            whole = strokes[a].joined(strokes[b], _usual(lengths_m[around[one]]))
+        if a in strokes and b in strokes:
+            sure_gap_m = _BUMP_GAP_M if found[a].label == ElementClass.SPEED_BUMP else 0.0
+            whole = strokes[a].joined(strokes[b], _usual(lengths_m[around[one]]), sure_gap_m)
             if whole is not None:
                 found[a], strokes[a] = whole.element(found[a]), whole
-                del found[b]
+                del found[b], strokes[b]
+    if len(strokes) < num:  # what is whole now tells better how long the others are, and has other neighbours
+        _join(strokes, found)
 
 
 def _usual(lengths_m: Float[np.ndarray, " k"]) -> float:

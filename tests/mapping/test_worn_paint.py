@@ -12,10 +12,10 @@ def dash(start_m, end_m, left_m=0.0):
     return MapElement(f"dash_{start_m}", "lane_marking", points, width_m=0.15, style="dashed")
 
 
-def bar(start_m, end_m, left_m, width_m=0.45):
+def bar(start_m, end_m, left_m, width_m=0.45, label="crosswalk"):
     low, high = left_m - 0.5 * width_m, left_m + 0.5 * width_m
     corners = [[start_m, low, 0.0], [end_m, low, 0.0], [end_m, high, 0.0], [start_m, high, 0.0]]
-    return MapElement(f"bar_{left_m}_{start_m}", "crosswalk", corners, closed=True)
+    return MapElement(f"bar_{left_m}_{start_m}", label, corners, closed=True)
 
 
 def spans(elements):
@@ -80,3 +80,20 @@ def test_a_short_piece_drawn_askew_is_joined_along_the_longer_one():
     whole = [bar(0.0, 3.0, left_m) for left_m in (20.0, 21.0)]
     for pieces in ([askew, long], [long, askew]):
         assert len(whole_again([*pieces, *whole])) == 3
+
+
+def test_a_stop_line_that_is_whole_again_says_how_long_the_next_one_is():
+    """Most of what is near the first one are pieces; the second one, farther away, is judged by a whole one."""
+    of = [bar(*ends_m, left_m, 0.3, "stop_line") for *ends_m, left_m in ((0.0, 1.0, 0.0), (1.25, 2.6, 0.0))]
+    of += [bar(*ends_m, left_m, 0.3, "stop_line") for *ends_m, left_m in ((0.0, 0.7, 17.0), (1.3, 2.6, 17.0))]
+    of += [bar(0.0, 2.6, left_m, 0.3, "stop_line") for left_m in (34.0, 56.0)]
+    assert spans(of[:2]) == spans(whole_again(of[:2]))
+    assert spans(whole_again(of)) == [(0.0, 2.6)] * 4
+
+
+def test_pieces_of_a_speed_bump_are_one_and_humps_set_apart_stay():
+    pieces = [bar(*ends_m, 0.0, 0.34, "speed_bump") for ends_m in ((0.0, 1.6), (2.13, 4.9), (5.15, 5.5))]
+    assert spans(whole_again(pieces)) == [(0.0, 5.5)]
+    humps = [bar(*ends_m, 0.0, 0.34, "speed_bump") for ends_m in ((0.0, 1.8), (2.6, 4.4))]
+    beside = [bar(0.0, 1.8, left_m, 0.34, "speed_bump") for left_m in (0.0, 0.5)]
+    assert len(whole_again(humps)) == len(whole_again(beside)) == 2
