@@ -21,15 +21,18 @@ class Options:
     x_m, y_m are the middle of the entrance, yaw_rad is the direction from there into the slot. A slot is confirmed when
     three of the first five frames that look at it show it, and ends after five visible misses.
 
+    Of a map (`semloc slots MAP.gpkg`): its slots as slots_final.csv (places of the map, type, occupied, number, sigmas
+    and existence where the map states them), slots.geojson and slots.png.
+
     Top views without a drive: `semloc slots FOLDER --metres-per-px 0.0167` finds the slots of each picture of a folder
     by itself (600 x 600 px of 10 m, as those of ps2.0; up is ahead, metres from the middle of the picture). Writes
     slots.csv (corners in px; middle of the entrance, direction, width, depth in m; the depth is assumed), points.csv
     (marking points: the middle of the paint, px and m, L or T, confidence down to 0.1) and pictures/.
     """
 
-    drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE|FOLDER")]
-    """The drive: a folder or a bag (.bag, .db3, .mcap) with wheel odometry, its type is guessed; with --metres-per-px a
-    top view or a folder of them."""
+    drive: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRIVE|MAP|FOLDER")]
+    """The drive: a folder or a bag (.bag, .db3, .mcap) with wheel odometry, its type is guessed; a map; with
+    --metres-per-px a top view or a folder of them."""
     metres_per_px: float | None = None
     """The pictures are top views with pixels of this size, each by itself: there is no drive."""
     calib: Path | None = None
@@ -66,9 +69,15 @@ def run(options: Options) -> int:
     from semloc_jax.inputs.choices import chosen_frames, parse_names
     from semloc_jax.inputs.mask_source import best_masks, mask_source
     from semloc_jax.mapping.slot_sights import SlotSightConfig
+    from semloc_jax.maps.io.formats import MAP_SUFFIXES
     from semloc_jax.reports.slots import report_slots
 
     log_to_console()
+    if options.drive.suffix.lower() in MAP_SUFFIXES:
+        from semloc_jax.reports.map_slots import report_map_slots
+
+        print(report_map_slots(options.drive, options.out))
+        return OK
     has_net = options.front == "net" or options.metres_per_px is not None
     if options.weights is not None and not has_net:
         raise UsageError("--weights is for --front net; give both, or leave it out")

@@ -14,6 +14,7 @@ from semloc_jax.evaluation import Metric
 from semloc_jax.mapping.slot_tracks import SlotTrack
 from semloc_jax.maps import read_map
 from semloc_jax.perception.obstacle_classes import OBSTACLES
+from semloc_jax.reports.map_slots import entrance_pose
 from semloc_jax.reports.object_errors import ObjectErrors, TrueThings
 from semloc_jax.storage import json_document, reading
 from semloc_jax.structs import ElementClass
@@ -71,11 +72,8 @@ class SlotErrors(ObjectErrors):
         if drive.truth is None or drive.map_path is None:
             return cls(None, np.zeros((0, 3)))
         slots = [e for e in read_map(drive.map_path).elements if e.label == ElementClass.PARKING_SLOT]
-        found, taken = [], [e.attributes.get("occupied") for e in slots]
-        for corners in (e.points[:4, :2] for e in slots):
-            inward = 0.5 * (corners[3] - corners[0] + corners[2] - corners[1])
-            found.append([*(0.5 * (corners[0] + corners[1])), np.arctan2(inward[1], inward[0])])
-        return cls(drive, np.array(found).reshape(-1, 3), taken)
+        found = np.array([entrance_pose(e.points[:4, :2]) for e in slots]).reshape(-1, 3)
+        return cls(drive, found, [e.attributes.get("occupied") for e in slots])
 
     def final_more(self, pairs: Sequence[tuple[SlotTrack, int]]) -> list[Metric]:
         """Share of the tracks whose occupancy is right."""

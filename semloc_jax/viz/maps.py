@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -17,6 +17,7 @@ from semloc_jax.maps.beliefs import Belief
 from semloc_jax.maps.contours import painted_polygon
 from semloc_jax.maps.elements import MapElement
 from semloc_jax.viz.bev import draw_map
+from semloc_jax.viz.slots import FREE, TAKEN, UNSURE, colour_of
 from semloc_jax.viz.style import ESTIMATE, REFERENCE, new_figure, plain_axes
 
 MADE = "#ff4fa3"
@@ -39,6 +40,35 @@ def maps_over_each_other(made: Sequence[MapElement], reference: Sequence[MapElem
         axes.add_collection(LineCollection([outline(e) for e in elements], colors=colour, linewidths=width, alpha=0.9))
         _draw_posts(axes, [e for e in elements if _is_post(e)], 10 * width, colour, width)
     handles = [Line2D([], [], color=REFERENCE, label="reference"), Line2D([], [], color=MADE, label="made")]
+    axes.legend(handles=handles, fontsize=8, frameon=False, labelcolor="#e8edf4")
+    return _finished(figure, axes, title)
+
+
+def slots_from_above(elements: Sequence[MapElement], slots: Sequence[MapElement], title: str = "") -> Figure:
+    """The parking slots of a map, free green, taken red, grey where nothing is told; entrances are white.
+
+    Args:
+        elements: all of the map.
+        slots: those of them that are slots, the entrance first.
+        title: text above the picture.
+    """
+    figure = new_figure(*_size_in(slots), dark=True)
+    axes = plain_axes(figure.add_subplot(), dark=True)
+    drawn = {slot.id for slot in slots}
+    others = [outline(e) for e in elements if e.id not in drawn and not _is_post(e)]
+    axes.add_collection(LineCollection(others, colors="#8a97a6", linewidths=0.6, alpha=0.6))
+    taken = [slot.attributes.get("occupied") for slot in slots]
+    colours = [UNSURE if told is None else colour_of(bool(told)) for told in taken]
+    axes.add_collection(PolyCollection([s.points[:4, :2] for s in slots], facecolors=colours, alpha=0.35))
+    axes.add_collection(LineCollection([outline(s) for s in slots], colors=colours, linewidths=1.0))
+    axes.add_collection(LineCollection([s.points[:2, :2] for s in slots], colors="#ffffff", linewidths=2.0))
+    for slot in slots:
+        name = slot.attributes.get("number")
+        if name:
+            axes.text(*slot.points[:4, :2].mean(axis=0), name, color="#e8edf4", fontsize=6, ha="center", va="center")
+    words = (("free", FREE), ("taken", TAKEN), ("not told", UNSURE))
+    told = [word for word, value in zip(words, (False, True, None), strict=True) if value in taken]
+    handles = [Line2D([], [], color=colour, label=word) for word, colour in told]
     axes.legend(handles=handles, fontsize=8, frameon=False, labelcolor="#e8edf4")
     return _finished(figure, axes, title)
 
