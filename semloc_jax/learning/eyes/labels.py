@@ -41,6 +41,8 @@ class Labels(NamedTuple):
     """By the pose and the map: how far the nearest border may be from where it was drawn."""
     known: Bool[np.ndarray, "h w"]
     """False where traffic hides the map, and about elements that nobody trusts or that are too far to judge."""
+    kept: Bool[np.ndarray, "k h w"]
+    """Where distance and sigma are those that the eyes tell already: they are not to change."""
 
 
 def drawn_labels(
@@ -62,7 +64,7 @@ def drawn_labels(
         size_px: (width, height) of the image.
         scale: Pixels of the network's image for one of the image.
         is_trusted: Of each element.
-        hidden: Where something hides the map, at any size; None for nowhere.
+        hidden: Where something hides the map, or shows what it lacks, at any size; None for nowhere.
         max_range_m: Paint farther away is not judged: it is thinner than a cell, and hidden as often as not.
     """
     width, height = (round(side * scale) for side in size_px)
@@ -87,7 +89,7 @@ def drawn_labels(
     if hidden is not None:
         covered = cv2.resize(hidden.astype(np.uint8), cells, interpolation=cv2.INTER_NEAREST) > 0
         known &= ~_grown(covered, _BEYOND_PX / CELL_PX)
-    return Labels(signed, sigma, known)
+    return Labels(signed, sigma, known, np.zeros(signed.shape, bool))
 
 
 def _fill(ids: np.ndarray, corners: np.ndarray, owner: np.ndarray, k: int, value: int) -> None:
@@ -103,7 +105,7 @@ def _fill(ids: np.ndarray, corners: np.ndarray, owner: np.ndarray, k: int, value
 
 def with_kept(labels: Labels, told: Sequence[bool], said: Said) -> Labels:
     """Labels that ask for what a network says already wherever the map tells nothing: of classes that the map has none
-    of, and of what hides it. Otherwise these drift as the features do that all classes share.
+    of, of what hides it, and behind it. Otherwise these drift as the features do that all classes share.
 
     Args:
         labels: By the map, of the channels of the table.
@@ -111,10 +113,12 @@ def with_kept(labels: Labels, told: Sequence[bool], said: Said) -> Labels:
         said: Of the cells of the image, one class more than channels where the network tells what hides the map.
     """
     signed = np.clip(np.moveaxis(said.signed_px, -1, 0), -REACH_PX, REACH_PX)
-    sigma = np.exp(np.moveaxis(said.log_sigma, -1, 0))
+    sigma, kept = np.exp(np.moveaxis(said.log_sigma, -1, 0)), np.ones(signed.shape, bool)
     for k in np.flatnonzero(told).tolist():
-        signed[k], sigma[k] = labels.signed_px[k], labels.sigma_px[k]
-    return Labels(signed, sigma, labels.known)
+        kept[k] = ~labels.known
+        signed[k] = np.where(kept[k], signed[k], labels.signed_px[k])
+        sigma[k] = np.where(kept[k], sigma[k], labels.sigma_px[k])
+    return Labels(signed, sigma, labels.known, kept)
 
 
 def _plane(
@@ -124,7 +128,8 @@ def _plane(
     inside = np.where(ids == value, np.uint8(255), np.uint8(0))
     rows, columns = (side // _FINE for side in ids.shape)
     if not inside.any():
-        return np.full((rows, columns), REACH_PX, np.float32), np.full((rows, columns), REACH_PX, np.float32)
+        far, exact = (np.full((rows, columns), value, np.float32) for value in (REACH_PX, EXACT_SIGMA_PX))
+        return far, exact
     return cell_distances(inside, _OUTSET), _nearest_sigma(surfaces, corners, chosen, (rows, columns), scale)
 
 
