@@ -94,7 +94,7 @@ def drawn_missing(
     keys: np.ndarray, camera: Camera, T_map_base: Float[np.ndarray, "4 4"], T_base_cam: Float[np.ndarray, "4 4"]
 ) -> Bool[np.ndarray, "h w"]:
     """Where an image shows the places."""
-    drawn = np.zeros((camera.height, camera.width), np.uint8)
+    drawn = np.zeros(camera.resolution[::-1], np.uint8)
     near = np.isin(keys, _around(T_map_base @ T_base_cam, 3.0 * _RANGE_M[1]))
     if near.any():
         uv, valid = seen_corners(camera, _quads(keys[near], T_map_base), T_map_base @ T_base_cam)

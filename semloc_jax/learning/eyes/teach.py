@@ -29,6 +29,8 @@ from semloc_jax.perception.networks.eyes import Eyes, eyes_table
 
 TABLE = "drive"
 """The preset whose channels tell the classes of a map apart as finely as any."""
+_AGAIN = 0.3
+"""Rate of a round over that of the one before it, which was worse than what both began with."""
 Watched = Callable[[str, int], AbstractContextManager[Callable[[int, float], None] | None]]
 """Watches the steps of a lesson: told its name and their number, it gives what is told each step and its loss."""
 
@@ -119,10 +121,13 @@ def taught(
         add(eyes if k else None)
         if k < config.rounds:
             best = best_round(rounds)
-            if best != by:  # a round that was worse teaches nobody
+            # A round that was worse teaches nobody and is taken back; eyes that began with nothing go on from it.
+            eyes = rounds[best].eyes or begin or eyes
+            if best != by:
                 labelled = labelled_by_map(lessons, rounds[best].eyes, eyes, config.limits, config.map_sigma_m)
                 by = best
-            eyes = _trained(eyes, labelled.images, config.training, config, folder, f"round_{k + 1}", watched)
+            training = _of_round(k, best, config.training, begin is not None)
+            eyes = _trained(eyes, labelled.images, training, config, folder, f"round_{k + 1}", watched)
     if config.through.num_steps:
         eyes = rounds[best_round(rounds)].eyes or eyes
         more = replace(config.training, num_steps=config.through.num_steps, rate=config.through.rate)
@@ -130,6 +135,12 @@ def taught(
         add(alone, "as many steps by labels alone")
         add(_for_the_pose(eyes, lessons, labelled, config, folder, watched), "through the solver")
     return rounds
+
+
+def _of_round(k: int, best: int, training: TrainingConfig, sees: bool) -> TrainingConfig:
+    """How the eyes of round `k` + 1 are trained: by other crops, and more gently after each round in vain."""
+    gentler = _AGAIN ** (k - best) if sees else 1.0
+    return replace(training, seed=training.seed + k, rate=gentler * training.rate)
 
 
 def _for_the_pose(
