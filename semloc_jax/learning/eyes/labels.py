@@ -26,6 +26,8 @@ _SHIFT = 4
 _UNKNOWN_ID = 255
 _BEYOND_PX = 6.0
 """About what is not to be judged nothing is known as far as this [px of the network's image]."""
+_LEAST_PX = 1.0
+"""What is narrower than this [px of the network's image] cannot be seen: whoever is asked for it learns to invent."""
 EXACT_SIGMA_PX = 0.3
 """Sides are not drawn more exactly than this."""
 
@@ -74,6 +76,7 @@ def drawn_labels(
     ids = np.zeros((cells[1] * _FINE, cells[0] * _FINE), np.uint8)
     owner = surfaces.element
     is_judged = is_trusted[owner] & ((surfaces.distance_m <= max_range_m) | ~is_paint[owner]) & (channel[owner] >= 0)
+    is_judged &= scale * _widths_px(surfaces) >= _LEAST_PX
     corners = (surfaces.uv + 0.5) * (scale / _DRAWN_PX) - 0.5
     # What stands hides what lies behind it: paint first, then from far to near, the order of the surfaces.
     for standing in (False, True):
@@ -90,6 +93,13 @@ def drawn_labels(
         covered = cv2.resize(hidden.astype(np.uint8), cells, interpolation=cv2.INTER_NEAREST) > 0
         known &= ~_grown(covered, _BEYOND_PX / CELL_PX)
     return Labels(signed, sigma, known, np.zeros(signed.shape, bool))
+
+
+def _widths_px(surfaces: Surfaces) -> Float[np.ndarray, " n"]:
+    """How wide pieces are between their borders [px]; a side of an outline has no width that could be too small."""
+    uv = surfaces.uv
+    across = 0.5 * np.linalg.norm(uv[:, 0] + uv[:, 1] - uv[:, 2] - uv[:, 3], axis=1)
+    return np.where((uv[:, 1] == uv[:, 2]).all(axis=1), np.inf, across)
 
 
 def _fill(ids: np.ndarray, corners: np.ndarray, owner: np.ndarray, k: int, value: int) -> None:

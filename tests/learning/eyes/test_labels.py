@@ -169,3 +169,17 @@ def test_a_class_that_is_not_in_view_is_surely_not_there(street, rig, table):
     labels = labels_of(street, rig, table, pose=T @ sj.planar_pose(30.0, 0.0))
     k = [channel.name for channel in table.channels].index("sign")
     assert np.all(labels.signed_px[k] == REACH_PX) and labels.sigma_px[k].max() < 1.0
+
+
+def test_what_is_too_thin_to_be_seen_teaches_nothing(rig, table):
+    """Two posts of 6 cm, at 15 and 60 m (1.8 and 0.4 px): the near one is drawn, the far one is not known."""
+    posts = [("pole", [[x, 3.0, 0.0], [x, 3.0, 2.0]], {"radius_m": 0.03, "radius_top_m": 0.03}) for x in (15.0, 60.0)]
+    labels = labels_of(sj.map_from_arrays([*posts, ("lane_marking", [[0, 2, 0], [60, 2, 0]])]), rig, table)
+    k = [channel.name for channel in table.channels].index("pole")
+    inverse = rigid.inverse(T @ np.asarray(rig.T_base_cam)[0])
+    u, v = (np.array([rig.cameras[0].project((inverse @ [x, 3.0, 1.0, 1.0])[:3])[0] for x in (15.0, 60.0)]).T).astype(
+        int
+    )
+    rows, columns = v // int(CELL_PX), u // int(CELL_PX)
+    assert abs(labels.signed_px[k, rows[0], columns[0]]) < 2.0 and labels.known[rows[0], columns[0]]
+    assert labels.signed_px[k, rows[1], columns[1]] > 10.0 and not labels.known[rows[1], columns[1]]
