@@ -24,6 +24,7 @@ from semloc_jax.learning.eyes.streets import StreetsConfig
 from semloc_jax.learning.eyes.through import ThroughConfig, pose_sights, taught_through
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.perception import load_class_table
+from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.perception.network import NetworkSegmenter
 from semloc_jax.perception.networks.eyes import Eyes, eyes_table
 
@@ -90,6 +91,7 @@ def taught(
     helper: NetworkSegmenter | None = None,
     begin: Eyes | None = None,
     watched: Watched = _unwatched,
+    on_labels: Callable[[Sequence[LabelledImage]], None] | None = None,
 ) -> list[Round]:
     """The rounds, what there was at the beginning first; `best_round` says which to keep.
 
@@ -102,13 +104,12 @@ def taught(
         helper: Another network whose scores the eyes see: they are a small adapter on top of it then.
         begin: Eyes to go on with; None for new ones.
         watched: Watches the steps of every lesson.
+        on_labels: Given what teaches, each time that it is made.
 
     Raises:
         SemlocError: no pose is good enough to teach, or the frames held out have no truth.
     """
-    classes = frozenset(label for lesson in lessons for label in lesson.map.labels)
-    table = eyes_table(load_class_table(TABLE), classes)
-    eyes = begin or Eyes.new(table, config.training.seed, helper)
+    eyes = begin or Eyes.new(taught_table(lessons), config.training.seed, helper)
     rounds, labelled, by = [], Labelled([], [], 0), -1
 
     def add(eyes: Eyes | None, lesson: str = "labels") -> None:
@@ -126,6 +127,8 @@ def taught(
             if best != by:
                 labelled = labelled_by_map(lessons, rounds[best].eyes, eyes, config.limits, config.map_sigma_m)
                 by = best
+                if on_labels is not None:
+                    on_labels(labelled.images)
             training = _of_round(k, best, config.training, begin is not None)
             eyes = _trained(eyes, labelled.images, training, config, folder, f"round_{k + 1}", watched)
     if config.through.num_steps:
@@ -135,6 +138,13 @@ def taught(
         add(alone, "as many steps by labels alone")
         add(_for_the_pose(eyes, lessons, labelled, config, folder, watched), "through the solver")
     return rounds
+
+
+def taught_table(lessons: Sequence[Lesson], begin: Eyes | None = None) -> ClassTable:
+    """The classes that are told: those that eyes know already, else all of the maps."""
+    if begin is not None:
+        return begin.table
+    return eyes_table(load_class_table(TABLE), frozenset(label for lesson in lessons for label in lesson.map.labels))
 
 
 def _of_round(k: int, best: int, training: TrainingConfig, sees: bool) -> TrainingConfig:
