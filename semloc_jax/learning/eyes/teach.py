@@ -49,6 +49,9 @@ class EyesConfig:
     map_sigma_m: float = 0.03
     """How far an element may be from its place in the map, one standard deviation."""
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=1500))
+    begin_share: float = 0.1
+    """Rate of eyes that see already (`--begin`), over that of new ones: at 5e-4 a round made them worse, at 1.5e-4
+    better."""
     crops: CropConfig = field(default_factory=CropConfig)
     limits: TeacherLimits = field(default_factory=TeacherLimits)
     streets: StreetsConfig = field(default_factory=StreetsConfig)
@@ -60,8 +63,9 @@ class EyesConfig:
     judge_sigma_deg: float = 3.0
 
     def __post_init__(self) -> None:
-        if self.rounds < 1 or min(self.map_sigma_m, self.judge_sigma_m, self.judge_sigma_deg) <= 0.0:
-            raise SemlocError(f"eyes: {self}; expected rounds of at least 1 and sigmas above 0")
+        sizes = self.map_sigma_m, self.judge_sigma_m, self.judge_sigma_deg, self.begin_share
+        if self.rounds < 1 or min(sizes) <= 0.0:
+            raise SemlocError(f"eyes: {self}; expected rounds of at least 1, sigmas and begin_share above 0")
 
 
 class Round(NamedTuple):
@@ -129,7 +133,7 @@ def taught(
                 by = best
                 if on_labels is not None:
                     on_labels(labelled.images)
-            training = _of_round(k, best, config.training, begin is not None)
+            training = _of_round(k, best, config, begin is not None)
             eyes = _trained(eyes, labelled.images, training, config, folder, f"round_{k + 1}", watched)
     if config.through.num_steps:
         eyes = rounds[best_round(rounds)].eyes or eyes
@@ -147,10 +151,10 @@ def taught_table(lessons: Sequence[Lesson], begin: Eyes | None = None) -> ClassT
     return eyes_table(load_class_table(TABLE), frozenset(label for lesson in lessons for label in lesson.map.labels))
 
 
-def _of_round(k: int, best: int, training: TrainingConfig, sees: bool) -> TrainingConfig:
+def _of_round(k: int, best: int, config: EyesConfig, sees: bool) -> TrainingConfig:
     """How the eyes of round `k` + 1 are trained: by other crops, and more gently after each round in vain."""
-    gentler = _AGAIN ** (k - best) if sees else 1.0
-    return replace(training, seed=training.seed + k, rate=gentler * training.rate)
+    share, training = config.begin_share * _AGAIN ** (k - best) if sees else 1.0, config.training
+    return replace(training, seed=training.seed + k, rate=share * training.rate)
 
 
 def _for_the_pose(

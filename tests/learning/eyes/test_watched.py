@@ -61,7 +61,7 @@ def test_a_round_in_vain_is_taken_back_and_tried_more_gently(tmp_path, monkeypat
     config = EyesConfig(rounds=3, training=TrainingConfig(rate=1e-3, seed=5))
     rounds = teach.taught([lesson], lesson, config, tmp_path, begin=first)
     assert [(name, seed) for name, seed, _ in begun] == [("first", 5), ("first", 6), ("round_2", 7)]
-    assert [rate / 1e-3 for *_, rate in begun] == pytest.approx([1.0, 0.3, 1.0])
+    assert [rate / 1e-3 for *_, rate in begun] == pytest.approx([0.1, 0.03, 0.1])
     assert labels == ["first", "round_2"] and teach.best_round(rounds) == 2
     begun.clear()
     monkeypatch.setattr(teach.Eyes, "new", lambda *rest: first)
