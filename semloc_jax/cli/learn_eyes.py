@@ -23,8 +23,9 @@ class Options:
     classical, a folder or another network. Map elements that the frames contradict are left out.
 
     Writes round_N.weights, eyes.weights (the last round that was better than all before, if any was), eyes.onnx,
-    rounds.json, report.md, rounds.png (errors and honesty by round), frames.png (five frames held out in every round)
-    and config.yaml. `semloc localize DRIVE --masks OUT/eyes.weights` uses it.
+    rounds.json, report.md, rounds.png (errors and honesty by round), frames.png (five frames held out in every round),
+    labels.png (five images with what teaches: look at it first) and config.yaml. `semloc localize DRIVE --masks
+    OUT/eyes.weights` uses it.
 
     With --simulated no drive teaches: random streets do, with exact masks, as many cameras, weathers and countries see
     them. Writes eyes.weights, eyes.onnx, classes.csv (recall, precision, errors and honesty on scenes held out),

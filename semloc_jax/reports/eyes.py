@@ -13,15 +13,16 @@ import numpy as np
 
 from semloc_jax.errors import UsageError
 from semloc_jax.inputs.drive_inputs import InputOptions, Inputs, open_inputs
+from semloc_jax.learning.eyes.batches import LabelledImage
 from semloc_jax.learning.eyes.lessons import Lesson
-from semloc_jax.learning.eyes.teach import EyesConfig, Round, best_round, taught
+from semloc_jax.learning.eyes.teach import EyesConfig, Round, best_round, taught, taught_table
 from semloc_jax.perception.network import NetworkPreset, NetworkSegmenter
 from semloc_jax.perception.networks.eyes import Eyes
 from semloc_jax.perception.networks.onnx_graph import write_onnx
 from semloc_jax.reports.folder import make_folder, write_record
 from semloc_jax.reports.lesson import LessonReport, step_bar
 from semloc_jax.storage import write_text
-from semloc_jax.viz.eyes import RoundLook, draw_looks, draw_rounds
+from semloc_jax.viz.eyes import RoundLook, draw_looks, draw_rounds, draw_taught
 from semloc_jax.viz.style import save
 
 _LOG = logging.getLogger(__name__)
@@ -81,7 +82,12 @@ def report_eyes(drives: EyesDrives, config: EyesConfig | None = None, out: Path 
     def on_round(k: int, found: Round) -> None:
         _LOG.info("%s", round_row(k, found))
 
-    rounds = taught(lessons, held_out, config, folder, on_round, helper, drives.begin, step_bar)
+    def on_labels(images: Sequence[LabelledImage]) -> None:
+        chosen = [images[i] for i in np.unique(np.linspace(0, len(images) - 1, _LOOKED_AT).astype(int))]
+        alike = [image for image in chosen if image.picture.shape == chosen[0].picture.shape]
+        save(draw_taught(alike, taught_table(lessons, drives.begin)), folder / "labels.png")
+
+    rounds = taught(lessons, held_out, config, folder, on_round, helper, drives.begin, step_bar, on_labels)
     best = best_round(rounds)
     if best:
         rounds[best].eyes.save(folder / BEST)

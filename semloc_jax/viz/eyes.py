@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
+from semloc_jax.learning.eyes.batches import LabelledImage
 from semloc_jax.learning.eyes.judge import RoundScore
 from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.viz.style import COLOURS, INK, new_figure, plain_axes, rgb
@@ -67,6 +68,30 @@ def draw_looks(rows: Sequence[Sequence[RoundLook]]) -> np.ndarray:
     """The same frames in every round, one row a round: borders of each class in its colour."""
     pictures = [np.hstack([_tile(look, f"round {k}" if k else "begin") for look in row]) for k, row in enumerate(rows)]
     return np.vstack(pictures)
+
+
+def draw_taught(images: Sequence[LabelledImage], table: ClassTable) -> np.ndarray:
+    """What the map tells of images, side by side: borders in the colour of their class, red where nothing is known.
+
+    Args:
+        images: all of one size.
+        table: the classes of their labels.
+    """
+    return np.hstack([_taught_tile(image, table) for image in images])
+
+
+def _taught_tile(image: LabelledImage, table: ClassTable) -> np.ndarray:
+    height, width = image.picture.shape[:2]
+    size = (_TILE_PX, round(_TILE_PX * height / width))
+    picture = cv2.resize(np.ascontiguousarray(image.picture[..., :3]), size, interpolation=cv2.INTER_AREA)
+    known = cv2.resize(image.known.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    picture[~known] = picture[~known] // 2 + np.array([100, 0, 0], np.uint8)
+    for channel, signed_px, kept in zip(table.channels, image.signed_px, image.kept, strict=False):
+        told = np.where(kept, np.float32(1.0), signed_px.astype(np.float32))
+        inside = (cv2.resize(told, size, interpolation=cv2.INTER_LINEAR) < 0.0).astype(np.uint8)
+        contours, _ = cv2.findContours(inside, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(picture, contours, -1, rgb(COLOURS[channel.classes[0]]), 1, cv2.LINE_AA)
+    return picture
 
 
 def _tile(look: RoundLook, text: str) -> np.ndarray:

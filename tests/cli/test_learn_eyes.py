@@ -40,7 +40,7 @@ def test_a_round_is_taught_judged_and_told(simulated_road, tmp_path):
     rounds = json.loads((out / "rounds.json").read_text())
     assert rounds["best"] == 0 and [one["num_accepted"] for one in rounds["rounds"]] == [1, 0]
     made = {path.name for path in out.iterdir()}
-    assert {"round_1.weights", "report.md", "rounds.png", "frames.png", "config.yaml"} <= made
+    assert {"round_1.weights", "report.md", "rounds.png", "frames.png", "labels.png", "config.yaml"} <= made
     assert not made & {"eyes.weights", "round_1.checkpoint"}
     again = [*command[:3], "localize", str(simulated_road), "--masks", str(out / "round_1.weights"), "--overlays", "0"]
     told = subprocess.run([*again, "--out", str(tmp_path / "l")], capture_output=True, text=True, cwd=ROOT, check=False)

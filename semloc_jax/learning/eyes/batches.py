@@ -24,12 +24,14 @@ class LabelledImage(NamedTuple):
     """float16[k h/2 w/2]."""
     sigma_px: np.ndarray
     known: np.ndarray
+    kept: np.ndarray
+    """bool[k h/2 w/2]."""
 
     @classmethod
     def of(cls, picture: np.ndarray, labels: Labels) -> "LabelledImage":
         """The pair; `picture` float[h w c] of 0 ... 1."""
         halves = labels.signed_px.astype(np.float16), labels.sigma_px.astype(np.float16)
-        return cls(np.rint(picture * 255.0).astype(np.uint8), *halves, labels.known)
+        return cls(np.rint(picture * 255.0).astype(np.uint8), *halves, labels.known, labels.kept)
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class ImagePool:
     def __init__(self, images: Sequence[LabelledImage]) -> None:
         """All of them, at least one."""
         self.images = tuple(images)
-        showing = np.array([(image.signed_px < REACH_PX).any(axis=(1, 2)) for image in self.images])
+        showing = np.array([((image.signed_px < REACH_PX) & ~image.kept).any(axis=(1, 2)) for image in self.images])
         self.showing = {k: np.flatnonzero(showing[:, k]) for k in range(showing.shape[1]) if showing[:, k].any()}
         """By class, for those that any image shows."""
         # A pillar that one image in twenty shows is drawn a quarter as often as paint, not a twentieth.
@@ -63,7 +65,7 @@ class ImagePool:
         if self.showing and rng.random() < near_border:
             k = list(self.showing)[int(rng.choice(len(self.showing), p=self.chance))]
             image = self.images[rng.choice(self.showing[k])]
-            near = np.argwhere(np.abs(image.signed_px[k]) < 4.0)
+            near = np.argwhere((np.abs(image.signed_px[k]) < 4.0) & ~image.kept[k])
             if len(near):
                 row, column = near[rng.integers(len(near))] + rng.integers(-40, 41, 2)
                 return image, int(row), int(column)
@@ -86,8 +88,7 @@ def draw_batch(pool: ImagePool, config: CropConfig, step_px: int, rng: np.random
         step_px * -(-min(side, most) // step_px) for side, most in zip((width, height), config.crop_px, strict=True)
     ]
     crops = [_crop(*pool.drawn(config.near_border, rng), (size[0], size[1]), config, rng) for _ in range(config.size)]
-    pictures, signed, sigma, known = (np.stack(part) for part in zip(*crops, strict=True))
-    return Batch(pictures, signed, sigma, known)
+    return Batch(*(np.stack(part) for part in zip(*crops, strict=True)))
 
 
 def _crop(
@@ -98,7 +99,7 @@ def _crop(
     config: CropConfig,
     rng: np.random.Generator,
 ) -> tuple:
-    """Of one crop about a cell: picture [h w c], distance and sigma [h/2 w/2 k], weight [h/2 w/2], all float32."""
+    """Of one crop about a cell, as in a `Batch`, all float32."""
     (width, height), cell = size_px, int(CELL_PX)
     rows, columns = image.known.shape
     top = int(np.clip(row - height // cell // 2, 0, max(rows - height // cell, 0)))
@@ -112,11 +113,12 @@ def _crop(
         _filled(np.moveaxis(plane[:, part[0], part[1]].astype(np.float32), 0, -1), shape, "edge")
         for plane in (image.signed_px, image.sigma_px)
     )
+    kept = _filled(np.moveaxis(image.kept[:, part[0], part[1]].astype(np.float32), 0, -1), shape, "constant")
     if config.is_varied:
         picture = _in_other_light(picture, rng)
         if rng.random() < 0.5:
-            picture, signed, sigma, known = (a[:, ::-1] for a in (picture, signed, sigma, known))
-    return ready(picture), signed, sigma, known
+            picture, signed, sigma, known, kept = (a[:, ::-1] for a in (picture, signed, sigma, known, kept))
+    return ready(picture), signed, sigma, known, kept
 
 
 def _filled(plane: np.ndarray, shape: tuple[int, int], how: str) -> np.ndarray:

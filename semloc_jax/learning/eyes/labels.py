@@ -26,6 +26,11 @@ _SHIFT = 4
 _UNKNOWN_ID = 255
 _BEYOND_PX = 6.0
 """About what is not to be judged nothing is known as far as this [px of the network's image]."""
+_LEAST_PX = 1.0
+"""What is narrower than this [px of the network's image] cannot be seen: whoever is asked for it learns to invent."""
+_MOST_SIGMA = 0.74
+"""Of the width of a piece. By an error e of the pose the label in its middle is |e| less half the width, in the median
+0.67 sigma less half the width: what is narrower would be taught to be nowhere, although it is in every image."""
 EXACT_SIGMA_PX = 0.3
 """Sides are not drawn more exactly than this."""
 
@@ -41,6 +46,8 @@ class Labels(NamedTuple):
     """By the pose and the map: how far the nearest border may be from where it was drawn."""
     known: Bool[np.ndarray, "h w"]
     """False where traffic hides the map, and about elements that nobody trusts or that are too far to judge."""
+    kept: Bool[np.ndarray, "k h w"]
+    """Where distance and sigma are those that the eyes tell already: they are not to change."""
 
 
 def drawn_labels(
@@ -62,7 +69,7 @@ def drawn_labels(
         size_px: (width, height) of the image.
         scale: Pixels of the network's image for one of the image.
         is_trusted: Of each element.
-        hidden: Where something hides the map, at any size; None for nowhere.
+        hidden: Where something hides the map, or shows what it lacks, at any size; None for nowhere.
         max_range_m: Paint farther away is not judged: it is thinner than a cell, and hidden as often as not.
     """
     width, height = (round(side * scale) for side in size_px)
@@ -72,6 +79,8 @@ def drawn_labels(
     ids = np.zeros((cells[1] * _FINE, cells[0] * _FINE), np.uint8)
     owner = surfaces.element
     is_judged = is_trusted[owner] & ((surfaces.distance_m <= max_range_m) | ~is_paint[owner]) & (channel[owner] >= 0)
+    width_px, unsure_px = _widths_px(surfaces), surfaces.sigma_px[:, ::2].max(axis=1)
+    is_judged &= (scale * width_px >= _LEAST_PX) & (unsure_px <= _MOST_SIGMA * width_px)
     corners = (surfaces.uv + 0.5) * (scale / _DRAWN_PX) - 0.5
     # What stands hides what lies behind it: paint first, then from far to near, the order of the surfaces.
     for standing in (False, True):
@@ -87,7 +96,14 @@ def drawn_labels(
     if hidden is not None:
         covered = cv2.resize(hidden.astype(np.uint8), cells, interpolation=cv2.INTER_NEAREST) > 0
         known &= ~_grown(covered, _BEYOND_PX / CELL_PX)
-    return Labels(signed, sigma, known)
+    return Labels(signed, sigma, known, np.zeros(signed.shape, bool))
+
+
+def _widths_px(surfaces: Surfaces) -> Float[np.ndarray, " n"]:
+    """How wide pieces are between their borders [px]; a side of an outline has no width that could be too small."""
+    uv = surfaces.uv
+    across = 0.5 * np.linalg.norm(uv[:, 0] + uv[:, 1] - uv[:, 2] - uv[:, 3], axis=1)
+    return np.where((uv[:, 1] == uv[:, 2]).all(axis=1), np.inf, across)
 
 
 def _fill(ids: np.ndarray, corners: np.ndarray, owner: np.ndarray, k: int, value: int) -> None:
@@ -103,7 +119,7 @@ def _fill(ids: np.ndarray, corners: np.ndarray, owner: np.ndarray, k: int, value
 
 def with_kept(labels: Labels, told: Sequence[bool], said: Said) -> Labels:
     """Labels that ask for what a network says already wherever the map tells nothing: of classes that the map has none
-    of, and of what hides it. Otherwise these drift as the features do that all classes share.
+    of, of what hides it, and behind it. Otherwise these drift as the features do that all classes share.
 
     Args:
         labels: By the map, of the channels of the table.
@@ -111,10 +127,12 @@ def with_kept(labels: Labels, told: Sequence[bool], said: Said) -> Labels:
         said: Of the cells of the image, one class more than channels where the network tells what hides the map.
     """
     signed = np.clip(np.moveaxis(said.signed_px, -1, 0), -REACH_PX, REACH_PX)
-    sigma = np.exp(np.moveaxis(said.log_sigma, -1, 0))
+    sigma, kept = np.exp(np.moveaxis(said.log_sigma, -1, 0)), np.ones(signed.shape, bool)
     for k in np.flatnonzero(told).tolist():
-        signed[k], sigma[k] = labels.signed_px[k], labels.sigma_px[k]
-    return Labels(signed, sigma, labels.known)
+        kept[k] = ~labels.known
+        signed[k] = np.where(kept[k], signed[k], labels.signed_px[k])
+        sigma[k] = np.where(kept[k], sigma[k], labels.sigma_px[k])
+    return Labels(signed, sigma, labels.known, kept)
 
 
 def _plane(
@@ -124,7 +142,8 @@ def _plane(
     inside = np.where(ids == value, np.uint8(255), np.uint8(0))
     rows, columns = (side // _FINE for side in ids.shape)
     if not inside.any():
-        return np.full((rows, columns), REACH_PX, np.float32), np.full((rows, columns), REACH_PX, np.float32)
+        far, exact = (np.full((rows, columns), value, np.float32) for value in (REACH_PX, EXACT_SIGMA_PX))
+        return far, exact
     return cell_distances(inside, _OUTSET), _nearest_sigma(surfaces, corners, chosen, (rows, columns), scale)
 
 

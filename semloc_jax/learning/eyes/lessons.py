@@ -11,12 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from semloc_jax.alignment.pose_prior import PriorSource
+from semloc_jax.cameras import Rig
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_source import MaskSource, eyes_source
 from semloc_jax.inputs.mask_view import resized
 from semloc_jax.learning.eyes.batches import LabelledImage
 from semloc_jax.learning.eyes.labels import drawn_labels, with_kept
+from semloc_jax.learning.eyes.missing import PLACE_M, GroundLooks, drawn_missing
 from semloc_jax.learning.eyes.poses import TeacherLimits, TeacherPose, teacher_poses
 from semloc_jax.learning.eyes.shapes import Surfaces, seen_surfaces
 from semloc_jax.learning.eyes.trust import ElementLooks
@@ -93,11 +95,12 @@ def labelled_by_map(
     for lesson in lessons:
         masks = lesson.seen_with(eyes)
         poses = teacher_poses(lesson.drive, lesson.map, masks, lesson.frames, lesson.prior, limits)
-        trust = _trust(lesson, masks, poses, map_sigma_m)
+        doubts = _doubts(lesson, masks, poses, map_sigma_m)
         for pose in poses:
-            images += _images_of(lesson, pose, trust, student, map_sigma_m)
+            images += _images_of(lesson, pose, doubts, student, map_sigma_m)
         every.append(poses)
-        num_distrusted += trust.num_distrusted
+        num_distrusted += doubts.elements.num_distrusted
+        _LOG.info("%d places of %.1f m show paint that the map lacks", len(doubts.missing), PLACE_M)
     if not images:
         raise SemlocError(
             f"eyes: none of {sum(len(lesson.frames) for lesson in lessons)} frames has a pose good enough to teach "
@@ -108,27 +111,45 @@ def labelled_by_map(
     return labelled
 
 
-def _trust(lesson: Lesson, masks: MaskSource, poses: Sequence[TeacherPose], map_sigma_m: float) -> ElementLooks:
-    """What the masks at hand say of every element, over all poses."""
-    trust = ElementLooks()
+class Doubts(NamedTuple):
+    """Where the masks at hand contradict a map, over all poses.
+
+    Args:
+        elements: How often each was found.
+        missing: Keys of places with paint that the map lacks.
+    """
+
+    elements: ElementLooks
+    missing: np.ndarray
+
+
+def _doubts(lesson: Lesson, masks: MaskSource, poses: Sequence[TeacherPose], map_sigma_m: float) -> Doubts:
+    """What the masks at hand say of every element, and of paint beside them."""
+    trust, ground = ElementLooks(), GroundLooks()
     for pose in poses:
         seen_masks = masks.masks(pose.frame)
         unit_px = pixel_unit([mask.shape for mask in seen_masks])
         seen = border_distances(seen_masks, masks.table, _TRUST_REACH_PX)
-        for k in range(len(masks.cameras)):
-            elements, surfaces = _surfaces(lesson, pose, k, masks.cameras, map_sigma_m)
+        rig = masks.seen_by(pose.frame.rig.select(masks.cameras))  # its pixels are those of the masks
+        for k, camera in enumerate(rig.cameras):
+            elements, surfaces = _surfaces(lesson, pose, rig, k, map_sigma_m)
             trust.look(surfaces, elements, seen, k, masks.table, unit_px)
-    return trust
+            place = camera, pose.T_map_base, np.asarray(rig.T_base_cam)[k]
+            ground.look(*place, seen_masks[k], seen.signed_px[k], seen.stride, masks.table)
+    return Doubts(trust, ground.missing(lesson.map.elements))
 
 
 def _images_of(
-    lesson: Lesson, pose: TeacherPose, trust: ElementLooks, student: Eyes, map_sigma_m: float
+    lesson: Lesson, pose: TeacherPose, doubts: Doubts, student: Eyes, map_sigma_m: float
 ) -> list[LabelledImage]:
     """One labelled image for each camera of a frame."""
-    found = []
+    found, rig = [], pose.frame.rig.select(lesson.masks.cameras)
     for k, camera in enumerate(lesson.masks.cameras):
         image, hidden = pose.frame.image(camera), pose.frame.dynamic_mask(camera)
-        elements, surfaces = _surfaces(lesson, pose, k, lesson.masks.cameras, map_sigma_m)
+        unknown = drawn_missing(doubts.missing, rig.cameras[k], pose.T_map_base, np.asarray(rig.T_base_cam)[k])
+        if hidden is not None:
+            unknown |= resized(hidden, image[..., 0])
+        elements, surfaces = _surfaces(lesson, pose, rig, k, map_sigma_m)
         picture = student.picture(image)
         labels = drawn_labels(
             surfaces,
@@ -136,8 +157,8 @@ def _images_of(
             student.table,
             (image.shape[1], image.shape[0]),
             working_scale(image.shape[1]),
-            trust.is_trusted(elements),
-            None if hidden is None else resized(hidden, image[..., 0]),
+            doubts.elements.is_trusted(elements),
+            unknown,
         )
         if student.card:  # else it has not learned anything
             told = [bool(set(channel.classes) & set(lesson.map.labels)) for channel in student.table.channels]
@@ -147,10 +168,9 @@ def _images_of(
 
 
 def _surfaces(
-    lesson: Lesson, pose: TeacherPose, index: int, cameras: Sequence[str], map_sigma_m: float
+    lesson: Lesson, pose: TeacherPose, rig: Rig, index: int, map_sigma_m: float
 ) -> tuple[tuple[MapElement, ...], Surfaces]:
-    """Elements around a frame, and what one of its cameras sees of them."""
-    rig = pose.frame.rig.select(tuple(cameras))
+    """Elements around a frame, and what a camera of a rig sees of them."""
     elements = lesson.map.query(pose.T_map_base[:3, 3], _RADIUS_M).elements
     place = rig.cameras[index], pose.T_map_base, np.asarray(rig.T_base_cam)[index]
     return elements, seen_surfaces(elements, *place, pose.covariance, map_sigma_m)

@@ -28,6 +28,8 @@ class Batch(NamedTuple):
     sigma_px: Float[Array, "b _h _w k"]
     weight: Float[Array, "b _h _w"]
     """0 where nothing is known."""
+    kept: Float[Array, "b _h _w k"]
+    """1 where distance and sigma are not to change: they are what the eyes told before, known or not."""
 
 
 def eyes_loss(network: eqx.Module, batch: Batch) -> Array:
@@ -49,10 +51,11 @@ def distance_loss(said: Said, batch: Batch) -> Float[Array, " k"]:
     that it is far everywhere costs nothing.
     """
     is_near = jnp.abs(batch.signed_px) < REACH_PX
-    known = batch.weight[..., None]
+    known = jnp.maximum(batch.weight[..., None], batch.kept)
     near = known * is_near * jnp.maximum(jnp.exp(-jnp.abs(batch.signed_px) / _NEAR_PX), _LEAST_WEIGHT)
     far = known * ~is_near
-    told, beyond = distance_nll(said, batch), beyond_nll(said, batch)
+    told = jnp.where(batch.kept > 0.0, change(said, batch), distance_nll(said, batch))
+    beyond = beyond_nll(said, batch)
     of_near = jnp.sum(near * told, (0, 1, 2)) / (jnp.sum(near, (0, 1, 2)) + _FEW_CELLS)
     return of_near + jnp.sum(far * beyond, (0, 1, 2)) / jnp.maximum(jnp.sum(far, (0, 1, 2)), 1.0)
 
@@ -61,6 +64,16 @@ def distance_nll(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
     """Of the distance of each cell and class."""
     scale = _scale(said, batch)
     return jnp.abs(said.signed_px - batch.signed_px) / scale + jnp.log(scale)
+
+
+def change(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
+    """How far what is said has moved from what was said before: the divergence of Laplace's distributions [nats].
+
+    Were that taken for a label with its sigma, the likeliest sigma would be none at all.
+    """
+    before, off = batch.sigma_px / jnp.sqrt(2.0), jnp.abs(said.signed_px - batch.signed_px)
+    now = jnp.exp(said.log_sigma) / jnp.sqrt(2.0)
+    return jnp.log(now / before) + (off + before * jnp.exp(-off / before)) / now - 1.0
 
 
 def beyond_nll(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
@@ -85,10 +98,11 @@ def inside_loss(said: Said, batch: Batch) -> Float[Array, " k"]:
     """Of being inside, for each class: cells inside and cells outside count the same in sum, so that what is rare is
     found before it is told well. A label near its border is as unsure as its sigma says."""
     share = jax.scipy.stats.norm.cdf(-batch.signed_px / batch.sigma_px)
-    near = batch.weight[..., None] * (0.1 + jnp.exp(-jnp.abs(batch.signed_px) / _NEAR_PX))
+    known = batch.weight[..., None] * (1.0 - batch.kept)
+    near = known * (0.1 + jnp.exp(-jnp.abs(batch.signed_px) / _NEAR_PX))
 
     def mean(weight: Array, loss: Array) -> Array:
         return jnp.sum(weight * loss, (0, 1, 2)) / (jnp.sum(weight, (0, 1, 2)) + _FEW_CELLS)
 
     missed, invented = -jax.nn.log_sigmoid(said.logit), -jax.nn.log_sigmoid(-said.logit)
-    return mean(batch.weight[..., None] * share, missed) + mean(near * (1.0 - share), invented)
+    return mean(known * share, missed) + mean(near * (1.0 - share), invented)

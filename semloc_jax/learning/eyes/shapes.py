@@ -72,9 +72,9 @@ def seen_surfaces(
     is_end, element = np.array([piece[1] for piece in pieces]), np.array([piece[2] for piece in pieces])
     spread = np.linalg.cholesky(covariance + 1e-12 * np.eye(6)).T
     moved = [T_map_base, *(T_map_base @ rigid.exp(row) for row in spread)]
-    uvs, seen = zip(*(_project(camera, corners, T @ T_base_cam) for T in moved), strict=True)
+    uvs, seen = zip(*(seen_corners(camera, corners, T @ T_base_cam) for T in moved), strict=True)
     uv, shifts = uvs[0], np.stack(uvs[1:]) - uvs[0]
-    distance_m = np.linalg.norm(corners.mean(axis=1) - T_map_cam[:3, 3], axis=1)
+    distance_m = _together(np.linalg.norm(corners.mean(axis=1) - T_map_cam[:3, 3], axis=1), corners, element)
     side = np.roll(uv, -1, axis=1) - uv
     length_px = np.maximum(np.linalg.norm(side, axis=2), 1e-6)
     normal = np.stack([side[..., 1], -side[..., 0]], axis=2) / length_px[..., None]
@@ -85,6 +85,15 @@ def seen_surfaces(
     keep = np.flatnonzero(seen[0] & np.isfinite(sigma_px).all(axis=1))
     keep = keep[np.argsort(-distance_m[keep], kind="stable")]
     return Surfaces(uv[keep], sigma_px[keep], is_end[keep], element[keep], distance_m[keep])
+
+
+def _together(distance_m: np.ndarray, corners: np.ndarray, element: np.ndarray) -> np.ndarray:
+    """The distances of pieces [n], one for all sides of an outline: ordered by them its corners stay in order."""
+    is_side, distance_m = (corners[:, 1] == corners[:, 2]).all(axis=1), distance_m.copy()
+    for k in np.unique(element[is_side]):
+        own = is_side & (element == k)
+        distance_m[own] = distance_m[own].mean()
+    return distance_m
 
 
 def _pieces(element: MapElement, center: np.ndarray) -> Iterator[tuple[np.ndarray, tuple[bool, bool]]]:
@@ -143,7 +152,7 @@ def _evenly(line: np.ndarray, num: int) -> np.ndarray:
     return np.stack([np.interp(np.linspace(0.0, along[-1], num + 1), along, axis) for axis in line.T], axis=1)
 
 
-def _project(camera: Camera, p_map: np.ndarray, T_map_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def seen_corners(camera: Camera, p_map: np.ndarray, T_map_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of corners [n 4 3], and whether all corners of a piece are seen."""
     p_cam = (p_map - T_map_cam[:3, 3]) @ T_map_cam[:3, :3]
     size = next(size for size in (*BUCKETS, len(p_cam)) if size >= len(p_cam))

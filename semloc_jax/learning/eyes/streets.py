@@ -119,9 +119,9 @@ def labelled(view: StreetView, table: ClassTable) -> list[LabelledImage]:
     planes = [cell_distances(np.where(told == k, np.uint8(255), np.uint8(0))) for k in range(num_told(table))]
     signed = np.stack(planes)
     # Exact and known everywhere: one number stands for all cells.
-    sigma, known = np.broadcast_to(np.float16(EXACT_SIGMA_PX), signed.shape), np.broadcast_to(True, signed.shape[1:])
-    signed = signed.astype(np.float16)
-    return [LabelledImage(np.ascontiguousarray(one[..., ::-1]), signed, sigma, known) for one in view.pictures]
+    sigma, kept = (np.broadcast_to(value, signed.shape) for value in (np.float16(EXACT_SIGMA_PX), False))
+    labels = signed.astype(np.float16), sigma, np.broadcast_to(True, signed.shape[1:]), kept
+    return [LabelledImage(np.ascontiguousarray(one[..., ::-1]), *labels) for one in view.pictures]
 
 
 def _told_of_ids(table: ClassTable) -> Int[np.ndarray, "256"]:

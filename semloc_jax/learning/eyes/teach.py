@@ -24,11 +24,14 @@ from semloc_jax.learning.eyes.streets import StreetsConfig
 from semloc_jax.learning.eyes.through import ThroughConfig, pose_sights, taught_through
 from semloc_jax.learning.training import TrainingConfig, train
 from semloc_jax.perception import load_class_table
+from semloc_jax.perception.class_table import ClassTable
 from semloc_jax.perception.network import NetworkSegmenter
 from semloc_jax.perception.networks.eyes import Eyes, eyes_table
 
 TABLE = "drive"
 """The preset whose channels tell the classes of a map apart as finely as any."""
+_AGAIN = 0.3
+"""Rate of a round over that of the one before it, which was worse than what both began with."""
 Watched = Callable[[str, int], AbstractContextManager[Callable[[int, float], None] | None]]
 """Watches the steps of a lesson: told its name and their number, it gives what is told each step and its loss."""
 
@@ -46,6 +49,9 @@ class EyesConfig:
     map_sigma_m: float = 0.03
     """How far an element may be from its place in the map, one standard deviation."""
     training: TrainingConfig = field(default_factory=lambda: TrainingConfig(num_steps=1500))
+    begin_share: float = 0.1
+    """Rate of eyes that see already (`--begin`), over that of new ones: at 5e-4 a round made them worse, at 1.5e-4
+    better."""
     crops: CropConfig = field(default_factory=CropConfig)
     limits: TeacherLimits = field(default_factory=TeacherLimits)
     streets: StreetsConfig = field(default_factory=StreetsConfig)
@@ -57,8 +63,9 @@ class EyesConfig:
     judge_sigma_deg: float = 3.0
 
     def __post_init__(self) -> None:
-        if self.rounds < 1 or min(self.map_sigma_m, self.judge_sigma_m, self.judge_sigma_deg) <= 0.0:
-            raise SemlocError(f"eyes: {self}; expected rounds of at least 1 and sigmas above 0")
+        sizes = self.map_sigma_m, self.judge_sigma_m, self.judge_sigma_deg, self.begin_share
+        if self.rounds < 1 or min(sizes) <= 0.0:
+            raise SemlocError(f"eyes: {self}; expected rounds of at least 1, sigmas and begin_share above 0")
 
 
 class Round(NamedTuple):
@@ -88,6 +95,7 @@ def taught(
     helper: NetworkSegmenter | None = None,
     begin: Eyes | None = None,
     watched: Watched = _unwatched,
+    on_labels: Callable[[Sequence[LabelledImage]], None] | None = None,
 ) -> list[Round]:
     """The rounds, what there was at the beginning first; `best_round` says which to keep.
 
@@ -100,13 +108,12 @@ def taught(
         helper: Another network whose scores the eyes see: they are a small adapter on top of it then.
         begin: Eyes to go on with; None for new ones.
         watched: Watches the steps of every lesson.
+        on_labels: Given what teaches, each time that it is made.
 
     Raises:
         SemlocError: no pose is good enough to teach, or the frames held out have no truth.
     """
-    classes = frozenset(label for lesson in lessons for label in lesson.map.labels)
-    table = eyes_table(load_class_table(TABLE), classes)
-    eyes = begin or Eyes.new(table, config.training.seed, helper)
+    eyes = begin or Eyes.new(taught_table(lessons), config.training.seed, helper)
     rounds, labelled, by = [], Labelled([], [], 0), -1
 
     def add(eyes: Eyes | None, lesson: str = "labels") -> None:
@@ -119,10 +126,15 @@ def taught(
         add(eyes if k else None)
         if k < config.rounds:
             best = best_round(rounds)
-            if best != by:  # a round that was worse teaches nobody
+            # A round that was worse teaches nobody and is taken back; eyes that began with nothing go on from it.
+            eyes = rounds[best].eyes or begin or eyes
+            if best != by:
                 labelled = labelled_by_map(lessons, rounds[best].eyes, eyes, config.limits, config.map_sigma_m)
                 by = best
-            eyes = _trained(eyes, labelled.images, config.training, config, folder, f"round_{k + 1}", watched)
+                if on_labels is not None:
+                    on_labels(labelled.images)
+            training = _of_round(k, best, config, begin is not None)
+            eyes = _trained(eyes, labelled.images, training, config, folder, f"round_{k + 1}", watched)
     if config.through.num_steps:
         eyes = rounds[best_round(rounds)].eyes or eyes
         more = replace(config.training, num_steps=config.through.num_steps, rate=config.through.rate)
@@ -130,6 +142,19 @@ def taught(
         add(alone, "as many steps by labels alone")
         add(_for_the_pose(eyes, lessons, labelled, config, folder, watched), "through the solver")
     return rounds
+
+
+def taught_table(lessons: Sequence[Lesson], begin: Eyes | None = None) -> ClassTable:
+    """The classes that are told: those that eyes know already, else all of the maps."""
+    if begin is not None:
+        return begin.table
+    return eyes_table(load_class_table(TABLE), frozenset(label for lesson in lessons for label in lesson.map.labels))
+
+
+def _of_round(k: int, best: int, config: EyesConfig, sees: bool) -> TrainingConfig:
+    """How the eyes of round `k` + 1 are trained: by other crops, and more gently after each round in vain."""
+    share, training = config.begin_share * _AGAIN ** (k - best) if sees else 1.0, config.training
+    return replace(training, seed=training.seed + k, rate=share * training.rate)
 
 
 def _for_the_pose(

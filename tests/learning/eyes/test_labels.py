@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 import semloc_jax as sj
 from semloc_jax.geometry import rigid
@@ -137,8 +138,65 @@ def test_elements_that_no_frame_shows_are_denied(street, rig, table):
 
 def test_what_the_map_does_not_tell_is_kept():
     """The map tells the first class; the second and what moves stay as the network says, its sigma included."""
-    labels = Labels(np.full((2, 3, 4), 5.0), np.full((2, 3, 4), 0.5), np.ones((3, 4), bool))
+    known = np.ones((3, 4), bool)
+    known[0, 0] = False
+    labels = Labels(np.full((2, 3, 4), 5.0), np.full((2, 3, 4), 0.5), known, np.zeros((2, 3, 4), bool))
     said = Said(np.stack([np.full((3, 4), value) for value in (1.0, 7.0, 90.0)], -1), np.full((3, 4, 3), 0.7), 0.0)
     kept = with_kept(labels, (True, False), said)
     assert kept.signed_px[:, 1, 2].tolist() == [5.0, 7.0, REACH_PX]
     np.testing.assert_allclose(kept.sigma_px[:, 1, 2], [0.5, np.exp(0.7), np.exp(0.7)])
+    assert kept.kept[:, 1, 2].tolist() == [False, True, True]
+    assert kept.kept[:, 0, 0].all() and kept.signed_px[0, 0, 0] == 1.0, "nor does the map tell what is hidden"
+
+
+def test_an_outline_is_drawn_whole(rig, table):
+    """All that lies well inside the outline of a sign, seen from aside: not two triangles."""
+    for center, along in (((12.0, 2.5, 1.9), (0.5, 0.8)), ((14.0, -1.0, 2.6), (0.05, 1.0))):
+        half = 0.6 * np.array([*along, 0.0]) / np.hypot(*along)
+        up = np.array([0.0, 0.0, 0.6])
+        ring = np.array([center] * 4) + [half - up, -half - up, -half + up, half + up]
+        street = sj.map_from_arrays([("sign", ring, {"closed": True}), ("lane_marking", [[0, 2, 0], [60, 2, 0]])])
+        labels = labels_of(street, rig, table)
+        inverse = rigid.inverse(T @ np.asarray(rig.T_base_cam)[0])
+        k = [channel.name for channel in table.channels].index("sign")
+        for share in ((0, 0), (0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5)):
+            p = (inverse @ [*(np.array(center) + share[0] * half + share[1] * up), 1.0])[:3]
+            u, v = np.asarray(rig.cameras[0].project(p)[0])
+            assert labels.signed_px[k][int((v + 0.5) / CELL_PX), int((u + 0.5) / CELL_PX)] < -1.0, (center, share)
+
+
+def test_a_class_that_is_not_in_view_is_surely_not_there(street, rig, table):
+    """Looking back, no plate is in view: its distance is beyond the reach, and not unsure by as much."""
+    labels = labels_of(street, rig, table, pose=T @ sj.planar_pose(30.0, 0.0))
+    k = [channel.name for channel in table.channels].index("sign")
+    assert np.all(labels.signed_px[k] == REACH_PX) and labels.sigma_px[k].max() < 1.0
+
+
+def test_what_is_too_thin_to_be_seen_teaches_nothing(rig, table):
+    """Two posts of 6 cm, at 15 and 60 m (1.8 and 0.4 px): the near one is drawn, the far one is not known."""
+    posts = [("pole", [[x, 3.0, 0.0], [x, 3.0, 2.0]], {"radius_m": 0.03, "radius_top_m": 0.03}) for x in (15.0, 60.0)]
+    labels = labels_of(sj.map_from_arrays([*posts, ("lane_marking", [[0, 2, 0], [60, 2, 0]])]), rig, table)
+    k = [channel.name for channel in table.channels].index("pole")
+    inverse = rigid.inverse(T @ np.asarray(rig.T_base_cam)[0])
+    u, v = (np.array([rig.cameras[0].project((inverse @ [x, 3.0, 1.0, 1.0])[:3])[0] for x in (15.0, 60.0)]).T).astype(
+        int
+    )
+    rows, columns = v // int(CELL_PX), u // int(CELL_PX)
+    assert abs(labels.signed_px[k, rows[0], columns[0]]) < 2.0 and labels.known[rows[0], columns[0]]
+    assert labels.signed_px[k, rows[1], columns[1]] > 10.0 and not labels.known[rows[1], columns[1]]
+
+
+def test_a_post_that_the_pose_does_not_hold_is_not_taught_away(street, rig, table):
+    """A post 7.8 px wide. Labels drawn at poses turned by 1.7 deg (12 px) say in their median that nothing stands where
+    it is seen; so they say nothing, and those of poses turned by 0.3 deg that it is there."""
+    k = [channel.name for channel in table.channels].index("pole")
+    p = rigid.inverse(T @ np.asarray(rig.T_base_cam)[0]) @ [17.0, 3.2, 1.3, 1.0]
+    column, row = (np.asarray(rig.cameras[0].project(p[:3])[0]) / CELL_PX).astype(int)
+    turns_rad = 0.03 * norm.ppf((np.arange(21) + 0.5) / 21)
+    poses = [T @ rigid.exp(np.array([0, 0, 0, 0, 0, turn])) for turn in turns_rad]
+    drawn = [labels_of(street, rig, table, pose=pose).signed_px[k, row, column] for pose in poses]
+    assert np.median(drawn) > 2.0
+    for turn, is_told in ((0.03, False), (0.005, True)):
+        labels = labels_of(street, rig, table, np.diag([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, turn]) ** 2)
+        assert bool(labels.known[row, column]) == is_told
+        assert (labels.signed_px[k, row, column] < -2.0) == is_told

@@ -7,7 +7,15 @@ import pytest
 
 from semloc_jax.learning.eyes.batches import CropConfig, ImagePool, LabelledImage, draw_batch
 from semloc_jax.learning.eyes.judge import RoundScore
-from semloc_jax.learning.eyes.loss import Batch, beyond_nll, distance_loss, distance_nll, eyes_loss, inside_loss
+from semloc_jax.learning.eyes.loss import (
+    Batch,
+    beyond_nll,
+    change,
+    distance_loss,
+    distance_nll,
+    eyes_loss,
+    inside_loss,
+)
 from semloc_jax.learning.eyes.teach import Round, best_round
 from semloc_jax.perception.networks.dense_net import DenseNet
 from semloc_jax.perception.networks.eyes import REACH_PX, Said, network_config
@@ -15,7 +23,7 @@ from semloc_jax.perception.networks.eyes import REACH_PX, Said, network_config
 
 def one_cell(signed_px, sigma_px=1e-3):
     cell = jnp.ones((1, 1, 1, 1))
-    return Batch(jnp.zeros((1, 2, 2, 3)), signed_px * cell, sigma_px * cell, jnp.ones((1, 1, 1)))
+    return Batch(jnp.zeros((1, 2, 2, 3)), signed_px * cell, sigma_px * cell, jnp.ones((1, 1, 1)), 0.0 * cell)
 
 
 def said(signed_px, log_sigma=0.0, logit=0.0):
@@ -68,7 +76,8 @@ def test_a_border_out_of_reach_is_told_far_and_not_exactly():
 def test_what_is_rare_weighs_as_much_as_all_that_is_far(far_cells):
     """Many cells far from every border, or few: the slope by those at one is the same, and that by the far ones too."""
     signed = jnp.concatenate([jnp.zeros(400), jnp.full(far_cells, REACH_PX)]).reshape(1, 1, -1, 1)
-    batch = Batch(jnp.zeros((1, 2, 2, 3)), signed, jnp.full_like(signed, 1e-3), jnp.ones(signed.shape[:3]))
+    sigma, kept = jnp.full_like(signed, 1e-3), jnp.zeros_like(signed)
+    batch = Batch(jnp.zeros((1, 2, 2, 3)), signed, sigma, jnp.ones(signed.shape[:3]), kept)
 
     def loss(told):
         return distance_loss(Said(told, jnp.zeros_like(told), jnp.zeros_like(told)), batch).sum()
@@ -78,11 +87,24 @@ def test_what_is_rare_weighs_as_much_as_all_that_is_far(far_cells):
     assert float(slope[400:].sum()) == pytest.approx(-np.sqrt(2.0), rel=1e-3)
 
 
+def test_what_is_kept_costs_nothing_as_it_was():
+    """Its own distance and sigma are the least of the loss; taken for a label, no sigma at all would be."""
+    kept = one_cell(3.0, 2.0)._replace(kept=jnp.ones((1, 1, 1, 1)))
+    assert float(change(said(3.0, np.log(2.0)), kept).sum()) == pytest.approx(0.0, abs=1e-6)
+    moved = [float(change(said(3.0 + d, np.log(s)), kept).sum()) for d, s in ((0.5, 2), (-0.5, 2), (0, 1.5), (0, 2.5))]
+    assert min(moved) > 0.01
+    slope = jax.grad(lambda log_sigma: distance_nll(said(3.0, log_sigma), one_cell(3.0, 2.0)).sum())(np.log(2.0))
+    assert float(slope) > 0.1
+    inside = [float(inside_loss(said(3.0, 0.0, logit), kept).sum()) for logit in (-3.0, 3.0)]
+    assert inside == [0.0, 0.0]
+
+
 def test_the_slope_of_the_distances_is_that_of_their_loss():
     """Finite differences, about borders, beyond the reach on both sides of it, and inside."""
     rng = np.random.default_rng(3)
     signed = jnp.asarray(np.r_[rng.uniform(-12, 38, 20), [REACH_PX] * 12, [-REACH_PX] * 8]).reshape(1, 5, 8, 1)
-    batch = Batch(jnp.zeros((1, 2, 2, 3)), signed, jnp.full_like(signed, 0.3), jnp.ones((1, 5, 8)))
+    kept = jnp.asarray(rng.random(signed.shape) < 0.4, signed.dtype)
+    batch = Batch(jnp.zeros((1, 2, 2, 3)), signed, jnp.full_like(signed, 0.3), jnp.ones((1, 5, 8)), kept)
     told = signed + jnp.asarray(rng.normal(0.0, 6.0, signed.shape))
     log_sigma = jnp.asarray(rng.uniform(-1.0, 3.0, signed.shape))
 
@@ -103,7 +125,7 @@ def test_cells_of_which_nothing_is_known_move_nothing():
     rng = np.random.default_rng(0)
     picture = jnp.asarray(rng.random((1, 32, 32, 3)))
     labels = jnp.asarray(rng.uniform(-9, 9, (1, 16, 16, 1)))
-    batch = Batch(picture, labels, jnp.ones_like(labels), jnp.zeros((1, 16, 16)))
+    batch = Batch(picture, labels, jnp.ones_like(labels), jnp.zeros((1, 16, 16)), 0.0 * labels)
     slope = jax.jit(jax.grad(lambda n: eyes_loss(n, batch)))(network)
     assert max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(slope)) == 0.0
 
@@ -114,9 +136,8 @@ def test_crops_keep_their_labels():
     picture[40:60, 50:80] = 255
     v, u = np.mgrid[:48, :64] * 2.0 + 0.5
     signed = np.maximum(np.maximum(49.5 - u, u - 79.5), np.maximum(39.5 - v, v - 59.5)).clip(-REACH_PX, REACH_PX)
-    image = LabelledImage(
-        picture, signed[None].astype(np.float16), np.ones((1, 48, 64), np.float16), np.ones((48, 64), bool)
-    )
+    planes = signed[None].astype(np.float16), np.ones((1, 48, 64), np.float16)
+    image = LabelledImage(picture, *planes, np.ones((48, 64), bool), np.zeros((1, 48, 64), bool))
     config = CropConfig(size=8, crop_px=(64, 64))
     pool = ImagePool([image])
     batch = draw_batch(pool, config, 32, np.random.default_rng(0))
@@ -138,7 +159,7 @@ def test_what_is_rare_is_drawn_more_often():
     far = np.full((2, 64, 64), REACH_PX, np.float16)
     usual, rare = far.copy(), far.copy()
     usual[0, 10], rare[1, 40, 40] = -1.0, -1.0
-    rest = np.ones_like(far), np.ones((64, 64), bool)
+    rest = np.ones_like(far), np.ones((64, 64), bool), np.zeros(far.shape, bool)
     picture = np.zeros((128, 128, 3), np.uint8)
     pool = ImagePool([LabelledImage(picture, plane, *rest) for plane in (*[usual] * 25, rare)])
     rng = np.random.default_rng(0)

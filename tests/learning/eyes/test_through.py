@@ -86,7 +86,7 @@ def solved(eyes, sight):
 def slope_of(eyes, sight):
     """Loss of a sight and its derivative by the eyes, no labels beside it."""
     planes = jnp.zeros((1, *eyes.planes().shape))
-    nothing = Batch(jnp.zeros((1, 4, 4, 3)), planes, planes + 1.0, planes[..., 0])
+    nothing = Batch(jnp.zeros((1, 4, 4, 3)), planes, planes + 1.0, planes[..., 0], planes)
     return through_slope(eyes, ThroughBatch((sight,), nothing), ThroughConfig(labels_share=0.0, most_pull=FREE), DOF)
 
 
