@@ -249,8 +249,9 @@ def _kind(one: Divider, other: Divider, config: SlotConfig) -> str | None:
     cosine = float(step @ inward) / (width_m * float(np.linalg.norm(inward)))
     off_deg = float(np.rad2deg(np.arcsin(min(abs(cosine), 1.0))))
     across_m = width_m * float(np.sqrt(1.0 - min(cosine**2, 1.0)))
-    is_short = all(
-        d.is_whole and config.parallel_divider_m[0] <= d.length_m <= config.parallel_divider_m[1] for d in (one, other)
+    # What hides the end of one does not hide how long the other is.
+    is_short = (one.is_whole or other.is_whole) and all(
+        config.parallel_divider_m[0] <= d.length_m <= config.parallel_divider_m[1] for d in (one, other)
     )
     if off_deg <= config.right_angle_deg:
         if config.entrance_m[0] <= width_m <= config.entrance_m[1] and not is_short:

@@ -63,6 +63,15 @@ def test_a_divider_that_ends_at_a_gap_in_the_paint_tells_no_depth():
     assert slots_of(lines[2:]) == []
 
 
+def test_one_whole_divider_tells_that_a_slot_lies_along_the_aisle():
+    """A pillar or a line along the back hides where the other one ends; where both ends are hidden nothing is told."""
+    whole, hidden = row(3, 6.1, 2.35), row(3, 6.1, 2.35, ends=(True, False))
+    for lines in ([whole[0], hidden[1], whole[2]], [hidden[0], whole[1], hidden[2]]):
+        assert [element.attributes["kind"] for element, _ in slots_of(lines)] == ["parallel"] * 2
+    assert slots_of(hidden) == []
+    assert slots_of([whole[0], row(2, 6.1, 5.2)[1]]) == []
+
+
 def test_the_weaker_line_says_how_sure_a_slot_is():
     (_, belief), *_ = slots_of(row(2, 2.5, 5.2))
     assert (belief.sigma_across_m, belief.existence_logit, belief.num_seen, belief.num_missed) == (0.03, 2.0, 8, 1)
