@@ -47,6 +47,7 @@ def run(options: Options) -> int:
     from semloc_jax.mapping.crowd.ledger import waiting_drives
     from semloc_jax.mapping.crowd.whole import Crew
     from semloc_jax.reports.crowd import Judge, report_merged
+    from semloc_jax.runtime.crew import require_ray
 
     packed = [path for path in options.maps if path.suffix.lower() == ".slocal"]
     bases = [path for path in options.maps if path.suffix.lower() != ".slocal"]
@@ -62,6 +63,8 @@ def run(options: Options) -> int:
         raise UsageError("no drives: give files of 'semloc pack' (.slocal), or --inbox")
     if options.jobs < 1:
         raise UsageError(f"--jobs {options.jobs}: expected 1 or more")
+    if options.ray:
+        require_ray()
     base = bases[0] if bases else None
     waiting = waiting_drives(base) if base is not None and options.inbox else []
     if not packed and not waiting:

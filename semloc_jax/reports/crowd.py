@@ -15,7 +15,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.evaluation import MapComparison, Metric, compare_maps, write_metrics
 from semloc_jax.mapping.crowd.cell_map import DriveRow
 from semloc_jax.mapping.crowd.kept_cells import KeptCells
-from semloc_jax.mapping.crowd.ledger import Ledger, ledger_of, write_ledger
+from semloc_jax.mapping.crowd.ledger import Ledger, copy_records, ledger_of, write_ledger
 from semloc_jax.mapping.crowd.pack import packed, trimmed
 from semloc_jax.mapping.crowd.seed_rule import replaced
 from semloc_jax.mapping.crowd.time_order import in_order
@@ -103,6 +103,8 @@ def report_merged(
         contents.append(path.read_bytes())
     ledger = held.joined(contents)
     new = len(ledger.drives) - len(held.drives)
+    if base is not None:
+        copy_records(base, out)
     if before is not None and not new:
         write_ledger(held, before, out)
         write_version(before, out, before, base)

@@ -65,7 +65,8 @@ def report_log(path: Path, tiles: bool = False) -> str:
         lines.append(f"version {row.version}  {row.digest[:_SHORT]}{made_by}")
     state = read_state(path)
     drives = f", {state.num_drives} drive{'s' * (state.num_drives > 1)}" if state.num_drives else ""
-    lines.append(f"{len(state.map.elements)} elements in {len(state.tiles)} tiles{drives}; content {state.content}")
+    tiles_held = f"{len(state.tiles)} tile{'s' * (len(state.tiles) != 1)}"
+    lines.append(f"{len(state.map.elements)} elements in {tiles_held}{drives}; content {state.content}")
     if tiles:
         lines += [f"tile {x},{y}  {digest}" for (x, y), digest in state.tiles.items()]
     return "\n".join(lines)

@@ -7,6 +7,7 @@ in which order tasks run changes nothing; what a killed worker had in hand is do
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from importlib.util import find_spec
 from itertools import islice
 from multiprocessing import get_context
 from typing import Any, TypeVar
@@ -69,13 +70,22 @@ def _in_processes(
             pool.shutdown(cancel_futures=True)
 
 
+def require_ray() -> None:
+    """Nothing where Ray is installed; to be asked before work that may not need it after all.
+
+    Raises:
+        SemlocError: it is not.
+    """
+    if find_spec("ray") is None:
+        raise SemlocError("Ray is not installed; pip install 'semloc-jax[ray]', or leave --ray out")
+
+
 def _on_ray(
     work: Callable[[Task], Result], tasks: Iterable[tuple[str, Task]], jobs: int
 ) -> Iterator[tuple[str, Result]]:
-    try:
-        import ray
-    except ImportError as error:
-        raise SemlocError("Ray is not installed; pip install 'semloc-jax[ray]', or leave --ray out") from error
+    require_ray()
+    import ray
+
     is_ours = not ray.is_initialized()
     if is_ours:
         ray.init(num_cpus=jobs if jobs > 1 else None, include_dashboard=False, log_to_driver=False)

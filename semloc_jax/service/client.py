@@ -51,15 +51,15 @@ def pull(url: str, path: Path, have: int | None = None) -> tuple[MapState | None
         raise SemlocError(
             f"{path}: holds version {before.version}, not {have}; leave --have out or give {before.version}"
         )
-    content = _fetched(url, f"/diff?have={quote(before.digest)}")
+    content = _fetched(url, f"/diff?have={quote(before.digest)}", f"; another --out than {path} gets the whole map")
     state = applied(before, SdiffFile(content, f"difference of {url}").on(before))
     if state.digest != before.digest:
         write_version(state, path, before, path, f"pull of {urlsplit(url).hostname}")
     return before, state, len(content)
 
 
-def _fetched(url: str, what: str) -> bytes:
-    """What a server answers; no more than it may send."""
+def _fetched(url: str, what: str, remedy: str = "") -> bytes:
+    """What a server answers; no more than it may send. The remedy is named where it refuses."""
     address = url.rstrip("/") + what
     try:
         with urllib.request.urlopen(address, timeout=_TIMEOUT_S) as answer:
@@ -71,7 +71,7 @@ def _fetched(url: str, what: str) -> bytes:
             text = str(json.loads(said)["error"])
         except (ValueError, KeyError, TypeError):
             text = f"code {error.code}"
-        raise SemlocError(f"{url}: refuses {what.split('?')[0]}: {text}") from error
+        raise SemlocError(f"{url}: refuses {what.split('?')[0]}: {text}{remedy}") from error
     except (OSError, ValueError) as error:
         raise SemlocError(f"{url}: cannot be reached ({str(error)[:100]}); is `semloc serve` running there?") from error
     require_room(len(content), _MOST_BYTES, url, "bytes", "get the map another way")

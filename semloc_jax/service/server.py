@@ -91,7 +91,7 @@ class MapServer(ThreadingHTTPServer):
                 self._held, self._rows = {"newest": newest.digest}, versions_of(self.path)
             row = next((row for row in self._rows if name in (str(row.version), row.digest)), None)
             if row is None:
-                raise Refused(404, f"version {name[:64]!r} is not in the history; get /map")
+                raise Refused(404, f"version {name[:12]} is not in the history of this map; get /map")
             return self._remembered(f"version {row.version}", lambda: version_at(self.path, row.version))
 
     def step_from(self, name: str) -> bytes:

@@ -210,7 +210,26 @@ def test_any_grouping_makes_the_same_file_and_twice_changes_nothing(packed_files
     without = tmp_path / "alone.gpkg"
     without.write_bytes(one)
     assert main(["merge", str(without), str(packed_files / "d2.slocal"), "--out", str(two)]) == FAILED
-    assert "is not beside it" in capsys.readouterr().err
+    assert "which are not in alone.gpkg.history beside it" in capsys.readouterr().err
+
+
+def test_ray_that_is_not_there_is_said_also_where_one_cell_needs_none(packed_files, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("semloc_jax.runtime.crew.find_spec", lambda name: None)
+    drives = [str(packed_files / f"d{k}.slocal") for k in (0, 1)]
+    assert main(["merge", *drives, "--ray", "--out", str(tmp_path / "x.gpkg")]) == FAILED
+    assert "semloc-jax[ray]" in capsys.readouterr().err and not (tmp_path / "x.gpkg").exists()
+
+
+def test_who_goes_back_beyond_a_merge_into_another_file_can_merge_on(packed_files, tmp_path):
+    first = grouped(packed_files, tmp_path, None, [(0, 1)], "first")
+    second, late = tmp_path / "second.gpkg", str(packed_files / "d2.slocal")
+    assert main(["merge", str(first), late, "--out", str(second)]) == OK
+    content = read_state(second).content
+    shutil.rmtree(history_of(first))
+    assert main(["rollback", str(second), "--to", "2"]) == OK
+    assert read_state(second).content == read_state(first).content != content
+    assert main(["merge", str(second), late, "--out", str(second)]) == OK
+    assert read_state(second).content == content
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")

@@ -15,7 +15,7 @@ from pathlib import Path
 from semloc_jax.errors import SemlocError
 from semloc_jax.maps import BeliefMap, SemanticMap
 from semloc_jax.maps.io.packed_drive import PackedDrive, unpacked
-from semloc_jax.maps.versions.history import history_of
+from semloc_jax.maps.versions.history import history_of, versions_of
 from semloc_jax.maps.versions.records import record_of
 from semloc_jax.maps.versions.state import MapState, read_state, write_state
 from semloc_jax.storage import json_document, reading, write_bytes, write_text, writing
@@ -80,8 +80,8 @@ def ledger_of(path: Path) -> Ledger:
     if not record.is_file():
         if state.num_drives:
             raise SemlocError(
-                f"map {path}: was merged of {state.num_drives} drives, and {folder.name} with them is not beside it; "
-                "copy the folder too"
+                f"map {path}: was merged of {state.num_drives} drives, which are not in {folder.name} beside it (a map "
+                "that came by pull or apply has none): merge into the map that was merged, or copy its folder too"
             )
         return Ledger(state, {})
     document = json_document(record.read_bytes(), f"record {record}")
@@ -121,6 +121,13 @@ def copy_record(source: Path, digest: str, path: Path, new: str) -> None:
             with writing(folder / name) as partial:
                 shutil.copyfile(history_of(source) / name, partial)
     write_text(_record(folder, new), json.dumps(document) + "\n")
+
+
+def copy_records(source: Path, path: Path) -> None:
+    """The records of all versions of a map beside another file: who goes back there to one of them can merge on."""
+    if history_of(source) != history_of(path):
+        for row in versions_of(source):
+            copy_record(source, row.digest, path, row.digest)
 
 
 def inbox_of(path: Path) -> Path:
