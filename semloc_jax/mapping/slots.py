@@ -249,14 +249,15 @@ def _kind(one: Divider, other: Divider, config: SlotConfig) -> str | None:
     cosine = float(step @ inward) / (width_m * float(np.linalg.norm(inward)))
     off_deg = float(np.rad2deg(np.arcsin(min(abs(cosine), 1.0))))
     across_m = width_m * float(np.sqrt(1.0 - min(cosine**2, 1.0)))
+    low, high = config.parallel_divider_m
+    seen_short = all(low <= d.length_m <= high for d in (one, other))
+    is_short = seen_short and one.is_whole and other.is_whole
     # What hides the end of one does not hide how long the other is.
-    is_short = (one.is_whole or other.is_whole) and all(
-        config.parallel_divider_m[0] <= d.length_m <= config.parallel_divider_m[1] for d in (one, other)
-    )
+    may_be_short = seen_short and (one.is_whole or other.is_whole)
     if off_deg <= config.right_angle_deg:
         if config.entrance_m[0] <= width_m <= config.entrance_m[1] and not is_short:
             return PERPENDICULAR
-        return PARALLEL if is_short and config.parallel_m[0] <= width_m <= config.parallel_m[1] else None
+        return PARALLEL if may_be_short and config.parallel_m[0] <= width_m <= config.parallel_m[1] else None
     is_angled = off_deg <= 90.0 - config.least_angle_deg and config.entrance_m[0] <= across_m <= config.entrance_m[1]
     return ANGLED if is_angled and not is_short else None
 

@@ -70,6 +70,10 @@ def test_one_whole_divider_tells_that_a_slot_lies_along_the_aisle():
         assert [element.attributes["kind"] for element, _ in slots_of(lines)] == ["parallel"] * 2
     assert slots_of(hidden) == []
     assert slots_of([whole[0], row(2, 6.1, 5.2)[1]]) == []
+    # Dividers that one drives between, of which worn paint ends one early and a car hides the end of the other.
+    (worn, _), (_, other) = row(2, 2.5, 2.35), row(2, 2.5, 2.35, ends=(True, False))
+    config = SlotConfig(assumed_depth_m=(5.0, 2.2))
+    assert [element.attributes["kind"] for element, _ in slots_of([worn, other], config=config)] == ["perpendicular"]
 
 
 def test_the_weaker_line_says_how_sure_a_slot_is():
