@@ -62,7 +62,7 @@ class Layout:
 
     quads: list[Float[np.ndarray, "4 2"]] = field(default_factory=list)
     points: list[MarkingPoint] = field(default_factory=list)
-    backs: list["DividerBack"] = field(default_factory=list)
+    backs: list[DividerBack] = field(default_factory=list)
     slots: list[Float[np.ndarray, "4 2"]] = field(default_factory=list)
     along: Float[np.ndarray, " 2"] = field(default_factory=lambda: np.array([1.0, 0.0]))
 
