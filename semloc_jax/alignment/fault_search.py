@@ -13,7 +13,7 @@ import numpy as np
 from semloc_jax.alignment.agreement import NUM_KINDS
 from semloc_jax.alignment.candidates import planar, solve_all
 from semloc_jax.alignment.fault_modes import PLANE, FaultConfig, FaultMode, places_without
-from semloc_jax.alignment.lens_doubt import LensDoubt, ThroughLens, doubted
+from semloc_jax.alignment.lens_doubt import LensDoubt, ThroughLens, doubted, told_share
 from semloc_jax.alignment.map_pieces import Rates
 from semloc_jax.alignment.posterior import PosteriorConfig, temper
 from semloc_jax.alignment.search_steps import SearchSteps
@@ -59,8 +59,10 @@ class FaultSearch:
         lens = np.repeat(np.arange(num), 2)
         solved = solve_all(starts, *known, steps.final_align, self.whole, rigs=rigs, lens=lens)
         rows = _least_of_each(solved.score, num)
-        Ts = np.asarray(solved.estimates.T_local_base, np.float64)[rows]
-        known = zip(np.asarray(solved.score)[rows].tolist(), Ts, self._nats_through(rigs, Ts, rates), strict=True)
+        best = solved.rows(rows)
+        Ts = np.asarray(best.estimates.T_local_base, np.float64)
+        cost = told_share(best.estimates.coverage[0], best.estimates.inlier_ratio[0]) * np.asarray(best.score)
+        known = zip(cost.tolist(), Ts, self._nats_through(rigs, Ts, rates), strict=True)
         return [ThroughLens(*one) for one in known]
 
     def _nats_through(self, rigs: Sequence[Rig], Ts: np.ndarray, rates: Rates) -> list[float]:

@@ -19,12 +19,31 @@ from semloc_jax.cameras import Rig
 from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer, wider, with_distortion
 from semloc_jax.geometry import rigid
 
+_FULL_SHARE, _MOST_SHARE = 0.8, 0.99
+"""Costs of masks that show so much of the map count in full: `VerdictConfig.max_lens_nats` was found with such ones.
+More than the second is no share that a frame can tell. Ours."""
+
+
+def told_share(coverage: float, inlier_ratio: float) -> float:
+    """The share of a difference of search costs that is evidence of a lens.
+
+    These costs stand for all of the map in view, also for what traffic hides. And contour that masks have missed costs
+    as much as contour that speaks against the pose. Of masks that show a share p of the map it may cost -log(1 - p) and
+    no more; otherwise a lens gains by moving what was missed onto the paint beside it.
+
+    Args:
+        coverage: share of the contour in view that falls on usable pixels.
+        inlier_ratio: share of that which lies within the ramp of its class.
+    """
+    of_missed = np.log1p(-min(float(inlier_ratio), _MOST_SHARE)) / np.log1p(-_FULL_SHARE)
+    return float(coverage) * min(float(of_missed), 1.0)
+
 
 class ThroughLens(NamedTuple):
     """The best pose of a frame through given cameras."""
 
     cost: float
-    """[nats]"""
+    """[nats], as far as they are evidence."""
     T_map_base: np.ndarray
     nats: float = 0.0
     """By how much the evidence of the masks is higher than through the stated ones, as far as its scatter can be

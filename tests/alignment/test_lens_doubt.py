@@ -5,7 +5,7 @@ import pytest
 
 from semloc_jax.alignment.candidates import planar
 from semloc_jax.alignment.fault_modes import FaultConfig
-from semloc_jax.alignment.lens_doubt import LensDoubt, ThroughLens, doubted
+from semloc_jax.alignment.lens_doubt import LensDoubt, ThroughLens, doubted, told_share
 from semloc_jax.cameras import BrownConradyCamera, Rig
 
 RIG = Rig([BrownConradyCamera(500.0, 500.0, 320.0, 200.0, 640, 400, -0.2)], np.eye(4)[None], ["front"])
@@ -72,3 +72,11 @@ def test_a_frame_that_gains_by_any_second_solve_says_nothing():
         return 0.0 if float(rig.cameras[0].fx) != 500.0 else 9.0 if float(rig.cameras[0].k1) < 0.0 else np.nan
 
     assert lens_of(cost_through).lens_nats == 0.0
+
+
+def test_costs_count_as_far_as_masks_show_the_map_and_traffic_hides_none_of_it():
+    """Of masks that show 0.4 of the map a miss costs -log(0.6), of those that show 0.8 of it -log(0.2)."""
+    assert told_share(1.0, 0.8) == told_share(1.0, 0.95) == told_share(1.0, 1.0) == 1.0
+    assert told_share(0.28, 0.9) == pytest.approx(0.28)
+    assert told_share(1.0, 0.4) == pytest.approx(np.log(0.6) / np.log(0.2))
+    assert told_share(0.5, 0.0) == 0.0
