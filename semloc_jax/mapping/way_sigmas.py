@@ -108,6 +108,29 @@ def _laid(xy_map: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "m m"]:
     return found.reshape(3 * num, 3 * num)
 
 
+def with_size(
+    Ts_map_base: Float[np.ndarray, "k 4 4"],
+    covariance: Float[np.ndarray, "m m"],
+    of_sensors: Float[np.ndarray, "m m"],
+    share: float,
+) -> Float[np.ndarray, "m m"]:
+    """A joint covariance whose size is known no better than to a share of what the sensors of the vehicle alone know.
+
+    Args:
+        Ts_map_base: some poses of the way.
+        covariance: joint one of their right tangents, six rows each [m, rad].
+        of_sensors: the same without what images say.
+        share: how much of the error of the sensors' size may be left.
+    """
+    away = Ts_map_base[:, :3, 3] - Ts_map_base[:, :3, 3].mean(axis=0)
+    grown = np.zeros((len(away), 6))
+    grown[:, :3] = np.einsum("iba,ib->ia", Ts_map_base[:, :3, :3], away)
+    grown = grown.ravel()
+    told = grown / max(grown @ grown, 1e-12)
+    variance = share**2 * (told @ of_sensors @ told) - told @ covariance @ told
+    return covariance + max(variance, 0.0) * np.outer(grown, grown)
+
+
 def planar_sigmas(xy_map: Float[np.ndarray, "k 2"], covariance: Float[np.ndarray, "m m"]) -> WaySigmas:
     """The sigmas at places, with the motion in the plane that fits best what is seen from all of them taken out.
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.geometry import rigid
-from semloc_jax.mapping.way_sigmas import WaySigmas, places_apart, way_sigmas
+from semloc_jax.mapping.way_sigmas import WaySigmas, places_apart, way_sigmas, with_size
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap, SharedSigmas
 from semloc_jax.structs import ElementClass
 
@@ -48,6 +48,18 @@ def test_errors_of_each_place_and_of_the_scale_are_what_they_are():
     scaled = way_sigmas(Ts, 1e-6 * np.outer(outwards, outwards))
     off_m = 1e-3 * np.linalg.norm(Ts[:, :2, 3] - Ts[:, :2, 3].mean(axis=0), axis=1)
     np.testing.assert_allclose(scaled.place_m, off_m / np.sqrt(2.0), atol=1e-6)
+
+
+@pytest.mark.parametrize(("share", "sigma"), [(0.8, 0.008), (0.05, 0.001)])
+def test_a_size_is_known_no_better_than_a_share_of_what_the_sensors_know(share, sigma):
+    """Images claim 0.1 %, sensors know 1 %; where the share is less than images claim, nothing is changed."""
+    Ts = way(every_m=60.0)
+    outwards = np.zeros((len(Ts), 6))
+    outwards[:, :2] = np.einsum("iba,ib->ia", Ts[:, :2, :2], Ts[:, :2, 3] - Ts[:, :2, 3].mean(axis=0))
+    size, own = np.outer(outwards, outwards), np.diag(np.tile([1e-6, 1e-6, 0.0, 0.0, 0.0, 1e-12], len(Ts)))
+    found = way_sigmas(Ts, with_size(Ts, own + 0.001**2 * size, 0.01**2 * size, share))
+    off_m = sigma * np.linalg.norm(Ts[:, :2, 3] - Ts[:, :2, 3].mean(axis=0), axis=1) / np.sqrt(2.0)
+    np.testing.assert_allclose(found.place_m, off_m, rtol=0.05, atol=2e-3)
 
 
 def test_an_element_is_laid_by_all_that_look_at_it():
