@@ -120,7 +120,7 @@ def with_size(
         Ts_map_base: some poses of the way.
         covariance: joint one of their right tangents, six rows each [m, rad].
         of_sensors: the same without what images say.
-        share: how much of the error of the sensors' size may be left.
+        share: of the sigma of size by the sensors, which is left.
     """
     away = Ts_map_base[:, :3, 3] - Ts_map_base[:, :3, 3].mean(axis=0)
     grown = np.zeros((len(away), 6))
