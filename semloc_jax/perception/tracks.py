@@ -10,19 +10,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from semloc_jax.cameras import Rig
+from semloc_jax.cameras import Camera, Rig
 from semloc_jax.geometry import rigid
 from semloc_jax.perception.corners import new_corners
 from semloc_jax.perception.epipolar_gate import moves_with_the_world
+from semloc_jax.perception.flow import FlowConfig, followed, is_inside
 from semloc_jax.perception.patches import Patches, cut_out, laid_over, no_patches
+from semloc_jax.perception.road_flow import RoadAhead, moved_over_road, road_ahead, road_as_seen_now
 from semloc_jax.perception.sight_lines import SightLines, sight_lines
 
 _LEAST_SIZE = 0.5
 """A patch that is smaller than this share of what it was shows nothing of it any more."""
+_FIELD_PX = 10
+"""What goes on smoothly over an image is reckoned so far apart."""
+_ROAD_LEVELS = 3
+"""Levels of the pyramid where corners are foretold."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,9 @@ class CornerConfig:
     gate_px: float = 2.0
     """Largest distance from the epipolar plane of the motion."""
     border_px: int = 8
+    road_gate_px: float = 12.0
+    """Corners of the road are found within this of where they are foretold: far more than speed and springs move them,
+    and as far ahead as back, so that nothing is said of the speed."""
     by_first_look: bool = True
     """Whether corners are laid over what they looked like when they were found. Motions between two images alone take
     what the last one says: their errors are new each time."""
@@ -92,6 +100,14 @@ class _View(NamedTuple):
     """Whether a patch is there already: most new corners are not found again, and need none."""
 
 
+class _Road(NamedTuple):
+    """What is foretold of the road."""
+
+    ahead: RoadAhead
+    before_as_now: UInt8[np.ndarray, "h w"]
+    """The image before, as the road in it would be seen now."""
+
+
 class FeatureTracker:
     """Follows corners in the images of a rig."""
 
@@ -100,6 +116,9 @@ class FeatureTracker:
         self.config = config or CornerConfig()
         self.num_slots = max(self.config.num_tracks // num_cameras, 1)
         self._views: list[_View | None] = [None] * num_cameras
+        self._grids: list[tuple[Camera, SightLines] | None] = [None] * num_cameras
+        self._moved_m: list[Float[np.ndarray, "3"] | None] = [None] * num_cameras
+        """Of each camera between the last two images, in its axes now, as the road shows it."""
         self._next_id = 0
 
     def step(
@@ -108,6 +127,7 @@ class FeatureTracker:
         rig: Rig,
         R_now_before: Float[np.ndarray, "3 3"],
         scenery: Sequence[Scenery | None] | None = None,
+        moved_base_m: Float[np.ndarray, "3"] | None = None,
     ) -> Tracks:
         """Follow the corners into the next images, and take new ones where slots are empty.
 
@@ -116,16 +136,28 @@ class FeatureTracker:
             rig: The cameras.
             R_now_before: Rotation of the base since the last images, of a gyroscope.
             scenery: Of each camera: where new corners may be, and which of them lie on the road.
+            moved_base_m: How the base moved since the last images, in its axes then; None: corners of the road take it
+                to go on as they have seen it last.
         """
         views, followed, flows = [], 0, []
         for index, grey in enumerate(greys):
-            R_base_cam = np.asarray(rig.T_base_cam[index])[:3, :3]
+            R_base_cam, at_m = np.split(np.asarray(rig.T_base_cam[index])[:3], [3], axis=1)
             R_cam = R_base_cam.T @ R_now_before @ R_base_cam
+            moved_m = self._moved_m[index]
+            if moved_base_m is not None:
+                moved_m = R_base_cam.T @ (R_now_before @ (moved_base_m - at_m[:, 0]) + at_m[:, 0])
             before = self._views[index]
-            view, flow_px = self._followed(before, grey, rig, index, R_cam)
+            view, flow_px, direction = self._followed(before, grey, rig, index, R_cam, moved_m)
+            self._moved_m[index] = (
+                None if direction is None else self._seen_motion(before, view, rig, index, R_cam, direction)
+            )
             followed += int(np.sum(view.id >= 0))
             flows.append(flow_px)
-            views.append(self._filled(view, rig, index, None if scenery is None else scenery[index]))
+            flow = None
+            if direction is not None:
+                camera = rig.cameras[index]
+                flow = (self._grid(camera, index).pixels @ direction).reshape(*self._fields(camera), 2)
+            views.append(self._filled(view, rig, index, None if scenery is None else scenery[index], flow))
         self._views = list(views)
         flow = np.concatenate(flows)
         stacked = SightLines(*(np.concatenate([v.sight[part] for v in views]) for part in range(3)))
@@ -140,65 +172,75 @@ class FeatureTracker:
         )
 
     def _followed(
-        self, before: _View | None, grey: np.ndarray, rig: Rig, index: int, R_cam: np.ndarray
-    ) -> tuple[_View, Float[np.ndarray, " k"]]:
-        """The tracks that are found again, and how far each of them moved besides rotation [px]."""
+        self,
+        before: _View | None,
+        grey: np.ndarray,
+        rig: Rig,
+        index: int,
+        R_cam: np.ndarray,
+        moved_m: Float[np.ndarray, "3"] | None,
+    ) -> tuple[_View, Float[np.ndarray, " k"], Float[np.ndarray, "3"] | None]:
+        """The tracks that are found again, how far each moved besides rotation [px], which way the camera went."""
         empty = np.full(self.num_slots, -1)
         if before is None or before.grey.shape != grey.shape or not (before.id >= 0).any():
             uv = np.zeros((self.num_slots, 2))
             nowhere = np.zeros(self.num_slots, bool)
             none = no_patches(self.num_slots)
-            return _View(grey, empty, uv, sight_lines(rig.cameras[index], uv), nowhere, none, nowhere), np.zeros(0)
-        uv, found = self._flow(before, grey)
+            sight = sight_lines(rig.cameras[index], uv)
+            return _View(grey, empty, uv, sight, nowhere, none, nowhere), np.zeros(0), None
+        road = self._road(before, rig, index, R_cam, moved_m)
+        uv, found = self._flow(before, grey, road)
         is_cut = before.is_cut
         if self.config.by_first_look:
-            uv, found, is_cut = self._laid_over(before, grey, uv, found)
+            uv, found, is_cut = self._laid_over(before, grey, uv, found, road)
         sight = sight_lines(rig.cameras[index], uv)
         kept = np.flatnonzero(found & sight.valid)
         scale = px_per_rad(sight)[kept]
         rays = before.sight.ray_cam[kept], sight.ray_cam[kept]
-        good = moves_with_the_world(*rays, scale, R_cam, self.config.gate_px, self._next_id)
+        good, direction = moves_with_the_world(*rays, scale, R_cam, self.config.gate_px, self._next_id)
         ids = empty.copy()
         ids[kept[good]] = before.id[kept[good]]
         moved_px = np.linalg.norm(rigid.cross(rays[0] @ R_cam.T, rays[1]), axis=1) * scale
-        return _View(grey, ids, uv, sight, before.on_road, before.patches, is_cut), moved_px[good]
+        return _View(grey, ids, uv, sight, before.on_road, before.patches, is_cut), moved_px[good], direction
 
-    def _flow(self, before: _View, grey: np.ndarray) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"]]:
+    def _flow(
+        self, before: _View, grey: np.ndarray, road: "_Road | None"
+    ) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"]]:
         """Where the corners are now, and which of them came back when followed backwards."""
         config = self.config
-        here = np.flatnonzero(before.id >= 0)
-        old = before.uv[here].astype(np.float32)
-        options = {
-            "winSize": (config.window_px, config.window_px),
-            "maxLevel": config.num_levels - 1,
-            "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005),
-        }
-        new, ahead, _ = cv2.calcOpticalFlowPyrLK(before.grey, grey, old, None, **options)
-        back, behind, _ = cv2.calcOpticalFlowPyrLK(
-            grey, before.grey, new, old.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **options
-        )
-        height, width = grey.shape
-        inside = (new >= config.border_px).all(axis=1) & (new < np.array([width, height]) - config.border_px).all(
-            axis=1
-        )
-        good = (ahead[:, 0] > 0) & (behind[:, 0] > 0) & inside
-        good &= np.linalg.norm(back - old, axis=1) < config.back_check_px
+        rules = FlowConfig(config.window_px, config.num_levels, config.back_check_px, config.border_px)
+        is_track = before.id >= 0
+        is_foretold = np.zeros(self.num_slots, bool) if road is None else is_track & before.on_road & road.ahead.known
         uv, found = before.uv.copy(), np.zeros(self.num_slots, bool)
-        uv[here[good]], found[here[good]] = new[good], True
+        here = np.flatnonzero(is_track & ~is_foretold)
+        new = followed(before.grey, grey, uv[here], rules)
+        uv[here[new.found]], found[here[new.found]] = new.uv[new.found], True
+        there = np.flatnonzero(is_foretold)
+        if len(there):
+            new = followed(road.before_as_now, grey, road.ahead.uv[there], rules._replace(num_levels=_ROAD_LEVELS))
+            near = np.linalg.norm(new.uv - road.ahead.uv[there], axis=1) < config.road_gate_px
+            good = new.found & near
+            uv[there[good]], found[there[good]] = new.uv[good], True
         return uv, found
 
     def _laid_over(
-        self, before: _View, grey: np.ndarray, uv: Float[np.ndarray, "s 2"], found: Bool[np.ndarray, " s"]
+        self,
+        before: _View,
+        grey: np.ndarray,
+        uv: Float[np.ndarray, "s 2"],
+        found: Bool[np.ndarray, " s"],
+        road: "_Road | None",
     ) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"], Bool[np.ndarray, " s"]]:
         """Where the corners are as they were when they were found; what looks otherwise has slipped."""
         config, rows = self.config, np.flatnonzero(found)
         first = rows[~before.is_cut[rows]]
         before.patches.put(first, cut_out(before.grey, before.uv[first]))
+        if road is not None:
+            on = rows[before.on_road[rows] & road.ahead.known[rows]]
+            before.patches.affine[on] = road.ahead.affine[on] @ before.patches.affine[on]
         laid = laid_over(before.patches.at(rows), grey, uv[rows])
-        height, width = grey.shape
         off = np.linalg.norm(laid.uv - uv[rows], axis=1)
-        border = config.border_px
-        inside = (laid.uv >= border).all(axis=1) & (laid.uv < np.array([width, height]) - border).all(axis=1)
+        inside = is_inside(laid.uv, grey.shape, config.border_px)
         size = np.sqrt(np.abs(np.linalg.det(laid.affine)))
         good = inside & (off < config.largest_slip_px) & (laid.alike > config.least_alike) & (size > _LEAST_SIZE)
         uv, found, patches = uv.copy(), np.zeros_like(found), before.patches
@@ -209,14 +251,58 @@ class FeatureTracker:
         is_cut[kept[size[good] > config.grown]] = False
         return uv, found, is_cut
 
-    def _filled(self, view: _View, rig: Rig, index: int, scenery: Scenery | None) -> _View:
+    def _road(
+        self, before: _View, rig: Rig, index: int, R_cam: np.ndarray, moved_m: Float[np.ndarray, "3"] | None
+    ) -> "_Road | None":
+        """What is foretold of the corners of the road; None where nothing is."""
+        if moved_m is None or not (before.on_road & (before.id >= 0)).any():
+            return None
+        camera, motion = rig.cameras[index], (np.asarray(rig.T_base_cam[index]), R_cam, moved_m)
+        grid = self._grid(camera, index)
+        return _Road(
+            road_ahead(camera, before.uv, before.sight, *motion),
+            road_as_seen_now(before.grey, camera, grid.ray_cam.reshape(*self._fields(camera), 3), *motion),
+        )
+
+    def _seen_motion(
+        self, before: _View, view: _View, rig: Rig, index: int, R_cam: np.ndarray, direction: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "3"] | None:
+        """How a camera moved by the corners of the road that it has followed."""
+        on = np.flatnonzero((view.id >= 0) & view.on_road)
+        now = SightLines(*(part[on] for part in view.sight))
+        return moved_over_road(before.sight.ray_cam[on], now, np.asarray(rig.T_base_cam[index]), R_cam, direction)
+
+    def _grid(self, camera: Camera, index: int) -> SightLines:
+        """Lines of sight in the middles of the fields of an image."""
+        known = self._grids[index]
+        if known is None or known[0] is not camera:
+            width, height = (float(side) for side in camera.resolution)
+            rows, columns = self._fields(camera)
+            v, u = ((np.arange(n) + 0.5) * side / n - 0.5 for n, side in ((rows, height), (columns, width)))
+            at = np.stack(np.meshgrid(u, v, indexing="xy"), axis=-1).reshape(-1, 2)
+            known = self._grids[index] = camera, sight_lines(camera, at)
+        return known[1]
+
+    def _fields(self, camera: Camera) -> tuple[int, int]:
+        """Rows and columns of them."""
+        width, height = camera.resolution
+        return max(int(height) // _FIELD_PX, 1), max(int(width) // _FIELD_PX, 1)
+
+    def _filled(
+        self,
+        view: _View,
+        rig: Rig,
+        index: int,
+        scenery: Scenery | None,
+        flow: Float[np.ndarray, "a b 2"] | None,
+    ) -> _View:
         """The view with new corners in its empty slots."""
         free = np.flatnonzero(view.id < 0)
         config, taken = self.config, view.uv[view.id >= 0]
         usable = None if scenery is None else scenery.usable
         # An image of 640 x 400 px has 70 squares of 60 px: more than half of the slots would stay empty.
         bucket_px = min(config.bucket_px, int(np.sqrt(view.grey.size / self.num_slots)))
-        corners = new_corners(view.grey, usable, taken, len(free), bucket_px, config.border_px)
+        corners = new_corners(view.grey, usable, taken, len(free), bucket_px, config.border_px, flow)
         slots = free[: len(corners)]
         ids, uv, on_road = view.id.copy(), view.uv.copy(), view.on_road.copy()
         ids[slots], uv[slots] = self._next_id + np.arange(len(slots)), corners
