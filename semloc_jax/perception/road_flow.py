@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt8
 
 from semloc_jax.cameras import Camera
-from semloc_jax.perception.sight_lines import SightLines
+from semloc_jax.perception.sight_lines import SightGrid, SightLines
 
 _LEAST_LIFT_M = 0.3
 """A camera nearer to the origin of the base is given against an inertial sensor: nothing says where the road is."""
@@ -37,7 +37,9 @@ class RoadAhead(NamedTuple):
     affine: Float[np.ndarray, "s 2 2"]
     """From the pixels around a corner to those around it then."""
     known: Bool[np.ndarray, " s"]
-    """Whether it can be told; others are left where they are."""
+    """Whether it can be told."""
+    in_view: Bool[np.ndarray, " s"]
+    """Whether they will be before the camera, and no other size; others are left where they are."""
 
 
 def moved_over_road(
@@ -100,26 +102,28 @@ def road_ahead(
     here, right, below = at.reshape(3, -1, 2)
     affine = np.stack([right - here, below - here], axis=-1)
     size = np.sqrt(np.abs(np.linalg.det(affine)))
-    known = (is_low & seen).reshape(3, -1).all(axis=0) & sight.valid & (size > _SIZES[0]) & (size < _SIZES[1])
-    affine = np.where(known[:, None, None], affine, np.eye(2)).astype(np.float32)
-    return RoadAhead(np.where(known[:, None], here, uv), affine, known)
+    known = is_low.reshape(3, -1).all(axis=0) & sight.valid
+    in_view = known & seen.reshape(3, -1).all(axis=0) & (size > _SIZES[0]) & (size < _SIZES[1])
+    affine = np.where(in_view[:, None, None], affine, np.eye(2)).astype(np.float32)
+    return RoadAhead(np.where(in_view[:, None], here, uv), affine, known, in_view)
 
 
 def road_as_seen_now(
     before: UInt8[np.ndarray, "h w"],
-    camera: Camera,
-    ray_cam: Float[np.ndarray, "a b 3"],
+    grid: SightGrid,
     T_base_cam: Float[np.ndarray, "4 4"],
     R_now_before: Float[np.ndarray, "3 3"],
     moved_m: Float[np.ndarray, "3"],
-) -> UInt8[np.ndarray, "h w"]:
-    """The image before as the camera would see it from where it is now, were all of it road; rays on a grid of evenly
-    divided fields."""
-    points, _ = _on_plane(ray_cam.reshape(-1, 3), T_base_cam)
-    at, _ = _projected(camera, (points + moved_m) @ R_now_before)
-    fields = at.reshape(*ray_cam.shape[:2], 2).astype(np.float32)
-    u, v = cv2.split(cv2.resize(fields, before.shape[::-1], interpolation=cv2.INTER_LINEAR))
-    return cv2.remap(before, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    first_row: int = 0,
+) -> UInt8[np.ndarray, "n w"]:
+    """The image before as its camera would see it from where it is now, were all of it road; below a row of fields."""
+    points, _ = _on_plane(grid.sight.ray_cam, T_base_cam)
+    at, _ = _projected(grid.camera, (points + moved_m) @ R_now_before)
+    fields = at.reshape(grid.rows, grid.columns, 2)[first_row:].astype(np.float32)
+    height, width = before.shape[0] - first_row * grid.field_px, before.shape[1]
+    size = grid.columns * grid.field_px, len(fields) * grid.field_px
+    smooth = cv2.resize(fields, size, interpolation=cv2.INTER_LINEAR)[:height, :width]
+    return cv2.remap(before, smooth, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _on_plane(

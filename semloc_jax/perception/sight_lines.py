@@ -1,6 +1,7 @@
 """Lines of sight of pixels, and how pixels grow beside them, for every camera model (room: perception; host).
 
-In: a camera, pixels uv. Out: SightLines: unit rays in the camera frame, maps from a direction nearby to pixels.
+In: a camera, pixels uv. Out: SightLines: unit rays in the camera frame, maps from a direction nearby to pixels; a
+grid of them over an image.
 """
 
 from typing import NamedTuple
@@ -59,6 +60,27 @@ def _sight_lines(camera: Camera, uv: Float[Array, "n 2"]) -> tuple[Array, Array,
     adjugate = jnp.stack([jnp.stack([vv, -mixed], axis=-1), jnp.stack([-mixed, uu], axis=-1)], axis=1)
     pixels = adjugate @ by_uv / jnp.where(valid, area, 1.0)[:, None, None]
     return z, jnp.where(valid[:, None, None], pixels, jnp.eye(2, 3)), valid
+
+
+class SightGrid(NamedTuple):
+    """Lines of sight in the middles of square fields of an image, for what goes on smoothly over it."""
+
+    camera: Camera
+    field_px: int
+    rows: int
+    columns: int
+    """The last row and column may reach over the border."""
+    sight: SightLines
+    """Row by row."""
+
+
+def sight_grid(camera: Camera, field_px: int) -> SightGrid:
+    """Fields of so many pixels on a side that cover an image."""
+    width, height = (int(side) for side in camera.resolution)
+    rows, columns = -(-height // field_px), -(-width // field_px)
+    v, u = ((np.arange(n) + 0.5) * field_px - 0.5 for n in (rows, columns))
+    middles = np.stack(np.meshgrid(u, v, indexing="xy"), axis=-1).reshape(-1, 2)
+    return SightGrid(camera, field_px, rows, columns, sight_lines(camera, middles))
 
 
 def tangents(ray: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2 3"]:

@@ -20,14 +20,14 @@ from semloc_jax.perception.epipolar_gate import moves_with_the_world
 from semloc_jax.perception.flow import FlowConfig, followed, is_inside
 from semloc_jax.perception.patches import Patches, cut_out, laid_over, no_patches
 from semloc_jax.perception.road_flow import RoadAhead, moved_over_road, road_ahead, road_as_seen_now
-from semloc_jax.perception.sight_lines import SightLines, sight_lines
+from semloc_jax.perception.sight_lines import SightGrid, SightLines, sight_grid, sight_lines
 
 _LEAST_SIZE = 0.5
 """A patch that is smaller than this share of what it was shows nothing of it any more."""
 _FIELD_PX = 10
 """What goes on smoothly over an image is reckoned so far apart."""
-_ROAD_LEVELS = 3
-"""Levels of the pyramid where corners are foretold."""
+_ROAD_LEVELS, _ROAD_MARGIN_PX = 3, 40
+"""Levels of the pyramid where corners are foretold, and what they show of the image above."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +104,11 @@ class _Road(NamedTuple):
     """What is foretold of the road."""
 
     ahead: RoadAhead
-    before_as_now: UInt8[np.ndarray, "h w"]
-    """The image before, as the road in it would be seen now."""
+    here: Int[np.ndarray, " k"]
+    """Slots of corners of the road that will be in view."""
+    top_px: int
+    before_as_now: UInt8[np.ndarray, "n w"]
+    """The image before, as the road in it would be seen now, from that row on."""
 
 
 class FeatureTracker:
@@ -116,7 +119,7 @@ class FeatureTracker:
         self.config = config or CornerConfig()
         self.num_slots = max(self.config.num_tracks // num_cameras, 1)
         self._views: list[_View | None] = [None] * num_cameras
-        self._grids: list[tuple[Camera, SightLines] | None] = [None] * num_cameras
+        self._grids: list[SightGrid | None] = [None] * num_cameras
         self._moved_m: list[Float[np.ndarray, "3"] | None] = [None] * num_cameras
         """Of each camera between the last two images, in its axes now, as the road shows it."""
         self._next_id = 0
@@ -143,21 +146,15 @@ class FeatureTracker:
         for index, grey in enumerate(greys):
             R_base_cam, at_m = np.split(np.asarray(rig.T_base_cam[index])[:3], [3], axis=1)
             R_cam = R_base_cam.T @ R_now_before @ R_base_cam
-            moved_m = self._moved_m[index]
+            before, moved_m = self._views[index], self._moved_m[index]
             if moved_base_m is not None:
                 moved_m = R_base_cam.T @ (R_now_before @ (moved_base_m - at_m[:, 0]) + at_m[:, 0])
-            before = self._views[index]
             view, flow_px, direction = self._followed(before, grey, rig, index, R_cam, moved_m)
-            self._moved_m[index] = (
-                None if direction is None else self._seen_motion(before, view, rig, index, R_cam, direction)
-            )
+            seen_m = None if direction is None else self._seen_motion(before, view, rig, index, R_cam, direction)
+            self._moved_m[index] = seen_m
             followed += int(np.sum(view.id >= 0))
             flows.append(flow_px)
-            flow = None
-            if direction is not None:
-                camera = rig.cameras[index]
-                flow = (self._grid(camera, index).pixels @ direction).reshape(*self._fields(camera), 2)
-            views.append(self._filled(view, rig, index, None if scenery is None else scenery[index], flow))
+            views.append(self._filled(view, rig, index, None if scenery is None else scenery[index], direction))
         self._views = list(views)
         flow = np.concatenate(flows)
         stacked = SightLines(*(np.concatenate([v.sight[part] for v in views]) for part in range(3)))
@@ -204,23 +201,23 @@ class FeatureTracker:
         return _View(grey, ids, uv, sight, before.on_road, before.patches, is_cut), moved_px[good], direction
 
     def _flow(
-        self, before: _View, grey: np.ndarray, road: "_Road | None"
+        self, before: _View, grey: np.ndarray, road: _Road | None
     ) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"]]:
         """Where the corners are now, and which of them came back when followed backwards."""
         config = self.config
         rules = FlowConfig(config.window_px, config.num_levels, config.back_check_px, config.border_px)
-        is_track = before.id >= 0
-        is_foretold = np.zeros(self.num_slots, bool) if road is None else is_track & before.on_road & road.ahead.known
-        uv, found = before.uv.copy(), np.zeros(self.num_slots, bool)
-        here = np.flatnonzero(is_track & ~is_foretold)
-        new = followed(before.grey, grey, uv[here], rules)
-        uv[here[new.found]], found[here[new.found]] = new.uv[new.found], True
-        there = np.flatnonzero(is_foretold)
-        if len(there):
-            new = followed(road.before_as_now, grey, road.ahead.uv[there], rules._replace(num_levels=_ROAD_LEVELS))
-            near = np.linalg.norm(new.uv - road.ahead.uv[there], axis=1) < config.road_gate_px
-            good = new.found & near
-            uv[there[good]], found[there[good]] = new.uv[good], True
+        uv, found, is_searched = before.uv.copy(), np.zeros(self.num_slots, bool), before.id >= 0
+        if road is not None:
+            is_searched &= ~(before.on_road & road.ahead.known)
+        slots = np.flatnonzero(is_searched)
+        new = followed(before.grey, grey, uv[slots], rules)
+        uv[slots[new.found]], found[slots[new.found]] = new.uv[new.found], True
+        if road is not None:
+            below, foretold_uv = [0, road.top_px], road.ahead.uv[road.here]
+            rules = rules._replace(num_levels=_ROAD_LEVELS)
+            new = followed(road.before_as_now, grey[road.top_px :], foretold_uv - below, rules)
+            good = new.found & (np.linalg.norm(new.uv + below - foretold_uv, axis=1) < config.road_gate_px)
+            uv[road.here[good]], found[road.here[good]] = (new.uv + below)[good], True
         return uv, found
 
     def _laid_over(
@@ -229,14 +226,14 @@ class FeatureTracker:
         grey: np.ndarray,
         uv: Float[np.ndarray, "s 2"],
         found: Bool[np.ndarray, " s"],
-        road: "_Road | None",
+        road: _Road | None,
     ) -> tuple[Float[np.ndarray, "s 2"], Bool[np.ndarray, " s"], Bool[np.ndarray, " s"]]:
         """Where the corners are as they were when they were found; what looks otherwise has slipped."""
         config, rows = self.config, np.flatnonzero(found)
         first = rows[~before.is_cut[rows]]
         before.patches.put(first, cut_out(before.grey, before.uv[first]))
         if road is not None:
-            on = rows[before.on_road[rows] & road.ahead.known[rows]]
+            on = rows[before.on_road[rows] & road.ahead.in_view[rows]]
             before.patches.affine[on] = road.ahead.affine[on] @ before.patches.affine[on]
         laid = laid_over(before.patches.at(rows), grey, uv[rows])
         off = np.linalg.norm(laid.uv - uv[rows], axis=1)
@@ -253,16 +250,18 @@ class FeatureTracker:
 
     def _road(
         self, before: _View, rig: Rig, index: int, R_cam: np.ndarray, moved_m: Float[np.ndarray, "3"] | None
-    ) -> "_Road | None":
+    ) -> _Road | None:
         """What is foretold of the corners of the road; None where nothing is."""
         if moved_m is None or not (before.on_road & (before.id >= 0)).any():
             return None
         camera, motion = rig.cameras[index], (np.asarray(rig.T_base_cam[index]), R_cam, moved_m)
-        grid = self._grid(camera, index)
-        return _Road(
-            road_ahead(camera, before.uv, before.sight, *motion),
-            road_as_seen_now(before.grey, camera, grid.ray_cam.reshape(*self._fields(camera), 3), *motion),
-        )
+        grid, ahead = self._grid(camera, index), road_ahead(camera, before.uv, before.sight, *motion)
+        here = before.on_road & (before.id >= 0) & ahead.in_view
+        here &= is_inside(ahead.uv, before.grey.shape, self.config.border_px)
+        top_px = ahead.uv[here, 1].min(initial=before.grey.shape[0]) - _ROAD_MARGIN_PX
+        first_row = max(int(top_px) // grid.field_px, 0)
+        shown = road_as_seen_now(before.grey, grid, *motion, first_row)
+        return _Road(ahead, np.flatnonzero(here), first_row * grid.field_px, shown)
 
     def _seen_motion(
         self, before: _View, view: _View, rig: Rig, index: int, R_cam: np.ndarray, direction: Float[np.ndarray, "3"]
@@ -272,21 +271,11 @@ class FeatureTracker:
         now = SightLines(*(part[on] for part in view.sight))
         return moved_over_road(before.sight.ray_cam[on], now, np.asarray(rig.T_base_cam[index]), R_cam, direction)
 
-    def _grid(self, camera: Camera, index: int) -> SightLines:
-        """Lines of sight in the middles of the fields of an image."""
-        known = self._grids[index]
-        if known is None or known[0] is not camera:
-            width, height = (float(side) for side in camera.resolution)
-            rows, columns = self._fields(camera)
-            v, u = ((np.arange(n) + 0.5) * side / n - 0.5 for n, side in ((rows, height), (columns, width)))
-            at = np.stack(np.meshgrid(u, v, indexing="xy"), axis=-1).reshape(-1, 2)
-            known = self._grids[index] = camera, sight_lines(camera, at)
-        return known[1]
-
-    def _fields(self, camera: Camera) -> tuple[int, int]:
-        """Rows and columns of them."""
-        width, height = camera.resolution
-        return max(int(height) // _FIELD_PX, 1), max(int(width) // _FIELD_PX, 1)
+    def _grid(self, camera: Camera, index: int) -> SightGrid:
+        grid = self._grids[index]
+        if grid is None or grid.camera is not camera:
+            grid = self._grids[index] = sight_grid(camera, _FIELD_PX)
+        return grid
 
     def _filled(
         self,
@@ -294,14 +283,18 @@ class FeatureTracker:
         rig: Rig,
         index: int,
         scenery: Scenery | None,
-        flow: Float[np.ndarray, "a b 2"] | None,
+        direction: Float[np.ndarray, "3"] | None,
     ) -> _View:
-        """The view with new corners in its empty slots."""
+        """The view with new corners in its empty slots, such as tell their way as the camera goes in a direction."""
         free = np.flatnonzero(view.id < 0)
         config, taken = self.config, view.uv[view.id >= 0]
         usable = None if scenery is None else scenery.usable
         # An image of 640 x 400 px has 70 squares of 60 px: more than half of the slots would stay empty.
         bucket_px = min(config.bucket_px, int(np.sqrt(view.grey.size / self.num_slots)))
+        flow = None
+        if direction is not None:
+            grid = self._grid(rig.cameras[index], index)
+            flow = (grid.sight.pixels @ direction).reshape(grid.rows, grid.columns, 2)
         corners = new_corners(view.grey, usable, taken, len(free), bucket_px, config.border_px, flow)
         slots = free[: len(corners)]
         ids, uv, on_road = view.id.copy(), view.uv.copy(), view.on_road.copy()

@@ -8,7 +8,7 @@ from semloc_jax.cameras import KannalaBrandtCamera, PinholeCamera, Rig
 from semloc_jax.geometry import rigid
 from semloc_jax.perception.corners import new_corners
 from semloc_jax.perception.road_flow import moved_over_road, road_ahead, road_as_seen_now
-from semloc_jax.perception.sight_lines import sight_lines
+from semloc_jax.perception.sight_lines import sight_grid, sight_lines
 from semloc_jax.perception.tracks import CornerConfig, FeatureTracker, Scenery
 from tests.perception.test_patches import road_from
 
@@ -37,7 +37,7 @@ def test_corners_of_the_road_are_foretold_and_so_is_how_they_are_stretched(camer
     )
     seen = [np.asarray(camera.project(p)[0]) for p in (points, points @ R.T - moved_m)]
     ahead = road_ahead(camera, seen[0], sight_lines(camera, seen[0]), T_BASE_CAM, R, np.array(moved_m))
-    assert ahead.known.all()
+    assert ahead.in_view.all()
     np.testing.assert_allclose(ahead.uv, seen[1], atol=1e-6)
     # Half a centimetre beside each point, on the road.
     beside = points + np.random.default_rng(1).uniform(-0.005, 0.005, (40, 3)) * [1, 0, 1]
@@ -51,7 +51,7 @@ def test_what_does_not_lie_on_the_road_ahead_is_left_where_it_is():
     uv = np.array([[160.0, 60.0], [160.0, 121.0], [160.0, 239.0]])  # the sky, far away, under the camera afterwards
     sight = sight_lines(PINHOLE, uv)
     ahead = road_ahead(PINHOLE, uv, sight, T_BASE_CAM, np.eye(3), np.array([0.0, 0.0, 3.5]))
-    assert not ahead.known.any()
+    assert ahead.known.tolist() == [False, False, True] and not ahead.in_view.any()
     np.testing.assert_array_equal(ahead.uv, uv)
     np.testing.assert_array_equal(ahead.affine, np.broadcast_to(np.eye(2), (3, 2, 2)))
     # A camera at the origin of its base, as one given against an inertial sensor, does not know where the road is.
@@ -80,10 +80,8 @@ def test_corners_say_how_far_the_camera_went_though_a_third_of_them_stays():
 
 
 def test_the_image_before_is_shown_as_the_road_would_be_seen_now():
-    grid = np.stack(np.meshgrid(np.arange(32) * 10 + 4.5, np.arange(24) * 10 + 4.5), axis=-1).reshape(-1, 2)
-    rays = sight_lines(PINHOLE, grid).ray_cam.reshape(24, 32, 3)
     moved_m = np.array([0.0, 0.0, 0.8])
-    shown = road_as_seen_now(road_from(0.0), PINHOLE, rays, T_BASE_CAM, np.eye(3), moved_m)
+    shown = road_as_seen_now(road_from(0.0), sight_grid(PINHOLE, 10), T_BASE_CAM, np.eye(3), moved_m)
     now, part = road_from(0.8), (slice(150, 195), slice(60, 260))
     assert np.corrcoef(shown[part].ravel(), now[part].ravel())[0, 1] > 0.97
     assert np.corrcoef(road_from(0.0)[part].ravel(), now[part].ravel())[0, 1] < 0.5
@@ -144,3 +142,12 @@ def test_an_edge_that_leads_the_way_is_no_corner():
     assert num_along(free) >= 8 and num_along(told) == 0
     assert num_along(turned) >= 6, "across the way an edge says all"
     assert len(told) > 0.6 * len(free)
+
+
+def test_a_road_that_leaves_the_view_is_not_searched_for():
+    """4.5 m an image, and nothing of the road but the part that is under the camera then."""
+    near = ROAD & (np.arange(240)[:, None] > 212)
+    tracker, scenery = FeatureTracker(1, CornerConfig()), [Scenery(near, near)]
+    first = tracker.step([road_from(0.0)], RIG, np.eye(3), scenery)
+    second = tracker.step([road_from(0.0)], RIG, np.eye(3), scenery, np.array([4.4, 0.0, 0.0]))
+    assert (first.id >= 0).sum() > 10 and not np.isin(second.id, first.id[first.id >= 0]).any()
