@@ -20,7 +20,7 @@ from semloc_jax.perception.epipolar_gate import moves_with_the_world
 from semloc_jax.perception.flow import FlowConfig, followed, is_inside
 from semloc_jax.perception.patches import Patches, cut_out, laid_over, no_patches
 from semloc_jax.perception.road_flow import RoadAhead, moved_over_road, road_ahead, road_as_seen_now
-from semloc_jax.perception.sight_lines import SightGrid, SightLines, sight_grid, sight_lines
+from semloc_jax.perception.sight_lines import SightGrid, SightLines, no_sight_lines, sight_grid, sight_lines
 
 _LEAST_SIZE = 0.5
 """A patch that is smaller than this share of what it was shows nothing of it any more."""
@@ -183,14 +183,14 @@ class FeatureTracker:
             uv = np.zeros((self.num_slots, 2))
             nowhere = np.zeros(self.num_slots, bool)
             none = no_patches(self.num_slots)
-            sight = sight_lines(rig.cameras[index], uv)
-            return _View(grey, empty, uv, sight, nowhere, none, nowhere), np.zeros(0), None
+            return _View(grey, empty, uv, no_sight_lines(self.num_slots), nowhere, none, nowhere), np.zeros(0), None
         road = self._road(before, rig, index, R_cam, moved_m)
         uv, found = self._flow(before, grey, road)
         is_cut = before.is_cut
         if self.config.by_first_look:
             uv, found, is_cut = self._laid_over(before, grey, uv, found, road)
-        sight = sight_lines(rig.cameras[index], uv)
+        rows = np.flatnonzero(found)
+        sight = before.sight.put(rows, sight_lines(rig.cameras[index], uv[rows]))
         kept = np.flatnonzero(found & sight.valid)
         scale = px_per_rad(sight)[kept]
         rays = before.sight.ray_cam[kept], sight.ray_cam[kept]
@@ -303,7 +303,7 @@ class FeatureTracker:
             column, row = np.round(corners).astype(int).T
             on_road[slots] = scenery.road[row, column]
         self._next_id += len(slots)
-        sight = sight_lines(rig.cameras[index], uv)
+        sight = view.sight.put(slots, sight_lines(rig.cameras[index], corners))
         ids[~sight.valid] = -1
         is_cut = view.is_cut.copy()
         is_cut[slots] = False
