@@ -30,7 +30,8 @@ class InertialWindowConfig:
     num_states: int = 12
     num_landmarks: int = 256
     """Landmarks of one solve, those with most views."""
-    min_views: int = 3
+    min_views: int = 2
+    """A corner of the road near a vehicle is seen no more often; what its two views say with the plane is its speed."""
     sigma_px: float = 0.1
     """Of a corner where it is found: whatever it is, this is what is followed."""
     step_px: float = 0.4

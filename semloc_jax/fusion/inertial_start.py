@@ -156,7 +156,7 @@ def _judged(
 
 def _few_corners(num: int, rules: InertialStartConfig) -> str:
     return (
-        f"only {num} corners are followed over three images; expected {rules.least_landmarks}; are the images dark, or "
+        f"only {num} corners are followed over two images; expected {rules.least_landmarks}; are the images dark, or "
         "the mask too large?"
     )
 

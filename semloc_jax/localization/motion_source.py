@@ -29,6 +29,8 @@ Motion = Literal["wheels", "vio", "both"]
 MotionChoice = Literal["auto", "wheels", "vio", "both"]
 _LEAST_CORNERS = 10
 """With fewer the velocity is that of the inertial sensor alone, which the fusion has itself."""
+_MARGIN_PX = 8
+"""Around traffic and the vehicle itself, in which no corner is taken: what is followed is more than a point."""
 _SKY, _ROAD = ("sky",), ("road", "roads", "service_lane", "parking", "drivable")
 """Names in class tables."""
 
@@ -168,8 +170,8 @@ def with_images(drive: Drive, cameras: Sequence[str]) -> tuple[str, ...]:
 def scenery_of(masks: MaskSource) -> ScenerySource:
     """Where masks show traffic, sky or the vehicle itself, and where the road, in the size of the image."""
     table = masks.table
-    hidden, off_road = np.zeros(256, np.uint8), np.ones(256, np.uint8)
-    hidden[[*table.dynamic_ids, *table.ego_ids, *_named(table, _SKY)]] = 1
+    moving, sky, off_road = np.zeros(256, np.uint8), np.zeros(256, np.uint8), np.ones(256, np.uint8)
+    moving[[*table.dynamic_ids, *table.ego_ids]], sky[_named(table, _SKY)] = 1, 1
     paint = [id_ for channel in table.channels if set(channel.classes) <= PAINT for id_ in channel.mask_ids]
     # Masks of paint alone do not say where the road is: what they call paint may be anything bright.
     named = _named(table, _ROAD)
@@ -179,12 +181,16 @@ def scenery_of(masks: MaskSource) -> ScenerySource:
         mask = masks.segment(frame, camera)
         dynamic = frame.dynamic_mask(camera)
         # A table of OpenCV: indexing an array by a picture makes indices of eight bytes a pixel first.
-        covered, beside = (cv2.LUT(np.asarray(mask, np.uint8), ids).view(bool) for ids in (hidden, off_road))
+        carried, above, beside = (
+            cv2.LUT(np.asarray(mask, np.uint8), ids).view(bool) for ids in (moving, sky, off_road)
+        )
         if dynamic is not None:
-            covered = covered | resized(dynamic, mask)
+            carried = carried | resized(dynamic, mask)
         width, height = frame.rig.cameras[frame.rig.index(camera)].resolution
         size = np.empty((height, width), np.uint8)
-        return Scenery(~resized(covered, size), ~resized(beside, size))
+        carried, above, beside = (resized(part, size) for part in (carried, above, beside))
+        near = cv2.dilate(carried.view(np.uint8), np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8)).view(bool)
+        return Scenery(~(near | above), ~beside)
 
     return scenery
 

@@ -167,7 +167,8 @@ class VisualInertialOdometry:
             steps = self._steps(self._before_s, frame.time_s)
         R = np.eye(3) if steps is None else rotation_between(steps, self._bias_radps).T
         seen = None if scenery is None else [scenery(frame, name) for name in self.cameras]
-        tracks = self._tracker.step([_grey(frame, name) for name in self.cameras], rig, R, seen)
+        greys = [_grey(frame, name) for name in self.cameras]
+        tracks = self._tracker.step(greys, rig, R, seen, self._foretold_way(steps))
         self._before_s = frame.time_s
         speed = None
         if self.with_wheels:
@@ -176,6 +177,13 @@ class VisualInertialOdometry:
         standing = self._is_standing(steps, tracks, speed)
         T_base_cam = np.asarray(rig.T_base_cam)
         return InertialMoment(frame.time_s, tracks, T_base_cam, steps, speed, standing, self._delay_s)
+
+    def _foretold_way(self, steps: Steps | None) -> Float[np.ndarray, "3"] | None:
+        """How the base moves over the steps, in its axes before, as fast as it went; None while that is not known."""
+        if self._window is None or steps is None:
+            return None
+        last = self._window.state(-1)
+        return last.T_map_base[:3, :3].T @ last.velocity_map * float(steps.step_s.sum())
 
     def _is_standing(self, steps: Steps | None, tracks: Tracks, speed_mps: float | None) -> bool:
         """No flow in the images, a quiet inertial sensor, wheels that do not turn."""

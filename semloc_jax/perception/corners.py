@@ -1,6 +1,7 @@
 """Corners to follow, spread over an image (room: perception; host).
 
-In: a grey image, where nothing may be taken, corners that are followed already. Out: corners uv [n 2] [px].
+In: a grey image, where nothing may be taken, corners that are followed already, which way points flow. Out: corners
+uv [n 2] [px].
 """
 
 import cv2
@@ -14,6 +15,10 @@ _LEAST_SHARE = 0.003
 """A corner is at least so strong, as a share of a strong one (the 99th percentile of the buckets); our choice."""
 _LEAST_STRENGTH = 2e-5
 """And so strong at all: a corner of noise of one grey level is weaker; our choice."""
+_LEAST_ALONG = 0.2
+"""Slope along the flow that the surroundings of a corner have at least, as a share of the slope across it."""
+_AROUND_PX = 20
+"""Side of these surroundings: of what is compared when a corner is followed (`patches`), not of the corner alone."""
 
 
 def new_corners(
@@ -23,6 +28,7 @@ def new_corners(
     num_wanted: int,
     bucket_px: int,
     border_px: int,
+    flow: Float[np.ndarray, "a b 2"] | None = None,
 ) -> Float[np.ndarray, "m 2"]:
     """At most `num_wanted` corners, the strongest of every bucket without a corner, strong buckets first.
 
@@ -33,12 +39,16 @@ def new_corners(
         num_wanted: Most of them.
         bucket_px: Side of a bucket.
         border_px: Distance from the border of the image.
+        flow: Which way points move in the image as the camera goes on, of any length and sign, on a grid of its evenly
+            divided fields; None where that is not known.
     """
     if num_wanted <= 0:
         return np.zeros((0, 2))
     small = cv2.resize(grey, None, fx=1 / _HALF, fy=1 / _HALF, interpolation=cv2.INTER_AREA)
     strength = cv2.cornerMinEigenVal(small, _BLOCK_PX)
     free = _free(small.shape, usable, taken_uv, bucket_px, border_px)
+    if flow is not None:
+        free &= _tells_its_way(small, flow)
     uv, best = _best_of_buckets(np.where(free, strength, 0.0), max(bucket_px // _HALF, 2))
     strong = best[best > 0.0]
     least = max(_LEAST_STRENGTH, _LEAST_SHARE * float(np.percentile(strong, 99))) if len(strong) else np.inf
@@ -62,6 +72,24 @@ def _free(
     edge = max(border_px // _HALF, 1)
     free[:edge], free[-edge:], free[:, :edge], free[:, -edge:] = 0, 0, 0, 0
     return free.astype(bool)
+
+
+def _tells_its_way(small: UInt8[np.ndarray, "h w"], flow: Float[np.ndarray, "a b 2"]) -> Bool[np.ndarray, "h w"]:
+    """Where an image shows how far a point has moved along its flow.
+
+    An edge that leads the way the points go, as of a lane marking ahead, looks the same all along; what little differs
+    along it, its width and its stairs, stays where it is in the image while the road goes by. Followed, it seems far
+    away. What is known along the flow while the shift across it is unknown, too, is compared with the slope across it.
+    """
+    du, dv = (cv2.Sobel(small, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
+    shape = small.shape[0] // _HALF, small.shape[1] // _HALF
+    side = _AROUND_PX // _HALF**2
+    squares = (cv2.resize(a * b, shape[::-1], interpolation=cv2.INTER_AREA) for a, b in ((du, du), (du, dv), (dv, dv)))
+    uu, uv, vv = (cv2.boxFilter(square, -1, (side, side)) for square in squares)
+    u, v = cv2.split(cv2.resize(flow.astype(np.float32), shape[::-1], interpolation=cv2.INTER_LINEAR))
+    across = v * v * uu - 2.0 * u * v * uv + u * u * vv
+    tells = (uu * vv - uv * uv) * (u * u + v * v) ** 2 >= _LEAST_ALONG**2 * across**2
+    return cv2.resize(tells.view(np.uint8), small.shape[::-1], interpolation=cv2.INTER_NEAREST).view(bool)
 
 
 def _best_of_buckets(strength: np.ndarray, side: int) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:

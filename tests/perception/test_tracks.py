@@ -97,7 +97,8 @@ def test_points_that_move_on_their_own_are_told_from_the_world():
     rays = [x / np.linalg.norm(x, axis=1, keepdims=True) for x in (p, q)]
     rays[1] += 0.3 / 700.0 * rng.normal(size=(200, 3))
     rays[1] /= np.linalg.norm(rays[1], axis=1, keepdims=True)
-    kept = moves_with_the_world(*rays, np.full(200, 700.0), R, 2.0, 0)
+    kept, direction = moves_with_the_world(*rays, np.full(200, 700.0), R, 2.0, 0)
+    assert abs(direction @ t) / np.linalg.norm(t) > np.cos(np.deg2rad(0.3))
     moved_px = 0.6 / np.linalg.norm(q, axis=1) * 700.0
     assert kept[40:].mean() > 0.97
     assert kept[:40][moved_px[:40] > 12.0].mean() < 0.1
