@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from semloc_jax.datasets import Drive
 from semloc_jax.errors import SemlocError
@@ -30,9 +31,12 @@ from semloc_jax.mapping.parts import Parts
 from semloc_jax.mapping.sizing import sized
 from semloc_jax.mapping.way_sigmas import WaySigmas, places_apart, way_sigmas
 from semloc_jax.maps import BeliefMap, MapElement, SemanticMap
+from semloc_jax.perception.surround import PAINT
 from semloc_jax.structs import ElementClass
 
 _DRAFT = "draft"
+_BESIDE_PAINT_M = 12.0
+"""Who sees a curb well sees paint so far from it as well; ours."""
 
 
 class RefinedWay(NamedTuple):
@@ -126,8 +130,24 @@ def _draft(
         )
     except SemlocError:  # what is wrong with the drive, its map will say
         return []
-    paint = [e for e in made.belief_map.map.elements if e.label != ElementClass.PARKING_SLOT]
-    return [piece for element in paint for piece in pieces_of(element)]
+    drawn = [e for e in made.belief_map.map.elements if e.label != ElementClass.PARKING_SLOT]
+    return holding([piece for element in drawn for piece in pieces_of(element)])
+
+
+def holding(pieces: Sequence[MapElement]) -> list[MapElement]:
+    """What of a draft frames are held against: all but pieces of curbs with paint around them.
+
+    A curb stands out of the road, so that each lane sees it elsewhere; where there is no paint it is better than none.
+    """
+    paint = [piece.points[:, :2] for piece in pieces if piece.label in PAINT]
+    if not paint:
+        return list(pieces)
+    tree = cKDTree(np.concatenate(paint))
+    return [
+        piece
+        for piece in pieces
+        if piece.label != ElementClass.CURB or tree.query(piece.points[:, :2])[0].min() > _BESIDE_PAINT_M
+    ]
 
 
 def _held(
