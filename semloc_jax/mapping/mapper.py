@@ -16,6 +16,7 @@ from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.alike_marks import painted_alike
 from semloc_jax.mapping.base_map import BaseConfig, Change, Countable, Known, aged_logit, taken_in
+from semloc_jax.mapping.curb_edges import FOOT_M, LooksAt, edges_of
 from semloc_jax.mapping.drive_looks import DriveLooks, step_between_m
 from semloc_jax.mapping.evidence_grid import TILE
 from semloc_jax.mapping.existence import Counting, ExistenceConfig
@@ -32,7 +33,7 @@ from semloc_jax.mapping.triangulation import TriangulationConfig
 from semloc_jax.mapping.twins import without_twins
 from semloc_jax.mapping.uprights import HeightOf, Upright, UprightCounting, uprights_of
 from semloc_jax.mapping.vectorize import VectorConfig, elements_of
-from semloc_jax.mapping.worn_paint import whole_again
+from semloc_jax.mapping.worn_paint import pieces_joined, rows_completed
 from semloc_jax.maps import Belief, BeliefMap, MapElement, SemanticMap
 from semloc_jax.maps.elements import GeoOrigin
 from semloc_jax.structs import ElementClass
@@ -133,8 +134,9 @@ def make_map(
     born = _born(gatherer, Ts_map_base, config)
     planes = {layer.label: layer.planes for layer in gatherer.layers}
     old = Countable.of(base, Ts_map_base[:, :2, 3], planes, config.uprights)
-    off_m = [0.0] * len(born.paint) + [config.base.off_m] * len(old.paint)
-    counting = Counting([*born.paint, *old.paint], planes, gatherer.layer_of_id, config.existence, off_m)
+    # A curb is at its edge: half of the looks show the road there.
+    off_m = [FOOT_M if e.label == ElementClass.CURB else 0.0 for e in born.paint] + [config.base.off_m] * len(old.paint)
+    counting = Counting([*born.shown, *old.paint], planes, gatherer.layer_of_id, config.existence, off_m)
     standing = UprightCounting([*born.uprights, *old.uprights], masks.table, config.existence)
     looks.count(counting, standing)
     told = _all_told((counting, standing), born, base, config, _false_rates(gatherer), drive.name)
@@ -183,7 +185,8 @@ def _all_told(
     in_row = {own for row in born.rows for place in row.places for own in place.ids}
     (counting, standing), existence = counted, config.existence
     priors = [existence.row_logit if e.id in in_row else existence.prior_logit for e in born.paint]
-    flat = _told(counting.elements, priors, counting.beliefs, base, config, false_rates, name)
+    elements = [*born.paint, *counting.elements[len(born.paint) :]]
+    flat = _told(elements, priors, counting.beliefs, base, config, false_rates, name)
     priors = [existence.prior_logit] * len(born.uprights)
     upright = _told([u.element for u in standing.uprights], priors, standing.beliefs, base, config, name)
     stays = [_stays(b, config) for _, b in flat.new]
@@ -219,6 +222,8 @@ class _Born(NamedTuple):
     """What may be on the road and beside it."""
 
     paint: list[MapElement]
+    shown: list[MapElement]
+    """What masks can show of each: of a worn bar that its row has completed, what is left."""
     uprights: list[Upright]
     rows: list[MappedRow]
 
@@ -226,12 +231,17 @@ class _Born(NamedTuple):
 def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Born:
     height_of: HeightOf = road_height(Ts_map_base)
     uprights = uprights_of(gatherer.sightings.all(), height_of, config.triangulation)
-    elements = whole_again(elements_of(gatherer.paint, gatherer.layers, height_of, config.vector))
+    pieces = pieces_joined(elements_of(gatherer.paint, gatherer.layers, height_of, config.vector))
+    elements = rows_completed(pieces)
     lines = [element for element in elements if element.label == ElementClass.SLOT_LINE]
-    others = [element for element in elements if element.label != ElementClass.SLOT_LINE]
+    curbs = [element for element in elements if element.label == ElementClass.CURB]
+    others = [element for element in elements if element.label not in (ElementClass.SLOT_LINE, ElementClass.CURB)]
+    others += edges_of(curbs, Ts_map_base[:, :2, 3], _looks_at_curbs(gatherer, config.vector.min_looks))
     paint_at = _looks_at(gatherer, ElementClass.SLOT_LINE)
     drawn = with_bars(draw_rows(lines, Ts_map_base[:, :2, 3], paint_at if lines else None, config.slots), paint_at)
-    return _Born(others + split_crossbars(drawn.lines, config.slots), uprights, drawn.rows)
+    paint = others + split_crossbars(drawn.lines, config.slots)
+    left = {piece.id: piece for piece in pieces if piece.label == ElementClass.CROSSWALK}
+    return _Born(paint, [left.get(element.id, element) for element in paint], uprights, drawn.rows)
 
 
 def _looks_at(gatherer: Gatherer, label: ElementClass) -> PaintAt | None:
@@ -243,6 +253,16 @@ def _looks_at(gatherer: Gatherer, label: ElementClass) -> PaintAt | None:
         return found[0][0], sum(hits for _, hits in found)
 
     return paint_at if planes else None
+
+
+def _looks_at_curbs(gatherer: Gatherer, min_looks: int) -> LooksAt:
+    planes = [plane for layer in gatherer.layers if layer.label == ElementClass.CURB for plane in layer.planes]
+
+    def looks_at(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        found = [gatherer.paint.sums(xy, plane) for plane in planes]
+        return found[0][0], sum(shows for _, shows in found), gatherer.paint.seen(xy, min_looks)
+
+    return looks_at
 
 
 class _Told(NamedTuple):

@@ -24,8 +24,8 @@ from semloc_jax.structs import ElementClass
 HeightOf = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
 """Height of the road at places [m]."""
 
-STROKES = (ElementClass.LANE_MARKING, ElementClass.SLOT_LINE, ElementClass.CURB)
-RECTANGLES = (ElementClass.CROSSWALK, ElementClass.STOP_LINE, ElementClass.SPEED_BUMP)
+STROKES = (ElementClass.LANE_MARKING, ElementClass.SLOT_LINE, ElementClass.CURB, ElementClass.STOP_LINE)
+RECTANGLES = (ElementClass.CROSSWALK, ElementClass.SPEED_BUMP)
 _BLOCK_TILES = 4
 """Tiles along the side of a block: 51 m at 2.5 cm."""
 _MARGIN_M = 8.5
@@ -36,6 +36,10 @@ _CUT_GAP_M = 0.3
 """Between the pieces of a line that was cut at the border of a block."""
 _ALONG_M = 0.6
 """A line that runs along another for longer than this is the same line from there on."""
+_LINE_REACH_M, _STOP_REACH_M = 0.3, 0.5
+"""Paint is looked at so far to either side of the middle of a line, and of a stop line, which is broader."""
+_SLENDER = 3.0
+"""A stop line is longer than so many times its width."""
 _KNOT_M = 1.0
 _SMOOTHED_M = 2.0
 _SOLID_VOTE = 0.5
@@ -50,6 +54,8 @@ class VectorConfig:
         blur_cells: standard deviation of the blur before paint is followed.
         min_area_m2: smaller patches are noise.
         widest_line_m: wider paint is no line.
+        widest_stop_line_m: wider paint is no stop line.
+        shortest_stop_line_m: a shorter one is a piece of one, or noise.
         line_share: share of the looks at a cell that must show a lane marking.
         slot_line_share: the same of a slot line, which is thin and seen from the side.
         longest_dash_m: a longer stroke is a solid line.
@@ -62,6 +68,8 @@ class VectorConfig:
     blur_cells: float = 1.0
     min_area_m2: float = 0.03
     widest_line_m: float = 0.35
+    widest_stop_line_m: float = 0.7
+    shortest_stop_line_m: float = 1.0
     line_share: float = 0.5
     slot_line_share: float = 0.35
     longest_dash_m: float = 7.0
@@ -162,8 +170,10 @@ def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, con
         find = find_rectangles if layer.label in RECTANGLES else find_outlines
         _take(found.rims, [rim + window.low for rim in find(share, window.looked, smallest)], core, _centre)
         return
+    is_stop = layer.label == ElementClass.STOP_LINE
     limits = TraceLimits(
-        widest=config.widest_line_m / cell_m,
+        widest=(config.widest_stop_line_m if is_stop else config.widest_line_m) / cell_m,
+        reach=(_STOP_REACH_M if is_stop else _LINE_REACH_M) / cell_m,
         smallest=smallest,
         least_share=config.slot_line_share if layer.label == ElementClass.SLOT_LINE else config.line_share,
         along=_ALONG_M / cell_m,
@@ -171,8 +181,11 @@ def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, con
     strokes = find_strokes(share, window.looked, limits)
     dashed = window.share(layer.dashed) if layer.dashed else None
     short = [s for s in strokes if _is_short(s, layer, dashed, share, cell_m, config)]
-    kept = [s for s in short if s.length * cell_m >= config.shortest_line_m]
-    if layer.label == ElementClass.LANE_MARKING:
+    shortest_m = config.shortest_stop_line_m if is_stop else config.shortest_line_m
+    kept = [s for s in short if s.length * cell_m >= shortest_m]
+    if is_stop:
+        kept = [s for s in kept if s.length > _SLENDER * s.width]
+    if layer.label == ElementClass.LANE_MARKING or is_stop:
         kept = [s for s in kept if all(s.is_end)]
     _take(found.dashes, [_moved(s, window.low) for s in kept], core, lambda s: _centre(s.middle))
     taken = {id(s) for s in short}
@@ -184,8 +197,10 @@ def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, con
 def _is_short(
     stroke: PaintTrace, layer: Layer, dashed: np.ndarray | None, share: np.ndarray, cell_m: float, config: VectorConfig
 ) -> bool:
-    """Whether a stroke is a dash or a line beside a slot, which one block shows whole."""
+    """Whether a stroke is a dash, a stop line or a line beside a slot, which one block shows whole."""
     length_m = stroke.length * cell_m
+    if layer.label == ElementClass.STOP_LINE:
+        return True
     if layer.label == ElementClass.SLOT_LINE:
         return length_m <= _MARGIN_M
     if layer.label == ElementClass.CURB:
@@ -218,6 +233,8 @@ def _elements(layer: Layer, found: _Found, to_map: "_ToMap", config: VectorConfi
     cell_m = to_map.cell_m
     if layer.label not in STROKES:
         return [_polygon(layer.label, to_map(rim)) for rim in found.rims]
+    if layer.label == ElementClass.STOP_LINE:
+        return [_polygon(layer.label, to_map(_bar(stroke, cell_m))) for stroke in found.dashes]
     is_slot = layer.label == ElementClass.SLOT_LINE
     style, whole_style = ("dashed", "solid") if layer.label == ElementClass.LANE_MARKING else ("", "")
     elements = [_line(layer.label, _straightened(s, cell_m), s, style, to_map) for s in found.dashes]
@@ -282,6 +299,15 @@ def _straightened(stroke: PaintTrace, cell_m: float) -> np.ndarray:
         keep = off <= max(2.5 * float(np.median(off)), 0.5)
     s = np.linspace(0.0, length, max(round(length * cell_m / _KNOT_M), 1) + 1)
     return start + s[:, None] * axis + fit(s)[:, None] * normal
+
+
+def _bar(stroke: PaintTrace, cell_m: float) -> np.ndarray:
+    """Corners of a straight stroke, in cells."""
+    middle = _straightened(stroke, cell_m)
+    start, end = middle[0], middle[-1]
+    along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+    side = 0.5 * stroke.width * np.array([-along[1], along[0]])
+    return np.stack([start - side, end - side, end + side, start + side])
 
 
 def _smoothed(stroke: PaintTrace, cell_m: float) -> np.ndarray:

@@ -106,18 +106,26 @@ class WornStroke:
         return replace(like, points=np.stack([first - side, last - side, last + side, first + side]))
 
 
-def whole_again(elements: Sequence[MapElement]) -> list[MapElement]:
+def pieces_joined(elements: Sequence[MapElement]) -> list[MapElement]:
     """The elements, worn pieces of one dash or bar joined under the id of the first."""
     found = dict(enumerate(elements))
     strokes = {k: stroke for k, element in found.items() if (stroke := WornStroke.of(element)) is not None}
     for label in {elements[k].label for k in strokes}:
         _join({k: stroke for k, stroke in strokes.items() if elements[k].label == label}, found)
-    bars = [k for k in strokes if k in found and found[k].label == ElementClass.CROSSWALK]
-    for k, bar in completed([WornStroke.of(found[k]) for k in bars]).items():
+    return list(found.values())
+
+
+def rows_completed(elements: Sequence[MapElement]) -> list[MapElement]:
+    """The elements, pieces of bars of a crosswalk whole under the id of the longest (`completed`)."""
+    found = dict(enumerate(elements))
+    strokes = {k: WornStroke.of(e) for k, e in found.items() if e.label == ElementClass.CROSSWALK}
+    bars = {k: stroke for k, stroke in strokes.items() if stroke is not None}
+    rows = list(bars)
+    for k, bar in completed(list(bars.values())).items():
         if bar is None:
-            del found[bars[k]]
+            del found[rows[k]]
         else:
-            found[bars[k]] = bar.element(found[bars[k]])
+            found[rows[k]] = bar.element(found[rows[k]])
     return list(found.values())
 
 

@@ -84,6 +84,11 @@ def _at(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([np.interp(s, fine, x), np.interp(s, fine, y)], axis=-1), heading
 
 
+def middle_of(road: Road) -> np.ndarray:
+    """The true places of the way of every drive `[n 2]`, as many as it packs [m]."""
+    return _at(np.arange(0.0, road.length_m + 0.1, 10.0))[0]
+
+
 def _on(name: str, label: str, places: list[tuple[float, float]], **more) -> MapElement:
     s, side = np.array(places, dtype=np.float64).T
     xy, heading = _at(s)

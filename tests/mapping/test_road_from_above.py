@@ -199,6 +199,45 @@ def test_a_curb_is_a_line_and_no_dash():
     np.testing.assert_allclose(curb.points[:, 1], 43.0 * CELL_M, atol=0.01)
 
 
+def gathered(paint, plane, looked):
+    """Three looks at cells of a grid that show paint in some of them."""
+    grid = EvidenceGrid(CELL_M)
+    cells = np.stack(np.meshgrid(np.arange(paint.shape[1]), np.arange(paint.shape[0])), axis=-1).reshape(-1, 2)
+    for _ in range(3):
+        planes = np.where(paint.ravel(), plane, -1)
+        grid.add((cells + 0.5) * CELL_M, np.ones(len(cells)), planes, looked.ravel())
+    return grid
+
+
+def stop_line_layers():
+    layers, _ = paint_layers(load_class_table("drive"))
+    (layer,) = [layer for layer in layers if layer.label == ElementClass.STOP_LINE]
+    return layers, layer.planes[0]
+
+
+def test_a_stop_line_with_ragged_sides_gaps_and_a_false_patch_is_one_bar():
+    """6 m by 0.4 m, worn through twice, with a patch that masks show beside it: no rectangle fits all of it."""
+    layers, plane = stop_line_layers()
+    x, y = np.meshgrid(np.arange(340), np.arange(160))
+    ragged = np.random.default_rng(4).integers(0, 3, 340)[x]
+    paint = (x >= 40) & (x < 280) & (y >= 72 + ragged) & (y < 88 - ragged[:, ::-1])
+    paint &= ~((x >= 120) & (x < 128)) & ~((x >= 200) & (x < 206))
+    paint |= (x >= 230) & (x < 250) & (y >= 84) & (y < 110)
+    found = elements_of(gathered(paint, plane, np.ones_like(paint)), layers, lambda xy: np.zeros(len(xy)))
+    (line,) = [element for element in found if element.label == ElementClass.STOP_LINE]
+    assert line.closed and len(line.points) == 4
+    np.testing.assert_allclose(line.points[:, :2].mean(axis=0), [160.0 * CELL_M, 80.0 * CELL_M], atol=0.05)
+    np.testing.assert_allclose(np.ptp(line.points[:, :2], axis=0), [6.0, 0.36], atol=0.08)
+
+
+def test_a_stop_line_that_goes_on_unseen_is_none_yet():
+    layers, plane = stop_line_layers()
+    x, y = np.meshgrid(np.arange(340), np.arange(160))
+    paint, looked = (x >= 40) & (x < 280) & (y >= 72) & (y < 88), x < 200
+    found = elements_of(gathered(paint & looked, plane, looked), layers, lambda xy: np.zeros(len(xy)))
+    assert not [element for element in found if element.label == ElementClass.STOP_LINE]
+
+
 def test_the_road_goes_up_and_down_where_the_vehicle_does():
     """On a road z = 0.001 x^2 with a banked second half, heights in the frame of a pose are those of the road."""
     x = np.arange(0.0, 60.0, 1.0)

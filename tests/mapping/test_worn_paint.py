@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from semloc_jax.mapping.worn_paint import whole_again
+from semloc_jax.mapping.worn_paint import pieces_joined, rows_completed
 from semloc_jax.maps import MapElement
 
 
@@ -16,6 +16,10 @@ def bar(start_m, end_m, left_m, width_m=0.45, label="crosswalk"):
     low, high = left_m - 0.5 * width_m, left_m + 0.5 * width_m
     corners = [[start_m, low, 0.0], [end_m, low, 0.0], [end_m, high, 0.0], [start_m, high, 0.0]]
     return MapElement(f"bar_{left_m}_{start_m}", label, corners, closed=True)
+
+
+def whole_again(elements):
+    return rows_completed(pieces_joined(elements))
 
 
 def spans(elements):
@@ -44,6 +48,12 @@ def test_dashes_that_are_painted_so_stay(gap_m, left_m):
     assert len(whole_again(short)) == 8
     among_others = [*short, *(dash(40.0 + 10.0 * k, 44.0 + 10.0 * k) for k in range(2))]
     assert len(whole_again(among_others)) == 10
+
+
+def test_a_bar_that_its_row_completes_keeps_the_name_of_what_is_left_of_it():
+    whole, piece = [bar(0.0, 3.0, left_m) for left_m in (0.0, 0.9, 1.8)], bar(0.0, 1.2, 2.7)
+    found = {element.id: element for element in whole_again([*whole, piece])}
+    assert np.ptp(found[piece.id].points[:, 0]) == pytest.approx(3.0)
 
 
 def test_no_element_is_no_element():

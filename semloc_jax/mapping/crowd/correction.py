@@ -23,10 +23,9 @@ from semloc_jax.maps import MapElement
 
 _NODE_M = 25.0
 _HELD_RAD = 1e-5
-SCALE = 3
-"""Place of the scale among the unknowns, after a shift and a turn."""
-_TURN = 2
-"""Place of the turn among the three unknowns of a node, which stand behind the scale."""
+TURN, SCALE = 2, 3
+"""Places of the turn and the scale among the unknowns, after a shift; of the three of a node, which stand behind the
+scale, the turn is the last as well."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +68,11 @@ class Correction:
         """Nothing is corrected yet."""
         self.sights = sights
         self.config = config or CorrectionConfig()
-        self.num_nodes = 0
+        self.num_nodes, self.length_m = 0, 0.0
         points = sights.things.centre
         if not sights.is_base:
-            self._s_m = polyline.arc_length(sights.way)
-            self.num_nodes = max(round(float(self._s_m[-1]) / _NODE_M), 1) + 1
+            self.length_m = float(polyline.arc_length(sights.way)[-1])
+            self.num_nodes = max(round(self.length_m / _NODE_M), 1) + 1
             points = sights.way
         self.centre = points.mean(axis=0) if len(points) else np.zeros(2)
         self.size = 4 + 3 * self.num_nodes
@@ -91,13 +90,13 @@ class Correction:
         s_m, foot = self.sights.feet(xy)
         rows = np.zeros((len(xy), 2, self.size))
         rows[:, :, :2] = np.eye(2)
-        rows[:, :, 2] = _turned(xy - self.centre)
+        rows[:, :, 2] = turned(xy - self.centre)
         rows[:, :, SCALE] = foot - self.centre
         if self.num_nodes:
-            step_m = float(self._s_m[-1]) / (self.num_nodes - 1)
+            step_m = self.length_m / (self.num_nodes - 1)
             at = np.clip(s_m / step_m, 0.0, self.num_nodes - 1 - 1e-9)
             low, share = at.astype(int), (at % 1.0)[:, None]
-            lever, row = _turned(xy - foot), np.arange(len(xy))
+            lever, row = turned(xy - foot), np.arange(len(xy))
             for node, weight in ((low, 1.0 - share), (low + 1, share)):
                 rows[row, 0, 4 + 3 * node] += weight[:, 0]
                 rows[row, 1, 5 + 3 * node] += weight[:, 0]
@@ -148,7 +147,7 @@ class Correction:
         rows = np.zeros((len(xy), self.size))
         rows[:, 2] = 1.0
         if self.num_nodes and len(xy):
-            at = self.sights.feet(xy)[0] * (self.num_nodes - 1) / float(self._s_m[-1])
+            at = self.sights.feet(xy)[0] * (self.num_nodes - 1) / self.length_m
             nearness = 1.0 - np.abs(at[:, None] - np.arange(self.num_nodes))
             rows[:, 6::3] = np.maximum(nearness, 0.0)
         return rows
@@ -161,10 +160,16 @@ class Correction:
     def bend(self) -> float:
         """How far its way is bent: mean square of its headings against their mean, in what such a walk gives; 0 where
         nothing can bend."""
-        turns = self.value[4 + _TURN :: 3]
+        turns = self.value[4 + TURN :: 3]
         if len(turns) < 2:
             return 0.0
         return float(6.0 * np.var(turns) / (len(turns) * self.config.bend_rad**2))
+
+    @property
+    def strain(self) -> float:
+        """How far its way is bent from node to node: mean square, in what a way may bend; 0 where nothing can bend."""
+        walked = (self._walk(1.0) @ self.value) if self.num_nodes else np.zeros(0)
+        return float((walked**2).mean()) if len(walked) else 0.0
 
     def known(self) -> tuple[csr_array, Float[np.ndarray, " k"]]:
         """Whitened rows of what is known of the unknowns, and what they should give."""
@@ -174,22 +179,27 @@ class Correction:
         sigma = np.array([place_m, place_m, *whole] + [c.node_m, c.node_m, c.node_rad] * self.num_nodes)
         blocks = [np.diag(1.0 / sigma)]
         if self.num_nodes:
-            nodes_m = np.linspace(0.0, float(self._s_m[-1]), self.num_nodes)
-            step = _turned(np.diff(polyline.interpolate(self.sights.way, nodes_m), axis=0))
-            bend_rad = self.bent * c.bend_rad
-            walk = np.zeros((3 * (self.num_nodes - 1), self.size))
-            for k in range(self.num_nodes - 1):
-                here, there = 4 + 3 * k, 7 + 3 * k
-                for axis in (0, 1):
-                    walk[3 * k + axis, [there + axis, here + axis]] = np.array([1.0, -1.0]) / c.slip_m
-                    walk[3 * k + axis, here + 2] = -step[k, axis] / c.slip_m
-                walk[3 * k + 2, [there + 2, here + 2]] = np.array([1.0, -1.0]) / bend_rad
-            blocks.append(walk)
+            blocks.append(self._walk(self.bent))
         rows = np.vstack(blocks)
         target = np.zeros(len(rows))
         target[SCALE] = (self.sights.scale - 1.0) / sigma[SCALE]
         return csr_array(rows), target
 
+    def _walk(self, bent: float) -> Float[np.ndarray, "k p"]:
+        """Whitened rows of how place and heading walk from node to node; a way may bend so many times as is usual."""
+        c = self.config
+        nodes_m = np.linspace(0.0, self.length_m, self.num_nodes)
+        step = turned(np.diff(polyline.interpolate(self.sights.way, nodes_m), axis=0))
+        walk = np.zeros((3 * (self.num_nodes - 1), self.size))
+        for k in range(self.num_nodes - 1):
+            here, there = 4 + 3 * k, 7 + 3 * k
+            for axis in (0, 1):
+                walk[3 * k + axis, [there + axis, here + axis]] = np.array([1.0, -1.0]) / c.slip_m
+                walk[3 * k + axis, here + TURN] = -step[k, axis] / c.slip_m
+            walk[3 * k + 2, [there + TURN, here + TURN]] = np.array([1.0, -1.0]) / (bent * c.bend_rad)
+        return walk
 
-def _turned(xy: np.ndarray) -> np.ndarray:
+
+def turned(xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    """Displacement of points by a turn about the origin of one radian, as far as it is linear."""
     return np.stack([-xy[:, 1], xy[:, 0]], axis=1)
