@@ -258,10 +258,9 @@ def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " pi
 def _by_channel(
     values: Float[Array, "*pose piece"], channel: Int[Array, " piece"], num_channels: int
 ) -> Float[Array, "*pose channel"]:
-    """Sums over the pieces of each channel, as a product with what belongs to each: a sum along the last axis adds one
-    number after another, a product many at once."""
-    own = (channel[:, None] == jnp.arange(num_channels)).astype(values.dtype)
-    return jnp.matmul(values, own, precision=jax.lax.Precision.HIGHEST)
+    """Sums over the pieces of each channel. Channels are few: one loop over all of them, not a scatter."""
+    own = channel == jnp.arange(num_channels)[:, None]
+    return jnp.sum(jnp.where(own, values[..., None, :], 0.0), axis=-1)
 
 
 def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, "pose piece"]:

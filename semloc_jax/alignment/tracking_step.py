@@ -71,9 +71,7 @@ class TrackAlignConfig:
     """The search along the road; no drive needed other values."""
     again_offsets: int = 13
     """Places of that search where a solved frame is solved again with another calibration: within 0.9 m of its pose
-    they are no farther apart than those of a prediction that may be metres off."""
-    again_starts_m: tuple[float, ...] = (0.0, -0.3, 0.3)
-    """`starts_m` after it."""
+    they are closer together than those of a prediction that may be metres off, and it is solved from the best one."""
 
 
 class ElementEvidence(NamedTuple):
@@ -168,9 +166,7 @@ def align_with_rigs(
         asked: Which of them, those that are asked for first.
         num_asked: How many of these: the others cost nothing.
     """
-    again = replace(
-        config, starts_m=config.again_starts_m, search=replace(config.search, num_offsets=config.again_offsets)
-    )
+    again = replace(config, starts_m=(0.0,), search=replace(config.search, num_offsets=config.again_offsets))
 
     def one(n: Array, found: WithRig) -> WithRig:
         rig = jax.tree.map(lambda leaf: jnp.asarray(leaf)[asked[n]], rigs)

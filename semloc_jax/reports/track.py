@@ -43,7 +43,7 @@ from semloc_jax.runtime.effort import effort_for
 
 CHECKPOINT = "state.npz"
 _SAVED_S = 0.5
-"""A kill loses so much work, and its frames are driven anew: a state takes as long to write as a window to solve. Ours."""
+"""A kill loses so much work, and its frames are driven anew; a state takes as long to write as a window to solve."""
 
 
 @dataclass(frozen=True)
