@@ -258,9 +258,13 @@ def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " pi
 def _by_channel(
     values: Float[Array, "*pose piece"], channel: Int[Array, " piece"], num_channels: int
 ) -> Float[Array, "*pose channel"]:
-    """Sums over the pieces of each channel. Channels are few: one loop over all of them, not a scatter."""
-    own = channel == jnp.arange(num_channels)[:, None]
-    return jnp.sum(jnp.where(own, values[..., None, :], 0.0), axis=-1)
+    """Sums over the pieces of each channel. Of many poses, one channel after another: what all of them hold at once would
+    be megabytes, which the system clears anew for every call."""
+    channels = jnp.arange(num_channels)
+    if values.ndim == 1:
+        return jnp.sum(jnp.where(channel == channels[:, None], values, 0.0), axis=-1)
+    of_each = jax.lax.map(lambda k: jnp.sum(jnp.where(channel == k, values, 0.0), axis=-1), channels)
+    return jnp.moveaxis(of_each, 0, -1)
 
 
 def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, "pose piece"]:
