@@ -238,27 +238,26 @@ void signed_distance(const Image& inside, const Image& share, const Edge& edge, 
     in_row.set(inward.row(y), inside.pitch);
     for (int piece = 0; piece < inside.pitch / kPiecePx; ++piece) {
       const int first = piece * kPiecePx;
-      const bool is_out = out_row.is_far(piece);
-      if (is_out || in_row.is_far(piece)) {
+      const bool is_out = out_row.is_far(piece), is_flat = is_out || in_row.is_far(piece);
+      if (is_flat) {
         std::fill(out, out + kPiecePx, is_out ? cap : -cap);
-        take(y, first, out, true);
-        continue;
+      } else {
+        const uint8_t *set = inside.row(y) + first, *is_thin = thin.row(y) + first;
+        bool any, all;
+        look_at(set, &any, &all);
+        // Nothing is as near to a pixel as itself.
+        if (all) std::fill(out, out + kPiecePx, 0.0f);
+        else out_row.distances(piece, out);
+        if (any) in_row.distances(piece, in);
+        else std::fill(in, in + kPiecePx, 0.0f);
+        smoothing.levels(y, first, level);
+        for (int x = 0; x < kPiecePx; ++x) {
+          const float plain = out[x] - in[x] + (set[x] ? edge.half + edge.outset : edge.outset - edge.half);
+          const float near = plain * edge.keep[level[x]] + edge.add[level[x]];
+          out[x] = is_thin[x] ? plain : near;
+        }
       }
-      const uint8_t *set = inside.row(y) + first, *is_thin = thin.row(y) + first;
-      bool any, all;
-      look_at(set, &any, &all);
-      // Nothing is as near to a pixel as itself.
-      if (all) std::fill(out, out + kPiecePx, 0.0f);
-      else out_row.distances(piece, out);
-      if (any) in_row.distances(piece, in);
-      else std::fill(in, in + kPiecePx, 0.0f);
-      smoothing.levels(y, first, level);
-      for (int x = 0; x < kPiecePx; ++x) {
-        const float plain = out[x] - in[x] + (set[x] ? edge.half + edge.outset : edge.outset - edge.half);
-        const float near = plain * edge.keep[level[x]] + edge.add[level[x]];
-        out[x] = is_thin[x] ? plain : near;
-      }
-      take(y, first, out, false);
+      take(y, first, out, is_flat);
     }
   }
 }
