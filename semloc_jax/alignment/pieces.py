@@ -30,6 +30,8 @@ _ROUNDS = 4
 """Of estimating the rates at one pose. Ours."""
 _BY_CHANCE = (0.02, 0.5)
 """Least and largest share of pieces that fit at a random pose: few random poses tell no smaller one. Ours."""
+_MOST_AT_ONCE = 1 << 20
+"""Numbers of an array that is made and summed in one go: 4 MB, see `runtime.allocator`."""
 _LEAST_OBSERVATIONS = 0.5
 """Of a channel of which less is visible, what is seen does not stand for the rest. Ours."""
 _ELSEWHERE = tuple(
@@ -258,9 +260,13 @@ def chances(at_best: PieceCosts, at_random: PieceCosts, channel: Int[Array, " pi
 def _by_channel(
     values: Float[Array, "*pose piece"], channel: Int[Array, " piece"], num_channels: int
 ) -> Float[Array, "*pose channel"]:
-    """Sums over the pieces of each channel. Channels are few: one loop over all of them, not a scatter."""
-    own = channel == jnp.arange(num_channels)[:, None]
-    return jnp.sum(jnp.where(own, values[..., None, :], 0.0), axis=-1)
+    """Sums over the pieces of each channel: all at once, or, where that would be a large block, which the system clears
+    anew for every call, one channel after another."""
+    channels = jnp.arange(num_channels)
+    if num_channels * values.size <= _MOST_AT_ONCE:
+        return jnp.sum(jnp.where(channel == channels[:, None], values[..., None, :], 0.0), axis=-1)
+    of_each = jax.lax.map(lambda k: jnp.sum(jnp.where(channel == k, values, 0.0), axis=-1), channels)
+    return jnp.moveaxis(of_each, 0, -1)
 
 
 def nats_by_piece(costs: PieceCosts, channel: Int[Array, " piece"], masks: Chances) -> Float[Array, "pose piece"]:

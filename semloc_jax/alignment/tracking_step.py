@@ -5,7 +5,7 @@ In: predicted pose and its prior, one frame, the trust in each map element. Out:
 other answers lie from it, and how well each element of the map is seen.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -69,6 +69,9 @@ class TrackAlignConfig:
     """Level on which the elements are judged, and the coarsest one on which the starts are ranked."""
     search: LongitudinalConfig = field(default_factory=LongitudinalConfig)
     """The search along the road; no drive needed other values."""
+    again_offsets: int = 13
+    """Places of that search where a solved frame is solved again with another calibration: within 0.9 m of its pose
+    they are closer together than those of a prediction that may be metres off, and it is solved from the best one."""
 
 
 class ElementEvidence(NamedTuple):
@@ -163,12 +166,14 @@ def align_with_rigs(
         asked: Which of them, those that are asked for first.
         num_asked: How many of these: the others cost nothing.
     """
+    again = replace(config, starts_m=(0.0,), search=replace(config.search, num_offsets=config.again_offsets))
 
     def one(n: Array, found: WithRig) -> WithRig:
         rig = jax.tree.map(lambda leaf: jnp.asarray(leaf)[asked[n]], rigs)
         own = frame._replace(rig=rig, samples=with_other_width(frame.samples, T_predicted, wider_m[asked[n]]))
-        T_start, _ = moved_along(T_predicted, sigma_along_m, prior, own, trust, config)
-        answer = _aligned(T_start, prior, own, trust, config)
+        # What is seen of the map is chosen anew from there: a longer lens farther back shows what its own one shows.
+        T_start, _ = moved_along(T_predicted, sigma_along_m, prior, own, trust, again)
+        answer = _aligned(T_start, prior, own, trust, again)
         Ts = found.Ts_local_base.at[asked[n]].set(answer.estimate.T_local_base)
         return WithRig(Ts, found.scores.at[asked[n]].set(answer.score))
 

@@ -319,7 +319,7 @@ class _Prepared(NamedTuple):
         return self.T_local_base, prior, self.inputs, self.trust
 
 
-MOST_RIGS = 4
+MOST_RIGS = 5
 """Calibrations that one call solves a frame with at most."""
 
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from semloc_jax.cameras import BrownConradyCamera, Camera, PinholeCamera, Rig
-from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer
+from semloc_jax.cameras.other_lenses import FOCAL_SHARE, longer, with_distortion
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.runtime.memory import once_for_each
 
@@ -19,6 +19,8 @@ stands."""
 STEPS = np.array([1.0, -1.0, 2.0, -2.0])
 """How far each alternative is changed, in its units. The far ones are asked only where near ones fit better so far:
 beyond the reach of the masks costs end, and the near ones do not tell the size of a large fault."""
+OTHER_SIGN = len(STEPS)
+"""Place among `changed_rigs` of a distortion of the wrong sign."""
 
 
 def alternatives(num_cameras: int) -> tuple[str, ...]:
@@ -36,13 +38,16 @@ def unit_of(name: str, config: WatchConfig) -> float:
 
 @once_for_each
 def changed_rigs(rig: Rig, name: str, config: WatchConfig) -> tuple[Rig, ...]:
-    """The calibrations that a frame is solved with again: one alternative in its `STEPS`."""
-    return tuple(_changed(rig, name, step * unit_of(name, config)) for step in STEPS)
+    """The calibrations that a frame is solved with again: one alternative in its `STEPS`; after those of the distortion
+    comes `OTHER_SIGN`, where lenses have any."""
+    other = with_distortion(rig, -1.0) if name == RADIAL else None
+    steps = tuple(_changed(rig, name, step * unit_of(name, config)) for step in STEPS)
+    return steps if other is None else (*steps, other)
 
 
 def widths(name: str, config: WatchConfig) -> tuple[float, ...]:
     """By how much the road is wider with each of `changed_rigs` [m]."""
-    return tuple((STEPS * (config.width_m if name == WIDTH else 0.0)).tolist())
+    return (*(STEPS * (config.width_m if name == WIDTH else 0.0)).tolist(), 0.0)
 
 
 def _changed(rig: Rig, name: str, by: float) -> Rig:

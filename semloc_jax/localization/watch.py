@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from semloc_jax.cameras import Rig
-from semloc_jax.cameras.other_lenses import with_distortion
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
 from semloc_jax.localization import lens_sign, stance_sums
@@ -18,18 +17,18 @@ from semloc_jax.localization.course import course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_in_map import FrameInMap
 from semloc_jax.localization.moved_elements import moves
-from semloc_jax.localization.other_calibrations import RADIAL, STEPS, alternatives, changed_rigs, widths
+from semloc_jax.localization.other_calibrations import OTHER_SIGN, STEPS, alternatives, changed_rigs, widths
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import Tried, WatchState, asked_now, far_side, learned
 from semloc_jax.runtime.memory import once_for_each
 
-_Again = Callable[[tuple[Rig, ...], Sequence[float], Sequence[int]], tuple[np.ndarray, np.ndarray]]
-"""Solves a frame again with other calibrations, other widths of the road [m], those that are asked for."""
+_Again = Callable[[tuple[Rig, ...], Sequence[float], Sequence[int], int], tuple[np.ndarray, np.ndarray]]
+"""Solves a frame again with other calibrations, other widths of the road [m], those that are asked for, and how many of
+them are steps of one alternative."""
 _LOOSE = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
 """How far a pose may move with another calibration."""
 _PLANE = [0, 1, 5]
 """Forward, left and heading in a tangent."""
-_WITH_OTHER_SIGN = once_for_each(with_distortion)
 _ALONE = once_for_each(lambda rig: (rig,))
 
 
@@ -67,26 +66,31 @@ def looked(
     names = asked_now(watch, every, config)
     sides = [far_side(watch, every, name) for name in names]
     tried = [_tried(*one, rig, again, config) for one in zip(names, sides, strict=True)]
-    other = _WITH_OTHER_SIGN(rig, -1.0) if RADIAL in names else None
-    if other is not None:
-        gain, moved = again(_ALONE(other), [0.0], [0])
-        watch = watch._replace(sign=lens_sign.learned(watch.sign, gain[0], moved[0]))
-    watch = _leaned(watch, fused.T_map_base, frame, way_m)
-    return learned(watch, every, aside, tried, profiles, config)
+    for _, other in tried:
+        if other is not None:
+            watch = watch._replace(sign=lens_sign.learned(watch.sign, *other))
+    watch = _leaned(watch, fused.T_map_base, T, frame, way_m)
+    return learned(watch, every, aside, [steps for steps, _ in tried], profiles, config)
 
 
-def _tried(name: str, side: int | None, rig: Rig, again: _Again, config: WatchConfig) -> Tried:
-    """The frame solved `again` with one thing of calibration or map changed, farther on one side where it is given."""
-    asked = [0, 1] if side is None else [0, 1, side + 2]
+def _tried(
+    name: str, side: int | None, rig: Rig, again: _Again, config: WatchConfig
+) -> tuple[Tried, tuple[float, np.ndarray] | None]:
+    """The frame solved `again` with one thing of calibration or map changed, farther on one side where it is given; and
+    what it says of the other sign of distortion, where that is asked, too."""
+    rigs, asked = changed_rigs(rig, name, config), [0, 1] if side is None else [0, 1, side + 2]
+    with_other = len(rigs) > OTHER_SIGN
+    found = again(rigs, widths(name, config), [*asked, OTHER_SIGN] if with_other else asked, len(asked))
     gain, moved = np.full(len(STEPS), np.nan), np.zeros((len(STEPS), 3))
-    gain[asked], moved[asked] = again(changed_rigs(rig, name, config), widths(name, config), asked)
-    return Tried(name, gain, moved)
+    gain[asked], moved[asked] = (values[: len(asked)] for values in found)
+    return Tried(name, gain, moved), tuple(values[-1] for values in found) if with_other else None
 
 
 def _again(
     rigs: tuple[Rig, ...],
     wider_m: Sequence[float],
     asked: Sequence[int],
+    num_steps: int,
     solved: Callable[..., tuple[np.ndarray, np.ndarray] | None],
     own: Callable[[], float],
     T: Float[np.ndarray, "4 4"],
@@ -94,20 +98,29 @@ def _again(
     config: WatchConfig,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """By how much a frame fits better with each calibration that is asked for [nats], NaN where there is no road, and
-    how far its pose moves then: forward [m], left [m], heading [rad]; `own`: its score solved again with its own."""
+    how far its pose moves then: forward [m], left [m], heading [rad].
+
+    Args:
+        num_steps: How many of them are steps of one alternative; what follows is another one.
+        own: The score of the frame solved again with its own calibration.
+    """
     found = solved(rigs, wider_m, asked)
     if found is None:
         return np.full(len(asked), np.nan), np.zeros((len(asked), 3))
     scores, Ts = found
     gain = score - scores
-    if gain.max() > config.least_gain_nats:
-        # A frame that has not found its own best place yet gains by any second solve.
-        gain -= max(score - own(), 0.0)
+    for part in (slice(num_steps), slice(num_steps, None)):
+        if gain[part].max(initial=-np.inf) > config.least_gain_nats:
+            # A frame that has not found its own best place yet gains by any second solve.
+            gain[part] -= max(score - own(), 0.0)
     return gain, np.array([rigid.log(rigid.inverse(T) @ other)[_PLANE] for other in Ts])
 
 
-def _leaned(watch: WatchState, T_map_base: np.ndarray, frame: FrameInMap, way_m: float) -> WatchState:
-    road = frame.road_under(T_map_base)
+def _leaned(
+    watch: WatchState, T_map_base: np.ndarray, T_measured: np.ndarray, frame: FrameInMap, way_m: float
+) -> WatchState:
+    """The sums with how the vehicle stands on the road, whose plane is known where the frame was measured already."""
+    road = frame.road_under(T_measured)
     if road is None:
         return watch
     T_road, spread = road

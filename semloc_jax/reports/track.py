@@ -3,6 +3,7 @@
 In: opened inputs, how the drive is followed. Out: frames.csv line by line while driving, then everything from it.
 """
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,6 +42,8 @@ from semloc_jax.reports.track_log import TrackLog, TrackTable
 from semloc_jax.runtime.effort import effort_for
 
 CHECKPOINT = "state.npz"
+_SAVED_S = 0.5
+"""A kill loses so much work, and its frames are driven anew; a state takes as long to write as a window to solve."""
 
 
 @dataclass(frozen=True)
@@ -194,20 +197,27 @@ def _start(folder: Path, frames: Sequence[Frame], pipeline: Pipeline, plan: Trac
 def _drive(
     pipeline: Pipeline, frames: Sequence[Frame], start: Checkpoint | None, log: TrackLog, path: Path
 ) -> Checkpoint | None:
-    """Run through the frames; every line is on disk before the state that follows it."""
+    """Run through the frames; every line is on disk before the state that follows it, see `_SAVED_S`."""
     by_id = {frame.id: frame for frame in frames}
-    last = start
+    last, saved, saved_s = start, start, time.monotonic()
+    every_s = 0.0 if pipeline.config.realtime else _SAVED_S  # which frames are driven anew depends on the clock there
     with tqdm(total=len(frames), initial=start.next_frame if start else 0, unit="frame", disable=None) as bar:
 
         def on_frame(at: Checkpoint, result: Any) -> None:
-            nonlocal last
+            nonlocal last, saved, saved_s
             log.append(by_id[result.frame_id], result)
-            checkpoint.save(at, path)
             last = at
+            if time.monotonic() - saved_s >= every_s:
+                checkpoint.save(at, path)
+                saved, saved_s = at, time.monotonic()
             bar.update()
 
-        for _ in pipeline.run(frames, start, on_frame):
-            pass
+        try:
+            for _ in pipeline.run(frames, start, on_frame):
+                pass
+        finally:
+            if last is not saved:
+                checkpoint.save(last, path)
     return last
 
 

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from semloc_jax.alignment import pieces
 from semloc_jax.alignment.pieces import Chances, PieceCosts, _runs, against_first, believed, chances, nats_by_piece
 
 LINES, POSTS = 0, 1
@@ -81,3 +82,16 @@ def test_what_only_one_pose_sees_is_not_held_against_it():
     found = np.asarray(against_first(costs(here, slid, better, worse), at_random, channel, 1))
     assert found[0] == pytest.approx(0.0, abs=1e-5)
     assert found[1] < -4.0 and found[2] > 6.0
+
+
+def test_sums_over_channels_are_the_same_for_many_poses_as_for_few(monkeypatch):
+    """Many poses with many pieces are summed one channel after another."""
+    rng = np.random.default_rng(3)
+    costs = PieceCosts(*(jnp.asarray(rng.uniform(0.0, most, (9, 60)), jnp.float32) for most in (8.0, 1.0)))
+    channel, masks = jnp.asarray(rng.integers(0, 4, 60)), Chances(jnp.full(4, 0.7), jnp.full(4, 0.1))
+    few = nats_by_piece(costs, channel, masks)
+    monkeypatch.setattr(pieces, "_MOST_AT_ONCE", 4 * 60)
+    many = nats_by_piece(costs, channel, masks)
+    np.testing.assert_allclose(many, few, rtol=1e-6)
+    seen = np.where(np.asarray(channel) == 2, np.asarray(costs.observations), 0.0).sum(axis=1)
+    np.testing.assert_allclose(pieces._by_channel(costs.observations, channel, 4)[:, 2], seen, rtol=1e-5)

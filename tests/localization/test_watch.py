@@ -208,7 +208,7 @@ def test_the_other_calibrations_differ_as_they_say():
 def test_a_road_of_another_width_moves_the_lenses_nowhere():
     given = rig(2)
     assert all(other is given for other in changed_rigs(given, "width", CONFIG))
-    np.testing.assert_allclose(widths("width", CONFIG), [0.2, -0.2, 0.4, -0.4])
+    np.testing.assert_allclose(widths("width", CONFIG), [0.2, -0.2, 0.4, -0.4, 0.0])
     assert not any(widths("focal", CONFIG))
 
 

@@ -216,8 +216,15 @@ class Smoothing {
   Reused<uint16_t> across_;
 };
 
-// Calls `take(y, first_x, const float distance[kPiecePx])` for every piece of the signed distance [px of this image],
-// negative inside and clipped to +-cap, of an image given as binary and as covered share.
+// Whether any of the pixels of a piece is set, and whether all are.
+SEMLOC_INLINE void look_at(const uint8_t* __restrict set, bool* any, bool* all) {
+  uint8_t some = 0, every = 1;
+  for (int x = 0; x < kPiecePx; ++x) some |= set[x], every &= set[x];
+  *any = some, *all = every;
+}
+
+// Calls `take(y, first_x, float distance[kPiecePx], is_flat)` for every piece of the signed distance [px of this
+// image], negative inside and clipped to +-cap, of an image given as binary and as covered share; flat: +cap or -cap.
 template <typename Take>
 void signed_distance(const Image& inside, const Image& share, const Edge& edge, int cap, Take take) {
   const Image outward = rows_to(inside, 1, static_cast<uint8_t>(cap)), inward = rows_to(inside, 0, static_cast<uint8_t>(cap));
@@ -231,22 +238,26 @@ void signed_distance(const Image& inside, const Image& share, const Edge& edge, 
     in_row.set(inward.row(y), inside.pitch);
     for (int piece = 0; piece < inside.pitch / kPiecePx; ++piece) {
       const int first = piece * kPiecePx;
-      if (out_row.is_far(piece) || in_row.is_far(piece)) {
-        const float value = out_row.is_far(piece) ? cap : -cap;
-        std::fill(out, out + kPiecePx, value);
-        take(y, first, out);
-        continue;
+      const bool is_out = out_row.is_far(piece), is_flat = is_out || in_row.is_far(piece);
+      if (is_flat) {
+        std::fill(out, out + kPiecePx, is_out ? cap : -cap);
+      } else {
+        const uint8_t *set = inside.row(y) + first, *is_thin = thin.row(y) + first;
+        bool any, all;
+        look_at(set, &any, &all);
+        // Nothing is as near to a pixel as itself.
+        if (all) std::fill(out, out + kPiecePx, 0.0f);
+        else out_row.distances(piece, out);
+        if (any) in_row.distances(piece, in);
+        else std::fill(in, in + kPiecePx, 0.0f);
+        smoothing.levels(y, first, level);
+        for (int x = 0; x < kPiecePx; ++x) {
+          const float plain = out[x] - in[x] + (set[x] ? edge.half + edge.outset : edge.outset - edge.half);
+          const float near = plain * edge.keep[level[x]] + edge.add[level[x]];
+          out[x] = is_thin[x] ? plain : near;
+        }
       }
-      out_row.distances(piece, out);
-      in_row.distances(piece, in);
-      smoothing.levels(y, first, level);
-      const uint8_t *set = inside.row(y) + first, *is_thin = thin.row(y) + first;
-      for (int x = 0; x < kPiecePx; ++x) {
-        const float plain = out[x] - in[x] + (set[x] ? edge.half + edge.outset : edge.outset - edge.half);
-        const float near = plain * edge.keep[level[x]] + edge.add[level[x]];
-        out[x] = is_thin[x] ? plain : near;
-      }
-      take(y, first, out);
+      take(y, first, out, is_flat);
     }
   }
 }

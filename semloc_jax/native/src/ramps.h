@@ -12,6 +12,11 @@ struct Level {
   int height, width, pitch, stride;
   float ramp_px;
 
+  // Writes `count` pixels that all are as far outside (which they are already) or inside as distances go.
+  SEMLOC_INLINE void write_flat(int y, int first, bool is_outside, int count) const {
+    if (is_outside || y >= height || first >= width) return;
+    std::memset(bytes + static_cast<int64_t>(y) * pitch + first, 0, std::min(count, width - first));
+  }
   // Writes `count` pixels from distances in pixels of the full mask; what lies beyond the level is left out.
   SEMLOC_INLINE void write(int y, int first, const float* distance_px, int count) const {
     if (y >= height || first >= width) return;
@@ -104,7 +109,7 @@ inline void write_levels(const uint8_t* layers, int height, int width, Box conte
   reduce(layers, width, box, value, stride, inside, share);
   std::vector<std::vector<float>> sums;
   for (const Level& level : levels) sums.emplace_back(level.stride > stride ? inside.pitch * stride / level.stride : 0);
-  signed_distance(inside, share, edge, cap, [&](int y, int first, float* distance) {
+  signed_distance(inside, share, edge, cap, [&](int y, int first, float* distance, bool is_flat) {
     const int count = std::min(kPiecePx, inside.width - first);
     for (int x = 0; x < kPiecePx; ++x) distance[x] *= stride;
     for (size_t n = 0; n < levels.size(); ++n) {
@@ -112,7 +117,8 @@ inline void write_levels(const uint8_t* layers, int height, int width, Box conte
       const int factor = level.stride / stride;
       const int top = box.top / level.stride, left = box.left / level.stride;
       if (factor == 1) {
-        level.write(top + y, left + first, distance, count);
+        if (is_flat) level.write_flat(top + y, left + first, distance[0] > 0.0f, count);
+        else level.write(top + y, left + first, distance, count);
         continue;
       }
       float* sum = sums[n].data() + first / factor;
