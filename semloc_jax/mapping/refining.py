@@ -35,10 +35,11 @@ from semloc_jax.perception.surround import PAINT
 from semloc_jax.structs import ElementClass
 
 _DRAFT = "draft"
-_SIZE_LEFT = 0.4
+_SIZE_LEFT = 0.3
 """Sigma of the size of a map as a share of what odometry, fixes and loops state, at least: shapes that were drawn along
 the way hold its size more firmly than anything knows it. Ours: sizes of 25 drives with one camera were off by 0.43 of
-what their sensors stated (0.43, 0.44, 0.43 in three worlds), of five with four cameras by 0.26."""
+what their sensors stated, of five with four cameras by 0.26. A map states its place alike in all directions, and a size
+is off along a road: with more, frames would be refused for what is across it."""
 _BESIDE_PAINT_M = 12.0
 """Who sees a curb well sees paint so far from it as well; ours."""
 
