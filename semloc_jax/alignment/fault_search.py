@@ -61,7 +61,8 @@ class FaultSearch:
         rows = _least_of_each(solved.score, num)
         best = solved.rows(rows)
         Ts = np.asarray(best.estimates.T_local_base, np.float64)
-        cost = told_share(best.estimates.coverage[0], best.estimates.inlier_ratio[0]) * np.asarray(best.score)
+        share = told_share(float(best.estimates.coverage[0]), float(best.estimates.inlier_ratio[0]))
+        cost = share * np.asarray(best.score)
         known = zip(cost.tolist(), Ts, self._nats_through(rigs, Ts, rates), strict=True)
         return [ThroughLens(*one) for one in known]
 

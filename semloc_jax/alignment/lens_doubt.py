@@ -35,8 +35,8 @@ def told_share(coverage: float, inlier_ratio: float) -> float:
         coverage: share of the contour in view that falls on usable pixels.
         inlier_ratio: share of that which lies within the ramp of its class.
     """
-    of_missed = np.log1p(-min(float(inlier_ratio), _MOST_SHARE)) / np.log1p(-_FULL_SHARE)
-    return float(coverage) * min(float(of_missed), 1.0)
+    of_missed = np.log1p(-min(inlier_ratio, _MOST_SHARE)) / np.log1p(-_FULL_SHARE)
+    return coverage * min(float(of_missed), 1.0)
 
 
 class ThroughLens(NamedTuple):
