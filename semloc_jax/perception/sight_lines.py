@@ -16,7 +16,7 @@ from semloc_jax.geometry import rigid
 
 _STEP_PX = 0.25
 _BLOCK = 64
-"""Pixels are taken in so many at a time: a program for each number of them would be compiled else."""
+"""Pixels are taken in so many at a time: otherwise a program would be compiled for each number of them."""
 _FLAT = 1e-12
 """Where pixels span less of directions [rad^2] the model cannot be inverted."""
 
