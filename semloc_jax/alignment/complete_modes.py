@@ -32,6 +32,8 @@ from semloc_jax.runtime.stored_program import stored_program
 from semloc_jax.structs import SolveStatus
 
 _widened = stored_program()(widened)
+_BESIDE = 0.3
+"""Poses that are solved to the end are so many units apart."""
 
 
 class ModeFinder(SearchSteps):
@@ -74,7 +76,9 @@ class ModeFinder(SearchSteps):
             return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
         best = Ts[places.best[0]]
         own = np.flatnonzero((places.home == 0) & (places.log_weight > -config.within_nats))
-        own = own[apart(Ts[own], places.log_weight[own], config.num_final, 0.3)]
+        # Poses beside the best one, and the best of each other optimum of its place: a place is as long as a street.
+        some = [apart(Ts[own], places.log_weight[own], config.num_final, units) for units in (_BESIDE, ONE_PLACE)]
+        own = own[np.unique(np.concatenate(some))]
         covariance = np.asarray(solved.estimates.covariance[places.best[0]], dtype=np.float64)
         restarts = best @ along_weak(covariance, config.lever_m, config.restarts, config.restart_step_m)
         centre = np.asarray(self.road.place(best[None])[0], np.float32)

@@ -16,7 +16,9 @@ from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.evidence_grid import EvidenceGrid
-from semloc_jax.mapping.road_table import RoadHeights, RoadTable
+from semloc_jax.mapping.road_heights import RoadHeights
+from semloc_jax.mapping.road_profile import RoadProfile
+from semloc_jax.mapping.road_table import RoadTable
 from semloc_jax.mapping.sightings import RayTable, Sightings
 from semloc_jax.mapping.vectorize import Layer
 from semloc_jax.perception import ClassTable
@@ -110,15 +112,18 @@ class Looker:
         """Directions of the pixels of every camera."""
         return [RayTable.of(camera, T) for camera, T in zip(self._rig.cameras, self._poses, strict=True)]
 
-    def looks(self, frame: Frame, index: int, Ts_map_base: Float[np.ndarray, "n 4 4"]) -> Iterator[Look]:
+    def looks(
+        self, frame: Frame, index: int, Ts_map_base: Float[np.ndarray, "n 4 4"], profile: RoadProfile | None = None
+    ) -> Iterator[Look]:
         """Yields the look of every camera at one frame.
 
         Args:
             frame: the frame.
             index: its place among the poses.
             Ts_map_base: pose of every frame.
+            profile: of the road beside them, where it is not as flat as the lane.
         """
-        heights = RoadHeights.of(Ts_map_base, index, _HEIGHTS_REACH_M)
+        heights = RoadHeights.of(Ts_map_base, index, _HEIGHTS_REACH_M, profile)
         rim = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
         for table, mask in zip(self.tables, self.masks.masks(frame), strict=True):
             hidden = cv2.dilate(self._hides[mask].astype(np.uint8), rim).ravel()[table.pixel] > 0

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from semloc_jax.datasets import Drive, Frame
 from semloc_jax.errors import SemlocError
+from semloc_jax.geometry import polyline
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.alike_marks import painted_alike
 from semloc_jax.mapping.base_map import BaseConfig, Change, Countable, Known, aged_logit, taken_in
@@ -23,9 +24,11 @@ from semloc_jax.mapping.existence import Counting, ExistenceConfig
 from semloc_jax.mapping.joint import RefineConfig
 from semloc_jax.mapping.looking import Gatherer, Looker, RoadLookConfig
 from semloc_jax.mapping.parts import Parts
+from semloc_jax.mapping.road_profile import RoadProfile
 from semloc_jax.mapping.row_bars import with_bars
 from semloc_jax.mapping.row_lines import PaintAt
 from semloc_jax.mapping.settling import Progress, SettleConfig, settled_in
+from semloc_jax.mapping.short_dashes import SPOT_OFF_M
 from semloc_jax.mapping.slot_numbers import numbered, outside_of_rows
 from semloc_jax.mapping.slot_rows import MappedRow, draw_rows
 from semloc_jax.mapping.slots import SlotConfig, find_slots, split_crossbars
@@ -131,11 +134,10 @@ def make_map(
     gatherer = Gatherer(masks.table, config.look.spacing_m)
     looks = DriveLooks(looker, frames, Ts_map_base, progress, parts)
     looks.gather(gatherer, config.uprights)
-    born = _born(gatherer, Ts_map_base, config)
+    born = _born(gatherer, Ts_map_base, config, looks.profile)
     planes = {layer.label: layer.planes for layer in gatherer.layers}
     old = Countable.of(base, Ts_map_base[:, :2, 3], planes, config.uprights)
-    # A curb is at its edge: half of the looks show the road there.
-    off_m = [FOOT_M if e.label == ElementClass.CURB else 0.0 for e in born.paint] + [config.base.off_m] * len(old.paint)
+    off_m = [_off_m(e, config) for e in born.paint] + [config.base.off_m] * len(old.paint)
     counting = Counting([*born.shown, *old.paint], planes, gatherer.layer_of_id, config.existence, off_m)
     standing = UprightCounting([*born.uprights, *old.uprights], masks.table, config.existence)
     looks.count(counting, standing)
@@ -228,8 +230,8 @@ class _Born(NamedTuple):
     rows: list[MappedRow]
 
 
-def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig) -> _Born:
-    height_of: HeightOf = road_height(Ts_map_base)
+def _born(gatherer: Gatherer, Ts_map_base: np.ndarray, config: MapConfig, profile: RoadProfile | None) -> _Born:
+    height_of: HeightOf = road_height(Ts_map_base, profile)
     uprights = uprights_of(gatherer.sightings.all(), height_of, config.triangulation)
     pieces = pieces_joined(elements_of(gatherer.paint, gatherer.layers, height_of, config.vector))
     elements = rows_completed(pieces)
@@ -265,6 +267,14 @@ def _looks_at_curbs(gatherer: Gatherer, min_looks: int) -> LooksAt:
     return looks_at
 
 
+def _off_m(element: MapElement, config: MapConfig) -> float:
+    """How far beside an element of this drive looks show it [m]."""
+    if element.label == ElementClass.CURB:  # it is at its edge: half of the looks show the road there
+        return FOOT_M
+    is_spot = element.style == "dashed" and polyline.arc_length(element.points)[-1] < config.vector.shortest_line_m
+    return SPOT_OFF_M if is_spot else 0.0
+
+
 class _Told(NamedTuple):
     """What a drive says of elements: of its own, and of those that a base map holds, by id."""
 
@@ -296,8 +306,15 @@ def _map_of(known: Sequence[Known], origin: GeoOrigin | None, name: str) -> Beli
     return BeliefMap(SemanticMap(tuple(e for e, _ in known), origin, name), {e.id: b for e, b in known})
 
 
-def road_height(Ts_map_base: Float[np.ndarray, "n 4 4"]) -> Callable[[Float[np.ndarray, "n 2"]], np.ndarray]:
-    """Height of the road [m] at places of the map: that of the plane of the vehicle when it was nearest."""
+def road_height(
+    Ts_map_base: Float[np.ndarray, "n 4 4"], profile: RoadProfile | None = None
+) -> Callable[[Float[np.ndarray, "n 2"]], np.ndarray]:
+    """Height of the road [m] at places of the map: that of the plane of the vehicle when it was nearest.
+
+    Args:
+        Ts_map_base: poses of the vehicle.
+        profile: by how much the road beside each of them is higher than its plane; None where it is not.
+    """
     tree = cKDTree(Ts_map_base[:, :2, 3])
 
     def height_of(xy_map: Float[np.ndarray, "n 2"]) -> np.ndarray:
@@ -306,7 +323,12 @@ def road_height(Ts_map_base: Float[np.ndarray, "n 4 4"]) -> Callable[[Float[np.n
         T = Ts_map_base[tree.query(xy_map, k=[*range(1, k + 1)])[1]]
         normal = T[..., :3, 2]
         offset = xy_map[:, None] - T[..., :2, 3]
-        return (T[..., 2, 3] - (normal[..., :2] * offset).sum(axis=-1) / normal[..., 2]).mean(axis=1)
+        height_m = (T[..., 2, 3] - (normal[..., :2] * offset).sum(axis=-1) / normal[..., 2]).mean(axis=1)
+        if profile is None:
+            return height_m
+        nearest = tree.query(xy_map)[1]
+        left = Ts_map_base[nearest, :2, 1]
+        return height_m + profile.at(nearest, ((xy_map - Ts_map_base[nearest, :2, 3]) * left).sum(axis=1))
 
     return height_of
 

@@ -12,7 +12,7 @@ from semloc_jax.datasets.base import IMAGE
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.obstacle_sights import Obstacle, ObstacleConfig, ObstacleFrame, ObstacleObserver, once
-from semloc_jax.mapping.road_table import RoadHeights
+from semloc_jax.mapping.road_heights import RoadHeights
 from semloc_jax.perception.class_table import UNLABELED_ID
 from semloc_jax.perception.cylinder_view import CylinderView
 from semloc_jax.perception.networks.obstacle_net import KINDS, ObstacleNet, net_view

@@ -18,7 +18,7 @@ from semloc_jax.datasets import Frame
 from semloc_jax.errors import SemlocError
 from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.looking import hiding_ids
-from semloc_jax.mapping.road_table import RoadHeights
+from semloc_jax.mapping.road_heights import RoadHeights
 from semloc_jax.perception.class_table import UNLABELED_ID
 from semloc_jax.perception.cylinder_view import CylinderView, GroundSight
 from semloc_jax.perception.ground_contact import SightErrors, along_and_across

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from semloc_jax.cameras import Camera
+from semloc_jax.mapping.road_heights import RoadHeights
 
 COARSEST_PX_PER_M = 4.0
 """Where a metre of road is fewer pixels in the coarser direction, a mask says little about paint; our choice."""
@@ -21,7 +22,6 @@ FINE_PX_PER_M = 25.0
 """Where one pixel covers 4 cm or less, finer views count no more: several looks say more than the nearest one alone."""
 _DELTA_M = 0.01
 _MOST_PX_PER_M = 1e5
-_SWAY_M = 8.0
 _COARSE_M = 0.4
 """Spacing at which it is looked for what a camera shows at all."""
 
@@ -91,7 +91,7 @@ class RoadTable:
         """How much a look counts: the square of the coarser scale, 1 at FINE_PX_PER_M."""
         return np.minimum(self.coarse_px_per_m / np.float32(FINE_PX_PER_M), np.float32(1.0)) ** 2
 
-    def on_road(self, heights: "RoadHeights") -> Float[np.ndarray, "n 2"]:
+    def on_road(self, heights: RoadHeights) -> Float[np.ndarray, "n 2"]:
         """The places [m] moved along the line of sight to where it meets a road with these heights."""
         camera_xy, camera_z = self.camera_base[:2].astype(np.float32), np.float32(self.camera_base[2])
         moved = self.xy_base
@@ -99,7 +99,7 @@ class RoadTable:
             moved = self.xy_base + (heights.at(moved) / camera_z)[:, None] * (camera_xy - self.xy_base)
         return moved
 
-    def rows_of(self, xy_base: Float[np.ndarray, "n 2"], heights: "RoadHeights") -> Int[np.ndarray, " n"]:
+    def rows_of(self, xy_base: Float[np.ndarray, "n 2"], heights: RoadHeights) -> Int[np.ndarray, " n"]:
         """Row of the table that shows each place on a road with these heights, -1 for those not shown."""
         if not len(self.pixel):
             return np.full(len(xy_base), -1, np.int32)
@@ -109,86 +109,6 @@ class RoadTable:
         inside = ((cell >= 0) & (cell < self.row.shape[::-1])).all(axis=1)
         cell = np.where(inside[:, None], cell, 0)
         return np.where(inside, self.row[cell[:, 1], cell[:, 0]], -1)
-
-
-@dataclass(frozen=True)
-class RoadHeights:
-    """Height of the road above the plane of the vehicle, from where it drives before and after.
-
-    Attributes:
-        ahead_m: `float64[k]` where wheels stand, along the base frame, ascending [m].
-        left_m: `float64[k]` the same across it [m].
-        height_m: `float64[k]` [m].
-        bank: `float64[k]` slope across the way [m/m].
-    """
-
-    ahead_m: Float[np.ndarray, " k"]
-    left_m: Float[np.ndarray, " k"]
-    height_m: Float[np.ndarray, " k"]
-    bank: Float[np.ndarray, " k"]
-
-    @classmethod
-    def of(cls, Ts_map_base: Float[np.ndarray, "n 4 4"], index: int, reach_m: float) -> "RoadHeights":
-        """The road around one pose of a drive.
-
-        Args:
-            Ts_map_base: every pose of the drive.
-            index: which one.
-            reach_m: poses farther along the way do not count.
-        """
-        T = Ts_map_base[index]
-        away_m = np.linalg.norm(Ts_map_base[:, :2, 3] - T[:2, 3], axis=1)
-        first, last = index, index
-        while first > 0 and away_m[first - 1] < reach_m and index - first < len(away_m):
-            first -= 1
-        while last < len(away_m) - 1 and away_m[last + 1] < reach_m:
-            last += 1
-        near = np.linalg.inv(T) @ Ts_map_base[first : last + 1]
-        forward = near[:, 0, 0] > 0.5
-        near = near[forward]
-        order = np.argsort(near[:, 0, 3], kind="stable")
-        near = near[order]
-        keep = np.append(True, np.diff(near[:, 0, 3]) > 0.05)
-        near = near[keep]
-        # Past the last pose the road goes on as it lies there.
-        slope = -near[[0, -1], 2, 0] / np.maximum(near[[0, -1], 0, 0], 0.5) * [1.0, -1.0]
-        ends = near[[0, -1], 0, 3] + [-reach_m, reach_m]
-        heights = np.concatenate(
-            [[near[0, 2, 3] + slope[0] * reach_m], near[:, 2, 3], [near[-1, 2, 3] + slope[1] * reach_m]]
-        )
-        bank = _averaged(near[:, 2, 1] / np.maximum(near[:, 1, 1], 0.5), near[:, 0, 3])
-        return cls(
-            np.concatenate([ends[:1], near[:, 0, 3], ends[1:]]),
-            np.concatenate([near[:1, 1, 3], near[:, 1, 3], near[-1:, 1, 3]]),
-            heights,
-            np.concatenate([bank[:1], bank, bank[-1:]]),
-        )
-
-    def at(self, xy_base: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Height of the road at places [m]."""
-        start, step, values, slopes = self._table
-        at = np.clip((xy_base[:, 0] - start) / step, 0, len(values[0]) - 1.001)
-        row = at.astype(np.int32)
-        share = at - row
-        height_m, bank, left_m = (value[row] + share * slope[row] for value, slope in zip(values, slopes, strict=True))
-        return height_m + bank * (xy_base[:, 1] - left_m)
-
-    @cached_property
-    def _table(self) -> tuple[np.float32, np.float32, np.ndarray, np.ndarray]:
-        """First place and step along the way [m]; height, bank and side every step, and by how much they grow."""
-        knots = np.linspace(self.ahead_m[0], self.ahead_m[-1], 257)
-        columns = [np.interp(knots, self.ahead_m, values) for values in (self.height_m, self.bank, self.left_m)]
-        return np.float32(knots[0]), np.float32(knots[1] - knots[0]), *_with_growth(np.stack(columns))
-
-
-def _with_growth(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return rows.astype(np.float32), np.diff(rows, axis=1, append=rows[:, -1:]).astype(np.float32)
-
-
-def _averaged(values: np.ndarray, at_m: np.ndarray) -> np.ndarray:
-    """Values averaged over the way around each: a vehicle sways on its springs, the road below does not."""
-    near = np.exp(-0.5 * ((at_m[:, None] - at_m) / _SWAY_M) ** 2)
-    return near @ values / near.sum(axis=1)
 
 
 def _coarsest_px_per_m(camera: Camera, T_base_cam: np.ndarray, range_m: float, step_m: float) -> float:

@@ -16,6 +16,7 @@ from semloc_jax.mapping.crossing_curbs import uncrossed
 from semloc_jax.mapping.evidence_grid import TILE, EvidenceGrid
 from semloc_jax.mapping.line_pieces import cut_to, joined
 from semloc_jax.mapping.outlines import find_outlines, find_rectangles
+from semloc_jax.mapping.short_dashes import SpotLimits, rows_of_spots
 from semloc_jax.mapping.stroke_profiles import TraceLimits
 from semloc_jax.mapping.strokes import PaintTrace, find_strokes
 from semloc_jax.maps import MapElement
@@ -60,6 +61,9 @@ class VectorConfig:
         slot_line_share: the same of a slot line, which is thin and seen from the side.
         longest_dash_m: a longer stroke is a solid line.
         shortest_line_m: a shorter solid line is noise.
+        spot_share: share of the looks that must show a spot of a row: small and seen from the side.
+        shortest_spot_m: side of the square that is as large as the smallest one.
+        spot_gap_m: farthest from one of a row to the next.
         joined_gap_m: pieces of one solid line with a longer gap stay apart.
         joined_off_m: pieces farther off each other's direction stay apart.
     """
@@ -74,6 +78,9 @@ class VectorConfig:
     slot_line_share: float = 0.35
     longest_dash_m: float = 7.0
     shortest_line_m: float = 0.6
+    spot_share: float = 0.3
+    shortest_spot_m: float = 0.12
+    spot_gap_m: float = 3.0
     joined_gap_m: float = 6.0
     joined_off_m: float = 0.12
 
@@ -187,11 +194,24 @@ def _look_at(window: _Window, layer: Layer, found: _Found, core: np.ndarray, con
         kept = [s for s in kept if s.length > _SLENDER * s.width]
     if layer.label == ElementClass.LANE_MARKING or is_stop:
         kept = [s for s in kept if all(s.is_end)]
+    if layer.label == ElementClass.LANE_MARKING:
+        long = [s for s in strokes if s.length * cell_m >= shortest_m]
+        kept += rows_of_spots(share, window.looked, long, _spot_limits(cell_m, config))
     _take(found.dashes, [_moved(s, window.low) for s in kept], core, lambda s: _centre(s.middle))
     taken = {id(s) for s in short}
     for stroke in strokes:
         if id(stroke) not in taken:
             found.lines += cut_to(_moved(stroke, window.low), core, core + _BLOCK_TILES * TILE)
+
+
+def _spot_limits(cell_m: float, config: VectorConfig) -> SpotLimits:
+    return SpotLimits(
+        config.spot_share,
+        config.shortest_spot_m / cell_m,
+        config.shortest_line_m / cell_m,
+        config.widest_line_m / cell_m,
+        config.spot_gap_m / cell_m,
+    )
 
 
 def _is_short(

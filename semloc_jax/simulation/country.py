@@ -22,19 +22,24 @@ _BEHIND_M, _AHEAD_M = 40.0, 160.0
 _POSTS_M = 50.0
 _VERGE_M = 1.0
 _DASH_AND_GAP_M = 4.0, 8.0
+_STUD_AND_GAP_M = 0.3, 0.9
+_STUDS_M = 0.5
 
 
-def build_country_road(rng: np.random.Generator, length_m: float, wear_share: float, crown: float) -> World:
+def build_country_road(
+    rng: np.random.Generator, length_m: float, wear_share: float, crown: float, has_studs: bool = False
+) -> World:
     """A road of two lanes whose right one the vehicle drives from s = 0 to s = `length_m`.
 
     Lateral offsets d are from the middle of that lane: the right edge line at -1.5, the dashes on the crown at 1.5, the
-    left edge line at 4.5.
+    left edge line at 4.5, studs half a metre beside it.
 
     Args:
         rng: everything random follows from it.
         length_m: way to drive.
         wear_share: share of the paint that is worn off.
         crown: share by which the road falls to both sides.
+        has_studs: whether there are studs.
     """
     start, end = -_BEHIND_M, length_m + _AHEAD_M
     path = winding_path(rng, start - 60.0, end + 60.0, start_heading_rad=rng.uniform(-np.pi, np.pi))
@@ -46,6 +51,8 @@ def build_country_road(rng: np.random.Generator, length_m: float, wear_share: fl
         *painter.dashes("dash", 0.5 * LANE_M, start + rng.uniform(0.0, sum(_DASH_AND_GAP_M)), end, *_DASH_AND_GAP_M),
         *_posts(painter, rng, start, end),
     ]
+    if has_studs:
+        elements += painter.dashes("stud", 1.5 * LANE_M - _STUDS_M, start, end, *_STUD_AND_GAP_M)
     areas = (_asphalt(painter, start, end),)
     worn = wear_pattern(wear_share, rng)
     trees = tuple(_trees(painter, rng, start, end))

@@ -59,6 +59,8 @@ class SimulationConfig:
         wear_share: share of the paint that is worn off (labelled as the ground below it).
         crown: share by which a road falls to both sides of its crown; 0 takes 0 (road) or 0.02 (country). A crowned
             road leans into its bends, too.
+        has_studs: whether a row of short dashes (0.3 m, one each 1.2 m) runs beside the line to the left, on the far
+            side of the crown (country).
         has_images: whether colour images are written too; masks alone take a fraction of the time.
         laps: how often to go round: 0 takes 2 in a loop, 1 in a lot, and in a garage the straight aisle without rings.
         has_obstacles: whether ground locks, no-parking signs and cones keep slots free (lot, garage with laps).
@@ -80,6 +82,7 @@ class SimulationConfig:
     variants: tuple[str, ...] = ()
     wear_share: float = 0.05
     crown: float = 0.0
+    has_studs: bool = False
     has_images: bool = True
     laps: int = 0
     has_obstacles: bool = False
@@ -197,7 +200,7 @@ def _built(kind: str, config: SimulationConfig, rng: np.random.Generator, own: n
     if kind == "road":
         return build_road(rng, length_m, config.speed_mps, config.wear_share, config.crown, own)
     if kind == "country":
-        return build_country_road(rng, length_m, config.wear_share, config.crown)
+        return build_country_road(rng, length_m, config.wear_share, config.crown, config.has_studs)
     return build_garage(rng, length_m, config.wear_share, own)
 
 
@@ -303,6 +306,8 @@ def checked(kind: str, config: SimulationConfig) -> SimulationConfig:
         raise SemlocError(f"laps = {config.laps}: a {kind} has no laps; expected kind loop, garage or lot")
     if config.has_obstacles and look not in ("hall", "lot"):
         raise SemlocError(f"obstacles: a {kind} has no slots for them; expected kind lot, or garage with laps")
+    if config.has_studs and kind != "country":
+        raise SemlocError(f"studs: a {kind} has none; expected kind country")
     if not 0.0 <= config.crown <= 0.1:
         raise SemlocError(f"crown = {config.crown:g}; expected the fall of a road, 0 to 0.1: 0.02 is usual")
     unknown = [name for name in config.variants if name not in LOOKS]

@@ -9,7 +9,7 @@ from semloc_jax.inputs.mask_view import MaskSource
 from semloc_jax.mapping.object_tracks import Tracker
 from semloc_jax.mapping.obstacle_sights import Obstacle, ObstacleConfig, ObstacleObserver
 from semloc_jax.mapping.obstacle_tracks import ObstacleTrack
-from semloc_jax.mapping.road_table import RoadHeights
+from semloc_jax.mapping.road_heights import RoadHeights
 from semloc_jax.perception import load_class_table
 from semloc_jax.perception.class_table import table_of
 from semloc_jax.perception.obstacle_classes import obstacle_ids

@@ -10,7 +10,7 @@ from semloc_jax.mapping.evidence_grid import EvidenceGrid
 from semloc_jax.mapping.line_pieces import cut_to, joined
 from semloc_jax.mapping.looking import paint_layers
 from semloc_jax.mapping.outlines import find_outlines, find_rectangles
-from semloc_jax.mapping.road_table import RoadHeights
+from semloc_jax.mapping.road_heights import RoadHeights
 from semloc_jax.mapping.stroke_profiles import TraceLimits
 from semloc_jax.mapping.strokes import PaintTrace, find_strokes
 from semloc_jax.mapping.vectorize import Layer, VectorConfig, elements_of
