@@ -64,7 +64,13 @@ def painted_alike(marks: Sequence[MapElement]) -> list[MapElement]:
     outlines = {k: mark.points[:, :2] for k, mark in enumerate(marks) if mark.closed and len(mark.points) >= 3}
     kinds = _kinds(outlines)
     size_m = {k: _size_m(xy) for k, xy in outlines.items()}
-    stencil_of = {kind[0]: _most_whole(kind, size_m) for kind in kinds if len(kind) >= _NUM_ALIKE}
+    stencil_of = {}
+    for kind in kinds:  # the largest first
+        if len(kind) >= _NUM_ALIKE:
+            own = _most_whole(kind, size_m)
+            # Marks that lack the same fit each other, too: they are no other kind.
+            if _whole(outlines[own], [outlines[k] for k in stencil_of.values()]) is None:
+                stencil_of[kind[0]] = own
     stencils = [outlines[k] for k in stencil_of.values()]
     found = list(marks)
     for kind in kinds:

@@ -71,6 +71,16 @@ def test_arrows_that_all_lack_a_little_are_as_long_as_the_longest() -> None:
         assert (mark is marks[k]) == (lacking_m[k] == 0.0), lacking_m[k]
 
 
+def test_arrows_that_lack_the_same_are_no_other_kind() -> None:
+    """Three without their tips fit each other: a stencil of their own was made of them."""
+    rng = np.random.default_rng(5)
+    blunt = _cut(_STRAIGHT, shapely.box(2.5, -1.0, 4.0, 1.0))
+    marks = [_mark(_STRAIGHT, k, rng) for k in range(5)] + [_mark(blunt, k, rng) for k in range(5, 8)]
+    found = painted_alike(marks)
+    for k in range(5, 8):
+        assert _overlap(found[k].points, _true(_STRAIGHT, k)) > 0.94 > _overlap(marks[k].points, _true(_STRAIGHT, k))
+
+
 def test_an_arrow_of_another_kind_stays_as_it_is() -> None:
     rng = np.random.default_rng(5)
     marks = [_mark(_FORKED, k, rng) for k in range(4)] + [_mark(_STRAIGHT, 4, rng)]
