@@ -7,6 +7,7 @@ elsewhere from each place; at its true height all looks at a mark meet.
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from semloc_jax.mapping.mark_looks import MarkLooks
 from semloc_jax.mapping.road_profile import RoadProfile
@@ -22,7 +23,7 @@ _APART_M = 1.5
 """Two looks from nearer places meet at any height."""
 _MEETS_M = 0.12
 """By which looks at one mark miss each other at its true height: borders of masks, heading and pitch of a frame."""
-_LEAST_LOOKS, _MOST_LOOKS = 30, 600
+_LEAST_LOOKS = 30
 _LEAST_MET = 0.7
 """Other looks that must meet a look, on average: with fewer, chance does it."""
 _LEAST_CONTRAST = 2.0
@@ -32,8 +33,8 @@ _SLOPE_SIGMA, _BEND_SIGMA = 0.1, 0.05
 """Slopes across roads, and by how much they change within a knot."""
 _PLANE_M = 0.06
 """A profile that stays within two sigmas of the plane is the plane."""
-_STRETCH_M = 40.0
-"""Way along which one profile is told; half of it from one to the next."""
+_STRETCH_M = 100.0
+"""Way along which one profile is told, since vehicles pitch and few marks scatter; half of it from one to the next."""
 
 
 def road_profile(looks: MarkLooks, Ts_map_base: Float[np.ndarray, "n 4 4"]) -> RoadProfile | None:
@@ -80,7 +81,7 @@ def _profile(looks: MarkLooks, Ts_map_base: np.ndarray) -> np.ndarray | None:
         rows = np.flatnonzero((left_m >= low) & (left_m < low + _BIN_M))
         if len(rows) < _LEAST_LOOKS or abs(low + 0.5 * _BIN_M) < _LANE_M:
             continue
-        some = looks.where(rows[:: -(-len(rows) // _MOST_LOOKS)])
+        some = looks.where(rows)
         height_m = _height_where_looks_meet(some, Ts_map_base)
         if height_m is not None:
             told.append((float(np.median(some.on_plane(height_m)[:, 1])), height_m))
@@ -91,12 +92,13 @@ def _height_where_looks_meet(looks: MarkLooks, Ts_map_base: np.ndarray) -> float
     """Height above the plane of the vehicle at which looks from different places meet; None where no height is best."""
     T = Ts_map_base[looks.frame]
     eye = np.einsum("nij,nj->ni", T[:, :2, :3], looks.camera_base) + T[:, :2, 3]
-    apart = np.linalg.norm(eye[:, None] - eye[None], axis=-1) > _APART_M
     met = np.zeros(len(_HEIGHTS_M))
     for k, height_m in enumerate(_HEIGHTS_M):
         xy = np.einsum("nij,nj->ni", T[:, :2, :3], looks.on_plane(height_m)) + T[:, :2, 3]
-        off2 = ((xy[:, None] - xy[None]) ** 2).sum(axis=-1)
-        met[k] = (np.exp(-0.5 * off2 / _MEETS_M**2) * apart).sum() / len(xy)
+        one, other = cKDTree(xy).query_pairs(3.0 * _MEETS_M, output_type="ndarray").T
+        is_apart = np.linalg.norm(eye[one] - eye[other], axis=1) > _APART_M
+        off2 = ((xy[one] - xy[other]) ** 2).sum(axis=1)
+        met[k] = 2.0 * np.exp(-0.5 * off2[is_apart] / _MEETS_M**2).sum() / len(xy)
     best = int(met.argmax())
     is_inside = 0 < best < len(met) - 1
     if not is_inside or met[best] < max(_LEAST_MET, _LEAST_CONTRAST * float(np.median(met))):

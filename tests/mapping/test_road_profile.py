@@ -71,10 +71,10 @@ def test_marks_all_over_the_road_tell_no_profile():
 
 
 def test_far_from_the_marks_the_road_is_the_plane_of_the_vehicle():
-    Ts = straight_way(num=300)
+    Ts = straight_way(num=400)
     profile = road_profile(looks_at(row_of_marks(5.5, -0.2, to_m=40.0), Ts), Ts)
     assert profile.at(np.array([20]), np.array([5.5]))[0] == pytest.approx(-0.2, abs=0.03)
-    assert profile.at(np.array([299]), np.array([5.5]))[0] == pytest.approx(0.0, abs=1e-6)
+    assert profile.at(np.array([399]), np.array([5.5]))[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_place_that_lies_lower_is_looked_at_where_it_is():
