@@ -31,19 +31,22 @@ def profiles(lines_at_m: float, nats: float) -> np.ndarray:
     return found
 
 
-def after(num: int, gains: tuple[float, float], lines_at_m: float = 0.0, nats: float = 0.0) -> WatchState:
-    """So many looks, in which a longer and a shorter lens gain so much [nats]."""
+def after(
+    num: int, gains: tuple[float, float], lines_at_m: float = 0.0, nats: float = 0.0, rest: float = 1.0
+) -> WatchState:
+    """So many looks, in which a longer and a shorter lens gain so much [nats], and posts and the right side say so much
+    of what they do say else."""
     moved = np.array([[AHEAD_BY_STEP_M * step, 0.0, 0.0] for step in STEPS])
-    state = WatchState()
+    state, said = WatchState(), np.array([1.0, rest, 1.0, rest])[:, None] * profiles(lines_at_m, nats)
     for _ in range(num):
         gain = np.array([*gains, np.nan, np.nan])
-        state = learned(state, alternatives(1), 0.0, [Tried("focal", gain, moved)], profiles(lines_at_m, nats), CONFIG)
+        state = learned(state, alternatives(1), 0.0, [Tried("focal", gain, moved)], said, CONFIG)
     return state
 
 
-def most(state: WatchState) -> np.ndarray:
+def most(state: WatchState, is_stated: bool = False) -> np.ndarray:
     """How far the right pose may be: left [m], ahead [m], heading [deg]."""
-    causes = weighed_faults.weighed(state, alternatives(1), OWN, np.full(3, 20.0), CONFIG)
+    causes = weighed_faults.weighed(state, alternatives(1), OWN, np.full(3, 20.0), CONFIG, is_stated=is_stated)
     least, farthest = weighed_faults.reach(causes, SHARE)
     return np.max([-least, farthest, np.zeros(3)], axis=0)
 
@@ -95,6 +98,20 @@ def test_lines_that_fit_ahead_of_posts_count_before_they_are_sure():
     told = most(after(2, (-5.0, -5.0), lines_at_m=1.0, nats=1.0))
     assert told[1] > 0.7
     assert told[0] < 0.05
+
+
+def test_lines_alone_that_may_have_been_moved_as_a_whole_are_told_by_who_states_the_accuracy_of_the_map():
+    """A real street has no post in view and nothing to the right: its lines a metre aside are the map a metre aside."""
+    alone = after(12, (-5.0, -5.0), rest=0.0)
+    assert (most(alone)[:2] > (1.3, 4.0)).all()
+    assert (most(alone, is_stated=True)[:2] < 0.2).all()
+    assert weighed_faults.is_alone(alone, CONFIG) and not weighed_faults.is_alone(after(1, (-5.0, -5.0)), CONFIG)
+
+
+def test_posts_that_have_begun_to_tell_hold_the_level_open_until_they_have_told():
+    begun, told = after(1, (-5.0, -5.0), rest=0.1), after(12, (-5.0, -5.0), rest=0.1)
+    assert (most(begun, is_stated=True)[:2] > (1.2, 3.0)).all()
+    assert (most(told, is_stated=True)[:2] < ALERT_M).all()
 
 
 def test_a_pose_between_two_explanations_is_off_by_the_way_to_one_of_them():
