@@ -156,6 +156,9 @@ def known_of(
     names = alternatives(len(rig.names))
     by_masks = weighed_faults.aside(state.watch, names, config.watch)
     probable = course.probability(aside_rad, way, told_faults.is_ahead(rig), by_masks)
+    by_cameras = weighed_faults.heading_if_aside(state.watch, names, config.watch)
+    if by_cameras is not None and not told_faults.is_ahead(rig):
+        way = course.joined(way, *by_cameras)
     sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), _LEAST_VARIANCE))[_OF_LEVELS] * LEVEL_UNITS
     is_small = rig.finer > 1
     is_stated = map_sigma[0] > 0.0

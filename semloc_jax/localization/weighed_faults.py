@@ -143,6 +143,15 @@ def aside(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> flo
     return float(told[0]) if len(told) else _PROBABILITY
 
 
+def heading_if_aside(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> tuple[float, float] | None:
+    """Where the heading of the right pose is as seen from that of the pose if all cameras look aside, by the masks, and
+    its standard deviation [rad]; None where they say nothing; arguments as `weighed`."""
+    told = _told(watch, _ASIDE_ROW, config, False) if ASIDE in names and len(watch.num) else None
+    if told is None or told.moved[2] == 0.0:
+        return None
+    return float(told.at * told.moved[2]), float(np.sqrt(told.variance) * abs(told.moved[2]))
+
+
 def of_sound_ones(
     watch: WatchState, names: tuple[str, ...], config: WatchConfig, is_small: bool = False
 ) -> Float[np.ndarray, "3"]:

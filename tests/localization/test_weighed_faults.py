@@ -146,3 +146,16 @@ def test_cameras_at_the_front_and_at_the_rear_tell_whether_all_look_aside():
     assert all(share > 2.0 * sound and level_deg > 0.6 for share, level_deg in turned)
     assert weighed_faults.aside(state, alternatives(1), CONFIG) == 0.005
     assert weighed_faults.aside(WatchState(), alternatives(4), CONFIG) == 0.005
+
+
+def test_masks_of_cameras_all_round_say_how_far_aside_they_look():
+    """Gains of PandaSet 002 after eleven looks. The way alone says -0.21 deg with 0.13 deg there."""
+    state = WatchState()
+    for _ in range(11):
+        moved = np.array([[0.0, 0.0, -0.013 * step] for step in STEPS])
+        gains = np.array([-3.5, -15.8, np.nan, np.nan])
+        state = learned(state, alternatives(6), 0.0, [Tried(ASIDE, gains, moved)], profiles(0, 0), CONFIG)
+    off_rad, sigma_rad = weighed_faults.heading_if_aside(state, alternatives(6), CONFIG)
+    assert np.degrees([off_rad, sigma_rad]) == pytest.approx([-0.24, 0.095], abs=0.01)
+    assert weighed_faults.heading_if_aside(state, alternatives(1), CONFIG) is None
+    assert weighed_faults.heading_if_aside(WatchState(), alternatives(6), CONFIG) is None
