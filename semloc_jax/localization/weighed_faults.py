@@ -18,6 +18,7 @@ from semloc_jax.evaluation.mixture_bounds import Causes
 from semloc_jax.localization.integrity import LEVEL_UNITS
 from semloc_jax.localization.moved_elements import CLASSES, near, profile_of
 from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, alternatives
+from semloc_jax.localization.watch import HEADING_HELD_RAD
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import WatchState, means_of
 
@@ -149,7 +150,13 @@ def heading_if_aside(watch: WatchState, names: tuple[str, ...], config: WatchCon
     told = _told(watch, _ASIDE_ROW, config, False) if ASIDE in names and len(watch.num) else None
     if told is None or told.moved[2] == 0.0:
         return None
-    return float(told.at * told.moved[2]), float(np.sqrt(told.variance) * abs(told.moved[2]))
+    num_new = config.share * float(means_of(watch, _ASIDE_ROW)[0][:2].mean())
+    by_solve = num_new * (told.moved[2] / HEADING_HELD_RAD) ** 2
+    by_masks = 1.0 / told.variance - by_solve
+    if by_masks <= 0.0:
+        return None
+    at = told.at / (told.variance * by_masks)
+    return float(at * told.moved[2]), float(abs(told.moved[2]) / np.sqrt(by_masks))
 
 
 def of_sound_ones(

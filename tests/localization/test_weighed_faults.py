@@ -156,6 +156,16 @@ def test_masks_of_cameras_all_round_say_how_far_aside_they_look():
         gains = np.array([-3.5, -15.8, np.nan, np.nan])
         state = learned(state, alternatives(6), 0.0, [Tried(ASIDE, gains, moved)], profiles(0, 0), CONFIG)
     off_rad, sigma_rad = weighed_faults.heading_if_aside(state, alternatives(6), CONFIG)
-    assert np.degrees([off_rad, sigma_rad]) == pytest.approx([-0.24, 0.095], abs=0.01)
+    assert np.degrees([off_rad, sigma_rad]) == pytest.approx([-0.25, 0.097], abs=0.01)
     assert weighed_faults.heading_if_aside(state, alternatives(1), CONFIG) is None
+
+
+def test_what_a_solve_holds_of_the_heading_itself_is_no_word_of_the_masks():
+    """Cameras that stand together: turned by a step each they cost what the solve holds the heading by, 0.38 nats."""
+    state = WatchState()
+    for _ in range(28):
+        moved = np.array([[0.0, 0.0, -0.013 * step] for step in STEPS])
+        gains = np.array([-0.37, -0.37, np.nan, np.nan])
+        state = learned(state, alternatives(6), 0.0, [Tried(ASIDE, gains, moved)], profiles(0, 0), CONFIG)
+    assert weighed_faults.heading_if_aside(state, alternatives(6), CONFIG) is None
     assert weighed_faults.heading_if_aside(WatchState(), alternatives(6), CONFIG) is None
