@@ -5,12 +5,13 @@ In: FaultyDrive, the results of a run on it. Out: FaultOutcome; a Markdown table
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from semloc_jax.analysis.moved_alike import WHY, is_moved_alike
 from semloc_jax.analysis.row_outcome import RowOutcome, most_told
 from semloc_jax.datasets import Drive
 from semloc_jax.evaluation.metrics import ALERT_LIMITS, pose_errors
@@ -148,6 +149,8 @@ def run_fault(
         SemlocError: the fault does not fit the drive.
     """
     fault = with_fault(row.name, drive, semantic_map, seed)
+    if not row.apart and is_moved_alike(semantic_map, fault.semantic_map, source.table):
+        row = replace(row, apart=WHY)
     localizer = make_localizer(fault.semantic_map, MotionLog.of_drive(fault.drive))
     results = list(Pipeline(fault.drive, source, localizer, PipelineConfig()).run(fault.drive.frames))
     return judge_fault(row, fault, results), judged(fault.drive, results)

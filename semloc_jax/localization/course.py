@@ -55,6 +55,25 @@ def course_of(fused: FusedPose) -> Course:
     return Course(float(turned + travel), float(np.sqrt(covariance.sum())))
 
 
+def joined(course: Course, off_rad: float, sigma_rad: float) -> Course:
+    """The course with what the masks of cameras all round say of the same angle; one that is not estimated stays.
+
+    Where the two differ by more than they should, neither is as sure as it says (Birge).
+
+    Args:
+        course: By the way.
+        off_rad: Heading of a vehicle whose cameras look as far aside as masks say, against that of the pose.
+        sigma_rad: Its standard deviation.
+    """
+    if course.sigma_rad <= 0.0:
+        return course
+    by_way, by_masks = course.sigma_rad**-2, sigma_rad**-2
+    both = by_way + by_masks
+    square = (course.off_rad - off_rad) ** 2 * by_way * by_masks / both
+    mean = (by_way * course.off_rad + by_masks * off_rad) / both
+    return Course(float(mean), float(np.sqrt(max(square, 1.0) / both)))
+
+
 def remembered_rad(before_rad: float, course: Course, way_m: float) -> float:
     """How far aside the vehicle drove of late at the least, for sure by one standard deviation [rad].
 

@@ -35,6 +35,10 @@ _LEAST_VARIANCE = 1e-12
 _UNTOLD_DEG = float(np.degrees(0.5 / 600.0))
 """What no frame tells of the heading of sound cameras: masks that lie half a pixel aside, at 600 px a radian."""
 _NOT_EXCLUDED = "another lens or elements of the map that were moved are not excluded yet: more way tells"
+_ALONE = (
+    "all that was in view is of one kind or on one side, and no drive tells whether it was moved as a whole: state how "
+    "far the map may be off (--map-sigma-m)"
+)
 
 
 class PoseLevels(NamedTuple):
@@ -69,6 +73,7 @@ class Known(NamedTuple):
         aside: Probability that the cameras look aside.
         weighed: Faults that the drive has neither told nor excluded; None where there is no track.
         still: Where they leave the right pose at the stated risk, least and most, as `standing`.
+        untold: What is told where that is beyond a limit.
         sound: Variance by what calibrations that are as they should be are off all the same, as levels.
         rig: Cameras.
         config: Limits.
@@ -83,6 +88,7 @@ class Known(NamedTuple):
     aside: float
     weighed: Causes | None
     still: Float[np.ndarray, "2 3"]
+    untold: str
     sound: Float[np.ndarray, "3"]
     rig: Rig
     config: TrackConfig
@@ -134,6 +140,7 @@ def known_of(
             aside=0.0,
             weighed=None,
             still=np.zeros((2, 3)),
+            untold=_NOT_EXCLUDED,
             sound=STAY,
             rig=rig,
             config=config,
@@ -149,9 +156,13 @@ def known_of(
     names = alternatives(len(rig.names))
     by_masks = weighed_faults.aside(state.watch, names, config.watch)
     probable = course.probability(aside_rad, way, told_faults.is_ahead(rig), by_masks)
+    by_cameras = weighed_faults.heading_if_aside(state.watch, names, config.watch)
+    if by_cameras is not None and not told_faults.is_ahead(rig):
+        way = course.joined(way, *by_cameras)
     sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), _LEAST_VARIANCE))[_OF_LEVELS] * LEVEL_UNITS
     is_small = rig.finer > 1
-    weighed = weighed_faults.weighed(state.watch, names, sigma, freedom, config.watch, is_small)
+    is_stated = map_sigma[0] > 0.0
+    weighed = weighed_faults.weighed(state.watch, names, sigma, freedom, config.watch, is_small, is_stated)
     still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)
     sound = weighed_faults.of_sound_ones(state.watch, names, config.watch, is_small)
     remembered = (way, aside_rad)
@@ -165,6 +176,7 @@ def known_of(
         aside=probable,
         weighed=weighed,
         still=still,
+        untold=_NOT_EXCLUDED if is_stated or not weighed_faults.is_alone(state.watch, config.watch) else _ALONE,
         sound=sound,
         rig=rig,
         config=config,
@@ -193,7 +205,7 @@ def levels_of(known: Known, move: Float[np.ndarray, "3"] = STAY) -> PoseLevels:
     most = np.maximum(separation.farthest(known.still, move), 0.0)
     if beyond_alert(ProtectionLevels(*most.tolist()), limit):
         is_told = known.aside > 0.5 and not told_faults.is_ahead(known.rig)
-        causes = (*causes, told_faults.ALL_ASIDE if is_told else _NOT_EXCLUDED)
+        causes = (*causes, told_faults.ALL_ASIDE if is_told else known.untold)
     protection = ProtectionLevels(*np.maximum(protection, most).tolist())
     room = np.array([limit.lateral_m, limit.longitudinal_m, limit.heading_deg])
     misled += float(beyond(known.weighed_about(move), room).sum())

@@ -15,6 +15,7 @@ from semloc_jax.geometry import rigid
 from semloc_jax.localization import lens_sign, stance_sums
 from semloc_jax.localization.course import course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
+from semloc_jax.localization.frame_alignment import AlignmentConfig
 from semloc_jax.localization.frame_in_map import FrameInMap
 from semloc_jax.localization.moved_elements import moves
 from semloc_jax.localization.other_calibrations import OTHER_SIGN, STEPS, alternatives, changed_rigs, widths
@@ -25,8 +26,11 @@ from semloc_jax.runtime.memory import once_for_each
 _Again = Callable[[tuple[Rig, ...], Sequence[float], Sequence[int], int], tuple[np.ndarray, np.ndarray]]
 """Solves a frame again with other calibrations, other widths of the road [m], those that are asked for, and how many of
 them are steps of one alternative."""
-_LOOSE = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, 0.005]) ** 2
+_LOOSE_HEADING_RAD = 0.005
+_LOOSE = np.diag([0.3, 0.1, 0.1, 0.01, 0.01, _LOOSE_HEADING_RAD]) ** 2
 """How far a pose may move with another calibration."""
+HEADING_HELD_RAD = AlignmentConfig().prior_inflation * _LOOSE_HEADING_RAD
+"""By which such a solve holds the heading itself, one standard deviation: that is no word of the masks."""
 _PLANE = [0, 1, 5]
 """Forward, left and heading in a tangent."""
 _ALONE = once_for_each(lambda rig: (rig,))

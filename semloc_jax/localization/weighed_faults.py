@@ -18,6 +18,7 @@ from semloc_jax.evaluation.mixture_bounds import Causes
 from semloc_jax.localization.integrity import LEVEL_UNITS
 from semloc_jax.localization.moved_elements import CLASSES, near, profile_of
 from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, alternatives
+from semloc_jax.localization.watch import HEADING_HELD_RAD
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import WatchState, means_of
 
@@ -58,6 +59,7 @@ def weighed(
     freedom: Float[np.ndarray, "3"],
     config: WatchConfig,
     is_small: bool = False,
+    is_stated: bool = False,
 ) -> Causes:
     """Every fault with the places that it leaves to the right pose: left [m], ahead [m], heading [deg].
 
@@ -68,11 +70,12 @@ def weighed(
         freedom: Degrees of freedom that these stand on.
         config: Steps of the watch.
         is_small: Whether masks are small: what they say of lenses is told by their pixels.
+        is_stated: Whether the map states how far all that is near may be off alike (`integrity.map_sigmas`).
     """
     rows = [_NOTHING]
     if len(watch.num):
         rows += [_of_calibration(watch, k, config, is_small) for k in _lenses(names)]
-        rows += [_of_class(watch, name, config) for name in CLASSES]
+        rows += [_of_class(watch, name, config, is_stated) for name in CLASSES]
     probability, mean, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     total = np.hypot(sigma * LEVEL_UNITS, own_sigma)
     # What costs leave open has the tails of a Gaussian (Welch and Satterthwaite).
@@ -141,6 +144,21 @@ def aside(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> flo
     return float(told[0]) if len(told) else _PROBABILITY
 
 
+def heading_if_aside(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> tuple[float, float] | None:
+    """Where the heading of the right pose is as seen from that of the pose if all cameras look aside, by the masks, and
+    its standard deviation [rad]; None where they say nothing; arguments as `weighed`."""
+    told = _told(watch, _ASIDE_ROW, config, False) if ASIDE in names and len(watch.num) else None
+    if told is None or told.moved[2] == 0.0:
+        return None
+    num_new = config.share * float(means_of(watch, _ASIDE_ROW)[0][:2].mean())
+    by_solve = num_new * (told.moved[2] / HEADING_HELD_RAD) ** 2
+    by_masks = 1.0 / told.variance - by_solve
+    if by_masks <= 0.0:
+        return None
+    at = told.at / (told.variance * by_masks)
+    return float(at * told.moved[2]), float(abs(told.moved[2]) / np.sqrt(by_masks))
+
+
 def of_sound_ones(
     watch: WatchState, names: tuple[str, ...], config: WatchConfig, is_small: bool = False
 ) -> Float[np.ndarray, "3"]:
@@ -154,18 +172,29 @@ def of_sound_ones(
     return variance * LEVEL_UNITS**2
 
 
-def _of_class(watch: WatchState, name: str, config: WatchConfig) -> _Rows:
+def _of_class(watch: WatchState, name: str, config: WatchConfig, is_stated: bool) -> _Rows:
     """Elements of one kind that were moved: any of the places where they are looked at may be theirs.
 
-    The pose that was found is that of all others; if it is these that are right, it is where they fit.
+    The pose that was found is that of all others; if it is these that are right, it is where they fit. Where nothing of
+    them was in view all that was seen would have been moved alike. That is the map as a whole, of which no drive tells
+    anything: who states how far it may be off answers for it, and it counts as far as they could tell by now.
+
+    Args:
+        is_stated: See `weighed`; other arguments there.
     """
     places, costs = profile_of(watch, name, config)
     nats = -config.share * costs
     here = float(np.max(nats[near(places)]))
-    odds = _PROBABILITY / (1.0 - _PROBABILITY) * np.exp(np.minimum(nats - here, _MOST_NATS)) / len(places)
+    tells = -np.expm1(-np.ptp(nats)) if is_stated else 1.0
+    odds = tells * _PROBABILITY / (1.0 - _PROBABILITY) * np.exp(np.minimum(nats - here, _MOST_NATS)) / len(places)
     mean = np.zeros((len(places), 3))
     mean[:, int(name.endswith("ahead"))] = places
     return odds / (1.0 + odds.sum()), mean, np.zeros_like(mean)
+
+
+def is_alone(watch: WatchState, config: WatchConfig) -> bool:
+    """Whether nothing of some kind of elements was in view, so that all others may have been moved alike."""
+    return bool(len(watch.num)) and not all(profile_of(watch, name, config)[1].any() for name in CLASSES)
 
 
 def reach(causes: Causes, share: float) -> Float[np.ndarray, "2 3"]:

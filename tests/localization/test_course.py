@@ -92,3 +92,11 @@ def test_what_was_sure_is_remembered_and_what_was_not_is_not():
 def test_the_sentence_says_by_how_much_or_that_nothing_is_known_yet(off_deg, num, said):
     found = Course(np.deg2rad(off_deg), np.deg2rad(0.25))
     assert told_faults.aside_cause(found, 0.0, 0.6, rig(num)) == said
+
+
+def test_way_and_masks_that_agree_are_surer_together_and_those_that_do_not_are_less_sure():
+    way = Course(*np.deg2rad([-0.2, 0.2]).tolist())
+    agreed, torn = (np.degrees(course.joined(way, *np.deg2rad([off_deg, 0.1]).tolist())) for off_deg in (-0.3, 0.6))
+    assert agreed == pytest.approx([-0.28, 0.2 / np.sqrt(5.0)], abs=1e-9)
+    assert torn == pytest.approx([0.44, 0.8 / np.sqrt(0.05) * 0.2 / np.sqrt(5.0)], abs=1e-9)
+    assert course.joined(Course(0.1, 0.0), 0.2, 0.1) == Course(0.1, 0.0)
