@@ -20,6 +20,10 @@ _FEW_CELLS = 200.0
 """Fewer cells inside, or near a border, than this count for less: a post far away shall not outweigh a crosswalk."""
 
 
+_GROSS_SHARE = 0.03
+"""Of the distances near borders that are told anyhow: a mark that was missed, a border of something else. Ours."""
+
+
 class Batch(NamedTuple):
     """Crops of images with their labels; b crops, cells are half as many as pixels on each side."""
 
@@ -33,7 +37,8 @@ class Batch(NamedTuple):
 
 
 def eyes_loss(network: eqx.Module, batch: Batch) -> Array:
-    """Negative log-likelihood of the distances by Laplace's distribution, and a balanced loss of being inside.
+    """Negative log-likelihood of the distances by Laplace's distribution beside gross errors, and a balanced loss of
+    being inside.
 
     The scale of the distribution is the network's sigma and the label's together: what the label does not know the
     network need not. Laplace's likelihood asks for the median: where a dash is there in most images, its distance.
@@ -61,9 +66,17 @@ def distance_loss(said: Said, batch: Batch) -> Float[Array, " k"]:
 
 
 def distance_nll(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
-    """Of the distance of each cell and class."""
-    scale = _scale(said, batch)
-    return jnp.abs(said.signed_px - batch.signed_px) / scale + jnp.log(scale)
+    """Of the distance of each cell and class, a few of which are anywhere within the reach: sigmas are of the others.
+
+    Its slope by the distance is another one. By that of the likelihood what was missed would be given up as gross; by
+    one over the scale, that of Laplace, what is unsure, which is what is missed, would hardly be learned. So it is one
+    over the root of the scale (Seitzer et al. 2022), whatever the error.
+    """
+    scale, off = _scale(said, batch), jnp.abs(said.signed_px - batch.signed_px)
+    fixed = jax.lax.stop_gradient(off)
+    usual = jnp.log(1.0 - _GROSS_SHARE) - fixed / scale - jnp.log(2.0 * scale)
+    likely = jnp.logaddexp(usual, jnp.log(_GROSS_SHARE / (2.0 * REACH_PX)))
+    return (off - fixed) / jnp.sqrt(jax.lax.stop_gradient(scale)) - likely
 
 
 def change(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
