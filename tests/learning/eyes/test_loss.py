@@ -58,7 +58,7 @@ def test_the_sigma_that_is_likeliest_is_that_of_the_errors(error_px):
 
 
 def test_a_sigma_is_not_of_gross_errors():
-    """Errors of a standard deviation of 1.4 px, and 5 % that are 20 to 40 px: theirs is told. Laplace's own scale, their
+    """Errors of a standard deviation of 1.4 px, and 5 % that are 20 to 40 px: the first is told; Laplace's scale, their
     mean with the gross ones, is 2.4 times as large."""
     rng = np.random.default_rng(0)
     errors = np.r_[rng.laplace(0.0, 1.0, 1900), rng.uniform(20.0, 40.0, 100)]
