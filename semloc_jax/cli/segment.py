@@ -14,6 +14,9 @@ from semloc_jax.inputs.choices import parse_names, parse_slice
 if TYPE_CHECKING:
     from semloc_jax.perception.network import NetworkPreset
 
+_FILES = (".onnx", ".yaml", ".yml")
+"""Networks that masks are made with here; others run on images while somebody asks for them."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -21,7 +24,8 @@ class Options:
 
     Writes OUT/CAMERA/FRAME.png (class ids) and OUT/segment.yaml. What is there already is not made again, so that an
     interrupted run goes on where it stopped. `semloc localize DRIVE --masks OUT` uses the masks. OUT/look.jpg shows ten
-    frames with their masks: look at it before you trust them.
+    frames with their masks: look at it before you trust them. No network at hand? `semloc localize DRIVE --masks net`
+    needs none, nor files of masks.
 
     How images are prepared can be written to a preset (YAML): model, class_table, width_px, height_px, letterbox,
     tiles, overlap, mean, std, value_range, swap_red_blue, channels_last, threshold, output, bits, backend, batch.
@@ -80,6 +84,7 @@ def run(options: Options) -> int:
 
 def _preset(options: Options) -> "NetworkPreset":
     """The preset with what the options say over it."""
+    from semloc_jax.inputs.mask_source import made_of_images
     from semloc_jax.perception.network import NetworkPreset, load_network_preset
     from semloc_jax.perception.network_recipes import RECIPES, recipe
 
@@ -91,6 +96,8 @@ def _preset(options: Options) -> "NetworkPreset":
         preset = RECIPES[options.class_table]
         print(f"images as {options.class_table} takes them ({preset.width_px}x{preset.height_px}); --preset for others")
     given: dict = {"model": str(options.model)} if options.model is not None else {}
+    if options.model is not None and made_of_images(name := str(options.model)) and not name.endswith(_FILES):
+        raise UsageError(f"{name} needs no files of masks; 'semloc localize {options.drive} --masks {name}' runs it")
     if not (given or preset.model):
         raise UsageError("no network; give --model FILE.onnx, or a --preset with the key model")
     if options.size is not None:

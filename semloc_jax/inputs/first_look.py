@@ -143,7 +143,7 @@ def _of_folder(path: Path) -> FirstLook:
     opens = _look_at_calibration(path, cameras, found, missing, written)
     if masks is None:
         missing.append(
-            "masks/: semloc segment makes them with a network; --masks classical finds road paint without one"
+            "masks/: semloc segment makes them with a network; --masks net finds paint and posts without one"
         )
     else:
         found.append(f"masks in {masks.name}/{_tables_of(ids_in(masks))}, or your own classes.yaml")

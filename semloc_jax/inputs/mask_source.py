@@ -104,7 +104,10 @@ def best_masks(drive: Drive) -> str:
         SemlocError: it has none.
     """
     if not drive.mask_sources:
-        raise SemlocError(f"drive {drive.name}: has no masks; give --masks (semloc segment makes them)")
+        raise SemlocError(
+            f"drive {drive.name}: has no masks; give --masks {NET} or {CLASSICAL}, which are made of its images, or "
+            "make some with your own network (semloc segment)"
+        )
     return drive.mask_sources[0]
 
 

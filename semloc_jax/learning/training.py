@@ -6,7 +6,7 @@ In: a network, its loss, what gives the batch of a step. Out: the trained networ
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -29,6 +29,9 @@ class TrainingConfig:
     """Of Adam at its begin; it falls to zero over all steps."""
     level_share: float = 0.0
     """Of the steps, before it begins to fall."""
+    mean_share: float = 0.2
+    """Of the steps, the last ones: the mean of the weights after each of them is what comes out, as every batch throws
+    them about a little. 0: those after the last step."""
     most_gradient: float = 1.0
     """Longest gradient of a batch: one bad label shall not throw the network."""
     seed: int = 0
@@ -41,6 +44,13 @@ class TrainingConfig:
             raise SemlocError(f"training: {self}; expected steps of at least 1, rate and longest gradient above 0")
         if not 0.0 <= self.level_share < 1.0:
             raise SemlocError(f"training: level_share {self.level_share:g}; expected 0 <= level_share < 1")
+        if not 0.0 <= self.mean_share <= 1.0:
+            raise SemlocError(f"training: mean_share {self.mean_share:g}; expected 0 <= mean_share <= 1")
+
+    @property
+    def mean_from(self) -> int:
+        """The first step of those whose weights are averaged; the last of all where only that one counts."""
+        return min(self.num_steps - round(self.mean_share * self.num_steps) + 1, self.num_steps)
 
 
 def train(
@@ -64,7 +74,7 @@ def descend(
     checkpoint: Path | None = None,
     on_step: Callable[[int, float], None] | None = None,
 ) -> T:
-    """The network after Adam's steps down a loss whose gradient is given.
+    """The network after Adam's steps down a loss whose gradient is given: the mean of those of the last steps.
 
     Args:
         network: To begin with.
@@ -87,8 +97,12 @@ def descend(
         gradient = jax.tree.map(lambda g: jnp.where(scale > 0, scale * g, 0.0), gradient)
         return adam_step(parameters, gradient, adam, rate)
 
-    adam = AdamState.begin(parameters)
-    done, parameters, adam = _resumed(checkpoint, parameters, adam, config)
+    @jax.jit
+    def averaged(mean: Any, parameters: Any, weight: jax.Array) -> Any:
+        return jax.tree.map(lambda m, p: (1.0 - weight) * m + weight * p, mean, parameters)
+
+    run = _Run(0, parameters, AdamState.begin(parameters), parameters)
+    done, parameters, adam, mean = _resumed(checkpoint, run, config)
     batch = batch_of(np.random.default_rng((config.seed, done + 1))) if done < config.num_steps else None
     for step in range(done + 1, config.num_steps + 1):
         adam = adam._replace(step=jnp.asarray(step - 1, jnp.float32))
@@ -96,29 +110,46 @@ def descend(
         rate = jnp.asarray(now, jnp.float32)
         value, gradient = slope(eqx.combine(parameters, rest), batch)
         parameters, adam = advance(parameters, gradient, adam, rate)
+        # Until the last steps begin, the mean is that of one.
+        weight = jnp.asarray(1.0 / max(step - config.mean_from + 1, 1), jnp.float32)
+        mean = averaged(mean, parameters, weight)
         if step < config.num_steps:  # drawn while JAX still computes
             batch = batch_of(np.random.default_rng((config.seed, step + 1)))
         if on_step is not None:
             on_step(step, float(value))
         if checkpoint is not None and (step % config.save_every == 0 or step == config.num_steps):
-            save_weights(checkpoint, (parameters, adam.first, adam.second), _settings(config) | {"step": step})
-    return eqx.combine(parameters, rest)
+            run = _Run(step, parameters, adam, mean)
+            save_weights(checkpoint, run.arrays, _settings(config) | {"step": step})
+    return eqx.combine(mean, rest)
+
+
+class _Run(NamedTuple):
+    """Where a run is."""
+
+    step: int
+    parameters: Any
+    adam: AdamState
+    mean: Any
+
+    @property
+    def arrays(self) -> tuple:
+        """What a checkpoint holds."""
+        return self.parameters, self.adam.first, self.adam.second, self.mean
 
 
 def _settings(config: TrainingConfig) -> dict[str, int | float]:
     """What must be the same for a run to go on."""
     level = {"level_share": config.level_share} if config.level_share else {}
-    return {"num_steps": config.num_steps, "rate": config.rate, "seed": config.seed} | level
+    stated = {"num_steps": config.num_steps, "rate": config.rate, "seed": config.seed}
+    return stated | {"mean_share": config.mean_share} | level
 
 
-def _resumed(
-    checkpoint: Path | None, parameters: Any, adam: AdamState, config: TrainingConfig
-) -> tuple[int, Any, AdamState]:
-    """Steps that are done, parameters and means: those of the checkpoint, else those given."""
+def _resumed(checkpoint: Path | None, run: _Run, config: TrainingConfig) -> _Run:
+    """Where a run stopped: that of the checkpoint, else the begin that is given."""
     if checkpoint is None or not checkpoint.is_file():
-        return 0, parameters, adam
+        return run
     card = read_card(checkpoint)
     if {key: card.get(key) for key in _settings(config)} != _settings(config):
         raise SemlocError(f"checkpoint {checkpoint}: made with other settings than {_settings(config)}; delete it")
-    parameters, first, second = load_weights(checkpoint, (parameters, adam.first, adam.second))
-    return int(card["step"]), parameters, adam._replace(first=first, second=second)
+    parameters, first, second, mean = load_weights(checkpoint, run.arrays)
+    return _Run(int(card["step"]), parameters, run.adam._replace(first=first, second=second), mean)

@@ -85,6 +85,8 @@ def test_an_image_that_cannot_be_read_does_not_end_the_run(simulated_road, prese
     [
         ([], USAGE, "give --model FILE.onnx"),
         (["--model", "none.onnx"], FAILED, "no such file"),
+        (["--model", "net"], USAGE, "--masks net' runs it"),
+        (["--model", "round_1.weights"], USAGE, "--masks round_1.weights' runs it"),
         (["--model", __file__], FAILED, "what its class ids mean is not known; give --class-table"),
         (["--model", "none.onnx", "--class-table", "cityscapes"], FAILED, "no such file"),
         (["--model", "none.onnx", "--size", "10"], USAGE, "--size '10': expected two numbers such as 1024x512"),

@@ -51,8 +51,26 @@ def test_a_line_is_learned():
     assert (float(line.slope), float(line.offset)) == pytest.approx((3.0, -1.0), abs=0.02)
 
 
+def test_what_comes_out_is_the_mean_of_the_last_steps():
+    """Of 10 steps with a share of 0.3 those after 8, 9 and 10; a share of 0 gives the last. Weights of each step are
+    those of a run of ours with Adam's formula and the falling rate."""
+    after, (x, adam) = [], (np.zeros(2, np.float32), AdamState.begin(np.zeros(2, np.float32)))
+    for step in range(1, 11):
+        a, y = batch_of(np.random.default_rng((0, step)))
+        off = x[0] * a + x[1] - y
+        slope = 2.0 * np.array([np.mean(off * a), np.mean(off)])
+        slope *= min(1.0, 1.0 / np.linalg.norm(slope))
+        x, adam = adam_step(x, slope, adam, falling_rate(0.1, step, 10))
+        after.append(x)
+    for share, expected in ((0.3, np.mean(after[7:], axis=0)), (0.0, after[9]), (1.0, np.mean(after, axis=0))):
+        line = train(begin(), loss, batch_of, TrainingConfig(num_steps=10, rate=0.1, mean_share=share))
+        np.testing.assert_allclose((line.slope, line.offset), expected, atol=2e-6)
+    with pytest.raises(SemlocError, match="mean_share"):
+        TrainingConfig(mean_share=1.1)
+
+
 def test_a_run_that_stopped_goes_on_to_the_same_bits(tmp_path):
-    config = TrainingConfig(num_steps=30, rate=0.1, save_every=10)
+    config = TrainingConfig(num_steps=30, rate=0.1, save_every=10, mean_share=0.5)  # the mean has begun
     whole = train(begin(), loss, batch_of, config)
 
     def stop(step, value):

@@ -9,7 +9,7 @@ from semloc_jax.datasets.drive import CLASS_IDS
 from semloc_jax.simulation.looks.materials import CLASS_MASK, DARK_PATCH, TAR, variant_id
 from semloc_jax.simulation.streets.hall import random_hall
 from semloc_jax.simulation.streets.street import random_street
-from semloc_jax.simulation.streets.views import FINER, street_views
+from semloc_jax.simulation.streets.views import FINER, _pinhole, street_views
 
 
 @pytest.mark.parametrize("is_garage", [False, True])
@@ -48,3 +48,22 @@ def test_halls_show_what_is_to_be_learned():
         assert all(solid.hit(start, (end - start)[None] / length)[0] > length for solid in hall.solids)
     assert {CLASS_IDS[name] for name in ("pillar", "vehicle", "wall")} <= standing
     assert CLASS_IDS["slot_line"] in painted
+
+
+def test_a_part_of_the_cameras_looks_aside_and_back():
+    """As those around a vehicle do: a tenth more than 90 degrees away from ahead; most look ahead."""
+    rng = np.random.default_rng(0)
+    ahead = np.array([_pinhole(rng, (64, 64), 1)[1][0, 2] for _ in range(400)])
+    assert 0.08 < np.mean(ahead < 0.0) < 0.22 and np.mean(ahead > 0.9) > 0.65
+
+
+def test_signs_of_halls_hang_and_stand():
+    """Some below the ceiling, some as high as a camera looks: above the floor by 0.4 to 2.2 m."""
+    heights = []
+    for seed in range(3):
+        hall = random_hall(np.random.default_rng(seed))
+        for solid in hall.solids:
+            if solid.class_id & CLASS_MASK == CLASS_IDS["sign"]:
+                middle = solid.outline.mean(axis=0)
+                heights.append(middle[2] - float(hall.surface.height(*middle[:2, None])[0]))
+    assert np.mean(np.array(heights) < 2.1) > 0.3 and np.mean(np.array(heights) > 2.1) > 0.2

@@ -20,6 +20,12 @@ _FEW_CELLS = 200.0
 """Fewer cells inside, or near a border, than this count for less: a post far away shall not outweigh a crosswalk."""
 
 
+_ONE_SIGMA = 0.683
+"""Of the errors, so many are within one standard deviation."""
+_LEAST_PX = 1e-3
+"""Errors count as no smaller."""
+
+
 class Batch(NamedTuple):
     """Crops of images with their labels; b crops, cells are half as many as pixels on each side."""
 
@@ -33,10 +39,10 @@ class Batch(NamedTuple):
 
 
 def eyes_loss(network: eqx.Module, batch: Batch) -> Array:
-    """Negative log-likelihood of the distances by Laplace's distribution, and a balanced loss of being inside.
+    """Of the distances to borders, of their sigmas, and a balanced loss of being inside.
 
-    The scale of the distribution is the network's sigma and the label's together: what the label does not know the
-    network need not. Laplace's likelihood asks for the median: where a dash is there in most images, its distance.
+    The sigma of an error is the network's and the label's together: what the label does not know the network need not.
+    Of distances the absolute error asks for the median: where a dash is there in most images, its distance.
     """
     said = read_out(jax.vmap(network)(batch.picture))
     # A map tells its classes and not what hides it, which eyes tell last.
@@ -54,16 +60,24 @@ def distance_loss(said: Said, batch: Batch) -> Float[Array, " k"]:
     known = jnp.maximum(batch.weight[..., None], batch.kept)
     near = known * is_near * jnp.maximum(jnp.exp(-jnp.abs(batch.signed_px) / _NEAR_PX), _LEAST_WEIGHT)
     far = known * ~is_near
-    told = jnp.where(batch.kept > 0.0, change(said, batch), distance_nll(said, batch))
+    told = jnp.where(batch.kept > 0.0, change(said, batch), border_loss(said, batch))
     beyond = beyond_nll(said, batch)
     of_near = jnp.sum(near * told, (0, 1, 2)) / (jnp.sum(near, (0, 1, 2)) + _FEW_CELLS)
     return of_near + jnp.sum(far * beyond, (0, 1, 2)) / jnp.maximum(jnp.sum(far, (0, 1, 2)), 1.0)
 
 
-def distance_nll(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
-    """Of the distance of each cell and class."""
-    scale = _scale(said, batch)
-    return jnp.abs(said.signed_px - batch.signed_px) / scale + jnp.log(scale)
+def border_loss(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:
+    """Of each cell and class: of the distance, and that 68 % of the errors lie within their sigmas.
+
+    No likelihood: gross errors, a mark that was missed or a border of something else, would widen every sigma, and what
+    is unsure, which is what is missed, would hardly be learned: the slope would be one over the sigma. It is one over
+    its root (Seitzer et al. 2022), however large the error.
+    """
+    off = jnp.abs(said.signed_px - batch.signed_px)
+    sigma = jnp.sqrt(jnp.exp(2.0 * said.log_sigma) + batch.sigma_px**2)
+    beyond = jnp.log(jnp.maximum(jax.lax.stop_gradient(off), _LEAST_PX) / sigma)
+    of_sigma = jnp.maximum(_ONE_SIGMA * beyond, (_ONE_SIGMA - 1.0) * beyond)
+    return off / jnp.sqrt(jax.lax.stop_gradient(sigma)) + of_sigma
 
 
 def change(said: Said, batch: Batch) -> Float[Array, "b _h _w k"]:

@@ -223,7 +223,7 @@ def _walls(hall: _Hall, rng: np.random.Generator) -> list[Solid]:
 
 
 def _small_things(hall: _Hall, rng: np.random.Generator) -> list[Solid]:
-    """Cones, boxes, bollards and hanging signs beside the way."""
+    """Cones, boxes, bollards and signs beside the way."""
     solids: list[Solid] = []
     for s in np.arange(-5.0, VIEWED_M + 8.0, rng.uniform(3.0, 12.0)).tolist():
         d = rng.choice([-1.0, 1.0]) * rng.uniform(_CLEAR_M + 0.8, hall.aisle_m + 1.0)
@@ -237,7 +237,9 @@ def _small_things(hall: _Hall, rng: np.random.Generator) -> list[Solid]:
         elif kind < 0.8:
             facing = float(hall.path.heading_at(np.array([s]))[0]) + np.pi * rng.integers(2) + rng.normal(0.0, 0.2)
             size, shape = rng.uniform(0.3, 1.0), str(rng.choice(["circle", "rectangle", "triangle", "octagon"]))
-            center = base + [0.0, 0.0, hall.height_m - 0.1 - 0.5 * size]
+            # Below the ceiling, or on a post or a rail as high as a camera sees it.
+            top_m = hall.height_m - 0.1 if rng.random() < 0.5 else rng.uniform(1.1, 2.2)
+            center = base + [0.0, 0.0, top_m - 0.5 * size]
             solids += things.board(center, facing, shape, (size * rng.uniform(1.0, 2.0), size), 0.02, rng)
         elif kind < 0.9:
             solids += things.delineator(base, rng)

@@ -20,6 +20,8 @@ from semloc_jax.simulation.streets import hall, street
 
 FINER = 2
 """Pixels of the class ids along a side of one of the picture."""
+_ASIDE = 0.3
+"""Share of the cameras in a street that look anywhere, as those around a vehicle do; the others look ahead."""
 
 
 class StreetView(NamedTuple):
@@ -78,7 +80,7 @@ def _as_seen(picture: np.ndarray, coarser: int) -> np.ndarray:
 
 
 def _pinhole(rng: np.random.Generator, size_px: tuple[int, int], finer: int) -> tuple[Camera, np.ndarray]:
-    """A window of the image of a camera that looks ahead, and T_base_cam."""
+    """A window of the image of a camera that mostly looks ahead, and T_base_cam."""
     width, height = size_px
     focal = float(np.exp(rng.uniform(np.log(380.0), np.log(1500.0))))
     whole = rng.uniform(max(700.0, width), 1280.0), max(rng.uniform(0.3, 0.75) * 900.0, height)
@@ -89,7 +91,7 @@ def _pinhole(rng: np.random.Generator, size_px: tuple[int, int], finer: int) -> 
     # Where a long lens looks little above or below the horizon: near it is where marks and posts are.
     center = 0.5 * whole[0] - left, np.clip(0.5 * whole[1] - top, -60.0, height + 40.0)
     camera = _finer(BrownConradyCamera, (focal, focal, *center), size_px, finer)
-    side = np.radians(rng.uniform(-60.0, 60.0)) if rng.random() < 0.15 else rng.normal(0.0, 0.03)
+    side = np.radians(rng.uniform(-180.0, 180.0)) if rng.random() < _ASIDE else rng.normal(0.0, 0.03)
     return camera, mounted((1.6, 0.0, up_m), np.degrees(side), float(down), float(rng.normal(0.0, 1.5)))
 
 

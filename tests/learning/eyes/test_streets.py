@@ -13,7 +13,7 @@ from semloc_jax.learning.eyes.street_lesson import class_scores, taught_on_stree
 from semloc_jax.learning.eyes.streets import HELD_OUT, TEACHES, StreetsConfig, drawn_scenes, labelled, scenes
 from semloc_jax.learning.training import TrainingConfig
 from semloc_jax.perception import load_class_table
-from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX, Eyes
+from semloc_jax.perception.networks.eyes import CELL_PX, REACH_PX, Eyes, Said
 from semloc_jax.simulation.streets.views import FINER, StreetView
 
 TABLE = load_class_table("street")
@@ -69,6 +69,24 @@ def test_scores_of_what_has_not_learned():
     scores = class_scores(Eyes.new(TABLE, 0), images)
     assert [score.name for score in scores][::5] == ["road_paint", "moving"]
     assert scores[0].recall == 0.0 and scores[0].error_px == pytest.approx(20.0, abs=8.0)
+
+
+def test_sigmas_are_judged_by_what_is_told(monkeypatch):
+    """Borders that are told 1 px off with 1.5 px, eight cells with a border that is not there, and half of the strip of
+    which nobody knows: its large sigmas are of no border that is told."""
+    ids = np.full((128, 128), CLASS_IDS["road"], np.uint8)
+    ids[:, 60:68] = CLASS_IDS["lane_solid"]
+    images = labelled(StreetView((np.zeros((64, 64, 3), np.uint8),), ids), TABLE)
+    signed = np.moveaxis(images[0].signed_px.astype(np.float32), 0, -1)
+    told, log_sigma = signed + 1.0, np.full_like(signed, np.log(1.5))
+    told[14:], log_sigma[14:] = 30.0, np.log(60.0)
+    told[0, np.flatnonzero(signed[0, :, 0] > 12.0)[:8], 0] = 0.0
+    near = int((np.abs(told[..., 0]) < 8.0).sum())
+    assert 50 < near < 200
+    monkeypatch.setattr(Eyes, "said", lambda self, picture: Said(told, log_sigma, 0.0 * told))
+    score = class_scores(Eyes.new(TABLE, 0), images)[0]
+    assert score.within == pytest.approx([1.0 - 8 / near] * 3)
+    assert score.error_px > 10.0
 
 
 @pytest.mark.slow
