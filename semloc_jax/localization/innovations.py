@@ -80,6 +80,14 @@ def learned(
     return Innovations(*(np.asarray(share * old + new, np.float64) for share, old, new in sums))
 
 
+def along(state: Innovations) -> tuple[float, float, float]:
+    """Of the last frames along the way: how many they are, mean squared difference of measured and predicted pose
+    [m^2], and the mean of the same over its variance."""
+    num = float(state.num)
+    asked = max(num, 1e-9)
+    return num, float(state.away[0]) / asked, float(state.squares[0]) / asked
+
+
 class Doubt(NamedTuple):
     """How far a pose may be off that masks or motion alone have right."""
 

@@ -21,7 +21,7 @@ from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, alte
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import WatchState, means_of
 
-_PROBABILITY = 0.005
+PROBABILITY = 0.005
 """Of each fault before the drive: one in two hundred. Ours."""
 _WIDE_STEPS = 1.0
 """How far such a lens is off, one standard deviation, in the steps of the watch. Ours."""
@@ -127,7 +127,7 @@ def _of_calibration(watch: WatchState, k: int, config: WatchConfig, is_small: bo
         return _NOTHING
     exact, aside = told.variance + _EXACT_STEPS**2, told.variance + _WIDE_STEPS**2
     nats = 0.5 * (told.at**2 * (1.0 / exact - 1.0 / aside) - np.log(aside / exact))
-    probability = float(expit(logit(_PROBABILITY) + nats))
+    probability = float(expit(logit(PROBABILITY) + nats))
     kept = _WIDE_STEPS**2 / aside
     size, spread = told.at * kept, np.sqrt(told.variance * kept)
     return np.array([probability]), (size * told.moved)[None], np.abs(spread * told.moved)[None]
@@ -136,9 +136,9 @@ def _of_calibration(watch: WatchState, k: int, config: WatchConfig, is_small: bo
 def aside(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> float:
     """Probability that all cameras look aside alike, by the masks; arguments as `weighed`."""
     if ASIDE not in names or not len(watch.num):
-        return _PROBABILITY
+        return PROBABILITY
     told, _, _ = _of_calibration(watch, _ASIDE_ROW, config)
-    return float(told[0]) if len(told) else _PROBABILITY
+    return float(told[0]) if len(told) else PROBABILITY
 
 
 def of_sound_ones(
@@ -162,7 +162,7 @@ def _of_class(watch: WatchState, name: str, config: WatchConfig) -> _Rows:
     places, costs = profile_of(watch, name, config)
     nats = -config.share * costs
     here = float(np.max(nats[near(places)]))
-    odds = _PROBABILITY / (1.0 - _PROBABILITY) * np.exp(np.minimum(nats - here, _MOST_NATS)) / len(places)
+    odds = PROBABILITY / (1.0 - PROBABILITY) * np.exp(np.minimum(nats - here, _MOST_NATS)) / len(places)
     mean = np.zeros((len(places), 3))
     mean[:, int(name.endswith("ahead"))] = places
     return odds / (1.0 + odds.sum()), mean, np.zeros_like(mean)

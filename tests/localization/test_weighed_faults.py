@@ -5,11 +5,13 @@ import pytest
 
 from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.evaluation.mixture_bounds import RISK
-from semloc_jax.localization import separation, weighed_faults
+from semloc_jax.localization import innovations, separation, weighed_faults
+from semloc_jax.localization.innovations import Innovations
 from semloc_jax.localization.moved_elements import moves
 from semloc_jax.localization.other_calibrations import ASIDE, STEPS, alternatives
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import Tried, WatchState, learned
+from semloc_jax.localization.weighed_motion import with_motion
 
 CONFIG = WatchConfig()
 SHARE = RISK / 6.0
@@ -95,6 +97,24 @@ def test_lines_that_fit_ahead_of_posts_count_before_they_are_sure():
     told = most(after(2, (-5.0, -5.0), lines_at_m=1.0, nats=1.0))
     assert told[1] > 0.7
     assert told[0] < 0.05
+
+
+@pytest.mark.parametrize(("differ_m", "least_m", "most_m"), [(0.05, 0.0, 0.2), (0.16, ALERT_M, 0.5)])
+def test_masks_and_motion_that_differ_leave_the_pose_as_open_whatever_masks_are_said_to_scatter(
+    differ_m, least_m, most_m
+):
+    """Frames of 400 x 120 px with an odometer that sticks: each differs from the motion by one of its sigmas (0.16 m),
+    no test of their sums speaks, and the pose is 0.25 m behind. On the sound drive it is 0.05 m."""
+    fits = Innovations()
+    for k in range(8):
+        difference = np.array([(-1.0) ** (k // 2) * differ_m, 0.0, 0.0, 0.0, 0.0, 0.0])
+        fits = innovations.learned(fits, 1.0, difference, np.diag([0.16, 0.1, 0.1, 0.01, 0.01, 0.01]) ** 2)
+    assert innovations.doubts(fits) == ()
+    state = after(8, (-5.0, -5.0))
+    freedom = np.full(3, 20.0)
+    causes = weighed_faults.weighed(state, alternatives(1), OWN, freedom, CONFIG)
+    reach_m = weighed_faults.reach(with_motion(causes, fits, OWN, freedom), SHARE)[1, 1]
+    assert least_m < reach_m < most_m
 
 
 def test_a_pose_between_two_explanations_is_off_by_the_way_to_one_of_them():
