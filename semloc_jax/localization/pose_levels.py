@@ -27,6 +27,7 @@ from semloc_jax.localization.other_calibrations import alternatives
 from semloc_jax.localization.separation import STAY, Separation
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import TrackerState
+from semloc_jax.localization.weighed_height import with_height
 from semloc_jax.localization.weighed_motion import with_motion
 
 _OF_LEVELS = [1, 0, 5]
@@ -156,6 +157,9 @@ def known_of(
     sigma = np.sqrt(np.maximum(np.diagonal(fused.covariance), _LEAST_VARIANCE))[_OF_LEVELS] * LEVEL_UNITS
     is_small = rig.finer > 1
     weighed = weighed_faults.weighed(state.watch, names, sigma, freedom, config.watch, is_small)
+    if is_small:
+        camera_m = float(np.asarray(rig.T_base_cam, np.float64)[:, 2, 3].mean())
+        weighed = with_height(weighed, state.watch, camera_m, sigma, freedom)
     weighed = with_motion(weighed, state.innovations, sigma, freedom)
     still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)
     sound = weighed_faults.of_sound_ones(state.watch, names, config.watch, is_small)

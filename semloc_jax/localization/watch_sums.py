@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from semloc_jax.localization.lens_sign import SignState
+from semloc_jax.localization.lens_way import LensWay
 from semloc_jax.localization.other_calibrations import ASIDE, FOCAL, RADIAL, STEPS, WIDTH
 from semloc_jax.localization.stance_sums import StanceState
 from semloc_jax.localization.watch_config import WatchConfig
@@ -52,6 +53,8 @@ class WatchState(NamedTuple):
     """How the vehicle stood on the road."""
     sign: SignState = SignState()
     """What was said of lenses with the other sign of distortion."""
+    lens: LensWay = LensWay()
+    """What the way said of the focal lengths, where masks are small."""
 
 
 class Suspicion(NamedTuple):
@@ -87,6 +90,17 @@ def far_side(watch: WatchState, names: tuple[str, ...], name: str) -> int | None
     return side if mean[side] > 0.0 else None
 
 
+def far_sides(watch: WatchState, names: tuple[str, ...], name: str, is_small: bool) -> tuple[int, ...]:
+    """The sides (0 up, 1 down) on which a frame is asked for a far change of an alternative, too.
+
+    Small masks are asked for focal lengths on both: what a near one moves is less than what their pixels leave open.
+    """
+    if is_small and name == FOCAL:
+        return (0, 1)
+    side = far_side(watch, names, name)
+    return () if side is None else (side,)
+
+
 def learned(
     watch: WatchState,
     names: tuple[str, ...],
@@ -105,10 +119,10 @@ def learned(
         profiles: Costs of every one of `GROUPS` at `moves`.
         config: Memory.
     """
-    size = len(STEPS) * len(names)
+    size, beside = len(STEPS) * len(names), {"stance": watch.stance, "sign": watch.sign, "lens": watch.lens}
     if watch.num.shape != (size,):
         zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
-        watch = WatchState(*zeros, num_frames=watch.num_frames, stance=watch.stance, sign=watch.sign)
+        watch = WatchState(*zeros, num_frames=watch.num_frames)._replace(**beside)
     keep = np.exp(-1.0 / config.memory_frames)
     kept = np.exp(-1.0 / max(config.memory_frames, config.memory_looks * len(names)))
     new, gain, moved = np.zeros(size), np.zeros(size), np.zeros((size, 3))
@@ -126,8 +140,7 @@ def learned(
         num_looks=np.float64(keep * watch.num_looks + usable),
         num_frames=np.int64(watch.num_frames + 1),
         way_m=np.float64(0.0),
-        stance=watch.stance,
-        sign=watch.sign,
+        **beside,
     )
 
 

@@ -15,9 +15,10 @@ from scipy.special import expit, logit, stdtr
 
 from semloc_jax.alignment.frame_levels import AS_LEVELS
 from semloc_jax.evaluation.mixture_bounds import Causes
+from semloc_jax.localization import lens_way
 from semloc_jax.localization.integrity import LEVEL_UNITS
 from semloc_jax.localization.moved_elements import CLASSES, near, profile_of
-from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, alternatives
+from semloc_jax.localization.other_calibrations import ASIDE, FOCAL, STEPS, WIDTH, alternatives
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import WatchState, means_of
 
@@ -31,12 +32,14 @@ _LEAST_BEND_NATS = 0.05
 """What a step off must cost a frame at least for a frame to tell. Country roads with lines, dashes and posts alone have
 0.1 to 0.6, streets 1 to 5: with less a lens may be anything that lenses are before the drive."""
 _LEAST_BEND_OF_SMALL_NATS = 0.8
-"""The same of small masks (`perception.finer_masks`): there what they like is told by their pixels. A real drive of
-400 x 120 px with exact masks likes a lens that is 2.5 % longer by 0.4 to 0.8 nats a frame."""
+"""The same of small masks (`perception.finer_masks`): there what they like is told by their pixels and by how much of
+the map is in view. A real drive of 400 x 120 px with exact masks likes a lens that is 2.5 to 5 % longer by 0.6 nats a
+frame; the same masks held against contours that are chosen once for all lenses like one that is 4 % shorter by 1."""
 _OPEN_STEPS = 10.0
 """Standard deviation of a size that frames do not tell. Ours."""
 _ASIDE_ROW = alternatives(2).index(ASIDE)
 """Its place among `alternatives` of rigs of several cameras."""
+_FOCAL_ROW = alternatives(1).index(FOCAL)
 _HALVINGS = 24
 _FAR = 32.0
 """Bounds are no larger [m, deg]; they are found to micrometres."""
@@ -46,9 +49,9 @@ _MOST_NATS = 50.0
 """More is certainty."""
 
 
-_Rows = tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
+Rows = tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
 """Probability, mean and sigma of places: left [m], ahead [m], heading [rad]."""
-_NOTHING: _Rows = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
+_NOTHING: Rows = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
 
 
 def weighed(
@@ -73,7 +76,12 @@ def weighed(
     if len(watch.num):
         rows += [_of_calibration(watch, k, config, is_small) for k in _lenses(names)]
         rows += [_of_class(watch, name, config) for name in CLASSES]
-    probability, mean, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    return as_causes(tuple(np.concatenate(parts) for parts in zip(*rows, strict=True)), own_sigma, freedom)
+
+
+def as_causes(rows: Rows, own_sigma: Float[np.ndarray, "3"], freedom: Float[np.ndarray, "3"]) -> Causes:
+    """The same places with what the pose without faults is unsure of; further arguments as `weighed`."""
+    probability, mean, sigma = rows
     total = np.hypot(sigma * LEVEL_UNITS, own_sigma)
     # What costs leave open has the tails of a Gaussian (Welch and Satterthwaite).
     return Causes(probability, mean * LEVEL_UNITS, total, freedom * (total / own_sigma) ** 4)
@@ -88,7 +96,7 @@ def _lenses(names: tuple[str, ...]) -> list[int]:
     return [k for k, name in enumerate(names) if name != WIDTH]
 
 
-class _Told(NamedTuple):
+class Told(NamedTuple):
     """What the frames say of the size of one of `alternatives`, in steps, and how far the pose moves for each."""
 
     at: float
@@ -97,9 +105,9 @@ class _Told(NamedTuple):
     """Left [m], ahead [m], heading [rad]."""
 
 
-def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> _Told | None:
+def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> Told | None:
     """A Gaussian about what a parabola through the costs says, wide open where they say nothing; None where nothing was
-    asked, or where small masks say little.
+    asked.
 
     A frame says so much of a size as its costs bend; of the frames, `WatchConfig.share` is new.
     """
@@ -108,26 +116,31 @@ def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> _To
         return None
     # Cameras that look aside by a step show a slope between the near steps and no bend. Lenses that are a step off are
     # told by `suspicions`.
-    asked = num * (np.arange(len(num)) < (len(num) if k == _ASIDE_ROW else 2))
+    far_too = k == _ASIDE_ROW or is_small
+    asked = num * (np.arange(len(num)) < (len(num) if far_too else 2))
     terms = np.sqrt(asked)[:, None] * np.stack([STEPS, -(STEPS**2)], axis=1)
     slope, bend = np.linalg.lstsq(terms, np.sqrt(asked) * gain, rcond=None)[0]
     moved = (0.5 * (moves[0] - moves[1]))[AS_LEVELS]
-    if bend < _LEAST_BEND_NATS:
-        return _Told(0.0, _OPEN_STEPS**2, moved)
-    if is_small and bend < _LEAST_BEND_OF_SMALL_NATS:
-        return None
+    by_way = lens_way.told(watch.lens) if is_small and k == _FOCAL_ROW and bend >= _LEAST_BEND_NATS else None
+    if by_way is not None:
+        return Told(*by_way, moved)
+    if bend < (_LEAST_BEND_OF_SMALL_NATS if is_small else _LEAST_BEND_NATS):
+        return Told(0.0, _OPEN_STEPS**2, moved)
     variance = 0.5 / (bend * config.share * float(num[:2].mean()))
-    return _Told(0.5 * slope / bend, variance, moved)
+    return Told(0.5 * slope / bend, variance, moved)
 
 
-def _of_calibration(watch: WatchState, k: int, config: WatchConfig, is_small: bool = False) -> _Rows:
+def _of_calibration(watch: WatchState, k: int, config: WatchConfig, is_small: bool = False) -> Rows:
     """One of `alternatives` that is off by far more than calibrations are."""
     told = _told(watch, k, config, is_small)
-    if told is None:
-        return _NOTHING
+    return _NOTHING if told is None else off_by_far(told, PROBABILITY)
+
+
+def off_by_far(told: Told, before: float) -> Rows:
+    """A calibration that is off by far more than they are, as probable as `before` until the drive says more."""
     exact, aside = told.variance + _EXACT_STEPS**2, told.variance + _WIDE_STEPS**2
     nats = 0.5 * (told.at**2 * (1.0 / exact - 1.0 / aside) - np.log(aside / exact))
-    probability = float(expit(logit(PROBABILITY) + nats))
+    probability = float(expit(logit(before) + nats))
     kept = _WIDE_STEPS**2 / aside
     size, spread = told.at * kept, np.sqrt(told.variance * kept)
     return np.array([probability]), (size * told.moved)[None], np.abs(spread * told.moved)[None]
@@ -154,7 +167,7 @@ def of_sound_ones(
     return variance * LEVEL_UNITS**2
 
 
-def _of_class(watch: WatchState, name: str, config: WatchConfig) -> _Rows:
+def _of_class(watch: WatchState, name: str, config: WatchConfig) -> Rows:
     """Elements of one kind that were moved: any of the places where they are looked at may be theirs.
 
     The pose that was found is that of all others; if it is these that are right, it is where they fit.
