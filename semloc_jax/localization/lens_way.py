@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from semloc_jax.localization.other_calibrations import STEPS
 
-_MEMORY_LOOKS = 100.0
+_MEMORY_LOOKS = 200.0
 """No lens changes while driving, but what hides it may. Ours."""
 _LEAST_LOOKS = 8.0
 """Fewer tell no scatter. Ours."""

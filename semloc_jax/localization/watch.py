@@ -64,8 +64,8 @@ def looked(
     own = cache(lambda: float(solved(_ALONE(rig), [0.0], [0])[0][0]))
     again = partial(_again, solved=solved, own=own, T=T, score=view.found.score, config=config)
     every = alternatives(len(rig.names))
-    names = asked_now(watch, every, config)
     is_small = rig.finer > 1
+    names = asked_now(watch, every, config, is_small)
     sides = [far_sides(watch, every, name, is_small) for name in names]
     tried = [_tried(*one, rig, again, config) for one in zip(names, sides, strict=True)]
     for _, other in tried:
@@ -125,8 +125,7 @@ def _by_way(way: LensWay, steps: Tried, view: FrameReport, fused: FusedPose) -> 
     """What the way says of the focal lengths after a look."""
     variance = float(view.covariance[0, 0])
     ahead_m = np.where(np.isfinite(steps.gain_nats), steps.moved[:, 0], np.nan)
-    # Of three looks one is asked: the fused pose has followed all of them.
-    gain = 3.0 * float(fused.covariance[0, 0]) / variance
+    gain = float(fused.covariance[0, 0]) / variance
     return lens_way.learned(way, ahead_m, float(view.difference[0]), float(np.sqrt(variance)), gain)
 
 

@@ -68,12 +68,15 @@ class Suspicion(NamedTuple):
     """How far the pose would be off: forward [m], left [m], heading [rad]."""
 
 
-def asked_now(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> tuple[str, ...]:
+def asked_now(
+    watch: WatchState, names: tuple[str, ...], config: WatchConfig, is_small: bool = False
+) -> tuple[str, ...]:
     """Which of the `alternatives` the next frame is asked for: all but turns of single cameras at the start of a drive,
-    later one after another."""
+    later one after another. Small masks are asked for the focal lengths every time: it takes a way to tell them."""
     if int(watch.num_frames) < config.eager_looks:
         return tuple(name for name in names if name in (FOCAL, RADIAL, WIDTH, ASIDE))
-    return (names[int(watch.num_frames) % len(names)],)
+    turn = names[int(watch.num_frames) % len(names)]
+    return (FOCAL, turn) if is_small and turn != FOCAL else (turn,)
 
 
 def far_side(watch: WatchState, names: tuple[str, ...], name: str) -> int | None:

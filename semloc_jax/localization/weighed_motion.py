@@ -23,6 +23,8 @@ def with_motion(
 ) -> Causes:
     """The causes with that of a motion which is as far off along the way as masks differ from it.
 
+    Where it is, this frame's masks say where the pose is, as well as they are believed.
+
     Args:
         causes: From `weighed_faults.weighed`.
         fits: How measured poses fitted the motion between them of late.
@@ -34,8 +36,11 @@ def with_motion(
         return causes
     # By how much likelier what these frames differ is where the motion adds as much again as they all do.
     nats = 0.5 * num * (ratio**2 / (1.0 + ratio) - np.log1p(ratio))
-    sigma, free = own_sigma.copy(), freedom.copy()
+    difference_m, masks_m2 = fits.last
+    by_motion = away_m2 / (away_m2 + masks_m2)
+    mean, sigma, free = np.zeros(3), own_sigma.copy(), freedom.copy()
     # Few frames tell how large the differences are.
-    sigma[1], free[1] = np.hypot(sigma[1], np.sqrt(away_m2)), min(num, freedom[1])
-    row = np.array([expit(logit(PROBABILITY) + nats)]), np.zeros((1, 3)), sigma[None], free[None]
+    mean[1], sigma[1], free[1] = by_motion * difference_m, np.sqrt(by_motion * masks_m2), min(num, freedom[1])
+    sigma[1] = np.hypot(sigma[1], own_sigma[1])
+    row = np.array([expit(logit(PROBABILITY) + nats)]), mean[None], sigma[None], free[None]
     return Causes(*(np.concatenate(parts) for parts in zip(causes, row, strict=True)))
