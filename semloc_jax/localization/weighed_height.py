@@ -16,8 +16,9 @@ from semloc_jax.localization.other_calibrations import FOCAL, alternatives
 from semloc_jax.localization.watch_sums import WatchState, means_of
 from semloc_jax.localization.weighed_faults import PROBABILITY, Told, as_causes, off_by_far
 
-_OWN_M = 0.01
-"""How much higher or lower a vehicle stands by its load, one standard deviation. Ours."""
+_OWN_M = 0.015
+"""How much higher or lower a vehicle stands by its load, one standard deviation. Ours. What the map leaves open of its
+surface is another in every stretch of road."""
 
 
 def with_height(
@@ -43,7 +44,8 @@ def with_height(
     if (asked[:2] < 0.5).any():
         return causes
     step_m = FOCAL_SHARE * camera_m
-    height_m, variance_m2 = float(watch.stance.total[0]) / num, float(watch.stance.left_open[0]) / num + _OWN_M**2
+    height_m = float(watch.stance.total[0]) / num
+    variance_m2 = float(watch.stance.left_open[0]) / num / max(num, 1.0) + _OWN_M**2
     # A lens that is stated too long puts the vehicle higher; the right one is shorter.
     told = Told(-height_m / step_m, variance_m2 / step_m**2, (0.5 * (moves[0] - moves[1]))[AS_LEVELS])
     probability, mean, sigma = off_by_far(told, PROBABILITY)
